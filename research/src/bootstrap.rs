@@ -40,6 +40,32 @@ pub fn intervals(places: &[Vec<f64>]) -> [Interval; 4] {
     })
 }
 
+/// Intervals of how much more mean, median and share over 20 degrees the second of two designs has than the first, on the same
+/// links: `(error of the first, error of the second)` by place.
+pub fn differences(places: &[Vec<(f64, f64)>]) -> [Interval; 3] {
+    let Some(count) = u64::try_from(places.len()).ok().filter(|count| *count > 0) else {
+        return [Interval::default(); 3];
+    };
+    let mut random = Stream::of_seed(SEED);
+    let mut drawn: [Vec<f64>; 3] = Default::default();
+    for _ in 0..SAMPLES {
+        let chosen: Vec<usize> = (0..places.len()).map(|_| random.below(count) as usize).collect();
+        let found = difference(chosen.iter().filter_map(|&place| places.get(place)).flatten().copied());
+        drawn.iter_mut().zip(found).for_each(|(all, own)| all.push(own));
+    }
+    drawn.map(|mut all| {
+        all.sort_by(f64::total_cmp);
+        Interval { low: percentile(&all, OUTSIDE), high: percentile(&all, 1.0 - OUTSIDE) }
+    })
+}
+
+/// How much more mean, median and share over 20 degrees the second of two designs has.
+pub fn difference(pairs: impl Iterator<Item = (f64, f64)>) -> [f64; 3] {
+    let (first, second): (Vec<f64>, Vec<f64>) = pairs.unzip();
+    let (first, second) = (Errors::of(first.into_iter()), Errors::of(second.into_iter()));
+    [second.mean_deg - first.mean_deg, second.median_deg - first.median_deg, second.over_20 - first.over_20]
+}
+
 impl std::fmt::Display for Interval {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:.2} to {:.2}", self.low, self.high)
@@ -63,5 +89,21 @@ mod tests {
         assert!(median.low < median.high, "{median:?}");
         assert_eq!(intervals(&places), intervals(&places));
         assert_eq!(intervals(&[]), [Interval::default(); 4]);
+    }
+
+    #[test]
+    fn what_all_links_have_more_is_certain_and_what_half_of_them_have_is_not() {
+        let mut random = Stream::of_seed(2);
+        let mut places = |more: [f64; 2]| -> Vec<Vec<(f64, f64)>> {
+            let place = |k: usize| (0..3).map(|_| random.between(0.0, 12.0)).map(|e| (e, e + more[k % 2])).collect();
+            (0..20).map(place).collect()
+        };
+        let [mean, median, over] = differences(&places([0.5, 0.5]));
+        assert!((mean.low - 0.5).abs() < 1e-9 && (mean.high - 0.5).abs() < 1e-9, "{mean:?}");
+        assert!((median.low - 0.5).abs() < 1e-9, "{median:?}");
+        assert_eq!(over, Interval::default());
+        let [mean, ..] = differences(&places([-1.0, 1.0]));
+        assert!(mean.low < -0.2 && mean.high > 0.2, "{mean:?}");
+        assert_eq!(differences(&[]), [Interval::default(); 3]);
     }
 }

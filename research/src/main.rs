@@ -3,7 +3,7 @@
 mod bootstrap;
 mod rooms;
 
-use csi5300::pipeline::{Effort, Options};
+use csi5300::pipeline::{Accuracy, Effort, Options};
 use csi5300_lab::evaluate::{Capture, Errors, Judged, Part, TrajectorySource, find};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -23,11 +23,12 @@ fn main() -> Fallible<()> {
     let words: Vec<&str> = args.iter().map(String::as_str).collect();
     match words.as_slice() {
         ["folds", folders @ ..] => folds(&captures(folders)?),
+        ["designs", folders @ ..] => designs(&captures(folders)?),
         ["over-time", folders @ ..] => over_time(&captures(folders)?),
         ["skipping", folders @ ..] => skipping(&captures(folders)?),
         ["rooms", out, count] => rooms::write(Path::new(out), count.parse()?, 1).map_err(Into::into),
         ["drives", out, count] => rooms::write_drives(Path::new(out), count.parse()?, 1).map_err(Into::into),
-        _ => Err("usage: folds DIR.. | over-time DIR.. | skipping DIR.. | rooms OUT COUNT | drives OUT COUNT".into()),
+        _ => Err("usage: folds DIR.. | designs DIR.. | over-time DIR.. | skipping DIR.. | rooms OUT COUNT | drives OUT COUNT".into()),
     }
 }
 
@@ -96,6 +97,74 @@ fn folds(captures: &[Capture]) -> Fallible<()> {
         println!("{source}: {failed} links without an answer");
     }
     Ok(())
+}
+
+/// Designs of the estimate that an option makes: what each changes, and what it costs.
+fn named_designs(usual: Accuracy) -> Vec<(&'static str, Accuracy)> {
+    let with = |change: fn(&mut Accuracy)| {
+        let mut own = usual;
+        change(&mut own);
+        own
+    };
+    vec![
+        ("usual", usual),
+        ("everything in every scene", usual.with_effort(Effort::Everything)),
+        ("right to a degree", usual.with_effort(Effort::Within(1f64.to_radians()))),
+        ("without alignment", with(|own| own.align = false)),
+        ("without the one-way channel", with(|own| own.one_way = false)),
+        ("without alignment and one-way channel", with(|own| (own.align, own.one_way) = (false, false))),
+        ("plane waves", usual.with_near_field(false)),
+        ("horizon alone", usual.with_elevation_max_rad(Some(0.0))),
+        ("elevations to 10 degrees", usual.with_elevation_max_rad(Some(10f64.to_radians()))),
+        ("elevations to 40 degrees", usual.with_elevation_max_rad(Some(40f64.to_radians()))),
+        ("no nearer than 0.9 m", usual.with_range_min_m(Some(0.9))),
+        ("no nearer than 3.6 m", usual.with_range_min_m(Some(3.6))),
+        ("plane waves, horizon alone", usual.with_near_field(false).with_elevation_max_rad(Some(0.0))),
+    ]
+}
+
+/// Run time against error, design by design, and the difference to the usual one on the same links with 95 % intervals by
+/// resampled places. Time is of one thread, reading the files too.
+fn designs(captures: &[Capture]) -> Fallible<()> {
+    let usual = options()?;
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    for source in SOURCES {
+        println!("\n{source}: mean / median / over 20 degrees; more than usual (95 %)");
+        let mut first: Option<Vec<(String, Judged)>> = None;
+        for (name, accuracy) in named_designs(usual.accuracy) {
+            let own = usual.clone().with_accuracy(accuracy);
+            let run = || one.install(|| evaluate(captures, source, Part::WHOLE, &own));
+            // The first run fetches the files.
+            let rows = run();
+            let began = Instant::now();
+            run();
+            let ms = 1e3 * began.elapsed().as_secs_f64() / rows.len().max(1) as f64;
+            let against = first.get_or_insert_with(|| rows.clone());
+            println!("{name}: {ms:.2} ms a link");
+            for (set, places) in paired(against, &rows) {
+                let all = Errors::of(places.iter().flatten().map(|pair| pair.1));
+                let [mean, median, over] = bootstrap::difference(places.iter().flatten().copied());
+                let [mean_in, median_in, over_in] = bootstrap::differences(&places);
+                println!(
+                    "  {set}: {:.2} / {:.2} / {:.3}; {mean:+.2} ({mean_in}), {median:+.2} ({median_in}), {over:+.3} ({over_in})",
+                    all.mean_deg, all.median_deg, all.over_20
+                );
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Errors of two designs on the links that both answered, by set and place.
+fn paired(first: &[(String, Judged)], second: &[(String, Judged)]) -> BTreeMap<String, Vec<Vec<(f64, f64)>>> {
+    let mut sets: BTreeMap<String, BTreeMap<String, Vec<(f64, f64)>>> = BTreeMap::new();
+    for ((place, a), (_, b)) in first.iter().zip(second) {
+        if let (Some(a), Some(b)) = (a.error_from_mean_pose_deg, b.error_from_mean_pose_deg) {
+            let own = sets.entry(set(place).into()).or_default();
+            own.entry(place.clone()).or_default().push((a.abs(), b.abs()));
+        }
+    }
+    sets.into_iter().map(|(set, places)| (set, places.into_values().collect())).collect()
 }
 
 /// Errors of each quarter of the motions, and of all of the motion up to its end.

@@ -464,3 +464,241 @@ pub(crate) fn half_width(modes: &[Mode], blur: &Blur, centres: &[f64], share: f6
     }
     high
 }
+
+#[cfg(test)]
+mod tests {
+    //! The oracle: the same posterior by its definition, slowly. Sums over a dense grid, in double, with its own copies of the
+    //! likelihood, the prior and the blur.
+
+    use super::*;
+    use crate::estimate::prior::Limits;
+    use crate::estimate::signal::{Aperture, Bins};
+    use num_complex::Complex64;
+
+    const WAVELENGTH_M: f64 = 0.054;
+    const INDEPENDENT: f64 = 24.0;
+    const AZIMUTHS: usize = 720;
+    const ELEVATIONS: usize = 10;
+    const CURVES: usize = 24;
+
+    /// A wave from a place with another from elsewhere and noise, at each point.
+    struct Scene {
+        points: Vec<Vector3<f64>>,
+        waves: Vec<(Place, f64)>,
+        noise: f64,
+    }
+
+    impl Scene {
+        fn new(count: usize, at: impl Fn(f64) -> Vector3<f64>, waves: &[(Place, f64)], noise: f64) -> Self {
+            let points: Vec<Vector3<f64>> = (0..count).map(|k| at(k as f64 / (count - 1) as f64)).collect();
+            let middle = points.iter().sum::<Vector3<f64>>() / count as f64;
+            Self { points: points.iter().map(|p| p - middle).collect(), waves: waves.to_vec(), noise }
+        }
+
+        fn heard(&self, gain: f64) -> Vec<Complex64> {
+            // Noise of a fixed seed, the same for every run.
+            let mut state = 17_u64;
+            let mut random = move || {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+            };
+            let wave = |p: &Vector3<f64>, (place, power): &(Place, f64)| {
+                *power * Complex64::cis(-TAU * gain * way_m(p, place) / WAVELENGTH_M)
+            };
+            self.points
+                .iter()
+                .map(|p| {
+                    self.waves.iter().map(|own| wave(p, own)).sum::<Complex64>()
+                        + self.noise * Complex64::new(random(), random())
+                })
+                .collect()
+        }
+    }
+
+    /// How much longer the way from `place` to `p` is than to the middle of the motion, metres.
+    fn way_m(p: &Vector3<f64>, place: &Place) -> f64 {
+        let u = crate::bartlett::direction(place.azimuth, place.elevation);
+        if place.curve > 0.0 { (u / place.curve - p).norm() - 1.0 / place.curve } else { -u.dot(p) }
+    }
+
+    /// `sum over channels and window lengths of (N - windows) (-ln(1 - rho))`, over their number.
+    fn slow_log_likelihood(points: &[Vector3<f64>], channels: &[(Vec<Complex64>, f64)], place: &Place) -> f64 {
+        let (count, mut sum) = (points.len(), 0.0);
+        for (z, gain) in channels {
+            let turned: Vec<Complex64> = (0..count)
+                .map(|k| z[k] * Complex64::cis(TAU * gain * way_m(&points[k], place) / WAVELENGTH_M))
+                .collect();
+            for windows in [1, 2, 4, 8] {
+                let edge = |k: usize| (k * (8 / windows) * count + 4) / 8;
+                let (mut found, mut full) = (0.0, 0.0);
+                for w in 0..windows {
+                    let inside = edge(w)..edge(w + 1);
+                    found += turned[inside.clone()].iter().sum::<Complex64>().norm_sqr();
+                    full += inside.len() as f64 * turned[inside].iter().map(|z| z.norm_sqr()).sum::<f64>();
+                }
+                sum -= (INDEPENDENT - windows as f64).max(0.0) * (1.0 - found / full).ln();
+            }
+        }
+        sum / (4 * channels.len()) as f64
+    }
+
+    /// The posterior on a grid of [`AZIMUTHS`] x [`ELEVATIONS`] x [`CURVES`].
+    struct Oracle {
+        /// Places with their probabilities, azimuth by azimuth.
+        cells: Vec<(Place, f64)>,
+    }
+
+    impl Oracle {
+        /// Of level motion: |elevation| is uniform up to 20 degrees, ln range from 1.8 to 36 m and 1 / range beyond.
+        fn new(points: &[Vector3<f64>], channels: &[(Vec<Complex64>, f64)]) -> Self {
+            let (highest, curve_max) = (20f64.to_radians(), 1.0 / 1.8);
+            let mut cells = Vec::new();
+            for k in 0..AZIMUTHS * ELEVATIONS * CURVES {
+                let (azimuth, rest) = (k / (ELEVATIONS * CURVES), k % (ELEVATIONS * CURVES));
+                let place = Place {
+                    azimuth: TAU * azimuth as f64 / AZIMUTHS as f64,
+                    elevation: highest * ((rest / CURVES) as f64 + 0.5) / ELEVATIONS as f64,
+                    curve: curve_max * ((rest % CURVES) as f64 + 0.5) / CURVES as f64,
+                };
+                let density = 1.0 / place.curve.max(curve_max / 20.0);
+                cells.push((place, density.ln() + slow_log_likelihood(points, channels, &place)));
+            }
+            let highest = cells.iter().map(|cell| cell.1).fold(f64::MIN, f64::max);
+            cells.iter_mut().for_each(|cell| cell.1 = (cell.1 - highest).exp());
+            let total: f64 = cells.iter().map(|cell| cell.1).sum();
+            cells.iter_mut().for_each(|cell| cell.1 /= total);
+            Self { cells }
+        }
+
+        /// Probability of each azimuth.
+        fn azimuths(&self) -> Vec<f64> {
+            self.cells.chunks(ELEVATIONS * CURVES).map(|own| own.iter().map(|cell| cell.1).sum()).collect()
+        }
+
+        /// The most probable azimuth within 30 degrees of another, the vertex of a parabola in its logarithm.
+        fn azimuth(&self, about: f64) -> f64 {
+            let mass = self.azimuths();
+            let azimuth = |k: usize| TAU * k as f64 / AZIMUTHS as f64;
+            let near = (0..AZIMUTHS).filter(|&k| wrap_rad(azimuth(k) - about).abs() < PI / 6.0);
+            let best = near.max_by(|a, b| mass[*a].total_cmp(&mass[*b])).unwrap_or_default();
+            let [before, at, after] = [AZIMUTHS - 1, 0, 1].map(|step| mass[(best + step) % AZIMUTHS].ln());
+            azimuth(1) * (best as f64 + 0.5 * (before - after) / (before - 2.0 * at + after))
+        }
+
+        /// Probability of the most probable azimuth, by the largest.
+        fn share_of(&self, azimuth: f64) -> f64 {
+            let mass = self.azimuths();
+            let k = (azimuth.rem_euclid(TAU) / TAU * AZIMUTHS as f64).round() as usize % AZIMUTHS;
+            mass[k] / mass.iter().copied().fold(0.0, f64::max)
+        }
+
+        /// Mean and deviation of a figure of the places within `half_rad` of an azimuth.
+        fn moments(&self, about: f64, half_rad: f64, figure: impl Fn(&Place) -> f64) -> (f64, f64) {
+            let near = || self.cells.iter().filter(|(place, _)| wrap_rad(place.azimuth - about).abs() < half_rad);
+            let total: f64 = near().map(|cell| cell.1).sum();
+            let mean = near().map(|(place, mass)| figure(place) * mass).sum::<f64>() / total;
+            let square = near().map(|(place, mass)| (figure(place) - mean).powi(2) * mass).sum::<f64>() / total;
+            (mean, square.sqrt())
+        }
+
+        /// Probability within `half_rad` of an azimuth, the posterior convolved with a normal and a Cauchy density in turn.
+        fn within(&self, about: f64, half_rad: f64, blur: &Blur) -> f64 {
+            let mass = self.azimuths();
+            let step = TAU / AZIMUTHS as f64;
+            let turn = |by: usize, k: usize| (k + by) % AZIMUTHS;
+            let convolve = |mass: &[f64], below: &dyn Fn(f64) -> f64| -> Vec<f64> {
+                let share = |by: usize| {
+                    let off = wrap_rad(by as f64 * step);
+                    below(off + 0.5 * step) - below(off - 0.5 * step)
+                };
+                let shares: Vec<f64> = (0..AZIMUTHS).map(share).collect();
+                (0..AZIMUTHS).map(|k| (0..AZIMUTHS).map(|by| mass[turn(by, k)] * shares[by]).sum()).collect()
+            };
+            let normal = |x: f64| 0.5 * (1.0 + libm::erf(x / (blur.heading_rad * std::f64::consts::SQRT_2)));
+            let cauchy = |x: f64| 0.5 + (x / blur.model_rad).atan() / PI;
+            let blurred = convolve(&convolve(&mass, &normal), &cauchy);
+            // A part of the cell at each edge.
+            let inside = |k: usize| {
+                let off = wrap_rad(k as f64 * step - about).abs();
+                ((half_rad - off) / step + 0.5).clamp(0.0, 1.0)
+            };
+            let explained: f64 = blurred.iter().enumerate().map(|(k, mass)| mass * inside(k)).sum();
+            0.99 * explained + 0.01 * half_rad / PI
+        }
+    }
+
+    /// Holds the search against the oracle; the probability of the first mode.
+    fn compare(scene: &Scene) -> f64 {
+        let channels = [(scene.heard(2.0), 2.0), (scene.heard(1.0), 1.0)];
+        let bins = Bins::along(&scene.points.iter().map(|p| p * 100.0).collect::<Vec<_>>(), WAVELENGTH_M);
+        assert_eq!(bins.len(), scene.points.len());
+        let apertures = channels.iter().map(|(z, gain)| Aperture::of_phasors(z, &bins, *gain as u8)).collect();
+        let tier = crate::bartlett::Tier::detect();
+        let field = Field::new(&scene.points, apertures, WAVELENGTH_M, INDEPENDENT, tuning::WINDOW_LENGTHS, tier);
+        let prior = Prior::new(&Limits { near_field: true, ..Limits::default() }, false);
+        let radius_m = scene.points.iter().map(|p| p.norm()).fold(0.0, f64::max);
+        let steps = Steps::new(radius_m, radius_m, WAVELENGTH_M, 2, &prior);
+        let (_, modes) = modes(&field, &prior, &steps, true);
+        let oracle = Oracle::new(&scene.points, &channels);
+
+        let first = &modes[0];
+        let own = oracle.azimuth(first.place.azimuth);
+        assert!(oracle.share_of(own) > 0.9, "the oracle prefers another: {}", oracle.share_of(own));
+        let deviation = first.covariance[(0, 0)].sqrt();
+        let off = wrap_rad(first.place.azimuth - own);
+        assert!(off.abs() < 0.15 * deviation, "azimuth off by {off} of {deviation}");
+        let near = 4.0 * deviation;
+        let (_, sd) = oracle.moments(own, near, |place| wrap_rad(place.azimuth - own));
+        assert!((deviation / sd - 1.0).abs() < 0.15, "deviation {deviation}, {sd}");
+        for (axis, at, figure) in [
+            (1, first.place.elevation, (|place| place.elevation) as fn(&Place) -> f64),
+            (2, first.place.curve, |place| place.curve),
+        ] {
+            let (mean, sd) = oracle.moments(own, near, figure);
+            let deviation = first.covariance[(axis, axis)].sqrt();
+            assert!((at - mean).abs() < 0.25 * sd, "axis {axis}: {at} {mean} of {sd}");
+            assert!((deviation / sd - 1.0).abs() < 0.2, "axis {axis}: deviation {deviation} {sd}");
+        }
+        let blur = Blur { heading_rad: 1f64.to_radians(), model_rad: tuning::MODEL_DEG.to_radians() };
+        for degrees in [1.0_f64, 2.5, 5.0, 10.0, 45.0] {
+            let half = degrees.to_radians();
+            let (fast, slow) = (mass_within(&modes, &blur, &[own], half), oracle.within(own, half, &blur));
+            assert!((fast - slow).abs() < 0.035, "within {degrees} degrees: {fast} {slow}");
+        }
+        for share in [0.68, 0.95] {
+            let half = half_width(&modes, &blur, &[own], share);
+            let slow = oracle.within(own, half, &blur);
+            assert!((slow - share).abs() < 0.035, "{share} within {half}: {slow}");
+        }
+        first.mass
+    }
+
+    fn place(azimuth: f64, curve: f64) -> Place {
+        Place { azimuth, elevation: 0.1, curve }
+    }
+
+    fn arc(t: f64) -> Vector3<f64> {
+        let (sin, cos) = (2.0 * t).sin_cos();
+        Vector3::new(0.12 * cos, 0.12 * sin, 0.0)
+    }
+
+    #[test]
+    fn a_wave_in_noise_is_what_the_oracle_says() {
+        let mass = compare(&Scene::new(40, arc, &[(place(0.7, 0.3), 1.0)], 1.6));
+        assert!(mass > 0.8, "{mass}");
+    }
+
+    #[test]
+    fn two_waves_have_the_oracles_shares() {
+        let waves = [(place(0.7, 0.1), 1.0), (place(2.9, 0.2), 0.9)];
+        let mass = compare(&Scene::new(40, arc, &waves, 0.8));
+        assert!((0.3..0.98).contains(&mass), "{mass}");
+    }
+
+    #[test]
+    fn both_sides_of_a_line_have_half_each() {
+        let line = |t: f64| Vector3::new(0.25 * t, 0.0, 0.0);
+        let mass = compare(&Scene::new(40, line, &[(place(1.1, 0.05), 1.0)], 1.2));
+        assert!((mass - 0.5).abs() < 0.02, "{mass}");
+    }
+}

@@ -152,7 +152,19 @@ impl Prior {
         if high <= low {
             return Cell::only(low, high);
         }
-        cells(high - low, step, &|share| low + share * (high - low), &|from, to| self.curve_mass(from, to))
+        let mut all =
+            cells(high - low, step, &|share| low + share * (high - low), &|from, to| self.curve_mass(from, to));
+        // The prior falls over a cell: where it is expected there.
+        all.iter_mut().for_each(|cell| cell.at = self.mean_curve(cell.low, cell.high));
+        all
+    }
+
+    /// The mean 1 / range between two, 1/m.
+    fn mean_curve(&self, from: f64, to: f64) -> f64 {
+        let far = self.curve_max / tuning::FARTHEST;
+        let moment = |curve: f64| if curve <= far { 0.5 * curve * curve / far } else { curve - 0.5 * far };
+        let mass = self.curve_mass(from, to) * (1.0 + tuning::FARTHEST.ln());
+        if mass > 1e-9 { ((moment(to) - moment(from)) / mass).clamp(from, to) } else { 0.5 * (from + to) }
     }
 }
 
