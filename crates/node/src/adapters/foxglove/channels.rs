@@ -88,7 +88,8 @@ pub enum Error {
 pub struct Live {
     /// The channels that viewers subscribe to.
     pub channels: Channels,
-    door: Door,
+    // Open as long as this lives.
+    _door: Door,
     server: Option<WebSocketServerHandle>,
 }
 
@@ -121,13 +122,7 @@ impl Live {
         let inside = SocketAddr::from(([127, 0, 0, 1], server.port()));
         let door =
             Door::open(address, inside, Rules::new(origins)).map_err(|source| Error::Door { address, source })?;
-        Ok(Self { channels, door, server: Some(server) })
-    }
-
-    /// The port that it listens on.
-    #[must_use]
-    pub fn port(&self) -> u16 {
-        self.door.address().port()
+        Ok(Self { channels, _door: door, server: Some(server) })
     }
 }
 
