@@ -37,8 +37,6 @@ const LEVEL_TURNS: f64 = 0.35;
 /// A tracking camera's height drifts by up to a seventh of a circle's radius: heights below this share of the motion's
 /// longest side may be no heights at all.
 const TALL: f64 = 0.2;
-/// An elevation above this share of its limit is at the limit.
-const AT_LIMIT: f64 = 0.995;
 /// Probability of a transmitter nearer than [`tuning::NEAREST_M`].
 const NEARER: f64 = 0.05;
 /// From this accuracy on the grid alone will do, radians.
@@ -262,13 +260,24 @@ pub(crate) fn estimate(
         Reach::Low => &[false, true],
         Reach::Tall => &[true],
     };
-    let models: Vec<Model> = signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, signed)).collect();
+    let mut models: Vec<Model> =
+        signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, signed)).collect();
+    // Heights that may be a drift are no evidence of a rare elevation.
+    if reach == Reach::Low {
+        models.iter_mut().for_each(|model| model.prior = model.prior.with_expected_elevations());
+    }
     let mut searcher = Searcher::new(task.tier);
     let plane_wave = plane_wave(task, &mut searcher, &models)?;
     let reason = match early(task, &models, (&plane_wave, None), middle_m) {
         Ok(found) => return Ok(found),
         Err(reason) => reason,
     };
+    if reason != Reason::Asked
+        && let Some(steeper) = steeper(task, &mut searcher, &models, &plane_wave)
+        && let Ok(found) = early(task, &models, (&steeper, None), middle_m)
+    {
+        return Ok(found);
+    }
     let (slope_sd_rad, apertures, bins) = channels(task, &models[0].points, rows(), used);
     let fine = !matches!(task.effort, Effort::Within(asked) if asked >= COARSE_RAD);
     let mut best: Option<Windowed> = None;
@@ -348,20 +357,34 @@ fn nearest_curve(points: &[Vector3<f64>], wavelength_m: f64) -> f64 {
     1.0 / (1.2 * radius_m).max(wavelength_m)
 }
 
-/// The best plane wave within the limits; where it lies at one that nobody asked for, within all elevations.
+/// The best plane wave within the expected elevations.
 fn plane_wave(
     task: &Task<'_>,
     searcher: &mut Searcher,
     models: &[Model],
 ) -> Result<bartlett::Estimate, bartlett::Error> {
+    searcher.search_with(task.samples, highest_expected_rad(task, models), task.odometry_sd_m)
+}
+
+/// Largest |elevation| that the plane wave is looked for at first, radians.
+fn highest_expected_rad(task: &Task<'_>, models: &[Model]) -> f64 {
     let widest = models.iter().map(|model| model.prior.elevation_rad[1]).fold(0.0, f64::max);
-    let highest_rad = if task.limits.height_m.is_some() { FRAC_PI_2 } else { widest };
-    let within = searcher.search_with(task.samples, highest_rad, task.odometry_sd_m)?;
-    let at_limit = within.elevation_searched && within.abs_elevation_rad > AT_LIMIT * highest_rad;
-    if !at_limit || task.limits.elevation_max_rad.is_some() {
-        return Ok(within);
+    if task.limits.height_m.is_some() { FRAC_PI_2 } else { widest }
+}
+
+/// A plane wave at a rarer elevation, where that explains more and nobody excluded it.
+fn steeper(
+    task: &Task<'_>,
+    searcher: &mut Searcher,
+    models: &[Model],
+    plane_wave: &bartlett::Estimate,
+) -> Option<bartlett::Estimate> {
+    let is_open = task.limits.elevation_max_rad.is_none() && highest_expected_rad(task, models) < FRAC_PI_2;
+    if !is_open || !plane_wave.elevation_searched {
+        return None;
     }
-    searcher.search_with(task.samples, FRAC_PI_2, task.odometry_sd_m)
+    let any = searcher.search_with(task.samples, FRAC_PI_2, task.odometry_sd_m).ok()?;
+    (any.value > plane_wave.value * (1.0 + 1e-9)).then_some(any)
 }
 
 /// The answer of one wave, where that is all there is.

@@ -76,6 +76,12 @@ impl Prior {
         Self { elevation_rad: [lowest, FRAC_PI_2], beyond: tuning::ELEVATION_BEYOND, ..self }
     }
 
+    /// The same without elevations beyond the expected ones.
+    pub fn with_expected_elevations(self) -> Self {
+        let lowest = if self.is_signed() { -self.expected_rad } else { 0.0 };
+        Self { elevation_rad: [lowest, self.expected_rad], beyond: 0.0, ..self }
+    }
+
     pub fn is_signed(&self) -> bool {
         self.elevation_rad[0] < 0.0
     }
