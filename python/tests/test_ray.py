@@ -143,12 +143,14 @@ def test_conversion_tells_what_was_lost(tmp_path: Path) -> None:
     (tmp_path / "behind.dat").write_bytes(data[: int(log.offset[-1])] + b"\xff" * 5000)
     (tmp_path / "cut.dat").write_bytes(data[: int(log.offset[-1]) + 40])
     done = csi5300.ray.convert(tmp_path, tmp_path / "out", chunk=len(log) - 1, use_ray=False)
-    said = {c.log: (c.frames, len(c.parts), c.lost_something, c.tail is not None, c.error) for c in done}
+    said = {c.log: (c.frames, len(c.parts), c.lost_something, c.tail is not None) for c in done}
     assert said == {
-        "behind.dat": (len(log) - 1, 1, True, False, None),
-        "cut.dat": (len(log) - 1, 1, False, True, None),
-        "garbage.dat": (0, 0, True, False, None),
+        "behind.dat": (len(log) - 1, 1, True, False),
+        "cut.dat": (len(log) - 1, 1, False, True),
+        "garbage.dat": (0, 0, False, False),
     }
+    errors = {c.log: c.error for c in done if c.error is not None}
+    assert list(errors) == ["garbage.dat"] and "another kind of file" in errors["garbage.dat"]
 
 
 def test_a_conversion_done_again_counts_once(tree: Path, tmp_path: Path) -> None:

@@ -109,6 +109,7 @@ KINDS: Mapping[str, Callable[[str, Any], Any]] = {
     "to": number,
     "decimate": whole,
     "join_rows": flag,
+    "columns": text,
     "antenna_offset": triple,
     "camera_mount": triple,
     "min_confidence": number,
