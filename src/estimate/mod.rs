@@ -399,36 +399,37 @@ fn early(
     }
     let samples = task.samples;
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
+    let mut best: Option<(&Model, Prior, one_wave::OneWave)> = None;
     for model in models {
         // A clean wave front shows a near or high place by itself: only a limit that was asked for holds.
         let nearest = nearest_curve(&model.points, samples.wavelength_m());
         let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
         let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(nearest)) } else { model.prior };
         let prior = if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior };
-        let one = match one_wave::explain(samples, &model.points, (plane_wave, start), &prior, &model.steps, task.tier)
-        {
-            Ok(one) => one,
-            Err(unexplained) => {
-                failed = Reason::Unexplained(unexplained);
-                continue;
+        match one_wave::explain(samples, &model.points, (plane_wave, start), &prior, &model.steps, task.tier) {
+            // Two models of the heights may both leave noise: the likelier one.
+            Ok(one) if best.as_ref().is_none_or(|best| one.log_likelihood > best.2.log_likelihood) => {
+                best = Some((model, prior, one));
             }
-        };
-        let mut modes = one.modes;
-        let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry_sd_m);
-        return Ok(Found {
-            plane_wave: plane_wave.clone(),
-            sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),
-            signed: prior.is_signed() && !mirror.level,
-            mirror: mirror.of_first,
-            modes,
-            blur: Blur { heading_rad: task.heading_sd_rad, model_rad: 0.0 },
-            prior,
-            bound_rad: one.bound_rad,
-            slope_sd_rad: None,
-            middle_m,
-        });
+            Ok(_) => {}
+            Err(unexplained) => failed = Reason::Unexplained(unexplained),
+        }
     }
-    Err(failed)
+    let Some((model, prior, one)) = best else { return Err(failed) };
+    let mut modes = one.modes;
+    let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry_sd_m);
+    Ok(Found {
+        plane_wave: plane_wave.clone(),
+        sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),
+        signed: prior.is_signed() && !mirror.level,
+        mirror: mirror.of_first,
+        modes,
+        blur: Blur { heading_rad: task.heading_sd_rad, model_rad: 0.0 },
+        prior,
+        bound_rad: one.bound_rad,
+        slope_sd_rad: None,
+        middle_m,
+    })
 }
 
 /// The channels along the motion, averaged, and the standard deviation of the slopes that were taken out.

@@ -85,6 +85,8 @@ pub(crate) struct OneWave {
     pub bound_rad: f64,
     /// How far a wave that the noise hides may have moved the azimuth, radians.
     pub risk_rad: f64,
+    /// `ln` of its likelihood, the noise's variance at its most likely value.
+    pub log_likelihood: f64,
 }
 
 /// Which coordinates are open: elevation, 1 / range, scale of the path. The azimuth always is.
@@ -146,7 +148,8 @@ pub(crate) fn explain(
     wave.open.0[2] = true;
     let covariance = wave.covariance(&at, variance, true);
     let modes = vec![wave.mode(&at, covariance, variance)];
-    Ok(OneWave { modes, bound_rad, risk_rad: (2.0 * peak).sqrt() * bound_rad })
+    let log_likelihood = -0.5 * left.len() as f64 * variance.ln();
+    Ok(OneWave { modes, bound_rad, risk_rad: (2.0 * peak).sqrt() * bound_rad, log_likelihood })
 }
 
 /// The best of the places about the plane wave, on a grid.
