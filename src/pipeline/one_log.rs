@@ -340,6 +340,15 @@ struct Baseline {
     rows: Vec<usize>,
 }
 
+/// The samples of all baselines as those of one array.
+struct Together {
+    samples: Samples,
+    /// The baseline and the row of each sample.
+    rows: Vec<(usize, usize)>,
+    /// By what the samples of each baseline were turned: the constants of the chains, undone.
+    turns: Vec<Complex64>,
+}
+
 /// The records of one sender on the turning robot.
 struct Joined {
     baselines: Vec<Baseline>,
@@ -443,18 +452,18 @@ impl Joined {
         LinkError::OutsideTrajectory { pairs: counts.formed, from_s, start_s, end_s, other_fits: false }
     }
 
-    /// The samples of all baselines as those of one array, the rows they are of, and by what the constants of the chains turn
-    /// each baseline.
+    /// The samples of all baselines as those of one array.
     ///
     /// Each baseline's constant is open. About the middle of its own samples it does not depend on the direction, to first
     /// order, so that with all baselines about their middles and their constants taken out one constant is left for all.
-    fn together(&self, options: &Options) -> Result<(Samples, Vec<(usize, usize)>, Vec<Complex64>), LinkError> {
+    fn together(&self, options: &Options) -> Result<Together, LinkError> {
         let heard: Vec<(usize, &Baseline)> =
             self.baselines.iter().enumerate().filter(|(_, own)| !own.samples.is_empty()).collect();
         let rows = |(k, own): &(usize, &Baseline)| own.rows.iter().map(|row| (*k, *row)).collect::<Vec<_>>();
         let all_rows: Vec<(usize, usize)> = heard.iter().flat_map(rows).collect();
         if let [(_, only)] = heard[..] {
-            return Ok((only.samples.clone(), all_rows, vec![Complex64::ONE; self.baselines.len()]));
+            let (samples, turns) = (only.samples.clone(), vec![Complex64::ONE; self.baselines.len()]);
+            return Ok(Together { samples, rows: all_rows, turns });
         }
         let groups: Vec<Vec<(Vector3<f64>, Complex64)>> =
             heard.iter().map(|(_, own)| about_middle(&own.samples)).collect();
@@ -468,7 +477,7 @@ impl Joined {
                 pushed.map_err(bartlett::Error::from)?;
             }
         }
-        Ok((all, all_rows, turns))
+        Ok(Together { samples: all, rows: all_rows, turns })
     }
 }
 
@@ -547,7 +556,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
     if counts.in_motion == 0 {
         return Err(joined.nothing(&counts, &times_s, trajectory));
     }
-    let (samples, used, turns) = joined.together(options)?;
+    let Together { samples, rows: used, turns } = joined.together(options)?;
     let mut options = options.clone();
     options.accuracy.near_field = false;
     // One card has one sampling clock: no slope differs from packet to packet.
