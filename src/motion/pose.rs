@@ -3,7 +3,7 @@
 //! Frame: the trajectory file's own, metres, right-handed; azimuth and heading from +x towards +y.
 
 use crate::maths::{lower_rank, upper_median, wrap_rad};
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 
 /// A clock was set back where a path in the order of time is longer by this factor than as it was given (up to 1.01
 /// in the three shared recordings that have a step back).
@@ -123,6 +123,8 @@ pub struct Trajectory {
     kind: TrajectoryKind,
     /// What times were rounded to, seconds, and by how much the path turns meanwhile, radians.
     rounded: Option<(f64, f64)>,
+    /// The attitude of each pose in three dimensions, where the source gives it for all of them.
+    attitudes: Option<Vec<UnitQuaternion<f64>>>,
 }
 
 /// Why poses make no trajectory.
@@ -294,8 +296,9 @@ impl Trajectory {
         }
         let mut steps: Vec<f64> = poses.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
         let usual = upper_median(&mut steps).unwrap_or(0.0);
-        let mut trajectory =
-            Self { poses, max_gap_s: MIN_GAP_S.max(10.0 * usual), left_out, kind: TrajectoryKind::Unknown, rounded };
+        let max_gap_s = MIN_GAP_S.max(10.0 * usual);
+        let kind = TrajectoryKind::Unknown;
+        let mut trajectory = Self { poses, max_gap_s, left_out, kind, rounded, attitudes: None };
         trajectory.drop_stale_head();
         Ok(trajectory)
     }
@@ -337,6 +340,41 @@ impl Trajectory {
     pub fn with_kind(mut self, kind: TrajectoryKind) -> Self {
         self.kind = kind;
         self
+    }
+
+    /// With attitudes in three dimensions, by their times, seconds. They are kept where every pose has one: not where times
+    /// were rounded, or a clock was set back.
+    pub(super) fn with_attitudes(mut self, mut all: Vec<(f64, UnitQuaternion<f64>)>) -> Self {
+        if self.rounded.is_some() || self.left_out.set_back.is_some() {
+            return self;
+        }
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Of several at one time the last stays, as of poses.
+        let of = |pose: &Pose| {
+            let after = all.partition_point(|(t_s, _)| *t_s <= pose.t_s);
+            all.get(after.checked_sub(1)?).filter(|(t_s, _)| *t_s == pose.t_s).map(|(_, attitude)| *attitude)
+        };
+        self.attitudes = self.poses.iter().map(of).collect();
+        self
+    }
+
+    /// The path of an arm's end about its foot: `arm_m` (robot frame: x forward, y left, z up) turned by the attitude at each
+    /// pose, wherever the robot is. In three dimensions where the source gives attitudes, else about +z by the heading.
+    ///
+    /// # Errors
+    /// [`TrajectoryError::NoHeading`] where a pose has neither.
+    pub(crate) fn of_arm(&self, arm_m: Vector3<f64>) -> Result<Self, TrajectoryError> {
+        let by_heading = |pose: &Pose| {
+            let heading_rad = pose.heading_rad.ok_or(TrajectoryError::NoHeading)?;
+            Ok(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad))
+        };
+        let turned = |(k, pose): (usize, &Pose)| {
+            let known = self.attitudes.as_ref().and_then(|all| all.get(k).copied());
+            let attitude = known.map_or_else(|| by_heading(pose), Ok)?;
+            Ok(Pose { position_m: attitude * arm_m, ..*pose })
+        };
+        let poses = self.poses.iter().enumerate().map(turned).collect::<Result<Vec<_>, TrajectoryError>>()?;
+        Ok(Self { poses, attitudes: None, ..self.clone() })
     }
 
     /// With the sensor and the times of another one.
@@ -520,6 +558,26 @@ mod tests {
             assert!((from - 3.0).abs() < 0.15 && (to - 8.0).abs() < 0.15, "{speed}: {from} {to}");
         }
         assert_eq!(line(100, |t| 1e-4 * (37.0 * t).sin()).motion().window_s, None);
+    }
+
+    #[test]
+    fn an_arm_turns_with_the_attitude_wherever_the_robot_is() {
+        let arm_m = Vector3::new(0.1, 0.0, 0.02);
+        let by_heading = line(10, |t| 5.0 * t).of_arm(arm_m).unwrap();
+        let expected = Vector3::new(0.1 * 0.1_f64.cos(), 0.1 * 0.1_f64.sin(), 0.02);
+        assert!(by_heading.poses().iter().all(|pose| (pose.position_m - expected).norm() < 1e-12));
+        // On its side: what points forward points up.
+        let up = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -std::f64::consts::FRAC_PI_2);
+        let plain = line(10, |t| t);
+        let attitudes = plain.poses().iter().map(|pose| (pose.t_s, up)).collect::<Vec<_>>();
+        let lying = plain.clone().with_attitudes(attitudes.clone()).of_arm(arm_m).unwrap();
+        assert!((lying.poses()[3].position_m - Vector3::new(-0.02, 0.0, 0.1)).norm() < 1e-12);
+        // One pose without an attitude: none is used.
+        let partly = plain.with_attitudes(attitudes[1..].to_vec()).of_arm(arm_m).unwrap();
+        assert!((partly.poses()[3].position_m - expected).norm() < 1e-12);
+        let mut poses = by_heading.poses().to_vec();
+        poses[2].heading_rad = None;
+        assert_eq!(Trajectory::new(poses).unwrap().of_arm(arm_m), Err(TrajectoryError::NoHeading));
     }
 
     #[test]

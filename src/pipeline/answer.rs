@@ -7,6 +7,7 @@ use super::explain::LinkPlan;
 use super::link::Link;
 use super::{CaptureReport, LinkReport};
 use crate::bartlett::Geometry;
+use crate::estimate::Sufficient;
 use crate::exchange::pairing::{LinkSide, SideCounts};
 use driver_iface::Mac;
 use serde::Serialize;
@@ -97,7 +98,7 @@ pub struct Answer {
     pub likelihood_share: Option<f64>,
     /// Shape of the motion.
     pub geometry: Option<String>,
-    /// Pairs formed.
+    /// Pairs formed; from one log, records of the sender.
     pub pairs: usize,
     /// Pairs used for the bearing.
     pub pairs_in_motion: usize,
@@ -182,6 +183,12 @@ impl Answer {
         self.wsr_profile_variance = bearing.figures.wsr_profile_variance;
         self.likelihood_share = bearing.figures.likelihood_share;
         self.geometry = Some(geometry_words(&bearing.plane_wave.geometry));
+        if bearing.samples.path_gain() == 1 {
+            // One log: there are records, no pairs. How often answers are right was measured on logs of two robots only, so there
+            // is a probability where one wave leaves nothing but noise, which alone decides it then.
+            self.pairs = bearing.pairs.formed;
+            self.confidence = self.confidence.filter(|_| matches!(bearing.sufficient, Sufficient::OneWave(_)));
+        }
         self.pairs_in_motion = bearing.pairs.in_motion;
         self.pair_counts = bearing.pairs;
         self.compensated = bearing.compensated;

@@ -102,6 +102,33 @@ pub enum LinkError {
         /// Pairs.
         pairs: usize,
     },
+    /// Of a bearing from one log: a sender that was asked for is not in it.
+    #[error("no record of this sender has the CSI of all antennas that were named")]
+    Unheard,
+    /// Of a bearing from one log: the robot did not turn.
+    #[error(
+        "no turn: none of the {records} records was taken while the baseline turned, and two antennas that do not turn show no bearing"
+    )]
+    NotTurned {
+        /// Records of the sender.
+        records: usize,
+    },
+    /// Of a bearing from one log: the trajectory does not say how the robot was turned.
+    #[error(
+        "the trajectory has no heading (5 columns), and a bearing from one log needs it: use one with yaw or quaternion"
+    )]
+    NoAttitude,
+    /// Of a bearing from one log: the phases do not follow the turn.
+    #[error(
+        "the phase between the antennas does not follow the robot's turn: one wave explains {coherence:.2} of {records} records, \
+         no more than chance; are these antennas connected, is the baseline theirs, and are there enough records?"
+    )]
+    Unsteady {
+        /// Records used.
+        records: usize,
+        /// Share of them that one wave explains.
+        coherence: f64,
+    },
     /// The transmitter's log could not be matched.
     #[error(transparent)]
     Unmatched(#[from] Unmatched),

@@ -10,6 +10,7 @@
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
 //! | clocks, compensation, the gate of motion, the estimate (`crate::estimate`) | `draft` |
 //! | of motion that is too wide to be searched at once, the stretch that tells most | `stretch` |
+//! | one log of a robot that turns, by two or three antennas | `one_log` |
 //! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
 //! | what it says of the transmitter's place, for a filter over several motions | `evidence`, `carried` |
@@ -26,6 +27,7 @@ pub(crate) mod intake;
 mod link;
 pub mod live;
 mod matching;
+mod one_log;
 mod options;
 mod reading;
 mod stretch;
@@ -42,6 +44,7 @@ pub use explain::{LinkPlan, StepPlan};
 pub use intake::UnusedRecords;
 pub(crate) use intake::{FrameHeard, Front};
 pub use link::Link;
+pub use one_log::{Array, ArrayError, ArrayFrame, OneLog, OneLogReport, one_log};
 pub use options::{Accuracy, JoinBy, Options};
 
 use crate::exchange::assign::{Match, Unmatched};

@@ -8,6 +8,7 @@ mod fuzz_corpus;
 mod fuzz_csv;
 mod fuzz_sounding;
 mod inputs;
+mod one_log;
 mod pipeline;
 mod soak;
 mod tdma;

@@ -792,6 +792,8 @@ fn matrix(row: &[&str]) -> Result<Pose, RowError> {
 #[derive(Default)]
 struct Rows {
     poses: Vec<Pose>,
+    /// The attitude of each pose that has one, with its time.
+    attitudes: Vec<(f64, UnitQuaternion<f64>)>,
     counts: CsvCounts,
     layout: Option<Layout>,
     /// Lines above the first row.
@@ -892,7 +894,8 @@ impl Rows {
         self.counts.columns = columns;
         self.counts.rows += 1;
         self.counts.out_of_order += u64::from(self.poses.last().is_some_and(|last| last.t_s > pose.t_s));
-        if let Some([a, b, c, _]) = quaternion {
+        if let Some([a, b, c, w]) = quaternion {
+            self.attitudes.push((pose.t_s, UnitQuaternion::from_quaternion(Quaternion::new(w, a, b, c))));
             self.up[0] += 1.0 - 2.0 * (a * a + b * b);
             self.up[1] += 1.0 - 2.0 * (b * b + c * c);
         } else {
@@ -992,7 +995,7 @@ impl Rows {
             let level = self.poses.iter().all(|pose| pose.position_m.z == self.poses[0].position_m.z);
             kind = if level { TrajectoryKind::Wheels } else { TrajectoryKind::Camera };
         }
-        Ok((Trajectory::new(self.poses)?.with_kind(kind), self.counts))
+        Ok((Trajectory::new(self.poses)?.with_kind(kind).with_attitudes(self.attitudes), self.counts))
     }
 }
 

@@ -1,0 +1,613 @@
+//! Bearings from one log: two or three antennas on one robot that turns, without a partner's log.
+//!
+//! The receive chains of one card share carrier, sampling clock and gain. In `z = h_A conj(h_B)` they cancel, and what is left
+//! is the direction:
+//!
+//! ```text
+//! z ~ exp(+j 2 pi / lambda * u . R b + j c)
+//! ```
+//!
+//! with `u` the unit vector to the transmitter, `b` the baseline `r_A - r_B` on the robot, `R` the robot's attitude and `c` a
+//! constant of the two chains. So a turning baseline is an array of its own: `R b` is the displacement, the path gain is 1, and
+//! the samples go into the same estimate as those of two logs. The robot's position is not needed.
+//!
+//! The wave front is plane: the two ends of a baseline see the curvature alike, so there is no range.
+
+use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
+use super::error::LinkError;
+use super::options::{JoinBy, Options};
+use super::{LinkReport, LogReport};
+use crate::bartlett;
+use crate::estimate::estimate;
+use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
+use crate::signal::channel::SUBCARRIERS;
+use crate::signal::planes::{Planes, lanes};
+use crate::signal::samples::Samples;
+use crate::source::survey::bounds::SENDERS_KEPT;
+use crate::source::{CsiSource, Error, Next};
+use crate::time::Instant;
+use driver_iface::Mac;
+use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq};
+use nalgebra::{UnitVector3, Vector3};
+use num_complex::{Complex32, Complex64};
+use std::collections::BTreeMap;
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// Most records kept of a sender. At this number every second one is dropped, so memory is bounded for a log of any length.
+const MAX_ROWS: usize = 8_192;
+/// Antennas of one card are not further apart, metres.
+const LONGEST_M: f64 = 1.0;
+/// Nor nearer, metres: a thousandth of a wavelength shows no direction.
+const SHORTEST_M: f64 = 1e-4;
+/// Length of the arm whose end decides when the robot turned, metres: with it the thresholds of driving robots mean 0.8
+/// degrees a second.
+const GATE_ARM_M: f64 = 0.3;
+/// Error of the attitude from moment to moment, radians: it moves the end of the baseline.
+const ATTITUDE_SD_RAD: f64 = 0.0175;
+/// Phases follow the turn from this coherence on, times the root of the number of samples: in the best of 10,000 directions
+/// random phases reach `sqrt(ln 1e7)` once in a thousand times.
+const BY_CHANCE: f64 = 4.0;
+/// Azimuths of the density that pictures show.
+const DENSITY_AZIMUTHS: usize = 1440;
+/// Samples of each baseline that look for the constants between the chains.
+const ROUGH_ROWS: usize = 256;
+
+/// Two or three antennas of one card, and where they are on the robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    first: Antenna,
+    others: Vec<(Antenna, Vector3<f64>)>,
+}
+
+/// Why antennas and baselines make no array.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ArrayError {
+    /// Fewer than two antennas, or more than three.
+    #[error("{antennas} antennas: a bearing from one log takes 2 or 3, such as A,B")]
+    Antennas {
+        /// How many were given.
+        antennas: usize,
+    },
+    /// An antenna is named twice.
+    #[error("antenna {antenna} is named twice: each has a place of its own")]
+    Twice {
+        /// Which.
+        antenna: Antenna,
+    },
+    /// Not one baseline for each antenna but the first.
+    #[error(
+        "{baselines} baselines for {antennas} antennas: {} needed, from each other antenna to the first",
+        antennas - 1
+    )]
+    Baselines {
+        /// Antennas given.
+        antennas: usize,
+        /// Baselines given.
+        baselines: usize,
+    },
+    /// A baseline that no robot has.
+    #[error("a baseline of {length_m} m: metres are expected, {SHORTEST_M} to {LONGEST_M} (4.6 cm are 0.046)")]
+    Length {
+        /// Its length, metres.
+        length_m: f64,
+    },
+}
+
+impl Array {
+    /// Antennas, and the place of the first one as seen from each other one, metres (robot frame: x forward, y left, z up).
+    /// Antennas of cards other than the 5300 are receive chains 0, 1 and 2.
+    ///
+    /// # Errors
+    /// [`ArrayError`] for other than two or three different antennas, or other than one baseline of 0.1 mm to 1 m for each but
+    /// the first.
+    pub fn new(antennas: &[Antenna], baselines_m: &[Vector3<f64>]) -> Result<Self, ArrayError> {
+        let (Some((&first, others)), 2..=3) = (antennas.split_first(), antennas.len()) else {
+            return Err(ArrayError::Antennas { antennas: antennas.len() });
+        };
+        if let Some((_, &antenna)) = antennas.iter().enumerate().find(|(k, one)| antennas[..*k].contains(one)) {
+            return Err(ArrayError::Twice { antenna });
+        }
+        if baselines_m.len() != others.len() {
+            return Err(ArrayError::Baselines { antennas: antennas.len(), baselines: baselines_m.len() });
+        }
+        let fits = |length_m: &f64| (SHORTEST_M..=LONGEST_M).contains(length_m);
+        if let Some(length_m) = baselines_m.iter().map(|b| b.norm()).find(|length_m| !fits(length_m)) {
+            return Err(ArrayError::Length { length_m });
+        }
+        Ok(Self { first, others: others.iter().copied().zip(baselines_m.iter().copied()).collect() })
+    }
+
+    /// The antennas, in the order given.
+    pub fn antennas(&self) -> impl Iterator<Item = Antenna> + '_ {
+        std::iter::once(self.first).chain(self.others.iter().map(|(antenna, _)| *antenna))
+    }
+
+    /// The baselines, metres.
+    pub fn baselines_m(&self) -> impl ExactSizeIterator<Item = Vector3<f64>> + '_ {
+        self.others.iter().map(|(_, baseline_m)| *baseline_m)
+    }
+}
+
+/// One frame as the antennas of an array heard it: `h_first conj(h_other)` of each other antenna.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArrayFrame {
+    sender: Mac,
+    host_us: Option<i64>,
+    products: Vec<[Complex32; SUBCARRIERS]>,
+}
+
+impl ArrayFrame {
+    /// From the CSI of each antenna and transmitted stream, any number of subcarriers in their order; `csi` gives none where
+    /// the card does not have it. A sender that is not known is [`Mac::default`]; `host_us` is the host's time, microseconds
+    /// since the Unix epoch.
+    ///
+    /// Streams are added: all of them come from the same direction. More than 30 subcarriers are added in 30 groups: over the
+    /// bandwidth of a channel the phase between two antennas hardly changes.
+    ///
+    /// `None` where one of the antennas is not in the frame, or heard nothing.
+    pub fn new(
+        array: &Array,
+        sender: Mac,
+        host_us: Option<i64>,
+        streams: usize,
+        csi: impl Fn(Antenna, usize) -> Option<Vec<Complex32>>,
+    ) -> Option<Self> {
+        let mut products = vec![[Complex32::default(); SUBCARRIERS]; array.others.len()];
+        for stream in 0..streams {
+            let first = csi(array.first, stream)?;
+            for ((antenna, _), product) in array.others.iter().zip(&mut products) {
+                let other = csi(*antenna, stream)?;
+                let (n, groups) = (first.len().max(1), first.len().clamp(1, SUBCARRIERS));
+                for (k, (a, b)) in first.iter().zip(&other).enumerate() {
+                    product[k * groups / n] += a * b.conj();
+                }
+            }
+        }
+        let is_heard = |product: &[Complex32; SUBCARRIERS]| {
+            let sum: Complex32 = product.iter().sum();
+            sum.is_finite() && sum.norm_sqr() > 0.0
+        };
+        products.iter().all(is_heard).then_some(Self { sender, host_us, products })
+    }
+
+    /// From a record of a 5300.
+    #[must_use]
+    pub fn of_bfee(array: &Array, bfee: &Bfee<'_>, sender: Mac, host_us: Option<i64>) -> Option<Self> {
+        Self::new(array, sender, host_us, bfee.n_tx(), |antenna, stream| {
+            let mut iq = [Iq::default(); SUBCARRIERS];
+            bfee.column(bfee.chain_of(antenna)?, stream, &ALL_SUBCARRIERS, &mut iq)?;
+            Some(iq.map(|iq| Complex32::new(f32::from(iq.i), f32::from(iq.q))).to_vec())
+        })
+    }
+}
+
+/// One frame, as it is kept.
+#[derive(Clone, Debug)]
+struct Row {
+    host_us: Option<i64>,
+    /// Its number among those of its sender.
+    row: usize,
+    products: Vec<[Complex32; SUBCARRIERS]>,
+}
+
+impl Row {
+    /// The sample of a baseline: the strongest delay, which is that of all paths with themselves.
+    fn z(&self, baseline: usize) -> Complex64 {
+        let sum: Complex32 = self.products.get(baseline).into_iter().flatten().sum();
+        let z = Complex64::new(f64::from(sum.re), f64::from(sum.im));
+        if z.norm() > 0.0 { z / z.norm() } else { Complex64::ONE }
+    }
+
+    /// The product on all subcarriers, of unit power and turned.
+    fn planes(&self, baseline: usize, turn: Complex64) -> Planes {
+        let Some(product) = self.products.get(baseline) else { return Planes::ZERO };
+        let power = product.iter().map(Complex32::norm_sqr).sum::<f32>() / SUBCARRIERS as f32;
+        let factor = Complex32::new(turn.re as f32, turn.im as f32) / power.sqrt();
+        let own = |k: usize| product.get(k).map_or(Complex32::default(), |value| value * factor);
+        Planes { re: lanes(|k| own(k).re), im: lanes(|k| own(k).im) }
+    }
+}
+
+/// What was heard of one sender.
+#[derive(Clone, Debug)]
+struct Sender {
+    rows: Vec<Row>,
+    heard: usize,
+    /// One record in so many is kept.
+    stride: usize,
+}
+
+/// What one log gives: frames in, bearings out. It does no I/O.
+#[derive(Debug)]
+pub struct OneLog {
+    array: Array,
+    options: Options,
+    log: LogReport,
+    senders: BTreeMap<Mac, Sender>,
+}
+
+/// What a run over one log gave.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct OneLogReport {
+    /// What was counted in the log.
+    pub log: LogReport,
+    /// A link for each sender, the one with most records first. [`LinkReport::link`] is none: there are no pairs.
+    pub links: Vec<LinkReport>,
+}
+
+impl OneLog {
+    /// Nothing heard yet. Of `options` those of pairs and of two clocks have no meaning here.
+    #[must_use]
+    pub fn new(array: Array, options: Options) -> Self {
+        Self { array, options, log: LogReport::default(), senders: BTreeMap::new() }
+    }
+
+    /// Takes what a source of a 5300's records gave.
+    pub fn note(&mut self, next: &Next<'_>) {
+        let Some((bfee, identity)) = self.log.survey.note(next) else { return };
+        match ArrayFrame::of_bfee(&self.array, &bfee, identity.mac, identity.host_us) {
+            Some(frame) => self.hear(frame),
+            None => self.log.unused.no_antenna += 1,
+        }
+    }
+
+    /// Takes a frame of any card.
+    pub fn hear(&mut self, frame: ArrayFrame) {
+        let ArrayFrame { sender, host_us, products } = frame;
+        let wanted = &self.options.tx_macs;
+        let is_wanted = wanted.is_empty() || wanted.contains(&sender);
+        let has_room = self.senders.len() < SENDERS_KEPT || self.senders.contains_key(&sender);
+        if !is_wanted || !has_room || products.len() != self.array.others.len() {
+            self.log.unused.other_sender += 1;
+            return;
+        }
+        let new = || Sender { rows: Vec::new(), heard: 0, stride: self.options.decimate.get() };
+        let own = self.senders.entry(sender).or_insert_with(new);
+        let row = own.heard;
+        own.heard += 1;
+        if !row.is_multiple_of(own.stride) {
+            return;
+        }
+        own.rows.push(Row { host_us, row, products });
+        if own.rows.len() > MAX_ROWS {
+            own.stride = own.stride.saturating_mul(2);
+            let stride = own.stride;
+            own.rows.retain(|row| row.row.is_multiple_of(stride));
+        }
+    }
+
+    /// The bearing of every sender, on the trajectory of the robot.
+    #[must_use]
+    pub fn bearings(self, trajectory: &Trajectory) -> OneLogReport {
+        let Self { array, options, log, senders } = self;
+        let mut senders: Vec<(Mac, Sender)> = senders.into_iter().collect();
+        senders.sort_by_key(|(_, sender)| std::cmp::Reverse(sender.heard));
+        let named = options.tx_macs.iter().filter(|mac| !senders.iter().any(|(own, _)| own == *mac));
+        let silent: Vec<Mac> = named.copied().collect();
+        let link = |(mac, sender): &(Mac, Sender)| LinkReport {
+            mac: Some(*mac).filter(|mac| !mac.is_zero()),
+            matched: None,
+            link: None,
+            bearing: bearing(sender, &array, trajectory, &options),
+        };
+        let mut links: Vec<LinkReport> = senders.iter().map(link).collect();
+        let unheard = |mac| LinkReport { mac: Some(mac), matched: None, link: None, bearing: Err(LinkError::Unheard) };
+        links.extend(silent.into_iter().map(unheard));
+        OneLogReport { log, links }
+    }
+}
+
+/// The bearings to every sender that a log of a 5300 has frames of, by two or three antennas of a robot that turned.
+///
+/// # Errors
+/// If the log cannot be read. A sender without a bearing is reported in its place and does not stop the others.
+pub fn one_log(
+    log: &mut (dyn CsiSource + Send),
+    trajectory: &Trajectory,
+    array: &Array,
+    options: &Options,
+) -> Result<OneLogReport, Error> {
+    let mut one = OneLog::new(array.clone(), options.clone());
+    let mut now = Instant::ZERO;
+    loop {
+        let next = log.receive(now)?;
+        one.note(&next);
+        match next {
+            Next::End(_) => return Ok(one.bearings(trajectory)),
+            Next::Pending => match log.next_at() {
+                Some(at) => now = at.max(now),
+                None => return Err(Error::Endless),
+            },
+            Next::Record(..) | Next::Lost(_) => {}
+        }
+    }
+}
+
+/// What became of a record for one baseline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Fate {
+    Cut,
+    NoPose,
+    Standing,
+    Used,
+}
+
+/// The samples of one baseline, and the rows that they are of.
+struct Baseline {
+    samples: Samples,
+    rows: Vec<usize>,
+}
+
+/// The samples of all baselines as those of one array.
+struct Together {
+    samples: Samples,
+    /// The baseline and the row of each sample.
+    rows: Vec<(usize, usize)>,
+    /// By what the samples of each baseline were turned: the constants of the chains, undone.
+    turns: Vec<Complex64>,
+}
+
+/// The records of one sender on the turning robot.
+struct Joined {
+    baselines: Vec<Baseline>,
+    fates: Vec<Fate>,
+    /// The end of the first baseline over the whole trajectory.
+    arm: Trajectory,
+    length_m: f64,
+}
+
+/// The time of each row on the trajectory's clock, seconds; none where it is not known.
+fn times_s(rows: &[Row], trajectory: &Trajectory, options: &Options) -> Result<Vec<Option<f64>>, LinkError> {
+    let by_host = |row: &Row| row.host_us.map(|us| us as f64 * 1e-6 + options.clock_offset_s);
+    let by_row = |row: &Row| trajectory.poses().get(row.row).map(|pose| pose.t_s);
+    let times: Vec<Option<f64>> = match options.join {
+        JoinBy::Time => rows.iter().map(by_host).collect(),
+        JoinBy::Row => rows.iter().map(by_row).collect(),
+    };
+    match options.join == JoinBy::Time && times.iter().all(Option::is_none) {
+        true => Err(LinkError::NoHostTime),
+        false => Ok(times),
+    }
+}
+
+/// The end of a baseline at a time, where the trajectory knows it, and whether the robot turns then.
+fn end_m(arm: &Trajectory, t_s: f64, length_m: f64) -> Option<Vector3<f64>> {
+    // Between two poses the straight line is a chord of the turn.
+    arm.at(t_s).and_then(|pose| UnitVector3::try_new(pose.position_m, 0.1 * GATE_ARM_M)).map(|way| *way * length_m)
+}
+
+impl Joined {
+    fn new(
+        rows: &[Row],
+        times_s: &[Option<f64>],
+        array: &Array,
+        trajectory: &Trajectory,
+        options: &Options,
+    ) -> Result<Self, LinkError> {
+        let first_s = times_s.iter().flatten().next().copied().unwrap_or_default();
+        let mut fates = vec![Fate::Cut; rows.len()];
+        let (mut baselines, mut first_arm) = (Vec::new(), None);
+        for (k, baseline_m) in array.baselines_m().enumerate() {
+            let length_m = baseline_m.norm();
+            let arm = trajectory.of_arm(baseline_m * (GATE_ARM_M / length_m)).map_err(|error| match error {
+                TrajectoryError::NoHeading => LinkError::NoAttitude,
+                _ => LinkError::NotTurned { records: rows.len() },
+            })?;
+            let motion = arm.motion();
+            let turns = |t_s: f64| {
+                let inside = motion.window_s.is_some_and(|(from, to)| (from..=to).contains(&t_s));
+                inside && arm.speed_m_per_s(t_s) > motion.floor_m_per_s
+            };
+            let samples = Samples::new(options.channel.wavelength_m(), 1).map_err(bartlett::Error::from)?;
+            let mut own = Baseline { samples, rows: Vec::new() };
+            for (at, (row, t_s)) in rows.iter().zip(times_s).enumerate() {
+                let place = t_s.and_then(|t_s| Some((t_s, end_m(&arm, t_s, length_m)?)));
+                let fate = match (place, t_s) {
+                    (_, Some(t_s)) if !options.keeps(t_s - first_s) => Fate::Cut,
+                    (None, _) => Fate::NoPose,
+                    (Some((t_s, _)), _) if !turns(t_s) => Fate::Standing,
+                    (Some((t_s, end_m)), _) => {
+                        let pushed = own.samples.push(t_s, row.z(k), end_m, Vector3::zeros());
+                        pushed.map_err(bartlett::Error::from)?;
+                        own.rows.push(at);
+                        Fate::Used
+                    }
+                };
+                fates[at] = fates[at].max(fate);
+            }
+            baselines.push(own);
+            first_arm.get_or_insert((arm, length_m));
+        }
+        let (arm, length_m) = first_arm.ok_or(LinkError::NotTurned { records: rows.len() })?;
+        Ok(Self { baselines, fates, arm, length_m })
+    }
+
+    fn counts(&self, heard: usize) -> PairCounts {
+        let of = |fate: Fate| self.fates.iter().filter(|own| **own == fate).count();
+        PairCounts {
+            formed: heard,
+            in_motion: of(Fate::Used),
+            standing: of(Fate::Standing),
+            no_pose: of(Fate::NoPose),
+            cut: of(Fate::Cut),
+            thinned: heard - self.fates.len(),
+            ..PairCounts::default()
+        }
+    }
+
+    /// Why there is no sample.
+    fn nothing(&self, counts: &PairCounts, times_s: &[Option<f64>], trajectory: &Trajectory) -> LinkError {
+        let known = || times_s.iter().flatten().copied();
+        let from_s = known().fold(f64::MAX, f64::min);
+        if counts.standing > 0 {
+            return LinkError::NotTurned { records: counts.formed };
+        }
+        if counts.cut > 0 && counts.no_pose == 0 {
+            let length_s = known().fold(f64::MIN, f64::max) - from_s;
+            return LinkError::AllCut { pairs: counts.formed, length_s };
+        }
+        let (start_s, end_s) = trajectory.span_s();
+        LinkError::OutsideTrajectory { pairs: counts.formed, from_s, start_s, end_s, other_fits: false }
+    }
+
+    /// The samples of all baselines as those of one array.
+    ///
+    /// Each baseline's constant is open. About the middle of its own samples it does not depend on the direction, to first
+    /// order, so that with all baselines about their middles and their constants taken out one constant is left for all.
+    fn together(&self, options: &Options) -> Result<Together, LinkError> {
+        let heard: Vec<(usize, &Baseline)> =
+            self.baselines.iter().enumerate().filter(|(_, own)| !own.samples.is_empty()).collect();
+        let rows = |(k, own): &(usize, &Baseline)| own.rows.iter().map(|row| (*k, *row)).collect::<Vec<_>>();
+        let all_rows: Vec<(usize, usize)> = heard.iter().flat_map(rows).collect();
+        if let [(_, only)] = heard[..] {
+            let (samples, turns) = (only.samples.clone(), vec![Complex64::ONE; self.baselines.len()]);
+            return Ok(Together { samples, rows: all_rows, turns });
+        }
+        let groups: Vec<Vec<(Vector3<f64>, Complex64)>> =
+            heard.iter().map(|(_, own)| about_middle(&own.samples)).collect();
+        let constants = constants(&groups, options);
+        let mut turns = vec![Complex64::ONE; self.baselines.len()];
+        let mut all = Samples::new(options.channel.wavelength_m(), 1).map_err(bartlett::Error::from)?;
+        for (((k, own), group), constant) in heard.iter().zip(&groups).zip(&constants) {
+            turns[*k] = constant.conj();
+            for ((place_m, z), t_s) in group.iter().zip(own.samples.t_s()) {
+                let pushed = all.push(*t_s, z * constant.conj(), *place_m, Vector3::zeros());
+                pushed.map_err(bartlett::Error::from)?;
+            }
+        }
+        Ok(Together { samples: all, rows: all_rows, turns })
+    }
+}
+
+fn about_middle(samples: &Samples) -> Vec<(Vector3<f64>, Complex64)> {
+    let middle_m = samples.receiver_m().iter().sum::<Vector3<f64>>() / samples.len().max(1) as f64;
+    samples.receiver_m().iter().zip(samples.z()).map(|(place_m, z)| (place_m - middle_m, *z)).collect()
+}
+
+/// The sum of a baseline's samples, steered to a direction.
+fn steered(group: &[(Vector3<f64>, Complex64)], towards: &Vector3<f64>, wavelength_m: f64, step: usize) -> Complex64 {
+    let turn =
+        |(place_m, z): &(Vector3<f64>, Complex64)| z * Complex64::cis(-TAU * towards.dot(place_m) / wavelength_m);
+    group.iter().step_by(step.max(1)).map(turn).sum()
+}
+
+/// The constant of each baseline, at the direction in which the sum of their magnitudes is greatest: the most likely one where
+/// every constant is open.
+fn constants(groups: &[Vec<(Vector3<f64>, Complex64)>], options: &Options) -> Vec<Complex64> {
+    let wavelength_m = options.channel.wavelength_m();
+    let highest = options.accuracy.elevation_max_rad.unwrap_or(FRAC_PI_2);
+    let radius_m = groups.iter().flatten().map(|(place_m, _)| place_m.norm()).fold(0.0, f64::max);
+    let height_m = groups.iter().flatten().map(|(place_m, _)| place_m.z.abs()).fold(0.0, f64::max);
+    let lowest = if height_m > 1e-3 * radius_m { -highest } else { 0.0 };
+    let sum = |[azimuth, elevation]: [f64; 2], rough: bool| -> f64 {
+        let towards = bartlett::direction(azimuth, elevation);
+        let size = |group: &Vec<(Vector3<f64>, Complex64)>| {
+            let step = if rough { group.len().div_ceil(ROUGH_ROWS) } else { 1 };
+            steered(group, &towards, wavelength_m, step).norm() * step as f64
+        };
+        groups.iter().map(size).sum()
+    };
+    // Eight directions in the width of the main lobe.
+    let mut step = (wavelength_m / (16.0 * radius_m.max(1e-3))).clamp(0.01, 0.1);
+    let count = |width: f64| (width / step).ceil().max(1.0) as usize;
+    let heights = if highest > 0.0 { count(highest - lowest) } else { 0 };
+    let (mut best, mut at) = (f64::MIN, [0.0, 0.0]);
+    for e in 0..=heights {
+        let elevation = lowest + (highest - lowest) * e as f64 / heights.max(1) as f64;
+        for a in 0..count(TAU) {
+            let here = [a as f64 * step, elevation];
+            let value = sum(here, true);
+            if value > best {
+                (best, at) = (value, here);
+            }
+        }
+    }
+    best = sum(at, false);
+    while step > 1e-6 {
+        let [azimuth, elevation] = at;
+        let bounded = |elevation: f64| elevation.clamp(lowest, highest);
+        let near = [
+            [azimuth + step, elevation],
+            [azimuth - step, elevation],
+            [azimuth, bounded(elevation + step)],
+            [azimuth, bounded(elevation - step)],
+        ];
+        let better = near.into_iter().map(|here| (sum(here, false), here)).max_by(|a, b| a.0.total_cmp(&b.0));
+        match better.filter(|(value, _)| *value > best) {
+            Some((value, here)) => (best, at) = (value, here),
+            None => step *= 0.5,
+        }
+    }
+    let towards = bartlett::direction(at[0], at[1]);
+    let constant = |group: &Vec<(Vector3<f64>, Complex64)>| {
+        let sum = steered(group, &towards, wavelength_m, 1);
+        if sum.norm() > 0.0 { sum / sum.norm() } else { Complex64::ONE }
+    };
+    groups.iter().map(constant).collect()
+}
+
+/// The bearing to one sender.
+fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Options) -> Result<Bearing, LinkError> {
+    let times_s = times_s(&sender.rows, trajectory, options)?;
+    let joined = Joined::new(&sender.rows, &times_s, array, trajectory, options)?;
+    let counts = joined.counts(sender.heard);
+    if counts.in_motion == 0 {
+        return Err(joined.nothing(&counts, &times_s, trajectory));
+    }
+    let Together { samples, rows: used, turns } = joined.together(options)?;
+    let mut options = options.clone();
+    options.accuracy.near_field = false;
+    // One card has one sampling clock: no slope differs from packet to packet.
+    options.accuracy.align = false;
+    options.odometry_sd_m = options.odometry_sd_m.min(ATTITUDE_SD_RAD * joined.length_m);
+    let planes = |(baseline, row): &(usize, usize)| {
+        let turn = turns.get(*baseline).copied().unwrap_or(Complex64::ONE);
+        sender.rows.get(*row).map_or(Planes::ZERO, |row| row.planes(*baseline, turn))
+    };
+    let all: Vec<usize> = (0..used.len()).collect();
+    let found = estimate(&options.task(&samples, trajectory), || used.iter().map(planes).collect(), &all)?;
+    let coherence = found.plane_wave.coherence;
+    if coherence <= BY_CHANCE / (samples.len() as f64).sqrt() {
+        return Err(LinkError::Unsteady { records: samples.len(), coherence });
+    }
+    let poses: Vec<Pose> = samples.t_s().iter().filter_map(|t_s| trajectory.at(*t_s)).collect();
+    let sum = poses.iter().fold(Vector3::zeros(), |sum, pose| sum + pose.position_m);
+    let last = poses.iter().max_by(|a, b| a.t_s.total_cmp(&b.t_s));
+    let keeps = options.keep_course;
+    Ok(Bearing {
+        answer: BearingAnswer::of(&found, &samples),
+        sufficient: found.sufficient,
+        heading_rad: last.and_then(|pose| pose.heading_rad),
+        figures: ProfileFigures::of(&samples)?,
+        compensated: false,
+        turn_around: None,
+        pairs: counts,
+        mean_position_m: sum / poses.len().max(1) as f64,
+        density: if keeps { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },
+        slope_sd_rad: None,
+        plane_wave: found.plane_wave,
+        course: if keeps { course(sender, &times_s, &joined) } else { Vec::new() },
+        path_m: joined
+            .arm
+            .poses()
+            .iter()
+            .filter(|_| keeps)
+            .map(|pose| pose.position_m * (joined.length_m / GATE_ARM_M))
+            .collect(),
+        samples,
+    })
+}
+
+/// The phase of the first baseline in every record.
+fn course(sender: &Sender, times_s: &[Option<f64>], joined: &Joined) -> Vec<Phase> {
+    let first_s = times_s.iter().flatten().next().copied().unwrap_or_default();
+    let phase = |((row, t_s), fate): ((&Row, &Option<f64>), &Fate)| {
+        let rad = row.z(0).arg();
+        let t_s = t_s.as_ref()? - first_s;
+        let is_used = *fate == Fate::Used;
+        Some(Phase { t_s, one_way_rad: rad, round_trip_rad: rad, compensated_rad: rad, is_used })
+    };
+    sender.rows.iter().zip(times_s).zip(&joined.fates).filter_map(phase).collect()
+}
