@@ -2,7 +2,7 @@
 
 use clap::Args;
 use csi5300::motion::odometry::csv::Columns;
-use csi5300::pipeline::{Accuracy, Options};
+use csi5300::pipeline::{Accuracy, JoinBy, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
@@ -14,12 +14,27 @@ const FURTHEST_M: f64 = 1e6;
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "How bearings are made")]
 pub struct Estimation {
-    /// Antenna (RF port) used on both robots: A, B or C
-    #[arg(long, default_value = "A", value_parser = antenna, hide_short_help = true)]
-    pub antenna: Antenna,
-    /// Added to the receiver's host time to get the trajectory's
-    #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true, hide_short_help = true)]
-    pub clock_offset: f64,
+    /// Antenna (RF port) used on both robots: A, B or C. With --baseline two or three of one robot: A,B
+    #[arg(
+        long,
+        visible_alias = "antennas",
+        default_value = "A",
+        value_delimiter = ',',
+        value_parser = antenna,
+        hide_short_help = true
+    )]
+    pub antenna: Vec<Antenna>,
+    /// Added to the receiver's host time to get the trajectory's; or `rows`: join the n-th frame of a link with the n-th row of
+    /// the trajectory instead of by time
+    #[arg(
+        long,
+        default_value = "0",
+        value_name = "SECONDS",
+        value_parser = clock_offset,
+        allow_negative_numbers = true,
+        hide_short_help = true
+    )]
+    pub clock_offset: ClockOffset,
     /// Largest elevation of a transmitter above or below the horizon, degrees [default: 20; more where the signals show it]
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub elevation_max: Option<f64>,
@@ -41,6 +56,15 @@ pub struct Estimation {
     pub to: Option<f64>,
 }
 
+/// How the times of frames and poses belong together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ClockOffset {
+    /// By time, with so much added to the frames', seconds.
+    Seconds(f64),
+    /// One by one.
+    Rows,
+}
+
 impl Default for Estimation {
     fn default() -> Self {
         Self::with_antenna(Antenna::A)
@@ -51,8 +75,8 @@ impl Estimation {
     /// Everything as usual, by this antenna.
     pub fn with_antenna(antenna: Antenna) -> Self {
         Self {
-            antenna,
-            clock_offset: 0.0,
+            antenna: vec![antenna],
+            clock_offset: ClockOffset::Seconds(0.0),
             elevation_max: None,
             range_min: None,
             height: None,
@@ -62,9 +86,18 @@ impl Estimation {
         }
     }
 
+    /// The antenna on both robots, or the first of several.
+    pub fn antenna(&self) -> Antenna {
+        self.antenna.first().copied().unwrap_or(Antenna::A)
+    }
+
     /// The pipeline's options, on `channel`.
     pub fn options(&self, channel: Channel) -> Result<Options, String> {
-        let finite = [Some(self.clock_offset), self.elevation_max, self.from, self.to];
+        let (clock_offset_s, join) = match self.clock_offset {
+            ClockOffset::Seconds(seconds) => (seconds, JoinBy::Time),
+            ClockOffset::Rows => (0.0, JoinBy::Row),
+        };
+        let finite = [Some(clock_offset_s), self.elevation_max, self.from, self.to];
         if finite.iter().flatten().any(|value| !value.is_finite()) {
             return Err("--clock-offset, --elevation-max, --from and --to take finite numbers".into());
         }
@@ -88,11 +121,20 @@ impl Estimation {
             .with_range_min_m(self.range_min)
             .with_height_m(self.height);
         Ok(Options::new(channel)
-            .with_antenna(self.antenna)
-            .with_clock_offset_s(self.clock_offset)
+            .with_antenna(self.antenna())
+            .with_clock_offset_s(clock_offset_s)
+            .with_join(join)
             .with_cut(self.from, self.to)
             .with_accuracy(accuracy)
             .with_heading_sd_rad(self.heading_sd.map(f64::to_radians)))
+    }
+}
+
+/// Seconds, or the word for a join row by row.
+fn clock_offset(text: &str) -> Result<ClockOffset, String> {
+    match text {
+        "rows" => Ok(ClockOffset::Rows),
+        _ => text.parse().map(ClockOffset::Seconds).map_err(|_| "seconds, or `rows`".into()),
     }
 }
 

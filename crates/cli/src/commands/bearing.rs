@@ -2,12 +2,13 @@
 
 mod captures;
 mod located;
+mod one_log;
 mod pairs;
 mod quality;
 mod transmitters;
 
 use self::quality::quality;
-use super::args::{Estimation, channel, columns, mac};
+use super::args::{Estimation, channel, columns, mac, triple};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
 use super::mounting::Mounting;
@@ -17,17 +18,19 @@ use csi5300::motion::odometry::csv::Columns;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
-use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
+use csi5300::pipeline::{CaptureReport, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
 use driver_iface::Mac;
+use nalgebra::Vector3;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 // Arguments of `bearing`.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  csi5300 bearing DIR/tx2 --plot pictures\n  \
-                        csi5300 bearing --rx RX.dat --tx TX.dat --trajectory T.csv --channel 108\n\
+                        csi5300 bearing --rx RX.dat --tx TX.dat --trajectory T.csv --channel 108\n  \
+                        csi5300 bearing --rx RX.dat --trajectory T.csv --channel 108 --antennas A,B --baseline 0.1,0,0\n\
                         --help lists all options.")]
 pub struct Args {
     /// Captures, folders with captures below them, or links of them (FOLDER/tx2); or name the logs by --rx, --tx and --trajectory. Where
@@ -61,9 +64,6 @@ pub struct Args {
     logs: Logs,
     #[command(flatten)]
     estimation: Estimation,
-    /// Join the n-th frame of a link with the n-th row of the trajectory instead of by time
-    #[arg(long, hide_short_help = true)]
-    join_rows: bool,
     /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1, or not known (as of a plane
     /// wave with a mirror)
     #[arg(long, value_name = "P", hide_short_help = true)]
@@ -97,7 +97,7 @@ struct Logs {
     #[arg(long, value_name = "RX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     rx: Option<PathBuf>,
     /// Log of a transmitter; several make one link each
-    #[arg(long, value_name = "TX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
+    #[arg(long, value_name = "TX.dat", required_unless_present_any = ["captures", "bag", "baseline"], hide_short_help = true)]
     tx: Vec<PathBuf>,
     /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/formats.md); of a
     /// capture which of its own: gt (motion capture, if none is named), t265 (tracking camera) or odom (wheels)
@@ -109,6 +109,17 @@ struct Logs {
     columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
+    /// Without any --tx: the bearing to every sender that --rx heard, by two antennas of one robot that turns. Where the first of
+    /// --antennas is seen from the second, metres forward, left, up; of three antennas once more, seen from the third
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_parser = triple,
+        allow_hyphen_values = true,
+        conflicts_with_all = ["captures", "tx", "tx_trajectory", "rx_mac", "key", "bag", "antenna_offset", "camera_mount", "explain"],
+        hide_short_help = true
+    )]
+    baseline: Vec<Vector3<f64>>,
     /// Trajectory of a transmitter that moved, in the order of --tx, on the receiver's clock
     #[arg(long, value_name = "T.csv", hide_short_help = true)]
     tx_trajectory: Vec<PathBuf>,
@@ -175,6 +186,12 @@ fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(V
 pub fn run(mut args: Args) -> Result {
     if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
         usage("--min-confidence takes a probability, 0 to 1");
+    }
+    if !args.logs.baseline.is_empty() {
+        return one_log::run(&args);
+    }
+    if args.estimation.antenna.len() > 1 {
+        usage("several antennas are for a bearing from one log: --baseline says where they are");
     }
     if !args.captures.is_empty() {
         return captures::run(&args);
@@ -244,10 +261,9 @@ fn told_apart(stems: Vec<String>) -> Vec<String> {
 
 fn options(args: &Args) -> std::result::Result<Options, String> {
     let options = args.estimation.options(args.channel.ok_or("--channel is needed")?)?;
-    let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
-    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()).with_join(join))
+    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
@@ -329,11 +345,11 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
                 unused.no_number, unused.no_antenna, unused.other_sender
             );
         }
-        if let Some((better, above_db)) = report.survey.better_antenna(args.estimation.antenna) {
+        if let Some((better, above_db)) = report.survey.better_antenna(args.estimation.antenna()) {
             let _ = writeln!(
                 text,
                 "  antenna {} hears {above_db:.0} dB less than {better}, as a port without an antenna does (--antenna {better})",
-                args.estimation.antenna
+                args.estimation.antenna()
             );
         }
         if !lines.is_empty() || !text.is_empty() {
@@ -351,7 +367,7 @@ fn tell(answer: &Answer, json: bool) {
     if json {
         print_json(answer);
     } else {
-        print(&describe(answer));
+        print(&describe(answer, &pairs::pairs(answer)));
         print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
     }
     if let Some(error) = &answer.error {
@@ -374,7 +390,7 @@ fn say_heard(rx: &Path, report: &CaptureReport, link: &LinkReport) {
     }
 }
 
-fn describe(answer: &Answer) -> String {
+fn describe(answer: &Answer, made_of: &str) -> String {
     let mut text = answer.link.clone();
     if let Some(mac) = &answer.mac {
         let _ = write!(text, " ({mac})");
@@ -416,8 +432,7 @@ fn describe(answer: &Answer) -> String {
         let _ = writeln!(text, "  in the robot's frame: {} deg (heading at the last sample)", fixed(body, 2));
     }
     text += &quality(answer);
-    text += &pairs::pairs(answer);
-    text
+    text + made_of
 }
 
 /// A second candidate with at least this probability stands beside the first.

@@ -4,7 +4,7 @@ use super::args::Estimation;
 use super::mounting::Mounting;
 use super::usage;
 use csi5300::motion::rolling::Mount;
-use csi5300::pipeline::{JoinBy, Options};
+use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find_all};
 use std::path::Path;
@@ -21,8 +21,6 @@ pub struct Reading {
     pub mounting: Mounting,
     /// WiFi channel instead of the one in groundtruth_positions.json.
     pub channel: Option<Channel>,
-    /// Join the n-th frame of a link with the n-th row of its trajectory instead of by time.
-    pub join_rows: bool,
     /// How bearings are made.
     pub estimation: Estimation,
 }
@@ -79,8 +77,7 @@ impl Reading {
     /// The pipeline's options. Their channel is a stand-in where none was given: each capture brings its own.
     pub fn options(&self) -> Result<Options, String> {
         let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-        let join = if self.join_rows { JoinBy::Row } else { JoinBy::Time };
-        Ok(self.estimation.options(self.channel.unwrap_or(fallback))?.with_join(join))
+        self.estimation.options(self.channel.unwrap_or(fallback))
     }
 }
 

@@ -1,6 +1,6 @@
 //! `csi5300 evaluate`.
 
-use super::args::{Estimation, antenna, channel};
+use super::args::{ClockOffset, Estimation, antenna, channel};
 use super::captures::{A_CAPTURE, Reading, Which};
 use super::mounting::Mounting;
 use super::{Outcome, Result, fixed, print, print_json, usage};
@@ -66,8 +66,11 @@ impl Args {
             trajectory: self.trajectory,
             mounting: self.mounting.clone(),
             channel: self.channel,
-            join_rows: false,
-            estimation: Estimation { clock_offset: self.clock_offset, heading_sd: self.heading_sd, ..estimation },
+            estimation: Estimation {
+                clock_offset: ClockOffset::Seconds(self.clock_offset),
+                heading_sd: self.heading_sd,
+                ..estimation
+            },
         }
     }
 }

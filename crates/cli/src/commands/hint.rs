@@ -30,8 +30,8 @@ pub fn words(error: &LinkError) -> String {
 /// An error of a link of logs in words.
 fn joined_words(error: &LinkError) -> String {
     match error {
-        LinkError::RowsNotTimes { .. } => format!("{error} (--clock-offset, or --join-rows of `bearing`)"),
-        LinkError::NoHostTime => format!("{error} (--join-rows of `bearing`)"),
+        LinkError::RowsNotTimes { .. } => format!("{error} (--clock-offset SECONDS, or --clock-offset rows)"),
+        LinkError::NoHostTime => format!("{error} (--clock-offset rows of `bearing`)"),
         _ => words(error),
     }
 }
@@ -75,9 +75,9 @@ mod tests {
         assert!(bearing_words(&unclear).ends_with("name its MAC with --tx-mac"));
         assert!(!words(&unclear).contains("--tx-mac"));
         // `sound` joins no rows.
-        assert!(bearing_words(&LinkError::NoHostTime).contains("--join-rows"));
-        assert!(joined_words(&LinkError::NoHostTime).contains("--join-rows"));
-        assert!(!words(&LinkError::NoHostTime).contains("--join-rows"));
+        assert!(bearing_words(&LinkError::NoHostTime).contains("--clock-offset rows"));
+        assert!(joined_words(&LinkError::NoHostTime).contains("--clock-offset rows"));
+        assert!(!words(&LinkError::NoHostTime).contains("--clock-offset rows"));
         // `evaluate` and `sound` name no logs.
         let from = |from_s: f64, start_s, other_fits| LinkError::OutsideTrajectory {
             pairs: 9,

@@ -38,6 +38,11 @@ pub struct Inputs {
 }
 
 impl Inputs {
+    /// Files, with what is in the columns of trajectories, where it was named.
+    pub fn files(columns: Option<Columns>) -> Self {
+        Self { columns, recorded: None }
+    }
+
     /// Opens a log, as a file or topic.
     ///
     /// # Errors
@@ -85,7 +90,7 @@ impl BagArgs {
         let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
             return Err("--rx and --trajectory are needed".into());
         };
-        let inputs = Inputs { columns: columns.cloned(), ..Inputs::default() };
+        let inputs = Inputs::files(columns.cloned());
         Ok((inputs, Named { rx, tx, trajectory }))
     }
 }

@@ -117,7 +117,7 @@ fn convert(
     args: &Args,
 ) -> std::result::Result<(Survey, u64), String> {
     let mut log = super::open_log(path)?;
-    let mut front = Front::new(args.estimation.antenna);
+    let mut front = Front::new(args.estimation.antenna());
     let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
     loop {
         let next = log.receive(Instant::ZERO).map_err(|error| error.to_string())?;

@@ -54,9 +54,23 @@ fn place(args: &[OsString]) -> Option<usize> {
     args.iter().enumerate().skip(1).find(is_name).map(|(place, _)| place)
 }
 
+/// The old option of `bearing`, and what it is now.
+const JOIN_ROWS: [&str; 2] = ["--join-rows", "--clock-offset=rows"];
+
 /// Puts what an old name is now in its place; what to say of it.
 pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     let place = place(args)?;
+    let said = rename_command(args, place);
+    let is_bearing = args.get(place).is_some_and(|name| name == "bearing");
+    let old = args.iter_mut().find(|arg| is_bearing && *arg == JOIN_ROWS[0]);
+    let Some(old) = old else { return said };
+    *old = JOIN_ROWS[1].into();
+    said.or_else(|| {
+        Some(format!("`{}` is `{}` now; the old name goes with the next version", JOIN_ROWS[0], JOIN_ROWS[1]))
+    })
+}
+
+fn rename_command(args: &mut Vec<OsString>, place: usize) -> Option<String> {
     let moved = MOVED.iter().find(|moved| args.get(place).is_some_and(|name| name == moved.name))?;
     let rest: Vec<OsString> = args.split_off(place + 1);
     args.pop();
@@ -116,6 +130,7 @@ mod tests {
             ("csi5300 -q report d -o r.html --interactive", "csi5300 -q evaluate d --html r.html"),
             ("csi5300 --color never explain d/tx2 --out p", "csi5300 --color never bearing --explain d/tx2 --out p"),
             ("csi5300 recover a b", "csi5300 export --dat a b"),
+            ("csi5300 bearing --join-rows --rx a", "csi5300 bearing --clock-offset=rows --rx a"),
             ("csi5300 suite --csv t", "csi5300 simulate suite --out t"),
         ] {
             assert_eq!(now(old), (new.into(), true), "{old}");

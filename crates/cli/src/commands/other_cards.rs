@@ -61,7 +61,7 @@ impl Row {
         for (why, bytes) in &self.skipped {
             let _ = writeln!(text, "  not read: {bytes} bytes: {why}");
         }
-        text += "  bearings are made of logs of the Intel 5300 only so far; csi-formats, the library, reads this one\n";
+        text += "  bearings of two robots are made of logs of the Intel 5300 only so far; one robot with two antennas on it: `bearing --baseline`\n";
         text
     }
 }
@@ -110,10 +110,15 @@ fn survey(path: &Path, format: Format, bytes: &[u8]) -> Row {
 
 /// The log of another card, if a file is one; `None` for any other file, and for one that cannot be read.
 pub fn read(path: &Path) -> Option<Row> {
+    bytes(path).map(|(format, bytes)| survey(path, format, &bytes))
+}
+
+/// Its kind and its bytes.
+pub fn bytes(path: &Path) -> Option<(Format, Vec<u8>)> {
     let mut file = std::fs::File::open(path).ok().filter(|file| file.metadata().is_ok_and(|about| about.is_file()))?;
     let mut bytes = Vec::new();
     file.by_ref().take(csi_formats::DETECT as u64).read_to_end(&mut bytes).ok()?;
     let format = detect(&bytes)?;
     file.read_to_end(&mut bytes).ok()?;
-    Some(survey(path, format, &bytes))
+    Some((format, bytes))
 }

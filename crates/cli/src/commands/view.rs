@@ -54,7 +54,6 @@ impl Args {
             trajectory: self.trajectory,
             mounting: Mounting::default(),
             channel: self.channel,
-            join_rows: false,
             estimation: Estimation::with_antenna(self.antenna),
         }
     }

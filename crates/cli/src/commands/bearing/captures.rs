@@ -38,7 +38,6 @@ impl Args {
             trajectory: named.unwrap_or(Which::Gt),
             mounting: self.mounting.clone(),
             channel: self.channel,
-            join_rows: self.join_rows,
             estimation: self.estimation.clone(),
         }
     }
@@ -148,7 +147,7 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>) {
         _ if args.json => print_json(&Row::new(row, bearing)),
         Some(bearing) if args.explain => print(&explain(row, bearing)),
         _ => {
-            let mut text = super::describe(&row.answer);
+            let mut text = super::describe(&row.answer, &super::pairs::pairs(&row.answer));
             truth(&mut text, "  truth", row);
             print(&text);
         }

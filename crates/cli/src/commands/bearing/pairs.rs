@@ -67,6 +67,21 @@ pub(super) fn pairs(answer: &Answer) -> String {
     text
 }
 
+/// What became of the records of one log.
+pub(super) fn records(answer: &Answer) -> String {
+    let counts = answer.pair_counts;
+    format!(
+        "  {} with all antennas: {} in the turn ({}), {} while it did not turn, {} without a pose, {} cut{}\n",
+        some(answer.pairs as u64, "record", "records"),
+        counts.in_motion,
+        answer.geometry.as_deref().unwrap_or("-"),
+        counts.standing,
+        counts.no_pose,
+        counts.cut,
+        if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
+    )
+}
+
 /// Asks whether the logs were exchanged, where by the other one's times far fewer pairs are without a pose.
 fn exchanged(counts: &PairCounts) -> String {
     let far_fewer = |other: &usize| counts.no_pose.saturating_sub(*other) as f64 > MANY_OUTSIDE * counts.formed as f64;

@@ -1,0 +1,128 @@
+//! `csi5300 bearing --antennas A,B --baseline X,Y,Z`: every sender that one log heard, by antennas that turn with the robot.
+
+use super::super::inputs::Inputs;
+use super::super::{Outcome, Result, hint, info, print, print_json, usage};
+use super::{Args, artefacts, describe, link_name, options, pairs};
+use csi_formats::{Frame, Item, Items, Why};
+use csi5300::motion::pose::Trajectory;
+use csi5300::num_complex::Complex32;
+use csi5300::pipeline::{Answer, Array, ArrayFrame, LinkReport, OneLog, OneLogReport, Options, one_log};
+use driver_iface::Mac;
+use driver_iface::bfee::{Antenna, Antennas};
+use std::path::Path;
+
+/// The receive chain of a frame that is connected to an antenna: told by a 5300, elsewhere they are counted.
+fn chain(frame: &Frame, antenna: Antenna) -> Option<usize> {
+    let number = Antenna::ALL.iter().position(|one| *one == antenna)?;
+    match frame.antenna_sel {
+        Some(sel) => Antennas::new(sel, u8::try_from(frame.n_rx).ok()?, [0; 3]).ok()?.chain_of(antenna),
+        None => number.checked_sub(usize::from(frame.first_rx)),
+    }
+}
+
+/// A frame of any card, as the antennas heard it.
+fn heard(frame: &Frame, array: &Array) -> Option<ArrayFrame> {
+    let csi = |antenna: Antenna, stream: usize| {
+        let column = frame.column(chain(frame, antenna).filter(|chain| *chain < frame.n_rx)?, stream)?;
+        let measured = column.iter().zip(&frame.measured).filter(|(_, measured)| **measured);
+        Some(measured.map(|([re, im], _)| Complex32::new(*re, *im)).collect())
+    };
+    ArrayFrame::new(array, frame.sender.map(Mac).unwrap_or_default(), frame.host_us, frame.n_tx, csi)
+}
+
+/// A log of another card; none where it is none. At last whether bytes of it could not be read.
+fn other_card(
+    path: &Path,
+    trajectory: &Trajectory,
+    array: &Array,
+    options: &Options,
+) -> std::result::Result<Option<(OneLogReport, bool)>, String> {
+    let Some((format, bytes)) = super::super::other_cards::bytes(path) else { return Ok(None) };
+    let mut one = OneLog::new(array.clone(), options.clone());
+    let (mut frames, mut without, mut lost) = (0_u64, 0_u64, 0_u64);
+    for item in Items::new(format, &bytes) {
+        match item {
+            Item::Frame(frame) => {
+                frames += 1;
+                match heard(&frame, array) {
+                    Some(frame) => one.hear(frame),
+                    None => without += 1,
+                }
+            }
+            Item::Skipped(skipped) => lost += if skipped.why == Why::NoCsi { 0 } else { skipped.len },
+        }
+    }
+    note!("{}: {}, {frames} frames, {without} without all of the antennas", path.display(), format.name());
+    if lost > 0 {
+        note!("  not read: {lost} bytes");
+    }
+    Ok(Some((one.bearings(trajectory), lost > 0)))
+}
+
+/// The name of a link: the log's, with the sender where there are several.
+fn name(inputs: &Inputs, rx: &Path, link: &LinkReport, links: usize) -> String {
+    let own = link_name(inputs, rx);
+    match link.mac {
+        _ if links == 1 => own,
+        Some(mac) => format!("{own}/{mac}"),
+        None => format!("{own}/unknown"),
+    }
+}
+
+/// Estimates and prints the bearings.
+pub fn run(args: &Args) -> Result {
+    let array = Array::new(&args.estimation.antenna, &args.logs.baseline);
+    let array = array.unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
+    let options = options(args).unwrap_or_else(|message| usage(&message));
+    let (Some(rx), Some(path)) = (&args.logs.rx, &args.logs.trajectory) else {
+        usage("--rx and --trajectory are needed");
+    };
+    let inputs = Inputs::files(args.logs.columns.clone());
+    let trajectory = inputs.trajectory(path)?;
+    let (report, mut lost) = match other_card(rx, &trajectory, &array, &options)? {
+        Some(found) => found,
+        None => {
+            let mut log = inputs.open(rx)?;
+            let report = one_log(&mut log, &trajectory, &array, &options).map_err(|error| error.to_string())?;
+            let losses = info::losses(&report.log.survey, log.bytes());
+            let unused = report.log.unused;
+            notes!(
+                "{}: {} bfee records, {} without all of the antennas, {} of senders that were not asked for\n{losses}",
+                rx.display(),
+                report.log.survey.bfees(),
+                unused.no_antenna,
+                unused.other_sender
+            );
+            let lost = report.log.survey.lost_something();
+            (report, lost)
+        }
+    };
+    let mut answered = 0;
+    for link in &report.links {
+        let name = name(&inputs, rx, link, report.links.len());
+        let mut answer = Answer::new(name.clone(), link);
+        hint::add(&mut answer);
+        if let Some(least) = args.min_confidence {
+            answer.refuse_below(least);
+        }
+        answered += usize::from(answer.azimuth_deg.is_some());
+        if args.json {
+            print_json(&answer);
+        } else {
+            print(&describe(&answer, &pairs::records(&answer)));
+        }
+        if let Some(error) = &answer.error {
+            wrong!("{}: {error}", answer.link);
+        }
+        artefacts(args, &name, link, report.links.len())?;
+    }
+    if report.links.is_empty() {
+        wrong!("{}: no record has the CSI of all antennas that were named (--antennas)", rx.display());
+    }
+    lost |= answered < report.links.len();
+    Ok(match answered {
+        0 => Outcome::Nothing,
+        _ if lost => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
+}
