@@ -10,21 +10,21 @@ trap 'rm -rf "$folder"' EXIT
 mkdir "$folder/bin"
 ln -s "$(realpath "$program")" "$folder/bin/csi5300"
 
-for page in README.md docs/*.md; do
+for page in README.md docs/*.md docs/*/*.md; do
     while read -r target; do
         target=${target%%#*}
         [ -z "$target" ] || [ -e "$(dirname "$page")/$target" ] || { echo "$page: no $target"; exit 1; }
     done < <(grep -oE '\]\([^)]+\)' "$page" | sed -E 's/^\]\(//; s/\)$//' | grep -vE '^(https?|mailto):')
 done
 
-if grep -n '\.\./shared' README.md docs/*.md; then
+if grep -n '\.\./shared' README.md docs/*.md docs/*/*.md; then
     echo "these pages name a folder that readers do not have"
     exit 1
 fi
 # Lines of blocks (fenced or indented) and what stands in backticks; what follows " #" is a remark.
 commands() { grep -oE '^(    )?csi5300 [a-z].*|`csi5300 [a-z][^`]*`' "$1" | tr -d '`' | sed 's/ #.*//'; }
 known=0
-for page in README.md docs/*.md; do
+for page in README.md docs/*.md docs/*/*.md; do
     while read -r _ command rest; do
         # The first bytes of a side file.
         [ "$command $rest" != "checks 1" ] || continue
@@ -46,7 +46,7 @@ echo "$known options of commands that are not run are known"
 for page in README.md docs/node.md docs/simulation.md docs/tutorial.md docs/view.md; do
     grep -q '^```sh$' "$page" || { echo "$page has no commands"; exit 1; }
 done
-for page in README.md docs/*.md; do
+for page in README.md docs/*.md docs/*/*.md; do
     grep -q '^```sh$' "$page" || continue
     own="$folder/$(basename "$page" .md)"
     awk '/^```sh$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" >"$own.sh"
