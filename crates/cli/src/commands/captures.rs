@@ -31,6 +31,9 @@ impl Reading {
         match (self.trajectory, self.mounting.camera_mount) {
             (Which::T265, Some(_)) => TrajectorySource::RollingT265,
             (_, Some(_)) => usage("--camera-mount is of the tracking camera: --trajectory t265"),
+            (Which::Gt, None) if self.mounting.antenna_offset.is_some() => usage(
+                "--antenna-offset is for wheels and cameras (--trajectory odom, t265): motion capture tracks the antenna itself",
+            ),
             (Which::Gt, None) => TrajectorySource::GroundTruth,
             (Which::T265, None) => TrajectorySource::T265,
             (Which::Odom, None) => TrajectorySource::Odometry,

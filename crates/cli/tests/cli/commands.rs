@@ -237,6 +237,8 @@ fn trajectories_that_do_not_fit_say_why() {
     // A path that rolls is that of the middle between the wheels: where the antenna is seen from there has to be said.
     let (status, _, err) = folder.bearing(&["--camera-mount", "0.1,0,-2"]);
     assert!(status == 2 && err.contains("--antenna-offset"), "{err}");
+    let (status, _, err) = folder.run(&["evaluate", "--antenna-offset", "0.1,0,0", "."]);
+    assert!(status == 2 && err.contains("motion capture tracks the antenna"), "{err}");
     let of_wheels = ["evaluate", "--trajectory", "odom", "--antenna-offset", "0,0,0", "--camera-mount", "0,0,0", "."];
     let (status, _, err) = folder.run(&of_wheels);
     assert!(status == 2 && err.contains("--trajectory t265"), "{err}");
