@@ -127,6 +127,11 @@ pub struct Trajectory {
     attitudes: Option<Vec<UnitQuaternion<f64>>>,
 }
 
+/// The attitude of a robot that stands upright, where its heading is known.
+fn upright(pose: &Pose) -> Option<UnitQuaternion<f64>> {
+    pose.heading_rad.map(|heading_rad| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad))
+}
+
 /// Why poses make no trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum TrajectoryError {
@@ -342,17 +347,18 @@ impl Trajectory {
         self
     }
 
-    /// With attitudes in three dimensions, by their times, seconds. They are kept where every pose has one: not where times
-    /// were rounded, or a clock was set back.
-    pub(super) fn with_attitudes(mut self, mut all: Vec<(f64, UnitQuaternion<f64>)>) -> Self {
-        if self.rounded.is_some() || self.left_out.set_back.is_some() {
+    /// With the attitudes of the poses that are not upright, by their times, seconds; the others have their heading's. They are
+    /// left out where times were rounded, or a clock was set back.
+    pub(super) fn with_attitudes(mut self, mut tilted: Vec<(f64, UnitQuaternion<f64>)>) -> Self {
+        if tilted.is_empty() || self.rounded.is_some() || self.left_out.set_back.is_some() {
             return self;
         }
-        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        tilted.sort_by(|a, b| a.0.total_cmp(&b.0));
         // Of several at one time the last stays, as of poses.
         let of = |pose: &Pose| {
-            let after = all.partition_point(|(t_s, _)| *t_s <= pose.t_s);
-            all.get(after.checked_sub(1)?).filter(|(t_s, _)| *t_s == pose.t_s).map(|(_, attitude)| *attitude)
+            let after = tilted.partition_point(|(t_s, _)| *t_s <= pose.t_s);
+            let own = after.checked_sub(1).and_then(|k| tilted.get(k)).filter(|(t_s, _)| *t_s == pose.t_s);
+            own.map_or_else(|| upright(pose), |(_, attitude)| Some(*attitude))
         };
         self.attitudes = self.poses.iter().map(of).collect();
         self
@@ -364,13 +370,9 @@ impl Trajectory {
     /// # Errors
     /// [`TrajectoryError::NoHeading`] where a pose has neither.
     pub(crate) fn of_arm(&self, arm_m: Vector3<f64>) -> Result<Self, TrajectoryError> {
-        let by_heading = |pose: &Pose| {
-            let heading_rad = pose.heading_rad.ok_or(TrajectoryError::NoHeading)?;
-            Ok(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad))
-        };
         let turned = |(k, pose): (usize, &Pose)| {
             let known = self.attitudes.as_ref().and_then(|all| all.get(k).copied());
-            let attitude = known.map_or_else(|| by_heading(pose), Ok)?;
+            let attitude = known.or_else(|| upright(pose)).ok_or(TrajectoryError::NoHeading)?;
             Ok(Pose { position_m: attitude * arm_m, ..*pose })
         };
         let poses = self.poses.iter().enumerate().map(turned).collect::<Result<Vec<_>, TrajectoryError>>()?;
@@ -572,9 +574,10 @@ mod tests {
         let attitudes = plain.poses().iter().map(|pose| (pose.t_s, up)).collect::<Vec<_>>();
         let lying = plain.clone().with_attitudes(attitudes.clone()).of_arm(arm_m).unwrap();
         assert!((lying.poses()[3].position_m - Vector3::new(-0.02, 0.0, 0.1)).norm() < 1e-12);
-        // One pose without an attitude: none is used.
+        // A pose without one is upright.
         let partly = plain.with_attitudes(attitudes[1..].to_vec()).of_arm(arm_m).unwrap();
-        assert!((partly.poses()[3].position_m - expected).norm() < 1e-12);
+        assert!((partly.poses()[0].position_m - expected).norm() < 1e-12);
+        assert!((partly.poses()[3].position_m - Vector3::new(-0.02, 0.0, 0.1)).norm() < 1e-12);
         let mut poses = by_heading.poses().to_vec();
         poses[2].heading_rad = None;
         assert_eq!(Trajectory::new(poses).unwrap().of_arm(arm_m), Err(TrajectoryError::NoHeading));

@@ -788,11 +788,14 @@ fn matrix(row: &[&str]) -> Result<Pose, RowError> {
     Ok(Pose { t_s: 0.0, position_m, heading_rad: Some((-forward.x).atan2(forward.z)) })
 }
 
+/// Square of the sine of half the tilt from which on an attitude is more than a heading: a tenth of a degree.
+const TILTED: f64 = 7.6e-7;
+
 /// The poses of the rows read so far.
 #[derive(Default)]
 struct Rows {
     poses: Vec<Pose>,
-    /// The attitude of each pose that has one, with its time.
+    /// The attitude of each pose that is not upright, with its time.
     attitudes: Vec<(f64, UnitQuaternion<f64>)>,
     counts: CsvCounts,
     layout: Option<Layout>,
@@ -895,7 +898,9 @@ impl Rows {
         self.counts.rows += 1;
         self.counts.out_of_order += u64::from(self.poses.last().is_some_and(|last| last.t_s > pose.t_s));
         if let Some([a, b, c, w]) = quaternion {
-            self.attitudes.push((pose.t_s, UnitQuaternion::from_quaternion(Quaternion::new(w, a, b, c))));
+            if a * a + b * b > TILTED {
+                self.attitudes.push((pose.t_s, UnitQuaternion::from_quaternion(Quaternion::new(w, a, b, c))));
+            }
             self.up[0] += 1.0 - 2.0 * (a * a + b * b);
             self.up[1] += 1.0 - 2.0 * (b * b + c * c);
         } else {
