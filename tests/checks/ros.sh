@@ -200,6 +200,9 @@ look 'until("poses again", 10, lambda t: not t["trouble"]); goes_on(); bearings(
 
 # The end: in order, and the master knows nothing of the node any more.
 kill -TERM "$node"
-wait "$node"
+# Status 3: a busy machine lost records of the served room, which the node says.
+status=0
+wait "$node" || status=$?
+[ "$status" = 0 ] || { [ "$status" = 3 ] && grep '^lost: ' "$folder/node.log"; }
 if rostopic list | grep csi5300; then echo "the node left topics behind"; exit 1; fi
 tail -n 4 "$folder/node.log"

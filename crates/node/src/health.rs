@@ -243,15 +243,18 @@ impl Health {
         text
     }
 
-    /// True if anything was lost.
+    /// What was lost, as text with counts; empty if nothing was.
     #[must_use]
-    pub fn lost_something(&self) -> bool {
-        let log = self.log.as_ref().is_some_and(|log| log.dropped + log.lost_on_disk > 0);
+    pub fn lost(&self) -> Vec<String> {
+        let disk = self.log.as_ref().map_or(0, |log| log.dropped + log.lost_on_disk);
         let unsent = self.network.as_ref().and_then(|network| network.get("unsent")?.as_u64()).unwrap_or(0);
-        self.losses > 0
-            || unsent > 0
-            || log
-            || self.load.lines_lost > 0
-            || self.peers.iter().any(|peer| peer.counts.losses > 0)
+        let mut counts = vec![
+            (self.losses, "losses of records heard here".to_owned()),
+            (disk, "records missing in the log".to_owned()),
+            (unsent, "messages not sent".to_owned()),
+            (self.load.lines_lost, "lines not written".to_owned()),
+        ];
+        counts.extend(self.peers.iter().map(|peer| (peer.counts.losses, format!("losses of {}'s records", peer.name))));
+        counts.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect()
     }
 }

@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> Result {
     }
     Ok(if ended.health.records == 0 && !ended.signalled {
         Outcome::Nothing
-    } else if ended.health.lost_something() {
+    } else if !ended.health.lost().is_empty() {
         Outcome::DataLost
     } else {
         Outcome::Done
@@ -64,12 +64,11 @@ fn host_name() -> String {
 fn summary(ended: &Ended) -> String {
     let health = &ended.health;
     let mut text = format!(
-        "{} and {} in {:.1} s; {}; {}\n",
+        "{} and {} in {:.1} s; {}\n",
         count(health.records, "record", "records"),
         count(health.poses.poses, "pose", "poses"),
         health.uptime_s,
-        count(ended.bearings, "bearing", "bearings"),
-        count(health.losses, "loss", "losses")
+        count(ended.bearings, "bearing", "bearings")
     );
     for peer in &health.peers {
         let words = peer.report.as_ref().map_or("nothing was said of it", |report| report.words.as_str());
@@ -85,6 +84,10 @@ fn summary(ended: &Ended) -> String {
     if let Some(log) = &ended.totals {
         let missing = log.dropped + log.lost_on_disk;
         text += &format!("  {} in the log, {missing} not\n", count(log.written, "record", "records"));
+    }
+    let lost = health.lost();
+    if !lost.is_empty() {
+        text += &format!("lost: {}\n", lost.join(", "));
     }
     for trouble in &health.trouble {
         text += &format!("  {trouble}\n");
