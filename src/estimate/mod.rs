@@ -205,10 +205,12 @@ struct Model {
 }
 
 impl Model {
-    fn new(points: &[Vector3<f64>], samples: &Samples, limits: &Limits, signed: bool) -> Self {
+    fn new(points: &[Vector3<f64>], samples: &Samples, limits: &Limits, (reach, signed): (Reach, bool)) -> Self {
         let flat = |p: &Vector3<f64>| if signed { *p } else { Vector3::new(p.x, p.y, 0.0) };
         let points: Vec<Vector3<f64>> = points.iter().map(flat).collect();
         let prior = Prior::new(limits, signed);
+        // Heights that may be a drift are no evidence of a rare elevation.
+        let prior = if reach == Reach::Low { prior.with_expected_elevations() } else { prior };
         let steps = steps(&points, samples, &prior);
         Self { points, prior, steps }
     }
@@ -223,7 +225,8 @@ fn steps(points: &[Vector3<f64>], samples: &Samples, prior: &Prior) -> Steps {
         points.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max)
     };
     let widest = points.chunks(points.len().div_ceil(windows).max(1)).map(radius).fold(0.0, f64::max);
-    Steps::new(radius(points), widest, samples.wavelength_m(), samples.path_gain(), prior)
+    let tall = points.iter().map(|p| p.z.abs()).fold(0.0, f64::max);
+    Steps::new((radius(points), widest, tall), samples.wavelength_m(), samples.path_gain(), prior)
 }
 
 /// Displacements about their mean, and the mean, metres.
@@ -235,8 +238,8 @@ fn about_middle(samples: &Samples) -> (Vec<Vector3<f64>>, Vector3<f64>) {
 /// Whether all of a motion can be searched at once.
 pub(crate) fn is_searchable(points_m: &[Vector3<f64>], wavelength_m: f64, path_gain: u8, limits: &Limits) -> bool {
     let Ok(samples) = Samples::new(wavelength_m, path_gain) else { return false };
-    let signed = Reach::of(points_m, wavelength_m / f64::from(path_gain)) == Reach::Tall;
-    let model = Model::new(points_m, &samples, limits, signed);
+    let reach = Reach::of(points_m, wavelength_m / f64::from(path_gain));
+    let model = Model::new(points_m, &samples, limits, (reach, reach == Reach::Tall));
     model.steps.are_affordable(Bins::along(&model.points, wavelength_m).len(), &model.prior)
 }
 
@@ -260,12 +263,8 @@ pub(crate) fn estimate(
         Reach::Low => &[false, true],
         Reach::Tall => &[true],
     };
-    let mut models: Vec<Model> =
-        signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, signed)).collect();
-    // Heights that may be a drift are no evidence of a rare elevation.
-    if reach == Reach::Low {
-        models.iter_mut().for_each(|model| model.prior = model.prior.with_expected_elevations());
-    }
+    let models: Vec<Model> =
+        signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, (reach, signed))).collect();
     let mut searcher = Searcher::new(task.tier);
     let plane_wave = plane_wave(task, &mut searcher, &models)?;
     let reason = match early(task, &models, (&plane_wave, None), middle_m) {
@@ -383,8 +382,17 @@ fn steeper(
     if !is_open || !plane_wave.elevation_searched {
         return None;
     }
-    let any = searcher.search_with(task.samples, FRAC_PI_2, task.odometry_sd_m).ok()?;
-    (any.value > plane_wave.value * (1.0 + 1e-9)).then_some(any)
+    // Means are enough to find where least squares over all samples begin.
+    let displacements: Vec<Vector3<f64>> = task.samples.displacements_m().collect();
+    let thinned = Bins::for_start(&displacements, task.samples.wavelength_m()).samples(task.samples)?;
+    let any = searcher.search_with(&thinned, FRAC_PI_2, task.odometry_sd_m).ok()?;
+    let kept = (sum_abs(&thinned) / sum_abs(task.samples)).powi(2);
+    (kept * any.value > plane_wave.value).then_some(any)
+}
+
+/// `sum w |z|`, what a wave that explains everything adds up to.
+fn sum_abs(samples: &Samples) -> f64 {
+    samples.z().iter().zip(samples.weight()).map(|(z, weight)| weight * z.norm()).sum()
 }
 
 /// The answer of one wave, where that is all there is.

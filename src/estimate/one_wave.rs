@@ -161,7 +161,7 @@ fn best_start(
     steps: &Steps,
     tier: Tier,
 ) -> Place {
-    let bins = Bins::along(points, samples.wavelength_m());
+    let bins = Bins::for_start(points, samples.wavelength_m());
     let aperture = Aperture::of_phasors(samples.z(), &bins, samples.path_gain());
     let field =
         Field::new(&bins.points_m(points), vec![aperture], samples.wavelength_m(), 1.0 + bins.len() as f64, 1, tier);

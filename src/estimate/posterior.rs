@@ -58,14 +58,17 @@ pub(crate) struct Steps {
 }
 
 impl Steps {
-    /// `window_m` is the largest radius of a window about its own middle, `radius_m` that of the motion.
-    pub fn new(radius_m: f64, window_m: f64, wavelength_m: f64, path_gain: u8, prior: &Prior) -> Self {
+    /// `window_m` is the largest radius of a window about its own middle, `radius_m` and `tall_m` are those of the motion
+    /// and of its heights.
+    pub fn new((radius_m, window_m, tall_m): (f64, f64, f64), wavelength_m: f64, path_gain: u8, prior: &Prior) -> Self {
         let turn_m = wavelength_m / f64::from(path_gain);
         let window_m = window_m.max(0.1 * turn_m);
         let azimuth = (turn_m / window_m).min(COARSEST_RAD);
+        // Elevation changes the way by the horizontal reach times its sine, and by the height.
+        let by_elevation = (window_m * prior.elevation_rad[1].sin() + tall_m).min(window_m).max(0.1 * turn_m);
         Self {
             azimuth,
-            elevation: if prior.is_signed() { azimuth } else { 0.5 * turn_m / window_m },
+            elevation: if prior.is_signed() { turn_m / by_elevation } else { 0.5 * turn_m / window_m },
             curve: turn_m / (window_m * radius_m.max(window_m)),
         }
     }
@@ -637,7 +640,7 @@ mod tests {
         let field = Field::new(&scene.points, apertures, WAVELENGTH_M, INDEPENDENT, tuning::WINDOW_LENGTHS, tier);
         let prior = Prior::new(&Limits { near_field: true, ..Limits::default() }, false);
         let radius_m = scene.points.iter().map(|p| p.norm()).fold(0.0, f64::max);
-        let steps = Steps::new(radius_m, radius_m, WAVELENGTH_M, 2, &prior);
+        let steps = Steps::new((radius_m, radius_m, 0.0), WAVELENGTH_M, 2, &prior);
         let (_, modes) = modes(&field, &prior, &steps, true);
         let oracle = Oracle::new(&scene.points, &channels);
 

@@ -11,6 +11,7 @@ use super::tuning;
 use crate::bartlett::Tier;
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::{LANES, Lanes, Planes, lanes, sum};
+use crate::signal::samples::Samples;
 use csi5300_kernels::simd::on_tier;
 use nalgebra::{DMatrix, SymmetricEigen, Vector3};
 use num_complex::{Complex32, Complex64};
@@ -20,6 +21,8 @@ pub(crate) const COLUMNS: usize = 8;
 /// Samples closer together than this along the motion are averaged, wavelengths: a wave straight ahead then loses 3 % of
 /// the round trip's amplitude.
 const BIN_WAVELENGTHS: f64 = 0.06;
+/// The same where only a start is looked for: a steep wave, which turns less along the motion, loses an eighth of the power.
+const START_WAVELENGTHS: f64 = 0.2;
 
 /// Which subcarriers have their lower neighbour at the usual distance, and that distance in indices.
 struct Comb {
@@ -164,10 +167,19 @@ pub(crate) struct Bins {
 impl Bins {
     /// By the distance driven along `points_m`.
     pub fn along(points_m: &[Vector3<f64>], wavelength_m: f64) -> Self {
+        Self::every(BIN_WAVELENGTHS * wavelength_m, points_m)
+    }
+
+    /// As [`Bins::along`], fewer: for a start.
+    pub fn for_start(points_m: &[Vector3<f64>], wavelength_m: f64) -> Self {
+        Self::every(START_WAVELENGTHS * wavelength_m, points_m)
+    }
+
+    fn every(step_m: f64, points_m: &[Vector3<f64>]) -> Self {
         let (mut driven_m, mut last, mut of, mut counts) = (0.0, None, Vec::with_capacity(points_m.len()), Vec::new());
         for (k, point) in points_m.iter().enumerate() {
             driven_m += if k > 0 { (point - points_m[k - 1]).norm() } else { 0.0 };
-            let bin = (driven_m / (BIN_WAVELENGTHS * wavelength_m)) as usize;
+            let bin = (driven_m / step_m) as usize;
             if last != Some(bin) {
                 counts.push(0.0);
                 last = Some(bin);
@@ -189,6 +201,22 @@ impl Bins {
         self.of.iter().zip(points_m).for_each(|(bin, point)| means[*bin] += point);
         means.iter_mut().zip(&self.counts).for_each(|(mean, count)| *mean /= *count);
         means
+    }
+
+    /// The weighted means of samples and their displacements, each of all the weight in its bin. The mean displacement is the
+    /// receiver's.
+    pub fn samples(&self, samples: &Samples) -> Option<Samples> {
+        let mut sums = vec![(0.0, Complex64::ZERO, Vector3::zeros()); self.len()];
+        let each = samples.z().iter().zip(samples.displacements_m()).zip(samples.weight());
+        for (bin, ((z, place), &weight)) in self.of.iter().zip(each) {
+            let sum = &mut sums[*bin];
+            *sum = (sum.0 + weight, sum.1 + weight * z, sum.2 + weight * place);
+        }
+        let mut means = Samples::new(samples.wavelength_m(), samples.path_gain()).ok()?;
+        for (weight, z, place) in sums.into_iter().filter(|(weight, ..)| *weight > 0.0) {
+            means.push_weighted(0.0, z / weight, place / weight, Vector3::zeros(), weight).ok()?;
+        }
+        Some(means)
     }
 
     fn rows<'a>(&self, rows: impl Iterator<Item = &'a Planes>) -> Vec<Planes> {
