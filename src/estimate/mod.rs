@@ -299,18 +299,32 @@ pub(crate) fn estimate(
         return Ok(found);
     }
     let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry_sd_m);
+    let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
+    widen(&mut modes, &model.points);
     Ok(Found {
         plane_wave,
         sufficient: Sufficient::Posterior(reason),
         signed: model.prior.is_signed() && !mirror.level,
         mirror: mirror.of_first,
-        bound_rad: modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt()),
+        bound_rad,
         modes,
         blur: Blur { heading_rad: task.heading_sd_rad, model_rad: tuning::MODEL_DEG.to_radians() },
         prior: model.prior,
         slope_sd_rad,
         middle_m,
     })
+}
+
+/// Adds to elevations and ranges what the model leaves out, as [`Blur`] does to azimuths: phases across the motion that turn the
+/// azimuth by an angle `d` bend the wave front by `2 d / radius`.
+fn widen(modes: &mut [Mode], points: &[Vector3<f64>]) {
+    let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
+    // 68 % of a Cauchy distribution are within so many of its widths.
+    let angle = 1.84 * tuning::MODEL_DEG.to_radians();
+    for mode in modes {
+        mode.covariance[(1, 1)] += angle * angle;
+        mode.covariance[(2, 2)] += (2.0 * angle / radius_m.max(f64::MIN_POSITIVE)).powi(2);
+    }
 }
 
 /// The likelihood over windows and channels for one model of the heights.

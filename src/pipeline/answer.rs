@@ -64,8 +64,8 @@ pub struct Answer {
     pub range_m: Option<f64>,
     /// Its predicted standard deviation, metres.
     pub range_sd_m: Option<f64>,
-    /// Position of the transmitter in the trajectory's frame at `position_t_s`, metres, where there is a range. Without an
-    /// `elevation_deg` its height is drawn upwards: level motion does not distinguish up from down.
+    /// Position of the transmitter in the trajectory's frame at `position_t_s`, metres, where there is a range and the first
+    /// candidate holds at least 68 % of the probability. Without an `elevation_deg` its height is drawn upwards: level motion does not distinguish up from down.
     pub position_m: Option<[f64; 3]>,
     /// The time of the position, seconds on the trajectory's clock: that of the last sample used.
     pub position_t_s: Option<f64>,
@@ -221,9 +221,11 @@ impl Answer {
         self.confidence = Some(answer.probability);
         if let Some(range) = &answer.range {
             (self.range_m, self.range_sd_m) = (Some(range.range_m), Some(range.sd_m));
-            self.position_m = Some(range.position_m.into());
-            self.position_t_s = Some(range.position_t_s);
-            self.position_covariance_m2 = Some(range.covariance_m2.into());
+            if answer.has_place() {
+                self.position_m = Some(range.position_m.into());
+                self.position_t_s = Some(range.position_t_s);
+                self.position_covariance_m2 = Some(range.covariance_m2.into());
+            }
         }
         self.candidates = answer.candidates.iter().map(CandidateAnswer::new).collect();
     }

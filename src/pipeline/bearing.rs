@@ -108,6 +108,13 @@ impl BearingAnswer {
         self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
     }
 
+    /// Whether there is a place to speak of: a range, in a direction that holds as much probability as an ellipse of one
+    /// deviation promises.
+    #[must_use]
+    pub fn has_place(&self) -> bool {
+        self.range.is_some() && self.candidates.first().is_some_and(|first| first.share >= ONE_DEVIATION)
+    }
+
     /// What the posterior says.
     pub(super) fn of(found: &Found, samples: &Samples) -> Self {
         let first = found.modes.first();
@@ -118,7 +125,7 @@ impl BearingAnswer {
         let narrowed = found.prior.elevation_is_open() && own_sd < NARROWED * elevation_sd;
         let curve_sd = covariance[(2, 2)].max(0.0).sqrt();
         let has_range = found.prior.curve_max > 0.0 && curve_sd < NARROWED * ln_range_sd * place.curve;
-        let azimuth_sd_rad = found.half_width_rad(0.683);
+        let azimuth_sd_rad = found.half_width_rad(ONE_DEVIATION);
         let candidate = |mode: &Mode| Candidate {
             azimuth_rad: mode.place.azimuth,
             abs_elevation_rad: mode.place.elevation.abs(),
@@ -155,6 +162,8 @@ impl BearingAnswer {
     }
 }
 
+/// The probability within one deviation of a normal distribution.
+const ONE_DEVIATION: f64 = 0.683;
 /// The place of a posterior without any mode.
 const NOWHERE: Place = Place { azimuth: 0.0, elevation: 0.0, curve: 0.0 };
 

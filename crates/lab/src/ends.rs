@@ -171,7 +171,10 @@ impl Recording {
             (None, Some(_)) => Some(answer.abs_elevation_rad - truth.1.abs()),
             (None, None) => None,
         };
-        let position = answer.range.map(|range| (range, range.position_m - at(transmitter, range.position_t_s)));
+        let position = answer
+            .range
+            .filter(|_| answer.has_place())
+            .map(|range| (range, range.position_m - at(transmitter, range.position_t_s)));
         let level = |(range, error): (csi5300::pipeline::Range, Vector3<f64>)| {
             let covariance = range.covariance_m2.fixed_view::<2, 2>(0, 0).into_owned();
             covariance.try_inverse().map(|inverse| error.xy().dot(&(inverse * error.xy())))

@@ -40,9 +40,11 @@ fn print(name: &str, seen: &[Seen]) {
         |of: &dyn Fn(&Seen) -> f64| (seen.iter().map(|s| of(s).powi(2)).sum::<f64>() / seen.len().max(1) as f64).sqrt();
     let elevation = |s: &Seen| s.elevation_error_deg.unwrap_or(0.0);
     let positions: Vec<f64> = seen.iter().filter_map(|s| s.position_error_m.map(|e| e.xy().norm())).collect();
-    let inside = seen.iter().filter(|s| s.position_level.is_some_and(|level| level < 5.99)).count();
+    // -2 ln(1 - share) of the shares of one and two deviations.
+    let [inside_68, inside_95] =
+        [2.297, 6.158].map(|most| seen.iter().filter(|s| s.position_level.is_some_and(|level| level < most)).count());
     println!(
-        "{name:34} {:4} runs; azimuth mean {:7.4}, worst {:7.3} ({:5.2} x bound, {} beyond the bar), elevation {:7.3} ({:5.2}); {} signed; position {} reported, worst {:.2} m, {inside} within 95 %",
+        "{name:34} {:4} runs; azimuth mean {:7.4}, worst {:7.3} ({:5.2} x bound, {} beyond the bar), elevation {:7.3} ({:5.2}); {} signed; position {} reported, worst {:.2} m, {inside_68} within 68 %, {inside_95} within 95 %",
         seen.len(),
         seen.iter().map(|s| s.azimuth_error_deg).sum::<f64>() / seen.len().max(1) as f64,
         worst(&|s| s.azimuth_error_deg),

@@ -420,6 +420,13 @@ fn describe(answer: &Answer, made_of: &str) -> String {
                 if answer.elevation_deg.is_none() { " (the sign of the height is a guess)" } else { "" }
             );
         }
+        (Some(range), Some(sd), None) => {
+            let share = answer.candidates.first().map_or(0.0, |first| 100.0 * first.share);
+            let _ = writeln!(
+                text,
+                "  range {range:.2} +- {sd:.2} m; no place: this direction has only {share:.0} % of the probability"
+            );
+        }
         // A plane wave has no range to be found.
         _ if answer.model != Some(WaveModel::SphericalWave) => {}
         _ => text += "  no range: the samples do not narrow it\n",

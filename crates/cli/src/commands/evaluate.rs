@@ -339,7 +339,12 @@ fn range_words(ranges: &Ranges) -> Option<String> {
     let median_m = ranges.median_m?;
     let links = super::some(ranges.links as u64, "link", "links");
     let over = ranges.over_bound.map_or(String::new(), |over| format!(", {over:.2} of the predicted deviation"));
-    Some(format!("range from {} of {links}, median error {median_m:.2} m{over}", ranges.reported))
+    let [places, within_68, within_95] = ranges.places;
+    let ellipses = match places {
+        0 => String::new(),
+        _ => format!("; of {places} places {within_68} within the 68 % ellipse, {within_95} within the 95 % one"),
+    };
+    Some(format!("range from {} of {links}, median error {median_m:.2} m{over}{ellipses}", ranges.reported))
 }
 
 /// Links by set.

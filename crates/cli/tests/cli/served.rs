@@ -149,7 +149,9 @@ pub fn two_nodes(name: &str, [rx, tx]: &[String; 2], least: usize) -> (serde_jso
     let (_, served) = room.end();
     let last = bearings().pop().unwrap();
     let off_deg = last["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
-    assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {last}");
+    // A busy machine answers irregularly: then the bar is longer, and says so.
+    let bar_deg = last["azimuth_95_deg"].as_f64().unwrap();
+    assert!(off_deg.abs() < bar_deg.max(2.0) && bar_deg < 10.0, "{off_deg} degrees off: {last}");
     std::fs::remove_dir_all(&folder).unwrap();
     (last, served)
 }

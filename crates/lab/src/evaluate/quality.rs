@@ -52,7 +52,12 @@ pub struct Ranges {
     pub median_m: Option<f64>,
     /// How the errors compare with the predicted deviations: 1 where those tell the truth.
     pub over_bound: Option<f64>,
+    /// Places that were reported and whose truth is known; those within their ellipses of 68 and of 95 %.
+    pub places: [usize; 3],
 }
+
+/// Deviations within which 68.3 and 95.4 % of a normal distribution in the plane are: `sqrt(-2 ln(1 - share))`.
+const ELLIPSES: [f64; 2] = [1.515_7, 2.481_0];
 
 /// How good the ranges are.
 #[must_use]
@@ -63,7 +68,9 @@ pub fn ranges(rows: &[&Judged]) -> Ranges {
     // Errors are horizontal, and so are their deviations.
     let sd_m = |answer: &Answer| answer.range_sd_m.map(|sd| sd * horizontal(answer));
     let over_bound = scale(rows.iter().filter_map(|row| row.range_error_m.zip(sd_m(&row.answer))));
-    Ranges { links: known.count(), reported, median_m: median(&mut errors), over_bound }
+    let within = |most: f64| rows.iter().filter(|row| row.position_error_sd.is_some_and(|off| off <= most)).count();
+    let places = [within(f64::INFINITY), within(ELLIPSES[0]), within(ELLIPSES[1])];
+    Ranges { links: known.count(), reported, median_m: median(&mut errors), over_bound, places }
 }
 
 /// The share of an answer's range that is horizontal: the truth has no heights.
@@ -275,7 +282,7 @@ mod tests {
         let rows: Vec<&Judged> = rows.iter().collect();
         assert!((over_bound(&rows).unwrap() - 0.7 / 0.674_5).abs() < 1e-9, "{:?}", over_bound(&rows));
         assert_eq!(over_bound(&[]), None);
-        assert_eq!(ranges(&rows), Ranges { links: 0, reported: 0, median_m: None, over_bound: None });
+        assert_eq!(ranges(&rows), Ranges { links: 0, reported: 0, median_m: None, over_bound: None, places: [0; 3] });
         // Half a slant deviation is a whole horizontal one 60 degrees up.
         let slant = |elevation_deg: f64| {
             let mut row = row("a/x", 0.0, 0.0, 0.5);

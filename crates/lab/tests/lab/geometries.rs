@@ -226,3 +226,19 @@ fn a_motion_towards_the_transmitter_or_nearly_is_as_sure_as_its_bar_says() {
         }
     }
 }
+
+/// A straight drive hides the side: the range is known, the place is not.
+#[test]
+fn a_mirror_leaves_a_range_and_no_place() {
+    let straight = |points_m| RobotMotion::Waypoints(Waypoints { points_m, speed_m_s: 0.2, start_s: 0.0 });
+    let line = straight(vec![[1.2, 0.0, 0.0]]);
+    let corner = straight(vec![[0.6, 0.0, 0.0], [0.6, 0.6, 0.0]]);
+    for (motion, has_place) in [(line, false), (corner, true)] {
+        let recording = in_space(motion, [1.5, 2.5, 0.0], 4).record().unwrap();
+        let bearing = recording.bearing(&options()).unwrap();
+        let (answer, seen) = (&bearing.answer, recording.judge(&bearing));
+        assert!(answer.range.is_some_and(|range| (range.range_m - 2.66).abs() < 4.0 * range.sd_m), "{answer:?}");
+        assert_eq!((answer.has_place(), seen.position_error_m.is_some()), (has_place, has_place), "{answer:?}");
+        assert_eq!(answer.mirror_rad.is_some(), !has_place, "{answer:?}");
+    }
+}

@@ -32,9 +32,11 @@ mod id {
     pub const VERSION: u16 = 0x0015;
     pub const VENDOR: u16 = 0x0016;
     pub const RELIABILITY: u16 = 0x001a;
+    pub const LIVELINESS: u16 = 0x001b;
     pub const DURABILITY: u16 = 0x001d;
     pub const OWNERSHIP: u16 = 0x001f;
     pub const DEADLINE: u16 = 0x0023;
+    pub const DESTINATION_ORDER: u16 = 0x0025;
     pub const PARTITION: u16 = 0x0029;
     pub const USER_DATA: u16 = 0x002c;
     pub const UNICAST: u16 = 0x002f;
@@ -251,6 +253,11 @@ impl EndpointData {
                 id::DURABILITY => qos.durability = u32::read(&mut value)?,
                 id::HISTORY => qos.depth = <[u32; 2]>::read(&mut value)?[1],
                 id::DEADLINE => qos.has_deadline = i32::read(&mut value)? != i32::MAX,
+                // Anything but automatic and without a lease: a kind, then seconds and their fractions.
+                id::LIVELINESS => {
+                    qos.has_liveliness = u32::read(&mut value)? != 0 || i32::read(&mut value)? != i32::MAX;
+                }
+                id::DESTINATION_ORDER => qos.by_source = u32::read(&mut value)? == 1,
                 id::OWNERSHIP => qos.exclusive = u32::read(&mut value)? == 1,
                 id::PARTITION => qos.partitions = list(&mut value, name)?,
                 id::REPRESENTATION => qos.representations = list(&mut value, i16::read)?,
@@ -311,6 +318,19 @@ mod tests {
         least.put(id::TOPIC, |value| "t".to_owned().write(value));
         least.put(id::TYPE, |value| "T".to_owned().write(value));
         let least = least.finish();
+        let asks = |number: u16, words: &[u32]| {
+            let mut list = List::new();
+            list.put(id::ENDPOINT, |value| value.put(&guid.bytes()));
+            list.put(id::TOPIC, |value| "t".to_owned().write(value));
+            list.put(id::TYPE, |value| "T".to_owned().write(value));
+            list.put(number, |value| words.iter().for_each(|word| word.write(value)));
+            let qos = EndpointData::read(&list.finish(), false).unwrap().unwrap().qos;
+            (qos.has_liveliness, qos.by_source)
+        };
+        assert_eq!(asks(id::LIVELINESS, &[0, i32::MAX as u32, u32::MAX]), (false, false));
+        assert_eq!(asks(id::LIVELINESS, &[2, i32::MAX as u32, u32::MAX]), (true, false), "manual by topic");
+        assert_eq!(asks(id::LIVELINESS, &[0, 5, 0]), (true, false), "a lease of 5 s");
+        assert_eq!(asks(id::DESTINATION_ORDER, &[1]), (false, true));
         let reliable = |is_writer| EndpointData::read(&least, is_writer).unwrap().unwrap().qos.reliable;
         assert!(reliable(true) && !reliable(false), "what is left out is as usual");
         for cut in 0..payload.len() {

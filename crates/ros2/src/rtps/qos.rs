@@ -11,6 +11,10 @@ pub struct Qos {
     pub depth: u32,
     /// A time between samples is promised or asked for.
     pub has_deadline: bool,
+    /// Signs of life are promised or asked for: by hand, or within a time.
+    pub has_liveliness: bool,
+    /// Samples are ordered by the time at which they were written, not received.
+    pub by_source: bool,
     /// One writer only.
     pub exclusive: bool,
     /// Parts of the domain; none is the one without a name.
@@ -51,6 +55,12 @@ impl Qos {
             Some("the publisher is volatile, and the subscriber asks for transient local")
         } else if asked.has_deadline && !self.has_deadline {
             Some("the subscriber asks for a deadline, and the publisher promises none")
+        } else if asked.has_liveliness && !self.has_liveliness {
+            Some("the subscriber asks for signs of life (liveliness) that the publisher does not promise")
+        } else if asked.by_source && !self.by_source {
+            Some(
+                "the subscriber asks for the order of writing (destination order by source), and the publisher offers that of reception",
+            )
         } else if asked.exclusive != self.exclusive {
             Some("one end has exclusive ownership, the other shared")
         } else if !any(&asked.representations, representation) {
@@ -86,6 +96,13 @@ mod tests {
         assert_eq!(usual.mismatch(&Qos { representations: vec![2, 0], ..usual.clone() }), None);
         let apart = Qos { partitions: vec!["a".into()], ..usual.clone() };
         assert!(usual.mismatch(&apart).is_some_and(|why| why.contains("partitions")));
-        assert!(usual.mismatch(&Qos { has_deadline: true, ..usual.clone() }).is_some());
+        for (asked, why) in [
+            (Qos { has_deadline: true, ..usual.clone() }, "deadline"),
+            (Qos { has_liveliness: true, ..usual.clone() }, "liveliness"),
+            (Qos { by_source: true, ..usual.clone() }, "destination order"),
+        ] {
+            assert!(usual.mismatch(&asked).is_some_and(|said| said.contains(why)), "{why}");
+            assert_eq!(asked.mismatch(&usual), None, "{why}");
+        }
     }
 }

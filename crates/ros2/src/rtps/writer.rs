@@ -10,8 +10,10 @@ use std::sync::Arc;
 pub(crate) const LARGEST: usize = 64_000;
 /// Samples that a reader is sent again between two beats, however often it asks.
 const AGAIN: usize = 64;
-/// Beats without a question or an answer of a reader, after which it gets no more of them.
+/// Beats without a question or an answer of a reader, after which it gets fewer: none if it was never heard.
 const UNHEARD: u32 = 10;
+/// Of so many beats one goes to a reader that was heard before and is not any more: its link may come back.
+const SELDOM: u32 = 5;
 /// Beats that an announcement of such a reader is worth.
 const RENEWED: u32 = 2;
 /// Readers of one topic at most.
@@ -56,12 +58,14 @@ pub(crate) struct Writer {
     last: i64,
     readers: BTreeMap<Guid, Reading>,
     beats: u32,
+    /// Times that [`Writer::beat`] was called.
+    turns: u32,
 }
 
 impl Writer {
     /// One that keeps as many samples as `qos` says.
     pub fn new(own: Prefix, entity: Entity, qos: Qos) -> Self {
-        Self { own, entity, qos, kept: VecDeque::new(), last: 0, readers: BTreeMap::new(), beats: 0 }
+        Self { own, entity, qos, kept: VecDeque::new(), last: 0, readers: BTreeMap::new(), beats: 0, turns: 0 }
     }
 
     /// Readers that are sent to.
@@ -145,11 +149,14 @@ impl Writer {
         self.readers.retain(|guid, _| !is(guid));
     }
 
-    /// Tells all reliable readers that have not everything what there is, as long as they are heard: an address that nobody
-    /// answers from, made up perhaps, is not sent to for ever.
+    /// Tells all reliable readers that have not everything what there is. An address that nobody ever answered from, made up
+    /// perhaps, is not sent to for long; one that fell silent is asked seldom, until its participant's lease ends.
     pub fn beat(&mut self, out: &mut Vec<Outgoing>) {
         self.readers.values_mut().for_each(|one| one.again = AGAIN);
-        let is_behind = |one: &Reading| one.reliable && one.acked <= self.last && one.unheard < UNHEARD;
+        self.turns = self.turns.wrapping_add(1);
+        let seldom = self.turns % SELDOM == 0;
+        let is_due = |one: &Reading| one.unheard < UNHEARD || (seldom && one.count.is_some());
+        let is_behind = |one: &Reading| one.reliable && one.acked <= self.last && is_due(one);
         let behind: Vec<Guid> = self.readers.iter().filter(|(_, one)| is_behind(one)).map(|(guid, _)| *guid).collect();
         behind.iter().for_each(|guid| self.beat_one(*guid, out));
     }
@@ -190,5 +197,34 @@ impl Writer {
             let made = Maker::new(self.own, Some(guid.prefix));
             out.push((to, made.gap((guid.entity, self.entity), range).finish()));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_that_fell_silent_is_asked_until_it_is_back_and_one_that_never_spoke_is_not() {
+        let mut writer = Writer::new([1; 12], [0, 0, 1, 3], Qos::reliable(100));
+        let guid = |k: u8| Guid { prefix: [k; 12], entity: [0, 0, 1, 4] };
+        let at = |k: u8| SocketAddrV4::new([127, 0, 0, k].into(), 7_411);
+        let mut out = Vec::new();
+        for k in [2, 3] {
+            assert!(writer.add(guid(k), at(k), true, true, &mut out));
+        }
+        writer.write(Arc::from([0_u8; 4]), None, 0, &mut out);
+        writer.handle_acknack(guid(2), &Numbers::none(1), 1, 0, &mut out);
+        let mut beats_to = |k: u8, turns: usize| {
+            let mut all = Vec::new();
+            (0..turns).for_each(|_| writer.beat(&mut all));
+            all.iter().filter(|(to, _)| *to == at(k)).count()
+        };
+        // Four seconds of ten beats each without a link.
+        let (heard, never) = (beats_to(2, 40), beats_to(3, 0));
+        assert!((10..=20).contains(&heard) && never == 0, "{heard} {never}");
+        assert_eq!(beats_to(3, 10), 0, "its beats are used up");
+        let within_half_a_second = beats_to(2, SELDOM as usize);
+        assert_eq!(within_half_a_second, 1);
     }
 }
