@@ -154,7 +154,7 @@ impl Writer {
     pub fn beat(&mut self, out: &mut Vec<Outgoing>) {
         self.readers.values_mut().for_each(|one| one.again = AGAIN);
         self.turns = self.turns.wrapping_add(1);
-        let seldom = self.turns % SELDOM == 0;
+        let seldom = self.turns.is_multiple_of(SELDOM);
         let is_due = |one: &Reading| one.unheard < UNHEARD || (seldom && one.count.is_some());
         let is_behind = |one: &Reading| one.reliable && one.acked <= self.last && is_due(one);
         let behind: Vec<Guid> = self.readers.iter().filter(|(_, one)| is_behind(one)).map(|(guid, _)| *guid).collect();
