@@ -4,21 +4,21 @@ mod captures;
 mod located;
 mod one_log;
 mod pairs;
-mod quality;
 mod transmitters;
+mod words;
 
-use self::quality::quality;
+use self::words::describe;
 use super::args::{Estimation, channel, columns, mac, triple};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
 use super::mounting::Mounting;
-use super::{Outcome, Result, fixed, hint, info, is_same_file, print, print_json, profile, usage};
+use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, usage};
 use csi5300::bartlett::Grid;
 use csi5300::motion::odometry::csv::Columns;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
-use csi5300::pipeline::{CaptureReport, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
+use csi5300::pipeline::{CaptureReport, LinkReport, LogReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
 use driver_iface::Mac;
@@ -367,7 +367,7 @@ fn tell(answer: &Answer, json: bool) {
     if json {
         print_json(answer);
     } else {
-        print(&describe(answer, &pairs::pairs(answer)));
+        print(&describe(answer, &pairs::doubts(answer), &pairs::pairs(answer)));
         print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
     }
     if let Some(error) = &answer.error {
@@ -389,58 +389,3 @@ fn say_heard(rx: &Path, report: &CaptureReport, link: &LinkReport) {
         );
     }
 }
-
-fn describe(answer: &Answer, made_of: &str) -> String {
-    let mut text = answer.link.clone();
-    if let Some(mac) = &answer.mac {
-        let _ = write!(text, " ({mac})");
-    }
-    let Some(azimuth) = answer.azimuth_deg else {
-        return format!("{text}: no bearing\n");
-    };
-    let _ = write!(text, ": {} deg", fixed(azimuth, 2));
-    if let Some(sd) = answer.azimuth_sd_deg {
-        let _ = write!(text, " +- {sd:.2}");
-    }
-    if let Some(mirror) = captures::mirror(answer) {
-        let _ = write!(text, ", or its mirror {mirror}");
-    } else if let Some(next) = answer.candidates.get(1).filter(|next| next.share >= ALIKE) {
-        let _ = write!(text, ", or {} deg ({:.0} %)", fixed(next.azimuth_deg, 2), 100.0 * next.share);
-    }
-    text.push('\n');
-    if let Some(confidence) = answer.confidence {
-        let _ = writeln!(text, "  within 5 degrees with probability {confidence:.2}");
-    }
-    match (answer.range_m, answer.range_sd_m, answer.position_m) {
-        (Some(range), Some(sd), Some(position_m)) => {
-            let [x, y, z] = position_m.map(|metres| fixed(metres, 2));
-            let _ = writeln!(
-                text,
-                "  range {range:.2} +- {sd:.2} m: x {x}, y {y}, z {z} m in the trajectory's frame at the last pair{}",
-                if answer.elevation_deg.is_none() { " (the sign of the height is a guess)" } else { "" }
-            );
-        }
-        (Some(range), Some(sd), None) => {
-            let share = answer.candidates.first().map_or(0.0, |first| 100.0 * first.share);
-            let _ = writeln!(
-                text,
-                "  range {range:.2} +- {sd:.2} m; no place: this direction has only {share:.0} % of the probability"
-            );
-        }
-        // A plane wave has no range to be found.
-        _ if answer.model != Some(WaveModel::SphericalWave) => {}
-        _ => text += "  no range: the samples do not narrow it\n",
-    }
-    if answer.mirror_deg.is_none() && answer.candidates.len() > 1 {
-        text += "  candidates:\n";
-        text += &captures::places(&answer.candidates);
-    }
-    if let Some(body) = answer.azimuth_body_deg {
-        let _ = writeln!(text, "  in the robot's frame: {} deg (heading at the last sample)", fixed(body, 2));
-    }
-    text += &quality(answer);
-    text + made_of
-}
-
-/// A second candidate with at least this probability stands beside the first.
-const ALIKE: f64 = 0.1;

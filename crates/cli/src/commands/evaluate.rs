@@ -224,7 +224,9 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<()
         print_json(&BTreeMap::from([("summary", &summary)]));
     } else {
         print(&table(rows, &summary));
-        print(&worth(rows));
+        if csi5300_say::says(csi5300_say::Level::Verbose) {
+            print(&worth(rows));
+        }
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
@@ -238,43 +240,41 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<()
 fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
     let width = rows.iter().map(|row| row.answer.link.len()).max().unwrap_or(4).max(4);
     let mut text = format!(
-        "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}\n{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}\n",
+        "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6}\n{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6}\n",
         "link",
         "azimuth",
         "+-",
         "mirror",
         "truth",
         "error",
-        "coh.",
+        "sure",
         "pairs",
-        "CFO",
         "",
         "deg",
         "deg",
         "deg",
         "deg",
         "deg",
+        "%",
         "",
-        "",
-        "Hz"
     );
     let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| fixed(value, digits));
     for row in rows {
         let a = &row.answer;
         let _ = writeln!(
             text,
-            "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}",
+            "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6}",
             a.link,
             number(a.azimuth_deg, 2),
             number(a.azimuth_sd_deg, 2),
             number(a.mirror_deg, 2),
             number(row.true_from_mean_pose_deg, 2),
             number(row.error_from_mean_pose_deg, 2),
-            number(a.coherence, 2),
+            number(a.confidence.map(|confidence| 100.0 * confidence), 0),
             a.pairs_in_motion,
-            number(a.cfo_hz, 0),
         );
     }
+    text += "sure: probability that the azimuth is within 5 degrees\n";
     let _ = writeln!(text, "\nabsolute error, degrees: mean / median / 90th percentile / share over 20 degrees");
     for (set, s) in all_last(summary) {
         let _ = writeln!(

@@ -91,7 +91,8 @@ fn a_bearing_with_everything_that_was_counted() {
         assert!(answer.get(key).is_some(), "no {key} in {out}");
     }
     let (_, text, _) = folder.bearing(&[]);
-    assert!(text.contains("114.") && text.contains("600 pairs"), "{text}");
+    assert!(text.contains("114.") && text.contains("GOOD") && text.lines().count() <= 4, "{text}");
+    assert!(folder.bearing(&["-v"]).1.contains("600 pairs"));
 }
 
 #[test]

@@ -147,7 +147,8 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>) {
         _ if args.json => print_json(&Row::new(row, bearing)),
         Some(bearing) if args.explain => print(&explain(row, bearing)),
         _ => {
-            let mut text = super::describe(&row.answer, &super::pairs::pairs(&row.answer));
+            let mut text =
+                super::describe(&row.answer, &super::pairs::doubts(&row.answer), &super::pairs::pairs(&row.answer));
             truth(&mut text, "  truth", row);
             print(&text);
         }

@@ -109,7 +109,7 @@ pub fn run(args: &Args) -> Result {
         if args.json {
             print_json(&answer);
         } else {
-            print(&describe(&answer, &pairs::records(&answer)));
+            print(&describe(&answer, "", &pairs::records(&answer)));
         }
         if let Some(error) = &answer.error {
             wrong!("{}: {error}", answer.link);

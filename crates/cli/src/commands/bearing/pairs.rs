@@ -1,6 +1,7 @@
 //! What a bearing was made of, in words.
 
 use crate::commands::some;
+use csi5300::exchange::pairing::SideCounts;
 use csi5300::pipeline::{Answer, PairCounts};
 use std::fmt::Write as _;
 
@@ -9,6 +10,33 @@ const MANY_TWICE: f64 = 10.0;
 
 /// Share of pairs that lose their pose by more than what two hosts' clocks make of a log's beginning and end.
 const MANY_OUTSIDE: f64 = 0.05;
+
+/// What may be wrong with the logs, a line each; nothing of a link whose logs are as usual.
+pub(super) fn doubts(answer: &Answer) -> String {
+    let counts = answer.pair_counts;
+    let mut text = exchanged(&counts);
+    if counts.too_wide > 0 {
+        let _ = writeln!(
+            text,
+            "  the motion is too wide for one search: {} pairs outside its best stretch are left out (--from and --to choose another)",
+            counts.too_wide
+        );
+    }
+    for (name, side) in sides(answer) {
+        if MANY_TWICE * side.duplicates as f64 > side.handed as f64 {
+            let _ = writeln!(
+                text,
+                "  {} of the {name} log have the number of one before: the first of each is used, whoever sent the other",
+                some(side.duplicates, "frame", "frames")
+            );
+        }
+    }
+    text
+}
+
+fn sides(answer: &Answer) -> [(&'static str, SideCounts); 2] {
+    [("receiver's", answer.receiver_records), ("transmitter's", answer.transmitter_records)]
+}
 
 /// What became of the pairs and of each log's frames.
 pub(super) fn pairs(answer: &Answer) -> String {
@@ -24,14 +52,6 @@ pub(super) fn pairs(answer: &Answer) -> String {
         counts.silent,
         if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
     );
-    text += &exchanged(&counts);
-    if counts.too_wide > 0 {
-        let _ = writeln!(
-            text,
-            "  the motion is too wide to be searched at once: {} pairs outside of its best stretch left out (--from and --to choose another)",
-            counts.too_wide
-        );
-    }
     if let (Some(cfo), Some(before), Some(after)) =
         (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)
     {
@@ -39,7 +59,7 @@ pub(super) fn pairs(answer: &Answer) -> String {
         let drifts = answer.cfo_span_hz.map_or(String::new(), |hz| format!(" (drifting by {hz:.0} Hz)"));
         let _ = writeln!(text, "  CFO {cfo:.0} Hz{drifts} {verb}; phase coherence {before:.2} -> {after:.2}");
     }
-    for (name, side) in [("receiver's", answer.receiver_records), ("transmitter's", answer.transmitter_records)] {
+    for (name, side) in sides(answer) {
         let odd = side.duplicates + side.implausible + side.mispaired + side.restarts;
         let _ = write!(
             text,
@@ -56,13 +76,6 @@ pub(super) fn pairs(answer: &Answer) -> String {
             );
         }
         text.push('\n');
-        if MANY_TWICE * side.duplicates as f64 > side.handed as f64 {
-            let _ = writeln!(
-                text,
-                "  {} of the {name} log have the number of one before: the first of each is used, whoever sent the other",
-                some(side.duplicates, "frame", "frames")
-            );
-        }
     }
     text
 }

@@ -1,0 +1,184 @@
+//! A bearing in words: the answer, how sure it is, where it is seen from, why it is poor; with `-v` everything it was made of.
+
+use super::captures::{mirror, places};
+use crate::commands::fixed;
+use csi5300::pipeline::{Answer, WaveModel};
+use csi5300_say::{Level, Tone, says, toned};
+use std::fmt::Write;
+
+/// A second candidate with at least this probability stands beside the first.
+const ALIKE: f64 = 0.1;
+/// Probabilities from which an answer is good, and fair.
+const GOOD: f64 = 0.8;
+const FAIR: f64 = 0.5;
+/// A path along which one wave explains less of the phases than this is worth a second look.
+const LITTLE: f64 = 0.3;
+
+/// An answer. `doubts` are lines that nobody should miss, `details` those of what it was made of.
+pub(super) fn describe(answer: &Answer, doubts: &str, details: &str) -> String {
+    describe_with(answer, doubts, says(Level::Verbose).then_some(details))
+}
+
+fn describe_with(answer: &Answer, doubts: &str, details: Option<&str>) -> String {
+    let mut text = answer.link.clone();
+    if let Some(mac) = &answer.mac {
+        let _ = write!(text, " ({mac})");
+    }
+    let Some(azimuth) = answer.azimuth_deg else {
+        return format!("{text}: no bearing\n{doubts}{}", details.unwrap_or_default());
+    };
+    let _ = write!(text, ": {} deg", fixed(azimuth, 2));
+    if let Some(sd) = answer.azimuth_sd_deg {
+        let _ = write!(text, " +- {sd:.2}");
+    }
+    if let Some(mirror) = mirror(answer) {
+        let _ = write!(text, ", or its mirror {mirror}");
+    } else if let Some(next) = answer.candidates.get(1).filter(|next| next.share >= ALIKE) {
+        let _ = write!(text, ", or {} deg ({:.0} %)", fixed(next.azimuth_deg, 2), 100.0 * next.share);
+    }
+    text.push('\n');
+    text += &verdict(answer);
+    text += &origin(answer);
+    if let Some(body) = answer.azimuth_body_deg {
+        let _ = writeln!(text, "  {} deg from the robot's nose at the end, positive to the left", fixed(body, 2));
+    }
+    text += doubts;
+    if sure(answer).is_some_and(|sure| sure < FAIR) {
+        text += &why(answer);
+    }
+    if let Some(details) = details {
+        text += &quality(answer);
+        text += details;
+    }
+    text
+}
+
+/// Probability that the answer, or its mirror, is within five degrees.
+fn sure(answer: &Answer) -> Option<f64> {
+    answer.confidence.map(|confidence| (confidence / (1.0 - answer.mirror_share.unwrap_or(0.0))).min(1.0))
+}
+
+fn verdict(answer: &Answer) -> String {
+    let Some(sure) = sure(answer) else { return String::new() };
+    let word = match sure {
+        _ if sure >= GOOD => toned("GOOD", Tone::Good),
+        _ if sure >= FAIR => toned("FAIR", Tone::Doubt),
+        _ => toned("POOR", Tone::Bad),
+    };
+    let of = if answer.mirror_deg.is_some() { " of one of the two" } else { "" };
+    format!("  {word}: {:.0} % sure to be within 5 degrees{of}\n", 100.0 * sure)
+}
+
+/// Where the bearing is seen from, and how far away the transmitter is.
+fn origin(answer: &Answer) -> String {
+    const FROM: &str = "from the middle of the motion";
+    match (answer.range_m, answer.range_sd_m, answer.position_m) {
+        (Some(range), Some(sd), Some(position_m)) => {
+            let [x, y, z] = position_m.map(|metres| fixed(metres, 2));
+            let height = if answer.elevation_deg.is_some() { format!(", z {z}") } else { String::new() };
+            format!("  {range:.2} +- {sd:.2} m {FROM}, at x {x}, y {y}{height} m in the trajectory's frame\n")
+        }
+        (Some(range), Some(sd), None) => {
+            let share = answer.candidates.first().map_or(0.0, |first| 100.0 * first.share);
+            format!(
+                "  {range:.2} +- {sd:.2} m {FROM}; no place: this direction has only {share:.0} % of the probability\n"
+            )
+        }
+        // A plane wave has no distance to be found.
+        _ if answer.model != Some(WaveModel::SphericalWave) => format!("  {FROM}\n"),
+        _ => format!("  {FROM}; distance unknown\n"),
+    }
+}
+
+/// What makes an answer poor, and what to do next.
+fn why(answer: &Answer) -> String {
+    let mut text = String::new();
+    if let Some(coherence) = answer.coherence.filter(|coherence| *coherence < LITTLE) {
+        let _ = writeln!(
+            text,
+            "  Why: one wave explains only {:.0} % of the phases along this path. There are reflections, or the path is not \
+             that of the antenna (--antenna-offset, --clock-offset).",
+            100.0 * coherence
+        );
+    } else if answer.candidates.len() > 1 {
+        text += "  Why: other directions explain the samples about as well.\n";
+    }
+    if answer.candidates.len() > 1 && answer.mirror_deg.is_none() {
+        text += &places(&answer.candidates);
+    }
+    text + "  Look at the pictures (--plot DIR); -v prints what the answer was made of.\n"
+}
+
+/// The elevation: with its sign where the motion distinguishes up from down.
+fn elevation(answer: &Answer) -> String {
+    let sd = answer.elevation_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
+    match (answer.elevation_deg, answer.abs_elevation_deg) {
+        (Some(elevation), _) => format!("elevation {}{sd} deg", fixed(elevation, 2)),
+        (None, Some(size)) => format!("|elevation| {size:.2} deg"),
+        (None, None) => "elevation unknown".into(),
+    }
+}
+
+/// How far the answer explains what was measured.
+fn quality(answer: &Answer) -> String {
+    let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+    let mut text = match answer.candidates.len() {
+        0 | 1 => String::new(),
+        _ => format!("  candidates:\n{}", places(&answer.candidates)),
+    };
+    let _ = writeln!(
+        text,
+        "  {}; one plane wave explains {} of the phases (coherence, 0 to 1)",
+        elevation(answer),
+        or_dash(answer.coherence)
+    );
+    let _ = writeln!(
+        text,
+        "  profile variance of the WSR toolbox {} (lower is sharper), likelihood share of Dijkstra et al. {} (of 360 azimuths)",
+        or_dash(answer.wsr_profile_variance),
+        answer.likelihood_share.map_or("-".into(), |share| format!("{share:.4}")),
+    );
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answer(confidence: f64, change: impl FnOnce(&mut Answer)) -> Answer {
+        let mut answer = Answer::failed("tx".into(), String::new());
+        (answer.error, answer.azimuth_deg, answer.azimuth_sd_deg) = (None, Some(97.0), Some(34.4));
+        (answer.confidence, answer.coherence) = (Some(confidence), Some(0.28));
+        answer.model = Some(WaveModel::SphericalWave);
+        change(&mut answer);
+        answer
+    }
+
+    #[test]
+    fn a_good_answer_is_three_lines_and_more_is_asked_for() {
+        let good = answer(0.93, |answer| (answer.range_m, answer.range_sd_m) = (Some(3.9), Some(0.2)));
+        let short = describe_with(&good, "", None);
+        assert_eq!(short.lines().count(), 3, "{short}");
+        assert!(short.starts_with("tx: 97.00 deg +- 34.40\n  GOOD: 93 % sure"), "{short}");
+        assert!(!short.contains("CFO") && describe_with(&good, "", Some("  CFO\n")).ends_with("  CFO\n"));
+    }
+
+    #[test]
+    fn a_poor_answer_says_why_and_what_next_and_doubts_are_always_there() {
+        let poor = describe_with(&answer(0.35, |_| ()), "  a doubt\n", None);
+        for words in
+            ["POOR: 35 % sure", "only 28 % of the phases", "--antenna-offset", "distance unknown", "a doubt", "-v"]
+        {
+            assert!(poor.contains(words), "{words}: {poor}");
+        }
+        assert!(describe_with(&answer(0.6, |_| ()), "", None).contains("FAIR: 60 %"));
+    }
+
+    #[test]
+    fn a_mirror_has_half_of_the_probability_and_the_pair_all() {
+        let two = |answer: &mut Answer| (answer.mirror_deg, answer.mirror_share) = (Some(-97.0), Some(0.5));
+        let text = describe_with(&answer(0.47, two), "", None);
+        assert!(text.contains("or its mirror -97.00 deg") && text.contains("GOOD: 94 % sure"), "{text}");
+        assert!(text.contains("of one of the two") && !text.contains("Why"), "{text}");
+    }
+}
