@@ -67,7 +67,7 @@ struct Cli {
     /// Say nothing but results and errors: no notes, no progress
     #[arg(short, long, global = true, display_order = 900, hide_short_help = true)]
     quiet: bool,
-    /// Also print what an answer was made of, what is read, run time and memory
+    /// Print details: what an answer was made of, files, time and memory
     #[arg(short, long, global = true, conflicts_with = "quiet", display_order = 901)]
     verbose: bool,
     /// Colours in words

@@ -323,7 +323,7 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
     // Units stand below the heads.
     let (_, text, _) = folder.run(&["evaluate", "tree"]);
     let units: Vec<&str> = text.lines().nth(1).unwrap().split_whitespace().collect();
-    assert_eq!(units, ["deg", "deg", "deg", "deg", "deg", "Hz"], "{text}");
+    assert_eq!(units, ["deg", "deg", "deg", "deg", "deg", "%"], "{text}");
     assert!(rows[0]["error_from_mean_pose_deg"].as_f64().unwrap().abs() < 0.3, "{out}");
     assert_eq!(rows[1]["summary"]["A"]["links"], 1);
     // A damaged record, a missing receiver's log, no truth to read.
