@@ -28,6 +28,19 @@ def test_paths_logs_and_arrays_give_one_bearing(rx: Path, tx: Path, path_csv: Pa
         assert other.azimuth_deg == bearing.azimuth_deg and other.azimuth_sd_deg == bearing.azimuth_sd_deg
 
 
+def test_what_a_notebook_shows_fits_on_a_line_or_in_a_table(rx: Path, tx: Path, path_csv: Path) -> None:
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
+    text = repr(bearing)
+    assert text.startswith(f"<Bearing {tx.stem} 120.") and "deg +-" in text and ", p " in text and len(text) < 120
+    assert "<table>" in bearing._repr_html_() and "azimuth_bound_deg" in bearing._repr_html_()
+    (none,) = csi5300.bearings(rx, b"", trajectory=path_csv, channel=108)
+    assert "no bearing: " in repr(none) and "<table>" in none._repr_html_()
+    result = csi5300.evaluate(CIRCLE)
+    assert repr(result).startswith("<Evaluation of 1 links, 0 failed; error mean ") and len(repr(result)) < 120
+    assert "error_from_mean_pose_deg" in result._repr_html_()
+    assert {"bearings", "csiread", "plot"} <= set(dir(csi5300)) and "importlib" not in dir(csi5300)
+
+
 def test_arrays_mean_what_files_do_or_are_refused(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     track = csi5300.read_trajectory(path_csv)

@@ -82,6 +82,9 @@ if TYPE_CHECKING:
     from . import csiread, plot, ray
 else:
 
+    def __dir__() -> list[str]:
+        return sorted({*__all__, "csiread", "plot", "ray"})
+
     def __getattr__(name: str) -> Any:
         # Modules that most programs do not need are imported when they are first named.
         if name in ("csiread", "plot", "ray"):

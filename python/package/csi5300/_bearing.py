@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 import os
@@ -57,6 +58,22 @@ class Bearing:
     def __bool__(self) -> bool:
         return self._link is not None
 
+    def __repr__(self) -> str:
+        if not self:
+            return f"<Bearing {self.link}: no bearing: {self.error}>"
+        mirror = "" if math.isnan(self.mirror_deg) else f" or {self.mirror_deg:.1f}"
+        sure = "" if math.isnan(self.confidence) else f", p {self.confidence:.2f}"
+        away = "" if math.isnan(self.range_m) else f", {self.range_m:.2f} m"
+        return f"<Bearing {self.link} {self.azimuth_deg:.1f}{mirror} deg +- {self.azimuth_sd_deg:.1f}{sure}{away}>"
+
+    def _repr_html_(self) -> str:
+        known = {name: value for name, value in self.answer.items() if isinstance(value, (str, int, float)) and name != "link"}
+        cells = "".join(
+            f"<tr><td>{html.escape(name)}</td><td>{html.escape(f'{value:.6g}' if isinstance(value, float) else str(value))}</td></tr>"
+            for name, value in known.items()
+        )
+        return f"<details><summary>{html.escape(repr(self))}</summary><table>{cells}</table></details>"
+
     @property
     def link(self) -> str:
         """The link's name: the stem of the transmitter's log."""
@@ -80,7 +97,7 @@ class Bearing:
 
     @property
     def azimuth_sd_deg(self) -> float:
-        """Error bar: 68 % of errors within it, 95 % within twice (docs/accuracy.md), degrees."""
+        """Error bar: 68 % of errors are within it (docs/accuracy.md), degrees."""
         return _number(self.answer["azimuth_sd_deg"])
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import itertools
 import json
 import math
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
 
 TEXTS = ("capture", "error", "link", "mac")
 """Columns that are no numbers."""
+
+
+SHOWN = ("link", "azimuth_deg", "azimuth_sd_deg", "confidence", "error_from_mean_pose_deg", "mirror_deg", "error")
+"""Columns that one looks at first."""
+MOST_SHOWN = 100
+"""Rows that a notebook shows."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,25 @@ class Evaluation:
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return iter(self.rows)
 
+    def __repr__(self) -> str:
+        every = self.summary()["all"]
+        lost = "; something was lost, see .notes" if self.lost else ""
+        return (
+            f"<Evaluation of {every['links']} links, {every['failed']} failed; "
+            f"error mean {every['mean']:.2f}, median {every['median']:.2f} deg{lost}>"
+        )
+
+    def _repr_html_(self) -> str:
+        def cell(value: Any) -> str:
+            return html.escape("" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value))
+
+        heads = "".join(f"<th>{name}</th>" for name in SHOWN)
+        shown = self.rows[:MOST_SHOWN]
+        rows = "".join(f"<tr>{''.join(f'<td>{cell(row.get(name))}</td>' for name in SHOWN)}</tr>" for row in shown)
+        more = len(self.rows) - len(shown)
+        rest = f"<p>{more} more rows: to_pandas()</p>" if more else ""
+        return f"<p>{html.escape(repr(self))}</p><table><tr>{heads}</tr>{rows}</table>{rest}"
+
     def summary(self) -> dict[str, dict[str, float]]:
         """Absolute errors from the mean pose by set (the first folder) and of ``all``: links, failed, mean, median, 90th
         percentile (degrees), share over 20 degrees."""
@@ -92,8 +118,9 @@ class Evaluation:
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """A column for each name that any row has."""
-    names = dict.fromkeys(name for row in rows for name in row)
+    """A column for each name that any row has, those that one looks at first in front."""
+    every = dict.fromkeys(name for row in rows for name in row)
+    names = dict.fromkeys([*(name for name in SHOWN if name in every), *every])
     columns: dict[str, Any] = {name: [row.get(name) for row in rows] for name in names}
     for name, values in columns.items():
         there = [value for value in values if value is not None]
