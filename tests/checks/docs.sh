@@ -21,6 +21,12 @@ if grep -n '\.\./shared' README.md docs/*.md docs/*/*.md; then
     echo "these pages name a folder that readers do not have"
     exit 1
 fi
+# No sentence is too long, no phrase one that nobody would say.
+if command -v python3 >/dev/null; then
+    git ls-files -z '*.md' | xargs -0 python3 scripts/prose.py
+else
+    echo "skipped: the language of the pages: no python3"
+fi
 # Lines of blocks (fenced or indented) and what stands in backticks; what follows " #" is a remark.
 commands() { grep -oE '^(    )?csi5300 [a-z].*|`csi5300 [a-z][^`]*`' "$1" | tr -d '`' | sed 's/ #.*//'; }
 known=0
