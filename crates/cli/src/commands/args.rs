@@ -14,7 +14,7 @@ const FURTHEST_M: f64 = 1e6;
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "How bearings are made")]
 pub struct Estimation {
-    /// Antenna (RF port) used on both robots: A, B or C. With --baseline two or three of one robot: A,B
+    /// Antenna (RF port) used on both robots: A, B or C. With --baseline, two or three of one robot: A,B
     #[arg(
         long,
         visible_alias = "antennas",
@@ -24,8 +24,8 @@ pub struct Estimation {
         hide_short_help = true
     )]
     pub antenna: Vec<Antenna>,
-    /// Added to the receiver's host time to get the trajectory's; or `rows`: join the n-th frame of a link with the n-th row of
-    /// the trajectory instead of by time
+    /// Seconds to add to the receiver's host time to get the trajectory's time; or `rows`: join the n-th frame of a
+    /// link with the n-th row of the trajectory
     #[arg(
         long,
         default_value = "0",
@@ -41,17 +41,17 @@ pub struct Estimation {
     /// Shortest distance of a transmitter, metres [default: 1.8; less where the signals show it]
     #[arg(long, value_name = "METRES", hide_short_help = true)]
     pub range_min: Option<f64>,
-    /// Height of the transmitter above the receiver's antenna, where known, metres
+    /// Height of the transmitter above the receiver's antenna, metres, if known
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true)]
     pub height: Option<f64>,
     /// Standard deviation of the heading of the whole trajectory, degrees: 0.3 for motion capture, about 4 for a tracking
     /// camera, 20 for wheels. Error bars and confidence take it into account
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub heading_sd: Option<f64>,
-    /// Use pairs from this many seconds after the link's first one on
+    /// Use pairs from this many seconds after the link's first pair
     #[arg(long, value_name = "SECONDS", hide_short_help = true)]
     pub from: Option<f64>,
-    /// Use pairs up to this many seconds after the link's first one
+    /// Use pairs up to this many seconds after the link's first pair
     #[arg(long, value_name = "SECONDS", hide_short_help = true)]
     pub to: Option<f64>,
 }

@@ -33,43 +33,41 @@ use std::path::{Path, PathBuf};
                         csi5300 bearing --rx RX.dat --trajectory T.csv --channel 108 --antennas A,B --baseline 0.1,0,0\n\
                         --help lists all options.")]
 pub struct Args {
-    /// Captures, folders with captures below them, or links of them (FOLDER/tx2); or name the logs by --rx, --tx and --trajectory. Where
-    /// several links of a capture see transmitters whose places are known, its receiver is located too
+    /// Captures, folders of captures, or one link of them (FOLDER/tx2); or use --rx, --tx and --trajectory. If several
+    /// links of a capture see transmitters at known places, the receiver is located too
     #[arg(
         value_name = "CAPTURE",
         conflicts_with_all = ["rx", "tx", "tx_trajectory", "tx_mac", "rx_mac", "key", "profile", "columns"]
     )]
     captures: Vec<PathBuf>,
-    /// WiFi channel, with + or - for 40 MHz; of a capture instead of the one in groundtruth_positions.json
+    /// WiFi channel, with + or - for 40 MHz (default: that of the capture)
     #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "captures")]
     channel: Option<Channel>,
     #[command(flatten)]
     mounting: Mounting,
-    /// Draw each link into this folder: phase, trajectory, profile, and the evidence over azimuth, elevation and range; a map of each
-    /// capture
+    /// Draw phase, trajectory and profile of each link, and a map of each capture, into this folder
     #[cfg(feature = "plot")]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     plot: Option<PathBuf>,
-    /// One JSON object a link instead of text, and one a receiver that was located
+    /// Print one JSON object for each link and each located receiver
     #[arg(long)]
     json: bool,
-    /// Also say for each link what was computed, at what cost, and what was skipped and why; of a capture its steps: pairs, compensation,
-    /// search, candidates
+    /// Print for each link what was computed, at what cost, and what was skipped and why; for a capture its steps:
+    /// pairs, compensation, search, candidates
     #[arg(long, hide_short_help = true)]
     explain: bool,
-    /// Overwrite the profile and pictures of the same names if they are there
+    /// Overwrite an existing profile and existing pictures
     #[arg(long, hide_short_help = true)]
     force: bool,
     #[command(flatten)]
     logs: Logs,
     #[command(flatten)]
     estimation: Estimation,
-    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1, or not known (as of a plane
-    /// wave with a mirror)
+    /// Refuse bearings whose probability of being within 5 degrees is below this (0 to 1) or unknown
     #[arg(long, value_name = "P", hide_short_help = true)]
     min_confidence: Option<f64>,
-    /// Where a transmitter is, metres in the trajectory's frame, as links name it: tx2=-3.18,1.11. For captures without a
-    /// truth, or instead of it. With its height as a third number the receiver's height is told, where the motion shows elevations
+    /// Place of a transmitter, metres in the trajectory's frame: tx2=-3.18,1.11. It replaces the capture's truth. With
+    /// a height as third number the receiver's height is estimated too, if the motion shows elevations
     #[arg(
         long,
         value_name = "NAME=X,Y[,Z]",
@@ -93,24 +91,25 @@ pub struct Args {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Logs by their names")]
 struct Logs {
-    /// Log of the receiver, the robot whose trajectory is given; - is standard input
+    /// Log of the receiver, whose trajectory is given; - is standard input
     #[arg(long, value_name = "RX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     rx: Option<PathBuf>,
-    /// Log of a transmitter; several make one link each
+    /// Log of a transmitter; repeat for several links
     #[arg(long, value_name = "TX.dat", required_unless_present_any = ["captures", "bag", "baseline"], hide_short_help = true)]
     tx: Vec<PathBuf>,
-    /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/formats.md); of a
-    /// capture which of its own: gt (motion capture, if none is named), t265 (tracking camera) or odom (wheels)
+    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/formats.md); for a
+    /// capture gt (motion capture, the default), t265 (tracking camera) or odom (wheels)
     #[arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     trajectory: Option<PathBuf>,
-    /// What is in the columns of the trajectories, instead of what their headings say: t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw,
-    /// yaw; t_ms, x_mm, yaw_deg ..; _ passes one over)
+    /// Columns of the trajectories, instead of their headings: t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw, yaw; t_ms,
+    /// x_mm, yaw_deg ..; _ skips a column)
     #[arg(long, value_parser = columns, value_name = "NAMES", hide_short_help = true)]
     columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
-    /// Without any --tx: the bearing to every sender that --rx heard, by two antennas of one robot that turns. Where the first of
-    /// --antennas is seen from the second, metres forward, left, up; of three antennas once more, seen from the third
+    /// Without --tx: the bearing to every sender in --rx, by two antennas of one robot that turns. Gives the place of
+    /// the first of --antennas seen from the second: metres forward, left, up. With three antennas, repeat it for the
+    /// third
     #[arg(
         long,
         value_name = "X,Y,Z",
@@ -123,14 +122,14 @@ struct Logs {
     /// Trajectory of a transmitter that moved, in the order of --tx, on the receiver's clock
     #[arg(long, value_name = "T.csv", hide_short_help = true)]
     tx_trajectory: Vec<PathBuf>,
-    /// MAC of a transmitter, in the order of --tx; found from the clocks where not given
+    /// MAC of a transmitter, in the order of --tx; by default found from the clocks
     #[arg(long, value_parser = mac, value_name = "MAC", hide_short_help = true)]
     tx_mac: Vec<Mac>,
-    /// MAC of the receiver in the transmitters' logs; the most frequent one where not given
+    /// MAC of the receiver in the transmitters' logs; by default the most frequent one
     #[arg(long, value_parser = mac, value_name = "MAC", hide_short_help = true)]
     rx_mac: Option<Mac>,
-    /// The key that the robots shared: frames without its tag are left out, where the logs hold frames (records 0xC1 of the
-    /// stock driver); records of the WSR driver hold none and cannot be checked, which is said
+    /// Key of the robots: frames without its tag are left out if the log holds frames (0xC1 records). Records of the
+    /// WSR driver hold none; the program counts them as unchecked
     #[arg(long, value_name = "FILE", hide_short_help = true)]
     key: Option<PathBuf>,
 }

@@ -19,15 +19,15 @@ use std::path::PathBuf;
 // Arguments of `evaluate`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Folders with captures below them, as in the WSR data set
+    /// Folders with captures, as in the WSR data set
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// Write the page of `csi5300 view` as one file instead: every link of one DIR with its map, profile and logs, to be zoomed and
-    /// sorted; captures without a truth too
+    /// Write the page of `csi5300 view` as one file: every link of one DIR with map, profile and logs; captures without
+    /// a truth too
     #[cfg(feature = "view")]
     #[arg(long, value_name = "OUT.html")]
     html: Option<PathBuf>,
-    /// Folder for pictures: error distributions, refusals, reliability, a map of each place
+    /// Draw error distributions, refusals, reliability and a map of each place into this folder
     #[cfg(feature = "plot")]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
@@ -43,17 +43,17 @@ pub struct Args {
     /// Antenna (RF port) used on both robots: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
-    /// Added to the receivers' host times to get the trajectories'
+    /// Seconds to add to the receivers' host times to get the trajectories' times
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true)]
     clock_offset: f64,
-    /// Standard deviation of the heading of the trajectories, degrees, where it is not that of the usual sensor of their kind
+    /// Standard deviation of the trajectories' heading, degrees (default: that of the sensor)
     #[arg(long, value_name = "DEGREES")]
     heading_sd: Option<f64>,
-    /// JSON Lines: one object a link, then a summary
+    /// Print one JSON object for each link, then a summary
     #[arg(long)]
     #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
     json: bool,
-    /// Overwrite the page, and pictures of the same names
+    /// Overwrite an existing page and existing pictures
     #[cfg(any(feature = "plot", feature = "view"))]
     #[arg(long)]
     force: bool,

@@ -22,12 +22,12 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// The log; - is standard input
     file: PathBuf,
-    /// Where to write: .csv, one row a record; .npz; .mat; .parquet (feature `parquet`); with --dat a log
+    /// Output: .csv (one row for each record), .npz, .mat, .parquet (feature `parquet`); with --dat a log
     output: PathBuf,
-    /// Write a log: every intact record of the input, and nothing else
+    /// Write a log of all intact records of the input
     #[arg(long, conflicts_with_all = ["scaled", "remove_spatial_mapping", "mac", "from", "to", "antennas"])]
     dat: bool,
-    /// With --dat: bring records into this layout, which other tools (csiread, csitool) read
+    /// With --dat: convert records to this layout, for tools such as csiread and csitool
     #[arg(long, value_enum, value_name = "LAYOUT", requires = "dat")]
     layout: Option<recover::Layout>,
     /// CSI in units of sqrt(SNR) instead of the card's integers
@@ -36,22 +36,22 @@ pub struct Args {
     /// Undo the spatial mapping of frames with 2 or 3 streams
     #[arg(long)]
     remove_spatial_mapping: bool,
-    /// Only frames of this sender; several may be named
+    /// Only frames of this sender; repeat for several
     #[arg(long, value_name = "MAC")]
     mac: Vec<String>,
-    /// Only records from this many seconds after the first one on
+    /// Only records from this many seconds after the first one
     #[arg(long, value_name = "SECONDS")]
     from: Option<f64>,
     /// Only records before this many seconds after the first one
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
-    /// Only records of which one of these antennas was used, and only their CSI: letters such as AC
+    /// Only records that used one of these antennas, and only their CSI: letters such as AC
     #[arg(long, value_name = "LETTERS")]
     antennas: Option<String>,
-    /// One JSON object about what was written
+    /// Print one JSON object about what was written
     #[arg(long)]
     json: bool,
-    /// Overwrite the output if it is there
+    /// Overwrite an existing output
     #[arg(long)]
     force: bool,
 }

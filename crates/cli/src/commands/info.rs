@@ -21,7 +21,7 @@ pub struct Args {
     /// Logs; - is standard input
     #[arg(required = true, value_name = "LOG")]
     files: Vec<PathBuf>,
-    /// One JSON object a log instead of text
+    /// Print one JSON object for each log
     #[arg(long)]
     json: bool,
     #[cfg(feature = "plot")]

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 // The option of commands that read recordings too.
 #[derive(clap::Args, Clone, Default)]
 pub struct BagArgs {
-    /// A recording that has odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1): --rx, --tx and --trajectory
-    /// then name topics of it, or files, and what is not named is the only topic that it can be
+    /// A recording with odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1). --rx, --tx and
+    /// --trajectory then name topics or files; leave out those with only one matching topic
     #[arg(long, value_name = "BAG", hide_short_help = true)]
     pub bag: Option<PathBuf>,
 }

@@ -64,7 +64,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
                   capture failed"
 )]
 struct Cli {
-    /// Say nothing but results and errors: no notes, no progress
+    /// Print results and errors only: no notes, no progress
     #[arg(short, long, global = true, display_order = 900, hide_short_help = true)]
     quiet: bool,
     /// Print details: what an answer was made of, files, time and memory
@@ -91,39 +91,39 @@ struct Cli {
 #[derive(Subcommand)]
 #[command(defer = true)]
 enum Command {
-    /// The circle and line experiments of Dijkstra et al., simulated, decoded and estimated, with pictures
+    /// Simulate the circle and line experiments of Dijkstra et al., decode their logs, and draw the bearings
     Demo(demo::Args),
-    /// A page in the browser: logs, the links of captures with their errors, or a running node
+    /// Show logs, captures or a running node on a page in the browser
     #[cfg(feature = "view")]
     View(view::Args),
-    /// Bearings from a receiver that moved to one or more transmitters, of captures or logs; and where the receiver is
+    /// Print the bearing from a receiver that moved to each transmitter it heard
     Bearing(Box<bearing::Args>),
-    /// What is in logs: layout, senders, rates, losses with their offsets, where and why a log was cut; with pictures
+    /// Print what logs hold: layout, senders, rates, losses, and where a log was cut
     Info(info::Args),
-    /// CSI of a log as CSV, NPZ, MAT or Parquet, raw or scaled; or every intact record of a damaged log
+    /// Write a log's CSI as CSV, NPZ, MAT or Parquet, or the intact records of a damaged log
     Export(export::Args),
-    /// Bearings of a whole tree of captures against the truth: tables, pictures, or one HTML page
+    /// Compare the bearings of a tree of captures with the truth: table, pictures or one HTML page
     Evaluate(evaluate::Args),
-    /// What stands between this machine and a first record, and the command that mends it
+    /// Check everything between this machine and its first record, and print how to repair it
     #[cfg(feature = "live")]
     Doctor(doctor::Args),
-    /// The steps that put the card into monitor mode: printed, or taken with --apply
+    /// Print the steps that put the card into monitor mode, or take them with --apply
     #[cfg(feature = "live")]
     Setup(setup::Args),
-    /// Records the driver's messages to a log, live
+    /// Record the driver's messages to a log
     #[cfg(feature = "live")]
     Record(record::Args),
-    /// Plays a log at its own pace, to standard output or into the kernel's connector
+    /// Play a log at its own pace, to standard output or into the kernel's connector
     #[cfg(feature = "live")]
     Replay(replay::Args),
-    /// Sounds other robots, or answers those that sound, so that both cards measure; live bearings
+    /// Exchange frames with other robots so that both cards measure; print live bearings
     #[cfg(feature = "live")]
     Sound(Box<sound::Args>),
-    /// The robot's own service: capture, odometry, peers, live bearings
+    /// Run the service of a robot: capture, odometry, peers, live bearings
     Node(node::NodeArgs),
-    /// A running node in a terminal: peers, rates, losses, bearings on a compass
+    /// Show a running node in the terminal: peers, rates, losses, bearings on a compass
     Watch(node::WatchArgs),
-    /// A room full of robots: writes the logs that their cards would have recorded, or serves them live; a recording beside a room
+    /// Simulate a room of robots: write the logs of their cards, serve them live, or compare a recording
     Simulate(Box<simulate::Args>),
     /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
     #[command(hide = true)]

@@ -8,13 +8,12 @@ use nalgebra::Vector3;
 // Where antenna and camera are on the robot.
 #[derive(clap::Args, Clone, Default)]
 pub struct Mounting {
-    /// Where the antenna is on the robot, seen from what the trajectory is of: metres forward, left, up; turned with the
-    /// heading
+    /// Place of the antenna seen from the tracked point: metres forward, left, up
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     pub antenna_offset: Option<Vector3<f64>>,
-    /// Where the tracking camera that the trajectory is of is on a robot with wheels: metres forward and left of the middle
-    /// between them, and its heading less the robot's, degrees. Of its steps only what wheels can roll is kept, and
-    /// --antenna-offset is seen from that middle
+    /// Place of the tracking camera on a robot with wheels: metres forward and left of the middle between the wheels,
+    /// and its heading less the robot's, degrees. Only motion that wheels can roll is kept, and --antenna-offset starts
+    /// from that middle
     #[arg(
         long,
         value_name = "X,Y,YAW",

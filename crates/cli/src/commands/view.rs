@@ -13,17 +13,14 @@ use std::sync::Arc;
 
 // Arguments of `view`.
 #[derive(clap::Args)]
-#[command(
-    after_help = "The page is served on this machine only, to browsers that show it from there; nothing is loaded from \
-                        anywhere else. Ctrl-C ends it. `evaluate --html` writes the same page as one file.\n\
-                        Example: csi5300 view captures --open"
-)]
+#[command(after_help = "The page is served on this machine only and loads nothing from elsewhere. \
+                        Ctrl-C ends it. `evaluate --html` writes the same page as one file.\n\
+                        Example: csi5300 view captures --open")]
 pub struct Args {
-    /// A log, a folder with captures or logs below it, or the status socket of a running node
+    /// A log, a folder of captures or logs, or the status socket of a running node
     #[arg(value_name = "LOG|DIR|SOCKET")]
     what: PathBuf,
-    /// Address to listen on; port 0 is any that is free. Everyone who can reach an address other than this machine's own
-    /// may look
+    /// Address to listen on; port 0 takes any free port. Everybody who can reach the address can see the page
     #[arg(long, default_value = "127.0.0.1:0", value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
     /// Open the page in the browser

@@ -12,12 +12,12 @@ use std::fmt::Write;
 #[derive(clap::Args)]
 #[command(next_help_heading = "Transmitters from several captures")]
 pub struct Together {
-    /// Locate the transmitters instead, each from all captures together: what they say of every place is carried along, not only
-    /// their bearings. Trajectories are in one frame, as those of motion capture are, or --frame says how they lie
+    /// Locate the transmitters, each from all captures together. Trajectories must share one frame, as with motion
+    /// capture, or use --frame
     #[arg(long, requires = "captures", conflicts_with = "explain", hide_short_help = true)]
     pub transmitters: bool,
-    /// Where the frame of a capture's trajectory lies in the common one: metres of its origin, and degrees from the common x axis
-    /// towards +y. CAPTURE is a folder as links name it
+    /// Frame of a capture's trajectory in the common frame: its origin, metres, and its rotation from the common x axis
+    /// towards +y, degrees. CAPTURE is a folder as in link names
     #[arg(long, value_name = "CAPTURE=X,Y,DEGREES", value_parser = frame, allow_hyphen_values = true, requires = "transmitters", hide_short_help = true)]
     frame: Vec<(String, Frame)>,
 }

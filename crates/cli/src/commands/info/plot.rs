@@ -17,9 +17,9 @@ const SIZE: (f64, f64) = (1200.0, 1100.0);
 #[group(id = "drawn")]
 #[command(next_help_heading = "Pictures")]
 pub struct Args {
-    /// Draw each log into this folder: NAME-csi (amplitude and phase of each antenna over time and subcarrier) and NAME-levels
-    /// (amplitude, RSSI and gain over time, and the rate, with gaps, losses and steps back of the card's clock marked). Times are of the
-    /// card's clock, from the first record on; of the host where that clock stands, and numbers of records where there are none
+    /// Draw each log into this folder: NAME-csi (amplitude and phase of each antenna over time and subcarrier) and
+    /// NAME-levels (amplitude, RSSI, gain and rate over time, with gaps, losses and steps back of the card's clock).
+    /// Times are the card's, the host's if that clock stands still, or record numbers
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     pub plot: Option<PathBuf>,
     /// Draw only frames of these senders
@@ -28,13 +28,13 @@ pub struct Args {
     /// Draw only these antennas (RF ports): A,B,C
     #[arg(long, value_delimiter = ',', value_parser = antenna, value_name = "A,..", requires = "plot")]
     antenna: Vec<Antenna>,
-    /// Draw from this time on, seconds after the first record
+    /// Draw from this time, seconds after the first record
     #[arg(long, value_name = "SECONDS", requires = "plot")]
     from: Option<f64>,
     /// Draw up to this time, seconds after the first record
     #[arg(long, value_name = "SECONDS", requires = "plot")]
     to: Option<f64>,
-    /// Overwrite pictures of the same names
+    /// Overwrite existing pictures
     #[arg(long, requires = "plot")]
     force: bool,
 }
