@@ -33,7 +33,7 @@ fn describe_with(answer: &Answer, doubts: &str, details: Option<&str>) -> String
     }
     if let Some(mirror) = mirror(answer) {
         let _ = write!(text, ", or its mirror {mirror}");
-    } else if let Some(next) = answer.candidates.get(1).filter(|next| next.share >= ALIKE) {
+    } else if let Some(next) = answer.candidates.get(1).filter(|_| has_rival(answer)) {
         let _ = write!(text, ", or {} deg ({:.0} %)", fixed(next.azimuth_deg, 2), 100.0 * next.share);
     }
     text.push('\n');
@@ -51,6 +51,11 @@ fn describe_with(answer: &Answer, doubts: &str, details: Option<&str>) -> String
         text += details;
     }
     text
+}
+
+/// Whether another direction is about as probable.
+fn has_rival(answer: &Answer) -> bool {
+    answer.candidates.get(1).is_some_and(|next| next.share >= ALIKE)
 }
 
 /// Probability that the answer, or its mirror, is within five degrees.
@@ -100,10 +105,12 @@ fn why(answer: &Answer) -> String {
              that of the antenna (--antenna-offset, --clock-offset).",
             100.0 * coherence
         );
-    } else if answer.candidates.len() > 1 {
+    } else if has_rival(answer) {
         text += "  Why: other directions explain the samples about as well.\n";
+    } else {
+        text += "  Why: the peak is wide. A longer way, or a second one with a turn in it, makes it narrower.\n";
     }
-    if answer.candidates.len() > 1 && answer.mirror_deg.is_none() {
+    if has_rival(answer) && answer.mirror_deg.is_none() {
         text += &places(&answer.candidates);
     }
     text + "  Look at the pictures (--plot DIR); -v prints what the answer was made of.\n"
@@ -172,6 +179,8 @@ mod tests {
             assert!(poor.contains(words), "{words}: {poor}");
         }
         assert!(describe_with(&answer(0.6, |_| ()), "", None).contains("FAIR: 60 %"));
+        let wide = describe_with(&answer(0.35, |answer| answer.coherence = Some(0.6)), "", None);
+        assert!(wide.contains("the peak is wide"), "{wide}");
     }
 
     #[test]
