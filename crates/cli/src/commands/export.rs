@@ -146,10 +146,10 @@ pub fn run(args: &Args) -> Result {
         note!("  {some} without a valid antenna_sel in chain order (antennas_known 0)");
     }
     if unscaled > 0 {
-        note!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): not a number there");
+        note!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): NaN there");
     }
     if records < survey.bfees() {
-        note!("  {} records were left out, as was asked for", survey.bfees() - records);
+        note!("  {} records were left out by --mac, --from, --to or --antennas", survey.bfees() - records);
     }
     if records == 0 {
         note!("nothing to write: no {}", args.output.display());

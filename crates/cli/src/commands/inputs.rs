@@ -133,7 +133,7 @@ impl Inputs {
     fn say(&self) {
         let Some((bag, recording)) = &self.recorded else { return };
         for file in &recording.cut {
-            note!("{}: its end is missing; it was read up to there", file.display());
+            note!("{}: the end is missing; everything before it was read", file.display());
         }
         for words in lost_words(recording.damaged_parts, recording.without_topic) {
             note!("{}: {words}", bag.display());

@@ -105,7 +105,7 @@ pub fn run(args: &Args) -> Result {
         }
     }
     if !args.apply {
-        note!("printed only: --apply takes these steps");
+        note!("nothing was changed: --apply takes these steps");
     }
     Ok(Outcome::Done)
 }

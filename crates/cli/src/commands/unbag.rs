@@ -53,7 +53,7 @@ pub fn run(args: &Args) -> Result {
         }
     }
     for file in &done.cut {
-        note!("{}: its end is missing; it was read up to there", file.display());
+        note!("{}: the end is missing; everything before it was read", file.display());
     }
     for words in super::inputs::lost_words(done.damaged_parts, done.without_topic) {
         lost = true;

@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> Result {
     let url = format!("http://{shown}/");
     print(&format!("{url}\n"));
     if !address.ip().is_loopback() {
-        note!("everyone who can reach {address} may look; nothing can be changed there");
+        note!("everybody who can reach {address} can see the page; nobody can change anything");
     }
     if args.open {
         open(&url);

@@ -106,7 +106,7 @@ fn errors(found: &[Receiver], text: &mut String) {
     if let (Some(answered), Some(fitting)) = (pool(|r| &r.answer_errors_deg), pool(|r| &r.azimuth_errors_deg)) {
         let _ = writeln!(
             text,
-            "bearings of receivers with two or more, mean / median error: {answered} as answered, {fitting} as the places choose among their candidates"
+            "receivers with two or more links: error mean / median {answered} of the answers, {fitting} of the candidates that fit the place"
         );
     }
 }

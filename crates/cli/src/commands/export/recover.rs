@@ -220,7 +220,7 @@ pub fn run(args: &Recovery<'_>) -> Result {
     let mut out = Output::create(args.output, side)?;
     let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
     if side.is_some() && !out.draft.is_file() {
-        note!("{output} is no file: host times, which stand in a file beside, are not written");
+        note!("{output} is no file: host times, which go into a side file, are not written");
     }
     copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts)?;
     notes!("{}", super::super::info::losses(&survey, source.bytes()));
@@ -252,7 +252,7 @@ pub fn run(args: &Recovery<'_>) -> Result {
     }
     if doubts.dropped > 0 {
         let doubtful = super::super::some(doubts.dropped, "doubtful record", "doubtful records");
-        note!("  {doubtful} beside the damage left out: nothing but their place spoke for them");
+        note!("  {doubtful} left out beside the damage: they may not be real");
     }
     let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
     Ok(match (kept, survey.lost_something() || missing || doubts.dropped > 0) {

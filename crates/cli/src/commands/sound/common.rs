@@ -255,7 +255,7 @@ impl Sounding {
     fn conclude(&self, finished: &Finished) -> Outcome {
         notes!("{}", words::summary(&self.peers, finished));
         if finished.news_lost > 0 {
-            note!("  {} news of the air were not fetched in time", finished.news_lost);
+            note!("  {} events of the radio were lost", finished.news_lost);
         }
         if let (Some(totals), Some(log)) = (&finished.log, &self.log) {
             note!("{} written to {}", super::super::some(totals.recorded.written, "record", "records"), log.display());
