@@ -256,7 +256,7 @@ fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
     // What is no file has no side file.
     write(&folder.0.join("timed.dat"), &link(20, 0.0).rx, Layout::Narrow);
     let (status, _, errors) = folder.run(&["export", "--dat", "timed.dat", "/dev/null"]);
-    assert!(status == 0 && errors.contains("host times, which stand in a file beside, are not written"), "{errors}");
+    assert!(status == 0 && errors.contains("host times, which go into a side file, are not written"), "{errors}");
     assert!(!Path::new("/dev/nullstp").exists());
 }
 
