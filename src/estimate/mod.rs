@@ -315,11 +315,11 @@ pub(crate) fn estimate(
     })
 }
 
-/// Adds to elevations and ranges what the model leaves out, as [`Blur`] does to azimuths: phases across the motion that turn the
-/// azimuth by an angle `d` bend the wave front by `2 d / radius`.
+/// Widens elevations and ranges by the model's error, as [`Blur`] does azimuths. Phases across the motion that turn the azimuth
+/// by an angle `d` change 1 / range by `2 d / radius`.
 fn widen(modes: &mut [Mode], points: &[Vector3<f64>]) {
     let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
-    // 68 % of a Cauchy distribution are within so many of its widths.
+    // Half the width that holds 68 % of a Cauchy density, in units of its scale.
     let angle = 1.84 * tuning::MODEL_DEG.to_radians();
     for mode in modes {
         mode.covariance[(1, 1)] += angle * angle;

@@ -21,7 +21,7 @@ pub(crate) const COLUMNS: usize = 8;
 /// Samples closer together than this along the motion are averaged, wavelengths: a wave straight ahead then loses 3 % of
 /// the round trip's amplitude.
 const BIN_WAVELENGTHS: f64 = 0.06;
-/// The same where only a start is looked for: a steep wave, which turns less along the motion, loses an eighth of the power.
+/// The same for a search that only gives least squares a start: a steep wave, which turns less along the motion, loses an eighth of the power.
 const START_WAVELENGTHS: f64 = 0.2;
 
 /// Which subcarriers have their lower neighbour at the usual distance, and that distance in indices.
@@ -170,7 +170,7 @@ impl Bins {
         Self::every(BIN_WAVELENGTHS * wavelength_m, points_m)
     }
 
-    /// As [`Bins::along`], fewer: for a start.
+    /// Longer bins than [`Bins::along`]'s, for a search that only gives least squares a start.
     pub fn for_start(points_m: &[Vector3<f64>], wavelength_m: f64) -> Self {
         Self::every(START_WAVELENGTHS * wavelength_m, points_m)
     }
@@ -203,8 +203,8 @@ impl Bins {
         means
     }
 
-    /// The weighted means of samples and their displacements, each of all the weight in its bin. The mean displacement is the
-    /// receiver's.
+    /// The weighted mean of the samples in each bin, with the weight of the bin. Displacements become the receiver's
+    /// positions, metres; the transmitter's are zero.
     pub fn samples(&self, samples: &Samples) -> Option<Samples> {
         let mut sums = vec![(0.0, Complex64::ZERO, Vector3::zeros()); self.len()];
         let each = samples.z().iter().zip(samples.displacements_m()).zip(samples.weight());

@@ -64,8 +64,9 @@ pub struct Answer {
     pub range_m: Option<f64>,
     /// Its predicted standard deviation, metres.
     pub range_sd_m: Option<f64>,
-    /// Position of the transmitter in the trajectory's frame at `position_t_s`, metres, where there is a range and the first
-    /// candidate holds at least 68 % of the probability. Without an `elevation_deg` its height is drawn upwards: level motion does not distinguish up from down.
+    /// Position of the transmitter in the trajectory's frame at `position_t_s`, metres, if there is a range and the first
+    /// candidate holds at least 68 % of the probability. Level motion does not distinguish up from down: without an
+    /// `elevation_deg` the height is given as positive.
     pub position_m: Option<[f64; 3]>,
     /// The time of the position, seconds on the trajectory's clock: that of the last sample used.
     pub position_t_s: Option<f64>,

@@ -108,8 +108,8 @@ impl BearingAnswer {
         self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
     }
 
-    /// Whether there is a place to speak of: a range, in a direction that holds as much probability as an ellipse of one
-    /// deviation promises.
+    /// True if the range gives a position: its direction, [`Self::azimuth_rad`], holds at least 68 % of the probability, as much
+    /// as an ellipse of one deviation promises.
     #[must_use]
     pub fn has_place(&self) -> bool {
         self.range.is_some() && self.candidates.first().is_some_and(|first| first.share >= ONE_DEVIATION)

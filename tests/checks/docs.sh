@@ -21,7 +21,7 @@ if grep -n '\.\./shared' README.md docs/*.md docs/*/*.md; then
     echo "these pages name a folder that readers do not have"
     exit 1
 fi
-# No sentence is too long, no phrase one that nobody would say.
+# The language of the pages: length of sentences, and phrases to avoid.
 if command -v python3 >/dev/null; then
     git ls-files -z '*.md' | xargs -0 python3 scripts/prose.py
 else

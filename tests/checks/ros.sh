@@ -200,7 +200,7 @@ look 'until("poses again", 10, lambda t: not t["trouble"]); goes_on(); bearings(
 
 # The end: in order, and the master knows nothing of the node any more.
 kill -TERM "$node"
-# Status 3: a busy machine lost records of the served room, which the node says.
+# Status 3: a busy machine lost records of the served room, and the node reports them.
 status=0
 wait "$node" || status=$?
 [ "$status" = 0 ] || { [ "$status" = 3 ] && grep '^lost: ' "$folder/node.log"; }

@@ -243,7 +243,7 @@ impl Health {
         text
     }
 
-    /// What was lost, as text with counts; empty if nothing was.
+    /// What was lost, one count with its name each; empty if nothing was.
     #[must_use]
     pub fn lost(&self) -> Vec<String> {
         let disk = self.log.as_ref().map_or(0, |log| log.dropped + log.lost_on_disk);

@@ -67,7 +67,7 @@ struct Cli {
     /// Print results and errors only: no notes, no progress
     #[arg(short, long, global = true, display_order = 900, hide_short_help = true)]
     quiet: bool,
-    /// Print details: what an answer was made of, files, time and memory
+    /// Print details: how an answer was made, files, time and memory
     #[arg(short, long, global = true, conflicts_with = "quiet", display_order = 901)]
     verbose: bool,
     /// Colours in words

@@ -285,7 +285,7 @@ impl TruePlace<'_> {
     }
 }
 
-/// `own` is the trajectory that the bearing is of, in a frame whose origin may be another than the reference's.
+/// `own` is the trajectory of the bearing. The origin of its frame may differ from the reference's.
 fn judge(
     answer: Answer,
     transmitter: &TruePlace<'_>,

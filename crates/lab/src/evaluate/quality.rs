@@ -52,12 +52,12 @@ pub struct Ranges {
     pub median_m: Option<f64>,
     /// How the errors compare with the predicted deviations: 1 where those tell the truth.
     pub over_bound: Option<f64>,
-    /// Places that were reported and whose truth is known; those within their ellipses of 68 and of 95 %.
+    /// Numbers of places reported with a known truth, and of those within their 68 % and their 95 % ellipses.
     pub places: [usize; 3],
 }
 
-/// Deviations within which 68.3 and 95.4 % of a normal distribution in the plane are: `sqrt(-2 ln(1 - share))`.
-const ELLIPSES: [f64; 2] = [1.515_7, 2.481_0];
+/// A plane normal distribution has 68.3 and 95.4 % within so many deviations: `sqrt(-2 ln(1 - share))`.
+const ELLIPSES: [f64; 2] = [1.515_8, 2.481_6];
 
 /// How good the ranges are.
 #[must_use]

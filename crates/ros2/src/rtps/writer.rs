@@ -10,9 +10,9 @@ use std::sync::Arc;
 pub(crate) const LARGEST: usize = 64_000;
 /// Samples that a reader is sent again between two beats, however often it asks.
 const AGAIN: usize = 64;
-/// Beats without a question or an answer of a reader, after which it gets fewer: none if it was never heard.
+/// Beats without a word from a reader after which it gets fewer, or none if it was never heard.
 const UNHEARD: u32 = 10;
-/// Of so many beats one goes to a reader that was heard before and is not any more: its link may come back.
+/// A reader that fell silent gets one beat in this many, because its link may come back.
 const SELDOM: u32 = 5;
 /// Beats that an announcement of such a reader is worth.
 const RENEWED: u32 = 2;
@@ -149,8 +149,8 @@ impl Writer {
         self.readers.retain(|guid, _| !is(guid));
     }
 
-    /// Tells all reliable readers that have not everything what there is. An address that nobody ever answered from, made up
-    /// perhaps, is not sent to for long; one that fell silent is asked seldom, until its participant's lease ends.
+    /// Sends a heartbeat to each reliable reader that lacks samples. A reader that never answered soon gets no more, because its
+    /// address may be forged. One that fell silent gets fewer until its participant's lease ends.
     pub fn beat(&mut self, out: &mut Vec<Outgoing>) {
         self.readers.values_mut().for_each(|one| one.again = AGAIN);
         self.turns = self.turns.wrapping_add(1);
@@ -221,8 +221,8 @@ mod tests {
             all.iter().filter(|(to, _)| *to == at(k)).count()
         };
         // Four seconds of ten beats each without a link.
-        let (heard, never) = (beats_to(2, 40), beats_to(3, 0));
-        assert!((10..=20).contains(&heard) && never == 0, "{heard} {never}");
+        let heard = beats_to(2, 40);
+        assert!((10..=20).contains(&heard), "{heard}");
         assert_eq!(beats_to(3, 10), 0, "its beats are used up");
         let within_half_a_second = beats_to(2, SELDOM as usize);
         assert_eq!(within_half_a_second, 1);

@@ -11,7 +11,7 @@ const MANY_TWICE: f64 = 10.0;
 /// Share of pairs that lose their pose by more than what two hosts' clocks make of a log's beginning and end.
 const MANY_OUTSIDE: f64 = 0.05;
 
-/// What may be wrong with the logs, a line each; nothing of a link whose logs are as usual.
+/// What may be wrong with the logs, one line each; empty if nothing is.
 pub(super) fn doubts(answer: &Answer) -> String {
     let counts = answer.pair_counts;
     let mut text = exchanged(&counts);

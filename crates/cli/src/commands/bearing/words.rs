@@ -1,4 +1,4 @@
-//! A bearing in words: the answer, how sure it is, where it is seen from, why it is poor; with `-v` everything it was made of.
+//! A bearing in words: the answer, how sure it is, where it is seen from, and why it is poor; details with `-v`.
 
 use super::captures::{mirror, places};
 use crate::commands::fixed;
@@ -8,13 +8,14 @@ use std::fmt::Write;
 
 /// A second candidate with at least this probability stands beside the first.
 const ALIKE: f64 = 0.1;
-/// Probabilities from which an answer is good, and fair.
+/// Least probability of a good answer.
 const GOOD: f64 = 0.8;
+/// The same of a fair one; below it an answer is poor.
 const FAIR: f64 = 0.5;
-/// A path along which one wave explains less of the phases than this is worth a second look.
+/// If one wave explains a smaller share of the phases than this, the path may be wrong.
 const LITTLE: f64 = 0.3;
 
-/// An answer. `doubts` are lines that nobody should miss, `details` those of what it was made of.
+/// Describes an answer. `doubts` are always printed, `details` with `-v` only.
 pub(super) fn describe(answer: &Answer, doubts: &str, details: &str) -> String {
     describe_with(answer, doubts, says(Level::Verbose).then_some(details))
 }
@@ -81,7 +82,9 @@ fn origin(answer: &Answer) -> String {
         (Some(range), Some(sd), Some(position_m)) => {
             let [x, y, z] = position_m.map(|metres| fixed(metres, 2));
             let height = if answer.elevation_deg.is_some() { format!(", z {z}") } else { String::new() };
-            format!("  {range:.2} +- {sd:.2} m {FROM}, at x {x}, y {y}{height} m in the trajectory's frame\n")
+            format!(
+                "  {range:.2} +- {sd:.2} m {FROM}, at x {x}, y {y}{height} m in the trajectory's frame at the last pair\n"
+            )
         }
         (Some(range), Some(sd), None) => {
             let share = answer.candidates.first().map_or(0.0, |first| 100.0 * first.share);
@@ -113,7 +116,7 @@ fn why(answer: &Answer) -> String {
     if has_rival(answer) && answer.mirror_deg.is_none() {
         text += &places(&answer.candidates);
     }
-    text + "  Look at the pictures (--plot DIR); -v prints what the answer was made of.\n"
+    text + "  Look at the pictures (--plot DIR); -v prints details.\n"
 }
 
 /// The elevation: with its sign where the motion distinguishes up from down.
