@@ -1,8 +1,8 @@
-"""The page of `csi5300 view`, used as people use it. Arguments: browser, addresses of captures, log and node, the page as one file, folder for pictures or ""."""
+"""The page of `csi5300 view`, used as people use it. Arguments: browser, addresses of captures, log and node, the page as one file, the report of `doctor --accept`, folder for pictures or ""."""
 import re, socket, sys, urllib.error, urllib.request
 from playwright.sync_api import expect, sync_playwright
 
-browser_path, captures, log, node, file, pictures = sys.argv[1:7]
+browser_path, captures, log, node, file, report, pictures = sys.argv[1:8]
 
 
 class Watched:
@@ -224,5 +224,14 @@ with sync_playwright() as playwright:
     seen.picture("view-log")
     seen.close()
 
+    seen = Watched(browser, "file://" + report, "file://", **wide)
+    expect(seen.page.locator("td.fails").first).to_have_text("FAILS")
+    expect(seen.page.locator("tr", has_text="card.clock").first).to_contain_text("Likely: the driver was loaded anew")
+    expect(seen.page.locator("svg")).to_have_count(3)
+    assert seen.page.locator("svg circle").count() > 500
+    assert seen.page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "the report is wider than its window"
+    seen.picture("accept")
+    seen.close()
+
     browser.close()
-print("captures, link, log, node and the one file: clicked through; nothing was fetched from elsewhere")
+print("captures, link, log, node, the one file and the report: clicked through; nothing was fetched from elsewhere")

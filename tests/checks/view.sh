@@ -58,8 +58,12 @@ status=0
 started+=($!)
 for _ in $(seq 100); do [ -S "$folder/status.sock" ] && break; sleep 0.1; done
 serve "$folder/status.sock" "$folder/node.url"
+sed 's/faults = { loss = 0.0018, killed = true }/faults = { card = ["clock_steps"] }/' scenes/lab-circle.toml >"$folder/broken.toml"
+status=0
+"$csi5300" doctor --accept "$folder/broken.toml" --report "$folder/desk" >"$folder/said" || status=$?
+[ "$status" = 1 ] || { echo "a card with a fault: exit status $status instead of 1"; exit 1; }
 "$python" tests/checks/view.py "$(browser)" "$(cat "$folder/captures.url")" "$(cat "$folder/log.url")" \
-    "$(cat "$folder/node.url")" "$folder/page.html" "${VIEW_PICTURES:-}"
+    "$(cat "$folder/node.url")" "$folder/page.html" "$folder/desk/report.html" "${VIEW_PICTURES:-}"
 # A signal ends it as anything ends that is done.
 kill -INT "${started[0]}"
 wait "${started[0]}" || { echo "after SIGINT: exit status $?"; exit 1; }

@@ -352,8 +352,9 @@ fn at<T>(path: &Path, tried: &str, result: io::Result<T>) -> Result<T, Error> {
     result.map_err(|source| Error::Io { what: what(), source })
 }
 
-/// `YYYY-MM-DD_HHMMSS` (UTC) of seconds since the Unix epoch.
-fn stamp(unix_s: i64) -> String {
+/// `YYYY-MM-DD_HHMMSS` (UTC) of seconds since the Unix epoch, as captures are named.
+#[must_use]
+pub fn stamp(unix_s: i64) -> String {
     let (days, second) = (unix_s.div_euclid(86_400), unix_s.rem_euclid(86_400));
     // Days since 1 March of year 0, in the proleptic Gregorian calendar: eras of 400 years have 146,097 days.
     let days = days + 719_468;

@@ -1,5 +1,6 @@
 //! Injected faults, and exact counts of them.
 
+use super::card_fault::CardFault;
 use csi5300::time::{Instant, Span};
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +26,9 @@ pub struct Faults {
     pub restart_s: f64,
     /// The logger is killed: its file ends at the last full 4,096 bytes, mid-record.
     pub killed: bool,
+    /// What is wrong with the card or its driver.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub card: Vec<CardFault>,
 }
 
 impl Default for Faults {
@@ -39,6 +43,7 @@ impl Default for Faults {
             restart_at_s: Vec::new(),
             restart_s: 1.0,
             killed: false,
+            card: Vec::new(),
         }
     }
 }

@@ -37,6 +37,7 @@
 //! | `station`, `sounder` | time into frames: the TDMA state machine |
 //! | `air`, `event`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
 //! | `turn_around` | frames into the moments of their answers |
+//! | `card_fault` | records into those of a card with faults |
 //! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
 //! | `interface` | frames for senders outside of the room, as a monitor interface gives them |
 //! | `odometer` | true motion into a sensor's poses |
@@ -55,6 +56,7 @@
 mod air;
 mod backend;
 mod built_in;
+mod card_fault;
 mod carrier;
 pub mod crystal;
 mod dataset;
@@ -89,7 +91,8 @@ mod world_check;
 
 pub use backend::Backend;
 pub use built_in::BUILT_IN;
-pub use dataset::{WrittenCapture, WrittenLog, write_dataset};
+pub use card_fault::CardFault;
+pub use dataset::{WrittenCapture, WrittenLog, stamp, write_dataset};
 pub use faults::{Faults, Injected};
 pub use interface::{Interface, Seen};
 pub use odometer::Odometer;

@@ -1,6 +1,7 @@
 //! One robot's card as the rest of the program sees it: a [`CsiSource`] and an [`Injector`].
 
 use super::air::Air;
+use super::card_fault::FaultyCard;
 use super::faults::Faults;
 use super::node::{Flight, Listening, Reception};
 use super::radio::Radio;
@@ -32,6 +33,7 @@ pub struct Port {
     robot: usize,
     receiver: Receiver,
     faults: Faults,
+    faulty: Option<FaultyCard>,
     driver: Driver,
     queue: VecDeque<Reception>,
     /// Lost since the queue ran over; some while the latch holds.
@@ -71,6 +73,7 @@ impl Port {
             robot,
             receiver: Receiver::new(*scene.radio_of(state), scene.seed, robot),
             faults: state.faults.clone(),
+            faulty: FaultyCard::new(&state.faults.card),
             driver: scene.driver,
             queue: VecDeque::new(),
             overrun: None,
@@ -202,12 +205,12 @@ impl Port {
         let flight = &reception.flight;
         let arrival =
             Arrival { from: flight.from, to: self.robot, t_ns: reception.t_ns, instant_ns: flight.instant_ns };
-        let Some(measured) = self.receiver.measure(&world, arrival) else {
+        let Some(mut measured) = self.receiver.measure(&world, arrival) else {
             air.node(self.robot).injected.unmeasured += 1;
             return Ok(false);
         };
         let scene = world.scene();
-        let repr = Repr {
+        let mut repr = Repr {
             timestamp_low: reception.clock_us as u32,
             bfee_count: reception.bfee_count,
             reserved: 0,
@@ -221,9 +224,18 @@ impl Port {
                 .rate_n_flags(scene.bandwidth_mhz == 40),
             wsr: (self.driver == Driver::Wsr).then(|| self.wsr(host_us(air, self.robot, reception.arrival_ns), flight)),
         };
+        if let Some(card) = &mut self.faulty
+            && !card.change(&mut repr, &mut measured.csi, reception.t_ns as f64 * 1e-9)
+        {
+            air.node(self.robot).injected.driver_dropped += 1;
+            return Ok(false);
+        }
         self.body.resize(repr.body_len(), 0);
         let csi = measured.csi.get(..repr.samples()).unwrap_or(&[]);
         repr.emit(csi, &mut self.body).map_err(CardError::Body)?;
+        if let Some(card) = &self.faulty {
+            self.body.truncate(card.kept(repr.body_len()));
+        }
         air.node(self.robot).injected.saturated += u64::from(measured.saturated);
         Ok(true)
     }

@@ -1,5 +1,6 @@
 //! Every number of a scene is checked: one that makes no sense is refused with its line.
 
+use super::CardFault;
 use super::motion::{
     Arc, Circle, FigureEight, FollowedMotion, Helix, Line, RandomWalk, RecordedMotion, RobotMotion, Square, Waypoints,
 };
@@ -121,6 +122,7 @@ fn robot(number: usize, motion: RobotMotion) -> Robot {
             restart_at_s: vec![8.0],
             restart_s: 0.5,
             killed: true,
+            card: vec![CardFault::NoGain],
         },
         odometry: Odometry {
             rate_hz: 50.0,

@@ -1,18 +1,18 @@
 //! `csi5300 doctor`.
 
-mod bring_up;
+mod accept;
 
-use super::args::mac;
+use super::args::channel;
 use super::listener::{Card, Listening, Needs, describe};
 use super::live::{Signals, duration};
-use super::{Outcome, Result, print, print_json};
+use super::{Outcome, Result, print, print_json, usage};
+use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
-use csi5300_live::doctor::{Check, Machine, Reception, System, Tree, Verdict, default_interface, examine};
+use csi5300_live::doctor::{Check, Machine, Reception, System, Tree, Verdict, examine};
 use csi5300_live::listener::Listener;
 use csi5300_live::wait::Monotonic;
 use csi5300_say::{Tone, toned};
-use driver_iface::Mac;
 use std::fmt::Write;
 use std::os::fd::AsFd;
 use std::path::PathBuf;
@@ -26,18 +26,19 @@ pub struct Args {
     /// Also listen for this long and say what comes
     #[arg(long, value_parser = duration, value_name = "TIME")]
     listen: Option<Span>,
-    /// Look at a copy of another machine's files (sys, proc, lib) instead of this machine
-    #[arg(value_name = "FOLDER")]
-    root: Option<PathBuf>,
-    /// The first robot: ask in order what only a card can tell, and write a report to send in (takes a minute)
-    #[arg(long, value_name = "REPORT.txt", conflicts_with_all = ["json", "listen", "root"])]
-    bring_up: Option<PathBuf>,
-    /// The card's interface, for --bring-up; found on the PCI bus where not given
-    #[arg(long, value_name = "NAME", requires = "bring_up")]
-    interface: Option<String>,
-    /// Another robot, for --bring-up: frames are sent to it
-    #[arg(long, value_parser = mac, value_name = "MAC", requires = "bring_up")]
-    peer: Option<Mac>,
+    /// A copy of another machine's files (sys, proc, lib) to look at instead of this machine. With --accept: the log of one robot or of two, a
+    /// scene, or a TOML file that says what is on the desk; without one the card of this machine
+    #[arg(value_name = "WHAT")]
+    what: Vec<PathBuf>,
+    /// Judge which promises of card, driver and host hold, claim by claim (20 s with a card; a log at once)
+    #[arg(long)]
+    accept: bool,
+    /// The WiFi channel that the cards were tuned to, for --accept
+    #[arg(long, value_parser = channel, value_name = "CHANNEL", requires = "accept")]
+    channel: Option<Channel>,
+    /// Write the verdicts into this folder too: HTML, JSON, JUnit XML, an entry for the bench log, the logs
+    #[arg(long, value_name = "DIR", requires = "accept")]
+    report: Option<PathBuf>,
     #[command(flatten)]
     card: Card,
 }
@@ -50,16 +51,15 @@ struct Report<'a> {
 
 /// Examines the machine.
 pub fn run(args: &Args) -> Result {
-    let system: Box<dyn System> = match &args.root {
-        Some(root) if !root.is_dir() => return Err(format!("{} is no folder", root.display())),
-        Some(root) => Box::new(Tree::new(root.clone())),
-        None => Box::new(Machine),
-    };
-    if let Some(report) = &args.bring_up {
-        let found = args.interface.clone().map_or_else(|| default_interface(system.as_ref()), Ok);
-        let interface = found.map_err(|error| format!("{error}: name the card's interface with --interface"))?;
-        return bring_up::run(&interface, args.peer, report).map(|()| Outcome::Done);
+    if args.accept {
+        return accept::run(args);
     }
+    let system: Box<dyn System> = match args.what.as_slice() {
+        [] => Box::new(Machine),
+        [root] if root.is_dir() => Box::new(Tree::new(root.clone())),
+        [root] => return Err(format!("{} is no folder; to judge a log, add --accept", root.display())),
+        _ => usage("the doctor looks at one machine; to judge the logs of two robots, add --accept"),
+    };
     let mut checks = examine(system.as_ref());
     if let Some(span) = args.listen {
         checks.extend(listen(args, span)?);

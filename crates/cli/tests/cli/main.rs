@@ -11,6 +11,8 @@ mod private;
 
 // Tests start in the order of their names; those that wait the longest are the first.
 #[cfg(feature = "live")]
+mod acceptance;
+#[cfg(feature = "live")]
 mod air;
 #[cfg(feature = "live")]
 mod answers;

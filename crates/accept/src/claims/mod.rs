@@ -1,0 +1,643 @@
+//! The claims: one table, and what decides each.
+
+mod host;
+mod injection;
+mod link;
+mod module;
+mod reception;
+
+use crate::collect::{Evidence, Heard};
+use crate::report::{Figure, Finding, Of, Verdict};
+use crate::stats::share_bounds;
+
+/// What must be on the desk for a claim.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Needs {
+    /// One card that hears frames.
+    OneCard,
+    /// The logs of two cards that sounded each other.
+    TwoCards,
+    /// Two cards, neither of which moves.
+    Rest,
+    /// Two cards, the first one's motion, and the true direction.
+    Direction,
+    /// A card that sends, and the log of one that hears it.
+    Sending,
+    /// The host alone, while it waits for a card.
+    Host,
+    /// The kernel module beside the stock driver.
+    Module,
+}
+
+impl Needs {
+    /// In words.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::OneCard => "one card that hears frames",
+            Self::TwoCards => "logs of two cards that sounded each other",
+            Self::Rest => "two robots that stand still (`at_rest`)",
+            Self::Direction => "a trajectory and the true direction",
+            Self::Sending => "a card that sends, and the log of one that hears it",
+            Self::Host => "a host that waits for a card",
+            Self::Module => "the kernel module csi5300 beside the stock driver",
+        }
+    }
+}
+
+/// What a check told.
+pub(crate) struct Told {
+    verdict: Verdict,
+    found: String,
+    figures: Vec<Figure>,
+}
+
+impl Told {
+    fn new(verdict: Verdict, found: String) -> Self {
+        Self { verdict, found, figures: Vec::new() }
+    }
+
+    fn not_tried(why: impl Into<String>) -> Self {
+        Self::new(Verdict::NotTried, why.into())
+    }
+
+    /// Holds or fails.
+    fn decided(holds: bool, found: String) -> Self {
+        Self::new(if holds { Verdict::Holds } else { Verdict::Fails }, found)
+    }
+
+    fn with(mut self, name: &'static str, value: f64, unit: &'static str) -> Self {
+        self.figures.push(Figure { name, value, unit });
+        self
+    }
+
+    /// A share that must not be above a limit. It fails where the share is above it for certain; in between nothing is decided.
+    fn share(bad: usize, total: usize, limit: f64, what: &str) -> Self {
+        let share = bad as f64 / total.max(1) as f64;
+        let found = format!("{bad} of {total} {what} ({:.2} %)", 100.0 * share);
+        let (low, _) = share_bounds(bad, total);
+        let told = match share {
+            _ if total < LEAST => Self::not_tried(format!("{found}: at least {LEAST} are needed")),
+            share if share <= limit => Self::decided(true, found),
+            _ if low > limit => Self::decided(false, found),
+            _ => Self::not_tried(format!("{found}: too few to tell that from {:.1} %", 100.0 * limit)),
+        };
+        told.with("share", share, "")
+    }
+}
+
+/// Fewest records from which a share is judged.
+const LEAST: usize = 100;
+
+/// What decides a claim.
+enum Check {
+    /// One card's records, each card's for itself.
+    Log(fn(&Heard, &Evidence) -> Told),
+    /// Both cards together.
+    Link(fn(&Evidence) -> Told),
+    /// The host.
+    Host(fn(&Evidence) -> Told),
+}
+
+/// One sentence that is true or false of a card, its driver or its host.
+pub struct Claim {
+    /// Its identity, `subject.what`.
+    pub id: &'static str,
+    /// The sentence.
+    pub says: &'static str,
+    /// What must be on the desk.
+    pub needs: Needs,
+    /// The range that is expected; `open` where nobody knows it yet.
+    pub expected: &'static str,
+    /// Where that range comes from.
+    pub source: &'static str,
+    /// Likely causes where it fails, the likeliest first.
+    pub causes: &'static [&'static str],
+    /// What to run next where it fails.
+    pub next: &'static str,
+    check: Check,
+}
+
+impl std::fmt::Debug for Claim {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "Claim({})", self.id)
+    }
+}
+
+impl Claim {
+    /// Expected range, causes and next command, in lines.
+    #[must_use]
+    pub fn advice(&self) -> String {
+        let causes: Vec<String> = self.causes.iter().map(|cause| format!("Likely: {cause}.")).collect();
+        format!("Expected: {} ({}). {} Next: {}", self.expected, self.source, causes.join(" "), self.next)
+    }
+
+    /// Its verdicts: one for each card, or one.
+    pub(crate) fn judge(&self, evidence: &Evidence) -> Vec<Finding> {
+        let finding = |of: Of, told: Told| Finding {
+            id: self.id,
+            of,
+            verdict: told.verdict,
+            found: told.found,
+            figures: told.figures,
+        };
+        match self.check {
+            Check::Log(check) => {
+                let sides = [(Of::Near, Some(&evidence.near)), (Of::Far, evidence.far.as_ref())];
+                sides.into_iter().filter_map(|(of, heard)| Some(finding(of, check(heard?, evidence)))).collect()
+            }
+            Check::Link(check) => vec![finding(Of::Link, check(evidence))],
+            Check::Host(check) => vec![finding(Of::Host, check(evidence))],
+        }
+    }
+}
+
+const INFO: &str = "`csi5300 info LOG.dat -v`";
+
+/// All claims, by subject.
+pub static CLAIMS: [Claim; 42] = [
+    Claim {
+        id: "host.buffer",
+        says: "The listener reads as fast as records come: no queue runs over.",
+        needs: Needs::OneCard,
+        expected: "0 overruns",
+        source: "netlink(7): ENOBUFS when the socket's buffer is full",
+        causes: &["the host is busy", "the socket's buffer is too small"],
+        next: "`csi5300 doctor`: the listener's buffer and rights",
+        check: Check::Log(host::buffer),
+    },
+    Claim {
+        id: "host.clock",
+        says: "The host's clock is not set while records come.",
+        needs: Needs::OneCard,
+        expected: "no step of more than 50 ms against the card's clock",
+        source: "card's clock of the same records",
+        causes: &["NTP or a person set the clock", "the machine was suspended"],
+        next: "timedatectl show-timesync, then record again after the clock is steady",
+        check: Check::Log(host::clock_set),
+    },
+    Claim {
+        id: "host.delay",
+        says: "Records reach the host soon and evenly after the card heard the frame.",
+        needs: Needs::OneCard,
+        expected: "open",
+        source: "measured: spread of host clock less card clock",
+        causes: &[],
+        next: INFO,
+        check: Check::Log(host::delay),
+    },
+    Claim {
+        id: "host.lateness",
+        says: "The host wakes a waiting program in time for a slot of 5 ms.",
+        needs: Needs::Host,
+        expected: "99 % within 2.5 ms",
+        source: "half a slot of this program's schedule",
+        causes: &["the processor saves power", "another program has a higher priority"],
+        next: "cpupower frequency-set -g performance, then run the claims again",
+        check: Check::Host(host::lateness),
+    },
+    Claim {
+        id: "host.processor",
+        says: "The bearing is the same with every vector unit of this processor.",
+        needs: Needs::Direction,
+        expected: "within 0.001 degrees of the portable code",
+        source: "this program's portable code",
+        causes: &["a compiler or processor fault: please report it with /proc/cpuinfo"],
+        next: "`csi5300 bearing FOLDER --json` on another machine",
+        check: Check::Host(host::processor),
+    },
+    Claim {
+        id: "card.clock",
+        says: "The card's clock goes on evenly.",
+        needs: Needs::OneCard,
+        expected: "no step of more than 50 ms against the host's clock, never back",
+        source: "host's clock of the same records; iwlwifi `timestamp_low` counts microseconds and wraps after 71.6 min",
+        causes: &["the driver was loaded anew", "the card was reset"],
+        next: "sudo dmesg | grep iwl",
+        check: Check::Log(host::card_clock),
+    },
+    Claim {
+        id: "card.rate",
+        says: "The card's clock is as fast as the host's.",
+        needs: Needs::OneCard,
+        expected: "within 100 ppm",
+        source: "802.11-2016 17.3.9.5: 20 ppm for the card; hosts without NTP in WSR captures: 75 to 85 ppm",
+        causes: &["the host's clock is not disciplined", "the card's crystal is out of tolerance"],
+        next: "chronyc tracking, then a recording of 60 s",
+        check: Check::Log(host::card_rate),
+    },
+    Claim {
+        id: "log.whole",
+        says: "Every byte from the card is part of a record that can be read.",
+        needs: Needs::OneCard,
+        expected: "0 bytes lost; a last record cut by a killed logger is allowed",
+        source: "iwlwifi dvm/rx.c: the fields and the length of a record fix each other",
+        causes: &[
+            "the driver's layout is not known to this program",
+            "the disk was full",
+            "two loggers wrote one file",
+        ],
+        next: INFO,
+        check: Check::Log(reception::whole),
+    },
+    Claim {
+        id: "log.layout",
+        says: "All records have one layout.",
+        needs: Needs::OneCard,
+        expected: "one of stock, WSR of 2021, WSR",
+        source: "driver_iface::bfee",
+        causes: &["the driver was exchanged during the recording", "records of two machines are in one file"],
+        next: INFO,
+        check: Check::Log(reception::layout),
+    },
+    Claim {
+        id: "reception.count",
+        says: "The driver's counter of frames goes up from record to record.",
+        needs: Needs::OneCard,
+        expected: "never the same value twice in a row",
+        source: "iwlwifi `bfee_count`, one up for each frame with CSI",
+        causes: &["the driver does not count", "each record was written twice"],
+        next: INFO,
+        check: Check::Log(reception::count),
+    },
+    Claim {
+        id: "reception.gaps",
+        says: "Between driver and log no records are lost.",
+        needs: Needs::OneCard,
+        expected: "at most 1 % of `bfee_count` missing",
+        source: "iwlwifi `bfee_count`",
+        causes: &["the logger keeps only some senders", "the listener's queue ran over", "the driver drops records"],
+        next: "`csi5300 doctor --listen 20s`",
+        check: Check::Log(reception::gaps),
+    },
+    Claim {
+        id: "reception.rate",
+        says: "Every frame with CSI was sent at an HT rate.",
+        needs: Needs::OneCard,
+        expected: "bit 8 of `fake_rate_n_flags` set",
+        source: "802.11n 20.3.9: only HT frames carry HT training fields; iwlwifi RATE_MCS_HT_MSK",
+        causes: &["the sender's `monitor_tx_rate` is a legacy rate", "the driver's field is laid out differently"],
+        next: "`csi5300 setup --role initiator --channel N` on the sender",
+        check: Check::Log(reception::ht),
+    },
+    Claim {
+        id: "reception.width",
+        says: "Frames are as wide as the channel that was told.",
+        needs: Needs::OneCard,
+        expected: "bit 11 of `fake_rate_n_flags` set on 40 MHz only",
+        source: "iwlwifi RATE_MCS_HT40_MSK",
+        causes: &["another channel width was told to this program", "the sender is set to another width"],
+        next: "`csi5300 info LOG.dat`, then the channel with its width: --channel 108 or 108+",
+        check: Check::Log(reception::width),
+    },
+    Claim {
+        id: "reception.chains",
+        says: "The number of receive chains stays the same.",
+        needs: Needs::OneCard,
+        expected: "one value",
+        source: "iwlwifi RXON chain flags, set once by the driver",
+        causes: &["the driver saves power by switching chains off", "an antenna has a loose contact"],
+        next: "iw dev NAME set power_save off",
+        check: Check::Log(reception::chains),
+    },
+    Claim {
+        id: "reception.order",
+        says: "Each record says which antenna each chain was connected to.",
+        needs: Needs::OneCard,
+        expected: "`antenna_sel` is a permutation",
+        source: "iwlwifi `antenna_sel`, two bits a chain",
+        causes: &["the driver does not fill the field in", "one antenna is connected and its chain is not named"],
+        next: INFO,
+        check: Check::Log(reception::order),
+    },
+    Claim {
+        id: "reception.antennas",
+        says: "The named antenna is the true one: a chain's power and its antenna's RSSI agree.",
+        needs: Needs::OneCard,
+        expected: "at most 2 % of the records more than 5 dB off",
+        source: "csitool: csi and rssi_a, rssi_b, rssi_c of one record; both are measured behind the same gain",
+        causes: &[
+            "`antenna_sel` is constant or wrong",
+            "RSSI fields are exchanged",
+            "two antennas hear equally strongly through a splitter",
+        ],
+        next: "unplug antenna B, record 10 s, and look at `csi5300 info LOG.dat --plot DIR`: the named chain falls",
+        check: Check::Log(reception::antenna_names),
+    },
+    Claim {
+        id: "reception.subcarriers",
+        says: "The 30 subcarriers come in the order and at the indices of 802.11n.",
+        needs: Needs::OneCard,
+        expected: "a line through the phase fits better than with another order",
+        source: "802.11n table 7-25f (grouping of 2 at 20 MHz, 4 at 40 MHz)",
+        causes: &["the driver or a converter moved the subcarriers", "the width told is wrong"],
+        next: "`csi5300 info LOG.dat --plot DIR`: the phase over the subcarriers is one line",
+        check: Check::Log(reception::subcarriers),
+    },
+    Claim {
+        id: "reception.level",
+        says: "The gain control uses the converter's range.",
+        needs: Needs::OneCard,
+        expected: "root mean square of the strongest chain 8 to 64 steps in the median",
+        source: "WSR and paper captures: 20 to 40",
+        causes: &["the coefficients were scaled after the card", "the gain control is off"],
+        next: INFO,
+        check: Check::Log(reception::level),
+    },
+    Claim {
+        id: "reception.saturation",
+        says: "Coefficients are not cut at the converter's ends.",
+        needs: Needs::OneCard,
+        expected: "at most 1 % of the records with a value of -128 or 127",
+        source: "8-bit values of the record",
+        causes: &["the robots are closer than 0.5 m", "the gain control is off"],
+        next: "move the robots apart, or lower the sender's power with iw dev NAME set txpower fixed 500",
+        check: Check::Log(reception::saturation),
+    },
+    Claim {
+        id: "reception.zero",
+        says: "No record's coefficients are all zero.",
+        needs: Needs::OneCard,
+        expected: "0 records",
+        source: "a frame that was decoded has a channel",
+        causes: &["the firmware reports CSI of frames without training fields", "the record was damaged"],
+        next: INFO,
+        check: Check::Log(reception::zero),
+    },
+    Claim {
+        id: "reception.fresh",
+        says: "Every record has coefficients of its own.",
+        needs: Needs::OneCard,
+        expected: "at most 1 % equal to the record before",
+        source: "noise changes the last bit of some of 60 or more values from frame to frame",
+        causes: &["the driver hands on a buffer that was not refilled", "records are written twice"],
+        next: INFO,
+        check: Check::Log(reception::fresh),
+    },
+    Claim {
+        id: "reception.gain",
+        says: "RSSI and gain together give a power that air can carry.",
+        needs: Needs::OneCard,
+        expected: "total RSS between -95 and -10 dBm, gain above 0 dB",
+        source: "csitool get_total_rss: 10 log10 of the summed RSSI, less 44, less agc",
+        causes: &["the driver does not fill in `agc`", "RSSI fields are exchanged with others"],
+        next: INFO,
+        check: Check::Log(reception::gain),
+    },
+    Claim {
+        id: "reception.noise",
+        says: "The noise floor is unknown (-127) or one that a receiver can have.",
+        needs: Needs::OneCard,
+        expected: "-127, or -105 to -60 dBm",
+        source: "thermal noise of 20 MHz is -101 dBm; csitool takes -92 for unknown",
+        causes: &["the driver's field is laid out differently", "a strong transmitter is close"],
+        next: INFO,
+        check: Check::Log(reception::noise),
+    },
+    Claim {
+        id: "reception.snr",
+        says: "The channel stands out of the noise.",
+        needs: Needs::OneCard,
+        expected: "at least 5 dB in the median",
+        source: "third differences over the subcarriers; below 5 dB a bearing needs more than a metre of path",
+        causes: &[
+            "the antenna is not connected",
+            "the robots are too far apart",
+            "a jammer or another network is on the channel",
+        ],
+        next: "`csi5300 info LOG.dat --plot DIR`: RSSI over time; then another channel",
+        check: Check::Log(reception::snr),
+    },
+    Claim {
+        id: "reception.once",
+        says: "Each frame is reported once.",
+        needs: Needs::OneCard,
+        expected: "at most 1 % of the numbers twice",
+        source: "sounding frames are sent without retries and numbered",
+        causes: &[
+            "the sender's card retries",
+            "the responder answers twice",
+            "two programs sound under one MAC address",
+        ],
+        next: "`csi5300 info LOG.dat -v`: numbers that come twice, by sender",
+        check: Check::Log(reception::once),
+    },
+    Claim {
+        id: "exchange.pairs",
+        says: "Both frames of an exchange are reported.",
+        needs: Needs::TwoCards,
+        expected: "at least 90 % of the near card's frames have a partner",
+        source: "WSR captures: 93 to 99 %",
+        causes: &[
+            "the far log is of another run",
+            "frames are lost on the air",
+            "answers carry another robot's address",
+        ],
+        next: "`csi5300 bearing FOLDER -v`: pairs and losses by side",
+        check: Check::Link(link::pairs),
+    },
+    Claim {
+        id: "exchange.turn_around",
+        says: "Answers come evenly.",
+        needs: Needs::TwoCards,
+        expected: "90 % within 500 us of each other",
+        source: "WSR captures: 20 to 420 us; the driver's code: 145 to 322 us",
+        causes: &["the responder answers in user space", "the responder's host is busy"],
+        next: "`csi5300 setup --role responder --channel N` on the second robot, so that its driver answers",
+        check: Check::Link(link::turn_around),
+    },
+    Claim {
+        id: "exchange.late",
+        says: "No answer comes a frame too late.",
+        needs: Needs::TwoCards,
+        expected: "at most 5 % later than 1.5 ms",
+        source: "5 ms between slots, a third of it",
+        causes: &["the responder's host is busy", "carrier sense holds answers back: the channel is busy"],
+        next: "another channel, or a responder whose host does nothing else",
+        check: Check::Link(link::late),
+    },
+    Claim {
+        id: "exchange.drift",
+        says: "The two cards' clocks drift apart slowly.",
+        needs: Needs::TwoCards,
+        expected: "at most 40 ppm",
+        source: "802.11-2016 17.3.9.5: 20 ppm each way",
+        causes: &["a clock was reset", "the logs are of two runs"],
+        next: INFO,
+        check: Check::Link(link::drift),
+    },
+    Claim {
+        id: "phase.cancels",
+        says: "In the product of forward and backward frame the carrier offset cancels.",
+        needs: Needs::TwoCards,
+        expected: "coherence of the product from exchange to exchange at least 0.4",
+        source: "WSR captures: 0.5 to 0.98",
+        causes: &[
+            "the cards retune or restart between the two frames",
+            "one log is conjugated",
+            "the logs are of two runs",
+            "SNR is too low",
+        ],
+        next: "`csi5300 bearing FOLDER --plot DIR`: the phase of the round trip is a smooth line",
+        check: Check::Link(link::cancels),
+    },
+    Claim {
+        id: "phase.sign",
+        says: "The offset has opposite signs in the two directions.",
+        needs: Needs::TwoCards,
+        expected: "the product is more coherent than forward times conjugate of backward",
+        source: "h ~ exp(-j 2 pi d / lambda); the mixers' difference has one sign each way",
+        causes: &["one card's driver conjugates the coefficients", "one log went through a converter"],
+        next: "compare with csiread: the same file, the same signs",
+        check: Check::Link(link::sign),
+    },
+    Claim {
+        id: "phase.crystal",
+        says: "Clock and carrier of a card come from one crystal.",
+        needs: Needs::TwoCards,
+        expected: "carrier offset over clock drift is the carrier frequency, within 1.5 ppm",
+        source: "802.11-2016 17.3.9.5: one reference for carrier and symbol clock",
+        causes: &["the channel told is of another band", "a card's clock is not the one its carrier comes from"],
+        next: "iw dev NAME info: the channel; then a recording of 60 s",
+        check: Check::Link(link::crystal),
+    },
+    Claim {
+        id: "phase.rest",
+        says: "At rest the compensated product's phase stands still.",
+        needs: Needs::Rest,
+        expected: "coherence within each second at least 0.7",
+        source: "paper captures before the motion begins: 0.9 and above",
+        causes: &["something moves near the robots", "the carrier offset does not cancel: see phase.cancels"],
+        next: "`csi5300 info LOG.dat --plot DIR` of both, while nobody walks between the robots",
+        check: Check::Link(link::rest),
+    },
+    Claim {
+        id: "injection.taken",
+        says: "The driver takes every frame.",
+        needs: Needs::Sending,
+        expected: "at most 1 % refused at up to 200 frames a second",
+        source: "packet(7): ENOBUFS where the interface's queue is full",
+        causes: &["the interface is down or not in monitor mode", "the channel forbids sending (no-IR, radar)"],
+        next: "`csi5300 doctor`",
+        check: Check::Link(injection::taken),
+    },
+    Claim {
+        id: "injection.heard",
+        says: "What is sent is heard.",
+        needs: Needs::Sending,
+        expected: "at most 10 % lost at up to 200 frames a second",
+        source: "WSR captures: 1 to 7 % lost",
+        causes: &[
+            "frames leave at a legacy rate: no record at the other card",
+            "the channel is busy",
+            "the other card is on another channel",
+        ],
+        next: "`csi5300 record OUT.dat` on the other robot, then `csi5300 doctor` here",
+        check: Check::Link(injection::heard),
+    },
+    Claim {
+        id: "injection.numbers",
+        says: "The numbers that are heard are those that were sent.",
+        needs: Needs::Sending,
+        expected: "no other number",
+        source: "the frame's own bytes",
+        causes: &["another program sounds under this MAC address", "the driver's field is laid out differently"],
+        next: INFO,
+        check: Check::Link(injection::numbers),
+    },
+    Claim {
+        id: "recorder.same",
+        says: "A recording gives the same records as the card did, and all of those written before a cut.",
+        needs: Needs::OneCard,
+        expected: "equal, every field and coefficient",
+        source: "the live records",
+        causes: &["a fault of this program: please report it with the log"],
+        next: INFO,
+        check: Check::Log(host::recorder),
+    },
+    Claim {
+        id: "module.csi",
+        says: "The firmware sends CSI when the module asks for it.",
+        needs: Needs::Module,
+        expected: "`bfee` grows while frames are heard",
+        source: "csitool's patched drivers; on the stock driver nobody has seen it",
+        causes: &[
+            "no frame came at an HT rate to the magic address",
+            "the firmware was not asked: `rxons`, `stations`, `orders` are 0",
+            "another firmware is loaded than csitool's",
+        ],
+        next: "sudo dmesg | grep iwl, then echo N | sudo tee /sys/module/csi5300/parameters/ask for N from 0 to 7",
+        check: Check::Host(module::csi),
+    },
+    Claim {
+        id: "module.marked",
+        says: "CSI comes as a notification, not as an answer to a command.",
+        needs: Needs::Module,
+        expected: "`unmarked` stays 0",
+        source: "iwlwifi pcie/rx.c: bit 7 of the packet's sequence number",
+        causes: &["the firmware does not set the bit: the driver takes CSI for answers"],
+        next: "sudo dmesg | grep \"wrong command queue\"",
+        check: Check::Host(module::marked),
+    },
+    Claim {
+        id: "module.order",
+        says: "The firmware tells the order of the antennas.",
+        needs: Needs::Module,
+        expected: "`no_order` stays 0",
+        source: "iwlwifi dvm/rx.c: REPLY_RX_PHY_CMD before each frame",
+        causes: &["the phase packet is laid out in another way", "one chain only is in use"],
+        next: "connect antenna A only, and record again",
+        check: Check::Host(module::order),
+    },
+    Claim {
+        id: "module.layout",
+        says: "The firmware's packets are laid out as the driver's sources say.",
+        needs: Needs::Module,
+        expected: "`bad_bfee` and `bad_phy` stay 0",
+        source: "iwlwifi dvm/commands.h",
+        causes: &["another firmware is loaded than csitool's"],
+        next: "sha256sum /lib/firmware/iwlwifi-5000-2.ucode",
+        check: Check::Host(module::layout),
+    },
+    Claim {
+        id: "truth.bearing",
+        says: "The true direction lies within the answer's 95 % interval.",
+        needs: Needs::Direction,
+        expected: "error at most the 95 % half-width, in the trajectory's frame",
+        source: "the person's measurement of the direction",
+        causes: &[
+            "the antenna's place on the robot is missing or mirrored: --antenna-offset FORWARD,LEFT,UP",
+            "the channel told is wrong",
+            "the direction was measured in another frame",
+        ],
+        next: "`csi5300 bearing FOLDER -v`",
+        check: Check::Link(link::bearing),
+    },
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn claims_are_told_apart_and_say_what_next() {
+        let ids: BTreeSet<&str> = CLAIMS.iter().map(|claim| claim.id).collect();
+        assert_eq!(ids.len(), CLAIMS.len());
+        for claim in &CLAIMS {
+            assert!(claim.says.ends_with('.') && !claim.source.is_empty() && !claim.next.is_empty(), "{}", claim.id);
+            assert_eq!(claim.causes.is_empty(), claim.expected == "open", "{}", claim.id);
+        }
+    }
+
+    #[test]
+    fn a_share_fails_only_for_certain() {
+        let verdict = |bad, total, limit| Told::share(bad, total, limit, "records").verdict;
+        assert_eq!(verdict(0, 10, 0.01), Verdict::NotTried);
+        assert_eq!(verdict(1, 200, 0.01), Verdict::Holds);
+        assert_eq!(verdict(4, 200, 0.01), Verdict::NotTried);
+        assert_eq!(verdict(20, 200, 0.01), Verdict::Fails);
+        assert_eq!(verdict(1, 2_000, 0.0), Verdict::Fails);
+    }
+}

@@ -1,0 +1,36 @@
+//! Acceptance claims: which promises of a card, its driver and its host hold.
+//!
+//! A [`Claim`] is one sentence that can be true or false of a card, with the range that is expected and where that range comes from.
+//! A [`Collector`] is handed what the cards give, [`csi5300::source::Next`] by `Next`, and what was sent; it does no I/O and knows no clock.
+//! [`Evidence::judge`] asks every claim and gives a [`Report`]. So the same claims judge a simulated card in virtual time, a recorded log
+//! and a card on the desk.
+//!
+//! A claim **holds** or **fails** only where the records decide it at an error probability of about 1 in 10,000 ([`stats`]). Where they do not,
+//! it was **not tried**, and the report says why. A claim without an expected range only **measures**.
+//!
+//! A user's own backend gets the same claims from [`run`]:
+//!
+//! ```
+//! use csi5300_accept::{Plan, run};
+//! use csi5300_sim::{Room, Scene};
+//!
+//! let mut room = Room::new(&Scene::built_in("lab-circle").expect("it is built in"))?;
+//! let (mut near, mut far) = (room.card(0).expect("first"), room.card(1).expect("second"));
+//! let report = run(&mut near, Some(&mut far), Plan::new("108".parse()?))?;
+//! assert_eq!(report.failed().count(), 0, "{report}");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::indexing_slicing))]
+
+mod claims;
+mod collect;
+mod page;
+mod pairs;
+mod report;
+pub mod stats;
+
+pub use claims::{CLAIMS, Claim, Needs};
+pub use collect::{
+    Collector, Evidence, Heard, HeardRecord, Plan, Sending, Sent, Side, Truth, collect, run, run_sending,
+};
+pub use report::{Curve, Figure, Finding, LogFacts, Of, Report, Verdict};

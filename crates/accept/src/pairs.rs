@@ -1,0 +1,148 @@
+//! Forward and backward frames of one exchange, as two cards reported them.
+
+use crate::collect::{Heard, HeardRecord};
+use crate::stats::line;
+use csi5300::signal::cfo::{TurnAround, at_centre, round_trip_at_centre};
+use csi5300::signal::channel::{Channel, SUBCARRIERS};
+use driver_iface::Mac;
+use driver_iface::bfee::{Antenna, Antennas};
+use num_complex::{Complex32, Complex64};
+use std::collections::{BTreeMap, HashMap};
+
+/// Exchanges of two cards: every frame that each heard of the other, paired by its number.
+#[derive(Debug, Default)]
+pub(crate) struct Pairs {
+    /// Frames that each card heard of the other, each number once.
+    pub frames: [usize; 2],
+    /// The near card's clock at each pair, microseconds.
+    pub near_us: Vec<i64>,
+    /// Far clock less near clock, microseconds.
+    pub difference_us: Vec<i64>,
+    /// Forward times backward at the channel centre, of antenna A.
+    pub product: Vec<Complex64>,
+    /// Forward times the conjugate of backward.
+    pub ratio: Vec<Complex64>,
+    /// One direction alone: what the near card heard.
+    pub one_way: Vec<Complex64>,
+    /// Turn-around of each pair less the clocks' line, microseconds.
+    pub turn_us: Vec<f64>,
+    /// Drift of the far clock against the near one by that line, ppm, and its standard error.
+    pub drift_ppm: Option<(f64, f64)>,
+    /// The library's compensation of the product.
+    pub compensation: Option<TurnAround>,
+    /// The same of the ratio.
+    pub ratio_compensation: Option<TurnAround>,
+}
+
+/// Antenna A's coefficients of the first stream; the first chain's where the record does not say which is A.
+pub(crate) fn antenna_a(record: &HeardRecord) -> [Complex32; SUBCARRIERS] {
+    let head = &record.head;
+    let antennas = Antennas::new(head.antenna_sel, head.n_rx, head.rssi).ok();
+    let chain = antennas.and_then(|antennas| antennas.chain_of(Antenna::A)).unwrap_or(0);
+    column(record, chain)
+}
+
+/// The coefficients of one chain, first stream.
+pub(crate) fn column(record: &HeardRecord, chain: usize) -> [Complex32; SUBCARRIERS] {
+    let (n_rx, n_tx) = (usize::from(record.head.n_rx), usize::from(record.head.n_tx));
+    std::array::from_fn(|k| {
+        let iq = record.csi.get((k * n_rx + chain) * n_tx).copied().unwrap_or_default();
+        Complex32::new(f32::from(iq.i), f32::from(iq.q))
+    })
+}
+
+/// Senders of numbered records, and how many each has.
+fn senders(heard: &Heard) -> BTreeMap<Mac, usize> {
+    let mut counts = BTreeMap::new();
+    for record in heard.records.iter().filter(|record| record.number.is_some()) {
+        *counts.entry(record.mac).or_default() += 1;
+    }
+    counts
+}
+
+/// The sender that most numbered records have.
+pub(crate) fn usual_sender(heard: &Heard) -> Option<Mac> {
+    senders(heard).into_iter().max_by_key(|(mac, count)| (*count, *mac)).map(|(mac, _)| mac)
+}
+
+impl Pairs {
+    /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. Where near heard several robots, that one
+    /// is taken with which the product is most coherent; the numbers of all count alike.
+    pub(crate) fn of(near: &Heard, far: &Heard, channel: Channel) -> Self {
+        let Some(of_near) = usual_sender(far) else { return Self::default() };
+        let candidates = senders(near).into_keys().map(|of_far| Self::with(near, far, [of_near, of_far], channel));
+        let candidates: Vec<Self> = candidates.filter(|pairs| pairs.len() > 0).collect();
+        let most = candidates.iter().map(Self::len).max().unwrap_or(0);
+        let coherence = |pairs: &Self| pairs.compensation.as_ref().map_or(0.0, |found| found.coherence_after);
+        let likely = candidates.into_iter().filter(|pairs| 2 * pairs.len() >= most).map(|mut pairs| {
+            pairs.compensate(channel.centre_hz());
+            pairs
+        });
+        likely.max_by(|a, b| coherence(a).total_cmp(&coherence(b))).unwrap_or_default()
+    }
+
+    fn with(near: &Heard, far: &Heard, [of_near, of_far]: [Mac; 2], channel: Channel) -> Self {
+        // A number that comes twice says of neither frame which exchange it was.
+        let mut heard_by_far: HashMap<u32, Option<&HeardRecord>> = HashMap::new();
+        for record in far.records.iter().filter(|record| record.mac == of_near) {
+            if let Some(number) = record.number {
+                heard_by_far.entry(number).and_modify(|twice| *twice = None).or_insert(Some(record));
+            }
+        }
+        let indices = channel.subcarriers();
+        let mut pairs = Self { frames: [0, heard_by_far.len()], ..Self::default() };
+        let mut last = None;
+        for record in near.records.iter().filter(|record| record.mac == of_far && record.number.is_some()) {
+            if record.number == last {
+                continue;
+            }
+            last = record.number;
+            pairs.frames[0] += 1;
+            let other = record.number.and_then(|number| heard_by_far.get(&number).copied().flatten());
+            let Some(other) = other else { continue };
+            let (backward, forward) = (antenna_a(record), antenna_a(other));
+            let conjugated = backward.map(|h| h.conj());
+            let product = round_trip_at_centre(&forward, &backward, &indices);
+            let ratio = round_trip_at_centre(&forward, &conjugated, &indices);
+            let Some(((product, ratio), one_way)) = product.zip(ratio).zip(at_centre(&backward, &indices)) else {
+                continue;
+            };
+            pairs.near_us.push(record.card_us);
+            pairs.difference_us.push(other.card_us - record.card_us);
+            pairs.product.push(product.h);
+            pairs.ratio.push(ratio.h);
+            pairs.one_way.push(one_way.h);
+        }
+        pairs.fit();
+        pairs
+    }
+
+    /// The clocks' line through the pairs.
+    fn fit(&mut self) {
+        let (Some(&first_us), Some(&first_difference)) = (self.near_us.first(), self.difference_us.first()) else {
+            return;
+        };
+        let points: Vec<(f64, f64)> = self
+            .near_us
+            .iter()
+            .zip(&self.difference_us)
+            .map(|(us, difference)| ((us - first_us) as f64, (difference - first_difference) as f64))
+            .collect();
+        if let Some((offset, slope, error)) = line(&points) {
+            self.turn_us = points.iter().map(|(x, y)| y - offset - slope * x).collect();
+            self.drift_ppm = Some((slope * 1e6, error * 1e6));
+        }
+    }
+
+    /// What the library makes of the phases.
+    fn compensate(&mut self, carrier_hz: f64) {
+        let estimate = |z: &[Complex64]| TurnAround::estimate(z, &self.near_us, &self.difference_us, carrier_hz);
+        let (product, ratio) = (estimate(&self.product), estimate(&self.ratio));
+        (self.compensation, self.ratio_compensation) = (product, ratio);
+    }
+
+    /// Pairs that were formed.
+    pub(crate) fn len(&self) -> usize {
+        self.product.len()
+    }
+}

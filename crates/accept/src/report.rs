@@ -1,0 +1,384 @@
+//! Verdicts and how they are told: as text, JSON, JUnit XML and an entry for the bench log.
+
+use crate::claims::{CLAIMS, Claim};
+use crate::collect::{Evidence, Heard};
+use crate::stats::quantile;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use std::fmt::{self, Write as _};
+
+/// How a claim ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// It holds.
+    Holds,
+    /// It fails.
+    Fails,
+    /// It has no expected range: its figures are what there is to know.
+    Measured,
+    /// It could not be decided; the words say why.
+    NotTried,
+}
+
+impl Verdict {
+    /// As the table has it.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Holds => "holds",
+            Self::Fails => "FAILS",
+            Self::Measured => "measured",
+            Self::NotTried => "not tried",
+        }
+    }
+}
+
+/// What a finding is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Of {
+    /// The first robot's card.
+    Near,
+    /// The second robot's card.
+    Far,
+    /// Both.
+    Link,
+    /// The host that runs the program.
+    Host,
+}
+
+impl Of {
+    /// As the table has it.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Near => "near",
+            Self::Far => "far",
+            Self::Link => "link",
+            Self::Host => "host",
+        }
+    }
+}
+
+/// A number that a claim was judged by.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Figure {
+    /// What it is.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// Its unit; empty of a count.
+    pub unit: &'static str,
+}
+
+/// One claim's verdict.
+#[derive(Clone, Debug, Serialize)]
+pub struct Finding {
+    /// The claim's identity.
+    pub id: &'static str,
+    /// What it is about.
+    pub of: Of,
+    /// How it ended.
+    pub verdict: Verdict,
+    /// What was found, in words.
+    pub found: String,
+    /// In numbers.
+    pub figures: Vec<Figure>,
+}
+
+impl Finding {
+    /// The claim; every finding has one.
+    #[must_use]
+    pub fn claim(&self) -> Option<&'static Claim> {
+        CLAIMS.iter().find(|claim| claim.id == self.id)
+    }
+}
+
+/// A curve of the report.
+#[derive(Clone, Debug, Serialize)]
+pub struct Curve {
+    /// Its title.
+    pub title: &'static str,
+    /// What the horizontal axis is, with its unit.
+    pub x: &'static str,
+    /// What the vertical axis is, with its unit.
+    pub y: &'static str,
+    /// Names of the series, and their points.
+    pub series: Vec<(&'static str, Vec<(f64, f64)>)>,
+}
+
+/// What a log is.
+#[derive(Clone, Debug, Serialize)]
+pub struct LogFacts {
+    /// Whose.
+    pub of: Of,
+    /// Records with CSI.
+    pub records: usize,
+    /// Bytes of the log.
+    pub bytes: usize,
+    /// SHA-256 of them, hexadecimal.
+    pub sha256: String,
+}
+
+impl LogFacts {
+    fn new(of: Of, heard: &Heard) -> Self {
+        let sha256 = Sha256::digest(&heard.log).iter().fold(String::new(), |mut text, byte| {
+            let _ = write!(text, "{byte:02x}");
+            text
+        });
+        Self { of, records: heard.records.len(), bytes: heard.log.len(), sha256 }
+    }
+}
+
+/// All verdicts. It names no person, place, host or MAC address.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Version of this form.
+    pub format: u32,
+    /// Version of the program.
+    pub version: &'static str,
+    /// What runs the cards, in lines of `name: value`; the caller's.
+    pub facts: Vec<String>,
+    /// The logs: whose, records with CSI, bytes, SHA-256.
+    pub logs: Vec<LogFacts>,
+    /// The verdicts.
+    pub findings: Vec<Finding>,
+    /// The curves.
+    pub curves: Vec<Curve>,
+}
+
+/// Text for XML and HTML.
+pub(crate) fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            letter if letter.is_control() && letter != '\n' => {}
+            letter => out.push(letter),
+        }
+    }
+    out
+}
+
+impl Report {
+    pub(crate) fn new(evidence: &Evidence, findings: Vec<Finding>) -> Self {
+        let far = evidence.far.as_ref().map(|far| LogFacts::new(Of::Far, far));
+        let logs = std::iter::once(LogFacts::new(Of::Near, &evidence.near)).chain(far).collect();
+        Self {
+            format: 1,
+            version: env!("CARGO_PKG_VERSION"),
+            facts: Vec::new(),
+            logs,
+            findings,
+            curves: curves(evidence),
+        }
+    }
+
+    /// Claims that fail.
+    pub fn failed(&self) -> impl Iterator<Item = &Finding> {
+        self.findings.iter().filter(|finding| finding.verdict == Verdict::Fails)
+    }
+
+    /// How many findings have this verdict.
+    #[must_use]
+    pub fn count(&self, verdict: Verdict) -> usize {
+        self.findings.iter().filter(|finding| finding.verdict == verdict).count()
+    }
+
+    /// As JSON.
+    ///
+    /// # Errors
+    /// Never, in practice: every part of it can be written.
+    pub fn json(&self) -> Result<String, serde_json::Error> {
+        serde_json::to_string_pretty(self)
+    }
+
+    /// As JUnit XML, which labgrid and continuous integration read: a failed claim is a failure, one that was not tried is skipped.
+    #[must_use]
+    pub fn junit(&self) -> String {
+        let (tests, failures, skipped) =
+            (self.findings.len(), self.count(Verdict::Fails), self.count(Verdict::NotTried));
+        let mut xml = format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuite name=\"csi5300\" tests=\"{tests}\" failures=\"{failures}\" skipped=\"{skipped}\">\n"
+        );
+        for finding in &self.findings {
+            let (id, of, found) = (finding.id, finding.of.word(), escaped(&finding.found));
+            let _ = match finding.verdict {
+                Verdict::Fails => writeln!(
+                    xml,
+                    "  <testcase classname=\"{of}\" name=\"{id}\"><failure message=\"{found}\">{}</failure></testcase>",
+                    escaped(&finding.claim().map(Claim::advice).unwrap_or_default())
+                ),
+                Verdict::NotTried => {
+                    writeln!(
+                        xml,
+                        "  <testcase classname=\"{of}\" name=\"{id}\"><skipped message=\"{found}\"/></testcase>"
+                    )
+                }
+                Verdict::Holds | Verdict::Measured => {
+                    writeln!(
+                        xml,
+                        "  <testcase classname=\"{of}\" name=\"{id}\"><system-out>{found}</system-out></testcase>"
+                    )
+                }
+            };
+        }
+        xml.push_str("</testsuite>\n");
+        xml
+    }
+
+    /// As one HTML page with the curves.
+    #[must_use]
+    pub fn html(&self) -> String {
+        crate::page::html(self)
+    }
+
+    /// As an entry for a bench log, in Markdown.
+    #[must_use]
+    pub fn entry(&self, date: &str) -> String {
+        let mut text = format!("## {date}: csi5300 {}\n\n", self.version);
+        for fact in &self.facts {
+            let _ = writeln!(text, "- {fact}");
+        }
+        for log in &self.logs {
+            let _ = writeln!(
+                text,
+                "- {} log: {} records, {} bytes, SHA-256 {}",
+                log.of.word(),
+                log.records,
+                log.bytes,
+                log.sha256
+            );
+        }
+        text.push_str("\n| claim | of | verdict | found |\n|---|---|---|---|\n");
+        for finding in &self.findings {
+            let found = finding.found.replace('|', "/");
+            let _ = writeln!(text, "| {} | {} | {} | {found} |", finding.id, finding.of.word(), finding.verdict.word());
+        }
+        text
+    }
+}
+
+impl fmt::Display for Report {
+    /// A table: failures first, with causes and the next command; then what holds, was measured and was not tried.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let wide = self.findings.iter().map(|finding| finding.id.len()).max().unwrap_or(0);
+        for verdict in [Verdict::Fails, Verdict::Holds, Verdict::Measured, Verdict::NotTried] {
+            let mut findings = self.findings.iter().filter(|finding| finding.verdict == verdict).peekable();
+            while let Some(finding) = findings.next() {
+                let (mut of, mut found) = (finding.of.word(), finding.found.clone());
+                if let Some(far) = findings.next_if(|next| next.id == finding.id) {
+                    of = "both";
+                    if far.found != finding.found {
+                        found = format!("near: {found}; far: {}", far.found);
+                    }
+                }
+                writeln!(out, "{:9}  {:wide$}  {of:4}  {found}", verdict.word(), finding.id)?;
+                if let Some(claim) = finding.claim().filter(|_| verdict == Verdict::Fails) {
+                    writeln!(
+                        out,
+                        "           the claim: {} (expected: {}; {})",
+                        claim.says, claim.expected, claim.source
+                    )?;
+                    for (nth, cause) in claim.causes.iter().enumerate() {
+                        writeln!(out, "           cause {}: {cause}", nth + 1)?;
+                    }
+                    writeln!(out, "           next: {}", claim.next)?;
+                }
+            }
+        }
+        writeln!(
+            out,
+            "{} fail, {} hold, {} measured, {} not tried",
+            self.count(Verdict::Fails),
+            self.count(Verdict::Holds),
+            self.count(Verdict::Measured),
+            self.count(Verdict::NotTried)
+        )
+    }
+}
+
+/// Points of a curve at most.
+const POINTS: usize = 400;
+
+/// Every n-th of the points, so that at most [`POINTS`] are left.
+fn thinned(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    let step = points.len().div_ceil(POINTS).max(1);
+    points.into_iter().step_by(step).collect()
+}
+
+fn curves(evidence: &Evidence) -> Vec<Curve> {
+    let mut curves = vec![rssi(evidence)];
+    curves.extend(clock(evidence));
+    curves.extend(phase(evidence));
+    if !evidence.lateness_us.is_empty() {
+        let points = (1..100).filter_map(|k| {
+            let share = f64::from(k) / 100.0;
+            quantile(&evidence.lateness_us, share).map(|us| (us, share))
+        });
+        curves.push(Curve {
+            title: "How late the host wakes",
+            x: "late by (us)",
+            y: "share of wakes that are no later",
+            series: vec![("host", points.collect())],
+        });
+    }
+    curves
+}
+
+fn rssi(evidence: &Evidence) -> Curve {
+    let of = |antenna: usize| {
+        let first = evidence.near.records.first().map_or(0, |record| record.card_us);
+        let points = evidence.near.records.iter().filter_map(|record| {
+            let rssi = record.head.rssi.get(antenna).copied().filter(|rssi| *rssi > 0)?;
+            Some(((record.card_us - first) as f64 * 1e-6, f64::from(rssi)))
+        });
+        thinned(points.collect())
+    };
+    Curve {
+        title: "RSSI of the near card by antenna",
+        x: "card's clock (s)",
+        y: "RSSI (dB above the card's reference)",
+        series: vec![("A", of(0)), ("B", of(1)), ("C", of(2))],
+    }
+}
+
+fn clock(evidence: &Evidence) -> Option<Curve> {
+    let records = &evidence.near.records;
+    let first = records.iter().find_map(|record| Some((record.card_us, record.host_us?)))?;
+    let points = records.iter().filter_map(|record| {
+        let host = record.host_us? - first.1;
+        let card = record.card_us - first.0;
+        Some((card as f64 * 1e-6, (host - card) as f64 * 1e-3))
+    });
+    Some(Curve {
+        title: "Host clock against card clock",
+        x: "card's clock (s)",
+        y: "host less card (ms)",
+        series: vec![("near", thinned(points.collect()))],
+    })
+}
+
+/// The product's phase from exchange to exchange against the difference of their turn-arounds: what the CFO leaves.
+fn phase(evidence: &Evidence) -> Option<Curve> {
+    let pairs = evidence.pairs.as_ref()?;
+    let mut compensated = pairs.product.clone();
+    pairs.compensation.as_ref()?.apply(&mut compensated);
+    let spread = |z: &[num_complex::Complex64]| {
+        let points = z.windows(2).zip(pairs.turn_us.windows(2)).filter_map(|(z, turn)| {
+            let ([before, now], [turn_before, turn_now]) = (z, turn) else { return None };
+            Some((turn_now - turn_before, (now * before.conj()).arg()))
+        });
+        thinned(points.collect())
+    };
+    Some(Curve {
+        title: "Phase of the round trip against turn-around, from exchange to exchange",
+        x: "change of the turn-around (us)",
+        y: "change of the phase (rad)",
+        series: vec![("as measured", spread(&pairs.product)), ("compensated", spread(&compensated))],
+    })
+}

@@ -1,0 +1,49 @@
+//! Rooms for the suite.
+
+use csi5300_accept::{Plan, Report, Truth, Verdict, run};
+use csi5300_sim::{Room, Scene};
+use std::collections::BTreeSet;
+
+/// A robot on a circle and one that stands, with every effect of real cards. `more` is added to the scene's first lines, `near` and `far` to the robots.
+pub fn scene(seed: u64, more: &str, radio: &str, near: &str, far: &str) -> Scene {
+    let cfo = if more.contains("cfo") { "" } else { "cfo = \"physical\"\n" };
+    let agc = if radio.contains("gain") { "" } else { "gain.agc = { lsb_std_db = 0.4, agc_std_db = 0.7 }\n" };
+    let turn_around =
+        if radio.contains("turn_around") { "" } else { "turn_around = { median_us = 225.0, spread_us = 20.0 }\n" };
+    let host_clock = if near.contains("host_clock") { "" } else { "host_clock = { drift_ppm = 6.0 }\n" };
+    let text = format!(
+        "seed = {seed}\n{cfo}duration_s = 15.0\nchannel = 108\nreflections = 1\n{more}\n\
+         [sounding]\nrate_hz = 100.0\n\
+         [radio]\nphase_noise_rad = 0.1\ndelay_ns = 200.0\ndelay_std_ns = 18.0\nantenna_order = \"by_rssi\"\nsend_jitter_us = 60.0\n\
+         host_latency_us = 120.0\nhost_latency_std_us = 55.0\n{agc}\
+         {turn_around}{radio}\n\
+         [[robot]]\nname = \"rx\"\nposition_m = [0.0, 0.0, 0.3]\nantenna_m = [0.0, 0.0, 0.0]\nantenna_b_m = [0.02, 0.12, 0.0]\nantenna_c_m = [0.1, -0.1, 0.0]\n\
+         motion.circle = {{ radius_m = 0.3, duration_s = 14.0, start_s = 0.5 }}\ncrystal = {{ offset_ppm = -2.0 }}\n{host_clock}{near}\n\
+         [[robot]]\nname = \"tx\"\nposition_m = [3.0, 2.0, 0.3]\nantenna_b_m = [0.0, 0.1, 0.0]\nantenna_c_m = [0.0, -0.1, 0.0]\ncrystal = {{ offset_ppm = -5.0 }}\n\
+         host_clock = {{ drift_ppm = 3.0 }}\n{far}\n\
+         [[wall]]\nfrom_m = [-3.0, -2.0]\nto_m = [-3.0, 4.0]\nloss_db = 4.0\n\
+         [[wall]]\nfrom_m = [-3.0, 5.0]\nto_m = [6.0, 5.5]\nloss_db = 5.0\n"
+    );
+    Scene::parse(&text).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+/// What the claims say of a scene whose first two robots are the cards. `off_deg` is added to the direction that they are told.
+pub fn judged(scene: &Scene, channel: &str, off_deg: f64) -> Report {
+    let mut room = Room::new(scene).unwrap();
+    let mut plan = Plan::new(channel.parse().unwrap());
+    let (from, to) = (room.antenna(0, 0.5 * scene.duration_s).unwrap(), room.antenna(1, 0.0).unwrap());
+    // A circle's mean position is its centre.
+    let trajectory = room.true_path(0, 100.0).unwrap();
+    let mean = trajectory.poses().iter().map(|pose| pose.position_m).sum::<nalgebra::Vector3<f64>>()
+        / trajectory.poses().len() as f64;
+    let towards = to - if scene.robot[0].motion == csi5300_sim::motion::RobotMotion::default() { from } else { mean };
+    plan.truth = Some(Truth { trajectory, azimuth_rad: towards.y.atan2(towards.x) + off_deg.to_radians() });
+    plan.at_rest = scene.robot.iter().all(|robot| robot.motion == csi5300_sim::motion::RobotMotion::default());
+    let (mut near, mut far) = (room.card(0).unwrap(), room.card(1).unwrap());
+    run(&mut near, Some(&mut far), plan).unwrap()
+}
+
+/// Identities of the claims that fail.
+pub fn failed(report: &Report) -> BTreeSet<&'static str> {
+    report.findings.iter().filter(|finding| finding.verdict == Verdict::Fails).map(|finding| finding.id).collect()
+}

@@ -1,0 +1,99 @@
+//! `doctor --accept` on logs, on a scene and on nothing; what it writes; and that the commands it advises are commands.
+
+use super::commands::Folder;
+use csi5300_accept::CLAIMS;
+
+/// A scene of 15 s whose first robot's card has a fault, or none.
+fn scene(fault: &str) -> String {
+    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/lab-circle.toml")).unwrap();
+    let healthy = "faults = { loss = 0.0018, killed = true }";
+    assert!(text.contains(healthy));
+    text.replace(healthy, fault)
+}
+
+#[test]
+fn a_scene_is_judged_and_the_report_is_written() {
+    let folder = Folder::new("accept");
+    folder.write("broken.toml", scene("faults = { card = [\"clock_steps\"] }").as_bytes());
+    let (status, out, err) = folder.run(&["doctor", "--accept", "broken.toml", "--report", "desk"]);
+    assert!(status == 1 && out.starts_with("backend: simulated room"), "{status} {out}{err}");
+    assert!(out.contains("FAILS      card.clock") && out.contains("next: "), "{out}");
+    let report: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.0.join("desk/report.json")).unwrap()).unwrap();
+    let findings = report["findings"].as_array().unwrap();
+    assert!(findings.iter().any(|finding| finding["id"] == "card.clock" && finding["verdict"] == "fails"));
+    for name in ["report.html", "report.xml", "report.json", "bench-log.md"] {
+        let text = std::fs::read_to_string(folder.0.join("desk").join(name)).unwrap();
+        assert!(text.contains("card.clock"), "{name}");
+        // Neither a MAC address nor a path of this machine.
+        assert!(!text.contains("02:53:00") && !text.contains(folder.0.to_str().unwrap()), "{name}");
+    }
+    // The logs beside it are judged alike, by the same claims.
+    folder.write("desk.toml", b"near = \"desk/near.dat\"\nfar = \"desk/far.dat\"\nchannel = \"108\"\n");
+    let (status, out, err) = folder.run(&["doctor", "--accept", "desk.toml"]);
+    assert!(status == 1 && out.contains("FAILS      card.clock") && out.contains("recorder.same"), "{out}{err}");
+    let (status, out, _) = folder.run(&["doctor", "--accept", "desk/far.dat", "--channel", "108", "--json"]);
+    let report: serde_json::Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((status, report["logs"][0]["records"].as_u64()), (0, Some(2998)));
+}
+
+#[test]
+fn what_cannot_be_judged_is_refused() {
+    let folder = Folder::new("accept-refused");
+    folder.write("desk.toml", b"near = \"no.dat\"\nchannel = \"108\"\n");
+    folder.write("typo.toml", b"neer = \"no.dat\"\n");
+    for (words, said) in [
+        (&["doctor", "--accept", "nowhere"][..], "no built-in scene"),
+        (&["doctor", "--accept", "desk.toml"], "no.dat"),
+        (&["doctor", "--accept", "typo.toml"], "neer"),
+        (&["doctor", "--report", "desk"], "--accept"),
+        (&["doctor", "a", "b"], "--accept"),
+    ] {
+        let (status, _, err) = folder.run(words);
+        assert!(status != 0 && err.contains(said), "{words:?}: {status} {err}");
+    }
+}
+
+#[test]
+fn every_command_that_a_claim_advises_is_one() {
+    let folder = Folder::new("accept-advice");
+    let mut seen = 0;
+    for claim in &CLAIMS {
+        for command in claim.next.split('`').skip(1).step_by(2).filter(|command| command.starts_with("csi5300 ")) {
+            // Taken as far as its help: names stand for files.
+            let mut words: Vec<&str> =
+                command.split(' ').skip(1).map(|word| if word == "N" { "64" } else { word }).collect();
+            words.push("--help");
+            let (status, _, err) = folder.run(&words);
+            assert_eq!(status, 0, "{}: {command}: {err}", claim.id);
+            for option in words.iter().filter(|word| word.starts_with("--") && **word != "--help") {
+                let (_, help, _) = folder.run(&[words[0], "--help"]);
+                assert!(help.contains(option), "{}: {command}: no {option}", claim.id);
+            }
+            seen += 1;
+        }
+    }
+    assert!(seen > 20, "{seen}");
+}
+
+#[test]
+fn what_the_notes_do_not_know_names_the_claim_that_settles_it() {
+    let notes = concat!(env!("CARGO_MANIFEST_DIR"), "/../../firmware-notes");
+    let mut open = 0;
+    for file in std::fs::read_dir(notes).unwrap().flatten().map(|entry| entry.path()).filter(|path| path.is_file()) {
+        let text = std::fs::read_to_string(&file).unwrap();
+        for mark in text.split("[unknown").skip(1) {
+            let name = mark.strip_prefix(": ").and_then(|rest| rest.split(']').next()).unwrap_or("");
+            let is_named = name == "by hand" || name == "CLAIM" || CLAIMS.iter().any(|claim| claim.id == name);
+            let is_of_the_log = file.ends_with("bench-log.md");
+            assert!(
+                is_named || is_of_the_log,
+                "{}: [unknown{}",
+                file.display(),
+                mark.chars().take(30).collect::<String>()
+            );
+            open += 1;
+        }
+    }
+    assert!(open >= 11, "{open}");
+}
