@@ -4,6 +4,7 @@ mod captures;
 mod located;
 mod one_log;
 mod pairs;
+mod roles;
 mod transmitters;
 mod words;
 
@@ -29,16 +30,14 @@ use std::path::{Path, PathBuf};
 // Arguments of `bearing`.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  csi5300 bearing DIR/tx2 --plot pictures\n  \
-                        csi5300 bearing --rx RX.dat --tx TX.dat --trajectory T.csv --channel 108\n  \
-                        csi5300 bearing --rx RX.dat --trajectory T.csv --channel 108 --antennas A,B --baseline 0.1,0,0\n\
+                        csi5300 bearing RX.dat TX.dat T.csv --channel 108\n  \
+                        csi5300 bearing RX.dat T.csv --channel 108 --antennas A,B --baseline 0.1,0,0\n\
                         --help lists all options.")]
 pub struct Args {
-    /// Captures, folders of captures, or one link of them (FOLDER/tx2); or use --rx, --tx and --trajectory. If several
-    /// links of a capture see transmitters at known places, the receiver is located too
-    #[arg(
-        value_name = "CAPTURE",
-        conflicts_with_all = ["rx", "tx", "tx_trajectory", "tx_mac", "rx_mac", "key", "profile", "columns"]
-    )]
+    /// Captures, folders of captures, one link of them (FOLDER/tx2), or the files themselves: two logs and a trajectory,
+    /// told apart by their content. If several links of a capture see transmitters at known places, the receiver is
+    /// located too
+    #[arg(value_name = "CAPTURE")]
     captures: Vec<PathBuf>,
     /// WiFi channel, with + or - for 40 MHz (default: that of the capture)
     #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "captures")]
@@ -115,7 +114,7 @@ struct Logs {
         value_name = "X,Y,Z",
         value_parser = triple,
         allow_hyphen_values = true,
-        conflicts_with_all = ["captures", "tx", "tx_trajectory", "rx_mac", "key", "bag", "antenna_offset", "camera_mount", "explain"],
+        conflicts_with_all = ["tx", "tx_trajectory", "rx_mac", "key", "bag", "antenna_offset", "camera_mount", "explain"],
         hide_short_help = true
     )]
     baseline: Vec<Vector3<f64>>,
@@ -186,6 +185,7 @@ pub fn run(mut args: Args) -> Result {
     if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
         usage("--min-confidence takes a probability, 0 to 1");
     }
+    roles::take(&mut args)?;
     if !args.logs.baseline.is_empty() {
         return one_log::run(&args);
     }

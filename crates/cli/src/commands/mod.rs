@@ -180,7 +180,7 @@ pub fn run() -> ExitCode {
 }
 
 /// Options and arguments that name what is written. Whatever else names a file or folder is read.
-const OUTPUTS: [&str; 8] = ["out", "output", "profile", "plot", "html", "log", "poses", "bring_up"];
+const OUTPUTS: [&str; 8] = ["out", "output", "profile", "plot", "html", "log", "poses", "report"];
 
 /// Notes what this run reads, and refuses an output that is among it.
 fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> std::result::Result<(), String> {
@@ -314,7 +314,6 @@ mod tests {
             "group",
             "key",
             "logs",
-            "root",
             "rx",
             "scene",
             "socket",

@@ -50,6 +50,37 @@ pub fn json(line: &str) -> serde_json::Value {
 }
 
 #[test]
+fn files_are_told_apart_by_their_content() {
+    let folder = Folder::new("roles");
+    folder.link(&link(600, 2.0));
+    let (_, by_option, _) = folder.bearing(&["--json"]);
+    let azimuth = |out: &str| json(out.lines().next().expect("a line"))["azimuth_deg"].as_f64().expect("an azimuth");
+    for files in [&["t.csv", "tx.dat", "rx.dat"][..], &["."]] {
+        let (status, out, err) = folder.run(&[&["bearing"], files, &["--channel", "108", "--json"]].concat());
+        assert_eq!((status, azimuth(&out)), (0, azimuth(&by_option)), "{err}");
+        assert!(err.contains("rx.dat is the receiver's log"), "{err}");
+    }
+    // Names that say nothing: the person is asked, with the commands that answer.
+    std::fs::rename(folder.0.join("rx.dat"), folder.0.join("a.dat")).unwrap();
+    std::fs::rename(folder.0.join("tx.dat"), folder.0.join("b.dat")).unwrap();
+    let (status, _, err) = folder.run(&["bearing", "a.dat", "b.dat", "t.csv", "--channel", "108"]);
+    let told_by_clock = err.contains("a.dat is the receiver's log");
+    assert!(
+        told_by_clock || (status == 1 && err.contains("--rx a.dat --tx b.dat --trajectory t.csv")),
+        "{status} {err}"
+    );
+    for (words, said) in [
+        (&["bearing", "a.dat", "t.csv", "--channel", "108"][..], "is the only log"),
+        (&["bearing", "a.dat", "b.dat", "--channel", "108"], "is a trajectory"),
+        (&["bearing", "a.dat", "b.dat", "t.csv"], if told_by_clock { "--channel is needed" } else { "which log" }),
+        (&["bearing", ".", "--rx", "a.dat", "--channel", "108"], "either by"),
+    ] {
+        let (status, _, err) = folder.run(words);
+        assert!(status != 0 && err.contains(said), "{words:?}: {status} {err}");
+    }
+}
+
+#[test]
 fn explain_says_what_was_computed_and_what_was_not() {
     let folder = Folder::new("explain");
     folder.link(&link(600, 2.0));
