@@ -240,7 +240,7 @@ impl Report {
     /// As an entry for a bench log, in Markdown.
     #[must_use]
     pub fn entry(&self, date: &str) -> String {
-        let mut text = format!("## {date}: csi5300 {}\n\n", self.version);
+        let mut text = format!("## Recorded {date}, judged by csi5300 {}\n\n", self.version);
         for fact in &self.facts {
             let _ = writeln!(text, "- {fact}");
         }
@@ -264,10 +264,15 @@ impl Report {
 }
 
 impl fmt::Display for Report {
-    /// A table: failures first, with causes and the next command; then what holds, was measured and was not tried.
+    /// Failures with causes and the next command, what was measured, and the names of what holds and was not tried; in the alternate form
+    /// (`{:#}`) a line of each finding.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let wide = self.findings.iter().map(|finding| finding.id.len()).max().unwrap_or(0);
-        for verdict in [Verdict::Fails, Verdict::Holds, Verdict::Measured, Verdict::NotTried] {
+        for verdict in [Verdict::Fails, Verdict::Measured, Verdict::Holds, Verdict::NotTried] {
+            if !out.alternate() && matches!(verdict, Verdict::Holds | Verdict::NotTried) {
+                self.names(out, verdict)?;
+                continue;
+            }
             let mut findings = self.findings.iter().filter(|finding| finding.verdict == verdict).peekable();
             while let Some(finding) = findings.next() {
                 let (mut of, mut found) = (finding.of.word(), finding.found.clone());
@@ -293,12 +298,39 @@ impl fmt::Display for Report {
         }
         writeln!(
             out,
-            "{} fail, {} hold, {} measured, {} not tried",
+            "{} fail, {} hold, {} measured, {} not tried, each card by itself",
             self.count(Verdict::Fails),
             self.count(Verdict::Holds),
             self.count(Verdict::Measured),
             self.count(Verdict::NotTried)
         )
+    }
+}
+
+impl Report {
+    /// The names of the claims with a verdict, in lines of at most 110 letters; of those that do not end alike on both cards, of which.
+    fn names(&self, out: &mut fmt::Formatter<'_>, verdict: Verdict) -> fmt::Result {
+        let mut names: Vec<String> = Vec::new();
+        let mut findings = self.findings.iter().filter(|finding| finding.verdict == verdict).peekable();
+        while let Some(finding) = findings.next() {
+            let both = findings.next_if(|next| next.id == finding.id).is_some();
+            let is_of_one = matches!(finding.of, Of::Near | Of::Far) && !both && self.logs.len() > 1;
+            names.push(if is_of_one {
+                format!("{} ({})", finding.id, finding.of.word())
+            } else {
+                finding.id.to_owned()
+            });
+        }
+        let mut line = format!("{:9} ", verdict.word());
+        for (nth, name) in names.iter().enumerate() {
+            let end = if nth + 1 < names.len() { "," } else { "" };
+            if line.len() + name.len() > 108 {
+                writeln!(out, "{}", line.trim_end())?;
+                line = " ".repeat(10);
+            }
+            let _ = write!(line, " {name}{end}");
+        }
+        if names.is_empty() { Ok(()) } else { writeln!(out, "{line}") }
     }
 }
 

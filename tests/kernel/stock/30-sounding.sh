@@ -53,6 +53,8 @@ csi5300 sound --answer --interface wlan1 --peers "$A" $slow --connector-index 25
 responder=$!
 touch respond
 until grep -q "^sending under" respond; do kill -0 "$responder"; done
+csi5300 doctor --accept --channel 64 --listen 12s --connector-index 26 --json >claims.json 2>claims.said &
+claims=$!
 csi5300 sound --interface wlan0 --peers "$B" $slow --alone --stop-after 20s 2>sound
 kill -TERM "$responder"
 wait "$responder" || true
@@ -79,6 +81,26 @@ complete() {
 number() { sed -n "s/.*\"$1\":\([-0-9.e]*\).*/\1/p" bearing.json; }
 complete sound
 within_half_a_degree
+
+echo "the claims about the card: live, and of the logs that it left"
+# verdict FILE CLAIM: of the first card it is about.
+verdict() { sed -n "/\"id\": \"$2\"/,/\"found\"/s/.*\"verdict\": \"\(.*\)\".*/\1/p" "$1" | head -n 1; }
+# held FILE CLAIM..: all hold.
+held() {
+    file=$1
+    shift
+    for claim in "$@"; do
+        [ "$(verdict "$file" "$claim")" = holds ] || { sed -n "/\"id\": \"$claim\"/,/}/p" "$file" | head -n 20; echo "$claim: $(verdict "$file" "$claim")"; exit 1; }
+    done
+}
+wait "$claims" || true
+held claims.json module.csi module.marked module.order module.layout recorder.same host.buffer log.whole log.layout reception.rate reception.width \
+    reception.chains reception.order reception.zero reception.fresh reception.once card.clock
+# How late an emulated host wakes is told; it need not be early.
+[ "$(verdict claims.json host.lateness)" != not_tried ]
+csi5300 doctor --accept rx.dat tx.dat --channel 64 --json >logs.json || true
+held logs.json exchange.pairs exchange.drift phase.sign log.whole reception.subcarriers
+for file in claims.json logs.json; do grep -c '"verdict": "holds"' "$file"; sed -n 's/.*"id": "\(.*\)".*/\1/p;s/.*"verdict": "\(fails\)".*/  &/p' "$file" | grep -B1 fails || true; done
 rmmod csi5300
 
 echo "the module answers itself, in the WSR dialect"

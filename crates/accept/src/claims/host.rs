@@ -90,13 +90,20 @@ fn residuals(heard: &Heard) -> Vec<(f64, f64)> {
 
 pub(super) fn delay(heard: &Heard, _: &Evidence) -> Told {
     let points = residuals(heard);
+    if disagreements(heard).is_some_and(|(card, host)| !card.is_empty() || !host.is_empty()) {
+        return Told::not_tried("a clock was set: see card.clock and host.clock");
+    }
     let Some((offset, slope, _)) = line(&points).filter(|_| points.len() >= super::LEAST) else {
         return Told::not_tried(NO_HOST_TIMES);
     };
     let away: Vec<f64> = points.iter().map(|(x, y)| (y - offset - slope * x) * 1e6).collect();
     let at = |share| quantile(&away, share).unwrap_or(f64::NAN);
     let (low, high, worst) = (at(0.05), at(0.95), at(1.0));
-    let found = format!("90 % within {:.0} us, the latest {:.1} ms after the usual", high - low, 1e-3 * worst);
+    let found = format!(
+        "90 % of the records within {:.3} ms of each other, the latest {:.1} ms after the usual",
+        1e-3 * (high - low),
+        1e-3 * worst
+    );
     Told::new(Verdict::Measured, found).with("90 % within", high - low, "us").with("latest", worst, "us")
 }
 
@@ -124,7 +131,7 @@ pub(super) fn card_rate(heard: &Heard, _: &Evidence) -> Told {
 pub(super) fn lateness(evidence: &Evidence) -> Told {
     let late = &evidence.lateness_us;
     if late.len() < super::LEAST {
-        return Told::not_tried("nobody waited for a card: virtual time or a recorded log");
+        return Told::not_tried("needs a card: nobody waits for a recorded log or in virtual time");
     }
     let [median, most, worst] = [0.5, 0.99, 1.0].map(|share| quantile(late, share).unwrap_or(f64::NAN));
     let beyond = late.iter().filter(|us| **us > 2_500.0).count();
@@ -135,7 +142,7 @@ pub(super) fn lateness(evidence: &Evidence) -> Told {
 
 pub(super) fn processor(evidence: &Evidence) -> Told {
     if evidence.plan.truth.is_none() {
-        return Told::not_tried(super::Needs::Direction.words());
+        return Told::needs(super::Needs::Direction);
     }
     let azimuth = |tier| {
         let options = Options::new(evidence.plan.channel).with_tier(tier);
@@ -156,7 +163,7 @@ const COMPARED: usize = 20_000;
 
 pub(super) fn recorder(heard: &Heard, _: &Evidence) -> Told {
     if heard.recorded {
-        return Told::not_tried("the records are a recording's own");
+        return Told::not_tried("needs a card: these records come from a recording");
     }
     if heard.records.len() > COMPARED {
         return Told::not_tried(format!("more than {COMPARED} records: a shorter run compares them"));

@@ -15,7 +15,7 @@ fn asked(evidence: &Evidence) -> Vec<Sent> {
 pub(super) fn taken(evidence: &Evidence) -> Told {
     let asked = asked(evidence);
     if asked.is_empty() {
-        return Told::not_tried(Needs::Sending.words());
+        return Told::needs(Needs::Sending);
     }
     Told::share(asked.iter().filter(|sent| !sent.taken).count(), asked.len(), 0.01, "frames were refused")
 }
@@ -30,7 +30,7 @@ fn heard_by_far(evidence: &Evidence) -> Option<HashSet<u32>> {
 pub(super) fn heard(evidence: &Evidence) -> Told {
     let asked = asked(evidence);
     if asked.is_empty() || evidence.far.is_none() {
-        return Told::not_tried(Needs::Sending.words());
+        return Told::needs(Needs::Sending);
     }
     let heard = heard_by_far(evidence).unwrap_or_default();
     let lost_at = |rate_hz: f64| {
@@ -48,7 +48,7 @@ pub(super) fn heard(evidence: &Evidence) -> Told {
 
 pub(super) fn numbers(evidence: &Evidence) -> Told {
     if evidence.sent.is_empty() {
-        return Told::not_tried(Needs::Sending.words());
+        return Told::needs(Needs::Sending);
     }
     let Some(heard) = heard_by_far(evidence) else { return Told::not_tried("the far card heard no number") };
     let sent: HashSet<u32> = evidence.sent.iter().map(|sent| sent.number).collect();

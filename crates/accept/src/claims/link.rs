@@ -13,7 +13,7 @@ use std::f64::consts::{PI, TAU};
 /// The pairs, where there are enough of them.
 fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
     match &evidence.pairs {
-        None => Err(Told::not_tried(Needs::TwoCards.words())),
+        None => Err(Told::needs(Needs::TwoCards)),
         Some(pairs) if pairs.len() < super::LEAST => Err(Told::not_tried(format!(
             "{} exchanges have both frames; at least {} are needed",
             pairs.len(),
@@ -24,7 +24,7 @@ fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
 }
 
 pub(super) fn pairs(evidence: &Evidence) -> Told {
-    let Some(pairs) = &evidence.pairs else { return Told::not_tried(Needs::TwoCards.words()) };
+    let Some(pairs) = &evidence.pairs else { return Told::needs(Needs::TwoCards) };
     // Of the card that heard more of the other: the other one's frames are missing.
     let (most, side) =
         if pairs.frames[0] >= pairs.frames[1] { (pairs.frames[0], "near") } else { (pairs.frames[1], "far") };
@@ -170,7 +170,7 @@ pub(super) fn rest(evidence: &Evidence) -> Told {
         Err(told) => return told,
     };
     if !evidence.plan.at_rest {
-        return Told::not_tried(Needs::Rest.words());
+        return Told::needs(Needs::Rest);
     }
     let mut z = pairs.product.clone();
     if let Some(found) = &pairs.compensation {
@@ -211,7 +211,7 @@ pub(super) fn answer(evidence: &Evidence, options: Options) -> Result<(f64, f64,
 }
 
 pub(super) fn bearing(evidence: &Evidence) -> Told {
-    let Some(truth) = &evidence.plan.truth else { return Told::not_tried(Needs::Direction.words()) };
+    let Some(truth) = &evidence.plan.truth else { return Told::needs(Needs::Direction) };
     let (azimuth, bar, probability) = match answer(evidence, Options::new(evidence.plan.channel)) {
         Ok(answer) => answer,
         Err(why) => return Told::new(Verdict::NotTried, format!("no bearing: {why}")),

@@ -35,11 +35,11 @@ impl Needs {
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
-            Self::OneCard => "one card that hears frames",
-            Self::TwoCards => "logs of two cards that sounded each other",
+            Self::OneCard => "a card that hears frames",
+            Self::TwoCards => "the logs of two cards that sounded each other",
             Self::Rest => "two robots that stand still (`at_rest`)",
             Self::Direction => "a trajectory and the true direction",
-            Self::Sending => "a card that sends, and the log of one that hears it",
+            Self::Sending => "a card that sends during the run, and one that hears it",
             Self::Host => "a host that waits for a card",
             Self::Module => "the kernel module csi5300 beside the stock driver",
         }
@@ -62,6 +62,11 @@ impl Told {
         Self::new(Verdict::NotTried, why.into())
     }
 
+    /// What the claim needs is not there.
+    fn needs(needs: Needs) -> Self {
+        Self::not_tried(format!("needs {}", needs.words()))
+    }
+
     /// Holds or fails.
     fn decided(holds: bool, found: String) -> Self {
         Self::new(if holds { Verdict::Holds } else { Verdict::Fails }, found)
@@ -75,7 +80,8 @@ impl Told {
     /// A share that must not be above a limit. It fails where the share is above it for certain; in between nothing is decided.
     fn share(bad: usize, total: usize, limit: f64, what: &str) -> Self {
         let share = bad as f64 / total.max(1) as f64;
-        let found = format!("{bad} of {total} {what} ({:.2} %)", 100.0 * share);
+        let most = if limit == 0.0 { "none is allowed".to_owned() } else { format!("at most {} %", 100.0 * limit) };
+        let found = format!("{bad} of {total} {what}: {:.2} %, {most}", 100.0 * share);
         let (low, _) = share_bounds(bad, total);
         let told = match share {
             _ if total < LEAST => Self::not_tried(format!("{found}: at least {LEAST} are needed")),
@@ -174,7 +180,7 @@ pub static CLAIMS: [Claim; 42] = [
         expected: "no step of more than 50 ms against the card's clock",
         source: "card's clock of the same records",
         causes: &["NTP or a person set the clock", "the machine was suspended"],
-        next: "timedatectl show-timesync, then record again after the clock is steady",
+        next: "timedatectl show-timesync on that robot, then record again after its clock is steady",
         check: Check::Log(host::clock_set),
     },
     Claim {
@@ -277,8 +283,11 @@ pub static CLAIMS: [Claim; 42] = [
         needs: Needs::OneCard,
         expected: "bit 8 of `fake_rate_n_flags` set",
         source: "802.11n 20.3.9: only HT frames carry HT training fields; iwlwifi RATE_MCS_HT_MSK",
-        causes: &["the sender's `monitor_tx_rate` is a legacy rate", "the driver's field is laid out differently"],
-        next: "`csi5300 setup --role initiator --channel N` on the sender",
+        causes: &[
+            "the driver fills the field in wrongly, if the claims about phases hold",
+            "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`)",
+        ],
+        next: "`csi5300 info LOG.dat`: the rates; then `csi5300 doctor` on the robot that sent these frames",
         check: Check::Log(reception::ht),
     },
     Claim {
@@ -332,7 +341,7 @@ pub static CLAIMS: [Claim; 42] = [
         expected: "a line through the phase fits better than with another order",
         source: "802.11n table 7-25f (grouping of 2 at 20 MHz, 4 at 40 MHz)",
         causes: &["the driver or a converter moved the subcarriers", "the width told is wrong"],
-        next: "`csi5300 info LOG.dat --plot DIR`: the phase over the subcarriers is one line",
+        next: "`csi5300 info LOG.dat --plot DIR --antenna A --from 2 --to 3`, beside the other card's log: no row is at the wrong edge",
         check: Check::Log(reception::subcarriers),
     },
     Claim {
@@ -391,7 +400,10 @@ pub static CLAIMS: [Claim; 42] = [
         needs: Needs::OneCard,
         expected: "-127, or -105 to -60 dBm",
         source: "thermal noise of 20 MHz is -101 dBm; csitool takes -92 for unknown",
-        causes: &["the driver's field is laid out differently", "a strong transmitter is close"],
+        causes: &[
+            "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`)",
+            "a strong transmitter is close",
+        ],
         next: INFO,
         check: Check::Log(reception::noise),
     },
@@ -416,8 +428,8 @@ pub static CLAIMS: [Claim; 42] = [
         expected: "at most 1 % of the numbers twice",
         source: "sounding frames are sent without retries and numbered",
         causes: &[
-            "the sender's card retries",
-            "the responder answers twice",
+            "the driver writes an old number, if as many numbers are skipped",
+            "the responder answers twice, or its card retries, if none is skipped",
             "two programs sound under one MAC address",
         ],
         next: "`csi5300 info LOG.dat -v`: numbers that come twice, by sender",
@@ -479,7 +491,7 @@ pub static CLAIMS: [Claim; 42] = [
             "the logs are of two runs",
             "SNR is too low",
         ],
-        next: "`csi5300 bearing FOLDER --plot DIR`: the phase of the round trip is a smooth line",
+        next: "the curve of the round trip in report.html (--report DIR): compensated, the phase stays in one band",
         check: Check::Link(link::cancels),
     },
     Claim {
@@ -542,7 +554,10 @@ pub static CLAIMS: [Claim; 42] = [
         needs: Needs::Sending,
         expected: "no other number",
         source: "the frame's own bytes",
-        causes: &["another program sounds under this MAC address", "the driver's field is laid out differently"],
+        causes: &[
+            "another program sounds under this MAC address",
+            "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`)",
+        ],
         next: INFO,
         check: Check::Link(injection::numbers),
     },

@@ -6,7 +6,7 @@ use crate::collect::Evidence;
 /// How much the counters grew, in the order of the names; or why nothing can be told.
 fn grown<const N: usize>(evidence: &Evidence, names: [&str; N]) -> Result<[u64; N], Told> {
     if evidence.counters.is_empty() {
-        return Err(Told::not_tried(Needs::Module.words()));
+        return Err(Told::needs(Needs::Module));
     }
     let of = |name: &str| evidence.counters.iter().find(|(known, _)| known == name).map(|(_, more)| *more);
     let found = names.map(of);

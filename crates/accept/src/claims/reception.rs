@@ -82,7 +82,8 @@ pub(super) fn chains(heard: &Heard, _: &Evidence) -> Told {
     for record in &heard.records {
         *counts.entry(record.head.n_rx).or_default() += 1;
     }
-    let found: Vec<String> = counts.iter().map(|(chains, count)| format!("{chains} in {count} records")).collect();
+    let found: Vec<String> =
+        counts.iter().map(|(chains, count)| format!("{chains} chains in {count} records")).collect();
     match counts.len() {
         0 => Told::not_tried("no record with CSI"),
         values => Told::decided(values == 1, found.join(", ")),
@@ -126,7 +127,10 @@ fn disagreement_db(record: &HeardRecord) -> Option<f64> {
 pub(super) fn antenna_names(heard: &Heard, _: &Evidence) -> Told {
     let off: Vec<f64> = heard.records.iter().filter_map(disagreement_db).collect();
     if off.len() < super::LEAST {
-        return Told::not_tried(format!("two antennas hear strongly and 3 dB apart in only {} records", off.len()));
+        return Told::not_tried(format!(
+            "needs two connected antennas with 3 dB between them: so in {} records only",
+            off.len()
+        ));
     }
     Told::share(
         off.iter().filter(|off| **off > 5.0).count(),
@@ -141,8 +145,8 @@ type Order = fn(usize) -> usize;
 
 /// How the 30 values could be ordered wrongly: place of a value by the place where it should be.
 const ORDERS: [(&str, Order); 3] = [
-    ("shifted up by one", |k| (k + 1) % SUBCARRIERS),
-    ("shifted down by one", |k| (k + SUBCARRIERS - 1) % SUBCARRIERS),
+    ("shifted up by one place, the last to the first", |k| (k + 1) % SUBCARRIERS),
+    ("shifted down by one place, the first to the last", |k| (k + SUBCARRIERS - 1) % SUBCARRIERS),
     ("reversed", |k| SUBCARRIERS - 1 - k),
 ];
 
@@ -191,11 +195,16 @@ pub(super) fn subcarriers(heard: &Heard, evidence: &Evidence) -> Told {
     let worst = against.iter().min_by(|a, b| a.1.total_cmp(&b.1)).copied();
     let Some((name, gain, error)) = worst else { return Told::not_tried("no record with CSI") };
     let told = if gain + error < 0.0 {
-        Told::decided(false, format!("{name} they fit a line better, by {:.2} +- {error:.2} rad^2 a record", -gain))
+        Told::decided(
+            false,
+            format!("they fit a line better if the values are {name}: by {:.2} +- {error:.2} rad^2 a record", -gain),
+        )
     } else if gain > error {
         Told::decided(
             true,
-            format!("every other order fits worse, by {gain:.2} +- {error:.2} rad^2 a record at least ({name})"),
+            format!(
+                "a line fits best in the order of 802.11n; the next best order ({name}) is {gain:.2} +- {error:.2} rad^2 a record worse"
+            ),
         )
     } else {
         Told::not_tried(format!("{name} fits as well: the delay is too short to tell"))
@@ -304,16 +313,21 @@ pub(super) fn snr(heard: &Heard, _: &Evidence) -> Told {
 
 pub(super) fn once(heard: &Heard, _: &Evidence) -> Told {
     let mut last: HashMap<Mac, u32> = HashMap::new();
-    let (mut twice, mut numbered) = (0, 0);
+    let (mut twice, mut numbered, mut skipped) = (0, 0, 0_u64);
     for record in heard.records.iter().filter(|record| record.mac != Mac::ZERO) {
         if let Some(number) = record.number {
             numbered += 1;
-            twice += usize::from(last.insert(record.mac, number) == Some(number));
+            let before = last.insert(record.mac, number);
+            twice += usize::from(before == Some(number));
+            skipped += before.map_or(0, |before| u64::from(number.saturating_sub(before).saturating_sub(1)));
         }
     }
     match numbered {
         0 => Told::not_tried("no record has a sender and a number"),
-        _ => Told::share(twice, numbered, 0.01, "numbers come twice in a row"),
+        _ => {
+            let told = Told::share(twice, numbered, 0.01, "numbers come twice in a row");
+            Told { found: format!("{}; {skipped} are skipped", told.found), ..told }
+        }
     }
 }
 

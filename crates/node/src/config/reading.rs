@@ -37,7 +37,10 @@ impl<'t> Reading<'t> {
     pub fn of(text: &'t str) -> Self {
         let problem = |span: Option<Range<usize>>, reason: &str| Problem {
             line: span.map(|span| line_of(text, span.start)),
-            reason: reason.to_owned(),
+            reason: match meant(reason) {
+                Some(meant) => format!("{reason}; did you mean `{meant}`?"),
+                None => reason.to_owned(),
+            },
         };
         let (document, wrong) = DeTable::parse_recoverable(text);
         let (whole, table) = (document.span(), document.into_inner());
@@ -85,6 +88,15 @@ impl<'t> Reading<'t> {
             self.table.insert(name, value).is_none()
         })
     }
+}
+
+/// The known key that an unknown one is nearest to, where one is near: fewer than a third of its letters have to change.
+fn meant(message: &str) -> Option<&str> {
+    let (field, known) =
+        ["unknown field `", "unknown variant `"].iter().find_map(|kind| message.strip_prefix(kind))?.split_once('`')?;
+    let known = known.split('`').skip(1).step_by(2);
+    let (off, meant) = known.map(|key| (strsim::damerau_levenshtein(field, key), key)).min()?;
+    (3 * off <= field.len()).then_some(meant)
 }
 
 /// The key that is missing, where that is what an error says.

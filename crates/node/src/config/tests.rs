@@ -233,6 +233,19 @@ fn one_wrong_value_does_not_hide_the_others() {
 }
 
 #[test]
+fn a_key_that_was_meant_is_named_and_a_file_may_stand_alone() {
+    let all = refused_lines(&ROOM.replace("odometry.room", "odometry.rooom"));
+    assert!(all[0].ends_with("; did you mean `room`?"), "{all:#?}");
+    let all = refused_lines(&format!("{ROOM}[estimator]\nleast_moton_m = 0.2\nfoo = 1\n"));
+    assert!(all[0].ends_with("; did you mean `least_motion_m`?") && !all[1].contains("did you mean"), "{all:#?}");
+    let csv = |text: &str| {
+        toml::from_str::<std::collections::BTreeMap<String, super::Csv>>(text).map(|map| map["csv"].file.clone())
+    };
+    assert_eq!(csv("csv = \"x.csv\"").unwrap(), csv("csv = { file = \"x.csv\" }").unwrap());
+    assert!(csv("csv = { fil = \"x.csv\" }").is_err() && csv("csv = 3").is_err());
+}
+
+#[test]
 fn what_is_missing_because_it_was_wrong_is_not_said_again() {
     let peers = "[[peer]]\nname = 3\nrecords.rom = {}\n[[peer]]\nname = \"tx\"\nrecords.room = {}\nfoo = 1\n";
     let all = refused_lines(&ROOM.replace("[[peer]]\nname = \"tx\"\nrecords.room = {}\n", peers));

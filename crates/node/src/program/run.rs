@@ -1,6 +1,6 @@
 //! The service itself.
 
-use csi5300_node::config::{Capture, Config};
+use csi5300_node::config::{Capture, Config, Odometry};
 use csi5300_node::service::{self, Ended};
 use csi5300_say::{Outcome, Result, Tone, count, is_end_of_room, print, toned, usage};
 use std::path::PathBuf;
@@ -35,7 +35,7 @@ pub fn run(args: &Args) -> Result {
         usage(&lines.join("\ncsi5300-node: "))
     });
     if args.check {
-        print(&format!("{}: {}\n", file.display(), toned("good", Tone::Good)));
+        print(&format!("{}: {}\n{}", file.display(), toned("good", Tone::Good), what_will_run(&config)));
         return Ok(Outcome::Done);
     }
     let name = config.name.clone().unwrap_or_else(host_name);
@@ -55,6 +55,51 @@ pub fn run(args: &Args) -> Result {
     } else {
         Outcome::Done
     })
+}
+
+/// What a configuration makes the service do, a line each.
+fn what_will_run(config: &Config) -> String {
+    let capture = match config.capture.get_ref() {
+        Capture::Card(_) => "the card of this machine, by its patched driver".to_owned(),
+        Capture::Stock(_) => "the card of this machine, under the kernel's own driver".to_owned(),
+        Capture::Replay(replay) => format!("the log {}, at {} times its pace", replay.file.display(), replay.speed),
+        Capture::Room(room) => format!("robot {} of the simulated room {}", room.robot, room.scene.display()),
+        Capture::Served(served) => format!("robot {} of the room at {}", served.robot, served.socket.display()),
+    };
+    let odometry = match &config.odometry {
+        Odometry::Opencr(open_cr) => format!("the OpenCR board at {}", open_cr.port.display()),
+        Odometry::Csv(csv) => format!("the trajectory {}", csv.file.display()),
+        Odometry::Room(_) => "the simulated room".into(),
+        Odometry::Ros(_) => "a ROS 1 topic".into(),
+        Odometry::Ros2(_) => "a ROS 2 topic".into(),
+        Odometry::Static(_) => "none: this robot stands".into(),
+        Odometry::Network(_) => "the robots' network".into(),
+    };
+    let output = &config.output;
+    let peers: Vec<&str> = config.peer.iter().map(|peer| peer.get_ref().name.as_str()).collect();
+    let channel = config.channel;
+    let lines = [
+        ("channel", Some(channel.to_string())),
+        ("records", Some(capture)),
+        ("poses", Some(odometry)),
+        ("bearings of", Some(if peers.is_empty() { "nobody: add a [[peer]]".into() } else { peers.join(", ") })),
+        ("sounding", config.sounding.as_ref().map(|own| (if own.initiate { "initiates" } else { "answers" }).into())),
+        ("log", config.log.as_ref().map(|log| log.file.display().to_string())),
+        ("bearings to", (!output.bearings.is_empty()).then(|| output.bearings.clone())),
+        ("status", output.status_socket.as_ref().map(|socket| socket.display().to_string())),
+        ("Foxglove", output.foxglove.map(|address| address.to_string())),
+        ("network", config.network.as_ref().map(|network| format!("group {}", network.group))),
+        (
+            "ROS",
+            match (&config.ros, &config.ros2) {
+                (None, None) => None,
+                (Some(_), None) => Some("1".into()),
+                (None, Some(_)) => Some("2".into()),
+                (Some(_), Some(_)) => Some("1 and 2".into()),
+            },
+        ),
+    ];
+    lines.into_iter().filter_map(|(what, value)| Some(format!("  {what:12} {}\n", value?))).collect()
 }
 
 fn host_name() -> String {

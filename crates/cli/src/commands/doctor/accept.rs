@@ -73,7 +73,9 @@ fn text(report: &Report) -> String {
         }
     };
     let mut text: String = report.facts.iter().map(|fact| format!("{fact}\n")).collect();
-    text.extend(report.to_string().lines().map(|line| coloured(line) + "\n"));
+    let is_long = csi5300_say::says(csi5300_say::Level::Verbose);
+    let words = if is_long { format!("{report:#}") } else { report.to_string() };
+    text.extend(words.lines().map(|line| coloured(line) + "\n"));
     text
 }
 
@@ -103,7 +105,9 @@ fn evidence(args: &Args) -> std::result::Result<(Evidence, Vec<String>), String>
 fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
     let told = desk.channel.as_deref().map(channel_of).transpose()?;
     let Some(channel) = args.channel.or(told) else {
-        usage("--channel is needed: which WiFi channel were the cards tuned to?")
+        usage(
+            "which WiFi channel were the cards tuned to? Say it with --channel, or with `channel = \"108\"` in the desk's TOML",
+        )
     };
     let mut plan = Plan::new(channel);
     plan.at_rest = desk.at_rest;
