@@ -110,7 +110,7 @@ pub fn run(args: &Args) -> Result {
     let stream = connect(&socket)?;
     let mut states = lines(stream);
     if args.once || !std::io::stdout().is_terminal() {
-        return match states.find(|line| line.as_ref().is_ok_and(|line| !line.is_empty())) {
+        return match states.find(|line| !line.as_ref().is_ok_and(String::is_empty)) {
             Some(Ok(line)) => {
                 print(&format!("{line}\n"));
                 Ok(Outcome::Done)
@@ -123,9 +123,14 @@ pub fn run(args: &Args) -> Result {
     let ends = Ends::catch()?;
     let (told, from_node) = channel();
     std::thread::spawn(move || {
-        for line in states.map_while(std::result::Result::ok) {
-            let Ok(state) = serde_json::from_str(&line) else { continue };
-            if told.send(state).is_err() {
+        for line in states {
+            let is_last = line.is_err();
+            let state = line.map_or_else(
+                |error| Some(serde_json::json!({ "trouble": [error.to_string()] })),
+                |line| serde_json::from_str(&line).ok(),
+            );
+            let Some(state) = state else { continue };
+            if told.send(state).is_err() || is_last {
                 return;
             }
         }

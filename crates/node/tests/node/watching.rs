@@ -79,6 +79,22 @@ fn a_signal_gives_the_terminal_back_as_it_was() {
     }
 }
 
+#[test]
+fn a_line_without_an_end_is_given_up() {
+    let folder = crate::program::folder("watch-endless");
+    let socket = folder.join("status.sock");
+    let node = UnixListener::bind(&socket).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
+    command.args(["watch", "--once"]).arg(&socket).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    let mut state = node.accept().unwrap().0;
+    // Until nobody reads any more.
+    while state.write_all(&[b'a'; 1 << 16]).is_ok() {}
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(1) && said.contains("more than 16 MiB") && output.stdout.is_empty(), "{said}");
+}
+
 /// As when an SSH session or a pane goes and the hangup does not reach the program (`nohup`, another session): the end of the
 /// terminal is all that there is to see.
 #[test]
