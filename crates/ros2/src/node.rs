@@ -53,9 +53,10 @@ impl Node {
     /// If it cannot take part at that address, or the recording cannot be started.
     pub fn start(settings: &Settings, robot: &str, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
         let asked = settings.clone();
-        let (domain, interface) = (asked.domain(), asked.interface);
+        let (domain, reach) = (asked.domain(), asked.reach());
+        let interface = reach.interface;
         let failed = |source| Error::Participant { domain, interface, source };
-        let sockets = Sockets::open(domain, interface, asked.multicast, asked.peers.clone()).map_err(failed)?;
+        let sockets = Sockets::open(domain, reach).map_err(failed)?;
         let node = asked.node.clone().unwrap_or_else(|| format!("csi5300_{}", name_part(robot)));
         let names = Names { namespace: asked.namespace.clone(), node, remap: asked.remap.clone() };
         let bag = Bag::new(asked.bag.clone().unwrap_or_default());
