@@ -234,19 +234,19 @@ impl Bearing {
     /// [`BearingAnswer::azimuth_rad`].
     #[must_use]
     pub fn azimuth_body_rad(&self) -> Option<f64> {
-        let azimuth_rad = self.from_the_end().map_or(self.answer.azimuth_rad, |(azimuth_rad, _)| azimuth_rad);
+        let azimuth_rad = self.at_the_end().map_or(self.answer.azimuth_rad, |(azimuth_rad, _)| azimuth_rad);
         self.heading_rad.map(|heading| wrap_rad(azimuth_rad - heading))
     }
 
     /// Error bar of [`Self::azimuth_body_rad`], radians, at most pi: with a place, what its covariance is across.
     #[must_use]
     pub fn azimuth_body_sd_rad(&self) -> Option<f64> {
-        let sd_rad = self.from_the_end().map_or(self.answer.azimuth_sd_rad, |(_, sd_rad)| sd_rad);
+        let sd_rad = self.at_the_end().map_or(self.answer.azimuth_sd_rad, |(_, sd_rad)| sd_rad);
         self.heading_rad.map(|_| sd_rad)
     }
 
     /// Azimuth of the place from the last sample's position, and its deviation, radians.
-    fn from_the_end(&self) -> Option<(f64, f64)> {
+    fn at_the_end(&self) -> Option<(f64, f64)> {
         let range = self.answer.range.filter(|_| self.answer.has_place())?;
         let mut away_m = range.position_m - self.samples.receiver_m().last()?;
         away_m.z = 0.0;

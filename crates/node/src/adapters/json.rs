@@ -123,9 +123,8 @@ impl Lines {
     /// What refuses the lines, in words.
     fn trouble(&self) -> Option<String> {
         let refused = self.counts.refused.lock().unwrap_or_else(PoisonError::into_inner);
-        refused
-            .as_ref()
-            .map(|why| format!("bearings are not written ({why}), {} so far: see `output.bearings`", self.lost()))
+        let words = |why| format!("bearings are not written ({why}): see `output.bearings`; `lines_lost` counts them");
+        refused.as_ref().map(words)
     }
 
     /// Waits for what is still to be written, but not for ever. Gives the lines that were not.
@@ -200,7 +199,7 @@ mod tests {
         assert_eq!(lines.end(), 3);
         let said = lines.trouble().unwrap();
         assert!(
-            said.contains("No space left") && said.contains("3 so far") && said.contains("output.bearings"),
+            said.contains("No space left") && said.contains("lines_lost") && said.contains("output.bearings"),
             "{said}"
         );
     }
