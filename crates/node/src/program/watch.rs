@@ -15,6 +15,7 @@ use ratatui::widgets::{Block, Paragraph, Row, Table};
 use serde_json::Value;
 use std::fs::File;
 use std::io::{BufRead, BufReader, IsTerminal, Read};
+use std::mem::ManuallyDrop;
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -136,9 +137,12 @@ pub fn run(args: &Args) -> Result {
         }
     });
     let mut keys = Keys::open().map_err(|error| format!("the terminal: {error}"))?;
-    let mut terminal = ratatui::init();
+    // Dropped, it would show the cursor, and panic where the terminal is gone and standard error with it.
+    let mut terminal = ManuallyDrop::new(ratatui::init());
     let shown = show(&mut terminal, &from_node, &socket, (&ends, &mut keys));
-    ratatui::restore();
+    // Where the terminal is gone there is nothing to restore, and nobody to be told.
+    let _ = terminal.show_cursor();
+    let _ = ratatui::try_restore();
     match shown {
         // A terminal that was closed refuses to be drawn on, and says so by a hangup or by its end.
         Err(_) if ends.is_one_here() || ends.wait(&mut keys, ends.clock.now()) => Ok(Outcome::Done),

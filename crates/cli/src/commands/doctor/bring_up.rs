@@ -102,7 +102,7 @@ pub fn run(interface: &str, peer: Option<Mac>, report: &Path) -> Result<(), Stri
     let program = std::env::current_exe().map_err(|error| error.to_string())?;
     let mut text = facts(&system);
     for question in questions(interface, peer, &report.with_extension("dat")) {
-        eprintln!("{}", question.asks);
+        note!("{}", question.asks);
         let before = counters(&system);
         let ran = Command::new(&program).args(&question.arguments).stdin(Stdio::null()).output();
         let ran = ran.map_err(|error| format!("{}: {error}", program.display()))?;
