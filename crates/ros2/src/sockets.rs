@@ -116,7 +116,7 @@ impl Sockets {
         };
         let (foreign, own) = (self.foreign(), self.addresses.0.ip());
         Some(format!(
-            "ROS 2: nobody was met at {own}, and {foreign} datagrams that came from {stranger} are not read: {next}"
+            "ROS 2: nobody was met at {own}, and what comes from {stranger} is not read ({foreign} so far): {next}"
         ))
     }
 
@@ -220,7 +220,10 @@ mod tests {
         sockets.foreign.store(2, Ordering::Relaxed);
         sockets.stranger.store(u32::from(Ipv4Addr::new(198, 51, 100, 9)), Ordering::Relaxed);
         let said = sockets.trouble(0).unwrap();
-        assert!(said.contains("2 datagrams that came from 198.51.100.9") && said.contains("`interface`"), "{said}");
+        assert!(
+            said.contains("comes from 198.51.100.9 is not read (2 so far)") && said.contains("`interface`"),
+            "{said}"
+        );
         assert_eq!(sockets.trouble(1), None, "somebody was met");
         // An address of this machine: its other nodes use the network.
         sockets.stranger.store(u32::from(Ipv4Addr::new(127, 0, 0, 1)), Ordering::Relaxed);
