@@ -24,7 +24,7 @@ pub struct Answer {
     pub mac: Option<String>,
     /// The wave that the answer is of; none without an answer.
     pub model: Option<WaveModel>,
-    /// Bearing to the transmitter in the trajectory's frame, from +x towards +y, (-180, 180].
+    /// Bearing from `origin_m` to the transmitter, in the trajectory's frame, from +x towards +y, (-180, 180].
     pub azimuth_deg: Option<f64>,
     /// Why there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -32,8 +32,14 @@ pub struct Answer {
     /// The same as a value, for a program that has words of its own.
     #[serde(skip)]
     pub cause: Option<LinkError>,
-    /// Bearing relative to the robot's heading at the last sample used.
+    /// Where azimuth, elevation, mirror, candidates and range are seen from: the mean position of the samples used, metres, in
+    /// the trajectory's frame. The robot is elsewhere by the end of the motion.
+    pub origin_m: Option<[f64; 3]>,
+    /// Bearing relative to the robot's heading at the last sample used. With a `position_m` it points there from the antenna
+    /// at that sample; else it is `azimuth_deg` less the heading, from `origin_m`.
     pub azimuth_body_deg: Option<f64>,
+    /// Its error bar: with a `position_m`, of the place as seen from that sample; else `azimuth_sd_deg`.
+    pub azimuth_body_sd_deg: Option<f64>,
     /// |elevation|.
     pub abs_elevation_deg: Option<f64>,
     /// Elevation with its sign, where the motion distinguishes up from down.
@@ -60,7 +66,7 @@ pub struct Answer {
     pub peak_ratio: Option<f64>,
     /// Predicted standard deviation of the elevation, where it was searched.
     pub elevation_sd_deg: Option<f64>,
-    /// Range from the middle of the motion, metres; only where the wave front's curvature fixes it.
+    /// Range from `origin_m`, the middle of the motion, metres; only where the wave front's curvature fixes it.
     pub range_m: Option<f64>,
     /// Its predicted standard deviation, metres.
     pub range_sd_m: Option<f64>,
@@ -179,7 +185,9 @@ impl Answer {
 
     fn take(&mut self, bearing: &Bearing) {
         self.take_answer(&bearing.answer);
+        self.origin_m = Some(bearing.mean_position_m.into());
         self.azimuth_body_deg = bearing.azimuth_body_rad().map(f64::to_degrees);
+        self.azimuth_body_sd_deg = bearing.azimuth_body_sd_rad().map(f64::to_degrees).filter(|sd| sd.is_finite());
         self.coherence = Some(bearing.plane_wave.coherence);
         self.wsr_profile_variance = bearing.figures.wsr_profile_variance;
         self.likelihood_share = bearing.figures.likelihood_share;
@@ -242,7 +250,7 @@ impl Answer {
         };
         self.error = Some(error);
         self.azimuth_deg = None;
-        self.azimuth_body_deg = None;
+        (self.origin_m, self.azimuth_body_deg, self.azimuth_body_sd_deg) = (None, None, None);
         (self.azimuth_sd_deg, self.azimuth_95_deg, self.azimuth_bound_deg) = (None, None, None);
         (self.mirror_deg, self.mirror_elevation_deg, self.mirror_share) = (None, None, None);
         (self.abs_elevation_deg, self.elevation_deg) = (None, None);

@@ -216,7 +216,7 @@ pub struct Bearing {
     pub compensated: bool,
     /// Pairs by fate.
     pub pairs: PairCounts,
-    /// Mean receiver position of the samples used, metres, trajectory frame.
+    /// Mean receiver position of the samples used, metres, trajectory frame: the answer's azimuth and range are from here.
     pub mean_position_m: Vector3<f64>,
     /// Figures of merit of the plane wave's azimuth profile, as other programs define them.
     pub figures: ProfileFigures,
@@ -229,10 +229,30 @@ pub struct Bearing {
 }
 
 impl Bearing {
-    /// Azimuth of the answer relative to the robot's heading at the last sample used, radians.
+    /// Azimuth relative to the robot's heading at the last sample used, radians. Where the answer has a place
+    /// ([`BearingAnswer::has_place`]) it is seen from where the receiver's antenna was then; else from the mean position, as
+    /// [`BearingAnswer::azimuth_rad`].
     #[must_use]
     pub fn azimuth_body_rad(&self) -> Option<f64> {
-        self.heading_rad.map(|heading| wrap_rad(self.answer.azimuth_rad - heading))
+        let azimuth_rad = self.at_the_end().map_or(self.answer.azimuth_rad, |(azimuth_rad, _)| azimuth_rad);
+        self.heading_rad.map(|heading| wrap_rad(azimuth_rad - heading))
+    }
+
+    /// Error bar of [`Self::azimuth_body_rad`], radians, at most pi: with a place, what its covariance is across.
+    #[must_use]
+    pub fn azimuth_body_sd_rad(&self) -> Option<f64> {
+        let sd_rad = self.at_the_end().map_or(self.answer.azimuth_sd_rad, |(_, sd_rad)| sd_rad);
+        self.heading_rad.map(|_| sd_rad)
+    }
+
+    /// Azimuth of the place from the last sample's position, and its deviation, radians.
+    fn at_the_end(&self) -> Option<(f64, f64)> {
+        let range = self.answer.range.filter(|_| self.answer.has_place())?;
+        let mut away_m = range.position_m - self.samples.receiver_m().last()?;
+        away_m.z = 0.0;
+        let across = Vector3::new(-away_m.y, away_m.x, 0.0) / away_m.norm_squared();
+        let sd_rad = (across.transpose() * range.covariance_m2 * across).x.max(0.0).sqrt();
+        Some((away_m.y.atan2(away_m.x), sd_rad.min(std::f64::consts::PI)))
     }
 }
 

@@ -80,6 +80,34 @@ fn the_fixture_gives_the_golden_answer() {
     assert_eq!(difference("", &golden, &found), None);
 }
 
+/// The body azimuth is what one steers by: the way from where the robot stands at the end, not from the middle of its motion.
+#[test]
+fn a_body_azimuth_is_seen_from_the_end_of_the_motion_where_there_is_a_place() {
+    let heading_rad = 0.7;
+    let folder = root().join("tests/fixtures/small-circle");
+    let (read, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
+    let poses = read.poses().iter().map(|pose| Pose { heading_rad: Some(heading_rad), ..*pose }).collect();
+    let mut rx = Replay::open(&folder.join("csi_rx_2023-11-14_221320.dat")).unwrap();
+    let mut tx = Replay::open(&folder.join("csi_tx1_2023-11-14_221320.dat")).unwrap();
+    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
+    let report = bearings(&mut rx, transmitters, &Trajectory::new(poses).unwrap(), &options()).unwrap();
+    let found = report.links[0].bearing.as_ref().unwrap();
+    let answer = Answer::new("tx1".into(), &report.links[0]);
+    assert_eq!(answer.origin_m.map(Vector3::from), Some(found.mean_position_m));
+    let end_m = *found.samples.receiver_m().last().unwrap();
+    let from_the_end = |to_m: Vector3<f64>| (to_m.y - end_m.y).atan2(to_m.x - end_m.x);
+    let body_rad = answer.azimuth_body_deg.unwrap().to_radians();
+    let place_m = Vector3::from(answer.position_m.unwrap());
+    assert!(wrap_rad(body_rad + heading_rad - from_the_end(place_m)).abs() < 1e-12, "{answer:?}");
+    // groundtruth_positions.json
+    let truth_rad = from_the_end(Vector3::new(-3.0, 5.196152, 0.0));
+    let off = |azimuth_rad: f64| wrap_rad(azimuth_rad - truth_rad).abs().to_degrees();
+    let (turned, steered) = (off(found.answer.azimuth_rad), off(body_rad + heading_rad));
+    let sd_deg = answer.azimuth_body_sd_deg.unwrap();
+    println!("from the mean pose {turned:.2} deg off, from the end {steered:.2} +- {sd_deg:.2}");
+    assert!(steered < turned && steered < 2.0 * sd_deg && sd_deg > answer.azimuth_sd_deg.unwrap());
+}
+
 #[test]
 fn an_answer_is_the_same_however_loud_both_cards_are() {
     let (quiet, loud) = (louder_link(300, 0.7, 1), louder_link(300, 0.7, 3));

@@ -227,8 +227,7 @@ impl<'a> Service<'a> {
         self.bearings += u64::from(report.state == PeerState::Bearing);
         let since = |at: Instant| (self.clock.now() - at).as_s() / self.clock.speed * 1e3;
         let latency_ms = report.heard_at.map(since);
-        let (took_ms, own) = (self.load.estimate_ms, self.machine.estimator.track().last());
-        let said = Said { peer, report: &report, took_ms, latency_ms, own, machine: &self.machine };
+        let said = Said { peer, report: &report, took_ms: self.load.estimate_ms, latency_ms, machine: &self.machine };
         self.adapters.iter_mut().for_each(|adapter| adapter.report(&said));
         self.looks.note(peer, report);
     }

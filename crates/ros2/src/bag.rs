@@ -42,6 +42,8 @@ impl Counts {
 
 struct Running {
     folder: PathBuf,
+    /// Messages that earlier recordings hold.
+    before: u64,
     rows: SyncSender<Row>,
     thread: JoinHandle<()>,
 }
@@ -76,7 +78,7 @@ impl Bag {
         *self.counts.failed.lock().unwrap_or_else(PoisonError::into_inner) = None;
         let folder = free_name(&self.folder);
         std::fs::create_dir_all(&folder)?;
-        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned() + "_0.mcap";
+        let name = file_name(&folder);
         let writer = McapWriter::new(BufWriter::new(File::create_new(folder.join(&name))?))?;
         std::fs::write(folder.join("metadata.yaml"), metadata(&name, None, &[]))?;
         let (rows, waiting) = sync_channel(QUEUE);
@@ -87,7 +89,8 @@ impl Bag {
             }
         };
         let thread = std::thread::Builder::new().name("csi5300 bag".into()).spawn(work)?;
-        *running = Some(Running { folder: folder.clone(), rows, thread });
+        *running =
+            Some(Running { folder: folder.clone(), before: self.counts.written.load(Ordering::Relaxed), rows, thread });
         Ok(folder)
     }
 
@@ -126,9 +129,22 @@ impl Bag {
 }
 
 impl Drop for Bag {
+    /// A recording in which nothing is is taken away: a node that fails to start, again and again, leaves none behind.
     fn drop(&mut self) {
-        self.stop();
+        let before = self.lock().as_ref().map(|running| running.before);
+        let Some(folder) = self.stop() else { return };
+        if before == Some(self.counts.written.load(Ordering::Relaxed)) {
+            let files = [file_name(&folder), "metadata.yaml".into()];
+            files.iter().for_each(|name| drop(std::fs::remove_file(folder.join(name))));
+            // What somebody else put there stays.
+            let _ = std::fs::remove_dir(&folder);
+        }
     }
+}
+
+/// The name of a recording's file.
+fn file_name(folder: &Path) -> String {
+    folder.file_name().unwrap_or_default().to_string_lossy().into_owned() + "_0.mcap"
 }
 
 /// The first of `bag`, `bag-r1`, `bag-r2` ... that is not there: no start overwrites another's recording.
@@ -201,6 +217,19 @@ mod tests {
     use super::*;
     use csi5300_bag::cdr::Cdr;
     use csi5300_bag::messages::standard::Clock;
+
+    #[test]
+    fn a_node_that_ends_before_it_recorded_anything_leaves_no_recording() {
+        let folder = std::env::temp_dir().join(format!("csi5300-bag-none-{}", std::process::id()));
+        std::fs::create_dir_all(folder.join("run")).unwrap();
+        let bag = Bag::new(folder.join("run"));
+        assert_eq!(bag.start().unwrap(), folder.join("run-r1"));
+        assert!(folder.join("run-r1").join("run-r1_0.mcap").exists());
+        drop(bag);
+        let left: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        assert_eq!(left, ["run"]);
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
 
     #[test]
     fn a_recording_is_whole_when_it_is_stopped_and_none_is_overwritten() {

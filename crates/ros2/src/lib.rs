@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `node` | all of it: [`Node`] |
 //! | [`settings`] | what a configuration says of it, and what is wrong with that |
+//! | [`reach`] | whom it looks for: the settings, and the variables that ROS goes by |
 //! | `inputs`, `tf` | poses from topics |
 //! | [`said`], `markers` | a report of a peer as messages, and as things to be drawn |
 //! | `services` | requests and answers |
@@ -32,6 +33,7 @@ pub mod link;
 mod markers;
 mod names;
 mod node;
+pub mod reach;
 mod rtps;
 pub mod said;
 mod services;

@@ -321,7 +321,11 @@ impl Link {
             participant.reader_state(number).wrong.into_iter().map(|why| format!("{}: {why}", topic.name))
         });
         let others = participant.unreachable().map(|who| format!("ROS 2: {who}: it cannot be spoken to"));
-        own.chain(read).chain(others).chain(self.shared.sockets.trouble()).chain(self.shared.bag.trouble()).collect()
+        own.chain(read)
+            .chain(others)
+            .chain(self.shared.sockets.trouble(participant.counts().participants))
+            .chain(self.shared.bag.trouble())
+            .collect()
     }
 
     /// What was counted.
@@ -347,6 +351,7 @@ impl Link {
         serde_json::json!({
             "node": self.shared.names.node(),
             "address": self.shared.sockets.address(),
+            "reach": self.shared.sockets.reach(),
             "foreign": self.shared.sockets.foreign(),
             "unsent": number(&self.shared.unsent),
             "dds": counts,

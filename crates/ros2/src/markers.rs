@@ -2,7 +2,6 @@
 //! line, the place as an ellipsoid, and words. What there is not is taken away.
 
 use crate::said::has_bearing;
-use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::PeerReport;
 use csi5300_bag::messages::shown::{Marker, MarkerArray};
 use csi5300_bag::messages::standard::{Colour, Duration, Header, Point, Pose as PoseMessage, Quaternion, Vector3};
@@ -67,10 +66,11 @@ fn along(from: Place<f64>, azimuth: f64, elevation: f64, length: f64) -> Place<f
 }
 
 /// The markers of the peer of this name and number.
-pub fn of(header: &Header, (name, number): (&str, usize), report: &PeerReport, own: &Pose) -> MarkerArray {
+pub fn of(header: &Header, (name, number): (&str, usize), report: &PeerReport) -> MarkerArray {
     let colour = COLOURS.get(number % COLOURS.len()).copied().unwrap_or_default();
-    let (peer, answer, from) = (Peer { header, name, colour }, &report.answer, own.position_m);
-    let Some(azimuth) = answer.azimuth_deg.map(f64::to_radians).filter(|_| has_bearing(report)) else {
+    let (peer, answer) = (Peer { header, name, colour }, &report.answer);
+    let seen = answer.origin_m.zip(answer.azimuth_deg).filter(|_| has_bearing(report));
+    let Some((from, azimuth)) = seen.map(|(origin_m, deg)| (Place::from(origin_m), deg.to_radians())) else {
         return MarkerArray { markers: (0..5).map(|id| peer.none(id)).collect() };
     };
     let elevation = answer.elevation_deg.unwrap_or(0.0).to_radians();
@@ -130,7 +130,7 @@ fn ellipsoid(peer: &Peer<'_>, report: &PeerReport) -> Option<Marker> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::said::tests::{own, report};
+    use crate::said::tests::report;
     use csi5300::pipeline::live::PeerState;
 
     fn actions(markers: &MarkerArray) -> Vec<i32> {
@@ -139,13 +139,13 @@ mod tests {
 
     #[test]
     fn what_there_is_not_is_taken_away() {
-        let none = of(&Header::default(), ("b", 7), &report(PeerState::NoPairs, |_| ()), &own());
+        let none = of(&Header::default(), ("b", 7), &report(PeerState::NoPairs, |_| ()));
         assert_eq!(actions(&none), [Marker::DELETE; 5]);
         let plane = report(PeerState::Bearing, |answer| {
-            answer.azimuth_deg = Some(90.0);
+            (answer.origin_m, answer.azimuth_deg) = (Some([1.0, 2.0, 0.2]), Some(90.0));
             answer.azimuth_sd_deg = Some(5.0);
         });
-        let drawn = of(&Header::default(), ("b", 7), &plane, &own());
+        let drawn = of(&Header::default(), ("b", 7), &plane);
         assert_eq!(actions(&drawn), [0, 0, 2, 2, 0]);
         let end = &drawn.markers[0].points[1];
         assert!((end.x - 1.0).abs() < 1e-9 && (end.y - 2.0 - LENGTH_M).abs() < 1e-9, "{end:?}");
@@ -160,12 +160,12 @@ mod tests {
     #[test]
     fn an_ellipsoid_lies_along_its_covariance() {
         let known = report(PeerState::Bearing, |answer| {
-            (answer.azimuth_deg, answer.range_m) = (Some(0.0), Some(4.0));
+            (answer.origin_m, answer.azimuth_deg, answer.range_m) = (Some([1.0, 2.0, 0.2]), Some(0.0), Some(4.0));
             answer.position_m = Some([5.0, 2.0, 0.0]);
             // One metre along (1, 1, 0), a tenth across.
             answer.position_covariance_m2 = Some([[0.505, 0.495, 0.0], [0.495, 0.505, 0.0], [0.0, 0.0, 0.01]]);
         });
-        let marker = of(&Header::default(), ("b", 0), &known, &own()).markers.remove(3);
+        let marker = of(&Header::default(), ("b", 0), &known).markers.remove(3);
         let scale = [marker.scale.x, marker.scale.y, marker.scale.z];
         let longest = (0..3).max_by(|a, b| scale[*a].total_cmp(&scale[*b])).unwrap();
         assert!((scale[longest] - 4.0).abs() < 1e-6, "{scale:?}");

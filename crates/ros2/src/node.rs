@@ -10,7 +10,6 @@ use crate::settings::{Settings, Topic};
 use crate::sockets::Sockets;
 use crate::{markers, said};
 use csi5300::motion::odometry::ros::Stamp;
-use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::survey::Survey;
 use csi5300::source::{Next, Stamps};
@@ -54,9 +53,10 @@ impl Node {
     /// If it cannot take part at that address, or the recording cannot be started.
     pub fn start(settings: &Settings, robot: &str, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
         let asked = settings.clone();
-        let (domain, interface) = (asked.domain(), asked.interface);
+        let (domain, reach) = (asked.domain(), asked.reach());
+        let interface = reach.interface;
         let failed = |source| Error::Participant { domain, interface, source };
-        let sockets = Sockets::open(domain, interface, asked.multicast, asked.peers.clone()).map_err(failed)?;
+        let sockets = Sockets::open(domain, reach).map_err(failed)?;
         let node = asked.node.clone().unwrap_or_else(|| format!("csi5300_{}", name_part(robot)));
         let names = Names { namespace: asked.namespace.clone(), node, remap: asked.remap.clone() };
         let bag = Bag::new(asked.bag.clone().unwrap_or_default());
@@ -118,18 +118,18 @@ impl Node {
         Header { stamp: Time::from_us(self.clock.to_stamp(host_us)), frame_id }
     }
 
-    /// Publishes what is said of peer number `peer`; `own` is where this robot's antenna is.
-    pub fn report(&self, peer: usize, report: &PeerReport, own: Option<&Pose>) {
+    /// Publishes what is said of peer number `peer`.
+    pub fn report(&self, peer: usize, report: &PeerReport) {
         let header = self.header((report.t_s.unwrap_or(0.0) * 1e6) as i64, self.settings.frame.clone());
         let place = said::place(&header, report);
         if let Some(peer) = self.peers.get(peer) {
             peer.bearings.put(&said::bearing(header.clone(), (&peer.name, &peer.mac), report));
-            said::direction(&header, report, own).iter().for_each(|pose| peer.directions.put(pose));
+            said::direction(&header, report).iter().for_each(|pose| peer.directions.put(pose));
             place.iter().for_each(|place| peer.places.put(place));
         }
-        if let (Some(markers), Some(own)) = (&self.markers, own) {
+        if let Some(markers) = &self.markers {
             let name = self.names.get(peer).unwrap_or(&report.answer.link);
-            markers.put(&markers::of(&header, (name, peer), report, own));
+            markers.put(&markers::of(&header, (name, peer), report));
         }
         if let (Some(tf), Some(place)) = (&self.tf, &place) {
             tf.put(&said::transform(place, &name_part(&report.answer.link)));

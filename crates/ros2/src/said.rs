@@ -1,6 +1,5 @@
 //! A report as messages.
 
-use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300_bag::messages::own::Bearing;
 use csi5300_bag::messages::standard::{
@@ -58,15 +57,16 @@ pub fn bearing(header: Header, (peer, mac): (&str, &str), report: &PeerReport) -
     }
 }
 
-/// A pose that stands where the antenna is and looks along the bearing: up or down too where the sign of the elevation is
-/// known.
-pub fn direction(header: &Header, report: &PeerReport, own: Option<&Pose>) -> Option<PoseStamped> {
-    let (own, azimuth_deg) = own.zip(report.answer.azimuth_deg).filter(|_| has_bearing(report))?;
+/// A pose that stands where the bearing is seen from, in the middle of the motion, and looks along it: up or down too where
+/// the sign of the elevation is known.
+pub fn direction(header: &Header, report: &PeerReport) -> Option<PoseStamped> {
+    let (origin_m, azimuth_deg) =
+        report.answer.origin_m.zip(report.answer.azimuth_deg).filter(|_| has_bearing(report))?;
     let elevation_deg = report.answer.elevation_deg.unwrap_or(0.0);
     let [x, y, z, w] = looking_along(azimuth_deg.to_radians(), elevation_deg.to_radians());
     let orientation = Quaternion { x, y, z, w };
-    let position = <[f64; 3]>::from(own.position_m).into();
-    Some(PoseStamped { header: header.clone(), pose: PoseMessage { position, orientation } })
+    let pose = PoseMessage { position: origin_m.into(), orientation };
+    Some(PoseStamped { header: header.clone(), pose })
 }
 
 /// Where the peer is, where there is a range; nothing is known of how it is turned.

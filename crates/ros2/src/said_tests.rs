@@ -10,26 +10,22 @@ pub(crate) fn report(state: PeerState, fill: impl FnOnce(&mut Answer)) -> PeerRe
     PeerReport { t_s, state, words, moved_m: 1.0, needed_m: 0.1, age_s: 0.0, accurate: true, heard_at: None, answer }
 }
 
-pub(crate) fn own() -> Pose {
-    Pose { t_s: 12.5, position_m: Place::new(1.0, 2.0, 0.2), heading_rad: Some(0.0) }
-}
-
 #[test]
 fn what_is_not_known_is_no_number() {
     let said = bearing(Header::default(), ("b", "02:00:00:00:00:02"), &report(PeerState::NotYet, |_| ()));
     assert_eq!((said.state.as_str(), said.peer.as_str(), said.pairs), ("not_yet", "b", 0));
     assert!(said.azimuth.is_nan() && said.range.is_nan() && said.confidence.is_nan() && said.moved == 1.0);
-    assert_eq!(direction(&Header::default(), &report(PeerState::NotYet, |_| ()), Some(&own())), None);
+    assert_eq!(direction(&Header::default(), &report(PeerState::NotYet, |_| ())), None);
     assert_eq!(place(&Header::default(), &report(PeerState::Bearing, |_| ())), None);
 }
 
 #[test]
 fn a_direction_points_along_the_bearing() {
     let report = report(PeerState::Bearing, |answer| {
-        answer.azimuth_deg = Some(120.0);
+        (answer.origin_m, answer.azimuth_deg) = (Some([1.0, 2.0, 0.2]), Some(120.0));
         answer.elevation_deg = Some(-20.0);
     });
-    let said = direction(&Header::default(), &report, Some(&own())).unwrap();
+    let said = direction(&Header::default(), &report).unwrap();
     let turned = &said.pose.orientation;
     let along = UnitQuaternion::from_quaternion(Numbers::new(turned.w, turned.x, turned.y, turned.z)) * Place::x();
     let (azimuth, elevation) = (120.0_f64.to_radians(), -(20.0_f64.to_radians()));

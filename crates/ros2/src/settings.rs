@@ -1,6 +1,7 @@
 //! What a configuration says of ROS 2: topics of poses, and this program as a node.
 
 use crate::names::is_name;
+use crate::reach::{Asked, Reach};
 use csi5300::motion::odometry::ros::Stamp;
 use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
@@ -9,7 +10,7 @@ use std::path::PathBuf;
 /// Highest domain whose ports are ports.
 const DOMAINS: u16 = 232;
 /// Static peers at most: each is asked at 32 ports.
-const PEERS: usize = 64;
+pub(crate) const PEERS: usize = 64;
 
 /// What is published on a topic of poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
@@ -82,13 +83,14 @@ pub struct Settings {
     /// Its namespace, `/lab`.
     pub namespace: String,
     /// The address of this machine whose network is used. DDS asks nobody who they are: other than loopback needs `insecure`.
-    pub interface: Ipv4Addr,
+    /// Where absent, ROS's variables say ([`Settings::reach`]), then loopback.
+    pub interface: Option<Ipv4Addr>,
     /// Anybody who reaches the interface may publish poses to this robot, and read along.
     pub insecure: bool,
-    /// Announce to the domain's group, and listen to it.
-    pub multicast: bool,
-    /// Machines that are asked, where multicast does not reach.
-    pub peers: Vec<Ipv4Addr>,
+    /// Announce to the domain's group, and listen to it: unless this or ROS's variables say otherwise.
+    pub multicast: Option<bool>,
+    /// Machines that are asked, where multicast does not reach; those of `$ROS_STATIC_PEERS` where absent.
+    pub peers: Option<Vec<Ipv4Addr>>,
     /// The release whose `ros2 node list` shows this node.
     pub distribution: Distribution,
     /// Names that are replaced by others.
@@ -117,10 +119,10 @@ impl Default for Settings {
             domain: None,
             node: None,
             namespace: "/".into(),
-            interface: Ipv4Addr::LOCALHOST,
+            interface: None,
             insecure: false,
-            multicast: true,
-            peers: Vec::new(),
+            multicast: None,
+            peers: None,
             distribution: Distribution::default(),
             remap: BTreeMap::new(),
             use_sim_time: false,
@@ -141,6 +143,13 @@ impl Settings {
     pub fn domain(&self) -> u16 {
         let told = || std::env::var("ROS_DOMAIN_ID").ok()?.trim().parse().ok();
         self.domain.or_else(told).unwrap_or(0)
+    }
+
+    /// Whom the node looks for: as these settings say, then `ROS_LOCALHOST_ONLY`, `ROS_AUTOMATIC_DISCOVERY_RANGE` and
+    /// `ROS_STATIC_PEERS`.
+    #[must_use]
+    pub fn reach(&self) -> Reach {
+        Reach::of(self, &Asked::by_environment(), crate::reach::outward)
     }
 }
 
@@ -181,23 +190,24 @@ pub fn wrong_settings(ros: &Settings) -> Option<Wrong> {
     if ros.domain() > DOMAINS {
         return Some((Some("domain"), format!("domain {}: 0 to {DOMAINS}", ros.domain())));
     }
-    if ros.interface.is_unspecified() || ros.interface.is_multicast() || ros.interface.is_broadcast() {
-        let why = format!("interface {}: one address of this machine, such as 127.0.0.1", ros.interface);
+    let interface = ros.interface.unwrap_or(Ipv4Addr::LOCALHOST);
+    if interface.is_unspecified() || interface.is_multicast() || interface.is_broadcast() {
+        let why = format!("interface {interface}: one address of this machine, such as 127.0.0.1");
         return Some((Some("interface"), why));
     }
-    if !ros.insecure && !ros.interface.is_loopback() {
+    if !ros.insecure && !interface.is_loopback() {
         let why = format!(
-            "anybody who reaches {} could publish poses to this robot, as DDS asks nobody who they are: use 127.0.0.1, or \
-             say `insecure = true`",
-            ros.interface
+            "anybody who reaches {interface} could publish poses to this robot, as DDS asks nobody who they are: use \
+             127.0.0.1, or say `insecure = true`"
         );
         return Some((Some("interface"), why));
     }
-    if let Some(peer) = ros.peers.iter().find(|peer| ros.interface.is_loopback() && !peer.is_loopback()) {
-        return Some((Some("peers"), format!("peer {peer} cannot be reached from {}", ros.interface)));
+    let (interface, peers) = (ros.reach().interface, ros.peers.as_deref().unwrap_or_default());
+    if let Some(peer) = peers.iter().find(|peer| interface.is_loopback() && !peer.is_loopback()) {
+        return Some((Some("peers"), format!("peer {peer} cannot be reached from {interface}")));
     }
-    if ros.peers.len() > PEERS {
-        return Some((Some("peers"), format!("{} peers: at most {PEERS}", ros.peers.len())));
+    if peers.len() > PEERS {
+        return Some((Some("peers"), format!("{} peers: at most {PEERS}", peers.len())));
     }
     let space = Some(ros.namespace.as_str()).filter(|space| *space != "/");
     if let Some(space) = space.filter(|space| !space.starts_with('/') || wrong_name(space).is_some()) {

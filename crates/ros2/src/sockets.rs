@@ -1,12 +1,13 @@
 //! The sockets of a participant: discovery and samples on two ports of one address, and the domain's group.
 
+use super::reach::{Reach, is_own};
 use super::rtps::{MULTICAST, PARTICIPANTS, Prefix, Settings, multicast_address, unicast_ports};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::os::fd::AsFd;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::time::Duration;
 
 /// Datagrams that are taken from one socket before the others have their turn.
@@ -25,18 +26,21 @@ pub(crate) struct Sockets {
     group: Option<UdpSocket>,
     /// Why there is no group, where it was asked for.
     no_group: Option<String>,
-    peers: Vec<Ipv4Addr>,
+    reach: Reach,
     is_local: bool,
     foreign: AtomicU64,
+    /// Who sent the last of them; 0 for nobody.
+    stranger: AtomicU32,
 }
 
 impl Sockets {
-    /// Binds the first two free ports of the domain at `interface`; joins its group with `multicast`. Without it, or on
-    /// loopback, other participants of this machine are asked at their ports, and those of `peers`.
+    /// Binds the first two free ports of the domain at the interface; joins its group with multicast. Without it, or on
+    /// loopback, other participants of this machine are asked at their ports, and those of the peers.
     ///
     /// # Errors
     /// If there is no such address here, or no port is free.
-    pub fn open(domain: u16, interface: Ipv4Addr, multicast: bool, mut peers: Vec<Ipv4Addr>) -> io::Result<Self> {
+    pub fn open(domain: u16, mut reach: Reach) -> io::Result<Self> {
+        let Reach { interface, multicast, is_off, .. } = reach;
         let mut last = io::Error::from(io::ErrorKind::AddrInUse);
         let mut bound = None;
         for index in 0..PLACES {
@@ -53,11 +57,11 @@ impl Sockets {
         }
         let Some((meta, user, at, samples)) = bound else { return Err(last) };
         let is_local = interface.is_loopback();
-        if is_local || !multicast {
-            peers.push(interface);
+        if !is_off && (is_local || !multicast) {
+            reach.peers.push(interface);
         }
-        peers.sort_unstable();
-        peers.dedup();
+        reach.peers.sort_unstable();
+        reach.peers.dedup();
         let group = if multicast { join(&meta, domain, interface).map(Some) } else { Ok(None) };
         let (group, no_group) = match group {
             Ok(group) => (group, None),
@@ -66,7 +70,8 @@ impl Sockets {
             Err(error) => (None, Some(format!("ROS 2: no multicast at {interface} ({error}): only `peers` are found"))),
         };
         let addresses = (at, samples);
-        Ok(Self { domain, meta, user, addresses, group, no_group, peers, is_local, foreign: AtomicU64::new(0) })
+        let (foreign, stranger) = (AtomicU64::new(0), AtomicU32::new(0));
+        Ok(Self { domain, meta, user, addresses, group, no_group, reach, is_local, foreign, stranger })
     }
 
     /// What a participant on these sockets is told.
@@ -78,7 +83,7 @@ impl Sockets {
                 .collect::<Vec<_>>()
         };
         let group = self.group.iter().map(|_| multicast_address(self.domain));
-        let asked = self.peers.iter().flat_map(at).filter(|to| *to != meta);
+        let asked = self.reach.peers.iter().flat_map(at).filter(|to| *to != meta);
         Settings { prefix: prefix(), name, meta, user, announce: group.chain(asked).collect() }
     }
 
@@ -92,9 +97,27 @@ impl Sockets {
         self.foreign.load(Ordering::Relaxed)
     }
 
-    /// What is wrong, in words.
-    pub fn trouble(&self) -> Option<String> {
-        self.no_group.clone()
+    /// Whom it looks for, and who said so.
+    pub fn reach(&self) -> &str {
+        &self.reach.words
+    }
+
+    /// What is wrong, in words, where so many participants were met.
+    pub fn trouble(&self, participants: u64) -> Option<String> {
+        let stranger = Ipv4Addr::from(self.stranger.load(Ordering::Relaxed));
+        if stranger.is_unspecified() || participants > 0 {
+            return self.no_group.clone();
+        }
+        let next = if is_own(stranger) {
+            "they are nodes of this machine that use its network: start them with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
+             (ROS_LOCALHOST_ONLY=1 for Humble)"
+        } else {
+            "to meet other machines give `[ros2]` `interface`, this machine's address in their network, and `insecure = true`"
+        };
+        let (foreign, own) = (self.foreign(), self.addresses.0.ip());
+        Some(format!(
+            "ROS 2: nobody was met at {own}, and what comes from {stranger} is not read ({foreign} so far): {next}"
+        ))
     }
 
     /// Sends a datagram, and never waits. False if the system did not take it.
@@ -125,7 +148,8 @@ impl Sockets {
                     Ok((length, SocketAddr::V4(from))) => {
                         if self.is_local && !from.ip().is_loopback() {
                             self.foreign.fetch_add(1, Ordering::Relaxed);
-                        } else if length > 0 {
+                            self.stranger.store(u32::from(*from.ip()), Ordering::Relaxed);
+                        } else if length > 0 && !self.reach.is_off {
                             used(buffer.get(..length).unwrap_or_default(), *from.ip());
                         }
                     }
@@ -176,4 +200,48 @@ fn prefix() -> Prefix {
     let all = super::rtps::VENDOR.into_iter().chain(random).chain(std::process::id().to_le_bytes());
     prefix.iter_mut().zip(all).for_each(|(to, from)| *to = from);
     prefix
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn open(change: impl FnOnce(&mut Reach)) -> Sockets {
+        let interface = Ipv4Addr::LOCALHOST;
+        let mut reach = Reach { interface, multicast: false, peers: Vec::new(), is_off: false, words: String::new() };
+        change(&mut reach);
+        Sockets::open(140, reach).unwrap()
+    }
+
+    #[test]
+    fn who_is_seen_and_not_met_is_said_with_what_to_do() {
+        let sockets = open(|_| ());
+        assert_eq!(sockets.trouble(0), None);
+        sockets.foreign.store(2, Ordering::Relaxed);
+        sockets.stranger.store(u32::from(Ipv4Addr::new(198, 51, 100, 9)), Ordering::Relaxed);
+        let said = sockets.trouble(0).unwrap();
+        assert!(
+            said.contains("comes from 198.51.100.9 is not read (2 so far)") && said.contains("`interface`"),
+            "{said}"
+        );
+        assert_eq!(sockets.trouble(1), None, "somebody was met");
+        // An address of this machine: its other nodes use the network.
+        sockets.stranger.store(u32::from(Ipv4Addr::new(127, 0, 0, 1)), Ordering::Relaxed);
+        let said = sockets.trouble(0).unwrap();
+        assert!(said.contains("ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"), "{said}");
+    }
+
+    #[test]
+    fn a_node_that_is_off_asks_nobody_and_hears_nobody() {
+        let off = open(|reach| reach.is_off = true);
+        assert!(
+            off.settings("off".into()).announce.is_empty() && !open(|_| ()).settings("on".into()).announce.is_empty()
+        );
+        let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
+        sender.send_to(b"RTPS", off.address()).unwrap();
+        let mut came = 0;
+        off.wait(Duration::from_secs(5));
+        off.receive(&mut [0; 64], |_, _| came += 1);
+        assert_eq!(came, 0);
+    }
 }

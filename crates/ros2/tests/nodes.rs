@@ -15,7 +15,7 @@ use std::sync::mpsc::channel;
 /// A node in a domain that nobody else on this machine is likely to use.
 fn node(name: &str) -> Node {
     let domain = Some(150 + (std::process::id() % 80) as u16);
-    let settings = Settings { domain, multicast: false, ..Settings::default() };
+    let settings = Settings { domain, multicast: Some(false), ..Settings::default() };
     Node::start(&settings, name, || Some(20_000_000)).unwrap()
 }
 
@@ -61,7 +61,7 @@ fn poses_and_bearings_go_from_one_node_to_another() {
         answer,
     };
     let bearing = loop {
-        robot.report(0, &report, Some(&pose));
+        robot.report(0, &report);
         match bearings.try_recv() {
             Ok(bearing) => break bearing,
             Err(_) => std::thread::yield_now(),

@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use std::fmt::{Arguments, Write as _};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// How much is said: errors only, notes too, or also what was read, how long it took and how much memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -86,18 +86,19 @@ pub fn set(name: &'static str, level: Level, colours: When) {
     }
 }
 
-/// Names with ends of lines in them, among the arguments and their parts.
-static NAMES: OnceLock<Vec<String>> = OnceLock::new();
+/// Names with ends of lines in them, and their parts.
+static NAMES: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-/// The names that the program was given.
-pub fn set_names(arguments: impl Iterator<Item = std::ffi::OsString>) {
-    let names = arguments.map(|one| one.to_string_lossy().into_owned()).filter(|one| one.contains('\n'));
+/// Names that the program was given, or found in folders: ends of lines in them are written out from here on.
+pub fn add_names(names: impl Iterator<Item = std::ffi::OsString>) {
+    let names = names.map(|one| one.to_string_lossy().into_owned()).filter(|one| one.contains('\n'));
     let parts = |name: String| {
         let last = name.rsplit('/').next().unwrap_or_default().to_owned();
         let stem = last.rsplit_once('.').map_or(String::new(), |(stem, _)| stem.to_owned());
         [name, last, stem]
     };
-    let _ = NAMES.set(names.flat_map(parts).filter(|part| part.contains('\n')).collect());
+    let parts = names.flat_map(parts).filter(|part| part.contains('\n'));
+    NAMES.lock().unwrap_or_else(PoisonError::into_inner).extend(parts);
 }
 
 /// True if so much is said.
@@ -122,9 +123,9 @@ fn coloured(word: &str, tone: Tone, wanted: &AtomicBool) -> String {
 /// A text as it may go to a terminal: what names of files, topics and links have of control characters is written as JSON writes
 /// it (`\u001b`), ends of lines, tabs and our own colours stay. A name cannot clear, rename or answer for a terminal.
 ///
-/// Ends of lines that are in the names that the program was given are written out, too.
+/// Ends of lines that are in names ([`add_names`]) are written out, too.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    let names = NAMES.get().map(Vec::as_slice).unwrap_or_default();
+    let names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
     if names.iter().any(|name| text.contains(name.as_str())) {
         let whole = names.iter().fold(text.to_owned(), |text, name| text.replace(name, &name.replace('\n', "\\n")));
         return Cow::Owned(without_signs(&whole).into_owned());

@@ -44,7 +44,11 @@ impl Scene {
         ensure(!self.robot.is_empty(), "robot", || "is missing: a scene needs at least one [[robot]]".to_owned())?;
         for (number, robot) in self.robot.iter().enumerate() {
             let within = |p: Problem| {
-                let name = if robot.name.is_empty() { format!("robot {}", number + 1) } else { robot.name.clone() };
+                let name = if robot.name.is_empty() {
+                    format!("robot {}", number + 1)
+                } else {
+                    robot.name.escape_debug().to_string()
+                };
                 let reason = format!("{name}: {}", p.reason);
                 p.because(reason).item("robot", number)
             };

@@ -29,7 +29,6 @@
 
   // The capture's links on one map, this one in front. Places of transmitters are in the frame of motion capture only.
   const scene = ({ number, row, drawn, receiver }, siblings, sameFrame) => {
-    const from = drawn?.mean_position_m ?? row.true_receiver_m ?? [0, 0];
     const made = { paths: [], dots: [], rays: [], ellipses: [], places: [] };
     if (drawn) {
       made.paths.push({ points: drawn.path_m, colour: "sky", width: 2 });
@@ -37,6 +36,7 @@
     }
     for (const other of siblings) {
       const own = other.number === number;
+      const from = other.origin_m ?? other.true_receiver_m ?? [0, 0];
       const name = other.link.split("/").at(-1);
       if (csi.isNumber(other.azimuth_deg)) made.rays.push({ from, deg: other.azimuth_deg, sd: other.azimuth_sd_deg, colour: own ? "red" : "grey", quiet: !own, width: own ? 2.5 : 1.2 });
       if (own && csi.isNumber(other.mirror_deg)) made.rays.push({ from, deg: other.mirror_deg, colour: "grey", dash: [7, 5], width: 1.5 });

@@ -72,10 +72,11 @@
       const places = this.states.map((other) => at(other, "pose/1")).filter(Boolean).map(([x, y]) => [x, y]);
       const here = at(state, "pose/1");
       if (!here) return;
-      const from = [here[0], here[1]];
       const rays = (state.peers ?? []).flatMap((peer, k) => {
         const report = peer.report ?? {};
         const colour = csi.seriesName(k);
+        // A bearing is seen from the middle of its motion, where the robot no longer is.
+        const from = report.origin_m ?? here;
         const own = csi.isNumber(report.azimuth_deg) ? [{ from, deg: report.azimuth_deg, sd: report.azimuth_sd_deg, colour }] : [];
         return csi.isNumber(report.mirror_deg) ? [...own, { from, deg: report.mirror_deg, colour, dash: [6, 5], width: 1.2 }] : own;
       });
@@ -84,7 +85,7 @@
         const [[a, b], [c, d]] = report.position_covariance_m2;
         return [{ centre: report.position_m, covariance: [[a, b], [c, d]], colour: csi.seriesName(k) }];
       });
-      this.map.show({ paths: [{ points: places, colour: "sky" }], rays, ellipses, robot: { at: from, heading_deg: state.pose[2] } });
+      this.map.show({ paths: [{ points: places, colour: "sky" }], rays, ellipses, robot: { at: [here[0], here[1]], heading_deg: state.pose[2] } });
     }
 
     // Rates and azimuths; charts are made anew when peers come.

@@ -38,7 +38,6 @@ pub(crate) struct Detail {
     curves: Vec<Relative>,
     path_m: Vec<[f64; 2]>,
     used_m: Vec<[f64; 2]>,
-    mean_position_m: [f64; 2],
     phases: Phases,
 }
 
@@ -54,7 +53,6 @@ impl Detail {
             curves: curves.collect(),
             path_m: xy(&bearing.path_m),
             used_m: xy(bearing.samples.receiver_m()),
-            mean_position_m: [round(bearing.mean_position_m.x, 1e4), round(bearing.mean_position_m.y, 1e4)],
             phases: Phases {
                 t_s: course(|phase| phase.t_s),
                 one_way_rad: course(|phase| phase.one_way_rad),

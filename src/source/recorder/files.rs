@@ -74,6 +74,11 @@ impl Grown {
         named.is_file() && named.len() == 0 && is_same(&own, &named)
     }
 
+    /// How long the file is where somebody else cut it.
+    fn cut_to(&self) -> Option<u64> {
+        self.file.metadata().ok().filter(|found| found.is_file() && found.len() < self.len).map(|found| found.len())
+    }
+
     /// After a failed write: ends the file with the last whole unit.
     fn take_back(&mut self, whole: usize, error: io::Error) -> (usize, io::Result<()>) {
         self.len += whole as u64;
@@ -322,8 +327,7 @@ impl LogFiles {
     /// Goes on in another file where somebody else cut this one: what is written behind its end would be behind zeros. Gives what
     /// there is to say of it, and how many records are gone, which is an estimate where some are left.
     fn go_on_if_cut(&mut self) -> (Option<String>, u64) {
-        let cut = |grown: &Grown| grown.file.metadata().ok().filter(|found| found.is_file() && found.len() < grown.len);
-        let (data, side) = (cut(&self.data).map(|found| found.len()), cut(&self.side).is_some());
+        let (data, side) = (self.data.cut_to(), self.side.cut_to().is_some());
         if data.is_none() && !side {
             return (None, 0);
         }
@@ -378,7 +382,13 @@ impl Sink for LogFiles {
         let synced = synced.err().map(|error| format!("syncing {}: {error}", self.data.path.display()));
         let gone =
             || format!("{} was deleted: what is recorded from here on is lost with it", self.data.path.display());
-        synced.or_else(|| is_deleted(&self.data.file).then(gone))
+        let cut = |grown: &Grown| {
+            grown.cut_to().map(|len| format!("{} was cut to {len} bytes by another program", grown.path.display()))
+        };
+        synced
+            .or_else(|| is_deleted(&self.data.file).then(gone))
+            .or_else(|| cut(&self.data))
+            .or_else(|| cut(&self.side))
     }
 }
 

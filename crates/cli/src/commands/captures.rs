@@ -25,6 +25,12 @@ pub struct Reading {
     pub estimation: Estimation,
 }
 
+/// Ends of lines in names of folders are written out where they are shown.
+pub fn add_names(captures: &[Capture], unreadable: &[String]) {
+    let places = captures.iter().map(|capture| &capture.place);
+    csi5300_say::add_names(places.chain(unreadable).map(Into::into));
+}
+
 impl Reading {
     /// The trajectory to use.
     pub fn source(&self) -> TrajectorySource {
@@ -46,6 +52,7 @@ impl Reading {
     /// If there is none, or none with a channel, in words.
     pub fn find(&self, folder: &Path) -> Result<(Vec<Capture>, Vec<String>), String> {
         let (captures, unreadable) = find_all(folder);
+        add_names(&captures, &unreadable);
         if captures.is_empty() {
             let kind = if folder.is_dir() { "no capture in or below" } else { "no folder" };
             return Err(format!("{kind} {}: {A_CAPTURE}", folder.display()));

@@ -1,7 +1,7 @@
 //! `csi5300 evaluate`.
 
 use super::args::{ClockOffset, Estimation, antenna, channel};
-use super::captures::{A_CAPTURE, Reading, Which};
+use super::captures::{A_CAPTURE, Reading, Which, add_names};
 use super::mounting::Mounting;
 use super::{Outcome, Result, fixed, print, print_json, usage};
 use csi5300::maths::median;
@@ -196,6 +196,7 @@ fn find_all<'a>(
             return Err(format!("{} is not a folder", folder.display()));
         }
         let (found, failed) = find(folder);
+        add_names(&found, &failed);
         if found.is_empty() {
             let without = csi5300_lab::evaluate::find_all(folder).0.len();
             return Err(match without {

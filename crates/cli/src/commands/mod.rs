@@ -145,7 +145,7 @@ pub fn run() -> ExitCode {
     // A file as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
     let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     let mut args: Vec<_> = std::env::args_os().collect();
-    say::set_names(args.iter().skip(1).cloned());
+    say::add_names(args.iter().skip(1).cloned());
     if args.get(1..).is_some_and(|rest| *rest == ["help", "--all"]) {
         print(&old::all(&Cli::command()));
         return ExitCode::SUCCESS;

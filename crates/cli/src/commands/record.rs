@@ -298,7 +298,8 @@ impl Session<'_> {
     /// Takes the live line away, before other words.
     fn clear(&self) {
         if self.view == View::Line {
-            eprint!("\r\x1b[K");
+            // The terminal may be gone.
+            let _ = std::io::stderr().lock().write_all(b"\r\x1b[K");
         }
     }
 }

@@ -4,6 +4,7 @@ use super::commands::{Folder, json};
 use crate::common::link::link;
 use driver_iface::bfee::{Bfee, Iq, Repr};
 use driver_iface::record::{Record, code};
+use std::path::Path;
 
 /// The records of a log, each with its length field.
 fn records(log: &[u8]) -> Vec<Vec<u8>> {
@@ -289,4 +290,18 @@ fn names_are_written_out() {
     let (status, _, err) = folder.run(&["info", "a\nb\u{202e}tad.log"]);
     assert_eq!(status, 1);
     assert!(err.contains("a\\nb\\u202etad.log") && err.trim_end().lines().count() == 1, "{err}");
+    // Also those that are found in a folder, and in a scene.
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
+    let place = folder.0.join("tree/q\nb\u{202e}tad");
+    std::fs::create_dir_all(&place).unwrap();
+    for file in std::fs::read_dir(fixture).unwrap().map(|entry| entry.unwrap().path()) {
+        std::fs::copy(&file, place.join(file.file_name().unwrap())).unwrap();
+    }
+    for command in ["bearing", "evaluate"] {
+        let (status, out, err) = folder.run(&[command, "tree"]);
+        assert!(status == 0 && out.contains("q\\nb\\u202etad/2023-11-14_221320/tx1"), "{out} {err}");
+    }
+    folder.write("evil.toml", b"channel = 108\nduration_s = 1.0\n[[robot]]\nname = \"t\\nb\"\n");
+    let (status, _, err) = folder.run(&["simulate", "evil.toml", "--out", "out"]);
+    assert!(status != 0 && err.contains("t\\nb: name goes into file names"), "{err}");
 }

@@ -5,12 +5,12 @@ use crate::config::Output;
 use crate::health::Health;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::Write;
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Lines that wait at most for a reader that is slow or stands still; further ones are lost and counted.
@@ -41,6 +41,7 @@ impl Adapter for Lines {
 
     fn look(&mut self, health: &mut Health) {
         health.load.lines_lost = self.lost();
+        health.trouble.extend(self.trouble());
     }
 
     fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
@@ -65,6 +66,8 @@ struct Writer {
 struct LineCounts {
     lost: AtomicU64,
     waiting: AtomicU64,
+    /// Why the last line could not be written.
+    refused: Mutex<Option<String>>,
 }
 
 impl Lines {
@@ -88,8 +91,9 @@ impl Lines {
         let write = move || {
             // Each at once: a reader waits for it, and a kill must not take it.
             for line in waiting {
-                let failed = to.write_all(line.as_bytes()).and_then(|()| to.flush()).is_err();
-                shared.lost.fetch_add(u64::from(failed), Ordering::Relaxed);
+                let error = to.write_all(line.as_bytes()).and_then(|()| to.flush()).err();
+                shared.lost.fetch_add(u64::from(error.is_some()), Ordering::Relaxed);
+                *shared.refused.lock().unwrap_or_else(PoisonError::into_inner) = error.map(|error| error.to_string());
                 shared.waiting.fetch_sub(1, Ordering::Relaxed);
             }
             drop(written);
@@ -116,6 +120,13 @@ impl Lines {
         self.counts.lost.load(Ordering::Relaxed)
     }
 
+    /// What refuses the lines, in words.
+    fn trouble(&self) -> Option<String> {
+        let refused = self.counts.refused.lock().unwrap_or_else(PoisonError::into_inner);
+        let words = |why| format!("bearings are not written ({why}): see `output.bearings`; `lines_lost` counts them");
+        refused.as_ref().map(words)
+    }
+
     /// Waits for what is still to be written, but not for ever. Gives the lines that were not.
     pub fn end(&mut self) -> u64 {
         if let Some(Writer { lines, done }) = self.writer.take() {
@@ -128,7 +139,8 @@ impl Lines {
     }
 }
 
-/// Opens what lines are added to. A pipe without a reader is refused: it would be waited for, and signals with it.
+/// Opens what lines are added to. A pipe without a reader is refused: it would be waited for, and signals with it. So is a file
+/// that another node writes.
 fn append_to(path: &str) -> std::io::Result<File> {
     let file = File::options().append(true).create(true).custom_flags(nix::libc::O_NONBLOCK).open(path);
     let is_socket = || std::fs::metadata(path).is_ok_and(|there| there.file_type().is_socket());
@@ -139,6 +151,11 @@ fn append_to(path: &str) -> std::io::Result<File> {
         Some(nix::libc::ENXIO) => std::io::Error::other("it is a pipe that nobody reads: start its reader first"),
         _ => error,
     })?;
+    let is_file = file.metadata()?.is_file();
+    // A file system without locks knows no other writer.
+    if is_file && matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+        return Err(std::io::Error::other("another node writes it: stop that one, or give `bearings` another name"));
+    }
     // A reader that is slow is waited for, by the thread that writes.
     nix::fcntl::fcntl(&file, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_APPEND))?;
     Ok(file)
@@ -172,6 +189,35 @@ mod tests {
         let before = lines.lost();
         drop(go);
         assert_eq!(lines.end(), before, "the others were written");
+    }
+
+    #[test]
+    fn lines_that_the_disk_refuses_are_counted_and_said_with_why() {
+        let mut lines = Lines::open(&Output { bearings: "/dev/full".into(), ..Output::default() }).unwrap();
+        assert_eq!(lines.trouble(), None);
+        (0..3).for_each(|k| lines.write(&k));
+        assert_eq!(lines.end(), 3);
+        let said = lines.trouble().unwrap();
+        assert!(
+            said.contains("No space left") && said.contains("lines_lost") && said.contains("output.bearings"),
+            "{said}"
+        );
+    }
+
+    #[test]
+    fn two_nodes_do_not_write_one_file() {
+        let path = std::env::temp_dir().join(format!("csi5300-bearings-twice-{}", std::process::id()));
+        let output = Output { bearings: path.display().to_string(), ..Output::default() };
+        let first = Lines::open(&output).unwrap();
+        let refused = Lines::open(&output).err().unwrap().to_string();
+        assert!(refused.contains("another node writes it: stop that one"), "{refused}");
+        let Lines { writer, .. } = first;
+        let Writer { lines, done } = writer.unwrap();
+        drop(lines);
+        // The thread that writes is done with it.
+        assert!(done.recv().is_err());
+        assert!(Lines::open(&output).is_ok());
+        std::fs::remove_file(&path).unwrap();
     }
 
     #[test]

@@ -24,7 +24,6 @@ use crate::health::Health;
 use crate::machine::Machine;
 use crate::sources::Poses;
 use csi5300::motion::odometry::ros::Stamp;
-use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use driver_iface::Mac;
@@ -102,8 +101,6 @@ pub struct Said<'a> {
     pub took_ms: f64,
     /// How long ago the last record in it was taken, milliseconds.
     pub latency_ms: Option<f64>,
-    /// Where this robot's antenna is.
-    pub own: Option<&'a Pose>,
     /// The machine that says it.
     pub machine: &'a Machine,
 }

@@ -150,7 +150,7 @@ impl Adapter for Ros1 {
         let (Some(bridge), Some((name, mac))) = (&self.bridge, self.peers.get(said.peer)) else { return };
         let stamp = Time::from_us((said.report.t_s.unwrap_or(0.0) * 1e6) as i64);
         let header = Header { stamp, frame_id: self.settings.frame.clone() };
-        if let Some(pose) = said::direction(&header, said.report, said.own) {
+        if let Some(pose) = said::direction(&header, said.report) {
             bridge.outbox.put(2 * said.peer + 1, &pose);
         }
         bridge.outbox.put(2 * said.peer, &said::bearing(header, (name, mac), said.report));

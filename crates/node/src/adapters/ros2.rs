@@ -66,7 +66,7 @@ impl Adapter for Ros2 {
     }
 
     fn report(&mut self, said: &Said<'_>) {
-        self.node.report(said.peer, said.report, said.own);
+        self.node.report(said.peer, said.report);
     }
 
     fn look(&mut self, health: &mut Health) {

@@ -23,3 +23,12 @@ fn topics(config: &Config) -> impl Iterator<Item = &Topic> {
 pub fn is_used(config: &Config) -> bool {
     config.ros2.is_some() || topics(config).next().is_some()
 }
+
+impl Config {
+    /// Whom the node looks for in ROS 2, and who said so, in words; none without ROS 2.
+    #[must_use]
+    pub fn ros2_reach(&self) -> Option<String> {
+        let asked = self.ros2.clone().unwrap_or_default();
+        is_used(self).then(|| format!("ROS 2, domain {}: {}", asked.domain(), asked.reach().words))
+    }
+}

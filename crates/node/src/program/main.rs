@@ -43,6 +43,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let begun = std::time::Instant::now();
+    csi5300_say::add_names(std::env::args_os().skip(1));
     let cli = Cli::try_parse()
         .unwrap_or_else(|error| csi5300_say::misused(&error.render().to_string(), error.exit_code(), || error.exit()));
     let level = match (cli.quiet, cli.verbose) {

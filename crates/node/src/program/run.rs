@@ -39,6 +39,9 @@ pub fn run(args: &Args) -> Result {
         return Ok(Outcome::Done);
     }
     let name = config.name.clone().unwrap_or_else(host_name);
+    if let Some(words) = config.ros2_reach() {
+        note!("{words}");
+    }
     let ended = service::run(&config, name).map_err(|error| error.to_string())?;
     notes!("{}", summary(&ended));
     match &ended.error {

@@ -15,6 +15,7 @@ use ratatui::widgets::{Block, Paragraph, Row, Table};
 use serde_json::Value;
 use std::fs::File;
 use std::io::{BufRead, BufReader, IsTerminal, Read};
+use std::mem::ManuallyDrop;
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -110,7 +111,7 @@ pub fn run(args: &Args) -> Result {
     let stream = connect(&socket)?;
     let mut states = lines(stream);
     if args.once || !std::io::stdout().is_terminal() {
-        return match states.find(|line| line.as_ref().is_ok_and(|line| !line.is_empty())) {
+        return match states.find(|line| !line.as_ref().is_ok_and(String::is_empty)) {
             Some(Ok(line)) => {
                 print(&format!("{line}\n"));
                 Ok(Outcome::Done)
@@ -123,17 +124,25 @@ pub fn run(args: &Args) -> Result {
     let ends = Ends::catch()?;
     let (told, from_node) = channel();
     std::thread::spawn(move || {
-        for line in states.map_while(std::result::Result::ok) {
-            let Ok(state) = serde_json::from_str(&line) else { continue };
-            if told.send(state).is_err() {
+        for line in states {
+            let is_last = line.is_err();
+            let state = line.map_or_else(
+                |error| Some(serde_json::json!({ "trouble": [error.to_string()] })),
+                |line| serde_json::from_str(&line).ok(),
+            );
+            let Some(state) = state else { continue };
+            if told.send(state).is_err() || is_last {
                 return;
             }
         }
     });
     let mut keys = Keys::open().map_err(|error| format!("the terminal: {error}"))?;
-    let mut terminal = ratatui::init();
+    // Dropped, it would show the cursor, and panic where the terminal is gone and standard error with it.
+    let mut terminal = ManuallyDrop::new(ratatui::init());
     let shown = show(&mut terminal, &from_node, &socket, (&ends, &mut keys));
-    ratatui::restore();
+    // Where the terminal is gone there is nothing to restore, and nobody to be told.
+    let _ = terminal.show_cursor();
+    let _ = ratatui::try_restore();
     match shown {
         // A terminal that was closed refuses to be drawn on, and says so by a hangup or by its end.
         Err(_) if ends.is_one_here() || ends.wait(&mut keys, ends.clock.now()) => Ok(Outcome::Done),

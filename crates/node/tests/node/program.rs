@@ -129,6 +129,18 @@ fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
     assert!(off < 4.1 + f64::max(3.0, 2.0 * bar) && last["state"] == "bearing" && last["link"] == "tx", "{off} {last}");
 }
 
+#[test]
+fn a_node_of_ros_2_says_at_its_start_whom_it_looks_for() {
+    let folder = folder("node-reach");
+    std::fs::write(folder.join("robot.toml"), format!("{ROOM}[ros2]\ndomain = 141\n[output]\nbearings = \"\"\n"))
+        .unwrap();
+    let mut command = program(&folder);
+    command.args(["node", "--config", "robot.toml"]).env_remove("ROS_LOCALHOST_ONLY").env_remove("ROS_STATIC_PEERS");
+    let (status, _, err) = said(command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF").output().unwrap());
+    let first = "ROS 2, domain 141: meets nobody; range: ROS_AUTOMATIC_DISCOVERY_RANGE\n";
+    assert!(matches!(status, 0 | 3) && err.starts_with(first), "{status} {err}");
+}
+
 /// A process that is ended with the test.
 struct Running(Child);
 

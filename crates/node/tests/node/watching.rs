@@ -79,29 +79,52 @@ fn a_signal_gives_the_terminal_back_as_it_was() {
     }
 }
 
-/// As when an SSH session or a pane goes and the hangup does not reach the program (`nohup`, another session): the end of the
-/// terminal is all that there is to see.
+#[test]
+fn a_line_without_an_end_is_given_up() {
+    let folder = crate::program::folder("watch-endless");
+    let socket = folder.join("status.sock");
+    let node = UnixListener::bind(&socket).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
+    command.args(["watch", "--once"]).arg(&socket).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    let mut state = node.accept().unwrap().0;
+    // Until nobody reads any more.
+    while state.write_all(&[b'a'; 1 << 16]).is_ok() {}
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(1) && said.contains("more than 16 MiB") && output.stdout.is_empty(), "{said}");
+}
+
+/// As when an SSH session or a pane goes: by a hangup where it is the program's own terminal, and where that does not reach the
+/// program (`nohup`, another session) the end of the terminal is all that there is to see.
 #[test]
 fn a_terminal_that_ends_ends_what_is_shown_on_it() {
     let folder = crate::program::folder("watch-ended");
-    let socket = folder.join("status.sock");
-    let node = UnixListener::bind(&socket).unwrap();
-    let terminal = terminal();
-    let side = || Stdio::from(terminal.slave.try_clone().unwrap());
-    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
-    command.arg("watch").arg(&socket).stdin(side()).stdout(side()).stderr(Stdio::null()).env("TERM", "xterm");
-    let mut child = command.spawn().unwrap();
-    drop(command);
-    let mut state = node.accept().unwrap().0;
-    state.write_all(b"{\"name\": \"burger-7\"}\n").unwrap();
-    let mut screen = File::from(terminal.master);
-    let (mut shown, mut bytes) = (String::new(), [0; 4096]);
-    while !shown.contains("burger-7") {
-        let count = screen.read(&mut bytes).unwrap();
-        shown += &String::from_utf8_lossy(&bytes[..count]);
+    for is_own in [true, false] {
+        let Some(mut command) = usual() else { return };
+        if is_own {
+            let usual = command;
+            command = Command::new("setsid");
+            command.arg("--ctty").arg(usual.get_program()).args(usual.get_args());
+        }
+        let socket = folder.join(format!("{is_own}.sock"));
+        let node = UnixListener::bind(&socket).unwrap();
+        let terminal = terminal();
+        let side = || Stdio::from(terminal.slave.try_clone().unwrap());
+        command.arg("watch").arg(&socket).stdin(side()).stdout(side()).stderr(side()).env("TERM", "xterm");
+        let mut child = command.spawn().unwrap();
+        drop(command);
+        let mut state = node.accept().unwrap().0;
+        state.write_all(b"{\"name\": \"burger-7\"}\n").unwrap();
+        let mut screen = File::from(terminal.master);
+        let (mut shown, mut bytes) = (String::new(), [0; 4096]);
+        while !shown.contains("burger-7") {
+            let count = screen.read(&mut bytes).unwrap();
+            shown += &String::from_utf8_lossy(&bytes[..count]);
+        }
+        // Part of an arrow key, after which crossterm would wait for the rest.
+        screen.write_all(b"\x1b[").unwrap();
+        drop((screen, terminal.slave));
+        assert_eq!(child.wait().unwrap().code(), Some(0), "its own: {is_own}");
     }
-    // Part of an arrow key, after which crossterm would wait for the rest.
-    screen.write_all(b"\x1b[").unwrap();
-    drop((screen, terminal.slave));
-    assert_eq!(child.wait().unwrap().code(), Some(0));
 }

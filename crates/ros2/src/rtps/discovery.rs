@@ -62,6 +62,8 @@ pub(crate) struct ParticipantData {
     pub meta: Vec<SocketAddrV4>,
     /// Where it takes samples.
     pub user: Vec<SocketAddrV4>,
+    /// One of both has addresses of IPv6 and no other.
+    pub is_ipv6: bool,
     /// It is gone when nothing came for so long.
     pub lease: Span,
     /// Its name, for people.
@@ -139,6 +141,11 @@ fn address(from: &mut CdrReader<'_>) -> Result<Option<SocketAddrV4>, CdrError> {
     Ok(port.filter(|_| kind == 1 && !ip.is_multicast() && !ip.is_unspecified()).map(|port| SocketAddrV4::new(ip, port)))
 }
 
+/// True for an address of UDP over IPv6 (\[rtps\] 9.3.2), which is read again.
+fn is_ipv6(value: &CdrReader<'_>) -> bool {
+    i32::read(&mut value.clone()).is_ok_and(|kind| kind == 2)
+}
+
 fn keep(address: Option<SocketAddrV4>, into: &mut Vec<SocketAddrV4>) {
     into.extend(address.filter(|address| into.len() < ADDRESSES && !into.contains(address)));
 }
@@ -192,7 +199,10 @@ impl ParticipantData {
     pub fn read(payload: &[u8]) -> Result<Option<Self>, CdrError> {
         let (mut prefix, mut vendor, mut words) = (None, [0; 2], String::new());
         let (mut meta, mut user, mut lease) = (Vec::new(), Vec::new(), USUAL_LEASE);
+        let mut ipv6 = [false; 2];
         each(payload, |id, mut value| {
+            ipv6[0] |= id == id::META_UNICAST && is_ipv6(&value);
+            ipv6[1] |= id == id::DEFAULT_UNICAST && is_ipv6(&value);
             match id {
                 id::PARTICIPANT => prefix = Guid::from_bytes(value.rest()).map(|guid| guid.prefix),
                 id::VENDOR => vendor = <[u8; 2]>::read(&mut value)?,
@@ -204,7 +214,8 @@ impl ParticipantData {
             }
             Ok(())
         })?;
-        Ok(prefix.map(|prefix| Self { prefix, vendor, meta, user, lease, name: words }))
+        let is_ipv6 = (ipv6[0] && meta.is_empty()) || (ipv6[1] && user.is_empty());
+        Ok(prefix.map(|prefix| Self { prefix, vendor, meta, user, is_ipv6, lease, name: words }))
     }
 }
 
@@ -302,8 +313,15 @@ mod tests {
     fn what_is_announced_is_read_back_and_cut_ones_are_refused() {
         let lease = Span::from_ms(20_000);
         let (meta, user) = (vec![at(1, 7410)], vec![at(1, 7411), at(2, 7411)]);
-        let participant =
-            ParticipantData { prefix: *b"participant.", vendor: VENDOR, meta, user, lease, name: "burger".into() };
+        let participant = ParticipantData {
+            prefix: *b"participant.",
+            vendor: VENDOR,
+            meta,
+            user,
+            is_ipv6: false,
+            lease,
+            name: "burger".into(),
+        };
         let payload = participant.payload();
         assert_eq!(ParticipantData::read(&payload), Ok(Some(participant)));
         let qos = Qos { representations: vec![0], ..Qos::latched(3) };

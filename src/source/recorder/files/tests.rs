@@ -286,6 +286,8 @@ fn a_log_that_somebody_cuts_goes_on_in_another_file() {
         let mut files = LogFiles::create(&log, Rotation::default(), true).unwrap();
         assert_eq!(files.write(&chunk(0..4)).records, 4);
         OpenOptions::new().write(true).open(cut).unwrap().set_len(left).unwrap();
+        // Also where nothing is recorded after that.
+        assert!(files.sync().unwrap().contains(&format!("was cut to {left} bytes")));
         let written = files.write(&chunk(4..6));
         assert_eq!((written.records, written.lost), (2, gone), "{} to {left}", cut.display());
         assert!(written.error.unwrap().contains("was cut by another program"));

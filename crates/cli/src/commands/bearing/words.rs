@@ -41,7 +41,11 @@ fn describe_with(answer: &Answer, doubts: &str, details: Option<&str>) -> String
     text += &verdict(answer);
     text += &origin(answer);
     if let Some(body) = answer.azimuth_body_deg {
-        let _ = writeln!(text, "  {} deg from the robot's nose at the end, positive to the left", fixed(body, 2));
+        let sd = answer.azimuth_body_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
+        let seen =
+            if answer.position_m.is_some() { "seen from its place then" } else { "seen from the middle of the motion" };
+        let nose = "from the robot's nose at the end, positive to the left";
+        let _ = writeln!(text, "  {} deg{sd} {nose}, {seen}", fixed(body, 2));
     }
     text += doubts;
     if sure(answer).is_some_and(|sure| sure < FAIR) {

@@ -11,7 +11,7 @@ const STRANGER: Prefix = [9; 12];
 /// The announcement of participant `prefix`, which takes everything at `at`.
 fn announcement(prefix: Prefix, at: SocketAddrV4) -> Vec<u8> {
     let (meta, user, lease) = (vec![at], vec![at], Span::from_ms(1 << 40));
-    let data = ParticipantData { prefix, vendor: VENDOR, meta, user, lease, name: String::new() };
+    let data = ParticipantData { prefix, vendor: VENDOR, meta, user, is_ipv6: false, lease, name: String::new() };
     Maker::new(prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish()
 }
 

@@ -34,7 +34,15 @@ fn prefix(who: u8) -> Prefix {
 fn announcement(who: u8) -> Vec<u8> {
     let at = vec![SocketAddrV4::new(ip(who), 7410)];
     let (prefix, lease) = (prefix(who), Span::from_ms(10_000));
-    let data = ParticipantData { prefix, vendor: VENDOR, meta: at.clone(), user: at, lease, name: String::new() };
+    let data = ParticipantData {
+        prefix,
+        vendor: VENDOR,
+        meta: at.clone(),
+        user: at,
+        is_ipv6: false,
+        lease,
+        name: String::new(),
+    };
     Maker::new(prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish()
 }
 

@@ -72,13 +72,16 @@ impl Participant {
             return;
         }
         let prefix = data.prefix;
-        let Some(meta) = reach(&data.meta, ip) else {
+        let meta = reach(&data.meta, ip);
+        if data.is_ipv6 || meta.is_none() {
+            let why = if data.is_ipv6 { "announces addresses of IPv6 only" } else { "takes nothing over UDP of IPv4" };
             if self.unreachable.len() < PARTICIPANTS {
-                self.unreachable.insert(prefix, format!("{} at {ip} takes nothing over UDP of IPv4", data.name));
+                self.unreachable.insert(prefix, format!("{} at {ip} {why}", data.name));
             }
-            return;
-        };
-        self.unreachable.remove(&prefix);
+        } else {
+            self.unreachable.remove(&prefix);
+        }
+        let Some(meta) = meta else { return };
         let user = reach(&data.user, ip);
         let is_new = !self.peers.contains_key(&prefix);
         if is_new && self.peers.len() >= PARTICIPANTS && !self.make_room() {

@@ -300,7 +300,8 @@ impl Participant {
     fn announcement(&self) -> Vec<u8> {
         let Settings { prefix, name, meta, user, .. } = &self.settings;
         let (meta, user) = (vec![*meta], vec![*user]);
-        let data = ParticipantData { prefix: *prefix, vendor: VENDOR, meta, user, lease: LEASE, name: name.clone() };
+        let (is_ipv6, lease, name) = (false, LEASE, name.clone());
+        let data = ParticipantData { prefix: *prefix, vendor: VENDOR, meta, user, is_ipv6, lease, name };
         Maker::new(*prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish()
     }
 

@@ -214,8 +214,15 @@ fn damaged_datagrams_and_made_up_participants_are_counted_and_bounded() {
         let mut prefix = [9; 12];
         prefix[..4].copy_from_slice(&k.to_le_bytes());
         let (meta, user, lease) = (vec![at(9, 7410)], vec![], Span::from_ms(1 << 40));
-        let data =
-            super::super::discovery::ParticipantData { prefix, vendor: VENDOR, meta, user, lease, name: String::new() };
+        let data = super::super::discovery::ParticipantData {
+            prefix,
+            vendor: VENDOR,
+            meta,
+            user,
+            is_ipv6: false,
+            lease,
+            name: String::new(),
+        };
         let made = Maker::new(prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish();
         net.all[1].handle_datagram(&made, Ipv4Addr::LOCALHOST, (net.now, WALL_US), &mut net.events[1]);
         net.all[1].poll_transmit();
@@ -256,4 +263,31 @@ fn a_sample_in_fragments_is_put_together() {
     }
     assert_eq!(net.events[1].len(), 1);
     assert_eq!(net.events[1][0].payload, sample);
+}
+
+#[test]
+fn a_participant_with_addresses_of_ipv6_only_is_named() {
+    let mut net = Net::new(1);
+    let announced = |prefix: u8, ids: &[u8]| {
+        let (meta, user, lease) = (vec![at(9, 7410)], vec![at(9, 7411)], LEASE);
+        let name = format!("p{prefix}");
+        let prefix = [prefix; 12];
+        let data = ParticipantData { prefix, vendor: VENDOR, meta, user, is_ipv6: false, lease, name };
+        let mut payload = data.payload();
+        for at in 0..payload.len() - 4 {
+            // The number of the parameter, its length, and the kind of address.
+            if ids.contains(&payload[at]) && payload[at + 1..at + 8] == [0, 24, 0, 1, 0, 0, 0] {
+                payload[at + 4] = 2;
+            }
+        }
+        Maker::new(prefix, None).data((DETECTOR, ANNOUNCER), 1, &payload, (None, None)).finish()
+    };
+    for (prefix, ids) in [(7, &[0x32, 0x31][..]), (8, &[0x31]), (9, &[])] {
+        let from = (net.now, WALL_US);
+        net.all[0].handle_datagram(&announced(prefix, ids), Ipv4Addr::new(127, 0, 0, 9), from, &mut net.events[0]);
+    }
+    let named: Vec<&str> = net.all[0].unreachable().collect();
+    let expected =
+        ["p7 at 127.0.0.9 announces addresses of IPv6 only", "p8 at 127.0.0.9 announces addresses of IPv6 only"];
+    assert_eq!((named, net.all[0].counts().unreadable), (expected.to_vec(), 0));
 }

@@ -1,0 +1,227 @@
+//! Whom a node looks for: what its settings say, then the variables that nodes of ROS 2 go by (`rcl`: `localhost.c`,
+//! `discovery_options.c`). What would leave this machine needs `insecure`, whoever asks for it.
+
+use crate::settings::{PEERS, Settings};
+use std::fmt::Write;
+use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs, UdpSocket};
+
+/// Any address behind the way out of this machine: the group of DDS.
+const OUT: Ipv4Addr = crate::rtps::MULTICAST;
+
+/// How far automatic discovery goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Range {
+    /// Nobody is found, not even on this machine.
+    Off,
+    /// This machine, and static peers.
+    Localhost,
+    /// The network, and static peers.
+    Subnet,
+}
+
+/// What the variables ask for.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Asked {
+    /// The range, where one is asked for, and the variable.
+    range: Option<(Range, &'static str)>,
+    peers: Vec<Ipv4Addr>,
+    /// What could not be understood.
+    notes: Vec<String>,
+}
+
+impl Asked {
+    pub fn by_environment() -> Self {
+        Self::by(|name| std::env::var(name).ok(), resolve)
+    }
+
+    fn by(variable: impl Fn(&str) -> Option<String>, resolve: impl Fn(&str) -> Option<Ipv4Addr>) -> Self {
+        const ONLY: &str = "ROS_LOCALHOST_ONLY";
+        const RANGE: &str = "ROS_AUTOMATIC_DISCOVERY_RANGE";
+        const STATIC: &str = "ROS_STATIC_PEERS";
+        // It is older, and goes before both others.
+        if variable(ONLY).is_some_and(|value| value == "1") {
+            return Self { range: Some((Range::Localhost, ONLY)), ..Self::default() };
+        }
+        let mut asked = Self::default();
+        let range = match variable(RANGE).unwrap_or_default().as_str() {
+            // The system's own is this node's own.
+            "" | "SYSTEM_DEFAULT" => None,
+            "OFF" => Some(Range::Off),
+            "LOCALHOST" => Some(Range::Localhost),
+            "SUBNET" => Some(Range::Subnet),
+            other => {
+                asked
+                    .notes
+                    .push(format!("{RANGE}={other} is none of SUBNET, LOCALHOST, OFF, SYSTEM_DEFAULT: LOCALHOST"));
+                Some(Range::Localhost)
+            }
+        };
+        asked.range = range.map(|range| (range, RANGE));
+        for name in variable(STATIC).unwrap_or_default().split(';').filter(|name| !name.is_empty()) {
+            match resolve(name) {
+                Some(_) if asked.peers.len() >= PEERS => asked.notes.push(format!("{STATIC}: {name} is one too many")),
+                Some(ip) => asked.peers.push(ip),
+                None => asked.notes.push(format!("{STATIC}: {name} has no address of IPv4")),
+            }
+        }
+        asked
+    }
+}
+
+/// Whom a node looks for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Reach {
+    /// The address whose network is used.
+    pub interface: Ipv4Addr,
+    /// The domain's group is used.
+    pub multicast: bool,
+    /// Machines that are asked.
+    pub peers: Vec<Ipv4Addr>,
+    /// Nobody is looked for, and nobody is met.
+    pub is_off: bool,
+    /// The same in words, with who said so.
+    pub words: String,
+}
+
+impl Reach {
+    /// `out` gives the address of this machine from which another one is reached.
+    pub(crate) fn of(own: &Settings, asked: &Asked, out: impl Fn(Ipv4Addr) -> Option<Ipv4Addr>) -> Self {
+        let mut notes = asked.notes.clone();
+        let by_file = own.interface.is_some() || own.multicast.is_some();
+        let (range, by) = match asked.range {
+            _ if by_file => (None, "[ros2]"),
+            Some((range, variable)) => (Some(range), variable),
+            None => (None, "as usual"),
+        };
+        let is_off = range == Some(Range::Off);
+        let mut peers = own.peers.clone().unwrap_or_else(|| asked.peers.clone());
+        let far = peers.iter().find(|peer| !peer.is_loopback()).copied();
+        let wish = match range {
+            Some(Range::Subnet) => Some((OUT, by)),
+            _ => far.map(|peer| (peer, if own.peers.is_some() { "`peers`" } else { "ROS_STATIC_PEERS" })),
+        };
+        let mut interface = own.interface.unwrap_or(Ipv4Addr::LOCALHOST);
+        if let Some((to, by)) = wish.filter(|_| own.interface.is_none() && !is_off) {
+            match out(to) {
+                Some(found) if own.insecure => interface = found,
+                Some(_) => {
+                    notes.push(format!("{by} asks for the network, which needs `insecure = true`: this machine only"))
+                }
+                None => {
+                    notes.push(format!("{by} asks for the network, and there is no way to {to}: this machine only"))
+                }
+            }
+        }
+        if is_off {
+            peers.clear();
+        } else if own.peers.is_none() && interface.is_loopback() {
+            peers.retain(Ipv4Addr::is_loopback);
+        }
+        let multicast = own.multicast.unwrap_or(range != Some(Range::Localhost) || interface.is_loopback()) && !is_off;
+        let mut words = match (is_off, interface.is_loopback()) {
+            (true, _) => "meets nobody".to_owned(),
+            (_, true) => format!("meets nodes of this machine ({interface})"),
+            (_, false) if multicast => format!("meets nodes of the network of {interface}"),
+            (_, false) => format!("meets nodes of this machine and of its peers, from {interface}"),
+        };
+        if !peers.is_empty() {
+            let by = if own.peers.is_some() { "[ros2]" } else { "ROS_STATIC_PEERS" };
+            let peers: Vec<String> = peers.iter().map(ToString::to_string).collect();
+            let _ = write!(words, "; asks {} ({by})", peers.join(", "));
+        }
+        let _ = write!(words, "; range: {by}");
+        notes.iter().for_each(|note| words += &format!("; {note}"));
+        Self { interface, multicast, peers, is_off, words }
+    }
+}
+
+/// The first address of IPv4 that a name has.
+fn resolve(name: &str) -> Option<Ipv4Addr> {
+    let all = (name, 0).to_socket_addrs().ok()?;
+    all.map(|address| address.ip()).find_map(|ip| if let IpAddr::V4(ip) = ip { Some(ip) } else { None })
+}
+
+/// The address of this machine from which `to` is reached; nothing is sent.
+pub(crate) fn outward(to: Ipv4Addr) -> Option<Ipv4Addr> {
+    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
+    socket.connect((to, 7400)).ok()?;
+    match socket.local_addr().ok()?.ip() {
+        IpAddr::V4(own) if !own.is_unspecified() => Some(own),
+        _ => None,
+    }
+}
+
+/// True for an address of this machine.
+pub(crate) fn is_own(ip: Ipv4Addr) -> bool {
+    UdpSocket::bind((ip, 0)).is_ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OWN: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 5);
+
+    fn reach(own: &Settings, variables: &[(&str, &str)]) -> Reach {
+        let variable = |name: &str| Some(variables.iter().find(|(known, _)| *known == name)?.1.to_owned());
+        let resolve =
+            |name: &str| if name == "bench" { Some(Ipv4Addr::new(192, 168, 1, 7)) } else { name.parse().ok() };
+        Reach::of(own, &Asked::by(variable, resolve), |_| Some(OWN))
+    }
+
+    const RANGE: &str = "ROS_AUTOMATIC_DISCOVERY_RANGE";
+    const STATIC: &str = "ROS_STATIC_PEERS";
+
+    #[test]
+    fn the_variables_are_read_as_nodes_of_ros_read_them() {
+        let open = Settings { insecure: true, ..Settings::default() };
+        let here = (Ipv4Addr::LOCALHOST, true, false);
+        for (variables, expected, words) in [
+            (&[][..], here, "this machine (127.0.0.1); range: as usual"),
+            (&[(RANGE, "SYSTEM_DEFAULT")], here, "as usual"),
+            (&[(RANGE, "SUBNET")], (OWN, true, false), "the network of 192.168.1.5; range: ROS_AUTOMATIC"),
+            (&[(RANGE, "LOCALHOST")], here, "range: ROS_AUTOMATIC"),
+            (&[(RANGE, "OFF"), (STATIC, "10.0.0.2")], (Ipv4Addr::LOCALHOST, false, true), "meets nobody"),
+            (&[(RANGE, "subnet")], here, "subnet is none of SUBNET"),
+            (
+                &[(RANGE, "SUBNET"), ("ROS_LOCALHOST_ONLY", "1"), (STATIC, "10.0.0.2")],
+                here,
+                "range: ROS_LOCALHOST_ONLY",
+            ),
+            (&[(RANGE, "SUBNET"), ("ROS_LOCALHOST_ONLY", "0")], (OWN, true, false), "range: ROS_AUTOMATIC"),
+        ] {
+            let found = reach(&open, variables);
+            assert_eq!((found.interface, found.multicast, found.is_off), expected, "{variables:?}");
+            assert!(found.words.contains(words) && found.peers.is_empty(), "{}", found.words);
+        }
+    }
+
+    #[test]
+    fn static_peers_are_names_or_addresses_and_are_asked_from_the_network() {
+        let open = Settings { insecure: true, ..Settings::default() };
+        let found = reach(&open, &[(RANGE, "LOCALHOST"), (STATIC, "10.0.0.2;;bench;nobody")]);
+        assert_eq!((found.interface, found.multicast), (OWN, false));
+        assert_eq!(found.peers, [Ipv4Addr::new(10, 0, 0, 2), Ipv4Addr::new(192, 168, 1, 7)]);
+        assert!(found.words.contains("asks 10.0.0.2, 192.168.1.7 (ROS_STATIC_PEERS)"), "{}", found.words);
+        assert!(found.words.contains("nobody has no address"), "{}", found.words);
+        // DDS asks nobody who they are: no variable opens the robot to the network.
+        for variables in [[(STATIC, "10.0.0.2")], [(RANGE, "SUBNET")]] {
+            let found = reach(&Settings::default(), &variables);
+            assert_eq!((found.interface, found.peers.len()), (Ipv4Addr::LOCALHOST, 0));
+            assert!(found.words.contains("needs `insecure = true`"), "{}", found.words);
+        }
+        let many = vec!["10.0.0.2"; PEERS + 1].join(";");
+        assert!(reach(&open, &[(STATIC, &many)]).words.contains("one too many"));
+    }
+
+    #[test]
+    fn the_file_goes_before_the_variables() {
+        let variables = [(RANGE, "OFF"), (STATIC, "10.0.0.2")];
+        let file = Settings { insecure: true, interface: Some(OWN), peers: Some(Vec::new()), ..Settings::default() };
+        let found = reach(&file, &variables);
+        assert_eq!((found.interface, found.multicast, found.is_off, found.peers.len()), (OWN, true, false, 0));
+        assert!(found.words.contains("range: [ros2]"), "{}", found.words);
+        let peers = reach(&Settings { peers: None, ..file }, &variables).peers;
+        assert_eq!(peers, [Ipv4Addr::new(10, 0, 0, 2)], "what the file does not say");
+    }
+}

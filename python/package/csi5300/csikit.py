@@ -1,0 +1,116 @@
+"""CSIKit's way to read Intel 5300 logs, over this package's decoder, for scripts that are written for it::
+
+    from csi5300.csikit import csitools, get_reader    # for CSIKit.reader.get_reader and CSIKit.util.csitools
+    data = get_reader("rx.dat").read_file("rx.dat", scaled=True)
+    csi, frames, subcarriers = csitools.get_CSI(data, metric="amplitude")
+
+docs/python.md lists where it differs from CSIKit 2.5.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._errors import OptionError
+from ._log import Log, read
+
+__all__ = ["CSIData", "IWLBeamformReader", "IWLCSIFrame", "csitools", "get_reader"]
+
+
+@dataclass(eq=False)
+class IWLCSIFrame:
+    """A frame: the fields of its record, and ``csi_matrix``, complex64 (30, n_rx, n_tx)."""
+
+    timestamp_low: int
+    bfee_count: int
+    n_rx: int
+    n_tx: int
+    rssi_a: int
+    rssi_b: int
+    rssi_c: int
+    noise: int
+    agc: int
+    rate: int
+    csi_matrix: NDArray[np.complex64]
+
+
+@dataclass(eq=False)
+class CSIData:
+    """A log: its frames, and ``timestamps``, seconds after the first by the card's clock."""
+
+    filename: str
+    frames: list[IWLCSIFrame] = field(default_factory=list)
+    timestamps: list[float] = field(default_factory=list)
+    filter_mac: str | None = None
+    expected_frames: int = 0
+    chipset: str = "Intel IWL5300"
+    backend: str = "Linux 802.11n CSI Tool"
+    bandwidth: int = 20
+
+
+def _rows(log: Log, k: int) -> list[int]:
+    """The rows of frame ``k``: antennas A, B, C of three chains, fewer chains in their own order."""
+    chains = int(log.n_rx[k])
+    if not log.antennas_known[k]:
+        return list(range(chains))
+    rows = [log.antennas.index("ABC"[antenna]) for antenna in log.antenna_order[k].compressed()]
+    return sorted(rows) if chains == 3 else rows
+
+
+class IWLBeamformReader:
+    """Reads logs of the CSI tool and of the WSR toolbox."""
+
+    def read_file(self, path: str | os.PathLike[str], scaled: bool = False, filter_mac: str | None = None) -> CSIData:
+        """The frames of a log, those of the sender ``filter_mac`` only; ``scaled`` to sqrt(SNR). What is damaged is left out.
+
+        Raises :class:`LogError` for what cannot be read, and for another kind of file, which it names.
+        """
+        log = read(path, macs=filter_mac)
+        csi, noise = log.scaled() if scaled else log.csi, log._columns["noise_dbm"]
+        names = ("timestamp_low", "bfee_count", "n_rx", "n_tx")
+        fields = zip(*(getattr(log, name).tolist() for name in names), strict=True)
+        data = CSIData(os.path.basename(path), filter_mac=filter_mac, expected_frames=len(log))
+        data.timestamps = (log.t - log.t[:1].sum()).tolist()
+        for k, of in enumerate(fields):
+            matrix = csi[k][_rows(log, k), : of[3]].transpose(2, 0, 1).astype(np.complex64)
+            values: list[Any] = [*of, *log.rssi[k].tolist(), int(noise[k]), int(log.agc[k]), int(log.rate[k]), matrix]
+            data.frames.append(IWLCSIFrame(*values))
+        return data
+
+
+def get_reader(path: str | os.PathLike[str]) -> IWLBeamformReader:
+    """The reader of ``path``: there is one, and its :meth:`~IWLBeamformReader.read_file` names other kinds of files."""
+    return IWLBeamformReader()
+
+
+class csitools:
+    """``CSIKit.util.csitools``."""
+
+    @staticmethod
+    def get_CSI(
+        csi_data: CSIData, metric: str = "amplitude", extract_as_dBm: bool = True, squeeze_output: bool = False
+    ) -> tuple[NDArray[Any], int, int]:
+        """``(csi, frames, subcarriers)``, csi of (n, 30, n_rx, n_tx), as many chains and streams as the first frame has.
+
+        ``metric`` is ``"amplitude"`` (dB with ``extract_as_dBm``), ``"phase"`` (radians), or ``"complex"``. Frames with fewer chains
+        or streams are left out, as CSIKit does, here and from ``timestamps``; ``frames`` counts them.
+        """
+        if not csi_data.frames:
+            raise OptionError(f"{csi_data.filename} has no frame with CSI")
+        subcarriers, rows, columns = csi_data.frames[0].csi_matrix.shape
+        fits = [frame.n_rx >= rows and frame.n_tx >= columns for frame in csi_data.frames]
+        whole = [frame.csi_matrix[:, :rows, :columns] for frame, fit in zip(csi_data.frames, fits, strict=True) if fit]
+        csi_data.timestamps = [t for t, fit in zip(csi_data.timestamps, fits, strict=True) if fit]
+        csi: NDArray[Any] = np.stack(whole).astype(np.complex128)
+        if metric == "amplitude":
+            csi = np.abs(csi)
+            with np.errstate(divide="ignore"):
+                csi = 20 * np.log10(csi) if extract_as_dBm else csi
+        elif metric == "phase":
+            csi = np.angle(csi)
+        return (np.squeeze(csi) if squeeze_output else csi), len(csi_data.frames), subcarriers
