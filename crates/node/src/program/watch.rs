@@ -29,9 +29,12 @@ pub struct Args {
     /// else /run/csi5300/status.sock
     #[arg(value_name = "SOCKET")]
     socket: Option<PathBuf>,
-    /// Print one state as JSON and end
-    #[arg(long, visible_alias = "json")]
+    /// Print one state as a table and end
+    #[arg(long)]
     once: bool,
+    /// Print one state as JSON and end; so too where the output is no terminal
+    #[arg(long, conflicts_with = "once")]
+    json: bool,
 }
 
 /// Time between two looks at the node.
@@ -110,8 +113,13 @@ pub fn run(args: &Args) -> Result {
     let socket = args.socket.clone().unwrap_or_else(super::places::status_socket);
     let stream = connect(&socket)?;
     let mut states = lines(stream);
-    if args.once || !std::io::stdout().is_terminal() {
+    if args.once || args.json || !std::io::stdout().is_terminal() {
         return match states.find(|line| !line.as_ref().is_ok_and(String::is_empty)) {
+            Some(Ok(line)) if args.once => {
+                let state = serde_json::from_str(&line).map_err(|error| format!("the node's state: {error}"))?;
+                print(&table_of(&state));
+                Ok(Outcome::Done)
+            }
             Some(Ok(line)) => {
                 print(&format!("{line}\n"));
                 Ok(Outcome::Done)
@@ -282,29 +290,53 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
     ]
 }
 
+/// Heads of the table of peers.
+const HEADS: [&str; 7] = ["peer", "bearing, deg", "prob.", "range m", "pairs/s", "lost", "age"];
+
+/// A peer's row.
+fn cells(k: usize, peer: &Value) -> [String; 7] {
+    let of = |path: &str| number(peer, path);
+    let bearing = match (of("/report/azimuth_deg"), of("/report/azimuth_sd_deg"), of("/report/mirror_deg")) {
+        (Some(azimuth), sd, mirror) => {
+            let mirror = mirror.map_or(String::new(), |mirror| format!(" or {}", fixed(mirror, 1)));
+            format!("{} +- {}{mirror}", fixed(azimuth, 1), figure(sd, 1))
+        }
+        _ => text(peer, "/report/words"),
+    };
+    [
+        format!("{} {}", k + 1, text(peer, "/name")),
+        bearing,
+        figure(of("/report/confidence"), 2),
+        figure(of("/report/range_m"), 1),
+        figure(of("/pairs_hz"), 0),
+        figure(of("/counts/losses"), 0),
+        of("/report/age_s").map_or_else(String::new, |age| format!("{age:.0} s")),
+    ]
+}
+
+/// One state as text: what the screen shows without its compass.
+fn table_of(state: &Value) -> String {
+    let peers = state["peers"].as_array().cloned().unwrap_or_default();
+    let rows = peers.iter().enumerate().map(|(k, peer)| cells(k, peer));
+    let rows: Vec<[String; 7]> = std::iter::once(HEADS.map(str::to_owned)).chain(rows).collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: [usize; 7] = std::array::from_fn(width);
+    let mut text: String = summary(state).iter().map(|line| format!("{line}\n")).collect();
+    for row in &rows {
+        let padded: Vec<String> = row.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}")).collect();
+        text.push_str(padded.join("  ").trim_end());
+        text.push('\n');
+    }
+    let trouble = state["trouble"].as_array().into_iter().flatten().filter_map(Value::as_str);
+    text.extend(trouble.map(|trouble| format!("trouble: {trouble}\n")));
+    text
+}
+
 fn table(peers: &[Value]) -> Table<'static> {
     let row = |(k, peer): (usize, &Value)| {
-        let of = |path: &str| number(peer, path);
-        let bearing = match (of("/report/azimuth_deg"), of("/report/azimuth_sd_deg"), of("/report/mirror_deg")) {
-            (Some(azimuth), sd, mirror) => {
-                let mirror = mirror.map_or(String::new(), |mirror| format!(" or {}", fixed(mirror, 1)));
-                format!("{} +- {}{mirror}", fixed(azimuth, 1), figure(sd, 1))
-            }
-            _ => text(peer, "/report/words"),
-        };
         let held = text(peer, "/report/state") == "held";
-        let age = of("/report/age_s").map_or_else(String::new, |age| format!("{age:.0} s"));
-        let cells = [
-            format!("{} {}", k + 1, text(peer, "/name")),
-            bearing,
-            figure(of("/report/confidence"), 2),
-            figure(of("/report/range_m"), 1),
-            figure(of("/pairs_hz"), 0),
-            figure(of("/counts/losses"), 0),
-            age,
-        ];
         let style = Style::new().fg(COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White));
-        Row::new(cells).style(if held { style.add_modifier(Modifier::DIM) } else { style })
+        Row::new(cells(k, peer)).style(if held { style.add_modifier(Modifier::DIM) } else { style })
     };
     let widths = [
         Constraint::Length(12),
@@ -315,8 +347,7 @@ fn table(peers: &[Value]) -> Table<'static> {
         Constraint::Length(4),
         Constraint::Length(5),
     ];
-    let head = Row::new(["peer", "bearing, deg", "prob.", "range m", "pairs/s", "lost", "age"])
-        .style(Style::new().add_modifier(Modifier::BOLD));
+    let head = Row::new(HEADS).style(Style::new().add_modifier(Modifier::BOLD));
     Table::new(peers.iter().enumerate().map(row), widths).header(head).block(Block::bordered().title(" peers "))
 }
 

@@ -161,7 +161,7 @@ fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     );
     std::fs::write(folder.join("robot.toml"), text).unwrap();
     let mut node = Running(program(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
-    let look = || said(program(&folder).args(["watch", "s", "--once"]).output().unwrap());
+    let look = || said(program(&folder).args(["watch", "s", "--json"]).output().unwrap());
     // The socket appears when the robot is up.
     let state = loop {
         let (status, out, _) = look();
@@ -173,6 +173,8 @@ fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     };
     assert!(crate::documented::are_documented(&state.to_string()) > 18);
     assert_eq!((state["name"].as_str(), state["peers"][0]["name"].as_str()), (Some("alpha"), Some("tx")));
+    let (status, table, err) = said(program(&folder).args(["watch", "s", "--once"]).output().unwrap());
+    assert!(status == 0 && table.starts_with("alpha  up ") && table.contains("\n1 tx  "), "{table}{err}");
     // A second one on the same socket is refused, and does not take it away.
     let (status, _, err) = said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
     assert!(status == 1 && err.contains("another node answers"), "{err}");
