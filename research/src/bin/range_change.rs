@@ -6,12 +6,13 @@ use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
-use csi5300_lab::evaluate::{Capture, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, TRUTH_FILE, TrajectorySource, find};
 use csi5300_sim::random::Stream;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Vector3};
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::f64::consts::TAU;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 type Fallible<T> = Result<T, Box<dyn Error>>;
 
@@ -47,10 +48,21 @@ impl Odometry {
         }
     }
 
+    fn file(self, capture: &Capture) -> PathBuf {
+        let prefix = match self.source() {
+            TrajectorySource::GroundTruth => "",
+            TrajectorySource::T265 | TrajectorySource::RollingT265 => "t265_",
+            TrajectorySource::Odometry => "odom_",
+        };
+        capture.folder.join(format!("{prefix}rx_trajectory_{}_.csv", capture.stamp))
+    }
+
     fn path(self, capture: &Capture) -> Fallible<Trajectory> {
-        let recorded = recorded(capture, self.source())?;
+        let recorded = csv::read(&self.file(capture))?.0;
         Ok(match self {
-            Self::Recorded(TrajectorySource::Odometry) => recorded.with_antenna_offset(ANTENNA_M.into())?,
+            Self::Recorded(TrajectorySource::Odometry) if !is_simulated(capture) => {
+                recorded.with_antenna_offset(ANTENNA_M.into())?
+            }
             Self::Recorded(_) => recorded,
             Self::Worse(scale, walk) => worse(&recorded, scale, walk)?,
         })
@@ -69,7 +81,7 @@ fn main() -> Fallible<()> {
     let mut tables = Vec::new();
     for odometry in all {
         let mut rows = Vec::new();
-        for capture in &captures {
+        for capture in captures.iter().filter(|capture| odometry.file(capture).is_file()) {
             rows.extend(judge(capture, odometry)?);
         }
         rows.iter().for_each(|row| println!("{}: {row}", odometry.name()));
@@ -80,13 +92,9 @@ fn main() -> Fallible<()> {
     Ok(())
 }
 
-fn recorded(capture: &Capture, source: TrajectorySource) -> Fallible<Trajectory> {
-    let prefix = match source {
-        TrajectorySource::GroundTruth => "",
-        TrajectorySource::T265 | TrajectorySource::RollingT265 => "t265_",
-        TrajectorySource::Odometry => "odom_",
-    };
-    Ok(csv::read(&capture.folder.join(format!("{prefix}rx_trajectory_{}_.csv", capture.stamp)))?.0)
+/// Whether the simulator made it: its odometry is of the antenna.
+fn is_simulated(capture: &Capture) -> bool {
+    ["rooms_", "drives_"].iter().any(|set| capture.place.starts_with(set))
 }
 
 /// A path with another scale, and a random walk along it.
@@ -152,6 +160,15 @@ impl std::fmt::Display for Row {
     }
 }
 
+/// Where the transmitters are, metres: their heights count, half a metre of it shortens the change by a percent at 3 m.
+fn places(capture: &Capture) -> Fallible<BTreeMap<String, Vector3<f64>>> {
+    let text = std::fs::read_to_string(capture.folder.join(TRUTH_FILE))?;
+    let json: serde_json::Value = serde_json::from_str(&text)?;
+    let at = |name: &str, axis: &str| json["true_tx_positions"]["value"][name]["position"][axis].as_f64();
+    let place = |name: &String| Some((name.clone(), Vector3::new(at(name, "x")?, at(name, "y")?, at(name, "z")?)));
+    Ok(capture.transmitters.iter().filter_map(|(name, _)| place(name)).collect())
+}
+
 /// The links of a capture, by a path of the receiver, against motion capture and the transmitters' places.
 fn judge(capture: &Capture, odometry: Odometry) -> Fallible<Vec<Row>> {
     let number = capture.channel_number()?.ok_or("the file with the truth names no channel")?;
@@ -159,8 +176,8 @@ fn judge(capture: &Capture, odometry: Odometry) -> Fallible<Vec<Row>> {
         .with_heading_sd_rad(Some(capture.heading_sd_rad(odometry.source())))
         .with_range_change(true);
     let path = odometry.path(capture)?;
-    let truth = recorded(capture, TrajectorySource::GroundTruth)?;
-    let places = capture.evaluate(TrajectorySource::GroundTruth, None, &Options::new(options.channel)).rows;
+    let truth = Odometry::Recorded(TrajectorySource::GroundTruth).path(capture)?;
+    let places = places(capture)?;
     let mut receiver = Replay::open(&capture.folder.join(format!("csi_rx_{}.dat", capture.stamp)))?;
     let mut logs = capture
         .transmitters
@@ -170,23 +187,23 @@ fn judge(capture: &Capture, odometry: Odometry) -> Fallible<Vec<Row>> {
     let transmitters = logs.iter_mut().map(|log| Transmitter { log, trajectory: None }).collect();
     let report = bearings(&mut receiver, transmitters, &path, &options)?;
     let mut rows = Vec::new();
-    for (link, place) in report.links.iter().zip(&places) {
-        let (Ok(bearing), Some([x, y])) = (&link.bearing, place.true_transmitter_m) else {
-            println!("{}: no bearing, or no truth", place.answer.link);
-            continue;
-        };
-        rows.extend(row(place.answer.link.clone(), bearing, &truth, Vector2::new(x, y)));
+    for ((name, _), link) in capture.transmitters.iter().zip(&report.links) {
+        let name_of_link = capture.link_name(name);
+        match (&link.bearing, places.get(name)) {
+            (Ok(bearing), Some(place)) => rows.extend(row(name_of_link, bearing, &truth, *place)),
+            _ => println!("{name_of_link}: no bearing, or no truth"),
+        }
     }
     Ok(rows)
 }
 
 /// Exchanges in a gap of motion capture are not judged; `None` where no range change was asked for.
-fn row(link: String, bearing: &Bearing, truth: &Trajectory, place: Vector2<f64>) -> Option<Row> {
-    let at = |t_s: &f64| truth.at(*t_s).map(|pose| pose.position_m.xy());
-    let points: Vec<Option<Vector2<f64>>> = bearing.samples.t_s().iter().map(at).collect();
+fn row(link: String, bearing: &Bearing, truth: &Trajectory, place: Vector3<f64>) -> Option<Row> {
+    let at = |t_s: &f64| truth.at(*t_s).map(|pose| pose.position_m);
+    let points: Vec<Option<Vector3<f64>>> = bearing.samples.t_s().iter().map(at).collect();
     let errors = |range_m: &[f64]| {
         let known = range_m.iter().zip(&points).filter_map(|(range_m, point)| Some((*range_m, (*point)?)));
-        let (range_m, points): (Vec<f64>, Vec<Vector2<f64>>) = known.unzip();
+        let (range_m, points): (Vec<f64>, Vec<Vector3<f64>>) = known.unzip();
         Errors::of(&range_m, &points, place)
     };
     let own = match bearing.range_change.as_ref()? {
@@ -235,8 +252,8 @@ fn naive(bearing: &Bearing) -> Vec<f64> {
 }
 
 impl Errors {
-    fn of(range_m: &[f64], points: &[Vector2<f64>], place: Vector2<f64>) -> Self {
-        let distance = |place: Vector2<f64>| points.iter().map(move |point| (point - place).norm());
+    fn of(range_m: &[f64], points: &[Vector3<f64>], place: Vector3<f64>) -> Self {
+        let distance = |place: Vector3<f64>| points.iter().map(move |point| (point - place).norm());
         let first = points.first().map_or(0.0, |point| (point - place).norm());
         let own_first = range_m.first().copied().unwrap_or_default();
         let off: Vec<f64> =
@@ -256,7 +273,7 @@ impl Errors {
 }
 
 /// The place that explains ranges best, up to a constant; by steps of least squares of 0.3 m at most, from the one given.
-fn fitted(range_m: &[f64], points: &[Vector2<f64>], mut place: Vector2<f64>) -> Vector2<f64> {
+fn fitted(range_m: &[f64], points: &[Vector3<f64>], mut place: Vector3<f64>) -> Vector3<f64> {
     for _ in 0..8 {
         let (mut normal, mut right) = (Matrix3::from_diagonal_element(1e-6), Vector3::zeros());
         let offset = range_m.first().copied().unwrap_or_default();
@@ -266,7 +283,8 @@ fn fitted(range_m: &[f64], points: &[Vector2<f64>], mut place: Vector2<f64>) -> 
             normal += row * row.transpose();
             right += row * (own - offset - way.norm());
         }
-        let step = normal.try_inverse().map_or(Vector3::zeros(), |inverse| inverse * right).xy();
+        let step = normal.try_inverse().map_or(Vector3::zeros(), |inverse| inverse * right);
+        let step = Vector3::new(step.x, step.y, 0.0);
         place += step * (0.3 / step.norm().max(0.3));
     }
     place
@@ -275,8 +293,9 @@ fn fitted(range_m: &[f64], points: &[Vector2<f64>], mut place: Vector2<f64>) -> 
 const HEAD: &str = "| path | links | answered | median error: own / odometry alone / naive, mm | at the end | shape: own / odometry alone, mm | held | slips in a link | within 2 deviations at the end |\n|---|---|---|---|---|---|---|---|---|";
 
 fn summarise(name: &str, rows: &[Row]) {
-    for (set, words) in [("LOS", "in sight"), ("NLOS_Set_A", "behind walls, set A"), ("NLOS_Set_C", "set C")] {
-        let all: Vec<&Row> = rows.iter().filter(|row| row.link.starts_with(set)).collect();
+    let set = |row: &Row| row.link.split('/').next().unwrap_or_default().to_owned();
+    for words in rows.iter().map(set).collect::<BTreeSet<String>>() {
+        let all: Vec<&Row> = rows.iter().filter(|row| set(row) == words).collect();
         let answered: Vec<(&Row, &Own)> =
             all.iter().filter_map(|row| row.own.as_ref().ok().map(|own| (*row, own))).collect();
         let median = |of: &dyn Fn(&Row, &Own) -> f64| {
