@@ -16,6 +16,7 @@ mod mirror;
 pub(crate) mod one_wave;
 pub(crate) mod posterior;
 pub(crate) mod prior;
+pub(crate) mod range_change;
 pub(crate) mod signal;
 pub(crate) mod tuning;
 
@@ -28,6 +29,7 @@ use nalgebra::Vector3;
 pub use one_wave::Unexplained;
 use posterior::{Blur, Mode, Steps, half_width, mass_within};
 use prior::{Limits, Prior};
+pub use range_change::{NoRangeChange, RangeChange};
 use signal::{Aperture, Bins, align, is_dense_enough, remove_slope, take_roots};
 use std::f64::consts::FRAC_PI_2;
 
@@ -156,6 +158,11 @@ impl Found {
     /// two.
     pub fn half_width_rad(&self, share: f64) -> f64 {
         half_width(&self.modes, &self.blur, &self.centres(), share)
+    }
+
+    /// The half width of one deviation without the heading of the whole path, which turns everything seen from it alike.
+    pub fn direction_sd_rad(&self) -> f64 {
+        half_width(&self.modes, &Blur { heading_rad: 0.0, ..self.blur }, &self.centres(), 0.683)
     }
 
     /// Probability that the truth is within `half_rad` of the answer.

@@ -7,7 +7,7 @@ use super::explain::LinkPlan;
 use super::link::Link;
 use super::{CaptureReport, LinkReport};
 use crate::bartlett::Geometry;
-use crate::estimate::Sufficient;
+use crate::estimate::{NoRangeChange, RangeChange, Sufficient};
 use crate::exchange::pairing::{LinkSide, SideCounts};
 use driver_iface::Mac;
 use serde::Serialize;
@@ -78,6 +78,9 @@ pub struct Answer {
     pub position_t_s: Option<f64>,
     /// Covariance of the position, metres squared, row by row.
     pub position_covariance_m2: Option<[[f64; 3]; 3]>,
+    /// How the distance to the transmitter changed over the exchanges used, where that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range_change: Option<RangeChangeAnswer>,
     /// The directions that explain the samples, the most probable first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub candidates: Vec<CandidateAnswer>,
@@ -121,6 +124,42 @@ pub struct Answer {
     /// What was computed and what was not, where that was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plan: Option<LinkPlan>,
+}
+
+/// The range change of a link in short: [`RangeChange`] has it exchange by exchange. Absent values are left out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct RangeChangeAnswer {
+    /// Distance at the last exchange used less that at the first, metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_m: Option<f64>,
+    /// Its predicted standard deviation, metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_sd_m: Option<f64>,
+    /// Share of the exchanges at which the phase is known to its cycle, 0..1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held_share: Option<f64>,
+    /// Slips of the unwrapped phase that were taken out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slips: Option<usize>,
+    /// Why there is no range change.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+}
+
+impl RangeChangeAnswer {
+    fn new(found: &Result<RangeChange, NoRangeChange>) -> Self {
+        match found {
+            Ok(found) => Self {
+                end_m: found.range_change_m.last().copied(),
+                end_sd_m: found.deviation_m.last().copied(),
+                held_share: Some(found.held_share()),
+                slips: Some(found.slips.len()),
+                error: None,
+            },
+            Err(why) => Self { error: Some(why.to_string()), ..Self::default() },
+        }
+    }
 }
 
 /// A direction that explains the samples.
@@ -201,6 +240,7 @@ impl Answer {
         self.pairs_in_motion = bearing.pairs.in_motion;
         self.pair_counts = bearing.pairs;
         self.compensated = bearing.compensated;
+        self.range_change = bearing.range_change.as_ref().map(RangeChangeAnswer::new);
         self.slope_sd_rad = bearing.slope_sd_rad;
         if let Some(turn_around) = &bearing.turn_around {
             self.cfo_hz = Some(turn_around.df_hz);
@@ -256,6 +296,7 @@ impl Answer {
         (self.abs_elevation_deg, self.elevation_deg) = (None, None);
         self.elevation_sd_deg = None;
         (self.range_m, self.range_sd_m) = (None, None);
+        self.range_change = None;
         (self.position_m, self.position_t_s, self.position_covariance_m2) = (None, None, None);
     }
 

@@ -4,7 +4,7 @@ use crate::bartlett::{self, Estimate, Grid};
 use crate::estimate::likelihood::Place;
 use crate::estimate::posterior::Mode;
 use crate::estimate::tuning;
-use crate::estimate::{Found, Sufficient};
+use crate::estimate::{Found, NoRangeChange, RangeChange, Sufficient};
 use crate::maths::wrap_rad;
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
@@ -214,6 +214,9 @@ pub struct Bearing {
     pub turn_around: Option<TurnAround>,
     /// Whether it was applied.
     pub compensated: bool,
+    /// How the distance to the transmitter changed from exchange to exchange, or why that is not known, if
+    /// [`super::Options::range_change`] asked for it. Never of one log, whose phases hold the path once.
+    pub range_change: Option<Result<RangeChange, NoRangeChange>>,
     /// Pairs by fate.
     pub pairs: PairCounts,
     /// Mean receiver position of the samples used, metres, trajectory frame: the answer's azimuth and range are from here.

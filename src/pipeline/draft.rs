@@ -6,7 +6,8 @@ use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
 use super::stretch;
 use crate::bartlett;
-use crate::estimate::{Found, estimate};
+use crate::estimate::range_change::range_change;
+use crate::estimate::{Found, NoRangeChange, RangeChange, estimate};
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Motion, Trajectory};
 use crate::signal::cfo::TurnAround;
@@ -108,6 +109,7 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
     let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
     Ok(Bearing {
         answer: BearingAnswer::of(&found, samples),
+        range_change: options.range_change.then(|| gated.range_change(&found, link, &phases, options)),
         sufficient: found.sufficient,
         heading_rad: gated.heading_rad,
         figures: ProfileFigures::of(samples)?,
@@ -342,6 +344,22 @@ impl Gated {
     fn searchable(&self, options: &Options) -> Option<Range<usize>> {
         let points: Vec<Vector3<f64>> = self.samples.displacements_m().collect();
         stretch::searchable(&points, self.samples.wavelength_m(), self.samples.path_gain(), &options.limits())
+    }
+
+    /// How the distance to where `found` has the transmitter changed over the samples.
+    fn range_change(
+        &self,
+        found: &Found,
+        link: &Link,
+        phases: &Compensated,
+        options: &Options,
+    ) -> Result<RangeChange, NoRangeChange> {
+        let mode = found.modes.first().ok_or(NoRangeChange::Doubtful { direction_sd_rad: f64::INFINITY })?;
+        let all = phases.round_trips(link, options);
+        let rows = self.used.iter().map(|&k| all.get(k).copied().unwrap_or(Planes::ZERO)).collect();
+        let indices = options.channel.subcarriers();
+        let place = (&mode.place, found.direction_sd_rad());
+        range_change(&self.samples, rows, &indices, place, found.middle_m, options.tier)
     }
 
     /// The phases of all of the link's pairs, with those marked that are among the samples.

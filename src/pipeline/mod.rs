@@ -33,8 +33,8 @@ mod reading;
 mod stretch;
 mod unnumbered;
 
-pub use crate::estimate::{Effort, Reason, Risk, Sufficient, Unexplained};
-pub use answer::{Answer, CandidateAnswer, lost_something};
+pub use crate::estimate::{Effort, NoRangeChange, RangeChange, Reason, Risk, Sufficient, Unexplained};
+pub use answer::{Answer, CandidateAnswer, RangeChangeAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
 pub use carried::{CarriedAnswer, CarriedCandidate, StretchAnswer};

@@ -583,6 +583,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         figures: ProfileFigures::of(&samples)?,
         compensated: false,
         turn_around: None,
+        range_change: None,
         pairs: counts,
         mean_position_m: sum / poses.len().max(1) as f64,
         density: if keeps { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },

@@ -126,6 +126,8 @@ pub struct Options {
     pub parallel: bool,
     /// Whether the course of the phase, and the evidence over azimuth, are kept for pictures.
     pub keep_course: bool,
+    /// Whether the change of the distance from exchange to exchange is computed too.
+    pub range_change: bool,
     /// Which steps are taken, and the limits of the prior.
     pub accuracy: Accuracy,
     /// Error of the positions from moment to moment, metres, standard deviation: it decides whether the motion's depth tells a
@@ -162,6 +164,7 @@ impl Options {
             accuracy: Accuracy::default(),
             parallel: false,
             keep_course: false,
+            range_change: false,
             odometry_sd_m: sensor::POSITION_M,
             tier: Tier::detect(),
         }
@@ -228,6 +231,13 @@ impl Options {
     #[must_use]
     pub fn with_parallel(mut self, parallel: bool) -> Self {
         self.parallel = parallel;
+        self
+    }
+
+    /// With or without the change of the distance ([`crate::pipeline::Bearing::range_change`]).
+    #[must_use]
+    pub fn with_range_change(mut self, range_change: bool) -> Self {
+        self.range_change = range_change;
         self
     }
 

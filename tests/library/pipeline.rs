@@ -109,6 +109,26 @@ fn a_body_azimuth_is_seen_from_the_end_of_the_motion_where_there_is_a_place() {
 }
 
 #[test]
+fn the_fixture_gives_its_range_change_to_a_millimetre() {
+    let folder = root().join("tests/fixtures/small-circle");
+    let mut rx = Replay::open(&folder.join("csi_rx_2023-11-14_221320.dat")).unwrap();
+    let mut tx = Replay::open(&folder.join("csi_tx1_2023-11-14_221320.dat")).unwrap();
+    let (path, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
+    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
+    let report = bearings(&mut rx, transmitters, &path, &options().with_range_change(true)).unwrap();
+    let bearing = report.links[0].bearing.as_ref().unwrap();
+    let found = bearing.range_change.as_ref().unwrap().as_ref().unwrap();
+    let places = bearing.samples.receiver_m();
+    // The scene's transmitter.
+    let distance_m = |k: usize| (places[k].x + 3.0).hypot(places[k].y - 5.196_152);
+    let errors_m = (0..places.len()).map(|k| (found.range_change_m[k] - (distance_m(k) - distance_m(0))).abs());
+    let worst_m = errors_m.fold(0.0, f64::max);
+    assert!(worst_m < 0.001 && found.held_share() == 1.0 && found.slips.is_empty(), "{worst_m} {found:?}");
+    let answer = serde_json::to_value(Answer::new("tx1".into(), &report.links[0])).unwrap();
+    assert_eq!(answer["range_change"]["end_m"].as_f64(), found.range_change_m.last().copied());
+}
+
+#[test]
 fn an_answer_is_the_same_however_loud_both_cards_are() {
     let (quiet, loud) = (louder_link(300, 0.7, 1), louder_link(300, 0.7, 3));
     assert_ne!(quiet.rx, loud.rx);

@@ -262,7 +262,7 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
     let options = args.estimation.options(args.channel.ok_or("--channel is needed")?)?;
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
-    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()))
+    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()).with_range_change(args.json))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
