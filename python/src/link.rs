@@ -18,6 +18,8 @@ pub struct Link {
     path_m: Vec<Vector3<f64>>,
     /// Of each pair: seconds, and radians one way, round trip, compensated.
     course: Vec<[f64; 4]>,
+    /// Of each exchange: seconds, change of the distance since the first and its deviation, metres. Empty where not asked for.
+    range_change: Vec<[f64; 3]>,
 }
 
 /// Rows of a matrix of so many columns.
@@ -49,13 +51,17 @@ impl Link {
     /// Of a bearing, what Python asks for.
     pub fn new(bearing: Bearing) -> Self {
         let course = bearing.course.iter().map(|p| [p.t_s, p.one_way_rad, p.round_trip_rad, p.compensated_rad]);
-        Self { course: course.collect(), path_m: bearing.path_m, samples: Arc::new(bearing.samples) }
+        let range_change = bearing.range_change.as_ref().and_then(|found| found.as_ref().ok()).map_or_else(Vec::new, |found| {
+            let rows = found.t_s.iter().zip(&found.range_change_m).zip(&found.deviation_m);
+            rows.map(|((t_s, change), deviation)| [*t_s, *change, *deviation]).collect()
+        });
+        Self { course: course.collect(), path_m: bearing.path_m, range_change, samples: Arc::new(bearing.samples) }
     }
 }
 
 /// What [`Link::restore`] takes.
 type Dumped<'py> =
-    ((f64, u8), Bound<'py, PyArray1<Complex64>>, Bound<'py, PyArray2<f64>>, [Bound<'py, PyArray2<f64>>; 2]);
+    ((f64, u8), Bound<'py, PyArray1<Complex64>>, Bound<'py, PyArray2<f64>>, [Bound<'py, PyArray2<f64>>; 3]);
 
 #[pymethods]
 impl Link {
@@ -98,7 +104,8 @@ impl Link {
     }
 
     /// The samples: `t_s` (n), `z` (n), `receiver_m` (n, 3), and the receiver's whole path `path_m`, and the phase of
-    /// each pair (`phase`: seconds, one way, round trip, compensated, radians).
+    /// each pair (`phase`: seconds, one way, round trip, compensated, radians). `range_change`, where it was asked for: seconds, change of
+    /// the distance since the first exchange and its deviation, metres.
     fn samples<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let samples = &self.samples;
         let arrays = PyDict::new(py);
@@ -107,6 +114,7 @@ impl Link {
         arrays.set_item("receiver_m", points(py, samples.receiver_m())?)?;
         arrays.set_item("path_m", points(py, &self.path_m)?)?;
         arrays.set_item("phase", matrix(py, self.course.iter().copied())?)?;
+        arrays.set_item("range_change", matrix(py, self.range_change.iter().copied())?)?;
         Ok(arrays)
     }
 
@@ -119,7 +127,11 @@ impl Link {
             Some([t_s, own.x, own.y, own.z, other.x, other.y, other.z, weight])
         };
         let rows: Vec<[f64; 8]> = (0..samples.len()).filter_map(row).collect();
-        let drawn = [points(py, &self.path_m)?, matrix(py, self.course.iter().copied())?];
+        let drawn = [
+            points(py, &self.path_m)?,
+            matrix(py, self.course.iter().copied())?,
+            matrix(py, self.range_change.iter().copied())?,
+        ];
         let z = PyArray1::from_slice(py, samples.z());
         Ok(((samples.wavelength_m(), samples.path_gain()), z, matrix(py, rows.into_iter())?, drawn))
     }
@@ -130,7 +142,7 @@ impl Link {
         carrier: (f64, u8),
         z: PyReadonlyArray1<'_, Complex64>,
         samples: PyReadonlyArray2<'_, f64>,
-        drawn: [PyReadonlyArray2<'_, f64>; 2],
+        drawn: [PyReadonlyArray2<'_, f64>; 3],
     ) -> PyResult<Self> {
         let places = rows::<8>(&samples)?;
         let z: Vec<Complex64> = z.as_array().to_vec();
@@ -142,8 +154,13 @@ impl Link {
             let (own, other) = (Vector3::new(x, y, up), Vector3::new(other_x, other_y, other_up));
             samples.push_weighted(t_s, z, own, other, weight).map_err(wrong)?;
         }
-        let [path, course] = drawn;
+        let [path, course, range_change] = drawn;
         let path_m = rows::<3>(&path)?.into_iter().map(Vector3::from).collect();
-        Ok(Self { samples: Arc::new(samples), path_m, course: rows::<4>(&course)? })
+        Ok(Self {
+            samples: Arc::new(samples),
+            path_m,
+            course: rows::<4>(&course)?,
+            range_change: rows::<3>(&range_change)?,
+        })
     }
 }

@@ -54,6 +54,8 @@ pub struct Keywords {
     pub every: Option<f64>,
     /// Whether answers have what was computed.
     pub explain: bool,
+    /// Whether links have the change of the distance too.
+    range_change: bool,
     key: Option<PathBuf>,
     /// What is in the columns of trajectories.
     columns: Option<String>,
@@ -116,6 +118,7 @@ impl Keywords {
             .with_decimate(decimate)
             .with_compensate(!self.no_compensation && !self.left_out(Step::Compensation))
             .with_accuracy(self.accuracy())
+            .with_range_change(self.range_change)
             .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))
             .with_clock_offset_s(self.clock_offset.unwrap_or(0.0))
             .with_join(if self.join_rows { JoinBy::Row } else { JoinBy::Time })

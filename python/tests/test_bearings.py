@@ -125,6 +125,19 @@ def test_bearings_are_pickled_with_what_they_were_made_of(rx: Path, tx: Path, pa
         copy.copy(good).__setstate__(state)
 
 
+def test_the_change_of_the_distance_comes_where_it_is_asked_for(rx: Path, tx: Path, path_csv: Path) -> None:
+    (plain,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
+    assert plain.samples["range_change"].shape == (0, 3) and "range_change" not in plain.answer
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, range_change=True)
+    summary, rows = bearing.answer["range_change"], bearing.samples["range_change"]
+    assert summary["held_share"] > 0.9 and len(rows) > 100 and rows[0, 1] == 0.0
+    assert rows[-1, 1:].tolist() == [summary["end_m"], summary["end_sd_m"]]
+    # A circle turned through: the distance swings by its width at most, 0.3 m of radius, and comes back.
+    assert 0.01 < np.ptp(rows[:, 1]) < 0.61
+    other = pickle.loads(pickle.dumps(bearing))
+    assert np.array_equal(other.samples["range_change"], rows)
+
+
 def test_a_log_without_records_is_said_to_be_one(rx: Path, tx: Path, path_csv: Path) -> None:
     noise = b"It was a dark and stormy night. " * 20
     (bearing,) = csi5300.bearings(noise, tx, trajectory=path_csv, channel=108)

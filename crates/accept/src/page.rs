@@ -93,47 +93,67 @@ pub(crate) fn html(report: &Report) -> String {
         }
         page.push_str("</ul>\n");
     }
+    rows(&mut page, report, &[Verdict::Fails]);
+    for curve in &report.curves {
+        page.push_str(&section(curve));
+    }
+    page.push_str("<h2>Everything else</h2>\n");
+    rows(&mut page, report, &[Verdict::Measured, Verdict::Holds, Verdict::NotTried]);
+    page
+}
+
+/// A curve with its title and the names of its series.
+fn section(curve: &Curve) -> String {
+    let names: Vec<String> = curve
+        .series
+        .iter()
+        .zip(COLOURS)
+        .map(|((name, _), colour)| format!("<span style=\"color:{colour}\">&#9679; {}</span>", escaped(name)))
+        .collect();
+    format!(
+        "<h2>{}</h2><p><small>{} &nbsp; vertical: {}</small></p>{}\n",
+        escaped(curve.title),
+        names.join(" "),
+        escaped(curve.y),
+        svg(curve)
+    )
+}
+
+/// A table of the findings with these verdicts; findings of both cards with one verdict share a row.
+fn rows(page: &mut String, report: &Report, verdicts: &[Verdict]) {
+    if !report.findings.iter().any(|finding| verdicts.contains(&finding.verdict)) {
+        return;
+    }
     page.push_str("<table><tr><th>verdict<th>claim<th>of<th>found</tr>\n");
-    for verdict in [Verdict::Fails, Verdict::Holds, Verdict::Measured, Verdict::NotTried] {
-        for finding in report.findings.iter().filter(|finding| finding.verdict == verdict) {
-            let class = match verdict {
-                Verdict::Fails => "fails",
-                Verdict::Holds => "holds",
-                Verdict::Measured => "measured",
-                Verdict::NotTried => "not_tried",
-            };
+    for verdict in verdicts {
+        let class = match verdict {
+            Verdict::Fails => "fails",
+            Verdict::Holds => "holds",
+            Verdict::Measured => "measured",
+            Verdict::NotTried => "not_tried",
+        };
+        let mut findings = report.findings.iter().filter(|finding| finding.verdict == *verdict).peekable();
+        while let Some(finding) = findings.next() {
+            let (mut of, mut found) = (finding.of.word(), escaped(&finding.found));
+            if let Some(far) = findings.next_if(|next| next.id == finding.id) {
+                of = "both";
+                if far.found != finding.found {
+                    found = format!("near: {found}<br>far: {}", escaped(&far.found));
+                }
+            }
             let says = finding.claim().map_or("", |claim| claim.says);
             let _ = write!(
                 page,
-                "<tr><td class=\"{class}\">{}<td><b>{}</b><br><small>{}</small><td>{}<td>{}",
+                "<tr><td class=\"{class}\">{}<td><b>{}</b><br><small>{}</small><td>{of}<td>{found}",
                 verdict.word(),
                 finding.id,
-                escaped(says),
-                finding.of.word(),
-                escaped(&finding.found)
+                escaped(says)
             );
-            if let Some(claim) = finding.claim().filter(|_| verdict == Verdict::Fails) {
+            if let Some(claim) = finding.claim().filter(|_| *verdict == Verdict::Fails) {
                 let _ = write!(page, "<br><small>{}</small>", escaped(&claim.advice()));
             }
             page.push_str("</tr>\n");
         }
     }
     page.push_str("</table>\n");
-    for curve in &report.curves {
-        let names: Vec<String> = curve
-            .series
-            .iter()
-            .zip(COLOURS)
-            .map(|((name, _), colour)| format!("<span style=\"color:{colour}\">&#9679; {}</span>", escaped(name)))
-            .collect();
-        let _ = writeln!(
-            page,
-            "<h2>{}</h2><p><small>{} &nbsp; vertical: {}</small></p>{}",
-            escaped(curve.title),
-            names.join(" "),
-            escaped(curve.y),
-            svg(curve)
-        );
-    }
-    page
 }

@@ -156,7 +156,8 @@ class Bearing:
     @cached_property
     def samples(self) -> dict[str, NDArray[Any]]:
         """What the bearing was made of: ``t_s`` (n), ``z`` (n) complex, ``receiver_m`` (n, 3); ``path_m`` (m, 3) the receiver's whole
-        path; ``phase`` (k, 4): seconds, and radians one way, round trip, and compensated."""
+        path; ``phase`` (k, 4): seconds, and radians one way, round trip, and compensated;
+        ``range_change`` (m, 3), where it was asked for: seconds, metres since the first exchange, and their deviation."""
         return self._held().samples()
 
     def plot(self, *, truth_deg: float | None = None) -> Figure:
@@ -253,6 +254,7 @@ def bearings(
     min_confidence: float | None = None,
     every: float | None = None,
     explain: bool = False,
+    range_change: bool = False,
     key: str | os.PathLike[str] | None = None,
     tx_mac: str | Iterable[str] | None = None,
     rx_mac: str | None = None,
@@ -266,7 +268,7 @@ def bearings(
     the trajectory is a tracking camera's, is held to what wheels can roll, and the antenna is seen from that middle. ``columns``
     (``"t,x,y,yaw"``) names what is in the columns of trajectories, of files and of arrays. ``decimate`` uses
     every so manieth pair of frames, what slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain``
-    ``answer["plan"]``. A link without a bearing is in the list, is False, and has its :attr:`Bearing.error`; so is one whose
+    ``answer["plan"]``, ``range_change`` ``answer["range_change"]`` and an array of :attr:`Bearing.samples`. A link without a bearing is in the list, is False, and has its :attr:`Bearing.error`; so is one whose
     probability of being within 5 degrees is below ``min_confidence``, or not known.
 
     Raises :class:`LogError`, :class:`TrajectoryError`, :class:`OptionError`, whose message names the argument.

@@ -115,6 +115,7 @@ KINDS: Mapping[str, Callable[[str, Any], Any]] = {
     "min_confidence": number,
     "every": number,
     "explain": flag,
+    "range_change": flag,
     "key": path,
     "tx_mac": texts,
     "rx_mac": text,
