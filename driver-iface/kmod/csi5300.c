@@ -48,6 +48,8 @@ static const u8 magic[6] = { 0x00, 0x16, 0xea, 0x12, 0x34, 0x56 };
 struct known {
 	const void *key; /* argument 1 of iwl_notification_wait: one for each card */
 	bool ours;
+	u8 asked; /* packets since its module was last looked up, of a card that was not ours */
+	u8 slot; /* number among our cards, in the order of their first packets: which of index and answer_on are its own */
 	u64 last;
 	struct card card;
 };
@@ -66,7 +68,7 @@ module_param(connector_log, uint, 0644);
 MODULE_PARM_DESC(connector_log, "what is sent: 0x1 CSI, 0x4 frames");
 static unsigned int indices[CARDS] = { [0 ... CARDS - 1] = CN_IDX_IWLAGN };
 module_param_array_named(index, indices, uint, NULL, 0444);
-MODULE_PARM_DESC(index, "connector index of each card, in the order of their first packets");
+MODULE_PARM_DESC(index, "connector index of each card of the driver, in the order of their first packets");
 static unsigned int ack_len;
 module_param(ack_len, uint, 0644);
 MODULE_PARM_DESC(ack_len, "length of the sounding frames to answer, FCS included; 0: none");
@@ -162,10 +164,45 @@ static void work(struct work_struct *unused)
 	}
 }
 
+/* Whether a packet's function was called from the right module. A tracer that stands in for the caller (function_graph)
+ * hides it: so no card is another's for good. */
+static bool is_ours(unsigned long from)
+{
+	static char name[KSYM_SYMBOL_LEN];
+	char *module;
+
+	if (!*caller)
+		return true;
+	sprint_symbol(name, from);
+	module = strrchr(name, '[');
+	return module && strlen(module) == strlen(caller) + 2 && !strncmp(module + 1, caller, strlen(caller));
+}
+
+/* A number that none of our other cards has. */
+static u8 free_slot(void)
+{
+	unsigned int k, used = 0;
+
+	for (k = 0; k < CARDS; k++)
+		if (known[k].ours)
+			used |= 1u << known[k].slot;
+	return ffz(used);
+}
+
+/* Keeps the counts of a card whose place is given to another. */
+static void forget(struct known *card)
+{
+	const u32 *of = (const u32 *)&card->card.counts;
+	unsigned int i;
+
+	for (i = 0; card->ours && i < sizeof(gone) / sizeof(u32); i++)
+		((u32 *)&gone)[i] += of[i];
+	memset(card, 0, sizeof(*card));
+}
+
 /* The card of this key, if its packets come from the right module. The caller has the lock. */
 static struct known *card_of(const void *key, unsigned long from)
 {
-	static char name[KSYM_SYMBOL_LEN];
 	struct known *oldest = known;
 	unsigned int k;
 
@@ -176,24 +213,13 @@ static struct known *card_of(const void *key, unsigned long from)
 			oldest = &known[k];
 	}
 	k = oldest - known;
-	if (oldest->ours) {
-		const u32 *of = (const u32 *)&oldest->card.counts;
-		unsigned int i;
-
-		for (i = 0; i < sizeof(gone) / sizeof(u32); i++)
-			((u32 *)&gone)[i] += of[i];
-	}
-	memset(oldest, 0, sizeof(*oldest));
+	forget(oldest);
 	oldest->key = key;
-	oldest->ours = true;
-	if (*caller) {
-		char *module;
-
-		sprint_symbol(name, from);
-		module = strrchr(name, '[');
-		oldest->ours = module && strlen(module) == strlen(caller) + 2 && !strncmp(module + 1, caller, strlen(caller));
-	}
 found:
+	if (!known[k].ours && !(known[k].asked++ & 63) && is_ours(from)) {
+		known[k].slot = free_slot();
+		known[k].ours = true;
+	}
 	known[k].last = ++clock;
 	return known[k].ours ? &known[k] : NULL;
 }
@@ -231,7 +257,7 @@ static int on_packet(struct kprobe *probe, struct pt_regs *regs)
 	raw_spin_lock_irqsave(&lock, flags);
 	card = card_of((const void *)regs->di, *(unsigned long *)regs->sp);
 	if (card) {
-		u32 idx = card - known, len = READ_ONCE(ack_len);
+		u32 idx = card->slot, len = READ_ONCE(ack_len);
 		bool sent = assemble(&card->card, &options, cmd, packet + 8, size, now.tv_sec, now.tv_nsec / 1000, &out);
 
 		/* Where the card does not say that this is no answer to a command, the driver looks for the command. */
@@ -274,7 +300,7 @@ static int on_transmit(struct kprobe *probe, struct pt_regs *regs)
 /* Probes come and go with the modules that have their functions. */
 enum { PACKETS, FRAMES, COMMANDS, PROBES };
 static struct kprobe probes[PROBES];
-static bool probing[PROBES];
+static bool probing[PROBES], waiting[PROBES];
 static DEFINE_MUTEX(probes_lock);
 
 static void unprobe(const struct module *of)
@@ -307,8 +333,11 @@ static void probe(void)
 		probing[k] = !error;
 		if (!error)
 			pr_info("probe at %s\n", probes[k].symbol_name);
+		else if (error == -ENOENT && !waiting[k])
+			pr_info("no function %s yet: is the driver loaded, and the name right?\n", names[k]);
 		else if (error != -ENOENT)
 			pr_warn("no probe at %s (%d)\n", probes[k].symbol_name, error);
+		waiting[k] = error == -ENOENT;
 	}
 	if (probing[COMMANDS])
 		probe_return(probes[COMMANDS].addr);
@@ -323,6 +352,16 @@ static int modules_change(struct notifier_block *block, unsigned long event, voi
 		probe();
 	else
 		unprobe(module);
+	/* Its cards are gone: what comes after it are others, in places and under keys of their own. */
+	if (event == MODULE_STATE_GOING && !strncmp(((struct module *)module)->name, "iwl", 3)) {
+		unsigned long flags;
+		unsigned int k;
+
+		raw_spin_lock_irqsave(&lock, flags);
+		for (k = 0; k < CARDS; k++)
+			forget(&known[k]);
+		raw_spin_unlock_irqrestore(&lock, flags);
+	}
 	mutex_unlock(&probes_lock);
 	return NOTIFY_DONE;
 }
@@ -369,7 +408,7 @@ static const struct attribute_group counters = { .name = "counters", .attrs = fi
 
 static ssize_t show(attribute_of attr, struct module_kobject *module, char *buffer)
 {
-	u32 sum = probes[PACKETS].nmissed + probes[FRAMES].nmissed;
+	u32 sum = probes[PACKETS].nmissed + probes[FRAMES].nmissed + probes[COMMANDS].nmissed;
 	unsigned int k;
 
 #define SUM(name) if (attr == &name##_file) for (sum = gone.name, k = 0; k < CARDS; k++) sum += known[k].card.counts.name;

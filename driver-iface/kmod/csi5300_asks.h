@@ -58,7 +58,7 @@ static int on_command(struct kprobe *probe, struct pt_regs *regs)
 	return 0;
 }
 
-#if LINUX_VERSION_CODE >= KERNEL_VERSION(5, 11, 0) && !defined(CONFIG_PREEMPT_RT) && !defined(CONFIG_CFI_CLANG)
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(5, 11, 0) && !defined(CONFIG_PREEMPT_RT) && !defined(CONFIG_CFI_CLANG) && !defined(CONFIG_CFI)
 static int (*send_command)(void *priv, u8 id, u32 flags, u16 len, const void *data);
 static struct kretprobe restored;
 static bool restoring;

@@ -92,6 +92,11 @@ done
 "$python" "$examples/simulation.py"
 "$python" "$examples/bearings.py"
 "$python" "$examples/cluster.py" "$OLDPWD/tests/fixtures"
+if "$own/venv/bin/pip" install --quiet gtsam; then
+    "$python" "$examples/../gtsam/team.py"
+else
+    without "a team's graph, for which GTSAM cannot be installed"
+fi
 "$CSI5300_PROGRAM" simulate lab-circle --serve --socket "$work/room" 2>served.txt &
 started=($!)
 until [ -e "$work/room" ] || ! kill -0 "${started[0]}"; do sleep 0.1; done
