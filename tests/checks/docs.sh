@@ -74,4 +74,13 @@ for page in README.md docs/*.md docs/*/*.md; do
     done
     [ "$status" = 0 ] || exit 1
     echo "$page: $(grep -c . "$own.sh") lines of commands ran"
+    # What README shows is what they print, to the letter. (The tutorial's room runs in real time: no two runs print the same.)
+    [ "$page" = README.md ] || continue
+    shown=0
+    while IFS= read -r line; do
+        grep -qxF -- "$line" "$own/said.txt" || { echo "$page shows what is not printed: $line"; exit 1; }
+        shown=$((shown + 1))
+    done < <(awk '/^```text$/ { on = 1; next } /^```$/ { on = 0 } on && NF' "$page")
+    [ "$shown" -gt 5 ] || { echo "$page shows nothing"; exit 1; }
+    echo "$page: $shown lines that it shows are printed"
 done
