@@ -27,6 +27,9 @@ if command -v python3 >/dev/null; then
 else
     echo "skipped: the language of the pages: no python3"
 fi
+# The reference of commands is what the program says.
+scripts/commands.sh "$program" >"$folder/commands.md"
+diff -u docs/commands.md "$folder/commands.md" || { echo "docs/commands.md is of another program: scripts/commands.sh PROGRAM >docs/commands.md"; exit 1; }
 # Lines of blocks (fenced or indented) and what stands in backticks; what follows " #" is a remark.
 commands() { grep -oE '^(    )?csi5300 [a-z].*|`csi5300 [a-z][^`]*`' "$1" | tr -d '`' | sed 's/ #.*//'; }
 known=0
