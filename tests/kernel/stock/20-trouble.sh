@@ -47,13 +47,16 @@ echo 0 >/sys/module/fakecard/parameters/patched
 if grep -q latency_of_the_program /tmp/listed; then latency "the eBPF program" latency_of_the_program; fi
 insmod /modules/csi5300.ko transmit=fakecard_tx connector_log=5
 
-# The cards and the driver go and come; the probes follow, and each card has its own index again: what the first one hears goes out on
-# index 26 after every reload, what the second one hears on 25.
+# The cards and the driver go and come, and packets of another driver's card are the first after each reload; the probes follow, and each
+# card has its own index: what the first one hears goes out on index 21, what the second one hears on 25.
 rmmod csi5300
-insmod /modules/csi5300.ko transmit=fakecard_tx connector_log=5 index=26,25
+insmod /modules/csi5300.ko transmit=fakecard_tx connector_log=5 index=21,25
 for reload in 1 2 3; do
+    rmmod caller 2>/dev/null || true
     rmmod fakecard iwldvm iwlwifi
-    for module in iwlwifi iwldvm fakecard; do load "$module"; done
+    load iwlwifi
+    insmod /modules/caller.ko count=1
+    for module in iwldvm fakecard; do load "$module"; done
     until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
     for k in 0 1; do
         iw dev "wlan$k" set type monitor
@@ -61,7 +64,7 @@ for reload in 1 2 3; do
         iw dev "wlan$k" set channel 64 HT20
     done
     rm -f /tmp/stop
-    for index in 26 25; do
+    for index in 21 25; do
         : >"/tmp/said-$index"
         csi5300 record "/tmp/reload-$index.dat" --force --connector-index "$index" --stop-after 3s 2>"/tmp/said-$index" &
         until grep -q "recording to" "/tmp/said-$index"; do :; done
@@ -72,10 +75,11 @@ for reload in 1 2 3; do
     sleep 3
     touch /tmp/stop
     wait
-    for index in 26 25; do
+    for index in 21 25; do
         [ -s "/tmp/reload-$index.dat" ] || { echo "reload $reload: nothing on connector index $index"; cat /tmp/said-*; exit 1; }
     done
 done
+rmmod caller
 echo "three reloads of the driver: both cards on their own connector index"
 before=$(cat /sys/module/csi5300/counters/phy)
 rm -f /tmp/stop
