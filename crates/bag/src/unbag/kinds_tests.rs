@@ -28,7 +28,7 @@ pub(super) fn odometry(number: u32) -> Odometry {
 
 /// What is read of a file with these bytes.
 pub(super) fn read_of(name: &str, bytes: &[u8]) -> Result<Recording, BagError> {
-    let file = std::env::temp_dir().join(format!("csi5300-kinds-{}-{name}", std::process::id()));
+    let file = super::tests::own_path(name);
     std::fs::write(&file, bytes).unwrap();
     let read = Recording::read(&file);
     std::fs::remove_file(&file).unwrap();

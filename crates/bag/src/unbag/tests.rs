@@ -9,6 +9,7 @@ use csi5300::source::survey::Survey;
 use csi5300::source::{Next, Stamps};
 use driver_iface::bfee::{Bfee, Repr};
 use driver_iface::record::{Record, Step, events};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 pub(super) fn csi(number: u32) -> Csi {
     Csi {
@@ -29,9 +30,16 @@ pub(super) fn csi(number: u32) -> Csi {
     }
 }
 
+/// A path of a test's own: tests of one process run beside each other.
+pub(super) fn own_path(name: &str) -> PathBuf {
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let count = COUNT.fetch_add(1, Ordering::Relaxed);
+    std::env::temp_dir().join(format!("csi5300-unbag-{}-{count}-{name}", std::process::id()))
+}
+
 /// A folder with a recording of these messages.
 pub(super) fn recorded(name: &str, write: impl FnOnce(&mut McapWriter<File>)) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("csi5300-unbag-{name}-{}", std::process::id()));
+    let folder = own_path(name);
     std::fs::create_dir_all(&folder).unwrap();
     write(&mut McapWriter::new(File::create(folder.join("run_0.mcap")).unwrap()).unwrap());
     folder
