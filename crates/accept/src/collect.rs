@@ -83,6 +83,8 @@ pub struct Heard {
     pub log: Vec<u8>,
     /// The records come from a log, not from a card.
     pub recorded: bool,
+    /// Where each of the records ends in the log, bytes from its start.
+    pub(crate) ends: Vec<usize>,
     /// The last `timestamp_low`, the clock without wraps there, and the host's.
     card_us: Option<(u32, i64, Option<i64>)>,
 }
@@ -109,6 +111,7 @@ impl Heard {
             None => i64::from(low),
         };
         self.card_us = Some((low, card_us, identity.host_us));
+        self.ends.push(self.log.len());
         if self.records.len() == RECORDS {
             return;
         }

@@ -5,8 +5,8 @@
 //! [`Evidence::judge`] asks every claim and gives a [`Report`]. So the same claims judge a simulated card in virtual time, a recorded log
 //! and a card on the desk.
 //!
-//! A claim **holds** or **fails** only where the records decide it at an error probability of about 1 in 10,000 ([`stats`]). Where they do not,
-//! it was **not tried**, and the report says why. A claim without an expected range only **measures**.
+//! A claim about a share or a mean **fails** only where chance would give such records about once in 10,000 times ([`stats`]); the one about a
+//! bearing fails outside of the answer's own 95 % interval. Where the records decide nothing, the claim was **not tried**, and the report says why. A claim without an expected range only **measures**.
 //!
 //! A user's own backend gets the same claims from [`run`]:
 //!

@@ -132,15 +132,10 @@ fn rows(page: &mut String, report: &Report, verdicts: &[Verdict]) {
             Verdict::Measured => "measured",
             Verdict::NotTried => "not_tried",
         };
-        let mut findings = report.findings.iter().filter(|finding| finding.verdict == *verdict).peekable();
-        while let Some(finding) = findings.next() {
-            let (mut of, mut found) = (finding.of.word(), escaped(&finding.found));
-            if let Some(far) = findings.next_if(|next| next.id == finding.id) {
-                of = "both";
-                if far.found != finding.found {
-                    found = format!("near: {found}<br>far: {}", escaped(&far.found));
-                }
-            }
+        for row in report.rows(*verdict) {
+            let (finding, of) = (row.finding, row.of());
+            let found: Vec<String> = row.found().iter().map(|found| escaped(found)).collect();
+            let found = found.join("<br>");
             let says = finding.claim().map_or("", |claim| claim.says);
             let _ = write!(
                 page,

