@@ -164,8 +164,8 @@ static void work(struct work_struct *unused)
 	}
 }
 
-/* Whether a packet's function was called from the right module. A tracer that stands in for the caller (function_graph)
- * hides it: so no card is another's for good. */
+/* Whether the right module called the probed function. A tracer (function_graph) can hide the caller, so a card that is not
+ * ours is asked again later. */
 static bool is_ours(unsigned long from)
 {
 	static char name[KSYM_SYMBOL_LEN];
@@ -352,7 +352,7 @@ static int modules_change(struct notifier_block *block, unsigned long event, voi
 		probe();
 	else
 		unprobe(module);
-	/* Its cards are gone: what comes after it are others, in places and under keys of their own. */
+	/* The driver's cards are gone. Those of its next load may reuse their keys. */
 	if (event == MODULE_STATE_GOING && !strncmp(((struct module *)module)->name, "iwl", 3)) {
 		unsigned long flags;
 		unsigned int k;

@@ -204,7 +204,7 @@ mod tests {
         assert_eq!(found.peers, [Ipv4Addr::new(10, 0, 0, 2), Ipv4Addr::new(192, 168, 1, 7)]);
         assert!(found.words.contains("asks 10.0.0.2, 192.168.1.7 (ROS_STATIC_PEERS)"), "{}", found.words);
         assert!(found.words.contains("nobody has no address"), "{}", found.words);
-        // DDS asks nobody who they are: no variable opens the robot to the network.
+        // DDS has no authentication here, so no variable opens the robot to the network.
         for variables in [[(STATIC, "10.0.0.2")], [(RANGE, "SUBNET")]] {
             let found = reach(&Settings::default(), &variables);
             assert_eq!((found.interface, found.peers.len()), (Ipv4Addr::LOCALHOST, 0));

@@ -65,13 +65,19 @@ fn files_are_told_apart_by_their_content() {
     std::fs::rename(folder.0.join("tx.dat"), folder.0.join("b.dat")).unwrap();
     let (status, out, err) = folder.run(&["bearing", "b.dat", "a.dat", "t.csv", "--channel", "108", "--json"]);
     assert_eq!((status, azimuth(&out)), (0, azimuth(&by_option)), "{err}");
+    // Of two trajectories one is named, and the other one left.
+    std::fs::copy(folder.0.join("t.csv"), folder.0.join("u.csv")).unwrap();
+    let both = ["bearing", "a.dat", "b.dat", "t.csv", "u.csv", "--channel", "108", "--json"];
+    assert!(folder.run(&both).2.contains("add --trajectory t.csv"));
+    let (status, out, err) = folder.run(&[&both[..], &["--trajectory", "u.csv"]].concat());
+    assert_eq!((status, azimuth(&out)), (0, azimuth(&by_option)), "{err}");
     std::fs::copy(folder.0.join("a.dat"), folder.0.join("c.dat")).unwrap();
     for (words, said) in [
         (&["bearing", "a.dat", "c.dat", "t.csv", "--channel", "108"][..], "--rx a.dat --tx c.dat --trajectory t.csv"),
         (&["bearing", "a.dat", "t.csv", "--channel", "108"], "is the only log"),
         (&["bearing", "a.dat", "b.dat", "--channel", "108"], "is a trajectory"),
         (&["bearing", "a.dat", "b.dat", "t.csv"], "--channel is needed"),
-        (&["bearing", ".", "--rx", "a.dat", "--channel", "108"], "either by"),
+        (&["bearing", ".", "--rx", "a.dat", "--channel", "108"], "either with --rx and --tx"),
     ] {
         let (status, _, err) = folder.run(words);
         assert!(status != 0 && err.contains(said), "{words:?}: {status} {err}");

@@ -7,11 +7,11 @@ use csi5300_lab::evaluate::find_all;
 use csi5300_lab::kinds::has_record;
 use std::path::{Path, PathBuf};
 
-/// Files of a folder that are looked at: one with more is a folder of something else.
+/// A folder with more files is no capture.
 const MOST: usize = 64;
 
-/// Gives the files that stand for a capture their roles, as if they had been named by `--rx`, `--tx` and `--trajectory`. Folders whose files are
-/// named as captures are, and links of them, are left as they are.
+/// Gives each file its role, as if `--rx`, `--tx` and `--trajectory` had named it. It leaves folders of captures with the usual file names, and links
+/// of them, alone.
 pub fn take(args: &mut Args) -> Result<(), String> {
     let files = match args.captures.as_slice() {
         [] => return Ok(()),
@@ -22,8 +22,8 @@ pub fn take(args: &mut Args) -> Result<(), String> {
         named if named.iter().all(|path| path.is_file()) => named.to_vec(),
         _ => return refuse_named(args),
     };
-    if args.logs.rx.is_some() || !args.logs.tx.is_empty() || args.logs.trajectory.is_some() {
-        usage("files are named either by --rx, --tx and --trajectory, or without these");
+    if args.logs.rx.is_some() || !args.logs.tx.is_empty() {
+        usage("name the logs either with --rx and --tx, or without both");
     }
     let is_named_one_by_one = args.captures.iter().all(|path| path.is_file());
     let (mut logs, mut trajectories) = (Vec::new(), Vec::new());
@@ -36,7 +36,7 @@ pub fn take(args: &mut Args) -> Result<(), String> {
             return Err(format!("{} is neither a log of CSI nor a trajectory", file.display()));
         }
     }
-    let trajectory = only(&trajectories, "trajectory", "--trajectory")?;
+    let trajectory = args.logs.trajectory.take().map_or_else(|| the_trajectory(&trajectories), Ok)?;
     let rx = receiver(&logs, &trajectory, args.logs.baseline.is_empty())?;
     args.logs.tx = logs.iter().filter(|log| **log != rx).cloned().collect();
     note!("{} is the receiver's log, {} its trajectory", rx.display(), trajectory.display());
@@ -48,7 +48,7 @@ pub fn take(args: &mut Args) -> Result<(), String> {
     Ok(())
 }
 
-/// Captures bring their files, so that options of single logs say nothing of them.
+/// Refuses options of single logs for a capture, which brings its own files.
 fn refuse_named(args: &Args) -> Result<(), String> {
     let logs = &args.logs;
     let given = [
@@ -76,35 +76,33 @@ fn loose_files(folder: &Path) -> Option<Vec<PathBuf>> {
     if !captures.is_empty() {
         return None;
     }
-    let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
-        .ok()?
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| path.is_file())
-        .take(MOST)
-        .collect();
+    let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
+    let mut files: Vec<PathBuf> = entries.filter(|path| path.is_file()).take(MOST + 1).collect();
+    if files.len() > MOST {
+        return None;
+    }
     files.sort();
     files.iter().any(|file| has_record(file)).then_some(files)
 }
 
-/// The one file of a kind.
-fn only(files: &[PathBuf], kind: &str, option: &str) -> Result<PathBuf, String> {
+/// The only trajectory.
+fn the_trajectory(files: &[PathBuf]) -> Result<PathBuf, String> {
     match files {
         [file] => Ok(file.clone()),
-        [] => Err(format!("none of these files is a {kind}: add it with its {option}")),
+        [] => Err("none of these files is a trajectory: add the receiver's with --trajectory T.csv".into()),
         [first, ..] => {
             let names: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
+            let first = first.display();
             Err(format!(
-                "{} could all be the receiver's {kind}: name the one, {option} {}",
-                names.join(", "),
-                first.display()
+                "each of {} could be the receiver's trajectory: add --trajectory {first}, or another one",
+                names.join(", ")
             ))
         }
     }
 }
 
 /// The log of the robot whose trajectory is given: by its name, else the only one that heard several robots, else the only one whose host times
-/// lie within the trajectory. Where nothing tells, the person is asked.
+/// lie within the trajectory. Otherwise an error asks the person and gives the commands.
 fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<PathBuf, String> {
     match logs {
         [] => return Err("none of these files is a log of CSI: a bearing needs the logs of two robots".into()),
@@ -144,7 +142,7 @@ fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<Path
     ))
 }
 
-/// What a log's first frames say of it.
+/// What a log says of its robot.
 struct Heard {
     senders: usize,
     host_s: Option<(f64, f64)>,
@@ -154,7 +152,7 @@ fn heard(path: &Path) -> Option<Heard> {
     let mut log = Log::open(path).ok()?;
     while log.next().is_some_and(|frame| frame.is_ok()) {}
     let survey = log.survey();
-    // A sender that was heard a few times passed by.
+    // A sender with few records passed by and is no robot of the capture.
     let most = survey.senders.values().map(|sender| sender.records).max().unwrap_or(0);
     let senders = survey.senders.values().filter(|sender| 10 * sender.records > most).count();
     Some(Heard { senders, host_s: survey.host_us.map(|(a, b)| (a as f64 * 1e-6, b as f64 * 1e-6)) })
