@@ -172,7 +172,7 @@ fn shapes() -> [Shaped; 11] {
     ]
 }
 
-/// The clock offset of \[paper\] (docs/references.md), 10 t + 1e4 sin(200 t) cycles, in both directions at one instant and 50 ns apart; and the
+/// The clock offset of \[paper\] (docs/reference/references.md), 10 t + 1e4 sin(200 t) cycles, in both directions at one instant and 50 ns apart; and the
 /// bearing that is left of it.
 fn phases() {
     let mut table = Table::new("stability_cfo", &[("case", 46), ("coherence", 10), ("error_deg", 10), ("sd_deg", 8)]);

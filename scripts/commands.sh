@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Prints docs/commands.md: every command with its options, from the program's own tables. scripts/commands.sh PROGRAM
-# `scripts/commands.sh target/release/csi5300 >docs/commands.md` writes the page anew; tests/checks/docs.sh compares it.
+# Prints docs/reference/commands.md: every command with its options, from the program's own tables. scripts/commands.sh PROGRAM
+# `scripts/commands.sh target/release/csi5300 >docs/reference/commands.md` writes the page anew; tests/checks/docs.sh compares it.
 set -euo pipefail
 program=$1
 printf '# Commands\n\n'

@@ -1,7 +1,7 @@
 """Listens for three seconds: to this machine's card, or to a robot of a served room, and prints rate and RSSI of each sender.
 
 usage: python examples/python/live.py [PATH#ROBOT]
-       docs/tutorial.md has a served room and two robots that sound each other in it: room.sock#rx
+       docs/guides/tutorial.md has a served room and two robots that sound each other in it: room.sock#rx
 """
 
 import asyncio

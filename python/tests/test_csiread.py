@@ -1,4 +1,4 @@
-"""Against csiread itself, where it is installed: everything equal but what docs/python.md lists."""
+"""Against csiread itself, where it is installed: everything equal but what docs/guides/python.md lists."""
 
 from __future__ import annotations
 

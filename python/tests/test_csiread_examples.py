@@ -33,7 +33,7 @@ EXAMPLES: dict[str, tuple[list[str], list[str], str]] = {
 }
 """What an example needs, its arguments, and what is called of it where not all of it runs."""
 
-# What csiread's C prints beside Python's output; durations; and the room that arrays have beyond what they hold (docs/python.md).
+# What csiread's C prints beside Python's output; durations; and the room that arrays have beyond what they hold (docs/guides/python.md).
 LEFT_OUT = re.compile(r"packets parsed|connector_log|[\d.e-]+ ?s$")
 ROOM = re.compile(r"base\.size=\d+")
 

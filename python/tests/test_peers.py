@@ -59,7 +59,7 @@ def test_csiread(path: Path, tmp_path: Path) -> None:
         assert np.array_equal(getattr(other, name), own), name
     for column, name in enumerate(("rssi_a", "rssi_b", "rssi_c")):
         assert np.array_equal(getattr(other, name), log.rssi[:, column]), name
-    # Where antenna_sel is no permutation csiread writes chains over each other (docs/python.md).
+    # Where antenna_sel is no permutation csiread writes chains over each other (docs/guides/python.md).
     known = log.antennas_known
     assert known.mean() > 0.5 and np.array_equal(_by_antenna(log, log.csi)[known], other.csi[known])
     heard = known & (log.rssi.sum(axis=1) > 0) & np.isfinite(log.scale)

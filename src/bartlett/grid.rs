@@ -165,7 +165,7 @@ impl Profile {
         self.values.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The likelihood of the highest entry (\[paper\] in docs/references.md): its share of the profile's sum, `F / sum F`.
+    /// The likelihood of the highest entry (\[paper\] in docs/reference/references.md): its share of the profile's sum, `F / sum F`.
     #[must_use]
     pub(crate) fn likelihood_share(&self) -> Option<f64> {
         let sum: f64 = self.values.iter().sum();

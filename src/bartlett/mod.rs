@@ -9,7 +9,7 @@
 //!
 //! `F(u) = |f(u)|^2,  f(u) = sum_t w_t z_t exp(-j 2 pi g u.p_t / lambda)`
 //!
-//! (Bartlett's spectrum \[bartlett1948\] over directions \[stoica-moses2005\]; keys in brackets are those of `docs/references.md`).
+//! (Bartlett's spectrum \[bartlett1948\] over directions \[stoica-moses2005\]; keys in brackets are those of `docs/reference/references.md`).
 //!
 //! In polar coordinates of the displacement (length `rho`, azimuth `phi_p`, angle from the zenith `xi`) and of the
 //! direction (azimuth `phi`, angle from the zenith `theta`) the exponent is

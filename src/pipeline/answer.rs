@@ -44,7 +44,7 @@ pub struct Answer {
     pub abs_elevation_deg: Option<f64>,
     /// Elevation with its sign, where the motion distinguishes up from down.
     pub elevation_deg: Option<f64>,
-    /// Error bar of the azimuth: 68 % of errors are within it (docs/accuracy.md).
+    /// Error bar of the azimuth: 68 % of errors are within it (docs/method/accuracy.md).
     pub azimuth_sd_deg: Option<f64>,
     /// The same for 95 % of errors.
     pub azimuth_95_deg: Option<f64>,

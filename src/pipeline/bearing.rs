@@ -60,7 +60,7 @@ pub struct Range {
     pub covariance_m2: Matrix3<f64>,
 }
 
-/// Where the transmitter is, as the posterior says: see `docs/accuracy.md`.
+/// Where the transmitter is, as the posterior says: see `docs/method/accuracy.md`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BearingAnswer {

@@ -34,7 +34,7 @@ pub struct CarriedAnswer {
 pub struct CarriedCandidate {
     /// Bearing, degrees.
     pub azimuth_deg: f64,
-    /// Probability of being within five degrees of it, 0..1: right on average over places (docs/accuracy.md), too low in
+    /// Probability of being within five degrees of it, 0..1: right on average over places (docs/method/accuracy.md), too low in
     /// sight and too high behind walls.
     pub share: f64,
 }

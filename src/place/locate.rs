@@ -263,7 +263,7 @@ fn normal(at: &Vector2<f64>, sightings: &[Sighting]) -> (f64, Matrix2<f64>, Vect
     (cost, matrix, side)
 }
 
-/// Levenberg and Marquardt (\[levenberg1944\], \[marquardt1963\] in docs/references.md) from `start`, each residual
+/// Levenberg and Marquardt (\[levenberg1944\], \[marquardt1963\] in docs/reference/references.md) from `start`, each residual
 /// weighted by the loss in every step.
 fn descend(start: Vector2<f64>, sightings: &[Sighting]) -> Option<(Vector2<f64>, f64)> {
     let mut at = start;

@@ -23,8 +23,8 @@ for crate in driver-iface csi5300; do
         END { print items }' "$found")
     printf '%s: %s public items\n' "$crate" "$items"
     if [ "${1:-}" = --write ]; then
-        mkdir -p docs/api && cp "$found" "docs/api/$crate.txt"
-    elif ! diff -u "docs/api/$crate.txt" "$found"; then
+        mkdir -p docs/reference/api && cp "$found" "docs/reference/api/$crate.txt"
+    elif ! diff -u "docs/reference/api/$crate.txt" "$found"; then
         echo "the public API of $crate changed: if that is meant, tests/checks/api.sh --write, and a line in CHANGELOG.md"
         different=1
     fi

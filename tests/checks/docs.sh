@@ -29,7 +29,7 @@ else
 fi
 # The reference of commands is what the program says.
 scripts/commands.sh "$program" >"$folder/commands.md"
-diff -u docs/commands.md "$folder/commands.md" || { echo "docs/commands.md is of another program: scripts/commands.sh PROGRAM >docs/commands.md"; exit 1; }
+diff -u docs/reference/commands.md "$folder/commands.md" || { echo "docs/reference/commands.md is of another program: scripts/commands.sh PROGRAM >docs/reference/commands.md"; exit 1; }
 # Lines of blocks (fenced or indented) and what stands in backticks; what follows " #" is a remark.
 commands() { grep -oE '^(    )?csi5300 [a-z].*|`csi5300 [a-z][^`]*`' "$1" | tr -d '`' | sed 's/ #.*//'; }
 known=0
@@ -52,7 +52,7 @@ for page in README.md docs/*.md docs/*/*.md; do
     done < <(commands "$page")
 done
 echo "$known options of commands that are not run are known"
-for page in README.md docs/node.md docs/simulation.md docs/tutorial.md docs/view.md; do
+for page in README.md docs/guides/node.md docs/guides/simulation.md docs/guides/tutorial.md docs/guides/view.md; do
     grep -q '^```sh$' "$page" || { echo "$page has no commands"; exit 1; }
 done
 for page in README.md docs/*.md docs/*/*.md; do
@@ -68,7 +68,7 @@ for page in README.md docs/*.md docs/*/*.md; do
         status=0
         (cd "$own" && PATH="$folder/bin:$PATH" timeout 900 bash -euo pipefail ../"$(basename "$own.sh")" >said.txt 2>&1) || status=$?
         # Its transmitter is at 42.0 degrees.
-        if [ "$status" = 0 ] && [ "$page" = docs/tutorial.md ]; then
+        if [ "$status" = 0 ] && [ "$page" = docs/guides/tutorial.md ]; then
             grep -E '^tx \(.*: 4[123]\.[0-9]+ deg' "$own/said.txt" || { echo "no bearing of 42 degrees" && status=1; }
         fi
         [ "$status" != 0 ] || break

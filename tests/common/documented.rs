@@ -23,14 +23,14 @@ fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<Strin
     }
 }
 
-/// Fails where lines of JSON have a field that docs/formats.md does not name; gives how many fields they have.
+/// Fails where lines of JSON have a field that docs/reference/formats.md does not name; gives how many fields they have.
 pub fn are_documented(lines: &str) -> usize {
-    let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
+    let page = std::fs::read_to_string(crate::common::root().join("docs/reference/formats.md")).unwrap();
     let mut found = std::collections::BTreeSet::new();
     lines.lines().for_each(|line| {
         names(&serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")), &mut found)
     });
     let missing: Vec<&String> = found.iter().filter(|name| !page.contains(&format!("`{name}`"))).collect();
-    assert!(missing.is_empty(), "docs/formats.md does not name {missing:?}");
+    assert!(missing.is_empty(), "docs/reference/formats.md does not name {missing:?}");
     found.len()
 }

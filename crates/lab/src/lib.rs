@@ -1,5 +1,5 @@
 //! Judging and showing: captures evaluated against their truth, recordings beside simulations, the experiments of
-//! Dijkstra et al. (\[paper\] in docs/references.md) repeated, and pictures of all of them.
+//! Dijkstra et al. (\[paper\] in docs/reference/references.md) repeated, and pictures of all of them.
 //!
 //! | module | what goes in | what comes out |
 //! |---|---|---|

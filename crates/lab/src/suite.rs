@@ -1,4 +1,4 @@
-//! The experiments of Dijkstra et al. (\[paper\] in docs/references.md), simulated: stationary robots with a constant
+//! The experiments of Dijkstra et al. (\[paper\] in docs/reference/references.md), simulated: stationary robots with a constant
 //! carrier offset and with their sinusoid, circles and lines of three sizes; each goes through TDMA, bytes, pairing and the core.
 
 use crate::compare::CompareError;

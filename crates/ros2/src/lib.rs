@@ -1,5 +1,5 @@
 //! A node of ROS 2: a participant of DDS with the names, types and qualities of service of ROS 2. It has an RTPS of its own,
-//! because no library of its kind binds its sockets to one address and asks named peers (docs/ros2.md).
+//! because no library of its kind binds its sockets to one address and asks named peers (docs/guides/ros2.md).
 //!
 //! | module | what it is |
 //! |---|---|

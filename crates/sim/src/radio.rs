@@ -86,7 +86,7 @@ pub enum Noise {
     /// None.
     #[default]
     Off,
-    /// At this ratio to the strongest antenna's mean power in each record, dB (as \[paper\] of docs/references.md adds noise).
+    /// At this ratio to the strongest antenna's mean power in each record, dB (as \[paper\] of docs/reference/references.md adds noise).
     SnrDb(f64),
     /// At this power, dBm: the ratio follows from distance and transmitted power.
     FloorDbm(f64),

@@ -87,7 +87,7 @@ pub enum Cfo {
     Paper(PaperCfo),
 }
 
-/// The carrier offset of Dijkstra et al. (\[paper\] in docs/references.md, the equation for CFO_ij): `df t + c1 sin(c2 t)`
+/// The carrier offset of Dijkstra et al. (\[paper\] in docs/reference/references.md, the equation for CFO_ij): `df t + c1 sin(c2 t)`
 /// cycles.
 ///
 /// With their values it swings by `c1 c2` = 2 MHz, which no crystal does: at true frame times the two

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// The turn-around time of a responder, air rise to air rise.
 ///
 /// A normal core about the median, and up to three groups of answers away from it; all kept within the bounds. The WSR
-/// driver's: 145 to 322 us, median 225. In the captures of \[paper\] (docs/references.md) the core is 4 to 8 us wide and the rest early, by some
+/// driver's: 145 to 322 us, median 225. In the captures of \[paper\] (docs/reference/references.md) the core is 4 to 8 us wide and the rest early, by some
 /// 110 us for a tenth to a third of the answers, by some 210 for a few in a hundred, or late by some 70: the
 /// responder's driver answers when it is interrupted, and sometimes that is at once. The responder's records of such
 /// exchanges reach its host earlier by the same times (measured in its host times), here too. Answers away from the core

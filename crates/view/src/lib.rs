@@ -11,7 +11,7 @@
 //! | [`Server`] | HTTP on one address; `guard` says who is let in |
 //!
 //! Nothing is computed here that the library and `csi5300_lab` do not compute: the answers are their JSON, binned
-//! (docs/formats.md, docs/view.md).
+//! (docs/reference/formats.md, docs/guides/view.md).
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 mod csi;

@@ -79,7 +79,7 @@ fn checksums_are_those_of_rfc_3720() {
     }
 }
 
-/// The bytes of the format, as docs/formats.md has them.
+/// The bytes of the format, as docs/reference/formats.md has them.
 #[test]
 fn a_checked_side_file_is_a_head_and_16_bytes_a_record() {
     let check = Check { len: 0x0102, crc32c: 0x0304_0506 };

@@ -97,7 +97,7 @@ class Bearing:
 
     @property
     def azimuth_sd_deg(self) -> float:
-        """Error bar: 68 % of errors are within it (docs/accuracy.md), degrees."""
+        """Error bar: 68 % of errors are within it (docs/method/accuracy.md), degrees."""
         return _number(self.answer["azimuth_sd_deg"])
 
     @property
@@ -189,7 +189,7 @@ def _angles(name: str, given: Any) -> int | NDArray[np.float64]:
 
 
 def read_trajectory(path: str | os.PathLike[str], *, columns: str | None = None) -> NDArray[np.float64]:
-    """A trajectory file (docs/formats.md) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan).
+    """A trajectory file (docs/reference/formats.md) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan).
 
     ``columns`` names what is in its columns, instead of what its headings say: ``"t,x,y,yaw"``.
 

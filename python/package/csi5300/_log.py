@@ -401,7 +401,7 @@ class Log(Lost):
         remove_spatial_mapping: bool = False,
     ) -> int:
         """Writes the frames to ``.npz``, ``.mat`` (v5) or ``.parquet``, with the arrays and columns of ``csi5300 export``
-        (docs/formats.md); a file that is there is replaced. Returns how many frames have no scale (0 unless ``scaled``).
+        (docs/reference/formats.md); a file that is there is replaced. Returns how many frames have no scale (0 unless ``scaled``).
 
         Raises :class:`ExportError`.
         """

@@ -4,7 +4,7 @@
     data = get_reader("rx.dat").read_file("rx.dat", scaled=True)
     csi, frames, subcarriers = csitools.get_CSI(data, metric="amplitude")
 
-docs/python.md lists where it differs from CSIKit 2.5.
+docs/guides/python.md lists where it differs from CSIKit 2.5.
 """
 
 from __future__ import annotations

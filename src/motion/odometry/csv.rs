@@ -1,7 +1,7 @@
 //! Trajectory files: rows of numbers, told by their headings or, without any, by what is in the columns.
 //!
 //! A line of headings decides: order, units and the order of quaternions. It may be a comment, and may have titles above it and a
-//! line of units below. Without headings these are read; keys in brackets: docs/references.md.
+//! line of units below. Without headings these are read; keys in brackets: docs/reference/references.md.
 //!
 //! | columns | what | from |
 //! |---|---|---|

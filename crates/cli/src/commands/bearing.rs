@@ -96,7 +96,7 @@ struct Logs {
     /// Log of a transmitter; repeat for several links
     #[arg(long, value_name = "TX.dat", required_unless_present_any = ["captures", "bag", "baseline"], hide_short_help = true)]
     tx: Vec<PathBuf>,
-    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/formats.md); for a
+    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/reference/formats.md); for a
     /// capture gt (motion capture, the default), t265 (tracking camera) or odom (wheels)
     #[arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     trajectory: Option<PathBuf>,

@@ -1,5 +1,5 @@
 //! `csi5300 demo`: what cancelling the carrier offset does to the phase of two robots that stand, then the circle and the
-//! line of Dijkstra et al. (\[paper\] in docs/references.md), simulated, decoded and estimated.
+//! line of Dijkstra et al. (\[paper\] in docs/reference/references.md), simulated, decoded and estimated.
 
 use super::args::Estimation;
 use super::{Outcome, Result, fixed, print, print_json, simulate};

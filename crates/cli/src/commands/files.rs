@@ -15,7 +15,7 @@ pub type Log = Replay<Box<dyn Read + Send>>;
 type Words<T> = std::result::Result<T, String>;
 
 /// What a trajectory is.
-const A_TRAJECTORY: &str = "a trajectory is a table of times and places, as CSV (docs/formats.md)";
+const A_TRAJECTORY: &str = "a trajectory is a table of times and places, as CSV (docs/reference/formats.md)";
 
 /// Opens a log; `-` is standard input.
 ///

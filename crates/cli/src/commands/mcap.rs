@@ -25,7 +25,7 @@ pub struct Args {
     /// The recording
     #[arg(long, short, value_name = "OUT.mcap")]
     out: PathBuf,
-    /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/formats.md)
+    /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/reference/formats.md)
     #[arg(long, value_name = "T.csv")]
     trajectory: Option<PathBuf>,
     /// What is in its columns, instead of what its headings say: t,x,y,yaw

@@ -422,7 +422,7 @@ fn the_suite_writes_a_row_for_each_repetition() {
     assert_eq!(status, 0, "{said}{error}");
     let rows = std::fs::read_to_string(folder.0.join("rows.csv")).unwrap();
     assert_eq!(rows.lines().count(), 4, "{rows}");
-    let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
+    let page = std::fs::read_to_string(crate::common::root().join("docs/reference/formats.md")).unwrap();
     let table = page.split("## Tables: `simulate suite --out`").nth(1).unwrap().split("\n## ").next().unwrap();
     let described = table.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
     let columns: Vec<&str> = rows.lines().next().unwrap().split(',').collect();

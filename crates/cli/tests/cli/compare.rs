@@ -28,7 +28,7 @@ const EDGE: f64 = 1.05;
 /// The seeds that judge a fit, none of them the one that it was made with.
 const SEEDS: [u64; 2] = [2, 3];
 
-/// Figures that scenes fitted to the captures of \[paper\] miss; see docs/simulation.md.
+/// Figures that scenes fitted to the captures of \[paper\] miss; see docs/guides/simulation.md.
 const MISSED: [Missed; 3] = [
     // At the edge of what is allowed: 9,994 us recorded, up to 10,005 simulated; 9,669 us recorded, 9,568 simulated.
     ("receiver", "interval, host, median", 1.15),

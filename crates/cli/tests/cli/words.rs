@@ -106,7 +106,7 @@ fn every_command_ends_with_2_where_it_is_used_wrongly_and_has_the_same_help() {
         assert!(status == 0 && help.contains("--quiet") && help.contains("--color"), "{command}: {help}");
     }
     // The table of the page is the one of the program.
-    let page = std::fs::read_to_string(crate::common::root().join("docs/troubleshooting.md")).unwrap();
+    let page = std::fs::read_to_string(crate::common::root().join("docs/reference/troubleshooting.md")).unwrap();
     let table: Vec<&str> = page.split("## Exit status").nth(1).unwrap().lines().collect();
     for status in ["0", "1", "2", "3"] {
         assert!(help.contains(&format!("\n  {status}  ")), "{help}");

@@ -89,7 +89,7 @@ impl LinkFigures {
 
 /// Answers further from the usual than this are not of the core of turn-arounds, microseconds.
 ///
-/// Measured: 18,320 answers in the six real captures of \[paper\] (docs/references.md), each less the running median of 121, in steps of 10 us. The
+/// Measured: 18,320 answers in the six real captures of \[paper\] (docs/reference/references.md), each less the running median of 121, in steps of 10 us. The
 /// histogram has its peak of 8,802 at 0 to 10 us and falls to less than a hundredth of that at 30 us on either side; it
 /// is lowest (16 to 20 a step) from 40 to 60 us early, and half of each core is within 2 to 4 us.
 pub const CORE_US: f64 = 25.0;

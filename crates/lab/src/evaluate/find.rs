@@ -102,7 +102,7 @@ impl Capture {
     }
 
     /// The file with the trajectory of `robot`: `rx`, or a transmitter's name. Motion capture may have the name that
-    /// \[paper\] (docs/references.md) gives it.
+    /// \[paper\] (docs/reference/references.md) gives it.
     pub(super) fn trajectory_of(&self, source: TrajectorySource, robot: &str) -> PathBuf {
         let usual = self.folder.join(format!("{}{robot}_trajectory_{}_.csv", source.prefix(), self.stamp));
         let paper = self.folder.join(format!("{robot}_movement_{}.csv", self.stamp));

@@ -3,7 +3,7 @@
 //! A capture is a folder with `groundtruth_positions.json` and, for each time stamp TS in it, `csi_rx_TS.dat`, one
 //! `csi_txK_TS.dat` for each transmitter, and the receiver's trajectory as `rx_trajectory_TS_.csv` (motion capture),
 //! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested anyhow. Without the first file the
-//! rest is a capture without a truth, also with the names of \[paper\] (docs/references.md): `csi_tx_TS.dat`,
+//! rest is a capture without a truth, also with the names of \[paper\] (docs/reference/references.md): `csi_tx_TS.dat`,
 //! `rx_movement_TS.csv`.
 //!
 //! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link

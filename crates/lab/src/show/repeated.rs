@@ -1,4 +1,4 @@
-//! Two robots that stand, as Dijkstra et al. (\[paper\] in docs/references.md) draw them: their phase before and after the offset is
+//! Two robots that stand, as Dijkstra et al. (\[paper\] in docs/reference/references.md) draw them: their phase before and after the offset is
 //! cancelled.
 
 use super::link::track;

@@ -1,6 +1,6 @@
 //! Bearings on real captures against the truth. The bounds are the errors of the released WSR toolbox on the same links,
 //! or well below. They are no held-out test: probabilities were fitted to these links, and weights and exponents of the
-//! near field were chosen on them (docs/tuning.md).
+//! near field were chosen on them.
 
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};
@@ -98,7 +98,7 @@ fn every_wsr_log_finds_its_transmitter() {
     }
 }
 
-/// Runs one of the captures of \[paper\] (docs/references.md); the error against the bearing from the mean pose, lines folded on their mirror.
+/// Runs one of the captures of \[paper\] (docs/reference/references.md); the error against the bearing from the mean pose, lines folded on their mirror.
 fn paper(captures: &Path, shape: &str, name: &str, join: JoinBy, transmitter_m: [f64; 2]) -> f64 {
     let folder = captures.join("paper").join(shape);
     let log = |side: &str| Replay::open(&folder.join(format!("csi_{side}_{name}.dat"))).unwrap();

@@ -1,4 +1,4 @@
-//! The captures of Dijkstra et al. (\[paper\] in docs/references.md), simulated and real, read and written again by our encoder, are byte-identical.
+//! The captures of Dijkstra et al. (\[paper\] in docs/reference/references.md), simulated and real, read and written again by our encoder, are byte-identical.
 
 use csi5300::source::replay::Replay;
 use csi5300::source::side_path;

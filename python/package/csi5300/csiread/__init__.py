@@ -1,6 +1,6 @@
 """csiread's reader of Intel 5300 logs, over this package's decoder: ``import csi5300.csiread as csiread``.
 
-:class:`Intel` has the attributes, methods, shapes and types of ``csiread.Intel`` (csiread 1.4.1); docs/python.md lists where the two
+:class:`Intel` has the attributes, methods, shapes and types of ``csiread.Intel`` (csiread 1.4.1); docs/guides/python.md lists where the two
 differ, and why.
 """
 

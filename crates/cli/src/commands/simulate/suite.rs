@@ -29,7 +29,7 @@ impl Which {
     }
 }
 
-/// Runs the experiments of Dijkstra et al. (\[paper\] in docs/references.md) and prints a table of them.
+/// Runs the experiments of Dijkstra et al. (\[paper\] in docs/reference/references.md) and prints a table of them.
 pub fn run(which: &Which, path: &Path, force: bool, json: bool) -> Result {
     let mut all = experiments();
     if let Some(text) = &which.only {
