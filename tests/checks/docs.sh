@@ -9,6 +9,10 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 mkdir "$folder/bin"
 ln -s "$(realpath "$program")" "$folder/bin/csi5300"
+# The robot's service: beside the program, or beside the one that other checks use.
+for node in "$(dirname "${CSI5300:-$program}")/csi5300-node" "$(dirname "$program")/csi5300-node"; do
+    [ ! -x "$node" ] || ln -sf "$(realpath "$node")" "$folder/bin/csi5300-node"
+done
 
 for page in README.md docs/*.md docs/*/*.md; do
     while read -r target; do
