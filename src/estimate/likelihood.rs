@@ -14,6 +14,9 @@ use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, f32x8};
 use nalgebra::Vector3;
 
+/// Lanes of the widest vector.
+const WIDEST: usize = 16;
+
 /// Where a wave may come from, seen from the middle of the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Place {
@@ -27,7 +30,7 @@ pub(crate) struct Place {
 
 /// A motion and its channels, ready for any place.
 pub(crate) struct Field {
-    /// Displacements from the middle and their squares, in wavelengths.
+    /// Displacements from the middle and their squares, in wavelengths, with zeros up to whole vectors of any width.
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
@@ -70,7 +73,11 @@ impl Field {
             let full = (0..lengths).map(|length| full(&aperture.energy, &cuts, 1 << (lengths - 1 - length))).collect();
             Own { aperture, full }
         };
-        let axis = |of: &dyn Fn(&Vector3<f64>) -> f64| points_m.iter().map(|p| of(p) as f32).collect::<Vec<f32>>();
+        let axis = |of: &dyn Fn(&Vector3<f64>) -> f64| -> Vec<f32> {
+            let mut all: Vec<f32> = points_m.iter().map(|p| of(p) as f32).collect();
+            all.resize(count.next_multiple_of(WIDEST), 0.0);
+            all
+        };
         Self {
             x: axis(&|p| p.x / wavelength_m),
             y: axis(&|p| p.y / wavelength_m),
@@ -140,10 +147,7 @@ impl Field {
         let count = self.x.len();
         let mut from = 0;
         while from < count {
-            let load = |values: &[f32]| match values.get(from..from + lanes) {
-                Some(whole) => V::<S, f32>::from_slice(simd, whole),
-                None => V::<S, f32>::from_fn(simd, |i| values.get(from + i).copied().unwrap_or(0.0)),
-            };
+            let load = |values: &[f32]| V::<S, f32>::from_slice(simd, &values[from..from + lanes]);
             let along = load(&self.x).mul_add(ux, load(&self.y).mul_add(uy, load(&self.z) * uz));
             let bend = load(&self.square).mul_add(curve, along);
             let ratio = curve.mul_add(bend, one).max(splat(0.0)).sqrt();
@@ -176,9 +180,7 @@ struct Work {
 
 impl Work {
     fn new(count: usize, cuts: usize) -> Self {
-        // Whole vectors of any width.
-        let padded = count + 16;
-        let zeros = || vec![0.0; padded];
+        let zeros = || vec![0.0; count.next_multiple_of(WIDEST)];
         Self { cos: zeros(), sin: zeros(), cos2: zeros(), sin2: zeros(), sums: vec![[0.0; 2 * COLUMNS]; cuts] }
     }
 }
@@ -186,20 +188,28 @@ impl Work {
 /// `sum row e` over a window, column by column.
 #[inline(always)]
 fn window<S: Simd>(simd: S, rows: &[[f32; 2 * COLUMNS]], cos: &[f32], sin: &[f32]) -> [f32; 2 * COLUMNS] {
-    let zero = f32x8::splat(simd, 0.0);
-    // Four sums that do not wait for each other.
-    let (mut re_cos, mut im_sin, mut re_sin, mut im_cos) = (zero, zero, zero, zero);
-    for ((row, cos), sin) in rows.iter().zip(cos).zip(sin) {
+    // Eight sums that do not wait for each other: of each two rows, real and imaginary parts by cosine and sine.
+    let mut sums = [[f32x8::splat(simd, 0.0); 4]; 2];
+    let mut add = |sums: &mut [f32x8<S>; 4], row: &[f32; 2 * COLUMNS], cos: f32, sin: f32| {
         let (re, im) = (f32x8::from_slice(simd, &row[..COLUMNS]), f32x8::from_slice(simd, &row[COLUMNS..]));
-        let (cos, sin) = (f32x8::splat(simd, *cos), f32x8::splat(simd, *sin));
-        re_cos = re.mul_add(cos, re_cos);
-        im_sin = im.mul_add(sin, im_sin);
-        re_sin = re.mul_add(sin, re_sin);
-        im_cos = im.mul_add(cos, im_cos);
+        let (cos, sin) = (f32x8::splat(simd, cos), f32x8::splat(simd, sin));
+        sums[0] = re.mul_add(cos, sums[0]);
+        sums[1] = im.mul_add(sin, sums[1]);
+        sums[2] = re.mul_add(sin, sums[2]);
+        sums[3] = im.mul_add(cos, sums[3]);
+    };
+    let two = rows.chunks_exact(2).zip(cos.chunks_exact(2)).zip(sin.chunks_exact(2));
+    for ((rows, cos), sin) in two {
+        add(&mut sums[0], &rows[0], cos[0], sin[0]);
+        add(&mut sums[1], &rows[1], cos[1], sin[1]);
     }
+    if let (true, Some(row), Some(cos), Some(sin)) = (rows.len() % 2 == 1, rows.last(), cos.last(), sin.last()) {
+        add(&mut sums[0], row, *cos, *sin);
+    }
+    let [[re_cos, im_sin, re_sin, im_cos], odd] = sums;
     let mut out = [0.0; 2 * COLUMNS];
-    (re_cos - im_sin).store_slice(&mut out[..COLUMNS]);
-    (re_sin + im_cos).store_slice(&mut out[COLUMNS..]);
+    ((re_cos + odd[0]) - (im_sin + odd[1])).store_slice(&mut out[..COLUMNS]);
+    ((re_sin + odd[2]) + (im_cos + odd[3])).store_slice(&mut out[COLUMNS..]);
     out
 }
 
