@@ -5,6 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 check="stock driver"
+cpus=2
 source tests/kernel/guest.bash
 
 packages

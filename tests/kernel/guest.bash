@@ -147,8 +147,9 @@ guest_tree() {
 }
 
 # boot TREE KERNEL SECONDS: the guest's status is left in `status`; 33 is what it asks for when all scripts passed. A
-# warning of the kernel ends it, too. CSI5300_GUEST_APPEND: more options of the kernel.
-# Plain emulation, in virtual time: KVM is not to be had everywhere, and the answer must not depend on it.
+# warning of the kernel ends it, too. CSI5300_GUEST_APPEND: more options of the kernel; `cpus`: processors, 1 unless said.
+# Plain emulation, in virtual time: KVM is not to be had everywhere, and the answer must not depend on it. Processors take
+# turns, so what one does lies anywhere within what another does.
 boot() {
     local cpio
     cpio=$(find "$unpacked" -path '*bin/cpio' -type f | head -n 1)
@@ -157,7 +158,7 @@ boot() {
     status=0
     LD_LIBRARY_PATH=$libraries timeout "$3" "$unpacked/usr/bin/qemu-system-x86_64" \
         -L "$unpacked/usr/share/qemu" -L "$unpacked/usr/share/seabios" \
-        -accel tcg,thread=single -icount shift=1,sleep=off -m 512 -smp 1 -nodefaults -no-reboot -display none \
+        -accel tcg,thread=single -icount shift=1,sleep=off -m 512 -smp "${cpus:-1}" -nodefaults -no-reboot -display none \
         -serial stdio -serial "file:$place/out.tar.gz" -device isa-debug-exit,iobase=0xf4,iosize=4 \
         -kernel "$2" -initrd "$place/initramfs" \
         -append "console=ttyS0 panic=-1 panic_on_warn=1 oops=panic quiet ${CSI5300_GUEST_APPEND:-}" </dev/null | tee "$place/guest.log" || status=${PIPESTATUS[0]}
