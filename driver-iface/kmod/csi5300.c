@@ -171,10 +171,10 @@ static void work(struct work_struct *unused)
 	}
 }
 
-enum caller { OURS, OTHERS, HIDDEN };
+enum whose { OURS, OTHERS, HIDDEN };
 
 /* Who called the probed function. A tracer (function_graph) hides that: then it is asked again later. */
-static enum caller caller_of(unsigned long from)
+static enum whose whose_call(unsigned long from)
 {
 	static char name[KSYM_SYMBOL_LEN];
 	char *module;
@@ -239,7 +239,7 @@ static void forget(struct known *card)
 /* Whether a card is ours, and which slot is its own. */
 static void look_up(struct known *card, unsigned long from)
 {
-	enum caller by = caller_of(from);
+	enum whose by = whose_call(from);
 	unsigned int slot;
 
 	if (by == OTHERS && card->ours) {

@@ -5,7 +5,6 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 check="stock driver"
-cpus=2
 source tests/kernel/guest.bash
 
 packages
@@ -39,6 +38,10 @@ le32() { printf "\\x$(printf %02x $(($1 & 255)))\\x$(printf %02x $(($1 >> 8 & 25
 } >"$tree/lib/firmware/iwlwifi-5000-2.ucode"
 cp tests/kernel/stock/room.toml "$tree/guest"
 boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 900
+[ "$status" = 33 ] || exit 1
+rm "$tree"/guest/*.sh
+cp tests/kernel/stock-races/*.sh "$tree/guest"
+cpus=2 boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 600
 [ "$status" = 33 ] || exit 1
 
 # Kernels for which there is no fake card: a module calls what iwldvm would call. 6.12, from the backports (its transport is

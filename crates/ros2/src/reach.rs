@@ -230,7 +230,13 @@ mod tests {
         let subnet = Asked { range: Some((Range::Subnet, RANGE)), ..Asked::default() };
         for (own, asked, route, expected, says) in [
             (file.clone(), Asked::default(), None, Ipv4Addr::LOCALHOST, Some("no address 192.168.1.5 at present")),
-            (file.clone(), Asked::default(), Some(other), Ipv4Addr::LOCALHOST, Some("no address 192.168.1.5 at present")),
+            (
+                file.clone(),
+                Asked::default(),
+                Some(other),
+                Ipv4Addr::LOCALHOST,
+                Some("no address 192.168.1.5 at present"),
+            ),
             (file, Asked::default(), Some(OWN), OWN, None),
             (Settings::default(), subnet.clone(), None, Ipv4Addr::LOCALHOST, Some("no way to 239.255.0.1")),
             (Settings::default(), subnet.clone(), Some(OWN), OWN, None),
@@ -239,7 +245,10 @@ mod tests {
             let found = Reach::of(&open(own), &asked, |_| route);
             assert_eq!(found.interface, expected, "{}", found.words);
             assert_eq!(found.waits.is_some(), says.is_some());
-            assert!(found.words.contains(says.unwrap_or_default()) && found.waits.unwrap_or_default().contains(says.unwrap_or_default()));
+            assert!(
+                found.words.contains(says.unwrap_or_default())
+                    && found.waits.unwrap_or_default().contains(says.unwrap_or_default())
+            );
         }
     }
 

@@ -227,7 +227,8 @@ mod tests {
 
     fn open(change: impl FnOnce(&mut Reach)) -> Sockets {
         let interface = Ipv4Addr::LOCALHOST;
-        let mut reach = Reach { interface, multicast: false, peers: Vec::new(), is_off: false, words: String::new(), waits: None };
+        let mut reach =
+            Reach { interface, multicast: false, peers: Vec::new(), is_off: false, words: String::new(), waits: None };
         change(&mut reach);
         Sockets::open(140, reach).unwrap()
     }

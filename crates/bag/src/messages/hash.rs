@@ -93,7 +93,10 @@ mod tests {
             (Header::type_hash(), "f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01"),
             (Odometry::type_hash(), "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
             (PoseStamped::type_hash(), "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"),
-            (PoseWithCovarianceStamped::type_hash(), "26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e"),
+            (
+                PoseWithCovarianceStamped::type_hash(),
+                "26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e",
+            ),
             (TfMessage::type_hash(), "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"),
             (Imu::type_hash(), "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"),
             (Clock::type_hash(), "692f7a66e93a3c83e71765d033b60349ba68023a8c689a79e48078bcb5c58564"),

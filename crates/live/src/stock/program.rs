@@ -40,7 +40,8 @@ impl Program {
         // Before 5.11 maps count as locked memory. Where it is refused the kernel says so below.
         let _ = setrlimit(Resource::RLIMIT_MEMLOCK, RLIM_INFINITY, RLIM_INFINITY);
         let whole = u8::from(whole_frames);
-        let buffer = if std::fs::read_to_string(BUFFERS).is_ok_and(|size| size.trim() == "2") { 8_192_u32 } else { 4_096 };
+        let buffer =
+            if std::fs::read_to_string(BUFFERS).is_ok_and(|size| size.trim() == "2") { 8_192_u32 } else { 4_096 };
         let mut loader = EbpfLoader::new();
         loader.map_max_entries("EVENTS", ring).override_global("WHOLE_FRAMES", &whole, true);
         loader.override_global("BUFFER", &buffer, true);
@@ -88,7 +89,8 @@ impl Program {
     /// not count them (before 6.7).
     pub(super) fn missed(&self) -> u64 {
         let program = self.ebpf.program("csi5300").and_then(|program| program.fd().ok());
-        let about = program.and_then(|fd| std::fs::read_to_string(format!("/proc/self/fdinfo/{}", fd.as_fd().as_raw_fd())).ok());
+        let about = program
+            .and_then(|fd| std::fs::read_to_string(format!("/proc/self/fdinfo/{}", fd.as_fd().as_raw_fd())).ok());
         missed_of(&about.unwrap_or_default())
     }
 
@@ -149,7 +151,9 @@ mod tests {
 
     #[test]
     fn the_object_has_what_is_loaded_from_it() {
-        for name in ["EVENTS", "COUNTS", "SCRATCH", "WHOLE_FRAMES", "BUFFER", "kprobe/iwl_notification_wait", "Dual MIT/GPL"] {
+        for name in
+            ["EVENTS", "COUNTS", "SCRATCH", "WHOLE_FRAMES", "BUFFER", "kprobe/iwl_notification_wait", "Dual MIT/GPL"]
+        {
             assert!(OBJECT.windows(name.len()).any(|window| window == name.as_bytes()), "{name}");
         }
     }

@@ -348,7 +348,10 @@ mod tests {
         assert_eq!(key(&other), Some(guid));
         let words = |text: String| type_hash(text.as_bytes());
         assert_eq!(words(format!("sertypehash={};typehash={};", hash("b"), hash("a"))), Some(hash("a")));
-        assert_eq!((words("typehash=RIHS01_a;".into()), words("typehash=RIHS02_0;".into()), type_hash(&[])), (None, None, None));
+        assert_eq!(
+            (words("typehash=RIHS01_a;".into()), words("typehash=RIHS02_0;".into()), type_hash(&[])),
+            (None, None, None)
+        );
         let mut least = List::new();
         least.put(id::ENDPOINT, |value| value.put(&guid.bytes()));
         least.put(id::TOPIC, |value| "t".to_owned().write(value));

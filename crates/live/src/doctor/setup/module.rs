@@ -72,10 +72,7 @@ pub(super) fn load(system: &dyn System, request: &Request) -> Vec<Step> {
         format!("answer_on={}", request.interface),
     ];
     words.extend(parameters.iter().take(if request.ack_len.is_some() { 4 } else { 2 }).map(String::as_str));
-    vec![
-        Step::run(why, &["modprobe", "-r", "csi5300"]).may_fail(),
-        Step::run("CSI to the connector", &words),
-    ]
+    vec![Step::run(why, &["modprobe", "-r", "csi5300"]).may_fail(), Step::run("CSI to the connector", &words)]
 }
 
 /// The steps that take the module away, and those that put the firmware back as it was.
@@ -228,11 +225,18 @@ mod tests {
         let load = || load(&stage.tree(), &request(None));
         assert!(load().is_empty(), "nothing says which builds they are");
         stage.put("run/modinfo -F srcversion csi5300", "0123456789ABCDEF01234AB\n");
-        for (loaded, steps) in [(None, 2), (Some("FFFFFFFFFFFFFFFFFFFFFFF\n"), 2), (Some("0123456789ABCDEF01234AB\n"), 0)] {
+        for (loaded, steps) in
+            [(None, 2), (Some("FFFFFFFFFFFFFFFFFFFFFFF\n"), 2), (Some("0123456789ABCDEF01234AB\n"), 0)]
+        {
             loaded.iter().for_each(|build| stage.put(BUILD.trim_start_matches('/'), build));
             let planned = load();
             assert_eq!(planned.len(), steps, "{loaded:?}");
-            assert!(planned.iter().take(1).all(|step| step.why.contains("another build") && step.line().contains("-r csi5300")));
+            assert!(
+                planned
+                    .iter()
+                    .take(1)
+                    .all(|step| step.why.contains("another build") && step.line().contains("-r csi5300"))
+            );
         }
     }
 
