@@ -85,6 +85,8 @@ struct map SEC("maps") SCRATCH = { .type = MAP_PERCPU_ARRAY, .key_size = 4, .val
 
 /* Set before loading: keep whole frames instead of their beginning. */
 const volatile u8 WHOLE_FRAMES SEC(".rodata") = 0;
+/* Set before loading: bytes of the driver's receive buffers, which begin at multiples of it. No packet goes beyond its own. */
+const volatile u32 BUFFER SEC(".rodata") = 4096;
 
 /* A value that the compiler knows nothing of, so that a test of it stays and the kernel's verifier sees its bounds. */
 #define OPAQUE(value) asm volatile("" : "+r"(value))
@@ -144,14 +146,15 @@ SEC("kprobe/iwl_notification_wait") int csi5300(struct registers *registers)
 	struct counts *counts;
 	struct event *event;
 	u32 zero = 0;
-	u64 data_len;
+	u64 data_len, room;
 	long kept;
 
 	counts = map_lookup_elem(&COUNTS, &zero);
 	if (!counts)
 		return 0;
 	__sync_fetch_and_add(&counts->hits, 1);
-	if (probe_read_kernel(&head, sizeof(head), packet)) {
+	room = BUFFER - ((u64)packet & (BUFFER - 1));
+	if (room < sizeof(head) || probe_read_kernel(&head, sizeof(head), packet)) {
 		__sync_fetch_and_add(&counts->unreadable, 1);
 		return 0;
 	}
@@ -159,6 +162,8 @@ SEC("kprobe/iwl_notification_wait") int csi5300(struct registers *registers)
 	if (data_len < sizeof(head) - 4)
 		return 0;
 	data_len -= sizeof(head) - 4;
+	if (data_len > room - sizeof(head))
+		data_len = room - sizeof(head);
 	if (head.command != CSI && head.command != RX_MPDU && head.command != RX_PHY && head.command != ALIVE)
 		return 0;
 	event = map_lookup_elem(&SCRATCH, &zero);

@@ -29,6 +29,7 @@
 #include <linux/workqueue.h>
 
 #include "csi5300_records.h"
+#include "csi5300_cards.h"
 
 #define CN_IDX_IWLAGN (CN_NETLINK_USERS + 0xf)
 #define CN_VAL_IWLAGN 0x1
@@ -47,9 +48,10 @@ static const u8 magic[6] = { 0x00, 0x16, 0xea, 0x12, 0x34, 0x56 };
 
 struct known {
 	const void *key; /* argument 1 of iwl_notification_wait: one for each card */
-	bool ours;
-	u8 asked; /* packets since its module was last looked up, of a card that was not ours */
-	u8 slot; /* number among our cards, in the order of their first packets: which of index and answer_on are its own */
+	unsigned long from; /* where the function was called last */
+	bool ours, named; /* named: its slot is */
+	u8 asked; /* packets since module and slot were last looked up */
+	u8 slot; /* which of index and answer_on are its own */
 	u64 last;
 	struct card card;
 };
@@ -68,7 +70,10 @@ module_param(connector_log, uint, 0644);
 MODULE_PARM_DESC(connector_log, "what is sent: 0x1 CSI, 0x4 frames");
 static unsigned int indices[CARDS] = { [0 ... CARDS - 1] = CN_IDX_IWLAGN };
 module_param_array_named(index, indices, uint, NULL, 0444);
-MODULE_PARM_DESC(index, "connector index of each card of the driver, in the order of their first packets");
+MODULE_PARM_DESC(index, "connector index of each card of the driver: those that `card` or `answer_on` name, the others in the order of their first packets");
+static char *names[CARDS];
+module_param_array_named(card, names, charp, NULL, 0444);
+MODULE_PARM_DESC(card, "which card each index and answer_on is of: its MAC, its address on the bus (0000:03:00.0) or an interface");
 static unsigned int ack_len;
 module_param(ack_len, uint, 0644);
 MODULE_PARM_DESC(ack_len, "length of the sounding frames to answer, FCS included; 0: none");
@@ -79,7 +84,9 @@ static unsigned int monitor_tx_rate = 0x4101;
 static u8 layout = LAYOUT_STOCK;
 
 static u32 delivered, unheard, ring_full, rates_set, answered, unanswered, unmarked;
+static unsigned long missed_before; /* by probes that were taken away */
 static struct known known[CARDS];
+static bool some_named; /* of the slots */
 static u64 clock;
 static DEFINE_RAW_SPINLOCK(lock);
 static struct counts gone; /* of cards whose place another has taken */
@@ -164,28 +171,57 @@ static void work(struct work_struct *unused)
 	}
 }
 
-/* Whether the right module called the probed function. A tracer (function_graph) can hide the caller, so a card that is not
- * ours is asked again later. */
-static bool is_ours(unsigned long from)
+enum whose { OURS, OTHERS, HIDDEN };
+
+/* Who called the probed function. A tracer (function_graph) hides that: then it is asked again later. */
+static enum whose whose_call(unsigned long from)
 {
 	static char name[KSYM_SYMBOL_LEN];
 	char *module;
 
 	if (!*caller)
-		return true;
+		return OURS;
 	sprint_symbol(name, from);
 	module = strrchr(name, '[');
-	return module && strlen(module) == strlen(caller) + 2 && !strncmp(module + 1, caller, strlen(caller));
+	if (!module)
+		return HIDDEN;
+	return strlen(module) == strlen(caller) + 2 && !strncmp(module + 1, caller, strlen(caller)) ? OURS : OTHERS;
 }
 
-/* A number that none of our other cards has. */
-static u8 free_slot(void)
+/* What a slot's card is called; an interface that answers is one of its card. NULL where nothing says. */
+static const char *name_of(unsigned int slot)
+{
+	if (names[slot] && *names[slot])
+		return names[slot];
+	return answer_on[slot] && *answer_on[slot] ? answer_on[slot] : NULL;
+}
+
+/* The slot that is named for this card, or CARDS. */
+static unsigned int named_slot(const void *key)
+{
+	struct wiphy *wiphy;
+	unsigned int k;
+
+	if (!some_named)
+		return CARDS;
+	rcu_read_lock();
+	wiphy = wiphy_of(key);
+	for (k = 0; k < CARDS; k++)
+		if (wiphy && name_of(k) && is_called(wiphy, name_of(k)))
+			break;
+	rcu_read_unlock();
+	return k;
+}
+
+/* A slot that is neither named nor another card's, or CARDS. */
+static unsigned int free_slot(void)
 {
 	unsigned int k, used = 0;
 
-	for (k = 0; k < CARDS; k++)
-		if (known[k].ours)
-			used |= 1u << known[k].slot;
+	for (k = 0; k < CARDS; k++) {
+		used |= name_of(k) ? 1u << k : 0;
+		used |= known[k].ours ? 1u << known[k].slot : 0;
+	}
 	return ffz(used);
 }
 
@@ -200,28 +236,55 @@ static void forget(struct known *card)
 	memset(card, 0, sizeof(*card));
 }
 
-/* The card of this key, if its packets come from the right module. The caller has the lock. */
-static struct known *card_of(const void *key, unsigned long from)
+/* Whether a card is ours, and which slot is its own. */
+static void look_up(struct known *card, unsigned long from)
 {
-	struct known *oldest = known;
+	enum whose by = whose_call(from);
+	unsigned int slot;
+
+	if (by == OTHERS && card->ours) {
+		/* What was ours is gone: another driver's card has its place in memory. */
+		const void *key = card->key;
+
+		forget(card);
+		card->key = key;
+	}
+	card->from = from;
+	if (by != OURS && !card->ours)
+		return;
+	slot = named_slot(card->key);
+	card->named = slot < CARDS;
+	if (!card->named && !card->ours)
+		slot = free_slot();
+	if (slot < CARDS) {
+		card->slot = slot;
+		card->ours = true;
+	}
+}
+
+/* The card of this key, if its packets come from the right module; `anew` where its firmware was started. The caller has the lock. */
+static struct known *card_of(const void *key, unsigned long from, bool anew)
+{
+	struct known *card, *oldest = known;
+	bool settled;
 	unsigned int k;
 
 	for (k = 0; k < CARDS; k++) {
-		if (known[k].key == key)
+		card = &known[k];
+		if (card->key == key)
 			goto found;
-		if (known[k].last < oldest->last)
-			oldest = &known[k];
+		if (card->last < oldest->last)
+			oldest = card;
 	}
-	k = oldest - known;
-	forget(oldest);
-	oldest->key = key;
+	card = oldest;
+	forget(card);
+	card->key = key;
 found:
-	if (!known[k].ours && !(known[k].asked++ & 63) && is_ours(from)) {
-		known[k].slot = free_slot();
-		known[k].ours = true;
-	}
-	known[k].last = ++clock;
-	return known[k].ours ? &known[k] : NULL;
+	settled = card->ours && (card->named || !some_named);
+	if (anew || from != card->from || (!settled && !(card->asked++ & 63)))
+		look_up(card, from);
+	card->last = ++clock;
+	return card->ours ? card : NULL;
 }
 
 /* Bytes from here to the end of the page: no count of a card is believed beyond it. */
@@ -255,7 +318,7 @@ static int on_packet(struct kprobe *probe, struct pt_regs *regs)
 	size = min_t(u32, size - 4, room_at(packet) - 8);
 	ktime_get_real_ts64(&now);
 	raw_spin_lock_irqsave(&lock, flags);
-	card = card_of((const void *)regs->di, *(unsigned long *)regs->sp);
+	card = card_of((const void *)regs->di, *(unsigned long *)regs->sp, cmd == REPLY_ALIVE);
 	if (card) {
 		u32 idx = card->slot, len = READ_ONCE(ack_len);
 		bool sent = assemble(&card->card, &options, cmd, packet + 8, size, now.tv_sec, now.tv_nsec / 1000, &out);
@@ -319,25 +382,37 @@ static void unprobe(const struct module *of)
 static void probe(void)
 {
 	static const kprobe_pre_handler_t handlers[PROBES] = { on_packet, on_transmit, on_command };
-	const char *const names[PROBES] = { symbol, transmit, "iwl_dvm_send_cmd_pdu" };
+	const char *const functions[PROBES] = { symbol, transmit, "iwl_dvm_send_cmd_pdu" };
+	static const char *const parameters[] = { "symbol", "transmit" };
+	static bool warned[ARRAY_SIZE(parameters)];
+	bool driver = false;
 	unsigned int k;
 	int error;
 
 	for (k = 0; k < PROBES; k++) {
 		if (probing[k])
 			continue;
+		missed_before += probes[k].nmissed;
 		memset(&probes[k], 0, sizeof(probes[k]));
-		probes[k].symbol_name = names[k];
+		probes[k].symbol_name = functions[k];
 		probes[k].pre_handler = handlers[k];
 		error = register_kprobe(&probes[k]);
 		probing[k] = !error;
 		if (!error)
 			pr_info("probe at %s\n", probes[k].symbol_name);
 		else if (error == -ENOENT && !waiting[k])
-			pr_info("no function %s yet: is the driver loaded, and the name right?\n", names[k]);
+			pr_info("no function %s yet: is the driver loaded?\n", functions[k]);
 		else if (error != -ENOENT)
 			pr_warn("no probe at %s (%d)\n", probes[k].symbol_name, error);
 		waiting[k] = error == -ENOENT;
+	}
+	for (k = 0; k < PROBES; k++)
+		driver |= probing[k];
+	for (k = 0; k < ARRAY_SIZE(parameters); k++) {
+		if (!driver || !waiting[k] || warned[k])
+			continue;
+		pr_warn("the driver is loaded and has no function %s: is %s= right?\n", functions[k], parameters[k]);
+		warned[k] = true;
 	}
 	if (probing[COMMANDS])
 		probe_return(probes[COMMANDS].addr);
@@ -399,7 +474,7 @@ static ssize_t show(attribute_of attr, struct module_kobject *module, char *buff
 #define ATTRIBUTE(name) static struct module_attribute name##_file = __ATTR(name, 0444, show, NULL);
 #define LISTED(name) &name##_file.attr,
 #define OWN(X) X(delivered) X(unheard) X(ring_full) X(rates_set) X(answered) X(unanswered) X(unmarked) X(rxons) X(stations) \
-	X(orders)
+	X(orders) X(unasked)
 COUNTS(ATTRIBUTE)
 OWN(ATTRIBUTE)
 static struct module_attribute missed_file = __ATTR(missed, 0444, show, NULL);
@@ -408,8 +483,11 @@ static const struct attribute_group counters = { .name = "counters", .attrs = fi
 
 static ssize_t show(attribute_of attr, struct module_kobject *module, char *buffer)
 {
-	u32 sum = probes[PACKETS].nmissed + probes[FRAMES].nmissed + probes[COMMANDS].nmissed;
+	u32 sum = missed_before + missed_returns();
 	unsigned int k;
+
+	for (k = 0; k < PROBES; k++)
+		sum += probes[k].nmissed;
 
 #define SUM(name) if (attr == &name##_file) for (sum = gone.name, k = 0; k < CARDS; k++) sum += known[k].card.counts.name;
 #define ONE(name) if (attr == &name##_file) sum = name;
@@ -434,7 +512,10 @@ static void release(void)
 static int __init csi5300_init(void)
 {
 	int error = -ENOMEM;
+	unsigned int k;
 
+	for (k = 0; k < CARDS; k++)
+		some_named |= !!name_of(k);
 	init_irq_work(&waker, wake);
 	ring = vmalloc(sizeof(*ring));
 	staged = kmalloc(sizeof(*staged), GFP_KERNEL);
@@ -480,5 +561,6 @@ static void __exit csi5300_exit(void)
 module_init(csi5300_init);
 module_exit(csi5300_exit);
 MODULE_LICENSE("GPL");
+MODULE_VERSION("0.1.0");
 MODULE_SOFTDEP("pre: iwlwifi");
 MODULE_DESCRIPTION("CSI of the Intel 5300 beside the stock iwlwifi");

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: GPL-2.0 */
 /*
- * What csitool's and the WSR driver ask of the card and the stock one does not (their dvm/rxon.c and dvm/sta.c):
+ * What csitool's and the WSR driver ask of the card and the stock one does not (their dvm/rxon.c and dvm/sta.c). Only a
+ * 5300 is asked (csi5300_cards.h); other cards of the driver are left as they are.
  *
  *   - bit 29 (RXON_FLG_BF_ENABLE) in the flags of every RXON: set in the command as iwl_dvm_send_cmd_pdu gets it. The
  *     bytes are the driver's own copy of its wishes, as in the patched drivers;
@@ -38,7 +39,7 @@ static unsigned int ask = ASK_BEAMFORMING | ASK_STATION | ASK_ORDER;
 module_param(ask, uint, 0644);
 MODULE_PARM_DESC(ask, "what is asked of the card as the patched drivers do: 0x1 CSI (RXON), 0x2 station 13, 0x4 antenna order");
 
-static u32 rxons, stations, orders;
+static u32 rxons, stations, orders, unasked;
 
 /* iwl_dvm_send_cmd_pdu(priv, id, flags, len, data) */
 static int on_command(struct kprobe *probe, struct pt_regs *regs)
@@ -53,6 +54,10 @@ static int on_command(struct kprobe *probe, struct pt_regs *regs)
 		data += RXON_FLAGS;
 	else if (id != REPLY_RXON_ASSOC || len != RXON_ASSOC_LEN)
 		return 0;
+	if (!may_be_asked((const void *)regs->di)) {
+		unasked++;
+		return 0;
+	}
 	put32(data, get32(data) | RXON_BEAMFORMING);
 	rxons++;
 	return 0;
@@ -75,12 +80,20 @@ static int on_restored(struct kretprobe_instance *instance, struct pt_regs *regs
 	void *priv = *(void **)instance->data;
 	u8 station[STATION_LEN] = { [STATION_ID] = MONITOR_STATION };
 
+	if (!may_be_asked(priv))
+		return 0;
 	memcpy(station + STATION_ADDRESS, magic, sizeof(magic));
 	if (READ_ONCE(ask) & ASK_STATION)
 		stations += !send_command(priv, REPLY_ADD_STA, ASYNC, sizeof(station), station);
 	if (READ_ONCE(ask) & ASK_ORDER)
 		orders += !send_command(priv, DSP_DEBUG, ASYNC, sizeof(order), order);
 	return 0;
+}
+
+/* Calls that neither of the two handlers saw. */
+static unsigned long missed_returns(void)
+{
+	return restored.nmissed + restored.kp.nmissed;
 }
 
 static bool may_call(void)
@@ -100,6 +113,7 @@ static void probe_return(void *command)
 	if (restoring || !may_call())
 		return;
 	send_command = command;
+	missed_before += missed_returns();
 	memset(&restored, 0, sizeof(restored));
 	restored.kp.symbol_name = "iwl_restore_stations";
 	restored.entry_handler = on_restore;
@@ -122,6 +136,11 @@ static void unprobe_return(const struct module *of)
 	restoring = false;
 }
 #else
+static unsigned long missed_returns(void)
+{
+	return 0;
+}
+
 static void probe_return(void *command)
 {
 }

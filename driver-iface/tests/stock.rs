@@ -16,6 +16,14 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
+/// With a version of its own, the kernel's build puts a hash of the sources into the module (`srcversion`), by which
+/// `csi5300 setup` tells builds apart.
+#[test]
+fn the_module_has_this_version() {
+    let module = include_str!("../kmod/csi5300.c");
+    assert!(module.contains(concat!("MODULE_VERSION(\"", env!("CARGO_PKG_VERSION"), "\");")));
+}
+
 /// What a stream of packets came to: for each the message (code and body), and the counts.
 type Answer = (Vec<Option<Vec<u8>>>, Counts);
 

@@ -32,6 +32,15 @@ fn stream(kind: &str, count: u32, seed: u64) -> Vec<(u8, Packet)> {
                 out.extend(sounding(&mut random, mac, k + 1, k * 1_000).map(|packet| (0, packet)));
             }
         }
+        // The same, and after each frame a 0xBB that is cut; headers claim more than there is, see `feed`.
+        "lying" => {
+            for k in 0..count {
+                out.extend(sounding(&mut random, [0, 0x21, 0x6a, 0, 0, 1], k + 1, k * 1_000).map(|packet| (0, packet)));
+                let mut cut = common::csi(&mut random, 3, 1, 0);
+                cut.1.truncate(100);
+                out.extend([(0, common::phy(&mut random, 1, 1)), (0, cut)]);
+            }
+        }
         // A command that is nobody's.
         "foreign" => out.extend((0..count).map(|_| (0, (0xee, vec![0x5a; 120])))),
         // Anything, from two cards. Frames are honest about their length and have a bad checksum: what the driver itself
@@ -77,7 +86,8 @@ fn feed() {
     let mut cards = std::fs::OpenOptions::new().write(true).open("/dev/fakecard").unwrap();
     let begin = Instant::now();
     for (k, (card, (command, data))) in packets.iter().enumerate() {
-        let mut packet = u32::try_from(data.len() + 4).unwrap().to_le_bytes().to_vec();
+        let said = if kind == "lying" && *command == 0xBB { 0x3fff } else { data.len() + 4 };
+        let mut packet = u32::try_from(said).unwrap().to_le_bytes().to_vec();
         packet.extend([*command, 0, 0, 0x80]);
         packet.extend(data);
         let mut bytes = vec![*card, 0];

@@ -10,7 +10,7 @@ trap 'rm -rf "$tree"' EXIT
 chmod 755 "$tree"
 src=$tree/usr/src/csi5300-$version
 mkdir -p "$src" "$tree/DEBIAN" "$tree/usr/share/doc/csi5300-dkms"
-cp "$here"/../../driver-iface/kmod/csi5300{.c,_asks.h,_records.h} "$here/Makefile" "$src"
+cp "$here"/../../driver-iface/kmod/csi5300{.c,_asks.h,_cards.h,_records.h} "$here/Makefile" "$src"
 sed "s/@VERSION@/$version/" "$here/dkms.conf" >"$src/dkms.conf"
 cp "$here/../../driver-iface/kmod/README.md" "$tree/usr/share/doc/csi5300-dkms"
 for script in postinst prerm; do

@@ -39,6 +39,10 @@ le32() { printf "\\x$(printf %02x $(($1 & 255)))\\x$(printf %02x $(($1 >> 8 & 25
 cp tests/kernel/stock/room.toml "$tree/guest"
 boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 900
 [ "$status" = 33 ] || exit 1
+rm "$tree"/guest/*.sh
+cp tests/kernel/stock-races/*.sh "$tree/guest"
+cpus=2 boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 600
+[ "$status" = 33 ] || exit 1
 
 # Kernels for which there is no fake card: a module calls what iwldvm would call. 6.12, from the backports (its transport is
 # no table of functions any more), 5.10, from Debian 11, and 6.1 with PREEMPT_RT.

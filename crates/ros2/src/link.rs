@@ -3,10 +3,11 @@
 
 use super::bag::Bag;
 use super::names::{Names, kind, service, topic};
+use super::reach::Reach;
 use super::rtps::{Counts, Event, Guid, LARGEST, Outgoing, Participant, Prefix, Qos};
 use super::sockets::Sockets;
 use crate::settings::Distribution;
-use csi5300::time::Instant;
+use csi5300::time::{Instant, Span};
 use csi5300_bag::messages::{Message, graph};
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -14,6 +15,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+/// How often a look is taken whether this machine's address is another.
+const LOOK: Span = Span::from_ms(1_000);
 /// Samples that a topic keeps for who has not got them.
 const DEPTH: u32 = 32;
 
@@ -36,7 +39,7 @@ pub struct Shared {
     names: Names,
     distribution: Distribution,
     participant: Mutex<Participant>,
-    sockets: Sockets,
+    sockets: Mutex<Arc<Sockets>>,
     began: std::time::Instant,
     wall_us: fn() -> Option<i64>,
     handlers: Mutex<Vec<Handler>>,
@@ -61,8 +64,13 @@ impl Shared {
         Instant::from_us(i64::try_from(self.began.elapsed().as_micros()).unwrap_or(i64::MAX))
     }
 
+    fn sockets(&self) -> Arc<Sockets> {
+        Arc::clone(&lock(&self.sockets))
+    }
+
     fn send(&self, out: Vec<Outgoing>) {
-        let unsent = out.iter().filter(|(to, bytes)| !self.sockets.send(*to, bytes)).count();
+        let sockets = self.sockets();
+        let unsent = out.iter().filter(|(to, bytes)| !sockets.send(*to, bytes)).count();
         self.unsent.fetch_add(unsent as u64, Ordering::Relaxed);
     }
 
@@ -110,6 +118,12 @@ impl Shared {
         handlers.push(make(good, bad));
     }
 
+    /// The quality of service of a topic of this type: with its hash, where others go by it.
+    fn of_type<T: Message>(&self, qos: Qos) -> Qos {
+        let type_hash = (self.distribution != Distribution::Humble).then(T::type_hash);
+        Qos { type_hash, ..qos }
+    }
+
     /// Says which endpoints this node has.
     fn tell_graph(&self, writer: usize) {
         let all = |topics: &Mutex<Vec<Topic>>| lock(topics).iter().map(|topic| topic.guid).collect::<Vec<_>>();
@@ -122,6 +136,7 @@ impl Shared {
                 let gid = |guid: &Guid| graph::Gid { data: guid.bytes() };
                 let reader_gid_seq = readers.iter().map(gid).collect();
                 let writer_gid_seq = writers.iter().map(gid).collect();
+                let (node_namespace, node_name) = (graph::Name(node_namespace), graph::Name(node_name));
                 let node = graph::NodeEntitiesInfo { node_namespace, node_name, reader_gid_seq, writer_gid_seq };
                 graph::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
             }
@@ -142,13 +157,32 @@ impl Shared {
         self.write(writer, payload);
     }
 
+    /// Where the address whose network is used came, went or changed, the participant goes on at the new one. What fails is
+    /// tried again at the next look.
+    fn follow(&self, reach: Reach) {
+        let old = self.sockets();
+        if reach.interface == old.interface() {
+            return;
+        }
+        let Ok(new) = Sockets::open(old.domain(), reach) else { return };
+        let new = Arc::new(new.follow(&old));
+        let out = {
+            let mut participant = lock(&self.participant);
+            participant.move_to(new.settings(self.names.node()), self.wall_us());
+            participant.poll_transmit()
+        };
+        *lock(&self.sockets) = new;
+        self.send(out);
+    }
+
     /// Takes what came, and does what is due; then waits for more.
     fn turn(&self, buffer: &mut [u8]) {
         let next_at = lock(&self.participant).next_at();
         let wait = (next_at - self.now()).as_s().clamp(0.0, 0.2);
-        self.sockets.wait(Duration::from_secs_f64(wait));
+        let sockets = self.sockets();
+        sockets.wait(Duration::from_secs_f64(wait));
         let mut events = Vec::new();
-        self.sockets.receive(buffer, |bytes, ip| {
+        sockets.receive(buffer, |bytes, ip| {
             lock(&self.participant).handle_datagram(bytes, ip, (self.now(), self.wall_us()), &mut events);
         });
         if !events.is_empty() {
@@ -201,10 +235,10 @@ pub struct Link {
 }
 
 impl Link {
-    /// A node on these sockets.
+    /// A node on these sockets; `seek` says where it is to be, and is asked again and again.
     pub(crate) fn start(
         (names, distribution): (Names, Distribution),
-        sockets: Sockets,
+        (sockets, seek): (Sockets, impl Fn() -> Reach + Send + 'static),
         bag: Bag,
         wall_us: fn() -> Option<i64>,
     ) -> std::io::Result<Self> {
@@ -213,7 +247,7 @@ impl Link {
             names,
             distribution,
             participant: Mutex::new(participant),
-            sockets,
+            sockets: Mutex::new(Arc::new(sockets)),
             began: std::time::Instant::now(),
             wall_us,
             handlers: Mutex::default(),
@@ -224,11 +258,16 @@ impl Link {
             over: AtomicBool::new(false),
         });
         let kind = kind("rmw_dds_common/msg/ParticipantEntitiesInfo");
-        let graph = shared.add_writer("", "ros_discovery_info", &kind, Qos::latched(1)).0;
+        let qos = shared.of_type::<graph::ParticipantEntitiesInfo>(Qos::latched(1));
+        let graph = shared.add_writer("", "ros_discovery_info", &kind, qos).0;
         let working = Arc::clone(&shared);
         let work = move || {
-            let mut buffer = vec![0; 1 << 16];
+            let (mut buffer, mut look_at) = (vec![0; 1 << 16], Instant::ZERO);
             while !working.over.load(Ordering::Relaxed) {
+                if working.now() >= look_at {
+                    working.follow(seek());
+                    look_at = working.now() + LOOK;
+                }
                 working.turn(&mut buffer);
             }
             let out = {
@@ -253,6 +292,7 @@ impl Link {
     #[must_use]
     pub fn publish<T: Message>(&self, name: &str, qos: Qos) -> Publisher<T> {
         let name = self.shared.names.whole(name);
+        let qos = self.shared.of_type::<T>(qos);
         let (writer, sent, too_large) = self.shared.add_writer(&name, &topic(&name), &kind(T::TYPE), qos);
         self.shared.tell_graph(self.graph);
         Publisher { shared: Arc::clone(&self.shared), writer, name, sent, too_large, kind: PhantomData }
@@ -268,7 +308,7 @@ impl Link {
         unreadable: impl Fn() + Send + 'static,
     ) {
         let name = self.shared.names.whole(name);
-        let recorded = name.clone();
+        let (recorded, qos) = (name.clone(), self.shared.of_type::<T>(qos));
         self.shared.add_reader(&name, (&topic(&name), &kind(T::TYPE)), qos, |good, bad| {
             Box::new(move |shared, event, wall_us| {
                 let read = T::of_payload(&event.payload);
@@ -290,9 +330,10 @@ impl Link {
     pub fn serve<Q: Message, A: Message>(&self, name: &str, mut answer: impl FnMut(&Shared, Q) -> A + Send + 'static) {
         let name = self.shared.names.whole(name);
         let (requests, answers) = service(&name);
-        let qos = || Qos::reliable(10);
-        let (writer, sent, _) = self.shared.add_writer(&name, &answers, &kind(A::TYPE), qos());
-        self.shared.add_reader(&name, (&requests, &kind(Q::TYPE)), qos(), |good, bad| {
+        let (asked, answered) = (Qos::reliable(10), Qos::reliable(10));
+        let (asked, answered) = (self.shared.of_type::<Q>(asked), self.shared.of_type::<A>(answered));
+        let (writer, sent, _) = self.shared.add_writer(&name, &answers, &kind(A::TYPE), answered);
+        self.shared.add_reader(&name, (&requests, &kind(Q::TYPE)), asked, |good, bad| {
             Box::new(move |shared, event, _| match super::services::request::<Q>(event) {
                 Some((head, question)) => {
                     good.fetch_add(1, Ordering::Relaxed);
@@ -323,7 +364,7 @@ impl Link {
         let others = participant.unreachable().map(|who| format!("ROS 2: {who}: it cannot be spoken to"));
         own.chain(read)
             .chain(others)
-            .chain(self.shared.sockets.trouble(participant.counts().participants))
+            .chain(self.shared.sockets().trouble(participant.counts().participants))
             .chain(self.shared.bag.trouble())
             .collect()
     }
@@ -347,12 +388,12 @@ impl Link {
             (topic.name.clone(), counts)
         });
         let subscribed: serde_json::Map<String, serde_json::Value> = subscribed.collect();
-        let counts: Counts = participant.counts();
+        let (counts, sockets): (Counts, _) = (participant.counts(), self.shared.sockets());
         serde_json::json!({
             "node": self.shared.names.node(),
-            "address": self.shared.sockets.address(),
-            "reach": self.shared.sockets.reach(),
-            "foreign": self.shared.sockets.foreign(),
+            "address": sockets.address(),
+            "reach": sockets.reach(),
+            "foreign": sockets.foreign(),
             "unsent": number(&self.shared.unsent),
             "dds": counts,
             "published": published,
@@ -371,9 +412,61 @@ pub fn usual() -> Qos {
 impl Drop for Link {
     fn drop(&mut self) {
         self.shared.over.store(true, Ordering::Relaxed);
-        self.shared.sockets.wake();
+        self.shared.sockets().wake();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300_bag::messages::standard::Time;
+    use std::net::Ipv4Addr;
+    use std::sync::mpsc::channel;
+
+    /// On loopback, whose addresses this machine always has: `last` is asked for the last byte.
+    fn node(name: &str, last: Arc<AtomicU64>) -> Link {
+        let seek = move || {
+            let interface = Ipv4Addr::new(127, 0, 0, last.load(Ordering::Relaxed) as u8);
+            let peers = [1, 2].map(|last| Ipv4Addr::new(127, 0, 0, last)).to_vec();
+            Reach { interface, multicast: false, peers, is_off: false, words: String::new(), waits: None }
+        };
+        let domain = 80 + (std::process::id() % 60) as u16;
+        let names = Names { namespace: "/".into(), node: name.into(), ..Names::default() };
+        let sockets = Sockets::open(domain, seek()).unwrap();
+        Link::start((names, Distribution::Jazzy), (sockets, seek), Bag::new(Default::default()), || Some(0)).unwrap()
+    }
+
+    #[test]
+    fn a_node_goes_on_at_another_address() {
+        let last = Arc::new(AtomicU64::new(1));
+        let (moving, fixed) = (node("moving", Arc::clone(&last)), node("fixed", Arc::new(AtomicU64::new(1))));
+        let (give, came) = channel();
+        let publisher = moving.publish::<Time>("/a", Qos::reliable(10));
+        fixed.subscribe(
+            "/a",
+            Qos::reliable(10),
+            move |time: Time, _| drop(give.send(time.sec)),
+            || panic!("unreadable"),
+        );
+        let until = |wanted: i32| {
+            loop {
+                publisher.put(&Time { sec: wanted, nanosec: 0 });
+                std::thread::yield_now();
+                if came.try_iter().any(|sec| sec == wanted) {
+                    break;
+                }
+            }
+        };
+        until(1);
+        last.store(2, Ordering::Relaxed);
+        while moving.counted()["address"].as_str().is_some_and(|at| at.starts_with("127.0.0.1:")) {
+            until(2);
+        }
+        until(3);
+        assert!(moving.counted()["address"].as_str().unwrap().starts_with("127.0.0.2:"));
+        assert_eq!(fixed.counted()["subscribed"]["/a"]["publishers"], 1);
     }
 }

@@ -5,6 +5,7 @@ use crate::bag::Bag;
 use crate::inputs::{PoseTopic, SimClock};
 use crate::link::{Link, Publisher, usual};
 use crate::names::{Names, name_part};
+use crate::reach::{Asked, Reach, outward};
 use crate::rtps::Qos;
 use crate::settings::{Settings, Topic};
 use crate::sockets::Sockets;
@@ -53,7 +54,9 @@ impl Node {
     /// If it cannot take part at that address, or the recording cannot be started.
     pub fn start(settings: &Settings, robot: &str, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
         let asked = settings.clone();
-        let (domain, reach) = (asked.domain(), asked.reach());
+        let (domain, own, by) = (asked.domain(), settings.clone(), Asked::by_environment());
+        let seek = move || Reach::of(&own, &by, outward);
+        let reach = seek();
         let interface = reach.interface;
         let failed = |source| Error::Participant { domain, interface, source };
         let sockets = Sockets::open(domain, reach).map_err(failed)?;
@@ -63,7 +66,7 @@ impl Node {
         if let Some(folder) = &asked.bag {
             bag.start().map_err(|source| Error::Recording { folder: folder.clone(), source })?;
         }
-        let link = Link::start((names, asked.distribution), sockets, bag, wall_us).map_err(failed)?;
+        let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(failed)?;
         let clock = if asked.use_sim_time { SimClock::follow(&link) } else { SimClock::real() };
         let (topics, names, peers) = (Vec::new(), Vec::new(), Vec::new());
         Ok(Self { link, clock, topics, settings: asked, names, peers, markers: None, tf: None })

@@ -81,6 +81,8 @@ pub struct Reach {
     pub is_off: bool,
     /// The same in words, with who said so.
     pub words: String,
+    /// Why it is not at the address that it was asked to use, and which it takes as soon as this machine has it.
+    pub waits: Option<String>,
 }
 
 impl Reach {
@@ -101,6 +103,12 @@ impl Reach {
             _ => far.map(|peer| (peer, if own.peers.is_some() { "`peers`" } else { "ROS_STATIC_PEERS" })),
         };
         let mut interface = own.interface.unwrap_or(Ipv4Addr::LOCALHOST);
+        let mut waits = None;
+        // From an address of this machine it is reached from itself.
+        if !interface.is_loopback() && out(interface) != Some(interface) {
+            waits = Some(format!("this machine has no address {interface} at present: this machine only"));
+            interface = Ipv4Addr::LOCALHOST;
+        }
         if let Some((to, by)) = wish.filter(|_| own.interface.is_none() && !is_off) {
             match out(to) {
                 Some(found) if own.insecure => interface = found,
@@ -108,10 +116,11 @@ impl Reach {
                     notes.push(format!("{by} asks for the network, which needs `insecure = true`: this machine only"))
                 }
                 None => {
-                    notes.push(format!("{by} asks for the network, and there is no way to {to}: this machine only"))
+                    waits = Some(format!("{by} asks for the network, and there is no way to {to}: this machine only"));
                 }
             }
         }
+        notes.extend(waits.clone());
         if is_off {
             peers.clear();
         } else if own.peers.is_none() && interface.is_loopback() {
@@ -131,7 +140,7 @@ impl Reach {
         }
         let _ = write!(words, "; range: {by}");
         notes.iter().for_each(|note| words += &format!("; {note}"));
-        Self { interface, multicast, peers, is_off, words }
+        Self { interface, multicast, peers, is_off, words, waits }
     }
 }
 
@@ -212,6 +221,35 @@ mod tests {
         }
         let many = vec!["10.0.0.2"; PEERS + 1].join(";");
         assert!(reach(&open, &[(STATIC, &many)]).words.contains("one too many"));
+    }
+
+    #[test]
+    fn an_address_that_comes_later_or_changes_is_taken_then() {
+        let (file, other) = (Settings { interface: Some(OWN), ..Settings::default() }, Ipv4Addr::new(192, 168, 1, 6));
+        let open = |own: Settings| Settings { insecure: true, ..own };
+        let subnet = Asked { range: Some((Range::Subnet, RANGE)), ..Asked::default() };
+        for (own, asked, route, expected, says) in [
+            (file.clone(), Asked::default(), None, Ipv4Addr::LOCALHOST, Some("no address 192.168.1.5 at present")),
+            (
+                file.clone(),
+                Asked::default(),
+                Some(other),
+                Ipv4Addr::LOCALHOST,
+                Some("no address 192.168.1.5 at present"),
+            ),
+            (file, Asked::default(), Some(OWN), OWN, None),
+            (Settings::default(), subnet.clone(), None, Ipv4Addr::LOCALHOST, Some("no way to 239.255.0.1")),
+            (Settings::default(), subnet.clone(), Some(OWN), OWN, None),
+            (Settings::default(), subnet, Some(other), other, None),
+        ] {
+            let found = Reach::of(&open(own), &asked, |_| route);
+            assert_eq!(found.interface, expected, "{}", found.words);
+            assert_eq!(found.waits.is_some(), says.is_some());
+            assert!(
+                found.words.contains(says.unwrap_or_default())
+                    && found.waits.unwrap_or_default().contains(says.unwrap_or_default())
+            );
+        }
     }
 
     #[test]

@@ -202,7 +202,8 @@ pub fn wrong_settings(ros: &Settings) -> Option<Wrong> {
         );
         return Some((Some("interface"), why));
     }
-    let (interface, peers) = (ros.reach().interface, ros.peers.as_deref().unwrap_or_default());
+    let interface = ros.interface.unwrap_or_else(|| ros.reach().interface);
+    let peers = ros.peers.as_deref().unwrap_or_default();
     if let Some(peer) = peers.iter().find(|peer| interface.is_loopback() && !peer.is_loopback()) {
         return Some((Some("peers"), format!("peer {peer} cannot be reached from {interface}")));
     }

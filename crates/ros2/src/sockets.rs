@@ -87,6 +87,11 @@ impl Sockets {
         Settings { prefix: prefix(), name, meta, user, announce: group.chain(asked).collect() }
     }
 
+    /// The domain.
+    pub fn domain(&self) -> u16 {
+        self.domain
+    }
+
     /// Where it takes discovery.
     pub fn address(&self) -> SocketAddrV4 {
         self.addresses.0
@@ -97,6 +102,17 @@ impl Sockets {
         self.foreign.load(Ordering::Relaxed)
     }
 
+    /// The address whose network is used.
+    pub fn interface(&self) -> Ipv4Addr {
+        *self.addresses.0.ip()
+    }
+
+    /// Counts on from where another one, that this one replaces, ended.
+    pub fn follow(self, other: &Self) -> Self {
+        self.foreign.store(other.foreign(), Ordering::Relaxed);
+        self
+    }
+
     /// Whom it looks for, and who said so.
     pub fn reach(&self) -> &str {
         &self.reach.words
@@ -105,6 +121,9 @@ impl Sockets {
     /// What is wrong, in words, where so many participants were met.
     pub fn trouble(&self, participants: u64) -> Option<String> {
         let stranger = Ipv4Addr::from(self.stranger.load(Ordering::Relaxed));
+        if let Some(why) = &self.reach.waits {
+            return Some(format!("ROS 2: {why}"));
+        }
         if stranger.is_unspecified() || participants > 0 {
             return self.no_group.clone();
         }
@@ -208,7 +227,8 @@ mod tests {
 
     fn open(change: impl FnOnce(&mut Reach)) -> Sockets {
         let interface = Ipv4Addr::LOCALHOST;
-        let mut reach = Reach { interface, multicast: false, peers: Vec::new(), is_off: false, words: String::new() };
+        let mut reach =
+            Reach { interface, multicast: false, peers: Vec::new(), is_off: false, words: String::new(), waits: None };
         change(&mut reach);
         Sockets::open(140, reach).unwrap()
     }

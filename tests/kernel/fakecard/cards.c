@@ -22,13 +22,16 @@
 #define QUEUES 32
 #define EEPROM_WORDS 1024
 #define REGISTERS 0x4000
-#define RX_ORDER 1
+#define RX_ORDER 0
 #define RX_BYTES (PAGE_SIZE << RX_ORDER)
 #define INIT_BYTES 64       /* of the init image's first section; the runtime image has another size */
 
 static bool verbose;
 module_param(verbose, bool, 0644);
 MODULE_PARM_DESC(verbose, "host commands to the kernel's log");
+static bool at_end;
+module_param(at_end, bool, 0644);
+MODULE_PARM_DESC(at_end, "packets but frames end where their page ends, not begin where it begins");
 static unsigned long plain, beamforming, stations, orders;
 module_param(plain, ulong, 0444);
 module_param(beamforming, ulong, 0444);
@@ -43,6 +46,7 @@ struct card {
 	unsigned int number;
 	struct iwl_trans *trans;
 	struct iwl_op_mode *op_mode;
+	struct mutex delivering; /* as on a bus: one packet of a card at a time, and those of two cards at once */
 	struct workqueue_struct *queue;
 	struct sk_buff_head sent[QUEUES];
 	u16 next[QUEUES];
@@ -59,7 +63,6 @@ struct notice {
 };
 
 static struct card *all[CARDS];
-static DEFINE_MUTEX(deliver_lock);
 
 static struct card *card_of(struct iwl_trans *trans)
 {
@@ -76,15 +79,17 @@ static int into_driver(struct card *card, const void *packet, size_t len)
 	page = alloc_pages(GFP_KERNEL | __GFP_ZERO | __GFP_COMP, RX_ORDER);
 	if (!page)
 		return -ENOMEM;
-	memcpy(page_address(page), packet, len);
+	if (READ_ONCE(at_end) && ((u8 *)packet)[4] != REPLY_RX_MPDU_CMD)
+		rxb._offset = (RX_BYTES - len) & ~3;
+	memcpy(page_address(page) + rxb._offset, packet, len);
 	rxb._page = page;
-	mutex_lock(&deliver_lock);
+	mutex_lock(&card->delivering);
 	local_bh_disable();
 	if (card->op_mode && (card->trans->state == IWL_TRANS_FW_ALIVE || ((u8 *)packet)[4] == REPLY_ALIVE))
 		iwl_op_mode_rx(card->op_mode, NULL, &rxb);
 	as_patched(packet, len);
 	local_bh_enable();
-	mutex_unlock(&deliver_lock);
+	mutex_unlock(&card->delivering);
 	if (!rxb._page_stolen)
 		__free_pages(page, RX_ORDER);
 	return 0;
@@ -376,6 +381,7 @@ static int add(unsigned int k)
 		return -ENOMEM;
 	all[k] = card;
 	card->number = k;
+	mutex_init(&card->delivering);
 	for (q = 0; q < QUEUES; q++)
 		skb_queue_head_init(&card->sent[q]);
 	fill_eeprom(card, k);

@@ -21,7 +21,13 @@ step() {
 }
 counter() { cat "/sys/module/csi5300/counters/$1"; }
 
-insmod /modules/csi5300.ko transmit=fakecard_tx
+# The driver is there, so names that it lacks are wrong, which is said.
+insmod /modules/csi5300.ko symbol=typo transmit=typo2
+for wrong in "no function typo: is symbol=" "no function typo2: is transmit="; do
+    dmesg -r | grep -q "^<4>.*$wrong" || { dmesg | tail -n 5; exit 1; }
+done
+rmmod csi5300
+insmod /modules/csi5300.ko transmit=fakecard_tx device=0
 grep -q "iwlagn *26:1" /proc/net/connector
 echo "frames that lack something"
 step records::what_is_missing_is_dropped_or_marked_and_counted CSI5300_STOCK_DROPS yes
@@ -30,7 +36,7 @@ rmmod csi5300
 # records LAYOUT CONNECTOR_LOG FRAMES RATE: csitool's way to log, and `csi5300 record` beside it.
 records() {
     echo "$3 frames at $4/s, layout $1, connector_log $2"
-    insmod /modules/csi5300.ko transmit=fakecard_tx layout="$1" connector_log="$2"
+    insmod /modules/csi5300.ko transmit=fakecard_tx device=0 layout="$1" connector_log="$2"
     : >/tmp/recorder
     csi5300 record /tmp/recorded.dat --force 2>/tmp/recorder &
     recorder=$!

@@ -3,10 +3,11 @@
 A=00:21:6a:00:00:01 B=00:21:6a:00:00:02
 mkdir -p /tmp/out/stock && cd /tmp/out/stock
 
-# up OPTIONS: the module, with a connector index for each card; the first packets after it are the first card's.
+# up OPTIONS: the module, with a connector index for each card, 26 and 25. The first packets are the first card's, so where the slots are in
+# another order it is their names that count.
 up() {
     for k in 0 1; do ip link set "wlan$k" down; done
-    insmod /modules/csi5300.ko transmit=fakecard_tx index=26,25 connector_log=5 "$@"
+    insmod /modules/csi5300.ko transmit=fakecard_tx device=0 index=26,25 connector_log=5 "$@"
     for k in 0 1; do
         ip link set "wlan$k" mtu 2304
         ip link set "wlan$k" up
@@ -39,7 +40,9 @@ csi5300 sound --interface wlan0 --peers "$B" --rate 20 --stop-after 1s 2>sound-s
 grep -q "first frame in 6.* s, if no other robot is heard" sound-short
 grep -q "no frame was sent" sound-short
 
-echo "two robots at 100 rounds/s"
+echo "two robots at 100 rounds/s; the slots are named by bus address and MAC, in the other order"
+rmmod csi5300
+up index=25,26 card=fakecard.1,00:21:6A:00:00:01
 air two
 : >rx.said
 csi5300 record rx.dat --force --connector-index 26 2>rx.said &
@@ -104,7 +107,7 @@ for file in claims.json logs.json; do grep -c '"verdict": "holds"' "$file"; sed 
 rmmod csi5300
 
 echo "the module answers itself, in the WSR dialect"
-up layout=wsr ack_len=57 answer_on=,wlan1
+up index=25,26 layout=wsr ack_len=57 answer_on=wlan1
 air wsr
 csi5300 record wsr-rx.dat --force --connector-index 26 2>rx.said &
 rx=$!

@@ -65,6 +65,16 @@ stop 3
 check "/tmp/ebpf.dat wsr 1 all hostile 100000 3 -"
 grep "contradict" /tmp/recorder
 
+echo "headers that claim more than their page: nothing beyond it is read"
+echo Y >/sys/module/fakecard/parameters/at_end
+start --stock=csitool
+feed "lying 200 13 0"
+sleep 1
+stop 3
+check "/tmp/ebpf.dat csitool 1 all lying 200 13 -"
+grep "^  200 CSI notifications (0xBB) that contradict themselves" /tmp/recorder
+echo N >/sys/module/fakecard/parameters/at_end
+
 echo "a ring that is too small and a recorder that is stopped"
 start --receive-buffer 64k --stock=csitool
 kill -STOP "$recorder"
@@ -128,7 +138,7 @@ if [ -x /bin/setcap ]; then
 fi
 
 echo "beside the module: both make the same records of the same packets"
-insmod /modules/csi5300.ko transmit=fakecard_tx
+insmod /modules/csi5300.ko transmit=fakecard_tx device=0
 : >/tmp/beside
 csi5300 record /tmp/beside.dat --force 2>/tmp/beside &
 beside=$!

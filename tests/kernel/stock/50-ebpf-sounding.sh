@@ -4,7 +4,7 @@ A=00:21:6a:00:00:01 B=00:21:6a:00:00:02
 mkdir -p /tmp/out/stock && cd /tmp/out/stock
 for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm fakecard; do load "$module"; done
 until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
-insmod /modules/csi5300.ko transmit=fakecard_tx connector_log=0
+insmod /modules/csi5300.ko transmit=fakecard_tx device=0 connector_log=0
 for k in 0 1; do
     ip link set "wlan$k" down
     iw dev "wlan$k" set type monitor

@@ -1,14 +1,35 @@
 //! Which nodes a participant has, as `ros2 node list` wants to know: one message for each size of name (Humble's names of
 //! endpoints have 24 bytes, those from Iron on 16).
 
-use super::messages;
+use super::{Described, messages};
+use crate::cdr::{Cdr, CdrError, CdrReader, CdrWriter};
+
+/// A name of 256 bytes at most, as the definition has it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Name(pub String);
+
+impl Cdr for Name {
+    fn write(&self, to: &mut CdrWriter) {
+        self.0.write(to);
+    }
+
+    fn read(from: &mut CdrReader<'_>) -> Result<Self, CdrError> {
+        Cdr::read(from).map(Self)
+    }
+}
+
+impl Described for Name {
+    fn name() -> String {
+        "string<=256".into()
+    }
+}
 
 messages! {
     /// An endpoint's name, from Iron on.
     "rmw_dds_common/msg/Gid" Gid { data: [u8; 16] }
     /// A node and its endpoints.
     "rmw_dds_common/msg/NodeEntitiesInfo" NodeEntitiesInfo {
-        node_namespace: String, node_name: String, reader_gid_seq: Vec<Gid>, writer_gid_seq: Vec<Gid>,
+        node_namespace: Name, node_name: Name, reader_gid_seq: Vec<Gid>, writer_gid_seq: Vec<Gid>,
     }
     /// A participant and its nodes.
     "rmw_dds_common/msg/ParticipantEntitiesInfo" ParticipantEntitiesInfo {

@@ -10,6 +10,7 @@
 //! | `services` | `std_srvs`, `rcl_interfaces` |
 
 pub mod graph;
+mod hash;
 pub mod own;
 pub mod services;
 pub mod shown;
@@ -29,6 +30,14 @@ pub trait Described {
 pub trait Message: Cdr + Described + Clone + Send + 'static {
     /// `PACKAGE/msg/NAME` or `PACKAGE/srv/NAME`.
     const TYPE: &'static str;
+
+    /// Its hash, as nodes of ROS 2 from Iron on announce it: `RIHS01_` and 64 hexadecimal digits.
+    #[must_use]
+    fn type_hash() -> String {
+        let mut parts = Vec::new();
+        Self::parts(&mut parts);
+        hash::rihs01(&parts)
+    }
 
     /// The whole definition: its fields, then those of what it is made of, as recordings have it (`ros2msg`).
     fn definition() -> String {

@@ -1,6 +1,7 @@
 //! Services: starting and stopping the recording, and reading parameters.
 
 use super::messages;
+use super::shown::Byte;
 
 messages! {
     /// Do it; the field is there because a message has one.
@@ -10,7 +11,7 @@ messages! {
     /// A parameter's value: the one of the type that `type` names (1 bool, 2 integer, 3 double, 4 string).
     "rcl_interfaces/msg/ParameterValue" ParameterValue {
         r#type: u8, bool_value: bool, integer_value: i64, double_value: f64, string_value: String,
-        byte_array_value: Vec<u8>, bool_array_value: Vec<bool>, integer_array_value: Vec<i64>,
+        byte_array_value: Vec<Byte>, bool_array_value: Vec<bool>, integer_array_value: Vec<i64>,
         double_array_value: Vec<f64>, string_array_value: Vec<String>,
     }
     /// Which parameters.

@@ -197,6 +197,7 @@ fn stock_summary(stock: &Stock) -> String {
     let counts = [
         (counters.ring_full, "packets dropped, the ring was full (--receive-buffer makes it larger)"),
         (counters.unreadable, "packets that could not be read"),
+        (counters.missed, "packets missed: the kernel did not run the program at them"),
         (counters.malformed, "events that contradict themselves"),
         (cards.bad_phy.into(), "receptions (0xC0) too short"),
         (cards.bad_mpdu.into(), "frames (0xC1) whose lengths contradict each other"),

@@ -103,6 +103,8 @@ pub struct StockCounts {
     pub ring_full: u64,
     /// Packets that the program could not read.
     pub unreadable: u64,
+    /// Packets at which the kernel did not run the program: it was in another one on the same processor.
+    pub missed: u64,
     /// Events that contradict themselves: program and reader do not fit each other.
     pub malformed: u64,
     /// Frames (0xC1) of cards that had sent no CSI yet, not given: the driver of another Intel card shares the function.
@@ -163,7 +165,8 @@ impl Stock {
     /// Everything counted so far; losses after the last event included.
     #[must_use]
     pub fn counters(&self) -> StockCounts {
-        let mut counters = StockCounts { reattached: self.reattached, ..self.intake.counters() };
+        let (reattached, missed) = (self.reattached, self.program.missed());
+        let mut counters = StockCounts { reattached, missed, ..self.intake.counters() };
         if let Some([hits, ring_full, unreadable]) = self.program.counts() {
             counters.hits = hits;
             counters.ring_full = counters.ring_full.max(ring_full);

@@ -7,6 +7,7 @@ use aya::programs::KProbe;
 use aya::programs::kprobe::KProbeLinkId;
 use aya::{Ebpf, EbpfLoader};
 use nix::sys::resource::{RLIM_INFINITY, Resource, setrlimit};
+use std::os::fd::{AsFd, AsRawFd};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
@@ -16,6 +17,9 @@ static OBJECT: &[u8] = aya::include_bytes_aligned!("../../../../driver-iface/bpf
 const FUNCTION: &str = "iwl_notification_wait";
 /// Where the module is, once loaded.
 const DRIVER: &str = "/sys/module/iwlwifi";
+
+/// The driver's parameter for larger receive buffers: 2 makes them 8 KiB, and iwldvm has 4 KiB otherwise (`dvm/main.c`).
+const BUFFERS: &str = "/sys/module/iwlwifi/parameters/amsdu_size";
 
 /// Hits, events without room in the ring, packets that could not be read (`struct counts` of the program).
 pub(super) type Counts = [u64; 3];
@@ -36,8 +40,11 @@ impl Program {
         // Before 5.11 maps count as locked memory. Where it is refused the kernel says so below.
         let _ = setrlimit(Resource::RLIMIT_MEMLOCK, RLIM_INFINITY, RLIM_INFINITY);
         let whole = u8::from(whole_frames);
+        let buffer =
+            if std::fs::read_to_string(BUFFERS).is_ok_and(|size| size.trim() == "2") { 8_192_u32 } else { 4_096 };
         let mut loader = EbpfLoader::new();
         loader.map_max_entries("EVENTS", ring).override_global("WHOLE_FRAMES", &whole, true);
+        loader.override_global("BUFFER", &buffer, true);
         let mut ebpf = loader.load(OBJECT).map_err(of_loading)?;
         kprobe(&mut ebpf)?.load().map_err(|error| locked_down().unwrap_or_else(|| of_loading(error)))?;
         let taken = |map: Option<aya::maps::Map>| map.ok_or_else(missing);
@@ -78,10 +85,25 @@ impl Program {
         self.link.is_some() && driver() == self.driver
     }
 
+    /// Hits at which the kernel did not run the program, because it was in another one on that processor; 0 where it does
+    /// not count them (before 6.7).
+    pub(super) fn missed(&self) -> u64 {
+        let program = self.ebpf.program("csi5300").and_then(|program| program.fd().ok());
+        let about = program
+            .and_then(|fd| std::fs::read_to_string(format!("/proc/self/fdinfo/{}", fd.as_fd().as_raw_fd())).ok());
+        missed_of(&about.unwrap_or_default())
+    }
+
     /// The program's counters; `None` where the kernel does not give them.
     pub(super) fn counts(&self) -> Option<Counts> {
         self.counts.get(&0, 0).ok()
     }
+}
+
+/// What the kernel says of a program's file descriptor (`bpf_prog_show_fdinfo`).
+fn missed_of(about: &str) -> u64 {
+    let line = about.lines().find_map(|line| line.strip_prefix("recursion_misses:"));
+    line.and_then(|count| count.trim().parse().ok()).unwrap_or(0)
 }
 
 /// The kprobe in the object.
@@ -129,8 +151,16 @@ mod tests {
 
     #[test]
     fn the_object_has_what_is_loaded_from_it() {
-        for name in ["EVENTS", "COUNTS", "SCRATCH", "WHOLE_FRAMES", "kprobe/iwl_notification_wait", "Dual MIT/GPL"] {
+        for name in
+            ["EVENTS", "COUNTS", "SCRATCH", "WHOLE_FRAMES", "BUFFER", "kprobe/iwl_notification_wait", "Dual MIT/GPL"]
+        {
             assert!(OBJECT.windows(name.len()).any(|window| window == name.as_bytes()), "{name}");
         }
+    }
+
+    #[test]
+    fn missed_hits_are_what_the_kernel_says() {
+        let about = "prog_type:\t2\nrun_cnt:\t9\nrecursion_misses:\t7\nverified_insns:\t300\n";
+        assert_eq!((missed_of(about), missed_of("prog_type:\t2\n")), (7, 0));
     }
 }

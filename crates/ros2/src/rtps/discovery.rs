@@ -6,6 +6,8 @@ use csi5300::time::Span;
 use csi5300_bag::cdr::{Cdr, CdrError, CdrReader, CdrWriter};
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+/// Before a type's hash, in the data that ROS 2 adds to an endpoint (REP-2016): `key=value;`, any number of them.
+const TYPE_HASH: &str = "typehash=";
 /// Encapsulation of a list of parameters, little-endian.
 const LIST_LE: [u8; 4] = [0, 3, 0, 0];
 /// The entity that stands for a participant.
@@ -247,6 +249,9 @@ impl EndpointData {
         if !qos.representations.is_empty() {
             list.put(id::REPRESENTATION, |value| qos.representations.write(value));
         }
+        if let Some(hash) = &qos.type_hash {
+            list.put(id::USER_DATA, |value| format!("{TYPE_HASH}{hash};").into_bytes().write(value));
+        }
         list.addresses(id::UNICAST, &self.unicast);
         list.finish()
     }
@@ -273,6 +278,7 @@ impl EndpointData {
                 id::PARTITION => qos.partitions = list(&mut value, name)?,
                 id::REPRESENTATION => qos.representations = list(&mut value, i16::read)?,
                 id::UNICAST => keep(address(&mut value)?, &mut unicast),
+                id::USER_DATA => qos.type_hash = type_hash(&Vec::read(&mut value)?),
                 _ => {}
             }
             Ok(())
@@ -280,6 +286,14 @@ impl EndpointData {
         let named = guid.zip(topic).zip(kind);
         Ok(named.map(|((guid, topic), kind)| Self { guid, topic, kind, qos, unicast }))
     }
+}
+
+/// The hash among the data that ROS 2 adds to an endpoint; one by other rules than RIHS01 says nothing here.
+fn type_hash(user_data: &[u8]) -> Option<String> {
+    let pairs = user_data.split(|byte| *byte == b';');
+    let hash = pairs.into_iter().find_map(|pair| pair.strip_prefix(TYPE_HASH.as_bytes()))?;
+    let digits = hash.strip_prefix(b"RIHS01_").filter(|digits| digits.len() == 64)?;
+    digits.iter().all(u8::is_ascii_hexdigit).then(|| String::from_utf8_lossy(hash).into_owned())
 }
 
 /// The key of an instance that is over, from a payload that has only that.
@@ -324,13 +338,20 @@ mod tests {
         };
         let payload = participant.payload();
         assert_eq!(ParticipantData::read(&payload), Ok(Some(participant)));
-        let qos = Qos { representations: vec![0], ..Qos::latched(3) };
+        let hash = |digit: &str| format!("RIHS01_{}", digit.repeat(64));
+        let qos = Qos { representations: vec![0], type_hash: Some(hash("a")), ..Qos::latched(3) };
         let guid = Guid { prefix: *b"participant.", entity: [0, 0, 1, 3] };
         let (topic, kind) = ("rt/odom".into(), "nav_msgs::msg::dds_::Odometry_".into());
         let endpoint = EndpointData { guid, topic, kind, qos, unicast: vec![at(1, 9)] };
         let other = endpoint.payload();
         assert_eq!(EndpointData::read(&other, true), Ok(Some(endpoint)));
         assert_eq!(key(&other), Some(guid));
+        let words = |text: String| type_hash(text.as_bytes());
+        assert_eq!(words(format!("sertypehash={};typehash={};", hash("b"), hash("a"))), Some(hash("a")));
+        assert_eq!(
+            (words("typehash=RIHS01_a;".into()), words("typehash=RIHS02_0;".into()), type_hash(&[])),
+            (None, None, None)
+        );
         let mut least = List::new();
         least.put(id::ENDPOINT, |value| value.put(&guid.bytes()));
         least.put(id::TOPIC, |value| "t".to_owned().write(value));

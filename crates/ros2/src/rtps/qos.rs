@@ -21,6 +21,8 @@ pub struct Qos {
     pub partitions: Vec<String>,
     /// Representations offered, or taken: 0 is CDR version 1, 2 version 2. None: 0.
     pub representations: Vec<i16>,
+    /// The hash of the type's definition (RIHS01), which ROS 2 puts beside the rest (`USER_DATA`) from Iron on.
+    pub type_hash: Option<String>,
 }
 
 impl Qos {
@@ -49,7 +51,9 @@ impl Qos {
         let representation = self.representations.first().copied().unwrap_or(0);
         let partition = |list: &[String]| if list.is_empty() { vec![String::new()] } else { list.to_vec() };
         let (own, theirs) = (partition(&self.partitions), partition(&asked.partitions));
-        if asked.reliable && !self.reliable {
+        if self.type_hash.as_ref().zip(asked.type_hash.as_ref()).is_some_and(|(own, theirs)| own != theirs) {
+            Some("publisher and subscriber have different definitions of this message (their type hashes differ)")
+        } else if asked.reliable && !self.reliable {
             Some("the publisher is best effort, and the subscriber asks for reliable")
         } else if asked.durability > self.durability {
             Some("the publisher is volatile, and the subscriber asks for transient local")
@@ -94,6 +98,12 @@ mod tests {
         let second = Qos { representations: vec![2], ..usual.clone() };
         assert!(usual.mismatch(&second).is_some_and(|why| why.contains("XCDR")));
         assert_eq!(usual.mismatch(&Qos { representations: vec![2, 0], ..usual.clone() }), None);
+        // One that does not say, such as a node of Humble, goes with all.
+        let hashed = |hash: &str| Qos { type_hash: Some(hash.into()), ..usual.clone() };
+        assert!(hashed("RIHS01_a").mismatch(&hashed("RIHS01_b")).is_some_and(|why| why.contains("type hashes")));
+        for (offered, asked) in [(hashed("RIHS01_a"), hashed("RIHS01_a")), (hashed("RIHS01_a"), usual.clone())] {
+            assert_eq!((offered.mismatch(&asked), asked.mismatch(&offered)), (None, None));
+        }
         let apart = Qos { partitions: vec!["a".into()], ..usual.clone() };
         assert!(usual.mismatch(&apart).is_some_and(|why| why.contains("partitions")));
         for (asked, why) in [

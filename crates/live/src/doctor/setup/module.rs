@@ -3,6 +3,8 @@
 use super::{Driver, Request, Step, System};
 use crate::doctor::card::{FIRMWARE, FIRMWARE_BYTES, wins};
 
+/// A hash of the sources of the module that is loaded.
+const BUILD: &str = "/sys/module/csi5300/srcversion";
 /// The module's parameters.
 const PARAMETERS: &str = "/sys/module/csi5300/parameters";
 /// The module's rate of sounding frames.
@@ -38,7 +40,14 @@ pub(super) fn firmware(system: &dyn System) -> Vec<Step> {
     steps
 }
 
-/// The module with its parameters, unless it already runs with them.
+/// True where the loaded module was built of other sources than the one on this disk, which an update leaves behind.
+fn is_another_build(system: &dyn System) -> bool {
+    let on_disk = system.run(&["modinfo", "-F", "srcversion", "csi5300"]).filter(|ran| ran.ok);
+    let on_disk = on_disk.map(|ran| ran.text.trim().to_owned()).filter(|build| !build.is_empty());
+    on_disk.is_some_and(|build| system.text(BUILD).unwrap_or_default().trim() != build)
+}
+
+/// The module with its parameters, unless it already runs with them and is the one on the disk.
 pub(super) fn load(system: &dyn System, request: &Request) -> Vec<Step> {
     let text = |name: &str| system.text(&format!("{PARAMETERS}/{name}")).unwrap_or_default();
     let answered = request.ack_len.unwrap_or(0).to_string();
@@ -46,9 +55,15 @@ pub(super) fn load(system: &dyn System, request: &Request) -> Vec<Step> {
     let (layout, log) = if request.ack_len.is_some() { ("wsr", "1") } else { ("stock", "5") };
     let first_of = |names: String| names.split(',').next().unwrap_or_default().to_string();
     let there = request.ack_len.is_none() || first_of(text("answer_on")) == request.interface;
-    if [text("layout"), text("connector_log"), text("ack_len")] == [layout, log, &answered] && there {
+    let is_loaded = system.text(&format!("{PARAMETERS}/layout")).is_some();
+    let another = is_loaded && is_another_build(system);
+    if [text("layout"), text("connector_log"), text("ack_len")] == [layout, log, &answered] && there && !another {
         return Vec::new();
     }
+    let why = match another {
+        true => "the loaded csi5300 is another build than the one on this disk (srcversion)",
+        false => "the module takes its parameters when it is loaded",
+    };
     let mut words = vec!["modprobe", "csi5300"];
     let parameters = [
         format!("layout={layout}"),
@@ -57,10 +72,7 @@ pub(super) fn load(system: &dyn System, request: &Request) -> Vec<Step> {
         format!("answer_on={}", request.interface),
     ];
     words.extend(parameters.iter().take(if request.ack_len.is_some() { 4 } else { 2 }).map(String::as_str));
-    vec![
-        Step::run("the module takes its parameters when it is loaded", &["modprobe", "-r", "csi5300"]).may_fail(),
-        Step::run("CSI to the connector", &words),
-    ]
+    vec![Step::run(why, &["modprobe", "-r", "csi5300"]).may_fail(), Step::run("CSI to the connector", &words)]
 }
 
 /// The steps that take the module away, and those that put the firmware back as it was.
@@ -200,6 +212,32 @@ mod tests {
             at("rm ") < at("mv /lib/firmware/iwlwifi-5000-5.ucode.csi5300-aside /lib/firmware/iwlwifi-5000-5.ucode")
         );
         assert!(at("mv ") < at("modprobe iwlwifi"));
+    }
+
+    #[test]
+    fn another_build_than_the_one_on_disk_is_loaded_anew() {
+        let stage = Stage::new("build");
+        stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
+        std::os::unix::fs::symlink(PUBLISHED, stage.0.join("lib/firmware/iwlwifi-5000-2.ucode")).unwrap();
+        for (name, value) in [("layout", "stock"), ("connector_log", "5"), ("ack_len", "0")] {
+            stage.put(&format!("sys/module/csi5300/parameters/{name}"), value);
+        }
+        let load = || load(&stage.tree(), &request(None));
+        assert!(load().is_empty(), "nothing says which builds they are");
+        stage.put("run/modinfo -F srcversion csi5300", "0123456789ABCDEF01234AB\n");
+        for (loaded, steps) in
+            [(None, 2), (Some("FFFFFFFFFFFFFFFFFFFFFFF\n"), 2), (Some("0123456789ABCDEF01234AB\n"), 0)]
+        {
+            loaded.iter().for_each(|build| stage.put(BUILD.trim_start_matches('/'), build));
+            let planned = load();
+            assert_eq!(planned.len(), steps, "{loaded:?}");
+            assert!(
+                planned
+                    .iter()
+                    .take(1)
+                    .all(|step| step.why.contains("another build") && step.line().contains("-r csi5300"))
+            );
+        }
     }
 
     #[test]

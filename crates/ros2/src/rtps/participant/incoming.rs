@@ -88,6 +88,8 @@ impl Participant {
             self.counts.refused += 1;
             return;
         }
+        let places = |data: &ParticipantData| (data.meta.clone(), data.user.clone());
+        let has_moved = self.peers.get(&prefix).is_some_and(|known| places(&known.data) != places(&data));
         self.peers.insert(prefix, Peer { data, meta, user, heard_at: now });
         self.counts.participants = self.peers.len() as u64;
         if is_new {
@@ -103,15 +105,15 @@ impl Participant {
             own_writer.renew(prefix);
         }
         self.writers.iter_mut().for_each(|own| own.end.renew(prefix));
+        if has_moved {
+            let of = self.others.range(all_of(prefix)).map(|(_, other)| other.clone()).collect::<Vec<_>>();
+            of.iter().for_each(|(is_writer, data)| self.meet(*is_writer, data));
+        }
     }
 
     /// Forgets the participant that was silent for longest and goes with nothing here. False if there is none.
     fn make_room(&mut self) -> bool {
-        let all = |prefix: &Prefix| {
-            let guid = |entity| Guid { prefix: *prefix, entity };
-            guid([0; 4])..=guid([255; 4])
-        };
-        let used = |prefix: &Prefix| self.others.range(all(prefix)).next().is_some();
+        let used = |prefix: &Prefix| self.others.range(all_of(*prefix)).next().is_some();
         let idle = self.peers.iter().filter(|(prefix, _)| !used(prefix)).min_by_key(|(_, peer)| peer.heard_at);
         let idle = idle.map(|(prefix, _)| *prefix);
         idle.inspect(|prefix| self.forget(*prefix)).is_some()
@@ -246,6 +248,11 @@ impl Participant {
             }
         }
     }
+}
+
+/// All names that endpoints of a participant can have.
+fn all_of(prefix: Prefix) -> std::ops::RangeInclusive<Guid> {
+    Guid { prefix, entity: [0; 4] }..=Guid { prefix, entity: [255; 4] }
 }
 
 /// Where one that sent from `ip` takes datagrams: at the address of `list` that is `ip`, else at `ip` and the first port of

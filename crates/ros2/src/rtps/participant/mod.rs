@@ -305,6 +305,23 @@ impl Participant {
         Maker::new(*prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish()
     }
 
+    /// From now on it is where `settings` say, and tells those that it knows; the others hear of it as of a new one.
+    pub fn move_to(&mut self, settings: Settings, wall_us: i64) {
+        self.settings = Settings { prefix: self.settings.prefix, ..settings };
+        self.announced = (0, Instant::ZERO);
+        let announcement = self.announcement();
+        self.out.extend(self.peers.values().map(|peer| (peer.meta, announcement.clone())));
+        let unicast = vec![self.settings.user];
+        for own in &mut self.writers {
+            own.data.unicast.clone_from(&unicast);
+            self.publications.0.write(own.data.payload().into(), None, wall_us, &mut self.out);
+        }
+        for own in &mut self.readers {
+            own.data.unicast.clone_from(&unicast);
+            self.subscriptions.0.write(own.data.payload().into(), None, wall_us, &mut self.out);
+        }
+    }
+
     /// Says that this participant is over.
     pub fn leave(&mut self) {
         let own = self.settings.prefix;

@@ -14,6 +14,8 @@ pub(super) struct Net {
     events: Vec<Vec<Event>>,
     pub lose: fn(usize) -> bool,
     sent: usize,
+    /// Last bytes of the participants' addresses.
+    places: Vec<u8>,
 }
 
 impl Net {
@@ -32,7 +34,7 @@ impl Net {
         };
         let all = (0..count).map(one).collect();
         let events = (0..count).map(|_| Vec::new()).collect();
-        Self { all, now: Instant::ZERO, events, lose: |_| false, sent: 0 }
+        Self { all, now: Instant::ZERO, events, lose: |_| false, sent: 0, places: (1..=count).collect() }
     }
 
     /// So many milliseconds, in steps of ten.
@@ -43,9 +45,9 @@ impl Net {
                 self.all[k].handle_timeout(self.now);
                 for (to, bytes) in self.all[k].poll_transmit() {
                     self.sent += 1;
-                    let other = usize::from(to.ip().octets()[3] - 1);
-                    if !(self.lose)(self.sent) && other < self.all.len() {
-                        let from = Ipv4Addr::new(127, 0, 0, k as u8 + 1);
+                    let other = self.places.iter().position(|place| *place == to.ip().octets()[3]);
+                    if let Some(other) = other.filter(|_| !(self.lose)(self.sent)) {
+                        let from = Ipv4Addr::new(127, 0, 0, self.places[k]);
                         self.all[other].handle_datagram(&bytes, from, (self.now, WALL_US), &mut self.events[other]);
                     }
                 }
@@ -188,6 +190,53 @@ fn who_leaves_is_gone_at_once_and_who_dies_after_its_lease() {
     net.lose = |_| false;
     net.run(5_000);
     assert_eq!(net.all[0].reader_state(0).matched, 2, "who is heard again is there again");
+}
+
+#[test]
+fn one_that_gets_another_address_is_met_there_at_once_and_loses_nothing_reliable() {
+    let mut net = Net::new(2);
+    // Both directions: the one that moves writes, and reads.
+    net.all[0].add_writer("rt/a", "T", Qos::reliable(300), WALL_US);
+    net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
+    net.all[1].add_writer("rt/b", "T", Qos::reliable(300), WALL_US);
+    net.all[0].add_reader("rt/b", "T", Qos::reliable(10), WALL_US);
+    net.run(1_000);
+    let exchange = |net: &mut Net, samples: std::ops::Range<u8>| {
+        for k in samples {
+            (0..2).for_each(|one| net.write(one, 0, k));
+            net.run(10);
+        }
+    };
+    exchange(&mut net, 0..50);
+    // The old address is gone; nothing comes there, and what was sent there is lost.
+    net.places[0] = 9;
+    exchange(&mut net, 50..100);
+    let settings = |last| Settings {
+        prefix: [77; 12],
+        name: "p0".into(),
+        meta: at(last, 7410),
+        user: at(last, 7411),
+        announce: vec![at(2, 7410)],
+    };
+    net.all[0].move_to(settings(9), WALL_US);
+    assert_eq!(net.all[0].guid().prefix, [1; 12], "it is the same one");
+    exchange(&mut net, 100..150);
+    net.run(1_000);
+    let all: Vec<u8> = (0..150).collect();
+    assert_eq!((net.came(0), net.came(1)), (all.clone(), all));
+    assert_eq!(net.all[1].counts().participants, 1);
+    // The first announcement of the next address is lost; those of the endpoints come.
+    net.places[0] = 8;
+    net.all[0].move_to(settings(8), WALL_US);
+    for (_, bytes) in net.all[0].poll_transmit().iter().skip(1) {
+        let from = Ipv4Addr::new(127, 0, 0, 8);
+        net.all[1].handle_datagram(bytes, from, (net.now, WALL_US), &mut net.events[1]);
+    }
+    net.run(2_000);
+    exchange(&mut net, 150..200);
+    net.run(1_000);
+    let all: Vec<u8> = (0..200).collect();
+    assert_eq!((net.came(0), net.came(1)), (all.clone(), all));
 }
 
 #[test]

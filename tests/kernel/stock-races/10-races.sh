@@ -1,0 +1,65 @@
+# Two processors: the module comes and goes fifty times while both cards receive at once, channels are set, parameters change and
+# the eBPF program comes and goes at the same function.
+for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm fakecard; do load "$module"; done
+[ "$(grep -c ^processor /proc/cpuinfo)" = 2 ]
+until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
+for k in 0 1; do
+    iw dev "wlan$k" set type monitor
+    ip link set "wlan$k" up
+    iw dev "wlan$k" set channel 6 HT20
+done
+dmesg -c >/dev/null
+counter() { cat "/sys/module/csi5300/counters/$1"; }
+
+for k in 1 2; do
+    CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >"/tmp/traffic-$k" 2>&1 &
+    eval "traffic_$k=$!"
+done
+csi5300 record /tmp/races.dat --force 2>/tmp/recorder &
+recorder=$!
+(
+    programs=0
+    until [ -e /tmp/stop ]; do
+        # Status 3: two senders' packets are mixed, so there are notifications without their reception.
+        csi5300 record --stock /tmp/program.dat --force --records 200 2>/tmp/program || [ "$?" = 3 ] || { cat /tmp/program; exit 1; }
+        programs=$((programs + 1))
+    done
+    echo "$programs" >/tmp/programs
+) &
+programs=$!
+(
+    until [ -e /tmp/stop ]; do for channel in 1 6 11; do iw dev wlan1 set channel "$channel" HT20; done; done
+) &
+channels=$!
+for load in $(seq 50); do
+    [ $((load % 2)) = 0 ] && named="card=fakecard.1" || named="answer_on=wlan0 ack_len=57"
+    insmod /modules/csi5300.ko transmit=fakecard_tx device=0 connector_log=5 $named
+    until [ "$(counter delivered)" -gt 3 ]; do :; done
+    for name in layout:wsr ask:0 ask:7 monitor_tx_rate:0 connector_log:1; do echo "${name#*:}" >"/sys/module/csi5300/parameters/${name%:*}"; done
+    [ "$(counter bfee)" -gt 0 ]
+    rmmod csi5300
+done
+touch /tmp/stop
+wait "$traffic_1" "$traffic_2" "$programs" "$channels"
+kill -TERM "$recorder"
+wait "$recorder" || true
+echo "50 loads, $(cat /tmp/programs) programs"
+
+# What both cards sent at once is counted and made into records once, whichever processor saw it.
+insmod /modules/csi5300.ko transmit=fakecard_tx device=0
+rm -f /tmp/stop
+for k in 1 2; do
+    CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >"/tmp/traffic-$k" 2>&1 &
+    eval "traffic_$k=$!"
+done
+until [ "$(counter bfee)" -gt 5000 ]; do sleep 0.1; done
+touch /tmp/stop
+wait "$traffic_1" "$traffic_2"
+sleep 1
+[ "$(counter phy)" = "$(counter bfee)" ] && [ "$(counter phy)" = "$(counter mpdu)" ]
+[ "$(($(counter records) + $(counter no_phy) + $(counter bad_bfee)))" = "$(counter bfee)" ]
+[ "$(($(counter delivered) + $(counter unheard) + $(counter ring_full)))" = "$(counter records)" ]
+echo "$(counter bfee) notifications of two cards at once: $(counter records) records, $(counter no_phy) without their reception, $(counter missed) missed"
+rmmod csi5300
+dmesg -r | sed -n 's/^<\([0-9]*\)>/\1 /p' | awk '$1 % 8 < 5' | grep -v -e "firmware" -e "taints kernel" -e "verification failed" >/tmp/worse || true
+[ ! -s /tmp/worse ] || { cat /tmp/worse; exit 1; }
