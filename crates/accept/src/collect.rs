@@ -23,6 +23,8 @@ const WRAP_US: i64 = 1 << 32;
 pub struct Plan {
     /// The channel that both cards are tuned to.
     pub channel: Channel,
+    /// Addresses of the first and of the second robot, where they are known; else the usual senders are taken for them.
+    pub macs: Option<[Mac; 2]>,
     /// Neither robot moves.
     pub at_rest: bool,
     /// The first robot's motion and the true direction to the second.
@@ -42,7 +44,7 @@ impl Plan {
     /// A desk of which only the channel is known.
     #[must_use]
     pub fn new(channel: Channel) -> Self {
-        Self { channel, at_rest: false, truth: None }
+        Self { channel, macs: None, at_rest: false, truth: None }
     }
 }
 
@@ -261,7 +263,7 @@ impl Collector {
     /// All that was collected.
     #[must_use]
     pub fn finish(self) -> Evidence {
-        let pairs = self.far.as_ref().map(|far| Pairs::of(&self.near, far, self.plan.channel));
+        let pairs = self.far.as_ref().map(|far| Pairs::of(&self.near, far, &self.plan));
         let Self { plan, near, far, sent, lateness_us, counters } = self;
         Evidence { plan, near, far, sent, lateness_us, counters, pairs }
     }

@@ -1,6 +1,6 @@
 //! Forward and backward frames of one exchange, as two cards reported them.
 
-use crate::collect::{Heard, HeardRecord};
+use crate::collect::{Heard, HeardRecord, Plan};
 use crate::stats::line;
 use csi5300::signal::cfo::{TurnAround, at_centre, round_trip_at_centre};
 use csi5300::signal::channel::{Channel, SUBCARRIERS};
@@ -68,14 +68,18 @@ pub(crate) fn usual_sender(heard: &Heard) -> Option<Mac> {
 impl Pairs {
     /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. Where near heard several robots, that one
     /// is taken with which the product is most coherent; the numbers of all count alike.
-    pub(crate) fn of(near: &Heard, far: &Heard, channel: Channel) -> Self {
-        let Some(of_near) = usual_sender(far) else { return Self::default() };
-        let candidates = senders(near).into_keys().map(|of_far| Self::with(near, far, [of_near, of_far], channel));
+    pub(crate) fn of(near: &Heard, far: &Heard, plan: &Plan) -> Self {
+        let Some(of_near) = plan.macs.map(|macs| macs[0]).or_else(|| usual_sender(far)) else {
+            return Self::default();
+        };
+        let of_far = |mac: &Mac| plan.macs.is_none_or(|macs| macs[1] == *mac);
+        let candidates = senders(near).into_keys().filter(of_far);
+        let candidates = candidates.map(|of_far| Self::with(near, far, [of_near, of_far], plan.channel));
         let candidates: Vec<Self> = candidates.filter(|pairs| pairs.len() > 0).collect();
         let most = candidates.iter().map(Self::len).max().unwrap_or(0);
         let coherence = |pairs: &Self| pairs.compensation.as_ref().map_or(0.0, |found| found.coherence_after);
         let likely = candidates.into_iter().filter(|pairs| 2 * pairs.len() >= most).map(|mut pairs| {
-            pairs.compensate(channel.centre_hz());
+            pairs.compensate(plan.channel.centre_hz());
             pairs
         });
         likely.max_by(|a, b| coherence(a).total_cmp(&coherence(b))).unwrap_or_default()
