@@ -14,6 +14,8 @@ use std::collections::{BTreeMap, HashMap};
 pub(crate) struct Pairs {
     /// Frames that each card heard of the other, each number once.
     pub frames: [usize; 2],
+    /// The near robot sounds others too, so that not all that the far card heard of it was meant for the far robot.
+    pub among_others: bool,
     /// The near card's clock at each pair, microseconds.
     pub near_us: Vec<i64>,
     /// Far clock less near clock, microseconds.
@@ -82,7 +84,9 @@ impl Pairs {
             pairs.compensate(plan.channel.centre_hz());
             pairs
         });
-        likely.max_by(|a, b| coherence(a).total_cmp(&coherence(b))).unwrap_or_default()
+        let pairs = likely.max_by(|a, b| coherence(a).total_cmp(&coherence(b))).unwrap_or_default();
+        let among_others = plan.macs.is_some() && senders(near).len() > 1;
+        Self { among_others, ..pairs }
     }
 
     fn with(near: &Heard, far: &Heard, [of_near, of_far]: [Mac; 2], channel: Channel) -> Self {

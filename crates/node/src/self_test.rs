@@ -90,9 +90,8 @@ impl SelfTest {
         for (peer, (name, _)) in self.peers.iter().enumerate() {
             let both = self.collected(Some(peer)).finish();
             let report = both.far.is_some().then(|| both.judge());
-            let tried = |finding: &Finding| {
-                matches!(finding.of, Of::Far | Of::Link) && finding.verdict != Verdict::NotTried
-            };
+            let tried =
+                |finding: &Finding| matches!(finding.of, Of::Far | Of::Link) && finding.verdict != Verdict::NotTried;
             let findings = report.into_iter().flat_map(|report| report.findings).filter(tried);
             theirs.extend(findings.map(|finding| (Some(name.clone()), finding)));
         }
