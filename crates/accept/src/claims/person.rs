@@ -100,7 +100,7 @@ fn same(evidence: &Evidence, done: Done, needs: Needs) -> Told {
         ));
     };
     let found = format!(
-        "{} logs after it; the largest step is that of {name}: {:+.0} degrees +- {:.0}",
+        "logs after it: {}; the largest step is that of {name}: {:+.0} degrees +- {:.0}",
         after.len(),
         step.to_degrees(),
         error.to_degrees()

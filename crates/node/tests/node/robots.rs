@@ -7,7 +7,7 @@ use csi5300::time::{Instant, Span};
 use csi5300_accept::Verdict;
 use csi5300_node::config::{CameraMount, Config};
 use csi5300_node::machine::{Capture, Machine};
-use csi5300_node::self_test::SelfTest;
+use csi5300_node::self_test::{Found, SelfTest};
 use csi5300_node::sources::Sources;
 use csi5300_sim::{Room, Scene};
 use driver_iface::bfee::Antenna;
@@ -370,20 +370,20 @@ fn the_claims_of_a_running_robot_name_the_peer_whose_card_is_broken() {
         let peers: Vec<_> = (1..3).map(|k| (format!("r{k}"), room.mac(k).unwrap())).collect();
         let test = SelfTest::new("108".parse().unwrap(), room.mac(0).unwrap(), &peers);
         machine.add_tap(test.tap());
-        let verdicts = |verdict| {
-            let found = test.judge();
-            let found = found.into_iter().filter(move |(_, finding)| finding.verdict == verdict);
-            found.map(|(peer, finding)| (finding.id, peer.unwrap_or_default())).collect::<Vec<_>>()
+        let with = |found: &[Found], verdict| {
+            let found = found.iter().filter(|(_, finding)| finding.verdict == verdict);
+            found.map(|(peer, finding)| (finding.id, peer.clone().unwrap_or_default())).collect::<Vec<_>>()
         };
-        assert!(verdicts(Verdict::Holds).is_empty(), "nothing was heard");
+        assert!(with(&test.judge(), Verdict::Holds).is_empty(), "nothing was heard");
         let mut now = Instant::ZERO;
         while now < Instant::from_us(22_000_000) {
             while machine.take(now).unwrap() {}
             now += Span::from_ms(10);
         }
-        let failed = verdicts(Verdict::Fails);
+        let found = test.judge();
+        let failed = with(&found, Verdict::Fails);
         assert_eq!(failed.iter().map(|(id, peer)| (*id, peer.as_str())).collect::<Vec<_>>(), fails, "{fault}");
-        let holds = verdicts(Verdict::Holds);
+        let holds = with(&found, Verdict::Holds);
         for peer in ["r1", "r2"] {
             for id in ["exchange.pairs", "exchange.drift", "log.whole", "reception.gaps"] {
                 assert!(holds.contains(&(id, peer.to_owned())), "{id} {peer}: {holds:?}");
