@@ -185,7 +185,8 @@ fn answerer(desk: &Desk, first: Mac) -> Words<(Running, Mac)> {
         interface: desk.interface.clone().unwrap_or_default(),
         mac: None,
         peers: vec![first],
-        request: Request::new(1, 100.0).with_phy(PHY).with_dialect(dialect),
+        // It answers each frame when it comes, and sends none of its own: the plan only has to fit.
+        request: Request::new(1, 100.0).with_phy(PHY).with_dialect(dialect).with_turn_around_us(6_000),
         own_index: 0,
         key: None,
     };
