@@ -9,7 +9,7 @@ use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Error, Injector, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::bfee::{Iq, MAX_SAMPLES, Repr};
+use driver_iface::bfee::{Antenna, Iq, MAX_SAMPLES, Repr};
 use driver_iface::sounding::wsr::{self, Lfsr};
 
 /// Records of one card that the claims look at: an hour at 100 a second. Later ones are counted and in the log.
@@ -23,6 +23,8 @@ const WRAP_US: i64 = 1 << 32;
 pub struct Plan {
     /// The channel that both cards are tuned to.
     pub channel: Channel,
+    /// Addresses of the first and of the second robot, where they are known; else the usual senders are taken for them.
+    pub macs: Option<[Mac; 2]>,
     /// Neither robot moves.
     pub at_rest: bool,
     /// The first robot's motion and the true direction to the second.
@@ -42,7 +44,7 @@ impl Plan {
     /// A desk of which only the channel is known.
     #[must_use]
     pub fn new(channel: Channel) -> Self {
-        Self { channel, at_rest: false, truth: None }
+        Self { channel, macs: None, at_rest: false, truth: None }
     }
 }
 
@@ -143,6 +145,36 @@ impl Heard {
     }
 }
 
+/// What a person did to a card.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Done {
+    /// Tuned it to another channel and back.
+    Retuned,
+    /// Loaded its driver anew.
+    Reloaded,
+}
+
+/// What the cards gave after that, at the same places.
+#[derive(Debug)]
+pub struct After {
+    /// What was done.
+    pub done: Done,
+    /// What the first robot's card gave.
+    pub near: Heard,
+    /// What the second robot's card gave, where there is its log.
+    pub far: Option<Heard>,
+    pub(crate) pairs: Option<Pairs>,
+}
+
+/// What the interface that sends knows of itself.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Interface {
+    /// Frames that the driver reported as sent.
+    pub confirmed: Option<u64>,
+    /// What the regulatory rules say of the channel, as `iw phy` has it in parentheses; empty where they allow everything.
+    pub channel_flags: Option<String>,
+}
+
 /// A frame that was sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sent {
@@ -164,7 +196,7 @@ pub struct Sending<'a> {
     number: u32,
 }
 
-/// Frames a second at which the suite sends, and how many frames at each: 15 s in all.
+/// Frames a second at which the suite sends, and how many frames at each: 16.4 s in all.
 const RATES: [(f64, usize); 4] = [(20.0, 200), (50.0, 200), (200.0, 400), (1_000.0, 400)];
 
 impl<'a> Sending<'a> {
@@ -173,6 +205,18 @@ impl<'a> Sending<'a> {
         let left = RATES.iter().rev().flat_map(|(rate_hz, count)| std::iter::repeat_n(*rate_hz, *count)).collect();
         // The radio has settled by then.
         Self { injector, sender, left, next_at: Instant::from_us(100_000), filler: Lfsr::default(), number: 0 }
+    }
+
+    /// How long all of it takes.
+    #[must_use]
+    pub fn takes() -> Span {
+        Span::from_s(RATES.iter().map(|(rate_hz, count)| *count as f64 / rate_hz).sum())
+    }
+
+    /// Bytes of a frame, without its check sequence.
+    #[must_use]
+    pub fn frame_len() -> usize {
+        wsr::Repr { sender: Mac::ZERO, number: 0, len_with_fcs: wsr::DEFAULT_LEN }.mpdu_len()
     }
 
     /// When the next frame is due; `None` after the last one.
@@ -203,6 +247,9 @@ pub struct Collector {
     near: Heard,
     far: Option<Heard>,
     sent: Vec<Sent>,
+    interface: Interface,
+    after: Vec<After>,
+    unplugged: Vec<(Antenna, Heard)>,
     lateness_us: Vec<f64>,
     counters: Vec<(String, u64)>,
 }
@@ -216,6 +263,9 @@ impl Collector {
             near: Heard::default(),
             far: None,
             sent: Vec::new(),
+            interface: Interface::default(),
+            after: Vec::new(),
+            unplugged: Vec::new(),
             lateness_us: Vec::new(),
             counters: Vec::new(),
         }
@@ -224,7 +274,7 @@ impl Collector {
     /// A card gave this.
     pub fn heard(&mut self, side: Side, next: &Next<'_>) {
         match side {
-            Side::Near => self.near.note(next),
+            Side::Near => self.unplugged.last_mut().map_or(&mut self.near, |(_, heard)| heard).note(next),
             Side::Far => self.far.get_or_insert_default().note(next),
         }
     }
@@ -232,6 +282,23 @@ impl Collector {
     /// The first robot sent a frame.
     pub fn sent(&mut self, frame: Sent) {
         self.sent.push(frame);
+    }
+
+    /// What the interface knows that sent them.
+    pub fn interface(&mut self, interface: Interface) {
+        self.interface = interface;
+    }
+
+    /// Logs of both cards after something was done to the first one.
+    pub fn after(&mut self, done: Done, near: &[u8], far: Option<&[u8]>) {
+        let (near, far) = (Heard::of_log(near), far.map(Heard::of_log));
+        let pairs = far.as_ref().map(|far| Pairs::of(&near, far, &self.plan));
+        self.after.push(After { done, near, far, pairs });
+    }
+
+    /// From now on this antenna of the first robot is unplugged, and no other; what follows is kept apart. The last thing in a run.
+    pub fn unplugged(&mut self, antenna: Antenna) {
+        self.unplugged.push((antenna, Heard::default()));
     }
 
     /// A log is one card's, in place of what was heard live.
@@ -261,9 +328,9 @@ impl Collector {
     /// All that was collected.
     #[must_use]
     pub fn finish(self) -> Evidence {
-        let pairs = self.far.as_ref().map(|far| Pairs::of(&self.near, far, self.plan.channel));
-        let Self { plan, near, far, sent, lateness_us, counters } = self;
-        Evidence { plan, near, far, sent, lateness_us, counters, pairs }
+        let pairs = self.far.as_ref().map(|far| Pairs::of(&self.near, far, &self.plan));
+        let Self { plan, near, far, sent, interface, after, unplugged, lateness_us, counters } = self;
+        Evidence { plan, near, far, sent, interface, after, unplugged, lateness_us, counters, pairs }
     }
 }
 
@@ -278,6 +345,12 @@ pub struct Evidence {
     pub far: Option<Heard>,
     /// The frames that the first robot sent, where that is known.
     pub sent: Vec<Sent>,
+    /// What the interface knows that sent them.
+    pub interface: Interface,
+    /// What the cards gave after each retune and each reload.
+    pub after: Vec<After>,
+    /// What the first robot's card gave while one antenna was unplugged.
+    pub unplugged: Vec<(Antenna, Heard)>,
     /// How late the host woke, microseconds.
     pub lateness_us: Vec<f64>,
     /// By how much each counter of the kernel module grew meanwhile; empty where there is none.

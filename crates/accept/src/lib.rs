@@ -31,6 +31,7 @@ pub mod stats;
 
 pub use claims::{CLAIMS, Claim, Needs};
 pub use collect::{
-    Collector, Evidence, Heard, HeardRecord, Plan, Sending, Sent, Side, Truth, collect, run, run_sending,
+    After, Collector, Done, Evidence, Heard, HeardRecord, Interface, Plan, Sending, Sent, Side, Truth, collect, run,
+    run_sending,
 };
 pub use report::{Curve, Figure, Finding, LogFacts, Of, Report, Verdict};

@@ -1,6 +1,6 @@
 //! Forward and backward frames of one exchange, as two cards reported them.
 
-use crate::collect::{Heard, HeardRecord};
+use crate::collect::{Heard, HeardRecord, Plan};
 use crate::stats::line;
 use csi5300::signal::cfo::{TurnAround, at_centre, round_trip_at_centre};
 use csi5300::signal::channel::{Channel, SUBCARRIERS};
@@ -14,6 +14,8 @@ use std::collections::{BTreeMap, HashMap};
 pub(crate) struct Pairs {
     /// Frames that each card heard of the other, each number once.
     pub frames: [usize; 2],
+    /// The near robot sounds others too, so that not all that the far card heard of it was meant for the far robot.
+    pub among_others: bool,
     /// The near card's clock at each pair, microseconds.
     pub near_us: Vec<i64>,
     /// Far clock less near clock, microseconds.
@@ -68,17 +70,23 @@ pub(crate) fn usual_sender(heard: &Heard) -> Option<Mac> {
 impl Pairs {
     /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. Where near heard several robots, that one
     /// is taken with which the product is most coherent; the numbers of all count alike.
-    pub(crate) fn of(near: &Heard, far: &Heard, channel: Channel) -> Self {
-        let Some(of_near) = usual_sender(far) else { return Self::default() };
-        let candidates = senders(near).into_keys().map(|of_far| Self::with(near, far, [of_near, of_far], channel));
+    pub(crate) fn of(near: &Heard, far: &Heard, plan: &Plan) -> Self {
+        let Some(of_near) = plan.macs.map(|macs| macs[0]).or_else(|| usual_sender(far)) else {
+            return Self::default();
+        };
+        let of_far = |mac: &Mac| plan.macs.is_none_or(|macs| macs[1] == *mac);
+        let candidates = senders(near).into_keys().filter(of_far);
+        let candidates = candidates.map(|of_far| Self::with(near, far, [of_near, of_far], plan.channel));
         let candidates: Vec<Self> = candidates.filter(|pairs| pairs.len() > 0).collect();
         let most = candidates.iter().map(Self::len).max().unwrap_or(0);
         let coherence = |pairs: &Self| pairs.compensation.as_ref().map_or(0.0, |found| found.coherence_after);
         let likely = candidates.into_iter().filter(|pairs| 2 * pairs.len() >= most).map(|mut pairs| {
-            pairs.compensate(channel.centre_hz());
+            pairs.compensate(plan.channel.centre_hz());
             pairs
         });
-        likely.max_by(|a, b| coherence(a).total_cmp(&coherence(b))).unwrap_or_default()
+        let pairs = likely.max_by(|a, b| coherence(a).total_cmp(&coherence(b))).unwrap_or_default();
+        let among_others = plan.macs.is_some() && senders(near).len() > 1;
+        Self { among_others, ..pairs }
     }
 
     fn with(near: &Heard, far: &Heard, [of_near, of_far]: [Mac; 2], channel: Channel) -> Self {

@@ -8,6 +8,7 @@
 //! | `together` | where to begin in two replayed logs, so that they play together |
 //! | `threads` | the card and the wheels read on threads of their own |
 //! | [`machine`] | the robot as one value: sources, log, estimator, taps |
+//! | [`self_test`] | the acceptance claims of the last seconds |
 //! | `sounder` | the robot's part in the sounding exchange |
 //! | [`adapters`] | what a node speaks, behind one trait: ROS 1 and 2, zenoh, Foxglove, lines of JSON, the status socket |
 //! | [`health`] | what is published beside the bearings |
@@ -22,6 +23,7 @@ mod descriptors;
 mod error;
 pub mod health;
 pub mod machine;
+pub mod self_test;
 pub mod service;
 mod sounder;
 pub mod sources;

@@ -69,6 +69,8 @@ pub trait Tap: Send {
     fn record(&mut self, host_us: Option<i64>, record: Record<'_>);
     /// A pose of this robot's antenna; `None`: those that follow are in another frame.
     fn pose(&mut self, pose: Option<Pose>);
+    /// Everything that a card gave, losses too: this robot's, or that of peer number `peer`.
+    fn heard(&mut self, _peer: Option<usize>, _now: Instant, _next: &Next<'_>) {}
 }
 
 /// A source and whether it ended.
@@ -219,6 +221,7 @@ impl Machine {
             if let Next::Record(stamps, record) = &next {
                 self.taps.iter_mut().for_each(|tap| tap.record(stamps.host_us, *record));
             }
+            self.taps.iter_mut().for_each(|tap| tap.heard(None, now, &next));
             self.estimator.handle_own(&next);
             match next {
                 Next::Pending => return Ok(false),
@@ -240,6 +243,7 @@ impl Machine {
         for _ in 0..BURST {
             match records.source.receive(now) {
                 Ok(next) => {
+                    self.taps.iter_mut().for_each(|tap| tap.heard(Some(peer), now, &next));
                     self.estimator.handle_peer(peer, &next);
                     match next {
                         Next::Pending => return false,

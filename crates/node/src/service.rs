@@ -60,7 +60,7 @@ pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
     let mut adapters = adapters::make(&Start { config, name: &name, wall_us, wake: Arc::clone(&wake) })?;
     let sources = Sources::open(config, Instant::ZERO, wall_us, &mut adapters)?;
     let peers = sources.peers.iter().map(|peer| (peer.peer.name.clone(), peer.peer.mac)).collect();
-    let robot = Robot { own: sources.own, peers };
+    let robot = Robot { name: name.clone(), own: sources.own, peers };
     adapters.iter_mut().try_for_each(|adapter| adapter.meet(&robot))?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let io = |source| Error::Io { what: "cannot start tokio".into(), source };

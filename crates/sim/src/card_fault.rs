@@ -65,11 +65,15 @@ pub enum CardFault {
     NoiseFloor,
     /// The coefficients are mostly noise.
     Deaf,
+    /// Antenna B's phase is a quarter of a turn ahead, as a synthesizer divides that began in another state.
+    QuarterTurn,
+    /// All phases are half a turn ahead.
+    HalfTurn,
 }
 
 impl CardFault {
     /// All, in the order of their declaration.
-    pub const ALL: [Self; 28] = [
+    pub const ALL: [Self; 30] = [
         Self::AntennasSwapped,
         Self::AntennasConstant,
         Self::AntennasInvalid,
@@ -98,6 +102,8 @@ impl CardFault {
         Self::CountStands,
         Self::NoiseFloor,
         Self::Deaf,
+        Self::QuarterTurn,
+        Self::HalfTurn,
     ];
 
     /// Its name in a scene.
@@ -234,6 +240,13 @@ impl FaultyCard {
                     *iq = Iq { i: iq.i.saturating_add(noise(sample, 0)), q: iq.q.saturating_add(noise(sample, 1)) };
                 }
             }
+            CardFault::QuarterTurn => {
+                let chain = (0..n_rx).find(|chain| repr.antenna_sel >> (2 * chain) & 3 == 1);
+                if let Some(chain) = chain {
+                    csi[..30 * n_rx].chunks_exact_mut(n_rx).for_each(|row| turned(&mut row[chain..=chain], 1.0, 0.25));
+                }
+            }
+            CardFault::HalfTurn => turned(csi, 1.0, 0.5),
             _ => {}
         }
         true

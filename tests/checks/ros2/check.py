@@ -70,7 +70,7 @@ def outputs(participant):
                 peers.add(name)
         assert time.monotonic() < end, told
     said = Reader(participant, "rt/diagnostics", ros.DiagnosticArray, reliable).next()
-    assert [s.name for s in said.status] == ["csi5300: card", "csi5300: odometry", "csi5300: peer tb3_1", "csi5300: peer tb3_2", "csi5300: node"], said
+    assert [s.name for s in said.status] == ["csi5300: card", "csi5300: odometry", "csi5300: peer tb3_1", "csi5300: peer tb3_2", "csi5300: node", "csi5300: claims"], said
     assert said.status[0].level == 0 and float(said.status[0].values[1].value) > 50, said
     direction = Reader(participant, f"{NODE}/tb3_1/direction", ros.PoseStamped, reliable).next()
     q = direction.pose.orientation
@@ -136,6 +136,29 @@ def recording(participant):
     text = open(f"{folder}/again/metadata.yaml").read().replace("run-r1_0", "again_0")
     open(f"{folder}/again/metadata.yaml", "w").write(text)
     print("recordings are started and stopped by services", flush=True)
+
+def self_test(participant):
+    """The acceptance claims, as the service that ROS has for it and in the diagnostics."""
+    writer = DataWriter(participant, Topic(participant, "rq/csi5300_tb3_0/self_testRequest", ros.SelfTestRequest), qos=reliable)
+    reader = Reader(participant, "rr/csi5300_tb3_0/self_testReply", ros.SelfTestResponse, reliable)
+    end = time.monotonic() + 60
+    while not writer.get_matched_subscriptions() or not reader.reader.get_matched_publications():
+        assert time.monotonic() < end, "no service self_test"
+        time.sleep(0.05)
+    writer.write(ros.SelfTestRequest(78, 1, 0))
+    said = reader.next(60)
+    assert (said.client, said.number, said.id) == (78, 1, "tb3_0"), said
+    told = {status.name: status for status in said.status}
+    failed = [f"{status.name}: {status.message}" for status in said.status if status.level == 2]
+    assert said.passed == 1 and not failed, failed
+    for name in ["reception.once", "log.whole", "exchange.pairs, tb3_1", "exchange.pairs, tb3_2"]:
+        assert told[f"csi5300: {name}"].level == 0, told[f"csi5300: {name}"]
+    assert told["csi5300: injection.heard"].level == 3
+    reader, end = Reader(participant, "rt/diagnostics", ros.DiagnosticArray, reliable), time.monotonic() + 60
+    while (claims := reader.next().status[-1]).level == 3:
+        assert time.monotonic() < end, claims
+    assert claims.level == 0 and claims.message.endswith("claims hold"), claims
+    print(f"the service self_test answers for {len(said.status)} claims; diagnostics: {claims.message}", flush=True)
 
 def wrong_ends(participant):
     """Who asks for more than is offered, or sends something else, is told so."""
@@ -215,6 +238,7 @@ def main():
     outputs(participant)
     shown()
     recording(participant)
+    self_test(participant)
     wrong_ends(participant)
     hostile(participant)
     # A robot that dies is missed; one that begins anew is heard.

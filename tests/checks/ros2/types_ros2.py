@@ -227,6 +227,20 @@ class TriggerRequest(IdlStruct, typename=name("std_srvs", "Trigger_Request", "sr
     none: uint8
 
 @dataclass
+class SelfTestRequest(IdlStruct, typename=name("diagnostic_msgs", "SelfTest_Request", "srv")):
+    client: uint64
+    number: int64
+    none: uint8
+
+@dataclass
+class SelfTestResponse(IdlStruct, typename=name("diagnostic_msgs", "SelfTest_Response", "srv")):
+    client: uint64
+    number: int64
+    id: str
+    passed: uint8
+    status: sequence[DiagnosticStatus]
+
+@dataclass
 class TriggerResponse(IdlStruct, typename=name("std_srvs", "Trigger_Response", "srv")):
     client: uint64
     number: int64

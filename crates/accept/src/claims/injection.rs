@@ -1,9 +1,9 @@
 //! Claims of what is sent.
 
 use super::{Needs, Told};
-use crate::collect::{Evidence, Sent};
+use crate::collect::{Evidence, HeardRecord, Sent};
 use crate::pairs::usual_sender;
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 
 /// Above this rate frames may be refused or lost: it is measured only.
 const ASKED_HZ: f64 = 200.0;
@@ -44,6 +44,60 @@ pub(super) fn heard(evidence: &Evidence) -> Told {
     let lost = asked.iter().filter(|sent| !heard.contains(&sent.number)).count();
     let told = Told::share(lost, asked.len(), 0.1, "frames were not heard");
     Told { found: format!("{}: {}", told.found, by_rate.join(", ")), ..told }
+}
+
+pub(super) fn pace(evidence: &Evidence) -> Told {
+    let (Some(far), false) = (&evidence.far, evidence.sent.is_empty()) else { return Told::needs(Needs::Sending) };
+    let Some(sender) = usual_sender(far) else { return Told::not_tried("the far card heard no number") };
+    let number = |record: &HeardRecord| Some((record.number?, record.card_us)).filter(|_| record.mac == sender);
+    let heard: BTreeMap<u32, i64> = far.records.iter().filter_map(number).collect();
+    let mut rates: Vec<f64> = evidence.sent.iter().map(|sent| sent.rate_hz).collect();
+    rates.dedup();
+    // By the far card's clock, from the first to the last frame of a rate that it heard.
+    let pace = |rate: &f64| {
+        let of_rate = evidence.sent.iter().filter(|sent| sent.rate_hz == *rate);
+        let heard: Vec<(u32, i64)> =
+            of_rate.filter_map(|sent| Some((sent.number, *heard.get(&sent.number)?))).collect();
+        let (first, last) = heard.first().zip(heard.last()).filter(|_| heard.len() >= 20)?;
+        let seconds = (last.1 - first.1) as f64 * 1e-6;
+        (seconds > 0.0).then(|| (*rate, f64::from(last.0.wrapping_sub(first.0)) / seconds))
+    };
+    let paces: Vec<(f64, f64)> = rates.iter().filter_map(pace).collect();
+    let Some((rate, hz)) = paces
+        .iter()
+        .filter(|(rate, _)| *rate <= ASKED_HZ)
+        .max_by(|a, b| (a.1 / a.0 - 1.0).abs().total_cmp(&(b.1 / b.0 - 1.0).abs()))
+    else {
+        return Told::not_tried("fewer than 20 frames of each rate were heard");
+    };
+    let words: Vec<String> = paces.iter().map(|(rate, hz)| format!("{hz:.1} of {rate:.0}/s")).collect();
+    Told::decided((hz / rate - 1.0).abs() <= 0.1, words.join(", ")).with("worst", hz / rate, "of the rate asked for")
+}
+
+pub(super) fn confirmed(evidence: &Evidence) -> Told {
+    let taken = evidence.sent.iter().filter(|sent| sent.taken).count();
+    match evidence.interface.confirmed {
+        _ if taken == 0 => Told::needs(Needs::Sending),
+        None => Told::not_tried("this interface reports nothing of what it sends"),
+        Some(0) if heard_by_far(evidence).is_some_and(|heard| !heard.is_empty()) => {
+            Told::not_tried("the driver reports none of the frames, and the far card heard them")
+        }
+        // A frame may be reported that somebody else sent through the interface.
+        Some(count) => {
+            let missing = taken.saturating_sub(usize::try_from(count).unwrap_or(usize::MAX));
+            Told::share(missing, taken, 0.1, "frames were not reported as sent")
+        }
+    }
+}
+
+pub(super) fn channel(evidence: &Evidence) -> Told {
+    let Some(flags) = &evidence.interface.channel_flags else {
+        return Told::not_tried("needs the interface that sends and the program iw");
+    };
+    let forbidden: Vec<&str> =
+        ["disabled", "no IR", "passive", "radar"].into_iter().filter(|flag| flags.contains(*flag)).collect();
+    let found = if flags.is_empty() { "no flags".to_owned() } else { flags.clone() };
+    Told::decided(forbidden.is_empty(), found)
 }
 
 pub(super) fn numbers(evidence: &Evidence) -> Told {

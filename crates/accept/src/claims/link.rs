@@ -26,8 +26,11 @@ pub(super) fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
 pub(super) fn pairs(evidence: &Evidence) -> Told {
     let Some(pairs) = &evidence.pairs else { return Told::needs(Needs::TwoCards) };
     // Of the card that heard more of the other: the other one's frames are missing.
-    let (most, side) =
-        if pairs.frames[0] >= pairs.frames[1] { (pairs.frames[0], "near") } else { (pairs.frames[1], "far") };
+    let (most, side) = if pairs.among_others || pairs.frames[0] >= pairs.frames[1] {
+        (pairs.frames[0], "near")
+    } else {
+        (pairs.frames[1], "far")
+    };
     match most {
         0 => Told::not_tried("no record has a sender and a number"),
         _ => Told::share(most - pairs.len(), most, 0.1, &format!("frames of the {side} card have no partner")),

@@ -4,6 +4,7 @@ mod host;
 mod injection;
 mod link;
 mod module;
+mod person;
 mod reception;
 
 use crate::collect::{Evidence, Heard};
@@ -29,6 +30,12 @@ pub enum Needs {
     Host,
     /// The kernel module beside the stock driver.
     Module,
+    /// Logs of the same desk at rest, one after each retune.
+    Retunes,
+    /// Logs of the same desk at rest, one after the driver was loaded anew.
+    Reload,
+    /// A person who unplugs antennas.
+    Unplugged,
 }
 
 impl Needs {
@@ -43,6 +50,11 @@ impl Needs {
             Self::Sending => "a card that sends during the run, and one that hears it",
             Self::Host => "a host that waits for a card",
             Self::Module => "the kernel module csi5300 beside the stock driver",
+            Self::Retunes => "robots that stand still (`at_rest`), and a log after each retune (`retuned`)",
+            Self::Reload => {
+                "robots that stand still (`at_rest`), and a log after the driver was loaded anew (`reloaded`)"
+            }
+            Self::Unplugged => "a person who unplugs antennas (`unplug`)",
         }
     }
 }
@@ -154,7 +166,12 @@ impl Claim {
         match self.check {
             Check::Log(check) => {
                 let sides = [(Of::Near, Some(&evidence.near)), (Of::Far, evidence.far.as_ref())];
-                sides.into_iter().filter_map(|(of, heard)| Some(finding(of, check(heard?, evidence)))).collect()
+                let told = |heard: &Heard| match check(heard, evidence) {
+                    // Nothing heard shows nothing good of a card.
+                    told if told.verdict == Verdict::Holds && heard.records.is_empty() => Told::needs(self.needs),
+                    told => told,
+                };
+                sides.into_iter().filter_map(|(of, heard)| Some(finding(of, told(heard?)))).collect()
             }
             Check::Link(check) => vec![finding(Of::Link, check(evidence))],
             Check::Pairs(check) => {
@@ -169,7 +186,7 @@ impl Claim {
 const INFO: &str = "`csi5300 info LOG.dat -v`";
 
 /// All claims, by subject.
-pub static CLAIMS: [Claim; 42] = [
+pub static CLAIMS: [Claim; 48] = [
     Claim {
         id: "host.buffer",
         says: "The listener reads as fast as records come: no queue runs over.",
@@ -340,6 +357,20 @@ pub static CLAIMS: [Claim; 42] = [
         ],
         next: "unplug antenna B, record 10 s, and look at `csi5300 info LOG.dat --plot DIR`: the named chain falls",
         check: Check::Log(reception::antenna_names),
+    },
+    Claim {
+        id: "reception.unplugged",
+        says: "The chain that is named after an unplugged antenna falls.",
+        needs: Needs::Unplugged,
+        expected: "by at least 6 dB against the other chains, and more than any other",
+        source: "an open port hears less than a quarter of what its antenna heard",
+        causes: &[
+            "`antenna_sel` is constant or wrong: see reception.antennas",
+            "another antenna was unplugged",
+            "the antennas couple: they are closer than a few centimetres",
+        ],
+        next: "plug all in and run it again; then the cables from the card to the housing",
+        check: Check::Link(person::unplugged),
     },
     Claim {
         id: "reception.subcarriers",
@@ -532,6 +563,29 @@ pub static CLAIMS: [Claim; 42] = [
         check: Check::Pairs(link::rest),
     },
     Claim {
+        id: "phase.retune",
+        says: "After a retune the phases between antennas and of the round trip are the same.",
+        needs: Needs::Retunes,
+        expected: "no step of more than 45 degrees",
+        source: "half of pi/2, the smallest step of this card that is known (firmware-notes/csi-quirks.md)",
+        causes: &[
+            "at 2.4 GHz the card's synthesizer divides by four: steps of 90 degrees are its own",
+            "a robot was moved: 4 mm are 45 degrees of the round trip at 5.5 GHz",
+        ],
+        next: "use one antenna, or begin a new log after each retune",
+        check: Check::Link(person::retune),
+    },
+    Claim {
+        id: "phase.reload",
+        says: "After the driver was loaded anew the phases between antennas and of the round trip are the same.",
+        needs: Needs::Reload,
+        expected: "no step of more than 45 degrees",
+        source: "half of pi/2, the smallest step of this card that is known (firmware-notes/csi-quirks.md)",
+        causes: &["the card calibrates its chains anew", "a robot was moved: 4 mm are 45 degrees of the round trip"],
+        next: "begin a new log after each reload",
+        check: Check::Link(person::reload),
+    },
+    Claim {
         id: "injection.taken",
         says: "The driver takes every frame.",
         needs: Needs::Sending,
@@ -540,6 +594,36 @@ pub static CLAIMS: [Claim; 42] = [
         causes: &["the interface is down or not in monitor mode", "the channel forbids sending (no-IR, radar)"],
         next: "`csi5300 doctor`",
         check: Check::Link(injection::taken),
+    },
+    Claim {
+        id: "injection.channel",
+        says: "The card may start to transmit on its channel.",
+        needs: Needs::Sending,
+        expected: "neither disabled nor no-IR nor radar detection",
+        source: "mac80211 drops injected frames on such channels without a word (firmware-notes/injection.md)",
+        causes: &["the regulatory domain is the world's (00)", "the channel needs radar detection"],
+        next: "sudo iw reg set XX with your country's code, then set the channel; or another channel",
+        check: Check::Link(injection::channel),
+    },
+    Claim {
+        id: "injection.confirmed",
+        says: "The driver reports the frames as sent.",
+        needs: Needs::Sending,
+        expected: "at most 10 % without a report",
+        source: "mac80211: one status a frame; on mac80211_hwsim each frame has one (firmware-notes/injection.md)",
+        causes: &["the channel forbids sending (no-IR, radar): see injection.channel", "the queue ran over"],
+        next: "`csi5300 doctor`",
+        check: Check::Link(injection::confirmed),
+    },
+    Claim {
+        id: "injection.pace",
+        says: "Frames leave as often as they are asked for.",
+        needs: Needs::Sending,
+        expected: "within 10 % at up to 200 frames a second, by the far card's clock",
+        source: "the schedule of the frames that were sent",
+        causes: &["the host is busy: see host.lateness", "the channel is busy, so frames wait for air"],
+        next: "another channel, then cpupower frequency-set -g performance",
+        check: Check::Link(injection::pace),
     },
     Claim {
         id: "injection.heard",

@@ -1,7 +1,9 @@
 //! Mutants of the card, its driver, the air and the desk: each fault fails its own claims and no others.
 
-use crate::room::{failed, judged, scene};
+use crate::room::{failed, judged, scene, standing, unplugged};
+use csi5300_accept::Done;
 use csi5300_sim::CardFault;
+use driver_iface::bfee::Antenna;
 use std::collections::BTreeSet;
 
 /// A fault: its name, what it adds to the radio and to the two robots, what is told of the channel and by how many degrees the direction is told
@@ -14,6 +16,8 @@ struct Fault {
     far: &'static str,
     channel: &'static str,
     off_deg: f64,
+    /// Both robots stand still, and the fault begins after this was done to the near card.
+    after: Option<Done>,
     fails: &'static [&'static str],
 }
 
@@ -45,10 +49,17 @@ fn of_card(fault: CardFault) -> Fault {
         CardFault::DropsTwentieth => &["reception.gaps"],
         CardFault::CountStands => &["reception.count"],
         CardFault::NoiseFloor => &["reception.noise"],
+        CardFault::QuarterTurn => &["phase.retune"],
+        CardFault::HalfTurn => &["phase.reload"],
         CardFault::Deaf => &["phase.cancels", "reception.antennas", "reception.snr"],
     };
     let near = format!("faults.card = [\"{}\"]", fault.name());
-    Fault { near, fails, ..desk(&fault.name()) }
+    let after = match fault {
+        CardFault::QuarterTurn => Some(Done::Retuned),
+        CardFault::HalfTurn => Some(Done::Reloaded),
+        _ => None,
+    };
+    Fault { near, fails, after, ..desk(&fault.name()) }
 }
 
 fn desk(name: &str) -> Fault {
@@ -60,6 +71,7 @@ fn desk(name: &str) -> Fault {
         far: "",
         channel: "108",
         off_deg: 0.0,
+        after: None,
         fails: &[],
     }
 }
@@ -105,12 +117,27 @@ fn all() -> Vec<Fault> {
 }
 
 #[test]
+fn a_chain_that_is_named_wrongly_does_not_fall_with_its_antenna() {
+    let (a, b) = (Antenna::A, Antenna::B);
+    for (told, falls, fails) in [(b, Some(b), false), (a, Some(a), false), (b, Some(a), true), (b, None, true)] {
+        let report = unplugged(told, falls);
+        let expected = fails.then_some("reception.unplugged");
+        assert_eq!(failed(&report), expected.into_iter().collect(), "{told:?} {falls:?} {report}");
+        assert!(fails || report.to_string().contains("reception.unplugged"), "{report}");
+    }
+}
+
+#[test]
 fn every_fault_fails_its_own_claims_and_no_others() {
     let (mut wrong, mut caught) = (Vec::new(), 0);
     let all = all();
     for fault in &all {
         let scene = scene(1, fault.more, &format!("noise.snr_db = 25.0\n{}", fault.radio), &fault.near, fault.far);
-        let failed = failed(&judged(&scene, fault.channel, fault.off_deg));
+        let report = match fault.after {
+            None => judged(&scene, fault.channel, fault.off_deg),
+            Some(done) => standing("", &[(done, &fault.near)]),
+        };
+        let failed = failed(&report);
         caught += usize::from(!failed.is_empty());
         println!("| {} | {} |", fault.name, failed.iter().copied().collect::<Vec<_>>().join(", "));
         if failed != fault.fails.iter().copied().collect::<BTreeSet<_>>() {

@@ -1,13 +1,24 @@
 //! Healthy cards fail no claim.
 
-use crate::room::{failed, judged, scene};
-use csi5300_accept::Verdict;
+use crate::room::{failed, judged, scene, standing};
+use csi5300_accept::{Done, Verdict};
 
 #[test]
 fn a_healthy_pair_fails_nothing_and_is_told_most() {
     let report = judged(&scene(1, "", "noise.snr_db = 25.0", "", ""), "108", 0.0);
     assert!(failed(&report).is_empty(), "{report}");
     assert!(report.count(Verdict::Holds) >= 50, "{report}");
+}
+
+#[test]
+fn phases_at_rest_are_the_same_after_retunes_and_a_reload() {
+    let retuned = (Done::Retuned, "");
+    let report = standing("", &[retuned, retuned, retuned, retuned, retuned, (Done::Reloaded, "")]);
+    assert!(failed(&report).is_empty(), "{report}");
+    for id in ["phase.retune", "phase.reload", "phase.rest"] {
+        let finding = report.findings.iter().find(|finding| finding.id == id).unwrap();
+        assert_eq!(finding.verdict, Verdict::Holds, "{id}: {}", finding.found);
+    }
 }
 
 /// Healthy desks of all kinds: SNR 10 to 35 dB, one to three chains, 20 and 40 MHz, standing and moving, both drivers.

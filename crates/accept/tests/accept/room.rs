@@ -1,7 +1,10 @@
 //! Rooms for the suite.
 
-use csi5300_accept::{Plan, Report, Truth, Verdict, run};
+use csi5300::source::{Next, Stamps};
+use csi5300_accept::{Collector, Done, Evidence, Plan, Report, Side, Truth, Verdict, collect, run};
 use csi5300_sim::{Room, Scene};
+use driver_iface::bfee::{Antenna, Antennas, Iq};
+use driver_iface::record::{Record, code};
 use std::collections::BTreeSet;
 
 /// A robot on a circle and one that stands, with every effect of real cards. `more` is added to the scene's first lines, `near` and `far` to the robots.
@@ -41,6 +44,49 @@ pub fn judged(scene: &Scene, channel: &str, off_deg: f64) -> Report {
     plan.at_rest = scene.robot.iter().all(|robot| robot.motion == csi5300_sim::motion::RobotMotion::default());
     let (mut near, mut far) = (room.card(0).unwrap(), room.card(1).unwrap());
     run(&mut near, Some(&mut far), plan).unwrap()
+}
+
+/// What both cards gave of robots that stand still; `near` is added to the first one.
+fn at_rest(seed: u64, near: &str) -> Evidence {
+    let mut scene = scene(seed, "", "noise.snr_db = 25.0\nchains = 3", near, "");
+    scene.robot[0].motion = Default::default();
+    let mut room = Room::new(&scene).unwrap();
+    let (mut near, mut far) = (room.card(0).unwrap(), room.card(1).unwrap());
+    collect(&mut near, Some(&mut far), None, Plan::new("108".parse().unwrap())).unwrap()
+}
+
+/// Robots that stand still: their first logs, the near robot with `near`, then those after each step, each with what is added to the near robot.
+pub fn standing(near: &str, after: &[(Done, &str)]) -> Report {
+    let mut collector = Collector::new(Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) });
+    let first = at_rest(1, near);
+    collector.log(Side::Near, &first.near.log);
+    collector.log(Side::Far, &first.far.unwrap().log);
+    for (seed, (done, near)) in (2..).zip(after) {
+        let later = at_rest(seed, near);
+        collector.after(*done, &later.near.log, later.far.as_ref().map(|far| far.log.as_slice()));
+    }
+    collector.finish().judge()
+}
+
+/// Robots that stand still, of which one antenna falls by 20 dB after the person was told to unplug `told`.
+pub fn unplugged(told: Antenna, falls: Option<Antenna>) -> Report {
+    let mut collector = Collector::new(Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) });
+    collector.log(Side::Near, &at_rest(1, "").near.log);
+    collector.unplugged(told);
+    for record in at_rest(2, "").near.records {
+        let antennas = Antennas::new(record.head.antenna_sel, record.head.n_rx, record.head.rssi).unwrap();
+        let chain = falls.and_then(|antenna| antennas.chain_of(antenna));
+        let mut csi = record.csi;
+        for (k, iq) in csi.iter_mut().enumerate().filter(|(k, _)| Some(k % 3) == chain) {
+            // What is left of it is noise.
+            *iq = Iq { i: iq.i / 10 + (k % 2) as i8, q: iq.q / 10 };
+        }
+        let mut body = vec![0; record.head.body_len()];
+        record.head.emit(&csi, &mut body).unwrap();
+        let stamps = Stamps { host_us: record.host_us, ..Stamps::default() };
+        collector.heard(Side::Near, &Next::Record(stamps, Record { code: code::BFEE, body: &body }));
+    }
+    collector.finish().judge()
 }
 
 /// Identities of the claims that fail.

@@ -1,33 +1,65 @@
 //! A card that sends, and the driver of another that answers.
 
 use crate::room::failed;
-use csi5300_accept::{Plan, Report, Sending, Verdict, run_sending};
+use csi5300::internal::FrameReceiver;
+use csi5300::source::{Error, Injector};
+use csi5300::time::Instant;
+use csi5300_accept::{Collector, Interface, Plan, Report, Sending, Verdict, collect};
 use csi5300_sim::{Room, Scene};
 
+/// What a driver does to a frame before it leaves: takes it or not, and when.
+type Way = fn(Instant) -> Option<Instant>;
+
+/// An interface that sends so.
+struct Driver {
+    interface: csi5300_sim::Interface,
+    way: Way,
+}
+
+impl Injector for Driver {
+    fn inject(&mut self, now: Instant, frame: &[u8]) -> Result<(), Error> {
+        // Or what it says of older frames is lost.
+        while self.interface.hear()?.is_some() {}
+        (self.way)(now).map_or(Ok(()), |at| self.interface.inject(at, frame))
+    }
+}
+
 /// The near robot sends through its interface; the far robot's driver answers frames of the length that the suite sends.
-fn sent(far: &str) -> Report {
+fn sent(far: &str, way: Way) -> Report {
     let text = format!(
         "duration_s = 20.0\ncfo = \"physical\"\n[radio]\nnoise.snr_db = 25.0\ndelay_ns = 200.0\nphase_noise_rad = 0.1\nturn_around.spread_us = 15.0\n\
          [[robot]]\nname = \"near\"\ncrystal = {{ offset_ppm = -2.0 }}\n\
          [[robot]]\nname = \"far\"\nposition_m = [2.0, 1.0, 0.0]\nack_len = 57\ncrystal = {{ offset_ppm = 3.0 }}\n{far}\n"
     );
     let mut room = Room::quiet(&Scene::parse(&text).unwrap()).unwrap();
-    let mut interface = room.interface(0).unwrap();
+    let mut interface = Driver { interface: room.interface(0).unwrap(), way };
     let sender = room.mac(0).unwrap();
     let (mut near, mut far) = (room.card(0).unwrap(), room.card(1).unwrap());
     let plan = Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) };
-    run_sending(&mut near, Some(&mut far), Sending::new(&mut interface, sender), plan).unwrap()
+    let mut evidence = collect(&mut near, Some(&mut far), Some(Sending::new(&mut interface, sender)), plan).unwrap();
+    // The room's interface says of each frame that it left, once it is asked.
+    while interface.interface.hear().unwrap().is_some() {}
+    evidence.interface.confirmed = interface.interface.sent_for_certain();
+    evidence.interface.channel_flags = Some(String::new());
+    evidence.judge()
+}
+
+/// As a good driver does.
+fn at_once(now: Instant) -> Option<Instant> {
+    Some(now)
 }
 
 #[test]
 fn what_is_sent_is_heard_and_answered() {
-    let report = sent("");
+    let report = sent("", at_once);
     assert!(failed(&report).is_empty(), "{report}");
     let verdict = |id: &str| report.findings.iter().find(|finding| finding.id == id).unwrap().verdict;
     for id in [
         "injection.taken",
         "injection.heard",
         "injection.numbers",
+        "injection.pace",
+        "injection.channel",
         "recorder.same",
         "exchange.pairs",
         "phase.cancels",
@@ -39,8 +71,30 @@ fn what_is_sent_is_heard_and_answered() {
 
 #[test]
 fn frames_that_are_lost_or_renumbered_are_noticed() {
-    let lost = sent("faults.loss = 0.3");
+    let lost = sent("faults.loss = 0.3", at_once);
     assert!(failed(&lost).contains("injection.heard"), "{lost}");
-    let renumbered = sent("faults.card = [\"other_sender\"]");
+    let renumbered = sent("faults.card = [\"other_sender\"]", at_once);
     assert!(failed(&renumbered).contains("injection.heard"), "{renumbered}");
+}
+
+#[test]
+fn frames_that_vanish_or_wait_are_noticed() {
+    let vanish = sent("", |_| None);
+    let failed_of = failed(&vanish);
+    assert!(failed_of.contains("injection.heard") && failed_of.contains("injection.confirmed"), "{vanish}");
+    // A queue that lets a frame out every 8 ms and more: 200 a second become 125.
+    let slow = sent("", |now| Some(Instant::from_us(now.as_us() + now.as_us() * 6 / 10)));
+    assert!(failed(&slow).contains("injection.pace"), "{slow}");
+}
+
+#[test]
+fn flags_of_the_channel_are_told() {
+    let told = |flags: Option<&str>| {
+        let mut collector = Collector::new(Plan::new("108".parse().unwrap()));
+        collector.interface(Interface { channel_flags: flags.map(str::to_owned), ..Interface::default() });
+        let report = collector.finish().judge();
+        report.findings.iter().find(|finding| finding.id == "injection.channel").unwrap().verdict
+    };
+    let verdicts = [None, Some("(20.0 dBm)"), Some("(20.0 dBm) (no IR, radar detection)")].map(told);
+    assert_eq!(verdicts, [Verdict::NotTried, Verdict::Holds, Verdict::Fails]);
 }

@@ -7,7 +7,7 @@
 //! | `shown` | `visualization_msgs`, `diagnostic_msgs` |
 //! | `own` | `csi5300_msgs` (packaging/ros2) |
 //! | `graph` | `rmw_dds_common`: what nodes there are |
-//! | `services` | `std_srvs`, `rcl_interfaces` |
+//! | `services` | `std_srvs`, `rcl_interfaces`, `diagnostic_msgs` |
 
 pub mod graph;
 mod hash;

@@ -1,13 +1,17 @@
-//! Services: starting and stopping the recording, and reading parameters.
+//! Services: starting and stopping the recording, reading parameters, and the self-test.
 
 use super::messages;
-use super::shown::Byte;
+use super::shown::{Byte, DiagnosticStatus};
 
 messages! {
     /// Do it; the field is there because a message has one.
     "std_srvs/srv/Trigger_Request" TriggerRequest { structure_needs_at_least_one_member: u8 }
     /// Whether it was done, and what there is to say.
     "std_srvs/srv/Trigger_Response" TriggerResponse { success: bool, message: String }
+    /// Test yourself; the field is there because a message has one.
+    "diagnostic_msgs/srv/SelfTest_Request" SelfTestRequest { structure_needs_at_least_one_member: u8 }
+    /// Who was tested, whether all passed (1) or not (0), and each test.
+    "diagnostic_msgs/srv/SelfTest_Response" SelfTestResponse { id: String, passed: Byte, status: Vec<DiagnosticStatus> }
     /// A parameter's value: the one of the type that `type` names (1 bool, 2 integer, 3 double, 4 string).
     "rcl_interfaces/msg/ParameterValue" ParameterValue {
         r#type: u8, bool_value: bool, integer_value: i64, double_value: f64, string_value: String,

@@ -3,6 +3,7 @@
 mod common;
 mod respond;
 
+pub use self::common::see_to_rate;
 use self::common::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
 use super::args::{Estimation, antenna, channel};
 use super::live::{Signals, duration};

@@ -32,9 +32,72 @@ fn a_scene_is_judged_and_the_report_is_written() {
     folder.write("desk.toml", b"near = \"desk/near.dat\"\nfar = \"desk/far.dat\"\nchannel = \"108\"\n");
     let (status, out, err) = folder.run(&["doctor", "--accept", "desk.toml"]);
     assert!(status == 1 && out.contains("FAILS      card.clock") && out.contains("recorder.same"), "{out}{err}");
+    // Logs after a retune are compared with those before it; these are the same, of a robot that moved.
+    let more = "near = \"desk/near.dat\"\nfar = \"desk/far.dat\"\nchannel = \"108\"\nat_rest = true\nretuned = [[\"desk/near.dat\", \"desk/far.dat\"]]\n";
+    folder.write("retuned.toml", more.as_bytes());
+    let (_, out, err) = folder.run(&["doctor", "--accept", "retuned.toml", "-v"]);
+    assert!(out.contains("logs after it: 1; the largest step is that of round trip: +0 degrees"), "{out}{err}");
     let (status, out, _) = folder.run(&["doctor", "--accept", "desk/far.dat", "--channel", "108", "--json"]);
     let report: serde_json::Value = serde_json::from_str(&out).unwrap();
     assert_eq!((status, report["logs"][0]["records"].as_u64()), (0, Some(2998)));
+}
+
+#[test]
+fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
+    use crate::air::Program;
+    let folder = Folder::new("accept-together");
+    let robot = |name: &str, more: &str| format!("[[robot]]\nname = \"{name}\"\nposition_m = {more}\n");
+    let (near, far) =
+        (robot("near", "[0.0, 0.0, 0.0]"), robot("far", "[2.0, 1.0, 0.0]\nfaults.card = [\"legacy_rate\"]"));
+    folder.write("scene.toml", format!("duration_s = 600.0\nchannel = 108\n{near}{far}").as_bytes());
+    let path = |name: &str| folder.0.join(name).to_str().unwrap().to_owned();
+    let mut room = Program::start(&["simulate", &path("scene.toml"), "--serve", "--socket", &path("room")]);
+    room.until("serving the room at");
+    let desk = |name: &str, more: &str| {
+        let text = format!("channel = \"108\"\nroom = \"{}#{name}\"\n{more}", path("room"));
+        folder.write(&format!("{name}.toml"), text.as_bytes());
+    };
+    desk("far", "assist = \"127.0.0.1:0\"\nanswer = true\n");
+    let assisting = || {
+        let mut assist = Program::start(&["doctor", "--accept", &path("far.toml")]);
+        assist.until("for the first robot");
+        let address = assist.said.split("waiting at ").nth(1).unwrap().split(' ').next().unwrap().to_owned();
+        (assist, address)
+    };
+    // Of another channel it is refused, in words on both sides.
+    let (assist, address) = assisting();
+    desk("near", &format!("peer = \"{address}\"\n"));
+    let (status, _, err) = folder.run(&["doctor", "--accept", "near.toml", "--channel", "64"]);
+    assert!(status != 0 && err.contains("on channel 64, the second on 108"), "{err}");
+    assert!(assist.end().1.contains("on channel 64, the second on 108"));
+
+    let (assist, address) = assisting();
+    desk("near", &format!("send = true\npeer = \"{address}\"\n"));
+    let (status, out, err) = folder.run(&["doctor", "--accept", "near.toml", "--json"]);
+    assert!(err.contains("send frames at 20, 50, 200 and 1,000 a second (17 s)"), "{err}");
+    let (assisted, said) = assist.end();
+    assert!(assisted == Some(0) && said.contains("bytes of log went to the first robot"), "{said}");
+    let report: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let verdict = |id: &str, of: &str| {
+        let findings = report["findings"].as_array().unwrap();
+        findings.iter().find(|finding| finding["id"] == id && finding["of"] == of).unwrap()["verdict"].clone()
+    };
+    // How punctual a busy machine is, is nobody's question here.
+    assert_eq!(
+        (status, verdict("reception.rate", "far"), verdict("reception.rate", "near")),
+        (1, "fails".into(), "holds".into())
+    );
+    for id in ["injection.numbers", "injection.heard", "injection.confirmed"] {
+        assert_eq!(verdict(id, "link"), "holds", "{id}: {out}");
+    }
+    assert_ne!(verdict("exchange.pairs", "link"), "not_tried");
+    assert_eq!(verdict("injection.channel", "link"), "not_tried");
+
+    // Nobody is asked where nobody sits.
+    desk("near", "unplug = [\"B\"]\n");
+    let (_, out, err) = folder.run(&["doctor", "--accept", "near.toml", "--listen", "100ms"]);
+    assert!(err.contains("no terminal") && out.contains("reception.unplugged"), "{out}{err}");
+    room.stop();
 }
 
 #[test]
@@ -42,10 +105,18 @@ fn what_cannot_be_judged_is_refused() {
     let folder = Folder::new("accept-refused");
     folder.write("desk.toml", b"near = \"no.dat\"\nchannel = \"108\"\n");
     folder.write("typo.toml", b"neer = \"no.dat\"\n");
+    folder.write("both.toml", b"channel = \"108\"\nassist = \"127.0.0.1:0\"\nsend = true\n");
+    folder.write("blind.toml", b"channel = \"108\"\nsend = true\n");
+    folder.write("wrong.toml", b"channel = \"108\"\nunplug = [\"D\"]\n");
+    folder.write("alone.toml", b"channel = \"108\"\npeer = \"127.0.0.1:1\"\n");
     for (words, said) in [
         (&["doctor", "--accept", "nowhere"][..], "no built-in scene"),
         (&["doctor", "--accept", "desk.toml"], "no.dat"),
         (&["doctor", "--accept", "typo.toml"], "neer"),
+        (&["doctor", "--accept", "both.toml"], "for the second robot"),
+        (&["doctor", "--accept", "blind.toml"], "interface = \"mon0\""),
+        (&["doctor", "--accept", "wrong.toml"], "\"D\""),
+        (&["doctor", "--accept", "alone.toml"], "cannot reach the second robot"),
         (&["doctor", "--report", "desk"], "--accept"),
         (&["doctor", "a", "b"], "--accept"),
     ] {

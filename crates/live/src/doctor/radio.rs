@@ -233,6 +233,12 @@ fn channel_flags(system: &dyn System, phy: &str, mhz: u32) -> Option<String> {
     Some(line.split_once(']')?.1.trim().to_string())
 }
 
+/// What `iw phy` says in parentheses of the channel of an interface, by its centre in MHz; `None` where there is no such channel or no `iw`.
+#[must_use]
+pub fn flags_of(system: &dyn System, interface: &str, mhz: u32) -> Option<String> {
+    channel_flags(system, &system.text(&format!("/sys/class/net/{interface}/phy80211/name"))?, mhz)
+}
+
 /// Where the driver's `monitor_tx_rate` is; its depth differs between kernels.
 pub(crate) fn rate_file(system: &dyn System, phy: &str) -> Option<String> {
     let base = format!("/sys/kernel/debug/ieee80211/{phy}/iwlwifi");

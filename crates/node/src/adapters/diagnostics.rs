@@ -1,12 +1,16 @@
-//! The state of the robot as `rqt_robot_monitor` and Foxglove show it: card, odometry, each peer, the program.
+//! The state of the robot as `rqt_robot_monitor` and Foxglove show it: card, odometry, each peer, the program, and the acceptance claims.
 
 use crate::health::Health;
+use crate::self_test::Found;
 use csi5300::pipeline::live::PeerState;
+use csi5300_accept::{Claim, Finding, Verdict};
+use csi5300_bag::messages::services::SelfTestResponse;
 use csi5300_bag::messages::shown::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue};
 use csi5300_bag::messages::standard::Header;
 
 const WELL: Byte = Byte(0);
 const WARNING: Byte = Byte(1);
+const ERROR: Byte = Byte(2);
 const STALE: Byte = Byte(3);
 
 fn status(
@@ -83,6 +87,52 @@ pub(super) fn of(header: Header, health: &Health) -> DiagnosticArray {
     DiagnosticArray { header, status: [card, odometry].into_iter().chain(peers).chain([node]).collect() }
 }
 
+/// `exchange.pairs` of the peer `burger`: `exchange.pairs, burger`.
+fn name_of((peer, finding): &Found) -> String {
+    peer.as_ref().map_or_else(|| finding.id.to_owned(), |peer| format!("{}, {peer}", finding.id))
+}
+
+fn with(found: &[Found], verdict: Verdict) -> Vec<&Found> {
+    found.iter().filter(|(_, finding)| finding.verdict == verdict).collect()
+}
+
+/// One claim: stale where it was not tried.
+fn claim(robot: &str, found: &Found) -> DiagnosticStatus {
+    let Finding { verdict, found: words, .. } = &found.1;
+    let (level, message) = match verdict {
+        Verdict::Holds | Verdict::Measured => (WELL, words.clone()),
+        Verdict::Fails => (ERROR, format!("{words}. {}", found.1.claim().map(Claim::advice).unwrap_or_default())),
+        Verdict::NotTried => (STALE, format!("not tried: {words}")),
+    };
+    let name = format!("csi5300: {}", name_of(found));
+    DiagnosticStatus { level, name, message, hardware_id: robot.to_owned(), values: Vec::new() }
+}
+
+/// Claims of an answer at most: more do not fit into a datagram, so those that fail are told alone.
+const CLAIMS: usize = 250;
+
+/// The answer of the service `self_test`: passed where some claim holds and none fails.
+pub(super) fn self_test(robot: &str, found: &[Found]) -> SelfTestResponse {
+    let size = found.len();
+    let passed = with(found, Verdict::Fails).is_empty() && !with(found, Verdict::Holds).is_empty();
+    let told = |found: &&Found| size <= CLAIMS || found.1.verdict == Verdict::Fails;
+    let status = found.iter().filter(told).map(|found| claim(robot, found)).collect();
+    SelfTestResponse { id: robot.to_owned(), passed: Byte(passed.into()), status }
+}
+
+/// All claims as one part, with what was found of those that fail.
+pub(super) fn claims(robot: &str, found: &[Found]) -> DiagnosticStatus {
+    let (failed, holds) = (with(found, Verdict::Fails), with(found, Verdict::Holds).len());
+    let names: Vec<String> = failed.iter().map(|found| name_of(found)).collect();
+    let (level, message) = match (failed.len(), holds) {
+        (0, 0) => (STALE, "too few records to try a claim".to_owned()),
+        (0, _) => (WELL, format!("{holds} claims hold")),
+        _ => (ERROR, format!("claims that fail: {}", names.join("; "))),
+    };
+    let values = failed.iter().map(|found| KeyValue { key: name_of(found), value: found.1.found.clone() }).collect();
+    DiagnosticStatus { level, name: "csi5300: claims".into(), message, hardware_id: robot.to_owned(), values }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -96,5 +146,27 @@ mod tests {
         assert_eq!(levels, [0, 3, 1]);
         assert_eq!(said.status[0].message, "100 records a second");
         assert_eq!((said.status[2].message.as_str(), said.status[2].hardware_id.as_str()), ("a; b", "burger"));
+    }
+
+    #[test]
+    fn a_self_test_passes_where_something_was_tried_and_nothing_fails() {
+        let finding = |id, verdict| {
+            let of = csi5300_accept::Of::Link;
+            (Some("tb3_1".to_owned()), Finding { id, of, verdict, found: "words".into(), figures: Vec::new() })
+        };
+        let none = [finding("phase.rest", Verdict::NotTried)];
+        let good = [none[0].clone(), finding("phase.sign", Verdict::Holds)];
+        let bad = [good[0].clone(), good[1].clone(), finding("exchange.pairs", Verdict::Fails)];
+        let passed = [&none[..], &good, &bad].map(|found| self_test("burger", found).passed.0);
+        assert_eq!(passed, [0, 1, 0]);
+        let said = self_test("burger", &bad).status;
+        assert_eq!(said.iter().map(|status| status.level.0).collect::<Vec<_>>(), [3, 0, 2]);
+        assert_eq!(said[2].name, "csi5300: exchange.pairs, tb3_1");
+        assert!(said[2].message.starts_with("words. Expected: "), "{said:?}");
+        let many = vec![bad.clone(); 100].concat();
+        assert_eq!(self_test("burger", &many).status.len(), 100, "those that fail");
+        let levels = [&none[..], &good, &bad].map(|found| claims("burger", found).level.0);
+        assert_eq!(levels, [3, 0, 2]);
+        assert_eq!(claims("burger", &bad).message, "claims that fail: exchange.pairs, tb3_1");
     }
 }

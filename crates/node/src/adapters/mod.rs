@@ -85,6 +85,8 @@ pub struct Start<'a> {
 
 /// This robot and its peers, in the order of the configuration.
 pub struct Robot {
+    /// Its name.
+    pub name: String,
     /// Its MAC.
     pub own: Mac,
     /// Name and MAC of each peer.

@@ -4,8 +4,10 @@ use csi5300::maths::wrap_rad;
 use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Span};
+use csi5300_accept::Verdict;
 use csi5300_node::config::{CameraMount, Config};
 use csi5300_node::machine::{Capture, Machine};
+use csi5300_node::self_test::{Found, SelfTest};
 use csi5300_node::sources::Sources;
 use csi5300_sim::{Room, Scene};
 use driver_iface::bfee::Antenna;
@@ -356,6 +358,39 @@ fn an_hour_of_driving_needs_no_more_memory_than_its_first_minutes() {
     assert!(counts.pairs > 60_000 && counts.accurate > 30, "{counts:?}");
     let later: i64 = grown[2..].iter().sum();
     assert!(later.abs() < 256 * 1024, "{later} bytes more after an hour than after ten minutes");
+}
+
+#[test]
+fn the_claims_of_a_running_robot_name_the_peer_whose_card_is_broken() {
+    let folder = folder("ring-claims");
+    for (fault, fails) in [("", &[][..]), ("faults.card = [\"phase_jumps\"]\n", &[("phase.cancels", "r1")])] {
+        let text = scene(3, false).replace("name = \"r1\"\n", &format!("name = \"r1\"\n{fault}"));
+        let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+        let mut machine = machine(&config(&folder, &text, 3, false));
+        let peers: Vec<_> = (1..3).map(|k| (format!("r{k}"), room.mac(k).unwrap())).collect();
+        let test = SelfTest::new("108".parse().unwrap(), room.mac(0).unwrap(), &peers);
+        machine.add_tap(test.tap());
+        let with = |found: &[Found], verdict| {
+            let found = found.iter().filter(|(_, finding)| finding.verdict == verdict);
+            found.map(|(peer, finding)| (finding.id, peer.clone().unwrap_or_default())).collect::<Vec<_>>()
+        };
+        assert!(with(&test.judge(), Verdict::Holds).is_empty(), "nothing was heard");
+        let mut now = Instant::ZERO;
+        while now < Instant::from_us(22_000_000) {
+            while machine.take(now).unwrap() {}
+            now += Span::from_ms(10);
+        }
+        let found = test.judge();
+        let failed = with(&found, Verdict::Fails);
+        assert_eq!(failed.iter().map(|(id, peer)| (*id, peer.as_str())).collect::<Vec<_>>(), fails, "{fault}");
+        let holds = with(&found, Verdict::Holds);
+        for peer in ["r1", "r2"] {
+            for id in ["exchange.pairs", "exchange.drift", "log.whole", "reception.gaps"] {
+                assert!(holds.contains(&(id, peer.to_owned())), "{id} {peer}: {holds:?}");
+            }
+        }
+        assert!(holds.contains(&("reception.once", String::new())), "{holds:?}");
+    }
 }
 
 #[test]

@@ -4,27 +4,17 @@ use super::Args;
 use crate::commands::args::channel as channel_of;
 use crate::commands::draft::{FolderDraft, reads};
 use crate::commands::files::{open_log, read_trajectory};
-use crate::commands::listener::{Listening, Needs, describe};
-use crate::commands::live::Signals;
 use crate::commands::{Outcome, Result, print, simulate, usage};
 use csi5300::signal::channel::Channel;
-use csi5300::source::{CsiSource, Next};
-use csi5300::time::{Instant, Span};
-use csi5300_accept::{Collector, Evidence, Plan, Report, Side, Truth, Verdict, collect};
-use csi5300_live::doctor::{Machine, System};
-use csi5300_live::wait::Monotonic;
+use csi5300::source::CsiSource;
+use csi5300_accept::{Collector, Done, Evidence, Plan, Report, Side, Truth, Verdict, collect};
 use csi5300_say::{Tone, toned};
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::{Room, Scene, stamp};
-use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
-/// Where the module counts.
-const COUNTERS: &str = "/sys/module/csi5300/counters";
-/// How long a card is listened to unless `--listen` says otherwise.
-const LISTEN_S: f64 = 20.0;
-/// How often a waiting host is woken, to see how late it is.
-const WAKE_US: i64 = 5_000;
+mod assist;
+mod live;
 
 /// What is on the desk, as its TOML says. All is optional; without logs the card of this machine is listened to.
 #[derive(serde::Deserialize, Default)]
@@ -42,11 +32,63 @@ struct Desk {
     trajectory: Option<PathBuf>,
     /// The true direction from the first to the second robot, degrees from +x towards +y of the trajectory's frame.
     azimuth_deg: Option<f64>,
+    /// One or two logs, the first robot's first, after each retune.
+    retuned: Vec<Vec<PathBuf>>,
+    /// The same after the driver was loaded anew.
+    reloaded: Vec<Vec<PathBuf>>,
+    /// The monitor interface: the first robot sends on it, the second answers.
+    interface: Option<String>,
+    /// A robot of a served room in place of a card: PATH#ROBOT.
+    room: Option<String>,
+    /// Send frames at several rates while listening.
+    send: bool,
+    /// Where the second robot waits (its `assist`), host and port: its log comes from there at the end.
+    peer: Option<String>,
+    /// This is the second robot; it waits here for the first, address and port.
+    assist: Option<String>,
+    /// The second robot answers on its interface; without it its driver answers, or nobody.
+    answer: bool,
+    /// Antennas that a person unplugs one after the other: A, B, C.
+    unplug: Vec<String>,
+}
+
+impl Desk {
+    /// What of it contradicts itself ends the command.
+    fn check(&self) {
+        let is_live = self.near.is_none();
+        let needs_interface = self.send || self.answer;
+        let sets = [
+            (
+                !is_live && (self.send || self.peer.is_some() || self.assist.is_some() || !self.unplug.is_empty()),
+                "a desk with the log `near` is judged by it: `send`, `peer`, `assist` and `unplug` need a card",
+            ),
+            (
+                self.assist.is_some() && (self.send || self.peer.is_some() || !self.unplug.is_empty()),
+                "`assist` is for the second robot; `send`, `peer` and `unplug` are for the first",
+            ),
+            (self.answer && self.assist.is_none(), "`answer` belongs to the second robot, which has `assist`"),
+            (
+                needs_interface && self.interface.is_none() && self.room.is_none(),
+                "`send` and `answer` need the monitor interface: `interface = \"mon0\"`",
+            ),
+            (
+                self.send && !self.unplug.is_empty(),
+                "`send` and `unplug` do not go together: run one after the other, while another robot sounds",
+            ),
+            (
+                self.retuned.iter().chain(&self.reloaded).any(|logs| !(1..=2).contains(&logs.len())),
+                "each item of `retuned` and `reloaded` is one log or two: [[\"near2.dat\", \"far2.dat\"]]",
+            ),
+        ];
+        if let Some((_, why)) = sets.iter().find(|(is_wrong, _)| *is_wrong) {
+            usage(why);
+        }
+    }
 }
 
 /// Judges what is on the desk. Fails with exit status 1 where a claim does.
 pub fn run(args: &Args) -> Result {
-    let (evidence, facts) = evidence(args)?;
+    let Some((evidence, facts)) = evidence(args)? else { return Ok(Outcome::Done) };
     let mut report = evidence.judge();
     report.facts = facts;
     match args.json {
@@ -79,37 +121,54 @@ fn text(report: &Report) -> String {
     text
 }
 
-fn evidence(args: &Args) -> std::result::Result<(Evidence, Vec<String>), String> {
+/// What the claims are judged by, and facts about where it comes from.
+type Found = std::result::Result<(Evidence, Vec<String>), String>;
+
+/// Nothing where this robot assisted.
+fn evidence(args: &Args) -> std::result::Result<Option<(Evidence, Vec<String>)>, String> {
     let toml = |path: &Path| path.extension().is_some_and(|ending| ending == "toml");
-    match args.what.as_slice() {
-        [] => live(args, &Desk::default()),
+    let found = match args.what.as_slice() {
+        [] => live::listen(args, &Desk::default()),
         [only] if toml(only) && only.exists() => {
             let text = std::fs::read_to_string(only).map_err(|error| format!("{}: {error}", only.display()))?;
             if let Ok(scene) = Scene::parse(&text) {
-                return room(&scene);
+                return room(&scene).map(Some);
             }
             reads(only);
             let mut desk: Desk = toml::from_str(&text).map_err(|error| format!("{}: {error}", only.display()))?;
             let beside = |path: Option<PathBuf>| path.map(|path| only.parent().unwrap_or(Path::new("")).join(path));
             (desk.near, desk.far, desk.trajectory) = (beside(desk.near), beside(desk.far), beside(desk.trajectory));
-            if desk.near.is_some() { logs(args, &desk) } else { live(args, &desk) }
+            for path in desk.retuned.iter_mut().chain(&mut desk.reloaded).flatten() {
+                *path = only.parent().unwrap_or(Path::new("")).join(&path);
+            }
+            desk.check();
+            if let Some(address) = &desk.assist {
+                return assist::assist(args, &desk, address).map(|()| None);
+            }
+            if desk.near.is_some() { logs(args, &desk) } else { live::listen(args, &desk) }
         }
         [only] if !only.exists() => room(&simulate::load(only)?),
         [near] => logs(args, &Desk { near: Some(near.clone()), ..Desk::default() }),
         [near, far] => logs(args, &Desk { near: Some(near.clone()), far: Some(far.clone()), ..Desk::default() }),
         _ => usage("--accept takes the logs of two robots at most: the first robot's, then the second's"),
-    }
+    };
+    found.map(Some)
 }
 
-/// The plan by the desk and the command line.
-fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
+/// The channel by the command line or the desk.
+fn channel(args: &Args, desk: &Desk) -> std::result::Result<Channel, String> {
     let told = desk.channel.as_deref().map(channel_of).transpose()?;
     let Some(channel) = args.channel.or(told) else {
         usage(
             "which WiFi channel were the cards tuned to? Say it with --channel, or with `channel = \"108\"` in the desk's TOML",
         )
     };
-    let mut plan = Plan::new(channel);
+    Ok(channel)
+}
+
+/// The plan by the desk and the command line.
+fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
+    let mut plan = Plan::new(channel(args, desk)?);
     plan.at_rest = desk.at_rest;
     plan.truth = match (&desk.trajectory, desk.azimuth_deg) {
         (Some(path), Some(deg)) => {
@@ -122,21 +181,39 @@ fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
     Ok(plan)
 }
 
+/// A log's bytes.
+fn log(path: &Path) -> std::result::Result<Vec<u8>, String> {
+    reads(path);
+    open_log(path)?;
+    std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))
+}
+
+/// The logs after retunes and reloads.
+fn later(collector: &mut Collector, desk: &Desk) -> std::result::Result<(), String> {
+    for (done, all) in [(Done::Retuned, &desk.retuned), (Done::Reloaded, &desk.reloaded)] {
+        for logs in all {
+            let bytes = logs.iter().map(|path| log(path)).collect::<std::result::Result<Vec<_>, _>>()?;
+            if let Some((near, far)) = bytes.split_first() {
+                collector.after(done, near, far.first().map(Vec::as_slice));
+            }
+        }
+    }
+    Ok(())
+}
+
 /// Recorded logs.
-fn logs(args: &Args, desk: &Desk) -> std::result::Result<(Evidence, Vec<String>), String> {
+fn logs(args: &Args, desk: &Desk) -> Found {
     let mut collector = Collector::new(plan(args, desk)?);
     for (side, path) in [(Side::Near, &desk.near), (Side::Far, &desk.far)] {
         let Some(path) = path else { continue };
-        reads(path);
-        open_log(path)?;
-        let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
-        collector.log(side, &bytes);
+        collector.log(side, &log(path)?);
     }
+    later(&mut collector, desk)?;
     Ok((collector.finish(), vec!["backend: recorded logs".into()]))
 }
 
 /// The first two robots of a simulated room, in virtual time.
-fn room(scene: &Scene) -> std::result::Result<(Evidence, Vec<String>), String> {
+fn room(scene: &Scene) -> Found {
     let mut room = Room::new(scene).map_err(|error| error.to_string())?;
     let name = if scene.bandwidth_mhz == 40 { format!("{}+", scene.channel) } else { scene.channel.to_string() };
     let mut plan = Plan::new(name.parse::<Channel>().map_err(|error| error.to_string())?);
@@ -155,82 +232,6 @@ fn room(scene: &Scene) -> std::result::Result<(Evidence, Vec<String>), String> {
     let far = far.as_mut().map(|far| far as &mut dyn CsiSource);
     let evidence = collect(&mut near, far, None, plan).map_err(|error| error.to_string())?;
     Ok((evidence, vec![format!("backend: simulated room, scene {:?}, seed {}", scene.name, scene.seed)]))
-}
-
-/// The module's counters.
-fn counters(system: &dyn System) -> Vec<(String, u64)> {
-    let value = |name: &String| system.text(&format!("{COUNTERS}/{name}"))?.parse().ok();
-    system.names(COUNTERS).into_iter().filter_map(|name| value(&name).map(|count| (name, count))).collect()
-}
-
-/// What runs the card, without a name or an address.
-fn facts(system: &dyn System) -> Vec<String> {
-    let text = |path: &str| system.text(path).unwrap_or_else(|| "-".into());
-    let mut facts =
-        vec!["backend: the card of this machine".to_owned(), format!("kernel: {}", text("/proc/sys/kernel/osrelease"))];
-    for module in ["iwlwifi", "csi5300"] {
-        let folder = format!("/sys/module/{module}/parameters");
-        for name in system.names(&folder) {
-            facts.push(format!("{module} {name}={}", text(&format!("{folder}/{name}"))));
-        }
-    }
-    facts
-}
-
-/// The card of this machine, listened to while another robot sounds.
-fn live(args: &Args, desk: &Desk) -> std::result::Result<(Evidence, Vec<String>), String> {
-    let system = Machine;
-    let span = args.listen.unwrap_or(Span::from_s(LISTEN_S));
-    let mut collector = Collector::new(plan(args, desk)?);
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
-    let listening = Listening { card: args.card.clone(), allow_user_sender: false, room: None };
-    let mut listener = listening.open(Needs::default())?;
-    note!(
-        "{}; listening for {:.0} s while another robot sounds. Ctrl-C ends it sooner",
-        describe(&listener),
-        span.as_s()
-    );
-    let before = counters(&system);
-    let clock = Monotonic::new();
-    let end = clock.now() + span;
-    while clock.now() < end {
-        let next = listener.receive(clock.now()).map_err(|error| error.to_string())?;
-        let (pending, over) = (matches!(next, Next::Pending), matches!(next, Next::End(_)));
-        collector.heard(Side::Near, &next);
-        if over {
-            break;
-        }
-        if pending && wait(&clock, &listener, &signals, &mut collector, end)? {
-            break;
-        }
-    }
-    for (name, count) in counters(&system) {
-        let old = before.iter().find(|(known, _)| *known == name).map_or(0, |(_, count)| *count);
-        collector.counted(&name, count.wrapping_sub(old));
-    }
-    if collector.records() == 0 {
-        note!("no record came: is another robot sounding on this channel? `csi5300 doctor` examines this one");
-    }
-    Ok((collector.finish(), facts(&system)))
-}
-
-/// Waits for the listener or the next wake, and notes how late it was. True where a signal ends it.
-fn wait(
-    clock: &Monotonic,
-    listener: &csi5300_live::listener::Listener,
-    signals: &Signals,
-    collector: &mut Collector,
-    end: Instant,
-) -> std::result::Result<bool, String> {
-    let wake = (clock.now() + Span::from_us(WAKE_US)).min(end);
-    let until = [listener.next_at(), Some(wake)].into_iter().flatten().min();
-    let ready = clock.wait([listener.as_fd(), signals.as_fd()], until).map_err(|error| error.to_string())?;
-    if !ready.contains(&true)
-        && let Some(until) = until
-    {
-        collector.woke_late(clock.now() - until);
-    }
-    Ok(ready[1])
 }
 
 /// The report's files, and the logs beside it.

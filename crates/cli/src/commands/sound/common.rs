@@ -191,21 +191,7 @@ impl Sounding {
 
     /// Sees to the driver's rate.
     pub fn see_to_rate(&self, antenna: Antenna) -> std::result::Result<(), String> {
-        let Some(interface) = self.interface.as_deref() else { return Ok(()) };
-        let rate = rate_n_flags(self.request().phy, antenna).ok_or_else(|| {
-            format!("--mcs {} has more streams than the card has antennas: 23 is the highest", self.mcs)
-        })?;
-        match set_rate(&Machine, interface, rate) {
-            Rate::FromRadiotap | Rate::Right(_) => {}
-            Rate::Set(rate, before) => note!("monitor_tx_rate set to {rate:#x} (was {before})"),
-            Rate::Legacy(mend) => {
-                note!("this driver sends injected frames at a legacy rate, which makes no CSI: {mend}")
-            }
-            Rate::Other { found, error, mend } => {
-                note!("monitor_tx_rate is {found}, so frames go out at another rate ({error}): {mend}");
-            }
-        }
-        Ok(())
+        self.interface.as_deref().map_or(Ok(()), |interface| see_to_rate(interface, self.request().phy, antenna))
     }
 
     /// The card's records, if they are wanted: recorded, or only read. `own` is this robot's MAC.
@@ -278,6 +264,23 @@ impl Sounding {
             _ => Outcome::Done,
         }
     }
+}
+
+/// Sees to the rate at which the driver of an interface sends.
+pub fn see_to_rate(interface: &str, phy: Phy, antenna: Antenna) -> std::result::Result<(), String> {
+    let rate = rate_n_flags(phy, antenna)
+        .ok_or_else(|| format!("--mcs {} has more streams than the card has antennas: 23 is the highest", phy.mcs))?;
+    match set_rate(&Machine, interface, rate) {
+        Rate::FromRadiotap | Rate::Right(_) => {}
+        Rate::Set(rate, before) => note!("monitor_tx_rate set to {rate:#x} (was {before})"),
+        Rate::Legacy(mend) => {
+            note!("this driver sends injected frames at a legacy rate, which makes no CSI: {mend}")
+        }
+        Rate::Other { found, error, mend } => {
+            note!("monitor_tx_rate is {found}, so frames go out at another rate ({error}): {mend}");
+        }
+    }
+    Ok(())
 }
 
 /// A plan's refusal in words.
