@@ -44,7 +44,7 @@ pub use explain::{LinkPlan, StepPlan};
 pub use intake::UnusedRecords;
 pub(crate) use intake::{FrameHeard, Front};
 pub use link::Link;
-pub use one_log::{Array, ArrayError, ArrayFrame, OneLog, OneLogReport, one_log};
+pub use one_log::{Array, ArrayError, ArrayFrame, ChainConstant, OneLog, OneLogReport, one_log};
 pub use options::{Accuracy, JoinBy, Options};
 
 use crate::exchange::assign::{Match, Unmatched};

@@ -15,7 +15,8 @@ use csi5300_sim::{Faults, Scene, SceneError};
 use std::f64::consts::TAU;
 
 /// First line of a fitted scene's text.
-const HEADER: &str = "# Fitted to a recorded capture; see docs/guides/simulation.md for what each figure is taken from.\n";
+const HEADER: &str =
+    "# Fitted to a recorded capture; see docs/guides/simulation.md for what each figure is taken from.\n";
 /// A recorded trajectory strays in so many swings: slowly, as the windows of a second stay coherent.
 const SWINGS: f64 = 3.0;
 /// Decibels by which an amplitude grows that grows by a factor of e.

@@ -6,9 +6,12 @@ use super::{Args, artefacts, describe, link_name, options, pairs};
 use csi_formats::{Frame, Item, Items, Why};
 use csi5300::motion::pose::Trajectory;
 use csi5300::num_complex::Complex32;
-use csi5300::pipeline::{Answer, Array, ArrayFrame, LinkReport, OneLog, OneLogReport, Options, one_log};
+use csi5300::pipeline::{
+    Answer, Array, ArrayError, ArrayFrame, ChainConstant, LinkReport, OneLog, OneLogReport, Options, one_log,
+};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Antennas};
+use nalgebra::Vector3;
 use std::path::Path;
 
 /// The receive chain of a frame that is connected to an antenna: told by a 5300, elsewhere they are counted.
@@ -69,10 +72,17 @@ fn name(inputs: &Inputs, rx: &Path, link: &LinkReport, links: usize) -> String {
     }
 }
 
+/// The antennas and their baselines, with the constants of their chains where they are given.
+fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
+    let metres: Vec<Vector3<f64>> = args.logs.baseline.iter().map(|baseline| baseline.metres).collect();
+    let array = Array::new(&args.estimation.antenna, &metres)?;
+    let constants: Vec<ChainConstant> = args.logs.baseline.iter().filter_map(|baseline| baseline.constant).collect();
+    if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
+}
+
 /// Estimates and prints the bearings.
 pub fn run(args: &Args) -> Result {
-    let array = Array::new(&args.estimation.antenna, &args.logs.baseline);
-    let array = array.unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
+    let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
     let options = options(args).unwrap_or_else(|message| usage(&message));
     let (Some(rx), Some(path)) = (&args.logs.rx, &args.logs.trajectory) else {
         usage("--rx and --trajectory are needed");
