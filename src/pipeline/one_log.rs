@@ -19,6 +19,7 @@
 
 use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
 use super::error::LinkError;
+use super::first_delay::FirstDelay;
 use super::options::{JoinBy, Options};
 use super::{LinkReport, LogReport};
 use crate::bartlett::{self, Estimate};
@@ -30,8 +31,9 @@ use crate::signal::samples::Samples;
 use crate::source::survey::bounds::SENDERS_KEPT;
 use crate::source::{CsiSource, Error, Next};
 use crate::time::Instant;
+use csi_formats::Frame;
 use driver_iface::Mac;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq};
+use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Antennas, Bfee, Iq};
 use nalgebra::{UnitVector3, Vector3};
 use num_complex::{Complex32, Complex64};
 use std::collections::BTreeMap;
@@ -221,6 +223,14 @@ impl ArrayFrame {
     }
 }
 
+/// The receive chain of a frame that is connected to an antenna: told by a 5300, elsewhere they are counted.
+fn chain(frame: &Frame, antenna: Antenna) -> Option<usize> {
+    match frame.antenna_sel {
+        Some(sel) => Antennas::new(sel, u8::try_from(frame.n_rx).ok()?, [0; 3]).ok()?.chain_of(antenna),
+        None => antenna.index().checked_sub(usize::from(frame.first_rx)),
+    }
+}
+
 /// One frame, as it is kept.
 #[derive(Clone, Debug)]
 struct Row {
@@ -264,6 +274,7 @@ pub struct OneLog {
     options: Options,
     log: LogReport,
     senders: BTreeMap<Mac, Sender>,
+    first_delay: FirstDelay,
 }
 
 /// What a run over one log gave.
@@ -280,7 +291,8 @@ impl OneLog {
     /// Nothing heard yet. Of `options` those of pairs and of two clocks have no meaning here.
     #[must_use]
     pub fn new(array: Array, options: Options) -> Self {
-        Self { array, options, log: LogReport::default(), senders: BTreeMap::new() }
+        let first_delay = FirstDelay::new(options.tier);
+        Self { array, options, log: LogReport::default(), senders: BTreeMap::new(), first_delay }
     }
 
     /// Takes what a source of a 5300's records gave.
@@ -290,6 +302,33 @@ impl OneLog {
             Some(frame) => self.hear(frame),
             None => self.log.unused.no_antenna += 1,
         }
+    }
+
+    /// Takes a frame of another card. False if it has not all of the antennas, or they heard nothing.
+    ///
+    /// Of frames of 80 MHz and more it takes what was heard at the first strong delay: there the direct path is nearly alone.
+    pub fn note_frame(&mut self, frame: &Frame) -> bool {
+        let column = |antenna, stream| frame.column(chain(frame, antenna).filter(|chain| *chain < frame.n_rx)?, stream);
+        let mut firsts: Vec<Vec<Complex32>> = Vec::new();
+        if FirstDelay::is_of(frame) {
+            for stream in 0..frame.n_tx {
+                let columns: Option<Vec<_>> = self.array.antennas().map(|antenna| column(antenna, stream)).collect();
+                firsts.extend(columns.and_then(|columns| self.first_delay.of(frame, &columns)));
+            }
+        }
+        let csi = |antenna: Antenna, stream: usize| match firsts.get(stream) {
+            Some(values) => {
+                let place = self.array.antennas().position(|own| own == antenna)?;
+                values.get(place).map(|value| vec![*value])
+            }
+            None => {
+                let measured = column(antenna, stream)?.iter().zip(&frame.measured).filter(|(_, measured)| **measured);
+                Some(measured.map(|([re, im], _)| Complex32::new(*re, *im)).collect())
+            }
+        };
+        let sender = frame.sender.map(Mac).unwrap_or_default();
+        let heard = ArrayFrame::new(&self.array, sender, frame.host_us, frame.n_tx, csi);
+        heard.map(|heard| self.hear(heard)).is_some()
     }
 
     /// Takes a frame of any card.
@@ -320,7 +359,7 @@ impl OneLog {
     /// The bearing of every sender, on the trajectory of the robot.
     #[must_use]
     pub fn bearings(self, trajectory: &Trajectory) -> OneLogReport {
-        let Self { array, options, log, senders } = self;
+        let Self { array, options, log, senders, .. } = self;
         let mut senders: Vec<(Mac, Sender)> = senders.into_iter().collect();
         senders.sort_by_key(|(_, sender)| std::cmp::Reverse(sender.heard));
         let named = options.tx_macs.iter().filter(|mac| !senders.iter().any(|(own, _)| own == *mac));
