@@ -38,7 +38,7 @@ fn a_log_is_feitcsis_with_both_clocks_of_one_crystal() {
             let slow_us = (to_us as u32).wrapping_sub(from_us as u32) as f64;
             assert!((us - slow_us).abs() < 1.0 && (4e4..6e4).contains(&us), "{us} {slow_us}");
         }
-        assert_eq!(wraps, 2);
+        assert!((2..=3).contains(&wraps), "{wraps}");
     }
     // Chain B has its constant, and a pilot nothing of the channel.
     let frame = &frames(&run.robots[0].log)[0];
