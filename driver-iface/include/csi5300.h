@@ -54,6 +54,8 @@
 #define CSI5300_CODE_TX_BLOCK_AGG 0xC5
 #define CSI5300_CODE_STATUS 0xD1
 #define CSI5300_CODE_PARALLEL 0xD2
+#define CSI5300_CODE_CARD_CLOCK 0xCC /* of translated logs of other cards */
+#define CSI5300_CODE_LEFT_OUT 0xCD
 
 /* Body of 0xBB, stock layout; WSR puts 18 bytes between header and CSI. */
 #define CSI5300_SUBCARRIERS 30

@@ -32,8 +32,14 @@ pub mod code {
     /// Aggregation block, two u32; not sent by the 4.15 driver.
     pub const TX_BLOCK_AGG: u8 = 0xC5;
 
-    /// Codes and their names, in the order of the driver's header.
-    pub const TABLE: [(u8, &str); 9] = [
+    /// Of another card than the 5300, whose log was translated: how far its clock is past the microsecond of the bfee that
+    /// follows, u32 picoseconds. No driver sends it.
+    pub const CARD_CLOCK: u8 = 0xCC;
+    /// Of another card too: bytes of its log that gave no bfee. Their offset and number, u64 each, then why, as text.
+    pub const LEFT_OUT: u8 = 0xCD;
+
+    /// Codes and their names, in the order of the driver's header; behind them those of translated logs.
+    pub const TABLE: [(u8, &str); 11] = [
         (BFEE, "bfee"),
         (RX_PHY, "rx_phy"),
         (MPDU, "mpdu"),
@@ -43,6 +49,8 @@ pub mod code {
         (TX_BLOCK_AGG, "tx_block_agg"),
         (STATUS, "status"),
         (PARALLEL, "parallel"),
+        (CARD_CLOCK, "card_clock"),
+        (LEFT_OUT, "left_out"),
     ];
 
     /// The name of a code, if it has one.
@@ -106,6 +114,20 @@ impl<'a> Record<'a> {
         body.copy_from_slice(self.body);
         Ok(self.emit_len())
     }
+}
+
+/// What the body of a [`code::CARD_CLOCK`] says, picoseconds.
+#[must_use]
+pub fn card_clock_ps(body: &[u8]) -> Option<u32> {
+    body.try_into().ok().map(u32::from_le_bytes)
+}
+
+/// What the body of a [`code::LEFT_OUT`] says: offset and number of the bytes, and why.
+#[must_use]
+pub fn left_out(body: &[u8]) -> Option<(u64, u64, &str)> {
+    let (offset, rest) = body.split_first_chunk()?;
+    let (len, why) = rest.split_first_chunk()?;
+    Some((u64::from_le_bytes(*offset), u64::from_le_bytes(*len), core::str::from_utf8(why).ok()?))
 }
 
 /// The whole records in an intact stream, each with its length field; what is left at the end is cut.

@@ -44,6 +44,7 @@ fn of_rust() -> Vec<(&'static str, i64)> {
         "CODE_BFEE" => code::BFEE, "CODE_RX_PHY" => code::RX_PHY, "CODE_MPDU" => code::MPDU, "CODE_RX" => code::RX,
         "CODE_NOISE" => code::NOISE, "CODE_TX_RESP" => code::TX_RESP, "CODE_TX_BLOCK_AGG" => code::TX_BLOCK_AGG,
         "CODE_STATUS" => code::STATUS, "CODE_PARALLEL" => code::PARALLEL,
+        "CODE_CARD_CLOCK" => code::CARD_CLOCK, "CODE_LEFT_OUT" => code::LEFT_OUT,
         "SUBCARRIERS" => bfee::SUBCARRIERS, "STOCK_HEADER" => bfee::STOCK_HEADER, "WSR_EXTRA" => bfee::WSR_EXTRA,
         "WSR_2021_EXTRA" => bfee::WSR_2021_EXTRA, "WSR_2021_HEADER" => bfee::WSR_2021_HEADER,
         "WSR_HEADER" => bfee::WSR_HEADER, "MAX_BODY" => bfee::MAX_BODY, "NOISE_UNKNOWN_DBM" => bfee::NOISE_UNKNOWN_DBM,

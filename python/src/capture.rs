@@ -11,11 +11,12 @@ use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{
-    Answer, LinkPlan, LinkReport, LogReport, Options, StretchAnswer, Transmitter, bearings as estimate,
+    Answer, Array, ChainConstant, LinkPlan, LinkReport, LogReport, Options, StretchAnswer, Transmitter,
+    bearings as estimate, one_log as estimate_one_log,
 };
 use csi5300::source::{CsiSource, Next, Origin, Stamps};
 use csi5300::time::Instant;
-use csi5300_lab::table::{Arena, NO_TIME};
+use csi5300_lab::table::{Arena, NO_TIME, antennas};
 use driver_iface::record::{Record, Tail};
 use numpy::ndarray::ArrayView1;
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
@@ -223,6 +224,63 @@ pub fn bearings(
         linked(name, link, stretches.next().unwrap_or_default(), (&keywords, &options), empty)
     };
     links.map(answer).collect()
+}
+
+/// The bearing of every sender in one log, by the antennas of a robot that turns: their letters, and for each but the first
+/// where the first is seen from it, metres, then the constant of the chains and its deviation, degrees, where they are known.
+#[pyfunction]
+#[pyo3(signature = (rx, name, path, letters, baselines, keywords))]
+pub fn one_log(
+    py: Python<'_>,
+    rx: &Bound<'_, PyAny>,
+    name: &str,
+    path: &Bound<'_, PyAny>,
+    letters: &str,
+    baselines: Vec<Vec<f64>>,
+    keywords: &str,
+) -> PyResult<Vec<Linked>> {
+    let keywords = Keywords::parse(keywords)?;
+    if keywords.channel()?.is_none() {
+        return Err(Failure::new(Kind::Option, "channel: it must be named, the log does not say it").into());
+    }
+    let options = keywords.options()?.with_keep_course(true);
+    let array = array(letters, &baselines)?;
+    let stop = Stop::default();
+    let mut log = Stoppable { source: source(rx, &stop)?, stop: stop.clone() };
+    let own = trajectory(path, keywords.columns()?.as_ref())?;
+    let (report, options) = interruptible(py, &stop, move || {
+        let report = estimate_one_log(&mut log, &own, &array, &options);
+        report.map(|report| (report, options)).map_err(|error| Failure::new(Kind::Capture, error))
+    })?;
+    let several = report.links.len() > 1;
+    let answer = |link: LinkReport| {
+        let sender = link.mac.map_or_else(|| "unknown".to_owned(), |mac| mac.to_string());
+        let name = if several { format!("{name}/{sender}") } else { name.to_owned() };
+        linked(name, link, Vec::new(), (&keywords, &options), None)
+    };
+    report.links.into_iter().map(answer).collect()
+}
+
+/// Antennas and baselines, with the constants of their chains.
+fn array(letters: &str, baselines: &[Vec<f64>]) -> Result<Array, Failure> {
+    let wrong = |why: String| Failure::new(Kind::Option, why);
+    let antennas = antennas(letters).ok_or_else(|| wrong(format!("antennas: {letters:?} are not of A, B and C")))?;
+    let (mut metres, mut constants) = (Vec::new(), Vec::new());
+    for baseline in baselines {
+        let (place, angles) =
+            baseline.split_first_chunk::<3>().filter(|(_, angles)| angles.len() <= 2).ok_or_else(|| {
+                wrong(
+                    "baseline: three numbers, metres; behind them the chains' constant and its deviation, degrees"
+                        .to_owned(),
+                )
+            })?;
+        metres.push(Vector3::from(*place));
+        let sd_rad = angles.get(1).copied().unwrap_or(0.0).to_radians();
+        constants.extend(angles.first().map(|deg| ChainConstant { rad: deg.to_radians(), sd_rad }));
+    }
+    let array = Array::new(&antennas, &metres);
+    let array = array.and_then(|array| if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) });
+    array.map_err(|error| wrong(format!("antennas, baseline: {error}")))
 }
 
 /// What there is to say of logs without any record, with which nothing can have gone right.

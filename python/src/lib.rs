@@ -46,6 +46,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(classic_scale::classic_scaled, module)?)?;
     module.add_function(wrap_pyfunction!(classic_scale::classic_unmapped, module)?)?;
     module.add_function(wrap_pyfunction!(capture::bearings, module)?)?;
+    module.add_function(wrap_pyfunction!(capture::one_log, module)?)?;
     module.add_function(wrap_pyfunction!(capture::read_trajectory, module)?)?;
     module.add_function(wrap_pyfunction!(evaluate::find_captures, module)?)?;
     module.add_function(wrap_pyfunction!(evaluate::evaluate_capture, module)?)?;

@@ -51,10 +51,11 @@ impl Link {
     /// Of a bearing, what Python asks for.
     pub fn new(bearing: Bearing) -> Self {
         let course = bearing.course.iter().map(|p| [p.t_s, p.one_way_rad, p.round_trip_rad, p.compensated_rad]);
-        let range_change = bearing.range_change.as_ref().and_then(|found| found.as_ref().ok()).map_or_else(Vec::new, |found| {
-            let rows = found.t_s.iter().zip(&found.range_change_m).zip(&found.deviation_m);
-            rows.map(|((t_s, change), deviation)| [*t_s, *change, *deviation]).collect()
-        });
+        let range_change =
+            bearing.range_change.as_ref().and_then(|found| found.as_ref().ok()).map_or_else(Vec::new, |found| {
+                let rows = found.t_s.iter().zip(&found.range_change_m).zip(&found.deviation_m);
+                rows.map(|((t_s, change), deviation)| [*t_s, *change, *deviation]).collect()
+            });
         Self { course: course.collect(), path_m: bearing.path_m, range_change, samples: Arc::new(bearing.samples) }
     }
 }

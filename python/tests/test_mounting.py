@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 Poses = NDArray[np.float64]
 OUTPUT = {"bag", "color", "help", "json", "quiet", "verbose", "force", "profile", "grid", "plot"}
-OUTPUT |= {"place", "transmitters", "frame", "stretches", "baseline"}
-"""What is read from recordings, printed and drawn: arrays, attributes and methods in Python; what is of captures; and bearings
-from one log, which Python does not have."""
+OUTPUT |= {"place", "transmitters", "frame", "stretches"}
+"""What is read from recordings, printed and drawn: arrays, attributes and methods in Python; and what is of captures."""
 OFFSET, MOUNT = (0.05, 0.16, 0.0), (0.04, 0.17, -1.5)
 
 

@@ -5,6 +5,7 @@ use super::carried::CarriedAnswer;
 use super::error::LinkError;
 use super::explain::LinkPlan;
 use super::link::Link;
+use super::one_log::ChainConstant;
 use super::{CaptureReport, LinkReport};
 use crate::bartlett::Geometry;
 use crate::estimate::{NoRangeChange, RangeChange, Sufficient};
@@ -106,6 +107,9 @@ pub struct Answer {
     pub wsr_profile_variance: Option<f64>,
     /// Likelihood share of the peak as the code of \[paper\] defines it.
     pub likelihood_share: Option<f64>,
+    /// From one log of a robot that turned: the phase that the chains add to each baseline, degrees, and its standard deviation.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub chain_constants_deg: Vec<[f64; 2]>,
     /// Shape of the motion.
     pub geometry: Option<String>,
     /// Pairs formed; from one log, records of the sender.
@@ -237,6 +241,8 @@ impl Answer {
             self.pairs = bearing.pairs.formed;
             self.confidence = self.confidence.filter(|_| matches!(bearing.sufficient, Sufficient::OneWave(_)));
         }
+        let degrees = |one: &ChainConstant| [one.rad, one.sd_rad].map(f64::to_degrees);
+        self.chain_constants_deg = bearing.chain_constants.iter().map(degrees).collect();
         self.pairs_in_motion = bearing.pairs.in_motion;
         self.pair_counts = bearing.pairs;
         self.compensated = bearing.compensated;

@@ -1,5 +1,6 @@
 //! The result of a link: one answer, read from the posterior, and beside it what it was computed from.
 
+use super::one_log::ChainConstant;
 use crate::bartlett::{self, Estimate, Grid};
 use crate::estimate::likelihood::Place;
 use crate::estimate::posterior::Mode;
@@ -217,6 +218,9 @@ pub struct Bearing {
     /// How the distance to the transmitter changed from exchange to exchange, or why that is not known, if
     /// [`super::Options::range_change`] asked for it. Never of one log, whose phases hold the path once.
     pub range_change: Option<Result<RangeChange, NoRangeChange>>,
+    /// From one log: the phases that the chains add, one for each baseline, as the turn gave them; none where they were known
+    /// before, or of two logs.
+    pub chain_constants: Vec<ChainConstant>,
     /// Pairs by fate.
     pub pairs: PairCounts,
     /// Mean receiver position of the samples used, metres, trajectory frame: the answer's azimuth and range are from here.

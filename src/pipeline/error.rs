@@ -107,7 +107,7 @@ pub enum LinkError {
     Unheard,
     /// Of a bearing from one log: the robot did not turn.
     #[error(
-        "no turn: none of the {records} records was taken while the baseline turned, and two antennas that do not turn show no bearing"
+        "no turn: none of the {records} records was taken while the baseline turned, and two antennas that do not turn show no bearing, unless the constant between their chains is known from a turn before"
     )]
     NotTurned {
         /// Records of the sender.

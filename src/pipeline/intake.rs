@@ -9,6 +9,7 @@ use crate::signal::channel::SUBCARRIERS;
 use crate::source::survey::Survey;
 use crate::source::{CsiSource, Error, Next};
 use crate::time::Instant;
+use driver_iface::record::{Record, card_clock_ps, code};
 use driver_iface::sounding::native::Measurement;
 use driver_iface::{
     Mac,
@@ -28,6 +29,8 @@ pub struct FrameHeard {
     pub host_us: Option<i64>,
     /// Running number among the frames of its sender in this log, from 0.
     pub row: u32,
+    /// How far the card's clock is past that microsecond, picoseconds, where it is finer than one.
+    pub left_ps: u32,
     /// What is known of the frame itself.
     pub proof: Proof,
     iq: [Iq; SUBCARRIERS],
@@ -39,7 +42,8 @@ impl FrameHeard {
     pub fn of(bfee: &Bfee<'_>, antenna: Antenna, number: u32, host_us: Option<i64>, row: u32) -> Option<Self> {
         let mut iq = [Iq::default(); SUBCARRIERS];
         bfee.column(bfee.chain_of(antenna)?, 0, &ALL_SUBCARRIERS, &mut iq)?;
-        Some(Self { number, timestamp_low: bfee.timestamp_low(), host_us, row, proof: Proof::Unknown, iq })
+        let timestamp_low = bfee.timestamp_low();
+        Some(Self { number, timestamp_low, host_us, row, left_ps: 0, proof: Proof::Unknown, iq })
     }
 
     /// A forward frame as the robot that answered it has measured it.
@@ -47,7 +51,7 @@ impl FrameHeard {
     pub(crate) fn measured(measurement: &Measurement, row: u32) -> Self {
         let iq = measurement.iq.map(|[i, q]| Iq { i, q });
         let Measurement { number, timestamp_low, .. } = *measurement;
-        Self { number, timestamp_low, host_us: None, row, proof: Proof::Unknown, iq }
+        Self { number, timestamp_low, host_us: None, row, left_ps: 0, proof: Proof::Unknown, iq }
     }
 
     /// The same with another number, and another running number in its log.
@@ -93,13 +97,15 @@ pub struct Front {
     /// What was counted.
     pub log: LogReport,
     prover: Prover,
+    /// What a record said of the clock at the next bfee.
+    left_ps: u32,
 }
 
 impl Front {
     /// A front of which only `antenna` is decoded.
     #[must_use]
     pub fn new(antenna: Antenna) -> Self {
-        Self { antenna, log: LogReport::default(), prover: Prover::default() }
+        Self { antenna, log: LogReport::default(), prover: Prover::default(), left_ps: 0 }
     }
 
     /// The same, in which these senders always have a place: strangers compete for the others (see [`Survey::with_known`]).
@@ -126,12 +132,16 @@ impl Front {
     /// The same of frames without a number too, which have 0 for it; at last whether it has one.
     fn note_any(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard, bool)> {
         let proof = self.prover.note(next);
+        if let Next::Record(_, Record { code: code::CARD_CLOCK, body }) = next {
+            self.left_ps = card_clock_ps(body).unwrap_or(0);
+        }
         let (bfee, identity) = self.log.survey.note(next)?;
+        let left_ps = std::mem::take(&mut self.left_ps);
         let Some(number) = identity.frame_count else {
             let heard = FrameHeard::of(&bfee, self.antenna, 0, identity.host_us, 0);
             let heard = heard.filter(|_| proof != Proof::Wrong);
             self.log.unused.no_number += u64::from(heard.is_none());
-            return heard.map(|heard| (identity.mac, FrameHeard { proof, ..heard }, false));
+            return heard.map(|heard| (identity.mac, FrameHeard { proof, left_ps, ..heard }, false));
         };
         let row = self.log.survey.senders.get(&identity.mac).map_or(0, |sender| sender.numbered.saturating_sub(1));
         let heard = FrameHeard::of(&bfee, self.antenna, number, identity.host_us, row);
@@ -141,7 +151,7 @@ impl Front {
             return None;
         }
         self.log.unchecked += u64::from(proof == Proof::Unknown && self.prover.has_key() && heard.is_some());
-        heard.map(|heard| (identity.mac, FrameHeard { proof, ..heard }, true))
+        heard.map(|heard| (identity.mac, FrameHeard { proof, left_ps, ..heard }, true))
     }
 }
 
@@ -259,7 +269,6 @@ mod tests {
     use super::*;
     use crate::source::Stamps;
     use driver_iface::bfee::{Repr, Wsr};
-    use driver_iface::record::{Record, code};
 
     const SENDER: Mac = Mac([2; 6]);
 

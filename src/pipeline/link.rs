@@ -63,6 +63,8 @@ pub(super) struct PairRow {
     pub clock_rx_us: i64,
     /// The transmitter's card's clock less the receiver's, microseconds, as the pairing gives it.
     pub difference_us: i64,
+    /// What a clock finer than a microsecond adds to it, microseconds.
+    pub finer_us: f64,
     /// Host times of receiver and transmitter, microseconds since the Unix epoch.
     pub host_us: Option<i64>,
     pub partner_host_us: Option<i64>,
@@ -244,6 +246,7 @@ impl Link {
             z,
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,
+            finer_us: 1e-6 * (f64::from(pair.transmitter.left_ps) - f64::from(pair.receiver.left_ps)),
             host_us: pair.receiver.host_us,
             partner_host_us: pair.transmitter.host_us,
             row: pair.receiver.row,
@@ -337,7 +340,7 @@ impl Link {
     /// The turn-around compensation of `z`, one for each pair kept, where both clocks allow one.
     pub(super) fn turn_around(&self, z: &[Complex64], carrier_hz: f64) -> Option<TurnAround> {
         let clock: Vec<i64> = self.rows.iter().map(|row| row.clock_rx_us).collect();
-        let difference: Vec<i64> = self.rows.iter().map(|row| row.difference_us).collect();
+        let difference: Vec<f64> = self.rows.iter().map(|row| row.difference_us as f64 + row.finer_us).collect();
         TurnAround::estimate(z, &clock, &difference, carrier_hz)
     }
 }

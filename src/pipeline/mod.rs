@@ -10,7 +10,7 @@
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
 //! | clocks, compensation, the gate of motion, the estimate (`crate::estimate`) | `draft` |
 //! | of motion that is too wide to be searched at once, the stretch that tells most | `stretch` |
-//! | one log of a robot that turns, by two or three antennas | `one_log` |
+//! | one log of a robot that turns, by two or three antennas | `one_log`, `first_delay` |
 //! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
 //! | what it says of the transmitter's place, for a filter over several motions | `evidence`, `carried` |
@@ -23,6 +23,7 @@ mod draft;
 mod error;
 mod evidence;
 mod explain;
+mod first_delay;
 pub(crate) mod intake;
 mod link;
 pub mod live;
@@ -44,7 +45,7 @@ pub use explain::{LinkPlan, StepPlan};
 pub use intake::UnusedRecords;
 pub(crate) use intake::{FrameHeard, Front};
 pub use link::Link;
-pub use one_log::{Array, ArrayError, ArrayFrame, OneLog, OneLogReport, one_log};
+pub use one_log::{Array, ArrayError, ArrayFrame, ChainConstant, OneLog, OneLogReport, one_log};
 pub use options::{Accuracy, JoinBy, Options};
 
 use crate::exchange::assign::{Match, Unmatched};

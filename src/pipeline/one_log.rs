@@ -12,13 +12,18 @@
 //! the samples go into the same estimate as those of two logs. The robot's position is not needed.
 //!
 //! The wave front is plane: the two ends of a baseline see the curvature alike, so there is no range.
+//!
+//! A turn gives `c` too ([`ChainConstant`]). Where it is known ([`Array::with_constants`]) a product of antennas at one place
+//! would have the phase `c`: samples of that at the origin, as many as were heard, anchor the others, and a robot that stands
+//! has a bearing, of two antennas with its mirror beyond the baseline. It is known until the firmware is loaded anew.
 
 use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
 use super::error::LinkError;
+use super::first_delay::FirstDelay;
 use super::options::{JoinBy, Options};
 use super::{LinkReport, LogReport};
-use crate::bartlett;
-use crate::estimate::estimate;
+use crate::bartlett::{self, Estimate};
+use crate::estimate::{Found, estimate};
 use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::{Planes, lanes};
@@ -26,8 +31,9 @@ use crate::signal::samples::Samples;
 use crate::source::survey::bounds::SENDERS_KEPT;
 use crate::source::{CsiSource, Error, Next};
 use crate::time::Instant;
+use csi_formats::Frame;
 use driver_iface::Mac;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq};
+use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Antennas, Bfee, Iq};
 use nalgebra::{UnitVector3, Vector3};
 use num_complex::{Complex32, Complex64};
 use std::collections::BTreeMap;
@@ -57,6 +63,17 @@ const ROUGH_ROWS: usize = 256;
 pub struct Array {
     first: Antenna,
     others: Vec<(Antenna, Vector3<f64>)>,
+    /// Of each baseline, where they are known.
+    constants: Vec<ChainConstant>,
+}
+
+/// The phase that the chains of two antennas add to `h_first conj(h_other)`.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct ChainConstant {
+    /// Radians.
+    pub rad: f64,
+    /// Its standard deviation, radians.
+    pub sd_rad: f64,
 }
 
 /// Why antennas and baselines make no array.
@@ -92,6 +109,16 @@ pub enum ArrayError {
         /// Its length, metres.
         length_m: f64,
     },
+    /// Not one constant for each baseline, or one that is no number.
+    #[error(
+        "{constants} constants of chains for {baselines} baselines: none, or a finite one for each, with a deviation of 0 or more"
+    )]
+    Constants {
+        /// Constants given.
+        constants: usize,
+        /// Baselines.
+        baselines: usize,
+    },
 }
 
 impl Array {
@@ -115,7 +142,21 @@ impl Array {
         if let Some(length_m) = baselines_m.iter().map(|b| b.norm()).find(|length_m| !fits(length_m)) {
             return Err(ArrayError::Length { length_m });
         }
-        Ok(Self { first, others: others.iter().copied().zip(baselines_m.iter().copied()).collect() })
+        let others = others.iter().copied().zip(baselines_m.iter().copied()).collect();
+        Ok(Self { first, others, constants: Vec::new() })
+    }
+
+    /// With what a turn gave for each baseline ([`Bearing::chain_constants`]): then records count that were taken while the
+    /// robot stood.
+    ///
+    /// # Errors
+    /// [`ArrayError::Constants`] for another number of them than of baselines, and for what is not finite.
+    pub fn with_constants(self, constants: &[ChainConstant]) -> Result<Self, ArrayError> {
+        let is_known = |one: &ChainConstant| one.rad.is_finite() && one.sd_rad.is_finite() && one.sd_rad >= 0.0;
+        if constants.len() != self.others.len() || !constants.iter().all(is_known) {
+            return Err(ArrayError::Constants { constants: constants.len(), baselines: self.others.len() });
+        }
+        Ok(Self { constants: constants.to_vec(), ..self })
     }
 
     /// The antennas, in the order given.
@@ -182,6 +223,14 @@ impl ArrayFrame {
     }
 }
 
+/// The receive chain of a frame that is connected to an antenna: told by a 5300, elsewhere they are counted.
+fn chain(frame: &Frame, antenna: Antenna) -> Option<usize> {
+    match frame.antenna_sel {
+        Some(sel) => Antennas::new(sel, u8::try_from(frame.n_rx).ok()?, [0; 3]).ok()?.chain_of(antenna),
+        None => antenna.index().checked_sub(usize::from(frame.first_rx)),
+    }
+}
+
 /// One frame, as it is kept.
 #[derive(Clone, Debug)]
 struct Row {
@@ -225,6 +274,7 @@ pub struct OneLog {
     options: Options,
     log: LogReport,
     senders: BTreeMap<Mac, Sender>,
+    first_delay: FirstDelay,
 }
 
 /// What a run over one log gave.
@@ -241,7 +291,8 @@ impl OneLog {
     /// Nothing heard yet. Of `options` those of pairs and of two clocks have no meaning here.
     #[must_use]
     pub fn new(array: Array, options: Options) -> Self {
-        Self { array, options, log: LogReport::default(), senders: BTreeMap::new() }
+        let first_delay = FirstDelay::new(options.tier);
+        Self { array, options, log: LogReport::default(), senders: BTreeMap::new(), first_delay }
     }
 
     /// Takes what a source of a 5300's records gave.
@@ -251,6 +302,33 @@ impl OneLog {
             Some(frame) => self.hear(frame),
             None => self.log.unused.no_antenna += 1,
         }
+    }
+
+    /// Takes a frame of another card. False if it has not all of the antennas, or they heard nothing.
+    ///
+    /// Of frames of 80 MHz and more it takes what was heard at the first strong delay: there the direct path is nearly alone.
+    pub fn note_frame(&mut self, frame: &Frame) -> bool {
+        let column = |antenna, stream| frame.column(chain(frame, antenna).filter(|chain| *chain < frame.n_rx)?, stream);
+        let mut firsts: Vec<Vec<Complex32>> = Vec::new();
+        if FirstDelay::is_of(frame) {
+            for stream in 0..frame.n_tx {
+                let columns: Option<Vec<_>> = self.array.antennas().map(|antenna| column(antenna, stream)).collect();
+                firsts.extend(columns.and_then(|columns| self.first_delay.of(frame, &columns)));
+            }
+        }
+        let csi = |antenna: Antenna, stream: usize| match firsts.get(stream) {
+            Some(values) => {
+                let place = self.array.antennas().position(|own| own == antenna)?;
+                values.get(place).map(|value| vec![*value])
+            }
+            None => {
+                let measured = column(antenna, stream)?.iter().zip(&frame.measured).filter(|(_, measured)| **measured);
+                Some(measured.map(|([re, im], _)| Complex32::new(*re, *im)).collect())
+            }
+        };
+        let sender = frame.sender.map(Mac).unwrap_or_default();
+        let heard = ArrayFrame::new(&self.array, sender, frame.host_us, frame.n_tx, csi);
+        heard.map(|heard| self.hear(heard)).is_some()
     }
 
     /// Takes a frame of any card.
@@ -281,7 +359,7 @@ impl OneLog {
     /// The bearing of every sender, on the trajectory of the robot.
     #[must_use]
     pub fn bearings(self, trajectory: &Trajectory) -> OneLogReport {
-        let Self { array, options, log, senders } = self;
+        let Self { array, options, log, senders, .. } = self;
         let mut senders: Vec<(Mac, Sender)> = senders.into_iter().collect();
         senders.sort_by_key(|(_, sender)| std::cmp::Reverse(sender.heard));
         let named = options.tx_macs.iter().filter(|mac| !senders.iter().any(|(own, _)| own == *mac));
@@ -342,8 +420,10 @@ struct Baseline {
 
 /// The samples of all baselines as those of one array.
 struct Together {
+    /// Those of a known constant first, then those that were heard.
     samples: Samples,
-    /// The baseline and the row of each sample.
+    anchors: usize,
+    /// The baseline and the row of each that was heard.
     rows: Vec<(usize, usize)>,
     /// By what the samples of each baseline were turned: the constants of the chains, undone.
     turns: Vec<Complex64>,
@@ -407,7 +487,7 @@ impl Joined {
                 let fate = match (place, t_s) {
                     (_, Some(t_s)) if !options.keeps(t_s - first_s) => Fate::Cut,
                     (None, _) => Fate::NoPose,
-                    (Some((t_s, _)), _) if !turns(t_s) => Fate::Standing,
+                    (Some((t_s, _)), _) if array.constants.is_empty() && !turns(t_s) => Fate::Standing,
                     (Some((t_s, end_m)), _) => {
                         let pushed = own.samples.push(t_s, row.z(k), end_m, Vector3::zeros());
                         pushed.map_err(bartlett::Error::from)?;
@@ -463,7 +543,7 @@ impl Joined {
         let all_rows: Vec<(usize, usize)> = heard.iter().flat_map(rows).collect();
         if let [(_, only)] = heard[..] {
             let (samples, turns) = (only.samples.clone(), vec![Complex64::ONE; self.baselines.len()]);
-            return Ok(Together { samples, rows: all_rows, turns });
+            return Ok(Together { samples, anchors: 0, rows: all_rows, turns });
         }
         let groups: Vec<Vec<(Vector3<f64>, Complex64)>> =
             heard.iter().map(|(_, own)| about_middle(&own.samples)).collect();
@@ -477,7 +557,93 @@ impl Joined {
                 pushed.map_err(bartlett::Error::from)?;
             }
         }
-        Ok(Together { samples: all, rows: all_rows, turns })
+        Ok(Together { samples: all, anchors: 0, rows: all_rows, turns })
+    }
+
+    /// The same where the constants are known: as many samples at the origin, of phase 0, as were heard.
+    fn anchored(&self, constants: &[ChainConstant], options: &Options) -> Result<Together, LinkError> {
+        let turns: Vec<Complex64> = constants.iter().map(|constant| Complex64::cis(-constant.rad)).collect();
+        let mut all = Samples::new(options.channel.wavelength_m(), 1).map_err(bartlett::Error::from)?;
+        let heard = || self.baselines.iter().map(|own| &own.samples);
+        let anchors: usize = heard().map(Samples::len).sum();
+        let first_s = heard().filter_map(|own| own.t_s().first()).fold(f64::MAX, |first, t_s| first.min(*t_s));
+        for _ in 0..anchors {
+            all.push(first_s, Complex64::ONE, Vector3::zeros(), Vector3::zeros()).map_err(bartlett::Error::from)?;
+        }
+        for (own, turn) in heard().zip(&turns) {
+            for ((place_m, z), t_s) in own.receiver_m().iter().zip(own.z()).zip(own.t_s()) {
+                all.push(*t_s, z * turn, *place_m, Vector3::zeros()).map_err(bartlett::Error::from)?;
+            }
+        }
+        let rows = self.baselines.iter().enumerate().flat_map(|(k, own)| own.rows.iter().map(move |row| (k, *row)));
+        Ok(Together { samples: all, anchors, rows: rows.collect(), turns })
+    }
+
+    /// The constants, given where the transmitter is.
+    fn constants(&self, towards: &Towards) -> Vec<ChainConstant> {
+        self.baselines.iter().map(|own| towards.constant(&own.samples)).collect()
+    }
+}
+
+/// A direction, and how well it is known.
+struct Towards {
+    azimuth_rad: f64,
+    elevation_rad: f64,
+    azimuth_sd_rad: f64,
+    elevation_sd_rad: f64,
+}
+
+impl Towards {
+    fn of(found: &Found) -> Option<Self> {
+        let first = found.modes.first()?;
+        Some(Self {
+            azimuth_rad: first.place.azimuth,
+            elevation_rad: first.place.elevation,
+            azimuth_sd_rad: found.direction_sd_rad(),
+            elevation_sd_rad: first.covariance[(1, 1)].max(0.0).sqrt(),
+        })
+    }
+
+    /// By how much a place turns the phase for each radian of azimuth and of elevation.
+    fn slopes(&self, place_m: &Vector3<f64>, wavelength_m: f64) -> [f64; 2] {
+        let ((sin_a, cos_a), (sin_e, cos_e)) = (self.azimuth_rad.sin_cos(), self.elevation_rad.sin_cos());
+        let by_azimuth = Vector3::new(-sin_a, cos_a, 0.0) * cos_e;
+        let by_elevation = Vector3::new(-cos_a * sin_e, -sin_a * sin_e, cos_e);
+        [by_azimuth, by_elevation].map(|by| TAU / wavelength_m * by.dot(place_m))
+    }
+
+    /// What is left of the phases of a baseline, and its deviation: by their spread, of which neighbours share a part, and by the
+    /// direction, which matters as the turn leaves places off their middle.
+    fn constant(&self, samples: &Samples) -> ChainConstant {
+        let (n, wavelength_m) = (samples.len().max(1) as f64, samples.wavelength_m());
+        let towards = bartlett::direction(self.azimuth_rad, self.elevation_rad);
+        let steer =
+            |(place_m, z): (&Vector3<f64>, &Complex64)| z * Complex64::cis(-TAU * towards.dot(place_m) / wavelength_m);
+        let left: Vec<Complex64> = samples.receiver_m().iter().zip(samples.z()).map(steer).collect();
+        let rad = left.iter().sum::<Complex64>().arg();
+        let off: Vec<f64> = left.iter().map(|z| (z * Complex64::cis(-rad)).arg()).collect();
+        let square: f64 = off.iter().map(|rad| rad * rad).sum();
+        let shared: f64 = off.windows(2).map(|two| two[0] * two[1]).sum::<f64>() / square.max(f64::MIN_POSITIVE);
+        let alike = shared.clamp(0.0, 0.99);
+        let spread = square / n / n * (1.0 + alike) / (1.0 - alike);
+        let middle_m = samples.receiver_m().iter().sum::<Vector3<f64>>() / n;
+        let [by_azimuth, by_elevation] = self.slopes(&middle_m, wavelength_m);
+        let by_direction = (by_azimuth * self.azimuth_sd_rad).hypot(by_elevation * self.elevation_sd_rad);
+        ChainConstant { rad, sd_rad: spread.sqrt().hypot(by_direction) }
+    }
+
+    /// Deviation of the azimuth that those of the constants make: least squares of phases that are off by them.
+    fn azimuth_sd_of(&self, constants: &[ChainConstant], together: &Together) -> f64 {
+        let places = together.samples.receiver_m();
+        let middle_m = places.iter().sum::<Vector3<f64>>() / places.len().max(1) as f64;
+        let slope = |place_m: &Vector3<f64>| self.slopes(&(place_m - middle_m), together.samples.wavelength_m())[0];
+        let all: f64 = places.iter().map(|place_m| slope(place_m).powi(2)).sum();
+        let of = |(k, constant): (usize, &ChainConstant)| {
+            let own = together.rows.iter().zip(places.iter().skip(together.anchors)).filter(|((own, _), _)| *own == k);
+            (constant.sd_rad * own.map(|(_, place_m)| slope(place_m)).sum::<f64>()).powi(2)
+        };
+        let sum: f64 = constants.iter().enumerate().map(of).sum();
+        sum.sqrt() / all.max(f64::MIN_POSITIVE)
     }
 }
 
@@ -556,7 +722,11 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
     if counts.in_motion == 0 {
         return Err(joined.nothing(&counts, &times_s, trajectory));
     }
-    let Together { samples, rows: used, turns } = joined.together(options)?;
+    let together = match &array.constants[..] {
+        [] => joined.together(options)?,
+        known => joined.anchored(known, options)?,
+    };
+    let Together { samples, anchors, rows: used, turns } = &together;
     let mut options = options.clone();
     options.accuracy.near_field = false;
     // One card has one sampling clock: no slope differs from packet to packet.
@@ -566,21 +736,25 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         let turn = turns.get(*baseline).copied().unwrap_or(Complex64::ONE);
         sender.rows.get(*row).map_or(Planes::ZERO, |row| row.planes(*baseline, turn))
     };
-    let all: Vec<usize> = (0..used.len()).collect();
-    let found = estimate(&options.task(&samples, trajectory), || used.iter().map(planes).collect(), &all)?;
-    let coherence = found.plane_wave.coherence;
-    if coherence <= BY_CHANCE / (samples.len() as f64).sqrt() {
-        return Err(LinkError::Unsteady { records: samples.len(), coherence });
+    let all: Vec<usize> = (0..samples.len()).collect();
+    let rows = || std::iter::repeat_n(Planes::ONE, *anchors).chain(used.iter().map(planes)).collect();
+    let mut found = estimate(&options.task(samples, trajectory), rows, &all)?;
+    let coherence = coherence(&found.plane_wave, samples, *anchors);
+    if coherence <= BY_CHANCE / (used.len() as f64).sqrt() {
+        return Err(LinkError::Unsteady { records: used.len(), coherence });
     }
-    let poses: Vec<Pose> = samples.t_s().iter().filter_map(|t_s| trajectory.at(*t_s)).collect();
+    let towards = Towards::of(&found);
+    let constants_sd_rad = towards.as_ref().map_or(0.0, |towards| towards.azimuth_sd_of(&array.constants, &together));
+    found.blur.heading_rad = found.blur.heading_rad.hypot(constants_sd_rad);
+    let poses: Vec<Pose> = samples.t_s().iter().skip(*anchors).filter_map(|t_s| trajectory.at(*t_s)).collect();
     let sum = poses.iter().fold(Vector3::zeros(), |sum, pose| sum + pose.position_m);
     let last = poses.iter().max_by(|a, b| a.t_s.total_cmp(&b.t_s));
     let keeps = options.keep_course;
     Ok(Bearing {
-        answer: BearingAnswer::of(&found, &samples),
+        answer: BearingAnswer::of(&found, samples),
         sufficient: found.sufficient,
         heading_rad: last.and_then(|pose| pose.heading_rad),
-        figures: ProfileFigures::of(&samples)?,
+        figures: ProfileFigures::of(samples)?,
         compensated: false,
         turn_around: None,
         range_change: None,
@@ -597,8 +771,21 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
             .filter(|_| keeps)
             .map(|pose| pose.position_m * (joined.length_m / GATE_ARM_M))
             .collect(),
-        samples,
+        chain_constants: towards.filter(|_| *anchors == 0).map(|at| joined.constants(&at)).unwrap_or_default(),
+        samples: samples.clone(),
     })
+}
+
+/// Share of what was heard that a plane wave explains: anchors explain themselves.
+fn coherence(wave: &Estimate, samples: &Samples, anchors: usize) -> f64 {
+    if anchors == 0 {
+        return wave.coherence;
+    }
+    let heard = samples.receiver_m().iter().zip(samples.z()).skip(anchors).map(|(place_m, z)| (*place_m, *z));
+    let heard: Vec<(Vector3<f64>, Complex64)> = heard.collect();
+    let elevation_rad = wave.signed_elevation_rad.unwrap_or(wave.abs_elevation_rad);
+    let towards = bartlett::direction(wave.azimuth_rad, elevation_rad);
+    steered(&heard, &towards, samples.wavelength_m(), 1).norm() / heard.len().max(1) as f64
 }
 
 /// The phase of the first baseline in every record.

@@ -42,6 +42,16 @@ pub(crate) fn sum(x: &Lanes) -> f32 {
 }
 
 impl Planes {
+    /// Of phase 0 and unit power on every subcarrier.
+    pub const ONE: Self = {
+        let mut re = [0.0; LANES];
+        let mut k = 0;
+        while k < SUBCARRIERS {
+            re[k] = 1.0;
+            k += 1;
+        }
+        Self { re, im: [0.0; LANES] }
+    };
     pub const ZERO: Self = Self { re: [0.0; LANES], im: [0.0; LANES] };
 
     /// Place by place.

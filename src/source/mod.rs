@@ -5,6 +5,7 @@ mod error;
 pub(crate) mod hearing;
 pub(crate) mod key_file;
 pub(crate) mod log;
+pub mod other_card;
 pub mod recorder;
 pub mod replay;
 mod side_file;

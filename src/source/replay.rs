@@ -1,5 +1,6 @@
 //! A recorded `.dat` log as a [`CsiSource`]: read in chunks, never loaded.
 
+use super::other_card::{Translated, is_other};
 use super::side_file::{Checks, Said, SideFile};
 use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use crate::time::Instant;
@@ -71,7 +72,8 @@ pub enum Front {
 
 impl Replay<Box<dyn Read + Send>> {
     /// Opens a log; `-` is standard input. Host times come from its side file (`<log>stp`), where there is one; a record
-    /// whose checksum is not the side file's is lost.
+    /// whose checksum is not the side file's is lost. A log of FeitCSI (AX200, AX210), which is recognised by its first
+    /// bytes, is read as one of a 5300: 30 subcarriers of frames of 20 and 40 MHz, 8 bits, no frame numbers.
     ///
     /// # Errors
     /// If it cannot be opened, or is a directory.
@@ -84,7 +86,10 @@ impl Replay<Box<dyn Read + Send>> {
         if path.is_dir() {
             return Err(Error::Directory { path: path.into() });
         }
-        let file = std::fs::File::open(path).map_err(io)?;
+        let mut file = std::fs::File::open(path).map_err(io)?;
+        if is_other(&mut file).map_err(io)? {
+            return Ok(Self::new(Box::new(Translated::new(file)), name));
+        }
         let mut replay = Self::new(Box::new(file), name.clone());
         replay.framing.side = SideFile::of(path);
         Ok(replay)

@@ -3,7 +3,7 @@
 use crate::source::{Loss, Next, Stamps};
 use crate::time::Step16;
 use driver_iface::mpdu::{self, Header};
-use driver_iface::record::{Record, Tail, code};
+use driver_iface::record::{Record, Tail, code, left_out};
 use driver_iface::sounding;
 use driver_iface::{Mac, bfee::Bfee};
 use std::collections::{BTreeMap, BTreeSet};
@@ -245,6 +245,14 @@ impl Survey {
             },
             code::MPDU => {
                 self.note_mpdu(record.body);
+                None
+            }
+            code::LEFT_OUT => {
+                if let Some((offset, len, why)) = left_out(record.body) {
+                    self.damages += 1;
+                    self.damaged_bytes = self.damaged_bytes.saturating_add(len);
+                    self.keep(offset, len, why.to_owned());
+                }
                 None
             }
             _ => None,

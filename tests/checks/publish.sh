@@ -10,8 +10,8 @@ packed=$(mktemp -d target/publish-XXXXXX)
 trap 'rm -rf "$said" "$packed"' EXIT
 # Whether it builds does not depend on how well.
 plain=(--config profile.dev.debug=0)
-for crate in csi5300 csi5300-kernels driver-iface; do plain+=(--config "profile.dev.package.$crate.opt-level=0"); done
-if ! cargo publish "${plain[@]}" --dry-run --allow-dirty --target-dir "$packed" -p driver-iface -p csi5300-kernels -p csi5300 2>"$said"; then
+for crate in csi5300 csi5300-kernels csi-formats driver-iface; do plain+=(--config "profile.dev.package.$crate.opt-level=0"); done
+if ! cargo publish "${plain[@]}" --dry-run --allow-dirty --target-dir "$packed" -p driver-iface -p csi-formats -p csi5300-kernels -p csi5300 2>"$said"; then
     cat "$said"
     grep -qE 'failed to (get|fetch|download)|network|spurious' "$said" && { echo "crates.io cannot be reached"; exit 77; }
     exit 1

@@ -1,6 +1,7 @@
 //! The library from outside: the scheduler on a virtual air, bodies of the fuzz targets.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod ax210;
 mod by_clock;
 #[path = "../common/mod.rs"]
 mod common;
@@ -11,5 +12,6 @@ mod inputs;
 mod one_log;
 mod pipeline;
 mod soak;
+mod taps;
 mod tdma;
 mod users_logs;

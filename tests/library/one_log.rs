@@ -253,6 +253,66 @@ fn what_shows_no_bearing_is_refused_with_why() {
     }
 }
 
+/// What `log` adds to the product of A and B, and of A and C, radians.
+const CONSTANTS_RAD: [f64; 2] = [-0.9, 2.1];
+
+#[test]
+fn a_turn_gives_the_constants_of_the_chains() {
+    let (baseline_m, across_m) = (Vector3::new(0.05, 0.0, 0.0), Vector3::new(0.0, 0.05, 0.0));
+    let both = Array::new(&[Antenna::A, Antenna::B, Antenna::C], &[baseline_m, across_m]).unwrap();
+    for turn_deg in [120.0, 360.0] {
+        let mut shares = Vec::new();
+        for seed in 0..100_u32 {
+            let scene = Scene::new(turn_deg, baseline_m, wrap_rad(2.4 * f64::from(seed)));
+            let bearing = only(scene.log(seed.into(), NEAR, [0.9; 3]), &scene.trajectory(), &both).unwrap();
+            assert_eq!(bearing.chain_constants.len(), 2);
+            for (found, truth_rad) in bearing.chain_constants.iter().zip(CONSTANTS_RAD) {
+                assert!(found.sd_rad < 0.03, "{found:?}");
+                shares.push(wrap_rad(found.rad - truth_rad) / found.sd_rad);
+            }
+        }
+        println!("{turn_deg} degrees: {:.2} deviations", rms(&shares));
+        assert!((0.8..1.2).contains(&rms(&shares)), "{turn_deg}: {}", rms(&shares));
+    }
+}
+
+/// The constant of a turn, then a robot that stands: the angle to the baseline, so one of two sides, and both of them with a third
+/// antenna.
+#[test]
+fn with_the_constant_of_a_turn_a_robot_that_stands_has_a_bearing() {
+    let (baseline_m, across_m) = (Vector3::new(0.025, 0.0, 0.0), Vector3::new(0.0, 0.025, 0.0));
+    let two = pair(baseline_m);
+    let three = Array::new(&[Antenna::A, Antenna::B, Antenna::C], &[baseline_m, across_m]).unwrap();
+    let turned = Scene::new(360.0, baseline_m, 0.3);
+    let constants =
+        |array: &Array| only(turned.log(99, NEAR, [0.9; 3]), &turned.trajectory(), array).unwrap().chain_constants;
+    let [of_two, of_three] = [&two, &three].map(constants);
+    let (two, three) = (two.with_constants(&of_two).unwrap(), three.with_constants(&of_three).unwrap());
+    for seed in 0..12_u32 {
+        // The baseline points to 0.4 radians; directions along it are left out, where two antennas tell least.
+        let from_baseline = 0.5 + 2.1 * f64::from(seed) / 11.0;
+        let azimuth_rad = wrap_rad(if seed % 2 == 0 { 0.4 + from_baseline } else { 0.4 - from_baseline });
+        let mirror_rad = wrap_rad(0.8 - azimuth_rad);
+        let still = Scene::new(0.0, baseline_m, azimuth_rad);
+        let log = still.log(seed.into(), NEAR, [0.9; 3]);
+        let found = only(log.clone(), &still.trajectory(), &two).unwrap().answer;
+        let off = |a: f64, b: f64| wrap_rad(a - b).abs();
+        let (first, second) = (found.azimuth_rad, found.mirror_rad.unwrap());
+        let way = off(first, azimuth_rad).max(off(second, mirror_rad));
+        let other_way = off(first, mirror_rad).max(off(second, azimuth_rad));
+        assert!(way.min(other_way) < 0.03, "{azimuth_rad} and {mirror_rad}: {first} and {second}");
+        assert!((0.001..0.05).contains(&found.azimuth_sd_rad), "{}", found.azimuth_sd_rad);
+        let whole = only(log, &still.trajectory(), &three).unwrap().answer;
+        assert!(off(whole.azimuth_rad, azimuth_rad) < 0.03 && whole.mirror_rad.is_none(), "{azimuth_rad}: {whole:?}");
+    }
+    // Noise that happens to have a constant is none.
+    let still = Scene::new(0.0, baseline_m, 1.0);
+    let unsteady = only(still.log(1, NEAR, [0.9, 0.0, 0.9]), &still.trajectory(), &two);
+    assert!(matches!(unsteady, Err(LinkError::Unsteady { records: RECORDS, .. })), "{unsteady:?}");
+    let wrong = pair(baseline_m).with_constants(&of_three);
+    assert_eq!(wrong.unwrap_err(), ArrayError::Constants { constants: 2, baselines: 1 });
+}
+
 /// The formula of the WSR toolbox, slowly: `|sum h_A conj(h_B) exp(-j 2 pi / lambda u . R b)|` over all azimuths, as a share of
 /// `sum |h_A conj(h_B)|` where every product has unit size.
 fn slowly(log: &std::path::Path, trajectory: &Trajectory, used_s: &[f64], baseline_m: f64) -> (f64, f64) {

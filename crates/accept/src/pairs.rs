@@ -144,7 +144,8 @@ impl Pairs {
 
     /// What the library makes of the phases.
     fn compensate(&mut self, carrier_hz: f64) {
-        let estimate = |z: &[Complex64]| TurnAround::estimate(z, &self.near_us, &self.difference_us, carrier_hz);
+        let difference_us: Vec<f64> = self.difference_us.iter().map(|us| *us as f64).collect();
+        let estimate = |z: &[Complex64]| TurnAround::estimate(z, &self.near_us, &difference_us, carrier_hz);
         let (product, ratio) = (estimate(&self.product), estimate(&self.ratio));
         (self.compensation, self.ratio_compensation) = (product, ratio);
     }

@@ -27,6 +27,8 @@ pub const HEAD: usize = 272;
 pub const FTM_TICK_PS: u32 = 3_125;
 /// Subcarriers that old firmware writes too many in VHT160, and where.
 const VHT160_FAULT: core::ops::Range<usize> = 242..256;
+/// Antennas A and B, in `rate_n_flags`.
+const BOTH_ANTENNAS: u32 = 3 << 14;
 /// More chains than any of these cards has.
 const MAX_CHAINS: u8 = 4;
 
@@ -95,8 +97,69 @@ impl Head {
     }
 }
 
+/// What a record says beside its CSI, to be written: what [`front`] reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Repr {
+    /// FTM clock, ticks of 3.125 ns.
+    pub ftm: u32,
+    /// Host time, microseconds since the epoch; 0 where it is not known.
+    pub host_us: u64,
+    /// Receive chains.
+    pub n_rx: u8,
+    /// Transmit chains.
+    pub n_tx: u8,
+    /// Kind of the frame.
+    pub kind: Kind,
+    /// Its width, 20, 40, 80 or 160 MHz.
+    pub width_mhz: u16,
+    /// Its modulation and coding scheme.
+    pub mcs: u8,
+    /// RSSI of the two chains, dBm below 0.
+    pub rssi_dbm: [i16; 2],
+    /// The frame's sender.
+    pub sender: [u8; 6],
+    /// The card's microsecond clock.
+    pub clock_us: u32,
+}
+
+impl Repr {
+    /// Appends the record to `out`; `csi` is `[rx][tx][subcarrier]`.
+    pub fn emit(&self, csi: &[[i16; 2]], out: &mut Vec<u8>) {
+        let chains = (usize::from(self.n_rx) * usize::from(self.n_tx)).max(1);
+        let kind = match self.kind {
+            Kind::Legacy => 1,
+            Kind::Ht => 2,
+            Kind::Vht => 3,
+            Kind::He => 4,
+        };
+        let width = u32::from(self.width_mhz / 20).max(1).ilog2();
+        let rate = BOTH_ANTENNAS | width << 11 | kind << 8 | u32::from(self.mcs & 15);
+        let [a, b] = self.rssi_dbm.map(|dbm| u32::from(dbm.unsigned_abs()));
+        let mut head = [0; HEAD];
+        let fields: [(usize, &[u8]); 11] = [
+            (0, &(4 * csi.len() as u32).to_le_bytes()),
+            (8, &self.ftm.to_le_bytes()),
+            (12, &self.host_us.to_le_bytes()),
+            (46, &[self.n_rx, self.n_tx]),
+            (52, &((csi.len() / chains) as u32).to_le_bytes()),
+            (60, &a.to_le_bytes()),
+            (64, &b.to_le_bytes()),
+            (68, &self.sender),
+            (88, &self.clock_us.to_le_bytes()),
+            (92, &rate.to_le_bytes()),
+            // As the files at hand have it.
+            (4, &[4]),
+        ];
+        for (at, field) in fields {
+            head.iter_mut().skip(at).zip(field).for_each(|(byte, own)| *byte = *own);
+        }
+        out.extend_from_slice(&head);
+        out.extend(csi.iter().flatten().flat_map(|part| part.to_le_bytes()));
+    }
+}
+
 /// Whether the first record agrees with itself, and what follows it is one, or the end.
-pub(crate) fn is_log(bytes: &[u8]) -> bool {
+pub fn is_log(bytes: &[u8]) -> bool {
     let Some(head) = Head::parse(bytes).filter(Head::is_consistent) else { return false };
     let next = bytes.get(HEAD.saturating_add(head.csi_len)..).unwrap_or_default();
     next.is_empty() || Head::parse(next).is_some_and(|head| head.is_consistent())
@@ -202,6 +265,37 @@ pub(crate) mod tests {
         assert_eq!((frame.subcarriers[0], frame.subcarriers[28], frame.measured[7]), (-28, 1, false));
         assert_eq!(front(&record(0x0200, 57)).0, Err(Why::Subcarriers { got: 57 }));
         assert_eq!(front(&record(0x0000, 56)).0, Err(Why::Subcarriers { got: 56 }), "CCK");
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        for (kind, width_mhz) in [(Kind::Legacy, 20), (Kind::Ht, 40), (Kind::Vht, 80), (Kind::He, 20), (Kind::He, 160)]
+        {
+            let n = Tones::of(kind, width_mhz).unwrap().subcarriers.len();
+            let csi: Vec<[i16; 2]> = (0..2 * n as i16).map(|k| [k, -2 * k]).collect();
+            let repr = Repr {
+                ftm: 0xdead_beef,
+                host_us: 1_700_000_000_000_001,
+                n_rx: 2,
+                n_tx: 1,
+                kind,
+                width_mhz,
+                mcs: 7,
+                rssi_dbm: [-41, -73],
+                sender: [2, 3, 4, 5, 6, 7],
+                clock_us: 123_456,
+            };
+            let mut log = vec![1; 3];
+            repr.emit(&csi, &mut log);
+            let (frame, len) = front(&log[3..]);
+            let frame = frame.unwrap();
+            assert_eq!((len, frame.kind, frame.width_mhz), (log.len() - 3, Some(kind), width_mhz));
+            assert_eq!((frame.n_rx, frame.n_tx, frame.rssi), (2, 1, vec![Some(-41), Some(-73)]));
+            assert_eq!((frame.host_us, frame.sender), (Some(1_700_000_000_000_001), Some(repr.sender)));
+            assert_eq!(frame.clock, Some(Clock { ticks: 0xdead_beef, tick_ps: 3_125, bits: 32 }));
+            assert_eq!(frame.slow_clock, Some(Clock::us(123_456, 32)));
+            assert_eq!(frame.csi, csi.iter().map(|iq| iq.map(f32::from)).collect::<Vec<_>>());
+        }
     }
 
     #[test]

@@ -38,15 +38,16 @@ fn beginning(path: &Path) -> Vec<u8> {
 /// True if a record is near the beginning of a file.
 #[must_use]
 pub fn has_record(path: &Path) -> bool {
-    let Ok(file) = std::fs::File::open(path) else { return false };
-    let mut log = Replay::new(file.take(SEARCHED), String::new());
-    loop {
+    // Standard input can be read only once.
+    let Some(mut log) = (path.as_os_str() != "-").then(|| Replay::open(path).ok()).flatten() else { return false };
+    while log.bytes() <= SEARCHED {
         match log.receive(Instant::ZERO) {
             Ok(Next::Record(..)) => return true,
             Ok(Next::End(_)) | Err(_) => return false,
             Ok(Next::Lost(_) | Next::Pending) => {}
         }
     }
+    false
 }
 
 /// Kinds of files that begin with a mark of their own.

@@ -87,6 +87,23 @@ impl Carrier {
             *sum += tone;
         }
     }
+
+    /// The same at any subcarriers, by their indices in rising order and their spacing.
+    pub fn add_at(&self, path: &Path, common: Common, (indices, spacing_hz): (&[i16], f64), tones: &mut [Complex64]) {
+        let flight_s = path.length_m / SPEED_OF_LIGHT_M_PER_S;
+        let step_turns = -spacing_hz * (flight_s + common.delay_s);
+        let centre_turns = common.turns - flight_s * self.centre_hz;
+        let (one, size) = (phasor(step_turns), path.gain / path.length_m);
+        let mut last: Option<(i16, Complex64)> = None;
+        for (sum, &index) in tones.iter_mut().zip(indices) {
+            let tone = match last {
+                Some((before, tone)) if before + 1 == index => tone * one,
+                _ => phasor(centre_turns + f64::from(index) * step_turns) * size,
+            };
+            last = Some((index, tone));
+            *sum += tone;
+        }
+    }
 }
 
 #[cfg(test)]
@@ -117,6 +134,21 @@ mod tests {
                 let want = phasor(turns) * (path.gain / path.length_m);
                 assert!((tone - want).norm() < 1e-11, "tone {k}");
             }
+        }
+    }
+
+    #[test]
+    fn any_subcarriers_have_the_phase_of_their_frequency() {
+        let (carrier, common) = (Carrier::new(36, true).unwrap(), Common { turns: 7.25, delay_s: 90e-9 });
+        let path = Path { length_m: 5.5, gain: 0.8 };
+        let indices: Vec<i16> = (-244..-2).chain(3..245).collect();
+        let mut tones = vec![Complex64::default(); indices.len()];
+        carrier.add_at(&path, common, (&indices, 78_125.0), &mut tones);
+        for (tone, &k) in tones.iter().zip(&indices) {
+            let off_hz = f64::from(k) * 78_125.0;
+            let turns =
+                common.turns - path.length_m * (carrier.centre_hz + off_hz) / SPEED_OF_LIGHT_M_PER_S - off_hz * 90e-9;
+            assert!((tone - phasor(turns) * (path.gain / path.length_m)).norm() < 1e-9, "tone {k}");
         }
     }
 

@@ -8,6 +8,11 @@
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
+/// A tick of 320 MHz, picoseconds.
+const FTM_TICK_PS: i128 = csi_formats::feitcsi::FTM_TICK_PS as i128;
+/// Ticks in a microsecond.
+pub(crate) const FTM_TICKS_PER_US: u64 = 320;
+
 /// How far a card's crystal is off, as a relative frequency error over time; all zeros is a perfect one.
 ///
 /// `y(t) = offset + drift t + warm_up exp(-t / warm_up_s) + wander sin(2 pi t / wander_period_s)`, in ppm.
@@ -68,6 +73,15 @@ impl Crystal {
         let gained_ns = (self.gained_s(t_ns as f64 * 1e-9) * 1e9).round() as i64;
         self.clock_start_us.wrapping_add_signed(t_ns.saturating_add(gained_ns).div_euclid(1_000))
     }
+
+    /// The clock of an AX210's fine timing measurement at a true time in nanoseconds: whole ticks of 320 MHz, not wrapped, from
+    /// the same moment on as [`Crystal::clock_us`].
+    #[must_use]
+    pub(crate) fn ftm(&self, t_ns: i64) -> u64 {
+        let gained_ps = (self.gained_s(t_ns as f64 * 1e-9) * 1e12).round() as i128;
+        let ticks = (i128::from(t_ns) * 1_000 + gained_ps).div_euclid(FTM_TICK_PS);
+        self.clock_start_us.wrapping_mul(FTM_TICKS_PER_US).wrapping_add_signed(ticks as i64)
+    }
 }
 
 #[cfg(test)]
@@ -107,7 +121,9 @@ mod tests {
         let perfect = Crystal { clock_start_us: u64::from(u32::MAX), ..Crystal::default() };
         assert_eq!(perfect.clock_us(1_999), u64::from(u32::MAX) + 1);
         assert_eq!(perfect.clock_us(2_000), u64::from(u32::MAX) + 2);
+        assert_eq!(perfect.ftm(25), (u64::from(u32::MAX)) * 320 + 8);
         let fast = Crystal { offset_ppm: 2.0, ..Crystal::default() };
+        assert_eq!(fast.ftm(1_000_000_000_000), 1_000_002_000 * 320);
         assert_eq!(fast.clock_us(1_000_000_000_000), 1_000_002_000, "2 ppm over 1,000 s");
     }
 }

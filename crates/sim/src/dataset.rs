@@ -3,8 +3,9 @@
 use super::motion::Pose;
 use super::port::Port;
 use super::room::Room;
-use super::room_error::{CardError, RoomError};
-use super::scene::Driver;
+use super::room_error::RoomError;
+use super::scene::{Card, Driver, Scene};
+use super::simulation::append;
 use super::station::FrameRole;
 use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::source::side_path;
@@ -56,6 +57,8 @@ pub struct WrittenLog {
 struct Writing {
     out: BufWriter<File>,
     log: WrittenLog,
+    /// Records have their length before them, unlike FeitCSI's.
+    is_framed: bool,
     len: u64,
     /// Host times, for records that have none.
     side: Option<BufWriter<File>>,
@@ -69,7 +72,7 @@ struct Writing {
 ///
 /// | file | what |
 /// |---|---|
-/// | `csi_rx_TS.dat` | the initiator's log: the backward frames of all responders |
+/// | `csi_rx_TS.dat` | the initiator's log: the backward frames of all responders; of an AX210 in the format of FeitCSI |
 /// | `csi_*_TS.datstp` | beside each log in the stock layout, whose records have no host times: those of its records |
 /// | `csi_txK_TS.dat` | the log of robot number K: the initiator's forward frames to it |
 /// | `rx_trajectory_TS_.csv` | where the initiator's antenna A truly was: sec.frac, 0, x, y, z, |
@@ -130,10 +133,10 @@ fn run(
         for robot in 0..robots {
             let who = if robot == receiver { "rx".to_owned() } else { format!("tx{robot}") };
             let path = folder.join(format!("csi_{who}_{stamp}.dat"));
-            logs.insert((receiver, robot), Writing::create(path, robot, room.scene().driver == Driver::Stock)?);
+            logs.insert((receiver, robot), Writing::create(path, robot, room.scene())?);
         }
     }
-    cards.iter_mut().for_each(Port::own_only);
+    cards.iter_mut().for_each(Port::for_logger);
     let end_us = room.scene().duration_s * 1e6;
     let (mut now, mut told, mut running) = (Instant::ZERO, -1.0, true);
     while running {
@@ -194,15 +197,16 @@ fn owner(folders: &BTreeMap<usize, PathBuf>, role: FrameRole, robot: usize, from
 }
 
 impl Writing {
-    /// `timed` for a side file with the host times.
-    fn create(path: PathBuf, robot: usize, timed: bool) -> Result<Self, Error> {
+    /// With a side file of host times, where records have none.
+    fn create(path: PathBuf, robot: usize, scene: &Scene) -> Result<Self, Error> {
         let file = at(&path, "create the log", File::create(&path))?;
-        let side = timed.then(|| side_path(&path));
+        let side = (scene.driver == Driver::Stock).then(|| side_path(&path));
         let side = side.map(|path| at(&path, "create the side file", File::create(&path))).transpose()?;
         let log = WrittenLog { path, robot, records: 0, tail_records: 0, tail_bytes: 0 };
         Ok(Self {
             out: BufWriter::new(file),
             log,
+            is_framed: scene.card == Card::Intel5300,
             len: 0,
             side: side.map(BufWriter::new),
             starts: Vec::new(),
@@ -217,8 +221,8 @@ impl Writing {
             let _ = Entry::from(host_us).emit(Layout::Narrow, &mut entry);
             at(&self.log.path, "write the host times beside", side.write_all(&entry))?;
         }
-        self.scratch.resize(record.emit_len(), 0);
-        record.emit(&mut self.scratch).map_err(CardError::Frame)?;
+        self.scratch.clear();
+        append(&mut self.scratch, record, self.is_framed)?;
         at(&self.log.path, "write the log", self.out.write_all(&self.scratch))?;
         let block = self.len / BLOCK * BLOCK;
         if self.starts.len() > 2_048 {

@@ -2,19 +2,22 @@
 
 use super::air::Air;
 use super::card_fault::FaultyCard;
+use super::crystal::FTM_TICKS_PER_US;
 use super::faults::Faults;
 use super::node::{Flight, Listening, Reception};
 use super::radio::Radio;
-use super::receiver::{Arrival, Receiver};
+use super::receiver::{Arrival, Ax210, Receiver};
 use super::room_error::CardError;
-use super::scene::Driver;
+use super::scene::{Card, Driver, Scene};
 use super::station::FrameRole;
+use csi_formats::feitcsi;
+use csi5300::source::other_card::Translator;
 use csi5300::source::{CsiSource, Error, Injector, Loss, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::bfee::{MAX_BODY, NOISE_UNKNOWN_DBM, Repr, Wsr};
 use driver_iface::mpdu;
-use driver_iface::record::{Record, Tail, code};
+use driver_iface::record::{LENGTH_FIELD, Record, Tail, code, written};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -35,6 +38,9 @@ pub struct Port {
     faults: Faults,
     faulty: Option<FaultyCard>,
     driver: Driver,
+    ax210: Option<FeitCsi>,
+    /// The firmware's loads that the receiver knows.
+    loads: u64,
     queue: VecDeque<Reception>,
     /// Lost since the queue ran over; some while the latch holds.
     overrun: Option<u64>,
@@ -45,6 +51,18 @@ pub struct Port {
     last: (Mac, u32),
     handed_out: u64,
     now: Instant,
+}
+
+/// An AX210 under FeitCSI.
+#[derive(Debug)]
+struct FeitCsi {
+    card: Ax210,
+    translator: Translator,
+    /// The record as FeitCSI writes it, and what becomes of it in the layouts of a 5300.
+    written: Vec<u8>,
+    records: Vec<u8>,
+    /// Whoever reads wants it as it is written.
+    as_written: bool,
 }
 
 /// What was read; a record's body is in the port.
@@ -75,6 +93,8 @@ impl Port {
             faults: state.faults.clone(),
             faulty: FaultyCard::new(&state.faults.card),
             driver: scene.driver,
+            ax210: (scene.card == Card::Ax210).then(|| FeitCsi::of(scene)).flatten(),
+            loads: 0,
             queue: VecDeque::new(),
             overrun: None,
             follows: None,
@@ -89,6 +109,12 @@ impl Port {
     /// those. The driver counts the others all the same, so they are gaps in `bfee_count`, as in the WSR data set.
     pub fn own_only(&mut self) {
         lock(&self.air).node(self.robot).listening = Listening::Own;
+    }
+
+    /// The same for the logger that is usual for the card: of an AX210 the body of a record is what FeitCSI writes.
+    pub(crate) fn for_logger(&mut self) {
+        self.own_only();
+        self.ax210.iter_mut().for_each(|card| card.as_written = true);
     }
 
     /// [`CsiSource::receive`], with what a record was to this robot, which its bytes do not say but the room's own
@@ -154,16 +180,22 @@ impl Port {
                     None => break,
                 },
             };
-            let first_of_two = self.driver == Driver::Stock && !second;
-            if first_of_two {
-                self.write_mpdu(&reception);
-            } else if !self.write_bfee(&mut air, &reception)? {
+            let is_pair = self.ax210.as_ref().map_or(self.driver == Driver::Stock, |card| !card.as_written);
+            let first_of_two = is_pair && !second;
+            let written = match &self.ax210 {
+                Some(_) if second => self.body_of_feitcsi(1),
+                Some(_) => self.write_feitcsi(&mut air, &reception).then(|| self.body_of_feitcsi(0)).flatten(),
+                None if first_of_two => Some(self.write_mpdu(&reception)),
+                None => self.write_bfee(&mut air, &reception)?.then_some(code::BFEE),
+            };
+            let Some(code) = written else {
+                // Of a frame that has no bfee, what says so was all there is.
+                air.node(self.robot).injected.delivered += u64::from(second);
                 continue;
-            }
+            };
             let stamps = self.stamps(&air, &reception);
             self.handed_out += 1;
             air.node(self.robot).injected.delivered += u64::from(!first_of_two);
-            let code = if first_of_two { code::MPDU } else { code::BFEE };
             let read = Read::Record(stamps, code, reception.role, reception.flight.from);
             self.follows = first_of_two.then_some(reception);
             return Ok(read);
@@ -194,9 +226,70 @@ impl Port {
     }
 
     /// Writes the 0xC1 of a reception: the frame and its FCS.
-    fn write_mpdu(&mut self, reception: &Reception) {
+    fn write_mpdu(&mut self, reception: &Reception) -> u8 {
         self.body.clear();
         self.body.extend_from_slice(reception.flight.bytes.with_fcs());
+        code::MPDU
+    }
+
+    /// The receiver's phases between chains are drawn anew where the firmware was loaded since the last record.
+    fn load(&mut self, air: &mut Air) {
+        let loads = air.node(self.robot).injected.restarts;
+        for _ in std::mem::replace(&mut self.loads, loads)..loads {
+            self.receiver.load();
+        }
+    }
+
+    /// Measures a reception with an AX210 and writes FeitCSI's record. False if there is nothing to measure.
+    fn write_feitcsi(&mut self, air: &mut Air, reception: &Reception) -> bool {
+        self.load(air);
+        let (world, flight) = (Arc::clone(air.world()), &reception.flight);
+        let Some(feitcsi) = &mut self.ax210 else { return false };
+        let arrival =
+            Arrival { from: flight.from, to: self.robot, t_ns: reception.t_ns, instant_ns: flight.instant_ns };
+        let Some(measured) = self.receiver.measure_ax210(&world, arrival, &feitcsi.card) else {
+            air.node(self.robot).injected.unmeasured += 1;
+            return false;
+        };
+        air.node(self.robot).injected.saturated += u64::from(measured.saturated);
+        let crystal = world.scene().robot[self.robot].crystal;
+        // Both clocks began when the robot was switched on.
+        let since_us = crystal.clock_us(reception.t_ns).wrapping_sub(reception.clock_us);
+        let repr = feitcsi::Repr {
+            ftm: crystal.ftm(reception.t_ns).wrapping_sub(since_us.wrapping_mul(FTM_TICKS_PER_US)) as u32,
+            host_us: u64::try_from(host_us(air, self.robot, reception.arrival_ns)).unwrap_or(0),
+            n_rx: measured.n_rx,
+            n_tx: 1,
+            kind: feitcsi.card.kind,
+            width_mhz: feitcsi.card.width_mhz,
+            mcs: flight.mcs,
+            rssi_dbm: measured.rssi_dbm,
+            sender: world.mac(flight.from).0,
+            clock_us: reception.clock_us as u32,
+        };
+        feitcsi.written.clear();
+        repr.emit(&measured.csi, &mut feitcsi.written);
+        true
+    }
+
+    /// A record of what FeitCSI wrote last, its body in `self.body`: as it is, or one of the two that it is translated to, which
+    /// are the clock and the bfee.
+    fn body_of_feitcsi(&mut self, place: usize) -> Option<u8> {
+        let feitcsi = self.ax210.as_mut()?;
+        self.body.clear();
+        if feitcsi.as_written {
+            self.body.extend_from_slice(&feitcsi.written);
+            return Some(code::BFEE);
+        }
+        if place == 0 {
+            feitcsi.records.clear();
+            let (read, len) = feitcsi::front(&feitcsi.written);
+            feitcsi.translator.take(&read, 0, len, &mut feitcsi.records);
+        }
+        let message = written(&feitcsi.records).nth(place)?.get(LENGTH_FIELD..)?;
+        let Record { code, body } = Record::from_message(message)?;
+        self.body.extend_from_slice(body);
+        Some(code)
     }
 
     /// Measures a reception and writes its 0xBB. False if there is nothing to measure.
@@ -205,6 +298,7 @@ impl Port {
         let flight = &reception.flight;
         let arrival =
             Arrival { from: flight.from, to: self.robot, t_ns: reception.t_ns, instant_ns: flight.instant_ns };
+        self.load(air);
         let Some(mut measured) = self.receiver.measure(&world, arrival) else {
             air.node(self.robot).injected.unmeasured += 1;
             return Ok(false);
@@ -260,6 +354,13 @@ impl Port {
             host_us: Some(host_us(air, self.robot, reception.arrival_ns)),
             origin: Origin::Live { number: self.handed_out },
         }
+    }
+}
+
+impl FeitCsi {
+    fn of(scene: &Scene) -> Option<Self> {
+        let (written, records) = (Vec::new(), Vec::new());
+        Some(Self { card: Ax210::of(scene)?, translator: Translator::default(), written, records, as_written: false })
     }
 }
 

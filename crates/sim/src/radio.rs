@@ -32,6 +32,12 @@ pub struct Radio {
     pub tx_power_dbm: f64,
     /// Receive chains in use, 1 to 3.
     pub chains: u8,
+    /// Phase of the chains of antennas B and C against that of A, degrees: cables, filters.
+    pub chain_deg: [f64; 2],
+    /// It is 180 degrees more or not, at random, each time that the firmware is loaded, as on a 5300.
+    pub chain_flips: bool,
+    /// How it varies from packet to packet, radians (standard deviation). A 5300 with two antennas on a robot: 0.2.
+    pub chain_noise_rad: f64,
     /// What the chain of antenna B shows when nothing is connected.
     pub stray_b: Stray,
     /// What the chain of antenna C shows when nothing is connected.
@@ -66,6 +72,9 @@ impl Default for Radio {
             gain: Gain::default(),
             tx_power_dbm: 15.0,
             chains: 3,
+            chain_deg: [0.0; 2],
+            chain_flips: false,
+            chain_noise_rad: 0.0,
             stray_b: Stray::default(),
             stray_c: Stray::default(),
             antenna_order: AntennaOrder::Fixed,

@@ -22,6 +22,8 @@ pub(crate) enum Purpose {
     Walk,
     /// Constants of one card: phases of its synthesiser.
     Card,
+    /// Phases between the chains of one card.
+    Chains,
 }
 
 /// A deterministic source of random numbers.

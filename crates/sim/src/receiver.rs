@@ -1,7 +1,11 @@
 //! One card receiving one frame: from the channel to 8-bit coefficients and the fields around them.
 
+mod ax210;
+
+pub use ax210::Ax210;
+
 use super::carrier::{Common, TONES, Tones};
-use super::maths::{amplitude, decibel, power};
+use super::maths::{amplitude, decibel, phasor, power};
 use super::radio::{AntennaOrder, Gain, Noise, Radio, Stray};
 use super::random::{Purpose, Stream};
 use super::surfaces::Path;
@@ -44,6 +48,9 @@ pub struct Arrival {
 pub struct Receiver {
     radio: Radio,
     stream: Stream,
+    /// Noise of the phases between chains, and the constants between them, turns.
+    chains: Stream,
+    chain_turns: [f64; 3],
     paths: Vec<Path>,
     filter: Option<[f64; TONES]>,
 }
@@ -59,7 +66,26 @@ impl Receiver {
     /// The receiver of a robot.
     #[must_use]
     pub fn new(radio: Radio, seed: u64, robot: usize) -> Self {
-        Self { filter: radio.filter(), radio, stream: Stream::new(seed, robot, Purpose::Radio), paths: Vec::new() }
+        let [stream, chains] = [Purpose::Radio, Purpose::Chains].map(|purpose| Stream::new(seed, robot, purpose));
+        let mut receiver =
+            Self { filter: radio.filter(), radio, stream, chains, chain_turns: [0.0; 3], paths: Vec::new() };
+        receiver.load();
+        receiver
+    }
+
+    /// The firmware is loaded: the chains' phases against each other are drawn.
+    pub fn load(&mut self) {
+        let share = if self.radio.chain_flips { 0.5 } else { 0.0 };
+        for (turns, deg) in self.chain_turns.iter_mut().skip(1).zip(self.radio.chain_deg) {
+            *turns = deg / 360.0 + if self.chains.happens(share) { 0.5 } else { 0.0 };
+        }
+    }
+
+    /// The phase of an antenna's chain against that of A in this frame, a factor of size 1; none where there is no effect.
+    fn chain_phasor(&mut self, antenna: usize) -> Option<Complex64> {
+        let std = if antenna == 0 { 0.0 } else { self.radio.chain_noise_rad / std::f64::consts::TAU };
+        let turns = self.chain_turns.get(antenna).copied().unwrap_or(0.0) + self.chains.spread(std);
+        (turns != 0.0).then(|| phasor(turns))
     }
 
     /// Receives a frame. `None` if no path leads from sender to receiver, or one of no length: antennas at one place.
@@ -105,6 +131,9 @@ impl Receiver {
                 world.add(&self.paths, common, tones);
                 if let Some(filter) = &self.filter {
                     tones.iter_mut().zip(filter).for_each(|(tone, gain)| *tone *= *gain);
+                }
+                if let Some(phasor) = self.chain_phasor(antenna) {
+                    tones.iter_mut().for_each(|tone| *tone *= phasor);
                 }
                 *power = Some(tones.iter().map(Complex64::norm_sqr).sum::<f64>() / TONES as f64);
             }

@@ -196,3 +196,39 @@ fn effects_that_are_off_draw_nothing() {
     receiver.measure(&world, arrival(0)).unwrap();
     assert_eq!(receiver.stream.uniform().to_bits(), before);
 }
+
+/// Phases of chain B against A over records, radians.
+fn chain_phases(scene: &Scene, n: i64) -> Vec<f64> {
+    let phase = |m: &Measured| {
+        let [a, b] = [m.csi[0], m.csi[1]].map(|iq| Complex64::new(f64::from(iq.i), f64::from(iq.q)));
+        (b * a.conj()).arg()
+    };
+    receive(scene, n).iter().map(phase).collect()
+}
+
+#[test]
+fn chains_have_constants_that_flip_with_the_firmware_and_noise_of_their_own() {
+    // Antenna B where A is, so that nothing but the chains differs.
+    let with = |radio: &str| {
+        let mut scene = scene(&format!("gain.agc = {{ target_lsb = 100.0 }}\n{radio}"), "");
+        scene.robot[0].antenna_b_m = Some([0.0; 3]);
+        scene
+    };
+    let at = |radio: &str, n: i64| chain_phases(&with(radio), n);
+    assert!(at("", 2).iter().all(|rad| rad.abs() < 0.02));
+    assert!(at("chain_deg = [60.0, 0.0]", 2).iter().all(|rad| (rad.to_degrees() - 60.0).abs() < 1.0));
+    let noisy = at("chain_noise_rad = 0.2", 4_000);
+    let rms = (noisy.iter().map(|rad| rad * rad).sum::<f64>() / 4_000.0).sqrt();
+    assert!((rms - 0.2).abs() < 0.01, "{rms}");
+    // Of many loads of the firmware half are turned over.
+    let world = World::new(&with("chain_flips = true")).unwrap();
+    let mut receiver = Receiver::new(world.scene().radio, 1, 0);
+    let mut over = 0;
+    for _ in 0..200 {
+        receiver.load();
+        let [_, turns, _] = receiver.chain_turns;
+        assert!(turns == 0.0 || turns == 0.5);
+        over += usize::from(turns == 0.5);
+    }
+    assert!((70..130).contains(&over), "{over}");
+}

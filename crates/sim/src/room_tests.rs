@@ -356,7 +356,7 @@ struct Pairs {
     z: Vec<Complex64>,
     at: Vec<Vector3<f64>>,
     clock_us: Vec<i64>,
-    difference_us: Vec<i64>,
+    difference_us: Vec<f64>,
 }
 
 impl Pairs {
@@ -375,7 +375,7 @@ impl Pairs {
                 pairs.at.push(position((back.host_us - 1_700_000_000_000_000) as f64 * 1e-6));
                 let [b, f] = [back, forth].map(|row| i64::from(row.bfee().timestamp_low()));
                 pairs.clock_us.push(b);
-                pairs.difference_us.push(f - b);
+                pairs.difference_us.push((f - b) as f64);
             }
         }
         assert!(pairs.z.len() > 900);

@@ -24,7 +24,7 @@ pub struct Scene {
     pub duration_s: f64,
     /// Channel number; 108 is 5,540 MHz.
     pub channel: u16,
-    /// Bandwidth, MHz: 20 or 40.
+    /// Bandwidth, MHz: 20 or 40; of an AX210 80 and 160 too, which `channel` is the centre of.
     pub bandwidth_mhz: u16,
     /// True time at the start of the scene, seconds since the Unix epoch.
     pub start_unix_s: i64,
@@ -33,6 +33,11 @@ pub struct Scene {
     /// What the carriers' offsets are made of.
     #[serde(skip_serializing_if = "is_default")]
     pub cfo: Cfo,
+    /// The cards that the robots have.
+    #[serde(skip_serializing_if = "is_default")]
+    pub card: Card,
+    /// Kind of the frames, by their preamble; of an AX210 only, which sends HE frames without it.
+    pub preamble: Option<Preamble>,
     /// The layout of the records: what driver the robots have.
     #[serde(skip_serializing_if = "is_default")]
     pub driver: Driver,
@@ -63,6 +68,8 @@ impl Default for Scene {
             start_unix_s: 1_700_000_000,
             reflections: 0,
             cfo: Cfo::Off,
+            card: Card::Intel5300,
+            preamble: None,
             driver: Driver::Wsr,
             sounding: None,
             radio: Radio::default(),
@@ -111,6 +118,29 @@ impl Default for PaperCfo {
     fn default() -> Self {
         Self { df_hz: 10.0, c1: 10_000.0, c2: 200.0, jitter_ns: 100.0 }
     }
+}
+
+/// A card.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Card {
+    /// Intel 5300.
+    #[default]
+    Intel5300,
+    /// Intel AX210 with FeitCSI: 16 bits, all subcarriers but the pilots, a clock of 3.125 ns, two chains, no frame numbers.
+    Ax210,
+}
+
+/// The kind of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Preamble {
+    /// 802.11n.
+    Ht,
+    /// 802.11ac.
+    Vht,
+    /// 802.11ax.
+    He,
 }
 
 /// The driver that the robots' cards have.

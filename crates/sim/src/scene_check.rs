@@ -3,11 +3,11 @@
 use super::carrier::Carrier;
 use super::faults::Faults;
 use super::motion::RobotMotion;
-use super::radio::{Gain, Noise, Radio, Stray, TurnAround};
+use super::radio::{AntennaOrder, Gain, Noise, Radio, Stray, TurnAround};
 use super::refusal::{
     Checked, Problem, at_most, decibels, deviation_db, ensure, finite, not_negative, positive, share,
 };
-use super::scene::{Cfo, Dialect, HostClock, Odometry, Pattern, Robot, Scene};
+use super::scene::{Card, Cfo, Dialect, Driver, HostClock, Odometry, Pattern, Preamble, Robot, Scene};
 use nalgebra::Vector3;
 
 /// A scene lasts a year at most, seconds.
@@ -24,8 +24,14 @@ impl Scene {
     pub(crate) fn check_values(&self) -> Checked {
         positive("duration_s", self.duration_s)?;
         at_most("duration_s", self.duration_s, LONGEST_S)?;
-        ensure(matches!(self.bandwidth_mhz, 20 | 40), "bandwidth_mhz", || {
-            format!("is {}; the card has 20 and 40", self.bandwidth_mhz)
+        let most_mhz = match (self.card, self.preamble) {
+            (Card::Intel5300, _) | (_, Some(Preamble::Ht)) => 40,
+            _ => 160,
+        };
+        let is_width = matches!(self.bandwidth_mhz, 20 | 40 | 80 | 160) && self.bandwidth_mhz <= most_mhz;
+        ensure(is_width, "bandwidth_mhz", || match most_mhz {
+            40 => format!("is {}; the card has 20 and 40", self.bandwidth_mhz),
+            _ => format!("is {}; the card has 20, 40, 80 and 160", self.bandwidth_mhz),
         })?;
         ensure(Carrier::new(self.channel, self.bandwidth_mhz == 40).is_some(), "channel", || {
             format!("is {}; channels are 1 to 14 and 34 to 196", self.channel)
@@ -54,8 +60,35 @@ impl Scene {
             };
             self.check_robot(number, robot).map_err(within)?;
         }
+        self.check_card()?;
         self.check_sounding()?;
         self.check_surfaces()
+    }
+
+    /// What an AX210 does not have is not asked of it, nor of a 5300.
+    fn check_card(&self) -> Checked {
+        if self.card == Card::Intel5300 {
+            return ensure(self.preamble.is_none(), "preamble", || "is of an AX210: a 5300 sends HT".to_owned());
+        }
+        ensure(self.driver == Driver::Wsr, "driver", || "is of a 5300: an AX210 has FeitCSI's".to_owned())?;
+        let radio = |radio: &Radio| {
+            let none = |key: &'static str| move || format!("is of a 5300: an AX210 has no {key}");
+            ensure(radio.filter_db.is_none(), "filter_db", none("filter of 30 subcarriers"))?;
+            ensure(radio.antenna_order == AntennaOrder::Fixed, "antenna_order", none("order by RSSI"))
+        };
+        radio(&self.radio).map_err(|p: Problem| p.key("radio"))?;
+        for (number, robot) in self.robot.iter().enumerate() {
+            let check = || {
+                ensure(robot.antenna_c_m.is_none(), "antenna_c_m", || "is a third: an AX210 has two".to_owned())?;
+                let faults = robot.faults.card.is_empty();
+                ensure(faults, "faults", || {
+                    "has faults of a 5300's records, which an AX210 does not write".to_owned()
+                })?;
+                robot.radio.as_ref().map_or(Ok(()), radio).map_err(|p: Problem| p.key("radio"))
+            };
+            check().map_err(|p: Problem| p.item("robot", number))?;
+        }
+        Ok(())
     }
 
     /// True if records can hold the host's time from the start of the scene to its end.
@@ -267,6 +300,7 @@ fn check_stray(stray: &Stray) -> Checked {
 fn check_radio(radio: &Radio) -> Checked {
     let sizes = [
         ("phase_noise_rad", radio.phase_noise_rad),
+        ("chain_noise_rad", radio.chain_noise_rad),
         ("delay_std_ns", radio.delay_std_ns),
         ("send_jitter_us", radio.send_jitter_us),
         ("host_latency_us", radio.host_latency_us),
@@ -276,6 +310,7 @@ fn check_radio(radio: &Radio) -> Checked {
         .iter()
         .try_for_each(|&(key, value)| not_negative(key, value).and_then(|()| at_most(key, value, LATEST_US)))?;
     finite("delay_ns", &[radio.delay_ns])?;
+    finite("chain_deg", &radio.chain_deg)?;
     decibels("filter_db", &radio.filter_db.unwrap_or_default())?;
     share("share", radio.send_delay.share).map_err(|p| p.key("send_delay"))?;
     not_negative("us", radio.send_delay.us).map_err(|p| p.key("send_delay"))?;

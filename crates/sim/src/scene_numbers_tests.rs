@@ -6,14 +6,14 @@ use super::motion::{
 };
 use super::radio::{Agc, AntennaOrder, DelayGroup, FixedGain, Gain, Noise, Radio, Stray, TurnAround};
 use super::scene::{
-    Cfo, Dialect, Driver, HostClock, Odometry, PaperCfo, Pattern, Reflector, Robot, Scene, Sounding, Wall,
+    Card, Cfo, Dialect, Driver, HostClock, Odometry, PaperCfo, Pattern, Reflector, Robot, Scene, Sounding, Wall,
 };
 use super::{Faults, SceneError, crystal::Crystal};
 use std::path::Path;
 use toml::Value;
 
 /// Numbers that may be negative, by their last names.
-const SIGNED: [&str; 37] = [
+const SIGNED: [&str; 38] = [
     "position_m",
     "yaw_deg",
     "antenna_m",
@@ -31,6 +31,7 @@ const SIGNED: [&str; 37] = [
     "drift_ppm",
     "heading_drift_deg_s",
     "delay_ns",
+    "chain_deg",
     "filter_db",
     "tx_power_dbm",
     "snr_db",
@@ -67,6 +68,9 @@ fn radio(gain: Gain, noise: Noise) -> Radio {
         gain,
         tx_power_dbm: 14.0,
         chains: 2,
+        chain_deg: [40.0, -50.0],
+        chain_flips: true,
+        chain_noise_rad: 0.2,
         stray_b: Stray { lsb: 1.0, rssi_db: 3.0, rssi_std_db: 0.5 },
         stray_c: Stray { lsb: 2.0, rssi_db: 4.0, rssi_std_db: 0.5 },
         antenna_order: AntennaOrder::ByRssi,
@@ -164,6 +168,8 @@ fn full(trajectory: &Path) -> Scene {
         start_unix_s: 1_600_000_000,
         reflections: 1,
         cfo: Cfo::Paper(PaperCfo { df_hz: 11.0, c1: 9_000.0, c2: 190.0, jitter_ns: 90.0 }),
+        card: Card::Intel5300,
+        preamble: None,
         driver: Driver::Stock,
         sounding: Some(Sounding {
             rate_hz: 2.0,

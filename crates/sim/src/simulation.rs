@@ -4,13 +4,17 @@ use super::faults::Injected;
 use super::port::Port;
 use super::room::Room;
 use super::room_error::{CardError, RoomError};
+use super::scene::Card;
+use csi_formats::feitcsi;
 use csi5300::motion::pose::{Pose, Trajectory};
+use csi5300::source::other_card::Translated;
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::record::Record;
 use nalgebra::Vector3;
+use std::io::Read;
 
 /// Rows per second of true paths, as motion capture gives them.
 const TRUTH_HZ: f64 = 200.0;
@@ -31,7 +35,7 @@ pub struct SimulatedRobot {
     pub name: String,
     /// Its card's MAC address.
     pub mac: Mac,
-    /// The bytes of its log (`.dat`): the records of exchanges in which it took part.
+    /// The bytes of its log (a `.dat`, of an AX210 FeitCSI's): the records of exchanges in which it took part.
     pub log: Vec<u8>,
     /// Whole records in it.
     pub records: u64,
@@ -53,8 +57,11 @@ impl Simulation {
 impl SimulatedRobot {
     /// Its log as a source of records.
     #[must_use]
-    pub fn replay(&self) -> Replay<&[u8]> {
-        Replay::new(&self.log, format!("the log of {}", self.name))
+    pub fn replay(&self) -> Replay<Box<dyn Read + Send + '_>> {
+        let log: &[u8] = &self.log;
+        let is_feitcsi = feitcsi::is_log(log);
+        let log: Box<dyn Read + Send + '_> = if is_feitcsi { Box::new(Translated::new(log)) } else { Box::new(log) };
+        Replay::new(log, format!("the log of {}", self.name))
     }
 
     /// Where its antenna A was at the start, metres in the scene's frame.
@@ -85,13 +92,14 @@ impl Room {
         if cards.len() != count {
             return Err(RoomError::CardTaken);
         }
-        cards.iter_mut().for_each(Port::own_only);
+        cards.iter_mut().for_each(Port::for_logger);
+        let is_framed = self.scene().card == Card::Intel5300;
         let mut logs = vec![(Vec::new(), 0); count];
         let mut now = Instant::ZERO;
         loop {
             let mut next: Option<Instant> = None;
             for (card, (log, records)) in cards.iter_mut().zip(&mut logs) {
-                if !drain(card, now, log, records)? {
+                if !drain(card, now, (log, is_framed), records)? {
                     next = [next, card.next_at()].into_iter().flatten().min();
                 }
             }
@@ -126,11 +134,16 @@ impl Room {
 }
 
 /// Logs all that a card has at `now`; true when it is at its end.
-fn drain(card: &mut Port, now: Instant, log: &mut Vec<u8>, records: &mut u64) -> Result<bool, RoomError> {
+fn drain(
+    card: &mut Port,
+    now: Instant,
+    (log, is_framed): (&mut Vec<u8>, bool),
+    records: &mut u64,
+) -> Result<bool, RoomError> {
     loop {
         match card.receive(now)? {
             Next::Record(_, record) => {
-                append(log, &record)?;
+                append(log, &record, is_framed)?;
                 *records += 1;
             }
             Next::Lost(_) => {}
@@ -140,7 +153,12 @@ fn drain(card: &mut Port, now: Instant, log: &mut Vec<u8>, records: &mut u64) ->
     }
 }
 
-fn append(log: &mut Vec<u8>, record: &Record<'_>) -> Result<(), Error> {
+/// Appends a record as its logger does; FeitCSI's has no length before it.
+pub(super) fn append(log: &mut Vec<u8>, record: &Record<'_>, is_framed: bool) -> Result<(), Error> {
+    if !is_framed {
+        log.extend_from_slice(record.body);
+        return Ok(());
+    }
     let from = log.len();
     log.resize(from + record.emit_len(), 0);
     let place = log.get_mut(from..).unwrap_or_default();

@@ -11,6 +11,7 @@ use super::scene::{Cfo, Pattern, Robot, Scene};
 use super::surfaces::{Path, Surface, Surfaces};
 use driver_iface::Mac;
 use nalgebra::Vector3;
+use num_complex::Complex64;
 
 /// A scene made ready.
 #[derive(Debug)]
@@ -157,7 +158,7 @@ impl World {
     /// The sampling time offset between two cards' grids, seconds, within half a sample.
     #[must_use]
     pub fn sampling_offset_s(&self, from: usize, to: usize, t_ns: i64) -> f64 {
-        let period_s = if self.scene.bandwidth_mhz == 40 { 0.5 * SAMPLE_20_S } else { SAMPLE_20_S };
+        let period_s = SAMPLE_20_S * 20.0 / f64::from(self.scene.bandwidth_mhz);
         let samples = self.gained_s(from, to, t_ns) / period_s;
         (samples - samples.round_ties_even()) * period_s
     }
@@ -205,6 +206,13 @@ impl World {
     pub fn add(&self, paths: &[Path], common: Common, tones: &mut Tones) {
         for path in paths {
             self.carrier.add(path, common, tones);
+        }
+    }
+
+    /// The same at any subcarriers, by their indices and their spacing, Hz.
+    pub fn add_at(&self, paths: &[Path], common: Common, at: (&[i16], f64), tones: &mut [Complex64]) {
+        for path in paths {
+            self.carrier.add_at(path, common, at, tones);
         }
     }
 

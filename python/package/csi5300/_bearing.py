@@ -228,9 +228,17 @@ def _name(log: Source, index: int) -> str:
     return Path(log.name).stem if isinstance(log, Log) else f"tx{index + 1}"
 
 
+def _baselines(baseline: Sequence[float] | Sequence[Sequence[float]]) -> list[list[float]]:
+    try:
+        rows = [baseline] if np.ndim(baseline[0]) == 0 else baseline
+        return [[float(value) for value in row] for row in rows]  # type: ignore[union-attr]
+    except (TypeError, ValueError, IndexError, KeyError) as error:
+        raise OptionError(f"baseline: {error}: three numbers, metres, or a list of such") from None
+
+
 def bearings(
     rx: Source,
-    tx: Source | Sequence[Source],
+    tx: Source | Sequence[Source] | None = None,
     *,
     trajectory: Track,
     channel: int | str,
@@ -259,6 +267,8 @@ def bearings(
     tx_mac: str | Iterable[str] | None = None,
     rx_mac: str | None = None,
     threads: int = 0,
+    antennas: str | Iterable[str] | None = None,
+    baseline: Sequence[float] | Sequence[Sequence[float]] | None = None,
 ) -> list[Bearing]:
     """Bearings from the receiver, whose ``trajectory`` it is, to each transmitter, in the order of ``tx``.
 
@@ -271,12 +281,29 @@ def bearings(
     ``answer["plan"]``, ``range_change`` ``answer["range_change"]`` and an array of :attr:`Bearing.samples`. A link without a bearing is in the list, is False, and has its :attr:`Bearing.error`; so is one whose
     probability of being within 5 degrees is below ``min_confidence``, or not known.
 
+    Without ``tx``: the bearing to every sender in ``rx``, by two or three ``antennas`` (``"AB"``) of one robot that turns.
+    ``baseline`` is where the first is seen from the second, metres forward, left, up; of three antennas a list of two. Behind
+    the metres may stand the constant of the chains and its deviation, degrees, as a turn gave them
+    (``answer["chain_constants_deg"]``): then a robot that stands has a bearing too.
+
     Raises :class:`LogError`, :class:`TrajectoryError`, :class:`OptionError`, whose message names the argument.
     """
     options = dict(locals())
-    for name in ("rx", "tx", "trajectory", "tx_trajectory"):
+    for name in ("rx", "tx", "trajectory", "tx_trajectory", "antennas", "baseline"):
         del options[name]
-    logs = _logs(tx)
+    if baseline is not None:
+        named = dict(tx=tx, tx_trajectory=tx_trajectory, antenna=antenna, rx_mac=rx_mac, key=key, every=every)
+        named |= dict(antenna_offset=antenna_offset, camera_mount=camera_mount, explain=explain)
+        wrong = [name for name, value in named.items() if value]
+        if wrong:
+            raise OptionError(f"{wrong[0]}: not with baseline, which is of one robot and its own log")
+        letters = _options.letters(antennas) or "AB"
+        own = _track("trajectory", trajectory)
+        found = _native.one_log(_source(rx), _name(rx, 0), own, letters, _baselines(baseline), _options.keywords(options))
+        return [Bearing(json.loads(answer), link) for answer, link, _ in found]
+    if antennas is not None:
+        raise OptionError("antennas: with baseline, which says where they are")
+    logs = [] if tx is None else _logs(tx)
     if not logs:
         raise OptionError("tx: at least one log of a transmitter")
     if len(tx_trajectory) > len(logs):

@@ -28,6 +28,7 @@ __all__ = [
     "classic_unmapped",
     "evaluate_capture",
     "find_captures",
+    "one_log",
     "read",
     "read_trajectory",
     "simulate",
@@ -144,6 +145,14 @@ def bearings(
     names: list[str],
     path: str | os.PathLike[str] | NDArray[np.float64],
     tx_paths: list[str | os.PathLike[str] | NDArray[np.float64] | None],
+    keywords: str,
+) -> list[tuple[str, Link | None, list[str]]]: ...
+def one_log(
+    rx: _File | _Held,
+    name: str,
+    path: str | os.PathLike[str] | NDArray[np.float64],
+    letters: str,
+    baselines: list[list[float]],
     keywords: str,
 ) -> list[tuple[str, Link | None, list[str]]]: ...
 def read_trajectory(path: str | os.PathLike[str], columns: str | None = None) -> NDArray[np.float64]: ...

@@ -44,6 +44,12 @@ fn a_subcarrier_at_zero_has_no_part_in_the_line() {
     assert!((at_centre(&csi, &INDICES).unwrap().h.arg() - 0.7).abs() < 1e-6);
 }
 
+/// [`TurnAround::estimate`] with differences of whole microseconds.
+fn estimate(z: &[Complex64], clock_us: &[i64], difference_us: &[i64], carrier_hz: f64) -> Option<TurnAround> {
+    let difference_us: Vec<f64> = difference_us.iter().map(|us| *us as f64).collect();
+    TurnAround::estimate(z, clock_us, &difference_us, carrier_hz)
+}
+
 /// A link of `n` pairs at 10 ms with a slowly turning phase, an offset of `df_hz`, and a jitter with outliers.
 fn link(n: usize, df_hz: f64, drift_ppm: f64) -> (Vec<Complex64>, Vec<i64>, Vec<i64>) {
     let mut state = 1u64;
@@ -67,7 +73,7 @@ fn link(n: usize, df_hz: f64, drift_ppm: f64) -> (Vec<Complex64>, Vec<i64>, Vec<
 fn the_offset_is_found_from_the_jitter_and_taken_out() {
     for df_hz in [-21_000.0, -4_100.0, 9_000.0] {
         let (mut z, clock, difference) = link(900, df_hz, df_hz / 5.54e9 * 1e6);
-        let found = TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap();
+        let found = estimate(&z, &clock, &difference, 5.54e9).unwrap();
         assert!((found.df_hz - df_hz).abs() < 150.0, "{} for {df_hz}", found.df_hz);
         assert!((found.drift_ppm - df_hz / 5_540.0).abs() < 0.05);
         assert!(found.worthwhile && found.coherence_after > 0.98, "{found:?}");
@@ -79,7 +85,7 @@ fn the_offset_is_found_from_the_jitter_and_taken_out() {
 #[test]
 fn an_offset_that_drifts_is_followed_and_a_steady_one_is_left_alone() {
     let (mut z, clock, difference) = link(3_000, -15_000.0, -15_000.0 / 5_540.0);
-    assert!(TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap().course.is_empty());
+    assert!(estimate(&z, &clock, &difference, 5.54e9).unwrap().course.is_empty());
     // From -15 kHz on it drifts by 2.4 kHz; `d` is the jitter that `link` made.
     let extra_hz = |k: usize| -2_400.0 * k as f64 / 3_000.0;
     let drift = -15_000.0 / 5.54e9;
@@ -87,7 +93,7 @@ fn an_offset_that_drifts_is_followed_and_a_steady_one_is_left_alone() {
         let d_us = difference[k] as f64 + 7e6 - (drift * (clock[k] - clock[0]) as f64).round();
         *z *= Complex64::cis(-TAU * extra_hz(k) * d_us * 1e-6);
     }
-    let found = TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap();
+    let found = estimate(&z, &clock, &difference, 5.54e9).unwrap();
     assert!((found.df_span_hz() - 2_240.0).abs() < 500.0, "{:?}", found.course);
     assert!(found.course.windows(2).all(|pair| (pair[1].1 - pair[0].1 + 160.0).abs() < 300.0), "{:?}", found.course);
     let mut one = z.clone();
@@ -107,7 +113,7 @@ fn a_turn_around_that_steps_hides_no_offset() {
             *d += 140;
             *z *= Complex64::cis(TAU * 16_000.0 * 140e-6);
         }
-        let found = TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap();
+        let found = estimate(&z, &clock, &difference, 5.54e9).unwrap();
         assert!((found.df_hz + 16_000.0).abs() < 150.0, "{} with a step at {step_at}", found.df_hz);
         assert!(found.worthwhile && found.coherence_after > 0.98, "{found:?}");
         found.apply(&mut z);
@@ -132,18 +138,47 @@ fn a_turn_around_that_drifts_is_no_drift_of_the_clocks() {
     let drifts = |(k, z): (usize, &Complex64)| z * Complex64::cis(-TAU * 9_000.0 * 1e-6 * (k / 40) as f64);
     let mut z: Vec<Complex64> = z.iter().enumerate().map(drifts).collect();
     let (still, _, _) = link(900, 0.0, 0.0);
-    TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap().apply(&mut z);
+    estimate(&z, &clock, &difference, 5.54e9).unwrap().apply(&mut z);
     let left: Complex64 = z.iter().zip(&still).map(|(a, b)| a * b.conj()).sum();
     assert!(left.norm() / z.len() as f64 > 0.98, "{left}");
+}
+
+/// At 100 kHz a microsecond is a tenth of a turn: whole ones leave half a radian, ticks of 3.125 ns next to nothing.
+#[test]
+fn a_finer_clock_leaves_less_of_the_offset() {
+    let df_hz = 100_000.0;
+    let (mut z, clock, mut whole) = link(900, 0.0, df_hz / 5_540.0);
+    let still = z.clone();
+    let mut fine_us: Vec<f64> = whole.iter().map(|us| *us as f64).collect();
+    let drift = df_hz / 5.54e9;
+    for (k, (z, d)) in z.iter_mut().zip(&mut fine_us).enumerate() {
+        // What `link` rounded, and a part of a microsecond beside it, in ticks of the FTM clock.
+        let since_us = (clock[k] - clock[0]) as f64;
+        let jitter_us = *d + 7e6 - drift * since_us + ((k * 97) % 320) as f64 / 320.0;
+        *z *= Complex64::cis(-TAU * df_hz * jitter_us * 1e-6);
+        *d = ((drift * since_us + jitter_us - 7e6) * 320.0).floor() / 320.0;
+        whole[k] = d.floor() as i64;
+    }
+    let left = |found: &TurnAround| {
+        let mut z = z.clone();
+        found.apply(&mut z);
+        let turned: Complex64 = z.iter().zip(&still).map(|(a, b)| a * b.conj()).sum();
+        let turned = turned / turned.norm();
+        let sum: f64 = z.iter().zip(&still).map(|(a, b)| (a * b.conj() * turned.conj()).arg().powi(2)).sum();
+        (sum / z.len() as f64).sqrt()
+    };
+    let finely = left(&TurnAround::estimate(&z, &clock, &fine_us, 5.54e9).unwrap());
+    let coarsely = left(&estimate(&z, &clock, &whole, 5.54e9).unwrap());
+    assert!(finely < 0.02 && coarsely > 0.15, "{finely} {coarsely}");
 }
 
 #[test]
 fn without_clocks_or_offset_nothing_is_done() {
     let (z, clock, difference) = link(500, 0.0, 1.0);
-    assert!(!TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap().worthwhile);
+    assert!(!estimate(&z, &clock, &difference, 5.54e9).unwrap().worthwhile);
     let stopped = vec![4; z.len()];
-    assert_eq!(TurnAround::estimate(&z, &stopped, &stopped, 5.54e9), None);
-    assert_eq!(TurnAround::estimate(&z, &clock[1..], &difference, 5.54e9), None);
+    assert_eq!(estimate(&z, &stopped, &stopped, 5.54e9), None);
+    assert_eq!(estimate(&z, &clock[1..], &difference, 5.54e9), None);
 }
 
 /// How steady the phase of `z` is from sample to sample, 0..1, whatever its slow course: the coherence of unit second

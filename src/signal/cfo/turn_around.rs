@@ -39,9 +39,13 @@ impl TurnAround {
     /// Estimates the offset from samples, the receiver's card clock and the clock difference `tx - rx` (both unwrapped,
     /// microseconds), one entry per pair in time order. `None` with fewer than 8 pairs, where a clock stands still or
     /// drifts by more than any two cards do (it was reset), or if the lengths differ.
+    ///
+    /// The offset is searched with differences of whole microseconds, which tell it to 0.1 %; it is taken out with what they are.
     #[must_use]
-    pub fn estimate(z: &[Complex64], clock_rx_us: &[i64], difference_us: &[i64], carrier_hz: f64) -> Option<Self> {
+    pub fn estimate(z: &[Complex64], clock_rx_us: &[i64], difference_us: &[f64], carrier_hz: f64) -> Option<Self> {
         let n = z.len();
+        let fine_us = difference_us;
+        let difference_us: &[i64] = &fine_us.iter().map(|us| us.round() as i64).collect::<Vec<i64>>();
         if n < 8 || clock_rx_us.len() != n || difference_us.len() != n || clock_rx_us[n - 1] <= clock_rx_us[0] {
             return None;
         }
@@ -77,7 +81,7 @@ impl TurnAround {
             course,
             df_hz,
             drift_ppm: line.slope * 1e6,
-            jitter_us: jitter_us(clock_rx_us, difference_us, df_hz / carrier_hz),
+            jitter_us: jitter_us(clock_rx_us, fine_us, df_hz / carrier_hz),
             jitter_median_us,
             coherence_before: before,
             coherence_after: after,
@@ -128,8 +132,8 @@ fn by_lines(lines: &[DriftLine], terms: &[Term], carrier_hz: f64, gain: f64) -> 
 /// The drift is that of the carriers, since one crystal makes both: a line through the differences themselves would
 /// also take out what the turn-around drifts (measured: up to 3 ppm, a radian over the motion), which the product of
 /// the frames holds.
-fn jitter_us(clock_us: &[i64], difference_us: &[i64], slope: f64) -> Vec<f64> {
-    let less_drift = |(clock, difference): (&i64, &i64)| *difference as f64 - slope * (clock - clock_us[0]) as f64;
+fn jitter_us(clock_us: &[i64], difference_us: &[f64], slope: f64) -> Vec<f64> {
+    let less_drift = |(clock, difference): (&i64, &f64)| difference - slope * (clock - clock_us[0]) as f64;
     let left: Vec<f64> = clock_us.iter().zip(difference_us).map(less_drift).collect();
     let level = median(left.clone());
     left.into_iter().map(|d| d - level).collect()

@@ -2,7 +2,7 @@
 
 use clap::Args;
 use csi5300::motion::odometry::csv::Columns;
-use csi5300::pipeline::{Accuracy, JoinBy, Options};
+use csi5300::pipeline::{Accuracy, ChainConstant, JoinBy, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
@@ -161,6 +161,38 @@ pub fn channel(text: &str) -> Result<Channel, String> {
 /// A MAC address.
 pub fn mac(text: &str) -> Result<Mac, String> {
     text.parse::<Mac>().map_err(|error| error.to_string())
+}
+
+/// Where an antenna is seen from another, and the constant between their chains, where it is known.
+#[derive(Clone, Copy, Debug)]
+pub struct Baseline {
+    pub metres: Vector3<f64>,
+    pub constant: Option<ChainConstant>,
+}
+
+/// Three numbers: metres forward, left, up; behind them degrees, and their deviation.
+pub fn baseline(text: &str) -> Result<Baseline, String> {
+    let (place, angles) = match text.match_indices(',').nth(2) {
+        Some((at, _)) => (&text[..at], &text[at + 1..]),
+        None => (text, ""),
+    };
+    let metres = triple(place)?;
+    let angles: Vec<f64> = match angles {
+        "" => Vec::new(),
+        _ => angles
+            .split(',')
+            .map(|part| part.trim().parse())
+            .collect::<Result<_, _>>()
+            .map_err(|_| "degrees, a number")?,
+    };
+    let constant = match angles[..] {
+        [] => None,
+        [deg] => Some((deg, 0.0)),
+        [deg, sd_deg] => Some((deg, sd_deg)),
+        _ => return Err("X,Y,Z in metres, then a constant and its deviation in degrees at most".into()),
+    };
+    let constant = constant.map(|(deg, sd_deg)| ChainConstant { rad: deg.to_radians(), sd_rad: sd_deg.to_radians() });
+    Ok(Baseline { metres, constant })
 }
 
 /// Three numbers: metres forward, left, up.

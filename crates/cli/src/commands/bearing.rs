@@ -9,7 +9,7 @@ mod transmitters;
 mod words;
 
 use self::words::describe;
-use super::args::{Estimation, channel, columns, mac, triple};
+use super::args::{Baseline, Estimation, baseline, channel, columns, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
 use super::mounting::Mounting;
@@ -23,7 +23,6 @@ use csi5300::pipeline::{CaptureReport, LinkReport, LogReport, Options, Transmitt
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
 use driver_iface::Mac;
-use nalgebra::Vector3;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -108,16 +107,17 @@ struct Logs {
     bag: BagArgs,
     /// Without --tx: the bearing to every sender in --rx, by two antennas of one robot that turns. Gives the place of
     /// the first of --antennas seen from the second: metres forward, left, up. With three antennas, repeat it for the
-    /// third
+    /// third. DEG is the constant between the chains, and SD its deviation, as a turn gave them (`chain_constants_deg`
+    /// of --json): with it a robot that stands has a bearing too
     #[arg(
         long,
-        value_name = "X,Y,Z",
-        value_parser = triple,
+        value_name = "X,Y,Z[,DEG[,SD]]",
+        value_parser = baseline,
         allow_hyphen_values = true,
         conflicts_with_all = ["tx", "tx_trajectory", "rx_mac", "key", "bag", "antenna_offset", "camera_mount", "explain"],
         hide_short_help = true
     )]
-    baseline: Vec<Vector3<f64>>,
+    baseline: Vec<Baseline>,
     /// Trajectory of a transmitter that moved, in the order of --tx, on the receiver's clock
     #[arg(long, value_name = "T.csv", hide_short_help = true)]
     tx_trajectory: Vec<PathBuf>,

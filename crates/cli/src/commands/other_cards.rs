@@ -61,7 +61,12 @@ impl Row {
         for (why, bytes) in &self.skipped {
             let _ = writeln!(text, "  not read: {bytes} bytes: {why}");
         }
-        text += "  bearings of two robots are made of logs of the Intel 5300 only so far; one robot with two antennas on it: `bearing --baseline`\n";
+        text += match self.format {
+            "FeitCSI" => {
+                "  bearings: of two robots that exchanged frames of 20 or 40 MHz, or of one with two antennas (`bearing --baseline`)\n"
+            }
+            _ => "  bearings: of one robot with two antennas (`bearing --baseline`)\n",
+        };
         text
     }
 }

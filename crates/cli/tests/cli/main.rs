@@ -19,6 +19,7 @@ mod answers;
 #[cfg(feature = "live")]
 mod attacks;
 mod bags;
+mod cards;
 mod commands;
 mod compare;
 #[cfg(feature = "plot")]

@@ -4,4 +4,5 @@
 #[path = "../../../../tests/common/mod.rs"]
 mod common;
 
+mod ax210;
 mod bytes;

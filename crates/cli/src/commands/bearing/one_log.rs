@@ -3,32 +3,11 @@
 use super::super::inputs::Inputs;
 use super::super::{Outcome, Result, hint, info, print, print_json, usage};
 use super::{Args, artefacts, describe, link_name, options, pairs};
-use csi_formats::{Frame, Item, Items, Why};
+use csi_formats::{Item, Items, Why};
 use csi5300::motion::pose::Trajectory;
-use csi5300::num_complex::Complex32;
-use csi5300::pipeline::{Answer, Array, ArrayFrame, LinkReport, OneLog, OneLogReport, Options, one_log};
-use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Antennas};
+use csi5300::pipeline::{Answer, Array, ArrayError, ChainConstant, LinkReport, OneLog, OneLogReport, Options, one_log};
+use nalgebra::Vector3;
 use std::path::Path;
-
-/// The receive chain of a frame that is connected to an antenna: told by a 5300, elsewhere they are counted.
-fn chain(frame: &Frame, antenna: Antenna) -> Option<usize> {
-    let number = Antenna::ALL.iter().position(|one| *one == antenna)?;
-    match frame.antenna_sel {
-        Some(sel) => Antennas::new(sel, u8::try_from(frame.n_rx).ok()?, [0; 3]).ok()?.chain_of(antenna),
-        None => number.checked_sub(usize::from(frame.first_rx)),
-    }
-}
-
-/// A frame of any card, as the antennas heard it.
-fn heard(frame: &Frame, array: &Array) -> Option<ArrayFrame> {
-    let csi = |antenna: Antenna, stream: usize| {
-        let column = frame.column(chain(frame, antenna).filter(|chain| *chain < frame.n_rx)?, stream)?;
-        let measured = column.iter().zip(&frame.measured).filter(|(_, measured)| **measured);
-        Some(measured.map(|([re, im], _)| Complex32::new(*re, *im)).collect())
-    };
-    ArrayFrame::new(array, frame.sender.map(Mac).unwrap_or_default(), frame.host_us, frame.n_tx, csi)
-}
 
 /// A log of another card; none where it is none. At last whether bytes of it could not be read.
 fn other_card(
@@ -44,10 +23,7 @@ fn other_card(
         match item {
             Item::Frame(frame) => {
                 frames += 1;
-                match heard(&frame, array) {
-                    Some(frame) => one.hear(frame),
-                    None => without += 1,
-                }
+                without += u64::from(!one.note_frame(&frame));
             }
             Item::Skipped(skipped) => lost += if skipped.why == Why::NoCsi { 0 } else { skipped.len },
         }
@@ -69,10 +45,17 @@ fn name(inputs: &Inputs, rx: &Path, link: &LinkReport, links: usize) -> String {
     }
 }
 
+/// The antennas and their baselines, with the constants of their chains where they are given.
+fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
+    let metres: Vec<Vector3<f64>> = args.logs.baseline.iter().map(|baseline| baseline.metres).collect();
+    let array = Array::new(&args.estimation.antenna, &metres)?;
+    let constants: Vec<ChainConstant> = args.logs.baseline.iter().filter_map(|baseline| baseline.constant).collect();
+    if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
+}
+
 /// Estimates and prints the bearings.
 pub fn run(args: &Args) -> Result {
-    let array = Array::new(&args.estimation.antenna, &args.logs.baseline);
-    let array = array.unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
+    let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
     let options = options(args).unwrap_or_else(|message| usage(&message));
     let (Some(rx), Some(path)) = (&args.logs.rx, &args.logs.trajectory) else {
         usage("--rx and --trajectory are needed");

@@ -83,8 +83,14 @@ pub(super) fn pairs(answer: &Answer) -> String {
 /// What became of the records of one log.
 pub(super) fn records(answer: &Answer) -> String {
     let counts = answer.pair_counts;
+    let constant = |[deg, sd_deg]: &[f64; 2]| {
+        format!(
+            "  constant of the chains {deg:.1} +- {sd_deg:.1} degrees: --baseline X,Y,Z,{deg:.1},{sd_deg:.1} when it stands\n"
+        )
+    };
+    let constants: String = answer.chain_constants_deg.iter().map(constant).collect();
     format!(
-        "  {} with all antennas: {} in the turn ({}), {} while it did not turn, {} without a pose, {} cut{}\n",
+        "  {} with all antennas: {} in the turn ({}), {} while it did not turn, {} without a pose, {} cut{}\n{constants}",
         some(answer.pairs as u64, "record", "records"),
         counts.in_motion,
         answer.geometry.as_deref().unwrap_or("-"),

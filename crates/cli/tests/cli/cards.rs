@@ -1,0 +1,94 @@
+//! Cards other than the 5300: FeitCSI's logs of two simulated robots, and the constants between the chains of one.
+
+use crate::commands::{Folder, json};
+use std::path::PathBuf;
+
+/// Simulates a scene into `name`; the receiver's log, the transmitter's, and the trajectory that begins so.
+fn simulated(folder: &Folder, name: &str, scene: &str, trajectory: &str) -> [String; 3] {
+    folder.write("scene.toml", scene.as_bytes());
+    let (status, _, err) = folder.run(&["simulate", "scene.toml", "--out", name]);
+    assert_eq!(status, 0, "{err}");
+    let find = |start: &str| {
+        let files = std::fs::read_dir(folder.0.join(name)).unwrap().map(|entry| entry.unwrap().path());
+        let is_it = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with(start);
+        files.into_iter().find(is_it).unwrap().to_str().unwrap().to_owned()
+    };
+    ["csi_rx_", "csi_tx1_", trajectory].map(find)
+}
+
+const PAIR: &str = "duration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsounding.rate_hz = 50\n\
+     [radio]\nnoise.snr_db = 20\nsend_jitter_us = 60\nturn_around.spread_us = 8\n\
+     [[robot]]\nname = \"rx\"\nmotion.circle = { radius_m = 0.25, duration_s = 12.0 }\n\
+     [[robot]]\nname = \"tx\"\nposition_m = [-4.0, 9.0, 0.0]\ncrystal.offset_ppm = -6.0\n";
+
+#[test]
+fn two_logs_of_feitcsi_give_the_rooms_bearing() {
+    let folder = Folder::new("feitcsi");
+    let [rx, tx, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
+    let (status, out, err) = folder.run(&["info", &rx]);
+    assert!(status == 0 && out.contains("FeitCSI, 600 frames") && out.contains("of two robots"), "{out}{err}");
+    let (status, out, err) = folder.run(&["bearing", &rx, &tx, &path, "--channel", "108", "--json"]);
+    let answer = json(out.lines().next().unwrap());
+    assert_eq!(status, 0, "{err}");
+    // From the circle's middle, 25 cm to the left of where it began.
+    let truth_deg = (9.0_f64 - 0.25).atan2(-4.0).to_degrees();
+    assert!((answer["azimuth_deg"].as_f64().unwrap() - truth_deg).abs() < 0.2, "{answer}");
+    assert!(answer["compensated"].as_bool().unwrap() && answer["pairs"].as_u64().unwrap() >= 595, "{answer}");
+    // The same of the folder, whose files are named as those of a capture.
+    let (status, out, err) = folder.run(&["bearing", "room", "--json"]);
+    assert_eq!((status, &json(out.lines().next().unwrap())["azimuth_deg"]), (0, &answer["azimuth_deg"]), "{err}");
+
+    // Damage costs what it is in, and is said; a log that was cut is read to there.
+    let mut log = std::fs::read(&rx).unwrap();
+    let len = log.len() / 600;
+    log.truncate(log.len() - 100);
+    log.drain(200 * len + 300..200 * len + 400);
+    let damaged = folder.write("damaged.csi", &log);
+    let damaged = damaged.to_str().unwrap();
+    let (status, out, err) =
+        folder.run(&["bearing", "--rx", damaged, "--tx", &tx, "--trajectory", &path, "--channel", "108"]);
+    assert!(status == 3 && out.contains("114.") && err.contains("598 bfee records"), "{status} {out}{err}");
+    let wide = PAIR.replace("card =", "bandwidth_mhz = 80\ncard =");
+    let [rx, tx, path] = simulated(&folder, "wide", &wide, "rx_trajectory_");
+    let (status, _, err) = folder.run(&["bearing", &rx, &tx, &path, "--channel", "108"]);
+    assert!(
+        status != 0 && err.contains("a frame of 80 MHz: bearings of two robots take those of 20 and 40 MHz"),
+        "{err}"
+    );
+}
+
+#[test]
+fn the_constant_of_a_turn_gives_a_robot_that_stands_a_bearing() {
+    let folder = Folder::new("chains");
+    let scene = |motion: &str| {
+        format!(
+            "duration_s = 5.0\nsounding.rate_hz = 40\n[radio]\nnoise.snr_db = 20\nchain_deg = [-50.0, 0.0]\n\
+             chain_noise_rad = 0.1\n[[robot]]\nname = \"rx\"\nyaw_deg = 20.0\nantenna_b_m = [-0.025, 0.0, 0.0]\n{motion}\n\
+             [[robot]]\nname = \"tx\"\nposition_m = [30.0, 40.0, 0.0]\n"
+        )
+    };
+    let run = |name: &str, motion: &str, baseline: &str| {
+        let [rx, _, path] = simulated(&folder, name, &scene(motion), "odom_rx_trajectory_");
+        let baseline = ["--antennas", "A,B", "--baseline", baseline, "--elevation-max", "0", "--json"];
+        let logs = ["bearing", "--rx", &rx, "--trajectory", &path, "--channel", "108"];
+        let (status, out, err) = folder.run(&[&logs[..], &baseline].concat());
+        (status, out.lines().next().map(json).unwrap_or_default(), err)
+    };
+    let (status, turned, err) = run("turn", "motion.circle = { radius_m = 0.0, duration_s = 5.0 }", "0.025,0,0");
+    assert_eq!(status, 0, "{err}");
+    // Of A against B the constant is that of B against A with the other sign.
+    let [deg, sd_deg] = [0, 1].map(|k| turned["chain_constants_deg"][0][k].as_f64().unwrap());
+    assert!((deg - 50.0).abs() < 4.0 * sd_deg && sd_deg < 2.0, "{deg} +- {sd_deg}");
+    let (status, still, _) = run("still", "", "0.025,0,0");
+    assert!(status != 0 && still["error"].as_str().unwrap().contains("constant between their chains"), "{still}");
+    let (status, still, err) = run("still2", "", &format!("0.025,0,0,{deg},{sd_deg}"));
+    assert_eq!(status, 0, "{err}");
+    let truth_deg = 4.0_f64.atan2(3.0).to_degrees();
+    let sides = ["azimuth_deg", "mirror_deg"].map(|key| still[key].as_f64().unwrap());
+    let mirror_deg = 40.0 - truth_deg;
+    assert!(sides.iter().any(|deg| (deg - truth_deg).abs() < 2.0), "{still}");
+    assert!(sides.iter().any(|deg| (deg - mirror_deg).abs() < 2.0), "{still}");
+    assert!(still["chain_constants_deg"].is_null() && still["azimuth_sd_deg"].as_f64().unwrap() < 3.0, "{still}");
+    let (status, _, err) = run("wrong", "", "0.025,0,0,x");
+    assert!(status == 2 && err.contains("degrees"), "{status} {err}");
+}

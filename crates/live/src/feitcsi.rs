@@ -1,0 +1,202 @@
+//! An AX200's or AX210's records as FeitCSI gives them: UDP datagrams (`feitcsi --udp-socket`), or its standard output.
+
+use crate::wait::Monotonic;
+use csi5300::source::other_card::Translated;
+use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
+use csi5300::time::Instant;
+use driver_iface::record::{LENGTH_FIELD, Record, Tail, written};
+use std::fs::File;
+use std::io::{self, ErrorKind, Read};
+use std::net::{ToSocketAddrs, UdpSocket};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+
+/// Bytes of records taken at a time.
+const CHUNK: usize = 16 * 1024;
+
+/// What FeitCSI writes, live, as records of a 5300 (see [`csi5300::source::other_card`]).
+///
+/// Records have FeitCSI's host time; older versions write none, then they have that of `wall_us`.
+#[derive(Debug)]
+pub struct FeitCsi {
+    records: Translated<Way>,
+    /// Records that were not handed out, from `given` on.
+    buffer: Vec<u8>,
+    given: usize,
+    /// Records handed out.
+    number: u64,
+    /// Bytes of them.
+    handed_out: u64,
+    ended: bool,
+    wall_us: fn() -> Option<i64>,
+}
+
+/// Where bytes come from.
+#[derive(Debug)]
+enum Way {
+    Datagrams(UdpSocket),
+    Stream(File),
+}
+
+impl Read for Way {
+    fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::Stream(stream) => {
+                // Without O_NONBLOCK, which the program at the other end of a terminal or pipe would have too.
+                let clock = Monotonic::new();
+                let [is_ready] = clock.wait([stream.as_fd()], Some(Instant::ZERO)).map_err(io::Error::other)?;
+                if is_ready { stream.read(room) } else { Err(ErrorKind::WouldBlock.into()) }
+            }
+            Self::Datagrams(socket) => loop {
+                // An empty datagram is no end.
+                match socket.recv(room) {
+                    Ok(0) => {}
+                    read => return read,
+                }
+            },
+        }
+    }
+}
+
+impl FeitCsi {
+    /// Listens for datagrams at an address of this machine, such as `127.0.0.1:8008`.
+    ///
+    /// # Errors
+    /// If the address is none, or taken.
+    pub fn listen(address: impl ToSocketAddrs, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
+        let what = "cannot listen for FeitCSI's datagrams; is the address one of this machine, and free?";
+        let io = |source| Error::Io { what: what.into(), source };
+        let socket = UdpSocket::bind(address).map_err(io)?;
+        socket.set_nonblocking(true).map_err(io)?;
+        Ok(Self::new(Way::Datagrams(socket), wall_us))
+    }
+
+    /// Reads FeitCSI's standard output, or a pipe that it goes to.
+    #[must_use]
+    pub fn read(output: OwnedFd, wall_us: fn() -> Option<i64>) -> Self {
+        Self::new(Way::Stream(output.into()), wall_us)
+    }
+
+    fn new(way: Way, wall_us: fn() -> Option<i64>) -> Self {
+        let records = Translated::new(way);
+        Self { records, buffer: Vec::new(), given: 0, number: 0, handed_out: 0, ended: false, wall_us }
+    }
+
+    /// Reads on. False if there is nothing yet, or nothing more.
+    fn fill(&mut self) -> Result<bool, Error> {
+        self.buffer.drain(..self.given);
+        self.given = 0;
+        let from = self.buffer.len();
+        self.buffer.resize(from + CHUNK, 0);
+        let read = self.records.read(self.buffer.get_mut(from..).unwrap_or_default());
+        self.buffer.truncate(from + read.as_ref().map_or(0, |read| *read));
+        match read {
+            Ok(read) => {
+                self.ended = read == 0;
+                Ok(read > 0)
+            }
+            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(false),
+            Err(error) if error.kind() == ErrorKind::Interrupted => Ok(true),
+            Err(source) => Err(Error::Io { what: "reading what FeitCSI writes".into(), source }),
+        }
+    }
+}
+
+impl CsiSource for FeitCsi {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        let len = loop {
+            let left = self.buffer.get(self.given..).unwrap_or_default();
+            if let Some(record) = written(left).next() {
+                break record.len();
+            }
+            if self.ended {
+                let (offset, bytes) = (self.handed_out, left.len() as u64);
+                return Ok(Next::End(match bytes {
+                    0 => Tail::Clean,
+                    _ => Tail::Cut { offset, bytes, expected: None },
+                }));
+            }
+            if !self.fill()? && !self.ended {
+                return Ok(Next::Pending);
+            }
+        };
+        self.given += len;
+        self.handed_out += len as u64;
+        let stamps = Stamps { at: now, host_us: (self.wall_us)(), origin: Origin::Live { number: self.number } };
+        self.number += 1;
+        let message = self.buffer.get(self.given - len + LENGTH_FIELD..self.given).unwrap_or_default();
+        Ok(Record::from_message(message).map_or(Next::Pending, |record| Next::Record(stamps, record)))
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        None
+    }
+}
+
+impl AsFd for FeitCsi {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        match self.records.get_ref() {
+            Way::Datagrams(socket) => socket.as_fd(),
+            Way::Stream(stream) => stream.as_fd(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300_sim::{Room, Scene};
+    use driver_iface::record::code;
+    use std::io::Write;
+
+    /// What FeitCSI writes of some frames, and the same one by one.
+    fn written_by_feitcsi() -> (Vec<u8>, Vec<Vec<u8>>) {
+        let scene = "duration_s = 1.0\ncard = \"ax210\"\nsounding.rate_hz = 20\n[[robot]]\nname = \"rx\"\n\
+                     [[robot]]\nname = \"tx\"\nposition_m = [3.0, 0.0, 0.0]\n";
+        let run = Room::new(&Scene::parse(scene).unwrap()).unwrap().run().unwrap();
+        let log = run.robots[0].log.clone();
+        let one = log.len() / run.robots[0].records as usize;
+        (log.clone(), log.chunks(one).map(<[u8]>::to_vec).collect())
+    }
+
+    /// All that is there at once.
+    fn drained(source: &mut FeitCsi) -> (Vec<(u8, Vec<u8>)>, bool) {
+        let mut all = Vec::new();
+        loop {
+            match source.receive(Instant::ZERO).unwrap() {
+                Next::Record(stamps, record) => {
+                    assert_eq!((stamps.origin, stamps.host_us), (Origin::Live { number: all.len() as u64 }, Some(7)));
+                    all.push((record.code, record.body.to_vec()));
+                }
+                Next::Pending => return (all, false),
+                Next::End(tail) => {
+                    assert_eq!(tail, Tail::Clean);
+                    return (all, true);
+                }
+                Next::Lost(loss) => panic!("{loss:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn datagrams_and_a_stream_give_what_the_log_does() {
+        let (log, frames) = written_by_feitcsi();
+        let (mut pipe, output) = std::io::pipe().map(|(read, write)| (write, read)).unwrap();
+        let mut streamed = FeitCsi::read(output.into(), || Some(7));
+        assert_eq!(drained(&mut streamed), (Vec::new(), false));
+        pipe.write_all(&log).unwrap();
+        drop(pipe);
+        let (of_stream, ended) = drained(&mut streamed);
+        assert!(ended && of_stream.len() == 2 * frames.len(), "{}", of_stream.len());
+        assert!(of_stream.chunks(2).all(|two| [two[0].0, two[1].0] == [code::CARD_CLOCK, code::BFEE]));
+
+        let mut source = FeitCsi::listen("127.0.0.1:0", || Some(7)).unwrap();
+        let Way::Datagrams(socket) = source.records.get_ref() else { panic!("a socket was asked for") };
+        let (to, sender) = (socket.local_addr().unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
+        assert_eq!(drained(&mut source), (Vec::new(), false));
+        sender.send_to(&[], to).unwrap();
+        frames.iter().for_each(|frame| assert_eq!(sender.send_to(frame, to).unwrap(), frame.len()));
+        // On the loopback a datagram is there once it was sent.
+        let (of_datagrams, ended) = drained(&mut source);
+        assert!(!ended && of_datagrams == of_stream, "{}", of_datagrams.len());
+    }
+}

@@ -1,0 +1,101 @@
+//! An AX210 in the room: FeitCSI's bytes in its log, the same frames from its card.
+
+use csi_formats::{Frame, Item, Kind, items};
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Instant;
+use csi5300_sim::{Room, Scene, SceneError, write_dataset};
+
+const SCENE: &str = "duration_s = 30.0\ncard = \"ax210\"\nsounding.rate_hz = 20\n\
+     [radio]\nsend_jitter_us = 60\nturn_around.spread_us = 5\nchain_deg = [90.0, 0.0]\n\
+     [[robot]]\nname = \"rx\"\nantenna_b_m = [0.0, 0.1, 0.0]\n\
+     [[robot]]\nname = \"tx\"\nposition_m = [3.0, 0.0, 0.5]\ncrystal = { offset_ppm = 7.0, clock_start_us = 4294000000 }\n";
+
+fn frames(log: &[u8]) -> Vec<Frame> {
+    let frame = |item: Item| match item {
+        Item::Frame(frame) => frame,
+        Item::Skipped(bad) => panic!("{bad:?}"),
+    };
+    items(log).unwrap().map(frame).collect()
+}
+
+#[test]
+fn a_log_is_feitcsis_with_both_clocks_of_one_crystal() {
+    let run = Room::new(&Scene::parse(SCENE).unwrap()).unwrap().run().unwrap();
+    for (robot, other) in [(0, 1), (1, 0)] {
+        let robot = &run.robots[robot];
+        let all = frames(&robot.log);
+        assert_eq!((all.len(), robot.records), (600, 600));
+        assert!(all.iter().all(|frame| frame.sender == Some(run.robots[other].mac.0)));
+        let shape = |frame: &Frame| (frame.kind, frame.width_mhz, frame.n_rx, frame.n_tx, frame.subcarriers.len());
+        assert!(all.iter().all(|frame| shape(frame) == (Some(Kind::He), 20, 2, 1, 242)));
+        // The FTM clock wraps twice meanwhile; between two frames both clocks say the same, to a microsecond.
+        let mut wraps = 0;
+        for two in all.windows(2) {
+            let [[from, from_us], [to, to_us]] =
+                [&two[0], &two[1]].map(|frame| [frame.clock.unwrap().ticks, frame.slow_clock.unwrap().ticks]);
+            wraps += usize::from(to < from);
+            let us = (to as u32).wrapping_sub(from as u32) as f64 * 3.125e-3;
+            let slow_us = (to_us as u32).wrapping_sub(from_us as u32) as f64;
+            assert!((us - slow_us).abs() < 1.0 && (4e4..6e4).contains(&us), "{us} {slow_us}");
+        }
+        assert!((2..=3).contains(&wraps), "{wraps}");
+    }
+    // Chain B has its constant, and a pilot nothing of the channel.
+    let frame = &frames(&run.robots[0].log)[0];
+    let phase = |k: usize| {
+        let [a, b] = [0, 1].map(|chain| frame.column(chain, 0).unwrap()[k]);
+        (b[1] * a[0] - b[0] * a[1]).atan2(a[0] * b[0] + a[1] * b[1])
+    };
+    let middle = phase(120);
+    assert!((0..242).filter(|k| frame.measured[*k]).all(|k| (phase(k) - middle).abs() < 0.1), "{middle}");
+    let way_m = (3.0_f64.powi(2) + 0.01 + 0.25).sqrt() - (9.25_f64).sqrt();
+    let expected = std::f64::consts::FRAC_PI_2 - std::f64::consts::TAU * way_m * 5.54e9 / 299_792_458.0;
+    let off = f64::from(middle) - expected;
+    assert!((off - std::f64::consts::TAU * (off / std::f64::consts::TAU).round()).abs() < 0.05, "{off}");
+}
+
+#[test]
+fn a_live_card_gives_what_is_read_of_its_log() {
+    let scene = Scene::parse(SCENE).unwrap();
+    let run = Room::new(&scene).unwrap().run().unwrap();
+    let collect = |source: &mut dyn CsiSource| {
+        let (mut all, mut now) = (Vec::new(), Instant::ZERO);
+        loop {
+            match source.receive(now).unwrap() {
+                Next::Record(_, record) => all.push((record.code, record.body.to_vec())),
+                Next::Pending => now = source.next_at().unwrap(),
+                Next::End(_) => break all,
+                Next::Lost(loss) => panic!("{loss:?}"),
+            }
+        }
+    };
+    let mut room = Room::new(&scene).unwrap();
+    let live = collect(&mut room.card(1).unwrap());
+    assert_eq!(live.len(), 1_200);
+    assert!(live == collect(&mut run.robots[1].replay()));
+    // The same in a folder, whose log is recognised by its content.
+    let folder = std::env::temp_dir().join(format!("csi5300-ax210-{}", std::process::id()));
+    let captures = write_dataset(&mut Room::new(&scene).unwrap(), &folder, &mut |_| ()).unwrap();
+    let path = &captures[0].logs[1].path;
+    assert!(std::fs::read(path).unwrap() == run.robots[1].log);
+    assert!(live == collect(&mut csi5300::source::replay::Replay::open(path).unwrap()));
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn what_a_card_does_not_have_is_refused() {
+    let said = |from: &str, to: &str| {
+        let error = Room::new(&Scene::parse(&SCENE.replacen(from, to, 1)).unwrap()).unwrap_err();
+        error.to_string()
+    };
+    for (from, to, words) in [
+        ("card = \"ax210\"", "preamble = \"he\"", "preamble is of an AX210"),
+        ("card", "driver = \"stock\"\ncard", "FeitCSI"),
+        ("[radio]", "[radio]\nantenna_order = \"by_rssi\"", "no order by RSSI"),
+        ("antenna_b_m", "antenna_c_m = [0.0, 0.2, 0.0]\nantenna_b_m", "has two"),
+        ("[radio]", "[radio]\nchain_noise_rad = -1.0", "chain_noise_rad"),
+    ] {
+        assert!(said(from, to).contains(words), "{}", said(from, to));
+    }
+    assert!(matches!(Scene::parse("card = \"ax200\""), Err(SceneError::Toml { line: Some(1), .. })));
+}

@@ -1,0 +1,271 @@
+//! A log of another card as records of the 5300, so that what reads those reads these: FeitCSI, of the AX200 and AX210.
+//!
+//! | of a frame | becomes |
+//! |---|---|
+//! | CSI of 20 or 40 MHz | the 30 subcarriers of a 5300, 8 bits, full scale: each the mean of the measured ones nearest to it, brought there along the slope of the phase |
+//! | the card's clock | `timestamp_low` in whole microseconds, and before the bfee a record of what is left ([`code::CARD_CLOCK`]) |
+//! | host time, sender | those of WSR's layout of 2021, which has no frame number: pairs are formed by the clocks |
+//! | RSSI, dBm | RSSI at a gain of 60 dB |
+//!
+//! What gives no bfee is a record that says so ([`code::LEFT_OUT`]): damage, and frames of other widths.
+
+use crate::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIER_SPACING_HZ, SUBCARRIERS};
+use csi_formats::{Frame, Why, feitcsi};
+use driver_iface::Mac;
+use driver_iface::bfee::{Iq, Repr, Wsr};
+use driver_iface::record::{Record, code};
+use num_complex::Complex32;
+use std::io::{self, Read, Seek, SeekFrom};
+
+/// Picoseconds in a microsecond.
+const PS_PER_US: i128 = 1_000_000;
+/// Chains of a 5300, the most that a record holds.
+const MOST_CHAINS: usize = 3;
+/// Gain at which RSSI is given, dB: from -104 dBm on it is above 0.
+const GAIN_DB: u8 = 60;
+/// `rss = rssi - 44 - agc` dBm (csitool, `get_total_rss.m`).
+const RSSI_OFFSET_DB: i16 = 44;
+/// Antennas of chains 0, 1 and 2: A, B and C.
+const IN_ORDER: u8 = 0b10_01_00;
+/// Bytes read at a time.
+const CHUNK: usize = 64 * 1024;
+/// More than any record has: of so many bytes without the next one, the length was damaged.
+const LONGEST: usize = 256 * 1024;
+
+/// Makes records of frames, in the order of their log.
+#[derive(Clone, Debug, Default)]
+pub struct Translator {
+    last: Option<Reading>,
+    count: u16,
+}
+
+/// A card's clocks at a frame.
+#[derive(Clone, Copy, Debug)]
+struct Reading {
+    ticks: u64,
+    slow_us: Option<u64>,
+    /// Unwrapped, picoseconds.
+    at_ps: i128,
+}
+
+impl Translator {
+    /// Appends the records of one frame, or of `len` bytes at `offset` that are none, to a `.dat` log.
+    pub fn take(&mut self, read: &Result<Frame, Why>, offset: u64, len: usize, log: &mut Vec<u8>) {
+        match read {
+            Err(Why::NoCsi) => {}
+            // A logger that was killed: the log ends within a record here too.
+            Err(Why::Cut) => log.extend_from_slice(&[0, u8::MAX, code::BFEE]),
+            Err(why) => left_out(offset, len, &why.to_string(), log),
+            Ok(frame) => {
+                if let Err(why) = self.frame(frame, log) {
+                    left_out(offset, len, &why, log);
+                }
+            }
+        }
+    }
+
+    fn frame(&mut self, frame: &Frame, log: &mut Vec<u8>) -> Result<(), String> {
+        let indices = match frame.width_mhz {
+            20 => &INDICES_20_MHZ,
+            40 => &INDICES_40_MHZ,
+            other => {
+                return Err(format!("a frame of {other} MHz: bearings of two robots take those of 20 and 40 MHz"));
+            }
+        };
+        let at_ps = self.clock_ps(frame).ok_or("a frame without the card's clock")?;
+        let (n_rx, n_tx) = (frame.n_rx.clamp(1, MOST_CHAINS), frame.n_tx.clamp(1, MOST_CHAINS));
+        let columns: Vec<[Complex32; SUBCARRIERS]> = (0..n_rx * n_tx)
+            .map(|k| reported(frame, k / n_tx, k % n_tx, indices))
+            .collect::<Option<_>>()
+            .ok_or("a frame without measured subcarriers")?;
+        self.count = self.count.wrapping_add(1);
+        let (at_us, left_ps) = (at_ps.div_euclid(PS_PER_US), at_ps.rem_euclid(PS_PER_US));
+        let host_us = frame.host_us.unwrap_or(0);
+        let rssi = |chain: usize| frame.rssi.get(chain).copied().flatten().map_or(0, rssi);
+        let repr = Repr {
+            timestamp_low: at_us as u32,
+            bfee_count: self.count,
+            n_rx: n_rx as u8,
+            n_tx: n_tx as u8,
+            rssi: std::array::from_fn(rssi),
+            agc: GAIN_DB,
+            antenna_sel: IN_ORDER & ((1 << (2 * n_rx)) - 1),
+            rate_n_flags: 0x100 | if frame.width_mhz == 40 { 0x800 } else { 0 },
+            wsr: Some(Wsr {
+                tv_sec: host_us.div_euclid(1_000_000) as u32,
+                tv_usec: host_us.rem_euclid(1_000_000) as u32,
+                mac: Mac(frame.sender.unwrap_or_default()),
+                frame_count: None,
+            }),
+            ..Repr::default()
+        };
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&quantised(&columns), &mut body).map_err(|error| error.to_string())?;
+        append(code::CARD_CLOCK, &(left_ps as u32).to_le_bytes(), log);
+        append(code::BFEE, &body, log);
+        Ok(())
+    }
+
+    /// The finest clock, unwrapped by the coarser one, which runs on where the finest wraps more than once.
+    fn clock_ps(&mut self, frame: &Frame) -> Option<i128> {
+        let clock = frame.clock?;
+        let period = 1_i128 << clock.bits.min(64);
+        let slow_us = frame.slow_clock.map(|slow| slow.ticks);
+        let tick_ps = i128::from(clock.tick_ps);
+        let at_ps = match self.last {
+            None => i128::from(clock.ticks) * tick_ps,
+            Some(last) => {
+                let ticks = (i128::from(clock.ticks) - i128::from(last.ticks)).rem_euclid(period);
+                let coarse_us = slow_us.zip(last.slow_us).map(|(now, last)| (now as u32).wrapping_sub(last as u32));
+                let wraps = match coarse_us.map(u32::cast_signed) {
+                    // Set back: what follows is told from what was before by that.
+                    Some(us @ ..0) => return self.keep(clock.ticks, slow_us, last.at_ps + i128::from(us) * PS_PER_US),
+                    Some(us) => (i128::from(us) * PS_PER_US - ticks * tick_ps + period * tick_ps / 2)
+                        .div_euclid(period * tick_ps)
+                        .max(0),
+                    None => -i128::from(ticks > period / 2),
+                };
+                last.at_ps + (ticks + wraps * period) * tick_ps
+            }
+        };
+        self.keep(clock.ticks, slow_us, at_ps)
+    }
+
+    fn keep(&mut self, ticks: u64, slow_us: Option<u64>, at_ps: i128) -> Option<i128> {
+        self.last = Some(Reading { ticks, slow_us, at_ps });
+        Some(at_ps)
+    }
+}
+
+fn left_out(offset: u64, len: usize, why: &str, log: &mut Vec<u8>) {
+    append(code::LEFT_OUT, &[&offset.to_le_bytes()[..], &(len as u64).to_le_bytes(), why.as_bytes()].concat(), log);
+}
+
+fn append(code: u8, body: &[u8], log: &mut Vec<u8>) {
+    let (record, from) = (Record { code, body }, log.len());
+    log.resize(from + record.emit_len(), 0);
+    if log.get_mut(from..).is_none_or(|room| record.emit(room).is_err()) {
+        log.truncate(from);
+    }
+}
+
+fn rssi(dbm: i16) -> u8 {
+    (dbm + RSSI_OFFSET_DB + i16::from(GAIN_DB)).clamp(1, 255) as u8
+}
+
+/// One column of a frame at the indices of the subcarriers that a 5300 reports.
+fn reported(frame: &Frame, rx: usize, tx: usize, indices: &[i8; SUBCARRIERS]) -> Option<[Complex32; SUBCARRIERS]> {
+    let step = (frame.spacing_hz() / SUBCARRIER_SPACING_HZ) as f32;
+    let values = frame.column(rx, tx)?.iter().zip(&frame.subcarriers).zip(&frame.measured);
+    let heard: Vec<(f32, Complex32)> = values
+        .filter(|(_, measured)| **measured)
+        .map(|(([re, im], index), _)| (f32::from(*index) * step, Complex32::new(*re, *im)))
+        .collect();
+    let neighbours = heard.windows(2).filter(|two| two[1].0 - two[0].0 < 1.5 * step);
+    let slope = neighbours.map(|two| two[1].1 * two[0].1.conj()).sum::<Complex32>().arg() / step;
+    let brought = |(x, h): &(f32, Complex32), to: f32| h * Complex32::cis(slope * (to - x));
+    let mut out = [Complex32::default(); SUBCARRIERS];
+    for (k, slot) in out.iter_mut().enumerate() {
+        let at = |k: usize| indices.get(k).map(|index| f32::from(*index));
+        let to = at(k)?;
+        let low = k.checked_sub(1).and_then(at).map_or(f32::MIN, |before| 0.5 * (before + to));
+        let high = at(k + 1).map_or(f32::MAX, |after| 0.5 * (after + to));
+        let near = || heard.iter().filter(|(x, _)| (low..high).contains(x));
+        *slot = match near().count() {
+            0 => brought(heard.iter().min_by(|a, b| (a.0 - to).abs().total_cmp(&(b.0 - to).abs()))?, to),
+            n => near().map(|one| brought(one, to)).sum::<Complex32>() / n as f32,
+        };
+    }
+    Some(out)
+}
+
+/// `[subcarrier][chain]`, the largest part at full scale.
+fn quantised(columns: &[[Complex32; SUBCARRIERS]]) -> Vec<Iq> {
+    let largest = columns.iter().flatten().flat_map(|h| [h.re.abs(), h.im.abs()]).fold(0.0, f32::max);
+    let scale = if largest > 0.0 { f32::from(i8::MAX) / largest } else { 0.0 };
+    let iq = |h: &Complex32| Iq { i: (h.re * scale).round() as i8, q: (h.im * scale).round() as i8 };
+    (0..SUBCARRIERS).flat_map(|k| columns.iter().filter_map(move |column| column.get(k))).map(iq).collect()
+}
+
+/// True if a file is a FeitCSI log, by its first bytes; it is read from its beginning afterwards.
+pub(super) fn is_other(file: &mut std::fs::File) -> io::Result<bool> {
+    if !file.metadata()?.is_file() {
+        return Ok(false);
+    }
+    let mut head = Vec::new();
+    file.by_ref().take(feitcsi::HEAD as u64).read_to_end(&mut head)?;
+    file.seek(SeekFrom::Start(0))?;
+    Ok(feitcsi::is_log(&head))
+}
+
+/// A FeitCSI log, read as a `.dat` log.
+#[derive(Debug)]
+pub struct Translated<R> {
+    reader: R,
+    translator: Translator,
+    /// Bytes that are no whole record yet, and what of the log is before them.
+    input: Vec<u8>,
+    offset: u64,
+    ended: bool,
+    output: Vec<u8>,
+    given: usize,
+}
+
+impl<R> Translated<R> {
+    /// What it reads from.
+    pub fn get_ref(&self) -> &R {
+        &self.reader
+    }
+
+    /// Nothing read yet.
+    pub fn new(reader: R) -> Self {
+        let (input, output) = (Vec::new(), Vec::new());
+        Self { reader, translator: Translator::default(), input, offset: 0, ended: false, output, given: 0 }
+    }
+
+    /// Translates the whole records of the input.
+    fn translate(&mut self) {
+        let mut at = 0;
+        while let Some(front) = self.input.get(at..).filter(|front| !front.is_empty()) {
+            let (read, mut len) = feitcsi::front(front);
+            let may_go_on = len == front.len() && !self.ended && read.is_err();
+            if may_go_on {
+                if read == Err(Why::Cut) && len < LONGEST {
+                    break;
+                }
+                // A head may begin in the last bytes.
+                len = len.saturating_sub(feitcsi::HEAD - 1);
+                if len == 0 {
+                    break;
+                }
+            }
+            self.translator.take(&read, self.offset, len, &mut self.output);
+            self.offset += len as u64;
+            at += len;
+        }
+        self.input.drain(..at);
+    }
+}
+
+impl<R: Read> Read for Translated<R> {
+    fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+        while self.given == self.output.len() {
+            if self.ended {
+                return Ok(0);
+            }
+            self.output.clear();
+            self.given = 0;
+            let from = self.input.len();
+            self.input.resize(from + CHUNK, 0);
+            let read = self.reader.read(self.input.get_mut(from..).unwrap_or_default());
+            self.input.truncate(from + read.as_ref().map_or(0, |read| *read));
+            self.ended = read? == 0;
+            self.translate();
+        }
+        let count = room.len().min(self.output.len() - self.given);
+        let from = self.output.get(self.given..).unwrap_or_default();
+        room.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+        self.given += count;
+        Ok(count)
+    }
+}
