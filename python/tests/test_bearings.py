@@ -5,6 +5,7 @@ import json
 import math
 import pickle
 from pathlib import Path
+from typing import Any
 
 import csi5300
 import numpy as np
@@ -193,27 +194,30 @@ def test_a_room_has_its_bearing() -> None:
 
 def test_one_log_has_the_bearing_of_every_sender() -> None:
     turn = {"circle": {"radius_m": 0.0, "duration_s": 5.0}}
-    rx = {"name": "rx", "antenna_b_m": [-0.025, 0.0, 0.0], "motion": turn}
+    rx: dict[str, Any] = {"name": "rx", "position_m": [0.3, 0.2, 0.0], "antenna_b_m": [-0.025, 0.0, 0.0], "motion": turn}
     scene = {
         "duration_s": 5.0,
         "sounding": {"rate_hz": 40.0},
         "radio": {"noise": {"snr_db": 20.0}, "chain_deg": [-50.0, 0.0]},
-        "robot": [rx, {"name": "tx", "position_m": [30.0, 40.0, 0.0]}],
+        "robot": [rx, {"name": "tx", "position_m": [30.3, 40.2, 0.0]}],
     }
     room = csi5300.simulate(scene)
-    own = {"channel": 108, "elevation_max": 0, "antennas": "A,B"}
-    (turned,) = csi5300.bearings(room["rx"].log, trajectory=room["rx"].path, baseline=(0.025, 0, 0), **own)
+    own: dict[str, Any] = {"channel": 108, "elevation_max": 0, "antennas": "A,B"}
+    path = room["rx"].path
+    assert path is not None
+    (turned,) = csi5300.bearings(room["rx"].log, trajectory=path, baseline=(0.025, 0, 0), **own)
     assert turned.azimuth_deg == pytest.approx(53.13, abs=1) and math.isnan(turned.range_m)
     ((deg, sd_deg),) = turned.answer["chain_constants_deg"]
     assert deg == pytest.approx(50, abs=4 * sd_deg) and sd_deg < 2
     del rx["motion"]
     room = csi5300.simulate(scene)
-    still = {"trajectory": room["rx"].path, **own}
+    still: dict[str, Any] = {"trajectory": room["rx"].path, **own}
     (refused,) = csi5300.bearings(room["rx"].log, baseline=[(0.025, 0, 0)], **still)
-    assert not refused and "no turn" in refused.error
+    assert not refused and "no turn" in str(refused.error)
     (found,) = csi5300.bearings(room["rx"].log, baseline=(0.025, 0, 0, deg, sd_deg), **still)
     assert sorted((found.azimuth_deg, found.mirror_deg)) == pytest.approx([-53.13, 53.13], abs=2)
-    for wrong, words in (((0.025, 0), "three numbers"), ("x", "baseline"), ((0.025, 0, 0, 1, 2, 3), "three numbers")):
+    cases: list[tuple[Any, str]] = [((0.025, 0), "three numbers"), ("x", "baseline"), ((0.025, 0, 0, 1, 2, 3), "three numbers")]
+    for wrong, words in cases:
         with pytest.raises(csi5300.OptionError, match=words):
             csi5300.bearings(room["rx"].log, baseline=wrong, **still)
     with pytest.raises(csi5300.OptionError, match="antenna_offset: not with baseline"):

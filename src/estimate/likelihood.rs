@@ -190,7 +190,7 @@ impl Work {
 fn window<S: Simd>(simd: S, rows: &[[f32; 2 * COLUMNS]], cos: &[f32], sin: &[f32]) -> [f32; 2 * COLUMNS] {
     // Eight sums that do not wait for each other: of each two rows, real and imaginary parts by cosine and sine.
     let mut sums = [[f32x8::splat(simd, 0.0); 4]; 2];
-    let mut add = |sums: &mut [f32x8<S>; 4], row: &[f32; 2 * COLUMNS], cos: f32, sin: f32| {
+    let add = |sums: &mut [f32x8<S>; 4], row: &[f32; 2 * COLUMNS], cos: f32, sin: f32| {
         let (re, im) = (f32x8::from_slice(simd, &row[..COLUMNS]), f32x8::from_slice(simd, &row[COLUMNS..]));
         let (cos, sin) = (f32x8::splat(simd, cos), f32x8::splat(simd, sin));
         sums[0] = re.mul_add(cos, sums[0]);

@@ -24,7 +24,7 @@ pub enum LinkError {
         pairs: usize,
     },
     /// The receiver's records hold no host time, so they cannot be joined with a trajectory by time.
-    #[error("the receiver's records hold no host time (stock layout): join with the trajectory row by row")]
+    #[error("the receiver's records hold no host times: join with the trajectory row by row")]
     NoHostTime,
     /// No pair is left in the stretch that was asked for ([`super::Options::with_cut`]).
     #[error("all {pairs} pairs are outside the stretch asked for (the link lasts {length_s:.3} s)")]

@@ -300,7 +300,10 @@ impl OneLog {
         let Some((bfee, identity)) = self.log.survey.note(next) else { return };
         match ArrayFrame::of_bfee(&self.array, &bfee, identity.mac, identity.host_us) {
             Some(frame) => self.hear(frame),
-            None => self.log.unused.no_antenna += 1,
+            None => {
+                self.log.unused.no_antenna += 1;
+                self.miss(identity.mac);
+            }
         }
     }
 
@@ -328,23 +331,26 @@ impl OneLog {
         };
         let sender = frame.sender.map(Mac).unwrap_or_default();
         let heard = ArrayFrame::new(&self.array, sender, frame.host_us, frame.n_tx, csi);
-        heard.map(|heard| self.hear(heard)).is_some()
+        match heard {
+            Some(heard) => {
+                self.hear(heard);
+                true
+            }
+            None => {
+                self.miss(sender);
+                false
+            }
+        }
     }
 
     /// Takes a frame of any card.
     pub fn hear(&mut self, frame: ArrayFrame) {
         let ArrayFrame { sender, host_us, products } = frame;
-        let wanted = &self.options.tx_macs;
-        let is_wanted = wanted.is_empty() || wanted.contains(&sender);
-        let has_room = self.senders.len() < SENDERS_KEPT || self.senders.contains_key(&sender);
-        if !is_wanted || !has_room || products.len() != self.array.others.len() {
+        if products.len() != self.array.others.len() {
             self.log.unused.other_sender += 1;
             return;
         }
-        let new = || Sender { rows: Vec::new(), heard: 0, stride: self.options.decimate.get() };
-        let own = self.senders.entry(sender).or_insert_with(new);
-        let row = own.heard;
-        own.heard += 1;
+        let Some((own, row)) = self.next_row(sender) else { return };
         if !row.is_multiple_of(own.stride) {
             return;
         }
@@ -356,11 +362,34 @@ impl OneLog {
         }
     }
 
+    /// Counts a frame that has no product: the rows of a trajectory that are joined one by one stay in step.
+    fn miss(&mut self, sender: Mac) {
+        if self.options.join == JoinBy::Row {
+            self.next_row(sender);
+        }
+    }
+
+    /// Counts a frame: its sender, and its number among those of it. `None`, counted too, where nobody asked for the sender.
+    fn next_row(&mut self, sender: Mac) -> Option<(&mut Sender, usize)> {
+        let wanted = &self.options.tx_macs;
+        let is_wanted = wanted.is_empty() || wanted.contains(&sender);
+        let has_room = self.senders.len() < SENDERS_KEPT || self.senders.contains_key(&sender);
+        if !is_wanted || !has_room {
+            self.log.unused.other_sender += 1;
+            return None;
+        }
+        let new = || Sender { rows: Vec::new(), heard: 0, stride: self.options.decimate.get() };
+        let own = self.senders.entry(sender).or_insert_with(new);
+        let row = own.heard;
+        own.heard += 1;
+        Some((own, row))
+    }
+
     /// The bearing of every sender, on the trajectory of the robot.
     #[must_use]
     pub fn bearings(self, trajectory: &Trajectory) -> OneLogReport {
         let Self { array, options, log, senders, .. } = self;
-        let mut senders: Vec<(Mac, Sender)> = senders.into_iter().collect();
+        let mut senders: Vec<(Mac, Sender)> = senders.into_iter().filter(|(_, own)| !own.rows.is_empty()).collect();
         senders.sort_by_key(|(_, sender)| std::cmp::Reverse(sender.heard));
         let named = options.tx_macs.iter().filter(|mac| !senders.iter().any(|(own, _)| own == *mac));
         let silent: Vec<Mac> = named.copied().collect();

@@ -8,7 +8,9 @@ use csi5300::driver_iface::record::{Record, code};
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::{Accuracy, Answer, Array, ArrayError, Bearing, LinkError, OneLogReport, Options, one_log};
+use csi5300::pipeline::{
+    Accuracy, Answer, Array, ArrayError, Bearing, JoinBy, LinkError, OneLogReport, Options, one_log,
+};
 use csi5300::source::replay::Replay;
 use nalgebra::Vector3;
 use num_complex::Complex64;
@@ -251,6 +253,25 @@ fn what_shows_no_bearing_is_refused_with_why() {
         let made = Array::new(&[Antenna::A, Antenna::B], &[Vector3::new(metres, 0.0, 0.0)]);
         assert!(matches!(made, Err(ArrayError::Length { .. })), "{metres}");
     }
+}
+
+#[test]
+fn frames_that_an_antenna_missed_keep_their_rows() {
+    let baseline_m = Vector3::new(0.05, 0.0, 0.0);
+    let scene = Scene::new(270.0, baseline_m, 1.2);
+    let mut log = scene.log(1, NEAR, [0.9; 3]);
+    let record = log.len() / RECORDS;
+    // Coefficients, which end each record, are all zero in the first of them.
+    let silent = 60;
+    log.chunks_mut(record).take(silent).for_each(|record| record[45..].fill(0));
+    let every_frame = scene.trajectory().poses().iter().step_by(5).copied().collect();
+    let mut options = options();
+    options.join = JoinBy::Row;
+    let mut source = Replay::new(Cursor::new(log), String::new());
+    let report = one_log(&mut source, &Trajectory::new(every_frame).unwrap(), &pair(baseline_m), &options).unwrap();
+    let bearing = report.links[0].bearing.as_ref().unwrap();
+    assert_eq!((bearing.pairs.formed, report.log.unused.no_antenna), (RECORDS - silent, silent as u64));
+    assert!(wrap_rad(bearing.answer.azimuth_rad - 1.2).abs() < 0.01, "{}", bearing.answer.azimuth_rad);
 }
 
 /// What `log` adds to the product of A and B, and of A and C, radians.

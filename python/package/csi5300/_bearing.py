@@ -228,10 +228,10 @@ def _name(log: Source, index: int) -> str:
     return Path(log.name).stem if isinstance(log, Log) else f"tx{index + 1}"
 
 
-def _baselines(baseline: Sequence[float] | Sequence[Sequence[float]]) -> list[list[float]]:
+def _baselines(baseline: Any) -> list[list[float]]:
     try:
         rows = [baseline] if np.ndim(baseline[0]) == 0 else baseline
-        return [[float(value) for value in row] for row in rows]  # type: ignore[union-attr]
+        return [[float(value) for value in row] for row in rows]
     except (TypeError, ValueError, IndexError, KeyError) as error:
         raise OptionError(f"baseline: {error}: three numbers, metres, or a list of such") from None
 
@@ -292,9 +292,9 @@ def bearings(
     for name in ("rx", "tx", "trajectory", "tx_trajectory", "antennas", "baseline"):
         del options[name]
     if baseline is not None:
-        named = dict(tx=tx, tx_trajectory=tx_trajectory, antenna=antenna, rx_mac=rx_mac, key=key, every=every)
-        named |= dict(antenna_offset=antenna_offset, camera_mount=camera_mount, explain=explain)
-        wrong = [name for name, value in named.items() if value]
+        of_two: dict[str, Any] = {"tx": tx, "tx_trajectory": tx_trajectory, "antenna": antenna, "rx_mac": rx_mac, "key": key}
+        of_two |= {"antenna_offset": antenna_offset, "camera_mount": camera_mount, "explain": explain, "every": every}
+        wrong = [name for name, value in of_two.items() if value]
         if wrong:
             raise OptionError(f"{wrong[0]}: not with baseline, which is of one robot and its own log")
         letters = _options.letters(antennas) or "AB"
