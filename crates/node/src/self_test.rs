@@ -6,6 +6,7 @@ use csi5300::signal::channel::Channel;
 use csi5300::source::{Loss, Next, Stamps};
 use csi5300::time::{Instant, Span};
 use csi5300_accept::{Collector, Finding, Of, Plan, Side, Verdict};
+use csi5300_live::doctor::{Machine, module_counters};
 use driver_iface::Mac;
 use driver_iface::record::Record;
 use std::collections::VecDeque;
@@ -67,6 +68,8 @@ pub struct SelfTest {
     peers: Arc<[(String, Mac)]>,
     /// This robot's card, then the peers'.
     cards: Arc<Mutex<Vec<Card>>>,
+    /// The kernel module's counters at the start; none where the records come from no card.
+    counters: Arc<[(String, u64)]>,
 }
 
 impl SelfTest {
@@ -74,7 +77,13 @@ impl SelfTest {
     #[must_use]
     pub fn new(channel: Channel, own: Mac, peers: &[(String, Mac)]) -> Self {
         let cards = std::iter::repeat_with(Card::default).take(peers.len() + 1).collect();
-        Self { channel, own, peers: peers.into(), cards: Arc::new(Mutex::new(cards)) }
+        Self { channel, own, peers: peers.into(), cards: Arc::new(Mutex::new(cards)), counters: Arc::default() }
+    }
+
+    /// Asks the claims about the kernel module too, by what it counted since now.
+    #[must_use]
+    pub fn with_module(self) -> Self {
+        Self { counters: module_counters(&Machine).into(), ..self }
     }
 
     /// What has to be added to the machine.
@@ -108,6 +117,11 @@ impl SelfTest {
         let mut plan = Plan::new(self.channel);
         plan.macs = peer.and_then(|peer| self.peers.get(peer)).map(|(_, mac)| [self.own, *mac]);
         let mut collector = Collector::new(plan);
+        let now = if self.counters.is_empty() { Vec::new() } else { module_counters(&Machine) };
+        for (name, count) in now {
+            let before = self.counters.iter().find(|(known, _)| *known == name).map_or(0, |(_, count)| *count);
+            collector.counted(&name, count.wrapping_sub(before));
+        }
         let cards = self.cards.lock().unwrap_or_else(PoisonError::into_inner);
         // A card that went silent keeps what it gave; the others' window says whether that is old.
         let last = cards.iter().filter_map(Card::last).max().unwrap_or(Instant::ZERO);

@@ -147,7 +147,7 @@ def self_test(participant):
         time.sleep(0.05)
     writer.write(ros.SelfTestRequest(78, 1, 0))
     said = reader.next(60)
-    assert (said.client, said.number, said.id) == (78, 1, "tb3_0"), said
+    assert (said.client, said.number, said.id) == (78, 1, state()["name"]), said
     told = {status.name: status for status in said.status}
     failed = [f"{status.name}: {status.message}" for status in said.status if status.level == 2]
     assert said.passed == 1 and not failed, failed

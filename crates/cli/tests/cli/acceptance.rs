@@ -2,6 +2,7 @@
 
 use super::commands::Folder;
 use csi5300_accept::CLAIMS;
+use std::io::BufRead;
 
 /// A scene of 15 s whose first robot's card has a fault, or none.
 fn scene(fault: &str) -> String {
@@ -97,6 +98,17 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
     desk("near", "unplug = [\"B\"]\n");
     let (_, out, err) = folder.run(&["doctor", "--accept", "near.toml", "--listen", "100ms"]);
     assert!(err.contains("no terminal") && out.contains("reception.unplugged"), "{out}{err}");
+
+    // Somebody sits at this one, and presses Enter.
+    let terminal = nix::pty::openpty(None, None).unwrap();
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.args(["doctor", "--accept", &path("near.toml"), "--listen", "100ms", "-v"]).stdin(terminal.slave);
+    let mut asking = command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped()).spawn().unwrap();
+    let mut said = std::io::BufReader::new(asking.stderr.take().unwrap()).lines();
+    assert!(said.any(|line| line.unwrap().starts_with("unplug antenna B of this robot")));
+    nix::unistd::write(&terminal.master, b"\n").unwrap();
+    let out = String::from_utf8(asking.wait_with_output().unwrap().stdout).unwrap();
+    assert!(out.contains("0 records came without antenna B"), "{out}");
     room.stop();
 }
 

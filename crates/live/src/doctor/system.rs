@@ -37,6 +37,16 @@ pub trait System {
     }
 }
 
+/// Where the module `csi5300` counts.
+const COUNTERS: &str = "/sys/module/csi5300/counters";
+
+/// The counters of the module `csi5300`, by name; none where it is not loaded.
+#[must_use]
+pub fn module_counters(system: &dyn System) -> Vec<(String, u64)> {
+    let value = |name: &String| system.text(&format!("{COUNTERS}/{name}"))?.parse().ok();
+    system.names(COUNTERS).into_iter().filter_map(|name| value(&name).map(|count| (name, count))).collect()
+}
+
 /// This machine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Machine;

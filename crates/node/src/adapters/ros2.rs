@@ -1,7 +1,7 @@
 //! ROS 2: poses of topics in; bearings, markers, diagnostics and CSI out; parameters; the self-test.
 
 use super::{Adapter, Made, Robot, Said, Start, diagnostics};
-use crate::config::{Config, Odometry, ros2::is_used};
+use crate::config::{Capture, Config, Odometry, ros2::is_used};
 use crate::health::Health;
 use crate::machine::{Machine, Tap};
 use crate::self_test::{Found, SelfTest, WINDOW};
@@ -26,6 +26,8 @@ struct Ros2 {
     publishes_diagnostics: bool,
     diagnostics: Option<Publisher<DiagnosticArray>>,
     channel: Channel,
+    /// The records come from a card of this machine.
+    has_card: bool,
     /// Nothing without a table `[ros2]`.
     self_test: Option<SelfTest>,
     /// What the claims said last.
@@ -48,6 +50,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         publishes_diagnostics: is_asked && asked.publish_diagnostics,
         diagnostics: None,
         channel: config.channel,
+        has_card: matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_)),
         self_test: None,
         claims: Arc::default(),
     })))
@@ -65,6 +68,7 @@ impl Adapter for Ros2 {
             self.node.announce(&peers);
             self.node.serve_parameters(parameters);
             let test = SelfTest::new(self.channel, robot.own, &robot.peers);
+            let test = if self.has_card { test.with_module() } else { test };
             let (asked, name) = (test.clone(), robot.name.clone());
             let answer = move |_: &_, _: SelfTestRequest| diagnostics::self_test(&name, &asked.judge());
             self.node.link().serve("~/self_test", answer);

@@ -9,7 +9,7 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::{CsiSource, Error, Injector, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_accept::{Collector, Interface, Sending, Side};
-use csi5300_live::doctor::{Machine, System, channel_flags};
+use csi5300_live::doctor::{Machine, System, channel_flags, module_counters};
 use csi5300_live::listener::Listener;
 use csi5300_live::monitor::{Monitor, Options};
 use csi5300_live::wait::Monotonic;
@@ -20,8 +20,6 @@ use std::cell::RefCell;
 use std::io::{BufRead, IsTerminal};
 use std::os::fd::AsFd;
 
-/// Where the module counts.
-const COUNTERS: &str = "/sys/module/csi5300/counters";
 /// How long a card is listened to unless `--listen` says otherwise.
 const LISTEN_S: f64 = 20.0;
 /// How long with each antenna unplugged, and before.
@@ -68,12 +66,6 @@ impl Injector for Shared<'_> {
     fn inject(&mut self, now: Instant, frame: &[u8]) -> Result<(), Error> {
         self.0.borrow_mut().inject(now, frame)
     }
-}
-
-/// The module's counters.
-fn counters(system: &dyn System) -> Vec<(String, u64)> {
-    let value = |name: &String| system.text(&format!("{COUNTERS}/{name}"))?.parse().ok();
-    system.names(COUNTERS).into_iter().filter_map(|name| value(&name).map(|count| (name, count))).collect()
 }
 
 /// What runs the card, without a name or an address.
@@ -164,7 +156,7 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
     note!("{}", describe(&listener));
     left_out.iter().for_each(|why| note!("{why}"));
     note!("{}", Step::told(&steps));
-    let before = counters(&system);
+    let before = module_counters(&system);
     let collector = Collector::new(plan.clone());
     let mut run = Run { clock: Monotonic::new(), listener, monitor: monitor.as_ref(), signals, collector };
     for step in &steps {
@@ -173,7 +165,7 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
         }
     }
     let Run { mut collector, .. } = run;
-    for (name, count) in counters(&system) {
+    for (name, count) in module_counters(&system) {
         let old = before.iter().find(|(known, _)| *known == name).map_or(0, |(_, count)| *count);
         collector.counted(&name, count.wrapping_sub(old));
     }
