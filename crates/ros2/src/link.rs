@@ -448,7 +448,7 @@ mod tests {
         fixed.subscribe(
             "/a",
             Qos::reliable(10),
-            move |time: Time, _| drop(give.send(time.sec)),
+            move |time: Time, _| _ = give.send(time.sec),
             || panic!("unreadable"),
         );
         let until = |wanted: i32| {
