@@ -35,11 +35,13 @@ pub enum Width {
     Ht40Minus,
 }
 
-/// A channel of the 2.4 or 5 GHz band.
+/// A channel of the 2.4 or 5 GHz band, or any other by its centre.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Channel {
     number: u32,
     width: Width,
+    /// Of a channel that was given by its centre, MHz: of the 6 GHz band, or wider than 40 MHz.
+    centre_mhz: Option<u32>,
 }
 
 /// Why there is no such channel.
@@ -52,6 +54,12 @@ pub enum ChannelError {
         /// The number.
         number: u32,
     },
+    /// WiFi has no channel there.
+    #[error("{mhz} MHz is outside the bands of WiFi: {KNOWN}")]
+    Centre {
+        /// The frequency, MHz.
+        mhz: u32,
+    },
     /// A text that names no channel.
     #[error("`{text}` is no channel: {KNOWN}")]
     Text {
@@ -62,7 +70,7 @@ pub enum ChannelError {
 
 /// What is a channel.
 const KNOWN: &str = "1 to 14 (2.4 GHz), or 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177 (5 GHz), with + or - for 40 MHz, for \
-                     example 108 or 36+";
+                     example 108 or 36+; any other by its centre, for example 5290MHz (80 MHz wide) or 6115MHz (6 GHz)";
 
 /// Whether some country has a channel of this number (802.11-2016 annex E; 34 to 46 and 184 to 196 were Japan's).
 fn is_assigned(number: u32) -> bool {
@@ -82,10 +90,24 @@ impl Channel {
     pub fn new(number: u32, width: Width) -> Result<Self, ChannelError> {
         let known = (1..=14).contains(&number) || (34..=196).contains(&number);
         let wide = !(number == 14 && width != Width::Ht20);
-        if known && wide { Ok(Self { number, width }) } else { Err(ChannelError::Number { number }) }
+        if known && wide { Ok(Self { number, width, centre_mhz: None }) } else { Err(ChannelError::Number { number }) }
     }
 
-    /// Its number.
+    /// A channel by its centre, MHz: of the 6 GHz band, where numbers of the 5 GHz band begin again, or one of 80 or 160 MHz.
+    ///
+    /// # Errors
+    /// [`ChannelError::Centre`] outside 2,400 to 2,500, 5,000 to 5,925 and 5,925 to 7,125 MHz.
+    pub fn of_centre_mhz(mhz: u32) -> Result<Self, ChannelError> {
+        let base_mhz = match mhz {
+            2_400..=2_500 => 2_407,
+            5_000..=5_925 => 5_000,
+            5_926..=7_125 => 5_950,
+            _ => return Err(ChannelError::Centre { mhz }),
+        };
+        Ok(Self { number: mhz.saturating_sub(base_mhz) / 5, width: Width::Ht20, centre_mhz: Some(mhz) })
+    }
+
+    /// Its number, which bands share: that of the centre (802.11ax-2021 annex E).
     #[must_use]
     pub fn number(self) -> u32 {
         self.number
@@ -100,6 +122,9 @@ impl Channel {
     /// Centre of the channel (of both halves at 40 MHz), Hz: the frequency of subcarrier 0 (802.11-2016 17.3.8.4, 19.3.15).
     #[must_use]
     pub fn centre_hz(self) -> f64 {
+        if let Some(mhz) = self.centre_mhz {
+            return f64::from(mhz) * 1e6;
+        }
         let primary_mhz = match self.number {
             14 => 2_484,
             number @ 1..=13 => 2_407 + 5 * number,
@@ -134,6 +159,9 @@ impl FromStr for Channel {
 
     fn from_str(text: &str) -> Result<Self, ChannelError> {
         let wrong = || ChannelError::Text { text: text.into() };
+        if let Some(mhz) = text.strip_suffix("MHz") {
+            return Self::of_centre_mhz(mhz.trim_end().parse().map_err(|_| wrong())?);
+        }
         let (digits, width) = match (text.strip_suffix('+'), text.strip_suffix('-')) {
             (Some(digits), _) => (digits, Width::Ht40Plus),
             (_, Some(digits)) => (digits, Width::Ht40Minus),
@@ -146,6 +174,9 @@ impl FromStr for Channel {
 
 impl fmt::Display for Channel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(mhz) = self.centre_mhz {
+            return write!(f, "{mhz}MHz");
+        }
         let sign = match self.width {
             Width::Ht20 => "",
             Width::Ht40Plus => "+",
@@ -167,6 +198,17 @@ mod tests {
         for text in ["0", "15", "37", "50", "66", "99", "110", "148", "152", "180", "197", "14+", "x"] {
             let error = text.parse::<Channel>().unwrap_err().to_string();
             assert!(error.contains("no channel"), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn channels_by_their_centre() {
+        let channel: Channel = "6115 MHz".parse().unwrap();
+        assert_eq!((channel.to_string().as_str(), channel.number(), channel.centre_hz()), ("6115MHz", 33, 6.115e9));
+        assert_eq!(channel.to_string().parse(), Ok(channel));
+        assert_eq!("5290MHz".parse::<Channel>().map(Channel::number), Ok(58));
+        for wrong in ["5.29GHz", "3000MHz", "7200MHz", "-5290MHz", "MHz"] {
+            assert!(wrong.parse::<Channel>().is_err(), "{wrong}");
         }
     }
 

@@ -153,7 +153,17 @@ pub fn antenna(text: &str) -> Result<Antenna, String> {
     }
 }
 
-/// A WiFi channel: its number, with `+` or `-` for a 40 MHz pair.
+/// A channel that an Intel 5300 can be set to: by its number.
+pub fn channel_of_5300(text: &str) -> Result<Channel, String> {
+    if text.ends_with("MHz") {
+        return Err(
+            "an Intel 5300 has channels of 20 and 40 MHz at 2.4 and 5 GHz: give the number, for example 64".into()
+        );
+    }
+    channel(text)
+}
+
+/// A WiFi channel: its number, with `+` or `-` for a 40 MHz pair, or its centre in MHz.
 pub fn channel(text: &str) -> Result<Channel, String> {
     text.parse::<Channel>().map_err(|error| error.to_string())
 }
@@ -202,5 +212,17 @@ pub fn triple(text: &str) -> Result<Vector3<f64>, String> {
     match parts[..] {
         [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
         _ => Err("three finite numbers with commas between, in metres".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_5300_has_no_channel_that_only_its_centre_names() {
+        assert_eq!(channel("5290MHz").map(|channel| channel.number()), Ok(58));
+        assert!(channel_of_5300("5290MHz").unwrap_err().contains("number"));
+        assert_eq!(channel_of_5300("64+").map(|channel| channel.to_string()), Ok("64+".into()));
     }
 }

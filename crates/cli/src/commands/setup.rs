@@ -1,6 +1,6 @@
 //! `csi5300 setup`.
 
-use super::args::channel;
+use super::args::channel_of_5300;
 use super::{Outcome, Result, print, print_json};
 use clap::ValueEnum;
 use csi5300::signal::channel::Channel;
@@ -13,7 +13,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME")]
     interface: Option<String>,
     /// WiFi channel, with + or - for 40 MHz; the same on all robots
-    #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "undo")]
+    #[arg(long, value_parser = channel_of_5300, value_name = "NUMBER", required_unless_present = "undo")]
     channel: Option<Channel>,
     /// What this robot does in a round
     #[arg(long, value_enum, required_unless_present = "undo")]
