@@ -19,7 +19,7 @@ csi5300 record /tmp/races.dat --force 2>/tmp/recorder &
 recorder=$!
 (
     programs=0
-    until [ -e /tmp/stop ]; do
+    until [ -e /tmp/enough ]; do
         # Status 3: two senders' packets are mixed, so there are notifications without their reception.
         csi5300 record --stock /tmp/program.dat --force --records 200 2>/tmp/program || [ "$?" = 3 ] || { cat /tmp/program; exit 1; }
         programs=$((programs + 1))
@@ -28,7 +28,7 @@ recorder=$!
 ) &
 programs=$!
 (
-    until [ -e /tmp/stop ]; do for channel in 1 6 11; do iw dev wlan1 set channel "$channel" HT20; done; done
+    until [ -e /tmp/enough ]; do for channel in 1 6 11; do iw dev wlan1 set channel "$channel" HT20; done; done
 ) &
 channels=$!
 for load in $(seq 50); do
@@ -39,8 +39,11 @@ for load in $(seq 50); do
     [ "$(counter bfee)" -gt 0 ]
     rmmod csi5300
 done
+# The programs end by what they record.
+touch /tmp/enough
+wait "$programs" "$channels"
 touch /tmp/stop
-wait "$traffic_1" "$traffic_2" "$programs" "$channels"
+wait "$traffic_1" "$traffic_2"
 kill -TERM "$recorder"
 wait "$recorder" || true
 echo "50 loads, $(cat /tmp/programs) programs"
