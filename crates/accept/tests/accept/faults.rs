@@ -120,7 +120,7 @@ fn all() -> Vec<Fault> {
 fn a_chain_that_is_named_wrongly_does_not_fall_with_its_antenna() {
     let (a, b) = (Antenna::A, Antenna::B);
     for (told, falls, fails) in [(b, Some(b), false), (a, Some(a), false), (b, Some(a), true), (b, None, true)] {
-        let report = unplugged(told, falls);
+        let report = unplugged(1, 25.0, told, falls);
         let expected = fails.then_some("reception.unplugged");
         assert_eq!(failed(&report), expected.into_iter().collect(), "{told:?} {falls:?} {report}");
         assert!(fails || report.to_string().contains("reception.unplugged"), "{report}");
@@ -135,7 +135,7 @@ fn every_fault_fails_its_own_claims_and_no_others() {
         let scene = scene(1, fault.more, &format!("noise.snr_db = 25.0\n{}", fault.radio), &fault.near, fault.far);
         let report = match fault.after {
             None => judged(&scene, fault.channel, fault.off_deg),
-            Some(done) => standing("", &[(done, &fault.near)]),
+            Some(done) => standing(1, 25.0, &[(done, &fault.near)]),
         };
         let failed = failed(&report);
         caught += usize::from(!failed.is_empty());

@@ -47,33 +47,33 @@ pub fn judged(scene: &Scene, channel: &str, off_deg: f64) -> Report {
 }
 
 /// What both cards gave of robots that stand still; `near` is added to the first one.
-fn at_rest(seed: u64, near: &str) -> Evidence {
-    let mut scene = scene(seed, "", "noise.snr_db = 25.0\nchains = 3", near, "");
+fn at_rest(seed: u64, snr_db: f64, near: &str) -> Evidence {
+    let mut scene = scene(seed, "", &format!("noise.snr_db = {snr_db:?}\nchains = 3"), near, "");
     scene.robot[0].motion = Default::default();
     let mut room = Room::new(&scene).unwrap();
     let (mut near, mut far) = (room.card(0).unwrap(), room.card(1).unwrap());
     collect(&mut near, Some(&mut far), None, Plan::new("108".parse().unwrap())).unwrap()
 }
 
-/// Robots that stand still: their first logs, the near robot with `near`, then those after each step, each with what is added to the near robot.
-pub fn standing(near: &str, after: &[(Done, &str)]) -> Report {
+/// Robots that stand still: their first logs, then those after each step, each with what is added to the near robot.
+pub fn standing(seed: u64, snr_db: f64, after: &[(Done, &str)]) -> Report {
     let mut collector = Collector::new(Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) });
-    let first = at_rest(1, near);
+    let first = at_rest(seed, snr_db, "");
     collector.log(Side::Near, &first.near.log);
     collector.log(Side::Far, &first.far.unwrap().log);
-    for (seed, (done, near)) in (2..).zip(after) {
-        let later = at_rest(seed, near);
+    for (later, (done, near)) in (1_000..).zip(after) {
+        let later = at_rest(seed + later, snr_db, near);
         collector.after(*done, &later.near.log, later.far.as_ref().map(|far| far.log.as_slice()));
     }
     collector.finish().judge()
 }
 
 /// Robots that stand still, of which one antenna falls by 20 dB after the person was told to unplug `told`.
-pub fn unplugged(told: Antenna, falls: Option<Antenna>) -> Report {
+pub fn unplugged(seed: u64, snr_db: f64, told: Antenna, falls: Option<Antenna>) -> Report {
     let mut collector = Collector::new(Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) });
-    collector.log(Side::Near, &at_rest(1, "").near.log);
+    collector.log(Side::Near, &at_rest(seed, snr_db, "").near.log);
     collector.unplugged(told);
-    for record in at_rest(2, "").near.records {
+    for record in at_rest(seed + 1_000, snr_db, "").near.records {
         let antennas = Antennas::new(record.head.antenna_sel, record.head.n_rx, record.head.rssi).unwrap();
         let chain = falls.and_then(|antenna| antennas.chain_of(antenna));
         let mut csi = record.csi;

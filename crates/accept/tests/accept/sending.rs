@@ -8,7 +8,7 @@ use csi5300_accept::{Collector, Interface, Plan, Report, Sending, Verdict, colle
 use csi5300_sim::{Room, Scene};
 
 /// What a driver does to a frame before it leaves: takes it or not, and when.
-type Way = fn(Instant) -> Option<Instant>;
+pub type Way = fn(Instant) -> Option<Instant>;
 
 /// An interface that sends so.
 struct Driver {
@@ -26,8 +26,13 @@ impl Injector for Driver {
 
 /// The near robot sends through its interface; the far robot's driver answers frames of the length that the suite sends.
 fn sent(far: &str, way: Way) -> Report {
+    sent_at(1, 25.0, far, way)
+}
+
+/// The same with another seed and another signal to noise.
+pub fn sent_at(seed: u64, snr_db: f64, far: &str, way: Way) -> Report {
     let text = format!(
-        "duration_s = 20.0\ncfo = \"physical\"\n[radio]\nnoise.snr_db = 25.0\ndelay_ns = 200.0\nphase_noise_rad = 0.1\nturn_around.spread_us = 15.0\n\
+        "seed = {seed}\nduration_s = 20.0\ncfo = \"physical\"\n[radio]\nnoise.snr_db = {snr_db:?}\ndelay_ns = 200.0\nphase_noise_rad = 0.1\nturn_around.spread_us = 15.0\n\
          [[robot]]\nname = \"near\"\ncrystal = {{ offset_ppm = -2.0 }}\n\
          [[robot]]\nname = \"far\"\nposition_m = [2.0, 1.0, 0.0]\nack_len = 57\ncrystal = {{ offset_ppm = 3.0 }}\n{far}\n"
     );
@@ -45,7 +50,7 @@ fn sent(far: &str, way: Way) -> Report {
 }
 
 /// As a good driver does.
-fn at_once(now: Instant) -> Option<Instant> {
+pub fn at_once(now: Instant) -> Option<Instant> {
     Some(now)
 }
 
