@@ -225,6 +225,12 @@ pub fn keep_heap() {
     }
 }
 
+/// The name of the program that runs, as messages tell what to type.
+pub(crate) fn program() -> String {
+    let own = std::env::current_exe().ok();
+    own.and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned())).unwrap_or_else(|| "csi5300".into())
+}
+
 #[cfg(test)]
 mod tests {
     use super::{advise_large_pages, keep_heap};

@@ -37,10 +37,11 @@ pub(super) fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
     let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
     let socket = socket(AddressFamily::Packet, SockType::Raw, flags, None).map_err(|errno| match errno {
         Errno::EPERM | Errno::EACCES => Error::Io {
-            what: "not allowed to inject frames: give the program the capability once, \
-                   `sudo setcap cap_net_raw,cap_net_admin,cap_sys_nice,cap_ipc_lock+ep $(command -v csi5300)`, or run \
-                   it as root"
-                .into(),
+            what: format!(
+                "not allowed to inject frames: give the program the capabilities once, \
+                 `sudo setcap cap_net_raw,cap_net_admin,cap_sys_nice,cap_ipc_lock+ep $(command -v {})`, or run it as root",
+                crate::sys::program()
+            ),
             source: errno.into(),
         },
         Errno::EAFNOSUPPORT => Error::Io {

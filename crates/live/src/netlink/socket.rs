@@ -79,9 +79,11 @@ fn join(socket: &Socket, indices: &[u32]) -> Result<(), Error> {
     match refused {
         // An unprivileged process may join odd groups only, by an accident of newer kernels.
         Some((_, source)) if source.kind() == io::ErrorKind::PermissionDenied => Err(Error::Io {
-            what: "not allowed to listen to the driver: give the program the capability once, \
-                   `sudo setcap cap_net_admin+ep $(command -v csi5300)`, or run it as root"
-                .into(),
+            what: format!(
+                "not allowed to listen to the driver: give the program the capability once, \
+                 `sudo setcap cap_net_admin+ep $(command -v {})`, or run it as root",
+                crate::sys::program()
+            ),
             source,
         }),
         Some((index, source)) if joined == 0 => Err(Error::Io {

@@ -80,6 +80,7 @@ pub fn run(args: &Args) -> Result {
         args.recorded.bag.resolve(args.recorded.rx.clone(), tx, args.recorded.trajectory.clone(), None)?;
     let tx = match &named.tx[..] {
         [tx] => tx,
+        [] => return Err("the other robot's log is needed: --tx LOG".into()),
         several => {
             let several: Vec<String> = several.iter().map(|topic| topic.display().to_string()).collect();
             return Err(format!("several logs could be the other robot's ({}): --tx names one", several.join(", ")));
