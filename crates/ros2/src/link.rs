@@ -445,12 +445,7 @@ mod tests {
         let (moving, fixed) = (node("moving", Arc::clone(&last)), node("fixed", Arc::new(AtomicU64::new(1))));
         let (give, came) = channel();
         let publisher = moving.publish::<Time>("/a", Qos::reliable(10));
-        fixed.subscribe(
-            "/a",
-            Qos::reliable(10),
-            move |time: Time, _| _ = give.send(time.sec),
-            || panic!("unreadable"),
-        );
+        fixed.subscribe("/a", Qos::reliable(10), move |time: Time, _| _ = give.send(time.sec), || panic!("unreadable"));
         let until = |wanted: i32| {
             loop {
                 publisher.put(&Time { sec: wanted, nanosec: 0 });
