@@ -12,7 +12,7 @@ printf 'modules built after %s s\n' "$SECONDS"
 tree=$place/tree
 guest_tree "$tree" tests/kernel/guest "$place/boot" "$place/kmod"
 static_binaries "$tree"
-boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 400
+boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 460
 [ "$status" = 33 ] || exit 1
 
 # The logs of the guest's robots, read once more here: the same pairs, by the same test and by `info`.
