@@ -269,3 +269,121 @@ impl<R: Read> Read for Translated<R> {
         Ok(count)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi_formats::{Kind, Tones};
+    use driver_iface::bfee::Bfee;
+    use driver_iface::record::{self, LENGTH_FIELD, card_clock_ps, written};
+
+    /// A record whose two chains have a delay of `slope` radians for each 312.5 kHz, the second chain half a turn ahead.
+    fn feitcsi((kind, width_mhz): (Kind, u16), at_ns: u64, slope: f64) -> Vec<u8> {
+        let tones = Tones::of(kind, width_mhz).unwrap();
+        let step = if kind == Kind::He { 0.25 } else { 1.0 };
+        let value = |chain: f64, index: i16| {
+            let (sin, cos) = (chain * std::f64::consts::PI + 0.7 - slope * step * f64::from(index)).sin_cos();
+            [cos, sin].map(|part| (150.0 * part).round() as i16)
+        };
+        let csi: Vec<[i16; 2]> =
+            [0.0, 1.0].iter().flat_map(|chain| tones.subcarriers.iter().map(|k| value(*chain, *k))).collect();
+        let repr = feitcsi::Repr {
+            ftm: (at_ns * 8 / 25) as u32,
+            host_us: 1_700_000_000_000_000 + at_ns / 1_000,
+            n_rx: 2,
+            n_tx: 1,
+            kind,
+            width_mhz,
+            mcs: 0,
+            rssi_dbm: [-41, -50],
+            sender: [2, 0, 0, 0, 0, 9],
+            clock_us: (at_ns / 1_000) as u32,
+        };
+        let mut log = Vec::new();
+        repr.emit(&csi, &mut log);
+        log
+    }
+
+    /// Gives its bytes a few at a time.
+    struct Dribble<'a>(&'a [u8], usize);
+
+    impl Read for Dribble<'_> {
+        fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+            let (now, later) = self.0.split_at(self.1.min(room.len()).min(self.0.len()));
+            room[..now.len()].copy_from_slice(now);
+            self.0 = later;
+            Ok(now.len())
+        }
+    }
+
+    fn translated(log: &[u8], at_once: usize) -> Vec<u8> {
+        let mut all = Vec::new();
+        Translated::new(Dribble(log, at_once)).read_to_end(&mut all).unwrap();
+        all
+    }
+
+    #[test]
+    fn every_reported_subcarrier_has_the_phase_of_its_place() {
+        for of in [(Kind::He, 20), (Kind::Ht, 20), (Kind::Legacy, 20), (Kind::He, 40), (Kind::Vht, 40)] {
+            let log = translated(&feitcsi(of, 5_000_000, 0.5), 4_096);
+            let body = written(&log).nth(1).unwrap();
+            let bfee = Bfee::new_checked(&body[LENGTH_FIELD + 1..]).unwrap();
+            assert_eq!((bfee.n_rx(), bfee.rssi(), bfee.agc()), (2, [63, 54, 0], 60));
+            assert_eq!(bfee.wsr().unwrap().mac, Mac([2, 0, 0, 0, 0, 9]));
+            let indices = if of.1 == 40 { INDICES_40_MHZ } else { INDICES_20_MHZ };
+            for (k, index) in indices.iter().enumerate() {
+                for chain in [0, 1] {
+                    let iq = bfee.iq(k, chain, 0).unwrap();
+                    let got = Complex32::new(f32::from(iq.i), f32::from(iq.q));
+                    let expected = chain as f32 * std::f32::consts::PI + 0.7 - 0.5 * f32::from(*index);
+                    let off = (got * Complex32::cis(-expected)).arg();
+                    assert!(off.abs() < 0.03 && got.norm() > 100.0, "{of:?} {index}: {off} {got}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_fine_clock_is_unwrapped_by_the_coarse_one_over_any_pause() {
+        // Its period is 13.4 s, half of the other one's 36 minutes; the last step is back, as of a card that was reset.
+        let at_ns = [1_000_003, 2_000_009, 14_000_000_025, 70_000_000_050, 2_000_000_000_075, 1_999_000_000_000];
+        let log: Vec<u8> = at_ns.iter().flat_map(|at| feitcsi((Kind::He, 20), *at, 0.0)).collect();
+        let all = translated(&log, 4_096);
+        let records: Vec<&[u8]> = written(&all).collect();
+        for (two, at_ns) in records.chunks(2).zip(at_ns) {
+            let left_ps = card_clock_ps(&two[0][LENGTH_FIELD + 1..]).unwrap();
+            let bfee = Bfee::new_checked(&two[1][LENGTH_FIELD + 1..]).unwrap();
+            let ps = i128::from(bfee.timestamp_low()) * PS_PER_US + i128::from(left_ps);
+            let wanted_ps = i128::from(at_ns) * 1_000;
+            let off = (ps - wanted_ps).abs();
+            assert!(off < if at_ns == 1_999_000_000_000 { PS_PER_US } else { 3_126 }, "{at_ns}: {off} ps");
+        }
+        assert_eq!(records.len(), 12);
+    }
+
+    #[test]
+    fn what_is_no_frame_of_use_is_said_with_its_place_however_the_bytes_come() {
+        let [good, wide] = [(Kind::He, 20), (Kind::He, 80)].map(|of| feitcsi(of, 1_000, 0.1));
+        let log = [&good[..], &wide, &good, &[7; 500], &good, &good[..300]].concat();
+        let all = translated(&log, 4_096);
+        let said: Vec<(u8, Option<(u64, u64)>)> = written(&all)
+            .map(|bytes| {
+                (bytes[LENGTH_FIELD], record::left_out(&bytes[LENGTH_FIELD + 1..]).map(|(at, len, _)| (at, len)))
+            })
+            .filter(|(code, _)| *code != code::CARD_CLOCK)
+            .map(|(code, place)| (code, place.filter(|_| code == code::LEFT_OUT)))
+            .collect();
+        let (good_len, wide_len) = (good.len() as u64, wide.len() as u64);
+        let bfee = (code::BFEE, None);
+        let left_out = |at: u64, len: u64| (code::LEFT_OUT, Some((at, len)));
+        assert_eq!(said[..3], [bfee, left_out(good_len, wide_len), bfee]);
+        assert_eq!(said[3..], [left_out(2 * good_len + wide_len, 500), bfee]);
+        // The cut end is a cut end here too.
+        assert!(all.ends_with(&[0, u8::MAX, code::BFEE]));
+        for at_once in [97, 300] {
+            let again = translated(&log, at_once);
+            let bfees = |all: &[u8]| written(all).filter(|bytes| bytes[LENGTH_FIELD] == code::BFEE).count();
+            assert_eq!(bfees(&again), bfees(&all), "{at_once} bytes at a time");
+        }
+    }
+}
