@@ -263,7 +263,7 @@ fn frames_that_an_antenna_missed_keep_their_rows() {
     let record = log.len() / RECORDS;
     // Coefficients, which end each record, are all zero in the first of them.
     let silent = 60;
-    log.chunks_mut(record).take(silent).for_each(|record| record[45..].fill(0));
+    log.chunks_mut(record).take(silent).for_each(|record| record[41..].fill(0));
     let every_frame = scene.trajectory().poses().iter().step_by(5).copied().collect();
     let mut options = options();
     options.join = JoinBy::Row;

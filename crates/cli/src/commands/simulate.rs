@@ -142,9 +142,6 @@ pub fn load(file: &Path) -> std::result::Result<Scene, String> {
 
 /// Runs a scene into a folder, with a progress bar on a terminal.
 pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCapture>, Vec<Injected>), String> {
-    if scene.sounding.is_none() {
-        return Err("no robot of this scene sounds: add [sounding], or --serve it to programs that do".into());
-    }
     let mut room = Room::new(scene).map_err(|error| error.to_string())?;
     for robot in &scene.robot {
         if let RobotMotion::Recorded(recorded) = &robot.motion {
