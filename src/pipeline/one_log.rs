@@ -262,7 +262,10 @@ impl Row {
 #[derive(Clone, Debug)]
 struct Sender {
     rows: Vec<Row>,
+    /// Frames that all antennas heard.
     heard: usize,
+    /// Its frames, those that an antenna missed with them where they have to be counted.
+    frames: usize,
     /// One record in so many is kept.
     stride: usize,
 }
@@ -351,6 +354,7 @@ impl OneLog {
             return;
         }
         let Some((own, row)) = self.next_row(sender) else { return };
+        own.heard += 1;
         if !row.is_multiple_of(own.stride) {
             return;
         }
@@ -378,10 +382,10 @@ impl OneLog {
             self.log.unused.other_sender += 1;
             return None;
         }
-        let new = || Sender { rows: Vec::new(), heard: 0, stride: self.options.decimate.get() };
+        let new = || Sender { rows: Vec::new(), heard: 0, frames: 0, stride: self.options.decimate.get() };
         let own = self.senders.entry(sender).or_insert_with(new);
-        let row = own.heard;
-        own.heard += 1;
+        let row = own.frames;
+        own.frames += 1;
         Some((own, row))
     }
 
