@@ -14,7 +14,7 @@ use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, f32x8};
 use nalgebra::Vector3;
 
-/// Lanes of the widest vector.
+/// Lanes of the widest vector: `f32` of 512 bits.
 const WIDEST: usize = 16;
 
 /// Where a wave may come from, seen from the middle of the motion.
@@ -188,7 +188,7 @@ impl Work {
 /// `sum row e` over a window, column by column.
 #[inline(always)]
 fn window<S: Simd>(simd: S, rows: &[[f32; 2 * COLUMNS]], cos: &[f32], sin: &[f32]) -> [f32; 2 * COLUMNS] {
-    // Eight sums that do not wait for each other: of each two rows, real and imaginary parts by cosine and sine.
+    // Two rows at a time, four sums each: no sum waits for another.
     let mut sums = [[f32x8::splat(simd, 0.0); 4]; 2];
     let add = |sums: &mut [f32x8<S>; 4], row: &[f32; 2 * COLUMNS], cos: f32, sin: f32| {
         let (re, im) = (f32x8::from_slice(simd, &row[..COLUMNS]), f32x8::from_slice(simd, &row[COLUMNS..]));
@@ -198,12 +198,13 @@ fn window<S: Simd>(simd: S, rows: &[[f32; 2 * COLUMNS]], cos: &[f32], sin: &[f32
         sums[2] = re.mul_add(sin, sums[2]);
         sums[3] = im.mul_add(cos, sums[3]);
     };
-    let two = rows.chunks_exact(2).zip(cos.chunks_exact(2)).zip(sin.chunks_exact(2));
-    for ((rows, cos), sin) in two {
+    let (two_rows, last_row) = rows.as_chunks::<2>();
+    let ((two_cos, last_cos), (two_sin, last_sin)) = (cos.as_chunks::<2>(), sin.as_chunks::<2>());
+    for ((rows, cos), sin) in two_rows.iter().zip(two_cos).zip(two_sin) {
         add(&mut sums[0], &rows[0], cos[0], sin[0]);
         add(&mut sums[1], &rows[1], cos[1], sin[1]);
     }
-    if let (true, Some(row), Some(cos), Some(sin)) = (rows.len() % 2 == 1, rows.last(), cos.last(), sin.last()) {
+    for ((row, cos), sin) in last_row.iter().zip(last_cos).zip(last_sin) {
         add(&mut sums[0], row, *cos, *sin);
     }
     let [[re_cos, im_sin, re_sin, im_cos], odd] = sums;

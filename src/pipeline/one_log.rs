@@ -13,9 +13,9 @@
 //!
 //! The wave front is plane: the two ends of a baseline see the curvature alike, so there is no range.
 //!
-//! A turn gives `c` too ([`ChainConstant`]). Where it is known ([`Array::with_constants`]) a product of antennas at one place
-//! would have the phase `c`: samples of that at the origin, as many as were heard, anchor the others, and a robot that stands
-//! has a bearing, of two antennas with its mirror beyond the baseline. It is known until the firmware is loaded anew.
+//! A turn also gives `c` ([`ChainConstant`]). It holds until the firmware is loaded again. With a known `c`
+//! ([`Array::with_constants`]) a robot that stands has a bearing, and with two antennas its mirror beyond the baseline. Two antennas
+//! at the same place would measure the phase `c`, so the estimate gets as many samples of it at the origin as were heard.
 
 use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
 use super::error::LinkError;

@@ -35,12 +35,12 @@ pub enum Width {
     Ht40Minus,
 }
 
-/// A channel of the 2.4 or 5 GHz band, or any other by its centre.
+/// A WiFi channel: of the 2.4 or 5 GHz band by its number and width, any other by its centre frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Channel {
     number: u32,
     width: Width,
-    /// Of a channel that was given by its centre, MHz: of the 6 GHz band, or wider than 40 MHz.
+    /// Centre, MHz, if that is how the channel was given.
     centre_mhz: Option<u32>,
 }
 
@@ -93,10 +93,11 @@ impl Channel {
         if known && wide { Ok(Self { number, width, centre_mhz: None }) } else { Err(ChannelError::Number { number }) }
     }
 
-    /// A channel by its centre, MHz: of the 6 GHz band, where numbers of the 5 GHz band begin again, or one of 80 or 160 MHz.
+    /// A channel by its centre, MHz: of the 6 GHz band, whose numbers are also used at 5 GHz, or one of 80 or 160 MHz. Its
+    /// [`Channel::width`] is then [`Width::Ht20`].
     ///
     /// # Errors
-    /// [`ChannelError::Centre`] outside 2,400 to 2,500, 5,000 to 5,925 and 5,925 to 7,125 MHz.
+    /// [`ChannelError::Centre`] outside 2,400 to 2,500 and 5,000 to 7,125 MHz.
     pub fn of_centre_mhz(mhz: u32) -> Result<Self, ChannelError> {
         let base_mhz = match mhz {
             2_400..=2_500 => 2_407,
@@ -107,7 +108,7 @@ impl Channel {
         Ok(Self { number: mhz.saturating_sub(base_mhz) / 5, width: Width::Ht20, centre_mhz: Some(mhz) })
     }
 
-    /// Its number, which bands share: that of the centre (802.11ax-2021 annex E).
+    /// Its number, which is not unique: 5 and 6 GHz share numbers (802.11ax-2021 annex E).
     #[must_use]
     pub fn number(self) -> u32 {
         self.number

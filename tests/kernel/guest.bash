@@ -131,8 +131,8 @@ guest_tree() {
     for file in "${@:3}"; do find "$file" -name '*.ko' -exec cp {} "$tree/modules" \;; done
     cp "$2"/*.sh "$tree/guest"
     cp tests/kernel/init "$tree/init"
-    cp tests/kernel/load "$tree/bin/load"
-    chmod +x "$tree/init" "$tree/bin/load"
+    cp tests/kernel/load tests/kernel/monitors "$tree/bin"
+    chmod +x "$tree/init" "$tree/bin/load" "$tree/bin/monitors"
     cp "$unpacked"/bin/busybox "$tree/bin/busybox"
     for file in regulatory.db regulatory.db.p7s; do
         found=$(find "$unpacked/lib/firmware" "$unpacked/usr/lib/firmware" -name "$file-debian" 2>/dev/null | head -n 1 || true)

@@ -40,7 +40,7 @@ impl TurnAround {
     /// microseconds), one entry per pair in time order. `None` with fewer than 8 pairs, where a clock stands still or
     /// drifts by more than any two cards do (it was reset), or if the lengths differ.
     ///
-    /// The offset is searched with differences of whole microseconds, which tell it to 0.1 %; it is taken out with what they are.
+    /// The search rounds the differences to whole microseconds; the compensation uses them as they are.
     #[must_use]
     pub fn estimate(z: &[Complex64], clock_rx_us: &[i64], difference_us: &[f64], carrier_hz: f64) -> Option<Self> {
         let n = z.len();

@@ -2,12 +2,7 @@
 # the eBPF program comes and goes at the same function.
 for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm fakecard; do load "$module"; done
 [ "$(grep -c ^processor /proc/cpuinfo)" = 2 ]
-until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
-for k in 0 1; do
-    iw dev "wlan$k" set type monitor
-    ip link set "wlan$k" up
-    iw dev "wlan$k" set channel 6 HT20
-done
+monitors 6
 dmesg -c >/dev/null
 counter() { cat "/sys/module/csi5300/counters/$1"; }
 

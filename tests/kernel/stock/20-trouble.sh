@@ -57,12 +57,7 @@ for reload in 1 2 3; do
     load iwlwifi
     insmod /modules/caller.ko count=1
     for module in iwldvm fakecard; do load "$module"; done
-    until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
-    for k in 0 1; do
-        iw dev "wlan$k" set type monitor
-        ip link set "wlan$k" up
-        iw dev "wlan$k" set channel 64 HT20
-    done
+    monitors 64
     rm -f /tmp/stop
     for index in 21 25; do
         : >"/tmp/said-$index"

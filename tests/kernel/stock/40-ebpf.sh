@@ -3,12 +3,7 @@ for module in csi5300 fakecard iwldvm iwlwifi; do rmmod "$module" 2>/dev/null ||
 dmesg -c >/dev/null
 cards() {
     for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm fakecard; do load "$module"; done
-    until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
-    for k in 0 1; do
-        iw dev "wlan$k" set type monitor
-        ip link set "wlan$k" up
-        iw dev "wlan$k" set channel 6 HT20
-    done
+    monitors 6
 }
 step() {
     env "CSI5300_EBPF_$1=$3" /tests/stock_guest --exact "$2" --nocapture >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }

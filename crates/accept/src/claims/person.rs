@@ -157,7 +157,7 @@ pub(super) fn unplugged(evidence: &Evidence) -> Told {
             ));
         }
         let now = shares(heard);
-        let index = *which as usize;
+        let index = which.index();
         let Some(Some(at_first)) = before.get(index) else {
             return Told::not_tried(format!("antenna {which:?} is in no record, or in few"));
         };

@@ -14,7 +14,7 @@ mod ways;
 
 pub(crate) use card::IWL5300;
 pub use error::SetupError;
-pub use radio::flags_of as channel_flags;
+pub use radio::channel_flags;
 pub(crate) use radio::rate_file;
 pub use reception::Reception;
 pub(crate) use setup::module::RATE as MODULE_RATE;

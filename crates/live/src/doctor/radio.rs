@@ -213,7 +213,7 @@ fn channel(system: &dyn System, interface: &str, card: &Card) -> Check {
         )
         .mend(format!("sudo iw dev {interface} set channel 64 HT20"));
     }
-    let flags = mhz.zip(card.phy.as_ref()).and_then(|(mhz, phy)| channel_flags(system, phy, mhz)).unwrap_or_default();
+    let flags = mhz.zip(card.phy.as_ref()).and_then(|(mhz, phy)| flags_of_phy(system, phy, mhz)).unwrap_or_default();
     let forbidden = ["disabled", "no IR", "passive", "radar"].iter().find(|flag| flags.contains(**flag));
     match forbidden {
         None => Check::good(name, line, expected),
@@ -223,7 +223,7 @@ fn channel(system: &dyn System, interface: &str, card: &Card) -> Check {
 }
 
 /// What `iw` says in parentheses behind a channel.
-fn channel_flags(system: &dyn System, phy: &str, mhz: u32) -> Option<String> {
+fn flags_of_phy(system: &dyn System, phy: &str, mhz: u32) -> Option<String> {
     let text = system.run(&["iw", "phy", phy, "info"])?.text;
     let line = text.lines().find(|line| {
         let mut words = line.trim().trim_start_matches("* ").split_whitespace();
@@ -233,10 +233,11 @@ fn channel_flags(system: &dyn System, phy: &str, mhz: u32) -> Option<String> {
     Some(line.split_once(']')?.1.trim().to_string())
 }
 
-/// What `iw phy` says in parentheses of the channel of an interface, by its centre in MHz; `None` where there is no such channel or no `iw`.
+/// Flags of a channel for an interface, as `iw phy` prints them in parentheses; `mhz` is its centre. `None` without such a channel, or
+/// without `iw`.
 #[must_use]
-pub fn flags_of(system: &dyn System, interface: &str, mhz: u32) -> Option<String> {
-    channel_flags(system, &system.text(&format!("/sys/class/net/{interface}/phy80211/name"))?, mhz)
+pub fn channel_flags(system: &dyn System, interface: &str, mhz: u32) -> Option<String> {
+    flags_of_phy(system, &system.text(&format!("/sys/class/net/{interface}/phy80211/name"))?, mhz)
 }
 
 /// Where the driver's `monitor_tx_rate` is; its depth differs between kernels.
