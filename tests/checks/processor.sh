@@ -8,7 +8,7 @@ cannot() { echo "$1"; exit 77; }
 export DEBIAN_FRONTEND=noninteractive
 command -v qemu-x86_64 >/dev/null || apt-get install -y --no-install-recommends qemu-user >/dev/null 2>&1 </dev/null ||
     cannot "qemu-x86_64 is not installed, and apt-get cannot install qemu-user"
-qemu-x86_64 -cpu help | grep -q Denverton || cannot "this QEMU has no processor Denverton"
+grep -q Denverton <<<"$(qemu-x86_64 -cpu help)" || cannot "this QEMU has no processor Denverton"
 # As `cargo run --release` builds it, so that nothing is built twice.
 cargo build --quiet --release --bin csi5300
 program=$PWD/target/release/csi5300
