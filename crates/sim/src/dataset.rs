@@ -86,7 +86,7 @@ struct Writing {
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be written; [`Error::Backend`] with [`RoomError::CardTaken`] or
-/// [`RoomError::Followed`], and with [`CardError`] as a card fails.
+/// [`RoomError::Followed`], and with [`CardError`](crate::CardError) as a card fails.
 pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64)) -> Result<Vec<WrittenCapture>, Error> {
     let followed =
         room.scene().robot.iter().find(|robot| matches!(robot.motion, super::motion::RobotMotion::Followed(_)));
