@@ -119,6 +119,16 @@ def test_a_close_ends_the_waits_of_tasks(room: str) -> None:
     assert asyncio.run(run()) == ([0, 0], True)
 
 
+def test_a_wait_without_frames_is_told(room: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("csi5300._stream._PATIENCE_S", 0.01)
+    with csi5300.Stream(room, macs="02:53:00:00:00:77") as stream:
+        closing = threading.Timer(0.3, stream.close)
+        closing.start()
+        with pytest.warns(UserWarning, match="doctor"), pytest.raises(csi5300.LiveError):
+            stream.read()
+        closing.join()
+
+
 def test_nobody_there(tmp_path: Path) -> None:
     for room in (f"{tmp_path}/none#rx", "no-address"):
         with pytest.raises(csi5300.LiveError):

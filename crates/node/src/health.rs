@@ -120,6 +120,12 @@ impl Alarms {
         let front = machine.estimator.own_log();
         let (forgotten, unauthenticated) = (front.survey.senders_forgotten, front.unused.unauthenticated);
         let mut words = Vec::new();
+        if let Some(silent) = machine.silent_for(now) {
+            words.push(format!(
+                "no record from this robot's card for {:.0} s: `csi5300 doctor` looks for the reason",
+                silent.as_s()
+            ));
+        }
         if self.crowd.is_on(forgotten, now) {
             words.push(format!(
                 "more than {SENDERS_KEPT} senders on this channel ({forgotten} were forgotten): a busy channel, or frames \

@@ -18,6 +18,8 @@ const BURST: usize = 512;
 const LAST_BURSTS: usize = 64;
 /// A peer over a network of which nothing came for so long has ended, once this robot's own records have.
 const QUIET: Span = Span::from_ms(5_000);
+/// After so long without a record from this robot's card something is wrong.
+const SILENT: Span = Span::from_ms(10_000);
 
 /// This robot's records, with a log or without.
 pub enum Capture {
@@ -137,6 +139,8 @@ pub struct Machine {
     trouble: Vec<String>,
     /// When a record last came from anybody.
     heard_at: Instant,
+    /// When one last came from this robot's card, or the robot was started.
+    own_heard_at: Instant,
 }
 
 impl Machine {
@@ -167,6 +171,7 @@ impl Machine {
             pose_counts: PoseCounts::default(),
             trouble: Vec::new(),
             heard_at: now,
+            own_heard_at: now,
         })
     }
 
@@ -226,7 +231,7 @@ impl Machine {
             match next {
                 Next::Pending => return Ok(false),
                 Next::End(_) => self.capture.ended = true,
-                Next::Record(..) | Next::Lost(_) => self.heard_at = now,
+                Next::Record(..) | Next::Lost(_) => (self.heard_at, self.own_heard_at) = (now, now),
             }
         }
         Ok(true)
@@ -296,6 +301,13 @@ impl Machine {
             None => true,
         };
         self.capture.ended && self.peers.iter().all(over)
+    }
+
+    /// How long this robot's card has given no record, where that is long: no driver, no peer, or another channel.
+    #[must_use]
+    pub fn silent_for(&self, now: Instant) -> Option<Span> {
+        let silent = now - self.own_heard_at;
+        (!self.capture.ended && silent >= SILENT).then_some(silent)
     }
 
     /// What was counted of this robot's odometry.

@@ -8,6 +8,7 @@ use super::refusal::{
     Checked, Problem, at_most, decibels, deviation_db, ensure, finite, not_negative, positive, share,
 };
 use super::scene::{Card, Cfo, Dialect, Driver, HostClock, Odometry, Pattern, Preamble, Robot, Scene};
+use csi5300::signal::channel::Channel;
 use nalgebra::Vector3;
 
 /// A scene lasts a year at most, seconds.
@@ -33,8 +34,11 @@ impl Scene {
             40 => format!("is {}; the card has 20 and 40", self.bandwidth_mhz),
             _ => format!("is {}; the card has 20, 40, 80 and 160", self.bandwidth_mhz),
         })?;
-        ensure(Carrier::new(self.channel, self.bandwidth_mhz == 40).is_some(), "channel", || {
-            format!("is {}; channels are 1 to 14 and 34 to 196", self.channel)
+        // A number of 80 or 160 MHz is that of the centre, which is no channel of 20 MHz.
+        let is_assigned = self.bandwidth_mhz > 40 || self.channel.to_string().parse::<Channel>().is_ok();
+        let has_carrier = Carrier::new(self.channel, self.bandwidth_mhz == 40).is_some();
+        ensure(is_assigned && has_carrier, "channel", || {
+            format!("is {}; channels are 1 to 14, 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177", self.channel)
         })?;
         ensure(self.reflections <= 4, "reflections", || {
             format!("is {}; more than 4 would be more paths than sense", self.reflections)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import warnings
 from collections.abc import AsyncIterator, Iterable, Iterator
 from types import TracebackType
 from typing import Any
@@ -12,6 +13,10 @@ from typing import Any
 from . import _native, _options
 from ._errors import LiveError
 from ._log import Log
+
+# Silence that is said, seconds.
+_PATIENCE_S = 5.0
+_SILENCE = "no frame so far: `csi5300 doctor` looks for the reason"
 
 
 class Stream:
@@ -126,6 +131,14 @@ class Stream:
 
 
 def _take(listener: _native.Listener, timeout: float | None) -> Log:
-    """What a listener has."""
+    """What a listener has; who waits without a limit is told once that nothing comes."""
+    log = _log(listener, _PATIENCE_S if timeout is None else timeout)
+    if timeout is None and not len(log) and not listener.ended:
+        warnings.warn(_SILENCE, stacklevel=3)
+        log = _log(listener, None)
+    return log
+
+
+def _log(listener: _native.Listener, timeout: float | None) -> Log:
     records, columns = listener.read(timeout)
     return Log(records, columns, json.loads(listener.info()))

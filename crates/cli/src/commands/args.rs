@@ -20,7 +20,7 @@ pub struct Estimation {
         visible_alias = "antennas",
         default_value = "A",
         value_delimiter = ',',
-        value_parser = antenna,
+        value_parser = one_of_antennas,
         hide_short_help = true
     )]
     pub antenna: Vec<Antenna>,
@@ -151,6 +151,10 @@ pub fn antenna(text: &str) -> Result<Antenna, String> {
         "C" | "c" => Ok(Antenna::C),
         _ => Err("A, B or C".into()),
     }
+}
+
+fn one_of_antennas(text: &str) -> Result<Antenna, String> {
+    antenna(text).map_err(|words| format!("{words}; several have commas between them: A,B"))
 }
 
 /// A channel that an Intel 5300 can be set to: by its number.

@@ -93,7 +93,7 @@ struct Logs {
     #[arg(long, value_name = "RX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     rx: Option<PathBuf>,
     /// Log of a transmitter; repeat for several links
-    #[arg(long, value_name = "TX.dat", required_unless_present_any = ["captures", "bag", "baseline"], hide_short_help = true)]
+    #[arg(long, value_name = "TX.dat", hide_short_help = true)]
     tx: Vec<PathBuf>,
     /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/reference/formats.md); for a
     /// capture gt (motion capture, the default), t265 (tracking camera) or odom (wheels)
@@ -185,15 +185,18 @@ pub fn run(mut args: Args) -> Result {
     if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
         usage("--min-confidence takes a probability, 0 to 1");
     }
+    if args.estimation.antenna.len() > 1 && args.logs.baseline.is_empty() {
+        usage("two antennas of one robot need --baseline X,Y,Z: where the first is seen from the second, in metres forward, left, up");
+    }
     roles::take(&mut args)?;
     if !args.logs.baseline.is_empty() {
         return one_log::run(&args);
     }
-    if args.estimation.antenna.len() > 1 {
-        usage("several antennas are for a bearing from one log: --baseline says where they are");
-    }
     if !args.captures.is_empty() {
         return captures::run(&args);
+    }
+    if args.logs.tx.is_empty() && args.logs.bag.bag.is_none() {
+        usage("--tx is needed: the other robot's log. For a bearing from one log, add --antennas and --baseline");
     }
     let options = options(&args).unwrap_or_else(|message| usage(&message));
     let key = args.logs.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;

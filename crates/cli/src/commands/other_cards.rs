@@ -23,6 +23,9 @@ pub struct Row {
     host_span_s: Option<f64>,
     /// Bytes that are no frame with CSI, by why.
     skipped: BTreeMap<String, u64>,
+    /// The most receive chains in one frame.
+    #[serde(skip)]
+    n_rx: usize,
     /// Some of them should have been: not a frame without CSI, nor the end of a log that was cut.
     #[serde(skip)]
     is_damaged: bool,
@@ -61,13 +64,20 @@ impl Row {
         for (why, bytes) in &self.skipped {
             let _ = writeln!(text, "  not read: {bytes} bytes: {why}");
         }
-        text += match self.format {
-            "FeitCSI" => {
-                "  bearings: of two robots that exchanged frames of 20 or 40 MHz, or of one with two antennas (`bearing --baseline`)\n"
-            }
-            _ => "  bearings: of one robot with two antennas (`bearing --baseline`)\n",
-        };
+        let _ = writeln!(text, "  bearings: {}", self.bearings());
         text
+    }
+
+    /// Which bearings such a log can give.
+    fn bearings(&self) -> &'static str {
+        match (self.format, self.n_rx) {
+            ("FeitCSI", 2..) => {
+                "of two robots that exchanged frames of 20 or 40 MHz, or of one with two antennas (`bearing --baseline`)"
+            }
+            ("FeitCSI", _) => "of two robots that exchanged frames of 20 or 40 MHz",
+            (_, 2..) => "of one robot with two antennas (`bearing --baseline`)",
+            _ => "none; one log needs two antennas in the same frame, and each frame here has one",
+        }
     }
 }
 
@@ -88,6 +98,7 @@ fn survey(path: &Path, format: Format, bytes: &[u8]) -> Row {
         senders: BTreeMap::new(),
         host_span_s: None,
         skipped: BTreeMap::new(),
+        n_rx: 0,
         is_damaged: false,
     };
     let mut first_us = None;
@@ -95,6 +106,7 @@ fn survey(path: &Path, format: Format, bytes: &[u8]) -> Row {
         match item {
             Item::Frame(frame) => {
                 row.frames += 1;
+                row.n_rx = row.n_rx.max(frame.n_rx);
                 *row.cards.entry(frame.card.to_string()).or_default() += 1;
                 *row.shapes.entry(shape(&frame)).or_default() += 1;
                 let octets = frame.sender.map(|mac| mac.map(|octet| format!("{octet:02x}")).join(":"));

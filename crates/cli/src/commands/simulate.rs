@@ -128,7 +128,13 @@ pub fn run(args: &Args) -> Result {
     } else {
         print(&describe(&scene, &captures, &injected));
     }
-    Ok(if captures.is_empty() { Outcome::Nothing } else { Outcome::Done })
+    if captures.iter().flat_map(|capture| &capture.logs).any(|log| log.records > 0) {
+        return Ok(Outcome::Done);
+    }
+    if scene.sounding.is_none() {
+        note!("no record: no robot of this scene sounds. Add [sounding], or --serve it to programs that do");
+    }
+    Ok(Outcome::Nothing)
 }
 
 /// A scene from its file, or the built-in one of that name where there is no such file. One that makes no sense is wrong usage, as a

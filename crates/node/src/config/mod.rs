@@ -40,7 +40,7 @@ use reading::Reading;
 use std::io::Read;
 use std::path::Path;
 use toml::Spanned;
-use values::{antenna, antenna_a, maybe_parsed, parsed};
+use values::{antenna, antenna_a, channel, maybe_parsed};
 
 /// Bytes of a configuration that are read: more than any has.
 const LONGEST: u64 = 1 << 20;
@@ -56,7 +56,7 @@ pub struct Config {
     #[serde(default, deserialize_with = "maybe_parsed")]
     pub mac: Option<Mac>,
     /// WiFi channel. In a simulated room the scene's.
-    #[serde(deserialize_with = "parsed")]
+    #[serde(deserialize_with = "channel")]
     pub channel: Channel,
     /// Antenna used on all robots.
     #[serde(default = "antenna_a", deserialize_with = "antenna")]

@@ -21,6 +21,14 @@ fn a_simulated_room_is_a_few_lines() {
 }
 
 #[test]
+fn a_channel_is_text_or_a_number() {
+    let of = |text: &str| Config::read(&ROOM.replace("\"108\"", text), Path::new("")).map(|config| config.channel.to_string());
+    assert_eq!(of("36").unwrap(), "36");
+    assert_eq!(of("\"36+\"").unwrap(), "36+");
+    assert!(refused(&ROOM.replace("\"108\"", "109")).contains("`109` is no channel"));
+}
+
+#[test]
 fn a_room_that_another_program_runs_is_as_few() {
     let served = ROOM.replace("capture.room = { scene = \"lab-circle\"", "capture.served = { socket = \"s\"");
     let config = Config::read(&served, Path::new("/f")).unwrap();
@@ -214,12 +222,12 @@ fn refused_lines(text: &str) -> Vec<String> {
 
 #[test]
 fn one_wrong_value_does_not_hide_the_others() {
-    let text = "channel = 108\nantenna = \"D\"\nmac = \"02:00:00:00:00:01\"\ncapture.card = {}\n[estimator]\nwindow = 3\n\
+    let text = "channel = 108.5\nantenna = \"D\"\nmac = \"02:00:00:00:00:01\"\ncapture.card = {}\n[estimator]\nwindow = 3\n\
                 window_m = \"three\"\n[log]\nfile = \"no/folder/x.dat\"\n[output]\nbearings = \"no/folder/b.jsonl\"\n\
                 status_socket = \"no/folder/s\"\n";
     let all = refused_lines(text);
     let found: Vec<(&str, bool)> = [
-        (0, "line 1: ", "string"),
+        (0, "line 1: ", "a channel: \"108\""),
         (1, "line 2: ", "antenna `D`: A, B or C"),
         (2, "line 6: ", "unknown field `window`"),
         (3, "line 7: ", "\"three\""),

@@ -1,18 +1,30 @@
 //! Values as the file writes them.
 
+use csi5300::signal::channel::Channel;
 use driver_iface::bfee::Antenna;
 use serde::de::{Deserialize, Deserializer, Error as _};
 use std::fmt::Display;
 use std::str::FromStr;
 
-pub(super) fn parsed<'de, D: Deserializer<'de>, T: FromStr<Err: Display>>(input: D) -> Result<T, D::Error> {
-    String::deserialize(input)?.parse().map_err(D::Error::custom)
-}
-
 pub(super) fn maybe_parsed<'de, D: Deserializer<'de>, T: FromStr<Err: Display>>(
     input: D,
 ) -> Result<Option<T>, D::Error> {
-    parsed(input).map(Some)
+    String::deserialize(input)?.parse().map(Some).map_err(D::Error::custom)
+}
+
+/// A channel: text, or the number of one of 20 MHz.
+pub(super) fn channel<'de, D: Deserializer<'de>>(input: D) -> Result<Channel, D::Error> {
+    #[derive(serde::Deserialize)]
+    #[serde(untagged, expecting = "a channel: \"108\", \"36+\" for 40 MHz, or its centre, \"5290MHz\"")]
+    enum Written {
+        Number(u32),
+        Text(String),
+    }
+    let text = match Written::deserialize(input)? {
+        Written::Number(number) => number.to_string(),
+        Written::Text(text) => text,
+    };
+    text.parse().map_err(D::Error::custom)
 }
 
 pub(super) fn antenna<'de, D: Deserializer<'de>>(input: D) -> Result<Antenna, D::Error> {
