@@ -332,9 +332,10 @@ fn geometry_words(geometry: &Geometry) -> String {
     words.into()
 }
 
-/// True if any log lost records before its tail, or any link failed: exit status 3.
+/// True if any log lost records before its tail, any link failed, or its logs may be exchanged: exit status 3.
 #[must_use]
 pub fn lost_something(report: &CaptureReport) -> bool {
     let logs = std::iter::once(&report.receiver).chain(&report.transmitters);
-    logs.into_iter().any(|log| log.survey.lost_something()) || report.links.iter().any(|link| link.bearing.is_err())
+    logs.into_iter().any(|log| log.survey.lost_something())
+        || report.links.iter().any(|link| !matches!(&link.bearing, Ok(bearing) if !bearing.pairs.may_be_exchanged()))
 }

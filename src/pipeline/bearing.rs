@@ -116,6 +116,13 @@ impl BearingAnswer {
         self.range.is_some() && self.candidates.first().is_some_and(|first| first.share >= ONE_DEVIATION)
     }
 
+    /// The same where the logs are as likely exchanged as not: then the direction is one of chance.
+    pub(super) fn halved(mut self) -> Self {
+        self.probability *= 0.5;
+        self.candidates.iter_mut().for_each(|candidate| candidate.share *= 0.5);
+        self
+    }
+
     /// What the posterior says.
     pub(super) fn of(found: &Found, samples: &Samples) -> Self {
         let first = found.modes.first();
@@ -160,6 +167,20 @@ impl BearingAnswer {
             range: has_range.then(|| range(found, &place, &covariance, azimuth_sd_rad, samples)).flatten(),
             probability: found.probability_within(RIGHT_RAD),
         }
+    }
+}
+
+/// Share of the pairs that lose their pose by more than what two hosts' clocks make of a log's beginning and end.
+const MANY_OUTSIDE: f64 = 0.05;
+
+impl PairCounts {
+    /// True if the receiver's times leave many pairs without a pose and the transmitter's only few: the two logs may be exchanged.
+    #[must_use]
+    pub fn may_be_exchanged(&self) -> bool {
+        self.no_pose_by_transmitter.is_some_and(|other| {
+            let fewer = self.no_pose.saturating_sub(other);
+            fewer as f64 > MANY_OUTSIDE * self.formed as f64 && 4 * other < self.no_pose
+        })
     }
 }
 

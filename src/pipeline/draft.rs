@@ -107,8 +107,9 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
     };
     let samples = &gated.samples;
     let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
+    let answer = BearingAnswer::of(&found, samples);
     Ok(Bearing {
-        answer: BearingAnswer::of(&found, samples),
+        answer: if gated.pairs.may_be_exchanged() { answer.halved() } else { answer },
         range_change: options.range_change.then(|| gated.range_change(&found, link, &phases, options)),
         sufficient: found.sufficient,
         heading_rad: gated.heading_rad,

@@ -291,7 +291,9 @@ const NO_POSE: &str = "v vel velocity speed twist linear angular w omega a acc a
                        mag force torque euler marker rate imu wheel";
 /// Words for a time.
 const TIMES: &str =
-    "t time times timestamp stamp seconds second sec secs unix unixtime epoch zeit sekunden temps tiempo";
+    "t time times timestamp stamp datetime date seconds second sec secs unix unixtime epoch zeit sekunden temps tiempo";
+/// Words for whose pose a row is: it must be the same in all rows.
+const WHOSE: &str = "frame robot vehicle agent name body";
 /// Words for a quaternion.
 const TURNS: &str = "q quat quaternion orientation rotation rot ori";
 
@@ -355,6 +357,9 @@ fn column(heading: &str) -> Option<Column> {
         "qz" => What::Qz,
         "qw" => What::Qw,
         "yaw" | "theta" | "heading" | "psi" => What::Yaw,
+        "easting" | "east" => What::X,
+        "northing" | "north" => What::Y,
+        "up" => What::Z,
         _ => return None,
     };
     Some(Column { what, scale, rank })
@@ -546,13 +551,47 @@ fn number(cell: &str) -> Option<f64> {
     }
 }
 
+/// Seconds since 1970 of a date and time of day as ISO 8601 writes them: `2023-11-14T22:13:20.5Z`, `2023-11-14 23:13:20.5+01:00`. Without
+/// a zone it is taken as UTC: the logs lie outside of a trajectory in local time, and that is told.
+fn date_time(cell: &str) -> Option<f64> {
+    let (date, of_day) = cell.split_once(['T', ' '])?;
+    let mut parts = date.split('-').map(|part| part.parse::<u16>().ok());
+    let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
+    let zone_at = of_day.find(['Z', '+', '-']).unwrap_or(of_day.len());
+    let (clock, zone) = of_day.split_at(zone_at);
+    let mut parts = clock.split(':').map(|part| part.parse::<f64>().ok());
+    let (hour, minute, second) = (parts.next()??, parts.next()??, parts.next().unwrap_or(Some(0.0))?);
+    let in_range = (1970..=9999).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day);
+    let in_day = (0.0..24.0).contains(&hour) && (0.0..60.0).contains(&minute) && (0.0..61.0).contains(&second);
+    if !(in_range && in_day) {
+        return None;
+    }
+    let zone_s = match zone {
+        "" | "Z" => 0.0,
+        zone => {
+            let digits: String = zone[1..].chars().filter(char::is_ascii_digit).collect();
+            let hours: f64 = digits.get(..2)?.parse().ok()?;
+            let minutes: f64 = digits.get(2..).filter(|rest| !rest.is_empty()).map_or(Ok(0.0), str::parse).ok()?;
+            (60.0 * hours + minutes) * if zone.starts_with('-') { -60.0 } else { 60.0 }
+        }
+    };
+    // Days of the Gregorian calendar, of years that begin in March.
+    let (years, months) = if month > 2 { (i64::from(year), month - 3) } else { (i64::from(year) - 1, month + 9) };
+    let leap_days = years / 4 - years / 100 + years / 400;
+    let days = 365 * years + leap_days + (153 * i64::from(months) + 2) / 5 + i64::from(day) - 719_469;
+    Some(days as f64 * 86_400.0 + 3_600.0 * hour + 60.0 * minute + second - zone_s)
+}
+
 fn is_comment(row: &str) -> bool {
     row.starts_with(['#', '%'])
 }
 
-/// True for a row whose first cell with anything in it is no number.
+/// True for a row that does not begin with a number or a date, unless most of it is numbers (a robot's name may stand first).
 fn is_words(cells: &[&str]) -> bool {
-    cells.iter().find(|cell| !cell.is_empty()).is_some_and(|cell| number(cell).is_none())
+    let is_value = |cell: &&str| number(cell).is_some() || date_time(cell).is_some();
+    let numbers = cells.iter().filter(|cell| is_value(cell)).count();
+    let begins = cells.iter().find(|cell| !cell.is_empty()).is_some_and(is_value);
+    !begins && (numbers < 3 || 2 * numbers <= cells.len())
 }
 
 /// Units in a line of their own, one for each column that has any.
@@ -597,6 +636,7 @@ fn named_by(names: &[&str], row: &[&str], units: Option<&[Option<f64>]>) -> (usi
     let mut layout = Layout::default();
     let mut known = 0;
     let mut put = Ok(());
+    let mut unknown = None;
     for (at, name) in names.iter().enumerate() {
         let is_text = row.get(at).is_some_and(|cell| number(cell).is_none());
         if let Some(mut column) = column(name) {
@@ -605,15 +645,17 @@ fn named_by(names: &[&str], row: &[&str], units: Option<&[Option<f64>]>) -> (usi
                 column.scale = units.and_then(|units| units.get(at).copied().flatten()).or(column.scale);
             }
             put = put.and(layout.put(at, column));
-        } else if is_text && words_of(name).0.iter().any(|word| word == "frame") {
+        } else if is_text && words_of(name).0.iter().any(|word| WHOSE.split(' ').any(|one| one == word)) {
             layout.frames.push(at);
+        } else if name.split_once(['[', '(']).is_some_and(|(bare, _)| column(bare).is_some()) {
+            unknown.get_or_insert_with(|| format!("; the unit of `{}` is not known", name.trim()));
         }
     }
     let whole = put.and_then(|()| layout.whole()).and_then(|()| match layout.needed() {
         needed if needed > row.len() => Err(format!("name {needed} columns, and the first row has {}", row.len())),
         _ => Ok(()),
     });
-    (known, whole.map(|()| layout))
+    (known, whole.map(|()| layout).map_err(|why| why + unknown.as_deref().unwrap_or_default()))
 }
 
 /// The columns of Motive's export: those of the first rigid body. Its axes are x, y up, z towards the one who looks.
@@ -702,7 +744,8 @@ impl Layout {
     fn value(&self, row: &[&str], what: What) -> Result<Option<f64>, RowError> {
         let Some((at, column)) = self.column(what) else { return Ok(None) };
         let cell = row.get(at).copied().unwrap_or_default();
-        let read = number(cell).filter(|value| value.is_finite()).ok_or(RowError::Number(at + 1))?;
+        let dated = || (what == What::Time).then(|| date_time(cell)).flatten();
+        let read = number(cell).or_else(dated).filter(|value| value.is_finite()).ok_or(RowError::Number(at + 1))?;
         let scale = match column.scale {
             Some(scale) => scale,
             // Since 1970, of seconds, milliseconds, microseconds and nanoseconds no two are of one size.
@@ -1566,6 +1609,48 @@ mod tests {
             must_be_arc(name, parse(&wide), *heading, 1_700_000_000.0);
             let bare: Vec<u8> = text.encode_utf16().flat_map(u16::to_be_bytes).collect();
             must_be_arc(name, parse(&bare), *heading, 1_700_000_000.0);
+        }
+    }
+
+    #[test]
+    fn times_of_day_names_of_robots_and_of_maps_are_read() {
+        let date = |t: f64, hour: u32, zone: &str| {
+            let s = t - 1_700_000_000.0 + 20.0;
+            format!("2023-11-14T{hour}:13:{s:09.6}{zone}")
+        };
+        for (name, hour, zone) in [("UTC", 22, "Z"), ("no zone", 22, ""), ("east", 23, "+01:00"), ("west", 17, "-0500")]
+        {
+            let rows = written("time,x,y,z\n", |[t, x, y, z, _]| format!("{},{x},{y},{z}", date(t, hour, zone)));
+            must_be_arc(name, parse(rows.as_bytes()), false, 1_700_000_000.0);
+            let rows = rows.replace('T', " ");
+            must_be_arc(name, parse(rows.as_bytes()), false, 1_700_000_000.0);
+        }
+        let robots = |name: &'static str| {
+            written("robot,t,east,north,up\n", |[t, x, y, z, _]| format!("{name},{t:.6},{x},{y},{z}"))
+        };
+        must_be_arc("robot", parse(robots("rx").as_bytes()), false, 1_700_000_000.0);
+        let two = robots("rx") + &robots("tx");
+        assert!(matches!(parse(two.as_bytes()), Err(CsvError::Frames { .. })), "two robots");
+        let inches = written("t,x [in],y [in]\n", |[t, x, y, ..]| format!("{t:.6},{x},{y}"));
+        let error = parse(inches.as_bytes()).unwrap_err().to_string();
+        assert!(error.contains("the unit of `x [in]` is not known"), "{error}");
+    }
+
+    #[test]
+    fn dates_are_seconds_since_1970() {
+        // By GNU date.
+        for (text, s) in [
+            ("1970-01-01T00:00:00Z", 0.0),
+            ("2000-02-29 12:00:00.25", 951_825_600.25),
+            ("2023-11-14T22:13:20Z", 1_700_000_000.0),
+            ("2024-12-31T23:59", 1_735_689_540.0),
+        ] {
+            assert_eq!(date_time(text), Some(s), "{text}");
+        }
+        for text in
+            ["", "12", "2023-11-14", "2023-13-14T00:00:00", "2023-11-14T24:00:00", "a-b-cT1:2:3", "2023-11-14T1:2:3+x"]
+        {
+            assert_eq!(date_time(text), None, "{text}");
         }
     }
 

@@ -186,7 +186,9 @@ pub fn run(mut args: Args) -> Result {
         usage("--min-confidence takes a probability, 0 to 1");
     }
     if args.estimation.antenna.len() > 1 && args.logs.baseline.is_empty() {
-        usage("two antennas of one robot need --baseline X,Y,Z: where the first is seen from the second, in metres forward, left, up");
+        usage(
+            "two antennas of one robot need --baseline X,Y,Z: where the first is seen from the second, in metres forward, left, up",
+        );
     }
     roles::take(&mut args)?;
     if !args.logs.baseline.is_empty() {

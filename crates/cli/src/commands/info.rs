@@ -9,7 +9,7 @@ use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
 use csi5300::source::{Checks, CsiSource, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, SUBCARRIERS};
+use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, SUBCARRIERS, rate};
 use driver_iface::record::{Tail, code};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -105,7 +105,7 @@ pub fn run(args: &Args) -> Result {
                     ));
                 }
                 let survey = &read.survey;
-                usable |= survey.bfees() > 0;
+                usable |= survey.bfees() > read.silent;
                 lost |= survey.lost_something()
                     || read.checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
             }
@@ -241,6 +241,16 @@ pub fn host_words(steps: &HostSteps) -> Option<String> {
     (steps.set > 0).then(|| format!("the host's clock was set {times} meanwhile, the furthest by {furthest_s:+.3} s"))
 }
 
+/// A frame's rate in words, with its code.
+fn rate_words(code: u16) -> String {
+    // RATE_MCS_CODE_MSK without MCS 32 (`dvm/commands.h`).
+    let mcs = code & 0x1f;
+    let kind = if code & rate::HT != 0 { format!("HT MCS {mcs}") } else { "legacy".into() };
+    let width = if code & rate::HT40 != 0 { "40 MHz" } else { "20 MHz" };
+    let guard = if code & rate::SHORT_GI != 0 { ", short guard" } else { "" };
+    format!("{kind}, {width}{guard} (0x{code:04x})")
+}
+
 fn describe(name: &str, read: &Read) -> String {
     let Read { survey, bytes, checks, silent } = read;
     let bytes = *bytes;
@@ -340,14 +350,9 @@ fn describe_csi(text: &mut String, survey: &Survey) {
         all if all == survey.bfees() => "not measured (-127, usual in monitor mode)".into(),
         _ => format!("{} to {} dBm", survey.noise_dbm.min, survey.noise_dbm.max),
     };
-    let rates: Vec<_> = survey.rates.iter().map(|(rate, count)| format!("0x{rate:04x}: {count}")).collect();
-    let _ = writeln!(
-        text,
-        "  noise {noise}; AGC {} to {} dB; rate_n_flags {}",
-        survey.agc.min,
-        survey.agc.max,
-        rates.join(", ")
-    );
+    let rates: Vec<_> = survey.rates.iter().map(|(rate, count)| format!("{}: {count}", rate_words(*rate))).collect();
+    let _ =
+        writeln!(text, "  noise {noise}; AGC {} to {} dB; rate {}", survey.agc.min, survey.agc.max, rates.join(", "));
     let rssi: Vec<_> = "ABC"
         .chars()
         .zip(&survey.rssi)

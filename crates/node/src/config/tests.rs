@@ -22,7 +22,9 @@ fn a_simulated_room_is_a_few_lines() {
 
 #[test]
 fn a_channel_is_text_or_a_number() {
-    let of = |text: &str| Config::read(&ROOM.replace("\"108\"", text), Path::new("")).map(|config| config.channel.to_string());
+    let of = |text: &str| {
+        Config::read(&ROOM.replace("\"108\"", text), Path::new("")).map(|config| config.channel.to_string())
+    };
     assert_eq!(of("36").unwrap(), "36");
     assert_eq!(of("\"36+\"").unwrap(), "36+");
     assert!(refused(&ROOM.replace("\"108\"", "109")).contains("`109` is no channel"));

@@ -8,9 +8,6 @@ use std::fmt::Write as _;
 /// Numbers that come twice are said where they are one in so many frames: senders repeat some, a few in a thousand.
 const MANY_TWICE: f64 = 10.0;
 
-/// Share of pairs that lose their pose by more than what two hosts' clocks make of a log's beginning and end.
-const MANY_OUTSIDE: f64 = 0.05;
-
 /// What may be wrong with the logs, one line each; empty if nothing is.
 pub(super) fn doubts(answer: &Answer) -> String {
     let counts = answer.pair_counts;
@@ -103,10 +100,12 @@ pub(super) fn records(answer: &Answer) -> String {
 
 /// Asks whether the logs were exchanged, where by the other one's times far fewer pairs are without a pose.
 fn exchanged(counts: &PairCounts) -> String {
-    let far_fewer = |other: &usize| counts.no_pose.saturating_sub(*other) as f64 > MANY_OUTSIDE * counts.formed as f64;
-    counts.no_pose_by_transmitter.filter(far_fewer).map_or(String::new(), |other| {
+    let fewer = counts.no_pose_by_transmitter.filter(|_| counts.may_be_exchanged());
+    fewer.map_or(String::new(), |other| {
         format!(
-            "  by the times of the transmitter's log {other} would be without a pose: were the two logs exchanged?\n"
+            "  {} of {} pairs have no pose; by the times of the transmitter's log {other} would have none. Were the two logs \
+             exchanged? Then swap --rx and --tx\n",
+            counts.no_pose, counts.formed
         )
     })
 }

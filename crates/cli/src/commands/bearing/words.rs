@@ -105,6 +105,10 @@ fn origin(answer: &Answer) -> String {
 /// What makes an answer poor, and what to do next.
 fn why(answer: &Answer) -> String {
     let mut text = String::new();
+    // That question stands above.
+    if answer.pair_counts.may_be_exchanged() {
+        return text;
+    }
     if let Some(coherence) = answer.coherence.filter(|coherence| *coherence < LITTLE) {
         let _ = writeln!(
             text,
