@@ -37,6 +37,7 @@ impl Read for FileObject {
 /// end the wait.
 pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Read + Send>>> {
     if let Ok(bytes) = file.cast::<PyBytes>() {
+        refuse_card(bytes.as_bytes(), "these bytes")?;
         // Backed by Python's memory: bytes never change.
         let memory = Cursor::new(Backed(bytes.clone().unbind(), bytes.as_bytes().len()));
         return Ok(Replay::new(Box::new(BytesReader(memory)), format!("{} bytes in memory", bytes.as_bytes().len())));
@@ -52,6 +53,13 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
         let what = format!("cannot read the log {name}");
         Failure::log(csi5300::source::Error::Io { what, source }, &name, 0)
     };
+    if path.is_file() {
+        let mut bytes = Vec::new();
+        let begun = std::fs::File::open(&path).map(|file| file.take(csi_formats::DETECT as u64));
+        // A file that cannot be read is refused below.
+        let _ = begun.and_then(|mut begun| begun.read_to_end(&mut bytes));
+        refuse_card(&bytes, &name)?;
+    }
     if let Some(kind) = not_a_log(&path) {
         let message = format!("{name} is another kind of file, {kind}: {A_LOG}");
         return Err(Failure::new(Kind::Log, message).of(name).into());
@@ -61,6 +69,14 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
         return Ok(Replay::new(Box::new(patient), name));
     }
     Replay::open(&path).map_err(|error| Failure::log(error, &name, 0).into())
+}
+
+/// Refuses a log of another card, by its first bytes.
+fn refuse_card(bytes: &[u8], name: &str) -> PyResult<()> {
+    let first = bytes.get(..csi_formats::DETECT).unwrap_or(bytes);
+    let Some(kind) = crate::cards::refused(first) else { return Ok(()) };
+    let why = format!("{name}: a {kind} log, of another card than the Intel 5300: csi5300.read_card reads it");
+    Err(Failure::new(Kind::Log, why).of(name.to_owned()).into())
 }
 
 /// Bytes that Python owns, and how many.

@@ -4,6 +4,7 @@
 //! | module | what |
 //! |---|---|
 //! | `intake`, `patient` | logs from paths, bytes and file objects; files that let a reader wait |
+//! | `cards` | logs of other cards |
 //! | `columns` | a column for each field as arrays |
 //! | `records`, `scan` | `read`, `scan`, pickling |
 //! | `classic` | the records as csiread's `Intel` has them |
@@ -12,6 +13,7 @@
 //! | `error`, `pool` | exceptions, interrupts, threads |
 
 mod capture;
+mod cards;
 mod classic;
 mod classic_scale;
 mod columns;
@@ -41,6 +43,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<stream::Listener>()?;
     module.add_class::<error::Cancel>()?;
     module.add_function(wrap_pyfunction!(records::read, module)?)?;
+    module.add_function(wrap_pyfunction!(cards::read_card, module)?)?;
     module.add_function(wrap_pyfunction!(scan::widest, module)?)?;
     module.add_function(wrap_pyfunction!(classic::classic, module)?)?;
     module.add_function(wrap_pyfunction!(classic_scale::classic_scaled, module)?)?;

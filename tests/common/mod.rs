@@ -57,6 +57,17 @@ const WSR: [&str; 14] = [
     "2021-08-18_182429",
 ];
 
+/// A folder of logs beside the captures, or `None` (said) where it is absent.
+pub fn cases(kind: &str) -> Option<PathBuf> {
+    let beside = root().join("../shared/cases");
+    let folder = std::env::var_os("CSI5300_CASES").map_or(beside, PathBuf::from).join(kind);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    skipped(&format!("no {} (CSI5300_CASES names another folder)", folder.display()));
+    None
+}
+
 /// True for a capture of the WSR data set that tests know.
 pub fn is_known(stamp: &str) -> bool {
     WSR.contains(&stamp)

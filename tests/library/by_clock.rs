@@ -1,6 +1,6 @@
 //! Pairs without numbers on real logs: the clocks must find what the numbers say.
 
-use crate::common::{captures, root, skipped};
+use crate::common::{captures, cases, skipped};
 use csi5300::exchange::pairing::LinkSide;
 use csi5300::exchange::pairing::by_clock::{ByClock, CardClock, Refusal};
 use csi5300::pipeline::Capture;
@@ -106,11 +106,7 @@ fn bearing(rx: &Path, tx: &Path, trajectory: &Path, channel: &str) -> (f64, f64)
 
 #[test]
 fn a_log_of_2021_gives_its_bearing_as_it_is() {
-    let beside = root().join("../shared/cases");
-    let folder = std::env::var_os("CSI5300_CASES").map_or(beside, PathBuf::from).join("wsr-2021/floor");
-    if !folder.is_dir() {
-        return skipped("no logs of 2021 (CSI5300_CASES)");
-    }
+    let Some(folder) = cases("wsr-2021/floor") else { return };
     // From the mean pose (groundtruth_positions.json).
     // Asked were 0.5 degrees; the second is 0.6 off, less than half of its error bar.
     for (time, truth_deg) in [("154746", 178.58), ("155046", 178.19)] {

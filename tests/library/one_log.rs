@@ -1,6 +1,6 @@
 //! Bearings from one log: antennas that turn with the robot, against the Cramer-Rao bound and a slow formula.
 
-use crate::common::{root, skipped};
+use crate::common::cases;
 use csi5300::Log;
 use csi5300::driver_iface::Mac;
 use csi5300::driver_iface::bfee::{Antenna, Iq, Repr, Wsr};
@@ -364,11 +364,8 @@ fn slowly(log: &std::path::Path, trajectory: &Trajectory, used_s: &[f64], baseli
 
 #[test]
 fn the_real_log_of_two_antennas_has_the_toolboxs_answer() {
-    let folder = root().join("../shared/cases/two-antennas");
+    let Some(folder) = cases("two-antennas") else { return };
     let log = folder.join("csi_rx_2022-08-31_103703.dat");
-    if !log.is_file() {
-        return skipped("no ../shared/cases/two-antennas");
-    }
     let odometry = folder.join("odom_rx_trajectory_2022-08-31_103703.csv");
     let (trajectory, _) = csv::read(&odometry).unwrap();
     let array = pair(Vector3::new(0.28, 0.0, 0.0));

@@ -1,25 +1,19 @@
 //! Logs made after public reports: of cards in client and access point mode, of loggers that write whole datagrams, of other
 //! senders' frames in monitor mode.
 
-use crate::common::{root, skipped};
+use crate::common::cases;
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;
-use std::path::PathBuf;
 
 /// What is counted in a log, and who sent what with which number.
 /// Sender and number of each frame.
 type Frames = Vec<(Mac, Option<u32>)>;
 
 fn read(name: &str) -> Option<(Survey, Frames)> {
-    let beside = root().join("../shared/cases");
-    let folder = std::env::var_os("CSI5300_CASES").map_or(beside, PathBuf::from).join("reports/logs");
-    if !folder.is_dir() {
-        skipped("no logs after public reports (CSI5300_CASES)");
-        return None;
-    }
+    let folder = cases("reports/logs")?;
     let bytes = std::fs::read(folder.join(name)).unwrap();
     let mut source = Replay::new(std::io::Cursor::new(bytes), name.to_owned());
     let (mut survey, mut heard) = (Survey::default(), Vec::new());

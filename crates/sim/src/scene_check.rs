@@ -34,8 +34,8 @@ impl Scene {
             40 => format!("is {}; the card has 20 and 40", self.bandwidth_mhz),
             _ => format!("is {}; the card has 20, 40, 80 and 160", self.bandwidth_mhz),
         })?;
-        // A number of 80 or 160 MHz is that of the centre, which is no channel of 20 MHz.
-        let is_assigned = self.bandwidth_mhz > 40 || self.channel.to_string().parse::<Channel>().is_ok();
+        // The number of a wider channel is that of its centre, which is no channel of 20 MHz.
+        let is_assigned = self.bandwidth_mhz > 20 || self.channel.to_string().parse::<Channel>().is_ok();
         let has_carrier = Carrier::new(self.channel, self.bandwidth_mhz == 40).is_some();
         ensure(is_assigned && has_carrier, "channel", || {
             format!("is {}; channels are 1 to 14, 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177", self.channel)

@@ -18,6 +18,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from ._bearing import Bearing, Profile, Track, bearings, read_trajectory
+from ._cards import CardLog, read_card
 from ._errors import (
     CaptureError,
     Error,
@@ -45,6 +46,7 @@ from ._stream import Stream
 __all__ = [
     "Bearing",
     "CaptureError",
+    "CardLog",
     "Error",
     "Evaluation",
     "ExportError",
@@ -72,6 +74,7 @@ __all__ = [
     "bearings",
     "evaluate",
     "read",
+    "read_card",
     "read_trajectory",
     "scan",
     "simulate",

@@ -30,6 +30,7 @@ __all__ = [
     "find_captures",
     "one_log",
     "read",
+    "read_card",
     "read_trajectory",
     "simulate",
     "widest",
@@ -123,6 +124,9 @@ class Cancel:
 def read(
     file: _File, macs: list[str] | None = None, t: _Window | None = None, letters: str | None = None
 ) -> tuple[Records, _Columns, str, tuple[str, int]]: ...
+def read_card(
+    file: str | os.PathLike[str] | bytes, macs: list[str] | None
+) -> tuple[str, tuple[int, int, int], dict[str, Any]]: ...
 def widest(
     file: _File, macs: list[str] | None = None, t: _Window | None = None, letters: str | None = None
 ) -> tuple[str, int]: ...

@@ -362,6 +362,8 @@ fn column(heading: &str) -> Option<Column> {
         "up" => What::Z,
         _ => return None,
     };
+    // x and y beside a map's directions are the robot's own frame.
+    let rank = if is("easting east northing north up") { 0 } else { rank };
     Some(Column { what, scale, rank })
 }
 
@@ -586,12 +588,13 @@ fn is_comment(row: &str) -> bool {
     row.starts_with(['#', '%'])
 }
 
-/// True for a row that does not begin with a number or a date, unless most of it is numbers (a robot's name may stand first).
+fn is_value(cell: &&str) -> bool {
+    number(cell).is_some() || date_time(cell).is_some()
+}
+
+/// True for a row whose first cell with anything in it is neither a number nor a date.
 fn is_words(cells: &[&str]) -> bool {
-    let is_value = |cell: &&str| number(cell).is_some() || date_time(cell).is_some();
-    let numbers = cells.iter().filter(|cell| is_value(cell)).count();
-    let begins = cells.iter().find(|cell| !cell.is_empty()).is_some_and(is_value);
-    !begins && (numbers < 3 || 2 * numbers <= cells.len())
+    cells.iter().find(|cell| !cell.is_empty()).is_some_and(|cell| !is_value(cell))
 }
 
 /// Units in a line of their own, one for each column that has any.
@@ -900,7 +903,7 @@ impl Rows {
             return Ok(());
         }
         let begun = self.counts.rows + self.counts.bad_rows > 0;
-        if is_comment(text) || (is_words(&cells) && !begun) {
+        if is_comment(text) || (is_words(&cells) && !begun && !self.has_name_first(&cells, text)) {
             if !begun && self.head.len() < HEAD {
                 self.head.push((line, text.to_owned()));
             }
@@ -934,6 +937,12 @@ impl Rows {
             }
         }
         Ok(())
+    }
+
+    /// True for a row of mostly numbers behind a name, below headings that name its columns.
+    fn has_name_first(&self, cells: &[&str], text: &str) -> bool {
+        let numbers = cells.iter().filter(|cell| is_value(cell)).count();
+        2 * numbers > cells.len() && matches!(headed(&self.head, cells, delimiter(text)), Ok(Some(_)))
     }
 
     fn take(&mut self, pose: Pose, quaternion: Option<[f64; 4]>, columns: usize) {

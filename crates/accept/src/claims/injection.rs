@@ -1,8 +1,13 @@
 //! Claims of what is sent.
 
 use super::{Needs, Told};
-use crate::collect::{Evidence, HeardRecord, Sent};
+use crate::collect::{Evidence, Heard, HeardRecord, Sending, Sent};
 use crate::pairs::usual_sender;
+use csi5300::exchange::tdma::Phy;
+use driver_iface::Mac;
+use driver_iface::bfee::rate;
+use driver_iface::radiotap::Bandwidth;
+use driver_iface::sounding::FCS_LEN;
 use std::collections::{BTreeMap, HashSet};
 
 /// Above this rate frames may be refused or lost: it is measured only.
@@ -70,8 +75,30 @@ pub(super) fn pace(evidence: &Evidence) -> Told {
     else {
         return Told::not_tried("fewer than 20 frames of each rate were heard");
     };
-    let words: Vec<String> = paces.iter().map(|(rate, hz)| format!("{hz:.1} of {rate:.0}/s")).collect();
-    Told::decided((hz / rate - 1.0).abs() <= 0.1, words.join(", ")).with("worst", hz / rate, "of the rate asked for")
+    let air_us = airtime_us(far, sender);
+    let share = |hz: f64| air_us.map(|us| 100.0 * hz * us * 1e-6);
+    let word = |(rate, hz): &(f64, f64)| match share(*hz) {
+        Some(percent) => format!("{hz:.1} of {rate:.0}/s ({percent:.1} % of the air)"),
+        None => format!("{hz:.1} of {rate:.0}/s"),
+    };
+    let words: Vec<String> = paces.iter().map(word).collect();
+    let told = Told::decided((hz / rate - 1.0).abs() <= 0.1, words.join(", "));
+    let told = told.with("worst", hz / rate, "of the rate asked for");
+    let Some(us) = air_us else { return told };
+    let busiest = paces.iter().filter_map(|(_, hz)| share(*hz)).fold(0.0, f64::max);
+    told.with("air time of a frame", us, "us").with("air used at the fastest", busiest, "%")
+}
+
+/// Time on air of one frame of the suite, microseconds, at the rate that the far card heard most: preamble and symbols (802.11-2016
+/// equation 19-90). Its answer and what others send come on top.
+fn airtime_us(far: &Heard, sender: Mac) -> Option<f64> {
+    let mut rates: BTreeMap<u16, usize> = BTreeMap::new();
+    let heard = far.records.iter().filter(|record| record.mac == sender);
+    heard.for_each(|record| *rates.entry(record.head.rate_n_flags).or_default() += 1);
+    let (&code, _) = rates.iter().filter(|(code, _)| **code & rate::HT != 0).max_by_key(|(_, count)| **count)?;
+    let bandwidth = if code & rate::HT40 != 0 { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
+    let phy = Phy { mcs: (code & 0x1f) as u8, bandwidth };
+    Some(f64::from(phy.airtime_us(Sending::frame_len() + FCS_LEN)))
 }
 
 pub(super) fn confirmed(evidence: &Evidence) -> Told {

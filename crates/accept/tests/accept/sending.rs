@@ -75,31 +75,34 @@ fn what_is_sent_is_heard_and_answered() {
 }
 
 #[test]
-fn frames_that_are_lost_or_renumbered_are_noticed() {
-    let lost = sent("faults.loss = 0.3", at_once);
-    assert!(failed(&lost).contains("injection.heard"), "{lost}");
+fn renumbered_frames_are_noticed() {
     let renumbered = sent("faults.card = [\"other_sender\"]", at_once);
     assert!(failed(&renumbered).contains("injection.heard"), "{renumbered}");
 }
 
 #[test]
-fn frames_that_vanish_or_wait_are_noticed() {
-    let vanish = sent("", |_| None);
-    let failed_of = failed(&vanish);
-    assert!(failed_of.contains("injection.heard") && failed_of.contains("injection.confirmed"), "{vanish}");
-    // A queue that lets a frame out every 8 ms and more: 200 a second become 125.
-    let slow = sent("", |now| Some(Instant::from_us(now.as_us() + now.as_us() * 6 / 10)));
-    assert!(failed(&slow).contains("injection.pace"), "{slow}");
+fn the_air_that_frames_use_is_that_of_the_standard() {
+    let report = sent("", at_once);
+    let pace = report.findings.iter().find(|finding| finding.id == "injection.pace").unwrap();
+    let figure = |name: &str| pace.figures.iter().find(|figure| figure.name == name).unwrap().value;
+    // HT20 MCS 0: 36 us of preamble, then 57 bytes in 19 symbols of 4 us.
+    assert_eq!(figure("air time of a frame"), 112.0, "{pace:?}");
+    let percent = figure("air used at the fastest");
+    assert!((percent - 11.2).abs() < 0.3 && pace.found.contains("% of the air"), "{percent} {pace:?}");
+}
+
+/// The report of an interface whose channel has these flags.
+pub fn flagged(flags: Option<&str>) -> Report {
+    let mut collector = Collector::new(Plan::new("108".parse().unwrap()));
+    collector.interface(Interface { channel_flags: flags.map(str::to_owned), ..Interface::default() });
+    collector.finish().judge()
 }
 
 #[test]
 fn flags_of_the_channel_are_told() {
     let told = |flags: Option<&str>| {
-        let mut collector = Collector::new(Plan::new("108".parse().unwrap()));
-        collector.interface(Interface { channel_flags: flags.map(str::to_owned), ..Interface::default() });
-        let report = collector.finish().judge();
+        let report = flagged(flags);
         report.findings.iter().find(|finding| finding.id == "injection.channel").unwrap().verdict
     };
-    let verdicts = [None, Some("(20.0 dBm)"), Some("(20.0 dBm) (no IR, radar detection)")].map(told);
-    assert_eq!(verdicts, [Verdict::NotTried, Verdict::Holds, Verdict::Fails]);
+    assert_eq!([None, Some("(20.0 dBm)")].map(told), [Verdict::NotTried, Verdict::Holds]);
 }

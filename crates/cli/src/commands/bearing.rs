@@ -19,7 +19,7 @@ use csi5300::motion::odometry::csv::Columns;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
-use csi5300::pipeline::{CaptureReport, LinkReport, LogReport, Options, Transmitter, bearings};
+use csi5300::pipeline::{CaptureReport, Effort, LinkReport, LogReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
 use driver_iface::Mac;
@@ -61,6 +61,10 @@ pub struct Args {
     logs: Logs,
     #[command(flatten)]
     estimation: Estimation,
+    /// How right the azimuth has to be, degrees: from 1 on a coarser search suffices, which is quicker. 0 computes every step
+    /// [default: what the scene needs]
+    #[arg(long, value_name = "DEGREES", value_parser = accuracy, conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
+    accuracy: Option<f64>,
     /// Refuse bearings whose probability of being within 5 degrees is below this (0 to 1) or unknown
     #[arg(long, value_name = "P", hide_short_help = true)]
     min_confidence: Option<f64>,
@@ -263,8 +267,27 @@ fn told_apart(stems: Vec<String>) -> Vec<String> {
     stems.iter().enumerate().map(apart).collect()
 }
 
+/// Degrees that an azimuth may be off.
+fn accuracy(text: &str) -> std::result::Result<f64, String> {
+    let degrees = text.parse().ok().filter(|degrees| (0.0..=45.0).contains(degrees));
+    degrees.ok_or_else(|| "degrees from 0 to 45".into())
+}
+
+impl Args {
+    /// Options with the effort that the accuracy needs.
+    fn at_effort(&self, mut options: Options) -> Options {
+        let effort = match self.accuracy {
+            None => return options,
+            Some(0.0) => Effort::Everything,
+            Some(degrees) => Effort::Within(degrees.to_radians()),
+        };
+        options.accuracy = options.accuracy.with_effort(effort);
+        options
+    }
+}
+
 fn options(args: &Args) -> std::result::Result<Options, String> {
-    let options = args.estimation.options(args.channel.ok_or("--channel is needed")?)?;
+    let options = args.at_effort(args.estimation.options(args.channel.ok_or("--channel is needed")?)?);
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
     Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()).with_range_change(args.json))

@@ -3,14 +3,15 @@
 mod recover;
 
 use super::draft::Draft;
-use super::{Outcome, Result, info, print_json, usage};
+use super::{Outcome, Result, info, other_cards, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
-use csi5300_lab::export::{Export, KNOWN, is_known};
+use csi5300_lab::export::{CardFrames, Export, KNOWN, is_known};
 use csi5300_lab::table::{Advise, Filter, Form, Reading};
+use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Bfee};
 use num_complex::Complex32;
 use std::io::{BufWriter, Write};
@@ -122,6 +123,9 @@ pub fn run(args: &Args) -> Result {
         usage(&format!("{}: CSI is exported as .csv or {KNOWN}{hint}", args.output.display()));
     }
     let filter = args.filter().unwrap_or_else(|error| usage(&error.to_string()));
+    if let Some((format, bytes)) = other_cards::bytes(&args.file) {
+        return other_card(args, format, &bytes);
+    }
     let draft = Draft::create(&args.output, args.force)?;
     let Written { survey, bytes, records, unscaled, without_antennas } = match extension {
         Some("csv") => csv(args, draft.path(), &filter)?,
@@ -161,6 +165,57 @@ pub fn run(args: &Args) -> Result {
         (_, true) => Outcome::DataLost,
         (_, false) => Outcome::Done,
     })
+}
+
+/// Writes all subcarriers of another card's log.
+fn other_card(args: &Args, format: csi_formats::Format, bytes: &[u8]) -> Result {
+    let kind = format.name();
+    if args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("parquet")) {
+        usage(&format!("{}: CSI of a {kind} log is exported as .npz, .mat or .csv", args.output.display()));
+    }
+    let given = [
+        ("--scaled", args.scaled),
+        ("--remove-spatial-mapping", args.remove_spatial_mapping),
+        ("--antennas", args.antennas.is_some()),
+    ];
+    if let Some((name, _)) = given.iter().find(|(_, given)| *given) {
+        usage(&format!("{name} is for logs of the Intel 5300; {} is a {kind} log", args.file.display()));
+    }
+    let timed = args.from.is_some() || args.to.is_some();
+    let (from_s, to_s) = (args.from.unwrap_or(f64::NEG_INFINITY), args.to.unwrap_or(f64::INFINITY));
+    // The filter has refused what is no address.
+    let macs: Vec<Mac> = args.mac.iter().filter_map(|text| text.parse().ok()).collect();
+    let is_sender = |mac: Option<[u8; 6]>| macs.is_empty() || mac.is_some_and(|mac| macs.contains(&Mac(mac)));
+    let read = CardFrames::read(format, bytes, |frame, time_s| {
+        is_sender(frame.sender) && (!timed || (from_s..to_s).contains(&time_s))
+    });
+    let draft = Draft::create(&args.output, args.force)?;
+    let records = read.frames.len() as u64;
+    if records > 0 {
+        read.write(draft.path()).map_err(|error| error.of_file(&args.output).to_string())?;
+        draft.keep(false).map_err(|error| format!("writing {}: {error}", args.output.display()))?;
+    }
+    let left_out = read.left_out + read.other_shapes;
+    if args.json {
+        let (output, damaged) = (args.output.as_path(), read.damaged);
+        print_json(&Row { output, records, left_out, without_scale: 0, without_antennas: 0, damaged });
+    }
+    if read.other_shapes > 0 {
+        let [n_rx, n_tx, n] = read.shape();
+        note!(
+            "  {} of other widths or chains left out: most have {n_rx} x {n_tx} chains and {n} subcarriers",
+            super::some(read.other_shapes, "frame", "frames")
+        );
+    }
+    if read.left_out > 0 {
+        note!("  {} left out by --mac, --from or --to", super::some(read.left_out, "frame", "frames"));
+    }
+    if records == 0 {
+        note!("nothing to write: no {}", args.output.display());
+        return Ok(Outcome::Nothing);
+    }
+    note!("{} of {kind} written to {}", super::some(records, "frame", "frames"), args.output.display());
+    Ok(if read.damaged + read.other_shapes > 0 { Outcome::DataLost } else { Outcome::Done })
 }
 
 /// Writes a table of the log. A file is read twice, first for all but its CSI: that costs less than memory for all of it. What can

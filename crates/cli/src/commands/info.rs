@@ -242,7 +242,7 @@ pub fn host_words(steps: &HostSteps) -> Option<String> {
 }
 
 /// A frame's rate in words, with its code.
-fn rate_words(code: u16) -> String {
+fn modulation(code: u16) -> String {
     // RATE_MCS_CODE_MSK without MCS 32 (`dvm/commands.h`).
     let mcs = code & 0x1f;
     let kind = if code & rate::HT != 0 { format!("HT MCS {mcs}") } else { "legacy".into() };
@@ -350,7 +350,7 @@ fn describe_csi(text: &mut String, survey: &Survey) {
         all if all == survey.bfees() => "not measured (-127, usual in monitor mode)".into(),
         _ => format!("{} to {} dBm", survey.noise_dbm.min, survey.noise_dbm.max),
     };
-    let rates: Vec<_> = survey.rates.iter().map(|(rate, count)| format!("{}: {count}", rate_words(*rate))).collect();
+    let rates: Vec<_> = survey.rates.iter().map(|(rate, count)| format!("{}: {count}", modulation(*rate))).collect();
     let _ =
         writeln!(text, "  noise {noise}; AGC {} to {} dB; rate {}", survey.agc.min, survey.agc.max, rates.join(", "));
     let rssi: Vec<_> = "ABC"

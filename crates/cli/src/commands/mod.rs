@@ -343,15 +343,18 @@ mod tests {
         assert!(own.iter().all(|(_, about)| about.as_ref().is_some_and(|about| !about.is_empty())), "{own:?}");
     }
 
-    /// Options of a command and of those below it: what has a name behind `--`, and is neither global nor help.
+    /// Options of a command and of those below it: what has a name behind `--`, and is neither global nor help, nor a name of one version
+    /// ago.
     fn options(command: &Command) -> usize {
         let is_own = |arg: &&Arg| {
-            !arg.is_global_set() && arg.get_long().is_some_and(|long| !["help", "version"].contains(&long))
+            !arg.is_global_set()
+                && !arg.is_hide_set()
+                && arg.get_long().is_some_and(|long| !["help", "version"].contains(&long))
         };
         command.get_arguments().filter(is_own).count() + command.get_subcommands().map(options).sum::<usize>()
     }
 
-    /// A user can hold so many in the hand: commands that are listed, and options of all commands, hidden ones too, each as often as a
+    /// A user can hold so many in the hand: commands that are listed, and options of all commands, each as often as a
     /// command has it; global ones once. Manual pages are for packages, and MCAP is a feature that is not on.
     #[test]
     fn there_are_few_commands_and_options() {

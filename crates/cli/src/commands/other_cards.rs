@@ -132,7 +132,8 @@ pub fn read(path: &Path) -> Option<Row> {
 
 /// Its kind and its bytes.
 pub fn bytes(path: &Path) -> Option<(Format, Vec<u8>)> {
-    let mut file = std::fs::File::open(path).ok().filter(|file| file.metadata().is_ok_and(|about| about.is_file()))?;
+    // A pipe can be opened and read only once.
+    let mut file = path.is_file().then(|| std::fs::File::open(path).ok()).flatten()?;
     let mut bytes = Vec::new();
     file.by_ref().take(csi_formats::DETECT as u64).read_to_end(&mut bytes).ok()?;
     let format = detect(&bytes)?;

@@ -5,13 +5,12 @@ mod respond;
 
 pub use self::common::see_to_rate;
 use self::common::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
-use super::args::{Estimation, antenna, channel};
+use super::args::{Estimation, antenna};
 use super::live::{Signals, duration};
 use super::{Result, fixed, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan};
 use csi5300::motion::odometry::csv;
 use csi5300::pipeline::{Bearing, LinkError};
-use csi5300::signal::channel::Channel;
 use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
 use csi5300_live::sounding::{Beside, News, Observer, Products, Running};
@@ -40,7 +39,7 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
 pub struct Args {
     /// Answer the frames of robots that sound, instead of sounding. Answers carry what the card measured, so that those have bearings
     /// live (driver with connector_log=0x5, or --stock); with --dialect wsr --ack-len N they are the WSR driver's
-    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "channel", "heading_sd"])]
+    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "heading_sd"])]
     answer: bool,
     #[command(flatten)]
     common: Sounding,
@@ -53,9 +52,6 @@ pub struct Args {
     /// Live bearings: trajectory of this robot as CSV, on this host's clock; read again for each bearing, it may grow
     #[arg(long, value_name = "T.csv", requires = "channel")]
     trajectory: Option<PathBuf>,
-    /// WiFi channel, with + or - for 40 MHz; needed for bearings
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
-    channel: Option<Channel>,
     /// How often bearings are made, beside the sounding; the last one may come after its end
     #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
     bearing_every: Span,
@@ -234,7 +230,7 @@ pub fn run(args: &Args) -> Result {
         }
     })?;
     note!("{}", waiting(&common.peers, opened.tdma.transmit_at().map(|at| at - now)));
-    let bearings = match (&args.trajectory, args.channel) {
+    let bearings = match (&args.trajectory, common.channel) {
         (Some(path), Some(channel)) => {
             let estimation = Estimation { heading_sd: args.heading_sd, ..Estimation::with_antenna(args.antenna) };
             let options = estimation.options(channel)?;

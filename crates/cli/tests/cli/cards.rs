@@ -58,6 +58,34 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
 }
 
 #[test]
+fn all_subcarriers_of_another_card_are_exported() {
+    let folder = Folder::new("export-cards");
+    let [rx, ..] = simulated(&folder, "room", PAIR, "rx_trajectory_");
+    let (status, out, err) = folder.run(&["export", &rx, "a.csv", "--from", "1", "--to", "2", "--json"]);
+    assert_eq!(status, 0, "{err}");
+    let text = std::fs::read_to_string(folder.0.join("a.csv")).unwrap();
+    let records = text.lines().count() as u64 - 1;
+    assert!((48..=52).contains(&records) && json(out.trim())["records"] == records, "{out}");
+    assert_eq!(json(out.trim())["left_out"], 600 - records);
+    // 242 subcarriers of HE at 20 MHz, two chains.
+    assert_eq!(text.lines().next().unwrap().matches(",re_").count(), 2 * 242);
+    for args in [&["--scaled"][..], &["--antennas", "A"], &["--remove-spatial-mapping"]] {
+        let (status, _, err) = folder.run(&[&["export", &rx, "b.npz"], args].concat());
+        assert!(status == 2 && err.contains("a FeitCSI log"), "{status} {err}");
+    }
+    let (status, _, err) = folder.run(&["export", &rx, "c.npz", "--mac", "02:00:00:00:00:09"]);
+    assert!(status == 1 && err.contains("600 frames left out") && !folder.0.join("c.npz").exists(), "{status} {err}");
+    let Some(cases) = crate::common::cases("other-cards") else { return };
+    for name in
+        ["atheros/ath_csi_1.dat", "picoscenes/rx_by_iwl5300.csi", "nexmon/example_4358.pcap", "esp32/example_csi.csv"]
+    {
+        let log = cases.join(name);
+        let (status, _, err) = folder.run(&["export", log.to_str().unwrap(), "d.npz", "--force"]);
+        assert!(matches!(status, 0 | 3) && err.contains("written to d.npz"), "{name}: {status} {err}");
+    }
+}
+
+#[test]
 fn the_constant_of_a_turn_gives_a_robot_that_stands_a_bearing() {
     let folder = Folder::new("chains");
     let scene = |motion: &str| {

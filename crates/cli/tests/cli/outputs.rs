@@ -81,7 +81,7 @@ const RUNS: &[Run] = &[
     ),
 ];
 
-const DRIVE: &str = "channel = 108\nduration_s = 0.2\n[[robot]]\nname = \"rx\"\nposition_m = [0.0, 0.0, 0.0]\n\
+const DRIVE: &str = "channel = 108\nduration_s = 0.2\nsounding.rate_hz = 50\n[[robot]]\nname = \"rx\"\nposition_m = [0.0, 0.0, 0.0]\n\
                      motion.recorded = { file = \"t.csv\" }\n[[robot]]\nname = \"tx\"\nposition_m = [3.0, 1.0, 0.0]\n";
 
 fn inputs(name: &str) -> Folder {

@@ -4,6 +4,7 @@
 
 mod mat;
 pub mod npz;
+mod other_cards;
 #[cfg(feature = "parquet")]
 mod parquet;
 #[cfg(test)]
@@ -16,6 +17,7 @@ use driver_iface::bfee::{Antenna, Bfee, rate};
 use mat::{Mat, Number};
 use npz::{Element, Npz};
 use num_complex::Complex32;
+pub use other_cards::CardFrames;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -106,7 +106,7 @@ fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
 pub fn run(args: &Args) -> Result {
     let reading = args.reading();
     let options = reading.options().unwrap_or_else(|message| usage(&message)).with_keep_course(true);
-    let options = options.with_range_change(args.json);
+    let options = args.at_effort(options.with_range_change(args.json));
     let (captures, names, mut lost) = args.find(&reading)?;
     if args.together.transmitters {
         return transmitters::run(&args.together, &reading, (captures, lost), &args.place, args.json);

@@ -4,13 +4,16 @@ use super::Args;
 use crate::commands::args::channel as channel_of;
 use crate::commands::draft::{FolderDraft, reads};
 use crate::commands::files::{open_log, read_trajectory};
-use crate::commands::{Outcome, Result, print, simulate, usage};
+use crate::commands::{Outcome, Result, other_cards, print, simulate, usage};
+use csi_formats::Format;
 use csi5300::signal::channel::Channel;
 use csi5300::source::CsiSource;
+use csi5300::source::other_card::Translated;
 use csi5300_accept::{Collector, Done, Evidence, Plan, Report, Side, Truth, Verdict, collect};
 use csi5300_say::{Tone, toned};
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::{Room, Scene, stamp};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 mod assist;
@@ -181,11 +184,15 @@ fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
     Ok(plan)
 }
 
-/// A log's bytes.
+/// A log's bytes; those of a FeitCSI log as records of the 5300.
 fn log(path: &Path) -> std::result::Result<Vec<u8>, String> {
     reads(path);
     open_log(path)?;
-    std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))
+    let failed = |error| format!("{}: {error}", path.display());
+    let Some((Format::FeitCsi, bytes)) = other_cards::bytes(path) else { return std::fs::read(path).map_err(failed) };
+    let mut records = Vec::new();
+    Translated::new(bytes.as_slice()).read_to_end(&mut records).map_err(failed)?;
+    Ok(records)
 }
 
 /// The logs after retunes and reloads.
@@ -215,7 +222,11 @@ fn logs(args: &Args, desk: &Desk) -> Found {
 /// The first two robots of a simulated room, in virtual time.
 fn room(scene: &Scene) -> Found {
     let mut room = Room::new(scene).map_err(|error| error.to_string())?;
-    let name = if scene.bandwidth_mhz == 40 { format!("{}+", scene.channel) } else { scene.channel.to_string() };
+    // A scene's number is that of the centre, here it is the lower half's.
+    let name = match scene.bandwidth_mhz {
+        40 => format!("{}+", scene.channel.saturating_sub(2)),
+        _ => scene.channel.to_string(),
+    };
     let mut plan = Plan::new(name.parse::<Channel>().map_err(|error| error.to_string())?);
     let still = |robot: &csi5300_sim::scene::Robot| robot.motion == RobotMotion::default();
     plan.at_rest = scene.robot.iter().all(still);

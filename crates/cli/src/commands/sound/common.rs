@@ -1,10 +1,11 @@
 //! What sounding and answering (`sound --answer`) share: arguments, what they open, and the words for it.
 
-use super::super::args::mac;
+use super::super::args::{channel_of_5300, mac};
 use super::super::listener::{Listening, Needs, describe};
 use super::super::live::{Signals, create_refused, duration, join_refused};
 use super::super::{Outcome, is_end_of_room, usage};
 use csi5300::exchange::tdma::{Config, Dialect, Phy, Plan, PlanError, Request};
+use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Rotation};
 use csi5300::time::Span;
@@ -54,9 +55,12 @@ pub struct Sounding {
     /// Modulation of every frame, 0 to 23; from 8 on it has several streams, on as many antennas
     #[arg(long, default_value_t = 1, value_name = "MCS")]
     pub mcs: u8,
-    /// Frames 40 MHz wide
-    #[arg(long)]
+    // Of one version ago: a channel of 40 MHz says so.
+    #[arg(long, hide = true)]
     pub ht40: bool,
+    /// WiFi channel, with + or - for frames 40 MHz wide; needed for bearings
+    #[arg(long, value_parser = channel_of_5300, value_name = "NUMBER")]
+    pub channel: Option<Channel>,
     /// WSR dialect: length of the frames that this robot answers (57, 59, 61 ...)
     #[arg(long, value_name = "BYTES")]
     pub ack_len: Option<u16>,
@@ -105,7 +109,8 @@ pub enum Words {
 impl Sounding {
     /// The request for a plan.
     pub fn request(&self) -> Request {
-        let bandwidth = if self.ht40 { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
+        let is_wide = self.ht40 || self.channel.is_some_and(|channel| channel.width() != Width::Ht20);
+        let bandwidth = if is_wide { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
         let dialect = match self.dialect {
             Words::Native => Dialect::Native { measurement: true, authenticated: self.key.is_some() },
             Words::Wsr => Dialect::Wsr { first_len: FIRST_LEN },
