@@ -10,6 +10,7 @@ use csi5300::source::{CsiSource, Error, Injector, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Iq, MAX_SAMPLES, Repr};
+use driver_iface::record::code;
 use driver_iface::sounding::wsr::{self, Lfsr};
 
 /// Records of one card that the claims look at: an hour at 100 a second. Later ones are counted and in the log.
@@ -92,6 +93,11 @@ pub struct Heard {
 }
 
 impl Heard {
+    /// True if the records were made from another card's log, as [`csi5300::source::other_card`] does.
+    pub(crate) fn is_of_another_card(&self) -> bool {
+        self.survey.by_code.contains_key(&code::CARD_CLOCK)
+    }
+
     fn note(&mut self, next: &Next<'_>) {
         if let Next::Record(_, record) = next {
             let from = self.log.len();

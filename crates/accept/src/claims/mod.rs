@@ -167,6 +167,9 @@ impl Claim {
             Check::Log(check) => {
                 let sides = [(Of::Near, Some(&evidence.near)), (Of::Far, evidence.far.as_ref())];
                 let told = |heard: &Heard| match check(heard, evidence) {
+                    _ if heard.is_of_another_card() && OF_A_5300.contains(&self.id) => {
+                        Told::not_tried("the log is of another card, which has no such field")
+                    }
                     // Nothing heard shows nothing good of a card.
                     told if told.verdict == Verdict::Holds && heard.records.is_empty() => Told::needs(self.needs),
                     told => told,
@@ -182,6 +185,20 @@ impl Claim {
         }
     }
 }
+
+/// Claims about fields that only a 5300 fills: what stands there in a log of another card was made from what it has.
+const OF_A_5300: [&str; 10] = [
+    "log.layout",
+    "reception.count",
+    "reception.gaps",
+    "reception.rate",
+    "reception.order",
+    "reception.antennas",
+    "reception.level",
+    "reception.saturation",
+    "reception.gain",
+    "reception.noise",
+];
 
 const INFO: &str = "`csi5300 info LOG.dat -v`";
 

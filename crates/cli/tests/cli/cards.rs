@@ -58,6 +58,26 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
 }
 
 #[test]
+fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
+    let folder = Folder::new("accept-cards");
+    let [rx, tx, _] = simulated(&folder, "room", PAIR, "rx_trajectory_");
+    let (status, out, err) = folder.run(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"]);
+    assert_eq!(status, 0, "{out}{err}");
+    let report = json(&out);
+    let verdict = |id: &str| {
+        let all = report["findings"].as_array().unwrap();
+        all.iter()
+            .filter(|one| one["id"] == id)
+            .map(|one| one["verdict"].as_str().unwrap().to_owned())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(verdict("reception.saturation"), ["not_tried"; 2], "{report}");
+    for id in ["card.clock", "card.rate", "log.whole", "reception.snr", "reception.subcarriers"] {
+        assert_eq!(verdict(id), ["holds"; 2], "{id}");
+    }
+}
+
+#[test]
 fn all_subcarriers_of_another_card_are_exported() {
     let folder = Folder::new("export-cards");
     let [rx, ..] = simulated(&folder, "room", PAIR, "rx_trajectory_");
