@@ -109,7 +109,7 @@ fn named_designs(usual: Accuracy) -> Vec<(&'static str, Accuracy)> {
     vec![
         ("usual", usual),
         ("everything in every scene", usual.with_effort(Effort::Everything)),
-        ("right to a degree", usual.with_effort(Effort::Within(1f64.to_radians()))),
+        ("right to three degrees", usual.with_effort(Effort::Within(3f64.to_radians()))),
         ("without alignment", with(|own| own.align = false)),
         ("without the one-way channel", with(|own| own.one_way = false)),
         ("without alignment and one-way channel", with(|own| (own.align, own.one_way) = (false, false))),

@@ -61,7 +61,7 @@ pub struct Args {
     logs: Logs,
     #[command(flatten)]
     estimation: Estimation,
-    /// How right the azimuth has to be, degrees: from 1 on a coarser search suffices, which is quicker. 0 computes every step
+    /// How right the azimuth has to be, degrees: from 3 on a coarser search suffices, which is quicker. 0 computes every step
     /// [default: what the scene needs]
     #[arg(long, value_name = "DEGREES", value_parser = accuracy, conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     accuracy: Option<f64>,

@@ -169,7 +169,7 @@ impl Config {
         let elevation_max_rad = self.estimator.elevation_max_deg.map(f64::to_radians);
         options.accuracy = options.accuracy.with_elevation_max_rad(elevation_max_rad);
         if !self.estimator.accurate {
-            options.accuracy = options.accuracy.with_effort(Effort::Within(1f64.to_radians()));
+            options.accuracy = options.accuracy.with_effort(Effort::Within(3f64.to_radians()));
         }
         options
     }
