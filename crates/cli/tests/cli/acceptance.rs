@@ -99,16 +99,41 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
     let (_, out, err) = folder.run(&["doctor", "--accept", "near.toml", "--listen", "100ms"]);
     assert!(err.contains("no terminal") && out.contains("reception.unplugged"), "{out}{err}");
 
-    // Somebody sits at this one, and presses Enter.
+    // Somebody sits at this one, stops it when asked for the first antenna, and goes on with it; then does so at the second antenna.
+    desk("near", "unplug = [\"B\", \"C\"]\n");
     let terminal = nix::pty::openpty(None, None).unwrap();
-    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
-    command.args(["doctor", "--accept", &path("near.toml"), "--listen", "100ms", "-v"]).stdin(terminal.slave);
-    let mut asking = command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped()).spawn().unwrap();
-    let mut said = std::io::BufReader::new(asking.stderr.take().unwrap()).lines();
-    assert!(said.any(|line| line.unwrap().starts_with("unplug antenna B of this robot")));
-    nix::unistd::write(&terminal.master, b"\n").unwrap();
-    let out = String::from_utf8(asking.wait_with_output().unwrap().stdout).unwrap();
-    assert!(out.contains("0 records came without antenna B"), "{out}");
+    let asked = |enter: &[&str], stop_at: &str| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        command.args(["doctor", "--accept", &path("near.toml"), "--listen", "100ms", "-v", "--report", &path("desk")]);
+        command.stdin(terminal.slave.try_clone().unwrap());
+        let pipes = command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped());
+        let mut asking = pipes.spawn().unwrap();
+        let mut lines = std::io::BufReader::new(asking.stderr.take().unwrap()).lines();
+        let mut said = String::new();
+        let mut until = |word: &str| {
+            let line =
+                lines.by_ref().map(Result::unwrap).inspect(|line| said += line).find(|line| line.starts_with(word));
+            line.unwrap_or_else(|| panic!("{word}: {said}"))
+        };
+        for antenna in enter {
+            until(&format!("unplug antenna {antenna} of this robot"));
+            nix::unistd::write(&terminal.master, b"\n").unwrap();
+        }
+        until(&format!("unplug antenna {stop_at} of this robot"));
+        nix::sys::signal::kill(nix::unistd::Pid::from_raw(asking.id() as i32), nix::sys::signal::Signal::SIGINT)
+            .unwrap();
+        until("stopped while this was to be done");
+        until("the report is in");
+        (String::from_utf8(asking.wait_with_output().unwrap().stdout).unwrap(), said)
+    };
+    let (out, said) = asked(&[], "B");
+    assert!(out.contains("stopped: 1 of 3 parts are finished") && !said.contains("going on"), "{out}{said}");
+    let (out, said) = asked(&["B"], "C");
+    assert!(said.contains("going on with the run that was stopped: listen"), "{said}");
+    assert!(out.contains("stopped: 2 of 3") && out.contains("0 records came without antenna B"), "{out}");
+    let (out, said) = asked(&[], "C");
+    assert!(said.contains("listen while another robot sounds, then you unplug antenna B taken from"), "{said}");
+    assert!(out.contains("stopped: 2 of 3") && out.contains("0 records came without antenna B"), "{out}");
     room.stop();
 }
 

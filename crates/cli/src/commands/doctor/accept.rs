@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 
 mod assist;
 mod live;
+mod stopped;
 
 /// What is on the desk, as its TOML says. All is optional; without logs the card of this machine is listened to.
 #[derive(serde::Deserialize, Default)]
@@ -89,9 +90,9 @@ impl Desk {
     }
 }
 
-/// Judges what is on the desk. Fails with exit status 1 where a claim does.
+/// Judges what is on the desk. Fails with exit status 1 where a claim does, with 3 where the run was stopped.
 pub fn run(args: &Args) -> Result {
-    let Some((evidence, facts)) = evidence(args)? else { return Ok(Outcome::Done) };
+    let Some(Judged { evidence, facts, is_whole, stopped }) = evidence(args)? else { return Ok(Outcome::Done) };
     let mut report = evidence.judge();
     report.facts = facts;
     match args.json {
@@ -99,13 +100,17 @@ pub fn run(args: &Args) -> Result {
         false => print(&text(&report)),
     }
     if let Some(folder) = &args.report {
-        write(&report, &evidence, folder)?;
+        write(&report, &evidence, stopped.as_ref(), folder)?;
         note!(
             "the report is in {}: report.html to look at, report.json, report.xml (JUnit), bench-log.md; the logs beside it have MAC addresses, the report has none",
             folder.display()
         );
     }
-    Ok(if report.count(Verdict::Fails) == 0 { Outcome::Done } else { Outcome::Nothing })
+    Ok(match report.count(Verdict::Fails) {
+        0 if is_whole => Outcome::Done,
+        0 => Outcome::DataLost,
+        _ => Outcome::Nothing,
+    })
 }
 
 /// The table with coloured verdicts.
@@ -125,10 +130,25 @@ fn text(report: &Report) -> String {
 }
 
 /// What the claims are judged by, and facts about where it comes from.
-type Found = std::result::Result<(Evidence, Vec<String>), String>;
+struct Judged {
+    evidence: Evidence,
+    facts: Vec<String>,
+    /// All parts of the run are finished.
+    is_whole: bool,
+    /// What can be gone on with, of a run that was stopped.
+    stopped: Option<stopped::Stopped>,
+}
+
+impl Judged {
+    fn of(evidence: Evidence, fact: String) -> Self {
+        Self { evidence, facts: vec![fact], is_whole: true, stopped: None }
+    }
+}
+
+type Found = std::result::Result<Judged, String>;
 
 /// Nothing where this robot assisted.
-fn evidence(args: &Args) -> std::result::Result<Option<(Evidence, Vec<String>)>, String> {
+fn evidence(args: &Args) -> std::result::Result<Option<Judged>, String> {
     let toml = |path: &Path| path.extension().is_some_and(|ending| ending == "toml");
     let found = match args.what.as_slice() {
         [] => live::listen(args, &Desk::default()),
@@ -216,7 +236,7 @@ fn logs(args: &Args, desk: &Desk) -> Found {
         collector.log(side, &log(path)?);
     }
     later(&mut collector, desk)?;
-    Ok((collector.finish(), vec!["backend: recorded logs".into()]))
+    Ok(Judged::of(collector.finish(), "backend: recorded logs".into()))
 }
 
 /// The first two robots of a simulated room, in virtual time.
@@ -242,11 +262,16 @@ fn room(scene: &Scene) -> Found {
     let mut far = room.card(1);
     let far = far.as_mut().map(|far| far as &mut dyn CsiSource);
     let evidence = collect(&mut near, far, None, plan).map_err(|error| error.to_string())?;
-    Ok((evidence, vec![format!("backend: simulated room, scene {:?}, seed {}", scene.name, scene.seed)]))
+    Ok(Judged::of(evidence, format!("backend: simulated room, scene {:?}, seed {}", scene.name, scene.seed)))
 }
 
-/// The report's files, and the logs beside it.
-fn write(report: &Report, evidence: &Evidence, folder: &Path) -> std::result::Result<(), String> {
+/// The report's files, the logs beside it, and what a stopped run is gone on with.
+fn write(
+    report: &Report,
+    evidence: &Evidence,
+    stopped: Option<&stopped::Stopped>,
+    folder: &Path,
+) -> std::result::Result<(), String> {
     let draft = FolderDraft::new(folder)?;
     let date = evidence
         .near
@@ -255,17 +280,32 @@ fn write(report: &Report, evidence: &Evidence, folder: &Path) -> std::result::Re
         .find_map(|record| record.host_us)
         .map_or_else(|| "no date".into(), |us| stamp(us.div_euclid(1_000_000)));
     let json = report.json().map_err(|error| error.to_string())?;
-    let files = [
-        ("report.json", json.into_bytes()),
-        ("report.xml", report.junit().into_bytes()),
-        ("report.html", report.html().into_bytes()),
-        ("bench-log.md", report.entry(&date).into_bytes()),
-        ("near.dat", evidence.near.log.clone()),
-        ("far.dat", evidence.far.as_ref().map(|far| far.log.clone()).unwrap_or_default()),
+    let goes_on = stopped.map(serde_json::to_vec).transpose().map_err(|error| error.to_string())?.unwrap_or_default();
+    let mut files = vec![
+        ("report.json".to_owned(), json.into_bytes()),
+        ("report.xml".into(), report.junit().into_bytes()),
+        ("report.html".into(), report.html().into_bytes()),
+        ("bench-log.md".into(), report.entry(&date).into_bytes()),
+        ("near.dat".into(), evidence.near.log.clone()),
+        ("far.dat".into(), evidence.far.as_ref().map(|far| far.log.clone()).unwrap_or_default()),
+        (stopped::FILE.into(), goes_on),
     ];
-    for (name, bytes) in files.into_iter().filter(|(_, bytes)| !bytes.is_empty()) {
-        std::fs::write(draft.path().join(name), bytes)
+    // Of a run that is gone on with no log may be missing, be it empty.
+    let is_kept = |(name, bytes): &(String, Vec<u8>)| !bytes.is_empty() || (stopped.is_some() && name == "near.dat");
+    files.retain(is_kept);
+    files.extend(evidence.unplugged.iter().map(|(antenna, heard)| (stopped::unplugged(*antenna), heard.log.clone())));
+    for (name, bytes) in files {
+        std::fs::write(draft.path().join(&name), bytes)
             .map_err(|error| draft.words(&format!("cannot write {name}: {error}")))?;
     }
-    draft.keep()
+    draft.keep()?;
+    match stopped {
+        Some(_) => Ok(()),
+        None => match std::fs::remove_file(folder.join(stopped::FILE)) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(format!("cannot remove {}: {error}", stopped::FILE))
+            }
+            _ => Ok(()),
+        },
+    }
 }

@@ -1,7 +1,8 @@
 //! The card of this machine, or a robot of a served room: listened to, while frames are sent or a person unplugs antennas.
 
 use super::super::Args;
-use super::{Desk, Found, assist, later, plan};
+use super::stopped::Stopped;
+use super::{Desk, Found, Judged, assist, later, plan};
 use crate::commands::listener::{Listening, Needs, describe};
 use crate::commands::live::{Signals, join_refused};
 use csi5300::internal::FrameReceiver;
@@ -17,6 +18,7 @@ use csi5300_sim::served::{self, Address};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use std::cell::RefCell;
+use std::hash::{Hash, Hasher};
 use std::io::{BufRead, IsTerminal};
 use std::os::fd::AsFd;
 
@@ -83,7 +85,7 @@ fn facts(system: &dyn System, desk: &Desk) -> Vec<String> {
 }
 
 /// What is done, in order.
-enum Step {
+pub(super) enum Step {
     Listen(Span),
     Send,
     Unplug(Antenna),
@@ -123,6 +125,16 @@ impl Step {
         }
     }
 
+    /// What makes a run the same as another: the channel, the card and the parts.
+    fn asked(steps: &[Self], desk: &Desk, channel: Channel) -> String {
+        let words: Vec<String> = steps.iter().map(|step| format!("{} {}", step.words(), step.takes_s())).collect();
+        let text = format!("{channel} {:?} {:?} {:?} {}", desk.interface, desk.room, desk.peer, words.join(", "));
+        // The folder may be sent: no name stands in it.
+        let mut hasher = std::hash::DefaultHasher::new();
+        text.hash(&mut hasher);
+        format!("{:016x}", hasher.finish())
+    }
+
     /// All of them, with the time that they take.
     fn told(steps: &[Self]) -> String {
         let words: Vec<String> =
@@ -149,25 +161,39 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
     let signals = Signals::catch().map_err(|error| error.to_string())?;
     let air = desk.send.then(|| sender(desk)).transpose()?;
     let mac = air.as_ref().map(|air| air.1);
-    let helper = desk.peer.as_deref().map(|peer| assist::Helper::call(peer, plan.channel, mac)).transpose()?;
+    let asked = Step::asked(&steps, desk, plan.channel);
+    let folder = args.report.as_deref();
+    let before = folder.and_then(|folder| Some((folder, Stopped::read(folder, &asked, &steps)?)));
+    let peer = desk.peer.as_deref().filter(|_| before.is_none());
+    let helper = peer.map(|peer| assist::Helper::call(peer, plan.channel, mac)).transpose()?;
     plan.macs = mac.zip(helper.as_ref().and_then(assist::Helper::mac)).map(|(near, far)| [near, far]);
     let monitor = air.map(|(monitor, _)| RefCell::new(monitor));
     let listener = open(args, desk)?;
     note!("{}", describe(&listener));
     left_out.iter().for_each(|why| note!("{why}"));
-    note!("{}", Step::told(&steps));
-    let before = module_counters(&system);
-    let collector = Collector::new(plan.clone());
+    let mut collector = Collector::new(plan.clone());
+    let mut finished = 0;
+    if let Some((folder, stopped)) = &before {
+        stopped.take_up(folder, &steps, &mut collector)?;
+        finished = stopped.finished;
+        let words: Vec<String> = steps.iter().take(finished).map(Step::words).collect();
+        note!("going on with the run that was stopped: {} taken from {}", words.join(", then "), folder.display());
+    }
+    note!("{}", Step::told(steps.get(finished..).unwrap_or_default()));
+    let counters = module_counters(&system);
     let mut run = Run { clock: Monotonic::new(), listener, monitor: monitor.as_ref(), signals, collector };
-    for step in &steps {
+    for step in steps.iter().skip(finished) {
         if run.step(step, mac)? {
             break;
         }
+        finished += 1;
     }
-    let Run { mut collector, .. } = run;
+    let Run { mut collector, signals, .. } = run;
+    signals.take();
     for (name, count) in module_counters(&system) {
-        let old = before.iter().find(|(known, _)| *known == name).map_or(0, |(_, count)| *count);
-        collector.counted(&name, count.wrapping_sub(old));
+        let old = counters.iter().find(|(known, _)| *known == name).map_or(0, |(_, count)| *count);
+        let earlier = before.as_ref().map_or(0, |(_, stopped)| stopped.counted(&name));
+        collector.counted(&name, count.wrapping_sub(old) + earlier);
     }
     if let Some(monitor) = &monitor {
         let confirmed = Some(monitor.borrow_mut().counters().tx_status);
@@ -184,7 +210,24 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
         note!("no record came: is another robot sounding on this channel? `csi5300 doctor` examines this one");
     }
     later(&mut collector, desk)?;
-    Ok((collector.finish(), facts(&system, desk)))
+    let (evidence, mut facts, mut stopped) = (collector.finish(), facts(&system, desk), None);
+    if let Some(step) = steps.get(finished) {
+        let missing: Vec<String> = steps.iter().skip(finished).map(Step::words).collect();
+        facts.push(format!(
+            "stopped: {} of {} parts are finished; missing: {}",
+            finished,
+            steps.len(),
+            missing.join(", then ")
+        ));
+        stopped = Stopped::after(finished, &steps, asked, &evidence);
+        let how = match (&stopped, folder) {
+            (Some(_), Some(_)) => "the same command goes on from there",
+            (Some(_), None) => "with --report DIR a stopped run can be gone on with",
+            (None, _) => "nothing before it is whole, so the same command begins anew",
+        };
+        note!("stopped while this was to be done: {}; {how}", step.words());
+    }
+    Ok(Judged { evidence, facts, is_whole: finished == steps.len(), stopped })
 }
 
 /// The interface that the first robot sends through, at an HT rate as far as that can be seen to.
