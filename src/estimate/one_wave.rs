@@ -100,6 +100,13 @@ struct At {
     scale: f64,
 }
 
+/// A place with what its wave leaves of each phase, radians.
+#[derive(Clone, Debug)]
+struct Fit {
+    at: At,
+    left: Vec<f64>,
+}
+
 /// The samples of a motion, for one wave.
 struct Wave<'a> {
     samples: &'a Samples,
@@ -135,8 +142,7 @@ pub(crate) fn explain(
     if share < LEAST_SHARE {
         return Err(Unexplained::Faint(share));
     }
-    let at = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
-    let left = wave.residual(&at);
+    let Fit { at, left } = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
     whiteness(&left, tier)?;
     unambiguous(&wave, &at, plane_wave, steps)?;
     let peak = highest_peak(&wave, &at, &left, plane_wave, tier)?;
@@ -238,35 +244,39 @@ impl Wave<'_> {
     }
 
     fn cost(&self, at: &At, variance: f64) -> f64 {
-        let square: f64 = self.residual(at).iter().map(|e| e * e).sum();
-        square / variance + (at.scale / sensor::SCALE).powi(2)
+        cost(at, &self.residual(at), variance)
     }
 
     /// Least squares of the residual phases from `at`, within the limits: a coordinate that would leave them stays there.
-    fn settled(&self, at: At) -> Option<At> {
-        let mut at = at;
+    fn settled(&self, at: At) -> Option<Fit> {
+        let mut fit = self.fit(at);
         let mut held = [false; 3];
         for _ in 0..STEPS {
-            let (next, hits) = self.step(&at, &held, true)?;
-            let moved = wrap_rad(next.place.azimuth - at.place.azimuth).abs();
-            (at, held) = (next, hits);
+            let (next, hits) = self.step(&fit, &held, true)?;
+            let moved = wrap_rad(next.at.place.azimuth - fit.at.place.azimuth).abs();
+            (fit, held) = (next, hits);
             if moved < 1e-7 {
                 break;
             }
         }
-        let is_finite = at.place.azimuth.is_finite() && at.place.elevation.is_finite() && at.place.curve.is_finite();
-        (is_finite && self.prior.contains(&at.place)).then_some(at)
+        let place = &fit.at.place;
+        let is_finite = place.azimuth.is_finite() && place.elevation.is_finite() && place.curve.is_finite();
+        (is_finite && self.prior.contains(place)).then_some(fit)
+    }
+
+    fn fit(&self, at: At) -> Fit {
+        Fit { at, left: self.residual(&at) }
     }
 
     /// One step of Gauss and Newton. `held` coordinates stay; those that leave their limits are held next time.
-    fn step(&self, at: &At, held: &[bool; 3], azimuth_is_open: bool) -> Option<(At, [bool; 3])> {
-        let left = self.residual(at);
+    fn step(&self, from: &Fit, held: &[bool; 3], azimuth_is_open: bool) -> Option<(Fit, [bool; 3])> {
+        let Fit { at, left } = from;
         let variance = (left.iter().map(|e| e * e).sum::<f64>() / left.len() as f64).max(1e-16);
-        let mut information = self.information(at, variance);
-        let gradients = self.gradients(at);
-        let mean = gradients.iter().sum::<Gradient>() / gradients.len() as f64;
+        let mut gradients = self.gradients(at);
+        about_mean(&mut gradients);
+        let mut information = information(&gradients, variance);
         // A phase that was turned back too little is made up for by a longer way.
-        let mut slope: Vector4<f64> = gradients.iter().zip(&left).map(|(g, e)| -(g - mean) * *e / variance).sum();
+        let mut slope: Vector4<f64> = gradients.iter().zip(left).map(|(g, e)| -g * *e / variance).sum();
         information[(3, 3)] += sensor::SCALE.powi(-2);
         slope[3] -= at.scale * sensor::SCALE.powi(-2);
         let fixed =
@@ -278,14 +288,15 @@ impl Wave<'_> {
             slope[k] = 0.0;
         }
         // Less far, and more along the steepest descent, where all of the step would leave more (Levenberg and Marquardt).
-        let now = self.cost(at, variance);
+        let now = cost(at, left, variance);
         for damping in [1e-12, 1e-6, 1e-4, 1e-2, 0.3, 10.0] {
             let (next, hits) = self.moved(at, &solve(information, slope, damping)?, held);
-            if self.cost(&next, variance) <= now {
+            let next = self.fit(next);
+            if cost(&next.at, &next.left, variance) <= now {
                 return Some((next, hits));
             }
         }
-        Some((*at, *held))
+        Some((from.clone(), *held))
     }
 
     /// `at` after a step, clamped to the limits, and which coordinates are at them.
@@ -316,9 +327,9 @@ impl Wave<'_> {
 
     /// Fisher information of the open coordinates from phases of this variance, without any prior.
     fn information(&self, at: &At, variance: f64) -> Matrix4<f64> {
-        let gradients = self.gradients(at);
-        let mean = gradients.iter().sum::<Gradient>() / gradients.len() as f64;
-        gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum::<Matrix4<f64>>() / variance
+        let mut gradients = self.gradients(at);
+        about_mean(&mut gradients);
+        information(&gradients, variance)
     }
 
     /// Covariance of azimuth, elevation and 1 / range, with the scale of the path known to the sensor's error or exactly.
@@ -427,17 +438,33 @@ impl Wave<'_> {
 
     /// The best place next to `at` with the coordinates (azimuth, elevation, 1 / range) that are not open as they are.
     fn best_with(&self, at: At, open: [bool; 3]) -> At {
-        let (mut at, mut held) = (at, [!open[1], !open[2], false]);
+        let (mut fit, mut held) = (self.fit(at), [!open[1], !open[2], false]);
         for _ in 0..STEPS {
-            let Some((next, hits)) = self.step(&at, &held, open[0]) else { break };
-            let moved = (next.place.elevation - at.place.elevation).abs() + (next.place.curve - at.place.curve).abs();
-            (at, held) = (next, hits);
+            let Some((next, hits)) = self.step(&fit, &held, open[0]) else { break };
+            let (now, before) = (&next.at.place, &fit.at.place);
+            let moved = (now.elevation - before.elevation).abs() + (now.curve - before.curve).abs();
+            (fit, held) = (next, hits);
             if moved < 1e-7 {
                 break;
             }
         }
-        at
+        fit.at
     }
+}
+
+/// What the residual phases and the prior of the scale cost, in deviations squared.
+fn cost(at: &At, left: &[f64], variance: f64) -> f64 {
+    let square: f64 = left.iter().map(|e| e * e).sum();
+    square / variance + (at.scale / sensor::SCALE).powi(2)
+}
+
+fn about_mean(gradients: &mut [Gradient]) {
+    let mean = gradients.iter().sum::<Gradient>() / gradients.len() as f64;
+    gradients.iter_mut().for_each(|g| *g -= mean);
+}
+
+fn information(gradients: &[Gradient], variance: f64) -> Matrix4<f64> {
+    gradients.iter().map(|g| g * g.transpose()).sum::<Matrix4<f64>>() / variance
 }
 
 /// Solves `information x = slope` in units in which the diagonal is 1, `damping` added to it.
