@@ -60,7 +60,7 @@ const JOIN_ROWS: [&str; 2] = ["--join-rows", "--clock-offset=rows"];
 /// Puts what an old name is now in its place; what to say of it.
 pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     let place = place(args)?;
-    let said = rename_command(args, place);
+    let said = rename_command(args, place).or_else(|| without_root(args, place));
     let is_bearing = args.get(place).is_some_and(|name| name == "bearing");
     let old = args.iter_mut().find(|arg| is_bearing && *arg == JOIN_ROWS[0]);
     let Some(old) = old else { return said };
@@ -68,6 +68,19 @@ pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     said.or_else(|| {
         Some(format!("`{}` is `{}` now; the old name goes with the next version", JOIN_ROWS[0], JOIN_ROWS[1]))
     })
+}
+
+/// `doctor --root DIR` is `doctor DIR`.
+fn without_root(args: &mut Vec<OsString>, place: usize) -> Option<String> {
+    const OLD: &str = "--root";
+    let is_root = |arg: &OsString| arg.to_str().is_some_and(|arg| arg.split('=').next() == Some(OLD));
+    let at = args.iter().position(is_root).filter(|_| args.get(place).is_some_and(|name| name == "doctor"))?;
+    let value = args.get(at)?.to_str()?.split_once('=').map(|(_, value)| OsString::from(value));
+    match (value, args.get_mut(at)) {
+        (Some(value), Some(arg)) => *arg = value,
+        _ => drop(args.remove(at)),
+    }
+    Some(format!("`doctor {OLD} DIR` is `doctor DIR` now; the old name goes with the next version"))
 }
 
 fn rename_command(args: &mut Vec<OsString>, place: usize) -> Option<String> {
@@ -132,6 +145,8 @@ mod tests {
             ("csi5300 recover a b", "csi5300 export --dat a b"),
             ("csi5300 bearing --join-rows --rx a", "csi5300 bearing --clock-offset=rows --rx a"),
             ("csi5300 suite --csv t", "csi5300 simulate suite --out t"),
+            ("csi5300 doctor --root d --json", "csi5300 doctor d --json"),
+            ("csi5300 doctor --root=d", "csi5300 doctor d"),
         ] {
             assert_eq!(now(old), (new.into(), true), "{old}");
         }
