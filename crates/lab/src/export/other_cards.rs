@@ -134,6 +134,7 @@ impl CardFrames {
             Some("npz") => {
                 let mut file = Npz::create(path)?;
                 file.array("csi", &[n, n_rx, n_tx, n_sub], self.csi())?;
+                file.array("rssi", &[n, n_rx], self.rssi())?;
                 self.write_fields(&mut file)?;
                 file.finish()
             }
@@ -142,6 +143,7 @@ impl CardFrames {
                 let parts = [self.csi().map(|h| h.re).collect::<Vec<_>>(), self.csi().map(|h| h.im).collect()];
                 let [re, im] = parts.map(Vec::into_iter);
                 file.complex("csi", &[n_sub, n_tx, n_rx, n], re, im)?;
+                file.array("rssi", &[n_rx, n], self.rssi())?;
                 self.write_fields(&mut file)?;
                 file.finish()
             }
@@ -153,7 +155,7 @@ impl CardFrames {
     }
 
     fn write_fields(&self, file: &mut impl Target) -> Result<(), ExportError> {
-        let (n, [n_rx, ..]) = (self.frames.len() as u64, self.shape());
+        let n = self.frames.len() as u64;
         file.put("record", n, 1, 0..n as i64)?;
         file.put("offset", n, 1, self.whole(|frame| i64::try_from(frame.offset).ok()))?;
         file.put("time_s", n, 1, self.time_s.iter().copied())?;
@@ -171,7 +173,6 @@ impl CardFrames {
         file.put("first_rx", n, 1, self.frames.iter().map(|frame| frame.first_rx))?;
         file.put("first_tx", n, 1, self.frames.iter().map(|frame| frame.first_tx))?;
         file.put("mac", n, 6, self.macs())?;
-        file.put("rssi", n, n_rx as u64, self.rssi())?;
         let in_dbm = self.frames.iter().map(|frame| u8::from(frame.rssi_unit == RssiUnit::Dbm));
         file.put("rssi_in_dbm", n, 1, in_dbm)?;
         let subcarriers = self.subcarriers();
