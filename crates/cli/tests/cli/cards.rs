@@ -57,6 +57,7 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     );
 }
 
+#[cfg(feature = "live")]
 #[test]
 fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
     let folder = Folder::new("accept-cards");
