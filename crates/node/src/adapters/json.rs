@@ -77,6 +77,7 @@ impl Lines {
             "-" => Box::new(std::io::stdout()),
             path => Box::new(
                 append_to(path)
+                    .map(Appended)
                     .map_err(|source| Error::Io { what: format!("cannot write bearings to {path}"), source })?,
             ),
         };
@@ -96,6 +97,8 @@ impl Lines {
                 *shared.refused.lock().unwrap_or_else(PoisonError::into_inner) = error.map(|error| error.to_string());
                 shared.waiting.fetch_sub(1, Ordering::Relaxed);
             }
+            // Whoever waits for the end may open the file again.
+            drop(to);
             drop(written);
         };
         let what = "cannot start the thread that writes bearings".into();
@@ -136,6 +139,26 @@ impl Lines {
             }
         }
         self.lost()
+    }
+}
+
+/// A file under a lock. The lock ends with this value, even if a process that is just being started holds a copy of the descriptor.
+struct Appended(File);
+
+impl Write for Appended {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.0.flush()
+    }
+}
+
+impl Drop for Appended {
+    fn drop(&mut self) {
+        // Without a lock there is nothing to end.
+        let _ = self.0.unlock();
     }
 }
 
@@ -211,8 +234,7 @@ mod tests {
         let first = Lines::open(&output).unwrap();
         let refused = Lines::open(&output).err().unwrap().to_string();
         assert!(refused.contains("another node writes it: stop that one"), "{refused}");
-        let Lines { writer, .. } = first;
-        let Writer { lines, done } = writer.unwrap();
+        let Writer { lines, done } = first.writer.unwrap();
         drop(lines);
         // The thread that writes is done with it.
         assert!(done.recv().is_err());
