@@ -193,7 +193,10 @@ fn find_all<'a>(
     let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
     for folder in folders {
         if !folder.is_dir() {
-            return Err(format!("{} is not a folder", folder.display()));
+            return Err(format!(
+                "{} is not a folder: put the files of a capture into one, and name that",
+                folder.display()
+            ));
         }
         let (found, failed) = find(folder);
         add_names(&found, &failed);
