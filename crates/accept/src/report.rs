@@ -299,7 +299,7 @@ impl Report {
 }
 
 impl fmt::Display for Report {
-    /// Failures with causes and the next command, what was measured, and the names of what holds and was not tried; in the alternate form
+    /// Failures with causes and the next command (the host's last: they say nothing of a card), what was measured, and the names of what holds and was not tried; in the alternate form
     /// (`{:#}`) a line of each finding.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let wide = self.findings.iter().map(|finding| finding.id.len()).max().unwrap_or(0);
@@ -308,7 +308,9 @@ impl fmt::Display for Report {
                 self.names(out, verdict)?;
                 continue;
             }
-            for row in self.rows(verdict) {
+            let mut rows = self.rows(verdict);
+            rows.sort_by_key(|row| row.finding.of == Of::Host);
+            for row in rows {
                 let (finding, of, found) = (row.finding, row.of(), row.found().join("; "));
                 writeln!(out, "{:9}  {:wide$}  {of:4}  {found}", verdict.word(), finding.id)?;
                 if let Some(claim) = finding.claim().filter(|_| verdict == Verdict::Fails) {

@@ -200,7 +200,7 @@ const OF_A_5300: [&str; 10] = [
     "reception.noise",
 ];
 
-const INFO: &str = "`csi5300 info LOG.dat -v`";
+const INFO: &str = "`csi5300 info` on that card's log (--report DIR keeps both)";
 
 /// All claims, by subject.
 pub static CLAIMS: [Claim; 49] = [
@@ -337,8 +337,12 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::OneCard,
         expected: "bit 11 of `fake_rate_n_flags` set on 40 MHz only",
         source: "iwlwifi RATE_MCS_HT40_MSK",
-        causes: &["another channel width was told to this program", "the sender is set to another width"],
-        next: "`csi5300 info LOG.dat`, then the channel with its width: --channel 108 or 108+",
+        causes: &[
+            "another channel width was told to this program, if both cards fail",
+            "this card's record is wrong, if reception.subcarriers holds",
+            "the sender is set to another width",
+        ],
+        next: "if both cards fail, the channel with its width: --channel 108 or 108+",
         check: Check::Log(reception::width),
     },
     Claim {
@@ -382,6 +386,7 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "by at least 6 dB against the other chains, and more than any other",
         source: "an open port hears less than a quarter of what its antenna heard",
         causes: &[
+            "no antenna was unplugged (in a simulated room nobody can)",
             "`antenna_sel` is constant or wrong: see reception.antennas",
             "another antenna was unplugged",
             "the antennas couple: they are closer than a few centimetres",
@@ -415,7 +420,11 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::OneCard,
         expected: "at most 1 % of the records with a value of -128 or 127",
         source: "8-bit values of the record",
-        causes: &["the robots are closer than 0.5 m", "the gain control is off"],
+        causes: &[
+            "the robots are closer than 0.5 m, if both cards fail",
+            "this card or its driver scales the coefficients, if its gain and RSSI are like the other card's",
+            "the gain control is off",
+        ],
         next: "move the robots apart, or lower the sender's power with iw dev NAME set txpower fixed 500",
         check: Check::Log(reception::saturation),
     },
@@ -456,7 +465,8 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "-127, or -105 to -60 dBm",
         source: "thermal noise of 20 MHz is -101 dBm; csitool takes -92 for unknown",
         causes: &[
-            "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`)",
+            "this card's firmware or driver writes another value, if the other card's log is good",
+            "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`), if reception.rate fails",
             "a strong transmitter is close",
         ],
         next: INFO,
@@ -541,6 +551,7 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "coherence of the product from exchange to exchange at least 0.4",
         source: "71 WSR links: 0.61 to 0.90",
         causes: &[
+            "one card's records are wrong, if one of its own claims fails (reception.fresh, card.clock): repair that first",
             "the cards retune or restart between the two frames",
             "one log is conjugated",
             "the logs are of two runs",
@@ -575,7 +586,7 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::Rest,
         expected: "coherence within each second at least 0.7",
         source: "0.7 is a spread of 0.84 rad within a second",
-        causes: &["something moves near the robots", "the carrier offset does not cancel: see phase.cancels"],
+        causes: &["the carrier offset does not cancel, if phase.cancels fails", "something moves near the robots"],
         next: "`csi5300 info LOG.dat --plot DIR` of both, while nobody walks between the robots",
         check: Check::Pairs(link::rest),
     },

@@ -128,8 +128,9 @@ pub(super) fn antenna_names(heard: &Heard, _: &Evidence) -> Told {
     let off: Vec<f64> = heard.records.iter().filter_map(disagreement_db).collect();
     if off.len() < super::LEAST {
         return Told::not_tried(format!(
-            "needs two connected antennas with 3 dB between them: so in {} records only",
-            off.len()
+            "{} of {} records have two antennas that differ by 3 dB or more: weaken one, or unplug it",
+            off.len(),
+            heard.records.len()
         ));
     }
     Told::share(
@@ -236,9 +237,14 @@ pub(super) fn level(heard: &Heard, _: &Evidence) -> Told {
 
 pub(super) fn saturation(heard: &Heard, _: &Evidence) -> Told {
     let cut = |half: i8| half == i8::MIN || half == i8::MAX;
-    share(heard, 0.01, "records with a value of -128 or 127", |record| {
+    let told = share(heard, 0.01, "records with a value of -128 or 127", |record| {
         record.csi.iter().any(|iq| cut(iq.i) || cut(iq.q))
-    })
+    });
+    let gains: Vec<f64> = heard.records.iter().map(|record| f64::from(record.head.agc)).collect();
+    match quantile(&gains, 0.5) {
+        Some(gain) => Told { found: format!("{}; median gain {gain:.0} dB", told.found), ..told },
+        None => told,
+    }
 }
 
 pub(super) fn zero(heard: &Heard, _: &Evidence) -> Told {
@@ -274,9 +280,16 @@ pub(super) fn gain(heard: &Heard, _: &Evidence) -> Told {
 }
 
 pub(super) fn noise(heard: &Heard, _: &Evidence) -> Told {
-    share(heard, 0.01, "records state a noise floor that no receiver has", |record| {
+    let told = share(heard, 0.01, "records state a noise floor that no receiver has", |record| {
         record.head.noise_dbm != NOISE_UNKNOWN_DBM && !(-105..=-60).contains(&record.head.noise_dbm)
-    })
+    });
+    let floors: Vec<f64> = heard.records.iter().map(|record| f64::from(record.head.noise_dbm)).collect();
+    match quantile(&floors, 0.5) {
+        Some(median) => {
+            Told { found: format!("{}; median {median:.0} dBm", told.found), ..told }.with("median", median, "dBm")
+        }
+        None => told,
+    }
 }
 
 /// SNR of a record's strongest chain, dB: third differences over equally spaced subcarriers leave 20 times the noise of one.
