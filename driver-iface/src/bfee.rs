@@ -177,7 +177,7 @@ pub enum Error {
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::Short { got } => write!(f, "bfee of {got} bytes, its header alone has {STOCK_HEADER}"),
+            Self::Short { got } => write!(f, "bfee of {got} bytes, its header needs {STOCK_HEADER}"),
             Self::Chains { n_rx, n_tx } => write!(f, "bfee with n_rx {n_rx}, n_tx {n_tx}; both must be 1 to 3"),
             Self::CsiLength { expect, got } => write!(f, "bfee says {got} bytes of CSI, its chains need {expect}"),
             Self::BodyLength { csi, got } => write!(

@@ -79,7 +79,7 @@ fn skipped(scene: &Scene, key: &Key, choice: &Choice) -> Vec<String> {
     }
     if key.line {
         list.push(String::from(
-            "both axes across the line: one cosine, so that a direction and its mirror are the same",
+            "both axes across the line: one cosine, so a direction and its mirror are the same",
         ));
     } else if geometry == Geometry::Line {
         list.push(String::from("little: along the line it wobbles by more than the tolerance lets pass"));

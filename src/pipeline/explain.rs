@@ -90,10 +90,10 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
         "sampling-time alignment",
         accuracy.align,
         aligned,
-        "slopes from packet to packet taken out",
+        "slopes between packets removed",
         "there is one subcarrier".into(),
     ));
-    let far = format!("packets are {spacing:.2} wavelengths apart: from 0.25 on nothing tells the signs of roots");
+    let far = format!("packets are {spacing:.2} wavelengths apart: from 0.25 on the signs of the roots are ambiguous");
     let dense = is_dense_enough(spacing);
     steps.push(windowed("one-way channel", accuracy.one_way, dense, "the root of the round trip, beside it", far));
     steps.push(windowed(
@@ -111,7 +111,7 @@ fn turn_around(bearing: &Bearing, options: &Options) -> String {
         (_, false) => "left out as asked".into(),
         (None, _) => "too few pairs, or clocks that no two cards have".into(),
         (Some(found), _) if bearing.compensated => format!("{:.0} Hz times the jitter of the turn-around", found.df_hz),
-        (Some(_), _) => "the phase gets no steadier by it".into(),
+        (Some(_), _) => "the phase would not be steadier".into(),
     }
 }
 
@@ -119,7 +119,7 @@ fn elevation(bearing: &Bearing) -> String {
     let plan = &bearing.plane_wave.plan;
     match plan.elevation {
         ElevationSearch::Searched => format!("{} rings", plan.rings),
-        ElevationSearch::NotObservable => "the samples say less of it than its limits do".into(),
+        ElevationSearch::NotObservable => "the samples constrain it less than its limits".into(),
         ElevationSearch::NotAsked => "left out as asked".into(),
     }
 }

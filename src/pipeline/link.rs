@@ -121,7 +121,7 @@ impl Link {
         self.rows.len() + self.outside + self.thinned
     }
 
-    /// Pairs left out evenly so far, because the link has more than are kept.
+    /// Pairs skipped evenly so far, because the link has more than are kept.
     #[must_use]
     pub fn thinned(&self) -> usize {
         self.thinned

@@ -73,12 +73,12 @@ impl CsvCounts {
         }
         if let Some(step_s) = trajectory.time_step_s() {
             notes.push(format!(
-                "times are rounded to {step_s} s: the poses of one time are spread over it; by {:.1} deg the path turns meanwhile",
+                "times are rounded to {step_s} s: the poses of one time are spread over it; the path turns by {:.1} deg within a step",
                 trajectory.turn_in_step_rad().to_degrees()
             ));
         }
         if left_out.stale > 0 {
-            notes.push(format!("the first {} poses are from before the run and left out", left_out.stale));
+            notes.push(format!("the first {} poses are from before the run and skipped", left_out.stale));
         }
         notes
     }

@@ -190,7 +190,7 @@ impl LogFiles {
                 (self.since, self.records) = (None, 0);
                 problem
             }
-            Err(error) => Some(format!("cannot go on in a new file, so the old one grows: {error}")),
+            Err(error) => Some(format!("cannot continue in a new file, so the old one grows: {error}")),
         }
     }
 
@@ -381,7 +381,7 @@ impl Sink for LogFiles {
         let synced = self.data.file.sync_data().and_then(|()| self.side.file.sync_data());
         let synced = synced.err().map(|error| format!("syncing {}: {error}", self.data.path.display()));
         let gone =
-            || format!("{} was deleted: what is recorded from here on is lost with it", self.data.path.display());
+            || format!("{} was deleted: later records are lost with it", self.data.path.display());
         let cut = |grown: &Grown| {
             grown.cut_to().map(|len| format!("{} was cut to {len} bytes by another program", grown.path.display()))
         };
