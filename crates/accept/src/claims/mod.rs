@@ -203,7 +203,7 @@ const OF_A_5300: [&str; 10] = [
 const INFO: &str = "`csi5300 info LOG.dat -v`";
 
 /// All claims, by subject.
-pub static CLAIMS: [Claim; 48] = [
+pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "host.buffer",
         says: "The listener reads as fast as records come: no queue runs over.",
@@ -631,6 +631,16 @@ pub static CLAIMS: [Claim; 48] = [
         causes: &["the channel forbids sending (no-IR, radar): see injection.channel", "the queue ran over"],
         next: "`csi5300 doctor`",
         check: Check::Link(injection::confirmed),
+    },
+    Claim {
+        id: "injection.once",
+        says: "Each frame leaves once.",
+        needs: Needs::Sending,
+        expected: "at most 1 % sent more than once",
+        source: "the count of retries in the driver's report (radiotap field 17)",
+        causes: &["the driver waits for acknowledgements: the frames lack the flag against it"],
+        next: "see firmware-notes/injection.md",
+        check: Check::Link(injection::once),
     },
     Claim {
         id: "injection.pace",

@@ -196,12 +196,13 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
         collector.counted(&name, count.wrapping_sub(old) + earlier);
     }
     if let Some(monitor) = &monitor {
-        let confirmed = Some(monitor.borrow_mut().counters().tx_status);
+        let counters = monitor.borrow_mut().counters();
+        let (confirmed, retried) = (Some(counters.tx_status), counters.tx_retried);
         // Of the channel that frames are named by, the lower or upper half of 40 MHz.
         let half = Channel::new(plan.channel.number(), Width::Ht20).map_err(|error| error.to_string())?;
         let mhz = (half.centre_hz() / 1e6).round() as u32;
         let channel_flags = desk.interface.as_deref().and_then(|name| channel_flags(&system, name, mhz));
-        collector.interface(Interface { confirmed, channel_flags });
+        collector.interface(Interface { confirmed, retried, channel_flags });
     }
     if let Some(log) = helper.map(assist::Helper::end).transpose()? {
         collector.log(Side::Far, &log);
