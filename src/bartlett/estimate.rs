@@ -90,6 +90,6 @@ pub struct Estimate {
     pub value: f64,
     /// Directions in which the profile was evaluated.
     pub evaluations: usize,
-    /// What the search computed and what it left out.
+    /// What the search computed and what it skipped.
     pub plan: SearchPlan,
 }

@@ -110,7 +110,7 @@ fn instructions(tier: Tier) -> &'static str {
     }
 }
 
-/// What a plan does, what it costs and what it left out, as a value that prints.
+/// What a plan does, what it costs and what it skipped, as a value that prints.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Explanation {
     /// The method.
@@ -166,7 +166,7 @@ pub enum ElevationSearch {
     Searched,
 }
 
-/// What a guaranteed search computed and what it left out, as a value that prints.
+/// What a guaranteed search computed and what it skipped, as a value that prints.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SearchPlan {
     /// The SIMD tier.

@@ -348,7 +348,7 @@ impl Trajectory {
     }
 
     /// With the attitudes of the poses that are not upright, by their times, seconds; the others have their heading's. They are
-    /// left out where times were rounded, or a clock was set back.
+    /// skipped where times were rounded, or a clock was set back.
     pub(super) fn with_attitudes(mut self, mut tilted: Vec<(f64, UnitQuaternion<f64>)>) -> Self {
         if tilted.is_empty() || self.rounded.is_some() || self.left_out.set_back.is_some() {
             return self;

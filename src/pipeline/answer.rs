@@ -85,7 +85,7 @@ pub struct Answer {
     /// The directions that explain the samples, the most probable first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub candidates: Vec<CandidateAnswer>,
-    /// Sampling-time slopes taken out, standard deviation, radians per subcarrier.
+    /// Sampling-time slopes removed, standard deviation, radians per subcarrier.
     pub slope_sd_rad: Option<f64>,
     /// Carrier frequency offset found from the turn-around jitter, Hz.
     pub cfo_hz: Option<f64>,
@@ -130,7 +130,7 @@ pub struct Answer {
     pub plan: Option<LinkPlan>,
 }
 
-/// The range change of a link in short: [`RangeChange`] has it exchange by exchange. Absent values are left out.
+/// The range change of a link in short: [`RangeChange`] has it exchange by exchange. Absent values are omitted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RangeChangeAnswer {
@@ -143,7 +143,7 @@ pub struct RangeChangeAnswer {
     /// Share of the exchanges at which the phase is known to its cycle, 0..1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held_share: Option<f64>,
-    /// Slips of the unwrapped phase that were taken out.
+    /// Slips of the unwrapped phase that were removed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slips: Option<usize>,
     /// Why there is no range change.
@@ -306,7 +306,7 @@ impl Answer {
         (self.position_m, self.position_t_s, self.position_covariance_m2) = (None, None, None);
     }
 
-    /// A link of which nothing is known yet.
+    /// A link about which nothing is known yet.
     #[must_use]
     pub(crate) fn nothing(name: String, mac: Mac) -> Self {
         Self { link: name, mac: Some(mac.to_string()), ..Self::default() }

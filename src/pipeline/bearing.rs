@@ -70,7 +70,7 @@ pub struct BearingAnswer {
     /// Most probable azimuth of the transmitter from the mean position, radians in (-pi, pi], from +x towards +y in the trajectory's
     /// frame.
     pub azimuth_rad: f64,
-    /// Error bar of the azimuth, radians: half the width that holds 68 % of the posterior. Where there is a mirror, of what
+    /// Error bar of the azimuth, radians: half the width that holds 68 % of the posterior. If there is a mirror, of what
     /// lies nearer to the azimuth than to the mirror.
     pub azimuth_sd_rad: f64,
     /// The same for 95 %.
@@ -103,7 +103,7 @@ pub struct BearingAnswer {
 }
 
 impl BearingAnswer {
-    /// The elevation with its sign where that is known, else its magnitude, radians.
+    /// The elevation with its sign if that is known, else its magnitude, radians.
     #[must_use]
     pub fn elevation_rad(&self) -> f64 {
         self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
@@ -227,7 +227,7 @@ pub struct Bearing {
     pub plane_wave: Estimate,
     /// Probability of each azimuth from 0 on, per radian, if [`super::Options::keep_course`] asked for it.
     pub density: Vec<f64>,
-    /// Standard deviation of the sampling-time slopes taken out, radians per subcarrier index, where they were.
+    /// Standard deviation of the sampling-time slopes removed, radians per subcarrier index, where they were.
     pub slope_sd_rad: Option<f64>,
     /// The robot's heading at the last sample used, radians.
     pub heading_rad: Option<f64>,
@@ -302,7 +302,7 @@ pub struct PairCounts {
     pub cut: usize,
     /// Without energy at the antenna.
     pub silent: usize,
-    /// Left out evenly, because the link has more pairs than are kept or only every so manieth was asked for.
+    /// Skipped evenly, because the link has more pairs than are kept or only every n-th was asked for.
     pub thinned: usize,
     /// Taken in motion outside the stretch that is searched, because all of it is too wide to be searched as one aperture.
     pub too_wide: usize,

@@ -92,7 +92,7 @@ impl Capture {
         Ok(self)
     }
 
-    /// The receiver's trajectory: CSV as [`csv`] reads it. Rows that cannot be read are left out.
+    /// The receiver's trajectory: CSV as [`csv`] reads it. Rows that cannot be read are skipped.
     ///
     /// # Errors
     /// If it cannot be read or has too few rows.

@@ -1,4 +1,4 @@
-//! What was computed for a link, and what was left out and why: a value that prints.
+//! What was computed for a link, and what was skipped and why: a value that prints.
 
 use super::bearing::Bearing;
 use super::options::Options;
@@ -32,7 +32,7 @@ pub struct StepPlan {
     pub taken: bool,
     /// What it was about, or why it was not taken.
     pub why: String,
-    /// Where it was left out: how far it might have moved the azimuth, degrees.
+    /// Where it was skipped: how far it might have moved the azimuth, degrees.
     pub risk_deg: Option<f64>,
 }
 
@@ -70,7 +70,7 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
             why: "one wave leaves nothing but noise".into(),
             risk_deg: Some(risk_rad.to_degrees()),
         },
-        Sufficient::Posterior(_) if !asked => step(name, false, "left out as asked".into()),
+        Sufficient::Posterior(_) if !asked => step(name, false, "skipped as asked".into()),
         Sufficient::Posterior(_) => step(name, taken, if taken { words.into() } else { not }),
     };
     let accuracy = &options.accuracy;
@@ -108,7 +108,7 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
 
 fn turn_around(bearing: &Bearing, options: &Options) -> String {
     match (&bearing.turn_around, options.compensate) {
-        (_, false) => "left out as asked".into(),
+        (_, false) => "skipped as asked".into(),
         (None, _) => "too few pairs, or clocks that no two cards have".into(),
         (Some(found), _) if bearing.compensated => format!("{:.0} Hz times the jitter of the turn-around", found.df_hz),
         (Some(_), _) => "the phase would not be steadier".into(),
@@ -120,7 +120,7 @@ fn elevation(bearing: &Bearing) -> String {
     match plan.elevation {
         ElevationSearch::Searched => format!("{} rings", plan.rings),
         ElevationSearch::NotObservable => "the samples constrain it less than its limits".into(),
-        ElevationSearch::NotAsked => "left out as asked".into(),
+        ElevationSearch::NotAsked => "skipped as asked".into(),
     }
 }
 

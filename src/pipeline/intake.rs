@@ -31,7 +31,7 @@ pub struct FrameHeard {
     pub row: u32,
     /// How far the card's clock is past that microsecond, picoseconds, where it is finer than one.
     pub left_ps: u32,
-    /// What is known of the frame itself.
+    /// What is known about the frame itself.
     pub proof: Proof,
     iq: [Iq; SUBCARRIERS],
 }
@@ -94,7 +94,7 @@ pub struct UnusedRecords {
 #[derive(Debug)]
 pub struct Front {
     antenna: Antenna,
-    /// What was counted.
+    /// The counts.
     pub log: LogReport,
     prover: Prover,
     /// What a record said of the clock at the next bfee.

@@ -28,7 +28,7 @@ fn every_second<T>(list: &mut Vec<T>) {
     });
 }
 
-/// What is known of a link once its logs were read.
+/// What is known about a link once its logs were read.
 #[derive(Clone, Debug)]
 pub struct Link {
     /// The transmitter's MAC.

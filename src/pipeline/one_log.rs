@@ -63,7 +63,7 @@ const ROUGH_ROWS: usize = 256;
 pub struct Array {
     first: Antenna,
     others: Vec<(Antenna, Vector3<f64>)>,
-    /// Of each baseline, where they are known.
+    /// Of each baseline, if they are known.
     constants: Vec<ChainConstant>,
 }
 
@@ -284,7 +284,7 @@ pub struct OneLog {
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct OneLogReport {
-    /// What was counted in the log.
+    /// Counts of the log.
     pub log: LogReport,
     /// A link for each sender, the one with most records first. [`LinkReport::link`] is none: there are no pairs.
     pub links: Vec<LinkReport>,
@@ -471,7 +471,7 @@ struct Joined {
     length_m: f64,
 }
 
-/// The time of each row on the trajectory's clock, seconds; none where it is not known.
+/// The time of each row on the trajectory's clock, seconds; none if it is not known.
 fn times_s(rows: &[Row], trajectory: &Trajectory, options: &Options) -> Result<Vec<Option<f64>>, LinkError> {
     let by_host = |row: &Row| row.host_us.map(|us| us as f64 * 1e-6 + options.clock_offset_s);
     let by_row = |row: &Row| trajectory.poses().get(row.row).map(|pose| pose.t_s);
@@ -568,7 +568,7 @@ impl Joined {
     /// The samples of all baselines as those of one array.
     ///
     /// Each baseline's constant is open. About the middle of its own samples it does not depend on the direction, to first
-    /// order, so that with all baselines about their middles and their constants taken out one constant is left for all.
+    /// order, so that with all baselines about their middles and their constants removed one constant is left for all.
     fn together(&self, options: &Options) -> Result<Together, LinkError> {
         let heard: Vec<(usize, &Baseline)> =
             self.baselines.iter().enumerate().filter(|(_, own)| !own.samples.is_empty()).collect();

@@ -50,7 +50,7 @@ pub struct Sighting {
     pub transmitter_m: Vector2<f64>,
     /// Bearing to it from the receiver, radians, from +x towards +y.
     pub azimuth_rad: f64,
-    /// The other bearing that the motion cannot tell from it, radians, where there is one.
+    /// The other bearing that the motion cannot tell from it, radians, if there is one.
     pub mirror_rad: Option<f64>,
     /// Further bearings that it may be, radians, each with its evidence in units of that of `azimuth_rad`: the other candidates.
     pub others: Vec<(f64, f64)>,
@@ -169,7 +169,7 @@ struct Seen {
 /// Locates a receiver.
 ///
 /// # Errors
-/// [`LocateError`] where the sightings do not fix a position. Sightings that are not finite are left out.
+/// [`LocateError`] where the sightings do not fix a position. Sightings that are not finite are skipped.
 pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
     let usable: Vec<Sighting> = sightings.iter().filter(|sighting| sighting.is_usable()).cloned().collect();
     let starts = starts(&usable);
@@ -372,7 +372,7 @@ mod tests {
         // Without evidence for it the direct path is no help, and all three bearings keep little of their say or one of them does.
         own[1].others.clear();
         assert!(locate(&own).unwrap().weights.iter().copied().fold(1.0, f64::min) < 0.1);
-        // The range of the answer says nothing of the other candidates.
+        // The range of the answer tells nothing about the other candidates.
         own[1].others = vec![(right, 0.5)];
         own[1].range_m = Some((1.0, 0.1));
         let found = locate(&own).unwrap();

@@ -40,7 +40,7 @@ pub struct QueueCounts {
     pub overflowed: u64,
     /// Messages that are none.
     pub foreign: u64,
-    /// Times that the other side began anew.
+    /// Times that the other side restarted.
     pub sessions: u64,
     /// Messages of a second sender under the same address: refused.
     pub contested: u64,
@@ -129,7 +129,7 @@ impl Mailbox {
         });
     }
 
-    /// What was counted.
+    /// The counts.
     #[must_use]
     pub fn counts(&self) -> QueueCounts {
         self.with(|shared| shared.counts)

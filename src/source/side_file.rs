@@ -38,7 +38,7 @@ pub struct Checks {
     /// Records of which the side file does not know the checksum: its disk was full, or the recorder was killed before it
     /// wrote the last ones.
     pub unknown: u64,
-    /// Records that are not as they were written, or never were: left out.
+    /// Records that are not as they were written, or never were: skipped.
     pub wrong: u64,
     /// Records that were written and are not in the log, or not as they were.
     pub missing: u64,
@@ -49,14 +49,14 @@ pub struct Checks {
 /// What a side file says of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Said {
-    /// When the host received it, microseconds since the Unix epoch; `None` where that is not known.
+    /// When the host received it, microseconds since the Unix epoch; `None` if that is not known.
     pub(super) host_us: Option<i64>,
     /// False where its checksum is another one.
     pub(super) is_right: bool,
 }
 
 impl Said {
-    /// Of a record of which nothing is known.
+    /// Of a record about which nothing is known.
     pub(super) const NOTHING: Self = Self { host_us: None, is_right: true };
 }
 

@@ -117,7 +117,7 @@ pub struct Survey {
     pub bfee_missing: u64,
     /// Records with the `bfee_count` of the one before.
     pub bfee_repeated: u64,
-    /// Steps back of `bfee_count`: the driver was loaded anew (or more than 32,767 records are missing).
+    /// Steps back of `bfee_count`: the driver was reloaded (or more than 32,767 records are missing).
     pub bfee_restarted: u64,
     /// Records of senders that were forgotten, as there were more than 256 kept.
     pub further_senders: u64,
@@ -135,7 +135,7 @@ pub struct Survey {
     pub noise_unknown: u64,
     /// Noise floor where measured, dBm.
     pub noise_dbm: Range,
-    /// RSSI by antenna A, B, C, dB relative to the card's reference; zeros (not connected) left out.
+    /// RSSI by antenna A, B, C, dB relative to the card's reference; zeros (not connected) skipped.
     pub rssi: [Range; 3],
     /// Gain of the receiver, dB.
     pub agc: Range,
@@ -189,7 +189,7 @@ fn sounded(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
     Some((frame.sender(), Some(frame.number())))
 }
 
-/// Sender of any frame: address 2, where it has one.
+/// Sender of any frame: address 2, if it has one.
 fn sent(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
     Some((Header::new_checked(frame).ok()?.addr2()?, None))
 }
@@ -377,7 +377,7 @@ impl Survey {
         TimeBase::of(self.bfees().saturating_sub(1), self.clock_steps.forward_us, self.clock.host_forward_us)
     }
 
-    /// Time from the first record to the last so far, microseconds; steps back of the clock count as none. Where there is no
+    /// Time from the first record to the last so far, microseconds; steps back of the clock count as none. If there is no
     /// clock it is the number of the last record, from 0, in millions.
     #[must_use]
     #[doc(hidden)] // for the crates of this workspace

@@ -59,7 +59,7 @@ impl ClockFit {
         set
     }
 
-    /// Forgets everything but the count: the controller's clock began anew.
+    /// Forgets everything but the count: the controller's clock restarted.
     pub fn restart(&mut self) {
         self.blocks.clear();
     }

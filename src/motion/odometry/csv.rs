@@ -15,7 +15,7 @@
 //!
 //! Metres, seconds and radians unless a heading says otherwise. What may mean two things is refused, with both readings and the
 //! [`Columns`] that choose one. Columns are parted by semicolons, tabs, commas or spaces; all but commas leave decimal commas to
-//! the numbers. Rows that cannot be read are counted with their line and left out.
+//! the numbers. Rows that cannot be read are counted with their line and skipped.
 
 use crate::motion::heading::heading_of;
 use crate::motion::pose::{Pose, Trajectory, TrajectoryError, TrajectoryKind};
@@ -50,12 +50,12 @@ impl CsvCounts {
     pub fn notes(&self, trajectory: &Trajectory) -> Vec<String> {
         let mut notes = Vec::new();
         if let Some((line, why)) = &self.first_bad {
-            notes.push(format!("{} rows left out, the first in line {line}: {why}", self.bad_rows));
+            notes.push(format!("{} rows skipped, the first in line {line}: {why}", self.bad_rows));
         }
         let left_out = trajectory.left_out();
         match left_out.set_back {
             Some((rows, back_s)) => notes.push(format!(
-                "time goes back by {back_s:.3} s while the robot goes on (a clock that was set?): {rows} rows left out, the longest \
+                "time goes back by {back_s:.3} s while the robot goes on (a clock that was set?): {rows} rows skipped, the longest \
                  part, {:.3} s to {:.3} s, is used",
                 trajectory.span_s().0,
                 trajectory.span_s().1
@@ -67,7 +67,7 @@ impl CsvCounts {
         }
         if left_out.same_time > 0 {
             notes.push(format!(
-                "{} rows left out at whose time another one is elsewhere: the last of each time is used",
+                "{} rows skipped at whose time another one is elsewhere: the last of each time is used",
                 left_out.same_time
             ));
         }
@@ -83,7 +83,7 @@ impl CsvCounts {
         notes
     }
 
-    /// True if rows were left out that say where the robot was: what is made of the rest is made of less than was given.
+    /// True if rows were skipped that say where the robot was: what is made of the rest is made of less than was given.
     #[must_use]
     pub fn lost_something(&self, trajectory: &Trajectory) -> bool {
         let left_out = trajectory.left_out();
@@ -210,7 +210,7 @@ const FURTHEST_M: f64 = 1e9;
 const LONGEST: u64 = 512 << 20;
 /// Poses of a trajectory at most, by the same measure: short rows are a fifth of the poses they become.
 const MOST_POSES: usize = 10_000_000;
-/// Bytes of a row at most; what is beyond is left out, so that a file without lines takes no memory.
+/// Bytes of a row at most; what is beyond is skipped, so that a file without lines takes no memory.
 const LONGEST_ROW: usize = 64 << 10;
 /// Lines above the first row that are kept to find headings in.
 const HEAD: usize = 32;
@@ -1158,7 +1158,7 @@ pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
     headless(&cells).filter(|layout| !layout.matrix).ok_or(RowError::Columns)?.pose(&cells).map(|(pose, _)| pose)
 }
 
-/// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
+/// A pose as a row: 6 columns, 5 if it has no heading, and the trailing comma.
 #[must_use]
 #[doc(hidden)]
 pub fn line(pose: &Pose) -> String {
@@ -1338,14 +1338,14 @@ mod tests {
         );
         let (words, lost) = said("1,0,0,0,0\n1,0,1,0,0\n2,0,1,0,0\n3,0,1,0,0\n4,0,?,0,0\n");
         assert!(
-            lost && words.starts_with("1 rows left out, the first in line 5: column 3 is not")
-                && words.contains("; 1 rows left out at whose time"),
+            lost && words.starts_with("1 rows skipped, the first in line 5: column 3 is not")
+                && words.contains("; 1 rows skipped at whose time"),
             "{words}"
         );
         let row = |k: u32| format!("{},0,{},0,0\n", if k < 60 { k } else { k - 30 }, f64::from(k) * 0.1);
         let (words, lost) = said(&(0..100).map(row).collect::<String>());
         assert!(
-            lost && words.starts_with("time goes back by 29.000 s") && words.contains(" 40 rows left out"),
+            lost && words.starts_with("time goes back by 29.000 s") && words.contains(" 40 rows skipped"),
             "{words}"
         );
     }

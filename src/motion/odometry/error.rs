@@ -3,7 +3,7 @@
 use super::csv::RowError;
 use crate::motion::pose::TrajectoryError;
 
-/// Why a source of poses cannot go on.
+/// Why a source of poses cannot continue.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OdometryError {

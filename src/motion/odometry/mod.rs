@@ -27,7 +27,7 @@ pub enum NextPose {
     /// A pose of the robot (not of its antenna). Its time is the host's wall clock at the measurement, seconds since
     /// the Unix epoch; a late pose may come after a newer one.
     Pose(Pose),
-    /// The poses from here on are in another frame: the sensor began anew.
+    /// The poses from here on are in another frame: the sensor restarted.
     NewFrame,
     /// Nothing yet: wait for [`OdometrySource::next_at`], or for the file descriptor.
     Pending,
@@ -35,14 +35,14 @@ pub enum NextPose {
     End,
 }
 
-/// What was counted of a robot of a simulated room that follows a source of poses.
+/// Counts of a robot of a simulated room that follows a source of poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct FollowedCounts {
     /// Poses that it follows.
     pub poses: u64,
-    /// Poses left out because a newer one had come, or because they were out of order.
+    /// Poses skipped because a newer one had come, or because they were out of order.
     pub late: u64,
-    /// Times that the source began anew.
+    /// Times that the source restarted.
     pub new_frames: u64,
     /// Times that the source's clock was set, or ran differently.
     pub clock_set: u64,

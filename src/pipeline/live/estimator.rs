@@ -208,7 +208,7 @@ impl LiveEstimator {
         self.peers.iter().map(move |state| (&state.peer, counts(state)))
     }
 
-    /// What was counted of this robot's own card.
+    /// Counts of this robot's own card.
     #[must_use]
     pub fn own_log(&self) -> &LogReport {
         &self.front.log

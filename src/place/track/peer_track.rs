@@ -70,7 +70,7 @@ struct Known {
 }
 
 impl PeerTrack {
-    /// A track of a peer of which nothing is known.
+    /// A track of a peer about which nothing is known.
     #[must_use]
     pub fn new(settings: TrackSettings) -> Self {
         Self { settings, known: None, counts: TrackCounts::default() }

@@ -30,7 +30,7 @@ pub struct Sender {
     pub frames_skipped: u64,
     /// Frames with the number of the one before: the card reports some twice.
     pub frames_repeated: u64,
-    /// Steps back of the frame number: a sender that started anew.
+    /// Steps back of the frame number: a sender that restarted.
     pub frames_restarted: u64,
     #[serde(skip)]
     numbering: Numbering,
@@ -118,7 +118,7 @@ pub enum NumberStep {
     Forward(u32),
     /// The one before once more.
     Repeated,
-    /// Back: the sender started anew.
+    /// Back: the sender restarted.
     Back,
 }
 

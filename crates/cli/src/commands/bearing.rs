@@ -155,7 +155,7 @@ fn check(args: &Args) {
     }
 }
 
-/// Opens the transmitters' logs. One that cannot be read is taken out of the arguments with what goes with it, and answered
+/// Opens the transmitters' logs. One that cannot be read is removed from the arguments with what goes with it, and answered
 /// with why; an error if it is the only one.
 fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
     let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);

@@ -153,7 +153,7 @@ pub fn run(args: &Args) -> Result {
         note!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): NaN there");
     }
     if records < survey.bfees() {
-        note!("  {} records were left out by --mac, --from, --to or --antennas", survey.bfees() - records);
+        note!("  {} records were skipped by --mac, --from, --to or --antennas", survey.bfees() - records);
     }
     if records == 0 {
         note!("nothing to write: no {}", args.output.display());
@@ -203,12 +203,12 @@ fn other_card(args: &Args, format: csi_formats::Format, bytes: &[u8]) -> Result 
     if read.other_shapes > 0 {
         let [n_rx, n_tx, n] = read.shape();
         note!(
-            "  {} of other widths or chains left out: most have {n_rx} x {n_tx} chains and {n} subcarriers",
+            "  {} of other widths or chains skipped: most have {n_rx} x {n_tx} chains and {n} subcarriers",
             super::some(read.other_shapes, "frame", "frames")
         );
     }
     if read.left_out > 0 {
-        note!("  {} left out by --mac, --from or --to", super::some(read.left_out, "frame", "frames"));
+        note!("  {} skipped by --mac, --from or --to", super::some(read.left_out, "frame", "frames"));
     }
     if records == 0 {
         note!("nothing to write: no {}", args.output.display());

@@ -222,7 +222,7 @@ pub fn check_words(checks: &Checks) -> String {
     let Checks { good, unknown, wrong, missing, out_of_step, .. } = *checks;
     let mut text = format!("checksums of the side file: {good} records right");
     for (count, what) in
-        [(wrong, "wrong and left out"), (missing, "of the side file not in the log"), (unknown, "unknown")]
+        [(wrong, "wrong and skipped"), (missing, "of the side file not in the log"), (unknown, "unknown")]
     {
         if count > 0 {
             let _ = write!(text, ", {count} {what}");

@@ -176,7 +176,7 @@ fn connector_summary(listener: &Netlink) -> String {
         (counters.other_bfee_gap, "numbers missing from bfee_count before this socket"),
         (counters.truncated, "datagrams longer than the buffer"),
         (counters.malformed, "datagrams that contradict themselves"),
-        (counters.foreign, "foreign messages left out"),
+        (counters.foreign, "foreign messages ignored"),
         (counters.user_senders, "messages from other programs refused (--allow-user-sender takes them)"),
     ];
     counted(&mut text, &counts);
@@ -205,7 +205,7 @@ fn stock_summary(stock: &Stock) -> String {
         (cards.no_order.into(), "records without an antenna order from the card"),
         (cards.no_sender.into(), "records of an unknown sender: no good frame (0xC1) came with them"),
         (counters.held_back, "frames before the first CSI, not recorded"),
-        (counters.others, "records of other robots' cards on this machine, left out"),
+        (counters.others, "records of other robots' cards on this machine, ignored"),
         (counters.reattached, "reloads of the driver; up to a second of records after each is missing"),
     ];
     counted(&mut text, &counts);

@@ -137,7 +137,7 @@ pub fn run(args: &Args) -> Result {
     Ok(Outcome::Nothing)
 }
 
-/// A scene from its file, or the built-in one of that name where there is no such file. One that makes no sense is wrong usage, as a
+/// A scene from its file, or the built-in one of that name if there is no such file. One that makes no sense is wrong usage, as a
 /// configuration is.
 pub fn load(file: &Path) -> std::result::Result<Scene, String> {
     Scene::find(file).map_err(|error| match error.is_of_text() {

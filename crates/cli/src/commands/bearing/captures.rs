@@ -246,7 +246,7 @@ fn turn_around(text: &mut String, bearing: &Bearing) {
     }
 }
 
-/// The answer, and the truth where it is known.
+/// The answer, and the truth if it is known.
 fn conclusion(text: &mut String, row: &Judged) {
     let answer = &row.answer;
     let number = |value: Option<f64>| value.map_or("-".into(), |value| fixed(value, 2));
@@ -269,7 +269,7 @@ fn conclusion(text: &mut String, row: &Judged) {
     truth(text, "truth        ", row);
 }
 
-/// The truth, where it is known.
+/// The truth, if it is known.
 fn truth(text: &mut String, head: &str, row: &Judged) {
     if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
         let _ = write!(text, "{head} {} deg: off by {}", fixed(truth, 2), fixed(error, 2));

@@ -70,7 +70,7 @@ fn refuse_named(args: &Args) -> Result<(), String> {
     }
 }
 
-/// The files of a folder in which no capture has its usual names; `None` where one has, or where there is no log.
+/// The files of a folder in which no capture has its usual names; `None` where one has, or if there is no log.
 fn loose_files(folder: &Path) -> Option<Vec<PathBuf>> {
     let (captures, _) = find_all(folder);
     if !captures.is_empty() {

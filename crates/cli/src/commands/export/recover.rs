@@ -252,7 +252,7 @@ pub fn run(args: &Recovery<'_>) -> Result {
     }
     if doubts.dropped > 0 {
         let doubtful = super::super::some(doubts.dropped, "doubtful record", "doubtful records");
-        note!("  {doubtful} left out beside the damage: they may not be real");
+        note!("  {doubtful} skipped beside the damage: they may not be real");
     }
     let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
     Ok(match (kept, survey.lost_something() || missing || doubts.dropped > 0) {
