@@ -178,7 +178,7 @@ pub fn mac(text: &str) -> Result<Mac, String> {
     text.parse::<Mac>().map_err(|error| error.to_string())
 }
 
-/// Where an antenna is seen from another, and the constant between their chains, if it is known.
+/// Where an antenna is seen from another, and the constant between their chains, where it is known.
 #[derive(Clone, Copy, Debug)]
 pub struct Baseline {
     pub metres: Vector3<f64>,
