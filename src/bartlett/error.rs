@@ -2,7 +2,7 @@
 
 use crate::signal::samples::SamplesError;
 
-/// Why there is no profile or no bearing. Every variant is found before anything is computed.
+/// Why there is no profile or no bearing. Every variant is found before any computation.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
     /// There is no sample at all.

@@ -1,4 +1,4 @@
-//! What is searched, and what is found.
+//! The search and its results.
 
 use super::explain::SearchPlan;
 use super::scene::{Geometry, Shape};
@@ -45,7 +45,7 @@ pub struct Peak {
     pub value: f64,
 }
 
-/// A bearing and what can be said about it.
+/// A bearing with its uncertainty.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Estimate {

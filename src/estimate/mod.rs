@@ -60,7 +60,7 @@ pub mod heading {
     pub const UNMOUNTED_RAD: f64 = sensor::UNMOUNTED_DEG.to_radians();
 }
 
-/// What is to be estimated, and how.
+/// The task of an estimate: inputs and options.
 pub(crate) struct Task<'a> {
     /// The samples at the channel centre.
     pub samples: &'a Samples,

@@ -243,7 +243,7 @@ fn unit(row: &Planes) -> Planes {
     if by.is_finite() { scaled(row, Complex32::new(by, 0.0)) } else { Planes::ZERO }
 }
 
-/// What odometry says of the distance.
+/// The distance by odometry.
 struct Prediction {
     /// Distance to the place, less that from the middle, at each exchange, metres.
     range_m: Vec<f64>,

@@ -194,7 +194,7 @@ impl<T> Pairing<T> {
         self.transmitter.finish();
     }
 
-    /// What became of the records of `side` so far.
+    /// The fate of the records of `side` so far.
     #[must_use]
     pub fn counts(&self, side: LinkSide) -> SideCounts {
         match side {

@@ -82,12 +82,12 @@ pub struct LeftOut {
     pub set_back: Option<(usize, f64)>,
 }
 
-/// What kind of sensor a trajectory is of, where that is certain: how well its heading is known follows from it.
+/// The kind of sensor of a trajectory, if certain; it determines the deviation of the heading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum TrajectoryKind {
-    /// Neither the file nor its name says it.
+    /// Neither the file nor its name tells.
     #[default]
     Unknown,
     /// Cameras of a room.

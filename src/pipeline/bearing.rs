@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Half width of what counts as right in a probability, radians.
 const RIGHT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// Candidates are given down to this probability, and at most so many.
+/// Candidates are given down to this probability, and at most this many.
 const LEAST_SHARE: f64 = 0.01;
 const MOST_CANDIDATES: usize = 5;
 /// Data narrow a prior where they leave less than this share of its deviation.
@@ -123,7 +123,7 @@ impl BearingAnswer {
         self
     }
 
-    /// What the posterior says.
+    /// The posterior's answer.
     pub(super) fn of(found: &Found, samples: &Samples) -> Self {
         let first = found.modes.first();
         let (place, covariance) = first.map_or((NOWHERE, Matrix3::identity()), |mode| (mode.place, mode.covariance));

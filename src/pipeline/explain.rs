@@ -1,4 +1,4 @@
-//! What was computed for a link, and what was skipped and why: a value that prints.
+//! The steps computed and skipped for a link, and why: a value that prints.
 
 use super::bearing::Bearing;
 use super::options::Options;
@@ -12,7 +12,7 @@ use std::fmt;
 /// The plan of one link.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LinkPlan {
-    /// What of each record was unpacked.
+    /// The part of each record that was unpacked.
     pub decoded: String,
     /// The steps before and after the search.
     pub steps: Vec<StepPlan>,
@@ -32,7 +32,7 @@ pub struct StepPlan {
     pub taken: bool,
     /// What it was about, or why it was not taken.
     pub why: String,
-    /// Where it was skipped: how far it might have moved the azimuth, degrees.
+    /// For a skipped step: by how much it might have moved the azimuth, degrees.
     pub risk_deg: Option<f64>,
 }
 

@@ -90,7 +90,7 @@ pub struct UnusedRecords {
     pub unauthenticated: u64,
 }
 
-/// What of each record the pipeline uses: one antenna of frames with a number. Everything is counted.
+/// The part of each record that the pipeline uses: one antenna of frames with a number. Everything is counted.
 #[derive(Debug)]
 pub struct Front {
     antenna: Antenna,

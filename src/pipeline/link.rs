@@ -47,7 +47,7 @@ pub struct Link {
     /// Those of them that are inside by the transmitter's host time.
     partner_inside: usize,
     first_us: Option<i64>,
-    /// One pair in so many is kept.
+    /// One in this many pairs is kept.
     stride: usize,
     /// Pairs of which one in so many was to be kept.
     offered: usize,

@@ -223,7 +223,7 @@ impl ArrayFrame {
     }
 }
 
-/// The receive chain of a frame that is connected to an antenna: told by a 5300, elsewhere they are counted.
+/// The receive chain of a frame that is connected to an antenna: a 5300 reports it; on other cards chains are numbered.
 fn chain(frame: &Frame, antenna: Antenna) -> Option<usize> {
     match frame.antenna_sel {
         Some(sel) => Antennas::new(sel, u8::try_from(frame.n_rx).ok()?, [0; 3]).ok()?.chain_of(antenna),
@@ -258,7 +258,7 @@ impl Row {
     }
 }
 
-/// What was heard of one sender.
+/// The records of one sender.
 #[derive(Clone, Debug)]
 struct Sender {
     rows: Vec<Row>,
@@ -266,7 +266,7 @@ struct Sender {
     heard: usize,
     /// Its frames, those that an antenna missed with them where they have to be counted.
     frames: usize,
-    /// One record in so many is kept.
+    /// One in this many records is kept.
     stride: usize,
 }
 

@@ -23,10 +23,10 @@ const CANDIDATE_POWER: f64 = 0.5;
 /// three links of a capture leave one place).
 const AS_LIKELY: f64 = 2.0;
 
-/// And is further away than so many deviations of the best (chosen).
+/// And is further away than this many deviations of the best (chosen).
 const APART_SD: f64 = 3.0;
 
-/// And than so many metres (chosen).
+/// And further than this many metres (chosen).
 const APART_M: f64 = 0.3;
 
 /// Error that no bearing is better than, radians (median error in line of sight about one degree whatever was
@@ -127,7 +127,7 @@ pub struct Located {
     pub others_m: Vec<Vector2<f64>>,
     /// Share of its weight that each usable sighting kept, 0..1: small for one that fits nothing else.
     pub weights: Vec<f64>,
-    /// Of each usable sighting, the bearing that this place speaks for, radians: the answer, its mirror or another candidate.
+    /// For each usable sighting, the bearing that fits this place best, radians: the answer, its mirror or another candidate.
     pub azimuths_rad: Vec<f64>,
     /// Height of the receiver and its standard deviation, metres, where a sighting has an elevation.
     pub height_m: Option<(f64, f64)>,

@@ -19,9 +19,9 @@ pub trait FrameReceiver {
     /// Only for fatal failures; damage is counted and skipped.
     fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error>;
 
-    /// Frames of which is known that they went out, if that can be known at all.
+    /// Frames confirmed as sent, if the source can tell.
     fn sent_for_certain(&self) -> Option<u64>;
 
-    /// Frames of which is known that sending failed.
+    /// Frames that failed to be sent.
     fn failed_for_certain(&self) -> u64;
 }

@@ -23,7 +23,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 const RECORDS: [u8; 4] = *b"c5r1";
 const POSES: [u8; 4] = *b"c5p2";
-/// A sender that fell silent for so long has left its address to others.
+/// A sender that is silent for this long loses its address to others.
 const OWNED: Span = Span::from_ms(1_000);
 const HEAD: usize = 16;
 const POSE: usize = 48;

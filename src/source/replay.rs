@@ -206,7 +206,7 @@ impl<R: Read> Replay<R> {
         self.framing.side.as_ref().map(SideFile::layout)
     }
 
-    /// What the checksums of the side file said so far; `None` without a side file that has them.
+    /// The results of the side file's checksums so far; `None` without checksums.
     #[must_use]
     pub fn checks(&self) -> Option<Checks> {
         self.framing.side.as_ref().and_then(SideFile::checks)

@@ -135,7 +135,7 @@ impl<R: Read> SideFile<R> {
         self.layout
     }
 
-    /// What it said of its log's records so far; `None` without checksums.
+    /// The results of its checks so far; `None` without checksums.
     pub(super) fn checks(&self) -> Option<Checks> {
         (self.layout == Layout::Checked).then_some(self.checks)
     }
@@ -154,7 +154,7 @@ impl<R: Read> SideFile<R> {
         }
     }
 
-    /// What it says of the next record, as the log has it.
+    /// Checks the next record, as the log has it.
     pub(super) fn take(&mut self, record: &[u8]) -> Said {
         if self.checks.out_of_step {
             return Said::NOTHING;

@@ -1,4 +1,4 @@
-//! What is in a log, and what is not: counts of everything read, dropped and missing.
+//! Contents and losses of a log: counts of everything read, dropped and missing.
 
 use crate::source::{Loss, Next, Stamps};
 use crate::time::Step16;
@@ -370,7 +370,7 @@ impl Survey {
         self.stock + self.wsr_2021 + self.wsr
     }
 
-    /// What says when the records came. It may be another one as long as there are few.
+    /// The clock that times the records. It may change as long as there are few.
     #[must_use]
     #[doc(hidden)] // for the crates of this workspace
     pub fn time_base(&self) -> TimeBase {

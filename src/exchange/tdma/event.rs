@@ -36,7 +36,7 @@ pub enum Event {
     },
     /// Slots of this robot's turn were skipped, as the driver came later than the guard.
     Missed {
-        /// So many in a row.
+        /// How many in a row.
         slots: u32,
         /// From the start of the first of them to the driver's coming.
         late: Span,

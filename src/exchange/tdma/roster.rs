@@ -6,7 +6,7 @@ use crate::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
 
-/// After so many unanswered frames a robot counts as absent.
+/// A robot is absent after this many unanswered frames.
 pub(super) const ABSENT_AFTER: u32 = 64;
 /// An absent robot is asked in every so manieth round at most.
 const ABSENT_ROUNDS: u16 = 8;

@@ -1,4 +1,4 @@
-//! Trajectory files: rows of numbers, told by their headings or, without any, by what is in the columns.
+//! Trajectory files: rows of numbers, identified by their headings or, without any, by the contents of the columns.
 //!
 //! A line of headings decides: order, units and the order of quaternions. It may be a comment, and may have titles above it and a
 //! line of units below. Without headings these are read; keys in brackets: docs/reference/references.md.
@@ -24,7 +24,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// What was read beside the poses.
+/// Notes about a file that was read.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
 pub struct CsvCounts {
@@ -45,7 +45,7 @@ pub struct CsvCounts {
 }
 
 impl CsvCounts {
-    /// What of a file is not used, or was put in order, in words: a sentence without its end each.
+    /// Skipped or reordered parts of a file, in words, a clause each.
     #[must_use]
     pub fn notes(&self, trajectory: &Trajectory) -> Vec<String> {
         let mut notes = Vec::new();
@@ -83,7 +83,7 @@ impl CsvCounts {
         notes
     }
 
-    /// True if rows were skipped that say where the robot was: what is made of the rest is made of less than was given.
+    /// True if rows with poses were skipped: results then use less than was given.
     #[must_use]
     pub fn lost_something(&self, trajectory: &Trajectory) -> bool {
         let left_out = trajectory.left_out();

@@ -26,7 +26,7 @@ pub enum OdometryError {
     /// A pose came that cannot be moved to the antenna.
     #[error(transparent)]
     Mounting(#[from] TrajectoryError),
-    /// A source of another program failed for a reason of its own.
+    /// A source in another program failed.
     #[error(transparent)]
     Other(Box<dyn std::error::Error + Send + Sync>),
     /// The thread that reads the sensor has ended.

@@ -48,7 +48,7 @@ pub struct FollowedCounts {
     pub clock_set: u64,
 }
 
-/// What a source of poses counted of its own; in JSON the fields of the variant alone.
+/// A source's own counts; in JSON only the fields of the variant.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 #[serde(untagged)]
 #[non_exhaustive]
@@ -82,12 +82,12 @@ pub trait OdometrySource {
     /// When the next pose is due, if the source knows: replay and simulation do, a live port does not.
     fn next_at(&self) -> Option<Instant>;
 
-    /// What is wrong with the source at the moment, in words, if anything is: unplugged, not answering.
+    /// The source's present problem, in words, if any: unplugged, not answering.
     fn trouble(&self) -> Option<String> {
         None
     }
 
-    /// What the source counted of its own, if it counts.
+    /// The source's own counts, if any.
     fn counted(&self) -> Option<SourceCounts> {
         None
     }

@@ -216,7 +216,7 @@ impl Inbox {
         true
     }
 
-    /// So many messages were dropped on the way.
+    /// Counts messages dropped on the way.
     pub fn dropped(&self, messages: u64) {
         self.lock().reader.counts.dropped += messages;
     }

@@ -113,7 +113,7 @@ impl PeerLink {
         }
     }
 
-    /// Forgets what was measured in another frame.
+    /// Drops measurements of another frame.
     pub(super) fn begin_anew(&mut self) {
         self.link.forget_before(i64::MAX);
         (self.last, self.searched, self.bearing) = (None, None, None);
@@ -183,7 +183,7 @@ impl PeerLink {
         self.link.forget_before((t_s * 1e6) as i64);
     }
 
-    /// What is to be said.
+    /// The report that is due.
     ///
     /// Whether both sides are one log, and whether they are of one run, is asked of the pairs in the window, as the bearing is
     /// made of them: a feed that goes wrong is refused once the window is full of it, and taken again when it has passed.

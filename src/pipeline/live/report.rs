@@ -71,7 +71,7 @@ pub enum PeerState {
     Failed,
 }
 
-/// What is said of a peer at one time.
+/// A report about a peer at one time.
 #[derive(Clone, Debug, Serialize)]
 pub struct PeerReport {
     /// Host time of the last exchange in it, seconds since the Unix epoch.

@@ -34,7 +34,7 @@ impl ClockSteps {
     }
 }
 
-/// What says when the records of a log came.
+/// The clock that times the records of a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]

@@ -1,4 +1,4 @@
-//! What is counted of one sender.
+//! Counts of one sender.
 
 use super::clocks::{CardClock, ClockSteps, TimeBase};
 use super::senders::Standing;
@@ -46,7 +46,7 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// What says when its records came.
+    /// The clock that times its records.
     fn time_base(&self) -> TimeBase {
         TimeBase::of(self.records.saturating_sub(1), self.clock_steps.forward_us, self.clock.host_forward_us)
     }
