@@ -105,7 +105,7 @@ pub enum Unmatched {
     NothingInCommon,
     /// Two MACs go with it about equally well.
     #[error(
-        "two transmitters match it about equally well ({spread_us:.1} us against {next_us:.1} us): a match has some tens. Are the logs of one run? Then name its MAC"
+        "two transmitters match it about equally well ({spread_us:.1} us against {next_us:.1} us; logs of one run have some tens): if they are of one run, name its MAC"
     )]
     Unclear {
         /// Spread of the best, microseconds.

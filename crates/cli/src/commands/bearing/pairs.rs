@@ -52,7 +52,7 @@ pub(super) fn pairs(answer: &Answer) -> String {
     if let (Some(cfo), Some(before), Some(after)) =
         (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)
     {
-        let verb = if answer.compensated { "taken out" } else { "not removed: the phase would not be steadier" };
+        let verb = if answer.compensated { "removed" } else { "not removed: the phase would not be steadier" };
         let drifts = answer.cfo_span_hz.map_or(String::new(), |hz| format!(" (drifting by {hz:.0} Hz)"));
         let _ = writeln!(text, "  CFO {cfo:.0} Hz{drifts} {verb}; phase coherence {before:.2} -> {after:.2}");
     }
