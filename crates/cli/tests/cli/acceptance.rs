@@ -169,7 +169,7 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
     let (out, said) = asked(&[], "B");
     assert!(out.contains("stopped: 1 of 3 parts are finished") && !said.contains("going on"), "{out}{said}");
     let (out, said) = asked(&["B"], "C");
-    assert!(said.contains("going on with the run that was stopped: listen"), "{said}");
+    assert!(said.contains("continuing the interrupted run: listen"), "{said}");
     assert!(out.contains("stopped: 2 of 3") && out.contains("0 records came without antenna B"), "{out}");
     let (out, said) = asked(&[], "C");
     assert!(said.contains("listen while another robot sounds, then you unplug antenna B taken from"), "{said}");

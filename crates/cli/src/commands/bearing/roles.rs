@@ -52,7 +52,7 @@ fn refuse_named(args: &Args) -> Result<(), String> {
     ];
     match given.iter().find(|(_, given)| *given) {
         Some((name, _)) => {
-            usage(&format!("{name} is of single logs: name the files of the capture instead of its folder"))
+            usage(&format!("{name} applies to single logs: name the files of the capture instead of its folder"))
         }
         None => Ok(()),
     }
