@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
                         csi5300 simulate --rx RX.dat --tx TX.dat --trajectory T.csv --channel 108\n  \
                         csi5300 simulate suite --repetitions 3")]
 pub struct Args {
-    /// The scene: a file, a built-in one (lab-circle, lab-line, paper-circle, paper-line), or suite: a table of the repeated
-    /// experiments of Dijkstra et al.
+    /// The scene: a file, a built-in one (lab-circle, lab-line, paper-circle, paper-line, two-antennas), or suite: a
+    /// table of the repeated experiments of Dijkstra et al.
     #[arg(required_unless_present_any = ["rx", "bag"])]
     scene: Option<PathBuf>,
     /// Folder for logs, trajectories and truth; for a comparison, for the fitted scene, the simulated capture and pictures
