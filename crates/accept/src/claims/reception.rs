@@ -133,12 +133,30 @@ pub(super) fn antenna_names(heard: &Heard, _: &Evidence) -> Told {
             heard.records.len()
         ));
     }
-    Told::share(
+    let told = Told::share(
         off.iter().filter(|off| **off > 5.0).count(),
         off.len(),
         0.02,
         "records have powers and RSSI that disagree by more than 5 dB",
-    )
+    );
+    Told { found: told.found.clone() + &power_and_rssi(heard), ..told }
+}
+
+/// By how much each antenna is above A, by the power of the chain that is named after it and by its RSSI: `; B less A: 4 dB by power, -4 by RSSI`.
+fn power_and_rssi(heard: &Heard) -> String {
+    let of = |record: &HeardRecord, antenna: Antenna| {
+        let chain = antennas(record)?.chain_of(antenna)?;
+        let rssi = record.head.rssi.get(antenna.index()).copied().filter(|rssi| *rssi > 0)?;
+        let power = chain_power(record, chain);
+        (power >= LEAST_POWER).then(|| (10.0 * power.log10(), f64::from(rssi)))
+    };
+    let above_a = |antenna: Antenna| {
+        let both = heard.records.iter().filter_map(|record| of(record, antenna).zip(of(record, Antenna::A)));
+        let (power, rssi): (Vec<f64>, Vec<f64>) = both.map(|(own, a)| (own.0 - a.0, own.1 - a.1)).unzip();
+        let (power, rssi) = quantile(&power, 0.5).zip(quantile(&rssi, 0.5))?;
+        Some(format!("; {antenna} less A: {power:.0} dB by power, {rssi:.0} dB by RSSI"))
+    };
+    [Antenna::B, Antenna::C].into_iter().filter_map(above_a).collect()
 }
 
 /// Where the value is that belongs to the k-th index.

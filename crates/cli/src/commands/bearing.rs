@@ -369,6 +369,14 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
                 unused.no_number, unused.no_antenna, unused.other_sender
             );
         }
+        let is_wide = report.survey.rates.keys().any(|rate| rate & csi5300::source::other_card::WIDE != 0);
+        let channel = args.channel.map(|channel| channel.to_string()).unwrap_or_default();
+        if is_wide && !channel.ends_with("MHz") {
+            let _ = writeln!(
+                text,
+                "  frames of 80 or 160 MHz are taken about their centre: name the channel by that, for example --channel 5530MHz"
+            );
+        }
         if let Some((better, above_db)) = report.survey.better_antenna(args.estimation.antenna()) {
             let _ = writeln!(
                 text,
