@@ -372,7 +372,7 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "at most 2 % of the records more than 5 dB off",
         source: "csitool: csi and rssi_a, rssi_b, rssi_c of one record; both are measured behind the same gain",
         causes: &[
-            "two antennas are exchanged in `antenna_sel` or in the RSSI fields, if the two differences have opposite signs",
+            "two antennas are exchanged in `antenna_sel` or in the RSSI fields, if the two differences have opposite signs; which field, only an unplugged antenna shows (`unplug`)",
             "`antenna_sel` is constant while the order of the chains changes",
         ],
         next: "unplug antenna B, record 10 s, and look at `csi5300 info LOG.dat --plot DIR`: the named chain falls",
@@ -492,8 +492,8 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "at most 1 % of the numbers twice",
         source: "sounding frames are sent without retries and numbered",
         causes: &[
-            "the driver writes an old number, if as many numbers are skipped",
-            "the responder answers twice, or its card retries, if none is skipped",
+            "the robot that sent these frames sends some twice, if none is skipped: see injection.once, or its responder answers twice",
+            "this card's driver writes an old number, if as many numbers are skipped",
             "two programs sound under one MAC address",
         ],
         next: "`csi5300 info LOG.dat -v`: numbers that come twice, by sender",
@@ -594,7 +594,10 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::Rest,
         expected: "coherence within each second at least 0.7",
         source: "0.7 is a spread of 0.84 rad within a second",
-        causes: &["the carrier offset does not cancel, if phase.cancels fails", "something moves near the robots"],
+        causes: &[
+            "the carrier offset does not cancel, if phase.cancels fails or is below 0.8: one card sends and receives on different carriers",
+            "something moves near the robots",
+        ],
         next: "`csi5300 info LOG.dat --plot DIR` of both, while nobody walks between the robots",
         check: Check::Pairs(link::rest),
     },
@@ -658,7 +661,7 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "at most 1 % sent more than once",
         source: "the count of retries in the driver's report (radiotap field 17)",
         causes: &["the driver waits for acknowledgements: the frames lack the flag against it"],
-        next: "see firmware-notes/injection.md",
+        next: "on the robot that sends: `csi5300 doctor`, then firmware-notes/injection.md",
         check: Check::Link(injection::once),
     },
     Claim {
