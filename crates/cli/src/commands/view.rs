@@ -62,7 +62,9 @@ pub fn run(args: &Args) -> Result {
     let ends = Ends::catch(ends_by_hangup()).map_err(|error| error.to_string())?;
     // Before it is opened: a pipe would be waited for.
     View::check(&args.what).map_err(|error| error.to_string())?;
-    super::files::must_be_log(&args.what)?;
+    if !csi5300_lab::cards::is_log(&args.what) {
+        super::files::must_be_log(&args.what)?;
+    }
     let view = View::open(&args.what, reading(&args.reading())).map_err(|error| error.to_string())?;
     view.left_out().iter().for_each(|words| note!("{words}"));
     let view = Arc::new(view);
