@@ -1,6 +1,6 @@
 //! `csi5300 view`: a page in the browser about a log, captures or a running node.
 
-use super::args::{Estimation, antenna, channel};
+use super::args::{Estimation, address, antenna, channel};
 use super::captures::{Reading, Which};
 use super::mounting::Mounting;
 use super::{Outcome, Result, print, usage};
@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(value_name = "LOG|DIR|SOCKET")]
     what: PathBuf,
     /// Address to listen on; port 0 takes any free port. Everybody who can reach the address can see the page
-    #[arg(long, default_value = "127.0.0.1:0", value_name = "ADDRESS:PORT")]
+    #[arg(long, default_value = "127.0.0.1:0", value_parser = address, value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
     /// Open the page in the browser
     #[arg(long)]

@@ -272,3 +272,18 @@ fn the_page_shows_logs_of_other_cards() {
         assert_eq!(maps.len(), antennas.len(), "{name}");
     }
 }
+
+#[cfg(feature = "view")]
+#[test]
+fn an_address_without_its_half_is_shown_whole() {
+    let folder = Folder::new("address");
+    for (given, wanted) in [("8080", "127.0.0.1:8080"), (":9000", "127.0.0.1:9000"), ("localhost:1", "127.0.0.1:8080")]
+    {
+        let (status, _, err) = folder.run(&["view", "x.dat", "--listen", given]);
+        assert!(status == 2 && err.contains(wanted) && err.contains("an IP address and a port"), "{given}: {err}");
+    }
+    for given in ["00:21:6a:53:89", "00216a5389d2", "00:21:6a:53:89:zz"] {
+        let (status, _, err) = folder.run(&["bearing", "--tx-mac", given, "a.dat", "b.dat", "t.csv"]);
+        assert!(status == 2 && err.contains("six hexadecimal octets like 00:21:6a:53:89:d2"), "{given}: {err}");
+    }
+}
