@@ -15,6 +15,8 @@ RIDDLES = [
     r"\b(is|are) none of (this|that) kind\b",
     r"\bfor which .* speaks\b",
     r"\bis no more\b",
+    r"\b(left|taken) out\b",
+    r"\banew\b",
 ]
 LONGEST, MEDIAN, FEW = 40, 18, 5
 

@@ -189,7 +189,7 @@ impl Step16 {
         self.last.replace(raw).map(|last| raw.wrapping_sub(last))
     }
 
-    /// Numbers left out between the last reading and this one: 0 for consecutive ones and for the first.
+    /// Numbers skipped between the last reading and this one: 0 for consecutive ones and for the first.
     ///
     /// A repeated number is a step of 65,536 and counts 65,535; callers that know of duplicates look first.
     pub fn missing(&mut self, raw: u16) -> u16 {

@@ -177,7 +177,7 @@ pub enum Error {
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::Short { got } => write!(f, "bfee of {got} bytes, its header alone has {STOCK_HEADER}"),
+            Self::Short { got } => write!(f, "bfee of {got} bytes, its header needs {STOCK_HEADER}"),
             Self::Chains { n_rx, n_tx } => write!(f, "bfee with n_rx {n_rx}, n_tx {n_tx}; both must be 1 to 3"),
             Self::CsiLength { expect, got } => write!(f, "bfee says {got} bytes of CSI, its chains need {expect}"),
             Self::BodyLength { csi, got } => write!(
@@ -226,7 +226,7 @@ pub(crate) fn check(head: &[u8; STOCK_HEADER], body_len: usize) -> Result<Layout
 }
 
 impl<'a> Bfee<'a> {
-    /// Checks a body (without the code byte). It may go on behind its CSI, see [`Bfee::behind_csi`].
+    /// Checks a body (without the code byte). It may continue behind its CSI, see [`Bfee::behind_csi`].
     ///
     /// # Errors
     /// When the body is too short, the chains are not 1 to 3, or the lengths disagree.
@@ -243,7 +243,7 @@ impl<'a> Bfee<'a> {
         }
     }
 
-    /// A body that goes on behind its CSI: of the layouts that it is long enough for the first in which the bits between
+    /// A body that continues behind its CSI: of the layouts that it is long enough for the first in which the bits between
     /// the samples are 0, or stock, as csitool's readers take it.
     #[cold]
     fn longer(head: &'a [u8; STOCK_HEADER], rest: &'a [u8], csi: usize) -> Option<Self> {

@@ -13,7 +13,7 @@
 //! | [`sounding`], [`radiotap`] | what is injected |
 //! | [`stock`] | the card's own packets under an unmodified driver, and the records made of them |
 //!
-//! All multi-byte fields are little-endian unless said otherwise; the driver runs on such hosts only.
+//! All multi-byte fields are little-endian unless noted otherwise; the driver runs on such hosts only.
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]

@@ -244,7 +244,7 @@ pub struct Repr<'a> {
 }
 
 impl<'a> Repr<'a> {
-    /// The fields of a frame, its FCS left out.
+    /// The fields of a frame without its FCS.
     #[must_use]
     pub fn parse(mpdu: &Mpdu<'a>) -> Self {
         Self {

@@ -98,9 +98,9 @@ impl Check {
 /// What a side file says of one record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Entry {
-    /// When the host received it, microseconds since the Unix epoch; `None` where that is not known.
+    /// When the host received it, microseconds since the Unix epoch; `None` if that is not known.
     pub host_us: Option<i64>,
-    /// Its length and checksum; `None` where they are not known, and in layouts that have none.
+    /// Its length and checksum; `None` if they are not known, and in layouts that have none.
     pub check: Option<Check>,
 }
 

@@ -1,12 +1,13 @@
 """Between csi5300-node and a master of ROS 1: lines of JSON on standard input and output. The node starts it (`[ros]`), has it
 inside, and needs rospy: Debian's python3-rospy, or a sourced setup.bash of Melodic (Python 2) or Noetic.
 
-In: first {"master", "node", "read": [{"topic", "type"}], "write": [{"topic", "type"}], "definitions": {type: text}}, then
-{"to": NUMBER, "message": {...}} for each message. Out: {"topic": NUMBER, "stamp", "frame", "position", "orientation"} for each
-pose that comes (without the rest where a number is none), and {"connections", "trouble", "wrong": [...]} once a second.
+In: first {"master", "node", "read": [{"topic", "type"}], "write": [{"topic", "type"}], "serves", "definitions": {type: text}},
+then {"to": NUMBER, "message": {...}} for each message and {"answer": NUMBER, "message": {...}} for each call of ~self_test. Out:
+{"topic": NUMBER, "stamp", "frame", "position", "orientation"} for each pose that comes (without the rest where a number is none),
+{"asked": NUMBER} for each call, and {"connections", "trouble", "wrong": [...]} once a second.
 """
 from __future__ import print_function
-import json, os, signal, sys, threading, time
+import itertools, json, os, signal, sys, threading, time
 
 for ignored in (signal.SIGINT, signal.SIGTERM):  # the node ends it, by the end of its input
     signal.signal(ignored, signal.SIG_IGN)
@@ -19,15 +20,24 @@ os.dup2(2, 1)
 import genpy.dynamic, rosgraph, rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from std_msgs.msg import Empty
 try:
     from xmlrpc.client import ServerProxy
 except ImportError:
     from xmlrpclib import ServerProxy
 
-master, lock, publishers = rosgraph.Master(node, uri), threading.Lock(), []
+master, lock, publishers, services = rosgraph.Master(node, uri), threading.Lock(), [], []
 kinds = {"nav_msgs/Odometry": Odometry, "geometry_msgs/PoseStamped": PoseStamped}
 for name, text in asked["definitions"].items():
-    kinds[name] = genpy.dynamic.generate_dynamic(name, text)[name]
+    made = genpy.dynamic.generate_dynamic(name, text)
+    kinds.update((kind, made[kind]) for kind in made if kind == name or kind not in kinds)
+calls, answered, answers = itertools.count(), threading.Condition(), {}
+
+
+class SelfTest(object):
+    """The service diagnostic_msgs/SelfTest, which a bare rospy lacks."""
+    _type, _md5sum = "diagnostic_msgs/SelfTest", "ac21b1bab7ab17546986536c22eb34e9"
+    _request_class, _response_class = Empty, kinds["diagnostic_msgs/SelfTestResponse"]
 
 
 def say(**told):
@@ -54,6 +64,8 @@ def fill(message, told):
             value = rospy.Time(value["sec"], value["nanosec"])
         elif isinstance(value, dict):
             value = fill(getattr(message, name), value)
+        elif isinstance(value, list) and kind[:-2] in kinds:
+            value = [fill(kinds[kind[:-2]](), one) for one in value]
         elif value is None and name in told:
             value = float("nan")  # JSON has no such number
         if value is not None:
@@ -61,11 +73,26 @@ def fill(message, told):
     return message
 
 
+def self_test(_):
+    with answered:
+        call, end = next(calls), time.time() + 10
+        answers[call] = None
+        say(asked=call)
+        while answers[call] is None and time.time() < end:
+            answered.wait(0.1)
+        answer = answers.pop(call)
+    if answer is None:
+        raise rospy.ServiceException("csi5300-node does not answer")
+    return fill(SelfTest._response_class(), answer)
+
+
 def register():
     """Once more, with a master that began anew; connections that there are go on."""
     own = rospy.get_node_uri()
     for one in asked["write"]:
         master.registerPublisher(one["topic"], one["type"], own)
+    for one in services:
+        master.registerService(one.resolved_name, one.uri, own)
     for one in asked["read"]:
         found = master.registerSubscriber(one["topic"], one["type"], own)
         if found:
@@ -73,8 +100,9 @@ def register():
 
 
 def is_known(state):
-    publishing, subscribing = dict(state[0]), dict(state[1])
-    return (all(node in publishing.get(one["topic"], []) for one in asked["write"])
+    publishing, subscribing, serving = [dict(part) for part in state]
+    return (all(node in serving.get(one.resolved_name, []) for one in services)
+            and all(node in publishing.get(one["topic"], []) for one in asked["write"])
             and all(node in subscribing.get(one["topic"], []) for one in asked["read"]))
 
 
@@ -88,6 +116,8 @@ def watch():
                 rospy.init_node(node.rpartition("/")[2], disable_signals=True)
                 for number, one in enumerate(asked["read"]):
                     rospy.Subscriber(one["topic"], kinds[one["type"]], heard, number, queue_size=64, tcp_nodelay=True)
+                if asked["serves"]:
+                    services.append(rospy.Service("~self_test", SelfTest, self_test))
                 publishers.extend(rospy.Publisher(one["topic"], kinds[one["type"]], queue_size=64) for one in asked["write"])
                 connections = 1
             unknown = 0 if is_known(master.getSystemState()) else unknown + 1
@@ -113,7 +143,12 @@ thread.daemon = True
 thread.start()
 for line in iter(sys.stdin.readline, ""):
     told = json.loads(line)
-    if told["to"] < len(publishers):
+    if "answer" in told:
+        with answered:
+            if told["answer"] in answers:  # or it came too late
+                answers[told["answer"]] = told["message"]
+                answered.notify_all()
+    elif told["to"] < len(publishers):
         publisher = publishers[told["to"]]
         publisher.publish(fill(publisher.data_class(), told["message"]))
 rospy.signal_shutdown("the node has ended")

@@ -118,7 +118,7 @@ def test_rows_of_a_trajectory_that_are_left_out_are_a_warning(path_csv: Path, tm
     rows[7] = "?,0,1,2,3,"
     damaged = tmp_path / "damaged.csv"
     damaged.write_text("\n".join(rows) + "\n")
-    with pytest.warns(UserWarning, match=r"damaged.csv: 1 rows left out, the first in line 8: column 1 is not"):
+    with pytest.warns(UserWarning, match=r"damaged.csv: 1 rows skipped, the first in line 8: column 1 is not"):
         track = csi5300.read_trajectory(damaged)
     assert len(track) == len(whole) - 1
 

@@ -78,9 +78,7 @@ fn skipped(scene: &Scene, key: &Key, choice: &Choice) -> Vec<String> {
         list.push(String::from("the axis across a tilted plane"));
     }
     if key.line {
-        list.push(String::from(
-            "both axes across the line: one cosine, so that a direction and its mirror are the same",
-        ));
+        list.push(String::from("both axes across the line: one cosine, so a direction and its mirror are the same"));
     } else if geometry == Geometry::Line {
         list.push(String::from("little: along the line it wobbles by more than the tolerance lets pass"));
     }

@@ -2,7 +2,7 @@
 
 use crate::signal::samples::SamplesError;
 
-/// Why there is no profile or no bearing. Every variant is found before anything is computed.
+/// Why there is no profile or no bearing. Every variant is found before any computation.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
     /// There is no sample at all.
@@ -28,13 +28,13 @@ pub enum Error {
     /// An elevation limit outside 0 to 90 degrees.
     #[error("largest elevation {elevation_max_rad} rad, expected 0 to pi/2")]
     ElevationMax {
-        /// What was given.
+        /// The given value.
         elevation_max_rad: f64,
     },
     /// A tolerance that is negative or not a number.
     #[error("tolerance {eps}, expected 0 (exact) or a positive number")]
     Tolerance {
-        /// What was given.
+        /// The given value.
         eps: f64,
     },
     /// A direction of a list that is not finite.

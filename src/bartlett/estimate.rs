@@ -1,4 +1,4 @@
-//! What is searched, and what is found.
+//! The search and its results.
 
 use super::explain::SearchPlan;
 use super::scene::{Geometry, Shape};
@@ -45,7 +45,7 @@ pub struct Peak {
     pub value: f64,
 }
 
-/// A bearing and what can be said about it.
+/// A bearing with its uncertainty.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Estimate {
@@ -90,6 +90,6 @@ pub struct Estimate {
     pub value: f64,
     /// Directions in which the profile was evaluated.
     pub evaluations: usize,
-    /// What the search computed and what it left out.
+    /// What the search computed and what it skipped.
     pub plan: SearchPlan,
 }

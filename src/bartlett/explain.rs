@@ -1,4 +1,4 @@
-//! How a profile may be asked for, and what a plan says of itself.
+//! How to request a profile, and the description of a plan.
 
 use std::fmt;
 
@@ -77,7 +77,7 @@ pub enum Precision {
     Double,
 }
 
-/// What a plan says of its method, its numbers and its instructions.
+/// A plan's method, precision and instructions.
 fn words(method: Method) -> &'static str {
     match method {
         Method::Constant => "one value for all directions",
@@ -110,7 +110,7 @@ fn instructions(tier: Tier) -> &'static str {
     }
 }
 
-/// What a plan does, what it costs and what it left out, as a value that prints.
+/// What a plan does, what it costs and what it skipped, as a value that prints.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Explanation {
     /// The method.
@@ -129,7 +129,7 @@ pub struct Explanation {
     pub estimate_us: f64,
     /// Bytes of tables.
     pub table_bytes: usize,
-    /// What was not computed, and why.
+    /// The directions not computed, and why.
     pub skipped: Vec<String>,
     /// Sizes inside: kernel width, FFT lengths, band limits.
     pub detail: String,
@@ -166,7 +166,7 @@ pub enum ElevationSearch {
     Searched,
 }
 
-/// What a guaranteed search computed and what it left out, as a value that prints.
+/// What a guaranteed search computed and what it skipped, as a value that prints.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SearchPlan {
     /// The SIMD tier.
@@ -194,7 +194,7 @@ pub struct SearchPlan {
 }
 
 impl SearchPlan {
-    /// What was not computed, and why.
+    /// The directions not computed, and why.
     #[must_use]
     pub fn skipped(&self) -> Vec<String> {
         let mut list = vec![format!(

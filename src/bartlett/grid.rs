@@ -33,7 +33,7 @@ impl PartialEq for Grid {
 /// How the directions of a grid are arranged.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Layout {
-    /// `azimuths` evenly spaced around the circle from -180 degrees, 180 left out, for each of the elevations.
+    /// `azimuths` evenly spaced around the circle from -180 degrees, without 180, for each of the elevations.
     Rings { azimuths: usize, elevations_rad: Vec<f64> },
     /// Any (azimuth, elevation) pairs, `width` of them to a row.
     List { directions: Vec<(f64, f64)>, width: usize },

@@ -28,7 +28,7 @@ impl Maximum {
 /// The rows on one side of the horizon, from the horizon outwards: each is searched once the next one is there.
 #[derive(Default)]
 pub(super) struct Side {
-    /// The row before the last one, and the last one; empty where there is none.
+    /// The row before the last one, and the last one; empty if there is none.
     before: Vec<f64>,
     last: Vec<f64>,
     elevation: f64,

@@ -60,7 +60,7 @@ pub mod heading {
     pub const UNMOUNTED_RAD: f64 = sensor::UNMOUNTED_DEG.to_radians();
 }
 
-/// What is to be estimated, and how.
+/// The task of an estimate: inputs and options.
 pub(crate) struct Task<'a> {
     /// The samples at the channel centre.
     pub samples: &'a Samples,
@@ -142,7 +142,7 @@ pub(crate) struct Found {
     pub prior: Prior,
     /// Cramer-Rao bound of the azimuth, radians.
     pub bound_rad: f64,
-    /// Standard deviation of the sampling-time slopes taken out, radians per subcarrier index.
+    /// Standard deviation of the sampling-time slopes removed, radians per subcarrier index.
     pub slope_sd_rad: Option<f64>,
     /// The middle of the motion, metres.
     pub middle_m: Vector3<f64>,
@@ -461,7 +461,7 @@ fn early(
     })
 }
 
-/// The channels along the motion, averaged, and the standard deviation of the slopes that were taken out.
+/// The channels along the motion, averaged, and the standard deviation of the slopes that were removed.
 fn channels(
     task: &Task<'_>,
     points: &[Vector3<f64>],

@@ -2,7 +2,7 @@
 //!
 //! Then every sample is independent, and the most likely place is efficient: no window, other subcarrier or other path can
 //! add to it more than the noise hides. Whether the residual phases are noise is tested twice, each with a false alarm in
-//! [`FALSE_ALARM`]: by their cumulative periodogram along the motion (a bent trajectory, anything that goes on from sample
+//! [`FALSE_ALARM`]: by their cumulative periodogram along the motion (a bent trajectory, anything that continues from sample
 //! to sample), and by their highest Bartlett peak (another path). A path of amplitude `b` leaves phases `b sin(psi)`, half of
 //! which are a wave of its direction: one that stays below a peak of `p` times what noise has on average moves the azimuth by
 //! at most `sqrt(2 p)` times the deviation that the noise leaves.
@@ -117,7 +117,7 @@ struct Wave<'a> {
     open: Open,
 }
 
-/// Looks for one wave next to `start`, or where none is given next to `plane_wave`. `points` are the displacements of
+/// Looks for one wave next to `start`, or next to `plane_wave` if there is none. `points` are the displacements of
 /// `samples` about their middle.
 ///
 /// # Errors
@@ -539,7 +539,7 @@ fn highest_peak(wave: &Wave<'_>, at: &At, left: &[f64], plane_wave: &Estimate, t
     let samples = wave.samples;
     let mut rest = Samples::new(samples.wavelength_m(), samples.path_gain()).map_err(|_| Unexplained::NoPlace)?;
     for (k, ((p, phase), e)) in wave.points.iter().zip(wave.phases(at)).zip(left).enumerate() {
-        // As it was before the wave was taken out of it.
+        // As it was before the wave was removed from it.
         let value = Complex64::new(0.0, *e) * Complex64::cis(-phase);
         rest.push(k as f64, value, *p, Vector3::zeros()).map_err(|_| Unexplained::NoPlace)?;
     }

@@ -1,4 +1,4 @@
-//! From the likelihood and the prior to everything that is said of a direction.
+//! From the likelihood and the prior to directions, error bars and probabilities.
 //!
 //! A grid over azimuth, elevation and 1 / range, as dense as the aperture asks for, gives the probability of each azimuth.
 //! About each of its tops a finer grid closes in until the posterior fills it, so that a sharp top is resolved as well as a

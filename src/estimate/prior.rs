@@ -1,4 +1,4 @@
-//! What is known of a transmitter's place before anything was heard.
+//! What is known about a transmitter's place before anything was heard.
 //!
 //! Azimuth: uniform. |elevation|: uniform up to [`tuning::ELEVATION_DEG`]; where the motion is not level, and so distinguishes
 //! elevations, [`tuning::ELEVATION_BEYOND`] of the probability lies uniformly between there and the zenith. Range: uniform in its logarithm from

@@ -59,7 +59,7 @@ pub struct RangeChange {
     /// Whether the phase is known to its cycle at each exchange: the deviation of its distance is below an eighth of a wavelength.
     pub held: Vec<bool>,
     /// Exchanges, by their place in the lists, at which the phase, merely unwrapped, slips by half a wavelength of distance; that
-    /// is taken out.
+    /// is removed.
     pub slips: Vec<usize>,
     /// Mean part of the channel that follows the range change, 0..1.
     pub coherence: f64,
@@ -220,7 +220,7 @@ impl Steps {
         self.of.iter().zip(&self.driven_m).map(one).collect()
     }
 
-    /// One row of unit power for each step, of rows turned back by `range_m`; zeros where there is nothing.
+    /// One row of unit power for each step, of rows turned back by `range_m`; zeros if there is nothing.
     fn rows(&self, rows: &[Planes], range_m: &[f64], wavenumber: f64) -> Vec<Planes> {
         let mut sums = vec![Planes::ZERO; self.len()];
         for ((step, row), range_m) in self.of.iter().zip(rows).zip(range_m) {
@@ -243,7 +243,7 @@ fn unit(row: &Planes) -> Planes {
     if by.is_finite() { scaled(row, Complex32::new(by, 0.0)) } else { Planes::ZERO }
 }
 
-/// What odometry says of the distance.
+/// The distance by odometry.
 struct Prediction {
     /// Distance to the place, less that from the middle, at each exchange, metres.
     range_m: Vec<f64>,

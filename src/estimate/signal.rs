@@ -73,7 +73,7 @@ pub(crate) fn remove_slope(rows: &mut [Planes], indices: &[i8; SUBCARRIERS], tie
 }
 
 /// Turns each row, in the order of time, to the mean slope of the rows about it. The phase at the channel centre stays.
-/// Returns the standard deviation of the slopes that were taken out, radians per subcarrier index.
+/// Returns the standard deviation of the slopes that were removed, radians per subcarrier index.
 pub(crate) fn align(rows: &mut [Planes], indices: &[i8; SUBCARRIERS], tier: Tier) -> f64 {
     let comb = Comb::new(indices);
     let products: Vec<Complex32> = on_tier!(tier.level_or_portable(), _simd => {

@@ -21,7 +21,7 @@ const PATIENCE: Span = Span::from_ms(2_000);
 /// Records of a side that wait, and numbers that are kept, at most.
 const KEPT: usize = 4_096;
 
-/// What was not admitted, by reason.
+/// Records not admitted, by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct AdmissionCounts {

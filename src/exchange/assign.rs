@@ -105,7 +105,7 @@ pub enum Unmatched {
     NothingInCommon,
     /// Two MACs go with it about equally well.
     #[error(
-        "two transmitters go with it about equally well ({spread_us:.1} us against {next_us:.1} us): are the logs of one run, where the better has some tens? Then name its MAC"
+        "two transmitters match it about equally well ({spread_us:.1} us against {next_us:.1} us; logs of one run have some tens): if they are of one run, name its MAC"
     )]
     Unclear {
         /// Spread of the best, microseconds.
@@ -130,7 +130,7 @@ pub enum Unmatched {
     },
     /// Another log goes better with the same MAC.
     #[error(
-        "its best match belongs to another log, which goes better with it ({other_us:.1} us against {spread_us:.1} us): are the logs of one run? Then name its MAC"
+        "its best match belongs to another log, which matches better ({other_us:.1} us against {spread_us:.1} us): are the logs of one run? Then name its MAC"
     )]
     Taken {
         /// Spread of this log, microseconds.

@@ -49,7 +49,7 @@ pub fn kinship(clock_rx_us: &[i64], difference_us: &[i64]) -> Option<Kinship> {
     Some(Kinship { correlation, pause_us, pauses: both.len() })
 }
 
-/// Deviations from the median, clipped, their mean taken out, and their median size.
+/// Deviations from the median, clipped, their mean removed, and their median size.
 fn clipped(values: Vec<f64>) -> Option<(Vec<f64>, f64)> {
     let middle = upper_median(&mut values.clone())?;
     let usual = upper_median(&mut values.iter().map(|v| (v - middle).abs()).collect::<Vec<_>>())?;
@@ -92,7 +92,7 @@ mod tests {
             .collect();
         let keep = |v: &[i64]| v.iter().enumerate().filter(|(k, _)| k % 50 != 7).map(|(_, v)| *v).collect::<Vec<_>>();
         let found = of(&keep(&rx), &keep(&tx));
-        // 588 of 600 frames, and the pauses over those that were lost left out.
+        // 588 of 600 frames, without the pauses over lost ones.
         assert!(found.correlation > 0.9 && found.pauses == 587 - 12, "{found:?}");
     }
 

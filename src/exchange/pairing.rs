@@ -5,7 +5,7 @@
 //! to a minute between robots, are never looked at.
 //!
 //! Cases that occur in real logs, and what is done:
-//! * **restart**: the counter starts anew (the sender was restarted). A jump back that another record confirms opens a
+//! * **restart**: the counter restarts (the sender was restarted). A jump back that another record confirms opens a
 //!   new session.
 //! * **two initiators**: where both robots initiate in turns, or answer a third, each log has several counts under one
 //!   MAC. Our schedulers keep them apart (`numbering`); each count is followed by itself, so a change of turns is no
@@ -194,7 +194,7 @@ impl<T> Pairing<T> {
         self.transmitter.finish();
     }
 
-    /// What became of the records of `side` so far.
+    /// The fate of the records of `side` so far.
     #[must_use]
     pub fn counts(&self, side: LinkSide) -> SideCounts {
         match side {

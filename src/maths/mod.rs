@@ -1,6 +1,6 @@
 //! Mathematics that all other modules use: angles, order statistics, wrapping counters, SIMD tiers.
 
-/// Standard deviation of an azimuth of which nothing is known, radians: `pi / sqrt 3`.
+/// Standard deviation of an azimuth about which nothing is known, radians: `pi / sqrt 3`.
 pub const UNIFORM_RAD: f64 = 1.813_799_364_234_217_8;
 
 mod angle;

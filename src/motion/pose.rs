@@ -82,12 +82,12 @@ pub struct LeftOut {
     pub set_back: Option<(usize, f64)>,
 }
 
-/// What kind of sensor a trajectory is of, where that is certain: how well its heading is known follows from it.
+/// The kind of sensor of a trajectory, if certain; it determines the deviation of the heading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum TrajectoryKind {
-    /// Neither the file nor its name says it.
+    /// Neither the file nor its name tells.
     #[default]
     Unknown,
     /// Cameras of a room.
@@ -348,7 +348,7 @@ impl Trajectory {
     }
 
     /// With the attitudes of the poses that are not upright, by their times, seconds; the others have their heading's. They are
-    /// left out where times were rounded, or a clock was set back.
+    /// skipped where times were rounded, or a clock was set back.
     pub(super) fn with_attitudes(mut self, mut tilted: Vec<(f64, UnitQuaternion<f64>)>) -> Self {
         if tilted.is_empty() || self.rounded.is_some() || self.left_out.set_back.is_some() {
             return self;

@@ -86,7 +86,7 @@ impl Roller {
         self.moved(pose, is_gap)
     }
 
-    /// Begins anew: the next pose is in another frame.
+    /// Restarts: the next pose is in another frame.
     pub fn reset(&mut self) {
         self.before = None;
     }

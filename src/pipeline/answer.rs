@@ -30,7 +30,7 @@ pub struct Answer {
     /// Why there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// The same as a value, for a program that has words of its own.
+    /// The same as a value, for programs that word it themselves.
     #[serde(skip)]
     pub cause: Option<LinkError>,
     /// Where azimuth, elevation, mirror, candidates and range are seen from: the mean position of the samples used, metres, in
@@ -79,13 +79,13 @@ pub struct Answer {
     pub position_t_s: Option<f64>,
     /// Covariance of the position, metres squared, row by row.
     pub position_covariance_m2: Option<[[f64; 3]; 3]>,
-    /// How the distance to the transmitter changed over the exchanges used, where that was asked for.
+    /// How the distance to the transmitter changed over the exchanges used, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range_change: Option<RangeChangeAnswer>,
     /// The directions that explain the samples, the most probable first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub candidates: Vec<CandidateAnswer>,
-    /// Sampling-time slopes taken out, standard deviation, radians per subcarrier.
+    /// Sampling-time slopes removed, standard deviation, radians per subcarrier.
     pub slope_sd_rad: Option<f64>,
     /// Carrier frequency offset found from the turn-around jitter, Hz.
     pub cfo_hz: Option<f64>,
@@ -122,15 +122,15 @@ pub struct Answer {
     pub receiver_records: SideCounts,
     /// Records of the link in the transmitter's log by what became of them.
     pub transmitter_records: SideCounts,
-    /// What all stretches of motion so far say, where they are carried from one to the next.
+    /// The combined evidence of all stretches of motion so far, if they are carried on.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub carried: Option<CarriedAnswer>,
-    /// What was computed and what was not, where that was asked for.
+    /// The steps computed and skipped, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plan: Option<LinkPlan>,
 }
 
-/// The range change of a link in short: [`RangeChange`] has it exchange by exchange. Absent values are left out.
+/// The range change of a link in short: [`RangeChange`] has it exchange by exchange. Absent values are omitted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RangeChangeAnswer {
@@ -143,7 +143,7 @@ pub struct RangeChangeAnswer {
     /// Share of the exchanges at which the phase is known to its cycle, 0..1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held_share: Option<f64>,
-    /// Slips of the unwrapped phase that were taken out.
+    /// Slips of the unwrapped phase that were removed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slips: Option<usize>,
     /// Why there is no range change.
@@ -196,7 +196,7 @@ impl CandidateAnswer {
 }
 
 impl Answer {
-    /// What `report` says of a link, under a name.
+    /// The answer in a link's `report`, under a name.
     #[must_use]
     pub fn new(name: String, report: &LinkReport) -> Self {
         let mut answer = Self::of(name, report.link.as_ref(), report.bearing.as_ref());
@@ -306,7 +306,7 @@ impl Answer {
         (self.position_m, self.position_t_s, self.position_covariance_m2) = (None, None, None);
     }
 
-    /// A link of which nothing is known yet.
+    /// A link about which nothing is known yet.
     #[must_use]
     pub(crate) fn nothing(name: String, mac: Mac) -> Self {
         Self { link: name, mac: Some(mac.to_string()), ..Self::default() }

@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Half width of what counts as right in a probability, radians.
 const RIGHT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// Candidates are given down to this probability, and at most so many.
+/// Candidates are given down to this probability, and at most this many.
 const LEAST_SHARE: f64 = 0.01;
 const MOST_CANDIDATES: usize = 5;
 /// Data narrow a prior where they leave less than this share of its deviation.
@@ -70,7 +70,7 @@ pub struct BearingAnswer {
     /// Most probable azimuth of the transmitter from the mean position, radians in (-pi, pi], from +x towards +y in the trajectory's
     /// frame.
     pub azimuth_rad: f64,
-    /// Error bar of the azimuth, radians: half the width that holds 68 % of the posterior. Where there is a mirror, of what
+    /// Error bar of the azimuth, radians: half the width that holds 68 % of the posterior. If there is a mirror, of what
     /// lies nearer to the azimuth than to the mirror.
     pub azimuth_sd_rad: f64,
     /// The same for 95 %.
@@ -103,7 +103,7 @@ pub struct BearingAnswer {
 }
 
 impl BearingAnswer {
-    /// The elevation with its sign where that is known, else its magnitude, radians.
+    /// The elevation with its sign if that is known, else its magnitude, radians.
     #[must_use]
     pub fn elevation_rad(&self) -> f64 {
         self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
@@ -123,7 +123,7 @@ impl BearingAnswer {
         self
     }
 
-    /// What the posterior says.
+    /// The posterior's answer.
     pub(super) fn of(found: &Found, samples: &Samples) -> Self {
         let first = found.modes.first();
         let (place, covariance) = first.map_or((NOWHERE, Matrix3::identity()), |mode| (mode.place, mode.covariance));
@@ -227,7 +227,7 @@ pub struct Bearing {
     pub plane_wave: Estimate,
     /// Probability of each azimuth from 0 on, per radian, if [`super::Options::keep_course`] asked for it.
     pub density: Vec<f64>,
-    /// Standard deviation of the sampling-time slopes taken out, radians per subcarrier index, where they were.
+    /// Standard deviation of the sampling-time slopes removed, radians per subcarrier index, where they were.
     pub slope_sd_rad: Option<f64>,
     /// The robot's heading at the last sample used, radians.
     pub heading_rad: Option<f64>,
@@ -302,7 +302,7 @@ pub struct PairCounts {
     pub cut: usize,
     /// Without energy at the antenna.
     pub silent: usize,
-    /// Left out evenly, because the link has more pairs than are kept or only every so manieth was asked for.
+    /// Skipped evenly, because the link has more pairs than are kept or only every n-th was asked for.
     pub thinned: usize,
     /// Taken in motion outside the stretch that is searched, because all of it is too wide to be searched as one aperture.
     pub too_wide: usize,

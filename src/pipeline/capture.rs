@@ -8,7 +8,7 @@ use crate::source::{self, replay::Replay};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Why a capture gives no bearings at all. A link that fails is an error of its own, [`LinkError`].
+/// Why a capture gives no bearings at all. A link that fails has its own error, [`LinkError`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaptureError {
@@ -92,7 +92,7 @@ impl Capture {
         Ok(self)
     }
 
-    /// The receiver's trajectory: CSV as [`csv`] reads it. Rows that cannot be read are left out.
+    /// The receiver's trajectory: CSV as [`csv`] reads it. Rows that cannot be read are skipped.
     ///
     /// # Errors
     /// If it cannot be read or has too few rows.

@@ -8,7 +8,7 @@ use crate::motion::pose::Trajectory;
 use crate::place::track::{PeerTrack, TrackAnswer, TrackSettings};
 use serde::Serialize;
 
-/// What all stretches of motion so far say of a peer, in degrees: a part of a line of JSON.
+/// The combined evidence of all stretches of motion about a peer, in degrees: a part of a JSON line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct CarriedAnswer {

@@ -55,7 +55,7 @@ const MAX_SPREAD_US: f64 = 500.0;
 /// Largest motion that is searched as one array, metres (far beyond what odometry follows to a wavelength).
 const MAX_EXTENT_M: f64 = 50.0;
 
-/// The time of a pair whose time is not known: no pose is that late, so the single pair is counted and the link goes on.
+/// The time of a pair whose time is not known: no pose is that late, so the single pair is counted and the link continues.
 const NEVER_S: f64 = f64::MAX;
 /// Azimuths of the density that pictures show.
 const DENSITY_AZIMUTHS: usize = 1440;
@@ -212,7 +212,7 @@ fn times_s(rows: &[PairRow], trajectory: &Trajectory, options: &Options) -> Resu
     Ok(rows.iter().map(time).collect())
 }
 
-/// The round trips at the channel centre, with the turn-around taken out where that pays.
+/// The round trips at the channel centre, with the turn-around removed where that pays.
 struct Compensated {
     z: Vec<Complex64>,
     turn_around: Option<TurnAround>,

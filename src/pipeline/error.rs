@@ -36,7 +36,7 @@ pub enum LinkError {
     },
     /// The clocks of the pairs have nothing to do with each other.
     #[error(
-        "the two logs do not belong together: their clocks' difference spreads by {spread_us:.0} us from pair to pair, where an exchange spreads by some tens"
+        "the two logs do not belong together: their clocks' difference spreads by {spread_us:.0} us from pair to pair; in one run it spreads by some tens"
     )]
     NotOfOneRun {
         /// Median of the deviation from a straight line, microseconds.

@@ -1,4 +1,4 @@
-//! What a bearing says of its transmitter's place, as a filter over several motions takes it.
+//! The evidence of a bearing about its transmitter's place, for a filter over several motions.
 
 use super::bearing::{Bearing, BearingAnswer};
 use crate::estimate::tuning;

@@ -1,4 +1,4 @@
-//! What was computed for a link, and what was left out and why: a value that prints.
+//! The steps computed and skipped for a link, and why: a value that prints.
 
 use super::bearing::Bearing;
 use super::options::Options;
@@ -12,7 +12,7 @@ use std::fmt;
 /// The plan of one link.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LinkPlan {
-    /// What of each record was unpacked.
+    /// The part of each record that was unpacked.
     pub decoded: String,
     /// The steps before and after the search.
     pub steps: Vec<StepPlan>,
@@ -32,7 +32,7 @@ pub struct StepPlan {
     pub taken: bool,
     /// What it was about, or why it was not taken.
     pub why: String,
-    /// Where it was left out: how far it might have moved the azimuth, degrees.
+    /// For a skipped step: by how much it might have moved the azimuth, degrees.
     pub risk_deg: Option<f64>,
 }
 
@@ -70,7 +70,7 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
             why: "one wave leaves nothing but noise".into(),
             risk_deg: Some(risk_rad.to_degrees()),
         },
-        Sufficient::Posterior(_) if !asked => step(name, false, "left out as asked".into()),
+        Sufficient::Posterior(_) if !asked => step(name, false, "skipped as asked".into()),
         Sufficient::Posterior(_) => step(name, taken, if taken { words.into() } else { not }),
     };
     let accuracy = &options.accuracy;
@@ -90,10 +90,10 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
         "sampling-time alignment",
         accuracy.align,
         aligned,
-        "slopes from packet to packet taken out",
+        "slopes between packets removed",
         "there is one subcarrier".into(),
     ));
-    let far = format!("packets are {spacing:.2} wavelengths apart: from 0.25 on nothing tells the signs of roots");
+    let far = format!("packets are {spacing:.2} wavelengths apart: from 0.25 on the signs of the roots are ambiguous");
     let dense = is_dense_enough(spacing);
     steps.push(windowed("one-way channel", accuracy.one_way, dense, "the root of the round trip, beside it", far));
     steps.push(windowed(
@@ -108,10 +108,10 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
 
 fn turn_around(bearing: &Bearing, options: &Options) -> String {
     match (&bearing.turn_around, options.compensate) {
-        (_, false) => "left out as asked".into(),
+        (_, false) => "skipped as asked".into(),
         (None, _) => "too few pairs, or clocks that no two cards have".into(),
         (Some(found), _) if bearing.compensated => format!("{:.0} Hz times the jitter of the turn-around", found.df_hz),
-        (Some(_), _) => "the phase gets no steadier by it".into(),
+        (Some(_), _) => "the phase would not be steadier".into(),
     }
 }
 
@@ -119,8 +119,8 @@ fn elevation(bearing: &Bearing) -> String {
     let plan = &bearing.plane_wave.plan;
     match plan.elevation {
         ElevationSearch::Searched => format!("{} rings", plan.rings),
-        ElevationSearch::NotObservable => "the samples say less of it than its limits do".into(),
-        ElevationSearch::NotAsked => "left out as asked".into(),
+        ElevationSearch::NotObservable => "the samples constrain it less than its limits".into(),
+        ElevationSearch::NotAsked => "skipped as asked".into(),
     }
 }
 

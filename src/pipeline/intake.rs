@@ -31,7 +31,7 @@ pub struct FrameHeard {
     pub row: u32,
     /// How far the card's clock is past that microsecond, picoseconds, where it is finer than one.
     pub left_ps: u32,
-    /// What is known of the frame itself.
+    /// What is known about the frame itself.
     pub proof: Proof,
     iq: [Iq; SUBCARRIERS],
 }
@@ -90,11 +90,11 @@ pub struct UnusedRecords {
     pub unauthenticated: u64,
 }
 
-/// What of each record the pipeline uses: one antenna of frames with a number. Everything is counted.
+/// The part of each record that the pipeline uses: one antenna of frames with a number. Everything is counted.
 #[derive(Debug)]
 pub struct Front {
     antenna: Antenna,
-    /// What was counted.
+    /// The counts.
     pub log: LogReport,
     prover: Prover,
     /// What a record said of the clock at the next bfee.

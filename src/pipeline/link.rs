@@ -28,7 +28,7 @@ fn every_second<T>(list: &mut Vec<T>) {
     });
 }
 
-/// What is known of a link once its logs were read.
+/// What is known about a link once its logs were read.
 #[derive(Clone, Debug)]
 pub struct Link {
     /// The transmitter's MAC.
@@ -47,7 +47,7 @@ pub struct Link {
     /// Those of them that are inside by the transmitter's host time.
     partner_inside: usize,
     first_us: Option<i64>,
-    /// One pair in so many is kept.
+    /// One in this many pairs is kept.
     stride: usize,
     /// Pairs of which one in so many was to be kept.
     offered: usize,
@@ -121,7 +121,7 @@ impl Link {
         self.rows.len() + self.outside + self.thinned
     }
 
-    /// Pairs left out evenly so far, because the link has more than are kept.
+    /// Pairs skipped evenly so far, because the link has more than are kept.
     #[must_use]
     pub fn thinned(&self) -> usize {
         self.thinned

@@ -64,7 +64,7 @@ pub struct Transmitter<'a> {
     pub trajectory: Option<&'a Trajectory>,
 }
 
-/// What was counted in one log.
+/// Counts of one log.
 #[derive(Debug, Default)]
 #[non_exhaustive]
 pub struct LogReport {

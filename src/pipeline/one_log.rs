@@ -63,7 +63,7 @@ const ROUGH_ROWS: usize = 256;
 pub struct Array {
     first: Antenna,
     others: Vec<(Antenna, Vector3<f64>)>,
-    /// Of each baseline, where they are known.
+    /// Of each baseline, if they are known.
     constants: Vec<ChainConstant>,
 }
 
@@ -223,7 +223,7 @@ impl ArrayFrame {
     }
 }
 
-/// The receive chain of a frame that is connected to an antenna: told by a 5300, elsewhere they are counted.
+/// The receive chain of a frame that is connected to an antenna: a 5300 reports it; on other cards chains are numbered.
 fn chain(frame: &Frame, antenna: Antenna) -> Option<usize> {
     match frame.antenna_sel {
         Some(sel) => Antennas::new(sel, u8::try_from(frame.n_rx).ok()?, [0; 3]).ok()?.chain_of(antenna),
@@ -258,7 +258,7 @@ impl Row {
     }
 }
 
-/// What was heard of one sender.
+/// The records of one sender.
 #[derive(Clone, Debug)]
 struct Sender {
     rows: Vec<Row>,
@@ -266,7 +266,7 @@ struct Sender {
     heard: usize,
     /// Its frames, those that an antenna missed with them where they have to be counted.
     frames: usize,
-    /// One record in so many is kept.
+    /// One in this many records is kept.
     stride: usize,
 }
 
@@ -284,7 +284,7 @@ pub struct OneLog {
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct OneLogReport {
-    /// What was counted in the log.
+    /// Counts of the log.
     pub log: LogReport,
     /// A link for each sender, the one with most records first. [`LinkReport::link`] is none: there are no pairs.
     pub links: Vec<LinkReport>,
@@ -471,7 +471,7 @@ struct Joined {
     length_m: f64,
 }
 
-/// The time of each row on the trajectory's clock, seconds; none where it is not known.
+/// The time of each row on the trajectory's clock, seconds; none if it is not known.
 fn times_s(rows: &[Row], trajectory: &Trajectory, options: &Options) -> Result<Vec<Option<f64>>, LinkError> {
     let by_host = |row: &Row| row.host_us.map(|us| us as f64 * 1e-6 + options.clock_offset_s);
     let by_row = |row: &Row| trajectory.poses().get(row.row).map(|pose| pose.t_s);
@@ -568,7 +568,7 @@ impl Joined {
     /// The samples of all baselines as those of one array.
     ///
     /// Each baseline's constant is open. About the middle of its own samples it does not depend on the direction, to first
-    /// order, so that with all baselines about their middles and their constants taken out one constant is left for all.
+    /// order, so that with all baselines about their middles and their constants removed one constant is left for all.
     fn together(&self, options: &Options) -> Result<Together, LinkError> {
         let heard: Vec<(usize, &Baseline)> =
             self.baselines.iter().enumerate().filter(|(_, own)| !own.samples.is_empty()).collect();

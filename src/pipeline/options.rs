@@ -105,12 +105,12 @@ pub struct Options {
     pub tx_macs: Vec<Mac>,
     /// MAC of the receiver in the transmitters' logs; the most frequent one where absent.
     pub rx_mac: Option<Mac>,
-    /// The key of the exchange, where it had one: records whose frame has no valid tag are left out.
+    /// The key of the exchange, where it had one: records whose frame has no valid tag are skipped.
     pub key: Option<Key>,
     /// Added to the receiver's host time to get the trajectory's, seconds.
     pub clock_offset_s: f64,
     /// Standard deviation of the heading of the whole trajectory, radians: a figure of the sensor, which error bars and
-    /// probabilities take into account. `None`: as usual for the trajectory's kind, as of motion capture where that is not known.
+    /// probabilities take into account. `None`: as usual for the trajectory's kind, as of motion capture if that is not known.
     pub heading_sd_rad: Option<f64>,
     /// How pairs are joined with the trajectory.
     pub join: JoinBy,

@@ -151,7 +151,7 @@ fn numbers((receiver, transmitter): (usize, usize), pairs: &[(usize, usize)]) ->
         }
     };
     for &(i, j) in pairs {
-        // Two clocks that were set anew may part the logs in another order: those pairs are left out.
+        // Two clocks that were set anew may part the logs in another order: those pairs are skipped.
         if i >= rx.len() && j >= tx.len() {
             up_to(&mut rx, i, &mut number);
             up_to(&mut tx, j, &mut number);
@@ -173,7 +173,7 @@ mod tests {
     fn partners_have_one_number_and_all_others_one_of_their_own() {
         let (rx, tx) = numbers((4, 5), &[(1, 0), (2, 3)]);
         assert_eq!((rx, tx), (vec![1, 2, 5, 6], vec![2, 3, 4, 5, 7]));
-        // A pair that goes back is left out.
+        // A pair that goes back is skipped.
         let (rx, tx) = numbers((2, 2), &[(0, 1), (1, 0)]);
         assert_eq!((rx, tx), (vec![2, 3], vec![1, 2]));
     }

@@ -23,10 +23,10 @@ const CANDIDATE_POWER: f64 = 0.5;
 /// three links of a capture leave one place).
 const AS_LIKELY: f64 = 2.0;
 
-/// And is further away than so many deviations of the best (chosen).
+/// And is further away than this many deviations of the best (chosen).
 const APART_SD: f64 = 3.0;
 
-/// And than so many metres (chosen).
+/// And further than this many metres (chosen).
 const APART_M: f64 = 0.3;
 
 /// Error that no bearing is better than, radians (median error in line of sight about one degree whatever was
@@ -50,7 +50,7 @@ pub struct Sighting {
     pub transmitter_m: Vector2<f64>,
     /// Bearing to it from the receiver, radians, from +x towards +y.
     pub azimuth_rad: f64,
-    /// The other bearing that the motion cannot tell from it, radians, where there is one.
+    /// The other bearing that the motion cannot tell from it, radians, if there is one.
     pub mirror_rad: Option<f64>,
     /// Further bearings that it may be, radians, each with its evidence in units of that of `azimuth_rad`: the other candidates.
     pub others: Vec<(f64, f64)>,
@@ -127,7 +127,7 @@ pub struct Located {
     pub others_m: Vec<Vector2<f64>>,
     /// Share of its weight that each usable sighting kept, 0..1: small for one that fits nothing else.
     pub weights: Vec<f64>,
-    /// Of each usable sighting, the bearing that this place speaks for, radians: the answer, its mirror or another candidate.
+    /// For each usable sighting, the bearing that fits this place best, radians: the answer, its mirror or another candidate.
     pub azimuths_rad: Vec<f64>,
     /// Height of the receiver and its standard deviation, metres, where a sighting has an elevation.
     pub height_m: Option<(f64, f64)>,
@@ -169,7 +169,7 @@ struct Seen {
 /// Locates a receiver.
 ///
 /// # Errors
-/// [`LocateError`] where the sightings do not fix a position. Sightings that are not finite are left out.
+/// [`LocateError`] where the sightings do not fix a position. Sightings that are not finite are skipped.
 pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
     let usable: Vec<Sighting> = sightings.iter().filter(|sighting| sighting.is_usable()).cloned().collect();
     let starts = starts(&usable);
@@ -372,7 +372,7 @@ mod tests {
         // Without evidence for it the direct path is no help, and all three bearings keep little of their say or one of them does.
         own[1].others.clear();
         assert!(locate(&own).unwrap().weights.iter().copied().fold(1.0, f64::min) < 0.1);
-        // The range of the answer says nothing of the other candidates.
+        // The range of the answer tells nothing about the other candidates.
         own[1].others = vec![(right, 0.5)];
         own[1].range_m = Some((1.0, 0.1));
         let found = locate(&own).unwrap();

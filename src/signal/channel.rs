@@ -44,7 +44,7 @@ pub struct Channel {
     centre_mhz: Option<u32>,
 }
 
-/// Why there is no such channel.
+/// Why a text or number is not a channel.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChannelError {
@@ -68,7 +68,7 @@ pub enum ChannelError {
     },
 }
 
-/// What is a channel.
+/// The accepted forms of a channel, for error messages.
 const KNOWN: &str = "1 to 14 (2.4 GHz), or 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177 (5 GHz), with + or - for 40 MHz, for \
                      example 108 or 36+; any other by its centre, for example 5290MHz (80 MHz wide) or 6115MHz (6 GHz)";
 

@@ -215,7 +215,7 @@ pub fn total_rss_dbm(bfee: &Bfee<'_>) -> Result<f64, ScaleError> {
     Ok(10.0 * heard(bfee)?.log10() - f64::from(RSSI_OFFSET_DB) - f64::from(bfee.agc()))
 }
 
-/// Noise floor, dBm: the driver's, or -92 where it has none.
+/// Noise floor, dBm: the driver's, or -92 if it has none.
 #[must_use]
 pub fn noise_dbm(bfee: &Bfee<'_>) -> f64 {
     f64::from(whole_noise_dbm(bfee))

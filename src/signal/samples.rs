@@ -22,7 +22,7 @@ pub enum SamplesError {
     /// A wavelength that is not a positive number of metres.
     #[error("wavelength {wavelength_m} m, expected a positive number")]
     Wavelength {
-        /// What was given.
+        /// The given value.
         wavelength_m: f64,
     },
     /// A path gain of zero: samples that do not hold the path's phase.

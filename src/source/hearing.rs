@@ -7,7 +7,7 @@ use super::Error;
 pub struct HeardFrame<'a> {
     /// The frame.
     pub frame: &'a [u8],
-    /// How long ago its reception ended, as far as is known.
+    /// How long ago its reception ended, if known.
     pub age: crate::time::Span,
 }
 
@@ -16,12 +16,12 @@ pub trait FrameReceiver {
     /// The next frame, or `None` if there is none yet.
     ///
     /// # Errors
-    /// Only for what cannot be gone on from; what is damaged is counted and left out.
+    /// Only for fatal failures; damage is counted and skipped.
     fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error>;
 
-    /// Frames of which is known that they went out, if that can be known at all.
+    /// Frames confirmed as sent, if the source can tell.
     fn sent_for_certain(&self) -> Option<u64>;
 
-    /// Frames of which is known that sending failed.
+    /// Frames that failed to be sent.
     fn failed_for_certain(&self) -> u64;
 }

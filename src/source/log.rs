@@ -14,7 +14,7 @@ use std::path::Path;
 /// A recorded log, read in chunks: an iterator over its frames with CSI.
 ///
 /// What was damaged or is missing is no error; it is counted in [`Log::survey`], to be asked during the loop or after it.
-/// Host times come from the log's side file where there is one (`.datstp`), else from the records where the driver
+/// Host times come from the log's side file if there is one (`.datstp`), else from the records where the driver
 /// writes them (WSR layout). Senders and frame numbers come from the record (WSR layout) or from the frame that the
 /// driver logged before it (stock layout with connector_log 5).
 ///
@@ -52,13 +52,13 @@ pub struct Frame {
     pub csi: Csi,
     /// Factor from the card's integers to sqrt(SNR), the channel's gain over the noise; see [`scale_factor`].
     pub scale: Result<f64, ScaleError>,
-    /// The sender, where it is known.
+    /// The sender, if it is known.
     pub mac: Option<Mac>,
-    /// The number that the sender gave the frame, where it is known.
+    /// The number that the sender gave the frame, if it is known.
     pub number: Option<u32>,
     /// The card's clock at reception, microseconds from an arbitrary origin, unwrapped along the log.
     pub card_us: i64,
-    /// The host's wall clock at reception, microseconds since the Unix epoch, where it is known.
+    /// The host's wall clock at reception, microseconds since the Unix epoch, if it is known.
     pub host_us: Option<i64>,
     /// Signal strength at antennas A, B, C, dB above an internal reference; 0 where nothing was heard.
     pub rssi: [u8; 3],

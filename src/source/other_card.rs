@@ -3,6 +3,7 @@
 //! | of a frame | becomes |
 //! |---|---|
 //! | CSI of 20 or 40 MHz | the 30 subcarriers of a 5300, 8 bits, full scale: each the mean of the measured ones nearest to it, brought there along the slope of the phase |
+//! | CSI of 80 or 160 MHz | the same of the 20 MHz about the frame's centre, which is not the centre of its 20 MHz channel; marked by [`WIDE`] |
 //! | the card's clock | `timestamp_low` in whole microseconds, and before the bfee a record of what is left ([`code::CARD_CLOCK`]) |
 //! | host time, sender | those of WSR's layout of 2021, which has no frame number: pairs are formed by the clocks |
 //! | RSSI, dBm | RSSI at a gain of 60 dB |
@@ -12,7 +13,7 @@
 use crate::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIER_SPACING_HZ, SUBCARRIERS};
 use csi_formats::{Frame, Why, feitcsi};
 use driver_iface::Mac;
-use driver_iface::bfee::{Iq, Repr, Wsr};
+use driver_iface::bfee::{Iq, Repr, Wsr, rate};
 use driver_iface::record::{Record, code};
 use num_complex::Complex32;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -31,6 +32,9 @@ const IN_ORDER: u8 = 0b10_01_00;
 const CHUNK: usize = 64 * 1024;
 /// More than any record has: of so many bytes without the next one, the length was damaged.
 const LONGEST: usize = 256 * 1024;
+
+/// In `rate_n_flags`: the frame was 80 or 160 MHz wide (iwlwifi's `RATE_MCS_CHAN_WIDTH_80`, bit 12).
+pub const WIDE: u16 = 0x1000;
 
 /// Makes records of frames, in the order of their log.
 #[derive(Clone, Debug, Default)]
@@ -66,11 +70,14 @@ impl Translator {
 
     fn frame(&mut self, frame: &Frame, log: &mut Vec<u8>) -> Result<(), String> {
         let indices = match frame.width_mhz {
-            20 => &INDICES_20_MHZ,
+            20 | 80 | 160 => &INDICES_20_MHZ,
             40 => &INDICES_40_MHZ,
-            other => {
-                return Err(format!("a frame of {other} MHz: bearings of two robots take those of 20 and 40 MHz"));
-            }
+            other => return Err(format!("a frame of {other} MHz: bearings of two robots take those of 20 to 160 MHz")),
+        };
+        let width_bits = match frame.width_mhz {
+            40 => rate::HT40,
+            80 | 160 => WIDE,
+            _ => 0,
         };
         let at_ps = self.clock_ps(frame).ok_or("a frame without the card's clock")?;
         let (n_rx, n_tx) = (frame.n_rx.clamp(1, MOST_CHAINS), frame.n_tx.clamp(1, MOST_CHAINS));
@@ -90,7 +97,7 @@ impl Translator {
             rssi: std::array::from_fn(rssi),
             agc: GAIN_DB,
             antenna_sel: IN_ORDER & ((1 << (2 * n_rx)) - 1),
-            rate_n_flags: 0x100 | if frame.width_mhz == 40 { 0x800 } else { 0 },
+            rate_n_flags: rate::HT | width_bits,
             wsr: Some(Wsr {
                 tv_sec: host_us.div_euclid(1_000_000) as u32,
                 tv_usec: host_us.rem_euclid(1_000_000) as u32,
@@ -324,11 +331,20 @@ mod tests {
 
     #[test]
     fn every_reported_subcarrier_has_the_phase_of_its_place() {
-        for of in [(Kind::He, 20), (Kind::Ht, 20), (Kind::Legacy, 20), (Kind::He, 40), (Kind::Vht, 40)] {
+        for of in [
+            (Kind::He, 20),
+            (Kind::Ht, 20),
+            (Kind::Legacy, 20),
+            (Kind::He, 40),
+            (Kind::Vht, 40),
+            (Kind::Vht, 80),
+            (Kind::He, 160),
+        ] {
             let log = translated(&feitcsi(of, 5_000_000, 0.5), 4_096);
             let body = written(&log).nth(1).unwrap();
             let bfee = Bfee::new_checked(&body[LENGTH_FIELD + 1..]).unwrap();
             assert_eq!((bfee.n_rx(), bfee.rssi(), bfee.agc()), (2, [63, 54, 0], 60));
+            assert_eq!(bfee.rate_n_flags() & WIDE != 0, of.1 > 40);
             assert_eq!(bfee.wsr().unwrap().mac, Mac([2, 0, 0, 0, 0, 9]));
             let indices = if of.1 == 40 { INDICES_40_MHZ } else { INDICES_20_MHZ };
             for (k, index) in indices.iter().enumerate() {
@@ -364,6 +380,8 @@ mod tests {
     #[test]
     fn what_is_no_frame_of_use_is_said_with_its_place_however_the_bytes_come() {
         let [good, wide] = [(Kind::He, 20), (Kind::He, 80)].map(|of| feitcsi(of, 1_000, 0.1));
+        // 320 MHz, which no frame of these cards has.
+        let wide = [&wide[..92], &(4_u32 << 11 | 4 << 8).to_le_bytes(), &wide[96..]].concat();
         let log = [&good[..], &wide, &good, &[7; 500], &good, &good[..300]].concat();
         let all = translated(&log, 4_096);
         let said: Vec<(u8, Option<(u64, u64)>)> = written(&all)

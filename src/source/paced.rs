@@ -22,7 +22,7 @@ pub struct Paced<S> {
     body: Vec<u8>,
 }
 
-/// What was read ahead and waits for its time.
+/// Records read ahead that wait for their time.
 enum Held {
     Nothing,
     Record(Stamps, u8),

@@ -46,7 +46,7 @@ pub struct Written {
 pub trait Sink: Send + 'static {
     /// Writes a chunk's whole records, or as many of them as can be.
     fn write(&mut self, chunk: &Chunk) -> Written;
-    /// Makes everything written so far survive a power cut. Gives what went wrong, if anything.
+    /// Makes everything written so far survive a power cut. Returns the error, if any.
     fn sync(&mut self) -> Option<String>;
 }
 

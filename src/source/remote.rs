@@ -23,7 +23,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 const RECORDS: [u8; 4] = *b"c5r1";
 const POSES: [u8; 4] = *b"c5p2";
-/// A sender that fell silent for so long has left its address to others.
+/// A sender that is silent for this long loses its address to others.
 const OWNED: Span = Span::from_ms(1_000);
 const HEAD: usize = 16;
 const POSE: usize = 48;
@@ -40,7 +40,7 @@ pub struct QueueCounts {
     pub overflowed: u64,
     /// Messages that are none.
     pub foreign: u64,
-    /// Times that the other side began anew.
+    /// Times that the other side restarted.
     pub sessions: u64,
     /// Messages of a second sender under the same address: refused.
     pub contested: u64,
@@ -129,7 +129,7 @@ impl Mailbox {
         });
     }
 
-    /// What was counted.
+    /// The counts.
     #[must_use]
     pub fn counts(&self) -> QueueCounts {
         self.with(|shared| shared.counts)

@@ -71,7 +71,7 @@ pub enum Front {
 }
 
 impl Replay<Box<dyn Read + Send>> {
-    /// Opens a log; `-` is standard input. Host times come from its side file (`<log>stp`), where there is one; a record
+    /// Opens a log; `-` is standard input. Host times come from its side file (`<log>stp`), if there is one; a record
     /// whose checksum is not the side file's is lost. A log of FeitCSI (AX200, AX210), which is recognised by its first
     /// bytes, is read as one of a 5300: 30 subcarriers of frames of 20 and 40 MHz, 8 bits, no frame numbers.
     ///
@@ -206,7 +206,7 @@ impl<R: Read> Replay<R> {
         self.framing.side.as_ref().map(SideFile::layout)
     }
 
-    /// What the checksums of the side file said so far; `None` without a side file that has them.
+    /// The results of the side file's checksums so far; `None` without checksums.
     #[must_use]
     pub fn checks(&self) -> Option<Checks> {
         self.framing.side.as_ref().and_then(SideFile::checks)

@@ -38,7 +38,7 @@ pub struct Checks {
     /// Records of which the side file does not know the checksum: its disk was full, or the recorder was killed before it
     /// wrote the last ones.
     pub unknown: u64,
-    /// Records that are not as they were written, or never were: left out.
+    /// Records that are not as they were written, or never were: skipped.
     pub wrong: u64,
     /// Records that were written and are not in the log, or not as they were.
     pub missing: u64,
@@ -49,14 +49,14 @@ pub struct Checks {
 /// What a side file says of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Said {
-    /// When the host received it, microseconds since the Unix epoch; `None` where that is not known.
+    /// When the host received it, microseconds since the Unix epoch; `None` if that is not known.
     pub(super) host_us: Option<i64>,
     /// False where its checksum is another one.
     pub(super) is_right: bool,
 }
 
 impl Said {
-    /// Of a record of which nothing is known.
+    /// Of a record about which nothing is known.
     pub(super) const NOTHING: Self = Self { host_us: None, is_right: true };
 }
 
@@ -135,7 +135,7 @@ impl<R: Read> SideFile<R> {
         self.layout
     }
 
-    /// What it said of its log's records so far; `None` without checksums.
+    /// The results of its checks so far; `None` without checksums.
     pub(super) fn checks(&self) -> Option<Checks> {
         (self.layout == Layout::Checked).then_some(self.checks)
     }
@@ -154,7 +154,7 @@ impl<R: Read> SideFile<R> {
         }
     }
 
-    /// What it says of the next record, as the log has it.
+    /// Checks the next record, as the log has it.
     pub(super) fn take(&mut self, record: &[u8]) -> Said {
         if self.checks.out_of_step {
             return Said::NOTHING;

@@ -1,4 +1,4 @@
-//! What is in a log, and what is not: counts of everything read, dropped and missing.
+//! Contents and losses of a log: counts of everything read, dropped and missing.
 
 use crate::source::{Loss, Next, Stamps};
 use crate::time::Step16;
@@ -117,7 +117,7 @@ pub struct Survey {
     pub bfee_missing: u64,
     /// Records with the `bfee_count` of the one before.
     pub bfee_repeated: u64,
-    /// Steps back of `bfee_count`: the driver was loaded anew (or more than 32,767 records are missing).
+    /// Steps back of `bfee_count`: the driver was reloaded (or more than 32,767 records are missing).
     pub bfee_restarted: u64,
     /// Records of senders that were forgotten, as there were more than 256 kept.
     pub further_senders: u64,
@@ -135,7 +135,7 @@ pub struct Survey {
     pub noise_unknown: u64,
     /// Noise floor where measured, dBm.
     pub noise_dbm: Range,
-    /// RSSI by antenna A, B, C, dB relative to the card's reference; zeros (not connected) left out.
+    /// RSSI by antenna A, B, C, dB relative to the card's reference; zeros (not connected) skipped.
     pub rssi: [Range; 3],
     /// Gain of the receiver, dB.
     pub agc: Range,
@@ -189,7 +189,7 @@ fn sounded(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
     Some((frame.sender(), Some(frame.number())))
 }
 
-/// Sender of any frame: address 2, where it has one.
+/// Sender of any frame: address 2, if it has one.
 fn sent(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
     Some((Header::new_checked(frame).ok()?.addr2()?, None))
 }
@@ -370,14 +370,14 @@ impl Survey {
         self.stock + self.wsr_2021 + self.wsr
     }
 
-    /// What says when the records came. It may be another one as long as there are few.
+    /// The clock that times the records. It may change as long as there are few.
     #[must_use]
     #[doc(hidden)] // for the crates of this workspace
     pub fn time_base(&self) -> TimeBase {
         TimeBase::of(self.bfees().saturating_sub(1), self.clock_steps.forward_us, self.clock.host_forward_us)
     }
 
-    /// Time from the first record to the last so far, microseconds; steps back of the clock count as none. Where there is no
+    /// Time from the first record to the last so far, microseconds; steps back of the clock count as none. If there is no
     /// clock it is the number of the last record, from 0, in millions.
     #[must_use]
     #[doc(hidden)] // for the crates of this workspace

@@ -56,7 +56,7 @@ for page in README.md docs/*.md docs/*/*.md; do
     done < <(commands "$page")
 done
 echo "$known options of commands that are not run are known"
-for page in README.md docs/guides/node.md docs/guides/simulation.md docs/guides/tutorial.md docs/guides/view.md; do
+for page in README.md docs/guides/node.md docs/guides/one-log.md docs/guides/simulation.md docs/guides/tutorial.md docs/guides/view.md; do
     grep -q '^```sh$' "$page" || { echo "$page has no commands"; exit 1; }
 done
 # What a page shows (```text) is what its commands print, to the letter. A room that runs in real time prints other numbers each time.

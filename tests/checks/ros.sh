@@ -5,6 +5,8 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 packages=(python3-rospy python3-rosmaster python3-roslaunch python3-rostopic python3-genpy python3-std-msgs python3-geometry-msgs
     python3-nav-msgs python3-sensor-msgs python3-actionlib-msgs ros-std-msgs)
+# Of the check alone: the node needs no diagnostic_msgs.
+packages+=(python3-diagnostic-msgs python3-rosservice)
 missing=()
 for package in "${packages[@]}"; do
     dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")
@@ -157,6 +159,33 @@ def csi(node):
     rospy.init_node("reader", disable_signals=True)
     assert rospy.wait_for_message(f"{node}/csi", Csi, 10).timestamp_low > 0
     assert rospy.wait_for_message(f"{node}/tb3_1/bearing", Bearing, 10).pairs > 0
+
+def self_test(node):
+    """The service, and the claims in /diagnostics, with the messages of Debian's diagnostic_msgs."""
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from diagnostic_msgs.srv import SelfTest
+    rospy.init_node("tester", disable_signals=True)
+    rospy.wait_for_service(f"{node}/self_test", 10)
+    ask = rospy.ServiceProxy(f"{node}/self_test", SelfTest)
+    end = time.monotonic() + 60
+    while True:
+        said = ask()
+        levels = {status.name: status.level for status in said.status}
+        if levels.get("csi5300: exchange.pairs, tb3_1") == 0:
+            break
+        assert time.monotonic() < end, said
+        time.sleep(1)
+    assert said.id and levels["csi5300: exchange.pairs, tb3_2"] == 0, said
+    assert 3 in levels.values(), "a simulated card cannot answer every claim"
+    end = time.monotonic() + 60
+    while True:
+        parts = {status.name: status for status in rospy.wait_for_message("/diagnostics", DiagnosticArray, 10).status}
+        if parts["csi5300: claims"].level != 3:
+            break
+        assert time.monotonic() < end, parts
+    assert "csi5300: peer tb3_1" in parts and parts["csi5300: card"].level == 0, parts
+    print(f"the service self_test answers for {len(said.status)} claims; diagnostics: {parts['csi5300: claims'].message}")
 PYTHON
 look() { (cd "$folder" && python3 -c "import sys; sys.argv = ['look', '', '$folder/status.sock']; from look import *; $1"); }
 master() {
@@ -196,7 +225,7 @@ look "until('registered again', 15, lambda t: t['ros']['connections'] > $connect
 kill -9 -- "-$robots"
 look 'until("silence is said", 10, lambda t: any("nothing comes any more" in w for w in t["trouble"]))'
 start robots python3 "$folder/robots.py"
-look 'until("poses again", 10, lambda t: not t["trouble"]); goes_on(); bearings("/csi5300_tb3_0")'
+look 'until("poses again", 10, lambda t: not t["trouble"]); goes_on(); bearings("/csi5300_tb3_0"); self_test("/csi5300_tb3_0")'
 
 # The end: in order, and the master knows nothing of the node any more.
 kill -TERM "$node"

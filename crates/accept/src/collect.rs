@@ -177,6 +177,8 @@ pub struct After {
 pub struct Interface {
     /// Frames that the driver reported as sent.
     pub confirmed: Option<u64>,
+    /// Of these, frames that the driver says it sent more than once.
+    pub retried: u64,
     /// What the regulatory rules say of the channel, as `iw phy` has it in parentheses; empty where they allow everything.
     pub channel_flags: Option<String>,
 }

@@ -2,6 +2,8 @@
 
 use crate::collect::{Heard, HeardRecord, Plan};
 use crate::stats::line;
+use csi5300::exchange::pairing::LinkSide;
+use csi5300::exchange::pairing::by_clock::{ByClock, CardClock, Refusal};
 use csi5300::signal::cfo::{TurnAround, at_centre, round_trip_at_centre};
 use csi5300::signal::channel::{Channel, SUBCARRIERS};
 use driver_iface::Mac;
@@ -9,11 +11,14 @@ use driver_iface::bfee::{Antenna, Antennas};
 use num_complex::{Complex32, Complex64};
 use std::collections::{BTreeMap, HashMap};
 
-/// Exchanges of two cards: every frame that each heard of the other, paired by its number.
+/// Exchanges of two cards: every frame that each heard of the other, paired by its number. Where no frame of a card has a number, they
+/// are paired by the cards' clocks.
 #[derive(Debug, Default)]
 pub(crate) struct Pairs {
     /// Frames that each card heard of the other, each number once.
     pub frames: [usize; 2],
+    /// Frames have no numbers, and the clocks do not tell which belong together.
+    pub refused: Option<Refusal>,
     /// The near robot sounds others too, so that not all that the far card heard of it was meant for the far robot.
     pub among_others: bool,
     /// The near card's clock at each pair, microseconds.
@@ -53,31 +58,88 @@ pub(crate) fn column(record: &HeardRecord, chain: usize) -> [Complex32; SUBCARRI
     })
 }
 
-/// Senders of numbered records, and how many each has.
-fn senders(heard: &Heard) -> BTreeMap<Mac, usize> {
+/// Senders of records with or without numbers, and how many each has.
+fn senders(heard: &Heard, numbered: bool) -> BTreeMap<Mac, usize> {
     let mut counts = BTreeMap::new();
-    for record in heard.records.iter().filter(|record| record.number.is_some()) {
+    for record in heard.records.iter().filter(|record| record.number.is_some() == numbered) {
         *counts.entry(record.mac).or_default() += 1;
     }
     counts
 }
 
+fn most(senders: BTreeMap<Mac, usize>) -> Option<Mac> {
+    senders.into_iter().max_by_key(|(mac, count)| (*count, *mac)).map(|(mac, _)| mac)
+}
+
 /// The sender that most numbered records have.
 pub(crate) fn usual_sender(heard: &Heard) -> Option<Mac> {
-    senders(heard).into_iter().max_by_key(|(mac, count)| (*count, *mac)).map(|(mac, _)| mac)
+    most(senders(heard, true))
+}
+
+/// The near card's record and the far card's of each exchange.
+struct Partners<'a> {
+    pairs: Vec<(&'a HeardRecord, &'a HeardRecord)>,
+    frames: [usize; 2],
+    refused: Option<Refusal>,
+}
+
+fn by_number<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -> Partners<'a> {
+    // A number that comes twice says of neither frame which exchange it was.
+    let mut heard_by_far: HashMap<u32, Option<&HeardRecord>> = HashMap::new();
+    for record in far.records.iter().filter(|record| record.mac == of_near) {
+        if let Some(number) = record.number {
+            heard_by_far.entry(number).and_modify(|twice| *twice = None).or_insert(Some(record));
+        }
+    }
+    let (mut pairs, mut frames, mut last) = (Vec::new(), 0, None);
+    for record in near.records.iter().filter(|record| record.mac == of_far && record.number.is_some()) {
+        if record.number == last {
+            continue;
+        }
+        last = record.number;
+        frames += 1;
+        let other = record.number.and_then(|number| heard_by_far.get(&number).copied().flatten());
+        pairs.extend(other.map(|other| (record, other)));
+    }
+    Partners { pairs, frames: [frames, heard_by_far.len()], refused: None }
+}
+
+fn by_clock<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -> Partners<'a> {
+    // Whole microseconds, without wraps.
+    const CLOCK: CardClock = CardClock { tick_ps: 1_000_000, bits: 64 };
+    let mut machine = ByClock::new(CLOCK, CLOCK);
+    for (side, heard, sender) in [(LinkSide::Receiver, near, of_far), (LinkSide::Transmitter, far, of_near)] {
+        for record in heard.records.iter().filter(|record| record.mac == sender) {
+            machine.handle(side, record.card_us.cast_unsigned(), record.host_us, record);
+        }
+    }
+    let refused = machine.finish().err();
+    let frames = [LinkSide::Receiver, LinkSide::Transmitter].map(|side| {
+        let counts = machine.counts(side);
+        counts.handed - counts.twice
+    });
+    let pairs = std::iter::from_fn(|| machine.poll_pair()).map(|pair| (pair.receiver, pair.transmitter)).collect();
+    Partners { pairs, frames, refused }
 }
 
 impl Pairs {
     /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. Where near heard several robots, that one
     /// is taken with which the product is most coherent; the numbers of all count alike.
     pub(crate) fn of(near: &Heard, far: &Heard, plan: &Plan) -> Self {
-        let Some(of_near) = plan.macs.map(|macs| macs[0]).or_else(|| usual_sender(far)) else {
+        let numbered = [near, far].iter().all(|heard| heard.records.iter().any(|record| record.number.is_some()));
+        let Some(of_near) = plan.macs.map(|macs| macs[0]).or_else(|| most(senders(far, numbered))) else {
             return Self::default();
         };
         let of_far = |mac: &Mac| plan.macs.is_none_or(|macs| macs[1] == *mac);
-        let candidates = senders(near).into_keys().filter(of_far);
-        let candidates = candidates.map(|of_far| Self::with(near, far, [of_near, of_far], plan.channel));
-        let candidates: Vec<Self> = candidates.filter(|pairs| pairs.len() > 0).collect();
+        let pair = if numbered { by_number } else { by_clock };
+        let candidates = senders(near, numbered).into_keys().filter(of_far);
+        let candidates = candidates.map(|of_far| Self::with(pair(near, far, [of_near, of_far]), plan.channel));
+        let (candidates, refused): (Vec<Self>, Vec<Self>) = candidates.partition(|pairs| pairs.len() > 0);
+        if let (true, Some(refused)) =
+            (candidates.is_empty(), refused.into_iter().find(|pairs| pairs.refused.is_some()))
+        {
+            return refused;
+        }
         let most = candidates.iter().map(Self::len).max().unwrap_or(0);
         let coherence = |pairs: &Self| pairs.compensation.as_ref().map_or(0.0, |found| found.coherence_after);
         let likely = candidates.into_iter().filter(|pairs| 2 * pairs.len() >= most).map(|mut pairs| {
@@ -85,29 +147,14 @@ impl Pairs {
             pairs
         });
         let pairs = likely.max_by(|a, b| coherence(a).total_cmp(&coherence(b))).unwrap_or_default();
-        let among_others = plan.macs.is_some() && senders(near).len() > 1;
+        let among_others = plan.macs.is_some() && senders(near, numbered).len() > 1;
         Self { among_others, ..pairs }
     }
 
-    fn with(near: &Heard, far: &Heard, [of_near, of_far]: [Mac; 2], channel: Channel) -> Self {
-        // A number that comes twice says of neither frame which exchange it was.
-        let mut heard_by_far: HashMap<u32, Option<&HeardRecord>> = HashMap::new();
-        for record in far.records.iter().filter(|record| record.mac == of_near) {
-            if let Some(number) = record.number {
-                heard_by_far.entry(number).and_modify(|twice| *twice = None).or_insert(Some(record));
-            }
-        }
+    fn with(partners: Partners<'_>, channel: Channel) -> Self {
         let indices = channel.subcarriers();
-        let mut pairs = Self { frames: [0, heard_by_far.len()], ..Self::default() };
-        let mut last = None;
-        for record in near.records.iter().filter(|record| record.mac == of_far && record.number.is_some()) {
-            if record.number == last {
-                continue;
-            }
-            last = record.number;
-            pairs.frames[0] += 1;
-            let other = record.number.and_then(|number| heard_by_far.get(&number).copied().flatten());
-            let Some(other) = other else { continue };
+        let mut pairs = Self { frames: partners.frames, refused: partners.refused, ..Self::default() };
+        for (record, other) in partners.pairs {
             let (backward, forward) = (antenna_a(record), antenna_a(other));
             let conjugated = backward.map(|h| h.conj());
             let product = round_trip_at_centre(&forward, &backward, &indices);

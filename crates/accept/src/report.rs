@@ -299,7 +299,7 @@ impl Report {
 }
 
 impl fmt::Display for Report {
-    /// Failures with causes and the next command, what was measured, and the names of what holds and was not tried; in the alternate form
+    /// Failures with causes and the next command (the host's last: they say nothing of a card), what was measured, and the names of what holds and was not tried; in the alternate form
     /// (`{:#}`) a line of each finding.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let wide = self.findings.iter().map(|finding| finding.id.len()).max().unwrap_or(0);
@@ -308,7 +308,9 @@ impl fmt::Display for Report {
                 self.names(out, verdict)?;
                 continue;
             }
-            for row in self.rows(verdict) {
+            let mut rows = self.rows(verdict);
+            rows.sort_by_key(|row| row.finding.of == Of::Host);
+            for row in rows {
                 let (finding, of, found) = (row.finding, row.of(), row.found().join("; "));
                 writeln!(out, "{:9}  {:wide$}  {of:4}  {found}", verdict.word(), finding.id)?;
                 if let Some(claim) = finding.claim().filter(|_| verdict == Verdict::Fails) {
@@ -366,8 +368,15 @@ fn thinned(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
 }
 
 fn curves(evidence: &Evidence) -> Vec<Curve> {
-    let mut curves = vec![rssi(evidence)];
-    curves.extend(clock(evidence));
+    let titles = [
+        ("RSSI of the near card by antenna", "Host clock against card clock, near card"),
+        ("RSSI of the far card by antenna", "Host clock against card clock, far card"),
+    ];
+    let mut curves = Vec::new();
+    for (heard, titles) in [Some(&evidence.near), evidence.far.as_ref()].into_iter().flatten().zip(titles) {
+        curves.push(rssi(heard, titles.0));
+        curves.extend(clock(heard, titles.1));
+    }
     curves.extend(phase(evidence));
     if !evidence.lateness_us.is_empty() {
         let points = (1..100).filter_map(|k| {
@@ -384,25 +393,25 @@ fn curves(evidence: &Evidence) -> Vec<Curve> {
     curves
 }
 
-fn rssi(evidence: &Evidence) -> Curve {
+fn rssi(heard: &Heard, title: &'static str) -> Curve {
     let of = |antenna: usize| {
-        let first = evidence.near.records.first().map_or(0, |record| record.card_us);
-        let points = evidence.near.records.iter().filter_map(|record| {
+        let first = heard.records.first().map_or(0, |record| record.card_us);
+        let points = heard.records.iter().filter_map(|record| {
             let rssi = record.head.rssi.get(antenna).copied().filter(|rssi| *rssi > 0)?;
             Some(((record.card_us - first) as f64 * 1e-6, f64::from(rssi)))
         });
         thinned(points.collect())
     };
     Curve {
-        title: "RSSI of the near card by antenna",
+        title,
         x: "card's clock (s)",
         y: "RSSI (dB above the card's reference)",
         series: vec![("A", of(0)), ("B", of(1)), ("C", of(2))],
     }
 }
 
-fn clock(evidence: &Evidence) -> Option<Curve> {
-    let records = &evidence.near.records;
+fn clock(heard: &Heard, title: &'static str) -> Option<Curve> {
+    let records = &heard.records;
     let first = records.iter().find_map(|record| Some((record.card_us, record.host_us?)))?;
     let points = records.iter().filter_map(|record| {
         let host = record.host_us? - first.1;
@@ -410,10 +419,10 @@ fn clock(evidence: &Evidence) -> Option<Curve> {
         Some((card as f64 * 1e-6, (host - card) as f64 * 1e-3))
     });
     Some(Curve {
-        title: "Host clock against card clock",
+        title,
         x: "card's clock (s)",
         y: "host less card (ms)",
-        series: vec![("near", thinned(points.collect()))],
+        series: vec![("host less card", thinned(points.collect()))],
     })
 }
 

@@ -87,6 +87,8 @@ pub struct AirCounts {
     pub tx_status: u64,
     /// Of these, marked as failed (no acknowledgement, or given up).
     pub tx_failed: u64,
+    /// Of these, sent more than once.
+    pub tx_retried: u64,
     /// Frames handed out as heard.
     pub heard: u64,
     /// Frames that lay in the queue for so long that they mean nothing any more; the host was away.
@@ -218,6 +220,7 @@ impl Monitor {
         if repr.is_own_echo() {
             counters.tx_status += 1;
             counters.tx_failed += u64::from(repr.tx_flags.is_some_and(|flags| flags & radiotap::TX_FLAGS_FAIL != 0));
+            counters.tx_retried += u64::from(repr.data_retries.is_some_and(|retries| retries > 0));
             return None;
         }
         if repr.is_bad_fcs() {

@@ -108,7 +108,7 @@ impl Status {
         let _ = writeln!(text, "damaged   {:>10} datagrams, {} bfee", survey.damages, survey.bad_bfee);
         let _ = writeln!(text, "RSSI      {}   AGC {} to {} dB", rssi(self.rssi), survey.agc.min, survey.agc.max);
         if silent > 1.0 {
-            let _ = writeln!(text, "nothing for {silent:.0} s: `csi5300 doctor` says what may be wrong");
+            let _ = writeln!(text, "nothing for {silent:.0} s: `csi5300 doctor` reports what may be wrong");
         }
         text.push_str("\nsender              now/s     all\n");
         for (mac, rate) in &self.rates_hz {

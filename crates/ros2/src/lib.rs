@@ -1,5 +1,5 @@
-//! A node of ROS 2: a participant of DDS with the names, types and qualities of service of ROS 2. It has an RTPS of its own,
-//! because no library of its kind binds its sockets to one address and asks named peers (docs/guides/ros2.md).
+//! A ROS 2 node: a DDS participant with the names, types and qualities of service of ROS 2. It has its own RTPS: `rustdds`
+//! can neither bind to one address nor ask static peers (<https://github.com/Atostek/RustDDS/issues/225>).
 //!
 //! | module | what it is |
 //! |---|---|

@@ -180,7 +180,7 @@ impl Air {
             None => (now_ns + radio.send_jitter_ns(&mut node.timing), None),
         };
         let mcs = mcs.unwrap_or(radio.mcs);
-        node.outgoing.push_back(Outgoing { not_before_ns: start_ns, instant_ns, mcs, bytes });
+        node.outgoing.push_back(Outgoing { not_before_ns: start_ns, instant_ns, mcs, retries: 0, bytes });
         if node.outgoing.len() == 1 {
             self.attempt(robot, start_ns);
         }
@@ -247,14 +247,20 @@ impl Air {
         }
         let node = &mut self.nodes[from];
         node.tried_ns = None;
-        let Some(Outgoing { bytes, instant_ns, mcs, .. }) = node.outgoing.pop_front() else { return };
-        node.injected.sent += 1;
-        let waiting_ns = node.outgoing.front().map(|next| next.not_before_ns);
+        let Some(Outgoing { bytes, instant_ns, mcs, retries, .. }) = node.outgoing.pop_front() else { return };
         let scene = self.world.scene();
+        let retry = scene.robot[from].faults.retry;
+        let again = retries == 0 && retry > 0.0 && node.loss.happens(retry);
+        if again {
+            let once_more = Outgoing { not_before_ns: t_ns, instant_ns, mcs, retries: 1, bytes: bytes.clone() };
+            node.outgoing.push_front(once_more);
+        }
+        node.injected.sent += u64::from(retries == 0);
+        let waiting_ns = node.outgoing.front().map(|next| next.not_before_ns);
         let radio = Radio { mcs, ..*scene.radio_of(&scene.robot[from]) };
         let end_ns = t_ns + radio.airtime_ns(bytes.with_fcs().len(), scene.bandwidth_mhz == 40);
         let instant_ns = instant_ns.unwrap_or(t_ns);
-        let flight = Arc::new(Flight { from, start_ns: t_ns, end_ns, instant_ns, mcs, bytes });
+        let flight = Arc::new(Flight { from, start_ns: t_ns, end_ns, instant_ns, mcs, retries, again, bytes });
         let collided = !self.active.is_empty();
         self.active.iter_mut().for_each(|active| active.collided = true);
         let id = self.order;
@@ -269,7 +275,9 @@ impl Air {
     fn end(&mut self, id: u64) {
         let Some(at) = self.active.iter().position(|a| a.id == id) else { return };
         let Active { flight, collided, .. } = self.active.swap_remove(at);
-        self.nodes[flight.from].pass(&flight, true);
+        if !flight.again {
+            self.nodes[flight.from].pass(&flight, true);
+        }
         for robot in 0..self.nodes.len() {
             if robot != flight.from && self.hears(robot, &flight, collided) {
                 self.hear(robot, &flight);

@@ -5,11 +5,12 @@ use super::scene::Scene;
 use std::path::Path;
 
 /// Names and texts of the built-in scenes, ready to be printed, changed and read again.
-pub const BUILT_IN: [(&str, &str); 4] = [
+pub const BUILT_IN: [(&str, &str); 5] = [
     ("paper-circle", include_str!("../../../scenes/paper-circle.toml")),
     ("paper-line", include_str!("../../../scenes/paper-line.toml")),
     ("lab-circle", include_str!("../../../scenes/lab-circle.toml")),
     ("lab-line", include_str!("../../../scenes/lab-line.toml")),
+    ("two-antennas", include_str!("../../../scenes/two-antennas.toml")),
 ];
 
 impl Scene {
@@ -49,7 +50,7 @@ mod tests {
         assert_eq!(Scene::built_in("nowhere"), None);
         assert!(Scene::find(Path::new("lab-line")).is_ok());
         let nowhere = Scene::find(Path::new("nowhere")).unwrap_err();
-        let words = "there is no file nowhere, and no built-in scene of that name: paper-circle, paper-line, lab-circle, lab-line";
+        let words = "there is no file nowhere, and no built-in scene of that name: paper-circle, paper-line, lab-circle, lab-line, two-antennas";
         assert_eq!(nowhere.of_file(Path::new("nowhere")), words);
     }
 }

@@ -12,6 +12,8 @@ pub struct Faults {
     pub loss: f64,
     /// Share of frames that come a second time, one turn-around later, as in captures with an old responder.
     pub duplicate: f64,
+    /// Share of frames that this robot's card sends a second time, as one does that waits for an acknowledgement.
+    pub retry: f64,
     /// Share of records lost in the driver, after `bfee_count` was counted up.
     pub driver_drop: f64,
     /// Records that the listener's socket holds: 166 with the kernel's default buffer and WSR records (measured).
@@ -36,6 +38,7 @@ impl Default for Faults {
         Self {
             loss: 0.0,
             duplicate: 0.0,
+            retry: 0.0,
             driver_drop: 0.0,
             queue_records: 166,
             stall_every_s: 0.0,
@@ -86,7 +89,7 @@ impl Faults {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Injected {
-    /// Frames that this robot sent.
+    /// Frames that this robot sent; a second copy ([`Faults::retry`]) is no other frame.
     pub sent: u64,
     /// Frames that its card received and that asked for a record (duplicates included).
     pub received: u64,

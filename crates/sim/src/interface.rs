@@ -20,6 +20,7 @@ pub struct Interface {
     robot: usize,
     current: Option<Arc<Flight>>,
     went_out: u64,
+    retried: u64,
 }
 
 /// A frame that passed the interface.
@@ -34,6 +35,8 @@ pub struct Seen<'a> {
     pub age: Span,
     /// This robot sent it: the card says that it went out.
     pub own: bool,
+    /// How often the card sent it again.
+    pub retries: u8,
 }
 
 impl Interface {
@@ -46,7 +49,7 @@ impl Interface {
         }
         *passed = Some(VecDeque::new());
         drop(guard);
-        Some(Self { air, robot, current: None, went_out: 0 })
+        Some(Self { air, robot, current: None, went_out: 0, retried: 0 })
     }
 
     /// The next frame that passed, own ones too; `None` if there is none yet.
@@ -56,8 +59,9 @@ impl Interface {
         let age = Span::from_us((air.now_ns() - flight.end_ns).max(0) / 1_000);
         drop(air);
         self.went_out += u64::from(own);
+        self.retried += u64::from(own && flight.retries > 0);
         let flight = self.current.insert(flight);
-        Some(Seen { frame: flight.bytes.without_fcs(), mcs: flight.mcs, age, own })
+        Some(Seen { frame: flight.bytes.without_fcs(), mcs: flight.mcs, age, own, retries: flight.retries })
     }
 
     /// As [`Injector::inject`], at a modulation and coding scheme of one stream, 0 to 7, other than the scene's.
@@ -70,6 +74,12 @@ impl Interface {
             return Err(CardError::Mcs { mcs }.into());
         }
         inject(&self.air, self.robot, now, frame, Some(mcs))
+    }
+
+    /// Own frames that the card says it sent more than once.
+    #[must_use]
+    pub fn retried(&self) -> u64 {
+        self.retried
     }
 
     /// Frames that passed and were lost because they were not fetched.

@@ -22,13 +22,17 @@ pub struct Flight {
     pub instant_ns: i64,
     /// Modulation and coding scheme.
     pub mcs: u8,
+    /// How often the card has sent it before.
+    pub retries: u8,
+    /// The card will send it once more.
+    pub again: bool,
     /// The frame with its FCS.
     pub bytes: FrameBytes,
 }
 
 /// A frame as it is on air, its FCS at the end.
 #[derive(Clone, Debug)]
-pub struct FrameBytes(Box<[u8]>);
+pub struct FrameBytes(Arc<[u8]>);
 
 impl FrameBytes {
     /// A frame to which the card appends the FCS.
@@ -155,6 +159,7 @@ pub(super) struct Outgoing {
     pub(super) not_before_ns: i64,
     pub(super) instant_ns: Option<i64>,
     pub(super) mcs: u8,
+    pub(super) retries: u8,
     pub(super) bytes: FrameBytes,
 }
 

@@ -357,6 +357,7 @@ fn check_turn_around(turn: &TurnAround) -> Checked {
 fn check_faults(faults: &Faults) -> Checked {
     share("loss", faults.loss)?;
     share("duplicate", faults.duplicate)?;
+    share("retry", faults.retry)?;
     share("driver_drop", faults.driver_drop)?;
     ensure(faults.queue_records > 0, "queue_records", || "is 0: nothing would ever arrive".to_owned())?;
     not_negative("stall_every_s", faults.stall_every_s)?;

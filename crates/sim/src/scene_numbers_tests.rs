@@ -119,6 +119,7 @@ fn robot(number: usize, motion: RobotMotion) -> Robot {
         faults: Faults {
             loss: 0.1,
             duplicate: 0.1,
+            retry: 0.1,
             driver_drop: 0.1,
             queue_records: 99,
             stall_every_s: 5.0,

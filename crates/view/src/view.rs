@@ -340,7 +340,7 @@ impl View {
         let of = |links: &Links| {
             let (capture, transmitter) = links.place(link)?;
             let capture = links.captures().get(capture)?;
-            let receiver = capture.folder.join(format!("csi_rx_{}.dat", capture.stamp));
+            let receiver = capture.receiver_log();
             let transmitter = capture.transmitters.get(transmitter).and_then(|(_, path)| self.logs.number(path));
             Some([self.logs.number(&receiver), transmitter])
         };

@@ -139,7 +139,7 @@ impl Repr {
     }
 }
 
-/// Writes the 18 bytes that follow the stock header, or the 14 where there is no number.
+/// Writes the 18 bytes that follow the stock header, or the 14 if there is no number.
 fn emit_wsr(wsr: &Wsr, out: &mut [u8]) {
     let fields = wsr.tv_sec.to_le_bytes().into_iter().chain(wsr.tv_usec.to_le_bytes());
     let fields = fields.chain(wsr.mac.0).chain(wsr.frame_count.unwrap_or(0).to_le_bytes());

@@ -121,7 +121,7 @@ pub struct Framer {
     usual: Usual,
 }
 
-/// What is known of the present front.
+/// What is known about the present front.
 #[derive(Clone, Copy, Debug, Default)]
 struct Known {
     /// Positions that begin no record.
@@ -236,7 +236,7 @@ impl Framer {
     }
 
     /// The rows of the table that a good log keeps to: its records are `Vouched` and `Followed` in turns, or `Vouched` all, and as usual.
-    /// The record at the front, its length and what is known of what follows, in registers; `None` leaves it to [`Self::judge`].
+    /// The record at the front, its length and what is known about what follows, in registers; `None` leaves it to [`Self::judge`].
     /// Its code is one that is known anyhow.
     #[inline(always)]
     fn go_on<'a>(&self, front: &'a [u8]) -> Option<(Record<'a>, usize, State)> {
@@ -248,7 +248,7 @@ impl Framer {
         Some((Record::from_message(front.get(LENGTH_FIELD..len)?)?, len, next))
     }
 
-    /// What is known of the `rest` behind a record that vouches for itself, if that is enough to take it.
+    /// What is known about the `rest` behind a record that vouches for itself, if that is enough to take it.
     fn behind_sure(&mut self, rest: &[u8]) -> Option<State> {
         let state = self.look_behind_sure(rest)?;
         self.usual.learn(rest, state);

@@ -43,7 +43,7 @@ pub enum Reason {
     /// A record whose bytes are not those that the log's side file has the checksum of
     /// ([`Check`](crate::side_file::Check)): they were changed, or never written. Found by who reads both, not by the framer.
     Checksum,
-    /// The damage goes on from the step before: too long for one look.
+    /// The damage continues from the step before: too long for one look.
     StillLost,
 }
 
@@ -167,7 +167,7 @@ pub(super) fn likely(bytes: &[u8], seen: &Codes) -> Option<usize> {
 /// Bits of evidence of a bfee that is longer than its CSI: numbers of chains, and a length of CSI that is theirs.
 const LONGER_BFEE: u32 = 28;
 
-/// A bfee says so much about itself that nothing else looks like one; one that goes on behind its CSI needs a witness.
+/// A bfee says so much about itself that nothing else looks like one; one that continues behind its CSI needs a witness.
 #[inline]
 fn bfee_head(body: &[u8], length: usize) -> Head {
     let checked = body.first_chunk().map(|header| bfee::check(header, length - 1));

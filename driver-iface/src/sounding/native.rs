@@ -295,7 +295,7 @@ pub const fn len_with_fcs(has_measurement: bool, has_tag: bool) -> usize {
 
 /// The bytes that the tag covers: the addresses, and everything from the number up to the tag.
 ///
-/// Frame control, duration and sequence control are left out: mac80211 and the card rewrite them.
+/// Frame control, duration and sequence control are omitted: mac80211 and the card rewrite them.
 #[must_use]
 pub fn authenticated_parts(mpdu: &[u8]) -> [&[u8]; 2] {
     let addresses = mpdu.get(super::field::ADDR1..super::field::ADDR3 + 6).unwrap_or(&[]);

@@ -57,7 +57,7 @@ impl core::error::Error for BadPacket {}
 /// What the assembly makes use of.
 #[derive(Clone, Copy, Debug)]
 pub enum Packet<'a> {
-    /// 0x01: the firmware was started anew.
+    /// 0x01: the firmware was restarted.
     Alive,
     /// 0xC0, or why not.
     RxPhy(Result<RxPhy, BadPacket>),
@@ -203,7 +203,7 @@ pub struct CsiNotification<'a> {
 }
 
 impl<'a> CsiNotification<'a> {
-    /// Checks the data of 0xBB; bytes behind the CSI are allowed and left out.
+    /// Checks the data of 0xBB; bytes behind the CSI are allowed and skipped.
     ///
     /// # Errors
     /// When chains are not 1 to 3, the length of the CSI is not theirs, or the data is shorter than it.

@@ -14,7 +14,7 @@
 //!    the exchanges are too regular for one to be told from the next.
 //! 3. From there the line is followed to both ends, so that drift may change with temperature.
 //! 4. A record is paired with the one nearest to the line, within half of the shortest exchange, where each is the other's
-//!    nearest. Two that are equally near are both left out.
+//!    nearest. Two that are equally near are both skipped.
 //!
 //! A clock that steps back was set anew: what follows is aligned by itself.
 

@@ -23,7 +23,7 @@ const RUN_STEP_US: i64 = 80;
 /// Candidates kept, of all counts.
 const RUNS_KEPT: usize = 8;
 
-/// A pair that does not continue the link, as far as is known.
+/// A pair that does not continue the link, if known.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     /// The count that it is of: where both robots initiate, the difference is one turn-around less in one robot's

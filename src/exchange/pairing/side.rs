@@ -5,7 +5,7 @@
 //!
 //! | state | where | leaves it when |
 //! |---|---|---|
-//! | suspect: its number is near no open count | `suspects` | a number near it follows: its count is opened or goes on ([`SideState::jump`]); or too many records pass: *implausible* |
+//! | suspect: its number is near no open count | `suspects` | a number near it follows: its count is opened or continues ([`SideState::jump`]); or too many records pass: *implausible* |
 //! | waiting: it belongs to a session | `waiting`, and `order` by age | its partner comes: *paired*; or it is the oldest of a full window: *unpaired*, or *mispaired* where a partner's clock did not fit |
 //! | seen: its key is remembered, so that a repetition is a *duplicate* | `seen` | newer keys take its place |
 //!
@@ -27,7 +27,7 @@ const MAX_COUNTS: usize = 16;
 /// slot.
 const MAX_SUSPECTS: usize = 4;
 const SUSPECT_RECORDS: u64 = 8;
-/// Sessions back in which a partner is looked for, besides those that go on.
+/// Sessions back in which a partner is looked for, besides those that continue.
 const SESSIONS_BACK: u32 = 3;
 
 /// Hashes the few thousand (session, number) keys of a window: one multiplication is plenty where the window is
@@ -68,7 +68,7 @@ pub(super) type Key = (u32, u32);
 #[derive(Clone, Copy, Debug)]
 struct Count {
     session: u32,
-    /// Times that it began anew.
+    /// Times that it restarted.
     restarts: u32,
     last: u32,
 }
@@ -87,7 +87,7 @@ struct Suspect<T> {
 pub(super) struct SideState<T> {
     /// The next session.
     sessions: u32,
-    /// The counts that go on, the one of the newest record last.
+    /// The counts that continue, the one of the newest record last.
     open: Vec<Count>,
     /// Records whose number is near no count, the oldest first.
     suspects: VecDeque<Suspect<T>>,
@@ -193,7 +193,7 @@ impl<T> SideState<T> {
         in_reach.min_by_key(|(_, count)| distance(count)).map(|(at, _)| at)
     }
 
-    /// The count at `at` goes on with number `to`; those between are missing. Gives its session.
+    /// The count at `at` continues with number `to`; those between are missing. Gives its session.
     fn leap(&mut self, at: usize, to: u32) -> u32 {
         let count = self.open.remove(at);
         self.counts.missing += u64::from(to.wrapping_sub(count.last).saturating_sub(1));
@@ -229,7 +229,7 @@ impl<T> SideState<T> {
         true
     }
 
-    /// Sessions in which the partner of another log's record may be: those that go on, the newest first, and the last
+    /// Sessions in which the partner of another log's record may be: those that continue, the newest first, and the last
     /// ones that ended.
     pub(super) fn sessions(&self) -> impl Iterator<Item = u32> + use<T> {
         let mut open = [None; MAX_COUNTS];

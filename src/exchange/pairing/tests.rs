@@ -226,7 +226,7 @@ fn losses_and_restarts_of_two_initiators_make_no_wrong_pair() {
     };
     let apart = [before_first_number(0, 2) + 1, before_first_number(1, 2) + 1];
     for slots in [1, 4, 32] {
-        // A fifth of the records is lost, whole turns among them, and the second robot begins anew half-way.
+        // A fifth of the records is lost, whole turns among them, and the second robot restarts half-way.
         let lost = |side: LinkSide, exchange: u32| dice(side, exchange) < 51 || dice(side, exchange / 50 + 9_000) < 4;
         let [mut r, mut t] = in_turns(slots, 10_000, apart, lost);
         let both = r.iter().filter(|one| t.iter().any(|other| other.2 == one.2)).count();
@@ -337,7 +337,7 @@ fn the_log_that_is_behind_is_read_next() {
     let third = 1 << 24;
     let ahead = [(Receiver, 1), (Receiver, third), (Receiver, third + 1)];
     assert_eq!(behind(&[&ahead[..], &[(Transmitter, 1); 9]].concat()), Transmitter);
-    // One began anew: it is ahead, though its numbers are lower.
+    // One restarted: it is ahead, though its numbers are lower.
     let again = (40..60).chain([1, 2]).map(|number| (Receiver, number));
     let still = (40..50).map(|number| (Transmitter, number));
     assert_eq!(behind(&again.chain(still).collect::<Vec<_>>()), Transmitter);

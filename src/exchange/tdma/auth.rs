@@ -85,7 +85,7 @@ impl Key {
     }
 
     /// What `own` needs of this key to exchange frames with `peers`; with it alone it cannot make frames of others to each
-    /// other. Peers for which there is no key here are left out.
+    /// other. Peers for which there is no key here are skipped.
     #[must_use]
     pub fn for_robot(&self, own: Mac, peers: &[Mac]) -> Self {
         let peers = peers.iter().filter_map(|peer| Some((*peer, self.pair(own, *peer)?)));

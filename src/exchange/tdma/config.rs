@@ -35,7 +35,7 @@ pub struct Config {
     /// This robot answers forward frames. False if the WSR kernel driver does it.
     pub respond: bool,
     /// Answers are measured by the card but need not reach this scheduler, as with WSR's sender: links are sounded in
-    /// every round whatever is heard, and no slot is left out to listen.
+    /// every round whatever is heard, and no slot is skipped to listen.
     pub open_loop: bool,
     /// Number of this start: larger after every restart (wrapping), such as seconds since 1970. In the native dialect
     /// frame numbers are counted within it; with a key, robots ignore frames of an older session.

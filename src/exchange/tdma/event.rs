@@ -13,7 +13,7 @@ pub enum Event {
         peer: Mac,
         /// The frame number that both frames carry.
         number: u32,
-        /// The responder's session: another one than before means that it was started anew. 0 in the WSR dialect.
+        /// The responder's session: another one than before means that it was restarted. 0 in the WSR dialect.
         peer_session: u32,
         /// What the responder measured, of this frame or an earlier one (see [`Measurement::number`]).
         measurement: Option<Measurement>,
@@ -36,7 +36,7 @@ pub enum Event {
     },
     /// Slots of this robot's turn were skipped, as the driver came later than the guard.
     Missed {
-        /// So many in a row.
+        /// How many in a row.
         slots: u32,
         /// From the start of the first of them to the driver's coming.
         late: Span,
@@ -47,7 +47,7 @@ pub enum Event {
     Joined(Mac),
     /// A robot has not answered 64 times in a row; it is asked less often from now on, and not given the turn.
     Absent(Mac),
-    /// A robot was started anew: its numbers begin again, under another session.
+    /// A robot was restarted: its numbers begin again, under another session.
     Restarted {
         /// The robot.
         peer: Mac,
@@ -70,7 +70,7 @@ pub enum Event {
     },
     /// Another robot initiates at the same time and takes precedence: this robot's turn is over.
     Yielded {
-        /// The robot that goes on.
+        /// The robot that continues.
         to: Mac,
         /// Number of its turn.
         turn: u32,
@@ -138,7 +138,7 @@ pub struct TdmaCounts {
     pub time_ran_back: u64,
 }
 
-/// What was counted on one link, this robot initiating.
+/// Counts of one link, this robot initiating.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct LinkCounts {

@@ -136,7 +136,7 @@ impl Tdma {
     }
 
     /// Keeps what a frame says about its sender. Where the sender is, only its own word says for good, and what was sent now:
-    /// any robot of the group could say that another one was started anew, and that robot would not be believed again. A
+    /// any robot of the group could say that another one was restarted, and that robot would not be believed again. A
     /// frame that comes late, its own word or not, takes nothing back of what was heard since.
     fn note_heard(&mut self, repr: &native::Repr, peer: usize, is_proven: bool, is_now: bool) {
         let joined = self.roster.hear(peer, self.now);

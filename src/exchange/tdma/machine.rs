@@ -26,8 +26,8 @@ const EVENT_CAPACITY: usize = 256;
 /// 1. [`Tdma::handle_heard`] with every frame received, as soon as it is received;
 /// 2. then [`Tdma::poll_transmit`] until it gives `None`, sending each frame **at once**;
 /// 3. then [`Tdma::poll_event`] until it gives `None`;
-/// 4. then wait for the next frame or for [`Tdma::poll_timeout`], whichever is first, and go on with 1 or 2;
-///    after any other call that changes something, go on with 2.
+/// 4. then wait for the next frame or for [`Tdma::poll_timeout`], whichever is first, and continue with 1 or 2;
+///    after any other call that changes something, continue with 2.
 ///
 /// Time: every `now` is of one monotonic clock of this robot, and no earlier than any `now` before; an earlier one is
 /// taken as the last and counted. Nothing is decided between calls. After `poll_transmit(now)` has given `None`,
@@ -70,14 +70,14 @@ pub struct Tdma {
     pub(super) outstanding: Outstanding,
     /// This robot's turn, if it has it.
     pub(super) turn: Option<Turn>,
-    /// The turn that this robot passed on and of which nothing was heard since: its end, and to whom.
+    /// The turn that this robot passed on and from which nothing was heard since: its end, and to whom.
     pub(super) passed: Option<(i64, usize)>,
     /// When an initiator was last heard.
     pub(super) quiet_since: Instant,
     /// When a forward frame was last answered, or the turn was come by.
     pub(super) answered_at: Instant,
     pub(super) now: Instant,
-    /// The number of the last forward frame, in our dialect each robot's in a range of its own; 0 is left out, WSR drivers lose the
+    /// The number of the last forward frame, in our dialect each robot's in a range of its own; 0 is skipped, WSR drivers lose the
     /// sender's MAC with it.
     pub(super) number: u32,
     pub(super) reply: Option<Ready>,
@@ -266,7 +266,7 @@ impl Tdma {
         }
     }
 
-    /// This robot leaves for good: it sends nothing from now on. The others go on, after a silence at the latest.
+    /// This robot leaves for good: it sends nothing from now on. The others continue, after a silence at the latest.
     pub fn leave(&mut self) {
         (self.initiate, self.respond) = (false, false);
         (self.turn, self.reply, self.passed) = (None, None, None);
@@ -284,7 +284,7 @@ impl Tdma {
         self.turn.is_some()
     }
 
-    /// The robot that has the turn, or had it last, as far as is known here.
+    /// The robot that has the turn, or had it last, if known here.
     #[must_use]
     pub fn initiator(&self) -> Option<Mac> {
         let rank = self.view.current()?.holder;
@@ -304,7 +304,7 @@ impl Tdma {
         &self.counts
     }
 
-    /// What was counted on the link to `peer`, if there is one.
+    /// Counts of the link to `peer`, if there is one.
     #[must_use]
     pub fn link_counts(&self, peer: Mac) -> Option<LinkCounts> {
         let at = self.roster.find(peer)?;

@@ -18,7 +18,7 @@ pub(crate) const TURN_SLOTS: u16 = 32;
 /// Longest turn, slots (before it is rounded up to whole rounds).
 pub(crate) const MAX_TURN_SLOTS: u16 = 60_000;
 
-/// What is asked of a plan.
+/// The request for a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Request {

@@ -7,7 +7,7 @@ use driver_iface::record::code;
 use driver_iface::sounding::native::Repr;
 use driver_iface::sounding::{FCS_LEN, Frame};
 
-/// What is known of the frame that a record measures.
+/// What is known about the frame that a record measures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Proof {
     /// There is no frame with the record, or no key to check it with.
@@ -39,7 +39,7 @@ impl Prover {
         self.key.is_some()
     }
 
-    /// Takes what a source gave, in its order; of a record of CSI, what is known of its frame.
+    /// Takes what a source gave, in its order; of a record of CSI, what is known about its frame.
     pub fn note(&mut self, next: &Next<'_>) -> Proof {
         match (next, &self.key) {
             (Next::Record(_, record), Some(key)) if record.code == code::MPDU => {

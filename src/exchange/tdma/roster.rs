@@ -6,7 +6,7 @@ use crate::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
 
-/// After so many unanswered frames a robot counts as absent.
+/// A robot is absent after this many unanswered frames.
 pub(super) const ABSENT_AFTER: u32 = 64;
 /// An absent robot is asked in every so manieth round at most.
 const ABSENT_ROUNDS: u16 = 8;
@@ -50,7 +50,7 @@ impl Reached {
     }
 }
 
-/// What is known of one peer.
+/// What is known about one peer.
 #[derive(Clone, Debug)]
 pub(super) struct Peer {
     pub(super) mac: Mac,
@@ -61,7 +61,7 @@ pub(super) struct Peer {
     pub(super) wants_turn: bool,
     /// Was given the turn and did not take it up; cleared when heard.
     pub(super) let_turn_lapse: bool,
-    /// By frames that it has made, as far as can be known: all where there is no key.
+    /// By frames that it has made, if that can be known: all if there is no key.
     pub(super) proven: Reached,
     /// Also by frames for others of which no more is known than that a robot of the group made them. What the robot itself says
     /// later replaces it.
@@ -70,7 +70,7 @@ pub(super) struct Peer {
     /// Numbers of the frames that were answered to it in its session.
     pub(super) asked: Asked,
     pub(super) measurement: Option<Measurement>,
-    /// A measurement of a frame that was not answered, as far as is known: it may have come before the frame itself.
+    /// A measurement of a frame that was not answered, if known: it may have come before the frame itself.
     pub(super) early: Option<Measurement>,
     /// Number and card's clock of the last measurement that was handed over.
     pub(super) measured: Option<(u32, u32)>,

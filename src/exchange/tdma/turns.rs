@@ -1,4 +1,4 @@
-//! Having the turn: how it is come by, what is sent in it, how it ends.
+//! The turn: how a robot gets it, what it sends in it, how it ends.
 
 use super::event::{Cause, Event};
 use super::machine::{Ready, Tdma};
@@ -8,11 +8,11 @@ use super::view::Claim;
 use crate::time::{Instant, Span};
 use driver_iface::sounding::{native, wsr};
 
-/// An initiator sounds in at least one of so many slots, so that it is heard to be there.
+/// An initiator sounds in at least one of this many slots, so that others hear it.
 const KEEP_ALIVE_SLOTS: u32 = 4;
-/// An initiator that was not answered for so many slots listens in some.
+/// An initiator without answers for this many slots listens in some.
 const DEAF_SLOTS: u32 = 64;
-/// A robot that was not heard for so many rounds is not given the turn.
+/// A robot not heard for this many rounds does not get the turn.
 const ALIVE_ROUNDS: i64 = 64;
 
 /// This robot's turn.

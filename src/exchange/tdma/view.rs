@@ -5,7 +5,7 @@
 //! with the lower MAC**. A frame that contradicts this robot's view changes it only with a valid tag, or as the third in a
 //! row that agree: a single one without a tag could be forged.
 
-/// What one frame says about the turn.
+/// A frame's claim about the turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Claim {
     /// Rank of the initiator (by MAC).
@@ -18,7 +18,7 @@ pub(super) struct Claim {
     pub(super) end: i64,
 }
 
-/// So many contradicting frames in a row convince.
+/// This many contradicting frames in a row change the view.
 const CONVINCING: u32 = 3;
 
 /// The turn as this robot sees it.

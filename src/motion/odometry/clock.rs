@@ -59,7 +59,7 @@ impl ClockFit {
         set
     }
 
-    /// Forgets everything but the count: the controller's clock began anew.
+    /// Forgets everything but the count: the controller's clock restarted.
     pub fn restart(&mut self) {
         self.blocks.clear();
     }
@@ -88,7 +88,7 @@ impl ClockFit {
     }
 }
 
-/// Tells when the host's wall clock was set: it then goes on by more or less than the monotonic one.
+/// Detects that the host's wall clock was set: it then advances by more or less than the monotonic one.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WallWatch {
     last: Option<i64>,

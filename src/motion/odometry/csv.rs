@@ -1,4 +1,4 @@
-//! Trajectory files: rows of numbers, told by their headings or, without any, by what is in the columns.
+//! Trajectory files: rows of numbers, identified by their headings or, without any, by the contents of the columns.
 //!
 //! A line of headings decides: order, units and the order of quaternions. It may be a comment, and may have titles above it and a
 //! line of units below. Without headings these are read; keys in brackets: docs/reference/references.md.
@@ -15,7 +15,7 @@
 //!
 //! Metres, seconds and radians unless a heading says otherwise. What may mean two things is refused, with both readings and the
 //! [`Columns`] that choose one. Columns are parted by semicolons, tabs, commas or spaces; all but commas leave decimal commas to
-//! the numbers. Rows that cannot be read are counted with their line and left out.
+//! the numbers. Rows that cannot be read are counted with their line and skipped.
 
 use crate::motion::heading::heading_of;
 use crate::motion::pose::{Pose, Trajectory, TrajectoryError, TrajectoryKind};
@@ -24,7 +24,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// What was read beside the poses.
+/// Notes about a file that was read.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
 pub struct CsvCounts {
@@ -45,17 +45,17 @@ pub struct CsvCounts {
 }
 
 impl CsvCounts {
-    /// What of a file is not used, or was put in order, in words: a sentence without its end each.
+    /// Skipped or reordered parts of a file, in words, a clause each.
     #[must_use]
     pub fn notes(&self, trajectory: &Trajectory) -> Vec<String> {
         let mut notes = Vec::new();
         if let Some((line, why)) = &self.first_bad {
-            notes.push(format!("{} rows left out, the first in line {line}: {why}", self.bad_rows));
+            notes.push(format!("{} rows skipped, the first in line {line}: {why}", self.bad_rows));
         }
         let left_out = trajectory.left_out();
         match left_out.set_back {
             Some((rows, back_s)) => notes.push(format!(
-                "time goes back by {back_s:.3} s while the robot goes on (a clock that was set?): {rows} rows left out, the longest \
+                "time goes back by {back_s:.3} s while the robot goes on (a clock that was set?): {rows} rows skipped, the longest \
                  part, {:.3} s to {:.3} s, is used",
                 trajectory.span_s().0,
                 trajectory.span_s().1
@@ -67,23 +67,23 @@ impl CsvCounts {
         }
         if left_out.same_time > 0 {
             notes.push(format!(
-                "{} rows left out at whose time another one is elsewhere: the last of each time is used",
+                "{} rows skipped at whose time another one is elsewhere: the last of each time is used",
                 left_out.same_time
             ));
         }
         if let Some(step_s) = trajectory.time_step_s() {
             notes.push(format!(
-                "times are rounded to {step_s} s: the poses of one time are spread over it; by {:.1} deg the path turns meanwhile",
+                "times are rounded to {step_s} s: the poses of one time are spread over it; the path turns by {:.1} deg within a step",
                 trajectory.turn_in_step_rad().to_degrees()
             ));
         }
         if left_out.stale > 0 {
-            notes.push(format!("the first {} poses are from before the run and left out", left_out.stale));
+            notes.push(format!("the first {} poses are from before the run and skipped", left_out.stale));
         }
         notes
     }
 
-    /// True if rows were left out that say where the robot was: what is made of the rest is made of less than was given.
+    /// True if rows with poses were skipped: results then use less than was given.
     #[must_use]
     pub fn lost_something(&self, trajectory: &Trajectory) -> bool {
         let left_out = trajectory.left_out();
@@ -210,7 +210,7 @@ const FURTHEST_M: f64 = 1e9;
 const LONGEST: u64 = 512 << 20;
 /// Poses of a trajectory at most, by the same measure: short rows are a fifth of the poses they become.
 const MOST_POSES: usize = 10_000_000;
-/// Bytes of a row at most; what is beyond is left out, so that a file without lines takes no memory.
+/// Bytes of a row at most; what is beyond is skipped, so that a file without lines takes no memory.
 const LONGEST_ROW: usize = 64 << 10;
 /// Lines above the first row that are kept to find headings in.
 const HEAD: usize = 32;
@@ -1158,7 +1158,7 @@ pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
     headless(&cells).filter(|layout| !layout.matrix).ok_or(RowError::Columns)?.pose(&cells).map(|(pose, _)| pose)
 }
 
-/// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
+/// A pose as a row: 6 columns, 5 if it has no heading, and the trailing comma.
 #[must_use]
 #[doc(hidden)]
 pub fn line(pose: &Pose) -> String {
@@ -1338,14 +1338,14 @@ mod tests {
         );
         let (words, lost) = said("1,0,0,0,0\n1,0,1,0,0\n2,0,1,0,0\n3,0,1,0,0\n4,0,?,0,0\n");
         assert!(
-            lost && words.starts_with("1 rows left out, the first in line 5: column 3 is not")
-                && words.contains("; 1 rows left out at whose time"),
+            lost && words.starts_with("1 rows skipped, the first in line 5: column 3 is not")
+                && words.contains("; 1 rows skipped at whose time"),
             "{words}"
         );
         let row = |k: u32| format!("{},0,{},0,0\n", if k < 60 { k } else { k - 30 }, f64::from(k) * 0.1);
         let (words, lost) = said(&(0..100).map(row).collect::<String>());
         assert!(
-            lost && words.starts_with("time goes back by 29.000 s") && words.contains(" 40 rows left out"),
+            lost && words.starts_with("time goes back by 29.000 s") && words.contains(" 40 rows skipped"),
             "{words}"
         );
     }

@@ -48,7 +48,7 @@ pub struct WheelCounts {
     pub by_imu: u64,
     /// Steps whose heading is the wheels', the IMU having none, a dead one, or one that jumped.
     pub by_wheels: u64,
-    /// Steps that no wheel can make: left out.
+    /// Steps that no wheel can make: skipped.
     pub jumps: u64,
 }
 
@@ -79,12 +79,12 @@ impl Drive {
         (self.position_m, self.heading_rad)
     }
 
-    /// The next reading counts from itself: the controller began anew, and what was driven meanwhile is not known.
+    /// The next reading counts from itself: the controller restarted, and what was driven meanwhile is not known.
     pub fn restart(&mut self) {
         self.last = None;
     }
 
-    /// Takes a reading; false if it was left out.
+    /// Takes a reading; false if it was skipped.
     pub fn handle(&mut self, reading: Reading) -> bool {
         let Some(last) = self.last.replace(reading) else { return true };
         let arc_m =

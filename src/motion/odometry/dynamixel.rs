@@ -99,7 +99,7 @@ pub struct PacketCounts {
 #[derive(Clone, Debug, Default)]
 pub struct Parser {
     buffer: Vec<u8>,
-    /// What was counted.
+    /// The counts.
     pub counts: PacketCounts,
 }
 

@@ -3,7 +3,7 @@
 use super::csv::RowError;
 use crate::motion::pose::TrajectoryError;
 
-/// Why a source of poses cannot go on.
+/// Why a source of poses cannot continue.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OdometryError {
@@ -26,7 +26,7 @@ pub enum OdometryError {
     /// A pose came that cannot be moved to the antenna.
     #[error(transparent)]
     Mounting(#[from] TrajectoryError),
-    /// A source of another program failed for a reason of its own.
+    /// A source in another program failed.
     #[error(transparent)]
     Other(Box<dyn std::error::Error + Send + Sync>),
     /// The thread that reads the sensor has ended.

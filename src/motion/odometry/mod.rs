@@ -27,7 +27,7 @@ pub enum NextPose {
     /// A pose of the robot (not of its antenna). Its time is the host's wall clock at the measurement, seconds since
     /// the Unix epoch; a late pose may come after a newer one.
     Pose(Pose),
-    /// The poses from here on are in another frame: the sensor began anew.
+    /// The poses from here on are in another frame: the sensor restarted.
     NewFrame,
     /// Nothing yet: wait for [`OdometrySource::next_at`], or for the file descriptor.
     Pending,
@@ -35,20 +35,20 @@ pub enum NextPose {
     End,
 }
 
-/// What was counted of a robot of a simulated room that follows a source of poses.
+/// Counts of a robot of a simulated room that follows a source of poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct FollowedCounts {
     /// Poses that it follows.
     pub poses: u64,
-    /// Poses left out because a newer one had come, or because they were out of order.
+    /// Poses skipped because a newer one had come, or because they were out of order.
     pub late: u64,
-    /// Times that the source began anew.
+    /// Times that the source restarted.
     pub new_frames: u64,
     /// Times that the source's clock was set, or ran differently.
     pub clock_set: u64,
 }
 
-/// What a source of poses counted of its own; in JSON the fields of the variant alone.
+/// A source's own counts; in JSON only the fields of the variant.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 #[serde(untagged)]
 #[non_exhaustive]
@@ -82,12 +82,12 @@ pub trait OdometrySource {
     /// When the next pose is due, if the source knows: replay and simulation do, a live port does not.
     fn next_at(&self) -> Option<Instant>;
 
-    /// What is wrong with the source at the moment, in words, if anything is: unplugged, not answering.
+    /// The source's present problem, in words, if any: unplugged, not answering.
     fn trouble(&self) -> Option<String> {
         None
     }
 
-    /// What the source counted of its own, if it counts.
+    /// The source's own counts, if any.
     fn counted(&self) -> Option<SourceCounts> {
         None
     }

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Poses that wait at most; further ones are dropped and counted.
 const QUEUE: usize = 4_096;
-/// Stamps that go back by more than this are of a simulation that began anew, or of a clock that was set, seconds.
+/// Stamps that go back by more than this are of a simulation that restarted, or of a clock that was set, seconds.
 const BACK_S: f64 = 1.0;
 /// Stamps further than this from the host's clock are no use beside records, which it stamps, seconds.
 const OTHER_CLOCK_S: f64 = 1.0;
@@ -63,7 +63,7 @@ pub struct Message<'a> {
     pub orientation: [f64; 4],
 }
 
-/// What was counted of a topic.
+/// Counts of a topic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct TopicCounts {
     /// Messages that came.
@@ -136,7 +136,7 @@ impl Reader {
             self.begins |= self.frame.replace(frame.to_owned()).is_some();
         }
         self.begins |= self.last_s.is_some_and(|last_s| t_s < last_s - BACK_S);
-        // A late one says nothing of how far the others have come.
+        // A late one tells nothing about how far the others have come.
         self.last_s = Some(if self.begins { t_s } else { self.last_s.map_or(t_s, |last_s| last_s.max(t_s)) });
         let begins = std::mem::take(&mut self.begins);
         self.counts.new_frames += u64::from(begins);
@@ -216,7 +216,7 @@ impl Inbox {
         true
     }
 
-    /// So many messages were dropped on the way.
+    /// Counts messages dropped on the way.
     pub fn dropped(&self, messages: u64) {
         self.lock().reader.counts.dropped += messages;
     }

@@ -29,7 +29,7 @@ pub struct LiveEstimator {
     front: Front,
     track: Track,
     peers: Vec<PeerLink>,
-    /// Records lost on the way from the own card, as far as its source knows how many.
+    /// Records lost on the way from this robot's card, if its source counts them.
     losses: u64,
     strangers: u64,
     other_antenna: u64,
@@ -149,7 +149,7 @@ impl LiveEstimator {
         self.peers.iter().map(at).min()
     }
 
-    /// The next report, if one is due: the peer's number and what is said of it.
+    /// The next report, if one is due, with the peer's number.
     ///
     /// One is due at its time as soon as another pair comes, or a moment later; and once more, from the accuracy layer, when
     /// nothing else is due.
@@ -208,7 +208,7 @@ impl LiveEstimator {
         self.peers.iter().map(move |state| (&state.peer, counts(state)))
     }
 
-    /// What was counted of this robot's own card.
+    /// Counts of this robot's own card.
     #[must_use]
     pub fn own_log(&self) -> &LogReport {
         &self.front.log
@@ -241,7 +241,7 @@ impl LiveEstimator {
     }
 }
 
-/// Records lost, as far as a source knows how many.
+/// Records lost, if a source counts them.
 fn lost(next: &Next<'_>) -> u64 {
     match next {
         Next::Lost(Loss::Overrun { dropped: Some(dropped) }) => (*dropped).max(1),

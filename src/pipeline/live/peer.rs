@@ -90,7 +90,7 @@ pub(super) enum Why {
 }
 
 impl PeerLink {
-    /// A peer of which nothing was heard yet.
+    /// A peer from which nothing was heard yet.
     pub(super) fn new(peer: LivePeer, own: Mac, due: Instant, options: &Options) -> Self {
         let antenna = options.antenna;
         let heading_sd_rad = options.heading_sd_rad.unwrap_or_default();
@@ -113,7 +113,7 @@ impl PeerLink {
         }
     }
 
-    /// Forgets what was measured in another frame.
+    /// Drops measurements of another frame.
     pub(super) fn begin_anew(&mut self) {
         self.link.forget_before(i64::MAX);
         (self.last, self.searched, self.bearing) = (None, None, None);
@@ -183,7 +183,7 @@ impl PeerLink {
         self.link.forget_before((t_s * 1e6) as i64);
     }
 
-    /// What is to be said.
+    /// The report that is due.
     ///
     /// Whether both sides are one log, and whether they are of one run, is asked of the pairs in the window, as the bearing is
     /// made of them: a feed that goes wrong is refused once the window is full of it, and taken again when it has passed.
@@ -329,7 +329,7 @@ impl PeerLink {
         Some(CarriedAnswer::new(&answer))
     }
 
-    /// A report without a new bearing: the last one, if there is one, is said again with its age.
+    /// A report without a new bearing: the last one, if there is one, is repeated with its age.
     fn without(
         &self,
         state: PeerState,
@@ -365,7 +365,7 @@ impl NewestPoses {
     }
 }
 
-/// The trajectory from the window's beginning on, where earlier motion was left out of it.
+/// The trajectory from the window's beginning on, where earlier motion was skipped.
 fn cut(trajectory: &Trajectory, found: &Window) -> Trajectory {
     if !found.cut {
         return trajectory.clone();

@@ -55,7 +55,7 @@ pub struct LivePeer {
     pub yaw_rad: f64,
 }
 
-/// What is known of a peer.
+/// What is known about a peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PeerState {
@@ -65,13 +65,13 @@ pub enum PeerState {
     Held,
     /// The robots have not yet moved enough relative to each other.
     NotYet,
-    /// Too few exchanges, none with a pose, or none since the last bearing, which is said again.
+    /// Too few exchanges, none with a pose, or none since the last bearing, which is repeated.
     NoPairs,
     /// The estimator refused; see the error.
     Failed,
 }
 
-/// What is said of a peer at one time.
+/// A report about a peer at one time.
 #[derive(Clone, Debug, Serialize)]
 pub struct PeerReport {
     /// Host time of the last exchange in it, seconds since the Unix epoch.
@@ -84,7 +84,7 @@ pub struct PeerReport {
     pub moved_m: f64,
     /// Relative motion that is needed, metres.
     pub needed_m: f64,
-    /// Seconds since the bearing was made, for one that is said again.
+    /// Seconds since the bearing was made, for one that is repeated.
     pub age_s: f64,
     /// The bearing is the accuracy layer's.
     pub accurate: bool,
@@ -96,7 +96,7 @@ pub struct PeerReport {
     pub answer: Answer,
 }
 
-/// What was counted of a peer.
+/// Counts of a peer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PeerCounts {
     /// Records of this robot's card from the peer.
@@ -109,12 +109,12 @@ pub struct PeerCounts {
     pub estimates: u64,
     /// Those of them with the accuracy layer.
     pub accurate: u64,
-    /// Searches left out because nothing moved.
+    /// Searches skipped because nothing moved.
     pub skipped: u64,
     /// Losses that the peer's source reported.
     pub losses: u64,
     /// Where the scheduler shares a key: what was not admitted.
     pub refused: AdmissionCounts,
-    /// Windows through which the peer's place was carried, and how often that began anew.
+    /// Windows through which the peer's place was carried, and how often that restarted.
     pub carried: TrackCounts,
 }

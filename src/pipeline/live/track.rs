@@ -132,7 +132,7 @@ pub fn aligned(partner: &Trajectory, ahead_s: f64, yaw_rad: f64) -> Option<Traje
 /// The last stretch of relative motion of two robots.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Window {
-    /// When it begins, seconds; everything before the first motion belongs to it if nothing was left out.
+    /// When it begins, seconds; everything before the first motion belongs to it if nothing was skipped.
     pub from_s: f64,
     /// Its end: the last time at which both poses are known, seconds.
     pub to_s: f64,
@@ -142,7 +142,7 @@ pub struct Window {
     pub extent_m: f64,
     /// Motion since the start of the first pose kept, metres: how much happened since the last look is a difference.
     pub whole_m: f64,
-    /// Earlier motion was left out.
+    /// Earlier motion was skipped.
     pub cut: bool,
 }
 

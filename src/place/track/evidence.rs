@@ -1,4 +1,4 @@
-//! What one stretch of motion says of a peer's place.
+//! The evidence of one stretch of motion about a peer's place.
 
 use super::peer_track::TrackError;
 use crate::maths::wrap_rad;
@@ -41,7 +41,7 @@ impl EvidenceMode {
     }
 }
 
-/// What one stretch of motion says of a peer's place; [`crate::pipeline::Bearing::evidence`] makes it of a bearing.
+/// The evidence of one stretch of motion about a peer's place; [`crate::pipeline::Bearing::evidence`] makes it from a bearing.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Evidence {

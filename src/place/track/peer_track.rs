@@ -46,7 +46,7 @@ pub struct TrackCounts {
     pub used: u64,
     /// Stretches that were refused (`TrackError`).
     pub refused: u64,
-    /// Times that what was known was forgotten: another frame began.
+    /// How often the evidence was dropped because another frame began.
     pub reset: u64,
     /// The same because nothing was heard of the peer for long.
     pub gone: u64,
@@ -70,13 +70,13 @@ struct Known {
 }
 
 impl PeerTrack {
-    /// A track of a peer of which nothing is known.
+    /// A track of a peer about which nothing is known.
     #[must_use]
     pub fn new(settings: TrackSettings) -> Self {
         Self { settings, known: None, counts: TrackCounts::default() }
     }
 
-    /// Takes what one stretch of motion says. Stretches come in the order of time and do not overlap, but for what
+    /// Adds the evidence of one stretch of motion. Stretches come in the order of time and do not overlap, except for what
     /// [`Evidence::fresh`] says.
     ///
     /// # Errors
@@ -120,7 +120,7 @@ impl PeerTrack {
         self.known.as_ref().map(|known| known.answer(&self.settings))
     }
 
-    /// Forgets what is known: another frame begins.
+    /// Drops all evidence: another frame begins.
     pub fn reset(&mut self) {
         self.counts.reset += u64::from(self.known.take().is_some());
     }

@@ -1,4 +1,4 @@
-//! What is read from the probabilities of places: directions, error bars, a place.
+//! Directions, error bars and a place from the probabilities of places.
 
 use super::grid::{AZIMUTHS, PlaceGrid, azimuth_rad, blur_around};
 use crate::maths::UNIFORM_RAD;

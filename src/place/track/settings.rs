@@ -1,4 +1,4 @@
-//! What is known of odometry and peers beforehand.
+//! What is known about odometry and peers beforehand.
 
 /// What each motion after the first adds to the power that the evidence of all is taken to; the first adds 1 (least
 /// Brier score of what is carried, 30 places, four trajectories, halves to eighths).
@@ -44,7 +44,7 @@ pub struct TrackSettings {
     /// How a peer without odometry wanders: standard deviation after one second, metres, in x and in y; it grows with the
     /// root of the time. 0: it stands still, or its odometry is known.
     pub wander_m_per_rt_s: f64,
-    /// A peer of which nothing was heard for longer has gone: what was known of its place is forgotten, seconds.
+    /// A peer from which nothing was heard for longer has gone: what was known of its place is forgotten, seconds.
     pub gone_s: f64,
     /// What each stretch after the first adds to the power that all evidence together is taken to when an answer is read from
     /// it; the first adds 1. 1: stretches are deceived independently; 0: all alike.

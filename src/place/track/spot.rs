@@ -1,4 +1,4 @@
-//! What one motion says of any place of the plane.
+//! The likelihood of any place of the plane by one motion.
 
 use super::evidence::{Evidence, EvidenceMode, bell};
 use super::grid::prior_ranges;

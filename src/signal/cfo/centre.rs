@@ -8,7 +8,7 @@ use num_complex::{Complex32, Complex64};
 /// Brings the CSI of one direction to the channel centre (subcarrier index 0, which the card does not report): the
 /// least-squares line through the unwrapped phase over the true subcarrier `indices`, evaluated at 0.
 ///
-/// So that unwrapping does not slip on noise the slope is first taken out as the phase of the summed neighbour products,
+/// So that unwrapping does not slip on noise the slope is first removed as the phase of the summed neighbour products,
 /// and the rest unwrapped and fitted; nothing is lost, the fit is of the sum of both.
 /// A subcarrier at (0, 0) has no phase and no part in the line. The magnitude is the root mean square over all subcarriers.
 /// `None` if all are zero.

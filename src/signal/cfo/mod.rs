@@ -4,7 +4,7 @@
 //! With the forward frame heard at `t` and the backward one at `t + tau`, the product of the two CSI vectors holds the
 //! path twice and the CFO only as `2 pi df tau`. `df tau` would be a constant, were it not that the turn-around `tau`
 //! jitters by microseconds to hundreds of them: at `df` of several kHz that is most of the phase noise left.
-//! Both cards' 1 MHz clocks (`timestamp_low`) measure the jitter, so it can be taken out again.
+//! Both cards' 1 MHz clocks (`timestamp_low`) measure the jitter, so it can be removed again.
 //!
 //! Convention: `z * exp(+j 2 pi df d)`, with `d = clock_tx - clock_rx` less the drift `df / carrier`. The drift has the same
 //! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady

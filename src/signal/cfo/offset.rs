@@ -3,7 +3,7 @@
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// Second differences of the jitter beyond this are left out, microseconds.
+/// Second differences of the jitter beyond this are skipped, microseconds.
 const MAX_SECOND_DIFFERENCE_US: i64 = 500;
 
 /// Pairs that an offset of their own is searched in.
@@ -54,7 +54,7 @@ pub(super) fn second_differences(z: &[Complex64], clock_us: &[i64], difference_u
     sums.iter().enumerate().filter(|(_, bin)| bin.1 > 0.0).map(term).collect()
 }
 
-/// The sum of all terms with an offset of `df_hz` taken out.
+/// The sum of all terms with an offset of `df_hz` removed.
 pub(super) fn sum_at(terms: &[Term], df_hz: f64) -> Complex64 {
     let Some(first) = terms.first() else { return Complex64::ZERO };
     let rate = TAU * df_hz * 1e-6;

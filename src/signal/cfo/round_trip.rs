@@ -12,7 +12,7 @@ fn round_trip(forward: &[Complex32; SUBCARRIERS], backward: &[Complex32; SUBCARR
     std::array::from_fn(|k| forward[k] * backward[k])
 }
 
-/// The round trip at the channel centre: [`at_centre`](super::at_centre) of the product, with the slopes of the two directions taken out
+/// The round trip at the channel centre: [`at_centre`](super::at_centre) of the product, with the slopes of the two directions removed
 /// one by one.
 ///
 /// Path and radios together turn one direction by about 0.8 rad from one reported subcarrier to the next and the product

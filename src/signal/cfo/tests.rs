@@ -1,4 +1,4 @@
-//! Offsets that are known, found and taken out.
+//! Offsets that are known, found and removed.
 
 use super::offset::along;
 use super::*;

@@ -1,4 +1,4 @@
-//! The phase `2 pi df d` that the jitter `d` of the turn-around leaves: `df` estimated, the phase taken out.
+//! The phase `2 pi df d` that the jitter `d` of the turn-around leaves: `df` estimated, the phase removed.
 
 use super::drift_line::{DriftLine, drift_line_by, median};
 use super::offset::{Term, along, course, maximise, second_differences, sum_at};

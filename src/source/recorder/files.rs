@@ -10,7 +10,7 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// When to go on in a new file.
+/// When to continue in a new file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rotation {
     /// Before the data file grows beyond this many bytes.
@@ -179,7 +179,7 @@ impl LogFiles {
         }
     }
 
-    /// Goes on in the next file; where that cannot be had, the old one goes on growing.
+    /// Continues in the next file; where that cannot be had, the old one goes on growing.
     fn rotate(&mut self) -> Option<String> {
         let problem = self.sync();
         match open_pair(&numbered(&self.path, self.number + 1), self.force) {
@@ -190,11 +190,11 @@ impl LogFiles {
                 (self.since, self.records) = (None, 0);
                 problem
             }
-            Err(error) => Some(format!("cannot go on in a new file, so the old one grows: {error}")),
+            Err(error) => Some(format!("cannot continue in a new file, so the old one grows: {error}")),
         }
     }
 
-    /// Brings the side file up to the data file: zeros for what an earlier failure left out, then the first `records` of
+    /// Brings the side file up to the data file: zeros for what an earlier failure missed, then the first `records` of
     /// a part, of which `before` were in the log already.
     fn stamp(&mut self, before: u64, part: Part<'_>, records: usize) -> io::Result<()> {
         let (length, head) = (self.layout.bytes(), self.layout.head());
@@ -324,7 +324,7 @@ fn numbered(path: &Path, number: u32) -> PathBuf {
 }
 
 impl LogFiles {
-    /// Goes on in another file where somebody else cut this one: what is written behind its end would be behind zeros. Gives what
+    /// Continues in another file where somebody else cut this one: what is written behind its end would be behind zeros. Gives what
     /// there is to say of it, and how many records are gone, which is an estimate where some are left.
     fn go_on_if_cut(&mut self) -> (Option<String>, u64) {
         let (data, side) = (self.data.cut_to(), self.side.cut_to().is_some());
@@ -380,8 +380,7 @@ impl Sink for LogFiles {
     fn sync(&mut self) -> Option<String> {
         let synced = self.data.file.sync_data().and_then(|()| self.side.file.sync_data());
         let synced = synced.err().map(|error| format!("syncing {}: {error}", self.data.path.display()));
-        let gone =
-            || format!("{} was deleted: what is recorded from here on is lost with it", self.data.path.display());
+        let gone = || format!("{} was deleted: later records are lost with it", self.data.path.display());
         let cut = |grown: &Grown| {
             grown.cut_to().map(|len| format!("{} was cut to {len} bytes by another program", grown.path.display()))
         };

@@ -124,7 +124,7 @@ fn a_second_sender_under_an_address_is_refused_until_the_first_is_silent() {
     mailbox.put_at(at(1_800_000), &message(&mut rogue, 60..70));
     assert_eq!(drain(&mut mailbox.card()), [0, 1, 2, 3]);
     assert_eq!((mailbox.counts().contested, mailbox.counts().sessions), (2, 1));
-    // A robot that was started anew has its address again after a second.
+    // A robot that was restarted has its address again after a second.
     mailbox.put_at(at(1_900_000), &message(&mut Batch::records(9), 0..2));
     assert_eq!(drain(&mut mailbox.card()), [0, 1]);
     assert_eq!((mailbox.counts().contested, mailbox.counts().sessions), (2, 2));

@@ -235,7 +235,7 @@ fn the_side_file_of_a_log_is_beside_its_name_or_beside_what_that_leads_to() {
 }
 
 proptest! {
-    /// Whatever is taken out of a log: every record that is left has its own time, and every count is exact.
+    /// Whatever is removed from a log: every record that is left has its own time, and every count is exact.
     #[test]
     fn times_survive_any_loss(kept in prop::collection::vec(any::<bool>(), 1..200)) {
         let entries: Vec<Entry> = (0..kept.len() as u16).map(entry).collect();

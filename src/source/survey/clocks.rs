@@ -34,7 +34,7 @@ impl ClockSteps {
     }
 }
 
-/// What says when the records of a log came.
+/// The clock that times the records of a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -48,7 +48,7 @@ pub enum TimeBase {
     Number,
 }
 
-/// A card's clock that goes on by less than this a record, microseconds, says nothing of time: the preamble and SIGNAL field of
+/// A card's clock that goes on by less than this a record, microseconds, tells nothing about time: the preamble and SIGNAL field of
 /// a frame alone take as long (802.11-2016 table 17-5).
 const LEAST_US: i64 = 20;
 
@@ -90,7 +90,7 @@ impl CardClock {
     }
 
     /// The reading nearest to the last one; where the host's clock went on by so many wraps more, it was a pause of those. A
-    /// host's clock that was set says nothing of the card's, and one that did not move at all stands.
+    /// host's clock that was set tells nothing about the card's, and one that did not move at all stands.
     fn unwrap(&self, timestamp_low: u32, host_us: Option<i64>) -> i64 {
         let Some((last, last_us)) = self.last else { return i64::from(timestamp_low) };
         let near_us = unwrap_near(last_us, timestamp_low);
@@ -138,7 +138,7 @@ pub struct HostSteps {
 
 impl HostSteps {
     /// Takes the next record. The card's clock wraps every 71.6 minutes: how often between two records nobody knows, so a
-    /// clock that was set on by just that is a pause. Where the card's clock went back, it is that clock which began anew.
+    /// clock that was set on by just that is a pause. Where the card's clock went back, it is that clock which restarted.
     pub(super) fn note(&mut self, timestamp_low: u32, host_us: Option<i64>) {
         let Some(host_us) = host_us else { return };
         let Some((card, host)) = self.last.replace((timestamp_low, host_us)) else { return };

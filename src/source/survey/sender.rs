@@ -1,4 +1,4 @@
-//! What is counted of one sender.
+//! Counts of one sender.
 
 use super::clocks::{CardClock, ClockSteps, TimeBase};
 use super::senders::Standing;
@@ -30,7 +30,7 @@ pub struct Sender {
     pub frames_skipped: u64,
     /// Frames with the number of the one before: the card reports some twice.
     pub frames_repeated: u64,
-    /// Steps back of the frame number: a sender that started anew.
+    /// Steps back of the frame number: a sender that restarted.
     pub frames_restarted: u64,
     #[serde(skip)]
     numbering: Numbering,
@@ -46,7 +46,7 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// What says when its records came.
+    /// The clock that times its records.
     fn time_base(&self) -> TimeBase {
         TimeBase::of(self.records.saturating_sub(1), self.clock_steps.forward_us, self.clock.host_forward_us)
     }
@@ -118,7 +118,7 @@ pub enum NumberStep {
     Forward(u32),
     /// The one before once more.
     Repeated,
-    /// Back: the sender started anew.
+    /// Back: the sender restarted.
     Back,
 }
 

@@ -32,7 +32,7 @@ up
 air alone
 csi5300 sound --interface wlan0 --peers "$B" --rate 20 --stop-after 4s --alone 2>sound-alone || true
 landed alone
-grep -q "first frame at once; then answers of $B are waited for" sound-alone
+grep -q "first frame at once; then waiting for answers of $B" sound-alone
 grep -q "forward frames, 0 answered" sound-alone
 grep -q "the kernel confirms" sound-alone
 [ "$(counter rates_set)" -gt 20 ]

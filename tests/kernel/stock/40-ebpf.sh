@@ -67,7 +67,7 @@ feed "lying 200 13 0"
 sleep 1
 stop 3
 check "/tmp/ebpf.dat csitool 1 all lying 200 13 -"
-grep "^  200 CSI notifications (0xBB) that contradict themselves" /tmp/recorder
+grep "^  200 inconsistent CSI notifications (0xBB)" /tmp/recorder
 echo N >/sys/module/fakecard/parameters/at_end
 
 echo "a ring that is too small and a recorder that is stopped"

@@ -1,7 +1,7 @@
 //! Claims of what is sent.
 
 use super::{Needs, Told};
-use crate::collect::{Evidence, Heard, HeardRecord, Sending, Sent};
+use crate::collect::{Evidence, Heard, HeardRecord, Interface, Sending, Sent};
 use crate::pairs::usual_sender;
 use csi5300::exchange::tdma::Phy;
 use driver_iface::Mac;
@@ -113,6 +113,18 @@ pub(super) fn confirmed(evidence: &Evidence) -> Told {
         Some(count) => {
             let missing = taken.saturating_sub(usize::try_from(count).unwrap_or(usize::MAX));
             Told::share(missing, taken, 0.1, "frames were not reported as sent")
+        }
+    }
+}
+
+pub(super) fn once(evidence: &Evidence) -> Told {
+    let Interface { confirmed, retried, .. } = evidence.interface;
+    match confirmed {
+        _ if evidence.sent.is_empty() => Told::needs(Needs::Sending),
+        None | Some(0) => Told::not_tried("this interface reports nothing of what it sends"),
+        Some(count) => {
+            let number = |count| usize::try_from(count).unwrap_or(usize::MAX);
+            Told::share(number(retried), number(count), 0.01, "frames were sent more than once")
         }
     }
 }

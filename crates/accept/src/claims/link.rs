@@ -14,6 +14,7 @@ use std::f64::consts::{PI, TAU};
 pub(super) fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
     match &evidence.pairs {
         None => Err(Told::needs(Needs::TwoCards)),
+        Some(Pairs { refused: Some(why), .. }) => Err(Told::not_tried(why.to_string())),
         Some(pairs) if pairs.len() < super::LEAST => Err(Told::not_tried(format!(
             "{} exchanges have both frames; at least {} are needed",
             pairs.len(),
@@ -25,6 +26,9 @@ pub(super) fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
 
 pub(super) fn pairs(evidence: &Evidence) -> Told {
     let Some(pairs) = &evidence.pairs else { return Told::needs(Needs::TwoCards) };
+    if let Some(why) = &pairs.refused {
+        return Told::not_tried(why.to_string());
+    }
     // Of the card that heard more of the other: the other one's frames are missing.
     let (most, side) = if pairs.among_others || pairs.frames[0] >= pairs.frames[1] {
         (pairs.frames[0], "near")
@@ -32,7 +36,7 @@ pub(super) fn pairs(evidence: &Evidence) -> Told {
         (pairs.frames[1], "far")
     };
     match most {
-        0 => Told::not_tried("no record has a sender and a number"),
+        0 => Told::not_tried("no frame of the other card was heard"),
         _ => Told::share(most - pairs.len(), most, 0.1, &format!("frames of the {side} card have no partner")),
     }
 }

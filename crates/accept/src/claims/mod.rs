@@ -200,10 +200,10 @@ const OF_A_5300: [&str; 10] = [
     "reception.noise",
 ];
 
-const INFO: &str = "`csi5300 info LOG.dat -v`";
+const INFO: &str = "`csi5300 info` on that card's log (--report DIR keeps both)";
 
 /// All claims, by subject.
-pub static CLAIMS: [Claim; 48] = [
+pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "host.buffer",
         says: "The listener reads as fast as records come: no queue runs over.",
@@ -337,8 +337,12 @@ pub static CLAIMS: [Claim; 48] = [
         needs: Needs::OneCard,
         expected: "bit 11 of `fake_rate_n_flags` set on 40 MHz only",
         source: "iwlwifi RATE_MCS_HT40_MSK",
-        causes: &["another channel width was told to this program", "the sender is set to another width"],
-        next: "`csi5300 info LOG.dat`, then the channel with its width: --channel 108 or 108+",
+        causes: &[
+            "another channel width was told to this program, if both cards fail",
+            "this card's record is wrong, if reception.subcarriers holds",
+            "the sender is set to another width",
+        ],
+        next: "if both cards fail, the channel with its width: --channel 108 or 108+",
         check: Check::Log(reception::width),
     },
     Claim {
@@ -368,9 +372,8 @@ pub static CLAIMS: [Claim; 48] = [
         expected: "at most 2 % of the records more than 5 dB off",
         source: "csitool: csi and rssi_a, rssi_b, rssi_c of one record; both are measured behind the same gain",
         causes: &[
-            "`antenna_sel` is constant or wrong",
-            "RSSI fields are exchanged",
-            "two antennas hear equally strongly through a splitter",
+            "two antennas are exchanged in `antenna_sel` or in the RSSI fields, if the two differences have opposite signs; which field, only an unplugged antenna shows (`unplug`)",
+            "`antenna_sel` is constant while the order of the chains changes",
         ],
         next: "unplug antenna B, record 10 s, and look at `csi5300 info LOG.dat --plot DIR`: the named chain falls",
         check: Check::Log(reception::antenna_names),
@@ -382,6 +385,7 @@ pub static CLAIMS: [Claim; 48] = [
         expected: "by at least 6 dB against the other chains, and more than any other",
         source: "an open port hears less than a quarter of what its antenna heard",
         causes: &[
+            "no antenna was unplugged (in a simulated room nobody can)",
             "`antenna_sel` is constant or wrong: see reception.antennas",
             "another antenna was unplugged",
             "the antennas couple: they are closer than a few centimetres",
@@ -415,7 +419,11 @@ pub static CLAIMS: [Claim; 48] = [
         needs: Needs::OneCard,
         expected: "at most 1 % of the records with a value of -128 or 127",
         source: "8-bit values of the record",
-        causes: &["the robots are closer than 0.5 m", "the gain control is off"],
+        causes: &[
+            "the robots are closer than 0.5 m, if both cards fail",
+            "this card or its driver scales the coefficients, if its gain and RSSI are like the other card's",
+            "the gain control is off",
+        ],
         next: "move the robots apart, or lower the sender's power with iw dev NAME set txpower fixed 500",
         check: Check::Log(reception::saturation),
     },
@@ -456,7 +464,8 @@ pub static CLAIMS: [Claim; 48] = [
         expected: "-127, or -105 to -60 dBm",
         source: "thermal noise of 20 MHz is -101 dBm; csitool takes -92 for unknown",
         causes: &[
-            "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`)",
+            "this card's firmware or driver writes another value, if the other card's log is good",
+            "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`), if reception.rate fails",
             "a strong transmitter is close",
         ],
         next: INFO,
@@ -483,8 +492,8 @@ pub static CLAIMS: [Claim; 48] = [
         expected: "at most 1 % of the numbers twice",
         source: "sounding frames are sent without retries and numbered",
         causes: &[
-            "the driver writes an old number, if as many numbers are skipped",
-            "the responder answers twice, or its card retries, if none is skipped",
+            "the robot that sent these frames sends some twice, if none is skipped: see injection.once, or its responder answers twice",
+            "this card's driver writes an old number, if as many numbers are skipped",
             "two programs sound under one MAC address",
         ],
         next: "`csi5300 info LOG.dat -v`: numbers that come twice, by sender",
@@ -510,7 +519,11 @@ pub static CLAIMS: [Claim; 48] = [
         needs: Needs::TwoCards,
         expected: "90 % within 500 us of each other",
         source: "71 WSR links: 27 to 194 us; the driver's code: 145 to 322 us",
-        causes: &["the responder answers in user space", "the responder's host is busy"],
+        causes: &[
+            "a card's clock steps, if card.clock fails",
+            "the responder answers in user space",
+            "the responder's host is busy: see host.lateness",
+        ],
         next: "`csi5300 setup --role responder --channel N` on the second robot, so that its driver answers",
         check: Check::Pairs(link::turn_around),
     },
@@ -520,7 +533,11 @@ pub static CLAIMS: [Claim; 48] = [
         needs: Needs::TwoCards,
         expected: "at most 5 % later than 1.5 ms",
         source: "5 ms between slots, a third of it",
-        causes: &["the responder's host is busy", "carrier sense holds answers back: the channel is busy"],
+        causes: &[
+            "a card's clock steps, if card.clock fails",
+            "the responder's host is busy",
+            "carrier sense holds answers back: the channel is busy",
+        ],
         next: "another channel, or a responder whose host does nothing else",
         check: Check::Pairs(link::late),
     },
@@ -541,6 +558,8 @@ pub static CLAIMS: [Claim; 48] = [
         expected: "coherence of the product from exchange to exchange at least 0.4",
         source: "71 WSR links: 0.61 to 0.90",
         causes: &[
+            "one card's records are wrong, if one of its own claims fails (reception.fresh, card.clock): repair that first",
+            "the phase of one card jumps from frame to frame; two cards cannot tell which one: exchange one for a third",
             "the cards retune or restart between the two frames",
             "one log is conjugated",
             "the logs are of two runs",
@@ -575,7 +594,10 @@ pub static CLAIMS: [Claim; 48] = [
         needs: Needs::Rest,
         expected: "coherence within each second at least 0.7",
         source: "0.7 is a spread of 0.84 rad within a second",
-        causes: &["something moves near the robots", "the carrier offset does not cancel: see phase.cancels"],
+        causes: &[
+            "the carrier offset does not cancel, if phase.cancels fails or is below 0.8: one card sends and receives on different carriers",
+            "something moves near the robots",
+        ],
         next: "`csi5300 info LOG.dat --plot DIR` of both, while nobody walks between the robots",
         check: Check::Pairs(link::rest),
     },
@@ -633,12 +655,26 @@ pub static CLAIMS: [Claim; 48] = [
         check: Check::Link(injection::confirmed),
     },
     Claim {
+        id: "injection.once",
+        says: "Each frame leaves once.",
+        needs: Needs::Sending,
+        expected: "at most 1 % sent more than once",
+        source: "the count of retries in the driver's report (radiotap field 17)",
+        causes: &["the driver waits for acknowledgements: the frames lack the flag against it"],
+        next: "on the robot that sends: `csi5300 doctor`, then firmware-notes/injection.md",
+        check: Check::Link(injection::once),
+    },
+    Claim {
         id: "injection.pace",
         says: "Frames leave as often as they are asked for.",
         needs: Needs::Sending,
         expected: "within 10 % at up to 200 frames a second, by the far card's clock",
         source: "the schedule of the frames that were sent",
-        causes: &["the host is busy: see host.lateness", "the channel is busy, so frames wait for air"],
+        causes: &[
+            "the far card's clock steps, if card.clock fails",
+            "the host is busy: see host.lateness",
+            "the channel is busy, so frames wait for air",
+        ],
         next: "another channel, then cpupower frequency-set -g performance",
         check: Check::Link(injection::pace),
     },

@@ -128,16 +128,35 @@ pub(super) fn antenna_names(heard: &Heard, _: &Evidence) -> Told {
     let off: Vec<f64> = heard.records.iter().filter_map(disagreement_db).collect();
     if off.len() < super::LEAST {
         return Told::not_tried(format!(
-            "needs two connected antennas with 3 dB between them: so in {} records only",
-            off.len()
+            "{} of {} records have two antennas that differ by 3 dB or more: weaken one, or unplug it",
+            off.len(),
+            heard.records.len()
         ));
     }
-    Told::share(
+    let told = Told::share(
         off.iter().filter(|off| **off > 5.0).count(),
         off.len(),
         0.02,
         "records have powers and RSSI that disagree by more than 5 dB",
-    )
+    );
+    Told { found: told.found.clone() + &power_and_rssi(heard), ..told }
+}
+
+/// By how much each antenna is above A, by the power of the chain that is named after it and by its RSSI: `; B less A: 4 dB by power, -4 by RSSI`.
+fn power_and_rssi(heard: &Heard) -> String {
+    let of = |record: &HeardRecord, antenna: Antenna| {
+        let chain = antennas(record)?.chain_of(antenna)?;
+        let rssi = record.head.rssi.get(antenna.index()).copied().filter(|rssi| *rssi > 0)?;
+        let power = chain_power(record, chain);
+        (power >= LEAST_POWER).then(|| (10.0 * power.log10(), f64::from(rssi)))
+    };
+    let above_a = |antenna: Antenna| {
+        let both = heard.records.iter().filter_map(|record| of(record, antenna).zip(of(record, Antenna::A)));
+        let (power, rssi): (Vec<f64>, Vec<f64>) = both.map(|(own, a)| (own.0 - a.0, own.1 - a.1)).unzip();
+        let (power, rssi) = quantile(&power, 0.5).zip(quantile(&rssi, 0.5))?;
+        Some(format!("; {antenna} less A: {power:.0} dB by power, {rssi:.0} dB by RSSI"))
+    };
+    [Antenna::B, Antenna::C].into_iter().filter_map(above_a).collect()
 }
 
 /// Where the value is that belongs to the k-th index.
@@ -236,9 +255,14 @@ pub(super) fn level(heard: &Heard, _: &Evidence) -> Told {
 
 pub(super) fn saturation(heard: &Heard, _: &Evidence) -> Told {
     let cut = |half: i8| half == i8::MIN || half == i8::MAX;
-    share(heard, 0.01, "records with a value of -128 or 127", |record| {
+    let told = share(heard, 0.01, "records with a value of -128 or 127", |record| {
         record.csi.iter().any(|iq| cut(iq.i) || cut(iq.q))
-    })
+    });
+    let gains: Vec<f64> = heard.records.iter().map(|record| f64::from(record.head.agc)).collect();
+    match quantile(&gains, 0.5) {
+        Some(gain) => Told { found: format!("{}; median gain {gain:.0} dB", told.found), ..told },
+        None => told,
+    }
 }
 
 pub(super) fn zero(heard: &Heard, _: &Evidence) -> Told {
@@ -274,9 +298,16 @@ pub(super) fn gain(heard: &Heard, _: &Evidence) -> Told {
 }
 
 pub(super) fn noise(heard: &Heard, _: &Evidence) -> Told {
-    share(heard, 0.01, "records state a noise floor that no receiver has", |record| {
+    let told = share(heard, 0.01, "records state a noise floor that no receiver has", |record| {
         record.head.noise_dbm != NOISE_UNKNOWN_DBM && !(-105..=-60).contains(&record.head.noise_dbm)
-    })
+    });
+    let floors: Vec<f64> = heard.records.iter().map(|record| f64::from(record.head.noise_dbm)).collect();
+    match quantile(&floors, 0.5) {
+        Some(median) => {
+            Told { found: format!("{}; median {median:.0} dBm", told.found), ..told }.with("median", median, "dBm")
+        }
+        None => told,
+    }
 }
 
 /// SNR of a record's strongest chain, dB: third differences over equally spaced subcarriers leave 20 times the noise of one.

@@ -156,6 +156,12 @@ fn all() -> Vec<Fault> {
             ..desk("three in ten of the frames sent are not heard")
         },
         Fault {
+            desk: Desk::Sending(at_once),
+            near: "faults.retry = 0.05".into(),
+            fails: &["injection.once", "reception.once"],
+            ..desk("the card sends one frame in twenty again")
+        },
+        Fault {
             desk: Desk::Flags("(20.0 dBm) (no IR, radar detection)"),
             fails: &["injection.channel"],
             ..desk("channel on which nobody may begin to send")
@@ -173,7 +179,7 @@ fn report(fault: &Fault) -> Report {
         }
         Desk::After(done) => standing(1, 25.0, &[(done, &fault.near)]),
         Desk::Unplugged(told, falls) => unplugged(1, 25.0, told, falls),
-        Desk::Sending(way) => sent_at(1, 25.0, fault.far, way),
+        Desk::Sending(way) => sent_at(1, 25.0, [&fault.near, fault.far], way),
         Desk::Flags(flags) => flagged(Some(flags)),
     }
 }

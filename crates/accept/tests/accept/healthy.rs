@@ -34,7 +34,7 @@ fn healthy_desks_of_a_busy_person_raise_no_alarm() {
         let reports = [
             standing(seed, snr, &[(Done::Retuned, ""), (Done::Reloaded, "")]),
             unplugged(seed, snr, antenna, Some(antenna)),
-            sent_at(seed, snr, "", at_once),
+            sent_at(seed, snr, [""; 2], at_once),
         ];
         for report in &reports {
             tried += report.findings.len() - report.count(Verdict::NotTried);

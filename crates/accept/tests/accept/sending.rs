@@ -26,14 +26,14 @@ impl Injector for Driver {
 
 /// The near robot sends through its interface; the far robot's driver answers frames of the length that the suite sends.
 fn sent(far: &str, way: Way) -> Report {
-    sent_at(1, 25.0, far, way)
+    sent_at(1, 25.0, ["", far], way)
 }
 
-/// The same with another seed and another signal to noise.
-pub fn sent_at(seed: u64, snr_db: f64, far: &str, way: Way) -> Report {
+/// The same with another seed, another signal to noise, and what is added to either robot.
+pub fn sent_at(seed: u64, snr_db: f64, [near, far]: [&str; 2], way: Way) -> Report {
     let text = format!(
         "seed = {seed}\nduration_s = 20.0\ncfo = \"physical\"\n[radio]\nnoise.snr_db = {snr_db:?}\ndelay_ns = 200.0\nphase_noise_rad = 0.1\nturn_around.spread_us = 15.0\n\
-         [[robot]]\nname = \"near\"\ncrystal = {{ offset_ppm = -2.0 }}\n\
+         [[robot]]\nname = \"near\"\ncrystal = {{ offset_ppm = -2.0 }}\n{near}\n\
          [[robot]]\nname = \"far\"\nposition_m = [2.0, 1.0, 0.0]\nack_len = 57\ncrystal = {{ offset_ppm = 3.0 }}\n{far}\n"
     );
     let mut room = Room::quiet(&Scene::parse(&text).unwrap()).unwrap();
@@ -45,6 +45,7 @@ pub fn sent_at(seed: u64, snr_db: f64, far: &str, way: Way) -> Report {
     // The room's interface says of each frame that it left, once it is asked.
     while interface.interface.hear().unwrap().is_some() {}
     evidence.interface.confirmed = interface.interface.sent_for_certain();
+    evidence.interface.retried = interface.interface.retried();
     evidence.interface.channel_flags = Some(String::new());
     evidence.judge()
 }
@@ -63,6 +64,7 @@ fn what_is_sent_is_heard_and_answered() {
         "injection.taken",
         "injection.heard",
         "injection.numbers",
+        "injection.once",
         "injection.pace",
         "injection.channel",
         "recorder.same",

@@ -1,4 +1,4 @@
-//! Logs and trajectories from a recording of ROS 2: what `csi5300 bearing` and `csi5300 compare` read.
+//! Write logs and trajectories from a recording of ROS 2: what `csi5300 bearing` and `csi5300 compare` read.
 
 pub(crate) mod compressed;
 mod content;
@@ -109,9 +109,9 @@ pub struct Unbagged {
     pub others: u64,
     /// Files that end before they should: they are whole up to their last chunk.
     pub cut: Vec<PathBuf>,
-    /// Parts that are damaged and left out, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
+    /// Parts that are damaged and skipped, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
     pub damaged_parts: u64,
-    /// Messages of topics that nothing is known of, as what describes them is damaged.
+    /// Messages of unknown topics: their description is damaged.
     pub without_topic: u64,
 }
 

@@ -31,9 +31,9 @@ pub struct Recording {
     pub others: u64,
     /// Files that end before they should: they are whole up to their last chunk.
     pub cut: Vec<PathBuf>,
-    /// Parts that are damaged and left out, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
+    /// Parts that are damaged and skipped, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
     pub damaged_parts: u64,
-    /// Messages of topics that nothing is known of, as what describes them is damaged.
+    /// Messages of unknown topics: their description is damaged.
     pub without_topic: u64,
 }
 

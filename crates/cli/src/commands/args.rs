@@ -26,8 +26,8 @@ pub struct Estimation {
         hide_short_help = true
     )]
     pub antenna: Vec<Antenna>,
-    /// Seconds to add to the receiver's host time to get the trajectory's time; or `rows`: join the n-th frame of a
-    /// link with the n-th row of the trajectory
+    /// Seconds from the receiver's host time to the trajectory's time; or `rows`: join the n-th frame of a link with the n-th
+    /// row of the trajectory
     #[arg(
         long,
         default_value = "0",
@@ -47,7 +47,7 @@ pub struct Estimation {
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true)]
     pub height: Option<f64>,
     /// Standard deviation of the heading of the whole trajectory, degrees: 0.3 for motion capture, about 4 for a tracking
-    /// camera, 20 for wheels. Error bars and confidence take it into account
+    /// camera, 20 for wheels. Error bars and confidence include it
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub heading_sd: Option<f64>,
     /// Use pairs from this many seconds after the link's first pair
@@ -58,12 +58,12 @@ pub struct Estimation {
     pub to: Option<f64>,
 }
 
-/// How the times of frames and poses belong together.
+/// How the times of frames and poses correspond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ClockOffset {
-    /// By time, with so much added to the frames', seconds.
+    /// By time, with this added to the frames' times, seconds.
     Seconds(f64),
-    /// One by one.
+    /// The n-th frame belongs to the n-th row.
     Rows,
 }
 
@@ -140,7 +140,7 @@ fn clock_offset(text: &str) -> Result<ClockOffset, String> {
     }
 }
 
-/// What is in the columns of a trajectory.
+/// The columns of a trajectory.
 pub fn columns(text: &str) -> Result<Columns, String> {
     text.parse::<Columns>().map_err(|error| error.to_string())
 }
@@ -156,7 +156,7 @@ pub fn antenna(text: &str) -> Result<Antenna, String> {
 }
 
 fn one_of_antennas(text: &str) -> Result<Antenna, String> {
-    antenna(text).map_err(|words| format!("{words}; several have commas between them: A,B"))
+    antenna(text).map_err(|words| format!("{words}; separate several by commas: A,B"))
 }
 
 /// A channel that an Intel 5300 can be set to: by its number.
@@ -229,7 +229,7 @@ pub fn triple(text: &str) -> Result<Vector3<f64>, String> {
         text.split(',').map(|part| part.trim().parse::<f64>()).collect::<Result<_, _>>().map_err(|e| e.to_string())?;
     match parts[..] {
         [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
-        _ => Err("three finite numbers with commas between, in metres".into()),
+        _ => Err("three finite numbers in metres, separated by commas".into()),
     }
 }
 

@@ -33,9 +33,8 @@ use std::path::{Path, PathBuf};
                         csi5300 bearing RX.dat T.csv --channel 108 --antennas A,B --baseline 0.1,0,0\n\
                         --help lists all options.")]
 pub struct Args {
-    /// Captures, folders of captures, one link of them (FOLDER/tx2), or the files themselves: two logs and a trajectory,
-    /// told apart by their content. If several links of a capture see transmitters at known places, the receiver is
-    /// located too
+    /// Captures, folders of captures, one link of them (FOLDER/tx2), or two logs and a trajectory, recognised by their
+    /// content. If several links of a capture see transmitters at known places, the receiver is located too
     #[arg(value_name = "CAPTURE")]
     captures: Vec<PathBuf>,
     /// WiFi channel, with + or - for 40 MHz (default: that of the capture)
@@ -50,8 +49,7 @@ pub struct Args {
     /// Print one JSON object for each link and each located receiver
     #[arg(long)]
     json: bool,
-    /// Print for each link what was computed, at what cost, and what was skipped and why; for a capture its steps:
-    /// pairs, compensation, search, candidates
+    /// Print which steps of each link were computed or skipped, why, and at what cost
     #[arg(long, hide_short_help = true)]
     explain: bool,
     /// Overwrite an existing profile and existing pictures
@@ -61,15 +59,15 @@ pub struct Args {
     logs: Logs,
     #[command(flatten)]
     estimation: Estimation,
-    /// How right the azimuth has to be, degrees: from 3 on a coarser search suffices, which is quicker. 0 computes every step
+    /// Required accuracy of the azimuth, degrees: from 3 on the search is coarser and quicker; 0 computes every step
     /// [default: what the scene needs]
     #[arg(long, value_name = "DEGREES", value_parser = accuracy, conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     accuracy: Option<f64>,
-    /// Refuse bearings whose probability of being within 5 degrees is below this (0 to 1) or unknown
+    /// Refuse bearings whose probability of being within 5 degrees is unknown or below this (0 to 1)
     #[arg(long, value_name = "P", hide_short_help = true)]
     min_confidence: Option<f64>,
-    /// Place of a transmitter, metres in the trajectory's frame: tx2=-3.18,1.11. It replaces the capture's truth. With
-    /// a height as third number the receiver's height is estimated too, if the motion shows elevations
+    /// Place of a transmitter, metres in the trajectory's frame: tx2=-3.18,1.11. It replaces the capture's truth. With a
+    /// height the receiver's height is estimated too, if the motion shows elevations
     #[arg(
         long,
         value_name = "NAME=X,Y[,Z]",
@@ -93,14 +91,14 @@ pub struct Args {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Logs by their names")]
 struct Logs {
-    /// Log of the receiver, whose trajectory is given; - is standard input
+    /// Log of the receiver; - is standard input
     #[arg(long, value_name = "RX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     rx: Option<PathBuf>,
     /// Log of a transmitter; repeat for several links
     #[arg(long, value_name = "TX.dat", hide_short_help = true)]
     tx: Vec<PathBuf>,
-    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/reference/formats.md); for a
-    /// capture gt (motion capture, the default), t265 (tracking camera) or odom (wheels)
+    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/reference/formats.md). For a
+    /// capture: gt (motion capture, the default), t265 (tracking camera) or odom (wheels)
     #[arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     trajectory: Option<PathBuf>,
     /// Columns of the trajectories, instead of their headings: t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw, yaw; t_ms,
@@ -109,10 +107,9 @@ struct Logs {
     columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
-    /// Without --tx: the bearing to every sender in --rx, by two antennas of one robot that turns. Gives the place of
-    /// the first of --antennas seen from the second: metres forward, left, up. With three antennas, repeat it for the
-    /// third. DEG is the constant between the chains, and SD its deviation, as a turn gave them (`chain_constants_deg`
-    /// of --json): with it a robot that stands has a bearing too
+    /// Estimate the bearing to every sender in --rx by two antennas of one robot that turns, without --tx. Place of the
+    /// first of --antennas seen from the second: metres forward, left, up. Repeat it for a third antenna. With the constant
+    /// DEG between the chains and its deviation SD (`chain_constants_deg` of --json), the robot need not turn
     #[arg(
         long,
         value_name = "X,Y,Z[,DEG[,SD]]",
@@ -131,8 +128,8 @@ struct Logs {
     /// MAC of the receiver in the transmitters' logs; by default the most frequent one
     #[arg(long, value_parser = mac, value_name = "MAC", hide_short_help = true)]
     rx_mac: Option<Mac>,
-    /// Key of the robots: frames without its tag are left out if the log holds frames (0xC1 records). Records of the
-    /// WSR driver hold none; the program counts them as unchecked
+    /// Key of the robots: frames without its tag are skipped if the log holds frames (0xC1 records). Records of the WSR
+    /// driver hold none; the program counts them as unchecked
     #[arg(long, value_name = "FILE", hide_short_help = true)]
     key: Option<PathBuf>,
 }
@@ -143,7 +140,7 @@ fn check(args: &Args) {
         usage("more --tx-trajectory or --tx-mac than --tx");
     }
     if (1..args.logs.tx_mac.len()).any(|k| args.logs.tx_mac[..k].contains(&args.logs.tx_mac[k])) {
-        usage("one --tx-mac is given twice: each log has a transmitter of its own");
+        usage("one --tx-mac is given twice: each log belongs to another transmitter");
     }
     if args.logs.rx.iter().chain(&args.logs.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
         usage("standard input can be one log only");
@@ -151,14 +148,14 @@ fn check(args: &Args) {
     let logs = || args.logs.rx.iter().chain(&args.logs.tx).enumerate();
     let is_same = |a: &Path, b: &Path| a == b || is_same_file(a, b);
     if let Some((_, twice)) = logs().find(|(k, log)| logs().take(*k).any(|(_, other)| is_same(log, other))) {
-        usage(&format!("{} is given twice: each robot has a log of its own", twice.display()));
+        usage(&format!("{} is given twice: each robot has its own log", twice.display()));
     }
     if let Some(path) = args.profile.as_deref().filter(|path| !profile::is_known(path)) {
         usage(&format!("{}: a profile is written as .csv or .npz", path.display()));
     }
 }
 
-/// Opens the transmitters' logs. One that cannot be read is taken out of the arguments with what goes with it, and answered
+/// Opens the transmitters' logs. One that cannot be read is removed from the arguments with what goes with it, and answered
 /// with why; an error if it is the only one.
 fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
     let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
@@ -361,7 +358,7 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
             let _ = writeln!(
                 text,
                 "  {} records have no frame with them (WSR's layout, or a robot's key for frames of others): their tags \
-                 cannot be checked, and whoever sent with the robots' addresses is among them",
+                 cannot be checked, so anybody may have sent them with the robots' addresses",
                 report.unchecked
             );
         }
@@ -370,6 +367,14 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
                 text,
                 "  not used: {} records without a frame number, {} without the antenna, {} of other senders",
                 unused.no_number, unused.no_antenna, unused.other_sender
+            );
+        }
+        let is_wide = report.survey.rates.keys().any(|rate| rate & csi5300::source::other_card::WIDE != 0);
+        let channel = args.channel.map(|channel| channel.to_string()).unwrap_or_default();
+        if is_wide && !channel.ends_with("MHz") {
+            let _ = writeln!(
+                text,
+                "  frames of 80 or 160 MHz are taken about their centre: name the channel by that, for example --channel 5530MHz"
             );
         }
         if let Some((better, above_db)) = report.survey.better_antenna(args.estimation.antenna()) {

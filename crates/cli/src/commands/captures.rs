@@ -25,7 +25,7 @@ pub struct Reading {
     pub estimation: Estimation,
 }
 
-/// Ends of lines in names of folders are written out where they are shown.
+/// Line ends in folder names are printed as escapes.
 pub fn add_names(captures: &[Capture], unreadable: &[String]) {
     let places = captures.iter().map(|capture| &capture.place);
     csi5300_say::add_names(places.chain(unreadable).map(Into::into));
@@ -65,17 +65,17 @@ impl Reading {
         Ok((captures, unreadable))
     }
 
-    /// Where the antenna was said to be, metres forward, left, up.
+    /// The given place of the antenna, metres forward, left, up.
     pub fn antenna_offset_m(&self) -> Option<[f64; 3]> {
         self.mounting.antenna_offset.map(Into::into)
     }
 
-    /// How the robot was said to carry its tracking camera.
+    /// The given mount of the tracking camera.
     pub fn camera(&self) -> Option<Mount> {
         self.mounting.camera_mount
     }
 
-    /// Captures with antenna and camera where they were said to be.
+    /// Captures with the given places of antenna and camera.
     pub fn mounted(&self, mut captures: Vec<Capture>) -> Vec<Capture> {
         let (antenna_offset_m, camera) = (self.antenna_offset_m(), self.camera());
         for capture in &mut captures {

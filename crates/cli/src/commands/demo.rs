@@ -21,7 +21,7 @@ pub struct Args {
     /// Write into a folder that is not empty
     #[arg(long)]
     force: bool,
-    /// JSON Lines instead of words: one object for the robots that stand, one each for circle and line
+    /// Print JSON Lines: one object each for the standing robots, the circle and the line
     #[arg(long)]
     json: bool,
 }
@@ -31,9 +31,9 @@ const SCENES: [(&str, &str); 2] = [
     ("circle", include_str!("../../../../scenes/paper-circle.toml")),
     ("line", include_str!("../../../../scenes/paper-line.toml")),
 ];
-/// Whose cards stand still first.
+/// The scene whose robots first stand still.
 const CARDS: &str = include_str!("../../../../scenes/lab-circle.toml");
-/// How long, seconds.
+/// How long they stand, seconds.
 const STANDING_S: f64 = 10.0;
 
 type Words<T> = std::result::Result<T, String>;
@@ -51,7 +51,7 @@ struct Shown {
     error_deg: Option<f64>,
     /// Spread from packet to packet of the product of both directions.
     phase_before_rad: Option<f64>,
-    /// The same with the turn-around taken out.
+    /// The same after turn-around compensation.
     phase_after_rad: Option<f64>,
 }
 
@@ -119,7 +119,7 @@ pub fn run(args: &Args) -> Result {
     Ok(Outcome::Done)
 }
 
-/// Two robots that stand: their phase should be constant, and is not before the offset is cancelled.
+/// Two standing robots: their phase is constant only once the offset is cancelled.
 fn stand(args: &Args, options: &Options) -> Words<()> {
     let mut scene = Scene::from_toml(CARDS).map_err(|error| format!("scene: {error}"))?;
     scene.duration_s = STANDING_S;
@@ -128,7 +128,7 @@ fn stand(args: &Args, options: &Options) -> Words<()> {
     }
     let (rx, tx, trajectory) = simulated(&scene, &args.out.join("standing"))?;
     let report = estimate(&rx, &tx, &trajectory, options)?;
-    let standing = standing(&report, options).ok_or("the robots that stand gave too few pairs")?;
+    let standing = standing(&report, options).ok_or("the standing robots gave too few pairs")?;
     if args.json {
         print_json(&StandingRow::new(&standing));
     } else {
@@ -138,7 +138,7 @@ fn stand(args: &Args, options: &Options) -> Words<()> {
     Ok(())
 }
 
-/// The line of JSON of the robots that stand: spreads from packet to packet.
+/// The JSON line of the standing robots: spreads between packets.
 #[derive(serde::Serialize)]
 struct StandingRow {
     experiment: &'static str,

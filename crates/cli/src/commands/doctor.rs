@@ -20,23 +20,23 @@ use std::path::PathBuf;
 // Arguments of `doctor`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// One JSON object instead of text
+    /// Print one JSON object instead of text
     #[arg(long)]
     json: bool,
-    /// Also listen for this long and say what comes
+    /// Also listen for this long and report what comes
     #[arg(long, value_parser = duration, value_name = "TIME")]
     listen: Option<Span>,
-    /// A copy of another machine's files (sys, proc, lib) to look at instead of this machine. With --accept: the log of one robot or of two, a
-    /// scene, or a TOML file that says what is on the desk; without one the card of this machine
+    /// A copy of another machine's files (sys, proc, lib), checked instead of this machine. With --accept: one or two logs,
+    /// a scene, or a TOML file that describes the desk [default: this machine and its card]
     #[arg(value_name = "WHAT")]
     what: Vec<PathBuf>,
-    /// Judge which promises of card, driver and host hold, claim by claim (20 s with a card; a log at once)
+    /// Judge claims about card, driver and host (20 s with a card; a log at once)
     #[arg(long)]
     accept: bool,
-    /// The WiFi channel that the cards were tuned to, for --accept
+    /// WiFi channel of the cards, for --accept
     #[arg(long, value_parser = channel, value_name = "CHANNEL", requires = "accept")]
     channel: Option<Channel>,
-    /// Write the verdicts into this folder too: HTML, JSON, JUnit XML, an entry for the bench log, the logs
+    /// Also write the verdicts into this folder: HTML, JSON, JUnit XML, an entry for the bench log, the logs
     #[arg(long, value_name = "DIR", requires = "accept")]
     report: Option<PathBuf>,
     #[command(flatten)]
@@ -92,7 +92,7 @@ fn text(checks: &[Check], ready: bool) -> String {
     }
     let bad = checks.iter().filter(|check| check.verdict == Verdict::Bad).count();
     let _ = match ready {
-        true => writeln!(text, "\nnothing found that stands in the way"),
+        true => writeln!(text, "\nno problem found"),
         false => writeln!(text, "\n{bad} in the way; mend them from the top, then run the doctor again"),
     };
     text

@@ -12,7 +12,7 @@ const LINKS: usize = 40;
 
 /// Files and folders that this run reads.
 static READ: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
-/// Endings of the files in a folder that is read, of which some are read.
+/// Endings of the files that are read in a folder.
 const DATA: [&str; 10] = ["dat", "datstp", "csv", "txt", "json", "toml", "yaml", "mcap", "db3", "bag"];
 /// How deep folders are looked into.
 const DEEPEST: usize = 16;
@@ -123,7 +123,7 @@ impl Draft {
         self.part.is_some()
     }
 
-    /// It is whole: gives it its name, and its side file too where `side` says that there is one.
+    /// The file is complete: gives it its name, and also its side file if `side` is set.
     pub fn keep(self, side: bool) -> io::Result<()> {
         let Some(part) = &self.part else { return Ok(()) };
         // A signal that comes meanwhile waits.
@@ -153,7 +153,7 @@ pub struct FolderDraft {
 }
 
 impl FolderDraft {
-    /// For files in `folder`, which is made where it is not there.
+    /// For files in `folder`, which is created if missing.
     pub fn new(folder: &Path) -> Result<Self, String> {
         let part = folder.join(format!(".part-{}", std::process::id()));
         let made = !folder.exists();
@@ -174,7 +174,7 @@ impl FolderDraft {
         words.replace(&self.part.display().to_string(), &self.folder.display().to_string())
     }
 
-    /// What was written, where it will be.
+    /// The files written, under their final names.
     pub fn at_last(&self, written: &Path) -> PathBuf {
         written.strip_prefix(&self.part).map_or_else(
             |_| written.to_owned(),
@@ -228,7 +228,7 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), String> {
     written.map_err(|error| format!("cannot write {}: {error}", path.display()))
 }
 
-/// Where a log is written while it is written anew.
+/// Where a log is written while it is replaced.
 pub fn rest(log: &Path) -> PathBuf {
     let mut name = log.as_os_str().to_owned();
     name.push(".rest");

@@ -22,8 +22,8 @@ pub struct Args {
     /// Folders with captures, as in the WSR data set
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// Write the page of `csi5300 view` as one file: every link of one DIR with map, profile and logs; captures without
-    /// a truth too
+    /// Write the page of `csi5300 view` as one file: every link of one DIR with map, profile and logs, also of captures
+    /// without a truth
     #[cfg(feature = "view")]
     #[arg(long, value_name = "OUT.html")]
     html: Option<PathBuf>,
@@ -123,7 +123,7 @@ pub fn run(args: &Args) -> Result {
 /// Writes the page of `view` as one file.
 #[cfg(feature = "view")]
 fn page(args: &Args, out: &std::path::Path) -> Result {
-    let [folder] = args.folders.as_slice() else { usage("--html takes one folder: the page is of what is below it") };
+    let [folder] = args.folders.as_slice() else { usage("--html takes one folder") };
     let is_html = |ending: &std::ffi::OsStr| ["html", "htm"].iter().any(|own| ending.eq_ignore_ascii_case(own));
     // Devices take anything.
     if !out.extension().is_none_or(is_html) && (out.is_file() || !out.exists()) {
@@ -160,7 +160,7 @@ struct Beside {
 }
 
 impl Beside {
-    /// Reads the tables beside the captures where they are drawn, and says what of them is left out.
+    /// Reads the tables beside the captures if pictures are drawn, and reports skipped rows.
     fn read(args: &Args) -> Self {
         #[cfg_attr(not(feature = "plot"), allow(unused_mut))]
         let mut beside = Self::default();
@@ -177,7 +177,7 @@ impl Beside {
     }
 }
 
-/// Refuses pictures that are there before minutes of work, not after.
+/// Refuses existing pictures before minutes of work, not after.
 #[cfg(feature = "plot")]
 fn check_pictures(args: &Args, captures: &[Capture]) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
@@ -193,7 +193,10 @@ fn find_all<'a>(
     let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
     for folder in folders {
         if !folder.is_dir() {
-            return Err(format!("{} is not a folder", folder.display()));
+            return Err(format!(
+                "{} is not a folder: put the files of a capture into one, and name that",
+                folder.display()
+            ));
         }
         let (found, failed) = find(folder);
         add_names(&found, &failed);
@@ -335,7 +338,7 @@ fn worth(rows: &[Judged]) -> String {
     text
 }
 
-/// How good the ranges of a set are, where some are known.
+/// Errors of the ranges of a set, if some are known.
 fn range_words(ranges: &Ranges) -> Option<String> {
     let median_m = ranges.median_m?;
     let links = super::some(ranges.links as u64, "link", "links");

@@ -23,12 +23,12 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// The log; - is standard input
     file: PathBuf,
-    /// Output: .csv (one row for each record), .npz, .mat, .parquet (feature `parquet`); with --dat a log
+    /// Output: .csv (a row for each record), .npz, .mat, .parquet (feature `parquet`); with --dat a log
     output: PathBuf,
-    /// Write a log of all intact records of the input
+    /// Write a log of all intact records
     #[arg(long, conflicts_with_all = ["scaled", "remove_spatial_mapping", "mac", "from", "to", "antennas"])]
     dat: bool,
-    /// With --dat: convert records to this layout, for tools such as csiread and csitool
+    /// With --dat: convert records to this layout, for csiread and csitool
     #[arg(long, value_enum, value_name = "LAYOUT", requires = "dat")]
     layout: Option<recover::Layout>,
     /// CSI in units of sqrt(SNR) instead of the card's integers
@@ -63,7 +63,7 @@ struct Row<'a> {
     output: &'a Path,
     /// Records written.
     records: u64,
-    /// Records left out, as was asked for.
+    /// Records not asked for.
     left_out: u64,
     /// Records written without a scale.
     without_scale: u64,
@@ -92,7 +92,7 @@ impl Args {
     }
 }
 
-/// What was read and written.
+/// Counts of records read and written.
 struct Written {
     survey: Survey,
     /// Bytes of the log.
@@ -153,7 +153,7 @@ pub fn run(args: &Args) -> Result {
         note!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): NaN there");
     }
     if records < survey.bfees() {
-        note!("  {} records were left out by --mac, --from, --to or --antennas", survey.bfees() - records);
+        note!("  {} records were skipped by --mac, --from, --to or --antennas", survey.bfees() - records);
     }
     if records == 0 {
         note!("nothing to write: no {}", args.output.display());
@@ -203,12 +203,12 @@ fn other_card(args: &Args, format: csi_formats::Format, bytes: &[u8]) -> Result 
     if read.other_shapes > 0 {
         let [n_rx, n_tx, n] = read.shape();
         note!(
-            "  {} of other widths or chains left out: most have {n_rx} x {n_tx} chains and {n} subcarriers",
+            "  {} of other widths or chains skipped: most have {n_rx} x {n_tx} chains and {n} subcarriers",
             super::some(read.other_shapes, "frame", "frames")
         );
     }
     if read.left_out > 0 {
-        note!("  {} left out by --mac, --from or --to", super::some(read.left_out, "frame", "frames"));
+        note!("  {} skipped by --mac, --from or --to", super::some(read.left_out, "frame", "frames"));
     }
     if records == 0 {
         note!("nothing to write: no {}", args.output.display());
@@ -304,7 +304,7 @@ fn csi(bfee: &Bfee<'_>, args: &Args, unscaled: &mut u64) -> Option<(Csi, bool)> 
     Some((csi, known))
 }
 
-/// One sample by antenna A, B, C (chain 1, 2, 3 where the antennas are not known); `None` where there is none.
+/// One sample by antenna A, B, C (chain 1, 2, 3 if the antennas are unknown); `None` if absent.
 fn sample(csi: &Csi, known: bool, subcarrier: usize, port: usize, stream: usize) -> Option<Complex32> {
     let row = if known { csi.row(*Antenna::ALL.get(port)?)? } else { port };
     csi.get(subcarrier, row, stream)
@@ -344,7 +344,7 @@ enum Value {
 }
 
 impl std::fmt::Display for Value {
-    /// As a cell of CSV: nothing where there is no value.
+    /// As a CSV cell: empty without a value.
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::U8(value) => value.fmt(out),

@@ -1,4 +1,4 @@
-//! Files that commands read and write: logs and trajectories, told from other kinds of files; outputs that are not overwritten.
+//! Files that commands read and write: logs, trajectories, other kinds of files; outputs that are not overwritten.
 
 use super::hint;
 use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
@@ -35,7 +35,7 @@ pub fn open_log(path: &Path) -> Words<Log> {
     Ok(log)
 }
 
-/// Refuses what is seen to be another kind of file.
+/// Refuses a recognised file of another kind.
 pub fn must_be_log(path: &Path) -> Words<()> {
     match not_a_log(path) {
         Some(kind) => Err(format!("{} is another kind of file, {kind}: {A_LOG}", path.display())),
@@ -43,7 +43,7 @@ pub fn must_be_log(path: &Path) -> Words<()> {
     }
 }
 
-/// Reads a trajectory, and says what of it was left out.
+/// Reads a trajectory, and reports skipped rows.
 ///
 /// # Errors
 /// If it cannot be read, or is another kind of file, in words.
@@ -69,15 +69,15 @@ pub fn read_trajectory_as(path: &Path, columns: Option<&Columns>) -> Words<Traje
     Ok(trajectory)
 }
 
-/// Rows of some trajectory were left out.
+/// Rows of some trajectory were skipped.
 static ROWS_LOST: AtomicBool = AtomicBool::new(false);
 
-/// True once rows of a trajectory that was read were left out: what was made of it is done with less than was given.
+/// True once rows of any trajectory were skipped: results then use less than was given.
 pub fn rows_were_lost() -> bool {
     ROWS_LOST.load(Ordering::Relaxed)
 }
 
-/// Says what of a trajectory was read, and what was left out.
+/// Reports how a trajectory was read, and which rows were skipped.
 pub fn say_trajectory(path: &Path, trajectory: &Trajectory, counts: &CsvCounts) {
     let name = path.display();
     if counts.lost_something(trajectory) {

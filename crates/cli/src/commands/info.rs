@@ -33,7 +33,7 @@ pub struct Args {
 struct SenderRow<'a> {
     rate_hz: Option<f64>,
     median_rate_hz: Option<f64>,
-    /// Without what is no frame number.
+    /// Frame numbers only.
     frame_count: Option<(u32, u32)>,
     frames_skipped: Option<u64>,
     frames_repeated: Option<u64>,
@@ -64,15 +64,15 @@ struct Row<'a> {
     bytes: u64,
     tail: String,
     cut: bool,
-    /// What says when its records came.
+    /// The clock that its times are of.
     time_base: TimeBase,
     senders: std::collections::BTreeMap<String, SenderRow<'a>>,
-    /// Of the side file; null without one that has checksums.
+    /// Results of the side file's checksums; null without them.
     checks: Option<Checks>,
-    /// Those that were drawn.
+    /// The pictures drawn.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pictures: Vec<PathBuf>,
-    /// Records whose CSI is nothing but zeros.
+    /// Records whose CSI is all zeros.
     silent: u64,
     #[serde(flatten)]
     survey: &'a Survey,
@@ -147,11 +147,11 @@ struct Read {
     survey: Survey,
     bytes: u64,
     checks: Option<Checks>,
-    /// Records whose CSI is nothing but zeros.
+    /// Records whose CSI is all zeros.
     silent: u64,
 }
 
-/// True for CSI of nothing but zeros.
+/// True for CSI of zeros only.
 fn is_silent(bfee: &Bfee<'_>) -> bool {
     let mut iq = [Iq::default(); SUBCARRIERS];
     let columns = (0..bfee.n_rx()).flat_map(|chain| (0..bfee.n_tx()).map(move |stream| (chain, stream)));
@@ -206,7 +206,7 @@ fn tail_words(survey: &Survey, bytes: u64) -> String {
     }
 }
 
-/// What was lost on the way, a line each; empty if nothing was.
+/// The losses, a line each; empty if there are none.
 pub fn losses(survey: &Survey, bytes: u64) -> String {
     let mut text = String::new();
     for loss in &survey.losses {
@@ -222,12 +222,12 @@ pub fn losses(survey: &Survey, bytes: u64) -> String {
     text
 }
 
-/// What the checksums of a side file say, in a line.
+/// The results of a side file's checksums, in a line.
 pub fn check_words(checks: &Checks) -> String {
     let Checks { good, unknown, wrong, missing, out_of_step, .. } = *checks;
     let mut text = format!("checksums of the side file: {good} records right");
     for (count, what) in
-        [(wrong, "wrong and left out"), (missing, "of the side file not in the log"), (unknown, "unknown")]
+        [(wrong, "wrong and skipped"), (missing, "of the side file not in the log"), (unknown, "unknown")]
     {
         if count > 0 {
             let _ = write!(text, ", {count} {what}");
@@ -239,7 +239,7 @@ pub fn check_words(checks: &Checks) -> String {
     text
 }
 
-/// Times that the host's clock was set; `None` where it was not.
+/// How often the host's clock was set; `None` if it was not.
 pub fn host_words(steps: &HostSteps) -> Option<String> {
     let furthest_s = steps.furthest_us as f64 * 1e-6;
     let times = some(steps.set, "time", "times");
@@ -400,7 +400,7 @@ fn time_words(survey: &Survey) -> String {
     }
 }
 
-/// What a clock did other than go on: pauses and steps back.
+/// A clock's irregularities: pauses and steps back.
 fn clock_words(steps: &ClockSteps) -> String {
     let mut text = String::new();
     if steps.pauses > 0 {
@@ -416,7 +416,7 @@ fn clock_words(steps: &ClockSteps) -> String {
     text
 }
 
-/// Frames per second over the log, and between frames where that differs.
+/// Frames per second over the log, and between frames if that differs.
 fn rate_words(sender: &Sender) -> String {
     match (sender.mean_rate_hz(), sender.rate_hz()) {
         (Some(mean), Some(median)) if (median / mean - 1.0).abs() > 0.05 => {
@@ -433,7 +433,7 @@ fn describe_senders(text: &mut String, survey: &Survey) {
         let name = if *mac == Mac::default() { "unknown sender".to_string() } else { format!("from {mac}") };
         let rate = rate_words(sender);
         let numbers = match sender.frame_count {
-            Some(_) if !sender.counts_up() => ", no frame numbers: what stands there does not count up".into(),
+            Some(_) if !sender.counts_up() => ", no frame numbers: the field does not count up".into(),
             Some((low, high)) => format!(", frames {low}..{high}{}", steps(sender)),
             None => String::new(),
         };
@@ -448,7 +448,7 @@ fn describe_senders(text: &mut String, survey: &Survey) {
     }
 }
 
-/// What the frame numbers of a sender did other than count up by one.
+/// Irregularities of a sender's frame numbers.
 fn steps(sender: &Sender) -> String {
     [
         (sender.frames_skipped, "skipped"),

@@ -19,7 +19,7 @@ pub struct BagArgs {
 
 type Words<T> = std::result::Result<T, String>;
 
-/// What was named: the receiver's log, those of the transmitters, the receiver's trajectory.
+/// The named inputs: the receiver's log, the transmitters' logs, the receiver's trajectory.
 pub struct Named {
     /// The receiver's log.
     pub rx: PathBuf,
@@ -32,13 +32,13 @@ pub struct Named {
 /// Files, or files and topics.
 #[derive(Default)]
 pub struct Inputs {
-    /// What is in the columns of trajectories that are files, where it was named.
+    /// Columns of trajectory files, if given.
     pub columns: Option<Columns>,
     recorded: Option<(PathBuf, Recording)>,
 }
 
 impl Inputs {
-    /// Files, with what is in the columns of trajectories, where it was named.
+    /// Files, with the columns of trajectories, if given.
     pub fn files(columns: Option<Columns>) -> Self {
         Self { columns, recorded: None }
     }
@@ -54,7 +54,7 @@ impl Inputs {
         }
     }
 
-    /// Reads a trajectory, from a file or topic, and says what of it was left out.
+    /// Reads a trajectory from a file or topic, and reports skipped rows.
     ///
     /// # Errors
     /// If it cannot be read, in words.
@@ -72,10 +72,10 @@ impl Inputs {
 }
 
 impl BagArgs {
-    /// The files that were named; with a recording its topics, and what was not named found in it.
+    /// The named files; with a recording, its topics, found there if they were not named.
     ///
     /// # Errors
-    /// In words: if the recording cannot be read, or something is missing or could be meant in several ways.
+    /// In words: if the recording cannot be read, or an input is missing or ambiguous.
     pub fn resolve(
         &self,
         rx: Option<PathBuf>,
@@ -95,14 +95,14 @@ impl BagArgs {
     }
 }
 
-/// Why addresses and trajectories of transmitters that were found, not named, cannot be meant.
+/// The error if addresses or trajectories are given for transmitters that were found, not named.
 pub fn order_unknown(found: &[PathBuf]) -> String {
     let found: Vec<String> = found.iter().map(|topic| topic.display().to_string()).collect();
     format!("--tx-mac and --tx-trajectory are in the order of --tx: it names which of {}", found.join(", "))
 }
 
 impl Inputs {
-    /// Reads a recording, and finds in it what was not named.
+    /// Reads a recording, and finds the topics that were not named.
     fn of(bag: &Path, rx: Option<PathBuf>, tx: Vec<PathBuf>, trajectory: Option<PathBuf>) -> Words<(Self, Named)> {
         let recording = Recording::read(bag).map_err(|error| error.to_string())?;
         let inputs = Self { recorded: Some((bag.to_path_buf(), recording)), columns: None };
@@ -116,7 +116,7 @@ impl Inputs {
         recording.topics.iter().find(|one| Path::new(&one.topic) == path).map(|one| one.bytes.as_slice())
     }
 
-    /// True if the recording has lost something.
+    /// True if parts of the recording are lost.
     pub fn lost(&self) -> bool {
         self.recorded.as_ref().is_some_and(|(_, recording)| {
             recording.damaged_parts + recording.without_topic > 0
@@ -129,7 +129,7 @@ impl Inputs {
         self.recorded.as_ref().map(|(bag, _)| bag.as_path())
     }
 
-    /// What is wrong with the recording, to standard error.
+    /// Reports damage of the recording on standard error.
     fn say(&self) {
         let Some((bag, recording)) = &self.recorded else { return };
         for file in &recording.cut {
@@ -140,7 +140,7 @@ impl Inputs {
         }
         for one in recording.topics.iter().filter(|one| one.unreadable > 0) {
             let messages = super::some(one.unreadable, "message is", "messages are");
-            note!("{}: {messages} unreadable and left out", one.topic);
+            note!("{}: {messages} unreadable and skipped", one.topic);
         }
     }
 
@@ -195,7 +195,7 @@ impl Inputs {
         }
     }
 
-    /// What was named must be a topic of its kind, or a file.
+    /// Checks that a name is a topic of the right kind, or a file.
     fn must_be(&self, named: &Path, content: Content) -> Words<()> {
         if named.as_os_str() == "-" || self.topics(content).any(|topic| topic == named) {
             return Ok(());
@@ -212,12 +212,12 @@ impl Inputs {
     }
 }
 
-/// What of a recording could not be read, in words.
+/// The unreadable parts of a recording, in words.
 pub fn lost_words(damaged_parts: u64, without_topic: u64) -> impl Iterator<Item = String> {
     let parts = super::some(damaged_parts, "part is", "parts are");
-    let parts = format!("{parts} damaged and left out (chunks, pages, rows)");
+    let parts = format!("{parts} damaged and skipped (chunks, pages, rows)");
     let messages = super::some(without_topic, "message is", "messages are");
-    let messages = format!("{messages} of topics that nothing is known of, as what describes them is damaged");
+    let messages = format!("{messages} of unknown topics: their description is damaged");
     [(damaged_parts, parts), (without_topic, messages)]
         .into_iter()
         .filter(|(count, _)| *count > 0)

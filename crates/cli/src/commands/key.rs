@@ -20,13 +20,13 @@ pub struct Args {
 
 #[derive(clap::Subcommand)]
 enum What {
-    /// A new secret of a group, 256 random bits, in a file that only its owner can read
+    /// Write a new group secret of 256 random bits into a file that only its owner can read
     New {
-        /// The file; one that is there is left alone
+        /// The file; an existing one is never overwritten
         #[arg(value_name = "FILE")]
         file: PathBuf,
     },
-    /// One robot's keys with its peers, from the group's secret
+    /// Derive one robot's keys with its peers from the group's secret
     Robot {
         /// The group's file
         #[arg(long, value_name = "FILE")]
@@ -34,10 +34,10 @@ enum What {
         /// The robot's MAC
         #[arg(long, value_parser = mac, value_name = "MAC")]
         mac: Mac,
-        /// MACs of all its peers, with commas between
+        /// MACs of all its peers, separated by commas
         #[arg(long, required = true, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
         peers: Vec<Mac>,
-        /// The robot's file; one that is there is left alone
+        /// The robot's file; an existing one is never overwritten
         #[arg(value_name = "FILE")]
         file: PathBuf,
     },

@@ -21,11 +21,11 @@ const RECEIVE_BUFFER: u64 = 32 << 20;
 pub struct Listening {
     #[command(flatten)]
     pub card: Card,
-    /// Believe messages of other programs too: emulators, `replay --connector`
+    /// Accept messages of other programs too: emulators, `replay --connector`
     #[arg(long)]
     #[cfg_attr(feature = "stock", arg(conflicts_with = "stock"))]
     pub allow_user_sender: bool,
-    /// Work with a robot of a simulated room (`simulate SCENE --serve --socket PATH`) as if it were the card
+    /// Use a robot of a simulated room (`simulate SCENE --serve --socket PATH`) as the card
     #[arg(long, value_name = "PATH#ROBOT", conflicts_with_all = ["connector_index", "allow_user_sender"])]
     #[cfg_attr(feature = "stock", arg(conflicts_with = "stock"))]
     pub room: Option<Address>,
@@ -34,12 +34,11 @@ pub struct Listening {
 // Which way the card's records come.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct Card {
-    /// Connector index of the driver, instead of looking for it
+    /// Connector index of the driver [default: found by its name]
     #[arg(long, value_name = "INDEX", value_parser = clap::value_parser!(u32).range(1..=32))]
     connector_index: Option<u32>,
-    /// Take the card's packets from the kernel's own, unpatched driver, by an eBPF program (Linux 5.8 and later): records as the WSR
-    /// driver makes them, with sender and frame number, or as csitool's does; or either with the frames themselves too (0xC1), as
-    /// connector_log 0x5 does
+    /// Take the card's packets from the kernel's unpatched driver by an eBPF program (Linux 5.8 and later), and make records
+    /// as the WSR driver or csitool's does, with or without the frames (0xC1)
     #[cfg(feature = "stock")]
     #[arg(
         long,
@@ -54,7 +53,7 @@ pub struct Card {
     stock: Option<Records>,
 }
 
-/// Whose records, with frames or without.
+/// The driver whose records are made, with or without frames.
 #[cfg(feature = "stock")]
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 enum Records {
@@ -67,11 +66,11 @@ enum Records {
 /// What a command needs of the card's records.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Needs {
-    /// This robot's MAC, where it is known: what other robots' cards on this machine hear is then left out.
+    /// This robot's MAC, if known: records of other robots' cards on this machine are then ignored.
     pub own: Option<Mac>,
     /// The frames (0xC1) too: their tags are checked.
     pub frames: bool,
-    /// Receive buffer to ask the kernel for, bytes, where it is not the usual one.
+    /// Receive buffer to ask the kernel for, bytes, if not the default.
     pub receive_buffer: Option<u64>,
 }
 
@@ -104,7 +103,7 @@ impl Listening {
     }
 }
 
-/// What is listened to, in words.
+/// The source, in words.
 pub fn describe(listener: &Listener) -> String {
     match listener {
         Listener::Connector(listener) => describe_connector(listener),
@@ -150,7 +149,7 @@ fn with_causes(error: &Error) -> String {
     text
 }
 
-/// Said where the card receives, and sends no CSI.
+/// Printed if the card receives but sends no CSI.
 #[cfg(feature = "stock")]
 const NO_CSI: &str = "  the card received frames and sent no CSI: does csitool's firmware run, and are they HT frames to and \
                       from 00:16:ea:12:34:56? The patched drivers ask the card for CSI, which this program cannot: with the \
@@ -177,7 +176,7 @@ fn connector_summary(listener: &Netlink) -> String {
         (counters.other_bfee_gap, "numbers missing from bfee_count before this socket"),
         (counters.truncated, "datagrams longer than the buffer"),
         (counters.malformed, "datagrams that contradict themselves"),
-        (counters.foreign, "foreign messages left out"),
+        (counters.foreign, "foreign messages ignored"),
         (counters.user_senders, "messages from other programs refused (--allow-user-sender takes them)"),
     ];
     counted(&mut text, &counts);
@@ -200,17 +199,14 @@ fn stock_summary(stock: &Stock) -> String {
         (counters.missed, "packets missed: the kernel did not run the program at them"),
         (counters.malformed, "events that contradict themselves"),
         (cards.bad_phy.into(), "receptions (0xC0) too short"),
-        (cards.bad_mpdu.into(), "frames (0xC1) whose lengths contradict each other"),
-        (cards.bad_bfee.into(), "CSI notifications (0xBB) that contradict themselves, dropped"),
+        (cards.bad_mpdu.into(), "frames (0xC1) with inconsistent lengths"),
+        (cards.bad_bfee.into(), "inconsistent CSI notifications (0xBB), dropped"),
         (cards.no_phy.into(), "CSI notifications without their reception (0xC0), dropped"),
-        (cards.no_order.into(), "records whose antenna order the card did not say"),
+        (cards.no_order.into(), "records without an antenna order from the card"),
         (cards.no_sender.into(), "records of an unknown sender: no good frame (0xC1) came with them"),
         (counters.held_back, "frames before the first CSI, not recorded"),
-        (counters.others, "records of other robots' cards on this machine, left out"),
-        (
-            counters.reattached,
-            "times the driver was loaded anew; what came before the next look, a second at most, is missing",
-        ),
+        (counters.others, "records of other robots' cards on this machine, ignored"),
+        (counters.reattached, "reloads of the driver; up to a second of records after each is missing"),
     ];
     counted(&mut text, &counts);
     if counters.cards_seen > 1 {

@@ -19,25 +19,25 @@ use std::path::{Path, PathBuf};
 // Arguments of `mcap`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Logs; with a trajectory the first is the receiver's, and the others make a bearing each
+    /// Logs. With a trajectory, the first is the receiver's, and each other one gives a bearing
     #[arg(required = true, value_name = "IN.dat")]
     logs: Vec<PathBuf>,
     /// The recording
     #[arg(long, short, value_name = "OUT.mcap")]
     out: PathBuf,
-    /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/reference/formats.md)
+    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/reference/formats.md)
     #[arg(long, value_name = "T.csv")]
     trajectory: Option<PathBuf>,
-    /// What is in its columns, instead of what its headings say: t,x,y,yaw
+    /// Columns of the trajectory, instead of its headings: t,x,y,yaw
     #[arg(long, value_parser = columns, value_name = "NAMES", requires = "trajectory")]
     columns: Option<Columns>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
-    /// Overwrite the recording if it is there
+    /// Overwrite an existing recording
     #[arg(long)]
     force: bool,
-    /// One JSON object about the recording
+    /// Print one JSON object about the recording
     #[arg(long)]
     json: bool,
     #[command(flatten)]

@@ -56,11 +56,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 #[command(
     name = "csi5300",
     version,
-    after_help = "`csi5300 help --all` lists commands that are seldom needed, and what became of older ones.\n\nExit status, of every command:\n  \
+    after_help = "`csi5300 help --all` lists rarely needed commands and the new names of old ones.\n\nExit status of every command:\n  \
                   0  done; a log cut at its end, a room that ends and a stop by a signal are normal\n  \
                   1  nothing usable: a file that is missing or cannot be written, no link with a bearing, no record\n  \
-                  2  wrong usage: arguments, extensions, configurations and scenes that cannot be meant\n  \
-                  3  done, but records were lost before the end of a log, rows of a trajectory were left out, or a link or\n     \
+                  2  wrong usage: an invalid argument, extension, configuration or scene\n  \
+                  3  done, but records were lost before the end of a log, rows of a trajectory were skipped, or a link or\n     \
                   capture failed"
 )]
 struct Cli {
@@ -70,7 +70,7 @@ struct Cli {
     /// Print details: how an answer was made, files, time and memory
     #[arg(short, long, global = true, conflicts_with = "quiet", display_order = 901)]
     verbose: bool,
-    /// Colours in words
+    /// Colours in text
     #[arg(
         long,
         alias = "colour",
@@ -125,16 +125,16 @@ enum Command {
     Watch(node::WatchArgs),
     /// Simulate a room of robots: write the logs of their cards, serve them live, or compare a recording
     Simulate(Box<simulate::Args>),
-    /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
+    /// Write captures as MCAP, for Foxglove, Lichtblick and MCAP readers
     #[command(hide = true)]
     Mcap(Box<mcap::Args>),
-    /// Logs and trajectories from a recording of ROS 2
+    /// Write logs and trajectories from a recording of ROS 2
     #[command(hide = true)]
     Unbag(unbag::Args),
-    /// Keys of the sounding exchange: a new secret of a group, and from it one robot's own
+    /// Make keys of the sounding exchange: a group's secret, and each robot's keys from it
     #[command(hide = true)]
     Key(key::Args),
-    /// The script with which a shell completes commands and options
+    /// Print the script by which a shell completes commands and options
     #[command(hide = true)]
     Completions(completions::Args),
 }
@@ -179,7 +179,7 @@ pub fn run() -> ExitCode {
     }
 }
 
-/// Options and arguments that name what is written. Whatever else names a file or folder is read.
+/// Options and arguments that name outputs. Every other one that names a file or folder is an input.
 const OUTPUTS: [&str; 8] = ["out", "output", "profile", "plot", "html", "log", "poses", "report"];
 
 /// Notes what this run reads, and refuses an output that is among it.
@@ -228,7 +228,7 @@ fn execute(command: Command) -> Result {
     }
 }
 
-/// Says on a terminal how far a long command is; an empty text takes the line away.
+/// Shows the progress of a long command on a terminal; an empty text clears the line.
 pub fn progress(text: &str) {
     use std::io::{IsTerminal, Write};
     let mut stderr = std::io::stderr().lock();
@@ -237,7 +237,7 @@ pub fn progress(text: &str) {
     }
 }
 
-/// A bar on a terminal that says how far a long command is.
+/// A progress bar on a terminal.
 pub struct Bar {
     steps: u64,
     done: AtomicU64,
@@ -247,7 +247,7 @@ pub struct Bar {
     begun: std::time::Instant,
 }
 
-/// A bar for so many steps of `what`.
+/// A bar for this many steps of `what`.
 pub fn bar(steps: u64, what: &str) -> Bar {
     let (done, drawn, what) = (AtomicU64::new(0), AtomicU64::new(u64::MAX), what.to_owned());
     Bar { steps, done, drawn, what, begun: std::time::Instant::now() }
@@ -259,7 +259,7 @@ impl Bar {
         self.set(self.done.load(Ordering::Relaxed) + 1);
     }
 
-    /// So many steps are done.
+    /// Sets the number of finished steps.
     pub fn set(&self, done: u64) {
         self.done.store(done, Ordering::Relaxed);
         let percent = 100 * done.min(self.steps) / self.steps.max(1);

@@ -11,9 +11,8 @@ pub struct Mounting {
     /// Place of the antenna seen from the tracked point: metres forward, left, up
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     pub antenna_offset: Option<Vector3<f64>>,
-    /// Place of the tracking camera on a robot with wheels: metres forward and left of the middle between the wheels,
-    /// and its heading less the robot's, degrees. Only motion that wheels can roll is kept, and --antenna-offset starts
-    /// from that middle
+    /// Place of the tracking camera on a robot with wheels: metres forward and left of the middle between the wheels, and its
+    /// heading less the robot's, degrees. --antenna-offset then starts from that middle, and only rolling motion is kept
     #[arg(
         long,
         value_name = "X,Y,YAW",
@@ -44,6 +43,6 @@ impl Mounting {
 /// Metres forward and left, and degrees.
 fn mount(text: &str) -> Result<Mount, String> {
     let place =
-        triple(text).map_err(|_| "three finite numbers with commas between: metres, metres, degrees".to_owned())?;
+        triple(text).map_err(|_| "three finite numbers separated by commas: metres, metres, degrees".to_owned())?;
     Ok(Mount::new(Vector3::new(place.x, place.y, 0.0), place.z.to_radians()))
 }

@@ -12,8 +12,8 @@ const PROGRAM: &str = "csi5300-node";
 // Arguments of `node`; what they mean is the service's.
 #[derive(clap::Args)]
 pub struct NodeArgs {
-    /// The robot's configuration; packaging/robot.toml explains every key. If not given: robot.toml in this folder, in
-    /// ~/.config/csi5300 ($XDG_CONFIG_HOME), or in /etc/csi5300
+    /// The robot's configuration; packaging/robot.toml explains every key [default: robot.toml in this folder, in
+    /// ~/.config/csi5300 ($XDG_CONFIG_HOME), or in /etc/csi5300]
     #[arg(long, value_name = "ROBOT.toml")]
     config: Option<PathBuf>,
     /// Check the configuration, start nothing
@@ -24,16 +24,15 @@ pub struct NodeArgs {
 // Arguments of `watch`.
 #[derive(clap::Args)]
 pub struct WatchArgs {
-    /// The node's status socket, as its configuration names it. If not given: that of the configuration which `node` finds,
-    /// else /run/csi5300/status.sock
+    /// The node's status socket [default: that of the configuration that `node` finds, else /run/csi5300/status.sock]
     #[arg(value_name = "SOCKET")]
     socket: Option<PathBuf>,
-    /// Print one state as JSON and end
+    /// Print one state as JSON and exit
     #[arg(long, visible_alias = "json")]
     once: bool,
 }
 
-/// Goes on as the robot's service: the one beside this program, or else the first of the search path.
+/// Becomes the robot's service: the program beside this one, else the first in the search path.
 pub fn run() -> Result {
     let beside = std::env::current_exe().ok().map(|own| own.with_file_name(PROGRAM)).filter(|file| file.is_file());
     let program = beside.unwrap_or_else(|| PROGRAM.into());

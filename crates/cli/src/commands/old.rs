@@ -1,4 +1,4 @@
-//! Commands of the version before: they work for one version more, and say what they are now.
+//! Commands of the previous version: they work for one more version and print their new names.
 
 use clap::Command;
 use std::ffi::{OsStr, OsString};
@@ -57,7 +57,7 @@ fn place(args: &[OsString]) -> Option<usize> {
 /// The old option of `bearing`, and what it is now.
 const JOIN_ROWS: [&str; 2] = ["--join-rows", "--clock-offset=rows"];
 
-/// Puts what an old name is now in its place; what to say of it.
+/// Replaces an old name by the new one, and returns the note to print.
 pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     let place = place(args)?;
     let said = rename_command(args, place).or_else(|| without_root(args, place));
@@ -97,7 +97,7 @@ fn rename_command(args: &mut Vec<OsString>, place: usize) -> Option<String> {
     Some(format!("`csi5300 {}` is `csi5300 {}` now; the old name goes with the next version", moved.name, moved.now))
 }
 
-/// An argument as it is called now; none where it means nothing any more.
+/// The present name of an argument; `None` if it has no meaning any more.
 fn renamed(moved: &Moved, arg: OsString) -> Option<OsString> {
     let Some(text) = arg.to_str() else { return Some(arg) };
     let (name, value) = text.split_once('=').map_or((text, None), |(name, value)| (name, Some(value)));

@@ -79,9 +79,9 @@ impl Row {
     fn bearings(&self) -> &'static str {
         match (self.format, self.survey.n_rx) {
             ("FeitCSI", 2..) => {
-                "of two robots that exchanged frames of 20 or 40 MHz, or of one with two antennas (`bearing --baseline`)"
+                "of two robots that exchanged frames, or of one with two antennas (`bearing --baseline`)"
             }
-            ("FeitCSI", _) => "of two robots that exchanged frames of 20 or 40 MHz",
+            ("FeitCSI", _) => "of two robots that exchanged frames",
             (_, 2..) => "of one robot with two antennas (`bearing --baseline`)",
             _ => "none; one log needs two antennas in the same frame, and each frame here has one",
         }

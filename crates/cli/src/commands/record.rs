@@ -34,20 +34,19 @@ pub struct Args {
     /// The log; its side file with host times is OUT.datstp
     #[arg(value_name = "OUT.dat")]
     out: PathBuf,
-    /// Overwrite the log if it is there
+    /// Overwrite an existing log
     #[arg(long)]
     force: bool,
-    /// A checksum of each record in the side file, which `info`, `export --dat` and whatever reads the log then check; csiread does
-    /// not read such side files
+    /// Write a checksum of each record into the side file; all commands then check it. csiread does not read such side files
     #[arg(long)]
     checksums: bool,
-    /// Make the log survive a power cut this often; 0s leaves it to the system
+    /// Write the log to disk this often, against power cuts; 0s leaves it to the system
     #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
     sync_every: Span,
-    /// Go on in a new file (OUT-0001.dat, OUT-0002.dat ...) before this size: 500k, 100M, 2G
+    /// Continue in a new file (OUT-0001.dat, OUT-0002.dat ...) before this size: 500k, 100M, 2G
     #[arg(long, value_parser = rotation_size, value_name = "SIZE")]
     rotate_size: Option<u64>,
-    /// Go on in a new file after this time: 30s, 10m, 1h
+    /// Continue in a new file after this time: 30s, 10m, 1h
     #[arg(long, value_parser = some_duration, value_name = "TIME")]
     rotate_every: Option<Span>,
     /// Stop after this time
@@ -59,10 +58,10 @@ pub struct Args {
     /// Also write the records to standard output, for another program
     #[arg(long)]
     live: bool,
-    /// A full page of live figures instead of one line
+    /// Show a page of live figures instead of one line
     #[arg(long)]
     watch: bool,
-    /// One JSON object about the recording at its end
+    /// Print one JSON object about the recording at its end
     #[arg(long, conflicts_with = "live")]
     json: bool,
     /// Receive buffer to ask the kernel for
@@ -98,7 +97,7 @@ enum View {
     Page,
 }
 
-/// Records until told to stop.
+/// Records until a signal or a limit ends it.
 pub fn run(args: &Args) -> Result {
     let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
@@ -113,7 +112,7 @@ pub fn run(args: &Args) -> Result {
         args,
         clock,
         rests: !args.live && listener.buffer() >= ROOMY,
-        socket: listener.as_fd().try_clone_to_owned().map_err(|error| format!("what is listened to: {error}"))?,
+        socket: listener.as_fd().try_clone_to_owned().map_err(|error| format!("listener: {error}"))?,
         signals,
         status: Status::new(clock.now()),
         view: if args.watch {
@@ -295,7 +294,7 @@ impl Session<'_> {
         let _ = stderr.write_all(text.as_bytes()).and_then(|()| stderr.flush());
     }
 
-    /// Takes the live line away, before other words.
+    /// Clears the live line before other output.
     fn clear(&self) {
         if self.view == View::Line {
             // The terminal may be gone.
@@ -343,12 +342,12 @@ fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathB
         let _ = writeln!(text, "  from {name}: {}", super::some(sender.records, "record", "records"));
     }
     if totals.received == 0 {
-        text.push_str("  nothing came: `csi5300 doctor --listen 10s` says what may be wrong\n");
+        text.push_str("  nothing came: `csi5300 doctor --listen 10s` reports what may be wrong\n");
     }
     text
 }
 
-/// Takes away an output in which nothing is, so that nobody takes it for a result; devices and pipes stay.
+/// Removes an empty output, so that nobody mistakes it for a result; devices and pipes stay.
 fn remove_empty(output: &Path) {
     if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
         note!("nothing to write: no {}", output.display());

@@ -23,14 +23,14 @@ const _: () = assert!(CN_IDX == 26);
 pub struct Args {
     /// The log; - is standard input
     file: PathBuf,
-    /// Times the pace of the recording; `max` does not wait at all
+    /// Speed relative to the recording; `max` does not wait
     #[arg(long, default_value = "1", value_parser = speed)]
     speed: f64,
     /// Shorten longer pauses to this
     #[arg(long, value_parser = duration, value_name = "TIME")]
     longest_pause: Option<Span>,
-    /// Multicast to the driver's connector group, as the driver would, instead of writing the log to standard output; to this connector
-    /// index where one is given
+    /// Multicast to the driver's connector group, as the driver would, instead of writing to standard output; INDEX is another
+    /// connector index
     #[arg(
         long,
         value_name = "INDEX",
@@ -40,7 +40,7 @@ pub struct Args {
         value_parser = clap::value_parser!(u32).range(1..=32)
     )]
     connector: Option<u32>,
-    /// One JSON object about what was played; standard output is free for it with --connector only
+    /// Print one JSON object about what was played (with --connector only)
     #[arg(long, requires = "connector")]
     json: bool,
 }

@@ -9,28 +9,28 @@ use csi5300_live::doctor::{self, Machine, Request, SetupError, Step, default_int
 // Arguments of `setup`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The card's interface; found on the PCI bus where not given
+    /// The card's interface [default: found on the PCI bus]
     #[arg(long, value_name = "NAME")]
     interface: Option<String>,
     /// WiFi channel, with + or - for 40 MHz; the same on all robots
     #[arg(long, value_parser = channel_of_5300, value_name = "NUMBER", required_unless_present = "undo")]
     channel: Option<Channel>,
-    /// What this robot does in a round
+    /// This robot's role in a round
     #[arg(long, value_enum, required_unless_present = "undo")]
     role: Option<Role>,
-    /// What makes the CSI records; found by its parameters where not given
+    /// The driver that makes the CSI records [default: found by its parameters]
     #[arg(long, value_enum)]
     driver: Option<Driver>,
     /// Length of the frames that this robot's kernel answers, checksum included (WSR driver or module, responder): 57, 59 ...
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u32).range(28..=2304))]
     ack_len: Option<u32>,
-    /// Take the steps instead of printing them
+    /// Run the steps instead of printing them
     #[arg(long)]
     apply: bool,
-    /// The steps back to an ordinary WiFi card; with --apply they are taken
+    /// Steps back to an ordinary WiFi card; run them with --apply
     #[arg(long)]
     undo: bool,
-    /// JSON Lines: one object a step
+    /// Print JSON Lines: one object for each step
     #[arg(long)]
     json: bool,
 }
@@ -98,7 +98,7 @@ pub fn run(args: &Args) -> Result {
         }
         if args.apply {
             step.take(&system)
-                .map_err(|error| format!("{error}\n  (`csi5300 setup --undo --apply` takes it all back)"))?;
+                .map_err(|error| format!("{error}\n  (`csi5300 setup --undo --apply` undoes all of it)"))?;
         }
         if args.json {
             print_json(&Row { command: step.line(), why: step.why, may_fail: step.may_fail, taken: args.apply });

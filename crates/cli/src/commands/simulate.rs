@@ -18,11 +18,11 @@ use std::path::{Path, PathBuf};
                         csi5300 simulate --rx RX.dat --tx TX.dat --trajectory T.csv --channel 108\n  \
                         csi5300 simulate suite --repetitions 3")]
 pub struct Args {
-    /// The scene, a file or the name of a built-in one: lab-circle, lab-line, paper-circle, paper-line; or suite, the experiments of
-    /// Dijkstra et al., each repeated: a table of errors, confidence and phase residual
+    /// The scene: a file, a built-in one (lab-circle, lab-line, paper-circle, paper-line, two-antennas), or suite: a
+    /// table of the repeated experiments of Dijkstra et al.
     #[arg(required_unless_present_any = ["rx", "bag"])]
     scene: Option<PathBuf>,
-    /// Folder for logs, trajectories and truth; of a comparison for the fitted scene, the simulated capture and pictures
+    /// Folder for logs, trajectories and truth; for a comparison, for the fitted scene, the simulated capture and pictures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Seed instead of the scene's
@@ -31,10 +31,10 @@ pub struct Args {
     /// Layout of the records instead of the scene's
     #[arg(long, value_enum, value_name = "LAYOUT")]
     layout: Option<Layout>,
-    /// Write into a folder that is not empty, and over what an earlier run left
+    /// Write into a folder that is not empty, and overwrite an earlier run
     #[arg(long)]
     force: bool,
-    /// JSON Lines: one object a capture written, a figure compared, or an experiment; one about the room that was served
+    /// Print JSON Lines: one object for each capture, compared figure or experiment, or for the served room
     #[arg(long)]
     json: bool,
     #[cfg(feature = "live")]
@@ -57,7 +57,7 @@ enum Layout {
 
 /// The scene that is the experiments.
 const SUITE: &str = "suite";
-/// Where a comparison and the table of the experiments go, if no --out says it.
+/// Default outputs of a comparison and of the experiments.
 const COMPARED: &str = "csi5300-compare";
 const TABLE: &str = "csi5300-suite.csv";
 
@@ -71,16 +71,16 @@ impl Args {
         serves
     }
 
-    /// Runs what is no scene alone: a comparison or the experiments.
+    /// Runs a comparison or the experiments.
     fn other(&self) -> Option<Result> {
         let changed = self.seed.is_some() || self.layout.is_some();
         let out = |usual: &str| self.out.clone().unwrap_or_else(|| usual.into());
         let is_suite = self.scene.as_deref().is_some_and(|scene| scene.as_os_str() == SUITE && !scene.exists());
         if !is_suite && self.which.is_asked() {
-            usage("--repetitions and --only are of the experiments: csi5300 simulate suite");
+            usage("--repetitions and --only belong to the experiments: csi5300 simulate suite");
         }
         if (is_suite || self.recorded.is_named()) && (changed || self.serves()) {
-            usage("--seed, --layout, --serve and what goes with it are of a scene that is simulated by itself");
+            usage("--seed, --layout, --serve and its options need a scene that is simulated by itself");
         }
         if is_suite && self.recorded.is_named() {
             usage("a recording is compared with a scene, not with the experiments");
@@ -137,7 +137,7 @@ pub fn run(args: &Args) -> Result {
     Ok(Outcome::Nothing)
 }
 
-/// A scene from its file, or the built-in one of that name where there is no such file. One that makes no sense is wrong usage, as a
+/// A scene from its file, or the built-in one of that name if there is no such file. One that makes no sense is wrong usage, as a
 /// configuration is.
 pub fn load(file: &Path) -> std::result::Result<Scene, String> {
     Scene::find(file).map_err(|error| match error.is_of_text() {

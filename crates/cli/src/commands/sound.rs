@@ -34,34 +34,34 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
                         csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --dialect wsr --open-loop\n  \
                         csi5300 sound --answer --interface mon0 --peers 00:21:6a:53:89:d2\n\
                         A rate that does not fit is refused with the highest one that does. Frames that the kernel drops \
-                        silently (channels on which the card may not start to transmit) are noticed and said."
+                        silently (channels on which the card may not start to transmit) are reported."
 )]
 pub struct Args {
-    /// Answer the frames of robots that sound, instead of sounding. Answers carry what the card measured, so that those have bearings
-    /// live (driver with connector_log=0x5, or --stock); with --dialect wsr --ack-len N they are the WSR driver's
+    /// Answer the frames of other robots instead of sounding. Answers carry what the card measured, for live bearings
+    /// (driver with connector_log=0x5, or --stock); with --dialect wsr --ack-len N they are the WSR driver's
     #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "heading_sd"])]
     answer: bool,
     #[command(flatten)]
     common: Sounding,
-    /// No other robot initiates: begin at once, without a long listen
+    /// Begin at once: no other robot initiates
     #[arg(long)]
     alone: bool,
-    /// Sound every peer in every round, whether answers are heard here or not
+    /// Sound every peer in every round, even if no answers are heard
     #[arg(long)]
     open_loop: bool,
-    /// Live bearings: trajectory of this robot as CSV, on this host's clock; read again for each bearing, it may grow
+    /// Trajectory of this robot for live bearings: a growing CSV, on this host's clock
     #[arg(long, value_name = "T.csv", requires = "channel")]
     trajectory: Option<PathBuf>,
-    /// How often bearings are made, beside the sounding; the last one may come after its end
+    /// How often to estimate bearings; the last one may come after the sounding
     #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
     bearing_every: Span,
-    /// Antenna (RF port) of bearings, and of the measurements that answers carry: A, B or C
+    /// Antenna (RF port) of bearings and of measurements in answers: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
     /// Standard deviation of the trajectory's heading, degrees: 0 for motion capture, about 3 for a tracking camera, 20 for wheels
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
     heading_sd: Option<f64>,
-    /// JSON Lines: one object a bearing, then a summary
+    /// Print JSON Lines: one object for each bearing, then a summary
     #[arg(long)]
     json: bool,
 }
@@ -106,7 +106,7 @@ struct Bearings<'a> {
     beside: Beside<Made>,
     clock: Monotonic,
     told: bool,
-    /// Numbers with two records that were said.
+    /// Reported numbers with two records.
     contested: u64,
 }
 
@@ -147,7 +147,7 @@ impl Observer for Live<'_> {
 }
 
 impl Bearings<'_> {
-    /// Begins to make bearings of what there is.
+    /// Starts to estimate bearings from the products so far.
     fn begin(&mut self, now: Instant) {
         if self.products.unused().no_number > 0 && !self.told {
             self.told = true;
@@ -168,7 +168,7 @@ impl Bearings<'_> {
         }
     }
 
-    /// Says what was made.
+    /// Prints the bearings that are ready.
     fn tell(&self, made: Made) {
         let made = match made {
             Ok(made) => made,
@@ -180,7 +180,7 @@ impl Bearings<'_> {
         }
     }
 
-    /// The end: what is under way is said when it is done, unless a signal ended the sounding or ends this.
+    /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this.
     fn finish(mut self, signals: &Signals) -> std::result::Result<(), String> {
         let last = self.beside.last(self.clock, signals.as_fd()).map_err(|error| error.to_string())?;
         last.into_iter().for_each(|made| self.tell(made));
@@ -206,7 +206,7 @@ impl Bearings<'_> {
     }
 }
 
-/// Sounds until told to stop.
+/// Sounds until a signal or a limit ends it.
 pub fn run(args: &Args) -> Result {
     let common = &args.common;
     if args.answer {

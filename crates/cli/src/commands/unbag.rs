@@ -10,13 +10,13 @@ pub struct Args {
     /// The recording: a folder as `ros2 bag` makes it, or a file (MCAP, SQLite, bag of ROS 1)
     #[arg(value_name = "BAG")]
     bag: PathBuf,
-    /// Folder for a log of each topic of CSI and a trajectory of each topic of poses
+    /// Folder for a log of each CSI topic and a trajectory of each pose topic
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
     /// Overwrite files of the same names
     #[arg(long)]
     force: bool,
-    /// One JSON object a topic
+    /// Print one JSON object for each topic
     #[arg(long)]
     json: bool,
 }

@@ -18,8 +18,8 @@ use std::sync::Arc;
                         Example: csi5300 view captures --open")]
 pub struct Args {
     /// A log, a folder of captures or logs, or the status socket of a running node
-    #[arg(value_name = "LOG|DIR|SOCKET")]
-    what: PathBuf,
+    #[arg(value_name = "LOG|DIR|SOCKET", required = true)]
+    what: Vec<PathBuf>,
     /// Address to listen on; port 0 takes any free port. Everybody who can reach the address can see the page
     #[arg(long, default_value = "127.0.0.1:0", value_parser = address, value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
@@ -58,14 +58,17 @@ impl Args {
 
 /// Serves the page until a signal ends it.
 pub fn run(args: &Args) -> Result {
+    let [what] = args.what.as_slice() else {
+        usage("view takes one log, folder or socket: put the files of a capture into one folder, and name that")
+    };
     // Before there are threads, which inherit it.
     let ends = Ends::catch(ends_by_hangup()).map_err(|error| error.to_string())?;
     // Before it is opened: a pipe would be waited for.
-    View::check(&args.what).map_err(|error| error.to_string())?;
-    if !csi5300_lab::cards::is_log(&args.what) {
-        super::files::must_be_log(&args.what)?;
+    View::check(what).map_err(|error| error.to_string())?;
+    if !csi5300_lab::cards::is_log(what) {
+        super::files::must_be_log(what)?;
     }
-    let view = View::open(&args.what, reading(&args.reading())).map_err(|error| error.to_string())?;
+    let view = View::open(what, reading(&args.reading())).map_err(|error| error.to_string())?;
     view.left_out().iter().for_each(|words| note!("{words}"));
     let view = Arc::new(view);
     let server = Server::listen(args.listen).map_err(|error| error.to_string())?;

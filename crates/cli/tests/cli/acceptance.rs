@@ -43,6 +43,46 @@ fn a_scene_is_judged_and_the_report_is_written() {
     assert_eq!((status, report["logs"][0]["records"].as_u64()), (0, Some(2998)));
 }
 
+/// Judges two logs; gives the verdict of each claim about both, by its id.
+fn of_link(folder: &Folder, near: &str, far: &str) -> std::collections::BTreeMap<String, String> {
+    let (_, out, err) = folder.run(&["doctor", "--accept", near, far, "--channel", "108", "--json"]);
+    let report: serde_json::Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{err}"));
+    let words = |value: &serde_json::Value| value.as_str().unwrap().to_owned();
+    let links = report["findings"].as_array().unwrap().iter().filter(|finding| finding["of"] == "link");
+    links.map(|finding| (words(&finding["id"]), words(&finding["verdict"]))).collect()
+}
+
+#[test]
+fn logs_without_numbers_are_judged_by_the_clocks_of_their_cards() {
+    let folder = Folder::new("accept-clocks");
+    let text = "seed = 3\nduration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsounding.rate_hz = 50\n[radio]\nnoise.snr_db = 20\n\
+                send_jitter_us = 60\nturn_around.spread_us = 8\n[[robot]]\nname = \"rx\"\n[[robot]]\nname = \"tx\"\n\
+                position_m = [-4.0, 9.0, 0.0]\ncrystal.offset_ppm = -6.0\n";
+    folder.write("room.toml", text.as_bytes());
+    assert_eq!(folder.run(&["simulate", "room.toml", "--out", "room"]).0, 0);
+    let files = std::fs::read_dir(folder.0.join("room")).unwrap().map(|entry| entry.unwrap().path());
+    let mut logs: Vec<_> = files.filter(|path| path.to_str().unwrap().contains("csi_")).collect();
+    logs.sort();
+    let [near, far] = [0, 1].map(|k| logs[k].to_str().unwrap());
+    let found = of_link(&folder, near, far);
+    for id in ["exchange.pairs", "exchange.turn_around", "exchange.drift", "phase.cancels", "phase.sign"] {
+        assert_eq!(found[id], "holds", "{id} {found:?}");
+    }
+
+    let Some(cases) = crate::common::cases("wsr-2021") else { return };
+    let log = |name: &str| cases.join("floor").join(name).to_str().unwrap().to_owned();
+    let [first, second] = ["154746", "155046"]
+        .map(|time| ["csi_rx", "csi_tx1"].map(|name| log(&format!("{name}_2021-03-04_{time}.dat"))));
+    for [near, far] in [&first, &second] {
+        let found = of_link(&folder, near, far);
+        for id in ["exchange.pairs", "exchange.turn_around", "exchange.late", "phase.cancels", "phase.sign"] {
+            assert_eq!(found[id], "holds", "{id} {found:?}");
+        }
+    }
+    let found = of_link(&folder, &first[0], &second[1]);
+    assert!(found.values().all(|verdict| verdict == "not_tried"), "{found:?}");
+}
+
 #[test]
 fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
     use crate::air::Program;
@@ -129,7 +169,7 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
     let (out, said) = asked(&[], "B");
     assert!(out.contains("stopped: 1 of 3 parts are finished") && !said.contains("going on"), "{out}{said}");
     let (out, said) = asked(&["B"], "C");
-    assert!(said.contains("going on with the run that was stopped: listen"), "{said}");
+    assert!(said.contains("continuing the interrupted run: listen"), "{said}");
     assert!(out.contains("stopped: 2 of 3") && out.contains("0 records came without antenna B"), "{out}");
     let (out, said) = asked(&[], "C");
     assert!(said.contains("listen while another robot sounds, then you unplug antenna B taken from"), "{said}");

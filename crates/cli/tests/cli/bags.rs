@@ -183,7 +183,7 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     std::fs::write(folder.0.join("damaged.mcap"), mcap(&damaged)).unwrap();
     let (status, out, errors) = run(&["--bag", "damaged.mcap", "--rx", "/a/csi"]);
     assert_eq!((status, answers(&out)), (3, answers(&expected)), "{errors}");
-    assert!(errors.contains("/b/csi: 1 message is unreadable and left out"), "{errors}");
+    assert!(errors.contains("/b/csi: 1 message is unreadable and skipped"), "{errors}");
     // Nothing was written.
     let names: Vec<_> = std::fs::read_dir(&folder.0).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert_eq!(names.len(), 4, "{names:?}");

@@ -60,6 +60,16 @@ fn files_are_told_apart_by_their_content() {
         assert_eq!((status, azimuth(&out)), (0, azimuth(&by_option)), "{err}");
         assert!(err.contains("rx.dat is the receiver's log"), "{err}");
     }
+    // The page of the same folder has its link.
+    #[cfg(feature = "view")]
+    {
+        let (status, _, err) = folder.run(&["evaluate", ".", "--channel", "108", "--html", "page.html"]);
+        assert!(status == 0 && err.contains("page.html: 1 link,"), "{status} {err}");
+        let (status, _, err) = folder.run(&["view", "rx.dat", "tx.dat"]);
+        assert!(status == 2 && err.contains("into one folder"), "{status} {err}");
+    }
+    let (status, _, err) = folder.run(&["evaluate", ".", "--channel", "108"]);
+    assert!(status == 1 && err.contains("1 capture without one"), "{status} {err}");
     // Names that say nothing: only the receiver's host times lie within the trajectory.
     std::fs::rename(folder.0.join("rx.dat"), folder.0.join("a.dat")).unwrap();
     std::fs::rename(folder.0.join("tx.dat"), folder.0.join("b.dat")).unwrap();

@@ -225,7 +225,7 @@ fn commands_end_alike() {
     let (status, _, err) = folder.run(&["simulate", "room", "--out", "again"]);
     assert!(status == 1 && err.contains("cannot read room: ") && err.matches("room").count() == 1, "{err}");
     let (_, help, _) = folder.run(&["--help"]);
-    assert!(help.contains("Exit status, of every command"), "{help}");
+    assert!(help.contains("Exit status of every command"), "{help}");
 }
 
 #[cfg(feature = "plot")]

@@ -141,7 +141,7 @@ fn checksums_show_what_the_layout_of_a_log_cannot() {
     std::fs::write(&log, changed.concat()).unwrap();
     let (status, out, _) = folder.run(&["info", "in.dat"]);
     assert_eq!(status, 3, "{out}");
-    let words = "checksums of the side file: 48 records right, 1 wrong and left out, 2 of the side file not in the log";
+    let words = "checksums of the side file: 48 records right, 1 wrong and skipped, 2 of the side file not in the log";
     assert!(out.contains(words), "{out}");
     let (_, out, _) = folder.run(&["info", "in.dat", "--json"]);
     let checks = &json(&out)["checks"];

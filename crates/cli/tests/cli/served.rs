@@ -16,7 +16,7 @@ use csi5300_sim::served::{self, Address, Poses, Server};
 use csi5300_sim::{Injected, Interface, Room, Scene};
 use driver_iface::Mac;
 use driver_iface::radiotap::Bandwidth;
-use driver_iface::record::Tail;
+use driver_iface::record::{Tail, code};
 use std::path::PathBuf;
 
 /// A robot on a circle, and one 4 m to its north-east.
@@ -282,7 +282,9 @@ fn comes(mut is_there: impl FnMut() -> bool) {
 
 #[test]
 fn a_card_behind_the_socket_says_what_the_room_s_card_says() {
-    let scene = scene(1.0, "driver = \"stock\"");
+    // Two antennas with a constant and a noise between their chains.
+    let mut scene = scene(1.0, "driver = \"stock\"\nradio.chain_deg = [60.0, 0.0]\nradio.chain_noise_rad = 0.1");
+    scene.robot[1].antenna_b_m = Some([0.0, 0.1, 0.0]);
     let mut served = Served::new(&scene, "card");
     let (mut card, mac) = served.join("tx", |address| card_of(address, || Some(7)));
     assert_eq!((mac, card.indices().1), (served.room.mac(1).unwrap(), Found::Served));
@@ -310,6 +312,8 @@ fn a_card_behind_the_socket_says_what_the_room_s_card_says() {
                         panic!("record {records}")
                     };
                     assert!(heard == record, "record {records} is another one");
+                    // RSSI of antenna B.
+                    assert!(record.code != code::BFEE || record.body[11] > 0, "{:?}", record.body);
                 }
                 records += 1;
             }

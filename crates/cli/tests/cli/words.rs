@@ -215,7 +215,7 @@ fn rows_of_a_trajectory_that_cannot_be_read_are_a_loss_and_a_line_of_headings_is
     folder.write("t.csv", rows.as_bytes());
     let (status, out, errors) = folder.bearing(&["--json"]);
     let lost = made.trajectory.lines().count() / 10;
-    assert!(status == 3 && errors.contains(&format!("{lost} rows left out")), "{status}: {errors}");
+    assert!(status == 3 && errors.contains(&format!("{lost} rows skipped")), "{status}: {errors}");
     let azimuth = |text: &str| json(text.lines().next().unwrap())["azimuth_deg"].as_f64().unwrap();
     assert!((azimuth(&out) - azimuth(&expected)).abs() < 1.0, "{out}");
     // Times of whole seconds are too coarse for a path that turns; a clock that was set back leaves the longest part.

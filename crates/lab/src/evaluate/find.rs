@@ -1,5 +1,6 @@
 //! Captures below a folder: their logs, and which of their trajectories is read.
 
+use super::roles::{self, Sorted};
 use csi5300::internal::heading;
 use csi5300::motion::rolling::Mount;
 use std::collections::BTreeSet;
@@ -66,6 +67,8 @@ pub struct Capture {
     pub stamp: String,
     /// The folder.
     pub folder: PathBuf,
+    /// The receiver's log and trajectory, where their names are others than the usual ones.
+    pub loose: Option<Box<[PathBuf; 2]>>,
     /// Transmitters: name (`tx2`) and log.
     pub transmitters: Vec<(String, PathBuf)>,
     /// Where the receiver's antenna is on its robot, seen from what the tracking camera's or the wheels' trajectory is of:
@@ -104,6 +107,9 @@ impl Capture {
     /// The file with the trajectory of `robot`: `rx`, or a transmitter's name. Motion capture may have the name that
     /// \[paper\] (docs/reference/references.md) gives it.
     pub(super) fn trajectory_of(&self, source: TrajectorySource, robot: &str) -> PathBuf {
+        if let (Some(loose), "rx") = (&self.loose, robot) {
+            return loose[1].clone();
+        }
         let usual = self.folder.join(format!("{}{robot}_trajectory_{}_.csv", source.prefix(), self.stamp));
         let paper = self.folder.join(format!("{robot}_movement_{}.csv", self.stamp));
         let is_paper = source == TrajectorySource::GroundTruth && !usual.is_file() && paper.is_file();
@@ -117,7 +123,12 @@ impl Capture {
         !self.transmitters.is_empty() && self.receiver_log().is_file() && has_trajectory()
     }
 
-    pub(super) fn receiver_log(&self) -> PathBuf {
+    /// The receiver's log.
+    #[must_use]
+    pub fn receiver_log(&self) -> PathBuf {
+        if let Some(loose) = &self.loose {
+            return loose[0].clone();
+        }
         self.folder.join(format!("csi_rx_{}.dat", self.stamp))
     }
 }
@@ -129,9 +140,36 @@ pub fn find(root: &Path) -> (Vec<Capture>, Vec<String>) {
     (captures.into_iter().filter(Capture::has_truth).collect(), unreadable)
 }
 
-/// The same with captures without a truth: logs of a receiver and its transmitters with a trajectory.
+/// The same with captures without a truth: logs of a receiver and its transmitters with a trajectory. Where none has the usual names, the files of
+/// `root` itself are one capture if their content tells the receiver's log and trajectory.
 #[must_use]
 pub fn find_all(root: &Path) -> (Vec<Capture>, Vec<String>) {
+    let (mut captures, unreadable) = named(root);
+    if captures.is_empty() {
+        captures.extend(loose(root));
+    }
+    (captures, unreadable)
+}
+
+fn loose(root: &Path) -> Option<Capture> {
+    let Sorted { logs, trajectories, .. } = Sorted::new(roles::loose_files(root)?, None);
+    let trajectory = roles::the_trajectory(&trajectories).ok()?;
+    let receiver = roles::receiver(&logs, &trajectory, true).ok()?;
+    let name = |log: &PathBuf| log.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    let transmitters = logs.iter().filter(|log| **log != receiver).map(|log| (name(log), log.clone())).collect();
+    Some(Capture {
+        place: String::new(),
+        stamp: String::new(),
+        folder: root.into(),
+        loose: Some(Box::new([receiver, trajectory])),
+        transmitters,
+        antenna_offset_m: None,
+        camera: None,
+    })
+}
+
+/// The captures with the usual names.
+pub(super) fn named(root: &Path) -> (Vec<Capture>, Vec<String>) {
     let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
     let mut folders = vec![root.to_path_buf()];
     while let Some(folder) = folders.pop() {
@@ -179,6 +217,7 @@ fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
             place: place.join("/"),
             stamp: stamp.into(),
             folder: folder.into(),
+            loose: None,
             transmitters,
             antenna_offset_m: None,
             camera: None,

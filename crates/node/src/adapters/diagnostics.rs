@@ -1,12 +1,17 @@
 //! The state of the robot as `rqt_robot_monitor` and Foxglove show it: card, odometry, each peer, the program, and the acceptance claims.
 
+use super::Robot;
+use crate::config::{Capture, Config};
 use crate::health::Health;
-use crate::self_test::Found;
+use crate::machine::Machine;
+use crate::self_test::{Found, SelfTest, WINDOW};
 use csi5300::pipeline::live::PeerState;
 use csi5300_accept::{Claim, Finding, Verdict};
 use csi5300_bag::messages::services::SelfTestResponse;
 use csi5300_bag::messages::shown::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue};
 use csi5300_bag::messages::standard::Header;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 const WELL: Byte = Byte(0);
 const WARNING: Byte = Byte(1);
@@ -29,8 +34,55 @@ fn status(
     }
 }
 
-/// All parts.
-pub(super) fn of(header: Header, health: &Health) -> DiagnosticArray {
+/// The acceptance claims of this robot; clones share what the last look found.
+#[derive(Clone)]
+pub(super) struct Claims {
+    test: SelfTest,
+    robot: String,
+    last: Arc<Mutex<Vec<Found>>>,
+}
+
+impl Claims {
+    pub fn new(config: &Config, robot: &Robot) -> Self {
+        let test = SelfTest::new(config.channel, robot.own, &robot.peers);
+        let has_card = matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_));
+        let test = if has_card { test.with_module() } else { test };
+        Self { test, robot: robot.name.clone(), last: Arc::default() }
+    }
+
+    /// Judges every claim now.
+    pub fn answer(&self) -> SelfTestResponse {
+        self_test(&self.robot, &self.test.judge())
+    }
+
+    /// Takes the records of the machine. With `is_published`, judges them in each window, on a thread of its own.
+    pub fn attach(&self, machine: &mut Machine, is_published: bool) {
+        machine.add_tap(self.test.tap());
+        if is_published {
+            tokio::spawn(self.clone().judge_again_and_again());
+        }
+    }
+
+    async fn judge_again_and_again(self) {
+        loop {
+            tokio::time::sleep(Duration::from_secs_f64(WINDOW.as_s())).await;
+            let test = self.test.clone();
+            if let Ok(found) = tokio::task::spawn_blocking(move || test.judge()).await {
+                *self.last.lock().unwrap_or_else(PoisonError::into_inner) = found;
+            }
+        }
+    }
+
+    /// All parts of the state, and what the last look found.
+    pub fn diagnostics(&self, header: Header, health: &Health) -> DiagnosticArray {
+        let mut told = of(header, health);
+        told.status.push(claims(&self.robot, &self.last.lock().unwrap_or_else(PoisonError::into_inner)));
+        told
+    }
+}
+
+/// All parts of the state.
+fn of(header: Header, health: &Health) -> DiagnosticArray {
     let rate = |what: &str, hz: f64| (if hz > 0.0 { WELL } else { STALE }, format!("{hz:.0} {what} a second"));
     let card = status(
         health,
@@ -112,7 +164,7 @@ fn claim(robot: &str, found: &Found) -> DiagnosticStatus {
 const CLAIMS: usize = 250;
 
 /// The answer of the service `self_test`: passed where some claim holds and none fails.
-pub(super) fn self_test(robot: &str, found: &[Found]) -> SelfTestResponse {
+fn self_test(robot: &str, found: &[Found]) -> SelfTestResponse {
     let size = found.len();
     let passed = with(found, Verdict::Fails).is_empty() && !with(found, Verdict::Holds).is_empty();
     let told = |found: &&Found| size <= CLAIMS || found.1.verdict == Verdict::Fails;
@@ -121,7 +173,7 @@ pub(super) fn self_test(robot: &str, found: &[Found]) -> SelfTestResponse {
 }
 
 /// All claims as one part, with what was found of those that fail.
-pub(super) fn claims(robot: &str, found: &[Found]) -> DiagnosticStatus {
+fn claims(robot: &str, found: &[Found]) -> DiagnosticStatus {
     let (failed, holds) = (with(found, Verdict::Fails), with(found, Verdict::Holds).len());
     let names: Vec<String> = failed.iter().map(|found| name_of(found)).collect();
     let (level, message) = match (failed.len(), holds) {

@@ -2,9 +2,10 @@
 //! to which lines of JSON go and from which they come. A library of ROS 1 would be three hundred crates and OpenSSL; where
 //! there is a master there is rospy.
 
+use super::diagnostics::Claims;
 use super::{Adapter, Made, Robot, Said, Start};
-use crate::config::Odometry;
 use crate::config::ros::{Ros, is_used, name_part};
+use crate::config::{Config, Odometry};
 use crate::health::Health;
 use crate::machine::{Machine, Tap};
 use crate::sources::Poses;
@@ -13,6 +14,7 @@ use csi5300::motion::pose::Pose;
 use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next, Stamps};
 use csi5300_bag::messages::own::Csi;
+use csi5300_bag::messages::services::SelfTestResponse;
 use csi5300_bag::messages::standard::{Header, Time};
 use csi5300_ros2::said;
 use driver_iface::record::Record;
@@ -33,11 +35,19 @@ const BRIDGE: &str = include_str!("../../../../packaging/ros1/bridge.py");
 const BEARING: &str = include_str!("../../../../packaging/ros/csi5300_msgs/msg/Bearing.msg");
 const CSI: &str = include_str!("../../../../packaging/ros/csi5300_msgs/msg/Csi.msg");
 const HEADER: &str = "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n";
+/// Those of `diagnostic_msgs`, which a bare rospy lacks.
+const DIAGNOSTICS: &str = "Header header\nDiagnosticStatus[] status\n";
+const SELF_TEST: &str = "string id\nbyte passed\nDiagnosticStatus[] status\n";
+const STATUS: &str = "MSG: diagnostic_msgs/DiagnosticStatus\nbyte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\n\
+    byte level\nstring name\nstring message\nstring hardware_id\nKeyValue[] values\n";
+const KEY_VALUE: &str = "MSG: diagnostic_msgs/KeyValue\nstring key\nstring value\n";
 /// Pythons that may have rospy: Noetic's and Debian's, then Melodic's.
 const PYTHONS: [&str; 3] = ["python3", "python2", "python"];
 
 /// Lines that wait for the bridge at most; further ones are lost and counted.
 const QUEUE: usize = 1_024;
+/// Calls of the service that wait for their answer at most; further ones end without one.
+const CALLS: usize = 4;
 /// Bytes of a line of the bridge at most.
 const LINE: u64 = 1 << 16;
 /// Pause before a bridge that ended is started again, and looks at whether it is to end within it.
@@ -60,6 +70,8 @@ pub(super) fn make(start: &Start<'_>) -> Made {
     Ok(Some(Box::new(Ros1 {
         settings,
         publishes,
+        config: config.clone(),
+        claims: None,
         master,
         node,
         reads,
@@ -75,6 +87,10 @@ pub(super) fn make(start: &Start<'_>) -> Made {
 struct Ros1 {
     settings: Ros,
     publishes: bool,
+    /// What the claims are made of.
+    config: Config,
+    /// Nothing without a table `[ros]`.
+    claims: Option<Claims>,
     master: String,
     node: String,
     reads: Vec<(Inbox, Kind)>,
@@ -100,10 +116,15 @@ impl Ros1 {
         let topic = |topic: &str, kind: &str| json!({ "topic": topic, "type": kind });
         let reads: Vec<Value> = self.reads.iter().map(|(inbox, kind)| topic(inbox.topic(), type_name(*kind))).collect();
         let writes: Vec<Value> = self.writes.iter().map(|(name, kind)| topic(name, kind)).collect();
-        let definition = |text: &str| format!("{text}\n{}\n{HEADER}", "=".repeat(80));
-        let definitions = json!({ "csi5300_msgs/Bearing": definition(BEARING), "csi5300_msgs/Csi": definition(CSI) });
+        let with = |texts: &[&str]| texts.join(&format!("\n{}\n", "=".repeat(80)));
+        let definitions = json!({
+            "csi5300_msgs/Bearing": with(&[BEARING, HEADER]),
+            "csi5300_msgs/Csi": with(&[CSI, HEADER]),
+            "diagnostic_msgs/DiagnosticArray": with(&[DIAGNOSTICS, HEADER, STATUS, KEY_VALUE]),
+            "diagnostic_msgs/SelfTestResponse": with(&[SELF_TEST, STATUS, KEY_VALUE]),
+        });
         let told = json!({ "master": self.master, "node": self.node, "read": reads, "write": writes,
-            "definitions": definitions });
+            "serves": self.publishes, "definitions": definitions });
         format!("{told}\n")
     }
 }
@@ -130,18 +151,28 @@ impl Adapter for Ros1 {
         if self.publishes && self.settings.publish_csi {
             self.writes.push((format!("{}/csi", self.node), "csi5300_msgs/Csi"));
         }
+        if self.publishes {
+            self.writes.push(("/diagnostics".into(), "diagnostic_msgs/DiagnosticArray"));
+            self.claims = Some(Claims::new(&self.config, robot));
+        }
         let inboxes = self.reads.iter().map(|(inbox, _)| inbox.clone()).collect();
-        let bridge =
-            Bridge::start(self.commands.clone(), self.settings_line(), inboxes, self.writes.len(), self.wall_us);
+        let claims = self.claims.clone();
+        let answer: Option<Answer> = claims.map(|claims| Box::new(move || claims.answer()) as Answer);
+        let settings = self.settings_line();
+        let bridge = Bridge::start(self.commands.clone(), settings, inboxes, self.writes.len(), answer, self.wall_us);
         let io = |source| Error::Io { what: "cannot start the threads of ROS 1".into(), source };
         self.bridge = Some(bridge.map_err(io)?);
         Ok(())
     }
 
     fn attach(&mut self, machine: &mut Machine) -> Result<(), Error> {
-        let last = self.writes.len().saturating_sub(1);
+        // Before the diagnostics.
+        let csi = self.writes.len().saturating_sub(2);
+        if let Some(claims) = &self.claims {
+            claims.attach(machine, true);
+        }
         if let Some(bridge) = self.bridge.as_ref().filter(|_| self.publishes && self.settings.publish_csi) {
-            machine.add_tap(Box::new(Card { outbox: bridge.outbox.clone(), topic: last, survey: Survey::default() }));
+            machine.add_tap(Box::new(Card { outbox: bridge.outbox.clone(), topic: csi, survey: Survey::default() }));
         }
         Ok(())
     }
@@ -168,6 +199,12 @@ impl Adapter for Ros1 {
         health.ros = Some(json!({ "connections": connections, "published": published }));
         health.trouble.extend(lock(&bridge.outbox.shared.trouble).clone());
     }
+
+    fn tell(&mut self, health: &Health, _: &Machine) {
+        let (Some(bridge), Some(claims)) = (&self.bridge, &self.claims) else { return };
+        let header = Header { stamp: Time::from_us((self.wall_us)().unwrap_or(0)), frame_id: String::new() };
+        bridge.outbox.put(self.writes.len() - 1, &claims.diagnostics(header, health));
+    }
 }
 
 /// Every record of the card, as a message.
@@ -186,6 +223,9 @@ impl Tap for Card {
 
     fn pose(&mut self, _: Option<Pose>) {}
 }
+
+/// Answers a call of the service `self_test`.
+type Answer = Box<dyn Fn() -> SelfTestResponse + Send>;
 
 /// What the threads of a bridge share.
 struct Shared {
@@ -261,6 +301,7 @@ impl Bridge {
         settings: String,
         inboxes: Vec<Inbox>,
         writes: usize,
+        answer: Option<Answer>,
         wall_us: fn() -> Option<i64>,
     ) -> std::io::Result<Self> {
         let shared = Arc::new(Shared {
@@ -273,11 +314,17 @@ impl Bridge {
             over: AtomicBool::new(false),
         });
         let (lines, waiting) = sync_channel(QUEUE);
+        let (calls, called) = sync_channel(CALLS);
         let writing = Arc::clone(&shared);
         let named = |name: &str| std::thread::Builder::new().name(name.into());
         named("csi5300 ros out").spawn(move || write(&waiting, &writing))?;
+        if let Some(answer) = answer {
+            let lines = lines.clone();
+            named("csi5300 ros answers").spawn(move || answer_calls(&called, &answer, &lines))?;
+        }
         let working = Arc::clone(&shared);
-        let thread = named("csi5300 ros").spawn(move || work(&commands, &settings, &inboxes, &working, wall_us))?;
+        let hearing = Hearing { inboxes, calls, wall_us };
+        let thread = named("csi5300 ros").spawn(move || work(&commands, &settings, &hearing, &working))?;
         Ok(Self { outbox: Outbox { lines, shared }, thread: Some(thread) })
     }
 }
@@ -305,11 +352,26 @@ fn write(waiting: &Receiver<(usize, String)>, shared: &Shared) {
     }
 }
 
+/// Answers calls, one after the other. One whose answer finds no room has none.
+fn answer_calls(called: &Receiver<u64>, answer: &Answer, lines: &SyncSender<(usize, String)>) {
+    for call in called {
+        // It is no message of a topic.
+        let _ = lines.try_send((usize::MAX, format!("{}\n", json!({ "answer": call, "message": answer() }))));
+    }
+}
+
+/// Where goes what a bridge says.
+struct Hearing {
+    inboxes: Vec<Inbox>,
+    calls: SyncSender<u64>,
+    wall_us: fn() -> Option<i64>,
+}
+
 /// Starts bridges, and hears them, until it is over.
-fn work(commands: &[Vec<String>], settings: &str, inboxes: &[Inbox], shared: &Shared, wall_us: fn() -> Option<i64>) {
+fn work(commands: &[Vec<String>], settings: &str, hearing: &Hearing, shared: &Shared) {
     for command in commands.iter().cycle() {
         let why = match spawn(command, settings, shared) {
-            Ok((output, complaints)) => hear(output, complaints, inboxes, shared, wall_us),
+            Ok((output, complaints)) => hear(output, complaints, hearing, shared),
             Err(error) => format!("{}: {error}", command.first().map_or("", String::as_str)),
         };
         shared.say(0, Some(format!("ROS 1: no bridge to the master, which needs rospy ({why})")));
@@ -356,16 +418,10 @@ fn each_line(from: impl Read, mut used: impl FnMut(&[u8])) {
 }
 
 /// What comes from the bridge, until it ends; why it did.
-fn hear(
-    output: ChildStdout,
-    complaints: JoinHandle<String>,
-    inboxes: &[Inbox],
-    shared: &Shared,
-    wall_us: fn() -> Option<i64>,
-) -> String {
+fn hear(output: ChildStdout, complaints: JoinHandle<String>, hearing: &Hearing, shared: &Shared) -> String {
     each_line(output, |line| {
         if let Ok(told) = serde_json::from_slice::<Told>(line) {
-            told.take(inboxes, shared, wall_us().unwrap_or(0));
+            told.take(hearing, shared);
         }
     });
     lock(&shared.input).take();
@@ -382,15 +438,21 @@ enum Told {
     Pose { topic: usize, stamp: (u32, u32), frame: String, position: [f64; 3], orientation: [f64; 4] },
     /// How it stands with the master.
     State { connections: u64, trouble: Option<String>, wrong: Option<Vec<Option<String>>> },
+    /// A call of the service `self_test`.
+    Asked { asked: u64 },
     /// A pose of which some number is none.
     Unreadable { topic: usize },
 }
 
 impl Told {
-    fn take(self, inboxes: &[Inbox], shared: &Shared, received_us: i64) {
+    fn take(self, hearing: &Hearing, shared: &Shared) {
+        let inboxes = &hearing.inboxes;
         match self {
+            // A call too many has no answer.
+            Self::Asked { asked } => _ = hearing.calls.try_send(asked),
             Self::Pose { topic, stamp, frame, position, orientation } => {
                 let message = Message { stamp, frame: &frame, position_m: position, orientation };
+                let received_us = (hearing.wall_us)().unwrap_or(0);
                 inboxes.get(topic).iter().for_each(|inbox| _ = inbox.put(0, &message, received_us));
             }
             Self::State { connections, trouble, wrong } => {
@@ -412,12 +474,14 @@ mod tests {
     use csi5300::time::Instant;
     use csi5300_bag::messages::standard::PoseStamped;
 
-    /// A bridge that is this shell script, with one topic that is read and one that is written.
+    /// A bridge that is this shell script, with one topic that is read, one that is written, and the service.
     fn bridge(scripts: &[&str]) -> (Bridge, csi5300::motion::odometry::ros::Topic) {
         let commands = scripts.iter().map(|script| ["sh", "-c", script].map(str::to_owned).to_vec()).collect();
         let inbox = Inbox::new("/odom", Wanted { stamp: Stamp::Header, frame: None });
         let source = inbox.source();
-        (Bridge::start(commands, "settings\n".into(), vec![inbox], 1, || Some(12_000_000)).unwrap(), source)
+        let answer: Answer = Box::new(|| SelfTestResponse { id: "burger".into(), ..SelfTestResponse::default() });
+        let bridge = Bridge::start(commands, "settings\n".into(), vec![inbox], 1, Some(answer), || Some(12_000_000));
+        (bridge.unwrap(), source)
     }
 
     fn comes(mut is_there: impl FnMut() -> bool) {
@@ -434,6 +498,7 @@ mod tests {
         let script = format!(
             r#"echo '{{"topic":0,"stamp":[12,500000000],"frame":"odom","position":[1,2,0],"orientation":[0,0,0,1]}}'
             echo '{{"topic":0}}'
+            echo '{{"asked":7}}'
             echo what is no line of a bridge
             echo '{{"connections":1,"trouble":null,"wrong":[null]}}'
             exec 3>&1 cat > {}"#,
@@ -453,14 +518,15 @@ mod tests {
         bridge.outbox.put(0, &PoseStamped::default());
         comes(|| shared.counts[0][0].load(Ordering::Relaxed) == 1);
         assert_eq!(shared.counts[0][1].load(Ordering::Relaxed), 1, "what was put before is lost");
+        comes(|| std::fs::read_to_string(&file).unwrap().lines().count() == 3);
         drop(bridge);
         let went = std::fs::read_to_string(&file).unwrap();
-        let (first, line) = went.split_once('\n').unwrap();
-        let line: Value = serde_json::from_str(line).unwrap();
-        assert_eq!(
-            (first, &line["to"], &line["message"]["pose"]["orientation"]["w"]),
-            ("settings", &json!(0), &json!(0.0))
-        );
+        let mut lines = went.lines();
+        assert_eq!(lines.next(), Some("settings"));
+        let line = |line: &str| -> Value { serde_json::from_str(line).unwrap() };
+        let (answers, messages): (Vec<_>, Vec<_>) = lines.map(line).partition(|line| line["to"].is_null());
+        assert_eq!((&answers[0]["answer"], &answers[0]["message"]["id"]), (&json!(7), &json!("burger")));
+        assert_eq!((&messages[0]["to"], &messages[0]["message"]["pose"]["orientation"]["w"]), (&json!(0), &json!(0.0)));
         std::fs::remove_dir_all(&folder).unwrap();
     }
 

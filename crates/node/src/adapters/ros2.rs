@@ -1,22 +1,19 @@
 //! ROS 2: poses of topics in; bearings, markers, diagnostics and CSI out; parameters; the self-test.
 
-use super::{Adapter, Made, Robot, Said, Start, diagnostics};
-use crate::config::{Capture, Config, Odometry, ros2::is_used};
+use super::diagnostics::Claims;
+use super::{Adapter, Made, Robot, Said, Start};
+use crate::config::{Config, Odometry, ros2::is_used};
 use crate::health::Health;
 use crate::machine::{Machine, Tap};
-use crate::self_test::{Found, SelfTest, WINDOW};
 use crate::sources::Poses;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::motion::pose::Pose;
-use csi5300::signal::channel::Channel;
 use csi5300::source::Error;
 use csi5300_bag::messages::services::{ParameterValue, SelfTestRequest};
 use csi5300_bag::messages::shown::DiagnosticArray;
 use csi5300_ros2::link::{Publisher, usual};
 use csi5300_ros2::{Node, Records};
 use driver_iface::record::Record;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 struct Ros2 {
     node: Node,
@@ -25,13 +22,10 @@ struct Ros2 {
     parameters: Option<Vec<(&'static str, ParameterValue)>>,
     publishes_diagnostics: bool,
     diagnostics: Option<Publisher<DiagnosticArray>>,
-    channel: Channel,
-    /// The records come from a card of this machine.
-    has_card: bool,
+    /// What the claims are made of.
+    config: Config,
     /// Nothing without a table `[ros2]`.
-    self_test: Option<SelfTest>,
-    /// What the claims said last.
-    claims: Arc<Mutex<Vec<Found>>>,
+    claims: Option<Claims>,
 }
 
 pub(super) fn make(start: &Start<'_>) -> Made {
@@ -49,10 +43,8 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         parameters: is_asked.then(|| parameters(config)),
         publishes_diagnostics: is_asked && asked.publish_diagnostics,
         diagnostics: None,
-        channel: config.channel,
-        has_card: matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_)),
-        self_test: None,
-        claims: Arc::default(),
+        config: config.clone(),
+        claims: None,
     })))
 }
 
@@ -67,12 +59,10 @@ impl Adapter for Ros2 {
             let peers: Vec<_> = robot.peers.iter().map(|(name, mac)| (name.clone(), mac.to_string())).collect();
             self.node.announce(&peers);
             self.node.serve_parameters(parameters);
-            let test = SelfTest::new(self.channel, robot.own, &robot.peers);
-            let test = if self.has_card { test.with_module() } else { test };
-            let (asked, name) = (test.clone(), robot.name.clone());
-            let answer = move |_: &_, _: SelfTestRequest| diagnostics::self_test(&name, &asked.judge());
-            self.node.link().serve("~/self_test", answer);
-            self.self_test = Some(test);
+            let claims = Claims::new(&self.config, robot);
+            let asked = claims.clone();
+            self.node.link().serve("~/self_test", move |_: &_, _: SelfTestRequest| asked.answer());
+            self.claims = Some(claims);
         }
         let publish = || self.node.link().publish("/diagnostics", usual());
         self.diagnostics = self.publishes_diagnostics.then(publish);
@@ -83,11 +73,8 @@ impl Adapter for Ros2 {
         if let Some(records) = self.node.records() {
             machine.add_tap(Box::new(Card(records)));
         }
-        if let Some(test) = &self.self_test {
-            machine.add_tap(test.tap());
-        }
-        if let Some(test) = self.self_test.clone().filter(|_| self.publishes_diagnostics) {
-            tokio::spawn(ask(test, Arc::clone(&self.claims)));
+        if let Some(claims) = &self.claims {
+            claims.attach(machine, self.publishes_diagnostics);
         }
         Ok(())
     }
@@ -103,23 +90,9 @@ impl Adapter for Ros2 {
     }
 
     fn tell(&mut self, health: &Health, _: &Machine) {
-        if let Some(publisher) = &self.diagnostics {
+        if let (Some(publisher), Some(claims)) = (&self.diagnostics, &self.claims) {
             let header = self.node.header((self.wall_us)().unwrap_or(0), String::new());
-            let mut told = diagnostics::of(header, health);
-            let claims = self.claims.lock().unwrap_or_else(PoisonError::into_inner);
-            told.status.push(diagnostics::claims(&health.name, &claims));
-            publisher.put(&told);
-        }
-    }
-}
-
-/// Asks the claims again and again, on a thread of its own.
-async fn ask(test: SelfTest, claims: Arc<Mutex<Vec<Found>>>) {
-    loop {
-        tokio::time::sleep(Duration::from_secs_f64(WINDOW.as_s())).await;
-        let test = test.clone();
-        if let Ok(found) = tokio::task::spawn_blocking(move || test.judge()).await {
-            *claims.lock().unwrap_or_else(PoisonError::into_inner) = found;
+            publisher.put(&claims.diagnostics(header, health));
         }
     }
 }

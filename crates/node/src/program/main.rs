@@ -22,7 +22,7 @@ struct Cli {
     /// Also say how long it ran and how much memory it took
     #[arg(short, long, global = true, conflicts_with = "quiet", display_order = 901)]
     verbose: bool,
-    /// Colours in words
+    /// Colours in text
     #[arg(long, alias = "colour", default_value = When::NAMES[0], value_name = "WHEN", global = true, display_order = 902,
         value_parser = PossibleValuesParser::new(When::NAMES).map(|name| When::named(&name)))]
     color: When,

@@ -327,7 +327,7 @@ impl Server {
         while let Some(seen) = air.see() {
             let width = if wide { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
             let mcs = Some(Mcs::injected(seen.mcs, width));
-            let sent = Repr { tx_flags: Some(0), data_retries: Some(0), mcs, ..Repr::default() };
+            let sent = Repr { tx_flags: Some(0), data_retries: Some(seen.retries), mcs, ..Repr::default() };
             let header = if seen.own { sent } else { Repr { mcs, ..Repr::default() } };
             let header_len = header.header_len();
             let len = header_len + seen.frame.len();

@@ -52,7 +52,7 @@ impl Default for Usual {
 }
 
 impl Usual {
-    /// What is known of the `rest` behind a record that vouches for itself, if what begins it is as usual.
+    /// What is known about the `rest` behind a record that vouches for itself, if what begins it is as usual.
     #[inline(always)]
     pub(super) fn behind_sure(&self, rest: &[u8]) -> Option<State> {
         if self.is_bfee(rest)? {

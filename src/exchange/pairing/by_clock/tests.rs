@@ -152,7 +152,7 @@ fn hosts_that_agree_settle_a_regular_rate() {
 #[test]
 fn a_clock_that_was_set_anew_parts_a_log_and_loses_nothing_else() {
     let mut heard = USUAL.heard();
-    // The transmitter's card begins anew in the middle.
+    // The transmitter's card restarts in the middle.
     let at = heard[1].len() / 2;
     let from = heard[1][at].0 - 5_000;
     heard[1][at..].iter_mut().for_each(|(ticks, _)| *ticks = ticks.wrapping_sub(from) & 0xffff_ffff);

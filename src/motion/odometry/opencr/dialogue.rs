@@ -119,7 +119,7 @@ impl Dialogue {
         }
     }
 
-    /// The port was opened anew: nothing that was asked before will be answered.
+    /// The port was reopened: nothing that was asked before will be answered.
     pub(super) fn reopened(&mut self, now: Instant) {
         self.parser.reset();
         (self.waiting, self.due, self.known) = (None, now, Known::Nothing);

@@ -3,7 +3,7 @@
 //! It is asked for one stretch of its control table that holds its clock, the IMU's orientation and the wheels' ticks,
 //! so that the three belong together. Nothing is ever written to it. The table: `turtlebot3_node`'s `control_table.hpp`
 //! and the firmware's `turtlebot3.cpp`; its values are refreshed every 20 ms, so asking more often gives some twice,
-//! which are left out and counted.
+//! which are skipped and counted.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -22,7 +22,7 @@ use crate::time::Instant;
 use dialogue::{Answer, Dialogue};
 use poses::Poses;
 
-/// What was counted of a controller.
+/// Counts of a controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct ControllerCounts {
@@ -34,7 +34,7 @@ pub struct ControllerCounts {
     pub refused: u64,
     /// Answers whose values had not been refreshed since the last.
     pub repeated: u64,
-    /// Times that the controller began anew: what was driven meanwhile is not known.
+    /// Times that the controller restarted: what was driven meanwhile is not known.
     pub restarts: u64,
     /// Times that one of the two clocks was set.
     pub clock_steps: u64,
@@ -70,7 +70,7 @@ impl OpenCr {
         Self { dialogue: Dialogue::new(rate_hz, now), poses: Poses::new(geometry) }
     }
 
-    /// What was counted.
+    /// The counts.
     #[must_use]
     pub fn counts(&self) -> ControllerCounts {
         let ((line, packets), (clock_steps, drive)) = (self.dialogue.counts(), self.poses.counts());
@@ -92,7 +92,7 @@ impl OpenCr {
         self.dialogue.trouble()
     }
 
-    /// The port was opened anew: nothing that was asked before will be answered.
+    /// The port was reopened: nothing that was asked before will be answered.
     pub fn reopened(&mut self, now: Instant) {
         self.dialogue.reopened(now);
     }

@@ -9,7 +9,7 @@ use crate::motion::pose::Pose;
 use crate::time::{Instant, Unwrap32};
 use std::collections::VecDeque;
 
-/// A controller's clock that goes on by so much more or less than the host's began anew, microseconds.
+/// A controller's clock that advances by this much more or less than the host's has restarted, microseconds.
 const RESTART_US: i64 = 500_000;
 /// Steps of the controller's two clocks that differ by no more are the same step, microseconds: it reads one after the
 /// other.
@@ -121,7 +121,7 @@ impl Poses {
         (!repeated).then_some(clock.us)
     }
 
-    /// The controller began anew: what was driven meanwhile is not known.
+    /// The controller restarted: what was driven meanwhile is not known.
     fn restart(&mut self) {
         self.restarts += 1;
         self.clock = None;

@@ -32,7 +32,7 @@ impl Args {
     fn reading(&self) -> Reading {
         let named = self.logs.trajectory.as_deref().map(|name| {
             let which = name.to_str().and_then(|name| Which::from_str(name, false).ok());
-            which.unwrap_or_else(|| usage("of a capture --trajectory is gt, t265 or odom: it has its files"))
+            which.unwrap_or_else(|| usage("for a capture, --trajectory is gt, t265 or odom: it has its own files"))
         });
         Reading {
             trajectory: named.unwrap_or(Which::Gt),
@@ -63,7 +63,7 @@ impl Args {
             let named: Vec<String> = found.iter().flat_map(links).filter(is_named).collect();
             if named.is_empty() && wanted.is_some() {
                 let name = wanted.unwrap_or_default();
-                return Err(format!("{name} is no link of {}: `evaluate` names them", folder.display()));
+                return Err(format!("{name} is no link of {}: `evaluate` lists them", folder.display()));
             }
             names.extend(named);
             captures.extend(found);
@@ -219,7 +219,7 @@ fn explain(row: &Judged, bearing: &Bearing) -> String {
     );
     turn_around(&mut text, bearing);
     if let Some(slope_sd_rad) = bearing.slope_sd_rad {
-        let _ = writeln!(text, "sampling time slopes {slope_sd_rad:.3} rad per subcarrier (deviation) taken out");
+        let _ = writeln!(text, "sampling time slopes {slope_sd_rad:.3} rad per subcarrier (deviation) removed");
     }
     text += "candidates    (by probability)\n";
     text += &places(&answer.candidates);
@@ -246,7 +246,7 @@ fn turn_around(text: &mut String, bearing: &Bearing) {
     }
 }
 
-/// The answer, and the truth where it is known.
+/// The answer, and the truth if it is known.
 fn conclusion(text: &mut String, row: &Judged) {
     let answer = &row.answer;
     let number = |value: Option<f64>| value.map_or("-".into(), |value| fixed(value, 2));
@@ -269,7 +269,7 @@ fn conclusion(text: &mut String, row: &Judged) {
     truth(text, "truth        ", row);
 }
 
-/// The truth, where it is known.
+/// The truth, if it is known.
 fn truth(text: &mut String, head: &str, row: &Judged) {
     if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
         let _ = write!(text, "{head} {} deg: off by {}", fixed(truth, 2), fixed(error, 2));

@@ -15,7 +15,7 @@ pub(super) fn doubts(answer: &Answer) -> String {
     if counts.too_wide > 0 {
         let _ = writeln!(
             text,
-            "  the motion is too wide for one search: {} pairs outside its best stretch are left out (--from and --to choose another)",
+            "  the motion is too wide for one search: {} pairs outside its best stretch are skipped (--from and --to choose another)",
             counts.too_wide
         );
     }
@@ -23,7 +23,7 @@ pub(super) fn doubts(answer: &Answer) -> String {
         if MANY_TWICE * side.duplicates as f64 > side.handed as f64 {
             let _ = writeln!(
                 text,
-                "  {} of the {name} log have the number of one before: the first of each is used, whoever sent the other",
+                "  {} of the {name} log repeat an earlier number: the first of each is used, whoever sent the other",
                 some(side.duplicates, "frame", "frames")
             );
         }
@@ -47,12 +47,12 @@ pub(super) fn pairs(answer: &Answer) -> String {
         counts.no_pose,
         counts.cut,
         counts.silent,
-        if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
+        if counts.thinned > 0 { format!(", {} skipped evenly", counts.thinned) } else { String::new() }
     );
     if let (Some(cfo), Some(before), Some(after)) =
         (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)
     {
-        let verb = if answer.compensated { "taken out" } else { "not taken out: the phase gets no steadier" };
+        let verb = if answer.compensated { "removed" } else { "not removed: the phase would not be steadier" };
         let drifts = answer.cfo_span_hz.map_or(String::new(), |hz| format!(" (drifting by {hz:.0} Hz)"));
         let _ = writeln!(text, "  CFO {cfo:.0} Hz{drifts} {verb}; phase coherence {before:.2} -> {after:.2}");
     }
@@ -94,7 +94,7 @@ pub(super) fn records(answer: &Answer) -> String {
         counts.standing,
         counts.no_pose,
         counts.cut,
-        if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
+        if counts.thinned > 0 { format!(", {} skipped evenly", counts.thinned) } else { String::new() }
     )
 }
 

@@ -20,7 +20,7 @@ mod assist;
 mod live;
 mod stopped;
 
-/// What is on the desk, as its TOML says. All is optional; without logs the card of this machine is listened to.
+/// The desk, as its TOML describes it. Every key is optional; without logs, this machine's card is judged.
 #[derive(serde::Deserialize, Default)]
 #[serde(deny_unknown_fields, default)]
 struct Desk {
@@ -38,7 +38,7 @@ struct Desk {
     azimuth_deg: Option<f64>,
     /// One or two logs, the first robot's first, after each retune.
     retuned: Vec<Vec<PathBuf>>,
-    /// The same after the driver was loaded anew.
+    /// The same after the driver was reloaded.
     reloaded: Vec<Vec<PathBuf>>,
     /// The monitor interface: the first robot sends on it, the second answers.
     interface: Option<String>,
@@ -57,14 +57,14 @@ struct Desk {
 }
 
 impl Desk {
-    /// What of it contradicts itself ends the command.
+    /// Ends the command if keys contradict each other.
     fn check(&self) {
         let is_live = self.near.is_none();
         let needs_interface = self.send || self.answer;
         let sets = [
             (
                 !is_live && (self.send || self.peer.is_some() || self.assist.is_some() || !self.unplug.is_empty()),
-                "a desk with the log `near` is judged by it: `send`, `peer`, `assist` and `unplug` need a card",
+                "a desk with `near` is judged by that log: `send`, `peer`, `assist` and `unplug` need a card",
             ),
             (
                 self.assist.is_some() && (self.send || self.peer.is_some() || !self.unplug.is_empty()),
@@ -90,7 +90,7 @@ impl Desk {
     }
 }
 
-/// Judges what is on the desk. Fails with exit status 1 where a claim does, with 3 where the run was stopped.
+/// Judges the desk. Exit status 1 if a claim fails, 3 if the run was interrupted.
 pub fn run(args: &Args) -> Result {
     let Some(Judged { evidence, facts, is_whole, stopped }) = evidence(args)? else { return Ok(Outcome::Done) };
     let mut report = evidence.judge();
@@ -129,13 +129,13 @@ fn text(report: &Report) -> String {
     text
 }
 
-/// What the claims are judged by, and facts about where it comes from.
+/// The observations that claims are judged by, and facts about their source.
 struct Judged {
     evidence: Evidence,
     facts: Vec<String>,
     /// All parts of the run are finished.
     is_whole: bool,
-    /// What can be gone on with, of a run that was stopped.
+    /// The part of an interrupted run that can be continued.
     stopped: Option<stopped::Stopped>,
 }
 
@@ -147,7 +147,7 @@ impl Judged {
 
 type Found = std::result::Result<Judged, String>;
 
-/// Nothing where this robot assisted.
+/// `None` if this robot assisted.
 fn evidence(args: &Args) -> std::result::Result<Option<Judged>, String> {
     let toml = |path: &Path| path.extension().is_some_and(|ending| ending == "toml");
     let found = match args.what.as_slice() {
@@ -183,7 +183,7 @@ fn channel(args: &Args, desk: &Desk) -> std::result::Result<Channel, String> {
     let told = desk.channel.as_deref().map(channel_of).transpose()?;
     let Some(channel) = args.channel.or(told) else {
         usage(
-            "which WiFi channel were the cards tuned to? Say it with --channel, or with `channel = \"108\"` in the desk's TOML",
+            "which WiFi channel were the cards tuned to? Give it with --channel, or with `channel = \"108\"` in the desk's TOML",
         )
     };
     Ok(channel)
@@ -267,7 +267,7 @@ fn room(scene: &Scene) -> Found {
     Ok(Judged::of(evidence, format!("backend: simulated room, scene {:?}, seed {}", scene.name, scene.seed)))
 }
 
-/// The report's files, the logs beside it, and what a stopped run is gone on with.
+/// The report's files, the logs beside it, and the state from which an interrupted run continues.
 fn write(
     report: &Report,
     evidence: &Evidence,

@@ -15,7 +15,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// What is read and written, and how.
+/// The input, the output, and the options.
 pub struct Recovery<'a> {
     /// The damaged log; - is standard input.
     pub input: &'a Path,
@@ -23,9 +23,9 @@ pub struct Recovery<'a> {
     pub output: &'a Path,
     /// The layout to bring records into.
     pub layout: Option<Layout>,
-    /// One JSON object about what was written and what was lost.
+    /// Print one JSON object about records and losses.
     pub json: bool,
-    /// Overwrite the output if it is there.
+    /// Overwrite an existing output.
     pub force: bool,
 }
 
@@ -40,17 +40,17 @@ struct Row<'a> {
     /// Stretches of bytes that are no record, and the bytes in them.
     damages: u64,
     damaged_bytes: u64,
-    /// Records of other codes than CSI and its frames beside damage, left out.
+    /// Skipped records beside damage that are neither CSI nor its frames.
     doubtful: u64,
-    /// Of the side file; null without one that has checksums.
+    /// Results of the side file's checksums; null without them.
     checks: Option<Checks>,
 }
 
 /// A layout to bring records into.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Layout {
-    /// The original CSI tool's: sender and number of a WSR record go into a copy of its frame before it, host times into
-    /// a side file (OUTPUTstp, 8 bytes a record)
+    /// The original CSI tool's: sender and number of a WSR record go into a copy of its frame before it, host times into a
+    /// side file (OUTPUTstp)
     Stock,
 }
 
@@ -59,7 +59,7 @@ type Words<T> = std::result::Result<T, String>;
 /// Records of other codes than CSI and its frames that wait for one of these: so many of them vouch for each other.
 const WAITING: usize = 16;
 
-/// What is being written.
+/// The output in progress.
 struct Output {
     draft: Draft,
     data: BufWriter<File>,
@@ -168,7 +168,7 @@ impl Doubts {
         if self.waiting.len() >= WAITING { self.believe(out) } else { Ok(()) }
     }
 
-    /// What waits is followed by a record that is no doubt.
+    /// A certain record follows the waiting ones.
     fn believe(&mut self, out: &mut Output) -> Words<()> {
         self.after_damage = false;
         for (code, body, host_us) in self.waiting.drain(..) {
@@ -178,7 +178,7 @@ impl Doubts {
         Ok(())
     }
 
-    /// What waits is followed by damage.
+    /// Damage follows the waiting records.
     fn damage(&mut self) {
         self.dropped += self.waiting.drain(..).len() as u64;
         self.after_damage = true;
@@ -252,7 +252,7 @@ pub fn run(args: &Recovery<'_>) -> Result {
     }
     if doubts.dropped > 0 {
         let doubtful = super::super::some(doubts.dropped, "doubtful record", "doubtful records");
-        note!("  {doubtful} left out beside the damage: they may not be real");
+        note!("  {doubtful} skipped beside the damage: they may not be real");
     }
     let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
     Ok(match (kept, survey.lost_something() || missing || doubts.dropped > 0) {
@@ -262,7 +262,7 @@ pub fn run(args: &Recovery<'_>) -> Result {
     })
 }
 
-/// Writes what is intact in `source`.
+/// Writes the intact records of `source`.
 fn copy(
     source: &mut Replay<Box<dyn std::io::Read + Send>>,
     layout: Option<Layout>,

@@ -64,7 +64,7 @@ pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> std::result::Result<Vec<
         Wanted::default().with_macs(args.mac.clone()).with_antennas(args.antenna.clone()).with_cut(args.from, args.to);
     let course = Course::read(log, &wanted).map_err(|error| hint::log_refused(&error))?;
     if course.records == 0 {
-        return Err(format!("{}: no record that is wanted to draw", log.display()));
+        return Err(format!("{}: no matching record to draw", log.display()));
     }
     if let Some(left_out) = course.left_out() {
         note!("{}: the heat maps are {left_out} (--mac chooses senders)", log.display());

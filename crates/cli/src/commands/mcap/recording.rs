@@ -8,7 +8,7 @@
 //! | `/pose` | `geometry_msgs/msg/PoseStamped` | the robot as a pose |
 //! | `/trajectory` | `nav_msgs/msg/Path` | the whole path |
 //! | `/bearing/LINK` | `geometry_msgs/msg/PoseStamped` | the bearing as a pose |
-//! | `/mirror/LINK` | `geometry_msgs/msg/PoseStamped` | the mirror of the bearing as a pose, where it has one |
+//! | `/mirror/LINK` | `geometry_msgs/msg/PoseStamped` | the mirror of the bearing as a pose, if it has one |
 //! | `/aoa_profile/LINK` | `sensor_msgs/msg/LaserScan` | the profile round the horizon, in metres of length 1 at its peak, in the frame `bearing/LINK` |
 
 use csi5300::bartlett::{self, Grid};
@@ -66,7 +66,7 @@ impl Recording {
         self.put(&format!("/csi/{log}"), t_s, &row)
     }
 
-    /// What was counted in a log until `t_s`.
+    /// Counts of a log until `t_s`.
     pub fn counters(&mut self, log: &str, t_s: f64, survey: &Survey) -> io::Result<()> {
         let counters = Counters {
             header: header(t_s, ""),
@@ -100,7 +100,7 @@ impl Recording {
         self.put("/trajectory", t_s, &Path { header: header(t_s, ODOM), poses })
     }
 
-    /// A bearing, its mirror where it has one, and its profile.
+    /// A bearing, its mirror if it has one, and its profile.
     pub fn bearing(&mut self, link: &str, bearing: &Bearing) -> Result<(), String> {
         let (answer, t_s) = (&bearing.answer, bearing.samples.t_s().last().copied().unwrap_or(0.0));
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };

@@ -22,10 +22,10 @@ use std::path::{Path, PathBuf};
 
 // A recorded capture.
 #[derive(clap::Args, Clone)]
-#[command(next_help_heading = "A recorded capture to put beside the simulated one")]
+#[command(next_help_heading = "Recorded capture to compare with")]
 pub struct Recorded {
-    /// The recorded log of the robot that moved. SCENE is then a scene, or a folder that --out wrote; without it a scene is fitted to
-    /// the recording
+    /// The recorded log of the robot that moved. SCENE may then also be a folder that --out wrote; without it a scene is
+    /// fitted to the recording
     #[arg(long, value_name = "RX.dat")]
     rx: Option<PathBuf>,
     /// The recorded log of the other robot
@@ -39,7 +39,7 @@ pub struct Recorded {
     /// The recorded trajectory of the other robot, if it moved, on the first one's clock
     #[arg(long, value_name = "T.csv")]
     tx_trajectory: Option<PathBuf>,
-    /// WiFi channel of the recording, with + or - for 40 MHz; that of the scene or of the simulated folder where one is given
+    /// WiFi channel of the recording, with + or - for 40 MHz [default: the scene's or the simulated folder's]
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
 }
@@ -56,7 +56,7 @@ impl Recorded {
     }
 }
 
-/// What is compared, and how.
+/// The captures to compare, and the options.
 pub struct Args {
     /// A scene, or a folder with a simulated capture; without it a scene is fitted.
     pub with: Option<PathBuf>,
@@ -72,7 +72,7 @@ pub struct Args {
 
 type Words<T> = std::result::Result<T, String>;
 
-/// Puts a recorded and a simulated capture beside each other.
+/// Compares a recorded and a simulated capture.
 pub fn run(args: &Args) -> Result {
     // Before anything is read or fitted: minutes of work end in these files.
     let tx: Vec<PathBuf> = args.recorded.tx.iter().cloned().collect();
@@ -116,7 +116,7 @@ pub fn run(args: &Args) -> Result {
     Ok(if inputs.lost() { Outcome::DataLost } else { Outcome::Done })
 }
 
-/// Names of what is written into the folder; the trajectory is a copy that the scene names.
+/// Names of the files written into the folder; the scene names the copy of the trajectory.
 const TRAJECTORY: &str = "fitted-trajectory.csv";
 const SCENE: &str = "scene.toml";
 const SIMULATED: &str = "simulated";
@@ -131,7 +131,7 @@ impl Args {
         }
     }
 
-    /// Refuses outputs that are inputs, and without --force those that are there.
+    /// Refuses outputs that are inputs, and existing ones without --force.
     fn check_outputs<'a>(&'a self, read: impl Iterator<Item = &'a Path>) -> Words<()> {
         #[cfg(feature = "plot")]
         pictures::check(&csi5300_lab::show::compared::stems(&self.out), self.force)?;

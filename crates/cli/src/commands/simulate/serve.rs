@@ -23,22 +23,22 @@ use std::path::{Path, PathBuf};
 #[group(id = "serving")]
 #[command(next_help_heading = "Serving a room in real time")]
 pub struct Args {
-    /// Run the room in real time: a robot's records go out on the kernel's connector, as its driver would send them
+    /// Run the room in real time and send a robot's records over the kernel's connector, as its driver would
     #[arg(long, conflicts_with_all = ["out", "force"])]
     pub serve: bool,
-    /// Let other programs (`--room PATH#ROBOT` of sound and record) work with the robots' cards and antennas, over
-    /// a socket made here. The robots then send nothing by themselves, but for drivers with an `ack_len`
+    /// Make a socket here over which other programs (`--room PATH#ROBOT` of sound and record) use the robots' cards. The
+    /// robots then send nothing by themselves, except answers of drivers with an `ack_len`
     #[arg(long, value_name = "PATH", requires = "serve")]
     socket: Option<PathBuf>,
-    /// The robot that is served, =INDEX for another connector index; several for several. If none, the first initiator,
-    /// or with --socket nobody
+    /// The robot to serve, with =INDEX on another connector index; may be repeated [default: the first initiator, with
+    /// --socket nobody]
     #[arg(long, value_name = "NAME[=INDEX]", value_parser = served)]
     robot: Vec<(String, u32)>,
-    /// Append the poses of the robot's odometry here, a CSV line each as they come, to a new file or one of such lines; - is
-    /// standard output. Once for each --robot, in their order; with --socket and no --robot, of the first initiator
+    /// Append the robot's odometry to this CSV file, a line for each pose; - is standard output. Give one for each --robot,
+    /// in the same order; with --socket and no --robot it is the first initiator's
     #[arg(long, value_name = "FILE")]
     poses: Vec<PathBuf>,
-    /// Times real time (1 if not given); max does not wait at all
+    /// Speed relative to real time [default: 1]; max does not wait
     #[arg(long, value_parser = super::super::live::speed)]
     speed: Option<f64>,
 }
@@ -76,10 +76,10 @@ type Words<T> = std::result::Result<T, String>;
 #[derive(serde::Serialize)]
 struct Row<'a> {
     robots: Vec<RobotRow<'a>>,
-    /// What went over the socket, where there is one.
+    /// The traffic over the socket, if there is one.
     #[serde(flatten)]
     socket: Option<SocketRow>,
-    /// The latest that anything came, milliseconds; none where the room does not wait.
+    /// The greatest delay behind real time, milliseconds; `None` if the room does not wait.
     behind_ms: Option<f64>,
 }
 
@@ -90,7 +90,7 @@ struct RobotRow<'a> {
     sent: u64,
     received: u64,
     collided: u64,
-    /// Records sent on the kernel's connector; none where it was not served there.
+    /// Records sent on the kernel's connector; `None` if it was not served there.
     on_connector: Option<u64>,
 }
 
@@ -138,7 +138,7 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     Ok(serving.conclude())
 }
 
-/// Makes a scene one of now.
+/// Sets a scene's start to the present.
 fn begin(scene: &mut Scene, wall_us: Option<i64>) {
     let start_us = wall_us.unwrap_or(scene.start_unix_s.saturating_mul(1_000_000));
     scene.start_unix_s = start_us.div_euclid(1_000_000);
@@ -186,7 +186,7 @@ impl Serving {
         Ok(())
     }
 
-    /// Does what is due; when there is more, or nothing at the end.
+    /// Does what is due. Returns when more is due; `None` at the end.
     fn turn(&mut self, now: &mut Instant) -> Words<Option<Instant>> {
         let mut next: Option<Instant> = None;
         if let Some(server) = &mut self.server {
@@ -251,7 +251,7 @@ impl Serving {
     }
 }
 
-/// What went over the socket, and what was done to each robot.
+/// The traffic over the socket, and what happened to each robot's frames.
 fn describe(scene: &Scene, counts: &ServedCounts, injected: &[Injected]) -> String {
     let mut text = format!(
         "{} joined, {} refused; {} put on air, {} not; {} sent\n",
@@ -335,7 +335,7 @@ impl Output {
 }
 
 impl Served {
-    /// Sends what is due by `now`; when there is more, or nothing at the end.
+    /// Sends what is due by `now`. Returns when more is due; `None` at the end.
     fn pump(&mut self, now: Instant) -> Words<Option<Instant>> {
         let words = |error: csi5300::source::Error| error.to_string();
         let mut card_at = None;

@@ -11,13 +11,13 @@ use std::path::Path;
 // What of the experiments is run.
 #[derive(clap::Args, Clone)]
 #[command(
-    next_help_heading = "The experiments of Dijkstra et al. (SCENE is suite; --out names a table, a CSV row a repetition)"
+    next_help_heading = "The experiments of Dijkstra et al. (SCENE is suite; --out names a CSV table with a row for each repetition)"
 )]
 pub struct Which {
     /// Repetitions of each experiment [default: 10]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     repetitions: Option<u64>,
-    /// Only experiments whose name holds this
+    /// Only experiments whose name contains this
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
 }

@@ -39,43 +39,42 @@ pub struct Sounding {
     /// Monitor interface
     #[arg(long, value_name = "NAME", required_unless_present = "room", conflicts_with = "room")]
     pub interface: Option<String>,
-    /// MACs of the other robots, with commas between; in the WSR dialect the first is sounded with 57 bytes, the next
-    /// with two bytes more, and so on
+    /// MACs of the other robots, separated by commas; in the WSR dialect they get frames of 57, 59, 61 ... bytes
     #[arg(long, required = true, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
     pub peers: Vec<Mac>,
-    /// Rounds a second: one exchange with every peer each
+    /// Rounds a second, each with one exchange per peer
     #[arg(long, default_value_t = 100.0, value_name = "HZ")]
     pub rate: f64,
-    /// Frames: ours, which need no more than the stock CSI driver, or the WSR toolbox's
+    /// Format of the frames
     #[arg(long, value_enum, default_value_t = Words::Native)]
     pub dialect: Words,
-    /// Links in a round, the same on all robots; as many as there are peers where not given
+    /// Links in a round, the same on all robots [default: the number of peers]
     #[arg(long, value_name = "N")]
     pub links: Option<u16>,
-    /// Modulation of every frame, 0 to 23; from 8 on it has several streams, on as many antennas
+    /// Modulation of every frame, 0 to 23; from 8 on frames use several streams and antennas
     #[arg(long, default_value_t = 1, value_name = "MCS")]
     pub mcs: u8,
     // Of one version ago: a channel of 40 MHz says so.
     #[arg(long, hide = true)]
     pub ht40: bool,
-    /// WiFi channel, with + or - for frames 40 MHz wide; needed for bearings
+    /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel_of_5300, value_name = "NUMBER")]
     pub channel: Option<Channel>,
     /// WSR dialect: length of the frames that this robot answers (57, 59, 61 ...)
     #[arg(long, value_name = "BYTES")]
     pub ack_len: Option<u16>,
-    /// How late a frame may be sent, and how much time is left free after it, microseconds; later ones are skipped
+    /// How late a frame may be sent, and the free time after it, microseconds; later frames are skipped
     #[arg(long, default_value_t = Request::default().guard_us, value_name = "US")]
     pub guard: u32,
     /// How long after a forward frame its answer may begin, microseconds
     #[arg(long, default_value_t = Request::default().turn_around_us, value_name = "US")]
     pub turn_around: u32,
-    /// File with the group's key or this robot's own (`csi5300 key` makes both): frames without a valid tag are ignored, and
-    /// only exchanges with one are used for bearings
+    /// File with the group's key or this robot's own (`csi5300 key` makes both): frames without a valid tag and frames of
+    /// older sessions are ignored
     ///
-    /// So are frames of an older session. A session is numbered by the clock, and later than the one before as kept in
-    /// $XDG_STATE_HOME/csi5300, ~/.local/state/csi5300 or /var/lib/csi5300: where none of these can be written and the
-    /// clock was set back, the others ignore this robot until its clock has caught up.
+    /// The clock numbers the sessions. The last number is kept in $XDG_STATE_HOME/csi5300, ~/.local/state/csi5300 or
+    /// /var/lib/csi5300. If none of these can be written and the clock is set back, the other robots ignore this one until
+    /// its clock has caught up.
     #[arg(long, value_name = "FILE")]
     pub key: Option<PathBuf>,
     /// This robot's MAC, instead of the interface's own
@@ -90,7 +89,7 @@ pub struct Sounding {
     /// Also record what the card hears to this log
     #[arg(long, value_name = "OUT.dat")]
     pub log: Option<PathBuf>,
-    /// Overwrite the log if it is there
+    /// Overwrite an existing log
     #[arg(long)]
     pub force: bool,
     #[command(flatten)]
@@ -100,9 +99,9 @@ pub struct Sounding {
 /// A dialect by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Words {
-    /// Ours: destination, role, number and slot in the frame
+    /// Ours, for any CSI driver: destination, role, number and slot in the frame
     Native,
-    /// The WSR toolbox's: the length of a frame says to which robot it is
+    /// The WSR toolbox's: the length of a frame addresses a robot
     Wsr,
 }
 
@@ -138,7 +137,7 @@ impl Sounding {
         self.ack_len.map(|len| len.saturating_sub(FIRST_LEN) / 2)
     }
 
-    /// What of the arguments contradicts itself ends the command.
+    /// Ends the command if arguments contradict each other.
     fn check(&self) {
         match (self.dialect, self.ack_len) {
             (Words::Native, Some(_)) => usage("--ack-len belongs to --dialect wsr"),
@@ -219,7 +218,7 @@ impl Sounding {
         files.and_then(|files| DriverMessages::recorded(listener, files)).map_err(|error| create_refused(&error))
     }
 
-    /// Runs until a signal, the time is up, or the interface fails; then says how it went, and gives it for a line of JSON.
+    /// Runs until a signal, the time limit or a failure of the interface; then prints the summary and returns it for JSON.
     pub fn run(
         &self,
         signals: &Signals,
@@ -242,7 +241,7 @@ impl Sounding {
         finished.error.as_ref().is_some_and(|error| self.listening.room.is_some() && is_end_of_room(error))
     }
 
-    /// Says how it went, and gives the outcome.
+    /// Prints the summary, and returns the outcome.
     fn conclude(&self, finished: &Finished) -> Outcome {
         notes!("{}", words::summary(&self.peers, finished));
         if finished.news_lost > 0 {

@@ -47,7 +47,7 @@ impl Observer for Measuring {
     }
 }
 
-/// Answers until told to stop.
+/// Answers until a signal or a limit ends it.
 pub fn run(common: &Sounding, antenna: Antenna, json: bool) -> Result {
     if common.dialect == Words::Wsr && common.ack_len.is_none() {
         usage("--dialect wsr needs --ack-len, the length of the frames meant for this robot (57 for the first)");

@@ -24,9 +24,9 @@ use std::time::Duration;
 
 /// The greeting.
 const GREETING: &str = "csi5300-accept 1";
-/// Modulation of what is sent and answered.
+/// Modulation of frames and answers.
 pub(super) const PHY: Phy = Phy { mcs: 0, bandwidth: Bandwidth::Ht20 };
-/// A partner that says nothing for so long is not waited for.
+/// A partner that is silent for this long is given up.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Bytes of a line, and of a log, at most.
 const LINE: u64 = 256;
@@ -74,7 +74,7 @@ impl Helper {
         }
     }
 
-    /// Its MAC, where it answers.
+    /// Its MAC, if it answers.
     pub(super) fn mac(&self) -> Option<Mac> {
         self.mac
     }

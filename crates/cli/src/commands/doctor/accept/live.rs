@@ -22,13 +22,13 @@ use std::hash::{Hash, Hasher};
 use std::io::{BufRead, IsTerminal};
 use std::os::fd::AsFd;
 
-/// How long a card is listened to unless `--listen` says otherwise.
+/// How long to listen to a card without `--listen`.
 const LISTEN_S: f64 = 20.0;
 /// How long with each antenna unplugged, and before.
 const UNPLUGGED_S: f64 = 10.0;
-/// Frames are still on their way for so long after the last one was sent.
+/// How long frames may arrive after the last one was sent.
 const TAIL_S: f64 = 1.0;
-/// How long a person takes to unplug an antenna, for the time that is told.
+/// How long a person takes to unplug an antenna, for the announced duration.
 const PERSON_S: f64 = 20.0;
 /// How often a waiting host is woken, to see how late it is.
 const WAKE_US: i64 = 5_000;
@@ -84,7 +84,7 @@ fn facts(system: &dyn System, desk: &Desk) -> Vec<String> {
     facts
 }
 
-/// What is done, in order.
+/// The steps, in order.
 pub(super) enum Step {
     Listen(Span),
     Send,
@@ -92,7 +92,7 @@ pub(super) enum Step {
 }
 
 impl Step {
-    /// The steps of a desk, and words for those that are left out.
+    /// The steps of a desk, and why others are skipped.
     fn plan(args: &Args, desk: &Desk) -> Words<(Vec<Self>, Option<&'static str>)> {
         let antenna = |name: &String| {
             let found = Antenna::ALL.into_iter().find(|antenna| format!("{antenna:?}") == *name);
@@ -125,7 +125,7 @@ impl Step {
         }
     }
 
-    /// What makes a run the same as another: the channel, the card and the parts.
+    /// What identifies a run: the channel, the card and the parts.
     fn asked(steps: &[Self], desk: &Desk, channel: Channel) -> String {
         let words: Vec<String> = steps.iter().map(|step| format!("{} {}", step.words(), step.takes_s())).collect();
         let text = format!("{channel} {:?} {:?} {:?} {}", desk.interface, desk.room, desk.peer, words.join(", "));
@@ -177,7 +177,7 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
         stopped.take_up(folder, &steps, &mut collector)?;
         finished = stopped.finished;
         let words: Vec<String> = steps.iter().take(finished).map(Step::words).collect();
-        note!("going on with the run that was stopped: {} taken from {}", words.join(", then "), folder.display());
+        note!("continuing the interrupted run: {} taken from {}", words.join(", then "), folder.display());
     }
     note!("{}", Step::told(steps.get(finished..).unwrap_or_default()));
     let counters = module_counters(&system);
@@ -196,12 +196,13 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
         collector.counted(&name, count.wrapping_sub(old) + earlier);
     }
     if let Some(monitor) = &monitor {
-        let confirmed = Some(monitor.borrow_mut().counters().tx_status);
+        let counters = monitor.borrow_mut().counters();
+        let (confirmed, retried) = (Some(counters.tx_status), counters.tx_retried);
         // Of the channel that frames are named by, the lower or upper half of 40 MHz.
         let half = Channel::new(plan.channel.number(), Width::Ht20).map_err(|error| error.to_string())?;
         let mhz = (half.centre_hz() / 1e6).round() as u32;
         let channel_flags = desk.interface.as_deref().and_then(|name| channel_flags(&system, name, mhz));
-        collector.interface(Interface { confirmed, channel_flags });
+        collector.interface(Interface { confirmed, retried, channel_flags });
     }
     if let Some(log) = helper.map(assist::Helper::end).transpose()? {
         collector.log(Side::Far, &log);
@@ -221,16 +222,16 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
         ));
         stopped = Stopped::after(finished, &steps, asked, &evidence);
         let how = match (&stopped, folder) {
-            (Some(_), Some(_)) => "the same command goes on from there",
-            (Some(_), None) => "with --report DIR a stopped run can be gone on with",
-            (None, _) => "nothing before it is whole, so the same command begins anew",
+            (Some(_), Some(_)) => "the same command continues from there",
+            (Some(_), None) => "with --report DIR an interrupted run can be continued",
+            (None, _) => "no part before it is complete, so the same command starts again",
         };
         note!("stopped while this was to be done: {}; {how}", step.words());
     }
     Ok(Judged { evidence, facts, is_whole: finished == steps.len(), stopped })
 }
 
-/// The interface that the first robot sends through, at an HT rate as far as that can be seen to.
+/// The interface that the first robot sends through, set to an HT rate if possible.
 fn sender(desk: &Desk) -> Words<(Monitor, Mac)> {
     let options = Options::new(desk.interface.clone().unwrap_or_default(), Sending::frame_len());
     let options = options.with_rate(assist::PHY.mcs, assist::PHY.bandwidth);
@@ -241,7 +242,7 @@ fn sender(desk: &Desk) -> Words<(Monitor, Mac)> {
 }
 
 impl Run<'_> {
-    /// True where a signal or the end of the records ends the run.
+    /// True if a signal or the end of the records ends the run.
     fn step(&mut self, step: &Step, mac: Option<Mac>) -> Words<bool> {
         match step {
             Step::Listen(span) => self.until(self.clock.now() + *span, None),
@@ -265,7 +266,7 @@ impl Run<'_> {
         }
     }
 
-    /// Takes what comes until `end`, and sends what is due. True where a signal or the end of the records ends the run.
+    /// Receives until `end` and sends what is due. True if a signal or the end of the records ends the run.
     fn until(&mut self, end: Instant, mut sending: Option<&mut (Instant, &mut Sending<'_>)>) -> Words<bool> {
         while self.clock.now() < end {
             let mut due = None;
@@ -290,7 +291,7 @@ impl Run<'_> {
         Ok(false)
     }
 
-    /// Waits for the listener or the next wake, and notes how late it was. True where a signal ends it.
+    /// Waits for the listener or the next wake, and notes how late it was. True if a signal ends it.
     fn wait(&mut self, end: Instant, due: Option<Instant>) -> Words<bool> {
         let wake = (self.clock.now() + Span::from_us(WAKE_US)).min(end);
         let until = [self.listener.next_at(), due, Some(wake)].into_iter().flatten().min();
@@ -304,7 +305,7 @@ impl Run<'_> {
         Ok(ready[1])
     }
 
-    /// Until Enter is pressed; what comes meanwhile is left out. True where a signal or the end of the input comes first.
+    /// Waits for Enter and skips records meanwhile. True if a signal or the end of the input comes first.
     fn wait_for_enter(&mut self) -> Words<bool> {
         let stdin = std::io::stdin();
         loop {

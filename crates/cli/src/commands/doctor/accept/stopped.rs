@@ -1,4 +1,4 @@
-//! What of a stopped run is finished: it stands in the report's folder, and the same command goes on with it.
+//! The finished parts of an interrupted run, kept in the report's folder; the same command continues from them.
 
 use super::live::Step;
 use csi5300_accept::{Collector, Evidence, Side};
@@ -8,10 +8,10 @@ use std::path::Path;
 /// Its file, beside the logs.
 pub(super) const FILE: &str = "stopped.json";
 
-/// The finished parts of a run, as far as the logs do not have them.
+/// What the finished parts of a run leave besides their logs.
 #[derive(Debug, serde::Deserialize, serde::Serialize)]
 pub(super) struct Stopped {
-    /// The run's channel and parts, so that another run does not go on with it.
+    /// The run's channel and parts: only the same run may continue it.
     asked: String,
     /// Parts that are finished, from the first on.
     pub finished: usize,
@@ -27,7 +27,7 @@ pub(super) fn unplugged(antenna: Antenna) -> String {
 }
 
 impl Stopped {
-    /// After so many parts; nothing where none of them can be taken up. What is measured before an antenna is unplugged is one part.
+    /// The state after this many parts; `None` if it cannot be continued. Everything before the first antenna is one part.
     pub(super) fn after(finished: usize, steps: &[Step], asked: String, evidence: &Evidence) -> Option<Self> {
         let (lateness_us, counters) = (evidence.lateness_us.clone(), evidence.counters.clone());
         (finished >= first(steps)).then_some(Self { asked, finished, lateness_us, counters })

@@ -1,7 +1,7 @@
 //! A recovered log is one from which nothing more is to be recovered.
 //!
 //! Some records are believed because of what stands around them. Where that was damage and is gone, a reader may judge
-//! otherwise: such a record is taken out, until a reader finds in the log what was written into it and nothing else.
+//! otherwise: such a record is removed, until a reader finds in the log what was written into it and nothing else.
 
 use super::Words;
 use crate::commands::draft::rest;
@@ -29,7 +29,7 @@ pub fn settle(log: &Path, side: Option<Layout>) -> Words<u64> {
     }
 }
 
-/// The numbers of the records, from 0, that a reader does not find where they were written.
+/// The numbers, from 0, of records that a reader does not find where they were written.
 fn misread(log: &Path) -> Words<BTreeSet<u64>> {
     let failed = |error: std::io::Error| format!("reading {}: {error}", log.display());
     let mut written = Written::open(log).map_err(failed)?;
@@ -59,7 +59,7 @@ fn misread(log: &Path) -> Words<BTreeSet<u64>> {
     }
 }
 
-/// Writes a log anew without some of its records.
+/// Rewrites a log without some of its records.
 fn take_out(log: &Path, side: Option<Layout>, out: &BTreeSet<u64>) -> std::io::Result<()> {
     let mut written = Written::open(log)?;
     let rest = rest(log);

@@ -34,8 +34,8 @@ impl PosesFile {
         let failed = |error: io::Error| format!("cannot append poses to {name}: {error}");
         if !may_grow(path).map_err(failed)? {
             return Err(format!(
-                "{name} is there and holds something else than whole rows of poses that a room wrote: --poses appends to a \
-                 file of its own"
+                "{name} exists and holds something other than whole rows of poses that a room wrote: --poses needs a file \
+                 of its own"
             ));
         }
         let file: File = OpenOptions::new().create(true).append(true).open(path).map_err(failed)?;
@@ -58,7 +58,7 @@ impl PosesFile {
         };
         if let Err(error) = done {
             self.unwritten = 1;
-            wrong!("cannot write poses to {}: {error}. The room goes on; no more of them are written", self.name);
+            wrong!("cannot write poses to {}: {error}. The room continues without writing more of them", self.name);
         }
     }
 

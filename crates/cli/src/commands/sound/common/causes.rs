@@ -4,7 +4,7 @@ use csi5300::exchange::tdma::TdmaCounts;
 use csi5300_live::monitor::AirCounts;
 use csi5300_live::sounding::Figures;
 
-/// How many came to nothing for one cause.
+/// How many were lost or ignored for one cause.
 #[derive(Clone, Copy)]
 pub struct Cause {
     /// Its name in JSON.
@@ -19,7 +19,7 @@ fn cause(name: &'static str, count: u64, words: &'static str) -> Cause {
     Cause { name, count, words }
 }
 
-/// Frames that were to be sent: how many were not, or perhaps late.
+/// Due frames that were not sent, or perhaps late.
 pub fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &AirCounts) -> [Cause; 7] {
     let skipped = counts.missed_slots + figures.too_late;
     [
@@ -29,28 +29,28 @@ pub fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &AirCounts) -> [Cau
         cause("no_room", air.no_room, "frames not taken: no room in the kernel's queue"),
         cause("interface_down", air.down, "frames not taken: the interface was down"),
         cause("too_long", air.too_long, "frames not taken: longer than the MTU"),
-        cause("cut", air.cut, "frames of which the kernel took only a part"),
+        cause("cut", air.cut, "frames that the kernel took only in part"),
     ]
 }
 
-/// Frames heard and turns had: how many came to nothing.
+/// Frames heard and turns that were not used.
 pub fn not_used(counts: &TdmaCounts, air: &AirCounts) -> [Cause; 17] {
     [
         cause("kernel_dropped", air.dropped, "frames heard but dropped by the kernel before they were read"),
-        cause("stale", air.stale, "frames dropped because they had lain in the kernel's queue for a second or more"),
+        cause("stale", air.stale, "frames dropped after a second or more in the kernel's queue"),
         cause("bad_fcs", air.bad_fcs, "frames with a wrong check sequence"),
         cause("damaged", air.damaged, "frames behind an unreadable radiotap header"),
         cause("foreign", counts.foreign, "frames of another dialect or damaged"),
         cause("strangers", counts.strangers, "frames of robots that are no peers"),
         cause("unauthenticated", counts.unauthenticated, "frames without the key"),
-        cause("contested", counts.contested, "measurements of numbers that two frames had"),
+        cause("contested", counts.contested, "measurements whose number two frames had"),
         cause("replayed", counts.replayed, "frames repeated or of an old session"),
-        cause("unmatched", counts.unmatched, "answers to nothing that waits"),
+        cause("unmatched", counts.unmatched, "answers that match no waiting frame"),
         cause("other_plan", counts.other_plan, "frames of another plan (--rate, --links)"),
-        cause("yields", counts.yields, "turns given up to another initiator"),
+        cause("yields", counts.yields, "turns yielded to another initiator"),
         cause("overslept", counts.overslept, "turns lost because the host was away"),
         cause("rivals", counts.rivals, "frames of an initiator or a turn that contradicts what was heard before"),
-        cause("off_epoch", counts.off_epoch, "frames at another time than their slot's"),
+        cause("off_epoch", counts.off_epoch, "frames outside their slot"),
         cause("own_echoes", counts.own_echoes, "copies of this robot's own frames"),
         cause("events_lost", counts.events_lost, "events lost because too many came at once"),
     ]

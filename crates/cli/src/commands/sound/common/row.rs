@@ -8,12 +8,12 @@ use std::collections::BTreeMap;
 /// The line.
 #[derive(serde::Serialize)]
 pub struct ExchangeRow {
-    /// Forward frames sent, and those of them that were answered.
+    /// Forward frames sent, and how many of them were answered.
     forward: u64,
     answered: u64,
     /// Answers sent.
     answers: u64,
-    /// Forward frames and their answers by peer, where there are any.
+    /// Forward frames and their answers by peer, if any.
     peers: Vec<PeerRow>,
     /// From a slot's start to the time at which the host came to it, of every slot that was due.
     lateness_us: Option<Spread>,
@@ -21,13 +21,13 @@ pub struct ExchangeRow {
     answer_us: Option<Spread>,
     /// From the kernel's stamp on a forward frame to the hand-over of its answer.
     turn_around_us: Option<Spread>,
-    /// Frames that were not sent, and those that were heard and came to nothing, by cause; causes of none are left out.
+    /// Frames not sent, and frames heard but not used, by cause; causes with none are omitted.
     not_sent: BTreeMap<&'static str, u64>,
     not_used: BTreeMap<&'static str, u64>,
-    /// Frames that the kernel reports as sent, and as failed; none where it reports nothing.
+    /// Frames that the kernel reports as sent, and as failed; `None` if it reports nothing.
     confirmed: Option<u64>,
     failed: Option<u64>,
-    /// Of the driver's messages, where they were recorded: those in the log, and those that it lacks.
+    /// The driver's messages in the log, and those missing from it, if they were recorded.
     records: Option<u64>,
     records_missing: Option<u64>,
     /// What ended the session, if neither the time nor a signal did.

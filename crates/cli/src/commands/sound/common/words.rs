@@ -1,4 +1,4 @@
-//! What `sound` and `respond` say: while they run, and at the end.
+//! What `sound` and `sound --answer` print: while they run, and at the end.
 
 use super::causes::{Cause, not_sent, not_used};
 use csi5300::exchange::tdma::Event;
@@ -8,29 +8,29 @@ use driver_iface::Mac;
 use driver_iface::sounding::wsr;
 use std::fmt::Write as _;
 
-/// Said once where the driver's records cannot be told apart.
+/// Printed once if the driver's records carry neither sender nor number.
 pub const NO_NUMBERS: &str = "the driver's records carry neither sender nor number: load it with connector_log=0x5 (csitool), or use the WSR driver";
 
-/// A first frame within this is said to come at once, seconds.
+/// A first frame within this time is announced as "at once", seconds.
 const AT_ONCE_S: f64 = 0.5;
 /// The summary of a session without a frame.
 const NOTHING_SENT: &str =
     "no frame was sent: it ended while this robot still listened for others, or nobody sounded it\n";
 
-/// Says news as they come.
+/// Prints events as they come.
 pub fn tell(news: &News) {
     match news {
         News::Started(granted) => note!("{granted}"),
         News::Notice(notice) => note!("{notice}"),
         News::Event(Event::Joined(peer)) => note!("{} is there", peer),
-        News::Event(Event::Absent(peer)) => note!("{} does not answer: it is waited for", peer),
+        News::Event(Event::Absent(peer)) => note!("{} does not answer; waiting for it", peer),
         News::Event(Event::Restarted { peer, .. }) => note!("{} was started anew", peer),
         News::Event(Event::Yielded { to, .. }) => note!("{} initiates too, and takes precedence", to),
         News::Event(_) => {}
     }
 }
 
-/// What is waited for before the first frame, and from then on.
+/// When the first frame is sent, and whose answers are awaited from then on.
 pub fn waiting(peers: &[Mac], first_in: Option<Span>) -> String {
     let peers = peers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     let first = first_in.map_or(0, Span::as_us) as f64 * 1e-6;
@@ -38,7 +38,7 @@ pub fn waiting(peers: &[Mac], first_in: Option<Span>) -> String {
         true => format!("in {first:.1} s, if no other robot is heard to initiate until then (--alone: at once)"),
         false => "at once".to_string(),
     };
-    format!("first frame {first}; then answers of {peers} are waited for")
+    format!("first frame {first}; then waiting for answers of {peers}")
 }
 
 /// How a session went.
@@ -86,7 +86,7 @@ pub fn summary(peers: &[Mac], finished: &Finished) -> String {
     text + &confirmed(finished)
 }
 
-/// How many frames came to nothing, where they are more than a few, and what helps.
+/// The unanswered frames, if there are more than a few, and likely causes.
 fn unanswered(forward: u64, answered: u64) -> String {
     let missing = forward.saturating_sub(answered);
     match missing * 20 > forward {
