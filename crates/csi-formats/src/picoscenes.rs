@@ -224,7 +224,15 @@ fn join(basic: Option<&Basic>, csi: &Csi<'_>, mvm: Option<&MvmHead>, mpdu: &[u8]
     // The AX200's clock is in what its firmware says; `RxSBasic` has 0 for it.
     let of_basic = basic.filter(|basic| basic.clock > 0).map(|basic| Clock::us(basic.clock, 64));
     let clocks = mvm.map(MvmHead::clocks);
-    let rssi = |rssi: &i8| (*rssi != NO_RSSI).then_some(i16::from(*rssi));
+    // A 5300 tells it by antenna, 0 where none is connected (`iwl_bfee_notif`); two bits for each chain say which it is on.
+    let rssi = |basic: &Basic, chain: usize| match card {
+        Card::Intel5300 => {
+            let antenna = usize::from(csi.antenna_sel >> (2 * chain.min(3)) & 3);
+            basic.rssi.get(antenna).copied().filter(|rssi| *rssi > 0)
+        }
+        _ => basic.rssi.get(chain).copied().filter(|rssi| *rssi != NO_RSSI),
+    };
+    let all = |basic: &Basic| (0..csi.n_rx.into()).map(|chain| rssi(basic, chain).map(i16::from)).collect();
     Ok(Frame {
         offset: 0,
         card,
@@ -244,7 +252,7 @@ fn join(basic: Option<&Basic>, csi: &Csi<'_>, mvm: Option<&MvmHead>, mpdu: &[u8]
         csi: samples,
         subcarriers,
         measured,
-        rssi: basic.map_or_else(Vec::new, |basic| basic.rssi.iter().take(csi.n_rx.into()).map(rssi).collect()),
+        rssi: basic.map_or_else(Vec::new, all),
         rssi_unit: if card == Card::Ax2xx { RssiUnit::Dbm } else { RssiUnit::Db },
     })
 }
@@ -306,6 +314,26 @@ mod tests {
         }
         assert_eq!(front(&frame_bytes(&[segment_bytes("CSI", 5, &[0; 90])], &MPDU)).0, Err(Why::Version { got: 5 }));
         assert_eq!(front(&frame_bytes(&[], &MPDU)).0, Err(Why::NoCsi));
+    }
+
+    #[test]
+    fn a_5300_tells_rssi_by_antenna_and_has_its_chains_on_others() {
+        let samples = [0; 60 * 30];
+        let body = [
+            &device::INTEL_5300.to_le_bytes()[..],
+            &[1],
+            &20_u16.to_le_bytes(),
+            &[0; 20],
+            &30_u16.to_le_bytes(),
+            // One stream, two chains: the first on C, the other on A.
+            &[1, 2, 0, 0b01_00_10],
+            &(samples.len() as u32).to_le_bytes(),
+            &samples,
+        ];
+        let basic = [&[0; 23][..], &[37, 0, 40]].concat();
+        let segments = [segment_bytes("RxSBasic", 1, &basic), segment_bytes("CSI", 1, &body.concat())];
+        let frame = front(&frame_bytes(&segments, &MPDU)).0.unwrap();
+        assert_eq!((frame.rssi, frame.rssi_unit), (vec![Some(40), Some(37)], RssiUnit::Db));
     }
 
     #[test]

@@ -1,10 +1,15 @@
 //! A log over time, binned for pictures and pages: CSI of each antenna over time and subcarrier, RSSI and gain, rate, and where
 //! something is missing.
 //!
-//! [`LogIndex`] is a log whose columns were read once ([`table`](crate::table)), from which any stretch is binned at once; its CSI is read
-//! again from the file. [`Course`] is what one picture shows.
+//! [`LogIndex`] is a log whose columns were read once ([`table`](crate::table), [`cards`](crate::cards)), from which any stretch is
+//! binned at once; its CSI is read again from the file. [`Course`] is what one picture shows.
+mod card;
 
+use crate::cards::{self, CardSurvey};
 use crate::table::{Columns, Decoder, Filter, Form, LogReader, NO_TIME, Order, Reading, Rows};
+use crate::words::count;
+use card::CardLog;
+use csi_formats::Format;
 use csi5300::internal::PAUSE_US;
 use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
 use csi5300::source::survey::{NumberStep, Numbering, Sender, Survey, TimeBase};
@@ -20,6 +25,11 @@ use std::path::{Path, PathBuf};
 
 /// Columns of a heat map at most.
 const COLUMNS: usize = 600;
+/// Cells of all heat maps of a picture at most: a third more than three antennas of a 5300 have.
+const CELLS: usize = 144_000;
+/// Rows of a heat map of a picture and of a page at most, a pixel or two high: of more subcarriers neighbours share one.
+const PICTURE_ROWS: usize = 128;
+const PAGE_ROWS: usize = 256;
 /// Bins of the rate.
 pub const RATE_BINS: usize = 200;
 /// A gap in records is marked where it is longer than this many usual intervals, and this long, seconds.
@@ -27,8 +37,11 @@ const GAP_INTERVALS: f64 = 10.0;
 const GAP_LEAST_S: f64 = 0.05;
 /// Points kept of a line.
 const POINTS: usize = 2_000;
-/// Columns of the CSI that is kept of the whole log.
+/// Columns of the CSI that is kept of the whole log: of a card that reports more than a 5300, fewer of the same size together.
 const KEPT: usize = 4_096;
+const KEPT_CELLS: usize = KEPT * 3 * SUBCARRIERS;
+/// What stands where no RSSI is known.
+const NO_RSSI: i16 = i16::MIN;
 /// Records whose CSI is read again for one stretch, at most: of more every n-th.
 const READ: usize = 40_000;
 /// Columns of a stretch at most.
@@ -81,13 +94,59 @@ impl Wanted {
     }
 }
 
+/// The letter of an antenna: A for the first RF port of a 5300, elsewhere for the first receive chain.
+#[must_use]
+pub fn letter(antenna: usize) -> char {
+    char::from(b'A' + (antenna % 26) as u8)
+}
+
+/// What the rows of heat maps are.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct HeatRows {
+    /// Index of each subcarrier about the channel's centre, from the lowest to the highest, in units of their spacing; none where
+    /// a 5300's frames of both widths are in the log.
+    pub indices: Option<Vec<i16>>,
+    /// How many subcarriers there are.
+    pub subcarriers: usize,
+    /// How many neighbouring subcarriers share a row; in the last one fewer may be left.
+    pub each: usize,
+    /// Kind and width of the frames; none for a 5300.
+    pub frames: Option<String>,
+}
+
+impl HeatRows {
+    pub(crate) fn new(indices: Option<Vec<i16>>, subcarriers: usize, most: usize) -> Self {
+        Self { indices, subcarriers, each: subcarriers.div_ceil(most).max(1), frames: None }
+    }
+
+    /// How many rows there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.subcarriers.div_ceil(self.each.max(1))
+    }
+
+    /// True if there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.subcarriers == 0
+    }
+
+    /// The index of a subcarrier; its place where that is not known.
+    #[must_use]
+    pub fn index(&self, place: usize) -> i64 {
+        let index = self.indices.as_ref().and_then(|indices| indices.get(place));
+        index.map_or(place as i64, |index| i64::from(*index))
+    }
+}
+
 /// CSI of one antenna over time and subcarrier.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct AntennaCourse {
-    /// The antenna.
-    pub antenna: Antenna,
-    /// Mean amplitude of each cell, dB relative to the card's step, `[subcarrier][column]` row by row; not a number where
+    /// The antenna, from 0 on ([`letter`]).
+    pub antenna: usize,
+    /// Mean amplitude of each cell, dB relative to the card's step, `[row][column]` row by row ([`HeatRows`]); not a number where
     /// nothing fell into it.
     pub amplitude_db: Vec<f64>,
     /// Mean phase of each cell relative to the middle subcarrier of its own record, radians, in the same order: the
@@ -108,15 +167,25 @@ pub struct Course {
     /// First and last time, seconds after the log's first record, by `base` (numbers of records where there is no clock); steps
     /// back of the clock count as none.
     pub span_s: (f64, f64),
-    /// Indices of the reported subcarriers about the centre; none where frames of both widths are in the log.
-    pub subcarriers: Option<[i8; SUBCARRIERS]>,
+    /// The kind of log, of cards other than the 5300.
+    pub format: Option<&'static str>,
+    /// What the rows of the heat maps are.
+    pub rows: HeatRows,
     /// Columns of the heat maps: one for a record at most.
     pub columns: usize,
-    /// Antennas with CSI.
+    /// Antennas with CSI, all of one sender and of frames of one kind and width.
     pub antennas: Vec<AntennaCourse>,
-    /// RSSI of antennas A, B, C as the card reports it, dB: (seconds, dB), thinned out evenly; 0 (not connected) left out.
-    pub rssi: [Vec<(f64, f64)>; 3],
-    /// Gain, dB, in the same form.
+    /// Whose CSI it is; none where that is not known.
+    pub sender: Option<Mac>,
+    /// Records of other senders, whose CSI is not in it.
+    pub other_senders: u64,
+    /// Records of the sender with frames of another kind or width, whose CSI is not in it.
+    pub other_frames: u64,
+    /// RSSI of each antenna as the card reports it: (seconds, dB), thinned out evenly; what is not connected or not known left out.
+    pub rssi: Vec<Vec<(f64, f64)>>,
+    /// True if RSSI is in dBm, not dB above a reference that the card does not tell.
+    pub rssi_in_dbm: bool,
+    /// Gain, dB, in the same form; empty where the format does not tell it.
     pub agc: Vec<(f64, f64)>,
     /// Records per second in [`RATE_BINS`] bins: (middle in seconds, Hz).
     pub rate_hz: Vec<(f64, f64)>,
@@ -137,39 +206,66 @@ pub struct Course {
 }
 
 impl Course {
+    /// Records whose CSI is not in it though they are wanted, in words.
+    #[must_use]
+    pub fn left_out(&self) -> Option<String> {
+        let why = [(self.other_senders, "of other senders"), (self.other_frames, "of another kind or width")];
+        let parts = why.into_iter().filter(|(left, _)| *left > 0);
+        let parts = parts.map(|(left, why)| format!("{} {why}", count(left, "record", "records")));
+        let parts: Vec<String> = parts.collect();
+        (!parts.is_empty()).then(|| format!("without {}", parts.join(" and ")))
+    }
+
     /// Reads a log, twice: once for its columns, once for its CSI.
     ///
     /// # Errors
     /// If the log cannot be read. A log without a record that is wanted gives an empty course.
     pub fn read(path: &Path, wanted: &Wanted) -> Result<Self, Error> {
         let log = LogIndex::open(path)?;
-        let lost_something = log.survey.lost_something();
+        let lost_something = match &log.source {
+            Source::Csitool(survey) => survey.lost_something(),
+            Source::Card(card) => card.survey.is_damaged,
+        };
         let rows: Vec<usize> =
             (0..log.t_us.len()).filter(|row| wanted.takes(log.sender_of(*row), log.t_s(*row))).collect();
         let times_s: Vec<f64> = rows.iter().map(|row| log.t_s(*row)).collect();
         let Some(span_s) = span_s(&times_s) else { return Ok(Self { lost_something, ..Self::default() }) };
-        let columns = rows.len().clamp(1, COLUMNS);
-        let cells = log.cells(rows.iter().copied(), span_s, columns)?;
-        let asked = |antenna: Antenna| wanted.antennas.is_empty() || wanted.antennas.contains(&antenna);
-        let antennas = Antenna::ALL.into_iter().zip(cells).filter(|(antenna, _)| asked(*antenna));
+        // CSI of several senders in one map would be of none.
+        let sent_by = most(rows.iter().filter_map(|row| log.sent_by.get(*row).copied())).unwrap_or(0);
+        let of_sender: Vec<usize> =
+            rows.iter().copied().filter(|row| log.sent_by.get(*row) == Some(&sent_by)).collect();
+        let usual = log.usual(of_sender.iter().copied());
+        let drawn: Vec<usize> = of_sender.iter().copied().filter(|row| log.is_of_layout(*row, usual)).collect();
+        let asked = |antenna: usize| {
+            wanted.antennas.is_empty() || wanted.antennas.iter().any(|wanted| wanted.index() == antenna)
+        };
+        let heat = log.heat_rows(usual, PICTURE_ROWS);
+        let maps = (0..log.ports).filter(|antenna| asked(*antenna)).count().max(1) * 2;
+        let columns = drawn.len().clamp(1, COLUMNS).min(CELLS / (maps * heat.len().max(1))).max(1);
+        let cells = log.cells(drawn.iter().copied(), (usual, &heat), span_s, columns)?;
+        let antennas = cells.into_iter().enumerate().filter(|(antenna, _)| asked(*antenna));
         let inside = |t_s: &f64| (span_s.0..=span_s.1).contains(t_s);
         let own =
             |row: usize| inside(&log.t_s(row)) && (wanted.macs.is_empty() || wanted.macs.contains(&log.sender_of(row)));
-        let thin = |value: &dyn Fn(usize) -> u8| -> Vec<(f64, f64)> {
+        let thin = |value: &dyn Fn(usize) -> Option<i16>| -> Vec<(f64, f64)> {
             let every = rows.len().div_ceil(POINTS).max(1);
-            rows.iter().step_by(every).map(|row| (log.t_s(*row), f64::from(value(*row)))).collect()
+            let points = rows.iter().step_by(every).map(|row| (log.t_s(*row), value(*row)));
+            points.filter_map(|(t_s, value)| Some((t_s, f64::from(value?)))).collect()
         };
         let marks = &log.marks;
         Ok(Self {
             records: rows.len() as u64,
             base: log.base,
             span_s,
-            subcarriers: log.subcarriers(),
+            format: log.card().map(|(format, _)| format.name()),
+            rows: heat,
             columns,
             antennas: antennas.filter_map(|(antenna, cells)| cells.course(antenna, span_s)).collect(),
-            rssi: std::array::from_fn(|port| {
-                thin(&|row| log.rssi_of(row)[port]).into_iter().filter(|point| point.1 > 0.0).collect()
-            }),
+            sender: log.senders.get(usize::from(sent_by)).copied().filter(|mac| *mac != Mac::default()),
+            other_senders: (rows.len() - of_sender.len()) as u64,
+            other_frames: (of_sender.len() - drawn.len()) as u64,
+            rssi: (0..log.ports).map(|port| thin(&|row| log.rssi_of(row, port))).collect(),
+            rssi_in_dbm: log.rssi_in_dbm(),
             agc: thin(&|row| log.agc_of(row)),
             rate_hz: rate(&times_s, span_s),
             gaps_s: gaps(&times_s),
@@ -188,20 +284,36 @@ impl Course {
     }
 }
 
-/// A log of which a short row a record was read. It keeps 22 bytes a record and the CSI of 4,096 columns, whatever the log's length; CSI
+/// The most frequent of some values.
+fn most<T: Ord + Copy>(values: impl Iterator<Item = T>) -> Option<T> {
+    let mut counts: BTreeMap<T, u64> = BTreeMap::new();
+    values.for_each(|value| *counts.entry(value).or_default() += 1);
+    counts.into_iter().max_by_key(|(_, count)| *count).map(|(value, _)| value)
+}
+
+/// What a log was written by, and what was counted in it.
+enum Source {
+    Csitool(Survey),
+    Card(CardLog),
+}
+
+/// A log of which a short row a record was read. It keeps 25 bytes a record and the CSI of 4,096 columns, whatever the log's length; CSI
 /// of shorter stretches is read again from the file.
 pub struct LogIndex {
     path: PathBuf,
     /// What its times are of.
     base: TimeBase,
-    survey: Survey,
+    source: Source,
     bytes: u64,
     /// Of each record: time since the log's first, microseconds.
     t_us: Vec<i64>,
     /// Where it begins in the file, bytes.
     offset: Vec<i64>,
-    /// Three values a record.
-    rssi: Vec<u8>,
+    /// Antennas, or receive chains.
+    ports: usize,
+    /// A value of each of them a record.
+    rssi: Vec<i16>,
+    /// Empty where the format does not tell it.
     agc: Vec<u8>,
     /// Its sender, a place in `senders`.
     sent_by: Vec<u16>,
@@ -209,8 +321,8 @@ pub struct LogIndex {
     marks: Marks,
     span_s: (f64, f64),
     gaps_s: Vec<(f64, f64)>,
-    /// CSI of the whole log by antenna, in [`KEPT`] columns.
-    kept: Option<[Cells; 3]>,
+    /// CSI of the whole log by antenna, in [`KEPT`] columns or fewer.
+    kept: Option<Vec<Cells>>,
 }
 
 /// What is missing, and what the counters did, by the record at which it shows.
@@ -256,6 +368,21 @@ impl Marks {
     }
 }
 
+/// Senders in the order in which they are first heard, and which of them each record is of.
+fn numbered(macs: impl Iterator<Item = Mac>) -> (Vec<Mac>, Vec<u16>) {
+    let (mut senders, mut numbers) = (Vec::new(), BTreeMap::new());
+    let sent_by = macs.map(|mac| {
+        *numbers.entry(mac).or_insert_with(|| {
+            if senders.len() < SENDERS {
+                senders.push(mac);
+            }
+            senders.len().saturating_sub(1) as u16
+        })
+    });
+    let sent_by = sent_by.collect();
+    (senders, sent_by)
+}
+
 /// The sender of each record.
 fn macs(columns: &Columns) -> impl Iterator<Item = Mac> {
     columns.mac.as_chunks::<6>().0.iter().map(|octets| Mac(*octets))
@@ -288,11 +415,11 @@ fn times_us(columns: &Columns, base: TimeBase) -> Vec<i64> {
 #[non_exhaustive]
 pub struct Band {
     /// Lowest value.
-    pub min: Vec<Option<u8>>,
+    pub min: Vec<Option<i16>>,
     /// Mean, rounded to a hundredth.
     pub mean: Vec<Option<f64>>,
     /// Highest value.
-    pub max: Vec<Option<u8>>,
+    pub max: Vec<Option<i16>>,
 }
 
 /// A stretch of a log in columns of equal width.
@@ -309,8 +436,8 @@ pub struct Stretch {
     pub records: usize,
     /// Records per second, in bins of equal width: as many as `columns`, or fewer where there are few records.
     pub rate_hz: Vec<f64>,
-    /// RSSI of antennas A, B, C as the card reports it, dB; 0 (not connected) left out.
-    pub rssi: [Band; 3],
+    /// RSSI of each antenna as the card reports it, dB; what is not connected or not known left out.
+    pub rssi: Vec<Band>,
     /// Gain, dB.
     pub agc: Band,
     /// Columns with losses, and how many numbers of `bfee_count` are missing there.
@@ -341,6 +468,10 @@ pub struct StretchCsi {
     pub records: usize,
     /// Every how manieth record is in the means.
     pub every: usize,
+    /// What the rows are.
+    pub rows: HeatRows,
+    /// Records with frames of another kind or width, whose CSI is not in it.
+    pub other_frames: usize,
     /// The antennas that have CSI in it.
     pub antennas: Vec<AntennaCourse>,
 }
@@ -352,26 +483,28 @@ impl LogIndex {
     /// If the log cannot be read. A log without an intact record has no span.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let mut log = Self::open(path)?;
-        log.kept = Some(log.cells(0..log.t_us.len(), log.span_s, KEPT)?);
+        let usual = log.usual(0..log.t_us.len());
+        let heat = log.heat_rows(usual, PAGE_ROWS);
+        let columns = (KEPT_CELLS / (log.ports * heat.len()).max(1)).clamp(1, KEPT);
+        let own = (0..log.t_us.len()).filter(|row| log.is_of_layout(*row, usual));
+        log.kept = Some(log.cells(own, (usual, &heat), log.span_s, columns)?);
         Ok(log)
     }
 
     /// Reads its columns.
     fn open(path: &Path) -> Result<Self, Error> {
+        match cards::read(path) {
+            Some((format, bytes)) => Ok(card::open(path, format, &bytes)),
+            None => Self::open_csitool(path),
+        }
+    }
+
+    fn open_csitool(path: &Path) -> Result<Self, Error> {
         let mut reading = Reading::new(Replay::open(path)?, Filter::default()).without_bodies();
         reading.read_all(Instant::ZERO, || true)?;
         let (_, columns) = reading.take();
         let base = reading.survey.time_base();
-        let (mut senders, mut numbers) = (Vec::new(), BTreeMap::new());
-        let sent_by = macs(&columns).map(|mac| {
-            *numbers.entry(mac).or_insert_with(|| {
-                if senders.len() < SENDERS {
-                    senders.push(mac);
-                }
-                senders.len().saturating_sub(1) as u16
-            })
-        });
-        let sent_by = sent_by.collect();
+        let (senders, sent_by) = numbered(macs(&columns));
         let t_us = times_us(&columns, base);
         let times_s: Vec<f64> = t_us.iter().map(|us| *us as f64 * 1e-6).collect();
         Ok(Self {
@@ -379,12 +512,14 @@ impl LogIndex {
             base,
             bytes: reading.source().bytes(),
             marks: Marks::of(&columns, &reading.survey, &reading.damaged_after),
-            survey: reading.survey,
+            source: Source::Csitool(reading.survey),
             span_s: span_s(&times_s).unwrap_or_default(),
             gaps_s: gaps(&times_s),
             t_us,
             offset: columns.offset,
-            rssi: columns.rssi,
+            ports: Antenna::ALL.len(),
+            // 0 is not connected.
+            rssi: columns.rssi.into_iter().map(|rssi| if rssi > 0 { i16::from(rssi) } else { NO_RSSI }).collect(),
             agc: columns.agc,
             sent_by,
             senders,
@@ -404,10 +539,40 @@ impl LogIndex {
         self.bytes
     }
 
-    /// Everything counted in it.
+    /// Everything counted in a log of a 5300; none of another card's.
     #[must_use]
-    pub fn survey(&self) -> &Survey {
-        &self.survey
+    pub fn survey(&self) -> Option<&Survey> {
+        match &self.source {
+            Source::Csitool(survey) => Some(survey),
+            Source::Card(_) => None,
+        }
+    }
+
+    /// The kind of a log of another card, and everything counted in it.
+    #[must_use]
+    pub fn card(&self) -> Option<(Format, &CardSurvey)> {
+        match &self.source {
+            Source::Csitool(_) => None,
+            Source::Card(card) => Some((card.format, &card.survey)),
+        }
+    }
+
+    /// Records or frames with CSI.
+    #[must_use]
+    pub fn records(&self) -> usize {
+        self.t_us.len()
+    }
+
+    /// Antennas, or receive chains, that it can have CSI of.
+    #[must_use]
+    pub fn antennas(&self) -> usize {
+        self.ports
+    }
+
+    /// True if RSSI is in dBm, not dB above a reference that the card does not tell.
+    #[must_use]
+    pub fn rssi_in_dbm(&self) -> bool {
+        matches!(&self.source, Source::Card(card) if card.rssi_in_dbm)
     }
 
     /// What its times are of: with [`TimeBase::Number`] they are numbers of records.
@@ -416,15 +581,40 @@ impl LogIndex {
         self.base
     }
 
-    /// Indices of the reported subcarriers about the centre; none where frames of both widths are in the log.
-    #[must_use]
-    pub fn subcarriers(&self) -> Option<[i8; SUBCARRIERS]> {
-        let wide = self.survey.rates.keys().filter(|rate| *rate & HT40 != 0).count();
-        match wide {
+    /// What the rows of heat maps are, `most` at most, of frames of a layout.
+    fn heat_rows(&self, layout: u16, most: usize) -> HeatRows {
+        let survey = match &self.source {
+            Source::Csitool(survey) => survey,
+            Source::Card(card) => return card.heat_rows(layout, most),
+        };
+        let wide = survey.rates.keys().filter(|rate| *rate & HT40 != 0).count();
+        let indices = match wide {
             0 => Some(INDICES_20_MHZ),
-            all if all == self.survey.rates.len() => Some(INDICES_40_MHZ),
+            all if all == survey.rates.len() => Some(INDICES_40_MHZ),
             _ => None,
+        };
+        HeatRows::new(indices.map(|indices| indices.map(i16::from).to_vec()), SUBCARRIERS, most)
+    }
+
+    /// The layout that most of some rows have.
+    fn usual(&self, rows: impl Iterator<Item = usize>) -> u16 {
+        match &self.source {
+            Source::Csitool(_) => 0,
+            Source::Card(card) => most(rows.filter_map(|row| card.layout_of.get(row).copied())).unwrap_or(0),
         }
+    }
+
+    /// True if a row's CSI has a layout. A 5300's has one only.
+    fn is_of_layout(&self, row: usize, layout: u16) -> bool {
+        matches!(&self.source, Source::Csitool(_))
+            || matches!(&self.source, Source::Card(card) if card.layout_of.get(row) == Some(&layout))
+    }
+
+    /// Indices of the reported subcarriers about the centre, of most frames; none where a 5300's frames of both widths are in
+    /// the log.
+    #[must_use]
+    pub fn subcarriers(&self) -> Option<Vec<i16>> {
+        self.heat_rows(self.usual(0..self.t_us.len()), usize::MAX).indices
     }
 
     /// First and last time, seconds after the first record.
@@ -443,12 +633,29 @@ impl LogIndex {
         self.t_us.get(row).copied().unwrap_or(0) as f64 * 1e-6
     }
 
-    fn rssi_of(&self, row: usize) -> [u8; 3] {
-        self.rssi.as_chunks::<3>().0.get(row).copied().unwrap_or_default()
+    fn rssi_of(&self, row: usize, port: usize) -> Option<i16> {
+        self.rssi.get(row * self.ports + port).copied().filter(|rssi| *rssi != NO_RSSI)
     }
 
-    fn agc_of(&self, row: usize) -> u8 {
-        self.agc.get(row).copied().unwrap_or(0)
+    fn agc_of(&self, row: usize) -> Option<i16> {
+        self.agc.get(row).copied().map(i16::from)
+    }
+
+    /// Records of each sender, in the order of [`Self::senders`], and how many a second between its first and its last; no rate
+    /// where there is no clock, or one record only.
+    #[must_use]
+    pub fn sent(&self) -> Vec<(u64, Option<f64>)> {
+        let mut sent = vec![(0_u64, i64::MAX, i64::MIN); self.senders.len()];
+        for (number, t_us) in self.sent_by.iter().zip(&self.t_us) {
+            if let Some((count, first, last)) = sent.get_mut(usize::from(*number)) {
+                (*count, *first, *last) = (*count + 1, *t_us.min(first), *t_us.max(last));
+            }
+        }
+        let rate = |(count, first, last): (u64, i64, i64)| {
+            let long_s = last.saturating_sub(first) as f64 * 1e-6;
+            (count, (long_s > 0.0 && self.base != TimeBase::Number).then(|| count.saturating_sub(1) as f64 / long_s))
+        };
+        sent.into_iter().map(rate).collect()
     }
 
     fn sender_of(&self, row: usize) -> Mac {
@@ -481,14 +688,15 @@ impl LogIndex {
         let own = || rows.clone().filter(|row| self.is_of(*row, sender));
         let records = own().count();
         let columns = fitting(columns, records);
-        let (mut rssi, mut agc) = ([Sums::new(columns), Sums::new(columns), Sums::new(columns)], Sums::new(columns));
+        let mut agc = Sums::new(columns);
+        let mut rssi: Vec<Sums> = (0..self.ports).map(|_| Sums::new(columns)).collect();
         let mut rates = vec![0_u32; (records / RECORDS_A_BIN).clamp(1, columns)];
         let bins = rates.len();
         for row in own() {
             let column = bin(self.t_s(row), cut, columns);
-            agc.add(column, self.agc_of(row));
-            for (sums, value) in rssi.iter_mut().zip(self.rssi_of(row)).filter(|(_, value)| *value > 0) {
-                sums.add(column, value);
+            self.agc_of(row).into_iter().for_each(|value| agc.add(column, value));
+            for (port, sums) in rssi.iter_mut().enumerate() {
+                self.rssi_of(row, port).into_iter().for_each(|value| sums.add(column, value));
             }
             rates[bin(self.t_s(row), cut, bins)] += 1;
         }
@@ -508,7 +716,7 @@ impl LogIndex {
             columns,
             records,
             rate_hz: rates.iter().map(|count| hundredths(f64::from(*count) / width_s)).collect(),
-            rssi: rssi.map(Sums::band),
+            rssi: rssi.into_iter().map(Sums::band).collect(),
             agc: agc.band(),
             missing: counted(&mut marks.missing.iter().copied()),
             damaged: counted(&mut marks.damaged.iter().map(|row| (*row, 1))),
@@ -526,44 +734,60 @@ impl LogIndex {
     /// If the file cannot be read again.
     pub fn csi(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Result<StretchCsi, Error> {
         let (cut, rows) = self.cut(from_s, to_s);
-        let own = || rows.clone().filter(|row| self.is_of(*row, sender));
-        let records = own().count();
-        let columns = fitting(columns, records);
-        let kept_s = (self.span_s.1 - self.span_s.0) / KEPT as f64;
+        // Of the whole log, so that it stays the same wherever one looks.
+        let usual = self.usual((0..self.t_us.len()).filter(|row| self.is_of(*row, sender)));
+        let heat = self.heat_rows(usual, PAGE_ROWS);
+        let records = rows.clone().filter(|row| self.is_of(*row, sender)).count();
+        let own = || rows.clone().filter(|row| self.is_of(*row, sender) && self.is_of_layout(*row, usual));
+        let drawn = own().count();
+        let columns = fitting(columns, drawn);
+        let kept_s = self
+            .kept
+            .as_ref()
+            .and_then(|kept| kept.first())
+            .map_or(f64::INFINITY, |kept| (self.span_s.1 - self.span_s.0) / kept.counts.len() as f64);
         let (cells, every) = match &self.kept {
             Some(kept) if sender.is_none() && (cut.1 - cut.0) / columns as f64 >= kept_s => {
-                (kept.each_ref().map(|own| own.stretch(self.span_s, cut, columns)), 1)
+                (kept.iter().map(|own| own.stretch(self.span_s, cut, columns)).collect(), 1)
             }
             _ => {
-                let every = records.div_ceil(READ).max(1);
-                (self.cells(own().step_by(every), cut, columns)?, every)
+                let every = drawn.div_ceil(READ).max(1);
+                (self.cells(own().step_by(every), (usual, &heat), cut, columns)?, every)
             }
         };
-        let course = |(antenna, cells): (Antenna, Cells)| cells.course(antenna, cut);
-        let antennas = Antenna::ALL.into_iter().zip(cells).filter_map(course).collect();
-        Ok(StretchCsi { from_s: cut.0, to_s: cut.1, columns, records, every, antennas })
+        let antennas =
+            cells.into_iter().enumerate().filter_map(|(antenna, cells)| cells.course(antenna, cut)).collect();
+        let (from_s, to_s) = cut;
+        Ok(StretchCsi { from_s, to_s, columns, records, every, rows: heat, other_frames: records - drawn, antennas })
     }
 
-    /// CSI of rows, read from the file, by antenna. A row whose record is not there any more has none.
+    /// CSI of rows of one layout, read from the file, by antenna. A row whose record is not there any more has none.
     fn cells(
         &self,
         rows: impl Iterator<Item = usize>,
+        (layout, heat): (u16, &HeatRows),
         span_s: (f64, f64),
         columns: usize,
-    ) -> Result<[Cells; 3], Error> {
+    ) -> Result<Vec<Cells>, Error> {
         let again = |source| Error::Io { what: format!("cannot read the log {} again", self.path.display()), source };
+        let column = |row: usize| bin(self.t_s(row), span_s, columns);
+        if let Source::Card(card) = &self.source {
+            let bytes = std::fs::read(&self.path).map_err(again)?;
+            let places = rows.map(|row| (self.offset.get(row).copied().unwrap_or(-1), column(row)));
+            return Ok(card.cells(&bytes, places, (layout, heat), self.ports, columns));
+        }
         let mut log = LogReader::open(&self.path).map_err(again)?;
         let mut decoder = Decoder::new(Order::SubcarriersLast, Rows::new(&Antenna::ALL, 1), Form::default());
-        let mut cells = [(); 3].map(|()| Cells::new(columns));
+        let each = vec![1.0; SUBCARRIERS];
+        let mut cells = vec![Cells::new(columns, each); Antenna::ALL.len()];
         let mut h = [[Complex32::default(); SUBCARRIERS]; 3];
         for row in rows {
             let Some(bfee) = log.bfee(self.offset.get(row).copied().unwrap_or(-1)).map_err(again)? else { continue };
             let Ok(used) = bfee.antennas() else { continue };
             decoder.decode(&bfee, h.as_flattened_mut());
-            let column = bin(self.t_s(row), span_s, columns);
             for ((antenna, cells), h) in Antenna::ALL.into_iter().zip(&mut cells).zip(&h) {
                 if used.chain_of(antenna).is_some() {
-                    cells.add(column, h);
+                    cells.add(column(row), h[SUBCARRIERS / 2], h.iter().copied().enumerate());
                 }
             }
         }
@@ -571,33 +795,37 @@ impl LogIndex {
     }
 }
 
-/// CSI of one antenna summed in cells over time and subcarrier, `[column][subcarrier]`: a record touches neighbours only.
+/// CSI of one antenna summed in cells over time and subcarrier, `[column][row]`: a record touches neighbours only.
 #[derive(Clone)]
 struct Cells {
     amplitude: Vec<f64>,
     phase: Vec<Complex32>,
     counts: Vec<u32>,
+    /// How many subcarriers of a record fall into each row.
+    each: Vec<f64>,
 }
 
 impl Cells {
-    fn new(columns: usize) -> Self {
-        let cells = SUBCARRIERS * columns;
-        Self { amplitude: vec![0.0; cells], phase: vec![Complex32::default(); cells], counts: vec![0; columns] }
+    fn new(columns: usize, each: Vec<f64>) -> Self {
+        let cells = each.len() * columns;
+        Self { amplitude: vec![0.0; cells], phase: vec![Complex32::default(); cells], counts: vec![0; columns], each }
     }
 
-    fn add(&mut self, column: usize, h: &[Complex32; SUBCARRIERS]) {
-        let (Some(count), Some(amplitude), Some(phase)) = (
+    /// Adds a record: its middle subcarrier, and its values by row.
+    fn add(&mut self, column: usize, middle: Complex32, h: impl Iterator<Item = (usize, Complex32)>) {
+        let rows = self.each.len();
+        let (Some(count), Some(amplitudes), Some(phases)) = (
             self.counts.get_mut(column),
-            self.amplitude.chunks_exact_mut(SUBCARRIERS).nth(column),
-            self.phase.chunks_exact_mut(SUBCARRIERS).nth(column),
+            self.amplitude.chunks_exact_mut(rows).nth(column),
+            self.phase.chunks_exact_mut(rows).nth(column),
         ) else {
             return;
         };
         *count += 1;
-        let middle = h[SUBCARRIERS / 2].conj();
-        for ((value, amplitude), phase) in h.iter().zip(amplitude).zip(phase) {
+        for (row, value) in h {
+            let (Some(amplitude), Some(phase)) = (amplitudes.get_mut(row), phases.get_mut(row)) else { continue };
             *amplitude += f64::from(value.norm_sqr().sqrt());
-            let turned = value * middle;
+            let turned = value * middle.conj();
             let size = turned.norm_sqr().sqrt();
             if size > 0.0 {
                 *phase += turned / size;
@@ -607,9 +835,9 @@ impl Cells {
 
     /// The columns over `span_s` that a part of it touches, as `columns` of that.
     fn stretch(&self, span_s: (f64, f64), cut: (f64, f64), columns: usize) -> Self {
-        let own = self.counts.len();
+        let (own, rows) = (self.counts.len(), self.each.len());
         let width_s = (span_s.1 - span_s.0) / own as f64;
-        let mut cells = Self::new(columns);
+        let mut cells = Self::new(columns, self.each.clone());
         for from in 0..own {
             let middle_s = span_s.0 + (from as f64 + 0.5) * width_s;
             if middle_s < cut.0 - 0.5 * width_s || middle_s > cut.1 + 0.5 * width_s {
@@ -617,8 +845,8 @@ impl Cells {
             }
             let to = bin(middle_s, cut, columns);
             cells.counts[to] += self.counts[from];
-            for k in 0..SUBCARRIERS {
-                let (to, from) = (to * SUBCARRIERS + k, from * SUBCARRIERS + k);
+            for k in 0..rows {
+                let (to, from) = (to * rows + k, from * rows + k);
                 cells.amplitude[to] += self.amplitude[from];
                 cells.phase[to] += self.phase[from];
             }
@@ -627,16 +855,19 @@ impl Cells {
     }
 
     /// The means over a span; columns into which nothing fell hold no number. `None` where all is silent.
-    fn course(self, antenna: Antenna, span_s: (f64, f64)) -> Option<AntennaCourse> {
-        let columns = self.counts.len();
-        let at = |cell: usize| (cell % columns) * SUBCARRIERS + cell / columns;
-        let count = |cell: usize| f64::from(self.counts[cell % columns]);
+    fn course(self, antenna: usize, span_s: (f64, f64)) -> Option<AntennaCourse> {
+        let (columns, rows) = (self.counts.len(), self.each.len());
+        let at = |cell: usize| (cell % columns) * rows + cell / columns;
+        let count = |cell: usize| f64::from(self.counts[cell % columns]) * self.each[cell / columns];
         let mean = |cell: usize| if count(cell) > 0.0 { self.amplitude[at(cell)] / count(cell) } else { f64::NAN };
         let db = |value: f64| if value > 0.0 { 20.0 * value.log10() } else { f64::NAN };
-        let cells = SUBCARRIERS * columns;
+        let cells = rows * columns;
         let middle = |column: usize| span_s.0 + (column as f64 + 0.5) * (span_s.1 - span_s.0) / columns as f64;
-        let over =
-            |column: usize| (0..SUBCARRIERS).map(|k| mean(k * columns + column)).sum::<f64>() / SUBCARRIERS as f64;
+        let values: f64 = self.each.iter().sum();
+        let over = |column: usize| {
+            let sum = self.amplitude.chunks_exact(rows).nth(column).map_or(0.0, |own| own.iter().sum::<f64>());
+            sum / (f64::from(self.counts[column]) * values)
+        };
         let line = (0..columns).map(|column| (middle(column), db(over(column)))).filter(|point| point.1.is_finite());
         let phase = |cell: usize| match self.phase[at(cell)] {
             sum if sum.norm() > 0.0 => f64::from(sum.arg()),
@@ -654,21 +885,26 @@ impl Cells {
 
 /// Lowest, sum and highest value of columns.
 struct Sums {
-    min: Vec<u8>,
-    max: Vec<u8>,
-    sum: Vec<u64>,
+    min: Vec<i16>,
+    max: Vec<i16>,
+    sum: Vec<i64>,
     count: Vec<u32>,
 }
 
 impl Sums {
     fn new(columns: usize) -> Self {
-        Self { min: vec![u8::MAX; columns], max: vec![0; columns], sum: vec![0; columns], count: vec![0; columns] }
+        Self {
+            min: vec![i16::MAX; columns],
+            max: vec![i16::MIN; columns],
+            sum: vec![0; columns],
+            count: vec![0; columns],
+        }
     }
 
-    fn add(&mut self, column: usize, value: u8) {
+    fn add(&mut self, column: usize, value: i16) {
         self.min[column] = self.min[column].min(value);
         self.max[column] = self.max[column].max(value);
-        self.sum[column] += u64::from(value);
+        self.sum[column] += i64::from(value);
         self.count[column] += 1;
     }
 
@@ -677,11 +913,11 @@ impl Sums {
         if self.count.iter().all(|count| *count == 0) {
             return Band::default();
         }
-        let known = |values: &[u8]| {
+        let known = |values: &[i16]| {
             let pairs = values.iter().zip(&self.count);
             pairs.map(|(value, count)| (*count > 0).then_some(*value)).collect::<Vec<_>>()
         };
-        let mean = |(sum, count): (&u64, &u32)| (*count > 0).then(|| hundredths(*sum as f64 / f64::from(*count)));
+        let mean = |(sum, count): (&i64, &u32)| (*count > 0).then(|| hundredths(*sum as f64 / f64::from(*count)));
         Band {
             min: known(&self.min),
             max: known(&self.max),

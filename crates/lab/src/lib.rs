@@ -6,6 +6,7 @@
 //! | [`evaluate`] | a folder of captures with their truth | a row of each link, errors by set, what the rows are worth |
 //! | [`compare`] | a recorded capture, and a simulated one or none | their figures beside each other; a scene fitted to the recording |
 //! | [`suite`] | the experiments of \[paper\] as scenes | each repeated and summed up |
+//! | [`cards`] | a log of a card other than the 5300 | its kind, and what is counted in it |
 //! | [`course`] | a log | CSI, levels and rate over time, binned |
 //! | [`curves`] | a bearing | curves over azimuth and time for pictures and pages |
 //! | [`table`] | a log | its records in memory: columns, and CSI decoded on demand |
@@ -16,6 +17,7 @@
 //! `evaluate`, `compare` and `suite` know nothing of pictures; `show` draws what they give.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
+pub mod cards;
 pub mod compare;
 pub mod course;
 pub mod curves;

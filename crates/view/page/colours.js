@@ -32,7 +32,7 @@
   const SERIES = ["blue", "orange", "green", "purple", "red", "sky", "grey"];
   csi.seriesName = (k) => SERIES[k % SERIES.length];
   csi.series = (k) => csi.colour(csi.seriesName(k));
-  csi.antennaName = (letter) => csi.seriesName("ABC".indexOf(letter));
+  csi.antennaName = (letter) => csi.seriesName(letter.charCodeAt(0) - 65);
   csi.antennaColour = (letter) => csi.colour(csi.antennaName(letter));
 
   // The colour with an alpha, for areas.

@@ -1,13 +1,12 @@
 "use strict";
 // A log over time: rate and losses, RSSI and gain, CSI as a heat map, and one column of it under the cursor.
 {
-  const ANTENNAS = ["A", "B", "C"];
   const MAPS = {
     amplitude_db: { words: "amplitude", unit: "dB of the card's step" },
     phase_rad: { words: "phase", unit: "rad, relative to the middle subcarrier" },
   };
   // Rows that have a tick: the outermost subcarriers, one beside the centre, and two between.
-  const TICKED = [0, 7, 15, 22, 29];
+  const ticked = (rows) => [...new Set([0, rows / 4, rows / 2, (3 * rows) / 4, rows - 1].map(Math.floor))];
   // What the user chose stays when another log is shown.
   const chosen = { map: "amplitude_db", antenna: "A", sender: "" };
 
@@ -34,16 +33,34 @@
       await this.load();
     }
 
+    // What there is of another card's log, whose records have no numbers.
+    cardWords() {
+      const f = this.facts;
+      const counts = (what) => Object.entries(what).map(([name, count]) => `${name} (${count.toLocaleString("en")})`).join(", ");
+      const lost = Object.entries(f.skipped).map(([why, bytes]) => `${csi.size(bytes)} not read: ${why}`);
+      const steps = { host: "times are the host's", number: "it tells no times" }[f.time_base];
+      return [`${csi.size(f.bytes)}, ${csi.count(f.frames, "frame", "frames")}${this.long()}`, f.format, counts(f.cards), counts(f.shapes), steps, ...lost];
+    }
+
+    long() {
+      const [from, to] = this.facts.span_s;
+      return this.hasClock() ? ` over ${csi.figure(to - from, 1)} s` : "";
+    }
+
     // The log in a line or two.
     words() {
       const f = this.facts;
-      const [from, to] = f.span_s;
+      const parts = f.format ? this.cardWords() : this.csitoolWords();
+      return csi.el("p", { class: "soft" }, `${f.name}: ${parts.filter(Boolean).join("; ")}`);
+    }
+
+    csitoolWords() {
+      const f = this.facts;
       const steps = f.clock_steps.steps_back;
       const sum = (name) => f.senders.reduce((all, sender) => all + (sender[name] ?? 0), 0);
       const [skipped, repeated] = [sum("frames_skipped"), sum("frames_repeated")];
-      const long = f.time_base === "number" ? "" : ` over ${csi.figure(to - from, 1)} s`;
-      const parts = [
-        `${csi.size(f.bytes)}, ${csi.count(f.records, "record", "records")}${long}`,
+      return [
+        `${csi.size(f.bytes)}, ${csi.count(f.records, "record", "records")}${this.long()}`,
         { host: "times are the host's: the card's clock stands", number: "no times: the card's clock stands, and the host has none" }[f.time_base] ?? null,
         f.bfee_missing ? `${csi.count(f.bfee_missing, "number", "numbers")} missing from bfee_count` : "none missing from bfee_count",
         skipped ? `${csi.count(skipped, "frame number", "frame numbers")} not heard` : null,
@@ -53,7 +70,6 @@
         steps ? `the card's clock steps back ${csi.count(steps, "time", "times")}` : null,
         f.cut ? "the last record is cut" : null,
       ];
-      return csi.el("p", { class: "soft" }, `${f.name}: ${parts.filter(Boolean).join("; ")}`);
     }
 
     fillTools() {
@@ -149,28 +165,36 @@
     levelChart() {
       const series = [{}];
       const bands = [];
-      for (const letter of [...ANTENNAS, "gain"]) {
+      // Other cards tell no gain.
+      this.lines = [...this.facts.antennas, ...(this.facts.format ? [] : ["gain"])];
+      const unit = this.facts.rssi_in_dbm ? "dBm" : "dB";
+      for (const letter of this.lines) {
         const colour = () => (letter === "gain" ? csi.colour("grey") : csi.antennaColour(letter));
         const edge = { stroke: () => csi.faint(colour(), 0.35), width: 0.5, points: { show: false } };
         bands.push({ series: [series.length + 2, series.length], fill: () => csi.faint(colour(), 0.18) });
         series.push({ ...edge }, { stroke: colour, width: 1.6, points: { show: false } }, { ...edge });
       }
       const nothing = series.slice(1).map(() => [null, null]);
-      return this.chart(130, { name: "RSSI of antennas A, B, C and gain (AGC): lowest, mean, highest; dB" }, {
+      const gain = this.facts.format ? "" : " and gain (AGC)";
+      return this.chart(130, { name: `RSSI of ${this.facts.antennas.length > 1 ? "antennas" : "antenna"} ${this.facts.antennas.join(", ")}${gain}: lowest, mean, highest; ${unit}` }, {
         scale: { range: (_, low, high) => (csi.isNumber(low) ? [low - 2, high + 2] : [0, 60]) },
         series, bands, data: [this.facts.span_s, ...nothing],
       });
     }
 
-    // The index of a subcarrier about the centre; its place in the record where frames of both widths are in the log.
+    // The index of a row's subcarrier about the centre; its place in the record where a 5300's frames of both widths are in the log.
     subcarrier(k) {
-      return String(this.facts.subcarriers?.[k] ?? k);
+      return String(this.maps?.subcarriers[k] ?? "");
+    }
+
+    rows() {
+      return this.maps?.rows || 1;
     }
 
     heatChart() {
-      const axis = { splits: () => TICKED.map((k) => k + 0.5), values: (_, places) => places.map((place) => this.subcarrier(Math.floor(place))) };
+      const axis = { splits: () => ticked(this.rows()).map((k) => k + 0.5), values: (_, places) => places.map((place) => this.subcarrier(Math.floor(place))) };
       return this.chart(230, { name: "CSI over time and subcarrier, first stream", axis }, {
-        scale: { range: [0, 30] }, showX: true, cursorY: true,
+        scale: { range: () => [0, this.rows()] }, showX: true, cursorY: true,
         series: [{}, { stroke: "transparent", points: { show: false } }],
         hooks: { draw: [(plot) => this.paint(plot)], setCursor: [(plot) => this.point(plot)] },
         data: [this.facts.span_s, [null, null]],
@@ -178,12 +202,12 @@
     }
 
     columnChart() {
-      const series = ANTENNAS.map((letter) => ({ stroke: () => csi.antennaColour(letter), width: 1.6, points: { show: false } }));
+      const series = this.facts.antennas.map((letter) => ({ stroke: () => csi.antennaColour(letter), width: 1.6, points: { show: false } }));
       const { plot } = csi.chart(this.host, {
-        height: 130, x: { axis: { splits: () => TICKED, values: (_, places) => places.map((k) => this.subcarrier(k)) } },
+        height: 130, x: { axis: { splits: () => ticked(this.rows()), values: (_, places) => places.map((k) => this.subcarrier(k)) } },
         y: { name: "under the cursor, over the subcarriers" },
-        options: { scales: { x: { time: false, range: [0, 29] }, y: { range: () => this.range() } }, cursor: { show: false }, series: [{}, ...series] },
-        data: [Array.from({ length: 30 }, (_, k) => k), ...ANTENNAS.map(() => Array(30).fill(null))],
+        options: { scales: { x: { time: false, range: () => [0, Math.max(1, this.rows() - 1)] }, y: { range: () => this.range() } }, cursor: { show: false }, series: [{}, ...series] },
+        data: [[0, 1], ...this.facts.antennas.map(() => [null, null])],
       });
       return plot;
     }
@@ -213,8 +237,10 @@
       this.rate.setData([[...left, now.to_s], this.hasClock() ? rates : rates.map(() => null)]);
       const times = csi.middles(now.from_s, now.to_s, now.columns);
       const none = times.map(() => null);
-      const bands = [...now.rssi, now.agc].flatMap((band) => [band.min, band.mean, band.max].map((line) => (line.length ? line : none)));
+      const bands = this.lines.map((line, k) => (line === "gain" ? now.agc : now.rssi[k])).flatMap((band) => [band.min, band.mean, band.max].map((line) => (line.length ? line : none)));
       this.levels.setData([times, ...bands]);
+      // Not every format tells it.
+      this.levels.root.closest(".plot").hidden = bands.every((line) => line === none);
       this.stretch.draw();
       this.showKey();
     }
@@ -222,11 +248,10 @@
     showKey() {
       const { now } = this;
       const sum = (pairs) => pairs.reduce((all, [, count]) => all + count, 0);
-      const connected = ANTENNAS.filter((_, k) => now.rssi[k].mean.length);
-      const entries = [
-        ...connected.map((letter) => [csi.antennaName(letter), `antenna ${letter}`]),
-        ["grey", "gain"],
-      ];
+      const heard = (letter, k) => now.rssi[k].mean.length || this.maps.antennas.some((own) => own.antenna === letter);
+      const connected = this.facts.antennas.filter(heard);
+      const entries = connected.map((letter) => [csi.antennaName(letter), `antenna ${letter}`]);
+      if (this.lines.includes("gain")) entries.push(["grey", "gain"]);
       if (now.gaps_s.length) entries.push(["purple", csi.count(now.gaps_s.length, "gap", "gaps"), "area"]);
       if (now.missing.length) entries.push(["bad", csi.count(sum(now.missing), "number missing from bfee_count", "numbers missing from bfee_count"), "tick"]);
       if (now.damaged.length) entries.push(["ink", csi.count(sum(now.damaged), "damaged stretch", "damaged stretches"), "tick"]);
@@ -256,14 +281,14 @@
       if (!own) return null;
       const name = `${own.antenna} ${chosen.map}`;
       if (this.images[name]) return this.images[name];
-      const { columns, subcarriers } = this.maps;
-      const canvas = csi.el("canvas", { width: columns, height: subcarriers });
-      const pixels = new ImageData(columns, subcarriers);
+      const { columns, rows } = this.maps;
+      const canvas = csi.el("canvas", { width: columns, height: rows });
+      const pixels = new ImageData(columns, rows);
       const cells = csi.bytes(own[chosen.map].cells);
       cells.forEach((value, cell) => {
         if (value === 255) return;
         // Subcarrier 0 is below.
-        const at = 4 * ((subcarriers - 1 - Math.floor(cell / columns)) * columns + (cell % columns));
+        const at = 4 * ((rows - 1 - Math.floor(cell / columns)) * columns + (cell % columns));
         pixels.data.set(csi.shades[chosen.map][value], at);
         pixels.data[at + 3] = 255;
       });
@@ -286,7 +311,7 @@
     point(plot) {
       const own = this.antenna();
       if (!own || !this.readout) return;
-      const { columns, subcarriers, from_s, to_s } = this.maps;
+      const { columns, rows, from_s, to_s } = this.maps;
       const { low, high } = own[chosen.map];
       const t = plot.cursor.left >= 0 ? plot.posToVal(plot.cursor.left, "x") : (from_s + to_s) / 2;
       const column = Math.min(columns - 1, Math.max(0, Math.floor(((t - from_s) / (to_s - from_s)) * columns)));
@@ -295,15 +320,20 @@
         const byte = map.bytes[k * columns + column];
         return byte === 255 || byte === undefined ? null : map.low + (byte / 254) * (map.high - map.low);
       };
-      const lines = ANTENNAS.map((letter) => {
+      const lines = this.facts.antennas.map((letter) => {
         const found = this.maps.antennas.find((other) => other.antenna === letter);
-        return Array.from({ length: subcarriers }, (_, k) => (found ? value(found[chosen.map], k) : null));
+        return Array.from({ length: rows }, (_, k) => (found ? value(found[chosen.map], k) : null));
       });
-      this.column.setData([this.column.data[0], ...lines]);
+      this.column.setData([Array.from({ length: rows }, (_, k) => k), ...lines]);
       const { words, unit } = MAPS[chosen.map];
-      const k = plot.cursor.top >= 0 && plot.cursor.left >= 0 ? Math.min(29, Math.max(0, Math.floor(plot.posToVal(plot.cursor.top, "y")))) : null;
+      const k = plot.cursor.top >= 0 && plot.cursor.left >= 0 ? Math.min(rows - 1, Math.max(0, Math.floor(plot.posToVal(plot.cursor.top, "y")))) : null;
       const here = k === null ? "" : `; subcarrier ${this.subcarrier(k)}: ${csi.figure(value(own[chosen.map], k), 2)}`;
-      const every = this.maps.every > 1 ? `; one record in ${this.maps.every} is in the picture` : "";
+      const every = [
+        this.maps.frames ? `; ${this.maps.frames}` : "",
+        this.maps.other_frames ? `, without ${csi.count(this.maps.other_frames, "frame", "frames")} of another kind or width` : "",
+        this.maps.subcarriers_a_row > 1 ? `; each row is ${this.maps.subcarriers_a_row} subcarriers` : "",
+        this.maps.every > 1 ? `; one record in ${this.maps.every} is in the picture` : "",
+      ].join("");
       this.readout.textContent = `antenna ${own.antenna}, ${words} from ${csi.figure(low, 1)} (dark) to ${csi.figure(high, 1)} ${unit}; ${this.facts.time_base === "number" ? `record ${Math.round(t)}` : `${csi.figure(t, 3)} s`}${here}${every}`;
     }
 

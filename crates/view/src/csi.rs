@@ -1,7 +1,6 @@
 //! CSI of a stretch as the page takes it: a byte a cell.
 
-use csi5300_lab::course::StretchCsi;
-use driver_iface::bfee::Antenna;
+use csi5300_lab::course::{StretchCsi, letter};
 use serde::Serialize;
 use std::f64::consts::PI;
 
@@ -15,7 +14,7 @@ struct Map {
     low: f64,
     /// The value of byte 254.
     high: f64,
-    /// Base64 of the bytes, `[subcarrier][column]`.
+    /// Base64 of the bytes, `[row][column]`.
     cells: String,
 }
 
@@ -32,7 +31,16 @@ pub(crate) struct Maps {
     from_s: f64,
     to_s: f64,
     columns: usize,
-    subcarriers: usize,
+    /// Rows of the maps: a subcarrier each, or some that are neighbours.
+    rows: usize,
+    /// Index of the subcarrier in the middle of each row; its place where that is not known.
+    subcarriers: Vec<i64>,
+    /// How many subcarriers share a row.
+    subcarriers_a_row: usize,
+    /// Kind and width of the frames, of cards other than the 5300.
+    frames: Option<String>,
+    /// Records with frames of another kind or width.
+    other_frames: usize,
     records: usize,
     every: usize,
     antennas: Vec<AntennaMaps>,
@@ -40,22 +48,28 @@ pub(crate) struct Maps {
 
 impl Maps {
     /// Of one antenna, or of all.
-    pub fn new(csi: &StretchCsi, antenna: Option<Antenna>) -> Self {
-        let wanted = csi.antennas.iter().filter(|own| antenna.is_none_or(|wanted| own.antenna == wanted));
+    pub fn new(csi: &StretchCsi, antenna: Option<char>) -> Self {
+        let wanted = csi.antennas.iter().filter(|own| antenna.is_none_or(|wanted| letter(own.antenna) == wanted));
         let maps = |own: &csi5300_lab::course::AntennaCourse| {
             let known = || own.amplitude_db.iter().copied().filter(|db| db.is_finite());
             let (low, high) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
             AntennaMaps {
-                antenna: own.antenna.to_string(),
+                antenna: letter(own.antenna).into(),
                 amplitude_db: map(&own.amplitude_db, low, high),
                 phase_rad: map(&own.phase_rad, -PI, PI),
             }
         };
+        let (each, last) = (csi.rows.each, csi.rows.subcarriers.saturating_sub(1));
+        let middles = (0..csi.rows.len()).map(|row| csi.rows.index((row * each + each / 2).min(last)));
         Self {
             from_s: csi.from_s,
             to_s: csi.to_s,
             columns: csi.columns,
-            subcarriers: csi5300::signal::channel::SUBCARRIERS,
+            rows: csi.rows.len(),
+            subcarriers: middles.collect(),
+            subcarriers_a_row: csi.rows.each,
+            frames: csi.rows.frames.clone(),
+            other_frames: csi.other_frames,
             records: csi.records,
             every: csi.every,
             antennas: wanted.map(maps).collect(),

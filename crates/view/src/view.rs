@@ -6,9 +6,9 @@ use crate::links::{Links, Reading};
 use crate::logs::Logs;
 use crate::node::Node;
 use crate::{Error, page};
-use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::source::survey::{Sender, Survey, TimeBase};
-use csi5300_lab::course::LogIndex;
+use csi5300_lab::cards::CardSurvey;
+use csi5300_lab::course::{LogIndex, letter};
 use csi5300_lab::evaluate::TrajectorySource;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
@@ -73,11 +73,28 @@ struct LogFacts<'a> {
     /// First and last time, seconds, by `time_base`; with that of numbers the records' numbers.
     span_s: (f64, f64),
     time_base: TimeBase,
-    /// Indices of the reported subcarriers about the centre, where frames are of one width.
-    subcarriers: Option<[i8; SUBCARRIERS]>,
+    /// Indices of the reported subcarriers about the centre: of most frames, or where a 5300's frames are of one width.
+    subcarriers: Option<Vec<i16>>,
+    /// Letters of the antennas.
+    antennas: Vec<char>,
+    /// True if RSSI is in dBm, not dB.
+    rssi_in_dbm: bool,
     senders: Vec<SenderFacts>,
     #[serde(flatten)]
-    survey: &'a Survey,
+    counted: Counted<'a>,
+}
+
+/// What was counted in a log.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Counted<'a> {
+    Csitool(&'a Survey),
+    Card {
+        /// The kind of log, of cards other than the 5300.
+        format: &'static str,
+        #[serde(flatten)]
+        survey: &'a CardSurvey,
+    },
 }
 
 #[derive(Serialize)]
@@ -153,7 +170,7 @@ impl View {
         }
         let logs = Logs::new(vec![(name.clone(), path.to_owned())]);
         // Read at once: a log that cannot be read is said before there is a page.
-        let known = logs.read(0)?.is_some_and(|(_, index)| index.survey().bfees() > 0);
+        let known = logs.read(0)?.is_some_and(|(_, index)| index.records() > 0);
         if known { Ok(view(logs, None, None)) } else { Err(Error::NoRecord { path: path.to_owned() }) }
     }
 
@@ -333,26 +350,33 @@ impl View {
     fn facts(&self, number: usize) -> Result<Option<Vec<u8>>, Error> {
         let Some((log, index)) = self.logs.read(number)? else { return Ok(None) };
         let survey = index.survey();
-        let sender = |mac: &Mac| {
-            let counted: Option<&Sender> = survey.senders.get(mac);
+        let sender = |(mac, (records, rate_hz)): (&Mac, (u64, Option<f64>))| {
+            let counted: Option<&Sender> = survey.and_then(|survey| survey.senders.get(mac));
             SenderFacts {
                 mac: mac.to_string(),
-                records: counted.map_or(0, |sender| sender.records),
-                rate_hz: counted.and_then(Sender::mean_rate_hz),
+                records: counted.map_or(records, |sender| sender.records),
+                rate_hz: counted.map_or(rate_hz, Sender::mean_rate_hz),
                 median_rate_hz: counted.and_then(Sender::rate_hz),
                 frames_skipped: counted.filter(|sender| sender.counts_up()).map(|sender| sender.frames_skipped),
                 frames_repeated: counted.filter(|sender| sender.counts_up()).map(|sender| sender.frames_repeated),
             }
         };
+        let counted = match (survey, index.card()) {
+            (Some(survey), _) => Counted::Csitool(survey),
+            (None, Some((format, survey))) => Counted::Card { format: format.name(), survey },
+            (None, None) => return Ok(None),
+        };
         let facts = LogFacts {
             name: &log.name,
             bytes: index.bytes(),
-            cut: survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)),
+            cut: survey.is_some_and(|survey| survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean))),
             span_s: index.span_s(),
             time_base: index.base(),
             subcarriers: index.subcarriers(),
-            senders: index.senders().iter().take(SENDERS).map(sender).collect(),
-            survey,
+            antennas: (0..index.antennas()).map(letter).collect(),
+            rssi_in_dbm: index.rssi_in_dbm(),
+            senders: index.senders().iter().zip(index.sent()).take(SENDERS).map(sender).collect(),
+            counted,
         };
         Ok(Some(serde_json::to_vec(&facts)?))
     }
@@ -364,9 +388,7 @@ impl View {
         if what == "levels" {
             return Ok(serde_json::to_vec(&index.stretch(from_s, to_s, columns, sender))?);
         }
-        let letter = query.value::<char>("antenna")?;
-        let antenna =
-            letter.and_then(|letter| Antenna::ALL.into_iter().find(|own| own.to_string() == letter.to_string()));
+        let antenna = query.value::<char>("antenna")?;
         Ok(serde_json::to_vec(&Maps::new(&index.csi(from_s, to_s, columns, sender)?, antenna))?)
     }
 }

@@ -6,6 +6,8 @@ use csi5300::pipeline::{Accuracy, ChainConstant, JoinBy, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
+#[cfg(feature = "view")]
+use std::net::SocketAddr;
 
 /// No card hears another one so far away, metres.
 const FURTHEST_M: f64 = 1e6;
@@ -176,6 +178,17 @@ pub fn channel(text: &str) -> Result<Channel, String> {
 /// A MAC address.
 pub fn mac(text: &str) -> Result<Mac, String> {
     text.parse::<Mac>().map_err(|error| error.to_string())
+}
+
+/// An address of this machine with a port.
+#[cfg(feature = "view")]
+pub fn address(text: &str) -> Result<SocketAddr, String> {
+    let port = text.trim_start_matches(':').parse::<u16>().map_or_else(|_| "8080".to_owned(), |port| port.to_string());
+    text.parse().map_err(|_| {
+        format!(
+            "an IP address and a port, such as 127.0.0.1:{port} (this machine only), 0.0.0.0:{port} or [::1]:{port}"
+        )
+    })
 }
 
 /// Where an antenna is seen from another, and the constant between their chains, where it is known.

@@ -3,7 +3,7 @@
 mod recover;
 
 use super::draft::Draft;
-use super::{Outcome, Result, info, other_cards, print_json, usage};
+use super::{Outcome, Result, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
@@ -123,7 +123,7 @@ pub fn run(args: &Args) -> Result {
         usage(&format!("{}: CSI is exported as .csv or {KNOWN}{hint}", args.output.display()));
     }
     let filter = args.filter().unwrap_or_else(|error| usage(&error.to_string()));
-    if let Some((format, bytes)) = other_cards::bytes(&args.file) {
+    if let Some((format, bytes)) = csi5300_lab::cards::read(&args.file) {
         return other_card(args, format, &bytes);
     }
     let draft = Draft::create(&args.output, args.force)?;

@@ -82,7 +82,8 @@ struct Row<'a> {
 pub fn run(args: &Args) -> Result {
     let (mut usable, mut lost, mut failed) = (false, false, false);
     for (k, path) in args.files.iter().enumerate() {
-        if let Some(row) = other_cards::read(path) {
+        if let Some(mut row) = other_cards::read(path) {
+            row.pictures = drawn(args, k, &mut failed);
             row.show(args.json, k > 0);
             usable |= row.is_usable();
             lost |= row.lost_something();
@@ -90,11 +91,7 @@ pub fn run(args: &Args) -> Result {
         }
         match survey(path) {
             Ok(read) => {
-                let pictures = draw(args, k).unwrap_or_else(|message| {
-                    failed = true;
-                    wrong!("{message}");
-                    Vec::new()
-                });
+                let pictures = drawn(args, k, &mut failed);
                 if args.json {
                     print_json(&row(path, &read, pictures));
                 } else {
@@ -122,7 +119,15 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
-/// The pictures of the `k`th log, where some were asked for.
+/// The pictures of the `k`th log, where some were asked for; why there are none is said.
+fn drawn(args: &Args, k: usize, failed: &mut bool) -> Vec<PathBuf> {
+    draw(args, k).unwrap_or_else(|message| {
+        *failed = true;
+        wrong!("{message}");
+        Vec::new()
+    })
+}
+
 #[cfg(feature = "plot")]
 fn draw(args: &Args, k: usize) -> std::result::Result<Vec<PathBuf>, String> {
     let drawn = plot::draw(&args.plot, &args.files, k)?;

@@ -1,11 +1,12 @@
 //! Logs of cards other than the 5300, in `csi5300 info`.
 
 use super::{print, print_json, some};
-use csi_formats::{Format, Frame, Item, Items, Why, detect};
+use csi_formats::{Format, Items};
+use csi5300_lab::cards::{self, CardSurvey};
+use driver_iface::Mac;
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What is in a log, as JSON has it.
 #[derive(serde::Serialize)]
@@ -14,32 +15,37 @@ pub struct Row {
     bytes: u64,
     /// The kind of log, in words.
     format: &'static str,
-    frames: u64,
-    cards: BTreeMap<String, u64>,
-    /// Frames by kind, width, chains and number of subcarriers.
-    shapes: BTreeMap<String, u64>,
     senders: BTreeMap<String, u64>,
-    /// From the first frame to the last by the host's clock, seconds; null where it is not in the log.
-    host_span_s: Option<f64>,
-    /// Bytes that are no frame with CSI, by why.
-    skipped: BTreeMap<String, u64>,
-    /// The most receive chains in one frame.
-    #[serde(skip)]
-    n_rx: usize,
-    /// Some of them should have been: not a frame without CSI, nor the end of a log that was cut.
-    #[serde(skip)]
-    is_damaged: bool,
+    /// Those that were drawn.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub pictures: Vec<PathBuf>,
+    #[serde(flatten)]
+    survey: CardSurvey,
 }
 
 impl Row {
+    fn new(path: &Path, format: Format, bytes: &[u8]) -> Self {
+        let mut survey = CardSurvey::default();
+        Items::new(format, bytes).for_each(|item| survey.note(&item));
+        let name = |mac: &Mac| if *mac == Mac::default() { "unknown".into() } else { mac.to_string() };
+        Self {
+            file: path.display().to_string(),
+            bytes: bytes.len() as u64,
+            format: format.name(),
+            senders: survey.senders.iter().map(|(mac, count)| (name(mac), *count)).collect(),
+            pictures: Vec::new(),
+            survey,
+        }
+    }
+
     /// True if there is CSI in the log.
     pub fn is_usable(&self) -> bool {
-        self.frames > 0
+        self.survey.frames > 0
     }
 
     /// True if bytes could not be read.
     pub fn lost_something(&self) -> bool {
-        self.is_damaged
+        self.survey.is_damaged
     }
 
     /// Prints it, as a line of JSON or as text, parted from what was printed before.
@@ -51,17 +57,18 @@ impl Row {
     }
 
     fn text(&self) -> String {
-        let mut text =
-            format!("{}: {} bytes, {}, {}\n", self.file, self.bytes, self.format, some(self.frames, "frame", "frames"));
-        for (what, counts) in [("card", &self.cards), ("frames", &self.shapes), ("sender", &self.senders)] {
+        let survey = &self.survey;
+        let frames = some(survey.frames, "frame", "frames");
+        let mut text = format!("{}: {} bytes, {}, {frames}\n", self.file, self.bytes, self.format);
+        for (what, counts) in [("card", &survey.cards), ("frames", &survey.shapes), ("sender", &self.senders)] {
             for (key, count) in counts {
                 let _ = writeln!(text, "  {what} {key}: {count}");
             }
         }
-        if let Some(span_s) = self.host_span_s {
+        if let Some(span_s) = survey.host_span_s {
             let _ = writeln!(text, "  {span_s:.3} s by the host's clock");
         }
-        for (why, bytes) in &self.skipped {
+        for (why, bytes) in &survey.skipped {
             let _ = writeln!(text, "  not read: {bytes} bytes: {why}");
         }
         let _ = writeln!(text, "  bearings: {}", self.bearings());
@@ -70,7 +77,7 @@ impl Row {
 
     /// Which bearings such a log can give.
     fn bearings(&self) -> &'static str {
-        match (self.format, self.n_rx) {
+        match (self.format, self.survey.n_rx) {
             ("FeitCSI", 2..) => {
                 "of two robots that exchanged frames, or of one with two antennas (`bearing --baseline`)"
             }
@@ -81,62 +88,7 @@ impl Row {
     }
 }
 
-fn shape(frame: &Frame) -> String {
-    let kind = frame.kind.map_or("", |kind| kind.name());
-    let (width, n) = (frame.width_mhz, frame.subcarriers.len());
-    format!("{kind} {width} MHz, {}x{} chains, {n} subcarriers", frame.n_rx, frame.n_tx).trim_start().to_owned()
-}
-
-fn survey(path: &Path, format: Format, bytes: &[u8]) -> Row {
-    let mut row = Row {
-        file: path.display().to_string(),
-        bytes: bytes.len() as u64,
-        format: format.name(),
-        frames: 0,
-        cards: BTreeMap::new(),
-        shapes: BTreeMap::new(),
-        senders: BTreeMap::new(),
-        host_span_s: None,
-        skipped: BTreeMap::new(),
-        n_rx: 0,
-        is_damaged: false,
-    };
-    let mut first_us = None;
-    for item in Items::new(format, bytes) {
-        match item {
-            Item::Frame(frame) => {
-                row.frames += 1;
-                row.n_rx = row.n_rx.max(frame.n_rx);
-                *row.cards.entry(frame.card.to_string()).or_default() += 1;
-                *row.shapes.entry(shape(&frame)).or_default() += 1;
-                let octets = frame.sender.map(|mac| mac.map(|octet| format!("{octet:02x}")).join(":"));
-                *row.senders.entry(octets.unwrap_or_else(|| "unknown".into())).or_default() += 1;
-                if let Some(host_us) = frame.host_us {
-                    let first_us = *first_us.get_or_insert(host_us);
-                    row.host_span_s = Some((host_us - first_us) as f64 * 1e-6);
-                }
-            }
-            Item::Skipped(bad) => {
-                *row.skipped.entry(bad.why.to_string()).or_default() += bad.len;
-                row.is_damaged |= !matches!(bad.why, Why::NoCsi | Why::Cut);
-            }
-        }
-    }
-    row
-}
-
 /// The log of another card, if a file is one; `None` for any other file, and for one that cannot be read.
 pub fn read(path: &Path) -> Option<Row> {
-    bytes(path).map(|(format, bytes)| survey(path, format, &bytes))
-}
-
-/// Its kind and its bytes.
-pub fn bytes(path: &Path) -> Option<(Format, Vec<u8>)> {
-    // A pipe can be opened and read only once.
-    let mut file = path.is_file().then(|| std::fs::File::open(path).ok()).flatten()?;
-    let mut bytes = Vec::new();
-    file.by_ref().take(csi_formats::DETECT as u64).read_to_end(&mut bytes).ok()?;
-    let format = detect(&bytes)?;
-    file.read_to_end(&mut bytes).ok()?;
-    Some((format, bytes))
+    cards::read(path).map(|(format, bytes)| Row::new(path, format, &bytes))
 }

@@ -1,6 +1,6 @@
 //! `csi5300 view`: a page in the browser about a log, captures or a running node.
 
-use super::args::{Estimation, antenna, channel};
+use super::args::{Estimation, address, antenna, channel};
 use super::captures::{Reading, Which};
 use super::mounting::Mounting;
 use super::{Outcome, Result, print, usage};
@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(value_name = "LOG|DIR|SOCKET", required = true)]
     what: Vec<PathBuf>,
     /// Address to listen on; port 0 takes any free port. Everybody who can reach the address can see the page
-    #[arg(long, default_value = "127.0.0.1:0", value_name = "ADDRESS:PORT")]
+    #[arg(long, default_value = "127.0.0.1:0", value_parser = address, value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
     /// Open the page in the browser
     #[arg(long)]
@@ -65,7 +65,9 @@ pub fn run(args: &Args) -> Result {
     let ends = Ends::catch(ends_by_hangup()).map_err(|error| error.to_string())?;
     // Before it is opened: a pipe would be waited for.
     View::check(what).map_err(|error| error.to_string())?;
-    super::files::must_be_log(what)?;
+    if !csi5300_lab::cards::is_log(what) {
+        super::files::must_be_log(what)?;
+    }
     let view = View::open(what, reading(&args.reading())).map_err(|error| error.to_string())?;
     view.left_out().iter().for_each(|words| note!("{words}"));
     let view = Arc::new(view);

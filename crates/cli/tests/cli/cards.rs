@@ -145,3 +145,149 @@ fn the_constant_of_a_turn_gives_a_robot_that_stands_a_bearing() {
     let (status, _, err) = run("wrong", "", "0.025,0,0,x");
     assert!(status == 2 && err.contains("degrees"), "{status} {err}");
 }
+
+/// The same with a second antenna on the robot that drives.
+fn two_antennas() -> String {
+    PAIR.replace("name = \"rx\"\n", "name = \"rx\"\nantenna_b_m = [0.03, 0.0, 0.0]\n")
+}
+
+/// Logs of every format, with what the pictures of each have to say: subcarriers at the edges, letters of its antennas.
+const LOGS: [(&str, &str, [i64; 2], &str); 10] = [
+    ("atheros/ath_csi_1.dat", "Atheros CSI tool", [-28, 28], "ABC"),
+    ("esp32/example_csi.csv", "ESP32 CSV", [0, 0], "A"),
+    ("esp32/example_data.csv", "ESP32 CSV", [0, 0], "A"),
+    ("feitcsi/HESU20_5500.csi", "FeitCSI", [-122, 122], "AB"),
+    ("feitcsi/HT20_2452.csi", "FeitCSI", [-28, 28], "AB"),
+    ("feitcsi/VHT80_5500.csi", "FeitCSI", [-122, 122], "AB"),
+    ("nexmon/example_43455c0.pcap", "nexmon pcap", [-122, 122], "A"),
+    ("nexmon/example_4358.pcap", "nexmon pcap", [-122, 122], "AB"),
+    ("picoscenes/picoscenes_ax200_example.csi", "PicoScenes", [0, 0], "AB"),
+    ("picoscenes/rx_by_iwl5300.csi", "PicoScenes", [0, 0], "ABC"),
+];
+
+#[cfg(feature = "plot")]
+#[test]
+fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
+    let folder = Folder::new("plot-cards");
+    let [rx, ..] = simulated(&folder, "room", &two_antennas(), "rx_trajectory_");
+    std::fs::rename(rx, folder.0.join("rx.csi")).unwrap();
+    let (status, out, err) = folder.run(&["info", "rx.csi", "--plot", "p", "--json"]);
+    assert_eq!((status, json(&out)["pictures"].as_array().map(Vec::len)), (0, Some(4)), "{err}");
+    let drawn = |what: &str| std::fs::read_to_string(folder.0.join(format!("p/{what}.svg"))).unwrap();
+    let (csi, levels) = (drawn("rx-csi"), drawn("rx-levels"));
+    // 242 subcarriers of HE at 20 MHz, of the only sender.
+    for words in [">-122<", ">122<", "FeitCSI, from 02:", "HE 20 MHz", "antenna A:", "antenna B:"] {
+        assert!(csi.contains(words), "no {words} in {csi}");
+    }
+    assert!(!csi.contains("antenna C") && !csi.contains("without") && !csi.contains("NaN"));
+    assert!(levels.contains("RSSI of each antenna (dBm)") && !levels.contains("gain") && !levels.contains("NaN"));
+    let again = folder.run(&["info", "rx.csi", "--plot", "p"]);
+    assert!(again.0 == 3 && again.2.contains("--force"), "{again:?}");
+    let only = folder.run(&["info", "rx.csi", "--plot", "b", "--antenna", "B", "--from", "1", "--to", "2"]);
+    assert_eq!(only.0, 0, "{only:?}");
+    let only = std::fs::read_to_string(folder.0.join("b/rx-csi.svg")).unwrap();
+    assert!(only.contains("antenna B:") && !only.contains("antenna A:"));
+    let none = folder.run(&["info", "rx.csi", "--plot", "c", "--mac", "02:00:00:00:00:99"]);
+    assert!(none.0 == 3 && none.2.contains("no record that is wanted"), "{none:?}");
+
+    let Some(cases) = crate::common::cases("other-cards") else { return };
+    for (k, (name, format, [low, high], antennas)) in LOGS.into_iter().enumerate() {
+        let log = cases.join(name);
+        let into = format!("case-{k}");
+        let (status, out, err) = folder.run(&["info", log.to_str().unwrap(), "--plot", &into, "--json"]);
+        assert!(matches!(status, 0 | 3), "{name}: {status} {err}");
+        let row = json(&out);
+        assert_eq!(row["pictures"].as_array().map(Vec::len), Some(4), "{name}: {err}");
+        let svg = |what: &str| {
+            let path = row["pictures"].as_array().unwrap().iter().find(|path| path.as_str().unwrap().ends_with(what));
+            std::fs::read_to_string(folder.0.join(path.unwrap().as_str().unwrap())).unwrap()
+        };
+        let (csi, levels) = (svg("-csi.svg"), svg("-levels.svg"));
+        assert!(csi.contains(format) && !csi.contains("NaN") && !levels.contains("NaN"), "{name}");
+        assert!(csi.len() < 12_000_000, "{name}: {} bytes", csi.len());
+        if low < 0 {
+            assert!(csi.contains(&format!(">{low}<")) && csi.contains(&format!(">{high}<")), "{name}");
+        }
+        for letter in "ABCD".chars() {
+            assert_eq!(csi.contains(&format!("antenna {letter}:")), antennas.contains(letter), "{name}: {letter}");
+        }
+        assert!(!levels.contains("gain (AGC)"), "{name}");
+    }
+}
+
+/// What the page of a log is told.
+#[cfg(feature = "view")]
+fn asked(log: &str, paths: &[&str]) -> Vec<serde_json::Value> {
+    use std::io::{BufRead, BufReader, Read, Write};
+    let mut page = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let mut page = page.args(["view", log]).stdout(std::process::Stdio::piped()).spawn().unwrap();
+    let mut address = String::new();
+    BufReader::new(page.stdout.take().unwrap()).read_line(&mut address).unwrap();
+    let place = address.trim().trim_start_matches("http://").trim_end_matches('/');
+    let ask = |path: &&str| {
+        let mut stream = std::net::TcpStream::connect(place).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200"), "{log} {path}: {answer}");
+        json(answer.split_once("\r\n\r\n").unwrap().1)
+    };
+    let answers = paths.iter().map(ask).collect();
+    page.kill().unwrap();
+    page.wait().unwrap();
+    answers
+}
+
+#[cfg(feature = "view")]
+#[test]
+fn the_page_shows_logs_of_other_cards() {
+    let folder = Folder::new("view-cards");
+    let [rx, ..] = simulated(&folder, "room", &two_antennas(), "rx_trajectory_");
+    let paths = ["/data/log/0", "/data/log/0/levels?columns=50", "/data/log/0/csi?columns=50"];
+    let answers = asked(&rx, &paths);
+    let [facts, levels, csi] = answers.as_slice() else { panic!("{answers:?}") };
+    assert_eq!(
+        (&facts["format"], &facts["frames"], &facts["time_base"]),
+        (&"FeitCSI".into(), &600.into(), &"card".into())
+    );
+    assert_eq!(facts["antennas"], serde_json::json!(["A", "B"]));
+    assert!(facts["rssi_in_dbm"] == true && facts["senders"][0]["records"] == 600, "{facts}");
+    assert!((facts["senders"][0]["rate_hz"].as_f64().unwrap() - 50.0).abs() < 1.0, "{facts}");
+    assert_eq!(levels["rssi"].as_array().map(Vec::len), Some(2));
+    assert!(levels["rssi"][0]["mean"][0].as_f64().unwrap() < 0.0 && levels["agc"]["mean"] == serde_json::json!([]));
+    assert_eq!(
+        (&csi["rows"], &csi["subcarriers"][0], &csi["frames"]),
+        (&242.into(), &(-122).into(), &"HE 20 MHz".into())
+    );
+    assert_eq!(csi["antennas"].as_array().map(Vec::len), Some(2));
+    let told: String = answers.iter().map(|answer| format!("{answer}\n")).collect();
+    assert!(crate::documented::are_documented(&told) > 20);
+    folder.write("words.csv", b"It was a dark and stormy night.\n");
+    let (status, _, err) = folder.run(&["view", "words.csv"]);
+    assert!(status == 1 && err.contains("is another kind of file, text"), "{status} {err}");
+
+    let Some(cases) = crate::common::cases("other-cards") else { return };
+    for (name, format, _, antennas) in LOGS {
+        let answers = asked(cases.join(name).to_str().unwrap(), &paths);
+        let letters: String =
+            answers[0]["antennas"].as_array().unwrap().iter().filter_map(|one| one.as_str()).collect();
+        assert!(answers[0]["format"] == format && letters == antennas, "{name}: {}", answers[0]);
+        let maps = answers[2]["antennas"].as_array().unwrap();
+        assert_eq!(maps.len(), antennas.len(), "{name}");
+    }
+}
+
+#[cfg(feature = "view")]
+#[test]
+fn an_address_without_its_half_is_shown_whole() {
+    let folder = Folder::new("address");
+    for (given, wanted) in [("8080", "127.0.0.1:8080"), (":9000", "127.0.0.1:9000"), ("localhost:1", "127.0.0.1:8080")]
+    {
+        let (status, _, err) = folder.run(&["view", "x.dat", "--listen", given]);
+        assert!(status == 2 && err.contains(wanted) && err.contains("an IP address and a port"), "{given}: {err}");
+    }
+    for given in ["00:21:6a:53:89", "00216a5389d2", "00:21:6a:53:89:zz"] {
+        let (status, _, err) = folder.run(&["bearing", "--tx-mac", given, "a.dat", "b.dat", "t.csv"]);
+        assert!(status == 2 && err.contains("six hexadecimal octets like 00:21:6a:53:89:d2"), "{given}: {err}");
+    }
+}

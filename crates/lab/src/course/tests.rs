@@ -1,4 +1,5 @@
 use super::*;
+use csi_formats::{Kind, Tones, feitcsi};
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
 use driver_iface::bfee::{Iq, Repr, Wsr};
@@ -197,7 +198,7 @@ fn every_record_is_in_one_column_of_one_stretch() {
     let index = LogIndex::read(&fixture()).unwrap();
     let (from_s, to_s) = index.span_s();
     let whole = index.stretch(from_s, to_s, 50, None);
-    assert_eq!(whole.records as u64, index.survey().bfees());
+    assert_eq!(whole.records as u64, index.survey().unwrap().bfees());
     let width_s = (to_s - from_s) / whole.rate_hz.len() as f64;
     let counted: f64 = whole.rate_hz.iter().map(|rate| rate * width_s).sum();
     assert!((counted - whole.records as f64).abs() < 0.1, "{counted}");
@@ -205,7 +206,7 @@ fn every_record_is_in_one_column_of_one_stretch() {
     let parts = [(from_s, middle_s), (middle_s, to_s)].map(|(a, b)| index.stretch(a, b, 50, None).records);
     assert_eq!(parts[0] + parts[1], whole.records);
     let band = &whole.rssi[0];
-    let survey = index.survey().rssi[0];
+    let survey = index.survey().unwrap().rssi[0];
     assert_eq!(band.min.iter().flatten().min().map(|rssi| i32::from(*rssi)), Some(survey.min));
     assert_eq!(band.max.iter().flatten().max().map(|rssi| i32::from(*rssi)), Some(survey.max));
     for ((low, mean), high) in band.min.iter().zip(&band.mean).zip(&band.max) {
@@ -251,7 +252,7 @@ fn what_is_missing_stands_where_it_is_missing() {
     let torn = without(at(200) + 40..at(200) + 90, "torn");
     let index = LogIndex::read(&torn).unwrap();
     let stretch = index.stretch(0.0, f64::INFINITY, 100, None);
-    assert_eq!(stretch.damaged.iter().map(|(_, count)| count).sum::<u64>(), index.survey().damages);
+    assert_eq!(stretch.damaged.iter().map(|(_, count)| count).sum::<u64>(), index.survey().unwrap().damages);
     assert!(!stretch.damaged.is_empty());
     // Behind the damage each row still finds its record.
     let (later_s, end_s) = (index.t_s(210), index.span_s().1);
@@ -259,4 +260,136 @@ fn what_is_missing_stands_where_it_is_missing() {
     let behind = index.csi(later_s, end_s, 10, Some(sender)).unwrap();
     assert!(behind.antennas[0].amplitude_db.iter().all(|db| db.is_finite()), "{behind:?}");
     [gone, torn].iter().for_each(|path| std::fs::remove_file(path).unwrap());
+}
+
+/// A frame of an AX2xx: kind, width in MHz, receive chains, sender; in a log they are 1 ms apart by the card's clock.
+type Heard = (Kind, u16, u8, u8);
+
+/// A log of FeitCSI: chain k has an amplitude of `100 * (k + 1)`, and a delay of `SLOPE_RAD` for each index of a subcarrier. What
+/// was not measured is noise of ten times that.
+fn card_log(name: &str, frames: &[Heard]) -> PathBuf {
+    let mut bytes = Vec::new();
+    for (k, (kind, width_mhz, n_rx, sender)) in frames.iter().enumerate() {
+        let tones = Tones::of(*kind, *width_mhz).unwrap();
+        let repr = feitcsi::Repr {
+            ftm: k as u32 * 320_000,
+            host_us: START_US + 1_000 * k as u64,
+            n_rx: *n_rx,
+            n_tx: 1,
+            kind: *kind,
+            width_mhz: *width_mhz,
+            mcs: 0,
+            rssi_dbm: [-40 - i16::from(*sender), -50],
+            sender: [2, 0, 0, 0, 0, *sender],
+            clock_us: 1_000 * k as u32,
+        };
+        let value = |chain: u8, index: i16, is_data: bool| {
+            let size = if is_data { 100.0 * (f64::from(chain) + 1.0) } else { 1_000.0 };
+            let (sin, cos) = (0.5 - SLOPE_RAD * f64::from(index)).sin_cos();
+            [cos, sin].map(|part| (size * part).round() as i16)
+        };
+        let csi: Vec<[i16; 2]> = (0..*n_rx)
+            .flat_map(|chain| {
+                tones.subcarriers.iter().zip(&tones.data).map(move |(index, is_data)| value(chain, *index, *is_data))
+            })
+            .collect();
+        repr.emit(&csi, &mut bytes);
+    }
+    let path = std::env::temp_dir().join(format!("csi5300-course-{name}-{}.csi", std::process::id()));
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+const SLOPE_RAD: f64 = 0.05;
+
+#[test]
+fn every_subcarrier_of_another_card_stands_at_its_index_and_what_was_not_measured_is_empty() {
+    let path = card_log("card", &[(Kind::Ht, 20, 2, 1); 40]);
+    let course = Course::read(&path, &Wanted::default()).unwrap();
+    assert_eq!((course.records, course.base, course.format), (40, TimeBase::Card, Some("FeitCSI")));
+    assert!((course.span_s.1 - 0.039).abs() < 1e-9, "{:?}", course.span_s);
+    let indices = course.rows.indices.clone().unwrap();
+    assert_eq!((indices.len(), indices[0], indices[28], course.rows.each), (56, -28, 1, 1));
+    assert_eq!((course.sender, course.rows.frames.as_deref()), (Some(sender(1)), Some("HT 20 MHz")));
+    assert_eq!((course.antennas.len(), course.left_out()), (2, None));
+    for (antenna, own) in course.antennas.iter().enumerate() {
+        let db = 20.0 * (100.0 * (antenna as f64 + 1.0)).log10();
+        for (row, index) in indices.iter().enumerate() {
+            let cells = row * course.columns..(row + 1) * course.columns;
+            if [7, 21].contains(&index.abs()) {
+                assert!(own.amplitude_db[cells].iter().all(|value| value.is_nan()), "a pilot at {index}");
+                continue;
+            }
+            assert!(own.amplitude_db[cells.clone()].iter().all(|value| (value - db).abs() < 0.1), "{antenna} {index}");
+            let expected = -SLOPE_RAD * f64::from(index - 1);
+            assert!(own.phase_rad[cells].iter().all(|value| (value - expected).abs() < 0.02), "{antenna} {index}");
+        }
+        assert!(own.line_db.iter().all(|point| (point.1 - db).abs() < 0.1), "{:?}", own.line_db);
+    }
+    assert!(course.rssi_in_dbm && course.agc.is_empty());
+    let levels: Vec<f64> = course.rssi.iter().map(|line| line[0].1).collect();
+    assert_eq!((levels, course.rssi[1].len()), (vec![-41.0, -50.0], 40));
+    // The page has the same, from what is kept and from the file.
+    let index = LogIndex::read(&path).unwrap();
+    assert!(index.survey().is_none() && index.card().is_some_and(|(_, survey)| survey.frames == 40));
+    assert_eq!((index.antennas(), index.sent()[0].0, index.subcarriers().unwrap().len()), (2, 40, 56));
+    assert!((index.sent()[0].1.unwrap() - 1_000.0).abs() < 1e-6);
+    let [kept, again] = [None, Some(sender(1))].map(|sender| index.csi(0.0, 1.0, 20, sender).unwrap());
+    assert_eq!((kept.antennas.len(), &kept.rows), (2, &course.rows));
+    for (a, b) in kept.antennas.iter().zip(&again.antennas) {
+        let same = |(a, b): (&f64, &f64)| a.is_nan() && b.is_nan() || (a - b).abs() < 1e-4;
+        assert!(a.amplitude_db.iter().zip(&b.amplitude_db).all(same) && a.phase_rad.iter().zip(&b.phase_rad).all(same));
+    }
+    let band = &index.stretch(0.0, 1.0, 20, None).rssi;
+    assert_eq!((band.len(), band[0].min[0], band[1].max[0]), (2, Some(-41), Some(-50)));
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn heat_maps_are_of_one_sender_and_of_its_most_frequent_frames() {
+    let ht = (Kind::Ht, 20, 2, 1);
+    let frames: Vec<Heard> = (0..60)
+        .map(|k| match k % 6 {
+            // Of the sender that is heard most, one in five is wider, one in five came by one chain.
+            0 => (Kind::Ht, 40, 2, 1),
+            1 => (Kind::Ht, 20, 1, 1),
+            2 => (Kind::Vht, 80, 2, 2),
+            _ => ht,
+        })
+        .collect();
+    let path = card_log("card-mixed", &frames);
+    let course = Course::read(&path, &Wanted::default()).unwrap();
+    assert_eq!((course.records, course.other_senders, course.other_frames), (60, 10, 10));
+    assert_eq!((course.sender, course.rows.subcarriers, course.antennas.len()), (Some(sender(1)), 56, 2));
+    let words = course.left_out().unwrap();
+    assert_eq!(words, "without 10 records of other senders and 10 records of another kind or width");
+    // All of them are in the levels.
+    assert_eq!((course.rssi[0].len(), course.rssi[1].len()), (60, 50));
+    let other = Course::read(&path, &Wanted::default().with_macs(vec![sender(2)])).unwrap();
+    assert_eq!((other.records, other.other_senders, other.left_out()), (10, 0, None));
+    // 242 subcarriers, two a row.
+    assert_eq!((other.rows.subcarriers, other.rows.each, other.rows.len()), (242, 2, 121));
+    assert_eq!(other.antennas[0].amplitude_db.len(), 121 * other.columns);
+    assert!(other.antennas[0].amplitude_db.iter().all(|db| (db - 40.0).abs() < 0.1), "pilots are no part of the means");
+    let index = LogIndex::read(&path).unwrap();
+    let all = index.csi(0.0, 1.0, 10, None).unwrap();
+    assert_eq!((all.records, all.other_frames, all.rows.subcarriers), (60, 20, 56));
+    let own = index.csi(0.0, 1.0, 10, Some(sender(2))).unwrap();
+    assert_eq!((own.records, own.other_frames, own.rows.subcarriers), (10, 0, 242));
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn damage_in_a_log_of_another_card_stands_where_it_is() {
+    let path = card_log("card-torn", &[(Kind::Ht, 20, 1, 1); 20]);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let len = bytes.len() / 20;
+    bytes.drain(10 * len + 300..10 * len + 350);
+    std::fs::write(&path, bytes).unwrap();
+    let course = Course::read(&path, &Wanted::default()).unwrap();
+    assert!(course.lost_something && course.records == 19, "{}", course.records);
+    // What the tenth frame lacks is read of the next one: the rest of that is what is no record.
+    let [damaged_s] = course.damaged[..] else { panic!("{:?}", course.damaged) };
+    assert!((damaged_s - 0.010).abs() < 1e-9, "{damaged_s}");
+    std::fs::remove_file(path).unwrap();
 }

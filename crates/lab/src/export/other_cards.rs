@@ -3,7 +3,8 @@
 use super::mat::Mat;
 use super::npz::Npz;
 use super::{ExportError, Target};
-use csi_formats::{Clock, Format, Frame, Item, Items, RssiUnit, Why};
+use crate::cards::{CardTime, Layout, is_damage, is_dbm};
+use csi_formats::{Format, Frame, Item, Items};
 use num_complex::Complex32;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -15,22 +16,12 @@ use std::path::Path;
 struct Shape {
     n_rx: usize,
     n_tx: usize,
-    width_mhz: u16,
-    kind: Option<&'static str>,
-    subcarriers: Vec<i16>,
-    measured: Vec<bool>,
+    layout: Layout,
 }
 
 impl Shape {
     fn of(frame: &Frame) -> Self {
-        Self {
-            n_rx: frame.n_rx,
-            n_tx: frame.n_tx,
-            width_mhz: frame.width_mhz,
-            kind: frame.kind.map(csi_formats::Kind::name),
-            subcarriers: frame.subcarriers.clone(),
-            measured: frame.measured.clone(),
-        }
+        Self { n_rx: frame.n_rx, n_tx: frame.n_tx, layout: Layout::of(frame) }
     }
 }
 
@@ -66,7 +57,7 @@ impl CardFrames {
                         left_out += 1;
                     }
                 }
-                Item::Skipped(skipped) => damaged += u64::from(!matches!(skipped.why, Why::NoCsi | Why::Cut)),
+                Item::Skipped(skipped) => damaged += u64::from(is_damage(skipped.why)),
             }
         }
         let mut shapes: BTreeMap<&Shape, u64> = BTreeMap::new();
@@ -173,7 +164,7 @@ impl CardFrames {
         file.put("first_rx", n, 1, self.frames.iter().map(|frame| frame.first_rx))?;
         file.put("first_tx", n, 1, self.frames.iter().map(|frame| frame.first_tx))?;
         file.put("mac", n, 6, self.macs())?;
-        let in_dbm = self.frames.iter().map(|frame| u8::from(frame.rssi_unit == RssiUnit::Dbm));
+        let in_dbm = self.frames.iter().map(|frame| u8::from(is_dbm(frame)));
         file.put("rssi_in_dbm", n, 1, in_dbm)?;
         let subcarriers = self.subcarriers();
         file.put("subcarriers", subcarriers.len() as u64, 1, subcarriers.iter().map(|index| i64::from(*index)))?;
@@ -226,23 +217,17 @@ fn places(n_rx: usize, n_tx: usize, subcarriers: &[i16]) -> impl Iterator<Item =
     (0..n_rx).flat_map(move |rx| (0..n_tx).flat_map(move |tx| subcarriers.iter().map(move |index| (rx, tx, *index))))
 }
 
-/// A card's clock, whose counter wraps, as seconds from the first frame.
+/// Seconds from the first frame.
 #[derive(Default)]
 struct Time {
+    card: CardTime,
     first_host_us: Option<i64>,
-    last: Option<Clock>,
-    ps: u128,
 }
 
 impl Time {
     fn of(&mut self, frame: &Frame) -> f64 {
-        // The coarse clock wraps later, and is fine enough for a time.
-        if let Some(clock) = frame.slow_clock.or(frame.clock) {
-            let mask = if clock.bits >= 64 { u64::MAX } else { (1 << clock.bits) - 1 };
-            let went = self.last.map_or(0, |last| clock.ticks.wrapping_sub(last.ticks) & mask);
-            self.last = Some(clock);
-            self.ps += u128::from(went) * u128::from(clock.tick_ps);
-            return self.ps as f64 * 1e-12;
+        if let Some((ps, _)) = self.card.of(frame) {
+            return ps as f64 * 1e-12;
         }
         frame.host_us.map_or(f64::NAN, |us| (us - *self.first_host_us.get_or_insert(us)) as f64 * 1e-6)
     }

@@ -4,8 +4,8 @@ mod events;
 use super::axes::{Axes, extent};
 use super::canvas::{BLACK, Canvas, GREY, Key, ORANGE, Rgb, series_colour};
 use super::{Error, Format};
-use crate::course::{AntennaCourse, Course};
-use csi5300::signal::channel::SUBCARRIERS;
+use crate::course::{AntennaCourse, Course, letter};
+use crate::words::count;
 use csi5300::source::survey::TimeBase;
 use kuva::plot::ColorMap;
 use kuva::render::render::TextAnchor;
@@ -14,6 +14,9 @@ use std::path::{Path, PathBuf};
 
 /// Lowest and highest value of a colour bar, its ticks, and the colour of a value.
 type Shades<'a> = ((f64, f64), &'a [(f64, String)], &'a dyn Fn(f64) -> Rgb);
+
+/// Lines of a panel with their colours.
+type Lines<'a> = Vec<(Rgb, &'a Vec<(f64, f64)>)>;
 
 /// Pictures of one log.
 #[derive(Clone, Copy, Debug)]
@@ -36,8 +39,8 @@ const GAP: f64 = 70.0;
 const LEAST: f64 = 60.0;
 /// Height of a panel that is nothing but an axis.
 const FLAT: f64 = 8.0;
-/// Rows of a heat map that have a tick: the outermost subcarriers, those beside the centre, and two between.
-const TICKED: [usize; 6] = [0, 7, 14, 15, 22, SUBCARRIERS - 1];
+/// Under the title: whose CSI it is, and what is not in it.
+const BELOW_TITLE: f64 = 76.0;
 
 impl LogPictures<'_> {
     /// Writes `STEM-csi` (heat maps of each antenna) and `STEM-levels` (amplitude, RSSI and gain, rate).
@@ -81,16 +84,18 @@ impl LogPictures<'_> {
     fn csi(&self) -> Canvas {
         let (width, height) = self.size;
         let mut canvas = Canvas::sized(width, height, &format!("{}: CSI, first stream", self.title));
+        canvas.text((width / 2.0, BELOW_TITLE), &self.whose(), 18, TextAnchor::Middle, BLACK);
         let antennas = &self.course.antennas;
         let panels = self.panels(&mut canvas, 2 * antennas.len(), TOP, 0.0);
         for (k, antenna) in antennas.iter().enumerate() {
             let last = k + 1 == antennas.len();
-            let name = format!("antenna {}: amplitude by subcarrier (dB, 0 is the card's step)", antenna.antenna);
+            let own = letter(antenna.antenna);
+            let name = format!("antenna {own}: amplitude by subcarrier (dB, 0 is the card's step)");
             let range = extent(antenna.amplitude_db.iter().copied(), 0.0).unwrap_or((0.0, 1.0));
             let ticks = [range.0, (range.0 + range.1) / 2.0, range.1].map(|db| (db, format!("{db:.0} dB")));
             let shade = |share: f64| ColorMap::Viridis.map_rgb(share).unwrap_or(GREY);
             self.heat(&mut canvas, panels[2 * k], &antenna.amplitude_db, (range, &ticks, &shade), (&name, ""));
-            let name = format!("antenna {}: phase by subcarrier, less the middle one's (rad)", antenna.antenna);
+            let name = format!("antenna {own}: phase by subcarrier, less the middle one's (rad)");
             let ticks = [(-PI, "-π".into()), (0.0, "0".into()), (PI, "π".into())];
             let below = if last { self.time_words() } else { "" };
             self.heat(
@@ -113,17 +118,19 @@ impl LogPictures<'_> {
         (range, ticks, shade): Shades<'_>,
         (name, x_label): (&str, &str),
     ) {
-        let mut axes = Axes::new(frame, self.course.span_s, (0.0, SUBCARRIERS as f64));
+        let (rows, columns) = (&self.course.rows, self.course.columns);
+        let mut axes = Axes::new(frame, self.course.span_s, (0.0, rows.subcarriers as f64));
         axes.y_ticks = Some(self.subcarrier_ticks(axes.height));
         axes.draw(canvas, x_label, name);
-        let columns = self.course.columns;
-        let (w, h) = (axes.width / columns as f64, axes.height / SUBCARRIERS as f64);
+        // The last row may have fewer subcarriers.
+        let top_of = |row: usize| axes.at(0.0, ((row + 1) * rows.each).min(rows.subcarriers) as f64).1;
+        let w = axes.width / columns as f64;
         let share = |value: f64| ((value - range.0) / (range.1 - range.0)).clamp(0.0, 1.0);
         let known = values.iter().enumerate().filter(|(_, value)| value.is_finite());
         canvas.cells(known.map(|(cell, value)| {
             let (row, column) = (cell / columns, cell % columns);
-            let at = [axes.left + column as f64 * w, axes.top + axes.height - (row + 1) as f64 * h, w + 0.6, h + 0.6];
-            (at, shade(share(*value)))
+            let (top, below) = (top_of(row), axes.at(0.0, (row * rows.each) as f64).1);
+            ([axes.left + column as f64 * w, top, w + 0.6, below - top + 0.6], shade(share(*value)))
         }));
         let (x, steps) = (axes.left + axes.width + 14.0, 64);
         let step = axes.height / f64::from(steps);
@@ -143,24 +150,38 @@ impl LogPictures<'_> {
         }
     }
 
-    /// Ticks at subcarriers' own indices; at their places in the record where frames of both widths are in the log.
-    fn subcarrier_ticks(&self, height: f64) -> Vec<(f64, String)> {
-        let name = |row: usize| match self.course.subcarriers.and_then(|indices| indices.get(row).copied()) {
-            Some(index) => index.to_string(),
-            None => row.to_string(),
-        };
-        // Both sides of the centre are one row apart: one of them has the tick.
-        let rows =
-            TICKED.into_iter().filter(|row| *row != 14 && (height > 110.0 || [0, SUBCARRIERS - 1].contains(row)));
-        rows.map(|row| (row as f64 + 0.5, name(row))).collect()
+    /// Whose CSI it is, of which frames, and what is left out of it.
+    fn whose(&self) -> String {
+        let course = self.course;
+        let each = course.rows.each;
+        let parts = [
+            course.format.map(str::to_owned),
+            course.sender.map(|mac| format!("from {mac}")),
+            course.rows.frames.clone(),
+            (each > 1).then(|| format!("each row is {each} subcarriers")),
+            course.left_out(),
+        ];
+        parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
     }
 
-    /// The frames of amplitude, RSSI and rate; the last is flat where there is no rate.
-    fn level_panels(&self, canvas: &mut Canvas, top: f64, below: f64) -> Vec<[f64; 4]> {
+    /// Ticks at subcarriers' own indices; at their places in the record where frames of both widths are in the log: the outermost
+    /// ones, the one above the centre, and two between.
+    fn subcarrier_ticks(&self, height: f64) -> Vec<(f64, String)> {
+        let rows = &self.course.rows;
+        let n = rows.subcarriers;
+        let outer = [0, n.saturating_sub(1)];
+        let mut ticked = vec![outer[0], n / 4, n / 2, 3 * n / 4, outer[1]];
+        ticked.dedup();
+        ticked.retain(|place| height > 110.0 || outer.contains(place));
+        ticked.into_iter().map(|place| (place as f64 + 0.5, rows.index(place).to_string())).collect()
+    }
+
+    /// The frames of so many panels of lines, and of the rate, which is flat where there is none.
+    fn level_panels(&self, canvas: &mut Canvas, lines: usize, top: f64, below: f64) -> Vec<[f64; 4]> {
         if self.has_clock() {
-            return self.panels(canvas, 3, top, below);
+            return self.panels(canvas, lines + 1, top, below);
         }
-        let mut panels = self.panels(canvas, 2, top, below + GAP + FLAT);
+        let mut panels = self.panels(canvas, lines, top, below + GAP + FLAT);
         let last = panels.last().map(|[left, top, width, height]| [*left, top + height + GAP, *width, FLAT]);
         panels.extend(last);
         panels
@@ -174,6 +195,8 @@ impl LogPictures<'_> {
     /// What the times are.
     fn time_words(&self) -> &'static str {
         match self.course.base {
+            TimeBase::Host if self.course.format.is_some() => "time (s), of the host",
+            TimeBase::Number if self.course.format.is_some() => "frame: the log tells no times",
             TimeBase::Host => "time (s), of the host: the card's clock stands",
             TimeBase::Number => "record: the card's clock stands, and there are no host times",
             _ => "time (s)",
@@ -185,31 +208,43 @@ impl LogPictures<'_> {
         let course = self.course;
         let what = if self.has_clock() { "levels and rate" } else { "levels" };
         let mut canvas = Canvas::sized(width, height, &format!("{}: {what}", self.title));
-        let name = |antenna: &AntennaCourse| format!("antenna {}", antenna.antenna);
-        let mut keys: Vec<(Key, Rgb, String)> = course.antennas.iter().map(|a| (Key::Line, of(a), name(a))).collect();
-        keys.push((Key::Line, GREY, "gain (AGC)".into()));
+        let name = |antenna: usize| format!("antenna {}", letter(antenna));
+        // Antennas of the CSI; of more, RSSI alone would be of none that was asked for.
+        let drawn = |antenna: usize| course.antennas.iter().any(|own| own.antenna == antenna);
+        let mut keys: Vec<(Key, Rgb, String)> =
+            course.antennas.iter().map(|a| (Key::Line, of(a), name(a.antenna))).collect();
+        keys.extend((!course.agc.is_empty()).then(|| (Key::Line, GREY, "gain (AGC)".into())));
         keys.extend(self.has_clock().then(|| (Key::Line, BLACK, "rate".into())));
         if !course.gaps_s.is_empty() {
-            keys.push((Key::Area, ORANGE, crate::words::count(course.gaps_s.len() as u64, "gap", "gaps")));
+            keys.push((Key::Area, ORANGE, count(course.gaps_s.len() as u64, "gap", "gaps")));
         }
+        let mut series: Vec<(String, Lines<'_>)> = Vec::new();
+        let amplitude: Lines<'_> = course.antennas.iter().map(|antenna| (of(antenna), &antenna.line_db)).collect();
+        let sender = course.sender.map_or(String::new(), |mac| format!(" of {mac}"));
+        series.push((format!("mean amplitude{sender} (dB, 0 is the card's step)"), amplitude));
+        let rssi = course.rssi.iter().enumerate().filter(|(antenna, line)| drawn(*antenna) && !line.is_empty());
+        let mut levels: Lines<'_> = rssi.map(|(antenna, line)| (series_colour(antenna), line)).collect();
+        let unit = if course.rssi_in_dbm { "dBm" } else { "dB" };
+        let words = if course.agc.is_empty() { "RSSI of each antenna" } else { "RSSI of each antenna, and gain" };
+        levels.extend((!course.agc.is_empty()).then_some((GREY, &course.agc)));
+        series.push((format!("{words} ({unit})"), levels));
+        // What the format does not tell has no panel.
+        series.retain(|(_, lines)| !lines.is_empty());
         let top = TOP.max(58.0 + canvas.legend(58.0, &keys) + 50.0);
         let events = events::of(course);
         let below = events::height(&events);
-        let panels = self.level_panels(&mut canvas, top, below);
-        let amplitude: Vec<_> = course.antennas.iter().map(|antenna| (of(antenna), &antenna.line_db)).collect();
-        let words = "mean amplitude (dB, 0 is the card's step)";
-        self.lines(&mut canvas, panels[0], &amplitude, words);
-        let antennas = (0..3).filter(|k| course.antennas.iter().any(|a| a.antenna as usize == *k));
-        let mut levels: Vec<_> = antennas.map(|k| (series_colour(k), &course.rssi[k])).collect();
-        levels.push((GREY, &course.agc));
-        self.lines(&mut canvas, panels[1], &levels, "RSSI of each antenna, and gain (dB)");
-        let axes = self.rate(&mut canvas, panels[2])?;
+        let panels = self.level_panels(&mut canvas, series.len(), top, below);
+        let [panels @ .., last] = panels.as_slice() else { return Err(Error::Empty { what: "levels" }) };
+        for ((words, lines), panel) in series.iter().zip(panels) {
+            self.lines(&mut canvas, *panel, lines, words);
+        }
+        let axes = self.rate(&mut canvas, *last)?;
         events::draw(&mut canvas, &axes, &events);
         axes.under(&mut canvas, self.time_words(), (below - 24.0).max(0.0));
         Ok(canvas)
     }
 
-    fn lines(&self, canvas: &mut Canvas, frame: [f64; 4], series: &[(Rgb, &Vec<(f64, f64)>)], name: &str) {
+    fn lines(&self, canvas: &mut Canvas, frame: [f64; 4], series: &Lines<'_>, name: &str) {
         let all = series.iter().flat_map(|(_, points)| points.iter().map(|point| point.1));
         let axes = Axes::new(frame, self.course.span_s, extent(all, 0.08).unwrap_or((0.0, 1.0)));
         axes.draw(canvas, "", name);
@@ -260,7 +295,7 @@ fn is_broken(from_s: f64, to_s: f64, gaps_s: &[(f64, f64)]) -> bool {
 }
 
 fn of(antenna: &AntennaCourse) -> Rgb {
-    series_colour(antenna.antenna as usize)
+    series_colour(antenna.antenna)
 }
 
 /// A colour for each angle, the same at both ends of the range.
@@ -272,7 +307,7 @@ fn circular(share: f64) -> Rgb {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use driver_iface::bfee::Antenna;
+    use crate::course::HeatRows;
 
     #[test]
     fn a_line_is_broken_at_a_gap_and_not_at_one_that_is_short_beside_its_points() {
@@ -302,8 +337,8 @@ mod tests {
     fn eventful(base: TimeBase) -> Course {
         let antenna = |antenna| AntennaCourse {
             antenna,
-            amplitude_db: vec![1.0; SUBCARRIERS * 2],
-            phase_rad: vec![0.0; SUBCARRIERS * 2],
+            amplitude_db: vec![1.0; 30 * 2],
+            phase_rad: vec![0.0; 30 * 2],
             line_db: vec![(0.0, 1.0), (9.0, 2.0)],
         };
         Course {
@@ -311,8 +346,9 @@ mod tests {
             base,
             span_s: (0.0, 9.0),
             columns: 2,
-            antennas: Antenna::ALL.map(antenna).into(),
-            rssi: std::array::from_fn(|_| vec![(0.0, 30.0), (9.0, 31.0)]),
+            rows: HeatRows::new(None, 30, 30),
+            antennas: (0..3).map(antenna).collect(),
+            rssi: vec![vec![(0.0, 30.0), (9.0, 31.0)]; 3],
             agc: vec![(0.0, 20.0), (9.0, 20.0)],
             rate_hz: vec![(4.5, 123.0)],
             missing: vec![(1.0, 1)],

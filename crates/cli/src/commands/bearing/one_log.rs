@@ -16,7 +16,7 @@ fn other_card(
     array: &Array,
     options: &Options,
 ) -> std::result::Result<Option<(OneLogReport, bool)>, String> {
-    let Some((format, bytes)) = super::super::other_cards::bytes(path) else { return Ok(None) };
+    let Some((format, bytes)) = csi5300_lab::cards::read(path) else { return Ok(None) };
     let mut one = OneLog::new(array.clone(), options.clone());
     let (mut frames, mut without, mut lost) = (0_u64, 0_u64, 0_u64);
     for item in Items::new(format, &bytes) {

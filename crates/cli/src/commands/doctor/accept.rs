@@ -4,7 +4,7 @@ use super::Args;
 use crate::commands::args::channel as channel_of;
 use crate::commands::draft::{FolderDraft, reads};
 use crate::commands::files::{open_log, read_trajectory};
-use crate::commands::{Outcome, Result, other_cards, print, simulate, usage};
+use crate::commands::{Outcome, Result, print, simulate, usage};
 use csi_formats::Format;
 use csi5300::signal::channel::Channel;
 use csi5300::source::CsiSource;
@@ -209,7 +209,9 @@ fn log(path: &Path) -> std::result::Result<Vec<u8>, String> {
     reads(path);
     open_log(path)?;
     let failed = |error| format!("{}: {error}", path.display());
-    let Some((Format::FeitCsi, bytes)) = other_cards::bytes(path) else { return std::fs::read(path).map_err(failed) };
+    let Some((Format::FeitCsi, bytes)) = csi5300_lab::cards::read(path) else {
+        return std::fs::read(path).map_err(failed);
+    };
     let mut records = Vec::new();
     Translated::new(bytes.as_slice()).read_to_end(&mut records).map_err(failed)?;
     Ok(records)

@@ -2,6 +2,7 @@
 
 use super::super::args::{antenna, mac};
 use super::super::{files, hint, pictures, usage};
+use csi5300_lab::cards;
 use csi5300_lab::course::{Course, Wanted};
 use csi5300_lab::show::file_safe;
 use csi5300_lab::show::log::LogPictures;
@@ -17,7 +18,8 @@ const SIZE: (f64, f64) = (1200.0, 1100.0);
 #[group(id = "drawn")]
 #[command(next_help_heading = "Pictures")]
 pub struct Args {
-    /// Draw each log into this folder: NAME-csi (amplitude and phase of each antenna over time and subcarrier) and
+    /// Draw each log into this folder: NAME-csi (amplitude and phase of each antenna over time and subcarrier, of the
+    /// sender with the most records) and
     /// NAME-levels (amplitude, RSSI, gain and rate over time, with gaps, losses and steps back of the card's clock).
     /// Times are the card's, the host's if that clock stands still, or record numbers
     #[arg(long, visible_alias = "out", value_name = "DIR")]
@@ -55,12 +57,17 @@ pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> std::result::Result<Vec<
     if log.as_os_str() == "-" {
         usage("a log is read again for its pictures, and standard input only once: name a file");
     }
-    files::must_be_log(log)?;
+    if !cards::is_log(log) {
+        files::must_be_log(log)?;
+    }
     let wanted =
         Wanted::default().with_macs(args.mac.clone()).with_antennas(args.antenna.clone()).with_cut(args.from, args.to);
     let course = Course::read(log, &wanted).map_err(|error| hint::log_refused(&error))?;
     if course.records == 0 {
         return Err(format!("{}: no matching record to draw", log.display()));
+    }
+    if let Some(left_out) = course.left_out() {
+        note!("{}: the heat maps are {left_out} (--mac chooses senders)", log.display());
     }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let drawn = LogPictures { title: &title, course: &course, size: SIZE };

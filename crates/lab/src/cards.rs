@@ -1,0 +1,164 @@
+//! Logs of cards other than the 5300: found by their content, counted, and their frames told apart and timed.
+
+use csi_formats::{Clock, Format, Frame, Item, RssiUnit, Why, detect};
+use driver_iface::Mac;
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::Path;
+
+/// The kind and the bytes of a log of another card; `None` for any other file, and for one that cannot be read.
+#[must_use]
+pub fn read(path: &Path) -> Option<(Format, Vec<u8>)> {
+    let (format, mut file, mut bytes) = begun(path)?;
+    file.read_to_end(&mut bytes).ok()?;
+    Some((format, bytes))
+}
+
+/// True for a log of another card.
+#[must_use]
+pub fn is_log(path: &Path) -> bool {
+    begun(path).is_some()
+}
+
+/// A log of which the first bytes were read.
+fn begun(path: &Path) -> Option<(Format, std::fs::File, Vec<u8>)> {
+    // A pipe can be opened and read only once.
+    let mut file = path.is_file().then(|| std::fs::File::open(path).ok()).flatten()?;
+    let mut bytes = Vec::new();
+    file.by_ref().take(csi_formats::DETECT as u64).read_to_end(&mut bytes).ok()?;
+    Some((detect(&bytes)?, file, bytes))
+}
+
+/// What is in a log of another card, as `info --json` has it.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+#[non_exhaustive]
+pub struct CardSurvey {
+    /// Frames with CSI.
+    pub frames: u64,
+    /// Frames by the card that measured them.
+    pub cards: BTreeMap<String, u64>,
+    /// Frames by kind, width, chains and number of subcarriers.
+    pub shapes: BTreeMap<String, u64>,
+    /// Frames by sender; all zero is one that is unknown.
+    #[serde(skip)]
+    pub senders: BTreeMap<Mac, u64>,
+    /// From the first frame to the last by the host's clock, seconds; `None` where it is not in the log.
+    pub host_span_s: Option<f64>,
+    /// Bytes that are no frame with CSI, by why.
+    pub skipped: BTreeMap<String, u64>,
+    /// The most receive chains in one frame.
+    #[serde(skip)]
+    pub n_rx: usize,
+    /// Bytes were lost that should have been frames: not a frame without CSI, nor the end of a log that was cut.
+    #[serde(skip)]
+    pub is_damaged: bool,
+    #[serde(skip)]
+    first_us: Option<i64>,
+}
+
+impl CardSurvey {
+    /// Counts what comes next in a log.
+    pub fn note(&mut self, item: &Item) {
+        match item {
+            Item::Frame(frame) => {
+                self.frames += 1;
+                self.n_rx = self.n_rx.max(frame.n_rx);
+                *self.cards.entry(frame.card.to_string()).or_default() += 1;
+                *self.shapes.entry(shape(frame)).or_default() += 1;
+                *self.senders.entry(sender(frame)).or_default() += 1;
+                if let Some(host_us) = frame.host_us {
+                    let first_us = *self.first_us.get_or_insert(host_us);
+                    self.host_span_s = Some((host_us - first_us) as f64 * 1e-6);
+                }
+            }
+            Item::Skipped(bad) => {
+                *self.skipped.entry(bad.why.to_string()).or_default() += bad.len;
+                self.is_damaged |= is_damage(bad.why);
+            }
+        }
+    }
+}
+
+/// True if bytes should have been a frame: not one without CSI, nor the end of a log that was cut.
+#[must_use]
+pub fn is_damage(why: Why) -> bool {
+    !matches!(why, Why::NoCsi | Why::Cut)
+}
+
+/// The sender of a frame; all zero where it is unknown.
+pub(crate) fn sender(frame: &Frame) -> Mac {
+    Mac(frame.sender.unwrap_or_default())
+}
+
+fn shape(frame: &Frame) -> String {
+    let kind = frame.kind.map_or("", csi_formats::Kind::name);
+    let (width, n) = (frame.width_mhz, frame.subcarriers.len());
+    format!("{kind} {width} MHz, {}x{} chains, {n} subcarriers", frame.n_rx, frame.n_tx).trim_start().to_owned()
+}
+
+/// What frames share whose subcarriers can stand beside each other.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Layout {
+    pub width_mhz: u16,
+    pub kind: Option<&'static str>,
+    pub subcarriers: Vec<i16>,
+    pub measured: Vec<bool>,
+}
+
+impl Layout {
+    pub(crate) fn of(frame: &Frame) -> Self {
+        Self {
+            width_mhz: frame.width_mhz,
+            kind: frame.kind.map(csi_formats::Kind::name),
+            subcarriers: frame.subcarriers.clone(),
+            measured: frame.measured.clone(),
+        }
+    }
+
+    /// True if a frame has it.
+    pub(crate) fn holds(&self, frame: &Frame) -> bool {
+        self.width_mhz == frame.width_mhz
+            && self.kind == frame.kind.map(csi_formats::Kind::name)
+            && self.subcarriers == frame.subcarriers
+            && self.measured == frame.measured
+    }
+
+    /// Kind and width.
+    pub(crate) fn words(&self) -> String {
+        format!("{} {} MHz", self.kind.unwrap_or_default(), self.width_mhz).trim_start().to_owned()
+    }
+}
+
+/// True for RSSI in dBm.
+pub(crate) fn is_dbm(frame: &Frame) -> bool {
+    frame.rssi_unit == RssiUnit::Dbm
+}
+
+/// A card's clock, whose counter wraps, as picoseconds since the first reading. Steps back take no time.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct CardTime {
+    last: Option<(Clock, Option<i64>)>,
+    ps: u128,
+}
+
+impl CardTime {
+    /// Time of a frame since the first reading, and by how much the clock stepped back before it; none without a reading.
+    ///
+    /// A step of more than half the counter's range is one back, unless the host's clock went on as far.
+    pub(crate) fn of(&mut self, frame: &Frame) -> Option<(u128, u128)> {
+        // The coarse clock wraps later, and is fine enough for a time.
+        let clock = frame.slow_clock.or(frame.clock)?;
+        let mask = if clock.bits >= 64 { u64::MAX } else { (1 << clock.bits) - 1 };
+        let tick_ps = u128::from(clock.tick_ps);
+        let Some((last, last_us)) = self.last.replace((clock, frame.host_us)) else { return Some((0, 0)) };
+        let went = clock.ticks.wrapping_sub(last.ticks) & mask;
+        let host_ps = frame.host_us.zip(last_us).map(|(now, last)| i128::from(now - last) * 1_000_000);
+        let half = mask / 2 + 1;
+        let is_back = went >= half && host_ps.is_none_or(|ps| ps < (u128::from(half) * tick_ps).cast_signed());
+        if is_back {
+            return Some((self.ps, u128::from(went.wrapping_neg() & mask) * tick_ps));
+        }
+        self.ps += u128::from(went) * tick_ps;
+        Some((self.ps, 0))
+    }
+}
