@@ -121,7 +121,12 @@ impl Field {
             }
             let mut blocks = self.cuts.len() - 1;
             for length in (0..lengths).rev() {
-                let power: f32 = work.sums[..blocks].iter().flatten().map(|v| v * v).sum();
+                let mut power = f32x8::splat(simd, 0.0);
+                for sum in &work.sums[..blocks] {
+                    let (re, im) = (f32x8::from_slice(simd, &sum[..COLUMNS]), f32x8::from_slice(simd, &sum[COLUMNS..]));
+                    power = re.mul_add(re, im.mul_add(im, power));
+                }
+                let power: f32 = power.as_slice().iter().sum();
                 shares[length] = if own.full[length] > 0.0 { f64::from(power) / own.full[length] } else { 0.0 };
                 let halves = blocks.div_ceil(2);
                 for k in 0..halves {

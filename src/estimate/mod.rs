@@ -403,9 +403,9 @@ fn steeper(
     if !is_open || !plane_wave.elevation_searched {
         return None;
     }
-    // Means are enough to find where least squares over all samples begin.
-    let displacements: Vec<Vector3<f64>> = task.samples.displacements_m().collect();
-    let thinned = Bins::for_start(&displacements, task.samples.wavelength_m()).samples(task.samples)?;
+    // Means are enough to find where least squares over all samples begin; heights only where a model has them.
+    let points = &models.last()?.points;
+    let thinned = Bins::for_start(points, task.samples.wavelength_m()).samples(task.samples, points)?;
     let any = searcher.search_with(&thinned, FRAC_PI_2, task.odometry_sd_m).ok()?;
     let kept = (sum_abs(&thinned) / sum_abs(task.samples)).powi(2);
     (kept * any.value > plane_wave.value).then_some(any)
@@ -483,13 +483,13 @@ fn channels(
     let silent = Planes::ZERO;
     let own = |rows: &[Planes]| -> Aperture {
         let chosen = used.iter().map(|&k| rows.get(k).unwrap_or(&silent));
-        Aperture::of_subcarriers(chosen, &bins, gain)
+        Aperture::of_subcarriers(chosen, &bins, gain, task.tier)
     };
     let mut apertures = vec![own(&rows)];
     if task.one_way && gain == 2 && is_dense_enough(samples.spacing_m() / wavelength_m) {
         take_roots(&mut rows, task.tier);
         let chosen = used.iter().map(|&k| rows.get(k).unwrap_or(&silent));
-        apertures.push(Aperture::of_subcarriers(chosen, &bins, 1));
+        apertures.push(Aperture::of_subcarriers(chosen, &bins, 1, task.tier));
     }
     (slope_sd_rad, apertures, bins)
 }

@@ -1,7 +1,7 @@
 //! The result of a link: one answer, read from the posterior, and beside it what it was computed from.
 
 use super::one_log::ChainConstant;
-use crate::bartlett::{self, Estimate, Grid};
+use crate::bartlett::{self, Estimate, Grid, Method, Planner, ProfileOptions};
 use crate::estimate::likelihood::Place;
 use crate::estimate::posterior::Mode;
 use crate::estimate::tuning;
@@ -335,7 +335,9 @@ pub struct ProfileFigures {
 impl ProfileFigures {
     pub(super) fn of(samples: &Samples) -> Result<Self, bartlett::Error> {
         // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
-        let profile = bartlett::profile(samples, &Grid::wsr_azimuths())?;
+        // Tables that serve one profile cost more than its sums.
+        let options = ProfileOptions::default().with_method(Method::Direct);
+        let profile = Planner::default().profile(samples, &Grid::wsr_azimuths(), &options)?;
         let likelihood_share = profile.likelihood_share();
         Ok(Self { wsr_profile_variance: bartlett::wsr_planar_profile_variance(&profile), likelihood_share })
     }
