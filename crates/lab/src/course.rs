@@ -1,7 +1,7 @@
 //! A log over time, binned for pictures and pages: CSI of each antenna over time and subcarrier, RSSI and gain, rate, and where
 //! something is missing.
 //!
-//! [`LogIndex`] is a log whose columns were read once ([`table`](crate::table), [`cards`](crate::cards)), from which any stretch is
+//! [`LogIndex`] is a log whose columns were read once ([`table`](crate::table), [`cards`]), from which any stretch is
 //! binned at once; its CSI is read again from the file. [`Course`] is what one picture shows.
 mod card;
 

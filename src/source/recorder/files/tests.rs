@@ -306,7 +306,7 @@ fn a_log_that_somebody_cuts_goes_on_in_another_file() {
     std::fs::write(folder.join("out-0001.dat"), "precious").unwrap();
     files.force = false;
     OpenOptions::new().write(true).open(&log).unwrap().set_len(6).unwrap();
-    assert!(files.write(&chunk(4..5)).error.unwrap().contains("cannot go on in a new file"));
+    assert!(files.write(&chunk(4..5)).error.unwrap().contains("cannot continue in a new file"));
     drop(files);
     assert_eq!(std::fs::read(&log).unwrap(), [record(0), record(4)].concat());
     std::fs::remove_dir_all(folder).unwrap();
