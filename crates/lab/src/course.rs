@@ -293,8 +293,8 @@ fn most<T: Ord + Copy>(values: impl Iterator<Item = T>) -> Option<T> {
 
 /// What a log was written by, and what was counted in it.
 enum Source {
-    Csitool(Survey),
-    Card(CardLog),
+    Csitool(Box<Survey>),
+    Card(Box<CardLog>),
 }
 
 /// A log of which a short row a record was read. It keeps 25 bytes a record and the CSI of 4,096 columns, whatever the log's length; CSI
@@ -512,7 +512,7 @@ impl LogIndex {
             base,
             bytes: reading.source().bytes(),
             marks: Marks::of(&columns, &reading.survey, &reading.damaged_after),
-            source: Source::Csitool(reading.survey),
+            source: Source::Csitool(Box::new(reading.survey)),
             span_s: span_s(&times_s).unwrap_or_default(),
             gaps_s: gaps(&times_s),
             t_us,

@@ -114,7 +114,7 @@ pub(super) fn open(path: &Path, format: Format, bytes: &[u8]) -> LogIndex {
     LogIndex {
         path: path.into(),
         base,
-        source: Source::Card(CardLog { format, survey, rssi_in_dbm, layouts, layout_of, stream }),
+        source: Source::Card(Box::new(CardLog { format, survey, rssi_in_dbm, layouts, layout_of, stream })),
         bytes: bytes.len() as u64,
         span_s: span_s(&times_s).unwrap_or_default(),
         gaps_s: gaps(&times_s),
