@@ -128,6 +128,7 @@ fn named_designs(usual: Accuracy) -> Vec<(&'static str, Accuracy)> {
 fn designs(captures: &[Capture]) -> Fallible<()> {
     let usual = options()?;
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    let mut drawn: BTreeMap<String, Vec<(f64, f64)>> = BTreeMap::new();
     for source in SOURCES {
         println!("\n{source}: mean / median / over 20 degrees; more than usual (95 %)");
         let mut first: Option<Vec<(String, Judged)>> = None;
@@ -143,6 +144,7 @@ fn designs(captures: &[Capture]) -> Fallible<()> {
             println!("{name}: {ms:.2} ms a link");
             for (set, places) in paired(against, &rows) {
                 let all = Errors::of(places.iter().flatten().map(|pair| pair.1));
+                drawn.entry(format!("{source}, {set}")).or_default().push((ms, all.mean_deg));
                 let [mean, median, over] = bootstrap::difference(places.iter().flatten().copied());
                 let [mean_in, median_in, over_in] = bootstrap::differences(&places);
                 println!(
@@ -152,6 +154,20 @@ fn designs(captures: &[Capture]) -> Fallible<()> {
             }
         }
     }
+    draw(drawn)
+}
+
+/// Writes run time against mean error, a point for each design, as `designs.png` here.
+fn draw(sets: BTreeMap<String, Vec<(f64, f64)>>) -> Fallible<()> {
+    use kuva::prelude::*;
+    let colours = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+    let one = |((set, points), colour): ((String, Vec<(f64, f64)>), &&str)| {
+        ScatterPlot::new().with_data(points).with_color(*colour).with_size(4.0).with_legend(set).into()
+    };
+    let plots: Vec<Plot> = sets.into_iter().zip(colours.iter().cycle()).map(one).collect();
+    let layout = Layout::auto_from_plots(&plots).with_title("Designs of the estimate").with_log_scale();
+    let layout = layout.with_x_label("time of a link, reading included (ms)").with_y_label("mean error (degrees)");
+    std::fs::write("designs.png", kuva::render_to_png(plots, layout, 2.0)?)?;
     Ok(())
 }
 

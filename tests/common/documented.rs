@@ -13,7 +13,7 @@ fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<Strin
                         value.as_object().unwrap().values().for_each(|sender| names(sender, found))
                     }
                     // Keyed by what was found; and what is described in place.
-                    "by_code" | "rates" | "cards" | "shapes" | "antenna_sel" | "focus" | "plan" | "losses" | "rssi"
+                    "by_code" | "cards" | "shapes" | "rates" | "antenna_sel" | "focus" | "plan" | "losses" | "rssi"
                     | "agc" | "noise_dbm" => {}
                     _ => names(value, found),
                 }

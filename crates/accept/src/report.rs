@@ -328,7 +328,7 @@ impl fmt::Display for Report {
         }
         writeln!(
             out,
-            "{} fail, {} hold, {} measured, {} not tried, each card by itself",
+            "{} fail, {} hold, {} measured, {} not tried (a claim about each card counts twice)",
             self.count(Verdict::Fails),
             self.count(Verdict::Holds),
             self.count(Verdict::Measured),

@@ -57,7 +57,7 @@ impl fmt::Display for Reason {
             Self::Overlapped { expect, got } => {
                 write!(f, "a record of {expect} bytes, but the next begins after {got}: bytes are missing")
             }
-            Self::GapBits => write!(f, "a bfee with bits set between its samples and no record after it"),
+            Self::GapBits => write!(f, "a damaged bfee: bits are set between its samples, and no record follows it"),
             Self::NotFollowed { code, expect } => {
                 write!(f, "code {code:#04x}, {expect} bytes, and no record after it")
             }

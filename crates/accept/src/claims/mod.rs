@@ -372,6 +372,7 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "at most 2 % of the records more than 5 dB off",
         source: "csitool: csi and rssi_a, rssi_b, rssi_c of one record; both are measured behind the same gain",
         causes: &[
+            "the coefficients are noise, if reception.snr fails: repair that first",
             "two antennas are exchanged in `antenna_sel` or in the RSSI fields, if the two differences have opposite signs; which field, only an unplugged antenna shows (`unplug`)",
             "`antenna_sel` is constant while the order of the chains changes",
         ],
@@ -478,6 +479,7 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "at least 5 dB in the median",
         source: "third differences over the subcarriers; 71 WSR links: 23 to 29 dB",
         causes: &[
+            "this card reports noise for coefficients, if its RSSI and reception.gain are normal",
             "the antenna is not connected",
             "the robots are too far apart",
             "a jammer or another network is on the channel",
@@ -558,7 +560,7 @@ pub static CLAIMS: [Claim; 49] = [
         expected: "coherence of the product from exchange to exchange at least 0.4",
         source: "71 WSR links: 0.61 to 0.90",
         causes: &[
-            "one card's records are wrong, if one of its own claims fails (reception.fresh, card.clock): repair that first",
+            "one card's records are wrong, if one of its own claims fails (reception.fresh, reception.snr, card.clock): repair that first",
             "the phase of one card jumps from frame to frame; two cards cannot tell which one: exchange one for a third",
             "the cards retune or restart between the two frames",
             "one log is conjugated",

@@ -54,6 +54,12 @@ impl Reading {
         let (captures, unreadable) = find_all(folder);
         add_names(&captures, &unreadable);
         if captures.is_empty() {
+            if folder.is_file() {
+                return Err(format!(
+                    "{} is a file: name the folder of the capture, or all of its files",
+                    folder.display()
+                ));
+            }
             let kind = if folder.is_dir() { "no capture in or below" } else { "no folder" };
             return Err(format!("{kind} {}: {A_CAPTURE}", folder.display()));
         }

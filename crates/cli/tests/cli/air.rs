@@ -346,7 +346,7 @@ fn a_room_takes_no_file_for_its_socket_and_writes_no_poses_into_others() {
     let said = refused(&["--socket", room, "--poses", scene_name]);
     assert!(said.contains("scene.toml is an input: name another output"), "{said}");
     let said = refused(&["--socket", room, "--poses", log_name]);
-    assert!(said.contains("precious.dat is there and holds something else"), "{said}");
+    assert!(said.contains("precious.dat exists and holds something other"), "{said}");
     let said = refused(&["--socket", room, "--poses", room]);
     assert!(said.contains("is the room's socket"), "{said}");
     assert_eq!(std::fs::read_to_string(&scene).unwrap(), LIVE);

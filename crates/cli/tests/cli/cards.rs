@@ -188,7 +188,7 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     let only = std::fs::read_to_string(folder.0.join("b/rx-csi.svg")).unwrap();
     assert!(only.contains("antenna B:") && !only.contains("antenna A:"));
     let none = folder.run(&["info", "rx.csi", "--plot", "c", "--mac", "02:00:00:00:00:99"]);
-    assert!(none.0 == 3 && none.2.contains("no record that is wanted"), "{none:?}");
+    assert!(none.0 == 3 && none.2.contains("no matching record"), "{none:?}");
 
     let Some(cases) = crate::common::cases("other-cards") else { return };
     for (k, (name, format, [low, high], antennas)) in LOGS.into_iter().enumerate() {

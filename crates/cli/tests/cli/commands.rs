@@ -87,7 +87,7 @@ fn files_are_told_apart_by_their_content() {
         (&["bearing", "a.dat", "t.csv", "--channel", "108"], "is the only log"),
         (&["bearing", "a.dat", "b.dat", "--channel", "108"], "is a trajectory"),
         (&["bearing", "a.dat", "b.dat", "t.csv"], "--channel is needed"),
-        (&["bearing", ".", "--rx", "a.dat", "--channel", "108"], "either with --rx and --tx"),
+        (&["bearing", ".", "--rx", "a.dat", "--channel", "108"], "either all by --rx"),
     ] {
         let (status, _, err) = folder.run(words);
         assert!(status != 0 && err.contains(said), "{words:?}: {status} {err}");

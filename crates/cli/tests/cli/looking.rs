@@ -245,7 +245,7 @@ fn a_log_is_drawn_with_what_is_asked_for() {
     let (status, _, err) = folder.run(&args);
     assert!(status == 3 && err.contains("--force"), "what is in it was said: {status} {err}");
     let (status, _, err) = folder.run(&["info", "rx.dat", "--mac", "02:00:00:00:00:77", "--plot", "q"]);
-    assert!(status == 3 && err.contains("no record that is wanted"), "{status} {err}");
+    assert!(status == 3 && err.contains("no matching record"), "{status} {err}");
     assert_eq!(folder.run(&["info", "rx.dat", "--from", "1"]).0, 2, "nothing is drawn");
 }
 

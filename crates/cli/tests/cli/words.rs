@@ -283,10 +283,10 @@ fn numbers_that_come_twice_are_said_where_they_are_many() {
         folder.write("rx.dat", &made.rx.iter().enumerate().flat_map(twice).collect::<Vec<u8>>());
         folder.bearing(&["-v"]).1
     };
-    let words = "100 frames of the receiver's log have the number of one before";
+    let words = "100 frames of the receiver's log repeat an earlier number";
     assert!(said(4).contains(words), "{}", said(4));
     assert!(folder.bearing(&[]).1.contains(words), "without -v, too");
-    assert!(!said(20).contains("number of one before") && said(20).contains("20 duplicates"), "{}", said(20));
+    assert!(!said(20).contains("repeat an earlier number") && said(20).contains("20 duplicates"), "{}", said(20));
 }
 
 #[test]

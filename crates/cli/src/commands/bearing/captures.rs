@@ -273,6 +273,10 @@ fn conclusion(text: &mut String, row: &Judged) {
 fn truth(text: &mut String, head: &str, row: &Judged) {
     if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
         let _ = write!(text, "{head} {} deg: off by {}", fixed(truth, 2), fixed(error, 2));
+        if let Some(mirror) = row.answer.mirror_deg {
+            let off = (mirror - truth + 180.0).rem_euclid(360.0) - 180.0;
+            let _ = write!(text, ", its mirror by {}", fixed(off, 2));
+        }
         // No truth has heights.
         if let Some(range) = row.true_range_m {
             let _ = write!(text, "; horizontally {range:.2} m");

@@ -92,7 +92,11 @@ pub fn run(args: &Args) -> Result {
         if args.json {
             print_json(&answer);
         } else {
-            print(&describe(&answer, "", &pairs::records(&answer)));
+            let constants = answer.chain_constants_deg.iter();
+            let constants =
+                constants.map(|[deg, sd]| format!("  constant between the chains: {deg:.2} +- {sd:.2} deg\n"));
+            let details = pairs::records(&answer) + &constants.collect::<String>();
+            print(&describe(&answer, "", &details));
         }
         if let Some(error) = &answer.error {
             wrong!("{}: {error}", answer.link);
@@ -100,7 +104,10 @@ pub fn run(args: &Args) -> Result {
         artefacts(args, &name, link, report.links.len())?;
     }
     if report.links.is_empty() {
-        wrong!("{}: no record has the CSI of all antennas that were named (--antennas)", rx.display());
+        wrong!(
+            "{}: no record has the CSI of all antennas that were named (--antennas); `csi5300 info` shows how many chains it has",
+            rx.display()
+        );
     }
     lost |= answered < report.links.len();
     Ok(match answered {

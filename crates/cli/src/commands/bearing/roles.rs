@@ -14,10 +14,16 @@ pub fn take(args: &mut Args) -> Result<(), String> {
             None => return refuse_named(args),
         },
         named if named.iter().all(|path| path.is_file()) => named.to_vec(),
-        _ => return refuse_named(args),
+        named => {
+            let missing = named.iter().find(|path| !path.exists() && path.extension().is_some());
+            return match missing.filter(|_| named.iter().any(|path| path.is_file())) {
+                Some(path) => Err(format!("{}: no such file", path.display())),
+                None => refuse_named(args),
+            };
+        }
     };
     if args.logs.rx.is_some() || !args.logs.tx.is_empty() {
-        usage("name the logs either with --rx and --tx, or without both");
+        usage("name the logs and the trajectory either all by --rx, --tx and --trajectory, or all without");
     }
     let is_named_one_by_one = args.captures.iter().all(|path| path.is_file());
     let Sorted { logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());

@@ -12,6 +12,8 @@ const ALIKE: f64 = 0.1;
 const GOOD: f64 = 0.8;
 /// The same of a fair one; below it an answer is poor.
 const FAIR: f64 = 0.5;
+/// An answer without a probability that is wider than this, degrees, is poor: nearly half a turn holds 68 %.
+const WIDE_DEG: f64 = 60.0;
 /// If one wave explains a smaller share of the phases than this, the path may be wrong.
 const LITTLE: f64 = 0.3;
 
@@ -69,7 +71,16 @@ fn sure(answer: &Answer) -> Option<f64> {
 }
 
 fn verdict(answer: &Answer) -> String {
-    let Some(sure) = sure(answer) else { return String::new() };
+    let Some(sure) = sure(answer) else {
+        let is_wide = answer.azimuth_sd_deg.is_some_and(|sd| sd > WIDE_DEG);
+        let poor = || {
+            format!(
+                "  {}: no direction stands out. Check the antennas, the baseline and the trajectory's clock, or turn further\n",
+                toned("POOR", Tone::Bad)
+            )
+        };
+        return is_wide.then(poor).unwrap_or_default();
+    };
     let word = match sure {
         _ if sure >= GOOD => toned("GOOD", Tone::Good),
         _ if sure >= FAIR => toned("FAIR", Tone::Doubt),

@@ -154,8 +154,13 @@ fn evidence(args: &Args) -> std::result::Result<Option<Judged>, String> {
         [] => live::listen(args, &Desk::default()),
         [only] if toml(only) && only.exists() => {
             let text = std::fs::read_to_string(only).map_err(|error| format!("{}: {error}", only.display()))?;
-            if let Ok(scene) = Scene::parse(&text) {
-                return room(&scene).map(Some);
+            match Scene::parse(&text) {
+                Ok(scene) => return room(&scene).map(Some),
+                // A desk has no robots.
+                Err(error) if text.lines().any(|line| line.trim_start().starts_with("[[robot]]")) => {
+                    return Err(error.of_file(only));
+                }
+                Err(_) => {}
             }
             reads(only);
             let mut desk: Desk = toml::from_str(&text).map_err(|error| format!("{}: {error}", only.display()))?;

@@ -150,7 +150,7 @@ mod tests {
             let path = folder.join("other");
             std::fs::write(&path, other).unwrap();
             let said = PosesFile::open(&path, &[]).err().unwrap();
-            assert!(said.contains("holds something else"), "{said}");
+            assert!(said.contains("holds something other than whole rows"), "{said}");
             assert_eq!(std::fs::read(&path).unwrap(), other);
         }
         assert!(PosesFile::open(&folder, &[]).is_err(), "a folder");

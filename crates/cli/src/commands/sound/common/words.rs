@@ -124,7 +124,7 @@ mod tests {
     fn what_is_waited_for_is_said() {
         let peers = ["00:21:6a:00:00:02".parse().unwrap(), "00:21:6a:00:00:03".parse().unwrap()];
         let soon = waiting(&peers, Some(Span::from_ms(150)));
-        assert_eq!(soon, "first frame at once; then answers of 00:21:6a:00:00:02, 00:21:6a:00:00:03 are waited for");
+        assert_eq!(soon, "first frame at once; then waiting for answers of 00:21:6a:00:00:02, 00:21:6a:00:00:03");
         assert!(waiting(&peers, Some(Span::from_ms(6_400))).contains("in 6.4 s, if no other robot"));
     }
 
