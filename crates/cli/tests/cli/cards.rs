@@ -147,11 +147,13 @@ fn the_constant_of_a_turn_gives_a_robot_that_stands_a_bearing() {
 }
 
 /// The same with a second antenna on the robot that drives.
+#[cfg(any(feature = "plot", feature = "view"))]
 fn two_antennas() -> String {
     PAIR.replace("name = \"rx\"\n", "name = \"rx\"\nantenna_b_m = [0.03, 0.0, 0.0]\n")
 }
 
 /// Logs of every format, with what the pictures of each have to say: subcarriers at the edges, letters of its antennas.
+#[cfg(any(feature = "plot", feature = "view"))]
 const LOGS: [(&str, &str, [i64; 2], &str); 10] = [
     ("atheros/ath_csi_1.dat", "Atheros CSI tool", [-28, 28], "ABC"),
     ("esp32/example_csi.csv", "ESP32 CSV", [0, 0], "A"),
