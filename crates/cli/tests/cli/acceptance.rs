@@ -183,6 +183,7 @@ fn what_cannot_be_judged_is_refused() {
     folder.write("desk.toml", b"near = \"no.dat\"\nchannel = \"108\"\n");
     folder.write("typo.toml", b"neer = \"no.dat\"\n");
     folder.write("both.toml", b"channel = \"108\"\nassist = \"127.0.0.1:0\"\nsend = true\n");
+    folder.write("nocard.toml", b"channel = \"108\"\nassist = \"127.0.0.1:0\"\ninterface = \"nowhere0\"\n");
     folder.write("blind.toml", b"channel = \"108\"\nsend = true\n");
     folder.write("wrong.toml", b"channel = \"108\"\nunplug = [\"D\"]\n");
     folder.write("alone.toml", b"channel = \"108\"\npeer = \"127.0.0.1:1\"\n");
@@ -191,6 +192,7 @@ fn what_cannot_be_judged_is_refused() {
         (&["doctor", "--accept", "desk.toml"], "no.dat"),
         (&["doctor", "--accept", "typo.toml"], "neer"),
         (&["doctor", "--accept", "both.toml"], "for the second robot"),
+        (&["doctor", "--accept", "nocard.toml"], "there is no interface nowhere0"),
         (&["doctor", "--accept", "blind.toml"], "interface = \"mon0\""),
         (&["doctor", "--accept", "wrong.toml"], "\"D\""),
         (&["doctor", "--accept", "alone.toml"], "cannot reach the second robot"),
