@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, HashMap};
 pub(crate) struct Pairs {
     /// Frames that each card heard of the other, each number once.
     pub frames: [usize; 2],
-    /// Frames have no numbers, and the clocks do not tell which belong together.
+    /// Why frames without numbers could not be paired by the cards' clocks.
     pub refused: Option<Refusal>,
     /// The near robot sounds others too, so that not all that the far card heard of it was meant for the far robot.
     pub among_others: bool,

@@ -606,8 +606,10 @@ impl LogIndex {
 
     /// True if a row's CSI has a layout. A 5300's has one only.
     fn is_of_layout(&self, row: usize, layout: u16) -> bool {
-        matches!(&self.source, Source::Csitool(_))
-            || matches!(&self.source, Source::Card(card) if card.layout_of.get(row) == Some(&layout))
+        match &self.source {
+            Source::Csitool(_) => true,
+            Source::Card(card) => card.layout_of.get(row) == Some(&layout),
+        }
     }
 
     /// Indices of the reported subcarriers about the centre, of most frames; none where a 5300's frames of both widths are in

@@ -37,7 +37,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A log without an intact CSI record.
-    #[error("{}: no intact CSI record in it (`csi5300 info` says what is)", path.display())]
+    #[error("{}: no intact CSI record in it (`csi5300 info` lists its content)", path.display())]
     NoRecord {
         /// The log.
         path: PathBuf,

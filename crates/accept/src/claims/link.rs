@@ -10,25 +10,27 @@ use csi5300::source::replay::Replay;
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
-/// The pairs, where there are enough of them.
-pub(super) fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
+/// The pairs of two logs that belong together.
+fn of_two_cards(evidence: &Evidence) -> Result<&Pairs, Told> {
     match &evidence.pairs {
         None => Err(Told::needs(Needs::TwoCards)),
         Some(Pairs { refused: Some(why), .. }) => Err(Told::not_tried(why.to_string())),
-        Some(pairs) if pairs.len() < super::LEAST => Err(Told::not_tried(format!(
-            "{} exchanges have both frames; at least {} are needed",
-            pairs.len(),
-            super::LEAST
-        ))),
         Some(pairs) => Ok(pairs),
     }
 }
 
+/// The same, if there are enough of them.
+pub(super) fn paired(evidence: &Evidence) -> Result<&Pairs, Told> {
+    let pairs = of_two_cards(evidence)?;
+    let few = || format!("{} exchanges have both frames; at least {} are needed", pairs.len(), super::LEAST);
+    if pairs.len() < super::LEAST { Err(Told::not_tried(few())) } else { Ok(pairs) }
+}
+
 pub(super) fn pairs(evidence: &Evidence) -> Told {
-    let Some(pairs) = &evidence.pairs else { return Told::needs(Needs::TwoCards) };
-    if let Some(why) = &pairs.refused {
-        return Told::not_tried(why.to_string());
-    }
+    let pairs = match of_two_cards(evidence) {
+        Ok(pairs) => pairs,
+        Err(why) => return why,
+    };
     // Of the card that heard more of the other: the other one's frames are missing.
     let (most, side) = if pairs.among_others || pairs.frames[0] >= pairs.frames[1] {
         (pairs.frames[0], "near")

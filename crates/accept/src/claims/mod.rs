@@ -373,7 +373,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "csitool: csi and rssi_a, rssi_b, rssi_c of one record; both are measured behind the same gain",
         causes: &[
             "the coefficients are noise, if reception.snr fails: repair that first",
-            "two antennas are exchanged in `antenna_sel` or in the RSSI fields, if the two differences have opposite signs; which field, only an unplugged antenna shows (`unplug`)",
+            "two antennas are exchanged in `antenna_sel` or in the RSSI fields, if the two differences have opposite signs; only unplugging an antenna shows which field is wrong (`unplug`)",
             "`antenna_sel` is constant while the order of the chains changes",
         ],
         next: "unplug antenna B, record 10 s, and look at `csi5300 info LOG.dat --plot DIR`: the named chain falls",
@@ -561,7 +561,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "71 WSR links: 0.61 to 0.90",
         causes: &[
             "one card's records are wrong, if one of its own claims fails (reception.fresh, reception.snr, card.clock): repair that first",
-            "the phase of one card jumps from frame to frame; two cards cannot tell which one: exchange one for a third",
+            "the phase of one card jumps from frame to frame; two cards cannot tell which one: replace one by a third",
             "the cards retune or restart between the two frames",
             "one log is conjugated",
             "the logs are of two runs",
@@ -662,7 +662,7 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::Sending,
         expected: "at most 1 % sent more than once",
         source: "the count of retries in the driver's report (radiotap field 17)",
-        causes: &["the driver waits for acknowledgements: the frames lack the flag against it"],
+        causes: &["the driver waits for acknowledgements: the frames lack the no-acknowledgement flag"],
         next: "on the robot that sends: `csi5300 doctor`, then firmware-notes/injection.md",
         check: Check::Link(injection::once),
     },

@@ -106,17 +106,19 @@ fn chain_power(record: &HeardRecord, chain: usize) -> f64 {
 /// Chains with less than this are quantisation and crosstalk, steps squared.
 const LEAST_POWER: f64 = 36.0;
 
+/// Power of the chain that the record names after an antenna, and the antenna's RSSI, dB; none for a weak chain or without RSSI.
+fn levels_db(record: &HeardRecord, antenna: Antenna) -> Option<(f64, f64)> {
+    let chain = antennas(record)?.chain_of(antenna)?;
+    let rssi = record.head.rssi.get(antenna.index()).copied().filter(|rssi| *rssi > 0)?;
+    let power = chain_power(record, chain);
+    (power >= LEAST_POWER).then(|| (10.0 * power.log10(), f64::from(rssi)))
+}
+
 /// The largest disagreement between two chains, dB: the difference of their powers less the difference of the RSSI of the antennas that the
 /// record names for them. Names that change places double a difference. `None` where no two chains are strong, or where no two of the RSSI are
 /// 3 dB apart. In three WSR logs the median is 1.6 to 2.1 dB between a strong and a weak chain.
 fn disagreement_db(record: &HeardRecord) -> Option<f64> {
-    let antennas = antennas(record)?;
-    let strong = |(chain, antenna): (usize, &Antenna)| {
-        let rssi = record.head.rssi.get(antenna.index()).copied().filter(|rssi| *rssi > 0)?;
-        let power = chain_power(record, chain);
-        (power >= LEAST_POWER).then(|| (10.0 * power.log10(), f64::from(rssi)))
-    };
-    let chains: Vec<(f64, f64)> = antennas.as_slice().iter().enumerate().filter_map(strong).collect();
+    let chains: Vec<(f64, f64)> = Antenna::ALL.into_iter().filter_map(|antenna| levels_db(record, antenna)).collect();
     let pairs = || chains.iter().enumerate().flat_map(|(k, a)| chains.iter().skip(k + 1).map(move |b| (a, b)));
     if !pairs().any(|(a, b)| (a.1 - b.1).abs() >= 3.0) {
         return None;
@@ -142,16 +144,11 @@ pub(super) fn antenna_names(heard: &Heard, _: &Evidence) -> Told {
     Told { found: told.found.clone() + &power_and_rssi(heard), ..told }
 }
 
-/// By how much each antenna is above A, by the power of the chain that is named after it and by its RSSI: `; B less A: 4 dB by power, -4 by RSSI`.
+/// The median level of B and C above A, by the named chain's power and by RSSI: `; B less A: 4 dB by power, -4 dB by RSSI`.
 fn power_and_rssi(heard: &Heard) -> String {
-    let of = |record: &HeardRecord, antenna: Antenna| {
-        let chain = antennas(record)?.chain_of(antenna)?;
-        let rssi = record.head.rssi.get(antenna.index()).copied().filter(|rssi| *rssi > 0)?;
-        let power = chain_power(record, chain);
-        (power >= LEAST_POWER).then(|| (10.0 * power.log10(), f64::from(rssi)))
-    };
     let above_a = |antenna: Antenna| {
-        let both = heard.records.iter().filter_map(|record| of(record, antenna).zip(of(record, Antenna::A)));
+        let both = |record| levels_db(record, antenna).zip(levels_db(record, Antenna::A));
+        let both = heard.records.iter().filter_map(both);
         let (power, rssi): (Vec<f64>, Vec<f64>) = both.map(|(own, a)| (own.0 - a.0, own.1 - a.1)).unzip();
         let (power, rssi) = quantile(&power, 0.5).zip(quantile(&rssi, 0.5))?;
         Some(format!("; {antenna} less A: {power:.0} dB by power, {rssi:.0} dB by RSSI"))
@@ -288,8 +285,12 @@ pub(super) fn gain(heard: &Heard, _: &Evidence) -> Told {
         record.head.agc == 0 || !total_rss_dbm(record).is_some_and(|dbm| (-95.0..=-10.0).contains(&dbm))
     };
     let powers: Vec<f64> = heard.records.iter().filter_map(total_rss_dbm).collect();
-    let told = share(heard, 0.01, "records state a power that air cannot carry, or no gain", is_bad);
-    match quantile(&powers, 0.5) {
+    with_median_dbm(share(heard, 0.01, "records state a power that air cannot carry, or no gain", is_bad), &powers)
+}
+
+/// A verdict with the median of what it was about.
+fn with_median_dbm(told: Told, dbm: &[f64]) -> Told {
+    match quantile(dbm, 0.5) {
         Some(median) => {
             Told { found: format!("{}; median {median:.0} dBm", told.found), ..told }.with("median", median, "dBm")
         }
@@ -302,12 +303,7 @@ pub(super) fn noise(heard: &Heard, _: &Evidence) -> Told {
         record.head.noise_dbm != NOISE_UNKNOWN_DBM && !(-105..=-60).contains(&record.head.noise_dbm)
     });
     let floors: Vec<f64> = heard.records.iter().map(|record| f64::from(record.head.noise_dbm)).collect();
-    match quantile(&floors, 0.5) {
-        Some(median) => {
-            Told { found: format!("{}; median {median:.0} dBm", told.found), ..told }.with("median", median, "dBm")
-        }
-        None => told,
-    }
+    with_median_dbm(told, &floors)
 }
 
 /// SNR of a record's strongest chain, dB: third differences over equally spaced subcarriers leave 20 times the noise of one.

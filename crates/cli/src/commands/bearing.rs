@@ -346,6 +346,12 @@ fn link_name(inputs: &Inputs, path: &Path) -> String {
     }
 }
 
+/// True if frames of 80 or 160 MHz are taken about their centre, and the channel was given by a number, which is that of 20 MHz.
+fn lacks_centre(report: &LogReport, channel: Option<Channel>) -> bool {
+    let is_wide = report.survey.rates.keys().any(|rate| rate & csi5300::source::other_card::WIDE != 0);
+    is_wide && channel.is_none_or(|channel| !channel.to_string().ends_with("MHz"))
+}
+
 fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs: &[Log]) {
     let log = |path: &Path, report: &LogReport, bytes: u64| {
         let lines = info::losses(&report.survey, bytes);
@@ -369,9 +375,7 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
                 unused.no_number, unused.no_antenna, unused.other_sender
             );
         }
-        let is_wide = report.survey.rates.keys().any(|rate| rate & csi5300::source::other_card::WIDE != 0);
-        let channel = args.channel.map(|channel| channel.to_string()).unwrap_or_default();
-        if is_wide && !channel.ends_with("MHz") {
+        if lacks_centre(report, args.channel) {
             let _ = writeln!(
                 text,
                 "  frames of 80 or 160 MHz are taken about their centre: name the channel by that, for example --channel 5530MHz"

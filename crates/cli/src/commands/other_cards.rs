@@ -16,7 +16,7 @@ pub struct Row {
     /// The kind of log, in words.
     format: &'static str,
     senders: BTreeMap<String, u64>,
-    /// Those that were drawn.
+    /// The pictures drawn.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub pictures: Vec<PathBuf>,
     #[serde(flatten)]

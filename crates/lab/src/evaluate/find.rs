@@ -58,6 +58,15 @@ impl std::fmt::Display for TrajectorySource {
     }
 }
 
+/// The receiver's files of a capture whose names say nothing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Loose {
+    /// Its log.
+    pub log: PathBuf,
+    /// Its trajectory.
+    pub trajectory: PathBuf,
+}
+
 /// One run: the logs and trajectories of one time stamp.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Capture {
@@ -68,7 +77,7 @@ pub struct Capture {
     /// The folder.
     pub folder: PathBuf,
     /// The receiver's log and trajectory, where their names are others than the usual ones.
-    pub loose: Option<Box<[PathBuf; 2]>>,
+    pub loose: Option<Box<Loose>>,
     /// Transmitters: name (`tx2`) and log.
     pub transmitters: Vec<(String, PathBuf)>,
     /// Where the receiver's antenna is on its robot, seen from what the tracking camera's or the wheels' trajectory is of:
@@ -108,7 +117,7 @@ impl Capture {
     /// \[paper\] (docs/reference/references.md) gives it.
     pub(super) fn trajectory_of(&self, source: TrajectorySource, robot: &str) -> PathBuf {
         if let (Some(loose), "rx") = (&self.loose, robot) {
-            return loose[1].clone();
+            return loose.trajectory.clone();
         }
         let usual = self.folder.join(format!("{}{robot}_trajectory_{}_.csv", source.prefix(), self.stamp));
         let paper = self.folder.join(format!("{robot}_movement_{}.csv", self.stamp));
@@ -127,7 +136,7 @@ impl Capture {
     #[must_use]
     pub fn receiver_log(&self) -> PathBuf {
         if let Some(loose) = &self.loose {
-            return loose[0].clone();
+            return loose.log.clone();
         }
         self.folder.join(format!("csi_rx_{}.dat", self.stamp))
     }
@@ -152,7 +161,7 @@ pub fn find_all(root: &Path) -> (Vec<Capture>, Vec<String>) {
 }
 
 fn loose(root: &Path) -> Option<Capture> {
-    let Sorted { logs, trajectories, .. } = Sorted::new(roles::loose_files(root)?, None);
+    let Sorted { logs, trajectories, .. } = Sorted::new(roles::files_with_logs(root)?, None);
     let trajectory = roles::the_trajectory(&trajectories).ok()?;
     let receiver = roles::receiver(&logs, &trajectory, true).ok()?;
     let name = |log: &PathBuf| log.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
@@ -161,7 +170,7 @@ fn loose(root: &Path) -> Option<Capture> {
         place: String::new(),
         stamp: String::new(),
         folder: root.into(),
-        loose: Some(Box::new([receiver, trajectory])),
+        loose: Some(Box::new(Loose { log: receiver, trajectory })),
         transmitters,
         antenna_offset_m: None,
         camera: None,

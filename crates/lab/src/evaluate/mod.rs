@@ -24,7 +24,7 @@ pub mod transmitters;
 mod truth;
 
 pub use errors::{ALL_SETS, Errors, SetSummary, summarise};
-pub use find::{Capture, TRUTH_FILE, TrajectorySource, find, find_all};
+pub use find::{Capture, Loose, TRUTH_FILE, TrajectorySource, find, find_all};
 pub use judge::{Evaluated, Judged, Look};
 pub use part::Part;
 pub use shelf::Shelf;

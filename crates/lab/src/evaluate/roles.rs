@@ -9,13 +9,15 @@ use std::path::{Path, PathBuf};
 /// A folder with more files is no capture.
 const MOST: usize = 64;
 
-/// The files of a folder that is one capture whatever their names are; `None` where a capture in or below it has the usual names, or where there
-/// is no log.
+/// The files of a folder that is one capture whatever their names are; `None` if a capture in or below it has the usual names, or if there is no
+/// log.
 #[must_use]
 pub fn loose_files(folder: &Path) -> Option<Vec<PathBuf>> {
-    if !find::named(folder).0.is_empty() {
-        return None;
-    }
+    find::named(folder).0.is_empty().then(|| files_with_logs(folder)).flatten()
+}
+
+/// The files of a folder; `None` if none is a log, or if there are too many.
+pub(super) fn files_with_logs(folder: &Path) -> Option<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
     let mut files: Vec<PathBuf> = entries.filter(|path| path.is_file()).take(MOST + 1).collect();
     if files.len() > MOST {

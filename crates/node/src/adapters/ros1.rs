@@ -76,6 +76,8 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         node,
         reads,
         writes,
+        csi: 0,
+        diagnostics: 0,
         peers: Vec::new(),
         commands,
         wall_us,
@@ -96,6 +98,9 @@ struct Ros1 {
     reads: Vec<(Inbox, Kind)>,
     /// Topics that are written, and their types.
     writes: Vec<(String, &'static str)>,
+    /// The places of CSI and of the diagnostics in `writes`.
+    csi: usize,
+    diagnostics: usize,
     peers: Vec<(String, String)>,
     /// Bridges that are tried, one after the other.
     commands: Vec<Vec<String>>,
@@ -149,9 +154,11 @@ impl Adapter for Ros1 {
             }
         }
         if self.publishes && self.settings.publish_csi {
+            self.csi = self.writes.len();
             self.writes.push((format!("{}/csi", self.node), "csi5300_msgs/Csi"));
         }
         if self.publishes {
+            self.diagnostics = self.writes.len();
             self.writes.push(("/diagnostics".into(), "diagnostic_msgs/DiagnosticArray"));
             self.claims = Some(Claims::new(&self.config, robot));
         }
@@ -166,13 +173,15 @@ impl Adapter for Ros1 {
     }
 
     fn attach(&mut self, machine: &mut Machine) -> Result<(), Error> {
-        // Before the diagnostics.
-        let csi = self.writes.len().saturating_sub(2);
         if let Some(claims) = &self.claims {
             claims.attach(machine, true);
         }
         if let Some(bridge) = self.bridge.as_ref().filter(|_| self.publishes && self.settings.publish_csi) {
-            machine.add_tap(Box::new(Card { outbox: bridge.outbox.clone(), topic: csi, survey: Survey::default() }));
+            machine.add_tap(Box::new(Card {
+                outbox: bridge.outbox.clone(),
+                topic: self.csi,
+                survey: Survey::default(),
+            }));
         }
         Ok(())
     }
@@ -203,7 +212,7 @@ impl Adapter for Ros1 {
     fn tell(&mut self, health: &Health, _: &Machine) {
         let (Some(bridge), Some(claims)) = (&self.bridge, &self.claims) else { return };
         let header = Header { stamp: Time::from_us((self.wall_us)().unwrap_or(0)), frame_id: String::new() };
-        bridge.outbox.put(self.writes.len() - 1, &claims.diagnostics(header, health));
+        bridge.outbox.put(self.diagnostics, &claims.diagnostics(header, health));
     }
 }
 
@@ -360,7 +369,7 @@ fn answer_calls(called: &Receiver<u64>, answer: &Answer, lines: &SyncSender<(usi
     }
 }
 
-/// Where goes what a bridge says.
+/// Where the lines of a bridge go.
 struct Hearing {
     inboxes: Vec<Inbox>,
     calls: SyncSender<u64>,

@@ -53,6 +53,12 @@ fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
     if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
 }
 
+/// The constants that the turn gave, a line each.
+fn constants(answer: &Answer) -> String {
+    let line = |[deg, sd]: &[f64; 2]| format!("  constant between the chains: {deg:.2} +- {sd:.2} deg\n");
+    answer.chain_constants_deg.iter().map(line).collect()
+}
+
 /// Estimates and prints the bearings.
 pub fn run(args: &Args) -> Result {
     let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
@@ -92,11 +98,7 @@ pub fn run(args: &Args) -> Result {
         if args.json {
             print_json(&answer);
         } else {
-            let constants = answer.chain_constants_deg.iter();
-            let constants =
-                constants.map(|[deg, sd]| format!("  constant between the chains: {deg:.2} +- {sd:.2} deg\n"));
-            let details = pairs::records(&answer) + &constants.collect::<String>();
-            print(&describe(&answer, "", &details));
+            print(&describe(&answer, "", &(pairs::records(&answer) + &constants(&answer))));
         }
         if let Some(error) = &answer.error {
             wrong!("{}: {error}", answer.link);

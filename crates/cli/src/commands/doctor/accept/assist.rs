@@ -96,12 +96,15 @@ impl Helper {
     }
 }
 
+/// Refuses a name that no interface has.
+fn must_be_there(interface: &str) -> Words<()> {
+    let is_there = std::path::Path::new("/sys/class/net").join(interface).exists();
+    if is_there { Ok(()) } else { Err(format!("there is no interface {interface}: `ip link` lists them")) }
+}
+
 /// Waits for the first robot and assists it.
 pub(super) fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
-    let is_there = |name: &String| std::path::Path::new("/sys/class/net").join(name).exists();
-    if let Some(name) = desk.interface.as_ref().filter(|name| !is_there(name)) {
-        return Err(format!("there is no interface {name}: `ip link` lists them"));
-    }
+    desk.interface.as_deref().map_or(Ok(()), must_be_there)?;
     let signals = Signals::catch().map_err(|error| error.to_string())?;
     let failed = |error: std::io::Error| format!("cannot wait at {address}: {error}");
     let waiting = TcpListener::bind(address).map_err(failed)?;
