@@ -48,6 +48,16 @@ impl Running {
         kill(Pid::from_raw(self.child.id() as i32), signal).unwrap();
     }
 
+    /// Stops it, and waits until it stands: the signal alone does not wait for a busy processor.
+    fn stop(&self) {
+        self.signal(Signal::SIGSTOP);
+        let stat = format!("/proc/{}/stat", self.child.id());
+        let state = || std::fs::read_to_string(&stat).unwrap().rsplit_once(") ").unwrap().1.chars().next();
+        while state() != Some('T') {
+            std::thread::yield_now();
+        }
+    }
+
     /// Waits until the log has at least this many bytes.
     fn wait_for_bytes(out: &Path, bytes: u64) {
         while std::fs::metadata(out).map_or(0, |about| about.len()) < bytes {
@@ -62,6 +72,11 @@ impl Running {
         self.stderr.read_to_string(&mut said).unwrap();
         (self.child.wait().unwrap().code(), said)
     }
+}
+
+/// The `bfee_count`s in a log that is being written.
+fn read_so_far(log: &Path) -> Vec<u16> {
+    if std::fs::metadata(log).unwrap().len() == 0 { Vec::new() } else { read(log).0 }
 }
 
 /// The `bfee_count`s in a log, how it ends, and how many records have a host time.
@@ -215,12 +230,12 @@ fn a_stopped_recorder_reports_what_it_missed() {
     let out = folder.join("out.dat");
     let running = Running::start(&out, &["--receive-buffer", "64k"]);
     let mut sender = Sender::open(CN_IDX, true).unwrap();
-    running.signal(Signal::SIGSTOP);
+    running.stop();
     send(&mut sender, 0..5_000);
     running.signal(Signal::SIGCONT);
     // It has recovered when something sent later arrives.
     let mut next = 5_000_u16;
-    while std::fs::metadata(&out).unwrap().len() == 0 {
+    while read_so_far(&out).last().is_none_or(|&count| count < 5_000) {
         send(&mut sender, next..next + 1);
         next += 1;
         std::thread::yield_now();
