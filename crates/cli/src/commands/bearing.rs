@@ -271,8 +271,13 @@ fn accuracy(text: &str) -> std::result::Result<f64, String> {
 }
 
 impl Args {
-    /// Options with the effort that the accuracy needs.
-    fn at_effort(&self, mut options: Options) -> Options {
+    /// Options with the effort that the accuracy needs, and with what is drawn or printed beside the bearing.
+    fn asked(&self, options: Options) -> Options {
+        let mut options = options.with_range_change(self.json);
+        #[cfg(feature = "plot")]
+        {
+            options = options.with_keep_course(self.plot.is_some());
+        }
         let effort = match self.accuracy {
             None => return options,
             Some(0.0) => Effort::Everything,
@@ -284,10 +289,8 @@ impl Args {
 }
 
 fn options(args: &Args) -> std::result::Result<Options, String> {
-    let options = args.at_effort(args.estimation.options(args.channel.ok_or("--channel is needed")?)?);
-    #[cfg(feature = "plot")]
-    let options = options.with_keep_course(args.plot.is_some());
-    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()).with_range_change(args.json))
+    let options = args.asked(args.estimation.options(args.channel.ok_or("--channel is needed")?)?);
+    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.

@@ -105,8 +105,8 @@ fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
 /// Shows the links of captures, and locates their receivers where several links see known places.
 pub fn run(args: &Args) -> Result {
     let reading = args.reading();
-    let options = reading.options().unwrap_or_else(|message| usage(&message)).with_keep_course(args.plot.is_some());
-    let options = args.at_effort(options.with_range_change(args.json));
+    let options = reading.options().unwrap_or_else(|message| usage(&message));
+    let options = args.asked(options);
     let (captures, names, mut lost) = args.find(&reading)?;
     if args.together.transmitters {
         return transmitters::run(&args.together, &reading, (captures, lost), &args.place, args.json);
