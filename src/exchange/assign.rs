@@ -99,13 +99,13 @@ pub struct Match {
 pub enum Unmatched {
     /// No MAC has enough frame numbers in common with the log.
     #[error(
-        "no transmitter in the receiver's log shares {} frame numbers with it: are the two logs of one run?",
+        "no transmitter in the receiver's log shares {} frame numbers with it: are the two logs of the same run?",
         MIN_COMMON
     )]
     NothingInCommon,
     /// Two MACs go with it about equally well.
     #[error(
-        "two transmitters match it about equally well ({spread_us:.1} us against {next_us:.1} us; logs of one run have some tens): if they are of one run, name its MAC"
+        "two transmitters match it about equally well ({spread_us:.1} us against {next_us:.1} us; logs of one run differ by some tens): if they are of the same run, name its MAC"
     )]
     Unclear {
         /// Spread of the best, microseconds.
@@ -130,7 +130,7 @@ pub enum Unmatched {
     },
     /// Another log goes better with the same MAC.
     #[error(
-        "its best match belongs to another log, which matches better ({other_us:.1} us against {spread_us:.1} us): are the logs of one run? Then name its MAC"
+        "its best match belongs to another log, which matches better ({other_us:.1} us against {spread_us:.1} us): if the logs are of the same run, name its MAC"
     )]
     Taken {
         /// Spread of this log, microseconds.

@@ -9,7 +9,7 @@ use crate::exchange::assign::Unmatched;
 pub enum LinkError {
     /// No frame of this transmitter is in both logs.
     #[error(
-        "no frame number of this link is in both logs ({receiver} records in the receiver's, {transmitter} in the transmitter's): are they of one run?"
+        "no frame number of this link is in both logs ({receiver} records in the receiver's, {transmitter} in the transmitter's): are they of the same run?"
     )]
     NoPairs {
         /// Frames in the receiver's log.
@@ -103,7 +103,7 @@ pub enum LinkError {
         pairs: usize,
     },
     /// Of a bearing from one log: a sender that was asked for is not in it.
-    #[error("no record of this sender has the CSI of all antennas that were named")]
+    #[error("no record of this sender has the CSI of all named antennas")]
     Unheard,
     /// Of a bearing from one log: the robot did not turn.
     #[error(

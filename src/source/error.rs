@@ -22,7 +22,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A file would be overwritten.
-    #[error("{} is there already", .path.display())]
+    #[error("{} already exists", .path.display())]
     Exists {
         /// The file.
         path: PathBuf,

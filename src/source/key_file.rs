@@ -117,7 +117,7 @@ fn refused_mode(_: &std::fs::Metadata) -> Option<u32> {
     None
 }
 
-/// Writes a new file that only its owner can read. One that is there already is left alone.
+/// Writes a new file that only its owner can read. One that already exists is left alone.
 ///
 /// # Errors
 /// If it is there, or cannot be written.

@@ -42,7 +42,7 @@ pub struct Checks {
     pub wrong: u64,
     /// Records that were written and are not in the log, or not as they were.
     pub missing: u64,
-    /// The side file knows none of the log's first records: it is of another log, or all of these were changed. It says nothing.
+    /// The side file knows none of the log's first records: it is of another log, or all were changed. It says nothing.
     pub out_of_step: bool,
 }
 

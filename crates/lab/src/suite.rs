@@ -211,7 +211,7 @@ pub struct Standing {
     pub spread_one_way_rad: f64,
     /// The same of both directions multiplied.
     pub spread_rad: f64,
-    /// The same with the turn-around taken out.
+    /// The same with the turn-around removed.
     pub spread_compensated_rad: f64,
 }
 

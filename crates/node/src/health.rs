@@ -129,12 +129,12 @@ impl Alarms {
         if self.crowd.is_on(forgotten, now) {
             words.push(format!(
                 "more than {SENDERS_KEPT} senders on this channel ({forgotten} were forgotten): a busy channel, or frames \
-                 with made-up addresses; peers are heard all the same"
+                 with made-up addresses; peers are still heard"
             ));
         }
         if self.unauthenticated.is_on(unauthenticated, now) {
             words.push(format!(
-                "{unauthenticated} frames with numbers of the exchange and without its key were measured and left out"
+                "{unauthenticated} frames with numbers of the exchange and without its key were measured and skipped"
             ));
         }
         self.contested.resize(machine.estimator.peers().count(), Alarm::default());

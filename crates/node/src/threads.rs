@@ -99,7 +99,7 @@ fn listen<S: CsiSource + AsFd>(mut card: S, give: &SyncSender<Item>, tell: &Unix
             return Ok(());
         }
         if untold > 0 && (pending || untold >= TELL) {
-            // No room in the pipe means that a notification is there already.
+            // No room in the pipe means that a notification already exists.
             let _ = (&*tell).write(&[0]);
             untold = 0;
         }

@@ -41,7 +41,7 @@ impl Scene {
             format!("is {}; channels are 1 to 14, 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177", self.channel)
         })?;
         ensure(self.reflections <= 4, "reflections", || {
-            format!("is {}; more than 4 would be more paths than sense", self.reflections)
+            format!("is {}; 4 is the most", self.reflections)
         })?;
         ensure(self.host_times_fit(&HostClock::default()), "start_unix_s", || {
             format!(

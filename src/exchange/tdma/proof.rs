@@ -125,7 +125,7 @@ pub(crate) mod tests {
             (frame, prover.note(&record(code::BFEE, &[])))
         };
         assert_eq!(of(&mut prover, &good), (Proof::Good, Proof::Good));
-        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Unknown, "its frame is not there");
+        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Unknown, "its frame is missing");
         assert_eq!(of(&mut prover, &wrong), (Proof::Wrong, Proof::Wrong));
         assert_eq!(of(&mut prover, &good[..3]), (Proof::Wrong, Proof::Wrong));
         // Another kind of record changes nothing; a loss may be of the record.

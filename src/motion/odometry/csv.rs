@@ -92,7 +92,7 @@ impl CsvCounts {
 }
 
 /// How a reading is chosen, in words.
-const CHOOSE: &str = "a line of headings above them says which, or `--columns` (`columns=` in Python)";
+const CHOOSE: &str = "name them in a line of headings, or by `--columns` (`columns=` in Python)";
 
 /// Why a file gave no trajectory.
 #[derive(Debug, thiserror::Error)]
@@ -109,7 +109,7 @@ pub enum CsvError {
     /// The first row is of no known kind.
     #[error(
         "line {line}: {found} columns without headings; a trajectory has 5 (time, 0, x, y, z), 6 (.., yaw), 8 (TUM: time, x, y, z, \
-         quaternion), 9 (time, 0, x, y, z, quaternion) or 15 (T265, wheel odometry). Of others {CHOOSE}, as t,x,y,yaw"
+         quaternion), 9 (time, 0, x, y, z, quaternion) or 15 (T265, wheel odometry). For others, {CHOOSE}: t,x,y,yaw"
     )]
     Columns {
         /// Line of the row.
@@ -192,8 +192,8 @@ pub enum RowError {
     /// The quaternion is no turn: its length is not 1.
     #[error("the length of the quaternion is not 1")]
     Quaternion,
-    /// It is no row of a CSV file.
-    #[error("no row of a CSV file")]
+    /// It is not a row of a CSV file.
+    #[error("not a row of a CSV file")]
     Unreadable,
 }
 

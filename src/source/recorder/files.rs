@@ -128,7 +128,7 @@ impl LogFiles {
     /// Creates the log and its side file; with a rotation, the first of a row (`name-0001.dat`).
     ///
     /// # Errors
-    /// If a file is there already and `force` is not set, is a pipe, is another recorder's, or cannot be written.
+    /// If a file already exists and `force` is not set, is a pipe, is another recorder's, or cannot be written.
     pub fn create(path: &Path, rotation: Rotation, force: bool) -> Result<Self, Error> {
         let number = u32::from(rotation.is_on());
         let (data, side) = open_pair(&Self::first(path, rotation), force)?;

@@ -83,7 +83,7 @@ pub(super) fn pace(evidence: &Evidence) -> Told {
     };
     let words: Vec<String> = paces.iter().map(word).collect();
     let told = Told::decided((hz / rate - 1.0).abs() <= 0.1, words.join(", "));
-    let told = told.with("worst", hz / rate, "of the rate asked for");
+    let told = told.with("worst", hz / rate, "of the requested rate");
     let Some(us) = air_us else { return told };
     let busiest = paces.iter().filter_map(|(_, hz)| share(*hz)).fold(0.0, f64::max);
     told.with("air time of a frame", us, "us").with("air used at the fastest", busiest, "%")

@@ -32,7 +32,7 @@ pub enum Needs {
     Module,
     /// Logs of the same desk at rest, one after each retune.
     Retunes,
-    /// Logs of the same desk at rest, one after the driver was loaded anew.
+    /// Logs of the same desk at rest, one after the driver was reloaded.
     Reload,
     /// A person who unplugs antennas.
     Unplugged,
@@ -52,7 +52,7 @@ impl Needs {
             Self::Module => "the kernel module csi5300 beside the stock driver",
             Self::Retunes => "robots that stand still (`at_rest`), and a log after each retune (`retuned`)",
             Self::Reload => {
-                "robots that stand still (`at_rest`), and a log after the driver was loaded anew (`reloaded`)"
+                "robots that stand still (`at_rest`), and a log after the driver was reloaded (`reloaded`)"
             }
             Self::Unplugged => "a person who unplugs antennas (`unplug`)",
         }
@@ -260,7 +260,7 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::OneCard,
         expected: "no step of more than 50 ms against the host's clock, never back",
         source: "host's clock of the same records; iwlwifi `timestamp_low` counts microseconds and wraps after 71.6 min",
-        causes: &["the driver was loaded anew", "the card was reset"],
+        causes: &["the driver was reloaded", "the card was reset"],
         next: "sudo dmesg | grep iwl",
         check: Check::Log(host::card_clock),
     },
@@ -333,12 +333,12 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "reception.width",
-        says: "Frames are as wide as the channel that was told.",
+        says: "Frames are as wide as the stated channel.",
         needs: Needs::OneCard,
         expected: "bit 11 of `fake_rate_n_flags` set on 40 MHz only",
         source: "iwlwifi RATE_MCS_HT40_MSK",
         causes: &[
-            "another channel width was told to this program, if both cards fail",
+            "the stated channel width is wrong, if both cards fail",
             "this card's record is wrong, if reception.subcarriers holds",
             "the sender is set to another width",
         ],
@@ -400,7 +400,7 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::OneCard,
         expected: "a line through the phase fits better than with another order",
         source: "802.11n table 7-25f (grouping of 2 at 20 MHz, 4 at 40 MHz)",
-        causes: &["the driver or a converter moved the subcarriers", "the width told is wrong"],
+        causes: &["the driver or a converter moved the subcarriers", "the stated width is wrong"],
         next: "`csi5300 info LOG.dat --plot DIR --antenna A --from 2 --to 3`, beside the other card's log: no row is at the wrong edge",
         check: Check::Log(reception::subcarriers),
     },
@@ -586,13 +586,13 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::TwoCards,
         expected: "carrier offset over clock drift is the carrier frequency, within 1.5 ppm",
         source: "802.11-2016 17.3.9.5: one reference for carrier and symbol clock",
-        causes: &["the channel told is of another band", "a card's clock is not the one its carrier comes from"],
+        causes: &["the stated channel is of another band", "a card's clock is not the one its carrier comes from"],
         next: "iw dev NAME info: the channel; then a recording of 60 s",
         check: Check::Pairs(link::crystal),
     },
     Claim {
         id: "phase.rest",
-        says: "At rest the compensated product's phase stands still.",
+        says: "At rest the compensated product's phase is constant.",
         needs: Needs::Rest,
         expected: "coherence within each second at least 0.7",
         source: "0.7 is a spread of 0.84 rad within a second",
@@ -618,11 +618,11 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "phase.reload",
-        says: "After the driver was loaded anew the phases between antennas and of the round trip are the same.",
+        says: "After the driver was reloaded the phases between antennas and of the round trip are the same.",
         needs: Needs::Reload,
         expected: "no step of more than 45 degrees",
         source: "half of pi/2, the smallest step of this card that is known (firmware-notes/csi-quirks.md)",
-        causes: &["the card calibrates its chains anew", "a robot was moved: 4 mm are 45 degrees of the round trip"],
+        causes: &["the card recalibrates its chains", "a robot was moved: 4 mm are 45 degrees of the round trip"],
         next: "begin a new log after each reload",
         check: Check::Link(person::reload),
     },
@@ -641,7 +641,7 @@ pub static CLAIMS: [Claim; 49] = [
         says: "The card may start to transmit on its channel.",
         needs: Needs::Sending,
         expected: "neither disabled nor no-IR nor radar detection",
-        source: "mac80211 drops injected frames on such channels without a word (firmware-notes/injection.md)",
+        source: "mac80211 drops injected frames on such channels silently (firmware-notes/injection.md)",
         causes: &["the regulatory domain is the world's (00)", "the channel needs radar detection"],
         next: "sudo iw reg set XX with your country's code, then set the channel; or another channel",
         check: Check::Link(injection::channel),
@@ -668,7 +668,7 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "injection.pace",
-        says: "Frames leave as often as they are asked for.",
+        says: "Frames leave at the requested rate.",
         needs: Needs::Sending,
         expected: "within 10 % at up to 200 frames a second, by the far card's clock",
         source: "the schedule of the frames that were sent",
@@ -682,7 +682,7 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "injection.heard",
-        says: "What is sent is heard.",
+        says: "The far card hears the frames that are sent.",
         needs: Needs::Sending,
         expected: "at most 10 % lost at up to 200 frames a second",
         source: "71 WSR links: 1.0 % of the answers lost at most",
@@ -696,7 +696,7 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "injection.numbers",
-        says: "The numbers that are heard are those that were sent.",
+        says: "The far card hears the numbers that were sent.",
         needs: Needs::Sending,
         expected: "no other number",
         source: "the frame's own bytes",
@@ -743,7 +743,7 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "module.order",
-        says: "The firmware tells the order of the antennas.",
+        says: "The firmware reports the order of the antennas.",
         needs: Needs::Module,
         expected: "`no_order` stays 0",
         source: "iwlwifi dvm/rx.c: REPLY_RX_PHY_CMD before each frame",
@@ -769,7 +769,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "the person's measurement of the direction",
         causes: &[
             "the antenna's place on the robot is missing or mirrored: --antenna-offset FORWARD,LEFT,UP",
-            "the channel told is wrong",
+            "the stated channel is wrong",
             "the direction was measured in another frame",
         ],
         next: "`csi5300 bearing FOLDER -v`",

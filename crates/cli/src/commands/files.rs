@@ -28,11 +28,20 @@ pub fn open_log(path: &Path) -> Words<Log> {
     if log.checks().is_some_and(|checks| checks.out_of_step) {
         let path = path.display();
         note!(
-            "{path}: the checksums beside it know none of its first records: they are of another log, or all of these were \
-             changed. Nothing of it is checked"
+            "{path}: the checksums beside it know none of its first records: they are of another log, or all were changed. No record is checked"
         );
     }
     Ok(log)
+}
+
+/// Refuses an empty file.
+pub fn must_not_be_empty(path: &Path) -> Words<()> {
+    match path.metadata() {
+        Ok(found) if found.is_file() && found.len() == 0 => {
+            Err(format!("{} is empty; for a log, `csi5300 doctor` finds the reason", path.display()))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Refuses a recognised file of another kind.
@@ -103,7 +112,7 @@ pub fn is_same_file(input: &Path, output: &Path) -> bool {
     }
 }
 
-/// Refuses an output that is there already, unless `--force` was given; that replaces files, and no pipes, which would wait for a
+/// Refuses an output that already exists, unless `--force` was given; that replaces files, and no pipes, which would wait for a
 /// reader.
 pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
     use std::os::unix::fs::FileTypeExt;
@@ -115,7 +124,7 @@ pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
         }
         // Devices and pipes hold nothing that could be lost.
         Ok(found) if !force && found.is_file() => {
-            Err(format!("{} is there already: --force overwrites it", output.display()))
+            Err(format!("{} already exists: --force overwrites it", output.display()))
         }
         _ => Ok(()),
     }

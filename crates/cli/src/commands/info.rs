@@ -234,7 +234,7 @@ pub fn check_words(checks: &Checks) -> String {
         }
     }
     if out_of_step {
-        text += "; it is of another log, or all of the first records were changed: nothing was checked";
+        text += "; it is of another log, or all of the first records were changed: no record was checked";
     }
     text
 }
@@ -280,7 +280,7 @@ fn describe(name: &str, read: &Read) -> String {
         let records = some(*silent, "record has", "records have");
         let _ = writeln!(
             text,
-            "  {records} CSI of nothing but zeros: the card was not measuring (load the driver anew; another card)"
+            "  {records} CSI of only zeros: the card was not measuring (reload the driver, or try another card)"
         );
     }
     for (code, count) in survey.by_code.iter().filter(|(code, _)| **code != code::BFEE) {
@@ -306,7 +306,7 @@ fn describe(name: &str, read: &Read) -> String {
     }
     for (count, [one, many], what) in [
         (survey.bfee_repeated, ["record", "records"], "with the bfee_count of the one before"),
-        (survey.bfee_restarted, ["step", "steps"], "back of bfee_count (the driver was loaded anew)"),
+        (survey.bfee_restarted, ["step", "steps"], "back of bfee_count (the driver was reloaded)"),
     ] {
         if count > 0 {
             let _ = writeln!(text, "  {} {what}", some(count, one, many));
@@ -388,7 +388,7 @@ fn time_words(survey: &Survey) -> String {
     match base {
         TimeBase::Host => {
             format!(
-                "{elapsed_s:.3} s by the host's times; the card's clock (timestamp_low) stands: {stands_us} us in all"
+                "{elapsed_s:.3} s by the host's times; the card's clock (timestamp_low) stands still: {stands_us} us in all"
             )
         }
         TimeBase::Number => {

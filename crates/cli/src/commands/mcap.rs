@@ -19,16 +19,17 @@ use std::path::{Path, PathBuf};
 // Arguments of `mcap`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Logs. With a trajectory, the first is the receiver's, and each other one gives a bearing
+    /// Logs. With a trajectory, the first is the receiver's and each other one gives a bearing
     #[arg(required = true, value_name = "IN.dat")]
     logs: Vec<PathBuf>,
     /// The recording
     #[arg(long, short, value_name = "OUT.mcap")]
     out: PathBuf,
-    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/reference/formats.md)
+    /// Trajectory of the receiver (docs/reference/formats.md)
     #[arg(long, value_name = "T.csv")]
     trajectory: Option<PathBuf>,
-    /// Columns of the trajectory, instead of its headings: t,x,y,yaw
+    /// Columns of trajectories, instead of their headings: t,x,y,yaw (also ns, z, qx, qy, qz, qw; t_ms, x_mm, yaw_deg
+    /// ..; _ skips a column)
     #[arg(long, value_parser = columns, value_name = "NAMES", requires = "trajectory")]
     columns: Option<Columns>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings

@@ -21,16 +21,16 @@ pub struct Args {
     /// The driver that makes the CSI records [default: found by its parameters]
     #[arg(long, value_enum)]
     driver: Option<Driver>,
-    /// Length of the frames that this robot's kernel answers, checksum included (WSR driver or module, responder): 57, 59 ...
+    /// Length of the frames that a responder's kernel answers, checksum included (WSR driver or module): 57, 59 ...
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u32).range(28..=2304))]
     ack_len: Option<u32>,
     /// Run the steps instead of printing them
     #[arg(long)]
     apply: bool,
-    /// Steps back to an ordinary WiFi card; run them with --apply
+    /// Print the steps back to an ordinary WiFi card; --apply runs them
     #[arg(long)]
     undo: bool,
-    /// Print JSON Lines: one object for each step
+    /// Print one JSON object for each step
     #[arg(long)]
     json: bool,
 }

@@ -34,7 +34,7 @@ pub enum TableError {
     #[error("{TABLE}: {0}")]
     Csv(#[from] csv::Error),
     /// It has not the columns that are needed.
-    #[error("{TABLE} has no column `{column}`: it is left out")]
+    #[error("{TABLE} has no column `{column}`: it is skipped")]
     Column {
         /// The one that is missing.
         column: &'static str,
@@ -92,7 +92,7 @@ impl Table {
             Err(error) => (None, said(error.to_string())),
             Ok(Some(table)) if table.bad_rows > 0 => {
                 let rows = crate::words::count(table.bad_rows as u64, "row", "rows");
-                (Some(table), said(format!("{TABLE}: {rows} without numbers left out")))
+                (Some(table), said(format!("{TABLE}: {rows} without numbers skipped")))
             }
             Ok(table) => (table, None),
         }

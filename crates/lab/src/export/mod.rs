@@ -467,7 +467,7 @@ pub enum ExportError {
         bytes: u64,
     },
     /// Who asked for the file wants it no more.
-    #[error("{file} was not written to its end: that was stopped")]
+    #[error("{file} is incomplete: writing was stopped")]
     Stopped {
         /// The file.
         file: String,

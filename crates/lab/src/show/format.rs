@@ -49,7 +49,7 @@ impl Format {
         })
     }
 
-    /// Refuses pictures of which a file is there already and may not be replaced: to be asked before long work, and before
+    /// Refuses pictures of which a file already exists and may not be replaced: to be asked before long work, and before
     /// the first of several pictures.
     ///
     /// # Errors

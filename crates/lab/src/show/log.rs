@@ -196,7 +196,7 @@ impl LogPictures<'_> {
     fn time_words(&self) -> &'static str {
         match self.course.base {
             TimeBase::Host if self.course.format.is_some() => "time (s), of the host",
-            TimeBase::Number if self.course.format.is_some() => "frame: the log tells no times",
+            TimeBase::Number if self.course.format.is_some() => "frame: the log has no times",
             TimeBase::Host => "time (s), of the host: the card's clock stands",
             TimeBase::Number => "record: the card's clock stands, and there are no host times",
             _ => "time (s)",

@@ -63,7 +63,7 @@ impl PhasePlot {
         if tracks.iter().any(|track| !track.product_rad.is_empty()) {
             keys.push((Key::Dot, PURPLE, "both directions multiplied".into()));
         }
-        keys.push((Key::Dot, BLUE, "and the turn-around taken out".into()));
+        keys.push((Key::Dot, BLUE, "and the turn-around removed".into()));
         if tracks.iter().any(|track| track.is_used.contains(&false)) {
             keys.push((Key::Dot, pale(GREY), "pale: not used (standing, or cut)".into()));
         }

@@ -14,7 +14,7 @@ pub(super) fn checks(system: &dyn System, card: Option<&Card>) -> Vec<Check> {
         let Some(interface) = interface(system, card) else {
             checks.push(
                 Check::bad("interface", "the card has none", "a network interface on the card")
-                    .mend("sudo modprobe iwldvm; `sudo dmesg | grep iwl` says why if none comes up"),
+                    .mend("sudo modprobe iwldvm; if none comes up, `sudo dmesg | grep iwl` shows why"),
             );
             return checks;
         };
@@ -218,7 +218,7 @@ fn channel(system: &dyn System, interface: &str, card: &Card) -> Check {
     match forbidden {
         None => Check::good(name, line, expected),
         Some(_) => Check::doubt(name, format!("{line}; this card may not start to transmit there ({flags})"), expected)
-            .mend("to receive it is enough; to transmit take a channel without these flags in `iw phy`"),
+            .mend("enough to receive; to transmit, take a channel without these flags in `iw phy`"),
     }
 }
 
@@ -281,10 +281,10 @@ fn domain(system: &dyn System) -> Check {
         Some(country) if !country.starts_with("00") => Check::good(name, country, expected),
         Some(_) => Check::doubt(
             name,
-            "00: the world's common ground, where most 5 GHz channels are only listened to",
+            "00 (world): most 5 GHz channels are for listening only",
             expected,
         )
         .mend("sudo iw reg set XX with your country's code, wait two seconds, then set the channel"),
-        None => Check::unknown(name, "iw does not say", expected),
+        None => Check::unknown(name, "iw does not report it", expected),
     }
 }

@@ -69,7 +69,7 @@ impl Reception {
         let mut checks = Vec::new();
         if self.zero_csi > 0 {
             let verdict = if self.zero_csi == bfees { Check::bad } else { Check::doubt };
-            let found = format!("{} of {bfees} records with nothing but zeros for CSI", self.zero_csi);
+            let found = format!("{} of {bfees} records have only zeros as CSI", self.zero_csi);
             checks.push(verdict(name, found, expected).mend("reload the driver; if it stays, try another card"));
         }
         if survey.bad_bfee > 0 {
@@ -91,7 +91,7 @@ impl Reception {
         let connected = survey.rssi.iter().filter(|range| range.max > 0).count();
         if connected == 1 {
             checks.push(
-                Check::doubt(name, "one antenna only is heard", expected)
+                Check::doubt(name, "only one antenna receives", expected)
                     .mend("enough for bearings from motion; otherwise check the pigtails and rx_chains_msk (0x7)"),
             );
         }

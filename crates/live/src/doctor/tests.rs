@@ -369,10 +369,10 @@ fn receptions_are_told_apart() {
     assert!(found(&hear(&[]), "nothing"));
     assert!(found(&hear(&[(code::MPDU, vec![0; 60])]), "only frames (0xC1)"));
     assert!(found(&hear(&[(code::NOISE, vec![0; 4])]), "no CSI among them"));
-    assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0, k))), "nothing but zeros"));
+    assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0, k))), "only zeros"));
     assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, k))), "no record names its sender"));
-    assert!(found(&hear(&bfees(9, &|k| bfee(1, [30, 0, 0], 0x5a, k))), "one antenna only"));
-    assert!(!found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, k))), "one antenna only"));
+    assert!(found(&hear(&bfees(9, &|k| bfee(1, [30, 0, 0], 0x5a, k))), "only one antenna"));
+    assert!(!found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, k))), "only one antenna"));
     assert!(found(&hear(&bfees(40, &|k| bfee(1 + (k % 3) as u8, all, 0x5a, k))), "receive chains changes 39 times"));
     assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, 3 * k))), "16 numbers missing"));
     // The WSR layout names its sender: nothing is left to say against it.

@@ -98,7 +98,7 @@ fn module(system: &dyn System) -> Way {
         return Way::Taken("csi5300 is loaded");
     }
     let Some(release) = system.text("/proc/sys/kernel/osrelease") else {
-        return Way::Closed("the kernel does not say its release".into());
+        return Way::Closed("the kernel's release is unknown".into());
     };
     if system.bytes(SECURE_BOOT).and_then(|bytes| bytes.get(4).copied()) == Some(1) {
         return Way::Closed("Secure Boot refuses unsigned modules".into());
@@ -115,7 +115,7 @@ fn ebpf(system: &dyn System) -> Way {
     match kernel_version(&release) {
         Some(version) if version >= EBPF_FROM => {}
         Some(_) => return Way::Closed(format!("{release} is older than 5.8")),
-        None => return Way::Closed("the kernel does not say its release".into()),
+        None => return Way::Closed("the kernel's release is unknown".into()),
     }
     if system.run(&["uname", "-m"]).is_some_and(|ran| ran.ok && ran.text.trim() != "x86_64") {
         return Way::Closed("not x86-64".into());

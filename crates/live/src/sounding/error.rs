@@ -7,7 +7,7 @@ use driver_iface::Mac;
 #[non_exhaustive]
 pub enum SoundingError {
     /// The interface has no MAC, and none was given.
-    #[error("{interface} has no MAC of its own: say which it is to use")]
+    #[error("{interface} has no MAC of its own: name the one to use")]
     NoMac {
         /// The interface.
         interface: String,

@@ -40,7 +40,7 @@ impl std::fmt::Display for Notice {
             Self::AllFail { frames } => write!(
                 f,
                 "{frames} frames were handed to the kernel, but it reports that sending failed, and none was answered: \
-                 the peers are not there or on another channel, or the card cannot send (`dmesg` tells)"
+                 the peers are not there or on another channel, or the card cannot send (see `dmesg`)"
             ),
             Self::GoesOut => write!(f, "frames go out now"),
             Self::NotSent(why) => write!(f, "{why}; further such frames are only counted"),

@@ -98,7 +98,7 @@ impl Intake {
         StockCounts { cards, ..self.counters }
     }
 
-    /// The driver was loaded anew: its cards are others.
+    /// The driver was reloaded: its cards are others.
     pub(super) fn forget_cards(&mut self) {
         self.counters.cards = self.counters().cards;
         self.cards.clear();

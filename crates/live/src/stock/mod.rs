@@ -37,7 +37,7 @@ use std::os::fd::{AsFd, BorrowedFd};
 pub const RING: usize = 8 * 1024 * 1024;
 /// The smallest and the largest ring, bytes.
 const RINGS: std::ops::RangeInclusive<usize> = 64 * 1024..=1 << 30;
-/// How often a look is taken whether the driver was loaded anew.
+/// How often a look is taken whether the driver was reloaded.
 const LOOK: Span = Span::from_ms(1_000);
 
 /// How to listen.
@@ -115,7 +115,7 @@ pub struct StockCounts {
     pub cards_seen: u64,
     /// What all cards sent, and what became of it.
     pub cards: Counts,
-    /// Times that the driver was loaded anew and the program attached to it.
+    /// Times that the driver was reloaded and the program attached to it.
     pub reattached: u64,
 }
 

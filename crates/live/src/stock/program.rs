@@ -62,7 +62,7 @@ impl Program {
         Ok(())
     }
 
-    /// Attaches again if the driver was loaded anew since: the kernel takes the probe away with the module. True if so.
+    /// Attaches again if the driver was reloaded since: the kernel takes the probe away with the module. True if so.
     pub(super) fn follow_driver(&mut self) -> Result<bool, StockError> {
         let driver = driver();
         if driver.is_none() || driver == self.driver {

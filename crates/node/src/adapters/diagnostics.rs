@@ -110,7 +110,7 @@ fn of(header: Header, health: &Health) -> DiagnosticArray {
         let good = |state| matches!(state, PeerState::Bearing | PeerState::Held | PeerState::NotYet);
         let (level, words) = match &peer.report {
             Some(report) => (if good(report.state) { WELL } else { WARNING }, report.words.clone()),
-            None => (STALE, "nothing was said of it yet".into()),
+            None => (STALE, "no report yet".into()),
         };
         let words = if words.is_empty() { format!("{:.0} exchanges a second", peer.pairs_hz) } else { words };
         let values = [

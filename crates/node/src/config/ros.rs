@@ -94,14 +94,14 @@ fn wrong_source(room: &Room, odometry: &Odometry) -> Option<String> {
     match odometry {
         Odometry::Csv(csv) if !csv.file.is_file() => Some(format!("there is no trajectory {}", csv.file.display())),
         Odometry::Csv(_) => None,
-        Odometry::Ros(_) if room.speed != 1.0 => Some("topics are of now: `speed = 1`".into()),
+        Odometry::Ros(_) if room.speed != 1.0 => Some("topics are live: use `speed = 1`".into()),
         Odometry::Ros(topic) if topic.stamp == Some(Stamp::Header) => {
-            Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
+            Some("the room uses the times of arrival: `stamp = \"receipt\"`, or none".into())
         }
         Odometry::Ros(topic) => wrong_topic(topic, false).map(|(_, why)| why),
-        Odometry::Ros2(_) if room.speed != 1.0 => Some("topics are of now: `speed = 1`".into()),
+        Odometry::Ros2(_) if room.speed != 1.0 => Some("topics are live: use `speed = 1`".into()),
         Odometry::Ros2(topic) if topic.stamp == Some(Stamp::Header) => {
-            Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
+            Some("the room uses the times of arrival: `stamp = \"receipt\"`, or none".into())
         }
         Odometry::Ros2(topic) => csi5300_ros2::settings::wrong_topic(topic, false).map(|(_, why)| why),
         _ => Some("a robot follows `ros2`, `ros` or `csv`".into()),

@@ -152,7 +152,7 @@ fn robots_of_a_room_follow_what_there_is() {
     assert!(ros::is_used(&topic.unwrap()));
     for (follow, why) in [
         (", follow = { a.ros.topic = \"odom\" }", "no name in ROS"),
-        (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "of now"),
+        (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "are live"),
         (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "at which poses come"),
     ] {
         let refused = read(follow).unwrap_err();
@@ -167,7 +167,7 @@ fn a_node_of_ros_is_checked_like_everything_else() {
                 [ros]\nmaster = \"http://10.0.0.1:11311/\"\n[log]\nfile = \"x.dat\"\n";
     let read = |text: &str| Config::read(text, &std::env::temp_dir()).map_err(|error| error.to_string());
     let in_room = refused(&ROOM.replace("odometry.room = {}", "odometry.ros.topic = \"/odom\""));
-    assert!(in_room.starts_with("line 3: `ros` poses are of now"), "{in_room}");
+    assert!(in_room.starts_with("line 3: `ros` poses are live"), "{in_room}");
     let config = read(card).unwrap();
     assert!(ros::is_used(&config));
     let ros = config.ros.clone().unwrap();

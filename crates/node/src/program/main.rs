@@ -54,7 +54,7 @@ fn main() -> ExitCode {
     csi5300_say::set("csi5300-node", level, cli.color);
     let result = match cli.command {
         Some(_) if !cli.service.is_empty() => {
-            csi5300_say::usage("options of the service stand behind `node`, or alone")
+            csi5300_say::usage("put options of the service after `node`")
         }
         Some(Command::Watch(args)) => watch::run(&args),
         Some(Command::Node(args)) => run::run(&args),

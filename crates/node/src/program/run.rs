@@ -119,7 +119,7 @@ fn summary(ended: &Ended) -> String {
         count(ended.bearings, "bearing", "bearings")
     );
     for peer in &health.peers {
-        let words = peer.report.as_ref().map_or("nothing was said of it", |report| report.words.as_str());
+        let words = peer.report.as_ref().map_or("no report", |report| report.words.as_str());
         let counts = &peer.counts;
         text += &format!(
             "  {}: {words}; {} of {} here and {} there\n",

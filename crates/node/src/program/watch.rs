@@ -125,7 +125,7 @@ pub fn run(args: &Args) -> Result {
                 Ok(Outcome::Done)
             }
             Some(Err(error)) => Err(error.to_string()),
-            None => Err("the node ended before it said anything, or 16 others are looking at it already".into()),
+            None => Err("the node ended before it sent its state, or it already has 16 readers".into()),
         };
     }
     // Before the thread, which would end the program on one, and before there is anything to restore.
@@ -195,7 +195,7 @@ fn show(
             Some(new) => (state, silent) = (new, Duration::ZERO),
             None => silent += Duration::from_micros(LOOK.as_us().unsigned_abs()),
         }
-        let title = if silent > SILENT { "  no word from the node: it ended, or hangs" } else { "" };
+        let title = if silent > SILENT { "  no state from the node: it ended or hangs" } else { "" };
         terminal.draw(|frame| draw(frame, &state, &format!(" {}{title} ", socket.display())))?;
         if ends.wait(keys, ends.clock.now() + LOOK) {
             break;
@@ -272,7 +272,7 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
             Span::raw(format!("  up {} s  log: {log}", figure(of("/uptime_s"), 0))),
         ]),
         Line::from(format!(
-            "records {}, {}/s; lost {lost:.0}, missing before the socket {}; of strangers {}",
+            "records {}, {}/s; lost {lost:.0}, missing in bfee_count {}; from strangers {}",
             figure(of("/records"), 0),
             figure(of("/records_hz"), 0),
             figure(of("/missing"), 0),

@@ -270,7 +270,7 @@ impl Server {
     /// What a program asks for, taken from the room if nobody had it yet.
     fn asked(&mut self, room: &mut Room, hello: &str, now: Instant) -> Result<(Role, usize), String> {
         let words = hello.strip_prefix(GREETING).ok_or("this is a room of csi5300, and another version of it")?;
-        let (role, name) = words.trim_start().split_once(' ').ok_or("what of which robot?")?;
+        let (role, name) = words.trim_start().split_once(' ').ok_or("which stream of which robot?")?;
         let role = Role::ALL.into_iter().find(|(_, word)| *word == role).ok_or("air, card or poses?")?.0;
         let names = || room.scene().robot.iter().map(|robot| robot.name.as_str()).collect::<Vec<_>>().join(", ");
         let number = room.number(name).ok_or_else(|| format!("the scene has no robot {name}: it has {}", names()))?;

@@ -82,7 +82,7 @@ pub(super) fn records(answer: &Answer) -> String {
     let counts = answer.pair_counts;
     let constant = |[deg, sd_deg]: &[f64; 2]| {
         format!(
-            "  constant of the chains {deg:.1} +- {sd_deg:.1} degrees: --baseline X,Y,Z,{deg:.1},{sd_deg:.1} when it stands\n"
+            "  constant of the chains {deg:.2} +- {sd_deg:.2} deg: for a robot that stands, --baseline X,Y,Z,{deg:.2},{sd_deg:.2}\n"
         )
     };
     let constants: String = answer.chain_constants_deg.iter().map(constant).collect();

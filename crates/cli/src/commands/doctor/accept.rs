@@ -204,7 +204,7 @@ fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
             Some(Truth { trajectory: read_trajectory(path)?, azimuth_rad: deg.to_radians() })
         }
         (None, None) => None,
-        _ => usage("a desk has both `trajectory` and `azimuth_deg`, or none of them"),
+        _ => usage("a desk has both `trajectory` and `azimuth_deg`, or neither"),
     };
     Ok(plan)
 }

@@ -45,10 +45,10 @@ impl Check<'_> {
         for (place, kind, file) in files {
             let Some(file) = file else { continue };
             let read = inputs.iter().find(|(_, input)| is_one(input, file)).map(|(key, _)| {
-                format!("{} is what {key} names: what this robot reads is not written to", file.display())
+                format!("{} is an input ({key}): name another output", file.display())
             });
             let twice = before.iter().find(|(_, other)| is_one(other, file)).map(|(name, _)| {
-                format!("{} is what `{name}` writes, too: they would destroy each other", file.display())
+                format!("{} is also the output of `{name}`: they would overwrite each other", file.display())
             });
             let itself = self.own_file.is_some_and(|own| is_one(own, file));
             let itself = itself.then(|| format!("{} is this configuration", file.display()));
@@ -124,7 +124,7 @@ fn unwritable(file: &Path, kind: Kind) -> Option<String> {
     }
     let there = std::fs::metadata(file).ok().map(|found| found.file_type());
     let why = match (kind, there) {
-        _ if file.as_os_str().is_empty() => return Some("an empty name is no file's: leave it out for none".into()),
+        _ if file.as_os_str().is_empty() => return Some("an empty name is no file: leave the key out for none".into()),
         (Kind::Socket, _) if SocketAddr::from_pathname(file).is_err() => {
             format!("it has {} bytes, and the name of a socket at most {NAME_OF_SOCKET}", file.as_os_str().len())
         }

@@ -128,8 +128,8 @@ impl Check<'_> {
     }
 }
 
-const OPENCR_NOW: &str = "`opencr` poses are of now and need a card (`capture.card` or `capture.stock`): with a replayed log use `csv`, in a room `room`";
-const ROS_NOW: &str = "`ros` poses are of now and need a card (`capture.card` or `capture.stock`): with a replayed log use `csv`; in a room that \
+const OPENCR_NOW: &str = "`opencr` poses are live and need a card (`capture.card` or `capture.stock`): with a replayed log use `csv`, in a room `room`";
+const ROS_NOW: &str = "`ros` poses are live and need a card (`capture.card` or `capture.stock`): with a replayed log use `csv`; in a room that \
                        follows the topic (`follow`) use `room`";
 
 /// The number of `numbers` that is none, if there is one.

@@ -143,8 +143,8 @@ fn poses() {
     refused(&card("odometry.room = {}"), "odometry.room", "`room` poses");
     refused(&card("odometry.network = {}"), "odometry.network", "own poses");
     let room = |poses: &str| format!("{ROOM}{PEER}").replace("odometry.room = {}", poses);
-    refused(&room("odometry.opencr.port = \"/dev/null\""), "opencr", "`opencr` poses are of now");
-    refused(&room("odometry.ros.topic = \"/odom\""), "odometry.ros", "`ros` poses are of now");
+    refused(&room("odometry.opencr.port = \"/dev/null\""), "opencr", "`opencr` poses are live");
+    refused(&room("odometry.ros.topic = \"/odom\""), "odometry.ros", "`ros` poses are live");
     let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
     refused(&format!("{CARD}{peer}poses.network = {{}}\n"), "poses.network", "peer `b`: `network` poses");
     refused(&format!("{CARD}{peer}poses.opencr.port = \"x\"\n"), "poses.opencr", "peer `b`: a peer's port");
@@ -230,7 +230,7 @@ fn ros_2() {
     refused(
         &format!("{ROOM}{PEER}").replace("odometry.room = {}", "odometry.ros2 = {}"),
         "odometry.ros2",
-        "are of now",
+        "are live",
     );
 }
 
@@ -265,7 +265,7 @@ fn what_a_robot_writes_is_in_files_of_their_own() {
     refused(&with("a.dat", "b", "b"), "status_socket", "is what `bearings` writes");
     refused(&CARD.replace("x.dat", "/dev/full"), "/dev/full", "no regular file");
     refused(&format!("{CARD}rotate_mib = 0\n"), "rotate_mib", "a file of its own");
-    // What is there already: a log and a recording get other names, lines are added, a socket is one.
+    // What already exists: a log and a recording get other names, lines are added, a socket is one.
     std::fs::create_dir_all(folder.join("run")).unwrap();
     std::fs::write(folder.join("old"), "").unwrap();
     let ros = |bag: &str| format!("{CARD}[ros2]\nbag = '{}'\n", name(bag));

@@ -226,7 +226,7 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
             (Some(_), None) => "with --report DIR an interrupted run can be continued",
             (None, _) => "no part before it is complete, so the same command starts again",
         };
-        note!("stopped while this was to be done: {}; {how}", step.words());
+        note!("stopped before: {}; {how}", step.words());
     }
     Ok(Judged { evidence, facts, is_whole: finished == steps.len(), stopped })
 }
