@@ -40,9 +40,7 @@ impl Scene {
         ensure(is_assigned && has_carrier, "channel", || {
             format!("is {}; channels are 1 to 14, 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177", self.channel)
         })?;
-        ensure(self.reflections <= 4, "reflections", || {
-            format!("is {}; 4 is the most", self.reflections)
-        })?;
+        ensure(self.reflections <= 4, "reflections", || format!("is {}; 4 is the most", self.reflections))?;
         ensure(self.host_times_fit(&HostClock::default()), "start_unix_s", || {
             format!(
                 "is {}, and the scene lasts {} s; records hold seconds from 0 to 4,294,967,295",

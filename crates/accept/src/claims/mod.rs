@@ -51,9 +51,7 @@ impl Needs {
             Self::Host => "a host that waits for a card",
             Self::Module => "the kernel module csi5300 beside the stock driver",
             Self::Retunes => "robots that stand still (`at_rest`), and a log after each retune (`retuned`)",
-            Self::Reload => {
-                "robots that stand still (`at_rest`), and a log after the driver was reloaded (`reloaded`)"
-            }
+            Self::Reload => "robots that stand still (`at_rest`), and a log after the driver was reloaded (`reloaded`)",
             Self::Unplugged => "a person who unplugs antennas (`unplug`)",
         }
     }

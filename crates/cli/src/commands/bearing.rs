@@ -46,13 +46,13 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     plot: Option<PathBuf>,
-    /// Print one JSON object for each link and each located receiver
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     /// Print which steps of each link were computed or skipped, and why
     #[arg(long, hide_short_help = true)]
     explain: bool,
-    /// Overwrite existing profiles and pictures
+    /// Overwrite existing outputs
     #[arg(long, hide_short_help = true)]
     force: bool,
     #[command(flatten)]

@@ -18,10 +18,10 @@ pub struct Args {
     /// Folder for logs and pictures
     #[arg(long, default_value = "csi5300-demo", value_name = "DIR")]
     out: PathBuf,
-    /// Write into a folder that holds other files
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
-    /// Print one JSON object each for the standing robots, the circle and the line
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
 }
@@ -78,8 +78,11 @@ impl Shown {
 /// Runs the demonstration.
 pub fn run(args: &Args) -> Result {
     // An earlier demonstration is overwritten.
-    let is_own = |name: std::ffi::OsString| ["standing", "circle", "line"].iter().any(|own| name.to_string_lossy().starts_with(own));
-    let holds_more = |mut entries: std::fs::ReadDir| entries.any(|entry| entry.is_ok_and(|entry| !is_own(entry.file_name())));
+    let is_own = |name: std::ffi::OsString| {
+        ["standing", "circle", "line"].iter().any(|own| name.to_string_lossy().starts_with(own))
+    };
+    let holds_more =
+        |mut entries: std::fs::ReadDir| entries.any(|entry| entry.is_ok_and(|entry| !is_own(entry.file_name())));
     if !args.force && std::fs::read_dir(&args.out).is_ok_and(holds_more) {
         return Err(format!("{} holds other files: --force writes into it", args.out.display()));
     }

@@ -20,7 +20,7 @@ use std::path::PathBuf;
 // Arguments of `doctor`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Print one JSON object instead of text
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     /// Also listen for this long and report what comes

@@ -36,7 +36,7 @@ pub struct Args {
     trajectory: Which,
     #[command(flatten)]
     mounting: Mounting,
-    /// WiFi channel instead of the one in groundtruth_positions.json
+    /// WiFi channel, with + or - for 40 MHz [default: the capture's]
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
     /// Antenna (RF port) used on both robots: A, B or C
@@ -48,11 +48,11 @@ pub struct Args {
     /// Standard deviation of the trajectories' heading [default: the sensor's]
     #[arg(long, value_name = "DEGREES")]
     heading_sd: Option<f64>,
-    /// Print one JSON object for each link, then a summary
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
     json: bool,
-    /// Overwrite existing pages and pictures
+    /// Overwrite existing outputs
     #[cfg(any(feature = "plot", feature = "view"))]
     #[arg(long)]
     force: bool,

@@ -49,10 +49,10 @@ pub struct Args {
     /// Only records that used one of these antennas, and only their CSI: letters such as AC
     #[arg(long, value_name = "LETTERS")]
     antennas: Option<String>,
-    /// Print one JSON object about what was written
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
-    /// Overwrite an existing output
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
 }

@@ -21,7 +21,7 @@ pub struct Args {
     /// Logs; - is standard input
     #[arg(required = true, value_name = "LOG")]
     files: Vec<PathBuf>,
-    /// Print one JSON object for each log
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     #[cfg(feature = "plot")]

@@ -35,10 +35,10 @@ pub struct Args {
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
-    /// Overwrite an existing recording
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
-    /// Print one JSON object about the recording
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     #[command(flatten)]

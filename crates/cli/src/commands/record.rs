@@ -34,7 +34,7 @@ pub struct Args {
     /// The log; its side file with host times is OUT.datstp
     #[arg(value_name = "OUT.dat")]
     out: PathBuf,
-    /// Overwrite an existing log
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
     /// Write checksums of all records into the side file, which commands then check. csiread cannot read such side
@@ -62,7 +62,7 @@ pub struct Args {
     /// Show a page of live figures instead of one line
     #[arg(long)]
     watch: bool,
-    /// Print one JSON object about the recording at its end
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long, conflicts_with = "live")]
     json: bool,
     /// Receive buffer to ask the kernel for

@@ -40,7 +40,7 @@ pub struct Args {
         value_parser = clap::value_parser!(u32).range(1..=32)
     )]
     connector: Option<u32>,
-    /// Print one JSON object about what was played (with --connector only)
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long, requires = "connector")]
     json: bool,
 }

@@ -30,7 +30,7 @@ pub struct Args {
     /// Print the steps back to an ordinary WiFi card; --apply runs them
     #[arg(long)]
     undo: bool,
-    /// Print one JSON object for each step
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
 }

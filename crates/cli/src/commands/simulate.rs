@@ -31,10 +31,10 @@ pub struct Args {
     /// Layout of the records instead of the scene's
     #[arg(long, value_enum, value_name = "LAYOUT")]
     layout: Option<Layout>,
-    /// Write into a folder that is not empty, and overwrite an earlier run
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
-    /// Print one JSON object for each capture, compared figure or experiment, or for the served room
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     #[cfg(feature = "live")]

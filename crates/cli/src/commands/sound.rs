@@ -60,7 +60,7 @@ pub struct Args {
     /// wheels. Error bars and confidence include it
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
     heading_sd: Option<f64>,
-    /// Print one JSON object for each bearing, then a summary
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
 }

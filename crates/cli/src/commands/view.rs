@@ -29,7 +29,7 @@ pub struct Args {
     /// Which trajectory of captures to use
     #[arg(long, value_enum, default_value = "gt")]
     trajectory: Which,
-    /// WiFi channel instead of the one in groundtruth_positions.json
+    /// WiFi channel, with + or - for 40 MHz [default: the capture's]
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
     /// Antenna (RF port) used on both robots: A, B or C

@@ -190,12 +190,12 @@ fn every_field_of_the_page_is_in_the_documentation() {
     let page = std::fs::read_to_string(folder.0.join("page.html")).unwrap();
     let (_, rest) = page.split_once("id=\"answers\">").unwrap();
     let answers = json(rest.split_once("</script>").unwrap().0);
-    let described = std::fs::read_to_string(crate::common::root().join("docs/reference/formats.md")).unwrap();
+    let described = crate::documented::pages();
     let mut fields = 0;
     for (path, answer) in answers.as_object().unwrap() {
         let general: String = path.chars().map(|sign| if sign.is_ascii_digit() { 'N' } else { sign }).collect();
         let known = [format!("`{general}`"), format!("`{general}?")];
-        assert!(known.iter().any(|path| described.contains(path)), "docs/reference/formats.md does not name {general}");
+        assert!(known.iter().any(|path| described.contains(path)), "crates/view/src/lib.rs does not name {general}");
         // Sets stand by their names, as in the summary of `evaluate`.
         let by_set = serde_json::json!({ "summary": answer });
         fields +=

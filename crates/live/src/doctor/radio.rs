@@ -279,12 +279,8 @@ fn domain(system: &dyn System) -> Check {
     let country = ran.text.lines().find_map(|line| line.trim().strip_prefix("country ").map(str::to_string));
     match country {
         Some(country) if !country.starts_with("00") => Check::good(name, country, expected),
-        Some(_) => Check::doubt(
-            name,
-            "00 (world): most 5 GHz channels are for listening only",
-            expected,
-        )
-        .mend("sudo iw reg set XX with your country's code, wait two seconds, then set the channel"),
+        Some(_) => Check::doubt(name, "00 (world): most 5 GHz channels are for listening only", expected)
+            .mend("sudo iw reg set XX with your country's code, wait two seconds, then set the channel"),
         None => Check::unknown(name, "iw does not report it", expected),
     }
 }

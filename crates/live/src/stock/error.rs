@@ -23,7 +23,9 @@ pub enum StockError {
     #[error("the kernel has no kprobes for perf (CONFIG_KPROBES and CONFIG_KPROBE_EVENTS): {KPROBE_TYPE} is absent")]
     NoKprobes,
     /// The driver is not there.
-    #[error("iwlwifi is not loaded: `sudo modprobe iwlwifi`; if it does not stay, `sudo dmesg | grep iwlwifi` shows why")]
+    #[error(
+        "iwlwifi is not loaded: `sudo modprobe iwlwifi`; if it does not stay, `sudo dmesg | grep iwlwifi` shows why"
+    )]
     NoDriver,
     /// The driver has no function of this name.
     #[error("iwlwifi is loaded, but `{function}` is not in /proc/kallsyms as a function that can be probed")]

@@ -53,9 +53,7 @@ fn main() -> ExitCode {
     };
     csi5300_say::set("csi5300-node", level, cli.color);
     let result = match cli.command {
-        Some(_) if !cli.service.is_empty() => {
-            csi5300_say::usage("put options of the service after `node`")
-        }
+        Some(_) if !cli.service.is_empty() => csi5300_say::usage("put options of the service after `node`"),
         Some(Command::Watch(args)) => watch::run(&args),
         Some(Command::Node(args)) => run::run(&args),
         None => run::run(&cli.service),

@@ -35,7 +35,7 @@ pub struct Args {
     /// Draw up to this time, seconds after the first record
     #[arg(long, value_name = "SECONDS", requires = "plot")]
     to: Option<f64>,
-    /// Overwrite existing pictures
+    /// Overwrite existing outputs
     #[arg(long, requires = "plot")]
     force: bool,
 }

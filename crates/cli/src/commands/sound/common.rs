@@ -89,7 +89,7 @@ pub struct Sounding {
     /// Also record what the card hears to this log
     #[arg(long, value_name = "OUT.dat")]
     pub log: Option<PathBuf>,
-    /// Overwrite an existing log
+    /// Overwrite existing outputs
     #[arg(long)]
     pub force: bool,
     #[command(flatten)]

@@ -44,9 +44,10 @@ impl Check<'_> {
         let mut before: Vec<(&str, &Path)> = Vec::new();
         for (place, kind, file) in files {
             let Some(file) = file else { continue };
-            let read = inputs.iter().find(|(_, input)| is_one(input, file)).map(|(key, _)| {
-                format!("{} is an input ({key}): name another output", file.display())
-            });
+            let read = inputs
+                .iter()
+                .find(|(_, input)| is_one(input, file))
+                .map(|(key, _)| format!("{} is an input ({key}): name another output", file.display()));
             let twice = before.iter().find(|(_, other)| is_one(other, file)).map(|(name, _)| {
                 format!("{} is also the output of `{name}`: they would overwrite each other", file.display())
             });

@@ -227,11 +227,7 @@ fn ros_2() {
     refused(&topic("child = \"base_link\""), "child", "is for transforms");
     refused(&topic("type = \"pose\"\nantenna_frame = \"wifi\""), "antenna_frame", "is for odometry");
     refused(&topic("imu = \"1mu\""), "imu", "no name in ROS 2");
-    refused(
-        &format!("{ROOM}{PEER}").replace("odometry.room = {}", "odometry.ros2 = {}"),
-        "odometry.ros2",
-        "are live",
-    );
+    refused(&format!("{ROOM}{PEER}").replace("odometry.room = {}", "odometry.ros2 = {}"), "odometry.ros2", "are live");
 }
 
 #[test]
