@@ -1,4 +1,4 @@
-//! What a driver asks of the scheduler beside frames: deadlines, measurements, counts, leaving.
+//! Tests of deadlines, measurements, counts and leaving.
 
 use super::*;
 use crate::exchange::tdma::{Epoch, Request};
@@ -132,8 +132,8 @@ fn a_measurement_that_came_before_its_frame_goes_with_the_answer_to_it_only() {
     }
 }
 
-/// Hands measurements over as (number, clock), before or behind the exchange of number 1; what was said to each, how many
-/// were counted as contested, and the number that the next answer carries.
+/// Hands over measurements as (number, clock), before or after the exchange of number 1. Returns the result of each,
+/// the count of contested ones, and the number that the next answer carries.
 fn handed_over(key: Option<Key>, before: &[(u32, u32)], behind: &[(u32, u32)]) -> (Vec<bool>, u64, Option<u32>) {
     let [mut first, mut second] = two(key);
     let mut said = Vec::new();
