@@ -21,7 +21,7 @@ fn poses_are_reached_a_moment_after_they_came_in_the_rooms_frame() {
         let t_s = f64::from(k) * 0.02;
         way.hand_over(t_s, &[pose(1_000.0 + t_s, t_s)]);
     }
-    // At 1 s the robot is where it was said to be at 0.9 s; x of a frame turned by 90 degrees is y of the room.
+    // At 1 s the robot has the pose of 0.9 s; x of a frame turned by 90 degrees is y of the room.
     let (at, frame) = way.at(1.0);
     assert!((at.position_m - Vector3::new(1.0, 2.9, 0.3)).norm() < 1e-9 && frame == 1, "{at:?}");
     assert!((at.yaw_rad - FRAC_PI_2 - 0.1).abs() < 1e-12);
@@ -67,7 +67,7 @@ fn an_hour_of_poses_takes_no_more_room_than_a_minute() {
 }
 
 proptest! {
-    /// Whatever comes, whenever: what was said of the past is said again.
+    /// Whatever arrives, the past stays the same.
     #[test]
     fn the_past_never_changes(
         steps in proptest::collection::vec((0.0..0.5_f64, -0.3..0.3_f64, -9.0..9.0_f64, 0_u8..20), 1..60)
@@ -138,7 +138,7 @@ fn a_rooms_odometry_tells_where_the_followed_robot_is() {
             NextPose::End => panic!("the scene goes on"),
         }
     }
-    // None before it is known where it is; then a tenth of a second behind; then elsewhere, in another frame.
+    // No pose before the first one arrives; then a tenth of a second behind; then in another frame.
     assert_eq!((poses[0].0, frames), (200, 1));
     let way = |ms: i64| (ms as f64 * 1e-3 - 0.1).min(1.92);
     assert!(poses.iter().all(|(ms, x)| *x == 20.0 || (x - way(*ms)).abs() < 1e-6), "{poses:?}");

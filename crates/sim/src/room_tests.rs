@@ -284,7 +284,7 @@ fn walls_keep_frames_out() {
     let thin = format!("{wall}through_db = 10.0\n");
     let ([rx, _], ..) = run(&two("", "", &thin));
     assert_eq!(rx.len(), 1000);
-    // 10 dB less: the gain control makes up for it.
+    // 10 dB less: the gain control compensates.
     let open = run(&two("", "", "")).0;
     assert_eq!(rx[0].bfee().agc(), open[0][0].bfee().agc() + 10);
 }
@@ -330,7 +330,7 @@ fn odometry_is_a_sensor() {
 }
 
 proptest! {
-    /// Whatever is injected, nothing panics, and a record is made of exactly what a card reports CSI for.
+    /// No injected frame causes a panic, and exactly the frames for which a card reports CSI give records.
     #[test]
     fn any_frame_is_carried(frames in prop::collection::vec((prop::collection::vec(any::<u8>(), 0..90), any::<bool>()), 0..12)) {
         let mut scene = two("", "", "");

@@ -28,7 +28,7 @@ fn a_log_is_feitcsis_with_both_clocks_of_one_crystal() {
         assert!(all.iter().all(|frame| frame.sender == Some(run.robots[other].mac.0)));
         let shape = |frame: &Frame| (frame.kind, frame.width_mhz, frame.n_rx, frame.n_tx, frame.subcarriers.len());
         assert!(all.iter().all(|frame| shape(frame) == (Some(Kind::He), 20, 2, 1, 242)));
-        // The FTM clock wraps twice meanwhile; between two frames both clocks say the same, to a microsecond.
+        // The FTM clock wraps twice meanwhile; between two frames both clocks agree to a microsecond.
         let mut wraps = 0;
         for two in all.windows(2) {
             let [[from, from_us], [to, to_us]] =

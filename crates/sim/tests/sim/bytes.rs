@@ -10,7 +10,7 @@ use csi5300_sim::{Room, Scene, WrittenLog, write_dataset};
 use driver_iface::bfee::{Bfee, Iq, MAX_SAMPLES, Repr};
 use driver_iface::record::{Record, Step, Tail, events};
 
-/// Parses a log and writes every record anew, up to a cut tail.
+/// Parses a log and re-encodes every record, up to a cut tail.
 fn again(bytes: &[u8]) -> (Vec<u8>, usize) {
     let (mut out, mut records) = (Vec::with_capacity(bytes.len()), 0);
     for event in events(bytes) {
