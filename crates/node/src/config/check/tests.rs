@@ -1,12 +1,12 @@
-//! Every rule with a configuration where the offending key is not first: the refusal names its line.
+//! Tests every rule with a configuration whose wrong key is not the first: the refusal names its line.
 
 use crate::config::Config;
 use std::path::Path;
 
-/// A room in which nothing is wrong; peers come last.
+/// A valid room; peers come last.
 const ROOM: &str = "name = \"here\"\nchannel = \"108\"\n\n# A comment that names mac, odometry and rate_hz.\n\
                     capture.room = { scene = \"lab-circle\", robot = \"rx\" }\nodometry.room = {}\n";
-/// A card in which nothing is wrong but what a feature is needed for.
+/// A valid card, except for missing features.
 const CARD: &str = "name = \"here\"\nchannel = \"108\"\nmac = \"02:00:00:00:00:01\"\ncapture.card = {}\n\
                     odometry.opencr.port = \"/dev/null\"\n[log]\nfile = \"x.dat\"\n";
 const PEER: &str = "[[peer]]\nname = \"tx\"\nyaw_deg = 0.0\nrecords.room = {}\n";
