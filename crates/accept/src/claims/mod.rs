@@ -1,4 +1,4 @@
-//! The claims: one table, and what decides each.
+//! The table of claims with their checks.
 
 mod host;
 mod injection;
@@ -12,7 +12,7 @@ use crate::pairs::Pairs;
 use crate::report::{Figure, Finding, Of, Verdict};
 use crate::stats::share_bounds;
 
-/// What must be on the desk for a claim.
+/// The equipment that a claim needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Needs {
@@ -57,7 +57,7 @@ impl Needs {
     }
 }
 
-/// What a check told.
+/// The result of a check.
 pub(crate) struct Told {
     verdict: Verdict,
     found: String,
@@ -73,7 +73,7 @@ impl Told {
         Self::new(Verdict::NotTried, why.into())
     }
 
-    /// What the claim needs is not there.
+    /// A requirement of the claim is missing.
     fn needs(needs: Needs) -> Self {
         Self::not_tried(format!("needs {}", needs.words()))
     }
@@ -88,7 +88,7 @@ impl Told {
         self
     }
 
-    /// A share that must not be above a limit. It fails where the share is above it for certain; in between nothing is decided.
+    /// A share with a limit. It fails if the share is certainly above it; in between nothing is decided.
     fn share(bad: usize, total: usize, limit: f64, what: &str) -> Self {
         let share = bad as f64 / total.max(1) as f64;
         let most = if limit == 0.0 { "none is allowed".to_owned() } else { format!("at most {} %", 100.0 * limit) };
@@ -107,19 +107,19 @@ impl Told {
 /// Fewest records from which a share is judged.
 const LEAST: usize = 100;
 
-/// What decides a claim.
+/// The check of a claim.
 enum Check {
-    /// One card's records, each card's for itself.
+    /// Each card's records alone.
     Log(fn(&Heard, &Evidence) -> Told),
     /// Both cards together.
     Link(fn(&Evidence) -> Told),
-    /// Exchanges of which both frames were reported, where there are enough of them.
+    /// Exchanges with both frames, if there are enough of them.
     Pairs(fn(&Pairs, &Evidence) -> Told),
     /// The host.
     Host(fn(&Evidence) -> Told),
 }
 
-/// One sentence that is true or false of a card, its driver or its host.
+/// A statement about a card, its driver or its host that is true or false.
 pub struct Claim {
     /// Its identity, `subject.what`.
     pub id: &'static str,
@@ -127,13 +127,13 @@ pub struct Claim {
     pub says: &'static str,
     /// What must be on the desk.
     pub needs: Needs,
-    /// The range that is expected; `open` where nobody knows it yet.
+    /// The expected range; `open` if unknown.
     pub expected: &'static str,
-    /// Where that range comes from.
+    /// The source of that range.
     pub source: &'static str,
-    /// Likely causes where it fails, the likeliest first.
+    /// Likely causes of a failure, the likeliest first.
     pub causes: &'static [&'static str],
-    /// What to run next where it fails.
+    /// The next command after a failure.
     pub next: &'static str,
     check: Check,
 }
@@ -168,7 +168,7 @@ impl Claim {
                     _ if heard.is_of_another_card() && OF_A_5300.contains(&self.id) => {
                         Told::not_tried("the log is of another card, which has no such field")
                     }
-                    // Nothing heard shows nothing good of a card.
+                    // Without records there is no good verdict on a card.
                     told if told.verdict == Verdict::Holds && heard.records.is_empty() => Told::needs(self.needs),
                     told => told,
                 };
@@ -184,7 +184,7 @@ impl Claim {
     }
 }
 
-/// Claims about fields that only a 5300 fills: what stands there in a log of another card was made from what it has.
+/// Claims about fields that only a 5300 fills; logs of other cards have converted values there.
 const OF_A_5300: [&str; 10] = [
     "log.layout",
     "reception.count",

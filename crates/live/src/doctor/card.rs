@@ -5,7 +5,7 @@ use super::{Check, System};
 
 /// PCI identities of the Intel 5300 (`iwlwifi/pcie/drv.c`).
 pub(crate) const IWL5300: [&str; 2] = ["0x4235", "0x4236"];
-/// Others of the 5000 series that load the same firmware: 5100, 5350, 5150.
+/// Other cards of the 5000 series with the same firmware: 5100, 5350, 5150.
 const SERIES_5000: [&str; 6] = ["0x4232", "0x4237", "0x423a", "0x423b", "0x423c", "0x423d"];
 /// Bytes of csitool's firmware; its driver refuses any other (`iwl-drv.c`).
 pub(super) const FIRMWARE_BYTES: u64 = 336_252;
@@ -79,7 +79,7 @@ fn has_patch(release: &str) -> bool {
     KERNELS.iter().any(is_of)
 }
 
-/// True where no patched driver is to be had for this kernel, and another way is a step off.
+/// True if no patched driver exists for this kernel, and another way is one step away.
 pub(super) fn leads_elsewhere(system: &dyn System, ways: &Ways) -> bool {
     let release = system.text("/proc/sys/kernel/osrelease").unwrap_or_default();
     ways.leads_past_patch() && !has_patch(&release)

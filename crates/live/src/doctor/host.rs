@@ -62,7 +62,7 @@ fn capability(system: &dyn System) -> Check {
     }
 }
 
-/// Whether this process holds a capability; `None` where the kernel does not say.
+/// Whether this process holds a capability; `None` if unknown.
 pub(super) fn holds(system: &dyn System, capability: u32) -> Option<bool> {
     let status = system.text("/proc/self/status")?;
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"))?;

@@ -6,7 +6,7 @@ use csi5300::source::survey::Survey;
 use driver_iface::bfee::{ALL_SUBCARRIERS, Iq, SUBCARRIERS};
 use driver_iface::record::code;
 
-/// A reception being listened to.
+/// A running reception.
 #[derive(Debug, Default)]
 pub struct Reception {
     /// Everything counted.
@@ -18,7 +18,7 @@ pub struct Reception {
 }
 
 impl Reception {
-    /// Counts what a source gave.
+    /// Counts an item of a source.
     pub fn note(&mut self, next: &Next<'_>) {
         let Some((bfee, identity)) = self.survey.note(next) else { return };
         let mut iq = [Iq::default(); SUBCARRIERS];
@@ -33,7 +33,7 @@ impl Reception {
         self.unnumbered += u64::from(identity.frame_count.is_none());
     }
 
-    /// What it says, the gravest first; one good check if there is nothing to say against it.
+    /// Its checks, the worst first; one good check without problems.
     #[must_use]
     pub fn checks(&self) -> Vec<Check> {
         let name = "reception";

@@ -1,8 +1,8 @@
-//! Why an exchange cannot be opened or brought to its end.
+//! Errors of opening or ending an exchange.
 
 use driver_iface::Mac;
 
-/// What an exchange refuses. Within [`csi5300::source::Error`] it is a backend's error.
+/// Errors of an exchange. Within [`csi5300::source::Error`] they are a backend's.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SoundingError {

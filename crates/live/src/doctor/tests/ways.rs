@@ -47,7 +47,7 @@ fn a_kernel_for_which_another_way_is_a_step_off_is_not_told_to_go() {
         let check = stage.check(name);
         assert!(check.verdict != Verdict::Bad && check.mend.is_none(), "{check:?}");
     }
-    // Where every other way is closed an older kernel is what is left.
+    // If every other way is closed, an older kernel remains.
     stage.remove("sys/bus/event_source");
     stage.put(EFIVAR, "\u{6}\0\0\0\u{1}");
     assert!(stage.check("kernel").mend.unwrap().contains("4.15"));
