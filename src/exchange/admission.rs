@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_scheduler_did_not_confirm_is_not_used() {
+    fn unconfirmed_records_are_not_used() {
         let mut admission = Admission::default();
         admission.handle(Receiver, (1, 10), ms(0), "confirmed before");
         admission.handle(Receiver, (2, 20), ms(0), "never");
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_records_of_one_number_neither_is_used() {
+    fn two_records_of_one_number_are_both_refused() {
         for (first, second) in [(ms(0), ms(1)), (ms(0), ms(19))] {
             let mut admission = Admission::default();
             admission.confirm(7, ms(0));
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_and_the_word_on_it_are_within_two_seconds() {
+    fn a_record_and_its_confirmation_are_within_two_seconds() {
         for (record, word, side, expected) in [
             (0, 2_000, Receiver, true),
             (0, 2_001, Receiver, false),

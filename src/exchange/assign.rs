@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn of_all_ways_to_settle_the_cheapest_is_taken() {
+    fn the_cheapest_assignment_is_taken() {
         let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         let spreads = [vec![of(10.0), of(13.0)]];
         let mut found = assign(&spreads, &[]);
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_to_an_unclear_log_is_what_no_other_has() {
+    fn an_unclear_log_gets_the_remaining_sender() {
         let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         // The first sender clearly belongs to another log, or is named for one.
         let clear = [vec![of(5.0), of(300.0)], vec![of(8.0), of(9.0)]];

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_driven_is_that_of_the_poses_between() {
+    fn the_driven_distance_is_that_of_the_poses_between() {
         let whole = trajectory();
         assert!((way_m(&whole, 4.0, 6.0) - 1.0).abs() < 0.02, "{}", way_m(&whole, 4.0, 6.0));
         assert_eq!([way_m(&whole, 6.0, 4.0), way_m(&whole, 100.0, 200.0)], [0.0, 0.0]);

@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn with_a_key_wrong_frames_are_left_out_and_records_without_one_are_said() {
+    fn with_a_key_wrong_frames_are_skipped_and_unchecked_records_counted() {
         let mut front = Front::new(Antenna::A).with_key(Some(Key::new([7; 16])));
         assert!(note(&mut front, &[], 1).is_some());
         assert_eq!((front.log.unchecked, front.log.unused.unauthenticated), (1, 0));
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_frames_are_read_ahead_as_are_asked_for_and_none_is_lost_by_it() {
+    fn the_requested_number_of_frames_is_read_ahead_without_losses() {
         let body = |frame_count| {
             let repr = Repr {
                 wsr: Some(Wsr { mac: SENDER, frame_count: Some(frame_count), ..Wsr::default() }),
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_number_or_not_the_antenna_is_counted() {
+    fn records_without_a_number_or_the_antenna_are_counted() {
         let mut front = Front::new(Antenna::C);
         assert!(note(&mut front, &[], 1).is_none());
         assert_eq!((front.log.unused.no_antenna, front.log.unused.no_number), (1, 0));

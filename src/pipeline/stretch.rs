@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_is_taken_whole_and_what_is_wide_as_the_stretch_that_tells_most() {
+    fn a_wide_motion_is_cut_to_its_most_informative_stretch() {
         let limits = Limits { near_field: true, ..Limits::default() };
         let small: Vec<_> = circle(0.5, 0.0, 1.0, 400).collect();
         assert_eq!(searchable(&small, WAVELENGTH_M, 2, &limits), None);

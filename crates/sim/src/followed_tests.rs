@@ -32,7 +32,7 @@ fn poses_are_reached_a_moment_after_they_came_in_the_rooms_frame() {
 }
 
 #[test]
-fn a_source_that_begins_anew_takes_the_robot_elsewhere_at_once() {
+fn a_restarted_source_moves_the_robot_at_once() {
     let mut way = waiting();
     way.hand_over(0.0, &[pose(0.0, 0.0)]);
     way.hand_over(0.1, &[pose(0.1, 0.1)]);
@@ -118,7 +118,7 @@ impl OdometrySource for Scripted {
 }
 
 #[test]
-fn a_rooms_odometry_tells_where_the_followed_robot_is() {
+fn a_rooms_odometry_gives_the_place_of_the_followed_robot() {
     let text = "duration_s = 10\n[[robot]]\nname = \"a\"\nposition_m = [3.0, 0.0, 0.0]\nmotion.followed = {}\n\
                 odometry = { rate_hz = 10 }\n[[robot]]\nname = \"b\"\n";
     let mut room = Room::new(&Scene::from_toml(text).unwrap()).unwrap();

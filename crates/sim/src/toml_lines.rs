@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_has_the_line_of_what_would_hold_it() {
+    fn a_missing_key_has_the_line_of_its_table() {
         let lines = TomlLines::new(TEXT);
         assert_eq!(lines.line(&[Key("e"), Key("none")]), Some(5));
         assert_eq!(lines.line(&[Key("h"), Index(1), Key("i")]), Some(9));

@@ -143,7 +143,7 @@ mod tests {
         assert_eq!(draw(&TurnAround::default(), &mut stream), 225_000);
     }
     #[test]
-    fn answers_away_come_in_runs_and_groups() {
+    fn answers_outside_the_core_come_in_runs_and_groups() {
         let group = |share, us| DelayGroup { share, us, spread_us: 0.0 };
         let turn = TurnAround {
             tail: 0.1,

@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_agrees_is_believed_in_its_middle() {
+    fn an_agreeing_run_is_accepted_at_its_middle() {
         let run = RUN;
         let (at, clock) = believed((0..).map(|k| 500 + 20 * (k % 3)));
         assert_eq!((at, clock.is_known()), (Some(run - 1), true));
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn candidates_that_never_agree_are_believed_when_patience_ends_and_only_where_nothing_was_known() {
+    fn disagreeing_candidates_are_accepted_after_a_limit_only_without_a_known_difference() {
         let apart = || (0..3_000).map(|k| 100_000 * (k % 7));
         let (at, mut clock) = believed(apart());
         assert_eq!(at, Some(PATIENCE as usize - 1));
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_followed_before_anything_is_believed() {
+    fn no_difference_is_followed_before_one_is_accepted() {
         let mut clock = Clock::default();
         assert!(!clock.is_known() && clock.follow(0, 0).is_none() && !clock.believe());
     }

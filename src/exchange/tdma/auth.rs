@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_of_a_tag_that_are_wrong_alike_do_not_make_up_for_each_other() {
+    fn equal_errors_in_a_tags_bytes_do_not_cancel() {
         let key = Key::new([7; 16]);
         let bytes = frame(A, B, &key);
         for half in [bytes.len() - native::TAG_LEN, bytes.len() - HALF] {

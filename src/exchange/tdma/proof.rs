@@ -141,7 +141,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn of_frames_between_others_no_more_is_known_than_the_group() {
+    fn frames_between_others_prove_only_the_group() {
         let key = Key::new([7; 16]);
         let proof = |key: Option<Key>| Prover::new(key).note(&record(code::MPDU, &frame(&Key::new([7; 16]))));
         assert_eq!(proof(Some(key.for_robot(B, &[A]))), Proof::Good);

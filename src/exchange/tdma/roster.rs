@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn the_turn_goes_round_by_macs_to_who_is_alive_wants_it_and_took_the_last_one() {
+    fn the_turn_goes_by_mac_to_robots_that_are_alive_want_it_and_took_the_last_one() {
         let now = Instant::from_us(1_000);
         let mut roster = roster(3, &[1, 2, 4, 5]);
         let next = |roster: &Roster| roster.next_initiator(now).map(|at| roster.peers[at].mac.0[5]);

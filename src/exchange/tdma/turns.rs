@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_late_driver_may_begin_is_begun_in_the_call_that_ends_the_turn() {
+    fn a_late_driver_may_start_the_next_turn_in_the_call_that_ends_one() {
         let mut tdma = robot(0, 2);
         let begun = tdma.poll_timeout().unwrap();
         assert!(tdma.poll_transmit(begun).is_some());
@@ -427,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_not_answered_listens_in_slots_of_its_own() {
+    fn an_unanswered_initiator_listens_in_its_own_slots() {
         let slots = |k, late_us| {
             let mut tdma = robot(k, 4);
             tdma.now = tdma.answered_at + tdma.plan.span_of(DEAF_SLOTS) + Span::from_us(late_us);

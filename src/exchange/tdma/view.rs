@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rival_that_goes_on_is_believed_in_the_end() {
+    fn a_persistent_rival_is_accepted() {
         let mut view = View::new(4);
         view.take(claim(1, 5_000));
         let believed: Vec<bool> = (0..4).map(|_| view.hear(claim(2, 1), false, false)).collect();

@@ -781,7 +781,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
-    fn claims_are_told_apart_and_say_what_next() {
+    fn claims_are_distinct_and_name_a_next_step() {
         let ids: BTreeSet<&str> = CLAIMS.iter().map(|claim| claim.id).collect();
         assert_eq!(ids.len(), CLAIMS.len());
         for claim in &CLAIMS {

@@ -56,7 +56,7 @@ pub fn at_once(now: Instant) -> Option<Instant> {
 }
 
 #[test]
-fn what_is_sent_is_heard_and_answered() {
+fn sent_frames_are_heard_and_answered() {
     let report = sent("", at_once);
     assert!(failed(&report).is_empty(), "{report}");
     let verdict = |id: &str| report.findings.iter().find(|finding| finding.id == id).unwrap().verdict;
@@ -101,7 +101,7 @@ pub fn flagged(flags: Option<&str>) -> Report {
 }
 
 #[test]
-fn flags_of_the_channel_are_told() {
+fn flags_of_the_channel_are_reported() {
     let told = |flags: Option<&str>| {
         let report = flagged(flags);
         report.findings.iter().find(|finding| finding.id == "injection.channel").unwrap().verdict

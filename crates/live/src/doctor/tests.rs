@@ -328,7 +328,7 @@ const CASES: &[Case] = &[
 ];
 
 #[test]
-fn each_failure_is_told_with_its_remedy() {
+fn each_failure_is_reported_with_its_remedy() {
     for (name, stage_it, check, verdict, found, mend) in CASES {
         let stage = Stage::healthy(&name.replace(' ', "-"));
         stage_it(&stage);

@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_does_not_wait_for_what_is_under_way() {
+    fn a_stop_does_not_wait_for_running_work() {
         let (_held, gate) = channel::<u8>();
         let mut beside = Beside::new(at(0), SECOND);
         beside.begin(at(0), move || gate.recv().is_ok()).unwrap();

@@ -101,7 +101,7 @@ fn lateness_is_what_it_was_and_nothing_is_sent_beyond_the_guard() {
 }
 
 #[test]
-fn a_host_that_is_elsewhere_between_machine_and_air_sends_nothing_late() {
+fn a_host_busy_between_machine_and_air_sends_nothing_late() {
     let mut script = Script::default();
     let mut exchange = Exchange::new(initiator(), &mut script);
     let begin = exchange.tdma.poll_timeout().unwrap();
@@ -137,7 +137,7 @@ fn frames_that_vanish_are_noticed_once_and_so_is_their_return() {
 }
 
 #[test]
-fn refusals_are_said_once_for_each_cause_in_a_row() {
+fn refusals_are_reported_once_for_each_cause_in_a_row() {
     let mut script = Script { refuses: Some(NotSent::NoRoom), ..Script::default() };
     let mut exchange = Exchange::new(initiator(), &mut script);
     assert_eq!(notices(&run(&mut exchange, 0, 5_000_000)), [Notice::NotSent(NotSent::NoRoom)]);
@@ -222,7 +222,7 @@ fn frames_that_all_fail_are_noticed() {
 }
 
 #[test]
-fn a_host_that_is_elsewhere_while_it_takes_a_frame_answers_nothing_late() {
+fn a_host_busy_while_it_takes_a_frame_answers_nothing_late() {
     let mut asked = Script::default();
     run(&mut Exchange::new(initiator(), &mut asked), 0, 3_000_000);
     let (_, forward) = asked.sent.remove(0);

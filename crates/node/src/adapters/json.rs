@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_the_disk_refuses_are_counted_and_said_with_why() {
+    fn lines_that_the_disk_refuses_are_counted_and_explained() {
         let mut lines = Lines::open(&Output { bearings: "/dev/full".into(), ..Output::default() }).unwrap();
         assert_eq!(lines.trouble(), None);
         (0..3).for_each(|k| lines.write(&k));

@@ -540,7 +540,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_what_the_shipped_messages_say() {
+    fn written_fields_match_the_shipped_messages() {
         for (text, message) in [
             (BEARING, serde_json::to_value(csi5300_bag::messages::own::Bearing::default()).unwrap()),
             (CSI, serde_json::to_value(Csi::default()).unwrap()),

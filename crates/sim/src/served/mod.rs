@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn where_no_room_is_the_error_says_who_was_looked_for_and_where() {
+    fn without_a_room_the_error_names_robot_and_socket() {
         let address = Address { socket: "/nowhere/room".into(), robot: "rx".into() };
         let error = join(&address, Role::Air).unwrap_err();
         assert!(error.to_string().contains("rx of the room at /nowhere/room"), "{error}");

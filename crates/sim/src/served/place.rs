@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_socket_stays_and_is_named() {
+    fn other_files_stay_and_are_named() {
         let folder = folder("files");
         let [file, link, dangling] = ["precious.dat", "link", "dangling"].map(|name| folder.join(name));
         std::fs::write(&file, "precious").unwrap();
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn the_refusal_says_what_the_place_lacks_and_blames_no_other_room() {
+    fn the_refusal_names_the_places_problem_and_no_other_room() {
         let folder = folder("lacks");
         let cases = [
             (folder.join("none").join("room"), "No such file"),
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_came_to_the_place_of_the_socket_stays_there() {
+    fn a_file_in_place_of_the_socket_stays() {
         let folder = folder("later");
         let path = folder.join("room");
         let own = socket();

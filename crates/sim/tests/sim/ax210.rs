@@ -55,7 +55,7 @@ fn a_log_is_feitcsis_with_both_clocks_of_one_crystal() {
 }
 
 #[test]
-fn a_live_card_gives_what_is_read_of_its_log() {
+fn a_live_card_and_its_log_give_the_same_records() {
     let scene = Scene::parse(SCENE).unwrap();
     let run = Room::new(&scene).unwrap().run().unwrap();
     let collect = |source: &mut dyn CsiSource| {
@@ -83,7 +83,7 @@ fn a_live_card_gives_what_is_read_of_its_log() {
 }
 
 #[test]
-fn what_a_card_does_not_have_is_refused() {
+fn keys_of_another_card_are_refused() {
     let said = |from: &str, to: &str| {
         let error = Room::new(&Scene::parse(&SCENE.replacen(from, to, 1)).unwrap()).unwrap_err();
         error.to_string()

@@ -78,7 +78,7 @@ fn the_deadline_of_a_forward_frame_is_told_apart_from_others() {
 }
 
 #[test]
-fn who_follows_is_synchronised_by_the_first_frame_heard() {
+fn a_follower_is_synchronised_by_the_first_frame() {
     let [mut first, second] = two(None);
     assert!(first.is_synchronised() && second.is_synchronised(), "a common epoch");
     let config = Config::new(mac(1), 1, &[mac(0)], Request::new(1, 100.0), 1);
@@ -91,7 +91,7 @@ fn who_follows_is_synchronised_by_the_first_frame_heard() {
 }
 
 #[test]
-fn who_leaves_sends_nothing_and_waits_for_nothing() {
+fn a_leaving_robot_sends_nothing_and_waits_for_nothing() {
     let [mut first, mut second] = two(None);
     let (now, _, frame) = forward(&mut first);
     assert!(first.has_turn());

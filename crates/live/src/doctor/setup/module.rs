@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn what_runs_as_wanted_is_left_alone_and_taken_back() {
+    fn a_correct_set_up_is_kept_and_can_be_undone() {
         let stage = Stage::new("running");
         stage.put("lib/firmware/iwlwifi-5000-5.ucode.csi5300-aside", "newer");
         stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn another_build_than_the_one_on_disk_is_loaded_anew() {
+    fn another_build_than_the_one_on_disk_is_reloaded() {
         let stage = Stage::new("build");
         stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
         std::os::unix::fs::symlink(PUBLISHED, stage.0.join("lib/firmware/iwlwifi-5000-2.ucode")).unwrap();
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_step_mends_is_said() {
+    fn problems_without_a_step_are_reported() {
         let stage = Stage::new("warned");
         stage.put(SECURE_BOOT.trim_start_matches('/'), "\u{6}\0\0\0\u{1}");
         std::fs::remove_file(stage.0.join("run/modinfo -F license csi5300")).unwrap();

@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn who_says_nothing_is_let_go_and_holds_no_place_for_ever() {
+    fn a_silent_connection_is_closed_and_frees_its_place() {
         let door = house(1, Duration::from_millis(30));
         let mut silent = TcpStream::connect(door.address()).unwrap();
         assert_eq!(first(&mut silent, 1), "", "closed");

@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn an_open_door_is_said_and_a_closed_one_is_not() {
+    fn an_open_network_is_reported_and_a_closed_one_is_not() {
         let all = "tcp/0.0.0.0:7447";
         assert_eq!(doors(None, &[]).judge(), Verdict::KeepLocal);
         assert_eq!(

@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn an_owned_key_is_taken_by_its_certificate_and_what_nobody_owns_by_nobody_else() {
+    fn an_owned_key_is_published_by_its_certificate_only() {
         let made = access_control("csi5300/lab", &[owner(1, Some("burger-1")), owner(2, None)]).unwrap();
         assert_eq!((&made["enabled"], &made["default_permission"]), (&json!(true), &json!("deny")));
         let rule = |id: &str| made["rules"].as_array().unwrap().iter().find(|rule| rule["id"] == id).unwrap();

@@ -28,7 +28,7 @@ fn refused(text: &str, key: &str, why: &str) {
 }
 
 #[test]
-fn what_the_others_are_made_from_is_good() {
+fn the_base_configuration_is_good() {
     assert_eq!(refusals(&format!("{ROOM}{PEER}")), Vec::<String>::new());
     assert_eq!(refusals(CARD), Vec::<String>::new());
 }
@@ -113,7 +113,7 @@ fn an_antenna_is_on_its_robot_and_a_pace_is_one_that_can_be_kept() {
 }
 
 #[test]
-fn a_camera_is_for_poses_of_one() {
+fn camera_mount_needs_poses_of_a_camera() {
     let mounted = |camera: &str, poses: &str| {
         let given = format!("camera_mount = {camera}\n{poses}");
         CARD.replace("odometry.opencr.port = \"/dev/null\"", &given)
@@ -246,7 +246,7 @@ fn output_and_network() {
 }
 
 #[test]
-fn what_a_robot_writes_is_in_files_of_their_own() {
+fn outputs_are_in_separate_files() {
     let folder = std::env::temp_dir().join(format!("csi5300-written-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let name = |file: &str| folder.join(file).display().to_string();
@@ -287,7 +287,7 @@ fn what_a_robot_writes_is_in_files_of_their_own() {
 
 /// Whatever name it is given: the recording would be what is written, or have lines of JSON in it.
 #[test]
-fn what_a_robot_reads_is_not_written_to() {
+fn inputs_are_not_written() {
     let folder = std::env::temp_dir().join(format!("csi5300-read-{}", std::process::id()));
     std::fs::create_dir_all(folder.join("sub")).unwrap();
     for file in ["rx.dat", "rx.datstp", "tx.dat", "way.csv", "key"] {
