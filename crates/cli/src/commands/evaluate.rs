@@ -218,7 +218,7 @@ fn find_all<'a>(
     Ok((captures, unreadable))
 }
 
-/// Prints rows and summary, and draws the pictures that were asked for.
+/// Prints rows and summary, and draws the requested pictures.
 #[cfg_attr(not(feature = "plot"), allow(unused_variables))]
 fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<(), String> {
     let summary = summarise(rows);

@@ -102,7 +102,7 @@ pub fn say_trajectory(path: &Path, trajectory: &Trajectory, counts: &CsvCounts) 
     }
 }
 
-/// True if both names lead to one file, by whatever links; `-` is what standard input was opened from.
+/// True if both names lead to one file, by any links; `-` is the file behind standard input.
 pub fn is_same_file(input: &Path, output: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
     let input = if input.as_os_str() == "-" { Path::new("/dev/stdin") } else { input };
@@ -112,7 +112,7 @@ pub fn is_same_file(input: &Path, output: &Path) -> bool {
     }
 }
 
-/// Refuses an output that already exists, unless `--force` was given; that replaces files, and no pipes, which would wait for a
+/// Refuses an existing output, unless `--force` was given, which replaces files but not pipes: they would wait for a
 /// reader.
 pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
     use std::os::unix::fs::FileTypeExt;
@@ -152,7 +152,7 @@ mod tests {
             let error = open_log(&path).err().unwrap();
             assert!(error.contains("is another kind of file") && error.contains(words), "{error}");
         }
-        // Text that is longer than what is looked at first, then a log: what can be read of it is.
+        // Text longer than the searched beginning, then a log: its readable part is read.
         let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
         let is_log = |path: &Path| path.extension().is_some_and(|extension| extension == "dat");
         let logs = std::fs::read_dir(fixtures).unwrap().map(|entry| entry.unwrap().path());

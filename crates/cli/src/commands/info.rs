@@ -119,7 +119,7 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
-/// The pictures of the `k`th log, if some were asked for. Prints the error if they cannot be drawn.
+/// The requested pictures of the `k`th log. Prints the error if they cannot be drawn.
 fn drawn(args: &Args, k: usize, failed: &mut bool) -> Vec<PathBuf> {
     draw(args, k).unwrap_or_else(|message| {
         *failed = true;

@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result {
     let names = names(&args.logs);
     let trajectory =
         args.trajectory.as_deref().map(|path| read_trajectory_as(path, args.columns.as_ref())).transpose()?;
-    // What is wrong with the options is said before there is a file.
+    // Options are checked before the file is created.
     let options = args.channel.filter(|_| trajectory.is_some());
     let options = options.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
     let mut recording = Recording::create(draft.path()).map_err(|error| draft.words(&error.to_string()))?;

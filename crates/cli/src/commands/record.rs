@@ -348,7 +348,7 @@ fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathB
     text
 }
 
-/// Removes an empty output, so that nobody mistakes it for a result; devices and pipes stay.
+/// Removes an empty output; devices and pipes stay.
 fn remove_empty(output: &Path) {
     if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
         note!("nothing to write: no {}", output.display());

@@ -114,15 +114,14 @@ pub fn run(args: &Args) -> Result {
 fn words(error: &SetupError) -> String {
     match error {
         SetupError::NoCsiDriver => format!(
-            "{error}. With the distribution's driver: install the module csi5300 (packaging/dkms) and say --driver module \
-             (`csi5300 doctor` says more)"
+            "{error}. With the distribution's driver: install the module csi5300 (packaging/dkms) and use --driver module (details: `csi5300 doctor`)"
         ),
         SetupError::NoAckLen => {
             "a responder with the WSR driver needs --ack-len, the length of the frames meant for it \
                                  (57 for the first robot, 59 for the second ...)"
                 .into()
         }
-        SetupError::NoCard => format!("{error} (`csi5300 doctor` says more)"),
+        SetupError::NoCard => format!("{error} (details: `csi5300 doctor`)"),
         SetupError::NoInterface => format!("{error}: name one with --interface"),
         _ => error.to_string(),
     }

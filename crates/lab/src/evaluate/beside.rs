@@ -83,8 +83,7 @@ impl Table {
         Ok(Some(table))
     }
 
-    /// [`Self::read`], with what there is to say in words: why the table is left out, or how many of its rows are. Both
-    /// are losses.
+    /// [`Self::read`], with messages: why the table was skipped, or how many of its rows. Both are losses.
     #[must_use]
     pub fn noted(folder: &Path, source: TrajectorySource) -> (Option<Self>, Option<String>) {
         let said = |words: String| Some(format!("{}: {words}", folder.display()));

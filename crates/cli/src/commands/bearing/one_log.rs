@@ -9,7 +9,7 @@ use csi5300::pipeline::{Answer, Array, ArrayError, ChainConstant, LinkReport, On
 use nalgebra::Vector3;
 use std::path::Path;
 
-/// A log of another card; none where it is none. At last whether bytes of it could not be read.
+/// The result of another card's log, and whether some of its bytes were unreadable; none for other files.
 fn other_card(
     path: &Path,
     trajectory: &Trajectory,

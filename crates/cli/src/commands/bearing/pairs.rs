@@ -5,7 +5,7 @@ use csi5300::exchange::pairing::SideCounts;
 use csi5300::pipeline::{Answer, PairCounts};
 use std::fmt::Write as _;
 
-/// Numbers that come twice are said where they are one in so many frames: senders repeat some, a few in a thousand.
+/// Repeated numbers are reported from this share on: senders repeat a few in a thousand.
 const MANY_TWICE: f64 = 10.0;
 
 /// What may be wrong with the logs, one line each; empty if nothing is.
@@ -77,7 +77,7 @@ pub(super) fn pairs(answer: &Answer) -> String {
     text
 }
 
-/// What became of the records of one log.
+/// The outcome of one log's records.
 pub(super) fn records(answer: &Answer) -> String {
     let counts = answer.pair_counts;
     let constant = |[deg, sd_deg]: &[f64; 2]| {

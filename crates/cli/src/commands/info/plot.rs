@@ -48,7 +48,7 @@ fn stem(folder: &Path, logs: &[PathBuf], k: usize) -> PathBuf {
     folder.join(file_safe(&if same { format!("{own}.{}", k + 1) } else { own }))
 }
 
-/// Draws a log, the `k`th, if that was asked for; gives the pictures.
+/// Draws the `k`th log, if requested; returns the pictures.
 pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> std::result::Result<Vec<PathBuf>, String> {
     let (Some(folder), Some(log)) = (&args.plot, logs.get(k)) else { return Ok(Vec::new()) };
     let stem = stem(folder, logs, k);

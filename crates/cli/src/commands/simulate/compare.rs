@@ -122,7 +122,7 @@ const SCENE: &str = "scene.toml";
 const SIMULATED: &str = "simulated";
 
 impl Args {
-    /// The channel of both captures: of the scene that was read, of the folder, or the one asked for.
+    /// The channel of both captures: the scene's, the folder's, or the requested one.
     fn channel(&self, scene: Option<&Scene>) -> Words<Channel> {
         match (&self.with, scene) {
             (Some(file), Some(scene)) => of_scene(file, scene, self.recorded.channel),

@@ -164,7 +164,7 @@ pub(super) fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
     Ok(())
 }
 
-/// What the first robot asked for: the card, who answers and under which MAC, and the channel.
+/// The first robot's request: the card, the answering MAC, and the channel.
 type Agreed = (csi5300_live::listener::Listener, Option<Running>, Option<Mac>, Channel);
 
 fn agree(args: &Args, desk: &Desk, said: &str) -> Words<Agreed> {
