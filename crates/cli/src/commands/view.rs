@@ -13,8 +13,7 @@ use std::sync::Arc;
 
 // Arguments of `view`.
 #[derive(clap::Args)]
-#[command(after_help = "The page is served on this machine only and loads nothing from elsewhere. \
-                        Ctrl-C ends it. `evaluate --html` writes the same page as one file.\n\
+#[command(after_help = "Ctrl-C ends it. `evaluate --html` writes the page as one file.\n\
                         Example: csi5300 view captures --open")]
 pub struct Args {
     /// A log, a folder of captures or logs, or the status socket of a running node
