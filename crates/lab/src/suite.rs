@@ -118,7 +118,7 @@ pub struct SuiteError {
     pub source: CompareError,
 }
 
-/// Runs every experiment so many times, on all cores of the current rayon pool; in order.
+/// Runs every experiment this number of times, on all cores of the current rayon pool; results in order.
 ///
 /// # Errors
 /// The first repetition that failed, with its experiment.

@@ -13,7 +13,7 @@ const KINDS: [&str; 2] = ["png", "svg"];
 pub struct Format {
     /// Whether files of the same names are replaced; where not, one of them is [`Error::There`].
     pub replace: bool,
-    /// Files that are never replaced, by whatever name: [`Error::Kept`].
+    /// Files that are never replaced, under any name: [`Error::Kept`].
     pub kept: Vec<PathBuf>,
 }
 
@@ -32,7 +32,7 @@ impl Format {
         self
     }
 
-    /// Never replacing these files, by whatever name.
+    /// Never replaces these files, under any name.
     #[must_use]
     pub fn with_kept(mut self, kept: Vec<PathBuf>) -> Self {
         self.kept = kept;
