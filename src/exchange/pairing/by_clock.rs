@@ -6,14 +6,14 @@
 //! the pauses of 4 to 10 ms vary by 0.1 ms, and the right shift is 2 to 8 times as sharp as the next (measured).
 //!
 //! 1. A stretch of the receiver's log is laid over the transmitter's at every difference that makes one of its records
-//!   meet another. For each difference the deviations from a straight line are sorted into bins of 10 us; the share of
-//!   pairs of deviations in the same or neighbouring bins is its **sharpness**. It does not require a single peak:
-//!   turn-arounds often have two. Host clocks are not used unless the caller states how well they agree.
+//!    meet another. For each difference the deviations from a straight line are sorted into bins of 10 us; the share of
+//!    pairs of deviations in the same or neighbouring bins is its **sharpness**. It does not require a single peak:
+//!    turn-arounds often have two. Host clocks are not used unless the caller states how well they agree.
 //! 2. The sharpest difference is taken if it stands out from all others. Otherwise the two logs do not belong together,
-//!   or the exchanges are too regular to be distinguished.
+//!    or the exchanges are too regular to be distinguished.
 //! 3. From there the line is followed to both ends, so that drift may change with temperature.
 //! 4. Two records are paired if each is the other's nearest to the line, within half of the shortest exchange. Two that
-//!   are equally near are both skipped.
+//!    are equally near are both skipped.
 //!
 //! After a step back of a clock, the rest is aligned separately.
 
