@@ -39,7 +39,7 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
-    /// The thread that writes a recorder's log panicked: what it had not written is lost.
+    /// The thread that writes a recorder's log panicked: unwritten records are lost.
     #[error("the thread that writes the log died")]
     WriterDied,
     /// A source without an end, as a card is, where a log is read to its end.
