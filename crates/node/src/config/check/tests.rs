@@ -318,7 +318,7 @@ fn inputs_are_not_written() {
         ("rx.dat", "hard.csv", "`odometry`"),
     ] {
         let why = said(&config(capture, &format!("bearings = '{bearings}'")));
-        let wanted = format!("{key} names: what this robot reads is not written to");
+        let wanted = format!("is an input ({key}): name another output");
         assert!(why.starts_with("line 7: ") && why.contains(&wanted), "{capture}, {bearings}: {why}");
     }
     let output = |more: &str| said(&config("rx.dat", more));
@@ -328,7 +328,7 @@ fn inputs_are_not_written() {
     let keyed = format!("{CARD}[output]\nbearings = 'key'\n[sounding]\ninterface = 'mon0'\nkey = 'key'\n{PEER}")
         .replace("records.room = {}", "mac = '02:00:00:00:00:02'\nrecords.sounding = {}");
     let why = said(&keyed);
-    assert!(why.contains("what `sounding.key` names"), "{why}");
+    assert!(why.contains("is an input (`sounding.key`)"), "{why}");
     assert_eq!(std::fs::read(folder.join("rx.dat")).unwrap(), b"rx.dat");
     std::fs::remove_dir_all(folder).unwrap();
 }
@@ -337,7 +337,7 @@ fn inputs_are_not_written() {
 fn names_that_no_file_or_socket_can_have_are_refused_before_the_start() {
     let output = |more: &str| format!("{CARD}[output]\nbearings = \"\"\n{more}\n");
     let said = |text: &str| Config::read(text, Path::new("")).err().map(|error| error.to_string()).unwrap_or_default();
-    let empty = "an empty name is no file's";
+    let empty = "an empty name is no file";
     assert!(said(&output("status_socket = \"\"")).starts_with(&format!("line 10: {empty}")));
     assert!(said(&CARD.replace("x.dat", "")).starts_with(&format!("line 7: {empty}")));
     let socket = |bytes: usize| output(&format!("status_socket = '/tmp/{}'", "s".repeat(bytes - "/tmp/".len())));
