@@ -1,4 +1,4 @@
-//! An AX200's or AX210's records as FeitCSI gives them: UDP datagrams (`feitcsi --udp-socket`), or its standard output.
+//! An AX200's or AX210's records from FeitCSI: UDP datagrams (`feitcsi --udp-socket`), or its standard output.
 
 use crate::wait::Monotonic;
 use csi5300::source::other_card::Translated;
@@ -10,12 +10,12 @@ use std::io::{self, ErrorKind, Read};
 use std::net::{ToSocketAddrs, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
-/// Bytes of records taken at a time.
+/// Bytes of records read at a time.
 const CHUNK: usize = 16 * 1024;
 
-/// What FeitCSI writes, live, as records of a 5300 (see [`csi5300::source::other_card`]).
+/// FeitCSI's output, live, as records of a 5300 (see [`csi5300::source::other_card`]).
 ///
-/// Records have FeitCSI's host time; older versions write none, then they have that of `wall_us`.
+/// Records have FeitCSI's host time; with older versions, which write none, that of `wall_us`.
 #[derive(Debug)]
 pub struct FeitCsi {
     records: Translated<Way>,
@@ -30,7 +30,7 @@ pub struct FeitCsi {
     wall_us: fn() -> Option<i64>,
 }
 
-/// Where bytes come from.
+/// The source of bytes.
 #[derive(Debug)]
 enum Way {
     Datagrams(UdpSocket),
@@ -41,7 +41,7 @@ impl Read for Way {
     fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::Stream(stream) => {
-                // Without O_NONBLOCK, which the program at the other end of a terminal or pipe would have too.
+                // Without O_NONBLOCK, which would affect the program at the other end of a terminal or pipe too.
                 let clock = Monotonic::new();
                 let [is_ready] = clock.wait([stream.as_fd()], Some(Instant::ZERO)).map_err(io::Error::other)?;
                 if is_ready { stream.read(room) } else { Err(ErrorKind::WouldBlock.into()) }

@@ -215,9 +215,9 @@ fn refusals_say_what_to_do() {
 }
 
 #[test]
-fn a_missing_capability_is_said_with_its_remedy() {
+fn a_missing_capability_is_reported_with_its_remedy() {
     // Without -r the user is mapped to nobody, and exec takes the new namespace's capabilities away.
-    if !inside(concat!(module_path!(), "::a_missing_capability_is_said_with_its_remedy"), "-Un") {
+    if !inside(concat!(module_path!(), "::a_missing_capability_is_reported_with_its_remedy"), "-Un") {
         return;
     }
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
