@@ -15,8 +15,8 @@
 //! 2. **The channel centre.** A line through the phase over the subcarriers, evaluated at subcarrier 0, makes 30 noisy
 //!    phases one good one ([`signal::cfo::at_centre`]).
 //! 3. **Turn-around.** The remaining effect of the CFO is `2 pi df` times the jitter of the time between the two
-//!   frames. Both cards' microsecond clocks measure it, so it is removed ([`signal::cfo::TurnAround`]), with most of
-//!   the phase noise.
+//!    frames. Both cards' microsecond clocks measure it, so it is removed ([`signal::cfo::TurnAround`]), with most of
+//!    the phase noise.
 //! 4. **Motion makes the array.** While the robot drives, one antenna is at many places `p`: a virtual antenna array
 //!    ([`motion::pose`], [`signal::samples::Samples`]).
 //! 5. **Bartlett.** For every direction `u` the samples are turned back by the phase that a wave from there would have
