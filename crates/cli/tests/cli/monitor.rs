@@ -364,7 +364,7 @@ fn sound_and_respond_exchange_frames_and_measurements() {
     assert_eq!(status, 0, "{said}");
     summary_is_right(&out, measured.len());
     for words in
-        ["02:00:00:00:00:0b is there", "lateness: p50", "answers began after: p50", "145 to 322 us", "records written"]
+        ["02:00:00:00:00:0b joined", "lateness: p50", "answers began after: p50", "145 to 322 us", "records written"]
     {
         assert!(said.contains(words), "no `{words}` in {said}");
     }

@@ -126,7 +126,7 @@ mod tests {
         assert_eq!(table.of("A/L1/x/tx2"), Some(Beside { azimuth_deg: 132.8, error_deg: 5.9 }));
         assert_eq!((table.of("A/L1/x/tx3"), table.bad_rows()), (None, 2));
         let (noted, note) = Table::noted(&folder, TrajectorySource::GroundTruth);
-        assert!(noted == Some(table) && note.unwrap().ends_with("links.csv: 2 rows without numbers left out"));
+        assert!(noted == Some(table) && note.unwrap().ends_with("links.csv: 2 rows without numbers skipped"));
         let camera = Table::read(&folder, TrajectorySource::T265).unwrap().unwrap();
         assert_eq!(camera.of("A/L1/x/tx2").map(|beside| beside.error_deg), Some(-1.0));
         assert_eq!(Table::noted(&folder, TrajectorySource::T265), (Some(camera), None));

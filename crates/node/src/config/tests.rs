@@ -153,7 +153,7 @@ fn robots_of_a_room_follow_what_there_is() {
     for (follow, why) in [
         (", follow = { a.ros.topic = \"odom\" }", "no name in ROS"),
         (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "are live"),
-        (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "at which poses come"),
+        (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "times of arrival"),
     ] {
         let refused = read(follow).unwrap_err();
         assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");

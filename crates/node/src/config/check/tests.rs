@@ -255,10 +255,10 @@ fn outputs_are_in_separate_files() {
             + &format!("[output]\nbearings = '{}'\nstatus_socket = '{}'\n", name(bearings), name(socket))
     };
     assert_eq!(refusals(&with("a.dat", "b", "c")), Vec::<String>::new());
-    refused(&with("a.dat", "./a.dat", "c"), "bearings", "is what `file` writes");
-    refused(&with("a.dat", "a.datstp", "c"), "bearings", "is what `file` writes");
-    refused(&with("a.dat", "b", "a.dat"), "status_socket", "is what `file` writes");
-    refused(&with("a.dat", "b", "b"), "status_socket", "is what `bearings` writes");
+    refused(&with("a.dat", "./a.dat", "c"), "bearings", "is also the output of `file`");
+    refused(&with("a.dat", "a.datstp", "c"), "bearings", "is also the output of `file`");
+    refused(&with("a.dat", "b", "a.dat"), "status_socket", "is also the output of `file`");
+    refused(&with("a.dat", "b", "b"), "status_socket", "is also the output of `bearings`");
     refused(&CARD.replace("x.dat", "/dev/full"), "/dev/full", "no regular file");
     refused(&format!("{CARD}rotate_mib = 0\n"), "rotate_mib", "a file of its own");
     // What already exists: a log and a recording get other names, lines are added, a socket is one.
