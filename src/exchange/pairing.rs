@@ -10,7 +10,7 @@
 //!   MAC. Our schedulers keep them apart (`numbering`), and each count is followed separately, so a change of turns is
 //!   no restart.
 //! * **wrap**: `u32::MAX` to 0 is a step of one.
-//! * **duplicate**: the same number again within a session (overheard echoes, 892 in one log [measured]): the first is
+//! * **duplicate**: the same number again within a session (overheard echoes, 892 in one log, measured): the first is
 //!   used, the others are counted.
 //! * **implausible jump**: a number more than some frames from its neighbours that no record soon after confirms (a
 //!   flipped bit; the counter of the WSR toolbox's sender turns to noise after 68,966 packets; stale header fields):
