@@ -58,7 +58,7 @@ feed "hostile 100000 3 0"
 sleep 1
 stop 3
 check "/tmp/ebpf.dat wsr 1 all hostile 100000 3 -"
-grep "contradict" /tmp/recorder
+grep "inconsistent" /tmp/recorder
 
 echo "headers that claim more than their page: nothing beyond it is read"
 echo Y >/sys/module/fakecard/parameters/at_end
