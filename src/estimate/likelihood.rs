@@ -190,8 +190,8 @@ impl Work {
     }
 }
 
-/// Adds a row to the sums of `re cos`, `im sin`, `re sin` and `im cos`. No closure: those are not inlined into code for a
-/// processor's features, unless the compiler chooses to.
+/// Adds a row to the sums of `re cos`, `im sin`, `re sin` and `im cos`. A closure in its place would not always be inlined
+/// into the code for AVX; each vector operation is then a call.
 #[inline(always)]
 fn add<S: Simd>(simd: S, sums: &mut [f32x8<S>; 4], row: &[f32; 2 * COLUMNS], cos: f32, sin: f32) {
     let (re, im) = (f32x8::from_slice(simd, &row[..COLUMNS]), f32x8::from_slice(simd, &row[COLUMNS..]));

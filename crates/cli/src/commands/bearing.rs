@@ -406,7 +406,7 @@ fn tell(answer: &Answer, json: bool) {
     if json {
         print_json(answer);
     } else {
-        print(&describe(answer, &pairs::doubts(answer), &pairs::pairs(answer)));
+        print(&describe(answer, captures::MirrorOf::Motion, &pairs::doubts(answer), &pairs::pairs(answer)));
         print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
     }
     if let Some(error) = &answer.error {

@@ -48,7 +48,7 @@ impl Running {
         kill(Pid::from_raw(self.child.id() as i32), signal).unwrap();
     }
 
-    /// Stops it, and waits until it stands: the signal alone does not wait for a busy processor.
+    /// Stops it, and waits until the kernel reports it as stopped: on a busy processor a signal takes effect later.
     fn stop(&self) {
         self.signal(Signal::SIGSTOP);
         let stat = format!("/proc/{}/stat", self.child.id());

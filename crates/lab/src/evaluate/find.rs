@@ -58,7 +58,7 @@ impl std::fmt::Display for TrajectorySource {
     }
 }
 
-/// The receiver's files of a capture whose names say nothing.
+/// The receiver's files of a capture whose file names give no roles.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Loose {
     /// Its log.

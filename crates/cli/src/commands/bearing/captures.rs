@@ -148,8 +148,12 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>) {
         _ if args.json => print_json(&Row::new(row, bearing)),
         Some(bearing) if args.explain => print(&explain(row, bearing)),
         _ => {
-            let mut text =
-                super::describe(&row.answer, &super::pairs::doubts(&row.answer), &super::pairs::pairs(&row.answer));
+            let mut text = super::describe(
+                &row.answer,
+                MirrorOf::Motion,
+                &super::pairs::doubts(&row.answer),
+                &super::pairs::pairs(&row.answer),
+            );
             truth(&mut text, "  truth", row);
             print(&text);
         }
@@ -237,7 +241,7 @@ fn turn_around(text: &mut String, bearing: &Bearing) {
                 t.jitter_median_us,
                 t.drift_ppm,
                 t.df_hz,
-                if bearing.compensated { "taken out" } else { "left in" },
+                if bearing.compensated { "removed" } else { "not removed" },
                 t.coherence_before,
                 t.coherence_after
             );
@@ -263,7 +267,7 @@ fn conclusion(text: &mut String, row: &Judged) {
             _ => "no range".into(),
         }
     );
-    if let Some(mirror) = mirror(answer) {
+    if let Some(mirror) = mirror(answer, MirrorOf::Motion) {
         let _ = writeln!(text, "mirror        {mirror}");
     }
     truth(text, "truth        ", row);
@@ -288,14 +292,26 @@ fn truth(text: &mut String, head: &str, row: &Judged) {
     }
 }
 
-/// The other bearing that the motion cannot tell from the answer, and why it cannot.
-pub fn mirror(answer: &Answer) -> Option<String> {
+/// What lies on the line or in the plane of a mirror.
+#[derive(Clone, Copy)]
+pub enum MirrorOf {
+    /// One antenna of a robot that drives.
+    Motion,
+    /// Several antennas of a robot that stands.
+    Antennas,
+}
+
+/// The other bearing that these points cannot distinguish from the answer, and why.
+pub fn mirror(answer: &Answer, of: MirrorOf) -> Option<String> {
     let azimuth = fixed(answer.mirror_deg?, 2);
-    let (height, motion) = match answer.mirror_elevation_deg {
-        Some(elevation) => (format!(" at elevation {} deg", fixed(elevation, 1)), "in a plane"),
-        None => (String::new(), "along a line"),
+    let height = answer.mirror_elevation_deg.map(|elevation| format!(" at elevation {} deg", fixed(elevation, 1)));
+    let shape = match (of, &height) {
+        (MirrorOf::Motion, None) => "motion along a line",
+        (MirrorOf::Motion, Some(_)) => "motion in a plane",
+        (MirrorOf::Antennas, None) => "antennas on a line",
+        (MirrorOf::Antennas, Some(_)) => "antennas in a plane",
     };
-    Some(format!("{azimuth} deg{height}: motion {motion} cannot tell them apart"))
+    Some(format!("{azimuth} deg{}: {shape} cannot tell them apart", height.unwrap_or_default()))
 }
 
 /// A line for each candidate.

@@ -2,6 +2,7 @@
 
 use super::super::inputs::Inputs;
 use super::super::{Outcome, Result, hint, info, print, print_json, usage};
+use super::captures::MirrorOf;
 use super::{Args, artefacts, describe, link_name, options, pairs};
 use csi_formats::{Item, Items, Why};
 use csi5300::motion::pose::Trajectory;
@@ -94,10 +95,10 @@ pub fn run(args: &Args) -> Result {
         if args.json {
             print_json(&answer);
         } else {
-            let text = describe(&answer, "", &pairs::records(&answer));
-            // With known constants the robot may stand; its antennas then are on a line.
+            // With known constants the robot may stand.
             let stands = args.logs.baseline.iter().any(|baseline| baseline.constant.is_some());
-            print(&if stands { text.replace("motion along a line", "antennas on a line") } else { text });
+            let of = if stands { MirrorOf::Antennas } else { MirrorOf::Motion };
+            print(&describe(&answer, of, "", &pairs::records(&answer)));
         }
         if let Some(error) = &answer.error {
             wrong!("{}: {error}", answer.link);

@@ -1,6 +1,6 @@
 //! A bearing in words: the answer, how sure it is, where it is seen from, and why it is poor; details with `-v`.
 
-use super::captures::{mirror, places};
+use super::captures::{MirrorOf, mirror, places};
 use crate::commands::fixed;
 use csi5300::pipeline::{Answer, WaveModel};
 use csi5300_say::{Level, Tone, says, toned};
@@ -18,11 +18,11 @@ const WIDE_DEG: f64 = 60.0;
 const LITTLE: f64 = 0.3;
 
 /// Describes an answer. `doubts` are always printed, `details` with `-v` only.
-pub(super) fn describe(answer: &Answer, doubts: &str, details: &str) -> String {
-    describe_with(answer, doubts, says(Level::Verbose).then_some(details))
+pub(super) fn describe(answer: &Answer, of: MirrorOf, doubts: &str, details: &str) -> String {
+    describe_with(answer, of, doubts, says(Level::Verbose).then_some(details))
 }
 
-fn describe_with(answer: &Answer, doubts: &str, details: Option<&str>) -> String {
+fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&str>) -> String {
     let mut text = answer.link.clone();
     if let Some(mac) = &answer.mac {
         let _ = write!(text, " ({mac})");
@@ -34,7 +34,7 @@ fn describe_with(answer: &Answer, doubts: &str, details: Option<&str>) -> String
     if let Some(sd) = answer.azimuth_sd_deg {
         let _ = write!(text, " +- {sd:.2}");
     }
-    if let Some(mirror) = mirror(answer) {
+    if let Some(mirror) = mirror(answer, of) {
         let _ = write!(text, ", or its mirror {mirror}");
     } else if let Some(next) = answer.candidates.get(1).filter(|_| has_rival(answer)) {
         let _ = write!(text, ", or {} deg ({:.0} %)", fixed(next.azimuth_deg, 2), 100.0 * next.share);
@@ -186,29 +186,31 @@ mod tests {
     #[test]
     fn a_good_answer_is_three_lines_and_more_is_asked_for() {
         let good = answer(0.93, |answer| (answer.range_m, answer.range_sd_m) = (Some(3.9), Some(0.2)));
-        let short = describe_with(&good, "", None);
+        let short = describe_with(&good, MirrorOf::Motion, "", None);
         assert_eq!(short.lines().count(), 3, "{short}");
         assert!(short.starts_with("tx: 97.00 deg +- 34.40\n  GOOD: 93 % sure"), "{short}");
-        assert!(!short.contains("CFO") && describe_with(&good, "", Some("  CFO\n")).ends_with("  CFO\n"));
+        assert!(
+            !short.contains("CFO") && describe_with(&good, MirrorOf::Motion, "", Some("  CFO\n")).ends_with("  CFO\n")
+        );
     }
 
     #[test]
     fn a_poor_answer_says_why_and_what_next_and_doubts_are_always_there() {
-        let poor = describe_with(&answer(0.35, |_| ()), "  a doubt\n", None);
+        let poor = describe_with(&answer(0.35, |_| ()), MirrorOf::Motion, "  a doubt\n", None);
         for words in
             ["POOR: 35 % sure", "only 28 % of the phases", "--antenna-offset", "distance unknown", "a doubt", "-v"]
         {
             assert!(poor.contains(words), "{words}: {poor}");
         }
-        assert!(describe_with(&answer(0.6, |_| ()), "", None).contains("FAIR: 60 %"));
-        let wide = describe_with(&answer(0.35, |answer| answer.coherence = Some(0.6)), "", None);
+        assert!(describe_with(&answer(0.6, |_| ()), MirrorOf::Motion, "", None).contains("FAIR: 60 %"));
+        let wide = describe_with(&answer(0.35, |answer| answer.coherence = Some(0.6)), MirrorOf::Motion, "", None);
         assert!(wide.contains("the peak is wide"), "{wide}");
     }
 
     #[test]
     fn a_mirror_has_half_of_the_probability_and_the_pair_all() {
         let two = |answer: &mut Answer| (answer.mirror_deg, answer.mirror_share) = (Some(-97.0), Some(0.5));
-        let text = describe_with(&answer(0.47, two), "", None);
+        let text = describe_with(&answer(0.47, two), MirrorOf::Motion, "", None);
         assert!(text.contains("or its mirror -97.00 deg") && text.contains("GOOD: 94 % sure"), "{text}");
         assert!(text.contains("of one of the two") && !text.contains("Why"), "{text}");
     }
