@@ -11,6 +11,7 @@
 //! the posterior is that of independent samples (`one_wave`). Everything else is searched with windows, which assume only
 //! that a wave stays coherent over some part of the motion.
 
+mod combine;
 pub(crate) mod likelihood;
 mod mirror;
 pub(crate) mod one_wave;
@@ -19,6 +20,8 @@ pub(crate) mod prior;
 pub(crate) mod range_change;
 pub(crate) mod signal;
 pub(crate) mod tuning;
+
+pub(crate) use combine::both;
 
 use crate::bartlett::{self, Searcher, Tier};
 use crate::signal::channel::SUBCARRIERS;

@@ -4,10 +4,11 @@
 //! peer several times a second over the last metres of relative motion. A robot that sounds alone hands over its own card's
 //! records and the measurements in its peers' answers, and asks for bearings when it wants them.
 //!
-//! `report` has the values, `track` poses as they come and the stretch of relative motion, `peer` one peer, `estimator` the
-//! machine, `links` what bearings are made of when they are asked for.
+//! `report` has the values, `track` poses as they come and the stretch of relative motion, `peer` one peer, `heard` bearings of
+//! one card with two or three antennas, `estimator` the machine, `links` what bearings are made of when they are asked for.
 
 mod estimator;
+mod heard;
 mod links;
 mod peer;
 mod report;

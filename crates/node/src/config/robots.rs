@@ -180,6 +180,8 @@ pub enum Records {
     Room(NoKeys),
     /// The network of the robots.
     Network(NoKeys),
+    /// None: its bearing is made of what this robot hears of it, by the antennas of `[array]`. It need not answer, nor be a robot.
+    Heard(NoKeys),
     /// Its answers to this robot's frames, which carry what its card measured of them. No network is needed, but the peer
     /// must stand: the time of a measurement on its host is not in an answer.
     Sounding(NoKeys),

@@ -1,0 +1,90 @@
+//! Both kinds of evidence in one answer, in simulated rooms: two logs, and two antennas of the robot that one of them is of.
+
+use csi5300::driver_iface::bfee::Antenna;
+use csi5300::maths::wrap_rad;
+use csi5300::pipeline::{Array, Bearing, ChainConstant, Options, Transmitter, bearings, one_log};
+use csi5300::source::replay::Replay;
+use csi5300_sim::{Room, Scene, Simulation};
+use nalgebra::Vector3;
+
+/// A room of one wave, or with reflections, in which the first robot moves so.
+fn simulated(motion: &str, antenna_b: &str, more: &str, azimuth_deg: f64, seed: u64) -> Simulation {
+    let (sin, cos) = azimuth_deg.to_radians().sin_cos();
+    let scene = format!(
+        "duration_s = 11.0\nseed = {seed}\nchannel = 108\ncfo = \"physical\"\nsounding.rate_hz = 40\nreflections = 1\n\
+         [radio]\nnoise.snr_db = 20\nchain_deg = [-50.0, 0.0]\nsend_jitter_us = 60\nturn_around.spread_us = 8\n{more}\
+         [[robot]]\nname = \"rx\"\nantenna_b_m = {antenna_b}\nmotion = {motion}\n\
+         [[robot]]\nname = \"tx\"\nposition_m = [{:.6}, {:.6}, 0.0]\ncrystal.offset_ppm = 3.0\n",
+        8.0 * cos,
+        8.0 * sin
+    );
+    Room::new(&Scene::parse(&scene).unwrap()).unwrap().run().unwrap()
+}
+
+/// By two logs, by one, and by both.
+fn three(run: &Simulation, array: &Array) -> [Bearing; 3] {
+    let options = Options::new("108".parse().unwrap());
+    let [rx, tx] = [0, 1].map(|k| &run.robots[k].log[..]);
+    let path = run.robots[0].true_path.as_ref().unwrap();
+    let (mut receiver, mut transmitter) = (Replay::new(rx, "rx".into()), Replay::new(tx, "tx".into()));
+    let transmitters = vec![Transmitter { log: &mut transmitter, trajectory: None }];
+    let two = bearings(&mut receiver, transmitters, path, &options).unwrap().links.remove(0).bearing.unwrap();
+    let one = one_log(&mut Replay::new(rx, "rx".into()), path, array, &options).unwrap();
+    let one = one.links.into_iter().next().unwrap().bearing.unwrap();
+    let both = two.with_one_log(&one);
+    [two, one, both]
+}
+
+fn off_deg(found: &Bearing, run: &Simulation) -> f64 {
+    let way = run.robots[1].start_m().unwrap() - found.mean_position_m;
+    wrap_rad(found.answer.azimuth_rad - way.y.atan2(way.x)).to_degrees()
+}
+
+fn rms(errors: &[[f64; 3]], kind: usize) -> f64 {
+    (errors.iter().map(|own| own[kind].powi(2)).sum::<f64>() / errors.len() as f64).sqrt()
+}
+
+#[test]
+fn the_answer_by_both_is_no_worse_than_by_either() {
+    let array = Array::new(&[Antenna::A, Antenna::B], &[Vector3::new(0.1, 0.0, 0.0)]).unwrap();
+    let walls = "[[wall]]\nfrom_m = [-10.0, 10.0]\nto_m = [10.0, 10.0]\n[[wall]]\nfrom_m = [10.0, -10.0]\nto_m = [10.0, 10.0]\n";
+    for (name, more) in [("one wave", ""), ("reflections", walls)] {
+        let circle = "{ circle = { radius_m = 0.05, duration_s = 10.0, start_s = 0.5 } }";
+        let errors: Vec<[f64; 3]> = (0..10_u32)
+            .map(|seed| {
+                let azimuth_deg = 36.0 * f64::from(seed) - 170.0;
+                let run = simulated(circle, "[-0.1, 0.0, 0.0]", more, azimuth_deg, seed.into());
+                let found = three(&run, &array);
+                let off = [0, 1, 2].map(|k| off_deg(&found[k], &run));
+                let sd_deg = [0, 1, 2].map(|k| found[k].answer.azimuth_sd_rad.to_degrees());
+                println!("{name} {azimuth_deg}: {off:.2?} +- {sd_deg:.2?}");
+                assert!(sd_deg[2] < 1.02 * sd_deg[0].min(sd_deg[1]) + 0.02, "{sd_deg:?}");
+                off
+            })
+            .collect();
+        let [two, one, both] = [0, 1, 2].map(|kind| rms(&errors, kind));
+        println!("{name}: two logs {two:.3}, one log {one:.3}, both {both:.3} degrees");
+        assert!(both < 1.1 * two.min(one) + 0.02, "{name}: {two} {one} {both}");
+    }
+}
+
+#[test]
+fn a_mirror_dies_where_one_of_both_settles_it() {
+    // Along a line both sides of it look alike; a baseline across it that does not turn looks alike to both sides of itself.
+    let line = "{ line = { length_m = 0.5, duration_s = 10.0, start_s = 0.5 } }";
+    let constant = ChainConstant { rad: 50_f64.to_radians(), sd_rad: 0.02 };
+    let array = Array::new(&[Antenna::A, Antenna::B], &[Vector3::new(0.0, 0.025, 0.0)]).unwrap();
+    let array = array.with_constants(&[constant]).unwrap();
+    for (seed, azimuth_deg) in [40.0, 130.0, -35.0, -120.0].into_iter().enumerate() {
+        let run = simulated(line, "[0.0, -0.025, 0.0]", "", azimuth_deg, seed as u64);
+        let [two, one, both] = three(&run, &array);
+        assert!(two.answer.mirror_rad.is_some() && one.answer.mirror_rad.is_some(), "{:?}", (&two.answer, &one.answer));
+        let off = off_deg(&both, &run);
+        println!("{azimuth_deg}: {off:.2} deg off by both; {:?}", both.answer.candidates);
+        assert!(
+            off.abs() < 1.5 && both.answer.mirror_rad.is_none_or(|_| both.answer.mirror_share < Some(0.02)),
+            "{off}"
+        );
+        assert!(both.answer.candidates[0].share > 0.97, "{:?}", both.answer.candidates);
+    }
+}
