@@ -3,9 +3,10 @@
 //! # From CSI to a bearing, in one page
 //!
 //! An Intel 5300 card reports **channel state information** (CSI): for each received frame the complex gain
-//! `h[subcarrier]` of the channel, on 30 subcarriers, in 8-bit integers. The phase of `h` says how long the path was,
-//! modulo a wavelength (5.4 cm at 5.54 GHz): `h ~ exp(-j 2 pi d / lambda)`. One phase alone tells nothing about the path, because the two
-//! cards' carriers differ by some kHz (the **carrier frequency offset**, CFO) and turn it at random from frame to frame.
+//! `h[subcarrier]` of the channel, on 30 subcarriers, in 8-bit integers. The phase of `h` gives the length of the path,
+//! modulo a wavelength (5.4 cm at 5.54 GHz): `h ~ exp(-j 2 pi d / lambda)`. One phase alone tells nothing about the
+//! path, because the two cards' carriers differ by some kHz (the **carrier frequency offset**, CFO) and turn it at
+//! random from frame to frame.
 //!
 //! 1. **Forward and backward.** Two robots exchange two frames almost at once. The CFO has opposite signs in the two
 //!    directions, the path the same: in the *product* of the two CSI vectors the offset cancels and the path is there
@@ -13,8 +14,9 @@
 //!    ([`exchange::pairing`]), which transmitter wrote which log follows from the clocks ([`exchange::assign`]).
 //! 2. **The channel centre.** A line through the phase over the subcarriers, evaluated at subcarrier 0, makes 30 noisy
 //!    phases one good one ([`signal::cfo::at_centre`]).
-//! 3. **Turn-around.** What is left of the CFO is `2 pi df` times the jitter of the time between the two frames. Both
-//!    cards' microsecond clocks measure it, so it is removed ([`signal::cfo::TurnAround`]). Most of the phase noise goes with it.
+//! 3. **Turn-around.** The remaining effect of the CFO is `2 pi df` times the jitter of the time between the two
+//!    frames. Both cards' microsecond clocks measure it, so it is removed ([`signal::cfo::TurnAround`]), with most of
+//!    the phase noise.
 //! 4. **Motion makes the array.** While the robot drives, one antenna is at many places `p`: a virtual antenna array
 //!    ([`motion::pose`], [`signal::samples::Samples`]).
 //! 5. **Bartlett.** For every direction `u` the samples are turned back by the phase that a wave from there would have

@@ -8,8 +8,8 @@
  * index: their listeners work unchanged. A second kprobe, on the transmit function, gives frames to the magic address
  * an HT rate and no retries; others ask the card for what the patched drivers ask of it (csi5300_asks.h).
  *
- * Nothing of the driver's code is changed, and no structure of it is used: bytes of the firmware's interface only
- * (dvm/commands.h), and arguments of four functions. The rules of the records are in README.md.
+ * The module changes no code of the driver and uses none of its structures, only bytes of the firmware's interface
+ * (dvm/commands.h) and arguments of four functions. csi5300_records.h has the rules of the records.
  *
  * GPL (version 2), unlike the rest of the project: kprobes and the connector are for such modules only.
  */

@@ -3,6 +3,8 @@
  * Turns the sounding frames that monitor interfaces hear into the records that the CSI driver would send, without a
  * card: a "card" for each interface, on a connector index of its own.
  *
+ * sudo insmod csi5300_heard.ko interfaces=wlan0,wlan1 idx=26,25; see tests/kernel/guest/20-sounding.sh.
+ *
  * A frame with the magic MAC as addresses 1 and 2 that was received (no copy of one being sent, no tx status) becomes a
  * 0xC1 with the frame and a good FCS, and the stock 0xBB after it; or, with wsr=1, the 0xBB of the WSR driver, with
  * addr3 and the number in it. The CSI bytes are made from the number: byte i of frame n is (31 n + i) mod 256. Each

@@ -1,9 +1,23 @@
 /* SPDX-License-Identifier: GPL-2.0 */
 /*
- * Records of csitool's and the WSR driver out of the packets of the stock driver: the rules are in README.md.
+ * Makes the records of csitool's or the WSR driver from the packets of the stock driver. Values are little-endian;
+ * offsets count from a packet's data.
  *
- * Plain C without the kernel, so that a test can compile it: whoever includes it has u8, u16, u32, bool, memcpy and
- * memset. The Rust crate driver-iface does the same (stock), and a test holds the two equal byte by byte.
+ * 0xC0 (RX_PHY), at least 60 bytes: kept, with byte 60 (the antenna order) if byte 1 (cfg_phy_cnt) is not 0. A shorter
+ * one is bad_phy, and discards the one before.
+ * 0xC1 (MPDU): count, frame with FCS at 4, then status. Sent unchanged if connector_log has 0x4. A frame of 32 bytes or
+ * more with good CRC and queue gives sender (address 3) and number (big-endian at 24) of the WSR layout; number 0 clears
+ * the sender, as in the WSR driver.
+ * 0xBB: header of 20 bytes and CSI. It is bad_bfee without 1 to 3 chains and streams and 60 n_rx n_tx + 12 bytes. It
+ * uses up the 0xC0 before it: a second 0xBB, or one without a 0xC0, is no_phy.
+ * From 0xC0: time stamp (u32 at 4), antenna order (0xff: unknown), rate (bits 13..0 of the word at 52), RSSI A and B
+ * (bits 7..0 and 23..16 of the word at 28), RSSI C (bits 7..0 at 32), AGC (bits 15..9 at 24).
+ * bfee_count counts from 1; noise is -127. Bytes 6 to 9, 16, 17 and the CSI are the firmware's.
+ * WSR: host time of the 0xBB, sender and number of the last good frame since the 0xC0, else zeros.
+ * ALIVE (0x01, the firmware started) clears 0xC0 and sender.
+ *
+ * Plain C without the kernel, so that a test can compile it: the including file defines u8, u16, u32, bool, memcpy and
+ * memset. The Rust crate driver-iface (stock) does the same; a test compares the two byte by byte.
  */
 #ifndef CSI5300_RECORDS_H
 #define CSI5300_RECORDS_H

@@ -2,9 +2,11 @@
 /*
  * Sends bfee records through the kernel connector the way the CSI driver does, without a card.
  *
+ * sudo insmod csi5300_sender.ko count=1000 period_us=1000 n_rx=3 n_tx=1; the parameter `sent` counts.
+ *
  * It registers as "iwlagn" and sends one message for each record, with sequence number 0 and with `ack` and `flags`
- * left as they are in fresh memory; here that memory is filled with 0xa5 first, so that a listener which reads them
- * is found out. The body of record k is a bfee whose CSI bytes are (31 k + i) mod 256.
+ * left as they are in fresh memory; here that memory is filled with 0xa5 first, which exposes a listener that
+ * reads them. The body of record k is a bfee whose CSI bytes are (31 k + i) mod 256.
  *
  * It is under the GPL (version 2), unlike the rest of the project: the connector's functions are for such modules only.
  */

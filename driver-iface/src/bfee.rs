@@ -4,8 +4,8 @@
 //! 14 bytes between them (host time, sender), later ones 18 (a frame number too). `len` counts the CSI bytes in all,
 //! so the lengths tell them apart: `body - 20 - len` is 0, 14 or 18.
 //!
-//! Bytes behind the CSI are kept apart ([`Bfee::behind_csi`]), as other readers ignore them: netlink pads a datagram to
-//! four bytes, and a logger may write what it received. Such a body is told by the bits between the samples, which are 0.
+//! Bytes after the CSI are separate ([`Bfee::behind_csi`]), because other readers ignore them: netlink pads a datagram
+//! to four bytes, and a logger may write the padding. The zero bits between the samples identify such a body.
 //!
 //! Field offsets are those of `struct iwl_bfee_notif` (csitool `netlink/bfee.h`; WSR `dvm/commands.h`), little-endian.
 

@@ -3,7 +3,7 @@
 /// Bytes that are looked up at once.
 const LANES: usize = 16;
 
-/// Tables of a polynomial: of a byte with so many zero bytes behind it.
+/// Tables of a polynomial: of a byte with a number of zero bytes after it.
 pub(crate) type Tables = [[u32; 256]; LANES];
 
 /// The tables of a polynomial whose bits are reversed.

@@ -285,7 +285,7 @@ impl<'a> Repr<'a> {
 
 /// Says which 0xC1 a 0xBB belongs to: the one just before it.
 ///
-/// Feed it the code of every record in order, with whatever stands for the record (an offset, a parsed frame).
+/// Feed it the code of every record in order, with a value for the record (an offset, a parsed frame).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Pairing<T> {
     last: Option<T>,

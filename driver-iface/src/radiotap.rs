@@ -1,4 +1,4 @@
-//! Radiotap headers: what is put before a frame to inject it, and what the kernel puts before a received one.
+//! Radiotap headers of injected and of received frames.
 //!
 //! Layout (radiotap.org; Linux `include/net/ieee80211_radiotap.h`, `net/wireless/radiotap.c`): version 0, a pad byte,
 //! the header's length as u16, one or more u32 words of presence bits (bit 31: another word follows), then the fields
@@ -94,7 +94,7 @@ const FIELDS: [(usize, usize); 28] = [
 /// Why bytes are no radiotap header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
-    /// The header, or a field that it announces, ends after the bytes at hand.
+    /// The header, or a field that it announces, is longer than the buffer.
     Length {
         /// Bytes needed.
         expect: usize,

@@ -35,7 +35,7 @@ pub mod code {
     /// Of another card than the 5300, whose log was translated: how far its clock is past the microsecond of the bfee that
     /// follows, u32 picoseconds. No driver sends it.
     pub const CARD_CLOCK: u8 = 0xCC;
-    /// Of another card too: bytes of its log that gave no bfee. Their offset and number, u64 each, then why, as text.
+    /// For other cards: bytes of the log without a bfee. Their offset and number, u64 each, then the reason as text.
     pub const LEFT_OUT: u8 = 0xCD;
 
     /// Codes and their names, in the order of the driver's header; behind them those of translated logs.
@@ -65,7 +65,7 @@ pub const LENGTH_FIELD: usize = 2;
 
 /// Largest value of the length field that a driver can mean: an A-MSDU in the card's 8 KiB receive buffer.
 ///
-/// The field could say 65,535; in a damaged log such lengths are common, in an intact one none is known.
+/// The field could hold 65,535; such lengths are common in damaged logs, unknown in intact ones.
 pub const MAX_LENGTH: usize = 8192;
 
 /// One record: a code and its body (without the code).
@@ -130,7 +130,7 @@ pub fn left_out(body: &[u8]) -> Option<(u64, u64, &str)> {
     Some((u64::from_le_bytes(*offset), u64::from_le_bytes(*len), core::str::from_utf8(why).ok()?))
 }
 
-/// The whole records in an intact stream, each with its length field; what is left at the end is cut.
+/// The complete records of an intact stream, each with its length field; a cut one at the end is dropped.
 pub fn written(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = bytes;
     core::iter::from_fn(move || {

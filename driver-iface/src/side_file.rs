@@ -1,7 +1,7 @@
 //! Side files (`.datstp`): when the host received each record of a log, in the log's order.
 //!
-//! The records of a stock driver hold no host time, so a logger that knows it writes it beside the log. There are three
-//! layouts, told apart by the first 16 bytes that are not zeros; numbers are little-endian.
+//! The records of a stock driver hold no host time, so a logger that knows it writes it beside the log. The first 16
+//! bytes that are not zeros distinguish three layouts; numbers are little-endian.
 //!
 //! | [`Layout`] | head | entry | written by |
 //! |---|---|---|---|
@@ -112,8 +112,8 @@ impl From<Option<i64>> for Entry {
 }
 
 impl Entry {
-    /// Reads an entry. Where `bytes` is too short nothing is known; a time with microseconds of a second or more, or
-    /// further from 1970 than 292,000 years, is none.
+    /// Reads an entry. A too short `bytes`, a microsecond field of a second or more, and a time further from 1970 than
+    /// 292,000 years mean unknown.
     #[must_use]
     pub fn parse(bytes: &[u8], layout: Layout) -> Self {
         let parsed = match layout {

@@ -32,7 +32,7 @@ pub mod command {
     pub const CSI: u8 = 0xBB;
 }
 
-/// Offsets in a packet and in what its commands carry.
+/// Offsets in a packet and in its commands' data.
 pub mod offset {
     /// u32 of the packet, of which [`SIZE_MASK`](super::SIZE_MASK) counts the bytes after it.
     pub const LEN_N_FLAGS: usize = 0;

@@ -1,4 +1,4 @@
-//! The planner's choice among the methods, and what it leaves out.
+//! The planner's choice among the methods, and the parts that it skips.
 
 use super::bessel::tail_order;
 use super::cost::{ORACLE_TERM_NS, price};
@@ -8,7 +8,7 @@ use super::scene::{Geometry, Scene};
 use csi5300_kernels::setting::Setting;
 use csi5300_kernels::simd::Tier;
 
-/// A method with what it costs and what it leaves out.
+/// A method with its cost and its skipped parts.
 pub(crate) struct Choice {
     pub method: Method,
     pub precision: Precision,

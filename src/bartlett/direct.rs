@@ -1,4 +1,4 @@
-//! The oracle: the sum as it is written, in double, with phases that are exact to the last bit.
+//! The oracle: the sum by its definition, in double, with phases exact to the last bit.
 //!
 //! It is slow. Every other method is tested against it, and a tolerance of 0 selects it.
 

@@ -12,8 +12,8 @@ use nalgebra::Vector3;
 pub struct SearchOptions {
     /// Largest |elevation| of the search, radians, 0 to pi/2. Default 20 degrees. 0 fixes the horizon.
     pub elevation_max_rad: f64,
-    /// Assumed error of the positions, metres, standard deviation: what decides, with the noise, whether the motion's depth
-    /// tells a direction from its reflection. Default 3 mm.
+    /// Assumed standard deviation of the positions, metres: with the noise it decides whether the motion's depth
+    /// distinguishes a direction from its reflection. Default 3 mm.
     pub odometry_sd_m: f64,
     /// The SIMD tier to run on. Default: the widest of this machine.
     pub tier: Tier,
@@ -90,6 +90,6 @@ pub struct Estimate {
     pub value: f64,
     /// Directions in which the profile was evaluated.
     pub evaluations: usize,
-    /// What the search computed and what it skipped.
+    /// Computed and skipped parts of the search.
     pub plan: SearchPlan,
 }

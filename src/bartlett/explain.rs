@@ -110,7 +110,7 @@ fn instructions(tier: Tier) -> &'static str {
     }
 }
 
-/// What a plan does, what it costs and what it skipped, as a value that prints.
+/// The steps, cost and skipped parts of a plan, as a value that prints.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Explanation {
     /// The method.
@@ -121,7 +121,7 @@ pub struct Explanation {
     pub tier: Tier,
     /// The tolerance that it meets.
     pub eps: f64,
-    /// Directions asked for.
+    /// Requested directions.
     pub directions: usize,
     /// Directions evaluated from the samples; the others follow by interpolation or symmetry.
     pub evaluated: usize,
@@ -166,7 +166,7 @@ pub enum ElevationSearch {
     Searched,
 }
 
-/// What a guaranteed search computed and what it skipped, as a value that prints.
+/// Computed and skipped parts of a guaranteed search, as a value that prints.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SearchPlan {
     /// The SIMD tier.

@@ -57,7 +57,7 @@ pub(super) struct Mirror {
     pub normal: Vector3<f64>,
 }
 
-/// A search's result, judged for what its motion cannot tell.
+/// Adds the ambiguities of the motion to a search's result.
 pub(super) struct Reflections<'a> {
     pub scene: &'a Scene,
     pub shape: &'a Shape,
@@ -96,8 +96,8 @@ impl<'a> Reflections<'a> {
         Self { scene, shape, hill, best, elevation, odometry, resolution, looks }
     }
 
-    /// The class of the motion: which of its sides are deep enough, for the noise and for the odometry's error, that a
-    /// direction is told from its reflection.
+    /// The class of the motion: which of its sides are deep enough, for the noise and the odometry's error, to
+    /// distinguish a direction from its reflection.
     pub fn geometry(&self) -> Geometry {
         if self.shape.geometry == Geometry::Static {
             return Geometry::Static;
@@ -131,7 +131,7 @@ impl<'a> Reflections<'a> {
     fn tells(&self, normal: Vector3<f64>) -> bool {
         let depth = self.scene.depth_squared(normal);
         let snr = self.explained(self.best.value) / self.unexplained(self.best.value);
-        // The loss of a wave whose phases are off by so much, as a share of what it explains.
+        // The loss of a wave by a phase error, as a share of its explained energy.
         let lost = 1.0 - (-(2.0 * TAU).powi(2) * depth).exp();
         evidence(self.looks * (snr * lost).ln_1p(), depth, self.odometry) >= MIRROR_EXCLUDED
     }
@@ -198,7 +198,7 @@ fn evidence(logarithm: f64, depth_squared: f64, odometry: f64) -> f64 {
     1.0 / (1.0 / logarithm + odometry * odometry / (2.0 * depth_squared))
 }
 
-/// Whether a depth (squared) is told from nothing by an odometry whose error is `odometry`, however small the noise.
+/// Whether a depth (squared) is significant for an odometry with the error `odometry`, without noise.
 pub(super) fn odometry_tells(depth_squared: f64, odometry: f64) -> bool {
     evidence(f64::INFINITY, depth_squared, odometry) >= MIRROR_EXCLUDED
 }

@@ -7,7 +7,7 @@ use num_complex::Complex64;
 
 use csi5300_kernels::sums::{Aim, Columns, Wanted, moments};
 
-/// The second coordinate of a search: what it means depends on the motion.
+/// The second coordinate of a search; its meaning depends on the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Second {
     /// Level motion sees the cosine of the elevation and nothing else of it.

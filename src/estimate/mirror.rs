@@ -1,4 +1,4 @@
-//! Directions that a motion hardly tells apart: a direction and its reflection in the motion's line or plane.
+//! Directions that a motion hardly distinguishes: a direction and its reflection in the motion's line or plane.
 //!
 //! Over the positions `p` the phases of the two differ by `4 pi g (u.n) (n.p) / lambda`, by the motion's depth along the normal
 //! `n` and nothing else. An error of the odometry of the size of that depth, with its course, makes one into the other. So of

@@ -11,7 +11,6 @@
 //! the posterior is that of independent samples (`one_wave`). Everything else is searched with windows, which assume only
 //! that a wave stays coherent over some part of the motion.
 
-mod combine;
 pub(crate) mod likelihood;
 mod mirror;
 pub(crate) mod one_wave;
@@ -20,8 +19,6 @@ pub(crate) mod prior;
 pub(crate) mod range_change;
 pub(crate) mod signal;
 pub(crate) mod tuning;
-
-pub(crate) use combine::both;
 
 use crate::bartlett::{self, Searcher, Tier};
 use crate::signal::channel::SUBCARRIERS;
@@ -361,7 +358,7 @@ impl Windowed {
         Self { model, evidence, modes }
     }
 
-    /// The model with nearer places, where the nearest place seems to be the best and nobody asked for that limit.
+    /// The model with nearer places, if the nearest place is the best and the limit is the default.
     fn wider(&self, task: &Task<'_>) -> Option<Model> {
         let Model { points, prior, steps } = &self.model;
         let curve = self.modes.first().map_or(0.0, |mode| mode.place.curve);
@@ -395,7 +392,7 @@ fn highest_expected_rad(task: &Task<'_>, models: &[Model]) -> f64 {
     if task.limits.height_m.is_some() { FRAC_PI_2 } else { widest }
 }
 
-/// A plane wave at a rarer elevation, where that explains more and nobody excluded it.
+/// A plane wave at a rarer elevation, if that explains more and no limit excludes it.
 fn steeper(
     task: &Task<'_>,
     searcher: &mut Searcher,
@@ -433,7 +430,7 @@ fn early(
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
     let mut best: Option<(&Model, Prior, one_wave::OneWave)> = None;
     for model in models {
-        // A clean wave front shows a near or high place by itself: only a limit that was asked for holds.
+        // A clean wave front shows a near or high place by itself: only requested limits apply.
         let nearest = nearest_curve(&model.points, samples.wavelength_m());
         let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
         let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(nearest)) } else { model.prior };

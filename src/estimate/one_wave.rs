@@ -21,7 +21,7 @@ use num_complex::Complex64;
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt;
 
-/// Probability that noise is taken for something else: then the posterior over windows is computed for nothing.
+/// Probability of a false alarm: then the posterior over windows is computed needlessly.
 const FALSE_ALARM: f64 = 0.001;
 /// Fewer samples tell no noise from anything else.
 const LEAST_SAMPLES: usize = 32;
@@ -100,7 +100,7 @@ struct At {
     scale: f64,
 }
 
-/// A place with what its wave leaves of each phase, radians.
+/// A place with the residual of each phase, radians.
 #[derive(Clone, Debug)]
 struct Fit {
     at: At,
@@ -534,7 +534,7 @@ fn explained(wave: &Wave<'_>, at: &At) -> f64 {
     (sum.norm() / full).powi(2)
 }
 
-/// The highest Bartlett peak of what is left, in units of what noise has on average.
+/// The highest Bartlett peak of the residual, in units of the mean noise.
 fn highest_peak(wave: &Wave<'_>, at: &At, left: &[f64], plane_wave: &Estimate, tier: Tier) -> Result<f64, Unexplained> {
     let samples = wave.samples;
     let mut rest = Samples::new(samples.wavelength_m(), samples.path_gain()).map_err(|_| Unexplained::NoPlace)?;

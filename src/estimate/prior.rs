@@ -9,7 +9,7 @@ use super::likelihood::Place;
 use super::tuning;
 use std::f64::consts::FRAC_PI_2;
 
-/// Limits of the prior, as asked for.
+/// Requested limits of the prior.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Limits {
     /// Largest |elevation|, radians; 0 is the horizon alone.

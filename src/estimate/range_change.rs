@@ -1,8 +1,8 @@
 //! How the distance to the transmitter changed from exchange to exchange, from the round trip's phase.
 //!
-//! The phase of a round trip falls by `4 pi / lambda` for each metre that the path grows, so it tells the change of the distance
-//! to fractions of a millimetre, modulo half a wavelength. Where paths add up to nothing it slips by a whole turn, and
-//! nothing in it shows that. The odometry does, seen along the bearing:
+//! The phase of a round trip falls by `4 pi / lambda` for each metre that the path grows, so it shows the change of the
+//! distance to fractions of a millimetre, modulo half a wavelength. In a fade it may slip by a whole turn, which only
+//! the odometry along the bearing shows:
 //!
 //! 1. **Prediction.** Each exchange's distance to the place that the bearing found. Turned back by it, the direct path stands still
 //!    on every subcarrier and paths from elsewhere turn; over an eighth of a wavelength of motion they are averaged out in part.
@@ -53,8 +53,8 @@ pub struct RangeChange {
     pub t_s: Vec<f64>,
     /// Distance between the antennas less that at the first exchange, metres; of the path that the bearing is of.
     pub range_change_m: Vec<f64>,
-    /// Its standard deviation, metres: noise, slips that may have gone unseen, and the direction's own deviation. Where the phase is
-    /// lost in a fade it grows with the odometry's error.
+    /// Its standard deviation, metres: noise, possible undetected slips, and the direction's deviation. In a fade it
+    /// grows with the odometry's error.
     pub deviation_m: Vec<f64>,
     /// Whether the phase is known to its cycle at each exchange: the deviation of its distance is below an eighth of a wavelength.
     pub held: Vec<bool>,

@@ -1,24 +1,25 @@
-//! Which records of a link go to pairing where the scheduler shares a key: those of exchanges that it confirmed.
+//! Admits records of confirmed exchanges to pairing, if the scheduler shares a key.
 //!
-//! A card measures every frame of the right shape, whoever sent it, and a record in the WSR layout holds no more of it than
-//! MAC and number. The scheduler sees the frames themselves and checks their tags. So a record waits until the scheduler has
-//! confirmed the exchange of its number with that robot, and a moment longer: where another record bears the same number,
-//! one of the two frames was somebody else's, and neither is used. (Where the driver hands frames over, a record whose frame
-//! has no valid tag does not get so far: see [`Prover`](super::tdma::Prover).)
+//! A card measures every frame of the right shape from any sender, and a record in the WSR layout contains only the
+//! frame's MAC and number. The scheduler sees the frames and checks their tags. So a record waits until the scheduler
+//! has confirmed the exchange of its number with that robot, and a moment longer: if another record has the same
+//! number, one of the two frames was forged, and neither is used. (If the driver delivers frames,
+//! [`Prover`](super::tdma::Prover) rejects records without a valid tag earlier.)
 //!
-//! A number counts as contested only beside a record that is about as old: frames with numbers that are yet to come are
-//! dropped as unconfirmed, once for each.
+//! A number counts as contested only if both records are about equally old: frames with future numbers are dropped as
+//! unconfirmed.
 
 use super::pairing::LinkSide;
 use crate::time::{Instant, Span};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 
-/// A record waits for another of its number so long: a card reports all frames of a turn-around within a few milliseconds.
+/// How long a record waits for another one of its number: a card reports all frames of a turn-around within a few
+/// milliseconds.
 const HOLD: Span = Span::from_ms(20);
-/// A record and the word of the scheduler on it come within this time; numbers of records admitted are kept as long.
+/// A record and its confirmation arrive within this time; numbers of admitted records are kept as long.
 const PATIENCE: Span = Span::from_ms(2_000);
-/// Records of a side that wait, and numbers that are kept, at most.
+/// Limit of waiting records of a side, and of kept numbers.
 const KEPT: usize = 4_096;
 
 /// Records not admitted, by reason.
@@ -45,7 +46,7 @@ struct Held<T> {
 #[derive(Clone, Debug)]
 struct Side<T> {
     held: VecDeque<Held<T>>,
-    /// Number, card's clock and time of what was admitted last.
+    /// Number, card's clock and time of the last admitted record.
     admitted: VecDeque<(u32, u32, Instant)>,
 }
 
@@ -102,7 +103,7 @@ impl<T> Admission<T> {
         self.counts.unconfirmed += u64::from(lost);
     }
 
-    /// The scheduler has seen the exchange of this number, its tag valid.
+    /// The scheduler has seen the exchange of this number with a valid tag.
     pub(crate) fn confirm(&mut self, number: u32, now: Instant) {
         if self.confirmed.insert(number, now).is_none() {
             self.order.push_back(number);
@@ -114,20 +115,20 @@ impl<T> Admission<T> {
         }
     }
 
-    /// The next record to be paired, in the order of its log as far as records are confirmed in it. To be called until it
-    /// gives `None`.
+    /// The next record to pair, in the order of its log as far as records are confirmed in that order. Call it until it
+    /// returns `None`.
     pub(crate) fn poll(&mut self, now: Instant) -> Option<(LinkSide, Instant, T)> {
         self.poll_side(LinkSide::Transmitter, now, HOLD).or_else(|| self.poll_side(LinkSide::Receiver, now, HOLD))
     }
 
-    /// The same at the end, when nothing more comes.
+    /// The same at the end of the input.
     pub(crate) fn poll_last(&mut self, now: Instant) -> Option<(LinkSide, Instant, T)> {
         let mut last = |side| self.poll_side(side, now, Span::default());
         last(LinkSide::Transmitter).or_else(|| last(LinkSide::Receiver))
     }
 
     fn poll_side(&mut self, side: LinkSide, now: Instant, hold: Span) -> Option<(LinkSide, Instant, T)> {
-        // What comes over a network may come much later than the scheduler's word.
+        // Records from a network may arrive much later than the scheduler's confirmation.
         let in_time = |at: Instant, confirmed: Instant| match side {
             LinkSide::Receiver => at - confirmed <= PATIENCE && confirmed - at <= PATIENCE,
             LinkSide::Transmitter => confirmed - at <= PATIENCE,
@@ -188,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_scheduler_did_not_confirm_is_not_used() {
+    fn unconfirmed_records_are_not_used() {
         let mut admission = Admission::default();
         admission.handle(Receiver, (1, 10), ms(0), "confirmed before");
         admission.handle(Receiver, (2, 20), ms(0), "never");
@@ -205,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_records_of_one_number_neither_is_used() {
+    fn two_records_of_one_number_are_both_refused() {
         for (first, second) in [(ms(0), ms(1)), (ms(0), ms(19))] {
             let mut admission = Admission::default();
             admission.confirm(7, ms(0));
@@ -252,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_and_the_word_on_it_are_within_two_seconds() {
+    fn a_record_and_its_confirmation_are_within_two_seconds() {
         for (record, word, side, expected) in [
             (0, 2_000, Receiver, true),
             (0, 2_001, Receiver, false),
@@ -273,7 +274,7 @@ mod tests {
             }
             let now = ms(record.max(word).max(record + 20));
             assert_eq!(drain(&mut admission, now).len(), usize::from(expected), "{record} {word} {side:?}");
-            // What is too old for any word is given up, a millisecond after the last moment and not before.
+            // A record too old to be confirmed is dropped a millisecond after its deadline, not earlier.
             drain(&mut admission, ms(record + 2_000));
             let before = admission.counts.unconfirmed;
             drain(&mut admission, ms(record + 2_001));

@@ -1,12 +1,12 @@
-//! Which transmitter wrote which log.
+//! Finds the transmitter of each log.
 //!
-//! A transmitter's log holds only the receiver's MAC, not its own, and all robots of a round share frame numbers. What
-//! distinguishes them is time: between a robot's reception and its own answer lies only the turn-around, so
-//! `clock_tx - clock_rx` of the right match is a straight line but for some tens of microseconds of jitter. A wrong
-//! match holds the waits of the sender's slots as well and spreads by more: on the 36 links of the WSR data set at hand that
-//! have a choice, 2.2 times at least and mostly over 4 times (measured; the median of the deviations separates them better
-//! than their mean or root mean square, since outliers of the turn-around are common). The number of common frame
-//! numbers does not decide: it is wrong or tied on half of these links.
+//! A transmitter's log holds only the receiver's MAC, not its own, and all robots of a round share frame numbers. Time
+//! distinguishes them: only the turn-around lies between a robot's reception and its answer, so `clock_tx - clock_rx`
+//! of the right match is a straight line with some tens of microseconds of jitter. A wrong match also contains the
+//! waits for the sender's slots and spreads more: on the 36 links of the WSR data set at hand that have a choice, 2.2
+//! times at least and mostly over 4 times (measured; the median of the deviations separates them better than their mean
+//! or root mean square, since outliers of the turn-around are common). The number of common frame numbers does not
+//! decide: it is wrong or tied on half of these links.
 
 use crate::exchange::pairing::by_clock::Refusal;
 use crate::exchange::pairing::{LinkSide, Pair, Pairing};
@@ -14,16 +14,16 @@ use crate::maths::upper_median;
 use crate::signal::cfo::drift_line::drift_line;
 use driver_iface::Mac;
 
-/// Common numbers that say something of whether logs match.
+/// Fewest common numbers that decide whether logs match.
 pub(crate) const MIN_COMMON: usize = 16;
 
-/// By this factor the best match must spread less than the next.
+/// The next best match must spread by at least this factor more.
 const MIN_MARGIN: f64 = 1.5;
 
-/// One record as far as matching needs it: frame number and card clock (`timestamp_low`).
+/// What matching needs of a record: frame number and card clock (`timestamp_low`).
 pub type Mark = (u32, u32);
 
-/// How well a transmitter's log goes with the frames of one MAC in the receiver's log.
+/// How well a transmitter's log matches the frames of one MAC in the receiver's log.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Spread {
     /// Median absolute deviation of `clock_tx - clock_rx` from a straight line, microseconds.
@@ -32,7 +32,7 @@ pub struct Spread {
     pub common: usize,
 }
 
-/// Pairs looked at: a median of a few hundred is steady.
+/// Pairs used: a median of a few hundred is stable.
 const MAX_COMMON: usize = 768;
 
 /// The first pairs of one transmitter log and the receiver's frames of one MAC, both in log order, with their places in them.
@@ -88,7 +88,7 @@ pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
 pub struct Match {
     /// Index of the MAC.
     pub mac: usize,
-    /// How well it goes.
+    /// How well it matches.
     pub spread: Spread,
     /// Spread of the next best MAC over that of this one; `None` where no other was possible.
     pub margin: Option<f64>,
@@ -99,13 +99,13 @@ pub struct Match {
 pub enum Unmatched {
     /// No MAC has enough frame numbers in common with the log.
     #[error(
-        "no transmitter in the receiver's log shares {} frame numbers with it: are the two logs of one run?",
+        "no transmitter in the receiver's log shares {} frame numbers with it: are the two logs of the same run?",
         MIN_COMMON
     )]
     NothingInCommon,
-    /// Two MACs go with it about equally well.
+    /// Two MACs match it about equally well.
     #[error(
-        "two transmitters match it about equally well ({spread_us:.1} us against {next_us:.1} us; logs of one run have some tens): if they are of one run, name its MAC"
+        "two transmitters match it about equally well ({spread_us:.1} us against {next_us:.1} us; logs of one run differ by some tens): if they are of the same run, name its MAC"
     )]
     Unclear {
         /// Spread of the best, microseconds.
@@ -113,24 +113,24 @@ pub enum Unmatched {
         /// Spread of the next, microseconds.
         next_us: f64,
     },
-    /// The MAC it goes with best was named for another log.
+    /// Its best MAC was named for another log.
     #[error("its best match ({spread_us:.1} us) was named for another log: check the order of the MACs")]
     Named {
         /// Spread of this log, microseconds.
         spread_us: f64,
     },
-    /// Frames have no numbers, and the cards' clocks do not tell which belong together.
+    /// Frames have no numbers, and the cards' clocks do not show which belong together.
     #[error(transparent)]
     Clocks(#[from] Refusal),
-    /// Both logs hold frames of the same sender, so neither is of the robot that the other heard.
+    /// Both logs contain frames of the same sender, so neither is of the robot that the other heard.
     #[error("both logs hold frames of {mac}: two logs of one link are of two robots, each with frames of the other")]
     SameSender {
         /// The sender.
         mac: Mac,
     },
-    /// Another log goes better with the same MAC.
+    /// Another log matches the same MAC better.
     #[error(
-        "its best match belongs to another log, which matches better ({other_us:.1} us against {spread_us:.1} us): are the logs of one run? Then name its MAC"
+        "its best match belongs to another log, which matches better ({other_us:.1} us against {spread_us:.1} us): if the logs are of the same run, name its MAC"
     )]
     Taken {
         /// Spread of this log, microseconds.
@@ -149,7 +149,7 @@ pub fn assign(spreads: &[Vec<Option<Spread>>], taken: &[bool]) -> Vec<Result<Mat
             log.iter().enumerate().filter_map(|(mac, s)| s.map(|s| (mac, s))).collect();
         order.sort_by(|a, b| a.1.spread_us.total_cmp(&b.1.spread_us));
         let &(mac, spread) = order.first().ok_or(Unmatched::NothingInCommon)?;
-        // A tenth of a microsecond is below what clocks of whole microseconds can tell.
+        // Clocks of whole microseconds do not resolve a tenth of a microsecond.
         let margin = order.get(1).map(|next| (next.1.spread_us + 0.1) / (spread.spread_us + 0.1));
         match margin {
             _ if !free(mac) => Err(Unmatched::Named { spread_us: spread.spread_us }),
@@ -176,15 +176,15 @@ pub fn assign(spreads: &[Vec<Option<Spread>>], taken: &[bool]) -> Vec<Result<Mat
     found.iter().enumerate().map(settle).collect()
 }
 
-/// MACs that a log left unclear is tried with, the best first.
+/// MACs to try for a log that is still unclear, the best first.
 const TRIED: usize = 4;
-/// Logs that are settled together at most.
+/// Most logs that are settled together.
 const TOGETHER: usize = 6;
 
-/// Settles the logs that [`assign`] left unclear, all together: each MAC wrote one log, so that what speaks for one log's
-/// MAC speaks against it for the others. `reciprocity[log][mac]`, where known, is the correlation of the channel's changes
-/// in the two directions, 0 for strangers and nearly 1 for the two ends of a link: with the spread `s` and the correlation
-/// `r` a match costs `ln s - 2 artanh r`. A log is settled where every other way costs at least
+/// Settles the logs that [`assign`] left unclear, all together: each MAC wrote one log, so evidence for one log's MAC
+/// is evidence against it for the others. `reciprocity[log][mac]`, where known, is the correlation of the channel's
+/// changes in the two directions, 0 for strangers and nearly 1 for the two ends of a link: with the spread `s` and the
+/// correlation `r` a match costs `ln s - 2 artanh r`. A log is settled if every other assignment costs at least
 /// `pairing.min_margin` times as much, and its spread is within that factor of its least.
 pub fn settle(
     found: &mut [Result<Match, Unmatched>],
@@ -222,12 +222,13 @@ pub fn settle(
     }
 }
 
-/// True for a log that went about equally well with two MACs, or less well than another log with its best.
+/// True for a log that matches two MACs about equally well, or whose best MAC matches another log better.
 pub fn is_open(result: &Result<Match, Unmatched>) -> bool {
     matches!(result, Err(Unmatched::Unclear { .. } | Unmatched::Taken { .. }))
 }
 
-/// The cheapest way to give each log a MAC of its own, without one match; `given` are those of the first logs.
+/// The cheapest assignment of different MACs to all logs, without one excluded match; `given` are those of the first
+/// logs.
 fn cheapest(
     choices: &[Vec<(usize, f64)>],
     given: &mut Vec<usize>,
@@ -286,20 +287,20 @@ mod tests {
     #[test]
     fn unclear_logs_are_settled_together_and_by_the_channel() {
         let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
-        // Each alone is unclear (1.3 times), both together are not (1.7 times).
+        // Each alone is unclear (1.3 times); both together are clear (1.7 times).
         let spreads = [vec![of(10.0), of(13.0)], vec![of(13.0), of(10.0)]];
         let mut found = assign(&spreads, &[]);
         assert!(found.iter().all(is_open));
         settle(&mut found, &spreads, &[], &[]);
         assert_eq!(found.iter().map(|f| f.unwrap().mac).collect::<Vec<_>>(), [0, 1]);
-        // One log with two senders: the channel decides, against the spread too.
+        // One log with two senders: the channel decides, even against the spread.
         let spreads = [vec![of(26.8), of(32.1)]];
         for (correlations, mac) in [([0.98, 0.1], 0), ([0.1, 0.98], 1)] {
             let mut found = assign(&spreads, &[]);
             settle(&mut found, &spreads, &[correlations.map(Some).to_vec()], &[]);
             assert_eq!(found[0].unwrap().mac, mac);
         }
-        // Nothing decides: it stays unclear. A log given twice does not get a MAC that it does not go with.
+        // Without a decision it stays unclear. A log given twice does not get a MAC that does not match.
         let mut found = assign(&spreads, &[]);
         settle(&mut found, &spreads, &[], &[]);
         assert!(matches!(found[0], Err(Unmatched::Unclear { .. })));
@@ -315,7 +316,7 @@ mod tests {
         let margin = |a: f64, b: f64| assign(&[vec![of(a), of(b)]], &[])[0].map(|found| found.margin);
         assert_eq!(margin(0.0, 0.1), Ok(Some(2.0)), "a tenth of a microsecond is added to both");
         assert!(matches!(margin(0.0, 0.04), Err(Unmatched::Unclear { .. })), "1.4 times");
-        // One log alone: what is unclear stays so, unless the channel speaks for one of both.
+        // One log alone stays unclear unless the channel decides.
         let spreads = [vec![of(0.0), of(0.04)]];
         for (reciprocity, mac) in [(vec![], None), (vec![vec![Some(0.5), None]], Some(0))] {
             let mut found = assign(&spreads, &[]);
@@ -325,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn of_all_ways_to_settle_the_cheapest_is_taken() {
+    fn the_cheapest_assignment_is_taken() {
         let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         let spreads = [vec![of(10.0), of(13.0)]];
         let mut found = assign(&spreads, &[]);
@@ -334,7 +335,7 @@ mod tests {
         // ln 13.1 - (ln 10.1 - 2 artanh 0.5), as a ratio.
         assert_eq!(found.mac, 0);
         assert!((found.margin.unwrap() - 13.1 / 10.1 * 3.0).abs() < 1e-9, "{found:?}");
-        // What each log would choose alone is the dearer way for both: 10 + 40 against 12 + 13, in tenths.
+        // The best choices of each log alone cost more together: 10 + 40 against 12 + 13, in tenths.
         let costs = vec![vec![(0, 1.0), (1, 1.2)], vec![(0, 1.3), (1, 4.0)]];
         let (cost, macs) = cheapest(&costs, &mut Vec::new(), None).unwrap();
         assert!((cost - 2.5).abs() < 1e-12 && macs == [1, 0], "{cost} {macs:?}");
@@ -364,9 +365,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_to_an_unclear_log_is_what_no_other_has() {
+    fn an_unclear_log_gets_the_remaining_sender() {
         let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
-        // The first sender is another log's, clearly, or named for one.
+        // The first sender clearly belongs to another log, or is named for one.
         let clear = [vec![of(5.0), of(300.0)], vec![of(8.0), of(9.0)]];
         let named = [vec![None, None], vec![of(9.0), of(8.0)]];
         for (spreads, taken) in [(&clear, [false, false]), (&named, [true, false])] {

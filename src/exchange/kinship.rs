@@ -1,21 +1,20 @@
-//! Whether two logs are of one run: what an exchange leaves in both.
+//! Decides whether two logs are of the same run.
 //!
-//! A pair is one exchange if the second frame answers the first. Then both cards' clocks saw the same pause since the last
-//! exchange, but for the jitter of the turn-around; two logs of different runs, paired by numbers that both count from 1, have
-//! pauses that have nothing to do with each other. The correlation of the pauses (each side's deviations from its median) is 1
-//! for one run and 0, give or take `1 / sqrt(n)`, for two, whatever the clocks' offset, drift and rate.
+//! A pair is one exchange if the second frame answers the first. Then both cards' clocks measured the same pause since
+//! the last exchange, except for the jitter of the turn-around. In two logs of different runs, paired by numbers that
+//! both count from 1, the pauses are unrelated. The correlation of the pauses (each side's deviations from its median)
+//! is 1 for one run and 0 +- `1 / sqrt(n)` for two, whatever the clocks' offset, drift and rate.
 //!
-//! Where an initiator is so regular that its pauses are all alike, there is nothing to correlate; then the pairs' clock
-//! difference has to be steady by itself.
+//! A very regular initiator leaves nothing to correlate; then the pairs' clock difference must be steady by itself.
 
 use crate::maths::upper_median;
 
 /// Deviations of pauses are clipped to this many median deviations: lost frames and stalls of an operating system.
 const CLIP: f64 = 5.0;
-/// Fewest pauses that say something.
+/// Fewest pauses that decide.
 const LEAST: usize = 24;
 
-/// How the pauses of two logs go together.
+/// How the pauses of two logs correlate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kinship {
     /// Correlation of the pauses, -1 to 1.
@@ -26,8 +25,8 @@ pub struct Kinship {
     pub pauses: usize,
 }
 
-/// Compares the pauses between pairs on both cards' clocks: `clock_rx_us` is the receiver's, `difference_us` what the
-/// transmitter's is ahead of it, both unwrapped and one entry a pair. `None` with fewer than 24 ordinary pauses.
+/// Compares the pauses between pairs on both cards' clocks: `clock_rx_us` is the receiver's, `difference_us` the
+/// transmitter's less the receiver's, both unwrapped, one entry a pair. `None` with fewer than 24 ordinary pauses.
 #[must_use]
 pub fn kinship(clock_rx_us: &[i64], difference_us: &[i64]) -> Option<Kinship> {
     let step = |values: &[i64]| values.windows(2).map(|w| (w[1] - w[0]) as f64).collect::<Vec<f64>>();
@@ -118,7 +117,7 @@ mod tests {
         let mean = 30.0 / 7.0;
         assert_eq!(usual, 10.0);
         assert!(off.iter().zip(clipped_off).all(|(off, is)| (off - (is - mean)).abs() < 1e-9), "{off:?}");
-        // Pauses that are all alike: by whole microseconds, which is what clocks tell.
+        // Pauses that are all equal, in whole microseconds.
         let (off, usual) = clipped(vec![7.0, 7.0, 7.0, 90.0]).unwrap();
         assert_eq!((usual, off), (0.0, vec![-1.25, -1.25, -1.25, 3.75]));
     }
@@ -130,7 +129,7 @@ mod tests {
         let (short, long) = (at(4_999), at(5_000));
         assert_eq!(pauses(&short, &short), 199);
         assert_eq!([pauses(&long, &long), pauses(&long, &short), pauses(&short, &long)], [199 - 19; 3]);
-        // And one of half as much is none of this initiator's.
+        // One of half the length is not this initiator's.
         let (half, more) = (at(-5_000), at(-4_999));
         assert_eq!([pauses(&half, &half), pauses(&half, &more), pauses(&more, &more)], [199 - 19, 199 - 19, 199]);
     }

@@ -1,26 +1,25 @@
 //! Pairing of forward and backward frames by frame number, sans-IO.
 //!
 //! Two robots exchange a forward and a backward frame with one number. Each side's log holds what its card heard; a
-//! [`Pairing`] takes both logs of one link in any interleaving and gives the pairs. Host clocks, which differ by up
-//! to a minute between robots, are never looked at.
+//! [`Pairing`] takes both logs of one link in any interleaving and gives the pairs. Host clocks, which differ by up to
+//! a minute between robots, are not used.
 //!
-//! Cases that occur in real logs, and what is done:
-//! * **restart**: the counter restarts (the sender was restarted). A jump back that another record confirms opens a
-//!   new session.
+//! Cases in real logs and their treatment:
+//! * **restart**: the sender restarted its counter. A jump back that another record confirms starts a new session.
 //! * **two initiators**: where both robots initiate in turns, or answer a third, each log has several counts under one
-//!   MAC. Our schedulers keep them apart (`numbering`); each count is followed by itself, so a change of turns is no
-//!   restart, and no number of one count meets one of another.
+//!   MAC. Our schedulers keep them apart (`numbering`), and each count is followed separately, so a change of turns is
+//!   no restart.
 //! * **wrap**: `u32::MAX` to 0 is a step of one.
-//! * **duplicate**: the same number again within a session (overheard echoes, measured 892 in one log): the first
-//!   stays, the others are counted.
+//! * **duplicate**: the same number again within a session (overheard echoes, 892 in one log, measured): the first is
+//!   used, the others are counted.
 //! * **implausible jump**: a number more than some frames from its neighbours that no record soon after confirms (a
-//!   flipped bit; the counter of the WSR toolbox's sender turns to noise after 68,966 packets; stale header fields): dropped and
-//!   counted, and nothing else is lost by it.
-//! * **another session's partner**: numbers repeat from session to session, and one log may have missed a whole one. The
-//!   cards' own clocks distinguish them: `clock_tx - clock_rx` of a pair continues that of the last one to within its drift. A
-//!   candidate that does not is left waiting for its real partner. Where nothing fits any more (a card was reset) a new
-//!   difference is accepted once a run of candidates agrees to within the jitter of a turn-around: exchanges do, frames
-//!   of different sessions do not.
+//!   flipped bit; the counter of the WSR toolbox's sender turns to noise after 68,966 packets; stale header fields):
+//!   dropped and counted, without further losses.
+//! * **another session's partner**: numbers repeat from session to session, and one log may have missed a whole one.
+//!   The cards' own clocks distinguish them: `clock_tx - clock_rx` of a pair continues that of the last one to within
+//!   its drift. Other candidates continue to wait for their partner. If none fits any more (a card was reset), a new
+//!   difference is accepted once a run of candidates agrees to within the jitter of a turn-around: exchanges agree,
+//!   frames of different sessions do not.
 
 pub mod by_clock;
 mod clock;
@@ -55,8 +54,8 @@ pub struct Pair<T> {
     pub clock_rx_us: i64,
 }
 
-/// Records of one side, by what became of them. `handed = paired + unpaired + duplicates + implausible + mispaired`
-/// once [`Pairing::finish`] was called.
+/// Records of one side, by outcome. `handed = paired + unpaired + duplicates + implausible + mispaired` once
+/// [`Pairing::finish`] was called.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
 pub struct SideCounts {
@@ -66,13 +65,13 @@ pub struct SideCounts {
     pub paired: u64,
     /// Records whose partner never came.
     pub unpaired: u64,
-    /// Records whose number was there already.
+    /// Records whose number came before.
     pub duplicates: u64,
     /// Records with a number far from its neighbours.
     pub implausible: u64,
     /// Records whose would-be partner was from another session.
     pub mispaired: u64,
-    /// Times a count began besides the first: the sender was restarted, or another robot initiates too.
+    /// Times that a count restarted: the sender restarted, or another robot initiates too.
     pub restarts: u64,
     /// Numbers skipped within sessions (missing, not necessarily lost: logs may be filtered).
     pub missing: u64,
@@ -80,8 +79,8 @@ pub struct SideCounts {
 
 /// Pairs the two logs of one link. Call [`handle`](Self::handle) for each record of either side in its log's order,
 /// [`poll_pair`](Self::poll_pair) until `None` after each, [`finish`](Self::finish) at the end of both logs, and
-/// [`poll_pair`](Self::poll_pair) until `None` once more. Pairs come in the order of the exchange but for reordering; the
-/// first ones only when the clocks are understood.
+/// [`poll_pair`](Self::poll_pair) until `None` once more. Pairs come in the order of the exchange, except for
+/// reordering; the first ones only when the clocks' difference is known.
 #[derive(Clone, Debug)]
 pub struct Pairing<T> {
     window: usize,
@@ -92,9 +91,9 @@ pub struct Pairing<T> {
 }
 
 impl<T> Pairing<T> {
-    /// A pairing that lets at most `window` records of a side wait for their partners.
+    /// A pairing in which at most `window` records of a side wait for their partners.
     ///
-    /// 1,024 is plenty where the log that is [behind](Self::behind) is read next.
+    /// 1,024 is enough if the log that is [behind](Self::behind) is read next.
     #[must_use]
     pub fn new(window: usize) -> Self {
         Self {
@@ -127,7 +126,7 @@ impl<T> Pairing<T> {
         }
     }
 
-    /// Looks for the partner of a waiting record. True if the clocks' difference was learnt anew.
+    /// Looks for the partner of a waiting record. True if it found a new difference of the clocks.
     fn seek(&mut self, side: LinkSide, key: Key) -> bool {
         let (own, other) = match side {
             LinkSide::Receiver => (&mut self.receiver, &mut self.transmitter),
@@ -167,8 +166,8 @@ impl<T> Pairing<T> {
         self.ready.pop_front()
     }
 
-    /// The side whose log is behind in (session, frame number), and so should be read next: by the count of the newest
-    /// record of either side. Where only one side has a count, that side is ahead, until the other is.
+    /// The side whose log is behind in (session, frame number) and should be read next, by the newest record of either
+    /// side. If only one side has a count, that side is ahead.
     #[must_use]
     pub fn behind(&self) -> LinkSide {
         let (receiver, transmitter) = (&self.receiver, &self.transmitter);
@@ -184,8 +183,8 @@ impl<T> Pairing<T> {
         }
     }
 
-    /// Ends both logs: what still waits is unpaired, an unconfirmed jump is implausible. Logs too short to understand
-    /// their clocks give their pairs now.
+    /// Ends both logs: waiting records are unpaired, an unconfirmed jump is implausible. Logs too short to find the
+    /// clocks' difference give their pairs now.
     pub fn finish(&mut self) {
         if !self.clock.is_known() && self.clock.believe() {
             self.seek_all();
@@ -194,7 +193,7 @@ impl<T> Pairing<T> {
         self.transmitter.finish();
     }
 
-    /// The fate of the records of `side` so far.
+    /// The outcome of the records of `side` so far.
     #[must_use]
     pub fn counts(&self, side: LinkSide) -> SideCounts {
         match side {

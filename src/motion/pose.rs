@@ -87,7 +87,7 @@ pub struct LeftOut {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum TrajectoryKind {
-    /// Neither the file nor its name tells.
+    /// Neither the file nor its name shows it.
     #[default]
     Unknown,
     /// Cameras of a room.

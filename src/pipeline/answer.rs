@@ -15,7 +15,7 @@ use serde::Serialize;
 
 /// One link in degrees: a line of JSON. Absent values are null.
 ///
-/// Coherence, profile variance and likelihood share are of the best plane wave; everything else is read from the posterior.
+/// Coherence, profile variance and likelihood share are of the best plane wave, everything else of the posterior.
 #[derive(Clone, Debug, Default, Serialize)]
 #[non_exhaustive]
 pub struct Answer {
@@ -23,18 +23,18 @@ pub struct Answer {
     pub link: String,
     /// MAC of the transmitter.
     pub mac: Option<String>,
-    /// The wave that the answer is of; none without an answer.
+    /// The wave model of the answer; none without an answer.
     pub model: Option<WaveModel>,
     /// Bearing from `origin_m` to the transmitter, in the trajectory's frame, from +x towards +y, (-180, 180].
     pub azimuth_deg: Option<f64>,
     /// Why there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// The same as a value, for programs that word it themselves.
+    /// The same as a value, for programs with messages of their own.
     #[serde(skip)]
     pub cause: Option<LinkError>,
-    /// Where azimuth, elevation, mirror, candidates and range are seen from: the mean position of the samples used, metres, in
-    /// the trajectory's frame. The robot is elsewhere by the end of the motion.
+    /// The mean position of the samples used, metres, in the trajectory's frame: azimuth, elevation, mirror, candidates
+    /// and range are seen from here. The robot is elsewhere at the end of the motion.
     pub origin_m: Option<[f64; 3]>,
     /// Bearing relative to the robot's heading at the last sample used. With a `position_m` it points there from the antenna
     /// at that sample; else it is `azimuth_deg` less the heading, from `origin_m`.
@@ -43,31 +43,31 @@ pub struct Answer {
     pub azimuth_body_sd_deg: Option<f64>,
     /// |elevation|.
     pub abs_elevation_deg: Option<f64>,
-    /// Elevation with its sign, where the motion distinguishes up from down.
+    /// Elevation with its sign, if the motion distinguishes up from down.
     pub elevation_deg: Option<f64>,
     /// Error bar of the azimuth: 68 % of errors are within it (docs/method/accuracy.md).
     pub azimuth_sd_deg: Option<f64>,
     /// The same for 95 % of errors.
     pub azimuth_95_deg: Option<f64>,
-    /// Deviation that the likelihood alone leaves, on an exact trajectory: in a clean scene the Cramer-Rao bound.
+    /// Deviation by the likelihood alone, on an exact trajectory: in a clean scene the Cramer-Rao bound.
     pub azimuth_bound_deg: Option<f64>,
-    /// The other bearing that fits a motion along a line or in a tilted plane as well as noise and odometry let one tell:
-    /// the first, mirrored in it.
+    /// The other bearing that fits a motion along a line or in a tilted plane within noise and odometry error: the
+    /// first, mirrored in it.
     pub mirror_deg: Option<f64>,
     /// Elevation of the mirror with its sign, where the elevation was searched.
     pub mirror_elevation_deg: Option<f64>,
-    /// Share of the evidence that the mirror has of the two, 0.01 to 0.5.
+    /// Share of the mirror in the evidence of both, 0.01 to 0.5.
     pub mirror_share: Option<f64>,
     /// Probability that the azimuth is within five degrees of the truth, 0..1.
     pub confidence: Option<f64>,
     /// `|sum z a| / sum |z|` of the best plane wave, 0..1.
     pub coherence: Option<f64>,
-    /// What speaks for the second candidate over what speaks for the first, 0..1: their powers for a plane wave, their
-    /// evidence for a spherical one.
+    /// Evidence of the second candidate over the first's, 0..1: powers for a plane wave, probabilities for a spherical
+    /// one.
     pub peak_ratio: Option<f64>,
     /// Predicted standard deviation of the elevation, where it was searched.
     pub elevation_sd_deg: Option<f64>,
-    /// Range from `origin_m`, the middle of the motion, metres; only where the wave front's curvature fixes it.
+    /// Range from `origin_m`, metres; only if the wave front's curvature determines it.
     pub range_m: Option<f64>,
     /// Its predicted standard deviation, metres.
     pub range_sd_m: Option<f64>,
@@ -89,7 +89,7 @@ pub struct Answer {
     pub slope_sd_rad: Option<f64>,
     /// Carrier frequency offset found from the turn-around jitter, Hz.
     pub cfo_hz: Option<f64>,
-    /// By how much it changed in the course of the record, Hz; null where one offset explains all.
+    /// Its change over the record, Hz; null if one offset explains all.
     pub cfo_span_hz: Option<f64>,
     /// Whether turn-around compensation was applied.
     pub compensated: bool,
@@ -101,29 +101,27 @@ pub struct Answer {
     pub turn_around_jitter_us: Option<f64>,
     /// Drift of one card's clock against the other's, parts per million.
     pub clock_drift_ppm: Option<f64>,
-    /// Spread of the next best transmitter over that of this one, where the log was matched.
+    /// Spread of the next best transmitter over this one's, if the log was matched.
     pub match_margin: Option<f64>,
     /// Profile variance as the WSR toolbox defines it (lower is sharper, 1 is uniform).
     pub wsr_profile_variance: Option<f64>,
     /// Likelihood share of the peak as the code of \[paper\] defines it.
     pub likelihood_share: Option<f64>,
-    /// From one log of a robot that turned: the phase that the chains add to each baseline, degrees, and its standard deviation.
+    /// From one log of a robot that turned: the phase that the chains add on each baseline, degrees, and its standard
+    /// deviation.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub chain_constants_deg: Vec<[f64; 2]>,
-    /// Where both kinds of evidence are in the answer: azimuth and error bar by the two logs, and by the receiver's log alone, degrees.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub kinds_deg: Vec<[f64; 2]>,
     /// Shape of the motion.
     pub geometry: Option<String>,
     /// Pairs formed; from one log, records of the sender.
     pub pairs: usize,
     /// Pairs used for the bearing.
     pub pairs_in_motion: usize,
-    /// Pairs by what became of them.
+    /// Pairs by outcome.
     pub pair_counts: PairCounts,
-    /// Records of the link in the receiver's log by what became of them.
+    /// Records of the link in the receiver's log by outcome.
     pub receiver_records: SideCounts,
-    /// Records of the link in the transmitter's log by what became of them.
+    /// Records of the link in the transmitter's log by outcome.
     pub transmitter_records: SideCounts,
     /// The combined evidence of all stretches of motion so far, if they are carried on.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -133,7 +131,7 @@ pub struct Answer {
     pub plan: Option<LinkPlan>,
 }
 
-/// The range change of a link in short: [`RangeChange`] has it exchange by exchange. Absent values are omitted.
+/// Summary of the range change of a link; [`RangeChange`] has every exchange. Absent values are omitted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RangeChangeAnswer {
@@ -143,7 +141,7 @@ pub struct RangeChangeAnswer {
     /// Its predicted standard deviation, metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub end_sd_m: Option<f64>,
-    /// Share of the exchanges at which the phase is known to its cycle, 0..1.
+    /// Share of the exchanges whose cycle is known, 0..1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held_share: Option<f64>,
     /// Slips of the unwrapped phase that were removed.
@@ -239,14 +237,13 @@ impl Answer {
         self.likelihood_share = bearing.figures.likelihood_share;
         self.geometry = Some(geometry_words(&bearing.plane_wave.geometry));
         if bearing.samples.path_gain() == 1 {
-            // One log: there are records, no pairs. How often answers are right was measured on logs of two robots only, so there
-            // is a probability where one wave leaves nothing but noise, which alone decides it then.
+            // One log has records, no pairs. Probabilities were calibrated on logs of two robots only, so there is one
+            // only if a single wave leaves nothing but noise.
             self.pairs = bearing.pairs.formed;
             self.confidence = self.confidence.filter(|_| matches!(bearing.sufficient, Sufficient::OneWave(_)));
         }
         let degrees = |one: &ChainConstant| [one.rad, one.sd_rad].map(f64::to_degrees);
         self.chain_constants_deg = bearing.chain_constants.iter().map(degrees).collect();
-        self.kinds_deg = bearing.kinds_rad.iter().map(|kind| kind.map(f64::to_degrees)).collect();
         self.pairs_in_motion = bearing.pairs.in_motion;
         self.pair_counts = bearing.pairs;
         self.compensated = bearing.compensated;
@@ -268,7 +265,7 @@ impl Answer {
         self.azimuth_sd_deg = Some(answer.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
         self.azimuth_95_deg = Some(answer.azimuth_95_rad.to_degrees()).filter(|bar| bar.is_finite());
         self.azimuth_bound_deg = Some(answer.azimuth_bound_rad.to_degrees()).filter(|bound| bound.is_finite());
-        // Of a motion along a line none is searched for, and none is known.
+        // For motion along a line no elevation is searched.
         let is_known = answer.elevation_sd_rad.is_some();
         self.abs_elevation_deg = is_known.then(|| answer.abs_elevation_rad.to_degrees());
         self.elevation_deg = answer.signed_elevation_rad.filter(|_| is_known).map(f64::to_degrees);

@@ -1,4 +1,4 @@
-//! The result of a link: one answer, read from the posterior, and beside it what it was computed from.
+//! The result of a link: one answer from the posterior, and the data that it was computed from.
 
 use super::one_log::ChainConstant;
 use crate::bartlett::{self, Estimate, Grid, Method, Planner, ProfileOptions};
@@ -11,21 +11,21 @@ use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, Vector3};
 
-/// Half width of what counts as right in a probability, radians.
+/// An azimuth within this of the truth counts as right, radians.
 const RIGHT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 /// Candidates are given down to this probability, and at most this many.
 const LEAST_SHARE: f64 = 0.01;
 const MOST_CANDIDATES: usize = 5;
-/// Data narrow a prior where they leave less than this share of its deviation.
+/// Data narrow a prior if they leave less than this share of its deviation.
 const NARROWED: f64 = 0.5;
 
-/// The wave that an answer is of.
+/// The wave model of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WaveModel {
-    /// From infinitely far away: a direction.
+    /// From infinitely far away: a direction only.
     PlaneWave,
-    /// From a place: a direction and a curvature.
+    /// From a place: direction and curvature.
     SphericalWave,
 }
 
@@ -36,7 +36,8 @@ pub struct Candidate {
     pub azimuth_rad: f64,
     /// |elevation|, radians.
     pub abs_elevation_rad: f64,
-    /// The elevation with its sign, radians, where the motion distinguishes the two; none of a plane wave's other peaks.
+    /// The elevation with its sign, radians, if the motion distinguishes up from down; none for other peaks of a plane
+    /// wave.
     pub signed_elevation_rad: Option<f64>,
     /// 1 / range, 1/m; 0 for a plane wave.
     pub inverse_range_per_m: f64,
@@ -51,17 +52,17 @@ pub struct Range {
     pub range_m: f64,
     /// Its predicted standard deviation, metres.
     pub sd_m: f64,
-    /// The transmitter in the trajectory's frame at [`position_t_s`](Self::position_t_s), metres. Where the elevation's
-    /// sign is not observed its height is drawn upwards.
+    /// The transmitter in the trajectory's frame at [`position_t_s`](Self::position_t_s), metres. Without an observed
+    /// sign of the elevation its height is positive.
     pub position_m: Vector3<f64>,
-    /// The time that the position is of, seconds on the trajectory's clock: that of the last sample used. A transmitter
-    /// that stands still is there at any time.
+    /// The time of the position, seconds on the trajectory's clock: the last sample used. A transmitter at rest is
+    /// there at any time.
     pub position_t_s: f64,
     /// Covariance of the position, metres squared.
     pub covariance_m2: Matrix3<f64>,
 }
 
-/// Where the transmitter is, as the posterior says: see `docs/method/accuracy.md`.
+/// The transmitter's direction and place by the posterior: see `docs/method/accuracy.md`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BearingAnswer {
@@ -70,27 +71,27 @@ pub struct BearingAnswer {
     /// Most probable azimuth of the transmitter from the mean position, radians in (-pi, pi], from +x towards +y in the trajectory's
     /// frame.
     pub azimuth_rad: f64,
-    /// Error bar of the azimuth, radians: half the width that holds 68 % of the posterior. If there is a mirror, of what
-    /// lies nearer to the azimuth than to the mirror.
+    /// Error bar of the azimuth, radians: half the width that holds 68 % of the posterior. With a mirror, of the part
+    /// nearer to the azimuth than to the mirror.
     pub azimuth_sd_rad: f64,
     /// The same for 95 %.
     pub azimuth_95_rad: f64,
-    /// Deviation that noise and the likelihood alone leave of the azimuth, radians: the posterior of one wave on an exact
-    /// trajectory; of a clean scene the Cramer-Rao bound.
+    /// Deviation of the azimuth by noise alone, radians: the posterior of one wave on an exact trajectory; in a clean
+    /// scene the Cramer-Rao bound.
     pub azimuth_bound_rad: f64,
     /// |elevation|, radians: the mean of the posterior.
     pub abs_elevation_rad: f64,
     /// The elevation with its sign, radians, where the motion distinguishes up from down.
     pub signed_elevation_rad: Option<f64>,
-    /// Standard deviation of the elevation, radians, where the samples narrow the prior; else none, and the elevation says
-    /// nothing.
+    /// Standard deviation of the elevation, radians, if the samples narrow the prior; none if the elevation is not
+    /// determined.
     pub elevation_sd_rad: Option<f64>,
-    /// The mirror bearing of motion along a line or in a tilted plane, radians: reflected in it, the bearing explains the
-    /// samples as well as noise and the odometry's error let one tell.
+    /// The mirror bearing of motion along a line or in a tilted plane, radians: the bearing reflected in it explains
+    /// the samples equally well within noise and odometry error.
     pub mirror_rad: Option<f64>,
     /// Elevation of the mirror, radians, with its sign, where the motion distinguishes up from down.
     pub mirror_elevation_rad: Option<f64>,
-    /// Share of the probability that the mirror has of the two, 0..0.5.
+    /// Share of the mirror in the probability of both, 0..0.5.
     pub mirror_share: Option<f64>,
     /// The directions that explain the samples, the most probable first.
     pub candidates: Vec<Candidate>,
@@ -109,14 +110,14 @@ impl BearingAnswer {
         self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
     }
 
-    /// True if the range gives a position: its direction, [`Self::azimuth_rad`], holds at least 68 % of the probability, as much
-    /// as an ellipse of one deviation promises.
+    /// True if the range gives a position: its direction, [`Self::azimuth_rad`], holds at least 68 % of the
+    /// probability, the share of an ellipse of one deviation.
     #[must_use]
     pub fn has_place(&self) -> bool {
         self.range.is_some() && self.candidates.first().is_some_and(|first| first.share >= ONE_DEVIATION)
     }
 
-    /// The same where the logs are as likely exchanged as not: then the direction is one of chance.
+    /// The same if the logs may be exchanged: then the direction is random.
     pub(super) fn halved(mut self) -> Self {
         self.probability *= 0.5;
         self.candidates.iter_mut().for_each(|candidate| candidate.share *= 0.5);
@@ -170,12 +171,13 @@ impl BearingAnswer {
     }
 }
 
-/// Share of the pairs that lose their pose by more than what two hosts' clocks make of a log's beginning and end: of 71 WSR links at most
-/// 2.6 %, where the logs are not exchanged.
+/// Largest share of pairs without a pose that differing host clocks cause at a log's ends: at most 2.6 % on 71 WSR
+/// links.
 const MANY_OUTSIDE: f64 = 0.05;
 
 impl PairCounts {
-    /// True if the receiver's times leave far more pairs without a pose than the transmitter's: the two logs may be exchanged.
+    /// True if far more pairs lack a pose by the receiver's times than by the transmitter's: the two logs may be
+    /// exchanged.
     #[must_use]
     pub fn may_be_exchanged(&self) -> bool {
         let more = |other: usize| self.no_pose.saturating_sub(other) as f64;
@@ -185,11 +187,11 @@ impl PairCounts {
 
 /// The probability within one deviation of a normal distribution.
 const ONE_DEVIATION: f64 = 0.683;
-/// The place of a posterior without any mode.
+/// The result of a posterior without any mode.
 const NOWHERE: Place = Place { azimuth: 0.0, elevation: 0.0, curve: 0.0 };
 
-/// Range and position. The search sees the transmitter where it would stand if its own displacements were zero; at the last
-/// sample it is its displacement there away. Across, the place is as uncertain as the azimuth's error bar says.
+/// Range and position. The search finds the transmitter's place without its own displacements; at the last sample it is
+/// displaced from there. Across the line of sight, the azimuth's error bar gives the uncertainty.
 fn range(
     found: &Found,
     place: &Place,
@@ -205,7 +207,7 @@ fn range(
     let jacobian = Matrix3::from_columns(&[by_azimuth, by_elevation, towards * (-range_m * range_m)]);
     let mut covariance = *covariance;
     covariance[(0, 0)] = covariance[(0, 0)].max(azimuth_sd_rad * azimuth_sd_rad);
-    // A scale of the path that is off moves the place along with it.
+    // A wrong scale of the path scales the place too.
     let scale_m = range_m * tuning::sensor::SCALE;
     let covariance_m2 =
         jacobian * covariance * jacobian.transpose() + towards * towards.transpose() * (scale_m * scale_m);
@@ -214,36 +216,37 @@ fn range(
     Some(Range { range_m, sd_m, position_m, position_t_s: *position_t_s, covariance_m2 })
 }
 
-/// Everything that a link gave.
+/// The complete result of a link.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Bearing {
     /// Where the transmitter is.
     pub answer: BearingAnswer,
-    /// How much of the estimate sufficed.
+    /// Which part of the estimate was sufficient.
     pub sufficient: Sufficient,
-    /// The best plane wave at the channel centre, where every estimate begins. Its coherence says how much of the samples one
-    /// plane wave explains.
+    /// The best plane wave at the channel centre, the start of every estimate. Its coherence is the share of the
+    /// samples that one plane wave explains.
     pub plane_wave: Estimate,
     /// Probability of each azimuth from 0 on, per radian, if [`super::Options::keep_course`] asked for it.
     pub density: Vec<f64>,
-    /// Standard deviation of the sampling-time slopes removed, radians per subcarrier index, where they were.
+    /// Standard deviation of the removed sampling-time slopes, radians per subcarrier index, if any were removed.
     pub slope_sd_rad: Option<f64>,
     /// The robot's heading at the last sample used, radians.
     pub heading_rad: Option<f64>,
-    /// Turn-around compensation, where both clocks allowed one.
+    /// Turn-around compensation, if both clocks allowed one.
     pub turn_around: Option<TurnAround>,
     /// Whether it was applied.
     pub compensated: bool,
     /// How the distance to the transmitter changed from exchange to exchange, or why that is not known, if
-    /// [`super::Options::range_change`] asked for it. Never of one log, whose phases hold the path once.
+    /// [`super::Options::range_change`] asked for it. Never for one log, whose phases contain the path once.
     pub range_change: Option<Result<RangeChange, NoRangeChange>>,
-    /// From one log: the phases that the chains add, one for each baseline, as the turn gave them; none where they were known
-    /// before, or of two logs.
+    /// From one log: the phase that the chains add on each baseline, estimated from the turn; none if they were given,
+    /// or for two logs.
     pub chain_constants: Vec<ChainConstant>,
     /// Pairs by fate.
     pub pairs: PairCounts,
-    /// Mean receiver position of the samples used, metres, trajectory frame: the answer's azimuth and range are from here.
+    /// Mean receiver position of the samples used, metres, trajectory frame: the origin of the answer's azimuth and
+    /// range.
     pub mean_position_m: Vector3<f64>,
     /// Figures of merit of the plane wave's azimuth profile, as other programs define them.
     pub figures: ProfileFigures,
@@ -253,41 +256,19 @@ pub struct Bearing {
     pub path_m: Vec<Vector3<f64>>,
     /// The phase of every pair, if [`super::Options::keep_course`] asked for it.
     pub course: Vec<Phase>,
-    /// What the answer was read from.
-    pub(super) found: Found,
-    /// Azimuth and error bar by two logs, and by one, radians, where both kinds of evidence are in the answer.
-    pub(super) kinds_rad: Vec<[f64; 2]>,
 }
 
 impl Bearing {
-    /// This bearing, of two logs, and what `one` says of the same transmitter, by antennas on the same robot over the same path:
-    /// their log-likelihoods over azimuths add. Ranges and elevations are those of two logs.
-    #[doc(hidden)] // for the crates of this workspace
-    #[must_use]
-    pub fn with_one_log(&self, one: &Self) -> Self {
-        let found = crate::estimate::both(&self.found, &one.found, self.found.blur.heading_rad);
-        let count = self.density.len();
-        let kind = |own: &BearingAnswer| [own.azimuth_rad, own.azimuth_sd_rad];
-        Self {
-            answer: BearingAnswer::of(&found, &self.samples),
-            density: if count > 0 { found.density(count) } else { Vec::new() },
-            chain_constants: one.chain_constants.clone(),
-            kinds_rad: vec![kind(&self.answer), kind(&one.answer)],
-            found,
-            ..self.clone()
-        }
-    }
-
-    /// Azimuth relative to the robot's heading at the last sample used, radians. Where the answer has a place
-    /// ([`BearingAnswer::has_place`]) it is seen from where the receiver's antenna was then; else from the mean position, as
-    /// [`BearingAnswer::azimuth_rad`].
+    /// Azimuth relative to the robot's heading at the last sample used, radians. With a place
+    /// ([`BearingAnswer::has_place`]) it is seen from the receiver's antenna at that time; else from the mean position,
+    /// like [`BearingAnswer::azimuth_rad`].
     #[must_use]
     pub fn azimuth_body_rad(&self) -> Option<f64> {
         let azimuth_rad = self.at_the_end().map_or(self.answer.azimuth_rad, |(azimuth_rad, _)| azimuth_rad);
         self.heading_rad.map(|heading| wrap_rad(azimuth_rad - heading))
     }
 
-    /// Error bar of [`Self::azimuth_body_rad`], radians, at most pi: with a place, what its covariance is across.
+    /// Error bar of [`Self::azimuth_body_rad`], radians, at most pi; with a place, from its covariance.
     #[must_use]
     pub fn azimuth_body_sd_rad(&self) -> Option<f64> {
         let sd_rad = self.at_the_end().map_or(self.answer.azimuth_sd_rad, |(_, sd_rad)| sd_rad);
@@ -317,16 +298,16 @@ pub struct PairCounts {
     pub standing: usize,
     /// Outside the trajectory, or in a gap of it.
     pub no_pose: usize,
-    /// Those that would be outside the trajectory by the host times of the transmitter's log: far fewer where the two logs were
-    /// exchanged. None where that log has no host times.
+    /// Pairs outside the trajectory by the host times of the transmitter's log: far fewer if the two logs were
+    /// exchanged. None if that log has no host times.
     pub no_pose_by_transmitter: Option<usize>,
-    /// Outside the stretch that was asked for.
+    /// Outside the requested stretch.
     pub cut: usize,
     /// Without energy at the antenna.
     pub silent: usize,
-    /// Skipped evenly, because the link has more pairs than are kept or only every n-th was asked for.
+    /// Skipped evenly, because the link has more pairs than are kept or only every n-th was requested.
     pub thinned: usize,
-    /// Taken in motion outside the stretch that is searched, because all of it is too wide to be searched as one aperture.
+    /// In motion but outside the searched stretch, because the whole motion is too wide for one search.
     pub too_wide: usize,
 }
 
@@ -335,13 +316,13 @@ pub struct PairCounts {
 pub struct Phase {
     /// Seconds from the link's first pair.
     pub t_s: f64,
-    /// Phase of what the receiver alone heard, at the channel centre, radians.
+    /// Phase of the receiver's CSI alone, at the channel centre, radians.
     pub one_way_rad: f64,
     /// Phase of the round-trip product, radians.
     pub round_trip_rad: f64,
     /// The same after turn-around compensation, radians.
     pub compensated_rad: f64,
-    /// True if it is one of the bearing's samples: in motion, and inside of what was searched.
+    /// True if it is one of the bearing's samples.
     pub is_used: bool,
 }
 

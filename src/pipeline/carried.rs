@@ -14,13 +14,13 @@ use serde::Serialize;
 pub struct CarriedAnswer {
     /// Bearing to the peer from the middle of the last stretch, in the trajectory's frame, from +x towards +y, (-180, 180].
     pub azimuth_deg: f64,
-    /// Half of the width about the azimuth that holds 0.68 of the evidence: how far it is spread, and no error bar, since
-    /// nothing fitted it to errors.
+    /// Half of the width about the azimuth that holds 0.68 of the evidence. It is not calibrated, so it is no error
+    /// bar.
     pub spread_deg: f64,
     /// The directions in which the peer may be, the likeliest first.
     pub candidates: Vec<CarriedCandidate>,
-    /// Where the peer is in the trajectory's frame, metres, where its range is known well enough. Of two robots that both
-    /// move, less the peer's displacement since its odometry began.
+    /// Where the peer is in the trajectory's frame, metres, where its range is known well enough. If the peer moves
+    /// too, less its displacement since its odometry began.
     pub place_m: Option<[f64; 2]>,
     /// Its covariance, metres squared, row by row.
     pub place_covariance_m2: Option<[[f64; 2]; 2]>,
@@ -34,8 +34,8 @@ pub struct CarriedAnswer {
 pub struct CarriedCandidate {
     /// Bearing, degrees.
     pub azimuth_deg: f64,
-    /// Probability of being within five degrees of it, 0..1: right on average over places (docs/method/accuracy.md), too low in
-    /// sight and too high behind walls.
+    /// Probability of being within five degrees of it, 0..1: right on average over places (docs/method/accuracy.md),
+    /// too low in line of sight and too high behind walls.
     pub share: f64,
 }
 
@@ -67,16 +67,16 @@ pub struct StretchAnswer {
     pub from_s: f64,
     /// It ends here, seconds on the trajectory's clock.
     pub to_s: f64,
-    /// The answer of the stretch by itself, with what is carried to its end in `carried`.
+    /// The answer of the stretch alone, with the combined evidence up to its end in `carried`.
     #[serde(flatten)]
     pub answer: Answer,
 }
 
 impl CaptureReport {
-    /// The links again in stretches of motion of `every_s` seconds, each stretch by itself and carried on from those before
-    /// it; a last stretch shorter than half of that belongs to the one before. One list for each link, in their order; empty
-    /// for a link without a bearing to begin with. `transmitters` are the trajectories of those that moved. Links joined row
-    /// by row are joined with the whole trajectory's rows, which stretches do not have: they give errors.
+    /// The links in stretches of motion of `every_s` seconds, each alone and carried on from those before; a last
+    /// stretch shorter than half of that belongs to the one before. One list for each link, in their order; empty for a
+    /// link without a bearing. `transmitters` are the trajectories of those that moved. Links joined row by row give
+    /// errors, because stretches lack the whole trajectory's rows.
     #[must_use]
     pub fn in_stretches(
         &self,
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_driven_is_that_of_the_poses_between() {
+    fn the_driven_distance_is_that_of_the_poses_between() {
         let whole = trajectory();
         assert!((way_m(&whole, 4.0, 6.0) - 1.0).abs() < 0.02, "{}", way_m(&whole, 4.0, 6.0));
         assert_eq!([way_m(&whole, 6.0, 4.0), way_m(&whole, 100.0, 200.0)], [0.0, 0.0]);

@@ -1,4 +1,4 @@
-//! From the pairs of a link to its bearing: clocks, compensation, the gate of motion, the estimate.
+//! From the pairs of a link to its bearing: clocks, compensation, selection of pairs in motion, estimate.
 
 use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
 use super::error::LinkError;
@@ -18,7 +18,7 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// But not logs of two runs where one plane wave has a coherence over this by the root of the number of samples (in
+/// Logs are of one run if one plane wave has a coherence above this, divided by the root of the number of samples (in
 /// the best of 10,000 directions, random phases reach sqrt(ln 1e7) once in a thousand times).
 const BY_CHANCE: f64 = 4.0;
 
@@ -30,32 +30,31 @@ const OUTSIDE_SHARE: f64 = 0.02;
 /// 0.31 on 30 pairs of unrelated logs).
 const CLOCKS_ALIKE: f64 = 0.6;
 
-/// The shape's changes are no noise from this correlation from pair to pair on (noise alone has 0, give or take
-/// 0.01).
+/// From this correlation from pair to pair on, the changes of the shape are more than noise (noise alone: 0 +- 0.01).
 const STEADY: f64 = 0.2;
 
-/// Phases whose second differences are no steadier than this are random (1,500 random phases reach 0.17, the real
-/// links at hand have 0.6 at least).
+/// Phases with a coherence of second differences below this are random (1,500 random phases reach 0.17, real links have
+/// at least 0.6).
 const RANDOM_PHASES: f64 = 0.25;
 
 /// Or from this correlation of the two directions' changes of shape on (0.91 to 0.99 on 76 links, up to 0.58 on 494
 /// wrong pairs of 14 captures).
 const CHANNEL_ALIKE: f64 = 0.75;
 
-/// Pauses that differ by less than this between frames, median, are all alike, microseconds (a turn-around jitters by
+/// Pauses that differ by less than this between frames, median, count as equal, microseconds (a turn-around jitters by
 /// 4 to 22).
 const PAUSES_US: f64 = 20.0;
 
 /// A trajectory has a row for each frame if their numbers differ by at most this share (some frames are lost).
 const ROW_FOR_ROW: f64 = 0.005;
 
-/// A turn-around that jitters by more leaves no phase, microseconds (several turns at the offsets that cards have).
+/// A turn-around with more jitter destroys the phase, microseconds (several turns at usual carrier offsets).
 const MAX_SPREAD_US: f64 = 500.0;
 
-/// Largest motion that is searched as one array, metres (far beyond what odometry follows to a wavelength).
+/// Largest motion that is searched as one array, metres (far more than odometry follows to a wavelength).
 const MAX_EXTENT_M: f64 = 50.0;
 
-/// The time of a pair whose time is not known: no pose is that late, so the single pair is counted and the link continues.
+/// The time of a pair of unknown time: no pose is that late, so the pair is counted as one without a pose.
 const NEVER_S: f64 = f64::MAX;
 /// Azimuths of the density that pictures show.
 const DENSITY_AZIMUTHS: usize = 1440;
@@ -80,8 +79,8 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
     something(link, receiver, options)?;
     let phases = Compensated::new(link, options);
     let times_s = times_s(link.rows(), receiver, options)?;
-    // Phases are as random as those of two runs where a robot goes far between frames that come irregularly; then they follow
-    // its motion.
+    // If a robot moves far between irregular frames, phases look as random as those of two runs, but they follow its
+    // motion.
     let doubt = of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err());
     let gate = Gate::new(link, receiver, transmitter, &times_s, options);
     let found = gate.pass(&times_s, &phases.z).and_then(|mut gated| {
@@ -91,7 +90,7 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
         };
         gated.check(&times_s, receiver)?;
         rows_or_times(link, receiver, &gated.pairs, options)?;
-        // Of motion that is too wide to be searched as one aperture, the stretch that tells most.
+        // If the motion is too wide for one search, its most informative stretch.
         if let Some(stretch) = gated.searchable(options) {
             gated = gated.within(stretch, &gate)?;
         }
@@ -121,12 +120,10 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
         mean_position_m: sum / samples.len() as f64,
         density: if options.keep_course { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },
         slope_sd_rad: found.slope_sd_rad,
-        plane_wave: found.plane_wave.clone(),
+        plane_wave: found.plane_wave,
         course: if options.keep_course { gated.course(link, &times_s, &phases.z) } else { Vec::new() },
         samples: gated.samples,
         path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
-        found,
-        kinds_rad: Vec::new(),
     })
 }
 
@@ -162,9 +159,9 @@ fn outside(link: &Link, receiver: &Trajectory, options: &Options) -> LinkError {
     LinkError::OutsideTrajectory { pairs: link.outside(), from_s, start_s, end_s, other_fits }
 }
 
-/// Refuses logs that do not belong together: one log for both sides, and logs of which neither the clocks nor the channel
-/// know of each other. Where only random phases speak against them, that is the doubt which is returned: phases are as
-/// random where a robot goes far between frames that come irregularly, and then they follow its motion.
+/// Refuses logs that do not belong together: one log for both sides, and logs whose clocks and channels are both
+/// uncorrelated. If only random phases contradict them, returns that as a doubt: if a robot moves far between irregular
+/// frames, phases look random too, but follow its motion.
 fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<LinkError>, LinkError> {
     if link.is_one_log() {
         return Err(LinkError::OneLogTwice);
@@ -173,10 +170,10 @@ fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<Li
     let both = apart.and_then(|clocks| Some((clocks, link.reciprocity()?)));
     let Some((clocks, channel)) = both else { return Ok(None) };
     let changes = channel.steadiness > STEADY;
-    // A channel that shows nothing but noise cannot be compared: then phases that are random speak beside the clocks, if
-    // pauses differ by more than turn-arounds do.
+    // A channel of noise only cannot be compared: then random phases decide together with the clocks, if pauses differ
+    // by more than turn-arounds do.
     let random = turn_around.is_some_and(|found| found.coherence_after.max(found.coherence_before) < RANDOM_PHASES);
-    // Noise makes the two directions' changes as unlike as it makes each from one pair to the next.
+    // Noise decorrelates the two directions as much as consecutive pairs.
     let alike = CHANNEL_ALIKE * channel.steadiness.min(1.0);
     let speaks = if changes { channel.correlation < alike } else { random && clocks.pause_us > PAUSES_US };
     let two_runs = LinkError::OfTwoRuns { clocks: clocks.correlation, channel: channel.correlation };
@@ -186,8 +183,8 @@ fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<Li
     }
 }
 
-/// Refuses a join by time where the trajectory has a row for each frame and yet many pairs lie outside its times: its clock
-/// is another one, and a wrong time gives a wrong bearing without any other sign of it.
+/// Refuses a join by time if the trajectory has a row for each frame and yet many pairs lie outside its times: it has
+/// another clock, and wrong times give a wrong bearing without any other sign.
 fn rows_or_times(link: &Link, receiver: &Trajectory, pairs: &PairCounts, options: &Options) -> Result<(), LinkError> {
     let (rows, frames) = (receiver.poses().len(), link.counts(LinkSide::Receiver).handed as usize);
     let as_many = rows.abs_diff(frames) as f64 <= ROW_FOR_ROW * rows as f64;
@@ -214,7 +211,7 @@ fn times_s(rows: &[PairRow], trajectory: &Trajectory, options: &Options) -> Resu
     Ok(rows.iter().map(time).collect())
 }
 
-/// The round trips at the channel centre, with the turn-around removed where that pays.
+/// The round trips at the channel centre, with the turn-around removed if that helps.
 struct Compensated {
     z: Vec<Complex64>,
     turn_around: Option<TurnAround>,
@@ -238,25 +235,25 @@ impl Compensated {
         spread_us.map_or(Ok(()), |spread_us| Err(LinkError::NotOfOneRun { spread_us }))
     }
 
-    /// The round trips on all subcarriers, turned as those at the channel centre were.
+    /// The round trips on all subcarriers, with the rotation of those at the channel centre.
     fn round_trips(&self, link: &Link, options: &Options) -> Vec<Planes> {
         let turns = link.rows().iter().zip(&self.z).map(|(row, z)| z / row.z);
         round_trips(link.frames(), turns, options.tier)
     }
 }
 
-/// What decides which pairs make samples: the stretch asked for, both trajectories, and motion.
+/// Selects the pairs that become samples, by requested stretch, trajectories and motion.
 struct Gate<'a> {
     receiver: (&'a Trajectory, Motion),
     transmitter: Option<(&'a Trajectory, Motion)>,
     options: &'a Options,
     /// The link's first pair on the trajectory's clock.
     first_s: f64,
-    /// Pairs that never came this far.
+    /// Pairs dropped earlier.
     before: PairCounts,
 }
 
-/// Why a pair makes no sample.
+/// Why a pair is no sample.
 enum Stopped {
     Cut,
     NoPose,
@@ -333,10 +330,10 @@ impl<'a> Gate<'a> {
     }
 }
 
-/// What came through the gate.
+/// The selected samples.
 struct Gated {
     samples: Samples,
-    /// The rows of the link that they are of.
+    /// Their rows in the link.
     used: Vec<usize>,
     /// The robot's heading at the last of them.
     heading_rad: Option<f64>,
@@ -344,7 +341,7 @@ struct Gated {
 }
 
 impl Gated {
-    /// The stretch that can be searched, where that is not all of it.
+    /// The stretch that can be searched, if not all of it.
     fn searchable(&self, options: &Options) -> Option<Range<usize>> {
         let points: Vec<Vector3<f64>> = self.samples.displacements_m().collect();
         stretch::searchable(&points, self.samples.wavelength_m(), self.samples.path_gain(), &options.limits())
@@ -392,7 +389,7 @@ impl Gated {
         Ok(Self { samples, used, heading_rad, pairs })
     }
 
-    /// Refuses what no bearing can be made of, with why.
+    /// Refuses samples without a bearing, with the reason.
     fn check(&self, times_s: &[f64], receiver: &Trajectory) -> Result<(), LinkError> {
         if self.samples.is_empty() {
             return Err(self.nothing(times_s, receiver));

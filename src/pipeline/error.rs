@@ -9,7 +9,7 @@ use crate::exchange::assign::Unmatched;
 pub enum LinkError {
     /// No frame of this transmitter is in both logs.
     #[error(
-        "no frame number of this link is in both logs ({receiver} records in the receiver's, {transmitter} in the transmitter's): are they of one run?"
+        "no frame number of this link is in both logs ({receiver} records in the receiver's, {transmitter} in the transmitter's): are they of the same run?"
     )]
     NoPairs {
         /// Frames in the receiver's log.
@@ -26,7 +26,7 @@ pub enum LinkError {
     /// The receiver's records hold no host time, so they cannot be joined with a trajectory by time.
     #[error("the receiver's records hold no host times: join with the trajectory row by row")]
     NoHostTime,
-    /// No pair is left in the stretch that was asked for ([`super::Options::with_cut`]).
+    /// No pair is left in the requested stretch ([`super::Options::with_cut`]).
     #[error("all {pairs} pairs are outside the stretch asked for (the link lasts {length_s:.3} s)")]
     AllCut {
         /// Pairs.
@@ -34,7 +34,7 @@ pub enum LinkError {
         /// Time from the first to the last pair, s.
         length_s: f64,
     },
-    /// The clocks of the pairs have nothing to do with each other.
+    /// The clocks of the pairs are unrelated.
     #[error(
         "the two logs do not belong together: their clocks' difference spreads by {spread_us:.0} us from pair to pair; in one run it spreads by some tens"
     )]
@@ -42,7 +42,7 @@ pub enum LinkError {
         /// Median of the deviation from a straight line, microseconds.
         spread_us: f64,
     },
-    /// Neither the clocks nor the channel of the two logs go together.
+    /// Neither the clocks nor the channels of the two logs match.
     #[error(
         "the frames of the two sides are not of one exchange, or answers come too irregularly to tell: the pauses between them correlate by {clocks:.2} and the channel's changes by {channel:.2}, where those of one exchange have 0.8 and 0.9 or more"
     )]
@@ -67,7 +67,7 @@ pub enum LinkError {
     /// The two logs hold the same frames.
     #[error("one log was given for both sides: all its frames are the same: name the other robot's log")]
     OneLogTwice,
-    /// The trajectory reaches further than any array of use.
+    /// The trajectory is larger than any usable array.
     #[error(
         "the robots moved {extent_m:.0} m relative to each other: are the trajectories in metres? At most {limit_m:.0} m are used at once"
     )]
@@ -102,10 +102,10 @@ pub enum LinkError {
         /// Pairs.
         pairs: usize,
     },
-    /// Of a bearing from one log: a sender that was asked for is not in it.
-    #[error("no record of this sender has the CSI of all antennas that were named")]
+    /// One log: it lacks a requested sender.
+    #[error("no record of this sender has the CSI of all named antennas")]
     Unheard,
-    /// Of a bearing from one log: the robot did not turn.
+    /// One log: the robot did not turn.
     #[error(
         "no turn: none of the {records} records was taken while the baseline turned, and two antennas that do not turn show no bearing, unless the constant between their chains is known from a turn before"
     )]
@@ -113,12 +113,12 @@ pub enum LinkError {
         /// Records of the sender.
         records: usize,
     },
-    /// Of a bearing from one log: the trajectory does not say how the robot was turned.
+    /// One log: the trajectory has no heading.
     #[error(
         "the trajectory has no heading (5 columns), and a bearing from one log needs it: use one with yaw or quaternion"
     )]
     NoAttitude,
-    /// Of a bearing from one log: the phases do not follow the turn.
+    /// One log: the phases do not follow the turn.
     #[error(
         "the phase between the antennas does not follow the robot's turn: one wave explains {coherence:.2} of {records} records, \
          no more than chance; are these antennas connected, is the baseline theirs, and are there enough records?"
@@ -150,7 +150,7 @@ pub enum LinkError {
     Bartlett(#[from] bartlett::Error),
 }
 
-/// A unit of time in which a trajectory's times would fit, where they are no seconds.
+/// A unit in which a trajectory's times would fit, if they are not seconds.
 fn unit(from_s: f64, start_s: f64) -> Option<&'static str> {
     let units = [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")];
     // Hosts have Unix time: of a run of the same year, the first digits agree.
@@ -166,7 +166,7 @@ fn why_outside(other_fits: bool, from_s: f64, start_s: f64) -> String {
 }
 
 impl LinkError {
-    /// The unit in which a trajectory's times would fit those of its pairs, where they are no seconds.
+    /// The unit in which a trajectory's times would fit its pairs, if they are not seconds.
     #[must_use]
     pub fn unit_of_times(&self) -> Option<&'static str> {
         match self {

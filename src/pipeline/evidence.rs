@@ -6,13 +6,13 @@ use crate::maths::wrap_rad;
 use crate::place::track::{Evidence, EvidenceMode};
 use nalgebra::{Vector2, Vector3};
 
-/// Two densities that are closer than four deviations are no longer two: what a mirror's side may have at most.
+/// Largest deviation of a mirror's side: two densities closer than four deviations merge.
 const MIRROR_SHARE: f64 = 0.25;
 
 impl Bearing {
-    /// The candidates with their probabilities, seen from the middle of the samples. Positions are those of the receiver less
-    /// the transmitter's displacement, so a transmitter whose odometry is known counts as standing where it would be without
-    /// any; see `PeerTrack`.
+    /// The candidates with their probabilities, seen from the middle of the samples. Positions are those of the
+    /// receiver less the transmitter's displacement, so a transmitter with known odometry counts as standing at its
+    /// start; see `PeerTrack`.
     #[doc(hidden)]
     #[must_use]
     pub fn evidence(&self) -> Evidence {

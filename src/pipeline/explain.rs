@@ -18,7 +18,7 @@ pub struct LinkPlan {
     pub steps: Vec<StepPlan>,
     /// The search for a plane wave.
     pub search: SearchPlan,
-    /// The profile over the grid that was asked for.
+    /// The profile over the requested grid.
     pub profile: Explanation,
 }
 
@@ -30,7 +30,7 @@ pub struct StepPlan {
     pub step: &'static str,
     /// Whether it was taken.
     pub taken: bool,
-    /// What it was about, or why it was not taken.
+    /// Its subject, or why it was skipped.
     pub why: String,
     /// For a skipped step: by how much it might have moved the azimuth, degrees.
     pub risk_deg: Option<f64>,

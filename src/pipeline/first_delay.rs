@@ -1,8 +1,9 @@
-//! Two antennas in a room: the product of their channels holds every path with every other one. In a wide frame the paths part by
-//! delay, and what both antennas heard at the first strong delay is nearly the direct path alone.
+//! In a room the product of two antennas' channels contains every pair of paths. Wide frames separate the paths by
+//! delay, and the first strong delay is nearly the direct path alone.
 //!
-//! Errors of bearings of a robot that turns, 48 simulated rooms of two reflections, 20 dB, degrees. `tests/library/taps.rs` repeats
-//! the last row; the others were measured once, those of 20 and 40 MHz with the limit of [`WIDE_MHZ`] taken away:
+//! Errors of bearings of a robot that turns, 48 simulated rooms of two reflections, 20 dB, degrees.
+//! `tests/library/taps.rs` repeats the last row; the others were measured once, those of 20 and 40 MHz without the
+//! limit [`WIDE_MHZ`]:
 //!
 //! | width, MHz | product: median, 90 % | first delay | first delay better in |
 //! |---|---|---|---|
@@ -21,7 +22,7 @@ use std::fmt;
 const WIDE_MHZ: u16 = 80;
 /// A peak from this share of the strongest one's power on is a path of its own: the side lobes of a tap are below 0.05.
 const STRONG: f32 = 0.25;
-/// The direct path comes at most so long before the strongest one, seconds: 75 m.
+/// The direct path precedes the strongest one by at most this, seconds: 75 m.
 const AHEAD_S: f64 = 0.25e-6;
 
 /// What the antennas of an array heard at the first strong delay.
@@ -38,7 +39,7 @@ impl FirstDelay {
         Self(Ffts::new(tier))
     }
 
-    /// True if a frame is so wide that delays part its paths.
+    /// True if a frame is wide enough to separate paths by delay.
     pub fn is_of(frame: &Frame) -> bool {
         frame.width_mhz >= WIDE_MHZ
     }
@@ -46,7 +47,7 @@ impl FirstDelay {
     /// One value for each of `columns`, which are CSI in the order of the frame's subcarriers.
     pub fn of(&mut self, frame: &Frame, columns: &[&[[f32; 2]]]) -> Option<Vec<Complex32>> {
         let (first, last) = (*frame.subcarriers.first()?, *frame.subcarriers.last()?);
-        // Two delays in what the bandwidth can tell apart.
+        // Two delays per resolution of the bandwidth.
         let n = good_size(2 * usize::from(last.abs_diff(first)) + 2);
         let inverse = self.0.inverse(n);
         let delays = |column: &&[[f32; 2]]| {

@@ -1,4 +1,4 @@
-//! One log on its way into the pipeline: records in, frames of interest out, everything else counted.
+//! Reads one log: records in, frames of interest out, everything else counted.
 
 use super::LogReport;
 use super::options::Options;
@@ -18,7 +18,7 @@ use driver_iface::{
 use num_complex::Complex32;
 use std::collections::VecDeque;
 
-/// One frame as one antenna heard it: about a hundred bytes, so that many can wait for their partners.
+/// One frame at one antenna: about a hundred bytes, so that many can wait for their partners.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameHeard {
     /// Frame number.
@@ -29,7 +29,7 @@ pub struct FrameHeard {
     pub host_us: Option<i64>,
     /// Running number among the frames of its sender in this log, from 0.
     pub row: u32,
-    /// How far the card's clock is past that microsecond, picoseconds, where it is finer than one.
+    /// Picoseconds of the card's clock past that microsecond, if it is finer than one.
     pub left_ps: u32,
     /// What is known about the frame itself.
     pub proof: Proof,
@@ -46,7 +46,7 @@ impl FrameHeard {
         Some(Self { number, timestamp_low, host_us, row, left_ps: 0, proof: Proof::Unknown, iq })
     }
 
-    /// A forward frame as the robot that answered it has measured it.
+    /// A forward frame as measured by the robot that answered it.
     #[must_use]
     pub(crate) fn measured(measurement: &Measurement, row: u32) -> Self {
         let iq = measurement.iq.map(|[i, q]| Iq { i, q });
@@ -82,11 +82,11 @@ impl FrameHeard {
 pub struct UnusedRecords {
     /// No frame number: a stock record without an MPDU before it, or an unknown sender.
     pub no_number: u64,
-    /// The antenna asked for is not in the record, or its place is not known.
+    /// The record lacks the requested antenna, or its place is unknown.
     pub no_antenna: u64,
-    /// From a sender that takes no part.
+    /// From another sender.
     pub other_sender: u64,
-    /// With a key: the frame that was measured has no tag, or another one.
+    /// With a key: the measured frame has no valid tag.
     pub unauthenticated: u64,
 }
 
@@ -97,39 +97,39 @@ pub struct Front {
     /// The counts.
     pub log: LogReport,
     prover: Prover,
-    /// What a record said of the clock at the next bfee.
+    /// The clock's fraction for the next bfee, from the record before it.
     left_ps: u32,
 }
 
 impl Front {
-    /// A front of which only `antenna` is decoded.
+    /// A front that decodes only `antenna`.
     #[must_use]
     pub fn new(antenna: Antenna) -> Self {
         Self { antenna, log: LogReport::default(), prover: Prover::default(), left_ps: 0 }
     }
 
-    /// The same, in which these senders always have a place: strangers compete for the others (see [`Survey::with_known`]).
+    /// The same, with reserved places for these senders: strangers compete for the others (see [`Survey::with_known`]).
     #[must_use]
     pub fn with_known(mut self, known: impl IntoIterator<Item = Mac>) -> Self {
         self.log.survey = Survey::with_known(known);
         self
     }
 
-    /// The same; where frames come with the records, only those with a tag of this key are used.
+    /// The same; if frames come with the records, only those with a tag of this key are used.
     #[must_use]
     pub fn with_key(mut self, key: Option<Key>) -> Self {
         self.prover = Prover::new(key);
         self
     }
 
-    /// Notes what a source gave, and gives the frame in it with its sender.
+    /// Notes an item of a source, and returns its frame with its sender.
     pub fn note(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard)> {
         let (mac, heard, is_numbered) = self.note_any(next)?;
         self.log.unused.no_number += u64::from(!is_numbered);
         is_numbered.then_some((mac, heard))
     }
 
-    /// The same of frames without a number too, which have 0 for it; at last whether it has one.
+    /// The same for frames without a number too, which get 0; the last value is true if it has one.
     pub(super) fn note_any(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard, bool)> {
         let proof = self.prover.note(next);
         if let Next::Record(_, Record { code: code::CARD_CLOCK, body }) = next {
@@ -155,16 +155,16 @@ impl Front {
     }
 }
 
-/// Frames without a number that are kept of a log that has none: three quarters of an hour at 100 a second.
+/// Limit of kept frames of a log without numbers: three quarters of an hour at 100 a second.
 const MOST_UNNUMBERED: usize = 1 << 18;
 
 /// A log being read.
 pub(crate) struct LogReader<'a> {
     source: &'a mut (dyn CsiSource + Send),
-    /// What was counted and used.
+    /// Counts and used frames.
     pub front: Front,
     queue: VecDeque<(Mac, FrameHeard)>,
-    /// Frames without a number, as long as none has one.
+    /// Frames without a number, until one has one.
     unnumbered: Vec<(Mac, FrameHeard)>,
     has_numbers: bool,
     /// Why its frames could not be numbered.
@@ -174,7 +174,7 @@ pub(crate) struct LogReader<'a> {
 }
 
 impl<'a> LogReader<'a> {
-    /// A log from `source`, of which only `antenna` is decoded; `known` are senders that are looked for by name.
+    /// A log from `source` that decodes only `antenna`; `known` are named senders.
     pub(crate) fn new(
         source: &'a mut (dyn CsiSource + Send),
         options: &Options,
@@ -186,7 +186,7 @@ impl<'a> LogReader<'a> {
         Self { source, front, queue, unnumbered, has_numbers: false, refused: None, now, ended: false }
     }
 
-    /// Reads ahead until `limit` frames wait or the log ends, and gives those that wait.
+    /// Reads ahead until `limit` frames wait or the log ends, and returns those that wait.
     ///
     /// # Errors
     /// If the source fails.
@@ -197,7 +197,7 @@ impl<'a> LogReader<'a> {
         Ok(&self.queue)
     }
 
-    /// As [`Self::read_ahead`], and gives those frames away.
+    /// As [`Self::read_ahead`], and removes those frames.
     ///
     /// # Errors
     /// If the source fails.
@@ -206,13 +206,13 @@ impl<'a> LogReader<'a> {
         Ok(std::mem::take(&mut self.queue))
     }
 
-    /// The frames without a number of a log that was read to its end and has no others; none of any other log.
+    /// The frames of a completely read log without numbers; none for other logs.
     pub(crate) fn take_unnumbered(&mut self) -> Vec<(Mac, FrameHeard)> {
         let of_use = self.ended && !self.has_numbers;
         std::mem::take(&mut self.unnumbered).into_iter().filter(|_| of_use).collect()
     }
 
-    /// Puts frames back that have a number now, to be read like any others.
+    /// Puts back frames that now have a number, to be read like others.
     pub(crate) fn put_numbered(&mut self, frames: Vec<(Mac, FrameHeard)>) {
         let unused = &mut self.front.log.unused;
         unused.no_number = unused.no_number.saturating_sub(frames.len() as u64);
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn with_a_key_wrong_frames_are_left_out_and_records_without_one_are_said() {
+    fn with_a_key_wrong_frames_are_skipped_and_unchecked_records_counted() {
         let mut front = Front::new(Antenna::A).with_key(Some(Key::new([7; 16])));
         assert!(note(&mut front, &[], 1).is_some());
         assert_eq!((front.log.unchecked, front.log.unused.unauthenticated), (1, 0));
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_frames_are_read_ahead_as_are_asked_for_and_none_is_lost_by_it() {
+    fn the_requested_number_of_frames_is_read_ahead_without_losses() {
         let body = |frame_count| {
             let repr = Repr {
                 wsr: Some(Wsr { mac: SENDER, frame_count: Some(frame_count), ..Wsr::default() }),
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_number_or_not_the_antenna_is_counted() {
+    fn records_without_a_number_or_the_antenna_are_counted() {
         let mut front = Front::new(Antenna::C);
         assert!(note(&mut front, &[], 1).is_none());
         assert_eq!((front.log.unused.no_antenna, front.log.unused.no_number), (1, 0));

@@ -1,4 +1,4 @@
-//! One link: the pairs of its frames, each made into a coherent round trip, and kept until a bearing is made of them.
+//! One link: the pairs of its frames as coherent round trips, kept until a bearing is estimated.
 
 use super::bearing::{PairCounts, Phase};
 use super::intake::FrameHeard;
@@ -16,7 +16,7 @@ use num_complex::{Complex32, Complex64};
 /// At 100 exchanges a second it is over a minute within one trajectory, longer than odometry stays coherent.
 const MAX_ROWS: usize = 8_192;
 
-/// Pairs of a log that are made into rows at once: enough for vector code, few enough for a core's own memory.
+/// Pairs of a log that become rows together: enough for vector code, few enough for a core's cache.
 const ROWS_AT_ONCE: usize = 512;
 
 /// Leaves the first of every two.
@@ -28,28 +28,28 @@ fn every_second<T>(list: &mut Vec<T>) {
     });
 }
 
-/// What is known about a link once its logs were read.
+/// A link after its logs were read.
 #[derive(Clone, Debug)]
 pub struct Link {
     /// The transmitter's MAC.
     pub mac: Mac,
     pairing: Pairing<FrameHeard>,
-    /// Pairs that are not rows yet: many are made into rows at once, and of all links side by side.
+    /// Pairs that are not rows yet: many become rows together, all links in parallel.
     pending: Vec<Pair<FrameHeard>>,
     /// How many wait at most.
     most_pending: usize,
     rows: Vec<PairRow>,
-    /// What both sides heard of each row: forward, backward.
+    /// Both sides' CSI of each row: forward, backward.
     frames: Vec<[Heard; 2]>,
     silent: usize,
     span_us: Option<(i64, i64)>,
     outside: usize,
-    /// Those of them that are inside by the transmitter's host time.
+    /// Those that are inside by the transmitter's host time.
     partner_inside: usize,
     first_us: Option<i64>,
     /// One in this many pairs is kept.
     stride: usize,
-    /// Pairs of which one in so many was to be kept.
+    /// Pairs seen by that thinning.
     offered: usize,
     thinned: usize,
 }
@@ -61,22 +61,22 @@ pub(super) struct PairRow {
     pub z: Complex64,
     /// Time on the receiver's card, microseconds, unwrapped.
     pub clock_rx_us: i64,
-    /// The transmitter's card's clock less the receiver's, microseconds, as the pairing gives it.
+    /// The transmitter's card clock less the receiver's, microseconds, from the pairing.
     pub difference_us: i64,
-    /// What a clock finer than a microsecond adds to it, microseconds.
+    /// The fraction of a finer clock, microseconds.
     pub finer_us: f64,
     /// Host times of receiver and transmitter, microseconds since the Unix epoch.
     pub host_us: Option<i64>,
     pub partner_host_us: Option<i64>,
     /// Number of the frame among those of the link in the receiver's log.
     pub row: u32,
-    /// Phase of what the receiver alone heard, radians; 0 where nothing asked for it.
+    /// Phase of the receiver's CSI alone, radians; 0 unless requested.
     pub one_way_rad: f64,
 }
 
 impl Link {
-    /// A link to `mac` with nothing in it yet, whose rows are there as soon as their pairs are. Pairs outside `span_us` of the
-    /// receiver's host time are only counted.
+    /// An empty link to `mac` that makes rows as soon as pairs come. Pairs outside `span_us` of the receiver's host
+    /// time are only counted.
     #[must_use]
     pub(crate) fn new(mac: Mac, span_us: Option<(i64, i64)>) -> Self {
         Self {
@@ -97,7 +97,7 @@ impl Link {
         }
     }
 
-    /// The same for logs that are read to their ends: rows are made when many pairs wait for it, and by [`Self::finish`].
+    /// The same for logs that are read to their ends: rows are made when many pairs wait, and by [`Self::finish`].
     #[must_use]
     pub(super) fn of_logs(self) -> Self {
         Self { most_pending: ROWS_AT_ONCE, ..self }
@@ -109,7 +109,7 @@ impl Link {
         self.pairing.behind()
     }
 
-    /// Records of one side by fate.
+    /// Records of one side by outcome.
     #[must_use]
     pub fn counts(&self, side: LinkSide) -> SideCounts {
         self.pairing.counts(side)
@@ -132,32 +132,32 @@ impl Link {
         &self.rows
     }
 
-    /// What both sides heard of each: forward, backward.
+    /// Both sides' CSI of each: forward, backward.
     pub(super) fn frames(&self) -> &[[Heard; 2]] {
         &self.frames
     }
 
-    /// Pairs outside the receiver's host time that is of use.
+    /// Pairs outside the usable span of the receiver's host time.
     pub(super) fn outside(&self) -> usize {
         self.outside
     }
 
-    /// Whether many pairs are outside by the receiver's host time, and nearly all inside by the transmitter's; `share` is how
-    /// many are many.
+    /// Whether more than `share` of the pairs are outside by the receiver's host time, but nearly all inside by the
+    /// transmitter's.
     pub(super) fn other_fits(&self, share: f64) -> bool {
         let inside = |row: &&PairRow| {
             let within = |at| self.span_us.is_none_or(|(from, to)| (from..=to).contains(&at));
             row.partner_host_us.is_some_and(within)
         };
-        // Each row kept stands for those that were thinned out.
+        // Each kept row stands for the skipped ones too.
         let stands_for = (self.rows.len() + self.thinned) as f64 / self.rows.len().max(1) as f64;
         let partner = stands_for * self.rows.iter().filter(inside).count() as f64 + self.partner_inside as f64;
         let all = self.pairs() as f64;
         self.outside as f64 > share * all && partner >= (1.0 - share) * all
     }
 
-    /// Pairs outside the receiver's trajectory by the host times of the transmitter's log, of those not thinned out; none where it
-    /// has no such times.
+    /// Pairs outside the receiver's trajectory by the transmitter's host times, without the evenly skipped ones; none
+    /// without such times.
     pub(super) fn outside_by_transmitter(&self, receiver: &Trajectory, options: &Options) -> Option<usize> {
         let (start_s, end_s) = receiver.span_s();
         let inside = |us: i64| (start_s..=end_s).contains(&(us as f64 * 1e-6 + options.clock_offset_s));
@@ -171,7 +171,7 @@ impl Link {
         self.first_us
     }
 
-    /// The pairs that are not kept, by why.
+    /// The dropped pairs, by reason.
     pub(super) fn counts_before(&self) -> PairCounts {
         PairCounts {
             formed: self.pairs() + self.silent,
@@ -197,7 +197,7 @@ impl Link {
         }
     }
 
-    /// Makes rows of the pairs that wait for it.
+    /// Makes rows of the waiting pairs.
     fn settle(&mut self, options: &Options) {
         let mut pending = std::mem::take(&mut self.pending);
         let heard: Vec<[&Heard; 2]> =
@@ -207,12 +207,12 @@ impl Link {
         self.rows.reserve(more);
         self.frames.reserve(more);
         pending.iter().zip(centres).for_each(|(pair, centre)| self.keep(pair, centre, options));
-        // Its memory is that of the next ones.
+        // The next ones reuse its memory.
         pending.clear();
         self.pending = pending;
     }
 
-    /// Makes a row of a pair with its round trip at the channel centre, if it is wanted.
+    /// Makes a row of a pair with its round trip at the channel centre, unless it is skipped.
     fn keep(&mut self, pair: &Pair<FrameHeard>, centre: Option<Complex64>, options: &Options) {
         if let Some(host_us) = pair.receiver.host_us {
             self.first_us.get_or_insert(host_us);
@@ -260,7 +260,7 @@ impl Link {
         let (mut rows, mut frames) = (stays.iter(), stays.iter());
         self.rows.retain(|_| rows.next().is_some_and(|stays| *stays));
         self.frames.retain(|_| frames.next().is_some_and(|stays| *stays));
-        // As dense from here on as what remains allows: after a long rest that is every pair again.
+        // Later pairs are kept as densely as the remaining ones allow; after a long rest every pair.
         let mut expected = self.rows.len();
         while self.stride > 1 && expected <= MAX_ROWS / 4 {
             (self.stride, expected) = (self.stride / 2, expected * 2);
@@ -283,7 +283,7 @@ impl Link {
         upper_median_ord(&mut ahead_us).map(|us| us as f64 * 1e-6)
     }
 
-    /// How alike the channel was in both directions; none with too few pairs, or where it never changed.
+    /// Correlation of the channel in both directions; none with too few pairs or without changes.
     pub(super) fn reciprocity(&self) -> Option<Reciprocal> {
         let mut sums = Reciprocity::default();
         let csi = |heard: &Heard| heard.map(|iq| Complex32::new(f32::from(iq.i), f32::from(iq.q)));
@@ -291,15 +291,15 @@ impl Link {
         sums.get()
     }
 
-    /// True if both frames of every pair are the same, and the times of both cards: one log taken for both sides. Frames alone are
-    /// also alike without noise where nothing moves.
+    /// True if both frames of every pair and the times of both cards are equal: one log was given for both sides.
+    /// Frames alone are also equal without noise and motion.
     pub(super) fn is_one_log(&self) -> bool {
         self.frames.len() >= reciprocity::LEAST
             && self.frames.iter().all(|[forward, backward]| forward == backward)
             && self.rows.iter().all(|row| row.difference_us == 0)
     }
 
-    /// How the pauses between exchanges go together on both clocks.
+    /// Correlation of the pauses between exchanges on both clocks.
     pub(super) fn kinship(&self) -> Option<Kinship> {
         let clock: Vec<i64> = self.rows.iter().map(|row| row.clock_rx_us).collect();
         let difference: Vec<i64> = self.rows.iter().map(|row| row.difference_us).collect();
@@ -378,7 +378,7 @@ mod tests {
         (60_000..60_500).for_each(|k| exchange(&mut link, &options, k));
         let kept = link.rows.iter().filter(|row| row.row >= 60_000).count();
         assert_eq!(kept, 500);
-        // What goes with the rows is forgotten with them.
+        // Data beside the rows are dropped with them.
         assert_eq!(link.frames.len(), link.rows.len());
     }
 }

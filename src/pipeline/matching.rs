@@ -1,4 +1,4 @@
-//! Which transmitter wrote which log.
+//! Finds the transmitter of each log.
 
 use super::intake::{FrameHeard, LogReader};
 use super::options::Options;
@@ -10,7 +10,7 @@ use driver_iface::Mac;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Frames of each log that are read ahead to find out which transmitter wrote which log.
+/// Frames of each log that are read ahead to find its transmitter.
 pub(super) const READ_AHEAD: usize = 32_768;
 /// Senders in the receiver's log that are tried for each transmitter's log.
 const MAX_TRANSMITTERS: usize = 64;
@@ -28,8 +28,8 @@ pub(super) fn read_ahead(rx: &mut LogReader<'_>, txs: &mut [LogReader<'_>], opti
     others.into_iter().collect()
 }
 
-/// The receiver as each transmitter's log has it, unless it is named: the sender of most of the frames that wait. The log may
-/// hold overheard frames of others, but the receiver sounds the transmitter in every round.
+/// The receiver in each transmitter's log, unless it is named: the sender of most waiting frames. The log may contain
+/// overheard frames of others, but the receiver sounds the transmitter in every round.
 pub(super) fn receivers(txs: &mut [LogReader<'_>], options: &Options) -> Result<Vec<Option<Mac>>, Error> {
     let most_frequent = |log: &mut LogReader<'_>| {
         let mut counts: BTreeMap<Mac, usize> = BTreeMap::new();
@@ -55,7 +55,7 @@ pub(super) fn find_macs(
     for (mac, heard) in rx.read_ahead(READ_AHEAD)? {
         by_mac.entry(*mac).or_default().push((heard.number, heard.timestamp_low));
     }
-    // Foreign frames bring MACs of their own; only those with enough frames can be a transmitter, the busiest first.
+    // Foreign frames have other MACs; only those with enough frames can be a transmitter, the busiest first.
     let mut busiest: Vec<(Mac, Vec<Mark>)> =
         by_mac.into_iter().filter(|(_, marks)| marks.len() >= MIN_COMMON).collect();
     busiest.sort_by_key(|(_, marks)| std::cmp::Reverse(marks.len()));
@@ -85,7 +85,7 @@ pub(super) fn find_macs(
         }
     }
     for (receiver, found) in receivers.iter().zip(&mut settled) {
-        // Stock records carry no address: all zeros say nothing.
+        // Stock records carry no address: all zeros mean unknown.
         if let Ok((mac, _)) = found
             && *mac != Mac([0; 6])
             && *receiver == Some(*mac)
@@ -96,7 +96,7 @@ pub(super) fn find_macs(
     Ok(settled)
 }
 
-/// How well each of `logs` goes with each sender, unless the log's sender is named.
+/// How well each of `logs` matches each sender, unless the log's sender is named.
 fn spreads(senders: &[(Mac, Vec<Mark>)], logs: &[Vec<Mark>], options: &Options) -> Vec<Vec<Option<Spread>>> {
     let each: Vec<(usize, usize)> = (0..logs.len()).flat_map(|k| (0..senders.len()).map(move |s| (k, s))).collect();
     let own = |&(k, s): &(usize, usize)| {
@@ -110,10 +110,10 @@ fn spreads(senders: &[(Mac, Vec<Mark>)], logs: &[Vec<Mark>], options: &Options) 
     (0..logs.len()).map(|k| all[k * senders.len()..][..senders.len()].to_vec()).collect()
 }
 
-/// Senders with their marks, how well each log goes with each sender, and what was found of each log.
+/// Senders with their marks, how well each log matches each sender, and the result for each log.
 type Unsettled<'a> = (&'a [(Mac, Vec<Mark>)], &'a [Vec<Option<Spread>>], &'a [Result<Match, Unmatched>]);
 
-/// How alike the channel's changes were in the two directions, for each log that is left unclear and each sender.
+/// Correlation of the channel's changes in the two directions, for each unclear log and each sender.
 fn correlations(
     rx: &mut LogReader<'_>,
     txs: &mut [LogReader<'_>],

@@ -72,11 +72,11 @@ pub struct LogReport {
     pub survey: Survey,
     /// What the pipeline could not use.
     pub unused: UnusedRecords,
-    /// With a key: records that were used, though there is no frame with them to be checked.
+    /// With a key: records that were used without a frame to check.
     pub unchecked: u64,
 }
 
-/// What became of one transmitter's log.
+/// The result of one transmitter's log.
 #[derive(Debug)]
 pub struct LinkReport {
     /// The transmitter's MAC, once known.
@@ -89,7 +89,7 @@ pub struct LinkReport {
     pub bearing: Result<Bearing, LinkError>,
 }
 
-/// What a run gave.
+/// The result of a run.
 #[derive(Debug)]
 pub struct CaptureReport {
     /// The receiver's log.

@@ -1,7 +1,7 @@
 //! Bearings from one log: two or three antennas on one robot that turns, without a partner's log.
 //!
-//! The receive chains of one card share carrier, sampling clock and gain. In `z = h_A conj(h_B)` they cancel, and what is left
-//! is the direction:
+//! The receive chains of one card share carrier, sampling clock and gain. In `z = h_A conj(h_B)` they cancel, and the
+//! direction remains:
 //!
 //! ```text
 //! z ~ exp(+j 2 pi / lambda * u . R b + j c)
@@ -11,11 +11,12 @@
 //! constant of the two chains. So a turning baseline is an array of its own: `R b` is the displacement, the path gain is 1, and
 //! the samples go into the same estimate as those of two logs. The robot's position is not needed.
 //!
-//! The wave front is plane: the two ends of a baseline see the curvature alike, so there is no range.
+//! The wave front is taken as plane: both ends of a baseline see the same curvature, so there is no range.
 //!
 //! A turn also gives `c` ([`ChainConstant`]). It holds until the firmware is loaded again. With a known `c`
-//! ([`Array::with_constants`]) a robot that stands has a bearing, and with two antennas its mirror beyond the baseline. Two antennas
-//! at the same place would measure the phase `c`, so the estimate gets as many samples of it at the origin as were heard.
+//! ([`Array::with_constants`]) a robot that stands has a bearing, and with two antennas its mirror beyond the baseline.
+//! Two antennas at the same place would measure the phase `c`, so the estimate gets as many samples of it at the origin
+//! as there are records.
 
 use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
 use super::error::LinkError;
@@ -42,11 +43,11 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Most records kept of a sender. At this number every second one is dropped, so memory is bounded for a log of any length.
 const MAX_ROWS: usize = 8_192;
-/// Antennas of one card are not further apart, metres.
+/// Longest baseline of one card, metres.
 const LONGEST_M: f64 = 1.0;
-/// Nor nearer, metres: a thousandth of a wavelength shows no direction.
+/// Shortest baseline, metres: a thousandth of a wavelength shows no direction.
 const SHORTEST_M: f64 = 1e-4;
-/// Length of the arm whose end decides when the robot turned, metres: with it the thresholds of driving robots mean 0.8
+/// Length of the arm whose end shows when the robot turned, metres: the thresholds of driving robots then mean 0.8
 /// degrees a second.
 const GATE_ARM_M: f64 = 0.3;
 /// Error of the attitude from moment to moment, radians: it moves the end of the baseline.
@@ -64,7 +65,7 @@ const CLEAR_SHARE: f64 = 0.9;
 /// 5300, anything on others.
 const CONTRADICTS_SD: f64 = 4.0;
 const CONTRADICTS_RAD: f64 = 0.5;
-/// Samples of each baseline that look for the constants between the chains.
+/// Samples of each baseline for the search of the chains' constants.
 const ROUGH_ROWS: usize = 256;
 
 /// Two or three antennas of one card, and where they are on the robot.
@@ -72,7 +73,7 @@ const ROUGH_ROWS: usize = 256;
 pub struct Array {
     first: Antenna,
     others: Vec<(Antenna, Vector3<f64>)>,
-    /// Of each baseline, if they are known.
+    /// For each baseline, if known.
     constants: Vec<ChainConstant>,
 }
 
@@ -101,7 +102,7 @@ pub enum ArrayError {
         /// Which.
         antenna: Antenna,
     },
-    /// Not one baseline for each antenna but the first.
+    /// The number of baselines is not that of the antennas less one.
     #[error(
         "{baselines} baselines for {antennas} antennas: {} needed, from each other antenna to the first",
         antennas - 1
@@ -112,13 +113,13 @@ pub enum ArrayError {
         /// Baselines given.
         baselines: usize,
     },
-    /// A baseline that no robot has.
+    /// An impossible baseline.
     #[error("a baseline of {length_m} m: metres are expected, {SHORTEST_M} to {LONGEST_M} (4.6 cm are 0.046)")]
     Length {
         /// Its length, metres.
         length_m: f64,
     },
-    /// Not one constant for each baseline, or one that is no number.
+    /// Another number of constants than of baselines, or one that is not finite.
     #[error(
         "{constants} constants of chains for {baselines} baselines: none, or a finite one for each, with a deviation of 0 or more"
     )]
@@ -197,10 +198,10 @@ impl ArrayFrame {
     /// the card does not have it. A sender that is not known is [`Mac::default`]; `host_us` is the host's time, microseconds
     /// since the Unix epoch.
     ///
-    /// Streams are added: all of them come from the same direction. More than 30 subcarriers are added in 30 groups: over the
-    /// bandwidth of a channel the phase between two antennas hardly changes.
+    /// Streams are added, because all come from the same direction. More than 30 subcarriers are added in 30 groups,
+    /// because the phase between two antennas hardly changes over a channel.
     ///
-    /// `None` where one of the antennas is not in the frame, or heard nothing.
+    /// `None` if one of the antennas is not in the frame or received nothing.
     pub fn new(
         array: &Array,
         sender: Mac,
@@ -255,7 +256,7 @@ struct Row {
 }
 
 impl Row {
-    /// The sample of a baseline: the strongest delay, which is that of all paths with themselves.
+    /// The sample of a baseline: the strongest delay, at which all paths meet themselves.
     fn z(&self, baseline: usize) -> Complex64 {
         let sum: Complex32 = self.products.get(baseline).into_iter().flatten().sum();
         let z = Complex64::new(f64::from(sum.re), f64::from(sum.im));
@@ -278,7 +279,7 @@ struct Sender {
     rows: Vec<Row>,
     /// Frames that all antennas heard.
     heard: usize,
-    /// Its frames, those that an antenna missed with them where they have to be counted.
+    /// Its frames, with those that an antenna missed if rows are counted.
     frames: usize,
     /// One in this many records is kept.
     stride: usize,
@@ -307,7 +308,7 @@ pub struct OneLogReport {
 }
 
 impl OneLog {
-    /// Nothing heard yet. Of `options` those of pairs and of two clocks have no meaning here.
+    /// Nothing heard yet. Options of pairs and of two clocks have no effect.
     #[must_use]
     pub fn new(array: Array, options: Options) -> Self {
         let first_delay = FirstDelay::new(options.tier);
@@ -349,7 +350,7 @@ impl OneLog {
         bearing(self.senders.get(&sender).ok_or(LinkError::Unheard)?, &self.array, trajectory, options)
     }
 
-    /// Takes what a source of a 5300's records gave.
+    /// Takes an item of a source of a 5300's records.
     pub fn note(&mut self, next: &Next<'_>) {
         self.note_sender(next);
     }
@@ -370,9 +371,9 @@ impl OneLog {
         }
     }
 
-    /// Takes a frame of another card. False if it has not all of the antennas, or they heard nothing.
+    /// Takes a frame of another card. False if it lacks an antenna, or one received nothing.
     ///
-    /// Of frames of 80 MHz and more it takes what was heard at the first strong delay: there the direct path is nearly alone.
+    /// Of frames of 80 MHz and more it takes the first strong delay, where the direct path is nearly alone.
     pub fn note_frame(&mut self, frame: &Frame) -> bool {
         let column = |antenna, stream| frame.column(chain(frame, antenna).filter(|chain| *chain < frame.n_rx)?, stream);
         let mut firsts: Vec<Vec<Complex32>> = Vec::new();
@@ -427,14 +428,14 @@ impl OneLog {
         }
     }
 
-    /// Counts a frame that has no product: the rows of a trajectory that are joined one by one stay in step.
+    /// Counts a frame without a product, so that rows joined one by one stay in step.
     fn miss(&mut self, sender: Mac) {
         if self.options.join == JoinBy::Row {
             self.next_row(sender);
         }
     }
 
-    /// Counts a frame: its sender, and its number among those of it. `None`, counted too, where nobody asked for the sender.
+    /// Counts a frame; returns its sender and its number among that sender's. `None`, counted too, for other senders.
     fn next_row(&mut self, sender: Mac) -> Option<(&mut Sender, usize)> {
         let wanted = &self.options.tx_macs;
         let is_wanted = wanted.is_empty() || wanted.contains(&sender);
@@ -497,7 +498,7 @@ pub fn one_log(
     }
 }
 
-/// What became of a record for one baseline.
+/// The outcome of a record for one baseline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Fate {
     Cut,
@@ -519,7 +520,7 @@ struct Together {
     anchors: usize,
     /// The baseline and the row of each that was heard.
     rows: Vec<(usize, usize)>,
-    /// By what the samples of each baseline were turned: the constants of the chains, undone.
+    /// The rotation that removed each baseline's constant.
     turns: Vec<Complex64>,
 }
 
@@ -546,7 +547,7 @@ fn times_s(rows: &[Row], trajectory: &Trajectory, options: &Options) -> Result<V
     }
 }
 
-/// The end of a baseline at a time, where the trajectory knows it, and whether the robot turns then.
+/// The end of a baseline at a time within the trajectory, and whether the robot turns then.
 fn end_m(arm: &Trajectory, t_s: f64, length_m: f64) -> Option<Vector3<f64>> {
     // Between two poses the straight line is a chord of the turn.
     arm.at(t_s).and_then(|pose| UnitVector3::try_new(pose.position_m, 0.1 * GATE_ARM_M)).map(|way| *way * length_m)
@@ -654,7 +655,7 @@ impl Joined {
         Ok(Together { samples: all, anchors: 0, rows: all_rows, turns })
     }
 
-    /// The same where the constants are known: as many samples at the origin, of phase 0, as were heard.
+    /// The same with known constants: as many samples of phase 0 at the origin as there are records.
     fn anchored(&self, constants: &[ChainConstant], options: &Options) -> Result<Together, LinkError> {
         let turns: Vec<Complex64> = constants.iter().map(|constant| Complex64::cis(-constant.rad)).collect();
         let mut all = Samples::new(options.channel.wavelength_m(), 1).map_err(bartlett::Error::from)?;
@@ -744,7 +745,7 @@ impl Towards {
         })
     }
 
-    /// By how much a place turns the phase for each radian of azimuth and of elevation.
+    /// Change of a place's phase for each radian of azimuth and of elevation.
     fn slopes(&self, place_m: &Vector3<f64>, wavelength_m: f64) -> [f64; 2] {
         let ((sin_a, cos_a), (sin_e, cos_e)) = (self.azimuth_rad.sin_cos(), self.elevation_rad.sin_cos());
         let by_azimuth = Vector3::new(-sin_a, cos_a, 0.0) * cos_e;
@@ -752,8 +753,8 @@ impl Towards {
         [by_azimuth, by_elevation].map(|by| TAU / wavelength_m * by.dot(place_m))
     }
 
-    /// What is left of the phases of a baseline, and its deviation: by their spread, of which neighbours share a part, and by the
-    /// direction, which matters as the turn leaves places off their middle.
+    /// The residual phase of a baseline and its deviation: from the spread, which neighbours share in part, and from
+    /// the direction, as far as the turn is not centred.
     fn constant(&self, samples: &Samples) -> ChainConstant {
         let (n, wavelength_m) = (samples.len().max(1) as f64, samples.wavelength_m());
         let towards = bartlett::direction(self.azimuth_rad, self.elevation_rad);
@@ -772,7 +773,7 @@ impl Towards {
         ChainConstant { rad, sd_rad: spread.sqrt().hypot(by_direction) }
     }
 
-    /// Deviation of the azimuth that those of the constants make: least squares of phases that are off by them.
+    /// Deviation of the azimuth from those of the constants, by least squares.
     fn azimuth_sd_of(&self, constants: &[ChainConstant], together: &Together) -> f64 {
         let places = together.samples.receiver_m();
         let middle_m = places.iter().sum::<Vector3<f64>>() / places.len().max(1) as f64;
@@ -799,8 +800,8 @@ fn steered(group: &[(Vector3<f64>, Complex64)], towards: &Vector3<f64>, waveleng
     group.iter().step_by(step.max(1)).map(turn).sum()
 }
 
-/// The constant of each baseline, at the direction in which the sum of their magnitudes is greatest: the most likely one where
-/// every constant is open.
+/// The constant of each baseline, at the direction with the greatest sum of magnitudes: the most likely one if all
+/// constants are unknown.
 fn constants(groups: &[Vec<(Vector3<f64>, Complex64)>], options: &Options) -> Vec<Complex64> {
     let wavelength_m = options.channel.wavelength_m();
     let highest = options.accuracy.elevation_max_rad.unwrap_or(FRAC_PI_2);
@@ -869,7 +870,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
     let Together { samples, anchors, rows: used, .. } = &together;
     let mut options = options.clone();
     options.accuracy.near_field = false;
-    // One card has one sampling clock: no slope differs from packet to packet.
+    // One card has one sampling clock: slopes do not differ between packets.
     options.accuracy.align = false;
     options.odometry_sd_m = options.odometry_sd_m.min(ATTITUDE_SD_RAD * joined.length_m);
     if let Some(wrong) = joined.contradiction(sender, &array.constants, trajectory, &options)? {
@@ -899,7 +900,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         mean_position_m: sum / poses.len().max(1) as f64,
         density: if keeps { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },
         slope_sd_rad: None,
-        plane_wave: found.plane_wave.clone(),
+        plane_wave: found.plane_wave,
         course: if keeps { course(sender, &times_s, &joined) } else { Vec::new() },
         path_m: joined
             .arm
@@ -910,12 +911,10 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
             .collect(),
         chain_constants: towards.filter(|_| *anchors == 0).map(|at| joined.constants(&at)).unwrap_or_default(),
         samples: samples.clone(),
-        found,
-        kinds_rad: Vec::new(),
     })
 }
 
-/// Share of what was heard that a plane wave explains: anchors explain themselves.
+/// Share of the records that a plane wave explains, without the anchors.
 fn coherence(wave: &Estimate, samples: &Samples, anchors: usize) -> f64 {
     if anchors == 0 {
         return wave.coherence;

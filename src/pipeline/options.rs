@@ -11,8 +11,8 @@ use crate::signal::samples::Samples;
 use driver_iface::{Mac, bfee::Antenna};
 use std::num::NonZeroUsize;
 
-/// Pairs this long before and after the trajectory are kept, seconds; others are counted and forgotten, so that a log
-/// of hours costs no memory.
+/// Pairs up to this long before and after the trajectory are kept, seconds; others are only counted, so that a log of
+/// hours costs no memory.
 const SETTLE_S: f64 = 30.0;
 
 /// How pairs find their place on the trajectory.
@@ -37,13 +37,12 @@ pub struct Accuracy {
     pub one_way: bool,
     /// How much is computed.
     pub effort: Effort,
-    /// Largest |elevation| of a transmitter, radians, 0 to pi/2: it holds for every motion; 0 fixes the horizon. None: 20 degrees,
-    /// and where the motion distinguishes elevations, more with a tenth of the probability.
+    /// Largest |elevation| of a transmitter, radians, 0 to pi/2; 0 fixes the horizon. None: 20 degrees, and if the
+    /// motion distinguishes elevations, more with a tenth of the probability.
     pub elevation_max_rad: Option<f64>,
-    /// Shortest distance of a transmitter, metres: it holds for every motion. None: 1.8 m, and where one wave leaves nothing but
-    /// noise, any.
+    /// Shortest distance of a transmitter, metres. None: 1.8 m, and any if one wave leaves nothing but noise.
     pub range_min_m: Option<f64>,
-    /// The transmitter's height above the receiver's antenna, metres, where known.
+    /// The transmitter's height above the receiver's antenna, metres, if known.
     pub height_m: Option<f64>,
 }
 
@@ -105,7 +104,7 @@ pub struct Options {
     pub tx_macs: Vec<Mac>,
     /// MAC of the receiver in the transmitters' logs; the most frequent one where absent.
     pub rx_mac: Option<Mac>,
-    /// The key of the exchange, where it had one: records whose frame has no valid tag are skipped.
+    /// The key of the exchange, if it had one: records whose frame has no valid tag are skipped.
     pub key: Option<Key>,
     /// Added to the receiver's host time to get the trajectory's, seconds.
     pub clock_offset_s: f64,
@@ -118,7 +117,7 @@ pub struct Options {
     pub from_s: Option<f64>,
     /// Only pairs up to here, seconds after the link's first pair.
     pub to_s: Option<f64>,
-    /// Only every so manieth pair, as if frames had been sent more slowly.
+    /// Only every n-th pair, as if frames had been sent more slowly.
     pub decimate: NonZeroUsize,
     /// Whether turn-around compensation may be applied.
     pub compensate: bool,
@@ -130,8 +129,8 @@ pub struct Options {
     pub range_change: bool,
     /// Which steps are taken, and the limits of the prior.
     pub accuracy: Accuracy,
-    /// Error of the positions from moment to moment, metres, standard deviation: it decides whether the motion's depth tells a
-    /// direction from its reflection. Default 3 mm.
+    /// Standard deviation of the positions' short-term error, metres: it decides whether the motion's depth
+    /// distinguishes a direction from its reflection. Default 3 mm.
     pub odometry_sd_m: f64,
     /// The SIMD tier to run on. Default: the widest of this machine.
     pub tier: Tier,
@@ -185,14 +184,14 @@ impl Options {
         self
     }
 
-    /// With so much added to the receiver's host time to get the trajectory's, seconds.
+    /// With this offset from the receiver's host time to the trajectory's, seconds.
     #[must_use]
     pub fn with_clock_offset_s(mut self, clock_offset_s: f64) -> Self {
         self.clock_offset_s = clock_offset_s;
         self
     }
 
-    /// With the standard deviation of the trajectory's heading, radians, where the sensor is known.
+    /// With the standard deviation of the trajectory's heading, radians.
     #[must_use]
     pub fn with_heading_sd_rad(mut self, heading_sd_rad: Option<f64>) -> Self {
         self.heading_sd_rad = heading_sd_rad;
@@ -213,7 +212,7 @@ impl Options {
         self
     }
 
-    /// With only every so manieth pair.
+    /// With only every n-th pair.
     #[must_use]
     pub fn with_decimate(mut self, decimate: NonZeroUsize) -> Self {
         self.decimate = decimate;
@@ -241,7 +240,7 @@ impl Options {
         self
     }
 
-    /// With or without what pictures of phase, trajectory and profile need.
+    /// With or without the data for pictures of phase, trajectory and profile.
     #[must_use]
     pub fn with_keep_course(mut self, keep_course: bool) -> Self {
         self.keep_course = keep_course;
@@ -279,7 +278,7 @@ impl Options {
         self.heading_sd_rad.unwrap_or(usual_deg.to_radians()).hypot(trajectory.rounding_sd_rad())
     }
 
-    /// The estimate of these samples, which were placed on this trajectory.
+    /// The estimate of these samples on this trajectory.
     pub(super) fn task<'a>(&self, samples: &'a Samples, receiver: &Trajectory) -> Task<'a> {
         Task {
             samples,
@@ -294,8 +293,8 @@ impl Options {
         }
     }
 
-    /// The receiver's host time, microseconds, in which pairs are of use: the trajectory's and some seconds about it, in
-    /// which the robot stands and the phase settles.
+    /// The span of the receiver's host time, microseconds, in which pairs are useful: the trajectory and some seconds
+    /// around it, in which the phase settles.
     pub(super) fn span_us(&self, trajectory: &Trajectory) -> Option<(i64, i64)> {
         let (start_s, end_s) = trajectory.span_s();
         let us = |t_s: f64| ((t_s - self.clock_offset_s) * 1e6) as i64;

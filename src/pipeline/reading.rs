@@ -13,19 +13,19 @@ use std::collections::VecDeque;
 /// Frames of the receiver's log with their senders.
 type Piece = VecDeque<(Mac, FrameHeard)>;
 
-/// A link with what it is fed from.
+/// A link with its sources.
 struct Feed<'a, 's> {
     link: &'a mut Option<Link>,
-    /// The sender whose frames in the receiver's log are the link's; none if it is another one's, too.
+    /// The sender of the link's frames in the receiver's log; none if another link has it.
     mac: Option<Mac>,
     tx: &'a mut LogReader<'s>,
-    /// The sender of the frames in the transmitter's log that are of use; none for all of them.
+    /// The sender of the link's frames in the transmitter's log; none for all of them.
     receiver: Option<Mac>,
 }
 
-/// Reads all logs to their ends, for each link always the one that is behind in frame number, so that no clock offset between
-/// the robots, however large, makes frames wait longer than their own order asks for. The receiver's log is taken piece by
-/// piece; of each piece links take their frames side by side.
+/// Reads all logs to their ends, for each link always the one that is behind in frame number, so that clock offsets
+/// between the robots do not make frames wait longer. The receiver's log is read in pieces; links take their frames of
+/// each piece in parallel.
 pub(super) fn read(
     rx: &mut LogReader<'_>,
     txs: &mut [LogReader<'_>],
@@ -34,7 +34,7 @@ pub(super) fn read(
     options: &Options,
 ) -> Result<(), Error> {
     let macs: Vec<Option<Mac>> = links.iter().map(|link| link.as_ref().map(|link| link.mac)).collect();
-    // Of two links with one sender the first has its frames.
+    // Of two links with one sender the first gets its frames.
     let mac = |k: usize| macs[k].filter(|mac| !macs[..k].contains(&Some(*mac)));
     let feed = |(k, ((link, tx), receiver))| Feed { link, mac: mac(k), tx, receiver };
     let each = links.iter_mut().zip(txs).zip(receivers.iter().copied()).enumerate();
@@ -57,7 +57,7 @@ pub(super) fn read(
 }
 
 impl Feed<'_, '_> {
-    /// Takes the link's frames of a piece, and of the transmitter's log what goes before them; after the last piece all of it.
+    /// Takes the link's frames of a piece, and earlier frames of the transmitter's log; after the last piece all of it.
     fn take(&mut self, piece: &Piece, is_last: bool, options: &Options) -> Result<(), Error> {
         let own_mac = self.mac;
         let mut own = piece.iter().filter(|(mac, _)| own_mac == Some(*mac)).map(|(_, heard)| *heard).peekable();

@@ -1,21 +1,21 @@
-//! Of motion that is too wide to be searched as one aperture, the stretch that is searched.
+//! Chooses the stretch to search of a motion that is too wide for one search.
 //!
-//! The number of places grows with the fourth power of the aperture's radius (azimuth, elevation, and twice for range): drives
-//! wider than some 2.7 m at 5 GHz have too many, odometry hardly stays coherent over them, and a plane wave is no answer either, as
-//! wave fronts are curved over so wide an aperture.
+//! The number of places grows with the fourth power of the aperture's radius (azimuth, elevation, and twice for range):
+//! drives wider than some 2.7 m at 5 GHz have too many, odometry hardly stays coherent over them, and wave fronts are
+//! too curved for a plane wave.
 
 use crate::estimate::is_searchable;
 use crate::estimate::prior::Limits;
 use nalgebra::{Matrix2, Vector3};
 use std::ops::Range;
 
-/// Stretches that are compared are as long as can be searched, and each begins this share of its length before the next.
+/// Compared stretches have the longest possible length; each starts this share of it before the next.
 const OVERLAP: usize = 4;
-/// How much spread along the motion counts beside spread across it: a line tells no side from the other.
+/// Weight of spread along the motion relative to spread across it: a line does not distinguish its sides.
 const ALONG: f64 = 1e-3;
 
-/// The stretch of these displacements, metres, in the order of time, that tells most of a direction within `limits`; `None`
-/// where all of them can be searched at once, or no two.
+/// The most informative stretch of these displacements, metres, in the order of time, within `limits`; `None` if all
+/// can be searched together, or no two.
 pub(super) fn searchable(
     displacement_m: &[Vector3<f64>],
     wavelength_m: f64,
@@ -28,7 +28,7 @@ pub(super) fn searchable(
         return None;
     }
     let longest = |from: usize| {
-        // Twice as long as long as that fits; then the end is between what fits and what does not, or is that of all.
+        // Doubles the length while it fits, then bisects.
         let mut inside = from + 1;
         while inside < count && fits(from..(2 * inside - from).min(count)) {
             inside = (2 * inside - from).min(count);
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_is_taken_whole_and_what_is_wide_as_the_stretch_that_tells_most() {
+    fn a_wide_motion_is_cut_to_its_most_informative_stretch() {
         let limits = Limits { near_field: true, ..Limits::default() };
         let small: Vec<_> = circle(0.5, 0.0, 1.0, 400).collect();
         assert_eq!(searchable(&small, WAVELENGTH_M, 2, &limits), None);

@@ -1,5 +1,4 @@
-//! Logs whose frames have no number (WSR's of 2021, csitool's without injected frames): their frames are numbered by the
-//! cards' clocks here, and read like any others from there on.
+//! Numbers the frames of logs without numbers (WSR's of 2021, csitool's without injected frames) by the cards' clocks.
 
 use super::intake::{FrameHeard, LogReader};
 use super::options::Options;
@@ -15,7 +14,7 @@ const MAX_SENDERS: usize = 8;
 /// Frames of one log with their senders, in its order.
 type Frames = Vec<(Mac, FrameHeard)>;
 
-/// A transmitter's log that goes with a sender, by the clocks.
+/// A transmitter's log that matches a sender, by the clocks.
 struct Fitting {
     log: usize,
     sender: Mac,
@@ -24,7 +23,8 @@ struct Fitting {
     pairs: Vec<(usize, usize)>,
 }
 
-/// Numbers the frames of logs that have none: alike where they are of one exchange. A log that goes with no sender keeps why.
+/// Numbers the frames of logs without numbers; frames of one exchange get the same number. A log that matches no sender
+/// keeps the reason.
 pub(super) fn number(rx: &mut LogReader<'_>, txs: &mut [LogReader<'_>], options: &Options) {
     let heard = rx.take_unnumbered();
     if heard.is_empty() {
@@ -41,7 +41,7 @@ pub(super) fn number(rx: &mut LogReader<'_>, txs: &mut [LogReader<'_>], options:
             Err((log, why)) => txs[log].refused = Some(why),
         }
     }
-    // Frames of a third robot are of the same rounds, and go with a log too, but less sharply.
+    // Frames of a third robot are of the same rounds and match a log too, but less sharply.
     fitting.sort_by(|x, y| y.fit.sharpness.total_cmp(&x.fit.sharpness));
     let (mut taken, mut numbered) = (BTreeSet::new(), BTreeMap::new());
     for Fitting { log, sender, pairs, .. } in fitting {
@@ -78,11 +78,11 @@ fn by_sender(frames: &Frames) -> BTreeMap<Mac, Vec<FrameHeard>> {
     by_sender
 }
 
-/// What a transmitter's log has of the receiver.
+/// The receiver's frames in a transmitter's log.
 struct Answered {
     receiver: Mac,
     frames: Vec<FrameHeard>,
-    /// All senders in the log: its own card is none of them.
+    /// All senders in the log; its own card is not among them.
     senders: BTreeSet<Mac>,
 }
 
@@ -151,7 +151,7 @@ fn numbers((receiver, transmitter): (usize, usize), pairs: &[(usize, usize)]) ->
         }
     };
     for &(i, j) in pairs {
-        // Two clocks that were set anew may part the logs in another order: those pairs are skipped.
+        // If both clocks were set back, the logs may split in another order: those pairs are skipped.
         if i >= rx.len() && j >= tx.len() {
             up_to(&mut rx, i, &mut number);
             up_to(&mut tx, j, &mut number);

@@ -29,8 +29,7 @@ const APART_SD: f64 = 3.0;
 /// And further than this many metres (chosen).
 const APART_M: f64 = 0.3;
 
-/// Error that no bearing is better than, radians (median error in line of sight about one degree whatever was
-/// predicted).
+/// Least error of any bearing, radians (the median error in line of sight is about one degree).
 const AZIMUTH_FLOOR_RAD: f64 = 0.02;
 
 /// The same for range, relative (one range in six is off by more).
@@ -372,7 +371,7 @@ mod tests {
         // Without evidence for it the direct path is no help, and all three bearings keep little of their say or one of them does.
         own[1].others.clear();
         assert!(locate(&own).unwrap().weights.iter().copied().fold(1.0, f64::min) < 0.1);
-        // The range of the answer tells nothing about the other candidates.
+        // The range of the answer does not apply to the other candidates.
         own[1].others = vec![(right, 0.5)];
         own[1].range_m = Some((1.0, 0.1));
         let found = locate(&own).unwrap();
@@ -428,7 +427,7 @@ mod tests {
         own[2] = seen(2, 0.02);
         let (height, _) = locate(&own).unwrap().height_m.unwrap();
         assert!((height - height_m).abs() > 1e-3 && (height - height_m).abs() < 2.0 * sd_m, "{height}");
-        // One elevation tells less than four, those beside a mirror that is the right bearing tell nothing.
+        // One elevation is weaker evidence than four; those of a wrong mirror are none.
         own.iter_mut().skip(1).for_each(|one| one.elevation = None);
         assert!(locate(&own).unwrap().height_m.unwrap().1 > 1.2 * sd_m);
         (own[0].mirror_rad, own[0].azimuth_rad) = (Some(own[0].azimuth_rad), own[0].azimuth_rad + 1.0);

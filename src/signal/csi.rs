@@ -195,7 +195,7 @@ const DECIBELS: std::ops::RangeInclusive<i32> = -(RSSI_OFFSET_DB + 255)..=255;
 /// The power ratio of each of [`DECIBELS`].
 static RATIOS: LazyLock<Vec<f64>> = LazyLock::new(|| DECIBELS.map(|db| 10_f64.powf(f64::from(db) / 10.0)).collect());
 
-/// The power ratio of so many decibels.
+/// The power ratio of decibels.
 fn ratio(db: i32) -> f64 {
     let place = usize::try_from(db - DECIBELS.start()).ok().and_then(|place| RATIOS.get(place));
     place.copied().unwrap_or_else(|| 10_f64.powf(f64::from(db) / 10.0))

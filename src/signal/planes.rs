@@ -93,8 +93,8 @@ impl Planes {
     }
 }
 
-/// The round trip of each pair (forward, backward) of frames, of unit power and turned by what goes with it; zeros where that
-/// is not finite.
+/// The round trip of each pair (forward, backward) of frames, of unit power and with the given rotation; zeros if it is
+/// not finite.
 pub(crate) fn round_trips(pairs: &[[Heard; 2]], turns: impl Iterator<Item = Complex64>, tier: Tier) -> Vec<Planes> {
     let mut rows = Vec::with_capacity(pairs.len());
     on_tier!(tier.level_or_portable(), _simd => {
@@ -114,7 +114,7 @@ fn round_trip([forward, backward]: &[Heard; 2], turn: Complex64) -> Planes {
     product.times(&Planes { re: [factor.re; LANES], im: [factor.im; LANES] })
 }
 
-/// What was heard as it is, unscaled.
+/// The CSI, unscaled.
 #[inline(always)]
 fn raw(heard: &Heard) -> Planes {
     let mut planes = Planes::ZERO;

@@ -22,7 +22,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A file would be overwritten.
-    #[error("{} is there already", .path.display())]
+    #[error("{} already exists", .path.display())]
     Exists {
         /// The file.
         path: PathBuf,
@@ -39,7 +39,7 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
-    /// The thread that writes a recorder's log panicked: what it had not written is lost.
+    /// The thread that writes a recorder's log panicked: unwritten records are lost.
     #[error("the thread that writes the log died")]
     WriterDied,
     /// A source without an end, as a card is, where a log is read to its end.

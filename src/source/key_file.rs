@@ -117,7 +117,7 @@ fn refused_mode(_: &std::fs::Metadata) -> Option<u32> {
     None
 }
 
-/// Writes a new file that only its owner can read. One that is there already is left alone.
+/// Writes a new file that only its owner can read. One that already exists is left alone.
 ///
 /// # Errors
 /// If it is there, or cannot be written.
@@ -197,7 +197,7 @@ impl RobotKeys {
     /// The keys, unless one can be guessed.
     fn key(&self) -> Option<Key> {
         let mut all = std::iter::once(&self.group).chain(self.peers.iter().map(|(_, key)| key));
-        // Text was looked for in what they are made from: of so many keys one may well look like some.
+        // The text check applies to the secret only: among many derived keys some may look like text.
         let is_guessed = all.any(|key| is_patterned(key.as_slice()));
         let peers = self.peers.iter().map(|(mac, key)| (*mac, **key)).collect();
         (!is_guessed).then(|| Key::of_robot(self.own, *self.group, peers))

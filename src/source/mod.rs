@@ -59,7 +59,7 @@ pub enum Refused {
     /// Its headers contradict each other or its length.
     #[error("{0}")]
     Connector(connector::Error),
-    /// It is longer than the buffer: the rest of it is gone (MSG_TRUNC).
+    /// It is longer than the buffer: the rest is lost (MSG_TRUNC).
     #[error("a datagram of {sent} bytes was cut to {kept}")]
     Truncated {
         /// Bytes that were sent.
@@ -80,7 +80,7 @@ pub enum Refused {
 /// What [`CsiSource::receive`] gives.
 #[derive(Debug)]
 pub enum Next<'a> {
-    /// A record, with what is known about when it was received.
+    /// A record with its time of reception, as far as known.
     Record(Stamps, Record<'a>),
     /// Something was lost here.
     Lost(Loss),
@@ -101,7 +101,7 @@ pub struct Stamps {
     pub origin: Origin,
 }
 
-/// The place of a record in what it came from.
+/// The place of a record in its source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Origin {
     /// In a file or another stream of bytes.
@@ -138,7 +138,7 @@ pub trait CsiSource {
     /// The next record, loss, or nothing yet. `now` is the driver's time and never runs backwards.
     ///
     /// # Errors
-    /// Only for what cannot be gone on from; loss is [`Next::Lost`].
+    /// Only for fatal errors; loss is [`Next::Lost`].
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error>;
 
     /// When to call [`receive`](Self::receive) again, on the driver's clock; at once where that is not after its time.

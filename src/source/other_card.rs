@@ -30,7 +30,7 @@ const RSSI_OFFSET_DB: i16 = 44;
 const IN_ORDER: u8 = 0b10_01_00;
 /// Bytes read at a time: no datagram is longer.
 const CHUNK: usize = 64 * 1024;
-/// More than any record has: of so many bytes without the next one, the length was damaged.
+/// More than any record has: without the next record within this many bytes, the length was damaged.
 const LONGEST: usize = 256 * 1024;
 
 /// In `rate_n_flags`: the frame was 80 or 160 MHz wide (iwlwifi's `RATE_MCS_CHAN_WIDTH_80`, bit 12).

@@ -5,8 +5,8 @@
 //! counted**, and the source is never held up. Chunks hold whole records, and a write that the disk cut short is taken
 //! back to the last whole record.
 //!
-//! A recorder that is dropped writes what it was handed before the drop returns, as [`Recorder::finish`] does; a
-//! [`Tally`] taken before says what came of it.
+//! Dropping a recorder writes its records before it returns, as [`Recorder::finish`] does; an earlier [`Tally`] has the
+//! result.
 
 mod files;
 mod pipe;
@@ -94,7 +94,7 @@ pub struct Totals {
     pub failing: bool,
 }
 
-/// The totals of a recorder, to be asked from any thread, and after the recorder is gone.
+/// The totals of a recorder, for any thread, and after its end.
 #[derive(Clone, Debug)]
 pub struct Tally(Arc<Shared>);
 
@@ -132,13 +132,13 @@ impl<S: CsiSource, W: Sink> Recorder<S, W> {
         self.queue.shared().totals()
     }
 
-    /// The totals, for whoever outlives the recorder.
+    /// The totals, which outlive the recorder.
     #[must_use]
     pub fn tally(&self) -> Tally {
         Tally(Arc::clone(self.queue.shared()))
     }
 
-    /// Writes what is left, makes it last, and gives everything back.
+    /// Writes the rest, syncs it, and returns everything.
     ///
     /// # Errors
     /// If the writer thread died.

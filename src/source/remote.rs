@@ -1,12 +1,11 @@
-//! Another robot's records and poses, as they come over a network: what is sent, and a bounded queue that is one more
-//! source.
+//! Another robot's records and poses over a network: the message format, and a bounded queue as a source.
 //!
 //! A message is `magic (4) | session (4) | number of its first item (8)` and then items, little-endian. A record's item
 //! is the host's receive time in microseconds since the Unix epoch (8; the smallest number for none) and the record as
-//! a `.dat` log has it. A pose's item is the number of its frame (8) and five 64-bit floats: seconds since the Unix epoch,
-//! x, y, z in metres, heading in radians (no number for none). Every pose says its frame, so that no loss mixes two. Items
-//! are numbered from 0 within a session, those too that the sender had no room for, so that whatever is dropped is
-//! counted, and another session is distinguished from a gap.
+//! a `.dat` log has it. A pose's item is the number of its frame (8) and five 64-bit floats: seconds since the Unix
+//! epoch, x, y, z in metres, heading in radians (no number for none). Every pose names its frame, so that no loss mixes
+//! two. Items are numbered from 0 within a session, dropped ones too, so that all losses are counted, and a new session
+//! is distinguished from a gap.
 
 mod batch;
 
@@ -83,7 +82,7 @@ pub struct RemotePoses {
     shared: Mailbox,
     /// Session and number of the last pose's frame.
     frame: Option<(u32, u64)>,
-    /// A pose in a new frame, which is said first.
+    /// A pose in a new frame, which is announced first.
     held: Option<Pose>,
 }
 
@@ -183,7 +182,7 @@ impl Shared {
         }
     }
 
-    /// The oldest goes first: what is new is of more use.
+    /// The oldest is dropped first: new items are more useful.
     fn push(&mut self, item: Item) {
         if self.queue.len() >= self.limit {
             let lost = match self.queue.pop_front() {
@@ -196,7 +195,7 @@ impl Shared {
             match self.queue.front_mut() {
                 Some(Item::Missing(more)) => *more = more.saturating_add(lost),
                 Some(front) => {
-                    // The loss takes the place of the next item, which goes with it.
+                    // The loss takes the place of the next item, which is dropped too.
                     *front = Item::Missing(lost.saturating_add(1));
                     self.counts.overflowed += 1;
                 }

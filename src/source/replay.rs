@@ -9,11 +9,10 @@ use driver_iface::side_file::Layout;
 use std::io::Read;
 use std::path::Path;
 
-/// Bytes asked for at a time: large enough to cost few calls; each page of it that is new to the process costs as much as
-/// decoding what fits on it.
+/// Bytes read at a time: large enough for few calls; each new page of it costs as much as decoding its records.
 const CHUNK: usize = 64 * 1024;
 
-/// Plays back a log as fast as it is asked for. Memory is one buffer, whatever the size of the log.
+/// Plays back a log as fast as it is read. Memory is one buffer, for any size of log.
 pub struct Replay<R> {
     bytes: Bytes<R>,
     framing: Framing,
@@ -152,7 +151,7 @@ impl<R: Read> Bytes<R> {
 }
 
 impl Framing {
-    /// Looks at the front of the bytes that were not used; `end` says that no more will follow. Inlined, as [`Framer::step`] is.
+    /// Judges the front of the unused bytes; `end`: no more will follow. Inlined, like [`Framer::step`].
     #[inline(always)]
     pub fn step(&mut self, front: &[u8], end: bool) -> Front {
         match self.framer.step(front, end) {

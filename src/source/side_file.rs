@@ -9,14 +9,15 @@ use std::fs::File;
 use std::io::{BufReader, Chain, Cursor, Read, Repeat, Take};
 use std::path::{Path, PathBuf};
 
-/// Entries looked at for the checksum of a record: so many records may be missing from a log at one place.
+/// Entries searched for the checksum of a record: this many records may be missing from a log at one place.
 const WINDOW: usize = 1 << 16;
-/// Records in a row that a side file does not know, from which on the window is looked through for every so manieth of them only,
-/// and for the others so many entries about the one that would be theirs.
+/// After this many unknown records in a row, the whole window is searched for one of this many records only, and for
+/// the others this many entries about their expected one.
 const STRANGERS: usize = 64;
-/// Entries looked at when the number of strangers has doubled: so many records may be missing behind a damaged stretch.
+/// Entries searched when the number of unknown records has doubled: this many records may be missing after a damaged
+/// stretch.
 const FURTHEST: usize = 1 << 20;
-/// A side file that knows none of the first so many records is of another log.
+/// A side file that knows none of the first records, up to this number, is of another log.
 const FIRST: usize = 1_024;
 /// Bytes at the beginning in which nothing is known, beyond which the layout is not looked for.
 const UNKNOWN: u64 = 64 << 20;
@@ -42,7 +43,7 @@ pub struct Checks {
     pub wrong: u64,
     /// Records that were written and are not in the log, or not as they were.
     pub missing: u64,
-    /// The side file knows none of the log's first records: it is of another log, or all of these were changed. It says nothing.
+    /// The side file knows none of the log's first records: it is of another log, or all were changed. It says nothing.
     pub out_of_step: bool,
 }
 
@@ -140,13 +141,13 @@ impl<R: Read> SideFile<R> {
         (self.layout == Layout::Checked).then_some(self.checks)
     }
 
-    /// Bytes of the log were skipped: how many records were in them nobody knows. Entries with checksums are found again,
-    /// others are out of step from here on.
+    /// Bytes of the log were skipped, with an unknown number of records. Entries with checksums are found again, others
+    /// are out of step from here on.
     pub(super) fn skip(&mut self) {
         self.checks.out_of_step |= self.layout != Layout::Checked;
     }
 
-    /// The log is over: what is left was written and is not in it.
+    /// At the end of the log: the remaining entries' records are missing.
     pub(super) fn end(&mut self) {
         while self.checks().is_some_and(|checks| !checks.out_of_step) {
             let Some(entry) = self.ahead.pop_front().or_else(|| self.read()) else { return };

@@ -195,7 +195,7 @@ fn sent(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
 }
 
 impl Survey {
-    /// A survey in which these senders always have a place, whoever else is heard.
+    /// A survey with reserved places for these senders.
     #[must_use]
     pub fn with_known(known: impl IntoIterator<Item = Mac>) -> Self {
         Self { known: known.into_iter().collect(), ..Self::default() }

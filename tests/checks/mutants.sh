@@ -21,7 +21,7 @@ if [ -z "$since" ]; then
 fi
 [ -n "$since" ] || { echo "no commit before this one"; exit 77; }
 git rev-parse --verify --quiet "$since^{commit}" >/dev/null || { echo "CSI5300_MUTANTS_SINCE: $since is no commit here" >&2; exit 1; }
-# What others built is there already; only the crates that are changed are built again.
+# What others built already exists; only the crates that are changed are built again.
 export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/target}
 minutes=${CSI5300_MUTANTS_MINUTES:-4}
 echo "changes since $(git log -1 --format='%h %s' "$since"), $minutes minutes at most"

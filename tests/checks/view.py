@@ -226,7 +226,7 @@ with sync_playwright() as playwright:
 
     seen = Watched(browser, "file://" + report, "file://", **wide)
     expect(seen.page.locator("td.fails").first).to_have_text("FAILS")
-    expect(seen.page.locator("tr", has_text="card.clock").first).to_contain_text("Likely: the driver was loaded anew")
+    expect(seen.page.locator("tr", has_text="card.clock").first).to_contain_text("Likely: the driver was reloaded")
     expect(seen.page.locator("svg")).to_have_count(5)
     assert seen.page.locator("svg circle").count() > 500
     assert seen.page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "the report is wider than its window"

@@ -1,6 +1,6 @@
-//! The fields of JSON that programs print, against what documents them.
+//! Compares the fields of JSON that programs print with their documentation.
 
-/// Names of fields within a value, of objects in it too; `senders` and codes have names of their own making.
+/// Names of all fields in a value. Keys below `senders` and codes are data, not names.
 fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<String>) {
     match value {
         serde_json::Value::Array(values) => values.iter().for_each(|value| names(value, found)),
@@ -23,14 +23,20 @@ fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<Strin
     }
 }
 
-/// Fails where lines of JSON have a field that docs/reference/formats.md does not name; gives how many fields they have.
+/// What documents fields of JSON, and the requests of the page.
+pub fn pages() -> String {
+    let read = |path| std::fs::read_to_string(crate::common::root().join(path)).unwrap();
+    read("docs/reference/formats.md") + &read("crates/view/src/lib.rs")
+}
+
+/// Fails if lines of JSON have a field that [`pages`] do not name; returns the number of fields.
 pub fn are_documented(lines: &str) -> usize {
-    let page = std::fs::read_to_string(crate::common::root().join("docs/reference/formats.md")).unwrap();
+    let page = pages();
     let mut found = std::collections::BTreeSet::new();
     lines.lines().for_each(|line| {
         names(&serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")), &mut found)
     });
     let missing: Vec<&String> = found.iter().filter(|name| !page.contains(&format!("`{name}`"))).collect();
-    assert!(missing.is_empty(), "docs/reference/formats.md does not name {missing:?}");
+    assert!(missing.is_empty(), "docs/reference/formats.md and crates/view/src/lib.rs do not name {missing:?}");
     found.len()
 }

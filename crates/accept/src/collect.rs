@@ -1,4 +1,4 @@
-//! What the cards gave, kept for the claims.
+//! Collects the cards' records for the claims.
 
 use crate::claims::CLAIMS;
 use crate::pairs::Pairs;
@@ -13,7 +13,7 @@ use driver_iface::bfee::{Antenna, Iq, MAX_SAMPLES, Repr};
 use driver_iface::record::code;
 use driver_iface::sounding::wsr::{self, Lfsr};
 
-/// Records of one card that the claims look at: an hour at 100 a second. Later ones are counted and in the log.
+/// Limit of a card's records for the claims: an hour at 100 a second. Later ones are counted and logged.
 const RECORDS: usize = 360_000;
 
 /// A wrap of the card's clock, microseconds.
@@ -24,7 +24,7 @@ const WRAP_US: i64 = 1 << 32;
 pub struct Plan {
     /// The channel that both cards are tuned to.
     pub channel: Channel,
-    /// Addresses of the first and of the second robot, where they are known; else the usual senders are taken for them.
+    /// Addresses of the first and the second robot, if known; else the most frequent senders.
     pub macs: Option<[Mac; 2]>,
     /// Neither robot moves.
     pub at_rest: bool,
@@ -32,7 +32,7 @@ pub struct Plan {
     pub truth: Option<Truth>,
 }
 
-/// What is true of the link.
+/// The truth about the link.
 #[derive(Clone, Debug)]
 pub struct Truth {
     /// The first robot's motion, on its host's clock.
@@ -42,7 +42,7 @@ pub struct Truth {
 }
 
 impl Plan {
-    /// A desk of which only the channel is known.
+    /// A desk with only a known channel.
     #[must_use]
     pub fn new(channel: Channel) -> Self {
         Self { channel, macs: None, at_rest: false, truth: None }
@@ -58,7 +58,7 @@ pub enum Side {
     Far,
 }
 
-/// One record as it was heard.
+/// One received record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeardRecord {
     /// Host time, microseconds since the Unix epoch, where it is known.
@@ -75,7 +75,7 @@ pub struct HeardRecord {
     pub csi: Box<[Iq]>,
 }
 
-/// All that one card gave.
+/// The data of one card.
 #[derive(Debug, Default)]
 pub struct Heard {
     /// Its records with CSI, in order.
@@ -86,7 +86,7 @@ pub struct Heard {
     pub log: Vec<u8>,
     /// The records come from a log, not from a card.
     pub recorded: bool,
-    /// Where each of the records ends in the log, bytes from its start.
+    /// The end of each record in the log, bytes from its start.
     pub(crate) ends: Vec<usize>,
     /// The last `timestamp_low`, the clock without wraps there, and the host's.
     card_us: Option<(u32, i64, Option<i64>)>,
@@ -112,7 +112,7 @@ impl Heard {
         let card_us = match self.card_us {
             Some((before, us, host_us)) => {
                 let step = i64::from(low.wrapping_sub(before).cast_signed());
-                // A pause of more than half a wrap: the host's clock says how many wraps it had.
+                // After a pause of more than half a wrap, the host's clock gives the number of wraps.
                 let off = identity.host_us.zip(host_us).map_or(0, |(now, before)| now - before - step);
                 us + step + (off + WRAP_US / 2).div_euclid(WRAP_US) * WRAP_US
             }
@@ -151,35 +151,35 @@ impl Heard {
     }
 }
 
-/// What a person did to a card.
+/// A person's action on a card.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Done {
     /// Tuned it to another channel and back.
     Retuned,
-    /// Loaded its driver anew.
+    /// Reloaded its driver.
     Reloaded,
 }
 
-/// What the cards gave after that, at the same places.
+/// The cards' data after that, at the same places.
 #[derive(Debug)]
 pub struct After {
-    /// What was done.
+    /// The action.
     pub done: Done,
     /// What the first robot's card gave.
     pub near: Heard,
-    /// What the second robot's card gave, where there is its log.
+    /// The second robot's data, if there is a log.
     pub far: Option<Heard>,
     pub(crate) pairs: Option<Pairs>,
 }
 
-/// What the interface that sends knows of itself.
+/// The sending interface's own reports.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Interface {
     /// Frames that the driver reported as sent.
     pub confirmed: Option<u64>,
-    /// Of these, frames that the driver says it sent more than once.
+    /// Of these, frames that the driver reported as sent more than once.
     pub retried: u64,
-    /// What the regulatory rules say of the channel, as `iw phy` has it in parentheses; empty where they allow everything.
+    /// The channel's regulatory flags, in parentheses in `iw phy`; empty without restrictions.
     pub channel_flags: Option<String>,
 }
 
@@ -194,7 +194,7 @@ pub struct Sent {
     pub taken: bool,
 }
 
-/// The first robot's transmitter and what it sends: frames of the WSR dialect, so many at each rate.
+/// The first robot's transmitter: frames of the WSR dialect at several rates.
 pub struct Sending<'a> {
     injector: &'a mut dyn Injector,
     sender: Mac,
@@ -233,7 +233,7 @@ impl<'a> Sending<'a> {
         (!self.left.is_empty()).then_some(self.next_at)
     }
 
-    /// Sends what is due; what was sent.
+    /// Sends the due frames; returns them.
     pub fn send(&mut self, now: Instant) -> Option<Sent> {
         if now < self.next_at {
             return None;
@@ -248,7 +248,7 @@ impl<'a> Sending<'a> {
     }
 }
 
-/// Takes what the cards give.
+/// Takes the cards' items.
 #[derive(Debug)]
 pub struct Collector {
     plan: Plan,
@@ -263,7 +263,7 @@ pub struct Collector {
 }
 
 impl Collector {
-    /// A collector that has heard nothing.
+    /// An empty collector.
     #[must_use]
     pub fn new(plan: Plan) -> Self {
         Self {
@@ -279,7 +279,7 @@ impl Collector {
         }
     }
 
-    /// A card gave this.
+    /// Takes an item of a card.
     pub fn heard(&mut self, side: Side, next: &Next<'_>) {
         match side {
             Side::Near => self.unplugged.last_mut().map_or(&mut self.near, |(_, heard)| heard).note(next),
@@ -304,17 +304,18 @@ impl Collector {
         self.after.push(After { done, near, far, pairs });
     }
 
-    /// From now on this antenna of the first robot is unplugged, and no other; what follows is kept apart. The last thing in a run.
+    /// From now on this antenna of the first robot, and no other, is unplugged; later records are kept separately. It
+    /// must be last in a run.
     pub fn unplugged(&mut self, antenna: Antenna) {
         self.unplugged.push((antenna, Heard::default()));
     }
 
-    /// A log is what the first robot's card gave while this antenna was unplugged.
+    /// Takes a log of the first robot's card with this antenna unplugged.
     pub fn unplugged_log(&mut self, antenna: Antenna, bytes: &[u8]) {
         self.unplugged.push((antenna, Heard::of_log(bytes)));
     }
 
-    /// A log is one card's, in place of what was heard live.
+    /// Takes a log as one card's data, in place of live ones.
     pub fn log(&mut self, side: Side, bytes: &[u8]) {
         match side {
             Side::Near => self.near = Heard::of_log(bytes),
@@ -322,23 +323,23 @@ impl Collector {
         }
     }
 
-    /// The host woke this much later than it was asked to.
+    /// Notes the lateness of a wake-up.
     pub fn woke_late(&mut self, late: Span) {
         self.lateness_us.push(late.as_us() as f64);
     }
 
-    /// A counter of the kernel module grew by so much.
+    /// Notes the growth of a counter of the kernel module.
     pub fn counted(&mut self, name: &str, more: u64) {
         self.counters.push((name.to_owned(), more));
     }
 
-    /// Records with CSI that the near card gave so far.
+    /// Records with CSI of the near card so far.
     #[must_use]
     pub fn records(&self) -> usize {
         self.near.records.len()
     }
 
-    /// All that was collected.
+    /// The collected evidence.
     #[must_use]
     pub fn finish(self) -> Evidence {
         let pairs = self.far.as_ref().map(|far| Pairs::of(&self.near, far, &self.plan));
@@ -347,42 +348,43 @@ impl Collector {
     }
 }
 
-/// Everything that the claims are judged by.
+/// The evidence for the claims.
 #[derive(Debug)]
 pub struct Evidence {
     /// What is known of the desk.
     pub plan: Plan,
     /// What the first robot's card gave.
     pub near: Heard,
-    /// What the second robot's card gave, where there is one.
+    /// The second robot's data, if any.
     pub far: Option<Heard>,
-    /// The frames that the first robot sent, where that is known.
+    /// The frames that the first robot sent, if known.
     pub sent: Vec<Sent>,
     /// What the interface knows that sent them.
     pub interface: Interface,
-    /// What the cards gave after each retune and each reload.
+    /// The cards' data after each retune and each reload.
     pub after: Vec<After>,
-    /// What the first robot's card gave while one antenna was unplugged.
+    /// The first robot's data with one antenna unplugged.
     pub unplugged: Vec<(Antenna, Heard)>,
     /// How late the host woke, microseconds.
     pub lateness_us: Vec<f64>,
-    /// By how much each counter of the kernel module grew meanwhile; empty where there is none.
+    /// Growth of each counter of the kernel module; empty without the module.
     pub counters: Vec<(String, u64)>,
     pub(crate) pairs: Option<Pairs>,
 }
 
 impl Evidence {
-    /// Asks every claim.
+    /// Judges every claim.
     #[must_use]
     pub fn judge(&self) -> Report {
         Report::new(self, CLAIMS.iter().flat_map(|claim| claim.judge(self)).collect())
     }
 }
 
-/// Reads two cards to their ends in virtual time and asks every claim: for sources that end, as simulated cards and logs do.
+/// Reads two cards to their ends in virtual time and judges every claim: for sources that end, like simulated cards and
+/// logs.
 ///
 /// # Errors
-/// What a source failed with. Losses are no failure; a claim names them.
+/// The error of a source. Losses are no error; a claim reports them.
 pub fn run<'a>(near: &'a mut dyn CsiSource, far: Option<&'a mut dyn CsiSource>, plan: Plan) -> Result<Report, Error> {
     collect(near, far, None, plan).map(|evidence| evidence.judge())
 }
@@ -390,7 +392,7 @@ pub fn run<'a>(near: &'a mut dyn CsiSource, far: Option<&'a mut dyn CsiSource>, 
 /// [`run`], and the first robot sends meanwhile.
 ///
 /// # Errors
-/// As [`run`]. A frame that the injector did not take is no failure; a claim names it.
+/// As [`run`]. A refused frame is no error; a claim reports it.
 pub fn run_sending<'a>(
     near: &'a mut dyn CsiSource,
     far: Option<&'a mut dyn CsiSource>,
@@ -400,7 +402,7 @@ pub fn run_sending<'a>(
     collect(near, far, Some(sending), plan).map(|evidence| evidence.judge())
 }
 
-/// What [`run`] judges.
+/// The evidence that [`run`] judges.
 ///
 /// # Errors
 /// As [`run`].
@@ -436,7 +438,7 @@ pub fn collect<'a>(
             }
         }
         sources = open;
-        // A source that asks to be called at once still moves on.
+        // Time moves on even if a source is due at once.
         now = next_at.map_or(now, |at| at.max(now + Span::from_us(1)));
     }
     Ok(collector.finish())

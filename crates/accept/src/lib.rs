@@ -1,12 +1,13 @@
-//! Acceptance claims: which promises of a card, its driver and its host hold.
+//! Acceptance claims about a card, its driver and its host.
 //!
-//! A [`Claim`] is one sentence that can be true or false of a card, with the range that is expected and where that range comes from.
-//! A [`Collector`] is handed what the cards give, [`csi5300::source::Next`] by `Next`, and what was sent; it does no I/O and knows no clock.
-//! [`Evidence::judge`] asks every claim and gives a [`Report`]. So the same claims judge a simulated card in virtual time, a recorded log
-//! and a card on the desk.
+//! A [`Claim`] is a statement about a card, with its expected range and the source of that range. A [`Collector`] takes
+//! the cards' items ([`csi5300::source::Next`]) and the sent frames; it does no I/O and reads no clock.
+//! [`Evidence::judge`] judges every claim and returns a [`Report`]. So the same claims judge a simulated card in
+//! virtual time, a recorded log and a card on the desk.
 //!
-//! A claim about a share or a mean **fails** only where chance would give such records about once in 10,000 times ([`stats`]); the one about a
-//! bearing fails outside of the answer's own 95 % interval. Where the records decide nothing, the claim was **not tried**, and the report says why. A claim without an expected range only **measures**.
+//! A claim about a share or a mean **fails** only if chance would give such records about once in 10,000 times
+//! ([`stats`]); the one about a bearing fails outside of the answer's own 95 % interval. If the records cannot decide,
+//! the claim was **not tried**, with the reason. A claim without an expected range only **measures**.
 //!
 //! A user's own backend gets the same claims from [`run`]:
 //!

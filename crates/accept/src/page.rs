@@ -119,7 +119,7 @@ fn section(curve: &Curve) -> String {
     )
 }
 
-/// A table of the findings with these verdicts; findings of both cards with one verdict share a row.
+/// A table of the findings with these verdicts; equal verdicts of both cards share a row.
 fn rows(page: &mut String, report: &Report, verdicts: &[Verdict]) {
     if !report.findings.iter().any(|finding| verdicts.contains(&finding.verdict)) {
         return;

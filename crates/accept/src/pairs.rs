@@ -1,4 +1,4 @@
-//! Forward and backward frames of one exchange, as two cards reported them.
+//! Forward and backward frames of the exchanges of two cards.
 
 use crate::collect::{Heard, HeardRecord, Plan};
 use crate::stats::line;
@@ -11,15 +11,15 @@ use driver_iface::bfee::{Antenna, Antennas};
 use num_complex::{Complex32, Complex64};
 use std::collections::{BTreeMap, HashMap};
 
-/// Exchanges of two cards: every frame that each heard of the other, paired by its number. Where no frame of a card has a number, they
-/// are paired by the cards' clocks.
+/// Exchanges of two cards: all frames that each heard of the other, paired by number, or by the cards' clocks without
+/// numbers.
 #[derive(Debug, Default)]
 pub(crate) struct Pairs {
     /// Frames that each card heard of the other, each number once.
     pub frames: [usize; 2],
     /// Why frames without numbers could not be paired by the cards' clocks.
     pub refused: Option<Refusal>,
-    /// The near robot sounds others too, so that not all that the far card heard of it was meant for the far robot.
+    /// The near robot sounds others too, so not all frames that the far card heard were for the far robot.
     pub among_others: bool,
     /// The near card's clock at each pair, microseconds.
     pub near_us: Vec<i64>,
@@ -29,7 +29,7 @@ pub(crate) struct Pairs {
     pub product: Vec<Complex64>,
     /// Forward times the conjugate of backward.
     pub ratio: Vec<Complex64>,
-    /// One direction alone: what the near card heard.
+    /// One direction alone: the near card's CSI.
     pub one_way: Vec<Complex64>,
     /// Turn-around of each pair less the clocks' line, microseconds.
     pub turn_us: Vec<f64>,
@@ -41,7 +41,7 @@ pub(crate) struct Pairs {
     pub ratio_compensation: Option<TurnAround>,
 }
 
-/// Antenna A's coefficients of the first stream; the first chain's where the record does not say which is A.
+/// Antenna A's coefficients of the first stream; the first chain's if the record does not name A.
 pub(crate) fn antenna_a(record: &HeardRecord) -> [Complex32; SUBCARRIERS] {
     let head = &record.head;
     let antennas = Antennas::new(head.antenna_sel, head.n_rx, head.rssi).ok();
@@ -84,7 +84,7 @@ struct Partners<'a> {
 }
 
 fn by_number<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -> Partners<'a> {
-    // A number that comes twice says of neither frame which exchange it was.
+    // A repeated number identifies no exchange.
     let mut heard_by_far: HashMap<u32, Option<&HeardRecord>> = HashMap::new();
     for record in far.records.iter().filter(|record| record.mac == of_near) {
         if let Some(number) = record.number {
@@ -123,8 +123,8 @@ fn by_clock<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) ->
 }
 
 impl Pairs {
-    /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. Where near heard several robots, that one
-    /// is taken with which the product is most coherent; the numbers of all count alike.
+    /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. If near heard
+    /// several robots, the one with the most coherent product is used.
     pub(crate) fn of(near: &Heard, far: &Heard, plan: &Plan) -> Self {
         let numbered = [near, far].iter().all(|heard| heard.records.iter().any(|record| record.number.is_some()));
         let Some(of_near) = plan.macs.map(|macs| macs[0]).or_else(|| most(senders(far, numbered))) else {
@@ -189,7 +189,7 @@ impl Pairs {
         }
     }
 
-    /// What the library makes of the phases.
+    /// The library's compensation of the phases.
     fn compensate(&mut self, carrier_hz: f64) {
         let difference_us: Vec<f64> = self.difference_us.iter().map(|us| *us as f64).collect();
         let estimate = |z: &[Complex64]| TurnAround::estimate(z, &self.near_us, &difference_us, carrier_hz);

@@ -1,4 +1,4 @@
-//! Verdicts and how they are told: as text, JSON, JUnit XML and an entry for the bench log.
+//! Verdicts as text, JSON, JUnit XML and an entry for the bench log.
 
 use crate::claims::{CLAIMS, Claim};
 use crate::collect::{Evidence, Heard};
@@ -7,7 +7,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::fmt::{self, Write as _};
 
-/// How a claim ended.
+/// The verdict on a claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -15,9 +15,9 @@ pub enum Verdict {
     Holds,
     /// It fails.
     Fails,
-    /// It has no expected range: its figures are what there is to know.
+    /// It has no expected range; its figures are the result.
     Measured,
-    /// It could not be decided; the words say why.
+    /// It could not be decided; the finding gives the reason.
     NotTried,
 }
 
@@ -64,7 +64,7 @@ impl Of {
 /// A number that a claim was judged by.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figure {
-    /// What it is.
+    /// Its name.
     pub name: &'static str,
     /// Its value.
     pub value: f64,
@@ -79,19 +79,19 @@ pub struct Finding {
     pub id: &'static str,
     /// What it is about.
     pub of: Of,
-    /// How it ended.
+    /// Its verdict.
     pub verdict: Verdict,
-    /// What was found, in words.
+    /// The finding in words.
     pub found: String,
-    /// In numbers.
+    /// The finding in numbers.
     pub figures: Vec<Figure>,
 }
 
-/// Findings of one claim with one verdict: of one card, the link or the host, or alike of both cards.
+/// Findings of one claim with one verdict: of one card, the link, the host, or both cards.
 pub(crate) struct Row<'a> {
     /// The first one.
     pub finding: &'a Finding,
-    /// The far card's, where the first one is the near card's and ended alike.
+    /// The far card's, if the near card's is the first one and has the same verdict.
     pub far: Option<&'a Finding>,
 }
 
@@ -101,7 +101,7 @@ impl Row<'_> {
         if self.far.is_some() { "both" } else { self.finding.of.word() }
     }
 
-    /// What was found; of both cards what each has, where it differs.
+    /// The findings; for both cards each one's, if they differ.
     pub fn found(&self) -> Vec<String> {
         match self.far {
             Some(far) if far.found != self.finding.found => {
@@ -156,14 +156,14 @@ impl LogFacts {
     }
 }
 
-/// All verdicts. It names no person, place, host or MAC address.
+/// All verdicts. It contains no person, place, host or MAC address.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// Version of this form.
     pub format: u32,
     /// Version of the program.
     pub version: &'static str,
-    /// What runs the cards, in lines of `name: value`; the caller's.
+    /// The system under test, in lines of `name: value` from the caller.
     pub facts: Vec<String>,
     /// The logs: whose, records with CSI, bytes, SHA-256.
     pub logs: Vec<LogFacts>,
@@ -299,8 +299,9 @@ impl Report {
 }
 
 impl fmt::Display for Report {
-    /// Failures with causes and the next command (the host's last: they say nothing of a card), what was measured, and the names of what holds and was not tried; in the alternate form
-    /// (`{:#}`) a line of each finding.
+    /// Failures with causes and the next command (the host's last, because they do not concern a card), measured
+    /// figures, and the names of claims that hold or were not tried; in the alternate form (`{:#}`) a line for each
+    /// finding.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let wide = self.findings.iter().map(|finding| finding.id.len()).max().unwrap_or(0);
         for verdict in [Verdict::Fails, Verdict::Measured, Verdict::Holds, Verdict::NotTried] {
@@ -338,7 +339,7 @@ impl fmt::Display for Report {
 }
 
 impl Report {
-    /// The names of the claims with a verdict, in lines of at most 110 letters; of those that do not end alike on both cards, of which.
+    /// The names of the claims with a verdict, in lines of at most 110 letters, with the card if the cards differ.
     fn names(&self, out: &mut fmt::Formatter<'_>, verdict: Verdict) -> fmt::Result {
         let name = |row: &Row<'_>| {
             let is_of_one = matches!(row.finding.of, Of::Near | Of::Far) && row.far.is_none() && self.logs.len() > 1;
@@ -426,7 +427,7 @@ fn clock(heard: &Heard, title: &'static str) -> Option<Curve> {
     })
 }
 
-/// The product's phase from exchange to exchange against the difference of their turn-arounds: what the CFO leaves.
+/// The change of the product's phase between exchanges against that of their turn-arounds: the effect of the CFO.
 fn phase(evidence: &Evidence) -> Option<Curve> {
     let pairs = evidence.pairs.as_ref()?;
     let mut compensated = pairs.product.clone();

@@ -1,9 +1,9 @@
-//! When a share or a mean is beyond a limit for certain.
+//! Certain decisions about shares and means.
 
 /// Standard deviations of a normal distribution beyond which 1 in 10,000 values lies on one side.
 pub const SURE: f64 = 3.72;
 
-/// Wilson's bounds of a share that was seen `count` times in `total` (Wilson 1927), each wrong once in 10,000.
+/// Wilson's bounds of a share of `count` in `total` (Wilson 1927), each wrong once in 10,000.
 #[must_use]
 pub fn share_bounds(count: usize, total: usize) -> (f64, f64) {
     let (count, total) = (count as f64, total as f64);
@@ -29,7 +29,7 @@ pub fn mean_and_error(values: &[f64]) -> Option<(f64, f64)> {
     Some((mean, (square / n).sqrt()))
 }
 
-/// The value below which a share of the values lies; `None` without values. Not-a-number is left out.
+/// The quantile of the values at a share; `None` without values. Ignores not-a-number.
 #[must_use]
 pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let mut values: Vec<f64> = values.iter().copied().filter(|value| !value.is_nan()).collect();
@@ -38,8 +38,8 @@ pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     values.get((share.clamp(0.0, 1.0) * last as f64).round() as usize).copied()
 }
 
-/// The line through points of which up to a third may be far off: (value at `x = 0`, slope, standard error of the slope), by least squares on what is
-/// within three deviations of the line before it, from the line through medians of the outer thirds.
+/// The line through points with up to a third of outliers: (value at `x = 0`, slope, standard error of the slope). It
+/// starts from the medians of the outer thirds and repeats least squares on the points within three deviations.
 #[must_use]
 pub fn line(points: &[(f64, f64)]) -> Option<(f64, f64, f64)> {
     let third = points.len() / 3;

@@ -1,4 +1,4 @@
-//! Logs of cards other than the 5300: found by their content, counted, and their frames told apart and timed.
+//! Logs of cards other than the 5300: recognised by content, counted, sorted by kind and timed.
 
 use csi_formats::{Clock, Format, Frame, Item, RssiUnit, Why, detect};
 use driver_iface::Mac;

@@ -40,7 +40,7 @@ const POINTS: usize = 2_000;
 /// Columns of the CSI that is kept of the whole log: of a card that reports more than a 5300, fewer of the same size together.
 const KEPT: usize = 4_096;
 const KEPT_CELLS: usize = KEPT * 3 * SUBCARRIERS;
-/// What stands where no RSSI is known.
+/// Stands for an unknown RSSI.
 const NO_RSSI: i16 = i16::MIN;
 /// Records whose CSI is read again for one stretch, at most: of more every n-th.
 const READ: usize = 40_000;
@@ -48,7 +48,7 @@ const READ: usize = 40_000;
 const MOST_COLUMNS: usize = 4_000;
 /// Records of a bin of the rate at least: fewer do not tell a rate from chance.
 const RECORDS_A_BIN: usize = 20;
-/// Senders told apart; further ones are one.
+/// Limit of separate senders; further ones count as one.
 const SENDERS: usize = u16::MAX as usize;
 
 /// What of a log is wanted.
@@ -181,7 +181,8 @@ pub struct Course {
     pub other_senders: u64,
     /// Records of the sender with frames of another kind or width, whose CSI is not in it.
     pub other_frames: u64,
-    /// RSSI of each antenna as the card reports it: (seconds, dB), thinned out evenly; what is not connected or not known left out.
+    /// RSSI of each antenna as the card reports it: (seconds, dB), thinned out evenly, without unconnected and unknown
+    /// ones.
     pub rssi: Vec<Vec<(f64, f64)>>,
     /// True if RSSI is in dBm, not dB above a reference that the card does not tell.
     pub rssi_in_dbm: bool,
@@ -297,8 +298,8 @@ enum Source {
     Card(Box<CardLog>),
 }
 
-/// A log of which a short row a record was read. It keeps 25 bytes a record and the CSI of 4,096 columns, whatever the log's length; CSI
-/// of shorter stretches is read again from the file.
+/// An index of a log: 25 bytes a record and the CSI of 4,096 columns; CSI of shorter stretches is read again from the
+/// file.
 pub struct LogIndex {
     path: PathBuf,
     /// What its times are of.
@@ -353,7 +354,7 @@ impl Marks {
                 marks.missing.push((k, u64::from(step - 1)));
             }
         }
-        // What stands where a sounding frame has its number is none in frames of other programs.
+        // Frames of other programs have no number in that place.
         let counting = survey.senders.iter().filter(|(_, sender)| Sender::counts_up(sender));
         let mut numbers: BTreeMap<Mac, Numbering> = counting.map(|(mac, _)| (*mac, Numbering::default())).collect();
         for (k, (mac, frame)) in macs(columns).zip(&columns.frame).enumerate() {
@@ -436,7 +437,7 @@ pub struct Stretch {
     pub records: usize,
     /// Records per second, in bins of equal width: as many as `columns`, or fewer where there are few records.
     pub rate_hz: Vec<f64>,
-    /// RSSI of each antenna as the card reports it, dB; what is not connected or not known left out.
+    /// RSSI of each antenna as the card reports it, dB, without unconnected and unknown ones.
     pub rssi: Vec<Band>,
     /// Gain, dB.
     pub agc: Band,
@@ -444,7 +445,7 @@ pub struct Stretch {
     pub missing: Vec<(usize, u64)>,
     /// Columns with damaged bytes or impossible records, and how many stretches of them.
     pub damaged: Vec<(usize, u64)>,
-    /// Columns in which the senders asked for skipped frame numbers, and how many.
+    /// Columns in which the requested senders skipped frame numbers, and how many.
     pub skipped: Vec<(usize, u64)>,
     /// Columns with their frames that have the number of the one before, and how many.
     pub repeated: Vec<(usize, u64)>,
@@ -676,14 +677,14 @@ impl LogIndex {
         (cut, first..end)
     }
 
-    /// True if the row was sent by `sender`, or none is asked for.
+    /// True if the row was sent by `sender`, or no sender is requested.
     fn is_of(&self, row: usize, sender: Option<Mac>) -> bool {
         sender.is_none_or(|mac| self.sender_of(row) == mac)
     }
 
-    /// Levels and losses between two times in about `columns` columns, of one sender or of all; a column for two
-    /// records at most. What is missing from `bfee_count`, and damage, are of no sender: they are in it whoever is asked
-    /// for. A stretch outside of the log is all of it.
+    /// Levels and losses between two times in about `columns` columns, of one sender or of all, with at least two
+    /// records a column. Numbers missing from `bfee_count` and damage belong to no sender and are always included. A
+    /// stretch outside of the log means all of it.
     #[must_use]
     pub fn stretch(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Stretch {
         let (cut, rows) = self.cut(from_s, to_s);
@@ -736,7 +737,7 @@ impl LogIndex {
     /// If the file cannot be read again.
     pub fn csi(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Result<StretchCsi, Error> {
         let (cut, rows) = self.cut(from_s, to_s);
-        // Of the whole log, so that it stays the same wherever one looks.
+        // Of the whole log, so that it is the same in every stretch.
         let usual = self.usual((0..self.t_us.len()).filter(|row| self.is_of(*row, sender)));
         let heat = self.heat_rows(usual, PAGE_ROWS);
         let records = rows.clone().filter(|row| self.is_of(*row, sender)).count();
@@ -928,7 +929,7 @@ impl Sums {
     }
 }
 
-/// So many columns as are asked for, and two records for each: fewer would leave columns empty by chance.
+/// As many columns as requested, with two records each: fewer would leave columns empty by chance.
 fn fitting(columns: usize, records: usize) -> usize {
     columns.clamp(1, MOST_COLUMNS).min(records.div_ceil(2).max(1))
 }

@@ -1,4 +1,4 @@
-//! Curves of one link for pictures and pages: what the answer was chosen from, and what its phase is without the motion.
+//! Curves of one link for pictures and pages: its profiles, and its phase without the motion.
 
 use csi5300::bartlett::{self, Grid};
 use csi5300::maths::wrap_rad;
@@ -58,8 +58,8 @@ pub fn plane_wave(bearing: &Bearing) -> Result<Curve, bartlett::Error> {
     Ok(Curve { name: "plane wave at the channel centre".into(), azimuths_deg, values })
 }
 
-/// What is left of the phases of the samples once the paths to the answer are taken out, about their mean: (seconds
-/// from the link's first pair, radians); from the first sample where the course was not kept.
+/// Residual phases of the samples without the paths to the answer, about their mean: (seconds from the link's first
+/// pair, radians); from the first sample if the course was not kept.
 #[must_use]
 pub fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
     let Some(best) = bearing.answer.candidates.first() else { return Vec::new() };

@@ -1,30 +1,30 @@
-//! Logs and trajectories, told from other kinds of files.
+//! Distinguishes logs and trajectories from other kinds of files.
 
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
 use std::io::Read;
 use std::path::Path;
 
-/// What a log is, for who named something else.
+/// The description of a log, for messages.
 pub const A_LOG: &str = "a log is the .dat that the CSI tool, the WSR toolbox or `csi5300 record` wrote";
 /// Bytes in which another kind of file is recognised, and in which a log that begins with damage has its first record.
 const BEGINNING: usize = 4_096;
 const SEARCHED: u64 = 1 << 20;
 
-/// What a file is that begins as no log does, and has no record near its beginning.
+/// The kind of a file that does not begin like a log and has no record near its beginning.
 #[must_use]
 pub fn not_a_log(path: &Path) -> Option<&'static str> {
     let bytes = beginning(path);
     binary_kind(&bytes).or_else(|| text_kind(&bytes)).filter(|_| !has_record(path))
 }
 
-/// What a file is that is no text.
+/// The kind of a binary file.
 #[must_use]
 pub fn not_a_trajectory(path: &Path) -> Option<&'static str> {
     binary_kind(&beginning(path))
 }
 
-/// The first bytes of a file; none of what can be read only once.
+/// The first bytes of a file; none of a pipe.
 fn beginning(path: &Path) -> Vec<u8> {
     let mut bytes = Vec::new();
     if path.is_file()

@@ -118,7 +118,7 @@ pub struct SuiteError {
     pub source: CompareError,
 }
 
-/// Runs every experiment so many times, on all cores of the current rayon pool; in order.
+/// Runs every experiment this number of times, on all cores of the current rayon pool; results in order.
 ///
 /// # Errors
 /// The first repetition that failed, with its experiment.
@@ -211,7 +211,7 @@ pub struct Standing {
     pub spread_one_way_rad: f64,
     /// The same of both directions multiplied.
     pub spread_rad: f64,
-    /// The same with the turn-around taken out.
+    /// The same with the turn-around removed.
     pub spread_compensated_rad: f64,
 }
 

@@ -1,4 +1,4 @@
-//! An AX200's or AX210's records as FeitCSI gives them: UDP datagrams (`feitcsi --udp-socket`), or its standard output.
+//! An AX200's or AX210's records from FeitCSI: UDP datagrams (`feitcsi --udp-socket`), or its standard output.
 
 use crate::wait::Monotonic;
 use csi5300::source::other_card::{Pieces, Translator};
@@ -11,12 +11,12 @@ use std::io::{self, ErrorKind, Read};
 use std::net::{ToSocketAddrs, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
-/// Bytes that a record can hold.
+/// Most bytes of a record.
 const MOST: usize = 60_000;
-/// Receive buffer that is asked for, bytes; the kernel gives what it allows.
+/// Requested receive buffer, bytes; the kernel may grant less.
 const RECEIVE_BUFFER: usize = 8 << 20;
 
-/// What FeitCSI writes, live and byte by byte: each record of it is the body of one here, and so are bytes that are none.
+/// FeitCSI's output, live and unchanged: each of its records, and any other bytes, are the body of a record here.
 #[derive(Debug)]
 pub struct Frames {
     way: Way,
@@ -29,9 +29,10 @@ pub struct Frames {
     wall_us: fn() -> Option<i64>,
 }
 
-/// The same as records of a 5300 (see [`csi5300::source::other_card`]), from [`Frames`] or a source that hands them on.
+/// FeitCSI's output as records of a 5300 (see [`csi5300::source::other_card`]), from [`Frames`] or a source that passes
+/// them on.
 ///
-/// Records have FeitCSI's host time; older versions write none, then they have that of the frames.
+/// Records have FeitCSI's host time; with older versions, which write none, that of the frames.
 #[derive(Debug)]
 pub struct FeitCsi<S = Frames> {
     frames: S,
@@ -46,7 +47,7 @@ pub struct FeitCsi<S = Frames> {
     number: u64,
 }
 
-/// Where bytes come from.
+/// The source of bytes.
 #[derive(Debug)]
 enum Way {
     Datagrams(UdpSocket),
@@ -57,7 +58,7 @@ impl Read for Way {
     fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::Stream(stream) => {
-                // Without O_NONBLOCK, which the program at the other end of a terminal or pipe would have too.
+                // Without O_NONBLOCK, which would affect the program at the other end of a terminal or pipe too.
                 let clock = Monotonic::new();
                 let [is_ready] = clock.wait([stream.as_fd()], Some(Instant::ZERO)).map_err(io::Error::other)?;
                 if is_ready { stream.read(room) } else { Err(ErrorKind::WouldBlock.into()) }

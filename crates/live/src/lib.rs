@@ -16,7 +16,7 @@
 //!
 //! # Listen
 //!
-//! Every record that the driver of this machine's card sends, with its host time; CAP_NET_ADMIN is needed.
+//! Prints every record of this machine's card with its host time; needs CAP_NET_ADMIN.
 //!
 //! ```no_run
 //! use csi5300::source::{CsiSource, Next};

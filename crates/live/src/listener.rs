@@ -1,5 +1,5 @@
-//! Where this machine's records come from, as one type: the driver's messages on the connector, or the card's packets under
-//! the kernel's own driver (feature `stock`).
+//! The source of this machine's records: the driver's messages on the connector, or the card's packets under the
+//! kernel's own driver (feature `stock`).
 
 use crate::netlink::Netlink;
 #[cfg(feature = "stock")]
@@ -22,9 +22,9 @@ pub enum Listener {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Lost {
-    /// Messages or packets that the kernel dropped for want of room.
+    /// Messages or packets that the kernel dropped for lack of room.
     pub kernel: u64,
-    /// Records that were missing before: numbers that the driver skipped, or CSI of which no record could be made.
+    /// Records missing before that: numbers that the driver skipped, or CSI without a record.
     pub driver: u64,
 }
 
@@ -53,7 +53,7 @@ impl Listener {
         match self {
             Self::Connector(listener) => {
                 let counters = listener.counters();
-                // Where the kernel does not say how much it dropped, the jump in bfee_count does.
+                // If the kernel does not report its drops, the jump in bfee_count does.
                 let kernel = counters.kernel_drops.max(counters.overrun_bfee_gap);
                 Lost { kernel, driver: counters.other_bfee_gap }
             }

@@ -3,14 +3,15 @@
 //! A packet socket carries whole buffers of radiotap header and 802.11 frame, both ways. What the kernel does with them
 //! was measured on mac80211 (firmware-notes/injection.md):
 //!
-//! * a frame that it must not send (no-IR, DFS) or cannot parse is taken, and vanishes. Only a frame that was sent comes
-//!   back, as a **tx-status copy** with TX flags in its radiotap header; these are counted ([`AirCounts::tx_status`]);
+//! * a frame that it must not send (no-IR, DFS) or cannot parse is accepted and dropped silently. Only a sent frame
+//!   comes back, as a **tx-status copy** with TX flags in its radiotap header; these are counted
+//!   ([`AirCounts::tx_status`]);
 //! * every frame sent is also looped back to the socket as PACKET_OUTGOING; the socket's filter keeps those out;
 //! * the interface's MTU counts radiotap header and frame.
 //!
 //! A simulated room in another process gives its robots such an interface too: [`Monitor::over`].
 //!
-//! What the kernel does not take is an [`Error::NotSent`] and counted by cause; the next frame may be taken again.
+//! A frame that the kernel refuses is an [`Error::NotSent`] and counted by cause; the next one may succeed.
 
 mod error;
 mod filter;
@@ -27,12 +28,12 @@ use socket::Opened;
 use std::io::ErrorKind;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
-/// Bytes of a received buffer that are looked at: a sounding frame and its radiotap header are far shorter.
+/// Bytes read of a received buffer: a sounding frame and its radiotap header are far shorter.
 const RECEIVE_LEN: usize = 1_024;
-/// A frame whose receive stamp is older than this is history: nobody waits for the answer, and no slot is meant.
+/// A frame with an older receive stamp is useless: nobody waits for its answer.
 const OLDEST: Span = Span::from_ms(1_000);
 
-/// What to open, and how frames are sent.
+/// The interface to open, and the format of frames.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Options {
@@ -44,7 +45,7 @@ pub struct Options {
     pub bandwidth: Bandwidth,
     /// Length of the longest frame to be sent, bytes, without radiotap header and FCS.
     pub longest: usize,
-    /// Reads the host's wall clock, microseconds since the Unix epoch, on which the kernel stamps what it receives.
+    /// Reads the host's wall clock, microseconds since the Unix epoch, by which the kernel stamps received frames.
     pub wall_us: fn() -> Option<i64>,
 }
 
@@ -91,13 +92,13 @@ pub struct AirCounts {
     pub tx_retried: u64,
     /// Frames handed out as heard.
     pub heard: u64,
-    /// Frames that lay in the queue for so long that they mean nothing any more; the host was away.
+    /// Frames that waited too long in the queue to be useful; the host was busy.
     pub stale: u64,
     /// Copies of own frames on their way out, beyond those that the filter kept out.
     pub outgoing: u64,
     /// Frames with a wrong FCS.
     pub bad_fcs: u64,
-    /// Buffers whose radiotap header makes no sense, or longer than any sounding frame.
+    /// Buffers with an invalid radiotap header, or longer than any sounding frame.
     pub damaged: u64,
     /// Frames that the kernel dropped because they were not fetched in time.
     pub dropped: u64,
@@ -110,8 +111,8 @@ impl AirCounts {
         self.cut + self.no_room + self.down + self.too_long
     }
 
-    /// Counts what became of a send of `len` bytes, and gives why the frame was not taken if it was not. An error that
-    /// cannot be gone on from is given back.
+    /// Counts the result of a send of `len` bytes, and returns why the frame was refused, if it was. A fatal error is
+    /// returned.
     fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize, mtu: usize) -> std::io::Result<Option<NotSent>> {
         let (count, why) = match sent {
             Ok(taken) if taken == len => (&mut self.taken, None),
@@ -154,8 +155,8 @@ impl Monitor {
         Self::with(options, |longest| socket::open(&options.interface, longest))
     }
 
-    /// A message socket (SOCK_SEQPACKET) that speaks as a monitor interface does: one radiotap header and frame a
-    /// message, both ways. The interface's name in `options` is for messages to people.
+    /// A message socket (SOCK_SEQPACKET) that acts as a monitor interface: one radiotap header and frame a message,
+    /// both ways. The interface's name in `options` is for messages only.
     ///
     /// # Errors
     /// Never at present; the frames of `options` cannot be longer than their header allows.
@@ -197,14 +198,14 @@ impl Monitor {
         self.counters
     }
 
-    /// Counts what became of a send of `len` bytes.
+    /// Counts the result of a send of `len` bytes.
     fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize) -> Result<(), Error> {
         let why = self.counters.note_sent(sent, len, self.mtu);
         let why = why.map_err(|error| socket::failed("sending on", &self.interface, error))?;
         why.map_or(Ok(()), |why| Err(Error::NotSent(why)))
     }
 
-    /// Where in the input buffer the frame of a received buffer of `len` bytes is, if it is one to hand out.
+    /// The range of the frame in a received buffer of `len` bytes, if it is to be handed out.
     fn frame_in(&mut self, len: usize) -> Option<std::ops::Range<usize>> {
         let counters = &mut self.counters;
         let parsed = self.input.get(..len).and_then(|buffer| {
@@ -231,8 +232,8 @@ impl Monitor {
     }
 }
 
-/// How long ago a frame was stamped, by the wall clock: zero without a stamp, or if the clock was set back since; `None`
-/// if that was too long ago. A clock that was set ahead meanwhile costs the frames that were waiting.
+/// Age of a frame by the wall clock: zero without a stamp, or if the clock was set back since; `None` if it is too old.
+/// If the clock was set ahead, waiting frames are lost.
 fn age(stamp_us: Option<i64>, wall_us: Option<i64>) -> Option<Span> {
     let age = stamp_us.zip(wall_us).map_or(0, |(stamp, now)| now.saturating_sub(stamp));
     Some(Span::from_us(age.max(0))).filter(|age| *age < OLDEST)
@@ -263,7 +264,7 @@ impl FrameReceiver for Monitor {
             let received = match socket::receive(&self.socket, &mut self.input, &mut self.control) {
                 Ok(received) => received,
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(None),
-                // Said once when the interface goes down; what is sent until it is up again is counted then.
+                // Reported once when the interface goes down; later frames are only counted.
                 Err(error) if error.raw_os_error() == Some(libc::ENETDOWN) => continue,
                 Err(error) if error.kind() == ErrorKind::Interrupted => continue,
                 Err(error) => return Err(socket::failed("receiving from", &self.interface, error)),

@@ -1,17 +1,17 @@
 //! The driver's records, live: a listener on the kernel's connector.
 //!
-//! It differs from csitool's `log_to_file` in five points, each a cause of lost captures: the multicast group is joined by number
-//! (bind's `nl_groups` is a bit mask, and 26 means groups 2, 4 and 5 there); the index is found instead of compiled
-//! in; only messages of the kernel are accepted; a message ends where `cn_msg.len` says; and an overrun is counted and reported
-//! instead of ending the capture.
+//! It differs from csitool's `log_to_file` in five points, each a cause of lost captures: the multicast group is joined
+//! by number (bind's `nl_groups` is a bit mask, and 26 means groups 2, 4 and 5 there); the index is found instead of
+//! compiled in; only messages of the kernel are accepted; a message ends where `cn_msg.len` says; and an overrun is
+//! counted and reported, but does not end the capture.
 //!
-//! **Overruns.** When the socket's queue is full the kernel drops the newest messages, says ENOBUFS once, ahead of the
-//! messages that are still queued, and then drops everything until the queue was read to its end (`af_netlink.c`,
-//! NETLINK_S_CONGESTED). So the listener goes on reading at once, and reports [`Loss::Overrun`] where the gap is: before
-//! the first record whose `bfee_count` jumps, or when the queue is empty.
+//! **Overruns.** When the socket's queue is full, the kernel drops the newest messages, returns ENOBUFS once, ahead of
+//! the queued messages, and then drops everything until the queue is empty (`af_netlink.c`, NETLINK_S_CONGESTED). So
+//! the listener continues to read at once, and reports [`Loss::Overrun`] at the gap: before the first record whose
+//! `bfee_count` jumps, or when the queue is empty.
 //!
-//! CAP_NET_ADMIN is enough to listen; root is not needed. The card of a robot in a
-//! simulated room is listened to by the same code: [`Netlink::over`].
+//! CAP_NET_ADMIN is enough to listen; root is not needed. The same code listens to the card of a robot in a simulated
+//! room: [`Netlink::over`].
 
 mod error;
 mod intake;
@@ -32,19 +32,19 @@ use netlink_sys::Socket;
 use std::io::{self, ErrorKind};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
 
-/// Bytes of receive buffer asked for: the kernel doubles it, and books 832 bytes for a 3x1 record and 1,280 for a WSR one
-/// (measured on 6.18), so this holds about two and a half seconds at 20,000 records a second.
+/// Requested receive buffer, bytes: the kernel doubles it, and counts 832 bytes for a 3x1 record and 1,280 for a WSR
+/// one (measured on 6.18), so this holds about two and a half seconds at 20,000 records a second.
 pub const RECEIVE_BUFFER: usize = 32 * 1024 * 1024;
 
 /// How to listen.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct Options {
-    /// The connector index, instead of looking for it.
+    /// The connector index; by default it is searched.
     pub connector_index: Option<u32>,
-    /// Believe messages of other processes too: for emulators and tests, never for a card.
+    /// Accept messages of other processes too: for emulators and tests, never for a card.
     pub allow_user_sender: bool,
-    /// Bytes of receive buffer to ask for.
+    /// Requested receive buffer, bytes.
     pub receive_buffer: usize,
     /// Reads the host's wall clock, microseconds since the Unix epoch: the receive time of each record, which
     /// [`HostTimes`] makes even.
@@ -52,7 +52,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// The driver's index is looked for, only messages of the kernel are accepted, and records have the host's time.
+    /// Searches the driver's index, accepts only the kernel's messages, and stamps records with the host's time.
     fn default() -> Self {
         Self {
             connector_index: None,
@@ -101,7 +101,7 @@ pub struct Netlink {
     intake: Intake,
 }
 
-/// Where datagrams come from.
+/// The source of datagrams.
 #[derive(Debug)]
 enum Wire {
     /// The kernel's connector, and the socket's netlink port.
@@ -120,7 +120,7 @@ impl Wire {
     }
 }
 
-/// What the intake and the socket came to, without a borrow.
+/// The results of intake and socket, without a borrow.
 enum Step {
     Lost(Loss),
     Pending,
@@ -145,8 +145,8 @@ impl Netlink {
         })
     }
 
-    /// Listens to a message socket (SOCK_SEQPACKET) that sends what the kernel's connector would, datagram by datagram,
-    /// and ends with it: the card of a robot in a simulated room.
+    /// Listens to a message socket (SOCK_SEQPACKET) that sends the kernel's datagrams: the card of a robot in a
+    /// simulated room.
     #[must_use]
     pub fn over(room: OwnedFd, wall_us: fn() -> Option<i64>) -> Self {
         let receive_buffer = socket::widen(&room, RECEIVE_BUFFER);
@@ -156,7 +156,7 @@ impl Netlink {
         Self { wire, indices, found, receive_buffer, wall_us, host_times, intake }
     }
 
-    /// The connector indices that are listened to, and how they were found.
+    /// The connector indices in use, and how they were found.
     #[must_use]
     pub fn indices(&self) -> (&[u32], Found) {
         (&self.indices, self.found)
@@ -168,7 +168,7 @@ impl Netlink {
         self.intake.delivered()
     }
 
-    /// Bytes of receive buffer that the kernel granted (its own count, twice what is asked for).
+    /// Granted receive buffer, bytes (the kernel's count, twice the request).
     #[must_use]
     pub fn receive_buffer(&self) -> usize {
         self.receive_buffer
@@ -186,7 +186,7 @@ impl Netlink {
         self.intake.counters
     }
 
-    /// Receives a datagram worth looking at (`None`), or says why there is none.
+    /// Receives a relevant datagram (`None`), or returns why there is none.
     fn step(&mut self) -> Result<Option<Step>, Error> {
         loop {
             match self.wire.receive(self.intake.buffer()) {

@@ -1,4 +1,4 @@
-//! The serial port of a TurtleBot3: opened, watched, and opened again when it was unplugged.
+//! The serial port of a TurtleBot3: opened, watched, and reopened after it was unplugged.
 
 use csi5300::motion::odometry::drive::Geometry;
 use csi5300::motion::odometry::opencr::{ControllerCounts, Found, OpenCr};
@@ -10,14 +10,14 @@ use std::io::{ErrorKind, Read, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Bits per second that are asked for; over USB they mean nothing (turtlebot3_node asks for the same).
+/// Requested bits per second; meaningless over USB (turtlebot3_node requests the same).
 const BAUD: u32 = 1_000_000;
-/// How often the port is looked at while an answer is awaited.
+/// Interval of reads while an answer is due.
 const LOOK: Span = Span::from_ms(1);
-/// How often an absent port is tried again.
+/// Interval of tries to open an absent port.
 const REOPEN: Span = Span::from_ms(500);
 
-/// What is at the path is a file or a folder.
+/// The path is a file or a folder.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{} is no serial port", .path.display())]
 pub struct NotAPort {
@@ -44,10 +44,10 @@ pub struct Serial {
 }
 
 impl Serial {
-    /// Talks to the controller at `path`, `rate_hz` times a second. The port need not be there yet.
+    /// Polls the controller at `path`, `rate_hz` times a second. The port may appear later.
     ///
     /// # Errors
-    /// If `path` is there but is no port.
+    /// If `path` exists but is no port.
     pub fn open(
         path: PathBuf,
         rate_hz: f64,
@@ -62,7 +62,7 @@ impl Serial {
         Ok(Self { path, port: None, opencr, wall_us, next: now, unplugged: 0, trouble: None })
     }
 
-    /// What was counted on the line, and how often the port was lost.
+    /// Counts of the line, and losses of the port.
     #[must_use]
     pub fn counts(&self) -> (ControllerCounts, u64) {
         (self.opencr.counts(), self.unplugged)
@@ -96,10 +96,10 @@ impl Serial {
         self.trouble = Some(format!("{}: {error}: unplugged?", self.path.display()));
     }
 
-    /// Writes what is due and reads what is there.
+    /// Writes due requests and reads available answers.
     fn exchange(&mut self, now: Instant) -> std::io::Result<()> {
         let Some(port) = &mut self.port else { return Ok(()) };
-        // Without a wall clock there is nothing to give poses a time by.
+        // Without a wall clock poses have no time.
         let Some(wall_us) = (self.wall_us)() else { return Ok(()) };
         let mut buffer = [0; 512];
         loop {

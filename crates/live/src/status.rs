@@ -1,4 +1,4 @@
-//! A running capture in words and pictures: rates, losses, senders, signal, a picture of the channel.
+//! A display of a running capture: rates, losses, senders, signal, channel.
 
 use csi5300::internal::SENDERS_KEPT;
 use csi5300::source::Next;
@@ -76,7 +76,7 @@ impl Status {
         let seconds = (now - self.window_from).as_s();
         if seconds > 0.0 {
             self.rates_hz = self.window.iter().map(|(mac, count)| (*mac, *count as f64 / seconds)).collect();
-            // Senders that fell silent make room.
+            // Silent senders are removed.
             self.window.retain(|_, count| std::mem::take(count) > 0);
             self.window_from = now;
         }

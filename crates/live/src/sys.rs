@@ -1,4 +1,4 @@
-//! The calls for which no crate has a safe form. All `unsafe` of the project is in this file.
+//! System calls without a safe wrapper in any crate. All `unsafe` code of the project is in this file.
 #![allow(unsafe_code)]
 
 use driver_iface::Mac;
@@ -86,7 +86,7 @@ pub fn packet_link(socket: BorrowedFd<'_>) -> io::Result<(u16, Option<Mac>)> {
     Ok((address.sll_hatype, mac))
 }
 
-/// Frames that a packet socket has dropped since this was asked last, its queue being full (PACKET_STATISTICS).
+/// Frames that a packet socket has dropped since the last call, because its queue was full (PACKET_STATISTICS).
 ///
 /// # Errors
 /// The kernel's refusal.
@@ -225,7 +225,7 @@ pub fn keep_heap() {
     }
 }
 
-/// The name of the program that runs, as messages tell what to type.
+/// The name of the running program, for commands in messages.
 pub(crate) fn program() -> String {
     let own = std::env::current_exe().ok();
     own.and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned())).unwrap_or_else(|| "csi5300".into())

@@ -1,4 +1,4 @@
-//! The clocks of this machine, and waiting on them: for programs that drive live or paced sources.
+//! The clocks of this machine and waits on them, for programs that drive live or paced sources.
 //!
 //! The library takes the time as an argument; it is read here.
 
@@ -12,7 +12,7 @@ use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
-/// A wait for a deadline watches files until so long before it, and then sleeps to the point.
+/// A wait for a deadline watches files until this long before it, and then sleeps until the deadline.
 const NEAR: Span = Span::from_us(300);
 
 /// The host's monotonic clock, from the moment this was made.
@@ -46,16 +46,16 @@ impl Monotonic {
         Instant::from_us((monotonic_ns() - self.origin_ns) / 1_000)
     }
 
-    /// Sleeps until `until` is reached, on the absolute clock (clock_nanosleep), so that what comes between asking for
-    /// the time and sleeping makes nothing later. A signal ends it early.
+    /// Sleeps until `until` on the absolute clock (clock_nanosleep), so that delays before the call do not add up. A
+    /// signal ends it early.
     pub fn sleep_until(&self, until: Instant) {
         let at_ns = until.as_us().saturating_mul(1_000).saturating_add(self.origin_ns).max(0);
         let at = TimeSpec::new(at_ns / 1_000_000_000, at_ns % 1_000_000_000);
         let _ = clock_nanosleep(ClockId::CLOCK_MONOTONIC, ClockNanosleepFlags::TIMER_ABSTIME, &at);
     }
 
-    /// As [`Monotonic::wait`], with a deadline `point` that is to be met closely: the last 300 us before it are slept
-    /// through to the point, whatever becomes readable or `until` says, unless something is readable at their beginning.
+    /// As [`Monotonic::wait`], with a deadline `point` to meet closely: it sleeps through the last 300 us before it,
+    /// unless something is readable at their start.
     ///
     /// # Errors
     /// If the kernel refuses to poll.
@@ -67,7 +67,7 @@ impl Monotonic {
     ) -> Result<[bool; N], Error> {
         let near = |point: &Instant| until.is_none_or(|until| until >= *point - NEAR);
         let Some(point) = point.filter(near) else { return self.wait(fds, until) };
-        // At least one look at the files, however near the deadline is: where one follows on the other there is no other.
+        // Polls the files at least once, however near the deadline is.
         let ready = self.wait(fds, Some(point - NEAR))?;
         if ready.contains(&true) || self.now() < point - NEAR {
             return Ok(ready);
@@ -113,7 +113,7 @@ pub fn processor_s() -> f64 {
 
 /// True for a signal that this program was started to ignore, as SIGHUP under `nohup`: by the mask in `/proc/self/status`.
 ///
-/// To be asked before the program changes what the signal does.
+/// Call it before the program changes the signal's action.
 #[must_use]
 pub fn is_ignored(signal: Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -121,19 +121,19 @@ pub fn is_ignored(signal: Signal) -> bool {
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
     mask >> (signal as i32 - 1) & 1 == 1
 }
-/// SIGINT, SIGTERM and SIGHUP as something to wait for; not SIGHUP where it is ignored, as under `nohup`.
+/// SIGINT, SIGTERM and SIGHUP as a file descriptor; without SIGHUP if it is ignored, as under `nohup`.
 #[derive(Debug)]
 pub struct Signals {
     fd: SignalFd,
 }
 
 impl Signals {
-    /// From here on these signals end nothing by themselves. Threads started later inherit that.
+    /// Blocks these signals, also for later threads.
     ///
     /// # Errors
     /// If the system refuses.
     pub fn catch() -> std::io::Result<Self> {
-        // The others end a recording in the background too, where shells let them be ignored.
+        // The others also end a recording in the background, for which shells ignore them.
         let hangup = Some(Signal::SIGHUP).filter(|hangup| !is_ignored(*hangup));
         let set = SigSet::from_iter([Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup));
         let blocked = set
@@ -142,7 +142,7 @@ impl Signals {
         blocked.map(|fd| Self { fd }).map_err(|errno| std::io::Error::other(format!("cannot catch signals: {errno}")))
     }
 
-    /// Takes the signals that came, so that nobody else who waits for them is ended by them.
+    /// Takes pending signals, so that no other wait ends by them.
     pub fn take(&self) {
         while let Ok(Some(_)) = self.fd.read_signal() {}
     }

@@ -1,16 +1,16 @@
-//! Why a robot's service cannot start, or cannot go on: what is its own beside the errors of sources.
+//! Errors of the service itself, beside those of sources.
 
 use csi5300::source;
 use std::path::PathBuf;
 
-/// What this crate refuses. Within [`csi5300::source::Error`] it is a backend's error.
+/// Errors of this crate. Within [`csi5300::source::Error`] they are a backend's.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NodeError {
-    /// Neither the configuration nor the card's source says this robot's MAC.
+    /// Neither the configuration nor the card's source has this robot's MAC.
     #[error("this robot's MAC is not known")]
     OwnMac,
-    /// Neither the configuration nor the records' source says a peer's MAC.
+    /// Neither the configuration nor the records' source has a peer's MAC.
     #[error("the MAC of peer `{peer}` is not known")]
     PeerMac {
         /// The peer's name.
@@ -24,7 +24,7 @@ pub enum NodeError {
         /// Why.
         source: csi5300_sim::SceneError,
     },
-    /// A robot of the room is to follow something that gives no poses of this host.
+    /// A robot of the room should follow a source without poses on this host.
     #[error("robot `{robot}` follows `ros2`, `ros` or `csv`")]
     Follows {
         /// Its name.
@@ -62,13 +62,13 @@ pub enum NodeError {
         /// The log.
         log: PathBuf,
     },
-    /// Poses come by what this program does not speak.
+    /// Poses need a protocol that this program lacks.
     #[error("these poses come by what this program does not speak")]
     NoAdapter,
     /// The thread that listens to the card has ended.
     #[error("the thread that listens to the card has ended")]
     CardThreadEnded,
-    /// The robots' network would let anybody in.
+    /// The robots' network would admit anybody.
     #[error(
         "anybody who reaches {endpoint} could publish as any robot: ask for a password or a certificate in zenoh's file \
          (`network.zenoh`), listen on 127.0.0.1, or say `insecure = true` in [network]"
@@ -77,7 +77,7 @@ pub enum NodeError {
         /// Where it would listen.
         endpoint: String,
     },
-    /// The network's file of users names none, and zenoh asks nobody then.
+    /// The network's file of users is empty, so zenoh would ask for no password.
     #[error(
         "{} names no user: a line `user:password` for each, or leave out `dictionary_file` in zenoh's file (`network.zenoh`){}",
         .path.display(),
@@ -95,19 +95,19 @@ pub enum NodeError {
         /// The name.
         group: String,
     },
-    /// A peer has a certificate, and nobody is asked for one.
+    /// A peer has a certificate, but the network requires none.
     #[error(
         "a peer's `certificate` needs a network where both ends show one: TLS with `enable_mtls` in zenoh's file \
          (`network.zenoh`), as in packaging/zenoh-tls.json5"
     )]
     NoCertificates,
-    /// A peer has a certificate, and zenoh's file says who may publish what.
+    /// A peer has a certificate, but zenoh's file has its own access control.
     #[error(
         "zenoh's file (`network.zenoh`) has an `access_control` of its own: leave out that, or the peers' `certificate`, \
          of which one is made"
     )]
     TwoAccessControls,
-    /// What is at the status socket's path is no socket.
+    /// Another kind of file is at the status socket's path.
     #[error("{} is there and is no socket: give `status_socket` another name", .path.display())]
     NoSocket {
         /// The path.

@@ -1,4 +1,4 @@
-//! The state of a running robot: what the status socket gives and `csi5300 watch` shows.
+//! The state of a running robot, for the status socket and `csi5300 watch`.
 
 use super::machine::{Machine, PoseCounts};
 use csi5300::internal::SENDERS_KEPT;
@@ -26,11 +26,11 @@ pub struct Health {
     pub missing: u64,
     /// Frames of senders that are no peers.
     pub strangers: u64,
-    /// Times that one of them was forgotten for another, as there are more than are kept.
+    /// Times that one of them was dropped for another.
     pub strangers_forgotten: u64,
     /// Odometry.
     pub poses: PoseCounts,
-    /// What the source of the poses counted of its own: its line, its controller, its wheels.
+    /// Counts of the poses' source: serial line, controller, wheels.
     pub odometry: Option<SourceCounts>,
     /// Poses a second.
     pub poses_hz: f64,
@@ -40,17 +40,17 @@ pub struct Health {
     pub log: Option<Totals>,
     /// The peers, then other senders whose bearings are made of what is heard alone.
     pub peers: Vec<PeerHealth>,
-    /// What was counted on the robots' network.
+    /// Counts of the robots' network.
     pub network: Option<serde_json::Value>,
-    /// What was counted of this robot's part in the sounding exchange.
+    /// Counts of this robot's part in the sounding exchange.
     pub sounding: Option<serde_json::Value>,
-    /// What was published over ROS.
+    /// Counts of ROS outputs.
     pub ros: Option<serde_json::Value>,
-    /// What was read and published over ROS 2.
+    /// Counts of ROS 2 inputs and outputs.
     pub ros2: Option<serde_json::Value>,
-    /// What it costs.
+    /// Its load.
     pub load: Load,
-    /// What is wrong at the moment, in words.
+    /// Current problems, in words.
     pub trouble: Vec<String>,
 }
 
@@ -65,28 +65,28 @@ pub struct PeerHealth {
     pub counts: PeerCounts,
     /// Pairs a second.
     pub pairs_hz: f64,
-    /// What was last said of it.
+    /// Its last report.
     pub report: Option<PeerReport>,
 }
 
-/// What a robot costs.
+/// The load of a robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Load {
-    /// Share of one core since the last look, percent.
+    /// Share of one core since the last state, percent.
     pub cpu_percent: f64,
-    /// The last estimate took so long, milliseconds.
+    /// Time of the last estimate, milliseconds.
     pub estimate_ms: f64,
     /// The longest estimate so far, milliseconds.
     pub longest_estimate_ms: f64,
     /// Resident memory, MiB.
     pub memory_mib: f64,
-    /// The longest that anything waited for its time since the last look, milliseconds.
+    /// Worst timer lateness since the last state, milliseconds.
     pub late_ms: f64,
     /// Lines of bearings that could not be written.
     pub lines_lost: u64,
 }
 
-/// So long after something was last counted that should not be it is said.
+/// How long an alarm lasts after its last count.
 const ALARM_LASTS: Span = Span::from_ms(60_000);
 
 /// A count that is an alarm while it rises, and for a minute after.
@@ -97,7 +97,7 @@ struct Alarm {
 }
 
 impl Alarm {
-    /// True while it is to be said.
+    /// True while the alarm lasts.
     fn is_on(&mut self, count: u64, now: Instant) -> bool {
         if count > self.count {
             (self.count, self.at) = (count, Some(now));
@@ -106,7 +106,7 @@ impl Alarm {
     }
 }
 
-/// Everything that is an alarm while it is counted.
+/// All alarms.
 #[derive(Clone, Debug, Default)]
 struct Alarms {
     crowd: Alarm,
@@ -129,12 +129,12 @@ impl Alarms {
         if self.crowd.is_on(forgotten, now) {
             words.push(format!(
                 "more than {SENDERS_KEPT} senders on this channel ({forgotten} were forgotten): a busy channel, or frames \
-                 with made-up addresses; peers are heard all the same"
+                 with made-up addresses; peers are still heard"
             ));
         }
         if self.unauthenticated.is_on(unauthenticated, now) {
             words.push(format!(
-                "{unauthenticated} frames with numbers of the exchange and without its key were measured and left out"
+                "{unauthenticated} frames with numbers of the exchange and without its key were measured and skipped"
             ));
         }
         self.contested.resize(machine.estimator.peers().count(), Alarm::default());
@@ -152,7 +152,7 @@ impl Alarms {
     }
 }
 
-/// Makes states, and rates from one to the next.
+/// Makes states, with rates since the last one.
 #[derive(Clone, Debug, Default)]
 pub struct Looks {
     name: String,
@@ -162,13 +162,13 @@ pub struct Looks {
 }
 
 impl Looks {
-    /// Looks at the robot `name`.
+    /// A monitor of the robot `name`.
     #[must_use]
     pub fn new(name: String) -> Self {
         Self { name, ..Self::default() }
     }
 
-    /// Keeps what was last said of a peer.
+    /// Keeps a peer's last report.
     pub fn note(&mut self, peer: usize, report: PeerReport) {
         if self.reports.len() <= peer {
             self.reports.resize(peer + 1, None);
@@ -258,7 +258,7 @@ impl Health {
         text
     }
 
-    /// What was lost, one count with its name each; empty if nothing was.
+    /// The losses, each count with its name; empty without losses.
     #[must_use]
     pub fn lost(&self) -> Vec<String> {
         let disk = self.log.as_ref().map_or(0, |log| log.dropped + log.lost_on_disk);

@@ -14,7 +14,7 @@
 //! | [`health`] | what is published beside the bearings |
 //! | [`service`] | tokio: waits, hands over, publishes |
 //!
-//! A feature gates the module of its adapter and its line in the list of adapters, and nothing else.
+//! A feature gates only the module of its adapter and its line in the list of adapters.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod adapters;

@@ -16,9 +16,9 @@ use driver_iface::record::Record;
 const BURST: usize = 512;
 /// Bursts that are still taken at the end.
 const LAST_BURSTS: usize = 64;
-/// A peer over a network of which nothing came for so long has ended, once this robot's own records have.
+/// A network peer that is silent for this time has ended, once this robot's own records have.
 const QUIET: Span = Span::from_ms(5_000);
-/// After so long without a record from this robot's card something is wrong.
+/// Silence of this robot's card after which something is wrong.
 const SILENT: Span = Span::from_ms(10_000);
 
 /// This robot's records, with a log or without.
@@ -53,7 +53,7 @@ impl Capture {
         }
     }
 
-    /// Ends the log, every record in it.
+    /// Ends the log with every record in it.
     ///
     /// # Errors
     /// If the writer died.
@@ -71,7 +71,7 @@ pub trait Tap: Send {
     fn record(&mut self, host_us: Option<i64>, record: Record<'_>);
     /// A pose of this robot's antenna; `None`: those that follow are in another frame.
     fn pose(&mut self, pose: Option<Pose>);
-    /// Everything that a card gave, losses too: this robot's, or that of peer number `peer`.
+    /// Every item of a card, losses too: this robot's, or that of peer number `peer`.
     fn heard(&mut self, _peer: Option<usize>, _now: Instant, _next: &Next<'_>) {}
 }
 
@@ -88,7 +88,8 @@ impl<S> Running<S> {
 }
 
 impl Running<Poses> {
-    /// Hands over what is there, up to a burst; `None` where a new frame begins. A source that fails has ended; why.
+    /// Hands over available items, up to a burst; `None` where a new frame starts. A source that fails has ended;
+    /// returns the reason.
     fn drain(&mut self, now: Instant, mut each: impl FnMut(Option<Pose>)) -> Option<Error> {
         for _ in 0..BURST {
             if self.ended {
@@ -112,7 +113,7 @@ impl Running<Poses> {
 struct PeerRunning {
     records: Option<Running<Card>>,
     poses: Option<Running<Poses>>,
-    /// Its records come over a network, which does not say when they end.
+    /// Its records come over a network, which does not signal their end.
     open_ended: bool,
 }
 
@@ -121,9 +122,9 @@ struct PeerRunning {
 pub struct PoseCounts {
     /// Poses that came.
     pub poses: u64,
-    /// Times that the sensor began anew.
+    /// Times that the sensor restarted.
     pub new_frames: u64,
-    /// Times that the host's wall clock was set: everything is measured anew.
+    /// Times that the host's wall clock was set; measurements restart then.
     pub clock_set: u64,
 }
 
@@ -144,7 +145,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// A robot with these sources; `capture` is made of their card by the caller, who may have put a recorder around it.
+    /// A robot with these sources; `capture` is their card, possibly wrapped in a recorder by the caller.
     pub fn new(
         sources: Sources,
         capture: impl FnOnce(Card) -> Result<Capture, Error>,
@@ -201,12 +202,12 @@ impl Machine {
         }
     }
 
-    /// Takes what is there, up to a burst from every source. True if there is more to take at once.
+    /// Takes available items, up to a burst from every source. True if there is more.
     ///
     /// # Errors
-    /// If this robot's card fails. A peer that fails is left out from then on, and said in [`Machine::trouble`].
+    /// If this robot's card fails. A peer that fails is ignored from then on, and reported by [`Machine::trouble`].
     pub fn take(&mut self, now: Instant) -> Result<bool, Error> {
-        // Poses first: what is measured needs a place.
+        // Poses first: measurements need a place.
         if let Some(poses) = &mut self.poses {
             let (estimator, taps, counts) = (&mut self.estimator, &mut self.taps, &mut self.pose_counts);
             let failed = poses.drain(now, |pose| {
@@ -274,7 +275,7 @@ impl Machine {
         true
     }
 
-    /// The next report that is due: the peer's number and what is said of it.
+    /// The next due report, with the peer's number.
     pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
         let (peer, mut report) = self.estimator.poll_report(now)?;
         if let Some((_, counts)) = self.estimator.peers().nth(peer) {
@@ -283,7 +284,7 @@ impl Machine {
         Some((peer, report))
     }
 
-    /// When something is to be done next, apart from what wakes it up.
+    /// The next timeout, beside events.
     #[must_use]
     pub fn next_at(&self) -> Option<Instant> {
         let own = (!self.capture.ended).then(|| self.capture.source.next_at()).flatten();
@@ -309,7 +310,7 @@ impl Machine {
         self.capture.ended && self.peers.iter().all(over)
     }
 
-    /// How long this robot's card has given no record, where that is long: no driver, no peer, or another channel.
+    /// Silence of this robot's card, if long: no driver, no peer, or another channel.
     #[must_use]
     pub fn silent_for(&self, now: Instant) -> Option<Span> {
         let silent = now - self.own_heard_at;
@@ -322,13 +323,13 @@ impl Machine {
         self.pose_counts
     }
 
-    /// What the source of this robot's poses counted of its own.
+    /// Counts of the source of this robot's poses.
     #[must_use]
     pub fn odometry_counts(&self) -> Option<SourceCounts> {
         self.poses.as_ref().and_then(|poses| poses.source.counted())
     }
 
-    /// This host's wall clock was set: what has a time of the old one is of no use, here and to the peers.
+    /// This host's wall clock was set: earlier times are useless, here and for the peers.
     pub fn handle_clock_set(&mut self) {
         self.pose_counts.clock_set += 1;
         self.estimator.handle_pose(None);
@@ -350,18 +351,18 @@ impl Machine {
         self.trouble.iter().cloned().chain(odometry).chain(peers).chain(disk).collect()
     }
 
-    /// Ends everything: the last reports, and what is in the log.
+    /// Ends everything; returns the last reports and the log's counts.
     ///
     /// # Errors
     /// If the log's writer died.
     pub fn finish(mut self, now: Instant) -> Result<(Vec<PeerReport>, Option<Totals>), Error> {
-        // What has come is taken, as far as it does not go on coming for ever.
+        // Takes what has arrived, up to a limit.
         for _ in 0..LAST_BURSTS {
             if self.capture.ended || !self.take_records(now).unwrap_or(false) {
                 break;
             }
         }
-        // The log first: it must be whole whatever the last estimates take.
+        // The log first: it must be complete however long the last estimates take.
         let totals = self.capture.source.finish(now);
         let pairs: Vec<u64> = self.estimator.peers().map(|(_, counts)| counts.pairs).collect();
         let mut reports = self.estimator.finish(now);
@@ -370,8 +371,8 @@ impl Machine {
     }
 }
 
-/// Says of a peer with pairs of which none has ever had a use what `csi5300 bearing` says: the antenna heard nothing. Every pair
-/// has a host time here, so nothing else leaves it out.
+/// For a peer whose pairs were all unusable, reports as `csi5300 bearing` does that the antenna heard nothing. Every
+/// pair has a host time here, so there is no other reason.
 fn say_silence(report: &mut PeerReport, pairs: u64) {
     if report.state == PeerState::NoPairs && report.t_s.is_none() && pairs > 0 {
         report.words = LinkError::Silent { pairs: usize::try_from(pairs).unwrap_or(usize::MAX) }.to_string();

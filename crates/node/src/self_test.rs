@@ -1,4 +1,4 @@
-//! The acceptance claims of a running robot, asked of what its card and its peers' gave in the last seconds.
+//! The acceptance claims of a running robot, judged by the last seconds of its and its peers' cards.
 
 use crate::machine::Tap;
 use csi5300::motion::pose::Pose;
@@ -12,18 +12,18 @@ use driver_iface::record::Record;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// How far back the claims look; also how often a node asks them of itself.
+/// The window of the claims, and the interval of a node's own checks.
 pub const WINDOW: Span = Span::from_ms(20_000);
-/// Records of one card that are kept at most.
+/// Limit of kept records of one card.
 const RECORDS: usize = 20_000;
 
-/// What a card gave.
+/// The items of a card.
 enum Gave {
     Record(Option<i64>, u8, Box<[u8]>),
     Lost(Loss),
 }
 
-/// What one card gave within the window.
+/// The items of one card within the window.
 #[derive(Default)]
 struct Card(VecDeque<(Instant, Gave)>);
 
@@ -68,7 +68,7 @@ pub struct SelfTest {
     peers: Arc<[(String, Mac)]>,
     /// This robot's card, then the peers'.
     cards: Arc<Mutex<Vec<Card>>>,
-    /// The kernel module's counters at the start; none where the records come from no card.
+    /// The kernel module's counters at the start; none without a card.
     counters: Arc<[(String, u64)]>,
 }
 
@@ -80,19 +80,19 @@ impl SelfTest {
         Self { channel, own, peers: peers.into(), cards: Arc::new(Mutex::new(cards)), counters: Arc::default() }
     }
 
-    /// Asks the claims about the kernel module too, by what it counted since now.
+    /// Judges the claims about the kernel module too, by its counts from now on.
     #[must_use]
     pub fn with_module(self) -> Self {
         Self { counters: module_counters(&Machine).into(), ..self }
     }
 
-    /// What has to be added to the machine.
+    /// The tap to add to the machine.
     #[must_use]
     pub fn tap(&self) -> Box<dyn Tap> {
         Box::new(self.clone())
     }
 
-    /// Asks every claim: once about this robot's card and host; about each peer's card and the link to it what can be tried.
+    /// Judges every claim: once for this robot's card and host, and for each peer's card and link where possible.
     #[must_use]
     pub fn judge(&self) -> Vec<Found> {
         let mut theirs: Vec<Found> = Vec::new();
@@ -105,7 +105,7 @@ impl SelfTest {
             theirs.extend(findings.map(|finding| (Some(name.clone()), finding)));
         }
         let own = self.collected(None).finish().judge().findings.into_iter();
-        // A claim about links that was tried with no peer says why.
+        // A claim about links that no peer allowed gives the reason.
         let own = own.filter(|own| own.of != Of::Link || theirs.iter().all(|(_, finding)| finding.id != own.id));
         let mut found: Vec<Found> = own.map(|finding| (None, finding)).collect();
         found.append(&mut theirs);
@@ -123,7 +123,7 @@ impl SelfTest {
             collector.counted(&name, count.wrapping_sub(before));
         }
         let cards = self.cards.lock().unwrap_or_else(PoisonError::into_inner);
-        // A card that went silent keeps what it gave; the others' window says whether that is old.
+        // A silent card keeps its records; the others' window shows whether they are old.
         let last = cards.iter().filter_map(Card::last).max().unwrap_or(Instant::ZERO);
         let since = last - WINDOW;
         let sides = [(Side::Near, Some(0)), (Side::Far, peer.map(|peer| peer + 1))];

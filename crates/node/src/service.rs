@@ -26,12 +26,11 @@ use tokio::net::UnixStream;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
-/// How often the state is looked at.
+/// Interval of states.
 const LOOK: Span = Span::from_ms(500);
-/// While no report is due records may wait so long: what comes within it is taken at once, for one waking up instead of
-/// many.
+/// How long records may wait while no report is due, so that one wake-up takes several.
 const TOGETHER: Span = Span::from_ms(3);
-/// The longest wait without looking at the sources.
+/// The longest wait between reads of the sources.
 const LONGEST_WAIT: Span = Span::from_ms(500);
 
 /// How a service ended.
@@ -45,7 +44,7 @@ pub struct Ended {
     pub bearings: u64,
     /// A signal ended it.
     pub signalled: bool,
-    /// What ended it, if that was an error.
+    /// The error that ended it, if any.
     pub error: Option<Error>,
 }
 
@@ -54,7 +53,7 @@ pub struct Ended {
 /// # Errors
 /// If it cannot be started. What fails later is in [`Ended::error`].
 pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
-    // A log as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
+    // A log at the size limit (`ulimit -f`) acts as a full disk: the write fails with EFBIG, and the signal is blocked.
     let sizes = SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     sizes.map_err(|errno| Error::Io { what: "cannot catch signals".into(), source: errno.into() })?;
     let wake = Arc::new(Notify::new());
@@ -110,7 +109,7 @@ impl<'a> Service<'a> {
         mut sources: Sources,
         (adapters, came): (&'a mut [Box<dyn Adapter>], &'a Notify),
     ) -> Result<Ended, Error> {
-        // Signals first: one that comes from here on ends the robot in order.
+        // Signals first: from here on they end the robot in order.
         let hangup = Some(SignalKind::hangup()).filter(|_| !is_ignored(nix::sys::signal::Signal::SIGHUP));
         let mut signals = [SignalKind::terminate(), SignalKind::interrupt()]
             .into_iter()
@@ -141,7 +140,7 @@ impl<'a> Service<'a> {
             signalled: false,
             wall: wake.is_some().then(WallWatch::default),
         };
-        // Without a service manager nobody listens, and that is no error.
+        // Without a service manager nobody listens, which is no error.
         let _ = sd_notify::notify(&[NotifyState::Ready]);
         let error = service.work(wake.as_ref(), &mut signals).await.err();
         let _ = sd_notify::notify(&[NotifyState::Stopping]);
@@ -200,7 +199,7 @@ impl<'a> Service<'a> {
         }
     }
 
-    /// How long records may wait: until a report is due, whose pair is then waited for.
+    /// How long records may wait: until a report is due, which then waits for its pair.
     fn gather(&self) -> Duration {
         let now = self.clock.now();
         match self.machine.estimator.next_due() {
@@ -210,7 +209,7 @@ impl<'a> Service<'a> {
         }
     }
 
-    /// After everything that waited was taken, so that none of it comes later with a time of the old clock.
+    /// After all waiting items were taken, so that none comes later with a time of the old clock.
     fn watch_wall(&mut self) {
         if let (Some(watch), Some(wall_us)) = (&mut self.wall, wall_us())
             && watch.was_set(wall_us, self.clock.real.now().as_us())
@@ -260,7 +259,7 @@ impl<'a> Service<'a> {
     fn finish(mut self, error: Option<Error>) -> Result<Ended, Error> {
         let mut health = self.look();
         let (reports, totals) = self.machine.finish(self.clock.now())?;
-        // The machine held the sender too, to tell it what was measured.
+        // The machine held the sender too, for its measurements.
         let error = self.sounder.stop().or(error);
         self.adapters.iter_mut().for_each(|adapter| adapter.finish(&reports, &mut health));
         for (report, peer) in reports.into_iter().zip(&mut health.peers) {
@@ -291,12 +290,12 @@ async fn readable(wake: Option<&UnixStream>) -> Result<(), Error> {
     let Some(wake) = wake else { return std::future::pending().await };
     let io = |source| Error::Io { what: "waiting for the card's thread".into(), source };
     wake.ready(Interest::READABLE | Interest::ERROR).await.map_err(io)?;
-    // What is there is taken before the next wait: were more to come meanwhile, it is an edge of its own.
+    // Takes what is available before the next wait; later arrivals are new edges.
     let _ = wake.try_io(Interest::READABLE, || Err::<(), _>(ErrorKind::WouldBlock.into()));
     Ok(())
 }
 
-/// The card with a log of everything, if one is asked for.
+/// The card with a log of everything, if requested.
 fn logged(card: Card, log: Option<&Log>) -> Result<Capture, Error> {
     let Some(log) = log else { return Ok(Capture::Plain(card)) };
     let rotation = Rotation { bytes: log.rotate_mib.map(|mib| mib.saturating_mul(1 << 20)), every: None };
@@ -305,7 +304,7 @@ fn logged(card: Card, log: Option<&Log>) -> Result<Capture, Error> {
     Ok(Capture::Logged(Box::new(Recorder::new(card, files, RecorderOptions::default())?)))
 }
 
-/// The first of `log.dat`, `log-r1.dat`, `log-r2.dat` ... of which nothing is there, rotated or not: no start overwrites
+/// The first of `log.dat`, `log-r1.dat`, `log-r2.dat` ... without any file, rotated or not: no start overwrites
 /// another's log.
 fn free_name(log: &Path, rotation: Rotation) -> PathBuf {
     let stem = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();

@@ -1,4 +1,4 @@
-//! The robot's part in the sounding exchange: the sender's thread beside the service, by the same file.
+//! The robot's part in the sounding exchange: the sender's thread beside the service.
 
 use super::config::{Capture, Config, Peer, Records};
 use super::machine::{Machine, Tap};
@@ -19,7 +19,7 @@ use driver_iface::record::Record;
 use serde::Serialize;
 use std::sync::Arc;
 
-/// What was counted of the exchange.
+/// Counts of the exchange.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct SoundingCounts {
     /// Forward frames answered.
@@ -36,15 +36,15 @@ pub(super) struct SoundingCounts {
     yielded: u64,
     /// Robots that no longer answer.
     absent: Vec<String>,
-    /// What the system granted to the thread that sends.
+    /// The priority that the system granted to the sending thread.
     granted: Option<String>,
-    /// The last thing that the interface did not do.
+    /// The last problem of the interface.
     notice: Option<String>,
-    /// The thread has ended by itself: why is said when the node ends.
+    /// The thread has ended by itself; the node reports the reason at its end.
     ended: bool,
 }
 
-/// A running exchange, if one is asked for.
+/// A running exchange, if requested.
 pub(super) struct Sounder(Option<Sounds>);
 
 struct Sounds {
@@ -59,7 +59,7 @@ struct Sounds {
 }
 
 impl Sounder {
-    /// Starts the thread that sends, if one is asked for.
+    /// Starts the sending thread, if requested.
     pub fn start(config: &Config, own: Mac, peers: Vec<Mac>, clock: Monotonic) -> Result<Self, Error> {
         let Some((asked, request)) = config.sounding.as_ref().zip(config.sounding_request()) else {
             return Ok(Self(None));
@@ -114,7 +114,7 @@ impl Sounder {
         Ok(Self(Some(Sounds { running, counts, antenna: config.antenna, peers, answering, measures, key })))
     }
 
-    /// From now on answers carry what the card measures, and with a key only exchanges that are confirmed are used.
+    /// From now on answers carry the card's measurements, and with a key only confirmed exchanges are used.
     pub fn attach(&self, machine: &mut Machine) {
         if let Some(key) = self.0.as_ref().and_then(|sounds| sounds.key.as_ref()) {
             machine.estimator.require_key(key);
@@ -161,7 +161,7 @@ impl Sounder {
         ended.or_else(|| counts.notice.as_ref().map(|notice| format!("sounding: {notice}")))
     }
 
-    /// Stops the thread; the error that had ended it, if one did.
+    /// Stops the thread; returns the error that had ended it, if any.
     pub fn stop(self) -> Option<Error> {
         let running = Arc::into_inner(self.0?.running)?;
         running.stop().map_or_else(Some, |(.., error)| error)
@@ -213,7 +213,7 @@ impl Tap for Measuring {
             && self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
         {
-            // Where too many wait, the next one is newer.
+            // If too many wait, the next one is newer.
             self.running.order(Order::Measurement(identity.mac, measurement));
         }
     }

@@ -1,5 +1,5 @@
-//! The card and the wheels on threads of their own: what they say is read and stamped at once, however long an estimate
-//! takes. Both threads end with the source that reads from them.
+//! Threads for card and wheels: their data are read and stamped at once, however long an estimate takes. Both threads
+//! end with the source that reads from them.
 
 use crate::NodeError;
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
@@ -14,13 +14,13 @@ use std::os::unix::net::UnixStream;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Records that wait at most; then the thread waits too, and what overruns in the kernel is counted there.
+/// Limit of waiting records; then the thread waits too, and overruns in the kernel are counted there.
 const RECORDS: usize = 32_768;
-/// Poses that wait at most.
+/// Limit of waiting poses.
 const POSES: usize = 4_096;
-/// The reader is woken after so many records at the latest.
+/// The reader is woken after this many records at the latest.
 const TELL: usize = 256;
-/// A source of poses is looked after this often at least.
+/// Interval of reads of a source of poses.
 const LOOK: Span = Span::from_ms(500);
 
 enum Item {
@@ -30,10 +30,10 @@ enum Item {
     Failed(Error),
 }
 
-/// A card that is read on a thread of its own.
+/// A card that is read on a separate thread.
 pub struct CardThread {
     items: Receiver<Item>,
-    /// A byte comes whenever records did; shutting it down ends the thread.
+    /// Gets a byte when records arrive; shutting it down ends the thread.
     told: UnixStream,
     body: Vec<u8>,
 }
@@ -68,8 +68,8 @@ impl CardThread {
         self.told.try_clone().map_err(io)
     }
 
-    /// The next item. An empty queue is looked at once more after the bytes that announced it were taken: what comes later
-    /// is announced anew.
+    /// The next item. An empty queue is read once more after its announcing bytes were taken; later items are announced
+    /// again.
     fn next(&mut self) -> Result<Item, TryRecvError> {
         self.items.try_recv().or_else(|why| {
             let mut bytes = [0; 64];
@@ -79,7 +79,7 @@ impl CardThread {
     }
 }
 
-/// Hands over what the card gives until the other end is shut.
+/// Hands over the card's items until the other end is shut.
 fn listen<S: CsiSource + AsFd>(mut card: S, give: &SyncSender<Item>, tell: &UnixStream) -> Result<(), Error> {
     let clock = Monotonic::new();
     let mut untold = 0;
@@ -99,7 +99,7 @@ fn listen<S: CsiSource + AsFd>(mut card: S, give: &SyncSender<Item>, tell: &Unix
             return Ok(());
         }
         if untold > 0 && (pending || untold >= TELL) {
-            // No room in the pipe means that a notification is there already.
+            // No room in the pipe means that a notification already exists.
             let _ = (&*tell).write(&[0]);
             untold = 0;
         }
@@ -140,18 +140,18 @@ impl Drop for CardThread {
     }
 }
 
-/// Poses that are taken on a thread of their own.
+/// Poses that are read on a separate thread.
 pub struct PoseThread {
     poses: Receiver<Result<NextPose, OdometryError>>,
     told: Arc<Mutex<Told>>,
 }
 
-/// What a source of poses says of itself.
+/// Counts of a source of poses.
 #[derive(Default)]
 struct Told {
     trouble: Option<String>,
     counted: Option<SourceCounts>,
-    /// When it was last asked what it counted.
+    /// When its counts were last read.
     at: Option<Instant>,
 }
 
@@ -230,7 +230,7 @@ mod tests {
     use std::os::fd::BorrowedFd;
     use std::sync::atomic::{AtomicI64, Ordering};
 
-    /// A card that says the bytes that come on a socket, stamped with `WALL_US`.
+    /// A card that repeats the bytes of a socket, stamped with `WALL_US`.
     struct Wire(UnixStream, Vec<u8>);
 
     static WALL_US: AtomicI64 = AtomicI64::new(0);

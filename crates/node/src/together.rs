@@ -1,4 +1,4 @@
-//! Two logs of one run, played together: where the peer's is to begin, when one robot was started long before the other.
+//! Two logs of one run, played together: finds the start of the peer's, if one robot was started long before the other.
 
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Error, Next};
@@ -8,18 +8,18 @@ use driver_iface::bfee::Bfee;
 use driver_iface::record::code;
 use std::collections::HashMap;
 
-/// Frames at the beginning of a log among which one is looked for that the other log has too.
+/// Frames at the start of a log that are searched for a common one.
 const FRAMES: usize = 4_096;
-/// Records and time by which logs may be apart without being moved: what waits for its partner is enough for that.
+/// Records and time by which logs may be apart without being moved, because records wait for their partners.
 const RECORDS: usize = 1_024;
 const APART: Span = Span::from_ms(5_000);
 
-/// Where the peer's log begins.
+/// The start of the peer's log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Begin {
-    /// Records of it that are left out, from before this robot's log.
+    /// Its skipped records, from before this robot's log.
     pub skip: usize,
-    /// How long after this robot's log it begins.
+    /// Its start after this robot's log.
     pub after: Span,
 }
 
@@ -66,7 +66,7 @@ fn frames(mut log: impl CsiSource, sender: Mac) -> impl Iterator<Item = Result<F
     })
 }
 
-/// Where the peer's log begins so that the two meet: by the first frame number that both have. `own` and `peer` open the
+/// The start of the peer's log at which the two meet, by their first common frame number. `own` and `peer` open the
 /// logs; the sender in each is the other robot.
 ///
 /// # Errors
@@ -82,14 +82,14 @@ pub fn begin<S: CsiSource>(
     };
     let Some((own, peer)) = common else { return Ok(Begin::default()) };
     if peer.since > own.since + APART && peer.before > RECORDS {
-        // A stock record's MPDU stands before it.
+        // A stock record comes after its MPDU.
         return Ok(Begin { skip: peer.before - 1, after: own.since });
     }
     let after = own.since - peer.since;
     Ok(Begin { skip: 0, after: if after > APART { after } else { Span::default() } })
 }
 
-/// The first frame of the second log whose number is among the first of the first log, in both.
+/// The first common frame number, in both logs.
 fn first_common(
     one: impl Iterator<Item = Result<Frame, Error>>,
     other: impl Iterator<Item = Result<Frame, Error>>,

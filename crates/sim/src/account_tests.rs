@@ -1,4 +1,4 @@
-//! Every frame that a card received is in one place of the room's account.
+//! The room's account contains every received frame exactly once.
 
 use super::*;
 use csi5300::source::{CsiSource, Injector, Next};
@@ -45,7 +45,7 @@ fn sum(of: Injected) -> u64 {
     of.delivered + of.unheard + of.under_way + of.overheard + lost
 }
 
-/// What became of a thousand frames, with `rx`'s card read to its end.
+/// The account of a thousand frames, with `rx`'s card read to its end.
 fn counted(scene: &Scene) -> Injected {
     let mut room = Room::quiet(scene).unwrap();
     let (mut tx, mut rx) = (room.card(0).unwrap(), room.card(1).unwrap());
@@ -63,7 +63,7 @@ fn a_frame_that_comes_while_antennas_meet_is_counted_as_such() {
     let counts = counted(&scene);
     assert_eq!((counts.received, counts.delivered, counts.unmeasured), (1000, 999, 1));
     assert!(counts.to_string().contains("1 without a record because antennas met"), "{counts}");
-    // One that has a second antenna has no record of that moment either.
+    // With a second antenna there is no record of that moment either.
     scene.robot[1].antenna_b_m = Some([0.0, 0.5, 0.0]);
     assert_eq!(counted(&scene).unmeasured, 1);
 }

@@ -1,7 +1,7 @@
-//! The air: frames in true time, who hears which, and what each card's driver makes of it.
+//! The air: frames in true time, which robots hear them, and each driver's reaction.
 //!
-//! Everything is an event in a queue ordered by time; nothing happens between events, so an hour of an idle room is
-//! free. Coefficients are not computed here but when a record is read, and only for robots that somebody reads.
+//! Everything is an event in a queue ordered by time, so an idle room costs nothing. Coefficients are computed when a
+//! record is read, and only for robots that are read.
 
 use super::event::{Event, What};
 use super::faults::Injected;
@@ -17,7 +17,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::sync::Arc;
 
-/// Clear channel assessment takes this long: frames that start closer together do not hear each other (802.11 aCCATime).
+/// Time of the clear channel assessment: senders that start closer together do not hear each other (802.11 aCCATime).
 const SENSE_NS: i64 = 4_000;
 /// DIFS in the 5 GHz band, the slot of the back-off after it, and the number of slots (aCWmin + 1).
 const DIFS_NS: i64 = 34_000;
@@ -25,7 +25,7 @@ const BACK_OFF_NS: i64 = 9_000;
 const BACK_OFF_SLOTS: f64 = 16.0;
 /// No answer begins sooner after a frame's end (SIFS).
 const SIFS_NS: i64 = 16_000;
-/// A frame that repeats a number heard no longer ago than this is its answer.
+/// A frame that repeats a number within this time is its answer.
 const ANSWER_WITHIN_NS: i64 = 5_000_000;
 
 /// A frame on air now.
@@ -36,8 +36,8 @@ struct Active {
     collided: bool,
 }
 
-/// Makes a robot's sender, anew after each restart. The arguments: the robot, its restarts so far, and the time on its
-/// own clock at which it is switched on.
+/// Makes a robot's sender, again after each restart. Arguments: the robot, its restarts so far, and the switch-on time
+/// on its own clock.
 pub(crate) type MakeStation = Box<dyn FnMut(usize, u64, Instant) -> Option<Box<dyn Station>> + Send>;
 
 /// All frames of a room.
@@ -62,7 +62,7 @@ impl std::fmt::Debug for Air {
 }
 
 impl Air {
-    /// The air of a world, at time 0. `make_station` makes the senders that the room itself runs.
+    /// The air of a world, at time 0. `make_station` makes the room's own senders.
     #[must_use]
     pub fn new(world: Arc<World>, make_station: MakeStation) -> Self {
         let scene = world.scene();
@@ -105,12 +105,12 @@ impl Air {
         &mut self.nodes[robot]
     }
 
-    /// What was done to each robot.
+    /// The account of each robot.
     pub fn injected(&self) -> impl Iterator<Item = Injected> + '_ {
         self.nodes.iter().map(|node| Injected { under_way: node.arrivals.len() as u64, ..node.injected })
     }
 
-    /// The true time that the room has come to.
+    /// The current true time.
     #[must_use]
     pub fn now_ns(&self) -> i64 {
         self.now_ns
@@ -122,13 +122,13 @@ impl Air {
         self.end_ns
     }
 
-    /// When the next thing happens, if anything does before the end.
+    /// The time of the next event before the end.
     #[must_use]
     pub fn next_ns(&self) -> Option<i64> {
         self.events.peek().map(|Reverse(event)| event.t_ns).filter(|&t_ns| t_ns <= self.end_ns)
     }
 
-    /// From now on a robot goes where its source says. False if it follows one already.
+    /// Lets a robot follow a source. False if it follows one already.
     pub fn follow(&mut self, follower: Follower) -> bool {
         let free = self.follower(follower.robot).is_none();
         if free {
@@ -145,7 +145,7 @@ impl Air {
 
     /// Lets time pass up to `until_ns`, but not beyond the end of the scene.
     pub fn advance(&mut self, until_ns: i64) {
-        // What has come by then says nothing of the time before.
+        // Later poses do not change earlier times.
         let now = Instant::from_us(until_ns.max(self.now_ns) / 1_000);
         self.followers.iter_mut().for_each(|follower| follower.take(now));
         let until_ns = until_ns.min(self.end_ns);
@@ -158,7 +158,7 @@ impl Air {
     }
 
     /// A robot's host hands a frame (no FCS) to its card at `now_ns`, to be sent with the robot's own `mcs` if none is
-    /// given. It goes on air at once, an answer after the turn-around, if the air is free; else when it is.
+    /// given. It goes on air at once, or after the turn-around for an answer, or when the air becomes free.
     pub fn transmit(&mut self, robot: usize, now_ns: i64, frame: &[u8], mcs: Option<u8>) {
         let now_ns = now_ns.max(self.now_ns);
         if !self.nodes[robot].on {
@@ -226,7 +226,7 @@ impl Air {
         }
     }
 
-    /// The driver is loaded anew: the counter begins at 1, the card's clock at 0, and the host's sender too.
+    /// The driver is reloaded: the counter restarts at 1, the card's clock at 0, and the host's sender restarts.
     fn switch_on(&mut self, robot: usize, t_ns: i64) {
         let restarts = self.nodes[robot].injected.restarts;
         let station = (self.make_station)(robot, restarts, local(&self.world, robot, t_ns));
@@ -237,7 +237,7 @@ impl Air {
         self.arm(robot);
     }
 
-    /// A card's first frame begins, unless the air is heard to be busy.
+    /// A card's first frame starts, unless the card hears a busy air.
     fn start(&mut self, t_ns: i64, from: usize) {
         let busy = self.active.iter().filter(|a| a.flight.from == from || a.flight.start_ns + SENSE_NS <= t_ns);
         if let Some(busy_ns) = busy.map(|a| a.flight.end_ns).max() {
@@ -337,8 +337,8 @@ impl Air {
         }
     }
 
-    /// The driver counts a frame with CSI and hands its record on, or loses it. False if there was nothing to count:
-    /// no CSI was asked for, or the robot is off.
+    /// The driver counts a frame with CSI and passes its record on, or loses it. False if there was nothing to count:
+    /// no CSI was requested, or the robot is off.
     fn received(&mut self, robot: usize, flight: &Arc<Flight>, t_ns: i64, role: FrameRole, away_ns: i64) -> bool {
         let node = &mut self.nodes[robot];
         if !flight.bytes.is_measured() || !node.on {
@@ -378,7 +378,7 @@ impl Air {
         true
     }
 
-    /// Asks a robot's sender for frames, and when to ask again.
+    /// Takes frames from a robot's sender, and its next time.
     fn ask(&mut self, robot: usize, t_ns: i64) {
         let now = local(&self.world, robot, t_ns);
         let mut bytes = std::mem::take(&mut self.scratch);
@@ -394,7 +394,7 @@ impl Air {
         self.arm(robot);
     }
 
-    /// Sees to it that a sender is asked when it wants to be.
+    /// Schedules a sender's next time.
     fn arm(&mut self, robot: usize) {
         let node = &mut self.nodes[robot];
         let Some(at) = node.station.as_ref().and_then(|s| s.timeout()) else { return };
@@ -406,7 +406,7 @@ impl Air {
     }
 }
 
-/// A true time on a host's monotonic clock, which runs like its wall clock and begins with the scene.
+/// A true time on a host's monotonic clock, which runs like its wall clock and starts with the scene.
 fn local(world: &World, robot: usize, t_ns: i64) -> Instant {
     let fast_ns = (t_ns as f64 * world.scene().robot[robot].host_clock.drift_ppm * 1e-6).round() as i64;
     Instant::from_us((t_ns + fast_ns).div_euclid(1_000))
@@ -423,8 +423,8 @@ fn true_ns(world: &World, robot: usize, at: Instant) -> i64 {
     t_ns
 }
 
-/// What the WSR driver answers a sounding frame by itself: the frame with its FCS and one byte more, addr3 replaced by its
-/// own MAC.
+/// The WSR driver's answer to a sounding frame: the frame with its FCS and one more byte, addr3 replaced by its own
+/// MAC.
 fn driver_answer(frame: &FrameBytes, own: Mac) -> Option<Vec<u8>> {
     let forward = sounding::Frame::new_checked(frame.without_fcs()).ok()?;
     let fcs = frame.mpdu()?.fcs().to_le_bytes();

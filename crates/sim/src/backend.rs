@@ -14,7 +14,7 @@ pub struct Backend {
 }
 
 impl Room {
-    /// A robot's backend. Each is handed out once; `None` the second time, if its card was taken, or for no robot.
+    /// A robot's backend. Each is handed out once; `None` if its card was taken, or without such a robot.
     pub fn backend(&mut self, robot: usize) -> Option<Backend> {
         let odometry = self.odometry(robot)?;
         Some(Backend { card: self.card(robot)?, odometry })

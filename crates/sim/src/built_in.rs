@@ -21,12 +21,12 @@ impl Scene {
         Self::from_toml(text).ok()
     }
 
-    /// The scene of a file, or the built-in one of that name where there is no such file.
+    /// The scene of a file, or else the built-in one of that name.
     ///
     /// # Errors
     /// If there is neither, or the scene is refused.
     pub fn find(scene: &Path) -> Result<Self, SceneError> {
-        // A folder of a built-in scene's name, as `simulate` makes it, is not meant.
+        // A folder with a built-in scene's name, as `simulate` makes it, is no scene.
         let built_in = || scene.to_str().and_then(Self::built_in);
         match std::fs::metadata(scene) {
             Err(_) => built_in().ok_or_else(|| SceneError::Nowhere { scene: scene.to_owned() }),

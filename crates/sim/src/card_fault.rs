@@ -1,6 +1,6 @@
-//! Faults of a card or its driver: what a record says then, and should not.
+//! Faults of a card or its driver, which falsify records.
 //!
-//! Each is one line of a scene, `faults.card = ["clock_steps"]`. A check of a real card has to notice each of them, and is tried on them.
+//! Each is one line of a scene, `faults.card = ["clock_steps"]`. The checks of real cards are tested on them.
 
 use driver_iface::bfee::{Iq, Repr};
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub enum CardFault {
     /// `antenna_sel` names antennas A and B the wrong way round.
     AntennasSwapped,
-    /// `antenna_sel` says A, B, C in every record, whatever the order is.
+    /// `antenna_sel` is A, B, C in every record, whatever the order is.
     AntennasConstant,
     /// `antenna_sel` is no permutation.
     AntennasInvalid,
@@ -25,7 +25,7 @@ pub enum CardFault {
     SubcarriersReversed,
     /// The card's clock runs 60 ppm fast; its carrier does not.
     ClockFast,
-    /// The card's clock steps on by 0.3 s at the 500th record.
+    /// The card's clock steps forward by 0.3 s at the 500th record.
     ClockSteps,
     /// The host's clock steps back by 2 s at the 500th record.
     HostClockSteps,
@@ -33,15 +33,15 @@ pub enum CardFault {
     NumberRepeated,
     /// Every third frame is reported as another robot's.
     OtherSender,
-    /// The rate is told to be legacy.
+    /// The reported rate is a legacy one.
     LegacyRate,
-    /// Every record says that it is 40 MHz wide.
+    /// Every record reports 40 MHz.
     WideTold,
     /// The phase of each record is random.
     PhaseJumps,
-    /// The carrier of what is received is 7.3 kHz off; of what is sent, not.
+    /// The carrier is 7.3 kHz off in reception only.
     CarrierNotShared,
-    /// The gain is told to be 0 dB.
+    /// The reported gain is 0 dB.
     NoGain,
     /// Coefficients are six times too large and cut.
     Saturated,
@@ -61,11 +61,11 @@ pub enum CardFault {
     DropsTwentieth,
     /// `bfee_count` stands still.
     CountStands,
-    /// The noise floor is told to be -20 dBm.
+    /// The reported noise floor is -20 dBm.
     NoiseFloor,
     /// The coefficients are mostly noise.
     Deaf,
-    /// Antenna B's phase is a quarter of a turn ahead, as a synthesizer divides that began in another state.
+    /// Antenna B's phase is a quarter of a turn ahead, as after another start state of a divider.
     QuarterTurn,
     /// All phases are half a turn ahead.
     HalfTurn,
@@ -116,7 +116,7 @@ impl CardFault {
 /// Samples of the largest record of one stream.
 const SAMPLES: usize = 90;
 
-/// The faults of one card, and what they remember.
+/// The faults of one card, and their state.
 #[derive(Clone, Debug)]
 pub(crate) struct FaultyCard {
     faults: Vec<CardFault>,
@@ -152,7 +152,7 @@ impl FaultyCard {
         (!faults.is_empty()).then_some(card)
     }
 
-    /// Changes a record before it is written; `t_s` is the true time. False if it is not made at all.
+    /// Changes a record before it is written; `t_s` is the true time. False if there is no record.
     pub(crate) fn change(&mut self, repr: &mut Repr, csi: &mut [Iq; SAMPLES], t_s: f64) -> bool {
         self.nth += 1;
         let measured = *csi;

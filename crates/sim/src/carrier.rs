@@ -1,4 +1,4 @@
-//! The channel per subcarrier: what a set of paths does to 30 tones.
+//! The channel per subcarrier: the effect of a set of paths on 30 tones.
 
 use super::maths::phasor;
 use super::surfaces::Path;
@@ -23,13 +23,13 @@ pub struct Carrier {
     indices: &'static [i8; TONES],
 }
 
-/// What radios add to every path alike.
+/// Contribution of the radios to every path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Common {
     /// Phase at the centre, turns.
     pub turns: f64,
-    /// Delay, seconds. It turns subcarrier `k` by `-k 312.5 kHz delay_s` turns and leaves the centre alone, since the
-    /// receiver mixes down before it samples.
+    /// Delay, seconds. It turns subcarrier `k` by `-k 312.5 kHz delay_s` turns and does not change the centre, because
+    /// the receiver mixes down before it samples.
     pub delay_s: f64,
 }
 
@@ -62,8 +62,8 @@ impl Carrier {
         self.indices
     }
 
-    /// Adds a path to `tones`: `gain / d exp(-j 2 pi (d f_k / c))` at the frequency `f_k` of each tone, with what the
-    /// radios add. Distances are exact; there is no far field.
+    /// Adds a path to `tones`: `gain / d exp(-j 2 pi (d f_k / c))` at the frequency `f_k` of each tone, with the
+    /// radios' contribution. Distances are exact, without a far-field approximation.
     ///
     /// Three sines and cosines a path: tone follows tone by multiplication, which costs about 30 rounding errors.
     pub fn add(&self, path: &Path, common: Common, tones: &mut Tones) {

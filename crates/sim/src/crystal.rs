@@ -1,9 +1,8 @@
-//! One crystal per card: its 1 MHz clock, its carrier and its sampling clock all run from it.
+//! One crystal per card: it drives the 1 MHz clock, the carrier and the sampling clock.
 //!
-//! Real captures show it: the carrier offset over the carrier agrees with the drift between two cards'
-//! `timestamp_low` to a fraction of a ppm. So the model is one function of time, the crystal's time error
-//! `x(t)` (seconds gained since the scene began), from which everything else follows:
-//! card time `t + x(t)`, carrier phase `fc x(t)` turns ahead of a perfect card's.
+//! In real captures the relative carrier offset agrees with the drift between two cards' `timestamp_low` to a fraction
+//! of a ppm. So the model is one function of time, the crystal's time error `x(t)` (seconds gained since the start of
+//! the scene): card time `t + x(t)`, carrier phase `fc x(t)` turns ahead of a perfect card's.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -69,7 +68,7 @@ impl Crystal {
     /// The card truncates, and `timestamp_low` is the lower 32 bits.
     #[must_use]
     pub fn clock_us(&self, t_ns: i64) -> u64 {
-        // Whole nanoseconds and the small gain are kept apart, so an hour loses no microsecond.
+        // Whole nanoseconds and the small gain are separate, so an hour loses no microsecond.
         let gained_ns = (self.gained_s(t_ns as f64 * 1e-9) * 1e9).round() as i64;
         self.clock_start_us.wrapping_add_signed(t_ns.saturating_add(gained_ns).div_euclid(1_000))
     }

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 /// Rows per second of the true trajectories, as motion capture gives them.
 const TRUTH_HZ: f64 = 200.0;
-/// What a killed logger leaves: whole blocks of its C library's buffer.
+/// A killed logger leaves whole blocks of its C library's buffer.
 const BLOCK: u64 = 4_096;
 
 /// One receiving robot's folder.
@@ -47,7 +47,7 @@ pub struct WrittenLog {
     pub robot: usize,
     /// Whole records in it.
     pub records: u64,
-    /// Records that are not in it whole, because its writer was killed.
+    /// Missing or cut records, because its writer was killed.
     pub tail_records: u64,
     /// Bytes of the first of those.
     pub tail_bytes: u64,
@@ -81,8 +81,8 @@ struct Writing {
 /// | `groundtruth_positions.json` | channel and places of the transmitters' antennas at the start |
 ///
 /// TS is the scene's start (UTC). Times in trajectories are those of the initiator's host clock, metres in the scene's
-/// frame. Records of exchanges in which the logging robot has no part are left out, as in the data set; they show as
-/// gaps in `bfee_count`. `progress` is called with the share of the scene that is done, 0 to 1, about a hundred times.
+/// frame. Records of other robots' exchanges are skipped, as in the data set; they appear as gaps in `bfee_count`.
+/// `progress` is called about a hundred times with the finished share of the scene, 0 to 1.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be written; [`Error::Backend`] with [`RoomError::CardTaken`] or
@@ -168,7 +168,7 @@ fn run(
     Ok(done)
 }
 
-/// Reads all that a card has at `now`; true when it is at its end.
+/// Reads all records that a card has at `now`; true at its end.
 fn drain(
     card: &mut Port,
     now: Instant,
@@ -191,7 +191,7 @@ fn owner(folders: &BTreeMap<usize, PathBuf>, role: FrameRole, robot: usize, from
         FrameRole::Forward => Some(from).filter(initiates),
         FrameRole::Backward => Some(robot).filter(initiates),
         FrameRole::Overheard => None,
-        // Nobody says: with one initiator it is clear.
+        // The record does not tell, but with one initiator it is clear.
         FrameRole::Unknown => Some(robot).filter(initiates).or(Some(from).filter(initiates)),
     }
 }
@@ -240,7 +240,7 @@ impl Writing {
         let kept = self.len / BLOCK * BLOCK;
         if killed && kept < self.len {
             at(&self.log.path, "cut the log", self.out.get_ref().set_len(kept))?;
-            // A record is not whole if it ends after the cut: the next one begins there, or the log ends.
+            // A record that ends after the cut is not whole.
             let ends = self.starts.iter().skip(1).copied().chain([self.len]);
             let cut: Vec<u64> = self.starts.iter().zip(ends).filter(|&(_, end)| end > kept).map(|(&s, _)| s).collect();
             self.log.tail_records = cut.len() as u64;
@@ -350,7 +350,7 @@ fn write_file(path: &Path, rows: impl FnOnce(&mut BufWriter<File>) -> io::Result
     at(path, "write", rows(&mut out).and_then(|()| out.flush()))
 }
 
-/// Says what was tried on what.
+/// Adds operation and file to an error.
 fn at<T>(path: &Path, tried: &str, result: io::Result<T>) -> Result<T, Error> {
     let what = || format!("cannot {tried} {}; is the folder there, writable and on a disk with room", path.display());
     result.map_err(|source| Error::Io { what: what(), source })

@@ -123,7 +123,7 @@ fn a_data_set_is_the_same_on_every_machine() {
     scene.cfo = scene::Cfo::Paper(scene::PaperCfo::default());
     write_dataset(&mut Room::new(&scene).unwrap(), &folder.0, &mut |_| {}).unwrap();
     let bytes = std::fs::read(folder.0.join("csi_rx_2021-06-28_002550.dat")).unwrap();
-    // CRC-32 of what this scene gave when the test was written; any other value means that captures of old scenes
-    // can no longer be made again.
+    // CRC-32 of this scene's capture when the test was written; another value means that old captures can no longer be
+    // reproduced.
     assert_eq!((bytes.len(), driver_iface::mpdu::crc32(&bytes)), (139_800, 2_669_735_483));
 }

@@ -1,10 +1,10 @@
-//! What is to happen on the air, in the order of time.
+//! Events on the air in the order of time.
 
 use super::node::Flight;
 use super::station::FrameRole;
 use std::sync::Arc;
 
-/// What happens.
+/// Kinds of events.
 #[derive(Debug)]
 pub(super) enum What {
     Start { from: usize },
@@ -15,7 +15,7 @@ pub(super) enum What {
     On { robot: usize },
 }
 
-/// An event at a true time; of those at one time, the earlier pushed is first.
+/// An event at a true time; at equal times the one pushed earlier is first.
 #[derive(Debug)]
 pub(super) struct Event {
     pub(super) t_ns: i64,

@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 pub struct Faults {
     /// Share of frames that this robot's card does not decode.
     pub loss: f64,
-    /// Share of frames that come a second time, one turn-around later, as in captures with an old responder.
+    /// Share of frames that arrive a second time, one turn-around later, as in captures with an old responder.
     pub duplicate: f64,
-    /// Share of frames that this robot's card sends a second time, as one does that waits for an acknowledgement.
+    /// Share of frames that this robot's card sends twice, like a card that waits for an acknowledgement.
     pub retry: f64,
     /// Share of records lost in the driver, after `bfee_count` was counted up.
     pub driver_drop: f64,
@@ -20,15 +20,15 @@ pub struct Faults {
     pub queue_records: usize,
     /// The listening process stops every so many seconds; 0 for never.
     pub stall_every_s: f64,
-    /// And for so long, seconds.
+    /// Length of each stop, seconds.
     pub stall_s: f64,
-    /// Times at which the robot is switched off and on: card clock, `bfee_count` and frame numbers begin anew.
+    /// Times at which the robot is switched off and on: card clock, `bfee_count` and frame numbers restart.
     pub restart_at_s: Vec<f64>,
     /// How long a restart takes, seconds.
     pub restart_s: f64,
     /// The logger is killed: its file ends at the last full 4,096 bytes, mid-record.
     pub killed: bool,
-    /// What is wrong with the card or its driver.
+    /// Faults of the card or its driver.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub card: Vec<CardFault>,
 }
@@ -63,13 +63,12 @@ impl Faults {
         (now.as_us() < until_us).then_some(Instant::from_us(until_us))
     }
 
-    /// From stall to stall, and the length of one, in whole microseconds: what is due at the end of a stall must not be found
-    /// stalled by a rounding error.
+    /// Period and length of stalls in whole microseconds, so that rounding does not delay events at the end of a stall.
     fn stalls_us(&self) -> [i64; 2] {
         [self.stall_every_s, self.stall_s].map(|s| Span::from_s(s).as_us())
     }
 
-    /// False if one stall would begin before the one before it ended.
+    /// False if stalls overlap.
     pub(crate) fn goes_on_after_stalls(&self) -> bool {
         let [every_us, stall_us] = self.stalls_us();
         every_us <= 0 || stall_us < every_us
@@ -82,14 +81,14 @@ impl Faults {
     }
 }
 
-/// What was done to one robot, exactly. The pipeline's own counts are held against it.
+/// The exact account of one robot. Tests compare the pipeline's counts with it.
 ///
-/// Every frame received is in one place: `received = delivered + unheard + under_way + overheard + unmeasured + driver_dropped +
-/// overrun_records`, but for what waits in the queue of a listener that has stopped.
+/// `received = delivered + unheard + under_way + overheard + unmeasured + driver_dropped + overrun_records`, except for
+/// records in the queue of a stopped listener.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Injected {
-    /// Frames that this robot sent; a second copy ([`Faults::retry`]) is no other frame.
+    /// Frames that this robot sent; second copies ([`Faults::retry`]) do not count.
     pub sent: u64,
     /// Frames that its card received and that asked for a record (duplicates included).
     pub received: u64,
@@ -102,21 +101,20 @@ pub struct Injected {
     /// Frames lost because this robot was off.
     pub missed_while_off: u64,
     /// Frames received a second time: [`Faults::duplicate`]. Both copies are in `received`, and the driver may lose
-    /// either: a frame counts here although only one of its records was handed on.
+    /// either.
     pub duplicated: u64,
-    /// Records of others' exchanges, left out by a reader who wants only its own ([`super::Port::own_only`]).
+    /// Records of others' exchanges, skipped for a reader of its own only ([`super::Port::own_only`]).
     pub overheard: u64,
     /// Records that reached this robot's host while nobody listened there, or no listener had room.
     pub unheard: u64,
-    /// Records on their way to the host when the room was asked.
+    /// Records on their way to the host at that time.
     pub under_way: u64,
-    /// Frames of which no record could be made: the antennas met, or of the signal less was left than numbers tell.
+    /// Frames without a record: the antennas met, or the signal vanished numerically.
     pub unmeasured: u64,
     /// Records lost in the driver, first and second copies of a frame alike: [`Faults::driver_drop`].
     pub driver_dropped: u64,
-    /// Those of them before the first and after the last record that the driver handed on, from each switching on to the
-    /// next. No gap in `bfee_count` shows them: a log that ends with lost records has the bytes of one that ended before
-    /// them, and one that begins after them those of one that was begun later.
+    /// Those before the first and after the last delivered record of each run of the robot. They leave no gap in
+    /// `bfee_count`: the log looks as if it started later or ended earlier.
     pub driver_dropped_unseen: u64,
     /// Times the socket's queue ran over.
     pub overruns: u64,
@@ -141,7 +139,7 @@ pub struct Injected {
 }
 
 impl std::fmt::Display for Injected {
-    /// What there was any of, in words.
+    /// The counts above 0, in words.
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let all = [
             (self.sent, "frames sent"),

@@ -1,7 +1,7 @@
-//! A robot that goes where an odometry source says: a simulator's, over ROS, or a recorded one's.
+//! A robot that follows an odometry source: a simulator's, over ROS, or a recorded one.
 //!
-//! The room computes what was at any time up to now, at different times and more than once. So what is said of the past
-//! never changes: a pose counts from a moment after it came, and the robot waits where it is while none comes.
+//! The room computes past times in any order and repeatedly, so the past never changes: a pose takes effect a moment
+//! after it arrives, and without poses the robot waits.
 
 use super::maths::{rad, turned};
 use super::motion::{FollowedMotion, Pose};
@@ -12,11 +12,11 @@ use nalgebra::Vector3;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// So long after its time a pose is reached in the room, seconds: those that come sooner are interpolated.
+/// Delay until the robot reaches a pose in the room, seconds; earlier poses are interpolated.
 const BEHIND_S: f64 = 0.1;
-/// A pose whose own time is further than this from the time at which it came sets the clock anew, seconds.
+/// A pose whose time differs by more than this from its arrival resets the clock, seconds.
 const APART_S: f64 = 0.5;
-/// Where the way of a late pose ends, after now, seconds.
+/// Time that the robot takes to a late pose, seconds.
 const AT_ONCE_S: f64 = 0.001;
 /// Poses older than this are forgotten: no record waits so long to be read, seconds.
 const KEPT_S: f64 = 60.0;
@@ -31,13 +31,13 @@ struct Knot {
     frame: u32,
 }
 
-/// The way of a followed robot: straight from pose to pose.
+/// The path of a followed robot: straight from pose to pose.
 #[derive(Debug)]
 pub struct Way {
     knots: VecDeque<Knot>,
     origin: Pose,
     frame: u32,
-    /// The next pose begins a frame.
+    /// The next pose starts a frame.
     begins: bool,
     /// The room's time minus the source's.
     ahead_s: Option<f64>,
@@ -101,7 +101,7 @@ impl Way {
             return;
         }
         if last.t_s < now_s {
-            // It has waited until now.
+            // It waited until now.
             self.knots.push_back(Knot { t_s: now_s, ..last });
         }
         if std::mem::take(&mut self.begins) {
@@ -119,10 +119,10 @@ impl Way {
     }
 }
 
-/// A way that the room goes and a source makes.
+/// A path that a source extends and the room reads.
 pub type SharedWay = Arc<Mutex<Way>>;
 
-/// Locks a way; it is in order between poses, so poison is no reason to stop.
+/// Locks a path; it is consistent between poses, so a poisoned lock is usable.
 pub fn lock(way: &Mutex<Way>) -> MutexGuard<'_, Way> {
     way.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -138,12 +138,12 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// Robot number `robot` goes this way from now on.
+    /// Robot number `robot` follows this path from now on.
     pub fn new(robot: usize, way: SharedWay, source: Box<dyn OdometrySource + Send>) -> Self {
         Self { robot, way, source, ended: None, burst: Vec::new() }
     }
 
-    /// Takes what has come by `now`.
+    /// Takes the poses that arrived by `now`.
     pub fn take(&mut self, now: Instant) {
         let now_s = now.as_s();
         for _ in 0..BURST {
@@ -170,13 +170,13 @@ impl Follower {
         }
     }
 
-    /// What is wrong with the source.
+    /// The source's error.
     #[must_use]
     pub fn trouble(&self) -> Option<String> {
         self.ended.clone().filter(|why| !why.is_empty()).or_else(|| self.source.trouble())
     }
 
-    /// What was counted of the robot and by its source.
+    /// Counts of the robot and of its source.
     #[must_use]
     pub fn counted(&self) -> SourceCounts {
         SourceCounts::Followed { followed: lock(&self.way).counts, source: self.source.counted().map(Box::new) }

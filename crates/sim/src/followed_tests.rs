@@ -21,7 +21,7 @@ fn poses_are_reached_a_moment_after_they_came_in_the_rooms_frame() {
         let t_s = f64::from(k) * 0.02;
         way.hand_over(t_s, &[pose(1_000.0 + t_s, t_s)]);
     }
-    // At 1 s the robot is where it was said to be at 0.9 s; x of a frame turned by 90 degrees is y of the room.
+    // At 1 s the robot has the pose of 0.9 s; x of a frame turned by 90 degrees is y of the room.
     let (at, frame) = way.at(1.0);
     assert!((at.position_m - Vector3::new(1.0, 2.9, 0.3)).norm() < 1e-9 && frame == 1, "{at:?}");
     assert!((at.yaw_rad - FRAC_PI_2 - 0.1).abs() < 1e-12);
@@ -32,7 +32,7 @@ fn poses_are_reached_a_moment_after_they_came_in_the_rooms_frame() {
 }
 
 #[test]
-fn a_source_that_begins_anew_takes_the_robot_elsewhere_at_once() {
+fn a_restarted_source_moves_the_robot_at_once() {
     let mut way = waiting();
     way.hand_over(0.0, &[pose(0.0, 0.0)]);
     way.hand_over(0.1, &[pose(0.1, 0.1)]);
@@ -67,7 +67,7 @@ fn an_hour_of_poses_takes_no_more_room_than_a_minute() {
 }
 
 proptest! {
-    /// Whatever comes, whenever: what was said of the past is said again.
+    /// Whatever arrives, the past stays the same.
     #[test]
     fn the_past_never_changes(
         steps in proptest::collection::vec((0.0..0.5_f64, -0.3..0.3_f64, -9.0..9.0_f64, 0_u8..20), 1..60)
@@ -118,7 +118,7 @@ impl OdometrySource for Scripted {
 }
 
 #[test]
-fn a_rooms_odometry_tells_where_the_followed_robot_is() {
+fn a_rooms_odometry_gives_the_place_of_the_followed_robot() {
     let text = "duration_s = 10\n[[robot]]\nname = \"a\"\nposition_m = [3.0, 0.0, 0.0]\nmotion.followed = {}\n\
                 odometry = { rate_hz = 10 }\n[[robot]]\nname = \"b\"\n";
     let mut room = Room::new(&Scene::from_toml(text).unwrap()).unwrap();
@@ -138,7 +138,7 @@ fn a_rooms_odometry_tells_where_the_followed_robot_is() {
             NextPose::End => panic!("the scene goes on"),
         }
     }
-    // None before it is known where it is; then a tenth of a second behind; then elsewhere, in another frame.
+    // No pose before the first one arrives; then a tenth of a second behind; then in another frame.
     assert_eq!((poses[0].0, frames), (200, 1));
     let way = |ms: i64| (ms as f64 * 1e-3 - 0.1).min(1.92);
     assert!(poses.iter().all(|(ms, x)| *x == 20.0 || (x - way(*ms)).abs() < 1e-6), "{poses:?}");

@@ -1,4 +1,4 @@
-//! One robot's monitor interface: frames injected by whoever has it, and frames that the robot's card decodes.
+//! One robot's monitor interface: injected frames, and frames that the robot's card decodes.
 
 use super::air::Air;
 use super::node::{Flight, Passed};
@@ -10,10 +10,10 @@ use csi5300::time::{Instant, Span};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-/// A robot's monitor interface in a room. What `csi5300_live::monitor::Monitor` is for a card, this is for the room.
+/// A robot's monitor interface in a room, the counterpart of `csi5300_live::monitor::Monitor`.
 ///
-/// It hears what happened until the time that the room has come to: to which its cards, odometries and injectors were
-/// asked, or [`super::Room::advance`] was. A sender of the room's own on the same robot goes on beside it.
+/// It hears everything up to the room's time, which cards, odometries, injectors and [`super::Room::advance`] move
+/// forward. A sender of the room's own on the same robot continues beside it.
 #[derive(Debug)]
 pub struct Interface {
     air: Arc<Mutex<Air>>,
@@ -33,14 +33,14 @@ pub struct Seen<'a> {
     pub mcs: u8,
     /// How long ago it ended on air.
     pub age: Span,
-    /// This robot sent it: the card says that it went out.
+    /// This robot sent it: the card reports it as sent.
     pub own: bool,
     /// How often the card sent it again.
     pub retries: u8,
 }
 
 impl Interface {
-    /// `None` if somebody has it already.
+    /// `None` if it is taken.
     pub(super) fn new(air: Arc<Mutex<Air>>, robot: usize) -> Option<Self> {
         let mut guard = lock(&air);
         let passed = &mut guard.node(robot).passed;
@@ -76,7 +76,7 @@ impl Interface {
         inject(&self.air, self.robot, now, frame, Some(mcs))
     }
 
-    /// Own frames that the card says it sent more than once.
+    /// Own frames that the card reports as sent more than once.
     #[must_use]
     pub fn retried(&self) -> u64 {
         self.retried

@@ -1,8 +1,8 @@
-//! A room full of robots that speaks the card's bytes.
+//! A room of robots, simulated down to the card's bytes.
 //!
-//! It takes the place of the card, its driver and the logger: it moves robots, propagates waves, runs the TDMA
-//! exchange of live cards, and gives out the records that they would have given, in the same layouts, with the same
-//! 8 bits, losses, overruns and cut tails. Code behind [`csi5300::source::CsiSource`] works unchanged with both.
+//! It replaces card, driver and logger: it moves robots, propagates waves, runs the TDMA exchange of live cards, and
+//! emits the records of real cards, in the same layouts, with the same 8 bits, losses, overruns and cut tails. Code
+//! behind [`csi5300::source::CsiSource`] works unchanged with both.
 //!
 //! ```
 //! use csi5300_sim::{Room, Scene};
@@ -20,7 +20,7 @@
 //! A log is the bytes of a `.dat` file ([`SimulatedRobot::replay`] reads it); [`Room::card`] hands out a live card instead,
 //! [`write_dataset`] writes a capture folder.
 //!
-//! The chain, from what a scene states to bytes:
+//! The chain from scene to bytes:
 //!
 //! | module | what it turns into what |
 //! |---|---|
@@ -44,11 +44,10 @@
 //! | `dataset`, `simulation` | a room into a capture folder, or logs in memory |
 //! | [`random`] | a seed into random numbers |
 //!
-//! Two rules. What a scene does not ask for is not computed: an effect that is off draws no
-//! random number, reflections are searched only where surfaces stand, and coefficients are computed when a record is
-//! read, so not at all for robots and exchanges that nobody reads. And a seed gives the same bytes on any machine:
-//! random numbers are ChaCha8 streams \[chacha\], one for each purpose and robot, and all functions that end in a byte are plain
-//! arithmetic (see `maths`).
+//! Two rules. Disabled effects cost nothing: they draw no random number, reflections need surfaces, and coefficients
+//! are computed when a record is read. And a seed gives the same bytes on any machine: random numbers are ChaCha8
+//! streams \[chacha\], one for each purpose and robot, and all functions that affect bytes are plain arithmetic (see
+//! `maths`).
 //!
 //! One space-time stream is sent (MCS 0 to 7), as sounding does; up to three antennas receive.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]

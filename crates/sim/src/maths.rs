@@ -1,9 +1,9 @@
 //! Arithmetic that gives the same bits on every machine.
 //!
 //! IEEE 754 fixes `+ - * /`, `sqrt` and rounding, but not the transcendental functions: the system's libm differs
-//! between machines (glibc even picks another one at run time when the CPU has FMA). A record is 8-bit integers
-//! rounded from phases of up to 1e8 turns, so a last-bit difference would show after a few hundred records. Everything
-//! that ends in a byte therefore goes through the `libm` crate, which is plain arithmetic.
+//! between machines (glibc even picks another one at run time when the CPU has FMA). A record is 8-bit integers rounded
+//! from phases of up to 1e8 turns, so a last-bit difference would show after a few hundred records. So everything that
+//! affects bytes uses the `libm` crate, which is plain arithmetic.
 
 use nalgebra::Vector3;
 use num_complex::Complex64;

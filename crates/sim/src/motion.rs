@@ -1,4 +1,4 @@
-//! How robots move: pose as a function of true time.
+//! Motions of robots: pose as a function of true time.
 
 use super::followed::{SharedWay, Way, lock};
 use super::maths::{heading, rad, turned};
@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Where a robot is and where it faces, in the scene's frame.
+/// Place and heading of a robot, in the scene's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Metres; x, y in the plane, z up.
@@ -34,7 +34,7 @@ impl Pose {
     }
 }
 
-/// A motion as a scene states it. All but `waypoints`, `recorded` and `followed` begin at the robot's own position and heading,
+/// A motion of a scene. All except `waypoints`, `recorded` and `followed` start at the robot's position and heading,
 /// after `start_s` of rest, and end after `duration_s` of motion; then the robot rests.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -60,7 +60,7 @@ pub enum RobotMotion {
     Waypoints(Waypoints),
     /// A trajectory file.
     Recorded(RecordedMotion),
-    /// Poses of an odometry source while they come, see [`super::Room::follow`].
+    /// Live poses of an odometry source, see [`super::Room::follow`].
     Followed(FollowedMotion),
 }
 
@@ -164,10 +164,10 @@ pub struct FigureEight {
 pub struct RandomWalk {
     /// Speed, metres per second.
     pub speed_m_s: f64,
-    /// How fast the turning rate wanders: its standard deviation, degrees per second.
+    /// Standard deviation of the turning rate, degrees per second.
     #[serde(default = "ninety")]
     pub turning_deg_s: f64,
-    /// The robot turns back when it is further than this from where it began, metres.
+    /// The robot turns back beyond this distance from its start, metres.
     #[serde(default = "one")]
     pub within_m: f64,
     /// Time of motion, seconds.
@@ -199,11 +199,11 @@ pub struct RecordedMotion {
     /// When the file's first row is reached, seconds.
     #[serde(default)]
     pub start_s: f64,
-    /// How far the robot truly is from where the file says, metres (standard deviation of x and of y): the file is a
-    /// sensor's, and sensors stray.
+    /// Deviation of the true path from the file, metres (standard deviation of x and of y), as the file comes from a
+    /// sensor.
     #[serde(default)]
     pub stray_m: f64,
-    /// About how long one swing of it takes, seconds.
+    /// Approximate period of that deviation, seconds.
     #[serde(default = "ten")]
     pub stray_s: f64,
 }
@@ -218,7 +218,7 @@ fn ten() -> f64 {
 pub struct FollowedMotion {
     /// Where the origin of the poses' frame lies in the room, metres.
     pub origin_m: [f64; 3],
-    /// How the poses' frame is turned in the room, degrees from +x towards +y.
+    /// Rotation of the poses' frame in the room, degrees from +x towards +y.
     pub origin_yaw_deg: f64,
 }
 
@@ -284,7 +284,7 @@ impl Track {
         Self { start, shape, start_s, duration_s }
     }
 
-    /// True if the robot never moves, so that its pose need not be asked for twice.
+    /// True if the robot never moves.
     #[must_use]
     pub fn is_still(&self) -> bool {
         matches!(self.shape, Shape::Still)

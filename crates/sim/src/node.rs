@@ -1,4 +1,4 @@
-//! One robot's card, driver and sender, as the air knows them.
+//! One robot's card, driver and sender, as seen by the air.
 
 use super::faults::Injected;
 use super::radio::Away;
@@ -22,7 +22,7 @@ pub struct Flight {
     pub instant_ns: i64,
     /// Modulation and coding scheme.
     pub mcs: u8,
-    /// How often the card has sent it before.
+    /// Times that the card has sent it before.
     pub retries: u8,
     /// The card will send it once more.
     pub again: bool,
@@ -48,7 +48,7 @@ impl FrameBytes {
         &self.0
     }
 
-    /// The bytes that a host hands to its card or gets from it.
+    /// The bytes between host and card.
     pub fn without_fcs(&self) -> &[u8] {
         self.0.split_last_chunk::<{ mpdu::FCS }>().map_or(&[], |(frame, _)| frame)
     }
@@ -75,7 +75,7 @@ impl FrameBytes {
 pub struct Passed {
     /// The frame.
     pub flight: Arc<Flight>,
-    /// The robot sent it itself, and this is the card's report that it went out.
+    /// The robot's own frame: the card's report that it was sent.
     pub own: bool,
 }
 
@@ -90,13 +90,13 @@ pub struct Reception {
     pub arrival_ns: i64,
     /// The driver's counter.
     pub bfee_count: u16,
-    /// What the card's clock shows, not wrapped.
+    /// The card's clock, not wrapped.
     pub clock_us: u64,
-    /// What the frame was to this robot.
+    /// The frame's role for this robot.
     pub role: FrameRole,
 }
 
-/// Which records of a robot somebody reads; nobody computes the others.
+/// Which records of a robot are read; the others are not computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Listening {
     /// None.
@@ -123,14 +123,14 @@ pub struct Node {
     pub(super) station: Option<Box<dyn Station>>,
     /// The next time the station is asked.
     pub(super) armed_ns: Option<i64>,
-    /// The frame heard last, while it is not answered.
+    /// The last frame heard, until it is answered.
     pub(super) heard: Option<FrameHeard>,
     /// Frames that the card is to send, in order.
     pub(super) outgoing: VecDeque<Outgoing>,
     /// When the first of them is tried.
     pub(super) tried_ns: Option<i64>,
     pub(super) on: bool,
-    /// The card's clock at the last switching on, taken off what it shows.
+    /// The card's clock at the last switch-on, subtracted from its reading.
     pub(super) clock_base_us: u64,
     pub(super) bfee_count: u16,
     /// Records lost in the driver since the last that it handed on; `None` before the first.
@@ -138,7 +138,7 @@ pub struct Node {
     pub(super) last_arrival_ns: i64,
     pub(super) timing: Stream,
     pub(super) loss: Stream,
-    /// How the last frame heard was answered.
+    /// The answer to the last frame heard.
     pub(super) away: Away,
 }
 
@@ -148,7 +148,7 @@ pub(super) struct FrameHeard {
     pub(super) start_ns: i64,
     pub(super) end_ns: i64,
     pub(super) instant_ns: i64,
-    /// How much the host's interrupt is away from the usual.
+    /// Deviation of the host's interrupt from its usual time.
     pub(super) away_ns: i64,
     pub(super) number: Option<u32>,
 }
@@ -167,7 +167,7 @@ pub(super) struct Outgoing {
 const PASSED: usize = 256;
 
 impl Node {
-    /// A frame passes the robot's monitor interface, if somebody has it.
+    /// Passes a frame to the robot's monitor interface, if it is taken.
     pub(super) fn pass(&mut self, flight: &Arc<Flight>, own: bool) {
         match &mut self.passed {
             Some(passed) if passed.len() < PASSED => passed.push_back(Passed { flight: Arc::clone(flight), own }),

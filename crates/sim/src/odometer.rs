@@ -13,7 +13,7 @@ use csi5300::time::Instant;
 use nalgebra::Vector3;
 use std::sync::{Arc, Mutex};
 
-/// A robot's odometry. The frame is the scene's: at the start the sensor is right.
+/// A robot's odometry in the scene's frame: at the start the sensor has no error.
 #[derive(Debug)]
 pub struct Odometer {
     air: Arc<Mutex<Air>>,
@@ -23,7 +23,7 @@ pub struct Odometer {
     stream: Stream,
     /// Number of the next measurement.
     next: i64,
-    /// Late ones under way: when they come, and what.
+    /// Late poses with their arrival times.
     late: Vec<(i64, Pose)>,
     before: motion::Pose,
     believed_m: Vector3<f64>,
@@ -63,7 +63,7 @@ impl Odometer {
         [late, self.measured_ns(self.next)].into_iter().flatten().min()
     }
 
-    /// True if a followed robot's poses are in another frame from `due_ns` on: dead reckoning begins anew.
+    /// True if a followed robot's poses are in another frame from `due_ns` on: dead reckoning restarts.
     fn begins_frame(&mut self, due_ns: i64) -> bool {
         let t_s = due_ns as f64 * 1e-9;
         let Some(frame) = self.world.frame(self.robot, t_s).filter(|frame| *frame != self.frame) else { return false };
@@ -80,7 +80,7 @@ impl Odometer {
             return Some(self.late.swap_remove(at).1);
         }
         if self.world.frame(self.robot, due_ns as f64 * 1e-9) == Some(0) {
-            // Nobody knows yet where it is.
+            // Its place is not known yet.
             self.next += 1;
             return None;
         }
@@ -100,7 +100,7 @@ impl Odometer {
         }
     }
 
-    /// Dead reckoning by one step: what was driven, scaled, and turned by the error of the heading.
+    /// One step of dead reckoning: the true step, scaled, and turned by the heading error.
     fn measure(&mut self, t_ns: i64) -> Pose {
         let sensor = self.sensor;
         let truth = self.world.pose(self.robot, t_ns as f64 * 1e-9);

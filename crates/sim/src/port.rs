@@ -1,4 +1,4 @@
-//! One robot's card as the rest of the program sees it: a [`CsiSource`] and an [`Injector`].
+//! One robot's card as a [`CsiSource`] and an [`Injector`].
 
 use super::air::Air;
 use super::card_fault::FaultyCard;
@@ -26,10 +26,9 @@ const MAX_FRAME: usize = 2_352 - mpdu::FCS;
 
 /// A robot's card, driver and listening socket.
 ///
-/// Reading is what a process does that reads the kernel's socket: what came since the last reading waits in a queue
-/// of [`Faults::queue_records`]. If more came, the newest are lost until the queue has been read empty, as the
-/// kernel's overrun latch has it, and then one [`Loss::Overrun`] says how many. Records of the stock driver come in
-/// twos, 0xC1 before 0xBB; the pair counts as one in the queue.
+/// It behaves like the kernel's socket: records wait in a queue of [`Faults::queue_records`]. If it is full, new
+/// records are lost until it has been emptied (the kernel's overrun latch), and one [`Loss::Overrun`] has their number.
+/// Records of the stock driver come in pairs, 0xC1 before 0xBB, which count as one.
 #[derive(Debug)]
 pub struct Port {
     air: Arc<Mutex<Air>>,
@@ -42,9 +41,9 @@ pub struct Port {
     /// The firmware's loads that the receiver knows.
     loads: u64,
     queue: VecDeque<Reception>,
-    /// Lost since the queue ran over; some while the latch holds.
+    /// Records lost since the overrun; not 0 while the latch holds.
     overrun: Option<u64>,
-    /// The 0xBB that follows a 0xC1 already handed out.
+    /// The 0xBB after a 0xC1 that was handed out.
     follows: Option<Reception>,
     body: Vec<u8>,
     /// MAC and number of the last frame that had them; the driver keeps them for frames too short to.
@@ -58,14 +57,14 @@ pub struct Port {
 struct FeitCsi {
     card: Ax210,
     translator: Translator,
-    /// The record as FeitCSI writes it, and what becomes of it in the layouts of a 5300.
+    /// FeitCSI's record, and its translation into the layouts of a 5300.
     written: Vec<u8>,
     records: Vec<u8>,
-    /// Whoever reads wants it as it is written.
+    /// The reader wants the untranslated record.
     as_written: bool,
 }
 
-/// What was read; a record's body is in the port.
+/// The item read; a record's body is in the port.
 enum Read {
     Record(Stamps, u8, FrameRole, usize),
     Lost(Loss),
@@ -73,7 +72,7 @@ enum Read {
     End,
 }
 
-/// Locks the air. A panic elsewhere leaves it in order between events, so poison is no reason to stop.
+/// Locks the air. It is consistent between events, so a poisoned lock is usable.
 pub(super) fn lock(air: &Mutex<Air>) -> MutexGuard<'_, Air> {
     air.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -106,19 +105,19 @@ impl Port {
     }
 
     /// From now on only records of exchanges in which this robot takes part are made, as for a logger that keeps only
-    /// those. The driver counts the others all the same, so they are gaps in `bfee_count`, as in the WSR data set.
+    /// those. The driver counts the others too, so they are gaps in `bfee_count`, as in the WSR data set.
     pub fn own_only(&mut self) {
         lock(&self.air).node(self.robot).listening = Listening::Own;
     }
 
-    /// The same for the logger that is usual for the card: of an AX210 the body of a record is what FeitCSI writes.
+    /// The same for the card's usual logger: for an AX210 the body of a record is FeitCSI's.
     pub(crate) fn for_logger(&mut self) {
         self.own_only();
         self.ax210.iter_mut().for_each(|card| card.as_written = true);
     }
 
-    /// [`CsiSource::receive`], with what a record was to this robot, which its bytes do not say but the room's own
-    /// sender does, and the number of the robot that sent it.
+    /// [`CsiSource::receive`], with the record's role for this robot and the number of its sender, which its bytes do
+    /// not contain.
     ///
     /// # Errors
     /// As [`CsiSource::receive`].
@@ -134,7 +133,7 @@ impl Port {
         })
     }
 
-    /// Lets go what has come by `now`, as the kernel does where nobody listens: it is counted, and not computed.
+    /// Drops the records up to `now`, like the kernel without a listener: they are counted, not computed.
     #[cfg(feature = "serve")]
     pub(crate) fn let_go(&mut self, now: Instant) {
         let shared = Arc::clone(&self.air);
@@ -152,7 +151,7 @@ impl Port {
         node.injected.unheard += gone as u64;
     }
 
-    /// The last record reached nobody although it was handed out.
+    /// The last record that was handed out reached nobody.
     #[cfg(feature = "serve")]
     pub(crate) fn take_back(&mut self) {
         let mut air = lock(&self.air);
@@ -189,7 +188,7 @@ impl Port {
                 None => self.write_bfee(&mut air, &reception)?.then_some(code::BFEE),
             };
             let Some(code) = written else {
-                // Of a frame that has no bfee, what says so was all there is.
+                // A frame without a bfee has only its 0xC1.
                 air.node(self.robot).injected.delivered += u64::from(second);
                 continue;
             };
@@ -207,7 +206,7 @@ impl Port {
         Ok(if over { Read::End } else { Read::Pending })
     }
 
-    /// Moves what has arrived by now into the socket's queue; what does not fit is lost.
+    /// Moves arrived records into the socket's queue; those that do not fit are lost.
     fn fill(&mut self, air: &mut Air, now_ns: i64) {
         let node = air.node(self.robot);
         while node.arrivals.front().is_some_and(|r| r.arrival_ns <= now_ns) {
@@ -232,7 +231,7 @@ impl Port {
         code::MPDU
     }
 
-    /// The receiver's phases between chains are drawn anew where the firmware was loaded since the last record.
+    /// Draws new phases between chains if the firmware was loaded since the last record.
     fn load(&mut self, air: &mut Air) {
         let loads = air.node(self.robot).injected.restarts;
         for _ in std::mem::replace(&mut self.loads, loads)..loads {
@@ -253,7 +252,7 @@ impl Port {
         };
         air.node(self.robot).injected.saturated += u64::from(measured.saturated);
         let crystal = world.scene().robot[self.robot].crystal;
-        // Both clocks began when the robot was switched on.
+        // Both clocks start when the robot is switched on.
         let since_us = crystal.clock_us(reception.t_ns).wrapping_sub(reception.clock_us);
         let repr = feitcsi::Repr {
             ftm: crystal.ftm(reception.t_ns).wrapping_sub(since_us.wrapping_mul(FTM_TICKS_PER_US)) as u32,
@@ -272,8 +271,8 @@ impl Port {
         true
     }
 
-    /// A record of what FeitCSI wrote last, its body in `self.body`: as it is, or one of the two that it is translated to, which
-    /// are the clock and the bfee.
+    /// A record of FeitCSI's last frame, its body in `self.body`: untranslated, or one of the two records of the
+    /// translation, clock and bfee.
     fn body_of_feitcsi(&mut self, place: usize) -> Option<u8> {
         let feitcsi = self.ax210.as_mut()?;
         self.body.clear();
@@ -334,7 +333,7 @@ impl Port {
         Ok(true)
     }
 
-    /// What the WSR driver adds: host time, and MAC and number of the last frame long enough to have them.
+    /// The WSR driver's fields: host time, and MAC and number of the last frame long enough to have them.
     fn wsr(&mut self, host_us: i64, flight: &Flight) -> Wsr {
         let mpdu = flight.bytes.mpdu();
         if let Some((mpdu, number)) = mpdu.and_then(|mpdu| Some((mpdu, mpdu.sounding_counter()?))) {

@@ -1,4 +1,4 @@
-//! What a card's radio does to a channel, as a scene states it. All effects are off by default.
+//! The effects of a card's radio on a channel. All are off by default.
 
 use super::carrier::TONES;
 use super::maths::amplitude;
@@ -16,15 +16,15 @@ pub struct Radio {
     pub phase_noise_rad: f64,
     /// Fixed delay of filters and packet detection, nanoseconds. Real cards: 200 (-0.4 radians a subcarrier).
     pub delay_ns: f64,
-    /// How the moment of detection varies from packet to packet, nanoseconds (standard deviation). Real cards: 25 to
-    /// 60 (0.05 to 0.12 radians a subcarrier).
+    /// Standard deviation of the moment of detection between packets, nanoseconds. Real cards: 25 to 60 (0.05 to 0.12
+    /// radians a subcarrier).
     pub delay_std_ns: f64,
     /// Sampling time offset: the two cards' sample grids slide over each other as their crystals do, so the delay
     /// is a sawtooth over one sample period (50 ns at 20 MHz).
     #[doc(alias = "STO")]
     pub sampling_offset: bool,
-    /// What the filters of the sender's and this card leave of each of the 30 subcarriers, dB; only the shape counts.
-    /// Without it they are flat. Real cards: 2 dB less at the edges, and 0.5 dB up and down between.
+    /// Gain of the sender's and this card's filters at each of the 30 subcarriers, dB; only the shape counts. Without
+    /// it they are flat. Real cards: 2 dB less at the edges, and 0.5 dB up and down between.
     pub filter_db: Option<[f64; TONES]>,
     /// How coefficients become 8-bit integers.
     pub gain: Gain,
@@ -34,13 +34,13 @@ pub struct Radio {
     pub chains: u8,
     /// Phase of the chains of antennas B and C against that of A, degrees: cables, filters.
     pub chain_deg: [f64; 2],
-    /// It is 180 degrees more or not, at random, each time that the firmware is loaded, as on a 5300.
+    /// Each load of the firmware adds 0 or 180 degrees at random, as on a 5300.
     pub chain_flips: bool,
-    /// How it varies from packet to packet, radians (standard deviation). A 5300 with two antennas on a robot: 0.2.
+    /// Its standard deviation between packets, radians. A 5300 with two antennas on a robot: 0.2.
     pub chain_noise_rad: f64,
-    /// What the chain of antenna B shows when nothing is connected.
+    /// Signal of antenna B's chain without an antenna.
     pub stray_b: Stray,
-    /// What the chain of antenna C shows when nothing is connected.
+    /// Signal of antenna C's chain without an antenna.
     pub stray_c: Stray,
     /// The order of the chains in a record.
     pub antenna_order: AntennaOrder,
@@ -48,11 +48,11 @@ pub struct Radio {
     pub mcs: u8,
     /// From the rise of a frame on air to the rise of its answer.
     pub turn_around: TurnAround,
-    /// How late a frame is sent that is not an answer, microseconds: the mean of an exponential distribution. Real
-    /// captures' intervals of 10 ms have quartiles of 40 to 60 us either way and a standard deviation of 114 to 128: 45 to
-    /// 70, and [`Radio::send_delay`].
+    /// Lateness of frames other than answers, microseconds: the mean of an exponential distribution. Real captures'
+    /// intervals of 10 ms have quartiles of 40 to 60 us either way and a standard deviation of 114 to 128: 45 to 70,
+    /// and [`Radio::send_delay`].
     pub send_jitter_us: f64,
-    /// Frames that leave later still, because the sender's host was busy elsewhere. Real captures: one in 14 to 22, 240 to 280 us.
+    /// Extra delay of some frames, by a busy host. Real captures: one in 14 to 22, 240 to 280 us.
     pub send_delay: DelayGroup,
     /// From the end of a frame to its record on the host, microseconds: mean.
     pub host_latency_us: f64,
@@ -134,11 +134,11 @@ pub struct FixedGain {
 pub struct Agc {
     /// Root mean square of the strongest antenna's coefficients, in steps of the converter. Real captures: 31.
     pub target_lsb: f64,
-    /// How it varies from record to record, dB (standard deviation).
+    /// Its standard deviation between records, dB.
     pub lsb_std_db: f64,
     /// RSSI that the gain control aims at, dB. Real captures: 36 to 40.
     pub rssi_db: f64,
-    /// How its setting varies from record to record, dB (standard deviation).
+    /// Standard deviation of its setting between records, dB.
     pub agc_std_db: f64,
 }
 
@@ -205,7 +205,7 @@ impl Radio {
         36_000 + 4_000 * symbols as i64
     }
 
-    /// What the filters leave of each subcarrier's amplitude, of unit mean square; `None` if they are flat.
+    /// The filters' amplitude at each subcarrier, of unit mean square; `None` if they are flat.
     #[must_use]
     pub(super) fn filter(&self) -> Option<[f64; TONES]> {
         let gains = self.filter_db?.map(amplitude);

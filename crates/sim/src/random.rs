@@ -7,7 +7,7 @@ use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::OnceLock;
 
-/// What a stream of random numbers is for.
+/// The purpose of a stream of random numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
     /// Receiver noise and everything else inside one record.
@@ -42,7 +42,7 @@ impl Stream {
         Self { rng, ziggurat: Ziggurat::get() }
     }
 
-    /// A stream for whatever is no robot's, under a seed.
+    /// A stream that belongs to no robot, under a seed.
     #[must_use]
     pub fn of_seed(seed: u64) -> Self {
         Self { rng: ChaCha8Rng::seed_from_u64(seed), ziggurat: Ziggurat::get() }
@@ -63,7 +63,7 @@ impl Stream {
         self.rng.next_u64()
     }
 
-    /// Uniform from 0 to `end` - 1, but for a bias of `end` / 2^64; 0 where there is no choice, for which nothing is drawn.
+    /// Uniform from 0 to `end` - 1, with a bias of `end` / 2^64; 0 without a draw if there is no choice.
     pub fn below(&mut self, end: u64) -> u64 {
         if end <= 1 { 0 } else { ((u128::from(self.bits()) * u128::from(end)) >> 64) as u64 }
     }

@@ -13,7 +13,7 @@ use super::world::World;
 use driver_iface::bfee::Iq;
 use num_complex::Complex64;
 
-/// What the card reports of one frame, but for clocks and counters.
+/// The card's report on one frame, without clocks and counters.
 #[derive(Clone, Copy, Debug)]
 pub struct Measured {
     /// Coefficients `[subcarrier][raw chain]`; the first `30 n_rx` count.
@@ -55,7 +55,7 @@ pub struct Receiver {
     filter: Option<[f64; TONES]>,
 }
 
-/// What reaches the chains of one card, before the converter.
+/// The signals at the chains of one card, before the converter.
 struct Incoming {
     tones: [Tones; 3],
     /// Mean power of each antenna's tones; `None` where nothing is connected.
@@ -73,7 +73,7 @@ impl Receiver {
         receiver
     }
 
-    /// The firmware is loaded: the chains' phases against each other are drawn.
+    /// At a load of the firmware: draws the phases between chains.
     pub fn load(&mut self) {
         let share = if self.radio.chain_flips { 0.5 } else { 0.0 };
         for (turns, deg) in self.chain_turns.iter_mut().skip(1).zip(self.radio.chain_deg) {
@@ -81,7 +81,7 @@ impl Receiver {
         }
     }
 
-    /// The phase of an antenna's chain against that of A in this frame, a factor of size 1; none where there is no effect.
+    /// The phase of an antenna's chain against A's in this frame, as a unit factor; none without the effect.
     fn chain_phasor(&mut self, antenna: usize) -> Option<Complex64> {
         let std = if antenna == 0 { 0.0 } else { self.radio.chain_noise_rad / std::f64::consts::TAU };
         let turns = self.chain_turns.get(antenna).copied().unwrap_or(0.0) + self.chains.spread(std);
@@ -141,7 +141,7 @@ impl Receiver {
         incoming
     }
 
-    /// What a chain shows when nothing is connected; antenna A always is.
+    /// The signal of a chain without an antenna; A always has one.
     fn stray(&self, antenna: usize) -> Stray {
         match antenna {
             1 => self.radio.stray_b,
@@ -150,7 +150,7 @@ impl Receiver {
         }
     }
 
-    /// What is the same for all antennas: carrier phase, phase noise, delay.
+    /// Effects common to all antennas: carrier phase, phase noise, delay.
     fn common(&mut self, world: &World, arrival: Arrival) -> Common {
         let Arrival { from, to, t_ns, instant_ns } = arrival;
         let jitter = if world.carrier_jitters() { self.stream.symmetric() } else { 0.0 };

@@ -103,7 +103,7 @@ fn noise_has_the_stated_ratio_and_agc_the_stated_size() {
 }
 
 #[test]
-fn rssi_and_agc_say_the_received_power() {
+fn rssi_and_agc_give_the_received_power() {
     // 15 dBm over 4 m at 5.54 GHz: 59.36 dB of free space loss, -44.36 dBm.
     let m = receive(&scene("", ""), 1)[0];
     let rss_dbm = f64::from(m.rssi[0]) - 44.0 - f64::from(m.agc);
@@ -188,7 +188,7 @@ fn the_papers_offset_cancels_but_for_its_jitter() {
 }
 
 #[test]
-fn effects_that_are_off_draw_nothing() {
+fn disabled_effects_draw_no_random_numbers() {
     let scene = scene("", "");
     let world = World::new(&scene).unwrap();
     let mut receiver = Receiver::new(scene.radio, 1, 0);

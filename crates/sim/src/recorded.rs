@@ -49,7 +49,8 @@ impl Recorded {
         Self { t_s, poses }
     }
 
-    /// Reads a trajectory file, see [`csi5300::motion::odometry::csv`]. Where it has no headings the robot faces where it goes.
+    /// Reads a trajectory file, see [`csi5300::motion::odometry::csv`]. Without headings the robot faces its direction
+    /// of motion.
     ///
     /// # Errors
     /// Rows that cannot be read are an error here, since a scene must be exact.
@@ -97,11 +98,10 @@ impl Recorded {
     }
 
     /// The same with every place off by slow swings: of standard deviation `stray_m` in x and in y, each of sines with
-    /// periods about `stray_s`. They are no matter of chance: where a robot was in a recording does not go with a seed.
+    /// periods about `stray_s`. They do not depend on the seed, because a recorded path is fixed.
     #[must_use]
     pub(super) fn strayed(mut self, stray_m: f64, stray_s: f64) -> Self {
-        /// Periods of the sines: in no simple ratio, so that the deviation is met within a few swings, and no motion has
-        /// all of them in common.
+        /// Periods of the sines, in no simple ratio, so that the deviation is reached within a few periods.
         const PERIODS: [f64; 8] = [0.62, 0.73, 0.86, 1.01, 1.19, 1.41, 1.67, 1.98];
         /// Phases follow each other by the golden section of a turn, which spreads any number of them evenly.
         const GOLDEN: f64 = 0.618_033_988_749_895;
@@ -112,7 +112,7 @@ impl Recorded {
         for (t_s, pose) in self.t_s.iter().zip(&mut self.poses) {
             for (k, period) in PERIODS.iter().enumerate() {
                 let turns = t_s / (stray_s * period) + k as f64 * GOLDEN;
-                // A quarter of a turn ahead or behind: as much in any direction.
+                // A quarter of a turn apart, for equal deviations in all directions.
                 let quarter = if k.is_multiple_of(2) { 0.25 } else { -0.25 };
                 pose.position_m.x += size_m * libm::sin(TAU * turns);
                 pose.position_m.y += size_m * libm::sin(TAU * (turns + quarter));

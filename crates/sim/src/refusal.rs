@@ -1,4 +1,4 @@
-//! Why a scene is refused, and where in it.
+//! Why a scene is refused, and its place.
 
 use super::toml_lines::{Step, TomlLines};
 use std::fmt;
@@ -22,7 +22,7 @@ pub enum SceneError {
         /// The name.
         scene: PathBuf,
     },
-    /// It is no TOML, or no scene's: an unknown key, a value of another kind.
+    /// It is not TOML, or not a scene: an unknown key, a value of another type.
     #[error("{}{reason}", At(*line))]
     Toml {
         /// Line of the text, from 1, where it is known.
@@ -30,14 +30,14 @@ pub enum SceneError {
         /// What the TOML reader said.
         reason: String,
     },
-    /// A value makes no sense, or robots are where they cannot be.
+    /// A value is invalid, or robots are at impossible places.
     #[error("{}{reason}", At(*line))]
     Value {
         /// The way to the value from the scene's root, `robot[1].faults.loss`.
         place: ScenePlace,
         /// Line of the text, from 1; `None` for a scene without a text.
         line: Option<usize>,
-        /// What is wrong, and what would be right.
+        /// The problem, and valid values.
         reason: String,
     },
     /// A value has no text in TOML.
@@ -76,13 +76,13 @@ impl SceneError {
         }
     }
 
-    /// True if the scene can be read and makes no sense: another text would.
+    /// True if the scene is readable but invalid.
     #[must_use]
     pub fn is_of_text(&self) -> bool {
         matches!(self, Self::Toml { .. } | Self::Value { .. })
     }
 
-    /// The same error with the line that the text has for its place.
+    /// The same error with its line in the text.
     #[must_use]
     pub fn locate(self, text: &str) -> Self {
         match self {
@@ -112,7 +112,7 @@ impl fmt::Display for ScenePlace {
     }
 }
 
-/// What is wrong, with the place as far as it is known yet: checks of inner tables get the names of the outer ones added afterwards.
+/// A problem and its place so far: outer tables add their names later.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Problem {
     place: ScenePlace,
@@ -158,50 +158,50 @@ pub(crate) fn ensure(ok: bool, key: &'static str, reason: impl FnOnce() -> Strin
     if ok { Ok(()) } else { Err(Problem::new(format!("{key} {}", reason())).key(key)) }
 }
 
-/// Nothing in a room is larger, whatever its unit: what it is multiplied with would no longer be a number.
+/// Largest value of any unit: products stay finite.
 const LARGEST: f64 = 1e9;
-/// Nothing that something is divided by is smaller.
+/// Smallest divisor.
 const SMALLEST: f64 = 1e-9;
-/// No power is further from another, dB.
+/// Largest ratio of two powers, dB.
 const FURTHEST_DB: f64 = 400.0;
 
-/// Refuses values that are negative, or too large to be meant.
+/// Refuses negative and too large values.
 pub(crate) fn not_negative(key: &'static str, value: f64) -> Checked {
     ensure(value >= 0.0, key, || format!("is {value}; it must be a number of at least 0"))?;
     at_most(key, value, LARGEST)
 }
 
-/// Refuses values that are not positive, or too large or small to be meant.
+/// Refuses values that are not positive, too large or too small.
 pub(crate) fn positive(key: &'static str, value: f64) -> Checked {
     ensure(value > 0.0, key, || format!("is {value}; it must be more than 0"))?;
     ensure(value >= SMALLEST, key, || format!("is {value}; {SMALLEST:e} is the least"))?;
     at_most(key, value, LARGEST)
 }
 
-/// Refuses values above what makes sense: what they are multiplied with would be too much for the machine.
+/// Refuses values above a limit that the machine can handle.
 pub(crate) fn at_most(key: &'static str, value: f64, most: f64) -> Checked {
     ensure(value <= most, key, || format!("is {value}; {most} is the most"))
 }
 
-/// Refuses what is no share.
+/// Refuses values that are no share.
 pub(crate) fn share(key: &'static str, value: f64) -> Checked {
     ensure((0.0..=1.0).contains(&value), key, || format!("is {value}; it is a share, from 0 to 1"))
 }
 
-/// Refuses what is no number, or too large to be meant.
+/// Refuses values that are not finite or too large.
 pub(crate) fn finite(key: &'static str, values: &[f64]) -> Checked {
     ensure(values.iter().all(|v| v.abs() <= LARGEST), key, || {
         format!("must be finite numbers, of at most {LARGEST:e} either side of 0")
     })
 }
 
-/// Refuses what is no deviation of a number of decibels.
+/// Refuses invalid deviations of decibels.
 pub(crate) fn deviation_db(key: &'static str, value: f64) -> Checked {
     not_negative(key, value)?;
     at_most(key, value, FURTHEST_DB)
 }
 
-/// Refuses what is no number of decibels.
+/// Refuses invalid decibels.
 pub(crate) fn decibels(key: &'static str, values: &[f64]) -> Checked {
     ensure(values.iter().all(|v| v.abs() <= FURTHEST_DB), key, || {
         format!("must be finite numbers of dB, of at most {FURTHEST_DB} either side of 0")

@@ -1,4 +1,4 @@
-//! The room: one card and one odometry for each robot, and the account of what was done to them.
+//! The room: one card and one odometry for each robot, and their accounts.
 
 use super::air::{Air, MakeStation};
 use super::faults::Injected;
@@ -20,8 +20,8 @@ use std::sync::{Arc, Mutex};
 
 /// A room full of robots.
 ///
-/// Time is virtual: it passes as the cards and odometries that were handed out are asked with later and later times.
-/// One thread may drive all of them, or each robot its own.
+/// Time is virtual: it follows the times at which cards and odometries are called. One thread may drive all robots, or
+/// each robot has its own.
 #[derive(Debug)]
 pub struct Room {
     air: Arc<Mutex<Air>>,
@@ -30,7 +30,7 @@ pub struct Room {
 }
 
 impl Room {
-    /// A room whose robots sound each other as the scene says, by the TDMA state machine that live cards run. Without
+    /// A room whose robots sound each other as the scene states, by the TDMA state machine of live cards. Without
     /// `sounding` in the scene it is [`Room::quiet`].
     ///
     /// # Errors
@@ -38,7 +38,7 @@ impl Room {
     /// not fit, or a robot is inside a wall; [`RoomError::Sounding`] when there is no sender for the scene's sounding.
     pub fn new(scene: &Scene) -> Result<Self, RoomError> {
         let world = Self::checked(scene)?;
-        // All that can fail does so for the first robot already.
+        // Errors occur for the first robot already.
         sounder(&world, 0, 0, Instant::ZERO)?;
         let stations = Arc::clone(&world);
         let make = move |robot, restarts, now| {
@@ -48,8 +48,8 @@ impl Room {
         Ok(Self::in_world(world, Box::new(make)))
     }
 
-    /// A room in which robots send only what is injected through their [`Port`]s (and what a driver with an
-    /// `ack_len` answers). The scene's `sounding` is left to whoever injects.
+    /// A room in which robots send only what is injected through their [`Port`]s (and what a driver with an `ack_len`
+    /// answers). The scene's `sounding` has no effect.
     ///
     /// # Errors
     /// [`RoomError::Scene`] as [`Room::new`].
@@ -57,7 +57,7 @@ impl Room {
         Self::with_stations(scene, Box::new(|_, _, _| None))
     }
 
-    /// A room with senders of its own; `make` is asked for one for each robot, and again after each restart.
+    /// A room with given senders; `make` makes one for each robot, and again after each restart.
     ///
     /// # Errors
     /// [`RoomError::Scene`] as [`Room::new`].
@@ -88,27 +88,27 @@ impl Room {
         self.scene().robot.iter().position(|robot| robot.name == name)
     }
 
-    /// A robot's card: source and injector. Each is handed out once; `None` the second time, or for no robot.
+    /// A robot's card: source and injector. Each is handed out once; `None` the second time, or without such a robot.
     ///
-    /// Records are made for robots whose card was taken, from then on.
+    /// Records are made from then on.
     pub fn card(&mut self, robot: usize) -> Option<Port> {
         let taken = self.taken.get_mut(robot).filter(|taken| !**taken)?;
         *taken = true;
         Some(Port::new(Arc::clone(&self.air), robot))
     }
 
-    /// A robot's monitor interface: frames injected and heard, for a sender outside of the room. `None` for no robot, or
-    /// while somebody has it. Frames that it hears are kept from then on.
+    /// A robot's monitor interface: frames injected and heard, for a sender outside of the room. `None` without such a
+    /// robot, or while it is taken. Frames are kept from then on.
     pub fn interface(&mut self, robot: usize) -> Option<Interface> {
         (robot < self.taken.len()).then(|| Interface::new(Arc::clone(&self.air), robot)).flatten()
     }
 
-    /// Lets time pass, for rooms of whose robots nobody may read a record.
+    /// Lets time pass, for rooms in which nobody reads records.
     pub fn advance(&mut self, now: Instant) {
         lock(&self.air).advance(now.as_us().saturating_mul(1_000));
     }
 
-    /// When the next thing happens in the room; its end when nothing does before, `None` once that is over.
+    /// The time of the next event, or the room's end; `None` after that.
     #[must_use]
     pub fn next_at(&self) -> Option<Instant> {
         let air = lock(&self.air);
@@ -116,14 +116,14 @@ impl Room {
         at_ns.map(ceil_us)
     }
 
-    /// A robot's odometry; `None` for no robot. Two of the same robot give the same poses, and count twice.
+    /// A robot's odometry; `None` without such a robot. Two of the same robot give the same poses, and count twice.
     #[must_use]
     pub fn odometry(&self, robot: usize) -> Option<Odometer> {
         (robot < self.taken.len()).then(|| Odometer::new(Arc::clone(&self.air), robot))
     }
 
-    /// Makes a robot go where `source` says, from a tenth of a second after each pose came. Its motion in the scene must
-    /// be `followed`. What the robot's odometry gives is where the room has it, so that poses and records agree.
+    /// Lets a robot follow `source`, a tenth of a second behind. Its motion in the scene must be `followed`. The
+    /// robot's odometry gives its place in the room, so poses and records agree.
     ///
     /// # Errors
     /// [`RoomError::NotFollowed`] when there is no such robot or it has another motion, [`RoomError::FollowsAlready`].
@@ -165,7 +165,7 @@ impl Room {
         lock(&self.air)
     }
 
-    /// What was done to each robot so far.
+    /// The account of each robot so far.
     #[must_use]
     pub fn injected(&self) -> Vec<Injected> {
         lock(&self.air).injected().collect()

@@ -28,16 +28,16 @@ pub enum RoomError {
         /// Its name.
         robot: String,
     },
-    /// A robot has somebody to follow.
+    /// A robot follows a source already.
     #[error("robot `{robot}` follows a source already")]
     FollowsAlready {
         /// Its name.
         robot: String,
     },
-    /// Somebody has a card of a room that is to be run whole.
+    /// A card of a room that is to be run as a whole is taken.
     #[error("a card of this room was taken before; all are needed")]
     CardTaken,
-    /// A run ended before the room did, as was asked for.
+    /// A run was stopped before the room's end.
     #[error("the run was stopped {at_s:.3} s into the scene")]
     Stopped {
         /// Time of the scene, seconds.

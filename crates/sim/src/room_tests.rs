@@ -157,7 +157,7 @@ fn the_same_seed_gives_the_same_bytes_whoever_reads_first() {
 }
 
 #[test]
-fn losses_are_what_the_room_says() {
+fn losses_match_the_rooms_account() {
     let scene = two("", "faults = { loss = 0.3, duplicate = 0.05, driver_drop = 0.1 }", "faults.loss = 0.2");
     let ([rx, tx], _, injected) = run(&scene);
     let [a, b] = [injected[0], injected[1]];
@@ -176,7 +176,7 @@ fn losses_are_what_the_room_says() {
 }
 
 #[test]
-fn copies_that_never_come_are_not_counted() {
+fn missing_copies_are_not_counted() {
     // Every frame comes twice, 112 and 225 us after its rise at least, but for one: its receiver is switched off between.
     let scene = two("", "", "faults = { duplicate = 1.0, restart_at_s = [5.00015], restart_s = 0.005 }");
     let ([_, tx], _, injected) = run(&scene);
@@ -217,7 +217,7 @@ fn after_an_overrun_nothing_comes_until_the_queue_is_empty() {
 }
 
 #[test]
-fn a_restart_begins_all_counters_anew() {
+fn a_restart_resets_all_counters() {
     let scene = two("", "faults = { restart_at_s = [4.0], restart_s = 1.0 }\ncrystal.clock_start_us = 4000000000", "");
     let ([rx, tx], _, injected) = run(&scene);
     let counts: Vec<u16> = rx.iter().map(|r| r.bfee().bfee_count()).collect();
@@ -284,7 +284,7 @@ fn walls_keep_frames_out() {
     let thin = format!("{wall}through_db = 10.0\n");
     let ([rx, _], ..) = run(&two("", "", &thin));
     assert_eq!(rx.len(), 1000);
-    // 10 dB less: the gain control makes up for it.
+    // 10 dB less: the gain control compensates.
     let open = run(&two("", "", "")).0;
     assert_eq!(rx[0].bfee().agc(), open[0][0].bfee().agc() + 10);
 }
@@ -330,7 +330,7 @@ fn odometry_is_a_sensor() {
 }
 
 proptest! {
-    /// Whatever is injected, nothing panics, and a record is made of exactly what a card reports CSI for.
+    /// No injected frame causes a panic, and exactly the frames for which a card reports CSI give records.
     #[test]
     fn any_frame_is_carried(frames in prop::collection::vec((prop::collection::vec(any::<u8>(), 0..90), any::<bool>()), 0..12)) {
         let mut scene = two("", "", "");
@@ -429,13 +429,13 @@ fn far_bearing_deg(name: &str, compensate: bool) -> (f64, f64) {
 }
 
 #[test]
-fn the_papers_circle_tells_the_bearing_to_a_tenth_of_a_degree() {
+fn the_papers_circle_gives_the_bearing_to_a_tenth_of_a_degree() {
     let (got, want) = far_bearing_deg("paper-circle", false);
     assert!((got - want).abs() <= 0.1, "{got}, not {want}");
 }
 
 #[test]
-fn a_circle_with_every_effect_of_real_cards_tells_it_to_half_a_degree() {
+fn a_circle_with_all_effects_of_real_cards_is_within_half_a_degree() {
     let (got, want) = far_bearing_deg("lab-circle", true);
     assert!((got - want).abs() <= 0.5, "{got}, not {want}");
 }

@@ -1,6 +1,6 @@
-//! What a scene states: the TOML of a simulated room.
+//! A scene: the TOML of a simulated room.
 //!
-//! Every effect is off unless a scene asks for it, and what is off costs nothing. Unknown keys are refused.
+//! Every effect is off by default and then costs nothing. Unknown keys are refused.
 
 use super::crystal::Crystal;
 use super::faults::Faults;
@@ -12,7 +12,7 @@ use driver_iface::Mac;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-/// A room, its robots and what they do.
+/// A room, its robots and their motions.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Scene {
@@ -30,20 +30,20 @@ pub struct Scene {
     pub start_unix_s: i64,
     /// Highest number of reflections of a path.
     pub reflections: u8,
-    /// What the carriers' offsets are made of.
+    /// The model of the carriers' offsets.
     #[serde(skip_serializing_if = "is_default")]
     pub cfo: Cfo,
     /// The cards that the robots have.
     #[serde(skip_serializing_if = "is_default")]
     pub card: Card,
-    /// Kind of the frames, by their preamble; of an AX210 only, which sends HE frames without it.
+    /// Kind of the frames, by their preamble; AX210 only, HE by default.
     pub preamble: Option<Preamble>,
-    /// The layout of the records: what driver the robots have.
+    /// The layout of the records: the robots' driver.
     #[serde(skip_serializing_if = "is_default")]
     pub driver: Driver,
     /// Who sounds whom, and how often.
     pub sounding: Option<Sounding>,
-    /// The radios of all robots that state none of their own.
+    /// The radio of all robots without their own.
     #[serde(skip_serializing_if = "is_default")]
     pub radio: Radio,
     /// The robots.
@@ -97,10 +97,10 @@ pub enum Cfo {
 /// The carrier offset of Dijkstra et al. (\[paper\] in docs/reference/references.md, the equation for CFO_ij): `df t + c1 sin(c2 t)`
 /// cycles.
 ///
-/// With their values it swings by `c1 c2` = 2 MHz, which no crystal does: at true frame times the two
-/// directions would be incoherent. So, as there, both are evaluated at one instant, the forward
-/// frame's, but for a uniformly distributed difference of at most `jitter_ns` either way. Crystals that differ turn both
-/// directions at their own times beside it, which leaves `2 pi f d` of a turn-around `d` in the round trip.
+/// With their values it swings by `c1 c2` = 2 MHz, unlike any crystal: at true frame times the two directions would be
+/// incoherent. So, as there, both are evaluated at one instant, the forward frame's, with a uniform difference of at
+/// most `jitter_ns`. Crystals turn both directions at their own times, which leaves `2 pi f d` of a turn-around `d` in
+/// the round trip.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PaperCfo {
@@ -143,7 +143,7 @@ pub enum Preamble {
     He,
 }
 
-/// The driver that the robots' cards have.
+/// The driver of the robots' cards.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Driver {
@@ -179,7 +179,7 @@ impl Default for Sounding {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dialect {
-    /// The WSR toolbox's: the length of a frame says to which robot it is.
+    /// The WSR toolbox's: the length of a frame addresses a robot.
     #[default]
     Wsr,
     /// Ours: destination, role and number in the payload.
@@ -204,7 +204,7 @@ pub struct Robot {
     pub antenna_b_m: Option<[f64; 3]>,
     /// Antenna C, if connected.
     pub antenna_c_m: Option<[f64; 3]>,
-    /// How strongly its antennas send and receive, by direction.
+    /// Its antennas' gain by direction.
     #[serde(skip_serializing_if = "is_default")]
     pub pattern: Pattern,
     /// How it moves.
@@ -218,14 +218,14 @@ pub struct Robot {
     pub host_clock: HostClock,
     /// Its radio, where it differs from the scene's; replaces all of it.
     pub radio: Option<Radio>,
-    /// What goes wrong with it.
+    /// Its faults.
     #[serde(skip_serializing_if = "is_default")]
     pub faults: Faults,
     /// Its odometry.
     #[serde(skip_serializing_if = "is_default")]
     pub odometry: Odometry,
     /// Frames of exactly this many bytes (with FCS) are answered by the card's driver, as the WSR driver's module
-    /// parameter of this name does. For rooms whose frames come from outside.
+    /// parameter of this name does. For rooms with injected frames.
     pub ack_len: Option<usize>,
 }
 
@@ -356,14 +356,13 @@ fn plaster() -> f64 {
     6.0
 }
 
-/// Left out of a written scene: what would be read the same without it.
+/// True for a value that a written scene may omit.
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
 impl Scene {
-    /// Reads a scene's text into values. Their sense is checked when they become a room; trajectory files are as the text
-    /// names them.
+    /// Parses a scene. Values are checked when a room is made; names of trajectory files are not changed.
     ///
     /// # Errors
     /// [`SceneError::Toml`] with the line: no TOML, an unknown key, a value of another kind.
@@ -374,8 +373,7 @@ impl Scene {
         })
     }
 
-    /// The scene as TOML that [`Scene::parse`] reads into the same scene. What is as by default is left out where it is a
-    /// table of its own.
+    /// The scene as TOML that [`Scene::parse`] reads into the same scene. Tables with default values are omitted.
     ///
     /// # Errors
     /// [`SceneError::Unwritable`] if a value has no text, as the path of a trajectory that is not UTF-8.
@@ -400,7 +398,7 @@ impl Scene {
 }
 
 impl Wall {
-    /// A wall from the floor to 2.5 m, 10 cm thick, that takes 6 dB off a reflection and lets nothing through; ends in metres.
+    /// An opaque wall from the floor to 2.5 m, 10 cm thick, with a reflection loss of 6 dB; ends in metres.
     #[must_use]
     pub fn between(from_m: [f64; 2], to_m: [f64; 2]) -> Self {
         let (top_m, thickness_m, loss_db) = (storey(), thickness(), plaster());

@@ -1,4 +1,4 @@
-//! The refusal of scenes whose values make no sense.
+//! Refuses scenes with invalid values.
 
 use super::carrier::Carrier;
 use super::faults::Faults;
@@ -13,15 +13,15 @@ use nalgebra::Vector3;
 
 /// A scene lasts a year at most, seconds.
 const LONGEST_S: f64 = 31_536_000.0;
-/// A random walk lasts a day at most, seconds: its steps of 10 ms are held in memory.
+/// A random walk lasts a day at most, seconds: its steps of 10 ms are in memory.
 const LONGEST_WALK_S: f64 = 86_400.0;
-/// Rounds, and poses, a second at most: more than a card or an encoder has.
+/// Limit of rounds and of poses a second: more than a card or an encoder delivers.
 const FASTEST_HZ: f64 = 100_000.0;
 /// No delay is longer than a quarter of an hour, microseconds.
 const LATEST_US: f64 = 1e9;
 
 impl Scene {
-    /// Checks every value by itself and beside its neighbours; what needs the world is checked with it.
+    /// Checks every value and its relation to others; `world_check` has the rest.
     pub(crate) fn check_values(&self) -> Checked {
         positive("duration_s", self.duration_s)?;
         at_most("duration_s", self.duration_s, LONGEST_S)?;
@@ -40,9 +40,7 @@ impl Scene {
         ensure(is_assigned && has_carrier, "channel", || {
             format!("is {}; channels are 1 to 14, 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177", self.channel)
         })?;
-        ensure(self.reflections <= 4, "reflections", || {
-            format!("is {}; more than 4 would be more paths than sense", self.reflections)
-        })?;
+        ensure(self.reflections <= 4, "reflections", || format!("is {}; 4 is the most", self.reflections))?;
         ensure(self.host_times_fit(&HostClock::default()), "start_unix_s", || {
             format!(
                 "is {}, and the scene lasts {} s; records hold seconds from 0 to 4,294,967,295",
@@ -69,7 +67,7 @@ impl Scene {
         self.check_surfaces()
     }
 
-    /// What an AX210 does not have is not asked of it, nor of a 5300.
+    /// Refuses keys of the other card.
     fn check_card(&self) -> Checked {
         if self.card == Card::Intel5300 {
             return ensure(self.preamble.is_none(), "preamble", || "is of an AX210: a 5300 sends HT".to_owned());
@@ -156,7 +154,7 @@ impl Scene {
         let Some(sounding) = &self.sounding else { return Ok(()) };
         let check = || {
             ensure(sounding.rate_hz > 0.0, "rate_hz", || format!("is {}; it must be more than 0", sounding.rate_hz))?;
-            // Without end is the highest rate that fits.
+            // Infinity is the highest rate that fits.
             if sounding.rate_hz.is_finite() {
                 at_most("rate_hz", sounding.rate_hz, FASTEST_HZ)?;
             }

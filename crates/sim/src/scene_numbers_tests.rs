@@ -1,4 +1,4 @@
-//! Every number of a scene is checked: one that makes no sense is refused with its line.
+//! Every number of a scene is checked: invalid ones are refused with their line.
 
 use super::CardFault;
 use super::motion::{
@@ -53,7 +53,7 @@ const SIGNED: [&str; 38] = [
     "turning_deg_s",
     "df_hz",
 ];
-/// And those whose table tells them from others of their name.
+/// The same, for names that occur in several tables.
 const SIGNED_WAYS: [&str; 4] = ["paper.c1", "paper.c2", "far.us", "late.us"];
 
 fn radio(gain: Gain, noise: Noise) -> Radio {
@@ -144,8 +144,8 @@ fn robot(number: usize, motion: RobotMotion) -> Robot {
     }
 }
 
-/// A scene in which every number there is stands, with robots of all motions. Written out whole: a new field is named here, or this
-/// does not compile.
+/// A scene with every possible number and robots of all motions. It names all fields, so that a new one does not
+/// compile without a line here.
 fn full(trajectory: &Path) -> Scene {
     let (start_s, duration_s, radius_m, turns) = (0.1, 5.0, 1.0, 2.0);
     let motions = [

@@ -1,4 +1,4 @@
-//! A room run to its end in memory: what its robots logged, and where they truly were.
+//! A room run to its end in memory: its robots' logs and true paths.
 
 use super::faults::Injected;
 use super::port::Port;
@@ -27,7 +27,7 @@ pub struct Simulation {
     pub robots: Vec<SimulatedRobot>,
 }
 
-/// What a robot of a simulation logged, and the truth about it.
+/// The log of a robot, and its true path.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct SimulatedRobot {
@@ -39,10 +39,10 @@ pub struct SimulatedRobot {
     pub log: Vec<u8>,
     /// Whole records in it.
     pub records: u64,
-    /// Where its antenna A truly was, 200 times a second on its host's clock, metres in the scene's frame; `None` of a
-    /// scene too short for two poses.
+    /// The true path of its antenna A, 200 times a second on its host's clock, metres in the scene's frame; `None` if
+    /// the scene is too short for two poses.
     pub true_path: Option<Trajectory>,
-    /// What was done to it on purpose.
+    /// Its account of faults.
     pub injected: Injected,
 }
 
@@ -72,8 +72,7 @@ impl SimulatedRobot {
 }
 
 impl Room {
-    /// Runs the room to its end and keeps all logs in memory, as loggers would have written them that keep only records
-    /// of exchanges in which their robot took part.
+    /// Runs the room to its end and keeps all logs in memory, each with the records of its robot's own exchanges.
     ///
     /// # Errors
     /// [`RoomError::CardTaken`] if somebody reads one of the cards already; [`RoomError::Source`] as a card's
@@ -82,7 +81,7 @@ impl Room {
         self.run_while(|_| true)
     }
 
-    /// [`Room::run`] for as long as `go_on` says so, which is told the scene's time whenever something has happened.
+    /// [`Room::run`] while `go_on` returns true; it gets the scene's time after each event.
     ///
     /// # Errors
     /// As [`Room::run`], and [`RoomError::Stopped`].
@@ -118,8 +117,8 @@ impl Room {
         Ok(Simulation { robots: robots.collect() })
     }
 
-    /// Where a robot's antenna A truly is, start to end, `rate_hz` times a second on its host's clock, metres in the
-    /// scene's frame; `None` for no robot, or of a scene too short for two poses.
+    /// The true path of a robot's antenna A, start to end, `rate_hz` times a second on its host's clock, metres in the
+    /// scene's frame; `None` without such a robot, or if the scene is too short for two poses.
     #[must_use]
     pub fn true_path(&self, robot: usize, rate_hz: f64) -> Option<Trajectory> {
         let rows = (self.scene().duration_s * rate_hz).floor() as usize;
@@ -133,7 +132,7 @@ impl Room {
     }
 }
 
-/// Logs all that a card has at `now`; true when it is at its end.
+/// Logs all records that a card has at `now`; true at its end.
 fn drain(
     card: &mut Port,
     now: Instant,

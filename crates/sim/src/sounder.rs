@@ -9,7 +9,7 @@ use csi5300::time::{Instant, Span};
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::wsr;
 
-/// Silence after which a lost turn is taken, in slots, where only one robot wants it: nobody has to be waited for.
+/// Silence after which a lost turn is taken, in slots, if only one robot wants it.
 const ALONE_SILENCE_SLOTS: u32 = 2;
 /// A guard is this many times the jitter of sending, and the usual delay with this many deviations beside it, so that
 /// frames keep out of each other's slots.
@@ -46,7 +46,7 @@ impl Station for Sounder {
     }
 }
 
-/// What a scene's sounding asks of the plan; an infinite rate becomes the highest that fits.
+/// The request of a scene's sounding; an infinite rate becomes the highest that fits.
 ///
 /// # Errors
 /// [`PlanError`] when the rate does not fit, with the highest that does.
@@ -76,7 +76,7 @@ pub(super) fn request(scene: &Scene, sounding: &Sounding) -> Result<Request, Pla
     }
 }
 
-/// How late frames of a radio leave at most, but for few, microseconds.
+/// Lateness that few frames of a radio exceed, microseconds.
 fn lateness_us(radio: &Radio) -> f64 {
     let DelayGroup { share, us, spread_us } = radio.send_delay;
     let delayed_us = if share > 0.0 { us + GUARD_DEVIATIONS * spread_us } else { 0.0 };
@@ -104,7 +104,7 @@ pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) 
     if initiators.len() == 1 {
         config.silence_slots = ALONE_SILENCE_SLOTS;
         if restarts == 0 {
-            // It has listened before the scene began, and begins in its first slot.
+            // It has listened before the scene, and starts in its first slot.
             let listened = Plan::new(&request)?.span_of(2 * ALONE_SILENCE_SLOTS);
             config.start = begin - listened - Span::from_us(1);
         }

@@ -1,8 +1,8 @@
-//! What runs on a robot's host and decides what it sends.
+//! The sender on a robot's host.
 
 use csi5300::time::Instant;
 
-/// What a frame was to the robot that heard it.
+/// A frame's role for the robot that heard it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FrameRole {
     /// A forward frame for this robot, which it answers.
@@ -11,11 +11,11 @@ pub(crate) enum FrameRole {
     Backward,
     /// Meant for others.
     Overheard,
-    /// Nobody on this robot says.
+    /// Unknown: this robot has no sender.
     Unknown,
 }
 
-/// A sender. The room tells it what it hears and when its time has come, and asks what it sends.
+/// A sender. The room calls it for received frames and timeouts, and takes its frames.
 ///
 /// All times are its host's own monotonic clock. After each [`Station::heard`] and at each [`Station::timeout`] the
 /// room asks [`Station::transmit`] until there is no frame.
@@ -26,6 +26,6 @@ pub(crate) trait Station: Send + std::fmt::Debug {
     /// Appends a frame to be sent at once to `frame`, which is empty; false if there is none.
     fn transmit(&mut self, now: Instant, frame: &mut Vec<u8>) -> bool;
 
-    /// When it wants to be asked next.
+    /// Its next timeout.
     fn timeout(&self) -> Option<Instant>;
 }

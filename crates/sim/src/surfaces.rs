@@ -3,7 +3,7 @@
 use super::maths::amplitude;
 use nalgebra::Vector3;
 
-/// A flat parallelogram that reflects and hinders waves.
+/// A flat parallelogram that reflects and attenuates waves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
     corner: Vector3<f64>,
@@ -21,8 +21,7 @@ pub struct Surface {
 pub struct Path {
     /// Length, metres.
     pub length_m: f64,
-    /// Product of what reflections and passages leave of the amplitude; its sign is that of the reflections.
-    /// Spreading (1 / length) is not in it.
+    /// Amplitude after reflections and passages, with the sign of the reflections, without spreading (1 / length).
     pub gain: f64,
 }
 
@@ -168,8 +167,7 @@ impl Surfaces {
         (gain != 0.0).then_some(gain)
     }
 
-    /// What passing through the surfaces between two points leaves of the amplitude, but for those that the segment
-    /// begins or ends on.
+    /// Amplitude after passing through the surfaces between two points, without those at its ends.
     fn passage(&self, from: Vector3<f64>, to: Vector3<f64>, on: [Option<usize>; 2]) -> f64 {
         let mut gain = 1.0;
         for (index, surface) in self.all.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Lines of values in a TOML text, for refusals that say where.
+//! Lines of values in a TOML text, for refusals.
 //!
 //! A place is the way to a value from the document's root: `[Key("robot"), Index(1), Key("mac")]` is `mac` of the second
 //! `[[robot]]`, whether it is written below a header, dotted, or in an inline table.
@@ -39,7 +39,7 @@ impl<'t> TomlLines<'t> {
         Self { text, root }
     }
 
-    /// A text of which only this was read.
+    /// A text without places.
     #[must_use]
     pub fn of_table(text: &'t str, table: DeTable<'t>) -> Self {
         Self { text, root: Some(DeValue::Table(table)) }
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_has_the_line_of_what_would_hold_it() {
+    fn a_missing_key_has_the_line_of_its_table() {
         let lines = TomlLines::new(TEXT);
         assert_eq!(lines.line(&[Key("e"), Key("none")]), Some(5));
         assert_eq!(lines.line(&[Key("h"), Index(1), Key("i")]), Some(9));

@@ -1,4 +1,4 @@
-//! How long a responder takes to answer.
+//! The turn-around of a responder.
 
 use super::random::Stream;
 use serde::{Deserialize, Serialize};
@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 /// The turn-around time of a responder, air rise to air rise.
 ///
 /// A normal core about the median, and up to three groups of answers away from it; all kept within the bounds. The WSR
-/// driver's: 145 to 322 us, median 225. In the captures of \[paper\] (docs/reference/references.md) the core is 4 to 8 us wide and the rest early, by some
-/// 110 us for a tenth to a third of the answers, by some 210 for a few in a hundred, or late by some 70: the
-/// responder's driver answers when it is interrupted, and sometimes that is at once. The responder's records of such
-/// exchanges reach its host earlier by the same times (measured in its host times), here too. Answers away from the core
-/// come in runs (measured: of 2 to 3 on average).
+/// driver's: 145 to 322 us, median 225. In the captures of \[paper\] (docs/reference/references.md) the core is 4 to 8
+/// us wide and the rest early, by some 110 us for a tenth to a third of the answers, by some 210 for a few in a
+/// hundred, or late by some 70: the responder's driver answers when it is interrupted, and sometimes that is at once.
+/// The responder's records of such exchanges reach its host earlier by the same times (measured in its host times),
+/// here too. Answers outside the core come in runs (measured: of 2 to 3 on average).
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TurnAround {
@@ -28,7 +28,7 @@ pub struct TurnAround {
     pub far: DelayGroup,
     /// A third.
     pub late: DelayGroup,
-    /// Mean number of answers in a row that are away, and of one group; 0 where one tells nothing about the next.
+    /// Mean run length of answers of one group; 0 if answers are independent.
     pub tail_run: f64,
     /// Lower bound, microseconds.
     pub min_us: f64,
@@ -48,7 +48,7 @@ pub struct DelayGroup {
     pub spread_us: f64,
 }
 
-/// The group that the last answer was of, if it was away.
+/// The group of the last answer, if it was outside the core.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Away(Option<usize>);
 
@@ -82,7 +82,7 @@ impl TurnAround {
         (us.clamp(self.min_us, self.max_us) * 1e3).round() as i64
     }
 
-    /// How much the interrupt of one frame is away from the usual, nanoseconds; 0 in the core.
+    /// Deviation of one frame's interrupt from the usual, nanoseconds; 0 in the core.
     pub(crate) fn draw_away_ns(&self, last: &mut Away, stream: &mut Stream) -> i64 {
         let groups = self.groups();
         let share = groups.iter().map(|group| group.share).sum::<f64>();
@@ -143,7 +143,7 @@ mod tests {
         assert_eq!(draw(&TurnAround::default(), &mut stream), 225_000);
     }
     #[test]
-    fn answers_away_come_in_runs_and_groups() {
+    fn answers_outside_the_core_come_in_runs_and_groups() {
         let group = |share, us| DelayGroup { share, us, spread_us: 0.0 };
         let turn = TurnAround {
             tail: 0.1,

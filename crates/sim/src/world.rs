@@ -1,4 +1,4 @@
-//! A scene made ready: where everything is at any time, what the carriers do, and the channel between two robots.
+//! A scene made ready: places at any time, carriers, and the channel between two robots.
 
 use super::carrier::{Carrier, Common, SAMPLE_20_S, Tones};
 use super::followed::{SharedWay, lock};
@@ -22,14 +22,14 @@ pub struct World {
     robots: Vec<Placed>,
 }
 
-/// What the world knows of a robot.
+/// One robot.
 #[derive(Debug)]
 struct Placed {
     track: Track,
     mac: Mac,
     /// Antennas A, B, C in the robot's frame, where connected.
     antennas_m: [Option<Vector3<f64>>; 3],
-    /// Phase at which its synthesiser locked, turns. It is in both directions with opposite signs.
+    /// Phase at which its synthesiser locked, turns; it has opposite signs in the two directions.
     lock_turns: f64,
 }
 
@@ -81,7 +81,7 @@ impl World {
         &self.carrier
     }
 
-    /// True if nothing stands in the room: everyone hears everyone.
+    /// True without surfaces: every robot hears every other one.
     #[must_use]
     pub fn is_open(&self) -> bool {
         self.surfaces.is_empty()
@@ -143,13 +143,13 @@ impl World {
                 let (sign, jitter_ns) = if to < from { (-1.0, jitter * cfo.jitter_ns) } else { (1.0, 0.0) };
                 let t_s = (instant_ns as f64 + jitter_ns) * 1e-9;
                 let own = sign * (cfo.df_hz * t_s + cfo.c1 * libm::sin(cfo.c2 * t_s));
-                // What the crystals add is of the frame's own time, as on real cards: a turn-around that jitters shows it.
+                // The crystals act at the frame's own time, as on real cards: turn-around jitter shows them.
                 own + self.carrier.centre_hz * self.gained_s(from, to, t_ns)
             }
         }
     }
 
-    /// Whether [`World::carrier_turns`] has a use for its jitter.
+    /// Whether [`World::carrier_turns`] uses its jitter.
     #[must_use]
     pub fn carrier_jitters(&self) -> bool {
         matches!(self.scene.cfo, Cfo::Paper(cfo) if cfo.jitter_ns != 0.0)
@@ -163,7 +163,7 @@ impl World {
         (samples - samples.round_ties_even()) * period_s
     }
 
-    /// How far the sender's crystal has run ahead of the receiver's, seconds.
+    /// Lead of the sender's crystal over the receiver's, seconds.
     fn gained_s(&self, from: usize, to: usize, t_ns: i64) -> f64 {
         let t_s = t_ns as f64 * 1e-9;
         let gained = |robot: usize| self.scene.robot[robot].crystal.gained_s(t_s);
@@ -185,7 +185,7 @@ impl World {
         !found.is_empty()
     }
 
-    /// The amplitude that the patterns of both robots' antennas give, if either has one; `way` leads from one to the other.
+    /// The amplitude by the patterns of both robots' antennas, if either has one; `way` is the vector between them.
     fn pattern_gain(&self, from: usize, to: usize, way: Vector3<f64>, t_s: f64) -> Option<f64> {
         let level = way.xy().norm();
         let ends = [(from, way), (to, -way)];

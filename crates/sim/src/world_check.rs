@@ -1,5 +1,4 @@
-//! The refusal of worlds in which robots are where they cannot be or send more than fits, and the one door for scenes
-//! from files.
+//! Refuses impossible places of robots and soundings that do not fit; the only way in for scenes from files.
 
 use super::motion::RobotMotion;
 use super::refusal::{Checked, Problem, SceneError};
@@ -9,11 +8,11 @@ use super::world::{World, surfaces};
 use std::io::Read;
 use std::path::Path;
 
-/// A way is checked this often, seconds, and at no more places than these.
+/// Interval and limit of checked places of a path, seconds.
 const STEP_S: f64 = 0.05;
 const STEPS: f64 = 20_000.0;
 
-/// Checks what a scene's values mean together: that the sounding fits, and where the robots go.
+/// Checks a scene as a whole: the sounding fits, and robots stay outside walls.
 ///
 /// # Errors
 /// [`SceneError::Value`] with the place in the scene.
@@ -56,11 +55,11 @@ fn check_ways(world: &World) -> Checked {
     Ok(())
 }
 
-/// Closer than this, metres, nothing else is where something is.
+/// Two things closer than this, metres, are at the same place.
 const SAME_PLACE_M: f64 = 0.01;
 
-/// No two robots begin at one place, and no antennas of robots that stay there: nothing could be measured. Those that meet on
-/// their way are counted.
+/// Refuses robots that start at one place, and antennas at one place on robots that stay: nothing could be measured.
+/// Robots that meet later are counted.
 fn check_places(world: &World) -> Checked {
     let robots = &world.scene().robot;
     for (index, robot) in robots.iter().enumerate() {
@@ -81,7 +80,7 @@ fn check_places(world: &World) -> Checked {
     Ok(())
 }
 
-/// If the antenna that one robot sends with is at the place of one that another receives with.
+/// True if one robot's sending antenna is at the place of another's receiving antenna.
 fn antennas_meet(world: &World, from: usize, to: usize) -> bool {
     let scene = world.scene();
     let chains = scene.robot.get(to).map_or(0, |robot| usize::from(scene.radio_of(robot).chains));
@@ -103,7 +102,7 @@ impl Scene {
         Self::read(text, Path::new(""))
     }
 
-    /// As [`Scene::from_toml`]; trajectory files are relative to `folder`, and the scene has them with it.
+    /// As [`Scene::from_toml`]; trajectory files are relative to `folder`, and the scene contains that path.
     ///
     /// # Errors
     /// As [`Scene::from_toml`].

@@ -98,7 +98,7 @@
   csi.showPhases = (host, { phases }) => {
     const tracks = [
       ["one direction", "orange", phases.t_s, phases.one_way_rad], ["both multiplied", "purple", phases.t_s, phases.round_trip_rad],
-      ["and the turn-around taken out", "blue", phases.t_s, phases.compensated_rad],
+      ["and the turn-around removed", "blue", phases.t_s, phases.compensated_rad],
       ["and the motion taken out", "green", phases.left_t_s, phases.left_rad],
     ];
     const wrapped = (rad) => Math.atan2(Math.sin(rad), Math.cos(rad));

@@ -69,10 +69,10 @@ pub enum Error {
         /// The system's answer.
         source: io::Error,
     },
-    /// The page asked for something that is not there.
+    /// The page requested something that does not exist.
     #[error("nothing at {path}")]
     NoSuch {
-        /// What it asked for.
+        /// The request.
         path: String,
     },
     /// The page asked with a value that cannot be meant.

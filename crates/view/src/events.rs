@@ -1,10 +1,10 @@
-//! What the page is told without asking: server-sent events.
+//! Server-sent events for the page.
 
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
-/// Events that wait for one page; further ones are left out, and each event says the whole of what it is about.
+/// Limit of waiting events of one page; further ones are dropped, because each event is complete.
 const WAITING: usize = 32;
 /// Pages that are told at a time.
 const LISTENERS: usize = 16;

@@ -1,4 +1,4 @@
-//! Who is let in: a browser on this machine that shows this page, and nobody who only got it to ask.
+//! Admits requests of this page in a browser on this machine, but not requests that other pages cause.
 //!
 //! A page of the web can make a browser ask a server on localhost, by its number or by a name of the page's own that
 //! resolves to it (DNS rebinding). The browser then says another `Host`, `Origin` or `Sec-Fetch-Site` than this page's.
@@ -37,7 +37,7 @@ pub(crate) struct Asked<'a> {
     pub fetch_site: Option<&'a str>,
 }
 
-/// Lets a request in that came to `listening`, or says why not.
+/// Admits a request to `listening`, or returns why not.
 pub(crate) fn admit(listening: SocketAddr, asked: Asked<'_>) -> Result<(), Refused> {
     if !matches!(asked.method, "GET" | "HEAD") {
         return Err(Refused::Method);

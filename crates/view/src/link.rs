@@ -1,4 +1,4 @@
-//! One link as the page shows it: what its answer was chosen from, where the robot drove, and its phases.
+//! One link for the page: its profiles, the robot's path, and its phases.
 
 use csi5300::pipeline::Bearing;
 use csi5300_lab::curves::{Curve, evidence, plane_wave, without_motion};
@@ -26,7 +26,7 @@ struct Phases {
     one_way_rad: Vec<f64>,
     round_trip_rad: Vec<f64>,
     compensated_rad: Vec<f64>,
-    /// What is left once the motion is taken out: times from the first sample in motion, and phases.
+    /// The residual without the motion: times from the first sample in motion, and phases.
     left_t_s: Vec<f64>,
     left_rad: Vec<f64>,
 }

@@ -28,7 +28,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// With the trajectories of `source`; each capture's own channel where none is given.
+    /// With the trajectories of `source`; by default each capture's own channel.
     #[must_use]
     pub fn new(source: TrajectorySource, channel: Option<Channel>, options: Options) -> Self {
         // Curves, paths and phases are what the page shows.
@@ -98,7 +98,7 @@ struct Done {
 
 #[derive(Default)]
 struct State {
-    /// Captures that nobody works on yet.
+    /// Captures without a worker yet.
     waiting: VecDeque<usize>,
     /// Captures that are worked on because somebody waits for them.
     urgent: usize,
@@ -142,7 +142,7 @@ impl Drop for Urgent<'_> {
 }
 
 impl Links {
-    /// The captures below a folder; none where there is none.
+    /// The captures below a folder.
     pub fn below(folder: &Path, reading: Reading) -> Option<Self> {
         let (mut captures, unreadable) = find_all(folder);
         for capture in &mut captures {
@@ -198,7 +198,7 @@ impl Links {
         self.captures.iter().flat_map(named).collect()
     }
 
-    /// Evaluates the capture that is next, once none is urgent; false if none is left.
+    /// Evaluates the next capture, once none is urgent; false if none remains.
     pub fn work(&self, events: &Events) -> bool {
         let rested = self.calm.wait_while(self.state(), |state| state.urgent > 0);
         let next = rested.unwrap_or_else(PoisonError::into_inner).waiting.pop_front();
@@ -284,7 +284,7 @@ impl Links {
         Ok(serde_json::to_vec(&rows)?)
     }
 
-    /// Errors by set of what is done, and of another program on the same links.
+    /// Errors by set so far, and another program's on the same links.
     pub fn sets(&self) -> Result<Vec<u8>, Error> {
         let state = self.state();
         let rows: Vec<Judged> = state.links.iter().flatten().map(|done| done.row.clone()).collect();
@@ -300,9 +300,9 @@ impl Links {
         Ok(serde_json::to_vec(&sets.collect::<BTreeMap<_, _>>())?)
     }
 
-    /// A link: its whole row, where its capture's receiver is located, and what the page draws. A capture that nobody works
-    /// on is next then, and until it is done there are `waiting`, true, and the logs only. `logs` are the numbers of the receiver's and the
-    /// transmitter's log. Beside the answer: whether it is one that nobody works on.
+    /// A link: its row, the place of its capture's receiver, and its drawn data. A capture without a worker comes next,
+    /// and until it is done the answer has only `waiting`, true, and the logs. `logs` are the numbers of the receiver's
+    /// and the transmitter's log. The second value is true for a capture without a worker.
     pub fn link(&self, link: usize, logs: [Option<usize>; 2]) -> Result<Option<(Vec<u8>, bool)>, Error> {
         let Some((capture, _)) = self.place(link) else { return Ok(None) };
         let numbers = serde_json::json!({ "receiver": logs[0], "transmitter": logs[1] });
@@ -376,7 +376,7 @@ mod tests {
         assert!(links.urgent(2).is_none() && links.urgent(3).is_none());
         std::thread::scope(|scope| {
             let background = scope.spawn(|| links.finish(&events, |_| {}));
-            // The background begins when this is done, whatever runs first.
+            // The background starts after this.
             urgent.work(&events);
             background.join().unwrap();
         });

@@ -61,7 +61,7 @@ impl Named {
         self.path.metadata().map_err(|source| Error::Missing { path: self.path.clone(), source })
     }
 
-    /// The index of what is there now.
+    /// The index of the current file.
     fn read(&self, place: &mut Read) -> Result<Arc<LogIndex>, Error> {
         let before = self.metadata()?;
         if !before.is_file() {
@@ -91,8 +91,8 @@ impl Logs {
         Self { all: logs.into_iter().map(named).collect(), left_out: Vec::new(), recent: Mutex::default() }
     }
 
-    /// All logs below a folder (names in `.dat`, and other cards' logs), in the order of their names; links to folders are not followed. Pipes and
-    /// devices are left out: opening one could wait for ever.
+    /// All logs below a folder (names in `.dat`, and other cards' logs), in the order of their names, without following
+    /// links to folders. Pipes and devices are skipped: opening one could block.
     pub fn below(folder: &Path) -> Self {
         let (mut found, mut left_out, mut folders) = (Vec::new(), Vec::new(), vec![folder.to_path_buf()]);
         while let Some(next) = folders.pop() {
@@ -132,7 +132,7 @@ impl Logs {
         self.all.iter().position(|log| log.path == path)
     }
 
-    /// A log and its index, read where it is not yet, or is another one by now; whoever asks meanwhile waits for the same.
+    /// A log and its index, read if needed or changed; concurrent callers wait for the same reading.
     pub fn read(&self, number: usize) -> Result<Option<(&Named, Arc<LogIndex>)>, Error> {
         let Some(log) = self.all.get(number) else { return Ok(None) };
         let index = {
@@ -147,7 +147,7 @@ impl Logs {
         Ok(Some((log, index)))
     }
 
-    /// The same of a log that was read before and must still be what it was then: the page shows something of it already.
+    /// The same for a log that must be unchanged since it was read, because the page shows parts of it.
     pub fn read_again(&self, number: usize) -> Result<Option<(&Named, Arc<LogIndex>)>, Error> {
         self.must_hold(number)?;
         self.read(number)

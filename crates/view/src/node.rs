@@ -11,7 +11,7 @@ use std::time::Duration;
 
 /// States kept for a page that comes later.
 const KEPT: usize = 1_200;
-/// Bytes of a state at most: what is longer is no state.
+/// Limit of a state, bytes.
 const LONGEST: u64 = 1 << 20;
 /// From the end of a connection to the next try.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -26,7 +26,7 @@ impl Node {
     /// A node whose socket is there, and its states from then on. Whenever it ends it is waited for.
     ///
     /// # Errors
-    /// If nobody listens on the socket, or no thread can be started.
+    /// If the socket has no listener, or the thread cannot be started.
     pub fn open(path: &Path, events: Weak<Events>) -> Result<Arc<Self>, Error> {
         let failed = |source| Error::Node { path: path.to_owned(), source };
         let stream = UnixStream::connect(path).map_err(failed)?;

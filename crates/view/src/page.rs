@@ -35,7 +35,7 @@ pub(crate) fn file(path: &str) -> Option<(&'static str, String)> {
     })
 }
 
-/// The page as one file with the answers to what it asks: path and JSON of each.
+/// The page as one file with the answers to its requests: path and JSON of each.
 pub(crate) fn whole(title: &str, answers: &[(String, String)]) -> String {
     let name = title.replace('&', "&amp;").replace('<', "&lt;");
     let mut head = HEAD.replace("<title>csi5300</title>", &format!("<title>{name}: csi5300</title>"));

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// Connections at a time; a browser opens six for one page.
 const CONNECTIONS: usize = 64;
-/// A request's head must be whole within this time, and a browser that takes nothing for so long is let go.
+/// Time limit for a request's head, and for a browser that reads nothing.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Bytes of a request's head at most, and fields in it.
 const HEAD: usize = 16 * 1024;
@@ -53,7 +53,7 @@ impl Server {
     /// Listens; port 0 is any that is free.
     ///
     /// # Errors
-    /// If nobody can listen there.
+    /// If the address cannot be used.
     pub fn listen(address: SocketAddr) -> Result<Self, Error> {
         let failed = |source| Error::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(failed)?;
@@ -157,7 +157,7 @@ fn respond(mut stream: TcpStream, address: SocketAddr, view: &View) -> io::Resul
     }
 }
 
-/// Sends events as they come, until the page has gone.
+/// Sends events until the page disconnects.
 fn tell(stream: &mut TcpStream, events: &Listener) -> io::Result<()> {
     stream.write_all(start(200, "text/event-stream", None).as_bytes())?;
     stream.set_read_timeout(Some(Duration::from_millis(1)))?;

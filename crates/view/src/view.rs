@@ -169,7 +169,7 @@ impl View {
             return Ok(view(Logs::new(Vec::new()), None, Some(node)));
         }
         let logs = Logs::new(vec![(name.clone(), path.to_owned())]);
-        // Read at once: a log that cannot be read is said before there is a page.
+        // Read at once: an unreadable log is reported before there is a page.
         let known = logs.read(0)?.is_some_and(|(_, index)| index.records() > 0);
         if known { Ok(view(logs, None, None)) } else { Err(Error::NoRecord { path: path.to_owned() }) }
     }
@@ -306,7 +306,7 @@ impl View {
         }
         let query = format!("columns={COLUMNS_IN_FILE}&antenna={}", self.antenna);
         for log in 0..self.logs.len() {
-            // A log that cannot be read is said by its links; the page of the others stays.
+            // Its links report an unreadable log; the other links remain.
             if give(format!("/data/log/{log}"), "").is_ok() {
                 give(format!("/data/log/{log}/levels"), &query)?;
                 give(format!("/data/log/{log}/csi"), &query)?;

@@ -100,15 +100,15 @@ impl Tail {
 
 /// Walks a stream of records; owns no buffer.
 ///
-/// Offer the bytes not yet consumed to [`Framer::step`], then drop as many from the front as it says (`used`,
-/// `skipped`). The same bytes give the same steps whatever the chunks in which they arrive. Work is linear in the
-/// bytes; a look further ahead is bounded by [`LOOKAHEAD`].
+/// Offer the bytes not yet consumed to [`Framer::step`], then drop as many from the front as it returns (`used`,
+/// `skipped`). The same bytes give the same steps, whatever the chunks. Work is linear in the bytes; look-ahead is
+/// bounded by [`LOOKAHEAD`].
 ///
 /// A record is accepted when its own contents are consistent (a bfee whose lengths obey the formula, a noise value, an
-/// MPDU with a good checksum) or when such a record, or the stream's end, follows where its length says. A bfee or
-/// MPDU followed by nothing is searched for the head of another record: if there is one inside, bytes are missing
-/// from the first and it is given up, so one lost or 100 foreign bytes cost the record that they are in, no more.
-/// Records of unknown codes are legal; right after damage one is accepted only if its code was met before.
+/// MPDU with a good checksum) or when such a record, or the stream's end, follows where its length says. A bfee or MPDU
+/// without such a follower is searched for the head of another record: if there is one inside, bytes are missing from
+/// the first, which is discarded. So one lost or 100 foreign bytes cost only the record that contains them. Records of
+/// unknown codes are legal; right after damage one is accepted only if its code was met before.
 #[derive(Clone, Debug)]
 pub struct Framer {
     offset: u64,
@@ -211,7 +211,7 @@ impl Framer {
         self.offset
     }
 
-    /// Looks at the front of the unconsumed bytes; `end` says that no more will follow.
+    /// Judges the front of the unconsumed bytes; `end`: no more will follow.
     #[inline(always)]
     pub fn step<'a>(&mut self, front: &'a [u8], end: bool) -> Step<'a> {
         if let Some((record, len, next)) = self.go_on(front) {
@@ -381,10 +381,10 @@ impl Framer {
         }
     }
 
-    /// A record that nothing speaks for but an MPDU's checksum; `reason` is what speaks against it.
+    /// A record supported only by an MPDU's checksum; `reason` contradicts it.
     #[inline(never)]
     fn judge_alone(&mut self, front: &[u8], len: usize, reason: Reason) -> Verdict {
-        // Paid for once, however often it is asked for before enough bytes are there.
+        // Computed once, however often it is requested before enough bytes are available.
         let is_right = self.known.is_right.unwrap_or_else(|| self.checksum(front, len) == Some(true));
         self.known.is_right = Some(is_right);
         if is_right { Verdict::take(len) } else { Verdict::Seek { from: 1, reason } }

@@ -78,7 +78,7 @@ pub(super) enum Head {
     Good {
         /// Length field, code and body.
         len: usize,
-        /// Bits of evidence: how unlikely it is that other bytes look so. At least [`SURE`] needs no more.
+        /// Bits of evidence that these bytes are a record. From [`SURE`] on it is certain.
         bits: u32,
     },
 }

@@ -120,7 +120,7 @@ impl Card {
         self.counts
     }
 
-    /// Packets are missing here: what is left of the current frame must not be joined with those that follow.
+    /// Packets are missing here: the current frame must not be combined with later packets.
     pub fn gap(&mut self) {
         (self.phy, self.sender) = (None, None);
     }

@@ -1,22 +1,21 @@
-//! Pairing where frames have no number: by the two cards' own clocks, sans-IO.
+//! Pairing of frames without numbers by the two cards' clocks, sans-IO.
 //!
-//! Between a frame that one card heard and the answer that the other card heard lies only a turn-around. So over an exchange
-//! `clock_tx - clock_rx` is a straight line, sharp to some tens of microseconds but for the outliers of the turn-around;
-//! shifted by one exchange or more it spreads as the pauses between exchanges do. Traffic need not be irregular by much: on
-//! WSR's logs the pauses of 4 to 10 ms vary by 0.1 ms, and the right shift is 2 to 8 times as sharp as the next
-//! (measured).
+//! Only a turn-around lies between a frame that one card heard and the answer that the other card heard. So `clock_tx -
+//! clock_rx` is a straight line, sharp to some tens of microseconds except for outliers of the turn-around; shifted by
+//! one exchange or more it spreads like the pauses between exchanges. A little irregularity is enough: on WSR's logs
+//! the pauses of 4 to 10 ms vary by 0.1 ms, and the right shift is 2 to 8 times as sharp as the next (measured).
 //!
 //! 1. A stretch of the receiver's log is laid over the transmitter's at every difference that makes one of its records
-//!    meet another. Of each difference the deviations from a straight line are sorted into bins of 10 us; the share of
-//!    pairs of deviations that share a bin, or two neighbouring ones, is its **sharpness**. It does not ask for one peak:
-//!    turn-arounds often have two. The host clocks are not looked at, unless the caller says how well they agree.
-//! 2. The sharpest difference is taken if it stands out from all others. Otherwise the two logs do not belong together, or
-//!    the exchanges are too regular for one to be told from the next.
+//!    meet another. For each difference the deviations from a straight line are sorted into bins of 10 us; the share of
+//!    pairs of deviations in the same or neighbouring bins is its **sharpness**. It does not require a single peak:
+//!    turn-arounds often have two. Host clocks are not used unless the caller states how well they agree.
+//! 2. The sharpest difference is taken if it stands out from all others. Otherwise the two logs do not belong together,
+//!    or the exchanges are too regular to be distinguished.
 //! 3. From there the line is followed to both ends, so that drift may change with temperature.
-//! 4. A record is paired with the one nearest to the line, within half of the shortest exchange, where each is the other's
-//!    nearest. Two that are equally near are both skipped.
+//! 4. Two records are paired if each is the other's nearest to the line, within half of the shortest exchange. Two that
+//!    are equally near are both skipped.
 //!
-//! A clock that steps back was set anew: what follows is aligned by itself.
+//! After a step back of a clock, the rest is aligned separately.
 //!
 //! [`ByClock`] takes whole logs, [`Live`] the same records as they come.
 
@@ -27,28 +26,29 @@ pub(crate) use live::Live;
 use super::{LinkSide, Pair};
 use std::collections::VecDeque;
 
-/// Records of each side with which a stretch can be aligned at all.
+/// Fewest records of each side for an alignment.
 pub const LEAST: usize = 32;
 /// Records of a stretch that is laid over the other log.
 const STRETCH: usize = 1_024;
 /// Largest drift of two cards against each other: crystals are good to 20 ppm each, cheap ones to 50 (802.11-2016 17.3.9.5).
 const MAX_DRIFT: f64 = 120e-6;
-/// Width of a bin, ns: half of what the turn-around of a 5300 jitters.
+/// Width of a bin, ns: half of the jitter of a 5300's turn-around.
 const BIN_NS: f64 = 10_000.0;
 /// Deviations further out than this many bins share the outermost.
 const BINS: usize = 1_024;
-/// Slopes tried on each side of the one that fits best: as many as its error asks for, at most these.
+/// Most slopes tried on each side of the best fit, as its error requires.
 const SLOPES: i32 = 16;
-/// How often the sharpest must be as sharp as the next: 2.0 at least where logs belong together, 1.0 at most where they do
-/// not (measured on WSR's and the paper's logs).
+/// Least ratio of the best sharpness to the next: at least 2.0 for logs that belong together, at most 1.0 for others
+/// (measured on WSR's and the paper's logs).
 const STANDS_OUT: f64 = 1.3;
-/// By how many deviations of all others it must be above them: 54 at least and 5 at most there.
+/// Least distance of the best sharpness from all others, in their deviations: at least 54 for logs that belong
+/// together, at most 5 for others.
 const DEVIATIONS: f64 = 12.0;
-/// Differences that are looked at closely.
+/// Differences that are refined.
 const CLOSELY: usize = 64;
-/// A record so soon after the one before is the same frame, reported twice: no exchange is this short.
+/// A record this soon after another one is the same frame, reported twice.
 const TWICE_NS: i64 = 300_000;
-/// Records after which the line is corrected.
+/// Records between corrections of the line.
 const STEP: usize = 128;
 
 /// A clock of a card.
@@ -66,7 +66,7 @@ impl CardClock {
     /// The FTM clock of an AX200 or AX210.
     pub const FTM: Self = Self { tick_ps: 3_125, bits: 32 };
 
-    /// Ticks from one reading to the next, negative where it was set back.
+    /// Ticks from one reading to the next, negative if the clock was set back.
     fn step(self, from: u64, to: u64) -> i64 {
         let unused = 64_u32.saturating_sub(self.bits.clamp(1, 64));
         (to.wrapping_sub(from) << unused).cast_signed() >> unused
@@ -105,7 +105,7 @@ pub enum Refusal {
     },
 }
 
-/// How the clocks of a link go together.
+/// How the clocks of a link correspond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {
     /// `clock_tx - clock_rx` in the middle of the stretch that was aligned, microseconds.
@@ -114,13 +114,13 @@ pub struct Fit {
     pub drift_ppm: f64,
     /// Share of pairs of deviations that are within a bin of each other.
     pub sharpness: f64,
-    /// How often it is as sharp as the next.
+    /// Ratio of its sharpness to the next.
     pub ratio: f64,
-    /// Whether hosts' clocks were needed to tell.
+    /// Whether the hosts' clocks were needed to decide.
     pub by_hosts: bool,
 }
 
-/// Records of one side by what became of them: `handed = paired + unpaired + twice + ambiguous`.
+/// Records of one side by outcome: `handed = paired + unpaired + twice + ambiguous`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClockCounts {
     /// Records handed in.
@@ -145,7 +145,7 @@ struct Side<T> {
     at_ns: Vec<i64>,
     host_us: Vec<Option<i64>>,
     items: Vec<Option<T>>,
-    /// Where a clock was set back: the first record after it.
+    /// The first record after each step back of the clock.
     starts: Vec<usize>,
     counts: ClockCounts,
 }
@@ -167,7 +167,7 @@ impl<T> Side<T> {
         self.counts.handed += 1;
         let step_ns = self.step_ns(ticks);
         if self.last.is_some() && (0..TWICE_NS).contains(&step_ns) {
-            // Time goes on from the record kept.
+            // Time continues from the record kept.
             self.counts.twice += 1;
             return;
         }
@@ -210,9 +210,9 @@ fn taken<T>(receiver: &mut Side<T>, transmitter: &mut Side<T>, (i, j): (usize, u
     Some(Pair { number: 0, receiver: own, transmitter: other, clock_difference_us, clock_rx_us })
 }
 
-/// Pairs the records of one link by clocks. Call [`handle`](Self::handle) for each record of the frames of one sender in
-/// either log, in its log's order, then [`finish`](Self::finish), then [`poll_pair`](Self::poll_pair) until `None`.
-/// Nothing can be paired before the clocks are understood.
+/// Pairs the records of one link by clocks. Call [`handle`](Self::handle) for each record of the frames of one sender
+/// in either log, in its log's order, then [`finish`](Self::finish), then [`poll_pair`](Self::poll_pair) until `None`.
+/// No pair comes before the clocks' difference is known.
 #[derive(Clone, Debug)]
 pub struct ByClock<T> {
     receiver: Side<T>,
@@ -229,7 +229,7 @@ impl<T> ByClock<T> {
         Self { receiver, transmitter, hosts_within_us: None, ready: VecDeque::new() }
     }
 
-    /// The same where the hosts' clocks are known to agree to within so many microseconds: only such pairs are thought of.
+    /// The same with hosts' clocks that agree to within this many microseconds: only such pairs are considered.
     #[must_use]
     pub fn with_hosts_within(mut self, us: Option<i64>) -> Self {
         self.hosts_within_us = us;
@@ -249,7 +249,7 @@ impl<T> ByClock<T> {
         self.ready.pop_front()
     }
 
-    /// What became of the records of `side`.
+    /// Outcomes of the records of `side`.
     #[must_use]
     pub fn counts(&self, side: LinkSide) -> ClockCounts {
         match side {
@@ -258,7 +258,7 @@ impl<T> ByClock<T> {
         }
     }
 
-    /// Ends both logs and pairs what can be. Of several stretches (a clock that was set) the longest that fits is told.
+    /// Ends both logs and pairs their records. Of several stretches (a clock was set) it reports the longest that fits.
     ///
     /// # Errors
     /// Why nothing could be paired.
@@ -274,7 +274,7 @@ impl<T> ByClock<T> {
                 }
             }
         }
-        // Where two stretches claim one record, the one with more pairs has it.
+        // If two stretches claim one record, the one with more pairs gets it.
         fits.sort_by_key(|(.., partners)| std::cmp::Reverse(partners.pairs.len()));
         for (_, rx, tx, partners) in &fits {
             self.take(*rx, *tx, partners);
@@ -301,7 +301,7 @@ impl<T> ByClock<T> {
         for &(i, j) in &partners.pairs {
             self.ready.extend(taken(&mut self.receiver, &mut self.transmitter, (rx + i, tx + j)));
         }
-        // Each of the transmitter's has at least two of the receiver's that want it.
+        // At least two of the receiver's records claim each of the transmitter's.
         self.transmitter.counts.ambiguous += partners.ambiguous;
         self.receiver.counts.ambiguous += 2 * partners.ambiguous;
     }
@@ -372,7 +372,7 @@ impl<'a> Overlay<'a> {
         Err(refusal.unwrap_or(Refusal::Strangers { ratio: 1.0 }))
     }
 
-    /// Places in `a` around `middle` that are laid over `b`: so many that drift moves their ends by half of what is allowed.
+    /// Places in `a` around `middle` that are laid over `b`: as many as drift moves by half of the tolerance.
     fn stretch(&self, middle: usize) -> std::ops::Range<usize> {
         let near = (0.5 * self.half_ns / MAX_DRIFT) as i64;
         let at = self.a[middle];
@@ -380,7 +380,7 @@ impl<'a> Overlay<'a> {
         from..self.a.partition_point(|t| *t <= at + near).min(middle + STRETCH / 2)
     }
 
-    /// The difference that stands out.
+    /// The best difference, if it stands out.
     fn best(&self, middle: usize, agree: &dyn Fn(usize, usize) -> bool) -> Result<(Line, Fit), Refusal> {
         let stretch = self.stretch(middle);
         let few = Refusal::TooFew { receiver: stretch.len(), transmitter: self.b.len() };
@@ -388,7 +388,7 @@ impl<'a> Overlay<'a> {
             return Err(few);
         }
         let own = &self.a[stretch.clone()];
-        // Any of these records may have lost its partner; hardly all.
+        // Any of these records may have lost its partner, but hardly all.
         let anchors = [stretch.len() / 2, stretch.len() / 3, 2 * stretch.len() / 3].map(|at| stretch.start + at);
         let mut room = Room::default();
         let mut judged: Vec<Judged> = Vec::new();
@@ -407,7 +407,7 @@ impl<'a> Overlay<'a> {
         let next = judged.iter().find(is_other).map_or(0.0, |judged| judged.sharpness).max(self.by_chance());
         let (median, deviation) = centre(&mut all);
         let ratio = best.sharpness / next;
-        // With a handful of differences to choose from nothing is known of the others.
+        // A few differences give no statistics of the others.
         let is_far = all.len() < LEAST || best.sharpness > median + DEVIATIONS * deviation;
         if ratio < STANDS_OUT || !is_far {
             return Err(self.why_not(own, ratio));
@@ -423,13 +423,13 @@ impl<'a> Overlay<'a> {
         Ok((best.line, fit))
     }
 
-    /// Sharpness that a few deviations have by chance, where no other difference is at hand to compare with: four times that of
-    /// deviations that lie anywhere within half an exchange.
+    /// Sharpness of a few deviations by chance, for lack of other differences: four times that of uniform deviations
+    /// within half an exchange.
     fn by_chance(&self) -> f64 {
         4.0 * 3.0 * BIN_NS / (2.0 * self.half_ns)
     }
 
-    /// Whether it is for the regularity of the exchanges that nothing stands out: where pauses vary less than the bins can tell.
+    /// Whether the exchanges are too regular: their pauses vary by less than the bins resolve.
     fn why_not(&self, own: &[i64], ratio: f64) -> Refusal {
         let pauses = pauses(own);
         let varies = at_share(&pauses, 0.9) - at_share(&pauses, 0.1);
@@ -439,7 +439,7 @@ impl<'a> Overlay<'a> {
         }
     }
 
-    /// How sharp one difference is, at the best of some slopes around the one that fits best; none where few records meet.
+    /// Sharpness of one difference, at the best of some slopes around the best fit; none if few records meet.
     fn judge(&self, own: &[i64], difference: i64, slopes: i32, room: &mut Room) -> Option<Judged> {
         self.deviations(own, difference, room);
         let n = room.x.len();

@@ -1,4 +1,4 @@
-//! The cards' clocks along a link: whether two records of one number are of one exchange.
+//! The cards' clocks along a link: decides whether two records of the same number are of the same exchange.
 
 use crate::maths::{unwrap_near, upper_median_ord};
 use std::collections::VecDeque;
@@ -10,10 +10,10 @@ const CLOCK_SLACK_US: i64 = 20_000;
 /// The same per second between them, microseconds (200 ppm; 802.11 allows two cards 40).
 const CLOCK_DRIFT_PER_S: i64 = 200;
 
-/// Candidates that must agree before their difference is believed.
+/// Candidates that must agree before their difference is accepted.
 const RUN: usize = 16;
 
-/// Candidates after which any are believed.
+/// Candidates after which any agreement is accepted.
 const PATIENCE: u32 = 1_024;
 
 /// They agree if the median step is at most this, microseconds (a turn-around jitters by 4 to 22, independent senders
@@ -26,8 +26,8 @@ const RUNS_KEPT: usize = 8;
 /// A pair that does not continue the link, if known.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
-    /// The count that it is of: where both robots initiate, the difference is one turn-around less in one robot's
-    /// exchanges and one more in the other's.
+    /// Its count: if both robots initiate, the difference is one turn-around less in one robot's exchanges and one more
+    /// in the other's.
     count: u32,
     rx: u32,
     difference: u32,
@@ -49,7 +49,7 @@ impl Clock {
         self.last.is_some()
     }
 
-    /// The unwrapped (receiver clock, difference) of a candidate that continues the link, which it then does.
+    /// Continues the link with a candidate that fits; returns its unwrapped (receiver clock, difference).
     pub(super) fn follow(&mut self, rx: u32, tx: u32) -> Option<(i64, i64)> {
         let raw = tx.wrapping_sub(rx);
         let (last_rx, last_difference) = self.last?;
@@ -62,7 +62,7 @@ impl Clock {
         Some(clocks)
     }
 
-    /// Notes a candidate of `count` that does not fit; true if this makes a new difference the accepted one.
+    /// Notes a candidate of `count` that does not fit; true if a new difference is accepted by it.
     pub(super) fn doubt(&mut self, count: u32, rx: u32, tx: u32) -> bool {
         self.run.push_back(Candidate { count, rx, difference: tx.wrapping_sub(rx) });
         if self.run.len() > RUNS_KEPT * RUN {
@@ -84,14 +84,14 @@ impl Clock {
         run
     }
 
-    /// Believes the newest run's difference (the middle one of the run); false if there is no run.
+    /// Accepts the newest run's difference (the middle one of the run); false without a run.
     pub(super) fn believe(&mut self) -> bool {
         let run = self.newest_run();
         let Some(&Candidate { rx: first, difference: origin, .. }) = run.first() else { return false };
         let mut offsets: Vec<i32> = run.iter().map(|one| one.difference.wrapping_sub(origin).cast_signed()).collect();
         let Some(offset) = upper_median_ord(&mut offsets) else { return false };
         let difference = i64::from(origin.cast_signed()) + i64::from(offset);
-        // Unwrapped clocks go on where they were, so that time does not jump back over a reset.
+        // Unwrapped clocks continue, so that time does not jump back over a reset.
         let rx = match self.last {
             None => i64::from(first),
             Some((last_rx, _)) => unwrap_near(last_rx, first),
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_agrees_is_believed_in_its_middle() {
+    fn an_agreeing_run_is_accepted_at_its_middle() {
         let run = RUN;
         let (at, clock) = believed((0..).map(|k| 500 + 20 * (k % 3)));
         assert_eq!((at, clock.is_known()), (Some(run - 1), true));
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn candidates_that_never_agree_are_believed_when_patience_ends_and_only_where_nothing_was_known() {
+    fn disagreeing_candidates_are_accepted_after_a_limit_only_without_a_known_difference() {
         let apart = || (0..3_000).map(|k| 100_000 * (k % 7));
         let (at, mut clock) = believed(apart());
         assert_eq!(at, Some(PATIENCE as usize - 1));
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_followed_before_anything_is_believed() {
+    fn no_difference_is_followed_before_one_is_accepted() {
         let mut clock = Clock::default();
         assert!(!clock.is_known() && clock.follow(0, 0).is_none() && !clock.believe());
     }

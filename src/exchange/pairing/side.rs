@@ -21,17 +21,16 @@ const NEAR: u32 = 32;
 /// than half an hour. Counts that begin [apart](super::numbering::before_first_number) are further from each other. A confirmed step back of no
 /// more is a restart of the same count.
 const MAX_STEP: u32 = 1 << 21;
-/// Counts followed at once: one for each robot that initiates, and some that ended.
+/// Counts followed at the same time: one for each robot that initiates, and some that ended.
 const MAX_COUNTS: usize = 16;
-/// Numbers that wait to be confirmed, and records within which that must happen: several robots may take turns of one
-/// slot.
+/// Limit of unconfirmed numbers, and of records until they are confirmed: several robots may take turns of one slot.
 const MAX_SUSPECTS: usize = 4;
 const SUSPECT_RECORDS: u64 = 8;
 /// Sessions back in which a partner is looked for, besides those that continue.
 const SESSIONS_BACK: u32 = 3;
 
-/// Hashes the few thousand (session, number) keys of a window: one multiplication is plenty where the window is
-/// bounded, whoever chose the numbers.
+/// Hashes the few thousand (session, number) keys of a window: one multiplication is enough for a bounded window,
+/// whoever chose the numbers.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct KeyHasher(u64);
 
@@ -56,7 +55,7 @@ pub(super) type Waiting<T> = HashMap<(u32, u32), Entry<T>, BuildHasherDefault<Ke
 #[derive(Clone, Debug)]
 pub(super) struct Entry<T> {
     pub(super) clock: u32,
-    /// It met a record of its number whose clock did not fit.
+    /// It met a record of its number with another clock.
     pub(super) met_other: bool,
     pub(super) item: T,
 }
@@ -117,8 +116,8 @@ impl<T> Default for SideState<T> {
 }
 
 impl<T> SideState<T> {
-    /// Judges the number of a record: gives what is now known to belong to a session, a record that this one vouches for
-    /// and the record itself. Nothing while the record is suspect.
+    /// Judges the number of a record. Returns the records that now belong to a session: one that this record confirms,
+    /// and the record itself; none while it is suspect.
     pub(super) fn place(&mut self, number: u32, entry: Entry<T>) -> [Option<(Key, Entry<T>)>; 2] {
         self.counts.handed += 1;
         self.drop_old_suspects();
@@ -212,7 +211,7 @@ impl<T> SideState<T> {
         session
     }
 
-    /// A placed record waits from now on; false for one whose number was there already.
+    /// Lets a placed record wait; false if its number came before.
     pub(super) fn wait(&mut self, key: Key, entry: Entry<T>) -> bool {
         let may_repeat = self.highest.is_some_and(|highest| key <= highest);
         if may_repeat && (self.waiting.contains_key(&key) || self.seen.contains(&key)) {
@@ -248,7 +247,7 @@ impl<T> SideState<T> {
         }
     }
 
-    /// Gives up the record that waited longest.
+    /// Drops the record that waited longest.
     fn drop_oldest(&mut self) {
         let Some(oldest) = self.order.pop_front() else { return };
         match self.waiting.remove(&oldest) {
@@ -258,7 +257,7 @@ impl<T> SideState<T> {
         }
     }
 
-    /// Nothing more comes: what waits is unpaired, what was not confirmed is implausible.
+    /// The end of the log: waiting records are unpaired, unconfirmed ones implausible.
     pub(super) fn finish(&mut self) {
         self.keep(0);
         self.counts.implausible += self.suspects.len() as u64;
@@ -300,7 +299,7 @@ mod tests {
         };
         let keys = || (0..4).flat_map(|session| (0..1_024).map(move |number| (session, number)));
         assert_eq!(keys().map(hash).collect::<HashSet<_>>().len(), 4_096);
-        // As many as of random numbers: 1 - 1/e of all values of the bits by which a table chooses the place.
+        // As many as with random numbers: 1 - 1/e of all values of the bits that select the place.
         let low: HashSet<_> = keys().map(|key| hash(key) & 0xfff).collect();
         assert!(low.len() > 2_300, "{} of 4,096", low.len());
         // Numbers of initiators that begin far apart differ in their upper bits.

@@ -68,7 +68,7 @@ fn session(count: u32, at_us: u32, salt: u32) -> impl Iterator<Item = (u32, u32)
 }
 
 #[test]
-fn a_session_that_one_log_missed_is_told_by_the_card_clocks() {
+fn card_clocks_identify_a_session_that_one_log_missed() {
     // The receiver logged three sessions; the transmitter missed the middle one, or all but the last.
     let starts = [0, 100_000_000, 200_000_000];
     let of = |k: usize| session(200, starts[k], k as u32);
@@ -83,7 +83,7 @@ fn a_session_that_one_log_missed_is_told_by_the_card_clocks() {
 }
 
 #[test]
-fn a_card_that_was_reset_is_understood_again() {
+fn pairs_continue_after_a_reset_of_a_card() {
     let r: Vec<_> =
         session(300, 0, 1).chain((301..=600).zip(session(300, 3_000_000, 2)).map(|(n, (_, c))| (n, c))).collect();
     let reset = |(n, c): (u32, u32)| (n, if n > 300 { c - 3_000_000 } else { c + 250 });
@@ -255,7 +255,7 @@ fn counts_that_begin_together_cost_pairs_and_make_no_wrong_ones() {
 }
 
 #[test]
-fn a_count_of_a_third_robot_in_one_log_holds_nothing_up() {
+fn a_third_robots_count_in_one_log_delays_no_pair() {
     // The receiver's log also has what the transmitter answers a third robot; the transmitter's has not.
     let count = |from: u32| (0..20_000).map(move |k| (from + k, 10_000 * k));
     let third = before_first_number(2, 3) + 1;
@@ -282,7 +282,7 @@ fn logs_too_short_to_understand_their_clocks_give_their_pairs_at_the_end() {
 }
 
 #[test]
-fn a_lone_pair_whose_clocks_do_not_fit_is_none_where_the_clocks_are_understood() {
+fn a_single_pair_with_other_clocks_is_refused_once_they_are_known() {
     let (mut r, mut t) = (log(1..50, 0), log(1..50, 77));
     r.push((50, 490_000));
     t.push((50, 10_490_000));

@@ -5,8 +5,8 @@
 //! | 0 to 7 | the group's | a robot of the group made the frame: enough for whose turn it is, which frames for others say too |
 //! | 8 to 15 | the pair's, of sender and destination | one of these two made it: a robot that has only [its own keys](Key::for_robot) cannot pose as another to a third |
 //!
-//! Both come from one secret by HKDF with SHA-256 \[rfc5869\]: `info` is [`GROUP`], or [`PAIR`] and the two addresses, the
-//! lower first. A tag does not show that a frame is new: for that there are sessions and numbers, see [`super::Tdma`].
+//! Both come from one secret by HKDF with SHA-256 \[rfc5869\]: `info` is [`GROUP`], or [`PAIR`] and the two addresses,
+//! the lower first. A tag does not show that a frame is new; sessions and numbers do, see [`super::Tdma`].
 
 use driver_iface::Mac;
 use driver_iface::sounding::native::{self, Repr};
@@ -26,7 +26,8 @@ pub const PAIR: &[u8] = b"csi5300 pair v1";
 const KEY_LEN: usize = 16;
 const HALF: usize = native::TAG_LEN / 2;
 
-/// The keys of an exchange: of the group, and of pairs. Its bytes are not printed, and are overwritten when the last copy goes.
+/// The keys of an exchange: of the group, and of pairs. Its bytes are not printed, and are overwritten when the last
+/// copy is dropped.
 #[derive(Clone)]
 pub struct Key(Arc<Keys>);
 
@@ -84,8 +85,8 @@ impl Key {
         Self(Arc::new(Keys { group, pairs: Pairs::Of(own, peers) }))
     }
 
-    /// What `own` needs of this key to exchange frames with `peers`; with it alone it cannot make frames of others to each
-    /// other. Peers for which there is no key here are skipped.
+    /// The keys that `own` needs to exchange frames with `peers`; they cannot make frames between two others. Peers
+    /// without a key here are skipped.
     #[must_use]
     pub fn for_robot(&self, own: Mac, peers: &[Mac]) -> Self {
         let peers = peers.iter().filter_map(|peer| Some((*peer, self.pair(own, *peer)?)));
@@ -285,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_of_a_tag_that_are_wrong_alike_do_not_make_up_for_each_other() {
+    fn equal_errors_in_a_tags_bytes_do_not_cancel() {
         let key = Key::new([7; 16]);
         let bytes = frame(A, B, &key);
         for half in [bytes.len() - native::TAG_LEN, bytes.len() - HALF] {

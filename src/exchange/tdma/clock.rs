@@ -1,9 +1,9 @@
-//! Slots on a robot's own clock, and how that clock's epoch follows the frames heard.
+//! Slots on a robot's own clock, whose epoch follows received frames.
 
 use super::plan::Plan;
 use crate::time::{Instant, Span};
 
-/// Where slot 0 is.
+/// The origin of slot 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Epoch {
     /// Known beforehand on this robot's clock (clocks are synchronised by other means); never adjusted.
@@ -12,11 +12,11 @@ pub enum Epoch {
     Heard(Instant),
 }
 
-/// After so many frames in a row that contradict the epoch it is the epoch that is wrong.
+/// After this many contradicting frames in a row the epoch is wrong.
 const OFF_EPOCH_FRAMES: u32 = 8;
 /// The epoch is kept in sixteenths of a microsecond, so that small corrections are not lost to rounding.
 const FRACTION: i64 = 16;
-/// Weight of an error in sixteenths: frames are only ever late (scheduling, delivery), so an early one has more weight.
+/// Weight of an error in sixteenths. Frames can only be late (scheduling, delivery), so an early one has more weight.
 const EARLY: i64 = 8;
 const LATE: i64 = 1;
 
@@ -52,12 +52,12 @@ impl SlotClock {
         self.locked
     }
 
-    /// Gives the epoch up: the next frame sets it anew.
+    /// Drops the epoch; the next frame sets it.
     pub(super) fn unlock(&mut self) {
         self.locked = !self.follows;
     }
 
-    /// The robot itself sets the pace: its epoch is the one to follow.
+    /// This robot initiates, so its epoch is the one to follow.
     pub(super) fn lock(&mut self) {
         self.locked = true;
     }
@@ -75,8 +75,8 @@ impl SlotClock {
         self.slot_at(plan, at - Span::from_us(1)) + 1
     }
 
-    /// True if a frame of `slot` may begin at `began`: it fits, no epoch is known, or so many frames in a row did not
-    /// fit that it is the epoch that is wrong. To be asked once per frame.
+    /// True if a frame of `slot` may begin at `began`: it fits, no epoch is known, or too many frames in a row did not
+    /// fit. Call it once per frame.
     pub(super) fn admits(&mut self, plan: &Plan, slot: i64, began: Instant) -> bool {
         if !self.locked {
             return true;
@@ -174,14 +174,14 @@ mod tests {
             assert_eq!([start - us, start, start + us].map(|at| clock.slot_at(&plan, at)), [slot - 1, slot, slot]);
             assert_eq!([start - us, start, start + us].map(|at| clock.slot_from(&plan, at)), [slot, slot, slot + 1]);
         }
-        // Given up, the epoch is the next frame's, however near that is; an early frame weighs eight times a late one.
+        // After a drop the next frame sets the epoch, however near it is; an early frame weighs eight times a late one.
         clock.lock();
         let near = Span::from_us(4);
         clock.follow(&plan, 0, clock.start(&plan, 0) + near);
         assert_eq!(clock.epoch_16, 16_000 + 4);
         clock.follow(&plan, 0, clock.start(&plan, 0) - near);
         assert_eq!(clock.epoch_16, 16_004 - 8 * 4);
-        // What is as late as may be is followed smoothly too, what is later at once.
+        // Errors up to the limit are followed smoothly, larger ones at once.
         let (before, most) = (clock.epoch_16, Span::from_us(clock.tolerance_us));
         clock.follow(&plan, 0, clock.start(&plan, 0) + most);
         assert_eq!(clock.epoch_16, before + clock.tolerance_us);

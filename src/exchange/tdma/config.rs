@@ -1,4 +1,4 @@
-//! What a scheduler is made from.
+//! The configuration of a scheduler.
 
 use super::auth::Key;
 use super::clock::Epoch;
@@ -17,7 +17,7 @@ pub struct Robot {
     pub index: u16,
 }
 
-/// What a scheduler is made from: the same robots and the same request on every robot, the rest its own.
+/// What a scheduler is made from: robots and request are the same on every robot, the rest is its own.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Config {
@@ -30,12 +30,12 @@ pub struct Config {
     /// Rate, frames and timing; `links` of the request are the slots of a round, at least as many as any robot's
     /// links. The same on every robot.
     pub request: Request,
-    /// This robot wants the turn. One that does not only answers; it may change its mind.
+    /// This robot wants the turn; otherwise it only answers ([`super::Tdma`] can change it).
     pub initiate: bool,
     /// This robot answers forward frames. False if the WSR kernel driver does it.
     pub respond: bool,
-    /// Answers are measured by the card but need not reach this scheduler, as with WSR's sender: links are sounded in
-    /// every round whatever is heard, and no slot is skipped to listen.
+    /// The card measures answers, but they need not reach this scheduler, as with WSR's sender: links are sounded in
+    /// every round, and no slot is skipped to listen.
     pub open_loop: bool,
     /// Number of this start: larger after every restart (wrapping), such as seconds since 1970. In the native dialect
     /// frame numbers are counted within it; with a key, robots ignore frames of an older session.
@@ -49,17 +49,17 @@ pub struct Config {
     pub epoch: Epoch,
     /// When this robot is switched on, on its own clock. Before the first claim it listens for a while.
     pub start: Instant,
-    /// Silence that means that the last initiator is gone, in slots. A turn that was passed on is taken back after
-    /// one such silence, one that was lost is claimed after two. At 60 % loss a robot that sounds in every slot is not
-    /// heard for 64 slots once in 10^14.
+    /// Silence, in slots, after which the last initiator counts as gone. A turn that was passed on is taken back after
+    /// one such silence, a lost one is claimed after two. At 60 % loss a robot that sounds in every slot is silent for
+    /// 64 slots once in 10^14.
     pub silence_slots: u32,
-    /// How long an answer is waited for, microseconds, at least a slot; reception may be delayed by the host. The
-    /// shorter, the less time has a stranger to send a copy of an answer that was lost, which no tag can prevent.
+    /// How long to wait for an answer, microseconds, at least a slot; the host may delay reception. A shorter time
+    /// leaves a stranger less time to replay a lost answer, which no tag can prevent.
     pub patience_us: u32,
 }
 
 impl Config {
-    /// A robot that answers and does not initiate, its epoch taken from what it hears.
+    /// A robot that only answers, with the epoch of the frames that it hears.
     ///
     /// Peers are given by MAC and get indices in their order; `own_index` is this robot's in the WSR dialect.
     #[must_use]

@@ -25,7 +25,7 @@ pub enum Event {
         /// The number of the forward frame.
         number: u32,
     },
-    /// A forward frame for this robot was heard; its answer is due at once.
+    /// This robot heard a forward frame for itself; its answer is due at once.
     Asked {
         /// The initiator.
         peer: Mac,
@@ -38,7 +38,7 @@ pub enum Event {
     Missed {
         /// How many in a row.
         slots: u32,
-        /// From the start of the first of them to the driver's coming.
+        /// From the start of the first of them to the driver's call.
         late: Span,
         /// From the start of one to that of the next.
         slot: Span,
@@ -47,18 +47,18 @@ pub enum Event {
     Joined(Mac),
     /// A robot has not answered 64 times in a row; it is asked less often from now on, and not given the turn.
     Absent(Mac),
-    /// A robot was restarted: its numbers begin again, under another session.
+    /// A robot restarted: its numbers restart in another session.
     Restarted {
         /// The robot.
         peer: Mac,
         /// Its new session.
         session: u32,
     },
-    /// This robot initiates from now on. A turn that is renewed, as nobody else wants it, does not begin again.
+    /// This robot initiates from now on. A renewed turn is no new event.
     TurnBegan {
         /// Number of the turn.
         turn: u32,
-        /// How it came by the turn.
+        /// How it got the turn.
         cause: Cause,
     },
     /// This robot's turn is over.
@@ -77,7 +77,7 @@ pub enum Event {
     },
 }
 
-/// How a robot came by the turn.
+/// How a robot got the turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// The last initiator passed it on.
@@ -108,11 +108,11 @@ pub struct TdmaCounts {
     pub turns: u64,
     /// Turns given up to a rival.
     pub yields: u64,
-    /// Turns lost because the driver slept through them.
+    /// Turns lost because the driver was late.
     pub overslept: u64,
     /// Frames given to [`super::Tdma::handle_heard`].
     pub heard: u64,
-    /// Of these, no sounding frames, of another dialect or version, or damaged.
+    /// Of these: not sounding frames, of another dialect or version, or damaged.
     pub foreign: u64,
     /// From robots that are not in the list.
     pub strangers: u64,
@@ -120,21 +120,21 @@ pub struct TdmaCounts {
     pub own_echoes: u64,
     /// Without a tag, or with a wrong one.
     pub unauthenticated: u64,
-    /// With a key: measurements that were not sent, as the card reported two frames of their number.
+    /// With a key: measurements that were not sent, because the card reported two frames of their number.
     pub contested: u64,
     /// Forward frames heard before, or of an old session.
     pub replayed: u64,
     /// Backward frames for this robot that answer nothing (late, replayed, forged).
     pub unmatched: u64,
-    /// Frames of another plan (round length or slots); answered, but neither the turn nor the epoch follow them.
+    /// Frames of another plan (round length or slots): answered, but ignored for turn and epoch.
     pub other_plan: u64,
-    /// Frames of an initiator or a turn that contradicts what was heard before.
+    /// Frames that contradict an earlier initiator or turn.
     pub rivals: u64,
     /// Frames that contradict the epoch.
     pub off_epoch: u64,
     /// Events dropped because the driver did not fetch them; the oldest go first.
     pub events_lost: u64,
-    /// Calls with a time before that of an earlier call; taken as the earlier one's.
+    /// Calls with a time before an earlier call's; they take the earlier time.
     pub time_ran_back: u64,
 }
 

@@ -1,4 +1,4 @@
-//! Hearing: what each received frame means, in either dialect.
+//! The meaning of each received frame, in either dialect.
 
 use super::auth::Shown;
 use super::event::Event;
@@ -18,10 +18,10 @@ fn is_after(a: u32, b: u32) -> bool {
     a.wrapping_sub(b).cast_signed() > 0
 }
 
-/// How the time at which a forward frame was heard fits to its slot.
+/// How the reception time of a forward frame fits its slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fit {
-    /// As near as clocks and drivers allow.
+    /// Within the tolerance of clocks and drivers.
     InSlot,
     /// At another time.
     OffSlot,
@@ -54,7 +54,7 @@ impl Tdma {
     }
 
     fn hear_native(&mut self, ended: Instant, frame: &Frame<'_>, repr: &native::Repr, peer: usize) {
-        // What is for this robot must be of its sender; what is for others says whose turn it is, and is of the group.
+        // A frame for this robot needs its sender's tag; one for others shows whose turn it is and needs the group's.
         let shown = self.key.as_ref().map_or(Shown::Pair, |key| key.check(frame.mpdu(), repr));
         let is_proven = shown == Shown::Pair;
         if !(is_proven || (shown == Shown::Group && repr.destination != self.own)) {
@@ -84,11 +84,11 @@ impl Tdma {
         Span::from_us(i64::from(self.plan.phy.airtime_us(frame.len_with_fcs())))
     }
 
-    /// False for a frame that was heard before, as far as that can be known.
+    /// False for a frame that is known to be a repetition.
     ///
-    /// With a key, sessions and numbers of an initiator only go up: of frames that it has proven to be its own against what it
-    /// has proven, of those that only the group vouches for against all. Without a key a single forged frame could use up all
-    /// numbers to come, so only the very repetition of the last one is refused.
+    /// With a key, sessions and numbers of an initiator only rise: proven frames are compared with proven ones, frames
+    /// with the group's tag only with all. Without a key a single forged frame could use up all later numbers, so only
+    /// an exact repetition of the last one is refused.
     fn is_fresh(&self, repr: &native::Repr, peer: usize, is_proven: bool) -> bool {
         let Some(sender) = self.roster.peer(peer) else { return false };
         let has_key = self.key.is_some();
@@ -111,9 +111,9 @@ impl Tdma {
         }
     }
 
-    /// True for a frame of a group with a key that is sent in the slot it names, in the session that its initiator itself has
-    /// shown to have: no tape, which would name a slot that is over. So what a robot of the group made up about another one's
-    /// numbers to come, or its session, does not silence it.
+    /// True for an authenticated frame that is sent in the slot it names, in the session that its initiator has proven.
+    /// A replay would name a past slot. So false claims of a group member about another robot's numbers or session do
+    /// not silence that robot.
     fn is_of_now(&self, repr: &native::Repr, peer: usize, began: Instant) -> bool {
         let initiator = match repr.role {
             Role::Forward => Some(peer),
@@ -135,9 +135,9 @@ impl Tdma {
             && self.is_current(repr.slot.cast_signed(), began)
     }
 
-    /// Keeps what a frame says about its sender. Where the sender is, only its own word says for good, and what was sent now:
-    /// any robot of the group could say that another one was restarted, and that robot would not be believed again. A
-    /// frame that comes late, its own word or not, takes nothing back of what was heard since.
+    /// Notes what a frame states about its sender. Only the sender's own tag makes a statement about its session final:
+    /// otherwise any group member could claim that it restarted, and its later frames would be refused. A late frame
+    /// does not undo what was heard since.
     fn note_heard(&mut self, repr: &native::Repr, peer: usize, is_proven: bool, is_now: bool) {
         let joined = self.roster.hear(peer, self.now);
         let Some(sender) = self.roster.peer_mut(peer) else { return };
@@ -166,7 +166,7 @@ impl Tdma {
         }
     }
 
-    /// True for a frame of this robot's rounds, with a slot that can be one.
+    /// True for a frame of this robot's rounds with a possible slot.
     fn is_same_plan(&self, repr: &native::Repr) -> bool {
         (repr.round_us, repr.slots) == (self.plan.round_us(), self.plan.slots) && repr.slot <= MAX_SLOT
     }
@@ -182,7 +182,7 @@ impl Tdma {
             Role::Forward => (Some(peer), self.clock.admits(&self.plan, slot, began)),
             Role::Backward => (self.roster.find(repr.destination), self.is_current(slot, began)),
         };
-        // An answer to this robot itself says nothing new about the turn.
+        // An answer to this robot has no news about the turn.
         let Some(holder) = holder.and_then(|at| self.roster.peer(at)).map(|peer| peer.rank) else {
             return Fit::Unknown;
         };
@@ -208,7 +208,7 @@ impl Tdma {
         self.clock.is_locked() && (self.clock.slot_at(&self.plan, at) - slot).abs() <= 1
     }
 
-    /// Weighs what a frame says about the turn. True if it is the turn that this robot goes by from now on.
+    /// Weighs a frame's statement about the turn. True if this robot follows that turn from now on.
     fn hear_claim(&mut self, claim: Claim) -> bool {
         let has_key = self.key.is_some();
         self.end_turn_at_successor(claim.turn);
@@ -233,7 +233,7 @@ impl Tdma {
 
     /// Prepares the answer to a forward frame for this robot.
     fn answer_native(&mut self, repr: &native::Repr, peer: usize, ended: Instant, fit: Fit) {
-        // A frame at the wrong time may be another's copy of one that was lost here; its answer would be in the way.
+        // A frame at the wrong time may be a replay of one that was lost here; its answer would collide.
         if !self.respond || self.turn.is_some() || fit == Fit::OffSlot {
             return;
         }
@@ -300,7 +300,7 @@ impl Tdma {
         }
     }
 
-    /// The WSR dialect: the length says what a frame is and for whom.
+    /// The WSR dialect: the length determines kind and destination of a frame.
     fn hear_wsr(&mut self, ended: Instant, frame: &Frame<'_>, peer: usize, first_len: usize) {
         let len = frame.len_with_fcs();
         let last_len = wsr::forward_len(first_len, usize::from(self.plan.slots));

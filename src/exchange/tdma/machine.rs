@@ -19,7 +19,7 @@ use std::collections::VecDeque;
 /// Events kept until fetched.
 const EVENT_CAPACITY: usize = 256;
 
-/// One robot's side of the exchange: whom to sound when, whom to answer, whose turn it is.
+/// One robot's side of the exchange: decides whom to sound when, whom to answer, and whose turn it is.
 ///
 /// It has no clock, no socket and no thread. A driver (a live card, or a simulated air) calls it:
 ///
@@ -30,10 +30,10 @@ const EVENT_CAPACITY: usize = 256;
 ///    after any other call that changes something, continue with 2.
 ///
 /// Time: every `now` is of one monotonic clock of this robot, and no earlier than any `now` before; an earlier one is
-/// taken as the last and counted. Nothing is decided between calls. After `poll_transmit(now)` has given `None`,
-/// `poll_timeout()` is later than `now`. A driver that comes late loses what was due: a forward frame is given out
-/// up to one guard after its deadline, an answer up to one turn-around after the forward frame; what is later is
-/// skipped and counted, never sent late.
+/// taken as the last and counted. Nothing is decided between calls. After `poll_transmit(now)` has returned `None`,
+/// `poll_timeout()` is later than `now`. A late driver loses what was due: a forward frame is given out up to one guard
+/// after its deadline, an answer up to one turn-around after the forward frame; what is later is skipped and counted,
+/// never sent late.
 ///
 /// What happens when things go wrong:
 ///
@@ -51,7 +51,7 @@ const EVENT_CAPACITY: usize = 256;
 ///
 /// Synchronised robots (a common epoch, or a followed one) do not transmit at the same time: a slot has one initiator,
 /// a turn's end and successor are fixed at its beginning and repeated in all its frames, and a turn is claimed only
-/// after a silence so long that loss alone does not make it (see [`Config::silence_slots`]).
+/// after a silence too long for losses alone (see [`Config::silence_slots`]).
 #[derive(Clone, Debug)]
 pub struct Tdma {
     pub(super) own: Mac,
@@ -70,11 +70,11 @@ pub struct Tdma {
     pub(super) outstanding: Outstanding,
     /// This robot's turn, if it has it.
     pub(super) turn: Option<Turn>,
-    /// The turn that this robot passed on and from which nothing was heard since: its end, and to whom.
+    /// The turn that this robot passed on without hearing from it since: its end, and to whom.
     pub(super) passed: Option<(i64, usize)>,
     /// When an initiator was last heard.
     pub(super) quiet_since: Instant,
-    /// When a forward frame was last answered, or the turn was come by.
+    /// When a forward frame was last answered, or the turn began.
     pub(super) answered_at: Instant,
     pub(super) now: Instant,
     /// The number of the last forward frame, in our dialect each robot's in a range of its own; 0 is skipped, WSR drivers lose the
@@ -117,7 +117,7 @@ pub struct Transmit<'a> {
 }
 
 impl Tdma {
-    /// A scheduler that listens. Everything it will ever need is allocated here.
+    /// A scheduler that listens. All its memory is allocated here.
     ///
     /// # Errors
     /// [`PlanError`] if the rate does not fit (with the highest that does), or robots, links and key contradict
@@ -178,7 +178,7 @@ impl Tdma {
         self.hear(ended.min(self.now), mpdu);
     }
 
-    /// The next frame to send at once, if one is due. To be called until it gives `None`.
+    /// The next frame to send at once, if one is due. Call it until it returns `None`.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Transmit<'_>> {
         self.advance(now);
         let ready = self.due_reply().or_else(|| self.due_forward())?;
@@ -198,8 +198,8 @@ impl Tdma {
         [reply, self.outstanding.next_at(), self.turn_timeout()].into_iter().flatten().min()
     }
 
-    /// When the next forward frame may be due: the one deadline that a driver must meet to the point. What else
-    /// [`Tdma::poll_timeout`] gives may wait for it.
+    /// When the next forward frame may be due: the only deadline that a driver must meet exactly. Other deadlines of
+    /// [`Tdma::poll_timeout`] may wait for it.
     #[must_use]
     pub fn transmit_at(&self) -> Option<Instant> {
         self.turn_timeout()
@@ -210,7 +210,7 @@ impl Tdma {
         self.events.pop_front()
     }
 
-    /// From now on this robot wants the turn, or no longer does. A turn it has goes on to its announced end.
+    /// From now on this robot wants the turn, or no longer does. A current turn continues to its announced end.
     pub fn set_initiate(&mut self, initiate: bool) {
         self.initiate = initiate;
     }
@@ -218,7 +218,7 @@ impl Tdma {
     /// Sets how much a link matters. False if this robot has no link to `peer`.
     ///
     /// Links that do not move, or whose bearing is good enough, need less of the channel. An initiator sounds in at
-    /// least one of four slots whatever the priorities, so that the others hear that it is there.
+    /// least one of four slots whatever the priorities, so that the others hear it.
     pub fn set_priority(&mut self, peer: Mac, priority: Priority) -> bool {
         let link = self.roster.find(peer).and_then(|at| self.roster.link_of_peer_mut(at));
         link.map(|link| link.priority = priority).is_some()
@@ -227,12 +227,12 @@ impl Tdma {
     /// Hands over this robot's measurement of a forward frame from `peer`, to go with the next answer to it. A newer
     /// one replaces one that is not sent yet. False if there is no such peer or frames have no room for it.
     ///
-    /// The card also measures what `peer` sends to others, whose answers it pairs with their own measurements: false for
-    /// a number that is not among the last 16 answered to `peer` in its session. The last one refused so is kept for the
-    /// answer to that very number, in case the card's word was here before the frame.
+    /// The card also measures frames of `peer` to others, which pairs them with their own measurements: false for a
+    /// number that is not among the last 16 answered to `peer` in its session. The last refused one is kept for the
+    /// answer to its number, in case the card's report arrived before the frame.
     ///
-    /// With a key, two measurements of one number are of two frames, one of them somebody else's: false, and neither is
-    /// sent, unless the first one is already.
+    /// With a key, two measurements of one number mean a forged frame: false, and neither is sent, unless the first one
+    /// was sent already.
     pub fn set_measurement(&mut self, peer: Mac, measurement: Measurement) -> bool {
         let has_room = matches!(self.plan.dialect(), Dialect::Native { measurement: true, .. });
         let at = self.roster.find(peer).filter(|_| has_room);
@@ -252,8 +252,8 @@ impl Tdma {
         was_asked
     }
 
-    /// The driver did not send a frame that [`Tdma::poll_transmit`] gave out: it no longer counts, nor waits for an
-    /// answer. Its number is not used again.
+    /// The driver did not send a frame of [`Tdma::poll_transmit`]: it no longer counts or waits for an answer. Its
+    /// number is not used again.
     pub fn not_sent(&mut self, role: Role, number: u32) {
         if role == Role::Backward {
             self.counts.replies = self.counts.replies.saturating_sub(1);
@@ -311,7 +311,7 @@ impl Tdma {
         self.roster.link_of_peer(at).map(|link| link.counts)
     }
 
-    /// Takes the time, and lets answers that did not come go.
+    /// Takes the time, and drops overdue answers.
     fn advance(&mut self, now: Instant) {
         if now < self.now {
             self.counts.time_ran_back += 1;
@@ -345,7 +345,7 @@ impl Tdma {
         Some(reply)
     }
 
-    /// Queues an event; the oldest goes if nobody fetches them.
+    /// Queues an event; drops the oldest if nobody fetches them.
     pub(super) fn tell(&mut self, event: Event) {
         if self.events.len() >= EVENT_CAPACITY {
             self.events.pop_front();

@@ -1,13 +1,13 @@
 //! The round-robin TDMA scheduler: who sounds whom, when, and who answers. Sans-IO.
 //!
-//! A robot that wants bearings sounds its peers in turn: in every slot one forward frame to one peer, which answers
-//! at once with a backward frame of the same number. Both cards measure, and the pair of measurements has no carrier
-//! offset in its product. A round is one exchange with every peer; after one or more rounds the turn goes to the
+//! A robot that wants bearings sounds its peers in turn: in every slot it sends a forward frame to one peer, which
+//! answers at once with a backward frame of the same number. Both cards measure, and the carrier offset cancels in the
+//! product of both measurements. A round is one exchange with every peer; after one or more rounds the turn goes to the
 //! next robot that wants it.
 //!
-//! * [`Plan`] cuts time into slots and refuses what does not fit, saying what would.
-//! * [`Tdma`] is one robot's state machine; the contract is written there. The live card's thread and the simulated
-//!   air drive the same one.
+//! * [`Plan`] divides time into slots, and refuses a rate that does not fit with the highest that does.
+//! * [`Tdma`] is one robot's state machine, with its contract. The live card's thread and the simulated air drive the
+//!   same one.
 //! * [`Dialect`] chooses between the frames of the WSR toolbox and the native ones of this project.
 //!
 //! ```

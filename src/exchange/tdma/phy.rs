@@ -1,4 +1,4 @@
-//! How frames look on air: modulation, dialect, lengths, airtime.
+//! Frames on air: modulation, dialect, lengths, airtime.
 
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::{native, wsr};
@@ -54,10 +54,10 @@ impl Phy {
     }
 }
 
-/// How frames look.
+/// The format of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dialect {
-    /// As the WSR toolbox: the length of a frame says to which robot it is.
+    /// As the WSR toolbox: the length of a frame addresses a robot.
     Wsr {
         /// On-air length (FCS included) of the forward frame to the robot of index 0; odd.
         first_len: u16,

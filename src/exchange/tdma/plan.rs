@@ -32,16 +32,15 @@ pub struct Request {
     pub dialect: Dialect,
     /// Longest time from the end of a forward frame to the start of its answer, microseconds.
     pub turn_around_us: u32,
-    /// How late a forward frame may start, microseconds; as much again is kept free between slots.
+    /// How late a forward frame may start, microseconds; the same time is kept free between slots.
     pub guard_us: u32,
-    /// Slots that an initiator has before the next robot that wants the turn gets it; rounded up to whole rounds.
-    /// Short turns interleave the robots' samples more finely; but a turn of which the next robot hears nothing is
-    /// followed by a silence.
+    /// Slots of a turn, rounded up to whole rounds. Short turns interleave the robots' samples more finely, but if the
+    /// next robot hears nothing of a turn, a silence follows.
     pub turn_slots: u16,
 }
 
 impl Default for Request {
-    /// One link, sounded 100 times a second; the rest as of [`Request::new`].
+    /// One link, sounded 100 times a second; otherwise as [`Request::new`].
     fn default() -> Self {
         Self::new(1, 100.0)
     }
@@ -106,7 +105,7 @@ pub enum PlanError {
         "{asked_hz} rounds/s of {links} links do not fit: a slot takes {slot_us} us; at most {highest_hz:.3} rounds/s do"
     )]
     Rate {
-        /// Rate asked for.
+        /// Requested rate.
         asked_hz: f64,
         /// Links in a round.
         links: u16,
@@ -149,11 +148,10 @@ pub enum PlanError {
     Key,
 }
 
-/// How time is cut: the same value on every robot of an exchange.
+/// The division of time; the same on every robot of an exchange.
 ///
-/// Slot `n` starts at `epoch + n * round / slots`, whatever happened before: deadlines never drift. Within a slot:
-/// the forward frame starts at most one guard late, the answer at most one turn-around after its end, and one guard
-/// is left for clocks that are apart.
+/// Slot `n` starts at `epoch + n * round / slots`, so deadlines never drift. Within a slot the forward frame starts at
+/// most one guard late, the answer at most one turn-around after its end, and one guard remains for clock differences.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Plan {

@@ -1,4 +1,4 @@
-//! Whether a record's frame has a valid tag, where the driver hands frames over.
+//! Checks the tag of a record's frame, if the driver delivers frames.
 
 use super::Key;
 use super::auth::Shown;
@@ -10,10 +10,10 @@ use driver_iface::sounding::{FCS_LEN, Frame};
 /// What is known about the frame that a record measures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Proof {
-    /// There is no frame with the record, or no key to check it with.
+    /// The record has no frame, or there is no key.
     #[default]
     Unknown,
-    /// Its tag is valid: its sender has made it, some time.
+    /// Its tag is valid: its sender made it, at some time.
     Good,
     /// It has no tag, or another one.
     Wrong,
@@ -27,7 +27,7 @@ pub struct Prover {
 }
 
 impl Prover {
-    /// Frames are checked with this key, if there is one.
+    /// The key to check frames with, if any.
     #[must_use]
     pub fn new(key: Option<Key>) -> Self {
         Self { key, frame: Proof::Unknown }
@@ -39,7 +39,7 @@ impl Prover {
         self.key.is_some()
     }
 
-    /// Takes what a source gave, in its order; of a record of CSI, what is known about its frame.
+    /// Takes the items of a source in order; returns, for a record of CSI, what is known about its frame.
     pub fn note(&mut self, next: &Next<'_>) -> Proof {
         match (next, &self.key) {
             (Next::Record(_, record), Some(key)) if record.code == code::MPDU => {
@@ -48,7 +48,7 @@ impl Prover {
                 self.frame
             }
             (Next::Record(_, record), _) if record.code == code::BFEE => std::mem::take(&mut self.frame),
-            // The frame before may be that of a record which is lost.
+            // The frame before may belong to a lost record.
             (Next::Lost(_), _) => std::mem::take(&mut self.frame),
             _ => Proof::Unknown,
         }
@@ -56,8 +56,8 @@ impl Prover {
 }
 
 impl Key {
-    /// What the tag of a frame without FCS shows. Of frames between two other robots, whose key a robot need not have, no
-    /// more is known than that one of the group made them.
+    /// What the tag of a frame without FCS shows. For frames between two other robots, whose key this robot may lack,
+    /// it shows only that a group member made them.
     fn prove(&self, mpdu: &[u8]) -> Proof {
         let parsed = Frame::new_checked(mpdu).and_then(|frame| Repr::parse(&frame));
         match parsed.map(|repr| self.check(mpdu, &repr)) {
@@ -80,7 +80,7 @@ pub(crate) mod tests {
     const B: Mac = Mac([2, 0, 0, 0, 0, 2]);
     const C: Mac = Mac([2, 0, 0, 0, 0, 3]);
 
-    /// A frame from A to B with the key's tag, and a checksum that nobody looks at.
+    /// A frame from A to B with the key's tag, and a checksum that is not used.
     pub(crate) fn frame(key: &Key) -> Vec<u8> {
         let repr = Repr {
             sender: A,
@@ -125,7 +125,7 @@ pub(crate) mod tests {
             (frame, prover.note(&record(code::BFEE, &[])))
         };
         assert_eq!(of(&mut prover, &good), (Proof::Good, Proof::Good));
-        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Unknown, "its frame is not there");
+        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Unknown, "its frame is missing");
         assert_eq!(of(&mut prover, &wrong), (Proof::Wrong, Proof::Wrong));
         assert_eq!(of(&mut prover, &good[..3]), (Proof::Wrong, Proof::Wrong));
         // Another kind of record changes nothing; a loss may be of the record.
@@ -141,7 +141,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn of_frames_between_others_no_more_is_known_than_the_group() {
+    fn frames_between_others_prove_only_the_group() {
         let key = Key::new([7; 16]);
         let proof = |key: Option<Key>| Prover::new(key).note(&record(code::MPDU, &frame(&Key::new([7; 16]))));
         assert_eq!(proof(Some(key.for_robot(B, &[A]))), Proof::Good);

@@ -1,4 +1,4 @@
-//! The robots of the exchange: who was heard when, which links are due, whose turn could be next.
+//! The robots of the exchange: when each was heard, which links are due, whose turn may be next.
 
 use super::config::Config;
 use super::event::LinkCounts;
@@ -8,7 +8,7 @@ use driver_iface::sounding::native::Measurement;
 
 /// A robot is absent after this many unanswered frames.
 pub(super) const ABSENT_AFTER: u32 = 64;
-/// An absent robot is asked in every so manieth round at most.
+/// An absent robot is sounded in one of this many rounds at most.
 const ABSENT_ROUNDS: u16 = 8;
 
 /// How much a link matters: the share of rounds in which it is sounded.
@@ -16,8 +16,8 @@ const ABSENT_ROUNDS: u16 = 8;
 pub struct Priority(u8);
 
 impl Priority {
-    /// Sounded in `share` of the rounds, evenly spread; 0 to 1, steps of 1/255. A link of share 0 is not sounded, except where an
-    /// initiator must be heard at all.
+    /// Sounded in `share` of the rounds, evenly spread; 0 to 1, steps of 1/255. A link of share 0 is sounded only to
+    /// keep the initiator audible.
     #[must_use]
     pub fn share(share: f64) -> Self {
         Self((share.clamp(0.0, 1.0) * f64::from(u8::MAX)).round() as u8)
@@ -30,7 +30,7 @@ impl Priority {
     }
 }
 
-/// How far a robot is: its session, and the number of its last forward frame in it.
+/// A robot's session, and the number of its last forward frame in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Reached {
     pub(super) session: Option<u32>,
@@ -59,18 +59,17 @@ pub(super) struct Peer {
     pub(super) rank: u16,
     pub(super) heard_at: Option<Instant>,
     pub(super) wants_turn: bool,
-    /// Was given the turn and did not take it up; cleared when heard.
+    /// Did not take the turn that it was given; cleared when heard.
     pub(super) let_turn_lapse: bool,
-    /// By frames that it has made, if that can be known: all if there is no key.
+    /// By frames that it made; without a key, by all.
     pub(super) proven: Reached,
-    /// Also by frames for others of which no more is known than that a robot of the group made them. What the robot itself says
-    /// later replaces it.
+    /// Also by frames for others with only the group's tag. The robot's own statements later replace it.
     pub(super) overheard: Reached,
     pub(super) unanswered_in_a_row: u32,
     /// Numbers of the frames that were answered to it in its session.
     pub(super) asked: Asked,
     pub(super) measurement: Option<Measurement>,
-    /// A measurement of a frame that was not answered, if known: it may have come before the frame itself.
+    /// A measurement of an unanswered frame: it may have arrived before the frame itself.
     pub(super) early: Option<Measurement>,
     /// Number and card's clock of the last measurement that was handed over.
     pub(super) measured: Option<(u32, u32)>,
@@ -79,7 +78,7 @@ pub(super) struct Peer {
 }
 
 impl Peer {
-    /// Its numbers begin again: what was kept of the old ones belongs to no frame to come.
+    /// Its numbers restart: everything kept for the old ones is obsolete.
     pub(super) fn forget_asked(&mut self) {
         (self.asked, self.measurement, self.early) = (Asked::default(), None, None);
     }
@@ -93,7 +92,7 @@ pub(super) struct Asked {
 }
 
 impl Asked {
-    /// The card reports a frame within a few exchanges, or not at all.
+    /// The card reports a frame within a few exchanges or never.
     const CAPACITY: usize = 16;
 
     pub(super) fn push(&mut self, number: u32) {
@@ -205,10 +204,10 @@ impl Roster {
         !self.links.is_empty()
     }
 
-    /// The peer to sound in place `k` of a round, if that link is due in this round. To be asked once a round.
+    /// The peer to sound in place `k` of a round, if that link is due. Call it once a round.
     ///
-    /// `must_be_heard`: somebody is to be sounded in any case, in a place without a link the next best.
-    /// `open_loop`: absent robots are sounded like others.
+    /// `must_be_heard`: sound somebody in any case; in a place without a link, the next best. `open_loop`: absent
+    /// robots are sounded like others.
     pub(super) fn due(&mut self, k: usize, must_be_heard: bool, open_loop: bool) -> Option<usize> {
         if must_be_heard && k >= self.links.len() {
             return self.links.get(k % self.links.len().max(1)).map(|link| link.peer);
@@ -224,8 +223,7 @@ impl Roster {
         (due || must_be_heard).then_some(link.peer)
     }
 
-    /// Who is next in order of MACs after this robot: a robot that wants the turn, was heard since `alive_since`
-    /// and did not let its last turn lapse.
+    /// The next robot by MAC that wants the turn, was heard since `alive_since` and did not let its last turn lapse.
     pub(super) fn next_initiator(&self, alive_since: Instant) -> Option<usize> {
         let able = |peer: &&Peer| {
             let alive = peer.heard_at.is_some_and(|at| at >= alive_since);
@@ -236,7 +234,7 @@ impl Roster {
         self.find(first.mac)
     }
 
-    /// A peer was heard. True if it had not been, or was absent.
+    /// Notes that a peer was heard. True if it was unknown or absent before.
     pub(super) fn hear(&mut self, at: usize, now: Instant) -> bool {
         let Some(peer) = self.peers.get_mut(at) else { return false };
         let joined = peer.heard_at.is_none() || peer.unanswered_in_a_row >= ABSENT_AFTER;
@@ -283,13 +281,13 @@ impl Outstanding {
         found.is_some_and(|waiting| !std::mem::replace(&mut waiting.answered, true))
     }
 
-    /// Takes a frame back that was not sent after all; `None` if it does not wait.
+    /// Takes back a frame that was not sent; `None` if it does not wait.
     pub(super) fn take_back(&mut self, number: u32) -> Option<Waiting> {
         let at = self.waiting.iter().rposition(|waiting| waiting.number == number && !waiting.answered)?;
         self.waiting.remove(at)
     }
 
-    /// The oldest frame that is not answered and whose time is over.
+    /// The oldest unanswered frame whose time is over.
     pub(super) fn expired(&mut self, now: Instant) -> Option<Waiting> {
         loop {
             let front = self.waiting.front().copied().filter(|front| front.answered || front.until <= now)?;
@@ -386,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn the_turn_goes_round_by_macs_to_who_is_alive_wants_it_and_took_the_last_one() {
+    fn the_turn_goes_by_mac_to_robots_that_are_alive_want_it_and_took_the_last_one() {
         let now = Instant::from_us(1_000);
         let mut roster = roster(3, &[1, 2, 4, 5]);
         let next = |roster: &Roster| roster.next_initiator(now).map(|at| roster.peers[at].mac.0[5]);

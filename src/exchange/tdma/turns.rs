@@ -1,4 +1,4 @@
-//! The turn: how a robot gets it, what it sends in it, how it ends.
+//! How a robot gets the turn, what it sends in it, and how the turn ends.
 
 use super::event::{Cause, Event};
 use super::machine::{Ready, Tdma};
@@ -23,13 +23,13 @@ pub(super) struct Turn {
     slot: i64,
     /// First slot after the turn.
     end: i64,
-    /// The peer whose turn is next; `None`: this robot itself. Fixed at the beginning, as frames already sent say so.
+    /// The peer whose turn is next; `None`: this robot. Fixed at the start, because sent frames announce it.
     next: Option<usize>,
     /// Slots since the last frame.
     idle_slots: u32,
 }
 
-/// A number with every bit depending on every bit of `x` (the finaliser of SplitMix64).
+/// A hash of `x` (the finaliser of SplitMix64).
 fn mixed(x: u64) -> u64 {
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -49,7 +49,7 @@ impl Tdma {
     /// The forward frame that is due, if this robot has the turn or may take it now.
     pub(super) fn due_forward(&mut self) -> Option<Ready> {
         loop {
-            // Also after a turn that ended here: a late driver may find the next one due already.
+            // Also after a turn that ended here: for a late driver the next one may be due already.
             self.take_turn_if_due();
             let turn = self.turn?;
             let start = self.clock.start(&self.plan, turn.slot);
@@ -90,8 +90,8 @@ impl Tdma {
         Some(Ready { role: native::Role::Forward, len, at: start, latest, peer: mac, number })
     }
 
-    /// An initiator that nobody answers may be in step with another one that nobody answers either, their frames
-    /// destroying each other in every slot: it leaves one slot in eight out, by a pattern that is only its own.
+    /// Two initiators without answers may be in step, so that their frames collide in every slot. So an unanswered
+    /// initiator skips one slot in eight, by a pattern of its own.
     fn listens_in(&self, slot: i64) -> bool {
         let deaf = !self.open_loop && self.now - self.answered_at > self.plan.span_of(DEAF_SLOTS);
         deaf && mixed(slot.cast_unsigned() ^ u64::from(self.roster.own_rank) << 48).is_multiple_of(8)
@@ -143,7 +143,7 @@ impl Tdma {
         }
     }
 
-    /// Begins a turn if one may begin now.
+    /// Starts a turn if it may start now.
     fn take_turn_if_due(&mut self) {
         if self.turn.is_some() {
             return;
@@ -152,7 +152,7 @@ impl Tdma {
         if self.clock.start(&self.plan, slot) > self.now {
             return;
         }
-        // Skipping a number leaves room for a turn that nobody here has heard of.
+        // Skips a number for a turn that this robot may not have heard of.
         let step = if cause == Cause::Passed { 1 } else { 2 };
         if let (Cause::TakenBack, Some((_, peer))) = (cause, self.passed)
             && let Some(peer) = self.roster.peer_mut(peer)
@@ -168,7 +168,7 @@ impl Tdma {
         }
     }
 
-    /// The slot in which this robot could begin a turn if nothing is heard until then, and on what grounds.
+    /// The slot in which this robot may start a turn if it hears nothing until then, and the reason.
     fn next_beginning(&self) -> Option<(i64, Cause)> {
         if !self.initiate || !self.roster.has_links() {
             return None;
@@ -212,8 +212,8 @@ impl Tdma {
         self.view.begin(Claim { holder: self.roster.own_rank, turn: number, next: Some(next), end });
     }
 
-    /// A turn of which all slots were used and that was passed on ends with the first frame of a later turn, which may be
-    /// heard a little before this robot's own clock comes to the end.
+    /// A complete turn that was passed on ends with the first frame of a later turn, which may arrive slightly before
+    /// this robot's own clock reaches the end.
     pub(super) fn end_turn_at_successor(&mut self, turn_heard: u32) {
         let used_up = |turn: &Turn| turn.slot >= turn.end && turn.next.is_some();
         if let Some(turn) = self.turn.filter(used_up)
@@ -223,7 +223,7 @@ impl Tdma {
         }
     }
 
-    /// The announced end has come: pass the turn on, renew it, or fall silent.
+    /// At the announced end: passes the turn on, renews it, or falls silent.
     fn end_turn(&mut self, turn: Turn) {
         self.turn = None;
         self.quiet_since = self.clock.start(&self.plan, turn.end);
@@ -236,7 +236,7 @@ impl Tdma {
         self.tell(Event::TurnEnded { turn: turn.number, next });
     }
 
-    /// The driver was away for so long that the others may have gone on.
+    /// The driver was late for so long that the others may have continued.
     fn oversleep(&mut self, turn: Turn) {
         self.turn = None;
         self.quiet_since = self.now;
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_late_driver_may_begin_is_begun_in_the_call_that_ends_the_turn() {
+    fn a_late_driver_may_start_the_next_turn_in_the_call_that_ends_one() {
         let mut tdma = robot(0, 2);
         let begun = tdma.poll_timeout().unwrap();
         assert!(tdma.poll_transmit(begun).is_some());
@@ -427,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_not_answered_listens_in_slots_of_its_own() {
+    fn an_unanswered_initiator_listens_in_its_own_slots() {
         let slots = |k, late_us| {
             let mut tdma = robot(k, 4);
             tdma.now = tdma.answered_at + tdma.plan.span_of(DEAF_SLOTS) + Span::from_us(late_us);

@@ -1,9 +1,9 @@
-//! Who has the turn, as far as this robot has heard, and what it makes of contradictions.
+//! This robot's view of who has the turn, and its treatment of contradictions.
 //!
-//! Turns are numbered; every frame names the initiator, the turn, who is next and how many slots are left. The rule
-//! for two initiators at once is the same on every robot: **the later turn wins, and of equal turns the initiator
-//! with the lower MAC**. A frame that contradicts this robot's view changes it only with a valid tag, or as the third in a
-//! row that agree: a single one without a tag could be forged.
+//! Turns are numbered; every frame names the initiator, the turn, who is next and how many slots are left. The rule for
+//! two initiators at once is the same on every robot: **the later turn wins, and of equal turns the initiator with the
+//! lower MAC**. A contradicting frame changes this robot's view only with a valid tag, or as the third in a row that
+//! agree: a single one without a tag may be forged.
 
 /// A frame's claim about the turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +27,7 @@ pub(super) struct View {
     current: Option<Claim>,
     rival: Option<(u16, u32)>,
     rival_frames: u32,
-    /// A turn so many numbers ahead is plausible without further proof.
+    /// A turn up to this many numbers ahead is plausible without proof.
     plausible: u32,
 }
 
@@ -46,7 +46,7 @@ impl View {
         self.current.map_or(0, |claim| claim.turn)
     }
 
-    /// This robot takes the turn itself, or renews it; a rival heard before is still one.
+    /// This robot takes or renews the turn; an earlier rival remains one.
     pub(super) fn begin(&mut self, claim: Claim) {
         self.current = Some(claim);
     }
@@ -56,9 +56,10 @@ impl View {
         self.rival = None;
     }
 
-    /// A frame says `heard`. True if this is (now) the view; false if the frame's word on the turn is not taken.
+    /// A frame claims `heard`. True if this is (now) the view; false if the claim is not accepted.
     ///
-    /// `silent`: nobody was heard for so long that any initiator is welcome. `has_key`: the group has a key, so the frame has a valid tag.
+    /// `silent`: nobody was heard for so long that any initiator is accepted. `has_key`: the group has a key, so the
+    /// frame has a valid tag.
     pub(super) fn hear(&mut self, heard: Claim, silent: bool, has_key: bool) -> bool {
         let Some(current) = self.current else {
             self.take(heard);
@@ -75,7 +76,7 @@ impl View {
         }
     }
 
-    /// As [`View::hear`] for a robot that itself has the turn: true if it must yield. A rival that loses is ignored.
+    /// As [`View::hear`] for a robot with the turn: true if it must yield. A losing rival is ignored.
     pub(super) fn hear_as_holder(&mut self, heard: Claim, has_key: bool) -> bool {
         let yields = self.current.is_none_or(|own| precedes(own, heard));
         let convinced = yields && (has_key || self.persists(heard, 0));
@@ -150,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rival_that_goes_on_is_believed_in_the_end() {
+    fn a_persistent_rival_is_accepted() {
         let mut view = View::new(4);
         view.take(claim(1, 5_000));
         let believed: Vec<bool> = (0..4).map(|_| view.hear(claim(2, 1), false, false)).collect();

@@ -40,7 +40,7 @@ pub struct CsvCounts {
     pub out_of_order: u64,
     /// Number of columns (empty ones at the end not counted).
     pub columns: usize,
-    /// What the columns were taken for, as [`Columns`] name them.
+    /// The meaning of the columns, as [`Columns`] name them.
     pub taken_for: String,
 }
 
@@ -92,7 +92,7 @@ impl CsvCounts {
 }
 
 /// How a reading is chosen, in words.
-const CHOOSE: &str = "a line of headings above them says which, or `--columns` (`columns=` in Python)";
+const CHOOSE: &str = "name them in a line of headings, or by `--columns` (`columns=` in Python)";
 
 /// Why a file gave no trajectory.
 #[derive(Debug, thiserror::Error)]
@@ -109,7 +109,7 @@ pub enum CsvError {
     /// The first row is of no known kind.
     #[error(
         "line {line}: {found} columns without headings; a trajectory has 5 (time, 0, x, y, z), 6 (.., yaw), 8 (TUM: time, x, y, z, \
-         quaternion), 9 (time, 0, x, y, z, quaternion) or 15 (T265, wheel odometry). Of others {CHOOSE}, as t,x,y,yaw"
+         quaternion), 9 (time, 0, x, y, z, quaternion) or 15 (T265, wheel odometry). For others, {CHOOSE}: t,x,y,yaw"
     )]
     Columns {
         /// Line of the row.
@@ -192,8 +192,8 @@ pub enum RowError {
     /// The quaternion is no turn: its length is not 1.
     #[error("the length of the quaternion is not 1")]
     Quaternion,
-    /// It is no row of a CSV file.
-    #[error("no row of a CSV file")]
+    /// It is not a row of a CSV file.
+    #[error("not a row of a CSV file")]
     Unreadable,
 }
 
@@ -210,7 +210,7 @@ const FURTHEST_M: f64 = 1e9;
 const LONGEST: u64 = 512 << 20;
 /// Poses of a trajectory at most, by the same measure: short rows are a fifth of the poses they become.
 const MOST_POSES: usize = 10_000_000;
-/// Bytes of a row at most; what is beyond is skipped, so that a file without lines takes no memory.
+/// Limit of a row, bytes; the rest is skipped, so that a file without lines takes no memory.
 const LONGEST_ROW: usize = 64 << 10;
 /// Lines above the first row that are kept to find headings in.
 const HEAD: usize = 32;
@@ -247,7 +247,7 @@ struct Column {
     rank: u8,
 }
 
-/// A unit by its name, in seconds, metres or radians; `None` for what is no unit, a scale of `None` for "no unit".
+/// A unit by its name, in seconds, metres or radians; `None` if it is no unit, a scale of `None` for "no unit".
 fn unit(name: &str) -> Option<f64> {
     Some(match name {
         "s" | "sec" | "secs" | "second" | "seconds" | "m" | "meter" | "meters" | "metre" | "metres" | "rad"
@@ -314,7 +314,7 @@ fn column(heading: &str) -> Option<Column> {
             words.pop();
         }
     }
-    // A unit that nobody knows: nothing is known of the column.
+    // An unknown unit makes the column unknown.
     let scale = match named {
         Some(None) => return None,
         Some(scale) => scale,
@@ -414,7 +414,7 @@ struct Layout {
     at: [Option<(usize, Column)>; NAMES.len()],
     /// Columns that name frames: they must not change.
     frames: Vec<usize>,
-    /// Columns of each row, where these are all that tells the kind.
+    /// Columns of each row, if only their number identifies the kind.
     exactly: Option<usize>,
     /// A row is a matrix of KITTI; `at` is empty.
     matrix: bool,
@@ -553,8 +553,9 @@ fn number(cell: &str) -> Option<f64> {
     }
 }
 
-/// Seconds since 1970 of a date and time of day as ISO 8601 writes them: `2023-11-14T22:13:20.5Z`, `2023-11-14 23:13:20.5+01:00`. Without
-/// a zone it is taken as UTC: the logs lie outside of a trajectory in local time, and that is told.
+/// Seconds since 1970 of a date and time of day as ISO 8601 writes them: `2023-11-14T22:13:20.5Z`, `2023-11-14
+/// 23:13:20.5+01:00`. Without a zone it is UTC; if it was local time, the logs lie outside of the trajectory, which is
+/// reported.
 fn date_time(cell: &str) -> Option<f64> {
     let (date, of_day) = cell.split_once(['T', ' '])?;
     let mut parts = date.split('-').map(|part| part.parse::<u16>().ok());
@@ -715,7 +716,7 @@ fn kind_of_file(path: &Path) -> TrajectoryKind {
     }
 }
 
-/// The layout of a row without headings, by how many columns it has and what is in them.
+/// The layout of a row without headings, by the number and content of its columns.
 fn headless(row: &[&str]) -> Option<Layout> {
     let is_number = |at: usize| row.get(at).is_some_and(|cell| number(cell).is_some());
     let quaternion = "x,y,z,qx,qy,qz,qw";
@@ -984,7 +985,7 @@ impl Rows {
         self.counts.first_bad.get_or_insert((line, why));
     }
 
-    /// Fails where the rows speak against what their columns were taken for.
+    /// Fails if the rows contradict the assumed columns.
     fn check(&self, layout: &Layout) -> Result<(), CsvError> {
         let ambiguous = |why: String, readings: [String; 2]| Err(CsvError::Ambiguous { why, readings });
         let own = layout.words();
@@ -1087,7 +1088,7 @@ fn times_beside(path: &Path) -> Option<Vec<f64>> {
         .collect()
 }
 
-/// Reads a trajectory file, row by row: what is held is the poses.
+/// Reads a trajectory file row by row; only the poses stay in memory.
 ///
 /// # Errors
 /// If it cannot be read, is of no known kind or of two, longer than any trajectory, or holds fewer than two poses.
@@ -1095,7 +1096,7 @@ pub fn read(path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
     read_as(path, None)
 }
 
-/// Reads a trajectory file whose columns are named; what its headings say is then not asked.
+/// Reads a trajectory file with named columns, ignoring its headings.
 ///
 /// # Errors
 /// As [`read`].
@@ -1224,7 +1225,7 @@ impl<R: BufRead> Lines<R> {
     }
 }
 
-/// Text as UTF-8; UTF-16 is told by its mark, or by the zero of its first letter.
+/// Text as UTF-8; UTF-16 is recognised by its mark, or by the zero of its first letter.
 struct Utf8<R> {
     inner: R,
     /// Whether it is UTF-16, and its lower byte is the first; `None` before the beginning was seen.
@@ -1307,7 +1308,7 @@ mod tests {
             let (trajectory, counts) = parse(format!("{headings}{}", decimal_commas(";")).as_bytes()).unwrap();
             assert_eq!((&trajectory, counts.headings, counts.bad_rows), (&expected.0, true, 0), "{headings}");
         }
-        // A first row of what is no number names nothing.
+        // A first row without numbers or names is no heading.
         let (trajectory, counts) = parse(format!("nan,0,1,2,3\n{rows}").as_bytes()).unwrap();
         assert!(counts.bad_rows == 1 && counts.lost_something(&trajectory), "{counts:?}");
     }

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 const TICK_RAD: f64 = std::f64::consts::TAU / 4_096.0;
 /// No TurtleBot3 drives faster than this (0.26 m/s) with a wide margin, m/s.
 const MAX_SPEED_M_S: f64 = 2.0;
-/// A heading that turns by this much more than the wheels in one step was set anew, radians.
+/// A heading that turns by this much more than the wheels in one step was reset, radians.
 const HEADING_JUMP_RAD: f64 = 0.5;
 /// A heading that stands still to the last bit while the wheels turn the robot by this much is dead, radians.
 const DEAD_HEADING_RAD: f64 = 0.2;

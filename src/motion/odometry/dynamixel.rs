@@ -109,7 +109,7 @@ impl Parser {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Forgets what is incomplete: nothing more of it will come.
+    /// Drops incomplete data: the rest will not come.
     pub fn reset(&mut self) {
         self.counts.skipped_bytes += self.buffer.len() as u64;
         self.buffer.clear();

@@ -15,7 +15,7 @@ const QUEUE: usize = 4_096;
 const BACK_S: f64 = 1.0;
 /// Stamps further than this from the host's clock are no use beside records, which it stamps, seconds.
 const OTHER_CLOCK_S: f64 = 1.0;
-/// A topic on which nothing came for so long is in trouble.
+/// A topic that is silent for this time is in trouble.
 const QUIET: Span = Span::from_ms(2_000);
 
 /// What is published on a topic.
@@ -29,7 +29,7 @@ pub enum Kind {
     Pose,
 }
 
-/// What is taken for the time of a pose.
+/// The source of a pose's time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stamp {
@@ -43,7 +43,7 @@ pub enum Stamp {
 /// What is wanted of a topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
-    /// What is taken for the time.
+    /// The source of the time.
     pub stamp: Stamp,
     /// Poses of other frames are refused; without it the frame of the first message is taken, and another one is a new
     /// frame.
@@ -72,7 +72,7 @@ pub struct TopicCounts {
     pub unreadable: u64,
     /// Poses that are not finite, or whose quaternion has no length.
     pub not_finite: u64,
-    /// Poses of another frame than the one asked for.
+    /// Poses of another frame than the requested one.
     pub other_frame: u64,
     /// Poses without a stamp, where stamps are used.
     pub unstamped: u64,
@@ -102,8 +102,8 @@ impl Reader {
         Self { wanted, ..Self::default() }
     }
 
-    /// Takes a message that came at `received_us` on the host's wall clock. Gives whether its pose begins another frame,
-    /// and the pose; `None` for what is refused, which is counted.
+    /// Takes a message that came at `received_us` on the host's wall clock. Returns whether its pose starts another
+    /// frame, and the pose; `None` if it is refused, which is counted.
     pub fn handle(&mut self, message: &Message<'_>, received_us: i64) -> Option<(bool, Pose)> {
         self.counts.messages += 1;
         let frame = message.frame.trim_start_matches('/');
@@ -136,7 +136,7 @@ impl Reader {
             self.begins |= self.frame.replace(frame.to_owned()).is_some();
         }
         self.begins |= self.last_s.is_some_and(|last_s| t_s < last_s - BACK_S);
-        // A late one tells nothing about how far the others have come.
+        // A late one does not move the newest time.
         self.last_s = Some(if self.begins { t_s } else { self.last_s.map_or(t_s, |last_s| last_s.max(t_s)) });
         let begins = std::mem::take(&mut self.begins);
         self.counts.new_frames += u64::from(begins);

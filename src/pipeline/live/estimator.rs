@@ -16,12 +16,12 @@ use crate::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
 
-/// Makes bearings of one robot to its peers, over and over.
+/// Estimates bearings of one robot to its peers, repeatedly.
 ///
-/// Hand over what sources give with [`handle_own`](Self::handle_own), [`handle_peer`](Self::handle_peer),
+/// Hand over the sources' items with [`handle_own`](Self::handle_own), [`handle_peer`](Self::handle_peer),
 /// [`handle_pose`](Self::handle_pose) and [`handle_peer_pose`](Self::handle_peer_pose), in any order; then
-/// [`poll_report`](Self::poll_report) until `None`, then wait until [`poll_timeout`](Self::poll_timeout). One call makes
-/// at most one estimate, so that a driver can look after its sources in between.
+/// [`poll_report`](Self::poll_report) until `None`, then wait until [`poll_timeout`](Self::poll_timeout). One call
+/// makes at most one estimate, so that a driver can read its sources in between.
 pub struct LiveEstimator {
     own: Mac,
     settings: LiveSettings,
@@ -39,7 +39,7 @@ pub struct LiveEstimator {
 }
 
 impl LiveEstimator {
-    /// An estimator for the robot `own`, whose poses come, or are `track` for ever. `now` is when it begins.
+    /// An estimator for the robot `own`, whose poses arrive, or are `track` for ever. `now` is its start.
     #[must_use]
     pub fn new(
         own: Mac,
@@ -51,11 +51,11 @@ impl LiveEstimator {
     ) -> Self {
         let front = Front::new(options.antenna).with_known(peers.iter().map(|peer| peer.mac));
         let count = peers.len().max(1) as f64;
-        // One after the other, so that the load is even.
+        // One peer after the other, for an even load.
         let due = |k: usize| now + Span::from_s((1.0 + k as f64 / count) / settings.rate_hz);
         let state = |(k, peer): (usize, LivePeer)| PeerLink::new(peer, own, due(k), &options);
         let peers = peers.into_iter().enumerate().map(state).collect();
-        // In between, the grid alone.
+        // In between, only the grid.
         let plain = options.clone().with_accuracy(options.accuracy.with_effort(Effort::Within(COARSE_RAD)));
         let heard = None;
         Self { own, settings, front, track, peers, heard, losses: 0, strangers: 0, other_antenna: 0, options, plain }
@@ -63,8 +63,7 @@ impl LiveEstimator {
 
     /// The same with bearings of what these antennas of this robot's card hear alone, while the robot turns or where the
     /// constants of their chains are known: of the peers with these numbers, which need not answer, and of every other sender
-    /// that is heard, the first 16. The reports of the others are numbered on from the peers'. Where a peer answers and stands, both
-    /// kinds of evidence are in its complete bearings.
+    /// that is heard, the first 16. The reports of the others are numbered on from the peers'.
     #[doc(hidden)] // for the crates of this workspace
     #[must_use]
     pub fn with_array(mut self, array: Array, heard_only: &[usize], now: Instant) -> Self {
@@ -75,14 +74,13 @@ impl LiveEstimator {
         });
         let named = named.collect();
         let paired = self.paired().map(|state| state.peer.mac).collect();
-        let heard = Heard::new(array, named, (self.own, paired), self.options.clone(), now);
-        self.heard = Some(heard.reaching_back(self.settings.window_s));
+        self.heard = Some(Heard::new(array, named, (self.own, paired), self.options.clone(), now));
         self
     }
 
-    /// From now on only exchanges are used that the scheduler, which shares this key, has
-    /// [confirmed](Self::handle_confirmed), and where frames come with the records only those with a valid tag. A number with
-    /// two records is an alarm ([`PeerCounts::refused`]), and neither is used.
+    /// From now on uses only exchanges that the scheduler, which shares this key, has
+    /// [confirmed](Self::handle_confirmed), and, if frames come with the records, only those with a valid tag. A number
+    /// with two records is an alarm ([`PeerCounts::refused`]), and neither is used.
     pub fn require_key(&mut self, key: &Key) {
         let fronts = self.peers.iter_mut().map(|state| &mut state.front);
         for front in fronts.chain([&mut self.front]) {
@@ -101,7 +99,7 @@ impl LiveEstimator {
         }
     }
 
-    /// Takes what this robot's card gave.
+    /// Takes an item of this robot's card.
     pub fn handle_own(&mut self, next: &Next<'_>) {
         self.losses = self.losses.saturating_add(lost(next));
         if let Some(heard) = &mut self.heard {
@@ -118,7 +116,7 @@ impl LiveEstimator {
         self.front.log.unused.no_number += u64::from(!is_used);
     }
 
-    /// Takes what the card of peer number `peer` gave.
+    /// Takes an item of the card of peer number `peer`.
     pub fn handle_peer(&mut self, peer: usize, next: &Next<'_>) {
         let Some(state) = self.peers.get_mut(peer) else { return };
         state.counts.losses = state.counts.losses.saturating_add(lost(next));
@@ -131,8 +129,8 @@ impl LiveEstimator {
         state.front.log.unused.no_number += u64::from(!is_used);
     }
 
-    /// Takes what the answer of the peer `mac` carried: what its card reported of a frame of this robot's. Of another
-    /// antenna than the one in use it is only counted.
+    /// Takes the measurement in an answer of the peer `mac`: its card's report on a frame of this robot. One of another
+    /// antenna is only counted.
     pub fn handle_measurement(&mut self, mac: Mac, measurement: &Measurement) {
         if measurement.rx_antenna != self.options.antenna as u8 {
             self.other_antenna += 1;
@@ -143,8 +141,8 @@ impl LiveEstimator {
         }
     }
 
-    /// Takes a pose of this robot's antenna, on its own host's clock. `None`: the poses from here on are in another frame;
-    /// what was measured in the last one is of no use.
+    /// Takes a pose of this robot's antenna, on its own host's clock. `None`: later poses are in another frame, which
+    /// makes earlier measurements useless.
     pub fn handle_pose(&mut self, pose: Option<Pose>) {
         if let Some(pose) = pose {
             return self.track.push(pose);
@@ -154,7 +152,7 @@ impl LiveEstimator {
         self.heard.iter_mut().for_each(Heard::begin_anew);
     }
 
-    /// Takes a pose of a peer's antenna, on the peer's clock and in its frame. `None`: the poses from here on are in another
+    /// Takes a pose of a peer's antenna, on the peer's clock and in its frame. `None`: later poses are in another
     /// frame.
     pub fn handle_peer_pose(&mut self, peer: usize, pose: Option<Pose>) {
         let Some(state) = self.peers.get_mut(peer) else { return };
@@ -172,7 +170,7 @@ impl LiveEstimator {
         self.paired().map(due).chain(self.heard.as_ref().and_then(Heard::next_due)).min()
     }
 
-    /// When [`poll_report`](Self::poll_report) has something to say whatever comes until then.
+    /// When [`poll_report`](Self::poll_report) has a report even if nothing comes until then.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let at = |state: &PeerLink| state.unrefined_since().unwrap_or(state.due + WAIT);
@@ -186,7 +184,7 @@ impl LiveEstimator {
 
     /// The next report, if one is due, with the peer's number.
     ///
-    /// One is due at its time as soon as another pair comes, or a moment later; and once more, from the accuracy layer, when
+    /// After its time a report waits for another pair, at most a moment; once more, from the accuracy layer, when
     /// nothing else is due.
     pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
         self.peers.iter_mut().for_each(|state| state.admit(now, &self.options));
@@ -195,7 +193,7 @@ impl LiveEstimator {
         let paired_at = due.and_then(|(index, _)| self.peers.get(index)).map(|state| state.due);
         if let Some(heard) = self.heard.as_mut().filter(|heard| heard.is_before(paired_at, now)) {
             let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
-            let context = Context { track, settings, options, plain, one_log: None, now, why: Why::Due };
+            let context = Context { track, settings, options, plain, now, why: Why::Due };
             let report = heard.poll_report(context);
             self.forget();
             return report.map(|(number, report)| (self.number_of(number), report));
@@ -205,12 +203,11 @@ impl LiveEstimator {
         let period = Span::from_s(1.0 / self.settings.rate_hz);
         let state = self.peers.get_mut(index)?;
         if why == Why::Due {
-            // A driver that was away does not make up for what it missed.
+            // A late driver skips missed reports.
             state.due = if now - state.due > period { now + period } else { state.due + period };
         }
         let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
-        let one_log = self.heard.as_ref().map(Heard::log);
-        let report = state.report(Context { track, settings, options, plain, one_log, now, why });
+        let report = state.report(Context { track, settings, options, plain, now, why });
         self.forget();
         Some((index, report))
     }
@@ -220,24 +217,22 @@ impl LiveEstimator {
         number.unwrap_or_else(|other| self.peers.len() + other)
     }
 
-    /// Each peer's link with all pairs that are kept, copied (at most 2 MB a peer), to make [bearings](Links::bearings) of.
-    /// That forgets nothing, and changes no report.
+    /// Each peer's link with all pairs that are kept, copied (at most 2 MB a peer), to make [bearings](Links::bearings)
+    /// of. It changes neither data nor reports.
     #[must_use]
     pub fn links(&self) -> Links {
         Links { links: self.peers.iter().map(|state| state.link.clone()).collect(), options: self.options.clone() }
     }
 
-    /// Ends all sources: every peer's last report, from everything that came.
+    /// Ends all sources, and returns every peer's last report.
     pub fn finish(&mut self, now: Instant) -> Vec<PeerReport> {
         let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
-        let one_log = self.heard.as_ref().map(Heard::log);
-        let context = Context { track, settings, options, plain, one_log, now, why: Why::End };
+        let context = Context { track, settings, options, plain, now, why: Why::End };
         let last = |state: &mut PeerLink| {
             state.finish(now, context.options);
             state.report(context)
         };
         let mut reports: Vec<PeerReport> = self.peers.iter_mut().map(last).collect();
-        let context = Context { track, settings, options, plain, one_log: None, now, why: Why::End };
         for (number, report) in self.heard.iter_mut().flat_map(|heard| heard.finish(context)) {
             match number.ok().and_then(|peer| reports.get_mut(peer)) {
                 Some(own) => *own = report,
@@ -247,7 +242,7 @@ impl LiveEstimator {
         reports
     }
 
-    /// The last estimate of a peer's bearing, with everything in it.
+    /// The last complete estimate of a peer's bearing.
     #[must_use]
     pub fn bearing(&self, peer: usize) -> Option<&Bearing> {
         let of_peer = self.peers.get(peer).and_then(|state| state.bearing.as_ref());
@@ -261,7 +256,7 @@ impl LiveEstimator {
         self.heard.iter().flat_map(Heard::others)
     }
 
-    /// Peers and what was counted of them.
+    /// Peers and their counts.
     pub fn peers(&self) -> impl Iterator<Item = (&LivePeer, PeerCounts)> {
         let both = self.peers.iter().enumerate();
         both.map(|(k, state)| (&state.peer, self.counts(k, state)))
@@ -299,7 +294,7 @@ impl LiveEstimator {
         self.other_antenna
     }
 
-    /// Forgets what no window needs any more.
+    /// Drops data that no window needs any more.
     fn forget(&mut self) {
         let keep_s = self.settings.window_s + SETTLE_S;
         forget(&mut self.track, keep_s);

@@ -4,8 +4,8 @@ use crate::motion::pose::Trajectory;
 use crate::pipeline::{Bearing, Link, LinkError, LinkJoin, Options, estimate};
 use driver_iface::Mac;
 
-/// The links of a [`LiveEstimator`](super::LiveEstimator) as they were at one moment: a copy, so that bearings can be made
-/// of it in another thread while records go on coming.
+/// The links of a [`LiveEstimator`](super::LiveEstimator) as they were at one moment: a copy, for bearings in another
+/// thread while records arrive.
 #[derive(Clone, Debug)]
 pub struct Links {
     pub(super) links: Vec<Link>,
@@ -13,9 +13,8 @@ pub struct Links {
 }
 
 impl Links {
-    /// Of every peer with pairs: its MAC, how many pairs there were, and the bearing from all that are kept and `trajectory`
-    /// in place of the poses that came: what a bearing from logs is made of, autofocus over all links included. Peers stand
-    /// still. It has no window and no schedule.
+    /// For every peer with pairs: its MAC, the number of pairs, and the bearing from all kept pairs and `trajectory` in
+    /// place of the received poses, like a bearing from logs. Peers stand still. There is no window and no schedule.
     ///
     /// Each is an error by itself: see [`LinkError`].
     #[must_use]

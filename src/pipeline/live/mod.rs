@@ -1,11 +1,11 @@
-//! Live bearings: records and poses as they come in, bearings out, with the time as an argument.
+//! Live bearings: records and poses in, bearings out, with the time as an argument.
 //!
-//! A robot's node hands over what its own card, its peers' cards and both odometries give, and gets a bearing of each
-//! peer several times a second over the last metres of relative motion. A robot that sounds alone hands over its own card's
-//! records and the measurements in its peers' answers, and asks for bearings when it wants them.
+//! A node hands over the records of its own and its peers' cards and the poses of both, and gets a bearing of each peer
+//! several times a second over the last metres of relative motion. A robot that sounds alone hands over its card's
+//! records and the measurements in its peers' answers, and requests bearings.
 //!
-//! `report` has the values, `track` poses as they come and the stretch of relative motion, `peer` one peer, `heard` bearings of
-//! one card with two or three antennas, `estimator` the machine, `links` what bearings are made of when they are asked for.
+//! `report` has the values, `track` poses and the stretch of relative motion, `peer` one peer, `heard` bearings of one
+//! card with two or three antennas, `estimator` the machine, `links` copies for bearings on request.
 
 mod estimator;
 mod heard;

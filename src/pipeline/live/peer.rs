@@ -1,4 +1,4 @@
-//! One peer: its link, its schedule, its last answer, and how a report of it is made.
+//! One peer: its link, its schedule, its last answer, its reports.
 
 use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use super::track::{Track, Window, aligned, window};
@@ -6,9 +6,7 @@ use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::pairing::by_clock::{self, CardClock};
 use crate::motion::pose::{Pose, Trajectory};
-use crate::pipeline::{
-    Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, OneLog, Options, estimate_one,
-};
+use crate::pipeline::{Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, Options, estimate_one};
 use crate::place::track::{PeerTrack, TrackCounts, TrackSettings};
 use crate::source::Next;
 use crate::time::{Instant, Span};
@@ -17,10 +15,10 @@ use driver_iface::sounding::native::Measurement;
 
 /// Relative motion since an answer that makes a new one worth while, metres.
 const WORTH_M: f64 = 0.01;
-/// Pairs with fewer than this make no bearing.
+/// Fewest pairs for a bearing.
 const LEAST_PAIRS: usize = 24;
 
-/// A report that is due waits for the next pair, so that the news in it are new, but no longer than this.
+/// A due report waits for the next pair, to be up to date, but no longer than this.
 pub(super) const WAIT: Span = Span::from_ms(25);
 /// Exchanges at rest before and after a motion that are kept, seconds: they settle slopes and signs.
 pub(super) const SETTLE_S: f64 = 30.0;
@@ -32,7 +30,7 @@ pub(super) struct PeerLink {
     /// When its next report is due.
     pub(super) due: Instant,
     pub(super) counts: PeerCounts,
-    /// Where the scheduler shares a key: what waits for its word.
+    /// If the scheduler shares a key: records that wait for its confirmation.
     pub(super) admission: Option<Admission<FrameHeard>>,
     by_clock: ByClock,
     /// Only what this robot hears of it is of use: it has no pairs.
@@ -40,14 +38,14 @@ pub(super) struct PeerLink {
     /// Measurements that came in its answers.
     measured: u32,
     last: Option<LastAnswer>,
-    /// Pairs there were at the last search.
+    /// Pairs at the last search.
     searched: Option<u64>,
-    /// When the record came that made the newest pair.
+    /// Arrival of the record that made the newest pair.
     paired_at: Option<Instant>,
-    /// When the accuracy layer was last asked, and whether it is to be asked next.
+    /// When the accuracy layer last ran, and whether it runs next.
     accurate_at: Option<Instant>,
     pub(super) unrefined: bool,
-    /// The last estimate with everything in it.
+    /// The last complete estimate.
     pub(super) bearing: Option<Bearing>,
     /// The peer's place by all windows that do not overlap, and the end of the last of them, seconds.
     carried: PeerTrack,
@@ -81,7 +79,7 @@ struct NewestPoses {
     transmitter: Option<Pose>,
 }
 
-/// What all peers' reports share.
+/// Data shared by all peers' reports.
 #[derive(Clone, Copy)]
 pub(super) struct Context<'a> {
     pub(super) track: &'a Track,
@@ -89,16 +87,14 @@ pub(super) struct Context<'a> {
     pub(super) options: &'a Options,
     /// The same without the accuracy layer.
     pub(super) plain: &'a Options,
-    /// What this robot's antennas hear alone, where that is asked for.
-    pub(super) one_log: Option<&'a OneLog>,
     pub(super) now: Instant,
     pub(super) why: Why,
 }
 
-/// What a report is made for.
+/// The reason for a report.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Why {
-    /// It is time.
+    /// Its time has come.
     Due,
     /// The last report was of a plane wave, and the accuracy layer is due.
     Refine,
@@ -107,7 +103,7 @@ pub(super) enum Why {
 }
 
 impl PeerLink {
-    /// A peer from which nothing was heard yet.
+    /// A peer that was not heard yet.
     pub(super) fn new(peer: LivePeer, own: Mac, due: Instant, options: &Options) -> Self {
         let antenna = options.antenna;
         let heading_sd_rad = options.heading_sd_rad.unwrap_or_default();
@@ -141,7 +137,7 @@ impl PeerLink {
         self.carried_to_s = None;
     }
 
-    /// What became of the windows that its place was carried through.
+    /// Outcomes of the windows that its place was carried through.
     pub(super) fn carried_counts(&self) -> TrackCounts {
         self.carried.counts()
     }
@@ -220,7 +216,7 @@ impl PeerLink {
         refused.map_or_else(|| "no exchange yet".to_owned(), |why| format!("no exchange yet: {why}"))
     }
 
-    /// Hands on what the scheduler has confirmed.
+    /// Passes on confirmed records.
     pub(super) fn admit(&mut self, now: Instant, options: &Options) {
         while let Some((side, at, heard)) = self.admission.as_mut().and_then(|admission| admission.poll(now)) {
             self.pair(side, heard, at, options);
@@ -249,7 +245,7 @@ impl PeerLink {
         self.counts.heard_by_peer += 1;
     }
 
-    /// When its last answer was made, if the accuracy layer is still to have its word on it.
+    /// When its last answer was made, if the accuracy layer has not refined it yet.
     pub(super) fn unrefined_since(&self) -> Option<Instant> {
         self.last.as_ref().filter(|_| self.unrefined).map(|last| last.at)
     }
@@ -270,8 +266,8 @@ impl PeerLink {
 
     /// The report that is due.
     ///
-    /// Whether both sides are one log, and whether they are of one run, is asked of the pairs in the window, as the bearing is
-    /// made of them: a feed that goes wrong is refused once the window is full of it, and taken again when it has passed.
+    /// The pairs in the window decide whether both sides are one log or of different runs: a wrong feed is refused once
+    /// it fills the window, and accepted again after it.
     pub(super) fn report(&mut self, context: Context<'_>) -> PeerReport {
         let Context { track, settings, now, why, .. } = context;
         self.unrefined = false;
@@ -308,7 +304,7 @@ impl PeerLink {
             );
         };
         if found.path_m == 0.0 {
-            // At rest only what settles slopes and signs is of use.
+            // At rest only pairs that settle slopes and signs are useful.
             self.forget_before(end_s - SETTLE_S);
         }
         if found.extent_m < settings.least_m {
@@ -328,7 +324,7 @@ impl PeerLink {
         report
     }
 
-    /// True if it is time for the accuracy layer.
+    /// True if the accuracy layer is due.
     fn is_layers_turn(&self, context: Context<'_>) -> bool {
         let every = Span::from_s(context.settings.accurate_every_s);
         self.accurate_at.is_none_or(|at| context.now - at >= every)
@@ -363,14 +359,7 @@ impl PeerLink {
         let accurate = context.has_layers() && (context.why != Why::Due || context.settings.accurate_every_s <= 0.0);
         let join = LinkJoin { link: &self.link, receiver: &receiver, transmitter };
         let options = if accurate { context.options } else { context.plain };
-        let two = estimate_one(&join, options);
-        // A peer that moves is not where it was when it was heard first.
-        let one_log = context.one_log.filter(|_| accurate && transmitter.is_none());
-        let one = one_log.and_then(|log| log.bearing(self.peer.mac, &receiver, options).ok());
-        let made = match (two, one) {
-            (Ok(two), Some(one)) => Ok(two.with_one_log(&one)),
-            (two, _) => two,
-        };
+        let made = estimate_one(&join, options);
         let mut answer = Answer::of(self.peer.name.clone(), Some(&self.link), made.as_ref());
         self.bearing = made.ok();
         self.counts.estimates += 1;
@@ -405,9 +394,8 @@ impl PeerLink {
         }
     }
 
-    /// What this window's bearing and all windows before it say, where the way driven in this one is `driven_m` metres. What
-    /// an earlier window knew is not counted again: a window is kept once none of its samples is in the one kept before, and
-    /// if it is `whole`, made by every step that is on.
+    /// The combined evidence of this window, `driven_m` metres long, and all earlier ones. No sample counts twice: a
+    /// window is kept if it shares none with the last kept one, and if it is `whole`, made by every enabled step.
     fn carry(&mut self, driven_m: f64, whole: bool) -> Option<CarriedAnswer> {
         let bearing = self.bearing.as_ref()?;
         let times_s = bearing.samples.t_s();
@@ -441,7 +429,7 @@ impl PeerLink {
 }
 
 impl Context<'_> {
-    /// True if the accuracy layer is asked at all.
+    /// True if the accuracy layer is enabled.
     fn has_layers(&self) -> bool {
         self.options.accuracy.near_field
     }

@@ -8,7 +8,7 @@ use crate::time::Instant;
 use driver_iface::Mac;
 use serde::Serialize;
 
-/// What an estimate is made of, and how often.
+/// Data and rate of estimates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct LiveSettings {
@@ -20,10 +20,10 @@ pub struct LiveSettings {
     pub least_m: f64,
     /// Estimates of each peer a second.
     pub rate_hz: f64,
-    /// Poses are carried on beyond the last one by at most this, seconds.
+    /// Poses are extrapolated by at most this, seconds.
     pub extrapolate_s: f64,
-    /// The accuracy layer is asked this often for each peer, seconds: in between, bearings are of a plane wave at the
-    /// channel centre. 0: every time. When the robots stand still, and at the end, it has the last word.
+    /// Interval of the accuracy layer for each peer, seconds: in between, bearings assume a plane wave at the channel
+    /// centre. 0: every time. It also runs when the robots stop, and at the end.
     pub accurate_every_s: f64,
 }
 
@@ -49,13 +49,13 @@ pub struct LivePeer {
     pub name: String,
     /// Its MAC.
     pub mac: Mac,
-    /// Its poses so far: usually [`Track::still`], or empty for one that publishes them.
+    /// Its poses so far: usually [`Track::still`], or empty if it publishes them.
     pub track: Track,
-    /// How far its frame is turned against this robot's, radians.
+    /// Rotation of its frame against this robot's, radians.
     pub yaw_rad: f64,
 }
 
-/// What is known about a peer.
+/// The state of a peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PeerState {
@@ -84,14 +84,14 @@ pub struct PeerReport {
     pub moved_m: f64,
     /// Relative motion that is needed, metres.
     pub needed_m: f64,
-    /// Seconds since the bearing was made, for one that is repeated.
+    /// Age of a repeated bearing, seconds.
     pub age_s: f64,
-    /// The bearing is the accuracy layer's.
+    /// The bearing is of the accuracy layer.
     pub accurate: bool,
     /// When the last record in it came, on the driver's clock.
     #[serde(skip)]
     pub heard_at: Option<Instant>,
-    /// The bearing and all that goes with it.
+    /// The bearing with all its fields.
     #[serde(flatten)]
     pub answer: Answer,
 }
@@ -113,7 +113,7 @@ pub struct PeerCounts {
     pub skipped: u64,
     /// Losses that the peer's source reported.
     pub losses: u64,
-    /// Where the scheduler shares a key: what was not admitted.
+    /// If the scheduler shares a key: refused records.
     pub refused: AdmissionCounts,
     /// Windows through which the peer's place was carried, and how often that restarted.
     pub carried: TrackCounts,

@@ -1,4 +1,4 @@
-//! Poses of one robot as they come, and the stretch of two robots' relative motion that an estimate is made of.
+//! Poses of one robot, and the stretch of two robots' relative motion for an estimate.
 
 use crate::maths::wrap_rad;
 use crate::motion::pose::{Pose, Trajectory};
@@ -7,9 +7,9 @@ use std::collections::VecDeque;
 
 /// Relative motion is measured in steps of this length, so that the noise of odometry at rest does not add up, metres.
 const STEP_M: f64 = 0.01;
-/// Relative motion is looked at this often, seconds.
+/// Interval at which relative motion is evaluated, seconds.
 const LOOK_S: f64 = 0.02;
-/// Poses from which the speed for extrapolation is taken reach back this far, seconds.
+/// The speed for extrapolation comes from poses of this last time, seconds.
 const SPEED_S: f64 = 0.1;
 /// Poses kept of one robot at most, whatever their times: half an hour at 50 Hz.
 const MAX_POSES: usize = 90_000;
@@ -20,7 +20,7 @@ pub struct Track {
     poses: VecDeque<Pose>,
     /// A robot that never moves: its one pose holds at any time.
     still: bool,
-    /// Poses that came with a time already known, or not finite.
+    /// Poses with a known time, or not finite.
     pub refused: u64,
 }
 
@@ -38,7 +38,7 @@ impl Track {
         self.still
     }
 
-    /// Takes a pose; a late one finds its place.
+    /// Takes a pose; late ones are sorted in.
     pub fn push(&mut self, pose: Pose) {
         let finite = pose.t_s.is_finite() && pose.position_m.iter().all(|x| x.is_finite());
         let at = self.poses.iter().rposition(|before| before.t_s <= pose.t_s).map_or(0, |before| before + 1);
@@ -53,14 +53,14 @@ impl Track {
         }
     }
 
-    /// Forgets everything: what comes next is in another frame.
+    /// Drops everything, because later poses are in another frame.
     pub fn clear(&mut self) {
         if !self.still {
             self.poses.clear();
         }
     }
 
-    /// Forgets the poses before `t_s`, but for the last of them, from which is interpolated.
+    /// Drops the poses before `t_s`, except the last one, for interpolation.
     pub fn forget_before(&mut self, t_s: f64) {
         while !self.still && self.poses.get(1).is_some_and(|second| second.t_s < t_s) {
             self.poses.pop_front();
@@ -90,7 +90,7 @@ impl Track {
         self.poses.back()
     }
 
-    /// The trajectory so far, made longer by `extend_s` at its last speed: what comes after has no pose. For a robot that
+    /// The trajectory so far, extended by `extend_s` at its last speed; later times have no pose. For a robot that
     /// never moves it holds over `span_s`. `None` before there are two poses.
     #[must_use]
     pub fn trajectory(&self, extend_s: f64, span_s: (f64, f64)) -> Option<Trajectory> {
@@ -140,7 +140,7 @@ pub struct Window {
     pub path_m: f64,
     /// The diagonal of the box that holds it, metres.
     pub extent_m: f64,
-    /// Motion since the start of the first pose kept, metres: how much happened since the last look is a difference.
+    /// Motion since the first kept pose, metres; differences give the motion since the last call.
     pub whole_m: f64,
     /// Earlier motion was skipped.
     pub cut: bool,

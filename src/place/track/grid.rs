@@ -8,12 +8,12 @@ use std::f64::consts::TAU;
 /// Cells around, and along the range.
 pub(super) const AZIMUTHS: usize = 720;
 const RANGES: usize = 64;
-/// The nearest and the farthest range, metres; what is farther is as good as infinitely far.
+/// The nearest and the farthest range, metres; beyond it places are practically infinitely far.
 const NEAREST_M: f64 = 0.5;
 const FARTHEST_M: f64 = 60.0;
 /// Points along the range that a moved cell is averaged over.
 const WITHIN: usize = 2;
-/// A blur narrower than this share of a cell is none.
+/// A narrower blur than this share of a cell is ignored.
 const LEAST_BLUR: f64 = 0.05;
 
 /// Probability of each place, in cells about a middle. Their sum is 1.

@@ -6,8 +6,8 @@ use super::posterior::TrackAnswer;
 use super::settings::{TrackSettings, temper};
 use nalgebra::Vector2;
 
-/// Share of what is known that every motion gives back to the prior (a peer that was carried elsewhere is found there
-/// after two motions).
+/// Share of the evidence that every motion returns to the prior (a peer that was carried elsewhere is found there after
+/// two motions).
 const FORGOTTEN: f64 = 0.02;
 
 /// Why evidence was not used; the track is as it was.
@@ -137,7 +137,7 @@ impl PeerTrack {
         self.counts
     }
 
-    /// What is known after `evidence`, and whether the peer had gone before.
+    /// The state after `evidence`, and whether the peer was lost before.
     fn with(&self, evidence: &Evidence) -> Result<(Known, bool), TrackError> {
         evidence.check()?;
         let before = self.known.as_ref();

@@ -52,7 +52,7 @@ pub struct PeerPlaces {
     pub places: Vec<PeerPlace>,
     /// Motions that were used.
     pub used: usize,
-    /// Motions that were not: a number that is none, or no usable direction.
+    /// Refused motions: a number that is not finite, or no usable direction.
     pub refused: usize,
 }
 
@@ -150,8 +150,8 @@ fn prior(cell: Cell, side_m: f64) -> f64 {
     side_m * side_m / (whole * (room + offset_m(cell, side_m).norm_squared()))
 }
 
-/// The connected places about the likeliest cells, each with its mean and covariance. What is no likelier than before any
-/// evidence is no place: it is what is left where no direction is right.
+/// The connected places about the likeliest cells, each with its mean and covariance. Cells no likelier than before any
+/// evidence are no place: they remain if no direction is right.
 fn clusters(mut cells: BTreeMap<Cell, f64>, middle_m: Vector2<f64>, side_m: f64) -> Vec<PeerPlace> {
     let mut places: Vec<PeerPlace> = Vec::new();
     let mut falling: Vec<(Cell, f64)> = cells.iter().map(|(cell, p)| (*cell, *p)).collect();

@@ -1,7 +1,7 @@
 //! What is known about odometry and peers beforehand.
 
-/// What each motion after the first adds to the power that the evidence of all is taken to; the first adds 1 (least
-/// Brier score of what is carried, 30 places, four trajectories, halves to eighths).
+/// Contribution of each motion after the first to the exponent of the combined evidence; the first adds 1 (least Brier
+/// score of carried bearings, 30 places, four trajectories, halves to eighths).
 pub(crate) const OWN_SHARE: f64 = 0.3;
 
 /// Peers are as likely per area up to here, and per logarithm of the range beyond, metres (half of a room).
@@ -20,7 +20,7 @@ const TURN_DEG_PER_RT_M: f64 = 0.2;
 /// Error of positions as a share of the way driven (as deviations.scale_sd).
 const SLIP: f64 = 0.01;
 
-/// A peer that is silent for longer has gone, seconds (longer than a window of a live estimator).
+/// A peer that is silent for longer counts as lost, seconds (longer than a window of a live estimator).
 const GONE_S: f64 = 300.0;
 /// The power that the evidence of `known` motions together is taken to (each counts as the probability that one of its
 /// directions is right): motions are deceived together, and each after the first counts as a share of one that is
@@ -44,7 +44,7 @@ pub struct TrackSettings {
     /// How a peer without odometry wanders: standard deviation after one second, metres, in x and in y; it grows with the
     /// root of the time. 0: it stands still, or its odometry is known.
     pub wander_m_per_rt_s: f64,
-    /// A peer from which nothing was heard for longer has gone: what was known of its place is forgotten, seconds.
+    /// A peer that is silent for longer counts as lost, and its place is dropped, seconds.
     pub gone_s: f64,
     /// What each stretch after the first adds to the power that all evidence together is taken to when an answer is read from
     /// it; the first adds 1. 1: stretches are deceived independently; 0: all alike.
@@ -85,7 +85,7 @@ impl TrackSettings {
         Self { slip, ..self }
     }
 
-    /// With another time after which a silent peer has gone, seconds.
+    /// With another time after which a silent peer counts as lost, seconds.
     #[must_use]
     pub fn with_gone_s(self, gone_s: f64) -> Self {
         Self { gone_s, ..self }

@@ -54,7 +54,7 @@ impl Spot {
         Self { position_m: evidence.position_m, directions, rest: 1.0 - known, fresh: evidence.fresh.clamp(0.0, 1.0) }
     }
 
-    /// Probability that one of its directions is right, less what is not new.
+    /// Probability that one of its directions is right, less known evidence.
     pub fn known(&self) -> f64 {
         self.fresh * (1.0 - self.rest)
     }

@@ -129,7 +129,7 @@ impl LogFiles {
     /// Creates the log and its side file; with a rotation, the first of a row (`name-0001.dat`).
     ///
     /// # Errors
-    /// If a file is there already and `force` is not set, is a pipe, is another recorder's, or cannot be written.
+    /// If a file already exists and `force` is not set, is a pipe, is another recorder's, or cannot be written.
     pub fn create(path: &Path, rotation: Rotation, force: bool) -> Result<Self, Error> {
         Self::begin(path, rotation, force, true)
     }
@@ -196,7 +196,7 @@ impl LogFiles {
         }
     }
 
-    /// Continues in the next file; where that cannot be had, the old one goes on growing.
+    /// Continues in the next file; if that fails, the old one continues to grow.
     fn rotate(&mut self) -> Option<String> {
         let problem = self.sync();
         match open_files(&numbered(&self.path, self.number + 1), self.force, self.side.is_some()) {
@@ -232,7 +232,7 @@ impl LogFiles {
         side.append(&bytes, |done| whole_entries(layout, done)).1
     }
 
-    /// Appends to the current file, and counts what was appended in `sum`; false once the disk takes no more.
+    /// Appends to the current file, and counts in `sum`; false once the disk is full.
     fn append(&mut self, part: Part<'_>, sum: &mut Written) -> bool {
         let (records, outcome) = match &self.side {
             Some(_) => {
@@ -290,7 +290,7 @@ fn is_pipe(path: &Path) -> bool {
 }
 
 impl Drop for LogFiles {
-    /// A log without a record is taken back: whoever is started again and again without hearing anything leaves none.
+    /// Removes a log without a record, so that repeated starts without records leave none.
     fn drop(&mut self) {
         for grown in std::iter::once(&self.data).chain(&self.side) {
             if self.data.len == 0 && grown.is_there_and_empty() {
@@ -374,8 +374,8 @@ fn numbered(path: &Path, number: u32) -> PathBuf {
 }
 
 impl LogFiles {
-    /// Continues in another file where somebody else cut this one: what is written behind its end would be behind zeros. Gives what
-    /// there is to say of it, and how many records are gone, which is an estimate where some are left.
+    /// Continues in another file if another program cut this one: later bytes would follow zeros. Returns a message,
+    /// and the number of lost records, which is an estimate if some remain.
     fn go_on_if_cut(&mut self) -> (Option<String>, u64) {
         let (data, side) = (self.data.cut_to(), self.side.as_ref().is_some_and(|side| side.cut_to().is_some()));
         if data.is_none() && !side {

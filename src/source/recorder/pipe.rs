@@ -26,7 +26,7 @@ impl<W: Write + Send + 'static> Sink for Pipe<W> {
         match self.writer.write_all(&chunk.bytes).and_then(|()| self.writer.flush()) {
             Ok(()) => Written { records, ..Written::default() },
             Err(error) => {
-                // A stream cannot be taken back: half a record may have gone out, so nothing may follow it.
+                // A stream cannot be undone: half a record may have been sent, so nothing may follow it.
                 self.broken = true;
                 Written {
                     lost: records,

@@ -58,7 +58,7 @@ impl Shared {
         }
     }
 
-    /// The writer died: what it had taken and not written is lost.
+    /// The writer died: its unwritten records are lost.
     pub(super) fn note_death(&self) {
         let totals = self.totals();
         let lost = totals.received.saturating_sub(totals.written + totals.dropped + totals.lost_on_disk);
@@ -149,7 +149,7 @@ impl<W: Sink> Queue<W> {
         }
     }
 
-    /// Hands over what is left and waits until it is written; `None` if the writer died, or was closed before.
+    /// Hands over the rest and waits until it is written; `None` if the writer died, or was closed before.
     pub(super) fn close(&mut self, now: Instant) -> Option<W> {
         let (full, writer) = self.writer.take()?;
         self.current.at = now;

@@ -1,4 +1,4 @@
-//! How much a survey keeps one by one, and what it calls a pause.
+//! Limits of a survey's lists, and of a pause.
 
 /// Losses kept with their place; further ones are only counted.
 pub const LOSSES_KEPT: usize = 16;

@@ -48,8 +48,8 @@ pub enum TimeBase {
     Number,
 }
 
-/// A card's clock that goes on by less than this a record, microseconds, tells nothing about time: the preamble and SIGNAL field of
-/// a frame alone take as long (802.11-2016 table 17-5).
+/// A card's clock that advances by less than this a record, microseconds, stands still: the preamble and SIGNAL field
+/// of a frame alone take as long (802.11-2016 table 17-5).
 const LEAST_US: i64 = 20;
 
 impl TimeBase {
@@ -67,7 +67,7 @@ impl TimeBase {
 /// The card's clock from record to record. The host's beside it says how often it wrapped in a pause.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::source) struct CardClock {
-    /// The last reading, and what it is unwrapped.
+    /// The last reading, and its unwrapped value.
     last: Option<(u32, i64)>,
     /// Unwrapped time and host time of the last record that had both.
     last_both: Option<(i64, i64)>,
@@ -108,7 +108,7 @@ impl CardClock {
 
 /// Beside pauses of any length clocks do not differ by more, microseconds; of clocks that were set, one in 200 does not by chance.
 const FURTHEST_US: i64 = 10_000_000;
-/// The card's clock wraps every so many microseconds.
+/// Period of the card's clock, microseconds.
 const WRAP_US: i64 = 1 << 32;
 
 /// True if a clock that was off by so much went on by a wrap of the card's clock or several, to within `usual_us`.

@@ -1,16 +1,16 @@
 //! Which senders have a place in a survey: those that are named always, strangers by evidence and age.
 //!
 //! The places of strangers are a space-saving table \[metwally2005\]: a new sender takes the place of the one with the
-//! least evidence and begins with one more than that one had, so a sender of more than 1 in [`SENDERS_KEPT`] records has a
-//! place whatever the others make up. Evidence halves with time, so senders of long ago make room.
+//! least evidence and starts with one more, so a sender of more than 1 in [`SENDERS_KEPT`] records has a place whatever
+//! addresses others forge. Evidence halves with time, so old senders are replaced.
 
 use super::bounds::SENDERS_KEPT;
 use super::{Identity, Survey};
 
-/// Evidence of all strangers is halved once in so many that were forgotten.
+/// Evidence of all strangers is halved each time that this many were dropped.
 const HALVED_EVERY: u64 = 4_096;
 
-/// What speaks for keeping a stranger.
+/// The evidence for a stranger.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Standing {
     evidence: u64,
@@ -40,7 +40,7 @@ impl Survey {
         sender.note(frame_count, timestamp_low, host_us);
     }
 
-    /// Forgets a stranger if all places are taken; gives what its evidence was.
+    /// Drops a stranger if all places are taken; returns its evidence.
     fn make_room(&mut self) -> Option<u64> {
         let strangers = self.senders.iter().filter(|(mac, _)| !self.known.contains(mac));
         let (mut count, mut weakest) = (0, None);

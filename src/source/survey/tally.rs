@@ -1,4 +1,4 @@
-//! Counts by key of records in a row: most have what the one before had, and a map need not be asked for each.
+//! Counts by key of consecutive records: most have the key of the one before, which avoids a map access.
 
 use super::Survey;
 use super::bounds::SENDERS_KEPT;

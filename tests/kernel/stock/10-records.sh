@@ -30,7 +30,7 @@ rmmod csi5300
 insmod /modules/csi5300.ko transmit=fakecard_tx device=0
 grep -q "iwlagn *26:1" /proc/net/connector
 echo "frames that lack something"
-step records::what_is_missing_is_dropped_or_marked_and_counted CSI5300_STOCK_DROPS yes
+step records::missing_parts_are_dropped_or_marked_and_counted CSI5300_STOCK_DROPS yes
 rmmod csi5300
 
 # records LAYOUT CONNECTOR_LOG FRAMES RATE: csitool's way to log, and `csi5300 record` beside it.

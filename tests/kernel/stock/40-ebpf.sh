@@ -160,7 +160,7 @@ done
 feed "steady 100 8 0"
 sleep 1
 stop 0
-grep "loaded anew" /tmp/recorder
+grep "was reloaded" /tmp/recorder
 [ "$(grep -c . /tmp/recorder)" -gt 0 ]
 grep "^400 records written" /tmp/recorder
 

@@ -7,7 +7,7 @@ use crate::stats::{SURE, line, quantile};
 use csi5300::bartlett::Tier;
 use csi5300::pipeline::Options;
 
-/// A clock that is set moves by more than this, microseconds; hosts that are busy hand records on later than that only seldom.
+/// A step beyond this is a set clock, microseconds; busy hosts rarely deliver records later than that.
 const STEP_US: i64 = 50_000;
 
 pub(super) fn buffer(heard: &Heard, _: &Evidence) -> Told {
@@ -25,8 +25,8 @@ fn steps(heard: &Heard) -> Vec<(i64, i64)> {
         .collect()
 }
 
-/// Steps at which the two clocks disagree, split into those of the card and those of the host: the clock whose step is farther from the usual
-/// step made it. A late record is made up for by the next one and counts for neither.
+/// Steps at which the two clocks disagree, split into those of the card and those of the host: the clock with the more
+/// unusual step made it. A late record counts for neither.
 fn disagreements(heard: &Heard) -> Option<(Vec<i64>, Vec<i64>)> {
     let steps = steps(heard);
     if steps.len() < super::LEAST {
@@ -36,7 +36,7 @@ fn disagreements(heard: &Heard) -> Option<(Vec<i64>, Vec<i64>)> {
     let (mut of_card, mut of_host) = (Vec::new(), Vec::new());
     for (at, (card, host)) in steps.iter().enumerate() {
         let off = host - card;
-        // Over the next steps it stays, where a clock was set.
+        // After a clock was set, the difference persists over the next steps.
         let stays: i64 =
             steps.get(at..(at + 12).min(steps.len())).unwrap_or(&[]).iter().map(|(card, host)| host - card).sum();
         if off.abs() <= STEP_US || stays.abs() <= STEP_US || stays.signum() != off.signum() {
@@ -118,7 +118,7 @@ pub(super) fn card_rate(heard: &Heard, _: &Evidence) -> Told {
         return Told::not_tried("a clock was set: see card.clock and host.clock");
     }
     let Some((_, slope, error)) = line(&points) else { return Told::not_tried("the card's clock stands still") };
-    // A run of late records at one end tilts the line.
+    // Late records at one end tilt the line.
     let length = points.last().map_or(0.0, |point| point.0).max(1e-3);
     let (ppm, error) = (-1e6 * slope, 1e6 * (SURE * error + 1e-4 / length));
     let told = match ppm.abs() {
@@ -170,7 +170,7 @@ pub(super) fn recorder(heard: &Heard, _: &Evidence) -> Told {
     if heard.records.len() > COMPARED {
         return Told::not_tried(format!("more than {COMPARED} records: a shorter run compares them"));
     }
-    // A stock log has no host times; they stand in a file beside it.
+    // A stock log has no host times; its side file has them.
     let same = |a: &HeardRecord, b: &HeardRecord| {
         let b = HeardRecord { host_us: a.host_us, ..b.clone() };
         *a == b

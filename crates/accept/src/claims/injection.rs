@@ -1,4 +1,4 @@
-//! Claims of what is sent.
+//! Claims about sent frames.
 
 use super::{Needs, Told};
 use crate::collect::{Evidence, Heard, HeardRecord, Interface, Sending, Sent};
@@ -10,7 +10,7 @@ use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::FCS_LEN;
 use std::collections::{BTreeMap, HashSet};
 
-/// Above this rate frames may be refused or lost: it is measured only.
+/// Above this rate frames may be refused or lost: only measured.
 const ASKED_HZ: f64 = 200.0;
 
 fn asked(evidence: &Evidence) -> Vec<Sent> {
@@ -83,14 +83,14 @@ pub(super) fn pace(evidence: &Evidence) -> Told {
     };
     let words: Vec<String> = paces.iter().map(word).collect();
     let told = Told::decided((hz / rate - 1.0).abs() <= 0.1, words.join(", "));
-    let told = told.with("worst", hz / rate, "of the rate asked for");
+    let told = told.with("worst", hz / rate, "of the requested rate");
     let Some(us) = air_us else { return told };
     let busiest = paces.iter().filter_map(|(_, hz)| share(*hz)).fold(0.0, f64::max);
     told.with("air time of a frame", us, "us").with("air used at the fastest", busiest, "%")
 }
 
-/// Time on air of one frame of the suite, microseconds, at the rate that the far card heard most: preamble and symbols (802.11-2016
-/// equation 19-90). Its answer and what others send come on top.
+/// Time on air of one frame of the suite, microseconds, at the rate that the far card heard most: preamble and symbols
+/// (802.11-2016 equation 19-90). Answers and others' frames are not included.
 fn airtime_us(far: &Heard, sender: Mac) -> Option<f64> {
     let mut rates: BTreeMap<u16, usize> = BTreeMap::new();
     let heard = far.records.iter().filter(|record| record.mac == sender);
@@ -109,7 +109,7 @@ pub(super) fn confirmed(evidence: &Evidence) -> Told {
         Some(0) if heard_by_far(evidence).is_some_and(|heard| !heard.is_empty()) => {
             Told::not_tried("the driver reports none of the frames, and the far card heard them")
         }
-        // A frame may be reported that somebody else sent through the interface.
+        // Reports may include frames of other programs on the interface.
         Some(count) => {
             let missing = taken.saturating_sub(usize::try_from(count).unwrap_or(usize::MAX));
             Told::share(missing, taken, 0.1, "frames were not reported as sent")

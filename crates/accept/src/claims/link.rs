@@ -1,4 +1,4 @@
-//! Claims that two cards answer together.
+//! Claims about two cards together.
 
 use super::{Needs, Told};
 use crate::collect::Evidence;
@@ -31,7 +31,7 @@ pub(super) fn pairs(evidence: &Evidence) -> Told {
         Ok(pairs) => pairs,
         Err(why) => return why,
     };
-    // Of the card that heard more of the other: the other one's frames are missing.
+    // For the card that heard more of the other: the other one's frames are missing.
     let (most, side) = if pairs.among_others || pairs.frames[0] >= pairs.frames[1] {
         (pairs.frames[0], "near")
     } else {
@@ -122,7 +122,7 @@ pub(super) fn crystal(pairs: &Pairs, evidence: &Evidence) -> Told {
     let (Some(found), Some((_, error))) = (&pairs.compensation, pairs.drift_ppm) else {
         return Told::not_tried("a card's clock stands still");
     };
-    // By a stretch in which the turn-around does not step: a step tilts the line through all.
+    // From a stretch without a step of the turn-around, which would tilt the line.
     let drift = found.drift_ppm;
     let spread =
         quantile(&pairs.turn_us, 0.95).zip(quantile(&pairs.turn_us, 0.05)).map_or(0.0, |(high, low)| high - low);

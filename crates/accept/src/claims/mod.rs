@@ -1,4 +1,4 @@
-//! The claims: one table, and what decides each.
+//! The table of claims with their checks.
 
 mod host;
 mod injection;
@@ -12,7 +12,7 @@ use crate::pairs::Pairs;
 use crate::report::{Figure, Finding, Of, Verdict};
 use crate::stats::share_bounds;
 
-/// What must be on the desk for a claim.
+/// The equipment that a claim needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Needs {
@@ -32,7 +32,7 @@ pub enum Needs {
     Module,
     /// Logs of the same desk at rest, one after each retune.
     Retunes,
-    /// Logs of the same desk at rest, one after the driver was loaded anew.
+    /// Logs of the same desk at rest, one after the driver was reloaded.
     Reload,
     /// A person who unplugs antennas.
     Unplugged,
@@ -51,15 +51,13 @@ impl Needs {
             Self::Host => "a host that waits for a card",
             Self::Module => "the kernel module csi5300 beside the stock driver",
             Self::Retunes => "robots that stand still (`at_rest`), and a log after each retune (`retuned`)",
-            Self::Reload => {
-                "robots that stand still (`at_rest`), and a log after the driver was loaded anew (`reloaded`)"
-            }
+            Self::Reload => "robots that stand still (`at_rest`), and a log after the driver was reloaded (`reloaded`)",
             Self::Unplugged => "a person who unplugs antennas (`unplug`)",
         }
     }
 }
 
-/// What a check told.
+/// The result of a check.
 pub(crate) struct Told {
     verdict: Verdict,
     found: String,
@@ -75,7 +73,7 @@ impl Told {
         Self::new(Verdict::NotTried, why.into())
     }
 
-    /// What the claim needs is not there.
+    /// A requirement of the claim is missing.
     fn needs(needs: Needs) -> Self {
         Self::not_tried(format!("needs {}", needs.words()))
     }
@@ -90,7 +88,7 @@ impl Told {
         self
     }
 
-    /// A share that must not be above a limit. It fails where the share is above it for certain; in between nothing is decided.
+    /// A share with a limit. It fails if the share is certainly above it; in between nothing is decided.
     fn share(bad: usize, total: usize, limit: f64, what: &str) -> Self {
         let share = bad as f64 / total.max(1) as f64;
         let most = if limit == 0.0 { "none is allowed".to_owned() } else { format!("at most {} %", 100.0 * limit) };
@@ -109,19 +107,19 @@ impl Told {
 /// Fewest records from which a share is judged.
 const LEAST: usize = 100;
 
-/// What decides a claim.
+/// The check of a claim.
 enum Check {
-    /// One card's records, each card's for itself.
+    /// Each card's records alone.
     Log(fn(&Heard, &Evidence) -> Told),
     /// Both cards together.
     Link(fn(&Evidence) -> Told),
-    /// Exchanges of which both frames were reported, where there are enough of them.
+    /// Exchanges with both frames, if there are enough of them.
     Pairs(fn(&Pairs, &Evidence) -> Told),
     /// The host.
     Host(fn(&Evidence) -> Told),
 }
 
-/// One sentence that is true or false of a card, its driver or its host.
+/// A statement about a card, its driver or its host that is true or false.
 pub struct Claim {
     /// Its identity, `subject.what`.
     pub id: &'static str,
@@ -129,13 +127,13 @@ pub struct Claim {
     pub says: &'static str,
     /// What must be on the desk.
     pub needs: Needs,
-    /// The range that is expected; `open` where nobody knows it yet.
+    /// The expected range; `open` if unknown.
     pub expected: &'static str,
-    /// Where that range comes from.
+    /// The source of that range.
     pub source: &'static str,
-    /// Likely causes where it fails, the likeliest first.
+    /// Likely causes of a failure, the likeliest first.
     pub causes: &'static [&'static str],
-    /// What to run next where it fails.
+    /// The next command after a failure.
     pub next: &'static str,
     check: Check,
 }
@@ -170,7 +168,7 @@ impl Claim {
                     _ if heard.is_of_another_card() && OF_A_5300.contains(&self.id) => {
                         Told::not_tried("the log is of another card, which has no such field")
                     }
-                    // Nothing heard shows nothing good of a card.
+                    // Without records there is no good verdict on a card.
                     told if told.verdict == Verdict::Holds && heard.records.is_empty() => Told::needs(self.needs),
                     told => told,
                 };
@@ -186,7 +184,7 @@ impl Claim {
     }
 }
 
-/// Claims about fields that only a 5300 fills: what stands there in a log of another card was made from what it has.
+/// Claims about fields that only a 5300 fills; logs of other cards have converted values there.
 const OF_A_5300: [&str; 10] = [
     "log.layout",
     "reception.count",
@@ -260,7 +258,7 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::OneCard,
         expected: "no step of more than 50 ms against the host's clock, never back",
         source: "host's clock of the same records; iwlwifi `timestamp_low` counts microseconds and wraps after 71.6 min",
-        causes: &["the driver was loaded anew", "the card was reset"],
+        causes: &["the driver was reloaded", "the card was reset"],
         next: "sudo dmesg | grep iwl",
         check: Check::Log(host::card_clock),
     },
@@ -333,12 +331,12 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "reception.width",
-        says: "Frames are as wide as the channel that was told.",
+        says: "Frames are as wide as the stated channel.",
         needs: Needs::OneCard,
         expected: "bit 11 of `fake_rate_n_flags` set on 40 MHz only",
         source: "iwlwifi RATE_MCS_HT40_MSK",
         causes: &[
-            "another channel width was told to this program, if both cards fail",
+            "the stated channel width is wrong, if both cards fail",
             "this card's record is wrong, if reception.subcarriers holds",
             "the sender is set to another width",
         ],
@@ -400,7 +398,7 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::OneCard,
         expected: "a line through the phase fits better than with another order",
         source: "802.11n table 7-25f (grouping of 2 at 20 MHz, 4 at 40 MHz)",
-        causes: &["the driver or a converter moved the subcarriers", "the width told is wrong"],
+        causes: &["the driver or a converter moved the subcarriers", "the stated width is wrong"],
         next: "`csi5300 info LOG.dat --plot DIR --antenna A --from 2 --to 3`, beside the other card's log: no row is at the wrong edge",
         check: Check::Log(reception::subcarriers),
     },
@@ -586,13 +584,13 @@ pub static CLAIMS: [Claim; 49] = [
         needs: Needs::TwoCards,
         expected: "carrier offset over clock drift is the carrier frequency, within 1.5 ppm",
         source: "802.11-2016 17.3.9.5: one reference for carrier and symbol clock",
-        causes: &["the channel told is of another band", "a card's clock is not the one its carrier comes from"],
+        causes: &["the stated channel is of another band", "a card's clock is not the one its carrier comes from"],
         next: "iw dev NAME info: the channel; then a recording of 60 s",
         check: Check::Pairs(link::crystal),
     },
     Claim {
         id: "phase.rest",
-        says: "At rest the compensated product's phase stands still.",
+        says: "At rest the compensated product's phase is constant.",
         needs: Needs::Rest,
         expected: "coherence within each second at least 0.7",
         source: "0.7 is a spread of 0.84 rad within a second",
@@ -618,11 +616,11 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "phase.reload",
-        says: "After the driver was loaded anew the phases between antennas and of the round trip are the same.",
+        says: "After the driver was reloaded the phases between antennas and of the round trip are the same.",
         needs: Needs::Reload,
         expected: "no step of more than 45 degrees",
         source: "half of pi/2, the smallest step of this card that is known (firmware-notes/csi-quirks.md)",
-        causes: &["the card calibrates its chains anew", "a robot was moved: 4 mm are 45 degrees of the round trip"],
+        causes: &["the card recalibrates its chains", "a robot was moved: 4 mm are 45 degrees of the round trip"],
         next: "begin a new log after each reload",
         check: Check::Link(person::reload),
     },
@@ -641,7 +639,7 @@ pub static CLAIMS: [Claim; 49] = [
         says: "The card may start to transmit on its channel.",
         needs: Needs::Sending,
         expected: "neither disabled nor no-IR nor radar detection",
-        source: "mac80211 drops injected frames on such channels without a word (firmware-notes/injection.md)",
+        source: "mac80211 drops injected frames on such channels silently (firmware-notes/injection.md)",
         causes: &["the regulatory domain is the world's (00)", "the channel needs radar detection"],
         next: "sudo iw reg set XX with your country's code, then set the channel; or another channel",
         check: Check::Link(injection::channel),
@@ -668,7 +666,7 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "injection.pace",
-        says: "Frames leave as often as they are asked for.",
+        says: "Frames leave at the requested rate.",
         needs: Needs::Sending,
         expected: "within 10 % at up to 200 frames a second, by the far card's clock",
         source: "the schedule of the frames that were sent",
@@ -682,7 +680,7 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "injection.heard",
-        says: "What is sent is heard.",
+        says: "The far card hears the frames that are sent.",
         needs: Needs::Sending,
         expected: "at most 10 % lost at up to 200 frames a second",
         source: "71 WSR links: 1.0 % of the answers lost at most",
@@ -696,7 +694,7 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "injection.numbers",
-        says: "The numbers that are heard are those that were sent.",
+        says: "The far card hears the numbers that were sent.",
         needs: Needs::Sending,
         expected: "no other number",
         source: "the frame's own bytes",
@@ -743,7 +741,7 @@ pub static CLAIMS: [Claim; 49] = [
     },
     Claim {
         id: "module.order",
-        says: "The firmware tells the order of the antennas.",
+        says: "The firmware reports the order of the antennas.",
         needs: Needs::Module,
         expected: "`no_order` stays 0",
         source: "iwlwifi dvm/rx.c: REPLY_RX_PHY_CMD before each frame",
@@ -769,7 +767,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "the person's measurement of the direction",
         causes: &[
             "the antenna's place on the robot is missing or mirrored: --antenna-offset FORWARD,LEFT,UP",
-            "the channel told is wrong",
+            "the stated channel is wrong",
             "the direction was measured in another frame",
         ],
         next: "`csi5300 bearing FOLDER -v`",
@@ -783,7 +781,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
-    fn claims_are_told_apart_and_say_what_next() {
+    fn claims_are_distinct_and_name_a_next_step() {
         let ids: BTreeSet<&str> = CLAIMS.iter().map(|claim| claim.id).collect();
         assert_eq!(ids.len(), CLAIMS.len());
         for claim in &CLAIMS {

@@ -1,9 +1,9 @@
-//! Claims that the kernel module's counters answer.
+//! Claims decided by the kernel module's counters.
 
 use super::{Needs, Told};
 use crate::collect::Evidence;
 
-/// How much the counters grew, in the order of the names; or why nothing can be told.
+/// Growth of the counters, in the order of the names; or why it is unknown.
 fn grown<const N: usize>(evidence: &Evidence, names: [&str; N]) -> Result<[u64; N], Told> {
     if evidence.counters.is_empty() {
         return Err(Told::needs(Needs::Module));

@@ -1,4 +1,4 @@
-//! Claims for which a person does something: retunes a card, loads its driver anew, or unplugs an antenna.
+//! Claims that need a person, who retunes a card, reloads its driver, or unplugs an antenna.
 
 use super::{LEAST, Needs, Told};
 use crate::collect::{After, Done, Evidence, Heard, HeardRecord};
@@ -41,7 +41,7 @@ impl Constant {
         })
     }
 
-    /// By how much this is away from `before`, radians, and how sure that is.
+    /// Difference from `before`, radians, and its standard error.
     fn step(&self, before: &Self) -> (f64, f64) {
         let turn = TAU * (self.offset_hz - before.offset_hz).abs() * TURN_AROUND_S;
         let step = (self.rad - before.rad + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0;
@@ -56,7 +56,7 @@ fn antenna(record: &HeardRecord, antenna: Antenna) -> Option<[Complex32; csi5300
     antennas.chain_of(antenna).map(|chain| column(record, chain))
 }
 
-/// What stays the same at rest: each antenna's phase against antenna A's, and the compensated round trip's.
+/// Phases that are constant at rest: each antenna's against antenna A's, and the compensated round trip's.
 fn constants(near: &Heard, pairs: Option<&Pairs>) -> Vec<Constant> {
     let against_a = |other: Antenna| {
         let unit = |record: &HeardRecord| {
@@ -71,7 +71,7 @@ fn constants(near: &Heard, pairs: Option<&Pairs>) -> Vec<Constant> {
         let mut z = pairs.product.clone();
         found.apply(&mut z);
         let constant = Constant::of("round trip".into(), z.into_iter())?;
-        // The median turn-around is known as well as its spread over the root of the pairs; a phase of it is not known better.
+        // The error of the median turn-around, its spread over the root of the pairs, limits that of its phase.
         let spread_us = 1.4826 * quantile(&found.jitter_us.iter().map(|us| us.abs()).collect::<Vec<_>>(), 0.5)?;
         let error_s = 1.2533 * 1e-6 * spread_us / (pairs.len() as f64).sqrt();
         let error = constant.error.hypot(TAU * found.df_hz * error_s);
@@ -124,7 +124,8 @@ pub(super) fn reload(evidence: &Evidence) -> Told {
     same(evidence, Done::Reloaded, Needs::Reload)
 }
 
-/// Power of each named antenna against that of all, dB: the median over the records; nothing of an antenna that is in less than half of them.
+/// Power of each named antenna relative to all, dB: the median over the records; none for antennas in less than half of
+/// them.
 fn shares(heard: &Heard) -> [Option<f64>; 3] {
     let power = |record: &HeardRecord, which: Antenna| {
         Some(f64::from(antenna(record, which)?.iter().map(Complex32::norm_sqr).sum::<f32>()))
@@ -140,7 +141,7 @@ fn shares(heard: &Heard) -> [Option<f64>; 3] {
     })
 }
 
-/// An antenna that is unplugged loses so many dB at least.
+/// Least loss of an unplugged antenna, dB.
 const FALL_DB: f64 = 6.0;
 
 pub(super) fn unplugged(evidence: &Evidence) -> Told {
@@ -161,7 +162,7 @@ pub(super) fn unplugged(evidence: &Evidence) -> Told {
         let Some(Some(at_first)) = before.get(index) else {
             return Told::not_tried(format!("antenna {which:?} is in no record, or in few"));
         };
-        // A chain that the firmware leaves out fell, too.
+        // A chain that the firmware drops fell too.
         let fell =
             |index: usize| Some(before.get(index)?.as_ref()? - now.get(index).copied().flatten().unwrap_or(-90.0));
         let falls: Vec<f64> = (0..3).filter_map(fell).collect();

@@ -1,4 +1,4 @@
-//! Claims that the records of one card answer.
+//! Claims about the records of one card.
 
 use super::Told;
 use crate::collect::{Evidence, Heard, HeardRecord};
@@ -12,7 +12,7 @@ use driver_iface::record::Tail;
 use num_complex::Complex32;
 use std::collections::{BTreeMap, HashMap};
 
-/// The share of records for which something is so.
+/// The share of records with a property.
 fn share(heard: &Heard, limit: f64, what: &str, is_bad: impl Fn(&HeardRecord) -> bool) -> Told {
     let bad = heard.records.iter().filter(|record| is_bad(record)).count();
     Told::share(bad, heard.records.len(), limit, what)
@@ -114,9 +114,9 @@ fn levels_db(record: &HeardRecord, antenna: Antenna) -> Option<(f64, f64)> {
     (power >= LEAST_POWER).then(|| (10.0 * power.log10(), f64::from(rssi)))
 }
 
-/// The largest disagreement between two chains, dB: the difference of their powers less the difference of the RSSI of the antennas that the
-/// record names for them. Names that change places double a difference. `None` where no two chains are strong, or where no two of the RSSI are
-/// 3 dB apart. In three WSR logs the median is 1.6 to 2.1 dB between a strong and a weak chain.
+/// The largest disagreement between two chains, dB: the difference of their powers less the difference of their named
+/// antennas' RSSI. Exchanged names double a difference. `None` without two strong chains, or without two RSSI 3 dB
+/// apart. In three WSR logs the median is 1.6 to 2.1 dB between a strong and a weak chain.
 fn disagreement_db(record: &HeardRecord) -> Option<f64> {
     let chains: Vec<(f64, f64)> = Antenna::ALL.into_iter().filter_map(|antenna| levels_db(record, antenna)).collect();
     let pairs = || chains.iter().enumerate().flat_map(|(k, a)| chains.iter().skip(k + 1).map(move |b| (a, b)));
@@ -156,17 +156,18 @@ fn power_and_rssi(heard: &Heard) -> String {
     [Antenna::B, Antenna::C].into_iter().filter_map(above_a).collect()
 }
 
-/// Where the value is that belongs to the k-th index.
+/// The place of the value of the k-th index.
 type Order = fn(usize) -> usize;
 
-/// How the 30 values could be ordered wrongly: place of a value by the place where it should be.
+/// Possible wrong orders of the 30 values: actual place by correct place.
 const ORDERS: [(&str, Order); 3] = [
     ("shifted up by one place, the last to the first", |k| (k + 1) % SUBCARRIERS),
     ("shifted down by one place, the first to the last", |k| (k + SUBCARRIERS - 1) % SUBCARRIERS),
     ("reversed", |k| SUBCARRIERS - 1 - k),
 ];
 
-/// What is left of the phase steps between neighbours after a delay is taken out, radians squared in all, where value `order(k)` is of `indices[k]`.
+/// The sum of squares of the phase steps between neighbours without a delay, radians squared, if value `order(k)` is of
+/// `indices[k]`.
 fn left_over(h: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS], order: impl Fn(usize) -> usize) -> f64 {
     let value = |k: usize| h.get(order(k)).copied().unwrap_or_default();
     let steps: Vec<(f64, f64)> = indices
@@ -177,7 +178,7 @@ fn left_over(h: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS], order: i
             Some((f64::from(b - a), f64::from((value(k + 1) * value(k).conj()).arg())))
         })
         .collect();
-    // The slope from steps of the usual width: narrower ones are what tells the orders apart.
+    // The slope from steps of the usual width: narrower ones distinguish the orders.
     let usual = steps.iter().map(|step| step.0).fold(0.0, f64::max);
     let wide: Vec<f64> = steps.iter().filter(|step| step.0 == usual).map(|step| step.1).collect();
     let slope = quantile(&wide, 0.5).unwrap_or(0.0) / usual;
@@ -288,7 +289,7 @@ pub(super) fn gain(heard: &Heard, _: &Evidence) -> Told {
     with_median_dbm(share(heard, 0.01, "records state a power that air cannot carry, or no gain", is_bad), &powers)
 }
 
-/// A verdict with the median of what it was about.
+/// A verdict with the median of its values.
 fn with_median_dbm(told: Told, dbm: &[f64]) -> Told {
     match quantile(dbm, 0.5) {
         Some(median) => {
@@ -309,7 +310,7 @@ pub(super) fn noise(heard: &Heard, _: &Evidence) -> Told {
 /// SNR of a record's strongest chain, dB: third differences over equally spaced subcarriers leave 20 times the noise of one.
 fn snr_db(record: &HeardRecord) -> Option<f64> {
     let mut h = strongest(record);
-    // A delay turns neighbours apart, which is no noise.
+    // A delay rotates neighbours, which is not noise.
     let slope: Complex32 = h.windows(2).filter_map(|pair| Some(pair.get(1)? * pair.first()?.conj())).sum();
     for (k, h) in h.iter_mut().enumerate() {
         *h *= Complex32::cis(-slope.arg() * k as f32);

@@ -8,8 +8,8 @@ use csi5300_sim::CardFault;
 use driver_iface::bfee::Antenna;
 use std::collections::BTreeSet;
 
-/// A fault: its name, what it adds to the radio and to the two robots, what is told of the channel and by how many degrees the direction is told
-/// wrongly, and the claims that fail.
+/// A fault: its name, additions to the radio and to the two robots, the stated channel, the error of the stated
+/// direction in degrees, and the claims that fail.
 struct Fault {
     name: String,
     more: &'static str,
@@ -22,16 +22,16 @@ struct Fault {
     fails: &'static [&'static str],
 }
 
-/// What is done on the desk.
+/// The set-up on the desk.
 #[derive(Clone, Copy)]
 enum Desk {
     /// Two robots sound each other.
     Sounding,
-    /// Both stand still, and the fault begins after this was done to the near card.
+    /// Both are at rest, and the fault starts after this action on the near card.
     After(Done),
-    /// Both stand still; the person was told to unplug the first antenna, and the second one falls.
+    /// Both are at rest; the person should unplug the first antenna, but the second one falls.
     Unplugged(Antenna, Option<Antenna>),
-    /// The near robot sends, through a driver that does this to its frames.
+    /// The near robot sends through a faulty driver.
     Sending(Way),
     /// The interface's channel has these flags.
     Flags(&'static str),
@@ -42,7 +42,7 @@ fn of_card(fault: CardFault) -> Fault {
     let fails: &[&str] = match fault {
         CardFault::AntennasSwapped | CardFault::AntennasConstant | CardFault::RssiSwapped => &["reception.antennas"],
         CardFault::AntennasInvalid => &["reception.order"],
-        // Beside the phases the bearing is wrong: conjugated, a motion looks like its opposite.
+        // The bearing is wrong too: conjugated, a motion looks like its opposite.
         CardFault::Conjugated => &["phase.cancels", "phase.sign", "truth.bearing"],
         CardFault::SubcarriersShifted | CardFault::SubcarriersReversed => &["reception.subcarriers"],
         CardFault::ClockFast => &["exchange.drift", "phase.cancels"],
@@ -109,7 +109,7 @@ fn all() -> Vec<Fault> {
         },
         Fault {
             near: "faults = { restart_at_s = [7.0], restart_s = 0.5 }".into(),
-            // Its numbers begin anew.
+            // Its numbers restart.
             fails: &["card.clock", "exchange.pairs"],
             ..desk("card restarts")
         },

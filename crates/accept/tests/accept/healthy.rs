@@ -6,7 +6,7 @@ use csi5300_accept::{Done, Verdict};
 use driver_iface::bfee::Antenna;
 
 #[test]
-fn a_healthy_pair_fails_nothing_and_is_told_most() {
+fn a_healthy_pair_fails_no_claim_and_tries_most() {
     let report = judged(&scene(1, "", "noise.snr_db = 25.0", "", ""), "108", 0.0);
     assert!(failed(&report).is_empty(), "{report}");
     assert!(report.count(Verdict::Holds) >= 50, "{report}");

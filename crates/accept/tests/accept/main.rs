@@ -1,4 +1,4 @@
-//! The suite is tested: every fault of a card is caught by its own claims, and healthy cards are left alone.
+//! Tests of the suite: every fault is caught by its own claims, and healthy cards fail none.
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
 mod faults;

@@ -30,7 +30,7 @@ pub fn scene(seed: u64, more: &str, radio: &str, near: &str, far: &str) -> Scene
     Scene::parse(&text).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-/// What the claims say of a scene whose first two robots are the cards. `off_deg` is added to the direction that they are told.
+/// The report on a scene whose first two robots are the cards. `off_deg` is added to the stated direction.
 pub fn judged(scene: &Scene, channel: &str, off_deg: f64) -> Report {
     let mut room = Room::new(scene).unwrap();
     let mut plan = Plan::new(channel.parse().unwrap());
@@ -46,7 +46,7 @@ pub fn judged(scene: &Scene, channel: &str, off_deg: f64) -> Report {
     run(&mut near, Some(&mut far), plan).unwrap()
 }
 
-/// What both cards gave of robots that stand still; `near` is added to the first one.
+/// Both cards' data of robots at rest; `near` is added to the first one.
 fn at_rest(seed: u64, snr_db: f64, near: &str) -> Evidence {
     let mut scene = scene(seed, "", &format!("noise.snr_db = {snr_db:?}\nchains = 3"), near, "");
     scene.robot[0].motion = Default::default();
@@ -55,7 +55,7 @@ fn at_rest(seed: u64, snr_db: f64, near: &str) -> Evidence {
     collect(&mut near, Some(&mut far), None, Plan::new("108".parse().unwrap())).unwrap()
 }
 
-/// Robots that stand still: their first logs, then those after each step, each with what is added to the near robot.
+/// Robots at rest: their first logs, then those after each step, each with an addition to the near robot.
 pub fn standing(seed: u64, snr_db: f64, after: &[(Done, &str)]) -> Report {
     let mut collector = Collector::new(Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) });
     let first = at_rest(seed, snr_db, "");
@@ -68,7 +68,7 @@ pub fn standing(seed: u64, snr_db: f64, after: &[(Done, &str)]) -> Report {
     collector.finish().judge()
 }
 
-/// Robots that stand still, of which one antenna falls by 20 dB after the person was told to unplug `told`.
+/// Robots at rest; one antenna falls by 20 dB after the person was asked to unplug `told`.
 pub fn unplugged(seed: u64, snr_db: f64, told: Antenna, falls: Option<Antenna>) -> Report {
     let mut collector = Collector::new(Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) });
     collector.log(Side::Near, &at_rest(seed, snr_db, "").near.log);

@@ -7,7 +7,7 @@ use csi5300::time::Instant;
 use csi5300_accept::{Collector, Interface, Plan, Report, Sending, Verdict, collect};
 use csi5300_sim::{Room, Scene};
 
-/// What a driver does to a frame before it leaves: takes it or not, and when.
+/// A driver's treatment of a frame: whether and when it is sent.
 pub type Way = fn(Instant) -> Option<Instant>;
 
 /// An interface that sends so.
@@ -18,7 +18,7 @@ struct Driver {
 
 impl Injector for Driver {
     fn inject(&mut self, now: Instant, frame: &[u8]) -> Result<(), Error> {
-        // Or what it says of older frames is lost.
+        // Otherwise its reports on older frames are lost.
         while self.interface.hear()?.is_some() {}
         (self.way)(now).map_or(Ok(()), |at| self.interface.inject(at, frame))
     }
@@ -42,7 +42,7 @@ pub fn sent_at(seed: u64, snr_db: f64, [near, far]: [&str; 2], way: Way) -> Repo
     let (mut near, mut far) = (room.card(0).unwrap(), room.card(1).unwrap());
     let plan = Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) };
     let mut evidence = collect(&mut near, Some(&mut far), Some(Sending::new(&mut interface, sender)), plan).unwrap();
-    // The room's interface says of each frame that it left, once it is asked.
+    // The room's interface reports each frame as sent when it is read.
     while interface.interface.hear().unwrap().is_some() {}
     evidence.interface.confirmed = interface.interface.sent_for_certain();
     evidence.interface.retried = interface.interface.retried();
@@ -50,13 +50,13 @@ pub fn sent_at(seed: u64, snr_db: f64, [near, far]: [&str; 2], way: Way) -> Repo
     evidence.judge()
 }
 
-/// As a good driver does.
+/// A good driver.
 pub fn at_once(now: Instant) -> Option<Instant> {
     Some(now)
 }
 
 #[test]
-fn what_is_sent_is_heard_and_answered() {
+fn sent_frames_are_heard_and_answered() {
     let report = sent("", at_once);
     assert!(failed(&report).is_empty(), "{report}");
     let verdict = |id: &str| report.findings.iter().find(|finding| finding.id == id).unwrap().verdict;
@@ -101,7 +101,7 @@ pub fn flagged(flags: Option<&str>) -> Report {
 }
 
 #[test]
-fn flags_of_the_channel_are_told() {
+fn flags_of_the_channel_are_reported() {
     let told = |flags: Option<&str>| {
         let report = flagged(flags);
         report.findings.iter().find(|finding| finding.id == "injection.channel").unwrap().verdict

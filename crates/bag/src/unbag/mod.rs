@@ -76,7 +76,7 @@ pub enum BagError {
         most: u64,
     },
     /// There is a file of that name already.
-    #[error("{} is there already", .path.display())]
+    #[error("{} already exists", .path.display())]
     There {
         /// The file.
         path: PathBuf,
@@ -217,7 +217,7 @@ impl Drop for Outputs<'_> {
 /// bag of ROS 1, also compressed. Times are those of the headers. Files have their names once all of them are whole.
 ///
 /// # Errors
-/// If nothing can be read or written, a file is there already and not to be replaced, or is the recording itself.
+/// If nothing can be read or written, a file already exists and not to be replaced, or is the recording itself.
 pub fn unbag(bag: &Path, out: &Path, replace: bool) -> Result<Unbagged, BagError> {
     let read = files(bag)?;
     let read = read.iter().filter_map(|file| std::fs::metadata(file).ok());

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 #[cfg(feature = "view")]
 use std::net::SocketAddr;
 
-/// No card hears another one so far away, metres.
+/// No card hears another one at this distance, metres.
 const FURTHEST_M: f64 = 1e6;
 
 // How bearings are made.
@@ -26,8 +26,8 @@ pub struct Estimation {
         hide_short_help = true
     )]
     pub antenna: Vec<Antenna>,
-    /// Seconds from the receiver's host time to the trajectory's time; or `rows`: join the n-th frame of a link with the n-th
-    /// row of the trajectory
+    /// Seconds from the receiver's host time to the trajectory's; `rows` joins the n-th frame of a link with the n-th
+    /// row
     #[arg(
         long,
         default_value = "0",
@@ -37,17 +37,17 @@ pub struct Estimation {
         hide_short_help = true
     )]
     pub clock_offset: ClockOffset,
-    /// Largest elevation of a transmitter above or below the horizon, degrees [default: 20; more where the signals show it]
+    /// Largest elevation of a transmitter above or below the horizon [default: 20; more where the signals show it]
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub elevation_max: Option<f64>,
-    /// Shortest distance of a transmitter, metres [default: 1.8; less where the signals show it]
+    /// Shortest distance of a transmitter [default: 1.8; less where the signals show it]
     #[arg(long, value_name = "METRES", hide_short_help = true)]
     pub range_min: Option<f64>,
-    /// Height of the transmitter above the receiver's antenna, metres, if known
+    /// Height of the transmitter above the receiver's antenna, if known
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true)]
     pub height: Option<f64>,
-    /// Standard deviation of the heading of the whole trajectory, degrees: 0.3 for motion capture, about 4 for a tracking
-    /// camera, 20 for wheels. Error bars and confidence include it
+    /// Standard deviation of the trajectory's heading: 0.3 for motion capture, about 4 for a tracking camera, 20 for
+    /// wheels. Error bars and confidence include it
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub heading_sd: Option<f64>,
     /// Use pairs from this many seconds after the link's first pair
@@ -74,7 +74,7 @@ impl Default for Estimation {
 }
 
 impl Estimation {
-    /// Everything as usual, by this antenna.
+    /// The defaults, with this antenna.
     pub fn with_antenna(antenna: Antenna) -> Self {
         Self {
             antenna: vec![antenna],
@@ -132,7 +132,7 @@ impl Estimation {
     }
 }
 
-/// Seconds, or the word for a join row by row.
+/// Seconds, or `rows`.
 fn clock_offset(text: &str) -> Result<ClockOffset, String> {
     match text {
         "rows" => Ok(ClockOffset::Rows),
@@ -159,7 +159,7 @@ fn one_of_antennas(text: &str) -> Result<Antenna, String> {
     antenna(text).map_err(|words| format!("{words}; separate several by commas: A,B"))
 }
 
-/// A channel that an Intel 5300 can be set to: by its number.
+/// A channel that an Intel 5300 can be set to, by its number.
 #[cfg(feature = "live")]
 pub fn channel_of_5300(text: &str) -> Result<Channel, String> {
     if text.ends_with("MHz") {
@@ -191,14 +191,14 @@ pub fn address(text: &str) -> Result<SocketAddr, String> {
     })
 }
 
-/// Where an antenna is seen from another, and the constant between their chains, where it is known.
+/// The place of an antenna seen from another one, and the constant between their chains if known.
 #[derive(Clone, Copy, Debug)]
 pub struct Baseline {
     pub metres: Vector3<f64>,
     pub constant: Option<ChainConstant>,
 }
 
-/// Three numbers: metres forward, left, up; behind them degrees, and their deviation.
+/// Three numbers, metres forward, left, up; then optionally degrees and their deviation.
 pub fn baseline(text: &str) -> Result<Baseline, String> {
     let (place, angles) = match text.match_indices(',').nth(2) {
         Some((at, _)) => (&text[..at], &text[at + 1..]),

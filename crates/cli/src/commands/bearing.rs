@@ -33,11 +33,11 @@ use std::path::{Path, PathBuf};
                         csi5300 bearing RX.dat T.csv --channel 108 --antennas A,B --baseline 0.1,0,0\n\
                         --help lists all options.")]
 pub struct Args {
-    /// Captures, folders of captures, one link of them (FOLDER/tx2), or two logs and a trajectory, recognised by their
-    /// content. If several links of a capture see transmitters at known places, the receiver is located too
+    /// Folders of captures, one link (FOLDER/tx2), or logs and a trajectory, recognised by their content. Two or more
+    /// links to known places also locate the receiver
     #[arg(value_name = "CAPTURE")]
     captures: Vec<PathBuf>,
-    /// WiFi channel, with + or - for 40 MHz (default: that of the capture)
+    /// WiFi channel, with + or - for 40 MHz [default: the capture's]
     #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "captures")]
     channel: Option<Channel>,
     #[command(flatten)]
@@ -46,28 +46,28 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     plot: Option<PathBuf>,
-    /// Print one JSON object for each link and each located receiver
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
-    /// Print which steps of each link were computed or skipped, why, and at what cost
+    /// Print which steps of each link were computed or skipped, and why
     #[arg(long, hide_short_help = true)]
     explain: bool,
-    /// Overwrite an existing profile and existing pictures
+    /// Overwrite existing outputs
     #[arg(long, hide_short_help = true)]
     force: bool,
     #[command(flatten)]
     logs: Logs,
     #[command(flatten)]
     estimation: Estimation,
-    /// Required accuracy of the azimuth, degrees: from 3 on the search is coarser and quicker; 0 computes every step
-    /// [default: what the scene needs]
+    /// Required accuracy of the azimuth: 3 and more search on the coarse grid only; 0 computes every step [default:
+    /// what the scene needs]
     #[arg(long, value_name = "DEGREES", value_parser = accuracy, conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     accuracy: Option<f64>,
     /// Refuse bearings whose probability of being within 5 degrees is unknown or below this (0 to 1)
     #[arg(long, value_name = "P", hide_short_help = true)]
     min_confidence: Option<f64>,
-    /// Place of a transmitter, metres in the trajectory's frame: tx2=-3.18,1.11. It replaces the capture's truth. With a
-    /// height the receiver's height is estimated too, if the motion shows elevations
+    /// Place of a transmitter in the trajectory's frame, metres: tx2=-3.18,1.11. It replaces the capture's truth.
+    /// Heights give the receiver's height too, if the motion shows elevations
     #[arg(
         long,
         value_name = "NAME=X,Y[,Z]",
@@ -82,12 +82,12 @@ pub struct Args {
     /// Write the profile of each link as CSV or NPZ
     #[arg(long, value_name = "OUT.npz|.csv", hide_short_help = true, help_heading = "Profiles")]
     profile: Option<PathBuf>,
-    /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's own grid)
+    /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's grid)
     #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID", hide_short_help = true, help_heading = "Profiles")]
     grid: Grid,
 }
 
-// Logs that are named one by one.
+// Logs named one by one.
 #[derive(clap::Args)]
 #[command(next_help_heading = "Logs by their names")]
 struct Logs {
@@ -97,25 +97,25 @@ struct Logs {
     /// Log of a transmitter; repeat for several links
     #[arg(long, value_name = "TX.dat", hide_short_help = true)]
     tx: Vec<PathBuf>,
-    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/reference/formats.md). For a
-    /// capture: gt (motion capture, the default), t265 (tracking camera) or odom (wheels)
+    /// Trajectory of the receiver: CSV, TUM, KITTI, Motive or ROS text (docs/reference/formats.md). For a capture: gt
+    /// (motion capture, the default), t265 (tracking camera) or odom (wheels)
     #[arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     trajectory: Option<PathBuf>,
-    /// Columns of the trajectories, instead of their headings: t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw, yaw; t_ms,
-    /// x_mm, yaw_deg ..; _ skips a column)
+    /// Columns of trajectories, instead of their headings: t,x,y,yaw (also ns, z, qx, qy, qz, qw; t_ms, x_mm, yaw_deg
+    /// ..; _ skips a column)
     #[arg(long, value_parser = columns, value_name = "NAMES", hide_short_help = true)]
     columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
-    /// Estimate the bearing to every sender in --rx by two antennas of one robot that turns; with --tx, too, by both. Place of the
-    /// first of --antennas seen from the second: metres forward, left, up. Repeat it for a third antenna. With the constant
-    /// DEG between the chains and its deviation SD (`chain_constants_deg` of --json), the robot need not turn
+    /// Bearings to all senders in --rx by two antennas of a robot that turns, without --tx. Place of the first of
+    /// --antennas seen from the second: metres forward, left, up. Repeat it for a third antenna. With the constant DEG
+    /// of the chains and its deviation SD (`chain_constants_deg` of --json), the robot may stand
     #[arg(
         long,
         value_name = "X,Y,Z[,DEG[,SD]]",
         value_parser = baseline,
         allow_hyphen_values = true,
-        conflicts_with_all = ["tx_trajectory", "bag", "camera_mount", "explain"],
+        conflicts_with_all = ["tx", "tx_trajectory", "rx_mac", "key", "bag", "antenna_offset", "camera_mount", "explain"],
         hide_short_help = true
     )]
     baseline: Vec<Baseline>,
@@ -128,13 +128,13 @@ struct Logs {
     /// MAC of the receiver in the transmitters' logs; by default the most frequent one
     #[arg(long, value_parser = mac, value_name = "MAC", hide_short_help = true)]
     rx_mac: Option<Mac>,
-    /// Key of the robots: frames without its tag are skipped if the log holds frames (0xC1 records). Records of the WSR
-    /// driver hold none; the program counts them as unchecked
+    /// Key of the robots: skip frames (0xC1) without its tag. Records without frames, as of the WSR driver, are counted
+    /// as unchecked
     #[arg(long, value_name = "FILE", hide_short_help = true)]
     key: Option<PathBuf>,
 }
 
-/// Ends the program where arguments contradict each other.
+/// Ends the program if arguments contradict each other.
 fn check(args: &Args) {
     if args.logs.tx_trajectory.len() > args.logs.tx.len() || args.logs.tx_mac.len() > args.logs.tx.len() {
         usage("more --tx-trajectory or --tx-mac than --tx");
@@ -155,8 +155,8 @@ fn check(args: &Args) {
     }
 }
 
-/// Opens the transmitters' logs. One that cannot be read is removed from the arguments with what goes with it, and answered
-/// with why; an error if it is the only one.
+/// Opens the transmitters' logs. Removes an unreadable one, with its MAC and trajectory, from the arguments and gives
+/// its error as an answer; an error if it is the only log.
 fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
     let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
     while let Some(path) = args.logs.tx.get(k) {
@@ -192,10 +192,7 @@ pub fn run(mut args: Args) -> Result {
         );
     }
     roles::take(&mut args)?;
-    if !args.logs.baseline.is_empty() && args.logs.tx.is_empty() {
-        if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
-            usage("--rx-mac, --key and --antenna-offset are of two logs: with --baseline they need --tx");
-        }
+    if !args.logs.baseline.is_empty() {
         return one_log::run(&args);
     }
     if !args.captures.is_empty() {
@@ -232,10 +229,7 @@ pub fn run(mut args: Args) -> Result {
         .map(|(k, log)| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: partners.get(k) })
         .collect();
     super::threads::make(0)?;
-    let mut report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
-    if !args.logs.baseline.is_empty() {
-        one_log::join(&args, &inputs, (&rx, &named.trajectory), &mut report)?;
-    }
+    let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
     say_losses(&args, &rx, &report, &receiver, &logs);
     let names = told_apart(args.logs.tx.iter().map(|path| link_name(&inputs, path)).collect());
     let mut answered = 0;
@@ -277,8 +271,13 @@ fn accuracy(text: &str) -> std::result::Result<f64, String> {
 }
 
 impl Args {
-    /// Options with the effort that the accuracy needs.
-    fn at_effort(&self, mut options: Options) -> Options {
+    /// Options with the effort that the accuracy needs, and with what is drawn or printed beside the bearing.
+    fn asked(&self, options: Options) -> Options {
+        let mut options = options.with_range_change(self.json);
+        #[cfg(feature = "plot")]
+        {
+            options = options.with_keep_course(self.plot.is_some());
+        }
         let effort = match self.accuracy {
             None => return options,
             Some(0.0) => Effort::Everything,
@@ -290,10 +289,8 @@ impl Args {
 }
 
 fn options(args: &Args) -> std::result::Result<Options, String> {
-    let options = args.at_effort(args.estimation.options(args.channel.ok_or("--channel is needed")?)?);
-    #[cfg(feature = "plot")]
-    let options = options.with_keep_course(args.plot.is_some());
-    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()).with_range_change(args.json))
+    let options = args.asked(args.estimation.options(args.channel.ok_or("--channel is needed")?)?);
+    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.

@@ -18,10 +18,10 @@ pub struct Args {
     /// Folder for logs and pictures
     #[arg(long, default_value = "csi5300-demo", value_name = "DIR")]
     out: PathBuf,
-    /// Write into a folder that is not empty
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
-    /// Print JSON Lines: one object each for the standing robots, the circle and the line
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
 }
@@ -77,9 +77,14 @@ impl Shown {
 
 /// Runs the demonstration.
 pub fn run(args: &Args) -> Result {
-    let used = std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_some());
-    if used && !args.force {
-        return Err(format!("{} is not empty: --force writes into it all the same", args.out.display()));
+    // An earlier demonstration is overwritten.
+    let is_own = |name: std::ffi::OsString| {
+        ["standing", "circle", "line"].iter().any(|own| name.to_string_lossy().starts_with(own))
+    };
+    let holds_more =
+        |mut entries: std::fs::ReadDir| entries.any(|entry| entry.is_ok_and(|entry| !is_own(entry.file_name())));
+    if !args.force && std::fs::read_dir(&args.out).is_ok_and(holds_more) {
+        return Err(format!("{} holds other files: --force writes into it", args.out.display()));
     }
     let tell = |text: &str| {
         if !args.json {
@@ -87,19 +92,16 @@ pub fn run(args: &Args) -> Result {
         }
     };
     tell(
-        "Two robots, simulated down to the bytes that their cards, drivers and loggers\n\
-         would have written. What follows reads those logs as if they were recorded.\n\n",
+        "Two robots, simulated down to the bytes of their logs. The rest of this program\n\
+         reads these logs like recorded ones.\n\n",
     );
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let options = Estimation::default().options(channel)?.with_keep_course(true);
     stand(args, &options)?;
-    let (mut next, mut shown) = (String::new(), Vec::new());
+    let mut shown = Vec::new();
     for (name, text) in SCENES {
         let scene = Scene::from_toml(text).map_err(|error| format!("scene {name}: {error}"))?;
         let (rx, tx, trajectory) = simulated(&scene, &args.out.join(name))?;
-        if next.is_empty() {
-            next = commands(&rx, &tx, &trajectory);
-        }
         let bearing = bearing_of(estimate(&rx, &tx, &trajectory, &options)?)?;
         let truth_rad = truth(&scene, &bearing);
         say_pictures(args, &draw(args, name, &bearing, &scene, truth_rad)?);
@@ -111,11 +113,14 @@ pub fn run(args: &Args) -> Result {
     }
     print(
         "\nThe circle and the line of Dijkstra et al., 3 dB of signal to noise, a transmitter\n\
-         about 4 m away. Spread of the phase from packet to packet before and after the\n\
-         turn-around is taken out:\n\n",
+         about 4 m away. before, after: spread of the phase from packet to packet before and\n\
+         after turn-around compensation:\n\n",
     );
     print(&table(&shown));
-    print(&format!("\nLogs and pictures are in {}. Try next:\n{next}", args.out.display()));
+    let out = args.out.display();
+    print(&format!(
+        "\nLogs and pictures are in {out}. Try next:\n  csi5300 bearing {out}/circle\n  csi5300 view {out} --open\n"
+    ));
     Ok(Outcome::Done)
 }
 
@@ -167,12 +172,12 @@ impl StandingRow {
 fn describe_standing(standing: &Standing) -> String {
     let Standing { course, turn_around, spread_one_way_rad, spread_rad, spread_compensated_rad } = standing;
     format!(
-        "standing: {} exchanges in {STANDING_S:.0} s, nothing moves; the phase should stand still.\n\
+        "standing: {} exchanges in {STANDING_S:.0} s at rest; the phase should be constant.\n\
          \x20 one direction                  {spread_one_way_rad:5.2} rad from packet to packet (1.0 and more: random)\n\
          \x20 both directions multiplied     {spread_rad:5.2} rad: the carrier offset ({:.0} Hz) cancels,\n\
-         \x20                                          but for the time between the two frames,\n\
+         \x20                                          except over the time between the frames,\n\
          \x20                                          which jitters by {:.1} us (median)\n\
-         \x20 and the turn-around taken out  {spread_compensated_rad:5.2} rad: that time is on the cards' clocks\n",
+         \x20 and the turn-around removed    {spread_compensated_rad:5.2} rad: that time is on the cards' clocks\n",
         course.len(),
         turn_around.df_hz,
         turn_around.jitter_median_us,
@@ -184,12 +189,6 @@ fn simulated(scene: &Scene, folder: &Path) -> Words<(PathBuf, PathBuf, PathBuf)>
     let (captures, _) = simulate::write(scene, folder)?;
     let capture = captures.first().ok_or_else(|| format!("scene {} has no initiator", scene.name))?;
     Ok(files(capture))
-}
-
-fn commands(rx: &Path, tx: &Path, trajectory: &Path) -> String {
-    let (rx, tx, trajectory) = (rx.display(), tx.display(), trajectory.display());
-    let bearing = format!("csi5300 bearing --channel 108 --rx {rx} --tx {tx} --trajectory {trajectory} --plot .");
-    format!("  csi5300 info {rx}\n  {bearing}\n")
 }
 
 fn files(capture: &WrittenCapture) -> (PathBuf, PathBuf, PathBuf) {
@@ -240,7 +239,7 @@ fn table(shown: &[Shown]) -> String {
             figure(row.phase_after_rad),
         );
     }
-    text += "\nA line cannot tell a bearing from its mirror image: the error is that of the nearer\nof the two.\n";
+    text += "\nFrom a line, a bearing and its mirror look the same: the error is that of the nearer\none.\n";
     text
 }
 
@@ -257,7 +256,7 @@ fn draw_standing(_: &Args, _: &Standing) -> Words<Vec<PathBuf>> {
 #[cfg(feature = "plot")]
 fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
     let picture = csi5300_lab::show::repeated::standing(standing);
-    let written = picture.write(&args.out.join("standing-phase"), &super::pictures::format(args.force));
+    let written = picture.write(&args.out.join("standing-phase"), &super::pictures::format(true));
     written.map_err(|error| super::pictures::refused(&error))
 }
 
@@ -265,7 +264,7 @@ fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
 fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Option<f64>) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
     let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m };
-    let written = pictures.write(&args.out, name, &super::pictures::format(args.force));
+    let written = pictures.write(&args.out, name, &super::pictures::format(true));
     written.map_err(|error| super::pictures::refused(&error))
 }
 

@@ -20,7 +20,7 @@ use std::path::PathBuf;
 // Arguments of `doctor`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Print one JSON object instead of text
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     /// Also listen for this long and report what comes
@@ -93,7 +93,7 @@ fn text(checks: &[Check], ready: bool) -> String {
     let bad = checks.iter().filter(|check| check.verdict == Verdict::Bad).count();
     let _ = match ready {
         true => writeln!(text, "\nno problem found"),
-        false => writeln!(text, "\n{bad} in the way; mend them from the top, then run the doctor again"),
+        false => writeln!(text, "\n{bad} in the way; repair them from the top, then run the doctor again"),
     };
     text
 }
@@ -136,7 +136,7 @@ fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
             verdict: Verdict::Doubt,
             found: format!("{refused} messages came from a program, not from the kernel"),
             expected: "the driver's messages".into(),
-            mend: Some("--allow-user-sender takes them, where an emulator is meant".into()),
+            mend: Some("--allow-user-sender accepts them, for emulators".into()),
         });
     }
     Ok(checks)

@@ -1,5 +1,6 @@
-//! Outputs, by one rule for all commands: an output is never an input (by name, link or inode), what is there is replaced with
-//! `--force` only, and a file is whole or as it was: written under a name of its own beside, and renamed at the end.
+//! Outputs, by one rule for all commands: an output is never an input (by name, link or inode), existing files are
+//! replaced with `--force` only, and a file is complete or unchanged: it is written under another name and renamed at
+//! the end.
 
 use super::files::{is_same_file, must_not_exist};
 use csi5300::source::side_path;
@@ -47,7 +48,7 @@ fn data_in(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) {
     }
 }
 
-/// Refuses an output that this run reads, by whatever name or link.
+/// Refuses an output that this run reads, by any name or link.
 pub fn must_not_be_read(output: &Path) -> Result<(), String> {
     if !output.is_file() {
         return Ok(());
@@ -246,7 +247,7 @@ fn remove(part: &Path) {
     }
 }
 
-/// The file that a name leads to by whatever links.
+/// The file behind all links of a name.
 pub fn led_to(path: &Path) -> PathBuf {
     if let Ok(there) = path.canonicalize() {
         return there;

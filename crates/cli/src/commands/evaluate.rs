@@ -22,8 +22,7 @@ pub struct Args {
     /// Folders with captures, as in the WSR data set
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// Write the page of `csi5300 view` as one file: every link of one DIR with map, profile and logs, also of captures
-    /// without a truth
+    /// Write the page of `csi5300 view` for one DIR as one file, with captures without a truth
     #[cfg(feature = "view")]
     #[arg(long, value_name = "OUT.html")]
     html: Option<PathBuf>,
@@ -32,28 +31,28 @@ pub struct Args {
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
     plot: Option<PathBuf>,
-    /// Which trajectory to use
+    /// Which trajectory of captures to use
     #[arg(long, value_enum, default_value = "gt")]
     trajectory: Which,
     #[command(flatten)]
     mounting: Mounting,
-    /// WiFi channel instead of the one in groundtruth_positions.json
+    /// WiFi channel, with + or - for 40 MHz [default: the capture's]
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
     /// Antenna (RF port) used on both robots: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
-    /// Seconds to add to the receivers' host times to get the trajectories' times
+    /// Seconds from the receivers' host times to the trajectories'
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true)]
     clock_offset: f64,
-    /// Standard deviation of the trajectories' heading, degrees (default: that of the sensor)
+    /// Standard deviation of the trajectories' heading [default: the sensor's]
     #[arg(long, value_name = "DEGREES")]
     heading_sd: Option<f64>,
-    /// Print one JSON object for each link, then a summary
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
     json: bool,
-    /// Overwrite an existing page and existing pictures
+    /// Overwrite existing outputs
     #[cfg(any(feature = "plot", feature = "view"))]
     #[arg(long)]
     force: bool,
@@ -219,7 +218,7 @@ fn find_all<'a>(
     Ok((captures, unreadable))
 }
 
-/// Prints rows and summary, and draws the pictures that were asked for.
+/// Prints rows and summary, and draws the requested pictures.
 #[cfg_attr(not(feature = "plot"), allow(unused_variables))]
 fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<(), String> {
     let summary = summarise(rows);

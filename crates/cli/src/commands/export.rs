@@ -49,10 +49,10 @@ pub struct Args {
     /// Only records that used one of these antennas, and only their CSI: letters such as AC
     #[arg(long, value_name = "LETTERS")]
     antennas: Option<String>,
-    /// Print one JSON object about what was written
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
-    /// Overwrite an existing output
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
 }
@@ -63,7 +63,7 @@ struct Row<'a> {
     output: &'a Path,
     /// Records written.
     records: u64,
-    /// Records not asked for.
+    /// Records outside the request.
     left_out: u64,
     /// Records written without a scale.
     without_scale: u64,
@@ -99,7 +99,7 @@ struct Written {
     bytes: u64,
     /// Records written.
     records: u64,
-    /// Records without the scale that was asked for.
+    /// Records without the requested scale.
     unscaled: u64,
     /// Records whose antennas are not known.
     without_antennas: u64,
@@ -183,7 +183,7 @@ fn other_card(args: &Args, format: csi_formats::Format, bytes: &[u8]) -> Result 
     }
     let timed = args.from.is_some() || args.to.is_some();
     let (from_s, to_s) = (args.from.unwrap_or(f64::NEG_INFINITY), args.to.unwrap_or(f64::INFINITY));
-    // The filter has refused what is no address.
+    // The filter has refused invalid addresses.
     let macs: Vec<Mac> = args.mac.iter().filter_map(|text| text.parse().ok()).collect();
     let is_sender = |mac: Option<[u8; 6]>| macs.is_empty() || mac.is_some_and(|mac| macs.contains(&Mac(mac)));
     let read = CardFrames::read(format, bytes, |frame, time_s| {
@@ -283,8 +283,8 @@ fn scan(
     }
 }
 
-/// The CSI of a record as asked for, and whether its rows are antennas (rather than chains); counts in `unscaled` a record
-/// that has no scale, and gives nothing for it.
+/// The requested CSI of a record, and whether its rows are antennas (rather than chains). A record without a scale
+/// counts in `unscaled` and gives nothing.
 fn csi(bfee: &Bfee<'_>, args: &Args, unscaled: &mut u64) -> Option<(Csi, bool)> {
     let (mut csi, known) = match Csi::from_bfee(bfee) {
         Ok(csi) => (csi, true),

@@ -28,11 +28,20 @@ pub fn open_log(path: &Path) -> Words<Log> {
     if log.checks().is_some_and(|checks| checks.out_of_step) {
         let path = path.display();
         note!(
-            "{path}: the checksums beside it know none of its first records: they are of another log, or all of these were \
-             changed. Nothing of it is checked"
+            "{path}: the checksums beside it know none of its first records: they are of another log, or all were changed. No record is checked"
         );
     }
     Ok(log)
+}
+
+/// Refuses an empty file.
+pub fn must_not_be_empty(path: &Path) -> Words<()> {
+    match path.metadata() {
+        Ok(found) if found.is_file() && found.len() == 0 => {
+            Err(format!("{} is empty; for a log, `csi5300 doctor` finds the reason", path.display()))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Refuses a recognised file of another kind.
@@ -93,7 +102,7 @@ pub fn say_trajectory(path: &Path, trajectory: &Trajectory, counts: &CsvCounts) 
     }
 }
 
-/// True if both names lead to one file, by whatever links; `-` is what standard input was opened from.
+/// True if both names lead to one file, by any links; `-` is the file behind standard input.
 pub fn is_same_file(input: &Path, output: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
     let input = if input.as_os_str() == "-" { Path::new("/dev/stdin") } else { input };
@@ -103,7 +112,7 @@ pub fn is_same_file(input: &Path, output: &Path) -> bool {
     }
 }
 
-/// Refuses an output that is there already, unless `--force` was given; that replaces files, and no pipes, which would wait for a
+/// Refuses an existing output, unless `--force` was given, which replaces files but not pipes: they would wait for a
 /// reader.
 pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
     use std::os::unix::fs::FileTypeExt;
@@ -115,7 +124,7 @@ pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
         }
         // Devices and pipes hold nothing that could be lost.
         Ok(found) if !force && found.is_file() => {
-            Err(format!("{} is there already: --force overwrites it", output.display()))
+            Err(format!("{} already exists: --force overwrites it", output.display()))
         }
         _ => Ok(()),
     }
@@ -143,7 +152,7 @@ mod tests {
             let error = open_log(&path).err().unwrap();
             assert!(error.contains("is another kind of file") && error.contains(words), "{error}");
         }
-        // Text that is longer than what is looked at first, then a log: what can be read of it is.
+        // Text longer than the searched beginning, then a log: its readable part is read.
         let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
         let is_log = |path: &Path| path.extension().is_some_and(|extension| extension == "dat");
         let logs = std::fs::read_dir(fixtures).unwrap().map(|entry| entry.unwrap().path());

@@ -42,6 +42,7 @@ fn bearing_words(error: &LinkError) -> String {
         LinkError::OutsideTrajectory { other_fits: true, .. } => {
             format!("{error} Try --rx and --tx the other way round")
         }
+        LinkError::NoMotion { .. } => format!("{error} (one robot with two antennas: --antennas, --baseline)"),
         LinkError::OfTwoRuns { .. } => format!("{error}: name the other robot's log of this run"),
         LinkError::Unmatched(Unmatched::Unclear { .. } | Unmatched::Taken { .. }) => format!("{error} with --tx-mac"),
         LinkError::Unmatched(Unmatched::Named { .. }) => format!("{error} (--tx-mac)"),

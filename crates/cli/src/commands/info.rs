@@ -21,7 +21,7 @@ pub struct Args {
     /// Logs, or folders of logs; - is standard input
     #[arg(required = true, value_name = "LOG")]
     files: Vec<PathBuf>,
-    /// Print one JSON object for each log
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     #[cfg(feature = "plot")]
@@ -141,7 +141,7 @@ fn logs(named: &[PathBuf]) -> std::result::Result<Vec<PathBuf>, String> {
     Ok(all)
 }
 
-/// The pictures of the `k`th log, if some were asked for. Prints the error if they cannot be drawn.
+/// The requested pictures of the `k`th log. Prints the error if they cannot be drawn.
 fn drawn(args: &Args, files: &[PathBuf], k: usize, failed: &mut bool) -> Vec<PathBuf> {
     draw(args, files, k).unwrap_or_else(|message| {
         *failed = true;
@@ -256,7 +256,7 @@ pub fn check_words(checks: &Checks) -> String {
         }
     }
     if out_of_step {
-        text += "; it is of another log, or all of the first records were changed: nothing was checked";
+        text += "; it is of another log, or all of the first records were changed: no record was checked";
     }
     text
 }
@@ -302,7 +302,7 @@ fn describe(name: &str, read: &Read) -> String {
         let records = some(*silent, "record has", "records have");
         let _ = writeln!(
             text,
-            "  {records} CSI of nothing but zeros: the card was not measuring (load the driver anew; another card)"
+            "  {records} CSI of only zeros: the card was not measuring (reload the driver, or try another card)"
         );
     }
     for (code, count) in survey.by_code.iter().filter(|(code, _)| **code != code::BFEE) {
@@ -328,7 +328,7 @@ fn describe(name: &str, read: &Read) -> String {
     }
     for (count, [one, many], what) in [
         (survey.bfee_repeated, ["record", "records"], "with the bfee_count of the one before"),
-        (survey.bfee_restarted, ["step", "steps"], "back of bfee_count (the driver was loaded anew)"),
+        (survey.bfee_restarted, ["step", "steps"], "back of bfee_count (the driver was reloaded)"),
     ] {
         if count > 0 {
             let _ = writeln!(text, "  {} {what}", some(count, one, many));
@@ -410,7 +410,7 @@ fn time_words(survey: &Survey) -> String {
     match base {
         TimeBase::Host => {
             format!(
-                "{elapsed_s:.3} s by the host's times; the card's clock (timestamp_low) stands: {stands_us} us in all"
+                "{elapsed_s:.3} s by the host's times; the card's clock (timestamp_low) stands still: {stands_us} us in all"
             )
         }
         TimeBase::Number => {

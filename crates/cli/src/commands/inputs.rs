@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 // The option of commands that read recordings too.
 #[derive(clap::Args, Clone, Default)]
 pub struct BagArgs {
-    /// A recording with odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1). --rx, --tx and
-    /// --trajectory then name topics or files; leave out those with only one matching topic
+    /// Recording with odometry and CSI: a folder of `ros2 bag`, or an MCAP, SQLite or ROS 1 file. --rx, --tx and
+    /// --trajectory then name topics or files; those with one matching topic may be omitted
     #[arg(long, value_name = "BAG", hide_short_help = true)]
     pub bag: Option<PathBuf>,
 }
@@ -23,7 +23,7 @@ type Words<T> = std::result::Result<T, String>;
 pub struct Named {
     /// The receiver's log.
     pub rx: PathBuf,
-    /// Those of the transmitters, one at least.
+    /// The transmitters' logs, at least one.
     pub tx: Vec<PathBuf>,
     /// The receiver's trajectory.
     pub trajectory: PathBuf,
@@ -50,7 +50,7 @@ impl Inputs {
     pub fn open(&self, path: &Path) -> Words<Log> {
         match self.topic(path) {
             Some(bytes) => Ok(Replay::new(Box::new(Cursor::new(bytes.to_vec())), path.display().to_string())),
-            None => super::open_log(path),
+            None => super::files::must_not_be_empty(path).and_then(|()| super::open_log(path)),
         }
     }
 
@@ -72,7 +72,7 @@ impl Inputs {
 }
 
 impl BagArgs {
-    /// The named files; with a recording, its topics, found there if they were not named.
+    /// The named files; with a recording, its topics, named or found.
     ///
     /// # Errors
     /// In words: if the recording cannot be read, or an input is missing or ambiguous.

@@ -1,5 +1,5 @@
-//! What the live commands listen to: the kernel's connector, or the card under the kernel's own driver; and the words for
-//! it.
+//! What the live commands listen to: the kernel's connector, or the card under the kernel's own driver; and their
+//! messages.
 
 use super::live::join_refused;
 #[cfg(feature = "stock")]
@@ -31,14 +31,14 @@ pub struct Listening {
     pub room: Option<Address>,
 }
 
-// Which way the card's records come.
+// How the card's records arrive.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct Card {
     /// Connector index of the driver [default: found by its name]
     #[arg(long, value_name = "INDEX", value_parser = clap::value_parser!(u32).range(1..=32))]
     connector_index: Option<u32>,
-    /// Take the card's packets from the kernel's unpatched driver by an eBPF program (Linux 5.8 and later), and make records
-    /// as the WSR driver or csitool's does, with or without the frames (0xC1)
+    /// Take packets from the kernel's unpatched driver by an eBPF program (Linux 5.8 or later), and make the WSR
+    /// driver's or csitool's records, with or without frames (0xC1)
     #[cfg(feature = "stock")]
     #[arg(
         long,
@@ -210,7 +210,7 @@ fn stock_summary(stock: &Stock) -> String {
     ];
     counted(&mut text, &counts);
     if counters.cards_seen > 1 {
-        let _ = writeln!(text, "  {} cards, or one whose driver was loaded anew", counters.cards_seen);
+        let _ = writeln!(text, "  {} cards, or one whose driver was reloaded", counters.cards_seen);
     }
     if counters.hits == 0 {
         text.push_str(

@@ -19,25 +19,26 @@ use std::path::{Path, PathBuf};
 // Arguments of `mcap`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Logs. With a trajectory, the first is the receiver's, and each other one gives a bearing
+    /// Logs. With a trajectory, the first is the receiver's and each other one gives a bearing
     #[arg(required = true, value_name = "IN.dat")]
     logs: Vec<PathBuf>,
     /// The recording
     #[arg(long, short, value_name = "OUT.mcap")]
     out: PathBuf,
-    /// Trajectory of the receiver: CSV with headings, TUM, KITTI, Motive, or output of ROS (docs/reference/formats.md)
+    /// Trajectory of the receiver (docs/reference/formats.md)
     #[arg(long, value_name = "T.csv")]
     trajectory: Option<PathBuf>,
-    /// Columns of the trajectory, instead of its headings: t,x,y,yaw
+    /// Columns of trajectories, instead of their headings: t,x,y,yaw (also ns, z, qx, qy, qz, qw; t_ms, x_mm, yaw_deg
+    /// ..; _ skips a column)
     #[arg(long, value_parser = columns, value_name = "NAMES", requires = "trajectory")]
     columns: Option<Columns>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
-    /// Overwrite an existing recording
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
-    /// Print one JSON object about the recording
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -71,7 +72,7 @@ pub fn run(args: &Args) -> Result {
     let names = names(&args.logs);
     let trajectory =
         args.trajectory.as_deref().map(|path| read_trajectory_as(path, args.columns.as_ref())).transpose()?;
-    // What is wrong with the options is said before there is a file.
+    // Options are checked before the file is created.
     let options = args.channel.filter(|_| trajectory.is_some());
     let options = options.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
     let mut recording = Recording::create(draft.path()).map_err(|error| draft.words(&error.to_string()))?;

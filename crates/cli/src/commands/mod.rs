@@ -1,4 +1,5 @@
-//! Words to calls, results to exit codes. Results go to standard output, diagnostics to standard error.
+//! Parses arguments, runs the command, and turns results into exit codes. Results go to standard output, messages to
+//! standard error.
 
 mod args;
 mod bearing;
@@ -86,8 +87,8 @@ struct Cli {
     command: Command,
 }
 
-// What a command takes is made when it is the one: all of them take longer than reading a trajectory. So structs of arguments
-// have no doc comments: those would replace what is said of a command here.
+// Only the arguments of the chosen command are built: building all takes longer than reading a trajectory. Structs of
+// arguments have no doc comments, which would replace the ones here.
 #[derive(Subcommand)]
 #[command(defer = true)]
 enum Command {
@@ -102,7 +103,7 @@ enum Command {
     Info(info::Args),
     /// Write a log's CSI as CSV, NPZ, MAT or Parquet, or the intact records of a damaged log
     Export(export::Args),
-    /// Compare the bearings of a tree of captures with the truth: table, pictures or one HTML page
+    /// Compare the bearings of captures with the truth: table, pictures or one HTML page
     Evaluate(evaluate::Args),
     /// Check everything between this machine and its first record, and print how to repair it
     #[cfg(feature = "live")]
@@ -142,7 +143,8 @@ enum Command {
 /// Runs the command named by the arguments.
 pub fn run() -> ExitCode {
     let begun = std::time::Instant::now();
-    // A file as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
+    // A file at the size limit (`ulimit -f`) acts as a full disk: the write fails with EFBIG, and the signal is
+    // blocked.
     let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     let mut args: Vec<_> = std::env::args_os().collect();
     say::add_names(args.iter().skip(1).cloned());
@@ -179,10 +181,10 @@ pub fn run() -> ExitCode {
     }
 }
 
-/// Options and arguments that name outputs. Every other one that names a file or folder is an input.
+/// Options and arguments that name outputs. All others that name files or folders are inputs.
 const OUTPUTS: [&str; 8] = ["out", "output", "profile", "plot", "html", "log", "poses", "report"];
 
-/// Notes what this run reads, and refuses an output that is among it.
+/// Notes what this run reads, and refuses outputs among it.
 fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> std::result::Result<(), String> {
     let Some((name, given)) = matches.subcommand() else { return Ok(()) };
     let named = |arg: &clap::Arg| {
@@ -270,7 +272,7 @@ impl Bar {
         }
     }
 
-    /// Takes it away.
+    /// Clears the line.
     pub fn clear(&self) {
         progress("");
     }
@@ -281,7 +283,7 @@ mod tests {
     use super::{Cli, OUTPUTS};
     use clap::{Arg, Command, CommandFactory};
 
-    /// A new option that names a file is an output or an input: who adds one says which.
+    /// Every option that names a file is listed as an output or an input.
     #[test]
     fn options_that_write_are_known() {
         let mut command = Cli::command();
@@ -303,7 +305,7 @@ mod tests {
         for known in all {
             assert!(written.iter().any(|one| one == known), "{known}: {written:?}");
         }
-        // Inputs: what is read. `file` of `key` is made anew, and never written over.
+        // Inputs. `file` of `key` is a new file; existing ones are never overwritten.
         let inputs = [
             "bag",
             "captures",
@@ -330,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_says_of_itself_what_the_list_says() {
+    fn the_list_of_commands_and_their_own_help_agree() {
         let said = |command: &Command| {
             let of = |one: &Command| (one.get_name().to_owned(), one.get_about().map(ToString::to_string));
             command.get_subcommands().map(of).collect::<Vec<_>>()
@@ -343,8 +345,7 @@ mod tests {
         assert!(own.iter().all(|(_, about)| about.as_ref().is_some_and(|about| !about.is_empty())), "{own:?}");
     }
 
-    /// Options of a command and of those below it: what has a name behind `--`, and is neither global nor help, nor a name of one version
-    /// ago.
+    /// Long options of a command and its subcommands, without global ones, help, and names of the version before.
     fn options(command: &Command) -> usize {
         let is_own = |arg: &&Arg| {
             !arg.is_global_set()
@@ -354,8 +355,8 @@ mod tests {
         command.get_arguments().filter(is_own).count() + command.get_subcommands().map(options).sum::<usize>()
     }
 
-    /// A user can hold so many in the hand: commands that are listed, and options of all commands, each as often as a
-    /// command has it; global ones once. Manual pages are for packages, and MCAP is a feature that is not on.
+    /// Limits of listed commands and of options, counted once per command; global ones once. `manual` is for packages;
+    /// `mcap` is not counted.
     #[test]
     fn there_are_few_commands_and_options() {
         let mut cli = Cli::command();

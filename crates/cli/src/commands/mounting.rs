@@ -1,18 +1,18 @@
-//! Where things are on the receiver's robot.
+//! Places of antenna and camera on the receiver's robot.
 
 use super::args::triple;
 use csi5300::motion::pose::Trajectory;
 use csi5300::motion::rolling::Mount;
 use nalgebra::Vector3;
 
-// Where antenna and camera are on the robot.
+// Places of antenna and camera on the robot.
 #[derive(clap::Args, Clone, Default)]
 pub struct Mounting {
     /// Place of the antenna seen from the tracked point: metres forward, left, up
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     pub antenna_offset: Option<Vector3<f64>>,
-    /// Place of the tracking camera on a robot with wheels: metres forward and left of the middle between the wheels, and its
-    /// heading less the robot's, degrees. --antenna-offset then starts from that middle, and only rolling motion is kept
+    /// Place of the tracking camera: metres forward and left of the middle between the wheels, and its heading less the
+    /// robot's, degrees. --antenna-offset then starts from that middle, and only rolling motion is kept
     #[arg(
         long,
         value_name = "X,Y,YAW",
@@ -26,7 +26,7 @@ pub struct Mounting {
 }
 
 impl Mounting {
-    /// The antenna's trajectory, of the one that was recorded.
+    /// The antenna's trajectory, from the recorded one.
     ///
     /// # Errors
     /// If that has no heading, in words.

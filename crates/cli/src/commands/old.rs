@@ -4,8 +4,8 @@ use clap::Command;
 use std::ffi::{OsStr, OsString};
 use std::fmt::Write;
 
-/// An old name, what it is now, the arguments that stand for the name, options that are called otherwise, and one that must be there,
-/// with its usual value.
+/// An old command: its new name, the arguments that replace it, renamed options, and a required option with its
+/// default.
 struct Moved {
     name: &'static str,
     now: &'static str,
@@ -54,7 +54,7 @@ fn place(args: &[OsString]) -> Option<usize> {
     args.iter().enumerate().skip(1).find(is_name).map(|(place, _)| place)
 }
 
-/// The old option of `bearing`, and what it is now.
+/// An old option of `bearing`, and its new name.
 const JOIN_ROWS: [&str; 2] = ["--join-rows", "--clock-offset=rows"];
 
 /// Replaces an old name by the new one, and returns the note to print.
@@ -66,7 +66,7 @@ pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     let Some(old) = old else { return said };
     *old = JOIN_ROWS[1].into();
     said.or_else(|| {
-        Some(format!("`{}` is `{}` now; the old name goes with the next version", JOIN_ROWS[0], JOIN_ROWS[1]))
+        Some(format!("`{}` is `{}` now; the next version removes the old name", JOIN_ROWS[0], JOIN_ROWS[1]))
     })
 }
 
@@ -80,7 +80,7 @@ fn without_root(args: &mut Vec<OsString>, place: usize) -> Option<String> {
         (Some(value), Some(arg)) => *arg = value,
         _ => drop(args.remove(at)),
     }
-    Some(format!("`doctor {OLD} DIR` is `doctor DIR` now; the old name goes with the next version"))
+    Some(format!("`doctor {OLD} DIR` is `doctor DIR` now; the next version removes the old name"))
 }
 
 /// `record --records N` is `record --stop-after Nrecords`; and the records of `--stock` stand behind an equals sign, as a value may
@@ -119,7 +119,7 @@ fn rename_command(args: &mut Vec<OsString>, place: usize) -> Option<String> {
     {
         args.extend([option, value].map(OsString::from));
     }
-    Some(format!("`csi5300 {}` is `csi5300 {}` now; the old name goes with the next version", moved.name, moved.now))
+    Some(format!("`csi5300 {}` is `csi5300 {}` now; the next version removes the old name", moved.name, moved.now))
 }
 
 /// The present name of an argument; `None` if it has no meaning any more.
@@ -143,7 +143,7 @@ pub fn all(cli: &Command) -> String {
             let _ = writeln!(text, "  {:<12} {about}", one.get_name());
         }
     }
-    text += "\nOf the version before, for one version more:\n";
+    text += "\nNames of the version before, until the next version:\n";
     for Moved { name, now, .. } in &MOVED {
         let _ = writeln!(text, "  {name:<12} csi5300 {now}");
     }

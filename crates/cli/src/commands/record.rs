@@ -21,12 +21,12 @@ use std::path::{Path, PathBuf};
 
 /// How often the live view is drawn.
 const LOOK: Span = Span::from_ms(500);
-/// Rest after records before the socket is looked at again, so that at high rates one waking-up serves several of
-/// them. Their host times are computed from the card's clock ([`csi5300::time::HostTimes`]), not from when they were read.
+/// Pause before the next read of the socket, so that one wake-up serves several records. Host times come from the
+/// card's clock ([`csi5300::time::HostTimes`]), not from the time of reading.
 const REST: Span = Span::from_ms(8);
-/// No rest after more records than this at once, ...
+/// No pause after more records than this at once.
 const FEW: u32 = 32;
-/// ... nor with a smaller receive buffer than this, bytes: the queue in the kernel could run over meanwhile.
+/// No pause with a smaller receive buffer than this, bytes: the kernel's queue could overflow.
 const ROOMY: usize = 1 << 20;
 /// Records between two looks at signals and the view when the source never pauses.
 const BURST: u32 = 256;
@@ -37,16 +37,17 @@ pub struct Args {
     /// The log; its side file with host times is OUT.datstp
     #[arg(value_name = "OUT.dat")]
     out: PathBuf,
-    /// Overwrite an existing log
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
-    /// Write a checksum of each record into the side file; all commands then check it. csiread does not read such side files
+    /// Write checksums of all records into the side file, which commands then check. csiread cannot read such side
+    /// files
     #[arg(long)]
     checksums: bool,
     /// Write the log to disk this often, against power cuts; 0s leaves it to the system
     #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
     sync_every: Span,
-    /// Continue in a new file (OUT-0001.dat, OUT-0002.dat ...) before this size: 500k, 100M, 2G
+    /// Continue in a new file (OUT-0001.dat ...) before this size: 500k, 100M, 2G
     #[arg(long, value_parser = rotation_size, value_name = "SIZE")]
     rotate_size: Option<u64>,
     /// Continue in a new file after this time: 30s, 10m, 1h
@@ -61,7 +62,7 @@ pub struct Args {
     /// Show a page of live figures instead of one line
     #[arg(long)]
     watch: bool,
-    /// Print one JSON object about the recording at its end
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long, conflicts_with = "live")]
     json: bool,
     /// Receive buffer to ask the kernel for
@@ -125,7 +126,7 @@ struct Session<'a> {
     signals: Signals,
     status: Status,
     view: View,
-    /// Whether a rest after records is safe and wanted.
+    /// Whether a pause after records is safe and wanted.
     rests: bool,
 }
 
@@ -396,7 +397,7 @@ fn summary(status: &Status, listener: &str, totals: &Totals, files: &[PathBuf]) 
     text
 }
 
-/// Removes an empty output, so that nobody mistakes it for a result; devices and pipes stay.
+/// Removes an empty output; devices and pipes stay.
 fn remove_empty(output: &Path) {
     if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
         note!("nothing to write: no {}", output.display());

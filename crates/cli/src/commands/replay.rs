@@ -29,8 +29,8 @@ pub struct Args {
     /// Shorten longer pauses to this
     #[arg(long, value_parser = duration, value_name = "TIME")]
     longest_pause: Option<Span>,
-    /// Multicast to the driver's connector group, as the driver would, instead of writing to standard output; INDEX is another
-    /// connector index
+    /// Multicast to the driver's connector group (or to INDEX) as the driver would, instead of writing to standard
+    /// output
     #[arg(
         long,
         value_name = "INDEX",
@@ -40,7 +40,7 @@ pub struct Args {
         value_parser = clap::value_parser!(u32).range(1..=32)
     )]
     connector: Option<u32>,
-    /// Print one JSON object about what was played (with --connector only)
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long, requires = "connector")]
     json: bool,
 }
@@ -52,11 +52,11 @@ struct Row<'a> {
     /// Records sent, and how long that took, seconds.
     records: u64,
     seconds: f64,
-    /// What of the log could not be played.
+    /// Damage that was not played.
     bad_bfee: u64,
     damages: u64,
     damaged_bytes: u64,
-    /// Whether its last record is cut.
+    /// Whether the last record is cut.
     cut: bool,
 }
 

@@ -21,16 +21,16 @@ pub struct Args {
     /// The driver that makes the CSI records [default: found by its parameters]
     #[arg(long, value_enum)]
     driver: Option<Driver>,
-    /// Length of the frames that this robot's kernel answers, checksum included (WSR driver or module, responder): 57, 59 ...
+    /// Length of the frames that a responder's kernel answers, checksum included (WSR driver or module): 57, 59 ...
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u32).range(28..=2304))]
     ack_len: Option<u32>,
     /// Run the steps instead of printing them
     #[arg(long)]
     apply: bool,
-    /// Steps back to an ordinary WiFi card; run them with --apply
+    /// Print the steps back to an ordinary WiFi card; --apply runs them
     #[arg(long)]
     undo: bool,
-    /// Print JSON Lines: one object for each step
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
 }
@@ -114,15 +114,14 @@ pub fn run(args: &Args) -> Result {
 fn words(error: &SetupError) -> String {
     match error {
         SetupError::NoCsiDriver => format!(
-            "{error}. With the distribution's driver: install the module csi5300 (packaging/dkms) and say --driver module \
-             (`csi5300 doctor` says more)"
+            "{error}. With the distribution's driver: install the module csi5300 (packaging/dkms) and use --driver module (details: `csi5300 doctor`)"
         ),
         SetupError::NoAckLen => {
             "a responder with the WSR driver needs --ack-len, the length of the frames meant for it \
                                  (57 for the first robot, 59 for the second ...)"
                 .into()
         }
-        SetupError::NoCard => format!("{error} (`csi5300 doctor` says more)"),
+        SetupError::NoCard => format!("{error} (details: `csi5300 doctor`)"),
         SetupError::NoInterface => format!("{error}: name one with --interface"),
         _ => error.to_string(),
     }

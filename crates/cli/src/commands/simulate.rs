@@ -18,11 +18,11 @@ use std::path::{Path, PathBuf};
                         csi5300 simulate --rx RX.dat --tx TX.dat --trajectory T.csv --channel 108\n  \
                         csi5300 simulate suite --repetitions 3")]
 pub struct Args {
-    /// The scene: a file, a built-in one (lab-circle, lab-line, paper-circle, paper-line, two-antennas), or suite: a
-    /// table of the repeated experiments of Dijkstra et al.
+    /// A scene file, a built-in scene (lab-circle, lab-line, paper-circle, paper-line, two-antennas), or suite:
+    /// repeated experiments of Dijkstra et al. as a table
     #[arg(required_unless_present_any = ["rx", "bag"])]
     scene: Option<PathBuf>,
-    /// Folder for logs, trajectories and truth; for a comparison, for the fitted scene, the simulated capture and pictures
+    /// Folder for logs, trajectories and truth; of a comparison: fitted scene, simulated capture, pictures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Seed instead of the scene's
@@ -31,10 +31,10 @@ pub struct Args {
     /// Layout of the records instead of the scene's
     #[arg(long, value_enum, value_name = "LAYOUT")]
     layout: Option<Layout>,
-    /// Write into a folder that is not empty, and overwrite an earlier run
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
-    /// Print JSON Lines: one object for each capture, compared figure or experiment, or for the served room
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
     #[cfg(feature = "live")]
@@ -51,11 +51,11 @@ pub struct Args {
 enum Layout {
     /// The WSR toolbox's driver: host time, MAC and frame number in each record
     Wsr,
-    /// The original CSI tool's: each record after a copy of its frame; host times in a side file
+    /// The CSI tool's: each record after a copy of its frame; host times in a side file
     Stock,
 }
 
-/// The scene that is the experiments.
+/// The name in place of a scene that runs the experiments.
 const SUITE: &str = "suite";
 /// Default outputs of a comparison and of the experiments.
 const COMPARED: &str = "csi5300-compare";
@@ -96,7 +96,7 @@ impl Args {
     }
 }
 
-/// Simulates a scene and writes what the robots' cards, drivers and loggers would have.
+/// Simulates a scene and writes what the robots' cards, drivers and loggers would write.
 pub fn run(args: &Args) -> Result {
     if let Some(done) = args.other() {
         return done;
@@ -120,7 +120,7 @@ pub fn run(args: &Args) -> Result {
     let out = args.out.as_deref().unwrap_or_else(|| usage("--out names the folder to write into"));
     let used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
     if used && !args.force {
-        return Err(format!("{} is not empty: --force writes into it all the same", out.display()));
+        return Err(format!("{} is not empty: --force writes into it", out.display()));
     }
     let (captures, injected) = write(&scene, out)?;
     if args.json {

@@ -21,8 +21,8 @@ use std::collections::BTreeMap;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
-/// Silence after which a robot that alone wants to initiate takes a lost turn, microseconds and slots at least: a busy
-/// host that sleeps for less keeps its turn.
+/// A robot that initiates alone takes a lost turn after this silence, microseconds and slots at least. A busy host that
+/// sleeps for less keeps its turn.
 const ALONE_SILENCE_US: f64 = 50_000.0;
 const ALONE_SILENCE_SLOTS: u32 = 2;
 
@@ -32,13 +32,11 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
     after_help = "Examples:\n  csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2,00:21:6a:53:90:a4 --rate 100\n  \
                         csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --log OUT.dat --trajectory T.csv --channel 64\n  \
                         csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --dialect wsr --open-loop\n  \
-                        csi5300 sound --answer --interface mon0 --peers 00:21:6a:53:89:d2\n\
-                        A rate that does not fit is refused with the highest one that does. Frames that the kernel drops \
-                        silently (channels on which the card may not start to transmit) are reported."
+                        csi5300 sound --answer --interface mon0 --peers 00:21:6a:53:89:d2"
 )]
 pub struct Args {
-    /// Answer the frames of other robots instead of sounding. Answers carry what the card measured, for live bearings
-    /// (driver with connector_log=0x5, or --stock); with --dialect wsr --ack-len N they are the WSR driver's
+    /// Answer other robots' frames instead of sounding. Answers carry the card's measurement, for live bearings (driver
+    /// with connector_log=0x5, or --stock); --dialect wsr --ack-len N answers as the WSR driver
     #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "heading_sd"])]
     answer: bool,
     #[command(flatten)]
@@ -55,13 +53,14 @@ pub struct Args {
     /// How often to estimate bearings; the last one may come after the sounding
     #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
     bearing_every: Span,
-    /// Antenna (RF port) of bearings and of measurements in answers: A, B or C
+    /// Antenna (RF port) used on both robots: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
-    /// Standard deviation of the trajectory's heading, degrees: 0 for motion capture, about 3 for a tracking camera, 20 for wheels
+    /// Standard deviation of the trajectory's heading: 0.3 for motion capture, about 4 for a tracking camera, 20 for
+    /// wheels. Error bars and confidence include it
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
     heading_sd: Option<f64>,
-    /// Print JSON Lines: one object for each bearing, then a summary
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
 }

@@ -13,10 +13,10 @@ pub struct Args {
     /// Folder for a log of each CSI topic and a trajectory of each pose topic
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
-    /// Overwrite files of the same names
+    /// Overwrite existing outputs
     #[arg(long)]
     force: bool,
-    /// Print one JSON object for each topic
+    /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
 }

@@ -13,8 +13,7 @@ use std::sync::Arc;
 
 // Arguments of `view`.
 #[derive(clap::Args)]
-#[command(after_help = "The page is served on this machine only and loads nothing from elsewhere. \
-                        Ctrl-C ends it. `evaluate --html` writes the same page as one file.\n\
+#[command(after_help = "Ctrl-C ends it. `evaluate --html` writes the page as one file.\n\
                         Example: csi5300 view captures --open")]
 pub struct Args {
     /// A log, a folder of captures or logs, or the status socket of a running node
@@ -29,7 +28,7 @@ pub struct Args {
     /// Which trajectory of captures to use
     #[arg(long, value_enum, default_value = "gt")]
     trajectory: Which,
-    /// WiFi channel instead of the one in groundtruth_positions.json
+    /// WiFi channel, with + or - for 40 MHz [default: the capture's]
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
     /// Antenna (RF port) used on both robots: A, B or C

@@ -162,7 +162,7 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
         until(&format!("unplug antenna {stop_at} of this robot"));
         nix::sys::signal::kill(nix::unistd::Pid::from_raw(asking.id() as i32), nix::sys::signal::Signal::SIGINT)
             .unwrap();
-        until("stopped while this was to be done");
+        until("stopped before: ");
         until("the report is in");
         (String::from_utf8(asking.wait_with_output().unwrap().stdout).unwrap(), said)
     };

@@ -264,7 +264,7 @@ fn compare_neither_overwrites_what_it_reads_nor_removes_what_is_there() {
         String::from_utf8(out.stderr).unwrap()
     };
     let said = refused(&["--trajectory", "trajectory.csv"]);
-    assert!(said.contains("is there already: --force"), "{said}");
+    assert!(said.contains("already exists: --force"), "{said}");
     let said = refused(&["--trajectory", "fitted-trajectory.csv", "--force"]);
     assert!(said.contains("fitted-trajectory.csv is an input"), "{said}");
     let said = refused(&["--trajectory", "simulated/kept.csv", "--force"]);
@@ -272,7 +272,7 @@ fn compare_neither_overwrites_what_it_reads_nor_removes_what_is_there() {
     let paper = crate::common::root().join("scenes/paper-circle.toml");
     let with = ["--trajectory", "trajectory.csv", paper.to_str().unwrap()];
     let said = refused(&with);
-    assert!(said.contains("simulated is there already"), "{said}");
+    assert!(said.contains("simulated already exists"), "{said}");
     let said = refused(&[&with[..], &["--force", "--channel", "36"]].concat());
     assert!(said.contains("not of --channel 36"), "{said}");
     for name in names {

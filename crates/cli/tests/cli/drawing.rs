@@ -24,7 +24,7 @@ fn pictures_of_a_link_are_all_or_none_replaced() {
     // One of them is gone: the others are there, and it is not written.
     std::fs::remove_file(folder.0.join("p/tx-phase.png")).unwrap();
     let (status, _, err) = folder.bearing(&["--plot", "p"]);
-    assert!(status == 1 && err.contains(" is there already: --force overwrites it"), "{err}");
+    assert!(status == 1 && err.contains(" already exists: --force overwrites it"), "{err}");
     assert_eq!(names(&folder, "p").len(), all.len() - 1);
     assert_eq!(folder.bearing(&["--plot", "p", "--force"]).0, 0);
     assert_eq!(names(&folder, "p"), all);
@@ -41,7 +41,7 @@ fn pictures_of_captures_are_refused_before_the_work_begins() {
         assert!(folder.0.join(format!("p/{name}.svg")).is_file(), "{name}");
     }
     let (status, out, err) = draw(&[]);
-    assert!(status == 1 && out.is_empty() && err.contains("p/errors.png is there already: --force"), "{out}{err}");
+    assert!(status == 1 && out.is_empty() && err.contains("p/errors.png already exists: --force"), "{out}{err}");
     assert_eq!(draw(&["--force"]).0, 0);
     let (status, _, err) = folder.run(&["bearing", "tree", "--plot", "link"]);
     assert_eq!(status, 0, "{err}");
@@ -53,10 +53,10 @@ fn pictures_of_captures_are_refused_before_the_work_begins() {
         std::fs::create_dir(folder.0.join(&only)).unwrap();
         folder.write(&format!("{only}/{map}"), b"mine");
         let (status, out, err) = folder.run(&["bearing", "tree", "--plot", &only]);
-        assert!(status == 1 && out.is_empty() && err.contains("is there already: --force"), "{map}: {out}{err}");
+        assert!(status == 1 && out.is_empty() && err.contains("already exists: --force"), "{map}: {out}{err}");
         if map.starts_with("map-") {
             let (status, out, err) = folder.run(&["evaluate", "tree", "--plot", &only]);
-            assert!(status == 1 && out.is_empty() && err.contains("is there already: --force"), "{map}: {out}{err}");
+            assert!(status == 1 && out.is_empty() && err.contains("already exists: --force"), "{map}: {out}{err}");
         }
         assert_eq!(names(&folder, &only), [map], "nothing else was drawn");
     }
@@ -113,8 +113,8 @@ fn what_is_left_out_of_another_programs_answers_is_said_and_is_a_loss() {
     let head = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg";
     let row = format!("{head}\nA/good/1,tx2,gt,30.0,x\n");
     let cases = [
-        ("a,b\n1,2\n", "tree: links.csv has no column `capture`: it is left out"),
-        (row.as_str(), "tree: links.csv: 1 row without numbers left out"),
+        ("a,b\n1,2\n", "tree: links.csv has no column `capture`: it is skipped"),
+        (row.as_str(), "tree: links.csv: 1 row without numbers skipped"),
     ];
     for (table, words) in cases {
         folder.write("tree/links.csv", table.as_bytes());

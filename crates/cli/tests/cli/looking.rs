@@ -33,7 +33,7 @@ fn changed(record: &[u8], change: impl FnOnce(&mut Repr)) -> Vec<u8> {
 }
 
 #[test]
-fn the_demonstration_shows_what_it_is_about_and_overwrites_nothing() {
+fn the_demonstration_prints_spreads_and_bearings_and_overwrites_only_its_own_files() {
     let folder = Folder::new("demo");
     let (status, out, err) = folder.run(&["demo", "--out", "d"]);
     assert_eq!(status, 0, "{err}");
@@ -49,7 +49,7 @@ fn the_demonstration_shows_what_it_is_about_and_overwrites_nothing() {
         line.split(name).nth(1).unwrap().split_whitespace().next().unwrap().parse().unwrap()
     };
     let (one, product, taken_out) =
-        (spread("one direction"), spread("both directions multiplied"), spread("the turn-around taken out"));
+        (spread("one direction"), spread("both directions multiplied"), spread("the turn-around removed"));
     assert!(one > 0.9 && product < 0.75 * one && taken_out < 0.5 * product, "{out}");
     for name in ["circle", "line"] {
         let row = out.lines().find(|line| line.trim_start().starts_with(name)).unwrap();
@@ -57,6 +57,9 @@ fn the_demonstration_shows_what_it_is_about_and_overwrites_nothing() {
         // The line's error bar is that of its own side: the mirror, 22 degrees away, stands beside it.
         assert!(number(6).abs() < 0.5 && number(3) < 5.0, "{row}");
     }
+    let (status, again, err) = folder.run(&["demo", "--out", "d"]);
+    assert!(status == 0 && again == out, "{err}");
+    folder.write("d/mine.txt", b"");
     let (status, _, err) = folder.run(&["demo", "--out", "d"]);
     assert!(status == 1 && err.contains("--force"), "{err}");
 }
@@ -187,12 +190,12 @@ fn every_field_of_the_page_is_in_the_documentation() {
     let page = std::fs::read_to_string(folder.0.join("page.html")).unwrap();
     let (_, rest) = page.split_once("id=\"answers\">").unwrap();
     let answers = json(rest.split_once("</script>").unwrap().0);
-    let described = std::fs::read_to_string(crate::common::root().join("docs/reference/formats.md")).unwrap();
+    let described = crate::documented::pages();
     let mut fields = 0;
     for (path, answer) in answers.as_object().unwrap() {
         let general: String = path.chars().map(|sign| if sign.is_ascii_digit() { 'N' } else { sign }).collect();
         let known = [format!("`{general}`"), format!("`{general}?")];
-        assert!(known.iter().any(|path| described.contains(path)), "docs/reference/formats.md does not name {general}");
+        assert!(known.iter().any(|path| described.contains(path)), "crates/view/src/lib.rs does not name {general}");
         // Sets stand by their names, as in the summary of `evaluate`.
         let by_set = serde_json::json!({ "summary": answer });
         fields +=
@@ -209,7 +212,7 @@ fn commands_end_alike() {
     assert_eq!(folder.run(&["export", "rx.dat", "rx.xls"]).0, 2, "an extension that cannot be meant");
     assert_eq!(folder.bearing(&["--profile", "p.csv"]).0, 0);
     let (status, _, err) = folder.bearing(&["--profile", "p.csv"]);
-    assert!(status == 1 && err.contains("p.csv is there already: --force overwrites it"), "{err}");
+    assert!(status == 1 && err.contains("p.csv already exists: --force overwrites it"), "{err}");
     assert_eq!(folder.bearing(&["--profile", "p.csv", "--force"]).0, 0);
     for command in
         [&["info", "none.dat"][..], &["export", "none.dat", "x.csv"], &["export", "--dat", "none.dat", "x.dat"]]
@@ -279,7 +282,7 @@ fn logs_of_frames_only_and_of_zeros_say_why_they_are_of_no_use() {
     silent.iter_mut().for_each(|record| record[23..].fill(0));
     folder.write("csi0.dat", &silent.concat());
     let (status, out, _) = folder.run(&["info", "csi0.dat"]);
-    assert!(status == 1 && out.contains("60 records have CSI of nothing but zeros"), "{status}: {out}");
+    assert!(status == 1 && out.contains("60 records have CSI of only zeros"), "{status}: {out}");
     let (_, out, _) = folder.run(&["info", "csi0.dat", "--json"]);
     assert_eq!(json(out.trim())["silent"], 60);
 }

@@ -215,9 +215,9 @@ fn refusals_say_what_to_do() {
 }
 
 #[test]
-fn a_missing_capability_is_said_with_its_remedy() {
+fn a_missing_capability_is_reported_with_its_remedy() {
     // Without -r the user is mapped to nobody, and exec takes the new namespace's capabilities away.
-    if !inside(concat!(module_path!(), "::a_missing_capability_is_said_with_its_remedy"), "-Un") {
+    if !inside(concat!(module_path!(), "::a_missing_capability_is_reported_with_its_remedy"), "-Un") {
         return;
     }
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
@@ -364,7 +364,7 @@ fn sound_and_respond_exchange_frames_and_measurements() {
     assert_eq!(status, 0, "{said}");
     summary_is_right(&out, measured.len());
     for words in
-        ["02:00:00:00:00:0b is there", "lateness: p50", "answers began after: p50", "145 to 322 us", "records written"]
+        ["02:00:00:00:00:0b joined", "lateness: p50", "answers began after: p50", "145 to 322 us", "records written"]
     {
         assert!(said.contains(words), "no `{words}` in {said}");
     }

@@ -1,4 +1,4 @@
-//! Damaged logs and outputs: what is recovered was written, what is there already stays until something better is whole.
+//! Damaged logs and outputs: what is recovered was written, what already exists stays until something better is whole.
 
 use crate::commands::{Folder, json};
 use crate::common::link::link;
@@ -159,7 +159,7 @@ fn checksums_show_what_the_layout_of_a_log_cannot() {
     std::fs::write(&log, all.concat()).unwrap();
     let (status, out, said) = folder.run(&["info", "in.dat"]);
     assert!(status == 3 && out.contains("it is of another log"), "{out}");
-    assert!(said.contains("Nothing of it is checked"), "{said}");
+    assert!(said.contains("No record is checked"), "{said}");
     // Nor does recovering vouch for what was not checked.
     let (status, _, said) = folder.run(&["export", "--dat", "in.dat", "unchecked.dat"]);
     assert!(status == 3 && said.contains("50 intact records"), "{said}");
@@ -238,7 +238,7 @@ fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
             for old in [side_path(&linked), side_path(&real)] {
                 std::fs::write(&old, [7; 160]).unwrap();
                 let (status, _, errors) = folder.run(&["export", "--dat", "log.dat", "link.dat"]);
-                assert!(status == 1 && errors.contains("stp is there already: --force"), "{errors}");
+                assert!(status == 1 && errors.contains("stp already exists: --force"), "{errors}");
                 assert!(!real.exists());
             }
         }

@@ -31,7 +31,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Sums values up; those that are not finite are left out.
+    /// Sums finite values.
     #[must_use]
     pub fn of(values: &[f64]) -> Self {
         let mut sorted: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();

@@ -39,7 +39,7 @@ pub struct LinkFigures {
     pub core_us: f64,
     /// The other turn-arounds: early (by up to [`FAR_US`]), earlier, late.
     pub groups: [LateGroup; 3],
-    /// Mean number of answers in a row that are away from the core; none if some pairs between were left out.
+    /// Mean run length of answers outside the core; none if pairs between were skipped.
     pub run: Option<f64>,
     /// Spread of the round trip's phase from packet to packet before turn-around compensation, radians: the circular
     /// standard deviation of its second difference over sqrt(6), so that motion does not count.
@@ -56,7 +56,7 @@ pub struct LinkFigures {
     pub abs_elevation_deg: Option<f64>,
     /// Its elevation with its sign, degrees, where the motion distinguishes up from down.
     pub elevation_deg: Option<f64>,
-    /// Horizontal distance of the transmitter where the curvature tells it, metres.
+    /// Horizontal distance of the transmitter, if the curvature shows it, metres.
     pub range_m: Option<f64>,
     /// Where the transmitter seems to be, metres, trajectory's frame.
     pub place_m: Option<[f64; 3]>,
@@ -101,7 +101,7 @@ pub const FAR_US: f64 = 160.0;
 /// Answers and frames later than this are mishaps of their own, microseconds: the same histogram is empty from 200 us late
 /// but for four answers, 1,140 to 1,490 us late, and from 310 us early.
 pub(super) const LOST_US: f64 = 400.0;
-/// Range taken where the curvature tells none, metres.
+/// Range if the curvature shows none, metres.
 const USUAL_RANGE_M: f64 = 4.0;
 /// Length of the windows of the short coherence, seconds.
 const WINDOW_S: f64 = 1.0;
@@ -131,8 +131,8 @@ pub fn measure(
     Ok(Figures { receiver, transmitter, link })
 }
 
-/// Simulates a scene in memory and measures what its first initiator and the next robot would have logged, along the
-/// initiator's true path.
+/// Simulates a scene in memory and measures the logs of its first initiator and the next robot, along the initiator's
+/// true path.
 ///
 /// # Errors
 /// As [`measure`], and if the scene cannot be simulated.

@@ -1,9 +1,9 @@
 //! A scene fitted to a recorded capture.
 //!
-//! What the figures say directly (rates, carrier offset, turn-around, RSSI, gain, latencies, noise of the subcarriers)
-//! is written into the scene as it is. What only shows through the whole chain (phase noise, transmitted power, how
-//! reflecting the room is) is adjusted until the simulated figures are the recorded ones: each round simulates the
-//! scene and measures it as the recording was measured.
+//! Directly measured figures (rates, carrier offset, turn-around, RSSI, gain, latencies, noise of the subcarriers) go
+//! into the scene. Properties that act through the whole chain (phase noise, transmitted power, reflections) are
+//! adjusted until the simulated figures equal the recorded ones: each round simulates the scene and measures it like
+//! the recording.
 
 use super::CompareError;
 use super::distribution::Distribution;
@@ -146,7 +146,7 @@ fn selective(side: &SideFigures) -> f64 {
     (side.ripple.median.powi(2) - (filter.sd / filter.mean.max(1e-6)).powi(2)).max(1e-6).sqrt()
 }
 
-/// How far figures are from the recorded ones, in what is adjusted.
+/// Difference of the adjusted figures from the recorded ones.
 fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     let (a, b) = (&recorded.link, &simulated.link);
     let relative = |a: f64, b: f64| (b / a.max(1e-6)).max(1e-6).ln().abs() / 0.15;
@@ -156,7 +156,7 @@ fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     let gains = gain(&recorded.receiver, &simulated.receiver) + gain(&recorded.transmitter, &simulated.transmitter);
     let spreads = [(a.spread_before_rad, b.spread_before_rad), (a.spread_after_rad, b.spread_after_rad)];
     let spread = spreads.into_iter().map(|(a, b)| relative(a, b)).fold(0.0, f64::max);
-    // What is not adjusted by itself, but goes with the walls, in what the table allows.
+    // Figures that follow the walls, in units of their limits.
     let fading = |a: &SideFigures, b: &SideFigures| {
         ((a.agc_db.sd - b.agc_db.sd).abs() / 0.7).max((a.ripple.median - b.ripple.median).abs() / 0.05)
     };
@@ -165,10 +165,10 @@ fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     spread.max(coherence).max(fading) + 0.1 * gains
 }
 
-/// Moves what is adjusted towards the recorded figures.
+/// Moves the adjusted values towards the recorded figures.
 fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures, wavelength_m: f64) {
     let (a, b) = (&recorded.link, &simulated.link);
-    // Variances add: what is missing goes to the two frames in equal parts.
+    // Variances add: each frame gets half of the missing part.
     let missing = 0.5 * (a.spread_after_rad.powi(2) - b.spread_after_rad.powi(2));
     adjusted.phase_noise_rad = (adjusted.phase_noise_rad.powi(2) + missing).max(0.0).sqrt();
     // Before compensation, the carrier offset makes phase of the turn-around's spread.

@@ -1,4 +1,4 @@
-//! The scene of a recording: what its figures say, and what is adjusted.
+//! The scene of a recording, from its figures and adjusted values.
 
 use super::distribution::QUARTILES;
 use super::figures::{Figures, LateGroup};
@@ -17,7 +17,7 @@ use std::f64::consts::TAU;
 /// First line of a fitted scene's text.
 const HEADER: &str =
     "# Fitted to a recorded capture; see docs/guides/simulation.md for what each figure is taken from.\n";
-/// A recorded trajectory strays in so many swings: slowly, as the windows of a second stay coherent.
+/// Number of swings of a recorded trajectory's deviation: few, because windows of a second stay coherent.
 const SWINGS: f64 = 3.0;
 /// Decibels by which an amplitude grows that grows by a factor of e.
 const DB_PER_E: f64 = 8.685_889_638;
@@ -157,7 +157,7 @@ impl Recording<'_> {
         }
     }
 
-    /// A robot's radio: what its own log says of it, and what the other's says of how it sent. `k` is 0 for the receiver.
+    /// A robot's radio, from its own log and from the other's records of its frames. `k` is 0 for the receiver.
     fn radio(&self, adjusted: &Adjusted, k: usize) -> Radio {
         let sides = [&self.figures.receiver, &self.figures.transmitter];
         let (side, other) = (sides[k], sides[1 - k]);
@@ -249,8 +249,7 @@ pub(super) fn is_wide(side: &SideFigures) -> bool {
     usual(&side.rates).is_some_and(|rate| rate & RATE_40_MHZ != 0)
 }
 
-/// Standard deviation of a host's latency, microseconds. The responder's host is early where its answers are, which is
-/// said with them; the rest is the core.
+/// Standard deviation of a host's latency, microseconds: the core, without the responder's early answers.
 fn latency_us(side: &SideFigures, k: usize) -> f64 {
     if k == 1 { side.latency_core_us } else { side.latency_us.quartile_range() / QUARTILES }
 }

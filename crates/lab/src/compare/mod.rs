@@ -1,8 +1,8 @@
 //! A recorded capture compared with a simulated one of the same scene, figure by figure.
 //!
-//! [`Figures`] are what can be measured of any capture: what its records look like, when they came, what the radios
-//! and the channel did to the phase. [`rows`] puts those of two captures beside each other with how far they may
-//! differ, and [`fit()`] derives a scene from a recorded capture.
+//! [`Figures`] are the measurable properties of any capture: its records, their times, and the effects of radios and
+//! channel on the phase. [`rows`] compares those of two captures with their limits, and [`fit()`] derives a scene from
+//! a recorded capture.
 
 pub mod distribution;
 mod error;

@@ -73,7 +73,7 @@ pub struct SideFigures {
     pub powers: Vec<(f64, f64)>,
 }
 
-/// A source that is passed on as it is, with its records' figures collected on the way.
+/// Passes a source on unchanged and collects its records' figures.
 pub struct Observed<'a> {
     source: &'a mut (dyn CsiSource + Send),
     indices: [i8; SUBCARRIERS],
@@ -88,7 +88,7 @@ impl<'a> Observed<'a> {
         Self { source, indices, survey: Survey::default(), unwrap: Unwrap32::default(), senders: BTreeMap::new() }
     }
 
-    /// What was seen of one sender; of the one with the most numbered frames if none is given.
+    /// The figures of one sender; by default the one with the most numbered frames.
     #[must_use]
     pub fn finish(mut self, sender: Option<Mac>) -> SideFigures {
         let most = || self.senders.iter().max_by_key(|(_, collector)| collector.frames).map(|(mac, _)| *mac);

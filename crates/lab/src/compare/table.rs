@@ -15,7 +15,7 @@ pub enum Allowed {
     By(f64),
     /// By this share of the recorded value.
     Share(f64),
-    /// Shown for what it is; nothing is asked of it.
+    /// Shown only, without a limit.
     Anything,
 }
 
@@ -23,7 +23,7 @@ pub enum Allowed {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Within what is allowed.
+    /// Within its limit.
     Agrees,
     /// Not.
     Differs,

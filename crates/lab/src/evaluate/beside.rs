@@ -34,7 +34,7 @@ pub enum TableError {
     #[error("{TABLE}: {0}")]
     Csv(#[from] csv::Error),
     /// It has not the columns that are needed.
-    #[error("{TABLE} has no column `{column}`: it is left out")]
+    #[error("{TABLE} has no column `{column}`: it is skipped")]
     Column {
         /// The one that is missing.
         column: &'static str,
@@ -83,8 +83,7 @@ impl Table {
         Ok(Some(table))
     }
 
-    /// [`Self::read`], with what there is to say in words: why the table is left out, or how many of its rows are. Both
-    /// are losses.
+    /// [`Self::read`], with messages: why the table was skipped, or how many of its rows. Both are losses.
     #[must_use]
     pub fn noted(folder: &Path, source: TrajectorySource) -> (Option<Self>, Option<String>) {
         let said = |words: String| Some(format!("{}: {words}", folder.display()));
@@ -92,7 +91,7 @@ impl Table {
             Err(error) => (None, said(error.to_string())),
             Ok(Some(table)) if table.bad_rows > 0 => {
                 let rows = crate::words::count(table.bad_rows as u64, "row", "rows");
-                (Some(table), said(format!("{TABLE}: {rows} without numbers left out")))
+                (Some(table), said(format!("{TABLE}: {rows} without numbers skipped")))
             }
             Ok(table) => (table, None),
         }
@@ -127,7 +126,7 @@ mod tests {
         assert_eq!(table.of("A/L1/x/tx2"), Some(Beside { azimuth_deg: 132.8, error_deg: 5.9 }));
         assert_eq!((table.of("A/L1/x/tx3"), table.bad_rows()), (None, 2));
         let (noted, note) = Table::noted(&folder, TrajectorySource::GroundTruth);
-        assert!(noted == Some(table) && note.unwrap().ends_with("links.csv: 2 rows without numbers left out"));
+        assert!(noted == Some(table) && note.unwrap().ends_with("links.csv: 2 rows without numbers skipped"));
         let camera = Table::read(&folder, TrajectorySource::T265).unwrap().unwrap();
         assert_eq!(camera.of("A/L1/x/tx2").map(|beside| beside.error_deg), Some(-1.0));
         assert_eq!(Table::noted(&folder, TrajectorySource::T265), (Some(camera), None));

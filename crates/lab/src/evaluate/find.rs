@@ -149,8 +149,8 @@ pub fn find(root: &Path) -> (Vec<Capture>, Vec<String>) {
     (captures.into_iter().filter(Capture::has_truth).collect(), unreadable)
 }
 
-/// The same with captures without a truth: logs of a receiver and its transmitters with a trajectory. Where none has the usual names, the files of
-/// `root` itself are one capture if their content tells the receiver's log and trajectory.
+/// The same with captures without a truth: logs of a receiver and its transmitters with a trajectory. Without usual
+/// names, the files of `root` itself are one capture if their content identifies the receiver's log and trajectory.
 #[must_use]
 pub fn find_all(root: &Path) -> (Vec<Capture>, Vec<String>) {
     let (mut captures, unreadable) = named(root);
@@ -208,7 +208,7 @@ pub(super) fn named(root: &Path) -> (Vec<Capture>, Vec<String>) {
 fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
     let below = folder.strip_prefix(root).unwrap_or(folder);
     let place: Vec<_> = below.components().map(|part| part.as_os_str().to_string_lossy().into_owned()).collect();
-    // A stamp with a transmitter's log only is a capture too, one that cannot be used and is said to be so.
+    // A stamp with a transmitter's log only is an unusable capture, and reported as such.
     let stamp_of = |name: &'_ String| -> Option<String> {
         let name = name.strip_suffix(".dat")?;
         let of_tx = || name.strip_prefix("csi_tx")?.trim_start_matches(|c: char| c.is_ascii_digit()).strip_prefix('_');

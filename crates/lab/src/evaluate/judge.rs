@@ -61,7 +61,7 @@ pub struct Evaluated {
     pub rows: Vec<Judged>,
     /// True if records were lost before a log's tail or a link failed.
     pub lost: bool,
-    /// What was lost or left out, a line each, with the file's name.
+    /// Losses, one a line, with the file's name.
     pub notes: Vec<String>,
 }
 

@@ -2,9 +2,10 @@
 //!
 //! A capture is a folder with `groundtruth_positions.json` and, for each time stamp TS in it, `csi_rx_TS.dat`, one
 //! `csi_txK_TS.dat` for each transmitter, and the receiver's trajectory as `rx_trajectory_TS_.csv` (motion capture),
-//! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested anyhow. Without the first file the
-//! rest is a capture without a truth, also with the names of \[paper\] (docs/reference/references.md): `csi_tx_TS.dat`,
-//! `rx_movement_TS.csv`. A folder in which no file has such a name is one capture without a truth if its files' content tells their [`roles`].
+//! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested anyhow. Without the first file
+//! the rest is a capture without a truth, also with the names of \[paper\] (docs/reference/references.md):
+//! `csi_tx_TS.dat`, `rx_movement_TS.csv`. A folder without such names is one capture without a truth if its files'
+//! content shows their [`roles`].
 //!
 //! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link
 //! ([`Judged`]), with several options from files read once ([`Capture::shelf`]), [`summarise`] their errors by set; [`quality`] says what a set of rows is worth beside its errors;

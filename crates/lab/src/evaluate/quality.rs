@@ -106,7 +106,7 @@ pub struct Receiver {
     pub height_sd_m: Option<f64>,
     /// Share of its say that each link kept.
     pub weights: Vec<f64>,
-    /// The bearing of each link that the place speaks for, degrees: the answer, its mirror or another of its candidates.
+    /// The bearing of each link that fits the place, degrees: the answer, its mirror or another candidate.
     pub azimuths_deg: Vec<f64>,
     /// Their errors against the true bearings from the mean pose, degrees, where all are known.
     #[serde(skip_serializing_if = "Vec::is_empty")]

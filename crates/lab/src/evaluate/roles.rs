@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 /// A folder with more files is no capture.
 const MOST: usize = 64;
 
-/// The files of a folder that is one capture whatever their names are; `None` if a capture in or below it has the usual names, or if there is no
-/// log.
+/// The files of a folder that is one capture by content; `None` if a capture in or below it has the usual names, or
+/// without a log.
 #[must_use]
 pub fn loose_files(folder: &Path) -> Option<Vec<PathBuf>> {
     find::named(folder).0.is_empty().then(|| files_with_logs(folder)).flatten()
@@ -27,7 +27,7 @@ pub(super) fn files_with_logs(folder: &Path) -> Option<Vec<PathBuf>> {
     files.iter().any(|file| has_record(file)).then_some(files)
 }
 
-/// Logs, trajectories, and what is neither.
+/// Logs, trajectories, and other files.
 #[derive(Clone, Debug, Default)]
 pub struct Sorted {
     /// Logs of CSI.
@@ -79,7 +79,7 @@ pub fn the_trajectory(files: &[PathBuf]) -> Result<PathBuf, String> {
 /// lie within the trajectory.
 ///
 /// # Errors
-/// If none of this tells, in words with the commands that settle it.
+/// If the roles are ambiguous, in words with the commands that settle it.
 pub fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<PathBuf, String> {
     match logs {
         [] => return Err("none of these files is a log of CSI: a bearing needs the logs of two robots".into()),

@@ -29,8 +29,8 @@ impl Shelf {
 }
 
 impl Capture {
-    /// Reads the capture's logs, and those of its trajectories that are there, into memory. What cannot be read is left where it
-    /// is: [`Capture::evaluate_from`] says why. `None` once `go_on`, which is asked every few megabytes, says no.
+    /// Reads the capture's logs and existing trajectories into memory. [`Capture::evaluate_from`] reports unreadable
+    /// ones. `None` once `go_on`, called every few megabytes, returns false.
     #[must_use]
     pub fn shelf(&self, go_on: &dyn Fn() -> bool) -> Option<Shelf> {
         let mut shelf = Shelf::default();

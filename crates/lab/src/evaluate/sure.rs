@@ -99,7 +99,7 @@ pub struct Reliability {
     pub right: f64,
 }
 
-/// How often bearings of each fifth of the probabilities were right; fifths without bearings are left out.
+/// How often bearings of each fifth of the probabilities were right, without empty fifths.
 #[must_use]
 pub fn reliability(all: &[Sure]) -> Vec<Reliability> {
     let bin = |edges: &[f64]| {

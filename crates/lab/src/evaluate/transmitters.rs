@@ -42,7 +42,7 @@ pub struct Motions {
     pub motions: Vec<Motion>,
     /// Links without one, and why.
     pub failed: Vec<(String, String)>,
-    /// What was lost or left out, a line each.
+    /// Losses, one a line.
     pub notes: Vec<String>,
     /// True if records were lost, or a link failed over a whole motion.
     pub lost: bool,

@@ -27,7 +27,7 @@ pub enum EvaluateError {
         /// The operating system's answer.
         source: std::io::Error,
     },
-    /// The file with the truth is not what it should be.
+    /// The file with the truth is invalid.
     #[error("{}: {source}", path.display())]
     Truth {
         /// The file.
@@ -51,7 +51,7 @@ pub enum EvaluateError {
         /// The transmitter.
         transmitter: String,
     },
-    /// The file with the truth names a channel that is none.
+    /// The file with the truth names an invalid channel.
     #[error("{TRUTH_FILE}: {0}")]
     Channel(#[from] ChannelError),
     /// Neither the file with the truth nor the caller names a channel.

@@ -1,5 +1,5 @@
-//! Logs as files for other programs: NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet (DuckDB,
-//! Polars, pandas, Spark). The log was read once, into a [`table`](crate::table), whatever is written; or only its columns were,
+//! Logs as files for other programs: NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet
+//! (DuckDB, Polars, pandas, Spark). The log was read once, into a [`table`](crate::table); or only its columns were,
 //! and the CSI is read while it is written.
 
 mod mat;
@@ -107,15 +107,15 @@ impl<'a> Export<'a> {
         self
     }
 
-    /// With so many streams: what a record has beyond is left out, what it has not is not a number.
+    /// With this number of streams: further ones of a record are dropped, missing ones are NaN.
     #[must_use]
     pub fn with_streams(mut self, streams: usize) -> Self {
         self.streams = streams;
         self
     }
 
-    /// Writes a file whose extension says its format ([`KNOWN`]); one that is there is replaced. Gives the number of records without
-    /// a scale where one was asked for: their CSI is not a number.
+    /// Writes a file in the format of its extension ([`KNOWN`]); replaces an existing one. Returns the number of
+    /// records without the requested scale: their CSI is NaN.
     ///
     /// # Errors
     /// If there is no such format, the file cannot be written, the log cannot be read again or was changed, or that was stopped:
@@ -269,8 +269,8 @@ impl<'a> Walk<'a> {
         Ok(Self { export, order, rows, log, done: 0, figures, failure: None })
     }
 
-    /// Puts the CSI of the next records, one after the other, in the place of what is in the vector: nothing
-    /// behind the last record, once the export was stopped, and when the log cannot be read further ([`Walk::finish`] says so).
+    /// Replaces the vector's content by the CSI of the next records; empty after the last record, once the export was
+    /// stopped, or when the log cannot be read further ([`Walk::finish`] reports it).
     pub fn next(&mut self, csi: &mut Vec<Complex32>) {
         let log_piece = (LOG_PIECE / (size_of::<Complex32>() * self.rows.len().max(1))).max(1);
         let size = if self.log.is_some() { log_piece } else { PIECE };
@@ -466,8 +466,8 @@ pub enum ExportError {
         /// Bytes that it takes.
         bytes: u64,
     },
-    /// Who asked for the file wants it no more.
-    #[error("{file} was not written to its end: that was stopped")]
+    /// The export was stopped.
+    #[error("{file} is incomplete: writing was stopped")]
     Stopped {
         /// The file.
         file: String,

@@ -31,7 +31,7 @@ elements!(u8: "u1", i8: "i1", u16: "u2", u32: "u4", i64: "i8", f64: "f8", Comple
 /// the archive, which finishes it when it is dropped, would say on standard error that it cannot.
 struct Disk {
     file: File,
-    /// Where in the file it would be had nothing been refused, and where its end would be.
+    /// Its intended position in the file, and its end.
     at: u64,
     end: u64,
     refused: Option<io::ErrorKind>,

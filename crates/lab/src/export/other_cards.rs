@@ -34,7 +34,7 @@ pub struct CardFrames {
     pub frames: Vec<Frame>,
     /// Seconds from the log's first frame by the card's clock, else by the host's; not a number where neither is known.
     pub time_s: Vec<f64>,
-    /// Frames of other shapes, left out.
+    /// Skipped frames of other shapes.
     pub other_shapes: u64,
     /// Frames that the caller did not ask for.
     pub left_out: u64,
@@ -43,7 +43,7 @@ pub struct CardFrames {
 }
 
 impl CardFrames {
-    /// The frames of a log that `keeps` keeps, which is asked with each frame's seconds from the log's first.
+    /// The frames of a log for which `keeps` is true, given each frame's seconds from the log's first.
     pub fn read(format: Format, bytes: &[u8], mut keeps: impl FnMut(&Frame, f64) -> bool) -> Self {
         let (mut all, mut left_out, mut damaged) = (Vec::new(), 0, 0);
         let mut time = Time::default();
@@ -96,7 +96,7 @@ impl CardFrames {
         self.frames.first().map_or(&[], |frame| &frame.subcarriers)
     }
 
-    /// RSSI by frame and receive chain; not a number where the card tells none.
+    /// RSSI by frame and receive chain; NaN if unknown.
     pub fn rssi(&self) -> impl Iterator<Item = f64> {
         let chains = self.shape()[0];
         self.frames.iter().flat_map(move |frame| {
@@ -109,7 +109,7 @@ impl CardFrames {
         self.frames.iter().map(move |frame| of(frame).unwrap_or(-1))
     }
 
-    /// The senders' octets by frame; zeros where none is known.
+    /// The senders' octets by frame; zeros if unknown.
     pub fn macs(&self) -> impl Iterator<Item = u8> {
         self.frames.iter().flat_map(|frame| frame.sender.unwrap_or_default())
     }

@@ -70,7 +70,7 @@ impl Axes {
 }
 
 impl Axes {
-    /// The name of x, so many pixels further down than usual.
+    /// The name of x, lowered by this many pixels.
     pub(super) fn under(&self, canvas: &mut Canvas, x_label: &str, further: f64) {
         let at = (self.left + self.width / 2.0, self.top + self.height + 64.0 + further);
         canvas.text(at, x_label, FONT, TextAnchor::Middle, BLACK);

@@ -235,7 +235,7 @@ impl Canvas {
         self.0.elements.push(Primitive::ClipEnd);
     }
 
-    /// Writes the files of a picture in the formats asked for; a name without a folder is of the current one.
+    /// Writes a picture in the requested formats; a name without a folder means the current one.
     pub(super) fn save(self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         format.check(&[stem.to_owned()])?;
         let fail = |path: &Path| {

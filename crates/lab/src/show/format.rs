@@ -13,7 +13,7 @@ const KINDS: [&str; 2] = ["png", "svg"];
 pub struct Format {
     /// Whether files of the same names are replaced; where not, one of them is [`Error::There`].
     pub replace: bool,
-    /// Files that are never replaced, by whatever name: [`Error::Kept`].
+    /// Files that are never replaced, under any name: [`Error::Kept`].
     pub kept: Vec<PathBuf>,
 }
 
@@ -32,7 +32,7 @@ impl Format {
         self
     }
 
-    /// Never replacing these files, by whatever name.
+    /// Never replaces these files, under any name.
     #[must_use]
     pub fn with_kept(mut self, kept: Vec<PathBuf>) -> Self {
         self.kept = kept;
@@ -49,7 +49,7 @@ impl Format {
         })
     }
 
-    /// Refuses pictures of which a file is there already and may not be replaced: to be asked before long work, and before
+    /// Refuses pictures of which a file already exists and may not be replaced: to be asked before long work, and before
     /// the first of several pictures.
     ///
     /// # Errors

@@ -118,7 +118,7 @@ pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
     }
 }
 
-/// The track of a link with the product of both directions, and with what is left without the motion.
+/// The phases of a link: the product of both directions, and the residual without the motion.
 fn whole_track(bearing: &Bearing) -> PhaseTrack {
     PhaseTrack {
         product_rad: bearing.course.iter().map(|phase| phase.round_trip_rad).collect(),

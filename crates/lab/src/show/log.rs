@@ -1,4 +1,4 @@
-//! A log over time: CSI as heat maps, amplitude by antenna, RSSI and gain, rate, and what is missing.
+//! A log over time: CSI as heat maps, amplitude by antenna, RSSI and gain, rate, losses.
 mod events;
 
 use super::axes::{Axes, extent};
@@ -39,7 +39,7 @@ const GAP: f64 = 70.0;
 const LEAST: f64 = 60.0;
 /// Height of a panel that is nothing but an axis.
 const FLAT: f64 = 8.0;
-/// Under the title: whose CSI it is, and what is not in it.
+/// Subtitle: the CSI's sender, and skipped frames.
 const BELOW_TITLE: f64 = 76.0;
 
 impl LogPictures<'_> {
@@ -150,7 +150,7 @@ impl LogPictures<'_> {
         }
     }
 
-    /// Whose CSI it is, of which frames, and what is left out of it.
+    /// The CSI's sender, its kind of frames, and skipped ones.
     fn whose(&self) -> String {
         let course = self.course;
         let each = course.rows.each;
@@ -176,7 +176,7 @@ impl LogPictures<'_> {
         ticked.into_iter().map(|place| (place as f64 + 0.5, rows.index(place).to_string())).collect()
     }
 
-    /// The frames of so many panels of lines, and of the rate, which is flat where there is none.
+    /// The frames of this number of line panels, and of the rate, which is flat without a rate.
     fn level_panels(&self, canvas: &mut Canvas, lines: usize, top: f64, below: f64) -> Vec<[f64; 4]> {
         if self.has_clock() {
             return self.panels(canvas, lines + 1, top, below);
@@ -196,7 +196,7 @@ impl LogPictures<'_> {
     fn time_words(&self) -> &'static str {
         match self.course.base {
             TimeBase::Host if self.course.format.is_some() => "time (s), of the host",
-            TimeBase::Number if self.course.format.is_some() => "frame: the log tells no times",
+            TimeBase::Number if self.course.format.is_some() => "frame: the log has no times",
             TimeBase::Host => "time (s), of the host: the card's clock stands",
             TimeBase::Number => "record: the card's clock stands, and there are no host times",
             _ => "time (s)",
@@ -209,7 +209,7 @@ impl LogPictures<'_> {
         let what = if self.has_clock() { "levels and rate" } else { "levels" };
         let mut canvas = Canvas::sized(width, height, &format!("{}: {what}", self.title));
         let name = |antenna: usize| format!("antenna {}", letter(antenna));
-        // Antennas of the CSI; of more, RSSI alone would be of none that was asked for.
+        // Antennas of the CSI only: others were not requested.
         let drawn = |antenna: usize| course.antennas.iter().any(|own| own.antenna == antenna);
         let mut keys: Vec<(Key, Rgb, String)> =
             course.antennas.iter().map(|a| (Key::Line, of(a), name(a.antenna))).collect();
@@ -259,7 +259,7 @@ impl LogPictures<'_> {
         }
     }
 
-    /// Records per second, with the gaps; without a clock nothing but the axis of what is under it.
+    /// Records per second with gaps; without a clock only the axis.
     fn rate(&self, canvas: &mut Canvas, frame: [f64; 4]) -> Result<Axes, Error> {
         let course = self.course;
         if !self.has_clock() {

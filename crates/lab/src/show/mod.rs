@@ -74,7 +74,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A file of this name is there, and is not to be replaced.
-    #[error("{} is there already", path.display())]
+    #[error("{} already exists", path.display())]
     There {
         /// The file.
         path: PathBuf,

@@ -22,13 +22,13 @@ pub struct PhaseTrack {
     pub after_rad: Vec<f64>,
     /// Whether each time is one of the bearing's samples, others are drawn pale; empty where all are alike.
     pub is_used: Vec<bool>,
-    /// What is left of `after_rad` once the phase that the motion makes, seen from the answer, is taken out: time
-    /// (seconds, as in `t_s`) and phase (radians); empty where there is none.
+    /// Residual of `after_rad` without the motion's phase under the answer: time (seconds, as in `t_s`) and phase
+    /// (radians); empty if there is none.
     pub left: Vec<(f64, f64)>,
 }
 
-/// Phase before and after CFO and turn-around removal: wrapped points above, the unwrapped result below, and what is left
-/// without the motion.
+/// Phase before and after removal of CFO and turn-around: wrapped points above, the unwrapped result below, and the
+/// residual without the motion.
 #[derive(Debug, Clone, Default)]
 pub struct PhasePlot {
     /// Headline.
@@ -63,7 +63,7 @@ impl PhasePlot {
         if tracks.iter().any(|track| !track.product_rad.is_empty()) {
             keys.push((Key::Dot, PURPLE, "both directions multiplied".into()));
         }
-        keys.push((Key::Dot, BLUE, "and the turn-around taken out".into()));
+        keys.push((Key::Dot, BLUE, "and the turn-around removed".into()));
         if tracks.iter().any(|track| track.is_used.contains(&false)) {
             keys.push((Key::Dot, pale(GREY), "pale: not used (standing, or cut)".into()));
         }

@@ -24,11 +24,11 @@ pub struct TrajectoryPlot {
     pub sd_rad: Option<f64>,
     /// True bearing, radians.
     pub truth_rad: Option<f64>,
-    /// True position of the transmitter, metres; left out of view if further than eight path lengths.
+    /// True position of the transmitter, metres; not shown beyond eight path lengths.
     pub transmitter_m: Option<[f64; 2]>,
 }
 
-/// What a ray of [`MapPlot`] stands for.
+/// The meaning of a ray of [`MapPlot`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RayClass {
     /// A measured bearing.
@@ -50,7 +50,7 @@ pub struct Ray {
     pub sd_rad: Option<f64>,
     /// Name at its tip; may be empty.
     pub label: String,
-    /// What it stands for.
+    /// Its meaning.
     pub class: RayClass,
 }
 

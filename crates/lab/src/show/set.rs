@@ -24,7 +24,7 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
 pub struct Others(Vec<Table>);
 
 impl Others {
-    /// Adds the table of a folder, where it has one. Gives what of it is left out, and why, in words: a loss.
+    /// Adds the table of a folder, if any. Returns its skipped parts with the reason: a loss.
     pub fn add(&mut self, folder: &Path, source: TrajectorySource) -> Option<String> {
         let (table, note) = Table::noted(folder, source);
         self.0.extend(table);

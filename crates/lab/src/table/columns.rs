@@ -68,7 +68,7 @@ impl Columns {
         self.time_us.is_empty()
     }
 
-    /// Makes room for so many more records, as far as memory allows; `advise` is told of the room of each column.
+    /// Reserves room for this many more records, as far as memory allows; `advise` gets the memory of each column.
     pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
         fn room<T>(column: &mut Vec<T>, more: usize, advise: &mut impl Advise) {
             if column.try_reserve_exact(more).is_ok() {

@@ -9,7 +9,7 @@ use fearless_simd::{Level, dispatch};
 use num_complex::Complex32;
 use rayon::prelude::*;
 
-/// What stands where a record has no CSI.
+/// Stands for missing CSI.
 const NOTHING: Complex32 = Complex32::new(f32::NAN, f32::NAN);
 
 /// The units of CSI, and in which columns it is.
@@ -128,13 +128,13 @@ impl Decoder {
         Self { order, rows, form, level: Level::new(), plan: Plan::default(), room: Room::default() }
     }
 
-    /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`]. Gives the factor to sqrt(SNR), in whatever
-    /// units the CSI is, where the record has one.
+    /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`]. Returns the factor to
+    /// sqrt(SNR), if the record has one.
     pub fn decode(&mut self, bfee: &Bfee<'_>, out: &mut [Complex32]) -> Option<f64> {
         self.write(bfee, true, out)
     }
 
-    /// The same, with the factor only where that is asked for.
+    /// The same, with the factor only on request.
     fn write(&mut self, bfee: &Bfee<'_>, with_factor: bool, out: &mut [Complex32]) -> Option<f64> {
         let Self { order, rows, form, level, plan, room } = self;
         plan.fit(bfee, rows);
@@ -186,7 +186,7 @@ fn write(
     let unmapped =
         (form.without_spatial_mapping && n_tx > 1).then(|| Csi::raw(bfee).without_spatial_mapping(bfee.is_40_mhz()));
     let (planes, _) = samples.as_chunks::<SUBCARRIERS>();
-    // Each place is written once: memory that is new costs more than what is written to it.
+    // Each place is written once: new memory costs more than the writing.
     for (columns, chain) in out.chunks_exact_mut(rows.n_tx * SUBCARRIERS).zip(plan.chains) {
         for (stream, column) in columns.chunks_exact_mut(SUBCARRIERS).enumerate() {
             let chain = chain.filter(|_| stream < n_tx);
@@ -213,7 +213,7 @@ fn widen(plane: &[[i8; 2]; SUBCARRIERS], factor: f32, column: &mut [Complex32]) 
     }
 }
 
-// Where a record's samples go: the same for most records in a row, and made anew only where that changes.
+// The places of a record's samples: equal for most records in a row, and remade on changes.
 
 /// Columns of the largest record.
 const MOST: usize = MAX_SAMPLES / SUBCARRIERS;

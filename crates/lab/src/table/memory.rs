@@ -36,7 +36,7 @@ impl Memory {
     }
 }
 
-/// A block: of the heap, which takes memory as it is written, or of a fixed size.
+/// A block: on the heap, which takes memory as it is written, or of a fixed size.
 #[derive(Debug)]
 pub(super) enum Block {
     /// Of the heap.
@@ -67,7 +67,7 @@ impl Block {
         block
     }
 
-    /// For so many bytes; takes memory page by page.
+    /// For this many bytes; takes memory page by page.
     pub fn fixed(bytes: usize) -> Self {
         let memory = MmapMut::map_anon(bytes).map_or_else(|_| Memory::Heap(vec![0; bytes]), Memory::Mapped);
         Self::Fixed { memory, len: 0 }
@@ -112,7 +112,7 @@ impl Block {
         }
     }
 
-    /// The memory of a block of a fixed size, to be written anew.
+    /// The memory of a fixed-size block, for reuse.
     pub fn emptied(self) -> Option<Self> {
         match self {
             Self::Fixed { memory, .. } => Some(Self::Fixed { memory, len: 0 }),
@@ -148,7 +148,7 @@ impl Block {
 #[derive(Clone, Copy, Debug, Default)]
 struct Entry {
     bfee: Place,
-    /// The MPDU record before it; length 0 where there is none.
+    /// The MPDU record before it; length 0 without one.
     mpdu: Place,
 }
 
@@ -181,7 +181,7 @@ impl Arena {
         self.entries.is_empty()
     }
 
-    /// Makes room for so many more records, as far as memory allows; `advise` is told of it.
+    /// Reserves room for this many more records, as far as memory allows; `advise` gets the memory.
     pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
         if self.entries.try_reserve_exact(records).is_ok() {
             advise.advise(self.entries.spare_capacity_mut());
@@ -245,7 +245,7 @@ impl Arena {
         self.entries.get(index).map_or(&[], |entry| self.bytes(entry.bfee))
     }
 
-    /// The MPDU logged with a bfee record; empty where there is none.
+    /// The MPDU logged with a bfee record; empty without one.
     #[must_use]
     pub fn mpdu(&self, index: usize) -> &[u8] {
         self.entries.get(index).map_or(&[], |entry| self.bytes(entry.mpdu))
@@ -351,15 +351,14 @@ impl Piece {
     }
 }
 
-/// A log in memory, all that its source gave: records of any kind, losses and the end. [`Held::source`] gives the same again, as
-/// often as is asked for.
+/// A log in memory: all items of its source. [`Held::source`] replays them any number of times.
 #[derive(Debug)]
 pub struct Held {
     pieces: Vec<Piece>,
 }
 
 impl Held {
-    /// Reads a source to its end; `None` once `go_on`, which is asked every few megabytes, says no.
+    /// Reads a source to its end; `None` once `go_on`, called every few megabytes, returns false.
     ///
     /// # Errors
     /// As the source, and [`Error::Endless`] of one that is live.

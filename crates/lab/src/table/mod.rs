@@ -1,8 +1,8 @@
 //! Logs as tables in memory: a column for each field, and the CSI packed as the card sent it, decoded into arrays on demand.
 //!
-//! [`Reading`] reads a source through a [`Filter`] into an [`Arena`] and [`Columns`], once, whatever is asked of it then; [`decode`]
-//! writes the CSI of any of its records into memory that the caller has. Exports, pictures of logs, the page and the Python package
-//! are made of it. [`Held`] is a log as it is, read once to be a source any number of times.
+//! [`Reading`] reads a source once through a [`Filter`] into an [`Arena`] and [`Columns`]; [`decode`] writes the CSI of
+//! any of its records into the caller's memory. Exports, pictures of logs, the page and the Python package use it.
+//! [`Held`] is a log in memory that can be read any number of times.
 
 mod again;
 mod columns;

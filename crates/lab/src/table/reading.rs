@@ -89,7 +89,7 @@ impl Filter {
         Ok(self)
     }
 
-    /// The antennas that were asked for.
+    /// The requested antennas.
     #[must_use]
     pub fn antennas(&self) -> Option<&[Antenna]> {
         self.antennas.as_deref()
@@ -122,7 +122,7 @@ pub struct Reading<S> {
     pub arena: Arena,
     /// Their columns.
     pub columns: Columns,
-    /// Intact records that the filter left out.
+    /// Intact records that the filter skipped.
     pub left_out: u64,
     /// Of each loss and each impossible record the number of intact bfee records before it.
     pub damaged_after: Vec<u64>,
@@ -296,7 +296,7 @@ impl Table<'_> {
         }
     }
 
-    /// Counts what a source gave whose bytes are in a block, in their place.
+    /// Counts an item of a source whose bytes are in a block.
     pub(super) fn sort(&mut self, sorted: &mut Sorted, next: &Next<'_>, span: Span) {
         let is_kept = self.note(&mut sorted.tally, next);
         match (next, is_kept) {

@@ -26,7 +26,7 @@ pub(super) struct Cut {
     pub first: usize,
     /// Bytes of those in the heap after it, or `None` for [large](Block::large) ones.
     pub block: Option<usize>,
-    /// Bytes before what is read into a block: room for what the block before ends with, the beginning of a record.
+    /// Room at the start of a block for the incomplete record at the end of the block before, bytes.
     pub head: usize,
 }
 
@@ -46,8 +46,8 @@ impl Cut {
 }
 
 impl<R: Read + Send> Reading<Replay<R>> {
-    /// Reads all of a log, on two threads where bodies are kept; records are received at `now`. Stops early once `go_on`, which is
-    /// asked every few megabytes, says no.
+    /// Reads all of a log, on two threads if bodies are kept; records are received at `now`. Stops early once `go_on`,
+    /// called every few megabytes, returns false.
     ///
     /// # Errors
     /// If the log cannot be read further. What was read before is there.
@@ -55,7 +55,7 @@ impl<R: Read + Send> Reading<Replay<R>> {
         self.read_cut(now, Cut::default(), None, &mut (), go_on)
     }
 
-    /// The same of a log of about `bytes`, for whose records there is room then from the beginning; `advise` is told of it.
+    /// The same for a log of about `bytes`, with room reserved from the start; `advise` gets the memory.
     ///
     /// # Errors
     /// As [`Self::read_all`].
@@ -210,7 +210,7 @@ impl<R: Read> Cutter<'_, R> {
         (Piece { block, found }, more)
     }
 
-    /// Reads so many bytes, until a block is full or the log ends; whether there may be more.
+    /// Reads until a block is full or the log ends; returns whether there may be more.
     fn fill(&mut self, block: &mut Block, bytes: usize) -> Result<bool, Error> {
         let until = block.room().saturating_sub(bytes);
         while block.room() > until {
@@ -231,7 +231,7 @@ impl<R: Read> Cutter<'_, R> {
 struct Sorter<'a> {
     table: Table<'a>,
     now: Instant,
-    /// Of the block at hand; its memory is used again.
+    /// Of the current block; its memory is reused.
     sorted: Sorted,
     ended: bool,
 }
@@ -301,13 +301,13 @@ impl Found {
         Self { start: 0, ..self }
     }
 
-    /// Adds what is in `bytes`, the block's, from byte `at` on; `is_last` says that the log ends there. Gives the first byte that was
-    /// not used, where a record begins.
+    /// Adds the records in the block's `bytes` from `at` on; `is_last`: the log ends there. Returns the first unused
+    /// byte, where a record starts.
     fn find(&mut self, bytes: &[u8], at: usize, framing: &mut Framing, is_last: bool) -> usize {
         dispatch!(Level::new(), _ => self.find_in(bytes, at, framing, is_last))
     }
 
-    /// [`Self::find`], in whatever vectors it is compiled for.
+    /// [`Self::find`], for the vectors that it is compiled for.
     #[inline(always)]
     fn find_in(&mut self, bytes: &[u8], mut at: usize, framing: &mut Framing, is_last: bool) -> usize {
         loop {

@@ -5,7 +5,7 @@ use super::{Check, System};
 
 /// PCI identities of the Intel 5300 (`iwlwifi/pcie/drv.c`).
 pub(crate) const IWL5300: [&str; 2] = ["0x4235", "0x4236"];
-/// Others of the 5000 series that load the same firmware: 5100, 5350, 5150.
+/// Other cards of the 5000 series with the same firmware: 5100, 5350, 5150.
 const SERIES_5000: [&str; 6] = ["0x4232", "0x4237", "0x423a", "0x423b", "0x423c", "0x423d"];
 /// Bytes of csitool's firmware; its driver refuses any other (`iwl-drv.c`).
 pub(super) const FIRMWARE_BYTES: u64 = 336_252;
@@ -79,7 +79,7 @@ fn has_patch(release: &str) -> bool {
     KERNELS.iter().any(is_of)
 }
 
-/// True where no patched driver is to be had for this kernel, and another way is a step off.
+/// True if no patched driver exists for this kernel, and another way is one step away.
 pub(super) fn leads_elsewhere(system: &dyn System, ways: &Ways) -> bool {
     let release = system.text("/proc/sys/kernel/osrelease").unwrap_or_default();
     ways.leads_past_patch() && !has_patch(&release)
@@ -95,7 +95,7 @@ fn kernel(system: &dyn System, ways: &Ways) -> Check {
     } else if ways.without_patch() {
         Check::good("kernel", format!("{release}: no patched driver is known for it, and none is needed"), expected)
     } else if ways.leads_past_patch() {
-        let found = format!("{release}: no patched driver is known for it, `way to CSI` has the step to another way");
+        let found = format!("{release}: no patched driver is known for it, see `way to CSI` for another way");
         Check::good("kernel", found, expected)
     } else {
         Check::doubt("kernel", format!("{release}: no CSI driver is known for it"), expected)
@@ -107,7 +107,7 @@ fn secure_boot(system: &dyn System, ways: &Ways) -> Check {
     let expected = "off: it refuses the patched module, which is unsigned";
     match system.bytes(SECURE_BOOT).and_then(|bytes| bytes.get(4).copied()) {
         Some(1) if ways.without_patch() => {
-            Check::good("Secure Boot", "on: the way to CSI above is open to this machine all the same", expected)
+            Check::good("Secure Boot", "on: this machine's way to CSI (above) works with it", expected)
         }
         Some(1) => Check::bad("Secure Boot", "on", expected).mend("switch Secure Boot off in the BIOS set-up"),
         Some(_) => Check::good("Secure Boot", "off", expected),
@@ -120,7 +120,7 @@ fn driver(system: &dyn System, card: &Card) -> Check {
         Some(name) if name == "iwlwifi" => Check::good("driver", name, "iwlwifi"),
         Some(name) => Check::bad("driver", format!("bound to {name}"), "iwlwifi").mend("sudo modprobe iwlwifi"),
         None => Check::bad("driver", "no driver is bound to the card", "iwlwifi")
-            .mend("sudo modprobe iwlwifi; `sudo dmesg | grep iwlwifi` says why if it does not come up"),
+            .mend("sudo modprobe iwlwifi; if it does not come up, `sudo dmesg | grep iwlwifi` shows why"),
     }
 }
 
@@ -142,10 +142,10 @@ fn patched(system: &dyn System, ways: &Ways) -> Check {
         return Check::good("patched module", format!("{layout}{note}"), expected);
     }
     if ways.without_patch() {
-        return Check::good("patched module", "not there, and not needed: see `way to CSI`", expected);
+        return Check::good("patched module", "absent, and not needed: see `way to CSI`", expected);
     }
     if leads_elsewhere(system, ways) {
-        return Check::unknown("patched module", "not there: this kernel has none, see `way to CSI`", expected);
+        return Check::unknown("patched module", "absent: this kernel has none, see `way to CSI`", expected);
     }
     let mend = "build and install the CSI driver (firmware-notes/install-up-squared.md), then `sudo modprobe -r iwldvm \
                 iwlwifi && sudo modprobe iwlwifi connector_log=0x1`";
@@ -223,7 +223,7 @@ fn firmware_loaded(system: &dyn System, card: Option<&Card>) -> Check {
         Some(version) if version == FIRMWARE_VERSION => Check::good(name, version, expected),
         Some(version) => Check::bad(name, format!("{version}: it never sends CSI"), expected)
             .mend("mend the firmware files above, then reload the driver"),
-        None => Check::unknown(name, "the kernel's log does not say", expected)
+        None => Check::unknown(name, "not in the kernel's log", expected)
             .mend("sudo dmesg | grep 'loaded firmware version'"),
     }
 }

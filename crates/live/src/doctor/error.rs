@@ -15,7 +15,7 @@ pub enum SetupError {
     /// The driver has no file for the rate of injected frames.
     #[error("{pattern} is not there: is debugfs mounted, and the driver a CSI driver?")]
     NoRateFile {
-        /// Where it was looked for.
+        /// Its expected path.
         pattern: String,
     },
     /// A program failed.
@@ -26,7 +26,7 @@ pub enum SetupError {
         /// What it printed.
         output: String,
     },
-    /// A program is not there.
+    /// A program is not installed.
     #[error("{program} is not installed")]
     NotInstalled {
         /// Its name.
@@ -35,7 +35,7 @@ pub enum SetupError {
     /// The driver cannot report CSI.
     #[error("iwlwifi has no connector_log: it is not a CSI driver")]
     NoCsiDriver,
-    /// A responder with the WSR driver that is not said which frames it answers.
+    /// A responder with the WSR driver without the length of its frames.
     #[error(
         "a responder with the WSR driver needs the length of the frames meant for it (57 for the first robot, 59 for the \
          second ...)"

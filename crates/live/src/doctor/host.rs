@@ -45,7 +45,7 @@ fn connector(system: &dyn System, ways: &Ways) -> Check {
             Check::unknown(name, "`iwlagn` is not registered; `record --stock` needs no connector", expected)
         }
         None if card::leads_elsewhere(system, ways) => {
-            Check::unknown(name, "`iwlagn` is not registered: `way to CSI` says which driver to have", expected)
+            Check::unknown(name, "`iwlagn` is not registered: `way to CSI` names the driver", expected)
         }
         None => Check::bad(name, "`iwlagn` is not registered: no CSI driver is running", expected)
             .mend("sudo modprobe iwlwifi connector_log=0x1"),
@@ -58,11 +58,11 @@ fn capability(system: &dyn System) -> Check {
     match holds(system, CAP_NET_ADMIN) {
         Some(true) => Check::good(name, "held", expected),
         Some(_) => Check::bad(name, "not held", expected).mend("sudo setcap cap_net_admin+ep $(command -v csi5300)"),
-        None => Check::unknown(name, "/proc/self/status does not say", expected),
+        None => Check::unknown(name, "not in /proc/self/status", expected),
     }
 }
 
-/// Whether this process holds a capability; `None` where the kernel does not say.
+/// Whether this process holds a capability; `None` if unknown.
 pub(super) fn holds(system: &dyn System, capability: u32) -> Option<bool> {
     let status = system.text("/proc/self/status")?;
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
@@ -90,6 +90,6 @@ fn clock(system: &dyn System) -> Check {
         Some(ran) if ran.text.contains("=no") => {
             Check::doubt(name, "not synchronised", expected).mend("sudo apt install chrony && sudo chronyc -a makestep")
         }
-        _ => Check::unknown(name, "timedatectl does not say", expected).mend("chronyc tracking"),
+        _ => Check::unknown(name, "timedatectl does not report it", expected).mend("chronyc tracking"),
     }
 }

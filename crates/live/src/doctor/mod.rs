@@ -1,6 +1,6 @@
-//! Checks of everything that a first record needs, in the order in which things fail, and the set-up of the card.
+//! Checks of all requirements of a first record, in the order in which they usually fail, and the set-up of the card.
 //!
-//! Every check reads the machine through [`System`], so that each failure can be staged from a folder of files. The
+//! Every check reads the machine through [`System`], so that tests can stage each failure with a folder of files. The
 //! facts are those of csitool's and WSR's installation notes and of their users' reports.
 
 mod card;
@@ -23,17 +23,17 @@ pub use system::{Machine, Ran, System, Tree, module_counters};
 #[cfg(feature = "stock")]
 pub(crate) use ways::{EBPF_FROM, kernel_version};
 
-/// How a check came out.
+/// The result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     /// As it should be.
     Good,
-    /// May be in the way.
+    /// A possible problem.
     Doubt,
-    /// Is in the way.
+    /// A problem.
     Bad,
-    /// Could not be found out.
+    /// Unknown.
     Unknown,
 }
 
@@ -42,13 +42,13 @@ pub enum Verdict {
 pub struct Check {
     /// What was checked.
     pub name: &'static str,
-    /// How it came out.
+    /// The result.
     pub verdict: Verdict,
     /// What was found.
     pub found: String,
     /// What was expected.
     pub expected: String,
-    /// The command or step that mends it.
+    /// The command or step that repairs it.
     pub mend: Option<String>,
 }
 

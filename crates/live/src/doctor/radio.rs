@@ -14,7 +14,7 @@ pub(super) fn checks(system: &dyn System, card: Option<&Card>) -> Vec<Check> {
         let Some(interface) = interface(system, card) else {
             checks.push(
                 Check::bad("interface", "the card has none", "a network interface on the card")
-                    .mend("sudo modprobe iwldvm; `sudo dmesg | grep iwl` says why if none comes up"),
+                    .mend("sudo modprobe iwldvm; if none comes up, `sudo dmesg | grep iwl` shows why"),
             );
             return checks;
         };
@@ -99,7 +99,7 @@ fn owner(system: &dyn System, interface: &str, card: &Card) -> Check {
             let words = system.bytes(&format!("/proc/{pid}/cmdline")).unwrap_or_default();
             let words: Vec<_> = words.split(|byte| *byte == 0).map(String::from_utf8_lossy).collect();
             let program = words.first().is_some_and(|word| word.ends_with("wpa_supplicant"));
-            // Started for this interface; NetworkManager's own (-u) is idle on what is unmanaged.
+            // Started for this interface; NetworkManager's own (-u) is idle on unmanaged ones.
             program && words.iter().any(|word| word.trim_start_matches("-i") == interface)
         });
     match supplicant {
@@ -109,7 +109,7 @@ fn owner(system: &dyn System, interface: &str, card: &Card) -> Check {
     }
 }
 
-/// What a client of an access point needs for CSI of its frames.
+/// Requirements for CSI of an access point's frames.
 fn association(system: &dyn System, interface: &str) -> Vec<Check> {
     let Some(link) = system.run(&["iw", "dev", interface, "link"]).map(|ran| ran.text) else { return Vec::new() };
     let expected = "associated with an open access point that sends HT frames (802.11n)";
@@ -123,7 +123,7 @@ fn association(system: &dyn System, interface: &str) -> Vec<Check> {
     };
     let station = station.split_whitespace().next().unwrap_or_default();
     let mut checks = Vec::new();
-    // Of the access point's frames the card measures CSI; where it does not say their rate, this card's is of the same kind.
+    // The card measures CSI of the access point's frames; without their rate, this card's own rate is taken.
     let rate =
         |which: &str| link.lines().find_map(|line| line.trim().strip_prefix(which).map(|rate| rate.trim().to_owned()));
     if let Some(rate) = rate("rx bitrate:").or_else(|| rate("tx bitrate:")).filter(|rate| !rate.contains("MCS")) {
@@ -145,7 +145,7 @@ fn association(system: &dyn System, interface: &str) -> Vec<Check> {
 
 /// True if the last scan found that a station encrypts.
 fn is_encrypted(system: &dyn System, interface: &str, station: &str) -> bool {
-    // What is known already; a copy of a machine may have the scan itself.
+    // Known scan results; a copy of a machine may have the scan itself.
     let known = system.run(&["iw", "dev", interface, "scan", "dump"]);
     let scan = known.or_else(|| system.run(&["iw", "dev", interface, "scan"])).map(|ran| ran.text).unwrap_or_default();
     let of_station =
@@ -218,11 +218,11 @@ fn channel(system: &dyn System, interface: &str, card: &Card) -> Check {
     match forbidden {
         None => Check::good(name, line, expected),
         Some(_) => Check::doubt(name, format!("{line}; this card may not start to transmit there ({flags})"), expected)
-            .mend("to receive it is enough; to transmit take a channel without these flags in `iw phy`"),
+            .mend("enough to receive; to transmit, take a channel without these flags in `iw phy`"),
     }
 }
 
-/// What `iw` says in parentheses behind a channel.
+/// The text in parentheses after a channel in `iw`'s output.
 fn flags_of_phy(system: &dyn System, phy: &str, mhz: u32) -> Option<String> {
     let text = system.run(&["iw", "phy", phy, "info"])?.text;
     let line = text.lines().find(|line| {
@@ -240,7 +240,7 @@ pub fn channel_flags(system: &dyn System, interface: &str, mhz: u32) -> Option<S
     flags_of_phy(system, &system.text(&format!("/sys/class/net/{interface}/phy80211/name"))?, mhz)
 }
 
-/// Where the driver's `monitor_tx_rate` is; its depth differs between kernels.
+/// The path of the driver's `monitor_tx_rate`; its depth differs between kernels.
 pub(crate) fn rate_file(system: &dyn System, phy: &str) -> Option<String> {
     let base = format!("/sys/kernel/debug/ieee80211/{phy}/iwlwifi");
     let places = ["debug", "iwldvm/debug", "iwldvm", ""];
@@ -279,12 +279,8 @@ fn domain(system: &dyn System) -> Check {
     let country = ran.text.lines().find_map(|line| line.trim().strip_prefix("country ").map(str::to_string));
     match country {
         Some(country) if !country.starts_with("00") => Check::good(name, country, expected),
-        Some(_) => Check::doubt(
-            name,
-            "00: the world's common ground, where most 5 GHz channels are only listened to",
-            expected,
-        )
-        .mend("sudo iw reg set XX with your country's code, wait two seconds, then set the channel"),
-        None => Check::unknown(name, "iw does not say", expected),
+        Some(_) => Check::doubt(name, "00 (world): most 5 GHz channels are for listening only", expected)
+            .mend("sudo iw reg set XX with your country's code, wait two seconds, then set the channel"),
+        None => Check::unknown(name, "iw does not report it", expected),
     }
 }

@@ -6,7 +6,7 @@ use csi5300::source::survey::Survey;
 use driver_iface::bfee::{ALL_SUBCARRIERS, Iq, SUBCARRIERS};
 use driver_iface::record::code;
 
-/// A reception being listened to.
+/// A running reception.
 #[derive(Debug, Default)]
 pub struct Reception {
     /// Everything counted.
@@ -18,7 +18,7 @@ pub struct Reception {
 }
 
 impl Reception {
-    /// Counts what a source gave.
+    /// Counts an item of a source.
     pub fn note(&mut self, next: &Next<'_>) {
         let Some((bfee, identity)) = self.survey.note(next) else { return };
         let mut iq = [Iq::default(); SUBCARRIERS];
@@ -33,7 +33,7 @@ impl Reception {
         self.unnumbered += u64::from(identity.frame_count.is_none());
     }
 
-    /// What it says, the gravest first; one good check if there is nothing to say against it.
+    /// Its checks, the worst first; one good check without problems.
     #[must_use]
     pub fn checks(&self) -> Vec<Check> {
         let name = "reception";
@@ -69,7 +69,7 @@ impl Reception {
         let mut checks = Vec::new();
         if self.zero_csi > 0 {
             let verdict = if self.zero_csi == bfees { Check::bad } else { Check::doubt };
-            let found = format!("{} of {bfees} records with nothing but zeros for CSI", self.zero_csi);
+            let found = format!("{} of {bfees} records have only zeros as CSI", self.zero_csi);
             checks.push(verdict(name, found, expected).mend("reload the driver; if it stays, try another card"));
         }
         if survey.bad_bfee > 0 {
@@ -91,7 +91,7 @@ impl Reception {
         let connected = survey.rssi.iter().filter(|range| range.max > 0).count();
         if connected == 1 {
             checks.push(
-                Check::doubt(name, "one antenna only is heard", expected)
+                Check::doubt(name, "only one antenna receives", expected)
                     .mend("enough for bearings from motion; otherwise check the pigtails and rx_chains_msk (0x7)"),
             );
         }

@@ -1,4 +1,4 @@
-//! Putting the card into monitor mode for sounding, and taking it out again.
+//! Puts the card into monitor mode for sounding, and back.
 
 pub(crate) mod module;
 
@@ -15,7 +15,7 @@ const RATE_HT40: u32 = 0x800;
 /// `ack_len` with which the WSR driver answers nothing (its default).
 const NEVER_ANSWER: u32 = 1_000_000;
 
-/// What makes the CSI records.
+/// Drivers that make the CSI records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Driver {
@@ -27,7 +27,7 @@ pub enum Driver {
     Module,
 }
 
-/// What the robot does in a sounding round.
+/// The robot's role in a sounding round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// Sends the forward frames.
@@ -36,16 +36,16 @@ pub enum Role {
     Responder,
 }
 
-/// What is wanted.
+/// The requested set-up.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Request {
     /// The card's interface.
     pub interface: String,
-    /// Where to sound.
+    /// The channel.
     pub channel: Channel,
     /// Initiator or responder.
     pub role: Role,
-    /// The driver; found out by its parameters where not given.
+    /// The driver; by default found by its parameters.
     pub driver: Option<Driver>,
     /// Length of the frames that this robot answers in the kernel, frame check sequence included (WSR driver or module,
     /// responder): 57, 59 ...
@@ -59,7 +59,7 @@ pub enum Action {
     Run(Vec<String>),
     /// Writes a file.
     Write {
-        /// The file; a pattern where it appears only once the steps before were taken.
+        /// The file; a pattern if earlier steps make it appear.
         path: String,
         /// What is written.
         text: String,
@@ -73,7 +73,7 @@ pub struct Step {
     pub why: &'static str,
     /// What it does.
     pub action: Action,
-    /// True where failing does not matter: the thing may not be there at all.
+    /// True if a failure does not matter, because its object may be absent.
     pub may_fail: bool,
 }
 
@@ -126,7 +126,7 @@ fn find_rate_file(system: &dyn System, path: &str) -> Option<String> {
     system.names("/sys/kernel/debug/ieee80211").iter().find_map(|phy| rate_file(system, phy))
 }
 
-/// What is installed, by the parameters of the modules.
+/// The installed driver, by the parameters of the modules.
 fn installed(system: &dyn System) -> Result<Driver, SetupError> {
     let loaded = |name: &str| system.text(&format!("/sys/module/iwlwifi/parameters/{name}")).is_some();
     let known = system.run(&["modinfo", "-p", "iwlwifi"]).map(|ran| ran.text).unwrap_or_default();
@@ -142,7 +142,7 @@ fn installed(system: &dyn System) -> Result<Driver, SetupError> {
 /// The steps from whatever state the card is in to sounding on the channel. Taking them twice changes nothing.
 ///
 /// # Errors
-/// When nothing that makes CSI records is installed, or a responder's `ack_len` is missing.
+/// If no CSI driver is installed, or a responder's `ack_len` is missing.
 pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupError> {
     let driver = match request.driver {
         Some(driver) => driver,
@@ -165,7 +165,7 @@ pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupEr
         }
     }
     steps.extend(tune(interface, request.channel));
-    // What robots inject is also what they answer with, so both roles need an HT rate.
+    // Answers are injected frames too, so both roles need an HT rate.
     let rate = RATE.iter().find(|(known, _)| *known == driver).map_or("0x4101", |(_, rate)| rate);
     let wide = u32::from_str_radix(rate.trim_start_matches("0x"), 16).unwrap_or(0x4101);
     let rate = if request.channel.width() != Width::Ht20 { format!("{:#x}", wide | RATE_HT40) } else { rate.into() };
@@ -212,7 +212,7 @@ fn reload(system: &dyn System, ack_len: Option<u32>) -> Vec<Step> {
     ]
 }
 
-/// The driver anew.
+/// Reloads the driver.
 fn without_parameters(why: &'static str) -> [Step; 3] {
     [
         Step::run(why, &["modprobe", "-r", "iwldvm", "iwlwifi"]).may_fail(),
@@ -222,13 +222,14 @@ fn without_parameters(why: &'static str) -> [Step; 3] {
     ]
 }
 
-/// What stands in the way on this machine and no step can mend, in words.
+/// Problems on this machine that no step can repair, in words.
 #[must_use]
 pub fn warnings(system: &dyn System, request: &Request) -> Vec<String> {
     module::warnings(system, request.driver.or_else(|| installed(system).ok()))
 }
 
-/// Monitor mode and channel. The interface is down for the one and up for the other (newer kernels say -16 otherwise).
+/// Monitor mode and channel. The interface is down for the mode and up for the channel (newer kernels return -16
+/// otherwise).
 fn tune(interface: &str, channel: Channel) -> Vec<Step> {
     let number = channel.number().to_string();
     let width = match channel.width() {

@@ -1,4 +1,4 @@
-//! The machine as the doctor sees it.
+//! The doctor's view of the machine.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -13,13 +13,13 @@ pub struct Ran {
     pub text: String,
 }
 
-/// Files and commands of a machine. Paths are absolute; what is not there is `None` or empty.
+/// Files and commands of a machine. Paths are absolute; absent ones are `None` or empty.
 pub trait System {
     /// A file's bytes.
     fn bytes(&self, path: &str) -> Option<Vec<u8>>;
     /// Names in a folder, sorted.
     fn names(&self, path: &str) -> Vec<String>;
-    /// The last part of where a symbolic link points to.
+    /// The last part of a symbolic link's target.
     fn link(&self, path: &str) -> Option<String>;
     /// A file's size.
     fn size(&self, path: &str) -> Option<u64>;
@@ -37,7 +37,7 @@ pub trait System {
     }
 }
 
-/// Where the module `csi5300` counts.
+/// The counters of the module `csi5300`.
 const COUNTERS: &str = "/sys/module/csi5300/counters";
 
 /// The counters of the module `csi5300`, by name; none where it is not loaded.
@@ -67,7 +67,7 @@ impl System for Machine {
     fn run(&self, words: &[&str]) -> Option<Ran> {
         let (program, arguments) = words.split_first()?;
         let mut command = Command::new(program);
-        // Administrators' tools are often outside of a user's path, and their words are read in English.
+        // Administrators' tools are often outside of a user's path, and their output is parsed in English.
         let path = std::env::var("PATH").unwrap_or_default();
         command.args(arguments).env("PATH", format!("{path}:/usr/sbin:/sbin")).env("LC_ALL", "C").stdin(Stdio::null());
         let out = command.output().ok()?;

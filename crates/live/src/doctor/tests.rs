@@ -22,7 +22,7 @@ const CARD: &str = "sys/bus/pci/devices/0000:01:00.0";
 const RATE_PATH: &str = "sys/kernel/debug/ieee80211/phy0/iwlwifi/iwldvm/debug/monitor_tx_rate";
 
 impl Stage {
-    /// A machine on which everything is right.
+    /// A machine without problems.
     fn healthy(name: &str) -> Self {
         let root = std::env::temp_dir().join(format!("csi5300-doctor-{}-{name}", std::process::id()));
         let _ = std::fs::remove_dir_all(&root);
@@ -97,7 +97,8 @@ fn a_healthy_machine_has_nothing_in_the_way() {
     assert_eq!(stage.examine().len(), 21);
 }
 
-/// A failure: its name, how it is staged, which check tells, how gravely, a word of what is found, one of the remedy.
+/// A failure: its name, its staging, the check that reports it, the verdict, a word of the finding, a word of the
+/// remedy.
 type Case = (&'static str, fn(&Stage), &'static str, Verdict, &'static str, &'static str);
 
 const CASES: &[Case] = &[
@@ -327,7 +328,7 @@ const CASES: &[Case] = &[
 ];
 
 #[test]
-fn each_failure_is_told_with_its_remedy() {
+fn each_failure_is_reported_with_its_remedy() {
     for (name, stage_it, check, verdict, found, mend) in CASES {
         let stage = Stage::healthy(&name.replace(' ', "-"));
         stage_it(&stage);
@@ -369,10 +370,10 @@ fn receptions_are_told_apart() {
     assert!(found(&hear(&[]), "nothing"));
     assert!(found(&hear(&[(code::MPDU, vec![0; 60])]), "only frames (0xC1)"));
     assert!(found(&hear(&[(code::NOISE, vec![0; 4])]), "no CSI among them"));
-    assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0, k))), "nothing but zeros"));
+    assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0, k))), "only zeros"));
     assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, k))), "no record names its sender"));
-    assert!(found(&hear(&bfees(9, &|k| bfee(1, [30, 0, 0], 0x5a, k))), "one antenna only"));
-    assert!(!found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, k))), "one antenna only"));
+    assert!(found(&hear(&bfees(9, &|k| bfee(1, [30, 0, 0], 0x5a, k))), "only one antenna"));
+    assert!(!found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, k))), "only one antenna"));
     assert!(found(&hear(&bfees(40, &|k| bfee(1 + (k % 3) as u8, all, 0x5a, k))), "receive chains changes 39 times"));
     assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, 3 * k))), "16 numbers missing"));
     // The WSR layout names its sender: nothing is left to say against it.
@@ -386,7 +387,7 @@ fn receptions_are_told_apart() {
     assert_eq!(checks[0].found, "9 bfee records, 1 senders");
 }
 
-/// A machine on which commands succeed, are remembered, and change what the next look finds.
+/// A machine on which commands succeed, are recorded, and change the state.
 struct Remembering<'a> {
     tree: Tree,
     stage: &'a Stage,

@@ -1,5 +1,5 @@
-//! Which of the three ways to CSI this machine can go: the patched driver, the kernel module beside the distribution's
-//! driver, an eBPF program beside it.
+//! Finds which of the three ways to CSI this machine can use: the patched driver, the kernel module beside the
+//! distribution's driver, or an eBPF program beside it.
 
 use super::card::SECURE_BOOT;
 use super::host::holds;
@@ -11,7 +11,7 @@ pub(crate) const EBPF_FROM: (u32, u32) = (5, 8);
 const CAP_SYS_ADMIN: u32 = 21;
 const CAP_PERFMON: u32 = 38;
 const CAP_BPF: u32 = 39;
-/// Where the module is, once loaded.
+/// The path of the loaded module.
 const MODULE: &str = "/sys/module/csi5300";
 
 /// Version and patch level of a kernel's release: 6.1 of `6.1.0-56-amd64`.
@@ -20,16 +20,16 @@ pub(crate) fn kernel_version(release: &str) -> Option<(u32, u32)> {
     Some((numbers.next()?.parse().ok()?, numbers.next()?.parse().ok()?))
 }
 
-/// How far a way is open.
+/// The state of a way.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Way {
-    /// It is gone already.
+    /// In use.
     Taken(&'static str),
-    /// Nothing is in the way.
+    /// Ready.
     Open(&'static str),
-    /// What is missing, and how to get it.
+    /// One step away: what is missing, and how to get it.
     Needs(&'static str, &'static str),
-    /// Not on this machine, and why.
+    /// Impossible on this machine, and why.
     Closed(String),
 }
 
@@ -45,13 +45,13 @@ impl Ways {
         Self { patched: patched(system), module: module(system), ebpf: ebpf(system) }
     }
 
-    /// True where CSI can be had without the patched driver: what that one lacks is then in nobody's way.
+    /// True if another way than the patched driver works, so that its problems do not matter.
     pub(super) fn without_patch(&self) -> bool {
         !matches!(self.patched, Way::Taken(_))
             && [&self.module, &self.ebpf].iter().any(|way| matches!(way, Way::Taken(_) | Way::Open(_)))
     }
 
-    /// True where one of the other ways can be gone after a step at most.
+    /// True if one of the other ways needs at most one step.
     pub(super) fn leads_past_patch(&self) -> bool {
         !matches!(self.patched, Way::Taken(_))
             && [&self.module, &self.ebpf].iter().any(|way| !matches!(way, Way::Closed(_)))
@@ -67,7 +67,7 @@ impl Ways {
             Way::Closed(why) => format!("{name}: no ({why})"),
         };
         let list = all.iter().map(words).collect::<Vec<_>>().join("; ");
-        // Who is in use wins; then who can be had at once; of these the one that can do more.
+        // The one in use is best, then a ready one, of these the one with more functions.
         let by = |wanted: fn(&Way) -> bool| all.iter().find(|(_, way)| wanted(way));
         let taken = by(|way| matches!(way, Way::Taken(_)));
         let best = taken.or(by(|way| matches!(way, Way::Open(_)))).or(by(|way| matches!(way, Way::Needs(..))));
@@ -98,7 +98,7 @@ fn module(system: &dyn System) -> Way {
         return Way::Taken("csi5300 is loaded");
     }
     let Some(release) = system.text("/proc/sys/kernel/osrelease") else {
-        return Way::Closed("the kernel does not say its release".into());
+        return Way::Closed("the kernel's release is unknown".into());
     };
     if system.bytes(SECURE_BOOT).and_then(|bytes| bytes.get(4).copied()) == Some(1) {
         return Way::Closed("Secure Boot refuses unsigned modules".into());
@@ -115,7 +115,7 @@ fn ebpf(system: &dyn System) -> Way {
     match kernel_version(&release) {
         Some(version) if version >= EBPF_FROM => {}
         Some(_) => return Way::Closed(format!("{release} is older than 5.8")),
-        None => return Way::Closed("the kernel does not say its release".into()),
+        None => return Way::Closed("the kernel's release is unknown".into()),
     }
     if system.run(&["uname", "-m"]).is_some_and(|ran| ran.ok && ran.text.trim() != "x86_64") {
         return Way::Closed("not x86-64".into());
@@ -137,7 +137,7 @@ fn ebpf(system: &dyn System) -> Way {
         let mend = "sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)";
         return Way::Needs("CAP_BPF and CAP_PERFMON are not held", mend);
     }
-    // A level that Debian's and Ubuntu's kernels have beyond the others': there CAP_PERFMON is not enough for a probe.
+    // An extra level of Debian's and Ubuntu's kernels, at which CAP_PERFMON is not enough for a probe.
     let paranoid = system.text("/proc/sys/kernel/perf_event_paranoid").and_then(|level| level.parse::<i32>().ok());
     if paranoid.is_some_and(|level| level > 2) && holds(system, CAP_SYS_ADMIN) != Some(true) {
         let mend = "sudo sysctl -w kernel.perf_event_paranoid=2 (in /etc/sysctl.d to stay), or run it as root";

@@ -1,4 +1,4 @@
-//! What a monitor interface refuses that is no error of the operating system.
+//! Errors of a monitor interface that are not the operating system's.
 
 use crate::sys::ARPHRD_IEEE80211_RADIOTAP;
 use driver_iface::radiotap;
@@ -38,7 +38,7 @@ pub enum MonitorError {
         /// ARPHRD_* of the kernel (`linux/if_arp.h`).
         link_type: u16,
     },
-    /// The radiotap header cannot say what is asked for.
+    /// The radiotap header cannot express the request.
     #[error(transparent)]
     Header(#[from] radiotap::Error),
 }

@@ -8,8 +8,8 @@ const PACKET_TYPE: u32 = (-0x1000_i32 + 4).cast_unsigned();
 /// PACKET_OUTGOING (`linux/if_packet.h`): a copy of what this host sends.
 const OUTGOING: u32 = 4;
 
-/// A classic filter that keeps data frames (frame control 08) with the magic MAC in addr1, which both dialects have,
-/// behind a radiotap header of any length; copies on their way out are left out, tx-status frames are not.
+/// A classic filter that passes data frames (frame control 08) with the magic MAC in addr1, which both dialects have,
+/// after a radiotap header of any length; it drops outgoing copies, but not tx-status frames.
 pub(super) fn sounding() -> Vec<Instruction> {
     const LOAD_WORD: u16 = 0x20; // BPF_LD | BPF_W | BPF_ABS
     const LOAD_BYTE: u16 = 0x30; // BPF_LD | BPF_B | BPF_ABS

@@ -1,4 +1,4 @@
-//! The packet socket: opened, filtered, bound; and every refusal in words.
+//! Opens, filters and binds the packet socket; all errors in words.
 
 use super::{MonitorError, filter};
 use crate::sys::{self, ARPHRD_IEEE80211_RADIOTAP};
@@ -24,7 +24,7 @@ pub(super) struct Opened {
     pub(super) mtu: usize,
 }
 
-/// An error that cannot be gone on from, with what was tried.
+/// A fatal error, with the operation.
 pub(super) fn failed(doing: &str, interface: &str, source: io::Error) -> Error {
     let gone = matches!(source.raw_os_error(), Some(libc::ENXIO | libc::ENODEV));
     let hint = if gone { ": the interface is gone; was its driver reloaded?" } else { "" };
@@ -33,7 +33,7 @@ pub(super) fn failed(doing: &str, interface: &str, source: io::Error) -> Error {
 
 /// Opens the interface; `longest` is the longest buffer that will be sent, radiotap header included.
 pub(super) fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
-    // Without a protocol nothing is received before the filter is there; binding then names all protocols.
+    // Without a protocol nothing is received before the filter is set; binding then names all protocols.
     let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
     let socket = socket(AddressFamily::Packet, SockType::Raw, flags, None).map_err(|errno| match errno {
         Errno::EPERM | Errno::EACCES => Error::Io {
@@ -61,7 +61,7 @@ pub(super) fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
         move |source: io::Error| Error::Io { what, source }
     };
     sys::attach_filter(socket.as_fd(), &filter::sounding()).map_err(io("cannot filter the socket of"))?;
-    // Stamps tell when a frame was received, however late it is fetched.
+    // Stamps give the time of reception, however late a frame is fetched.
     setsockopt(&socket, sockopt::ReceiveTimestampns, &true)
         .map_err(|errno| io("cannot stamp frames of")(errno.into()))?;
     sys::bind_packet(socket.as_fd(), index).map_err(io("cannot bind to"))?;
@@ -87,12 +87,12 @@ fn link(socket: &OwnedFd, interface: &str) -> Result<Option<Mac>, Error> {
     Ok(mac)
 }
 
-/// Room for what the kernel says beside a frame: its stamp.
+/// Room for the kernel's stamp of a frame.
 pub(super) fn control_buffer() -> Vec<u8> {
     nix::cmsg_space!(TimeSpec)
 }
 
-/// Hands one buffer over.
+/// Sends one buffer.
 pub(super) fn send(socket: &OwnedFd, buffer: &[u8]) -> io::Result<usize> {
     let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
     Ok(nix::sys::socket::send(socket.as_raw_fd(), buffer, flags)?)
@@ -108,7 +108,7 @@ pub(super) struct Received {
     pub(super) stamp_us: Option<i64>,
 }
 
-/// Takes one buffer.
+/// Receives one buffer.
 pub(super) fn receive(socket: &OwnedFd, buffer: &mut [u8], control: &mut [u8]) -> io::Result<Received> {
     let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC;
     let mut parts = [IoSliceMut::new(buffer)];
@@ -123,7 +123,7 @@ pub(super) fn receive(socket: &OwnedFd, buffer: &mut [u8], control: &mut [u8]) -
     })
 }
 
-/// Frames dropped since this was asked last.
+/// Frames dropped since the last call.
 pub(super) fn drops(socket: &OwnedFd) -> u64 {
     sys::packet_drops(socket.as_fd()).map_or(0, u64::from)
 }

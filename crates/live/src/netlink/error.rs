@@ -1,4 +1,4 @@
-//! What the connector refuses that is no error of the operating system.
+//! Errors of the connector that are not the operating system's.
 
 use super::socket::MAX_GROUP;
 use driver_iface::EmitError;
@@ -16,7 +16,7 @@ pub enum NetlinkError {
     /// The connector has no such index to send to.
     #[error("connector index {index}: 1 to {MAX_GROUP} can be sent to")]
     Index {
-        /// The index asked for.
+        /// The requested index.
         index: u32,
     },
     /// A record does not fit a message.

@@ -1,4 +1,4 @@
-//! What to make of the datagrams that a connector socket gives: no socket in here, so that every case can be staged.
+//! Interprets the datagrams of a connector socket. It has no socket, so that tests can stage every case.
 
 use csi5300::source::{Loss, Refused};
 use csi5300::time::Step16;
@@ -14,7 +14,7 @@ pub struct SocketCounts {
     pub datagrams: u64,
     /// Records handed on.
     pub records: u64,
-    /// Datagrams not sent by the kernel, and refused for that.
+    /// Refused datagrams of other senders than the kernel.
     pub user_senders: u64,
     /// Messages with another index or value than the driver's.
     pub foreign: u64,
@@ -22,9 +22,9 @@ pub struct SocketCounts {
     pub truncated: u64,
     /// Datagrams that contradict themselves, and records too long for a log.
     pub malformed: u64,
-    /// Times that the kernel said the socket's queue had run over (ENOBUFS).
+    /// Overruns of the socket's queue reported by the kernel (ENOBUFS).
     pub overruns: u64,
-    /// Messages that the kernel dropped at this socket, where it says.
+    /// Messages that the kernel dropped at this socket, if it reports them.
     pub kernel_drops: u64,
     /// Numbers missing from `bfee_count` at the first bfee after each overrun.
     pub overrun_bfee_gap: u64,
@@ -32,7 +32,7 @@ pub struct SocketCounts {
     pub other_bfee_gap: u64,
 }
 
-/// What the intake wants or gives.
+/// The next step of the intake.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Turn {
     /// A record, and its `timestamp_low` if it is a bfee: call [`Intake::take`].
@@ -61,7 +61,7 @@ pub(super) struct Intake {
     pub(super) counters: SocketCounts,
 }
 
-/// What the next message of a datagram is, without borrowing it.
+/// The kind of a datagram's next message, without a borrow.
 enum Look {
     Record { bfee_count: Option<u16>, timestamp_low: Option<u32>, idx: u32 },
     Foreign,
@@ -86,7 +86,7 @@ impl Intake {
         }
     }
 
-    /// Where the next datagram goes.
+    /// The buffer for the next datagram.
     pub(super) fn buffer(&mut self) -> &mut [u8] {
         &mut self.buffer
     }
@@ -112,7 +112,7 @@ impl Intake {
         None
     }
 
-    /// The kernel said that the queue ran over. What is still queued is older than the gap.
+    /// The kernel reported an overrun. Queued messages are older than the gap.
     pub(super) fn overrun(&mut self) {
         self.counters.overruns += 1;
         (self.overrun_untold, self.gap_unmeasured) = (true, true);
@@ -163,7 +163,7 @@ impl Intake {
         Look::Record { bfee_count, timestamp_low, idx: message.idx }
     }
 
-    /// What comes next of the datagram in the buffer.
+    /// The next message of the datagram in the buffer.
     pub(super) fn turn(&mut self) -> Turn {
         loop {
             match self.look() {

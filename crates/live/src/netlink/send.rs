@@ -1,4 +1,4 @@
-//! Records multicast to the driver's group from user space: what `replay --connector` and the tests use.
+//! Multicasts records to the driver's group from user space, for `replay --connector` and tests.
 
 use super::NetlinkError;
 use csi5300::source::Error;
@@ -21,7 +21,7 @@ impl Sender {
     /// A sender on connector index `index`, 1 to 32; `padded` as the kernel does it, or not, as programs do.
     ///
     /// # Errors
-    /// When the index cannot be sent to, or there is no connector socket to be had.
+    /// If the index or the connector socket cannot be used.
     pub fn open(index: u32, padded: bool) -> Result<Self, Error> {
         let mask = index.checked_sub(1).and_then(|bit| 1_u32.checked_shl(bit));
         let mask = mask.ok_or(NetlinkError::Index { index })?;
@@ -38,7 +38,7 @@ impl Sender {
         self.index
     }
 
-    /// Sends one record to whoever listens; nobody listening is no error.
+    /// Sends one record to all listeners; none is no error.
     ///
     /// # Errors
     /// A record that does not fit a message, or the kernel's refusal.
@@ -48,13 +48,13 @@ impl Sender {
         self.send_bytes(self.buffer.get(..len).unwrap_or_default())
     }
 
-    /// Sends a datagram as it is.
+    /// Sends a raw datagram.
     ///
     /// # Errors
     /// The kernel's refusal.
     pub fn send_bytes(&self, datagram: &[u8]) -> Result<(), Error> {
         match self.socket.send_to(datagram, &self.group, 0) {
-            // The kernel's own copy is refused where it has no connector socket (any but the first namespace); the
+            // The kernel's own copy is refused outside the first namespace, where it has no connector socket; the
             // multicast was delivered before.
             Err(error) if error.kind() != ErrorKind::ConnectionRefused => Err(Error::Io {
                 what: "cannot send to the connector group (CAP_NET_ADMIN is needed; `unshare -Urn` gives it in a \

@@ -1,4 +1,4 @@
-//! The socket itself: opened, joined, widened, filtered; and every refusal in words.
+//! Opens, joins, widens and filters the socket; all errors in words.
 
 use super::{NetlinkError, Options};
 use crate::sys::{Instruction, attach_filter};
@@ -23,9 +23,9 @@ pub enum Found {
     Given,
     /// The driver is registered under it in `/proc/net/connector`.
     Registered,
-    /// No driver is registered: both indices in use are joined, and the one that delivers is the right one.
+    /// No driver is registered: both usual indices are joined, and the one that delivers is right.
     Guessed,
-    /// A served room has one for each robot.
+    /// Each robot of a served room has one.
     Served,
 }
 
@@ -41,7 +41,7 @@ pub(super) struct Joined {
 
 pub(super) fn open(options: &Options) -> Result<Joined, Error> {
     let listed = std::fs::read_to_string(PROC_CONNECTOR);
-    // The file is absent in every network namespace but the first, where the kernel's messages arrive.
+    // The file exists only in the first network namespace, where the kernel's messages arrive.
     if listed.is_err() && !options.allow_user_sender {
         return Err(NetlinkError::OtherNamespace.into());
     }
@@ -94,7 +94,7 @@ fn join(socket: &Socket, indices: &[u32]) -> Result<(), Error> {
     }
 }
 
-/// Asks for a receive buffer, beyond `net.core.rmem_max` where allowed. Gives what the kernel granted, in bytes.
+/// Requests a receive buffer, beyond `net.core.rmem_max` if allowed. Returns the granted bytes.
 pub(super) fn widen(socket: &impl AsFd, bytes: usize) -> usize {
     let granted = || getsockopt(socket, sockopt::RcvBuf).unwrap_or(0);
     if setsockopt(socket, sockopt::RcvBufForce, &bytes).is_err() {
@@ -104,10 +104,10 @@ pub(super) fn widen(socket: &impl AsFd, bytes: usize) -> usize {
     granted()
 }
 
-/// A classic filter that keeps messages with one of `indices`: foreign traffic then never fills the queue.
+/// A classic filter that passes messages with one of `indices`, so that foreign traffic does not fill the queue.
 ///
-/// The loads are big-endian, the messages little-endian (hence the swapped constants). Only the first `cn_msg` of a
-/// datagram is looked at: the driver puts one in each.
+/// The loads are big-endian, the messages little-endian (hence the swapped constants). It checks only the first
+/// `cn_msg` of a datagram: the driver puts one in each.
 pub(super) fn filter(indices: &[u32]) -> Vec<Instruction> {
     const LOAD_WORD: u16 = 0x20; // BPF_LD | BPF_W | BPF_ABS
     const JUMP_IF_EQUAL: u16 = 0x15; // BPF_JMP | BPF_JEQ | BPF_K
@@ -123,7 +123,7 @@ pub(super) fn filter(indices: &[u32]) -> Vec<Instruction> {
     program
 }
 
-/// Messages that the kernel dropped at the connector socket with this port, as far as it says.
+/// Messages that the kernel dropped at the connector socket with this port, if it reports them.
 pub(super) fn kernel_drops(port: u32) -> Option<u64> {
     drops_in(&std::fs::read_to_string(PROC_NETLINK).ok()?, port)
 }
@@ -155,7 +155,7 @@ pub(super) fn receive(socket: &Socket, mut buffer: &mut [u8]) -> io::Result<(usi
 pub(super) fn receive_message(socket: &OwnedFd, buffer: &mut [u8]) -> io::Result<usize> {
     loop {
         match recv(socket.as_raw_fd(), buffer, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC) {
-            // The partner left something unread; what it had said before is still to be had.
+            // The partner closed with unread data; its earlier messages are still readable.
             Err(nix::errno::Errno::ECONNRESET) => {}
             taken => return Ok(taken?),
         }

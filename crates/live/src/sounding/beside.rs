@@ -1,4 +1,5 @@
-//! Work beside a session: a bearing may take seconds, and the session must hear its driver, its stop and its time.
+//! Work beside a session: a bearing may take seconds, while the session must read its driver and watch its stop and its
+//! time.
 
 use crate::wait::Monotonic;
 use csi5300::source::Error;
@@ -7,7 +8,7 @@ use std::io::PipeReader;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::thread::JoinHandle;
 
-/// Work that is wanted again and again, one piece at a time, in a thread of its own.
+/// Repeated work, one piece at a time, in a separate thread.
 #[derive(Debug)]
 pub struct Beside<T> {
     every: Span,
@@ -23,22 +24,22 @@ struct UnderWay<T> {
 }
 
 impl<T: Send + 'static> Beside<T> {
-    /// Wanted at `first_at`, and `every` so often from the beginning of the last piece on, or as soon as that is done.
+    /// Due at `first_at`, then `every` span after the start of the last piece, or as soon as that is done.
     #[must_use]
     pub fn new(first_at: Instant, every: Span) -> Self {
         Self { every, next_at: first_at, under_way: None }
     }
 
-    /// True if it is time for a piece and none is under way.
+    /// True if a piece is due and none is running.
     #[must_use]
     pub fn is_due(&self, now: Instant) -> bool {
         self.under_way.is_none() && self.next_at <= now
     }
 
-    /// Begins a piece of `work`. If one is under way this one is not begun.
+    /// Starts a piece of `work`, unless one is running.
     ///
     /// # Errors
-    /// If there is no thread or pipe to be had.
+    /// If thread or pipe cannot be created.
     pub fn begin(&mut self, now: Instant, work: impl FnOnce() -> T + Send + 'static) -> Result<(), Error> {
         if self.under_way.is_some() {
             return Ok(());
@@ -56,7 +57,7 @@ impl<T: Send + 'static> Beside<T> {
         Ok(())
     }
 
-    /// What came of a piece that is done, once.
+    /// The result of a finished piece, once.
     ///
     /// # Panics
     /// If the work did.
@@ -64,7 +65,7 @@ impl<T: Send + 'static> Beside<T> {
         self.under_way.take_if(|doing| doing.thread.is_finished()).map(joined)
     }
 
-    /// Waits for the piece under way, unless `stop` is readable: then it is left to end with the process.
+    /// Waits for the running piece, unless `stop` is readable: then it ends with the process.
     ///
     /// # Errors
     /// If it cannot be waited for.
@@ -129,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_does_not_wait_for_what_is_under_way() {
+    fn a_stop_does_not_wait_for_running_work() {
         let (_held, gate) = channel::<u8>();
         let mut beside = Beside::new(at(0), SECOND);
         beside.begin(at(0), move || gate.recv().is_ok()).unwrap();

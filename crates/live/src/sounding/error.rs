@@ -1,13 +1,13 @@
-//! Why an exchange cannot be opened or brought to its end.
+//! Errors of opening or ending an exchange.
 
 use driver_iface::Mac;
 
-/// What an exchange refuses. Within [`csi5300::source::Error`] it is a backend's error.
+/// Errors of an exchange. Within [`csi5300::source::Error`] they are a backend's.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SoundingError {
     /// The interface has no MAC, and none was given.
-    #[error("{interface} has no MAC of its own: say which it is to use")]
+    #[error("{interface} has no MAC of its own: name the one to use")]
     NoMac {
         /// The interface.
         interface: String,

@@ -1,4 +1,4 @@
-//! One robot's side of the exchange: air and state machine, in the order that the machine's contract asks for.
+//! One robot's side of the exchange: connects air and state machine, in the order of the machine's contract.
 
 use super::figures::Figures;
 use super::watch::{Notice, Watch};
@@ -9,10 +9,10 @@ use csi5300::time::Instant;
 use driver_iface::sounding::FCS_LEN;
 use driver_iface::sounding::native::Role;
 
-/// What the exchange tells whoever started it.
+/// News of the exchange.
 #[derive(Clone, Debug)]
 pub enum News {
-    /// The thread runs, and this is what it was granted.
+    /// The thread runs with this grant.
     Started(super::Granted),
     /// Something happened on the air.
     Event(Event),
@@ -20,7 +20,7 @@ pub enum News {
     Notice(Notice),
 }
 
-/// The machine, the air, and what was measured on the way.
+/// The machine, the air, and timing figures.
 #[derive(Debug)]
 pub struct Exchange<A> {
     /// The machine: its plan and counts.
@@ -45,7 +45,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
         Self { tdma, air, figures: Figures::new(), watch: Watch::default(), last_forward: None, stop_at: None }
     }
 
-    /// It ends at this time, if there is one: from then on nothing is heard or sent.
+    /// The optional end: from then on nothing is received or sent.
     #[must_use]
     pub fn with_stop_at(mut self, stop_at: Option<Instant>) -> Self {
         self.stop_at = stop_at;
@@ -58,14 +58,14 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
         self.stop_at.is_some_and(|end| end <= now)
     }
 
-    /// Takes in everything heard, sends everything due, and gives the time of the next step if nothing is heard before. Does
-    /// nothing once it [is over](Self::is_over).
+    /// Takes all received frames, sends all due ones, and returns the time of the next step. Does nothing once it [is
+    /// over](Self::is_over).
     ///
     /// # Errors
-    /// When the interface failed for good. What was only not taken is counted, and said in a [`Notice`].
+    /// If the interface failed for good. Refused frames are only counted and reported in a [`Notice`].
     pub fn step(&mut self, now: &impl Fn() -> Instant, tell: &mut impl FnMut(News)) -> Result<Option<Instant>, Error> {
         loop {
-            // The time is read before the frame's age is: what comes between makes answers early, never late.
+            // The time is read before the frame's age, so that delays between make answers early, never late.
             let at = now();
             if self.is_over(at) {
                 return Ok(None);
@@ -96,7 +96,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
             let before = now();
             let (role, number) = (transmit.role, transmit.number);
             self.figures.note_due(&transmit, before);
-            // The host may have been elsewhere since the machine gave the frame out.
+            // The host may have been busy since the machine returned the frame.
             if before > transmit.latest {
                 self.figures.too_late += 1;
                 self.tdma.not_sent(role, number);

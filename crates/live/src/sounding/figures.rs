@@ -1,4 +1,4 @@
-//! How punctual a robot was: histograms, and their words.
+//! Punctuality of a robot: histograms and their text.
 
 use csi5300::exchange::tdma::Transmit;
 use csi5300::time::{Instant, Span};
@@ -14,21 +14,21 @@ const LONGEST_US: u64 = 10_000_000;
 /// Upper edges of the classes in which a histogram is printed, microseconds.
 const EDGES_US: [u64; 12] = [10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 100_000, LONGEST_US];
 
-/// What was measured while sounding. Nothing is allocated after [`Figures::new`].
+/// Timing figures of sounding. Nothing is allocated after [`Figures::new`].
 #[derive(Clone, Debug)]
 pub struct Figures {
-    /// Microseconds from a slot's start to the time at which the host came to it: of every slot that was due, those
-    /// skipped or not taken included. What the host's punctuality is to be judged by.
+    /// Microseconds from a slot's start until the host reached it, for every due slot, also skipped and refused ones:
+    /// the measure of the host's punctuality.
     pub due_us: Histogram<u64>,
     /// Microseconds from a slot's start to the hand-over of its forward frame: of frames sent, so never above the guard.
     pub lateness_us: Histogram<u64>,
-    /// Microseconds from the kernel's stamp on a forward frame to the hand-over of its answer, which then was taken.
+    /// Microseconds from the kernel's stamp on a forward frame to the hand-over of its answer.
     pub turn_around_us: Histogram<u64>,
-    /// Microseconds from the hand-over of a forward frame to the beginning of its answer, as heard.
+    /// Microseconds from the hand-over of a forward frame to the start of its received answer.
     pub answer_us: Histogram<u64>,
-    /// Frames that the machine gave out in time but the host came too late with: skipped, as the machine's own.
+    /// Frames that the machine returned in time but the host reached too late: skipped.
     pub too_late: u64,
-    /// Frames handed over in time, but back from the kernel only after their time: they may have been late on air.
+    /// Frames handed over in time, while the call returned too late: they may have been late on air.
     pub perhaps_late: u64,
 }
 
@@ -57,21 +57,21 @@ impl Figures {
         }
     }
 
-    /// The host came to a frame that was due.
+    /// Notes that the host reached a due frame.
     pub(super) fn note_due(&mut self, transmit: &Transmit<'_>, at: Instant) {
         if transmit.role == Role::Forward {
             note(&mut self.due_us, at - transmit.at);
         }
     }
 
-    /// The host came to so many slots in a row too late: `late` after the first one's start, each a `slot` later.
+    /// Notes a run of missed slots: `late` after the first one's start, each a `slot` later.
     pub(super) fn note_missed(&mut self, slots: u32, late: Span, slot: Span) {
         for k in 0..i64::from(slots) {
             note(&mut self.due_us, Span::from_us(late.as_us() - k * slot.as_us()));
         }
     }
 
-    /// A frame was handed over: `before` and `after` the call, `ended` the end of the frame that it answers.
+    /// Notes a hand-over: `before` and `after` the call, `ended` the end of the frame that it answers.
     pub(super) fn note_sent(
         &mut self,
         transmit: &Transmit<'_>,
@@ -87,7 +87,7 @@ impl Figures {
         self.perhaps_late += u64::from(after > transmit.latest);
     }
 
-    /// An answer began so long after the forward frame was handed over.
+    /// Notes the time from a forward frame's hand-over to its answer's start.
     pub(super) fn note_answer_us(&mut self, us: i64) {
         note(&mut self.answer_us, Span::from_us(us));
     }

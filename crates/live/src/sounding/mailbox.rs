@@ -1,5 +1,5 @@
-//! Queues between the thread that sends and the others. A thread under SCHED_FIFO must never wait for a lock, nor spin for
-//! one: the thread that holds it may not run before it sleeps. So it only takes the lock if it is free.
+//! Queues between the sending thread and the others. A thread under SCHED_FIFO must not wait or spin for a lock,
+//! because the thread that holds it may not run meanwhile. So it takes the lock only if it is free.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
@@ -51,13 +51,13 @@ impl<T> Mailbox<T> {
         self.lock().pop_front()
     }
 
-    /// Takes the oldest out, for the thread that sends: none if the other side is at it just now.
+    /// Takes the oldest out, for the sending thread: none if the other side holds the lock.
     pub(super) fn take_at_once(&self) -> Option<T> {
         self.lock_at_once()?.pop_front()
     }
 }
 
-/// The end of a [`Mailbox`] into which the thread that sends puts: keeps what it cannot hand over at once.
+/// The sending thread's end of a [`Mailbox`]: keeps items that it cannot hand over at once.
 #[derive(Debug)]
 pub(super) struct Outbox<T> {
     mailbox: Mailbox<T>,
@@ -70,7 +70,7 @@ impl<T> Outbox<T> {
         Self { mailbox: mailbox.clone(), held: VecDeque::with_capacity(CAPACITY), lost: 0 }
     }
 
-    /// Keeps one for the next [`Outbox::flush`]; where there is no room it is lost, and counted.
+    /// Keeps one for the next [`Outbox::flush`]; without room it is lost and counted.
     pub(super) fn put(&mut self, item: T) {
         if self.held.len() < CAPACITY {
             self.held.push_back(item);
@@ -79,7 +79,7 @@ impl<T> Outbox<T> {
         }
     }
 
-    /// Hands over what there is room for, unless the other side is at it just now.
+    /// Hands over as many as fit, unless the other side holds the lock.
     pub(super) fn flush(&mut self) {
         if self.held.is_empty() {
             return;
@@ -89,7 +89,7 @@ impl<T> Outbox<T> {
         queue.extend(self.held.drain(..room));
     }
 
-    /// What was not handed over, and how much was lost.
+    /// The remaining items, and the number of lost ones.
     pub(super) fn finish(self) -> (VecDeque<T>, u64) {
         (self.held, self.lost)
     }

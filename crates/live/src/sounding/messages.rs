@@ -1,4 +1,4 @@
-//! The card's records while robots sound: not listened to, only read, or recorded as well.
+//! The card's records while robots sound: ignored, read, or read and recorded.
 
 use crate::listener::Listener;
 use csi5300::source::recorder::{LogFiles, Options, Recorder, Totals};
@@ -6,7 +6,7 @@ use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
 use std::os::fd::{AsFd, OwnedFd};
 
-/// Where the card's records come from, and whether they are written to a log.
+/// The source of the card's records, and their log.
 pub struct DriverMessages(Kind);
 
 enum Kind {
@@ -15,7 +15,7 @@ enum Kind {
     Recorded(Box<Recorder<Listener, LogFiles>>),
 }
 
-/// What became of a recorded log.
+/// The result of a recorded log.
 #[derive(Clone, Debug)]
 pub struct LogTotals {
     /// What was recorded.

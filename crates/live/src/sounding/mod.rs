@@ -3,13 +3,13 @@
 //! * [`Exchange`] is one robot's side: frames from the air into the machine, frames from the machine into the air, and
 //!   figures of what that took. It has no clock of its own.
 //! * [`Setup`] opens one: interface, plan, key, session.
-//! * [`Running`] is its thread: under SCHED_FIFO and in locked memory where that is allowed, waiting for frames and for
-//!   absolute deadlines. Nothing that a bearing needs can delay a slot.
-//! * [`Session`] is all of it from start to end, with the driver's messages; an [`Observer`] is handed what comes, and
-//!   [`Finished`] says how it went.
-//! * [`Products`] takes the card's records and the measurements in the answers, from which bearings are made while robots
-//!   sound, [`Beside`] the session.
-//! * [`set_rate`] sees to the rate of the CSI driver, which does not take it from radiotap.
+//! * [`Running`] is its thread, under SCHED_FIFO and in locked memory if allowed. It waits for frames and absolute
+//!   deadlines; estimates cannot delay a slot.
+//! * [`Session`] is a complete run with the driver's messages; an [`Observer`] gets records and news, and [`Finished`]
+//!   has the result.
+//! * [`Products`] takes the card's records and the measurements in the answers, for live bearings computed [`Beside`]
+//!   the session.
+//! * [`set_rate`] sets the rate of the CSI driver, which ignores radiotap's.
 
 mod beside;
 mod error;

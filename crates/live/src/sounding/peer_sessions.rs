@@ -1,5 +1,5 @@
-//! The newest session of each peer, and its newest number, kept over restarts: frames taped from an older one are not
-//! answered by a robot that was started anew.
+//! Keeps the newest session and number of each peer over restarts, so that a restarted robot does not answer replayed
+//! frames.
 
 use super::exchange::News;
 use super::session;
@@ -10,11 +10,10 @@ use std::path::PathBuf;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Numbers are kept this often. What was taped within so long before a restart, in the session that goes on, may still be
-/// answered once.
+/// Interval of saving numbers. Frames recorded within this time before a restart may still be answered once.
 const KEEP_EVERY: Duration = Duration::from_secs(5);
 
-/// What is known of peers that share a key.
+/// The state of peers that share a key.
 #[derive(Debug, Default)]
 pub struct PeerSessions {
     name: String,
@@ -23,12 +22,12 @@ pub struct PeerSessions {
     peers: BTreeMap<Mac, (u32, u32)>,
     changed: bool,
     kept_at: Option<Instant>,
-    /// The disk may take its time: nobody waits for it but the end.
+    /// Only the end waits for the disk.
     writing: Option<JoinHandle<()>>,
 }
 
 impl PeerSessions {
-    /// What this robot kept of its peers. It is kept where the robot's own session is.
+    /// The saved state of the peers, beside the robot's own session.
     pub(super) fn open(own: Mac) -> Self {
         Self::open_in(session::usual_folders(), own)
     }
@@ -50,7 +49,7 @@ impl PeerSessions {
         self.peers.iter().map(|(mac, (session, number))| (*mac, *session, *number)).collect()
     }
 
-    /// Takes what happened on the air: the scheduler has checked its tag.
+    /// Takes an event whose tag the scheduler has checked.
     pub(super) fn note(&mut self, news: &News) {
         let News::Event(event) = news else { return };
         let (mac, at) = match *event {
@@ -67,7 +66,7 @@ impl PeerSessions {
         }
     }
 
-    /// Writes it down if it is time.
+    /// Saves it if due.
     pub(super) fn keep_if_due(&mut self) {
         let is_due = self.kept_at.is_none_or(|at| at.elapsed() >= KEEP_EVERY);
         if !is_due || self.writing.as_ref().is_some_and(|writing| !writing.is_finished()) {
@@ -78,7 +77,7 @@ impl PeerSessions {
         }
     }
 
-    /// Writes it down now.
+    /// Saves it now.
     pub(super) fn keep(&mut self) {
         if let Some(writing) = self.writing.take() {
             let _ = writing.join();
@@ -88,8 +87,8 @@ impl PeerSessions {
         }
     }
 
-    /// What writes it down where that can be done; without such a place replays of older sessions are only known while it
-    /// runs. None where nothing is new.
+    /// Saves it in the first writable place; without one, replays of older sessions are recognised only while it runs.
+    /// None without news.
     fn write(&mut self) -> Option<impl FnOnce() + Send + use<>> {
         std::mem::take(&mut self.changed).then_some(())?;
         self.kept_at = Some(Instant::now());

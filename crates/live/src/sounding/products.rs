@@ -44,7 +44,7 @@ impl Products {
         let still = || Track::still(Vector3::zeros(), 0.0);
         let peer = |mac: &Mac| LivePeer { name: mac.to_string(), mac: *mac, track: still(), yaw_rad: 0.0 };
         let peers = peers.iter().map(peer).collect();
-        // It is asked for bearings: it has no schedule, and no peer's log to tell this robot's own MAC from others in.
+        // It gives bearings on request, without a schedule, and has no peer's log that shows this robot's MAC.
         let (own, now) = (Mac::ZERO, Instant::ZERO);
         let settings = LiveSettings::new(options.channel.wavelength_m());
         Self { estimator: LiveEstimator::new(own, Track::default(), peers, settings, options, now) }
@@ -70,12 +70,12 @@ impl Products {
         self.estimator.peers().map(|(_, counts)| counts.refused.contested).sum()
     }
 
-    /// Takes what the card's driver gave.
+    /// Takes an item of the card's driver.
     pub fn note(&mut self, next: &Next<'_>) {
         self.estimator.handle_own(next);
     }
 
-    /// Takes what a peer's answer carried.
+    /// Takes the measurement in a peer's answer.
     pub fn answered(&mut self, peer: Mac, measurement: &Measurement) {
         self.estimator.handle_measurement(peer, measurement);
     }
@@ -92,7 +92,7 @@ impl Products {
         self.estimator.other_antenna()
     }
 
-    /// All products so far, to make bearings of: one after the other they are what [`Products::new`] was given.
+    /// All products so far, for bearings.
     #[must_use]
     pub fn links(&self) -> Links {
         self.estimator.links()

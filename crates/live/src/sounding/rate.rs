@@ -1,5 +1,5 @@
-//! The rate of injected frames where it is not radiotap's: the patched drivers take it from debugfs, `csi5300.ko` from a
-//! parameter.
+//! The rate of injected frames for drivers that ignore radiotap's: the patched drivers read it from debugfs,
+//! `csi5300.ko` from a parameter.
 
 use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
 use csi5300::exchange::tdma::Phy;
@@ -14,25 +14,25 @@ const HT40: u32 = 0x800;
 /// Antennas of the card.
 const ANTENNAS: u32 = 3;
 
-/// What gives frames of a card under the kernel's own driver an HT rate.
+/// How to get an HT rate under the kernel's own driver.
 const LOAD: &str = "load the module csi5300 (`csi5300 setup --driver module` says how)";
 
-/// What became of the driver's rate.
+/// The result for the driver's rate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Rate {
     /// The driver has no such file: it takes the rate from radiotap.
     FromRadiotap,
-    /// A card under the kernel's own driver, which sends every injected frame at a legacy rate; what helps.
+    /// A card under the kernel's own driver, which sends every injected frame at a legacy rate; the remedy.
     Legacy(&'static str),
     /// It was right already.
     Right(u32),
-    /// It was set, from what it was before.
+    /// It was set; the rate before.
     Set(u32, String),
-    /// It is another one and could not be set; the command that does it.
+    /// It is another rate and could not be set; the command that does.
     Other {
-        /// What it is.
+        /// The current rate.
         found: String,
-        /// What went wrong.
+        /// The error.
         error: String,
         /// The command that sets it.
         mend: String,
@@ -63,7 +63,7 @@ pub fn rate_n_flags(phy: Phy, antenna: Antenna) -> Option<u32> {
     Some(antennas | width | HT | u32::from(phy.mcs))
 }
 
-/// Makes the driver send at this rate, if it is one that ignores radiotap.
+/// Sets the rate of a driver that ignores radiotap.
 #[must_use]
 pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
     let phy = system.text(&format!("/sys/class/net/{interface}/phy80211/name"));

@@ -1,4 +1,4 @@
-//! A sounding session from start to end: the sender's thread, the driver's messages, and what a program does with both.
+//! A sounding session: the sender's thread, the driver's messages, and the program's observer.
 
 use super::messages::{DriverMessages, LogTotals};
 use super::{Exchange, News, Opened, Running, Settings};
@@ -9,30 +9,30 @@ use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use std::os::fd::{AsFd, BorrowedFd};
 
-/// How often news are fetched and [`Observer::look`] is called.
+/// Interval at which news are fetched and [`Observer::look`] is called.
 const LOOK: Span = Span::from_ms(50);
-/// How long the driver is listened to after the end, if it does not fall silent before.
+/// Longest time to read the driver after the end.
 const LAST_WORDS: Span = Span::from_ms(500);
 
-/// What a program does with what comes. Every method does nothing where it is not written.
+/// A program's reactions. The default methods do nothing.
 pub trait Observer {
-    /// Something from the driver. `running` takes orders.
+    /// An item of the driver. `running` takes orders.
     fn record(&mut self, next: &Next<'_>, running: &Running) {
         let _ = (next, running);
     }
 
-    /// Something from the sender's thread.
+    /// News of the sender's thread.
     fn news(&mut self, news: &News) {
         let _ = news;
     }
 
-    /// Called every 50 ms and after everything that came.
+    /// Called every 50 ms and after all available items.
     fn look(&mut self, now: Instant, running: &Running) {
         let _ = (now, running);
     }
 }
 
-/// When a session ends, and what it runs on.
+/// The end of a session, and its system settings.
 #[derive(Clone, Copy, Debug)]
 pub struct Session<'a> {
     clock: Monotonic,
@@ -41,18 +41,18 @@ pub struct Session<'a> {
     settings: Settings,
 }
 
-/// How a session went.
+/// The result of a session.
 #[derive(Debug)]
 pub struct Finished {
     /// The machine with its counts, the interface with its counters, and how punctual the host was.
     pub exchange: Exchange<Monitor>,
-    /// What was counted on the interface.
+    /// Counts of the interface.
     pub air: AirCounts,
     /// News that were lost because they were not fetched in time.
     pub news_lost: u64,
     /// The log, where there was one.
     pub log: Option<LogTotals>,
-    /// What ended the session, if it was neither the time nor the stop.
+    /// The error that ended the session, if any.
     pub error: Option<Error>,
 }
 
@@ -63,14 +63,14 @@ impl<'a> Session<'a> {
         Self { clock, stop, stop_at: None, settings: Settings::default() }
     }
 
-    /// It also ends at this time, if there is one: the thread that sends by itself, however long an [`Observer`] takes.
+    /// It also ends at this optional time; the sending thread does so by itself, however long an [`Observer`] takes.
     #[must_use]
     pub fn with_stop_at(mut self, stop_at: Option<Instant>) -> Self {
         self.stop_at = stop_at;
         self
     }
 
-    /// What the sender's thread asks the system for; its end is the session's.
+    /// The system settings of the sender's thread; its end is the session's.
     #[must_use]
     pub fn with_settings(mut self, settings: Settings) -> Self {
         self.settings = settings;
@@ -80,8 +80,7 @@ impl<'a> Session<'a> {
     /// Sounds until it is stopped, the time is up, or the interface or the listener fails.
     ///
     /// # Errors
-    /// If it cannot be started, waited for or brought to its end. A failure while it runs ends it, and is in
-    /// [`Finished::error`].
+    /// If it cannot be started, waited for or ended. A failure while it runs is in [`Finished::error`].
     pub fn run(
         &self,
         opened: Opened,
@@ -104,7 +103,7 @@ impl<'a> Session<'a> {
                 break None;
             }
             let until = [messages.next_at(), self.stop_at, Some(now + LOOK)].into_iter().flatten().min();
-            // Without a listener the stop is waited for twice.
+            // Without a listener this waits for the stop twice.
             let first = connector.as_ref().map_or(self.stop, |fd| fd.as_fd());
             if self.clock.wait([first, self.stop], until)?[1] {
                 break None;
@@ -122,7 +121,7 @@ impl<'a> Session<'a> {
     ) -> Result<Finished, Error> {
         let (mut exchange, left, news_lost, error) = running.stop()?;
         left.iter().for_each(|news| observer.news(news));
-        // What the driver had sent by then belongs in the log. A driver that never pauses does not hold up the end.
+        // Messages sent before the end belong in the log. A driver without pauses does not delay the end.
         let enough_at = self.clock.now() + LAST_WORDS;
         while failed.is_none() && messages.is_recorded() && self.clock.now() < enough_at {
             match messages.receive(self.clock.now()) {
@@ -153,7 +152,7 @@ fn take(
 }
 
 impl Finished {
-    /// What the machine counted.
+    /// Counts of the machine.
     #[must_use]
     pub fn counts(&self) -> &TdmaCounts {
         self.exchange.tdma.counts()

@@ -1,4 +1,4 @@
-//! The number of a start: later than that of every start before, also where the clock is not.
+//! The number of a start: higher than every earlier one, even if the clock is not.
 
 use driver_iface::Mac;
 use std::io::{self, Read, Write};
@@ -9,7 +9,7 @@ const PLAUSIBLE_S: u32 = 1_735_689_600;
 /// Bytes of a file with sessions at most: a line of 40 bytes for each robot of an exchange.
 const LONGEST: u64 = 1 << 16;
 
-/// The session that begins now, and words where it could not be kept and that matters.
+/// The new session, and a warning if it could not be saved and that matters.
 pub(super) fn begin(own: Mac, wall_us: Option<i64>) -> (u32, Option<String>) {
     let wall_s = wall_us.and_then(|us| u32::try_from(us / 1_000_000).ok()).unwrap_or(0);
     let (session, kept) = begin_in(&usual_folders(), own, wall_s);
@@ -24,28 +24,28 @@ pub(super) fn begin(own: Mac, wall_us: Option<i64>) -> (u32, Option<String>) {
     (session, warning)
 }
 
-/// Where the last session may be kept on this machine.
+/// Places for the last session on this machine.
 pub(super) fn usual_folders() -> Vec<PathBuf> {
     folders(|name| std::env::var_os(name).map(PathBuf::from))
 }
 
-/// What was kept in a file; nothing in one that is longer than any.
+/// The content of a file; nothing if it is too long.
 pub(super) fn read(file: &Path) -> Option<String> {
-    // A pipe of that name would be waited for.
+    // A pipe of that name would block.
     std::fs::metadata(file).ok().filter(std::fs::Metadata::is_file)?;
     let mut text = String::new();
     std::fs::File::open(file).ok()?.take(LONGEST).read_to_string(&mut text).ok()?;
     Some(text)
 }
 
-/// Where the last session may be kept, the best place first.
+/// Places for the last session, the best first.
 fn folders(variable: impl Fn(&str) -> Option<PathBuf>) -> Vec<PathBuf> {
     let set = |name| variable(name).filter(|path| path.is_absolute());
     let state = set("XDG_STATE_HOME").or_else(|| set("HOME").map(|home| home.join(".local/state")));
     state.into_iter().chain([PathBuf::from("/var/lib")]).map(|folder| folder.join("csi5300")).collect()
 }
 
-/// Later than every session kept in any of the folders, and kept in the first that can be written.
+/// Higher than every session saved in any of the folders, and saved in the first writable one.
 fn begin_in(folders: &[PathBuf], own: Mac, wall_s: u32) -> (u32, io::Result<()>) {
     let name = format!("session-{}", own.to_string().replace(':', ""));
     let read = |folder: &PathBuf| read(&folder.join(&name))?.trim().parse::<u32>().ok();
@@ -61,11 +61,11 @@ fn begin_in(folders: &[PathBuf], own: Mac, wall_s: u32) -> (u32, io::Result<()>)
     (session, kept)
 }
 
-/// Written beside the old one and moved over it, so that a loss of power leaves either.
+/// Written beside the old one and moved over it, so that a power cut leaves one of them.
 pub(super) fn keep(folder: &Path, name: &str, text: &str) -> io::Result<()> {
     std::fs::create_dir_all(folder)?;
     let new = folder.join(format!("{name}.new"));
-    // Whatever is there, a pipe even, is not written into.
+    // Existing files and pipes are not written into.
     let _ = std::fs::remove_file(&new);
     let mut file = std::fs::File::create_new(&new)?;
     file.write_all(text.as_bytes())?;

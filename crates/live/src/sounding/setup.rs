@@ -1,4 +1,4 @@
-//! An exchange opened: interface, plan, key and session.
+//! Opens an exchange: interface, plan, key and session.
 
 use super::peer_sessions::PeerSessions;
 use super::{SoundingError, session};
@@ -9,10 +9,10 @@ use csi5300::source::Error;
 use driver_iface::Mac;
 use std::path::Path;
 
-/// What an exchange is opened from.
+/// The settings of an exchange.
 #[derive(Clone, Debug)]
 pub struct Setup {
-    /// Monitor interface; only a name for messages where [`Setup::open_on`] is given one.
+    /// Monitor interface; only a name for messages with [`Setup::open_on`].
     pub interface: String,
     /// This robot's MAC, instead of the interface's own.
     pub mac: Option<Mac>,
@@ -37,14 +37,14 @@ pub struct Opened {
     pub own: Mac,
     /// The key that all robots share.
     pub key: Option<Key>,
-    /// What is known of the peers' sessions, with a key.
+    /// The peers' sessions, with a key.
     pub(super) heard: PeerSessions,
-    /// What the user should know of the session's number.
+    /// A warning about the session's number.
     pub warning: Option<String>,
 }
 
 impl Setup {
-    /// What the interface is opened with.
+    /// The options of the interface.
     #[must_use]
     pub fn options(&self) -> Options {
         let (forward, backward) = self.request.dialect.longest(usize::from(self.request.links));
@@ -52,7 +52,7 @@ impl Setup {
         Options::new(self.interface.clone(), forward.max(backward)).with_rate(phy.mcs, phy.bandwidth)
     }
 
-    /// Opens the interface and makes the machine, with what `settle` changes of its configuration.
+    /// Opens the interface and makes the machine; `settle` may change its configuration.
     ///
     /// # Errors
     /// If the interface cannot be opened or has no MAC, or the plan does not fit.

@@ -13,7 +13,7 @@ use std::rc::Rc;
 const A: Mac = Mac([2, 0, 0, 0, 0, 1]);
 const B: Mac = Mac([2, 0, 0, 0, 0, 2]);
 
-/// An air that keeps what is sent, and gives what is put there; a host that takes time.
+/// An air that keeps sent frames and returns queued ones, on a host that takes time.
 #[derive(Default)]
 struct Script {
     clock: Cell<i64>,
@@ -25,7 +25,7 @@ struct Script {
     last: Vec<u8>,
     certain: Option<u64>,
     failed: u64,
-    /// A host that is elsewhere for so long after it was asked for a frame.
+    /// A host that is busy for this time after a request for a frame.
     stall: Option<(Rc<Cell<i64>>, i64)>,
 }
 
@@ -101,7 +101,7 @@ fn lateness_is_what_it_was_and_nothing_is_sent_beyond_the_guard() {
 }
 
 #[test]
-fn a_host_that_is_elsewhere_between_machine_and_air_sends_nothing_late() {
+fn a_host_busy_between_machine_and_air_sends_nothing_late() {
     let mut script = Script::default();
     let mut exchange = Exchange::new(initiator(), &mut script);
     let begin = exchange.tdma.poll_timeout().unwrap();
@@ -127,7 +127,7 @@ fn frames_that_vanish_are_noticed_once_and_so_is_their_return() {
     assert!(matches!(told[..], [Notice::NothingGoesOut { frames: 32.. }]), "{told:?}");
     exchange.air.certain = Some(1);
     assert_eq!(notices(&run(&mut exchange, 0, 20_100_000)), [Notice::GoesOut]);
-    // A card that says of every frame that it was sent, and a peer that does not answer.
+    // A card that reports every frame as sent, and a peer that does not answer.
     let mut certain = 1;
     for second in 21..40 {
         certain += 50;
@@ -137,7 +137,7 @@ fn frames_that_vanish_are_noticed_once_and_so_is_their_return() {
 }
 
 #[test]
-fn refusals_are_said_once_for_each_cause_in_a_row() {
+fn refusals_are_reported_once_for_each_cause_in_a_row() {
     let mut script = Script { refuses: Some(NotSent::NoRoom), ..Script::default() };
     let mut exchange = Exchange::new(initiator(), &mut script);
     assert_eq!(notices(&run(&mut exchange, 0, 5_000_000)), [Notice::NotSent(NotSent::NoRoom)]);
@@ -156,7 +156,7 @@ fn an_exchange_ends_at_its_time_whatever_is_due_or_heard() {
     let end = Instant::from_us(3_000_000);
     let mut script = Script::default();
     let mut exchange = Exchange::new(initiator(), &mut script).with_stop_at(Some(end));
-    // It is stepped at its end, and goes to sleep for ever.
+    // At its end it sleeps for ever.
     run(&mut exchange, 0, i64::MAX);
     assert!(exchange.is_over(Instant::from_us(exchange.air.clock.get())) && !exchange.is_over(end - Span::from_us(1)));
     let (_, last) = exchange.air.sent.last().cloned().unwrap();
@@ -222,7 +222,7 @@ fn frames_that_all_fail_are_noticed() {
 }
 
 #[test]
-fn a_host_that_is_elsewhere_while_it_takes_a_frame_answers_nothing_late() {
+fn a_host_busy_while_it_takes_a_frame_answers_nothing_late() {
     let mut asked = Script::default();
     run(&mut Exchange::new(initiator(), &mut asked), 0, 3_000_000);
     let (_, forward) = asked.sent.remove(0);

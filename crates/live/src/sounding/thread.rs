@@ -1,4 +1,4 @@
-//! The thread that sends: what it is granted by the system, how it waits, and how others speak to it.
+//! The sending thread: its priority, its waits, and its queues.
 
 use super::SoundingError;
 use super::exchange::{Exchange, News};
@@ -20,12 +20,12 @@ use std::os::fd::AsFd;
 use std::sync::{Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-/// What to ask the system for, and when to end.
+/// System settings, and the end.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
     /// Priority under SCHED_FIFO, 1 to 99; `None` leaves the ordinary scheduler.
     pub fifo_priority: Option<i32>,
-    /// The thread ends by itself at this time, whatever else the program is at.
+    /// The thread ends by itself at this time.
     pub stop_at: Option<Instant>,
 }
 
@@ -39,10 +39,10 @@ impl Default for Settings {
 /// Why something was not granted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotGranted {
-    /// It was not to be asked for.
+    /// It was not requested.
     #[error("as asked for")]
     NotAskedFor,
-    /// The system refused, with its words.
+    /// The system's error.
     #[error("{0}")]
     Refused(String),
 }
@@ -52,7 +52,7 @@ pub enum NotGranted {
 pub struct Granted {
     /// SCHED_FIFO.
     pub fifo: Result<(), NotGranted>,
-    /// All memory locked that there is at the start.
+    /// All memory of the start is locked.
     pub locked: Result<(), NotGranted>,
 }
 
@@ -69,7 +69,7 @@ impl std::fmt::Display for Granted {
     }
 }
 
-/// What can be handed to the thread while it runs.
+/// Orders to the running thread.
 #[derive(Clone, Copy, Debug)]
 pub enum Order {
     /// This robot's measurement of a forward frame of that peer, for the next answer to it.
@@ -88,7 +88,7 @@ pub struct Running {
     heard: Mutex<PeerSessions>,
 }
 
-/// What a thread leaves behind.
+/// The result of a thread.
 struct Ended {
     exchange: Exchange<Monitor>,
     error: Option<Error>,
@@ -99,7 +99,7 @@ impl Running {
     /// Starts the thread. It takes over what signals are blocked here.
     ///
     /// # Errors
-    /// If there is no pipe or thread to be had.
+    /// If pipe or thread cannot be created.
     pub fn start(tdma: Tdma, monitor: Monitor, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
         let io = |source| Error::Io { what: "cannot start the thread that sends".into(), source };
         let (stopped, stop) = std::io::pipe().map_err(io)?;
@@ -111,7 +111,7 @@ impl Running {
         Ok(Self { thread, stop, orders, news, heard: Mutex::default() })
     }
 
-    /// The same for what [`Setup::open`](super::Setup::open) has opened: what it hears of its peers' sessions outlives it.
+    /// The same for a [`Setup::open`](super::Setup::open), which saves its peers' sessions.
     ///
     /// # Errors
     /// As [`Running::start`].
@@ -120,7 +120,7 @@ impl Running {
         Ok(Self { heard: Mutex::new(opened.heard), ..running })
     }
 
-    /// Gives an order, to be followed before the next frame is handled. False if too many wait.
+    /// Gives an order for before the next frame. False if too many wait.
     pub fn order(&self, order: Order) -> bool {
         self.orders.put(order)
     }
@@ -142,8 +142,8 @@ impl Running {
         self.thread.is_finished()
     }
 
-    /// Stops the thread, and gives what it leaves: the exchange, news that were not fetched, the number of those lost
-    /// because they were not fetched in time, and the error that ended it if one did.
+    /// Stops the thread; returns the exchange, unfetched news, the number of lost news, and the error that ended it, if
+    /// any.
     ///
     /// # Errors
     /// If the thread panicked.
@@ -161,12 +161,12 @@ impl Running {
     }
 }
 
-/// Asks for what makes the thread punctual.
+/// Requests what makes the thread punctual.
 fn ask(settings: Settings) -> Granted {
     let words = |error: std::io::Error| NotGranted::Refused(error.to_string());
-    // Without SCHED_FIFO timers may be 50 us late for the sake of power.
+    // Without SCHED_FIFO timers may be 50 us late to save power.
     let _ = set_timerslack(1);
-    // Only what is there now: with memory to come (MCL_FUTURE) a later bearing could run into the limit, and abort.
+    // Only current memory: with MCL_FUTURE a later bearing could hit the limit and abort.
     let locked = mlockall(MlockAllFlags::MCL_CURRENT).map_err(|errno| words(errno.into()));
     let fifo = match settings.fifo_priority {
         Some(priority) => sys::schedule_fifo(priority).map_err(words),

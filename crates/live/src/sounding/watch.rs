@@ -1,27 +1,27 @@
-//! Whether frames go out at all: the kernel drops what it may not send without a word.
+//! Detects whether frames go out at all: the kernel drops forbidden ones silently.
 
 use csi5300::source::NotSent;
 use csi5300::time::{Instant, Span};
 use driver_iface::sounding::native::Role;
 
-/// Frames without a sign of life, and for how long at least, before it is said.
+/// Frames without a sign of life, and least time, before a notice.
 const FRAMES: u64 = 32;
 const TIME: Span = Span::from_ms(1_000);
 
-/// Something that the user should know, said once until it has changed.
+/// A notice to the user, given once until it changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// Frames are handed over, but of none did the kernel say that it was sent, nor was one answered.
+    /// Frames are handed over, but none was reported as sent or answered.
     NothingGoesOut {
         /// So many.
         frames: u64,
     },
-    /// Frames are handed over, but of every one the kernel said that sending failed, and none was answered.
+    /// Frames are handed over, but all were reported as failed, and none was answered.
     AllFail {
         /// So many.
         frames: u64,
     },
-    /// After [`Notice::NothingGoesOut`] or [`Notice::AllFail`]: a frame was sent or answered after all.
+    /// After [`Notice::NothingGoesOut`] or [`Notice::AllFail`]: a frame was sent or answered.
     GoesOut,
     /// A frame was not taken.
     NotSent(NotSent),
@@ -40,7 +40,7 @@ impl std::fmt::Display for Notice {
             Self::AllFail { frames } => write!(
                 f,
                 "{frames} frames were handed to the kernel, but it reports that sending failed, and none was answered: \
-                 the peers are not there or on another channel, or the card cannot send (`dmesg` tells)"
+                 the peers are not there or on another channel, or the card cannot send (see `dmesg`)"
             ),
             Self::GoesOut => write!(f, "frames go out now"),
             Self::NotSent(why) => write!(f, "{why}; further such frames are only counted"),
@@ -48,7 +48,7 @@ impl std::fmt::Display for Notice {
     }
 }
 
-/// Signs that frames go out: tx-status copies, and answers to forward frames. Nobody answers an answer.
+/// Signs that frames go out: tx-status copies, and answers to forward frames.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Watch {
     /// Frames since the last sign, and of these the forward ones.
@@ -56,7 +56,7 @@ pub(super) struct Watch {
     unanswered: u64,
     since: Instant,
     certain: u64,
-    /// Frames said to have failed, and how many had been at the last sign.
+    /// Failed frames, and their number at the last sign.
     failed: u64,
     failed_before: u64,
     said: bool,
@@ -79,13 +79,13 @@ impl Watch {
         (self.without_sign, self.unanswered, self.failed_before) = (0, 0, self.failed);
     }
 
-    /// A frame was not taken: worth a word if the one before was taken, or refused for another reason.
+    /// A frame was refused: a notice if the one before was taken, or refused for another reason.
     pub(super) fn not_sent(&mut self, why: NotSent) -> Option<Notice> {
         let kind = std::mem::discriminant(&why);
         (self.last_refusal.replace(kind) != Some(kind)).then_some(Notice::NotSent(why))
     }
 
-    /// Looks at the tx-status copies counted so far: `certain` of frames sent, `failed` of others.
+    /// Takes the counts of tx-status copies so far: `certain` for sent frames, `failed` for others.
     pub(super) fn look(&mut self, now: Instant, certain: Option<u64>, failed: u64) -> Option<Notice> {
         let certain = certain.unwrap_or(0);
         self.failed = failed;
@@ -95,7 +95,7 @@ impl Watch {
         }
         let silent = self.without_sign >= FRAMES && now - self.since >= TIME;
         let all_fail = failed > self.failed_before;
-        // A kernel may call every frame failed for which no acknowledgement came: no answer must have come either.
+        // A kernel may report every unacknowledged frame as failed, so answers must be missing too.
         if silent && !self.said && (!all_fail || self.unanswered >= FRAMES) {
             self.said = true;
             let frames = self.without_sign;

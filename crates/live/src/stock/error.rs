@@ -1,4 +1,4 @@
-//! Why the packets of a card under the kernel's own driver cannot be had.
+//! Errors of reading a card's packets under the kernel's own driver.
 
 use std::error::Error as StdError;
 use std::io;
@@ -19,11 +19,13 @@ pub enum StockError {
         /// Version and patch level.
         found: (u32, u32),
     },
-    /// The kernel was built without what the program is attached by.
+    /// The kernel lacks kprobes.
     #[error("the kernel has no kprobes for perf (CONFIG_KPROBES and CONFIG_KPROBE_EVENTS): {KPROBE_TYPE} is absent")]
     NoKprobes,
-    /// The driver is not there.
-    #[error("iwlwifi is not loaded: `sudo modprobe iwlwifi`; `sudo dmesg | grep iwlwifi` says why if it does not stay")]
+    /// The driver is not loaded.
+    #[error(
+        "iwlwifi is not loaded: `sudo modprobe iwlwifi`; if it does not stay, `sudo dmesg | grep iwlwifi` shows why"
+    )]
     NoDriver,
     /// The driver has no function of this name.
     #[error("iwlwifi is loaded, but `{function}` is not in /proc/kallsyms as a function that can be probed")]
@@ -42,7 +44,7 @@ pub enum StockError {
         /// The kernel's answer.
         source: io::Error,
     },
-    /// Debian's and Ubuntu's kernels want more than CAP_PERFMON for a probe above a level of their own.
+    /// Debian's and Ubuntu's kernels require more than CAP_PERFMON for a probe above a level of their own.
     #[error(
         "{PARANOID} is {level}: with more than 2 kernels of Debian and Ubuntu leave probes to CAP_SYS_ADMIN; \
          `sudo sysctl -w kernel.perf_event_paranoid=2`, or run it as root"
@@ -54,10 +56,10 @@ pub enum StockError {
     /// Secure Boot in its strictest form.
     #[error("the kernel is locked down (confidentiality, see {LOCKDOWN}): no program may read its memory")]
     LockedDown,
-    /// The kernel does not take the program, or a step before it failed.
+    /// The kernel refuses the program, or an earlier step failed.
     #[error("the kernel does not take the eBPF program")]
     Load {
-        /// Why, with the verifier's words where it has any.
+        /// The reason, with the verifier's message if any.
         source: Box<dyn StdError + Send + Sync>,
     },
 }

@@ -1,4 +1,4 @@
-//! What to make of the events that the program puts into its ring: no kernel in here, so that every case can be staged.
+//! Interprets the events of the program's ring. It has no kernel, so that tests can stage every case.
 
 use super::StockCounts;
 use csi5300::source::Loss;
@@ -8,7 +8,7 @@ use driver_iface::bfee::{Bfee, MAX_BODY};
 use driver_iface::record::{MAX_LENGTH, Record, code};
 use driver_iface::stock::{Card, Event, Options, Packet};
 
-/// Cards kept apart; more than a machine can hold. The one that was seen first makes room for another.
+/// Limit of cards, more than a machine can hold. A new one replaces the one seen first.
 const CARDS_KEPT: usize = 8;
 
 /// The two clocks, read together.
@@ -28,14 +28,14 @@ impl Clocks {
     }
 }
 
-/// What an event came to.
+/// The result of an event.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Turn {
     /// A record: call [`Intake::record`]. With its host time, microseconds.
     Record(Option<i64>),
     /// Packets are missing before this event: call [`Intake::turn`] again, it is kept.
     Lost(Loss),
-    /// Nothing to hand on: the next event.
+    /// Nothing: take the next event.
     Next,
 }
 
@@ -43,7 +43,7 @@ struct Known {
     key: u64,
     card: Card,
     host_times: HostTimes,
-    /// It has heard this robot's own frames: it is another robot's.
+    /// It heard this robot's own frames, so it is another robot's.
     is_others: bool,
 }
 
@@ -98,7 +98,7 @@ impl Intake {
         StockCounts { cards, ..self.counters }
     }
 
-    /// The driver was loaded anew: its cards are others.
+    /// The driver was reloaded: its cards are others.
     pub(super) fn forget_cards(&mut self) {
         self.counters.cards = self.counters().cards;
         self.cards.clear();
@@ -115,7 +115,7 @@ impl Intake {
         let (ring_full, unreadable) = (event.ring_full(), event.unreadable());
         let missing = [ring_full.wrapping_sub(self.seen.0), unreadable.wrapping_sub(self.seen.1)];
         if missing != [0, 0] {
-            // Whichever cards they were of: none may join what came before with what follows.
+            // For all cards: none may combine packets before and after the gap.
             self.seen = (ring_full, unreadable);
             self.cards.iter_mut().for_each(|known| known.card.gap());
             self.counters.ring_full += u64::from(missing[0]);
@@ -138,7 +138,7 @@ impl Intake {
             return Turn::Next;
         }
         if record.code == code::MPDU && known.card.counts().records == 0 {
-            // Of another kind of card, as far as is known: its driver may share the function.
+            // Possibly another kind of card, whose driver shares the function.
             self.counters.held_back += 1;
             return Turn::Next;
         }
@@ -157,7 +157,7 @@ impl Intake {
     }
 }
 
-/// Where a card is kept, room made for it if it is new.
+/// The place of a card, made if it is new.
 fn place(cards: &mut Vec<Known>, counters: &mut StockCounts, key: u64) -> usize {
     if let Some(at) = cards.iter().position(|known| known.key == key) {
         return at;

@@ -1,12 +1,12 @@
 //! CSI beside the kernel's own driver, without a kernel module: an eBPF program copies the card's packets where `iwldvm`
 //! hands them to `iwl_notification_wait` of `iwlwifi`, and the records are made here ([`driver_iface::stock`]).
 //!
-//! The program is in the binary (`driver-iface/bpf`); the kernel's verifier has proved that it can do no harm before it
-//! runs. Needed are Linux 5.8 on x86-64, the CSI firmware under the distribution's `iwlwifi`, and CAP_BPF with
-//! CAP_PERFMON; neither BTF nor kernel headers, and Secure Boot may be on.
+//! The binary contains the program (`driver-iface/bpf`); the kernel's verifier checks it before it runs. It needs Linux
+//! 5.8 on x86-64, the CSI firmware under the distribution's `iwlwifi`, and CAP_BPF with CAP_PERFMON, but neither BTF
+//! nor kernel headers; Secure Boot may be on.
 //!
-//! It receives only, and asks the card for nothing. For frames that leave at an HT rate, and for what the patched drivers
-//! ask of the card (`driver-iface/kmod/csi5300_asks.h`), the kernel module may be loaded beside it.
+//! It only receives. The kernel module may run beside it, for an HT rate of sent frames and for the patched drivers'
+//! requests to the card (`driver-iface/kmod/csi5300_asks.h`).
 //!
 //! With [`frames`](driver_iface::stock::Options::frames) a card's 0xC1 records begin after its first CSI: before it the
 //! packets may be those of another Intel card.
@@ -33,11 +33,12 @@ use program::Program;
 use std::fmt;
 use std::os::fd::{AsFd, BorrowedFd};
 
-/// Bytes of ring asked for: a record's three packets take about 850 bytes, so this holds 10 s at 1,000 records a second.
+/// Default size of the ring, bytes: a record's three packets take about 850 bytes, so it holds 10 s at 1,000 records a
+/// second.
 pub const RING: usize = 8 * 1024 * 1024;
 /// The smallest and the largest ring, bytes.
 const RINGS: std::ops::RangeInclusive<usize> = 64 * 1024..=1 << 30;
-/// How often a look is taken whether the driver was loaded anew.
+/// Interval of checks for a reloaded driver.
 const LOOK: Span = Span::from_ms(1_000);
 
 /// How to listen.
@@ -50,8 +51,8 @@ pub struct Options {
     pub ring: usize,
     /// Reads the host's wall clock, microseconds since the Unix epoch.
     pub wall_us: fn() -> Option<i64>,
-    /// This robot's MAC. No card hears its own frames: one that does is another robot's on this machine, and its records
-    /// are left out from then on.
+    /// This robot's MAC. No card hears its own frames: one that does is another robot's on this machine, and its
+    /// records are skipped from then on.
     pub own: Option<Mac>,
 }
 
@@ -103,26 +104,26 @@ pub struct StockCounts {
     pub ring_full: u64,
     /// Packets that the program could not read.
     pub unreadable: u64,
-    /// Packets at which the kernel did not run the program: it was in another one on the same processor.
+    /// Packets at which the kernel did not run the program, because another one ran on the same processor.
     pub missed: u64,
-    /// Events that contradict themselves: program and reader do not fit each other.
+    /// Inconsistent events: program and reader do not match.
     pub malformed: u64,
-    /// Frames (0xC1) of cards that had sent no CSI yet, not given: the driver of another Intel card shares the function.
+    /// Skipped frames (0xC1) of cards without CSI so far: the driver of another Intel card shares the function.
     pub held_back: u64,
-    /// Records of other robots' cards on this machine, not given.
+    /// Skipped records of other robots' cards on this machine.
     pub others: u64,
     /// Cards seen, each one counted again after its driver was reloaded.
     pub cards_seen: u64,
-    /// What all cards sent, and what became of it.
+    /// Counts of all cards' packets and records.
     pub cards: Counts,
-    /// Times that the driver was loaded anew and the program attached to it.
+    /// Times that the driver was reloaded and the program attached to it.
     pub reattached: u64,
 }
 
 /// The packets of this machine's cards as a source of records. Never blocks; wait on its file descriptor for
 /// [`Next::Pending`] to end, and until [`CsiSource::next_at`].
 pub struct Stock {
-    // The ring before the program: what is mapped goes first.
+    // The ring before the program, so that the mapping is dropped first.
     ring: RingBuf<MapData>,
     program: Program,
     ring_bytes: usize,
@@ -175,7 +176,7 @@ impl Stock {
         counters
     }
 
-    /// Once in a while: is the driver still the one to which the program is attached?
+    /// Checks at intervals whether the program is attached to the current driver.
     fn look(&mut self, now: Instant) -> Result<(), Error> {
         if self.look_at.is_none_or(|at| at <= now) {
             let first = self.look_at.replace(now + LOOK).is_none();

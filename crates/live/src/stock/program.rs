@@ -62,7 +62,7 @@ impl Program {
         Ok(())
     }
 
-    /// Attaches again if the driver was loaded anew since: the kernel takes the probe away with the module. True if so.
+    /// Attaches again if the driver was reloaded: the kernel removes the probe with the module. True if so.
     pub(super) fn follow_driver(&mut self) -> Result<bool, StockError> {
         let driver = driver();
         if driver.is_none() || driver == self.driver {
@@ -73,7 +73,7 @@ impl Program {
         }
         match self.attach() {
             Ok(()) => self.driver = driver,
-            // The module is on its way: another look will find it.
+            // The module is loading; the next check will find it.
             Err(StockError::NoFunction { .. }) => return Ok(false),
             Err(error) => return Err(error),
         }
@@ -85,8 +85,8 @@ impl Program {
         self.link.is_some() && driver() == self.driver
     }
 
-    /// Hits at which the kernel did not run the program, because it was in another one on that processor; 0 where it does
-    /// not count them (before 6.7).
+    /// Hits at which the kernel did not run the program, because another one ran on that processor; 0 if it does not
+    /// count them (before 6.7).
     pub(super) fn missed(&self) -> u64 {
         let program = self.ebpf.program("csi5300").and_then(|program| program.fd().ok());
         let about = program
@@ -94,7 +94,7 @@ impl Program {
         missed_of(&about.unwrap_or_default())
     }
 
-    /// The program's counters; `None` where the kernel does not give them.
+    /// The program's counters; `None` if the kernel refuses them.
     pub(super) fn counts(&self) -> Option<Counts> {
         self.counts.get(&0, 0).ok()
     }
@@ -112,7 +112,7 @@ fn kprobe(ebpf: &mut Ebpf) -> Result<&mut KProbe, StockError> {
     program.try_into().map_err(|error: aya::programs::ProgramError| StockError::Load { source: Box::new(error) })
 }
 
-/// The object lacks what its source has.
+/// The object does not match its source.
 fn missing() -> StockError {
     StockError::Load { source: "the object lacks a map or the program".into() }
 }
@@ -130,7 +130,7 @@ fn locked_down() -> Option<StockError> {
     levels.contains("[confidentiality]").then_some(StockError::LockedDown)
 }
 
-/// What the kernel's own answers would not say clearly.
+/// Checks with clearer errors than the kernel's.
 fn prerequisites() -> Result<(), StockError> {
     if !cfg!(target_arch = "x86_64") {
         return Err(StockError::Architecture { architecture: std::env::consts::ARCH });

@@ -128,8 +128,8 @@ fn an_overrun_is_a_gap_of_known_size_and_nothing_after_it_is_lost() {
 }
 
 #[test]
-fn what_is_sent_while_the_queue_drains_is_dropped_too_and_counted() {
-    if !inside(concat!(module_path!(), "::what_is_sent_while_the_queue_drains_is_dropped_too_and_counted"), "-Urn") {
+fn messages_are_dropped_and_counted_until_the_queue_is_empty() {
+    if !inside(concat!(module_path!(), "::messages_are_dropped_and_counted_until_the_queue_is_empty"), "-Urn") {
         return;
     }
     let mut listener = listen(32 * 1024, Some(CN_IDX));
@@ -187,9 +187,9 @@ fn refusals_say_what_to_do() {
 }
 
 #[test]
-fn a_missing_capability_is_said_with_its_remedy() {
+fn a_missing_capability_is_reported_with_its_remedy() {
     // Without -r the user is mapped to nobody, and exec takes the new namespace's capabilities away.
-    if !inside(concat!(module_path!(), "::a_missing_capability_is_said_with_its_remedy"), "-Un") {
+    if !inside(concat!(module_path!(), "::a_missing_capability_is_reported_with_its_remedy"), "-Un") {
         return;
     }
     let status = std::fs::read_to_string("/proc/self/status").unwrap();

@@ -149,7 +149,7 @@ fn a_port_that_is_unplugged_and_plugged_in_again() {
 }
 
 #[test]
-fn what_is_no_port_is_refused() {
+fn files_that_are_no_port_are_refused() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let refused = Serial::open(folder.to_owned(), 50.0, None, Instant::ZERO, wall_us).err().unwrap();
     assert!(refused.to_string().contains("no serial port"));

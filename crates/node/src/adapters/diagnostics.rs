@@ -1,4 +1,5 @@
-//! The state of the robot as `rqt_robot_monitor` and Foxglove show it: card, odometry, each peer, the program, and the acceptance claims.
+//! The state of the robot for `rqt_robot_monitor` and Foxglove: card, odometry, each peer, the program, and the
+//! acceptance claims.
 
 use super::Robot;
 use crate::config::{Capture, Config};
@@ -34,7 +35,7 @@ fn status(
     }
 }
 
-/// The acceptance claims of this robot; clones share what the last look found.
+/// The acceptance claims of this robot; clones share the last findings.
 #[derive(Clone)]
 pub(super) struct Claims {
     test: SelfTest,
@@ -55,7 +56,7 @@ impl Claims {
         self_test(&self.robot, &self.test.judge())
     }
 
-    /// Takes the records of the machine. With `is_published`, judges them in each window, on a thread of its own.
+    /// Collects the machine's records. With `is_published`, judges them in each window, on a separate thread.
     pub fn attach(&self, machine: &mut Machine, is_published: bool) {
         machine.add_tap(self.test.tap());
         if is_published {
@@ -73,7 +74,7 @@ impl Claims {
         }
     }
 
-    /// All parts of the state, and what the last look found.
+    /// All parts of the state, and the last findings.
     pub fn diagnostics(&self, header: Header, health: &Health) -> DiagnosticArray {
         let mut told = of(header, health);
         told.status.push(claims(&self.robot, &self.last.lock().unwrap_or_else(PoisonError::into_inner)));
@@ -110,7 +111,7 @@ fn of(header: Header, health: &Health) -> DiagnosticArray {
         let good = |state| matches!(state, PeerState::Bearing | PeerState::Held | PeerState::NotYet);
         let (level, words) = match &peer.report {
             Some(report) => (if good(report.state) { WELL } else { WARNING }, report.words.clone()),
-            None => (STALE, "nothing was said of it yet".into()),
+            None => (STALE, "no report yet".into()),
         };
         let words = if words.is_empty() { format!("{:.0} exchanges a second", peer.pairs_hz) } else { words };
         let values = [
@@ -148,7 +149,7 @@ fn with(found: &[Found], verdict: Verdict) -> Vec<&Found> {
     found.iter().filter(|(_, finding)| finding.verdict == verdict).collect()
 }
 
-/// One claim: stale where it was not tried.
+/// One claim; stale if it was not tried.
 fn claim(robot: &str, found: &Found) -> DiagnosticStatus {
     let Finding { verdict, found: words, .. } = &found.1;
     let (level, message) = match verdict {
@@ -160,10 +161,10 @@ fn claim(robot: &str, found: &Found) -> DiagnosticStatus {
     DiagnosticStatus { level, name, message, hardware_id: robot.to_owned(), values: Vec::new() }
 }
 
-/// Claims of an answer at most: more do not fit into a datagram, so those that fail are told alone.
+/// Most claims in an answer: more do not fit into a datagram, so only failed ones are sent.
 const CLAIMS: usize = 250;
 
-/// The answer of the service `self_test`: passed where some claim holds and none fails.
+/// The answer of the service `self_test`: passed if some claim holds and none fails.
 fn self_test(robot: &str, found: &[Found]) -> SelfTestResponse {
     let size = found.len();
     let passed = with(found, Verdict::Fails).is_empty() && !with(found, Verdict::Holds).is_empty();
@@ -172,7 +173,7 @@ fn self_test(robot: &str, found: &[Found]) -> SelfTestResponse {
     SelfTestResponse { id: robot.to_owned(), passed: Byte(passed.into()), status }
 }
 
-/// All claims as one part, with what was found of those that fail.
+/// All claims as one part, with the findings of failed ones.
 fn claims(robot: &str, found: &[Found]) -> DiagnosticStatus {
     let (failed, holds) = (with(found, Verdict::Fails), with(found, Verdict::Holds).len());
     let names: Vec<String> = failed.iter().map(|found| name_of(found)).collect();

@@ -13,9 +13,9 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Lines that wait at most for a reader that is slow or stands still; further ones are lost and counted.
+/// Limit of lines that wait for a slow reader; further ones are lost and counted.
 const LINES: usize = 1_024;
-/// At the end so long is waited for them.
+/// Time to wait for them at the end.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
 /// A published line.
@@ -23,7 +23,7 @@ const LAST_LINES: Duration = Duration::from_secs(1);
 struct Line<'a> {
     /// How long the estimate took, milliseconds.
     took_ms: Option<f64>,
-    /// How long ago the last record in it was taken, milliseconds.
+    /// Age of the last record in it, milliseconds.
     latency_ms: Option<f64>,
     #[serde(flatten)]
     report: &'a PeerReport,
@@ -50,7 +50,7 @@ impl Adapter for Lines {
     }
 }
 
-/// Lines of JSON, written on a thread of their own: whoever reads them cannot hold up the robot.
+/// Lines of JSON, written on a separate thread, so that a reader cannot delay the robot.
 struct Lines {
     writer: Option<Writer>,
     counts: Arc<LineCounts>,
@@ -90,14 +90,14 @@ impl Lines {
         let (written, done) = sync_channel(0);
         let shared = Arc::clone(&counts);
         let write = move || {
-            // Each at once: a reader waits for it, and a kill must not take it.
+            // Written at once: a reader waits for it, and a kill must not lose it.
             for line in waiting {
                 let error = to.write_all(line.as_bytes()).and_then(|()| to.flush()).err();
                 shared.lost.fetch_add(u64::from(error.is_some()), Ordering::Relaxed);
                 *shared.refused.lock().unwrap_or_else(PoisonError::into_inner) = error.map(|error| error.to_string());
                 shared.waiting.fetch_sub(1, Ordering::Relaxed);
             }
-            // Whoever waits for the end may open the file again.
+            // The waiting side may open the file again.
             drop(to);
             drop(written);
         };
@@ -107,7 +107,7 @@ impl Lines {
         Ok(Self { writer: Some(Writer { lines, done }), counts })
     }
 
-    /// Hands over one value as one line, and never waits.
+    /// Hands over one value as one line, without waiting.
     pub fn write(&mut self, value: &impl serde::Serialize) {
         let Some(writer) = &self.writer else { return };
         self.counts.waiting.fetch_add(1, Ordering::Relaxed);
@@ -123,14 +123,14 @@ impl Lines {
         self.counts.lost.load(Ordering::Relaxed)
     }
 
-    /// What refuses the lines, in words.
+    /// The error of writing, in words.
     fn trouble(&self) -> Option<String> {
         let refused = self.counts.refused.lock().unwrap_or_else(PoisonError::into_inner);
         let words = |why| format!("bearings are not written ({why}): see `output.bearings`; `lines_lost` counts them");
         refused.as_ref().map(words)
     }
 
-    /// Waits for what is still to be written, but not for ever. Gives the lines that were not.
+    /// Waits a limited time for the remaining lines. Returns the number that was not written.
     pub fn end(&mut self) -> u64 {
         if let Some(Writer { lines, done }) = self.writer.take() {
             drop(lines);
@@ -142,7 +142,7 @@ impl Lines {
     }
 }
 
-/// A file under a lock. The lock ends with this value, even if a process that is just being started holds a copy of the descriptor.
+/// A file under a lock. The lock ends with this value, even if a starting process holds a copy of the descriptor.
 struct Appended(File);
 
 impl Write for Appended {
@@ -162,8 +162,8 @@ impl Drop for Appended {
     }
 }
 
-/// Opens what lines are added to. A pipe without a reader is refused: it would be waited for, and signals with it. So is a file
-/// that another node writes.
+/// Opens the output. Refuses a pipe without a reader, which would block the program and its signals, and a file that
+/// another node writes.
 fn append_to(path: &str) -> std::io::Result<File> {
     let file = File::options().append(true).create(true).custom_flags(nix::libc::O_NONBLOCK).open(path);
     let is_socket = || std::fs::metadata(path).is_ok_and(|there| there.file_type().is_socket());
@@ -179,7 +179,7 @@ fn append_to(path: &str) -> std::io::Result<File> {
     if is_file && matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
         return Err(std::io::Error::other("another node writes it: stop that one, or give `bearings` another name"));
     }
-    // A reader that is slow is waited for, by the thread that writes.
+    // The writing thread waits for a slow reader.
     nix::fcntl::fcntl(&file, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_APPEND))?;
     Ok(file)
 }
@@ -188,7 +188,7 @@ fn append_to(path: &str) -> std::io::Result<File> {
 mod tests {
     use super::*;
 
-    /// A reader that takes nothing until it is let go.
+    /// A reader that reads nothing until it is released.
     struct Stuck(Receiver<()>);
 
     impl Write for Stuck {
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_the_disk_refuses_are_counted_and_said_with_why() {
+    fn lines_that_the_disk_refuses_are_counted_and_explained() {
         let mut lines = Lines::open(&Output { bearings: "/dev/full".into(), ..Output::default() }).unwrap();
         assert_eq!(lines.trouble(), None);
         (0..3).for_each(|k| lines.write(&k));

@@ -1,4 +1,4 @@
-//! What a node speaks, behind one trait: poses come in; records, bearings and the state go out; services are answered.
+//! The protocols of a node, behind one trait: poses in; records, bearings and the state out; services.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -30,19 +30,18 @@ use driver_iface::Mac;
 use std::sync::Arc;
 use tokio::sync::Notify;
 
-/// Something that a node speaks. It is made before any source is opened and dropped after the machine has ended, both outside
-/// of tokio; what it waits for it waits for on threads of its own, or in a task that [`Adapter::attach`] spawns. Nothing here
-/// may wait: what cannot be handed over at once is lost, and counted.
+/// A protocol of a node. It is made before any source is opened and dropped after the machine has ended, both outside
+/// of tokio; it waits on its own threads, or in a task that [`Adapter::attach`] spawns. No method may wait: data that
+/// cannot be handed over at once are lost and counted.
 ///
-/// The calls come in the order in which they stand here.
+/// The methods are called in this order.
 pub trait Adapter {
-    /// The poses that `odometry` names, if they are this adapter's; `usual` is the time that is taken for theirs unless it
-    /// says which.
+    /// The poses that `odometry` names, if they are this adapter's; `usual` is their default time stamp.
     fn poses(&mut self, _odometry: &Odometry, _usual: Stamp) -> Option<Poses> {
         None
     }
 
-    /// This robot and its peers are known: what is published of them can be announced. No log has been begun.
+    /// This robot and its peers are known, so outputs can be announced. No log has been started.
     ///
     /// # Errors
     /// If it cannot go on.
@@ -50,7 +49,7 @@ pub trait Adapter {
         Ok(())
     }
 
-    /// Gives the machine what comes of peers, and what takes its records and poses. Called inside tokio.
+    /// Connects peers' data to the machine, and receivers of its records and poses. Called inside tokio.
     ///
     /// # Errors
     /// If it cannot go on.
@@ -58,16 +57,16 @@ pub trait Adapter {
         Ok(())
     }
 
-    /// Publishes what is said of a peer.
+    /// Publishes a report about a peer.
     fn report(&mut self, _said: &Said<'_>) {}
 
-    /// Adds to the state what was counted and what is wrong.
+    /// Adds counts and problems to the state.
     fn look(&mut self, _health: &mut Health) {}
 
-    /// Publishes the state, to which all have added theirs.
+    /// Publishes the complete state.
     fn tell(&mut self, _health: &Health, _machine: &Machine) {}
 
-    /// Publishes the last report of each peer, and adds to the state what was not published.
+    /// Publishes the last report of each peer, and adds losses to the state.
     fn finish(&mut self, _last: &[PeerReport], _health: &mut Health) {}
 }
 
@@ -79,7 +78,7 @@ pub struct Start<'a> {
     pub name: &'a str,
     /// Reads the host's wall clock, microseconds since the Unix epoch.
     pub wall_us: fn() -> Option<i64>,
-    /// Notified when something came that the machine should take.
+    /// Notified when there is input for the machine.
     pub wake: Arc<Notify>,
 }
 
@@ -112,9 +111,9 @@ type Made = Result<Option<Box<dyn Adapter>>, Error>;
 /// A kind of adapter.
 struct Kind {
     name: &'static str,
-    /// Makes one, if the configuration asks for it.
+    /// Makes one, if the configuration requests it.
     make: fn(&Start<'_>) -> Made,
-    /// Why what the configuration asks for cannot be made, as far as that is seen without making it.
+    /// Why it cannot be made, as far as that shows without making it.
     refusal: fn(&Config) -> Option<String>,
 }
 
@@ -136,7 +135,7 @@ const BUILT: &[Kind] = &[
     Kind::new("status", status::make),
 ];
 
-/// Makes all that the configuration asks for.
+/// Makes all adapters that the configuration requests.
 ///
 /// # Errors
 /// Those of each.
@@ -144,13 +143,13 @@ pub fn make(start: &Start<'_>) -> Result<Vec<Box<dyn Adapter>>, Error> {
     BUILT.iter().filter_map(|kind| (kind.make)(start).transpose()).collect()
 }
 
-/// What the adapter `name` needs, if it is not in this program.
+/// The feature that the adapter `name` needs, if this program lacks it.
 pub(crate) fn missing(name: &str) -> Option<String> {
     let is_here = BUILT.iter().any(|kind| kind.name == name);
     (!is_here).then(|| format!("needs a program built with `--features {name}`"))
 }
 
-/// Why an adapter that the configuration asks for cannot be made, as far as it says so itself.
+/// Why a requested adapter cannot be made, by its own check.
 pub(crate) fn refusal(config: &Config) -> Option<String> {
     BUILT.iter().find_map(|kind| (kind.refusal)(config))
 }

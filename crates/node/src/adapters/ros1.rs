@@ -1,6 +1,6 @@
-//! ROS 1 through rospy: a bridge in Python (`packaging/ros1/bridge.py`, which is in this program) that is a node of the master, and
-//! to which lines of JSON go and from which they come. A library of ROS 1 would be three hundred crates and OpenSSL; where
-//! there is a master there is rospy.
+//! ROS 1 through rospy: a bridge in Python (`packaging/ros1/bridge.py`, embedded in this program) that is a node of the
+//! master and exchanges lines of JSON. A library for ROS 1 would need three hundred crates and OpenSSL; machines with a
+//! master have rospy.
 
 use super::diagnostics::Claims;
 use super::{Adapter, Made, Robot, Said, Start};
@@ -31,7 +31,7 @@ use std::time::Duration;
 
 /// The bridge.
 const BRIDGE: &str = include_str!("../../../../packaging/ros1/bridge.py");
-/// The messages that it makes, with what they are made of.
+/// Its messages with their definitions.
 const BEARING: &str = include_str!("../../../../packaging/ros/csi5300_msgs/msg/Bearing.msg");
 const CSI: &str = include_str!("../../../../packaging/ros/csi5300_msgs/msg/Csi.msg");
 const HEADER: &str = "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n";
@@ -44,16 +44,16 @@ const KEY_VALUE: &str = "MSG: diagnostic_msgs/KeyValue\nstring key\nstring value
 /// Pythons that may have rospy: Noetic's and Debian's, then Melodic's.
 const PYTHONS: [&str; 3] = ["python3", "python2", "python"];
 
-/// Lines that wait for the bridge at most; further ones are lost and counted.
+/// Limit of lines that wait for the bridge; further ones are lost and counted.
 const QUEUE: usize = 1_024;
-/// Calls of the service that wait for their answer at most; further ones end without one.
+/// Limit of waiting service calls; further ones get no answer.
 const CALLS: usize = 4;
 /// Bytes of a line of the bridge at most.
 const LINE: u64 = 1 << 16;
-/// Pause before a bridge that ended is started again, and looks at whether it is to end within it.
+/// Pause before a bridge is restarted, and checks for the end within it.
 const RETRY: Duration = Duration::from_millis(50);
 const RETRIES: u32 = 20;
-/// Looks at whether a bridge that is to end has ended, and the time between them.
+/// Checks for the end of a bridge, and the time between them.
 const FAREWELLS: u32 = 100;
 const FAREWELL: Duration = Duration::from_millis(20);
 
@@ -89,7 +89,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
 struct Ros1 {
     settings: Ros,
     publishes: bool,
-    /// What the claims are made of.
+    /// The input of the claims.
     config: Config,
     /// Nothing without a table `[ros]`.
     claims: Option<Claims>,
@@ -116,7 +116,7 @@ fn type_name(kind: Kind) -> &'static str {
 }
 
 impl Ros1 {
-    /// What the bridge is told first.
+    /// The first line to the bridge.
     fn settings_line(&self) -> String {
         let topic = |topic: &str, kind: &str| json!({ "topic": topic, "type": kind });
         let reads: Vec<Value> = self.reads.iter().map(|(inbox, kind)| topic(inbox.topic(), type_name(*kind))).collect();
@@ -236,7 +236,7 @@ impl Tap for Card {
 /// Answers a call of the service `self_test`.
 type Answer = Box<dyn Fn() -> SelfTestResponse + Send>;
 
-/// What the threads of a bridge share.
+/// State shared by the threads of a bridge.
 struct Shared {
     /// By topic: messages handed to the bridge while it had a master, and others.
     counts: Vec<[AtomicU64; 2]>,
@@ -264,7 +264,7 @@ impl Shared {
         *lock(&self.trouble) = trouble;
     }
 
-    /// Ends the bridge, which has no input any more: in order, if it takes no longer than it may.
+    /// Ends the bridge after its input was closed, by force after a time limit.
     fn end(&self) {
         let Some(mut child) = lock(&self.child).take() else { return };
         for _ in 0..FAREWELLS {
@@ -278,7 +278,7 @@ impl Shared {
     }
 }
 
-/// Where messages are put to be published.
+/// The queue of messages to publish.
 #[derive(Clone)]
 struct Outbox {
     lines: SyncSender<(usize, String)>,
@@ -286,7 +286,7 @@ struct Outbox {
 }
 
 impl Outbox {
-    /// Hands a message over, and never waits. It is lost, and counted, while there is no master.
+    /// Hands over a message without waiting. It is lost and counted while there is no master.
     fn put(&self, topic: usize, message: &impl serde::Serialize) {
         let line = || Some(format!("{}\n", json!({ "to": topic, "message": serde_json::to_value(message).ok()? })));
         let taken = self.shared.is_connected.load(Ordering::Relaxed)
@@ -297,14 +297,14 @@ impl Outbox {
     }
 }
 
-/// A bridge in a process of its own, started again when it ends. It leaves the master when this is dropped.
+/// A bridge in a separate process, restarted when it ends. It leaves the master when this is dropped.
 struct Bridge {
     outbox: Outbox,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Bridge {
-    /// Tries the `commands` one after the other; each is told `settings` first.
+    /// Tries the `commands` one after the other; each gets `settings` first.
     fn start(
         commands: Vec<Vec<String>>,
         settings: String,
@@ -351,17 +351,17 @@ impl Drop for Bridge {
     }
 }
 
-/// Writes what waits to the bridge that there is.
+/// Writes the waiting lines to the current bridge.
 fn write(waiting: &Receiver<(usize, String)>, shared: &Shared) {
     for (topic, line) in waiting {
-        // Not held while it is written: a bridge that takes nothing must not keep others from ending it.
+        // Not held while writing: a bridge that reads nothing must not block its end.
         let input = lock(&shared.input).as_ref().and_then(|input| input.as_fd().try_clone_to_owned().ok());
         let written = input.is_some_and(|input| File::from(input).write_all(line.as_bytes()).is_ok());
         shared.count(topic, !written);
     }
 }
 
-/// Answers calls, one after the other. One whose answer finds no room has none.
+/// Answers calls, one after the other. An answer without room is dropped.
 fn answer_calls(called: &Receiver<u64>, answer: &Answer, lines: &SyncSender<(usize, String)>) {
     for call in called {
         // It is no message of a topic.
@@ -376,7 +376,7 @@ struct Hearing {
     wall_us: fn() -> Option<i64>,
 }
 
-/// Starts bridges, and hears them, until it is over.
+/// Starts bridges and reads from them until the end.
 fn work(commands: &[Vec<String>], settings: &str, hearing: &Hearing, shared: &Shared) {
     for command in commands.iter().cycle() {
         let why = match spawn(command, settings, shared) {
@@ -393,7 +393,7 @@ fn work(commands: &[Vec<String>], settings: &str, hearing: &Hearing, shared: &Sh
     }
 }
 
-/// Starts a bridge and tells it what it is to do; gives what it says, and the thread that keeps its last complaint.
+/// Starts a bridge and sends its settings; returns its output, and the thread that keeps its last error.
 fn spawn(command: &[String], settings: &str, shared: &Shared) -> std::io::Result<(ChildStdout, JoinHandle<String>)> {
     let (program, arguments) = command.split_first().ok_or(ErrorKind::InvalidInput)?;
     let pipe = Stdio::piped;
@@ -410,7 +410,7 @@ fn spawn(command: &[String], settings: &str, shared: &Shared) -> std::io::Result
         last
     };
     let complaints = std::thread::Builder::new().name("csi5300 ros said".into()).spawn(keep)?;
-    // One that ended at once says why.
+    // If it ended at once, its last error is the reason.
     let _ = input.write_all(settings.as_bytes());
     if !shared.over.load(Ordering::Relaxed) {
         *lock(&shared.input) = Some(input);
@@ -426,7 +426,7 @@ fn each_line(from: impl Read, mut used: impl FnMut(&[u8])) {
     }
 }
 
-/// What comes from the bridge, until it ends; why it did.
+/// Reads from the bridge until it ends; returns the reason.
 fn hear(output: ChildStdout, complaints: JoinHandle<String>, hearing: &Hearing, shared: &Shared) -> String {
     each_line(output, |line| {
         if let Ok(told) = serde_json::from_slice::<Told>(line) {
@@ -445,11 +445,11 @@ fn hear(output: ChildStdout, complaints: JoinHandle<String>, hearing: &Hearing, 
 enum Told {
     /// A pose.
     Pose { topic: usize, stamp: (u32, u32), frame: String, position: [f64; 3], orientation: [f64; 4] },
-    /// How it stands with the master.
+    /// The state of the connection to the master.
     State { connections: u64, trouble: Option<String>, wrong: Option<Vec<Option<String>>> },
     /// A call of the service `self_test`.
     Asked { asked: u64 },
-    /// A pose of which some number is none.
+    /// A pose with a number that is not finite.
     Unreadable { topic: usize },
 }
 
@@ -540,7 +540,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_what_the_shipped_messages_say() {
+    fn written_fields_match_the_shipped_messages() {
         for (text, message) in [
             (BEARING, serde_json::to_value(csi5300_bag::messages::own::Bearing::default()).unwrap()),
             (CSI, serde_json::to_value(Csi::default()).unwrap()),

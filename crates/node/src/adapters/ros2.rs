@@ -18,7 +18,7 @@ use driver_iface::record::Record;
 struct Ros2 {
     node: Node,
     wall_us: fn() -> Option<i64>,
-    /// What is published beside the poses that are read: nothing without a table `[ros2]`.
+    /// The outputs; none without a table `[ros2]`.
     parameters: Option<Vec<(&'static str, ParameterValue)>>,
     publishes_diagnostics: bool,
     diagnostics: Option<Publisher<DiagnosticArray>>,
@@ -107,7 +107,7 @@ impl Tap for Card {
     fn pose(&mut self, _: Option<Pose>) {}
 }
 
-/// What of the configuration `ros2 param get` gives.
+/// The parameters for `ros2 param get`.
 fn parameters(config: &Config) -> Vec<(&'static str, ParameterValue)> {
     let words = |text: String| ParameterValue { r#type: 4, string_value: text, ..ParameterValue::default() };
     let number = |value: f64| ParameterValue { r#type: 3, double_value: value, ..ParameterValue::default() };

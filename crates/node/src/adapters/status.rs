@@ -19,7 +19,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 /// Readers of the state at a time.
 const READERS: usize = 16;
-/// A reader that takes nothing for so long is let go.
+/// A reader that reads nothing for this time is disconnected.
 const STUCK: Duration = Duration::from_secs(10);
 /// Pause when no more connections can be accepted.
 const NO_DESCRIPTORS: Duration = Duration::from_millis(500);
@@ -51,7 +51,7 @@ impl Adapter for Status {
     }
 }
 
-/// The status socket: every connection gets the state as one line of JSON a look.
+/// The status socket: every connection gets each state as one line of JSON.
 struct StatusSocket {
     path: PathBuf,
     /// Until it is served.
@@ -60,13 +60,13 @@ struct StatusSocket {
 }
 
 impl StatusSocket {
-    /// Listens. A socket that a dead process left is taken over; a living one's is not.
+    /// Listens. Takes over the socket of a dead process, but not of a living one.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let io = |source| Error::Io { what: format!("cannot listen on {}", path.display()), source };
         make_way(path)?;
         let listener = std::os::unix::net::UnixListener::bind(path).map_err(io)?;
         listener.set_nonblocking(true).map_err(io)?;
-        // This user and its group may look; nothing is ever read from it.
+        // This user and its group may read; nothing is read from them.
         std::fs::set_permissions(path, Permissions::from_mode(0o660)).map_err(io)?;
         let (told, _) = watch::channel(Arc::from(""));
         Ok(Self { path: path.to_owned(), listener: Some(listener), told })
@@ -87,7 +87,7 @@ impl StatusSocket {
     }
 }
 
-/// Removes a socket on which nobody listens any more, and nothing else.
+/// Removes an abandoned socket, but no other file.
 fn make_way(path: &Path) -> Result<(), Error> {
     let name = path.display();
     let Ok(there) = std::fs::symlink_metadata(path) else { return Ok(()) };
@@ -123,7 +123,7 @@ async fn accept(listener: UnixListener, states: watch::Receiver<Arc<str>>) {
                     drop(tokio::spawn(serve(stream, states.clone(), place)));
                 }
             }
-            // Out of descriptors: it would fail again at once.
+            // Out of descriptors: another try would fail at once.
             Err(_) => tokio::time::sleep(NO_DESCRIPTORS).await,
         }
     }
@@ -163,7 +163,7 @@ impl StatusText {
         }
     }
 
-    /// Takes the line away, before other words.
+    /// Clears the line before other output.
     pub fn clear(&self) {
         if self.shown && self.terminal {
             let _ = std::io::stderr().write_all(b"\r\x1b[K");
@@ -209,7 +209,7 @@ mod tests {
                 assert_eq!(read(readers.last_mut().unwrap()).await, 2);
             }
             assert_eq!(read(&mut UnixStream::connect(&path).await.unwrap()).await, 0, "no place is left");
-            // One that goes makes room: that it went is seen when it is next written to.
+            // A closed connection is noticed at the next write.
             drop(readers.pop());
             while read(&mut UnixStream::connect(&path).await.unwrap()).await == 0 {
                 socket.tell(&7);

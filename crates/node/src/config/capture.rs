@@ -1,4 +1,4 @@
-//! Where this robot's records come from.
+//! The source of this robot's records.
 
 use super::robots::Odometry;
 use super::values::{one, positive};
@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-/// Where records come from.
+/// Sources of records.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Capture {
@@ -33,7 +33,7 @@ pub enum Capture {
 pub struct Card {
     /// Connector index of the driver, instead of looking for it.
     pub connector_index: Option<u32>,
-    /// Believe messages of other programs too: emulators, `replay --connector`.
+    /// Accept messages of other programs too: emulators, `replay --connector`.
     pub allow_user_sender: bool,
 }
 
@@ -77,7 +77,7 @@ pub struct Room {
     /// Times real time.
     #[serde(default = "one", deserialize_with = "positive")]
     pub speed: f64,
-    /// Whose poses the robots go by whose motion in the scene is `followed`.
+    /// The sources of poses for robots whose motion in the scene is `followed`.
     #[serde(default)]
     pub follow: BTreeMap<String, Odometry>,
 }

@@ -21,16 +21,17 @@ pub struct Estimation {
     /// Bearings of each peer a second.
     #[serde(deserialize_with = "positive")]
     pub rate_hz: f64,
-    /// Poses are carried on beyond the last one by at most this, seconds.
+    /// Poses are extrapolated by at most this, seconds.
     pub extrapolate_s: f64,
     /// Largest |elevation| of a peer, degrees; where absent 20 for level motion.
     pub elevation_max_deg: Option<f64>,
     /// Standard deviation of the heading of this robot's poses, degrees; where absent that of its kind of odometry
     /// ([`Config::heading_sd_deg`]).
     pub heading_sd_deg: Option<f64>,
-    /// The posterior on a fine grid; where false, on the coarse grid alone.
+    /// The posterior on a fine grid; if false, on the coarse grid only.
     pub accurate: bool,
-    /// That work is done once in so many seconds for each peer, and when nothing moves any more; 0: for every bearing.
+    /// The complete estimate runs at this interval for each peer, seconds, and when nothing moves any more; 0: for
+    /// every bearing.
     pub accurate_every_s: f64,
 }
 
@@ -59,9 +60,9 @@ impl Estimation {
 }
 
 impl Config {
-    /// Standard deviation of the heading of this robot's poses, degrees, which error bars and confidence hold. Where
-    /// `estimator.heading_sd_deg` does not say it: measured ones of a camera held to its wheels and of wheels with the antenna's
-    /// place known, and 0 of everything else.
+    /// Standard deviation of the heading of this robot's poses, degrees, which error bars and confidence hold. Default
+    /// for `estimator.heading_sd_deg`: measured values for a camera constrained to rolling motion and for wheels with a
+    /// known antenna place, 0 for everything else.
     #[must_use]
     pub fn heading_sd_deg(&self) -> f64 {
         let usual_rad = match self.odometry {

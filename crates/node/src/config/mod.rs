@@ -1,4 +1,4 @@
-//! The configuration of a robot: one TOML file, checked whole before anything starts.
+//! The configuration of a robot: one TOML file, checked completely before anything starts.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -55,7 +55,7 @@ pub struct Config {
     /// Name of this robot; the host's where absent.
     #[serde(default)]
     pub name: Option<String>,
-    /// MAC of this robot's card. In a simulated room the scene says it.
+    /// MAC of this robot's card. In a simulated room the scene's.
     #[serde(default, deserialize_with = "maybe_parsed")]
     pub mac: Option<Mac>,
     /// WiFi channel. In a simulated room the scene's.
@@ -75,8 +75,8 @@ pub struct Config {
     /// The antenna's place on the robot: metres forward, left, up. The room's odometry is the robot's too.
     #[serde(default)]
     pub antenna_offset_m: [f64; 3],
-    /// How this robot carries the tracking camera that its poses are of: they are then held to what its wheels can roll, and
-    /// `antenna_offset_m` is seen from the middle between the wheels.
+    /// The mount of the tracking camera, if the poses are its: they are then constrained to rolling motion, and
+    /// `antenna_offset_m` starts from the middle between the wheels.
     #[serde(default)]
     pub camera_mount: Option<CameraMount>,
     /// How bearings are made.
@@ -118,7 +118,7 @@ impl Config {
         Self::of_file(&Self::text_of(file).map_err(unread)?, file)
     }
 
-    /// The text of a file, as much of it as a configuration can have: of what can be read only once, a pipe, too.
+    /// The text of a file or pipe, up to the limit of a configuration.
     ///
     /// # Errors
     /// If it cannot be read.
@@ -148,7 +148,7 @@ impl Config {
         let Reading { config, table, mut problems, gone, stand_ins } = Reading::of(text);
         let Some(mut config) = config else { return Err(ConfigError(problems)) };
         config.resolve(folder);
-        // Without its capture nearly every rule would be of the stand-in.
+        // Without a capture nearly every rule would judge the stand-in.
         if !stand_ins.contains("capture") {
             let lines = TomlLines::of_table(text, table);
             let read: Vec<Option<usize>> = problems.iter().map(|problem| problem.line).collect();
@@ -216,7 +216,7 @@ impl Config {
         bag.for_each(|bag| *bag = folder.join(&*bag));
         let key = self.sounding.iter_mut().filter_map(|sounding| sounding.key.as_mut());
         key.for_each(|key| *key = folder.join(&*key));
-        // Neither nowhere nor standard output.
+        // A file, not standard output or none.
         if !["", "-"].contains(&self.output.bearings.as_str()) {
             self.output.bearings = folder.join(&self.output.bearings).to_string_lossy().into_owned();
         }

@@ -6,9 +6,9 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Log {
-    /// The file, `.dat`; later starts get a number behind its name.
+    /// The file, `.dat`; later starts append a number to its name.
     pub file: PathBuf,
-    /// Go on in a new file before this size, MiB; more than 0.
+    /// Continue in a new file before this size, MiB; more than 0.
     #[serde(default)]
     pub rotate_mib: Option<u64>,
     /// With a checksum of each record in the side file.
@@ -26,9 +26,9 @@ pub struct Output {
     pub status_socket: Option<PathBuf>,
     /// One line of state on standard error: on a terminal (`auto`), `always` or `never`.
     pub status_line: StatusLine,
-    /// Where Foxglove's viewers connect: `127.0.0.1:8765` is what they ask for (feature `foxglove`).
+    /// The address for Foxglove's viewers; their default is `127.0.0.1:8765` (feature `foxglove`).
     pub foxglove: Option<std::net::SocketAddr>,
-    /// Web pages from which viewers come, beside Foxglove's own and those of this machine: `https://lichtblick.lab`.
+    /// Further web pages that may connect, beside Foxglove's and those of this machine: `https://lichtblick.lab`.
     pub foxglove_origins: Vec<String>,
 }
 
@@ -66,15 +66,14 @@ pub struct Network {
     pub zenoh: Option<PathBuf>,
     /// Endpoints to connect to, such as `tcp/192.168.1.10:7447`, beside those that are discovered.
     pub connect: Vec<String>,
-    /// Endpoints to listen on; a port of this machine that only its own programs reach where there are none here, and
-    /// nobody is asked for a password or a certificate.
+    /// Endpoints to listen on. Without any, and without passwords or certificates: a local port.
     pub listen: Vec<String>,
-    /// Anybody who reaches this network may take part: publish as any robot, and read everything.
+    /// Anybody who reaches this network may join, publish as any robot, and read everything.
     pub insecure: bool,
     /// Publish this robot's records.
     pub publish_records: bool,
     /// Publish this robot's poses.
     pub publish_poses: bool,
-    /// Records of a peer that wait at most; further ones are lost and counted.
+    /// Limit of a peer's waiting records; further ones are lost and counted.
     pub backlog: Option<usize>,
 }

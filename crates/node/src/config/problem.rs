@@ -1,18 +1,18 @@
-//! What is wrong with a configuration.
+//! Problems of a configuration.
 
 use std::fmt::Display;
 
-/// Everything that is wrong with a configuration.
+/// All problems of a configuration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
 pub struct ConfigError(pub Vec<Problem>);
 
-/// One thing that is wrong.
+/// One problem.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
     /// Line, from 1, where there is one.
     pub line: Option<usize>,
-    /// What is wrong, and what would be right.
+    /// The problem and its remedy.
     pub reason: String,
 }
 

@@ -1,4 +1,4 @@
-//! A configuration read with everything that is wrong in it: what cannot be read is taken out, and the rest is read again.
+//! Reads a configuration and collects all its problems: unreadable parts are removed, and the rest is read again.
 
 use super::{Config, Problem};
 use csi5300_sim::toml_lines::line_of;
@@ -8,25 +8,25 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// Problems said at most: a file with more is another kind of file.
+/// Limit of reported problems: a file with more is another kind of file.
 const MOST: usize = 64;
-/// What stands for a needed key that is missing or wrong, so that the rest can be read. A configuration with it is refused.
+/// Stand-ins for missing or wrong keys, so that the rest can be read. A configuration with one is refused.
 const STAND_INS: &str = "channel = \"108\"\ncapture.card = {}\n";
 
 /// A configuration as far as it can be read.
 pub(super) struct Reading<'t> {
-    /// None where nothing is left to be checked further.
+    /// None if nothing is left to check.
     pub config: Option<Config>,
     /// What of the text was read.
     pub table: DeTable<'t>,
     pub problems: Vec<Problem>,
-    /// Keys of the file's own table of which something could not be read.
+    /// Top-level keys with unreadable parts.
     pub gone: BTreeSet<String>,
-    /// Those of them in whose place something stands that the file does not have.
+    /// Those that were replaced by stand-ins.
     pub stand_ins: BTreeSet<String>,
 }
 
-/// Something that was taken out.
+/// A removed part.
 struct Cut {
     /// The span of the table that it was in, and its key there.
     within: Range<usize>,
@@ -60,7 +60,7 @@ impl<'t> Reading<'t> {
                 };
             let missing = missing_key(error.message()).map(str::to_owned);
             let span = error.span().unwrap_or(whole.clone());
-            // What is missing because it was taken out, or because all of a choice was.
+            // Missing because it, or all alternatives, were removed.
             let is_empty = error.message().starts_with("wanted exactly 1 element");
             let was_cut = |cut: &Cut| cut.within == span && (is_empty || missing.as_ref() == Some(&cut.key));
             if !cuts.iter().any(was_cut) {
@@ -79,7 +79,7 @@ impl<'t> Reading<'t> {
         reading
     }
 
-    /// Puts a stand-in where a needed key is missing; false if there is none for it.
+    /// Puts a stand-in for a missing key; false if there is none.
     fn stand_in(&mut self, key: &str) -> bool {
         let found = DeTable::parse(STAND_INS).ok().and_then(|mut table| table.get_mut().remove_entry(key));
         found.is_some_and(|(name, value)| {
@@ -90,7 +90,7 @@ impl<'t> Reading<'t> {
     }
 }
 
-/// The known key that an unknown one is nearest to, where one is near: fewer than a third of its letters have to change.
+/// The known key nearest to an unknown one, if fewer than a third of its letters differ.
 fn meant(message: &str) -> Option<&str> {
     let (field, known) =
         ["unknown field `", "unknown variant `"].iter().find_map(|kind| message.strip_prefix(kind))?.split_once('`')?;
@@ -99,13 +99,13 @@ fn meant(message: &str) -> Option<&str> {
     (3 * off <= field.len()).then_some(meant)
 }
 
-/// The key that is missing, where that is what an error says.
+/// The missing key of an error, if any.
 fn missing_key(message: &str) -> Option<&str> {
     message.strip_prefix("missing field `")?.strip_suffix('`')
 }
 
-/// Takes out what an error is of: the value, or the key, of just that span. Gives the key of the outermost table that it is
-/// below, too. What is inside goes first: an array of tables has the span of its first one.
+/// Removes the value or key of an error's span, the innermost first; returns also its top-level key. An array of tables
+/// has the span of its first one.
 fn take_out(table: &mut DeTable<'_>, own: &Range<usize>, span: &Range<usize>) -> Option<(String, Cut)> {
     for (name, value) in table.iter_mut() {
         if let Some((_, cut)) = take_out_below(value, span) {

@@ -8,7 +8,7 @@ use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::path::PathBuf;
 
-/// Where poses come from.
+/// Sources of poses.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Odometry {
@@ -45,7 +45,7 @@ pub struct NoKeys {}
 pub struct OpenCr {
     /// The serial port.
     pub port: PathBuf,
-    /// The robot's model; the controller says it where absent.
+    /// The robot's model; by default the controller's.
     #[serde(default)]
     pub model: Option<Model>,
     /// Readings a second.
@@ -124,7 +124,7 @@ pub struct Place {
     pub heading_deg: f64,
 }
 
-/// How a robot with wheels carries its tracking camera.
+/// The mount of a tracking camera on a robot with wheels.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraMount {
@@ -151,15 +151,15 @@ impl CameraMount {
 pub struct Peer {
     /// Its name.
     pub name: String,
-    /// Its MAC; in a simulated room the scene says it.
+    /// Its MAC; in a simulated room the scene's.
     #[serde(default, deserialize_with = "maybe_parsed")]
     pub mac: Option<Mac>,
-    /// The common name of its certificate: only who shows that one may publish as it in the robots' network.
+    /// The common name of its certificate: only its holder may publish as it in the robots' network.
     #[serde(default)]
     pub certificate: Option<String>,
-    /// Where the records of its card come from.
+    /// The source of its card's records.
     pub records: Records,
-    /// Where its poses come from.
+    /// The source of its poses.
     #[serde(default)]
     pub poses: Odometry,
     /// Its antenna's place on it: metres forward, left, up.
@@ -170,7 +170,7 @@ pub struct Peer {
     pub yaw_deg: f64,
 }
 
-/// Where the records of a peer's card come from.
+/// Sources of a peer's records.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Records {
@@ -180,9 +180,10 @@ pub enum Records {
     Room(NoKeys),
     /// The network of the robots.
     Network(NoKeys),
-    /// None: its bearing is made of what this robot hears of it, by the antennas of `[array]`. It need not answer, nor be a robot.
+    /// None: its bearing comes from what this robot hears of it, with the antennas of `[array]`. It need not answer, nor be
+    /// a robot.
     Heard(NoKeys),
-    /// Its answers to this robot's frames, which carry what its card measured of them. No network is needed, but the peer
-    /// must stand: the time of a measurement on its host is not in an answer.
+    /// Its answers to this robot's frames, which carry its card's measurements. No network is needed, but the peer must
+    /// stand, because answers lack the time of its host.
     Sounding(NoKeys),
 }

@@ -12,10 +12,10 @@ use toml::Spanned;
 pub struct Topic {
     /// Its name, from the root: `/tb3_0/odom`.
     pub topic: String,
-    /// What is published on it.
+    /// Its message type.
     #[serde(default, rename = "type")]
     pub kind: Kind,
-    /// What is taken for the time of a pose: the stamp in its header, for a robot that the room follows its receipt.
+    /// The time of a pose: the stamp in its header; for a robot that the room follows, its receipt.
     #[serde(default)]
     pub stamp: Option<Stamp>,
     /// Poses of other frames are refused; without it another frame than that of the first pose is a new frame.
@@ -31,7 +31,7 @@ pub struct Ros {
     pub master: Option<String>,
     /// Name of the node, from which its topics' names begin; `/csi5300_` and the robot's name where absent.
     pub node: Option<String>,
-    /// `frame_id` of what is published: the frame of this robot's poses.
+    /// `frame_id` of outputs: the frame of this robot's poses.
     pub frame: String,
     /// Publish bearings.
     pub publish_bearings: bool,
@@ -46,7 +46,7 @@ impl Default for Ros {
 }
 
 impl Ros {
-    /// The master that is meant.
+    /// The master to use.
     #[must_use]
     pub fn master(&self) -> String {
         let told = || std::env::var("ROS_MASTER_URI").ok().filter(|uri| !uri.is_empty());
@@ -54,7 +54,7 @@ impl Ros {
         master.unwrap_or_else(|| "http://localhost:11311".into()).trim_end_matches('/').to_owned()
     }
 
-    /// The name of the node: that of the robot where none is asked for, or of the room's robot, or the MAC.
+    /// The name of the node: the configured one, or that of the robot or of the room's robot, or the MAC.
     #[must_use]
     pub fn node(&self, config: &Config) -> String {
         self.node.clone().unwrap_or_else(|| format!("/csi5300_{}", name_part(&config.robot())))
@@ -68,7 +68,7 @@ pub fn name_part(name: &str) -> String {
     name.chars().map(plain).collect()
 }
 
-/// What is wrong with a name of a node or topic: it begins at the root, and its parts are letters, digits and `_`.
+/// The problem of a name of a node or topic: it must start at the root, with parts of letters, digits and `_`.
 fn wrong_name(name: &str) -> Option<String> {
     let part = |part: &str| {
         part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
@@ -78,11 +78,11 @@ fn wrong_name(name: &str) -> Option<String> {
     (!good).then(|| format!("`{name}` is no name in ROS: one looks like /tb3_0/odom"))
 }
 
-/// What is wrong with poses from a topic, of this robot, of a peer, or of a robot that the room follows: the key below
-/// `ros`, if it is one, and why.
+/// The problem of poses from a topic, of this robot, of a peer, or of a robot that the room follows: the key below
+/// `ros`, if any, and the reason.
 pub(super) fn wrong_topic(topic: &Topic, peers: bool) -> Option<(Option<&'static str>, String)> {
     if peers && topic.stamp == Some(Stamp::Receipt) {
-        // How far a peer's clock is ahead is taken from the exchanges, and applied to its poses.
+        // The exchanges give a peer's clock offset, which is applied to its poses.
         Some((Some("stamp"), "a peer's poses have the times of its own clock: `stamp = \"header\"`".into()))
     } else {
         wrong_name(&topic.topic).map(|why| (Some("topic"), why))
@@ -94,14 +94,14 @@ fn wrong_source(room: &Room, odometry: &Odometry) -> Option<String> {
     match odometry {
         Odometry::Csv(csv) if !csv.file.is_file() => Some(format!("there is no trajectory {}", csv.file.display())),
         Odometry::Csv(_) => None,
-        Odometry::Ros(_) if room.speed != 1.0 => Some("topics are of now: `speed = 1`".into()),
+        Odometry::Ros(_) if room.speed != 1.0 => Some("topics are live: use `speed = 1`".into()),
         Odometry::Ros(topic) if topic.stamp == Some(Stamp::Header) => {
-            Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
+            Some("the room uses the times of arrival: `stamp = \"receipt\"`, or none".into())
         }
         Odometry::Ros(topic) => wrong_topic(topic, false).map(|(_, why)| why),
-        Odometry::Ros2(_) if room.speed != 1.0 => Some("topics are of now: `speed = 1`".into()),
+        Odometry::Ros2(_) if room.speed != 1.0 => Some("topics are live: use `speed = 1`".into()),
         Odometry::Ros2(topic) if topic.stamp == Some(Stamp::Header) => {
-            Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
+            Some("the room uses the times of arrival: `stamp = \"receipt\"`, or none".into())
         }
         Odometry::Ros2(topic) => csi5300_ros2::settings::wrong_topic(topic, false).map(|(_, why)| why),
         _ => Some("a robot follows `ros2`, `ros` or `csv`".into()),

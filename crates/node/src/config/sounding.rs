@@ -1,4 +1,4 @@
-//! A robot's part in the sounding exchange, as the file says it.
+//! A robot's part in the sounding exchange, from the file.
 
 use super::values::{hundred, positive};
 use super::{Capture, Config, Records};
@@ -9,8 +9,8 @@ use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
 use std::path::PathBuf;
 
-/// A robot's part in the sounding exchange, in the native dialect, as `csi5300 sound` has it (feature
-/// `live`). The peers are those of the file; what is not said to be this robot's own is the same on all robots.
+/// A robot's part in the sounding exchange, in the native dialect, as `csi5300 sound` has it (feature `live`). The
+/// peers are those of the file; fields not marked as this robot's own must be equal on all robots.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sounding {
@@ -47,7 +47,7 @@ pub struct Sounding {
 }
 
 impl Sounding {
-    /// What the plan is asked for so many peers.
+    /// The request for this number of peers.
     #[must_use]
     pub fn request(&self, peers: usize, bandwidth: Bandwidth) -> Request {
         let links = self.links.unwrap_or(u16::try_from(peers).unwrap_or(u16::MAX));
@@ -60,7 +60,7 @@ impl Sounding {
 }
 
 impl Config {
-    /// What the plan of the sounding exchange is asked, if this robot takes part.
+    /// The request of the sounding exchange, if this robot takes part.
     #[must_use]
     pub fn sounding_request(&self) -> Option<Request> {
         let is_20_mhz = self.channel.width() == Width::Ht20;

@@ -31,7 +31,7 @@ fn a_channel_is_text_or_a_number() {
 }
 
 #[test]
-fn a_room_that_another_program_runs_is_as_few() {
+fn a_served_room_is_configured_in_a_few_lines() {
     let served = ROOM.replace("capture.room = { scene = \"lab-circle\"", "capture.served = { socket = \"s\"");
     let config = Config::read(&served, Path::new("/f")).unwrap();
     let expected = Served { socket: "/f/s".into(), robot: "rx".into() };
@@ -152,8 +152,8 @@ fn robots_of_a_room_follow_what_there_is() {
     assert!(ros::is_used(&topic.unwrap()));
     for (follow, why) in [
         (", follow = { a.ros.topic = \"odom\" }", "no name in ROS"),
-        (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "of now"),
-        (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "at which poses come"),
+        (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "are live"),
+        (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "times of arrival"),
     ] {
         let refused = read(follow).unwrap_err();
         assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
@@ -167,7 +167,7 @@ fn a_node_of_ros_is_checked_like_everything_else() {
                 [ros]\nmaster = \"http://10.0.0.1:11311/\"\n[log]\nfile = \"x.dat\"\n";
     let read = |text: &str| Config::read(text, &std::env::temp_dir()).map_err(|error| error.to_string());
     let in_room = refused(&ROOM.replace("odometry.room = {}", "odometry.ros.topic = \"/odom\""));
-    assert!(in_room.starts_with("line 3: `ros` poses are of now"), "{in_room}");
+    assert!(in_room.starts_with("line 3: `ros` poses are live"), "{in_room}");
     let config = read(card).unwrap();
     assert!(ros::is_used(&config));
     let ros = config.ros.clone().unwrap();
@@ -243,7 +243,7 @@ fn one_wrong_value_does_not_hide_the_others() {
 }
 
 #[test]
-fn a_key_that_was_meant_is_named_and_a_file_may_stand_alone() {
+fn a_misspelt_key_is_suggested_and_a_bare_file_name_works() {
     let all = refused_lines(&ROOM.replace("odometry.room", "odometry.rooom"));
     assert!(all[0].ends_with("; did you mean `room`?"), "{all:#?}");
     let all = refused_lines(&format!("{ROOM}[estimator]\nleast_moton_m = 0.2\nfoo = 1\n"));
@@ -256,7 +256,7 @@ fn a_key_that_was_meant_is_named_and_a_file_may_stand_alone() {
 }
 
 #[test]
-fn what_is_missing_because_it_was_wrong_is_not_said_again() {
+fn a_wrong_key_is_not_also_reported_as_missing() {
     let peers = "[[peer]]\nname = 3\nrecords.rom = {}\n[[peer]]\nname = \"tx\"\nrecords.room = {}\nfoo = 1\n";
     let all = refused_lines(&ROOM.replace("[[peer]]\nname = \"tx\"\nrecords.room = {}\n", peers));
     assert_eq!(all.len(), 3, "{all:#?}");
@@ -271,7 +271,7 @@ fn what_is_missing_because_it_was_wrong_is_not_said_again() {
 }
 
 #[test]
-fn a_scene_that_is_none_is_named_once_with_what_there_is() {
+fn an_unknown_scene_is_named_once_with_the_known_ones() {
     let nowhere = refused(&ROOM.replace("lab-circle", "nosuch"));
     let words =
         "line 2: there is no file nosuch, and no built-in scene of that name: paper-circle, paper-line, lab-circle";

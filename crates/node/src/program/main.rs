@@ -1,4 +1,5 @@
-//! The program `csi5300-node`: the robot's service, and a look at a running one. `csi5300 node` and `csi5300 watch` start it.
+//! The program `csi5300-node`: the robot's service, and a display of a running one. `csi5300 node` and `csi5300 watch`
+//! start it.
 
 #[macro_use]
 extern crate csi5300_say;
@@ -16,10 +17,10 @@ use std::process::ExitCode;
 #[derive(Parser)]
 #[command(name = "csi5300-node", version)]
 struct Cli {
-    /// Say nothing but results and errors: no notes, no progress
+    /// Print results and errors only: no notes, no progress
     #[arg(short, long, global = true, display_order = 900)]
     quiet: bool,
-    /// Also say how long it ran and how much memory it took
+    /// Print run time and memory too
     #[arg(short, long, global = true, conflicts_with = "quiet", display_order = 901)]
     verbose: bool,
     /// Colours in text
@@ -34,10 +35,10 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// The service, as without a command
+    /// Run the service, as without a command
     #[command(hide = true)]
     Node(run::Args),
-    /// A running node in a terminal: peers, rates, losses, bearings on a compass
+    /// Show a running node in a terminal: peers, rates, losses, bearings on a compass
     Watch(watch::Args),
 }
 
@@ -53,9 +54,7 @@ fn main() -> ExitCode {
     };
     csi5300_say::set("csi5300-node", level, cli.color);
     let result = match cli.command {
-        Some(_) if !cli.service.is_empty() => {
-            csi5300_say::usage("options of the service stand behind `node`, or alone")
-        }
+        Some(_) if !cli.service.is_empty() => csi5300_say::usage("put options of the service after `node`"),
         Some(Command::Watch(args)) => watch::run(&args),
         Some(Command::Node(args)) => run::run(&args),
         None => run::run(&cli.service),

@@ -1,14 +1,14 @@
-//! Where a robot's configuration is looked for when none is named.
+//! Default places of a robot's configuration.
 
 use csi5300_node::config::Config;
 use std::path::{Path, PathBuf};
 
-/// Its name in each of the folders.
+/// Its name in each folder.
 const NAME: &str = "robot.toml";
-/// Where a node's state is to be had if no configuration says so.
+/// Default status socket.
 const STATUS_SOCKET: &str = "/run/csi5300/status.sock";
 
-/// The files that are looked for, the first that is there is taken: in this folder, the user's, the machine's.
+/// The possible files, in order: in this folder, the user's, the machine's. The first that exists is used.
 pub fn configurations() -> Vec<PathBuf> {
     let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     let user = variable("XDG_CONFIG_HOME").or_else(|| Some(variable("HOME")?.join(".config")));
@@ -16,7 +16,7 @@ pub fn configurations() -> Vec<PathBuf> {
     std::iter::once(PathBuf::from(NAME)).chain(folders.map(|folder| folder.join(NAME))).collect()
 }
 
-/// The configuration that is meant where none is named.
+/// The default configuration.
 ///
 /// # Errors
 /// If there is none, in words.
@@ -34,7 +34,7 @@ pub fn configuration() -> Result<PathBuf, String> {
     }
 }
 
-/// The status socket of the node that runs by the configuration found, if one names it.
+/// The status socket of the default configuration, if it names one.
 pub fn status_socket() -> PathBuf {
     let found = configurations().into_iter().find(|file| file.is_file());
     let named = found.and_then(|file| Config::load(&file).ok()?.output.status_socket);

@@ -8,8 +8,8 @@ use std::path::PathBuf;
 // Arguments of the service.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The robot's configuration; packaging/robot.toml explains every key. If not given: robot.toml in this folder, in
-    /// ~/.config/csi5300 ($XDG_CONFIG_HOME), or in /etc/csi5300
+    /// The robot's configuration; packaging/robot.toml explains every key [default: robot.toml in this folder, in
+    /// ~/.config/csi5300 ($XDG_CONFIG_HOME), or in /etc/csi5300]
     #[arg(long, value_name = "ROBOT.toml")]
     config: Option<PathBuf>,
     /// Check the configuration, start nothing
@@ -18,7 +18,7 @@ pub struct Args {
 }
 
 impl Args {
-    /// True if nothing was asked for.
+    /// True without any option.
     pub fn is_empty(&self) -> bool {
         self.config.is_none() && !self.check
     }
@@ -28,7 +28,7 @@ impl Args {
 pub fn run(args: &Args) -> Result {
     let found = args.config.clone().map_or_else(super::places::configuration, Ok);
     let file = found.unwrap_or_else(|message| usage(&message));
-    // A file that is missing is no wrong usage, of any command.
+    // A missing file is not wrong usage.
     let text = Config::text_of(&file).map_err(|error| format!("{}: cannot be read: {error}", file.display()))?;
     let config = Config::of_file(&text, &file).unwrap_or_else(|error| {
         let lines: Vec<String> = error.0.iter().map(|problem| format!("{}: {problem}", file.display())).collect();
@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
-/// What a configuration makes the service do, a line each.
+/// The plan of a configuration, one item a line.
 fn what_will_run(config: &Config) -> String {
     let capture = match config.capture.get_ref() {
         Capture::Card(_) => "the card of this machine, by its patched driver".to_owned(),
@@ -142,7 +142,7 @@ fn summary(ended: &Ended) -> String {
         count(ended.bearings, "bearing", "bearings")
     );
     for peer in &health.peers {
-        let words = peer.report.as_ref().map_or("nothing was said of it", |report| report.words.as_str());
+        let words = peer.report.as_ref().map_or("no report", |report| report.words.as_str());
         let counts = &peer.counts;
         text += &format!(
             "  {}: {words}; {} of {} here and {} there\n",

@@ -25,40 +25,39 @@ use std::time::Duration;
 // Arguments of `watch`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The node's status socket, as its configuration names it. If not given: that of the configuration which `node` finds,
-    /// else /run/csi5300/status.sock
+    /// The node's status socket [default: that of the configuration that `node` finds, else /run/csi5300/status.sock]
     #[arg(value_name = "SOCKET")]
     socket: Option<PathBuf>,
     /// Print one state as a table and end
     #[arg(long)]
     once: bool,
-    /// Print one state as JSON and end; so too where the output is no terminal
+    /// Print one state as JSON and end; the default if the output is no terminal
     #[arg(long, conflicts_with = "once")]
     json: bool,
 }
 
-/// Time between two looks at the node.
+/// Time between two reads of the state.
 const LOOK: csi5300::time::Span = csi5300::time::Span::from_ms(100);
 /// Bytes of a state at most.
 const LONGEST: u64 = 16 << 20;
-/// How long a silent node is waited for before the screen says so.
+/// Silence after which the screen reports it.
 const SILENT: Duration = Duration::from_secs(3);
-/// Columns that the table of peers needs, its frame with it.
+/// Columns of the table of peers with its frame.
 const TABLE: u16 = 80;
 /// Colours of the peers, in their order; they are also numbered.
 const COLOURS: [Color; 6] =
     [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
 
-/// The signals that end the program: they wait until the terminal is as it was.
+/// The signals that end the program, after the terminal is restored.
 struct Ends {
     signals: Signals,
-    /// SIGQUIT, which leaves a core behind where nothing is set aside for it.
+    /// SIGQUIT, which would dump core.
     quit: SignalFd,
     clock: Monotonic,
 }
 
 impl Ends {
-    /// From here on they end nothing by themselves. Threads started later inherit that.
+    /// Blocks the signals, also for later threads.
     fn catch() -> std::result::Result<Self, String> {
         let set = SigSet::from_iter([Signal::SIGQUIT]);
         let quit = set
@@ -68,21 +67,21 @@ impl Ends {
         Ok(Self { signals: Signals::catch().map_err(|error| error.to_string())?, quit, clock: Monotonic::new() })
     }
 
-    /// True once one has come.
+    /// True once one arrived.
     fn is_one_here(&self) -> bool {
         let come = self.clock.wait([self.signals.as_fd(), self.quit.as_fd()], Some(self.clock.now()));
         come.is_ok_and(|come| come.contains(&true))
     }
 
-    /// Waits for a key, a signal or `until`; true for a key that ends the program, and where the terminal ended.
+    /// Waits for a key, a signal or `until`; true for a key that ends the program, and if the terminal closed.
     fn wait(&self, keys: &mut Keys, until: Instant) -> bool {
         let fds = [keys.terminal.as_fd(), self.signals.as_fd(), self.quit.as_fd()];
         self.clock.wait(fds, Some(until)).is_ok_and(|[key, ..]| key) && keys.end()
     }
 }
 
-/// The keyboard. Not read by crossterm, which reads a terminal that has ended for ever (its `mio.rs`: neither an end nor an error
-/// leaves the inner loop), with the signals that would end the program blocked.
+/// The keyboard. crossterm is not used, because it reads a closed terminal for ever (its `mio.rs`: neither an end nor
+/// an error leaves the inner loop) while signals are blocked.
 struct Keys {
     terminal: File,
 }
@@ -95,7 +94,7 @@ impl Keys {
         Ok(Self { terminal })
     }
 
-    /// Reads what is there: true for q, Escape and Ctrl-C, and where there is nobody to press one.
+    /// Reads available keys: true for q, Escape and Ctrl-C, and if the terminal closed.
     fn end(&mut self) -> bool {
         let mut bytes = [0; 64];
         let Ok(read) = self.terminal.read(&mut bytes) else { return true };
@@ -108,7 +107,7 @@ impl Keys {
     }
 }
 
-/// Shows a running node until `q` is pressed, or a signal comes.
+/// Shows a running node until `q` or a signal.
 pub fn run(args: &Args) -> Result {
     let socket = args.socket.clone().unwrap_or_else(super::places::status_socket);
     let stream = connect(&socket)?;
@@ -125,10 +124,10 @@ pub fn run(args: &Args) -> Result {
                 Ok(Outcome::Done)
             }
             Some(Err(error)) => Err(error.to_string()),
-            None => Err("the node ended before it said anything, or 16 others are looking at it already".into()),
+            None => Err("the node ended before it sent its state, or it already has 16 readers".into()),
         };
     }
-    // Before the thread, which would end the program on one, and before there is anything to restore.
+    // Before the thread starts, and before there is anything to restore.
     let ends = Ends::catch()?;
     let (told, from_node) = channel();
     std::thread::spawn(move || {
@@ -145,20 +144,20 @@ pub fn run(args: &Args) -> Result {
         }
     });
     let mut keys = Keys::open().map_err(|error| format!("the terminal: {error}"))?;
-    // Dropped, it would show the cursor, and panic where the terminal is gone and standard error with it.
+    // Dropping it would show the cursor, and panic if terminal and standard error are gone.
     let mut terminal = ManuallyDrop::new(ratatui::init());
     let shown = show(&mut terminal, &from_node, &socket, (&ends, &mut keys));
-    // Where the terminal is gone there is nothing to restore, and nobody to be told.
+    // Without a terminal there is nothing to restore or report.
     let _ = terminal.show_cursor();
     let _ = ratatui::try_restore();
     match shown {
-        // A terminal that was closed refuses to be drawn on, and says so by a hangup or by its end.
+        // Drawing fails on a closed terminal; a hangup or the end reports it.
         Err(_) if ends.is_one_here() || ends.wait(&mut keys, ends.clock.now()) => Ok(Outcome::Done),
         shown => shown.map_err(|error| error.to_string()),
     }
 }
 
-/// The lines that a node says, up to one that has no end.
+/// The lines of a node, up to an incomplete one.
 fn lines(stream: UnixStream) -> impl Iterator<Item = std::io::Result<String>> {
     let mut stream = BufReader::new(stream);
     std::iter::from_fn(move || {
@@ -181,7 +180,7 @@ fn connect(socket: &Path) -> std::result::Result<UnixStream, String> {
     })
 }
 
-/// Draws every state that comes, until a key or a signal ends it.
+/// Draws every state until a key or a signal ends it.
 fn show(
     terminal: &mut ratatui::DefaultTerminal,
     states: &Receiver<Value>,
@@ -195,7 +194,7 @@ fn show(
             Some(new) => (state, silent) = (new, Duration::ZERO),
             None => silent += Duration::from_micros(LOOK.as_us().unsigned_abs()),
         }
-        let title = if silent > SILENT { "  no word from the node: it ended, or hangs" } else { "" };
+        let title = if silent > SILENT { "  no state from the node: it ended or hangs" } else { "" };
         terminal.draw(|frame| draw(frame, &state, &format!(" {}{title} ", socket.display())))?;
         if ends.wait(keys, ends.clock.now() + LOOK) {
             break;
@@ -204,7 +203,7 @@ fn show(
     Ok(Outcome::Done)
 }
 
-/// The table of so many peers and the compass: beside each other where there is room, else below each other.
+/// The table of peers and the compass: beside each other if there is room, else below each other.
 fn parts(area: Rect, peers: usize) -> [Rect; 2] {
     let side = (area.height * 2).min(area.width / 2);
     if area.width.saturating_sub(side) >= TABLE {
@@ -226,7 +225,7 @@ fn figure(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".into(), |value| fixed(value, digits))
 }
 
-/// A tenth of what is below a hundred: more has no room.
+/// One decimal below a hundred, for lack of room.
 fn short(value: Option<f64>) -> String {
     figure(value, if value.is_some_and(|value| value < 99.95) { 1 } else { 0 })
 }
@@ -272,7 +271,7 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
             Span::raw(format!("  up {} s  log: {log}", figure(of("/uptime_s"), 0))),
         ]),
         Line::from(format!(
-            "records {}, {}/s; lost {lost:.0}, missing before the socket {}; of strangers {}",
+            "records {}, {}/s; lost {lost:.0}, missing in bfee_count {}; from strangers {}",
             figure(of("/records"), 0),
             figure(of("/records_hz"), 0),
             figure(of("/missing"), 0),

@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn what_slips_sideways_is_left_out_until_a_frame_begins_anew() {
+    fn sideways_slips_are_removed_until_a_new_frame() {
         let pose = |k: u32, x: f64, y: f64| {
             let heading_rad = Some(0.02);
             NextPose::Pose(Pose { t_s: f64::from(k) * 0.02, position_m: Vector3::new(x, y, 0.1), heading_rad })

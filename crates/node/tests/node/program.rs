@@ -137,7 +137,7 @@ fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
 }
 
 #[test]
-fn a_node_of_ros_2_says_at_its_start_whom_it_looks_for() {
+fn a_node_of_ros_2_prints_its_discovery_range_at_the_start() {
     let folder = folder("node-reach");
     std::fs::write(folder.join("robot.toml"), format!("{ROOM}[ros2]\ndomain = 141\n[output]\nbearings = \"\"\n"))
         .unwrap();
@@ -159,7 +159,7 @@ impl Drop for Running {
 }
 
 #[test]
-fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
+fn the_state_is_served_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     let folder = folder("node-socket");
     let text = format!(
         "{}[output]\nbearings = \"\"\nstatus_socket = \"{1}/s\"\n[log]\nfile = \"{1}/own.dat\"\n",

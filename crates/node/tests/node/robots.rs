@@ -244,7 +244,7 @@ fn nothing_is_computed_for_robots_that_stand() {
 }
 
 #[test]
-fn an_antenna_that_hears_nothing_is_said_and_not_waited_for() {
+fn a_deaf_antenna_is_reported_without_waiting() {
     let folder = folder("ring-silent");
     let text = scene(2, false);
     let mut config = config(&folder, &text, 2, false);
@@ -305,7 +305,7 @@ fn robots_that_all_initiate_lose_no_pair_and_no_degree() {
 }
 
 #[test]
-fn the_accuracy_layer_is_asked_now_and_then_and_has_the_last_word() {
+fn the_accuracy_layer_runs_at_intervals_and_last() {
     let folder = folder("ring-refined");
     let text = scene(2, false);
     let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
@@ -407,7 +407,7 @@ fn a_replayed_capture_gives_the_bearings_that_are_made_offline() {
 }
 
 #[test]
-fn a_camera_that_is_held_to_its_wheels_gives_the_bearings_that_are_made_offline() {
+fn a_rolling_camera_gives_the_offline_bearings() {
     let Some(captures) = crate::common::captures() else { return };
     let mount = CameraMount { forward_m: 0.04, left_m: 0.17, yaw_deg: -1.5 };
     let compared = compare(&captures.join("wsr/LOS_Set_A/L1"), Some(mount));

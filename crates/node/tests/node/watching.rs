@@ -98,7 +98,7 @@ fn a_line_without_an_end_is_given_up() {
 /// As when an SSH session or a pane goes: by a hangup where it is the program's own terminal, and where that does not reach the
 /// program (`nohup`, another session) the end of the terminal is all that there is to see.
 #[test]
-fn a_terminal_that_ends_ends_what_is_shown_on_it() {
+fn a_closed_terminal_ends_the_display() {
     let folder = crate::program::folder("watch-ended");
     for is_own in [true, false] {
         let Some(mut command) = usual() else { return };

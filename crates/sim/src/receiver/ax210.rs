@@ -16,7 +16,7 @@ const CHAINS: usize = 2;
 /// of a 5300.
 const STEPS: f64 = 5.0;
 
-/// What an AX210 measures of the frames of a scene.
+/// An AX210's measurement of a scene's frames.
 #[derive(Clone, Debug)]
 pub struct Ax210 {
     /// Kind of the frames.
@@ -27,7 +27,7 @@ pub struct Ax210 {
     spacing_hz: f64,
 }
 
-/// What the card reports of one frame, but for clocks and addresses.
+/// The card's report on one frame, without clocks and addresses.
 #[derive(Clone, Debug)]
 pub struct MeasuredAx210 {
     /// Coefficients `[chain][subcarrier]`.
@@ -41,7 +41,7 @@ pub struct MeasuredAx210 {
 }
 
 impl Ax210 {
-    /// `None` for frames that there are none of.
+    /// `None` for impossible frames.
     pub fn of(scene: &Scene) -> Option<Self> {
         let kind = match scene.preamble.unwrap_or(Preamble::He) {
             Preamble::Ht => Kind::Ht,
@@ -89,7 +89,7 @@ impl Receiver {
         Some(measured)
     }
 
-    /// The tones that reach an antenna; none where it is not connected, or nothing reaches it.
+    /// The tones at an antenna; none if it is not connected or nothing reaches it.
     fn heard(
         &mut self,
         world: &World,

@@ -43,7 +43,7 @@ pub struct AddressError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JoinError {
-    /// Nothing listens there, or it went away.
+    /// Nothing listens there, or it left.
     #[error("cannot reach {address}: {source}")]
     NoRoom {
         /// Who was asked for.
@@ -59,7 +59,7 @@ pub enum JoinError {
         /// The room's words.
         why: String,
     },
-    /// What listens there speaks another protocol.
+    /// Another protocol.
     #[error("{address}: the answer of {len} bytes is not that of a room")]
     Answer {
         /// Who was asked for.

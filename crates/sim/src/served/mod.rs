@@ -1,13 +1,12 @@
-//! A simulated room in another process, as if it were the card: frames into the air of a robot, the frames that it
-//! hears, its card's records and its odometry's poses, over a Unix socket.
+//! A simulated room in another process that acts as the card: injected and received frames of a robot, its card's
+//! records and its odometry's poses, over a Unix socket.
 //!
-//! `csi5300 simulate SCENE.toml --serve --socket PATH` runs a [`Server`]; `sound`, `record` (with
-//! `--room PATH#ROBOT`) and `node` (with `capture.served`) work with it by the code that works with a card: what goes over the socket
-//! is what goes over the kernel's, byte for byte, and so everything behind the live crate's `Monitor` and
-//! `Netlink` is theirs.
+//! `csi5300 simulate SCENE.toml --serve --socket PATH` runs a [`Server`]; `sound`, `record` (with `--room PATH#ROBOT`)
+//! and `node` (with `capture.served`) use it with the code for cards: the socket carries the same bytes as the
+//! kernel's, so everything behind the live crate's `Monitor` and `Netlink` is shared.
 //!
-//! The socket is of type SOCK_SEQPACKET: messages keep their bounds, and a partner that went away is noticed. The first
-//! message says who is asked for, in words, and is answered:
+//! The socket is of type SOCK_SEQPACKET: messages keep their bounds, and a closed partner is noticed. The first message
+//! is a request in words:
 //!
 //! | to the room | from the room |
 //! |---|---|
@@ -16,8 +15,8 @@
 //! | `csi5300-room 1 poses ROBOT` | `ok MAC`, then lines `time,0,x,y,z,heading,` on the robot's host clock |
 //! | anything else | `no`, and why |
 //!
-//! A frame is on air from the moment at which its sender handed it over, by the kernel's stamp of the message; what
-//! overlaps collides. Several may listen to one card; one at a time has a robot's air.
+//! A frame is on air from the moment of its hand-over, by the kernel's stamp of the message; overlapping frames
+//! collide. Several programs may listen to one card; one at a time may use a robot's air.
 
 mod address;
 mod place;
@@ -39,12 +38,12 @@ use std::os::fd::{AsRawFd, OwnedFd};
 
 /// First word of the first message, and the version of what follows.
 const GREETING: &str = "csi5300-room 1";
-/// Longest message but for frames and records, bytes.
+/// Longest message other than frames and records, bytes.
 const WORDS: usize = 512;
-/// How long the room is waited for, seconds.
+/// How long to wait for the room, seconds.
 const PATIENCE_S: i64 = 10;
 
-/// What of a robot is asked for.
+/// The requested stream of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// Its monitor interface.
@@ -63,7 +62,7 @@ impl Role {
     }
 }
 
-/// Connects to a robot of a room; gives the socket, which does not block and stamps what it receives, and the robot's MAC.
+/// Connects to a robot of a room; returns the socket, which does not block and stamps messages, and the robot's MAC.
 ///
 /// # Errors
 /// [`JoinError::NoRoom`] where no room is served, [`JoinError::Refused`] with the room's reason, [`JoinError::Answer`] from
@@ -87,7 +86,7 @@ pub fn join(address: &Address, role: Role) -> Result<(OwnedFd, Mac), JoinError> 
     }
 }
 
-/// A socket that stamps what it receives.
+/// A socket that stamps received messages.
 fn seqpacket(flags: SockFlag) -> nix::Result<OwnedFd> {
     let socket = socket(AddressFamily::Unix, SockType::SeqPacket, flags | SockFlag::SOCK_CLOEXEC, None)?;
     setsockopt(&socket, sockopt::ReceiveTimestampns, &true)?;
@@ -101,7 +100,7 @@ fn seqpacket(flags: SockFlag) -> nix::Result<OwnedFd> {
 fn take(socket: &OwnedFd, buffer: &mut [u8]) -> io::Result<usize> {
     loop {
         match recv(socket.as_raw_fd(), buffer, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC) {
-            // The partner left something unread; what it had said before is still to be had.
+            // The partner closed with unread data; its earlier messages are still readable.
             Err(nix::errno::Errno::ECONNRESET) => {}
             taken => return Ok(taken?),
         }
@@ -113,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn where_no_room_is_the_error_says_who_was_looked_for_and_where() {
+    fn without_a_room_the_error_names_robot_and_socket() {
         let address = Address { socket: "/nowhere/room".into(), robot: "rx".into() };
         let error = join(&address, Role::Air).unwrap_err();
         assert!(error.to_string().contains("rx of the room at /nowhere/room"), "{error}");

@@ -1,4 +1,4 @@
-//! The place of a room's socket among the files: nothing else is ever taken from there.
+//! The path of a room's socket; no other file is ever removed.
 
 use super::seqpacket;
 use csi5300::source::Error;
@@ -16,7 +16,7 @@ const LONGEST_PATH: usize = 107;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlaceError {
-    /// What is there is no socket, and stays.
+    /// Another file is there; it stays.
     #[error("{} is there and is no socket: give the room's socket another name", path.display())]
     NoSocket {
         /// The path.
@@ -28,7 +28,7 @@ pub enum PlaceError {
         /// The path.
         path: PathBuf,
     },
-    /// The name fits no socket.
+    /// The name does not fit a socket.
     #[error("the path {} has {len} bytes; a socket's has 1 to {LONGEST_PATH}", path.display())]
     Length {
         /// The path.
@@ -44,7 +44,7 @@ impl From<PlaceError> for Error {
     }
 }
 
-/// A socket's place, which is left as it was found: only the socket that was made here is removed.
+/// The path of a socket, which is removed at the end.
 #[derive(Debug)]
 pub(super) struct Place {
     path: PathBuf,
@@ -53,7 +53,7 @@ pub(super) struct Place {
 }
 
 impl Place {
-    /// Gives a socket its place. Another socket on which nobody listens any more is removed before, and nothing else.
+    /// Binds a socket to a path. Removes an abandoned socket there first, but no other file.
     pub(super) fn take(socket: &OwnedFd, path: &Path) -> Result<Self, Error> {
         let io = |source: io::Error| cannot_serve(path, source);
         let len = path.as_os_str().len();
@@ -71,7 +71,7 @@ impl Place {
         &self.path
     }
 
-    /// Removes the socket, if it is still the one that is there. It must be open: its inode is nobody else's until then.
+    /// Removes the socket if it is still at the path. It must be open, so that its inode is not reused.
     pub(super) fn leave(&self) {
         if identity(&self.path).is_ok_and(|there| there == self.own) {
             let _ = std::fs::remove_file(&self.path);
@@ -83,13 +83,13 @@ fn cannot_serve(path: &Path, source: io::Error) -> Error {
     Error::Io { what: format!("cannot serve a room at {}; is its folder there and writable", path.display()), source }
 }
 
-/// Device and inode of what is at a path, a link itself and not what it leads to.
+/// Device and inode at a path, without following a link.
 fn identity(path: &Path) -> io::Result<(u64, u64)> {
     let there = std::fs::symlink_metadata(path)?;
     Ok((there.dev(), there.ino()))
 }
 
-/// Removes a socket on which nobody listens any more, and nothing else.
+/// Removes an abandoned socket, but no other file.
 fn make_way(path: &Path) -> Result<(), Error> {
     let Ok(there) = std::fs::symlink_metadata(path) else { return Ok(()) };
     if !there.file_type().is_socket() {
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_socket_stays_and_is_named() {
+    fn other_files_stay_and_are_named() {
         let folder = folder("files");
         let [file, link, dangling] = ["precious.dat", "link", "dangling"].map(|name| folder.join(name));
         std::fs::write(&file, "precious").unwrap();
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn the_refusal_says_what_the_place_lacks_and_blames_no_other_room() {
+    fn the_refusal_names_the_places_problem_and_no_other_room() {
         let folder = folder("lacks");
         let cases = [
             (folder.join("none").join("room"), "No such file"),
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_came_to_the_place_of_the_socket_stays_there() {
+    fn a_file_in_place_of_the_socket_stays() {
         let folder = folder("later");
         let path = folder.join("room");
         let own = socket();

@@ -1,4 +1,4 @@
-//! The room's side: who is there, frames in, frames, records and poses out. It neither waits nor asks for the time.
+//! The room's side: programs, frames in; frames, records and poses out. It neither waits nor reads a clock.
 
 use super::place::Place;
 use super::{GREETING, Role, WORDS, seqpacket};
@@ -20,14 +20,14 @@ use std::path::Path;
 
 /// Longest radiotap header and frame that are taken, bytes (IEEE80211_MAX_FRAME_LEN and a header of ours).
 const LONGEST: usize = 2_352 + driver_iface::radiotap::MAX_EMIT_LEN;
-/// Programs at a time: more than any scene's robots need.
+/// Limit of programs: more than any scene's robots need.
 const CLIENTS: usize = 256;
-/// A program that came must say within this time what it wants.
+/// A new program must send its request within this time.
 const PATIENCE: Span = Span::from_ms(5_000);
-/// No frame is on air for a shorter time, and a card's queue holds no more than this.
+/// Shortest frame on air, and limit of a card's queue.
 const SHORTEST: Span = Span::from_us(40);
 const QUEUED: Span = Span::from_ms(100);
-/// Bytes that the kernel is asked to hold for a client that does not read: about a second of records at 200 a second.
+/// Requested send buffer for a client that does not read, bytes: about a second of records at 200 a second.
 const SEND_BUFFER: usize = 1 << 18;
 
 /// Everything counted at a served room's socket.
@@ -36,7 +36,7 @@ const SEND_BUFFER: usize = 1 << 18;
 pub struct ServedCounts {
     /// Programs that joined.
     pub joined: u64,
-    /// And were refused.
+    /// Programs that were refused.
     pub refused: u64,
     /// Frames taken from programs.
     pub frames: u64,
@@ -52,16 +52,16 @@ pub struct ServedCounts {
 #[derive(Debug)]
 struct Client {
     socket: OwnedFd,
-    /// What it asked for, once it has, and of which robot.
+    /// Its requested stream and robot, once known.
     what: Option<(Role, usize)>,
     /// When it came.
     since: Instant,
-    /// When the frames that it has handed over would be on air, one after the other.
+    /// When its queued frames would be on air.
     free_at: Instant,
 }
 
 impl Client {
-    /// True for a frame at `at` that a card with a queue could still send; then it counts.
+    /// True, and counted, for a frame at `at` that fits a card's queue.
     fn has_air(&mut self, at: Instant) -> bool {
         let free_at = self.free_at.max(at);
         let has_air = free_at - at <= QUEUED;
@@ -72,7 +72,7 @@ impl Client {
     }
 }
 
-/// What of a robot is in use.
+/// Streams of a robot in use.
 #[derive(Debug, Default)]
 struct Robot {
     air: Option<Interface>,
@@ -93,7 +93,7 @@ struct Frame {
 pub struct Server {
     /// Readable when the listener or any client is.
     ready: Epoll,
-    /// Of the standard library for its safe `accept`; its type is SOCK_SEQPACKET all the same.
+    /// A type of the standard library for its safe `accept`; the socket is SOCK_SEQPACKET.
     listener: UnixListener,
     place: Place,
     clients: Vec<Client>,
@@ -103,7 +103,7 @@ pub struct Server {
     told: Option<String>,
 }
 
-/// What became of a message to a program.
+/// The outcome of a message to a program.
 enum Sent {
     Yes,
     NoRoom,
@@ -146,17 +146,18 @@ impl Server {
         self.counts
     }
 
-    /// The first thing about a program's frames that its user should know, once.
+    /// The first problem with a program's frames, once.
     pub fn notice(&mut self) -> Option<String> {
         self.told.take_if(|told| !told.is_empty()).inspect(|_| self.told = Some(String::new()))
     }
 
-    /// Puts on air what programs handed over until `now`, each frame at its own time, lets the room's time pass to `now`
-    /// and hands out what is due. `wall_us` is the host's wall clock at `now`, on which the kernel stamps messages; without
-    /// it frames are of `now`. Gives when to come again if nobody sends before; `None` when the scene is over.
+    /// Puts on air what programs handed over until `now`, each frame at its own time, lets the room's time pass to
+    /// `now` and hands out what is due. `wall_us` is the host's wall clock at `now`, on which the kernel stamps
+    /// messages; without it frames are of `now`. Returns when to call again if nobody sends before; `None` at the
+    /// scene's end.
     ///
     /// # Errors
-    /// When the socket cannot be gone on with. What a program does is no error.
+    /// If the socket fails. A program's behaviour is no error.
     pub fn turn(&mut self, room: &mut Room, now: Instant, wall_us: Option<i64>) -> Result<Option<Instant>, Error> {
         self.robots.resize_with(room.scene().robot.len(), Robot::default);
         self.accept(now)?;
@@ -184,16 +185,16 @@ impl Server {
         Ok(next)
     }
 
-    /// Lets new programs in; what they want, they say.
+    /// Accepts new programs.
     fn accept(&mut self, now: Instant) -> Result<(), Error> {
         loop {
             match self.listener.accept() {
-                // Whoever finds no place is let go at once.
+                // Without a free place it is closed at once.
                 Ok(_) if self.clients.len() >= CLIENTS => self.counts.refused += 1,
                 Ok((stream, _)) => {
                     let socket = OwnedFd::from(stream);
                     let stamped = setsockopt(&socket, sockopt::ReceiveTimestampns, &true);
-                    // A smaller buffer than asked for only means that a program is dropped messages sooner.
+                    // With a smaller buffer a program only loses messages sooner.
                     let _ = setsockopt(&socket, sockopt::SndBuf, &SEND_BUFFER);
                     let watched = self.ready.add(&socket, EpollEvent::new(EpollFlags::EPOLLIN, 0));
                     if stamped.and(watched).is_ok() {
@@ -210,7 +211,7 @@ impl Server {
         }
     }
 
-    /// Takes what programs said; gives the frames among it, and the robots whose air is free again after them.
+    /// Takes the programs' messages; returns their frames, and the robots whose air became free.
     fn listen(&mut self, room: &mut Room, now: Instant, wall_us: Option<i64>) -> (Vec<Frame>, Vec<usize>) {
         let (mut frames, mut gone) = (Vec::new(), Vec::new());
         for mut client in std::mem::take(&mut self.clients) {
@@ -237,7 +238,7 @@ impl Server {
                         }
                     }
                     Err(Errno::EAGAIN) => break client.what.is_some() || now - client.since <= PATIENCE,
-                    // It left something unread; what it had said before is still to be had.
+                    // It closed with unread data; its earlier messages are still readable.
                     Err(Errno::EINTR | Errno::ECONNRESET) => {}
                     Err(_) => break false,
                 }
@@ -251,7 +252,7 @@ impl Server {
         (frames, gone)
     }
 
-    /// Gives a new program what it asks for, or says why not. False if it gets nothing.
+    /// Answers a new program's request. False if it is refused.
     fn greet(&mut self, room: &mut Room, client: &mut Client, len: usize, now: Instant) -> bool {
         let hello = String::from_utf8_lossy(self.buffer.get(..len.min(WORDS)).unwrap_or_default()).into_owned();
         let (answer, what) = match self.asked(room, &hello, now) {
@@ -267,10 +268,10 @@ impl Server {
         matches!(say(&client.socket, answer.as_bytes()), Sent::Yes) && what.is_some()
     }
 
-    /// What a program asks for, taken from the room if nobody had it yet.
+    /// The requested stream, taken from the room if nobody had it yet.
     fn asked(&mut self, room: &mut Room, hello: &str, now: Instant) -> Result<(Role, usize), String> {
         let words = hello.strip_prefix(GREETING).ok_or("this is a room of csi5300, and another version of it")?;
-        let (role, name) = words.trim_start().split_once(' ').ok_or("what of which robot?")?;
+        let (role, name) = words.trim_start().split_once(' ').ok_or("which stream of which robot?")?;
         let role = Role::ALL.into_iter().find(|(_, word)| *word == role).ok_or("air, card or poses?")?.0;
         let names = || room.scene().robot.iter().map(|robot| robot.name.as_str()).collect::<Vec<_>>().join(", ");
         let number = room.number(name).ok_or_else(|| format!("the scene has no robot {name}: it has {}", names()))?;
@@ -286,7 +287,7 @@ impl Server {
             }
             Role::Poses if robot.poses.is_none() => {
                 let mut poses = room.odometry(number).ok_or_else(|| format!("{name} has no odometry"))?;
-                // Poses of before are nobody's.
+                // Earlier poses are dropped.
                 while let Ok(NextPose::Pose(_) | NextPose::NewFrame) = poses.receive(now) {}
                 robot.poses = Some(poses);
             }
@@ -367,7 +368,7 @@ impl Server {
         Ok(next)
     }
 
-    /// Sends a record to every program that listens; to how many.
+    /// Sends a record to every program that listens; returns their number.
     fn tell_record(&mut self, robot: usize, record: Record<'_>) -> u64 {
         let mut message = std::mem::take(&mut self.buffer);
         let len = (Message { idx: CN_IDX, val: CN_VAL, record, padded: true }).emit(&mut message);
@@ -393,14 +394,14 @@ impl Server {
         Ok(next)
     }
 
-    /// Sends a message to every program that asked for it; to how many. One that does not read loses it.
+    /// Sends a message to every program that requested it; returns their number. One that does not read loses it.
     fn tell(&mut self, role: Role, robot: usize, message: &[u8]) -> u64 {
         let mut told = 0;
         for client in self.clients.iter().filter(|client| client.what == Some((role, robot))) {
             match say(&client.socket, message) {
                 Sent::Yes => told += 1,
                 Sent::NoRoom => self.counts.untaken += 1,
-                // It is let go when its end is read.
+                // It is closed when its end is read.
                 Sent::Gone => {}
             }
         }

@@ -28,7 +28,7 @@ fn a_log_is_feitcsis_with_both_clocks_of_one_crystal() {
         assert!(all.iter().all(|frame| frame.sender == Some(run.robots[other].mac.0)));
         let shape = |frame: &Frame| (frame.kind, frame.width_mhz, frame.n_rx, frame.n_tx, frame.subcarriers.len());
         assert!(all.iter().all(|frame| shape(frame) == (Some(Kind::He), 20, 2, 1, 242)));
-        // The FTM clock wraps twice meanwhile; between two frames both clocks say the same, to a microsecond.
+        // The FTM clock wraps twice meanwhile; between two frames both clocks agree to a microsecond.
         let mut wraps = 0;
         for two in all.windows(2) {
             let [[from, from_us], [to, to_us]] =
@@ -55,7 +55,7 @@ fn a_log_is_feitcsis_with_both_clocks_of_one_crystal() {
 }
 
 #[test]
-fn a_live_card_gives_what_is_read_of_its_log() {
+fn a_live_card_and_its_log_give_the_same_records() {
     let scene = Scene::parse(SCENE).unwrap();
     let run = Room::new(&scene).unwrap().run().unwrap();
     let collect = |source: &mut dyn CsiSource| {
@@ -83,7 +83,7 @@ fn a_live_card_gives_what_is_read_of_its_log() {
 }
 
 #[test]
-fn what_a_card_does_not_have_is_refused() {
+fn keys_of_another_card_are_refused() {
     let said = |from: &str, to: &str| {
         let error = Room::new(&Scene::parse(&SCENE.replacen(from, to, 1)).unwrap()).unwrap_err();
         error.to_string()

@@ -10,7 +10,7 @@ use csi5300_sim::{Room, Scene, WrittenLog, write_dataset};
 use driver_iface::bfee::{Bfee, Iq, MAX_SAMPLES, Repr};
 use driver_iface::record::{Record, Step, Tail, events};
 
-/// Parses a log and writes every record anew, up to a cut tail.
+/// Parses a log and re-encodes every record, up to a cut tail.
 fn again(bytes: &[u8]) -> (Vec<u8>, usize) {
     let (mut out, mut records) = (Vec::with_capacity(bytes.len()), 0);
     for event in events(bytes) {
@@ -83,7 +83,7 @@ fn identities(log: &WrittenLog) -> (Vec<Told>, u64) {
 }
 
 #[test]
-fn the_stock_layout_says_in_its_side_file_what_wsr_records_say_themselves() {
+fn the_stock_layouts_side_file_has_the_host_times_of_wsr_records() {
     let folder = std::env::temp_dir().join(format!("csi5300-stock-{}", std::process::id()));
     let logs = |driver: Driver, killed: bool| {
         let mut scene = Scene { duration_s: 3.0, driver, ..Scene::built_in("lab-circle").unwrap() };

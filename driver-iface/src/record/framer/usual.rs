@@ -1,7 +1,8 @@
 //! What the records of a log mostly look like: the shapes of those met last, with which the next are compared first.
 //!
-//! A record's place follows from the lengths of all before it. Read one after the other they make a processor wait for each; a length
-//! that is only compared with one known does not. So the length that is gone on with is the one remembered, never the one read.
+//! A record's place follows from the lengths of all records before it. Reading them in sequence stalls the processor at
+//! each; comparing a length with a remembered one does not. So the code continues with the remembered length, never
+//! with the one read.
 
 use super::super::{LENGTH_FIELD, code};
 use super::{Len, State};

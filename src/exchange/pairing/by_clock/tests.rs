@@ -150,7 +150,7 @@ fn hosts_that_agree_settle_a_regular_rate() {
 }
 
 #[test]
-fn a_clock_that_was_set_anew_parts_a_log_and_loses_nothing_else() {
+fn a_set_clock_splits_a_log_and_loses_nothing_else() {
     let mut heard = USUAL.heard();
     // The transmitter's card restarts in the middle.
     let at = heard[1].len() / 2;

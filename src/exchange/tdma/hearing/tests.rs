@@ -65,7 +65,7 @@ fn counted(tdma: &mut Tdma, count: u32, mpdu: impl Fn(u32) -> Vec<u8>) -> TdmaCo
 }
 
 #[test]
-fn what_is_no_frame_of_a_robot_is_counted_as_that_each_time() {
+fn foreign_frames_are_counted_each_time() {
     let zero = TdmaCounts::default();
     let of = |mpdu: &dyn Fn(u32) -> Vec<u8>| counted(&mut listener(None), 3, mpdu);
     assert_eq!(of(&|number| bytes(&forward(number))), TdmaCounts { heard: 3, ..zero }, "as it should be");
@@ -235,7 +235,7 @@ fn an_answer_begins_a_turn_around_after_its_frame_can_have_ended() {
 }
 
 #[test]
-fn who_does_not_respond_and_who_has_the_turn_answers_nobody() {
+fn the_initiator_and_robots_that_do_not_respond_answer_nobody() {
     let mut silent = listener(None);
     silent.respond = false;
     assert_eq!(latest_answer(&mut silent, 0), None);

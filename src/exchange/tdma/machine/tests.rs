@@ -1,4 +1,4 @@
-//! What a driver asks of the scheduler beside frames: deadlines, measurements, counts, leaving.
+//! Tests of deadlines, measurements, counts and leaving.
 
 use super::*;
 use crate::exchange::tdma::{Epoch, Request};
@@ -78,7 +78,7 @@ fn the_deadline_of_a_forward_frame_is_told_apart_from_others() {
 }
 
 #[test]
-fn who_follows_is_synchronised_by_the_first_frame_heard() {
+fn a_follower_is_synchronised_by_the_first_frame() {
     let [mut first, second] = two(None);
     assert!(first.is_synchronised() && second.is_synchronised(), "a common epoch");
     let config = Config::new(mac(1), 1, &[mac(0)], Request::new(1, 100.0), 1);
@@ -91,7 +91,7 @@ fn who_follows_is_synchronised_by_the_first_frame_heard() {
 }
 
 #[test]
-fn who_leaves_sends_nothing_and_waits_for_nothing() {
+fn a_leaving_robot_sends_nothing_and_waits_for_nothing() {
     let [mut first, mut second] = two(None);
     let (now, _, frame) = forward(&mut first);
     assert!(first.has_turn());
@@ -132,8 +132,8 @@ fn a_measurement_that_came_before_its_frame_goes_with_the_answer_to_it_only() {
     }
 }
 
-/// Hands measurements over as (number, clock), before or behind the exchange of number 1; what was said to each, how many
-/// were counted as contested, and the number that the next answer carries.
+/// Hands over measurements as (number, clock), before or after the exchange of number 1. Returns the result of each,
+/// the count of contested ones, and the number that the next answer carries.
 fn handed_over(key: Option<Key>, before: &[(u32, u32)], behind: &[(u32, u32)]) -> (Vec<bool>, u64, Option<u32>) {
     let [mut first, mut second] = two(key);
     let mut said = Vec::new();

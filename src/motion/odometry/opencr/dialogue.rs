@@ -6,7 +6,7 @@ use crate::time::{Instant, Span};
 
 /// An answer that takes longer does not come.
 const PATIENCE: Span = Span::from_ms(100);
-/// After so many requests without an answer it is asked again who it is: it may be another one by now.
+/// After this many requests without an answer its identity is requested again: it may be another controller.
 const SILENT: u32 = 5;
 /// Pause between requests to one that does not answer.
 const RETRY: Span = Span::from_ms(500);
@@ -32,7 +32,7 @@ struct Request {
     length: usize,
 }
 
-/// When something was asked for.
+/// The time of a request.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Asked {
     pub(super) at: Instant,

@@ -1,9 +1,9 @@
 //! The controller of a TurtleBot3 (OpenCR with the ROS 2 firmware), sans-IO: requests to it, and poses from its answers.
 //!
-//! It is asked for one stretch of its control table that holds its clock, the IMU's orientation and the wheels' ticks,
-//! so that the three belong together. Nothing is ever written to it. The table: `turtlebot3_node`'s `control_table.hpp`
-//! and the firmware's `turtlebot3.cpp`; its values are refreshed every 20 ms, so asking more often gives some twice,
-//! which are skipped and counted.
+//! Requests one range of its control table with clock, IMU orientation and wheel ticks, so that the three belong
+//! together. It never writes to the controller. The table: `turtlebot3_node`'s `control_table.hpp` and the firmware's
+//! `turtlebot3.cpp`; its values are refreshed every 20 ms, so faster requests give repetitions, which are skipped and
+//! counted.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -30,7 +30,7 @@ pub struct ControllerCounts {
     pub requests: u64,
     /// Requests that were not answered in time.
     pub unanswered: u64,
-    /// Answers with an error, of another device, or of a length not asked for.
+    /// Answers with an error, of another device, or of another length.
     pub refused: u64,
     /// Answers whose values had not been refreshed since the last.
     pub repeated: u64,
@@ -53,8 +53,8 @@ pub enum Found {
     NewFrame,
 }
 
-/// The dialogue with one controller. Call [`poll_transmit`](Self::poll_transmit) and write what it gives;
-/// [`handle_bytes`](Self::handle_bytes) with whatever was read; [`poll_found`](Self::poll_found) until `None`; wait until
+/// The dialogue with one controller. Call [`poll_transmit`](Self::poll_transmit) and write its bytes;
+/// [`handle_bytes`](Self::handle_bytes) with the bytes read; [`poll_found`](Self::poll_found) until `None`; wait until
 /// [`poll_timeout`](Self::poll_timeout) or until there are bytes.
 #[derive(Debug)]
 pub struct OpenCr {

@@ -26,7 +26,7 @@ struct Clock {
     at: Instant,
 }
 
-/// Where the robot is, by what its controller said so far.
+/// The robot's pose by its controller's data so far.
 #[derive(Debug)]
 pub(super) struct Poses {
     geometry: Option<Geometry>,
@@ -67,7 +67,7 @@ impl Poses {
         }
     }
 
-    /// A reading that was asked for at `asked` and had come at `now`.
+    /// A reading that was requested at `asked` and arrived at `now`.
     pub(super) fn handle_sensors(&mut self, table: &Table, asked: Asked, now: Instant, wall_us: i64) {
         let Some(controller_us) = self.controller_time(table, asked.at, now) else { return };
         // The answer was made up between the two.

@@ -1,4 +1,4 @@
-//! The control table of the controller: what is read of it, and where it stands.
+//! The control table of the controller: the fields that are read, and their places.
 
 use crate::motion::heading::heading_of;
 use crate::time::Span;

@@ -42,8 +42,8 @@ impl Args {
         }
     }
 
-    /// The captures of all that was named, with the names of the links that are wanted of them; and whether some could not be read. Of
-    /// several folders each gives its own name to what is below it.
+    /// The named captures with their requested links, and whether some could not be read. Of several folders, each
+    /// one's name precedes its captures' names.
     fn find(&self, reading: &Reading) -> std::result::Result<(Vec<Capture>, Vec<String>, bool), String> {
         let (mut captures, mut names, mut lost) = (Vec::new(), Vec::new(), false);
         for named in &self.captures {
@@ -88,7 +88,7 @@ impl<'a> Row<'a> {
     }
 }
 
-/// The folder of a link, and what is left of its name. What does not end as names of links do is a folder.
+/// The folder of a link, and the rest of its name. A name that does not end like a link is a folder.
 fn parts(link: &Path) -> (PathBuf, Option<String>) {
     let last = link.file_name().unwrap_or_default().to_string_lossy();
     let is_link = last.strip_prefix("tx").is_some_and(|number| number.bytes().all(|digit| digit.is_ascii_digit()));
@@ -105,8 +105,8 @@ fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
 /// Shows the links of captures, and locates their receivers where several links see known places.
 pub fn run(args: &Args) -> Result {
     let reading = args.reading();
-    let options = reading.options().unwrap_or_else(|message| usage(&message)).with_keep_course(true);
-    let options = args.at_effort(options.with_range_change(args.json));
+    let options = reading.options().unwrap_or_else(|message| usage(&message));
+    let options = args.asked(options);
     let (captures, names, mut lost) = args.find(&reading)?;
     if args.together.transmitters {
         return transmitters::run(&args.together, &reading, (captures, lost), &args.place, args.json);

@@ -84,7 +84,7 @@ pub fn table(found: &[Receiver], rows: &[Judged]) -> String {
     text
 }
 
-/// The links for which the place speaks for another bearing than their answer.
+/// The links whose place fits another bearing than their answer.
 fn said_otherwise(receiver: &Receiver, rows: &[Judged], text: &mut String) {
     for (link, azimuth_deg) in receiver.names.iter().zip(&receiver.azimuths_deg) {
         let answer = rows.iter().find(|row| row.answer.link == *link).and_then(|row| row.answer.azimuth_deg);

@@ -5,13 +5,11 @@ use super::super::{Outcome, Result, hint, info, print, print_json, usage};
 use super::{Args, artefacts, describe, link_name, options, pairs};
 use csi_formats::{Item, Items, Why};
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::{
-    Answer, Array, ArrayError, CaptureReport, ChainConstant, LinkReport, OneLog, OneLogReport, Options, one_log,
-};
+use csi5300::pipeline::{Answer, Array, ArrayError, ChainConstant, LinkReport, OneLog, OneLogReport, Options, one_log};
 use nalgebra::Vector3;
 use std::path::Path;
 
-/// A log of another card; none where it is none. At last whether bytes of it could not be read.
+/// The result of another card's log, and whether some of its bytes were unreadable; none for other files.
 fn other_card(
     path: &Path,
     trajectory: &Trajectory,
@@ -55,46 +53,6 @@ fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
     if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
 }
 
-/// The constants that the turn gave, a line each.
-fn constants(answer: &Answer) -> String {
-    let line = |[deg, sd]: &[f64; 2]| format!("  constant between the chains: {deg:.2} +- {sd:.2} deg\n");
-    answer.chain_constants_deg.iter().map(line).collect()
-}
-
-/// Adds what the receiver's log says alone to the bearings of two logs.
-pub fn join(
-    args: &Args,
-    inputs: &Inputs,
-    (rx, path): (&Path, &Path),
-    report: &mut CaptureReport,
-) -> std::result::Result<(), String> {
-    if rx.as_os_str() == "-" {
-        usage("with --baseline and --tx the log is read twice: --rx cannot be standard input");
-    }
-    let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
-    let mut options = options(args).unwrap_or_else(|message| usage(&message));
-    // Every sender: which of them a transmitter's log is of was found by the clocks.
-    options.tx_macs.clear();
-    let trajectory = inputs.trajectory(path)?;
-    let one = match other_card(rx, &trajectory, &array, &options)? {
-        Some((one, _)) => one,
-        None => one_log(&mut inputs.open(rx)?, &trajectory, &array, &options).map_err(|error| error.to_string())?,
-    };
-    for link in &mut report.links {
-        let heard = one.links.iter().find(|heard| heard.mac.is_some() && heard.mac == link.mac);
-        let Some(heard) = heard.map(|heard| &heard.bearing) else { continue };
-        match (&link.bearing, heard) {
-            (Ok(two), Ok(heard)) => link.bearing = Ok(two.with_one_log(heard)),
-            (Err(why), Ok(heard)) => {
-                note!("the two logs give no bearing ({why}): this is that of {} alone", rx.display());
-                link.bearing = Ok(heard.clone());
-            }
-            (_, Err(why)) => note!("{} alone gives no bearing: {why}", rx.display()),
-        }
-    }
-    Ok(())
-}
-
 /// Estimates and prints the bearings.
 pub fn run(args: &Args) -> Result {
     let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
@@ -111,13 +69,15 @@ pub fn run(args: &Args) -> Result {
             let report = one_log(&mut log, &trajectory, &array, &options).map_err(|error| error.to_string())?;
             let losses = info::losses(&report.log.survey, log.bytes());
             let unused = report.log.unused;
-            notes!(
-                "{}: {} bfee records, {} without all of the antennas, {} of senders that were not asked for\n{losses}",
-                rx.display(),
-                report.log.survey.bfees(),
-                unused.no_antenna,
-                unused.other_sender
-            );
+            if unused.no_antenna + unused.other_sender > 0 || !losses.is_empty() {
+                notes!(
+                    "{}: {} bfee records, {} without all of the antennas, {} of other senders\n{losses}",
+                    rx.display(),
+                    report.log.survey.bfees(),
+                    unused.no_antenna,
+                    unused.other_sender
+                );
+            }
             let lost = report.log.survey.lost_something();
             (report, lost)
         }
@@ -134,7 +94,10 @@ pub fn run(args: &Args) -> Result {
         if args.json {
             print_json(&answer);
         } else {
-            print(&describe(&answer, "", &(pairs::records(&answer) + &constants(&answer))));
+            let text = describe(&answer, "", &pairs::records(&answer));
+            // With known constants the robot may stand; its antennas then are on a line.
+            let stands = args.logs.baseline.iter().any(|baseline| baseline.constant.is_some());
+            print(&if stands { text.replace("motion along a line", "antennas on a line") } else { text });
         }
         if let Some(error) = &answer.error {
             wrong!("{}: {error}", answer.link);
@@ -143,7 +106,7 @@ pub fn run(args: &Args) -> Result {
     }
     if report.links.is_empty() {
         wrong!(
-            "{}: no record has the CSI of all antennas that were named (--antennas); `csi5300 info` shows how many chains it has",
+            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows how many chains it has",
             rx.display()
         );
     }

@@ -5,7 +5,7 @@ use csi5300::exchange::pairing::SideCounts;
 use csi5300::pipeline::{Answer, PairCounts};
 use std::fmt::Write as _;
 
-/// Numbers that come twice are said where they are one in so many frames: senders repeat some, a few in a thousand.
+/// Repeated numbers are reported from this share on: senders repeat a few in a thousand.
 const MANY_TWICE: f64 = 10.0;
 
 /// What may be wrong with the logs, one line each; empty if nothing is.
@@ -77,12 +77,12 @@ pub(super) fn pairs(answer: &Answer) -> String {
     text
 }
 
-/// What became of the records of one log.
+/// The outcome of one log's records.
 pub(super) fn records(answer: &Answer) -> String {
     let counts = answer.pair_counts;
     let constant = |[deg, sd_deg]: &[f64; 2]| {
         format!(
-            "  constant of the chains {deg:.1} +- {sd_deg:.1} degrees: --baseline X,Y,Z,{deg:.1},{sd_deg:.1} when it stands\n"
+            "  constant of the chains {deg:.2} +- {sd_deg:.2} deg: for a robot that stands, --baseline X,Y,Z,{deg:.2},{sd_deg:.2}\n"
         )
     };
     let constants: String = answer.chain_constants_deg.iter().map(constant).collect();

@@ -1,5 +1,6 @@
 //! Which of the files that were named is what: logs and trajectories by their content.
 
+use super::super::files::{is_same_file, must_not_be_empty};
 use super::super::usage;
 use super::Args;
 use csi5300_lab::evaluate::roles::{Sorted, loose_files, receiver, the_trajectory};
@@ -26,8 +27,14 @@ pub fn take(args: &mut Args) -> Result<(), String> {
         usage("name the logs and the trajectory either all by --rx, --tx and --trajectory, or all without");
     }
     let is_named_one_by_one = args.captures.iter().all(|path| path.is_file());
+    if let Some((_, twice)) =
+        files.iter().enumerate().find(|(k, file)| files[..*k].iter().any(|other| is_same_file(other, file)))
+    {
+        return Err(format!("{} is given twice: each robot has its own log", twice.display()));
+    }
     let Sorted { logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());
     if let (Some(file), true) = (others.first(), is_named_one_by_one) {
+        must_not_be_empty(file)?;
         return Err(format!("{} is neither a log of CSI nor a trajectory", file.display()));
     }
     let trajectory = args.logs.trajectory.take().map_or_else(|| the_trajectory(&trajectories), Ok)?;

@@ -12,12 +12,12 @@ use std::fmt::Write;
 #[derive(clap::Args)]
 #[command(next_help_heading = "Transmitters from several captures")]
 pub struct Together {
-    /// Locate the transmitters, each from all captures together. Trajectories must share one frame, as with motion
-    /// capture, or use --frame
+    /// Locate each transmitter from all captures together. Their trajectories must share one frame (motion capture), or
+    /// use --frame
     #[arg(long, requires = "captures", conflicts_with = "explain", hide_short_help = true)]
     pub transmitters: bool,
-    /// Frame of a capture's trajectory in the common frame: its origin, metres, and its rotation from the common x axis
-    /// towards +y, degrees. CAPTURE is a folder as in link names
+    /// Frame of a capture's trajectory in the common one: origin, metres, and rotation from +x towards +y, degrees.
+    /// CAPTURE is a folder as in link names
     #[arg(long, value_name = "CAPTURE=X,Y,DEGREES", value_parser = frame, allow_hyphen_values = true, requires = "transmitters", hide_short_help = true)]
     frame: Vec<(String, Frame)>,
 }

@@ -50,7 +50,7 @@ struct Desk {
     peer: Option<String>,
     /// This is the second robot; it waits here for the first, address and port.
     assist: Option<String>,
-    /// The second robot answers on its interface; without it its driver answers, or nobody.
+    /// The second robot answers on its interface; otherwise its driver answers, or nobody.
     answer: bool,
     /// Antennas that a person unplugs one after the other: A, B, C.
     unplug: Vec<String>,
@@ -204,7 +204,7 @@ fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
             Some(Truth { trajectory: read_trajectory(path)?, azimuth_rad: deg.to_radians() })
         }
         (None, None) => None,
-        _ => usage("a desk has both `trajectory` and `azimuth_deg`, or none of them"),
+        _ => usage("a desk has both `trajectory` and `azimuth_deg`, or neither"),
     };
     Ok(plan)
 }
@@ -297,7 +297,7 @@ fn write(
         ("far.dat".into(), evidence.far.as_ref().map(|far| far.log.clone()).unwrap_or_default()),
         (stopped::FILE.into(), goes_on),
     ];
-    // Of a run that is gone on with no log may be missing, be it empty.
+    // A continued run needs every log, even an empty one.
     let is_kept = |(name, bytes): &(String, Vec<u8>)| !bytes.is_empty() || (stopped.is_some() && name == "near.dat");
     files.retain(is_kept);
     files.extend(evidence.unplugged.iter().map(|(antenna, heard)| (stopped::unplugged(*antenna), heard.log.clone())));

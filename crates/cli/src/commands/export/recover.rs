@@ -56,7 +56,7 @@ pub enum Layout {
 
 type Words<T> = std::result::Result<T, String>;
 
-/// Records of other codes than CSI and its frames that wait for one of these: so many of them vouch for each other.
+/// Records of other codes that wait for a CSI record or its frame: this many confirm each other.
 const WAITING: usize = 16;
 
 /// The output in progress.
@@ -121,7 +121,7 @@ impl Output {
         self.write(Record { code: code::BFEE, body: &body }, identity.host_us)
     }
 
-    /// Makes the log what it will be read as, and gives it and its side file their names; older side files go.
+    /// Settles the log, and renames it and its side file; older side files are removed.
     fn finish(mut self, path: &Path) -> Words<u64> {
         let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
         self.data.flush().map_err(failed)?;

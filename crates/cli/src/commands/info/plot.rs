@@ -18,9 +18,9 @@ const SIZE: (f64, f64) = (1200.0, 1100.0);
 #[group(id = "drawn")]
 #[command(next_help_heading = "Pictures")]
 pub struct Args {
-    /// Draw each log into this folder: NAME-csi (amplitude and phase of each antenna over time and subcarrier, of the
-    /// sender with the most records) and NAME-levels (amplitude, RSSI, gain and rate over time, with gaps, losses and steps back of the card's clock).
-    /// Times are the card's, the host's if that clock stands still, or record numbers
+    /// Draw each log into this folder: NAME-csi (CSI of the sender with the most records, by antenna) and NAME-levels
+    /// (amplitude, RSSI, gain, rate, gaps, losses, steps back of the clock). Times are the card's, the host's if that
+    /// clock stands still, or record numbers
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     pub plot: Option<PathBuf>,
     /// Draw only frames of these senders
@@ -35,7 +35,7 @@ pub struct Args {
     /// Draw up to this time, seconds after the first record
     #[arg(long, value_name = "SECONDS", requires = "plot")]
     to: Option<f64>,
-    /// Overwrite existing pictures
+    /// Overwrite existing outputs
     #[arg(long, requires = "plot")]
     force: bool,
 }
@@ -48,7 +48,7 @@ fn stem(folder: &Path, logs: &[PathBuf], k: usize) -> PathBuf {
     folder.join(file_safe(&if same { format!("{own}.{}", k + 1) } else { own }))
 }
 
-/// Draws a log, the `k`th, if that was asked for; gives the pictures.
+/// Draws the `k`th log, if requested; returns the pictures.
 pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> std::result::Result<Vec<PathBuf>, String> {
     let (Some(folder), Some(log)) = (&args.plot, logs.get(k)) else { return Ok(Vec::new()) };
     let stem = stem(folder, logs, k);

@@ -24,11 +24,11 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args, Clone)]
 #[command(next_help_heading = "Recorded capture to compare with")]
 pub struct Recorded {
-    /// The recorded log of the robot that moved. SCENE may then also be a folder that --out wrote; without it a scene is
-    /// fitted to the recording
+    /// Recorded log of the robot that moved. SCENE may then also be a folder that --out wrote; without SCENE, a scene
+    /// is fitted to the recording
     #[arg(long, value_name = "RX.dat")]
     rx: Option<PathBuf>,
-    /// The recorded log of the other robot
+    /// Recorded log of the other robot
     #[arg(long, value_name = "TX.dat")]
     tx: Option<PathBuf>,
     /// The recorded trajectory
@@ -36,7 +36,7 @@ pub struct Recorded {
     trajectory: Option<PathBuf>,
     #[command(flatten)]
     bag: BagArgs,
-    /// The recorded trajectory of the other robot, if it moved, on the first one's clock
+    /// Recorded trajectory of the other robot, if it moved, on the first one's clock
     #[arg(long, value_name = "T.csv")]
     tx_trajectory: Option<PathBuf>,
     /// WiFi channel of the recording, with + or - for 40 MHz [default: the scene's or the simulated folder's]
@@ -74,7 +74,7 @@ type Words<T> = std::result::Result<T, String>;
 
 /// Compares a recorded and a simulated capture.
 pub fn run(args: &Args) -> Result {
-    // Before anything is read or fitted: minutes of work end in these files.
+    // Checked before minutes of reading and fitting.
     let tx: Vec<PathBuf> = args.recorded.tx.iter().cloned().collect();
     let (inputs, named) =
         args.recorded.bag.resolve(args.recorded.rx.clone(), tx, args.recorded.trajectory.clone(), None)?;
@@ -94,7 +94,7 @@ pub fn run(args: &Args) -> Result {
     let recorded = read(&inputs, (&named.rx, tx), (&trajectory, displaced.as_ref()), &options)?;
     check_width(&recorded, options.channel).map_err(|error| error.to_string())?;
     let folder = args.out.join(SIMULATED);
-    // A fitted scene's robot strays from the recorded trajectory, which is all that a recording has.
+    // A fitted scene's robot strays from the recorded trajectory; a recording has only the latter.
     let along = args.with.is_none().then_some(&trajectory);
     let capture = match (&args.with, given) {
         (Some(folder), None) => folder.clone(),
@@ -122,7 +122,7 @@ const SCENE: &str = "scene.toml";
 const SIMULATED: &str = "simulated";
 
 impl Args {
-    /// The channel of both captures: of the scene that was read, of the folder, or the one asked for.
+    /// The channel of both captures: the scene's, the folder's, or the requested one.
     fn channel(&self, scene: Option<&Scene>) -> Words<Channel> {
         match (&self.with, scene) {
             (Some(file), Some(scene)) => of_scene(file, scene, self.recorded.channel),
@@ -143,26 +143,26 @@ impl Args {
         };
         for input in read.chain(self.recorded.tx_trajectory.as_deref()).chain(self.with.as_deref()) {
             if let Some(output) = written.iter().find(|output| is_same_file(input, output)) {
-                return Err(format!("{} is an input: another --out is needed", output.display()));
+                return Err(format!("{} is an input: name another --out", output.display()));
             }
             let inside = input.canonicalize().ok().zip(simulated.canonicalize().ok());
             if inside.is_some_and(|(input, folder)| input.starts_with(folder)) {
                 let (input, folder) = (input.display(), simulated.display());
                 return Err(format!(
-                    "{input} is an input inside {folder}, which is written anew: another --out is needed"
+                    "{input} is an input inside {folder}, which this run overwrites: name another --out"
                 ));
             }
         }
         let used = std::fs::read_dir(&simulated).is_ok_and(|mut entries| entries.next().is_some());
         let there = written.into_iter().find(|output| output.exists()).or(used.then_some(simulated));
         match there.filter(|_| !self.force) {
-            Some(there) => Err(format!("{} is there already: --force replaces it", there.display())),
+            Some(there) => Err(format!("{} already exists: --force replaces it", there.display())),
             None => Ok(()),
         }
     }
 }
 
-/// The channel of a scene in this file, which is the one asked for, if one is.
+/// The channel of the scene in this file. It must be the requested one, if any.
 fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel> {
     let is_other = |channel: &Channel| {
         (scene.channel, scene.bandwidth_mhz == 40) != (scene_channel(*channel), channel.width() != Width::Ht20)
@@ -179,7 +179,8 @@ fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel
     }
 }
 
-/// The channel of the first capture in a folder, which is the one asked for, if one is. Files with a truth do not say how wide.
+/// The channel of the first capture in a folder. It must be the requested one, if any. Truth files do not name the
+/// width.
 fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
     let (captures, _) = find(folder);
     let capture = captures.first().ok_or_else(|| no_capture(folder))?;

@@ -18,7 +18,7 @@ use nix::sys::prctl::set_timerslack;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
-// How a room is served.
+// Options of a served room.
 #[derive(clap::Args)]
 #[group(id = "serving")]
 #[command(next_help_heading = "Serving a room in real time")]
@@ -26,16 +26,16 @@ pub struct Args {
     /// Run the room in real time and send a robot's records over the kernel's connector, as its driver would
     #[arg(long, conflicts_with_all = ["out", "force"])]
     pub serve: bool,
-    /// Make a socket here over which other programs (`--room PATH#ROBOT` of sound and record) use the robots' cards. The
-    /// robots then send nothing by themselves, except answers of drivers with an `ack_len`
+    /// Offer the robots' cards to other programs (`--room PATH#ROBOT`) on this socket. The robots then send only what
+    /// these hand over, and answers of drivers with an `ack_len`
     #[arg(long, value_name = "PATH", requires = "serve")]
     socket: Option<PathBuf>,
-    /// The robot to serve, with =INDEX on another connector index; may be repeated [default: the first initiator, with
-    /// --socket nobody]
+    /// Robot to serve, with =INDEX on another connector index; may be repeated [default: the first initiator; with
+    /// --socket none]
     #[arg(long, value_name = "NAME[=INDEX]", value_parser = served)]
     robot: Vec<(String, u32)>,
-    /// Append the robot's odometry to this CSV file, a line for each pose; - is standard output. Give one for each --robot,
-    /// in the same order; with --socket and no --robot it is the first initiator's
+    /// Append the robot's odometry to this CSV file; - is standard output. One for each --robot, in the same order;
+    /// with --socket alone, the first initiator's
     #[arg(long, value_name = "FILE")]
     poses: Vec<PathBuf>,
     /// Speed relative to real time [default: 1]; max does not wait
@@ -44,7 +44,7 @@ pub struct Args {
 }
 
 impl Args {
-    /// True if anything was asked of serving.
+    /// True if an option of serving was given.
     pub fn asked(&self) -> bool {
         self.socket.is_some() || !self.robot.is_empty() || !self.poses.is_empty() || self.speed.is_some()
     }
@@ -64,7 +64,7 @@ fn served(text: &str) -> std::result::Result<(String, u32), String> {
 struct Served {
     name: String,
     on_connector: bool,
-    /// Until its end.
+    /// The room's end.
     card: Option<(Port, Sender)>,
     sent: u64,
     poses: Option<(Odometer, PosesFile)>,
@@ -79,14 +79,14 @@ struct Row<'a> {
     /// The traffic over the socket, if there is one.
     #[serde(flatten)]
     socket: Option<SocketRow>,
-    /// The greatest delay behind real time, milliseconds; `None` if the room does not wait.
+    /// The greatest delay behind real time, milliseconds; `None` if the room does not wait for it.
     behind_ms: Option<f64>,
 }
 
 #[derive(serde::Serialize)]
 struct RobotRow<'a> {
     robot: &'a str,
-    /// Frames that it sent, that its card received, and that were lost because they overlapped.
+    /// Frames that it sent, that its card received, and that overlapped and were lost.
     sent: u64,
     received: u64,
     collided: u64,
@@ -120,11 +120,12 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
         note!("serving {} on connector index {}", output.name, sender.index());
     }
     if let Some(path) = &args.socket {
-        // A program that is to answer within microseconds has no time for the kernel's comfort; refused, it is late.
+        // Programs must answer within microseconds, so ask for the kernel's tightest timers; without them answers are
+        // late.
         let _ = set_timerslack(1);
         note!("serving the room at {}", path.display());
     }
-    // Times are of now: the scene begins when this clock does.
+    // The scene begins when this clock starts.
     let clock = Monotonic::new();
     begin(&mut scene, wall_us());
     let room = if server.is_some() { Room::quiet(&scene) } else { Room::new(&scene) };
@@ -144,7 +145,7 @@ fn begin(scene: &mut Scene, wall_us: Option<i64>) {
     scene.start_unix_s = start_us.div_euclid(1_000_000);
     for robot in &mut scene.robot {
         robot.host_clock.offset_s += start_us.rem_euclid(1_000_000) as f64 * 1e-6;
-        // The real socket has its own queue, and the real listener stalls by itself.
+        // The real socket and the real listener bring their own queue and stalls.
         (robot.faults.queue_records, robot.faults.stall_every_s) = (usize::MAX, 0.0);
     }
 }
@@ -156,7 +157,7 @@ struct Serving {
     robots: Vec<Served>,
     clock: Monotonic,
     speed: f64,
-    /// The latest that anything came.
+    /// The greatest lateness so far.
     behind: Span,
 }
 
@@ -168,7 +169,7 @@ impl Serving {
             // Without waiting, time still passes event by event.
             let until = self.speed.is_finite().then(|| Span::from_s(next.as_s() / self.speed));
             let until = until.map(|span| Instant::ZERO + span + Span::from_us(1));
-            // Without a socket the signals are waited for twice.
+            // Without a socket, this waits for the signals twice.
             let fds = [signals.as_fd(), self.server.as_ref().map_or(signals.as_fd(), AsFd::as_fd)];
             let ready =
                 self.clock.wait(fds, Some(until.unwrap_or(Instant::ZERO))).map_err(|error| error.to_string())?;
@@ -190,7 +191,7 @@ impl Serving {
     fn turn(&mut self, now: &mut Instant) -> Words<Option<Instant>> {
         let mut next: Option<Instant> = None;
         if let Some(server) = &mut self.server {
-            // Both clocks at one moment: the kernel's stamps are of the one, the room's time is the other.
+            // Both clocks at one moment: the kernel stamps by one, the room runs by the other.
             *now = self.clock.now();
             next = server.turn(&mut self.room, *now, wall_us()).map_err(|error| error.to_string())?;
             server.notice().into_iter().for_each(|why| note!("a frame was not sent: {why}"));
@@ -305,7 +306,7 @@ fn open(scene: &Scene, file: &Path, args: &Args) -> Words<Vec<Output>> {
     named.into_iter().enumerate().map(output).collect()
 }
 
-/// Files that are no place for poses, and what they are.
+/// Files that cannot hold poses, and what they are.
 fn in_use(scene: &Scene, file: &Path, args: &Args) -> Vec<(PathBuf, &'static str)> {
     let socket = args.socket.iter().map(|socket| (socket.clone(), "the room's socket"));
     let recorded = scene.robot.iter().filter_map(|robot| match &robot.motion {

@@ -8,7 +8,7 @@ use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
 use std::fmt::Write;
 use std::path::Path;
 
-// What of the experiments is run.
+// Which experiments to run.
 #[derive(clap::Args, Clone)]
 #[command(
     next_help_heading = "The experiments of Dijkstra et al. (SCENE is suite; --out names a CSV table with a row for each repetition)"
@@ -42,7 +42,7 @@ pub fn run(which: &Which, path: &Path, force: bool, json: bool) -> Result {
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let failed = |error: String| format!("cannot write {}: {error}", path.display());
     let draft = Draft::create(path, force)?;
-    // Opened first: a file that cannot be written is found before minutes of work, not after.
+    // Opened first, so that an unwritable file fails before minutes of work.
     let mut csv = csv::Writer::from_path(draft.path()).map_err(|error| failed(error.to_string()))?;
     let mut runs = Vec::new();
     for (k, experiment) in all.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What sounding and answering (`sound --answer`) share: arguments, what they open, and the words for it.
+//! What sounding and answering (`sound --answer`) share: arguments, interface, messages.
 
 use super::super::args::{channel_of_5300, mac};
 use super::super::listener::{Listening, Needs, describe};
@@ -39,7 +39,7 @@ pub struct Sounding {
     /// Monitor interface
     #[arg(long, value_name = "NAME", required_unless_present = "room", conflicts_with = "room")]
     pub interface: Option<String>,
-    /// MACs of the other robots, separated by commas; in the WSR dialect they get frames of 57, 59, 61 ... bytes
+    /// MACs of the other robots; in the WSR dialect they get frames of 57, 59, 61 ... bytes
     #[arg(long, required = true, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
     pub peers: Vec<Mac>,
     /// Rounds a second, each with one exchange per peer
@@ -69,12 +69,12 @@ pub struct Sounding {
     /// How long after a forward frame its answer may begin, microseconds
     #[arg(long, default_value_t = Request::default().turn_around_us, value_name = "US")]
     pub turn_around: u32,
-    /// File with the group's key or this robot's own (`csi5300 key` makes both): frames without a valid tag and frames of
-    /// older sessions are ignored
+    /// Key file of the group or of this robot (`csi5300 key`): frames without a valid tag and of older sessions are
+    /// ignored
     ///
-    /// The clock numbers the sessions. The last number is kept in $XDG_STATE_HOME/csi5300, ~/.local/state/csi5300 or
-    /// /var/lib/csi5300. If none of these can be written and the clock is set back, the other robots ignore this one until
-    /// its clock has caught up.
+    /// The clock numbers the sessions; $XDG_STATE_HOME/csi5300, ~/.local/state/csi5300 or /var/lib/csi5300 keeps the
+    /// last number. If none can be written and the clock is set back, other robots ignore this one until its clock has
+    /// caught up.
     #[arg(long, value_name = "FILE")]
     pub key: Option<PathBuf>,
     /// This robot's MAC, instead of the interface's own
@@ -89,7 +89,7 @@ pub struct Sounding {
     /// Also record what the card hears to this log
     #[arg(long, value_name = "OUT.dat")]
     pub log: Option<PathBuf>,
-    /// Overwrite an existing log
+    /// Overwrite existing outputs
     #[arg(long)]
     pub force: bool,
     #[command(flatten)]
@@ -106,7 +106,7 @@ pub enum Words {
 }
 
 impl Sounding {
-    /// The request for a plan.
+    /// The plan that the arguments request.
     pub fn request(&self) -> Request {
         let is_wide = self.ht40 || self.channel.is_some_and(|channel| channel.width() != Width::Ht20);
         let bandwidth = if is_wide { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
@@ -123,7 +123,7 @@ impl Sounding {
             .with_turn_around_us(self.turn_around)
     }
 
-    /// What frames go through, in words.
+    /// What carries the frames, in words.
     fn name(&self) -> String {
         match (&self.interface, &self.listening.room) {
             (Some(interface), _) => interface.clone(),
@@ -174,7 +174,7 @@ impl Sounding {
         };
         let opened = monitor.and_then(|monitor| {
             setup.open_on(monitor, |config| {
-                // A WSR robot without a length of its own answers nothing: its kernel may.
+                // A WSR robot without a length answers nothing here; its kernel may.
                 config.respond = self.dialect == Words::Native || self.ack_len.is_some();
                 settle(config);
             })
@@ -193,12 +193,12 @@ impl Sounding {
         Ok(opened)
     }
 
-    /// Sees to the driver's rate.
+    /// Sets or checks the driver's rate.
     pub fn see_to_rate(&self, antenna: Antenna) -> std::result::Result<(), String> {
         self.interface.as_deref().map_or(Ok(()), |interface| see_to_rate(interface, self.request().phy, antenna))
     }
 
-    /// The card's records, if they are wanted: recorded, or only read. `own` is this robot's MAC.
+    /// The card's records, if wanted: recorded, or only read. `own` is this robot's MAC.
     pub fn messages(&self, wanted: Wanted, own: Mac) -> std::result::Result<DriverMessages, String> {
         if self.log.is_none() && wanted == Wanted::Not {
             return Ok(DriverMessages::none());
@@ -236,7 +236,7 @@ impl Sounding {
         Ok((self.conclude(&finished), ExchangeRow::new(&self.peers, &finished, error)))
     }
 
-    /// True where the simulated room ended, which ends a session as the time does.
+    /// True if the simulated room ended, which is a normal end.
     fn room_ended(&self, finished: &Finished) -> bool {
         finished.error.as_ref().is_some_and(|error| self.listening.room.is_some() && is_end_of_room(error))
     }
@@ -270,7 +270,7 @@ impl Sounding {
     }
 }
 
-/// Sees to the rate at which the driver of an interface sends.
+/// Sets or checks the rate at which an interface's driver sends.
 pub fn see_to_rate(interface: &str, phy: Phy, antenna: Antenna) -> std::result::Result<(), String> {
     let rate = rate_n_flags(phy, antenna)
         .ok_or_else(|| format!("--mcs {} has more streams than the card has antennas: 23 is the highest", phy.mcs))?;
@@ -300,10 +300,10 @@ fn refused(error: &PlanError) -> String {
 /// Whether the driver's messages are needed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wanted {
-    /// No.
+    /// Not needed.
     Not,
-    /// They would help.
+    /// Useful.
     IfPossible,
-    /// Nothing goes without them.
+    /// Required.
     Needed,
 }

@@ -1,4 +1,4 @@
-//! What is missing in a log and what its counters did, a row of ticks each, under the rate.
+//! Losses and counter events of a log, each a row of ticks under the rate.
 
 use super::super::axes::Axes;
 use super::super::canvas::{BLACK, Canvas, PALE};

@@ -23,8 +23,8 @@ pub(super) fn installed(system: &dyn System) -> bool {
     system.text(&format!("{PARAMETERS}/layout")).is_some() || known()
 }
 
-/// csitool's firmware where the driver finds it, and no other that it prefers. No step puts it there where the file
-/// is not on this machine: that is the user's, and the doctor says so.
+/// Puts csitool's firmware where the driver finds it, and moves preferred ones away. If the file is not on this
+/// machine, the user must copy it, as the doctor reports.
 pub(super) fn firmware(system: &dyn System) -> Vec<Step> {
     let at = |name: &str| format!("{FOLDER}/{name}");
     let aside =
@@ -40,7 +40,7 @@ pub(super) fn firmware(system: &dyn System) -> Vec<Step> {
     steps
 }
 
-/// True where the loaded module was built of other sources than the one on this disk, which an update leaves behind.
+/// True if the loaded module was built from other sources than the one on this disk, as after an update.
 fn is_another_build(system: &dyn System) -> bool {
     let on_disk = system.run(&["modinfo", "-F", "srcversion", "csi5300"]).filter(|ran| ran.ok);
     let on_disk = on_disk.map(|ran| ran.text.trim().to_owned()).filter(|build| !build.is_empty());
@@ -75,7 +75,7 @@ pub(super) fn load(system: &dyn System, request: &Request) -> Vec<Step> {
     vec![Step::run(why, &["modprobe", "-r", "csi5300"]).may_fail(), Step::run("CSI to the connector", &words)]
 }
 
-/// The steps that take the module away, and those that put the firmware back as it was.
+/// The steps that remove the module, and those that restore the firmware.
 pub(super) fn undo(system: &dyn System) -> (Option<Step>, Vec<Step>) {
     let loaded = system.text(&format!("{PARAMETERS}/layout")).is_some();
     let module = loaded.then(|| Step::run("without the module", &["modprobe", "-r", "csi5300"]));
@@ -91,7 +91,7 @@ pub(super) fn undo(system: &dyn System) -> (Option<Step>, Vec<Step>) {
     (module, steps)
 }
 
-/// What stands in the way of this driver and no step can mend, in words.
+/// Problems of this driver that no step can repair, in words.
 pub(super) fn warnings(system: &dyn System, driver: Option<Driver>) -> Vec<String> {
     let secure = system.bytes(SECURE_BOOT).and_then(|bytes| bytes.get(4).copied()) == Some(1);
     let mut warnings = Vec::new();
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn what_runs_as_wanted_is_left_alone_and_taken_back() {
+    fn a_correct_set_up_is_kept_and_can_be_undone() {
         let stage = Stage::new("running");
         stage.put("lib/firmware/iwlwifi-5000-5.ucode.csi5300-aside", "newer");
         stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn another_build_than_the_one_on_disk_is_loaded_anew() {
+    fn another_build_than_the_one_on_disk_is_reloaded() {
         let stage = Stage::new("build");
         stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
         std::os::unix::fs::symlink(PUBLISHED, stage.0.join("lib/firmware/iwlwifi-5000-2.ucode")).unwrap();
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_step_mends_is_said() {
+    fn problems_without_a_step_are_reported() {
         let stage = Stage::new("warned");
         stage.put(SECURE_BOOT.trim_start_matches('/'), "\u{6}\0\0\0\u{1}");
         std::fs::remove_file(stage.0.join("run/modinfo -F license csi5300")).unwrap();

@@ -39,7 +39,7 @@ fn a_kernel_of_today_needs_no_patch() {
 }
 
 #[test]
-fn a_kernel_for_which_another_way_is_a_step_off_is_not_told_to_go() {
+fn another_way_one_step_away_excuses_the_kernel() {
     let stage = todays("a-step");
     stage.put("proc/self/status", "CapEff:\t0000000000001000\n");
     assert_eq!(stage.check("way to CSI").verdict, Verdict::Doubt);
@@ -47,7 +47,7 @@ fn a_kernel_for_which_another_way_is_a_step_off_is_not_told_to_go() {
         let check = stage.check(name);
         assert!(check.verdict != Verdict::Bad && check.mend.is_none(), "{check:?}");
     }
-    // Where every other way is closed an older kernel is what is left.
+    // If every other way is closed, an older kernel remains.
     stage.remove("sys/bus/event_source");
     stage.put(EFIVAR, "\u{6}\0\0\0\u{1}");
     assert!(stage.check("kernel").mend.unwrap().contains("4.15"));
@@ -55,7 +55,7 @@ fn a_kernel_for_which_another_way_is_a_step_off_is_not_told_to_go() {
 }
 
 #[test]
-fn what_is_missing_for_the_program_is_said() {
+fn a_missing_feature_is_reported() {
     let expect = |stage: &Stage, verdict: Verdict, words: &str| {
         let way = stage.check("way to CSI");
         assert!(way.verdict == verdict && way.found.contains(words), "{words}: {way:?}");

@@ -50,7 +50,7 @@ fn a_record_comes_out_as_it_went_in_and_names_its_index() {
 }
 
 #[test]
-fn only_the_kernel_is_believed() {
+fn only_the_kernels_messages_are_accepted() {
     let mut intake = intake();
     let bytes = datagram(CN_IDX, code::BFEE, &body(1));
     assert_eq!(put(&mut intake, &bytes, 4242), None);
@@ -62,7 +62,7 @@ fn only_the_kernel_is_believed() {
 }
 
 #[test]
-fn foreign_messages_around_ours_are_left_out() {
+fn foreign_messages_around_ours_are_skipped() {
     let mut intake = intake();
     let (foreign, ours) = (datagram(1, 0, &[9; 6]), datagram(CN_IDX, code::BFEE, &body(3)));
     // Several cn_msg in one netlink message: the first header stays, the others are dropped, no padding between.

@@ -60,7 +60,7 @@ fn host_times_are_those_of_the_kernel() {
 }
 
 #[test]
-fn a_full_ring_is_told_where_it_was_and_nothing_is_joined_across_it() {
+fn a_full_ring_is_reported_at_its_gap_and_no_record_spans_it() {
     let mut intake = Intake::new(Options::default(), None);
     let events = [
         event(1, 0, 0, 0xC0, &phy(1)),
@@ -115,7 +115,7 @@ fn frames_of_a_card_without_csi_are_held_back() {
 }
 
 #[test]
-fn what_is_no_event_is_counted() {
+fn invalid_events_are_counted() {
     let mut intake = Intake::new(Options::default(), None);
     let mut flagged = event(1, 0, 0, 0xC0, &phy(1));
     flagged[29] = 0x80;
@@ -125,7 +125,7 @@ fn what_is_no_event_is_counted() {
 }
 
 #[test]
-fn a_card_that_hears_this_robot_is_another_s() {
+fn a_card_that_hears_this_robot_belongs_to_another() {
     let own = Mac([0, 0x21, 0x6a, 0, 0, 1]);
     let mut intake = Intake::new(Options::default(), Some(own));
     let mut mpdu = vec![0; 4 + 40 + 4];

@@ -69,7 +69,7 @@ fn every_record_is_what_the_patched_driver_makes() {
 
 /// Frames that lack something, in known numbers.
 #[test]
-fn what_is_missing_is_dropped_or_marked_and_counted() {
+fn missing_parts_are_dropped_or_marked_and_counted() {
     if step("CSI5300_STOCK_DROPS").is_none() {
         return;
     }

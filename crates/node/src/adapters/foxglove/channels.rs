@@ -48,7 +48,7 @@ struct CsiRow {
     phase: Vec<f32>,
 }
 
-/// What was read and lost in a log.
+/// Counts of a log: read and lost.
 #[derive(Encode)]
 struct Counters {
     records: u64,
@@ -59,7 +59,7 @@ struct Counters {
     bfee_missing: u64,
 }
 
-/// What goes wrong with viewers.
+/// Errors of viewers.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// No viewer can connect.
@@ -83,8 +83,7 @@ pub enum Error {
     Bartlett(#[from] bartlett::Error),
 }
 
-/// A websocket for viewers, on threads of its own, behind a door. A viewer that is slow loses messages, and
-/// holds nothing up.
+/// A websocket for viewers, on its own threads, behind a door. A slow viewer loses messages and delays nothing.
 pub struct Live {
     /// The channels that viewers subscribe to.
     pub channels: Channels,
@@ -100,14 +99,14 @@ impl Drop for Live {
 }
 
 impl Live {
-    /// Listens, with the channels of the log `name` and of `links`. Call it outside of an async runtime: the server has its
-    /// own. Viewers may come from the pages `origins`, and from those that are always welcome.
+    /// Listens, with the channels of the log `name` and of `links`. Call it outside of an async runtime: the server has
+    /// its own. Pages in `origins`, and those that are always allowed, may connect.
     ///
-    /// All channels are made before a viewer can be there: the SDK (0.30) advertises a channel that is made later before it
-    /// knows it itself, and refuses a viewer that subscribes in between.
+    /// All channels exist before a viewer can connect: the SDK (0.30) advertises a later channel before it is ready,
+    /// and refuses a viewer that subscribes in between.
     ///
     /// # Errors
-    /// If nobody can listen there.
+    /// If the address cannot be used.
     pub fn listen<'a>(
         name: &str,
         links: impl Iterator<Item = &'a str>,
@@ -155,7 +154,7 @@ impl OfLink {
     }
 }
 
-/// The channel of that name, made if it is not there yet.
+/// The channel of that name, made if needed.
 fn named<'a, T>(channels: &'a mut BTreeMap<String, T>, name: &str, make: impl FnOnce() -> T) -> &'a T {
     if !channels.contains_key(name) {
         channels.insert(name.to_owned(), make());
@@ -176,7 +175,7 @@ impl Channels {
         }
     }
 
-    /// Makes the channels of a log and of links, which otherwise are made with their first messages.
+    /// Makes the channels of a log and of links in advance.
     fn make<'a>(&mut self, log: &str, links: impl Iterator<Item = &'a str>) {
         let context = &self.context;
         named(&mut self.rows, log, || context.channel_builder(format!("/csi/{log}")).build());
@@ -204,7 +203,7 @@ impl Channels {
         channel.log_with_time(&row, nanoseconds(t_s));
     }
 
-    /// What was counted in a log until `t_s`.
+    /// Counts of a log until `t_s`.
     pub fn counters(&mut self, log: &str, t_s: f64, survey: &Survey) {
         let counters = Counters {
             records: survey.records,
@@ -219,7 +218,7 @@ impl Channels {
         channel.log_with_time(&counters, nanoseconds(t_s));
     }
 
-    /// Where the robot is.
+    /// The robot's pose.
     pub fn pose(&self, pose: &Pose) {
         let rotation = turn(pose.heading_rad.unwrap_or(0.0));
         self.transform(ROBOT, pose, rotation);
@@ -247,7 +246,7 @@ impl Channels {
         self.trajectory.log_with_time(&path, nanoseconds(t_s));
     }
 
-    /// A bearing, its mirror where it has one, and its profile.
+    /// A bearing, its mirror if any, and its profile.
     ///
     /// # Errors
     /// If the profile cannot be computed.
@@ -272,8 +271,7 @@ impl Channels {
     }
 }
 
-/// The profile, in directions of the trajectory's frame, about the robot; about the middle of the motion where no heading
-/// is known.
+/// The profile in directions of the trajectory's frame, at the robot, or at the middle of the motion without a heading.
 fn profile(bearing: &Bearing, from: &Pose) -> Result<fox::LaserScan, bartlett::Error> {
     let elevation = bearing.answer.elevation_rad();
     let directions: Vec<(f64, f64)> = (0..DIRECTIONS).map(|k| (Grid::azimuth(DIRECTIONS).at(k).0, elevation)).collect();

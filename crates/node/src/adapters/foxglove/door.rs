@@ -1,7 +1,7 @@
-//! The door before the viewers' websocket: how many come in, for how long they may say who they are, and from which pages.
+//! Admission to the viewers' websocket: limits of number, time and pages.
 //!
-//! The server behind it listens on this machine alone and asks for nothing. A connection is let in once the head of its
-//! request is whole; from then on bytes are only carried.
+//! The server behind it listens on this machine only, without checks. A connection is admitted once the head of its
+//! request is complete; later bytes are copied.
 
 use crate::descriptors;
 use std::io::{self, Read, Write};
@@ -15,19 +15,19 @@ use std::time::{Duration, Instant};
 const VIEWERS: usize = 8;
 /// Bytes of a request's head at most.
 const HEAD: usize = 8 * 1024;
-/// A head must be whole within this time.
+/// A head must be complete within this time.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// A viewer that takes nothing for so long is let go.
+/// A viewer that reads nothing for this time is disconnected.
 const STUCK: Duration = Duration::from_secs(30);
-/// Pages that viewers are: Foxglove's own. Programs send no origin.
+/// Foxglove's own pages. Programs send no origin.
 const PAGES: [&str; 2] = ["https://app.foxglove.dev", "https://studio.foxglove.dev"];
 /// Pause when no more connections can be accepted.
 const NO_DESCRIPTORS: Duration = Duration::from_millis(500);
 
-/// What is asked of who comes.
+/// The rules of admission.
 #[derive(Clone, Debug)]
 pub(crate) struct Rules {
-    /// Further pages from which viewers come, such as `https://lichtblick.lab`.
+    /// Further pages that may connect, such as `https://lichtblick.lab`.
     pub origins: Vec<String>,
     /// See [`VIEWERS`].
     pub viewers: usize,
@@ -42,7 +42,7 @@ impl Rules {
     }
 }
 
-/// A door that is open until it is dropped.
+/// A door; it closes when dropped.
 #[derive(Debug)]
 pub(crate) struct Door {
     address: SocketAddr,
@@ -51,7 +51,7 @@ pub(crate) struct Door {
 }
 
 impl Door {
-    /// Listens at `address` and leads to the server at `inside`.
+    /// Listens at `address` and forwards to the server at `inside`.
     ///
     /// # Errors
     /// If nobody can listen there.
@@ -65,7 +65,7 @@ impl Door {
         Ok(Self { address, over, waiter })
     }
 
-    /// Where it listens.
+    /// Its address.
     #[cfg(test)]
     fn address(&self) -> SocketAddr {
         self.address
@@ -75,7 +75,7 @@ impl Door {
 impl Drop for Door {
     fn drop(&mut self) {
         self.over.store(true, Ordering::Relaxed);
-        // A connection of its own wakes the waiter.
+        // A connection to itself wakes the waiting thread.
         let _ = TcpStream::connect(self.address);
         if let Some(waiter) = self.waiter.take() {
             let _ = waiter.join();
@@ -83,7 +83,7 @@ impl Drop for Door {
     }
 }
 
-/// A place among the viewers, free again when it is dropped.
+/// A place for a viewer, freed when dropped.
 struct Place(Arc<AtomicUsize>);
 
 impl Place {
@@ -111,7 +111,7 @@ fn wait(listener: &TcpListener, inside: SocketAddr, rules: &Arc<Rules>, over: &A
             thread::sleep(NO_DESCRIPTORS);
             continue;
         };
-        // Whoever finds no place is let go at once.
+        // Without a free place the connection is closed at once.
         let Some(place) = Place::take(&taken, rules.viewers).filter(|_| descriptors::are_to_spare()) else { continue };
         let rules = Arc::clone(rules);
         let lead = move || {
@@ -122,7 +122,7 @@ fn wait(listener: &TcpListener, inside: SocketAddr, rules: &Arc<Rules>, over: &A
     }
 }
 
-/// Lets one viewer in, and carries until either side ends.
+/// Admits one viewer, and copies until either side ends.
 fn lead(mut viewer: TcpStream, inside: SocketAddr, rules: &Rules) -> io::Result<()> {
     let Some(head) = read_head(&mut viewer, rules.patience)? else { return Ok(()) };
     if !origin(&head).is_none_or(|origin| is_welcome(origin, rules)) {
@@ -144,7 +144,7 @@ fn lead(mut viewer: TcpStream, inside: SocketAddr, rules: &Rules) -> io::Result<
     Ok(())
 }
 
-/// The head of a request, with what came after it; `None` if it is too long or not whole in time.
+/// The head of a request, with later bytes; `None` if it is too long or incomplete in time.
 fn read_head(viewer: &mut TcpStream, patience: Duration) -> io::Result<Option<Vec<u8>>> {
     let end = Instant::now() + patience;
     let (mut head, mut part) = (Vec::new(), [0; 1024]);
@@ -166,13 +166,13 @@ fn read_head(viewer: &mut TcpStream, patience: Duration) -> io::Result<Option<Ve
     Ok(None)
 }
 
-/// The page that a request says it is from.
+/// The page that a request names as its origin.
 fn origin(head: &[u8]) -> Option<String> {
     let text = String::from_utf8_lossy(head);
     let lines = text.split("\r\n\r\n").next().unwrap_or_default().lines().skip(1);
     let named =
         lines.filter_map(|line| line.split_once(':')).filter(|(name, _)| name.trim().eq_ignore_ascii_case("origin"));
-    // Of several, none is to be believed.
+    // Several origins are refused.
     let all: Vec<&str> = named.map(|(_, value)| value.trim()).collect();
     (!all.is_empty()).then(|| all.join(" "))
 }
@@ -183,7 +183,7 @@ fn is_welcome(origin: String, rules: &Rules) -> bool {
     ["localhost", "127.0.0.1", "[::1]"].contains(&name)
         || PAGES.contains(&origin.as_str())
         || rules.origins.contains(&origin)
-        // A program of its own, as Foxglove's on the desktop.
+        // A program, such as Foxglove's on the desktop.
         || origin.starts_with("file://")
 }
 
@@ -191,7 +191,7 @@ fn is_welcome(origin: String, rules: &Rules) -> bool {
 mod tests {
     use super::*;
 
-    /// A door before a server that says what it was asked, and repeats what comes.
+    /// A door before a server that echoes.
     fn house(viewers: usize, patience: Duration) -> Door {
         let inside = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = inside.local_addr().unwrap();
@@ -208,7 +208,7 @@ mod tests {
     fn ask(door: &Door, origin: &str) -> TcpStream {
         let mut stream = TcpStream::connect(door.address()).unwrap();
         let line = if origin.is_empty() { String::new() } else { format!("oRigin: {origin}\r\n") };
-        // Who finds no place may be gone before all is written.
+        // A refused connection may be closed before everything is written.
         let _ = write!(stream, "GET / HTTP/1.1\r\nHost: robot\r\n{line}\r\n");
         stream
     }
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn who_says_nothing_is_let_go_and_holds_no_place_for_ever() {
+    fn a_silent_connection_is_closed_and_frees_its_place() {
         let door = house(1, Duration::from_millis(30));
         let mut silent = TcpStream::connect(door.address()).unwrap();
         assert_eq!(first(&mut silent, 1), "", "closed");
@@ -271,7 +271,7 @@ mod tests {
         inside.iter_mut().for_each(|viewer| assert_eq!(first(viewer, 3), "GET"));
         let mut further = ask(&door, "");
         assert_eq!(first(&mut further, 3), "");
-        // What was said after the head is carried too, and back.
+        // Bytes after the head are copied too, both ways.
         inside[0].write_all(b"#").unwrap();
         assert!(first(&mut inside[0], "GET / HTTP/1.1\r\nHost: robot\r\n\r\n#".len() - 3).ends_with('#'));
     }

@@ -1,14 +1,14 @@
-//! Who can take part in the robots' network, by its endpoints and by what is asked of those who connect.
+//! Determines who can join the robots' network, by its endpoints and authentication.
 
 use std::path::PathBuf;
 
-/// Endpoints of this machine that only its own programs reach: for a network that asks nobody for anything.
+/// Local endpoints, for a network without authentication.
 pub(crate) const LOCAL: &str = "tcp/127.0.0.1:0";
 
-/// Settings of an endpoint that change nothing about who may connect; none at all is one.
+/// Settings of an endpoint that do not affect who may connect; the empty one too.
 const HARMLESS: [&str; 5] = ["", "iface", "bind", "so_sndbuf", "so_rcvbuf"];
 
-/// What of zenoh's configuration decides who takes part.
+/// The parts of zenoh's configuration that decide who may join.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Doors {
     /// Endpoints on which it listens, if any are named.
@@ -23,14 +23,14 @@ pub(crate) struct Doors {
     pub has_rules: bool,
 }
 
-/// What is to be done about them.
+/// The consequence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
-    /// Who takes part must know a password or show a certificate, or nobody but programs of this machine can.
+    /// Members need a password or a certificate, or only local programs can join.
     Good,
-    /// Nothing is asked, and nothing was said of where to listen: on [`LOCAL`], without discovery.
+    /// Without authentication and endpoints: on [`LOCAL`], without discovery.
     KeepLocal,
-    /// Anybody who reaches this endpoint takes part.
+    /// Anybody who reaches this endpoint can join.
     Open(String),
 }
 
@@ -55,14 +55,14 @@ impl Doors {
     }
 }
 
-/// True for an endpoint of TLS as the file has it: settings behind `#` may leave out what the file asks for.
+/// True for a TLS endpoint with the file's settings: settings after `#` could weaken them.
 fn is_encrypted(endpoint: &str) -> bool {
     let (address, settings) = endpoint.split_once('#').unwrap_or((endpoint, ""));
     let is_harmless = |setting: &str| HARMLESS.contains(&setting.split('=').next().unwrap_or_default());
     ["tls/", "quic/"].iter().any(|scheme| address.starts_with(scheme)) && settings.split(';').all(is_harmless)
 }
 
-/// True for an endpoint that only programs of this machine reach, such as `tcp/127.0.0.1:7447`.
+/// True for an endpoint that only local programs reach, such as `tcp/127.0.0.1:7447`.
 fn is_local(endpoint: &str) -> bool {
     let Some((scheme, rest)) = endpoint.split_once('/') else { return false };
     if scheme.starts_with("unixsock") || scheme == "unixpipe" {
@@ -95,7 +95,7 @@ mod tests {
         ] {
             assert!(is_local(local), "{local}");
         }
-        // A name may be anybody's: what it stands for is not known here.
+        // A name may resolve to any address.
         for open in [
             "tcp/0.0.0.0:7447",
             "tcp/[::]:0",
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn an_open_door_is_said_and_a_closed_one_is_not() {
+    fn an_open_network_is_reported_and_a_closed_one_is_not() {
         let all = "tcp/0.0.0.0:7447";
         assert_eq!(doors(None, &[]).judge(), Verdict::KeepLocal);
         assert_eq!(

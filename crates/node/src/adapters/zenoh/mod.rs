@@ -16,7 +16,7 @@ use owners::Owner;
 use std::sync::Arc;
 use tokio::sync::Notify;
 
-/// The network, once it is joined, and what waits of each peer by its number.
+/// The network, once joined, and each peer's queues by its number.
 struct Zenoh {
     config: Config,
     wake: Arc<Notify>,
@@ -31,7 +31,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
     Ok(config.network.is_some().then(|| Box::new(made()) as Box<dyn Adapter>))
 }
 
-/// Why the network would not be joined.
+/// Why the network cannot be joined.
 pub(super) fn refusal(config: &Config) -> Option<String> {
     let network = config.network.as_ref().filter(|network| network.zenoh.as_ref().is_none_or(|file| file.is_file()))?;
     let peers = config.peer.iter().map(|peer| peer.get_ref());

@@ -23,35 +23,35 @@ use std::time::Duration;
 use zenoh::Wait;
 use zenoh::qos::{CongestionControl, Priority};
 
-/// Items that wait for the network at most; further ones are lost and counted.
+/// Limit of items that wait for the network; further ones are lost and counted.
 const BACKLOG: usize = 4_096;
-/// A message is sent when it is this long, ...
+/// A message is sent when it has this length.
 const MESSAGE_BYTES: usize = 32 * 1024;
-/// ... or this long after its first item: the threads of both ends wake for a message, not for every record.
+/// A message is sent at the latest this long after its first item, so that threads wake for messages, not for records.
 const HAND_OVER: Duration = Duration::from_millis(4);
-/// How soon it is seen that the publisher is to stop, while nothing comes.
+/// Interval of checks for the end while nothing comes.
 const STOP_LOOK: Duration = Duration::from_millis(50);
-/// Zenoh's own queue for each neighbour, batches of 64 KiB: at its own length what waited for a first reader does not fit, and
-/// is dropped. This is the longest; what is not needed is not allocated.
+/// Zenoh's queue for each neighbour, batches of 64 KiB, at its maximum: with the default, items that waited for a first
+/// reader would be dropped. Unused memory is not allocated.
 const QUEUE: &str = "16";
 const ZENOH_QUEUE: &str = "2";
-/// Looks for a first reader, and the time between them.
+/// Checks for a first reader, and the time between them.
 const FIRST_LOOKS: u32 = 200;
 const FIRST_LOOK: Duration = Duration::from_millis(5);
-/// Messages that are still sent after a request to stop: more than can wait.
+/// Limit of messages after a request to stop: more than can wait.
 const LAST_MESSAGES: usize = 256;
 
-/// Bytes of the file of users that are looked at: whether there are any is seen in the first ones.
+/// Bytes of the file of users that are read: enough to see whether it has any.
 const USERS_BYTES: u64 = 1 << 16;
 
-/// Something to publish, with its number among those of its kind. What there was no room for has a number too.
+/// An item to publish, with its number. Dropped items have numbers too.
 enum Item {
     Record(u64, Option<i64>, u8, Vec<u8>),
     /// With the number of its frame.
     Pose(u64, u64, Pose),
 }
 
-/// The network. Leaves it when dropped, which must be outside of an async runtime: zenoh waits for its own.
+/// The network. Dropping it leaves the network, which must happen outside of an async runtime: zenoh waits for its own.
 pub struct Network {
     session: zenoh::Session,
     prefix: String,
@@ -60,7 +60,7 @@ pub struct Network {
     mailboxes: Vec<(String, &'static str, Mailbox)>,
     publisher: Option<(SyncSender<Item>, JoinHandle<()>)>,
     unsent: Arc<AtomicU64>,
-    /// The publisher sends what waits, and ends.
+    /// The publisher sends the waiting items, and ends.
     stop: Arc<AtomicBool>,
     publishes: (bool, bool),
 }
@@ -69,17 +69,17 @@ fn wrong(what: &str) -> impl Fn(zenoh::Error) -> Error + '_ {
     move |error| Error::Backend(format!("{what}: {error}").into())
 }
 
-/// What all keys of a group begin with.
+/// The prefix of a group's keys.
 fn prefix_of(asked: &Asked) -> String {
     format!("csi5300/{}", if asked.group.is_empty() { "robots" } else { &asked.group })
 }
 
-/// Whether a name stands for itself among zenoh's keys.
+/// Whether a name is a plain key of zenoh, not a pattern.
 fn is_plain(group: &str) -> bool {
     group.chars().all(|letter| letter.is_alphanumeric() || ['-', '_', '.'].contains(&letter))
 }
 
-/// Zenoh's configuration with the endpoints and owners of ours, closed to whoever is not asked who they are.
+/// Zenoh's configuration with our endpoints and owners, without unauthenticated access.
 fn configured(asked: &Asked, owners: &[Owner]) -> Result<zenoh::Config, Error> {
     if !is_plain(&asked.group) {
         return Err(NodeError::GroupName { group: asked.group.clone() }.into());
@@ -118,7 +118,7 @@ fn configured(asked: &Asked, owners: &[Owner]) -> Result<zenoh::Config, Error> {
                 let local = serde_json::to_string(&[LOCAL]).unwrap_or_default();
                 config.insert_json5("listen/endpoints", &local).map_err(wrong("an endpoint of this machine"))?;
             }
-            // Whom it finds is not asked who it is.
+            // Discovered programs are not authenticated.
             config.insert_json5("scouting/multicast/enabled", "false").map_err(wrong("zenoh's discovery"))?;
         }
     }
@@ -147,7 +147,7 @@ fn doors(config: &zenoh::Config) -> Doors {
     }
 }
 
-/// Refuses a file of users without any: zenoh asks nobody for a password then.
+/// Refuses a file without users: zenoh would then ask for no password.
 fn has_users(path: &Path) -> Result<(), NodeError> {
     let none = |source| NodeError::NoUsers { path: path.to_owned(), source };
     let file = std::fs::File::open(path).map_err(|error| none(Some(error)))?;
@@ -166,7 +166,7 @@ fn endpoints(value: &serde_json::Value) -> Vec<String> {
     }
 }
 
-/// Why this network would not be joined, for `--check`.
+/// Why this network cannot be joined, for `--check`.
 pub(crate) fn refusal(asked: &Asked, owners: &[Owner]) -> Option<String> {
     configured(asked, owners).err().map(|error| error.to_string())
 }
@@ -202,14 +202,14 @@ impl Network {
 
     fn publish(&mut self, own: Mac) -> Result<(), Error> {
         let (items, waiting) = sync_channel(self.backlog);
-        // Never waits for a slow peer: what does not fit is dropped, and its numbers are missing there.
+        // Does not wait for a slow peer: items that do not fit are dropped, and the peer misses their numbers.
         let publisher = |what: &str| {
             let key = format!("{}/{}/{what}", self.prefix, key_of(own));
             let declared = self.session.declare_publisher(key).congestion_control(CongestionControl::Drop);
             declared.priority(Priority::RealTime).express(true).wait().map_err(wrong("declaring a publisher"))
         };
         let (records, poses) = (publisher("records")?, publisher("poses")?);
-        // Another one at each start, so that peers know numbers that began anew.
+        // Changes at each start, so that peers notice restarted numbers.
         let session = csi5300_live::wait::wall_us().unwrap_or(0) as u32 ^ std::process::id();
         let stop = Arc::clone(&self.stop);
         let (publishes_records, publishes_poses) = self.publishes;
@@ -235,7 +235,7 @@ impl Network {
         Some(Box::new(Published::new(items.clone(), Arc::clone(&self.unsent), self.publishes)))
     }
 
-    /// A queue of a peer's `records` or `poses`; `wake` is called whenever something came.
+    /// A queue of a peer's `records` or `poses`; `wake` is called for each arrival.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -263,7 +263,7 @@ impl Network {
         self.mailboxes.iter().map(|(mac, _, mailbox)| (mac.as_str(), mailbox.counts().contested))
     }
 
-    /// What was counted so far.
+    /// The counts so far.
     #[must_use]
     pub fn counts(&self) -> NetworkCounts {
         let counted = self.mailboxes.iter().map(|(mac, what, mailbox)| (mac.clone(), *what, mailbox.counts()));
@@ -282,8 +282,8 @@ impl Drop for Network {
     }
 }
 
-/// Waits for the first reader, but no longer than a second: what is put before one is known reaches nobody, while it may
-/// well be there, as the robots' programs find each other in some milliseconds.
+/// Waits at most a second for the first reader: earlier items would reach nobody, although the robots' programs find
+/// each other in some milliseconds.
 fn wait_for_reader(stop: &AtomicBool, is_read: impl Fn() -> bool) {
     for _ in 0..FIRST_LOOKS {
         if is_read() || stop.load(Ordering::Relaxed) {
@@ -293,7 +293,7 @@ fn wait_for_reader(stop: &AtomicBool, is_read: impl Fn() -> bool) {
     }
 }
 
-/// Items between two looks at whether to stop.
+/// Items between two checks for the end.
 const ITEMS_AT_ONCE: usize = 1_024;
 
 /// Collects items into messages, and sends them.
@@ -305,7 +305,7 @@ fn work(
     send_poses: impl Fn(Vec<u8>),
 ) {
     let (mut records, mut poses) = (Batch::records(session), Batch::poses(session));
-    // Into its message; one that its number does not continue is sent first.
+    // Adds to its message; sends the message first if the number does not continue it.
     let collect = |item, records: &mut Batch, poses: &mut Batch| match item {
         Item::Record(number, host_us, code, body) => {
             records.number(number).into_iter().for_each(&send_records);
@@ -318,7 +318,7 @@ fn work(
     };
     let (mut left, mut behind) = (LAST_MESSAGES, false);
     while left > 0 {
-        // After a request to stop it sends what waits and no more: a tap that goes on does not keep it alive.
+        // After a request to stop it sends only waiting items: a running tap does not keep it alive.
         let stopping = stop.load(Ordering::Relaxed);
         left -= usize::from(stopping);
         match waiting.recv_timeout(if stopping { Duration::ZERO } else { STOP_LOOK }) {
@@ -329,7 +329,7 @@ fn work(
         if !stopping && !behind {
             std::thread::sleep(HAND_OVER);
         }
-        // Whatever waits goes with it, but not for ever: items may come as fast as they go.
+        // Sends waiting items, up to a limit: new ones may come as fast.
         behind = true;
         for _ in 0..ITEMS_AT_ONCE {
             if records.len() >= MESSAGE_BYTES || poses.len() >= MESSAGE_BYTES {
@@ -349,7 +349,7 @@ fn work(
     }
 }
 
-/// Hands items to the network's thread, and never waits for it.
+/// Hands items to the network's thread without waiting.
 struct Published {
     items: SyncSender<Item>,
     unsent: Arc<AtomicU64>,
@@ -391,12 +391,12 @@ impl Tap for Published {
     }
 }
 
-/// What was counted of the network, peer by peer.
+/// Counts of the network by peer.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct NetworkCounts {
     /// Records and poses that were not sent because too many waited.
     pub unsent: u64,
-    /// Peers' MACs, what they publish, and what was counted of it.
+    /// Peers' MACs, their outputs, and the counts.
     pub subscriptions: Vec<(String, &'static str, QueueCounts)>,
 }
 

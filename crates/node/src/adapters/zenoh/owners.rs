@@ -1,12 +1,11 @@
-//! Whose certificate a peer's records and poses must come by: zenoh's access control, made from the peers' `certificate`.
+//! Zenoh's access control, made from the peers' `certificate`: who may publish as a peer.
 //!
-//! A message is judged by the link that it comes by, so a robot that has a certificate named for it must be linked to this one
-//! without a router between them.
+//! Zenoh judges a message by its link, so a robot with a named certificate must be linked directly, without a router.
 
 use driver_iface::Mac;
 use serde_json::{Value, json};
 
-/// Messages by which programs find out who has what; none of them is a record or a pose.
+/// Messages of discovery; none is a record or a pose.
 const ASKING: [&str; 7] = [
     "declare_subscriber",
     "query",
@@ -22,7 +21,7 @@ const ASKING: [&str; 7] = [
 pub struct Owner {
     /// The peer.
     pub mac: Mac,
-    /// The common name of its certificate; anybody in the network may publish as it where absent.
+    /// The common name of its certificate; without one, anybody in the network may publish as it.
     pub certificate: Option<String>,
 }
 
@@ -31,9 +30,9 @@ pub(crate) fn key_of(mac: Mac) -> String {
     mac.to_string().replace(':', "")
 }
 
-/// Zenoh's table `access_control` for keys that begin with `prefix`; `None` where no certificate is named.
+/// Zenoh's table `access_control` for keys below `prefix`; `None` without a named certificate.
 ///
-/// What nobody is allowed to publish here is refused, so that a message to many keys at once (`*`) is too.
+/// Everything else is refused, also messages to many keys (`*`).
 pub(crate) fn access_control(prefix: &str, owners: &[Owner]) -> Option<Value> {
     if owners.iter().all(|owner| owner.certificate.is_none()) {
         return None;
@@ -81,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn an_owned_key_is_taken_by_its_certificate_and_what_nobody_owns_by_nobody_else() {
+    fn an_owned_key_is_published_by_its_certificate_only() {
         let made = access_control("csi5300/lab", &[owner(1, Some("burger-1")), owner(2, None)]).unwrap();
         assert_eq!((&made["enabled"], &made["default_permission"]), (&json!(true), &json!("deny")));
         let rule = |id: &str| made["rules"].as_array().unwrap().iter().find(|rule| rule["id"] == id).unwrap();
@@ -93,7 +92,7 @@ mod tests {
             });
             assert_eq!(rule(id), &taken);
         }
-        // Nobody else's message comes in.
+        // Messages of others are refused.
         let incoming = made["rules"].as_array().unwrap().iter().filter(|rule| {
             let has = |list: &Value, what: &str| list.as_array().unwrap().contains(&json!(what));
             has(&rule["flows"], "ingress") && (has(&rule["messages"], "put") || has(&rule["messages"], "delete"))

@@ -1,4 +1,4 @@
-//! Files that a robot writes: their folders are there and may be written to, and none is another one, nor one that it reads.
+//! Checks a robot's outputs: their folders exist and are writable, and none is another output or an input.
 
 use super::super::{Capture, Config, Feitcsi, Odometry, Records};
 use super::Check;
@@ -15,16 +15,16 @@ const OF_SERVICE: [&str; 2] = ["/var/lib/csi5300", "/run/csi5300"];
 /// Bytes of a socket's name at most: `sun_path` in `<linux/un.h>`, with a zero at its end.
 const NAME_OF_SOCKET: usize = 107;
 
-/// What becomes of an output's name.
+/// How an output's name is used.
 #[derive(Clone, Copy)]
 enum Kind {
-    /// A new file beside what is there.
+    /// A new file beside existing ones.
     Log,
-    /// What is added to, and made if it is not there.
+    /// A file to append to, made if absent.
     Lines,
-    /// A socket, made anew.
+    /// A new socket.
     Socket,
-    /// A new folder beside what is there, with those above it.
+    /// A new folder beside existing ones, with its parents.
     Folder,
 }
 
@@ -44,11 +44,12 @@ impl Check<'_> {
         let mut before: Vec<(&str, &Path)> = Vec::new();
         for (place, kind, file) in files {
             let Some(file) = file else { continue };
-            let read = inputs.iter().find(|(_, input)| is_one(input, file)).map(|(key, _)| {
-                format!("{} is what {key} names: what this robot reads is not written to", file.display())
-            });
+            let read = inputs
+                .iter()
+                .find(|(_, input)| is_one(input, file))
+                .map(|(key, _)| format!("{} is an input ({key}): name another output", file.display()));
             let twice = before.iter().find(|(_, other)| is_one(other, file)).map(|(name, _)| {
-                format!("{} is what `{name}` writes, too: they would destroy each other", file.display())
+                format!("{} is also the output of `{name}`: they would overwrite each other", file.display())
             });
             let itself = self.own_file.is_some_and(|own| is_one(own, file));
             let itself = itself.then(|| format!("{} is this configuration", file.display()));
@@ -63,7 +64,7 @@ impl Check<'_> {
     }
 }
 
-/// Every file that the configuration has this robot read, and the key that names it.
+/// Every input of the configuration, and its key.
 fn files_to_read(config: &Config) -> Vec<(String, &Path)> {
     let mut inputs: Vec<(String, &Path)> = Vec::new();
     match config.capture.get_ref() {
@@ -93,7 +94,7 @@ fn files_to_read(config: &Config) -> Vec<(String, &Path)> {
     inputs
 }
 
-/// The trajectory that poses are read from, with the key that names them.
+/// The trajectory of poses, with its key.
 fn poses(key: String, odometry: &Odometry) -> Option<(String, &Path)> {
     match odometry {
         Odometry::Csv(csv) => Some((key, &csv.file)),
@@ -101,13 +102,13 @@ fn poses(key: String, odometry: &Odometry) -> Option<(String, &Path)> {
     }
 }
 
-/// True for two names of one file, or of one that is not there yet; the side file of a log is its own.
+/// True for two names of one file, also of a future one; the side file of a log counts too.
 fn is_one(a: &Path, b: &Path) -> bool {
     let place = |file: &Path| {
         let there = folder_of(file).canonicalize().unwrap_or_else(|_| folder_of(file).to_owned());
         file.canonicalize().unwrap_or_else(|_| there.join(file.file_name().unwrap_or_default()))
     };
-    // Hard links have a name each; a device is not changed by what is written to it.
+    // Hard links are compared by inode; devices may be shared.
     let number = |file: &Path| {
         let found = file.metadata().ok().filter(|found| !found.file_type().is_char_device())?;
         Some((found.dev(), found.ino()))
@@ -118,14 +119,14 @@ fn is_one(a: &Path, b: &Path) -> bool {
     is_same(a, b) || sides.iter().any(|side| is_same(side, b))
 }
 
-/// Why an output cannot be written, as far as that is seen without writing it.
+/// Why an output cannot be written, as far as that shows without writing.
 fn unwritable(file: &Path, kind: Kind) -> Option<String> {
     if OF_SERVICE.iter().any(|own| file.parent().is_some_and(|folder| folder.starts_with(own))) {
         return None;
     }
     let there = std::fs::metadata(file).ok().map(|found| found.file_type());
     let why = match (kind, there) {
-        _ if file.as_os_str().is_empty() => return Some("an empty name is no file's: leave it out for none".into()),
+        _ if file.as_os_str().is_empty() => return Some("an empty name is no file: leave the key out for none".into()),
         (Kind::Socket, _) if SocketAddr::from_pathname(file).is_err() => {
             format!("it has {} bytes, and the name of a socket at most {NAME_OF_SOCKET}", file.as_os_str().len())
         }
@@ -148,7 +149,7 @@ fn folder_of(file: &Path) -> &Path {
     file.parent().map_or(Path::new("."), here)
 }
 
-/// Nowhere is this folder.
+/// The folder does not exist.
 fn here(folder: &Path) -> &Path {
     if folder == Path::new("") { Path::new(".") } else { folder }
 }

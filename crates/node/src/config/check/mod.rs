@@ -1,7 +1,7 @@
-//! What contradicts itself, or this machine, in a configuration: where, and why.
+//! Finds contradictions in a configuration, or with this machine.
 //!
-//! One function a group of rules. Each refusal names the place of the key that is wrong, or of the table where one is
-//! missing; its line is found by the spans of the TOML reader.
+//! One function for each group of rules. A refusal names the place of the wrong key, or of the table that lacks one;
+//! the spans of the TOML reader give its line.
 
 mod files;
 mod numbers;
@@ -23,14 +23,14 @@ struct Check<'a> {
     /// The file that it was read from, if it was one.
     own_file: Option<&'a Path>,
     lines: TomlLines<'a>,
-    /// Keys of the file's own table of which something could not be read, and is refused already.
+    /// Top-level keys with parts that were refused already.
     gone: &'a BTreeSet<String>,
     /// The simulated room's scene, if there is one.
     scene: Option<Scene>,
     problems: Vec<Problem>,
 }
 
-/// Everything that contradicts itself or this machine; nothing that follows from keys that are `gone`.
+/// All contradictions, except those that follow from `gone` keys.
 pub(super) fn problems(
     config: &Config,
     own_file: Option<&Path>,
@@ -64,7 +64,7 @@ impl Check<'_> {
         self.problems.push(Problem { line: self.lines.line(place), reason: reason.into() });
     }
 
-    /// True if nothing of these could not be read: what is missing then is missing in the file.
+    /// True if all of these were readable, so a missing value is missing in the file.
     fn knows(&self, keys: &[&str]) -> bool {
         !keys.iter().any(|key| self.gone.contains(*key))
     }
@@ -89,7 +89,7 @@ impl Check<'_> {
         Some(format!("the scene has no robot `{name}`: it has {}", names.join(", ")))
     }
 
-    /// What is wrong with a robot's poses: the way to the key below theirs, and why. `own` are this robot's.
+    /// A problem of a robot's poses: the key below theirs, and the reason. `own` are this robot's.
     fn wrong_poses(&self, poses: &Odometry, own: bool) -> Option<(Vec<Step<'static>>, String)> {
         let of_now = self.is_room() || self.is_replay();
         let has_network = self.config.network.is_some();
@@ -129,19 +129,19 @@ impl Check<'_> {
     }
 }
 
-const OPENCR_NOW: &str = "`opencr` poses are of now and need a card (`capture.card` or `capture.stock`): with a replayed log use `csv`, in a room `room`";
-const ROS_NOW: &str = "`ros` poses are of now and need a card (`capture.card` or `capture.stock`): with a replayed log use `csv`; in a room that \
+const OPENCR_NOW: &str = "`opencr` poses are live and need a card (`capture.card` or `capture.stock`): with a replayed log use `csv`, in a room `room`";
+const ROS_NOW: &str = "`ros` poses are live and need a card (`capture.card` or `capture.stock`): with a replayed log use `csv`; in a room that \
                        follows the topic (`follow`) use `room`";
 
-/// The number of `numbers` that is none, if there is one.
+/// The first of `numbers` that is not finite.
 fn not_finite(numbers: &[f64]) -> Option<usize> {
     numbers.iter().position(|number| !number.is_finite())
 }
 
-/// Metres from the middle of a robot at which something on it can be.
+/// Largest distance of a part from the middle of a robot, metres.
 const ON_ROBOT_M: f64 = 10.0;
 
-/// The number of a place on a robot that is none, or not on it, and why.
+/// A number of a place on a robot that is not finite or too large, and the reason.
 fn too_far(place_m: &[f64]) -> Option<(usize, String)> {
     let reason = |m: f64| match m.is_finite() {
         false => Some("every number must be finite".to_owned()),

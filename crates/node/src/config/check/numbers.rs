@@ -4,13 +4,13 @@ use super::super::{Capture, Estimation};
 use super::{Check, too_far, wrong_place};
 use csi5300_sim::toml_lines::Step::{Index, Key};
 
-/// Bearings of each peer a second that can be asked for: one in a thousand seconds to what no processor keeps up with.
+/// Allowed bearings of each peer a second: from one in a thousand seconds to more than any processor manages.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 1e-3..=100.0;
 
-/// Times its own pace at which a log or a room can be asked for: beyond, no processor keeps up, nor does anybody wait.
+/// Allowed speeds of a log or a room, relative to its own pace.
 const SPEEDS: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
-/// What the rules of `[estimator]` refuse: the key, and why.
+/// Refused values of `[estimator]`: the key, and the reason.
 fn wrong_estimation(asked: &Estimation, least_m: f64) -> Vec<(&'static str, String)> {
     let mut wrong = Vec::new();
     if !(0.0..=90.0).contains(&asked.elevation_max_deg.unwrap_or(20.0)) {
@@ -51,7 +51,7 @@ impl Check<'_> {
         }
     }
 
-    /// How fast what is not of now goes by.
+    /// Speeds of replayed and simulated sources.
     pub(super) fn speed(&mut self) {
         let (kind, speed) = match self.capture() {
             Capture::Replay(replay) => ("replay", replay.speed),

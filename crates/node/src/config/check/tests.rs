@@ -1,12 +1,12 @@
-//! Every rule with a configuration where the offending key is not first: the refusal names its line.
+//! Tests every rule with a configuration whose wrong key is not the first: the refusal names its line.
 
 use crate::config::Config;
 use std::path::Path;
 
-/// A room in which nothing is wrong; peers come last.
+/// A valid room; peers come last.
 const ROOM: &str = "name = \"here\"\nchannel = \"108\"\n\n# A comment that names mac, odometry and rate_hz.\n\
                     capture.room = { scene = \"lab-circle\", robot = \"rx\" }\nodometry.room = {}\n";
-/// A card in which nothing is wrong but what a feature is needed for.
+/// A valid card, except for missing features.
 const CARD: &str = "name = \"here\"\nchannel = \"108\"\nmac = \"02:00:00:00:00:01\"\ncapture.card = {}\n\
                     odometry.opencr.port = \"/dev/null\"\n[log]\nfile = \"x.dat\"\n";
 const PEER: &str = "[[peer]]\nname = \"tx\"\nyaw_deg = 0.0\nrecords.room = {}\n";
@@ -28,7 +28,7 @@ fn refused(text: &str, key: &str, why: &str) {
 }
 
 #[test]
-fn what_the_others_are_made_from_is_good() {
+fn the_base_configuration_is_good() {
     assert_eq!(refusals(&format!("{ROOM}{PEER}")), Vec::<String>::new());
     assert_eq!(refusals(CARD), Vec::<String>::new());
 }
@@ -113,7 +113,7 @@ fn an_antenna_is_on_its_robot_and_a_pace_is_one_that_can_be_kept() {
 }
 
 #[test]
-fn a_camera_is_for_poses_of_one() {
+fn camera_mount_needs_poses_of_a_camera() {
     let mounted = |camera: &str, poses: &str| {
         let given = format!("camera_mount = {camera}\n{poses}");
         CARD.replace("odometry.opencr.port = \"/dev/null\"", &given)
@@ -143,8 +143,8 @@ fn poses() {
     refused(&card("odometry.room = {}"), "odometry.room", "`room` poses");
     refused(&card("odometry.network = {}"), "odometry.network", "own poses");
     let room = |poses: &str| format!("{ROOM}{PEER}").replace("odometry.room = {}", poses);
-    refused(&room("odometry.opencr.port = \"/dev/null\""), "opencr", "`opencr` poses are of now");
-    refused(&room("odometry.ros.topic = \"/odom\""), "odometry.ros", "`ros` poses are of now");
+    refused(&room("odometry.opencr.port = \"/dev/null\""), "opencr", "`opencr` poses are live");
+    refused(&room("odometry.ros.topic = \"/odom\""), "odometry.ros", "`ros` poses are live");
     let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
     refused(&format!("{CARD}{peer}poses.network = {{}}\n"), "poses.network", "peer `b`: `network` poses");
     refused(&format!("{CARD}{peer}poses.opencr.port = \"x\"\n"), "poses.opencr", "peer `b`: a peer's port");
@@ -261,11 +261,7 @@ fn ros_2() {
     refused(&topic("child = \"base_link\""), "child", "is for transforms");
     refused(&topic("type = \"pose\"\nantenna_frame = \"wifi\""), "antenna_frame", "is for odometry");
     refused(&topic("imu = \"1mu\""), "imu", "no name in ROS 2");
-    refused(
-        &format!("{ROOM}{PEER}").replace("odometry.room = {}", "odometry.ros2 = {}"),
-        "odometry.ros2",
-        "are of now",
-    );
+    refused(&format!("{ROOM}{PEER}").replace("odometry.room = {}", "odometry.ros2 = {}"), "odometry.ros2", "are live");
 }
 
 #[test]
@@ -284,7 +280,7 @@ fn output_and_network() {
 }
 
 #[test]
-fn what_a_robot_writes_is_in_files_of_their_own() {
+fn outputs_are_in_separate_files() {
     let folder = std::env::temp_dir().join(format!("csi5300-written-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let name = |file: &str| folder.join(file).display().to_string();
@@ -293,13 +289,13 @@ fn what_a_robot_writes_is_in_files_of_their_own() {
             + &format!("[output]\nbearings = '{}'\nstatus_socket = '{}'\n", name(bearings), name(socket))
     };
     assert_eq!(refusals(&with("a.dat", "b", "c")), Vec::<String>::new());
-    refused(&with("a.dat", "./a.dat", "c"), "bearings", "is what `file` writes");
-    refused(&with("a.dat", "a.datstp", "c"), "bearings", "is what `file` writes");
-    refused(&with("a.dat", "b", "a.dat"), "status_socket", "is what `file` writes");
-    refused(&with("a.dat", "b", "b"), "status_socket", "is what `bearings` writes");
+    refused(&with("a.dat", "./a.dat", "c"), "bearings", "is also the output of `file`");
+    refused(&with("a.dat", "a.datstp", "c"), "bearings", "is also the output of `file`");
+    refused(&with("a.dat", "b", "a.dat"), "status_socket", "is also the output of `file`");
+    refused(&with("a.dat", "b", "b"), "status_socket", "is also the output of `bearings`");
     refused(&CARD.replace("x.dat", "/dev/full"), "/dev/full", "no regular file");
     refused(&format!("{CARD}rotate_mib = 0\n"), "rotate_mib", "a file of its own");
-    // What is there already: a log and a recording get other names, lines are added, a socket is one.
+    // What already exists: a log and a recording get other names, lines are added, a socket is one.
     std::fs::create_dir_all(folder.join("run")).unwrap();
     std::fs::write(folder.join("old"), "").unwrap();
     let ros = |bag: &str| format!("{CARD}[ros2]\nbag = '{}'\n", name(bag));
@@ -325,7 +321,7 @@ fn what_a_robot_writes_is_in_files_of_their_own() {
 
 /// Whatever name it is given: the recording would be what is written, or have lines of JSON in it.
 #[test]
-fn what_a_robot_reads_is_not_written_to() {
+fn inputs_are_not_written() {
     let folder = std::env::temp_dir().join(format!("csi5300-read-{}", std::process::id()));
     std::fs::create_dir_all(folder.join("sub")).unwrap();
     for file in ["rx.dat", "rx.datstp", "tx.dat", "way.csv", "key"] {
@@ -356,7 +352,7 @@ fn what_a_robot_reads_is_not_written_to() {
         ("rx.dat", "hard.csv", "`odometry`"),
     ] {
         let why = said(&config(capture, &format!("bearings = '{bearings}'")));
-        let wanted = format!("{key} names: what this robot reads is not written to");
+        let wanted = format!("is an input ({key}): name another output");
         assert!(why.starts_with("line 7: ") && why.contains(&wanted), "{capture}, {bearings}: {why}");
     }
     let output = |more: &str| said(&config("rx.dat", more));
@@ -366,7 +362,7 @@ fn what_a_robot_reads_is_not_written_to() {
     let keyed = format!("{CARD}[output]\nbearings = 'key'\n[sounding]\ninterface = 'mon0'\nkey = 'key'\n{PEER}")
         .replace("records.room = {}", "mac = '02:00:00:00:00:02'\nrecords.sounding = {}");
     let why = said(&keyed);
-    assert!(why.contains("what `sounding.key` names"), "{why}");
+    assert!(why.contains("is an input (`sounding.key`)"), "{why}");
     assert_eq!(std::fs::read(folder.join("rx.dat")).unwrap(), b"rx.dat");
     std::fs::remove_dir_all(folder).unwrap();
 }
@@ -375,7 +371,7 @@ fn what_a_robot_reads_is_not_written_to() {
 fn names_that_no_file_or_socket_can_have_are_refused_before_the_start() {
     let output = |more: &str| format!("{CARD}[output]\nbearings = \"\"\n{more}\n");
     let said = |text: &str| Config::read(text, Path::new("")).err().map(|error| error.to_string()).unwrap_or_default();
-    let empty = "an empty name is no file's";
+    let empty = "an empty name is no file";
     assert!(said(&output("status_socket = \"\"")).starts_with(&format!("line 10: {empty}")));
     assert!(said(&CARD.replace("x.dat", "")).starts_with(&format!("line 7: {empty}")));
     let socket = |bytes: usize| output(&format!("status_socket = '/tmp/{}'", "s".repeat(bytes - "/tmp/".len())));

@@ -70,7 +70,7 @@ impl Helper {
         match said.split_once(' ') {
             Some(("ok", mac)) => Ok(Self { stream, mac: mac.parse().ok() }),
             Some(("no", why)) => Err(format!("the second robot refuses: {why}")),
-            _ => Err(format!("something else than `csi5300 doctor --accept` answers at {peer}")),
+            _ => Err(format!("a program other than `csi5300 doctor --accept` answers at {peer}")),
         }
     }
 
@@ -152,7 +152,7 @@ pub(super) fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
     }
     let said = line(&mut stream)?;
     if said != "end" {
-        return Err(format!("the first robot said something else than its end: {said}"));
+        return Err(format!("unexpected message from the first robot: {said}"));
     }
     if let Some(running) = running {
         running.stop().map_err(|error| error.to_string())?;
@@ -164,7 +164,7 @@ pub(super) fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
     Ok(())
 }
 
-/// What the first robot asked for: the card, who answers and under which MAC, and the channel.
+/// The first robot's request: the card, the answering MAC, and the channel.
 type Agreed = (csi5300_live::listener::Listener, Option<Running>, Option<Mac>, Channel);
 
 fn agree(args: &Args, desk: &Desk, said: &str) -> Words<Agreed> {

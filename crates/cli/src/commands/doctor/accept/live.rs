@@ -35,7 +35,7 @@ const WAKE_US: i64 = 5_000;
 
 type Words<T> = std::result::Result<T, String>;
 
-/// The robot of the room that stands for the card, if one does.
+/// The robot of a room in place of the card, if any.
 pub(super) fn address(desk: &Desk) -> Words<Option<Address>> {
     let parse = |text: &String| text.parse().map_err(|error| format!("room = {text:?}: {error}"));
     desk.room.as_ref().map(parse).transpose()
@@ -226,7 +226,7 @@ pub(super) fn listen(args: &Args, desk: &Desk) -> Found {
             (Some(_), None) => "with --report DIR an interrupted run can be continued",
             (None, _) => "no part before it is complete, so the same command starts again",
         };
-        note!("stopped while this was to be done: {}; {how}", step.words());
+        note!("stopped before: {}; {how}", step.words());
     }
     Ok(Judged { evidence, facts, is_whole: finished == steps.len(), stopped })
 }

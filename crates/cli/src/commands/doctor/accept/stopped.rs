@@ -44,7 +44,7 @@ impl Stopped {
         let log = |name: &str| {
             let path = folder.join(name);
             std::fs::read(&path)
-                .map_err(|error| format!("{}: {error}; without {FILE} the run begins anew", path.display()))
+                .map_err(|error| format!("{}: {error}; without {FILE} the run restarts", path.display()))
         };
         collector.log(Side::Near, &log("near.dat")?);
         if folder.join("far.dat").exists() {

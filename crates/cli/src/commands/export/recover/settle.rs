@@ -1,7 +1,7 @@
 //! A recovered log is one from which nothing more is to be recovered.
 //!
-//! Some records are believed because of what stands around them. Where that was damage and is gone, a reader may judge
-//! otherwise: such a record is removed, until a reader finds in the log what was written into it and nothing else.
+//! Some records are accepted because of their neighbours. Without damaged neighbours a reader may judge otherwise, so
+//! such records are removed until a reader finds exactly the written records.
 
 use super::Words;
 use crate::commands::draft::rest;

@@ -46,8 +46,8 @@ impl PosesFile {
         Self { name, out, unwritten: 0 }
     }
 
-    /// Appends a pose, in the columns of motion capture with a heading. After a failure, which is said once, the rest is only
-    /// counted: a row behind half a row would be read with it.
+    /// Appends a pose, in the columns of motion capture with a heading. After a failure, reported once, poses are only
+    /// counted: a row after half a row would be read with it.
     pub fn write(&mut self, pose: &Pose) {
         let done = match self.unwritten {
             0 => self.out.write_all(csv::line(pose).as_bytes()).and_then(|()| self.out.flush()),

@@ -22,9 +22,9 @@ pub fn tell(news: &News) {
     match news {
         News::Started(granted) => note!("{granted}"),
         News::Notice(notice) => note!("{notice}"),
-        News::Event(Event::Joined(peer)) => note!("{} is there", peer),
+        News::Event(Event::Joined(peer)) => note!("{} joined", peer),
         News::Event(Event::Absent(peer)) => note!("{} does not answer; waiting for it", peer),
-        News::Event(Event::Restarted { peer, .. }) => note!("{} was started anew", peer),
+        News::Event(Event::Restarted { peer, .. }) => note!("{} restarted", peer),
         News::Event(Event::Yielded { to, .. }) => note!("{} initiates too, and takes precedence", to),
         News::Event(_) => {}
     }
@@ -75,7 +75,7 @@ pub fn summary(peers: &[Mac], finished: &Finished) -> String {
         let airtime_us = finished.exchange.tdma.plan().phy.airtime_us(wsr::DEFAULT_LEN);
         let _ = writeln!(
             text,
-            "  the WSR kernel driver: {least} to {most} us, median {median}, from rise to rise, {airtime_us} us of it on air"
+            "  the WSR kernel driver: {least} to {most} us, median {median}, from start to start of the frames, {airtime_us} us of it on air"
         );
     }
     for Cause { count, words, .. } in not_sent(counts, figures, &air).into_iter().chain(not_used(counts, &air)) {

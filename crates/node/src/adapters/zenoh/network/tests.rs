@@ -2,7 +2,7 @@ use super::*;
 use std::cell::{Cell, RefCell};
 
 #[test]
-fn what_asks_nobody_is_not_taken_for_closed() {
+fn a_network_without_authentication_is_not_closed() {
     let folder = std::env::temp_dir().join(format!("csi5300-network-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let refused = |zenoh: &str, users: &str, group: &str| {
@@ -33,7 +33,7 @@ fn what_asks_nobody_is_not_taken_for_closed() {
 }
 
 #[test]
-fn the_publisher_ends_when_told_to_though_items_go_on_coming() {
+fn the_publisher_ends_although_items_keep_coming() {
     let (items, waiting) = sync_channel(10);
     let send = || drop(items.try_send(Item::Record(0, None, 0xBB, vec![1])));
     (0..3).for_each(|_| send());
@@ -49,7 +49,7 @@ fn the_publisher_ends_when_told_to_though_items_go_on_coming() {
 }
 
 #[test]
-fn what_there_was_no_room_for_is_missed_by_the_peers() {
+fn dropped_items_are_missed_by_the_peers() {
     let (items, waiting) = sync_channel(2);
     let unsent = Arc::new(AtomicU64::new(0));
     let tap = RefCell::new(Published::new(items, Arc::clone(&unsent), (true, false)));
