@@ -129,6 +129,19 @@ pub enum LinkError {
         /// Share of them that one wave explains.
         coherence: f64,
     },
+    /// Of a bearing from one log: the turn in it contradicts the constant of the chains that was given.
+    #[error(
+        "the constant between the chains is given as {given_deg:.1} deg, and the turn in this log gives {turn_deg:.1} +- {sd_deg:.1} deg: \
+         was the firmware loaded since, or is the baseline another one? Leave the constant out, or take that of the turn"
+    )]
+    WrongConstant {
+        /// As given, degrees.
+        given_deg: f64,
+        /// As the turn has it, degrees.
+        turn_deg: f64,
+        /// Its standard deviation, degrees.
+        sd_deg: f64,
+    },
     /// The transmitter's log could not be matched.
     #[error(transparent)]
     Unmatched(#[from] Unmatched),

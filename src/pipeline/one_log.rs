@@ -25,6 +25,7 @@ use super::options::{JoinBy, Options};
 use super::{LinkReport, LogReport};
 use crate::bartlett::{self, Estimate};
 use crate::estimate::{Found, estimate};
+use crate::maths::wrap_rad;
 use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::{Planes, lanes};
@@ -56,6 +57,14 @@ const ATTITUDE_SD_RAD: f64 = 0.0175;
 const BY_CHANCE: f64 = 4.0;
 /// Azimuths of the density that pictures show.
 const DENSITY_AZIMUTHS: usize = 1440;
+/// Share of a baseline that its end must have moved for the turn to say what the constants are.
+const TELLING: f64 = 0.3;
+/// Probability of the direction from which it does.
+const CLEAR_SHARE: f64 = 0.9;
+/// A constant is another one than was given from so many deviations on, and so much, radians: what is wrong is half a turn on a
+/// 5300, anything on others.
+const CONTRADICTS_SD: f64 = 4.0;
+const CONTRADICTS_RAD: f64 = 0.5;
 /// Samples of each baseline for the search of the chains' constants.
 const ROUGH_ROWS: usize = 256;
 
@@ -158,6 +167,11 @@ impl Array {
             return Err(ArrayError::Constants { constants: constants.len(), baselines: self.others.len() });
         }
         Ok(Self { constants: constants.to_vec(), ..self })
+    }
+
+    /// Length of the first baseline, metres, and whether the constants of the chains are known.
+    pub(super) fn reach(&self) -> (f64, bool) {
+        (self.others.first().map_or(0.0, |(_, baseline_m)| baseline_m.norm()), !self.constants.is_empty())
     }
 
     /// The antennas, in the order given.
@@ -278,6 +292,8 @@ pub struct OneLog {
     options: Options,
     log: LogReport,
     senders: BTreeMap<Mac, Sender>,
+    /// Senders and records of each that are kept at most.
+    most: (usize, usize),
     first_delay: FirstDelay,
 }
 
@@ -296,17 +312,61 @@ impl OneLog {
     #[must_use]
     pub fn new(array: Array, options: Options) -> Self {
         let first_delay = FirstDelay::new(options.tier);
-        Self { array, options, log: LogReport::default(), senders: BTreeMap::new(), first_delay }
+        let (senders, most) = (BTreeMap::new(), (SENDERS_KEPT, MAX_ROWS));
+        Self { array, options, log: LogReport::default(), senders, most, first_delay }
+    }
+
+    /// The same with so many senders and records of each at most.
+    pub(super) fn keeping(self, senders: usize, rows: usize) -> Self {
+        Self { most: (senders, rows), ..self }
+    }
+
+    /// Forgets the records of a sender before `host_us`; of one that is not `named` the sender too, if none is left.
+    pub(super) fn forget_before(&mut self, sender: Mac, host_us: i64, is_named: bool) {
+        let Some(own) = self.senders.get_mut(&sender) else { return };
+        own.rows.retain(|row| row.host_us.is_some_and(|at| at >= host_us));
+        // As dense from here on as what remains allows.
+        let mut expected = own.rows.len();
+        while own.stride > 1 && expected <= self.most.1 / 4 {
+            (own.stride, expected) = (own.stride / 2, expected * 2);
+        }
+        if own.rows.is_empty() && !is_named {
+            self.senders.remove(&sender);
+        }
+    }
+
+    /// The host time of a sender's first record that is kept.
+    pub(super) fn first_us(&self, sender: Mac) -> Option<i64> {
+        self.senders.get(&sender)?.rows.iter().find_map(|row| row.host_us)
+    }
+
+    /// The bearing of one sender by the records that are kept.
+    pub(super) fn bearing(
+        &self,
+        sender: Mac,
+        trajectory: &Trajectory,
+        options: &Options,
+    ) -> Result<Bearing, LinkError> {
+        bearing(self.senders.get(&sender).ok_or(LinkError::Unheard)?, &self.array, trajectory, options)
     }
 
     /// Takes an item of a source of a 5300's records.
     pub fn note(&mut self, next: &Next<'_>) {
-        let Some((bfee, identity)) = self.log.survey.note(next) else { return };
+        self.note_sender(next);
+    }
+
+    /// The same; gives the sender and the host time of a frame that all antennas heard.
+    pub(super) fn note_sender(&mut self, next: &Next<'_>) -> Option<(Mac, Option<i64>)> {
+        let (bfee, identity) = self.log.survey.note(next)?;
         match ArrayFrame::of_bfee(&self.array, &bfee, identity.mac, identity.host_us) {
-            Some(frame) => self.hear(frame),
+            Some(frame) => {
+                self.hear(frame);
+                Some((identity.mac, identity.host_us))
+            }
             None => {
                 self.log.unused.no_antenna += 1;
                 self.miss(identity.mac);
+                None
             }
         }
     }
@@ -354,13 +414,14 @@ impl OneLog {
             self.log.unused.other_sender += 1;
             return;
         }
+        let most_rows = self.most.1;
         let Some((own, row)) = self.next_row(sender) else { return };
         own.heard += 1;
         if !row.is_multiple_of(own.stride) {
             return;
         }
         own.rows.push(Row { host_us, row, products });
-        if own.rows.len() > MAX_ROWS {
+        if own.rows.len() > most_rows {
             own.stride = own.stride.saturating_mul(2);
             let stride = own.stride;
             own.rows.retain(|row| row.row.is_multiple_of(stride));
@@ -378,7 +439,7 @@ impl OneLog {
     fn next_row(&mut self, sender: Mac) -> Option<(&mut Sender, usize)> {
         let wanted = &self.options.tx_macs;
         let is_wanted = wanted.is_empty() || wanted.contains(&sender);
-        let has_room = self.senders.len() < SENDERS_KEPT || self.senders.contains_key(&sender);
+        let has_room = self.senders.len() < self.most.0 || self.senders.contains_key(&sender);
         if !is_wanted || !has_room {
             self.log.unused.other_sender += 1;
             return None;
@@ -613,9 +674,55 @@ impl Joined {
         Ok(Together { samples: all, anchors, rows: rows.collect(), turns })
     }
 
+    /// Whether the turn says that a constant is another one than was given: the first that is.
+    fn contradiction(
+        &self,
+        sender: &Sender,
+        given: &[ChainConstant],
+        trajectory: &Trajectory,
+        options: &Options,
+    ) -> Result<Option<LinkError>, LinkError> {
+        let apart = |own: &Baseline| {
+            let places = own.samples.receiver_m();
+            places.first().is_some_and(|first| places.iter().any(|m| (m - first).norm() > TELLING * first.norm()))
+        };
+        if given.is_empty() || !self.baselines.iter().any(apart) {
+            return Ok(None);
+        }
+        let together = self.together(options)?;
+        let found = together.estimate(sender, trajectory, options)?;
+        let is_steady = found.plane_wave.coherence > BY_CHANCE / (together.rows.len() as f64).sqrt();
+        let is_clear = is_steady && found.modes.first().is_some_and(|first| first.mass > CLEAR_SHARE);
+        let Some(towards) = Towards::of(&found).filter(|_| is_clear) else { return Ok(None) };
+        let wrong = |(given, turn): (&ChainConstant, ChainConstant)| {
+            let off_rad = wrap_rad(given.rad - turn.rad).abs();
+            (off_rad > CONTRADICTS_SD * given.sd_rad.hypot(turn.sd_rad) && off_rad > CONTRADICTS_RAD).then_some(
+                LinkError::WrongConstant {
+                    given_deg: given.rad.to_degrees(),
+                    turn_deg: turn.rad.to_degrees(),
+                    sd_deg: turn.sd_rad.to_degrees(),
+                },
+            )
+        };
+        Ok(given.iter().zip(self.constants(&towards)).find_map(wrong))
+    }
+
     /// The constants, given where the transmitter is.
     fn constants(&self, towards: &Towards) -> Vec<ChainConstant> {
         self.baselines.iter().map(|own| towards.constant(&own.samples)).collect()
+    }
+}
+
+impl Together {
+    /// The posterior of the direction.
+    fn estimate(&self, sender: &Sender, trajectory: &Trajectory, options: &Options) -> Result<Found, LinkError> {
+        let planes = |(baseline, row): &(usize, usize)| {
+            let turn = self.turns.get(*baseline).copied().unwrap_or(Complex64::ONE);
+            sender.rows.get(*row).map_or(Planes::ZERO, |row| row.planes(*baseline, turn))
+        };
+        let all: Vec<usize> = (0..self.samples.len()).collect();
+        let rows = || std::iter::repeat_n(Planes::ONE, self.anchors).chain(self.rows.iter().map(planes)).collect();
+        Ok(estimate(&options.task(&self.samples, trajectory), rows, &all)?)
     }
 }
 
@@ -760,19 +867,16 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         [] => joined.together(options)?,
         known => joined.anchored(known, options)?,
     };
-    let Together { samples, anchors, rows: used, turns } = &together;
+    let Together { samples, anchors, rows: used, .. } = &together;
     let mut options = options.clone();
     options.accuracy.near_field = false;
     // One card has one sampling clock: slopes do not differ between packets.
     options.accuracy.align = false;
     options.odometry_sd_m = options.odometry_sd_m.min(ATTITUDE_SD_RAD * joined.length_m);
-    let planes = |(baseline, row): &(usize, usize)| {
-        let turn = turns.get(*baseline).copied().unwrap_or(Complex64::ONE);
-        sender.rows.get(*row).map_or(Planes::ZERO, |row| row.planes(*baseline, turn))
-    };
-    let all: Vec<usize> = (0..samples.len()).collect();
-    let rows = || std::iter::repeat_n(Planes::ONE, *anchors).chain(used.iter().map(planes)).collect();
-    let mut found = estimate(&options.task(samples, trajectory), rows, &all)?;
+    if let Some(wrong) = joined.contradiction(sender, &array.constants, trajectory, &options)? {
+        return Err(wrong);
+    }
+    let mut found = together.estimate(sender, trajectory, &options)?;
     let coherence = coherence(&found.plane_wave, samples, *anchors);
     if coherence <= BY_CHANCE / (used.len() as f64).sqrt() {
         return Err(LinkError::Unsteady { records: used.len(), coherence });

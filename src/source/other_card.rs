@@ -28,7 +28,7 @@ const GAIN_DB: u8 = 60;
 const RSSI_OFFSET_DB: i16 = 44;
 /// Antennas of chains 0, 1 and 2: A, B and C.
 const IN_ORDER: u8 = 0b10_01_00;
-/// Bytes read at a time.
+/// Bytes read at a time: no datagram is longer.
 const CHUNK: usize = 64 * 1024;
 /// More than any record has: without the next record within this many bytes, the length was damaged.
 const LONGEST: usize = 256 * 1024;
@@ -66,6 +66,14 @@ impl Translator {
                 }
             }
         }
+    }
+
+    /// The same of what FeitCSI wrote of one frame, while others follow.
+    #[doc(hidden)] // for the crates of this workspace
+    pub fn take_bytes(&mut self, bytes: &[u8], offset: u64, log: &mut Vec<u8>) {
+        let read = feitcsi::front(bytes).0;
+        let read = if read == Err(Why::Cut) { Err(Why::Damaged) } else { read };
+        self.take(&read, offset, bytes.len(), log);
     }
 
     fn frame(&mut self, frame: &Frame, log: &mut Vec<u8>) -> Result<(), String> {
@@ -205,69 +213,101 @@ pub(super) fn is_other(file: &mut std::fs::File) -> io::Result<bool> {
     Ok(feitcsi::is_log(&head))
 }
 
+/// FeitCSI's records in bytes that come a few at a time.
+#[doc(hidden)] // for the crates of this workspace
+#[derive(Debug, Default)]
+pub struct Pieces {
+    /// Bytes of which those up to `given` were handed out.
+    input: Vec<u8>,
+    given: usize,
+    /// Where they begin.
+    offset: u64,
+    ended: bool,
+}
+
+/// A record of FeitCSI, or bytes that are none.
+#[doc(hidden)] // for the crates of this workspace
+#[derive(Debug)]
+pub struct Piece<'a> {
+    /// The frame in it.
+    pub read: Result<Frame, Why>,
+    /// Where it begins.
+    pub offset: u64,
+    /// The bytes as they came.
+    pub bytes: &'a [u8],
+}
+
+impl Pieces {
+    /// Takes what a reader has, at most one datagram of it: how many bytes, 0 at its end.
+    ///
+    /// # Errors
+    /// The reader's.
+    pub fn fill(&mut self, reader: &mut impl Read) -> io::Result<usize> {
+        self.input.drain(..self.given);
+        self.given = 0;
+        let from = self.input.len();
+        self.input.resize(from + CHUNK, 0);
+        let read = reader.read(self.input.get_mut(from..).unwrap_or_default());
+        self.input.truncate(from + read.as_ref().map_or(0, |read| *read));
+        self.ended |= matches!(read, Ok(0));
+        read
+    }
+
+    /// The next piece; `None` where more has to come, or nothing does.
+    pub fn piece(&mut self) -> Option<Piece<'_>> {
+        let front = self.input.get(self.given..).filter(|front| !front.is_empty())?;
+        let (read, mut len) = feitcsi::front(front);
+        if len == front.len() && !self.ended && read.is_err() {
+            if read == Err(Why::Cut) && len < LONGEST {
+                return None;
+            }
+            // A head may begin in the last bytes.
+            len = len.saturating_sub(feitcsi::HEAD - 1);
+        }
+        let bytes = front.get(..len).filter(|bytes| !bytes.is_empty())?;
+        let offset = self.offset;
+        self.given += len;
+        self.offset += len as u64;
+        Some(Piece { read, offset, bytes })
+    }
+
+    /// True once the reader has ended.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.ended
+    }
+}
+
 /// A FeitCSI log, read as a `.dat` log.
 #[derive(Debug)]
 pub struct Translated<R> {
     reader: R,
     translator: Translator,
-    /// Bytes that are no whole record yet, and what of the log is before them.
-    input: Vec<u8>,
-    offset: u64,
-    ended: bool,
+    pieces: Pieces,
     output: Vec<u8>,
     given: usize,
 }
 
 impl<R> Translated<R> {
-    /// What it reads from.
-    pub fn get_ref(&self) -> &R {
-        &self.reader
-    }
-
     /// Nothing read yet.
     pub fn new(reader: R) -> Self {
-        let (input, output) = (Vec::new(), Vec::new());
-        Self { reader, translator: Translator::default(), input, offset: 0, ended: false, output, given: 0 }
-    }
-
-    /// Translates the whole records of the input.
-    fn translate(&mut self) {
-        let mut at = 0;
-        while let Some(front) = self.input.get(at..).filter(|front| !front.is_empty()) {
-            let (read, mut len) = feitcsi::front(front);
-            let may_go_on = len == front.len() && !self.ended && read.is_err();
-            if may_go_on {
-                if read == Err(Why::Cut) && len < LONGEST {
-                    break;
-                }
-                // A head may begin in the last bytes.
-                len = len.saturating_sub(feitcsi::HEAD - 1);
-                if len == 0 {
-                    break;
-                }
-            }
-            self.translator.take(&read, self.offset, len, &mut self.output);
-            self.offset += len as u64;
-            at += len;
-        }
-        self.input.drain(..at);
+        let (pieces, output) = (Pieces::default(), Vec::new());
+        Self { reader, translator: Translator::default(), pieces, output, given: 0 }
     }
 }
 
 impl<R: Read> Read for Translated<R> {
     fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
         while self.given == self.output.len() {
-            if self.ended {
+            if self.pieces.has_ended() {
                 return Ok(0);
             }
             self.output.clear();
             self.given = 0;
-            let from = self.input.len();
-            self.input.resize(from + CHUNK, 0);
-            let read = self.reader.read(self.input.get_mut(from..).unwrap_or_default());
-            self.input.truncate(from + read.as_ref().map_or(0, |read| *read));
-            self.ended = read? == 0;
-            self.translate();
+            self.pieces.fill(&mut self.reader)?;
+            while let Some(piece) = self.pieces.piece() {
+                self.translator.take(&piece.read, piece.offset, piece.bytes.len(), &mut self.output);
+            }
         }
         let count = room.len().min(self.output.len() - self.given);
         let from = self.output.get(self.given..).unwrap_or_default();

@@ -334,6 +334,29 @@ fn with_the_constant_of_a_turn_a_robot_that_stands_has_a_bearing() {
     assert_eq!(wrong.unwrap_err(), ArrayError::Constants { constants: 2, baselines: 1 });
 }
 
+#[test]
+fn a_constant_that_the_turn_contradicts_is_refused() {
+    let baseline_m = Vector3::new(0.05, 0.0, 0.0);
+    let scene = Scene::new(200.0, baseline_m, 1.2);
+    let turned = || scene.log(5, NEAR, [0.9; 3]);
+    let [right] = only(turned(), &scene.trajectory(), &pair(baseline_m)).unwrap().chain_constants[..] else { panic!() };
+    let with = |by_rad: f64| {
+        let constant = csi5300::pipeline::ChainConstant { rad: right.rad + by_rad, ..right };
+        pair(baseline_m).with_constants(&[constant]).unwrap()
+    };
+    let found = only(turned(), &scene.trajectory(), &with(0.0)).unwrap();
+    assert!(wrap_rad(found.answer.azimuth_rad - 1.2).abs() < 0.01, "{}", found.answer.azimuth_rad);
+    // As the firmware of a 5300 makes it when it is loaded anew, and as that of another card.
+    for by_rad in [PI, 1.0] {
+        let wrong = only(turned(), &scene.trajectory(), &with(by_rad)).unwrap_err();
+        let LinkError::WrongConstant { given_deg, turn_deg, .. } = wrong else { panic!("{wrong}") };
+        assert!(wrap_rad((given_deg - turn_deg).to_radians() - by_rad).abs() < 0.05, "{wrong}");
+    }
+    // Nothing contradicts it where the robot stands.
+    let still = Scene::new(0.0, baseline_m, 1.2);
+    assert!(only(still.log(5, NEAR, [0.9; 3]), &still.trajectory(), &with(PI)).is_ok());
+}
+
 /// The formula of the WSR toolbox, slowly: `|sum h_A conj(h_B) exp(-j 2 pi / lambda u . R b)|` over all azimuths, as a share of
 /// `sum |h_A conj(h_B)|` where every product has unit size.
 fn slowly(log: &std::path::Path, trajectory: &Trajectory, used_s: &[f64], baseline_m: f64) -> (f64, f64) {

@@ -8,6 +8,9 @@
 //! `wifi_csi_info_t`). Of a line that has both the HT field is the frame's, as other cards report it; the tool writes the
 //! legacy one only. They begin at the channel centre and go on at the lower edge; where the frame was in the lower half of a
 //! channel of 40 MHz they are indices -64 to -1, in the upper half 0 to 63.
+//!
+//! The ESP32 spoils the first four bytes (`first_word_invalid`): these two subcarriers of the legacy field are not measured, unless
+//! a column says that they are.
 
 use crate::{Card, Clock, Frame, Kind, RssiUnit, Tones, Why};
 use alloc::vec::Vec;
@@ -87,6 +90,8 @@ const ESP_CSI_C6: [&str; 14] = [
 const START: &[u8] = b"CSI_DATA";
 /// The longest line that is looked at.
 const MAX_LINE: usize = 16 * 1024;
+/// Subcarriers in the first four bytes.
+const SPOILED: usize = 2;
 /// Subcarriers of a training field at 20 MHz.
 const FIELD: usize = 64;
 
@@ -102,6 +107,7 @@ pub(crate) struct Columns {
     clock: Option<usize>,
     is_real: Option<usize>,
     real_s: Option<usize>,
+    first_word: Option<usize>,
 }
 
 impl Columns {
@@ -117,6 +123,7 @@ impl Columns {
             clock: at("local_timestamp"),
             is_real: at("real_time_set"),
             real_s: at("real_timestamp"),
+            first_word: at("first_word").or_else(|| at("first_word_invalid")),
         }
     }
 
@@ -180,7 +187,11 @@ fn read(text: &str, columns: &mut Option<Columns>) -> Option<Frame> {
     let is_wide = number(columns.bandwidth) == Some(1);
     let side = number(columns.secondary).unwrap_or(0);
     let values = pairs(samples)?;
-    let (subcarriers, measured, csi) = training_field(&values, is_ht == Some(true), is_wide, side)?;
+    let (subcarriers, mut measured, csi) = training_field(&values, is_ht == Some(true), is_wide, side)?;
+    let is_legacy = csi.len() == FIELD && values.get(..FIELD) == Some(&csi[..]);
+    if is_legacy && number(columns.first_word) != Some(0) {
+        measured.iter_mut().take(SPOILED).for_each(|measured| *measured = false);
+    }
     let channel = number(columns.channel).and_then(|channel| u16::try_from(channel).ok());
     Some(Frame {
         offset: 0,
@@ -291,7 +302,13 @@ mod tests {
             "CSI_DATA,7,3c:71:bf:6d:2a:78,-73,11,0,0,0,1,1,0,0,0,0,-93,0,6,0,80272146,0,101,0,128,0,\"[{}]\"\n",
             samples(64, ",")
         );
-        for (log, host_us) in [(tool.clone(), Some(1_500_000)), (heading + &tool, Some(1_500_000)), (esp_csi, None)] {
+        let spoiled = esp_csi.replace(",128,0,", ",128,1,");
+        for (log, host_us, first) in [
+            (tool.clone(), Some(1_500_000), false),
+            (heading + &tool, Some(1_500_000), false),
+            (esp_csi, None, true),
+            (spoiled, None, false),
+        ] {
             let frames = frames(&log);
             let frame = &frames[0];
             assert_eq!(
@@ -303,7 +320,7 @@ mod tests {
                 (Some(Clock::us(80_272_146, 32)), Some(2_437), &vec![Some(-73)])
             );
             assert_eq!((frame.csi[3], frame.subcarriers[32], frame.kind), ([-3.0, 3.0], -32, Some(Kind::Legacy)));
-            assert_eq!([0, 1, 26, 27, 37, 38].map(|k| frame.measured[k]), [false, true, true, false, false, true]);
+            assert_eq!([0, 1, 26, 27, 37, 38].map(|k| frame.measured[k]), [false, first, true, false, false, true]);
         }
     }
 

@@ -20,6 +20,16 @@ pub fn is_log(path: &Path) -> bool {
     begun(path).is_some()
 }
 
+/// Ends of the names of other cards' logs, which other files have too.
+const ENDS: [&str; 3] = ["csi", "pcap", "csv"];
+
+/// True for a log by its name: that of a 5300's, or of another card's if the file is one.
+#[must_use]
+pub fn is_named_as_log(path: &Path) -> bool {
+    let Some(end) = path.extension().and_then(|end| end.to_str()) else { return false };
+    end == "dat" || ENDS.contains(&end) && is_log(path)
+}
+
 /// A log of which the first bytes were read.
 fn begun(path: &Path) -> Option<(Format, std::fs::File, Vec<u8>)> {
     // A pipe can be opened and read only once.

@@ -1,33 +1,50 @@
 //! An AX200's or AX210's records from FeitCSI: UDP datagrams (`feitcsi --udp-socket`), or its standard output.
 
 use crate::wait::Monotonic;
-use csi5300::source::other_card::Translated;
+use csi5300::source::other_card::{Pieces, Translator};
 use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
 use csi5300::time::Instant;
-use driver_iface::record::{LENGTH_FIELD, Record, Tail, written};
+use driver_iface::record::{LENGTH_FIELD, Record, Tail, code, written};
+use nix::sys::socket::{setsockopt, sockopt};
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
 use std::net::{ToSocketAddrs, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
-/// Bytes of records read at a time.
-const CHUNK: usize = 16 * 1024;
+/// Most bytes of a record.
+const MOST: usize = 60_000;
+/// Requested receive buffer, bytes; the kernel may grant less.
+const RECEIVE_BUFFER: usize = 8 << 20;
 
-/// FeitCSI's output, live, as records of a 5300 (see [`csi5300::source::other_card`]).
-///
-/// Records have FeitCSI's host time; with older versions, which write none, that of `wall_us`.
+/// FeitCSI's output, live and unchanged: each of its records, and any other bytes, are the body of a record here.
 #[derive(Debug)]
-pub struct FeitCsi {
-    records: Translated<Way>,
-    /// Records that were not handed out, from `given` on.
-    buffer: Vec<u8>,
+pub struct Frames {
+    way: Way,
+    pieces: Pieces,
+    /// What is handed out, of which the first bytes were.
+    body: Vec<u8>,
     given: usize,
     /// Records handed out.
     number: u64,
-    /// Bytes of them.
-    handed_out: u64,
-    ended: bool,
     wall_us: fn() -> Option<i64>,
+}
+
+/// FeitCSI's output as records of a 5300 (see [`csi5300::source::other_card`]), from [`Frames`] or a source that passes
+/// them on.
+///
+/// Records have FeitCSI's host time; with older versions, which write none, that of the frames.
+#[derive(Debug)]
+pub struct FeitCsi<S = Frames> {
+    frames: S,
+    translator: Translator,
+    /// Bytes of the frames that came.
+    offset: u64,
+    /// Records that were not handed out, from `given` on.
+    buffer: Vec<u8>,
+    given: usize,
+    stamps: Stamps,
+    /// Records handed out.
+    number: u64,
 }
 
 /// The source of bytes.
@@ -57,7 +74,7 @@ impl Read for Way {
     }
 }
 
-impl FeitCsi {
+impl Frames {
     /// Listens for datagrams at an address of this machine, such as `127.0.0.1:8008`.
     ///
     /// # Errors
@@ -67,6 +84,8 @@ impl FeitCsi {
         let io = |source| Error::Io { what: what.into(), source };
         let socket = UdpSocket::bind(address).map_err(io)?;
         socket.set_nonblocking(true).map_err(io)?;
+        // A smaller one will do, for a while.
+        let _ = setsockopt(&socket, sockopt::RcvBuf, &RECEIVE_BUFFER);
         Ok(Self::new(Way::Datagrams(socket), wall_us))
     }
 
@@ -77,54 +96,37 @@ impl FeitCsi {
     }
 
     fn new(way: Way, wall_us: fn() -> Option<i64>) -> Self {
-        let records = Translated::new(way);
-        Self { records, buffer: Vec::new(), given: 0, number: 0, handed_out: 0, ended: false, wall_us }
-    }
-
-    /// Reads on. False if there is nothing yet, or nothing more.
-    fn fill(&mut self) -> Result<bool, Error> {
-        self.buffer.drain(..self.given);
-        self.given = 0;
-        let from = self.buffer.len();
-        self.buffer.resize(from + CHUNK, 0);
-        let read = self.records.read(self.buffer.get_mut(from..).unwrap_or_default());
-        self.buffer.truncate(from + read.as_ref().map_or(0, |read| *read));
-        match read {
-            Ok(read) => {
-                self.ended = read == 0;
-                Ok(read > 0)
-            }
-            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(false),
-            Err(error) if error.kind() == ErrorKind::Interrupted => Ok(true),
-            Err(source) => Err(Error::Io { what: "reading what FeitCSI writes".into(), source }),
-        }
+        Self { way, pieces: Pieces::default(), body: Vec::new(), given: 0, number: 0, wall_us }
     }
 }
 
-impl CsiSource for FeitCsi {
+impl CsiSource for Frames {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        let len = loop {
-            let left = self.buffer.get(self.given..).unwrap_or_default();
-            if let Some(record) = written(left).next() {
-                break record.len();
+        loop {
+            self.body.drain(..self.given);
+            self.given = 0;
+            if !self.body.is_empty() {
+                break;
             }
-            if self.ended {
-                let (offset, bytes) = (self.handed_out, left.len() as u64);
-                return Ok(Next::End(match bytes {
-                    0 => Tail::Clean,
-                    _ => Tail::Cut { offset, bytes, expected: None },
-                }));
+            if let Some(piece) = self.pieces.piece() {
+                self.body.extend_from_slice(piece.bytes);
+                break;
             }
-            if !self.fill()? && !self.ended {
-                return Ok(Next::Pending);
+            if self.pieces.has_ended() {
+                return Ok(Next::End(Tail::Clean));
             }
-        };
-        self.given += len;
-        self.handed_out += len as u64;
+            match self.pieces.fill(&mut self.way) {
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(Next::Pending),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(source) => return Err(Error::Io { what: "reading what FeitCSI writes".into(), source }),
+            }
+        }
         let stamps = Stamps { at: now, host_us: (self.wall_us)(), origin: Origin::Live { number: self.number } };
         self.number += 1;
-        let message = self.buffer.get(self.given - len + LENGTH_FIELD..self.given).unwrap_or_default();
-        Ok(Record::from_message(message).map_or(Next::Pending, |record| Next::Record(stamps, record)))
+        // Longer than any frame of these cards is only what is none.
+        self.given = self.body.len().min(MOST);
+        Ok(Next::Record(stamps, Record { code: code::BFEE, body: self.body.get(..self.given).unwrap_or_default() }))
     }
 
     fn next_at(&self) -> Option<Instant> {
@@ -132,12 +134,68 @@ impl CsiSource for FeitCsi {
     }
 }
 
-impl AsFd for FeitCsi {
+impl AsFd for Frames {
     fn as_fd(&self) -> BorrowedFd<'_> {
-        match self.records.get_ref() {
+        match &self.way {
             Way::Datagrams(socket) => socket.as_fd(),
             Way::Stream(stream) => stream.as_fd(),
         }
+    }
+}
+
+impl<S> FeitCsi<S> {
+    /// Translates the frames that this source hands on.
+    pub fn new(frames: S) -> Self {
+        let (translator, buffer, stamps) = (Translator::default(), Vec::new(), Stamps::default());
+        Self { frames, translator, offset: 0, buffer, given: 0, stamps, number: 0 }
+    }
+
+    /// Where its frames come from.
+    pub fn frames(&self) -> &S {
+        &self.frames
+    }
+
+    /// The same, to go on with.
+    pub fn into_frames(self) -> S {
+        self.frames
+    }
+}
+
+impl<S: CsiSource> CsiSource for FeitCsi<S> {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        let len = loop {
+            let left = self.buffer.get(self.given..).unwrap_or_default();
+            if let Some(record) = written(left).next() {
+                break record.len();
+            }
+            match self.frames.receive(now)? {
+                Next::Record(stamps, record) => {
+                    self.buffer.drain(..self.given);
+                    self.given = 0;
+                    self.translator.take_bytes(record.body, self.offset, &mut self.buffer);
+                    self.offset += record.body.len() as u64;
+                    self.stamps = stamps;
+                }
+                Next::Pending => return Ok(Next::Pending),
+                Next::Lost(loss) => return Ok(Next::Lost(loss)),
+                Next::End(tail) => return Ok(Next::End(tail)),
+            }
+        };
+        self.given += len;
+        let stamps = Stamps { at: now, origin: Origin::Live { number: self.number }, ..self.stamps };
+        self.number += 1;
+        let message = self.buffer.get(self.given - len + LENGTH_FIELD..self.given).unwrap_or_default();
+        Ok(Record::from_message(message).map_or(Next::Pending, |record| Next::Record(stamps, record)))
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.frames.next_at()
+    }
+}
+
+impl<S: AsFd> AsFd for FeitCsi<S> {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.frames.as_fd()
     }
 }
 
@@ -181,7 +239,7 @@ mod tests {
     fn datagrams_and_a_stream_give_what_the_log_does() {
         let (log, frames) = written_by_feitcsi();
         let (mut pipe, output) = std::io::pipe().map(|(read, write)| (write, read)).unwrap();
-        let mut streamed = FeitCsi::read(output.into(), || Some(7));
+        let mut streamed = FeitCsi::new(Frames::read(output.into(), || Some(7)));
         assert_eq!(drained(&mut streamed), (Vec::new(), false));
         pipe.write_all(&log).unwrap();
         drop(pipe);
@@ -189,8 +247,8 @@ mod tests {
         assert!(ended && of_stream.len() == 2 * frames.len(), "{}", of_stream.len());
         assert!(of_stream.chunks(2).all(|two| [two[0].0, two[1].0] == [code::CARD_CLOCK, code::BFEE]));
 
-        let mut source = FeitCsi::listen("127.0.0.1:0", || Some(7)).unwrap();
-        let Way::Datagrams(socket) = source.records.get_ref() else { panic!("a socket was asked for") };
+        let mut source = FeitCsi::new(Frames::listen("127.0.0.1:0", || Some(7)).unwrap());
+        let Way::Datagrams(socket) = &source.frames().way else { panic!("a socket was asked for") };
         let (to, sender) = (socket.local_addr().unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
         assert_eq!(drained(&mut source), (Vec::new(), false));
         sender.send_to(&[], to).unwrap();

@@ -38,7 +38,7 @@ pub struct Health {
     pub pose: Option<(f64, [f64; 3], Option<f64>)>,
     /// The log.
     pub log: Option<Totals>,
-    /// The peers.
+    /// The peers, then other senders whose bearings are made of what is heard alone.
     pub peers: Vec<PeerHealth>,
     /// Counts of the robots' network.
     pub network: Option<serde_json::Value>,
@@ -183,7 +183,8 @@ impl Looks {
         let survey = &machine.estimator.own_log().survey;
         let (losses, strangers) = machine.estimator.losses();
         let poses = machine.pose_counts();
-        let pairs: Vec<u64> = machine.estimator.peers().map(|(_, counts)| counts.pairs).collect();
+        let paired = machine.estimator.peers().map(|(_, counts)| counts.pairs);
+        let pairs: Vec<u64> = paired.chain(machine.estimator.others().map(|(.., counts)| counts.pairs)).collect();
         let (before, records_before, poses_before, pairs_before) =
             self.last.take().unwrap_or((Instant::ZERO, 0, 0, vec![0; pairs.len()]));
         let seconds = (now - before).as_s().max(1e-6);
@@ -191,6 +192,14 @@ impl Looks {
         let peers = machine.estimator.peers().enumerate().map(|(k, (peer, counts))| PeerHealth {
             name: peer.name.clone(),
             mac: peer.mac.to_string(),
+            counts,
+            pairs_hz: rate(counts.pairs, pairs_before.get(k).copied().unwrap_or(0)),
+            report: self.reports.get(k).cloned().flatten(),
+        });
+        let others = machine.estimator.others().zip(machine.estimator.peers().count()..);
+        let others = others.map(|((name, mac, counts), k)| PeerHealth {
+            name: name.to_owned(),
+            mac: mac.to_string(),
             counts,
             pairs_hz: rate(counts.pairs, pairs_before.get(k).copied().unwrap_or(0)),
             report: self.reports.get(k).cloned().flatten(),
@@ -210,7 +219,7 @@ impl Looks {
             poses_hz: rate(poses.poses, poses_before),
             pose: pose.map(|pose| (pose.t_s, pose.position_m.into(), pose.heading_rad.map(f64::to_degrees))),
             log: machine.totals(),
-            peers: peers.collect(),
+            peers: peers.chain(others).collect(),
             network: None,
             sounding: None,
             ros: None,

@@ -155,7 +155,9 @@ impl Machine {
     ) -> Result<Self, Error> {
         let mut peers = Vec::new();
         let mut told = Vec::new();
-        for peer in sources.peers {
+        let mut heard_only = Vec::new();
+        for (k, peer) in sources.peers.into_iter().enumerate() {
+            heard_only.extend(peer.is_heard_only.then_some(k));
             told.push(peer.peer);
             peers.push(PeerRunning {
                 records: peer.records.map(Running::new),
@@ -163,11 +165,15 @@ impl Machine {
                 open_ended: false,
             });
         }
+        let mut estimator = LiveEstimator::new(sources.own, sources.track, told, settings, options, now);
+        if let Some(array) = sources.array {
+            estimator = estimator.with_array(array, &heard_only, now);
+        }
         Ok(Self {
             capture: Running::new(capture(sources.capture)?),
             poses: sources.poses.map(Running::new),
             peers,
-            estimator: LiveEstimator::new(sources.own, sources.track, told, settings, options, now),
+            estimator,
             taps: Vec::new(),
             pose_counts: PoseCounts::default(),
             trouble: Vec::new(),

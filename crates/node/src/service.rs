@@ -13,6 +13,7 @@ use csi5300::source::recorder::{LogFiles, Options as RecorderOptions, Recorder, 
 use csi5300::source::side_path;
 use csi5300::time::{Instant, Span};
 use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
+use driver_iface::Mac;
 use driver_iface::side_file::Layout;
 use nix::sys::signal::SigSet;
 use sd_notify::NotifyState;
@@ -119,7 +120,7 @@ impl<'a> Service<'a> {
         let wake = sources.wake.take().map(UnixStream::from_std).transpose();
         let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
-        let (own, peers) = (sources.own, sources.peers.iter().map(|peer| peer.peer.mac).collect());
+        let (own, peers) = (sources.own, sounded(&sources));
         let logged = |card: Card| logged(card, config.log.as_ref());
         let mut machine = Machine::new(sources, logged, config.estimator_settings(), config.options(), clock.now())?;
         adapters.iter_mut().try_for_each(|adapter| adapter.attach(&mut machine))?;
@@ -268,6 +269,11 @@ impl<'a> Service<'a> {
         health.log.clone_from(&totals);
         Ok(Ended { health, totals, bearings: self.bearings, signalled: self.signalled, error })
     }
+}
+
+/// The peers that answer.
+fn sounded(sources: &Sources) -> Vec<Mac> {
+    sources.peers.iter().filter(|peer| !peer.is_heard_only).map(|peer| peer.peer.mac).collect()
 }
 
 /// Until one of the signals comes.

@@ -31,7 +31,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A folder without anything that can be shown.
-    #[error("no log and no capture below {}: a log's name ends in .dat", path.display())]
+    #[error("no log and no capture below {}: a log's name ends in .dat, of another card in .csi, .pcap or .csv", path.display())]
     Empty {
         /// The folder.
         path: PathBuf,

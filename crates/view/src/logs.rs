@@ -1,6 +1,7 @@
 //! Logs, each read once when it is first looked at.
 
 use crate::Error;
+use csi5300_lab::cards::is_named_as_log;
 use csi5300_lab::course::LogIndex;
 use std::collections::VecDeque;
 use std::fs::Metadata;
@@ -90,15 +91,15 @@ impl Logs {
         Self { all: logs.into_iter().map(named).collect(), left_out: Vec::new(), recent: Mutex::default() }
     }
 
-    /// All logs below a folder (names in `.dat`), in the order of their names, without following links to folders.
-    /// Pipes and devices are skipped: opening one could block.
+    /// All logs below a folder (names in `.dat`, and other cards' logs), in the order of their names, without following
+    /// links to folders. Pipes and devices are skipped: opening one could block.
     pub fn below(folder: &Path) -> Self {
         let (mut found, mut left_out, mut folders) = (Vec::new(), Vec::new(), vec![folder.to_path_buf()]);
         while let Some(next) = folders.pop() {
             for entry in std::fs::read_dir(&next).into_iter().flatten().flatten() {
                 match entry.file_type() {
                     Ok(kind) if kind.is_dir() => folders.push(entry.path()),
-                    _ if entry.path().extension().is_some_and(|extension| extension == "dat") => {
+                    _ if is_named_as_log(&entry.path()) => {
                         let is_other = entry.path().metadata().is_ok_and(|there| !there.is_file());
                         (if is_other { &mut left_out } else { &mut found }).push(entry.path());
                     }

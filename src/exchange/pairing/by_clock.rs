@@ -16,6 +16,12 @@
 //!    are equally near are both skipped.
 //!
 //! After a step back of a clock, the rest is aligned separately.
+//!
+//! [`ByClock`] takes whole logs, [`Live`] the same records as they come.
+
+mod live;
+
+pub(crate) use live::Live;
 
 use super::{LinkSide, Pair};
 use std::collections::VecDeque;
@@ -133,6 +139,8 @@ pub struct ClockCounts {
 struct Side<T> {
     clock: CardClock,
     last: Option<u64>,
+    /// Time of the last record.
+    now_ns: Option<i64>,
     /// Unwrapped, since the first record, ns, rising.
     at_ns: Vec<i64>,
     host_us: Vec<Option<i64>>,
@@ -145,25 +153,31 @@ struct Side<T> {
 impl<T> Side<T> {
     fn new(clock: CardClock) -> Self {
         let (at_ns, host_us, items) = (Vec::new(), Vec::new(), Vec::new());
-        Self { clock, last: None, at_ns, host_us, items, starts: vec![0], counts: ClockCounts::default() }
+        let (last, now_ns, starts) = (None, None, vec![0]);
+        Self { clock, last, now_ns, at_ns, host_us, items, starts, counts: ClockCounts::default() }
+    }
+
+    /// Time from the last record to one with this reading, ns; negative where the clock was set back.
+    fn step_ns(&self, ticks: u64) -> i64 {
+        let step = self.last.map_or(0, |last| self.clock.step(last, ticks));
+        (i128::from(step) * i128::from(self.clock.tick_ps) / 1_000) as i64
     }
 
     fn push(&mut self, ticks: u64, host_us: Option<i64>, item: T) {
         self.counts.handed += 1;
-        let step = self.last.map_or(0, |last| self.clock.step(last, ticks));
-        let step_ns = (i128::from(step) * i128::from(self.clock.tick_ps) / 1_000) as i64;
-        self.last = Some(ticks);
-        let before = self.at_ns.last().copied();
-        if before.is_some() && (0..TWICE_NS).contains(&step_ns) {
-            self.counts.twice += 1;
+        let step_ns = self.step_ns(ticks);
+        if self.last.is_some() && (0..TWICE_NS).contains(&step_ns) {
             // Time continues from the record kept.
-            self.last = self.last.map(|_| ticks.wrapping_sub(step.cast_unsigned()));
+            self.counts.twice += 1;
             return;
         }
-        if step < 0 {
+        self.last = Some(ticks);
+        if step_ns < 0 {
             self.starts.push(self.at_ns.len());
         }
-        self.at_ns.push(before.unwrap_or(0).saturating_add(step_ns.max(0)));
+        let now_ns = self.now_ns.unwrap_or(0).saturating_add(step_ns.max(0));
+        self.now_ns = Some(now_ns);
+        self.at_ns.push(now_ns);
         self.host_us.push(host_us);
         self.items.push(Some(item));
     }
@@ -173,12 +187,32 @@ impl<T> Side<T> {
         let ends = self.starts.iter().skip(1).copied().chain([self.at_ns.len()]);
         self.starts.iter().zip(ends).map(|(from, to)| *from..to).filter(|all| all.len() >= LEAST).collect()
     }
+
+    /// Counts what found no partner.
+    fn count_unpaired(&mut self) {
+        let ClockCounts { handed, paired, twice, ambiguous, .. } = self.counts;
+        self.counts.unpaired = handed.saturating_sub(paired + twice + ambiguous);
+    }
+}
+
+/// Takes a pair out of both sides; none if a part of it is gone already. Its number is to be given.
+fn taken<T>(receiver: &mut Side<T>, transmitter: &mut Side<T>, (i, j): (usize, usize)) -> Option<Pair<T>> {
+    let (at_rx, at_tx) = (*receiver.at_ns.get(i)?, *transmitter.at_ns.get(j)?);
+    let (own, other) = (receiver.items.get_mut(i)?, transmitter.items.get_mut(j)?);
+    if own.is_none() || other.is_none() {
+        return None;
+    }
+    let (own, other) = (own.take()?, other.take()?);
+    receiver.counts.paired += 1;
+    transmitter.counts.paired += 1;
+    let (clock_rx_us, difference_ns) = (at_rx / 1_000, at_tx - at_rx);
+    let clock_difference_us = (difference_ns + 500).div_euclid(1_000);
+    Some(Pair { number: 0, receiver: own, transmitter: other, clock_difference_us, clock_rx_us })
 }
 
 /// Pairs the records of one link by clocks. Call [`handle`](Self::handle) for each record of the frames of one sender
 /// in either log, in its log's order, then [`finish`](Self::finish), then [`poll_pair`](Self::poll_pair) until `None`.
-/// No pair comes before the clocks' difference is known; while robots drive, each window of the last minutes is such a
-/// link.
+/// No pair comes before the clocks' difference is known.
 #[derive(Clone, Debug)]
 pub struct ByClock<T> {
     receiver: Side<T>,
@@ -247,9 +281,7 @@ impl<T> ByClock<T> {
         }
         self.ready.make_contiguous().sort_by_key(|pair| pair.clock_rx_us);
         self.ready.iter_mut().zip(0..).for_each(|(pair, number)| pair.number = number);
-        for side in [&mut self.receiver.counts, &mut self.transmitter.counts] {
-            side.unpaired = side.handed.saturating_sub(side.paired + side.twice + side.ambiguous);
-        }
+        [&mut self.receiver, &mut self.transmitter].into_iter().for_each(Side::count_unpaired);
         fits.first().map(|(fit, ..)| *fit).ok_or(refusal)
     }
 
@@ -261,35 +293,13 @@ impl<T> ByClock<T> {
             _ => true,
         };
         let overlay = Overlay::new(a, b);
-        let mut refusal = None;
-        for middle in [a.len() / 2, a.len() / 5, 4 * a.len() / 5] {
-            match overlay.best(middle, &agree) {
-                Ok((line, fit)) => {
-                    let by_hosts = self.hosts_within_us.is_some();
-                    return Ok((Fit { by_hosts, ..fit }, overlay.follow(line)));
-                }
-                Err(why) => refusal = refusal.or(Some(why)),
-            }
-        }
-        Err(refusal.unwrap_or(Refusal::Strangers { ratio: 1.0 }))
+        let (line, fit) = overlay.stands_out(&[0.5, 0.2, 0.8], &agree)?;
+        Ok((Fit { by_hosts: self.hosts_within_us.is_some(), ..fit }, overlay.follow(line)))
     }
 
     fn take(&mut self, rx: usize, tx: usize, partners: &Partners) {
         for &(i, j) in &partners.pairs {
-            let (i, j) = (rx + i, tx + j);
-            let (at_rx, at_tx) = (self.receiver.at_ns[i], self.transmitter.at_ns[j]);
-            if self.receiver.items[i].is_none() || self.transmitter.items[j].is_none() {
-                continue;
-            }
-            if let (Some(receiver), Some(transmitter)) =
-                (self.receiver.items[i].take(), self.transmitter.items[j].take())
-            {
-                self.receiver.counts.paired += 1;
-                self.transmitter.counts.paired += 1;
-                let (clock_rx_us, difference_ns) = (at_rx / 1_000, at_tx - at_rx);
-                let clock_difference_us = (difference_ns + 500).div_euclid(1_000);
-                self.ready.push_back(Pair { number: 0, receiver, transmitter, clock_difference_us, clock_rx_us });
-            }
+            self.ready.extend(taken(&mut self.receiver, &mut self.transmitter, (rx + i, tx + j)));
         }
         // At least two of the receiver's records claim each of the transmitter's.
         self.transmitter.counts.ambiguous += partners.ambiguous;
@@ -348,6 +358,18 @@ impl<'a> Overlay<'a> {
     fn new(a: &'a [i64], b: &'a [i64]) -> Self {
         let shortest = |times: &[i64]| at_share(&pauses(times), 0.01);
         Self { a, b, half_ns: 0.5 * shortest(a).min(shortest(b)) }
+    }
+
+    /// The difference that stands out about one of these places, in shares of `a`.
+    fn stands_out(&self, places: &[f64], agree: &dyn Fn(usize, usize) -> bool) -> Result<(Line, Fit), Refusal> {
+        let mut refusal = None;
+        for place in places {
+            match self.best((place * self.a.len() as f64) as usize, agree) {
+                Ok(found) => return Ok(found),
+                Err(why) => refusal = refusal.or(Some(why)),
+            }
+        }
+        Err(refusal.unwrap_or(Refusal::Strangers { ratio: 1.0 }))
     }
 
     /// Places in `a` around `middle` that are laid over `b`: as many as drift moves by half of the tolerance.
@@ -479,55 +501,110 @@ impl<'a> Overlay<'a> {
         self.pair_up(&wanted)
     }
 
-    /// Follows the line in one direction. It is corrected by the median deviation of every few records.
-    fn follow_way<'t>(&self, mut line: Line, records: impl Iterator<Item = (&'t i64, &'t mut f64)>) {
-        let mut off: Vec<f64> = Vec::new();
-        let mut since = 0;
+    /// One way: where each record's partner should be, and the line at the end.
+    fn follow_way<'t>(&self, line: Line, records: impl Iterator<Item = (&'t i64, &'t mut f64)>) -> Line {
+        let mut follower = Follower::new(line);
         for (a, wanted) in records {
             let a = *a as f64;
-            *wanted = line.on_other(a);
-            off.extend(self.nearest(*wanted).map(|(_, off)| off).filter(|off| off.abs() < self.half_ns));
-            since += 1;
-            if since < STEP {
-                continue;
-            }
-            if off.len() >= STEP / 4 {
-                let (by, gone) = (centre(&mut off).0, a - line.at);
-                // A step of half the noise is noise.
-                let drift = (line.drift + 0.25 * by / gone.abs().max(1.0) * gone.signum()).clamp(-MAX_DRIFT, MAX_DRIFT);
-                line = Line { at: a, difference: line.difference + line.drift * gone + by, drift };
-            }
-            off.clear();
-            since = 0;
+            *wanted = follower.line.on_other(a);
+            follower.note(a, nearest(self.b, *wanted, self.half_ns).map(|(_, off)| off));
         }
+        follower.line
     }
 
-    /// The record of the other side nearest to a time, and how far it is from it, ns.
-    fn nearest(&self, at: f64) -> Option<(usize, f64)> {
-        let after = self.b.partition_point(|b| (*b as f64) < at);
-        let places = [after.checked_sub(1), Some(after)].into_iter().flatten();
-        let off = places.filter_map(|j| Some((j, *self.b.get(j)? as f64 - at)));
-        off.min_by(|x, y| x.1.abs().total_cmp(&y.1.abs()))
-    }
-
-    /// One to one: each is the nearest of the other. Of two records that claim one, the nearer gets it, unless they are
-    /// equally near.
+    /// One to one.
     fn pair_up(&self, wanted: &[f64]) -> Partners {
-        let mut owner: Vec<Option<(usize, f64)>> = vec![None; self.b.len()];
-        let mut is_ambiguous = vec![false; self.b.len()];
+        let mut claims = Claims::default();
+        let mut partners = Partners { pairs: Vec::new(), ambiguous: 0 };
         for (i, at) in wanted.iter().enumerate() {
-            let Some((j, off)) = self.nearest(*at).filter(|(_, off)| off.abs() < self.half_ns) else { continue };
-            if let Some((_, other)) = owner[j] {
-                is_ambiguous[j] |= (off.abs() - other.abs()).abs() < BIN_NS;
-            }
-            if owner[j].is_none_or(|(_, other)| off.abs() < other.abs()) {
-                owner[j] = Some((i, off));
+            if let Some((j, off)) = nearest(self.b, *at, self.half_ns) {
+                partners.settle(claims.claim(i, j, off));
             }
         }
-        let kept = owner.iter().zip(&is_ambiguous).enumerate().filter(|(_, (_, ambiguous))| !**ambiguous);
-        let mut pairs: Vec<(usize, usize)> = kept.filter_map(|(j, (owner, _))| Some(((*owner)?.0, j))).collect();
-        pairs.sort_unstable();
-        Partners { pairs, ambiguous: is_ambiguous.iter().filter(|ambiguous| **ambiguous).count() }
+        partners.settle(claims.0);
+        partners
+    }
+}
+
+/// The record nearest to a time, and how far it is from it, ns; none if that is half of the shortest exchange.
+fn nearest(b: &[i64], at: f64, half_ns: f64) -> Option<(usize, f64)> {
+    let after = b.partition_point(|b| (*b as f64) < at);
+    let places = [after.checked_sub(1), Some(after)].into_iter().flatten();
+    let off = places.filter_map(|j| Some((j, *b.get(j)? as f64 - at)));
+    off.min_by(|x, y| x.1.abs().total_cmp(&y.1.abs())).filter(|(_, off)| off.abs() < half_ns)
+}
+
+/// A line that follows its records: it is corrected by the median deviation of every few.
+#[derive(Clone, Debug)]
+struct Follower {
+    line: Line,
+    off: Vec<f64>,
+    since: usize,
+}
+
+impl Follower {
+    fn new(line: Line) -> Self {
+        Self { line, off: Vec::new(), since: 0 }
+    }
+
+    /// Takes the deviation of the next record, if a partner is near. True if the line was corrected by it.
+    fn note(&mut self, a: f64, off: Option<f64>) -> bool {
+        self.off.extend(off);
+        self.since += 1;
+        if self.since < STEP {
+            return false;
+        }
+        if self.off.len() >= STEP / 4 {
+            let line = self.line;
+            let (by, gone) = (centre(&mut self.off).0, a - line.at);
+            // Half of a step that noise alone would make is noise.
+            let drift = (line.drift + 0.25 * by / gone.abs().max(1.0) * gone.signum()).clamp(-MAX_DRIFT, MAX_DRIFT);
+            self.line = Line { at: a, difference: line.difference + line.drift * gone + by, drift };
+        }
+        self.off.clear();
+        self.since = 0;
+        true
+    }
+}
+
+/// A record of the receiver's that wants one of the transmitter's.
+#[derive(Clone, Copy, Debug)]
+struct Claim {
+    i: usize,
+    j: usize,
+    off: f64,
+    is_ambiguous: bool,
+}
+
+/// One to one, record by record: of two records that want one the nearer has it, unless they are equally near.
+#[derive(Clone, Debug, Default)]
+struct Claims(Option<Claim>);
+
+impl Claims {
+    /// Record `i` wants `j`, in the order of both. Gives the claim before it, if that is of another record.
+    fn claim(&mut self, i: usize, j: usize, off: f64) -> Option<Claim> {
+        let mut own = Claim { i, j, off, is_ambiguous: false };
+        match self.0 {
+            Some(before) if before.j == j => {
+                let is_nearer = off.abs() < before.off.abs();
+                let are_equal = (off.abs() - before.off.abs()).abs() < BIN_NS;
+                own = if is_nearer { own } else { before };
+                own.is_ambiguous = before.is_ambiguous || are_equal;
+                self.0 = Some(own);
+                None
+            }
+            _ => self.0.replace(own),
+        }
+    }
+}
+
+impl Partners {
+    fn settle(&mut self, claim: Option<Claim>) {
+        match claim {
+            Some(Claim { i, j, is_ambiguous: false, .. }) => self.pairs.push((i, j)),
+            Some(_) => self.ambiguous += 1,
+            None => {}
+        }
     }
 }
 
@@ -557,6 +634,14 @@ impl Room {
         let near: u64 = self.bins.windows(2).map(|two| u64::from(two[0]) * u64::from(two[1])).sum();
         (own + 2 * near) as f64 / (self.x.len() as f64).powi(2)
     }
+}
+
+/// Sharpness of some deviations.
+fn sharpness_of(off: &[f64]) -> f64 {
+    let mut room = Room::default();
+    room.y.extend_from_slice(off);
+    room.x.resize(off.len(), 0.0);
+    room.sharpness(0.0)
 }
 
 /// Median, and the deviation of a normal distribution that spreads as much around it.

@@ -1,5 +1,6 @@
 //! The live estimator: records and poses of this robot and its peers in, bearings out.
 
+use super::heard::Heard;
 use super::links::Links;
 use super::peer::{Context, PeerLink, SETTLE_S, WAIT, Why};
 use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport};
@@ -9,7 +10,7 @@ use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::tdma::Key;
 use crate::motion::pose::Pose;
-use crate::pipeline::{Bearing, Effort, Front, LogReport, Options};
+use crate::pipeline::{Array, Bearing, Effort, Front, LogReport, Options};
 use crate::source::{Loss, Next};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
@@ -29,6 +30,8 @@ pub struct LiveEstimator {
     front: Front,
     track: Track,
     peers: Vec<PeerLink>,
+    /// Bearings of this robot's own records alone.
+    heard: Option<Heard>,
     /// Records lost on the way from this robot's card, if its source counts them.
     losses: u64,
     strangers: u64,
@@ -54,7 +57,25 @@ impl LiveEstimator {
         let peers = peers.into_iter().enumerate().map(state).collect();
         // In between, only the grid.
         let plain = options.clone().with_accuracy(options.accuracy.with_effort(Effort::Within(COARSE_RAD)));
-        Self { own, settings, front, track, peers, losses: 0, strangers: 0, other_antenna: 0, options, plain }
+        let heard = None;
+        Self { own, settings, front, track, peers, heard, losses: 0, strangers: 0, other_antenna: 0, options, plain }
+    }
+
+    /// The same with bearings of what these antennas of this robot's card hear alone, while the robot turns or where the
+    /// constants of their chains are known: of the peers with these numbers, which need not answer, and of every other sender
+    /// that is heard, the first 16. The reports of the others are numbered on from the peers'.
+    #[doc(hidden)] // for the crates of this workspace
+    #[must_use]
+    pub fn with_array(mut self, array: Array, heard_only: &[usize], now: Instant) -> Self {
+        let named = heard_only.iter().filter_map(|k| {
+            let state = self.peers.get_mut(*k)?;
+            state.is_heard_only = true;
+            Some((*k, state.peer.name.clone(), state.peer.mac))
+        });
+        let named = named.collect();
+        let paired = self.paired().map(|state| state.peer.mac).collect();
+        self.heard = Some(Heard::new(array, named, (self.own, paired), self.options.clone(), now));
+        self
     }
 
     /// From now on uses only exchanges that the scheduler, which shares this key, has
@@ -81,25 +102,31 @@ impl LiveEstimator {
     /// Takes an item of this robot's card.
     pub fn handle_own(&mut self, next: &Next<'_>) {
         self.losses = self.losses.saturating_add(lost(next));
-        let Some((mac, heard)) = self.front.note(next) else { return };
+        if let Some(heard) = &mut self.heard {
+            heard.note(next);
+        }
+        let Some((mac, heard, is_numbered)) = self.front.note_any(next) else { return };
         let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) else {
             self.strangers += 1;
             return;
         };
         state.counts.heard += 1;
-        state.handle(LinkSide::Receiver, heard, next, &self.options);
+        let is_used =
+            state.is_heard_only || state.handle(LinkSide::Receiver, (heard, is_numbered), next, &self.options);
+        self.front.log.unused.no_number += u64::from(!is_used);
     }
 
     /// Takes an item of the card of peer number `peer`.
     pub fn handle_peer(&mut self, peer: usize, next: &Next<'_>) {
         let Some(state) = self.peers.get_mut(peer) else { return };
         state.counts.losses = state.counts.losses.saturating_add(lost(next));
-        let Some((mac, heard)) = state.front.note(next) else { return };
+        let Some((mac, heard, is_numbered)) = state.front.note_any(next) else { return };
         if mac != self.own {
             return;
         }
         state.counts.heard_by_peer += 1;
-        state.handle(LinkSide::Transmitter, heard, next, &self.options);
+        let is_used = state.handle(LinkSide::Transmitter, (heard, is_numbered), next, &self.options);
+        state.front.log.unused.no_number += u64::from(!is_used);
     }
 
     /// Takes the measurement in an answer of the peer `mac`: its card's report on a frame of this robot. One of another
@@ -122,6 +149,7 @@ impl LiveEstimator {
         }
         self.track.clear();
         self.peers.iter_mut().for_each(PeerLink::begin_anew);
+        self.heard.iter_mut().for_each(Heard::begin_anew);
     }
 
     /// Takes a pose of a peer's antenna, on the peer's clock and in its frame. `None`: later poses are in another
@@ -139,14 +167,19 @@ impl LiveEstimator {
     #[must_use]
     pub fn next_due(&self) -> Option<Instant> {
         let due = |state: &PeerLink| state.unrefined_since().unwrap_or(state.due);
-        self.peers.iter().map(due).min()
+        self.paired().map(due).chain(self.heard.as_ref().and_then(Heard::next_due)).min()
     }
 
     /// When [`poll_report`](Self::poll_report) has a report even if nothing comes until then.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let at = |state: &PeerLink| state.unrefined_since().unwrap_or(state.due + WAIT);
-        self.peers.iter().map(at).min()
+        self.paired().map(at).chain(self.heard.as_ref().and_then(Heard::next_due)).min()
+    }
+
+    /// The peers whose records are paired with this robot's.
+    fn paired(&self) -> impl Iterator<Item = &PeerLink> {
+        self.peers.iter().filter(|state| !state.is_heard_only)
     }
 
     /// The next report, if one is due, with the peer's number.
@@ -155,8 +188,16 @@ impl LiveEstimator {
     /// nothing else is due.
     pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
         self.peers.iter_mut().for_each(|state| state.admit(now, &self.options));
-        let due = self.peers.iter().enumerate().filter(|(_, state)| state.is_ripe(now));
+        let due = self.peers.iter().enumerate().filter(|(_, state)| !state.is_heard_only && state.is_ripe(now));
         let due = due.min_by_key(|(_, state)| state.due).map(|(index, _)| (index, Why::Due));
+        let paired_at = due.and_then(|(index, _)| self.peers.get(index)).map(|state| state.due);
+        if let Some(heard) = self.heard.as_mut().filter(|heard| heard.is_before(paired_at, now)) {
+            let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
+            let context = Context { track, settings, options, plain, now, why: Why::Due };
+            let report = heard.poll_report(context);
+            self.forget();
+            return report.map(|(number, report)| (self.number_of(number), report));
+        }
         let unrefined = || self.peers.iter().position(|state| state.unrefined).map(|index| (index, Why::Refine));
         let (index, why) = due.or_else(unrefined)?;
         let period = Span::from_s(1.0 / self.settings.rate_hz);
@@ -171,6 +212,11 @@ impl LiveEstimator {
         Some((index, report))
     }
 
+    /// The number of a report of a sender that is heard: that of its peer, or one beyond them.
+    fn number_of(&self, number: Result<usize, usize>) -> usize {
+        number.unwrap_or_else(|other| self.peers.len() + other)
+    }
+
     /// Each peer's link with all pairs that are kept, copied (at most 2 MB a peer), to make [bearings](Links::bearings)
     /// of. It changes neither data nor reports.
     #[must_use]
@@ -183,29 +229,45 @@ impl LiveEstimator {
         let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
         let context = Context { track, settings, options, plain, now, why: Why::End };
         let last = |state: &mut PeerLink| {
-            state.admit_last(now, context.options);
-            state.link.finish(context.options);
+            state.finish(now, context.options);
             state.report(context)
         };
-        self.peers.iter_mut().map(last).collect()
+        let mut reports: Vec<PeerReport> = self.peers.iter_mut().map(last).collect();
+        for (number, report) in self.heard.iter_mut().flat_map(|heard| heard.finish(context)) {
+            match number.ok().and_then(|peer| reports.get_mut(peer)) {
+                Some(own) => *own = report,
+                None => reports.push(report),
+            }
+        }
+        reports
     }
 
     /// The last complete estimate of a peer's bearing.
     #[must_use]
     pub fn bearing(&self, peer: usize) -> Option<&Bearing> {
-        self.peers.get(peer)?.bearing.as_ref()
+        let of_peer = self.peers.get(peer).and_then(|state| state.bearing.as_ref());
+        let number = if peer < self.peers.len() { Ok(peer) } else { Err(peer - self.peers.len()) };
+        of_peer.or_else(|| self.heard.as_ref()?.bearing(number))
+    }
+
+    /// The senders beyond the peers whose bearings are reported, by their numbers: name, MAC, and what was counted.
+    #[doc(hidden)] // for the crates of this workspace
+    pub fn others(&self) -> impl Iterator<Item = (&str, Mac, PeerCounts)> {
+        self.heard.iter().flat_map(Heard::others)
     }
 
     /// Peers and their counts.
     pub fn peers(&self) -> impl Iterator<Item = (&LivePeer, PeerCounts)> {
-        let refused = |state: &PeerLink| state.admission.as_ref().map_or_else(Default::default, |gate| gate.counts);
-        let counts = move |state: &PeerLink| PeerCounts {
-            pairs: state.pairs(),
-            refused: refused(state),
-            carried: state.carried_counts(),
-            ..state.counts
-        };
-        self.peers.iter().map(move |state| (&state.peer, counts(state)))
+        let both = self.peers.iter().enumerate();
+        both.map(|(k, state)| (&state.peer, self.counts(k, state)))
+    }
+
+    fn counts(&self, peer: usize, state: &PeerLink) -> PeerCounts {
+        if let Some(heard) = self.heard.as_ref().and_then(|heard| heard.counts(peer)) {
+            return heard;
+        }
+        let refused = state.admission.as_ref().map_or_else(Default::default, |gate| gate.counts);
+        PeerCounts { pairs: state.pairs(), refused, carried: state.carried_counts(), ..state.counts }
     }
 
     /// Counts of this robot's own card.

@@ -4,10 +4,11 @@
 //! several times a second over the last metres of relative motion. A robot that sounds alone hands over its card's
 //! records and the measurements in its peers' answers, and requests bearings.
 //!
-//! `report` has the values, `track` poses and the stretch of relative motion, `peer` one peer, `estimator` the machine,
-//! `links` copies for bearings on request.
+//! `report` has the values, `track` poses and the stretch of relative motion, `peer` one peer, `heard` bearings of one
+//! card with two or three antennas, `estimator` the machine, `links` copies for bearings on request.
 
 mod estimator;
+mod heard;
 mod links;
 mod peer;
 mod report;

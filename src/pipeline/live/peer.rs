@@ -4,6 +4,7 @@ use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use super::track::{Track, Window, aligned, window};
 use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
+use crate::exchange::pairing::by_clock::{self, CardClock};
 use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::{Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, Options, estimate_one};
 use crate::place::track::{PeerTrack, TrackCounts, TrackSettings};
@@ -31,6 +32,9 @@ pub(super) struct PeerLink {
     pub(super) counts: PeerCounts,
     /// If the scheduler shares a key: records that wait for its confirmation.
     pub(super) admission: Option<Admission<FrameHeard>>,
+    by_clock: ByClock,
+    /// Only what this robot hears of it is of use: it has no pairs.
+    pub(super) is_heard_only: bool,
     /// Measurements that came in its answers.
     measured: u32,
     last: Option<LastAnswer>,
@@ -46,6 +50,15 @@ pub(super) struct PeerLink {
     /// The peer's place by all windows that do not overlap, and the end of the last of them, seconds.
     carried: PeerTrack,
     carried_to_s: Option<f64>,
+}
+
+/// How the frames of a link without numbers are paired.
+enum ByClock {
+    /// None of them has come.
+    None,
+    Running(Box<by_clock::Live<FrameHeard>>),
+    /// A frame of the link has a number, or must have one.
+    Off,
 }
 
 /// The last answer.
@@ -101,6 +114,8 @@ impl PeerLink {
             due,
             counts: PeerCounts::default(),
             admission: None,
+            by_clock: ByClock::None,
+            is_heard_only: false,
             measured: 0,
             last: None,
             searched: None,
@@ -127,12 +142,78 @@ impl PeerLink {
         self.carried.counts()
     }
 
-    /// Takes a frame that one of the two cards heard of the other.
-    pub(super) fn handle(&mut self, side: LinkSide, heard: FrameHeard, next: &Next<'_>, options: &Options) {
-        let Next::Record(stamps, _) = next else { return };
-        let Some(admission) = &mut self.admission else { return self.pair(side, heard, stamps.at, options) };
-        admission.handle(side, (heard.number, heard.timestamp_low), stamps.at, heard);
-        self.admit(stamps.at, options);
+    /// Takes what one of the two cards heard of the other. False if it is of no use, since it has no number and others have.
+    pub(super) fn handle(
+        &mut self,
+        side: LinkSide,
+        (heard, is_numbered): (FrameHeard, bool),
+        next: &Next<'_>,
+        options: &Options,
+    ) -> bool {
+        let Next::Record(stamps, _) = next else { return true };
+        if !is_numbered {
+            return self.handle_unnumbered(side, heard, stamps.at, options);
+        }
+        self.by_clock = ByClock::Off;
+        match &mut self.admission {
+            None => self.pair(side, heard, stamps.at, options),
+            Some(admission) => {
+                admission.handle(side, (heard.number, heard.timestamp_low), stamps.at, heard);
+                self.admit(stamps.at, options);
+            }
+        }
+        true
+    }
+
+    /// Takes a frame without a number. Without one there is nothing that the scheduler could confirm.
+    fn handle_unnumbered(&mut self, side: LinkSide, heard: FrameHeard, at: Instant, options: &Options) -> bool {
+        if self.admission.is_some() {
+            return false;
+        }
+        if matches!(self.by_clock, ByClock::None) {
+            // Other cards' records come with the clock of a 5300.
+            let clock = CardClock::INTEL_5300;
+            self.by_clock = ByClock::Running(Box::new(by_clock::Live::new(clock, clock)));
+        }
+        let ByClock::Running(by_clock) = &mut self.by_clock else { return false };
+        let restarts = by_clock.restarts();
+        by_clock.handle(side, heard.timestamp_low.into(), heard);
+        if by_clock.restarts() != restarts {
+            // Turn-arounds before and after it cannot be compared.
+            self.link.forget_before(i64::MAX);
+        }
+        self.take_by_clock(at, options);
+        true
+    }
+
+    /// Numbers what the clocks have paired.
+    fn take_by_clock(&mut self, at: Instant, options: &Options) {
+        while let ByClock::Running(by_clock) = &mut self.by_clock
+            && let Some(pair) = by_clock.poll_pair()
+        {
+            for (side, heard) in [(LinkSide::Receiver, pair.receiver), (LinkSide::Transmitter, pair.transmitter)] {
+                self.pair(side, heard.with_number(pair.number, heard.row), at, options);
+            }
+        }
+    }
+
+    /// Ends both sides.
+    pub(super) fn finish(&mut self, now: Instant, options: &Options) {
+        self.admit_last(now, options);
+        if let ByClock::Running(by_clock) = &mut self.by_clock {
+            by_clock.finish();
+        }
+        self.take_by_clock(now, options);
+        self.link.finish(options);
+    }
+
+    /// Why there is no exchange.
+    fn why_none(&self) -> String {
+        let refused = match &self.by_clock {
+            ByClock::Running(by_clock) => by_clock.refusal(),
+            ByClock::None | ByClock::Off => None,
+        };
+        refused.map_or_else(|| "no exchange yet".to_owned(), |why| format!("no exchange yet: {why}"))
     }
 
     /// Passes on confirmed records.
@@ -143,7 +224,7 @@ impl PeerLink {
     }
 
     /// The same at the end.
-    pub(super) fn admit_last(&mut self, now: Instant, options: &Options) {
+    fn admit_last(&mut self, now: Instant, options: &Options) {
         while let Some((side, at, heard)) = self.admission.as_mut().and_then(|admission| admission.poll_last(now)) {
             self.pair(side, heard, at, options);
         }
@@ -196,7 +277,7 @@ impl PeerLink {
             return self.without(PeerState::NoPairs, "no exchange since the last search".into(), 0.0, context, seen);
         }
         let Some(end_s) = seen else {
-            return self.without(PeerState::NoPairs, "no exchange yet".into(), 0.0, context, None);
+            return self.without(PeerState::NoPairs, self.why_none(), 0.0, context, None);
         };
         self.forget_before(end_s - settings.window_s - SETTLE_S);
         let motion = NewestPoses { receiver: track.last().copied(), transmitter: self.peer.track.last().copied() };

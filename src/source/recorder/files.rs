@@ -4,7 +4,7 @@ use super::{Chunk, Sink, Written};
 use crate::source::Error;
 use crate::source::side_file::side_path;
 use crate::time::{Instant, Span};
-use driver_iface::record::{whole_records, written};
+use driver_iface::record::{LENGTH_FIELD, whole_records, written};
 use driver_iface::side_file::{Check, Entry, Layout};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -116,7 +116,8 @@ pub struct LogFiles {
     number: u32,
     since: Option<Instant>,
     data: Grown,
-    side: Grown,
+    /// None of a log of bodies.
+    side: Option<Grown>,
     /// Of the side file.
     layout: Layout,
     /// Records in the data file: the side file is brought up to it.
@@ -130,8 +131,22 @@ impl LogFiles {
     /// # Errors
     /// If a file already exists and `force` is not set, is a pipe, is another recorder's, or cannot be written.
     pub fn create(path: &Path, rotation: Rotation, force: bool) -> Result<Self, Error> {
+        Self::begin(path, rotation, force, true)
+    }
+
+    /// The same for a log that holds the bodies of its records alone, one after another, without a side file: what another
+    /// program's log is, where the source hands out its records unchanged.
+    ///
+    /// # Errors
+    /// As [`LogFiles::create`].
+    #[doc(hidden)] // for the crates of this workspace
+    pub fn create_bodies(path: &Path, rotation: Rotation, force: bool) -> Result<Self, Error> {
+        Self::begin(path, rotation, force, false)
+    }
+
+    fn begin(path: &Path, rotation: Rotation, force: bool, has_side: bool) -> Result<Self, Error> {
         let number = u32::from(rotation.is_on());
-        let (data, side) = open_pair(&Self::first(path, rotation), force)?;
+        let (data, side) = open_files(&Self::first(path, rotation), force, has_side)?;
         Ok(Self {
             path: path.into(),
             force,
@@ -173,7 +188,9 @@ impl LogFiles {
     /// How much of `rest` goes into the current file: bytes and records. A record that is larger than a file has one of its own.
     fn fitting(&self, rest: &[u8]) -> (usize, usize) {
         let room = self.rotation.bytes.map_or(u64::MAX, |limit| limit.saturating_sub(self.data.len));
-        match whole_records(rest, usize::try_from(room).unwrap_or(usize::MAX)) {
+        let room = usize::try_from(room).unwrap_or(usize::MAX);
+        let fits = if self.side.is_some() { whole_records(rest, room) } else { whole_bodies(rest, room) };
+        match fits {
             (0, _) if self.records == 0 => written(rest).next().map_or((0, 0), |record| (record.len(), 1)),
             fits => fits,
         }
@@ -182,7 +199,7 @@ impl LogFiles {
     /// Continues in the next file; if that fails, the old one continues to grow.
     fn rotate(&mut self) -> Option<String> {
         let problem = self.sync();
-        match open_pair(&numbered(&self.path, self.number + 1), self.force) {
+        match open_files(&numbered(&self.path, self.number + 1), self.force, self.side.is_some()) {
             Ok((data, side)) => {
                 self.finished.push(std::mem::replace(&mut self.data, data).path);
                 self.side = side;
@@ -197,13 +214,14 @@ impl LogFiles {
     /// Brings the side file up to the data file: zeros for what an earlier failure missed, then the first `records` of
     /// a part, of which `before` were in the log already.
     fn stamp(&mut self, before: u64, part: Part<'_>, records: usize) -> io::Result<()> {
+        let Some(side) = &mut self.side else { return Ok(()) };
         let (length, head) = (self.layout.bytes(), self.layout.head());
-        let there = self.side.len.saturating_sub(head.len() as u64) / length as u64;
+        let there = side.len.saturating_sub(head.len() as u64) / length as u64;
         let behind = before.saturating_sub(there) as usize;
         let check = |record| (self.layout == Layout::Checked).then(|| Check::of(record));
         let known = part.host_us.iter().zip(written(part.bytes)).take(records);
         let known = known.map(|(host_us, record)| Entry { host_us: *host_us, check: check(record) });
-        let mut bytes = if self.side.len == 0 { head.to_vec() } else { Vec::new() };
+        let mut bytes = if side.len == 0 { head.to_vec() } else { Vec::new() };
         for entry in std::iter::repeat_n(Entry::default(), behind).chain(known) {
             let mut out = [0; Layout::Wide.bytes()];
             // A time that a narrow entry cannot hold (before 1970, after 2106) stays zeros: not known.
@@ -211,13 +229,23 @@ impl LogFiles {
             bytes.extend_from_slice(out.split_at(length).0);
         }
         let layout = self.layout;
-        self.side.append(&bytes, |done| whole_entries(layout, done)).1
+        side.append(&bytes, |done| whole_entries(layout, done)).1
     }
 
     /// Appends to the current file, and counts in `sum`; false once the disk is full.
     fn append(&mut self, part: Part<'_>, sum: &mut Written) -> bool {
-        let (done, outcome) = self.data.append(part.bytes, |done| whole_records(part.bytes, done).0);
-        let records = whole_records(part.bytes, done).1;
+        let (records, outcome) = match &self.side {
+            Some(_) => {
+                let (done, outcome) = self.data.append(part.bytes, |done| whole_records(part.bytes, done).0);
+                (whole_records(part.bytes, done).1, outcome)
+            }
+            None => {
+                let bodies: Vec<u8> = bodies(part.bytes).flatten().copied().collect();
+                let whole = |most| bodies_within(part.bytes, most);
+                let (done, outcome) = self.data.append(&bodies, |done| whole(done).0);
+                (whole(done).1, outcome)
+            }
+        };
         let before = self.records;
         self.records += records as u64;
         let stamped = self.stamp(before, part, records);
@@ -225,7 +253,7 @@ impl LogFiles {
         sum.records += records as u64;
         let takes = outcome.is_ok();
         let error = outcome.map_err(|error| words(&self.data.path, error)).err();
-        let error = error.or_else(|| stamped.map_err(|error| words(&self.side.path, error)).err());
+        let error = error.or_else(|| stamped.map_err(|error| words(&side_path(&self.data.path), error)).err());
         sum.error = error.or(sum.error.take());
         takes
     }
@@ -264,7 +292,7 @@ fn is_pipe(path: &Path) -> bool {
 impl Drop for LogFiles {
     /// Removes a log without a record, so that repeated starts without records leave none.
     fn drop(&mut self) {
-        for grown in [&self.data, &self.side] {
+        for grown in std::iter::once(&self.data).chain(&self.side) {
             if self.data.len == 0 && grown.is_there_and_empty() {
                 let _ = std::fs::remove_file(&grown.path);
             }
@@ -300,17 +328,39 @@ fn is_deleted(file: &File) -> bool {
     }
 }
 
-fn open_pair(path: &Path, force: bool) -> Result<(Grown, Grown), Error> {
+fn open_files(path: &Path, force: bool, has_side: bool) -> Result<(Grown, Option<Grown>), Error> {
+    let side = has_side.then(|| side_path(path));
     // Before anything is overwritten: opening a pipe would wait for a reader.
-    if let Some(path) = [path.to_path_buf(), side_path(path)].into_iter().find(|path| is_pipe(path)) {
+    if let Some(path) = std::iter::once(path.to_path_buf()).chain(side.clone()).find(|path| is_pipe(path)) {
         return Err(Error::IntoPipe { path });
     }
     let data = Grown::create(path.into(), force)?;
-    let side = Grown::create(side_path(path), force).inspect_err(|_| {
+    let side = side.map(|side| Grown::create(side, force)).transpose().inspect_err(|_| {
         // The data file is ours and empty: leave nothing behind.
         let _ = std::fs::remove_file(path);
     })?;
     Ok((data, side))
+}
+
+/// The bodies of whole records.
+fn bodies(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
+    written(bytes).map(|record| record.get(LENGTH_FIELD + 1..).unwrap_or_default())
+}
+
+/// The first bodies that are within so many bytes: their bytes, and how many.
+fn bodies_within(bytes: &[u8], most: usize) -> (usize, usize) {
+    let add = |sum: &mut usize, body: &[u8]| {
+        *sum += body.len();
+        Some(*sum)
+    };
+    let ends = bodies(bytes).scan(0, |sum, body| add(sum, body)).take_while(|end| *end <= most);
+    ends.fold((0, 0), |(_, count), end| (end, count + 1))
+}
+
+/// Whole records whose bodies are within so many bytes: bytes of the records, and how many.
+fn whole_bodies(bytes: &[u8], most: usize) -> (usize, usize) {
+    let count = bodies_within(bytes, most).1;
+    (written(bytes).take(count).map(<[u8]>::len).sum(), count)
 }
 
 /// `name-0003.dat` for number 3, the name itself for 0.
@@ -327,18 +377,18 @@ impl LogFiles {
     /// Continues in another file if another program cut this one: later bytes would follow zeros. Returns a message,
     /// and the number of lost records, which is an estimate if some remain.
     fn go_on_if_cut(&mut self) -> (Option<String>, u64) {
-        let (data, side) = (self.data.cut_to(), self.side.cut_to().is_some());
+        let (data, side) = (self.data.cut_to(), self.side.as_ref().is_some_and(|side| side.cut_to().is_some()));
         if data.is_none() && !side {
             return (None, 0);
         }
         let (path, was, records) = (self.data.path.display().to_string(), self.data.len, self.records);
         let left = data.unwrap_or(was);
         let kept = (u128::from(records) * u128::from(left)).checked_div(u128::from(was)).unwrap_or(0) as u64;
-        let what = if data.is_some() { path } else { self.side.path.display().to_string() };
+        let what = if data.is_some() { path } else { side_path(&self.data.path).display().to_string() };
         let number = self.number;
         let refused = self.rotate();
         if self.number == number {
-            for grown in [&mut self.data, &mut self.side] {
+            for grown in std::iter::once(&mut self.data).chain(&mut self.side) {
                 grown.len = grown.file.seek(SeekFrom::End(0)).unwrap_or(grown.len);
             }
             return (refused, records - kept);
@@ -378,7 +428,8 @@ impl Sink for LogFiles {
     }
 
     fn sync(&mut self) -> Option<String> {
-        let synced = self.data.file.sync_data().and_then(|()| self.side.file.sync_data());
+        let side = self.side.as_ref();
+        let synced = self.data.file.sync_data().and_then(|()| side.map_or(Ok(()), |side| side.file.sync_data()));
         let synced = synced.err().map(|error| format!("syncing {}: {error}", self.data.path.display()));
         let gone = || format!("{} was deleted: later records are lost with it", self.data.path.display());
         let cut = |grown: &Grown| {
@@ -387,7 +438,7 @@ impl Sink for LogFiles {
         synced
             .or_else(|| is_deleted(&self.data.file).then(gone))
             .or_else(|| cut(&self.data))
-            .or_else(|| cut(&self.side))
+            .or_else(|| side.and_then(cut))
     }
 }
 

@@ -3,7 +3,7 @@ for chains in "3 1" "3 3"; do
     set -- $chains
     log=/tmp/$1x$2.dat
     : >/tmp/said
-    csi5300 record "$log" --records 2000 2>/tmp/said &
+    csi5300 record "$log" --stop-after 2000records 2>/tmp/said &
     recorder=$!
     until grep -q "listening on connector" /tmp/said; do :; done
     # Nothing is registered yet, so both indices are joined.

@@ -13,11 +13,11 @@ case $(uname -r) in
     *) dmesg | grep -q "csi5300: probe at iwl_restore_stations" ;;
 esac
 : >/tmp/recorder
-csi5300 record /tmp/a.dat --records 500 2>/tmp/recorder &
+csi5300 record /tmp/a.dat --stop-after 500records 2>/tmp/recorder &
 recorder=$!
 until grep -q "recording to" /tmp/recorder; do :; done
 : >/tmp/program
-csi5300 record --stock /tmp/b.dat --stock=csitool --records 500 2>/tmp/program &
+csi5300 record --stock /tmp/b.dat --stock=csitool --stop-after 500records 2>/tmp/program &
 program=$!
 until grep -q "recording to" /tmp/program; do kill -0 "$program" || { cat /tmp/program; exit 1; }; done
 insmod /modules/caller.ko count=500

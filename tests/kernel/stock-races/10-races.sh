@@ -16,7 +16,7 @@ recorder=$!
     programs=0
     until [ -e /tmp/enough ]; do
         # Status 3: two senders' packets are mixed, so there are notifications without their reception.
-        csi5300 record --stock /tmp/program.dat --force --records 200 2>/tmp/program || [ "$?" = 3 ] || { cat /tmp/program; exit 1; }
+        csi5300 record --stock /tmp/program.dat --force --stop-after 200records 2>/tmp/program || [ "$?" = 3 ] || { cat /tmp/program; exit 1; }
         programs=$((programs + 1))
     done
     echo "$programs" >/tmp/programs

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  csi5300 info rx.dat --plot pictures --antenna A --from 2 --to 8")]
 pub struct Args {
-    /// Logs; - is standard input
+    /// Logs, or folders of logs; - is standard input
     #[arg(required = true, value_name = "LOG")]
     files: Vec<PathBuf>,
     /// Print JSON, one object a line (docs/reference/formats.md)
@@ -81,9 +81,10 @@ struct Row<'a> {
 /// Describes logs.
 pub fn run(args: &Args) -> Result {
     let (mut usable, mut lost, mut failed) = (false, false, false);
-    for (k, path) in args.files.iter().enumerate() {
+    let files = logs(&args.files)?;
+    for (k, path) in files.iter().enumerate() {
         if let Some(mut row) = other_cards::read(path) {
-            row.pictures = drawn(args, k, &mut failed);
+            row.pictures = drawn(args, &files, k, &mut failed);
             row.show(args.json, k > 0);
             usable |= row.is_usable();
             lost |= row.lost_something();
@@ -91,7 +92,7 @@ pub fn run(args: &Args) -> Result {
         }
         match survey(path) {
             Ok(read) => {
-                let pictures = drawn(args, k, &mut failed);
+                let pictures = drawn(args, &files, k, &mut failed);
                 if args.json {
                     print_json(&row(path, &read, pictures));
                 } else {
@@ -119,9 +120,30 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
+/// The logs in place of each folder, by their names.
+fn logs(named: &[PathBuf]) -> std::result::Result<Vec<PathBuf>, String> {
+    let mut all = Vec::new();
+    for path in named {
+        if !path.is_dir() {
+            all.push(path.clone());
+            continue;
+        }
+        let entries = std::fs::read_dir(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        let files = entries.flatten().map(|entry| entry.path()).filter(|path| path.is_file());
+        let mut found: Vec<PathBuf> = files.filter(|path| csi5300_lab::cards::is_named_as_log(path)).collect();
+        if found.is_empty() {
+            let why = "no log in this folder (.dat; of other cards .csi, .pcap or .csv): name one, or the folder that holds some";
+            return Err(format!("{}: {why}", path.display()));
+        }
+        found.sort();
+        all.append(&mut found);
+    }
+    Ok(all)
+}
+
 /// The requested pictures of the `k`th log. Prints the error if they cannot be drawn.
-fn drawn(args: &Args, k: usize, failed: &mut bool) -> Vec<PathBuf> {
-    draw(args, k).unwrap_or_else(|message| {
+fn drawn(args: &Args, files: &[PathBuf], k: usize, failed: &mut bool) -> Vec<PathBuf> {
+    draw(args, files, k).unwrap_or_else(|message| {
         *failed = true;
         wrong!("{message}");
         Vec::new()
@@ -129,8 +151,8 @@ fn drawn(args: &Args, k: usize, failed: &mut bool) -> Vec<PathBuf> {
 }
 
 #[cfg(feature = "plot")]
-fn draw(args: &Args, k: usize) -> std::result::Result<Vec<PathBuf>, String> {
-    let drawn = plot::draw(&args.plot, &args.files, k)?;
+fn draw(args: &Args, files: &[PathBuf], k: usize) -> std::result::Result<Vec<PathBuf>, String> {
+    let drawn = plot::draw(&args.plot, files, k)?;
     if !args.json {
         drawn.iter().for_each(|path| note!("{}", path.display()));
     }
@@ -138,7 +160,7 @@ fn draw(args: &Args, k: usize) -> std::result::Result<Vec<PathBuf>, String> {
 }
 
 #[cfg(not(feature = "plot"))]
-fn draw(_: &Args, _: usize) -> std::result::Result<Vec<PathBuf>, String> {
+fn draw(_: &Args, _: &[PathBuf], _: usize) -> std::result::Result<Vec<PathBuf>, String> {
     Ok(Vec::new())
 }
 

@@ -60,7 +60,7 @@ const JOIN_ROWS: [&str; 2] = ["--join-rows", "--clock-offset=rows"];
 /// Replaces an old name by the new one, and returns the note to print.
 pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     let place = place(args)?;
-    let said = rename_command(args, place).or_else(|| without_root(args, place));
+    let said = rename_command(args, place).or_else(|| without_root(args, place)).or_else(|| of_record(args, place));
     let is_bearing = args.get(place).is_some_and(|name| name == "bearing");
     let old = args.iter_mut().find(|arg| is_bearing && *arg == JOIN_ROWS[0]);
     let Some(old) = old else { return said };
@@ -81,6 +81,31 @@ fn without_root(args: &mut Vec<OsString>, place: usize) -> Option<String> {
         _ => drop(args.remove(at)),
     }
     Some(format!("`doctor {OLD} DIR` is `doctor DIR` now; the next version removes the old name"))
+}
+
+/// `record --records N` is `record --stop-after Nrecords`; and the records of `--stock` stand behind an equals sign, as a value may
+/// be left out.
+fn of_record(args: &mut Vec<OsString>, place: usize) -> Option<String> {
+    const RECORDS: [&str; 4] = ["wsr", "wsr-frames", "csitool", "csitool-frames"];
+    args.get(place).filter(|name| *name == "record")?;
+    let option =
+        |name: &str| args.iter().position(|arg| arg.to_str().is_some_and(|arg| arg.split('=').next() == Some(name)));
+    if let Some(at) = option("--records") {
+        let text = args.get(at)?.to_str()?;
+        let count = match text.split_once('=') {
+            Some((_, count)) => count.to_owned(),
+            None => args.get(at + 1)?.to_str()?.to_owned(),
+        };
+        let last = if text.contains('=') { at } else { at + 1 };
+        drop(args.splice(at..=last, [OsString::from(format!("--stop-after={count}records"))]));
+        return Some(format!(
+            "`--records {count}` is `--stop-after {count}records` now; the old name goes with the next version"
+        ));
+    }
+    let at = option("--stock").filter(|at| args.get(*at).is_some_and(|arg| arg == "--stock"))?;
+    let value = args.get(at + 1)?.to_str().filter(|value| RECORDS.contains(value))?.to_owned();
+    drop(args.splice(at..=at + 1, [OsString::from(format!("--stock={value}"))]));
+    Some(format!("`--stock {value}` is read as `--stock={value}`: a log of that name is `./{value}`"))
 }
 
 fn rename_command(args: &mut Vec<OsString>, place: usize) -> Option<String> {
@@ -147,10 +172,19 @@ mod tests {
             ("csi5300 suite --csv t", "csi5300 simulate suite --out t"),
             ("csi5300 doctor --root d --json", "csi5300 doctor d --json"),
             ("csi5300 doctor --root=d", "csi5300 doctor d"),
+            ("csi5300 record a.dat --records 500 -q", "csi5300 record a.dat --stop-after=500records -q"),
+            ("csi5300 record --records=500 a.dat", "csi5300 record --stop-after=500records a.dat"),
+            ("csi5300 record --stock csitool a.dat", "csi5300 record --stock=csitool a.dat"),
         ] {
             assert_eq!(now(old), (new.into(), true), "{old}");
         }
-        for same in ["csi5300 info plot", "csi5300 --color plot info", "csi5300", "csi5300 bearing --out plot"] {
+        for same in [
+            "csi5300 info plot",
+            "csi5300 --color plot info",
+            "csi5300",
+            "csi5300 bearing --out plot",
+            "csi5300 record --stock a.dat",
+        ] {
             assert_eq!(now(same), (same.into(), false));
         }
     }

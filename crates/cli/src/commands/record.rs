@@ -1,5 +1,7 @@
 //! `csi5300 record`.
 
+mod feitcsi;
+
 use super::listener::{self, Listening, Needs};
 use super::live::{Signals, create_refused, duration, rotation_size, size, some_duration};
 use super::{Outcome, Result, say};
@@ -7,9 +9,10 @@ use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Tot
 use csi5300::source::side_path;
 use csi5300::source::{CsiSource, Error, Loss, Next};
 use csi5300::time::{Instant, Span};
-use csi5300_live::listener::{Listener, Lost};
+use csi5300_live::listener::Lost;
 use csi5300_live::status::{Losses, Status};
 use csi5300_live::wait::Monotonic;
+use driver_iface::record::code;
 use driver_iface::side_file::Layout;
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
@@ -50,12 +53,9 @@ pub struct Args {
     /// Continue in a new file after this time: 30s, 10m, 1h
     #[arg(long, value_parser = some_duration, value_name = "TIME")]
     rotate_every: Option<Span>,
-    /// Stop after this time
-    #[arg(long, value_parser = duration, value_name = "TIME")]
-    stop_after: Option<Span>,
-    /// Stop after this many records
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
-    records: Option<u64>,
+    /// Stop after this time (30s, 10m, 1h), or after so many records (500records)
+    #[arg(long, value_parser = limit, value_name = "TIME")]
+    stop_after: Option<Limit>,
     /// Also write the records to standard output, for another program
     #[arg(long)]
     live: bool,
@@ -68,11 +68,51 @@ pub struct Args {
     /// Receive buffer to ask the kernel for
     #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
     receive_buffer: u64,
+    /// Record an AX200 or AX210: what FeitCSI sends to this address of this machine (127.0.0.1:8008), or writes to the standard
+    /// input (-). OUT is then a log of FeitCSI
+    #[arg(long, value_name = "ADDRESS", value_parser = feitcsi::source, conflicts_with_all = ["live", "checksums", "connector_index", "allow_user_sender", "room"])]
+    #[cfg_attr(feature = "stock", arg(conflicts_with = "stock"))]
+    feitcsi: Option<feitcsi::Way>,
     #[command(flatten)]
     listening: Listening,
 }
 
+/// When to stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Limit {
+    After(Span),
+    Records(u64),
+}
+
+fn limit(text: &str) -> std::result::Result<Limit, String> {
+    match text.strip_suffix("records") {
+        Some(count) => match count.trim_end().parse() {
+            Ok(count) if count > 0 => Ok(Limit::Records(count)),
+            _ => Err("a number of records above 0, such as 500records".into()),
+        },
+        None => duration(text).map(Limit::After),
+    }
+}
+
 impl Args {
+    /// Records after which it ends.
+    fn most_records(&self) -> u64 {
+        match self.stop_after {
+            Some(Limit::Records(count)) => count,
+            _ => u64::MAX,
+        }
+    }
+
+    fn options(&self) -> Options {
+        let mut options = Options::default();
+        options.sync_every = (self.sync_every > Span::default()).then_some(self.sync_every);
+        options
+    }
+
+    fn rotation(&self) -> Rotation {
+        Rotation { bytes: self.rotate_size, every: self.rotate_every }
+    }
+
     fn side_layout(&self) -> Layout {
         if self.checksums { Layout::Checked } else { Layout::Narrow }
     }
@@ -103,32 +143,17 @@ pub fn run(args: &Args) -> Result {
     let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
     let signals = Signals::catch().map_err(|error| error.to_string())?;
+    if let Some(from) = &args.feitcsi {
+        return feitcsi::run(args, from, signals);
+    }
     let listener = args.listening.open(Needs { receive_buffer: Some(args.receive_buffer), ..Needs::default() })?;
-    let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
-    let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
+    let files = LogFiles::create(&args.out, args.rotation(), args.force).map_err(|error| create_refused(&error))?;
     let files = files.with_side_layout(args.side_layout());
-    let terminal = std::io::stderr().is_terminal();
-    let clock = Monotonic::new();
-    let mut session = Session {
-        args,
-        clock,
-        rests: !args.live && listener.buffer() >= ROOMY,
-        socket: listener.as_fd().try_clone_to_owned().map_err(|error| format!("listener: {error}"))?,
-        signals,
-        status: Status::new(clock.now()),
-        view: if args.watch {
-            View::Page
-        } else if terminal && say::says(say::Level::Usual) {
-            View::Line
-        } else {
-            View::None
-        },
-    };
+    let rests = !args.live && listener.buffer() >= ROOMY;
+    let mut session = Session::new(args, signals, &listener, rests)?;
+    let clock = session.clock;
     note!("{}; recording to {}", listener::describe(&listener), args.out.display());
-    let sync_every = (args.sync_every > Span::default()).then_some(args.sync_every);
-    let mut options = Options::default();
-    options.sync_every = sync_every;
-    let recorder = Recorder::new(listener, files, options).map_err(text)?;
+    let recorder = Recorder::new(listener, files, args.options()).map_err(text)?;
     let (failed, listener, files, totals) = if args.live {
         let pipe = Pipe::new(std::io::stdout());
         let mut options = Options::default();
@@ -148,16 +173,8 @@ pub fn run(args: &Args) -> Result {
         let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
         (failed, listener, files, totals)
     };
-    session.clear();
-    notes!("{}", summary(&session.status, &listener, &totals, &files.paths()));
-    if let Some(message) = failed {
-        wrong!("{message}");
-    }
-    let lost = losses(&totals, &listener.lost());
-    if args.json {
-        super::print_json(&Row::new(&session.status, &totals, lost, &files));
-    }
-    Ok(outcome(&totals, lost, session.status.survey.lost_something(), &files))
+    let told = (listener::summary(&listener), listener.lost());
+    Ok(session.end(failed, &told, &totals, &files))
 }
 
 /// The line of JSON.
@@ -209,14 +226,43 @@ fn losses(totals: &Totals, lost: &Lost) -> Losses {
     Losses { kernel: lost.kernel, driver: lost.driver, disk: totals.dropped + totals.lost_on_disk }
 }
 
-impl Session<'_> {
+impl<'a> Session<'a> {
+    fn new(args: &'a Args, signals: Signals, listener: &impl AsFd, rests: bool) -> std::result::Result<Self, String> {
+        let (terminal, clock) = (std::io::stderr().is_terminal(), Monotonic::new());
+        let socket = listener.as_fd().try_clone_to_owned().map_err(|error| format!("listener: {error}"))?;
+        let view = match args.watch {
+            true => View::Page,
+            false if terminal && say::says(say::Level::Usual) => View::Line,
+            false => View::None,
+        };
+        Ok(Self { args, clock, rests, socket, signals, status: Status::new(clock.now()), view })
+    }
+
+    /// Reports what was recorded. `told` is what the listener says of itself, and what it lost.
+    fn end(&self, failed: Option<String>, told: &(String, Lost), totals: &Totals, files: &LogFiles) -> Outcome {
+        self.clear();
+        notes!("{}", summary(&self.status, &told.0, totals, &files.paths()));
+        if let Some(message) = failed {
+            wrong!("{message}");
+        }
+        let lost = losses(totals, &told.1);
+        if self.args.json {
+            super::print_json(&Row::new(&self.status, totals, lost, files));
+        }
+        outcome(totals, lost, self.status.survey.lost_something(), files)
+    }
+
     /// Receives until a signal, a limit, or an error; what was received is in the recorder either way.
     fn capture<S: CsiSource>(
         &mut self,
         source: &mut S,
         tell: impl Fn(&S) -> (Totals, Lost),
     ) -> std::result::Result<(), String> {
-        let end_at = self.args.stop_after.map(|span| self.clock.now() + span);
+        let most = self.args.most_records();
+        let end_at = match self.args.stop_after {
+            Some(Limit::After(span)) => Some(self.clock.now() + span),
+            _ => None,
+        };
         let mut look_at = self.clock.now() + LOOK;
         let mut told = None;
         let mut burst = 0;
@@ -243,13 +289,11 @@ impl Session<'_> {
                 }
             };
             burst += 1;
-            if !pending && burst < BURST && self.args.records.is_none_or(|limit| self.status.survey.records < limit) {
+            if !pending && burst < BURST && self.taken() < most {
                 continue;
             }
             burst = 0;
-            if self.args.records.is_some_and(|limit| self.status.survey.records >= limit)
-                || end_at.is_some_and(|end| end <= now)
-            {
+            if self.taken() >= most || end_at.is_some_and(|end| end <= now) {
                 return Ok(());
             }
             if look_at <= now {
@@ -268,6 +312,11 @@ impl Session<'_> {
             let rest = (pending && may_rest).then_some(now + REST);
             ending |= self.wait(until, rest).map_err(|error| error.to_string())?;
         }
+    }
+
+    /// Records that came; what a record says of the clock of the next is none.
+    fn taken(&self) -> u64 {
+        self.status.survey.records - self.status.survey.by_code.get(&code::CARD_CLOCK).copied().unwrap_or(0)
     }
 
     /// Waits for records until `until`, or rests from them until `rest`. True if a signal came.
@@ -313,7 +362,7 @@ fn loss_words(loss: &Loss) -> String {
     }
 }
 
-fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathBuf]) -> String {
+fn summary(status: &Status, listener: &str, totals: &Totals, files: &[PathBuf]) -> String {
     let mut text = String::new();
     let names: Vec<_> = files.iter().map(|path: &PathBuf| Path::display(path).to_string()).collect();
     let seconds = status.first_at.zip(status.last_at).map_or(0.0, |(first, last)| (last - first).as_s());
@@ -324,7 +373,7 @@ fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathB
     if seconds > 0.0 {
         let _ = writeln!(text, "  {:.1} records/s", totals.written as f64 / seconds);
     }
-    text.push_str(&listener::summary(listener));
+    text.push_str(listener);
     if totals.dropped + totals.lost_on_disk > 0 {
         let _ = writeln!(
             text,

@@ -82,6 +82,76 @@ fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
     }
 }
 
+/// `record --feitcsi` with the log of one simulated robot on its way.
+#[cfg(feature = "live")]
+fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut std::process::Child)) -> (i32, String) {
+    use std::process::{Command, Stdio};
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.args(["record", "out.csi", "--force", "--feitcsi", from]).args(more).current_dir(&folder.0);
+    let mut child = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    feed(&mut child);
+    drop(child.stdin.take());
+    let output = child.wait_with_output().unwrap();
+    (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+}
+
+#[cfg(feature = "live")]
+#[test]
+fn what_feitcsi_writes_is_recorded_byte_by_byte() {
+    use std::io::{BufRead, BufReader, Read, Write};
+    use std::net::UdpSocket;
+    let folder = Folder::new("record-feitcsi");
+    let [rx, tx, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
+    let log = std::fs::read(&rx).unwrap();
+    let out = || std::fs::read(folder.0.join("out.csi")).unwrap();
+    // Damage too.
+    let [before, after] = [&log[..3_000], &log[5_000..]];
+    let damaged = [before, after].concat();
+    for whole in [&log, &damaged] {
+        let (status, err) =
+            recorded(&folder, "-", &[], |child| child.stdin.as_mut().unwrap().write_all(whole).unwrap());
+        assert!(out() == *whole && status == if whole == &log { 0 } else { 3 }, "{status} {err}");
+    }
+    assert!(!folder.0.join("out.datstp").exists());
+
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let address = socket.local_addr().unwrap().to_string();
+    drop(socket);
+    let len = log.len() / 600;
+    let (status, err) = recorded(&folder, &address, &["--stop-after", "600records"], |child| {
+        // Once it has said so, it listens; the rest is read by whoever waits for the program.
+        let mut stderr = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        stderr.read_line(&mut line).unwrap();
+        assert!(line.starts_with("listening for FeitCSI's datagrams"), "{line}");
+        let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
+        log.chunks(len).for_each(|frame| assert_eq!(sender.send_to(frame, &address).unwrap(), len));
+        child.stderr = Some(stderr.into_inner());
+        let _: &mut dyn Read = child.stderr.as_mut().unwrap();
+    });
+    assert!(status == 0 && err.contains("600 records written to out.csi") && out() == log, "{status} {err}");
+    let (status, said, _) = folder.run(&["info", "out.csi"]);
+    assert!(status == 0 && said.contains("FeitCSI, 600 frames"), "{said}");
+    let answers: Vec<String> = [&rx, "out.csi"]
+        .map(|rx| {
+            folder.run(&["bearing", "--rx", rx, "--tx", &tx, "--trajectory", &path, "--channel", "108", "--json"]).1
+        })
+        .map(|line| json(line.lines().next().unwrap())["azimuth_deg"].to_string())
+        .into();
+    assert_eq!(answers[0], answers[1]);
+
+    // In files of a size: whole frames in each.
+    let size = (100 * len + 500).to_string();
+    let (status, err) = recorded(&folder, "-", &["--rotate-size", &size], |child| {
+        child.stdin.as_mut().unwrap().write_all(&log).unwrap();
+    });
+    let parts: Vec<Vec<u8>> =
+        (1..=6).map(|k| std::fs::read(folder.0.join(format!("out-{k:04}.csi"))).unwrap()).collect();
+    assert!(status == 0 && parts.iter().all(|part| part.len() == 100 * len) && parts.concat() == log, "{err}");
+    let (status, err) = recorded(&folder, "nowhere", &[], |_| ());
+    assert!(status == 2 && err.contains("127.0.0.1:8008"), "{status} {err}");
+}
+
 #[test]
 fn all_subcarriers_of_another_card_are_exported() {
     let folder = Folder::new("export-cards");
@@ -293,4 +363,20 @@ fn an_address_without_its_half_is_shown_whole() {
         let (status, _, err) = folder.run(&["bearing", "--tx-mac", given, "a.dat", "b.dat", "t.csv"]);
         assert!(status == 2 && err.contains("six hexadecimal octets like 00:21:6a:53:89:d2"), "{given}: {err}");
     }
+}
+
+#[test]
+fn info_takes_the_logs_of_a_folder() {
+    let folder = Folder::new("info-folder");
+    let scene = std::fs::read_to_string(crate::common::root().join("scenes/two-antennas.toml")).unwrap();
+    let [rx, tx, path] = simulated(&folder, "room", &scene, "odom_rx_");
+    let (status, out, _) = folder.run(&["info", "room", "--json"]);
+    assert_eq!((status, out.lines().count()), (0, 2), "{out}");
+    std::fs::create_dir(folder.0.join("empty")).unwrap();
+    let (status, _, err) = folder.run(&["info", "empty"]);
+    assert!(status == 1 && err.contains("no log in this folder"), "{status} {err}");
+    // Two antennas are of one log.
+    let named = ["bearing", "--rx", &rx, "--trajectory", &path, "--channel", "108", "--antennas", "A,B"];
+    let (status, _, err) = folder.run(&[&named[..], &["--baseline", "0.1,0,0", "--tx", &tx]].concat());
+    assert!(status == 2 && err.contains("--baseline") && err.contains("--tx"), "{status} {err}");
 }

@@ -283,11 +283,11 @@ fn a_replayed_log_arrives_through_the_kernel() {
     }
     let folder = folder("replay");
     let (first, second) = (folder.join("a.dat"), folder.join("b.dat"));
-    let running = Running::start(&first, &["--records", "300"]);
+    let running = Running::start(&first, &["--stop-after", "300records"]);
     send(&mut Sender::open(CN_IDX, true).unwrap(), 0..300);
     let Running { mut child, .. } = running;
     assert!(child.wait().unwrap().success());
-    let mut running = Running::start(&second, &["--records", "300", "--json"]);
+    let mut running = Running::start(&second, &["--stop-after", "300records", "--json"]);
     let mut replay = Command::new(env!("CARGO_BIN_EXE_csi5300"));
     let replay = replay.arg("replay").arg(&first).args(["--speed", "max", "--connector", "--json"]).output().unwrap();
     assert!(replay.status.success(), "{}", String::from_utf8_lossy(&replay.stderr));

@@ -6,6 +6,7 @@ use crate::NodeError;
 use csi5300::source::Error;
 use csi5300_sim::Scene;
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 /// Sources of records.
@@ -16,6 +17,8 @@ pub enum Capture {
     Card(Card),
     /// The card of this machine under the kernel's own driver, by an eBPF program (feature `stock`).
     Stock(Stock),
+    /// An AX200 or AX210 of this machine, by FeitCSI.
+    Feitcsi(Feitcsi),
     /// A recorded log at its own pace.
     Replay(Replay),
     /// A simulated room.
@@ -40,6 +43,16 @@ pub struct Card {
 pub struct Stock {
     /// The frames themselves too (0xC1): for the log. With a key they are read in any case.
     pub frames: bool,
+}
+
+/// See [`Capture::Feitcsi`].
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Feitcsi {
+    /// The address to which it sends datagrams.
+    Udp(SocketAddr),
+    /// The named pipe that its standard output goes to.
+    Pipe(PathBuf),
 }
 
 /// See [`Capture::Replay`].
@@ -86,7 +99,7 @@ impl Capture {
         match self {
             Self::Room(room) => Some(&room.robot),
             Self::Served(served) => Some(&served.robot),
-            Self::Card(_) | Self::Stock(_) | Self::Replay(_) => None,
+            Self::Card(_) | Self::Stock(_) | Self::Feitcsi(_) | Self::Replay(_) => None,
         }
     }
 }

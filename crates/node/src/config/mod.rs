@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `capture` | where this robot's records come from |
 //! | `robots` | this robot's odometry and its peers |
+//! | `array` | two or three antennas of this robot's card |
 //! | `estimation` | how bearings are made |
 //! | [`sounding`] | this robot's part in the sounding exchange |
 //! | [`ros`] | ROS 1: topics of poses, and this program as a node |
@@ -13,6 +14,7 @@
 //! | `reading` | the text read with everything in it that is of another kind than it should be |
 //! | `problem` | a refusal: the line, and why |
 
+mod array;
 mod capture;
 mod check;
 mod estimation;
@@ -25,7 +27,8 @@ pub mod ros2;
 pub mod sounding;
 mod values;
 
-pub use capture::{Capture, Card, Replay, Room, Served, Stock};
+pub use array::Antennas;
+pub use capture::{Capture, Card, Feitcsi, Replay, Room, Served, Stock};
 pub use estimation::Estimation;
 pub use outputs::{Log, Network, Output, StatusLine};
 pub use problem::{ConfigError, Problem};
@@ -61,6 +64,9 @@ pub struct Config {
     /// Antenna used on all robots.
     #[serde(default = "antenna_a", deserialize_with = "antenna")]
     pub antenna: Antenna,
+    /// Two or three antennas of this robot's card, which need no peer that answers.
+    #[serde(default)]
+    pub array: Option<Antennas>,
     /// Where records come from.
     pub capture: Spanned<Capture>,
     /// Where this robot's poses come from.
@@ -193,7 +199,8 @@ impl Config {
                 room.follow.values_mut().for_each(own);
             }
             Capture::Served(served) => served.socket = folder.join(&served.socket),
-            Capture::Card(_) | Capture::Stock(_) => {}
+            Capture::Feitcsi(Feitcsi::Pipe(pipe)) => *pipe = folder.join(&*pipe),
+            Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(Feitcsi::Udp(_)) => {}
         }
         own(&mut self.odometry);
         for peer in &mut self.peer {

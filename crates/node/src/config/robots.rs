@@ -180,6 +180,9 @@ pub enum Records {
     Room(NoKeys),
     /// The network of the robots.
     Network(NoKeys),
+    /// None: its bearing comes from what this robot hears of it, with the antennas of `[array]`. It need not answer, nor be
+    /// a robot.
+    Heard(NoKeys),
     /// Its answers to this robot's frames, which carry its card's measurements. No network is needed, but the peer must
     /// stand, because answers lack the time of its host.
     Sounding(NoKeys),

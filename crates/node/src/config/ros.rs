@@ -147,7 +147,7 @@ pub fn is_used(config: &Config) -> bool {
     let is_ros = |odometry: &Odometry| matches!(odometry, Odometry::Ros(_));
     let follows = match config.capture.get_ref() {
         Capture::Room(room) => room.follow.values().any(is_ros),
-        Capture::Card(_) | Capture::Stock(_) | Capture::Replay(_) | Capture::Served(_) => false,
+        Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(_) | Capture::Replay(_) | Capture::Served(_) => false,
     };
     let mut peers = config.peer.iter().map(Spanned::get_ref);
     config.ros.is_some() || follows || is_ros(&config.odometry) || peers.any(|peer| is_ros(&peer.poses))

@@ -8,7 +8,7 @@ use toml::Spanned;
 fn topics(config: &Config) -> impl Iterator<Item = &Topic> {
     let followed = match config.capture.get_ref() {
         Capture::Room(room) => Some(room.follow.values()),
-        Capture::Card(_) | Capture::Stock(_) | Capture::Replay(_) | Capture::Served(_) => None,
+        Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(_) | Capture::Replay(_) | Capture::Served(_) => None,
     };
     let peers = config.peer.iter().map(Spanned::get_ref).map(|peer| &peer.poses);
     let all = std::iter::once(&config.odometry).chain(peers).chain(followed.into_iter().flatten());

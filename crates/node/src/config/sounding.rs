@@ -1,7 +1,7 @@
 //! A robot's part in the sounding exchange, from the file.
 
 use super::values::{hundred, positive};
-use super::{Capture, Config};
+use super::{Capture, Config, Records};
 use csi5300::exchange::tdma::{Dialect, Phy, Plan, PlanError, Request};
 use csi5300::signal::channel::Width;
 use csi5300_live::sounding::rate_n_flags;
@@ -65,7 +65,8 @@ impl Config {
     pub fn sounding_request(&self) -> Option<Request> {
         let is_20_mhz = self.channel.width() == Width::Ht20;
         let bandwidth = if is_20_mhz { Bandwidth::Ht20 } else { Bandwidth::Ht40 };
-        Some(self.sounding.as_ref()?.request(self.peer.len(), bandwidth))
+        let peers = self.peer.iter().filter(|peer| !matches!(peer.get_ref().records, Records::Heard(_))).count();
+        Some(self.sounding.as_ref()?.request(peers, bandwidth))
     }
 
     /// Why this robot cannot take part as asked: the key in `[sounding]`, if it is one, and the reason.
@@ -81,13 +82,13 @@ impl Config {
                 let why = "[sounding]: a served room is the air itself: leave `interface` out";
                 return Some((Some("interface"), why.into()));
             }
-            (Capture::Replay(_) | Capture::Room(_), _) => {
+            (Capture::Feitcsi(_) | Capture::Replay(_) | Capture::Room(_), _) => {
                 return table(
                     "[sounding] is done with a card: it needs `capture.card`, `capture.stock` or `capture.served`",
                 );
             }
         }
-        if self.peer.is_empty() {
+        if self.peer.iter().all(|peer| matches!(peer.get_ref().records, Records::Heard(_))) {
             return table("[sounding] needs a [[peer]] to sound");
         }
         if let Some(key) = asked.key.as_ref().filter(|key| !key.is_file()) {

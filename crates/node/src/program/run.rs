@@ -1,6 +1,6 @@
 //! The service itself.
 
-use csi5300_node::config::{Capture, Config, Odometry};
+use csi5300_node::config::{Antennas, Capture, Config, Feitcsi, Odometry};
 use csi5300_node::service::{self, Ended};
 use csi5300_say::{Outcome, Result, Tone, count, is_end_of_room, print, toned, usage};
 use std::path::PathBuf;
@@ -65,6 +65,12 @@ fn what_will_run(config: &Config) -> String {
     let capture = match config.capture.get_ref() {
         Capture::Card(_) => "the card of this machine, by its patched driver".to_owned(),
         Capture::Stock(_) => "the card of this machine, under the kernel's own driver".to_owned(),
+        Capture::Feitcsi(Feitcsi::Udp(address)) => {
+            format!("the AX200 or AX210 of this machine: FeitCSI's datagrams to {address}")
+        }
+        Capture::Feitcsi(Feitcsi::Pipe(pipe)) => {
+            format!("the AX200 or AX210 of this machine: what FeitCSI writes to {}", pipe.display())
+        }
         Capture::Replay(replay) => format!("the log {}, at {} times its pace", replay.file.display(), replay.speed),
         Capture::Room(room) => format!("robot {} of the simulated room {}", room.robot, room.scene.display()),
         Capture::Served(served) => format!("robot {} of the room at {}", served.robot, served.socket.display()),
@@ -79,13 +85,13 @@ fn what_will_run(config: &Config) -> String {
         Odometry::Network(_) => "the robots' network".into(),
     };
     let output = &config.output;
-    let peers: Vec<&str> = config.peer.iter().map(|peer| peer.get_ref().name.as_str()).collect();
     let channel = config.channel;
     let lines = [
         ("channel", Some(channel.to_string())),
         ("records", Some(capture)),
         ("poses", Some(odometry)),
-        ("bearings of", Some(if peers.is_empty() { "nobody: add a [[peer]]".into() } else { peers.join(", ") })),
+        ("antennas", config.array.as_ref().map(antennas)),
+        ("bearings of", Some(bearings_of(config))),
         ("sounding", config.sounding.as_ref().map(|own| (if own.initiate { "initiates" } else { "answers" }).into())),
         ("log", config.log.as_ref().map(|log| log.file.display().to_string())),
         ("bearings to", (!output.bearings.is_empty()).then(|| output.bearings.clone())),
@@ -103,6 +109,23 @@ fn what_will_run(config: &Config) -> String {
         ),
     ];
     lines.into_iter().filter_map(|(what, value)| Some(format!("  {what:12} {}\n", value?))).collect()
+}
+
+/// The antennas of bearings of what is heard alone.
+fn antennas(array: &Antennas) -> String {
+    let names: Vec<String> = array.antennas.iter().map(ToString::to_string).collect();
+    let stands = if array.chain_constants_deg.is_empty() { "" } else { ", with the constants of their chains" };
+    format!("{}{stands}", names.join(", "))
+}
+
+fn bearings_of(config: &Config) -> String {
+    let peers: Vec<&str> = config.peer.iter().map(|peer| peer.get_ref().name.as_str()).collect();
+    match (peers.join(", "), &config.array) {
+        (names, None) if names.is_empty() => "nobody: add a [[peer]] or an [array]".into(),
+        (names, None) => names,
+        (names, Some(_)) if names.is_empty() => "every sender that is heard".into(),
+        (names, Some(_)) => format!("{names}, and every other sender that is heard"),
+    }
 }
 
 fn host_name() -> String {

@@ -1,9 +1,10 @@
 //! The card of this machine.
 
 use super::Opened;
-use crate::config::{Card, Stock as Asked};
+use crate::config::{Card, Feitcsi, Stock as Asked};
 use crate::threads::CardThread;
 use csi5300::source::Error;
+use csi5300_live::feitcsi::{FeitCsi, Frames};
 use csi5300_live::netlink::{self, Netlink};
 use csi5300_live::stock::{self, Stock};
 use driver_iface::Mac;
@@ -29,6 +30,19 @@ pub(super) fn open_stock(
     let records = driver_iface::stock::Options::default().with_frames(asked.frames || frames);
     let options = stock::Options::default().with_records(records).with_own(own).with_wall_us(wall_us);
     opened(CardThread::start(Stock::open(&options)?)?)
+}
+
+/// What FeitCSI writes. A pipe stays open, whoever writes to it and whenever.
+pub(super) fn open_feitcsi(asked: &Feitcsi, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
+    let frames = match asked {
+        Feitcsi::Udp(address) => Frames::listen(address, wall_us)?,
+        Feitcsi::Pipe(pipe) => {
+            let io = |source| Error::Io { what: format!("cannot read {}", pipe.display()), source };
+            let pipe = std::fs::File::options().read(true).write(true).open(pipe).map_err(io)?;
+            Frames::read(pipe.into(), wall_us)
+        }
+    };
+    opened(CardThread::start(FeitCsi::new(frames))?)
 }
 
 /// A card's records come when they come.

@@ -14,6 +14,7 @@ use crate::config::{CameraMount, Capture, Config, Odometry, Peer as PeerConfig, 
 use csi5300::motion::odometry::OdometrySource;
 use csi5300::motion::odometry::replay::Mounted;
 use csi5300::motion::odometry::ros::Stamp;
+use csi5300::pipeline::Array;
 use csi5300::pipeline::live::{LivePeer, Track};
 use csi5300::source::{CsiSource, Error};
 use csi5300::time::Instant;
@@ -37,6 +38,8 @@ pub struct PeerSources {
     pub records: Option<Card>,
     /// Its poses.
     pub poses: Option<Poses>,
+    /// It does not answer: its bearing is that of the array.
+    pub is_heard_only: bool,
 }
 
 /// Everything that a configuration names.
@@ -53,6 +56,8 @@ pub struct Sources {
     pub track: Track,
     /// The peers.
     pub peers: Vec<PeerSources>,
+    /// The antennas for bearings of what is heard alone.
+    pub array: Option<Array>,
     /// Times real time.
     pub speed: f64,
 }
@@ -109,7 +114,9 @@ impl Sources {
         let (poses, track) = shared.poses(&config.odometry, robot, mount)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
         let own = own.ok_or(NodeError::OwnMac)?;
-        Ok(Self { own, capture: card, wake, poses, track, peers, speed })
+        let array = config.array.as_ref().map(|array| array.array()).transpose();
+        let array = array.map_err(|error| Error::Backend(Box::new(error)))?;
+        Ok(Self { own, capture: card, wake, poses, track, peers, array, speed })
     }
 }
 
@@ -128,6 +135,7 @@ impl<'a> Shared<'a> {
                 let has_key = config.sounding.as_ref().is_some_and(|sounding| sounding.key.is_some());
                 card::open_stock(asked, config.mac, has_key, self.wall_us)
             }
+            Capture::Feitcsi(asked) => card::open_feitcsi(asked, self.wall_us),
             Capture::Served(served) => {
                 self.served = Some(&served.socket);
                 served::open(served, self.wall_us)
@@ -183,6 +191,7 @@ impl<'a> Shared<'a> {
     fn records(&mut self, peer: &PeerConfig) -> Result<(Option<Card>, Option<Mac>), Error> {
         match &peer.records {
             Records::Network(_) | Records::Sounding(_) => Ok((None, None)),
+            Records::Heard(_) => Ok((None, self.room.as_ref().and_then(|room| room.mac(&peer.name)))),
             Records::Replay(log) => {
                 Ok((Some(replay::peer(&log.file, peer.mac, self.replayed.as_ref(), self.start)?), None))
             }
@@ -204,6 +213,7 @@ impl<'a> Shared<'a> {
         let unknown = || NodeError::PeerMac { peer: peer.name.clone() };
         let mac = peer.mac.or(mac).ok_or_else(unknown)?;
         let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
-        Ok(PeerSources { peer: told, records, poses })
+        let is_heard_only = matches!(peer.records, Records::Heard(_));
+        Ok(PeerSources { peer: told, records, poses, is_heard_only })
     }
 }

@@ -56,6 +56,11 @@ impl SharedRoom {
         Ok((Box::new(card), mac))
     }
 
+    /// A robot's MAC.
+    pub(super) fn mac(&self, robot: &str) -> Option<Mac> {
+        self.0.mac(self.0.number(robot)?)
+    }
+
     /// A robot's odometry.
     pub(super) fn poses(&self, robot: &str) -> Result<Poses, Error> {
         let odometry = self.0.odometry(self.number(robot)?).ok_or_else(|| absent(robot))?;

@@ -6,6 +6,7 @@ mod common;
 #[path = "../../../../tests/common/documented.rs"]
 mod documented;
 
+mod other_cards;
 #[cfg(feature = "zenoh")]
 mod peers;
 mod program;

@@ -15,7 +15,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// A folder of its own for one test.
-fn folder(name: &str) -> PathBuf {
+pub(crate) fn folder(name: &str) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_dir_all(&path);
     std::fs::create_dir_all(&path).unwrap();
@@ -23,14 +23,14 @@ fn folder(name: &str) -> PathBuf {
 }
 
 /// A robot that was configured, ready to run in virtual time.
-fn machine(config: &Config) -> Machine {
+pub(crate) fn machine(config: &Config) -> Machine {
     let sources = Sources::open(config, Instant::ZERO, || None, &mut []).unwrap();
     let plain = |card| Ok(Capture::Plain(card));
     Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
 }
 
 /// Runs until the records end or `until`: every report with its time, and the last ones.
-fn run(mut machine: Machine, until: Instant) -> (Vec<(Instant, usize, PeerReport)>, Vec<PeerReport>) {
+pub(crate) fn run(mut machine: Machine, until: Instant) -> (Vec<(Instant, usize, PeerReport)>, Vec<PeerReport>) {
     let mut now = Instant::ZERO;
     let mut reports = Vec::new();
     loop {
@@ -99,7 +99,7 @@ fn truth_deg(room: &Room, peer: usize) -> f64 {
     towards.y.atan2(towards.x).to_degrees()
 }
 
-fn off_deg(report: &PeerReport, truth: f64) -> f64 {
+pub(crate) fn off_deg(report: &PeerReport, truth: f64) -> f64 {
     let azimuth = report.answer.azimuth_deg.unwrap_or_else(|| panic!("{report:?}"));
     wrap_rad((azimuth - truth).to_radians()).to_degrees().abs()
 }

@@ -186,3 +186,116 @@ fn a_log_that_covers_a_part_of_the_other_is_paired_there() {
     let (found, wrong, _) = pair(&USUAL, &[heard[0].clone(), part]).unwrap();
     assert_eq!((found, wrong), (600, 0));
 }
+
+/// The same as records come, the transmitter's `late` of them behind: pairs, and wrong ones.
+fn pair_live(link: &Link, heard: &Heard, late: usize) -> (Vec<(usize, usize)>, Live<usize>) {
+    let mut machine = Live::new(link.clocks[0], link.clocks[1]);
+    let [rx, tx] = heard;
+    let mut pairs = Vec::new();
+    let mut records = |machine: &mut Live<usize>, side, record: Option<&(u64, usize)>| {
+        record.into_iter().for_each(|(ticks, exchange)| machine.handle(side, *ticks, *exchange));
+        pairs.extend(std::iter::from_fn(|| machine.poll_pair()).map(|pair| (pair.receiver, pair.transmitter)));
+    };
+    let (mut i, mut j) = (0, 0);
+    while i < rx.len() || j < tx.len() {
+        let own_is_next = rx.get(i).is_some_and(|(_, k)| tx.get(j).is_none_or(|(_, other)| *k < other + late));
+        if own_is_next {
+            records(&mut machine, LinkSide::Receiver, rx.get(i));
+            i += 1;
+        } else {
+            records(&mut machine, LinkSide::Transmitter, tx.get(j));
+            j += 1;
+        }
+    }
+    machine.finish();
+    records(&mut machine, LinkSide::Receiver, None);
+    for side in [LinkSide::Receiver, LinkSide::Transmitter] {
+        let counts = machine.counts(side);
+        assert_eq!(counts.handed, counts.paired + counts.unpaired + counts.twice + counts.ambiguous, "{counts:?}");
+        assert_eq!(counts.paired, pairs.len());
+    }
+    (pairs, machine)
+}
+
+fn wrong(pairs: &[(usize, usize)]) -> usize {
+    pairs.iter().filter(|(a, b)| a != b).count()
+}
+
+#[test]
+fn records_are_paired_as_they_come_as_in_whole_logs() {
+    let wide = (20_000.0, 8_000.0);
+    for (name, link) in [
+        ("usual", USUAL),
+        ("30 % lost on each side", Link { lost: 0.3, ..USUAL }),
+        ("100 ppm, 30 % lost, many", Link { drift: 100e-6, lost: 0.3, exchanges: 9_000, ..USUAL }),
+        ("FTM clocks, that wrap every 13.4 s", Link { clocks: [CardClock::FTM; 2], exchanges: 4_000, ..USUAL }),
+        ("irregular, many lost", Link { exchanges: 400, pause_us: wide, lost: 0.3, drift: 60e-6, ..USUAL }),
+    ] {
+        for (seed, late) in [(0, 0), (1, 1), (2, 150)] {
+            let link = Link { seed, ..link };
+            let heard = link.heard();
+            let mut whole = ByClock::new(link.clocks[0], link.clocks[1]);
+            for (side, records) in [LinkSide::Receiver, LinkSide::Transmitter].into_iter().zip(&heard) {
+                records.iter().for_each(|(ticks, exchange)| whole.handle(side, *ticks, None, *exchange));
+            }
+            whole.finish().unwrap();
+            let whole: Vec<(usize, usize)> =
+                std::iter::from_fn(|| whole.poll_pair()).map(|pair| (pair.receiver, pair.transmitter)).collect();
+            let (live, _) = pair_live(&link, &heard, late);
+            assert_eq!(live, whole, "{name}, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn a_pair_comes_with_the_next_exchange_once_the_clocks_are_understood() {
+    let [rx, tx] = USUAL.heard();
+    let mut machine = Live::new(USUAL.clocks[0], USUAL.clocks[1]);
+    let (mut first, mut newest) = (None, 0);
+    for ((a, i), (b, j)) in rx.iter().zip(&tx) {
+        machine.handle(LinkSide::Receiver, *a, *i);
+        machine.handle(LinkSide::Transmitter, *b, *j);
+        newest = std::iter::from_fn(|| machine.poll_pair()).map(|pair| pair.receiver).last().unwrap_or(newest);
+        first = first.or((newest > 0).then_some(*i));
+        assert!(first.is_none() || newest + 1 >= *i, "{newest} at {i}");
+    }
+    assert!(first.is_some_and(|first| first < 200), "{first:?}");
+    assert!(machine.kept() <= WINDOW_KEPT);
+}
+
+/// Records of a side that may be in memory while clocks are understood and no side is behind.
+const WINDOW_KEPT: usize = 2 * STRETCH + 2;
+
+#[test]
+fn either_card_may_restart_while_records_come_and_clocks_may_jump() {
+    for (side, jump_us) in [(1, None), (0, None), (1, Some(7_003_000)), (0, Some(200_000_000))] {
+        let mut heard = Link { exchanges: 3_000, ..USUAL }.heard();
+        let at = heard[side].len() / 2;
+        let from = heard[side][at].0 - 5_000;
+        for (ticks, _) in &mut heard[side][at..] {
+            *ticks = jump_us.map_or(ticks.wrapping_sub(from), |us| *ticks + us) & 0xffff_ffff;
+        }
+        let (pairs, machine) = pair_live(&USUAL, &heard, 0);
+        assert_eq!(machine.restarts(), 1, "{side} {jump_us:?}");
+        let wrong = wrong(&pairs);
+        let most = if jump_us == Some(7_003_000) { 24 } else { 0 };
+        assert!(pairs.len() >= 2_900 && wrong <= most, "{side} {jump_us:?}: {} pairs, {wrong} wrong", pairs.len());
+    }
+}
+
+#[test]
+fn records_of_two_runs_give_no_pairs_as_they_come_and_memory_is_bounded() {
+    let [own, _] = Link { exchanges: 5_000, ..USUAL }.heard();
+    let [_, other] = Link { exchanges: 5_000, seed: 107, ..USUAL }.heard();
+    let (pairs, machine) = pair_live(&USUAL, &[own, other], 0);
+    assert!(pairs.is_empty(), "{}", pairs.len());
+    assert!(matches!(machine.refusal(), Some(Refusal::Strangers { .. })), "{:?}", machine.refusal());
+    assert!(machine.kept() <= WINDOW_KEPT);
+    // A feed that stops does not fill the memory either, and goes on where it comes back.
+    let link = Link { exchanges: 9_000, ..USUAL };
+    let [rx, tx] = link.heard();
+    let stops: Vec<(u64, usize)> = tx.iter().filter(|(_, k)| !(2_000..2_900).contains(k)).copied().collect();
+    let (pairs, machine) = pair_live(&link, &[rx, stops], 0);
+    assert!(pairs.len() >= 8_000 && wrong(&pairs) == 0, "{} {}", pairs.len(), wrong(&pairs));
+    assert!(machine.kept() <= WINDOW_KEPT, "{}", machine.kept());
+}

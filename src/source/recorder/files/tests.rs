@@ -32,7 +32,7 @@ fn what_cannot_be_synced_is_said() {
     let pipe = || File::from(std::os::fd::OwnedFd::from(writer.try_clone().unwrap()));
     for side in [false, true] {
         let mut files = LogFiles::create(&folder.join("out.dat"), Rotation::default(), true).unwrap();
-        *(if side { &mut files.side.file } else { &mut files.data.file }) = pipe();
+        *(if side { &mut files.side.as_mut().unwrap().file } else { &mut files.data.file }) = pipe();
         assert!(files.sync().unwrap().contains("syncing"), "side file: {side}");
     }
     std::fs::remove_dir_all(folder).unwrap();
@@ -111,10 +111,10 @@ fn side_files_of_every_layout_keep_step_with_the_log() {
         let mut files = LogFiles::create(&log, Rotation::default(), true).unwrap().with_side_layout(layout);
         assert_eq!(files.write(&chunk(0..3)), Written { records: 3, ..Written::default() });
         // The side file's disk refuses a chunk: its records get entries of zeros with the next one.
-        let side = std::mem::replace(&mut files.side.file, File::open("/dev/null").unwrap());
+        let side = std::mem::replace(&mut files.side.as_mut().unwrap().file, File::open("/dev/null").unwrap());
         let refused = files.write(&chunk(3..5));
         assert!(refused.records == 2 && refused.error.is_some_and(|error| error.contains("datstp")));
-        files.side.file = side;
+        files.side.as_mut().unwrap().file = side;
         assert_eq!(files.write(&chunk(5..6)), Written { records: 1, ..Written::default() });
         drop(files);
         let bytes = std::fs::read(side_path(&log)).unwrap();
@@ -310,4 +310,32 @@ fn a_log_that_somebody_cuts_goes_on_in_another_file() {
     drop(files);
     assert_eq!(std::fs::read(&log).unwrap(), [record(0), record(4)].concat());
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn a_log_of_bodies_has_no_side_file_and_is_cut_between_bodies() {
+    let folder = std::env::temp_dir().join(format!("csi5300-bodies-{}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let bodies: Vec<Vec<u8>> = (1..=9_u8).map(|k| vec![k; 10 * usize::from(k)]).collect();
+    let mut chunk = Chunk::default();
+    for body in &bodies {
+        let record = driver_iface::record::Record { code: 0xBB, body };
+        let from = chunk.bytes.len();
+        chunk.bytes.resize(from + record.emit_len(), 0);
+        record.emit(&mut chunk.bytes[from..]).unwrap();
+        chunk.host_us.push(Some(7));
+    }
+    let mut files = LogFiles::create_bodies(&folder.join("a.csi"), Rotation::default(), false).unwrap();
+    assert_eq!(files.write(&chunk), Written { records: 9, ..Written::default() });
+    drop(files);
+    assert_eq!(std::fs::read(folder.join("a.csi")).unwrap(), bodies.concat());
+    let hundred = Rotation { bytes: Some(100), every: None };
+    let mut files = LogFiles::create_bodies(&folder.join("b.csi"), hundred, false).unwrap();
+    assert_eq!(files.write(&chunk).records, 9);
+    let parts: Vec<usize> = files.paths().iter().map(|path| std::fs::read(path).unwrap().len()).collect();
+    assert_eq!(parts, [100, 50, 60, 70, 80, 90]);
+    drop(files);
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 7, "no side files");
+    std::fs::remove_dir_all(&folder).unwrap();
 }

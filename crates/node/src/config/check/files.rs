@@ -1,6 +1,6 @@
 //! Checks a robot's outputs: their folders exist and are writable, and none is another output or an input.
 
-use super::super::{Capture, Config, Odometry, Records};
+use super::super::{Capture, Config, Feitcsi, Odometry, Records};
 use super::Check;
 use csi5300::source::side_path;
 use csi5300_sim::toml_lines::Step::Key;
@@ -77,7 +77,8 @@ fn files_to_read(config: &Config) -> Vec<(String, &Path)> {
             inputs.extend(followed.filter_map(|(name, of)| poses(format!("`capture.room.follow.{name}`"), of)));
         }
         Capture::Served(served) => inputs.push(("`capture.served`".into(), &served.socket)),
-        Capture::Card(_) | Capture::Stock(_) => {}
+        Capture::Feitcsi(Feitcsi::Pipe(pipe)) => inputs.push(("`capture.feitcsi`".into(), pipe)),
+        Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(Feitcsi::Udp(_)) => {}
     }
     inputs.extend(poses("`odometry`".into(), &config.odometry));
     for peer in config.peer.iter().map(|peer| peer.get_ref()) {

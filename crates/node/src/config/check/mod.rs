@@ -39,6 +39,7 @@ pub(super) fn problems(
 ) -> Vec<Problem> {
     let mut check = Check { config, own_file, lines, gone, scene: None, problems: Vec::new() };
     check.own_card();
+    check.array();
     check.own_room();
     check.estimator();
     check.macs_of_the_room();

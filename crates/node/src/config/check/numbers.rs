@@ -56,7 +56,7 @@ impl Check<'_> {
         let (kind, speed) = match self.capture() {
             Capture::Replay(replay) => ("replay", replay.speed),
             Capture::Room(room) => ("room", room.speed),
-            Capture::Card(_) | Capture::Stock(_) | Capture::Served(_) => return,
+            Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(_) | Capture::Served(_) => return,
         };
         if !SPEEDS.contains(&speed) {
             let why = format!("speed: {} to {} times its own pace, not {speed:e}", SPEEDS.start(), SPEEDS.end());

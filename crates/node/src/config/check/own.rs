@@ -1,9 +1,11 @@
 //! This robot: its card, its room, its poses.
 
-use super::super::{CameraMount, Capture, Odometry, ros};
+use super::super::{CameraMount, Capture, Feitcsi, Odometry, Records, ros};
 use super::{Check, too_far};
+use csi5300::pipeline::ArrayError;
 use csi5300_sim::Room;
 use csi5300_sim::toml_lines::Step::{Index, Key};
+use std::os::unix::fs::FileTypeExt;
 
 impl Check<'_> {
     /// This robot's MAC and log.
@@ -18,6 +20,24 @@ impl Check<'_> {
         {
             let why = format!("there is no log {}", replay.file.display());
             self.refuse(&[Key("capture"), Key("replay"), Key("file")], why);
+        }
+        if let Capture::Feitcsi(Feitcsi::Pipe(pipe)) = self.capture()
+            && !std::fs::metadata(pipe).is_ok_and(|found| found.file_type().is_fifo())
+        {
+            let why = format!("{} is no named pipe: `mkfifo` makes one, and FeitCSI writes to it", pipe.display());
+            self.refuse(&[Key("capture"), Key("feitcsi"), Key("pipe")], why);
+        }
+    }
+
+    /// The antennas of bearings without a peer.
+    pub(super) fn array(&mut self) {
+        if let Some(Err(error)) = self.config.array.as_ref().map(|array| array.array()) {
+            let key = match error {
+                ArrayError::Antennas { .. } | ArrayError::Twice { .. } => "antennas",
+                ArrayError::Constants { .. } => "chain_constants_deg",
+                _ => "baselines_m",
+            };
+            self.refuse(&[Key("array"), Key(key)], format!("[array]: {error}"));
         }
     }
 
@@ -69,6 +89,10 @@ impl Check<'_> {
     pub(super) fn motion(&mut self) {
         let stands = |odometry: &Odometry| matches!(odometry, Odometry::Static(_));
         let peers = &self.config.peer;
+        let has_constants = self.config.array.as_ref().is_some_and(|array| !array.chain_constants_deg.is_empty());
+        if has_constants && peers.iter().all(|peer| matches!(peer.get_ref().records, Records::Heard(_))) {
+            return;
+        }
         let all_stand = stands(&self.config.odometry) && peers.iter().all(|peer| stands(&peer.get_ref().poses));
         if !peers.is_empty() && all_stand && self.knows(&["odometry", "peer"]) {
             let why = "no robot here ever moves (`static` poses, also where none are given), and without motion there is no \
@@ -112,13 +136,14 @@ impl Check<'_> {
     pub(super) fn something_to_do(&mut self) {
         let config = self.config;
         if config.peer.is_empty()
+            && config.array.is_none()
             && config.log.is_none()
             && config.network.is_none()
             && config.ros.is_none()
             && config.ros2.is_none()
-            && self.knows(&["peer", "log", "network", "ros", "ros2"])
+            && self.knows(&["peer", "array", "log", "network", "ros", "ros2"])
         {
-            let why = "no [[peer]], no [log], no [network] and no [ros] or [ros2]: there is nothing to do";
+            let why = "no [[peer]], no [array], no [log], no [network] and no [ros] or [ros2]: there is nothing to do";
             self.refuse(&[Key("capture")], why);
         }
     }

@@ -1,6 +1,6 @@
 //! The peers: who they are, and where their records and poses come from.
 
-use super::super::{Odometry, Peer, Records};
+use super::super::{Capture, Odometry, Peer, Records};
 use super::Check;
 use csi5300_sim::toml_lines::Step;
 use csi5300_sim::toml_lines::Step::{Index, Key};
@@ -26,7 +26,8 @@ impl Check<'_> {
             let key = if same_name { "name" } else { "mac" };
             wrong.push((vec![Key(key)], format!("peer `{name}`: another peer has its name or MAC")));
         }
-        if peer.mac.is_none() && !matches!(peer.records, Records::Room(_)) {
+        let in_room = || matches!(self.capture(), Capture::Room(_)) && matches!(peer.records, Records::Heard(_));
+        if peer.mac.is_none() && !matches!(peer.records, Records::Room(_)) && !in_room() {
             wrong.push((Vec::new(), format!("peer `{name}`: `mac` is missing")));
         }
         if peer.mac.is_some() && peer.mac == self.config.mac {
@@ -54,6 +55,17 @@ impl Check<'_> {
             Records::Network(_) if self.config.network.is_none() => {
                 ("network", format!("peer `{name}`: `network` records need a [network] table"))
             }
+            Records::Heard(_) if self.config.array.is_none() && self.knows(&["array"]) => {
+                let why = "`heard` is of antennas of this robot's card: it needs an [array] table";
+                ("heard", format!("peer `{name}`: {why}"))
+            }
+            Records::Heard(_) if !matches!(peer.poses, Odometry::Static(_)) => {
+                let why = "a sender that is only heard has no poses: leave `poses` out";
+                ("heard", format!("peer `{name}`: {why}"))
+            }
+            Records::Heard(_) if peer.mac.is_none() && self.capture().robot() != Some(name) => {
+                return self.absent(name).map(|why| (vec![Key("name")], why)).into_iter().collect();
+            }
             Records::Sounding(_)
                 if !self.config.sounding.as_ref().is_some_and(|own| own.initiate && own.measurement) =>
             {
@@ -65,12 +77,12 @@ impl Check<'_> {
                 let why = "`sounding` records have no time of the peer's host, so it must stand (`poses.static`)";
                 ("sounding", format!("peer `{name}`: {why}"))
             }
-            Records::Room(_) if self.capture().robot() == Some(name) => {
+            Records::Room(_) | Records::Heard(_) if self.capture().robot() == Some(name) => {
                 let why = format!("peer `{name}` is this robot itself: the one of the room that `capture` names");
                 return vec![(vec![Key("name")], why)];
             }
             Records::Room(_) => return self.absent(name).map(|why| (vec![Key("name")], why)).into_iter().collect(),
-            Records::Replay(_) | Records::Network(_) | Records::Sounding(_) => return Vec::new(),
+            Records::Replay(_) | Records::Network(_) | Records::Heard(_) | Records::Sounding(_) => return Vec::new(),
         };
         vec![(vec![Key("records"), Key(key)], why)]
     }

@@ -179,6 +179,40 @@ fn the_peers() {
 }
 
 #[test]
+fn antennas_that_need_no_peer() {
+    let array = "[array]\nantennas = [\"A\", \"B\"]\nbaselines_m = [[0.1, 0.0, 0.0]]\n";
+    let alone = format!("{ROOM}{array}");
+    assert_eq!(refusals(&alone), Vec::<String>::new());
+    let wrong = |from: &str, to: &str, key: &str, why: &str| refused(&alone.replace(from, to), key, why);
+    wrong("\"B\"", "\"A\"", "antennas =", "named twice");
+    wrong("\"B\"", "\"D\"", "antennas =", "A, B or C");
+    wrong(", \"B\"", "", "antennas =", "2 or 3");
+    wrong("[[0.1, 0.0, 0.0]]", "[]", "baselines_m", "0 baselines for 2 antennas");
+    wrong("0.1,", "100.0,", "baselines_m", "metres are expected");
+    let constants = |constants: &str| format!("{alone}chain_constants_deg = {constants}\n");
+    refused(&constants("[[1.0, -2.0]]"), "chain_constants_deg", "a deviation of 0 or more");
+    // A sender by its name in the room, or by its MAC.
+    let heard = "[[peer]]\nname = \"tx\"\nrecords.heard = {}\n";
+    assert_eq!(refusals(&format!("{alone}{heard}")), Vec::<String>::new());
+    refused(&format!("{ROOM}{heard}"), "records.heard", "needs an [array]");
+    refused(&format!("{alone}{}", heard.replace("tx", "ty")), "\"ty\"", "no robot `ty`");
+    refused(&format!("{alone}{heard}poses.room = {{}}\n"), "records.heard", "leave `poses` out");
+    let stands = alone.replace("odometry.room", "odometry.static") + heard;
+    refused(&stands, "[[peer]]", "no robot here ever moves");
+    let known =
+        format!("{}chain_constants_deg = [[52.7, 0.3]]\n{heard}", alone.replace("odometry.room", "odometry.static"));
+    assert_eq!(refusals(&known), Vec::<String>::new());
+}
+
+#[test]
+fn feitcsi() {
+    let of = |capture: &str| CARD.replace("capture.card = {}", capture);
+    assert_eq!(refusals(&of("capture.feitcsi.udp = \"127.0.0.1:8008\"")), Vec::<String>::new());
+    refused(&of("capture.feitcsi.udp = \"8008\""), "udp", "address");
+    refused(&of("capture.feitcsi.pipe = \"lib.rs\""), "pipe", "no named pipe");
+}
+
+#[test]
 fn ros_and_sounding() {
     let ros = |more: &str| format!("{CARD}[ros]\nframe = \"odom\"\n{more}\n");
     refused(&ros("master = \"10.0.0.1\""), "master", "one looks like");

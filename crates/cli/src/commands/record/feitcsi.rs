@@ -1,0 +1,55 @@
+//! `csi5300 record --feitcsi`: the card is an AX200 or AX210, and the log one of FeitCSI.
+
+use super::super::Result;
+use super::super::live::{Signals, create_refused};
+use super::{Args, Session};
+use csi5300::source::recorder::{LogFiles, Recorder};
+use csi5300_live::feitcsi::{FeitCsi, Frames};
+use csi5300_live::listener::Lost;
+use csi5300_live::wait::wall_us;
+use std::net::SocketAddr;
+use std::os::fd::AsFd;
+
+/// Where FeitCSI's records come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    Input,
+    Udp(SocketAddr),
+}
+
+pub fn source(text: &str) -> std::result::Result<Way, String> {
+    match text {
+        "-" => Ok(Way::Input),
+        _ => text.parse().map(Way::Udp).map_err(|_| "an address such as 127.0.0.1:8008, or -".into()),
+    }
+}
+
+/// Records until a signal, a limit or the end of the input.
+pub fn run(args: &Args, from: &Way, signals: Signals) -> Result {
+    let text = |error: csi5300::source::Error| error.to_string();
+    let (frames, words) = match from {
+        Way::Input => {
+            let input = std::io::stdin().as_fd().try_clone_to_owned();
+            let input = input.map_err(|error| format!("standard input: {error}"))?;
+            (Frames::read(input, wall_us), "reading what FeitCSI writes from the standard input".to_owned())
+        }
+        Way::Udp(address) => {
+            let frames = Frames::listen(address, wall_us).map_err(|error| with_cause(&error))?;
+            (frames, format!("listening for FeitCSI's datagrams to {address}"))
+        }
+    };
+    let files = LogFiles::create_bodies(&args.out, args.rotation(), args.force);
+    let files = files.map_err(|error| create_refused(&error))?;
+    let mut session = Session::new(args, signals, &frames, false)?;
+    note!("{words}; recording to {}", args.out.display());
+    let recorder = Recorder::new(frames, files, args.options()).map_err(text)?;
+    let mut source = FeitCsi::new(recorder);
+    let failed = session.capture(&mut source, |source| (source.frames().totals(), Lost::default())).err();
+    let (_, files, totals) = source.into_frames().finish(session.clock.now()).map_err(text)?;
+    Ok(session.end(failed, &(String::new(), Lost::default()), &totals, &files))
+}
+
+fn with_cause(error: &csi5300::source::Error) -> String {
+    let cause = std::error::Error::source(error).map(|cause| format!(": {cause}"));
+    format!("{error}{}", cause.unwrap_or_default())
+}

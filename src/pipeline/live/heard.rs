@@ -1,0 +1,279 @@
+//! Bearings of what this robot hears alone, by two or three antennas that turn with it: see [`crate::pipeline::OneLog`].
+
+use super::peer::{Context, Why};
+use super::report::{PeerCounts, PeerReport, PeerState};
+use crate::maths::wrap_rad;
+use crate::motion::pose::Trajectory;
+use crate::pipeline::{Answer, Array, Bearing, LinkError, OneLog, Options};
+use crate::source::Next;
+use crate::time::{Instant, Span};
+use driver_iface::Mac;
+use std::collections::BTreeSet;
+
+/// Senders beyond the peers whose bearings are reported.
+const OTHERS: usize = 16;
+/// Records of a sender that are kept.
+const ROWS: usize = 2_048;
+/// Records with fewer than this make no bearing.
+const LEAST_RECORDS: usize = 24;
+/// The robot must turn by so much before there is a bearing, radians.
+const LEAST_TURN_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
+/// A turn since an answer that makes a new one worth while, radians.
+const WORTH_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
+
+/// All senders that are heard.
+pub(super) struct Heard {
+    log: OneLog,
+    array: Reach,
+    /// Peers by their number, then others in the order in which they were heard.
+    links: Vec<HeardLink>,
+    named: usize,
+    own: Mac,
+    /// Peers with paired links, which have no bearing here.
+    paired: BTreeSet<Mac>,
+}
+
+/// What matters of the array.
+#[derive(Clone, Copy)]
+struct Reach {
+    /// Length of the first baseline, metres.
+    length_m: f64,
+    /// A robot that stands has a bearing.
+    constants_known: bool,
+}
+
+impl Reach {
+    /// How far an end of the baseline is from where it was before a turn, metres.
+    fn chord_m(self, turned_rad: f64) -> f64 {
+        2.0 * self.length_m * (0.5 * turned_rad.min(std::f64::consts::PI)).sin()
+    }
+
+    /// Motion of the baseline's end that is needed, metres.
+    fn needed_m(self) -> f64 {
+        if self.constants_known { 0.0 } else { self.chord_m(LEAST_TURN_RAD) }
+    }
+
+    /// Why there is no bearing yet.
+    fn not_yet(self, turned_rad: f64) -> Option<String> {
+        let enough = self.constants_known || turned_rad >= LEAST_TURN_RAD;
+        let degrees = [turned_rad, LEAST_TURN_RAD].map(f64::to_degrees);
+        (!enough).then(|| format!("not yet: turned {:.0} of {:.0} degrees", degrees[0], degrees[1]))
+    }
+}
+
+/// One sender.
+struct HeardLink {
+    /// The peer's number, or that among the others.
+    number: Result<usize, usize>,
+    name: String,
+    mac: Mac,
+    due: Instant,
+    counts: PeerCounts,
+    /// Records at the last estimate.
+    searched: Option<u64>,
+    /// When the last record came, and its host time, seconds.
+    heard_at: Option<Instant>,
+    seen_s: Option<f64>,
+    last: Option<LastAnswer>,
+    bearing: Option<Bearing>,
+}
+
+/// The last answer.
+struct LastAnswer {
+    answer: Answer,
+    at: Instant,
+    heading_rad: Option<f64>,
+    moved_m: f64,
+}
+
+impl Heard {
+    /// `named` are peers by their number, name and MAC; this robot itself and the `paired` ones have no bearing here.
+    pub(super) fn new(
+        array: Array,
+        named: Vec<(usize, String, Mac)>,
+        (own, paired): (Mac, BTreeSet<Mac>),
+        options: Options,
+        now: Instant,
+    ) -> Self {
+        let (length_m, constants_known) = array.reach();
+        let link = |(k, name, mac)| HeardLink::new(Ok(k), name, mac, now);
+        let links: Vec<HeardLink> = named.into_iter().map(link).collect();
+        let named = links.len();
+        // A frame without a sender has a place too, of which nothing is made.
+        let log = OneLog::new(array, options).keeping(named + OTHERS + 1, ROWS);
+        Self { log, array: Reach { length_m, constants_known }, links, named, own, paired }
+    }
+
+    /// Takes what this robot's card gave.
+    pub(super) fn note(&mut self, next: &Next<'_>) {
+        let Some((mac, host_us)) = self.log.note_sender(next) else { return };
+        let Next::Record(stamps, _) = next else { return };
+        let others = self.links.len() - self.named;
+        let known = self.links.iter().position(|link| link.mac == mac);
+        let is_left_out = mac.is_zero() || mac == self.own || self.paired.contains(&mac) || others >= OTHERS;
+        if known.is_none() && is_left_out {
+            self.log.forget_before(mac, i64::MAX, false);
+            return;
+        }
+        let at = known.unwrap_or_else(|| {
+            self.links.push(HeardLink::new(Err(others), mac.to_string(), mac, stamps.at));
+            self.links.len() - 1
+        });
+        if let Some(link) = self.links.get_mut(at) {
+            link.counts.heard += 1;
+            link.heard_at = Some(stamps.at);
+            link.seen_s = host_us.map(|us| us as f64 * 1e-6).or(link.seen_s);
+        }
+    }
+
+    /// When the next report is due.
+    pub(super) fn next_due(&self) -> Option<Instant> {
+        self.links.iter().map(|link| link.due).min()
+    }
+
+    /// True if a report is due, and no later than that of another kind of link.
+    pub(super) fn is_before(&self, other: Option<Instant>, now: Instant) -> bool {
+        self.next_due().is_some_and(|due| due <= now && other.is_none_or(|other| due <= other))
+    }
+
+    /// The report that is due.
+    pub(super) fn poll_report(&mut self, context: Context<'_>) -> Option<(Result<usize, usize>, PeerReport)> {
+        let period = Span::from_s(1.0 / context.settings.rate_hz);
+        let link = self.links.iter_mut().min_by_key(|link| link.due)?;
+        link.due = if context.now - link.due > period { context.now + period } else { link.due + period };
+        Some((link.number, link.report(&mut self.log, self.array, context)))
+    }
+
+    /// Every sender's last report.
+    pub(super) fn finish(&mut self, context: Context<'_>) -> Vec<(Result<usize, usize>, PeerReport)> {
+        let (log, array) = (&mut self.log, self.array);
+        self.links.iter_mut().map(|link| (link.number, link.report(log, array, context))).collect()
+    }
+
+    /// What was measured is of another frame.
+    pub(super) fn begin_anew(&mut self) {
+        for link in &mut self.links {
+            self.log.forget_before(link.mac, i64::MAX, true);
+            (link.last, link.bearing, link.searched) = (None, None, None);
+        }
+    }
+
+    pub(super) fn bearing(&self, number: Result<usize, usize>) -> Option<&Bearing> {
+        self.links.iter().find(|link| link.number == number)?.bearing.as_ref()
+    }
+
+    /// Counts of a peer that is only heard.
+    pub(super) fn counts(&self, peer: usize) -> Option<PeerCounts> {
+        self.links.iter().find(|link| link.number == Ok(peer)).map(HeardLink::counts)
+    }
+
+    pub(super) fn others(&self) -> impl Iterator<Item = (&str, Mac, PeerCounts)> {
+        self.links.iter().skip(self.named).map(|link| (link.name.as_str(), link.mac, link.counts()))
+    }
+}
+
+impl HeardLink {
+    fn new(number: Result<usize, usize>, name: String, mac: Mac, due: Instant) -> Self {
+        let counts = PeerCounts::default();
+        Self { number, name, mac, due, counts, searched: None, heard_at: None, seen_s: None, last: None, bearing: None }
+    }
+
+    /// Its records are what pairs are of other links.
+    fn counts(&self) -> PeerCounts {
+        PeerCounts { pairs: self.counts.heard, ..self.counts }
+    }
+
+    fn report(&mut self, log: &mut OneLog, array: Reach, context: Context<'_>) -> PeerReport {
+        let Context { track, settings, why, .. } = context;
+        let without = |own: &Self, state, words: String, turned_rad: f64| {
+            own.without((state, words), array, array.chord_m(turned_rad), context)
+        };
+        let Some(seen_s) = self.seen_s else {
+            return without(self, PeerState::NoPairs, "no record of all antennas yet".into(), 0.0);
+        };
+        let nothing_new = self.searched == Some(self.counts.heard);
+        if why == Why::Due && nothing_new {
+            return without(self, PeerState::NoPairs, "no record since the last search".into(), 0.0);
+        }
+        log.forget_before(self.mac, ((seen_s - settings.window_s) * 1e6) as i64, true);
+        let from_s = log.first_us(self.mac).map_or(seen_s, |us| us as f64 * 1e-6);
+        let Some(trajectory) = track.trajectory(settings.extrapolate_s, (from_s, seen_s)) else {
+            return without(self, PeerState::NotYet, "no poses yet".into(), 0.0);
+        };
+        let heading_rad = track.last().and_then(|pose| pose.heading_rad);
+        let turned_rad = turned_rad(&trajectory, (from_s, seen_s));
+        let has_turned = self.last.as_ref().is_none_or(|last| {
+            heading_rad.zip(last.heading_rad).is_none_or(|(now, then)| wrap_rad(now - then).abs() >= WORTH_RAD)
+        });
+        if why == Why::Due && !has_turned && !array.constants_known {
+            self.counts.skipped += 1;
+            let moved_m = self.last.as_ref().map_or(0.0, |last| last.moved_m);
+            return self.without((PeerState::Held, "held: not turned since".into()), array, moved_m, context);
+        }
+        if let Some(words) = array.not_yet(turned_rad).filter(|_| heading_rad.is_some()) {
+            return without(self, PeerState::NotYet, words, turned_rad);
+        }
+        self.searched = Some(self.counts.heard);
+        self.counts.estimates += 1;
+        let made = log.bearing(self.mac, &trajectory, context.options);
+        let mut answer = Answer::of(self.name.clone(), None, made.as_ref());
+        answer.mac = Some(self.mac.to_string());
+        self.bearing = made.ok();
+        if let Some(error) = answer.error.clone() {
+            let state = match answer.cause {
+                Some(LinkError::NotTurned { .. } | LinkError::OutsideTrajectory { .. }) => PeerState::NotYet,
+                _ => PeerState::Failed,
+            };
+            let mut report = without(self, state, error, turned_rad);
+            report.answer.cause = answer.cause;
+            return report;
+        }
+        if answer.pairs_in_motion < LEAST_RECORDS {
+            let words = format!("{} records of use, {LEAST_RECORDS} are needed", answer.pairs_in_motion);
+            return without(self, PeerState::NoPairs, words, turned_rad);
+        }
+        let moved_m = array.chord_m(turned_rad);
+        self.last = Some(LastAnswer { answer: answer.clone(), at: context.now, heading_rad, moved_m });
+        // What rounds to zero has no sign.
+        let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
+        PeerReport {
+            t_s: Some(seen_s),
+            state: PeerState::Bearing,
+            words: format!("bearing {:.2} deg", hundredths / 100.0),
+            moved_m,
+            needed_m: array.needed_m(),
+            age_s: 0.0,
+            accurate: true,
+            heard_at: self.heard_at,
+            answer,
+        }
+    }
+
+    /// A report without a new bearing: the last one, if there is one, is repeated with its age.
+    fn without(
+        &self,
+        (state, words): (PeerState, String),
+        array: Reach,
+        moved_m: f64,
+        context: Context<'_>,
+    ) -> PeerReport {
+        let held = self.last.as_ref().filter(|_| state != PeerState::Failed);
+        let answer = held.map_or_else(|| Answer::nothing(self.name.clone(), self.mac), |last| last.answer.clone());
+        let age_s = held.map_or(0.0, |last| (context.now - last.at).as_s());
+        let state = if held.is_some() && state == PeerState::NotYet { PeerState::Held } else { state };
+        let (needed_m, accurate) = (array.needed_m(), held.is_some());
+        PeerReport { t_s: self.seen_s, state, words, moved_m, needed_m, age_s, accurate, heard_at: None, answer }
+    }
+}
+
+/// By how much the headings within a time differ at most, radians.
+fn turned_rad(trajectory: &Trajectory, (from_s, to_s): (f64, f64)) -> f64 {
+    let inside = trajectory.poses().iter().filter(|pose| (from_s..=to_s).contains(&pose.t_s));
+    let (mut before, mut at, mut low, mut high) = (None, 0.0, 0.0_f64, 0.0_f64);
+    for heading_rad in inside.filter_map(|pose| pose.heading_rad) {
+        at += before.map_or(0.0, |before| wrap_rad(heading_rad - before));
+        before = Some(heading_rad);
+        (low, high) = (low.min(at), high.max(at));
+    }
+    high - low
+}
