@@ -1,4 +1,7 @@
-//! An AX200's or AX210's records from FeitCSI: UDP datagrams (`feitcsi --udp-socket`), or its standard output.
+//! An AX200's or AX210's records from FeitCSI: from its UDP socket (`feitcsi --udp-socket`), or its standard output.
+//!
+//! The socket is FeitCSI's. A datagram with a command line starts a measurement, and each record goes to the sender of that
+//! datagram; `stop` ends the measurement and removes FeitCSI's monitor interface (`UdpSocket.cpp` of FeitCSI 2).
 
 use crate::wait::Monotonic;
 use csi5300::source::other_card::{Pieces, Translator};
@@ -8,13 +11,50 @@ use driver_iface::record::{LENGTH_FIELD, Record, Tail, code, written};
 use nix::sys::socket::{setsockopt, sockopt};
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
-use std::net::{ToSocketAddrs, UdpSocket};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::str::FromStr;
 
 /// Most bytes of a record.
 const MOST: usize = 60_000;
 /// Requested receive buffer, bytes; the kernel may grant less.
 const RECEIVE_BUFFER: usize = 8 << 20;
+/// FeitCSI reads no more of a command, bytes.
+const LONGEST_COMMAND: usize = 1_023;
+const STOP: &[u8] = b"stop";
+
+/// A measurement to be started: where FeitCSI listens, and its own options, as in `127.0.0.1:8008 --frequency 5180
+/// --channel-width 80 --format VHT`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Command {
+    /// FeitCSI's address; its port is 8008.
+    pub to: SocketAddr,
+    /// The options, as on its command line. None: 20 MHz of HT frames at 2,412 MHz.
+    pub options: String,
+}
+
+impl FromStr for Command {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (to, options) = text.trim().split_once(char::is_whitespace).unwrap_or((text.trim(), ""));
+        let to = to.parse().map_err(|_| {
+            format!("`{to}` is no address of FeitCSI: 127.0.0.1:8008, or \"127.0.0.1:8008 --frequency 5180 --channel-width 80 --format VHT\"")
+        })?;
+        let command = Self { to, options: options.trim().into() };
+        match command.line().len() {
+            ..=LONGEST_COMMAND => Ok(command),
+            len => Err(format!("FeitCSI reads {LONGEST_COMMAND} bytes of a command, and this one has {len}")),
+        }
+    }
+}
+
+impl Command {
+    /// What FeitCSI is sent: as for any program, the first word is its name.
+    fn line(&self) -> String {
+        format!("feitcsi {}", self.options).trim_end().to_owned()
+    }
+}
 
 /// FeitCSI's output, live and unchanged: each of its records, and any other bytes, are the body of a record here.
 #[derive(Debug)]
@@ -50,8 +90,62 @@ pub struct FeitCsi<S = Frames> {
 /// The source of bytes.
 #[derive(Debug)]
 enum Way {
-    Datagrams(UdpSocket),
+    Datagrams(Measurement),
     Stream(File),
+}
+
+/// A measurement that was started, and is stopped with this.
+#[derive(Debug)]
+struct Measurement(UdpSocket);
+
+impl Measurement {
+    fn start(command: &Command) -> io::Result<Self> {
+        let own: SocketAddr = match command.to {
+            SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+            SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+        };
+        let socket = UdpSocket::bind(own)?;
+        socket.connect(command.to)?;
+        socket.set_nonblocking(true)?;
+        // Beyond the system's limit with CAP_NET_ADMIN; a smaller one will do, for a while.
+        let _ = setsockopt(&socket, sockopt::RcvBufForce, &RECEIVE_BUFFER)
+            .or_else(|_| setsockopt(&socket, sockopt::RcvBuf, &RECEIVE_BUFFER));
+        // One that nobody stopped would send each record twice.
+        socket.send(STOP)?;
+        socket.send(command.line().as_bytes())?;
+        Ok(Self(socket))
+    }
+}
+
+impl Drop for Measurement {
+    fn drop(&mut self) {
+        // FeitCSI may have ended.
+        let _ = self.0.send(STOP);
+    }
+}
+
+/// What to do about a failure, where a refused datagram has a reason of its own.
+fn refused(source: io::Error, nobody: impl FnOnce() -> String) -> Error {
+    let what = match source.kind() {
+        ErrorKind::ConnectionRefused => nobody(),
+        _ => "reading what FeitCSI writes".into(),
+    };
+    Error::Io { what, source }
+}
+
+fn nobody(to: SocketAddr) -> String {
+    format!(
+        "nobody listens at {to}: start `sudo feitcsi --udp-socket`; it also ends where it does not know an option, and says which"
+    )
+}
+
+impl Way {
+    fn nobody(&self) -> String {
+        match self {
+            Self::Datagrams(measurement) => measurement.0.peer_addr().map(nobody).unwrap_or_default(),
+            Self::Stream(_) => "reading what FeitCSI writes".into(),
+        }
+    }
 }
 
 impl Read for Way {
@@ -63,9 +157,9 @@ impl Read for Way {
                 let [is_ready] = clock.wait([stream.as_fd()], Some(Instant::ZERO)).map_err(io::Error::other)?;
                 if is_ready { stream.read(room) } else { Err(ErrorKind::WouldBlock.into()) }
             }
-            Self::Datagrams(socket) => loop {
+            Self::Datagrams(measurement) => loop {
                 // An empty datagram is no end.
-                match socket.recv(room) {
+                match measurement.0.recv(room) {
                     Ok(0) => {}
                     read => return read,
                 }
@@ -75,18 +169,13 @@ impl Read for Way {
 }
 
 impl Frames {
-    /// Listens for datagrams at an address of this machine, such as `127.0.0.1:8008`.
+    /// Starts a measurement by FeitCSI's UDP socket; dropping the frames stops it.
     ///
     /// # Errors
-    /// If the address is none, or taken.
-    pub fn listen(address: impl ToSocketAddrs, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
-        let what = "cannot listen for FeitCSI's datagrams; is the address one of this machine, and free?";
-        let io = |source| Error::Io { what: what.into(), source };
-        let socket = UdpSocket::bind(address).map_err(io)?;
-        socket.set_nonblocking(true).map_err(io)?;
-        // A smaller one will do, for a while.
-        let _ = setsockopt(&socket, sockopt::RcvBuf, &RECEIVE_BUFFER);
-        Ok(Self::new(Way::Datagrams(socket), wall_us))
+    /// If nobody listens at the address, or no socket can be had.
+    pub fn ask(command: &Command, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
+        let started = Measurement::start(command).map_err(|source| refused(source, || nobody(command.to)))?;
+        Ok(Self::new(Way::Datagrams(started), wall_us))
     }
 
     /// Reads FeitCSI's standard output, or a pipe that it goes to.
@@ -119,7 +208,7 @@ impl CsiSource for Frames {
                 Ok(_) => {}
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(Next::Pending),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(source) => return Err(Error::Io { what: "reading what FeitCSI writes".into(), source }),
+                Err(source) => return Err(refused(source, || self.way.nobody())),
             }
         }
         let stamps = Stamps { at: now, host_us: (self.wall_us)(), origin: Origin::Live { number: self.number } };
@@ -137,7 +226,7 @@ impl CsiSource for Frames {
 impl AsFd for Frames {
     fn as_fd(&self) -> BorrowedFd<'_> {
         match &self.way {
-            Way::Datagrams(socket) => socket.as_fd(),
+            Way::Datagrams(measurement) => measurement.0.as_fd(),
             Way::Stream(stream) => stream.as_fd(),
         }
     }
@@ -247,14 +336,45 @@ mod tests {
         assert!(ended && of_stream.len() == 2 * frames.len(), "{}", of_stream.len());
         assert!(of_stream.chunks(2).all(|two| [two[0].0, two[1].0] == [code::CARD_CLOCK, code::BFEE]));
 
-        let mut source = FeitCsi::new(Frames::listen("127.0.0.1:0", || Some(7)).unwrap());
-        let Way::Datagrams(socket) = &source.frames().way else { panic!("a socket was asked for") };
-        let (to, sender) = (socket.local_addr().unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
+        // A stand-in for FeitCSI: what it is sent, and its records to whoever asked.
+        let feitcsi = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let to = feitcsi.local_addr().unwrap();
+        let command: Command = format!("{to} --frequency 5540 --format HESU").parse().unwrap();
+        let mut source = FeitCsi::new(Frames::ask(&command, || Some(7)).unwrap());
+        let asked = || {
+            let mut text = [0; 2_000];
+            let (len, from) = feitcsi.recv_from(&mut text).unwrap();
+            (String::from_utf8(text[..len].to_vec()).unwrap(), from)
+        };
+        let (stop, (started, asker)) = (asked().0, asked());
+        assert_eq!((&*stop, &*started), ("stop", "feitcsi --frequency 5540 --format HESU"));
         assert_eq!(drained(&mut source), (Vec::new(), false));
-        sender.send_to(&[], to).unwrap();
-        frames.iter().for_each(|frame| assert_eq!(sender.send_to(frame, to).unwrap(), frame.len()));
+        feitcsi.send_to(&[], asker).unwrap();
+        frames.iter().for_each(|frame| assert_eq!(feitcsi.send_to(frame, asker).unwrap(), frame.len()));
         // On the loopback a datagram is there once it was sent.
         let (of_datagrams, ended) = drained(&mut source);
         assert!(!ended && of_datagrams == of_stream, "{}", of_datagrams.len());
+        drop(source);
+        assert_eq!(asked(), ("stop".to_owned(), asker));
+    }
+
+    #[test]
+    fn a_command_is_an_address_and_options_and_somebody_must_listen() {
+        let command: Command = " [::1]:8008\t -f 5180 ".parse().unwrap();
+        assert_eq!((command.to.port(), &*command.line()), (8_008, "feitcsi -f 5180"));
+        assert_eq!("127.0.0.1:8008".parse::<Command>().unwrap().line(), "feitcsi");
+        let refused = |text: &str| text.parse::<Command>().unwrap_err();
+        assert!(refused("8008").contains("`8008` is no address"), "{}", refused("8008"));
+        let long = format!("127.0.0.1:8008 {}", "-v ".repeat(400));
+        assert!(refused(&long).contains("1023 bytes"), "{}", refused(&long));
+
+        let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let command: Command = free.to_string().parse().unwrap();
+        // The kernel tells with the next call after the one that nobody took.
+        let error = match Frames::ask(&command, || None) {
+            Err(error) => error,
+            Ok(mut frames) => frames.receive(Instant::ZERO).map(|_| ()).unwrap_err(),
+        };
+        assert!(error.to_string().contains(&format!("nobody listens at {free}: start `sudo feitcsi")), "{error}");
     }
 }

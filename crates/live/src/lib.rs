@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`listener`] | where records come from: `netlink` or `stock`, as one type |
 //! | [`netlink`] | the driver's records from the kernel's connector: a [`CsiSource`](csi5300::source::CsiSource) |
-//! | [`feitcsi`] | an AX200's or AX210's records, from FeitCSI's datagrams or its standard output |
+//! | [`feitcsi`] | an AX200's or AX210's records, from FeitCSI's UDP socket or its standard output |
 //! | [`monitor`] | frames injected into and heard from a monitor interface |
 //! | [`sounding`] | the scheduler on that interface, in a thread of its own |
 //! | [`doctor`] | checks of everything that a first record needs, and the card's set-up |

@@ -98,7 +98,7 @@ fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut s
 #[cfg(feature = "live")]
 #[test]
 fn what_feitcsi_writes_is_recorded_byte_by_byte() {
-    use std::io::{BufRead, BufReader, Read, Write};
+    use std::io::Write;
     use std::net::UdpSocket;
     let folder = Folder::new("record-feitcsi");
     let [rx, tx, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
@@ -114,20 +114,27 @@ fn what_feitcsi_writes_is_recorded_byte_by_byte() {
     }
     assert!(!folder.0.join("out.datstp").exists());
 
-    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    let address = socket.local_addr().unwrap().to_string();
-    drop(socket);
+    // A stand-in for FeitCSI: it is asked to measure, and answers whoever asked.
+    let feitcsi = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let asked = || {
+        let mut text = [0; 100];
+        let (len, from) = feitcsi.recv_from(&mut text).unwrap();
+        (String::from_utf8(text[..len].to_vec()).unwrap(), from)
+    };
+    let command = format!("{} --frequency 5540", feitcsi.local_addr().unwrap());
     let len = log.len() / 600;
-    let (status, err) = recorded(&folder, &address, &["--stop-after", "600records"], |child| {
-        // Once it has said so, it listens; the rest is read by whoever waits for the program.
-        let mut stderr = BufReader::new(child.stderr.take().unwrap());
-        let mut line = String::new();
-        stderr.read_line(&mut line).unwrap();
-        assert!(line.starts_with("listening for FeitCSI's datagrams"), "{line}");
-        let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
-        log.chunks(len).for_each(|frame| assert_eq!(sender.send_to(frame, &address).unwrap(), len));
-        child.stderr = Some(stderr.into_inner());
-        let _: &mut dyn Read = child.stderr.as_mut().unwrap();
+    let (status, err) = recorded(&folder, &command, &["--stop-after", "600records"], |_| {
+        assert_eq!(asked().0, "stop");
+        let (line, asker) = asked();
+        assert_eq!(line, "feitcsi --frequency 5540");
+        // As many as a small receive buffer holds.
+        for (sent, frames) in (0..).zip(log.chunks(20 * len)) {
+            while std::fs::read(folder.0.join("out.csi")).unwrap().len() < sent * 20 * len {
+                std::thread::yield_now();
+            }
+            frames.chunks(len).for_each(|frame| assert_eq!(feitcsi.send_to(frame, asker).unwrap(), len));
+        }
+        assert_eq!(asked().0, "stop");
     });
     assert!(status == 0 && err.contains("600 records written to out.csi") && out() == log, "{status} {err}");
     let (status, said, _) = folder.run(&["info", "out.csi"]);

@@ -26,9 +26,14 @@ pub(super) struct Card {
 }
 
 impl Card {
+    /// A card of the 5000 series.
     pub(super) fn find(system: &dyn System) -> Option<Self> {
+        Self::find_by(system, |device| IWL5300.contains(&device) || SERIES_5000.contains(&device))
+    }
+
+    /// The first of Intel's cards that is known by its identity.
+    pub(super) fn find_by(system: &dyn System, known: impl Fn(&str) -> bool) -> Option<Self> {
         let bus = "/sys/bus/pci/devices";
-        let known = |device: &str| IWL5300.contains(&device) || SERIES_5000.contains(&device);
         system.names(bus).into_iter().find_map(|slot| {
             let vendor = system.text(&format!("{bus}/{slot}/vendor"))?;
             let device = system.text(&format!("{bus}/{slot}/device"))?.to_lowercase();
@@ -115,7 +120,7 @@ fn secure_boot(system: &dyn System, ways: &Ways) -> Check {
     }
 }
 
-fn driver(system: &dyn System, card: &Card) -> Check {
+pub(super) fn driver(system: &dyn System, card: &Card) -> Check {
     match system.link(&format!("/sys/bus/pci/devices/{}/driver", card.slot)) {
         Some(name) if name == "iwlwifi" => Check::good("driver", name, "iwlwifi"),
         Some(name) => Check::bad("driver", format!("bound to {name}"), "iwlwifi").mend("sudo modprobe iwlwifi"),

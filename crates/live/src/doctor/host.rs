@@ -69,7 +69,7 @@ pub(super) fn holds(system: &dyn System, capability: u32) -> Option<bool> {
     u64::from_str_radix(effective.trim(), 16).ok().map(|held| held >> capability & 1 == 1)
 }
 
-fn buffers(system: &dyn System) -> Check {
+pub(super) fn buffers(system: &dyn System) -> Check {
     let expected = format!("net.core.rmem_max of {ENOUGH_BUFFER} bytes or more, a second at 1 kHz");
     let name = "receive buffer";
     match system.text("/proc/sys/net/core/rmem_max").and_then(|text| text.parse::<u64>().ok()) {
@@ -82,7 +82,7 @@ fn buffers(system: &dyn System) -> Check {
     }
 }
 
-fn clock(system: &dyn System) -> Check {
+pub(super) fn clock(system: &dyn System) -> Check {
     let expected = "synchronised: the receiver's clock joins records and trajectory";
     let name = "clock";
     match system.run(&["timedatectl", "show", "-p", "NTPSynchronized"]) {

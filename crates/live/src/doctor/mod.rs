@@ -3,6 +3,7 @@
 //! Every check reads the machine through [`System`], so that tests can stage each failure with a folder of files. The
 //! facts are those of csitool's and WSR's installation notes and of their users' reports.
 
+mod ax2xx;
 mod card;
 mod error;
 mod host;
@@ -82,6 +83,11 @@ impl Check {
 /// The checks that need no reception, in order.
 pub fn examine(system: &dyn System) -> Vec<Check> {
     let card = card::Card::find(system);
+    if card.is_none()
+        && let Some(checks) = ax2xx::checks(system)
+    {
+        return checks;
+    }
     let ways = ways::Ways::find(system);
     let mut checks = card::checks(system, card.as_ref(), &ways);
     checks.extend(radio::checks(system, card.as_ref()));

@@ -43,7 +43,7 @@ fn is_up(system: &dyn System, interface: &str) -> bool {
     u32::from_str_radix(flags.trim_start_matches("0x"), 16).is_ok_and(|flags| flags & 1 != 0)
 }
 
-fn rfkill(system: &dyn System) -> Check {
+pub(super) fn rfkill(system: &dyn System) -> Check {
     let expected = "WiFi is not blocked";
     let class = "/sys/class/rfkill";
     let mut blocked = Vec::new();
@@ -270,7 +270,7 @@ fn rate(system: &dyn System, card: &Card) -> Check {
     }
 }
 
-fn domain(system: &dyn System) -> Check {
+pub(super) fn domain(system: &dyn System) -> Check {
     let expected = "the country that the robots are in";
     let name = "regulatory domain";
     let Some(ran) = system.run(&["iw", "reg", "get"]) else {

@@ -97,6 +97,35 @@ fn a_healthy_machine_has_nothing_in_the_way() {
     assert_eq!(stage.examine().len(), 21);
 }
 
+#[test]
+fn an_ax210_has_its_own_way_to_csi() {
+    let stage = Stage::healthy("ax210");
+    let csi_enabled = "sys/kernel/debug/iwlwifi/0000:01:00.0/iwlmvm/csi_enabled";
+    stage.put(&format!("{CARD}/device"), "0x2725\n");
+    stage.put(csi_enabled, "0\n");
+    stage.put("run/feitcsi --version", "FeitCSI 2.0.0\n");
+    stage.put("run/dmesg", "iwlwifi 0000:01:00.0: loaded firmware version 77.2df8986f.0 ty-a0-gf-a0-77.ucode\n");
+    for check in stage.examine() {
+        assert_eq!(check.verdict, Verdict::Good, "{check:?}");
+    }
+    assert!(stage.check("card").found.contains("AX210 (8086:2725)"), "{:?}", stage.check("card"));
+    assert!(stage.check("way to CSI").mend.unwrap().contains("record OUT.csi --feitcsi"));
+    assert_eq!(stage.check("FeitCSI").found, "FeitCSI 2.0.0");
+    stage.remove(csi_enabled);
+    let check = stage.check("way to CSI");
+    assert!(check.verdict == Verdict::Bad && check.mend.unwrap().contains("feitcsi-iwlwifi"));
+    stage.remove("sys/kernel/debug/iwlwifi");
+    assert_eq!(stage.check("way to CSI").verdict, Verdict::Unknown);
+    stage.remove("run/feitcsi --version");
+    assert_eq!(stage.check("FeitCSI").verdict, Verdict::Bad);
+    stage.put("run/dmesg", "iwlwifi 0000:01:00.0: Microcode SW error detected. Restarting 0x0.\n");
+    assert_eq!(stage.check("firmware loaded").verdict, Verdict::Bad);
+    // A 5300 beside it is examined.
+    stage.put("sys/bus/pci/devices/0000:02:00.0/vendor", "0x8086\n");
+    stage.put("sys/bus/pci/devices/0000:02:00.0/device", "0x4236\n");
+    assert!(stage.check("card").found.contains("4236"));
+}
+
 /// A failure: its name, its staging, the check that reports it, the verdict, a word of the finding, a word of the
 /// remedy.
 type Case = (&'static str, fn(&Stage), &'static str, Verdict, &'static str, &'static str);

@@ -1,12 +1,12 @@
 //! The source of this robot's records.
 
 use super::robots::Odometry;
-use super::values::{one, positive};
+use super::values::{one, parsed, positive};
 use crate::NodeError;
 use csi5300::source::Error;
+use csi5300_live::feitcsi::Command;
 use csi5300_sim::Scene;
 use std::collections::BTreeMap;
-use std::net::SocketAddr;
 use std::path::PathBuf;
 
 /// Sources of records.
@@ -49,8 +49,8 @@ pub struct Stock {
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Feitcsi {
-    /// The address to which it sends datagrams.
-    Udp(SocketAddr),
+    /// The address of its UDP socket, and its options: `127.0.0.1:8008 --frequency 5180`.
+    Udp(#[serde(deserialize_with = "parsed")] Command),
     /// The named pipe that its standard output goes to.
     Pipe(PathBuf),
 }

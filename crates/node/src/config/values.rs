@@ -6,10 +6,14 @@ use serde::de::{Deserialize, Deserializer, Error as _};
 use std::fmt::Display;
 use std::str::FromStr;
 
+pub(super) fn parsed<'de, D: Deserializer<'de>, T: FromStr<Err: Display>>(input: D) -> Result<T, D::Error> {
+    String::deserialize(input)?.parse().map_err(D::Error::custom)
+}
+
 pub(super) fn maybe_parsed<'de, D: Deserializer<'de>, T: FromStr<Err: Display>>(
     input: D,
 ) -> Result<Option<T>, D::Error> {
-    String::deserialize(input)?.parse().map(Some).map_err(D::Error::custom)
+    parsed(input).map(Some)
 }
 
 /// A channel: text, or the number of one of 20 MHz.

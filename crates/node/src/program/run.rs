@@ -65,8 +65,8 @@ fn what_will_run(config: &Config) -> String {
     let capture = match config.capture.get_ref() {
         Capture::Card(_) => "the card of this machine, by its patched driver".to_owned(),
         Capture::Stock(_) => "the card of this machine, under the kernel's own driver".to_owned(),
-        Capture::Feitcsi(Feitcsi::Udp(address)) => {
-            format!("the AX200 or AX210 of this machine: FeitCSI's datagrams to {address}")
+        Capture::Feitcsi(Feitcsi::Udp(command)) => {
+            format!("the AX200 or AX210 that FeitCSI at {} measures", command.to)
         }
         Capture::Feitcsi(Feitcsi::Pipe(pipe)) => {
             format!("the AX200 or AX210 of this machine: what FeitCSI writes to {}", pipe.display())

@@ -35,7 +35,7 @@ pub(super) fn open_stock(
 /// What FeitCSI writes. A pipe stays open, whoever writes to it and whenever.
 pub(super) fn open_feitcsi(asked: &Feitcsi, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
     let frames = match asked {
-        Feitcsi::Udp(address) => Frames::listen(address, wall_us)?,
+        Feitcsi::Udp(command) => Frames::ask(command, wall_us)?,
         Feitcsi::Pipe(pipe) => {
             let io = |source| Error::Io { what: format!("cannot read {}", pipe.display()), source };
             let pipe = std::fs::File::options().read(true).write(true).open(pipe).map_err(io)?;

@@ -206,7 +206,8 @@ impl<T> Live<T> {
 
     /// Tries to understand the clocks, once there are enough more records, and before a side forgets some.
     fn seek(&mut self) {
-        let (count, most) = (self.receiver.len().min(self.transmitter.len()), self.receiver.len().max(self.transmitter.len()));
+        let (count, most) =
+            (self.receiver.len().min(self.transmitter.len()), self.receiver.len().max(self.transmitter.len()));
         if count < self.try_at && (count < LEAST || most < WINDOW) {
             return;
         }

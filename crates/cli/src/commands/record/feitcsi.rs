@@ -4,23 +4,22 @@ use super::super::Result;
 use super::super::live::{Signals, create_refused};
 use super::{Args, Session};
 use csi5300::source::recorder::{LogFiles, Recorder};
-use csi5300_live::feitcsi::{FeitCsi, Frames};
+use csi5300_live::feitcsi::{Command, FeitCsi, Frames};
 use csi5300_live::listener::Lost;
 use csi5300_live::wait::wall_us;
-use std::net::SocketAddr;
 use std::os::fd::AsFd;
 
 /// Where FeitCSI's records come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Way {
     Input,
-    Udp(SocketAddr),
+    Asked(Command),
 }
 
 pub fn source(text: &str) -> std::result::Result<Way, String> {
     match text {
         "-" => Ok(Way::Input),
-        _ => text.parse().map(Way::Udp).map_err(|_| "an address such as 127.0.0.1:8008, or -".into()),
+        _ => text.parse().map(Way::Asked).map_err(|why| format!("{why}, or - for the standard input")),
     }
 }
 
@@ -33,9 +32,9 @@ pub fn run(args: &Args, from: &Way, signals: Signals) -> Result {
             let input = input.map_err(|error| format!("standard input: {error}"))?;
             (Frames::read(input, wall_us), "reading what FeitCSI writes from the standard input".to_owned())
         }
-        Way::Udp(address) => {
-            let frames = Frames::listen(address, wall_us).map_err(|error| with_cause(&error))?;
-            (frames, format!("listening for FeitCSI's datagrams to {address}"))
+        Way::Asked(command) => {
+            let frames = Frames::ask(command, wall_us).map_err(|error| with_cause(&error))?;
+            (frames, format!("FeitCSI at {} was asked to measure", command.to))
         }
     };
     let files = LogFiles::create_bodies(&args.out, args.rotation(), args.force);
