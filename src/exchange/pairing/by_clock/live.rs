@@ -77,8 +77,11 @@ impl Lock {
         let middle = overlay.a.partition_point(|a| (*a as f64) < line.at);
         let mut wanted = vec![0.0; middle];
         let start = overlay.follow_way(line, overlay.a.iter().take(middle).rev().zip(wanted.iter_mut().rev()));
+        // Earlier ones have no partner: the transmitter's records begin later, or it was silent.
+        let first = overlay.b.first().map_or(0.0, |b| *b as f64) - overlay.half_ns;
+        let next = overlay.a.partition_point(|a| start.on_other(*a as f64) < first);
         let (follower, claims, off) = (Follower::new(start), Claims::default(), Vec::new());
-        Self { fit, half_ns: overlay.half_ns, follower, claims, next: 0, last: None, off, looked: 0 }
+        Self { fit, half_ns: overlay.half_ns, follower, claims, next, last: None, off, looked: 0 }
     }
 
     /// Notes the deviation of a record. False if the records have left the line.
@@ -196,12 +199,13 @@ impl<T> Live<T> {
         self.transmitter.forget(transmitter);
     }
 
-    /// The clocks are no longer understood. Gives how many records of each side are up to the last pair.
+    /// The clocks are no longer understood. Gives how many records of each side are up to the last pair; without one, those that
+    /// were looked at in vain.
     fn unlock(&mut self) -> (usize, usize) {
         self.try_at = 2 * LEAST;
         let Some(lock) = self.lock.take() else { return (0, 0) };
         self.before = Some(lock.follower.line);
-        lock.last.map_or((0, 0), |(i, j)| (i + 1, j + 1))
+        lock.last.map_or((lock.next, 0), |(i, j)| (i + 1, j + 1))
     }
 
     /// Tries to understand the clocks, once there are enough more records, and before a side forgets some.
