@@ -17,7 +17,7 @@
 //!
 //! After a step back of a clock, the rest is aligned separately.
 //!
-//! [`ByClock`] takes whole logs, [`Live`] the same records as they come.
+//! [`ByClock`] takes whole logs, `Live` the same records as they come.
 
 mod live;
 

@@ -229,7 +229,6 @@ fn bad_logs_get_a_clear_word_and_no_bearing() {
         ("text.dat", "another kind"),
         ("zero.dat", "lost"),
         ("long.dat", "lost"),
-        (".", "directory"),
         ("none.dat", "No such file"),
     ] {
         let (status, out, err) = folder.run(&["info", file]);
@@ -239,6 +238,15 @@ fn bad_logs_get_a_clear_word_and_no_bearing() {
         assert_eq!(status, 1, "bearing {file}: {out} {err}");
         assert!(err.len() > 20, "{err}");
     }
+    // Of a folder the logs are read, and the other files are named.
+    let (status, out, err) = folder.run(&["info", "."]);
+    assert!(
+        status == 3 && out.contains("rx.dat") && err.contains("text.dat is another kind of file"),
+        "{status} {out}{err}"
+    );
+    let (status, _, err) =
+        folder.run(&["bearing", "--rx", ".", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108"]);
+    assert!(status == 1 && err.contains("directory"), "{err}");
 }
 
 #[test]
