@@ -182,7 +182,7 @@ fn certificates(folder: &Path, name: &str) -> bool {
 /// The packaged example for TLS with this test's files in it, for the robot `name` of the authority in `authority`.
 fn tls(folder: &Path, authority: &Path, name: &str, more: &str) -> String {
     let example = crate::common::root().join("packaging/zenoh-tls.json5");
-    let users = folder.join("users");
+    let users = folder.join("users-tls");
     std::fs::write(&users, "burger-1:change me\n").unwrap();
     let place = |file: &str| authority.join(file).display().to_string();
     let text = std::fs::read_to_string(example)
@@ -221,12 +221,15 @@ fn under_tls_only_robots_of_the_same_authority_are_heard_and_each_as_itself() {
     let publisher = |k: usize, authority: &Path, certificate: &str| {
         cut(publisher(&folder, &logs[k], port)) + &tls(&folder, authority, certificate, &connect)
     };
+    // Their files are all written before anybody reads one.
+    let [other, pretender, stranger] =
+        [publisher(1, &ours, "r1"), publisher(3, &ours, "r1"), publisher(2, &theirs, "r2")];
     let mut own = Node::start(&folder, "r0", &driver);
     let reports = own.reports_when_it_listens();
-    let other = Node::start(&folder, "r1", &publisher(1, &ours, "r1"));
-    let pretender = Node::start(&folder, "r3", &publisher(3, &ours, "r1"));
+    let other = Node::start(&folder, "r1", &other);
+    let pretender = Node::start(&folder, "r3", &pretender);
     // It has a certificate, of somebody else: it goes on asking, and is killed in the end.
-    let _stranger = Node::start(&folder, "r2", &publisher(2, &theirs, "r2"));
+    let _stranger = Node::start(&folder, "r2", &stranger);
     let last = last(reports, 3);
     assert_close(&last[0], truth_deg(&scene, 1));
     assert_eq!([&last[1]["pairs"], &last[2]["pairs"]], [0, 0], "{last:?}");
