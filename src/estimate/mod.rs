@@ -11,6 +11,7 @@
 //! the posterior is that of independent samples (`one_wave`). Everything else is searched with windows, which assume only
 //! that a wave stays coherent over some part of the motion.
 
+mod combine;
 pub(crate) mod likelihood;
 mod mirror;
 pub(crate) mod one_wave;
@@ -24,6 +25,7 @@ use crate::bartlett::{self, Searcher, Tier};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
+pub(crate) use combine::both;
 use likelihood::{Field, Place};
 use nalgebra::Vector3;
 pub use one_wave::Unexplained;

@@ -111,6 +111,9 @@ pub struct Answer {
     /// deviation.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub chain_constants_deg: Vec<[f64; 2]>,
+    /// If the answer has both kinds of evidence: azimuth and error bar by the two logs, then by the receiver's log alone, degrees.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub kinds_deg: Vec<[f64; 2]>,
     /// Shape of the motion.
     pub geometry: Option<String>,
     /// Pairs formed; from one log, records of the sender.
@@ -244,6 +247,7 @@ impl Answer {
         }
         let degrees = |one: &ChainConstant| [one.rad, one.sd_rad].map(f64::to_degrees);
         self.chain_constants_deg = bearing.chain_constants.iter().map(degrees).collect();
+        self.kinds_deg = bearing.kinds_rad.iter().map(|kind| kind.map(f64::to_degrees)).collect();
         self.pairs_in_motion = bearing.pairs.in_motion;
         self.pair_counts = bearing.pairs;
         self.compensated = bearing.compensated;

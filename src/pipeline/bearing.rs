@@ -256,9 +256,36 @@ pub struct Bearing {
     pub path_m: Vec<Vector3<f64>>,
     /// The phase of every pair, if [`super::Options::keep_course`] asked for it.
     pub course: Vec<Phase>,
+    /// The posterior that the answer was read from.
+    pub(super) found: Found,
+    /// Azimuth and error bar by two logs, and by one, radians, if the answer has both kinds of evidence.
+    pub(super) kinds_rad: Vec<[f64; 2]>,
 }
 
 impl Bearing {
+    /// This bearing, of two logs, with what `one` tells of the same transmitter by antennas on the same robot over the same
+    /// path: their log-likelihoods over azimuths add. Ranges and elevations are those of two logs.
+    #[doc(hidden)] // for the crates of this workspace
+    #[must_use]
+    pub fn with_one_log(&self, one: &Self) -> Self {
+        let found = crate::estimate::both(
+            &self.found,
+            &one.found,
+            self.found.blur.heading_rad,
+            (self.mean_position_m - one.mean_position_m).norm(),
+        );
+        let count = self.density.len();
+        let kind = |own: &BearingAnswer| [own.azimuth_rad, own.azimuth_sd_rad];
+        Self {
+            answer: BearingAnswer::of(&found, &self.samples),
+            density: if count > 0 { found.density(count) } else { Vec::new() },
+            chain_constants: one.chain_constants.clone(),
+            kinds_rad: vec![kind(&self.answer), kind(&one.answer)],
+            found,
+            ..self.clone()
+        }
+    }
+
     /// Azimuth relative to the robot's heading at the last sample used, radians. With a place
     /// ([`BearingAnswer::has_place`]) it is seen from the receiver's antenna at that time; else from the mean position,
     /// like [`BearingAnswer::azimuth_rad`].

@@ -120,9 +120,11 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
         mean_position_m: sum / samples.len() as f64,
         density: if options.keep_course { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },
         slope_sd_rad: found.slope_sd_rad,
-        plane_wave: found.plane_wave,
+        plane_wave: found.plane_wave.clone(),
         course: if options.keep_course { gated.course(link, &times_s, &phases.z) } else { Vec::new() },
         samples: gated.samples,
+        found,
+        kinds_rad: Vec::new(),
         path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
     })
 }

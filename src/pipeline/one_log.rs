@@ -900,7 +900,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         mean_position_m: sum / poses.len().max(1) as f64,
         density: if keeps { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },
         slope_sd_rad: None,
-        plane_wave: found.plane_wave,
+        plane_wave: found.plane_wave.clone(),
         course: if keeps { course(sender, &times_s, &joined) } else { Vec::new() },
         path_m: joined
             .arm
@@ -911,6 +911,8 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
             .collect(),
         chain_constants: towards.filter(|_| *anchors == 0).map(|at| joined.constants(&at)).unwrap_or_default(),
         samples: samples.clone(),
+        found,
+        kinds_rad: Vec::new(),
     })
 }
 

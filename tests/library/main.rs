@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod ax210;
+mod both;
 mod by_clock;
 #[path = "../common/mod.rs"]
 mod common;

@@ -63,7 +63,8 @@ impl LiveEstimator {
 
     /// The same with bearings of what these antennas of this robot's card hear alone, while the robot turns or where the
     /// constants of their chains are known: of the peers with these numbers, which need not answer, and of every other sender
-    /// that is heard, the first 16. The reports of the others are numbered on from the peers'.
+    /// that is heard, the first 16. The reports of the others are numbered on from the peers'. If a peer answers and stands, both kinds of
+    /// evidence make its bearing.
     #[doc(hidden)] // for the crates of this workspace
     #[must_use]
     pub fn with_array(mut self, array: Array, heard_only: &[usize], now: Instant) -> Self {
@@ -74,7 +75,8 @@ impl LiveEstimator {
         });
         let named = named.collect();
         let paired = self.paired().map(|state| state.peer.mac).collect();
-        self.heard = Some(Heard::new(array, named, (self.own, paired), self.options.clone(), now));
+        self.heard =
+            Some(Heard::new(array, named, (self.own, paired), (self.options.clone(), self.settings.window_s), now));
         self
     }
 
@@ -193,7 +195,7 @@ impl LiveEstimator {
         let paired_at = due.and_then(|(index, _)| self.peers.get(index)).map(|state| state.due);
         if let Some(heard) = self.heard.as_mut().filter(|heard| heard.is_before(paired_at, now)) {
             let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
-            let context = Context { track, settings, options, plain, now, why: Why::Due };
+            let context = Context { track, settings, options, plain, one_log: None, now, why: Why::Due };
             let report = heard.poll_report(context);
             self.forget();
             return report.map(|(number, report)| (self.number_of(number), report));
@@ -207,7 +209,8 @@ impl LiveEstimator {
             state.due = if now - state.due > period { now + period } else { state.due + period };
         }
         let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
-        let report = state.report(Context { track, settings, options, plain, now, why });
+        let one_log = self.heard.as_ref().map(Heard::log);
+        let report = state.report(Context { track, settings, options, plain, one_log, now, why });
         self.forget();
         Some((index, report))
     }
@@ -227,12 +230,14 @@ impl LiveEstimator {
     /// Ends all sources, and returns every peer's last report.
     pub fn finish(&mut self, now: Instant) -> Vec<PeerReport> {
         let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
-        let context = Context { track, settings, options, plain, now, why: Why::End };
+        let one_log = self.heard.as_ref().map(Heard::log);
+        let context = Context { track, settings, options, plain, one_log, now, why: Why::End };
         let last = |state: &mut PeerLink| {
             state.finish(now, context.options);
             state.report(context)
         };
         let mut reports: Vec<PeerReport> = self.peers.iter_mut().map(last).collect();
+        let context = Context { track, settings, options, plain, one_log: None, now, why: Why::End };
         for (number, report) in self.heard.iter_mut().flat_map(|heard| heard.finish(context)) {
             match number.ok().and_then(|peer| reports.get_mut(peer)) {
                 Some(own) => *own = report,

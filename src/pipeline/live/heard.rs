@@ -29,8 +29,9 @@ pub(super) struct Heard {
     links: Vec<HeardLink>,
     named: usize,
     own: Mac,
-    /// Peers with paired links, which have no bearing here.
+    /// Peers with paired links, which have no bearing here, and how far back what was heard of them is kept.
     paired: BTreeSet<Mac>,
+    window_us: i64,
 }
 
 /// What matters of the array.
@@ -92,7 +93,7 @@ impl Heard {
         array: Array,
         named: Vec<(usize, String, Mac)>,
         (own, paired): (Mac, BTreeSet<Mac>),
-        options: Options,
+        (options, window_s): (Options, f64),
         now: Instant,
     ) -> Self {
         let (length_m, constants_known) = array.reach();
@@ -100,8 +101,14 @@ impl Heard {
         let links: Vec<HeardLink> = named.into_iter().map(link).collect();
         let named = links.len();
         // A frame without a sender has a place too, of which nothing is made.
-        let log = OneLog::new(array, options).keeping(named + OTHERS + 1, ROWS);
-        Self { log, array: Reach { length_m, constants_known }, links, named, own, paired }
+        let log = OneLog::new(array, options).keeping(named + paired.len() + OTHERS + 1, ROWS);
+        let window_us = (window_s * 1e6) as i64;
+        Self { log, array: Reach { length_m, constants_known }, links, named, own, paired, window_us }
+    }
+
+    /// What was heard.
+    pub(super) fn log(&self) -> &OneLog {
+        &self.log
     }
 
     /// Takes what this robot's card gave.
@@ -110,8 +117,14 @@ impl Heard {
         let Next::Record(stamps, _) = next else { return };
         let others = self.links.len() - self.named;
         let known = self.links.iter().position(|link| link.mac == mac);
-        let is_left_out = mac.is_zero() || mac == self.own || self.paired.contains(&mac) || others >= OTHERS;
-        if known.is_none() && is_left_out {
+        if self.paired.contains(&mac) {
+            let from_us = host_us.map_or(i64::MIN, |now_us| now_us.saturating_sub(self.window_us));
+            if self.log.first_us(mac).is_some_and(|first_us| first_us < from_us) {
+                self.log.forget_before(mac, from_us, true);
+            }
+            return;
+        }
+        if known.is_none() && (mac.is_zero() || mac == self.own || others >= OTHERS) {
             self.log.forget_before(mac, i64::MAX, false);
             return;
         }
@@ -152,6 +165,7 @@ impl Heard {
 
     /// What was measured is of another frame.
     pub(super) fn begin_anew(&mut self) {
+        self.paired.iter().for_each(|mac| self.log.forget_before(*mac, i64::MAX, true));
         for link in &mut self.links {
             self.log.forget_before(link.mac, i64::MAX, true);
             (link.last, link.bearing, link.searched) = (None, None, None);

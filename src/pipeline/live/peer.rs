@@ -6,7 +6,9 @@ use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::pairing::by_clock::{self, CardClock};
 use crate::motion::pose::{Pose, Trajectory};
-use crate::pipeline::{Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, Options, estimate_one};
+use crate::pipeline::{
+    Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, OneLog, Options, estimate_one,
+};
 use crate::place::track::{PeerTrack, TrackCounts, TrackSettings};
 use crate::source::Next;
 use crate::time::{Instant, Span};
@@ -87,6 +89,8 @@ pub(super) struct Context<'a> {
     pub(super) options: &'a Options,
     /// The same without the accuracy layer.
     pub(super) plain: &'a Options,
+    /// What this robot's antennas hear alone, if it has an array.
+    pub(super) one_log: Option<&'a OneLog>,
     pub(super) now: Instant,
     pub(super) why: Why,
 }
@@ -359,7 +363,14 @@ impl PeerLink {
         let accurate = context.has_layers() && (context.why != Why::Due || context.settings.accurate_every_s <= 0.0);
         let join = LinkJoin { link: &self.link, receiver: &receiver, transmitter };
         let options = if accurate { context.options } else { context.plain };
-        let made = estimate_one(&join, options);
+        let two = estimate_one(&join, options);
+        // A peer that moves is not where it was when it was heard first.
+        let one_log = context.one_log.filter(|_| accurate && transmitter.is_none());
+        let one = one_log.and_then(|log| log.bearing(self.peer.mac, &receiver, options).ok());
+        let made = match (two, one) {
+            (Ok(two), Some(one)) => Ok(two.with_one_log(&one)),
+            (two, _) => two,
+        };
         let mut answer = Answer::of(self.peer.name.clone(), Some(&self.link), made.as_ref());
         self.bearing = made.ok();
         self.counts.estimates += 1;

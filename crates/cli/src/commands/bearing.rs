@@ -107,15 +107,15 @@ struct Logs {
     columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
-    /// Bearings to all senders in --rx by two antennas of a robot that turns, without --tx. Place of the first of
-    /// --antennas seen from the second: metres forward, left, up. Repeat it for a third antenna. With the constant DEG
+    /// Bearings to all senders in --rx by two antennas of a robot that turns; with --tx, by these and the answers. Place of
+    /// the first of --antennas seen from the second: metres forward, left, up. Repeat it for a third antenna. With the constant DEG
     /// of the chains and its deviation SD (`chain_constants_deg` of --json), the robot may stand
     #[arg(
         long,
         value_name = "X,Y,Z[,DEG[,SD]]",
         value_parser = baseline,
         allow_hyphen_values = true,
-        conflicts_with_all = ["tx", "tx_trajectory", "rx_mac", "key", "bag", "antenna_offset", "camera_mount", "explain"],
+        conflicts_with_all = ["tx_trajectory", "bag", "camera_mount", "explain"],
         hide_short_help = true
     )]
     baseline: Vec<Baseline>,
@@ -192,7 +192,10 @@ pub fn run(mut args: Args) -> Result {
         );
     }
     roles::take(&mut args)?;
-    if !args.logs.baseline.is_empty() {
+    if !args.logs.baseline.is_empty() && args.logs.tx.is_empty() {
+        if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
+            usage("with --baseline, --rx-mac, --key and --antenna-offset need --tx");
+        }
         return one_log::run(&args);
     }
     if !args.captures.is_empty() {
@@ -229,7 +232,10 @@ pub fn run(mut args: Args) -> Result {
         .map(|(k, log)| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: partners.get(k) })
         .collect();
     super::threads::make(0)?;
-    let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
+    let mut report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
+    if !args.logs.baseline.is_empty() {
+        one_log::join(&args, &inputs, (&rx, &named.trajectory), &mut report)?;
+    }
     say_losses(&args, &rx, &report, &receiver, &logs);
     let names = told_apart(args.logs.tx.iter().map(|path| link_name(&inputs, path)).collect());
     let mut answered = 0;

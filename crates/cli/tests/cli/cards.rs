@@ -376,14 +376,28 @@ fn an_address_without_its_half_is_shown_whole() {
 fn info_takes_the_logs_of_a_folder() {
     let folder = Folder::new("info-folder");
     let scene = std::fs::read_to_string(crate::common::root().join("scenes/two-antennas.toml")).unwrap();
-    let [rx, tx, path] = simulated(&folder, "room", &scene, "odom_rx_");
+    simulated(&folder, "room", &scene, "odom_rx_");
     let (status, out, _) = folder.run(&["info", "room", "--json"]);
     assert_eq!((status, out.lines().count()), (0, 2), "{out}");
     std::fs::create_dir(folder.0.join("empty")).unwrap();
     let (status, _, err) = folder.run(&["info", "empty"]);
     assert!(status == 1 && err.contains("no log in this folder"), "{status} {err}");
-    // Two antennas are of one log.
-    let named = ["bearing", "--rx", &rx, "--trajectory", &path, "--channel", "108", "--antennas", "A,B"];
-    let (status, _, err) = folder.run(&[&named[..], &["--baseline", "0.1,0,0", "--tx", &tx]].concat());
-    assert!(status == 2 && err.contains("--baseline") && err.contains("--tx"), "{status} {err}");
+}
+
+#[test]
+fn two_logs_and_two_antennas_give_one_answer() {
+    let folder = Folder::new("both-kinds");
+    let scene = std::fs::read_to_string(crate::common::root().join("scenes/two-antennas.toml")).unwrap();
+    let scene = scene.replace("radius_m = 0.0", "radius_m = 0.05");
+    let [rx, tx, path] = simulated(&folder, "room", &scene, "odom_rx_");
+    let named = ["bearing", "--rx", &rx, "--trajectory", &path, "--channel", "108", "--json"];
+    let antennas = ["--antennas", "A,B", "--baseline", "0.1,0,0"];
+    let (status, out, err) = folder.run(&[&named[..], &antennas, &["--tx", &tx]].concat());
+    let answer = json(out.lines().next().unwrap());
+    // From the circle's middle.
+    let off = answer["azimuth_deg"].as_f64().unwrap() - (5.0_f64 - 0.05).atan2(3.0).to_degrees();
+    let kinds = answer["kinds_deg"].as_array().unwrap();
+    assert!(status == 0 && off.abs() < 0.5 && kinds.len() == 2, "{off} {answer}{err}");
+    let (status, _, err) = folder.run(&[&named[..], &antennas, &["--rx-mac", "02:53:00:00:00:01"]].concat());
+    assert!(status == 2 && err.contains("need --tx"), "{err}");
 }

@@ -153,3 +153,20 @@ fn a_robot_that_stands_has_a_bearing_by_the_constant_that_a_turn_gave() {
     println!("standing: nearest candidate {nearest:.2} deg off of {}", last[0].answer.candidates.len());
     assert!(last[0].state == PeerState::Bearing && nearest < 3.0, "{:?}", last[0]);
 }
+
+#[test]
+fn what_is_heard_is_evidence_beside_the_answers_of_a_peer() {
+    let folder = folder("two-antennas-both");
+    let text = two_antennas("[[peer]]\nname = \"tx\"\nrecords.room = {}\n[estimator]\nleast_motion_m = 0.02\n");
+    let scene = std::fs::read_to_string(crate::common::root().join("scenes/two-antennas.toml")).unwrap();
+    std::fs::write(folder.join("room.toml"), scene.replace("radius_m = 0.0", "radius_m = 0.05")).unwrap();
+    let text = text.replace("scene = \"two-antennas\"", "scene = \"room.toml\"");
+    let config = Config::read(&text, &folder).unwrap_or_else(|error| panic!("{error}"));
+    let (_, last) = run(machine(&config), Instant::from_us(12_000_000));
+    let [report] = &last[..] else { panic!("{last:?}") };
+    let [two, one] = report.answer.kinds_deg[..] else { panic!("{report:?}") };
+    let off = off_deg(report, 5.0_f64.atan2(3.0).to_degrees());
+    println!("{two:?} by answers, {one:?} heard, {off:.2} deg off by both");
+    assert!(report.state == PeerState::Bearing && off < 1.0, "{off} {report:?}");
+    assert!(report.answer.azimuth_sd_deg.unwrap() < 1.1 * two[1].min(one[1]) + 0.02, "{report:?}");
+}

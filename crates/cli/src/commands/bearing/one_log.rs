@@ -6,7 +6,9 @@ use super::captures::MirrorOf;
 use super::{Args, artefacts, describe, link_name, options, pairs};
 use csi_formats::{Item, Items, Why};
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::{Answer, Array, ArrayError, ChainConstant, LinkReport, OneLog, OneLogReport, Options, one_log};
+use csi5300::pipeline::{
+    Answer, Array, ArrayError, CaptureReport, ChainConstant, LinkReport, OneLog, OneLogReport, Options, one_log,
+};
 use nalgebra::Vector3;
 use std::path::Path;
 
@@ -52,6 +54,40 @@ fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
     let array = Array::new(&args.estimation.antenna, &metres)?;
     let constants: Vec<ChainConstant> = args.logs.baseline.iter().filter_map(|baseline| baseline.constant).collect();
     if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
+}
+
+/// Adds the evidence of the receiver's log alone to the bearings of two logs.
+pub fn join(
+    args: &Args,
+    inputs: &Inputs,
+    (rx, path): (&Path, &Path),
+    report: &mut CaptureReport,
+) -> std::result::Result<(), String> {
+    if rx.as_os_str() == "-" {
+        usage("with --baseline and --tx the log is read twice: --rx cannot be standard input");
+    }
+    let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
+    let mut options = options(args).unwrap_or_else(|message| usage(&message));
+    // Every sender: the clocks told which of them a transmitter's log is of.
+    options.tx_macs.clear();
+    let trajectory = inputs.trajectory(path)?;
+    let one = match other_card(rx, &trajectory, &array, &options)? {
+        Some((one, _)) => one,
+        None => one_log(&mut inputs.open(rx)?, &trajectory, &array, &options).map_err(|error| error.to_string())?,
+    };
+    for link in &mut report.links {
+        let heard = one.links.iter().find(|heard| heard.mac.is_some() && heard.mac == link.mac);
+        let Some(heard) = heard.map(|heard| &heard.bearing) else { continue };
+        match (&link.bearing, heard) {
+            (Ok(two), Ok(heard)) => link.bearing = Ok(two.with_one_log(heard)),
+            (Err(why), Ok(heard)) => {
+                note!("the two logs give no bearing ({why}): this one is from {} alone", rx.display());
+                link.bearing = Ok(heard.clone());
+            }
+            (_, Err(why)) => note!("{} alone gives no bearing: {why}", rx.display()),
+        }
+    }
+    Ok(())
 }
 
 /// Estimates and prints the bearings.
