@@ -82,7 +82,7 @@ fn an_inertial_unit_turns_the_robot_from_where_odometry_began() {
     shared.odometry(&odometry(10.0, 0.0, 0.5), None, 10_000_000);
     imu(2.3, 10_100_000);
     shared.odometry(&odometry(10.1, 0.0, 0.6), None, 10_100_000);
-    // Silent since: odometry's own.
+    // The unit has gone silent: odometry's own heading.
     shared.odometry(&odometry(10.9, 0.0, 0.7), None, 10_900_000);
     let headings: Vec<f64> = poses(&shared).iter().filter_map(|pose| pose.heading_rad).collect();
     for (heading, expected) in headings.iter().zip([0.5, 0.8, 0.7]) {

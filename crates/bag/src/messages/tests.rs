@@ -2,7 +2,7 @@ use super::own::{Bearing, Csi};
 use super::standard::{Odometry, Time};
 use super::{Cdr, Described, Message};
 
-/// The fields of a shipped file.
+/// The fields of a `.msg` file.
 fn fields(text: &str) -> String {
     let plain =
         |line: &str| line.split('#').next().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");

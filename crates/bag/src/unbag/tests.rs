@@ -30,7 +30,7 @@ pub(super) fn csi(number: u32) -> Csi {
     }
 }
 
-/// A path of a test's own: tests of one process run beside each other.
+/// A path of this test alone: tests of one process run in parallel.
 pub(super) fn own_path(name: &str) -> PathBuf {
     static COUNT: AtomicU64 = AtomicU64::new(0);
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
@@ -60,7 +60,7 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
         (odometry.pose.pose.position.x, odometry.pose.pose.orientation.w) = (1.5, 1.0);
         put(writer, "/odom", &odometry);
         put(writer, "/clock", &Clock::default());
-        // A bearing, drawn as a pose.
+        // A bearing published as a pose.
         put(writer, "/lab/csi5300_a/b/direction", &PoseStamped::default());
         writer.finish().unwrap();
     });
@@ -111,7 +111,7 @@ fn a_log_that_was_published_and_recorded_is_the_log_again() {
     assert!(bodies(log).len() > 100 && bodies(log).len() == bodies(&again).len());
     for (before, after) in bodies(log).into_iter().zip(bodies(&again)) {
         let (before, after) = (Bfee::new_checked(before).unwrap(), Bfee::new_checked(after).unwrap());
-        // Chains are in the order of their antennas afterwards.
+        // Chains are then in the order of their antennas.
         let plain = |bfee| Repr { antenna_sel: 0, reserved: 0, ..Repr::parse(bfee) };
         assert_eq!(plain(&before), plain(&after));
         let matrix = |bfee| Matrix::from_bfee(bfee).unwrap();

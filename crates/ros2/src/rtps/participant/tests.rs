@@ -7,7 +7,7 @@ pub(super) fn at(last: u8, port: u16) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::new(127, 0, 0, last), port)
 }
 
-/// Participants that send each other datagrams; those that `lose` says are lost.
+/// Participants that exchange datagrams; those that `lose` selects are lost.
 pub(super) struct Net {
     pub all: Vec<Participant>,
     pub now: Instant,
@@ -37,7 +37,7 @@ impl Net {
         Self { all, now: Instant::ZERO, events, lose: |_| false, sent: 0, places: (1..=count).collect() }
     }
 
-    /// So many milliseconds, in steps of ten.
+    /// Runs this many milliseconds, in steps of ten.
     pub fn run(&mut self, ms: i64) {
         for _ in 0..ms / 10 {
             self.now += Span::from_ms(10);
@@ -59,7 +59,7 @@ impl Net {
         self.all[participant].write(writer, Arc::from([0, 1, 0, 0, sample]), WALL_US);
     }
 
-    /// Last bytes of the samples that came.
+    /// Last bytes of the received samples.
     pub fn came(&self, participant: usize) -> Vec<u8> {
         self.events[participant].iter().map(|event| event.payload[4]).collect()
     }
@@ -68,7 +68,7 @@ impl Net {
 #[test]
 fn two_find_each_other_and_samples_arrive_in_order_though_a_quarter_is_lost() {
     let mut net = Net::new(2);
-    // A quarter, in no order that an exchange could follow.
+    // A quarter, in a pattern that no exchange can follow.
     net.lose = |k| (k as u32).wrapping_mul(2_654_435_761) >> 16 & 3 == 0;
     net.all[0].add_writer("rt/a", "T", Qos::reliable(300), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
@@ -106,7 +106,7 @@ fn what_is_latched_comes_to_who_is_late_and_the_rest_does_not() {
 fn an_answer_waits_for_the_reader_of_who_asked_and_comes_once() {
     let mut net = Net::new(3);
     net.all[0].add_writer("rr/aReply", "T", Qos::reliable(10), WALL_US);
-    // Somebody else who reads answers of this service.
+    // Another client of this service.
     net.all[2].add_reader("rr/aReply", "T", Qos::reliable(10), WALL_US);
     net.run(1_000);
     let answer = |net: &mut Net, sample| {
@@ -124,7 +124,7 @@ fn an_answer_waits_for_the_reader_of_who_asked_and_comes_once() {
     net.run(100);
     assert_eq!(net.came(1), [9, 10], "once its reader is known it does not wait");
     assert_eq!(net.all[0].counts().unanswered, 0);
-    // One that nobody reads is given up and counted, and there is an end to how many wait.
+    // An unread answer is given up and counted, and the number of waiting answers is bounded.
     let nobody = |net: &mut Net| {
         let answer = (Arc::from([0, 1, 0, 0, 7]), None);
         net.all[0].answer(0, [9; 12], answer, (net.now, WALL_US));
@@ -195,7 +195,7 @@ fn who_leaves_is_gone_at_once_and_who_dies_after_its_lease() {
 #[test]
 fn one_that_gets_another_address_is_met_there_at_once_and_loses_nothing_reliable() {
     let mut net = Net::new(2);
-    // Both directions: the one that moves writes, and reads.
+    // Both directions: the one that moves writes and reads.
     net.all[0].add_writer("rt/a", "T", Qos::reliable(300), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
     net.all[1].add_writer("rt/b", "T", Qos::reliable(300), WALL_US);
@@ -208,7 +208,7 @@ fn one_that_gets_another_address_is_met_there_at_once_and_loses_nothing_reliable
         }
     };
     exchange(&mut net, 0..50);
-    // The old address is gone; nothing comes there, and what was sent there is lost.
+    // The old address is gone: whatever is sent there is lost.
     net.places[0] = 9;
     exchange(&mut net, 50..100);
     let settings = |last| Settings {
