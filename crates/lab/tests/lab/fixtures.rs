@@ -1,4 +1,4 @@
-//! The committed fixtures are what the simulator makes, to the byte, and give the bearing that their scene states.
+//! The simulator reproduces the committed fixtures byte by byte, and they give their scene's bearing.
 
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
