@@ -1,4 +1,4 @@
-//! Every error says its numbers: what was read and what would have been right.
+//! Every error contains its numbers: the value read and the value expected.
 
 use crate::bfee::{self, Antenna, InvalidPerm};
 use crate::record::Reason;
@@ -6,7 +6,7 @@ use crate::stock::{BadPacket, EventError};
 use crate::{EmitError, Mac, ParseMacError, connector, mpdu, radiotap, sounding};
 use std::string::{String, ToString};
 
-/// True if a number stands alone in a text, not as a part of a longer one.
+/// True if a number stands alone in a text, not as part of a longer one.
 fn says(text: &str, number: &str) -> bool {
     text.split(|c: char| !c.is_ascii_alphanumeric()).any(|word| word == number)
 }

@@ -287,7 +287,7 @@ impl LogPictures<'_> {
     }
 }
 
-/// True if a long gap lies between two neighbouring points of a line.
+/// True if a gap of at least half their distance lies between two neighbouring points of a line.
 fn is_broken(from_s: f64, to_s: f64, gaps_s: &[(f64, f64)]) -> bool {
     let between = gaps_s.partition_point(|gap| 0.5 * (gap.0 + gap.1) <= from_s);
     let inside = gaps_s.iter().skip(between).take_while(|gap| 0.5 * (gap.0 + gap.1) < to_s);

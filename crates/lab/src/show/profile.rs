@@ -32,7 +32,7 @@ pub struct ProfilePlot {
 
 const CENTRE: (f64, f64) = (390.0, 520.0);
 const RADIUS: f64 = 310.0;
-/// Left edge of the enlarged view.
+/// Position and size of the enlarged view, pixels.
 const ENLARGED: [f64; 4] = [820.0, 210.0, 340.0, 620.0];
 /// Least and largest half width of the enlarged view, degrees.
 const HALF_WIDTH_DEG: (f64, f64) = (6.0, 60.0);
