@@ -1,4 +1,4 @@
-//! Bytes seen on real kernels, and properties.
+//! Bytes seen on real kernels, and property tests.
 
 use super::*;
 use proptest::prelude::*;
@@ -113,7 +113,7 @@ fn vendor_fields_are_skipped_by_their_length() {
     ];
     let repr = parsed(&bytes);
     assert_eq!((repr.flags, repr.signal_dbm), (Some(0x40), Some(-50)));
-    // They may be the last of the header, and may not go beyond it.
+    // They may end the header, but not exceed it.
     for (len, fits) in [(1, true), (2, true), (3, false), (0xffff, false)] {
         let mut header = std::vec![0, 0, 16, 0, 0, 0, 0, 0x40, 1, 2, 3, 0, 0, 0, 9, 9];
         header[12..14].copy_from_slice(&u16::to_le_bytes(len));
@@ -211,7 +211,7 @@ fn a_width_is_said_where_its_bit_is_set() {
     let width = |known, flags| Mcs { known, flags, index: 1 }.bandwidth();
     use Bandwidth::{Ht20, Ht40};
     assert_eq!([0, 1, 2, 3].map(|flags| width(1, flags)), [Some(Ht20), Some(Ht40), Some(Ht20), Some(Ht20)]);
-    // Other bits of both bytes say other things.
+    // Other bits of both bytes have other meanings.
     assert_eq!([0, 1, 2, 3].map(|flags| width(0xfe, flags)), [None; 4]);
     assert_eq!([width(0xff, 0xfd), width(0xff, 0xfc)], [Some(Ht40), Some(Ht20)]);
 }
@@ -229,9 +229,9 @@ fn a_word_of_an_unknown_namespace_ends_the_walk_where_it_has_fields() {
         bytes.extend(fields);
         bytes
     };
-    // The second word is of no namespace. Without fields it leads on to one of radiotap's.
+    // The second word has no namespace. Without fields it leads on to a word of radiotap's.
     assert_eq!(parsed(&header(&[EXT, EXT | RADIOTAP, RATE], &[12])).rate, Some(12));
-    // With one, of unknown size, nothing behind it can be found: neither a rate nor a vendor's fields, which are not there.
+    // With a field, of unknown size, nothing after it can be located: neither a rate nor vendor fields.
     for field in [0, 5, 28] {
         assert_eq!(parsed(&header(&[EXT, EXT | RADIOTAP | 1 << field, RATE], &[12])).rate, None, "{field}");
         assert_eq!(parsed(&header(&[EXT, VENDOR | 1 << field], &[])), Repr::default(), "{field}");

@@ -1,4 +1,4 @@
-//! The C header says what the Rust constants say. No C compiler is needed: the header holds nothing but `#define`s.
+//! The C header has the same constants as Rust. No C compiler is needed: the header contains only `#define`s.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use std::collections::BTreeMap;

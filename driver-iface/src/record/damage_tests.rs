@@ -1,4 +1,4 @@
-//! Damage that looks like records, and records in places where damage hides them.
+//! Damage that looks like records, and records hidden by damage.
 
 use super::tests::{bfee_record, framed, in_chunks, mpdu_record, records};
 use super::*;
@@ -6,7 +6,7 @@ use crate::bfee::{self, Iq};
 use std::vec;
 use std::vec::Vec;
 
-/// The stretches of a stream that are no record: where, how long, why.
+/// The damaged stretches of a stream: offset, length, reason.
 fn damage(bytes: &[u8]) -> Vec<(u64, usize, Reason)> {
     let bad = events(bytes).filter_map(|step| match step {
         Step::Bad { offset, skipped, reason } => Some((offset, skipped, reason)),
@@ -21,14 +21,14 @@ fn a_record_that_nothing_follows_is_named_by_its_code() {
     let stream = [framed(0x42, &[0; 10]), vec![0; 7], good.concat()].concat();
     assert_eq!(damage(&stream), [(0, 20, Reason::NotFollowed { code: 0x42, expect: 13 })]);
     assert!(records(&stream) == good);
-    // Nor does the stream's end speak for half of one.
+    // The stream's end does not vouch for half a record either.
     let half = [good.concat(), framed(0x42, &[0; 10])[..9].to_vec()].concat();
     assert_eq!(damage(&half), [(466, 9, Reason::NotFollowed { code: 0x42, expect: 13 })]);
 }
 
 #[test]
 fn frames_with_wrong_checksums_are_refused_however_many_came_before() {
-    // 120 KB of them, each behind foreign bytes and before a bfee: only its checksum speaks against it.
+    // 120 KB of them, each after foreign bytes and before a bfee: only the checksum shows that it is damaged.
     let mut wrong = mpdu_record(3, 3000);
     *wrong.last_mut().unwrap() ^= 1;
     let round = |k: u8| [bfee_record(k, 3, 1, true), vec![0xff; 5], wrong.clone(), bfee_record(k + 100, 3, 1, true)];
@@ -45,7 +45,7 @@ fn records_of_an_unknown_code_that_is_their_length_too_are_kept() {
     }
 }
 
-/// Part of a bfee is lost, and where its length ends, inside the next, bytes happen to lead to the one behind that.
+/// Part of a bfee is lost, and the bytes where its length ends, inside the next record, happen to lead to the one after that.
 #[test]
 fn what_follows_by_chance_hides_no_record() {
     let [cut, mut hidden, last] = [1, 2, 3].map(|k| bfee_record(k, 3, 1, true));
@@ -58,7 +58,7 @@ fn what_follows_by_chance_hides_no_record() {
     assert!(records(&stream) == [hidden, last]);
 }
 
-/// As many bytes of a frame are lost as the bfee behind it has: where its length ends, a record begins.
+/// A frame loses as many bytes as the following bfee has: where its length ends, a record begins.
 #[test]
 fn a_bfee_that_took_the_place_of_a_frames_end_is_found() {
     for (n_rx, n_tx, wsr) in [(1, 1, false), (3, 1, true), (2, 3, false), (3, 3, false), (3, 3, true)] {
@@ -82,8 +82,8 @@ fn a_record_behind_more_damage_than_one_look_takes_is_found() {
     }
 }
 
-/// The last four bytes of a frame are lost. The bfee behind it has numbers that read as a noise record where the
-/// frame would have ended: with no more bytes than that, nothing can be said yet.
+/// The last four bytes of a frame are lost. The following bfee has numbers that look like a noise record at the frame's expected
+/// end: with only these bytes, nothing can be decided yet.
 #[test]
 fn a_record_that_begins_in_the_last_bytes_of_another_is_waited_for() {
     let noise = framed(code::NOISE, &(-92_i32).to_le_bytes());
@@ -109,8 +109,8 @@ fn a_record_that_begins_in_the_last_bytes_of_another_is_waited_for() {
     }
 }
 
-/// Each byte that comes has the same front judged again. Its checksum is paid for once: with the credit used up, the frame with a bad
-/// one further on would count as unchecked, and be believed.
+/// Each new byte has the same front judged again. Its checksum is computed once: with the credit used up, a later frame with a bad
+/// checksum would count as unchecked and be accepted.
 #[test]
 fn a_frame_in_doubt_is_checked_once_however_its_bytes_come() {
     let mut wrong = mpdu_record(4, 60);

@@ -35,7 +35,7 @@ fn csi() -> Vec<u8> {
     data
 }
 
-/// All packets of a stream; the records as code and body.
+/// Handles all packets of a stream; returns the records as code and body.
 fn records(card: &mut Card, options: &Options, stream: &[(u8, Vec<u8>)]) -> Vec<(u8, Vec<u8>)> {
     let mut body = [0; MAX_BODY];
     let one = |(command, data): &(u8, Vec<u8>)| {
@@ -70,7 +70,7 @@ fn nothing_of_another_frame_is_ever_used() {
     };
     let [c0, c1, bb] = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
     let short = |(command, data): &(u8, Vec<u8>)| (*command, data[..data.len() - 9].to_vec());
-    // A second 0xBB, one before any 0xC0, one after a 0xC0 that cannot be read, one after a new start of the firmware.
+    // A second 0xBB; one before any 0xC0; one after an unreadable 0xC0; one after a firmware restart.
     assert_eq!(count(&[c0.clone(), c1.clone(), bb.clone(), bb.clone()]).1.no_phy, 1);
     assert_eq!(
         count(&[c1.clone(), bb.clone()]).1,
@@ -78,7 +78,7 @@ fn nothing_of_another_frame_is_ever_used() {
     );
     assert_eq!(count(&[c0.clone(), short(&c0), bb.clone()]).0, 0);
     assert_eq!(count(&[c0.clone(), c1.clone(), (0x01, vec![]), bb.clone()]).1.no_phy, 1);
-    // The sender of the frame before is not this frame's.
+    // The previous frame's sender is not this frame's.
     assert_eq!(count(&[c0.clone(), c1.clone(), c0.clone(), bb.clone()]).1.no_sender, 1);
     assert_eq!(count(&[c0.clone(), c1.clone(), short(&c1), bb.clone()]).1.no_sender, 1);
     // Packets are missing.
@@ -100,7 +100,7 @@ fn an_order_that_the_card_did_not_say_names_no_antenna() {
         let bfee = Bfee::new_checked(&got[0].1).unwrap();
         assert_eq!((bfee.layout(), bfee.antenna_sel(), card.counts().no_order), (Layout::Stock, ORDER_UNKNOWN, 1));
         assert!(bfee.antennas().is_err());
-        // With one chain the only antenna that was heard tells it.
+        // With one chain, it is the only antenna with a nonzero RSSI.
         assert!(Antennas::new(ORDER_UNKNOWN, 1, [0, 30, 0]).is_ok());
     }
 }
@@ -165,7 +165,7 @@ fn an_event_of_a_frames_beginning_is_that_frame() {
     };
     let right = (57, Some(("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304)));
     assert_eq!(sender(&bytes), right);
-    // What was not cut has its status at its own end.
+    // An uncut event has its status at its own end.
     EventRepr { flags: 0, ..start }.emit(&data, &mut bytes).unwrap();
     assert_eq!(sender(&bytes), right);
 }
@@ -221,7 +221,7 @@ fn a_sender_is_told_by_a_good_frame_that_is_long_enough() {
         RxMpdu::from_start(data.len(), &data, status).unwrap().sender()
     };
     let right = ("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304);
-    // Address 3 and the number end at byte 28, the checksum follows.
+    // Address 3 and the number end at byte 28; the checksum follows.
     assert_eq!([sender(3, 57), sender(3, 32), sender(3, 31)], [Some(right), Some(right), None]);
     // A wrong checksum, an overflow, both.
     assert_eq!([sender(1, 57), sender(2, 57), sender(0, 57)], [None; 3]);
