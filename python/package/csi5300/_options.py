@@ -1,4 +1,4 @@
-"""Arguments as the native half takes them, checked here so that an error names the argument. NumPy's scalars are numbers."""
+"""Prepares arguments for the native half. They are checked here so that an error names the argument. NumPy's scalars are numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEPS = ("compensation", "alignment", "one-way", "near-field", "elevation")
 
 
 def plain(value: Any) -> Any:
-    """A scalar of NumPy as Python's; anything else as it is."""
+    """A NumPy scalar as Python's; any other value unchanged."""
     return value.item() if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0) else value
 
 
@@ -121,11 +121,11 @@ KINDS: Mapping[str, Callable[[str, Any], Any]] = {
     "rx_mac": text,
     "threads": whole,
 }
-"""What each option of bearings and evaluations is; ranges are the native half's to check."""
+"""The type of each option of bearings and evaluations; the native half checks the ranges."""
 
 
 def keywords(options: Mapping[str, Any]) -> str:
-    """Options as the native half takes them: what is None is as by default."""
+    """Options for the native half; None means the default."""
     given = {}
     for name, value in options.items():
         if name not in KINDS:
@@ -136,7 +136,7 @@ def keywords(options: Mapping[str, Any]) -> str:
 
 
 def combinations(options: Mapping[str, Any], sweep: Mapping[str, Any] | None) -> tuple[list[str], list[list[Any]]]:
-    """The names that are swept, and the values of each."""
+    """The swept names, and the values of each."""
     if sweep is None:
         return [], []
     if not isinstance(sweep, Mapping):
