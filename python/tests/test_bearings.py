@@ -134,7 +134,7 @@ def test_the_change_of_the_distance_comes_where_it_is_asked_for(rx: Path, tx: Pa
     summary, rows = bearing.answer["range_change"], bearing.samples["range_change"]
     assert summary["held_share"] > 0.9 and len(rows) > 100 and rows[0, 1] == 0.0
     assert rows[-1, 1:].tolist() == [summary["end_m"], summary["end_sd_m"]]
-    # A circle turned through: the distance swings by its width at most, 0.3 m of radius, and comes back.
+    # A circle through a turn: the distance varies by at most the circle's width (radius 0.3 m) and returns.
     assert 0.01 < np.ptp(rows[:, 1]) < 0.61
     other = pickle.loads(pickle.dumps(bearing))
     assert np.array_equal(other.samples["range_change"], rows)

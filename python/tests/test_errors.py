@@ -220,7 +220,7 @@ signal.setitimer(signal.ITIMER_REAL, 0.5)
 try:
     globals()[work]()
 except KeyboardInterrupt:
-    # The work, in a thread of this name, ends too.
+    # The work, on a thread of this name, ends, too.
     end = time.monotonic() + 60
     while "csi5300" in threads() and time.monotonic() < end:
         time.sleep(0.01)
@@ -257,7 +257,7 @@ def a_trajectory():
     csi5300.bearings(rx, rx, trajectory=fifo, channel=108)
 
 def a_silent_writer():
-    # Somebody has the FIFO open and writes nothing.
+    # The FIFO has a writer that writes nothing.
     with open(fifo, "r+b", buffering=0):
         csi5300.read(fifo)
 
@@ -283,7 +283,7 @@ def test_a_fifo_is_read_to_the_end_of_its_writer(rx: Path, tmp_path: Path) -> No
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     whole = csi5300.read(rx)
-    # It opens the FIFO whenever it comes to it, also after the reader.
+    # It opens the FIFO at any time, possibly after the reader.
     writer = subprocess.Popen(["cp", str(rx), str(fifo)])
     log = csi5300.read(fifo)
     assert writer.wait(timeout=120) == 0
@@ -293,7 +293,7 @@ def test_a_fifo_is_read_to_the_end_of_its_writer(rx: Path, tmp_path: Path) -> No
 
 
 def test_standard_input_is_a_log(rx: Path, tmp_path: Path) -> None:
-    # Whatever files there are.
+    # Other files do not matter.
     (tmp_path / "-").write_bytes(b"")
     for log in ("csi5300.read('-')", "next(csi5300.scan('-'))"):
         count = f"import csi5300; log = {log}; print(len(log), log.info['name'])"

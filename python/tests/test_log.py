@@ -31,7 +31,7 @@ def test_every_field_is_the_records(rx: Path) -> None:
     assert set(log.mac) == {"02:53:00:00:00:02"}
     assert not log.frame.mask.any() and log.antennas_known.all()
     assert list(log.subcarriers[[0, 14, 15, 29]]) == [-28, -1, 1, 28]
-    # The logger was killed: the fixture ends in the middle of a record.
+    # The logger was killed: the fixture ends inside a record.
     assert not log.lost_something and log.losses == [] and log.tail == {"offset": 65473, "bytes": 63, "expected": 233}
 
 
@@ -49,7 +49,7 @@ def test_real_logs_are_as_the_oracle_reads_them(path: Path) -> None:
     data = path.read_bytes()
     log = csi5300.read(path)
     scaled = log.scaled()
-    # Long logs in some 300 places: the oracle is slow.
+    # Long logs at about 300 places: the oracle is slow.
     for k in range(0, len(log), max(1, len(log) // 300)):
         packet = next(packets(data, int(log.offset[k])))
         assert packet.offset == log.offset[k] and packet.timestamp_low == log.timestamp_low[k]

@@ -1,4 +1,4 @@
-"""Options that the command line has: all of them by name, and where antenna and camera are on the robot."""
+"""Python has every option of the command line; positions of antenna and camera on the robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 Poses = NDArray[np.float64]
 OUTPUT = {"bag", "color", "help", "json", "quiet", "verbose", "force", "profile", "grid", "plot"}
 OUTPUT |= {"place", "transmitters", "frame", "stretches"}
-"""What is read from recordings, printed and drawn: arrays, attributes and methods in Python; and what is of captures."""
+"""Options about recordings, printing and pictures, for which Python has arrays, attributes and methods; and options of captures."""
 OFFSET, MOUNT = (0.05, 0.16, 0.0), (0.04, 0.17, -1.5)
 
 
@@ -44,7 +44,7 @@ def test_bearings_has_every_option_of_the_command_line(program: str) -> None:
 
 
 def _camera(path_csv: Path) -> Poses:
-    """The fixture's circle with headings along it, and a drift of positions to one side."""
+    """The fixture's circle with headings along it, and a sideways drift of positions."""
     track = csi5300.read_trajectory(path_csv)
     steps = np.gradient(track[:, 1:3], axis=0)
     moving = np.hypot(*steps.T) > 1e-6

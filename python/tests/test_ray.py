@@ -1,4 +1,4 @@
-"""Many captures: on threads, on Ray's own cluster utility with several nodes, and with a node killed in the middle."""
+"""Many captures: on threads, on Ray's own cluster utility with several nodes, and with a node killed during the work."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def cluster() -> Iterator[Any]:
 
 @pytest.fixture
 def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A bucket of a server that speaks S3, in this process; who is started later finds it by the environment."""
+    """A bucket of an S3 server in this process; later processes find it by the environment."""
     s3fs, server = pytest.importorskip("s3fs"), pytest.importorskip("moto.server")
     made = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     made.start()
@@ -52,7 +52,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
     monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
     s3fs.S3FileSystem.clear_instance_cache()
-    # What one server kept the next one of this process has, too.
+    # Buckets of an earlier server in this process persist.
     s3fs.S3FileSystem().mkdir(f"wifi-{port}")
     yield f"s3://wifi-{port}"
     s3fs.S3FileSystem.clear_instance_cache()
@@ -60,7 +60,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 
 def _without_texts(result: csi5300.Evaluation) -> list[dict[str, Any]]:
-    """Rows but for the words of their errors, which name folders."""
+    """Rows without the text of their errors, which names folders."""
     return [{**row, "error": bool(row.get("error"))} for row in _rows(result)]
 
 
