@@ -78,7 +78,7 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Length { expect, got } => write!(f, "sounding frame of {got} bytes, {expect} needed"),
-            Self::FrameControl([a, b]) => write!(f, "frame control {a:02x} {b:02x} is no plain data frame (08 00)"),
+            Self::FrameControl([a, b]) => write!(f, "frame control {a:02x} {b:02x} is not a plain data frame (08 00)"),
             Self::Receiver(mac) => write!(f, "addr1 {mac} is not the magic MAC {MAGIC_MAC}"),
             Self::Magic(magic) => write!(f, "body begins with {magic:02x?}: not of the native dialect"),
             Self::Version(version) => {

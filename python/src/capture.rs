@@ -192,7 +192,7 @@ pub fn bearings(
 ) -> PyResult<Vec<Linked>> {
     let keywords = Keywords::parse(keywords)?;
     if keywords.channel()?.is_none() {
-        return Err(Failure::new(Kind::Option, "channel: it must be named, the logs do not say it").into());
+        return Err(Failure::new(Kind::Option, "channel: required, because the logs do not contain it").into());
     }
     let options = keywords.options()?.with_keep_course(true).with_parallel(tx.len() > 1);
     let stop = Stop::default();
@@ -241,7 +241,7 @@ pub fn one_log(
 ) -> PyResult<Vec<Linked>> {
     let keywords = Keywords::parse(keywords)?;
     if keywords.channel()?.is_none() {
-        return Err(Failure::new(Kind::Option, "channel: it must be named, the log does not say it").into());
+        return Err(Failure::new(Kind::Option, "channel: required, because the log does not contain it").into());
     }
     let options = keywords.options()?.with_keep_course(true);
     let array = array(letters, &baselines)?;
@@ -270,7 +270,7 @@ fn array(letters: &str, baselines: &[Vec<f64>]) -> Result<Array, Failure> {
         let (place, angles) =
             baseline.split_first_chunk::<3>().filter(|(_, angles)| angles.len() <= 2).ok_or_else(|| {
                 wrong(
-                    "baseline: three numbers, metres; behind them the chains' constant and its deviation, degrees"
+                    "baseline: three numbers, metres; optionally then the chains' constant and its deviation, degrees"
                         .to_owned(),
                 )
             })?;
@@ -291,7 +291,7 @@ fn nothing(receiver: &LogReport, transmitter: &LogReport) -> Option<String> {
         _ => return None,
     };
     let lost = survey.damaged_bytes;
-    Some(format!("{whose} holds no record with CSI ({lost} bytes are no record): is it a log of this card?"))
+    Some(format!("{whose} holds no record with CSI ({lost} damaged bytes): is it a log of this card?"))
 }
 
 /// The Python form of a link.

@@ -40,7 +40,7 @@ pub fn read_card<'py>(
         }
     };
     let format = csi_formats::detect(bytes.get(..csi_formats::DETECT).unwrap_or(&bytes)).ok_or_else(|| {
-        let why = format!("{name} is of no other card that is known; csi5300.read reads logs of the Intel 5300");
+        let why = format!("{name} is not a log of another supported card; csi5300.read reads logs of the Intel 5300");
         refused(Kind::Log, why).of(name.clone())
     })?;
     let is_sender = |mac: Option<[u8; 6]>| mac.is_some_and(|mac| macs.contains(&driver_iface::Mac(mac)));

@@ -46,7 +46,7 @@ impl Run {
             ("t265", Some(_)) => TrajectorySource::RollingT265,
             ("odom", None) => TrajectorySource::Odometry,
             ("gt" | "odom", Some(_)) => {
-                return wrong("camera_mount: is of the tracking camera: trajectory=\"t265\"".into());
+                return wrong("camera_mount: only for the tracking camera, trajectory=\"t265\"".into());
             }
             (other, _) => return wrong(format!("trajectory: {other:?} is not gt, t265 or odom")),
         };

@@ -22,11 +22,11 @@ impl Read for FileObject {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         Python::attach(|py| {
             let given = self.0.bind(py).call_method1("read", (buffer.len(),)).map_err(io::Error::other)?;
-            let wrong = "read() of the file object gave no bytes: open it in binary mode (\"rb\")";
+            let wrong = "read() of the file object returned no bytes: open it in binary mode (\"rb\")";
             let bytes =
                 given.cast::<PyBytes>().map_err(|_| io::Error::new(io::ErrorKind::InvalidInput, wrong))?.as_bytes();
             let place = buffer.get_mut(..bytes.len());
-            let place = place.ok_or_else(|| io::Error::other("read(n) of the file object gave more than n bytes"))?;
+            let place = place.ok_or_else(|| io::Error::other("read(n) of the file object returned more than n bytes"))?;
             place.copy_from_slice(bytes);
             Ok(bytes.len())
         })

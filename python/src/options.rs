@@ -232,7 +232,7 @@ impl Keywords {
             }
         }
         if self.camera_mount.is_some() && self.antenna_offset.is_none() {
-            return Err(wrong("camera_mount: antenna_offset is needed too, seen from the middle between the wheels"));
+            return Err(wrong("camera_mount: also needs antenna_offset, relative to the middle between the wheels"));
         }
         if self.every.is_some() && self.join_rows {
             return Err(wrong("every: stretches have no rows to join by (join_rows)"));

@@ -220,7 +220,7 @@ def test_one_log_has_the_bearing_of_every_sender() -> None:
     for wrong, words in cases:
         with pytest.raises(csi5300.OptionError, match=words):
             csi5300.bearings(room["rx"].log, baseline=wrong, **still)
-    with pytest.raises(csi5300.OptionError, match="antenna_offset: not with baseline"):
+    with pytest.raises(csi5300.OptionError, match="antenna_offset: not allowed with baseline"):
         csi5300.bearings(room["rx"].log, baseline=(0.025, 0, 0), antenna_offset=(0, 0, 1), **still)
 
 
@@ -254,7 +254,7 @@ def test_a_tree_is_evaluated() -> None:
         (["near-field"], 20.0),
     ]
     assert swept.rows[1]["azimuth_deg"] == row["azimuth_deg"]
-    with pytest.raises(csi5300.OptionFileError, match="no folder"):
+    with pytest.raises(csi5300.OptionFileError, match="not a readable folder"):
         csi5300.evaluate(CIRCLE.parent / "none")
     with pytest.raises(csi5300.OptionError, match="no capture"):
         csi5300.evaluate(CIRCLE.parent.parent / "checks")

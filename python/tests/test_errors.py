@@ -133,7 +133,7 @@ def test_errors_about_files_are_errors_of_the_system(rx: Path, tx: Path, path_cs
     with pytest.raises(csi5300.OptionFileError, match="^key: "):
         csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, key=none)
     for of_a_folder in (csi5300.evaluate, csi5300.ray.evaluate, lambda uri: csi5300.ray.convert(uri, tmp_path)):
-        with pytest.raises(csi5300.OptionFileError, match="no folder"):
+        with pytest.raises(csi5300.OptionFileError, match="not a readable folder"):
             of_a_folder(none)
     with pytest.raises(csi5300.LogNotFoundError, match="datstp"):
         csiread.Intel(str(rx), if_report=False).readstp()
@@ -288,7 +288,7 @@ def test_a_fifo_is_read_to_the_end_of_its_writer(rx: Path, tmp_path: Path) -> No
     log = csi5300.read(fifo)
     assert writer.wait(timeout=120) == 0
     assert len(log) == len(whole) and np.array_equal(log.csi, whole.csi, equal_nan=True)
-    with pytest.raises(csi5300.LogError, match="no regular file"):
+    with pytest.raises(csi5300.LogError, match="not a regular file"):
         csiread.Intel(str(fifo), 3, 1).read()
 
 

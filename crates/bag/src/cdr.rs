@@ -11,7 +11,7 @@ pub const CDR_LE: [u8; 4] = [0, 1, 0, 0];
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
     /// The payload ends before the value does.
-    #[error("ends at byte {at}, {want} more were expected")]
+    #[error("ends at byte {at}, {want} more bytes expected")]
     Short {
         /// Bytes from the start of the values.
         at: usize,
@@ -19,10 +19,10 @@ pub enum CdrError {
         want: usize,
     },
     /// Unknown representation.
-    #[error("representation {0:#06x} is not known")]
+    #[error("unknown representation {0:#06x}")]
     Representation(u16),
     /// A name or list is longer than its kind allows.
-    #[error("has a length of {length}, {most} at most were expected")]
+    #[error("has length {length}, at most {most} expected")]
     Long {
         /// Bytes, or values.
         length: usize,
@@ -30,7 +30,7 @@ pub enum CdrError {
         most: usize,
     },
     /// A string is not UTF-8, or does not end with a zero.
-    #[error("at byte {0} is no text")]
+    #[error("invalid text at byte {0}")]
     NoText(usize),
 }
 

@@ -213,13 +213,13 @@ pub enum Why {
 impl fmt::Display for Why {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::Damaged => write!(f, "no record, or a damaged one"),
+            Self::Damaged => write!(f, "not a record, or a damaged one"),
             Self::Cut => write!(f, "the log ends inside a record"),
             Self::NoCsi => write!(f, "no CSI in it"),
             Self::Version { got } => {
                 write!(f, "a CSI segment of version {got}: export it with PicoScenes, whose library alone reads it")
             }
-            Self::Device { got } => write!(f, "CSI of device {got:#06x}, which is not read"),
+            Self::Device { got } => write!(f, "CSI of unsupported device {got:#06x}"),
             Self::Subcarriers { got } => write!(f, "{got} subcarriers, which no frame of its kind and width has"),
         }
     }

@@ -120,7 +120,7 @@ impl Shared {
     /// Passes on a pose in the frame of `header`.
     fn put(&self, state: &mut State, header: &Header, pose: Isometry3<f64>, received_us: i64) {
         let Some(us) = self.clock.to_host(header.stamp.us()) else {
-            state.waits = Some("nothing comes on /clock, whose time is asked for (`use_sim_time`)".into());
+            state.waits = Some("no message on /clock, which `use_sim_time` needs".into());
             return;
         };
         state.waits = None;
@@ -147,7 +147,7 @@ impl Shared {
                 Some((mounted, _)) => mounted,
                 None => {
                     let robot = &odometry.child_frame_id;
-                    state.waits = Some(format!("/tf_static does not say where {antenna} is on {robot}"));
+                    state.waits = Some(format!("/tf_static has no transform from {robot} to {antenna}"));
                     return;
                 }
             },

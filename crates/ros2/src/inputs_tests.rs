@@ -44,7 +44,7 @@ fn an_antenna_is_where_tf_static_says_on_a_robot_that_is_turned() {
     let shared = shared(Stamp::Header);
     shared.odometry(&odometry(10.0, 1.0, 0.0), Some("antenna"), 10_000_000);
     assert_eq!(poses(&shared), []);
-    assert!(shared.lock().waits.as_ref().is_some_and(|why| why.contains("where antenna is on base_link")));
+    assert!(shared.lock().waits.as_ref().is_some_and(|why| why.contains("from base_link to antenna")));
     let fixed = TfMessage { transforms: vec![transform("base_link", "antenna", 0.0, 0.5)] };
     shared.transforms(&fixed, true, None, 0);
     shared.odometry(&odometry(10.0, 1.0, std::f64::consts::FRAC_PI_2), Some("antenna"), 10_000_000);

@@ -361,7 +361,7 @@ impl Link {
         let read = readers.iter().enumerate().flat_map(|(number, topic)| {
             participant.reader_state(number).wrong.into_iter().map(|why| format!("{}: {why}", topic.name))
         });
-        let others = participant.unreachable().map(|who| format!("ROS 2: {who}: it cannot be spoken to"));
+        let others = participant.unreachable().map(|who| format!("ROS 2: {who}, so nothing can be sent to it"));
         own.chain(read)
             .chain(others)
             .chain(self.shared.sockets().trouble(participant.counts().participants))

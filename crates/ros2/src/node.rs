@@ -170,7 +170,7 @@ impl Node {
     /// Current problems as text.
     #[must_use]
     pub fn trouble(&self) -> Vec<String> {
-        let clock = self.clock.is_unknown().then(|| "ROS 2: nothing comes on /clock (`use_sim_time`)".to_owned());
+        let clock = self.clock.is_unknown().then(|| "ROS 2: no message on /clock (`use_sim_time`)".to_owned());
         self.link.trouble().into_iter().chain(clock).collect()
     }
 }

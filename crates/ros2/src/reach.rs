@@ -52,16 +52,16 @@ impl Asked {
             other => {
                 asked
                     .notes
-                    .push(format!("{RANGE}={other} is none of SUBNET, LOCALHOST, OFF, SYSTEM_DEFAULT: LOCALHOST"));
+                    .push(format!("{RANGE}={other} is not SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT: using LOCALHOST"));
                 Some(Range::Localhost)
             }
         };
         asked.range = range.map(|range| (range, RANGE));
         for name in variable(STATIC).unwrap_or_default().split(';').filter(|name| !name.is_empty()) {
             match resolve(name) {
-                Some(_) if asked.peers.len() >= PEERS => asked.notes.push(format!("{STATIC}: {name} is one too many")),
+                Some(_) if asked.peers.len() >= PEERS => asked.notes.push(format!("{STATIC}: {name} ignored, too many peers")),
                 Some(ip) => asked.peers.push(ip),
-                None => asked.notes.push(format!("{STATIC}: {name} has no address of IPv4")),
+                None => asked.notes.push(format!("{STATIC}: {name} has no IPv4 address")),
             }
         }
         asked
@@ -106,17 +106,17 @@ impl Reach {
         let mut waits = None;
         // Towards its own address, a machine is reached from that address.
         if !interface.is_loopback() && out(interface) != Some(interface) {
-            waits = Some(format!("this machine has no address {interface} at present: this machine only"));
+            waits = Some(format!("this machine has no address {interface} at present: using this machine only"));
             interface = Ipv4Addr::LOCALHOST;
         }
         if let Some((to, by)) = wish.filter(|_| own.interface.is_none() && !is_off) {
             match out(to) {
                 Some(found) if own.insecure => interface = found,
                 Some(_) => {
-                    notes.push(format!("{by} asks for the network, which needs `insecure = true`: this machine only"))
+                    notes.push(format!("{by} asks for the network, which needs `insecure = true`: using this machine only"))
                 }
                 None => {
-                    waits = Some(format!("{by} asks for the network, and there is no way to {to}: this machine only"));
+                    waits = Some(format!("{by} asks for the network, but there is no route to {to}: using this machine only"));
                 }
             }
         }
@@ -191,7 +191,7 @@ mod tests {
             (&[(RANGE, "SUBNET")], (OWN, true, false), "the network of 192.168.1.5; range: ROS_AUTOMATIC"),
             (&[(RANGE, "LOCALHOST")], here, "range: ROS_AUTOMATIC"),
             (&[(RANGE, "OFF"), (STATIC, "10.0.0.2")], (Ipv4Addr::LOCALHOST, false, true), "meets nobody"),
-            (&[(RANGE, "subnet")], here, "subnet is none of SUBNET"),
+            (&[(RANGE, "subnet")], here, "subnet is not SUBNET"),
             (
                 &[(RANGE, "SUBNET"), ("ROS_LOCALHOST_ONLY", "1"), (STATIC, "10.0.0.2")],
                 here,
@@ -212,7 +212,7 @@ mod tests {
         assert_eq!((found.interface, found.multicast), (OWN, false));
         assert_eq!(found.peers, [Ipv4Addr::new(10, 0, 0, 2), Ipv4Addr::new(192, 168, 1, 7)]);
         assert!(found.words.contains("asks 10.0.0.2, 192.168.1.7 (ROS_STATIC_PEERS)"), "{}", found.words);
-        assert!(found.words.contains("nobody has no address"), "{}", found.words);
+        assert!(found.words.contains("nobody has no IPv4 address"), "{}", found.words);
         // DDS has no authentication here, so no variable may expose the robot to the network.
         for variables in [[(STATIC, "10.0.0.2")], [(RANGE, "SUBNET")]] {
             let found = reach(&Settings::default(), &variables);
@@ -220,7 +220,7 @@ mod tests {
             assert!(found.words.contains("needs `insecure = true`"), "{}", found.words);
         }
         let many = vec!["10.0.0.2"; PEERS + 1].join(";");
-        assert!(reach(&open, &[(STATIC, &many)]).words.contains("one too many"));
+        assert!(reach(&open, &[(STATIC, &many)]).words.contains("too many peers"));
     }
 
     #[test]
@@ -238,7 +238,7 @@ mod tests {
                 Some("no address 192.168.1.5 at present"),
             ),
             (file, Asked::default(), Some(OWN), OWN, None),
-            (Settings::default(), subnet.clone(), None, Ipv4Addr::LOCALHOST, Some("no way to 239.255.0.1")),
+            (Settings::default(), subnet.clone(), None, Ipv4Addr::LOCALHOST, Some("no route to 239.255.0.1")),
             (Settings::default(), subnet.clone(), Some(OWN), OWN, None),
             (Settings::default(), subnet, Some(other), other, None),
         ] {

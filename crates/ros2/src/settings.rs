@@ -158,7 +158,7 @@ pub type Wrong = (Option<&'static str>, String);
 
 fn wrong_name(name: &str) -> Option<String> {
     let wrong = !is_name(name);
-    wrong.then(|| format!("`{name}` is no name in ROS 2: one looks like /tb3_0/odom, odom or ~/odom"))
+    wrong.then(|| format!("`{name}` is not a valid ROS 2 name: use one like /tb3_0/odom, odom or ~/odom"))
 }
 
 /// The error in a topic of poses of this robot, of a peer, or of a robot that the room follows.
@@ -192,13 +192,13 @@ pub fn wrong_settings(ros: &Settings) -> Option<Wrong> {
     }
     let interface = ros.interface.unwrap_or(Ipv4Addr::LOCALHOST);
     if interface.is_unspecified() || interface.is_multicast() || interface.is_broadcast() {
-        let why = format!("interface {interface}: one address of this machine, such as 127.0.0.1");
+        let why = format!("interface {interface}: use one address of this machine, such as 127.0.0.1");
         return Some((Some("interface"), why));
     }
     if !ros.insecure && !interface.is_loopback() {
         let why = format!(
-            "anybody who reaches {interface} could publish poses to this robot, as DDS asks nobody who they are: use \
-             127.0.0.1, or say `insecure = true`"
+            "anybody who reaches {interface} could publish poses to this robot, because DDS does not authenticate: use \
+             127.0.0.1, or set `insecure = true`"
         );
         return Some((Some("interface"), why));
     }
@@ -212,10 +212,10 @@ pub fn wrong_settings(ros: &Settings) -> Option<Wrong> {
     }
     let space = Some(ros.namespace.as_str()).filter(|space| *space != "/");
     if let Some(space) = space.filter(|space| !space.starts_with('/') || wrong_name(space).is_some()) {
-        return Some((Some("namespace"), format!("`{space}` is no namespace in ROS 2: one looks like /lab")));
+        return Some((Some("namespace"), format!("`{space}` is not a valid ROS 2 namespace: use one like /lab")));
     }
     if let Some(node) = ros.node.as_deref().filter(|node| node.contains(['/', '~']) || wrong_name(node).is_some()) {
-        return Some((Some("node"), format!("`{node}` is no name of a node in ROS 2: one looks like csi5300_burger")));
+        return Some((Some("node"), format!("`{node}` is not a valid ROS 2 node name: use one like csi5300_burger")));
     }
     let names = ros.remap.iter().flat_map(|(from, to)| [from, to]);
     names.into_iter().find_map(|name| Some((Some("remap"), wrong_name(name)?)))

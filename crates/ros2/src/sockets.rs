@@ -135,7 +135,7 @@ impl Sockets {
         };
         let (foreign, own) = (self.foreign(), self.addresses.0.ip());
         Some(format!(
-            "ROS 2: nobody was met at {own}, and what comes from {stranger} is not read ({foreign} so far): {next}"
+            "ROS 2: no other node met at {own}; {foreign} datagrams from other addresses ignored, the last from {stranger}: {next}"
         ))
     }
 
@@ -241,7 +241,7 @@ mod tests {
         sockets.stranger.store(u32::from(Ipv4Addr::new(198, 51, 100, 9)), Ordering::Relaxed);
         let said = sockets.trouble(0).unwrap();
         assert!(
-            said.contains("comes from 198.51.100.9 is not read (2 so far)") && said.contains("`interface`"),
+            said.contains("2 datagrams from other addresses ignored, the last from 198.51.100.9") && said.contains("`interface`"),
             "{said}"
         );
         assert_eq!(sockets.trouble(1), None, "somebody was met");

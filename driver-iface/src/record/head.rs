@@ -61,7 +61,7 @@ impl fmt::Display for Reason {
             Self::NotFollowed { code, expect } => {
                 write!(f, "code {code:#04x}, {expect} bytes, and no record after it")
             }
-            Self::Checksum => write!(f, "a record with another checksum than the side file has"),
+            Self::Checksum => write!(f, "a record whose checksum differs from the side file's"),
             Self::StillLost => write!(f, "still no record"),
         }
     }

@@ -218,7 +218,7 @@ def _track(name: str, track: Track) -> Any:
         raise TrajectoryError(f"{name}: {error}: {needed}") from None
     if rows.ndim != 2:
         what = "None" if track is None else f"an array of shape {rows.shape}"
-        raise TrajectoryError(f"{name}: {what} is no trajectory: {needed}")
+        raise TrajectoryError(f"{name}: {what} is not a trajectory: {needed}")
     return np.ascontiguousarray(rows)
 
 
@@ -297,16 +297,16 @@ def bearings(
         of_two |= {"antenna_offset": antenna_offset, "camera_mount": camera_mount, "explain": explain, "every": every}
         wrong = [name for name, value in of_two.items() if value]
         if wrong:
-            raise OptionError(f"{wrong[0]}: not with baseline, which is of one robot and its own log")
+            raise OptionError(f"{wrong[0]}: not allowed with baseline, which uses one robot's own log")
         letters = _options.letters(antennas) or "AB"
         own = _track("trajectory", trajectory)
         found = _native.one_log(_source(rx), _name(rx, 0), own, letters, _baselines(baseline), _options.keywords(options))
         return [Bearing(json.loads(answer), link) for answer, link, _ in found]
     if antennas is not None:
-        raise OptionError("antennas: with baseline, which says where they are")
+        raise OptionError("antennas: needs baseline, which gives their positions")
     logs = [] if tx is None else _logs(tx)
     if not logs:
-        raise OptionError("tx: at least one log of a transmitter")
+        raise OptionError("tx: needs at least one log of a transmitter")
     if len(tx_trajectory) > len(logs):
         raise OptionError("tx_trajectory: more than tx")
     names = [_name(log, index) for index, log in enumerate(logs)]

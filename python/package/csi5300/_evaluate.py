@@ -179,7 +179,7 @@ def found_below(folder: str | os.PathLike[str]) -> tuple[list[Capture], list[str
     """As :func:`find`. Raises :class:`OptionError` if there is none, :class:`OptionFileError` if the folder does not exist."""
     name = os.fspath(folder)
     if not os.path.isdir(name):
-        raise OptionFileError(f"folder: {name} is no folder that can be read", name)
+        raise OptionFileError(f"folder: {name} is not a readable folder", name)
     captures, unreadable = find(name)
     if not captures:
         raise OptionError(f"no capture below {name}: {NO_CAPTURE}", name)

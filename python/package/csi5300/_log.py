@@ -67,7 +67,7 @@ def _places(index: Any) -> int | NDArray[Any]:
         return int(places)
     if places.ndim != 1 or places.dtype.kind not in "iub":
         what = f"an array {places.shape} of {places.dtype}" if places.ndim else repr(index)
-        raise IndexError(f"{what}: a log takes a number, a slice, or a row of numbers or of True and False")
+        raise IndexError(f"{what}: a log takes a number, a slice, or an array of numbers or booleans")
     return places
 
 
@@ -215,7 +215,7 @@ class Log(Lost):
         """
         wide = self.is_40_mhz
         if len(self) and wide.any() and not wide.all():
-            raise OptionError("frames of 20 and 40 MHz are mixed: choose by log[log.is_40_mhz] or log[~log.is_40_mhz]", self.name)
+            raise OptionError("frames of 20 and 40 MHz are mixed: select with log[log.is_40_mhz] or log[~log.is_40_mhz]", self.name)
         indices = _native.SUBCARRIERS_40_MHZ if len(self) and wide[0] else _native.SUBCARRIERS_20_MHZ
         return np.array(indices, dtype=np.int8)
 

@@ -61,7 +61,7 @@ def texts(name: str, value: Any) -> list[str]:
     if isinstance(value, str):
         return [str(value)]
     if not isinstance(value, Iterable):
-        raise OptionError(f"{name}: {value!r} is neither a text nor several")
+        raise OptionError(f"{name}: {value!r} is neither a text nor a list of texts")
     return [text(name, one) for one in value]
 
 
@@ -70,7 +70,7 @@ def steps(name: str, value: Any) -> list[str]:
     given = texts(name, value)
     for one in given:
         if one not in STEPS:
-            raise OptionError(f"{name}: {one!r} is none of {', '.join(STEPS)}")
+            raise OptionError(f"{name}: {one!r} is not one of {', '.join(STEPS)}")
     return given
 
 
@@ -180,5 +180,5 @@ def stretch(value: Any) -> tuple[float | None, float | None] | None:
             raise OptionError(f"t: {end!r} is not a number of seconds")
     start, stop = (None if end is None else float(end) for end in ends)
     if start is not None and stop is not None and start >= stop:
-        raise OptionError(f"t: from {start} to {stop} s is no stretch of time")
+        raise OptionError(f"t: from {start} to {stop} s is not a stretch of time")
     return start, stop

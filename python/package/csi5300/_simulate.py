@@ -93,7 +93,7 @@ def _json(scene: Mapping[str, Any]) -> str:
             return value.tolist()
         if isinstance(value, Mapping):
             return dict(value)
-        raise TypeError(f"{value!r} is no value of a scene")
+        raise TypeError(f"{value!r} is not a valid scene value")
 
     try:
         return json.dumps(scene if isinstance(scene, dict) else dict(scene), default=known)

@@ -111,7 +111,7 @@ def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure
         figure.colorbar(drawn, ax=axes, label=words)
         axes.set_ylabel("subcarrier")
     upper.set_title(f"{log.name}, antenna {letter}, stream {column + 1}", fontsize="medium")
-    lower.set_xlabel("seconds after the log's first record" if is_timed else "frame: all have one time")
+    lower.set_xlabel("seconds after the log's first record" if is_timed else "frame number: all have the same time")
     return figure
 
 
@@ -157,7 +157,7 @@ def trajectory(bearings: list[Bearing]) -> Figure:
     """The receiver's path from above, with an arrow for each bearing. Raises :class:`OptionError` without any bearing."""
     drawn = [found for found in bearings if found]
     if not drawn:
-        raise OptionError("bearings: none of these links has a bearing, and so a path")
+        raise OptionError("bearings: none of these links has a bearing")
     figure = _figure(5, 5)
     _path(figure.add_subplot(), drawn)
     return figure

@@ -350,7 +350,7 @@ def convert(
 def _logs(uri: str) -> list[str]:
     if _is_local(uri):
         if not os.path.isdir(uri):
-            raise OptionFileError(f"uri_in: {uri} is no folder that can be read", uri)
+            raise OptionFileError(f"uri_in: {uri} is not a readable folder", uri)
         files = sorted(str(file) for file in Path(uri).rglob("*.dat"))
     else:
         system, root = _remote(uri)

@@ -93,5 +93,5 @@ pub(super) fn unpacked(from: impl Read, most: u64) -> io::Result<File> {
 }
 
 fn too_much(most: u64) -> io::Error {
-    io::Error::other(format!("there are more than {} MiB in it", most >> 20))
+    io::Error::other(format!("it contains more than {} MiB", most >> 20))
 }

@@ -34,25 +34,25 @@ pub enum BagError {
         source: io::Error,
     },
     /// A file is of no known kind.
-    #[error("{} is no recording: MCAP, SQLite (ROS 2) and bags of ROS 1 are read", .path.display())]
+    #[error("{} is not a recording: supported are MCAP and SQLite (ROS 2) and bags of ROS 1", .path.display())]
     Unknown {
         /// The file.
         path: PathBuf,
     },
     /// A database lacks the tables of a recording.
-    #[error("{} is a database of SQLite without the tables of a recording (topics, messages)", .path.display())]
+    #[error("{} is an SQLite database without the tables of a recording (topics, messages)", .path.display())]
     NoTables {
         /// The file.
         path: PathBuf,
     },
     /// A folder contains no recording.
-    #[error("{} has no file of a recording (.mcap, .db3, .bag)", .folder.display())]
+    #[error("{} contains no recording (.mcap, .db3, .bag)", .folder.display())]
     Empty {
         /// The folder.
         folder: PathBuf,
     },
     /// Chunks have an unsupported compression.
-    #[error("{} is compressed by {by}, which is not read: `{}` makes one that is", .path.display(), .command)]
+    #[error("{} is compressed with {by}, which is not supported: convert it with `{}`", .path.display(), .command)]
     Compressed {
         /// The file.
         path: PathBuf,
@@ -62,13 +62,13 @@ pub enum BagError {
         command: &'static str,
     },
     /// The output is the recording itself.
-    #[error("{} is the recording: it is not overwritten", .path.display())]
+    #[error("{} is the recording itself and is not overwritten", .path.display())]
     Input {
         /// The file.
         path: PathBuf,
     },
     /// The recording is too large for memory.
-    #[error("{} has more than {} MiB of CSI and poses: `csi5300 unbag` makes files of it", .path.display(), .most >> 20)]
+    #[error("{} has more than {} MiB of CSI and poses: write files with `csi5300 unbag`", .path.display(), .most >> 20)]
     Large {
         /// The recording.
         path: PathBuf,

@@ -38,7 +38,7 @@ pub enum CompareError {
     OneRobot,
     /// The records have another bandwidth than the channel.
     #[error(
-        "the records are of {recorded_mhz} MHz, the channel {channel} is not: 40 MHz have + or - behind the number"
+        "the records are {recorded_mhz} MHz wide, channel {channel} is not: add + or - to the number of a 40 MHz channel"
     )]
     Width {
         /// Bandwidth of the records, MHz.

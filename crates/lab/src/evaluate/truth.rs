@@ -36,7 +36,7 @@ pub enum EvaluateError {
         source: serde_json::Error,
     },
     /// The truth file is too long.
-    #[error("{}: {bytes} bytes; a file with the truth of a capture has {LONGEST} at most", path.display())]
+    #[error("{}: {bytes} bytes; a truth file has at most {LONGEST}", path.display())]
     Long {
         /// The file.
         path: PathBuf,
@@ -55,7 +55,7 @@ pub enum EvaluateError {
     #[error("{TRUTH_FILE}: {0}")]
     Channel(#[from] ChannelError),
     /// Neither the truth file nor the caller names a channel.
-    #[error("the WiFi channel is not known: no {TRUTH_FILE} names it (--channel does)")]
+    #[error("unknown WiFi channel: no {TRUTH_FILE} names it; use --channel")]
     NoChannel,
     /// A receiver's log has no transmitter's log beside it.
     #[error("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat")]
@@ -185,7 +185,7 @@ mod tests {
         // Its first MiB is a valid truth file by itself.
         let long = |bytes: u64| format!("{{}}{}", " ".repeat(bytes as usize - 2));
         let error = read(&long(LONGEST + 1)).unwrap_err();
-        assert!(error.contains("1048577 bytes; a file with the truth of a capture has 1048576 at most"), "{error}");
+        assert!(error.contains("1048577 bytes; a truth file has at most 1048576"), "{error}");
         assert!(read(&long(LONGEST)).is_ok() && read("{}").is_ok());
         std::fs::remove_dir_all(folder).unwrap();
     }

@@ -456,7 +456,7 @@ pub enum ExportError {
     },
     /// An array is too long for the format.
     #[error(
-        "{array} in {file} takes {bytes} bytes, and arrays of this format 2^31 at most: export a part, or as .npz or .parquet"
+        "{array} in {file} takes {bytes} bytes, but arrays of this format have at most 2^31: export a part, or as .npz or .parquet"
     )]
     TooLong {
         /// The file.
@@ -473,7 +473,7 @@ pub enum ExportError {
         file: String,
     },
     /// Unknown extension.
-    #[error("{file}: CSI is exported as {known}")]
+    #[error("{file}: unknown extension, CSI is exported as {known}")]
     Extension {
         /// The file.
         file: String,

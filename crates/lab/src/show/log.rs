@@ -197,8 +197,8 @@ impl LogPictures<'_> {
         match self.course.base {
             TimeBase::Host if self.course.format.is_some() => "time (s), of the host",
             TimeBase::Number if self.course.format.is_some() => "frame: the log has no times",
-            TimeBase::Host => "time (s), of the host: the card's clock stands",
-            TimeBase::Number => "record: the card's clock stands, and there are no host times",
+            TimeBase::Host => "time (s), of the host: the card's clock stands still",
+            TimeBase::Number => "record: the card's clock stands still, and there are no host times",
             _ => "time (s)",
         }
     }

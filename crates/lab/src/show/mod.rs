@@ -68,7 +68,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file of this name leads to one that must never be replaced.
-    #[error("{} leads to a file that is read: name another folder", path.display())]
+    #[error("{} leads to an input file: name another folder", path.display())]
     Kept {
         /// The file.
         path: PathBuf,

@@ -47,7 +47,7 @@ impl ReliabilityPlot {
         let series = self.series.iter().zip(&kept).enumerate();
         let mut keys: Vec<_> =
             series.map(|(i, (s, own))| (Key::Dot, series_colour(i), format!("{} ({})", s.0, count(own)))).collect();
-        keys.push((Key::Dash, BLACK, "probabilities that hold".into()));
+        keys.push((Key::Dash, BLACK, "correct probabilities".into()));
         let top = 74.0 + canvas.legend(58.0, &keys);
         let axes = Axes::new([120.0, top, WIDTH - 160.0, 870.0 - top], (0.0, 1.0), (0.0, 1.0));
         axes.draw(&mut canvas, "mean probability given", "share that was within 5 degrees");

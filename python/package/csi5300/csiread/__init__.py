@@ -92,7 +92,7 @@ class Intel:
         self.file = None if file is None else os.fspath(file)
         if self.file is not None and not os.path.isfile(self.file):
             if os.path.exists(self.file):
-                raise LogError(f"{self.file} is no regular file, which this reads from any place: use csi5300.read", self.file)
+                raise LogError(f"{self.file} is not a regular file, and Intel needs random access: use csi5300.read", self.file)
             raise LogNotFoundError(f"no such log: {self.file}", self.file)
         self.nrxnum, self.ntxnum, self.pl_size = nrxnum, ntxnum, pl_size
         self.if_report, self.bufsize = if_report, bufsize

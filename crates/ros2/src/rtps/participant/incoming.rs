@@ -74,7 +74,7 @@ impl Participant {
         let prefix = data.prefix;
         let meta = reach(&data.meta, ip);
         if data.is_ipv6 || meta.is_none() {
-            let why = if data.is_ipv6 { "announces addresses of IPv6 only" } else { "takes nothing over UDP of IPv4" };
+            let why = if data.is_ipv6 { "announces only IPv6 addresses" } else { "accepts nothing over IPv4 UDP" };
             if self.unreachable.len() < PARTICIPANTS {
                 self.unreachable.insert(prefix, format!("{} at {ip} {why}", data.name));
             }

@@ -337,6 +337,6 @@ fn a_participant_with_addresses_of_ipv6_only_is_named() {
     }
     let named: Vec<&str> = net.all[0].unreachable().collect();
     let expected =
-        ["p7 at 127.0.0.9 announces addresses of IPv6 only", "p8 at 127.0.0.9 announces addresses of IPv6 only"];
+        ["p7 at 127.0.0.9 announces only IPv6 addresses", "p8 at 127.0.0.9 announces only IPv6 addresses"];
     assert_eq!((named, net.all[0].counts().unreadable), (expected.to_vec(), 0));
 }
