@@ -74,7 +74,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bytes_at_once_are_byte_by_byte(bytes in prop::collection::vec(any::<u8>(), 0..200), polynomial: u32) {
+        fn table_lookups_equal_the_bytewise_checksum(bytes in prop::collection::vec(any::<u8>(), 0..200), polynomial: u32) {
             let tables = tables(polynomial | 1 << 31);
             prop_assert_eq!(of(&tables, &bytes), !byte_by_byte(&tables, !0, &bytes));
         }

@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_that_lie_are_refused() {
+    fn wrong_lengths_are_refused() {
         let bytes = sample();
         let error = |bytes: &[u8]| Datagram::new_checked(bytes).unwrap_err();
         assert_eq!(error(&bytes[..15]), Error::Short { need: 36, got: 15 });

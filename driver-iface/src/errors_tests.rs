@@ -21,7 +21,7 @@ fn holds(error: impl ToString, numbers: &[&str]) {
 }
 
 #[test]
-fn of_what_is_written() {
+fn errors_of_emit() {
     holds(EmitError::Buffer { need: 31, got: 17 }, &["31", "17"]);
     holds(EmitError::Field { name: "length", got: 70_001, max: 65_535 }, &["length", "70001", "65535"]);
     holds(EmitError::Samples { expect: 270, got: 90 }, &["270", "90"]);
@@ -47,7 +47,7 @@ fn of_records() {
 }
 
 #[test]
-fn of_what_crosses_the_kernel() {
+fn errors_of_datagrams_and_events() {
     holds(connector::Error::Short { need: 36, got: 12 }, &["36", "12"]);
     holds(connector::Error::MessageLength { nlmsg_len: 500, received: 90 }, &["500", "90", "36"]);
     holds(connector::Error::MessageType { got: 2 }, &["2", "3"]);

@@ -62,7 +62,7 @@ fn an_announced_fcs_is_not_part_of_the_frame() {
 }
 
 #[test]
-fn a_wrong_checksum_is_said_by_its_own_bit() {
+fn a_wrong_checksum_has_its_own_bit() {
     for (flags, bad) in
         [(None, false), (Some(0), false), (Some(0xff ^ FLAGS_BAD_FCS), false), (Some(FLAGS_BAD_FCS), true)]
     {
@@ -147,7 +147,7 @@ fn every_skipped_field_has_the_right_size_and_alignment() {
 }
 
 #[test]
-fn what_is_no_header_is_refused_with_numbers() {
+fn invalid_headers_are_refused_with_numbers() {
     let check = |bytes: &[u8]| Packet::new_checked(bytes.to_vec()).map(|packet| packet.header_len());
     assert_eq!(check(&[0, 0]), Err(Error::Length { expect: 8, got: 2 }));
     assert_eq!(check(&[1, 0, 8, 0, 0, 0, 0, 0]), Err(Error::Version(1)));
@@ -207,7 +207,7 @@ proptest! {
 }
 
 #[test]
-fn a_width_is_said_where_its_bit_is_set() {
+fn a_width_is_known_if_its_bit_is_set() {
     let width = |known, flags| Mcs { known, flags, index: 1 }.bandwidth();
     use Bandwidth::{Ht20, Ht40};
     assert_eq!([0, 1, 2, 3].map(|flags| width(1, flags)), [Some(Ht20), Some(Ht40), Some(Ht20), Some(Ht20)]);
@@ -217,7 +217,7 @@ fn a_width_is_said_where_its_bit_is_set() {
 }
 
 #[test]
-fn a_word_of_an_unknown_namespace_ends_the_walk_where_it_has_fields() {
+fn fields_of_an_unknown_namespace_end_the_walk() {
     const EXT: u32 = 1 << 31;
     const VENDOR: u32 = 1 << 30;
     const RADIOTAP: u32 = 1 << 29;

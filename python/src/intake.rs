@@ -26,7 +26,8 @@ impl Read for FileObject {
             let bytes =
                 given.cast::<PyBytes>().map_err(|_| io::Error::new(io::ErrorKind::InvalidInput, wrong))?.as_bytes();
             let place = buffer.get_mut(..bytes.len());
-            let place = place.ok_or_else(|| io::Error::other("read(n) of the file object returned more than n bytes"))?;
+            let place =
+                place.ok_or_else(|| io::Error::other("read(n) of the file object returned more than n bytes"))?;
             place.copy_from_slice(bytes);
             Ok(bytes.len())
         })

@@ -43,7 +43,7 @@ def test_what_a_notebook_shows_fits_on_a_line_or_in_a_table(rx: Path, tx: Path, 
     assert {"bearings", "csiread", "plot"} <= set(dir(csi5300)) and "importlib" not in dir(csi5300)
 
 
-def test_arrays_mean_what_files_do_or_are_refused(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
+def test_arrays_are_read_like_files_or_refused(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     track = csi5300.read_trajectory(path_csv)
     file = np.column_stack([track[:, 0], np.zeros(len(track)), track[:, 1:4]])
@@ -63,7 +63,7 @@ def test_arrays_mean_what_files_do_or_are_refused(rx: Path, tx: Path, path_csv: 
         csi5300.bearings(rx, tx, trajectory=named, channel=108, columns="t,x")
 
 
-def test_options_are_the_command_lines(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_options_match_the_command_line(rx: Path, tx: Path, path_csv: Path) -> None:
     (full,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     (lean,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without="near-field", threads=1)
     assert (full.answer["model"], lean.answer["model"]) == ("spherical_wave", "plane_wave")
@@ -113,7 +113,7 @@ def test_steps_are_whole_numbers_of_any_kind(rx: Path, tx: Path, path_csv: Path)
             bearing.profile(wrong)  # type: ignore[arg-type]
 
 
-def test_bearings_are_pickled_with_what_they_were_made_of(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_pickled_bearings_keep_their_evidence(rx: Path, tx: Path, path_csv: Path) -> None:
     good, bad = csi5300.bearings(rx, [tx, b""], trajectory=path_csv, channel=108, every=1.0)
     for other in (pickle.loads(pickle.dumps(good)), copy.copy(good), copy.deepcopy(good)):
         assert other and other.answer == good.answer and other.stretches == good.stretches
@@ -127,7 +127,7 @@ def test_bearings_are_pickled_with_what_they_were_made_of(rx: Path, tx: Path, pa
         copy.copy(good).__setstate__(state)
 
 
-def test_the_change_of_the_distance_comes_where_it_is_asked_for(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_the_range_change_is_returned_on_request(rx: Path, tx: Path, path_csv: Path) -> None:
     (plain,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     assert plain.samples["range_change"].shape == (0, 3) and "range_change" not in plain.answer
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, range_change=True)
@@ -140,7 +140,7 @@ def test_the_change_of_the_distance_comes_where_it_is_asked_for(rx: Path, tx: Pa
     assert np.array_equal(other.samples["range_change"], rows)
 
 
-def test_a_log_without_records_is_said_to_be_one(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_a_log_without_records_is_reported(rx: Path, tx: Path, path_csv: Path) -> None:
     noise = b"It was a dark and stormy night. " * 20
     (bearing,) = csi5300.bearings(noise, tx, trajectory=path_csv, channel=108)
     assert bearing.error and "the receiver's log holds no record with CSI" in bearing.error

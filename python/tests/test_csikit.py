@@ -35,7 +35,7 @@ FIELDS = ("timestamp_low", "bfee_count", "n_rx", "n_tx", "rssi_a", "rssi_b", "rs
 BYTES = 40_000
 
 
-def test_a_script_gives_the_numbers_that_it_gives_with_csikit(captures: Path, tmp_path: Path) -> None:
+def test_a_script_gives_the_same_numbers_as_with_csikit(captures: Path, tmp_path: Path) -> None:
     python = os.environ.get("CSIKIT_PYTHON")
     if not python:
         pytest.skip("CSIKIT_PYTHON names no interpreter with CSIKit")
@@ -63,7 +63,7 @@ def test_a_script_gives_the_numbers_that_it_gives_with_csikit(captures: Path, tm
             assert csi[:n].shape == other.shape and np.allclose(csi[:n], other, rtol=1e-5, atol=1e-5), (metric, scaled)
 
 
-def test_frames_with_fewer_streams_are_left_out_and_a_sender_can_be_chosen(rx: Path) -> None:
+def test_frames_with_fewer_streams_are_skipped_and_a_sender_can_be_chosen(rx: Path) -> None:
     data = get_reader(rx).read_file(rx)
     csi, frames, subcarriers = csitools.get_CSI(data)
     log = csi5300.read(rx)

@@ -41,7 +41,7 @@ STOCK = [path for path in CSITOOL if stock(path)]
 
 
 @pytest.mark.parametrize("path", STOCK, ids=lambda path: path.name)
-def test_fields_and_csi_are_csireads(path: Path, theirs: ModuleType) -> None:
+def test_fields_and_csi_equal_csireads(path: Path, theirs: ModuleType) -> None:
     args: dict[str, Any] = {"nrxnum": 3, "ntxnum": 3, "pl_size": 64, "if_report": False}
     own, other = csi5300.csiread.Intel(str(path), **args), theirs.Intel(str(path), **args)
     own.read()
@@ -89,7 +89,7 @@ def test_seek_pmsg_and_refusals(path: Path, theirs: ModuleType, capsys: pytest.C
 
 
 @pytest.mark.parametrize("path", [p for p in STOCK if Path(f"{p}stp").exists()], ids=lambda path: path.name)
-def test_host_times_are_csireads(path: Path, theirs: ModuleType) -> None:
+def test_host_times_equal_csireads(path: Path, theirs: ModuleType) -> None:
     own, other = csi5300.csiread.Intel(str(path)), theirs.Intel(str(path))
     assert own.readstp() == other.readstp() and own.stp is not None and np.array_equal(own.stp, other.stp)
 
@@ -112,7 +112,7 @@ def _theirs(log: Path, out: Path) -> tuple[int, NDArray[np.complex128] | None]:
     return run.returncode, np.load(out) if out.exists() else None
 
 
-def test_what_csiread_cannot(rx: Path, tmp_path: Path) -> None:
+def test_logs_that_csiread_cannot_read(rx: Path, tmp_path: Path) -> None:
     # The WSR layout, and a damaged log: csiread reads 18 header bytes as CSI, and ends the process or stops reading.
     reader = csi5300.csiread.Intel(rx, if_report=False)
     reader.read()
@@ -134,7 +134,7 @@ def test_what_csiread_cannot(rx: Path, tmp_path: Path) -> None:
     assert csi5300.csiread.Intel(None).pmsg(b"") == 0 and csi5300.csiread.Intel(None).pmsg(b"\xbbshort") == 0xBB
 
 
-def test_that_csiread_cannot(rx: Path, tmp_path: Path) -> None:
+def test_csiread_fails_on_these_logs(rx: Path, tmp_path: Path) -> None:
     pytest.importorskip("csiread")
     reader = csi5300.csiread.Intel(rx, nrxnum=3, ntxnum=3, if_report=False)
     reader.read()
@@ -145,7 +145,7 @@ def test_that_csiread_cannot(rx: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", STOCK[-1:], ids=lambda path: path.name)
-def test_that_csiread_loses_what_is_behind_damage(path: Path, tmp_path: Path) -> None:
+def test_csiread_loses_records_after_damage(path: Path, tmp_path: Path) -> None:
     pytest.importorskip("csiread")
     data = bytearray(path.read_bytes())
     at = int(csi5300.read(path).offset[20])
@@ -171,7 +171,7 @@ def test_a_packet_is_printed_as_csiread_prints_it(path: Path, theirs: ModuleType
 
 
 @pytest.mark.parametrize("path", STOCK, ids=lambda path: path.name)
-def test_a_report_is_csireads(path: Path) -> None:
+def test_a_report_equals_csireads(path: Path) -> None:
     pytest.importorskip("csiread")
     said = []
     for module in ("csiread", "csi5300.csiread"):
@@ -181,7 +181,7 @@ def test_a_report_is_csireads(path: Path) -> None:
     assert said[0] == said[1] and "0xbb packets parsed" in said[0]
 
 
-def test_what_csiread_has_beside_its_readers() -> None:
+def test_csireads_utilities() -> None:
     theirs = pytest.importorskip("csiread")
     from csi5300.csiread.utils import calib, phy_fft, phy_ifft, scidx
 

@@ -68,7 +68,7 @@ def _rows(result: csi5300.Evaluation) -> list[dict[str, Any]]:
     return json.loads(json.dumps(result.rows))  # type: ignore[no-any-return]
 
 
-def test_threads_give_what_evaluate_gives(tree: Path) -> None:
+def test_threads_give_the_same_rows_as_evaluate(tree: Path) -> None:
     whole = csi5300.evaluate(tree)
     result = csi5300.ray.evaluate(tree, use_ray=False, workers=2)
     assert _rows(result) == _rows(whole) and len(result) == 6
@@ -86,7 +86,7 @@ def test_a_sweep_is_the_product(tree: Path) -> None:
         csi5300.ray.evaluate(tree, use_ray=False, nonsense=1)
 
 
-def test_files_from_elsewhere(tree: Path) -> None:
+def test_remote_files(tree: Path) -> None:
     fsspec = pytest.importorskip("fsspec")
     memory = fsspec.filesystem("memory")
     memory.put(str(tree), "/bucket/data", recursive=True)
@@ -136,7 +136,7 @@ def test_conversion(tree: Path, tmp_path: Path) -> None:
     assert sum((table["time_us"].to_pylist() for table in tables), []) == log.time_us.tolist()
 
 
-def test_conversion_tells_what_was_lost(tmp_path: Path) -> None:
+def test_conversion_reports_losses(tmp_path: Path) -> None:
     data = (CIRCLE / f"csi_rx_{STAMP}.dat").read_bytes()
     log = csi5300.read(data)
     (tmp_path / "garbage.dat").write_bytes(b"It was a dark and stormy night. " * 20)
@@ -153,7 +153,7 @@ def test_conversion_tells_what_was_lost(tmp_path: Path) -> None:
     assert list(errors) == ["garbage.dat"] and "another kind of file" in errors["garbage.dat"]
 
 
-def test_a_conversion_done_again_counts_once(tree: Path, tmp_path: Path) -> None:
+def test_a_repeated_conversion_counts_once(tree: Path, tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet")
     out = tmp_path / "out"
     csi5300.ray.convert(tree, out, chunk=100, use_ray=False)
@@ -177,7 +177,7 @@ def _shape(file: str) -> bytes:
     return shape
 
 
-def test_a_conversion_is_one_table(captures: Path, tmp_path: Path) -> None:
+def test_a_conversion_reads_as_one_table(captures: Path, tmp_path: Path) -> None:
     pl, dataset, duckdb = (pytest.importorskip(name) for name in ("polars", "pyarrow.dataset", "duckdb"))
     for scaled, values in ((False, pl.Int8), (True, pl.Float32)):
         out = tmp_path / f"scaled={scaled}"

@@ -76,7 +76,7 @@ def test_async(room: str) -> None:
     assert asyncio.run(count()) > 10
 
 
-def test_a_close_ends_the_waits_of_others(room: str) -> None:
+def test_closing_ends_other_threads_waits(room: str) -> None:
     with csi5300.Stream(room) as first:
         # Reads everything; the room's end would end the wait, so it is closed long before.
         stream = csi5300.Stream(room, macs="02:53:00:00:00:77")
@@ -103,7 +103,7 @@ def test_a_close_ends_the_waits_of_others(room: str) -> None:
         assert sorted(ends) == ["over", "the stream is closed"] and not first.ended
 
 
-def test_a_close_ends_the_waits_of_tasks(room: str) -> None:
+def test_closing_ends_tasks_waits(room: str) -> None:
     async def count(stream: csi5300.Stream) -> int:
         return sum([len(log) async for log in stream])
 
@@ -119,7 +119,7 @@ def test_a_close_ends_the_waits_of_tasks(room: str) -> None:
     assert asyncio.run(run()) == ([0, 0], True)
 
 
-def test_a_wait_without_frames_is_told(room: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wait_without_frames_gives_a_hint(room: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("csi5300._stream._PATIENCE_S", 0.01)
     with csi5300.Stream(room, macs="02:53:00:00:00:77") as stream:
         closing = threading.Timer(0.3, stream.close)

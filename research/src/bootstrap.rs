@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn what_all_links_have_more_is_certain_and_what_half_of_them_have_is_not() {
+    fn a_common_growth_is_certain_and_one_of_half_the_links_is_not() {
         let mut random = Stream::of_seed(2);
         let mut places = |more: [f64; 2]| -> Vec<Vec<(f64, f64)>> {
             let place = |k: usize| (0..3).map(|_| random.between(0.0, 12.0)).map(|e| (e, e + more[k % 2])).collect();

@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn ros_1_aligns_nothing_and_ends_no_string() {
+    fn ros_1_values_are_unaligned_and_strings_unterminated() {
         let bytes = [&[7, 2, 0, 0, 0, b'a', b'b'][..], &1.5_f64.to_le_bytes(), &[0; 4]].concat();
         let mut from = CdrReader::ros1(&bytes);
         assert_eq!((u8::read(&mut from), String::read(&mut from)), (Ok(7), Ok("ab".into())));
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_cut_or_made_up_is_refused_and_allocates_nothing() {
+    fn cut_or_invalid_values_are_refused_without_allocation() {
         let whole = vec!["abc".to_owned(), "d".to_owned()].payload();
         assert!(Vec::<String>::of_payload(&whole).is_ok());
         for cut in 0..whole.len() {

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn both_byte_orders_are_read_and_told_apart() {
+    fn both_byte_orders_are_read_and_distinguished() {
         for endian in [Endian::Little, Endian::Big] {
             let log = [record(endian), record(endian)].concat();
             assert_eq!(crate::detect(&log), Some(crate::Format::Atheros(endian)));

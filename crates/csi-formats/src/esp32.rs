@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn the_field_of_an_ht_frame_is_its_own() {
+    fn an_ht_frame_uses_its_ht_field() {
         let line = |bandwidth: u8, side: u8, pairs: usize| {
             frames(&format!(
                 "CSI_DATA,1,3C:71:BF:6D:2A:78,-7,11,1,0,{bandwidth},1,1,0,0,0,0,-93,0,6,{side},1,0,101,0,128,0,[{}]\n",
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_are_none_are_skipped() {
+    fn other_lines_are_skipped() {
         let good = format!(
             "CSI_DATA,7,3c:71:bf:6d:2a:78,-73,11,0,0,0,1,1,0,0,0,0,-93,0,6,0,8,0,101,0,128,0,[{}]\n",
             samples(64, ",")

@@ -268,7 +268,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_written_record_is_read_back() {
         for (kind, width_mhz) in [(Kind::Legacy, 20), (Kind::Ht, 40), (Kind::Vht, 80), (Kind::He, 20), (Kind::He, 160)]
         {
             let n = Tones::of(kind, width_mhz).unwrap().subcarriers.len();
@@ -299,7 +299,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_subcarriers_too_many_of_vht160_are_left_out() {
+    fn the_extra_subcarriers_of_vht160_are_removed() {
         let frame = front(&record(0x0300 | 3 << 11, 498)).0.unwrap();
         assert_eq!((frame.subcarriers.len(), frame.csi.len()), (484, 968));
         let column = frame.column(1, 0).unwrap();

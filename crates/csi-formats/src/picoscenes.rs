@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn a_5300_tells_rssi_by_antenna_and_has_its_chains_on_others() {
+    fn a_5300_reports_rssi_by_antenna_and_csi_by_chain() {
         let samples = [0; 60 * 30];
         let body = [
             &device::INTEL_5300.to_le_bytes()[..],

@@ -65,7 +65,7 @@ mod tests {
 
     /// Positions of the pilots in a record, from CSIKit's list of interpolated subcarriers.
     #[test]
-    fn pilots_stand_where_csikit_has_them() {
+    fn pilots_match_csikits_list() {
         for (kind, width, n, first) in [
             (Kind::Ht, 20, 56, &[7, 21, 34, 48][..]),
             (Kind::Ht, 40, 114, &[5, 33, 47, 66, 80, 108]),

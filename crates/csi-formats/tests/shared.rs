@@ -60,7 +60,7 @@ fn every_log_is_recognised_and_read() {
 }
 
 #[test]
-fn no_csitool_log_is_taken_for_one_of_these() {
+fn csitool_logs_are_not_recognised_as_other_cards() {
     let Some(folder) = folder() else { return };
     for name in ["reports/logs/managed_no_fcs.dat", "wsr-2021/floor/csi_rx_2021-03-04_154746.dat"] {
         let bytes = std::fs::read(folder.parent().unwrap().join(name)).unwrap();
@@ -113,7 +113,7 @@ fn damage_is_skipped_and_never_a_panic() {
 
 /// A big-endian logger's version of the same log.
 #[test]
-fn atheros_of_a_big_endian_machine_reads_alike() {
+fn a_big_endian_atheros_log_reads_the_same() {
     let Some(folder) = folder() else { return };
     let little = std::fs::read(folder.join("atheros/ath_csi_1.dat")).unwrap();
     let mut big = little.clone();

@@ -219,7 +219,7 @@ mod tests {
     use csi5300_bag::messages::standard::Clock;
 
     #[test]
-    fn a_node_that_ends_before_it_recorded_anything_leaves_no_recording() {
+    fn an_empty_recording_is_removed() {
         let folder = std::env::temp_dir().join(format!("csi5300-bag-none-{}", std::process::id()));
         std::fs::create_dir_all(folder.join("run")).unwrap();
         let bag = Bag::new(folder.join("run"));
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_is_whole_when_it_is_stopped_and_none_is_overwritten() {
+    fn a_stopped_recording_is_complete_and_overwrites_none() {
         let folder = std::env::temp_dir().join(format!("csi5300-bag-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let bag = Bag::new(folder.join("run"));

@@ -440,7 +440,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_goes_on_at_another_address() {
+    fn a_node_continues_at_a_new_address() {
         let last = Arc::new(AtomicU64::new(1));
         let (moving, fixed) = (node("moving", Arc::clone(&last)), node("fixed", Arc::new(AtomicU64::new(1))));
         let (give, came) = channel();

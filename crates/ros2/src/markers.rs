@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn what_there_is_not_is_taken_away() {
+    fn missing_values_delete_their_markers() {
         let none = of(&Header::default(), ("b", 7), &report(PeerState::NoPairs, |_| ()));
         assert_eq!(actions(&none), [Marker::DELETE; 5]);
         let plane = report(PeerState::Bearing, |answer| {

@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_those_of_ros_2() {
+    fn dds_names_are_ros_2s() {
         assert_eq!(kind("nav_msgs/msg/Odometry"), "nav_msgs::msg::dds_::Odometry_");
         assert_eq!(kind("std_srvs/srv/Trigger_Request"), "std_srvs::srv::dds_::Trigger_Request_");
         assert_eq!(topic("/lab/odom"), "rt/lab/odom");

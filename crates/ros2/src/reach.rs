@@ -59,7 +59,9 @@ impl Asked {
         asked.range = range.map(|range| (range, RANGE));
         for name in variable(STATIC).unwrap_or_default().split(';').filter(|name| !name.is_empty()) {
             match resolve(name) {
-                Some(_) if asked.peers.len() >= PEERS => asked.notes.push(format!("{STATIC}: {name} ignored, too many peers")),
+                Some(_) if asked.peers.len() >= PEERS => {
+                    asked.notes.push(format!("{STATIC}: {name} ignored, too many peers"))
+                }
                 Some(ip) => asked.peers.push(ip),
                 None => asked.notes.push(format!("{STATIC}: {name} has no IPv4 address")),
             }
@@ -112,11 +114,12 @@ impl Reach {
         if let Some((to, by)) = wish.filter(|_| own.interface.is_none() && !is_off) {
             match out(to) {
                 Some(found) if own.insecure => interface = found,
-                Some(_) => {
-                    notes.push(format!("{by} asks for the network, which needs `insecure = true`: using this machine only"))
-                }
+                Some(_) => notes
+                    .push(format!("{by} asks for the network, which needs `insecure = true`: using this machine only")),
                 None => {
-                    waits = Some(format!("{by} asks for the network, but there is no route to {to}: using this machine only"));
+                    waits = Some(format!(
+                        "{by} asks for the network, but there is no route to {to}: using this machine only"
+                    ));
                 }
             }
         }
@@ -182,7 +185,7 @@ mod tests {
     const STATIC: &str = "ROS_STATIC_PEERS";
 
     #[test]
-    fn the_variables_are_read_as_nodes_of_ros_read_them() {
+    fn environment_variables_are_read_as_in_ros() {
         let open = Settings { insecure: true, ..Settings::default() };
         let here = (Ipv4Addr::LOCALHOST, true, false);
         for (variables, expected, words) in [
@@ -206,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn static_peers_are_names_or_addresses_and_are_asked_from_the_network() {
+    fn static_peers_may_be_names_or_addresses_and_need_the_network() {
         let open = Settings { insecure: true, ..Settings::default() };
         let found = reach(&open, &[(RANGE, "LOCALHOST"), (STATIC, "10.0.0.2;;bench;nobody")]);
         assert_eq!((found.interface, found.multicast), (OWN, false));
@@ -224,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_that_comes_later_or_changes_is_taken_then() {
+    fn a_later_or_changed_address_is_used() {
         let (file, other) = (Settings { interface: Some(OWN), ..Settings::default() }, Ipv4Addr::new(192, 168, 1, 6));
         let open = |own: Settings| Settings { insecure: true, ..own };
         let subnet = Asked { range: Some((Range::Subnet, RANGE)), ..Asked::default() };
@@ -253,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn the_file_goes_before_the_variables() {
+    fn settings_override_the_variables() {
         let variables = [(RANGE, "OFF"), (STATIC, "10.0.0.2")];
         let file = Settings { insecure: true, interface: Some(OWN), peers: Some(Vec::new()), ..Settings::default() };
         let found = reach(&file, &variables);

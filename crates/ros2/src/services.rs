@@ -48,7 +48,7 @@ mod tests {
     use csi5300_bag::messages::services::{TriggerRequest, TriggerResponse};
 
     #[test]
-    fn both_ways_of_marking_a_request_are_understood() {
+    fn both_ways_of_identifying_a_request_are_understood() {
         let from = (Guid { prefix: [7; 12], entity: [0, 0, 1, 3] }, 5);
         let event = |vendor, payload| Event { reader: 0, from, vendor, payload };
         let inside = [&CDR_LE[..], &9_u64.to_le_bytes(), &3_i64.to_le_bytes(), &[0]].concat();

@@ -234,14 +234,15 @@ mod tests {
     }
 
     #[test]
-    fn who_is_seen_and_not_met_is_said_with_what_to_do() {
+    fn ignored_participants_are_reported_with_a_next_step() {
         let sockets = open(|_| ());
         assert_eq!(sockets.trouble(0), None);
         sockets.foreign.store(2, Ordering::Relaxed);
         sockets.stranger.store(u32::from(Ipv4Addr::new(198, 51, 100, 9)), Ordering::Relaxed);
         let said = sockets.trouble(0).unwrap();
         assert!(
-            said.contains("2 datagrams from other addresses ignored, the last from 198.51.100.9") && said.contains("`interface`"),
+            said.contains("2 datagrams from other addresses ignored, the last from 198.51.100.9")
+                && said.contains("`interface`"),
             "{said}"
         );
         assert_eq!(sockets.trouble(1), None, "somebody was met");
@@ -252,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_is_off_asks_nobody_and_hears_nobody() {
+    fn a_node_with_discovery_off_sends_and_receives_nothing() {
         let off = open(|reach| reach.is_off = true);
         assert!(
             off.settings("off".into()).announce.is_empty() && !open(|_| ()).settings("on".into()).announce.is_empty()

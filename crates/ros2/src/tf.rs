@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn loops_end_and_what_is_no_transform_is_refused() {
+    fn loops_end_and_invalid_transforms_are_refused() {
         let mut tree = Tree::default();
         tree.handle(&told("a", "b", [0.0; 3], false), false);
         tree.handle(&told("b", "a", [0.0; 3], false), false);

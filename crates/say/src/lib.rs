@@ -309,7 +309,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_would_command_a_terminal_is_written_out() {
+    fn control_characters_are_escaped() {
         let name = "a\x1b[2J\x07\r\u{9b}1m\u{7f}\x1b]0;mine\x1b";
         assert_eq!(printable(name), "a\\u001b[2J\\u0007\\u000d\\u009b1m\\u007f\\u001b]0;mine\\u001b");
         assert_eq!(printable("log\u{202e}tad.dat"), "log\\u202etad.dat");
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn one_is_no_plural() {
+    fn one_is_singular() {
         let said = [0, 1, 2].map(|n| count(n, "stretch", "stretches"));
         assert_eq!(said, ["0 stretches", "1 stretch", "2 stretches"]);
     }

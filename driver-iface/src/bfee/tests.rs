@@ -89,7 +89,7 @@ proptest! {
     }
 
     #[test]
-    fn a_column_has_as_many_samples_as_subcarriers_were_asked_for((repr, csi) in any_repr(), some in vec(0..30_u8, 0..30)) {
+    fn a_column_has_one_sample_per_requested_subcarrier((repr, csi) in any_repr(), some in vec(0..30_u8, 0..30)) {
         let body = emitted(&repr, &csi);
         let bfee = Bfee::new_checked(&body).unwrap();
         let (rx, tx) = (bfee.n_rx() - 1, bfee.n_tx() - 1);
@@ -155,7 +155,7 @@ fn bfee_first() -> Option<Iq> {
 }
 
 #[test]
-fn a_body_that_goes_on_behind_its_csi_is_read_in_its_layout() {
+fn a_body_that_continues_after_its_csi_is_read_in_its_layout() {
     let numbered = Wsr { tv_sec: 5, tv_usec: 6, mac: Mac([2; 6]), frame_count: Some(7) };
     for wsr in [None, Some(Wsr { frame_count: None, ..numbered }), Some(numbered)] {
         let repr = Repr { wsr, ..Repr::default() };
@@ -237,7 +237,7 @@ fn a_sender_is_unknown_where_address_and_number_are_zero() {
 }
 
 #[test]
-fn a_record_says_its_width_and_its_antennas() {
+fn a_record_has_its_width_and_antennas() {
     for (rate_n_flags, wide) in [(0x0101, false), (0x0901, true), (!rate::HT40, false), (rate::HT40, true)] {
         // Chains 1 and 2 were connected to C and A.
         let repr = Repr { n_rx: 2, antenna_sel: 0b00_0010, rate_n_flags, ..Repr::default() };

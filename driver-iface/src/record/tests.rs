@@ -88,7 +88,7 @@ fn without(log: &[Vec<u8>], at: usize) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn records_that_go_on_behind_their_csi_are_records() {
+fn records_that_continue_after_their_csi_are_accepted() {
     let padded = |seed, behind: usize| {
         let record = bfee_record(seed, 3, 1, seed % 2 == 0);
         framed(code::BFEE, &[&record[3..], &vec![0; behind]].concat())
@@ -111,7 +111,7 @@ fn records_that_go_on_behind_their_csi_are_records() {
 }
 
 #[test]
-fn whole_records_end_where_their_lengths_say() {
+fn complete_records_end_at_their_lengths() {
     let bytes = [0, 2, 0xBB, 1, 0, 1, 0xC1, 0, 3, 1, 2, 3];
     let all: Vec<_> = (0..=bytes.len()).map(|upto| whole_records(&bytes, upto)).collect();
     assert_eq!(all[3], (0, 0));
@@ -144,7 +144,7 @@ fn records_of_unknown_codes_are_kept() {
 }
 
 #[test]
-fn one_byte_less_costs_the_record_it_was_in_and_one_more_at_most() {
+fn a_lost_byte_costs_its_record_and_at_most_one_more() {
     for (which, log) in logs().iter().enumerate() {
         let whole = log.concat();
         let last = whole.len() - log.last().unwrap().len();
@@ -163,7 +163,7 @@ fn one_byte_less_costs_the_record_it_was_in_and_one_more_at_most() {
 }
 
 #[test]
-fn garbage_anywhere_costs_the_record_it_is_in_and_one_more_at_most() {
+fn garbage_costs_its_record_and_at_most_one_more() {
     let mut state = 7_u32;
     let mut next = move || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -246,7 +246,7 @@ fn damage_has_a_reason_with_numbers() {
 }
 
 #[test]
-fn what_is_no_log_yields_no_record() {
+fn other_files_yield_no_record() {
     let text = "It was a bright cold day in April, and the clocks were striking thirteen.\n".repeat(3000);
     let same = |byte: u8| vec![byte; 100_000];
     for bytes in [text.as_bytes(), b"hi\n", b"x", &same(0), &same(0x41), &same(0xff), &same(b'\n')] {
@@ -375,7 +375,7 @@ fn foreign_bytes_before_a_record_cost_no_record() {
 }
 
 #[test]
-fn frames_of_a_version_and_type_that_exist_are_evidence() {
+fn existing_frame_versions_and_types_are_evidence() {
     use super::head::{Codes, Head, head};
     let bits = |control: u8, length: u8| match head(&[0, length, code::MPDU, control], &Codes::default()) {
         Head::Good { bits, .. } => bits,
@@ -392,7 +392,7 @@ fn frames_of_a_version_and_type_that_exist_are_evidence() {
 }
 
 #[test]
-fn a_code_and_a_length_are_evidence_where_the_card_has_them() {
+fn known_codes_and_lengths_are_evidence() {
     use super::head::{Codes, Head, SURE, head, likely, sure};
     let bits = |seen: &Codes, bytes: &[u8]| match head(bytes, seen) {
         Head::Good { len, bits } => (len, bits),

@@ -19,7 +19,7 @@ fn parsed(file: &[u8]) -> (Layout, Vec<Entry>) {
 }
 
 #[test]
-fn layouts_are_told_apart_by_the_first_entries() {
+fn the_first_entries_distinguish_layouts() {
     let narrow: Vec<u8> = [1_700_000_000_u32, 250_000, 1_700_000_000, 260_000].map(u32::to_le_bytes).concat();
     assert_eq!(Layout::of(&narrow), Layout::Narrow);
     assert_eq!(Layout::of(&narrow[..8]), Layout::Narrow);
@@ -53,7 +53,7 @@ fn layouts_are_told_apart_by_the_first_entries() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused() {
+fn values_that_do_not_fit_are_refused() {
     let mut out = [0; 16];
     let (us, late) = (Entry::from(Some(1)), Entry::from(Some((i64::from(u32::MAX) + 1) * US_PER_S)));
     for layout in [Layout::Narrow, Layout::Wide, Layout::Checked] {
@@ -81,7 +81,7 @@ fn checksums_are_those_of_rfc_3720() {
 
 /// The bytes of the format as in docs/reference/formats.md.
 #[test]
-fn a_checked_side_file_is_a_head_and_16_bytes_a_record() {
+fn a_checked_side_file_has_a_head_and_16_bytes_per_record() {
     let check = Check { len: 0x0102, crc32c: 0x0304_0506 };
     let file = entries(&[Entry { host_us: Some(0x0708), check: Some(check) }, Entry::default()], Layout::Checked);
     assert_eq!(&file[..16], b"csi5300 checks 1");
@@ -91,7 +91,7 @@ fn a_checked_side_file_is_a_head_and_16_bytes_a_record() {
 
 /// Found by fuzzing: a time too large for microseconds came back as another one.
 #[test]
-fn a_time_beyond_what_64_bits_hold_is_none() {
+fn a_time_beyond_64_bits_is_unknown() {
     let last = i64::MAX / US_PER_S;
     for (seconds, us, expect) in [
         (last, i64::MAX % US_PER_S, Some(i64::MAX)),

@@ -29,7 +29,7 @@ fn filler_equals_the_bitwise_register_and_the_bytes_on_air() {
 }
 
 #[test]
-fn header_is_that_of_the_stock_sender_but_for_addr3_and_duration() {
+fn the_header_equals_the_stock_senders_except_addr3_and_duration() {
     // Header of frame 1 of sample_0x5_64_3000.dat; the card rewrote the duration to 48 us.
     let on_air = [
         0x08, 0x00, 0x30, 0x00, 0x00, 0x16, 0xea, 0x12, 0x34, 0x56, 0x00, 0x16, 0xea, 0x12, 0x34, 0x56, 0xff, 0xff,

@@ -90,7 +90,7 @@ fn nothing_of_another_frame_is_ever_used() {
 }
 
 #[test]
-fn an_order_that_the_card_did_not_say_names_no_antenna() {
+fn an_unreported_order_names_no_antenna() {
     for (said, len) in [(0, 64), (1, 60), (1, 63)] {
         let mut c0 = phy();
         c0[1] = said;
@@ -143,7 +143,7 @@ fn the_longest_frame_is_that_of_the_longest_record() {
 }
 
 #[test]
-fn the_beginning_of_a_frame_is_as_long_as_what_is_read_of_it() {
+fn the_kept_beginning_of_a_frame_is_as_long_as_needed() {
     let data = mpdu();
     let frame = |kept: usize| RxMpdu::from_start(data.len(), &data[..kept], 3).map(|mpdu| mpdu.byte_count());
     assert_eq!([frame(32), frame(33), frame(data.len())], [Ok(57); 3]);
@@ -154,7 +154,7 @@ fn the_beginning_of_a_frame_is_as_long_as_what_is_read_of_it() {
 }
 
 #[test]
-fn an_event_of_a_frames_beginning_is_that_frame() {
+fn an_event_with_a_frames_beginning_identifies_the_frame() {
     let (data, mut bytes) = (mpdu(), [0; 128]);
     let kept = [&data[..36], &3_u32.to_le_bytes()].concat();
     let start = EventRepr { data_len: 65, command: 0xC1, flags: 1, ..EventRepr::default() };
@@ -171,7 +171,7 @@ fn an_event_of_a_frames_beginning_is_that_frame() {
 }
 
 #[test]
-fn what_is_not_wanted_is_not_given() {
+fn unwanted_records_are_not_returned() {
     let packets = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
     for (csi, frames, codes) in
         [(true, false, &[0xBB][..]), (true, true, &[0xC1, 0xBB]), (false, true, &[0xC1]), (false, false, &[])]
@@ -183,7 +183,7 @@ fn what_is_not_wanted_is_not_given() {
 }
 
 #[test]
-fn only_the_beginning_of_a_frame_has_its_status_behind_it() {
+fn only_a_cut_frame_has_its_status_at_the_end() {
     for (command, flags, kept) in [(0xC1, 1, 12), (0xC1, 0, 8), (0xBB, 1, 8), (0xBB, 0, 8)] {
         let fields = EventRepr { data_len: 8, command, flags, ..EventRepr::default() };
         let mut bytes = [0; 64];
@@ -195,7 +195,7 @@ fn only_the_beginning_of_a_frame_has_its_status_behind_it() {
 }
 
 #[test]
-fn an_event_gives_back_what_it_was_made_of() {
+fn events_round_trip() {
     let fields = EventRepr {
         card: 0x1122_3344_5566_7788,
         time_ns: 0x0102_0304_0506_0708,
@@ -214,7 +214,7 @@ fn an_event_gives_back_what_it_was_made_of() {
 }
 
 #[test]
-fn a_sender_is_told_by_a_good_frame_that_is_long_enough() {
+fn a_good_and_long_enough_frame_names_the_sender() {
     let sender = |status: u32, byte_count: u8| {
         let mut data = mpdu();
         data[0] = byte_count;
@@ -228,7 +228,7 @@ fn a_sender_is_told_by_a_good_frame_that_is_long_enough() {
 }
 
 #[test]
-fn what_was_dropped_is_the_sum_of_what_gave_no_record() {
+fn dropped_counts_every_notification_without_a_record() {
     let counts = Counts { bfee: 9, records: 4, bad_bfee: 2, no_phy: 3, ..Counts::default() };
     assert_eq!((counts.dropped(), counts.plus(&counts).dropped()), (5, 10));
     assert_eq!(Counts { bad_bfee: u32::MAX, ..counts }.dropped(), 2);

@@ -88,7 +88,7 @@ mod tests {
 
     /// As ROS 2 Jazzy's own packages have them (`share/PACKAGE/msg/NAME.json`); nodes of Kilted and Lyrical announce the same.
     #[test]
-    fn hashes_are_those_that_nodes_of_ros_2_announce() {
+    fn type_hashes_equal_those_of_ros_2_nodes() {
         for (own, published) in [
             (Header::type_hash(), "f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01"),
             (Odometry::type_hash(), "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),

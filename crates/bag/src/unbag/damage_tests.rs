@@ -44,7 +44,7 @@ fn counts(recording: &Recording) -> (Vec<u64>, u64, u64) {
 }
 
 #[test]
-fn a_chunk_whose_sum_is_another_one_is_left_out() {
+fn a_chunk_with_a_wrong_checksum_is_skipped() {
     let (bytes, [first, second]) = in_two();
     assert_eq!(counts(&read_of("whole", &bytes).unwrap()), (vec![5, 3], 0, 0));
     // The last byte of the second chunk belongs to a pose.
@@ -65,7 +65,7 @@ fn a_chunk_whose_sum_is_another_one_is_left_out() {
 }
 
 #[test]
-fn messages_of_topics_that_nothing_is_known_of_are_counted() {
+fn messages_of_unknown_topics_are_counted() {
     let (bytes, [first, _]) = in_two();
     let mut damaged = bytes.clone();
     damaged[first + 20] ^= 1;
@@ -87,7 +87,7 @@ fn messages_of_topics_that_nothing_is_known_of_are_counted() {
 }
 
 #[test]
-fn damage_in_the_middle_of_a_database_costs_what_is_there() {
+fn damage_in_a_database_loses_only_the_damaged_rows() {
     let bytes = include_bytes!("../../../../tests/fixtures/recording.db3");
     let (mut messages, mut without) = (Vec::new(), Vec::new());
     for page in 1..bytes.len() / 512 {
@@ -112,7 +112,7 @@ fn damage_in_the_middle_of_a_database_costs_what_is_there() {
 }
 
 #[test]
-fn connections_of_a_damaged_chunk_are_in_the_index_of_a_bag_of_ros_1() {
+fn a_bags_index_replaces_connections_of_a_damaged_chunk() {
     let header = [&9_u32.to_le_bytes()[..], &12_u32.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
     let pose = [header, numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0])].concat();
     let chunk =
@@ -149,7 +149,7 @@ fn bomb(records: &[u8], size: u64) -> Vec<u8> {
 }
 
 #[test]
-fn what_a_chunk_becomes_is_bounded_and_not_held() {
+fn an_unpacked_chunk_is_bounded_and_streamed() {
     // One record of an unknown kind, all zeros.
     let size = 96_u64 << 20;
     let mut records = vec![0x7f];

@@ -66,7 +66,7 @@ fn chunks(bytes: &[u8], by: &str, pack: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
 }
 
 #[test]
-fn compressed_chunks_messages_and_files_are_read_as_those_that_are_not() {
+fn compressed_recordings_read_like_uncompressed_ones() {
     let bytes = plain();
     let expected = read_of("plain", &bytes).unwrap();
     assert_eq!(
@@ -120,7 +120,7 @@ fn compressed_chunks_messages_and_files_are_read_as_those_that_are_not() {
 }
 
 #[test]
-fn a_database_is_read_through_trees_and_rows_that_go_on_elsewhere() {
+fn a_database_with_deep_trees_and_overflow_pages_is_read() {
     let bytes = include_bytes!("../../../../tests/fixtures/recording.db3");
     let read = read_of("whole.db3", bytes).unwrap();
     let messages: Vec<_> =
@@ -207,7 +207,7 @@ pub(super) fn numbers(numbers: &[f64]) -> Vec<u8> {
 }
 
 #[test]
-fn a_bag_of_ros_1_is_read_too() {
+fn a_ros_1_bag_is_read() {
     let header = |s: u32| [&9_u32.to_le_bytes()[..], &s.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
     let pose = numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
     let odometry = [header(12), text("base"), pose.clone(), numbers(&[0.0; 36 + 6 + 36])].concat();

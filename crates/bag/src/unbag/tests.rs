@@ -95,7 +95,7 @@ fn bodies(log: &[u8]) -> Vec<&[u8]> {
 }
 
 #[test]
-fn a_log_that_was_published_and_recorded_is_the_log_again() {
+fn a_published_and_recorded_log_is_restored() {
     let log = include_bytes!("../../../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat");
     let mut survey = Survey::default();
     let folder = recorded("again", |writer| {
@@ -122,7 +122,7 @@ fn a_log_that_was_published_and_recorded_is_the_log_again() {
 }
 
 #[test]
-fn one_that_is_cut_is_read_up_to_there_and_what_is_none_is_said() {
+fn a_cut_recording_is_read_up_to_the_cut_and_other_files_are_refused() {
     let folder = recorded("cut", |writer| {
         put(writer, "/csi", &csi(1));
         writer.flush().unwrap();
@@ -148,7 +148,7 @@ fn one_that_is_cut_is_read_up_to_there_and_what_is_none_is_said() {
 }
 
 #[test]
-fn topics_of_one_name_in_plain_letters_and_of_none_have_files_of_their_own() {
+fn topics_with_equal_or_empty_plain_names_get_separate_files() {
     let folder = recorded("names", |writer| {
         for topic in ["/a/b", "/a_b", "", "/", "a/b"] {
             let mut pose = PoseStamped::default();
@@ -170,7 +170,7 @@ fn topics_of_one_name_in_plain_letters_and_of_none_have_files_of_their_own() {
 }
 
 #[test]
-fn the_recording_is_not_overwritten_whatever_it_is_called() {
+fn the_recording_is_never_overwritten() {
     let folder = recorded("input", |writer| {
         put(writer, "/n/csi", &csi(1));
         writer.finish().unwrap();

@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn order_statistics_are_those_of_a_ramp() {
+    fn order_statistics_of_a_ramp_are_exact() {
         let mut values: Vec<f64> = (0..=100).rev().map(f64::from).collect();
         values.push(f64::NAN);
         let d = Distribution::of(&values);

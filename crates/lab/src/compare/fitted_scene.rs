@@ -302,7 +302,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scene_is_of_the_channel_whose_centre_and_width_it_has() {
+    fn a_scenes_channel_has_its_centre_and_width() {
         let scene = |channel, bandwidth_mhz| Scene { channel, bandwidth_mhz, ..Scene::default() };
         let named = |scene: &Scene| channel_of(scene).map(|channel| channel.to_string());
         assert_eq!(named(&scene(36, 20)), Ok("36".into()));

@@ -208,7 +208,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn distances_of_shares_see_every_value() {
+    fn total_variation_counts_every_value() {
         let counts = |pairs: &[(u8, u64)]| pairs.iter().copied().collect::<Histogram<u8>>();
         let a = counts(&[(0x24, 60), (0x09, 30), (0x21, 10)]);
         assert_eq!(variation(&a, &counts(&[(0x24, 6), (0x09, 3), (0x21, 1)])), 0.0);
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn verdicts_follow_what_is_allowed() {
+    fn verdicts_follow_the_limits() {
         use Verdict::{Agrees, Differs, Shown};
         for (recorded, simulated, allowed, expected) in [
             (Some(1.0), Some(1.14), SPREAD, Agrees),

@@ -80,7 +80,7 @@ fn agreed(path: &Path) -> Course {
 }
 
 #[test]
-fn a_pause_of_an_hour_is_one_wherever_a_log_is_looked_at() {
+fn every_view_shows_the_same_pause_of_an_hour() {
     // The card's clock advances by more than half its range in the pause: only the host's clock shows that it went forward.
     let told = |k: u32| {
         let pause = if k < 50 { 0 } else { 3_553_500_000_u64 };
@@ -101,7 +101,7 @@ fn a_clock_that_steps_back_is_seen_once_and_takes_no_time() {
 }
 
 #[test]
-fn where_the_cards_clock_stands_the_host_tells_the_time_else_there_are_numbers() {
+fn without_a_card_clock_times_are_the_hosts_or_record_numbers() {
     // Some programs write 0, others add 1 now and then.
     let host =
         agreed(&log("host", &(0..100).map(|k| (k / 10, START_US + 10_000 * u64::from(k), k)).collect::<Vec<_>>()));
@@ -115,7 +115,7 @@ fn where_the_cards_clock_stands_the_host_tells_the_time_else_there_are_numbers()
 }
 
 #[test]
-fn frame_numbers_that_are_skipped_or_come_twice_are_marked_where_they_do() {
+fn skipped_and_repeated_frame_numbers_are_marked_in_place() {
     let number = |k: u32| if k < 20 { k } else { k + 3 } - u32::from(k >= 40);
     let course = agreed(&log("numbers", &(0..60).map(|k| (1_000 * k, 0, number(k))).collect::<Vec<_>>()));
     assert_eq!((&course.skipped, &course.repeated), (&vec![(0.02, 3)], &vec![0.04]));
@@ -126,7 +126,7 @@ fn frame_numbers_that_are_skipped_or_come_twice_are_marked_where_they_do() {
 }
 
 #[test]
-fn a_cut_has_its_csi_by_whatever_clock() {
+fn a_stretch_has_its_csi_with_any_clock() {
     // By the card's clock, no record lies after 0.5 s, or at 20 s and later.
     let host = |k: u32| (k / 10, START_US + 10_000 * u64::from(k), k);
     let path = log("cut-host", &(0..100).map(host).collect::<Vec<_>>());
@@ -141,7 +141,7 @@ fn a_cut_has_its_csi_by_whatever_clock() {
 }
 
 #[test]
-fn numbers_skipped_outside_of_what_is_wanted_are_not_counted_in_it() {
+fn numbers_skipped_outside_the_selection_are_not_counted() {
     // Two senders alternate, a record a millisecond. The first skips 3 at 20 ms and 5 at 60 ms and repeats one at 30 ms; the other
     // skips 7 at 41 ms.
     let told = |k: u32| {
@@ -216,7 +216,7 @@ fn every_record_is_in_one_column_of_one_stretch() {
 }
 
 #[test]
-fn csi_kept_and_csi_read_again_are_the_same() {
+fn kept_csi_equals_csi_read_again() {
     let index = LogIndex::read(&fixture()).unwrap();
     let (from_s, to_s) = index.span_s();
     let [sender] = index.senders() else { panic!("{:?}", index.senders()) };
@@ -236,7 +236,7 @@ fn csi_kept_and_csi_read_again_are_the_same() {
 }
 
 #[test]
-fn what_is_missing_stands_where_it_is_missing() {
+fn losses_are_marked_in_place() {
     let whole = LogIndex::read(&fixture()).unwrap();
     let at = |k: usize| whole.offset[k] as usize;
     // Three records, and later part of one.
@@ -303,7 +303,7 @@ fn card_log(name: &str, frames: &[Heard]) -> PathBuf {
 const SLOPE_RAD: f64 = 0.05;
 
 #[test]
-fn every_subcarrier_of_another_card_stands_at_its_index_and_what_was_not_measured_is_empty() {
+fn other_cards_subcarriers_are_at_their_indices_and_unmeasured_ones_empty() {
     let path = card_log("card", &[(Kind::Ht, 20, 2, 1); 40]);
     let course = Course::read(&path, &Wanted::default()).unwrap();
     assert_eq!((course.records, course.base, course.format), (40, TimeBase::Card, Some("FeitCSI")));
@@ -346,7 +346,7 @@ fn every_subcarrier_of_another_card_stands_at_its_index_and_what_was_not_measure
 }
 
 #[test]
-fn heat_maps_are_of_one_sender_and_of_its_most_frequent_frames() {
+fn heat_maps_show_one_sender_and_its_most_frequent_frames() {
     let ht = (Kind::Ht, 20, 2, 1);
     let frames: Vec<Heard> = (0..60)
         .map(|k| match k % 6 {
@@ -380,7 +380,7 @@ fn heat_maps_are_of_one_sender_and_of_its_most_frequent_frames() {
 }
 
 #[test]
-fn damage_in_a_log_of_another_card_stands_where_it_is() {
+fn damage_in_another_cards_log_is_marked_in_place() {
     let path = card_log("card-torn", &[(Kind::Ht, 20, 1, 1); 20]);
     let mut bytes = std::fs::read(&path).unwrap();
     let len = bytes.len() / 20;

@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_set_to_zero_is_turned_to_where_another_looks() {
+    fn unreset_wheels_are_rotated_to_another_sensors_heading() {
         let (zeroed, going_on) = (wheels(0.0), wheels(-0.25));
         let turn_rad = heading_between_rad(&going_on, &zeroed).unwrap();
         assert!((turn_rad - 0.25).abs() < 1e-9, "{turn_rad}");

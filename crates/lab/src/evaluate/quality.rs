@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn deviations_that_tell_the_truth_have_a_scale_of_one() {
+    fn correct_deviations_have_a_scale_of_one() {
         let with_sd = |k: i32| {
             let mut row = row("a/x", 0.0, f64::from(k), 0.5);
             row.answer.azimuth_sd_deg = Some(10.0);
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn deviations_stand_for_their_confidence() {
+    fn a_deviation_corresponds_to_its_confidence() {
         // 68.27 % within one deviation, 95.45 % within two.
         assert!((deviation_rad(0.682_689).to_degrees() - 5.0).abs() < 0.01);
         assert!((deviation_rad(0.954_5).to_degrees() - 2.5).abs() < 0.01);

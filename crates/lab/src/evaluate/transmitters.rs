@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn evidence_that_is_none_is_counted() {
+    fn unusable_evidence_is_counted() {
         let mut broken = seen([0.0, 0.0]);
         broken.evidence.modes.clear();
         let [found] = &located(&[broken.clone(), seen([0.0, 0.0])], &BTreeMap::new())[..] else { panic!() };

@@ -169,7 +169,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_truth_that_is_none_is_refused() {
+    fn an_invalid_truth_file_is_refused() {
         let folder = std::env::temp_dir().join(format!("csi5300-truth-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let read = |text: &str| {

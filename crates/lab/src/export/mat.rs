@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_its_elements() {
+    fn a_file_consists_of_its_elements() {
         let path = std::env::temp_dir().join(format!("csi5300-mat-{}.mat", std::process::id()));
         let mut mat = Mat::create(&path).unwrap();
         mat.array("a", &[3, 1], [1_u8, 2, 3].into_iter()).unwrap();

@@ -233,7 +233,7 @@ mod tests {
 
     /// A file that refuses all writes stands for a full disk: `/dev/full` does not show the position of a write.
     #[test]
-    fn a_disk_that_refused_once_is_not_asked_again_and_the_refusal_is_not_forgotten() {
+    fn after_a_failed_write_nothing_is_written_and_the_error_is_kept() {
         let path = std::env::temp_dir().join(format!("csi5300-refused-{}.npz", std::process::id()));
         std::fs::write(&path, b"").unwrap();
         let mut disk = Disk::new(File::open(&path).unwrap());

@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_the_usual_shape_are_arrays() {
+    fn frames_of_the_most_frequent_shape_become_arrays() {
         let bytes = log();
         let read = CardFrames::read(Format::FeitCsi, &bytes, |_, _| true);
         assert_eq!((read.frames.len(), read.other_shapes, read.left_out, read.damaged), (6, 3, 0, 0));

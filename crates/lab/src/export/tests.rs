@@ -78,7 +78,7 @@ fn an_export_that_is_stopped_says_so() {
 }
 
 #[test]
-fn an_extension_may_be_in_capitals_and_streams_more_than_there_are() {
+fn an_extension_may_be_upper_case_and_streams_may_exceed_the_logs() {
     let (arena, columns) = table(&fixture(), Filter::default());
     let export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default());
     let (small, large, wide) = (Temporary::new("log.npz"), Temporary::new("LOG.NPZ"), Temporary::new("wide.npz"));
@@ -92,7 +92,7 @@ fn an_extension_may_be_in_capitals_and_streams_more_than_there_are() {
 }
 
 #[test]
-fn a_log_that_is_read_again_gives_the_same_file_as_one_in_memory() {
+fn exporting_from_disk_and_from_memory_gives_the_same_file() {
     let log = long_log();
     let part = || Filter::default().with_time(Some(0.4), Some(0.9)).unwrap();
     for (number, filter) in [Filter::default(), part()].into_iter().enumerate() {
@@ -117,7 +117,7 @@ fn a_log_that_is_read_again_gives_the_same_file_as_one_in_memory() {
 
 /// The size reserved for an archive is its size without headers: no reserved space is left over.
 #[test]
-fn an_archive_is_its_records_and_headers() {
+fn an_archive_has_no_unused_reserved_space() {
     let log = long_log();
     let columns = columns(&log.0, Filter::default());
     let out = Temporary::new("whole.npz");
@@ -129,7 +129,7 @@ fn an_archive_is_its_records_and_headers() {
 }
 
 #[test]
-fn a_log_that_changes_meanwhile_is_an_error_with_its_place() {
+fn a_log_that_changes_during_export_is_an_error_with_its_offset() {
     let log = long_log();
     let columns = columns(&log.0, Filter::default());
     let out = Temporary::new("changed.npz");

@@ -104,7 +104,7 @@ mod tests {
     use std::io::Write;
 
     #[test]
-    fn a_picture_for_which_the_disk_has_no_room_leaves_what_was_there() {
+    fn a_full_disk_leaves_the_old_picture() {
         let folder = std::env::temp_dir().join(format!("csi5300-whole-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let full = |file: &mut File| {

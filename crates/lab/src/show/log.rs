@@ -310,7 +310,7 @@ mod tests {
     use crate::course::HeatRows;
 
     #[test]
-    fn a_line_is_broken_at_a_gap_and_not_at_one_that_is_short_beside_its_points() {
+    fn a_line_breaks_at_a_gap_that_is_long_relative_to_its_points() {
         let gaps = [(1.0, 2.0), (5.0, 5.01)];
         assert!(is_broken(0.9, 2.1, &gaps) && is_broken(1.0, 2.0, &gaps));
         assert!(!is_broken(2.1, 3.0, &gaps) && !is_broken(4.0, 6.0, &gaps));
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn everything_of_a_small_picture_is_on_it() {
+    fn a_small_picture_is_not_cut_off() {
         let bases = [TimeBase::Card, TimeBase::Number];
         let sizes = [(800.0, 500.0), (400.0, 400.0), (1200.0, 1100.0)];
         for (base, size) in bases.into_iter().flat_map(|base| sizes.map(|size| (base, size))) {

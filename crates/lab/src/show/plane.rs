@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wedge_covers_the_frame_in_its_directions_and_nowhere_else() {
+    fn a_wedge_covers_exactly_its_directions_of_the_frame() {
         let axes = Axes::new([120.0, 106.0, 1_040.0, 704.0], (-4.5, 7.0), (-5.9, 2.0)).equal_aspect();
         let from = [-4.0, 1.5];
         for (azimuth, half) in [(-1.4, 0.01), (-1.4, 1.0), (3.0, 1.5), (-1.4, 1.9), (0.5, 3.1), (-1.4, PI), (2.0, 9.0)]

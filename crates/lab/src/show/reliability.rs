@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn intervals_of_shares_are_those_of_wilson() {
+    fn intervals_of_shares_are_wilsons() {
         // Half of 100: 0.5 +- 0.5 / sqrt(101). None of 4: up to 1 / (4 + 1).
         let [low, high] = wilson(0.5, 100);
         assert!((high - 0.5 - 0.5 / 101f64.sqrt()).abs() < 1e-12 && (low + high - 1.0).abs() < 1e-12);

@@ -180,7 +180,7 @@ fn pictures(at: &Path, format: &Format) -> Vec<PathBuf> {
 }
 
 #[test]
-fn every_picture_is_pixels_and_vectors_and_replaces_nothing_unasked() {
+fn every_picture_is_a_png_and_an_svg_and_replaces_files_only_on_request() {
     let at = folder("formats");
     let format = Format::default().with_replace(false);
     let written = pictures(&at, &format);

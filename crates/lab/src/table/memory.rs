@@ -433,7 +433,7 @@ mod tests {
         assert_eq!((own.push(&vec![8; BLOCK + 1]), own.push(&[9]), own.room()), (Some(0), None, 0));
     }
     #[test]
-    fn bytes_are_read_behind_a_gap_and_what_was_left_over_is_put_before_them() {
+    fn bytes_are_read_after_a_gap_that_takes_earlier_unused_bytes() {
         let mut block = Block::fixed(10);
         block.skip(3);
         let read = |room: &mut [u8]| {

@@ -32,7 +32,7 @@ fn frames() -> Vec<Frame> {
 }
 
 #[test]
-fn a_table_is_its_frames() {
+fn a_table_equals_its_frames() {
     let (arena, columns, left_out) = table(Filter::default());
     let frames = frames();
     assert!(frames.len() > 100 && arena.len() == frames.len() && columns.len() == frames.len() && left_out == 0);
@@ -61,7 +61,7 @@ fn a_table_is_its_frames() {
 }
 
 #[test]
-fn rows_that_a_record_does_not_have_are_no_numbers() {
+fn missing_rows_are_nan() {
     let (arena, ..) = table(Filter::default());
     // Columns for two streams of records that have one; rows in another order; a missing record.
     let rows = Rows::new(&[Antenna::C, Antenna::A], 2);
@@ -98,7 +98,7 @@ fn all_kinds() -> Arena {
 }
 
 #[test]
-fn subcarriers_first_or_last_the_numbers_are_the_same() {
+fn both_orders_of_indices_hold_the_same_numbers() {
     use Antenna::{A, B, C};
     let arena = all_kinds();
     let records: Vec<usize> = (0..arena.len() + 1).collect();
@@ -129,7 +129,7 @@ fn subcarriers_first_or_last_the_numbers_are_the_same() {
 }
 
 #[test]
-fn filters_keep_what_was_asked_for() {
+fn filters_keep_the_requested_records() {
     let frames = frames();
     let (first, sender) = (frames[0].card_us, frames[0].mac.unwrap().to_string());
     let (arena, columns, left_out) = table(Filter::default().with_time(Some(0.5), Some(1.0)).unwrap());
@@ -149,7 +149,7 @@ const COPIES: usize = 150;
 
 /// Enough copies of the fixture for several blocks of memory, damaged in places, with MPDU records in between.
 #[test]
-fn pieces_need_together_what_the_whole_needs() {
+fn the_needs_of_pieces_add_up_to_those_of_the_whole() {
     let columns = |orders: &[[u8; 3]], n_rx: &[u8], n_tx: &[u8]| Columns {
         antenna_order: orders.concat(),
         n_rx: n_rx.to_vec(),
@@ -227,7 +227,7 @@ fn two_threads_read_what_one_reads() {
 
 /// Without bodies a whole log is read on one thread, in reused memory.
 #[test]
-fn columns_alone_are_those_of_the_whole_log() {
+fn columns_without_bodies_equal_those_of_the_whole_log() {
     let log = long();
     let few = Filter::default().with_time(Some(0.5), Some(0.6)).unwrap();
     let small = |head| Cut { first: 1_000, block: Some(4_096 + head), head };
@@ -284,7 +284,7 @@ fn two_threads_read_the_host_times_that_one_reads() {
 
 /// A partly received log, and one whose reader fails in the middle.
 #[test]
-fn what_was_received_before_is_not_read_again_and_what_was_read_before_an_error_is_there() {
+fn received_records_are_not_read_twice_and_survive_an_error() {
     let log = long();
     let mut one = Reading::new(replay(&log), Filter::default());
     assert!(one.burst(Instant::ZERO, 700).unwrap() || one.arena.len() == 700);
@@ -307,7 +307,7 @@ impl Read for Failing {
 }
 
 #[test]
-fn reading_ends_when_it_is_told_to() {
+fn reading_stops_on_request() {
     let log = long();
     let mut asked = 0;
     let mut reading = Reading::new(replay(&log), Filter::default());
@@ -321,7 +321,7 @@ fn reading_ends_when_it_is_told_to() {
 }
 
 #[test]
-fn a_held_log_gives_again_what_it_gave() {
+fn a_held_log_can_be_replayed() {
     let log = long();
     let held = Held::read(&mut replay(&log), &|| true).unwrap().unwrap();
     for _ in 0..2 {

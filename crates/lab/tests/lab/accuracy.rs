@@ -52,7 +52,7 @@ fn errors(runs: &[Run]) -> Vec<f64> {
 }
 
 #[test]
-fn with_the_papers_noise_a_circle_is_right_to_a_quarter_of_a_degree() {
+fn with_the_papers_noise_a_circles_error_is_below_a_quarter_degree() {
     let found = errors(&runs(far("paper-circle"), 10, &options(true)));
     println!("far: {found:.4?}");
     assert!(found.iter().all(|error| error.abs() <= 0.25), "{found:?}");
@@ -81,7 +81,7 @@ fn highest_deg(run: &Run) -> f64 {
 /// A plane wave's profile has a null at the truth of this circle, between two of three peaks; the answer was never chosen from
 /// it.
 #[test]
-fn the_curve_that_is_drawn_is_highest_at_the_answer() {
+fn the_drawn_curve_peaks_at_the_answer() {
     for name in ["paper-circle", "paper-line"] {
         let run = &runs(Scene::built_in(name).unwrap(), 1, &options(true))[0];
         let off = |azimuth_deg: Option<f64>| {
@@ -112,7 +112,7 @@ fn compensation_changes_the_phase_of_every_experiment() {
 }
 
 #[test]
-fn with_every_effect_of_real_radios_it_is_right_to_half_a_degree() {
+fn with_all_radio_effects_the_error_is_below_half_a_degree() {
     for near_field in [false, true] {
         // A third of the built-in scene's rounds: if fewer pairs suffice, more do.
         let mut scene = far("lab-circle");

@@ -127,7 +127,7 @@ fn log_of(scene: &Scene, robot: usize) -> (Vec<Vec<u8>>, Injected) {
 }
 
 #[test]
-fn drops_at_the_ends_of_a_log_are_known_to_the_room_and_to_nobody_else() {
+fn only_the_room_knows_drops_at_the_ends_of_a_log() {
     let mut trailing_seen = 0;
     for seed in 1..=12 {
         let whole = scene(seed, "", "faults.driver_drop = 0.5");
@@ -156,7 +156,7 @@ fn drops_at_the_ends_of_a_log_are_known_to_the_room_and_to_nobody_else() {
 }
 
 #[test]
-fn drops_about_a_restart_are_unseen_too() {
+fn drops_around_a_restart_are_not_visible() {
     for seed in 1..=12 {
         let faults = "faults = { driver_drop = 0.5, restart_at_s = [3.0, 6.0], restart_s = 0.5 }";
         let scene = scene(seed, "", faults);
@@ -179,7 +179,7 @@ fn drops_about_a_restart_are_unseen_too() {
 }
 
 #[test]
-fn a_restart_of_the_initiator_is_seen_by_both_and_one_of_the_responder_by_none() {
+fn both_see_an_initiators_restart_and_nobody_a_responders() {
     let ran = Ran::new(&scene(1, "faults = { restart_at_s = [4.0, 7.0], restart_s = 0.5 }", ""));
     let (rx, tx) = ran.clean();
     assert_eq!((rx.restarts, tx.restarts), (ran.rx.restarts, ran.rx.restarts));
@@ -226,7 +226,7 @@ fn all_faults_at_once_add_up() {
 }
 
 #[test]
-fn poses_that_never_come_are_gaps_of_the_trajectory() {
+fn lost_poses_are_gaps_in_the_trajectory() {
     let odometry = "odometry = { rate_hz = 50.0, drop = 0.3, late = 0.1, late_s = 0.1 }";
     let room = Room::new(&scene(1, odometry, "")).unwrap();
     let (mut source, mut now, mut poses) = (room.odometry(0).unwrap(), Instant::ZERO, Vec::new());
@@ -250,7 +250,7 @@ fn poses_that_never_come_are_gaps_of_the_trajectory() {
 }
 
 #[test]
-fn a_killed_loggers_tail_is_what_the_log_lacks() {
+fn a_killed_loggers_log_lacks_its_tail() {
     let folder = std::env::temp_dir().join(format!("csi5300-faults-{}", std::process::id()));
     let mut room = Room::new(&scene(1, "faults = { killed = true, loss = 0.1 }", "faults.killed = true")).unwrap();
     let captures = write_dataset(&mut room, &folder, &mut |_| {}).unwrap();

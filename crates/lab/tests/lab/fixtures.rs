@@ -11,7 +11,7 @@ fn fixtures() -> PathBuf {
 }
 
 #[test]
-fn the_simulator_makes_the_same_bytes_again() {
+fn the_simulator_reproduces_the_fixtures() {
     let made = Path::new(env!("CARGO_TARGET_TMPDIR")).join("small-circle");
     let _ = std::fs::remove_dir_all(&made);
     let scene = Scene::load(&fixtures().join("small-circle.toml")).unwrap();

@@ -70,7 +70,7 @@ fn near_a_helix_the_place_is_found_above_and_below() {
 }
 
 #[test]
-fn the_limit_of_elevation_is_what_is_expected_and_no_wall() {
+fn the_elevation_limit_is_a_prior_not_a_hard_bound() {
     // Level motion, elevations far above those expected of robots on a floor: the samples leave no doubt.
     let seen = see(&in_space(circle(0.3, 1.0), away(70.0, 45.0, 15.0), 3));
     assert!(!seen.signed, "{seen:?}");
@@ -176,7 +176,7 @@ fn the_only_turn_of_a_long_drive_is_found() {
 
 /// A climbing line does not separate a transmitter's azimuth from its elevation: errors are within error bars.
 #[test]
-fn a_climbing_line_says_what_elevations_leave_open() {
+fn a_climbing_lines_error_bar_covers_unknown_elevations() {
     let (mut within, mut count, mut widest) = (0, 0, 0f64);
     for (k, rise_deg) in [20f64, 35.0, 50.0].into_iter().enumerate() {
         let (up, flat) = rise_deg.to_radians().sin_cos();
@@ -204,7 +204,7 @@ fn a_climbing_line_says_what_elevations_leave_open() {
 /// Along the motion phases depend only on the square of a change in azimuth. Error bar and probability agree on that, a mirror
 /// close by does not lower the probability, and the two stay separate directions in later steps.
 #[test]
-fn a_motion_towards_the_transmitter_or_nearly_is_as_sure_as_its_bar_says() {
+fn motion_towards_the_transmitter_has_a_confidence_that_matches_its_error_bar() {
     let line = RobotMotion::Line(Line { length_m: 1.0, duration_s: 6.0, start_s: 0.0 });
     for (k, azimuth_deg) in [0.0, 0.3, 3.0, 11.0, -169.0, 180.0].into_iter().enumerate() {
         let recording = in_space(line.clone(), away(azimuth_deg, 0.0, 6.0), 40 + k as u64).record().unwrap();

@@ -58,7 +58,7 @@ fn files_are_read_once() {
 }
 
 #[test]
-fn what_is_not_on_the_shelf_says_why() {
+fn missing_files_are_reported_with_the_reason() {
     let folder = damaged("shelf-without");
     std::fs::remove_file(folder.join(format!("csi_rx_{STAMP}.dat"))).unwrap();
     let capture = only(&folder);

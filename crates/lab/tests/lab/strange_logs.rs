@@ -74,7 +74,7 @@ fn logs_of_two_runs_of_four_robots_are_refused() {
 }
 
 #[test]
-fn exchanged_logs_are_told_where_the_other_robots_clock_fits() {
+fn exchanged_logs_are_detected_by_the_other_robots_clock() {
     let Some(captures) = crate::common::captures() else { return };
     // In these the robots' host clocks differ by more than the run's length.
     for (place, date) in [("LOS_Set_A/L1", "2021-06-27_202550"), ("NLOS_Set_A/L2", "2021-06-28_194645")] {
@@ -122,7 +122,7 @@ fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: 
 }
 
 #[test]
-fn phases_that_follow_the_motion_are_of_one_run_whatever_clocks_say() {
+fn phases_that_follow_the_motion_show_one_run_despite_the_clocks() {
     let bearing = |own: &Simulation, other: &Simulation, options: &Options| {
         let (mut rx, mut tx) = (own.robots[0].replay(), other.robots[1].replay());
         let logs = vec![Transmitter { log: &mut tx, trajectory: None }];

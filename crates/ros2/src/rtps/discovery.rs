@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_announced_is_read_back_and_cut_ones_are_refused() {
+    fn announcements_round_trip_and_cut_ones_are_refused() {
         let lease = Span::from_ms(20_000);
         let (meta, user) = (vec![at(1, 7410)], vec![at(1, 7411), at(2, 7411)]);
         let participant = ParticipantData {
@@ -381,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_that_nothing_can_be_sent_to_are_left_out() {
+    fn unusable_addresses_are_ignored() {
         let mut list = List::new();
         let all = SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 1), 7400);
         list.addresses(id::META_UNICAST, &[all, at(1, 0), SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 7410)]);

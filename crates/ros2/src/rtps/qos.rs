@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_offered_must_be_what_is_asked_for_or_more() {
+    fn offered_quality_must_meet_the_requested_quality() {
         let (sensor, usual, latched) = (Qos::best_effort(5), Qos::reliable(10), Qos::latched(1));
         for (offered, asked, why) in [
             (&usual, &usual, None),

@@ -15,7 +15,7 @@ fn with_writers(count: u8) -> Reader {
 }
 
 #[test]
-fn what_waits_is_bounded_in_bytes_and_comes_when_it_is_asked_for_again() {
+fn waiting_bytes_are_bounded_and_dropped_samples_are_requested_again() {
     let mut reader = with_writers(100);
     let bytes = vec![7; 60_000];
     for number in 0..100 {
@@ -42,7 +42,7 @@ fn what_waits_is_bounded_in_bytes_and_comes_when_it_is_asked_for_again() {
 }
 
 #[test]
-fn ranges_without_end_are_asked_for_in_part_and_counted_without_overflow() {
+fn endless_ranges_are_requested_in_part_and_counted_without_overflow() {
     let mut reader = with_writers(1);
     let mut out = Vec::new();
     reader.handle_heartbeat(guid(0), (1, i64::MAX), false, &mut out);
@@ -85,7 +85,7 @@ fn hand(reader: &mut Reader, from: u8, number: u8, (first, bytes): &(u32, Vec<u8
 }
 
 #[test]
-fn samples_whose_fragments_come_in_turns_all_become_whole() {
+fn samples_with_interleaved_fragments_all_complete() {
     let mut reader = with_writers(1);
     let mut came = Vec::new();
     // A writer sends again what is missing, round by round; fragments of four samples alternate.
@@ -106,7 +106,7 @@ fn samples_whose_fragments_come_in_turns_all_become_whole() {
 }
 
 #[test]
-fn who_holds_most_gives_way_to_a_sample_in_fragments() {
+fn the_writer_with_most_waiting_bytes_gives_way() {
     let mut reader = with_writers(100);
     let bytes = vec![7; 60_000];
     // Strangers whose first sample never arrives fill all the room.

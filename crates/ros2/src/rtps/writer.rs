@@ -205,7 +205,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reader_that_fell_silent_is_asked_until_it_is_back_and_one_that_never_spoke_is_not() {
+    fn a_silent_reader_gets_heartbeats_unless_it_never_answered() {
         let mut writer = Writer::new([1; 12], [0, 0, 1, 3], Qos::reliable(100));
         let guid = |k: u8| Guid { prefix: [k; 12], entity: [0, 0, 1, 4] };
         let at = |k: u8| SocketAddrV4::new([127, 0, 0, k].into(), 7_411);

@@ -262,7 +262,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn quick_looks_see_what_a_head_says(bytes in bytes(), codes in prop::collection::vec(any::<u8>(), 0..5)) {
+        fn quick_checks_agree_with_heads(bytes in bytes(), codes in prop::collection::vec(any::<u8>(), 0..5)) {
             let mut seen = Codes::default();
             codes.iter().for_each(|code| seen.insert(*code));
             for at in 0..=bytes.len() {
@@ -277,7 +277,7 @@ mod tests {
         }
 
         #[test]
-        fn a_search_finds_what_a_look_at_every_position_finds(bytes in bytes(), share in 0.0..1.0_f64, end: bool) {
+        fn a_search_equals_a_check_of_every_position(bytes in bytes(), share in 0.0..1.0_f64, end: bool) {
             let mut framer = Framer::new();
             let len = 1 + (share * (bytes.len() - 1) as f64) as usize;
             let whole = whole_heads(&bytes, len);

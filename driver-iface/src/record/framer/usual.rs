@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn what_one_record_was_is_not_taken_for_another() {
+    fn the_usual_shape_is_not_mistaken_for_another() {
         let behind = bfee_record(0, 1, 1, false);
         let frame_before = |n_tx| [mpdu_record(1, 101), bfee_record(1, 3, n_tx, true), behind.clone()].concat();
         // The frame was followed by another bfee than the one met last.
@@ -154,7 +154,7 @@ mod tests {
         /// The comparison agrees with the complete heads; a shape just learnt is usual; with one changed byte of those that identify it, it
         /// is not.
         #[test]
-        fn what_is_as_usual_needs_no_whole_look(
+        fn the_usual_shapes_agree_with_complete_heads(
             logs in prop::collection::vec((follower(), follower()), 1..6), at in 0..200_usize, byte: u8,
         ) {
             let mut framer = Framer::new();

@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_there_is_has_a_row_and_one_is_no_plural() {
+    fn only_existing_events_have_rows_and_one_is_singular() {
         let mut course = Course::default();
         assert!(of(&course).is_empty() && height(&of(&course)) == 0.0);
         (course.missing, course.repeated) = (vec![(1.0, 1)], vec![2.0, 3.0]);

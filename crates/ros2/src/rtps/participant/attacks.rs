@@ -50,7 +50,7 @@ fn alone() -> Net {
 }
 
 #[test]
-fn a_stranger_that_answers_nothing_is_sent_little_and_nobody_else_anything() {
+fn a_silent_stranger_is_sent_little_and_nobody_else_anything() {
     let mut net = alone();
     let (mut handed, mut out) = (0, Vec::new());
     for _ in 0..40 {
@@ -73,7 +73,7 @@ fn a_stranger_that_answers_nothing_is_sent_little_and_nobody_else_anything() {
 }
 
 #[test]
-fn one_that_is_not_heard_for_a_while_gets_what_it_missed() {
+fn a_reader_that_was_silent_for_a_while_gets_what_it_missed() {
     let mut net = Net::new(2);
     net.all[0].add_writer("rt/a", "T", Qos::latched(10), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::latched(10), WALL_US);
@@ -88,7 +88,7 @@ fn one_that_is_not_heard_for_a_while_gets_what_it_missed() {
 }
 
 #[test]
-fn questions_without_end_are_answered_at_the_pace_of_beats() {
+fn endless_requests_are_answered_at_the_heartbeat_rate() {
     let mut net = alone();
     hand(&mut net, &announcement(STRANGER, at(9, 7410)));
     hand(&mut net, &reader_of("rt/a", 1));
@@ -108,7 +108,7 @@ fn questions_without_end_are_answered_at_the_pace_of_beats() {
 }
 
 #[test]
-fn a_datagram_full_of_heartbeats_makes_no_endless_answer() {
+fn a_datagram_full_of_heartbeats_gets_a_bounded_answer() {
     let mut net = alone();
     hand(&mut net, &announcement(STRANGER, at(9, 7410)));
     net.all[0].poll_transmit();
@@ -128,7 +128,7 @@ fn a_datagram_full_of_heartbeats_makes_no_endless_answer() {
 }
 
 #[test]
-fn names_that_are_longer_than_any_are_not_kept_and_readers_not_without_number() {
+fn overlong_names_are_not_stored_and_readers_are_bounded() {
     let mut net = alone();
     hand(&mut net, &announcement(STRANGER, at(9, 7410)));
     hand(&mut net, &reader_of(&"x".repeat(60_000), 1));
@@ -152,7 +152,7 @@ fn writer_of(prefix: Prefix, number: i64) -> Vec<u8> {
 }
 
 #[test]
-fn one_too_many_of_a_topic_is_counted_and_has_its_place_when_somebody_leaves() {
+fn an_endpoint_over_the_limit_is_counted_and_matched_once_one_leaves() {
     let mut net = Net::new(1);
     net.all[0].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
     // Two writers in each of 65 participants.

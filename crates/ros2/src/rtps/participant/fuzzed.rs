@@ -167,7 +167,7 @@ fn simulated(lose: impl Fn(usize) -> bool) -> Vec<u8> {
 
 #[cfg(test)]
 #[test]
-fn steps_of_others() {
+fn arbitrary_steps_of_others() {
     for lossy in [false, true] {
         let input = simulated(|sent| lossy && sent % 5 == 3);
         run(&input);
