@@ -30,6 +30,8 @@ done | awk '
         delete also
         heading = ""
     }
+    # Every command takes options.
+    /^Usage:/ { sub(/ \[OPTIONS\]/, "") }
     /^## / { finish(); command = $2; order[++commands] = $2; print "\n" $0 "\n\n```text"; getline; next }
     /^(  -q, --quiet|  -v, --verbose|      --color|  -h, --help)/ { option(); skip = 1; next }
     /^(  |      )-/ { option(); skip = 0; name = $0; sub(/^ +/, "", name); block = $0 "\n"; next }
