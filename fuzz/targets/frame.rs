@@ -27,7 +27,7 @@ pub fn run(bytes: &[u8]) {
         let repr = mpdu::Repr::parse(&mpdu);
         let mut again = vec![0; repr.emit_len()];
         assert_eq!(repr.emit(&mut again).unwrap(), bytes.len());
-        // The checksum is computed anew.
+        // The checksum is computed again.
         let (written, fcs) = again.split_at(bytes.len() - mpdu::FCS);
         assert!(bytes.starts_with(written));
         assert_eq!(bytes.ends_with(fcs), mpdu.fcs_is_good());

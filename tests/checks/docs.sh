@@ -43,7 +43,7 @@ for page in README.md docs/*.md docs/*/*.md; do
         [ "$command $rest" != "checks 1" ] || continue
         help="$folder/help-$command"
         [ -e "$help" ] || "$program" "$command" --help >"$help" 2>&1 || {
-            echo "$page: csi5300 $command is no command"
+            echo "$page: csi5300 $command is not a command"
             exit 1
         }
         for option in $(grep -oE -- '(^|[^a-z-])--[a-z][a-z-]*' <<<"$rest" | grep -oE -- '--.*' | sort -u); do

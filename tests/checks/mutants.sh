@@ -20,7 +20,7 @@ if [ -z "$since" ]; then
     since=${since:-$(git rev-parse --verify --quiet 'HEAD~1' || true)}
 fi
 [ -n "$since" ] || { echo "no commit before this one"; exit 77; }
-git rev-parse --verify --quiet "$since^{commit}" >/dev/null || { echo "CSI5300_MUTANTS_SINCE: $since is no commit here" >&2; exit 1; }
+git rev-parse --verify --quiet "$since^{commit}" >/dev/null || { echo "CSI5300_MUTANTS_SINCE: $since is not a commit here" >&2; exit 1; }
 # Other steps have built most crates; only changed ones are built again.
 export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/target}
 minutes=${CSI5300_MUTANTS_MINUTES:-4}

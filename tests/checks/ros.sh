@@ -223,7 +223,7 @@ connections=$(look 'print(state()["ros"]["connections"])')
 master
 look "until('registered again', 15, lambda t: t['ros']['connections'] > $connections and not t['trouble']); goes_on()"
 kill -9 -- "-$robots"
-look 'until("silence is said", 10, lambda t: any("nothing comes any more" in w for w in t["trouble"]))'
+look 'until("silence is reported", 10, lambda t: any("nothing comes any more" in w for w in t["trouble"]))'
 start robots python3 "$folder/robots.py"
 look 'until("poses again", 10, lambda t: not t["trouble"]); goes_on(); bearings("/csi5300_tb3_0"); self_test("/csi5300_tb3_0")'
 

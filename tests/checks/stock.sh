@@ -22,7 +22,7 @@ if [ ! -e "$place/source-$version/complete" ]; then
     rm -f "$place"/debs/linux-source-*
     touch "$place/source-$version/complete"
 fi
-grep -q "struct iwl_trans_ops {" "$iwl/iwl-trans.h" || cannot "the transport of $V is no table of functions: no fake card"
+grep -q "struct iwl_trans_ops {" "$iwl/iwl-trans.h" || cannot "the transport of $V is not a table of functions: no fake card"
 build_modules driver-iface/kmod
 build_modules tests/kernel/fakecard IWL="$iwl"
 printf 'modules built after %s s\n' "$SECONDS"

@@ -16,7 +16,7 @@ tune
 
 echo "a channel on which nobody may start to transmit: the kernel drops every frame, which is noticed"
 if csi5300 sound --interface wlan0 --peers "$B" --alone --rate 50 $slow --stop-after 4s 2>/tmp/said; then
-    echo "frames that all vanish are no success"
+    echo "a run whose frames all vanish is not a success"
     exit 1
 fi
 cat /tmp/said

@@ -19,7 +19,7 @@ const BURST: usize = 32_768;
 #[non_exhaustive]
 pub enum FilterError {
     /// A text is not an address.
-    #[error("{text:?} is no sender: {source}")]
+    #[error("{text:?} is not a sender address: {source}")]
     Mac {
         /// The text.
         text: String,
@@ -33,7 +33,7 @@ pub enum FilterError {
         text: String,
     },
     /// The stretch of time is empty or not a number.
-    #[error("from {from_s} to {to_s} seconds after the first record is no stretch of time")]
+    #[error("from {from_s} to {to_s} seconds after the first record is not a stretch of time")]
     Time {
         /// Its beginning, seconds.
         from_s: f64,
