@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# .ci/budget.bash on machines of many paces, with a clock that is handed in: nothing starts too late, nothing is lost.
+# Tests .ci/budget.bash for machines of different speeds, with a simulated clock: nothing starts too late, nothing is lost.
 set -euo pipefail
 cd "$(dirname "$0")"
 source ./budget.bash
@@ -8,7 +8,7 @@ clock() { echo "$now"; }
 fail() { printf 'budget: %s\n' "$1"; exit 1; }
 items=("600 long" "30 short" "200 middle" "1 tiny" "9000 never" "300 other")
 names=$(printf '%s\n' "${items[@]#* }" | sort)
-# A check takes what was written, more or less by a quarter.
+# A check takes its stated time, plus or minus a quarter.
 run() {
     local item took
     for item in "${items[@]}"; do [ "${item#* }" != "$1" ] || took=$(needs "${item%% *}"); done

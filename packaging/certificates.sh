@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# An authority of the lab's own, and a certificate for one robot, for zenoh-tls.json5.
+# Makes the lab's own certificate authority, and a certificate for one robot, for zenoh-tls.json5.
 #   certificates.sh FOLDER NAME [ADDRESS]
-# makes FOLDER/ca.pem and ca.key where they are not there yet, and NAME.pem and NAME.key for the robot NAME (or NAME.local)
-# at ADDRESS. A robot gets ca.pem, its NAME.pem as robot.pem and its NAME.key as robot.key. Keep ca.key off the robots.
+# makes FOLDER/ca.pem and ca.key if they do not exist yet, and NAME.pem and NAME.key for the robot NAME (or NAME.local) at ADDRESS. A
+# robot gets ca.pem, its NAME.pem as robot.pem and its NAME.key as robot.key. Keep ca.key off the robots.
 set -euo pipefail
 folder=$1 name=$2 address=${3:-127.0.0.1} days=3650
 mkdir -p "$folder"

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""FINUFFT (one thread, plans kept), a vectorised double loop in C and NumPy on the samples of `cargo bench --bench pareto`.
+"""Runs FINUFFT (one thread, plans kept), a vectorised double loop in C, and NumPy on the samples of `cargo bench --bench pareto`.
 
 Arguments: job (planar, azimuth, helix), packets, radius, samples.bin, reference.bin.
-Prints lines of: who, eps, milliseconds (quickest of many), largest error of F / max F.
-For level motion FINUFFT is given the 32,760 directions of the upper hemisphere and the horizon only.
+Prints lines of: method, eps, milliseconds (fastest of many), largest error of F / max F.
+For level motion FINUFFT gets only the 32,760 directions of the upper hemisphere and the horizon.
 """
 import ctypes
 import os
@@ -37,7 +37,7 @@ def first(timing):
 
 
 def compiled():
-    """The double loop of benches/peers as this machine's gcc makes it; None without gcc."""
+    """The double loop of benches/peers, compiled by this machine's gcc; None without gcc."""
     source = pathlib.Path(__file__).parent.parent / "benches/peers/double_loop.c"
     gcc = shutil.which("gcc")
     if not gcc:
@@ -76,7 +76,7 @@ def main():
         for eps in tolerances:
             if job == "helix" and packets > 3000 and eps in (1e-4, 1e-9):
                 continue
-            # The oversampling that a user can choose: each at its best.
+            # The user can choose the oversampling: each at its best.
             fresh, kept = [], []
             for factor in (2.0, 1.25):
                 plan = finufft.Plan(3, dim, eps=eps, isign=-1, dtype=cplx, nthreads=1, upsampfac=factor)
@@ -90,7 +90,7 @@ def main():
             for note, (ms, factor, f) in (("", min(fresh, key=first)), (" unchanged", min(kept, key=first))):
                 report(f"FINUFFT {real[5:]}-bit{note}:{factor}", eps, ms, f)
     library = compiled()
-    # A part of the grid, scaled up, as the naive loop is.
+    # A part of the grid, scaled up, as for the naive loop.
     part = slice(None, None, max(1, u.shape[1] * packets // 20_000_000))
     for name, real in (("f64", np.float64), ("f32", np.float32)) if library else ():
         columns = [np.ascontiguousarray(c, real) for c in (x, y, z, re, im)]

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Prints docs/reference/commands.md: every command with its options, from the program's own help. scripts/commands.sh PROGRAM
 # `scripts/commands.sh target/release/csi5300 >docs/reference/commands.md` rewrites the page; tests/checks/docs.sh compares it.
-# An option with the same text as one of an earlier command is only named.
+# An option whose text equals that of an earlier command's option is only named.
 set -euo pipefail
 program=$1
 printf '# Commands\n\n'
@@ -30,7 +30,8 @@ done | awk '
         delete also
         heading = ""
     }
-    /^Usage:/ { next }
+    # Every command takes options.
+    /^Usage:/ { sub(/ \[OPTIONS\]/, "") }
     /^## / { finish(); command = $2; order[++commands] = $2; print "\n" $0 "\n\n```text"; getline; next }
     /^(  -q, --quiet|  -v, --verbose|      --color|  -h, --help)/ { option(); skip = 1; next }
     /^(  |      )-/ { option(); skip = 0; name = $0; sub(/^ +/, "", name); block = $0 "\n"; next }

@@ -12,7 +12,7 @@ HEAD = 6  # offset, timestamp_low, bfee_count, n_rx, n_tx, is_40_mhz
 
 
 def is_stock(path):
-    """True if the first bfee has the 20-byte header: csiread reads the other layout wrongly, so it is left out."""
+    """True if the first bfee has the 20-byte header: csiread misreads the other layouts, so they are skipped."""
     data = open(path, "rb").read(70_000)
     at = 0
     while at + 21 <= len(data):
@@ -45,7 +45,7 @@ def error(a, b):
 
 
 def export_agrees(program, path, theirs):
-    """True if the arrays of `csi5300 export` are csiread's: NumPy opens them, antennas are in order A, B, C."""
+    """True if the arrays of `csi5300 export` equal csiread's: NumPy opens them, antennas are in order A, B, C."""
     with tempfile.TemporaryDirectory() as folder:
         out = os.path.join(folder, "log.npz")
         # Status 3: the log is damaged before its end, and the rest was exported.
@@ -58,7 +58,7 @@ def export_agrees(program, path, theirs):
         same = all(np.array_equal(arrays[a], getattr(theirs, b)) for a, b in zip(fields, names))
         for k in range(len(csi)):
             n_rx, n_tx = theirs.Nrx[k], theirs.Ntx[k]
-            # csiread puts chain i into row perm[i] as csitool does, once the permutation is a valid one.
+            # Like csitool, csiread puts chain i into row perm[i] if the permutation is valid.
             rows = slice(0, n_rx) if not known[k] else sorted(theirs.perm[k, :n_rx] - (theirs.perm[k].min() > 0))
             same &= np.array_equal(csi[k, :, rows, :n_tx], theirs.csi[k, :, rows, :n_tx])
         return bool(same)
@@ -68,7 +68,7 @@ def compare(dump, program, path):
     theirs = csiread.Intel(path, nrxnum=3, ntxnum=3, pl_size=2000, if_report=False)
     theirs.read()
     scaled = theirs.get_scaled_csi()
-    # Not get_scaled_csi_sm(): a second scaling on one object adds to the total RSS of the first (csiread 1.4.1).
+    # Not get_scaled_csi_sm(): scaling one object twice adds the first scaling's total RSS to the second's (csiread 1.4.1).
     bare = theirs.apply_sm(scaled)
     records = list(ours(dump, path))
     if len(records) != theirs.count:

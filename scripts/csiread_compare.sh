@@ -1,5 +1,5 @@
 #!/bin/sh
-# Compares csi5300 with csiread (PyPI) on stock-layout logs: raw CSI exactly, scaled CSI to 1e-6.
+# Compares csi5300 with csiread (PyPI) on logs of the stock layout: raw CSI exactly, scaled CSI to 1e-6.
 #
 # usage: scripts/csiread_compare.sh [LOG...]
 # Without arguments: every stock-layout log in csitool/ below the captures (CSI5300_CAPTURES, or ../shared/captures).
@@ -16,6 +16,6 @@ if [ ! -e "$1" ]; then
 fi
 python=$("$root/scripts/venv.sh" csiread==1.4.1 numpy)
 target=${CARGO_TARGET_DIR:-$root/target}
-# Where a program is named, the tests have built the example beside it.
+# If CSI5300 names a program, the tests have built the example beside it.
 [ -n "${CSI5300:-}" ] || cargo build --quiet --manifest-path "$root/Cargo.toml" --example dump_csi --bin csi5300
 exec "$python" "$root/scripts/csiread_compare.py" "$target/debug/examples/dump_csi" "${CSI5300:-$target/debug/csi5300}" "$@"

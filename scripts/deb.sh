@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# A .deb of the programs: scripts/deb.sh [PROGRAM] [FOLDER]. PROGRAM, which csi5300-node is beside, defaults to the static one of scripts/dist.sh,
-# FOLDER to target/dist.
-# Inside: the programs, their completions and manual pages, the service's unit (neither enabled nor started) and the example of its configuration.
+# Makes a .deb of the programs: scripts/deb.sh [PROGRAM] [FOLDER]. PROGRAM, with csi5300-node beside it, defaults to the static one of
+# scripts/dist.sh, FOLDER to target/dist.
+# Contents: the programs, completions and manual pages, the service's unit (neither enabled nor started) and an example configuration.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=${1:-target/dist/csi5300}
@@ -23,7 +23,7 @@ completions() { mkdir -p "$root$(dirname "$2")" && "$program" completions "$1" >
 completions bash /usr/share/bash-completion/completions/csi5300
 completions zsh /usr/share/zsh/vendor-completions/_csi5300
 completions fish /usr/share/fish/vendor_completions.d/csi5300.fish
-# A page for each program and command: what its --help says.
+# A manual page for each program and command: its --help.
 page() { # NAME COMMAND...
     mkdir -p "$root/usr/share/man/man1"
     {
@@ -38,16 +38,16 @@ for command in $("$program" --help | sed -n '/^Commands:/,/^$/p' | awk '/^  [a-z
 done
 gzip -9n "$root"/usr/share/man/man1/*.1
 install -D -m 644 packaging/csi5300-node.service "$root/usr/lib/systemd/system/csi5300-node.service"
-# The unit in the repository is for a program that was installed by hand.
+# The repository's unit is for a program that was installed by hand.
 sed -i 's|/usr/local/bin/csi5300-node|/usr/bin/csi5300-node|' "$root/usr/lib/systemd/system/csi5300-node.service"
 install -D -m 644 -t "$root/usr/share/doc/csi5300/examples" packaging/csi5300-node-serial.conf packaging/csi5300-node-sounding.conf
 install -D -m 644 packaging/robot.toml "$root/usr/share/doc/csi5300/examples/robot.toml"
 install -m 644 README.md SECURITY.md CHANGELOG.md "$root/usr/share/doc/csi5300/"
 gzip -9n "$root/usr/share/doc/csi5300/CHANGELOG.md"
-# With that of the plotting library in the page.
+# Includes the licence of the page's plotting library.
 cat LICENSE-MIT LICENSE-APACHE crates/view/page/vendor/uPlot.LICENSE >"$root/usr/share/doc/csi5300/copyright"
 
-# A program that needs no interpreter needs no package either.
+# A static program needs no packages.
 depends=
 readelf -l "$root/usr/bin/csi5300" | grep -q INTERP && depends="Depends: libc6 (>= $(objdump -T "$root"/usr/bin/* | grep -oE 'GLIBC_[0-9.]+' | sort -Vu | tail -1 | cut -d_ -f2)), libgcc-s1"
 mkdir -p "$root/DEBIAN" "$out"

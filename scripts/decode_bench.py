@@ -1,4 +1,4 @@
-"""Times csiread and benches/decode on one log, in turns; see decode_bench.sh."""
+"""Times csiread and benches/decode on one log, alternately; see decode_bench.sh."""
 
 import glob
 import os
@@ -12,7 +12,7 @@ import time
 ROUNDS = 15
 SIZE = 200_000_000
 FLOORS = {"all": 15.0, "antenna30": 15.0, "antenna8": 25.0}
-# Of a log in which each record follows a copy of its frame, whatever is decoded.
+# Floor for a log with a copy of each record's frame before it, for any task.
 FRAMES_FLOORS = dict.fromkeys(FLOORS, 15.0)
 MEMORY_MB = 30.0
 CSIREAD = """
@@ -44,7 +44,7 @@ def concatenate(paths, out):
 
 
 def emitted(bench, out, option="--write"):
-    """A log made by `emit`: one record over and over, with `--write-frames` each behind a copy of its frame."""
+    """A log made by `emit`: one record repeated; with `--write-frames`, each after a copy of its frame."""
     subprocess.run([bench, option, out.name], check=True)
 
 
@@ -55,7 +55,7 @@ def csiread_rate(log):
 
 
 def our_rates(bench, log):
-    """Records per second of each task, one warm run, and the decoder's memory in MB."""
+    """Records per second of each task after a warm-up run, and the decoder's memory in MB."""
     out = subprocess.run([bench, log, "1"], check=True, capture_output=True, text=True).stdout
     rates = {}
     for line in out.splitlines():
@@ -65,8 +65,8 @@ def our_rates(bench, log):
 
 
 def as_from_disk(path):
-    """Has the file in the page cache as reading from the disk puts it there: in large pieces. What was just written in small ones
-    costs the kernel four times as much to hand over."""
+    """Loads the file into the page cache by reading it in large pieces. Pages from small writes cost the kernel four times as much to
+    read."""
     with open(path, "r+b") as file:
         os.fsync(file.fileno())
         os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)

@@ -1,11 +1,11 @@
 #!/bin/sh
-# Decoding speed against csiread (PyPI): a 200 MB WSR log, 3x1, one thread, warm, the two in turns, median (and least time) of 15.
+# Decoding speed against csiread (PyPI): a 200 MB WSR log, 3x1, one thread, warm, alternately, median (and least time) of 15.
 #
 # usage: scripts/decode_bench.sh [LOG]
-# Without LOG the real captures of ../shared/captures/paper (or CSI5300_CAPTURES) are concatenated; where they are
-# absent, records made by `emit`. Then a log with copies of the frames. Both are written, dropped from the page cache and read once before.
-# Floors: all to f32 15x csiread's records per second, one antenna with 30 subcarriers 15x, with 8 subcarriers 25x (15x with copies of frames);
-# the exit status is 1 if one is missed. Memory of the decoder: under 30 MB.
+# Without LOG, concatenates the real captures of ../shared/captures/paper (or CSI5300_CAPTURES) or, if there are none, uses records made
+# by `emit`. Then a log with copies of the frames. Both are written, dropped from the page cache and read once before.
+# Floors: all to f32 15x csiread's records per second, one antenna with 30 subcarriers 15x, with 8 subcarriers 25x (15x with copies of
+# frames); the exit status is 1 if one is missed. Memory of the decoder: under 30 MB.
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd)
 captures=${CSI5300_CAPTURES:-$root/../shared/captures}

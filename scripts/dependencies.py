@@ -1,6 +1,6 @@
-"""Holds the crates of all features against deny.toml: licences, and versions of one crate side by side.
+"""Checks the crates of all features against deny.toml: licences, and several versions of one crate.
 
-What `cargo deny check licenses bans` does, for machines without it; the advisories need that program and its database (tests/checks/deny.sh).
+Does the work of `cargo deny check licenses bans` on machines without it; advisories need that program and its database (tests/checks/deny.sh).
 """
 
 import collections
@@ -12,7 +12,7 @@ import tomllib
 
 
 def allowed(expression, licences):
-    """An SPDX expression over `licences`; "/" is the old way to write OR."""
+    """An SPDX expression over `licences`; "/" is the old notation for OR."""
     tokens = re.findall(r"\(|\)|[^\s()]+", expression.replace("/", " OR "))
 
     def primary(at):
@@ -21,7 +21,7 @@ def allowed(expression, licences):
             return value, at + 1
         name, at = tokens[at], at + 1
         if at + 1 < len(tokens) and tokens[at] == "WITH":
-            # A licence with an exception allows more than without it.
+            # A licence with an exception permits more than without it.
             return name in licences or f"{name} WITH {tokens[at + 1]}" in licences, at + 2
         return name in licences, at
 
@@ -43,7 +43,7 @@ def allowed(expression, licences):
 
 
 def below(graph, name_of, roots):
-    """The packages that `roots` (names) bring, themselves included."""
+    """The packages that `roots` (names) depend on, and themselves."""
     found, waiting = set(), [package for package, name in name_of.items() if name in roots]
     while waiting:
         package = waiting.pop()

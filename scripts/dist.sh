@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds csi5300 and csi5300-node, both static, that run on any x86-64 Linux from kernel 3.2 on, whatever C library it has
-# (Ubuntu 16.04 and 18.04 among them), and says how large they are.
+# Builds csi5300 and csi5300-node as static programs for any x86-64 Linux from kernel 3.2 on, with any C library (including Ubuntu 16.04
+# and 18.04), and prints their sizes.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 target=x86_64-unknown-linux-gnu
@@ -11,7 +11,7 @@ for program in csi5300:csi5300-cli csi5300-node:csi5300-node; do
     name=${program%:*}
     cargo build --release --package "${program#*:}" --bin "$name" --target "$target"
     strip -o "target/dist/$name" "target/$target/release/$name"
-    # A static-pie executable may have a dynamic section, but no interpreter and no library that it needs.
+    # A static-pie executable may have a dynamic section, but no interpreter and no needed library.
     if readelf -ld "target/dist/$name" | grep -E 'INTERP|\(NEEDED\)'; then
         echo "not static" >&2
         exit 1
@@ -19,5 +19,5 @@ for program in csi5300:csi5300-cli csi5300-node:csi5300-node; do
     "target/dist/$name" --version
     printf 'target/dist/%s: %s bytes\n' "$name" "$(stat -c %s "target/dist/$name")"
 done
-# As a Debian package too, where that can be made.
+# Also as a Debian package, if possible.
 ! command -v dpkg-deb >/dev/null || scripts/deb.sh

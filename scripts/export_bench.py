@@ -1,11 +1,11 @@
 """Processor time (user and system) of `csi5300 export LOG OUT.npz` against csiread's `Intel.read()` and `numpy.savez` of its arrays.
 
 usage: python scripts/export_bench.py PROGRAM LOG... [RUNS]
-Needs csiread and NumPy in the interpreter that runs it, and room for both files where temporary ones go. All in turns, each in a
-process of its own whose own times and peak memory are taken; what it takes to start Python and import csiread is measured too and taken
-off. Each turn begins with another command, and the files that were written are removed before the next: new memory and new pages
-cost a machine under load more at one time than at another, and so they do all in turn. For each log: medians, least, and both ratios.
-The exit status is 1 where csiread takes less than 3 times as much, by medians or by the least times.
+Needs csiread and NumPy in this interpreter, and room for both files in the temporary folder. All commands run alternately, each in its
+own process, whose own times and peak memory are measured; the time to start Python and import csiread is measured and subtracted. Each
+round begins with another command, and written files are removed before the next one: new memory and new pages cost a loaded machine
+more at some times than at others, and this spreads the cost evenly. Prints medians, least times and both ratios for each log.
+The exit status is 1 if csiread takes less than 3 times as much, by medians or by the least times.
 """
 
 import os
@@ -27,7 +27,7 @@ if sys.argv[1]:
 
 
 def used(command):
-    """Seconds of user and of system time that a command takes, and its peak memory, MB (1e6 bytes)."""
+    """Seconds of user and of system time of a command, and its peak memory, MB (1e6 bytes)."""
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -37,7 +37,7 @@ def used(command):
 
 
 def turns(commands, outputs, runs):
-    """What each run of each command took, in turns."""
+    """The measurements of each run of each command, alternately."""
     taken = {name: [] for name in commands}
     names = list(commands)
     for turn in range(runs):

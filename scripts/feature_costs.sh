@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# What each feature costs: crates that it compiles, time of a release build from nothing, size of the stripped program.
-# Builds into a folder of its own, which it removes. Usage: scripts/feature_costs.sh [CARGO_ARGS ...], one row for each
-# argument (such as "-p csi5300-node --features zenoh"); all rows of the README without arguments.
+# The cost of each feature: compiled crates, time of a release build from scratch, size of the stripped program.
+# Builds into a temporary folder. Usage: scripts/feature_costs.sh [CARGO_ARGS ...], one row for each argument (such as
+# "-p csi5300-node --features zenoh"); without arguments, all rows of the README.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 rows=("-p csi5300-cli --no-default-features" "-p csi5300-cli --no-default-features --features live,plot" "-p csi5300-cli" "-p csi5300-node" "-p csi5300-node --features foxglove"

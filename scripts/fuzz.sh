@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Coverage-guided fuzzing by libFuzzer, with the stable compiler: the code is instrumented, there is no address sanitizer (no `unsafe` is in it).
+# Coverage-guided fuzzing with libFuzzer and the stable compiler: instrumented code, no address sanitizer (there is no `unsafe`).
 # usage: scripts/fuzz.sh [SECONDS [TARGET...]]
-# SECONDS of CPU time for each target (60; user and system time of its process by /proc, so that a machine with other work does not shorten it), TARGETs
-# all of fuzz/fuzz_targets. What is new goes into fuzz/corpus/TARGET, reduced to what covers something of its own.
-# An input that fails is in target/fuzz/found; exit status 1.
+# SECONDS of CPU time for each target (60; user and system time of its process from /proc, so that other load does not shorten it);
+# TARGETs default to all of fuzz/fuzz_targets. New inputs go into fuzz/corpus/TARGET, reduced to those that add coverage.
+# A failing input is written to target/fuzz/found; exit status 1.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-60}
@@ -19,7 +19,7 @@ for target in "${targets[@]}"; do
         *) features+=(--features library) ;;
     esac
 done
-# Given with a target, flags are for the code that is fuzzed only, not for build scripts.
+# With a target triple, flags apply only to the fuzzed code, not to build scripts.
 export RUSTFLAGS="--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 -Cllvm-args=-sanitizer-coverage-inline-8bit-counters \
     -Cllvm-args=-sanitizer-coverage-pc-table -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1"
 bins=()
@@ -27,11 +27,11 @@ for target in "${targets[@]}"; do bins+=(--bin "$target"); done
 (cd fuzz && CARGO_TARGET_DIR=../target/fuzz cargo build --quiet --release --target "$host" "${features[@]}" "${bins[@]}")
 mkdir -p target/fuzz/found
 tick=$(getconf CLK_TCK)
-# Seconds of CPU time that a process of this shell has used, with one digit behind the point; fails when it has ended.
+# Seconds of CPU time of a process of this shell, with one decimal; fails once it has ended.
 cpu_s() {
     local stat
     stat=$(cat "/proc/$1/stat" 2>/dev/null) || return 1
-    # Behind the name, which is in brackets: user and system time are fields 12 and 13 there.
+    # After the name, which is in brackets, user and system time are fields 12 and 13.
     set -- ${stat##*) }
     [ "$1" != Z ] || return 1
     echo $(((${12} + ${13}) * 10 / tick))
@@ -42,7 +42,7 @@ for target in "${targets[@]}"; do
     corpus=fuzz/corpus/$target
     grown=target/fuzz/grown/$target
     mkdir -p "$corpus" "$grown"
-    # A minute by the wall for one input: on a busy machine that is some seconds of CPU time.
+    # A minute of wall time for one input: on a busy machine that is a few seconds of CPU time.
     "$program" -max_len=8192 -timeout=60 -rss_limit_mb=1024 -artifact_prefix=target/fuzz/found/"$target"- -print_final_stats=1 \
         "$grown" "$corpus" 2>target/fuzz/"$target".log &
     run=$! used=0
@@ -51,10 +51,10 @@ for target in "${targets[@]}"; do
         [ "$used" -lt $((seconds * 10)) ] || break
         sleep 1
     done
-    # libFuzzer ends by itself on this signal, with its statistics.
+    # libFuzzer ends on this signal and prints its statistics.
     kill -USR1 $run 2>/dev/null || true
     wait $run || { status=1; tail -n 30 target/fuzz/"$target".log; }
-    # Small inputs first; the committed corpus stays under 16 KiB a target.
+    # Small inputs first; the committed corpus stays under 16 KiB per target.
     reduced=target/fuzz/reduced/$target
     rm -rf "$reduced" && mkdir -p "$reduced"
     "$program" -merge=1 -max_len=1024 "$reduced" "$corpus" "$grown" 2>>target/fuzz/"$target".log || true

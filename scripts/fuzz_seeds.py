@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""First inputs of the fuzz targets (fuzz/corpus), from tests/fixtures and scenes, which our simulator made and reads. scripts/fuzz.sh grows and reduces them."""
+"""First inputs of the fuzz targets (fuzz/corpus), from tests/fixtures and scenes of our simulator. scripts/fuzz.sh extends and reduces them."""
 import pathlib
 import struct
 
@@ -24,9 +24,9 @@ def records(log: bytes):
 
 
 log = list(records(min(fixture.glob("*rx*.dat")).read_bytes()))
-# A frame of 802.11 as the sounding robots send it: data, three addresses, a number and a body.
+# An 802.11 frame as the sounding robots send it: data, three addresses, a number and a body.
 frame = bytes.fromhex("08000000ffffffffffff00166e00000102000000000100000000000100") + bytes(range(30))
-# The first byte of a stream is the size of its chunks.
+# The first byte of a stream is its chunk size.
 seed("record_stream", "log", b"\x40" + b"".join(log[:4]))
 mpdu = b"\xc1" + frame + b"\0\0\0\0"
 seed("record_stream", "frames", b"\x07" + len(mpdu).to_bytes(2, "big") + mpdu + log[0])

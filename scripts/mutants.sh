@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Mutation testing of the rooms where a wrong line would go unseen: scheduler, pairing, admission, the recorder, senders, keys and every byte of driver-iface.
+# Mutation testing of the parts where an error would go unnoticed: scheduler, pairing, admission, the recorder, senders, keys and all of driver-iface.
 # usage: scripts/mutants.sh [ROOM...] [--since COMMIT] [--shard K/N] [--minutes M]
-# ROOM: driver-iface, exchange, recorder, intake (all of them without one). --since: only lines that changed since. --shard: every N-th mutant, a sample of all.
-# --minutes: ends then and says how many were not tried. Each room's tests only; the library is built with less optimisation.
-# Prints caught and missed by room; missed ones are in target/mutants/ROOM/mutants.out/missed.txt. Exit status 2: some survived.
-# Mutants that no test can tell from the code are listed, with the reason, in .cargo/mutants.toml.
+# ROOM: driver-iface, exchange, recorder, intake (default: all). --since: only lines changed since COMMIT. --shard: every N-th mutant.
+# --minutes: stops then and prints how many were not tried. Runs only the room's tests; the library is built with less optimisation.
+# Prints caught and missed mutants by room; missed ones are in target/mutants/ROOM/mutants.out/missed.txt. Exit status 2: some survived.
+# .cargo/mutants.toml lists equivalent mutants, which no test can detect, with the reason.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 rooms=() since= minutes=0 shard=()
@@ -28,11 +28,11 @@ if [ -n "$since" ]; then
     [ -s target/mutants.diff ] || { echo "nothing changed in these rooms since $since"; exit 0; }
     common+=(--in-diff target/mutants.diff)
 fi
-# Optimised code is built for longer than it saves here.
+# Building optimised code takes longer than it saves here.
 export CARGO_INCREMENTAL=1 CARGO_PROFILE_DEV_DEBUG=0
 quick=(-C=--config=profile.dev.package.csi5300.opt-level=1 -C=--config=profile.dev.package.csi5300-kernels.opt-level=1)
 
-# The files of a room, and the tests that can see them.
+# The files of a room, and the tests that cover them.
 of_room() {
     case $1 in
         driver-iface) files=(--file 'driver-iface/src/**') arguments=(--package driver-iface -C=--lib -C=--test=fuzz_targets) filter=() ;;

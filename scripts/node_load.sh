@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# What a node costs: N robots are simulated into logs at 100 rounds a second, and N nodes in processes of their own replay
-# them in real time and exchange records and poses through zenoh. The first robot drives a circle of 30 cm. Prints how far
-# off its bearings are after the circle, how long after the last record they are published, and what the first node (all
-# others are its peers) and the others (it is their peer) cost. Usage: scripts/node_load.sh [ROBOTS ...]
+# The load of a node: simulates N robots into logs at 100 rounds a second; N nodes in separate processes replay them in real time and
+# exchange records and poses through zenoh. The first robot drives a circle of 30 cm. Prints the errors of its bearings after the circle,
+# their delay after the last record, and the load of the first node (with all others as peers) and of the others (with it as their
+# peer). Usage: scripts/node_load.sh [ROBOTS ...]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 cargo build --release --quiet --package csi5300-cli
@@ -86,7 +86,7 @@ def measure(robots):
         for k in range(1, robots):
             x, y = place(k, robots)
             truth = math.degrees(math.atan2(y - 0.3, x))
-            # A circle takes 20 s: the last ones with all of it.
+            # A circle takes 20 s: the last bearings cover all of it.
             for line in [line for line in lines if line["link"] == f"r{k}" and line["azimuth_deg"] is not None][-4:]:
                 off.append(abs((line["azimuth_deg"] - truth + 180) % 360 - 180))
         lost = sum(counts["missing"] + counts["overflowed"] for _, _, counts in state["network"]["subscriptions"])

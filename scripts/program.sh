@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Prints the path of the program with all features: that in CSI5300 (.ci/run has built it for its tests), or one that is built now.
+# Prints the path of the program with all features: CSI5300 (.ci/run has built it for its tests), or a new build.
 set -euo pipefail
 [ -z "${CSI5300:-}" ] || exec realpath "$CSI5300"
 cd "$(dirname "$0")/.."

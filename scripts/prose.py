@@ -1,6 +1,6 @@
 """prose.py FILE..: prints sentences of Markdown prose that are too long, and phrases that a native writer would not use.
 
-Tables, code and headings are left out. Exit status 1 if there are any."""
+Ignores tables, code and headings. Exit status 1 if there are any."""
 
 import re
 import statistics

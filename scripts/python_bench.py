@@ -1,14 +1,14 @@
-"""Times csi5300's reader against csiread and CSIKit on one log: wall time, processor time (user and system, all threads) and peak
-memory, each run in a process of its own.
+"""Compares csi5300's reader with csiread and CSIKit on one log: wall time, processor time (user and system, all threads) and peak
+memory, each run in its own process.
 
 usage: python scripts/python_bench.py [--log LOG.dat] [--megabytes 200] [--runs 5] [--csikit PYTHON] [--rust PROGRAM]
-Needs csi5300 (the wheel) and csiread in the interpreter that runs it; without --log it writes one of random 3x1 records, stock
-layout. PYTHON is an interpreter that has CSIKit==2.5 with numpy<2. PROGRAM is `cargo build --release --example
-read_scaled`'s in python/: the same work without Python, compiled as the wheel is.
+Needs csi5300 (the wheel) and csiread in this interpreter; without --log, writes a log of random 3x1 records, stock layout. PYTHON is an
+interpreter with CSIKit==2.5 and numpy<2. PROGRAM is from `cargo build --release --example read_scaled` in python/: the same work without
+Python, compiled like the wheel.
 
-Rows: `read` (arrays of the fields and raw CSI), `read + scaled`; csiread's quickest (`bufsize` known, scaled in place); ours on one
-core; and into memory that was used before. All in turns, each in a process of its own, CSIKit's once; the log is read once before. Said are the least
-and the median of the runs, and of each pair the ratios of both.
+Rows: `read` (arrays of the fields and raw CSI), `read + scaled`; csiread at its fastest (`bufsize` known, scaled in place); ours on one
+core; and into reused memory. All run alternately, each in its own process, CSIKit once; the log is read once before. Prints least and
+median times, and for each pair the ratios of both.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ print(json.dumps([took, used, n, resource.getrusage(resource.RUSAGE_SELF).ru_max
 
 
 def write_log(path: Path, megabytes: int) -> None:
-    """Records of 3x1 in the stock layout, of random CSI whose gaps are 0."""
+    """Records of 3x1 in the stock layout, with random CSI whose gap bits are 0."""
     import random
 
     random.seed(1)
@@ -143,7 +143,7 @@ def main() -> None:
         took: dict[str, list[float]] = {name: [] for name in jobs}
         used: dict[str, list[float]] = {name: [] for name in jobs}
         counts, peaks = {}, {}
-        for turn in range(args.runs):  # in turns, so that all see the same machine
+        for turn in range(args.runs):  # alternately, so that all see the same load
             for name, job in list(jobs.items()):
                 if turn > 0 and name.startswith("CSIKit"):  # it takes minutes
                     continue

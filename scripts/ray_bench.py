@@ -1,10 +1,10 @@
-"""What many captures cost on Ray, against one process: throughput and cost a capture, and from it that of a million on 1,000 cores.
+"""Cost of many captures on Ray against one process: throughput, cost per capture, and the extrapolation to a million on 1,000 cores.
 
 usage: python scripts/ray_bench.py FOLDER [--copies 8] [--nodes 2] [--runs 3]
-FOLDER is a tree of captures as the WSR data set has them. Its captures are listed `copies` times, so that there is enough to do: by
-links to the folder from a temporary one, each with a name of its own. Needs csi5300 (the wheel) and ray. All ways are measured in
-turns: captures one after the other in this process (1 thread), threads of this process, and a cluster of `nodes` nodes of one core
-each on this machine, whose workers are started and have imported the package before.
+FOLDER is a tree of captures laid out as the WSR data set. Each capture is used `copies` times, through links with different names in a
+temporary folder. Needs csi5300 (the wheel) and ray. All variants are measured alternately: captures one after the other in this process
+(1 thread), threads of this process, and a cluster of `nodes` nodes of one core each on this machine, whose workers have already started
+and imported the package.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import csi5300.ray
 
 
 def copies_of(folder: Path, copies: int, out: Path) -> Path:
-    """A tree with each capture `copies` times, its files links."""
+    """A tree with each capture `copies` times, as links to its files."""
     for number in range(copies):
         for file in folder.rglob("*"):
             if file.is_file():
@@ -70,7 +70,7 @@ def main() -> None:
                 rows[way] = run().rows
                 took[way].append(time.perf_counter() - began)
                 busy[way].append(cpu_s() - used)
-        # Ray's own part: tasks that do nothing, as many.
+        # Ray's own overhead: the same number of empty tasks.
         nothing = ray.remote(num_cpus=1)(lambda: None)
         ray.get([nothing.remote() for _ in range(10)])
         began = time.perf_counter()

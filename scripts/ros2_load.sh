@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# What a node of ROS 2 costs: two robots are simulated into logs at 100 rounds a second; a node replays the first in real time
-# with the second as its peer and publishes everything, CSI too, over DDS on loopback. CycloneDDS reads. Prints how long after
-# the last record bearings are published, how long DDS takes to hand them over, processor and memory of the node, memory each
-# minute. The first robot drives circles, each in 20 s, for SECONDS (60). Usage: scripts/ros2_load.sh [SECONDS [PROGRAM]]
+# The load of a ROS 2 node: simulates two robots into logs at 100 rounds a second. A node replays the first in real time with the second
+# as its peer and publishes everything, including CSI, over DDS on loopback; CycloneDDS reads. Prints the delay of bearings after the last
+# record, the delay of DDS, the node's processor load and memory, and its memory each minute. The first robot drives circles of 20 s each
+# for SECONDS (60). Usage: scripts/ros2_load.sh [SECONDS [PROGRAM]]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=$(scripts/venv.sh cyclonedds)

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Ten minutes of a node under bad treatment, in a served room: its peer is killed every few seconds and starts anew, a stranger without the key sounds all the
-# time, readers crowd the status socket and stay, and then the peer is gone. Memory and descriptors every ten seconds; after the first minute of each part they
-# may not grow. Usage: scripts/soak.sh [MINUTES], with the program of `cargo build` or that in CSI5300.
+# Endurance test of a node in a served room: its peer is repeatedly killed and restarted, a stranger without the key sounds all the time,
+# many readers connect to the status socket and stay, and finally the peer is gone. Samples memory and descriptors every second; after the
+# first minute of each part they must not grow. Usage: scripts/soak.sh [MINUTES], with the program of `cargo build` or CSI5300.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 exec python3 - "${CSI5300:-${CARGO_TARGET_DIR:-target}/debug/csi5300}" "${1:-10}" <<'PYTHON'

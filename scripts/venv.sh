@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes (once) a Python virtual environment below target/ with the packages named, and prints its interpreter.
+# Makes (once) a Python virtual environment below target/ with the named packages, and prints its interpreter.
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd)
 venv=${CARGO_TARGET_DIR:-$root/target}/python

@@ -1,10 +1,10 @@
-"""How long `csi5300 view` takes to open captures and a large log, and to answer clicks: the first at once, and all when it is at rest.
+"""How long `csi5300 view` takes to open captures and a large log, and to answer clicks: first clicks, and clicks when it is idle.
 
 usage: python scripts/view_bench.py PROGRAM CAPTURES [LOG]
-CAPTURES is a folder with captures, LOG a log (of 200 MB, say: `scripts/decode_bench.sh` makes such). Nothing but Python's own library
-is needed; the page is asked as its scripts ask it (`crates/view/page`), a link that is not evaluated yet again after each event.
-Asked: captures open within 1 s, each click is answered within 100 ms, a log of 200 MB opens within 3 s and 200 MB of memory.
-The exit status is 1 where one of these is missed. Times are wall times: measure on a machine at rest.
+CAPTURES is a folder with captures, LOG a log (of 200 MB, for example from `scripts/decode_bench.sh`). Needs only Python's standard
+library; the script requests data as the page's scripts do (`crates/view/page`), and asks again for an unfinished link after each event.
+Limits: captures open within 1 s, each click is answered within 100 ms, a log of 200 MB opens within 3 s and 200 MB of memory.
+The exit status is 1 if one is missed. Times are wall times: measure on an idle machine.
 """
 
 import http.client
@@ -17,7 +17,7 @@ import urllib.parse
 from pathlib import Path
 
 OPEN_S, CLICK_S, LOG_S, LOG_MB = 1.0, 0.1, 3.0, 200.0
-# Links that are the first to be clicked, each in a program of its own, spread over all.
+# Links that are clicked first, each in a new process, spread over all.
 FIRST_CLICKS = 7
 # A link that takes longer than this has failed.
 PATIENCE_S = 60
@@ -61,7 +61,7 @@ class View:
         return connection.getresponse()
 
     def click(self, link, events):
-        """Seconds until a link is there to be drawn."""
+        """Seconds until a link can be drawn."""
         start = time.perf_counter()
         while self.get(f"/data/link/{link}").get("waiting"):
             while not events.readline().startswith(b"event: rows"):
@@ -69,7 +69,7 @@ class View:
         return time.perf_counter() - start
 
     def peak_mb(self):
-        """The most memory that the program had so far, MB (1e6 bytes)."""
+        """Peak memory of the program so far, MB (1e6 bytes)."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         return int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) * 1024 / 1e6
 
@@ -108,7 +108,7 @@ def captures(program, folder):
 
 def log(program, path):
     with View(program, path) as view:
-        # What the page asks for first.
+        # The page's first requests.
         start = time.perf_counter()
         view.get("/data/log/0")
         view.get("/data/log/0/levels?columns=600")

@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
-# Builds the wheel for every x86-64 Linux with a C library of 2014 or later (manylinux2014: glibc 2.17) and Python 3.10 or later, and
-# says what auditwheel finds: linked by zig against that library's symbols, whatever this machine has. Exit status 77: PyPI cannot be
-# reached.
+# Builds the wheel for every x86-64 Linux with glibc 2.17 (2014) or later (manylinux2014) and Python 3.10 or later, linked by zig against
+# that library's symbols, and prints auditwheel's result. Exit status 77: PyPI cannot be reached.
 # usage: scripts/wheel.sh [FOLDER]      (default: target/wheels)
 set -euo pipefail
 cd "$(dirname "$0")/.."

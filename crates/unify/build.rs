@@ -1,4 +1,4 @@
-//! Without a build script cargo does not count build-dependencies.
+//! Without a build script cargo ignores build-dependencies.
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");

@@ -1,9 +1,9 @@
-//! Decodes a log as a stream, one thread, a fixed buffer, to `f32`; framing and unpacking in the widest vectors that the processor has.
+//! Decodes a log as a stream to `f32` on one thread with a fixed buffer, in the processor's widest vectors.
 //!
-//! `cargo bench -p driver-iface --bench decode -- [LOG [RUNS]]` prints, for each of three tasks, the median time of
-//! the runs and records per second. Without a log 200 MB of records made by `emit` are written to a temporary file;
-//! `--write LOG` only writes them, `--write-frames LOG` a log in which each follows a copy of its frame (0xC1).
-//! `scripts/decode_bench.sh` runs it against csiread.
+//! `cargo bench -p driver-iface --bench decode -- [LOG [RUNS]]` prints, for each of three tasks, the median time of the runs and
+//! the records per second. Without a log, it writes 200 MB of records made by `emit` to a temporary file. `--write LOG` only
+//! writes them; `--write-frames LOG` writes a log in which a copy of its frame (0xC1) precedes each. `scripts/decode_bench.sh`
+//! runs it against csiread.
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
 use std::fs::File;
@@ -17,10 +17,10 @@ use fearless_simd::{Level, dispatch};
 use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, MAX_SAMPLES, Repr, Wsr};
 use driver_iface::record::{Framer, LOOKAHEAD, Record, Step, code};
 
-/// Buffer: room for a look ahead and for 192 KiB to read into; both stay in the second-level cache.
+/// Buffer: look-ahead and 192 KiB to read into; both stay in the second-level cache.
 const BUFFER: usize = LOOKAHEAD + 192 * 1024;
 
-/// What is decoded of each record.
+/// What is decoded from each record.
 #[derive(Clone, Copy)]
 enum Task {
     /// Everything.
@@ -29,7 +29,7 @@ enum Task {
     Column(&'static [u8]),
 }
 
-/// Numbers of a record, where no wide vector of them lies in two lines of the cache.
+/// The floats of a record, aligned so that no wide vector straddles two cache lines.
 #[repr(align(64))]
 struct Out([f32; 2 * MAX_SAMPLES]);
 
@@ -71,7 +71,7 @@ fn main() {
     }
 }
 
-/// Reads the log to its end; returns the number of records decoded.
+/// Reads the log to its end; returns the number of decoded records.
 #[inline(always)]
 fn decode(log: &Path, task: Task) -> u64 {
     let mut file = File::open(log).unwrap();
@@ -112,11 +112,11 @@ fn decode_record(record: &Record<'_>, task: Task, out: &mut [f32; 2 * MAX_SAMPLE
     true
 }
 
-/// A log of 200 MB, 3x1, WSR layout; with `frames` 100 MB more, a data frame of 128 bytes before each.
+/// A log of 200 MB, 3x1, WSR layout; with `frames`, 100 MB more: a data frame of 128 bytes before each record.
 fn write_log(log: &Path, frames: bool) {
     let mut file = std::io::BufWriter::new(File::create(log).unwrap());
     let csi: Vec<Iq> = (0..90_u8).map(|k| Iq { i: k.cast_signed(), q: 7 }).collect();
-    // Address 1, 2 and 3, a sequence number, and a payload that is no pattern.
+    // Addresses 1, 2 and 3, a sequence number, and a payload without a pattern.
     let mut frame: Vec<u8> = (0..128_u32).map(|k| (k * k * 7 + 3) as u8).collect();
     frame[..2].copy_from_slice(&[8, 0]);
     for count in 0..858_369_u32 {

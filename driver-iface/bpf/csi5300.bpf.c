@@ -1,16 +1,16 @@
 /* SPDX-License-Identifier: MIT OR GPL-2.0 */
 /*
- * Copies what csi5300 needs of an Intel 5300's packets into a ring buffer, under an unmodified iwlwifi and iwldvm.
+ * Copies the parts of an Intel 5300's packets that csi5300 needs to a ring buffer, under an unmodified iwlwifi and iwldvm.
  *
  * A kprobe at the entry of
  *
  *     void iwl_notification_wait(struct iwl_notif_wait_data *notif_wait, struct iwl_rx_packet *pkt)
  *
- * which iwldvm calls for every packet of its card, before anything else is done with it. The packet's layout is the
- * firmware's ABI; the only thing taken from the kernel is where x86-64 passes two arguments. No BTF is needed, none is made.
+ * which iwldvm calls first for every packet of its card. The packet's layout is the
+ * firmware's ABI; the only kernel detail used is where x86-64 passes two arguments. BTF is neither needed nor made.
  *
- * The events are read by driver_iface::stock::Event, which has their layout in words. Needs Linux 5.8 (ring buffer).
- * csi5300.bpf.o is built from this file by tests/checks/ebpf.sh, which also holds the committed object equal to it.
+ * driver_iface::stock::Event reads the events and documents their layout. Needs Linux 5.8 (ring buffer).
+ * csi5300.bpf.o is built from this file; tests/checks/ebpf.sh builds it again and compares.
  */
 typedef unsigned char u8;
 typedef unsigned short u16;
@@ -71,7 +71,7 @@ struct event {
 #define EVENT_HEADER 32
 _Static_assert(sizeof(struct event) == EVENT_HEADER + 8200, "no padding");
 
-/* Since the program was loaded; read by user space, and carried by each event so that a gap has its place. */
+/* Since the program was loaded; user space reads them, and each event carries them so that a gap can be located. */
 struct counts {
 	u64 hits;       /* packets seen, of any command */
 	u64 ring_full;
@@ -85,13 +85,13 @@ struct map SEC("maps") SCRATCH = { .type = MAP_PERCPU_ARRAY, .key_size = 4, .val
 
 /* Set before loading: keep whole frames instead of their beginning. */
 const volatile u8 WHOLE_FRAMES SEC(".rodata") = 0;
-/* Set before loading: bytes of the driver's receive buffers, which begin at multiples of it. No packet goes beyond its own. */
+/* Set before loading: size of the driver's receive buffers, which are aligned to it. No packet exceeds its buffer. */
 const volatile u32 BUFFER SEC(".rodata") = 4096;
 
-/* A value that the compiler knows nothing of, so that a test of it stays and the kernel's verifier sees its bounds. */
+/* Hides a value from the compiler, so that a check of it stays and the kernel's verifier sees its bounds. */
 #define OPAQUE(value) asm volatile("" : "+r"(value))
 
-/* Where the frame's status is in the data; 0 where the frame is impossible, or longer than its packet. */
+/* Offset of the frame's status in the data; 0 if the frame is impossible or longer than its packet. */
 static inline u64 status_at(const struct event *event)
 {
 	u64 byte_count = event->data[0] | (u64)event->data[1] << 8;
@@ -102,7 +102,7 @@ static inline u64 status_at(const struct event *event)
 	return MPDU_FRAME + byte_count;
 }
 
-/* The packet's first bytes. Returns how many, or -1 where the packet cannot be read. */
+/* The packet's first bytes. Returns their number, or -1 if the packet cannot be read. */
 static inline long copy(struct event *event, const struct packet *packet, u64 data_len, u64 most)
 {
 	u64 kept = data_len < most ? data_len : most;
@@ -113,7 +113,7 @@ static inline long copy(struct event *event, const struct packet *packet, u64 da
 	return kept;
 }
 
-/* Fills in the data. Returns its length, or -1 where the packet cannot be read. */
+/* Fills in the data. Returns its length, or -1 if the packet cannot be read. */
 static inline long fill(struct event *event, const struct packet *packet, u64 data_len)
 {
 	u64 status;

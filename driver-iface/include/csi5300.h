@@ -2,8 +2,8 @@
 /*
  * The bytes between the Intel 5300, its kernel driver, its log files and csi5300, for C.
  *
- * The same contract as the Rust crate driver-iface; its tests read this file and hold every constant equal to Rust's.
- * All fields are little-endian unless said otherwise. Tables: ../README.md.
+ * The same contract as the Rust crate driver-iface; its tests compare every constant in this file with Rust's.
+ * All fields are little-endian unless noted otherwise. Tables: ../README.md.
  */
 #ifndef CSI5300_H
 #define CSI5300_H
@@ -102,12 +102,12 @@
 #define CSI5300_MPDU_SEQ_CTRL 22     /* u16 */
 #define CSI5300_MPDU_COUNTER 24      /* u32, BIG-endian */
 
-/* Sounding frames, as injected: 802.11 header, number, and the rest of the payload; and radiotap before them. */
+/* Sounding frames, as injected: 802.11 header, number and the rest of the payload, after a radiotap header. */
 #define CSI5300_SOUNDING_HEADER_LEN 24
 #define CSI5300_SOUNDING_FCS_LEN 4
 #define CSI5300_SOUNDING_MIN_LEN 28
 #define CSI5300_SOUNDING_DEFAULT_LEN 57 /* WSR: bytes on air, FCS included; robot k adds 2 k */
-#define CSI5300_SOUNDING_REPLY_GROWTH 5 /* WSR: an answer is longer by this */
+#define CSI5300_SOUNDING_REPLY_GROWTH 5 /* WSR: an answer is this much longer */
 #define CSI5300_SOUNDING_MAGIC_MAC "\x00\x16\xea\x12\x34\x56" /* addresses 1 and 2 */
 #define CSI5300_RADIOTAP_MIN_LEN 8
 #define CSI5300_RADIOTAP_FLAGS_FCS 0x10

@@ -3,15 +3,15 @@
  * CSI of the Intel 5300 beside the distribution's own iwlwifi and iwldvm.
  *
  * The CSI firmware sends its notification 0xBB; the stock driver ignores it. A kprobe on
- * iwl_notification_wait (exported by iwlwifi, called for every packet of a card) sees it, and this module makes the
- * record that csitool's or the WSR driver would make, and sends it over the kernel connector under their name and
- * index: their listeners work unchanged. A second kprobe, on the transmit function, gives frames to the magic address
- * an HT rate and no retries; others ask the card for what the patched drivers ask of it (csi5300_asks.h).
+ * iwl_notification_wait (exported by iwlwifi, called for every packet of a card) sees it. This module makes the
+ * record that csitool's or the WSR driver would make and sends it over the kernel connector under their name and
+ * index, so their listeners work unchanged. A second kprobe, on the transmit function, gives frames to the magic address
+ * an HT rate and no retries; two more send the patched drivers' requests to the card (csi5300_asks.h).
  *
  * The module changes no code of the driver and uses none of its structures, only bytes of the firmware's interface
  * (dvm/commands.h) and arguments of four functions. csi5300_records.h has the rules of the records.
  *
- * GPL (version 2), unlike the rest of the project: kprobes and the connector are for such modules only.
+ * GPL (version 2), unlike the rest of the project: only such modules may use kprobes and the connector.
  */
 #define pr_fmt(fmt) KBUILD_MODNAME ": " fmt
 #include <linux/connector.h>
@@ -48,10 +48,10 @@ static const u8 magic[6] = { 0x00, 0x16, 0xea, 0x12, 0x34, 0x56 };
 
 struct known {
 	const void *key; /* argument 1 of iwl_notification_wait: one for each card */
-	unsigned long from; /* where the function was called last */
-	bool ours, named; /* named: its slot is */
+	unsigned long from; /* last caller of the function */
+	bool ours, named; /* named: its slot has a name */
 	u8 asked; /* packets since module and slot were last looked up */
-	u8 slot; /* which of index and answer_on are its own */
+	u8 slot; /* its entry in index and answer_on */
 	u64 last;
 	struct card card;
 };
@@ -64,16 +64,16 @@ module_param(transmit, charp, 0444);
 MODULE_PARM_DESC(transmit, "function that transmits a frame");
 static char *caller = "iwldvm";
 module_param(caller, charp, 0444);
-MODULE_PARM_DESC(caller, "module whose packets are the card's; other Intel cards have another");
+MODULE_PARM_DESC(caller, "module whose packets count; other Intel cards use another module");
 static unsigned int connector_log = LOG_BFEE;
 module_param(connector_log, uint, 0644);
-MODULE_PARM_DESC(connector_log, "what is sent: 0x1 CSI, 0x4 frames");
+MODULE_PARM_DESC(connector_log, "records to send: 0x1 CSI, 0x4 frames");
 static unsigned int indices[CARDS] = { [0 ... CARDS - 1] = CN_IDX_IWLAGN };
 module_param_array_named(index, indices, uint, NULL, 0444);
-MODULE_PARM_DESC(index, "connector index of each card of the driver: those that `card` or `answer_on` name, the others in the order of their first packets");
+MODULE_PARM_DESC(index, "connector index of each card: cards named by `card` or `answer_on` first, others in the order of their first packets");
 static char *names[CARDS];
 module_param_array_named(card, names, charp, NULL, 0444);
-MODULE_PARM_DESC(card, "which card each index and answer_on is of: its MAC, its address on the bus (0000:03:00.0) or an interface");
+MODULE_PARM_DESC(card, "card of each index and answer_on: MAC, bus address (0000:03:00.0) or interface");
 static unsigned int ack_len;
 module_param(ack_len, uint, 0644);
 MODULE_PARM_DESC(ack_len, "length of the sounding frames to answer, FCS included; 0: none");
@@ -84,12 +84,12 @@ static unsigned int monitor_tx_rate = 0x4101;
 static u8 layout = LAYOUT_STOCK;
 
 static u32 delivered, unheard, ring_full, rates_set, answered, unanswered, unmarked;
-static unsigned long missed_before; /* by probes that were taken away */
+static unsigned long missed_before; /* by removed probes */
 static struct known known[CARDS];
-static bool some_named; /* of the slots */
+static bool some_named; /* slots */
 static u64 clock;
 static DEFINE_RAW_SPINLOCK(lock);
-static struct counts gone; /* of cards whose place another has taken */
+static struct counts gone; /* of cards that others replaced */
 static STRUCT_KFIFO_REC_2(RING) *ring;
 static union {
 	struct cn_msg msg;
@@ -109,7 +109,7 @@ static void wake(struct irq_work *unused)
 }
 static struct irq_work waker;
 
-/* Into the ring; the caller has the lock. A netlink message may not be sent from a probe. */
+/* Puts a record into the ring; the caller holds the lock. A probe must not send netlink messages. */
 static void stage(u32 idx, u32 val, const struct message *out)
 {
 	u32 len = 1 + out->head_len + out->tail_len;
@@ -125,7 +125,7 @@ static void stage(u32 idx, u32 val, const struct message *out)
 		ring_full++;
 }
 
-/* A frame back as the WSR driver answers: all of it and one byte more, address 3 the interface's own. */
+/* Answers a frame as the WSR driver does: a copy with one more byte, address 3 the interface's own. */
 static bool answer(unsigned int k, const u8 *frame, u32 len)
 {
 	static const u8 radiotap[8] = { 0, 0, sizeof(radiotap) };
@@ -143,7 +143,7 @@ static bool answer(unsigned int k, const u8 *frame, u32 len)
 		memcpy(skb->data + sizeof(radiotap) + 16, dev->dev_addr, 6);
 		skb->dev = dev;
 		skb->protocol = htons(ETH_P_802_2);
-		/* Sent or not, the skb is not ours any more. */
+		/* Sent or not, the skb no longer belongs to us. */
 		if (dev_queue_xmit(skb))
 			skb = NULL;
 	}
@@ -173,7 +173,7 @@ static void work(struct work_struct *unused)
 
 enum whose { OURS, OTHERS, HIDDEN };
 
-/* Who called the probed function. A tracer (function_graph) hides that: then it is asked again later. */
+/* The caller of the probed function. A tracer (function_graph) hides it; then the next look-up tries again. */
 static enum whose whose_call(unsigned long from)
 {
 	static char name[KSYM_SYMBOL_LEN];
@@ -188,7 +188,7 @@ static enum whose whose_call(unsigned long from)
 	return strlen(module) == strlen(caller) + 2 && !strncmp(module + 1, caller, strlen(caller)) ? OURS : OTHERS;
 }
 
-/* What a slot's card is called; an interface that answers is one of its card. NULL where nothing says. */
+/* Name of a slot's card, else its answering interface. NULL if it has neither. */
 static const char *name_of(unsigned int slot)
 {
 	if (names[slot] && *names[slot])
@@ -196,7 +196,7 @@ static const char *name_of(unsigned int slot)
 	return answer_on[slot] && *answer_on[slot] ? answer_on[slot] : NULL;
 }
 
-/* The slot that is named for this card, or CARDS. */
+/* The slot with this card's name, or CARDS. */
 static unsigned int named_slot(const void *key)
 {
 	struct wiphy *wiphy;
@@ -213,7 +213,7 @@ static unsigned int named_slot(const void *key)
 	return k;
 }
 
-/* A slot that is neither named nor another card's, or CARDS. */
+/* A free slot without a name, or CARDS. */
 static unsigned int free_slot(void)
 {
 	unsigned int k, used = 0;
@@ -225,7 +225,7 @@ static unsigned int free_slot(void)
 	return ffz(used);
 }
 
-/* Keeps the counts of a card whose place is given to another. */
+/* Keeps the counts of a card whose place another takes. */
 static void forget(struct known *card)
 {
 	const u32 *of = (const u32 *)&card->card.counts;
@@ -236,14 +236,14 @@ static void forget(struct known *card)
 	memset(card, 0, sizeof(*card));
 }
 
-/* Whether a card is ours, and which slot is its own. */
+/* Whether a card is ours, and its slot. */
 static void look_up(struct known *card, unsigned long from)
 {
 	enum whose by = whose_call(from);
 	unsigned int slot;
 
 	if (by == OTHERS && card->ours) {
-		/* What was ours is gone: another driver's card has its place in memory. */
+		/* Our card is gone: another driver's card has the same address. */
 		const void *key = card->key;
 
 		forget(card);
@@ -262,7 +262,7 @@ static void look_up(struct known *card, unsigned long from)
 	}
 }
 
-/* The card of this key, if its packets come from the right module; `anew` where its firmware was started. The caller has the lock. */
+/* The card of this key, if its packets come from the right module; `anew`: its firmware has started. The caller holds the lock. */
 static struct known *card_of(const void *key, unsigned long from, bool anew)
 {
 	struct known *card, *oldest = known;
@@ -287,7 +287,7 @@ found:
 	return card->ours ? card : NULL;
 }
 
-/* Bytes from here to the end of the page: no count of a card is believed beyond it. */
+/* Bytes from here to the end of the page: a card's counts are trusted only up to there. */
 static u32 room_at(const void *here)
 {
 	struct page *page = virt_to_head_page(here);
@@ -323,7 +323,7 @@ static int on_packet(struct kprobe *probe, struct pt_regs *regs)
 		u32 idx = card->slot, len = READ_ONCE(ack_len);
 		bool sent = assemble(&card->card, &options, cmd, packet + 8, size, now.tv_sec, now.tv_nsec / 1000, &out);
 
-		/* Where the card does not say that this is no answer to a command, the driver looks for the command. */
+		/* Unless the card marks it as a notification, the driver looks for the command that it answers. */
 		unmarked += cmd == BFEE_NOTIF && !(packet[7] & 0x80);
 		if (sent)
 			stage(indices[idx], CN_VAL_IWLAGN, &out);
@@ -360,7 +360,7 @@ static int on_transmit(struct kprobe *probe, struct pt_regs *regs)
 	return 0;
 }
 
-/* Probes come and go with the modules that have their functions. */
+/* Probes come and go with the modules that contain their functions. */
 enum { PACKETS, FRAMES, COMMANDS, PROBES };
 static struct kprobe probes[PROBES];
 static bool probing[PROBES], waiting[PROBES];
@@ -427,7 +427,7 @@ static int modules_change(struct notifier_block *block, unsigned long event, voi
 		probe();
 	else
 		unprobe(module);
-	/* The driver's cards are gone. Those of its next load may reuse their keys. */
+	/* The driver's cards are gone. Cards of its next load may reuse their keys. */
 	if (event == MODULE_STATE_GOING && !strncmp(((struct module *)module)->name, "iwl", 3)) {
 		unsigned long flags;
 		unsigned int k;
@@ -456,7 +456,7 @@ static int layout_get(char *buffer, const struct kernel_param *param)
 }
 static const struct kernel_param_ops layout_ops = { .set = layout_set, .get = layout_get };
 module_param_cb(layout, &layout_ops, NULL, 0644);
-MODULE_PARM_DESC(layout, "records as csitool's driver (stock) or the WSR driver (wsr) makes them");
+MODULE_PARM_DESC(layout, "layout of the records: csitool's (stock) or the WSR driver's (wsr)");
 
 static int rate_get(char *buffer, const struct kernel_param *param)
 {
@@ -464,9 +464,9 @@ static int rate_get(char *buffer, const struct kernel_param *param)
 }
 static const struct kernel_param_ops rate_ops = { .set = param_set_uint, .get = rate_get };
 module_param_cb(monitor_tx_rate, &rate_ops, &monitor_tx_rate, 0644);
-MODULE_PARM_DESC(monitor_tx_rate, "rate_n_flags of frames to 00:16:ea:12:34:56 (0x4101: MCS 1, antenna A); 0: left alone");
+MODULE_PARM_DESC(monitor_tx_rate, "rate_n_flags of frames to 00:16:ea:12:34:56 (0x4101: MCS 1, antenna A); 0: unchanged");
 
-/* /sys/module/csi5300/counters: one file for each, sums over the cards. Newer kernels hand the attribute over as const. */
+/* /sys/module/csi5300/counters: one file each, sums over the cards. Newer kernels pass the attribute as const. */
 typedef typeof(_Generic(((struct module_attribute *)0)->show,
 			ssize_t (*)(const struct module_attribute *, struct module_kobject *, char *): (const struct module_attribute *)0,
 			default: (struct module_attribute *)0)) attribute_of;

@@ -1,19 +1,19 @@
 /* SPDX-License-Identifier: GPL-2.0 */
 /*
- * What csitool's and the WSR driver ask of the card and the stock one does not (their dvm/rxon.c and dvm/sta.c). Only a
- * 5300 is asked (csi5300_cards.h); other cards of the driver are left as they are.
+ * Requests that csitool's and the WSR driver send to the card and the stock one does not (their dvm/rxon.c, dvm/sta.c). Only a
+ * 5300 gets them (csi5300_cards.h), no other card of the driver.
  *
- *   - bit 29 (RXON_FLG_BF_ENABLE) in the flags of every RXON: set in the command as iwl_dvm_send_cmd_pdu gets it. The
- *     bytes are the driver's own copy of its wishes, as in the patched drivers;
- *   - a station 13 with the magic address. RXON empties the card's table of stations, iwl_restore_stations fills it again;
- *   - the order of the antennas with each reception (MIB 0x4302, by DSP_DEBUG), after each RXON.
+ *   - bit 29 (RXON_FLG_BF_ENABLE) in the flags of every RXON: set in the command when iwl_dvm_send_cmd_pdu gets it. The
+ *     bytes are the driver's own copy of its configuration, as in the patched drivers;
+ *   - a station 13 with the magic address. RXON empties the card's station table, iwl_restore_stations fills it again;
+ *   - the antenna order with each reception (MIB 0x4302, by DSP_DEBUG), after each RXON.
  *
  * The last two are sent when iwl_restore_stations returns, by iwl_dvm_send_cmd_pdu and as asynchronous commands: there
- * the driver holds its mutex, the card is alive, and nothing sleeps. The function is called by its address, so kernels
- * that check where such a call leads (IBT, kCFI) get the first only; so do kernels before 5.11, whose return probes run
+ * the driver holds its mutex, the card is alive, and nothing sleeps. The call is by address, so kernels
+ * that check indirect calls (IBT, kCFI) send only the first; so do kernels before 5.11, whose return probes run
  * with interrupts off, and PREEMPT_RT, whose spin locks sleep.
  *
- * Included by csi5300.c alone.
+ * Included by csi5300.c only.
  */
 #ifndef CSI5300_ASKS_H
 #define CSI5300_ASKS_H
@@ -37,7 +37,7 @@
 enum { ASK_BEAMFORMING = 0x1, ASK_STATION = 0x2, ASK_ORDER = 0x4 };
 static unsigned int ask = ASK_BEAMFORMING | ASK_STATION | ASK_ORDER;
 module_param(ask, uint, 0644);
-MODULE_PARM_DESC(ask, "what is asked of the card as the patched drivers do: 0x1 CSI (RXON), 0x2 station 13, 0x4 antenna order");
+MODULE_PARM_DESC(ask, "requests to the card, as from the patched drivers: 0x1 CSI (RXON), 0x2 station 13, 0x4 antenna order");
 
 static u32 rxons, stations, orders, unasked;
 
@@ -90,7 +90,7 @@ static int on_restored(struct kretprobe_instance *instance, struct pt_regs *regs
 	return 0;
 }
 
-/* Calls that neither of the two handlers saw. */
+/* Calls that both handlers missed. */
 static unsigned long missed_returns(void)
 {
 	return restored.nmissed + restored.kp.nmissed;
@@ -105,7 +105,7 @@ static bool may_call(void)
 #endif
 }
 
-/* The probe of iwl_dvm_send_cmd_pdu stands. */
+/* The probe of iwl_dvm_send_cmd_pdu is set. */
 static void probe_return(void *command)
 {
 	int error;

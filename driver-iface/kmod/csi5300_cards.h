@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: GPL-2.0 */
 /*
- * Which card a pointer of the driver's belongs to. cfg80211 allocates its wiphy, mac80211's structure and the driver's
- * own in one piece, in this order: a pointer into the driver's belongs to the nearest wiphy below it in the same piece.
- * The wiphy, which is no structure of the driver, has the card's MAC and its device on the bus.
+ * Finds the card of a driver's pointer. cfg80211 allocates its wiphy, mac80211's structure and the driver's
+ * own in one block, in this order: a pointer into the driver's belongs to the nearest wiphy below it in the same block.
+ * The wiphy, which is not the driver's structure, has the card's MAC and its bus device.
  *
- * Included by csi5300.c alone.
+ * Included by csi5300.c only.
  */
 #ifndef CSI5300_CARDS_H
 #define CSI5300_CARDS_H
@@ -18,9 +18,9 @@
 static unsigned int devices[8] = { 0x4235, 0x4236 };
 static unsigned int devices_named = 2;
 module_param_array_named(device, devices, uint, &devices_named, 0444);
-MODULE_PARM_DESC(device, "PCI device numbers of the cards that are asked (the 5300's); 0: any card of the driver");
+MODULE_PARM_DESC(device, "PCI device numbers of the cards that get requests (the 5300's); 0: any card of the driver");
 
-/* The caller is in an RCU read-side section. NULL for a card without an interface, and for what is no card. */
+/* The caller is in an RCU read-side section. NULL for a card without an interface, and for other pointers. */
 static struct wiphy *wiphy_of(const void *inside)
 {
 	struct wiphy *nearest = NULL;
@@ -41,7 +41,7 @@ static struct wiphy *wiphy_of(const void *inside)
 	return nearest;
 }
 
-/* Whether a name is the card's: its MAC, its address on the bus, or one of its interfaces. In an RCU section, too. */
+/* Whether a name is the card's: its MAC, its bus address, or one of its interfaces. Also in an RCU section. */
 static bool is_called(struct wiphy *wiphy, const char *name)
 {
 	struct device *bus = wiphy_dev(wiphy);
@@ -55,7 +55,7 @@ static bool is_called(struct wiphy *wiphy, const char *name)
 	return dev && dev->ieee80211_ptr && dev->ieee80211_ptr->wiphy == wiphy;
 }
 
-/* Whether the card of this pointer is one that may be asked for CSI. */
+/* Whether the card of this pointer may get requests. */
 static bool may_be_asked(const void *inside)
 {
 	struct wiphy *wiphy;

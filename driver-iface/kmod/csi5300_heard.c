@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: GPL-2.0
 /*
- * Turns the sounding frames that monitor interfaces hear into the records that the CSI driver would send, without a
- * card: a "card" for each interface, on a connector index of its own.
+ * Turns the sounding frames that monitor interfaces hear into the CSI driver's records, without a
+ * card: one "card" per interface, each on its own connector index.
  *
  * sudo insmod csi5300_heard.ko interfaces=wlan0,wlan1 idx=26,25; see tests/kernel/guest/20-sounding.sh.
  *
- * A frame with the magic MAC as addresses 1 and 2 that was received (no copy of one being sent, no tx status) becomes a
- * 0xC1 with the frame and a good FCS, and the stock 0xBB after it; or, with wsr=1, the 0xBB of the WSR driver, with
- * addr3 and the number in it. The CSI bytes are made from the number: byte i of frame n is (31 n + i) mod 256. Each
- * card has a clock of its own, the host's microseconds and an offset.
+ * A frame with the magic MAC as addresses 1 and 2 that was received (not a copy of a sent one, not a tx status) becomes a
+ * 0xC1 with the frame and a good FCS, followed by the stock 0xBB or, with wsr=1, the WSR driver's 0xBB, with
+ * addr3 and the number in it. The number determines the CSI bytes: byte i of frame n is (31 n + i) mod 256. Each
+ * card has its own clock: the host's microseconds plus an offset.
  *
- * GPL (version 2), unlike the rest of the project: the connector's functions are for such modules only.
+ * GPL (version 2), unlike the rest of the project: only such modules may use the connector's functions.
  */
 #include <linux/connector.h>
 #include <linux/crc32.h>
@@ -44,11 +44,11 @@ MODULE_PARM_DESC(idx, "connector index of each card's records; the first one is 
 
 static bool wsr;
 module_param(wsr, bool, 0444);
-MODULE_PARM_DESC(wsr, "records as the WSR driver makes them");
+MODULE_PARM_DESC(wsr, "records in the WSR driver's layout");
 
 static unsigned int refused;
 module_param(refused, uint, 0444);
-MODULE_PARM_DESC(refused, "records that the connector did not take");
+MODULE_PARM_DESC(refused, "records that the connector refused");
 
 struct card {
 	struct packet_type tap;
@@ -160,7 +160,7 @@ static void unused(struct cn_msg *msg, struct netlink_skb_parms *parms)
 {
 }
 
-/* Lets go of one interface, or of all of them if dev is NULL. The caller holds the RTNL. */
+/* Releases one interface, or all of them if dev is NULL. The caller holds the RTNL. */
 static void untap(const struct net_device *dev)
 {
 	unsigned int k;
@@ -174,7 +174,7 @@ static void untap(const struct net_device *dev)
 	}
 }
 
-/* An interface cannot go away before everybody has let go of it. */
+/* An interface cannot go away before it is released. */
 static int interface_event(struct notifier_block *block, unsigned long event, void *info)
 {
 	if (event == NETDEV_UNREGISTER)
@@ -236,4 +236,4 @@ static void __exit heard_exit(void)
 module_init(heard_init);
 module_exit(heard_exit);
 MODULE_LICENSE("GPL");
-MODULE_DESCRIPTION("sounding frames heard on monitor interfaces, as records of the CSI driver");
+MODULE_DESCRIPTION("Sounding frames heard on monitor interfaces, as records of the CSI driver");

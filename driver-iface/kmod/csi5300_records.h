@@ -6,9 +6,9 @@
  * 0xC0 (RX_PHY), at least 60 bytes: kept, with byte 60 (the antenna order) if byte 1 (cfg_phy_cnt) is not 0. A shorter
  * one is bad_phy, and discards the one before.
  * 0xC1 (MPDU): count, frame with FCS at 4, then status. Sent unchanged if connector_log has 0x4. A frame of 32 bytes or
- * more with good CRC and queue gives sender (address 3) and number (big-endian at 24) of the WSR layout; number 0 clears
+ * more with good CRC and queue sets sender (address 3) and number (big-endian at 24) of the WSR layout; number 0 clears
  * the sender, as in the WSR driver.
- * 0xBB: header of 20 bytes and CSI. It is bad_bfee without 1 to 3 chains and streams and 60 n_rx n_tx + 12 bytes. It
+ * 0xBB: header of 20 bytes and CSI. It is bad_bfee unless it has 1 to 3 chains and streams and 60 n_rx n_tx + 12 bytes. It
  * uses up the 0xC0 before it: a second 0xBB, or one without a 0xC0, is no_phy.
  * From 0xC0: time stamp (u32 at 4), antenna order (0xff: unknown), rate (bits 13..0 of the word at 52), RSSI A and B
  * (bits 7..0 and 23..16 of the word at 28), RSSI C (bits 7..0 at 32), AGC (bits 15..9 at 24).
@@ -33,7 +33,7 @@
 #define LONGEST_FRAME 8191
 #define LOG_BFEE 0x1     /* bits of connector_log */
 #define LOG_MPDU 0x4
-#define NO_ORDER 0xff    /* names no antenna */
+#define NO_ORDER 0xff    /* unknown */
 #define NO_NOISE 0x81    /* -127: not measured */
 #define CRC_GOOD 0x3     /* RX_RES_STATUS_NO_CRC32_ERROR, _NO_RXE_OVERFLOW */
 
@@ -57,7 +57,7 @@ struct options {
 	u8 layout, log;
 };
 
-/* What goes over the connector: a code and a body, which is `head` and then `tail`, bytes of the packet. */
+/* A connector message: a code and a body, which is `head` followed by `tail`, bytes of the packet. */
 struct message {
 	u8 code;
 	u16 head_len;
@@ -170,7 +170,7 @@ static bool take_bfee(struct card *card, const struct options *options, const u8
 	u32 csi;
 
 	card->counts.bfee++;
-	/* Whatever it is, it is the only one of its frame. */
+	/* Valid or not, it is the only one of its frame. */
 	card->has_phy = false;
 	card->has_sender = false;
 	if (len < BFEE_HEADER || data[8] < 1 || data[8] > 3 || data[9] < 1 || data[9] > 3) {
@@ -208,12 +208,12 @@ static bool take_bfee(struct card *card, const struct options *options, const u8
 	return options->log & LOG_BFEE;
 }
 
-/* Takes a packet; true if `out` is to be sent. */
+/* Handles a packet; true if `out` must be sent. */
 static bool assemble(struct card *card, const struct options *options, u8 cmd, const u8 *data, u32 len, u32 tv_sec,
 		     u32 tv_usec, struct message *out)
 {
 	switch (cmd) {
-	case REPLY_ALIVE: /* the firmware was started anew */
+	case REPLY_ALIVE: /* the firmware restarted */
 		card->has_phy = card->has_sender = card->phy_seen = false;
 		return false;
 	case RX_PHY:

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0
 /*
- * Sends bfee records through the kernel connector the way the CSI driver does, without a card.
+ * Sends bfee records through the kernel connector as the CSI driver does, without a card.
  *
  * sudo insmod csi5300_sender.ko count=1000 period_us=1000 n_rx=3 n_tx=1; the parameter `sent` counts.
  *
  * It registers as "iwlagn" and sends one message for each record, with sequence number 0 and with `ack` and `flags`
- * left as they are in fresh memory; here that memory is filled with 0xa5 first, which exposes a listener that
+ * left uninitialised; here that memory is filled with 0xa5 first, which exposes a listener that
  * reads them. The body of record k is a bfee whose CSI bytes are (31 k + i) mod 256.
  *
- * It is under the GPL (version 2), unlike the rest of the project: the connector's functions are for such modules only.
+ * GPL (version 2), unlike the rest of the project: only such modules may use the connector's functions.
  */
 #include <linux/connector.h>
 #include <linux/hrtimer.h>
@@ -45,7 +45,7 @@ MODULE_PARM_DESC(sent, "records sent so far");
 
 static unsigned int refused;
 module_param(refused, uint, 0444);
-MODULE_PARM_DESC(refused, "of these, calls that the connector did not take (nobody listens, or an overrun)");
+MODULE_PARM_DESC(refused, "of these, calls that the connector refused (no listener, or an overrun)");
 
 static struct cb_id id = { .idx = CN_IDX_IWLAGN, .val = CN_VAL_IWLAGN };
 static struct task_struct *sender;
@@ -153,4 +153,4 @@ static void __exit sender_exit(void)
 module_init(sender_init);
 module_exit(sender_exit);
 MODULE_LICENSE("GPL");
-MODULE_DESCRIPTION("bfee records through the connector, without a card");
+MODULE_DESCRIPTION("Sends bfee records through the connector, without a card");

@@ -1,11 +1,11 @@
 //! The 0xBB record: beamforming feedback, the CSI of one received frame.
 //!
-//! Three layouts exist. The stock csitool driver writes a 20-byte header and the packed CSI. The WSR driver of 2021 puts
-//! 14 bytes between them (host time, sender), later ones 18 (a frame number too). `len` counts the CSI bytes in all,
-//! so the lengths tell them apart: `body - 20 - len` is 0, 14 or 18.
+//! Three layouts exist. The stock csitool driver writes a 20-byte header and the packed CSI. The WSR driver of 2021 puts 14
+//! bytes between them (host time, sender), later ones 18 (a frame number, too). `len` is the number of CSI bytes in every
+//! layout, so the lengths distinguish them: `body - 20 - len` is 0, 14 or 18.
 //!
-//! Bytes after the CSI are separate ([`Bfee::behind_csi`]), because other readers ignore them: netlink pads a datagram
-//! to four bytes, and a logger may write the padding. The zero bits between the samples identify such a body.
+//! Bytes after the CSI are separate ([`Bfee::behind_csi`]), because other readers ignore them: netlink pads a datagram to four
+//! bytes, and a logger may write the padding. The zero bits between the samples identify such a body.
 //!
 //! Field offsets are those of `struct iwl_bfee_notif` (csitool `netlink/bfee.h`; WSR `dvm/commands.h`), little-endian.
 
@@ -28,7 +28,7 @@ pub const SUBCARRIERS: usize = 30;
 pub const STOCK_HEADER: usize = 20;
 /// Bytes that the WSR driver adds after the stock header.
 pub const WSR_EXTRA: usize = 18;
-/// Bytes that the WSR driver of 2021 adds after the stock header: all but the frame number.
+/// Bytes that the WSR driver of 2021 adds after the stock header: without the frame number.
 pub const WSR_2021_EXTRA: usize = 14;
 /// Bytes before the CSI in the WSR layout of 2021.
 pub const WSR_2021_HEADER: usize = STOCK_HEADER + WSR_2021_EXTRA;
@@ -36,10 +36,10 @@ pub const WSR_2021_HEADER: usize = STOCK_HEADER + WSR_2021_EXTRA;
 pub const WSR_HEADER: usize = STOCK_HEADER + WSR_EXTRA;
 /// The longest body: WSR header and 3x3 CSI.
 pub const MAX_BODY: usize = WSR_HEADER + 552;
-/// Value of `noise` when the driver has no measurement (IWL_NOISE_MEAS_NOT_AVAILABLE): always so without beacons.
+/// Value of `noise` if the driver has no measurement (IWL_NOISE_MEAS_NOT_AVAILABLE): always the case without beacons.
 pub const NOISE_UNKNOWN_DBM: i8 = -127;
 
-/// Offsets of the fields in the body (code byte not counted). In a `.dat` log add 3, in a datagram 37.
+/// Offsets of the fields in the body (without the code byte). In a `.dat` log add 3, in a datagram 37.
 pub mod offset {
     /// u32, microseconds.
     pub const TIMESTAMP_LOW: usize = 0;
@@ -69,13 +69,13 @@ pub mod offset {
     pub const TV_USEC: usize = 24;
     /// 6 bytes, WSR layouts only.
     pub const MAC: usize = 28;
-    /// u32, WSR layout only, not in that of 2021.
+    /// u32, WSR layout only, not that of 2021.
     pub const FRAME_COUNT: usize = 34;
 }
 
 /// Bits of [`Bfee::rate_n_flags`] (`dvm/commands.h`, RATE_MCS_*); the driver keeps the low 14.
 pub mod rate {
-    /// HT frame; always set when there is CSI.
+    /// HT frame; always set if there is CSI.
     pub const HT: u16 = 0x0100;
     /// CCK.
     pub const CCK: u16 = 0x0200;
@@ -95,7 +95,7 @@ pub const fn csi_len(n_rx: u8, n_tx: u8) -> usize {
     60 * n_rx as usize * n_tx as usize + 12
 }
 
-/// Which driver wrote the record.
+/// The driver that wrote the record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Layout {
     /// csitool: 20-byte header.
@@ -118,20 +118,20 @@ impl Layout {
     }
 }
 
-/// What the WSR driver adds.
+/// Fields that the WSR driver adds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Wsr {
     /// Host wall clock when the record was handled, seconds; steps when the clock is set.
     pub tv_sec: u32,
     /// Microseconds of it.
     pub tv_usec: u32,
-    /// Address 3 of the last good frame: who sent it.
+    /// Address 3 of the last good frame: its sender.
     ///
-    /// The driver clears it when `frame_count` is 0, so zero with count 0 means "not known". After a frame with a bad
-    /// checksum both still show the frame before.
+    /// The driver clears it if `frame_count` is 0, so zero with count 0 means "unknown". After a frame with a bad checksum both
+    /// still show the previous frame.
     pub mac: Mac,
-    /// The four bytes after the 802.11 header, read big-endian: the sounding counter, or anything in foreign frames.
-    /// `None` in the layout of 2021, which has no number.
+    /// The four bytes after the 802.11 header, read big-endian: the sounding counter, or anything in foreign frames. `None` in the
+    /// layout of 2021.
     pub frame_count: Option<u32>,
 }
 
@@ -143,7 +143,7 @@ impl Wsr {
     }
 }
 
-/// Why a body is no bfee.
+/// Why a body is not a bfee.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
     /// Shorter than the header.
@@ -158,14 +158,14 @@ pub enum Error {
         /// Space-time streams as read.
         n_tx: u8,
     },
-    /// `len` is not what the chains need.
+    /// `len` does not match the chains.
     CsiLength {
         /// `60 n_rx n_tx + 12`.
         expect: usize,
         /// The field as read.
         got: usize,
     },
-    /// The body is too short for its CSI, or longer than any layout makes it.
+    /// The body is too short for its CSI, or longer than in any layout.
     BodyLength {
         /// Bytes of CSI.
         csi: usize,
@@ -195,8 +195,8 @@ impl core::error::Error for Error {}
 
 /// A checked view of a bfee body.
 ///
-/// CSI indices are `subcarrier` 0 to 29, `rx` the raw chain (not the antenna, see [`Bfee::antennas`]), `tx` the
-/// space-time stream; in the payload tx runs fastest, then rx, then the subcarrier.
+/// CSI indices are `subcarrier` 0 to 29, `rx` the raw chain (not the antenna, see [`Bfee::antennas`]), `tx` the space-time
+/// stream; in the payload tx varies fastest, then rx, then the subcarrier.
 #[derive(Clone, Copy, Debug)]
 pub struct Bfee<'a> {
     head: &'a [u8; STOCK_HEADER],
@@ -226,10 +226,10 @@ pub(crate) fn check(head: &[u8; STOCK_HEADER], body_len: usize) -> Result<Layout
 }
 
 impl<'a> Bfee<'a> {
-    /// Checks a body (without the code byte). It may continue behind its CSI, see [`Bfee::behind_csi`].
+    /// Checks a body (without the code byte). It may continue after its CSI, see [`Bfee::behind_csi`].
     ///
     /// # Errors
-    /// When the body is too short, the chains are not 1 to 3, or the lengths disagree.
+    /// If the body is too short, the chains are not 1 to 3, or the lengths disagree.
     pub fn new_checked(body: &'a [u8]) -> Result<Self, Error> {
         let short = Error::Short { got: body.len() };
         let (head, rest) = body.split_first_chunk::<STOCK_HEADER>().ok_or(short)?;
@@ -243,8 +243,8 @@ impl<'a> Bfee<'a> {
         }
     }
 
-    /// A body that continues behind its CSI: of the layouts that it is long enough for the first in which the bits between
-    /// the samples are 0, or stock, as csitool's readers take it.
+    /// A body that continues after its CSI: the first layout that fits and in which the bits between the samples are 0, or stock, as
+    /// csitool's readers assume.
     #[cold]
     fn longer(head: &'a [u8; STOCK_HEADER], rest: &'a [u8], csi: usize) -> Option<Self> {
         let as_layout = |layout: Layout| {
@@ -260,7 +260,7 @@ impl<'a> Bfee<'a> {
         self.head.get(at..).map_or(0, LittleEndian::read_u16)
     }
 
-    /// Which driver wrote it.
+    /// The driver that wrote it.
     #[must_use]
     pub fn layout(&self) -> Layout {
         match self.extra.len() {
@@ -282,7 +282,7 @@ impl<'a> Bfee<'a> {
         self.u16_at(offset::BFEE_COUNT)
     }
 
-    /// Reserved by the firmware, 0 in all known captures.
+    /// Reserved by the firmware; 0 in all known captures.
     #[must_use]
     pub fn reserved(&self) -> u16 {
         self.u16_at(offset::RESERVED)
@@ -302,7 +302,7 @@ impl<'a> Bfee<'a> {
         usize::from(self.head[offset::N_TX])
     }
 
-    /// RSSI of antennas A, B, C in dB above an internal reference; 0 where the antenna was not used. Never permuted.
+    /// RSSI of antennas A, B, C in dB above an internal reference; 0 for an unused antenna. Never permuted.
     #[must_use]
     pub fn rssi(&self) -> [u8; 3] {
         [self.head[offset::RSSI], self.head[offset::RSSI + 1], self.head[offset::RSSI + 2]]
@@ -314,13 +314,13 @@ impl<'a> Bfee<'a> {
         self.head[offset::NOISE].cast_signed()
     }
 
-    /// Gain of the receiver, dB.
+    /// Receiver gain, dB.
     #[must_use]
     pub fn agc(&self) -> u8 {
         self.head[offset::AGC]
     }
 
-    /// Which antenna each chain was connected to, packed; [`Bfee::antennas`] reads it.
+    /// The antenna of each chain, packed; [`Bfee::antennas`] decodes it.
     #[must_use]
     pub fn antenna_sel(&self) -> u8 {
         self.head[offset::ANTENNA_SEL]
@@ -359,13 +359,13 @@ impl<'a> Bfee<'a> {
         self.payload
     }
 
-    /// What the body has behind its CSI: nothing as a driver writes it, padding where a logger wrote whole datagrams.
+    /// Bytes after the CSI: none as a driver writes it, padding if a logger wrote whole datagrams.
     #[must_use]
     pub fn behind_csi(&self) -> &'a [u8] {
         self.behind
     }
 
-    /// Which antenna each raw chain was connected to.
+    /// The antenna of each raw chain.
     ///
     /// # Errors
     /// [`InvalidPerm`], see [`Antennas::new`].
@@ -374,7 +374,7 @@ impl<'a> Bfee<'a> {
         Antennas::new(self.antenna_sel(), self.head[offset::N_RX], self.rssi())
     }
 
-    /// The raw chain of an antenna; `None` when it was not used or the permutation is invalid.
+    /// The raw chain of an antenna; `None` if it was not used or the permutation is invalid.
     #[must_use]
     #[inline]
     pub fn chain_of(&self, antenna: Antenna) -> Option<usize> {

@@ -3,7 +3,7 @@
 /// Bytes that are looked up at once.
 const LANES: usize = 16;
 
-/// Tables of a polynomial: of a byte with a number of zero bytes after it.
+/// Tables of a polynomial: of a byte followed by a number of zero bytes.
 pub(crate) type Tables = [[u32; 256]; LANES];
 
 /// The tables of a polynomial whose bits are reversed.
@@ -33,7 +33,7 @@ pub(crate) const fn tables(polynomial: u32) -> Tables {
     tables
 }
 
-/// The checksum of bytes: all ones before and after. Sixteen bytes at a time, of what is left eight, four and one.
+/// The checksum of bytes, with all ones before and after. Sixteen bytes at a time, then eight, four and one.
 pub(crate) fn of(tables: &Tables, bytes: &[u8]) -> u32 {
     let (crc, rest) = by_blocks::<LANES>(tables, !0, bytes);
     let (crc, rest) = by_blocks::<8>(tables, crc, rest);
@@ -41,7 +41,7 @@ pub(crate) fn of(tables: &Tables, bytes: &[u8]) -> u32 {
     !byte_by_byte(tables, crc, rest)
 }
 
-/// A checksum carried on over blocks of `BYTES`, four to [`LANES`], each byte by the table of those behind it; the bytes behind them.
+/// Continues a checksum over blocks of `BYTES`, four to [`LANES`]; returns it and the remaining bytes.
 #[inline(always)]
 fn by_blocks<'a, const BYTES: usize>(tables: &Tables, crc: u32, bytes: &'a [u8]) -> (u32, &'a [u8]) {
     let (blocks, rest) = bytes.as_chunks::<BYTES>();
@@ -50,13 +50,13 @@ fn by_blocks<'a, const BYTES: usize>(tables: &Tables, crc: u32, bytes: &'a [u8])
         for (byte, before) in block.iter_mut().zip(crc.to_le_bytes()) {
             *byte ^= before;
         }
-        // From the last byte on: those that wait for the checksum before come at the end.
+        // From the last byte on: those that depend on the previous checksum come last.
         tables.iter().zip(block.iter().rev()).fold(0, |crc, (table, byte)| crc ^ table[usize::from(*byte)])
     });
     (crc, rest)
 }
 
-/// A checksum carried on byte by byte.
+/// Continues a checksum byte by byte.
 fn byte_by_byte(tables: &Tables, crc: u32, bytes: &[u8]) -> u32 {
     bytes.iter().fold(crc, |crc, &byte| crc >> 8 ^ tables[0][usize::from(crc as u8 ^ byte)])
 }
@@ -74,7 +74,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bytes_at_once_are_byte_by_byte(bytes in prop::collection::vec(any::<u8>(), 0..200), polynomial: u32) {
+        fn table_lookups_equal_the_bytewise_checksum(bytes in prop::collection::vec(any::<u8>(), 0..200), polynomial: u32) {
             let tables = tables(polynomial | 1 << 31);
             prop_assert_eq!(of(&tables, &bytes), !byte_by_byte(&tables, !0, &bytes));
         }

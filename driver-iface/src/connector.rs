@@ -1,8 +1,8 @@
-//! The kernel connector: how a record travels from the driver to user space.
+//! The kernel connector: transports a record from the driver to user space.
 //!
-//! A datagram of `NETLINK_CONNECTOR` holds an `nlmsghdr` (16 bytes), then one or more `cn_msg` (20 bytes and data).
-//! The driver sends one message for each record, its data being code and body. The kernel pads the datagram to 4
-//! bytes, a user-space sender does not: the record ends where `cn_msg.len` says, never where the datagram does.
+//! A datagram of `NETLINK_CONNECTOR` holds an `nlmsghdr` (16 bytes), then one or more `cn_msg` (20 bytes and data). The driver
+//! sends one message per record; its data is code and body. The kernel pads the datagram to 4 bytes, a user-space sender does
+//! not: the record ends at `cn_msg.len`, not at the datagram's end.
 //!
 //! Fields are in host order, which is little-endian wherever the driver runs (`linux/netlink.h`, `linux/connector.h`).
 
@@ -20,7 +20,7 @@ pub const NETLINK_CONNECTOR: u16 = 11;
 pub const SOL_NETLINK: i32 = 270;
 /// Socket option: join a multicast group, given by number.
 pub const NETLINK_ADD_MEMBERSHIP: i32 = 1;
-/// Socket option: overruns are not reported, and do not close the socket until it is drained.
+/// Socket option: overruns are not reported and do not block the socket until it is drained.
 pub const NETLINK_NO_ENOBUFS: i32 = 5;
 /// `nlmsg_type` of connector messages.
 pub const NLMSG_DONE: u16 = 3;
@@ -30,12 +30,12 @@ pub const NLMSGHDR: usize = 16;
 pub const CN_MSG: usize = 20;
 /// Bytes before code and body of a datagram's first record.
 pub const HEADERS: usize = NLMSGHDR + CN_MSG;
-/// The longest datagram: headers and what the u16 length can announce, padded.
+/// Longest datagram: headers and the largest u16 length, padded.
 pub const MAX_DATAGRAM: usize = HEADERS + 65_536;
 
-/// `CN_NETLINK_USERS` + 0xf of kernels from about 3.10 on (11 users): all that are in use.
+/// `CN_NETLINK_USERS` + 0xf of kernels from about 3.10 on (11 users): all in use today.
 pub const CN_IDX: u32 = 26;
-/// The same for kernels of about 2.6.39 to 3.9 (10 users), csitool's own 3.5.7 tree among them.
+/// The same for kernels of about 2.6.39 to 3.9 (10 users), including csitool's own 3.5.7 tree.
 pub const CN_IDX_10_USERS: u32 = 25;
 /// The same for kernels of about 2.6.32 to 2.6.38 (8 users).
 pub const CN_IDX_8_USERS: u32 = 23;
@@ -84,7 +84,7 @@ pub enum Error {
         /// Bytes received.
         got: usize,
     },
-    /// `nlmsg_len` is less than the headers or more than was received.
+    /// `nlmsg_len` is less than the headers, or more than was received.
     MessageLength {
         /// The field.
         nlmsg_len: usize,
@@ -132,18 +132,18 @@ pub struct Datagram<'a> {
 /// One `cn_msg`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message<'a> {
-    /// Connector index; [`CN_IDX`] or one of its forerunners for the driver.
+    /// Connector index; for the driver [`CN_IDX`] or an older one.
     pub idx: u32,
     /// Connector value; [`CN_VAL`] for the driver.
     pub val: u32,
-    /// Sequence number, 0 from the driver: of no use for finding losses.
+    /// Sequence number, always 0 from the driver: it does not show losses.
     pub seq: u32,
-    /// What the message carries: code and body, padding cut off.
+    /// The message's data: code and body, without padding.
     pub data: &'a [u8],
 }
 
 impl<'a> Message<'a> {
-    /// The record in it, when it comes from the driver registered at `idx`; `None` for foreign or empty messages.
+    /// The record in it, if it comes from the driver registered at `idx`; `None` for foreign or empty messages.
     #[must_use]
     pub fn record(&self, idx: u32) -> Option<Record<'a>> {
         (self.idx == idx && self.val == CN_VAL).then(|| Record::from_message(self.data)).flatten()
@@ -151,10 +151,10 @@ impl<'a> Message<'a> {
 }
 
 impl<'a> Datagram<'a> {
-    /// Checks the netlink header of what one `recv` returned, padding included or not.
+    /// Checks the netlink header of one `recv`'s bytes, with or without padding.
     ///
     /// # Errors
-    /// When it is too short, its type is not that of the connector, or `nlmsg_len` exceeds it.
+    /// If it is too short, has another type than the connector's, or is shorter than `nlmsg_len`.
     pub fn new_checked(datagram: &'a [u8]) -> Result<Self, Error> {
         let received = datagram.len();
         let (head, _) = datagram.split_first_chunk().ok_or(Error::Short { need: HEADERS, got: received })?;
@@ -168,20 +168,20 @@ impl<'a> Datagram<'a> {
         Ok(Self { head, messages })
     }
 
-    /// Port of the sender; 0 for the kernel. (The socket address says the same and cannot be forged.)
+    /// Port of the sender; 0 for the kernel. (The socket address has it, too, and cannot be forged.)
     #[must_use]
     pub fn pid(&self) -> u32 {
         LittleEndian::read_u32(&self.head[offset::NLMSG_PID..])
     }
 
-    /// The messages in it; after an error there are none.
+    /// The messages in it; they end after an error.
     #[must_use]
     pub fn messages(&self) -> Messages<'a> {
         Messages { rest: self.messages }
     }
 }
 
-/// Iterator over the `cn_msg` of a datagram. The driver sends one in each; several are legal.
+/// Iterator over the `cn_msg` of a datagram. The driver sends one per datagram; several are valid.
 #[derive(Clone, Debug)]
 pub struct Messages<'a> {
     rest: &'a [u8],
@@ -209,7 +209,7 @@ impl<'a> Iterator for Messages<'a> {
     }
 }
 
-/// What to write into a datagram around a record.
+/// The fields of a datagram around a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repr<'a> {
     /// Connector index.
@@ -238,7 +238,7 @@ impl Repr<'_> {
     /// Writes a datagram with one message. Returns [`Repr::emit_len`].
     ///
     /// # Errors
-    /// When the record does not fit `cn_msg.len` (65,535 bytes) or `out` is too short.
+    /// If the record does not fit `cn_msg.len` (65,535 bytes) or `out` is too short.
     pub fn emit(&self, out: &mut [u8]) -> Result<usize, EmitError> {
         let got = self.record.length();
         let max = usize::from(u16::MAX);
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_that_lie_are_refused() {
+    fn wrong_lengths_are_refused() {
         let bytes = sample();
         let error = |bytes: &[u8]| Datagram::new_checked(bytes).unwrap_err();
         assert_eq!(error(&bytes[..15]), Error::Short { need: 36, got: 15 });

@@ -1,4 +1,4 @@
-//! Every error says its numbers: what was read and what would have been right.
+//! Every error contains its numbers: the value read and the value expected.
 
 use crate::bfee::{self, Antenna, InvalidPerm};
 use crate::record::Reason;
@@ -6,7 +6,7 @@ use crate::stock::{BadPacket, EventError};
 use crate::{EmitError, Mac, ParseMacError, connector, mpdu, radiotap, sounding};
 use std::string::{String, ToString};
 
-/// True if a number stands alone in a text, not as a part of a longer one.
+/// True if a number stands alone in a text, not as part of a longer one.
 fn says(text: &str, number: &str) -> bool {
     text.split(|c: char| !c.is_ascii_alphanumeric()).any(|word| word == number)
 }
@@ -21,7 +21,7 @@ fn holds(error: impl ToString, numbers: &[&str]) {
 }
 
 #[test]
-fn of_what_is_written() {
+fn errors_of_emit() {
     holds(EmitError::Buffer { need: 31, got: 17 }, &["31", "17"]);
     holds(EmitError::Field { name: "length", got: 70_001, max: 65_535 }, &["length", "70001", "65535"]);
     holds(EmitError::Samples { expect: 270, got: 90 }, &["270", "90"]);
@@ -47,7 +47,7 @@ fn of_records() {
 }
 
 #[test]
-fn of_what_crosses_the_kernel() {
+fn errors_of_datagrams_and_events() {
     holds(connector::Error::Short { need: 36, got: 12 }, &["36", "12"]);
     holds(connector::Error::MessageLength { nlmsg_len: 500, received: 90 }, &["500", "90", "36"]);
     holds(connector::Error::MessageType { got: 2 }, &["2", "3"]);

@@ -1,19 +1,19 @@
-//! The contract with the kernel driver: every byte that crosses the kernel or file boundary, and nothing else.
+//! The contract with the kernel driver: every byte that crosses the kernel or file boundary.
 //!
-//! Each format has a checked view (`new_checked` is the only door for foreign bytes, after it no accessor can fail),
-//! a small value form, and `emit` written next to the parser. Nothing here allocates, reads a clock or does I/O.
+//! Each format has a checked view (`new_checked` is the only door for foreign bytes; after it no accessor can fail), a small
+//! value form, and `emit` next to the parser. Nothing here allocates, reads a clock or does I/O.
 //!
 //! | module | bytes |
 //! |---|---|
 //! | [`connector`] | a datagram of the kernel connector: nlmsghdr, cn_msg, then a [`record::Record`] |
-//! | [`record`] | `.dat` logs: a big-endian length and a record, over and over; [`record::Framer`] resynchronises after damage |
+//! | [`record`] | `.dat` logs: a sequence of a big-endian length and a record; [`record::Framer`] resynchronises after damage |
 //! | [`side_file`] | `.datstp`, the host's receive times beside a `.dat` log |
 //! | [`bfee`] | 0xBB, the CSI of one frame, stock and WSR layout |
 //! | [`mpdu`] | 0xC1, the frame itself |
-//! | [`sounding`], [`radiotap`] | what is injected |
+//! | [`sounding`], [`radiotap`] | injected frames |
 //! | [`stock`] | the card's own packets under an unmodified driver, and the records made of them |
 //!
-//! All multi-byte fields are little-endian unless noted otherwise; the driver runs on such hosts only.
+//! All multi-byte fields are little-endian unless noted otherwise; the driver only runs on such hosts.
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -39,30 +39,30 @@ pub use mac::{Mac, ParseMacError};
 
 use core::fmt;
 
-/// Why something could not be written.
+/// Why a value cannot be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EmitError {
     /// The buffer is too small.
     Buffer {
         /// Bytes needed.
         need: usize,
-        /// Bytes offered.
+        /// Bytes available.
         got: usize,
     },
     /// A value does not fit its field.
     Field {
         /// The field, by its name in the format.
         name: &'static str,
-        /// The value offered.
+        /// Its value.
         got: usize,
-        /// The largest value that the field can hold.
+        /// The field's largest value.
         max: usize,
     },
     /// The number of I/Q samples is not `30 n_rx n_tx`.
     Samples {
         /// Samples needed.
         expect: usize,
-        /// Samples offered.
+        /// Samples given.
         got: usize,
     },
 }
@@ -79,7 +79,7 @@ impl fmt::Display for EmitError {
 
 impl core::error::Error for EmitError {}
 
-/// The first `need` bytes of `out`, or how much is missing.
+/// The first `need` bytes of `out`, or an error with the missing number.
 pub(crate) fn room(out: &mut [u8], need: usize) -> Result<&mut [u8], EmitError> {
     let got = out.len();
     out.get_mut(..need).ok_or(EmitError::Buffer { need, got })

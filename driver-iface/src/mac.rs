@@ -3,12 +3,12 @@
 use core::fmt;
 use core::str::FromStr;
 
-/// A 48-bit MAC address, in the order in which it is on the air.
+/// A 48-bit MAC address, in transmission order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Mac(pub [u8; 6]);
 
 impl Mac {
-    /// All zeros: what a WSR driver writes for "sender not known".
+    /// All zeros: a WSR driver writes it for an unknown sender.
     pub const ZERO: Self = Self([0; 6]);
     /// ff:ff:ff:ff:ff:ff.
     pub const BROADCAST: Self = Self([0xff; 6]);
@@ -27,7 +27,7 @@ impl fmt::Display for Mac {
     }
 }
 
-/// A text that is not six hexadecimal octets with `:` or `-` between them.
+/// The text is not six hexadecimal octets with `:` or `-` between them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ParseMacError;
 

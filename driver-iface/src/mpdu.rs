@@ -1,11 +1,11 @@
-//! The 0xC1 record: a received frame as the card saw it, from the 802.11 header on.
+//! The 0xC1 record: a received frame, from the 802.11 header on.
 //!
-//! In monitor mode the frame check sequence (FCS) stands at its end; in client and access point mode the card leaves it
-//! out ([`Mpdu`] is the view of a frame with one, [`Header`] that of any). Nothing in a record says which: where no
-//! frame of a log ends in its own FCS, none has one.
+//! In monitor mode the frame ends with its frame check sequence (FCS); in client and access point mode the card removes it
+//! ([`Mpdu`] is the view of a frame with FCS, [`Header`] that of any frame). A record does not show which is the case: if no
+//! frame of a log ends with its own FCS, none has one.
 //!
-//! The driver sends it before it checks the FCS, so damaged frames appear too, and before the 0xBB of the same frame:
-//! a 0xBB belongs to the 0xC1 just before it ([`Pairing`]), never to one found by counting.
+//! The driver sends it before it checks the FCS, so damaged frames appear, too, and before the 0xBB of the same frame. A 0xBB
+//! belongs to the 0xC1 just before it ([`Pairing`]); counting records does not find the right one.
 
 use byteorder::{BigEndian, ByteOrder, LittleEndian};
 use core::fmt;
@@ -38,7 +38,7 @@ pub mod offset {
     pub const COUNTER: usize = 24;
 }
 
-/// A frame too short for what it should have.
+/// A frame is too short.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Short {
     /// Bytes of the body.
@@ -63,7 +63,7 @@ pub struct Mpdu<'a> {
 }
 
 impl<'a> Mpdu<'a> {
-    /// Checks the body of a 0xC1 record. Control frames (10 to 16 bytes of header) are refused as too short.
+    /// Checks the body of a 0xC1 record. Control frames (headers of 10 to 16 bytes) are refused as too short.
     ///
     /// # Errors
     /// [`Short`] for fewer than 28 bytes.
@@ -114,13 +114,13 @@ impl<'a> Mpdu<'a> {
         LittleEndian::read_u16(&self.head[offset::SEQ_CTRL..])
     }
 
-    /// What stands between header and FCS.
+    /// The bytes between header and FCS.
     #[must_use]
     pub fn payload(&self) -> &'a [u8] {
         self.payload
     }
 
-    /// The sounding counter, the first four bytes of the payload, big-endian; `None` when there are fewer.
+    /// The sounding counter, the first four bytes of the payload, big-endian; `None` if there are fewer.
     #[must_use]
     #[doc(alias = "frame_count")]
     pub fn sounding_counter(&self) -> Option<u32> {
@@ -133,17 +133,17 @@ impl<'a> Mpdu<'a> {
         self.fcs
     }
 
-    /// True when the FCS is that of the frame.
+    /// True if the FCS is correct.
     #[must_use]
     pub fn fcs_is_good(&self) -> bool {
         fcs_is_good(self.frame)
     }
 }
 
-/// A checked view of the header of a frame of any type, with or without an FCS behind it.
+/// A checked view of the header of a frame of any type, with or without an FCS at the end.
 ///
-/// Fields that the type of frame does not have are `None`: an ACK or CTS has one address, other control frames two
-/// (802.11-2016 9.3.1).
+/// Fields that the frame's type does not have are `None`: an ACK or CTS has one address, other control frames two (802.11-2016
+/// 9.3.1).
 #[derive(Clone, Copy, Debug)]
 pub struct Header<'a> {
     frame: &'a [u8],
@@ -151,7 +151,7 @@ pub struct Header<'a> {
 }
 
 impl<'a> Header<'a> {
-    /// Bytes of the shortest header, that of an ACK: frame control, duration, address 1.
+    /// Bytes of the shortest header, an ACK's: frame control, duration, address 1.
     pub const SHORTEST: usize = offset::ADDR2;
 
     /// Checks the body of a 0xC1 record.
@@ -163,7 +163,7 @@ impl<'a> Header<'a> {
         Ok(Self { frame, control: LittleEndian::read_u16(control) })
     }
 
-    /// Whether it is a control frame, and if so whether one with a single address.
+    /// For a control frame, whether it has a single address; otherwise `None`.
     fn control_kind(&self) -> Option<bool> {
         (self.control >> 2 & 3 == 1).then_some(matches!(self.control >> 4 & 15, 12 | 13))
     }
@@ -210,13 +210,13 @@ impl<'a> Header<'a> {
     }
 }
 
-/// True when a frame of any type ends in its own FCS.
+/// True if a frame of any type ends with its own FCS.
 #[must_use]
 pub fn fcs_is_good(frame: &[u8]) -> bool {
     frame.split_last_chunk::<FCS>().is_some_and(|(bytes, fcs)| crc32(bytes) == u32::from_le_bytes(*fcs))
 }
 
-/// CRC-32 of the frame check sequence (802.11-2016 9.2.4.8): reflected 0x04C11DB7, all ones before and after.
+/// CRC-32 of the frame check sequence (802.11-2016 9.2.4.8): reflected 0x04C11DB7, with all ones before and after.
 #[must_use]
 pub fn crc32(bytes: &[u8]) -> u32 {
     checksum::of(&CRC_TABLES, bytes)
@@ -224,7 +224,7 @@ pub fn crc32(bytes: &[u8]) -> u32 {
 
 static CRC_TABLES: checksum::Tables = checksum::tables(0xEDB8_8320);
 
-/// The value form of an MPDU.
+/// An MPDU as a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repr<'a> {
     /// Frame control.
@@ -239,7 +239,7 @@ pub struct Repr<'a> {
     pub addr3: Mac,
     /// Sequence control.
     pub seq_ctrl: u16,
-    /// What stands between header and FCS.
+    /// The bytes between header and FCS.
     pub payload: &'a [u8],
 }
 
@@ -258,16 +258,16 @@ impl<'a> Repr<'a> {
         }
     }
 
-    /// Bytes of the frame, FCS included.
+    /// Bytes of the frame, including the FCS.
     #[must_use]
     pub fn emit_len(&self) -> usize {
         HEADER + self.payload.len() + FCS
     }
 
-    /// Writes the frame with a good FCS: the body of a 0xC1 record. Returns [`Repr::emit_len`].
+    /// Writes the frame with a correct FCS: the body of a 0xC1 record. Returns [`Repr::emit_len`].
     ///
     /// # Errors
-    /// When `out` is too short.
+    /// If `out` is too short.
     pub fn emit(&self, out: &mut [u8]) -> Result<usize, EmitError> {
         let out = room(out, self.emit_len())?;
         let (frame, fcs) = out.split_at_mut(HEADER + self.payload.len());
@@ -283,7 +283,7 @@ impl<'a> Repr<'a> {
     }
 }
 
-/// Says which 0xC1 a 0xBB belongs to: the one just before it.
+/// Finds the 0xC1 of a 0xBB: the one just before it.
 ///
 /// Feed it the code of every record in order, with a value for the record (an offset, a parsed frame).
 #[derive(Clone, Copy, Debug, Default)]
@@ -292,16 +292,16 @@ pub struct Pairing<T> {
 }
 
 impl<T> Pairing<T> {
-    /// Nothing heard yet.
+    /// At the start: no record yet.
     #[must_use]
     pub const fn new() -> Self {
         Self { last: None }
     }
 
-    /// Takes the next record; for a 0xBB returns what stood for the 0xC1 just before it.
+    /// Takes the next record; for a 0xBB returns the value of the 0xC1 just before it.
     ///
-    /// Other codes (noise, status) between the two do not part them. A second 0xC1 replaces the first, which had no
-    /// CSI; a second 0xBB finds none. After damage call [`Pairing::forget`].
+    /// Other codes (noise, status) in between do not separate them. A second 0xC1 replaces the first, which had no CSI; a second 0xBB
+    /// finds none. After damage call [`Pairing::forget`].
     pub fn next(&mut self, code: u8, record: T) -> Option<T> {
         match code {
             code::MPDU => {

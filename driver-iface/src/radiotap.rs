@@ -1,12 +1,11 @@
-//! Radiotap headers of injected and of received frames.
+//! Radiotap headers of injected and received frames.
 //!
 //! Layout (radiotap.org; Linux `include/net/ieee80211_radiotap.h`, `net/wireless/radiotap.c`): version 0, a pad byte,
 //! the header's length as u16, one or more u32 words of presence bits (bit 31: another word follows), then the fields
 //! in bit order, each aligned to its own alignment **counted from the start of the header**. All little-endian.
 //!
-//! [`Packet`] is the checked view of foreign bytes, [`Repr`] the value. Fields of the first radiotap namespace are
-//! read; repeats for further antennas, vendor fields and everything this crate has no use for are skipped by their
-//! size.
+//! [`Packet`] is the checked view of foreign bytes, [`Repr`] the value. Fields of the first radiotap namespace are read; repeats
+//! for further antennas, vendor fields and unused fields are skipped by their size.
 
 mod packet;
 
@@ -18,7 +17,7 @@ use core::fmt;
 
 /// Bytes of the smallest header: version, pad, length and one presence word.
 pub const MIN_LEN: usize = 8;
-/// Bytes that hold any header [`Repr::emit`] writes.
+/// Bytes that hold any header that [`Repr::emit`] writes.
 pub const MAX_EMIT_LEN: usize = 48;
 
 /// [`Repr::flags`]: the frame ends with its 4-byte FCS (`IEEE80211_RADIOTAP_F_FCS`).
@@ -52,7 +51,7 @@ mod bit {
     pub(super) const TX_FLAGS: u32 = 15;
     pub(super) const DATA_RETRIES: u32 = 17;
     pub(super) const MCS: u32 = 19;
-    /// TLVs follow the fields; nothing that this crate reads comes after.
+    /// TLVs follow the fields; this crate reads none of them.
     pub(super) const TLV: u32 = 28;
     pub(super) const RADIOTAP_NAMESPACE: u32 = 29;
     pub(super) const VENDOR_NAMESPACE: u32 = 30;
@@ -91,19 +90,19 @@ const FIELDS: [(usize, usize); 28] = [
     (2, 4),  // 27 L-SIG
 ];
 
-/// Why bytes are no radiotap header.
+/// Why bytes are not a radiotap header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
-    /// The header, or a field that it announces, is longer than the buffer.
+    /// The header, or an announced field, is longer than the buffer.
     Length {
         /// Bytes needed.
         expect: usize,
-        /// Bytes there.
+        /// Bytes available.
         got: usize,
     },
     /// A version other than 0.
     Version(u8),
-    /// An announced header length that does not even hold the fixed part.
+    /// An announced header length shorter than the fixed part.
     HeaderLength(u16),
 }
 
@@ -122,7 +121,7 @@ impl core::error::Error for Error {}
 /// Channel of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Channel {
-    /// Centre of the primary 20 MHz channel, MHz; 0 where the writer leaves it open.
+    /// Centre of the primary 20 MHz channel, MHz; 0 if the writer does not state it.
     pub freq_mhz: u16,
     /// `IEEE80211_CHAN_*` bits (0x0020 CCK, 0x0040 OFDM, 0x0080 2 GHz, 0x0100 5 GHz).
     pub flags: u16,
@@ -160,7 +159,7 @@ impl Mcs {
         Self { known: 0x37, flags, index }
     }
 
-    /// The channel width, if the field says so; 20L and 20U are 20 MHz wide.
+    /// The channel width, if the field contains it; 20L and 20U are 20 MHz wide.
     #[must_use]
     pub const fn bandwidth(&self) -> Option<Bandwidth> {
         match (self.known & 1, self.flags & 3) {
@@ -173,8 +172,8 @@ impl Mcs {
 
 /// A radiotap header as a value. `None` is an absent field.
 ///
-/// [`Repr::default`] is the 8-byte header without a field; the driver then chooses the rate (for the CSI tool's
-/// driver: `monitor_tx_rate`).
+/// [`Repr::default`] is the 8-byte header without fields; the driver then chooses the rate (the CSI tool's driver:
+/// `monitor_tx_rate`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Repr {
     /// MAC time of the first bit's arrival, microseconds.
@@ -193,7 +192,7 @@ pub struct Repr {
     pub antenna: Option<u8>,
     /// Properties of a received frame.
     pub rx_flags: Option<u16>,
-    /// Properties of a frame to send, or of one that was sent.
+    /// Properties of a frame to send, or of a sent one.
     pub tx_flags: Option<u16>,
     /// Retries of a sent frame.
     pub data_retries: Option<u8>,
@@ -202,13 +201,13 @@ pub struct Repr {
 }
 
 impl Repr {
-    /// For injecting an HT frame without waiting for an acknowledgement: TX flags and MCS, 13 bytes.
+    /// For injecting an HT frame without acknowledgement: TX flags and MCS, 13 bytes.
     #[must_use]
     pub const fn injected(index: u8, bandwidth: Bandwidth) -> Self {
         Self { tx_flags: Some(TX_FLAGS_NO_ACK), mcs: Some(Mcs::injected(index, bandwidth)), ..Self::NONE }
     }
 
-    /// What LORCON writes: flags 0, rate 0 (the default), the channel with flags 0; 14 bytes.
+    /// The header that LORCON writes: flags 0, rate 0 (the default), the channel with flags 0; 14 bytes.
     #[must_use]
     #[doc(alias = "mac80211inject")]
     pub const fn lorcon(freq_mhz: u16) -> Self {
@@ -229,9 +228,9 @@ impl Repr {
         mcs: None,
     };
 
-    /// True if this is a copy of a frame that this host sent: only those carry TX flags or a retry count.
+    /// True for a copy of a frame that this host sent: only those have TX flags or a retry count.
     ///
-    /// Linux hands every monitor a tx-status copy of each sent frame, which `PACKET_IGNORE_OUTGOING` does not remove.
+    /// Linux gives every monitor a tx-status copy of each sent frame, which `PACKET_IGNORE_OUTGOING` does not remove.
     #[must_use]
     pub const fn is_own_echo(&self) -> bool {
         self.tx_flags.is_some() || self.data_retries.is_some()
@@ -243,7 +242,7 @@ impl Repr {
         self.flags.is_some_and(|flags| flags & FLAGS_FCS != 0)
     }
 
-    /// True if the receiver found the FCS wrong.
+    /// True if the receiver found a wrong FCS.
     #[must_use]
     pub fn is_bad_fcs(&self) -> bool {
         self.flags.is_some_and(|flags| flags & FLAGS_BAD_FCS != 0)
@@ -252,14 +251,14 @@ impl Repr {
     /// Parses a checked header.
     ///
     /// # Errors
-    /// [`Error::Length`] if a field that is announced does not fit into the header's length.
+    /// [`Error::Length`] if an announced field exceeds the header's length.
     pub fn parse<T: AsRef<[u8]>>(packet: &Packet<T>) -> Result<Self, Error> {
         let mut repr = Self::default();
         walk(packet.header(), |present_bit, bytes| repr.take(present_bit, bytes))?;
         Ok(repr)
     }
 
-    /// Keeps one field; a repeated one (a further antenna) does not replace the first.
+    /// Stores one field; a repeated one (of a further antenna) does not replace the first.
     fn take(&mut self, present_bit: u32, bytes: &[u8]) {
         let u8_at = |at: usize| bytes.get(at).copied().unwrap_or(0);
         let u16_at = |at: usize| u16::from_le_bytes([u8_at(at), u8_at(at + 1)]);
@@ -335,7 +334,7 @@ fn put(buffer: &mut [u8], at: usize, bytes: &[u8]) {
     }
 }
 
-/// Lays fields out; on an empty buffer it only measures.
+/// Lays fields out; with an empty buffer it only measures.
 struct Writer<'a> {
     buffer: &'a mut [u8],
     at: usize,

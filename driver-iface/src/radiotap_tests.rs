@@ -1,4 +1,4 @@
-//! Bytes seen on real kernels, and properties.
+//! Bytes seen on real kernels, and property tests.
 
 use super::*;
 use proptest::prelude::*;
@@ -62,7 +62,7 @@ fn an_announced_fcs_is_not_part_of_the_frame() {
 }
 
 #[test]
-fn a_wrong_checksum_is_said_by_its_own_bit() {
+fn a_wrong_checksum_has_its_own_bit() {
     for (flags, bad) in
         [(None, false), (Some(0), false), (Some(0xff ^ FLAGS_BAD_FCS), false), (Some(FLAGS_BAD_FCS), true)]
     {
@@ -113,7 +113,7 @@ fn vendor_fields_are_skipped_by_their_length() {
     ];
     let repr = parsed(&bytes);
     assert_eq!((repr.flags, repr.signal_dbm), (Some(0x40), Some(-50)));
-    // They may be the last of the header, and may not go beyond it.
+    // They may end the header, but not exceed it.
     for (len, fits) in [(1, true), (2, true), (3, false), (0xffff, false)] {
         let mut header = std::vec![0, 0, 16, 0, 0, 0, 0, 0x40, 1, 2, 3, 0, 0, 0, 9, 9];
         header[12..14].copy_from_slice(&u16::to_le_bytes(len));
@@ -147,7 +147,7 @@ fn every_skipped_field_has_the_right_size_and_alignment() {
 }
 
 #[test]
-fn what_is_no_header_is_refused_with_numbers() {
+fn invalid_headers_are_refused_with_numbers() {
     let check = |bytes: &[u8]| Packet::new_checked(bytes.to_vec()).map(|packet| packet.header_len());
     assert_eq!(check(&[0, 0]), Err(Error::Length { expect: 8, got: 2 }));
     assert_eq!(check(&[1, 0, 8, 0, 0, 0, 0, 0]), Err(Error::Version(1)));
@@ -207,17 +207,17 @@ proptest! {
 }
 
 #[test]
-fn a_width_is_said_where_its_bit_is_set() {
+fn a_width_is_known_if_its_bit_is_set() {
     let width = |known, flags| Mcs { known, flags, index: 1 }.bandwidth();
     use Bandwidth::{Ht20, Ht40};
     assert_eq!([0, 1, 2, 3].map(|flags| width(1, flags)), [Some(Ht20), Some(Ht40), Some(Ht20), Some(Ht20)]);
-    // Other bits of both bytes say other things.
+    // Other bits of both bytes have other meanings.
     assert_eq!([0, 1, 2, 3].map(|flags| width(0xfe, flags)), [None; 4]);
     assert_eq!([width(0xff, 0xfd), width(0xff, 0xfc)], [Some(Ht40), Some(Ht20)]);
 }
 
 #[test]
-fn a_word_of_an_unknown_namespace_ends_the_walk_where_it_has_fields() {
+fn fields_of_an_unknown_namespace_end_the_walk() {
     const EXT: u32 = 1 << 31;
     const VENDOR: u32 = 1 << 30;
     const RADIOTAP: u32 = 1 << 29;
@@ -229,9 +229,9 @@ fn a_word_of_an_unknown_namespace_ends_the_walk_where_it_has_fields() {
         bytes.extend(fields);
         bytes
     };
-    // The second word is of no namespace. Without fields it leads on to one of radiotap's.
+    // The second word has no namespace. Without fields it leads on to a word of radiotap's.
     assert_eq!(parsed(&header(&[EXT, EXT | RADIOTAP, RATE], &[12])).rate, Some(12));
-    // With one, of unknown size, nothing behind it can be found: neither a rate nor a vendor's fields, which are not there.
+    // With a field, of unknown size, nothing after it can be located: neither a rate nor vendor fields.
     for field in [0, 5, 28] {
         assert_eq!(parsed(&header(&[EXT, EXT | RADIOTAP | 1 << field, RATE], &[12])).rate, None, "{field}");
         assert_eq!(parsed(&header(&[EXT, VENDOR | 1 << field], &[])), Repr::default(), "{field}");

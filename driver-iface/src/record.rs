@@ -1,5 +1,5 @@
-//! Records and the `.dat` log: for each message of the driver a big-endian u16 length, then that many bytes, a code
-//! and a body (`log_to_file.c`). No file header, no time stamps, no trailer.
+//! Records and the `.dat` log: for each message of the driver a big-endian u16 length, then that many bytes, a code and a body
+//! (`log_to_file.c`). No file header, no time stamps, no trailer.
 //!
 //! [`Framer`] walks such a stream, distinguishes records from damage, and resynchronises.
 
@@ -32,13 +32,13 @@ pub mod code {
     /// Aggregation block, two u32; not sent by the 4.15 driver.
     pub const TX_BLOCK_AGG: u8 = 0xC5;
 
-    /// Of another card than the 5300, whose log was translated: how far its clock is past the microsecond of the bfee that
-    /// follows, u32 picoseconds. No driver sends it.
+    /// For logs translated from another card: how far its clock is past the microsecond of the following bfee, u32 picoseconds. No
+    /// driver sends it.
     pub const CARD_CLOCK: u8 = 0xCC;
     /// For other cards: bytes of the log without a bfee. Their offset and number, u64 each, then the reason as text.
     pub const LEFT_OUT: u8 = 0xCD;
 
-    /// Codes and their names, in the order of the driver's header; behind them those of translated logs.
+    /// Codes and their names, in the order of the driver's header, followed by those of translated logs.
     pub const TABLE: [(u8, &str); 11] = [
         (BFEE, "bfee"),
         (RX_PHY, "rx_phy"),
@@ -63,9 +63,9 @@ pub mod code {
 /// Bytes of the length field.
 pub const LENGTH_FIELD: usize = 2;
 
-/// Largest value of the length field that a driver can mean: an A-MSDU in the card's 8 KiB receive buffer.
+/// Largest length field that a driver writes: an A-MSDU in the card's 8 KiB receive buffer.
 ///
-/// The field could hold 65,535; such lengths are common in damaged logs, unknown in intact ones.
+/// The field could hold 65,535; such lengths are common in damaged logs and unknown in intact ones.
 pub const MAX_LENGTH: usize = 8192;
 
 /// One record: a code and its body (without the code).
@@ -78,7 +78,7 @@ pub struct Record<'a> {
 }
 
 impl<'a> Record<'a> {
-    /// Splits a message (code and body) as it stands in a datagram; `None` when it is empty.
+    /// Splits a datagram's message (code and body); `None` if it is empty.
     #[must_use]
     pub fn from_message(message: &'a [u8]) -> Option<Self> {
         let (&code, body) = message.split_first()?;
@@ -97,10 +97,10 @@ impl<'a> Record<'a> {
         LENGTH_FIELD + self.length()
     }
 
-    /// Writes the record as a `.dat` log has it: length, code, body. Returns [`Record::emit_len`].
+    /// Writes the record as in a `.dat` log: length, code, body. Returns [`Record::emit_len`].
     ///
     /// # Errors
-    /// When the body does not fit the length field (65,534 bytes) or `out` is too short.
+    /// If the body does not fit the length field (65,534 bytes) or `out` is too short.
     pub fn emit(&self, out: &mut [u8]) -> Result<usize, EmitError> {
         let length = u16::try_from(self.length()).map_err(|_| EmitError::Field {
             name: "length",
@@ -116,13 +116,13 @@ impl<'a> Record<'a> {
     }
 }
 
-/// What the body of a [`code::CARD_CLOCK`] says, picoseconds.
+/// The content of a [`code::CARD_CLOCK`]'s body, picoseconds.
 #[must_use]
 pub fn card_clock_ps(body: &[u8]) -> Option<u32> {
     body.try_into().ok().map(u32::from_le_bytes)
 }
 
-/// What the body of a [`code::LEFT_OUT`] says: offset and number of the bytes, and why.
+/// The content of a [`code::LEFT_OUT`]'s body: offset and number of the bytes, and the reason.
 #[must_use]
 pub fn left_out(body: &[u8]) -> Option<(u64, u64, &str)> {
     let (offset, rest) = body.split_first_chunk()?;
@@ -141,8 +141,8 @@ pub fn written(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-/// Bytes and number of the whole records in the first `upto` bytes of an intact stream: where a write that stopped there
-/// is to be cut.
+/// Bytes and number of the complete records in the first `upto` bytes of an intact stream: where to cut a write that stopped
+/// there.
 #[must_use]
 pub fn whole_records(bytes: &[u8], upto: usize) -> (usize, usize) {
     let whole = written(bytes.get(..upto).unwrap_or(bytes));

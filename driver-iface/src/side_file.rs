@@ -1,7 +1,7 @@
 //! Side files (`.datstp`): when the host received each record of a log, in the log's order.
 //!
-//! The records of a stock driver hold no host time, so a logger that knows it writes it beside the log. The first 16
-//! bytes that are not zeros distinguish three layouts; numbers are little-endian.
+//! The records of a stock driver contain no host time, so a logger that knows it writes it beside the log. The first 16 bytes that
+//! are not zeros distinguish three layouts; numbers are little-endian.
 //!
 //! | [`Layout`] | head | entry | written by |
 //! |---|---|---|---|
@@ -9,28 +9,28 @@
 //! | `Wide` | none | that of a 64-bit host: two i64 | csiread's `log_to_file.c`, this project |
 //! | `Checked` | [`MAGIC`] | i64, microseconds since the Unix epoch; u32, bytes of the record; u32, its CRC-32C | this project |
 //!
-//! An entry of zeros says that nothing is known. A [`Check`] is of the record as the log has it, length field included: a
-//! log whose side file has them shows which of its records are as they were written, and which are not in it.
+//! An entry of zeros means "unknown". A [`Check`] covers the record as in the log, length field included: a side file with checks
+//! shows which of the log's records are unchanged, and which are missing.
 
 use crate::{EmitError, checksum, room};
 
 /// Microseconds in a second.
 const US_PER_S: i64 = 1_000_000;
 
-/// The first bytes of a side file with checksums, as many as an entry has.
+/// The first bytes of a side file with checksums; as long as an entry.
 pub const MAGIC: [u8; 16] = *b"csi5300 checks 1";
 
 /// CRC-32C \[rfc3720\]: the polynomial 0x1EDC6F41, reversed.
 static CASTAGNOLI: checksum::Tables = checksum::tables(0x82F6_3B78);
 
-/// How a side file is laid out.
+/// The layout of a side file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// 8 bytes an entry: two u32. What csiread reads, and what recordings of this project have.
+    /// 8 bytes per entry: two u32. csiread reads it, and this project's recordings have it.
     Narrow,
-    /// 16 bytes an entry: two i64.
+    /// 16 bytes per entry: two i64.
     Wide,
-    /// 16 bytes an entry: time, and length and checksum of the record. Read by this project only.
+    /// 16 bytes per entry: time, and length and checksum of the record. Only this project reads it.
     Checked,
 }
 
@@ -44,7 +44,7 @@ impl Layout {
         }
     }
 
-    /// What stands before the first entry.
+    /// The bytes before the first entry.
     #[must_use]
     pub const fn head(self) -> &'static [u8] {
         match self {
@@ -53,12 +53,12 @@ impl Layout {
         }
     }
 
-    /// The layout of a side file that begins with `file`: as much of it as has a time, or all of it.
+    /// The layout of a side file that begins with `file`: as much of it as includes a time, or all of it.
     ///
-    /// `Checked` where 12 of its first 16 bytes are those of [`MAGIC`]: damage there must not make times of checksums.
-    /// Else by the first 16 bytes that are not all zeros, which a time that is not known is in either layout. `Wide` where the
-    /// high half of the entry's seconds and of its microseconds are zero and the low half of its microseconds is below a
-    /// million: there narrow entries have the second one's seconds.
+    /// `Checked` if 12 of its first 16 bytes match [`MAGIC`], so that damage there does not turn checksums into times. Otherwise
+    /// judges by the first 16 bytes that are not all zeros, because zeros are an unknown time in either layout: `Wide` if the high
+    /// halves of seconds and microseconds are zero and the low half of the microseconds is below a million. Narrow files have the
+    /// second entry's seconds there.
     #[must_use]
     pub fn of(file: &[u8]) -> Self {
         if file.first_chunk().is_some_and(is_magic) {
@@ -73,12 +73,12 @@ impl Layout {
     }
 }
 
-/// True for bytes of which 12 are those of [`MAGIC`].
+/// True if 12 of the bytes match [`MAGIC`].
 fn is_magic(head: &[u8; 16]) -> bool {
     head.iter().zip(MAGIC).filter(|(found, byte)| **found == *byte).count() >= 12
 }
 
-/// What a side file knows of a record's bytes.
+/// A side file's check of a record's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Check {
     /// Bytes in the log, length field included; 3 to 65,537.
@@ -88,19 +88,19 @@ pub struct Check {
 }
 
 impl Check {
-    /// Of a record as the log has it: length field, code and body.
+    /// For a record as in the log: length field, code and body.
     #[must_use]
     pub fn of(record: &[u8]) -> Self {
         Self { len: u32::try_from(record.len()).unwrap_or(u32::MAX), crc32c: checksum::of(&CASTAGNOLI, record) }
     }
 }
 
-/// What a side file says of one record.
+/// A side file's entry for one record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Entry {
-    /// When the host received it, microseconds since the Unix epoch; `None` if that is not known.
+    /// Host time of reception, microseconds since the Unix epoch; `None` if unknown.
     pub host_us: Option<i64>,
-    /// Its length and checksum; `None` if they are not known, and in layouts that have none.
+    /// Its length and checksum; `None` if unknown, and in layouts without them.
     pub check: Option<Check>,
 }
 
@@ -112,8 +112,8 @@ impl From<Option<i64>> for Entry {
 }
 
 impl Entry {
-    /// Reads an entry. A too short `bytes`, a microsecond field of a second or more, and a time further from 1970 than
-    /// 292,000 years mean unknown.
+    /// Reads an entry. Too few `bytes`, a microsecond field of a second or more, and a time more than 292,000 years from 1970 mean
+    /// unknown.
     #[must_use]
     pub fn parse(bytes: &[u8], layout: Layout) -> Self {
         let parsed = match layout {
@@ -124,11 +124,10 @@ impl Entry {
         parsed.unwrap_or_default()
     }
 
-    /// Writes an entry: zeros for what is not known. A layout without checksums has the time only. Returns
-    /// [`Layout::bytes`].
+    /// Writes an entry: zeros for unknown values. A layout without checksums has only the time. Returns [`Layout::bytes`].
     ///
     /// # Errors
-    /// When the seconds do not fit a narrow entry (before 1970, after 2106) or `out` is too short.
+    /// If the seconds do not fit a narrow entry (before 1970, after 2106) or `out` is too short.
     pub fn emit(&self, layout: Layout, out: &mut [u8]) -> Result<usize, EmitError> {
         let us = self.host_us.unwrap_or(0);
         let (seconds, part) = (us.div_euclid(US_PER_S), us.rem_euclid(US_PER_S));

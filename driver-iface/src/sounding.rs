@@ -1,7 +1,7 @@
 //! Sounding frames: what robots inject to measure the channel between them, in two dialects.
 //!
-//! Both are 802.11 data frames without a network, shaped so that a stock CSI driver reports their CSI and a WSR
-//! driver logs their sender and number:
+//! Both are 802.11 data frames outside any network, shaped so that a stock CSI driver reports their CSI and a WSR driver logs their
+//! sender and number:
 //!
 //! | offset | size | value |
 //! |---|---|---|
@@ -14,9 +14,9 @@
 //! | 24 | 4 | **big-endian** frame number, which WSR logs as `frame_count` |
 //! | 28 | .. | [`wsr`]: filler; [`native`]: destination, role, turn, slot, measurement, tag |
 //!
-//! The card appends 4 bytes of FCS, which no buffer here holds; the WSR lengths count it. Sources: WSR
-//! `injection/random_packets.c`, driver `dvm/rx.c` and `dvm/tx.c`; field values of the stock sender as received in
-//! csiread's `sample_0x5_64_3000.dat`.
+//! The card appends 4 bytes of FCS, which no buffer here contains; the WSR lengths include it. Sources: WSR
+//! `injection/random_packets.c`, driver `dvm/rx.c` and `dvm/tx.c`; field values of the stock sender from csiread's
+//! `sample_0x5_64_3000.dat`.
 
 pub mod native;
 pub mod wsr;
@@ -45,22 +45,22 @@ mod field {
     pub(super) const BODY: usize = 28;
 }
 
-/// Frame control of a data frame within no network, little-endian.
+/// Frame control of a data frame outside any network, little-endian.
 const FRAME_CONTROL: [u8; 2] = [0x08, 0x00];
 /// Bits of the second frame control byte that make it another kind of frame: ToDS, FromDS, more fragments, protected.
 const FLAGS_MUST_BE_CLEAR: u8 = 0x01 | 0x02 | 0x04 | 0x40;
 
-/// Why bytes are no sounding frame, or do not fit.
+/// Why bytes are not a sounding frame, or do not fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
     /// Too few bytes (or, for a frame of the native dialect, too many).
     Length {
         /// Bytes needed.
         expect: usize,
-        /// Bytes there.
+        /// Bytes available.
         got: usize,
     },
-    /// Not a plain data frame; the first two bytes are given.
+    /// Not a plain data frame; has the first two bytes.
     FrameControl([u8; 2]),
     /// addr1 is not [`MAGIC_MAC`].
     Receiver(Mac),
@@ -68,9 +68,9 @@ pub enum Error {
     Magic([u8; 3]),
     /// A native frame of a version other than [`native::VERSION`].
     Version(u8),
-    /// A native frame of a role that is not known.
+    /// A native frame with an unknown role.
     Role(u8),
-    /// A native frame with flags that are not known.
+    /// A native frame with unknown flags.
     Flags(u8),
 }
 
@@ -78,7 +78,7 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Length { expect, got } => write!(f, "sounding frame of {got} bytes, {expect} needed"),
-            Self::FrameControl([a, b]) => write!(f, "frame control {a:02x} {b:02x} is no plain data frame (08 00)"),
+            Self::FrameControl([a, b]) => write!(f, "frame control {a:02x} {b:02x} is not a plain data frame (08 00)"),
             Self::Receiver(mac) => write!(f, "addr1 {mac} is not the magic MAC {MAGIC_MAC}"),
             Self::Magic(magic) => write!(f, "body begins with {magic:02x?}: not of the native dialect"),
             Self::Version(version) => {
@@ -116,12 +116,12 @@ impl<'a> Frame<'a> {
         if addr1 != MAGIC_MAC { Err(Error::Receiver(addr1)) } else { Ok(frame) }
     }
 
-    /// The `N` bytes at a fixed offset; zeros beyond the end, which callers have checked.
+    /// The `N` bytes at a fixed offset; zeros after the end, which callers have checked.
     fn array<const N: usize>(&self, at: usize) -> [u8; N] {
         self.bytes.get(at..).and_then(|rest| rest.first_chunk()).copied().unwrap_or([0; N])
     }
 
-    /// addr2: [`MAGIC_MAC`] for frames whose CSI the receiver reports.
+    /// addr2: [`MAGIC_MAC`] in frames whose CSI the receiver reports.
     #[must_use]
     pub fn addr2(&self) -> Mac {
         Mac(self.array(field::ADDR2))
@@ -160,7 +160,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Writes header and number at the start of `buffer` (at least [`MIN_LEN`] long, or nothing is written).
+/// Writes header and number at the start of `buffer` (at least [`MIN_LEN`] long; otherwise writes nothing).
 fn emit_header(buffer: &mut [u8], sender: Mac, number: u32) {
     if let Some(header) = buffer.first_chunk_mut::<MIN_LEN>() {
         header.fill(0);

@@ -1,4 +1,4 @@
-//! The C header says what the Rust constants say. No C compiler is needed: the header holds nothing but `#define`s.
+//! The C header has the same constants as Rust. No C compiler is needed: the header contains only `#define`s.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use std::collections::BTreeMap;
@@ -67,7 +67,7 @@ fn of_rust() -> Vec<(&'static str, i64)> {
 }
 
 #[test]
-fn every_constant_is_that_of_rust() {
+fn every_constant_equals_rusts() {
     let mut macros = macros();
     for (name, value) in of_rust() {
         let text = macros.remove(name).unwrap_or_else(|| panic!("CSI5300_{name} is not in the header"));

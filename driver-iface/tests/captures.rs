@@ -1,4 +1,4 @@
-//! Real captures, where they are at hand: every record read, every intact record found again after damage.
+//! Real captures, if available: every record is read, and every intact record is found again after damage.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../tests/common/mod.rs"]
@@ -25,7 +25,7 @@ fn logs_below(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Where records begin, by their lengths alone, and the bytes left over.
+/// Offsets of records by their lengths alone, and the bytes left over.
 fn walk(bytes: &[u8]) -> (Vec<&[u8]>, usize) {
     let (mut records, mut rest) = (Vec::new(), bytes);
     while let Some((&[high, low], _)) = rest.split_first_chunk() {
@@ -103,7 +103,7 @@ fn every_bfee_unpacks_alike_and_every_frame_has_its_checksum() {
     assert!(stock > 0 && wsr > 0 && frames > 0);
 }
 
-/// xorshift, so that damage is the same on every run.
+/// xorshift, so that the damage is the same on every run.
 fn noise(state: &mut u64) -> u64 {
     *state ^= *state << 13;
     *state ^= *state >> 7;
@@ -111,7 +111,7 @@ fn noise(state: &mut u64) -> u64 {
     *state
 }
 
-/// Intact records (those not holding byte `at`) that are not found, in order, and records found that were none.
+/// Intact records (those without byte `at`) that are not found in order, and found records that do not exist.
 fn lost_and_false(intact: &[&[u8]], at: usize, damaged: &[u8]) -> (usize, usize) {
     let steps: Vec<_> = events(damaged).collect();
     let found: Vec<_> = steps.iter().filter_map(|step| framed(damaged, step)).collect();

@@ -1,4 +1,4 @@
-//! The bodies of the fuzz targets (`fuzz/`) on their corpus, and on a million cases from a seeded generator: valid inputs, damaged.
+//! Runs the fuzz targets (`fuzz/`) on their corpus, and on a million damaged valid inputs from a seeded generator.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../fuzz/targets/bfee.rs"]

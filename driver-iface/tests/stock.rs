@@ -1,5 +1,5 @@
-//! Records from the packets of an unmodified driver: this crate's assembly, the kernel module's in C, and an oracle that
-//! shares no code with either, byte by byte on the same streams.
+//! Records from an unmodified driver's packets: this crate's code, the kernel module's C code, and an oracle that shares no code
+//! with either give the same bytes for the same streams.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../tests/common/stock.rs"]
@@ -16,15 +16,15 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-/// With a version of its own, the kernel's build puts a hash of the sources into the module (`srcversion`), by which
-/// `csi5300 setup` tells builds apart.
+/// For a module with a version, the kernel's build adds a hash of the sources (`srcversion`), by which `csi5300 setup`
+/// distinguishes builds.
 #[test]
 fn the_module_has_this_version() {
     let module = include_str!("../kmod/csi5300.c");
     assert!(module.contains(concat!("MODULE_VERSION(\"", env!("CARGO_PKG_VERSION"), "\");")));
 }
 
-/// What a stream of packets came to: for each the message (code and body), and the counts.
+/// The result of a stream of packets: for each packet the message (code and body), and the counts.
 type Answer = (Vec<Option<Vec<u8>>>, Counts);
 
 /// Layout and `connector_log` of a case.
@@ -41,7 +41,7 @@ impl How {
     }
 }
 
-/// Time at which packet `k` comes: seconds, microseconds.
+/// Arrival time of packet `k`: seconds, microseconds.
 fn time_of(k: usize) -> (u32, u32) {
     (1_700_000_000 + k as u32, (k as u32 * 7_919) % 1_000_000)
 }
@@ -60,7 +60,7 @@ fn by_the_oracle(how: How, stream: &[Packet]) -> Answer {
     (messages, oracle.counts)
 }
 
-/// The program's event of a packet, frames cut unless they are wanted whole (`fill` of `bpf/csi5300.bpf.c`).
+/// The program's event for a packet; frames are cut unless they are wanted whole (`fill` of `bpf/csi5300.bpf.c`).
 fn event_of(how: How, (command, data): &Packet) -> Vec<u8> {
     let whole = how.log & 4 != 0;
     let kept = match command {
@@ -82,7 +82,7 @@ fn event_of(how: How, (command, data): &Packet) -> Vec<u8> {
     out
 }
 
-/// By this crate, from whole packets or from the program's events.
+/// The result of this crate, from whole packets or from the program's events.
 fn by_rust(how: How, stream: &[Packet], events: bool) -> Answer {
     let (mut card, mut body, options) = (Card::default(), [0xa5; MAX_BODY], how.options());
     let mut messages = Vec::new();
@@ -91,7 +91,7 @@ fn by_rust(how: How, stream: &[Packet], events: bool) -> Answer {
         let host_us = i64::from(seconds) * 1_000_000 + i64::from(us);
         let event = event_of(how, packet);
         let packet = match events {
-            // Other commands are not put into the ring.
+            // The ring contains no other commands.
             true => Event::new_checked(&event).unwrap().packet(),
             false => stock::Packet::new(packet.0, &packet.1),
         };
@@ -101,7 +101,7 @@ fn by_rust(how: How, stream: &[Packet], events: bool) -> Answer {
     (messages, counts(&card))
 }
 
-/// The kernel module's assembly, compiled for user space; gone when dropped.
+/// The kernel module's code, compiled for user space; deleted when dropped.
 struct InC {
     program: Child,
     folder: PathBuf,
@@ -116,7 +116,7 @@ impl Drop for InC {
 }
 
 impl InC {
-    /// `None`, with a word on why, where no C compiler is installed.
+    /// `None`, with a message, if no C compiler is installed.
     fn start(name: &str) -> Option<Self> {
         let here = Path::new(env!("CARGO_MANIFEST_DIR"));
         let folder = std::env::temp_dir().join(format!("csi5300-assembly-{}-{name}", std::process::id()));
@@ -134,7 +134,7 @@ impl InC {
             return None;
         };
         if !first.status.success() {
-            // Where the sanitizers' libraries are not installed.
+            // For systems without the sanitizers' libraries.
             let plain = compile(&[]).unwrap();
             assert!(plain.status.success(), "{}", String::from_utf8_lossy(&plain.stderr));
         }
@@ -165,7 +165,7 @@ impl InC {
     }
 }
 
-/// A u32 of the program's answer.
+/// A u32 of the program's output.
 fn number(out: &mut impl Read) -> u32 {
     let mut bytes = [0; 4];
     out.read_exact(&mut bytes).expect("the C assembly has ended; its own words are above");
@@ -176,7 +176,7 @@ fn hows() -> impl Iterator<Item = How> {
     [false, true].into_iter().flat_map(|wsr| [0, 1, 4, 5].map(|log| How { wsr, log }))
 }
 
-/// Everyone's answer to a stream is the oracle's.
+/// All results for a stream equal the oracle's.
 fn compare(in_c: Option<&mut InC>, how: How, stream: &[Packet]) -> Counts {
     let expect = by_the_oracle(how, stream);
     assert!(by_rust(how, stream, false) == expect, "whole packets, {how:?}: {stream:02x?}");
@@ -200,7 +200,7 @@ fn long_streams_of_good_and_hostile_packets() {
         }
     }
     println!("80,000 packets: {total:?}");
-    // Every way that a packet can take was taken, often.
+    // Every branch for a packet was taken often.
     assert!(total.iter().all(|&count| count > 500), "{total:?}");
 }
 

@@ -1,5 +1,5 @@
-//! Steps of the guest's script tests/kernel/stock/40-ebpf.sh: packets for the fake cards under the real driver, and what
-//! `csi5300 record --stock` made of them, byte by byte. Each test does nothing elsewhere.
+//! Steps of the guest's script tests/kernel/stock/40-ebpf.sh: sends packets to the fake cards under the real driver, and compares
+//! the records of `csi5300 record --stock` byte by byte. Outside the guest, each test does nothing.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../tests/common/stock.rs"]
@@ -11,7 +11,7 @@ use common::{Oracle, Packet, Random, any, sounding};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-/// The step's argument, if this is the guest.
+/// The step's argument, in the guest.
 fn step(name: &str) -> Option<String> {
     let argument = std::env::var(name).ok();
     if argument.is_none() {
@@ -32,7 +32,7 @@ fn stream(kind: &str, count: u32, seed: u64) -> Vec<(u8, Packet)> {
                 out.extend(sounding(&mut random, mac, k + 1, k * 1_000).map(|packet| (0, packet)));
             }
         }
-        // The same, and after each frame a 0xBB that is cut; headers claim more than there is, see `feed`.
+        // The same with a cut 0xBB after each frame; headers claim more than there is, see `feed`.
         "lying" => {
             for k in 0..count {
                 out.extend(sounding(&mut random, [0, 0x21, 0x6a, 0, 0, 1], k + 1, k * 1_000).map(|packet| (0, packet)));
@@ -41,10 +41,10 @@ fn stream(kind: &str, count: u32, seed: u64) -> Vec<(u8, Packet)> {
                 out.extend([(0, common::phy(&mut random, 1, 1)), (0, cut)]);
             }
         }
-        // A command that is nobody's.
+        // An unknown command.
         "foreign" => out.extend((0..count).map(|_| (0, (0xee, vec![0x5a; 120])))),
-        // Anything, from two cards. Frames are honest about their length and have a bad checksum: what the driver itself
-        // believes and hands to mac80211 is not tested here.
+        // Random packets from two cards. Frames have a correct length and a bad checksum: frames that the driver itself accepts and passes
+        // to mac80211 are not tested here.
         "hostile" => {
             out.extend([0, 1].map(|card| (card, common::phy(&mut random, 1, 1))));
             while out.len() < count as usize {
@@ -63,7 +63,7 @@ fn stream(kind: &str, count: u32, seed: u64) -> Vec<(u8, Packet)> {
     out
 }
 
-/// The messages expected in the log. Frames of a card are held back until it has made a record.
+/// The messages expected in the log. A card's frames are held back until it has made a record.
 fn expected(packets: &[(u8, Packet)], wsr: bool, log: u8) -> Vec<Vec<u8>> {
     let mut oracles = [Oracle::default(), Oracle::default()];
     let mut messages = Vec::new();
@@ -75,7 +75,7 @@ fn expected(packets: &[(u8, Packet)], wsr: bool, log: u8) -> Vec<Vec<u8>> {
     messages
 }
 
-/// Argument: kind, count, seed, frames of three packets a second (0: as fast as they are taken).
+/// Argument: kind, count, seed, frames of three packets per second (0: as fast as possible).
 #[test]
 fn feed() {
     let Some(argument) = step("CSI5300_EBPF_FEED") else { return };
@@ -115,7 +115,7 @@ fn records_of(log: &str) -> Vec<Vec<u8>> {
     records
 }
 
-/// WSR's eight bytes of host time, taken out of a record; they must not run backwards.
+/// Removes WSR's eight bytes of host time from a record; they must not run backwards.
 fn without_time(record: &mut [u8], last_us: &mut u64) {
     if record[0] != 0xBB {
         return;
@@ -127,7 +127,7 @@ fn without_time(record: &mut [u8], last_us: &mut u64) {
     record[21..29].fill(0);
 }
 
-/// Argument: log, layout (wsr or csitool), connector_log, `all` or `some` (an overrun is allowed), then as `feed`.
+/// Argument: log, layout (wsr or csitool), connector_log, `all` or `some` (an overrun is allowed), then as for `feed`.
 #[test]
 fn every_record_is_what_the_patched_driver_makes() {
     let Some(argument) = step("CSI5300_EBPF_CHECK") else { return };
@@ -145,7 +145,7 @@ fn every_record_is_what_the_patched_driver_makes() {
         assert_eq!(got.len(), expect.len());
         assert!(got == expect, "the first that differs: {:?}", got.iter().zip(&expect).position(|(a, b)| a != b));
     } else {
-        // Each one is some frame's own, in order; its number is one more than that of the record before.
+        // Each record belongs to some frame, in order; its number is one more than the previous record's.
         let mut rest = expect.iter();
         for (k, record) in got.iter().enumerate() {
             assert_eq!(record[5..7], (k as u16 + 1).to_le_bytes(), "record {k}");

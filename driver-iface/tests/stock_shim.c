@@ -1,4 +1,4 @@
-/* The module's assembly as a program: streams of packets in, messages and counts out. For tests/stock.rs. */
+/* The module's code as a program: reads streams of packets, writes messages and counts. For tests/stock.rs. */
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -43,7 +43,7 @@ int main(void)
 			u8 *data;
 
 			get(head, sizeof(head));
-			/* Of exactly this size, so that the sanitizer sees a byte read beyond it. */
+			/* Exactly this size, so that the sanitizer detects a read beyond it. */
 			data = malloc(head[1] ? head[1] : 1);
 			get(data, head[1]);
 			memset(&out, 0xa5, sizeof(out));

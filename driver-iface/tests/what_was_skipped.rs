@@ -1,5 +1,5 @@
-//! No test: the last binary of `cargo test --workspace` says which tests did not run whole, and why.
-// Without the test harness the compiler does not take it for a test, so nothing that tests may do is allowed by itself.
+//! Not a test: the last binary of `cargo test --workspace` prints which tests were skipped in part, and why.
+// Without the test harness the compiler does not treat it as a test, so it gets none of the lint exceptions for tests.
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 #[path = "../../tests/common/mod.rs"]
@@ -8,7 +8,7 @@ mod shared;
 use std::collections::BTreeMap;
 
 fn main() {
-    // Other runners ask every binary for its tests.
+    // Other runners ask every binary for its list of tests.
     if std::env::args().any(|argument| argument == "--list") {
         return;
     }

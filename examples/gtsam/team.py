@@ -1,8 +1,8 @@
 """Three robots find each other's places: bearings as factors of a GTSAM graph.
 
-Every robot knows its own motion in the frame of its own odometry only. It drives a circle while the others answer, and so gets a bearing to each of them,
-with the candidates that the answer names. The unknowns are the frames: where each robot's odometry began, and how it was turned. A factor ties two
-frames; one range, as a UWB pair gives it, fixes the scale. Run it with `pip install gtsam csi5300`.
+Every robot knows only its own motion, in the frame of its odometry. It drives a circle while the others answer, and so gets a bearing to each of them,
+with candidates. The unknowns are the frames: origin and rotation of each robot's odometry. A factor connects two
+frames; one range, for example from a UWB pair, determines the scale. Run it with `pip install gtsam csi5300`.
 """
 
 import math
@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 HOMES = np.array([[0.0, 0.0], [4.0, 0.5], [1.5, 3.5]])  # where the robots are
-TURNS = np.radians([0.0, 70.0, -130.0])  # how their odometry's frames are turned
+TURNS = np.radians([0.0, 70.0, -130.0])  # rotations of their odometry's frames
 UWB_SD_M = 0.1
 
 
@@ -27,7 +27,7 @@ def scene(mover: int) -> dict:
 
 
 def in_own_frame(path: np.ndarray, robot: int) -> np.ndarray:
-    """A true path (t, x, y, z, yaw) as the robot's odometry has it: from its own place, in its own directions."""
+    """A true path (t, x, y, z, yaw) in the frame of the robot's odometry."""
     own, (cos, sin) = path.copy(), (math.cos(TURNS[robot]), math.sin(TURNS[robot]))
     x, y = path[:, 1] - HOMES[robot, 0], path[:, 2] - HOMES[robot, 1]
     own[:, 1], own[:, 2], own[:, 4] = cos * x + sin * y, cos * y - sin * x, path[:, 4] - TURNS[robot]
@@ -35,7 +35,7 @@ def in_own_frame(path: np.ndarray, robot: int) -> np.ndarray:
 
 
 def bearing_factor(i: int, j: int, bearing: csi5300.Bearing, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
-    """Robot i sees robot j: of the answer's candidates the one that fits best counts, less likely ones at a price (max-mixture)."""
+    """Robot i sees robot j: uses the best-fitting candidate, with a penalty for less likely ones (max-mixture)."""
     origin = np.array(bearing.answer["origin_m"][:2])
     options = [(math.radians(one["azimuth_deg"]), one["share"]) for one in bearing.answer["candidates"]] or [(math.radians(bearing.azimuth_deg), 1.0)]
     sd = math.radians(bearing.azimuth_sd_deg)
@@ -83,7 +83,7 @@ def main() -> int:
     measured = float(np.linalg.norm(HOMES[1] - HOMES[0])) + np.random.default_rng(1).normal(0.0, UWB_SD_M)
     graph.add(gtsam.RangeFactorPose2(0, 1, measured, gtsam.noiseModel.Isotropic.Sigma(1, UWB_SD_M)))
 
-    # From several starts, as angles have no one way to their solution; the best end counts.
+    # From several starts, because angles have several local solutions; keeps the best one.
     best: tuple[float, gtsam.Values] | None = None
     random = np.random.default_rng(5)
     for _ in range(20):

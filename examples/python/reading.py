@@ -1,4 +1,4 @@
-"""Reads a log: what is in it, what was lost, its CSI as an array, and the same piece by piece.
+"""Reads a log: its content, its losses, its CSI as an array, and the same piece by piece.
 
 usage: python examples/python/reading.py [LOG.dat]     (without one: a simulated log)
 """

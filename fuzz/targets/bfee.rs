@@ -1,4 +1,4 @@
-//! Any bytes as a bfee body: refused, or all accessors work, the ways to unpack agree, and emit gives it back.
+//! Any bytes as a bfee body: refused, or all accessors work, the ways to unpack agree, and emit reproduces it.
 
 use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, MAX_BODY, MAX_SAMPLES, Repr};
 

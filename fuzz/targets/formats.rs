@@ -1,4 +1,4 @@
-//! Any bytes as a log of each kind of other cards: items go forward, none overlap, and a frame has the samples that it says.
+//! Any bytes as a log of each other card: items advance, do not overlap, and every frame has the stated number of samples.
 
 use csi_formats::{Endian, Format, Item, Items, detect};
 
@@ -19,7 +19,7 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
-/// Reads a log of one kind; returns how many frames and skipped stretches it has.
+/// Reads a log of one kind; returns the number of frames and skipped stretches.
 pub fn read(format: Format, bytes: &[u8]) -> (usize, usize) {
     let (mut frames, mut skipped, mut end) = (0, 0, 0);
     for item in Items::new(format, bytes) {

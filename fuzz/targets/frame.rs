@@ -1,5 +1,5 @@
-//! Any bytes as a frame from a monitor interface or a 0xC1 record: refused, or everything read lies inside it, and what is
-//! written of it again is read as the same.
+//! Any bytes as a frame from a monitor interface or a 0xC1 record: refused, or everything read lies inside it, and reading what was
+//! written from it gives the same values.
 
 use driver_iface::mpdu::{self, Mpdu};
 use driver_iface::radiotap::{self, Packet};
@@ -27,7 +27,7 @@ pub fn run(bytes: &[u8]) {
         let repr = mpdu::Repr::parse(&mpdu);
         let mut again = vec![0; repr.emit_len()];
         assert_eq!(repr.emit(&mut again).unwrap(), bytes.len());
-        // The checksum is computed.
+        // The checksum is computed again.
         let (written, fcs) = again.split_at(bytes.len() - mpdu::FCS);
         assert!(bytes.starts_with(written));
         assert_eq!(bytes.ends_with(fcs), mpdu.fcs_is_good());

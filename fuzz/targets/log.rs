@@ -1,4 +1,4 @@
-//! Any bytes as a log with a side file: every byte of the log is accounted for, and every record of the side file's sums.
+//! Any bytes as a log with a side file: every byte of the log is accounted for, and every record of the side file's checksums.
 //!
 //! The input is `length of the log (2 bytes), log, side file`.
 
@@ -6,7 +6,7 @@ use csi5300::source::{CsiSource, Loss, Next, Origin, replay::Replay, side_path};
 use csi5300::time::Instant;
 use driver_iface::record::{Reason, Tail};
 
-/// What was read of a log: offset, code and body of each record, and bytes that were skipped.
+/// What was read from a log: offset, code and body of each record, and skipped bytes.
 type Read = Vec<(u64, Option<(u8, Vec<u8>)>)>;
 
 /// Runs the target.
@@ -30,11 +30,11 @@ pub fn run(bytes: &[u8]) {
     assert_eq!(wrong, checks.wrong);
     assert!(checks.good + checks.unknown <= records);
     assert!(checks.out_of_step || checks.good + checks.unknown == records, "{checks:?} of {records}");
-    // A sum leaves records out, and makes none.
+    // A checksum removes records but adds none.
     assert!(found.iter().filter(|(_, record)| record.is_some()).all(|one| alone.contains(one)));
 }
 
-/// Reads a log to its end; also counts the records that a sum refused.
+/// Reads a log to its end; also counts the records refused because of their checksum.
 fn read<R: std::io::Read>(replay: &mut Replay<R>, len: u64) -> (Read, u64) {
     let (mut found, mut wrong, mut at) = (Vec::new(), 0, 0);
     loop {

@@ -1,5 +1,5 @@
-//! Any bytes as a recording (MCAP, SQLite, ROS 1): refused with a reason, or logs and trajectories with as many records and
-//! rows as it says.
+//! Any bytes as a recording (MCAP, SQLite, ROS 1): refused with a reason, or written as logs and trajectories with the stated
+//! number of records and rows.
 
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
@@ -28,7 +28,7 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
-/// Records of a log, in which nothing may be lost.
+/// Records of a log without losses.
 fn records(log: &[u8]) -> u64 {
     let mut replay = Replay::new(log, String::new());
     let mut records = 0;

@@ -1,4 +1,4 @@
-//! Any bytes as messages of another robot: no panic, no more waits than may, and what comes out is counted.
+//! Any bytes as messages of another robot: no panic, no more waiting items than allowed, and every item is counted.
 //!
 //! The input is a list of `length (2 bytes), message`.
 

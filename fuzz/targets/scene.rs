@@ -1,4 +1,4 @@
-//! Any bytes as a scene: refused with a reason, or one that is written and read again as the same.
+//! Any bytes as a scene: refused with a reason, or unchanged after writing and reading.
 
 use csi5300_sim::scene::Scene;
 

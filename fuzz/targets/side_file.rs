@@ -1,4 +1,4 @@
-//! Any bytes as a side file: every entry is read, and what is written of it again is the same bytes or says the same.
+//! Any bytes as a side file: every entry is read, and writing it gives the same bytes or the same meaning.
 
 use driver_iface::side_file::{Entry, Layout};
 
@@ -8,7 +8,7 @@ pub fn run(bytes: &[u8]) {
     let Some((head, entries)) = bytes.split_at_checked(layout.head().len()) else {
         unreachable!("a head that is not there")
     };
-    // Damage in it does not hide what it is.
+    // Damage in the head does not hide the layout.
     let damaged = head.iter().zip(layout.head()).filter(|(found, byte)| found != byte).count();
     assert!(damaged <= 4, "{damaged} bytes");
     for bytes in entries.chunks(layout.bytes()) {
@@ -22,7 +22,7 @@ pub fn run(bytes: &[u8]) {
             Ok(len) => assert_eq!((len, Entry::parse(&again[..len], layout)), (layout.bytes(), entry)),
             Err(error) => panic!("what was read cannot be written: {error}"),
         }
-        // Every bit pattern of a length and a checksum is one; of a time that is none, zeros come back.
+        // Every bit pattern of length and checksum is valid; an invalid time becomes zeros.
         let has_length = bytes.get(8..12).is_some_and(|len| *len != [0; 4]);
         assert!(layout != Layout::Checked || !has_length || again == *bytes);
         assert!(layout != Layout::Narrow || entry.host_us.is_none() || again[..8] == *bytes);

@@ -1,8 +1,7 @@
-//! Any bytes as frames from the air, behind a radiotap header or bare: two robots go on, and no pair is reported that was
-//! not sounded.
+//! Any bytes as frames from the air, with or without a radiotap header: two robots continue, and no pair is reported that was not
+//! sounded.
 //!
-//! The input is a list of `operation, argument, bytes`; see [`Step`]. Frames that the robots sent can be replayed,
-//! altered and delayed by it.
+//! The input is a list of `operation, argument, bytes`; see [`Step`]. It can replay, alter and delay frames that the robots sent.
 
 use csi5300::exchange::tdma::{Config, Dialect, Event, Key, Request, Tdma};
 use csi5300::time::{Instant, Span};
@@ -12,17 +11,17 @@ use driver_iface::sounding::native::Role;
 
 const MACS: [Mac; 3] = [Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2]), Mac([2, 0, 0, 0, 0, 3])];
 
-/// What one part of the input asks for.
+/// One part of the input.
 enum Step<'a> {
     /// Time passes: microseconds.
     Wait(i64),
     /// Both hear these bytes.
     Hear(&'a [u8]),
-    /// Both hear these bytes' frame, behind their radiotap header.
+    /// Both hear the frame in these bytes, after their radiotap header.
     Packet(&'a [u8]),
     /// Both hear a frame sent before, with some bytes changed.
     Altered(usize, &'a [u8]),
-    /// The first robot wants the turn, or not.
+    /// The first robot requests the turn, or not.
     Initiate(bool),
     /// The next deadline of the first robot comes.
     Due,

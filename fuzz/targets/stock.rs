@@ -1,4 +1,4 @@
-//! Any bytes as events of the eBPF program's ring: no panic, and every record that is made of them can be read.
+//! Any bytes as events of the eBPF program's ring: no panic, and every record made from them can be read.
 //!
 //! The input is a list of `length (1 byte, eight of them each), event`; the first byte chooses the options.
 
@@ -31,6 +31,6 @@ pub fn run(bytes: &[u8]) {
             other => assert_eq!((other, wants_frames), (code::MPDU, true)),
         }
     }
-    // Those that nobody wants are made and not given.
+    // Unwanted records are made but not returned.
     assert_eq!(records, if wants_csi { card.counts().records } else { 0 });
 }

@@ -1,15 +1,15 @@
-"""Between csi5300-node and a master of ROS 1: lines of JSON on standard input and output. The node starts it (`[ros]`), has it
-inside, and needs rospy: Debian's python3-rospy, or a sourced setup.bash of Melodic (Python 2) or Noetic.
+"""Connects csi5300-node with a ROS 1 master: JSON lines on standard input and output. The node contains it and starts it (`[ros]`).
+It needs rospy: Debian's python3-rospy, or a sourced setup.bash of Melodic (Python 2) or Noetic.
 
 In: first {"master", "node", "read": [{"topic", "type"}], "write": [{"topic", "type"}], "serves", "definitions": {type: text}},
 then {"to": NUMBER, "message": {...}} for each message and {"answer": NUMBER, "message": {...}} for each call of ~self_test. Out:
-{"topic": NUMBER, "stamp", "frame", "position", "orientation"} for each pose that comes (without the rest where a number is none),
+{"topic": NUMBER, "stamp", "frame", "position", "orientation"} for each received pose (topic only if a value is not a number),
 {"asked": NUMBER} for each call, and {"connections", "trouble", "wrong": [...]} once a second.
 """
 from __future__ import print_function
 import itertools, json, os, signal, sys, threading, time
 
-for ignored in (signal.SIGINT, signal.SIGTERM):  # the node ends it, by the end of its input
+for ignored in (signal.SIGINT, signal.SIGTERM):  # the node ends it by closing its input
     signal.signal(ignored, signal.SIG_IGN)
 asked = json.loads(sys.stdin.readline())
 node, uri = asked["node"], asked["master"]
@@ -87,7 +87,7 @@ def self_test(_):
 
 
 def register():
-    """Once more, with a master that began anew; connections that there are go on."""
+    """Registers again with a restarted master; existing connections continue."""
     own = rospy.get_node_uri()
     for one in asked["write"]:
         master.registerPublisher(one["topic"], one["type"], own)
@@ -107,7 +107,7 @@ def is_known(state):
 
 
 def watch():
-    """Joins a master, and looks after it."""
+    """Joins a master and watches it."""
     connections, unknown = 0, 0
     while True:
         try:

@@ -62,7 +62,7 @@ impl CsiSource for Replayed {
     }
 }
 
-/// A source that fails once its records are wanted no more.
+/// A source that fails once its records are no longer wanted.
 struct Stoppable {
     source: Box<dyn CsiSource + Send>,
     stop: Stop,
@@ -82,7 +82,7 @@ impl CsiSource for Stoppable {
     }
 }
 
-/// A log as Python names it: a path, bytes, a file object, or (records, rows, host times) of a log in memory.
+/// A log argument from Python: a path, bytes, a file object, or (records, rows, host times) of a log in memory.
 fn source(log: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Box<dyn CsiSource + Send>> {
     let Ok(parts) = log.cast::<PyTuple>() else { return Ok(Box::new(open(log, stop)?)) };
     let (records, rows, host_us): (PyRef<'_, Records>, Option<PyReadonlyArray1<'_, i64>>, PyReadonlyArray1<'_, i64>) =
@@ -92,15 +92,15 @@ fn source(log: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Box<dyn CsiSource + S
     Ok(Box::new(Replayed { arena: Arc::clone(&records.arena), records: chosen, host_us, at: (0, false) }))
 }
 
-/// A trajectory as Python names it: a file, or an array of the columns that a file has; of 4 or 5 columns an array is seconds, x,
-/// y, z and heading.
+/// A trajectory argument from Python: a file, or an array with a file's columns; an array of 4 or 5 columns is seconds, x, y, z and
+/// heading.
 fn trajectory(of: &Bound<'_, PyAny>, columns: Option<&Columns>) -> PyResult<Trajectory> {
     let (read, name) = if let Ok(rows) = of.extract::<PyReadonlyArray2<'_, f64>>() {
         (poses(&rows, columns).map_err(|error| Failure::new(Kind::Trajectory, error))?, "the array".to_owned())
     } else {
         let path: PathBuf = of.extract()?;
         let (name, columns) = (path.display().to_string(), columns.cloned());
-        // In a thread of its own, for the sake of a file that lets its reader wait.
+        // On its own thread, because a file may let its reader wait.
         let file = name.clone();
         let read = interruptible(of.py(), &Stop::default(), move || {
             let kind = |error: &CsvError| match error {
@@ -120,7 +120,7 @@ fn trajectory(of: &Bound<'_, PyAny>, columns: Option<&Columns>) -> PyResult<Traj
     Ok(trajectory)
 }
 
-/// An array has the columns of a file; of 4 or 5 those that [`pose_array`] gives, unless they may be a file's.
+/// An array has the columns of a file; with 4 or 5, those of [`pose_array`], unless they may be a file's.
 fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<(Trajectory, CsvCounts), CsvError> {
     let rows = rows.as_array();
     let own: Option<Columns> = match rows.ncols() {
@@ -134,7 +134,7 @@ fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<
             let why = "the second column is whole, as x seldom is and nanoseconds are".to_owned();
             return Err(CsvError::Ambiguous { why, readings: ["t,x,y,z,yaw", "t,ns,x,y,z"].map(str::to_owned) });
         }
-        // Poses whose heading is not known.
+        // Poses with unknown heading.
         if rows.column(4).iter().any(|heading| !heading.is_finite()) {
             let pose = |row: ArrayView1<'_, f64>| {
                 let value = |column: usize| row.get(column).copied().unwrap_or(f64::NAN);
@@ -145,7 +145,7 @@ fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<
             return Ok((trajectory, CsvCounts::default()));
         }
     }
-    // Numbers as text are the same numbers: a row means here what it means in a file.
+    // As text, so that a row has the same meaning as in a file.
     let mut text = String::new();
     for row in rows.rows() {
         let row: Vec<String> = row.iter().map(f64::to_string).collect();
@@ -154,7 +154,7 @@ fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<
     csv::parse_as(text.as_bytes(), columns.or(own.as_ref()))
 }
 
-/// A trajectory's poses as an array (n, 5): seconds, x, y, z (metres), heading (radians, not a number where unknown).
+/// A trajectory's poses as an array (n, 5): seconds, x, y, z (metres), heading (radians, NaN if unknown).
 pub fn pose_array<'py>(py: Python<'py>, trajectory: &Trajectory) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let row = |pose: &Pose| {
         let p = pose.position_m;
@@ -175,10 +175,10 @@ pub fn read_trajectory<'py>(
     pose_array(py, &trajectory(path, columns_of(columns)?.as_ref())?)
 }
 
-/// A link's answer as JSON, the link itself where it has a bearing, and the answers of its stretches as JSON.
+/// A link's answer as JSON, the link itself if it has a bearing, and the answers of its stretches as JSON.
 type Linked = (String, Option<Link>, Vec<String>);
 
-/// The bearings of a capture: one link for each transmitter.
+/// The bearings of a capture: one link per transmitter.
 #[pyfunction]
 #[pyo3(signature = (rx, tx, names, path, tx_paths, keywords))]
 pub fn bearings(
@@ -192,7 +192,7 @@ pub fn bearings(
 ) -> PyResult<Vec<Linked>> {
     let keywords = Keywords::parse(keywords)?;
     if keywords.channel()?.is_none() {
-        return Err(Failure::new(Kind::Option, "channel: it must be named, the logs do not say it").into());
+        return Err(Failure::new(Kind::Option, "channel: required, because the logs do not contain it").into());
     }
     let options = keywords.options()?.with_keep_course(true).with_parallel(tx.len() > 1);
     let stop = Stop::default();
@@ -226,8 +226,8 @@ pub fn bearings(
     links.map(answer).collect()
 }
 
-/// The bearing of every sender in one log, by the antennas of a robot that turns: their letters, and for each but the first
-/// where the first is seen from it, metres, then the constant of the chains and its deviation, degrees, where they are known.
+/// The bearing of every sender in one log, from the antennas of a robot that turns: their letters, and for each but the first the
+/// first one's position relative to it, metres, then the constant of the chains and its deviation, degrees, if known.
 #[pyfunction]
 #[pyo3(signature = (rx, name, path, letters, baselines, keywords))]
 pub fn one_log(
@@ -241,7 +241,7 @@ pub fn one_log(
 ) -> PyResult<Vec<Linked>> {
     let keywords = Keywords::parse(keywords)?;
     if keywords.channel()?.is_none() {
-        return Err(Failure::new(Kind::Option, "channel: it must be named, the log does not say it").into());
+        return Err(Failure::new(Kind::Option, "channel: required, because the log does not contain it").into());
     }
     let options = keywords.options()?.with_keep_course(true);
     let array = array(letters, &baselines)?;
@@ -270,7 +270,7 @@ fn array(letters: &str, baselines: &[Vec<f64>]) -> Result<Array, Failure> {
         let (place, angles) =
             baseline.split_first_chunk::<3>().filter(|(_, angles)| angles.len() <= 2).ok_or_else(|| {
                 wrong(
-                    "baseline: three numbers, metres; behind them the chains' constant and its deviation, degrees"
+                    "baseline: three numbers, metres; optionally then the chains' constant and its deviation, degrees"
                         .to_owned(),
                 )
             })?;
@@ -283,7 +283,7 @@ fn array(letters: &str, baselines: &[Vec<f64>]) -> Result<Array, Failure> {
     array.map_err(|error| wrong(format!("antennas, baseline: {error}")))
 }
 
-/// What there is to say of logs without any record, with which nothing can have gone right.
+/// Explains the failure if a log has no records at all.
 fn nothing(receiver: &LogReport, transmitter: &LogReport) -> Option<String> {
     let (whose, survey) = match (receiver.survey.bfees(), transmitter.survey.bfees()) {
         (0, _) => ("the receiver's log", &receiver.survey),
@@ -291,10 +291,10 @@ fn nothing(receiver: &LogReport, transmitter: &LogReport) -> Option<String> {
         _ => return None,
     };
     let lost = survey.damaged_bytes;
-    Some(format!("{whose} holds no record with CSI ({lost} bytes are no record): is it a log of this card?"))
+    Some(format!("{whose} holds no record with CSI ({lost} damaged bytes): is it a log of this card?"))
 }
 
-/// What Python is given of a link.
+/// The Python form of a link.
 fn linked(
     name: String,
     link: LinkReport,

@@ -8,12 +8,12 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 
-/// The kind of log that `read` refuses: FeitCSI's it reads as the 5300's.
+/// The kind of log that `read` refuses; it reads FeitCSI logs as the 5300's.
 pub fn refused(bytes: &[u8]) -> Option<&'static str> {
     csi_formats::detect(bytes).filter(|format| *format != Format::FeitCsi).map(Format::name)
 }
 
-/// The frames of a log of another card that have the usual shape: the kind of log, what was left out, and the arrays.
+/// The frames of another card's log that have the most frequent shape: the kind of log, the skipped frames, and the arrays.
 #[pyfunction]
 #[pyo3(signature = (file, macs))]
 pub fn read_card<'py>(
@@ -40,7 +40,7 @@ pub fn read_card<'py>(
         }
     };
     let format = csi_formats::detect(bytes.get(..csi_formats::DETECT).unwrap_or(&bytes)).ok_or_else(|| {
-        let why = format!("{name} is of no other card that is known; csi5300.read reads logs of the Intel 5300");
+        let why = format!("{name} is not a log of another supported card; csi5300.read reads logs of the Intel 5300");
         refused(Kind::Log, why).of(name.clone())
     })?;
     let is_sender = |mac: Option<[u8; 6]>| mac.is_some_and(|mac| macs.contains(&driver_iface::Mac(mac)));

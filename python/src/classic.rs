@@ -1,4 +1,4 @@
-//! A log as csiread's `Intel` has it: zeros where a record has no CSI, rows by `antenna_sel`, frames beside.
+//! A log in the form of csiread's `Intel`: zeros where a record has no CSI, rows by `antenna_sel`, frames beside.
 
 use crate::error::{Failure, Kind};
 use crate::patient::open_at_once;
@@ -20,10 +20,10 @@ use std::path::{Path, PathBuf};
 
 use crate::error::detached;
 
-/// Records between two looks at signals.
+/// Records between two checks for signals.
 const BURST: usize = 65_536;
 
-/// 0xC1 records, a column a field.
+/// 0xC1 records, a column per field.
 #[derive(Default)]
 struct Frames {
     fc: Vec<u16>,
@@ -41,7 +41,7 @@ impl Frames {
         self.fc.push(header.frame_control());
         self.dur.push(header.duration_us());
         self.des.extend(header.addr1().0);
-        // What the type of frame does not have is zero.
+        // A field that the type of frame does not have is zero.
         self.src.extend(header.addr2().unwrap_or_default().0);
         self.bssid.extend(header.addr3().unwrap_or_default().0);
         self.seq.push(header.seq_ctrl().unwrap_or(0));
@@ -62,7 +62,7 @@ impl Frames {
     }
 }
 
-/// What was read of a log.
+/// The result of reading a log.
 #[derive(Default)]
 struct Read1 {
     arena: Arena,
@@ -73,7 +73,7 @@ struct Read1 {
 }
 
 impl Read1 {
-    /// Reads on for [`BURST`] records, or until `limit` with CSI were read.
+    /// Reads [`BURST`] more records, or until there are `limit` with CSI.
     fn burst(
         &mut self,
         source: &mut Replay<Box<dyn Read + Send>>,
@@ -104,7 +104,7 @@ impl Read1 {
     }
 }
 
-/// The names of fields that csiread has as integers of the machine's size, in the order of [`numbers`].
+/// The names of csiread's fields of native integer size, in the order of [`numbers`].
 const NUMBERS: [&str; 9] = ["bfee_count", "Nrx", "Ntx", "rssi_a", "rssi_b", "rssi_c", "noise", "agc", "rate"];
 
 /// The fields of a record that [`NUMBERS`] names.
@@ -114,7 +114,7 @@ fn numbers(bfee: &Bfee<'_>) -> [i64; NUMBERS.len()] {
     [bfee.bfee_count().into(), bfee.n_rx() as i64, bfee.n_tx() as i64, a, b, c, noise, agc, rate]
 }
 
-/// The fields of all records as csiread names them.
+/// The fields of all records under csiread's names.
 fn fields(arrays: &Bound<'_, PyDict>, arena: &Arena) -> PyResult<()> {
     let (py, n) = (arrays.py(), arena.len());
     let mut times: Vec<u32> = Vec::with_capacity(n);
@@ -132,8 +132,8 @@ fn fields(arrays: &Bound<'_, PyDict>, arena: &Arena) -> PyResult<()> {
     arrays.set_item("perm", perm.into_pyarray(py).reshape([n, 3])?)
 }
 
-/// Writes one record `[subcarrier][row][stream]` of `shape` rows and streams, no fewer than it has; the row is the antenna's,
-/// or the chain's where the record does not say which antenna is which or there is no row for one of its antennas.
+/// Writes one record `[subcarrier][row][stream]` to `shape` rows and streams, no fewer than it has. The row is the antenna's, or the
+/// chain's if the record does not name its antennas or one of them has no row.
 fn unpack(bfee: &Bfee<'_>, (rows, streams): (usize, usize), out: &mut [Complex64]) {
     let order = antenna_order(bfee);
     // NO_ANTENNA is beyond any row.
@@ -168,14 +168,14 @@ fn open_at(path: &Path, position: u64) -> Result<Replay<Box<dyn Read + Send>>, F
     if path.is_dir() {
         return Err(Failure::log(csi5300::source::Error::Directory { path: path.to_owned() }, &name, 0));
     }
-    // A FIFO has no places: it is refused by the next line, and not waited for.
+    // A FIFO has no positions: the next line refuses it without waiting.
     let mut file = open_at_once(path).map_err(refused)?;
     file.seek(SeekFrom::Start(position)).map_err(refused)?;
     Ok(Replay::new(Box::new(file), name.clone()))
 }
 
-/// Reads a log from byte `position` on, `limit` records with CSI at most (0: all), into csiread's arrays. `skipped` is the
-/// number of damaged stretches and records, `largest` the most rows and streams of a record.
+/// Reads a log from byte `position` on, at most `limit` records with CSI (0: all), into csiread's arrays. `skipped` is the number of
+/// damaged stretches and records, `largest` the most rows and streams of a record.
 #[pyfunction]
 pub fn classic<'py>(
     py: Python<'py>,

@@ -7,16 +7,16 @@ use numpy::{PyArray4, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyRead
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-/// Records between two looks at signals.
+/// Records between two checks for signals.
 const BURST: usize = 65_536;
-/// Subcarriers, by which the power of a record is divided.
+/// Number of subcarriers, by which a record's power is divided.
 const SUBCARRIERS: f64 = 30.0;
-/// What RSSI has too much, dB (csitool's `get_total_rss.m`).
+/// Offset of RSSI, dB (csitool's `get_total_rss.m`).
 const RSSI_OFFSET_DB: f64 = 44.0;
-/// Noise floor of a record that says [`NOISE_UNKNOWN_DBM`], dBm (csitool's `get_scaled_csi.m`).
+/// Noise floor of a record with [`NOISE_UNKNOWN_DBM`], dBm (csitool's `get_scaled_csi.m`).
 const DEFAULT_NOISE_DBM: i64 = -92;
 const NOISE_UNKNOWN_DBM: i64 = -127;
-/// What three streams share, dB (csitool's `get_scaled_csi.m`).
+/// Power shared by three streams, dB (csitool's `get_scaled_csi.m`).
 const THREE_STREAMS_DB: f64 = 4.5;
 /// `rate_n_flags` of a frame 40 MHz wide.
 const HT40: i64 = 0x800;
@@ -31,7 +31,7 @@ struct Fields {
     n_tx: i64,
 }
 
-/// The power ratio of so many decibels.
+/// The power ratio of a number of decibels.
 fn ratio(db: f64) -> f64 {
     10_f64.powf(db / 10.0)
 }
@@ -44,8 +44,8 @@ impl Fields {
         Some(Self { rssi, agc: of(agc)?, noise_dbm: of(noise_dbm)?, n_rx: of(n_rx)?, n_tx: of(n_tx)? })
     }
 
-    /// What the integers of a record with this power, summed over all its entries, are multiplied with. As in csiread a record
-    /// whose RSSI are all 0 has 0 dBm.
+    /// The factor for the integers of a record with this power, summed over all its entries. As in csiread, a record whose RSSI are all
+    /// 0 has 0 dBm.
     fn factor(&self, power: f64) -> f64 {
         let heard: f64 = self.rssi.iter().filter(|rssi| **rssi > 0).map(|rssi| ratio(*rssi as f64)).sum();
         let milliwatt = if heard > 0.0 { heard * ratio(-RSSI_OFFSET_DB - self.agc as f64) } else { 1.0 };
@@ -75,8 +75,8 @@ fn power(values: &[Complex64]) -> f64 {
     sums.iter().sum::<f64>() + rest.iter().map(|value| value * value).sum::<f64>()
 }
 
-/// Writes `csi` (n, 30, rows, streams), or what is in `out` where it is None, to `out` in sqrt(SNR). `fields` (n,) are RSSI
-/// at A, B and C, gain, noise, Nrx and Ntx of each record.
+/// Writes `csi` (n, 30, rows, streams), or the content of `out` if it is None, to `out` in sqrt(SNR). `fields` (n,) are each record's
+/// RSSI at A, B and C, gain, noise, Nrx and Ntx.
 #[pyfunction]
 pub fn classic_scaled<'py>(
     py: Python<'py>,
@@ -118,8 +118,8 @@ pub fn classic_scaled<'py>(
     Ok(())
 }
 
-/// Undoes the spatial mapping of `csi` (n, 30, rows, streams) in place: of records of `n_tx` 2 or 3 streams, by `rate` at 20 or 40
-/// MHz. `maps` (4, 9) are the transmitter's matrices, streams by antennas, row by row: of 2 and 3 streams at 20 MHz, of both at 40 MHz.
+/// Removes the spatial mapping of `csi` (n, 30, rows, streams) in place, for records of `n_tx` 2 or 3 streams, by `rate` at 20 or 40
+/// MHz. `maps` (4, 9) are the transmitter's matrices, streams by antennas, row by row: for 2 and 3 streams at 20 MHz, then at 40 MHz.
 #[pyfunction]
 pub fn classic_unmapped<'py>(
     py: Python<'py>,

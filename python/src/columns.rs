@@ -6,7 +6,7 @@ use numpy::{Element, IntoPyArray, PyArrayMethods, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// The columns as arrays, whose memory they become.
+/// The columns as arrays that take over their memory.
 pub fn arrays(py: Python<'_>, columns: Columns) -> PyResult<Bound<'_, PyDict>> {
     let arrays = PyDict::new(py);
     let n = columns.time_us.len();
@@ -49,7 +49,7 @@ pub fn from_arrays(arrays: &Bound<'_, PyDict>) -> PyResult<Columns> {
     })
 }
 
-/// The values of an array of any shape, in the order of C.
+/// The values of an array of any shape, in C order.
 fn values<T: Element + Clone>(arrays: &Bound<'_, PyDict>, name: &str) -> PyResult<Vec<T>> {
     let wrong = || Failure::new(Kind::Internal, format!("no column {name}, or of another type"));
     let array: PyReadonlyArrayDyn<'_, T> = arrays.get_item(name)?.ok_or_else(wrong)?.extract().map_err(|_| wrong())?;

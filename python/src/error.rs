@@ -1,4 +1,4 @@
-//! Errors as Python's exceptions of one family (`csi5300.Error`), and calls that can be interrupted.
+//! Errors as one family of Python exceptions (`csi5300.Error`), and interruptible calls.
 
 use csi5300::source;
 use pyo3::exceptions::{PyException, PyKeyboardInterrupt};
@@ -10,9 +10,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
-/// How long a signal waits at most.
+/// Longest delay of a signal.
 const PATIENCE: Duration = Duration::from_millis(40);
-/// How long work that is to stop is waited for at most.
+/// Longest wait for work that was asked to stop.
 const GRACE: Duration = Duration::from_secs(1);
 
 /// Classes of `csi5300._errors`.
@@ -22,21 +22,21 @@ pub enum Kind {
     Log,
     /// There is no such log.
     NotFound,
-    /// An argument makes no sense.
+    /// An argument is invalid.
     Option,
-    /// Poses make no trajectory.
+    /// A trajectory's poses are invalid.
     Trajectory,
     /// A trajectory's file cannot be read.
     TrajectoryFile,
-    /// A scene cannot be.
+    /// A scene is invalid.
     Scene,
     /// A scene's file cannot be read.
     SceneFile,
     /// A file or folder that an argument names cannot be read.
     OptionFile,
-    /// No bearing comes from these logs at all.
+    /// These logs give no bearing at all.
     Capture,
-    /// The card or the room is not there.
+    /// The card or the room is not available.
     Live,
     /// A file cannot be written.
     Export,
@@ -70,7 +70,7 @@ pub struct Failure {
     message: String,
     file: Option<String>,
     offset: Option<u64>,
-    /// What Python raised itself, in a file object's `read`.
+    /// An exception raised in Python, by a file object's `read`.
     raised: Option<PyErr>,
 }
 
@@ -80,19 +80,19 @@ impl Failure {
         Self { kind, message: message.to_string(), file: None, offset: None, raised: None }
     }
 
-    /// With the file that it is about.
+    /// Adds the file concerned.
     pub fn of(mut self, file: impl Into<String>) -> Self {
         self.file = Some(file.into());
         self
     }
 
-    /// With the place in the file.
+    /// Adds the offset in the file.
     pub fn at(mut self, offset: u64) -> Self {
         self.offset = Some(offset);
         self
     }
 
-    /// Why a log cannot be read, `bytes` of which were.
+    /// Why a log cannot be read beyond `bytes`.
     pub fn log(error: source::Error, name: &str, bytes: u64) -> Self {
         let message = error.to_string();
         let (kind, raised) = match error {
@@ -136,17 +136,17 @@ pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyR
     py.detach(|| catch_unwind(AssertUnwindSafe(work))).map_err(|payload| panicked(&*payload).into())
 }
 
-/// Says to work in a thread that its result is wanted no more.
+/// Tells work on a thread that its result is no longer wanted.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// True once it is.
+    /// True once requested.
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// Asks for it.
+    /// Requests it.
     pub fn ask(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
@@ -157,7 +157,7 @@ impl Stop {
     }
 }
 
-/// A [`Stop`] in Python's hands: for work in other threads than the one that signals reach.
+/// A [`Stop`] for Python: for work on other threads than the one that receives signals.
 #[pyclass(frozen, module = "csi5300._native")]
 pub struct Cancel(pub Stop);
 
@@ -168,24 +168,24 @@ impl Cancel {
         Self(Stop::default())
     }
 
-    /// Asks the work that has it to stop.
+    /// Asks the work to stop.
     fn set(&self) {
         self.0.ask();
     }
 
-    /// True once it was asked.
+    /// True once requested.
     fn is_set(&self) -> bool {
         self.0.is_asked()
     }
 }
 
-/// What work that was stopped gives; nobody sees it.
+/// The result of stopped work; nobody sees it.
 pub fn stopped() -> Failure {
     Failure::new(Kind::Internal, "the work was stopped")
 }
 
-/// Runs a long piece of work in a thread of its own, without the interpreter's lock. Ctrl-C asks it to [`Stop`], which it looks at
-/// as often as it can, and returns once it has, or after a second.
+/// Runs a long piece of work on its own thread, without the interpreter's lock. Ctrl-C requests its [`Stop`], which it checks as
+/// often as it can, and returns once the work has stopped, or after a second.
 pub fn interruptible<T, F>(py: Python<'_>, stop: &Stop, work: F) -> PyResult<T>
 where
     T: Send + 'static,
@@ -194,12 +194,12 @@ where
     let (sender, receiver) = channel();
     let run = move || {
         let result = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| Err(panicked(&*payload)));
-        // Nobody receives it after an interrupt.
+        // After an interrupt there is no receiver.
         let _ = sender.send(result);
     };
     let thread = std::thread::Builder::new().name("csi5300".into()).spawn(run);
     thread.map_err(|error| Failure::new(Kind::Internal, format!("cannot start a thread: {error}")))?;
-    // A receiver is not to be shared between threads; this one is handed over and back.
+    // A receiver must not be shared between threads; this one is passed to a thread and back.
     let mut receiver = receiver;
     loop {
         let (back, result) = py.detach(move || {
@@ -212,7 +212,7 @@ where
             Err(RecvTimeoutError::Timeout) => {
                 if let Err(signal) = py.check_signals() {
                     stop.ask();
-                    // A receiver is handed over for good.
+                    // The receiver is passed on for good.
                     let _ = py.detach(move || receiver.recv_timeout(GRACE).map(drop));
                     return Err(signal);
                 }

@@ -1,4 +1,4 @@
-//! Captures against their truth.
+//! Evaluates captures against their truth.
 
 use crate::error::{Cancel, Failure, Kind, Stop, interruptible, stopped};
 use crate::options::Keywords;
@@ -11,11 +11,10 @@ use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// The captures below a folder: place, stamp, folder, and names and logs of the transmitters; and folders that could not be
-/// read.
+/// The captures below a folder (place, stamp, folder, names and logs of the transmitters), and the unreadable folders.
 type Found = (Vec<(String, String, PathBuf, Vec<(String, PathBuf)>)>, Vec<String>);
 
-/// Finds captures, in the order of their names.
+/// Finds captures, in order of name.
 #[pyfunction]
 pub fn find_captures(py: Python<'_>, root: PathBuf) -> PyResult<Found> {
     interruptible(py, &Stop::default(), move || {
@@ -25,7 +24,7 @@ pub fn find_captures(py: Python<'_>, root: PathBuf) -> PyResult<Found> {
     })
 }
 
-/// One way to evaluate a capture.
+/// One set of evaluation options.
 struct Run {
     source: TrajectorySource,
     options: Options,
@@ -47,7 +46,7 @@ impl Run {
             ("t265", Some(_)) => TrajectorySource::RollingT265,
             ("odom", None) => TrajectorySource::Odometry,
             ("gt" | "odom", Some(_)) => {
-                return wrong("camera_mount: is of the tracking camera: trajectory=\"t265\"".into());
+                return wrong("camera_mount: only for the tracking camera, trajectory=\"t265\"".into());
             }
             (other, _) => return wrong(format!("trajectory: {other:?} is not gt, t265 or odom")),
         };
@@ -66,8 +65,8 @@ impl Run {
     }
 }
 
-/// Evaluates one capture in each of some ways, trajectories and options, with its files read once: for each JSON with `rows`,
-/// `notes` and `lost`. `cancel` ends it early.
+/// Evaluates one capture with each set of options, reading its files once; returns JSON with `rows`, `notes` and `lost` for each.
+/// `cancel` ends it early.
 #[pyfunction]
 #[pyo3(signature = (place, stamp, folder, transmitters, runs, cancel=None))]
 pub fn evaluate_capture(

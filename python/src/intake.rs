@@ -1,4 +1,4 @@
-//! Logs as Python names them, and reading them.
+//! Log arguments from Python, and reading them.
 
 use crate::error::{Failure, Kind, Stop};
 use crate::patient::Patient;
@@ -15,26 +15,26 @@ use std::io::{self, Cursor, Read};
 use std::mem::MaybeUninit;
 use std::path::PathBuf;
 
-/// A Python object with `read(n)`, as files opened with "rb" have.
+/// A Python object with `read(n)`, such as a file opened with "rb".
 struct FileObject(Py<PyAny>);
 
 impl Read for FileObject {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         Python::attach(|py| {
             let given = self.0.bind(py).call_method1("read", (buffer.len(),)).map_err(io::Error::other)?;
-            let wrong = "read() of the file object gave no bytes: open it in binary mode (\"rb\")";
+            let wrong = "read() of the file object returned no bytes: open it in binary mode (\"rb\")";
             let bytes =
                 given.cast::<PyBytes>().map_err(|_| io::Error::new(io::ErrorKind::InvalidInput, wrong))?.as_bytes();
             let place = buffer.get_mut(..bytes.len());
-            let place = place.ok_or_else(|| io::Error::other("read(n) of the file object gave more than n bytes"))?;
+            let place =
+                place.ok_or_else(|| io::Error::other("read(n) of the file object returned more than n bytes"))?;
             place.copy_from_slice(bytes);
             Ok(bytes.len())
         })
     }
 }
 
-/// A `.dat` file as Python names it: a path, bytes, or an object with `read`. Where reading it has to wait, Ctrl-C and `stop`
-/// end the wait.
+/// A `.dat` argument from Python: a path, bytes, or an object with `read`. If reading has to wait, Ctrl-C and `stop` end the wait.
 pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Read + Send>>> {
     if let Ok(bytes) = file.cast::<PyBytes>() {
         refuse_card(bytes.as_bytes(), "these bytes")?;
@@ -56,7 +56,7 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
     if path.is_file() {
         let mut bytes = Vec::new();
         let begun = std::fs::File::open(&path).map(|file| file.take(csi_formats::DETECT as u64));
-        // A file that cannot be read is refused below.
+        // An unreadable file is refused below.
         let _ = begun.and_then(|mut begun| begun.read_to_end(&mut bytes));
         refuse_card(&bytes, &name)?;
     }
@@ -71,7 +71,7 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
     Replay::open(&path).map_err(|error| Failure::log(error, &name, 0).into())
 }
 
-/// Refuses a log of another card, by its first bytes.
+/// Refuses another card's log, by its first bytes.
 fn refuse_card(bytes: &[u8], name: &str) -> PyResult<()> {
     let first = bytes.get(..csi_formats::DETECT).unwrap_or(bytes);
     let Some(kind) = crate::cards::refused(first) else { return Ok(()) };
@@ -79,7 +79,7 @@ fn refuse_card(bytes: &[u8], name: &str) -> PyResult<()> {
     Err(Failure::new(Kind::Log, why).of(name.to_owned()).into())
 }
 
-/// Bytes that Python owns, and how many.
+/// Bytes that Python owns, and their number.
 struct Backed(Py<PyBytes>, usize);
 
 /// Reads bytes that Python owns; copies chunk by chunk.
@@ -106,7 +106,7 @@ impl Read for BytesReader {
 /// A filter from keyword arguments.
 ///
 /// # Errors
-/// For a MAC or antenna that is none, and for times that are not numbers or in the wrong order.
+/// For an invalid MAC or antenna, and for times that are not numbers or in the wrong order.
 pub fn filter(
     macs: Option<Vec<String>>,
     t: Option<(Option<f64>, Option<f64>)>,
@@ -126,10 +126,10 @@ pub fn filter(
     Ok(filter)
 }
 
-/// What is known of the log as a whole, as JSON.
+/// Facts about the log as a whole, as JSON.
 ///
 /// # Errors
-/// Never, as far as is known: the survey is plain.
+/// Never in practice: a survey can always be serialised.
 pub fn info<S: CsiSource>(reading: &Reading<S>, name: &str, bytes: Option<u64>) -> Result<String, Failure> {
     let survey = &reading.survey;
     let tail = match survey.tail {
@@ -153,8 +153,8 @@ pub fn info<S: CsiSource>(reading: &Reading<S>, name: &str, bytes: Option<u64>) 
     serde_json::to_string(&json).map_err(|error| Failure::new(Kind::Internal, error))
 }
 
-/// True for what is to be read in the thread that called us: an object that is asked for its bytes by `read`, a method that
-/// belongs there, and a file that may have to wait, which signals must reach.
+/// True for a source that must be read on the calling thread: an object whose `read` belongs there, and a file that may have to wait,
+/// where signals must arrive.
 pub fn is_read_here(file: &Bound<'_, PyAny>) -> PyResult<bool> {
     if file.is_instance_of::<PyBytes>() {
         return Ok(false);
@@ -167,12 +167,12 @@ struct Large;
 
 impl Advise for Large {
     fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]) {
-        // Pages of the usual size do as well.
+        // Pages of the usual size work, too.
         let _ = advise_large_pages(memory);
     }
 }
 
-/// How many bytes a log has, where that is known before it is read.
+/// Size of a log in bytes, if known before it is read.
 pub fn size(file: &Bound<'_, PyAny>) -> Option<u64> {
     if let Ok(bytes) = file.cast::<PyBytes>() {
         return Some(bytes.as_bytes().len() as u64);

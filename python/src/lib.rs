@@ -1,13 +1,13 @@
-//! The native half of the Python package `csi5300`: what the crates of this project do, as functions and classes that the
-//! package's Python (`package/csi5300`) gives its form. Every array is memory that was filled here once.
+//! The native half of the Python package `csi5300`: the crates of this project as functions and classes, which the package's Python
+//! code (`package/csi5300`) wraps. The memory of every array is filled here, once.
 //!
 //! | module | what |
 //! |---|---|
-//! | `intake`, `patient` | logs from paths, bytes and file objects; files that let a reader wait |
+//! | `intake`, `patient` | logs from paths, bytes and file objects; files that may let a reader wait |
 //! | `cards` | logs of other cards |
-//! | `columns` | a column for each field as arrays |
+//! | `columns` | the fields as arrays |
 //! | `records`, `scan` | `read`, `scan`, pickling |
-//! | `classic` | the records as csiread's `Intel` has them |
+//! | `classic` | the records in the form of csiread's `Intel` |
 //! | `capture`, `link`, `options` | bearings |
 //! | `evaluate`, `simulate`, `stream` | captures with truth, rooms, cards |
 //! | `error`, `pool` | exceptions, interrupts, threads |

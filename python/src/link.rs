@@ -1,4 +1,4 @@
-//! What a bearing was made of: its profile, its samples, and both in a pickle.
+//! The evidence of a bearing: its profile, its samples, and both in a pickle.
 
 use crate::error::{Failure, Kind, Stop, interruptible};
 use csi5300::bartlett::{self, Grid};
@@ -16,13 +16,13 @@ use std::sync::Arc;
 pub struct Link {
     samples: Arc<Samples>,
     path_m: Vec<Vector3<f64>>,
-    /// Of each pair: seconds, and radians one way, round trip, compensated.
+    /// Per pair: seconds, and radians one way, round trip, compensated.
     course: Vec<[f64; 4]>,
-    /// Of each exchange: seconds, change of the distance since the first and its deviation, metres. Empty where not asked for.
+    /// Per exchange: seconds, change of the distance since the first and its deviation, metres. Empty unless requested.
     range_change: Vec<[f64; 3]>,
 }
 
-/// Rows of a matrix of so many columns.
+/// Rows of a matrix with this many columns.
 fn matrix<'py, const N: usize>(
     py: Python<'py>,
     rows: impl ExactSizeIterator<Item = [f64; N]>,
@@ -36,7 +36,7 @@ fn points<'py>(py: Python<'py>, points: &[Vector3<f64>]) -> PyResult<Bound<'py, 
     matrix(py, points.iter().map(|p| [p.x, p.y, p.z]))
 }
 
-/// The rows of an array that has N columns.
+/// The rows of an array with N columns.
 fn rows<const N: usize>(array: &PyReadonlyArray2<'_, f64>) -> Result<Vec<[f64; N]>, Failure> {
     let array = array.as_array();
     let row = |row: numpy::ndarray::ArrayView1<'_, f64>| <[f64; N]>::try_from(row.to_vec()).ok();
@@ -48,7 +48,7 @@ fn wrong(why: impl std::fmt::Display) -> Failure {
 }
 
 impl Link {
-    /// Of a bearing, what Python asks for.
+    /// The parts of a bearing that Python requests.
     pub fn new(bearing: Bearing) -> Self {
         let course = bearing.course.iter().map(|p| [p.t_s, p.one_way_rad, p.round_trip_rad, p.compensated_rad]);
         let range_change =
@@ -60,14 +60,14 @@ impl Link {
     }
 }
 
-/// What [`Link::restore`] takes.
+/// The argument of [`Link::restore`].
 type Dumped<'py> =
     ((f64, u8), Bound<'py, PyArray1<Complex64>>, Bound<'py, PyArray2<f64>>, [Bound<'py, PyArray2<f64>>; 3]);
 
 #[pymethods]
 impl Link {
-    /// The profile over a grid: `(azimuths, elevations)` even ones, or directions (n, 2), degrees. Returns azimuths and
-    /// elevations (degrees) and values, each (rows, columns).
+    /// The profile over a grid: `(azimuths, elevations)` evenly spaced, or directions (n, 2), degrees. Returns azimuths and elevations
+    /// (degrees) and values, each (rows, columns).
     #[pyo3(signature = (azimuths, elevations, directions))]
     fn profile<'py>(
         &self,
@@ -90,7 +90,7 @@ impl Link {
             None => Grid::azimuth_elevation(azimuths, elevations),
         };
         let samples = Arc::clone(&self.samples);
-        // Ten million directions are done within a second.
+        // Ten million directions take less than a second.
         let profile = interruptible(py, &Stop::default(), move || {
             bartlett::profile(&samples, &grid).map_err(|error| Failure::new(Kind::Option, error))
         })?;
@@ -104,9 +104,9 @@ impl Link {
         ])
     }
 
-    /// The samples: `t_s` (n), `z` (n), `receiver_m` (n, 3), and the receiver's whole path `path_m`, and the phase of
-    /// each pair (`phase`: seconds, one way, round trip, compensated, radians). `range_change`, where it was asked for: seconds, change of
-    /// the distance since the first exchange and its deviation, metres.
+    /// The samples: `t_s` (n), `z` (n), `receiver_m` (n, 3); the receiver's whole path `path_m`; the phase of each pair (`phase`: seconds,
+    /// one way, round trip, compensated, radians); and, if requested, `range_change`: seconds, change of the distance since the first
+    /// exchange and its deviation, metres.
     fn samples<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let samples = &self.samples;
         let arrays = PyDict::new(py);
@@ -119,7 +119,7 @@ impl Link {
         Ok(arrays)
     }
 
-    /// Wavelength and gain; samples; of each its seconds, the places of both sides and its weight; path and course.
+    /// Wavelength and gain; samples; for each its seconds, the positions of both sides and its weight; path and course.
     fn dump<'py>(&self, py: Python<'py>) -> PyResult<Dumped<'py>> {
         let samples = &self.samples;
         let row = |k: usize| {
@@ -137,7 +137,7 @@ impl Link {
         Ok(((samples.wavelength_m(), samples.path_gain()), z, matrix(py, rows.into_iter())?, drawn))
     }
 
-    /// A link from what [`Link::dump`] gave.
+    /// A link from the result of [`Link::dump`].
     #[staticmethod]
     fn restore(
         carrier: (f64, u8),

@@ -1,4 +1,4 @@
-//! How bearings are made: keyword arguments with the names of the command line's options.
+//! Options of bearings: keyword arguments with the names of the command line's options.
 
 use crate::error::{Failure, Kind};
 use csi5300::motion::odometry::csv::Columns;
@@ -14,7 +14,7 @@ use serde::Deserialize;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-/// Steps that can be left out.
+/// Steps that can be skipped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Step {
@@ -25,7 +25,7 @@ enum Step {
     Elevation,
 }
 
-/// Keyword arguments, as JSON brings them; what is absent is as by default.
+/// Keyword arguments from JSON; absent ones have their defaults.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Keywords {
@@ -43,32 +43,32 @@ pub struct Keywords {
     to: Option<f64>,
     decimate: Option<usize>,
     join_rows: bool,
-    /// Place of the antenna on the receiver, metres forward, left, up.
+    /// Position of the antenna on the receiver, metres forward, left, up.
     pub antenna_offset: Option<[f64; 3]>,
-    /// Place of the tracking camera, metres forward and left of the middle between the wheels, and its heading less the
-    /// robot's, degrees.
+    /// Position of the tracking camera, metres forward and left of the middle between the wheels, and its heading minus the robot's,
+    /// degrees.
     camera_mount: Option<[f64; 3]>,
     /// Bearings less likely than this to be within 5 degrees are refused, 0 to 1.
     pub min_confidence: Option<f64>,
-    /// Seconds of the stretches in which links are answered again.
+    /// Length of the stretches for which links are answered separately, seconds.
     pub every: Option<f64>,
-    /// Whether answers have what was computed.
+    /// Whether answers include the plan of the computation.
     pub explain: bool,
-    /// Whether links have the change of the distance too.
+    /// Whether links include the change of the distance.
     range_change: bool,
     key: Option<PathBuf>,
-    /// What is in the columns of trajectories.
+    /// The columns of trajectories.
     columns: Option<String>,
     tx_mac: Vec<String>,
     rx_mac: Option<String>,
-    /// Links worked on at a time; 0 is one a core.
+    /// Links estimated in parallel; 0 means one per core.
     pub threads: usize,
 }
 
 /// Columns by their names.
 ///
 /// # Errors
-/// If a name is not known, or time, x or y are not among them.
+/// If a name is unknown, or time, x or y is missing.
 pub fn columns(text: Option<&str>) -> Result<Option<Columns>, Failure> {
     text.map(|text| text.parse::<Columns>().map_err(|error| wrong(format!("columns: {error}")))).transpose()
 }
@@ -81,20 +81,20 @@ impl Keywords {
     /// From JSON.
     ///
     /// # Errors
-    /// For an unknown name and a value of another kind, with its name.
+    /// For an unknown name or a value of the wrong type, with the name.
     pub fn parse(json: &str) -> Result<Self, Failure> {
         serde_json::from_str(json).map_err(|error| wrong(format!("options: {error}")))
     }
 
-    /// What is in the columns of trajectories, where it was named.
+    /// The named columns of trajectories, if any.
     ///
     /// # Errors
-    /// If a name is not known, or time, x or y are not among them.
+    /// If a name is unknown, or time, x or y is missing.
     pub fn columns(&self) -> Result<Option<Columns>, Failure> {
         columns(self.columns.as_deref())
     }
 
-    /// The channel, where one was named.
+    /// The named channel, if any.
     ///
     /// # Errors
     /// If there is no such channel.
@@ -103,10 +103,10 @@ impl Keywords {
         self.channel.as_ref().map(parse).transpose()
     }
 
-    /// The pipeline's options, on the channel named or, where none is, on a stand-in.
+    /// The pipeline's options, on the named channel or, if there is none, a placeholder.
     ///
     /// # Errors
-    /// For a value out of its range, with its name.
+    /// For a value outside its range, with its name.
     pub fn options(&self) -> Result<Options, Failure> {
         self.check()?;
         let channel = self.channel()?.map_or_else(|| Channel::new(108, Width::Ht20).map_err(wrong), Ok)?;
@@ -141,16 +141,16 @@ impl Keywords {
         Ok(options)
     }
 
-    /// How the robot carries its tracking camera, where that was named.
+    /// The mount of the robot's tracking camera, if given.
     pub fn camera(&self) -> Option<Mount> {
         let [x, y, yaw] = self.camera_mount?;
         Some(Mount::new(Vector3::new(x, y, 0.0), yaw.to_radians()))
     }
 
-    /// The antenna's trajectory, of the one that was recorded.
+    /// The antenna's trajectory, computed from the recorded one.
     ///
     /// # Errors
-    /// If that has no heading.
+    /// If the recorded one has no heading.
     pub fn of_antenna(&self, recorded: Trajectory) -> Result<Trajectory, Failure> {
         let refused = |error| Failure::new(Kind::Trajectory, error);
         let own = match self.camera() {
@@ -163,7 +163,7 @@ impl Keywords {
         }
     }
 
-    /// Refuses what is of single bearings, and not of captures with a truth.
+    /// Refuses options that apply to single bearings but not to captures with a truth.
     ///
     /// # Errors
     /// With the name of the option.
@@ -232,7 +232,7 @@ impl Keywords {
             }
         }
         if self.camera_mount.is_some() && self.antenna_offset.is_none() {
-            return Err(wrong("camera_mount: antenna_offset is needed too, seen from the middle between the wheels"));
+            return Err(wrong("camera_mount: also needs antenna_offset, relative to the middle between the wheels"));
         }
         if self.every.is_some() && self.join_rows {
             return Err(wrong("every: stretches have no rows to join by (join_rows)"));

@@ -1,16 +1,16 @@
-//! The threads that work: a pool for each process, as threads do not survive a fork.
+//! Worker threads: one pool per process, because threads do not survive a fork.
 
 use crate::error::{Failure, Kind};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The pool and the process that made it.
+/// The pool, and the process that created it.
 static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
-/// The pool of this process: one thread a core, or as many as RAYON_NUM_THREADS says.
+/// The pool of this process: one thread per core, or RAYON_NUM_THREADS.
 ///
 /// # Errors
-/// If threads cannot be started.
+/// If threads cannot start.
 pub fn pool() -> Result<Arc<ThreadPool>, Failure> {
     let mut place = POOL.lock().unwrap_or_else(PoisonError::into_inner);
     let own = std::process::id();
@@ -20,15 +20,15 @@ pub fn pool() -> Result<Arc<ThreadPool>, Failure> {
         return Ok(Arc::clone(pool));
     }
     let pool = Arc::new(build(0)?);
-    // A parent's pool has no threads here: to drop it would wait for them.
+    // A parent's pool has no threads here: dropping it would wait for them.
     std::mem::forget(place.replace((own, Arc::clone(&pool))));
     Ok(pool)
 }
 
-/// A pool of its own; 0 threads are one a core.
+/// A separate pool; 0 threads means one per core.
 ///
 /// # Errors
-/// If threads cannot be started.
+/// If threads cannot start.
 pub fn build(threads: usize) -> Result<ThreadPool, Failure> {
     let pool = ThreadPoolBuilder::new().num_threads(threads.min(1024)).thread_name(|n| format!("csi5300-{n}")).build();
     pool.map_err(|error| Failure::new(Kind::Internal, format!("cannot start threads: {error}")))

@@ -17,7 +17,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Records decoded between two looks at signals.
+/// Records decoded between two checks for signals.
 const PIECE: usize = 1 << 17;
 
 /// bfee records in memory, packed as the card sent them.
@@ -27,7 +27,7 @@ pub struct Records {
     pub arena: Arc<Arena>,
 }
 
-/// Numbers of records, in the caller's order; all where none are named.
+/// Numbers of records, in the caller's order; all if none are named.
 pub fn selected(arena: &Arena, rows: Option<&PyReadonlyArray1<'_, i64>>) -> PyResult<Vec<usize>> {
     let Some(rows) = rows else { return Ok((0..arena.len()).collect()) };
     let known = |row: &i64| usize::try_from(*row).ok().filter(|row| *row < arena.len());
@@ -35,9 +35,9 @@ pub fn selected(arena: &Arena, rows: Option<&PyReadonlyArray1<'_, i64>>) -> PyRe
     rows.ok_or_else(|| Failure::new(Kind::Option, format!("a row outside of 0 to {}", arena.len())).into())
 }
 
-/// Records that were asked for.
+/// The requested records.
 enum Chosen {
-    /// All of them, so many.
+    /// All of them; their number.
     All(usize),
     /// These.
     Rows(Vec<usize>),
@@ -58,7 +58,7 @@ impl Chosen {
         }
     }
 
-    /// The numbers of a stretch of [`PIECE`] records; `counted` is room for them.
+    /// The numbers of a stretch of [`PIECE`] records; `counted` is working memory.
     fn piece<'a>(&'a self, number: usize, counted: &'a mut Vec<usize>) -> &'a [usize] {
         let (from, to) = (number * PIECE, ((number + 1) * PIECE).min(self.len()));
         match self {
@@ -72,7 +72,7 @@ impl Chosen {
     }
 }
 
-/// The place of a file until it is whole: beside it, with the same ending.
+/// The temporary name of a file: beside it, with the same extension.
 fn draft(path: &Path) -> PathBuf {
     let mut name = OsString::from(format!(".{}-", std::process::id()));
     name.push(path.file_name().unwrap_or_default());
@@ -91,8 +91,7 @@ impl Records {
         self.arena.size()
     }
 
-    /// The CSI of `rows`, complex64 (n, antennas, `n_tx`, 30); not a number where a record has none. It is written to `out`, where
-    /// that is given.
+    /// The CSI of `rows`, complex64 (n, antennas, `n_tx`, 30); NaN where a record has none. Written to `out` if that is given.
     #[pyo3(signature = (rows, letters, n_tx, scaled, without_spatial_mapping, out=None))]
     #[allow(clippy::too_many_arguments)]
     fn csi<'py>(
@@ -133,7 +132,7 @@ impl Records {
         Ok(array)
     }
 
-    /// Factor from the card's integers to sqrt(SNR) of each record; not a number where there is none.
+    /// Factor from the card's integers to sqrt(SNR) for each record; NaN if there is none.
     fn scale<'py>(
         &self,
         py: Python<'py>,
@@ -142,7 +141,7 @@ impl Records {
         self.figure(py, rows, |bfee| scale_factor(bfee).ok())
     }
 
-    /// Received power over all antennas, dBm; not a number where all RSSI are 0.
+    /// Received power over all antennas, dBm; NaN if all RSSI are 0.
     fn total_rss_dbm<'py>(
         &self,
         py: Python<'py>,
@@ -151,8 +150,8 @@ impl Records {
         self.figure(py, rows, |bfee| total_rss_dbm(bfee).ok())
     }
 
-    /// Writes `rows`, whose columns are given, to a file: .npz, .mat or .parquet; CSI of the antennas `letters` and so many streams.
-    /// Returns how many have no scale, where one was asked for.
+    /// Writes `rows`, with their columns, to a file: .npz, .mat or .parquet; CSI of the antennas `letters` and this many streams. Returns
+    /// the number of records without the requested scale.
     #[pyo3(signature = (path, rows, columns, letters, n_tx, scaled, without_spatial_mapping))]
     #[allow(clippy::too_many_arguments)]
     fn write(
@@ -178,17 +177,17 @@ impl Records {
         interruptible(py, &stop, move || {
             let export = Export::new(&arena, records, &columns, form).with_antennas(&ports).with_streams(n_tx);
             let export = export.with_stop(asked.flag());
-            // What a link leads to is replaced, not the link.
+            // Replaces the target of a link, not the link.
             let target = path.canonicalize().unwrap_or_else(|_| path.clone());
             let half = draft(&target);
             let written = pool.install(|| export.write(&half)).map_err(|error| error.to_string());
             let renamed =
                 |unscaled| std::fs::rename(&half, &target).map(|()| unscaled).map_err(|error| error.to_string());
             written.and_then(renamed).map_err(|error| {
-                // It is not there where it could not be made.
+                // It does not exist if it could not be created.
                 let _ = std::fs::remove_file(&half);
                 let path = path.display().to_string();
-                // Nobody knows the draft by its name.
+                // The message must not name the draft.
                 let why = error.replace(&half.display().to_string(), &path);
                 let known = format!("cannot write {path}: ");
                 let message = if why.contains(&path) { why } else { known + &why };
@@ -197,7 +196,7 @@ impl Records {
         })
     }
 
-    /// Lengths (MPDU and bfee of each record) and bytes: what [`Records::restore`] takes.
+    /// Lengths (MPDU and bfee of each record) and bytes: the argument of [`Records::restore`].
     fn dump<'py>(
         &self,
         py: Python<'py>,
@@ -217,7 +216,7 @@ impl Records {
         Ok((lengths.into_pyarray(py), PyBytes::new(py, &bytes)))
     }
 
-    /// Records from what [`Records::dump`] gave.
+    /// Records from the result of [`Records::dump`].
     #[staticmethod]
     fn restore(lengths: PyReadonlyArray1<'_, u32>, bytes: &Bound<'_, PyBytes>) -> PyResult<Self> {
         let wrong = || PyErr::from(Failure::new(Kind::Log, "a pickled log whose records do not fit its lengths"));
@@ -240,7 +239,7 @@ impl Records {
 }
 
 impl Records {
-    /// Records and their columns as Python has them.
+    /// Records and their columns in their Python form.
     pub fn new(py: Python<'_>, arena: Arena, columns: Columns) -> PyResult<(Self, Bound<'_, PyDict>)> {
         Ok((Self { arena: Arc::new(arena) }, arrays(py, columns)?))
     }
@@ -259,10 +258,10 @@ impl Records {
     }
 }
 
-/// What `read` gives: records, columns, what is known of the log as JSON, and the letters of its antennas with its streams.
+/// The result of `read`: records, columns, facts about the log as JSON, and the letters of its antennas with its streams.
 type Read4<'py> = (Records, Bound<'py, PyDict>, String, (String, usize));
 
-/// The letters of the antennas that CSI has rows for, and its streams.
+/// The antenna letters of CSI's rows, and its streams.
 pub fn shape(widest: &Widest) -> (String, usize) {
     (widest.antennas().iter().map(Antenna::to_string).collect(), widest.streams())
 }

@@ -1,4 +1,4 @@
-//! Logs read piece by piece, in constant memory.
+//! Reads logs piece by piece, in constant memory.
 
 use crate::error::{Failure, Kind, Stop};
 use crate::intake::{filter, info, open, read_on};
@@ -10,12 +10,12 @@ use pyo3::types::PyDict;
 use std::io::Read;
 use std::sync::{Mutex, PoisonError};
 
-/// Records whose columns are looked at at a time.
+/// Records whose columns are examined at a time.
 const PIECE: usize = 65_536;
 
 type Intake = Reading<Replay<Box<dyn Read + Send>>>;
 
-/// The letters of the antennas and the number of streams that any record has which the filter keeps: the log is read for them.
+/// The antenna letters and the number of streams over all records that the filter keeps: reads the whole log.
 #[pyfunction]
 #[pyo3(signature = (file, macs=None, t=None, letters=None))]
 pub fn widest(
@@ -40,12 +40,12 @@ pub fn widest(
 /// A log read piece by piece.
 #[pyclass(module = "csi5300._native")]
 pub struct Scanner {
-    /// Behind a lock that nobody else holds: readers may be sent between threads, not shared.
+    /// Behind an uncontended lock: readers may be sent between threads but not shared.
     intake: Mutex<Intake>,
     chunk: usize,
-    /// A piece was given.
+    /// A piece was returned.
     begun: bool,
-    /// Why the log cannot be read behind the piece that was given.
+    /// Why the log cannot be read beyond the returned piece.
     failed: Option<PyErr>,
 }
 
@@ -68,7 +68,7 @@ impl Scanner {
         Ok(Self { intake, chunk, begun: false, failed: None })
     }
 
-    /// The next piece, or None at the end; of a log without a record that is kept one, which is empty.
+    /// The next piece, or None at the end; a log without kept records has one empty piece.
     fn next<'py>(&mut self, py: Python<'py>) -> PyResult<Option<(Records, Bound<'py, PyDict>)>> {
         if let Some(error) = self.failed.take() {
             return Err(error);
@@ -80,12 +80,12 @@ impl Scanner {
             return Ok(None);
         }
         self.begun = true;
-        // What lies between this piece and the next record, or the end, is known with this piece.
+        // A piece includes the losses up to the next record or the end.
         self.failed = read_on(py, intake, 1).err();
         Records::new(py, arena, columns).map(Some)
     }
 
-    /// What is known of the log so far, as JSON.
+    /// Facts about the log so far, as JSON.
     fn info(&mut self) -> PyResult<String> {
         let intake = self.intake.get_mut().unwrap_or_else(PoisonError::into_inner);
         let source = intake.source();

@@ -21,7 +21,7 @@ fn refused(error: &SceneError, name: &str) -> Failure {
     Failure::new(if is_file { Kind::SceneFile } else { Kind::Scene }, error.to_string()).of(name)
 }
 
-/// Runs a scene: channel, initiators, and for each robot its name, MAC, log, true path and what was done to it.
+/// Runs a scene: channel, initiators, and for each robot its name, MAC, log, true path and injected faults.
 #[pyfunction]
 #[pyo3(signature = (text, is_json, seed=None, layout=None))]
 pub fn simulate<'py>(

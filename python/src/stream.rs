@@ -1,4 +1,4 @@
-//! Records as they come: from this machine's card, or from a robot of a served room.
+//! Live records, from this machine's card or from a robot of a served room.
 
 use crate::error::{Failure, Kind, Stop, detached};
 use crate::intake::{filter, info};
@@ -13,15 +13,15 @@ use pyo3::types::PyDict;
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// How long a signal waits at most.
+/// Longest delay of a signal.
 const PATIENCE: Span = Span::from_ms(100);
-/// Records taken at once at most.
+/// Most records per call.
 const MOST: usize = 8_192;
 
-/// A listener, which several threads may ask; it listens until it is [closed](Listener::close).
+/// A listener for several threads; it listens until it is [closed](Listener::close).
 #[pyclass(frozen, module = "csi5300._native")]
 pub struct Listener {
-    /// Taken for a moment at a time and never with the interpreter's lock: who has it waits for nobody.
+    /// Held only briefly and never together with the interpreter's lock, so its holder waits for nobody.
     intake: Mutex<Reading<Netlink>>,
     socket: OwnedFd,
     clock: Monotonic,
@@ -77,12 +77,12 @@ impl Listener {
         detached(py, || self.intake().has_ended())
     }
 
-    /// Ends the waits of all who read.
+    /// Ends all readers' waits.
     fn close(&self) {
         self.closed.ask();
     }
 
-    /// The records that wait; where there are none, waits up to `timeout_s` seconds (None: as long as it takes).
+    /// The waiting records; if there are none, waits up to `timeout_s` seconds (None: without limit).
     fn read<'py>(&self, py: Python<'py>, timeout_s: Option<f64>) -> PyResult<(Records, Bound<'py, PyDict>)> {
         let end = timeout_s.map(|s| self.clock.now() + Span::from_s(s.max(0.0)));
         loop {
@@ -95,7 +95,7 @@ impl Listener {
         }
     }
 
-    /// What is known of the stream so far, as JSON.
+    /// Facts about the stream so far, as JSON.
     fn info(&self, py: Python<'_>) -> PyResult<String> {
         Ok(detached(py, || info(&self.intake(), &self.name, None))??)
     }
@@ -106,7 +106,7 @@ impl Listener {
         self.intake.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What is there, which may be nothing once the time is `over` or the room ended; otherwise waits for something a moment.
+    /// The available records, possibly none once the time is `over` or the room ended; otherwise waits a moment.
     fn step(&self, end: Option<Instant>, over: bool) -> Result<Option<(Arena, Columns)>, Failure> {
         let now = self.clock.now();
         {

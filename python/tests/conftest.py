@@ -1,4 +1,4 @@
-"""Logs that tests read: the fixtures of this repository, and the shared captures where they are beside the checkout."""
+"""Logs for tests: the fixtures of this repository, and the shared captures if they are beside the checkout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A reader of logs in plain Python, after csitool's ``read_bf_file.m`` and ``bfee.c``: slow, obvious, and the measure of the other."""
+"""A reader of logs in plain Python, after csitool's ``read_bf_file.m`` and ``bfee.c``: slow, obvious, and the oracle of the package."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Packet:
     """(30, n_rx, n_tx) by receive chain."""
 
     def scaled(self) -> NDArray[np.complex128]:
-        """As csitool's get_scaled_csi.m."""
+        """As in csitool's get_scaled_csi.m."""
         power = sum(10 ** (rssi / 10) for rssi in self.rssi if rssi)
         rss = 10 * np.log10(power) - 44 - self.agc
         scale = 10 ** (rss / 10) / (np.sum(np.abs(self.csi) ** 2) / 30)
@@ -75,7 +75,7 @@ def packet(offset: int, body: bytes) -> Packet:
 
 
 def by_antenna(packet: Packet, antennas: str) -> NDArray[np.complex128] | None:
-    """(rows, n_tx, 30) as a Log has it, nan where the record has no such antenna; None where the record does not say."""
+    """(rows, n_tx, 30) as in a Log, nan if the record has no such antenna; None if the record does not name its antennas."""
     order = [(packet.antenna_sel >> shift) & 3 for shift in (0, 2, 4)][: packet.n_rx]
     if 3 in order or len(set(order)) < len(order):
         return None

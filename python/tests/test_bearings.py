@@ -43,7 +43,7 @@ def test_what_a_notebook_shows_fits_on_a_line_or_in_a_table(rx: Path, tx: Path, 
     assert {"bearings", "csiread", "plot"} <= set(dir(csi5300)) and "importlib" not in dir(csi5300)
 
 
-def test_arrays_mean_what_files_do_or_are_refused(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
+def test_arrays_are_read_like_files_or_refused(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     track = csi5300.read_trajectory(path_csv)
     file = np.column_stack([track[:, 0], np.zeros(len(track)), track[:, 1:4]])
@@ -63,7 +63,7 @@ def test_arrays_mean_what_files_do_or_are_refused(rx: Path, tx: Path, path_csv: 
         csi5300.bearings(rx, tx, trajectory=named, channel=108, columns="t,x")
 
 
-def test_options_are_the_command_lines(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_options_match_the_command_line(rx: Path, tx: Path, path_csv: Path) -> None:
     (full,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     (lean,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without="near-field", threads=1)
     assert (full.answer["model"], lean.answer["model"]) == ("spherical_wave", "plane_wave")
@@ -113,7 +113,7 @@ def test_steps_are_whole_numbers_of_any_kind(rx: Path, tx: Path, path_csv: Path)
             bearing.profile(wrong)  # type: ignore[arg-type]
 
 
-def test_bearings_are_pickled_with_what_they_were_made_of(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_pickled_bearings_keep_their_evidence(rx: Path, tx: Path, path_csv: Path) -> None:
     good, bad = csi5300.bearings(rx, [tx, b""], trajectory=path_csv, channel=108, every=1.0)
     for other in (pickle.loads(pickle.dumps(good)), copy.copy(good), copy.deepcopy(good)):
         assert other and other.answer == good.answer and other.stretches == good.stretches
@@ -127,20 +127,20 @@ def test_bearings_are_pickled_with_what_they_were_made_of(rx: Path, tx: Path, pa
         copy.copy(good).__setstate__(state)
 
 
-def test_the_change_of_the_distance_comes_where_it_is_asked_for(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_the_range_change_is_returned_on_request(rx: Path, tx: Path, path_csv: Path) -> None:
     (plain,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     assert plain.samples["range_change"].shape == (0, 3) and "range_change" not in plain.answer
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, range_change=True)
     summary, rows = bearing.answer["range_change"], bearing.samples["range_change"]
     assert summary["held_share"] > 0.9 and len(rows) > 100 and rows[0, 1] == 0.0
     assert rows[-1, 1:].tolist() == [summary["end_m"], summary["end_sd_m"]]
-    # A circle turned through: the distance swings by its width at most, 0.3 m of radius, and comes back.
+    # A circle through a turn: the distance varies by at most the circle's width (radius 0.3 m) and returns.
     assert 0.01 < np.ptp(rows[:, 1]) < 0.61
     other = pickle.loads(pickle.dumps(bearing))
     assert np.array_equal(other.samples["range_change"], rows)
 
 
-def test_a_log_without_records_is_said_to_be_one(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_a_log_without_records_is_reported(rx: Path, tx: Path, path_csv: Path) -> None:
     noise = b"It was a dark and stormy night. " * 20
     (bearing,) = csi5300.bearings(noise, tx, trajectory=path_csv, channel=108)
     assert bearing.error and "the receiver's log holds no record with CSI" in bearing.error
@@ -220,7 +220,7 @@ def test_one_log_has_the_bearing_of_every_sender() -> None:
     for wrong, words in cases:
         with pytest.raises(csi5300.OptionError, match=words):
             csi5300.bearings(room["rx"].log, baseline=wrong, **still)
-    with pytest.raises(csi5300.OptionError, match="antenna_offset: not with baseline"):
+    with pytest.raises(csi5300.OptionError, match="antenna_offset: not allowed with baseline"):
         csi5300.bearings(room["rx"].log, baseline=(0.025, 0, 0), antenna_offset=(0, 0, 1), **still)
 
 
@@ -254,7 +254,7 @@ def test_a_tree_is_evaluated() -> None:
         (["near-field"], 20.0),
     ]
     assert swept.rows[1]["azimuth_deg"] == row["azimuth_deg"]
-    with pytest.raises(csi5300.OptionFileError, match="no folder"):
+    with pytest.raises(csi5300.OptionFileError, match="not a readable folder"):
         csi5300.evaluate(CIRCLE.parent / "none")
     with pytest.raises(csi5300.OptionError, match="no capture"):
         csi5300.evaluate(CIRCLE.parent.parent / "checks")

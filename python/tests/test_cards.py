@@ -32,7 +32,7 @@ def test_each_kind_is_read(name: str, format: str, shape: tuple[int, ...] | None
     assert log.csi.dtype == np.complex64 and log.csi.shape[-1] == len(log.subcarriers)
     assert shape is None or log.csi.shape[1:] == shape
     assert dbm is None or log.rssi_in_dbm is dbm
-    # Each once; nexmon's and an ESP32's in the order of the FFT.
+    # Each index once; nexmon's and an ESP32's in FFT order.
     assert np.isfinite(log.csi).any() and len(np.unique(log.subcarriers)) == len(log.subcarriers)
     assert log.rssi.shape == log.csi.shape[:2]
     assert len(log.mac) == len(log.host_time) == len(log.t) == len(log)
@@ -40,7 +40,7 @@ def test_each_kind_is_read(name: str, format: str, shape: tuple[int, ...] | None
     again = csi5300.read_card(path.read_bytes(), macs=log.mac[0] or None)
     assert 0 < len(again) <= len(log)
     if not name.startswith("feitcsi"):
-        # It is no empty log of the 5300.
+        # `read` must not take it for an empty log of the 5300.
         with pytest.raises(csi5300.LogError, match="read_card"):
             csi5300.read(path)
         with pytest.raises(csi5300.LogError, match=format.split()[0]):

@@ -1,4 +1,4 @@
-"""Scripts for CSIKit over this package, beside CSIKit itself (CSIKIT_PYTHON: it fails with NumPy 2)."""
+"""CSIKit scripts over this package, compared with CSIKit itself (CSIKIT_PYTHON: it fails with NumPy 2)."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ for scaled in (False, True):
 np.savez(out, **found)
 """
 FIELDS = ("timestamp_low", "bfee_count", "n_rx", "n_tx", "rssi_a", "rssi_b", "rssi_c", "noise", "agc", "rate")
-# The first records: CSIKit reads some hundred a second.
+# Only the first records: CSIKit reads a few hundred per second.
 BYTES = 40_000
 
 
-def test_a_script_gives_the_numbers_that_it_gives_with_csikit(captures: Path, tmp_path: Path) -> None:
+def test_a_script_gives_the_same_numbers_as_with_csikit(captures: Path, tmp_path: Path) -> None:
     python = os.environ.get("CSIKIT_PYTHON")
     if not python:
         pytest.skip("CSIKIT_PYTHON names no interpreter with CSIKit")
@@ -50,7 +50,7 @@ def test_a_script_gives_the_numbers_that_it_gives_with_csikit(captures: Path, tm
     for scaled in (False, True):
         data = get_reader(str(log)).read_file(str(log), scaled=scaled)
         n = len(theirs[f"time-{scaled}"])
-        # It leaves out what begins within the last 100 bytes.
+        # It skips records that begin within the last 100 bytes.
         assert n > 20 and n in (len(data.frames), len(data.frames) - 1)
         fields = [[getattr(frame, name) for name in FIELDS] for frame in data.frames[:n]]
         assert np.array_equal(fields, theirs[f"fields-{scaled}"])
@@ -59,11 +59,11 @@ def test_a_script_gives_the_numbers_that_it_gives_with_csikit(captures: Path, tm
             csi, frames, subcarriers = csitools.get_CSI(data, metric=metric)
             assert (frames - len(data.frames), subcarriers) == (0, theirs[f"counts-{scaled}"][1])
             other = theirs[f"{metric}-{scaled}"]
-            # -inf dB of both is the same.
+            # -inf dB in both counts as equal.
             assert csi[:n].shape == other.shape and np.allclose(csi[:n], other, rtol=1e-5, atol=1e-5), (metric, scaled)
 
 
-def test_frames_with_fewer_streams_are_left_out_and_a_sender_can_be_chosen(rx: Path) -> None:
+def test_frames_with_fewer_streams_are_skipped_and_a_sender_can_be_chosen(rx: Path) -> None:
     data = get_reader(rx).read_file(rx)
     csi, frames, subcarriers = csitools.get_CSI(data)
     log = csi5300.read(rx)

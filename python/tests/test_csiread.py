@@ -1,4 +1,4 @@
-"""Against csiread itself, where it is installed: everything equal but what docs/guides/python.md lists."""
+"""Compares with csiread itself, if installed: everything is equal except for the list in docs/guides/python.md."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def theirs() -> ModuleType:
 
 
 def stock(path: Path) -> bool:
-    """csiread takes the header of the WSR layout for CSI."""
+    """csiread reads the WSR layout's header as CSI."""
     data = path.read_bytes()
     first = next(packets(data), None)
     return first is not None and first.csi.shape[1:] == (first.n_rx, first.n_tx) and _length(data, first.offset) == 20
@@ -41,7 +41,7 @@ STOCK = [path for path in CSITOOL if stock(path)]
 
 
 @pytest.mark.parametrize("path", STOCK, ids=lambda path: path.name)
-def test_fields_and_csi_are_csireads(path: Path, theirs: ModuleType) -> None:
+def test_fields_and_csi_equal_csireads(path: Path, theirs: ModuleType) -> None:
     args: dict[str, Any] = {"nrxnum": 3, "ntxnum": 3, "pl_size": 64, "if_report": False}
     own, other = csi5300.csiread.Intel(str(path), **args), theirs.Intel(str(path), **args)
     own.read()
@@ -50,7 +50,7 @@ def test_fields_and_csi_are_csireads(path: Path, theirs: ModuleType) -> None:
     for name in FIELDS + FRAMES:
         a, b = getattr(own, name), getattr(other, name)
         assert a.dtype == b.dtype and np.array_equal(a, b), name
-    # csiread puts chains of records whose antenna_sel is no permutation on top of each other, or outside of the array.
+    # If antenna_sel is not a permutation, csiread writes chains over each other, or outside the array.
     order = np.array([len(set(p[:n])) == n and p[:n].max() < 3 for p, n in zip(own.perm, own.Nrx, strict=True)])
     assert own.csi.dtype == other.csi.dtype and own.csi.shape == other.csi.shape
     assert np.array_equal(own.csi[order], other.csi[order]) and order.mean() > 0.5
@@ -59,7 +59,7 @@ def test_fields_and_csi_are_csireads(path: Path, theirs: ModuleType) -> None:
     assert np.allclose(scaled[heard], reference[heard], rtol=1e-12, atol=0)
     assert np.allclose(own.apply_sm(scaled)[heard], other.apply_sm(reference)[heard], rtol=1e-12, atol=1e-12)
     assert own[3:5]["csi"].shape == other[3:5]["csi"].shape
-    # A second scaling of one object: csiread adds the received power of the first to that of the second.
+    # Scaling one object twice: csiread adds the received power of the first scaling to the second's.
     assert np.array_equal(own.get_scaled_csi(), scaled, equal_nan=True)
     assert not np.allclose(other.get_scaled_csi()[heard], reference[heard])
 
@@ -77,7 +77,7 @@ def test_seek_pmsg_and_refusals(path: Path, theirs: ModuleType, capsys: pytest.C
     for name in ("csi", "agc", "perm") if data[2] == 0xBB else ("fc", "seq"):
         assert np.array_equal(getattr(own, name), getattr(other, name)), name
     if data[2] == 0xBB:
-        # `recv()[36:]` of a netlink socket has the padding of the datagram behind the record.
+        # `recv()[36:]` of a netlink socket has the datagram's padding after the record.
         padded = csi5300.csiread.Intel(None, ntxnum=3)
         assert padded.pmsg(data[2 : 2 + length] + bytes(3)) == 0xBB and np.array_equal(padded.csi, own.csi)
     for module in (csi5300.csiread, theirs):
@@ -89,12 +89,12 @@ def test_seek_pmsg_and_refusals(path: Path, theirs: ModuleType, capsys: pytest.C
 
 
 @pytest.mark.parametrize("path", [p for p in STOCK if Path(f"{p}stp").exists()], ids=lambda path: path.name)
-def test_host_times_are_csireads(path: Path, theirs: ModuleType) -> None:
+def test_host_times_equal_csireads(path: Path, theirs: ModuleType) -> None:
     own, other = csi5300.csiread.Intel(str(path)), theirs.Intel(str(path))
     assert own.readstp() == other.readstp() and own.stp is not None and np.array_equal(own.stp, other.stp)
 
 
-# csiread itself, in a process of its own: its buffers are written beyond, and a file that is not there ends the process.
+# csiread runs in a process of its own: it writes beyond its buffers, and a missing file ends the process.
 THEIRS = """
 import sys
 import csiread
@@ -112,8 +112,8 @@ def _theirs(log: Path, out: Path) -> tuple[int, NDArray[np.complex128] | None]:
     return run.returncode, np.load(out) if out.exists() else None
 
 
-def test_what_csiread_cannot(rx: Path, tmp_path: Path) -> None:
-    # The WSR layout, and a damaged log: csiread takes 18 bytes of header for CSI, and ends the process or the reading.
+def test_logs_that_csiread_cannot_read(rx: Path, tmp_path: Path) -> None:
+    # The WSR layout, and a damaged log: csiread reads 18 header bytes as CSI, and ends the process or stops reading.
     reader = csi5300.csiread.Intel(rx, if_report=False)
     reader.read()
     log = csi5300.read(rx)
@@ -134,7 +134,7 @@ def test_what_csiread_cannot(rx: Path, tmp_path: Path) -> None:
     assert csi5300.csiread.Intel(None).pmsg(b"") == 0 and csi5300.csiread.Intel(None).pmsg(b"\xbbshort") == 0xBB
 
 
-def test_that_csiread_cannot(rx: Path, tmp_path: Path) -> None:
+def test_csiread_fails_on_these_logs(rx: Path, tmp_path: Path) -> None:
     pytest.importorskip("csiread")
     reader = csi5300.csiread.Intel(rx, nrxnum=3, ntxnum=3, if_report=False)
     reader.read()
@@ -145,7 +145,7 @@ def test_that_csiread_cannot(rx: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", STOCK[-1:], ids=lambda path: path.name)
-def test_that_csiread_loses_what_is_behind_damage(path: Path, tmp_path: Path) -> None:
+def test_csiread_loses_records_after_damage(path: Path, tmp_path: Path) -> None:
     pytest.importorskip("csiread")
     data = bytearray(path.read_bytes())
     at = int(csi5300.read(path).offset[20])
@@ -171,7 +171,7 @@ def test_a_packet_is_printed_as_csiread_prints_it(path: Path, theirs: ModuleType
 
 
 @pytest.mark.parametrize("path", STOCK, ids=lambda path: path.name)
-def test_a_report_is_csireads(path: Path) -> None:
+def test_a_report_equals_csireads(path: Path) -> None:
     pytest.importorskip("csiread")
     said = []
     for module in ("csiread", "csi5300.csiread"):
@@ -181,7 +181,7 @@ def test_a_report_is_csireads(path: Path) -> None:
     assert said[0] == said[1] and "0xbb packets parsed" in said[0]
 
 
-def test_what_csiread_has_beside_its_readers() -> None:
+def test_csireads_utilities() -> None:
     theirs = pytest.importorskip("csiread")
     from csi5300.csiread.utils import calib, phy_fft, phy_ifft, scidx
 

@@ -1,8 +1,8 @@
-"""csiread's own examples (its source distribution, unpacked in CSIREAD_SDIST) print and draw the same over this package.
+"""csiread's own examples (its source distribution, unpacked in CSIREAD_SDIST) print and draw the same with this package.
 
-All that read Intel logs which are given away, but for those that draw live from a network in a window (csiclient, csiratioA and B,
-csirealtime, csiviewer). Of those that read other cards' logs too, which are not here, the functions for Intel's run. csitest.py compares
-with MATLAB's reading of log.all_csi.6.7.6, which is not given away; tests/test_log.py compares that log with csitool's algorithm instead.
+All examples for published Intel logs, except those that draw live from a network in a window (csiclient, csiratioA and B, csirealtime,
+csiviewer). Of examples for other cards, too, only the functions for Intel's run. csitest.py compares with MATLAB's reading of
+log.all_csi.6.7.6, which is not published; tests/test_log.py compares that log with csitool's algorithm instead.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ EXAMPLES: dict[str, tuple[list[str], list[str], str]] = {
     "csimpdu": ([], [], f"Intel5300MPDU2({LONG!r}, 10)"),
     "csiseek": ([], [], f"seekIntel({LONG!r}, 64)"),
 }
-"""What an example needs, its arguments, and what is called of it where not all of it runs."""
+"""An example's requirements, its arguments, and the call if only a part of it runs."""
 
-# What csiread's C prints beside Python's output; durations; and the room that arrays have beyond what they hold (docs/guides/python.md).
+# Not compared: what csiread's C code prints beside Python's output; durations; unused room in arrays (docs/guides/python.md).
 LEFT_OUT = re.compile(r"packets parsed|connector_log|[\d.e-]+ ?s$")
 ROOM = re.compile(r"base\.size=\d+")
 
@@ -42,7 +42,7 @@ RUN = """
 import runpy, sys
 module, script, call, args = sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4:]
 sys.modules["csiread"] = __import__(module, fromlist=["Intel"])
-# Imported by one example, for functions that are not called.
+# One example imports it, for functions that are not called.
 sys.modules["scapy"] = sys.modules["scapy.all"] = type(sys)("scapy")
 sys.modules["scapy"].Dot11 = None
 sys.argv = [script, *args]

@@ -28,7 +28,7 @@ def test_one_family_with_the_file(tmp_path: Path) -> None:
     assert (str(again), again.file, again.offset) == (str(caught.value), caught.value.file, 0)
 
 
-def test_what_a_file_object_raises_comes_through() -> None:
+def test_exceptions_of_a_file_object_are_passed_on() -> None:
     class Broken:
         def __init__(self) -> None:
             self.left = 3
@@ -112,7 +112,7 @@ def test_scalars_of_numpy_are_numbers(rx: Path, tx: Path, path_csv: Path) -> Non
     assert bearing.azimuth_deg == plain[0].azimuth_deg
 
 
-def test_rows_of_a_trajectory_that_are_left_out_are_a_warning(path_csv: Path, tmp_path: Path) -> None:
+def test_skipped_rows_of_a_trajectory_give_a_warning(path_csv: Path, tmp_path: Path) -> None:
     whole = csi5300.read_trajectory(path_csv)
     rows = path_csv.read_text().splitlines()
     rows[7] = "?,0,1,2,3,"
@@ -123,7 +123,7 @@ def test_rows_of_a_trajectory_that_are_left_out_are_a_warning(path_csv: Path, tm
     assert len(track) == len(whole) - 1
 
 
-def test_errors_about_files_are_errors_of_the_system(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
+def test_file_errors_are_also_os_errors(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
     none = tmp_path / "none"
     with pytest.raises(csi5300.TrajectoryFileError) as caught:
         csi5300.read_trajectory(none)
@@ -133,7 +133,7 @@ def test_errors_about_files_are_errors_of_the_system(rx: Path, tx: Path, path_cs
     with pytest.raises(csi5300.OptionFileError, match="^key: "):
         csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, key=none)
     for of_a_folder in (csi5300.evaluate, csi5300.ray.evaluate, lambda uri: csi5300.ray.convert(uri, tmp_path)):
-        with pytest.raises(csi5300.OptionFileError, match="no folder"):
+        with pytest.raises(csi5300.OptionFileError, match="not a readable folder"):
             of_a_folder(none)
     with pytest.raises(csi5300.LogNotFoundError, match="datstp"):
         csiread.Intel(str(rx), if_report=False).readstp()
@@ -141,7 +141,7 @@ def test_errors_about_files_are_errors_of_the_system(rx: Path, tx: Path, path_cs
         assert issubclass(error, csi5300.Error) and issubclass(error, OSError)
 
 
-def test_arguments_are_of_the_family(rx: Path) -> None:
+def test_argument_errors_belong_to_the_family(rx: Path) -> None:
     for call in (
         lambda: csi5300.simulate("lab-circle", seed=-1),
         lambda: csi5300.simulate("lab-circle", seed=2**64),
@@ -158,7 +158,7 @@ def test_arguments_are_of_the_family(rx: Path) -> None:
             call()
 
 
-def test_modules_are_there_when_they_are_named() -> None:
+def test_modules_are_imported_on_first_use() -> None:
     name = "import csi5300; print(csi5300.ray.RETRIES, csi5300.plot.COLUMNS, csi5300.csiread.__version__)"
     said = subprocess.run([sys.executable, "-c", name], capture_output=True, text=True, timeout=120, check=False)
     assert said.stdout.split()[2:] == ["1.4.1"], said.stderr
@@ -166,7 +166,7 @@ def test_modules_are_there_when_they_are_named() -> None:
         csi5300.nothing  # type: ignore[attr-defined]
 
 
-def test_what_is_not_installed_is_said(rx: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_named(rx: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = csi5300.read(rx)
     for name, table in (("pandas", log.to_pandas), ("polars", log.to_polars), ("xarray", log.to_xarray)):
         monkeypatch.setitem(sys.modules, name, None)
@@ -220,7 +220,7 @@ signal.setitimer(signal.ITIMER_REAL, 0.5)
 try:
     globals()[work]()
 except KeyboardInterrupt:
-    # The work, in a thread of this name, ends too.
+    # The work, on a thread of this name, ends, too.
     end = time.monotonic() + 60
     while "csi5300" in threads() and time.monotonic() < end:
         time.sleep(0.01)
@@ -257,7 +257,7 @@ def a_trajectory():
     csi5300.bearings(rx, rx, trajectory=fifo, channel=108)
 
 def a_silent_writer():
-    # Somebody has the FIFO open and writes nothing.
+    # The FIFO has a writer that writes nothing.
     with open(fifo, "r+b", buffering=0):
         csi5300.read(fifo)
 
@@ -283,17 +283,17 @@ def test_a_fifo_is_read_to_the_end_of_its_writer(rx: Path, tmp_path: Path) -> No
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     whole = csi5300.read(rx)
-    # It opens the FIFO whenever it comes to it, also after the reader.
+    # It opens the FIFO at any time, possibly after the reader.
     writer = subprocess.Popen(["cp", str(rx), str(fifo)])
     log = csi5300.read(fifo)
     assert writer.wait(timeout=120) == 0
     assert len(log) == len(whole) and np.array_equal(log.csi, whole.csi, equal_nan=True)
-    with pytest.raises(csi5300.LogError, match="no regular file"):
+    with pytest.raises(csi5300.LogError, match="not a regular file"):
         csiread.Intel(str(fifo), 3, 1).read()
 
 
 def test_standard_input_is_a_log(rx: Path, tmp_path: Path) -> None:
-    # Whatever files there are.
+    # Other files do not matter.
     (tmp_path / "-").write_bytes(b"")
     for log in ("csi5300.read('-')", "next(csi5300.scan('-'))"):
         count = f"import csi5300; log = {log}; print(len(log), log.info['name'])"

@@ -1,4 +1,4 @@
-"""Exports as other programs read them: each value against the log's own arrays."""
+"""Exports as other programs read them: each value compared with the log's own arrays."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_mat_in_octave(path: Path, tmp_path: Path) -> None:
     said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     said.check_returncode()
     classes: dict[Any, str] = {np.float32: "single", np.float64: "double"}
-    # Octave leaves out a size of 1 at the end.
+    # Octave drops a trailing dimension of size 1.
     sizes = [30, log.streams, len(log.antennas), len(log)]
     expected = [f"single [{' '.join(map(str, sizes))}]", f"uint8 [6 {len(log)}]"]
     expected += [f"{classes.get(dtype, np.dtype(dtype).name)} [1 {len(log)}]" for dtype in TYPES.values()]

@@ -14,7 +14,7 @@ from conftest import CSITOOL
 from oracle import by_antenna, packets
 
 
-def test_every_field_is_the_records(rx: Path) -> None:
+def test_every_field_equals_the_records(rx: Path) -> None:
     log = csi5300.read(rx)
     no_noise = np.ma.getmaskarray(log.noise)
     truth = list(packets(rx.read_bytes()))
@@ -31,7 +31,7 @@ def test_every_field_is_the_records(rx: Path) -> None:
     assert set(log.mac) == {"02:53:00:00:00:02"}
     assert not log.frame.mask.any() and log.antennas_known.all()
     assert list(log.subcarriers[[0, 14, 15, 29]]) == [-28, -1, 1, 28]
-    # The logger was killed: the fixture ends in the middle of a record.
+    # The logger was killed: the fixture ends inside a record.
     assert not log.lost_something and log.losses == [] and log.tail == {"offset": 65473, "bytes": 63, "expected": 233}
 
 
@@ -45,11 +45,11 @@ def test_the_clock_is_unwrapped(rx: Path) -> None:
 
 
 @pytest.mark.parametrize("path", CSITOOL, ids=lambda path: path.name)
-def test_real_logs_are_as_the_oracle_reads_them(path: Path) -> None:
+def test_real_logs_equal_the_oracle(path: Path) -> None:
     data = path.read_bytes()
     log = csi5300.read(path)
     scaled = log.scaled()
-    # Long logs in some 300 places: the oracle is slow.
+    # Long logs at about 300 places: the oracle is slow.
     for k in range(0, len(log), max(1, len(log) // 300)):
         packet = next(packets(data, int(log.offset[k])))
         assert packet.offset == log.offset[k] and packet.timestamp_low == log.timestamp_low[k]
@@ -68,7 +68,7 @@ def test_real_logs_are_as_the_oracle_reads_them(path: Path) -> None:
             assert np.sort_complex(ours) == pytest.approx(np.sort_complex(theirs.ravel()), rel=1e-5, abs=1e-6)
 
 
-def test_sources_are_one_log(rx: Path) -> None:
+def test_all_sources_give_the_same_log(rx: Path) -> None:
     data = rx.read_bytes()
     log = csi5300.read(rx)
     with open(rx, "rb") as file:
@@ -93,7 +93,7 @@ def test_filters(rx: Path) -> None:
             csi5300.read(rx, **wrong)  # type: ignore[arg-type, unused-ignore]
 
 
-def test_pieces_are_the_whole(rx: Path) -> None:
+def test_pieces_add_up_to_the_whole(rx: Path) -> None:
     log = csi5300.read(rx)
     pieces = list(csi5300.scan(rx, chunk=64))
     assert [len(piece) for piece in pieces[:-1]] == [64] * (len(pieces) - 1)
@@ -101,7 +101,7 @@ def test_pieces_are_the_whole(rx: Path) -> None:
     assert np.array_equal(np.concatenate([piece.time_us for piece in pieces]), log.time_us)
 
 
-def test_nothing_behind_the_last_record_is_lost_in_silence(rx: Path) -> None:
+def test_losses_after_the_last_record_are_reported(rx: Path) -> None:
     whole = csi5300.read(rx)
     n, end = len(whole), int(whole.offset[-1])
     clean = rx.read_bytes()[: 2 * end - int(whole.offset[-2])]
@@ -130,7 +130,7 @@ def test_pieces_have_the_shape_of_the_whole(path: Path) -> None:
     assert np.array_equal(part.csi, log.csi[:2], equal_nan=True)
 
 
-def test_antennas_and_streams_are_as_asked_for(rx: Path) -> None:
+def test_antennas_and_streams_are_as_requested(rx: Path) -> None:
     for log in (csi5300.read(rx, antennas="CA", streams=2), next(csi5300.scan(rx, antennas="CA", streams=2, chunk=9))):
         assert (log.antennas, log.streams, log.csi.shape[1:]) == ("AC", 2, (2, 2, 30))
         assert np.isnan(log.csi[:, :, 1]).all() and log.present[:, :, 1].sum() == 0
@@ -160,7 +160,7 @@ def test_a_frame_has_one_time(rx: Path) -> None:
     assert np.array_equal(pickle.loads(pickle.dumps(part)).t, part.t)
 
 
-def test_masked_masks_choose_no_masked_frame(rx: Path) -> None:
+def test_masked_indices_select_no_masked_frame(rx: Path) -> None:
     log = csi5300.read(rx)
     masked = np.ma.masked_array(np.ones(len(log), bool), mask=np.arange(len(log)) >= 5)
     assert len(log[masked]) == 5
@@ -168,7 +168,7 @@ def test_masked_masks_choose_no_masked_frame(rx: Path) -> None:
     assert len(log[nothing < 255]) == 0 and len(log[np.ma.masked_array([3, 4], mask=[True, False])]) == 1
 
 
-def test_what_is_no_place_is_refused(rx: Path) -> None:
+def test_invalid_indices_are_refused(rx: Path) -> None:
     log = csi5300.read(rx)
     assert len(log[[]]) == 0 and len(csi5300.read(b"")[[]]) == 0
     third: Any = np.array(3)
@@ -221,7 +221,7 @@ def _decode(path: str) -> float:
     return float(np.abs(csi5300.read(path).csi).sum())
 
 
-def test_a_fork_after_reading_reads_on(rx: Path) -> None:
+def test_reading_continues_in_a_fork(rx: Path) -> None:
     here = _decode(str(rx))
     with multiprocessing.get_context("fork").Pool(2) as pool:
         assert pool.map(_decode, [str(rx)] * 4) == [here] * 4
@@ -253,7 +253,7 @@ def test_memory_is_filled_once(rx: Path) -> None:
     assert log.nbytes < log.csi.nbytes * 2
 
 
-def test_memory_is_used_again(rx: Path) -> None:
+def test_memory_is_reused(rx: Path) -> None:
     log = csi5300.read(rx)
     out = np.full(log.csi.shape, 7, np.complex64)
     assert log.scaled(out=out) is out and np.array_equal(out, log.scaled(), equal_nan=True)
@@ -267,7 +267,7 @@ def test_memory_is_used_again(rx: Path) -> None:
             log.scaled(out=array)  # type: ignore[arg-type]
 
 
-def test_a_long_log_is_what_its_pieces_are(rx: Path, tmp_path: Path) -> None:
+def test_a_long_log_equals_its_pieces(rx: Path, tmp_path: Path) -> None:
     # Several blocks of memory, with damage: read by two threads at once, and by one, step by step.
     whole = rx.read_bytes()[: int(csi5300.read(rx).offset[-1])]
     data = bytearray(whole * (20_000_000 // len(whole)))

@@ -1,4 +1,4 @@
-"""Options that the command line has: all of them by name, and where antenna and camera are on the robot."""
+"""Python has every option of the command line; positions of antenna and camera on the robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 Poses = NDArray[np.float64]
 OUTPUT = {"bag", "color", "help", "json", "quiet", "verbose", "force", "profile", "grid", "plot"}
 OUTPUT |= {"place", "transmitters", "frame", "stretches"}
-"""What is read from recordings, printed and drawn: arrays, attributes and methods in Python; and what is of captures."""
+"""Options about recordings, printing and pictures, for which Python has arrays, attributes and methods; and options of captures."""
 OFFSET, MOUNT = (0.05, 0.16, 0.0), (0.04, 0.17, -1.5)
 
 
@@ -44,7 +44,7 @@ def test_bearings_has_every_option_of_the_command_line(program: str) -> None:
 
 
 def _camera(path_csv: Path) -> Poses:
-    """The fixture's circle with headings along it, and a drift of positions to one side."""
+    """The fixture's circle with headings along it, and a sideways drift of positions."""
     track = csi5300.read_trajectory(path_csv)
     steps = np.gradient(track[:, 1:3], axis=0)
     moving = np.hypot(*steps.T) > 1e-6
@@ -75,7 +75,7 @@ def _antenna(camera: Poses, mount: tuple[float, ...] | None, offset: tuple[float
 
 
 @pytest.mark.parametrize("mount", [None, MOUNT])
-def test_the_antenna_is_where_it_was_said_to_be(rx: Path, tx: Path, path_csv: Path, mount: tuple[float, ...] | None) -> None:
+def test_the_antenna_is_at_the_given_offset(rx: Path, tx: Path, path_csv: Path, mount: tuple[float, ...] | None) -> None:
     camera = _camera(path_csv)
     common: dict[str, Any] = {"channel": 108, "without": "near-field"}
     (said,) = csi5300.bearings(rx, tx, trajectory=camera, antenna_offset=OFFSET, camera_mount=mount, **common)
@@ -85,7 +85,7 @@ def test_the_antenna_is_where_it_was_said_to_be(rx: Path, tx: Path, path_csv: Pa
     assert abs(said.azimuth_deg - bare.azimuth_deg) > 0.01 or said.azimuth_sd_deg != bare.azimuth_sd_deg
 
 
-def test_what_cannot_be_mounted_is_refused(rx: Path, tx: Path, path_csv: Path) -> None:
+def test_invalid_mounts_are_refused(rx: Path, tx: Path, path_csv: Path) -> None:
     def run(**options: Any) -> None:
         csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, **options)
 
@@ -117,7 +117,7 @@ def test_stretches_refusals_and_plans(rx: Path, tx: Path, path_csv: Path) -> Non
     assert not refused and refused.error and "refused" in refused.error and np.isnan(refused.azimuth_deg)
 
 
-def test_captures_are_mounted_too(tmp_path: Path, path_csv: Path) -> None:
+def test_captures_use_the_mount(tmp_path: Path, path_csv: Path) -> None:
     shutil.copytree(CIRCLE, tmp_path / "tree")
     camera = _camera(path_csv)
     rows = np.column_stack([camera[:, 0], np.zeros(len(camera)), camera[:, 1:]])
@@ -140,7 +140,7 @@ def test_captures_are_mounted_too(tmp_path: Path, path_csv: Path) -> None:
             csi5300.evaluate(tmp_path / "tree", trajectory=trajectory, **wrong)
 
 
-def test_mounted_captures_have_the_programs_numbers(captures: Path, program: str) -> None:
+def test_mounted_captures_give_the_programs_numbers(captures: Path, program: str) -> None:
     if not (captures / "wsr").is_dir():
         pytest.skip("no captures of the WSR data set")
     numbers = [",".join(str(number) for number in numbers) for numbers in (MOUNT, OFFSET)]

@@ -1,5 +1,5 @@
-"""Every shared log as csiread and CSIKit read it. Both take 18 bytes of the WSR layout's header for CSI, so they are given the same records
-without these; CSIKit runs in an interpreter of its own (CSIKIT_PYTHON: it fails with NumPy 2) and is slow, so it is given fewer."""
+"""Compares every shared log with csiread's and CSIKit's reading. Both read 18 bytes of the WSR layout's header as CSI, so they get the
+same records without these; CSIKit runs in its own interpreter (CSIKIT_PYTHON: it fails with NumPy 2) and is slow, so it gets fewer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from conftest import CAPTURES
 from numpy.typing import NDArray
 
-# By name: whoever adds captures, or names a folder with more, compares these and no others.
+# By name, so that new captures, or a folder with more, do not change the comparison.
 LOGS = sorted(log for folder in ("csitool", "paper", "wsr") for log in (CAPTURES / folder).rglob("*.dat"))
 FEW = 100
 CSIKIT = """
@@ -28,7 +28,7 @@ for log in sys.argv[1:]:
 
 
 def _stock(log: csi5300.Log, data: bytes, out: Path, most: int | None = None) -> None:
-    """The log's records in the stock layout, without anything between them."""
+    """The log's records in the stock layout, and nothing else."""
     records = []
     for at in log.offset[:most].tolist():
         length = int.from_bytes(data[at : at + 2], "big")
@@ -40,7 +40,7 @@ def _stock(log: csi5300.Log, data: bytes, out: Path, most: int | None = None) ->
 
 
 def _by_antenna(log: csi5300.Log, csi: NDArray[np.complex64]) -> NDArray[np.complex64]:
-    """(n, 30, 3, 3): subcarrier, antenna, stream; 0 where there is none."""
+    """(n, 30, 3, 3): subcarrier, antenna, stream; 0 for missing values."""
     out = np.zeros((len(log), 30, 3, 3), np.complex64)
     rows = ["ABC".index(letter) for letter in log.antennas]
     out[:, :, rows, : log.streams] = np.nan_to_num(csi).transpose(0, 3, 1, 2)
@@ -59,7 +59,7 @@ def test_csiread(path: Path, tmp_path: Path) -> None:
         assert np.array_equal(getattr(other, name), own), name
     for column, name in enumerate(("rssi_a", "rssi_b", "rssi_c")):
         assert np.array_equal(getattr(other, name), log.rssi[:, column]), name
-    # Where antenna_sel is no permutation csiread writes chains over each other (docs/guides/python.md).
+    # If antenna_sel is not a permutation, csiread writes chains over each other (docs/guides/python.md).
     known = log.antennas_known
     assert known.mean() > 0.5 and np.array_equal(_by_antenna(log, log.csi)[known], other.csi[known])
     heard = known & (log.rssi.sum(axis=1) > 0) & np.isfinite(log.scale)
@@ -81,13 +81,13 @@ def test_csikit(captures: Path, tmp_path: Path) -> None:
     compared = 0
     for copy, log in logs.items():
         theirs = list(np.load(f"{copy}.npz").values())
-        # It leaves out what begins within the last 100 bytes.
+        # It skips records that begin within the last 100 bytes.
         assert len(theirs) in (len(log[:FEW]), len(log[:FEW]) - 1)
         for k, csi in enumerate(theirs):
             if not log.antennas_known[k]:
                 continue
             rows = [log.antennas.index("ABC"[antenna]) for antenna in log.antenna_order[k].compressed()]
-            # Of three chains by antenna; of fewer as they are.
+            # Three chains by antenna; fewer in their own order.
             rows = sorted(rows) if len(rows) == 3 else rows
             assert np.array_equal(csi.transpose(1, 2, 0), log.csi[k][rows][:, : log.n_tx[k]]), (copy, k)
             compared += 1

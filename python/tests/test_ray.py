@@ -1,4 +1,4 @@
-"""Many captures: on threads, on Ray's own cluster utility with several nodes, and with a node killed in the middle."""
+"""Many captures: on threads, on Ray's own cluster utility with several nodes, and with a node killed during the work."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def cluster() -> Iterator[Any]:
 
 @pytest.fixture
 def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A bucket of a server that speaks S3, in this process; who is started later finds it by the environment."""
+    """A bucket of an S3 server in this process; later processes find it by the environment."""
     s3fs, server = pytest.importorskip("s3fs"), pytest.importorskip("moto.server")
     made = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     made.start()
@@ -52,7 +52,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
     monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
     s3fs.S3FileSystem.clear_instance_cache()
-    # What one server kept the next one of this process has, too.
+    # Buckets of an earlier server in this process persist.
     s3fs.S3FileSystem().mkdir(f"wifi-{port}")
     yield f"s3://wifi-{port}"
     s3fs.S3FileSystem.clear_instance_cache()
@@ -60,7 +60,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 
 def _without_texts(result: csi5300.Evaluation) -> list[dict[str, Any]]:
-    """Rows but for the words of their errors, which name folders."""
+    """Rows without the text of their errors, which names folders."""
     return [{**row, "error": bool(row.get("error"))} for row in _rows(result)]
 
 
@@ -68,7 +68,7 @@ def _rows(result: csi5300.Evaluation) -> list[dict[str, Any]]:
     return json.loads(json.dumps(result.rows))  # type: ignore[no-any-return]
 
 
-def test_threads_give_what_evaluate_gives(tree: Path) -> None:
+def test_threads_give_the_same_rows_as_evaluate(tree: Path) -> None:
     whole = csi5300.evaluate(tree)
     result = csi5300.ray.evaluate(tree, use_ray=False, workers=2)
     assert _rows(result) == _rows(whole) and len(result) == 6
@@ -86,7 +86,7 @@ def test_a_sweep_is_the_product(tree: Path) -> None:
         csi5300.ray.evaluate(tree, use_ray=False, nonsense=1)
 
 
-def test_files_from_elsewhere(tree: Path) -> None:
+def test_remote_files(tree: Path) -> None:
     fsspec = pytest.importorskip("fsspec")
     memory = fsspec.filesystem("memory")
     memory.put(str(tree), "/bucket/data", recursive=True)
@@ -136,7 +136,7 @@ def test_conversion(tree: Path, tmp_path: Path) -> None:
     assert sum((table["time_us"].to_pylist() for table in tables), []) == log.time_us.tolist()
 
 
-def test_conversion_tells_what_was_lost(tmp_path: Path) -> None:
+def test_conversion_reports_losses(tmp_path: Path) -> None:
     data = (CIRCLE / f"csi_rx_{STAMP}.dat").read_bytes()
     log = csi5300.read(data)
     (tmp_path / "garbage.dat").write_bytes(b"It was a dark and stormy night. " * 20)
@@ -153,7 +153,7 @@ def test_conversion_tells_what_was_lost(tmp_path: Path) -> None:
     assert list(errors) == ["garbage.dat"] and "another kind of file" in errors["garbage.dat"]
 
 
-def test_a_conversion_done_again_counts_once(tree: Path, tmp_path: Path) -> None:
+def test_a_repeated_conversion_counts_once(tree: Path, tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet")
     out = tmp_path / "out"
     csi5300.ray.convert(tree, out, chunk=100, use_ray=False)
@@ -177,7 +177,7 @@ def _shape(file: str) -> bytes:
     return shape
 
 
-def test_a_conversion_is_one_table(captures: Path, tmp_path: Path) -> None:
+def test_a_conversion_reads_as_one_table(captures: Path, tmp_path: Path) -> None:
     pl, dataset, duckdb = (pytest.importorskip(name) for name in ("polars", "pyarrow.dataset", "duckdb"))
     for scaled, values in ((False, pl.Int8), (True, pl.Float32)):
         out = tmp_path / f"scaled={scaled}"

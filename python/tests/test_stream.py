@@ -1,4 +1,4 @@
-"""Live records from a room that the program serves, while two robots sound each other in it; CSI5300_PROGRAM names it."""
+"""Live records from a room served by the program, in which two robots sound each other; CSI5300_PROGRAM names it."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def room(tmp_path: Path) -> Iterator[str]:
     command = [program, "simulate", str(tmp_path / "scene.toml"), "--serve", "--socket", str(socket)]
     respond = [program, "respond", "--room", f"{socket}#tx", "--peers", "02:53:00:00:00:00"]
     sound = [program, "sound", "--room", f"{socket}#rx", "--peers", "02:53:00:00:00:01", "--alone", "--rate", "25"]
-    # A shared machine is late now and then: the slots have room.
+    # A shared machine is sometimes late: the slots have room.
     sound += ["--guard", "4000", "--turn-around", "8000"]
     with contextlib.ExitStack() as stack:
         served = stack.enter_context(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
         stack.callback(served.terminate)
         assert served.stderr is not None
-        # It says so once it listens.
+        # It prints a line once it listens.
         for _ in served.stderr:
             if socket.exists():
                 break
@@ -76,9 +76,9 @@ def test_async(room: str) -> None:
     assert asyncio.run(count()) > 10
 
 
-def test_a_close_ends_the_waits_of_others(room: str) -> None:
+def test_closing_ends_other_threads_waits(room: str) -> None:
     with csi5300.Stream(room) as first:
-        # All that comes; from the end of the room on nobody waits, so it is closed long before.
+        # Reads everything; the room's end would end the wait, so it is closed long before.
         stream = csi5300.Stream(room, macs="02:53:00:00:00:77")
         ends: list[str] = []
 
@@ -95,7 +95,7 @@ def test_a_close_ends_the_waits_of_others(room: str) -> None:
         threads = [threading.Thread(target=work) for work in (reads, iterates)]
         for thread in threads:
             thread.start()
-        # Counting needs no turn of those who wait.
+        # Counting does not need the readers' lock.
         assert stream.info["survey"]["records"] >= 0 and not stream.ended
         stream.close()
         for thread in threads:
@@ -103,7 +103,7 @@ def test_a_close_ends_the_waits_of_others(room: str) -> None:
         assert sorted(ends) == ["over", "the stream is closed"] and not first.ended
 
 
-def test_a_close_ends_the_waits_of_tasks(room: str) -> None:
+def test_closing_ends_tasks_waits(room: str) -> None:
     async def count(stream: csi5300.Stream) -> int:
         return sum([len(log) async for log in stream])
 
@@ -119,7 +119,7 @@ def test_a_close_ends_the_waits_of_tasks(room: str) -> None:
     assert asyncio.run(run()) == ([0, 0], True)
 
 
-def test_a_wait_without_frames_is_told(room: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wait_without_frames_gives_a_hint(room: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("csi5300._stream._PATIENCE_S", 0.01)
     with csi5300.Stream(room, macs="02:53:00:00:00:77") as stream:
         closing = threading.Timer(0.3, stream.close)

@@ -47,7 +47,7 @@ def test_an_empty_log_is_a_table(rx: Path) -> None:
 
 
 def _drawn(figure: Any) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Edges of the cells of the first heat map along time, and which cells are drawn."""
+    """Edges of the first heat map's cells along time, and which cells are drawn."""
     mesh = figure.axes[0].collections[0]
     cells: NDArray[np.bool_] = np.isfinite(np.ma.filled(mesh.get_array(), np.nan))
     return mesh.get_coordinates()[0, :, 0], np.logical_or.reduce(cells, axis=0)
@@ -68,10 +68,10 @@ def test_a_pause_is_white(rx: Path) -> None:
     assert is_drawn.sum() == len(log), "no frame is left out for a pause"
     edges, is_drawn = _drawn(log[::-1].plot())
     assert (np.diff(edges) > 0).all() and is_drawn.all()
-    # A slow log has no pauses, nor has one of which few frames are drawn.
+    # A slow log has no pauses, and neither has one of which few frames are drawn.
     columns["time_us"] = log.time_us * 100
     assert _drawn(csi5300.Log(log._records, columns, log.info, log.antennas).plot())[1].all()
-    # Frames without any times are drawn by their number.
+    # Frames without times are drawn by number.
     columns["time_us"] = np.full(len(log), 7)
     edges, is_drawn = _drawn(csi5300.Log(log._records, columns, log.info, log.antennas).plot())
     assert is_drawn.all() and np.allclose(np.diff(edges), 1)

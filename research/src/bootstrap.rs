@@ -6,22 +6,22 @@ use csi5300_sim::random::Stream;
 
 /// Samples of places.
 const SAMPLES: usize = 1_000;
-/// Their seed: any, the same for all.
+/// Random seed.
 const SEED: u64 = 15;
 /// Share of the samples below and above an interval.
 const OUTSIDE: f64 = 0.025;
 
-/// From where to where 95 % of the samples have a statistic.
+/// The range of a statistic for 95 % of the samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Interval {
-    /// 2.5 % of the samples have less.
+    /// 2.5 % of the samples are below it.
     pub low: f64,
-    /// 2.5 % have more.
+    /// 2.5 % are above it.
     pub high: f64,
 }
 
-/// Intervals of mean, median, 90th percentile and share over 20 degrees of absolute errors, by resampling places (with
-/// all of their errors) with replacement.
+/// Intervals of mean, median, 90th percentile and share over 20 degrees of absolute errors, by resampling places (with all their
+/// errors) with replacement.
 pub fn intervals(places: &[Vec<f64>]) -> [Interval; 4] {
     let Some(count) = u64::try_from(places.len()).ok().filter(|count| *count > 0) else {
         return [Interval::default(); 4];
@@ -40,7 +40,7 @@ pub fn intervals(places: &[Vec<f64>]) -> [Interval; 4] {
     })
 }
 
-/// Intervals of how much more mean, median and share over 20 degrees the second of two designs has than the first, on the same
+/// Intervals of the difference in mean, median and share over 20 degrees between the second of two designs and the first, on the same
 /// links: `(error of the first, error of the second)` by place.
 pub fn differences(places: &[Vec<(f64, f64)>]) -> [Interval; 3] {
     let Some(count) = u64::try_from(places.len()).ok().filter(|count| *count > 0) else {
@@ -59,7 +59,7 @@ pub fn differences(places: &[Vec<(f64, f64)>]) -> [Interval; 3] {
     })
 }
 
-/// How much more mean, median and share over 20 degrees the second of two designs has.
+/// Difference in mean, median and share over 20 degrees between the second of two designs and the first.
 pub fn difference(pairs: impl Iterator<Item = (f64, f64)>) -> [f64; 3] {
     let (first, second): (Vec<f64>, Vec<f64>) = pairs.unzip();
     let (first, second) = (Errors::of(first.into_iter()), Errors::of(second.into_iter()));
@@ -82,8 +82,7 @@ mod tests {
         let places: Vec<Vec<f64>> = (0..100).map(|_| vec![random.between(0.0, 12.0); 3]).collect();
         let mean = places.iter().map(|own| own[0]).sum::<f64>() / 100.0;
         let [own, median, ..] = intervals(&places);
-        // A uniform distribution 12 wide has a deviation of 3.46: 0.346 for the mean of a hundred places, however many
-        // copies each has.
+        // A uniform distribution 12 wide has a deviation of 3.46: 0.346 for the mean of a hundred places, however many copies each has.
         assert!(own.low < mean && mean < own.high, "{own:?} {mean}");
         assert!(((own.high - own.low) / (2.0 * 1.96 * 0.346) - 1.0).abs() < 0.2, "{own:?}");
         assert!(median.low < median.high, "{median:?}");
@@ -92,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn what_all_links_have_more_is_certain_and_what_half_of_them_have_is_not() {
+    fn a_common_growth_is_certain_and_one_of_half_the_links_is_not() {
         let mut random = Stream::of_seed(2);
         let mut places = |more: [f64; 2]| -> Vec<Vec<(f64, f64)>> {
             let place = |k: usize| (0..3).map(|_| random.between(0.0, 12.0)).map(|e| (e, e + more[k % 2])).collect();

@@ -1,4 +1,4 @@
-//! What is measured to choose the estimator: README.md.
+//! Measurements for choosing the estimator: README.md.
 
 mod bootstrap;
 mod rooms;
@@ -13,9 +13,9 @@ use std::time::Instant;
 
 type Fallible<T> = Result<T, Box<dyn Error>>;
 
-/// Trajectories that need to know nothing of the robot.
+/// Trajectories that need no knowledge of the robot.
 const SOURCES: [TrajectorySource; 2] = [TrajectorySource::GroundTruth, TrajectorySource::T265];
-/// Parts that a motion is cut into.
+/// Parts into which a motion is cut.
 const PARTS: u32 = 4;
 
 fn main() -> Fallible<()> {
@@ -43,7 +43,7 @@ fn captures(folders: &[&str]) -> Fallible<Vec<Capture>> {
     if all.is_empty() { Err("no capture with a truth there".into()) } else { Ok(all) }
 }
 
-/// The usual options; the channel is a stand-in, as each capture brings its own.
+/// The usual options; the channel is a placeholder, because each capture names its own.
 fn options() -> Fallible<Options> {
     Ok(Options::new("108".parse()?))
 }
@@ -67,7 +67,7 @@ fn set(place: &str) -> &str {
     place.split('/').next().unwrap_or_default()
 }
 
-/// Errors of each set by each trajectory, with intervals.
+/// Errors of each set with each trajectory, with intervals.
 fn folds(captures: &[Capture]) -> Fallible<()> {
     let options = options()?;
     println!("absolute error, degrees, with 95 % intervals by resampled places");
@@ -99,7 +99,7 @@ fn folds(captures: &[Capture]) -> Fallible<()> {
     Ok(())
 }
 
-/// Designs of the estimate that an option makes: what each changes, and what it costs.
+/// Designs of the estimate that options can select.
 fn named_designs(usual: Accuracy) -> Vec<(&'static str, Accuracy)> {
     let with = |change: fn(&mut Accuracy)| {
         let mut own = usual;
@@ -123,8 +123,8 @@ fn named_designs(usual: Accuracy) -> Vec<(&'static str, Accuracy)> {
     ]
 }
 
-/// Run time against error, design by design, and the difference to the usual one on the same links with 95 % intervals by
-/// resampled places. Time is of one thread, reading the files too.
+/// Run time and error of each design, and the difference to the usual one on the same links with 95 % intervals from resampled places.
+/// Time is for one thread and includes reading the files.
 fn designs(captures: &[Capture]) -> Fallible<()> {
     let usual = options()?;
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
@@ -135,7 +135,7 @@ fn designs(captures: &[Capture]) -> Fallible<()> {
         for (name, accuracy) in named_designs(usual.accuracy) {
             let own = usual.clone().with_accuracy(accuracy);
             let run = || one.install(|| evaluate(captures, source, Part::WHOLE, &own));
-            // The first run fetches the files.
+            // The first run fills the file cache.
             let rows = run();
             let began = Instant::now();
             run();
@@ -157,7 +157,7 @@ fn designs(captures: &[Capture]) -> Fallible<()> {
     draw(drawn)
 }
 
-/// Writes run time against mean error, a point for each design, as `designs.png` here.
+/// Writes run time against mean error, a point for each design, to `designs.png`.
 fn draw(sets: BTreeMap<String, Vec<(f64, f64)>>) -> Fallible<()> {
     use kuva::prelude::*;
     let colours = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
@@ -183,7 +183,7 @@ fn paired(first: &[(String, Judged)], second: &[(String, Judged)]) -> BTreeMap<S
     sets.into_iter().map(|(set, places)| (set, places.into_values().collect())).collect()
 }
 
-/// Errors of each quarter of the motions, and of all of the motion up to its end.
+/// Errors of each quarter of the motions, and of the whole motion up to its end.
 fn over_time(captures: &[Capture]) -> Fallible<()> {
     let options = options()?;
     for source in SOURCES {
@@ -208,7 +208,7 @@ fn over_time(captures: &[Capture]) -> Fallible<()> {
     Ok(())
 }
 
-/// How far answers move, and what is saved, where steps that are not needed are left out.
+/// Change of the answers, and time saved, if unneeded steps are skipped.
 fn skipping(captures: &[Capture]) -> Fallible<()> {
     let run = |effort: Effort| -> Fallible<(f64, Vec<(String, Judged)>)> {
         let mut options = options()?;

@@ -1,9 +1,9 @@
-//! Random simulated rooms with known truth, to judge bearings by without captures.
+//! Random simulated rooms with known truth, for judging bearings without captures.
 //!
-//! Each room has four walls, a receiver that drives an arc of about a metre, and three transmitters two to five metres
-//! away and up to 0.8 m higher; cards, clocks and radios are those of the built-in `lab-circle`. In half of the
-//! rooms a wall stands before every transmitter, which takes 8 to 30 dB off the straight path. Odometry (not the true
-//! trajectory) has a scale and a drifting heading.
+//! Each room has four walls, a receiver that drives an arc of about a metre, and three transmitters two to five metres away and up to
+//! 0.8 m higher; cards, clocks and radios are those of the built-in `lab-circle`. In half of the rooms a wall stands before every
+//! transmitter and attenuates the straight path by 8 to 30 dB. Odometry (not the true trajectory) has a scale error and a drifting
+//! heading.
 
 use csi5300_sim::crystal::Crystal;
 use csi5300_sim::motion::{Arc, RandomWalk, RobotMotion};
@@ -14,12 +14,12 @@ use csi5300_sim::{Room, RoomError, Scene, SceneError, write_dataset};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Folder of rooms in which nothing stands between receiver and transmitters.
+/// Folder of rooms with nothing between receiver and transmitters.
 const IN_SIGHT: &str = "rooms_LOS";
 /// Folder of rooms with walls between them.
 const BEHIND_WALLS: &str = "rooms_NLOS";
 
-/// Which room could not be written, and why.
+/// Error of writing a room.
 #[derive(Debug, thiserror::Error)]
 #[error("room {number}: {source}")]
 pub struct RoomsError {
@@ -37,7 +37,7 @@ pub fn write(folder: &Path, count: u64, seed: u64) -> Result<(), RoomsError> {
     write_each(folder, [IN_SIGHT, BEHIND_WALLS], count, seed, &scene)
 }
 
-/// The same of drives of a minute, some 15 m in all, in a random walk about the middle of the room.
+/// The same for drives of a minute, about 15 m in all, in a random walk about the middle of the room.
 ///
 /// # Errors
 /// As [`write()`].
@@ -45,7 +45,7 @@ pub fn write_drives(folder: &Path, count: u64, seed: u64) -> Result<(), RoomsErr
     write_each(folder, ["drives_LOS", "drives_NLOS"], count, seed, &drive)
 }
 
-/// What makes a scene of a seed, in sight or behind walls.
+/// Makes a scene from a seed, in line of sight or behind walls.
 type MakeScene = dyn Fn(u64, bool) -> Result<Scene, SceneError> + Sync;
 
 fn write_each(folder: &Path, sets: [&str; 2], count: u64, seed: u64, make: &MakeScene) -> Result<(), RoomsError> {
@@ -66,7 +66,7 @@ fn scene(seed: u64, in_sight: bool) -> Result<Scene, SceneError> {
     scene_with(seed, in_sight, [2.2, 5.0])
 }
 
-/// The scene of a drive: transmitters far enough away to be driven about, odometry whose heading wanders.
+/// The scene of a drive: distant transmitters, and odometry whose heading wanders.
 fn drive(seed: u64, in_sight: bool) -> Result<Scene, SceneError> {
     let mut scene = scene_with(seed, in_sight, [3.5, 5.5])?;
     scene.duration_s = 65.0;
@@ -114,7 +114,7 @@ fn scene_with(seed: u64, in_sight: bool, [nearest_m, farthest_m]: [f64; 2]) -> R
     })
 }
 
-/// As many digits after the point as a scene's text would have.
+/// Rounded to the digits of a scene's text.
 fn rounded(value: f64, digits: usize) -> f64 {
     format!("{value:.digits$}").parse().unwrap_or(value)
 }
@@ -161,7 +161,7 @@ fn transmitter(number: i32, [x, y]: [f64; 2], random: &mut Stream) -> Robot {
     }
 }
 
-/// A wall across the straight way to a transmitter `range_m` away, close to it.
+/// A wall across the straight path to a transmitter `range_m` away, close to it.
 fn screen(range_m: f64, sin: f64, cos: f64, random: &mut Stream) -> Wall {
     let at_m = range_m - random.between(0.4, 0.8);
     let (half_m, through_db) = (random.between(0.6, 1.4), random.between(8.0, 30.0));

@@ -1,21 +1,21 @@
 #!/usr/bin/env bash
-# The public items of the published crates beside the committed lists in docs/api: a change of the API shows in review.
-# `tests/checks/api.sh --write` writes the lists anew. 77: cargo-public-api cannot be installed here.
+# Compares the public items of the published crates with the committed lists in docs/reference/api, so that reviews show API changes.
+# `tests/checks/api.sh --write` rewrites the lists. 77: cargo-public-api cannot be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 version=0.52.0
 tool=target/tools/bin/cargo-public-api
 if [ "$("$tool" --version 2>/dev/null || true)" != "cargo-public-api $version" ]; then
-    # Without optimisation it is built in a third of the time, and reads these lists in a third of a second.
+    # An unoptimised build takes a third of the time, and reads these lists in a third of a second.
     CARGO_PROFILE_DEV_DEBUG=0 cargo install --quiet --locked --debug --root target/tools "cargo-public-api@$version" || { echo "cargo-public-api cannot be installed"; exit 77; }
 fi
 different=0
 for crate in driver-iface csi5300; do
-    # The list comes from rustdoc's JSON, which the compiler gives only when it is told to act as a nightly one.
+    # The list comes from rustdoc's JSON, which the stable compiler only writes with this variable.
     RUSTC_BOOTSTRAP=1 cargo rustdoc --quiet -p "$crate" --lib --target-dir target/api -- -Z unstable-options --output-format json
     found=target/api/$crate.txt
     "$tool" --rustdoc-json "target/api/doc/${crate//-/_}.json" -sss >"$found"
-    # Fields, variants and what a trait asks of a type are no items of their own.
+    # Fields, variants and required trait items are not listed separately.
     items=$(awk '
         /^impl/ { of_a_trait = / for /; next }
         /^(#\[non_exhaustive\] )?pub (struct|enum|trait|mod|use)/ { of_a_trait = 0 }

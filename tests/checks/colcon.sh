@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The package of messages (packaging/ros2/csi5300_msgs) built by colcon with ROS 2's own generators, as Debian has them. What Debian
-# lacks of ROS 2 stands in: the meta-packages of the generators, and the two messages of others that are used. 77: they cannot be
+# Builds the message package (packaging/ros2/csi5300_msgs) with colcon and ROS 2's own generators from Debian. Stand-ins replace what
+# Debian lacks of ROS 2: the generators' meta-packages, and the two messages of other packages that are used. 77: they cannot be
 # installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -10,7 +10,7 @@ install() { DEBIAN_FRONTEND=noninteractive apt-get install -y --no-remove --no-i
 if [ "$(have)" != ${#packages[@]} ]; then
     { install || { apt-get update && install; }; } >/dev/null 2>&1 || { echo "colcon and ROS 2's generators cannot be installed"; exit 77; }
 fi
-# Debian's own Python has Debian's packages.
+# Debian's packages need Debian's own Python.
 export PATH=/usr/bin:/bin:$PATH
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
@@ -55,7 +55,7 @@ share=install/csi5300_msgs/share/csi5300_msgs
 for file in msg/Bearing.msg msg/Csi.msg msg/Bearing.idl launch/csi5300.launch.py rviz/csi5300.rviz package.xml; do
     [ -e "$share/$file" ] || { echo "$share/$file is not installed"; exit 1; }
 done
-# The structures that the generators made are used as a program would.
+# Uses the generated structures as a program would.
 cat >use.cpp <<'CPP'
 #include <csi5300_msgs/msg/bearing.hpp>
 #include <csi5300_msgs/msg/csi.hpp>
@@ -74,4 +74,4 @@ for library in /usr/include/rosidl_* /usr/include/rcutils; do includes+=(-I "$li
 for name in csi5300_msgs std_msgs builtin_interfaces; do includes+=(-I "install/$name/include/$name" -I "install/$name/include"); done
 g++ -std=c++17 "${includes[@]}" use.cpp -o use
 ./use
-echo "csi5300_msgs is built by colcon; what is generated of it compiles"
+echo "colcon builds csi5300_msgs; the generated code compiles"

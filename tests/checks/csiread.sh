@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Raw and scaled CSI against csiread from PyPI, over the stock-layout captures. Exit status 77: cannot run here.
+# Compares raw and scaled CSI with csiread from PyPI, over the captures of the stock layout. Exit status 77: cannot run here.
 set -u
 cd "$(dirname "$0")/../.."
 command -v python3 >/dev/null || { echo "no python3"; exit 77; }

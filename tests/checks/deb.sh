@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# The .deb of the programs that the README's main command built: made, unpacked, and tried as it lies there.
+# Makes the .deb of the programs that the README's main command built, unpacks it, and tries it in place.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 command -v dpkg-deb >/dev/null || { echo "no dpkg-deb: no Debian"; exit 77; }
-# As `cargo run` builds it, so that nothing is built twice.
+# Built as by `cargo run`, so that nothing is built twice.
 cargo build --quiet --release --bin csi5300
 cargo build --quiet --release --package csi5300-node
 folder=$(mktemp -d)
@@ -16,7 +16,7 @@ root=$folder/root
 
 "$root/usr/bin/csi5300" --version
 "$root/usr/bin/csi5300-node" --version
-# Every documented command has its page and its completion.
+# Every documented command has a manual page and a completion.
 commands=$("$root/usr/bin/csi5300" --help | sed -n '/^Commands:/,/^$/p' | awk '/^  [a-z]/ { print $1 }' | grep -v '^help$')
 for command in $commands; do
     [ -s "$root/usr/share/man/man1/csi5300-$command.1.gz" ] || { echo "no manual page of $command"; exit 1; }
@@ -31,9 +31,9 @@ bash -euc '
     _csi5300 csi5300 --ante bearing
     [[ " ${COMPREPLY[*]} " == *" --antenna "* ]] || { echo "bash completes --ante to: ${COMPREPLY[*]}"; exit 1; }
 ' bash "$root"
-# What the unit runs is where the package puts it.
+# The unit runs the program where the package installs it.
 grep -q '^ExecStart=/usr/bin/csi5300-node ' "$root/usr/lib/systemd/system/csi5300-node.service"
-# Its example of a configuration is good, but for what this build of the program lacks.
+# Its example configuration is valid, except for features that this build lacks.
 "$root/usr/bin/csi5300" node --config "$root/usr/share/doc/csi5300/examples/robot.toml" --check >/dev/null 2>"$folder/said" ||
     ! grep -v 'needs a program built with' "$folder/said" || { echo "the example is refused"; exit 1; }
 if command -v lintian >/dev/null; then lintian --fail-on error "$deb"; fi

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Licences and duplicates of the crates of all features, against deny.toml; advisories where cargo-deny is installed and can get its database.
+# Checks licences and duplicates of the crates of all features against deny.toml; advisories if cargo-deny is installed and its database available.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 python3 -c 'import tomllib' 2>/dev/null || { echo "no Python 3.11 or newer"; exit 77; }

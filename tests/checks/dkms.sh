@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The package of the kernel module, by dpkg and DKMS themselves: built for the headers that are installed (whatever kernel runs),
-# installed, and removed again without a trace. Exit status 77: cannot run here, the last line says why.
+# Installs the kernel module's package with dpkg and DKMS: built for the installed headers (whatever kernel runs), installed, and
+# removed without a trace. Exit status 77: cannot run here; the last line says why.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 check="DKMS"
@@ -12,10 +12,10 @@ trap 'rm -rf "$folder"' EXIT
 quietly packaging/dkms/build.sh "$folder" || { echo "the package is not made"; exit 1; }
 deb=$(echo "$folder"/csi5300-dkms_*_all.deb)
 version=$(dpkg-deb --field "$deb" Version)
-# What it installs builds by itself, DKMS or not.
+# The installed sources also build without DKMS.
 dpkg-deb --extract "$deb" "$folder/root"
 quietly make -C "$folder/root/usr/src/csi5300-$version" KDIR="/usr/src/linux-headers-$V" || { echo "the package's module does not build"; exit 1; }
-# A module or package that somebody uses on this machine is left alone.
+# Leaves a module or package that this machine uses alone.
 [ ! -e /sys/module/csi5300 ] || cannot "the module is loaded on this machine"
 ! dpkg-query -W -f '${Status}' csi5300-dkms 2>/dev/null | grep -q "^install" || cannot "the package is installed on this machine"
 [ "$(id -u)" = 0 ] || cannot "installing a package needs root"

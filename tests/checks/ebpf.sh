@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Builds the eBPF program from its source with Debian's clang-14 and holds the committed object equal to it, byte by byte.
-# With --write it is written anew. The program itself runs in tests/checks/stock.sh (tests/kernel/stock/40-ebpf.sh).
-# Exit status 77: cannot run here, the last line says why.
+# Builds the eBPF program from its source with Debian's clang-14 and compares it with the committed object, byte by byte.
+# --write replaces the object. tests/checks/stock.sh (tests/kernel/stock/40-ebpf.sh) runs the program.
+# Exit status 77: cannot run here; the last line says why.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 place=$PWD/target/ebpf
@@ -17,7 +17,7 @@ clang=$(command -v clang-14 || true)
 if [ -z "$clang" ]; then
     clang=$place/unpacked/usr/lib/llvm-14/bin/clang
     if [ ! -x "$clang" ]; then
-        # Unpacked, not installed; libraries that this machine has are downloaded all the same.
+        # Unpacks the packages without installing them; also downloads libraries that this machine already has.
         command -v apt-get >/dev/null && command -v dpkg-deb >/dev/null || cannot "neither clang-14 nor apt-get is installed"
         rm -rf "$place/debs" "$place/unpacked"
         mkdir -p "$place/debs" "$place/unpacked"
@@ -32,7 +32,7 @@ if [ -z "$clang" ]; then
 fi
 version=$("$clang" --version | head -n 1)
 
-# The source's name is in the object, so it is compiled from its own folder.
+# The object contains the source's name, so it is compiled in its own folder.
 mkdir -p "$place"
 (cd driver-iface/bpf && "$clang" -target bpfel -mcpu=v2 -O2 -Wall -Wextra -Werror -ffreestanding -nostdinc -fno-ident -fno-addrsig \
     -c csi5300.bpf.c -o "$place/csi5300.bpf.o")
@@ -40,7 +40,7 @@ if [ "${1:-}" = --write ]; then
     cp "$place/csi5300.bpf.o" driver-iface/bpf/csi5300.bpf.o
 fi
 cmp "$place/csi5300.bpf.o" driver-iface/bpf/csi5300.bpf.o || {
-    printf 'driver-iface/bpf/csi5300.bpf.o is not what %s makes of its source: tests/checks/ebpf.sh --write\n' "$version"
+    printf 'driver-iface/bpf/csi5300.bpf.o differs from what %s builds: run tests/checks/ebpf.sh --write\n' "$version"
     exit 1
 }
-printf '%s: the object of %s bytes is that of its source\n' "$version" "$(stat -c %s driver-iface/bpf/csi5300.bpf.o)"
+printf '%s: the object of %s bytes matches its source\n' "$version" "$(stat -c %s driver-iface/bpf/csi5300.bpf.o)"

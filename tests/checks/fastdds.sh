@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# The node of ROS 2 beside Fast DDS, the default of Humble and Jazzy: tests/checks/ros2/fastdds.cpp is compiled against Debian's
-# package. Three ways of being found: its defaults with a network card beside loopback, as most robots have it (in a network
-# namespace, where one can be made), loopback only as Humble does it, and without multicast as from Iron on. 77: it cannot be
-# installed here.
+# The ROS 2 node with Fast DDS, the default of Humble and Jazzy: compiles tests/checks/ros2/fastdds.cpp against Debian's package. Tests
+# three ways of discovery: defaults with a network card besides loopback, as on most robots (in a network namespace, if one can be
+# made); loopback only, as in Humble; and without multicast, as from Iron on. 77: it cannot be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 headers=/usr/include/fastdds/dds/domain/DomainParticipant.hpp
@@ -26,7 +25,7 @@ ways=(localhost)
 if ip netns add "$space" 2>/dev/null && ip -n "$space" link set lo up multicast on 2>/dev/null; then
     inside=(ip netns exec "$space")
     ways=(localhost range default)
-    # A network card that leads nowhere: Fast DDS names its address, and not loopback's.
+    # A network card that leads nowhere: Fast DDS announces its address instead of loopback's.
     if ip -n "$space" link add card type veth peer name other 2>/dev/null; then
         ip -n "$space" address add 192.0.2.5/24 dev card
         ip -n "$space" link set card up multicast on

@@ -1,6 +1,6 @@
-"""Logs of other cards as csi-formats reads them, element by element beside CSIKit and csiread.
+"""Compares csi-formats' reading of other cards' logs with CSIKit and csiread, element by element.
 
-formats.py PROGRAM FOLDER: PROGRAM prints a line a frame (crates/csi-formats/examples/frames.rs).
+formats.py PROGRAM FOLDER: PROGRAM prints one line per frame (crates/csi-formats/examples/frames.rs).
 """
 import os
 import subprocess
@@ -13,7 +13,7 @@ failed = []
 
 
 def ours(name):
-    """Frames of a log: what is known as words, CSI of shape (rx, tx, subcarrier)."""
+    """Frames of a log: known fields as text, CSI of shape (rx, tx, subcarrier)."""
     lines = subprocess.run([program, os.path.join(folder, name), "--csi"], check=True, capture_output=True, text=True).stdout
     for line in lines.splitlines():
         words = line.split()
@@ -31,7 +31,7 @@ def report(name, oracle, compared, wrong, remark=""):
 
 
 def compare(name, oracle, theirs, mine=lambda csi: csi, remark=""):
-    """`theirs` are arrays of (rx, tx, subcarrier), one a frame, None where the oracle has none."""
+    """`theirs` are arrays of (rx, tx, subcarrier), one per frame, None where the oracle has none."""
     frames = list(ours(name))
     pairs = [(mine(csi), other) for (_, csi), other in zip(frames, theirs) if other is not None]
     wrong = sum(a.shape != np.shape(b) or not np.allclose(a, b) for a, b in pairs)
@@ -70,7 +70,7 @@ def nexmon():
     for file, chip in (("example_43455c0.pcap", "43455c0"), ("example_4358.pcap", "4358")):
         name = f"nexmon/{file}"
         reader = NEXBeamformReader(fill_skipped_frames=False)
-        # One frame a datagram, as here: CSIKit's own batches lose what comes after a change of sequence number.
+        # One frame per datagram, as in csi-formats: CSIKit's own batches lose frames after a change of sequence number.
         frames = []
         from CSIKit.reader.readers.read_pcap import Pcap
         pcap = Pcap(os.path.join(folder, name))
@@ -91,7 +91,7 @@ def nexmon():
 
 def esp32():
     from CSIKit.reader import CSVBeamformReader
-    # CSIKit has the first number, which is the imaginary part (ESP-IDF), as the real one.
+    # CSIKit takes the first number, which is the imaginary part (ESP-IDF), for the real one.
     swapped = lambda csi: csi.imag + 1j * csi.real
     data = CSVBeamformReader().read_file(os.path.join(folder, "esp32/example_data.csv"))
     theirs = [frame.csi_matrix.reshape(1, 1, -1) for frame in data.frames]
@@ -109,7 +109,7 @@ def atheros():
     theirs = csiread.Atheros(os.path.join(folder, name), nrxnum=3, ntxnum=2, tones=56, if_report=False)
     theirs.read()
     frames = list(ours(name))
-    # csiread fills [rx][tx] with tx fastest; the tool's own reader (read_csi.c) and CSIKit have rx fastest.
+    # csiread fills [rx][tx] with tx fastest; in the tool's own reader (read_csi.c) and CSIKit rx is fastest.
     arrays = [
         csi[:, :nr, :nc].reshape(-1, nc, nr).transpose(2, 1, 0) for csi, nr, nc in zip(theirs.csi, theirs.nr, theirs.nc)
     ]
@@ -125,7 +125,7 @@ def atheros():
 
 
 def picoscenes():
-    # CSIKit's reader, element by element, without its frames (which fail with NumPy of today: `np.complex`).
+    # CSIKit's reader, element by element, without its frames (which fail with current NumPy: `np.complex`).
     np.complex = complex
     from CSIKit.reader.readers.read_pico import PicoScenesBeamformReader as Reader
     from CSIKit.reader.readers.pico.AbstractPicoScenesFrameSegment import AbstractPicoScenesFrameSegment as Segment
@@ -149,7 +149,7 @@ def picoscenes():
             if csi is not None:
                 array = csi.parsed_csi.transpose(1, 2, 0)
                 if csi.deviceType == 0x5300 and csi.numRx == 3:
-                    # CSIKit brings three chains of a 5300 into the order of antennas: back to the card's.
+                    # CSIKit sorts three chains of a 5300 by antenna: back to the card's order.
                     array = array[[csi.antSelByte >> shift & 3 for shift in (0, 2, 4)]]
                 theirs.append(array)
         compare(name, "CSIKit", theirs)

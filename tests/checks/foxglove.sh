@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# A running node, watched by a websocket client as Foxglove's viewers are one. 77: the client cannot be installed here.
+# A running node with a websocket client like Foxglove's viewers. 77: the client cannot be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 python=$(scripts/venv.sh websockets protobuf 2>/dev/null) || { echo "no Python, or websockets cannot be installed"; exit 77; }
@@ -33,7 +33,7 @@ TOPICS = {
     "/csi/burger": "CsiRow", "/counters/burger": "Counters", "/tf": "FrameTransform", "/pose": "PoseInFrame",
     "/trajectory": "PosesInFrame", "/bearing/tx": "PoseInFrame", "/aoa_profile/tx": "LaserScan",
 }
-# Comes where a bearing has a mirror.
+# Only if a bearing has a mirror.
 SOMETIMES = {"/mirror/tx": "PoseInFrame"}
 
 def message_of(schema, name):
@@ -41,7 +41,7 @@ def message_of(schema, name):
     pool = descriptor_pool.DescriptorPool()
     left = list(files.file)
     while left:
-        # In the order that their imports ask for.
+        # In the order of their imports.
         ready = [f for f in left if all(d not in {o.name for o in left} for d in f.dependency)]
         for file in ready:
             pool.Add(file)
@@ -111,7 +111,7 @@ def bearings_said():
     lines = [json.loads(line) for line in open(sys.argv[2]) if line.endswith("\n")]
     return [l for l in lines if l["state"] == "bearing"]
 
-# A bearing's line is written beside its message, a little later on a busy machine.
+# A bearing's line is written after its message, later on a busy machine.
 for _ in range(600):
     said = bearings_said()
     if len(said) >= len(got["/bearing/tx"]):
@@ -135,16 +135,16 @@ for at, scan in got["/aoa_profile/tx"][:4]:
     step = (scan.end_angle - scan.start_angle) / 359
     peak = math.degrees(scan.start_angle + step * list(scan.ranges).index(1.0))
     assert any(apart(peak, l["azimuth_deg"]) < 12 for l in said), peak
-    # In the robot's frame: turned back by its heading. With a place the body azimuth is seen from elsewhere.
+    # Body azimuths are relative to the heading. With a place, they are seen from another point.
     own = degrees(dict(got["/bearing/tx"])[at].pose.orientation)
     heading = -degrees(scan.pose.orientation)
-    # Bearings on the coarse grid can say one azimuth twice, from two headings.
+    # On the coarse grid two headings can give the same azimuth.
     lines = [l for l in said if apart(own, l["azimuth_deg"]) < 1e-6]
     fits = lambda l: l["azimuth_body_deg"] is None or apart(heading, l["azimuth_deg"] - l["azimuth_body_deg"]) < 1e-6
     assert any(l["position_m"] is not None or fits(l) for l in lines), (heading, lines)
 print(f"{sum(map(len, got.values()))} messages on {sum(map(bool, got.values()))} topics, {len(mirrors)} mirrors; bearing {azimuth:.2f} deg")
 PYTHON
-# On a slow machine the run of the scene, and the node with it, is over by then.
+# On a slow machine the scene, and the node with it, has ended by then.
 kill "$node" 2>/dev/null || true
 wait "$node" || [ $? = 3 ] || { cat "$folder/said"; exit 1; }
 node=

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Boots Debian's kernel in QEMU and runs tests/kernel/guest/*.sh in it; see tests/kernel/README.md.
-# Exit status 77: cannot run here, the last line says why.
+# Exit status 77: cannot run here; the last line says why.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 check="kernel tests"
@@ -15,10 +15,10 @@ static_binaries "$tree"
 boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 460
 [ "$status" = 33 ] || exit 1
 
-# The logs of the guest's robots, read once more here: the same pairs, by the same test and by `info`.
+# Reads the logs of the guest's robots again on the host: the same pairs, by the same test and by `info`.
 rm -rf "$place/out"
 mkdir "$place/out"
-# The guest and the host tell the time apart by seconds.
+# The guest's and the host's clocks differ by seconds.
 tar -xzmf "$place/out.tar.gz" -C "$place/out"
 for links in "$place"/out/*/links; do
     cd "${links%/*}"

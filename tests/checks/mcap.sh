@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What `csi5300 mcap` writes, read by the Python mcap reader. 77: it cannot be installed here.
+# Reads what `csi5300 mcap` writes with the Python mcap reader. 77: it cannot be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 python=$(scripts/venv.sh mcap mcap-ros2-support 2>/dev/null) || { echo "no Python, or mcap cannot be installed"; exit 77; }
@@ -38,7 +38,7 @@ assert len(bearing) == 1 and messages[bearing[0]][0][0] == "geometry_msgs/msg/Po
 q = messages[bearing[0]][0][1].pose.orientation
 azimuth = math.degrees(2 * math.atan2(q.z, q.w))
 scan = messages[bearing[0].replace("bearing", "aoa_profile")][0][1]
-# About the middle of the motion, from the bearing on.
+# Around the middle of the motion, from the bearing on.
 assert scan.header.frame_id == bearing[0].lstrip("/"), scan.header
 peak = math.degrees(scan.angle_min + scan.angle_increment * max(range(len(scan.ranges)), key=lambda k: scan.ranges[k]))
 assert abs(peak) < 10 and max(scan.ranges) == 1.0, peak

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The oldest compiler that Cargo.toml declares (`rust-version`) builds the library and the program.
-# 77: there is no rustup here, or it cannot fetch that compiler.
+# 77: there is no rustup here, or it cannot download that compiler.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 oldest=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
@@ -11,6 +11,6 @@ if ! rustup run "$oldest" rustc --version >/dev/null 2>&1; then
         exit 77
     }
 fi
-# `--locked`: with the versions that are tested; a target folder of its own, as two compilers share nothing.
+# `--locked`: the tested versions; a separate target folder, because two compilers share nothing.
 rustup run "$oldest" cargo check --quiet --locked --workspace --target-dir target/msrv
 printf 'rust %s builds it\n' "$oldest"

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Robots in processes and network namespaces of their own, whose network is cut and heals: two and four robots, a cut
-# shorter than zenoh's lease and one that outlasts it. Each namespace has a TUN device, and this script carries their
-# packets. 77: no namespaces or no TUN devices can be made here (it needs root and iproute2).
+# Robots in separate processes and network namespaces, whose network is cut and restored: two and four robots, one cut shorter than
+# zenoh's lease and one longer. Each namespace has a TUN device, and this script forwards their packets. 77: no namespaces or no TUN
+# devices can be made here (it needs root and iproute2).
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 command -v ip >/dev/null || { echo "no ip (apt-get install iproute2)"; exit 77; }
@@ -56,13 +56,13 @@ def configure(folder, k, logs, path):
         network = 'listen = ["tcp/10.53.0.1:7447"]\n'
     else:
         network = 'connect = ["tcp/10.53.0.1:7447"]\npublish_records = true\n'
-    # Who takes part is nobody's question here.
+    # Authentication is not tested here.
     text += f'[network]\ninsecure = true\nzenoh = "{folder}/zenoh.json5"\n{network}'
     with open(f"{folder}/r{k}.toml", "w") as file:
         file.write(text)
 
 class Air:
-    """Carries IPv4 packets between the robots' TUN devices; those of a robot that is cut off go nowhere."""
+    """Forwards IPv4 packets between the robots' TUN devices; drops those of a robot that is cut off."""
 
     def __init__(self, robots):
         self.off, self.over, self.fds = set(), False, []
@@ -101,7 +101,7 @@ class Air:
                     try:
                         os.write(self.fds[to], packet)
                     except BlockingIOError:
-                        pass  # as on air: what is not taken is lost
+                        pass  # as on air: packets that are not accepted are lost
 
     def end(self):
         self.over = True
@@ -130,7 +130,7 @@ def until(what, holds, seconds=20):
         time.sleep(0.2)
 
 def cut(air, folder, seconds):
-    """Cuts the first peer off; gives what the driver had of all peers when it was over."""
+    """Cuts the first peer off; returns the driver's counters for all peers afterwards."""
     air.off = {1}
     time.sleep(seconds)
     during = pairs(folder)
@@ -154,15 +154,15 @@ def check(robots):
             during = cut(air, folder, seconds)
             stopped = during[0] - before[0]
             went_on = [d - b for b, d in zip(before[1:], during[1:])]
-            # Who waited for the one that is cut off would have next to nothing; a busy machine plays the logs late.
+            # A node that waited for the missing peer would have almost no pairs; a busy machine replays late.
             enough = 0.3 * seconds * SPEED * 50
             assert all(more > enough for more in went_on), f"the others did not go on: {went_on}"
-            # What was under way when it was cut may still have come.
+            # Packets in transit at the cut may still arrive.
             assert stopped < 0.5 * seconds * SPEED * 50 + 50, f"the cut cut nothing: {before} {during}"
             until(f"the link did not heal after {seconds} s", lambda: pairs(folder)[0] > during[0] + 100)
             after = missing(folder)
             assert after[1:] == lost[1:], f"robots that were not cut off lost records: {lost} {after}"
-            # Each round has one record of the peer's card of this robot, and one of each other initiator: there is none.
+            # Each round has one record of the peer's card from this robot, and one from each other initiator: there is none.
             cost = after[0] - lost[0]
             assert cost <= (seconds + 8) * SPEED * 50 * 1.2, f"{cost} records are missing"
             if seconds > LEASE_MS / 1000:

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The program on a processor without AVX, as the UP Squared's Goldmont is: in `qemu-x86_64 -cpu Denverton` the demo and the claims about a
-# simulated room give the bearings that they give on this machine, to 0.001 degrees. 77: no qemu-x86_64 can be installed here.
+# The program on a processor without AVX, such as the UP Squared's Goldmont: in `qemu-x86_64 -cpu Denverton` the demo and the claims about
+# a simulated room give the same bearings as on this machine, to 0.001 degrees. 77: no qemu-x86_64 can be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 cannot() { echo "$1"; exit 77; }
@@ -9,7 +9,7 @@ export DEBIAN_FRONTEND=noninteractive
 command -v qemu-x86_64 >/dev/null || apt-get install -y --no-install-recommends qemu-user >/dev/null 2>&1 </dev/null ||
     cannot "qemu-x86_64 is not installed, and apt-get cannot install qemu-user"
 grep -q Denverton <<<"$(qemu-x86_64 -cpu help)" || cannot "this QEMU has no processor Denverton"
-# As `cargo run --release` builds it, so that nothing is built twice.
+# Built as by `cargo run --release`, so that nothing is built twice.
 cargo build --quiet --release --bin csi5300
 program=$PWD/target/release/csi5300
 folder=$(mktemp -d)
@@ -25,7 +25,7 @@ done
 python3 - <<'PYTHON'
 import json
 lines = {here: [json.loads(line) for line in open(f"{here}-demo.json")] for here in ("native", "emulated")}
-# Of a straight line two directions are equally good: which of them is first is chance.
+# For a straight line two directions are equally good: their order is random.
 both = lambda line: sorted([line["azimuth_deg"], line["mirror_deg"] or line["azimuth_deg"]])
 bearings = {here: [azimuth for line in told if "azimuth_deg" in line for azimuth in both(line)] for here, told in lines.items()}
 claims = {}

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# What crates.io would say: the library and what it stands on are packaged, and built from their packages alone.
+# Packages the library and its dependencies for crates.io, and builds them from their packages alone.
 # 77: crates.io cannot be reached.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 said=$(mktemp)
-# A folder of its own each time: Cargo keeps what it unpacked of a version, by the folder in which it was packed.
+# A new folder each time: Cargo keeps unpacked packages of a version, by the folder in which they were packed.
 mkdir -p target
 packed=$(mktemp -d target/publish-XXXXXX)
 trap 'rm -rf "$said" "$packed"' EXIT
-# Whether it builds does not depend on how well.
+# Without optimisation: only the build matters.
 plain=(--config profile.dev.debug=0)
 for crate in csi5300 csi5300-kernels csi-formats driver-iface; do plain+=(--config "profile.dev.package.$crate.opt-level=0"); done
 if ! cargo publish "${plain[@]}" --dry-run --allow-dirty --target-dir "$packed" -p driver-iface -p csi-formats -p csi5300-kernels -p csi5300 2>"$said"; then

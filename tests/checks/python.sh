@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# The Python package: the wheel built once (release, for manylinux2014), its types (mypy --strict, with its tests and examples), its
-# tests beside the libraries that it speaks to, its examples and notebook; the wheel alone in a clean environment; and README's lines,
-# pip building from the clone. Exit status 77: no Python, or nothing from PyPI. What cannot be installed although PyPI can be reached
-# is a failure.
+# The Python package: builds the wheel once (release, for manylinux2014); checks its types (mypy --strict, with tests and examples); runs
+# its tests with the libraries that it works with, its examples and notebook; tests the wheel alone in a clean environment; and runs
+# README's lines, with pip building from the clone. Exit status 77: no Python, or no PyPI. If PyPI can be reached, anything that cannot
+# be installed is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 export PIP_DISABLE_PIP_VERSION_CHECK=1
@@ -17,7 +17,7 @@ mkdir -p "$own"
 [ -x "$own/venv/bin/python" ] || python3 -m venv "$own/venv"
 "$own/venv/bin/pip" install --quiet 'maturin>=1.7,<2' mypy pytest numpy || { echo "PyPI cannot be reached"; exit 77; }
 step() { printf -- '-- %s (%s s)\n' "$1" "$SECONDS"; }
-# What needs something that cannot be had: skipped without PyPI, and a failure with it.
+# A missing requirement: skips the step without PyPI, and fails it with PyPI.
 without() {
     if "$own/venv/bin/pip" download --quiet --no-cache-dir --no-deps --dest "$own/reached" pip 2>/dev/null; then
         echo "failed: $1, although PyPI can be reached"
@@ -48,10 +48,10 @@ step "types"
 "$own/venv/bin/pip" install --quiet --force-reinstall --no-deps "$wheel"
 (cd python && "$own/venv/bin/python" -m mypy --cache-dir "$own/mypy")
 (cd python && "$own/venv/bin/python" -m mypy --strict --cache-dir "$own/mypy-tests" tests ../examples/python/*.py)
-# The native half's types against what it has.
+# Compares the native half's type stubs with the module.
 (cd "$own" && "$own/venv/bin/python" -m mypy.stubtest csi5300._native)
 
-step "tests, beside the libraries that it speaks to"
+step "tests, with the libraries that it works with"
 libraries=(matplotlib pandas polars xarray pyarrow duckdb scipy fsspec csiread==1.4.1 ray 'moto[server]' s3fs nbclient ipykernel)
 if ! "$own/venv/bin/pip" install --quiet "${libraries[@]}"; then
     for library in "${libraries[@]}"; do
@@ -59,7 +59,7 @@ if ! "$own/venv/bin/pip" install --quiet "${libraries[@]}"; then
     done
 fi
 command -v octave-cli >/dev/null || echo "skipped: .mat in Octave: no octave-cli (apt-get install --no-install-recommends octave, 260 MB)"
-# csiread's own examples run against ours.
+# csiread's own examples, run with this package.
 if [ ! -d "$own/csiread-1.4.1" ]; then
     if "$own/venv/bin/pip" download --quiet --no-deps --no-binary csiread -d "$own" csiread==1.4.1; then
         tar xzf "$own/csiread-1.4.1.tar.gz" -C "$own"
@@ -68,7 +68,7 @@ if [ ! -d "$own/csiread-1.4.1" ]; then
     fi
 fi
 export CSIREAD_SDIST="$own/csiread-1.4.1"
-# CSIKit fails with NumPy 2, so it has an environment of its own.
+# CSIKit fails with NumPy 2, so it gets its own environment.
 [ -x "$own/csikit/bin/python" ] || python3 -m venv "$own/csikit"
 if "$own/csikit/bin/pip" install --quiet CSIKit==2.5 'numpy<2'; then
     export CSIKIT_PYTHON="$own/csikit/bin/python"
@@ -115,7 +115,7 @@ block() { awk -v fence="$1" '/^## /{ on = /From Python/ } /^```/{ open = !open; 
 [[ "$(block "")" == *$'\npip install ./python matplotlib '* ]] || { echo "README has another line to install"; exit 1; }
 rm -rf "$own/readme"
 python3 -m venv "$own/readme"
-# Not optimised, which takes a third of the time: how fast it is was seen above.
+# Not optimised, which takes a third of the time: speed was tested above.
 MATURIN_PEP517_ARGS="--profile dev" "$own/readme/bin/pip" install --quiet "$OLDPWD/python" matplotlib
 fixture=$OLDPWD/tests/fixtures/small-circle
 cp "$fixture"/csi_rx_*.dat rx.dat

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The workspace research/ builds and tests against the crates beside it, and its programs run on simulated rooms.
+# Builds and tests the workspace research/ against the other crates, and runs its programs on simulated rooms.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$PWD/target}"

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# The simulated room follows scripted robots over a real ROS 1 master; bearings, poses and CSI come back on topics, also after
-# the master was killed and started anew. Installs ROS from Debian. 77: it cannot be installed here.
+# The simulated room follows scripted robots over a real ROS 1 master; bearings, poses and CSI come back on topics, also after the
+# master was killed and restarted. Installs ROS from Debian. 77: it cannot be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 packages=(python3-rospy python3-rosmaster python3-roslaunch python3-rostopic python3-genpy python3-std-msgs python3-geometry-msgs
     python3-nav-msgs python3-sensor-msgs python3-actionlib-msgs ros-std-msgs)
-# Of the check alone: the node needs no diagnostic_msgs.
+# Only this check needs it; the node does not need diagnostic_msgs.
 packages+=(python3-diagnostic-msgs python3-rosservice)
 missing=()
 for package in "${packages[@]}"; do
@@ -21,7 +21,7 @@ csi5300=$(scripts/program.sh)
 
 folder=$(mktemp -d)
 pids=()
-# Each is the leader of a group of its own; what roscore starts is known by the folder that it logs to.
+# Each process leads its own group; processes that roscore starts are found by their log folder.
 clean() {
     for pid in "${pids[@]}"; do kill -9 -- "-$pid" 2>/dev/null || true; done
     for command in $(grep -lsF -- "$folder" /proc/[0-9]*/cmdline); do kill -9 "$(basename "$(dirname "$command")")" 2>/dev/null || true; done
@@ -34,12 +34,12 @@ start() { # NAME COMMAND...: in the background; its process id is in $started
     pids+=("$started")
     [ "$1" = node ] || disown
 }
-# roscore's own scripts are in Python, and another Python first in PATH has no rospy.
+# roscore's scripts are in Python; another Python first in PATH has no rospy.
 mkdir "$folder/bin" && ln -s /usr/bin/python3 "$folder/bin/python3" && export PATH="$folder/bin:/usr/bin:$PATH"
 port=$(python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
 export ROS_MASTER_URI=http://127.0.0.1:$port ROS_HOSTNAME=127.0.0.1 ROS_LOG_DIR=$folder/log ROS_HOME=$folder/home
 
-# The messages that are shipped, as catkin would make them.
+# Generates the shipped messages as catkin would.
 python3 - packaging/ros/csi5300_msgs "$folder/python" <<'PYTHON'
 import os, sys
 import genpy.generator, genpy.genpy_main
@@ -55,7 +55,7 @@ with open(os.path.join(to, "__init__.py"), "w") as init:
 PYTHON
 export PYTHONPATH=$folder/python
 
-# The example, with a third robot that stands and is followed as a PoseStamped.
+# The example, with a third, stationary robot that is followed by a PoseStamped.
 cp examples/ros/*.toml "$folder"
 cat >>"$folder/room.toml" <<'TOML'
 [[robot]]
@@ -73,7 +73,7 @@ poses.room = {}
 antenna_offset_m = [-0.03, 0.0, 0.20]
 TOML
 cat >"$folder/robots.py" <<'PYTHON'
-"""Two robots that drive circles, and one that stands; where they are is a function of the time alone."""
+"""Two robots on circles, and a stationary one; their poses depend only on the time."""
 import math, time, rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
@@ -102,7 +102,7 @@ while True:
     time.sleep(0.02)
 PYTHON
 cat >"$folder/look.py" <<'PYTHON'
-"""look.py state | bearings: the node's state; bearings over rostopic, until they are right."""
+"""look.py state | bearings: prints the node's state, or reads bearings over rostopic until they are right."""
 import json, math, socket, subprocess, sys, time, yaml
 
 def state():
@@ -153,7 +153,7 @@ def bearings(node):
 def csi(node):
     told = once(f"{node}/csi")
     assert len(told["re"]) == len(told["im"]) == 30 * told["n_rx"] * told["n_tx"] and told["mac"] and told["frame_count"] > 0, told
-    # The sums of both sides agree, or nothing comes.
+    # Succeeds only if the checksums of both sides agree.
     import rospy
     from csi5300_msgs.msg import Bearing, Csi
     rospy.init_node("reader", disable_signals=True)
@@ -161,7 +161,7 @@ def csi(node):
     assert rospy.wait_for_message(f"{node}/tb3_1/bearing", Bearing, 10).pairs > 0
 
 def self_test(node):
-    """The service, and the claims in /diagnostics, with the messages of Debian's diagnostic_msgs."""
+    """The service, and the claims in /diagnostics, with Debian's diagnostic_msgs."""
     import rospy
     from diagnostic_msgs.msg import DiagnosticArray
     from diagnostic_msgs.srv import SelfTest
@@ -193,7 +193,7 @@ master() {
     core=$started
     for _ in $(seq 100); do
         if rostopic list >/dev/null 2>&1; then
-            # roscore starts it in a group of its own.
+            # roscore starts it in its own group.
             core_master=$(python3 -c "import xmlrpc.client; print(xmlrpc.client.ServerProxy('$ROS_MASTER_URI').getPid('/check')[2])")
             return
         fi
@@ -205,7 +205,7 @@ master() {
 failed() { echo "failed; the logs:"; tail -n 20 "$folder"/*.log; }
 trap failed ERR
 
-# The node comes first, and finds no master.
+# The node starts first and finds no master.
 start node "$csi5300" node --config "$folder/robot.toml"
 node=$started
 for _ in $(seq 50); do [ -S "$folder/status.sock" ] && break; sleep 0.1; done
@@ -216,18 +216,18 @@ robots=$started
 look 'until("poses", 10, lambda t: followed(t) > 100 and not t["trouble"])'
 look 'bearings("/csi5300_tb3_0"); csi("/csi5300_tb3_0")'
 
-# Without a master the robots go on; one that began anew is registered with, and robots that began anew are heard.
+# Without a master the robots continue; the node registers with a restarted one, and restarted robots are heard.
 kill -9 -- "-$core" "$core_master"
 look 'until("the master is missed", 10, lambda t: any("any more" in w for w in t["trouble"])); goes_on()'
 connections=$(look 'print(state()["ros"]["connections"])')
 master
 look "until('registered again', 15, lambda t: t['ros']['connections'] > $connections and not t['trouble']); goes_on()"
 kill -9 -- "-$robots"
-look 'until("silence is said", 10, lambda t: any("nothing comes any more" in w for w in t["trouble"]))'
+look 'until("silence is reported", 10, lambda t: any("nothing comes any more" in w for w in t["trouble"]))'
 start robots python3 "$folder/robots.py"
 look 'until("poses again", 10, lambda t: not t["trouble"]); goes_on(); bearings("/csi5300_tb3_0"); self_test("/csi5300_tb3_0")'
 
-# The end: in order, and the master knows nothing of the node any more.
+# An orderly end: the master no longer lists the node.
 kill -TERM "$node"
 # Status 3: a busy machine lost records of the served room, and the node reports them.
 status=0

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# The simulated room follows scripted robots over ROS 2, published by CycloneDDS with types written here; bearings, markers,
-# diagnostics, CSI and services come back. Also: discovery with and without multicast, ends that do not go together,
-# messages and datagrams that are none, a flood, peers that die and come again, recordings read by other programs. All over
+# The simulated room follows scripted robots over ROS 2, published by CycloneDDS with types defined here; bearings, markers, diagnostics,
+# CSI and services come back. Also: discovery with and without multicast, incompatible endpoints, invalid messages and datagrams, a flood,
+# peers that die and return, recordings read by other programs. All over
 # loopback, in a network namespace where one can be made. 77: CycloneDDS's Python package cannot be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -26,7 +26,7 @@ fi
 "${inside[@]}" "$python" tests/checks/ros2/check.py "$csi5300" "$folder"
 "$python" tests/checks/ros2/bags.py "$folder"/run "$folder"/again
 "$python" tests/checks/ros2/kinds.py "$csi5300" "$folder/run"
-# A recording as a log again.
+# Converts a recording back to a log.
 messages=$("$csi5300" unbag "$folder/run" --out "$folder/logs" | awk '$1 ~ /csi.dat:$/ { print $2 }')
 records=$("$csi5300" info --json "$folder/logs/csi5300_tb3_0_csi.dat" | "$python" -c 'import json, sys; print(sum(json.loads(l)["wsr"] for l in sys.stdin))')
 echo "$messages messages of CSI are $records records"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The systemd unit, alone and with what a serial port, sounding and the stock driver need: read by systemd's own checker, and how exposed it calls the service (of 10;
-# alone 1.5 at most). 77: no systemd-analyze.
+# Checks the systemd unit with systemd's own checker, alone and with the files for a serial port, sounding and the stock driver, and the
+# exposure level that systemd computes (of 10; alone at most 1.5). 77: no systemd-analyze.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 command -v systemd-analyze >/dev/null || { echo "no systemd-analyze"; exit 77; }
@@ -19,14 +19,14 @@ mkdir "$folder/csi5300-node.service.d"
 cp packaging/csi5300-node-{serial,sounding}.conf "$folder/csi5300-node.service.d/"
 verify
 exposure 21
-# The files give what they are for: they add to the unit's lists, as systemd reads them.
+# The files grant the rights that they are for: systemd adds them to the unit's lists.
 given=$(SYSTEMD_UNIT_PATH="$folder:" systemd-analyze security --offline=true csi5300-node.service)
 for right in 'PrivateDevices=' 'ttyACM' 'RestrictAddressFamilies=~AF_PACKET' 'RestrictRealtime=' 'SystemCallFilter=~@resources' \
     'NET_(BIND_SERVICE|BROADCAST|RAW)'; do
     grep -F "$right" <<<"$given" | grep -q '✗' || { echo "the files beside the unit do not give: $right"; exit 1; }
 done
 
-# With the stock driver alone: two capabilities and no other (systemd's list has no line for CAP_PERFMON); with sounding, its one as well.
+# With only the stock driver: two capabilities (systemd's list has no line for CAP_PERFMON); with sounding, its own as well.
 held() {
     SYSTEMD_UNIT_PATH="$folder:" systemd-analyze security --offline=true csi5300-node.service |
         sed -n 's/^✗ CapabilityBoundingSet=~\([^ ]*\).*/\1/p' | sort | tr '\n' ' '

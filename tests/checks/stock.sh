@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# The distribution's own driver with csi5300.ko beside it, in QEMU: tests/kernel/stock/*.sh on Debian's 6.1 with cards that
-# are not there (tests/kernel/fakecard), then module and eBPF program on other kernels. See tests/kernel/README.md.
-# Exit status 77: cannot run here, the last line says why.
+# The distribution's own driver with csi5300.ko beside it, in QEMU: runs tests/kernel/stock/*.sh on Debian's 6.1 with fake cards
+# (tests/kernel/fakecard), then the module and the eBPF program on other kernels. See tests/kernel/README.md.
+# Exit status 77: cannot run here; the last line says why.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 check="stock driver"
@@ -10,7 +10,7 @@ source tests/kernel/guest.bash
 packages
 version=$(dpkg-query -W -f '${Version}' "linux-headers-$V")
 
-# The private headers of iwlwifi, for the fake card: the source package in the version of the headers.
+# The fake card needs iwlwifi's private headers: the source package in the version of the headers.
 iwl=$place/source-$version/drivers/net/wireless/intel/iwlwifi
 if [ ! -e "$place/source-$version/complete" ]; then
     rm -rf "$place"/source-*
@@ -22,7 +22,7 @@ if [ ! -e "$place/source-$version/complete" ]; then
     rm -f "$place"/debs/linux-source-*
     touch "$place/source-$version/complete"
 fi
-grep -q "struct iwl_trans_ops {" "$iwl/iwl-trans.h" || cannot "the transport of $V is no table of functions: no fake card"
+grep -q "struct iwl_trans_ops {" "$iwl/iwl-trans.h" || cannot "the transport of $V is not a table of functions: no fake card"
 build_modules driver-iface/kmod
 build_modules tests/kernel/fakecard IWL="$iwl"
 printf 'modules built after %s s\n' "$SECONDS"
@@ -30,7 +30,7 @@ printf 'modules built after %s s\n' "$SECONDS"
 tree=$place/tree-stock
 guest_tree "$tree" tests/kernel/stock "$place/boot" "$place/kmod" "$place/fakecard"
 static_binaries "$tree"
-# A firmware of 24 bytes of header and zeros: version 8.24.2.12, and sections that tell the init image from the other.
+# A firmware file of a 24-byte header and zeros: version 8.24.2.12, and section sizes that distinguish the init image.
 le32() { printf "\\x$(printf %02x $(($1 & 255)))\\x$(printf %02x $(($1 >> 8 & 255)))\\x$(printf %02x $(($1 >> 16 & 255)))\\x$(printf %02x $(($1 >> 24 & 255)))"; }
 {
     for word in $((8 << 24 | 24 << 16 | 2 << 8 | 12)) 128 128 64 64 0; do le32 "$word"; done
@@ -44,11 +44,11 @@ cp tests/kernel/stock-races/*.sh "$tree/guest"
 cpus=2 boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 600
 [ "$status" = 33 ] || exit 1
 
-# Kernels for which there is no fake card: a module calls what iwldvm would call. 6.12, from the backports (its transport is
-# no table of functions any more), 5.10, from Debian 11, and 6.1 with PREEMPT_RT.
+# Kernels without a fake card: a module makes iwldvm's calls instead. 6.12 from the backports (its transport is no longer a table of
+# functions), 5.10 from Debian 11, and 6.1 with PREEMPT_RT.
 program=$tree/bin/csi5300
 
-# series NUMBER SUITE [FLAVOUR]: image and headers of that series, in a folder of its own; why not, where they cannot be had.
+# series NUMBER SUITE [FLAVOUR]: downloads image and headers of that series into their own folder, or says why not.
 series() {
     local key=/usr/share/keyrings/debian-archive-keyring.gpg flavour=${3:-amd64} site security name needs headers
     later=$place/$1-$flavour
@@ -56,11 +56,11 @@ series() {
     [ -e "$key" ] || { echo "no $key"; return 1; }
     rm -rf "$later"
     mkdir -p "$later"/{debs,root,boot,lists/partial}
-    # From where this machine has its own packages.
+    # From this machine's own package source.
     site=$(apt-get indextargets --format '$(RELEASE) $(SITE)' 2>/dev/null | sed -n 's/^bookworm //p' | head -n 1)
     [ -n "$site" ] || { echo "apt has no bookworm here"; return 1; }
     echo "deb [signed-by=$key] $site $2 main" >"$later/sources.list"
-    # The newest image of a series may be there only; what is not, is not missed.
+    # The newest image of a series may only be in the security archive, which need not exist.
     security=$(apt-get indextargets --format '$(RELEASE) $(SITE)' 2>/dev/null | sed -n "s/^$2-security //p" | head -n 1)
     [ -z "$security" ] || echo "deb [signed-by=$key] $security $2-security main" >>"$later/sources.list"
     apt_of() {
@@ -77,9 +77,9 @@ series() {
     for deb in "$later"/debs/linux-headers-*.deb "$later"/debs/linux-kbuild-*.deb; do dpkg-deb --extract "$deb" "$later/root"; done
     headers=$later/root/usr/src/linux-headers-$name
     sed -i "s#include /usr/src#include $later/root/usr/src#" "$headers/Makefile"
-    # The compiler of this machine, whichever built that kernel.
+    # This machine's compiler, whichever built that kernel.
     [ ! -e "$headers/.kernelvariables" ] || sed -i 's/gcc-[0-9]*/gcc/' "$headers/.kernelvariables"
-    # Modules are compressed in some, so all of the folder's form.
+    # Some packages have compressed modules, so the folder's modules are uncompressed.
     dpkg-deb --fsys-tarfile "$later"/debs/linux-image-*.deb | tar -x -C "$later/boot" --wildcards './boot/vmlinuz*' \
         '*/libarc4.ko*' '*/rfkill.ko*' '*/cfg80211.ko*' '*/mac80211.ko*' '*/iwlwifi.ko*' '*/iwldvm.ko*' || return 1
     find "$later/boot" -name '*.xz' -exec unxz {} +
@@ -99,7 +99,7 @@ probe() {
         rm -rf "$later/${folder##*/}"
         cp -r "$folder" "$later/${folder##*/}"
     done
-    # What such a kernel can have: no fake card, and no test senders.
+    # Only what such a kernel supports: no fake card and no test senders.
     echo "obj-m := csi5300.o" >"$later/kmod/Makefile"
     echo "obj-m := caller.o" >"$later/fakecard/Makefile"
     for folder in kmod fakecard; do
@@ -119,5 +119,5 @@ missing=
 probe 6.12 bookworm-backports
 probe 5.10 bullseye
 probe 6.1 bookworm rt-amd64
-# What passed has passed, but this is no pass.
+# All that ran has passed, but the check is incomplete.
 [ -z "$missing" ] || cannot "the packages of $missing cannot be had"

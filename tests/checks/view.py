@@ -1,4 +1,4 @@
-"""The page of `csi5300 view`, used as people use it. Arguments: browser, addresses of captures, log and node, the page as one file, the report of `doctor --accept`, folder for pictures or ""."""
+"""Uses the page of `csi5300 view` as people do. Arguments: browser, addresses of captures, log and node, the page as one file, the report of `doctor --accept`, folder for pictures or ""."""
 import re, socket, sys, urllib.error, urllib.request
 from playwright.sync_api import expect, sync_playwright
 
@@ -6,7 +6,7 @@ browser_path, captures, log, node, file, report, pictures = sys.argv[1:8]
 
 
 class Watched:
-    """A page that may ask only its own server, and may say nothing on its console."""
+    """A page that may only request its own server, and must not print to its console."""
 
     def __init__(self, browser, url, own, **options):
         self.context = browser.new_context(**options)
@@ -28,7 +28,7 @@ class Watched:
 
 
 def painted(page, canvas):
-    """Colours in a canvas: a picture has many."""
+    """Number of colours in a canvas: a picture has many."""
     return page.evaluate(
         """(canvas) => { const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
         const seen = new Set(); for (let k = 0; k < data.length; k += 4) seen.add(data[k] << 16 | data[k + 1] << 8 | data[k + 2]); return seen.size; }""",
@@ -37,7 +37,7 @@ def painted(page, canvas):
 
 
 def coloured(page, canvas):
-    """Pixels of a canvas that are not grey: lines are, axes are not."""
+    """Pixels of a canvas that are not grey: lines have colours, axes do not."""
     return page.evaluate(
         """(canvas) => { const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
         let seen = 0; for (let k = 0; k < data.length; k += 4) seen += data[k + 3] > 0 && Math.max(data[k], data[k + 1], data[k + 2]) - Math.min(data[k], data[k + 1], data[k + 2]) > 60; return seen; }""",
@@ -53,7 +53,7 @@ def table(page):
     expect(page.locator("#state")).to_have_text("3 links")
     expect(rows(page)).to_have_count(3)
     expect(rows(page).nth(2)).to_contain_text("csi_rx_")
-    # The other program's errors are sorted by their size, the largest first; a link without one is last.
+    # Sorted by the size of the other program's errors, the largest first; links without one come last.
     page.locator("th button", has_text="toolbox").click()
     expect(page.locator("th[aria-sort=descending]")).to_have_text("toolbox")
     expect(rows(page).first).to_contain_text("LOS_B")
@@ -83,7 +83,7 @@ def link(page):
 
 
 def heat(page):
-    """The heat map and the time lines: zoomed, turned, read."""
+    """The heat map and the time lines: zoom, pan, read values."""
     readout = page.locator("p.readout")
     expect(readout).to_contain_text("amplitude from")
     chart = page.locator(".plot", has_text="CSI over time and subcarrier")
@@ -102,7 +102,7 @@ def heat(page):
     page.mouse.down()
     page.mouse.move(*at(0.9, 0.5), steps=4)
     page.mouse.up()
-    # The same place is another time.
+    # The same position is now another time.
     page.mouse.move(*at(0.1, 0.5))
     whole = before / 0.75
     page.wait_for_function(f"() => Math.abs(parseFloat(/; (-?[\\d.]+) s/.exec(document.querySelector('p.readout').textContent)[1]) - {0.63 * whole}) < {0.03 * whole}")
@@ -145,7 +145,7 @@ def sets(page):
 
 
 def refused(url):
-    """What a page of the web could ask of this server, and what a program could."""
+    """What other web pages and programs could request from this server."""
     host = re.match(r"http://([\d.]+):(\d+)/", url)
 
     def status(path="", headers={}, method="GET"):
@@ -163,7 +163,7 @@ def refused(url):
     assert status("data/log/99") == 404 and status("data/log/0/levels?columns=x") == 400
     head = urllib.request.urlopen(url).headers
     assert "default-src 'none'" in head["content-security-policy"] and head["x-content-type-options"] == "nosniff"
-    # Connections without end take places, and give them back.
+    # Idle connections take places and release them again.
     idle = [socket.create_connection(host.groups()) for _ in range(100)]
     for one in idle:
         one.close()

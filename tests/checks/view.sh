@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # `csi5300 view` in headless Chromium, with real clicks and keys: captures, a log, a running node, and the page as one file.
-# 77: no Chromium or Playwright can be had here.
+# 77: Chromium or Playwright cannot be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 browser() { command -v chromium || command -v chromium-browser || command -v google-chrome; }
@@ -14,7 +14,7 @@ folder=$(mktemp -d)
 started=()
 trap 'for one in "${started[@]}"; do kill "$one" 2>/dev/null || true; done; rm -rf "$folder"' EXIT
 
-# Three sets with a capture each, one without the receiver's log, and what another program answers.
+# Three sets with one capture each, one of them without the receiver's log, and another program's answers.
 for set in LOS_A LOS_B NLOS; do
     mkdir -p "$folder/captures/$set"
     cp -r tests/fixtures/small-circle "$folder/captures/$set/P1"
@@ -53,7 +53,7 @@ serve "$(ls "$folder"/captures/LOS_A/P1/csi_rx_*.dat)" "$folder/log.url"
 status=0
 "$csi5300" evaluate "$folder/captures" --html "$folder/page.html" || status=$?
 [ "$status" = 3 ] || { echo "a capture without its log: exit status $status instead of 3"; exit 1; }
-# Last, as the room ends after a minute; the first that is looked at.
+# Started last and viewed first, because the room ends after a minute.
 (cd "$folder" && exec "$csi5300" node --config robot.toml) 2>"$folder/said" &
 started+=($!)
 for _ in $(seq 100); do [ -S "$folder/status.sock" ] && break; sleep 0.1; done
@@ -64,6 +64,6 @@ status=0
 [ "$status" = 1 ] || { echo "a card with a fault: exit status $status instead of 1"; exit 1; }
 "$python" tests/checks/view.py "$(browser)" "$(cat "$folder/captures.url")" "$(cat "$folder/log.url")" \
     "$(cat "$folder/node.url")" "$folder/page.html" "$folder/desk/report.html" "${VIEW_PICTURES:-}"
-# A signal ends it as anything ends that is done.
+# A signal ends it with status 0.
 kill -INT "${started[0]}"
 wait "${started[0]}" || { echo "after SIGINT: exit status $?"; exit 1; }

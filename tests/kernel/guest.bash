@@ -1,6 +1,6 @@
-# What the checks with a kernel share (tests/checks/kernel.sh, stock.sh, dkms.sh): sourced from the project's root.
-# Everything is downloaded into target/kernel and unpacked there; only the kernel's headers are installed.
-# Exit status 77: cannot run here, the last line says why.
+# Shared by the checks with a kernel (tests/checks/kernel.sh, stock.sh, dkms.sh): sourced from the project's root.
+# Everything is downloaded to target/kernel and unpacked there; only the kernel's headers are installed.
+# Exit status 77: cannot run here; the last line says why.
 root=$PWD
 place=$root/target/kernel
 MODULES="virtio virtio_ring libarc4 rfkill cfg80211 mac80211 mac80211_hwsim iwlwifi iwldvm"
@@ -22,16 +22,16 @@ headers() {
         command -v "$tool" >/dev/null || cannot "$tool is not installed"
     done
     mkdir -p "$place/debs"
-    # The newest kernel of the archive: old versions leave it.
+    # The archive's newest kernel; it drops old versions.
     version() { apt-cache depends linux-image-amd64 2>/dev/null | sed -n 's/.*Depends: linux-image-//p' | head -n 1; }
     V=$(version)
     [ -n "$V" ] || { quietly apt-get update || true; V=$(version); }
     [ -n "$V" ] || cannot "apt knows no linux-image-amd64"
-    # Headers have to be installed: unpacked ones do not build.
+    # Headers must be installed: unpacked ones do not build.
     [ -e "/usr/src/linux-headers-$V/Makefile" ] || installed "linux-headers-$V"
 }
 
-# installed PACKAGE: installs it; nothing may be removed for it.
+# installed PACKAGE: installs it, unless that would remove another package.
 installed() {
     [ "$(id -u)" = 0 ] || cannot "$1 is not installed, and installing it needs root"
     quietly apt-get install -y --no-install-recommends --no-remove "$1" ||
@@ -48,7 +48,7 @@ packages() {
     printf 'kernel %s: packages ready after %s s\n' "$V" "$SECONDS"
 }
 
-# QEMU and the guest's tools, with what they need and this machine lacks, into a folder of their own.
+# QEMU and the guest's tools, with dependencies that this machine lacks, in their own folder.
 unpack_packages() {
     local wanted="qemu-system-x86 busybox-static cpio iw libcap2-bin wireless-regdb" names wildcards deb module
     rm -rf "$place"/complete-* "$place/unpacked" "$place/boot"
@@ -71,7 +71,7 @@ unpack_packages() {
     touch "$place/complete-3-$V"
 }
 
-# build_modules FOLDER [VARIABLE=VALUE ...]: the modules of a copy of that folder, with the compiler of the headers.
+# build_modules FOLDER [VARIABLE=VALUE ...]: builds the modules of a copy of that folder, with the headers' compiler.
 build_modules() {
     local copy=$place/${1##*/}
     rm -rf "$copy"
@@ -84,8 +84,8 @@ build_modules() {
     strip --strip-debug "$copy"/*.ko
 }
 
-# static_binaries TREE: the program, and the tests that run in the guest. CSI5300_GUEST_BINARIES names a folder that has
-# all of them already, `live`, `stock_guest` and `csi5300`; they need not be static.
+# static_binaries TREE: the program, and the tests that run in the guest. CSI5300_GUEST_BINARIES names a folder that already has them
+# (`live`, `stock_guest`, `csi5300`); they need not be static.
 static_binaries() {
     local from=${CSI5300_GUEST_BINARIES:-}
     binary() { sed -n "s/.*\"name\":\"$1\".*\"executable\":\"\([^\"]*\)\".*/\1/p" "$place/built.json" | tail -n 1; }
@@ -110,7 +110,7 @@ static_binaries() {
     printf 'binaries built after %s s\n' "$SECONDS"
 }
 
-# with_libraries TREE PROGRAM...: the shared libraries of these programs, where their loader looks.
+# with_libraries TREE PROGRAM...: copies the programs' shared libraries to where their loader looks.
 with_libraries() {
     local tree=$1 program library
     for program in "${@:2}"; do
@@ -123,7 +123,7 @@ with_libraries() {
     done
 }
 
-# guest_tree TREE SCRIPTS MODULES: a root with these scripts and the modules of these folders.
+# guest_tree TREE SCRIPTS MODULES: makes a root with these scripts and the modules of these folders.
 guest_tree() {
     local tree=$1 file found tool
     rm -rf "$tree"
@@ -146,11 +146,11 @@ guest_tree() {
     done
 }
 
-# boot TREE KERNEL SECONDS: the guest's status is left in `status`; 33 is what it asks for when all scripts passed. A
-# warning of the kernel ends it, too. CSI5300_GUEST_APPEND: more options of the kernel.
-# Plain emulation, in virtual time: KVM is not to be had everywhere, and the answer must not depend on it. With `cpus`
-# there are so many processors, which take turns, and time is this machine's: QEMU counts instructions of one processor only.
-# Processors that run at once (thread=multi) jump to 0 where any kprobe is set or taken away, an empty one too (QEMU 7.2).
+# boot TREE KERNEL SECONDS: leaves the guest's status in `status`; the guest ends with 33 if all scripts passed. A kernel warning ends
+# it, too. CSI5300_GUEST_APPEND: more kernel options.
+# Plain emulation in virtual time: KVM is not available everywhere, and results must not depend on it. `cpus` sets a number of
+# processors, which take turns; time is then this machine's, because QEMU counts instructions of a single processor only. Parallel
+# processors (thread=multi) jump to address 0 when any kprobe, even an empty one, is set or removed (QEMU 7.2).
 boot() {
     local cpio
     cpio=$(find "$unpacked" -path '*bin/cpio' -type f | head -n 1)

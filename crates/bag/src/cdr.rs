@@ -1,60 +1,60 @@
-//! Common Data Representation: values as they are in the payload of a message of ROS 2 (\[dds-xtypes\] 7.4, version 1 as ROS
-//! 2 writes it; version 2 without headers is read too).
+//! Common Data Representation: the values in the payload of a ROS 2 message (\[dds-xtypes\] 7.4). Writes version 1, as ROS 2
+//! does; reads version 2 without headers, too.
 //!
-//! Each value is aligned to its size, counted from the byte after the four of the encapsulation; strings and lists have
-//! their length before them, strings end with a zero that counts.
+//! Each value is aligned to its size, counted from after the four bytes of the encapsulation. Strings and lists have their
+//! length before them; a string ends with a zero, which counts.
 
-/// Encapsulation of what is written: version 1, little-endian (\[rtps\] 10.2).
+/// Encapsulation that is written: version 1, little-endian (\[rtps\] 10.2).
 pub const CDR_LE: [u8; 4] = [0, 1, 0, 0];
 
-/// Why bytes are not a value of the type that was expected.
+/// Why bytes are not a value of the expected type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
     /// The payload ends before the value does.
-    #[error("ends at byte {at}, {want} more were expected")]
+    #[error("ends at byte {at}, {want} more bytes expected")]
     Short {
-        /// Bytes from the beginning of the values.
+        /// Bytes from the start of the values.
         at: usize,
         /// Bytes that are missing at least.
         want: usize,
     },
-    /// Not a representation that is known.
-    #[error("representation {0:#06x} is not known")]
+    /// Unknown representation.
+    #[error("unknown representation {0:#06x}")]
     Representation(u16),
-    /// A name or list is longer than one of its kind can be.
-    #[error("has a length of {length}, {most} at most were expected")]
+    /// A name or list is longer than its kind allows.
+    #[error("has length {length}, at most {most} expected")]
     Long {
         /// Bytes, or values.
         length: usize,
-        /// As many as there may be.
+        /// The limit.
         most: usize,
     },
-    /// A string that is not UTF-8, or does not end with a zero.
-    #[error("at byte {0} is no text")]
+    /// A string is not UTF-8, or does not end with a zero.
+    #[error("invalid text at byte {0}")]
     NoText(usize),
 }
 
-/// Takes values from bytes.
+/// Reads values from bytes.
 #[derive(Clone, Debug)]
 pub struct CdrReader<'a> {
     bytes: &'a [u8],
     at: usize,
     little: bool,
-    /// Alignment is no larger than this.
+    /// Largest alignment.
     most: usize,
-    /// Strings end with a zero.
+    /// Whether strings end with a zero.
     has_ends: bool,
 }
 
 impl<'a> CdrReader<'a> {
-    /// Of the payload of a message, encapsulation first.
+    /// From a message's payload, encapsulation first.
     pub fn of_payload(payload: &'a [u8]) -> Result<Self, CdrError> {
         let Some(([high, low, _, _], bytes)) = payload.split_first_chunk::<4>() else {
             return Err(CdrError::Short { at: 0, want: 4 });
         };
         let representation = u16::from_be_bytes([*high, *low]);
         let (little, most) = match representation {
-            // Plain and lists of parameters, version 1; plain, version 2.
+            // Plain and parameter list, version 1; plain, version 2.
             0x0000 | 0x0002 => (false, 8),
             0x0001 | 0x0003 => (true, 8),
             0x0006 => (false, 4),
@@ -64,22 +64,22 @@ impl<'a> CdrReader<'a> {
         Ok(Self { bytes, at: 0, little, most, has_ends: true })
     }
 
-    /// Of bytes without encapsulation.
+    /// From bytes without encapsulation.
     pub fn plain(bytes: &'a [u8], little: bool) -> Self {
         Self { bytes, at: 0, little, most: 8, has_ends: true }
     }
 
-    /// Of bytes as ROS 1 has them: little-endian, without alignment, strings without a zero.
+    /// From bytes of ROS 1: little-endian, without alignment, strings without a zero.
     pub fn ros1(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0, little: true, most: 1, has_ends: false }
     }
 
-    /// What is left.
+    /// The remaining bytes.
     pub fn rest(&self) -> &'a [u8] {
         self.bytes.get(self.at..).unwrap_or_default()
     }
 
-    /// The next bytes as they are.
+    /// The next bytes, unchanged.
     pub fn take(&mut self, count: usize) -> Result<&'a [u8], CdrError> {
         let (at, rest) = (self.at, self.rest());
         let taken = rest.get(..count).ok_or_else(|| CdrError::Short { at, want: count - rest.len() })?;
@@ -87,7 +87,7 @@ impl<'a> CdrReader<'a> {
         Ok(taken)
     }
 
-    /// The next value's bytes, as many as it is aligned to.
+    /// The next value's bytes, aligned to their number.
     fn aligned<const N: usize>(&mut self) -> Result<[u8; N], CdrError> {
         self.take(self.at.next_multiple_of(N.min(self.most)) - self.at)?;
         let (at, rest) = (self.at, self.rest());
@@ -101,11 +101,11 @@ impl<'a> CdrReader<'a> {
     }
 }
 
-/// Puts values into bytes, little-endian.
+/// Writes values to bytes, little-endian.
 #[derive(Clone, Debug, Default)]
 pub struct CdrWriter {
     bytes: Vec<u8>,
-    /// Where alignment is counted from.
+    /// Origin of the alignment.
     origin: usize,
 }
 
@@ -115,7 +115,7 @@ impl CdrWriter {
         Self::default()
     }
 
-    /// Bytes as they are.
+    /// Appends bytes unchanged.
     pub fn put(&mut self, bytes: &[u8]) {
         self.bytes.extend_from_slice(bytes);
     }
@@ -126,7 +126,7 @@ impl CdrWriter {
         self.bytes.extend_from_slice(&value);
     }
 
-    /// What was put.
+    /// The written bytes.
     pub fn into_bytes(self) -> Vec<u8> {
         self.bytes
     }
@@ -134,9 +134,9 @@ impl CdrWriter {
 
 /// A value of CDR.
 pub trait Cdr: Sized {
-    /// Puts it.
+    /// Writes it.
     fn write(&self, to: &mut CdrWriter);
-    /// Takes it.
+    /// Reads it.
     fn read(from: &mut CdrReader<'_>) -> Result<Self, CdrError>;
 
     /// The payload of a message: encapsulation and value.
@@ -146,7 +146,7 @@ pub trait Cdr: Sized {
         to.into_bytes()
     }
 
-    /// The value of a payload; what follows it is left.
+    /// The value of a payload; ignores what follows it.
     fn of_payload(payload: &[u8]) -> Result<Self, CdrError> {
         Self::read(&mut CdrReader::of_payload(payload)?)
     }
@@ -179,7 +179,7 @@ impl Cdr for bool {
 
 impl Cdr for String {
     fn write(&self, to: &mut CdrWriter) {
-        // A zero within would end it for readers in C.
+        // A zero inside would end it for readers in C.
         let text = self.split('\0').next().unwrap_or_default();
         (u32::try_from(text.len() + 1).unwrap_or(u32::MAX)).write(to);
         to.put(text.as_bytes());
@@ -192,7 +192,7 @@ impl Cdr for String {
         let bytes = from.take(length)?;
         let text = match bytes.split_last() {
             _ if !from.has_ends => bytes,
-            // No zero at all: as some write an empty one.
+            // Some writers give an empty string no zero.
             None => bytes,
             Some((0, text)) => text,
             Some(_) => return Err(CdrError::NoText(at)),
@@ -209,7 +209,7 @@ impl<T: Cdr> Cdr for Vec<T> {
 
     fn read(from: &mut CdrReader<'_>) -> Result<Self, CdrError> {
         let count = u32::read(from)? as usize;
-        // No value takes less than a byte: nothing is allocated for a number that was made up.
+        // Each value takes at least a byte: an invented number allocates nothing.
         if count > from.rest().len() {
             return Err(CdrError::Short { at: from.at, want: count - from.rest().len() });
         }
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn ros_1_aligns_nothing_and_ends_no_string() {
+    fn ros_1_values_are_unaligned_and_strings_unterminated() {
         let bytes = [&[7, 2, 0, 0, 0, b'a', b'b'][..], &1.5_f64.to_le_bytes(), &[0; 4]].concat();
         let mut from = CdrReader::ros1(&bytes);
         assert_eq!((u8::read(&mut from), String::read(&mut from)), (Ok(7), Ok("ab".into())));
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_cut_or_made_up_is_refused_and_allocates_nothing() {
+    fn cut_or_invalid_values_are_refused_without_allocation() {
         let whole = vec!["abc".to_owned(), "d".to_owned()].payload();
         assert!(Vec::<String>::of_payload(&whole).is_ok());
         for cut in 0..whole.len() {

@@ -4,8 +4,8 @@
 //! |---|---|
 //! | [`cdr`] | values in the payload of a message |
 //! | [`messages`] | the messages themselves |
-//! | [`mcap`] | recordings as `ros2 bag` writes them, written and read |
-//! | [`unbag`] | logs and trajectories from recordings of all kinds: MCAP, SQLite, bags of ROS 1 |
+//! | [`mcap`] | MCAP recordings as `ros2 bag` writes them: writer and reader |
+//! | [`unbag`] | logs and trajectories from all kinds of recordings: MCAP, SQLite, bags of ROS 1 |
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod cdr;

@@ -1,6 +1,6 @@
-//! MCAP as `ros2 bag` writes it (\[mcap\]): profile `ros2`, messages in CDR, schemas `ros2msg`. What is written has chunks
-//! without compression, an index of them and a summary at the end; a file that was not ended is whole up to its last chunk.
-//! What is read may be compressed, and is read from its beginning to its end, without an index: also where the end is missing.
+//! MCAP as `ros2 bag` writes it (\[mcap\]): profile `ros2`, messages in CDR, schemas `ros2msg`. The writer makes uncompressed
+//! chunks with indices, and a summary at the end; an unfinished file is readable up to its last chunk. The reader accepts
+//! compressed chunks and reads from start to end without the index, so that it also reads files without an end.
 
 use crate::unbag::{BagError, Channel, Ended, Used, compressed};
 use crc32fast::hash as crc32;
@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
-/// How a file begins.
+/// First bytes of a file.
 pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// Kinds of records.
 mod kind {
@@ -25,13 +25,13 @@ mod kind {
     pub const DATA_END: u8 = 0x0f;
 }
 
-/// A chunk is written when it has so many bytes.
+/// A chunk of this many bytes is written.
 const CHUNK: usize = 1 << 20;
 
-/// A topic of a recording that is written.
+/// A topic of the recording being written.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Written {
-    /// Its whole name.
+    /// Its full name.
     pub topic: String,
     /// `nav_msgs/msg/Odometry`.
     pub kind: &'static str,
@@ -39,21 +39,21 @@ pub struct Written {
     pub messages: u64,
 }
 
-/// Where a chunk is.
+/// The place of a chunk.
 struct ChunkIndex {
     times: (u64, u64),
     start: u64,
     length: u64,
-    /// By channel, where the index of its messages is.
+    /// By channel, the place of its message index.
     offsets: Vec<(u16, u64)>,
     index_length: u64,
     size: u64,
 }
 
-/// Times of a channel's messages and where in the chunk they are.
+/// Times of a channel's messages and their offsets in the chunk.
 type MessageIndex = Vec<(u64, u64)>;
 
-/// A chunk that is being filled.
+/// The chunk being filled.
 #[derive(Default)]
 struct Chunk {
     bytes: Vec<u8>,
@@ -89,7 +89,7 @@ fn widened(times: Option<(u64, u64)>, time: u64) -> Option<(u64, u64)> {
 }
 
 impl<W: Write> McapWriter<W> {
-    /// Begins a recording.
+    /// Starts a recording.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -121,7 +121,7 @@ impl<W: Write> McapWriter<W> {
         let mut both = Vec::new();
         let schema = self.schemas.iter().position(|known| *known == kind).unwrap_or_else(|| {
             self.schemas.push(kind);
-            // Number 0 is of no schema.
+            // Schema number 0 means "none".
             let mut schema = (self.schemas.len() as u16).to_le_bytes().to_vec();
             text(kind, &mut schema);
             text("ros2msg", &mut schema);
@@ -172,7 +172,7 @@ impl<W: Write> McapWriter<W> {
         if self.chunk.bytes.len() >= CHUNK { self.flush() } else { Ok(()) }
     }
 
-    /// Writes what waits.
+    /// Writes the current chunk.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -184,7 +184,7 @@ impl<W: Write> McapWriter<W> {
         };
         let size = chunk.bytes.len() as u64;
         let mut content = [times.0, times.1, size].map(u64::to_le_bytes).concat();
-        // Their CRC-32, and no compression.
+        // CRC-32 of the records; no compression.
         content.extend(crc32(&chunk.bytes).to_le_bytes());
         content.extend([0; 4]);
         content.extend(size.to_le_bytes());
@@ -234,7 +234,7 @@ impl<W: Write> McapWriter<W> {
         }
         bytes.extend(self.statistics());
         let mut footer = summary.to_le_bytes().to_vec();
-        // No offsets within the summary, no sum.
+        // No offsets within the summary, no CRC.
         footer.extend([0; 12]);
         bytes.extend(record(kind::FOOTER, &footer));
         bytes.extend(MAGIC);
@@ -260,18 +260,18 @@ impl<W: Write> McapWriter<W> {
     }
 }
 
-/// Bytes of one record at most.
+/// Largest record, bytes.
 const LARGEST: u64 = 1 << 30;
-/// Bytes of the records of a chunk at most: recorders begin a new one after some megabytes.
+/// Largest chunk, unpacked bytes: recorders start a new chunk after some megabytes.
 const LARGEST_CHUNK: u64 = 256 << 20;
-/// Bytes of a record in a chunk that is looked at.
+/// Largest record in a chunk that is decoded, bytes.
 const LARGEST_IN_CHUNK: u64 = 32 << 20;
-/// Bytes of a summary at most: what it says of topics is of use, and nothing else.
+/// Largest summary, bytes: only its description of topics is used.
 const LARGEST_SUMMARY: u64 = 64 << 20;
-/// Bytes of the last record, which says where the summary begins, with the file's last bytes.
+/// Length of the footer, which locates the summary, with the file's last bytes.
 const FOOTER: u64 = 9 + 20 + MAGIC.len() as u64;
 
-/// Takes values of MCAP from bytes: little-endian, texts with their length.
+/// Reads values of MCAP: little-endian, strings with their length.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {
@@ -307,7 +307,7 @@ struct State {
 }
 
 impl State {
-    /// Takes a record; gives what is in it where that is a message.
+    /// Handles a record; returns the message if it contains one.
     fn record<'a>(&mut self, kind: u8, content: &'a [u8]) -> Option<(u16, &'a [u8])> {
         let mut fields = Fields(content);
         match kind {
@@ -325,7 +325,7 @@ impl State {
             }
             kind::MESSAGE => {
                 let number = fields.u16()?;
-                // Its number in order, and two times.
+                // Sequence number and two times.
                 fields.take(20)?;
                 Some((number, fields.0))
             }
@@ -334,7 +334,7 @@ impl State {
     }
 }
 
-/// A file that is read.
+/// A file being read.
 struct Reading<'a, 'b> {
     path: &'a Path,
     state: State,
@@ -342,7 +342,7 @@ struct Reading<'a, 'b> {
     used: &'a mut Used<'b>,
 }
 
-/// Each message of a file goes to `used`.
+/// Passes each message of a file to `used`.
 pub(crate) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Result<Ended, BagError> {
     let io = |source| BagError::Io { path: path.to_owned(), source };
     let mut magic = [0; MAGIC.len()];
@@ -364,7 +364,7 @@ pub(crate) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
             _ => return Ok(reading.cut()),
         }
         match kind {
-            // The end of the data: the rest says it again.
+            // The end of the data: the summary repeats it.
             kind::DATA_END | kind::FOOTER => return Ok(reading.ended),
             kind::CHUNK => reading.chunk(&content)?,
             _ => reading.record(kind, &content)?,
@@ -372,8 +372,8 @@ pub(crate) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
     }
 }
 
-/// What the summary at the end of a file says of its topics: it says it again, in case that a chunk which said it first is
-/// damaged. `None` without a summary, and where its sum is another one.
+/// The topics in the summary at the end of a file, which repeats them in case the first chunk with them is damaged. `None`
+/// without a summary or if its CRC is wrong.
 fn described(path: &Path) -> Option<State> {
     let mut file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|found| found.is_file()))?;
     let end = file.seek(SeekFrom::End(0)).ok()?;
@@ -386,7 +386,7 @@ fn described(path: &Path) -> Option<State> {
     file.seek(SeekFrom::Start(start)).ok().filter(|_| start > 0)?;
     let mut summary = Vec::new();
     file.take(length).read_to_end(&mut summary).ok()?;
-    // All but itself.
+    // All but the CRC itself.
     let summed = summary.get(..summary.len().checked_sub(4)?)?;
     if sum != 0 && crc32(summed) != sum {
         return None;
@@ -403,7 +403,7 @@ impl Reading<'_, '_> {
         Ended { cut: true, ..self.ended }
     }
 
-    /// Takes a record; a message goes on.
+    /// Handles a record; passes on a message.
     fn record(&mut self, kind: u8, content: &[u8]) -> Result<(), BagError> {
         let Some((number, payload)) = self.state.record(kind, content) else { return Ok(()) };
         match self.state.channels.get(&number) {
@@ -415,8 +415,8 @@ impl Reading<'_, '_> {
         }
     }
 
-    /// What is in a chunk; one of which nothing or not all can be made is counted. It is unpacked twice, first to see that
-    /// it is whole: nothing of a damaged one is used, and no more than one record of it is in memory.
+    /// Handles a chunk; counts it if it is damaged. It is unpacked twice, first to check that it is complete: nothing of a
+    /// damaged chunk is used, and only one of its records is in memory at a time.
     fn chunk(&mut self, content: &[u8]) -> Result<(), BagError> {
         let chunk = match ReadChunk::of(content) {
             Some(chunk) if !["", "zstd", "lz4"].contains(&chunk.compression.as_str()) => {
@@ -432,7 +432,7 @@ impl Reading<'_, '_> {
         let mut from = chunk.unpacked();
         let is_whole = loop {
             let mut head = [0; 9];
-            // Where nothing is left the first byte is missing.
+            // If nothing is left, the first byte is missing.
             if from.read_exact(&mut head[..1]).is_err() {
                 break true;
             }
@@ -442,7 +442,7 @@ impl Reading<'_, '_> {
             let [kind, length @ ..] = head;
             let (length, mut record) = (u64::from_le_bytes(length), Vec::new());
             if length > LARGEST_IN_CHUNK {
-                // An image, or a cloud of points: nothing of ours is so large.
+                // An image or a point cloud: no message of ours is so large.
                 match io::copy(&mut from.by_ref().take(length), &mut io::sink()) {
                     Ok(skipped) if skipped == length => continue,
                     _ => break false,
@@ -460,7 +460,7 @@ impl Reading<'_, '_> {
 
 /// The content of a chunk record.
 struct ReadChunk<'a> {
-    /// Bytes of its records, unpacked.
+    /// Unpacked bytes of its records.
     size: u64,
     /// Their CRC-32; 0 where it was not computed.
     sum: u32,
@@ -471,7 +471,7 @@ struct ReadChunk<'a> {
 impl<'a> ReadChunk<'a> {
     fn of(content: &'a [u8]) -> Option<Self> {
         let mut fields = Fields(content);
-        // The times of the first and the last message.
+        // Times of the first and the last message.
         fields.take(16)?;
         let (size, sum, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
         let length = usize::try_from(fields.u64()?).ok()?;
@@ -487,7 +487,7 @@ impl<'a> ReadChunk<'a> {
         }
     }
 
-    /// True if it unpacks to as many bytes as it says, with their sum.
+    /// True if it unpacks to the stated number of bytes with the stated CRC.
     fn is_good(&self) -> bool {
         let (mut from, mut sum, mut length) = (self.unpacked(), crc32fast::Hasher::new(), 0);
         let mut buffer = [0; 1 << 14];

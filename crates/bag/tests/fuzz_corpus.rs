@@ -1,4 +1,4 @@
-//! The fuzz target of recordings on its corpus.
+//! Runs the fuzz target of recordings on its corpus.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../../tests/common/corpus.rs"]

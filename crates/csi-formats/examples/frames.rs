@@ -1,4 +1,4 @@
-//! Prints what is in a log of another card, a line a frame: what is known of it, then CSI as `re im` pairs.
+//! Prints the frames in a log of another card, one per line: the known fields, then CSI as `re im` pairs.
 //!
 //! ```text
 //! cargo run -p csi-formats --example frames -- log.csi [--csi]
@@ -8,7 +8,7 @@
 use csi_formats::{Frame, Item, items};
 use std::io::Write;
 
-/// A value, or a dash where the format does not tell it.
+/// A value, or a dash where the format does not contain it.
 fn or_dash<T: ToString>(value: Option<T>) -> String {
     value.map_or("-".into(), |value| value.to_string())
 }

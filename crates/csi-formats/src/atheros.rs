@@ -1,6 +1,6 @@
 //! The Atheros CSI tool: the QCA9300.
 //!
-//! A u16 length and a record, in the byte order of the logger's machine, over and over:
+//! A log is a sequence of a u16 length and a record, in the byte order of the logger's machine:
 //!
 //! | offset | type | |
 //! |---|---|---|
@@ -9,7 +9,7 @@
 //! | 10 | u16 | centre of the channel, MHz |
 //! | 12 | u8 | error, noise floor, rate, width (0: 20 MHz, 1: 40 MHz) |
 //! | 16 | u8 | subcarriers (56 or 114), receive chains, transmit streams |
-//! | 19 | u8 | RSSI in all and of chains 1 to 3; 128: none |
+//! | 19 | u8 | total RSSI and that of chains 1 to 3; 128: none |
 //! | 23 | u16 | bytes of the frame |
 //! | 25 | | CSI, then the frame |
 //!
@@ -19,7 +19,7 @@ use crate::bits::Bits;
 use crate::{Card, Clock, Endian, Frame, Front, Kind, RssiUnit, Tones, Why, array, to_next};
 use alloc::vec::Vec;
 
-/// Bytes of a record before its CSI, length field not counted.
+/// Bytes of a record before its CSI, without the length field.
 pub const HEAD: usize = 25;
 /// Bytes of the length field.
 const LENGTH_FIELD: usize = 2;
@@ -40,7 +40,7 @@ struct Head {
 }
 
 impl Head {
-    /// The head at the front, if it agrees with itself; `None` otherwise, or where there are too few bytes.
+    /// The head at the front, if its fields are consistent; `None` otherwise, or if there are too few bytes.
     fn parse(bytes: &[u8], endian: Endian) -> Option<Self> {
         let u16_of =
             |at| array(bytes, at).map(if endian == Endian::Big { u16::from_be_bytes } else { u16::from_le_bytes });
@@ -73,14 +73,14 @@ impl Head {
     }
 }
 
-/// Whether the first record agrees with itself, and what follows it is one, or the end.
+/// Whether the first record is consistent and followed by another one or the end.
 pub(crate) fn is_log(bytes: &[u8], endian: Endian) -> bool {
     let Some(head) = Head::parse(bytes, endian) else { return false };
     let next = bytes.get(head.len..).unwrap_or_default();
     next.len() < LENGTH_FIELD + HEAD || Head::parse(next, endian).is_some()
 }
 
-/// The record at the front and its length, or why it is none and how many bytes to skip.
+/// The record at the front and its length, or why it is invalid and how many bytes to skip.
 pub fn front(bytes: &[u8], endian: Endian) -> Front {
     let is_record = |bytes: &[u8]| Head::parse(bytes, endian).is_some();
     if bytes.len() < LENGTH_FIELD + HEAD {
@@ -99,7 +99,7 @@ pub fn front(bytes: &[u8], endian: Endian) -> Front {
 
 fn read(head: &Head, csi: &[u8], frame: &[u8]) -> Option<Frame> {
     let width_mhz = if head.is_40_mhz { 40 } else { 20 };
-    // The card says how many it has; a frame of 20 MHz on a channel of 40 has those of 20.
+    // The card states the number; a 20 MHz frame on a 40 MHz channel has that of 20 MHz.
     let Tones { subcarriers, .. } = Tones::of(Kind::Ht, if head.tones == 114 { 40 } else { 20 })?;
     let (n_rx, n_tx, n) = (usize::from(head.n_rx), usize::from(head.n_tx), subcarriers.len());
     let rssi = |rssi: &u8| (*rssi != NO_RSSI).then_some(i16::from(*rssi));
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn both_byte_orders_are_read_and_told_apart() {
+    fn both_byte_orders_are_read_and_distinguished() {
         for endian in [Endian::Little, Endian::Big] {
             let log = [record(endian), record(endian)].concat();
             assert_eq!(crate::detect(&log), Some(crate::Format::Atheros(endian)));

@@ -1,6 +1,6 @@
 //! Bit streams, lowest bit first, as the 5300 and the QCA9300 pack their samples.
 
-/// Reads numbers of a few bits from the front of bytes.
+/// Reads numbers of a few bits each.
 pub(crate) struct Bits<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -15,7 +15,7 @@ impl<'a> Bits<'a> {
         self.at += bits;
     }
 
-    /// The next `bits` (at most 16) as a two's complement number; `None` behind the end.
+    /// The next `bits` (at most 16) as a two's complement number; `None` past the end.
     pub(crate) fn signed(&mut self, bits: usize) -> Option<i16> {
         let mut word = 0_u32;
         for k in 0..3 {

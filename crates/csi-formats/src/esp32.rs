@@ -1,21 +1,21 @@
 //! The ESP32: lines of text of ESP32-CSI-Tool and of Espressif's esp-csi.
 //!
-//! A line is `CSI_DATA`, columns with commas, and the samples in brackets, i8, imaginary part first, parted by blanks (the
-//! tool) or commas (esp-csi). A line of headings names the columns; without one the number of columns says whose they are.
-//! Lines of other things, such as the ESP32's own messages, are skipped.
+//! A line is `CSI_DATA`, columns separated by commas, and the samples in brackets: i8, imaginary part first, separated by
+//! blanks (ESP32-CSI-Tool) or commas (esp-csi). A header line names the columns; without one, their number identifies the
+//! tool. Other lines, such as the ESP32's own messages, are skipped.
 //!
 //! The samples are those of the legacy training field, then of the HT one, 64 subcarriers each at 20 MHz (ESP-IDF,
-//! `wifi_csi_info_t`). Of a line that has both the HT field is the frame's, as other cards report it; the tool writes the
-//! legacy one only. They begin at the channel centre and go on at the lower edge; where the frame was in the lower half of a
-//! channel of 40 MHz they are indices -64 to -1, in the upper half 0 to 63.
+//! `wifi_csi_info_t`). If a line has both, the HT field is used, as other cards report it; ESP32-CSI-Tool writes only the
+//! legacy one. The samples start at the channel centre and continue at the lower edge. If the frame was in the lower half of
+//! a 40 MHz channel they are indices -64 to -1; in the upper half, 0 to 63.
 //!
-//! The ESP32 spoils the first four bytes (`first_word_invalid`): these two subcarriers of the legacy field are not measured, unless
-//! a column says that they are.
+//! The ESP32 spoils the first four bytes (`first_word_invalid`): these two subcarriers of the legacy field count as not
+//! measured, unless a column says that they are valid.
 
 use crate::{Card, Clock, Frame, Kind, RssiUnit, Tones, Why};
 use alloc::vec::Vec;
 
-/// Columns before the samples, of ESP32-CSI-Tool.
+/// ESP32-CSI-Tool's columns before the samples.
 const TOOL: [&str; 25] = [
     "type",
     "role",
@@ -43,7 +43,7 @@ const TOOL: [&str; 25] = [
     "real_timestamp",
     "len",
 ];
-/// Of esp-csi.
+/// esp-csi's columns.
 const ESP_CSI: [&str; 24] = [
     "type",
     "id",
@@ -70,7 +70,7 @@ const ESP_CSI: [&str; 24] = [
     "len",
     "first_word",
 ];
-/// Of esp-csi on the ESP32-C5 and C6.
+/// esp-csi's columns on the ESP32-C5 and C6.
 const ESP_CSI_C6: [&str; 14] = [
     "type",
     "id",
@@ -88,14 +88,14 @@ const ESP_CSI_C6: [&str; 14] = [
     "first_word",
 ];
 const START: &[u8] = b"CSI_DATA";
-/// The longest line that is looked at.
+/// Longest line that is parsed, bytes.
 const MAX_LINE: usize = 16 * 1024;
 /// Subcarriers in the first four bytes.
 const SPOILED: usize = 2;
 /// Subcarriers of a training field at 20 MHz.
 const FIELD: usize = 64;
 
-/// Where the columns of a log are that are of use.
+/// Positions of the columns that are used.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Columns {
     mac: Option<usize>,
@@ -138,7 +138,7 @@ impl Columns {
     }
 }
 
-/// Whether the first line is one of headings or of samples.
+/// Whether the first line is a header or has samples.
 pub(crate) fn is_log(bytes: &[u8]) -> bool {
     let line = line_of(bytes);
     let is_heading = line.starts_with(b"type,") && line.windows(6).any(|word| word == b",mac,r");
@@ -150,7 +150,7 @@ fn line_of(bytes: &[u8]) -> &[u8] {
     bytes.split(|byte| *byte == b'\n').next().unwrap_or_default()
 }
 
-/// The line at the front, or `None` for one of headings, and its bytes.
+/// The line at the front, or `None` for a header, and its length in bytes.
 pub(crate) fn front(bytes: &[u8], columns: &mut Option<Columns>) -> (Option<Result<Frame, Why>>, usize) {
     let line = line_of(bytes);
     let is_whole = line.len() < bytes.len() && line.len() < MAX_LINE;
@@ -227,8 +227,8 @@ fn pairs(text: &str) -> Option<Vec<[f32; 2]>> {
 
 type Read = (Vec<i16>, Vec<bool>, Vec<[f32; 2]>);
 
-/// The training field of a frame among all samples of a line; `side` is where the second half of a channel of 40 MHz is: 0
-/// none, 1 above, 2 below.
+/// The frame's training field among all samples of a line; `side` is the position of a 40 MHz channel's second half: 0 none,
+/// 1 above, 2 below.
 fn training_field(values: &[[f32; 2]], is_ht: bool, is_wide: bool, side: i64) -> Option<Read> {
     let (legacy, rest) = values.split_at_checked(FIELD)?;
     let whole: Vec<i16> = (0..64).chain(-64..0).collect();
@@ -249,7 +249,7 @@ fn training_field(values: &[[f32; 2]], is_ht: bool, is_wide: bool, side: i64) ->
     Some((indices, measured, csi.to_vec()))
 }
 
-/// Centre of the channel of 20 MHz, or of 40 MHz with the other half above (1) or below (2).
+/// Centre of the 20 MHz channel, or of the 40 MHz channel whose other half is above (1) or below (2).
 const fn centre_mhz(channel: u16, side: i64) -> u16 {
     let own = if channel == 14 { 2_484 } else { 2_407 + 5 * channel };
     match side {
@@ -259,7 +259,7 @@ const fn centre_mhz(channel: u16, side: i64) -> u16 {
     }
 }
 
-/// Seconds with a fraction as microseconds.
+/// Seconds with a fraction, as microseconds.
 fn host_us(text: &str) -> Option<i64> {
     let seconds: f64 = text.parse().ok()?;
     (seconds.is_finite() && (0.0..1e11).contains(&seconds)).then_some((seconds * 1e6) as i64)
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn the_field_of_an_ht_frame_is_its_own() {
+    fn an_ht_frame_uses_its_ht_field() {
         let line = |bandwidth: u8, side: u8, pairs: usize| {
             frames(&format!(
                 "CSI_DATA,1,3C:71:BF:6D:2A:78,-7,11,1,0,{bandwidth},1,1,0,0,0,0,-93,0,6,{side},1,0,101,0,128,0,[{}]\n",
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_are_none_are_skipped() {
+    fn other_lines_are_skipped() {
         let good = format!(
             "CSI_DATA,7,3c:71:bf:6d:2a:78,-73,11,0,0,0,1,1,0,0,0,0,-93,0,6,0,8,0,101,0,128,0,[{}]\n",
             samples(64, ",")

@@ -1,12 +1,12 @@
 //! FeitCSI: the Intel AX200 and AX210.
 //!
-//! A record is 272 bytes of head and then CSI, all little-endian; the program writes them one after the other to a file or its
-//! standard output, or each as a UDP datagram. [`front`] reads one off the front of any of these.
+//! A record is a head of 272 bytes followed by CSI, all little-endian. The program writes records one after the other to a
+//! file or standard output, or each as a UDP datagram. [`front`] reads one record from the front of any of these.
 //!
 //! | offset | type | |
 //! |---|---|---|
 //! | 0 | u32 | bytes of CSI |
-//! | 8 | u32 | FTM clock, 320 MHz: a tick is 3.125 ns, it wraps every 13.4 s |
+//! | 8 | u32 | FTM clock, 320 MHz: a tick is 3.125 ns; wraps every 13.4 s |
 //! | 12 | u64 | host time, microseconds since the epoch; 0 in old logs |
 //! | 46, 47 | u8 | receive, transmit chains |
 //! | 52 | u32 | subcarriers |
@@ -16,7 +16,7 @@
 //! | 92 | u32 | `rate_n_flags` of version 2: bits 8-10 kind, 11-13 width |
 //!
 //! CSI is `[rx][tx][subcarrier]` of i16 pairs, real part first. Pilots are not measured: the firmware leaves noise there. Old
-//! firmware writes 14 subcarriers too many into VHT160, in the middle; they are left out.
+//! firmware writes 14 extra subcarriers into the middle of VHT160; they are removed.
 
 use crate::{Card, Clock, Frame, Front, Kind, RssiUnit, Tones, Why, array, i16_pairs, to_next, u32_at, u64_at};
 use alloc::vec::Vec;
@@ -25,7 +25,7 @@ use alloc::vec::Vec;
 pub const HEAD: usize = 272;
 /// Length of a tick of the FTM clock, picoseconds: 1 / 320 MHz.
 pub const FTM_TICK_PS: u32 = 3_125;
-/// Subcarriers that old firmware writes too many in VHT160, and where.
+/// Number and position of the extra subcarriers that old firmware writes in VHT160.
 const VHT160_FAULT: core::ops::Range<usize> = 242..256;
 /// Antennas A and B, in `rate_n_flags`.
 const BOTH_ANTENNAS: u32 = 3 << 14;
@@ -48,7 +48,7 @@ pub(crate) struct Head {
 }
 
 impl Head {
-    /// The head at the front; `None` when there are too few bytes.
+    /// The head at the front; `None` if there are too few bytes.
     pub(crate) fn parse(bytes: &[u8]) -> Option<Self> {
         let bytes = bytes.get(..HEAD)?;
         let &[n_rx, n_tx] = bytes.get(46..48)? else { return None };
@@ -66,14 +66,14 @@ impl Head {
         })
     }
 
-    /// Whether its numbers agree with each other.
+    /// Whether its numbers are consistent.
     fn is_consistent(&self) -> bool {
         let chains = 1..=MAX_CHAINS;
         let samples = u64::from(self.n_rx) * u64::from(self.n_tx) * u64::from(self.subcarriers);
         chains.contains(&self.n_rx) && chains.contains(&self.n_tx) && samples > 0 && self.csi_len as u64 == 4 * samples
     }
 
-    /// Kind of the frame, `None` for CCK and what came after HE, and its width, MHz.
+    /// Kind of the frame, `None` for CCK and for kinds after HE, and its width, MHz.
     pub(crate) fn kind_and_width(&self) -> (Option<Kind>, u16) {
         let kind = match self.rate >> 8 & 7 {
             1 => Some(Kind::Legacy),
@@ -85,7 +85,7 @@ impl Head {
         (kind, 20 << (self.rate >> 11 & 7).min(4))
     }
 
-    /// The clocks: FTM, and the one that wraps later.
+    /// The FTM clock, and the one that wraps later.
     pub(crate) fn clocks(&self) -> (Clock, Clock) {
         (Clock { ticks: self.ftm.into(), tick_ps: FTM_TICK_PS, bits: 32 }, Clock::us(self.clock_us.into(), 32))
     }
@@ -97,12 +97,12 @@ impl Head {
     }
 }
 
-/// What a record says beside its CSI, to be written: what [`front`] reads.
+/// A record's fields besides its CSI, for writing: those that [`front`] reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repr {
     /// FTM clock, ticks of 3.125 ns.
     pub ftm: u32,
-    /// Host time, microseconds since the epoch; 0 where it is not known.
+    /// Host time, microseconds since the epoch; 0 if unknown.
     pub host_us: u64,
     /// Receive chains.
     pub n_rx: u8,
@@ -147,7 +147,7 @@ impl Repr {
             (68, &self.sender),
             (88, &self.clock_us.to_le_bytes()),
             (92, &rate.to_le_bytes()),
-            // As the files at hand have it.
+            // As in the known files.
             (4, &[4]),
         ];
         for (at, field) in fields {
@@ -158,14 +158,14 @@ impl Repr {
     }
 }
 
-/// Whether the first record agrees with itself, and what follows it is one, or the end.
+/// Whether the first record is consistent and followed by another one or the end.
 pub fn is_log(bytes: &[u8]) -> bool {
     let Some(head) = Head::parse(bytes).filter(Head::is_consistent) else { return false };
     let next = bytes.get(HEAD.saturating_add(head.csi_len)..).unwrap_or_default();
     next.is_empty() || Head::parse(next).is_some_and(|head| head.is_consistent())
 }
 
-/// The record at the front and its length, or why it is none and how many bytes to skip.
+/// The record at the front and its length, or why it is invalid and how many bytes to skip.
 pub fn front(bytes: &[u8]) -> Front {
     let is_record = |bytes: &[u8]| Head::parse(bytes).is_some_and(|head| head.is_consistent());
     let Some(head) = Head::parse(bytes) else { return (Err(Why::Cut), bytes.len()) };
@@ -174,7 +174,7 @@ pub fn front(bytes: &[u8]) -> Front {
     }
     let len = HEAD.saturating_add(head.csi_len);
     let Some(csi) = bytes.get(HEAD..len) else {
-        // Cut, or a length that was damaged: then another record begins inside.
+        // Cut, or the length is damaged: then another record begins inside.
         let next = to_next(bytes, is_record);
         return (Err(if next == bytes.len() { Why::Cut } else { Why::Damaged }), next);
     };
@@ -215,7 +215,7 @@ fn frame(head: &Head, csi: &[u8]) -> Result<Frame, Why> {
     })
 }
 
-/// The samples, without those that a fault put into each column.
+/// The samples, without the extra subcarriers of each column.
 fn columns(csi: &[u8], written: usize, is_faulty: bool) -> Vec<[f32; 2]> {
     let mut all = i16_pairs(csi);
     if is_faulty {
@@ -268,7 +268,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_written_record_is_read_back() {
         for (kind, width_mhz) in [(Kind::Legacy, 20), (Kind::Ht, 40), (Kind::Vht, 80), (Kind::He, 20), (Kind::He, 160)]
         {
             let n = Tones::of(kind, width_mhz).unwrap().subcarriers.len();
@@ -299,7 +299,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_subcarriers_too_many_of_vht160_are_left_out() {
+    fn the_extra_subcarriers_of_vht160_are_removed() {
         let frame = front(&record(0x0300 | 3 << 11, 498)).0.unwrap();
         assert_eq!((frame.subcarriers.len(), frame.csi.len()), (484, 968));
         let column = frame.column(1, 0).unwrap();
@@ -319,7 +319,7 @@ pub(crate) mod tests {
             })
             .collect();
         let len = len as u64;
-        // The second is read with bytes of the third, as its head is whole; then the rest of the third is skipped.
+        // The second record has an intact head but takes bytes of the third; the rest of the third is skipped.
         assert_eq!(offsets, [Ok(0), Ok(len), Err((2 * len, len - 100, Why::Damaged)), Ok(3 * len - 100)]);
         assert_eq!(front(&record(0x0400, 242)[..300]), (Err(Why::Cut), 300));
     }

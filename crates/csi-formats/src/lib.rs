@@ -1,4 +1,4 @@
-//! CSI logs of cards other than the Intel 5300, read into one kind of frame.
+//! Reads CSI logs of cards other than the Intel 5300 as frames of one type.
 //!
 //! ```
 //! # let bytes: &[u8] = &[];
@@ -12,17 +12,17 @@
 //!
 //! | module | card | bytes |
 //! |---|---|---|
-//! | [`feitcsi`] | Intel AX200, AX210 | records of a 272-byte head and CSI; one a UDP datagram, or one after the other |
+//! | [`feitcsi`] | Intel AX200, AX210 | records of a 272-byte head and CSI, one per UDP datagram or one after the other |
 //! | [`picoscenes`] | Intel 5300, AX200, AX210, QCA9300 | frames of named segments |
 //! | [`nexmon`] | Broadcom 4339, 43455c0, 4358, 4366c0 | UDP datagrams in a pcap |
-//! | [`esp32`] | ESP32 of both tools | lines of text |
-//! | [`atheros`] | QCA9300 | records with a length before them, in the byte order of the logger's machine |
+//! | [`esp32`] | ESP32 (two tools) | lines of text |
+//! | [`atheros`] | QCA9300 | records preceded by their length, in the byte order of the logger's machine |
 //!
-//! A log is recognised by its content ([`detect`]). What a format does not say is absent from a [`Frame`], never 0: an
-//! ESP32 has no host time unless somebody set it, a FeitCSI record has no frame number. What cannot be read is an
-//! [`Item::Skipped`] with its place and reason; reading goes on at the next record that agrees with itself.
+//! A log is recognised by its content ([`detect`]). What a format does not contain is absent from a [`Frame`], never 0: an
+//! ESP32 has no host time unless its clock was set, a FeitCSI record has no frame number. Unreadable bytes become an
+//! [`Item::Skipped`] with offset and reason; reading continues at the next consistent record.
 //!
-//! Nothing here does I/O or panics on any bytes.
+//! Nothing here does I/O, and no input causes a panic.
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -53,7 +53,7 @@ pub enum Card {
     Intel5300,
     /// Qualcomm Atheros QCA9300.
     Qca9300,
-    /// Broadcom, by the number of the chip.
+    /// Broadcom, with the chip's number.
     Broadcom(&'static str),
     /// Espressif ESP32.
     Esp32,
@@ -85,7 +85,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The name that the standard uses.
+    /// Its name in the standard.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -100,11 +100,11 @@ impl Kind {
 /// A reading of a card's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clock {
-    /// Ticks since some moment that the card does not tell.
+    /// Ticks since an unknown moment.
     pub ticks: u64,
     /// Length of a tick, picoseconds.
     pub tick_ps: u32,
-    /// Bits of the counter, which wraps.
+    /// Bits of the counter before it wraps.
     pub bits: u8,
 }
 
@@ -114,62 +114,62 @@ impl Clock {
     }
 }
 
-/// What [`Frame::rssi`] is in.
+/// Unit of [`Frame::rssi`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RssiUnit {
     /// dBm.
     Dbm,
-    /// dB above a reference that the card does not tell.
+    /// dB above an unknown reference.
     Db,
 }
 
-/// One frame that a card heard.
+/// One received frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Where its record begins in the log, bytes.
+    /// Offset of its record in the log, bytes.
     pub offset: u64,
-    /// What measured it.
+    /// The card that measured it.
     pub card: Card,
-    /// The card's clock when the frame came: the finest one, if it has several.
+    /// The card's clock at reception: the finest one, if there are several.
     pub clock: Option<Clock>,
-    /// A coarser clock of the card that wraps later.
+    /// A coarser clock of the card, which wraps later.
     pub slow_clock: Option<Clock>,
     /// Host time, microseconds since the Unix epoch.
     pub host_us: Option<i64>,
     /// Address 2 of the frame.
     pub sender: Option<[u8; 6]>,
-    /// Sequence number of the 802.11 frame, 0 to 4095, where the format tells it.
+    /// Sequence number of the 802.11 frame, 0 to 4095, if the format contains it.
     pub sequence: Option<u16>,
     /// Centre of the channel, MHz.
     pub centre_mhz: Option<u16>,
     /// Width of the frame, MHz.
     pub width_mhz: u16,
-    /// By its preamble; `None` where the format does not tell.
+    /// From its preamble; `None` if the format does not contain it.
     pub kind: Option<Kind>,
     /// Receive chains in `csi`.
     pub n_rx: usize,
     /// Transmit chains or streams in `csi`.
     pub n_tx: usize,
-    /// The chain of the card that `csi` begins with: not 0 where a format has a record for each.
+    /// First receive chain of `csi`: not 0 where a format has one record per chain.
     pub first_rx: u8,
-    /// The stream that `csi` begins with.
+    /// First stream of `csi`.
     pub first_tx: u8,
-    /// Which antenna each chain of a 5300 was connected to, packed as the card does.
+    /// The antenna of each chain of a 5300, packed as the card does.
     pub antenna_sel: Option<u8>,
-    /// Each subcarrier's index relative to the channel centre, in units of its spacing (312.5 kHz; 78.125 kHz for HE).
+    /// Index of each subcarrier relative to the channel centre, in units of its spacing (312.5 kHz; 78.125 kHz for HE).
     pub subcarriers: Vec<i16>,
-    /// Which of them the card measured: not pilots of an AX2xx, not the centre, nothing outside the frame's own.
+    /// Which subcarriers the card measured: not an AX2xx's pilots, not the centre, nothing outside the frame's own.
     pub measured: Vec<bool>,
     /// CSI `[rx][tx][subcarrier]`, subcarrier fastest, real and imaginary part in units of the card.
     pub csi: Vec<[f32; 2]>,
-    /// Strength by receive chain; `None` where the card does not tell.
+    /// Signal strength by receive chain; `None` if the card does not report it.
     pub rssi: Vec<Option<i16>>,
-    /// What `rssi` is in.
+    /// Unit of `rssi`.
     pub rssi_unit: RssiUnit,
 }
 
 impl Frame {
-    /// CSI of one pair of chains, in the order of [`Frame::subcarriers`]; `None` when there is no such pair.
+    /// CSI of one pair of chains, in the order of [`Frame::subcarriers`]; `None` if there is no such pair.
     #[must_use]
     pub fn column(&self, rx: usize, tx: usize) -> Option<&[[f32; 2]]> {
         let n = self.subcarriers.len();
@@ -177,33 +177,33 @@ impl Frame {
         self.csi.get(at..at.checked_add(n)?)
     }
 
-    /// Distance of two neighbouring subcarriers, Hz.
+    /// Subcarrier spacing, Hz.
     #[must_use]
     pub fn spacing_hz(&self) -> f64 {
         if self.kind == Some(Kind::He) { 78_125.0 } else { 312_500.0 }
     }
 }
 
-/// Why bytes are no frame.
+/// Why bytes are not a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Why {
-    /// They contradict themselves: damage, or another kind of data.
+    /// Their fields are inconsistent: damage, or other data.
     Damaged,
     /// The log ends inside them.
     Cut,
-    /// A frame of which the card measured no CSI, or a packet of something else.
+    /// A frame without CSI, or a packet of something else.
     NoCsi,
     /// A version of a segment that only PicoScenes' own library reads: newer ones may be compressed.
     Version {
         /// The segment's version.
         got: u16,
     },
-    /// A device or chip whose CSI has another form.
+    /// A device or chip whose CSI has an unknown form.
     Device {
         /// Its number in the format.
         got: u16,
     },
-    /// A number of subcarriers that the frame's kind and width do not have.
+    /// A number of subcarriers that the frame's kind and width do not allow.
     Subcarriers {
         /// As read.
         got: u32,
@@ -213,36 +213,36 @@ pub enum Why {
 impl fmt::Display for Why {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::Damaged => write!(f, "no record, or a damaged one"),
+            Self::Damaged => write!(f, "not a record, or a damaged one"),
             Self::Cut => write!(f, "the log ends inside a record"),
             Self::NoCsi => write!(f, "no CSI in it"),
             Self::Version { got } => {
                 write!(f, "a CSI segment of version {got}: export it with PicoScenes, whose library alone reads it")
             }
-            Self::Device { got } => write!(f, "CSI of device {got:#06x}, which is not read"),
+            Self::Device { got } => write!(f, "CSI of unsupported device {got:#06x}"),
             Self::Subcarriers { got } => write!(f, "{got} subcarriers, which no frame of its kind and width has"),
         }
     }
 }
 
-/// Bytes that are no frame.
+/// Bytes that are not a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Skipped {
-    /// Where they begin in the log.
+    /// Their offset in the log.
     pub offset: u64,
-    /// How many.
+    /// Their number.
     pub len: u64,
     /// Why.
     pub why: Why,
 }
 
-/// What a log has at one place.
+/// One item of a log.
 #[derive(Clone, Debug, PartialEq)]
-#[allow(clippy::large_enum_variant)] // frames are what there are many of
+#[allow(clippy::large_enum_variant)] // most items are frames
 pub enum Item {
     /// A frame with its CSI.
     Frame(Frame),
-    /// Bytes that are none.
+    /// Bytes that are not a frame.
     Skipped(Skipped),
 }
 
@@ -262,7 +262,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// What to call it.
+    /// Its name for people.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -285,12 +285,12 @@ pub enum Endian {
     Big,
 }
 
-/// Bytes from the beginning of a log with which [`detect`] is sure.
+/// Bytes from the start of a log that [`detect`] needs.
 pub const DETECT: usize = 64 * 1024;
 
-/// What kind of log these are the first bytes of; `None` for any other file, a csitool log among them.
+/// The kind of log that starts with these bytes; `None` for any other file, including a csitool log.
 ///
-/// The strictest are asked first: a magic number, then text, then records that agree with themselves.
+/// Strict formats are tried first: a magic number, then text, then records that must be consistent.
 #[must_use]
 pub fn detect(bytes: &[u8]) -> Option<Format> {
     let atheros = |endian| atheros::is_log(bytes, endian).then_some(Format::Atheros(endian));
@@ -307,13 +307,13 @@ pub fn detect(bytes: &[u8]) -> Option<Format> {
     }
 }
 
-/// All items of a log in order; `None` when it is of no kind that is read here.
+/// All items of a log in order; `None` if its kind is not supported.
 #[must_use]
 pub fn items(bytes: &[u8]) -> Option<Items<'_>> {
     detect(bytes).map(|format| Items::new(format, bytes))
 }
 
-/// Items of a log, one after the other. Every byte belongs to one item, but the heads of a pcap and of a table.
+/// Items of a log, in order. Every byte belongs to one item, except the headers of a pcap and of a table.
 #[derive(Clone, Debug)]
 pub struct Items<'a> {
     format: Format,
@@ -323,21 +323,21 @@ pub struct Items<'a> {
 }
 
 impl<'a> Items<'a> {
-    /// Of a log whose format is known.
+    /// For a log of known format.
     #[must_use]
     pub fn new(format: Format, bytes: &'a [u8]) -> Self {
         let at = if format == Format::Nexmon { nexmon::HEAD.min(bytes.len()) } else { 0 };
         Self { format, bytes, at, columns: None }
     }
 
-    /// What kind of log it is.
+    /// The log's format.
     #[must_use]
     pub fn format(&self) -> Format {
         self.format
     }
 }
 
-/// What the front of some bytes is, and how many of them.
+/// The item at the front of some bytes, and its length.
 type Front = (Result<Frame, Why>, usize);
 
 impl Iterator for Items<'_> {
@@ -369,12 +369,12 @@ impl Iterator for Items<'_> {
     }
 }
 
-/// Bytes up to the next place at which a record can begin, or all: what is skipped of damage. The first byte always is.
+/// Number of damaged bytes to skip: at least one, up to the next possible start of a record or the end.
 fn to_next(front: &[u8], is_record: impl Fn(&[u8]) -> bool) -> usize {
     (1..front.len()).find(|at| front.get(*at..).is_some_and(&is_record)).unwrap_or(front.len())
 }
 
-/// The `N` bytes at a place.
+/// The `N` bytes at an offset.
 fn array<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
 }

@@ -1,6 +1,6 @@
 //! nexmon_csi: Broadcom's 4339, 43455c0, 4358 and 4366c0.
 //!
-//! The firmware sends a UDP datagram to port 5500 for each core and spatial stream; tcpdump writes them to a pcap. Its payload:
+//! The firmware sends a UDP datagram to port 5500 for each core and spatial stream; tcpdump writes them to a pcap. The payload:
 //!
 //! | offset | type | |
 //! |---|---|---|
@@ -12,22 +12,21 @@
 //! | 12 | u16 | bits 0-2 core, 3-5 spatial stream |
 //! | 14 | u16 | chanspec: bits 0-7 channel, 11-13 width, 14-15 band |
 //! | 16 | u16 | chip |
-//! | 18 | | CSI, 4 bytes a point of the FFT, from the channel centre up and then from the lower edge |
+//! | 18 | | CSI, 4 bytes a point of the FFT, from the channel centre up, then from the lower edge |
 //!
-//! Points are pairs of i16 (43455c0, 4339), or one u32 each of two mantissas and an exponent that they share (4358, 4366c0).
-//! One datagram is one [`Frame`], of one chain: [`Frame::first_rx`] is the core. The points of the edges and the centre carry
-//! nothing.
+//! A point is a pair of i16 (43455c0, 4339), or a u32 of two mantissas with a common exponent (4358, 4366c0). One datagram is
+//! one [`Frame`] of one chain: [`Frame::first_rx`] is the core. The points at the edges and the centre carry no signal.
 
 use crate::{Card, Clock, Endian, Frame, Front, RssiUnit, Why, array, i16_pairs, to_next, u16_at};
 use alloc::vec::Vec;
 
-/// Bytes of the head of a pcap.
+/// Bytes of a pcap's header.
 pub const HEAD: usize = 24;
-/// Bytes of the head of a packet in it.
+/// Bytes of a packet's header in it.
 const PACKET_HEAD: usize = 16;
-/// Bytes of the payload before its CSI.
+/// Bytes of the payload before the CSI.
 const CSI: usize = 18;
-/// The longest packet that a pcap is believed to have.
+/// Longest plausible packet of a pcap, bytes.
 const MAX_PACKET: u32 = 262_144;
 const PORT: u16 = 5_500;
 const MAGIC: [u8; 2] = [0x11, 0x11];
@@ -40,7 +39,7 @@ struct Pcap {
 }
 
 impl Pcap {
-    /// By the magic number of a pcap of Ethernet packets.
+    /// From the magic number of a pcap of Ethernet packets.
     fn of(bytes: &[u8]) -> Option<Self> {
         let (endian, is_nano) = match array::<4>(bytes, 0)? {
             [0xd4, 0xc3, 0xb2, 0xa1] => (Endian::Little, false),
@@ -57,7 +56,7 @@ impl Pcap {
         array(bytes, at).map(if self.endian == Endian::Big { u32::from_be_bytes } else { u32::from_le_bytes })
     }
 
-    /// Host time, microseconds, and length of the packet at the front, if its head is possible.
+    /// Host time, microseconds, and length of the packet at the front, if its header is plausible.
     fn packet(self, bytes: &[u8]) -> Option<(i64, usize)> {
         let [s, fraction, len, on_air] = [0, 4, 8, 12].map(|at| self.u32_at(bytes, at));
         let (s, fraction, len) = (s?, fraction?, len?);
@@ -68,7 +67,7 @@ impl Pcap {
     }
 }
 
-/// Whether it is a pcap with a datagram of nexmon among its first packets.
+/// Whether it is a pcap with a nexmon datagram among its first packets.
 pub(crate) fn is_log(bytes: &[u8]) -> bool {
     let Some(pcap) = Pcap::of(bytes) else { return false };
     let mut rest = bytes.get(HEAD..).unwrap_or_default();
@@ -82,8 +81,7 @@ pub(crate) fn is_log(bytes: &[u8]) -> bool {
     false
 }
 
-/// Payload of an Ethernet packet that holds a datagram of nexmon. What the packet has behind it (a checksum, padding) is
-/// no part of it.
+/// Payload of an Ethernet packet that holds a nexmon datagram, without trailing bytes (a checksum, padding).
 fn datagram(packet: &[u8]) -> Option<&[u8]> {
     let ip = packet.get(14..).filter(|_| array(packet, 12) == Some([0x08, 0x00]))?;
     let &first = ip.first()?;
@@ -94,7 +92,7 @@ fn datagram(packet: &[u8]) -> Option<&[u8]> {
     (array(payload, 0) == Some(MAGIC)).then_some(payload)
 }
 
-/// The packet at the front and its length, or why it has no CSI and how many bytes to skip; `log` is all of the log.
+/// The packet at the front and its length, or why it has no CSI and how many bytes to skip; `log` is the whole log.
 pub(crate) fn front(bytes: &[u8], log: &[u8]) -> Front {
     let Some(pcap) = Pcap::of(log) else { return (Err(Why::Damaged), bytes.len()) };
     let is_ours = |bytes: &[u8]| pcap.packet(bytes).is_some() && bytes.get(PACKET_HEAD..).and_then(datagram).is_some();
@@ -110,17 +108,17 @@ pub(crate) fn front(bytes: &[u8], log: &[u8]) -> Front {
     (frame.map(|frame| Frame { host_us: Some(host_us), ..frame }), PACKET_HEAD + len)
 }
 
-/// How a chip writes its points.
+/// How a chip encodes its points.
 enum Points {
     Pairs,
-    /// Bits of a mantissa, its sign included, and of the exponent.
+    /// Bits of a mantissa, including its sign, and of the exponent.
     Floats {
         mantissa: u32,
         exponent: u32,
     },
 }
 
-/// Chips by their numbers, which some firmware leaves to the driver: CSIKit's list of what was met.
+/// Chips by their numbers, which some firmware leaves to the driver: from CSIKit's list of observed numbers.
 fn chip(number: [u8; 2]) -> Option<(&'static str, Points)> {
     match number {
         [0x01, 0x00] => Some(("4339", Points::Pairs)),
@@ -131,7 +129,7 @@ fn chip(number: [u8; 2]) -> Option<(&'static str, Points)> {
     }
 }
 
-/// Points of the FFT on each side that a frame of a width (MHz) fills at most: the nearest to the centre and the outermost.
+/// The FFT points per side that a frame of a width (MHz) can fill: the innermost and the outermost.
 const fn filled(points: usize) -> Option<(u16, i16, i16)> {
     match points {
         64 => Some((20, 1, 28)),
@@ -151,9 +149,9 @@ fn read(payload: &[u8]) -> Result<Frame, Why> {
     let n = got as i16;
     let subcarriers: Vec<i16> = (0..n).map(|k| if k < n / 2 { k } else { k - n }).collect();
     let cores = u16_at(payload, 12).ok_or(Why::Damaged)?;
-    // Some firmware writes them the other way round.
+    // Some firmware swaps these bytes.
     let cores = if cores > 63 { cores.swap_bytes() } else { cores };
-    // Firmware that does not tell the RSSI repeats the magic there.
+    // Firmware that does not report the RSSI repeats the magic number there.
     let rssi = array::<2>(payload, 2).filter(|bytes| *bytes != MAGIC).map(|[rssi, _]| i16::from(rssi.cast_signed()));
     Ok(Frame {
         offset: 0,
@@ -182,7 +180,7 @@ fn read(payload: &[u8]) -> Result<Frame, Why> {
     })
 }
 
-/// Centre of a channel, MHz, by its number, which is that of the centre at any width.
+/// Centre of a channel, MHz, from its number, which denotes the centre at any width.
 fn centre_mhz(chanspec: u16) -> Option<u16> {
     let channel = chanspec & 0xff;
     match (chanspec >> 14, channel) {
@@ -193,8 +191,8 @@ fn centre_mhz(chanspec: u16) -> Option<u16> {
     }
 }
 
-/// Points of two signed mantissas and an exponent, brought to a scale on which the largest has 10 bits, as nexmon's own
-/// `unpack_float_acphy` does; what is smaller than one of its units is 0.
+/// Points of two signed mantissas and an exponent, scaled so that the largest has 10 bits, as nexmon's own
+/// `unpack_float_acphy` does; values below one unit become 0.
 fn floats(csi: &[u8], mantissa: u32, exponent: u32) -> Vec<[f32; 2]> {
     const BITS: i32 = 10;
     let magnitude_mask = (1 << (mantissa - 1)) - 1;
@@ -270,7 +268,7 @@ mod tests {
 
     #[test]
     fn mantissas_share_an_exponent() {
-        // Re 3, im -1 with exponent 0: the largest is brought to 10 bits beyond its own two.
+        // Re 3, im -1 with exponent 0: scaling adds 10 bits to the largest value's two.
         let word = 3_u32 << 14 | 1 << 13 | 1 << 5;
         let log = pcap(Endian::Little, &[packet(Endian::Little, [0x03, 0], word.to_le_bytes())]);
         let Some(crate::Item::Frame(frame)) = crate::items(&log).unwrap().next() else { panic!() };

@@ -1,17 +1,17 @@
 //! PicoScenes: the Intel 5300, AX200 and AX210, and the Atheros QCA9300.
 //!
-//! A frame is its length (u32, itself not counted), the magic number `0x20150315`, a version (u16) and the number of segments
-//! (u8); then the segments, then the 802.11 frame. A segment is its length (u32, itself not counted), the length of its name
-//! (u8), the name (a zero byte may end it), a version (u16) and what it says:
+//! A frame starts with its length (u32, excluding itself), the magic number `0x20150315`, a version (u16) and the number of
+//! segments (u8); then come the segments and the 802.11 frame. A segment is its length (u32, excluding itself), the length of
+//! its name (u8), the name (a zero byte may end it), a version (u16) and its content:
 //!
 //! | segment | |
 //! |---|---|
 //! | `RxSBasic` | device, clock, channel, kind, RSSI; versions 1 to 3 |
 //! | `CSI` | the samples as the device packs them; versions 1 to 4 |
-//! | `MVMExtra` | the head that the AX200's firmware gives ([`crate::feitcsi`]), with its clocks |
+//! | `MVMExtra` | the head that the AX200's firmware writes ([`crate::feitcsi`]), with its clocks |
 //!
-//! Any other segment is skipped by its length. CSI segments of version 5 and on may be compressed, which only the library of
-//! PicoScenes itself reads.
+//! Other segments are skipped by their length. CSI segments of version 5 and later may be compressed; only PicoScenes' own
+//! library reads those.
 
 use crate::bits::Bits;
 use crate::feitcsi::{HEAD as MVM_HEAD, Head as MvmHead};
@@ -38,7 +38,7 @@ pub(crate) fn is_log(bytes: &[u8]) -> bool {
     u32_at(bytes, 4) == Some(MAGIC)
 }
 
-/// The frame at the front and its length, or why it is none and how many bytes to skip.
+/// The frame at the front and its length, or why it is invalid and how many bytes to skip.
 pub fn front(bytes: &[u8]) -> Front {
     let next = || to_next(bytes, is_log);
     let Some(len) = u32_at(bytes, 0).filter(|_| is_log(bytes)) else {
@@ -48,7 +48,7 @@ pub fn front(bytes: &[u8]) -> Front {
     let len = (len as usize).saturating_add(4);
     match bytes.get(..len) {
         Some(frame) if len >= HEAD => match read(frame) {
-            // Bytes of it may be missing: then the next one begins inside.
+            // Bytes may be missing from it: then the next frame begins inside.
             Err(why) => (Err(why), next().min(len)),
             read => (read, len),
         },
@@ -66,7 +66,7 @@ struct Segment<'a> {
     body: &'a [u8],
 }
 
-/// The segment at the front, and what follows it.
+/// The segment at the front, and the bytes after it.
 fn segment(bytes: &[u8]) -> Option<(Segment<'_>, &[u8])> {
     let len = usize::try_from(u32_at(bytes, 0)?).ok()?;
     let (segment, rest) = bytes.get(4..)?.split_at_checked(len)?;
@@ -86,7 +86,7 @@ fn read(bytes: &[u8]) -> Result<Frame, Why> {
         match segment.name {
             b"RxSBasic" => basic = Basic::parse(&segment),
             b"CSI" => csi = Some(Csi::parse(&segment)?),
-            // A u16 length of its own goes before the head.
+            // The segment's own u16 length precedes the head.
             b"MVMExtra" if segment.version == 1 => mvm = segment.body.get(2..).and_then(MvmHead::parse),
             _ => {}
         }
@@ -94,7 +94,7 @@ fn read(bytes: &[u8]) -> Result<Frame, Why> {
     join(basic.as_ref(), &csi.ok_or(Why::NoCsi)?, mvm.as_ref(), rest)
 }
 
-/// What `RxSBasic` says.
+/// The content of `RxSBasic`.
 struct Basic {
     clock: u64,
     centre_mhz: u16,
@@ -103,10 +103,10 @@ struct Basic {
 }
 
 impl Basic {
-    /// `None` for versions that came later: what they say is not known, the CSI is.
+    /// `None` for later versions: their layout is unknown, but the CSI is readable.
     fn parse(segment: &Segment<'_>) -> Option<Self> {
         let body = segment.body;
-        // Widths, and the RSSI of the chains behind noise floor and RSSI of all.
+        // Offsets of the widths, and of the chains' RSSI after noise floor and total RSSI.
         let (width, rssi) = match segment.version {
             1 => (13, 23),
             2 => (13, 25),
@@ -122,7 +122,7 @@ impl Basic {
     }
 }
 
-/// What `CSI` says before its samples, and they themselves.
+/// The fields of `CSI` before its samples, and the samples.
 struct Csi<'a> {
     device: u16,
     kind: Option<Kind>,
@@ -137,7 +137,7 @@ struct Csi<'a> {
 impl<'a> Csi<'a> {
     fn parse(segment: &Segment<'a>) -> Result<Self, Why> {
         let (device, rest) = segment.body.split_first_chunk().ok_or(Why::Damaged)?;
-        // Version 4 has a byte for the firmware after the device; 3 and 4 have a number of CSIs before the antennas.
+        // Version 4 has a firmware byte after the device; 3 and 4 have a number of CSIs before the antennas.
         let (skip, antennas, len_at) = match segment.version {
             1 => (0, 28, 29),
             2 => (0, 28, 31),
@@ -149,8 +149,8 @@ impl<'a> Csi<'a> {
         Self::fields(u16::from_le_bytes(*device), rest, antennas, len_at).ok_or(Why::Damaged)
     }
 
-    /// What follows the device: kind u8, width u16, carrier u64, sampling rate u64, spacing u32, tones u16, streams, chains and
-    /// extension streams u8.
+    /// The fields after the device: kind u8, width u16, carrier u64, sampling rate u64, spacing u32, tones u16, then streams,
+    /// chains and extension streams, u8 each.
     fn fields(device: u16, rest: &'a [u8], antennas: usize, len_at: usize) -> Option<Self> {
         let samples = rest.get(len_at + 4..)?;
         Some(Self {
@@ -171,7 +171,7 @@ impl<'a> Csi<'a> {
         })
     }
 
-    /// Subcarriers and which were measured.
+    /// Subcarriers, and which of them were measured.
     fn tones(&self) -> Option<(Vec<i16>, Vec<bool>)> {
         if self.device == device::INTEL_5300 {
             return tones::of_5300(self.width_mhz).map(|all| (all, alloc::vec![true; 30]));
@@ -207,7 +207,7 @@ fn unpack_5300(bytes: &[u8], (n_rx, n_tx, n): (usize, usize, usize)) -> Option<V
     Some(out)
 }
 
-/// What the segments say together; `mpdu` is the 802.11 frame.
+/// Combines the segments; `mpdu` is the 802.11 frame.
 fn join(basic: Option<&Basic>, csi: &Csi<'_>, mvm: Option<&MvmHead>, mpdu: &[u8]) -> Result<Frame, Why> {
     let card = match csi.device {
         device::INTEL_5300 => Card::Intel5300,
@@ -221,10 +221,10 @@ fn join(basic: Option<&Basic>, csi: &Csi<'_>, mvm: Option<&MvmHead>, mpdu: &[u8]
     let wrong = Why::Subcarriers { got: csi.tones.into() };
     let (subcarriers, measured) = csi.tones().ok_or(wrong)?;
     let samples = csi.unpack(subcarriers.len()).ok_or(Why::Damaged)?;
-    // The AX200's clock is in what its firmware says; `RxSBasic` has 0 for it.
+    // The AX200's clock is in its firmware's head; `RxSBasic` has 0.
     let of_basic = basic.filter(|basic| basic.clock > 0).map(|basic| Clock::us(basic.clock, 64));
     let clocks = mvm.map(MvmHead::clocks);
-    // A 5300 tells it by antenna, 0 where none is connected (`iwl_bfee_notif`); two bits for each chain say which it is on.
+    // A 5300 reports RSSI by antenna, 0 if none is connected (`iwl_bfee_notif`); two bits per chain name its antenna.
     let rssi = |basic: &Basic, chain: usize| match card {
         Card::Intel5300 => {
             let antenna = usize::from(csi.antenna_sel >> (2 * chain.min(3)) & 3);
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn a_5300_tells_rssi_by_antenna_and_has_its_chains_on_others() {
+    fn a_5300_reports_rssi_by_antenna_and_csi_by_chain() {
         let samples = [0; 60 * 30];
         let body = [
             &device::INTEL_5300.to_le_bytes()[..],

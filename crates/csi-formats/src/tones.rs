@@ -1,18 +1,18 @@
-//! Where the subcarriers of a frame lie, and which of them are pilots.
+//! The subcarriers of a frame, and which of them are pilots.
 
 use crate::Kind;
 use alloc::vec::Vec;
 
-/// The subcarriers of a frame that carry a signal, by their indices relative to the channel centre.
+/// The subcarriers of a frame that carry a signal, by index relative to the channel centre.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tones {
-    /// From the lowest to the highest.
+    /// In rising order.
     pub subcarriers: Vec<i16>,
-    /// Which of them carry data, not a pilot.
+    /// Which of them carry data rather than a pilot.
     pub data: Vec<bool>,
 }
 
-/// Ranges of indices above the centre, both ends included, and the pilots among them; the half below mirrors it.
+/// Ranges of indices above the centre, both ends included, and their pilots; the lower half mirrors them.
 type Upper = (&'static [(i16, i16)], &'static [i16]);
 
 /// 802.11-2016 17.3.5.10 (legacy), 19.3.11.10 (HT), 21.3.10.10 (VHT); 802.11ax 27.3.12.13 (HE, one user on the whole width).
@@ -35,7 +35,7 @@ const fn upper(kind: Kind, width_mhz: u16) -> Option<Upper> {
 }
 
 impl Tones {
-    /// Those of a kind and width; `None` for widths that the kind does not have.
+    /// Those of a kind and width; `None` for a width that the kind does not have.
     #[must_use]
     pub fn of(kind: Kind, width_mhz: u16) -> Option<Self> {
         let (ranges, pilots) = upper(kind, width_mhz)?;
@@ -63,9 +63,9 @@ pub(crate) fn of_5300(width_mhz: u16) -> Option<Vec<i16>> {
 mod tests {
     use super::*;
 
-    /// Places of the pilots in a record, from CSIKit's list of what it interpolates.
+    /// Positions of the pilots in a record, from CSIKit's list of interpolated subcarriers.
     #[test]
-    fn pilots_stand_where_csikit_has_them() {
+    fn pilots_match_csikits_list() {
         for (kind, width, n, first) in [
             (Kind::Ht, 20, 56, &[7, 21, 34, 48][..]),
             (Kind::Ht, 40, 114, &[5, 33, 47, 66, 80, 108]),

@@ -1,6 +1,6 @@
-//! Real logs of other cards, where they are; and what becomes of them when they are damaged.
+//! Real logs of other cards, intact and damaged.
 //!
-//! The logs are not part of the repository: `CSI5300_CASES` names their folder, or `../shared/cases` beside it.
+//! The logs are not part of the repository: `CSI5300_CASES` names their folder; the default is `../shared/cases` beside it.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 #[path = "../../../fuzz/targets/formats.rs"]
@@ -9,7 +9,7 @@ mod target;
 use csi_formats::{Card, Endian, Format, Frame, Item, Kind, detect, items};
 use std::path::PathBuf;
 
-/// The folder of logs, or `None` with a line that says so.
+/// The folder of logs; if there is none, prints a line and returns `None`.
 fn folder() -> Option<PathBuf> {
     let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../../shared/cases");
     let near = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/cases");
@@ -22,7 +22,7 @@ fn folder() -> Option<PathBuf> {
     found
 }
 
-/// A log of each format: its frames and their subcarriers, 0 where they differ.
+/// A log of each format: its number of frames and of their subcarriers, 0 if they vary.
 const LOGS: [(&str, Format, Card, usize, usize); 9] = [
     ("feitcsi/HT20_2452.csi", Format::FeitCsi, Card::Ax2xx, 48, 56),
     ("feitcsi/HESU20_5500.csi", Format::FeitCsi, Card::Ax2xx, 28, 242),
@@ -60,7 +60,7 @@ fn every_log_is_recognised_and_read() {
 }
 
 #[test]
-fn no_csitool_log_is_taken_for_one_of_these() {
+fn csitool_logs_are_not_recognised_as_other_cards() {
     let Some(folder) = folder() else { return };
     for name in ["reports/logs/managed_no_fcs.dat", "wsr-2021/floor/csi_rx_2021-03-04_154746.dat"] {
         let bytes = std::fs::read(folder.parent().unwrap().join(name)).unwrap();
@@ -68,7 +68,7 @@ fn no_csitool_log_is_taken_for_one_of_these() {
     }
 }
 
-/// xorshift, so that damage is the same on every run.
+/// xorshift, so that the damage is the same on every run.
 fn next(state: &mut u64) -> u64 {
     *state ^= *state << 13;
     *state ^= *state >> 7;
@@ -76,7 +76,7 @@ fn next(state: &mut u64) -> u64 {
     *state
 }
 
-/// Damages bytes as logs are damaged: bits flip, bytes go, others come in, the end is cut.
+/// Damages bytes as logs get damaged: flips bits, removes bytes, inserts others, cuts the end.
 fn damage(bytes: &mut Vec<u8>, state: &mut u64) {
     for _ in 0..=next(state) % 4 {
         let at = next(state) as usize % bytes.len().max(1);
@@ -90,7 +90,7 @@ fn damage(bytes: &mut Vec<u8>, state: &mut u64) {
     }
 }
 
-/// 10,000 damaged copies in all: none panics, every byte is accounted for, and a frame always has the samples that it says.
+/// 10,000 damaged copies: none causes a panic, every byte is accounted for, and every frame has the stated number of samples.
 #[test]
 fn damage_is_skipped_and_never_a_panic() {
     let Some(folder) = folder() else { return };
@@ -111,9 +111,9 @@ fn damage_is_skipped_and_never_a_panic() {
     assert!(copies >= 10_000 && frames > copies && skipped > 0);
 }
 
-/// The same log as a logger of the other byte order would have written it.
+/// A big-endian logger's version of the same log.
 #[test]
-fn atheros_of_a_big_endian_machine_reads_alike() {
+fn a_big_endian_atheros_log_reads_the_same() {
     let Some(folder) = folder() else { return };
     let little = std::fs::read(folder.join("atheros/ath_csi_1.dat")).unwrap();
     let mut big = little.clone();
@@ -136,7 +136,7 @@ fn an_ax210_measures_no_pilots() {
     let frame = &frames(&bytes)[0];
     assert_eq!((frame.kind, frame.width_mhz), (Some(Kind::Vht), 80));
     assert_eq!(frame.measured.iter().filter(|measured| !**measured).count(), 8);
-    // What the firmware leaves at a pilot has nothing to do with its neighbours.
+    // The firmware's value at a pilot is unrelated to its neighbours.
     let power = |k: usize| 1.0 + frame.csi[k].iter().map(|part| part * part).sum::<f32>();
     let jumps = |k: usize| (power(k) / power(k - 1)).ln().abs();
     let at_pilots = (1..242).filter(|k| !frame.measured[*k]).map(jumps).sum::<f32>() / 8.0;
@@ -145,7 +145,7 @@ fn an_ax210_measures_no_pilots() {
     assert!(at_pilots > 2.0 * elsewhere);
 }
 
-/// Bytes of no log at all, and parts of each kind of log as another.
+/// Bytes of no log at all, and parts of each kind of log read as another kind.
 #[test]
 fn any_bytes_are_read_without_a_panic() {
     let mut state = 4_101_842_887_655_102_017_u64;

@@ -1,8 +1,8 @@
-//! Motion along a line: the profile depends on one cosine only, that between the direction and the line.
+//! Motion along a line: the profile depends only on the cosine of the angle between direction and line.
 //!
-//! A one-dimensional NUFFT takes the samples to a table over that cosine (samples are spread onto a row of cells, the row
-//! is transformed), and each direction is interpolated from it: `W` cells instead of the `W^2` of a plane. All directions
-//! of a cone about the line are one value, a bearing and its mirror among them.
+//! A one-dimensional NUFFT turns the samples into a table over that cosine: samples are spread onto a row of cells, and the
+//! row is transformed. Each direction is interpolated from `W` cells instead of the `W^2` of a plane. All directions of a
+//! cone about the line share one value, among them a bearing and its mirror.
 
 use std::sync::Arc;
 
@@ -23,11 +23,11 @@ pub struct Cone<T: Real> {
     setting: Setting,
     /// Positions along the line.
     pub axis: Axis,
-    /// Weights of a sample or target: the kernel's width, padded with zeros so that vectors of any width fit.
+    /// Weights of a sample or target: the kernel's width, zero-padded so that vectors of any width fit.
     stride: usize,
     /// Per degree, highest first, the coefficients of `stride` weights.
     polynomials: Vec<f64>,
-    /// Undoes the second kernel at a cell, and turns by half a period so that cosine 0 lies in the middle.
+    /// Corrects the second kernel at a cell, and rotates by half a period so that cosine 0 is in the middle.
     correct: Vec<T>,
     fft: Arc<dyn Fft<T>>,
     /// First cell of each target.
@@ -36,7 +36,7 @@ pub struct Cone<T: Real> {
     weights: Vec<T>,
 }
 
-/// Cells that rows are longer by, so that the padding of the weights has something to fall on.
+/// Extra cells of a row that take the padding of the weights.
 const SPARE: usize = 16;
 
 impl<T: Real> Cone<T> {
@@ -97,7 +97,7 @@ impl<T: Real> Cone<T> {
         self.first.len()
     }
 
-    /// Bytes that the plan keeps.
+    /// Memory of the plan, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(&self.first[..]) + size_of_val(&self.weights[..])
     }

@@ -1,4 +1,4 @@
-//! How the values on rings or at listed directions are computed: directly, by a planar NUFFT, or slab by slab.
+//! Computes the values on rings or at listed directions: directly, by a planar NUFFT, or slab by slab.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,7 +12,7 @@ use crate::setting::{Axis, Setting};
 use crate::simd::Real;
 use crate::sums::{Columns, Sines, pairs};
 
-/// Samples as an evaluation takes them: positions in turns about the middle, in the axes of the plan.
+/// Samples as an evaluation takes them: positions in turns about the middle, along the axes of the plan.
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
     /// Along the first axis, turns.
@@ -29,7 +29,7 @@ pub struct Batch {
 
 /// Where values are wanted.
 pub enum Places {
-    /// `d` azimuths from -pi on rings at elevations (at least 0); `tall`: and at their negatives.
+    /// `d` azimuths from -pi on rings at elevations (at least 0); with `tall` also at their negatives.
     Rings {
         /// Azimuths of a ring.
         d: usize,
@@ -46,25 +46,25 @@ pub enum Places {
 pub enum Evaluator<T: Real> {
     /// Direct sums.
     Direct {
-        /// What they run on.
+        /// The SIMD tier.
         level: Level,
         /// Unit vectors.
         directions: Vec<[T; 3]>,
-        /// The places that these are.
+        /// The corresponding places.
         places: Places,
     },
     /// A non-uniform transform in the plane of motion.
     Planar {
         /// The transform.
         nufft: Nufft<T>,
-        /// Where it is read.
+        /// Where it is interpolated.
         targets: Targets<T>,
-        /// The places that these are.
+        /// The corresponding places.
         places: Places,
     },
-    /// One planar transform for each of some heights, joined by interpolation.
+    /// One planar transform for each of several heights, joined by interpolation.
     Slab(Slab<T>),
-    /// Motion along a line: a transform in one dimension.
+    /// Motion along a line: a one-dimensional transform.
     Cone(Cone<T>),
 }
 
@@ -91,7 +91,7 @@ impl Places {
         }
     }
 
-    /// Plans the places for a planar transform, the direction cosines shortened by `scale` (at most 1).
+    /// Plans the places for a planar transform with direction cosines scaled by `scale` (at most 1).
     pub fn targets<T: Real>(&self, nufft: &Nufft<T>, scale: f64) -> Targets<T> {
         match self {
             Self::Rings { d, nodes, .. } => nufft.quads(quarter(*d, nodes).map(|u| u.map(|c| c * scale))),
@@ -99,7 +99,7 @@ impl Places {
         }
     }
 
-    /// Sorts what an interpolation found into `values`.
+    /// Copies an interpolation's results into `values`.
     pub fn sort<T: Real>(&self, found: &mut Vec<Complex<T>>, values: &mut Vec<Complex<T>>) {
         match self {
             Self::List(_) => std::mem::swap(values, found),
@@ -136,7 +136,7 @@ fn ring_direction(j: usize, d: usize, elevation: f64) -> [f64; 3] {
     [cos_el * cos, cos_el * sin, sin_el]
 }
 
-/// Quadruples of a quarter ring, and where each of the four belongs.
+/// Quadruples of a quarter ring, and the place of each of the four.
 fn quarter(d: usize, nodes: &[f64]) -> impl Iterator<Item = [f64; 2]> + '_ {
     nodes.iter().flat_map(move |&e| {
         (0..=d / 4).map(move |q| {
@@ -163,7 +163,7 @@ impl<T: Real> Evaluator<T> {
         Self::Planar { nufft, targets, places }
     }
 
-    /// Bytes that the plan keeps.
+    /// Memory of the plan, bytes.
     pub fn bytes(&self) -> usize {
         match self {
             Self::Direct { directions, .. } => size_of_val(&directions[..]),
@@ -232,7 +232,7 @@ fn direct<T: Real>(level: Level, directions: &[[T; 3]], places: &Places, batch: 
     }
 }
 
-/// Spreads a batch; long ones in single precision are carried over to double block by block.
+/// Spreads a batch; adds long single-precision batches to double block by block.
 fn spread_all<T: Real>(nufft: &Nufft<T>, batch: &Batch, buffers: &mut Buffers<T>) {
     let zero = Complex::new(T::of(0.0), T::of(0.0));
     let [_, _, _, re, im] = &mut buffers.column;
@@ -258,7 +258,7 @@ fn spread_all<T: Real>(nufft: &Nufft<T>, batch: &Batch, buffers: &mut Buffers<T>
     }
 }
 
-/// Moves what is in `cells` to the double-precision `carried`.
+/// Moves the content of `cells` to the double-precision `carried`.
 pub fn carry<T: Real>(cells: &mut [Complex<T>], carried: &mut [Complex<f64>]) {
     for (cell, sum) in cells.iter_mut().zip(carried) {
         *sum += Complex::new(cell.re.into(), cell.im.into());
@@ -273,8 +273,8 @@ pub fn narrow<T: Real>(carried: &[Complex<f64>], cells: &mut [Complex<T>]) {
     }
 }
 
-/// Motion in three dimensions (or nearly in a plane): the same kernel in z onto a few planes, each a planar
-/// transform; along z there is no FFT, each ring of one elevation sums its planes with one phase each.
+/// Motion in three dimensions, or nearly in a plane. The same kernel in z spreads samples onto a few planes, each with a
+/// planar transform; along z there is no FFT: each ring of one elevation sums its planes, one phase each.
 pub struct Slab<T: Real> {
     nufft: Nufft<T>,
     kernel: Kernel,
@@ -286,7 +286,7 @@ pub struct Slab<T: Real> {
 }
 
 impl<T: Real> Slab<T> {
-    /// For samples within `height` turns of the middle, directions with `|sin(elevation)| <= steepest`.
+    /// For samples within `height` turns of the middle, and directions with `|sin(elevation)| <= steepest`.
     pub fn new(nufft: Nufft<T>, height: f64, steepest: f64, setting: Setting, places: Places) -> Self {
         let kernel = Kernel::new(setting.width, setting.oversampling);
         let mut z = Axis::new(height * steepest, setting);
@@ -382,7 +382,7 @@ impl<T: Real> Slab<T> {
                 for ((ring, found), phase) in rings.zip(found.chunks_exact(4 * (d / 4 + 1))).zip(phases) {
                     let (above, below) = ring.split_at_mut(*d);
                     for (q, four) in found.chunks_exact(4).enumerate() {
-                        // On the axes two of the four are one direction.
+                        // On the axes, two of the four directions coincide.
                         let count = if q == 0 || 4 * q == *d { 2 } else { 4 };
                         let pick = if q == 0 {
                             [0, 1, 0, 0]

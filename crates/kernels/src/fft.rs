@@ -1,4 +1,4 @@
-//! FFTs of the tier that was asked for.
+//! FFTs of the requested tier.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use rustfft::{Fft, FftNum, FftPlanner, FftPlannerScalar};
 
 use crate::simd::{Real, Tier};
 
-/// What each of the planners of `rustfft` can do.
+/// The interface of all planners of `rustfft`.
 pub(crate) trait Plans<T: FftNum>: Send {
     fn forward(&mut self, length: usize) -> Arc<dyn Fft<T>>;
     fn inverse(&mut self, length: usize) -> Arc<dyn Fft<T>>;
@@ -32,7 +32,7 @@ plans!(FftPlannerScalar);
 #[cfg(target_arch = "x86_64")]
 plans!(FftPlannerSse);
 
-/// The planners in one precision; only [`Real`] calls it, so that all of `rustfft` is compiled in this crate alone.
+/// The planners in one precision; only [`Real`] calls it, so that only this crate compiles `rustfft`.
 #[inline(always)]
 pub(crate) fn plans_of<T: FftNum>(tier: Tier) -> Box<dyn Plans<T>> {
     match tier {
@@ -52,16 +52,16 @@ pub struct Ffts<T: Real> {
     planner: Planner<T>,
 }
 
-/// A planner of `rustfft`, without its type.
+/// A planner of `rustfft`, type-erased.
 pub struct Planner<T: FftNum>(pub(crate) Box<dyn Plans<T>>);
 
 impl<T: Real> Ffts<T> {
-    /// For a tier that this machine can run. (An AVX-512 tier runs the FFTs of AVX2: there are no wider ones.)
+    /// For a tier that this machine supports. (The AVX-512 tier uses the FFTs of AVX2, the widest there are.)
     pub fn new(tier: Tier) -> Self {
         Self { tier, planner: T::planner(tier) }
     }
 
-    /// The tier that plans are made for.
+    /// The tier of the plans.
     pub fn tier(&self) -> Tier {
         self.tier
     }
@@ -77,14 +77,14 @@ impl<T: Real> Ffts<T> {
     }
 }
 
-/// The least even `2^a 3^b 5^c >= n`: lengths that FFTs like.
+/// The least even `2^a 3^b 5^c >= n`: lengths with fast FFTs.
 pub fn good_size(n: usize) -> usize {
     let even = n.max(2).next_multiple_of(2);
     (even..).step_by(2).find(|m| is_smooth(*m, &[2, 3, 5])).unwrap_or(even)
 }
 
-/// The least multiple of `step` from `n` on without a prime above 11: for short FFTs beside which each value costs a sum
-/// over all samples.
+/// The least multiple of `step` that is at least `n` and has no prime factor above 11: for short FFTs, where each extra value
+/// costs a sum over all samples.
 pub fn near_size(n: usize, step: usize) -> usize {
     let least = n.max(step).next_multiple_of(step);
     (least..).step_by(step).find(|m| is_smooth(*m, &[2, 3, 5, 7, 11])).unwrap_or(least)

@@ -1,5 +1,5 @@
-//! The Kaiser-Bessel kernel of the NUFFT \[beatty2005\]: values, transform, piecewise polynomials \[finufft2019\], and what
-//! it loses.
+//! The Kaiser-Bessel kernel of the NUFFT \[beatty2005\]: values, Fourier transform, piecewise polynomials \[finufft2019\],
+//! and error.
 
 use std::f64::consts::PI;
 
@@ -8,9 +8,9 @@ use std::f64::consts::PI;
 /// `phi(x) = I0(beta sqrt(1 - (2 x / w)^2)) / I0(beta)` for `|x| <= w / 2`, x in cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kernel {
-    /// Cells that it covers.
+    /// Width in cells.
     pub width: usize,
-    /// Oversampling that `beta` is meant for.
+    /// Oversampling for which `beta` is chosen.
     pub oversampling: f64,
     beta: f64,
     /// `exp(-beta) I0(beta)`.
@@ -18,8 +18,7 @@ pub struct Kernel {
 }
 
 impl Kernel {
-    /// The kernel for a grid that is `oversampling` times as fine as the band asks for (\[beatty2005\], equation
-    /// 5).
+    /// The kernel for a grid `oversampling` times as fine as the band requires (\[beatty2005\], equation 5).
     pub fn new(width: usize, oversampling: f64) -> Self {
         let ratio = width as f64 / oversampling * (oversampling - 0.5);
         let beta = PI * (ratio * ratio - 0.8).sqrt();
@@ -53,7 +52,7 @@ impl Kernel {
         w * shape / self.norm
     }
 
-    /// Coefficients of the polynomial for each of the `width` cells that a point touches, highest degree first:
+    /// Polynomial coefficients for each of the `width` cells that a point touches, highest degree first:
     /// `weight[j](s) = phi(s + (w - 1) / 2 - j)`, `s` in [-1/2, 1/2].
     pub fn polynomials(&self, degree: usize) -> Vec<Vec<f64>> {
         let mut powers = vec![vec![0.0; self.width]; degree + 1];
@@ -64,8 +63,8 @@ impl Kernel {
         powers
     }
 
-    /// Largest error that spreading with this kernel makes, relative to the size of a sample, for frequencies up to
-    /// `1 / (2 oversampling)` cycles per cell: measured here over offsets and frequencies, not estimated.
+    /// Largest error of spreading with this kernel, relative to the magnitude of a sample, for frequencies up to
+    /// `1 / (2 oversampling)` cycles per cell: measured over offsets and frequencies, not estimated.
     pub fn loss(&self) -> f64 {
         let mut worst = 0f64;
         for step in 0..=16 {
@@ -87,8 +86,8 @@ impl Kernel {
     }
 }
 
-/// The polynomial through `f` at Chebyshev nodes of [-1/2, 1/2]: its coefficients, highest degree first, from expanding
-/// Chebyshev polynomials into powers.
+/// The polynomial through `f` at the Chebyshev nodes of [-1/2, 1/2]: coefficients, highest degree first, from the Chebyshev
+/// polynomials expanded into powers.
 pub fn fit_polynomial(degree: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
     let n = degree + 1;
     let angle = |k: usize| (k as f64 + 0.5) * PI / n as f64;
@@ -113,8 +112,8 @@ pub fn fit_polynomial(degree: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
     powers
 }
 
-/// `exp(-x) I0(x)` from the trapezoidal rule on `I0(x) = 1/pi integral_0^pi exp(x cos t) dt`, which converges faster
-/// than any power for a periodic integrand.
+/// `exp(-x) I0(x)` by the trapezoidal rule on `I0(x) = 1/pi integral_0^pi exp(x cos t) dt`, which converges faster than any
+/// power for a periodic integrand.
 fn i0_scaled(x: f64) -> f64 {
     let n = 48 + (4.0 * x.sqrt()) as usize;
     (0..n).map(|k| (x * (((k as f64 + 0.5) * PI / n as f64).cos() - 1.0)).exp()).sum::<f64>() / n as f64

@@ -1,20 +1,20 @@
-//! The vector code of `csi5300`, in a crate of its own so that it is compiled once, optimised in every profile, and not
-//! again with each edit of the library. Internal, without a stable interface: use `csi5300::bartlett`.
+//! The vector code of `csi5300`. A crate of its own is compiled once, optimised in every profile, and not recompiled with each
+//! edit of the library. Internal, without a stable interface: use `csi5300::bartlett`.
 //!
 //! | module | what it computes |
 //! |---|---|
 //! | [`simd`] | tiers, the two precisions, sine and cosine of an angle in turns |
 //! | [`sums`] | direct sums over samples, and their derivatives |
 //! | [`kernel`] | the spreading window of the NUFFT, its transform and its polynomials |
-//! | [`setting`] | width and oversampling by tolerance; one axis of a grid |
+//! | [`setting`] | width and oversampling for a tolerance; one axis of a grid |
 //! | [`nufft`] | non-uniform to non-uniform transforms in a plane |
 //! | [`rings`], [`resample`] | profiles on rings of equal elevation from few evaluated directions |
-//! | [`cone`] | motion along a line: one dimension is enough |
+//! | [`cone`] | motion along a line: a one-dimensional transform |
 //! | [`evaluate`] | all of these behind one type, chosen by the planner |
-//! | [`fft`] | plans of `rustfft` for the tier, sizes that it likes |
+//! | [`fft`] | plans of `rustfft` for the tier, lengths with fast FFTs |
 //!
-//! Everything that is generic over the precision is entered through [`simd::Real`], whose methods are compiled here for
-//! `f32` and `f64` and for every tier; callers compile none of it.
+//! [`simd::Real`] is the entry to all code that is generic over the precision. Its methods are compiled here for `f32` and
+//! `f64` and for every tier; callers compile none of it.
 
 pub mod cone;
 pub mod evaluate;

@@ -1,10 +1,9 @@
 //! A two-dimensional NUFFT from samples anywhere to directions anywhere ("type 3"), for motion in a plane \[dutt-rokhlin1993\]
 //! \[finufft2019\].
 //!
-//! Samples are spread onto a grid of positions, the grid is transformed to a grid of direction cosines, and the wanted
-//! directions are interpolated from that: two kernels, each undone where it acts (the first divides the results, the
-//! second the grid of positions). Work: `W^2` per sample and per direction, plus one pruned FFT, however many samples
-//! and directions there are.
+//! Samples are spread onto a grid of positions, which is transformed to a grid of direction cosines, from which the wanted
+//! directions are interpolated. Each of the two kernels is corrected where it acts: the first divides the results, the second
+//! the grid of positions. Work: `W^2` per sample and per direction plus one pruned FFT, whatever their number.
 
 use std::sync::Arc;
 
@@ -17,8 +16,8 @@ use crate::kernel::Kernel;
 use crate::setting::{Axis, Setting, locate};
 use crate::simd::{Real, Tier, V, on_tier};
 
-/// Samples between two carries of single-precision cells to double: keeps the error of a cell below 1e-6 of what fell
-/// into it, however long the robot stands still.
+/// Samples after which single-precision cells are added to double: keeps the relative error of a cell below 1e-6, however
+/// long the robot stands still.
 pub const CARRY: usize = 4_096;
 
 /// A planned transform for samples within a box.
@@ -52,19 +51,19 @@ pub struct Work<T> {
     scratch: Vec<Complex<T>>,
 }
 
-/// Directions as the interpolation needs them.
+/// Directions prepared for interpolation.
 #[derive(Clone, Default)]
 pub struct Targets<T> {
-    /// First row and column of each; of each quadruple: (row, mirrored row, column, mirrored column).
+    /// First row and column of each; for a quadruple: (row, mirrored row, column, mirrored column).
     cells: Vec<[u32; 4]>,
-    /// Per entry `width` row weights (with the first kernel's correction), `2 width` doubled column weights and, for
-    /// quadruples, those reversed.
+    /// Per entry `width` row weights (with the first kernel's correction), `2 width` doubled column weights and, for quadruples,
+    /// the reversed ones.
     weights: Vec<T>,
     quads: bool,
 }
 
 impl<T> Targets<T> {
-    /// Bytes kept.
+    /// Memory, bytes.
     pub fn bytes(&self) -> usize {
         self.cells.len() * 16 + self.weights.len() * size_of::<T>()
     }
@@ -78,7 +77,7 @@ impl<T: Real> Nufft<T> {
         let degree = setting.width + if setting.width < 12 { 4 } else { 5 };
         let exact = kernel.polynomials(degree).concat();
         let twice = exact.iter().flat_map(|w| [T::of(*w); 2]).collect();
-        // Undoes the second kernel at a cell, and turns by half a period so that direction 0 lies in the middle.
+        // Corrects the second kernel at a cell, and rotates by half a period so that direction 0 is in the middle.
         let correct = |axis: &Axis| {
             (0..axis.support())
                 .map(|i| {
@@ -124,11 +123,11 @@ impl<T: Real> Nufft<T> {
 
     /// Adds samples (positions in turns about the middle) to a grid of [`Nufft::cells`] cells.
     ///
-    /// Several columns of values at the same positions, one after the other in `re` and `im`, go to as many grids, one
-    /// after the other in `cells`: they share the kernel's weights.
+    /// Several columns of values at the same positions, one after the other in `re` and `im`, go to as many grids, one after the
+    /// other in `cells`; they share the kernel's weights.
     pub fn spread(&self, at: [&[f64]; 2], re: &[T], im: &[T], cells: &mut [Complex<T>]) {
         let width = self.setting.width;
-        // Narrow kernels are for single precision, wide ones for double: the others need not exist.
+        // Narrow kernels exist only in single precision, wide ones only in double.
         if const { size_of::<T>() == 4 } {
             if width == 4 {
                 on_tier!(self.level, simd => self.spread_simd::<_, 4>(simd, at, re, im, cells));
@@ -226,7 +225,7 @@ impl<T: Real> Nufft<T> {
         debug_assert_eq!(work.plane.len(), self.columns * ny);
     }
 
-    /// Rows of the first transform to columns of the second, eight at a time.
+    /// Copies rows of the first transform to columns of the second, eight at a time.
     fn transpose(&self, rows: &[Complex<T>], plane: &mut [Complex<T>]) {
         let (nx, ny, half) = (self.x.n, self.y.n, self.y.half);
         let support = self.y.support();
@@ -292,7 +291,7 @@ impl<T: Real> Nufft<T> {
         targets
     }
 
-    /// Plans quadruples `(+-x, +-y)` of directions, given by one of them each.
+    /// Plans quadruples `(+-x, +-y)` of directions, each given by one of the four.
     pub fn quads(&self, directions: impl Iterator<Item = [f64; 2]>) -> Targets<T> {
         let mut targets = Targets { quads: true, ..Targets::default() };
         for u in directions {
@@ -306,7 +305,7 @@ impl<T: Real> Nufft<T> {
         let count = targets.cells.len() * if targets.quads { 4 } else { 1 };
         out.resize(count, Complex::new(T::of(0.0), T::of(0.0)));
         let width = self.setting.width;
-        // Narrow kernels are for single precision, wide ones for double: the others need not exist.
+        // Narrow kernels exist only in single precision, wide ones only in double.
         if const { size_of::<T>() == 4 } {
             if width == 4 {
                 on_tier!(self.level, simd => self.interpolate_simd::<_, 4>(simd, plane, targets, out));

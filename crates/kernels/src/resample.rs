@@ -1,4 +1,4 @@
-//! Band-limited rings resampled to more azimuths with two FFTs.
+//! Resamples band-limited rings to more azimuths with two FFTs.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use rustfft::Fft;
 use crate::fft::{Ffts, near_size};
 use crate::simd::Real;
 
-/// Takes `d` values around a circle to `n`.
+/// Resamples `d` values around a circle to `n`.
 pub struct Resample<T: Real> {
     d: usize,
     n: usize,
@@ -25,8 +25,8 @@ pub struct ResampleWork<T> {
     pub dense: Vec<Complex<T>>,
 }
 
-/// How many azimuths to evaluate for a grid of `n` (a multiple of 4) and modes up to `order`: a multiple of 4 that
-/// FFTs like, or `n` where little would be saved.
+/// Number of azimuths to evaluate for a grid of `n` (a multiple of 4) and modes up to `order`: a multiple of 4 with a fast
+/// FFT, or `n` if that would save little.
 pub fn azimuths_for(n: usize, order: usize) -> usize {
     let d = near_size(2 * order.min(n) + 2, 4);
     if 20 * d > 17 * n { n } else { d }

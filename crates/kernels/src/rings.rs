@@ -1,10 +1,10 @@
-//! From band-limited rings to a full grid: Fourier interpolation in azimuth, trigonometric matrices in elevation.
+//! Expands band-limited rings to a full grid: Fourier interpolation in azimuth, trigonometric matrices in elevation.
 //!
-//! Along azimuth `f` has modes up to the band limit `M`; rings are evaluated at `d >= 2 M + 2` azimuths and resampled.
-//! Along a great circle over the zenith the same limit holds. With `E(a) = (f(a) + f(a + pi)) / 2` and
-//! `O(a) = (f(a) - f(a + pi)) / 2`, `f(a + pi, pi - e) = f(a, e)` leaves to `E` only even cosines and odd sines of the
-//! elevation and to `O` only odd cosines and even sines; level motion has no sines. So a quarter of a great circle at
-//! `K >= (M + 1) / 2` intervals holds it all, and a small matrix takes it to any elevations, exactly. Rows of the grid
+//! Along azimuth `f` has modes up to the band limit `M`; rings are evaluated at `d >= 2 M + 2` azimuths and resampled. The same
+//! limit holds along a great circle through the zenith. With `E(a) = (f(a) + f(a + pi)) / 2` and
+//! `O(a) = (f(a) - f(a + pi)) / 2`, the identity `f(a + pi, pi - e) = f(a, e)` leaves `E` only even cosines and odd sines of
+//! the elevation, and `O` only odd cosines and even sines; level motion has no sines. So a quarter of a great circle at
+//! `K >= (M + 1) / 2` intervals determines all of it, and a small matrix maps it exactly to any elevations. Rows of the grid
 //! that are nodes need no matrix.
 
 use std::f64::consts::FRAC_PI_2;
@@ -20,23 +20,23 @@ use crate::simd::{Real, V, on_tier};
 /// Half rings are padded to a multiple of this many values, so that vectors of any width fit.
 const PAD: usize = 16;
 
-/// Which elevations a ring grid is evaluated at, and which rows come of it.
+/// The elevations at which a ring grid is evaluated, and the rows computed from them.
 pub struct Rings<T: Real> {
     level: Level,
     /// Evaluated azimuths per ring, from -pi.
     pub d: usize,
     /// Azimuths of the grid.
     n: usize,
-    /// Elevations (at least 0) that are evaluated; with `tall` also their negatives.
+    /// Evaluated elevations (at least 0); with `tall` also their negatives.
     pub nodes: Vec<f64>,
-    /// Whether motion has heights: rings below the horizon differ from those above.
+    /// Whether the motion has heights: then rings below the horizon differ from those above.
     pub tall: bool,
     resample: Option<Resample<T>>,
     /// Rows that are nodes, with their node.
     given: Vec<(Row, usize)>,
-    /// Rows that are not.
+    /// Rows that are not nodes.
     wanted: Vec<Row>,
-    /// Per wanted row, per node: weights of even and odd azimuth harmonics with cosines, then (tall) with sines.
+    /// Per wanted row and node: weights of even and odd azimuth harmonics with cosines, then (tall) with sines.
     matrix: Vec<T>,
 }
 
@@ -53,13 +53,13 @@ struct Row {
 #[derive(Clone, Default)]
 pub struct RingWork<T> {
     resample: ResampleWork<T>,
-    /// Finished rows: re here, re opposite, im here, im opposite; above, then (tall) below.
+    /// Finished rows: re, re of the opposite azimuth, im, im of the opposite azimuth; above, then (tall) below.
     line: Vec<T>,
-    /// Per node: even and odd azimuth harmonics (tall: and of the odd part in elevation), re and im apart.
+    /// Per node: even and odd azimuth harmonics (tall: also of the odd part in elevation), re and im separate.
     split: Vec<T>,
 }
 
-/// Evaluated elevations a side for `rows` different ones and modes up to `order`: few, and with many rows among them.
+/// Elevations to evaluate per side for `rows` different ones and modes up to `order`: few, and including many of the rows.
 pub fn nodes_for(elevations: &[f64], order: usize) -> Vec<f64> {
     let least = (order + 2) / 2;
     if least + 1 >= elevations.len() {
@@ -67,13 +67,13 @@ pub fn nodes_for(elevations: &[f64], order: usize) -> Vec<f64> {
     }
     let nodes = |k: usize| (0..=k).map(move |i| FRAC_PI_2 * i as f64 / k as f64);
     let shared = |k: usize| elevations.iter().filter(|e| nodes(k).any(|n| (n - *e).abs() < 1e-12)).count();
-    // Each wanted row costs about k, each node about as much as 8 rows' share.
+    // Each wanted row costs about k, each node about as much as 8 rows.
     let cost = |k: usize| (elevations.len() - shared(k)) * k + 100 * k;
     let best = (least..=least + least / 8 + 1).min_by_key(|k| cost(*k)).unwrap_or(least);
     nodes(best).collect()
 }
 
-/// The different |elevations| of a list, rising.
+/// The distinct |elevations| of a list, rising.
 pub fn distinct(elevations: &[f64]) -> Vec<f64> {
     rows_of(elevations).into_iter().map(|r| r.elevation).collect()
 }
@@ -95,12 +95,12 @@ impl<T: Real> Rings<T> {
         Self { level, d, n, nodes, tall, resample, given, wanted, matrix }
     }
 
-    /// Number of rings that are evaluated, those below the horizon included.
+    /// Number of evaluated rings, including those below the horizon.
     pub fn rings(&self) -> usize {
         self.nodes.len() * if self.tall { 2 } else { 1 }
     }
 
-    /// Values of half a ring, padded.
+    /// Number of values of half a ring, padded.
     fn padded(&self) -> usize {
         (self.n / 2).next_multiple_of(PAD)
     }
@@ -156,7 +156,7 @@ impl<T: Real> Rings<T> {
         }
     }
 
-    /// Hands each finished row to `emit`: which rows of the grid it is, and its line.
+    /// Passes each finished row to `emit`: its rows in the grid, and its values.
     #[inline(always)]
     fn run<S: Simd>(
         &self,
@@ -219,7 +219,7 @@ impl<T: Real> Rings<T> {
         }
     }
 
-    /// Even and odd azimuth harmonics (and, tall, even and odd parts in elevation) of every ring.
+    /// Even and odd azimuth harmonics (tall: also even and odd parts in elevation) of every ring.
     #[inline(always)]
     fn split(&self, dense: &[Complex<T>], split: &mut [T]) {
         let (half, pad) = (self.n / 2, self.padded());
@@ -271,7 +271,7 @@ impl<T: Real> Rings<T> {
         }
     }
 
-    /// `ROWS` rows' parts from all nodes' parts: a matrix product, `FAMILIES` times over.
+    /// The parts of `ROWS` rows from the parts of all nodes: a matrix product, `FAMILIES` times.
     #[inline(always)]
     fn combine<S: Simd, const ROWS: usize, const FAMILIES: usize>(
         &self,
@@ -304,7 +304,7 @@ impl<T: Real> Rings<T> {
     }
 }
 
-/// Rows that share a pass over the nodes.
+/// Rows per pass over the nodes.
 const BLOCK_ROWS: usize = 5;
 
 /// Groups the rows of a grid by |elevation|.
@@ -322,14 +322,14 @@ fn rows_of(elevations: &[f64]) -> Vec<Row> {
     rows
 }
 
-/// Weights that take values at `k + 1` nodes of the quarter circle to the rows.
+/// Weights that map values at `k + 1` nodes of the quarter circle to the rows.
 ///
-/// Each of the four families is orthogonal on the nodes (a discrete cosine or sine transform), so the weight of a node
-/// is the sum over the family of its values at the row and at the node, over its norm.
+/// Each of the four families is orthogonal on the nodes (a discrete cosine or sine transform). So the weight of a node is the
+/// sum over the family of its values at the row times those at the node, divided by its norm.
 fn matrix<T: Real>(rows: &[Row], k: usize, tall: bool) -> Vec<T> {
     let node = |i: usize| FRAC_PI_2 * i as f64 / k as f64;
     let families = if tall { 4 } else { 2 };
-    // The order of the split: even azimuth harmonics with cosines, odd with cosines, even with sines, odd with sines.
+    // Order: even azimuth harmonics with cosines, odd with cosines, even with sines, odd with sines.
     let orders: [Vec<usize>; 4] = [
         (0..=k).map(|m| 2 * m).collect(),
         (0..k).map(|m| 2 * m + 1).collect(),

@@ -1,4 +1,4 @@
-//! Kernel settings by tolerance, and the grid of one dimension.
+//! Kernel settings for a tolerance, and the grid of one dimension.
 
 /// Kernel width and oversampling, and the error they cause, relative to `sum |z|`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -7,7 +7,7 @@ pub struct Setting {
     pub width: usize,
     /// Cells per band limit.
     pub oversampling: f64,
-    /// Both kernels in both dimensions, measured ([`crate::kernel::Kernel::loss`]).
+    /// Error of both kernels in both dimensions, measured ([`crate::kernel::Kernel::loss`]).
     pub loss: f64,
 }
 
@@ -15,7 +15,7 @@ const fn setting(width: usize, oversampling: f64, loss: f64) -> Setting {
     Setting { width, oversampling, loss }
 }
 
-/// Cheapest first.
+/// In order of cost.
 const SETTINGS: [Setting; 10] = [
     setting(4, 2.0, 4.4e-3),
     setting(8, 1.5, 1.5e-5),
@@ -30,8 +30,8 @@ const SETTINGS: [Setting; 10] = [
 ];
 
 impl Setting {
-    /// The cheapest setting that loses at most `eps`; none if there is no such. Widths 4 and 8 exist in single
-    /// precision, 8 to 16 in double.
+    /// The cheapest setting with an error of at most `eps`, or `None`. Widths 4 and 8 exist in single precision, 8 to 16 in
+    /// double.
     pub fn for_eps(eps: f64, single: bool) -> Option<Self> {
         let there = |width: usize| if single { width <= 8 } else { width >= 8 };
         SETTINGS.into_iter().find(|s| s.loss <= eps && there(s.width))
@@ -55,13 +55,13 @@ impl Axis {
         let sigma = setting.oversampling;
         let per_turn = 2.0 * sigma;
         let half = (extent * per_turn + 0.5 * setting.width as f64).ceil() as usize;
-        // The second kernel's band, and room for it beyond the largest direction cosine.
+        // The second kernel's band, and room beyond the largest direction cosine.
         let band = (2.0 * sigma * half as f64).ceil() as usize;
         let room = ((setting.width + 3) as f64 / (1.0 - 1.0 / sigma)).ceil() as usize;
         Self { per_turn, half, n: crate::fft::good_size(band.max(room)) }
     }
 
-    /// Cells that samples reach.
+    /// Number of cells that samples reach.
     pub fn support(&self) -> usize {
         2 * self.half + 1
     }

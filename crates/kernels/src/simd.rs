@@ -9,10 +9,10 @@ use num_complex::Complex;
 
 pub use fearless_simd;
 
-/// An instruction set that the kernels are compiled for; chosen at run time.
+/// An instruction set for which the kernels are compiled; chosen at run time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize)]
 pub enum Tier {
-    /// No SIMD instructions asked for: the portable code.
+    /// Portable code without explicit SIMD instructions.
     Portable,
     /// x86-64-v2: 128 bits, no fused multiply-add (UP Squared, Apollo Lake).
     Sse42,
@@ -20,7 +20,7 @@ pub enum Tier {
     Avx2,
     /// 512 bits (Ice Lake and later).
     Avx512,
-    /// Whatever this machine offers that is none of the above (NEON on 64-bit ARM).
+    /// The best that this machine offers if it is none of the above (NEON on 64-bit ARM).
     Native,
 }
 
@@ -31,7 +31,7 @@ impl Tier {
         Self::available().last().copied().unwrap_or(Self::Portable)
     }
 
-    /// Every tier that this machine can run, narrowest first.
+    /// Every tier that this machine supports, narrowest first.
     #[must_use]
     pub fn available() -> Vec<Self> {
         [Self::Portable, Self::Sse42, Self::Avx2, Self::Avx512, Self::Native]
@@ -40,7 +40,7 @@ impl Tier {
             .collect()
     }
 
-    /// The dispatch level, or none where this machine lacks the instructions.
+    /// The dispatch level, or `None` if this machine lacks the instructions.
     pub fn level(self) -> Option<Level> {
         let level = Level::new();
         match self {
@@ -60,13 +60,13 @@ impl Tier {
         }
     }
 
-    /// The dispatch level, the portable one where this machine lacks the instructions.
+    /// The dispatch level; the portable one if this machine lacks the instructions.
     pub fn level_or_portable(self) -> Level {
         self.level().unwrap_or_else(Level::fallback)
     }
 }
 
-/// Runs `$op` compiled for the tier of `$level`; `fearless_simd::dispatch!` without the tiers that [`Tier`] lacks.
+/// Runs `$op` compiled for the tier of `$level`: `fearless_simd::dispatch!` without the tiers that [`Tier`] lacks.
 #[macro_export]
 macro_rules! on_tier {
     ($level:expr, $simd:ident => $op:expr) => {{
@@ -104,7 +104,7 @@ const ATAN: [f32; 9] = [
     0.000_440_267_7,
 ];
 
-/// The two precisions of the kernels, and the entries to what is generic over them: compiled here for both.
+/// The two precisions of the kernels, and the entries to code that is generic over them, compiled here for both.
 pub trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
     /// Rounds from double.
     fn of(x: f64) -> Self;
@@ -112,9 +112,9 @@ pub trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
     const SIN: &'static [Self];
     /// Coefficients of `sqrt 2 cos(pi r)` in `r^2`, for `|r| <= 1/2`.
     const COS: &'static [Self];
-    /// [`Real::SIN`] and [`Real::COS`] for [`ROUGH`]; the same ones in double.
+    /// [`Real::SIN`] at the precision [`ROUGH`]; in double, the same coefficients.
     const ROUGH_SIN: &'static [Self] = Self::SIN;
-    /// [`Real::COS`] for [`ROUGH`].
+    /// [`Real::COS`] at the precision [`ROUGH`].
     const ROUGH_COS: &'static [Self] = Self::COS;
 
     /// The FFTs of a tier: [`crate::fft::Ffts::new`].
@@ -129,7 +129,7 @@ pub trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
     fn values(rings: &Rings<Self>, values: &[Complex<Self>], work: &mut RingWork<Self>, out: &mut [Complex<Self>]);
 }
 
-/// The entries of [`Real`], for one precision.
+/// The methods of [`Real`], for one precision.
 macro_rules! entries {
     () => {
         #[inline(never)]
@@ -220,16 +220,16 @@ fn polynomial<S: Simd, T: Real>(simd: S, t: V<S, T>, coefficients: &[T]) -> V<S,
     value
 }
 
-/// Sine and cosine of `2 pi turns`, absolute error a few units of the last place of 1.
+/// Sine and cosine of `2 pi turns`; absolute error a few units in the last place of 1.
 ///
-/// Reduced to half a turn around 0 and halved: `sin 2a = 2 sin a cos a`, `cos 2a = 1 - 2 sin^2 a`, the root of the 2 in
-/// either factor. No branches, no integer operations, the same code in both precisions and at every width.
+/// Reduces to half a turn around 0 and halves: `sin 2a = 2 sin a cos a`, `cos 2a = 1 - 2 sin^2 a`, with the square root of the
+/// 2 in either factor. No branches, no integer operations, the same code in both precisions and at every width.
 #[inline(always)]
 pub fn sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, T>, V<S, T>) {
     sin_cos_by::<S, T>(simd, turns, T::SIN, T::COS)
 }
 
-/// As [`sin_cos_turns`], absolute error at most [`ROUGH`] in single precision, for four operations less.
+/// As [`sin_cos_turns`], with absolute error at most [`ROUGH`] in single precision and four operations fewer.
 #[inline(always)]
 pub fn rough_sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, T>, V<S, T>) {
     sin_cos_by::<S, T>(simd, turns, T::ROUGH_SIN, T::ROUGH_COS)
@@ -244,15 +244,15 @@ fn sin_cos_by<S: Simd, T: Real>(simd: S, turns: V<S, T>, sin: &[T], cos: &[T]) -
     (sin * cos, (-sin).mul_add(sin, V::<S, T>::splat(simd, T::of(1.0))))
 }
 
-/// The angle of `re + j im` in turns, -1/2 to 1/2, absolute error at most 1e-7. Of zeros, as `atan2` has it: by the
-/// signs of both.
+/// The angle of `re + j im` in turns, -1/2 to 1/2, absolute error at most 1e-7. For zeros, the signs of both decide, as in
+/// `atan2`.
 #[inline(always)]
 pub fn turns_of<S: Simd>(simd: S, re: V<S, f32>, im: V<S, f32>) -> V<S, f32> {
     let splat = |value: f32| V::<S, f32>::splat(simd, value);
     let (x, y) = (re.abs(), im.abs());
     let r = x.min(y) / x.max(y).max(splat(f32::MIN_POSITIVE));
     let octant = polynomial::<S, f32>(simd, r * r, &ATAN) * r;
-    // Beyond the diagonal the angle is counted from the other axis, and left of the upright one from the opposite side.
+    // Above the diagonal the angle is measured from the other axis; left of the imaginary axis, from the opposite side.
     let quadrant = y.simd_gt(x).select(splat(0.25) - octant, octant);
     let half = splat(1.0).copysign(re).simd_lt(splat(0.0)).select(splat(0.5) - quadrant, quadrant);
     half.copysign(im)

@@ -1,14 +1,14 @@
-//! Direct sums over all samples: antipodal pairs of directions, and the moments that Newton's method needs.
+//! Direct sums over all samples: antipodal pairs of directions, and the moments for Newton's method.
 
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex64;
 
 use crate::simd::{Real, V, on_tier, rough_sin_cos_turns, sin_cos_turns};
 
-/// Samples per block: single-precision sums are carried over to double after each, so that their error does not grow
-/// with the number of samples (measured: 4e-9 at 1e7 samples with a flush each 4,096).
+/// Samples per block: single-precision sums are added to double after each, so that their error does not grow with the number
+/// of samples (measured: 4e-9 at 1e7 samples with a flush each 4,096).
 const BLOCK: usize = 512;
-/// Direction vectors that one pass over a block works on.
+/// Direction vectors per pass over a block.
 const WIDE: usize = 2;
 
 /// Samples (positions in turns, weighted values) in one precision.
@@ -47,12 +47,12 @@ impl PairSum {
     }
 }
 
-/// How exact sines are.
+/// Accuracy of the sines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sines {
     /// To the last place.
     Fine,
-    /// To [`crate::simd::ROUGH`] in single precision: for a search, whose answer does not come from these sums.
+    /// To [`crate::simd::ROUGH`] in single precision: for a search, whose result does not use these sums.
     Rough,
 }
 

@@ -1,7 +1,7 @@
-//! Reads a log into memory and decodes its CSI in sqrt(SNR), all antennas, as the Python package does, without Python: what
-//! `scripts/python_bench.py` takes Python's share from. Prints seconds, records and the peak memory in KiB.
+//! Reads a log into memory and decodes its CSI in sqrt(SNR), all antennas, as the Python package does, but without Python: the
+//! baseline of `scripts/python_bench.py`. Prints seconds, records and the peak memory in KiB.
 //!
-//! `cargo run --release --example read_scaled -- LOG`, in `python/` as the wheel is compiled
+//! `cargo run --release --example read_scaled -- LOG`, compiled as the wheel in `python/` is
 #![allow(clippy::print_stdout)]
 
 use bytemuck::cast_slice_mut;
@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (arena, columns) = reading.take();
     let widest = columns.widest();
     let rows = Rows::new(&widest.antennas(), widest.streams());
-    // Memory in large pages, as NumPy asks for it.
+    // Large pages, as NumPy requests them.
     let mut memory = memmap2::MmapMut::map_anon((arena.len() * rows.len() * size_of::<Complex32>()).max(1))?;
     memory.advise(memmap2::Advice::HugePage)?;
     let out: &mut [Complex32] = cast_slice_mut(&mut memory[..arena.len() * rows.len() * size_of::<Complex32>()]);

@@ -1,4 +1,4 @@
-//! Logs of cards other than the 5300: recognised by content, counted, sorted by kind and timed.
+//! Logs of cards other than the 5300: recognised by content; their frames counted, sorted by kind and timed.
 
 use csi_formats::{Clock, Format, Frame, Item, RssiUnit, Why, detect};
 use driver_iface::Mac;
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
 
-/// The kind and the bytes of a log of another card; `None` for any other file, and for one that cannot be read.
+/// The kind and the bytes of another card's log; `None` for any other file, and for an unreadable one.
 #[must_use]
 pub fn read(path: &Path) -> Option<(Format, Vec<u8>)> {
     let (format, mut file, mut bytes) = begun(path)?;
@@ -20,17 +20,17 @@ pub fn is_log(path: &Path) -> bool {
     begun(path).is_some()
 }
 
-/// Ends of the names of other cards' logs, which other files have too.
+/// File extensions of other cards' logs; other files have them, too.
 const ENDS: [&str; 3] = ["csi", "pcap", "csv"];
 
-/// True for a log by its name: that of a 5300's, or of another card's if the file is one.
+/// True for a log: a 5300's by its name, another card's by its content, too.
 #[must_use]
 pub fn is_named_as_log(path: &Path) -> bool {
     let Some(end) = path.extension().and_then(|end| end.to_str()) else { return false };
     end == "dat" || ENDS.contains(&end) && is_log(path)
 }
 
-/// A log of which the first bytes were read.
+/// True if the first bytes of a file are a log's.
 fn begun(path: &Path) -> Option<(Format, std::fs::File, Vec<u8>)> {
     // A pipe can be opened and read only once.
     let mut file = path.is_file().then(|| std::fs::File::open(path).ok()).flatten()?;
@@ -39,7 +39,7 @@ fn begun(path: &Path) -> Option<(Format, std::fs::File, Vec<u8>)> {
     Some((detect(&bytes)?, file, bytes))
 }
 
-/// What is in a log of another card, as `info --json` has it.
+/// The content of another card's log, as `info --json` prints it.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 #[non_exhaustive]
 pub struct CardSurvey {
@@ -49,17 +49,17 @@ pub struct CardSurvey {
     pub cards: BTreeMap<String, u64>,
     /// Frames by kind, width, chains and number of subcarriers.
     pub shapes: BTreeMap<String, u64>,
-    /// Frames by sender; all zero is one that is unknown.
+    /// Frames by sender; all zero stands for an unknown one.
     #[serde(skip)]
     pub senders: BTreeMap<Mac, u64>,
-    /// From the first frame to the last by the host's clock, seconds; `None` where it is not in the log.
+    /// Time from the first to the last frame by the host's clock, seconds; `None` if the log does not contain it.
     pub host_span_s: Option<f64>,
-    /// Bytes that are no frame with CSI, by why.
+    /// Bytes that are not frames with CSI, by reason.
     pub skipped: BTreeMap<String, u64>,
     /// The most receive chains in one frame.
     #[serde(skip)]
     pub n_rx: usize,
-    /// Bytes were lost that should have been frames: not a frame without CSI, nor the end of a log that was cut.
+    /// Frames were lost: more than frames without CSI or a cut end of the log.
     #[serde(skip)]
     pub is_damaged: bool,
     #[serde(skip)]
@@ -67,7 +67,7 @@ pub struct CardSurvey {
 }
 
 impl CardSurvey {
-    /// Counts what comes next in a log.
+    /// Counts the next item of a log.
     pub fn note(&mut self, item: &Item) {
         match item {
             Item::Frame(frame) => {
@@ -89,13 +89,13 @@ impl CardSurvey {
     }
 }
 
-/// True if bytes should have been a frame: not one without CSI, nor the end of a log that was cut.
+/// True if the bytes should have been a frame: not a frame without CSI, nor the cut end of the log.
 #[must_use]
 pub fn is_damage(why: Why) -> bool {
     !matches!(why, Why::NoCsi | Why::Cut)
 }
 
-/// The sender of a frame; all zero where it is unknown.
+/// The sender of a frame; all zero if unknown.
 pub(crate) fn sender(frame: &Frame) -> Mac {
     Mac(frame.sender.unwrap_or_default())
 }
@@ -106,7 +106,7 @@ fn shape(frame: &Frame) -> String {
     format!("{kind} {width} MHz, {}x{} chains, {n} subcarriers", frame.n_rx, frame.n_tx).trim_start().to_owned()
 }
 
-/// What frames share whose subcarriers can stand beside each other.
+/// What frames must share for their subcarriers to be comparable.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Layout {
     pub width_mhz: u16,
@@ -125,7 +125,7 @@ impl Layout {
         }
     }
 
-    /// True if a frame has it.
+    /// True if a frame has this layout.
     pub(crate) fn holds(&self, frame: &Frame) -> bool {
         self.width_mhz == frame.width_mhz
             && self.kind == frame.kind.map(csi_formats::Kind::name)
@@ -139,12 +139,12 @@ impl Layout {
     }
 }
 
-/// True for RSSI in dBm.
+/// True if RSSI is in dBm.
 pub(crate) fn is_dbm(frame: &Frame) -> bool {
     frame.rssi_unit == RssiUnit::Dbm
 }
 
-/// A card's clock, whose counter wraps, as picoseconds since the first reading. Steps back take no time.
+/// A card's wrapping clock as picoseconds since the first reading. Backward steps take no time.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct CardTime {
     last: Option<(Clock, Option<i64>)>,
@@ -152,11 +152,11 @@ pub(crate) struct CardTime {
 }
 
 impl CardTime {
-    /// Time of a frame since the first reading, and by how much the clock stepped back before it; none without a reading.
+    /// A frame's time since the first reading, and by how much the clock stepped back before it; `None` without a reading.
     ///
-    /// A step of more than half the counter's range is one back, unless the host's clock went on as far.
+    /// A step of more than half the counter's range is a backward one, unless the host's clock advanced as far.
     pub(crate) fn of(&mut self, frame: &Frame) -> Option<(u128, u128)> {
-        // The coarse clock wraps later, and is fine enough for a time.
+        // The coarse clock wraps later and is fine enough here.
         let clock = frame.slow_clock.or(frame.clock)?;
         let mask = if clock.bits >= 64 { u64::MAX } else { (1 << clock.bits) - 1 };
         let tick_ps = u128::from(clock.tick_ps);

@@ -1,8 +1,8 @@
-//! A log over time, binned for pictures and pages: CSI of each antenna over time and subcarrier, RSSI and gain, rate, and where
-//! something is missing.
+//! A log over time, binned for pictures and pages: CSI of each antenna over time and subcarrier, RSSI and gain, rate, and
+//! losses.
 //!
-//! [`LogIndex`] is a log whose columns were read once ([`table`](crate::table), [`cards`]), from which any stretch is
-//! binned at once; its CSI is read again from the file. [`Course`] is what one picture shows.
+//! [`LogIndex`] holds the columns of a log ([`table`](crate::table), [`cards`]), read once, from which any stretch is binned
+//! quickly; its CSI is read again from the file. [`Course`] has the data of one picture.
 mod card;
 
 use crate::cards::{self, CardSurvey};
@@ -25,43 +25,44 @@ use std::path::{Path, PathBuf};
 
 /// Columns of a heat map at most.
 const COLUMNS: usize = 600;
-/// Cells of all heat maps of a picture at most: a third more than three antennas of a 5300 have.
+/// Cells of all heat maps of a picture at most: a third more than three antennas of a 5300 need.
 const CELLS: usize = 144_000;
-/// Rows of a heat map of a picture and of a page at most, a pixel or two high: of more subcarriers neighbours share one.
+/// Rows of a heat map at most, in a picture and on a page, each a pixel or two high: with more subcarriers, neighbours share a
+/// row.
 const PICTURE_ROWS: usize = 128;
 const PAGE_ROWS: usize = 256;
 /// Bins of the rate.
 pub const RATE_BINS: usize = 200;
-/// A gap in records is marked where it is longer than this many usual intervals, and this long, seconds.
+/// A gap in records is marked if it is longer than both this many usual intervals and this many seconds.
 const GAP_INTERVALS: f64 = 10.0;
 const GAP_LEAST_S: f64 = 0.05;
-/// Points kept of a line.
+/// Points of a line.
 const POINTS: usize = 2_000;
-/// Columns of the CSI that is kept of the whole log: of a card that reports more than a 5300, fewer of the same size together.
+/// Columns of CSI kept for the whole log; fewer, of the same total size, for a card with more values than a 5300.
 const KEPT: usize = 4_096;
 const KEPT_CELLS: usize = KEPT * 3 * SUBCARRIERS;
-/// Stands for an unknown RSSI.
+/// An unknown RSSI.
 const NO_RSSI: i16 = i16::MIN;
-/// Records whose CSI is read again for one stretch, at most: of more every n-th.
+/// Records of a stretch whose CSI is read again, at most: beyond it, every n-th.
 const READ: usize = 40_000;
 /// Columns of a stretch at most.
 const MOST_COLUMNS: usize = 4_000;
-/// Records of a bin of the rate at least: fewer do not tell a rate from chance.
+/// Fewest records per bin of the rate: with fewer the rate is mostly chance.
 const RECORDS_A_BIN: usize = 20;
 /// Limit of separate senders; further ones count as one.
 const SENDERS: usize = u16::MAX as usize;
 
-/// What of a log is wanted.
+/// Which part of a log is wanted.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct Wanted {
-    /// Only frames of these senders; of all where empty.
+    /// Only frames of these senders; empty: of all.
     pub macs: Vec<Mac>,
-    /// Only these antennas; all where empty.
+    /// Only these antennas; empty: all.
     pub antennas: Vec<Antenna>,
-    /// From here on, seconds after the first record.
+    /// Start, seconds after the first record.
     pub from_s: Option<f64>,
-    /// Up to here, seconds after the first record.
+    /// End, seconds after the first record.
     pub to_s: Option<f64>,
 }
 
@@ -100,18 +101,18 @@ pub fn letter(antenna: usize) -> char {
     char::from(b'A' + (antenna % 26) as u8)
 }
 
-/// What the rows of heat maps are.
+/// The meaning of a heat map's rows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct HeatRows {
-    /// Index of each subcarrier about the channel's centre, from the lowest to the highest, in units of their spacing; none where
-    /// a 5300's frames of both widths are in the log.
+    /// Index of each subcarrier relative to the channel's centre, lowest first, in units of the spacing; `None` if a 5300's log
+    /// has frames of both widths.
     pub indices: Option<Vec<i16>>,
-    /// How many subcarriers there are.
+    /// Number of subcarriers.
     pub subcarriers: usize,
-    /// How many neighbouring subcarriers share a row; in the last one fewer may be left.
+    /// Neighbouring subcarriers per row; the last row may have fewer.
     pub each: usize,
-    /// Kind and width of the frames; none for a 5300.
+    /// Kind and width of the frames; `None` for a 5300.
     pub frames: Option<String>,
 }
 
@@ -120,19 +121,19 @@ impl HeatRows {
         Self { indices, subcarriers, each: subcarriers.div_ceil(most).max(1), frames: None }
     }
 
-    /// How many rows there are.
+    /// Number of rows.
     #[must_use]
     pub fn len(&self) -> usize {
         self.subcarriers.div_ceil(self.each.max(1))
     }
 
-    /// True if there is none.
+    /// True if there are no rows.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.subcarriers == 0
     }
 
-    /// The index of a subcarrier; its place where that is not known.
+    /// The index of a subcarrier, or its position if the index is unknown.
     #[must_use]
     pub fn index(&self, place: usize) -> i64 {
         let index = self.indices.as_ref().and_then(|indices| indices.get(place));
@@ -146,13 +147,12 @@ impl HeatRows {
 pub struct AntennaCourse {
     /// The antenna, from 0 on ([`letter`]).
     pub antenna: usize,
-    /// Mean amplitude of each cell, dB relative to the card's step, `[row][column]` row by row ([`HeatRows`]); not a number where
-    /// nothing fell into it.
+    /// Mean amplitude of each cell, dB relative to the card's step, `[row][column]` ([`HeatRows`]); NaN for an empty cell.
     pub amplitude_db: Vec<f64>,
-    /// Mean phase of each cell relative to the middle subcarrier of its own record, radians, in the same order: the
-    /// phase of a record by itself is that of two crystals.
+    /// Mean phase of each cell relative to the middle subcarrier of its own record, radians, in the same order: the absolute
+    /// phase of a record depends on two crystals.
     pub phase_rad: Vec<f64>,
-    /// Mean amplitude over the subcarriers over time, dB: (seconds, dB), a point for each column that holds something.
+    /// Mean amplitude over the subcarriers over time, dB: (seconds, dB), a point for each column that is not empty.
     pub line_db: Vec<(f64, f64)>,
 }
 
@@ -160,54 +160,53 @@ pub struct AntennaCourse {
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Course {
-    /// Records in it.
+    /// Number of records.
     pub records: u64,
-    /// What its times are of.
+    /// The source of its times.
     pub base: TimeBase,
-    /// First and last time, seconds after the log's first record, by `base` (numbers of records where there is no clock); steps
-    /// back of the clock count as none.
+    /// First and last time, seconds after the log's first record, by `base` (record numbers if there is no clock); backward steps
+    /// of the clock count as zero.
     pub span_s: (f64, f64),
     /// The kind of log, of cards other than the 5300.
     pub format: Option<&'static str>,
-    /// What the rows of the heat maps are.
+    /// The meaning of the heat maps' rows.
     pub rows: HeatRows,
-    /// Columns of the heat maps: one for a record at most.
+    /// Columns of the heat maps: at most one per record.
     pub columns: usize,
-    /// Antennas with CSI, all of one sender and of frames of one kind and width.
+    /// Antennas with CSI, all from one sender and from frames of one kind and width.
     pub antennas: Vec<AntennaCourse>,
-    /// Whose CSI it is; none where that is not known.
+    /// The sender of the CSI; `None` if unknown.
     pub sender: Option<Mac>,
-    /// Records of other senders, whose CSI is not in it.
+    /// Records of other senders, whose CSI is not shown.
     pub other_senders: u64,
-    /// Records of the sender with frames of another kind or width, whose CSI is not in it.
+    /// Records of the sender with frames of another kind or width, whose CSI is not shown.
     pub other_frames: u64,
-    /// RSSI of each antenna as the card reports it: (seconds, dB), thinned out evenly, without unconnected and unknown
-    /// ones.
+    /// RSSI of each antenna as the card reports it: (seconds, dB), thinned out evenly, without unconnected and unknown ones.
     pub rssi: Vec<Vec<(f64, f64)>>,
-    /// True if RSSI is in dBm, not dB above a reference that the card does not tell.
+    /// True if RSSI is in dBm, false if in dB above an unknown reference.
     pub rssi_in_dbm: bool,
-    /// Gain, dB, in the same form; empty where the format does not tell it.
+    /// Gain, dB, in the same form; empty if the format does not contain it.
     pub agc: Vec<(f64, f64)>,
     /// Records per second in [`RATE_BINS`] bins: (middle in seconds, Hz).
     pub rate_hz: Vec<(f64, f64)>,
-    /// From and to of stretches without a record, seconds.
+    /// Start and end of stretches without a record, seconds.
     pub gaps_s: Vec<(f64, f64)>,
-    /// Numbers missing from `bfee_count`: when (seconds), and how many.
+    /// Numbers missing from `bfee_count`: time (seconds) and count.
     pub missing: Vec<(f64, u64)>,
-    /// Stretches of damaged bytes, and impossible records: when, seconds.
+    /// Damaged stretches and impossible records: time, seconds.
     pub damaged: Vec<f64>,
-    /// Frame numbers that senders skipped on the way up: when (seconds), and how many.
+    /// Increases of senders' frame numbers by more than one: time (seconds) and count.
     pub skipped: Vec<(f64, u64)>,
-    /// Frames with the number of the one before: when, seconds.
+    /// Frames with the number of the previous one: time, seconds.
     pub repeated: Vec<f64>,
-    /// Where the card's clock stepped back: when (seconds), by how much (seconds).
+    /// Backward steps of the card's clock: time (seconds) and size (seconds).
     pub steps_back: Vec<(f64, f64)>,
     /// True if records were lost before the log's end.
     pub lost_something: bool,
 }
 
 impl Course {
-    /// Records whose CSI is not in it though they are wanted, in words.
+    /// Describes wanted records whose CSI is not shown.
     #[must_use]
     pub fn left_out(&self) -> Option<String> {
         let why = [(self.other_senders, "of other senders"), (self.other_frames, "of another kind or width")];
@@ -220,7 +219,7 @@ impl Course {
     /// Reads a log, twice: once for its columns, once for its CSI.
     ///
     /// # Errors
-    /// If the log cannot be read. A log without a record that is wanted gives an empty course.
+    /// If the log cannot be read. A log without a wanted record gives an empty course.
     pub fn read(path: &Path, wanted: &Wanted) -> Result<Self, Error> {
         let log = LogIndex::open(path)?;
         let lost_something = match &log.source {
@@ -231,7 +230,7 @@ impl Course {
             (0..log.t_us.len()).filter(|row| wanted.takes(log.sender_of(*row), log.t_s(*row))).collect();
         let times_s: Vec<f64> = rows.iter().map(|row| log.t_s(*row)).collect();
         let Some(span_s) = span_s(&times_s) else { return Ok(Self { lost_something, ..Self::default() }) };
-        // CSI of several senders in one map would be of none.
+        // A map that mixes several senders' CSI would be meaningless.
         let sent_by = most(rows.iter().filter_map(|row| log.sent_by.get(*row).copied())).unwrap_or(0);
         let of_sender: Vec<usize> =
             rows.iter().copied().filter(|row| log.sent_by.get(*row) == Some(&sent_by)).collect();
@@ -292,31 +291,30 @@ fn most<T: Ord + Copy>(values: impl Iterator<Item = T>) -> Option<T> {
     counts.into_iter().max_by_key(|(_, count)| *count).map(|(value, _)| value)
 }
 
-/// What a log was written by, and what was counted in it.
+/// The kind of a log, and its counters.
 enum Source {
     Csitool(Box<Survey>),
     Card(Box<CardLog>),
 }
 
-/// An index of a log: 25 bytes a record and the CSI of 4,096 columns; CSI of shorter stretches is read again from the
-/// file.
+/// An index of a log: 25 bytes a record and the CSI of 4,096 columns; CSI of shorter stretches is read again from the file.
 pub struct LogIndex {
     path: PathBuf,
-    /// What its times are of.
+    /// The source of its times.
     base: TimeBase,
     source: Source,
     bytes: u64,
-    /// Of each record: time since the log's first, microseconds.
+    /// Of each record: time since the log's first record, microseconds.
     t_us: Vec<i64>,
-    /// Where it begins in the file, bytes.
+    /// Its offset in the file, bytes.
     offset: Vec<i64>,
     /// Antennas, or receive chains.
     ports: usize,
-    /// A value of each of them a record.
+    /// A value per antenna and record.
     rssi: Vec<i16>,
-    /// Empty where the format does not tell it.
+    /// Empty if the format does not contain it.
     agc: Vec<u8>,
-    /// Its sender, a place in `senders`.
+    /// Its sender, an index into `senders`.
     sent_by: Vec<u16>,
     senders: Vec<Mac>,
     marks: Marks,
@@ -326,17 +324,17 @@ pub struct LogIndex {
     kept: Option<Vec<Cells>>,
 }
 
-/// What is missing, and what the counters did, by the record at which it shows.
+/// Losses and counter events, by the record at which they show.
 #[derive(Default)]
 struct Marks {
-    /// How many numbers of `bfee_count` are missing before it.
+    /// Numbers of `bfee_count` missing before a record.
     missing: Vec<(usize, u64)>,
-    /// The record before bytes that are none, or before an impossible record.
+    /// The record before damaged bytes or an impossible record.
     damaged: Vec<usize>,
-    /// How many frame numbers its sender skipped.
+    /// Frame numbers that the sender skipped.
     skipped: Vec<(usize, u64)>,
     repeated: Vec<usize>,
-    /// By how much the card's clock stepped back, seconds.
+    /// Backward steps of the card's clock, seconds.
     steps_back: Vec<(usize, f64)>,
 }
 
@@ -354,7 +352,7 @@ impl Marks {
                 marks.missing.push((k, u64::from(step - 1)));
             }
         }
-        // Frames of other programs have no number in that place.
+        // Other programs' frames have no number in that place.
         let counting = survey.senders.iter().filter(|(_, sender)| Sender::counts_up(sender));
         let mut numbers: BTreeMap<Mac, Numbering> = counting.map(|(mac, _)| (*mac, Numbering::default())).collect();
         for (k, (mac, frame)) in macs(columns).zip(&columns.frame).enumerate() {
@@ -369,7 +367,7 @@ impl Marks {
     }
 }
 
-/// Senders in the order in which they are first heard, and which of them each record is of.
+/// Senders in the order in which they are first heard, and the sender of each record.
 fn numbered(macs: impl Iterator<Item = Mac>) -> (Vec<Mac>, Vec<u16>) {
     let (mut senders, mut numbers) = (Vec::new(), BTreeMap::new());
     let sent_by = macs.map(|mac| {
@@ -389,7 +387,8 @@ fn macs(columns: &Columns) -> impl Iterator<Item = Mac> {
     columns.mac.as_chunks::<6>().0.iter().map(|octets| Mac(*octets))
 }
 
-/// Time of each record since the first, microseconds, as the survey counts it (`csi5300 info`): steps back of a clock take no time.
+/// Time of each record since the first, microseconds, as in the survey (`csi5300 info`): backward steps of a clock count as
+/// zero.
 fn times_us(columns: &Columns, base: TimeBase) -> Vec<i64> {
     let (mut last, mut sum) = (None, 0_i64);
     let mut elapsed = |now: i64| {
@@ -411,7 +410,7 @@ fn times_us(columns: &Columns, base: TimeBase) -> Vec<i64> {
     }
 }
 
-/// Lowest, mean and highest value of each column; none where nothing fell into it.
+/// Lowest, mean and highest value of each column; `None` for an empty column.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Band {
@@ -427,31 +426,31 @@ pub struct Band {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Stretch {
-    /// Its beginning, seconds after the log's first record ([`LogIndex::base`]); steps back of the clock count as none.
+    /// Its start, seconds after the log's first record ([`LogIndex::base`]); backward steps of the clock count as zero.
     pub from_s: f64,
     /// Its end, seconds.
     pub to_s: f64,
-    /// Columns of `rssi` and `agc`, and those that losses are in.
+    /// Number of columns of `rssi`, `agc` and the losses.
     pub columns: usize,
     /// Records in it.
     pub records: usize,
-    /// Records per second, in bins of equal width: as many as `columns`, or fewer where there are few records.
+    /// Records per second, in bins of equal width: `columns` of them, or fewer if there are few records.
     pub rate_hz: Vec<f64>,
     /// RSSI of each antenna as the card reports it, dB, without unconnected and unknown ones.
     pub rssi: Vec<Band>,
     /// Gain, dB.
     pub agc: Band,
-    /// Columns with losses, and how many numbers of `bfee_count` are missing there.
+    /// Columns with losses, and the count of numbers missing from `bfee_count`.
     pub missing: Vec<(usize, u64)>,
-    /// Columns with damaged bytes or impossible records, and how many stretches of them.
+    /// Columns with damaged stretches or impossible records, and their count.
     pub damaged: Vec<(usize, u64)>,
-    /// Columns in which the requested senders skipped frame numbers, and how many.
+    /// Columns in which the requested senders skipped frame numbers, and the count of numbers.
     pub skipped: Vec<(usize, u64)>,
-    /// Columns with their frames that have the number of the one before, and how many.
+    /// Columns with frames of theirs that repeat the previous number, and the count of frames.
     pub repeated: Vec<(usize, u64)>,
-    /// From and to of parts without a record, seconds.
+    /// Start and end of parts without a record, seconds.
     pub gaps_s: Vec<(f64, f64)>,
-    /// Where the card's clock stepped back: when, by how much, seconds.
+    /// Backward steps of the card's clock: time and size, seconds.
     pub steps_back: Vec<(f64, f64)>,
 }
 
@@ -459,7 +458,7 @@ pub struct Stretch {
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct StretchCsi {
-    /// Its beginning, seconds.
+    /// Its start, seconds.
     pub from_s: f64,
     /// Its end, seconds.
     pub to_s: f64,
@@ -467,13 +466,13 @@ pub struct StretchCsi {
     pub columns: usize,
     /// Records in it.
     pub records: usize,
-    /// Every how manieth record is in the means.
+    /// Every n-th record is in the means.
     pub every: usize,
-    /// What the rows are.
+    /// The meaning of the rows.
     pub rows: HeatRows,
-    /// Records with frames of another kind or width, whose CSI is not in it.
+    /// Records with frames of another kind or width, whose CSI is not shown.
     pub other_frames: usize,
-    /// The antennas that have CSI in it.
+    /// The antennas with CSI.
     pub antennas: Vec<AntennaCourse>,
 }
 
@@ -481,7 +480,7 @@ impl LogIndex {
     /// Reads a log, twice: once for its columns, once for its CSI.
     ///
     /// # Errors
-    /// If the log cannot be read. A log without an intact record has no span.
+    /// If the log cannot be read. The span of a log without an intact record is empty.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let mut log = Self::open(path)?;
         let usual = log.usual(0..log.t_us.len());
@@ -519,7 +518,7 @@ impl LogIndex {
             t_us,
             offset: columns.offset,
             ports: Antenna::ALL.len(),
-            // 0 is not connected.
+            // 0 means "not connected".
             rssi: columns.rssi.into_iter().map(|rssi| if rssi > 0 { i16::from(rssi) } else { NO_RSSI }).collect(),
             agc: columns.agc,
             sent_by,
@@ -540,7 +539,7 @@ impl LogIndex {
         self.bytes
     }
 
-    /// Everything counted in a log of a 5300; none of another card's.
+    /// Everything counted in a 5300's log; `None` for another card's.
     #[must_use]
     pub fn survey(&self) -> Option<&Survey> {
         match &self.source {
@@ -549,7 +548,7 @@ impl LogIndex {
         }
     }
 
-    /// The kind of a log of another card, and everything counted in it.
+    /// The kind of another card's log, and everything counted in it.
     #[must_use]
     pub fn card(&self) -> Option<(Format, &CardSurvey)> {
         match &self.source {
@@ -564,25 +563,25 @@ impl LogIndex {
         self.t_us.len()
     }
 
-    /// Antennas, or receive chains, that it can have CSI of.
+    /// Number of antennas or receive chains in its CSI.
     #[must_use]
     pub fn antennas(&self) -> usize {
         self.ports
     }
 
-    /// True if RSSI is in dBm, not dB above a reference that the card does not tell.
+    /// True if RSSI is in dBm, false if in dB above an unknown reference.
     #[must_use]
     pub fn rssi_in_dbm(&self) -> bool {
         matches!(&self.source, Source::Card(card) if card.rssi_in_dbm)
     }
 
-    /// What its times are of: with [`TimeBase::Number`] they are numbers of records.
+    /// The source of its times: with [`TimeBase::Number`] they are record numbers.
     #[must_use]
     pub fn base(&self) -> TimeBase {
         self.base
     }
 
-    /// What the rows of heat maps are, `most` at most, of frames of a layout.
+    /// The meaning of heat maps' rows, at most `most` of them, for frames of a layout.
     fn heat_rows(&self, layout: u16, most: usize) -> HeatRows {
         let survey = match &self.source {
             Source::Csitool(survey) => survey,
@@ -597,7 +596,7 @@ impl LogIndex {
         HeatRows::new(indices.map(|indices| indices.map(i16::from).to_vec()), SUBCARRIERS, most)
     }
 
-    /// The layout that most of some rows have.
+    /// The most frequent layout of some rows.
     fn usual(&self, rows: impl Iterator<Item = usize>) -> u16 {
         match &self.source {
             Source::Csitool(_) => 0,
@@ -605,7 +604,7 @@ impl LogIndex {
         }
     }
 
-    /// True if a row's CSI has a layout. A 5300's has one only.
+    /// True if a row's CSI has this layout. A 5300 has only one.
     fn is_of_layout(&self, row: usize, layout: u16) -> bool {
         match &self.source {
             Source::Csitool(_) => true,
@@ -613,8 +612,8 @@ impl LogIndex {
         }
     }
 
-    /// Indices of the reported subcarriers about the centre, of most frames; none where a 5300's frames of both widths are in
-    /// the log.
+    /// Indices of the reported subcarriers relative to the centre, for most frames; `None` if a 5300's log has frames of both
+    /// widths.
     #[must_use]
     pub fn subcarriers(&self) -> Option<Vec<i16>> {
         self.heat_rows(self.usual(0..self.t_us.len()), usize::MAX).indices
@@ -626,7 +625,7 @@ impl LogIndex {
         self.span_s
     }
 
-    /// Its senders, in the order in which they were first heard; all zero is one that is unknown.
+    /// Its senders, in the order in which they were first heard; all zero stands for an unknown one.
     #[must_use]
     pub fn senders(&self) -> &[Mac] {
         &self.senders
@@ -644,8 +643,8 @@ impl LogIndex {
         self.agc.get(row).copied().map(i16::from)
     }
 
-    /// Records of each sender, in the order of [`Self::senders`], and how many a second between its first and its last; no rate
-    /// where there is no clock, or one record only.
+    /// Number and rate of each sender's records, in the order of [`Self::senders`], between its first and its last; no rate without
+    /// a clock, or for a single record.
     #[must_use]
     pub fn sent(&self) -> Vec<(u64, Option<f64>)> {
         let mut sent = vec![(0_u64, i64::MAX, i64::MIN); self.senders.len()];
@@ -666,7 +665,7 @@ impl LogIndex {
         self.senders.get(usize::from(number)).copied().unwrap_or_default()
     }
 
-    /// The part of a stretch that lies in the log, and the places of its rows.
+    /// The part of a stretch that lies in the log, and its rows.
     fn cut(&self, from_s: f64, to_s: f64) -> ((f64, f64), Range<usize>) {
         let cut = (from_s.max(self.span_s.0), to_s.min(self.span_s.1));
         if cut.0 >= cut.1 || self.t_us.is_empty() {
@@ -677,14 +676,14 @@ impl LogIndex {
         (cut, first..end)
     }
 
-    /// True if the row was sent by `sender`, or no sender is requested.
+    /// True if `sender` sent the row, or no sender is requested.
     fn is_of(&self, row: usize, sender: Option<Mac>) -> bool {
         sender.is_none_or(|mac| self.sender_of(row) == mac)
     }
 
-    /// Levels and losses between two times in about `columns` columns, of one sender or of all, with at least two
-    /// records a column. Numbers missing from `bfee_count` and damage belong to no sender and are always included. A
-    /// stretch outside of the log means all of it.
+    /// Levels and losses between two times in about `columns` columns, each with at least two records, for one sender or all.
+    /// Numbers missing from `bfee_count` and damage belong to no sender and are always included. A stretch outside the log means
+    /// the whole log.
     #[must_use]
     pub fn stretch(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Stretch {
         let (cut, rows) = self.cut(from_s, to_s);
@@ -730,14 +729,14 @@ impl LogIndex {
         }
     }
 
-    /// CSI between two times in about `columns` columns, of one sender or of all; a column for two
-    /// records at most. A stretch outside of the log is all of it.
+    /// CSI between two times in about `columns` columns, each with at least two records, for one sender or all. A stretch outside
+    /// the log means the whole log.
     ///
     /// # Errors
     /// If the file cannot be read again.
     pub fn csi(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Result<StretchCsi, Error> {
         let (cut, rows) = self.cut(from_s, to_s);
-        // Of the whole log, so that it is the same in every stretch.
+        // From the whole log, so that it is the same in every stretch.
         let usual = self.usual((0..self.t_us.len()).filter(|row| self.is_of(*row, sender)));
         let heat = self.heat_rows(usual, PAGE_ROWS);
         let records = rows.clone().filter(|row| self.is_of(*row, sender)).count();
@@ -764,7 +763,7 @@ impl LogIndex {
         Ok(StretchCsi { from_s, to_s, columns, records, every, rows: heat, other_frames: records - drawn, antennas })
     }
 
-    /// CSI of rows of one layout, read from the file, by antenna. A row whose record is not there any more has none.
+    /// CSI of rows of one layout, read from the file, by antenna. A row whose record is gone has none.
     fn cells(
         &self,
         rows: impl Iterator<Item = usize>,
@@ -798,13 +797,13 @@ impl LogIndex {
     }
 }
 
-/// CSI of one antenna summed in cells over time and subcarrier, `[column][row]`: a record touches neighbours only.
+/// Sums one antenna's CSI in cells over time and subcarrier, `[column][row]`, so that a record touches neighbouring cells only.
 #[derive(Clone)]
 struct Cells {
     amplitude: Vec<f64>,
     phase: Vec<Complex32>,
     counts: Vec<u32>,
-    /// How many subcarriers of a record fall into each row.
+    /// Number of a record's subcarriers in each row.
     each: Vec<f64>,
 }
 
@@ -814,7 +813,7 @@ impl Cells {
         Self { amplitude: vec![0.0; cells], phase: vec![Complex32::default(); cells], counts: vec![0; columns], each }
     }
 
-    /// Adds a record: its middle subcarrier, and its values by row.
+    /// Adds a record, from its middle subcarrier and its values by row.
     fn add(&mut self, column: usize, middle: Complex32, h: impl Iterator<Item = (usize, Complex32)>) {
         let rows = self.each.len();
         let (Some(count), Some(amplitudes), Some(phases)) = (
@@ -836,7 +835,7 @@ impl Cells {
         }
     }
 
-    /// The columns over `span_s` that a part of it touches, as `columns` of that.
+    /// The columns over `span_s` that overlap a part of it, out of `columns`.
     fn stretch(&self, span_s: (f64, f64), cut: (f64, f64), columns: usize) -> Self {
         let (own, rows) = (self.counts.len(), self.each.len());
         let width_s = (span_s.1 - span_s.0) / own as f64;
@@ -857,7 +856,7 @@ impl Cells {
         cells
     }
 
-    /// The means over a span; columns into which nothing fell hold no number. `None` where all is silent.
+    /// The means over a span; NaN in empty columns. `None` if everything is silent.
     fn course(self, antenna: usize, span_s: (f64, f64)) -> Option<AntennaCourse> {
         let (columns, rows) = (self.counts.len(), self.each.len());
         let at = |cell: usize| (cell % columns) * rows + cell / columns;
@@ -911,7 +910,7 @@ impl Sums {
         self.count[column] += 1;
     }
 
-    /// The columns; no column at all where nothing fell into any.
+    /// The columns; none at all if all are empty.
     fn band(self) -> Band {
         if self.count.iter().all(|count| *count == 0) {
             return Band::default();
@@ -929,7 +928,7 @@ impl Sums {
     }
 }
 
-/// As many columns as requested, with two records each: fewer would leave columns empty by chance.
+/// As many columns as requested, but at least two records each: with fewer, columns are empty by chance.
 fn fitting(columns: usize, records: usize) -> usize {
     columns.clamp(1, MOST_COLUMNS).min(records.div_ceil(2).max(1))
 }
@@ -938,7 +937,7 @@ fn hundredths(value: f64) -> f64 {
     (value * 100.0).round() / 100.0
 }
 
-/// First and last time, seconds; never of no length.
+/// First and last time, seconds; never equal.
 fn span_s(times_s: &[f64]) -> Option<(f64, f64)> {
     let (first, last) = times_s.first().zip(times_s.last())?;
     Some((*first, last.max(first + 1e-6)))
@@ -949,7 +948,7 @@ fn bin(t_s: f64, span_s: (f64, f64), bins: usize) -> usize {
 }
 
 fn rate(times_s: &[f64], span_s: (f64, f64)) -> Vec<(f64, f64)> {
-    // No more bins than tell a rate from chance.
+    // No more bins than the number of records supports.
     let bins = (times_s.len() / 5).clamp(1, RATE_BINS);
     let width_s = (span_s.1 - span_s.0) / bins as f64;
     let mut counts = vec![0_u32; bins];

@@ -1,4 +1,4 @@
-//! Curves of one link for pictures and pages: its profiles, and its phase without the motion.
+//! Curves of one link for pictures and pages: its profiles, and its phase with the motion removed.
 
 use csi5300::bartlett::{self, Grid};
 use csi5300::maths::wrap_rad;
@@ -12,7 +12,7 @@ const AZIMUTHS: usize = 1_440;
 /// A curve over azimuth.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
-    /// What it is, in words.
+    /// Its description.
     pub name: String,
     /// Azimuths, degrees, rising.
     pub azimuths_deg: Vec<f64>,
@@ -20,7 +20,7 @@ pub struct Curve {
     pub values: Vec<f64>,
 }
 
-/// The probability density over azimuth relative to its highest, where what pictures need was kept
+/// The probability density over azimuth relative to its maximum, if the bearing kept its course
 /// ([`keep_course`](csi5300::pipeline::Options::keep_course)).
 #[must_use]
 pub fn evidence(bearing: &Bearing) -> Option<Curve> {
@@ -34,7 +34,7 @@ pub fn evidence(bearing: &Bearing) -> Option<Curve> {
     Some(Curve { name: "probability density".into(), azimuths_deg, values })
 }
 
-/// The plane wave's profile over azimuth: the highest of the |elevations| that its peaks have.
+/// The plane wave's profile over azimuth: the maximum over the |elevations| of its peaks.
 ///
 /// # Errors
 /// If the samples allow no profile.
@@ -58,7 +58,7 @@ pub fn plane_wave(bearing: &Bearing) -> Result<Curve, bartlett::Error> {
     Ok(Curve { name: "plane wave at the channel centre".into(), azimuths_deg, values })
 }
 
-/// Residual phases of the samples without the paths to the answer, about their mean: (seconds from the link's first
+/// Residual phases of the samples after removal of the paths to the answer, about their mean: (seconds from the link's first
 /// pair, radians); from the first sample if the course was not kept.
 #[must_use]
 pub fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
@@ -70,7 +70,7 @@ pub fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
     let middle = at.iter().sum::<Vector3<f64>>() / samples.len().max(1) as f64;
     let turned = |(z, p): (&Complex64, &Vector3<f64>)| {
         let offset = p - middle;
-        // How much nearer the answer is than from the middle of the motion: u.p of a plane wave, bent by the range.
+        // The path to the answer minus that from the middle of the motion: u.p of a plane wave, curved by the range.
         let nearer_m = match curve > 0.0 {
             true => (u / curve).norm() - (u / curve - offset).norm(),
             false => u.dot(&offset),

@@ -1,4 +1,4 @@
-//! One link in free space, either end moving as it likes, beside its truth and the Cramer-Rao bound.
+//! One simulated link whose ends may both move, compared with its truth and the Cramer-Rao bound.
 
 use crate::compare::CompareError;
 use crate::compare::figures::true_path;
@@ -12,13 +12,13 @@ use csi5300_sim::{Room, Simulation};
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::TAU;
 
-/// The host stamps the end of an answer; the phase is that of the middle between the two frames, so much earlier: half of the
+/// The host stamps the end of an answer; the phase belongs to the middle between the two frames. It is earlier by half of the
 /// turn-around and the length of the answer, seconds.
 const LATE_S: f64 = 0.000_236;
 /// Rounds of the exchange per second.
 const RATE_HZ: f64 = 50.0;
 
-/// A link in free space: 20 MHz on channel 108, carriers that agree, noise of a constant ratio to the signal.
+/// A link in free space: 20 MHz on channel 108, equal carriers, a constant signal to noise ratio.
 #[derive(Clone, Debug, Default)]
 pub struct Ends {
     /// Motion of the receiver, which starts at the origin and faces +x.
@@ -29,51 +29,51 @@ pub struct Ends {
     pub transmitter: RobotMotion,
     /// Length of the scene, seconds.
     pub duration_s: f64,
-    /// Signal over noise in one direction on one subcarrier, dB.
+    /// Signal to noise ratio in one direction on one subcarrier, dB.
     pub snr_db: f64,
-    /// Noise of the receiver's odometry, metres; the true path where it is 0.
+    /// Noise of the receiver's odometry, metres; 0 gives the true path.
     pub odometry_noise_m: f64,
-    /// Metres reported by the receiver's odometry for each metre driven, less 1.
+    /// Scale error of the receiver's odometry: reported metres per metre driven, minus 1.
     pub odometry_scale: f64,
     /// Walls of the room; free space without any.
     pub walls: Vec<Wall>,
     /// Highest number of reflections of a path.
     pub reflections: u8,
-    /// Seed of everything random.
+    /// Random seed.
     pub seed: u64,
 }
 
-/// The logs of a link, simulated once, and its truth: for several estimates of the same bytes.
+/// The logs of a link, simulated once, and its truth, for several estimates from the same bytes.
 #[derive(Clone, Debug)]
 pub struct Recording {
     ends: Ends,
     simulation: Simulation,
     truth: [Trajectory; 2],
-    /// The receiver's path as its odometry gives it, and the transmitter's from where it began, if it moved.
+    /// The receiver's path from its odometry, and the transmitter's from its own start, if it moved.
     reported: Trajectory,
     displaced: Option<Trajectory>,
 }
 
-/// An answer beside its truth.
+/// An answer compared with the truth.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Seen {
-    /// Azimuth less that from the mean of the receiver's places to the mean of the transmitter's, degrees.
+    /// Azimuth minus that from the mean of the receiver's places to the mean of the transmitter's, degrees.
     pub azimuth_error_deg: f64,
-    /// Elevation less the true one, degrees; of their magnitudes where the answer has no sign. None where it has none.
+    /// Elevation minus the true one, degrees; of the magnitudes if the answer has no sign; `None` without an elevation.
     pub elevation_error_deg: Option<f64>,
     /// True if the answer's elevation has a sign.
     pub signed: bool,
-    /// Cramer-Rao bounds of azimuth and elevation, degrees: common phase, the other one and range are unknown too.
+    /// Cramer-Rao bounds of azimuth and elevation, degrees, with common phase, the other angle and range unknown.
     pub bound_deg: [f64; 2],
     /// Predicted deviation of the azimuth, degrees.
     pub azimuth_sd_deg: f64,
-    /// Position reported less the transmitter's at the time that the answer names, metres.
+    /// Reported position minus the transmitter's at the reported time, metres.
     pub position_error_m: Option<Vector3<f64>>,
     /// Its horizontal part in units of the covariance: squared length, about 2 on average.
     pub position_level: Option<f64>,
     /// Probability that the azimuth is within five degrees.
     pub confidence: f64,
-    /// Another candidate is this near to the true direction, degrees.
+    /// Distance of the candidate nearest to the true direction, without the answer, degrees.
     pub nearest_candidate_deg: f64,
 }
 
@@ -118,7 +118,7 @@ impl Ends {
         Ok(Recording { ends: self.clone(), simulation: room.run()?, truth, reported, displaced })
     }
 
-    /// Simulates the link and makes its bearing; the transmitter's trajectory, where it moves, begins at zero.
+    /// Simulates the link and estimates its bearing; a moving transmitter's trajectory begins at zero.
     ///
     /// # Errors
     /// If the scene cannot be simulated or gives no bearing.
@@ -127,7 +127,7 @@ impl Ends {
         Ok(recording.judge(&recording.bearing(options)?))
     }
 
-    /// The receiver's path as its odometry gives it.
+    /// The receiver's path from its odometry.
     fn reported(&self, truth: &Trajectory) -> Trajectory {
         let mut random = csi5300_sim::random::Stream::of_seed(self.seed ^ 0x5eed);
         let mut noise = || self.odometry_noise_m * random.normal();
@@ -143,7 +143,7 @@ impl Recording {
     /// The link's bearing.
     ///
     /// # Errors
-    /// If there is none.
+    /// If it has none.
     pub fn bearing(&self, options: &Options) -> Result<Bearing, CompareError> {
         let [receiver, transmitter] = self.simulation.robots.as_slice() else { return Err(CompareError::OneRobot) };
         let (mut rx, mut tx) = (receiver.replay(), transmitter.replay());
@@ -154,7 +154,7 @@ impl Recording {
         link.bearing.map_err(|error| CompareError::NoLink { reason: error.to_string() })
     }
 
-    /// A bearing of it beside the truth.
+    /// Compares one of its bearings with the truth.
     #[must_use]
     pub fn judge(&self, bearing: &Bearing) -> Seen {
         let [receiver, transmitter] = &self.truth;
@@ -197,24 +197,24 @@ impl Recording {
     }
 }
 
-/// A path less its first place.
+/// A path relative to its first place.
 fn displaced(path: &Trajectory) -> Trajectory {
     let first = path.poses().first().map(|pose| pose.position_m).unwrap_or_default();
     let pose = |pose: &Pose| Pose { position_m: pose.position_m - first, ..*pose };
     Trajectory::new(path.poses().iter().map(pose).collect()).unwrap_or_else(|_| path.clone())
 }
 
-/// The Cramer-Rao bounds of azimuth and elevation, degrees, of a place `away` from the mean of `points` (metres): round
-/// trips of the phase deviation `phase_rad`; common phase and range are unknown too.
+/// The Cramer-Rao bounds of azimuth and elevation, degrees, of a place `away` from the mean of `points` (metres), for round
+/// trips of phase deviation `phase_rad` with common phase and range unknown.
 #[must_use]
 pub fn bound_deg(points: &[Vector3<f64>], away: &Vector3<f64>, wavelength_m: f64, phase_rad: f64) -> [f64; 2] {
     let (range, ground) = (away.norm(), away.xy().norm());
-    // How the place moves with azimuth, elevation and the logarithm of range.
+    // Derivatives of the place by azimuth, elevation and the logarithm of range.
     let across = Vector3::new(-away.y, away.x, 0.0);
     let up = Vector3::new(-away.x * away.z / ground, -away.y * away.z / ground, ground);
     let moves = [across, up, *away];
     let gradient = |p: &Vector3<f64>| {
-        // In the differences between samples nothing is left of large distances: towards each less towards the mean.
+        // Large distances cancel in the differences between samples: each direction minus the mean direction.
         let towards = (away - p).normalize() - away / range;
         Vector3::from_fn(|i, _| 2.0 * TAU / wavelength_m * towards.dot(&moves[i]) / phase_rad)
     };

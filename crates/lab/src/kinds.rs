@@ -7,11 +7,11 @@ use std::path::Path;
 
 /// The description of a log, for messages.
 pub const A_LOG: &str = "a log is the .dat that the CSI tool, the WSR toolbox or `csi5300 record` wrote";
-/// Bytes in which another kind of file is recognised, and in which a log that begins with damage has its first record.
+/// Bytes that identify another kind of file; a log that begins with damage has its first record within them.
 const BEGINNING: usize = 4_096;
 const SEARCHED: u64 = 1 << 20;
 
-/// The kind of a file that does not begin like a log and has no record near its beginning.
+/// The kind of a file that neither begins like a log nor has a record near its beginning.
 #[must_use]
 pub fn not_a_log(path: &Path) -> Option<&'static str> {
     let bytes = beginning(path);
@@ -24,7 +24,7 @@ pub fn not_a_trajectory(path: &Path) -> Option<&'static str> {
     binary_kind(&beginning(path))
 }
 
-/// The first bytes of a file; none of a pipe.
+/// The first bytes of a file; empty for a pipe.
 fn beginning(path: &Path) -> Vec<u8> {
     let mut bytes = Vec::new();
     if path.is_file()
@@ -50,7 +50,7 @@ pub fn has_record(path: &Path) -> bool {
     false
 }
 
-/// Kinds of files that begin with a mark of their own.
+/// Kinds of files with a magic number.
 fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
     const MARKS: [(&[u8], &str); 12] = [
         (
@@ -72,14 +72,14 @@ fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
     MARKS.iter().find(|(mark, _)| bytes.starts_with(mark)).map(|(_, kind)| *kind)
 }
 
-/// Kinds of text. A log is never text: the first byte of each record is the high one of its length.
+/// Kinds of text. A log is never text: each record starts with the high byte of its length.
 fn text_kind(bytes: &[u8]) -> Option<&'static str> {
     let is_text = |byte: &u8| matches!(byte, b'\t' | b'\n' | b'\r' | b' '..=b'~' | 0x80..);
     if bytes.is_empty() || !bytes.iter().all(is_text) {
         return None;
     }
     let text = String::from_utf8(bytes.to_vec()).ok().or_else(|| {
-        // A letter may be cut at the end.
+        // A character may be cut at the end.
         let whole = bytes.len().saturating_sub(3);
         bytes.get(..whole).and_then(|bytes| String::from_utf8(bytes.to_vec()).ok())
     })?;

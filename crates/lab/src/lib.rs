@@ -1,20 +1,20 @@
-//! Judging and showing: captures evaluated against their truth, recordings beside simulations, the experiments of
-//! Dijkstra et al. (\[paper\] in docs/reference/references.md) repeated, and pictures of all of them.
+//! Evaluates captures against their truth, compares recordings with simulations, repeats the experiments of Dijkstra et al.
+//! (\[paper\] in docs/reference/references.md), and draws pictures of all of them.
 //!
-//! | module | what goes in | what comes out |
+//! | module | input | output |
 //! |---|---|---|
-//! | [`evaluate`] | a folder of captures with their truth | a row of each link, errors by set, what the rows are worth |
-//! | [`compare`] | a recorded capture, and a simulated one or none | their figures beside each other; a scene fitted to the recording |
-//! | [`suite`] | the experiments of \[paper\] as scenes | each repeated and summed up |
-//! | [`cards`] | a log of a card other than the 5300 | its kind, and what is counted in it |
+//! | [`evaluate`] | a folder of captures with their truth | a row for each link, errors by set, quality figures |
+//! | [`compare`] | a recorded capture, with or without a simulated one | their figures side by side; a scene fitted to the recording |
+//! | [`suite`] | the experiments of \[paper\] as scenes | the results of each, repeated and summarised |
+//! | [`cards`] | a log of a card other than the 5300 | its kind and counters |
 //! | [`course`] | a log | CSI, levels and rate over time, binned |
 //! | [`curves`] | a bearing | curves over azimuth and time for pictures and pages |
 //! | [`table`] | a log | its records in memory: columns, and CSI decoded on demand |
 //! | [`export`] | such a table | NPZ, MAT and Parquet files |
-//! | [`words`] | counts | them with their nouns |
+//! | [`words`] | counts | text with their nouns |
 //! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) |
 //!
-//! `evaluate`, `compare` and `suite` know nothing of pictures; `show` draws what they give.
+//! `evaluate`, `compare` and `suite` do not depend on pictures; `show` draws their results.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod cards;

@@ -1,5 +1,6 @@
-//! The experiments of Dijkstra et al. (\[paper\] in docs/reference/references.md), simulated: stationary robots with a constant
-//! carrier offset and with their sinusoid, circles and lines of three sizes; each goes through TDMA, bytes, pairing and the core.
+//! Simulates the experiments of Dijkstra et al. (\[paper\] in docs/reference/references.md): stationary robots with a constant
+//! and with their sinusoidal carrier offset, circles and lines of three sizes. Each goes through TDMA, bytes, pairing and the
+//! estimate.
 
 use crate::compare::CompareError;
 pub use crate::compare::figures::spread_rad;
@@ -16,7 +17,7 @@ use std::f64::consts::{PI, TAU};
 
 /// Durations of the stationary experiments, seconds (\[paper\], section III-A).
 pub const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
-/// Radii of circles, and lines as long as those are round, metres.
+/// Radii of the circles, metres; lines are as long as the circles.
 pub const RADII_M: [f64; 3] = [0.1, 0.2, 0.3];
 /// Repetitions of each simulated experiment (\[paper\]).
 pub const REPETITIONS: u64 = 10;
@@ -30,7 +31,7 @@ pub struct Experiment {
     pub scene: Scene,
 }
 
-/// What one repetition gave.
+/// The result of one repetition.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Run {
     /// The experiment.
@@ -39,39 +40,39 @@ pub struct Run {
     pub repetition: u64,
     /// Pairs formed.
     pub pairs: usize,
-    /// The bearing to the transmitter from the mean pose, degrees. None at rest.
+    /// Bearing to the transmitter from the mean pose, degrees. `None` at rest.
     pub truth_deg: Option<f64>,
-    /// The answer, degrees. None at rest.
+    /// The answer, degrees. `None` at rest.
     pub azimuth_deg: Option<f64>,
-    /// Its mirror, degrees, where it has one.
+    /// Its mirror, degrees, if it has one.
     pub mirror_deg: Option<f64>,
-    /// Azimuth less the bearing from the mean pose, degrees; of a line's two answers the nearer one. None at rest.
+    /// Azimuth minus the bearing from the mean pose, degrees; for a line, of its two answers the nearer one. `None` at rest.
     pub error_deg: Option<f64>,
     /// |elevation| of the answer, degrees.
     pub abs_elevation_deg: Option<f64>,
-    /// Its elevation with its sign, where the motion distinguishes up from down, degrees.
+    /// Its elevation with sign, degrees, if the motion distinguishes up from down.
     pub elevation_deg: Option<f64>,
     /// Cramer-Rao bound of the azimuth's standard deviation, degrees.
     pub sd_deg: Option<f64>,
-    /// Calibrated probability that the azimuth is within five degrees, where there is one.
+    /// Calibrated probability that the azimuth is within five degrees, if there is one.
     pub confidence: Option<f64>,
-    /// What \[paper\] calls confidence: the profile's highest value over its sum.
+    /// The confidence of \[paper\]: the profile's maximum over its sum.
     pub likelihood_share: Option<f64>,
     /// `|sum z a| / sum |z|` of the best plane wave.
     pub coherence: Option<f64>,
-    /// Spread of the round trip's phase from packet to packet without motion, radians, as recorded.
+    /// Spread of the round trip's phase between packets without the motion's phase, radians, as recorded.
     pub residual_rad: f64,
     /// The same after turn-around compensation.
     pub residual_compensated_rad: f64,
-    /// What the azimuth was chosen from at [`PROFILE_AZIMUTHS`] azimuths, the highest 1; empty at rest.
+    /// The curve from which the azimuth was chosen at [`PROFILE_AZIMUTHS`] azimuths, maximum 1; empty at rest.
     #[serde(skip)]
     pub profile: Vec<f64>,
-    /// The phase of every pair; of the first repetition only.
+    /// The phase of every pair; only for the first repetition.
     #[serde(skip)]
     pub course: Vec<Phase>,
 }
 
-/// Azimuths of [`Run::profile`], even around the circle.
+/// Azimuths of [`Run::profile`], evenly spaced around the circle.
 pub const PROFILE_AZIMUTHS: usize = 1_440;
 
 /// Azimuth of a value of [`Run::profile`], radians in (-pi, pi].
@@ -106,7 +107,7 @@ pub fn experiments() -> Vec<Experiment> {
     all
 }
 
-/// Which repetition failed, and why.
+/// Error of a repetition.
 #[derive(Debug, thiserror::Error)]
 #[error("{experiment}, repetition {repetition}: {source}")]
 pub struct SuiteError {
@@ -188,7 +189,7 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.coherence = Some(bearing.plane_wave.coherence);
 }
 
-/// The probability density over azimuth relative to its highest.
+/// The probability density over azimuth relative to its maximum.
 fn profile(bearing: &Bearing) -> Vec<f64> {
     let density = &bearing.density;
     let nearest = |index: usize| {
@@ -200,23 +201,23 @@ fn profile(bearing: &Bearing) -> Vec<f64> {
     values.into_iter().map(|value| value / highest).collect()
 }
 
-/// The phase of two robots that stand, where only the radios change it.
+/// The phase of two stationary robots, which only the radios change.
 #[derive(Clone, Debug)]
 pub struct Standing {
     /// The phase of every pair.
     pub course: Vec<Phase>,
     /// The turn-around compensation.
     pub turn_around: TurnAround,
-    /// Spread from packet to packet, radians, of one direction.
+    /// Spread between packets of one direction, radians.
     pub spread_one_way_rad: f64,
-    /// The same of both directions multiplied.
+    /// The same for both directions multiplied.
     pub spread_rad: f64,
     /// The same with the turn-around removed.
     pub spread_compensated_rad: f64,
 }
 
-/// The phase of the first link of `report`; one-way phases need [`Options::keep_course`]. `None` without a link, or where
-/// it has too few pairs.
+/// The phase of the first link of `report`; one-way phases need [`Options::keep_course`]. `None` without a link, or with too
+/// few pairs.
 #[must_use]
 pub fn standing(report: &CaptureReport, options: &Options) -> Option<Standing> {
     let link = report.links.first()?.link.as_ref()?;
@@ -235,30 +236,30 @@ pub fn standing(report: &CaptureReport, options: &Options) -> Option<Standing> {
     })
 }
 
-/// Repetitions of one experiment together.
+/// The repetitions of one experiment.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Summary {
     /// The experiment.
     pub experiment: String,
     /// Its repetitions.
     pub repetitions: usize,
-    /// Mean absolute error, degrees. None at rest.
+    /// Mean absolute error, degrees. `None` at rest.
     pub mean_error_deg: Option<f64>,
     /// Largest absolute error, degrees.
     pub largest_error_deg: Option<f64>,
-    /// Means over the repetitions, where there are any.
+    /// Means over the repetitions that have them.
     pub confidence: Option<f64>,
-    /// See [`Run::likelihood_share`].
+    /// Mean of [`Run::likelihood_share`].
     pub likelihood_share: Option<f64>,
-    /// See [`Run::coherence`].
+    /// Mean of [`Run::coherence`].
     pub coherence: Option<f64>,
-    /// See [`Run::residual_rad`].
+    /// Mean of [`Run::residual_rad`].
     pub residual_rad: f64,
-    /// See [`Run::residual_compensated_rad`].
+    /// Mean of [`Run::residual_compensated_rad`].
     pub residual_compensated_rad: f64,
 }
 
-/// Sums runs up by experiment, in their order.
+/// Summarises runs by experiment, in their order.
 #[must_use]
 pub fn summarise(runs: &[Run]) -> Vec<Summary> {
     runs.chunk_by(|a, b| a.experiment == b.experiment).filter_map(Summary::of).collect()

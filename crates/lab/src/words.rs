@@ -1,3 +1,3 @@
-//! Words that pictures, pages and commands have in common.
+//! Words that pictures, pages and commands share.
 
 pub use csi5300_say::{count, fixed};

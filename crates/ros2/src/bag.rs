@@ -1,5 +1,5 @@
-//! The recording of what a node reads and publishes: a folder as `ros2 bag` makes it, with one file of MCAP, written on a
-//! thread of its own. What it cannot take in time is lost and counted; nothing waits for it.
+//! Records what a node reads and publishes: a folder as `ros2 bag` makes it, with one MCAP file, written on its own thread.
+//! A message that the thread cannot take in time is dropped and counted; the caller never waits.
 
 use csi5300_bag::mcap::{McapWriter, Written};
 use csi5300_bag::messages::Message;
@@ -13,12 +13,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Messages that wait to be written.
+/// Messages that may wait to be written.
 const QUEUE: usize = 4_096;
-/// What waits in a chunk is written after so long.
+/// A chunk is written after this time at the latest.
 const FLUSH: Duration = Duration::from_secs(1);
 
-/// A message that is to be written.
+/// A message to be written.
 struct Row {
     topic: String,
     kind: &'static str,
@@ -42,7 +42,7 @@ impl Counts {
 
 struct Running {
     folder: PathBuf,
-    /// Messages that earlier recordings hold.
+    /// Messages in earlier recordings.
     before: u64,
     rows: SyncSender<Row>,
     thread: JoinHandle<()>,
@@ -50,14 +50,14 @@ struct Running {
 
 /// A recording that can be started and stopped.
 pub(crate) struct Bag {
-    /// Where recordings go; later ones get a number behind their name.
+    /// Folder of the first recording; later ones append a number.
     folder: PathBuf,
     running: Mutex<Option<Running>>,
     counts: Arc<Counts>,
 }
 
 impl Bag {
-    /// One that is not started.
+    /// A recording that is not started.
     pub fn new(folder: PathBuf) -> Self {
         Self { folder, running: Mutex::default(), counts: Arc::default() }
     }
@@ -66,10 +66,10 @@ impl Bag {
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a recording; gives its folder. One that runs goes on.
+    /// Starts a recording and returns its folder. A running recording continues.
     ///
     /// # Errors
-    /// If its folder or file cannot be made.
+    /// If its folder or file cannot be created.
     pub fn start(&self) -> io::Result<PathBuf> {
         let mut running = self.lock();
         if let Some(running) = &*running {
@@ -94,7 +94,7 @@ impl Bag {
         Ok(folder)
     }
 
-    /// Ends the recording; gives its folder, if there was one.
+    /// Ends the recording and returns its folder, if there was one.
     pub fn stop(&self) -> Option<PathBuf> {
         let running = self.lock().take()?;
         drop(running.rows);
@@ -102,7 +102,7 @@ impl Bag {
         Some(running.folder)
     }
 
-    /// Records a message that came or went at `wall_us`, and never waits.
+    /// Records a message of time `wall_us`; never waits.
     pub fn put<T: Message>(&self, topic: &str, payload: &[u8], wall_us: i64) {
         let running = self.lock();
         let Some(running) = &*running else { return };
@@ -114,13 +114,13 @@ impl Bag {
         }
     }
 
-    /// What is wrong, in words.
+    /// The current problem as text.
     pub fn trouble(&self) -> Option<String> {
         let failed = self.counts.failed.lock().unwrap_or_else(PoisonError::into_inner);
         failed.as_ref().map(|why| format!("the recording of ROS 2 ended: {why}"))
     }
 
-    /// What was counted.
+    /// The counters.
     pub fn counted(&self) -> serde_json::Value {
         let folder = self.lock().as_ref().map(|running| running.folder.clone());
         let number = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
@@ -129,14 +129,14 @@ impl Bag {
 }
 
 impl Drop for Bag {
-    /// A recording in which nothing is is taken away: a node that fails to start, again and again, leaves none behind.
+    /// Removes a recording without messages, so that a node that repeatedly fails to start leaves no folders.
     fn drop(&mut self) {
         let before = self.lock().as_ref().map(|running| running.before);
         let Some(folder) = self.stop() else { return };
         if before == Some(self.counts.written.load(Ordering::Relaxed)) {
             let files = [file_name(&folder), "metadata.yaml".into()];
             files.iter().for_each(|name| drop(std::fs::remove_file(folder.join(name))));
-            // What somebody else put there stays.
+            // Files that others put there stay.
             let _ = std::fs::remove_dir(&folder);
         }
     }
@@ -147,7 +147,7 @@ fn file_name(folder: &Path) -> String {
     folder.file_name().unwrap_or_default().to_string_lossy().into_owned() + "_0.mcap"
 }
 
-/// The first of `bag`, `bag-r1`, `bag-r2` ... that is not there: no start overwrites another's recording.
+/// The first of `bag`, `bag-r1`, `bag-r2` ... that does not exist: no recording overwrites another.
 fn free_name(folder: &Path) -> PathBuf {
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let numbered = |k: u32| folder.with_file_name(format!("{name}-r{k}"));
@@ -155,7 +155,7 @@ fn free_name(folder: &Path) -> PathBuf {
     all.find(|folder| !folder.exists()).unwrap_or_else(|| folder.to_owned())
 }
 
-/// Writes until nothing more comes.
+/// Writes messages until the channel closes.
 fn write(
     mut writer: McapWriter<BufWriter<File>>,
     waiting: &Receiver<Row>,
@@ -181,7 +181,7 @@ fn write(
     std::fs::write(folder.join("metadata.yaml"), metadata(name, writer.times(), writer.channels()))
 }
 
-/// `metadata.yaml` as Humble has it, which all later releases read.
+/// `metadata.yaml` in Humble's version, which all later releases read.
 fn metadata(file: &str, times: Option<(u64, u64)>, channels: &[Written]) -> String {
     let (first, last) = times.unwrap_or_default();
     let messages: u64 = channels.iter().map(|channel| channel.messages).sum();
@@ -219,7 +219,7 @@ mod tests {
     use csi5300_bag::messages::standard::Clock;
 
     #[test]
-    fn a_node_that_ends_before_it_recorded_anything_leaves_no_recording() {
+    fn an_empty_recording_is_removed() {
         let folder = std::env::temp_dir().join(format!("csi5300-bag-none-{}", std::process::id()));
         std::fs::create_dir_all(folder.join("run")).unwrap();
         let bag = Bag::new(folder.join("run"));
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_is_whole_when_it_is_stopped_and_none_is_overwritten() {
+    fn a_stopped_recording_is_complete_and_overwrites_none() {
         let folder = std::env::temp_dir().join(format!("csi5300-bag-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let bag = Bag::new(folder.join("run"));

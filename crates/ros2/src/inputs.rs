@@ -1,5 +1,5 @@
-//! Poses from topics of ROS 2: odometry, poses of a motion capture, transforms; an antenna's place from `/tf_static`, turns
-//! from an inertial unit, and the time of a simulation.
+//! Poses from ROS 2 topics (odometry, motion capture, transforms), the antenna's place from `/tf_static`, orientation from an
+//! inertial unit, and simulated time.
 
 use super::link::Link;
 use super::rtps::Qos;
@@ -11,14 +11,14 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// What a reader of poses is sent before it is slow.
+/// Messages that a reader of poses keeps.
 const DEPTH: u32 = 64;
-/// A turn of the inertial unit that is older than this is not used, microseconds.
+/// An orientation of the inertial unit older than this is not used, microseconds.
 const IMU_US: i64 = 200_000;
-/// No `/clock` was heard.
+/// No `/clock` was received.
 const UNKNOWN: i64 = i64::MIN;
 
-/// How far the host's clock is ahead of a simulation's, by the newest `/clock`.
+/// Host clock minus simulated clock, by the newest `/clock`.
 #[derive(Clone, Debug)]
 pub(crate) struct SimClock(Option<Arc<AtomicI64>>);
 
@@ -28,7 +28,7 @@ impl SimClock {
         Self(None)
     }
 
-    /// That of `/clock`.
+    /// The time of `/clock`.
     pub fn follow(link: &Link) -> Self {
         let ahead = Arc::new(AtomicI64::new(UNKNOWN));
         let told = Arc::clone(&ahead);
@@ -50,36 +50,36 @@ impl SimClock {
         self.ahead_us().is_none()
     }
 
-    /// The host's time of a stamp, microseconds.
+    /// Converts a stamp to host time, microseconds.
     pub fn to_host(&self, stamp_us: i64) -> Option<i64> {
         stamp_us.checked_add(self.ahead_us()?)
     }
 
-    /// The stamp of a host's time; 0 before the first `/clock`.
+    /// Converts host time to a stamp; 0 before the first `/clock`.
     pub fn to_stamp(&self, host_us: i64) -> i64 {
         self.ahead_us().map_or(0, |ahead| host_us.saturating_sub(ahead))
     }
 }
 
-/// Turns of an inertial unit in the place of odometry's: they differ by a turn that is constant.
+/// Replaces odometry's heading by the inertial unit's; the two differ by a constant angle.
 #[derive(Clone, Copy, Debug, Default)]
 struct Turns {
-    /// The newest, and when it came.
+    /// The newest orientation and its time of receipt.
     newest: Option<(f64, i64)>,
-    /// Odometry's heading less the unit's, when both were first known.
+    /// Odometry's heading minus the unit's, when both were first known.
     offset_rad: Option<f64>,
 }
 
 impl Turns {
     fn handle(&mut self, imu: &Imu, received_us: i64) {
-        // The unit knows no orientation then.
+        // The unit provides no orientation.
         let unknown = imu.orientation_covariance.first() == Some(&-1.0);
         if let Some(turned) = imu.orientation.rotation().filter(|_| !unknown) {
             self.newest = Some((heading(&turned), received_us));
         }
     }
 
-    /// The pose with the unit's heading, if that is of now.
+    /// The pose with the unit's heading, if that is recent.
     fn apply(&mut self, pose: Isometry3<f64>, received_us: i64) -> Isometry3<f64> {
         let Some((newest, at)) = self.newest else { return pose };
         if received_us.saturating_sub(at) > IMU_US {
@@ -97,7 +97,7 @@ fn heading(rotation: &UnitQuaternion<f64>) -> f64 {
     forward.y.atan2(forward.x)
 }
 
-/// What the subscriptions of one source of poses share.
+/// State that the subscriptions of one source of poses share.
 struct Shared {
     inbox: Inbox,
     clock: SimClock,
@@ -108,7 +108,7 @@ struct Shared {
 struct State {
     tree: Tree,
     turns: Turns,
-    /// Why poses are left out at the moment.
+    /// Why poses are not used at present.
     waits: Option<String>,
 }
 
@@ -117,15 +117,15 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Hands over a pose of the frame of `header`.
+    /// Passes on a pose in the frame of `header`.
     fn put(&self, state: &mut State, header: &Header, pose: Isometry3<f64>, received_us: i64) {
         let Some(us) = self.clock.to_host(header.stamp.us()) else {
-            state.waits = Some("nothing comes on /clock, whose time is asked for (`use_sim_time`)".into());
+            state.waits = Some("no message on /clock, which `use_sim_time` needs".into());
             return;
         };
         state.waits = None;
         let pose = state.turns.apply(pose, received_us);
-        // A stamp of nothing stays one.
+        // A zero stamp stays zero.
         let us = if header.stamp == csi5300_bag::messages::standard::Time::default() { 0 } else { us };
         let s = u32::try_from(us.div_euclid(1_000_000)).unwrap_or(0);
         let turned = pose.rotation.coords;
@@ -147,12 +147,12 @@ impl Shared {
                 Some((mounted, _)) => mounted,
                 None => {
                     let robot = &odometry.child_frame_id;
-                    state.waits = Some(format!("/tf_static does not say where {antenna} is on {robot}"));
+                    state.waits = Some(format!("/tf_static has no transform from {robot} to {antenna}"));
                     return;
                 }
             },
         };
-        // The heading is the robot's, and the antenna is where it is on a robot that is turned so.
+        // The heading is the robot's; the antenna's offset is rotated by it.
         let turned = state.turns.apply(pose, received_us);
         self.put(
             &mut state,
@@ -174,7 +174,7 @@ impl Shared {
             state.waits = Some(format!("no transforms lead from {from} to {to}"));
             return;
         };
-        // The newest of the frame that moves next to the robot: those above it may be stamped ahead, as AMCL's are.
+        // The stamp of the lowest moving frame counts: those above it may be stamped ahead, as AMCL does.
         let newest = told.transforms.iter().filter(|one| Some(one.child_frame_id.trim_start_matches('/')) == moving);
         if let Some(newest) = newest.max_by_key(|one| one.header.stamp.us()) {
             let header = Header { stamp: newest.header.stamp.clone(), frame_id: from.to_owned() };
@@ -183,11 +183,11 @@ impl Shared {
     }
 }
 
-/// A source of poses and what is to be looked at to say what is wrong with it.
+/// A source of poses, and the state from which its problems are reported.
 pub(crate) struct PoseTopic(Arc<Shared>);
 
 impl PoseTopic {
-    /// Subscribes to `topic`; `usual` is the time that is taken unless it says which. Gives the poses too.
+    /// Subscribes to `topic`. `usual` is the time source unless the topic names one. Returns the receiver of the poses, too.
     pub fn open(
         link: &Link,
         topic: &Topic,
@@ -197,7 +197,7 @@ impl PoseTopic {
         let frame = if topic.kind == Kind::Tf { None } else { topic.frame.clone() };
         let wanted = Wanted { stamp: topic.stamp.unwrap_or(usual), frame };
         let name = link.names().whole(topic.name());
-        // Of a receipt, what the stamps say is no matter.
+        // With times of receipt, stamps do not matter.
         let clock = if wanted.stamp == Stamp::Receipt { SimClock::real() } else { clock.clone() };
         let shared = Arc::new(Shared { inbox: Inbox::new(&name, wanted), clock, state: Mutex::default() });
         Self::subscribe(link, topic, &shared);
@@ -218,7 +218,7 @@ impl PoseTopic {
     fn subscribe(link: &Link, topic: &Topic, shared: &Arc<Shared>) {
         let (into, bad) = (Arc::clone(shared), Arc::clone(shared));
         let unreadable = move || bad.inbox.unreadable();
-        // Publishers of either kind go with a reader that asks for little.
+        // A best-effort, volatile reader matches every publisher.
         let qos = Qos::best_effort(DEPTH);
         match topic.kind {
             Kind::Odometry => {
@@ -241,7 +241,7 @@ impl PoseTopic {
         }
     }
 
-    /// Says in the source's own words what is wrong at the moment.
+    /// Sets the source's current problem.
     pub fn look(&self) {
         let waits = self.0.lock().waits.clone();
         self.0.inbox.say(waits);

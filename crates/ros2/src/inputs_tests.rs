@@ -40,11 +40,11 @@ fn transform(parent: &str, child: &str, t_s: f64, x: f64) -> TransformStamped {
 }
 
 #[test]
-fn an_antenna_is_where_tf_static_says_on_a_robot_that_is_turned() {
+fn the_antennas_offset_from_tf_static_rotates_with_the_robot() {
     let shared = shared(Stamp::Header);
     shared.odometry(&odometry(10.0, 1.0, 0.0), Some("antenna"), 10_000_000);
     assert_eq!(poses(&shared), []);
-    assert!(shared.lock().waits.as_ref().is_some_and(|why| why.contains("where antenna is on base_link")));
+    assert!(shared.lock().waits.as_ref().is_some_and(|why| why.contains("from base_link to antenna")));
     let fixed = TfMessage { transforms: vec![transform("base_link", "antenna", 0.0, 0.5)] };
     shared.transforms(&fixed, true, None, 0);
     shared.odometry(&odometry(10.0, 1.0, std::f64::consts::FRAC_PI_2), Some("antenna"), 10_000_000);
@@ -54,7 +54,7 @@ fn an_antenna_is_where_tf_static_says_on_a_robot_that_is_turned() {
 }
 
 #[test]
-fn transforms_give_a_pose_for_each_of_the_lowest_frame_that_moves() {
+fn each_transform_of_the_lowest_moving_frame_gives_a_pose() {
     let shared = shared(Stamp::Header);
     let way = Some(("map", "antenna"));
     let tell =
@@ -72,7 +72,7 @@ fn transforms_give_a_pose_for_each_of_the_lowest_frame_that_moves() {
 }
 
 #[test]
-fn an_inertial_unit_turns_the_robot_from_where_odometry_began() {
+fn an_inertial_units_heading_starts_from_odometrys() {
     let shared = shared(Stamp::Header);
     let imu = |rad, at| {
         let imu = Imu { orientation: turned(rad), ..Imu::default() };
@@ -82,7 +82,7 @@ fn an_inertial_unit_turns_the_robot_from_where_odometry_began() {
     shared.odometry(&odometry(10.0, 0.0, 0.5), None, 10_000_000);
     imu(2.3, 10_100_000);
     shared.odometry(&odometry(10.1, 0.0, 0.6), None, 10_100_000);
-    // Silent since: odometry's own.
+    // The unit has gone silent: odometry's own heading.
     shared.odometry(&odometry(10.9, 0.0, 0.7), None, 10_900_000);
     let headings: Vec<f64> = poses(&shared).iter().filter_map(|pose| pose.heading_rad).collect();
     for (heading, expected) in headings.iter().zip([0.5, 0.8, 0.7]) {
@@ -94,7 +94,7 @@ fn an_inertial_unit_turns_the_robot_from_where_odometry_began() {
 }
 
 #[test]
-fn times_of_a_simulation_become_the_hosts() {
+fn simulated_times_become_host_times() {
     let ahead = Arc::new(AtomicI64::new(UNKNOWN));
     let clock = SimClock(Some(Arc::clone(&ahead)));
     let shared = Shared { clock: clock.clone(), ..shared(Stamp::Header) };

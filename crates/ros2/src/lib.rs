@@ -1,20 +1,20 @@
-//! A ROS 2 node: a DDS participant with the names, types and qualities of service of ROS 2. It has its own RTPS: `rustdds`
-//! can neither bind to one address nor ask static peers (<https://github.com/Atostek/RustDDS/issues/225>).
+//! A ROS 2 node: a DDS participant with the names, types and qualities of service of ROS 2. It has its own RTPS because
+//! `rustdds` can neither bind to one address nor query static peers (<https://github.com/Atostek/RustDDS/issues/225>).
 //!
 //! | module | what it is |
 //! |---|---|
-//! | `node` | all of it: [`Node`] |
-//! | [`settings`] | what a configuration says of it, and what is wrong with that |
-//! | [`reach`] | whom it looks for: the settings, and the variables that ROS goes by |
+//! | `node` | the whole node: [`Node`] |
+//! | [`settings`] | the configuration and its checks |
+//! | [`reach`] | which nodes it looks for: settings and ROS environment variables |
 //! | `inputs`, `tf` | poses from topics |
-//! | [`said`], `markers` | a report of a peer as messages, and as things to be drawn |
+//! | [`said`], `markers` | a peer's report as messages and as markers |
 //! | `services` | requests and answers |
-//! | `bag` | the recording of what is read and published |
+//! | `bag` | recording of what is read and published |
 //! | `names` | names of topics, services and types |
-//! | [`link`] | the protocol on sockets, with a thread that listens |
+//! | [`link`] | the protocol on sockets, with a receiving thread |
 //! | `rtps` | the protocol, without sockets and clocks |
 //!
-//! Messages and how they are written are those of [`csi5300_bag`].
+//! [`csi5300_bag`] has the messages and their serialisation.
 //!
 //! ```no_run
 //! use csi5300_bag::messages::standard::PoseStamped;
@@ -48,11 +48,11 @@ pub use rtps::Qos;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
-/// Why a node cannot be started.
+/// Why a node cannot start.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// No participant of DDS can be made.
+    /// The DDS participant cannot be created.
     #[error("cannot take part in domain {domain} of ROS 2 at {interface}: {source}")]
     Participant {
         /// The domain.
@@ -62,7 +62,7 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
-    /// The recording cannot be started.
+    /// The recording cannot start.
     #[error("cannot record to {}: {source}", .folder.display())]
     Recording {
         /// Its folder.
@@ -72,7 +72,7 @@ pub enum Error {
     },
 }
 
-/// The fuzz target of `rtps`: any steps of others at a participant.
+/// The RTPS fuzz target: other participants take arbitrary steps.
 #[cfg(feature = "fuzzed")]
 #[doc(hidden)]
 pub fn fuzz_rtps(bytes: &[u8]) {

@@ -1,5 +1,5 @@
-//! A participant on sockets, with a thread of its own that listens. Who publishes sends at once, and never waits: what the
-//! system does not take is counted.
+//! A participant on sockets, with a receiving thread. Publishing sends at once and never waits; datagrams that the system
+//! does not accept are counted.
 
 use super::bag::Bag;
 use super::names::{Names, kind, service, topic};
@@ -15,26 +15,26 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// How often a look is taken whether this machine's address is another.
+/// How often this machine's address is checked for a change.
 const LOOK: Span = Span::from_ms(1_000);
-/// Samples that a topic keeps for who has not got them.
+/// Samples that a topic keeps for readers that lack them.
 const DEPTH: u32 = 32;
 
-/// Uses a sample: of which topic, from whom, when it came.
+/// Receives a sample: its topic, its sender, its time of receipt.
 type Handler = Box<dyn FnMut(&Shared, &Event, i64) + Send>;
 
 /// A topic of this node.
 struct Topic {
-    /// Its whole name.
+    /// Its full name.
     name: String,
     guid: Guid,
     /// Messages published, or read.
     good: Arc<AtomicU64>,
-    /// Messages too large to publish, or that are not of the topic's type.
+    /// Messages too large to publish, or not of the topic's type.
     bad: Arc<AtomicU64>,
 }
 
-/// What publishers and the thread share.
+/// State that publishers and the thread share.
 pub struct Shared {
     names: Names,
     distribution: Distribution,
@@ -43,7 +43,7 @@ pub struct Shared {
     began: std::time::Instant,
     wall_us: fn() -> Option<i64>,
     handlers: Mutex<Vec<Handler>>,
-    /// By their numbers.
+    /// By number.
     writers: Mutex<Vec<Topic>>,
     readers: Mutex<Vec<Topic>>,
     pub(crate) bag: Bag,
@@ -83,7 +83,7 @@ impl Shared {
         self.send(out);
     }
 
-    /// Sends an answer to who asked.
+    /// Sends an answer to the client.
     fn answer(&self, writer: usize, to: Prefix, (payload, request): (Vec<u8>, Option<(Guid, i64)>)) {
         let out = {
             let mut participant = lock(&self.participant);
@@ -101,7 +101,7 @@ impl Shared {
         (number, good, bad)
     }
 
-    /// Samples of `topic` go to what `make` makes of the two counters.
+    /// Passes samples of `topic` to the handler that `make` builds from the two counters.
     fn add_reader(
         &self,
         name: &str,
@@ -109,7 +109,7 @@ impl Shared {
         qos: Qos,
         make: impl FnOnce(Arc<AtomicU64>, Arc<AtomicU64>) -> Handler,
     ) {
-        // Who hears of the reader finds its handler.
+        // Registered before the reader is announced.
         let mut handlers = lock(&self.handlers);
         let mut readers = lock(&self.readers);
         let guid = lock(&self.participant).add_reader(topic, kind, qos, self.wall_us());
@@ -118,13 +118,13 @@ impl Shared {
         handlers.push(make(good, bad));
     }
 
-    /// The quality of service of a topic of this type: with its hash, where others go by it.
+    /// The quality of service of a topic of this type: with its type hash, for releases that compare hashes.
     fn of_type<T: Message>(&self, qos: Qos) -> Qos {
         let type_hash = (self.distribution != Distribution::Humble).then(T::type_hash);
         Qos { type_hash, ..qos }
     }
 
-    /// Says which endpoints this node has.
+    /// Announces this node's endpoints.
     fn tell_graph(&self, writer: usize) {
         let all = |topics: &Mutex<Vec<Topic>>| lock(topics).iter().map(|topic| topic.guid).collect::<Vec<_>>();
         let (readers, writers) = (all(&self.readers), all(&self.writers));
@@ -157,8 +157,8 @@ impl Shared {
         self.write(writer, payload);
     }
 
-    /// Where the address whose network is used came, went or changed, the participant goes on at the new one. What fails is
-    /// tried again at the next look.
+    /// If the address of the chosen network appeared, disappeared or changed, moves the participant to the new one. Failures
+    /// are retried at the next check.
     fn follow(&self, reach: Reach) {
         let old = self.sockets();
         if reach.interface == old.interface() {
@@ -175,7 +175,7 @@ impl Shared {
         self.send(out);
     }
 
-    /// Takes what came, and does what is due; then waits for more.
+    /// Handles received datagrams and due timers, then waits.
     fn turn(&self, buffer: &mut [u8]) {
         let next_at = lock(&self.participant).next_at();
         let wait = (next_at - self.now()).as_s().clamp(0.0, 0.2);
@@ -203,7 +203,7 @@ impl Shared {
     }
 }
 
-/// Where messages of one topic are published.
+/// Publishes messages on one topic.
 pub struct Publisher<T> {
     shared: Arc<Shared>,
     writer: usize,
@@ -214,7 +214,7 @@ pub struct Publisher<T> {
 }
 
 impl<T: Message> Publisher<T> {
-    /// Publishes a message, and records it if there is a recording.
+    /// Publishes a message, and records it while a recording runs.
     pub fn put(&self, message: &T) {
         let payload = message.payload();
         self.shared.bag.put::<T>(&self.name, &payload, self.shared.wall_us());
@@ -227,7 +227,7 @@ impl<T: Message> Publisher<T> {
     }
 }
 
-/// A node of ROS 2. It says that it goes when it is dropped.
+/// A ROS 2 node. It announces its departure when dropped.
 pub struct Link {
     shared: Arc<Shared>,
     graph: usize,
@@ -235,7 +235,7 @@ pub struct Link {
 }
 
 impl Link {
-    /// A node on these sockets; `seek` says where it is to be, and is asked again and again.
+    /// A node on these sockets; `seek` is called repeatedly and returns where the node should be.
     pub(crate) fn start(
         (names, distribution): (Names, Distribution),
         (sockets, seek): (Sockets, impl Fn() -> Reach + Send + 'static),
@@ -283,12 +283,12 @@ impl Link {
         Ok(link)
     }
 
-    /// How names are understood.
+    /// How names are resolved.
     pub(crate) fn names(&self) -> &Names {
         &self.shared.names
     }
 
-    /// A topic to be published on, its name as a node of ROS 2 would write it (`~/csi`, `odom`, `/tf`).
+    /// A topic to publish on, named as a ROS 2 node would name it (`~/csi`, `odom`, `/tf`).
     #[must_use]
     pub fn publish<T: Message>(&self, name: &str, qos: Qos) -> Publisher<T> {
         let name = self.shared.names.whole(name);
@@ -298,8 +298,8 @@ impl Link {
         Publisher { shared: Arc::clone(&self.shared), writer, name, sent, too_large, kind: PhantomData }
     }
 
-    /// Messages of a topic go to `used`, with the time of their receipt, microseconds since the Unix epoch. What cannot be
-    /// read goes to `unreadable`.
+    /// Passes messages of a topic to `used` with their time of receipt, microseconds since the Unix epoch. Calls `unreadable`
+    /// for messages that cannot be read.
     pub fn subscribe<T: Message>(
         &self,
         name: &str,
@@ -326,7 +326,7 @@ impl Link {
         self.shared.tell_graph(self.graph);
     }
 
-    /// Offers a service; `answer` is called on the thread that listens.
+    /// Offers a service; `answer` is called on the receiving thread.
     pub fn serve<Q: Message, A: Message>(&self, name: &str, mut answer: impl FnMut(&Shared, Q) -> A + Send + 'static) {
         let name = self.shared.names.whole(name);
         let (requests, answers) = service(&name);
@@ -347,7 +347,7 @@ impl Link {
         self.shared.tell_graph(self.graph);
     }
 
-    /// What is wrong at the moment, in words.
+    /// Current problems as text.
     #[must_use]
     pub fn trouble(&self) -> Vec<String> {
         let (writers, readers) = (lock(&self.shared.writers), lock(&self.shared.readers));
@@ -361,7 +361,7 @@ impl Link {
         let read = readers.iter().enumerate().flat_map(|(number, topic)| {
             participant.reader_state(number).wrong.into_iter().map(|why| format!("{}: {why}", topic.name))
         });
-        let others = participant.unreachable().map(|who| format!("ROS 2: {who}: it cannot be spoken to"));
+        let others = participant.unreachable().map(|who| format!("ROS 2: {who}, so nothing can be sent to it"));
         own.chain(read)
             .chain(others)
             .chain(self.shared.sockets().trouble(participant.counts().participants))
@@ -369,7 +369,7 @@ impl Link {
             .collect()
     }
 
-    /// What was counted.
+    /// The counters.
     #[must_use]
     pub fn counted(&self) -> serde_json::Value {
         let (writers, readers) = (lock(&self.shared.writers), lock(&self.shared.readers));
@@ -403,7 +403,7 @@ impl Link {
     }
 }
 
-/// As this program publishes unless there is a reason: reliable, nothing kept for who comes late.
+/// The usual quality of service for publishing: reliable, nothing kept for late readers.
 #[must_use]
 pub fn usual() -> Qos {
     Qos::reliable(DEPTH)
@@ -426,7 +426,7 @@ mod tests {
     use std::net::Ipv4Addr;
     use std::sync::mpsc::channel;
 
-    /// On loopback, whose addresses this machine always has: `last` is asked for the last byte.
+    /// On loopback, whose addresses this machine always has: `last` returns the last byte.
     fn node(name: &str, last: Arc<AtomicU64>) -> Link {
         let seek = move || {
             let interface = Ipv4Addr::new(127, 0, 0, last.load(Ordering::Relaxed) as u8);
@@ -440,7 +440,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_goes_on_at_another_address() {
+    fn a_node_continues_at_a_new_address() {
         let last = Arc::new(AtomicU64::new(1));
         let (moving, fixed) = (node("moving", Arc::clone(&last)), node("fixed", Arc::new(AtomicU64::new(1))));
         let (give, came) = channel();

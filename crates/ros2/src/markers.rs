@@ -1,5 +1,5 @@
-//! A report as things that RViz and Foxglove draw: the bearing as an arrow, twice its error bar as a wedge, the mirror as a
-//! line, the place as an ellipsoid, and words. What there is not is taken away.
+//! A report as markers for RViz and Foxglove: the bearing as an arrow, twice its error bar as a wedge, the mirror as a line,
+//! the place as an ellipsoid, and a label. Markers that no longer apply are deleted.
 
 use crate::said::has_bearing;
 use csi5300::pipeline::live::PeerReport;
@@ -7,18 +7,18 @@ use csi5300_bag::messages::shown::{Marker, MarkerArray};
 use csi5300_bag::messages::standard::{Colour, Duration, Header, Point, Pose as PoseMessage, Quaternion, Vector3};
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3 as Place};
 
-/// Length of a bearing without a range, metres.
+/// Length of an arrow without a range, metres.
 const LENGTH_M: f64 = 3.0;
 /// Triangles of a wedge.
 const PARTS: u32 = 12;
-/// A wedge is drawn no wider than this to either side, radians.
+/// Largest half width of a wedge, radians.
 const WIDEST_RAD: f64 = 1.5;
-/// An ellipsoid is drawn no larger than this, metres.
+/// Largest size of an ellipsoid, metres.
 const LARGEST_M: f64 = 20.0;
-/// Gone after so long without a new one, seconds.
+/// Lifetime of a marker, seconds.
 const LIFETIME_S: i32 = 5;
 
-/// Colours of peers, one after the other.
+/// Colours of peers, in turn.
 const COLOURS: [[f32; 3]; 6] = [
     [0.12, 0.47, 0.71],
     [1.0, 0.5, 0.05],
@@ -32,7 +32,7 @@ fn point(place: Place<f64>) -> Point {
     <[f64; 3]>::from(place).into()
 }
 
-/// What all markers of a peer have in common.
+/// What all markers of a peer share.
 struct Peer<'a> {
     header: &'a Header,
     name: &'a str,
@@ -60,7 +60,7 @@ impl Peer<'_> {
     }
 }
 
-/// From `from` along an azimuth and an elevation.
+/// The point at an azimuth and an elevation from `from`.
 fn along(from: Place<f64>, azimuth: f64, elevation: f64, length: f64) -> Place<f64> {
     from + length * Place::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
 }
@@ -106,7 +106,7 @@ pub fn of(header: &Header, (name, number): (&str, usize), report: &PeerReport) -
     MarkerArray { markers: vec![arrow, wedge, mirror, place, words] }
 }
 
-/// Where the peer is within two standard deviations.
+/// The ellipsoid of two standard deviations about the peer's place.
 fn ellipsoid(peer: &Peer<'_>, report: &PeerReport) -> Option<Marker> {
     let (position_m, rows) = report.answer.position_m.zip(report.answer.position_covariance_m2)?;
     let covariance =
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn what_there_is_not_is_taken_away() {
+    fn missing_values_delete_their_markers() {
         let none = of(&Header::default(), ("b", 7), &report(PeerState::NoPairs, |_| ()));
         assert_eq!(actions(&none), [Marker::DELETE; 5]);
         let plane = report(PeerState::Bearing, |answer| {

@@ -1,16 +1,15 @@
-//! Names of ROS 2 and what DDS makes of them.
+//! Names of ROS 2 and their DDS equivalents.
 
 use std::collections::BTreeMap;
 
-/// A name as a part of a name of ROS, which has letters, digits and `_` only and begins with no digit.
+/// Makes a valid part of a ROS name: letters, digits and `_`, not starting with a digit.
 #[must_use]
 pub fn name_part(name: &str) -> String {
     let plain: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     if plain.starts_with(|c: char| c.is_ascii_digit()) { format!("_{plain}") } else { plain }
 }
 
-/// True for a name whose parts are letters, digits and `_`, none of which begins with a digit: `/tb3_0/odom`, `odom`,
-/// `~/odom`.
+/// True for a name whose parts are letters, digits and `_`, none starting with a digit: `/tb3_0/odom`, `odom`, `~/odom`.
 pub(crate) fn is_name(name: &str) -> bool {
     let part = |part: &str| {
         part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
@@ -21,19 +20,19 @@ pub(crate) fn is_name(name: &str) -> bool {
     rest.split('/').all(part)
 }
 
-/// A node's name, and how it understands others.
+/// A node's name and its rules for resolving names.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Names {
     /// `/` or `/lab/burger`.
     pub namespace: String,
     /// `csi5300_burger`.
     pub node: String,
-    /// From the whole name to another, as `--remap` has it.
+    /// From a full name to another, as with `--remap`.
     pub remap: BTreeMap<String, String>,
 }
 
 impl Names {
-    /// The whole name of the node.
+    /// The node's full name.
     pub fn node(&self) -> String {
         format!("{}/{}", self.namespace.trim_end_matches('/'), self.node)
     }
@@ -48,8 +47,7 @@ impl Names {
         }
     }
 
-    /// The whole name that is meant: of the node (`~/csi`), of its namespace (`odom`) or from the root (`/tf`), then
-    /// remapped.
+    /// Resolves a name in the node (`~/csi`), its namespace (`odom`) or from the root (`/tf`), then remaps it.
     pub fn whole(&self, name: &str) -> String {
         let whole = self.expanded(name);
         let other = self.remap.iter().find(|(from, _)| self.expanded(from) == whole);
@@ -57,17 +55,17 @@ impl Names {
     }
 }
 
-/// The topic of DDS of a topic of ROS.
+/// The DDS topic of a ROS topic.
 pub(crate) fn topic(whole: &str) -> String {
     format!("rt{whole}")
 }
 
-/// The topics of DDS of a service: requests and answers.
+/// The DDS topics of a service: requests and answers.
 pub(crate) fn service(whole: &str) -> (String, String) {
     (format!("rq{whole}Request"), format!("rr{whole}Reply"))
 }
 
-/// The type of DDS of a type of ROS: `nav_msgs/msg/Odometry` is `nav_msgs::msg::dds_::Odometry_`.
+/// The DDS type of a ROS type: `nav_msgs/msg/Odometry` is `nav_msgs::msg::dds_::Odometry_`.
 pub(crate) fn kind(kind: &str) -> String {
     match kind.rsplit_once('/') {
         Some((package, name)) => format!("{}::dds_::{name}_", package.replace('/', "::")),
@@ -80,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_those_of_ros_2() {
+    fn dds_names_are_ros_2s() {
         assert_eq!(kind("nav_msgs/msg/Odometry"), "nav_msgs::msg::dds_::Odometry_");
         assert_eq!(kind("std_srvs/srv/Trigger_Request"), "std_srvs::srv::dds_::Trigger_Request_");
         assert_eq!(topic("/lab/odom"), "rt/lab/odom");

@@ -1,4 +1,4 @@
-//! The node: its link, its clock, the topics of poses that it reads, and what it publishes of a robot.
+//! The node: its link, its clock, the topics of poses that it reads, and what it publishes for a robot.
 
 use crate::Error;
 use crate::bag::Bag;
@@ -24,7 +24,7 @@ use csi5300_bag::messages::standard::{Header, PoseStamped, PoseWithCovarianceSta
 use driver_iface::record::Record;
 use std::sync::Arc;
 
-/// What is published of one peer.
+/// Publishers of one peer.
 struct Peer {
     name: String,
     mac: String,
@@ -36,11 +36,11 @@ struct Peer {
 /// A node of ROS 2.
 pub struct Node {
     link: Link,
-    /// The time of its stamps.
+    /// The clock of its stamps.
     clock: SimClock,
     topics: Vec<PoseTopic>,
     settings: Settings,
-    /// Names of all peers; those of which bearings are published are in `peers` too.
+    /// Names of all peers; `peers` has those with published bearings.
     names: Vec<String>,
     peers: Vec<Peer>,
     markers: Option<Publisher<MarkerArray>>,
@@ -51,7 +51,7 @@ impl Node {
     /// The node of the robot called `robot`. `wall_us` reads the host's wall clock, microseconds since the Unix epoch.
     ///
     /// # Errors
-    /// If it cannot take part at that address, or the recording cannot be started.
+    /// If it cannot use that address, or the recording cannot start.
     pub fn start(settings: &Settings, robot: &str, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
         let asked = settings.clone();
         let (domain, own, by) = (asked.domain(), settings.clone(), Asked::by_environment());
@@ -72,20 +72,20 @@ impl Node {
         Ok(Self { link, clock, topics, settings: asked, names, peers, markers: None, tf: None })
     }
 
-    /// To publish, subscribe and serve further topics and services.
+    /// For publishing, subscribing and serving further topics and services.
     #[must_use]
     pub fn link(&self) -> &Link {
         &self.link
     }
 
-    /// Poses of a topic, with the time that is usual unless it says which.
+    /// Poses of a topic, with the usual time source unless the topic names one.
     pub fn poses(&mut self, topic: &Topic, usual: Stamp) -> csi5300::motion::odometry::ros::Topic {
         let (opened, source) = PoseTopic::open(&self.link, topic, usual, &self.clock);
         self.topics.push(opened);
         source
     }
 
-    /// Announces what is published of these peers, by name and MAC, as the settings ask for it.
+    /// Announces the topics of these peers (name and MAC), as the settings ask.
     pub fn announce(&mut self, peers: &[(String, String)]) {
         let (link, asked) = (&self.link, &self.settings);
         self.names = peers.iter().map(|(name, _)| name.clone()).collect();
@@ -107,7 +107,7 @@ impl Node {
         }
     }
 
-    /// What publishes the card's records, if that is asked for.
+    /// The publisher of the card's records, if enabled.
     #[must_use]
     pub fn records(&self) -> Option<Records> {
         let publish = || self.link.publish("~/csi", Qos::best_effort(5));
@@ -115,13 +115,13 @@ impl Node {
         Some(Records { csi, clock: self.clock.clone(), survey: Survey::default() })
     }
 
-    /// A header with the stamp of a host's time, microseconds since the Unix epoch.
+    /// A header with the stamp of a host time, microseconds since the Unix epoch.
     #[must_use]
     pub fn header(&self, host_us: i64, frame_id: String) -> Header {
         Header { stamp: Time::from_us(self.clock.to_stamp(host_us)), frame_id }
     }
 
-    /// Publishes what is said of peer number `peer`.
+    /// Publishes the report of peer number `peer`.
     pub fn report(&self, peer: usize, report: &PeerReport) {
         let header = self.header((report.t_s.unwrap_or(0.0) * 1e6) as i64, self.settings.frame.clone());
         let place = said::place(&header, report);
@@ -139,12 +139,12 @@ impl Node {
         }
     }
 
-    /// Serves parameters, as `ros2 param get` and `list` ask for them.
+    /// Serves parameters for `ros2 param get` and `list`.
     pub fn serve_parameters(&self, all: Vec<(&'static str, ParameterValue)>) {
         let all: Arc<[(&'static str, ParameterValue)]> = all.into();
         let told = Arc::clone(&all);
         self.link.serve("~/get_parameters", move |_, asked: GetParametersRequest| {
-            // One that is not there is not set: type 0.
+            // A parameter that does not exist is "not set": type 0.
             let value = |name: &String| told.iter().find(|(known, _)| known == name).map(|(_, value)| value.clone());
             GetParametersResponse { values: asked.names.iter().map(|name| value(name).unwrap_or_default()).collect() }
         });
@@ -156,26 +156,26 @@ impl Node {
         });
     }
 
-    /// Looks at what is wrong with the topics of poses, for their sources to say it.
+    /// Updates the problems that the sources of poses report.
     pub fn look(&self) {
         self.topics.iter().for_each(PoseTopic::look);
     }
 
-    /// What was counted.
+    /// The counters.
     #[must_use]
     pub fn counted(&self) -> serde_json::Value {
         self.link.counted()
     }
 
-    /// What is wrong, in words.
+    /// Current problems as text.
     #[must_use]
     pub fn trouble(&self) -> Vec<String> {
-        let clock = self.clock.is_unknown().then(|| "ROS 2: nothing comes on /clock (`use_sim_time`)".to_owned());
+        let clock = self.clock.is_unknown().then(|| "ROS 2: no message on /clock (`use_sim_time`)".to_owned());
         self.link.trouble().into_iter().chain(clock).collect()
     }
 }
 
-/// Starting and stopping the recording, while the node runs.
+/// Starts and stops the recording while the node runs.
 fn serve_recording(link: &Link) {
     link.serve("~/start_recording", |shared, _: TriggerRequest| match shared.bag.start() {
         Ok(folder) => TriggerResponse { success: true, message: folder.display().to_string() },
@@ -187,7 +187,7 @@ fn serve_recording(link: &Link) {
     });
 }
 
-/// Publishes the records of a card.
+/// Publishes a card's records.
 pub struct Records {
     csi: Publisher<Csi>,
     clock: SimClock,
@@ -195,7 +195,7 @@ pub struct Records {
 }
 
 impl Records {
-    /// Publishes a record with CSI; `host_us` is the host's time of it, where that is known.
+    /// Publishes a record with CSI; `host_us` is its host time, where known.
     pub fn put(&mut self, host_us: Option<i64>, record: Record<'_>) {
         let next = Next::Record(Stamps { host_us, ..Stamps::default() }, record);
         let Some((bfee, identity)) = self.survey.note(&next) else { return };

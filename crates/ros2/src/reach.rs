@@ -1,31 +1,31 @@
-//! Whom a node looks for: what its settings say, then the variables that nodes of ROS 2 go by (`rcl`: `localhost.c`,
-//! `discovery_options.c`). What would leave this machine needs `insecure`, whoever asks for it.
+//! Which nodes a node looks for: from its settings, then from the environment variables of ROS 2 (`rcl`: `localhost.c`,
+//! `discovery_options.c`). Leaving this machine always needs `insecure`.
 
 use crate::settings::{PEERS, Settings};
 use std::fmt::Write;
 use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs, UdpSocket};
 
-/// Any address behind the way out of this machine: the group of DDS.
+/// Any address behind this machine's default route: the DDS group.
 const OUT: Ipv4Addr = crate::rtps::MULTICAST;
 
-/// How far automatic discovery goes.
+/// The range of automatic discovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Range {
-    /// Nobody is found, not even on this machine.
+    /// No discovery, not even on this machine.
     Off,
-    /// This machine, and static peers.
+    /// This machine and static peers.
     Localhost,
-    /// The network, and static peers.
+    /// The network and static peers.
     Subnet,
 }
 
 /// What the variables ask for.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Asked {
-    /// The range, where one is asked for, and the variable.
+    /// The range that a variable sets, and that variable.
     range: Option<(Range, &'static str)>,
     peers: Vec<Ipv4Addr>,
-    /// What could not be understood.
+    /// Values that could not be understood.
     notes: Vec<String>,
 }
 
@@ -38,13 +38,13 @@ impl Asked {
         const ONLY: &str = "ROS_LOCALHOST_ONLY";
         const RANGE: &str = "ROS_AUTOMATIC_DISCOVERY_RANGE";
         const STATIC: &str = "ROS_STATIC_PEERS";
-        // It is older, and goes before both others.
+        // The older variable takes precedence over both others.
         if variable(ONLY).is_some_and(|value| value == "1") {
             return Self { range: Some((Range::Localhost, ONLY)), ..Self::default() };
         }
         let mut asked = Self::default();
         let range = match variable(RANGE).unwrap_or_default().as_str() {
-            // The system's own is this node's own.
+            // "System default" means this node's own default.
             "" | "SYSTEM_DEFAULT" => None,
             "OFF" => Some(Range::Off),
             "LOCALHOST" => Some(Range::Localhost),
@@ -52,41 +52,43 @@ impl Asked {
             other => {
                 asked
                     .notes
-                    .push(format!("{RANGE}={other} is none of SUBNET, LOCALHOST, OFF, SYSTEM_DEFAULT: LOCALHOST"));
+                    .push(format!("{RANGE}={other} is not SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT: using LOCALHOST"));
                 Some(Range::Localhost)
             }
         };
         asked.range = range.map(|range| (range, RANGE));
         for name in variable(STATIC).unwrap_or_default().split(';').filter(|name| !name.is_empty()) {
             match resolve(name) {
-                Some(_) if asked.peers.len() >= PEERS => asked.notes.push(format!("{STATIC}: {name} is one too many")),
+                Some(_) if asked.peers.len() >= PEERS => {
+                    asked.notes.push(format!("{STATIC}: {name} ignored, too many peers"))
+                }
                 Some(ip) => asked.peers.push(ip),
-                None => asked.notes.push(format!("{STATIC}: {name} has no address of IPv4")),
+                None => asked.notes.push(format!("{STATIC}: {name} has no IPv4 address")),
             }
         }
         asked
     }
 }
 
-/// Whom a node looks for.
+/// Which nodes a node looks for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reach {
     /// The address whose network is used.
     pub interface: Ipv4Addr,
-    /// The domain's group is used.
+    /// Whether the domain's multicast group is used.
     pub multicast: bool,
-    /// Machines that are asked.
+    /// Machines that are queried.
     pub peers: Vec<Ipv4Addr>,
-    /// Nobody is looked for, and nobody is met.
+    /// No discovery: the node meets nobody.
     pub is_off: bool,
-    /// The same in words, with who said so.
+    /// The same as text, with the setting or variable that decided it.
     pub words: String,
-    /// Why it is not at the address that it was asked to use, and which it takes as soon as this machine has it.
+    /// Why it does not use the requested address, which it takes once this machine has it.
     pub waits: Option<String>,
 }
 
 impl Reach {
-    /// `out` gives the address of this machine from which another one is reached.
+    /// `out` returns this machine's address towards another one.
     pub(crate) fn of(own: &Settings, asked: &Asked, out: impl Fn(Ipv4Addr) -> Option<Ipv4Addr>) -> Self {
         let mut notes = asked.notes.clone();
         let by_file = own.interface.is_some() || own.multicast.is_some();
@@ -104,19 +106,20 @@ impl Reach {
         };
         let mut interface = own.interface.unwrap_or(Ipv4Addr::LOCALHOST);
         let mut waits = None;
-        // From an address of this machine it is reached from itself.
+        // Towards its own address, a machine is reached from that address.
         if !interface.is_loopback() && out(interface) != Some(interface) {
-            waits = Some(format!("this machine has no address {interface} at present: this machine only"));
+            waits = Some(format!("this machine has no address {interface} at present: using this machine only"));
             interface = Ipv4Addr::LOCALHOST;
         }
         if let Some((to, by)) = wish.filter(|_| own.interface.is_none() && !is_off) {
             match out(to) {
                 Some(found) if own.insecure => interface = found,
-                Some(_) => {
-                    notes.push(format!("{by} asks for the network, which needs `insecure = true`: this machine only"))
-                }
+                Some(_) => notes
+                    .push(format!("{by} asks for the network, which needs `insecure = true`: using this machine only")),
                 None => {
-                    waits = Some(format!("{by} asks for the network, and there is no way to {to}: this machine only"));
+                    waits = Some(format!(
+                        "{by} asks for the network, but there is no route to {to}: using this machine only"
+                    ));
                 }
             }
         }
@@ -144,13 +147,13 @@ impl Reach {
     }
 }
 
-/// The first address of IPv4 that a name has.
+/// The first IPv4 address of a name.
 fn resolve(name: &str) -> Option<Ipv4Addr> {
     let all = (name, 0).to_socket_addrs().ok()?;
     all.map(|address| address.ip()).find_map(|ip| if let IpAddr::V4(ip) = ip { Some(ip) } else { None })
 }
 
-/// The address of this machine from which `to` is reached; nothing is sent.
+/// This machine's address towards `to`; nothing is sent.
 pub(crate) fn outward(to: Ipv4Addr) -> Option<Ipv4Addr> {
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
     socket.connect((to, 7400)).ok()?;
@@ -160,7 +163,7 @@ pub(crate) fn outward(to: Ipv4Addr) -> Option<Ipv4Addr> {
     }
 }
 
-/// True for an address of this machine.
+/// True for one of this machine's addresses.
 pub(crate) fn is_own(ip: Ipv4Addr) -> bool {
     UdpSocket::bind((ip, 0)).is_ok()
 }
@@ -182,7 +185,7 @@ mod tests {
     const STATIC: &str = "ROS_STATIC_PEERS";
 
     #[test]
-    fn the_variables_are_read_as_nodes_of_ros_read_them() {
+    fn environment_variables_are_read_as_in_ros() {
         let open = Settings { insecure: true, ..Settings::default() };
         let here = (Ipv4Addr::LOCALHOST, true, false);
         for (variables, expected, words) in [
@@ -191,7 +194,7 @@ mod tests {
             (&[(RANGE, "SUBNET")], (OWN, true, false), "the network of 192.168.1.5; range: ROS_AUTOMATIC"),
             (&[(RANGE, "LOCALHOST")], here, "range: ROS_AUTOMATIC"),
             (&[(RANGE, "OFF"), (STATIC, "10.0.0.2")], (Ipv4Addr::LOCALHOST, false, true), "meets nobody"),
-            (&[(RANGE, "subnet")], here, "subnet is none of SUBNET"),
+            (&[(RANGE, "subnet")], here, "subnet is not SUBNET"),
             (
                 &[(RANGE, "SUBNET"), ("ROS_LOCALHOST_ONLY", "1"), (STATIC, "10.0.0.2")],
                 here,
@@ -206,25 +209,25 @@ mod tests {
     }
 
     #[test]
-    fn static_peers_are_names_or_addresses_and_are_asked_from_the_network() {
+    fn static_peers_may_be_names_or_addresses_and_need_the_network() {
         let open = Settings { insecure: true, ..Settings::default() };
         let found = reach(&open, &[(RANGE, "LOCALHOST"), (STATIC, "10.0.0.2;;bench;nobody")]);
         assert_eq!((found.interface, found.multicast), (OWN, false));
         assert_eq!(found.peers, [Ipv4Addr::new(10, 0, 0, 2), Ipv4Addr::new(192, 168, 1, 7)]);
         assert!(found.words.contains("asks 10.0.0.2, 192.168.1.7 (ROS_STATIC_PEERS)"), "{}", found.words);
-        assert!(found.words.contains("nobody has no address"), "{}", found.words);
-        // DDS has no authentication here, so no variable opens the robot to the network.
+        assert!(found.words.contains("nobody has no IPv4 address"), "{}", found.words);
+        // DDS has no authentication here, so no variable may expose the robot to the network.
         for variables in [[(STATIC, "10.0.0.2")], [(RANGE, "SUBNET")]] {
             let found = reach(&Settings::default(), &variables);
             assert_eq!((found.interface, found.peers.len()), (Ipv4Addr::LOCALHOST, 0));
             assert!(found.words.contains("needs `insecure = true`"), "{}", found.words);
         }
         let many = vec!["10.0.0.2"; PEERS + 1].join(";");
-        assert!(reach(&open, &[(STATIC, &many)]).words.contains("one too many"));
+        assert!(reach(&open, &[(STATIC, &many)]).words.contains("too many peers"));
     }
 
     #[test]
-    fn an_address_that_comes_later_or_changes_is_taken_then() {
+    fn a_later_or_changed_address_is_used() {
         let (file, other) = (Settings { interface: Some(OWN), ..Settings::default() }, Ipv4Addr::new(192, 168, 1, 6));
         let open = |own: Settings| Settings { insecure: true, ..own };
         let subnet = Asked { range: Some((Range::Subnet, RANGE)), ..Asked::default() };
@@ -238,7 +241,7 @@ mod tests {
                 Some("no address 192.168.1.5 at present"),
             ),
             (file, Asked::default(), Some(OWN), OWN, None),
-            (Settings::default(), subnet.clone(), None, Ipv4Addr::LOCALHOST, Some("no way to 239.255.0.1")),
+            (Settings::default(), subnet.clone(), None, Ipv4Addr::LOCALHOST, Some("no route to 239.255.0.1")),
             (Settings::default(), subnet.clone(), Some(OWN), OWN, None),
             (Settings::default(), subnet, Some(other), other, None),
         ] {
@@ -253,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn the_file_goes_before_the_variables() {
+    fn settings_override_the_variables() {
         let variables = [(RANGE, "OFF"), (STATIC, "10.0.0.2")];
         let file = Settings { insecure: true, interface: Some(OWN), peers: Some(Vec::new()), ..Settings::default() };
         let found = reach(&file, &variables);

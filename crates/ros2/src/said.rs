@@ -8,28 +8,28 @@ use csi5300_bag::messages::standard::{
 };
 use std::f64::consts::PI;
 
-/// Variance of a turn about which nothing is known, squared radians.
+/// Variance of an unknown rotation, squared radians.
 const ANY_TURN: f64 = PI * PI;
 
-/// True for a report with a bearing, new or said again.
+/// True for a report with a bearing, new or repeated.
 pub(crate) fn has_bearing(report: &PeerReport) -> bool {
     matches!(report.state, PeerState::Bearing | PeerState::Held)
 }
 
-/// The state of a report as the lines of JSON have it.
+/// The report's state, as in the JSON lines.
 fn state_name(state: PeerState) -> String {
     let name = serde_json::to_value(state).ok().and_then(|state| state.as_str().map(str::to_owned));
     name.unwrap_or_default()
 }
 
-/// The turn (x, y, z, w) from the x axis to a direction, radians: about z by the azimuth, then up by the elevation.
+/// The rotation (x, y, z, w) from the x axis to a direction, radians: about z by the azimuth, then up by the elevation.
 fn looking_along(azimuth_rad: f64, elevation_rad: f64) -> [f64; 4] {
-    // About the turned y; upwards is the negative turn.
+    // About the rotated y axis; upwards is negative.
     let ((sin, cos), (up, level)) = ((0.5 * azimuth_rad).sin_cos(), (-0.5 * elevation_rad).sin_cos());
     [-sin * up, cos * up, sin * level, cos * level]
 }
 
-/// All that is said; angles in radians, NaN for what is not known.
+/// The whole report; angles in radians, NaN for unknown values.
 pub fn bearing(header: Header, (peer, mac): (&str, &str), report: &PeerReport) -> Bearing {
     let answer = &report.answer;
     let number = |value: Option<f64>| value.unwrap_or(f64::NAN);
@@ -57,8 +57,8 @@ pub fn bearing(header: Header, (peer, mac): (&str, &str), report: &PeerReport) -
     }
 }
 
-/// A pose that stands where the bearing is seen from, in the middle of the motion, and looks along it: up or down too where
-/// the sign of the elevation is known.
+/// A pose at the point that the bearing refers to, the middle of the motion, along the bearing. It is pitched where the sign
+/// of the elevation is known.
 pub fn direction(header: &Header, report: &PeerReport) -> Option<PoseStamped> {
     let (origin_m, azimuth_deg) =
         report.answer.origin_m.zip(report.answer.azimuth_deg).filter(|_| has_bearing(report))?;
@@ -69,7 +69,7 @@ pub fn direction(header: &Header, report: &PeerReport) -> Option<PoseStamped> {
     Some(PoseStamped { header: header.clone(), pose })
 }
 
-/// Where the peer is, where there is a range; nothing is known of how it is turned.
+/// The peer's place, where the range is known; the orientation is unknown.
 pub fn place(header: &Header, report: &PeerReport) -> Option<PoseWithCovarianceStamped> {
     let position_m = report.answer.position_m.filter(|_| has_bearing(report))?;
     let mut covariance = Covariance::default();
@@ -85,7 +85,7 @@ pub fn place(header: &Header, report: &PeerReport) -> Option<PoseWithCovarianceS
     Some(PoseWithCovarianceStamped { header: header.clone(), pose: PoseWithCovariance { pose, covariance } })
 }
 
-/// A peer's place as a transform to a frame of its name.
+/// A peer's place as a transform to a frame of the peer's name.
 pub fn transform(place: &PoseWithCovarianceStamped, child: &str) -> TfMessage {
     let at = &place.pose.pose.position;
     let translation = Vector3 { x: at.x, y: at.y, z: at.z };

@@ -11,7 +11,7 @@ pub(crate) fn report(state: PeerState, fill: impl FnOnce(&mut Answer)) -> PeerRe
 }
 
 #[test]
-fn what_is_not_known_is_no_number() {
+fn unknown_values_are_nan() {
     let said = bearing(Header::default(), ("b", "02:00:00:00:00:02"), &report(PeerState::NotYet, |_| ()));
     assert_eq!((said.state.as_str(), said.peer.as_str(), said.pairs), ("not_yet", "b", 0));
     assert!(said.azimuth.is_nan() && said.range.is_nan() && said.confidence.is_nan() && said.moved == 1.0);
@@ -35,7 +35,7 @@ fn a_direction_points_along_the_bearing() {
 }
 
 #[test]
-fn a_place_has_its_covariance_and_any_turn() {
+fn a_place_has_its_covariance_and_an_unknown_orientation() {
     let report = report(PeerState::Held, |answer| {
         answer.position_m = Some([4.0, 5.0, 0.5]);
         answer.position_covariance_m2 = Some([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]]);

@@ -1,23 +1,23 @@
-//! Requests and answers of services, which the two ways of ROS 2 mark differently: Cyclone's writes who asked before the
-//! request itself, the others' (Fast DDS, Connext) take it from the sample and put it beside the answer.
+//! Requests and answers of services. ROS 2 has two ways to identify a request: Cyclone writes the client before the request
+//! itself; the others (Fast DDS, Connext) use the sample's identity and put it beside the answer.
 
 use super::rtps::{Event, Guid};
 use csi5300_bag::cdr::{CDR_LE, Cdr, CdrReader, CdrWriter};
 use csi5300_bag::messages::Message;
 
-/// Eclipse Cyclone DDS among the makers.
+/// The vendor number of Eclipse Cyclone DDS.
 const CYCLONE: [u8; 2] = [1, 0x10];
 
-/// Who asked.
+/// The client of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Head {
-    /// Client and number, before the request.
+    /// Client and number, written before the request.
     Inside(u64, i64),
-    /// The request's own writer and number.
+    /// The request's writer and number.
     Beside(Guid, i64),
 }
 
-/// Who asked, and what.
+/// The client and its request.
 pub(crate) fn request<Q: Message>(event: &Event) -> Option<(Head, Q)> {
     let mut from = CdrReader::of_payload(&event.payload).ok()?;
     let head = if event.vendor == CYCLONE {
@@ -28,7 +28,7 @@ pub(crate) fn request<Q: Message>(event: &Event) -> Option<(Head, Q)> {
     Some((head, Q::read(&mut from).ok()?))
 }
 
-/// The payload of an answer, and the request that it answers where that stands beside it.
+/// The payload of an answer, and the request that it answers if that is sent beside it.
 pub(crate) fn answer<A: Message>(head: Head, answer: &A) -> (Vec<u8>, Option<(Guid, i64)>) {
     match head {
         Head::Beside(guid, number) => (answer.payload(), Some((guid, number))),
@@ -48,7 +48,7 @@ mod tests {
     use csi5300_bag::messages::services::{TriggerRequest, TriggerResponse};
 
     #[test]
-    fn both_ways_of_marking_a_request_are_understood() {
+    fn both_ways_of_identifying_a_request_are_understood() {
         let from = (Guid { prefix: [7; 12], entity: [0, 0, 1, 3] }, 5);
         let event = |vendor, payload| Event { reader: 0, from, vendor, payload };
         let inside = [&CDR_LE[..], &9_u64.to_le_bytes(), &3_i64.to_le_bytes(), &[0]].concat();

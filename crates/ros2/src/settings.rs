@@ -1,4 +1,4 @@
-//! What a configuration says of ROS 2: topics of poses, and this program as a node.
+//! The configuration of ROS 2: topics of poses, and this program as a node.
 
 use crate::names::is_name;
 use crate::reach::{Asked, Reach};
@@ -7,12 +7,12 @@ use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
-/// Highest domain whose ports are ports.
+/// Highest domain whose port numbers are valid.
 const DOMAINS: u16 = 232;
-/// Static peers at most: each is asked at 32 ports.
+/// Static peers at most: each is queried at 32 ports.
 pub(crate) const PEERS: usize = 64;
 
-/// What is published on a topic of poses.
+/// The type of a topic of poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -29,39 +29,39 @@ pub enum Kind {
 #[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Topic {
-    /// Its name: `/tb3_0/odom` from the root, `odom` in the node's namespace; `/odom`, or `/tf` for transforms, where absent.
+    /// Its name: `/tb3_0/odom` from the root, `odom` in the node's namespace. Default `/odom`, or `/tf` for transforms.
     #[serde(default)]
     pub topic: Option<String>,
-    /// What is published on it.
+    /// Its type.
     #[serde(default, rename = "type")]
     pub kind: Kind,
-    /// What is taken for the time of a pose: the stamp in its header, for a robot that the room follows its receipt.
+    /// The time of a pose. Default: the stamp in its header; for a robot that the room follows, the time of receipt.
     #[serde(default)]
     pub stamp: Option<Stamp>,
-    /// The frame of the poses: others are refused, and without it another frame than that of the first is a new frame. With
-    /// transforms: the frame that they are followed from.
+    /// The frame of the poses: others are refused. If absent, a frame other than the first starts a new one. With transforms:
+    /// the frame from which they are followed.
     #[serde(default)]
     pub frame: Option<String>,
-    /// With transforms: the frame that they are followed to, such as `base_link`, or the antenna's own.
+    /// With transforms: the frame to which they are followed, such as `base_link`, or the antenna's own.
     #[serde(default)]
     pub child: Option<String>,
-    /// The antenna's frame, where `/tf_static` has its place on the robot (from odometry's `child_frame_id`).
+    /// The antenna's frame, if `/tf_static` gives its place on the robot (from odometry's `child_frame_id`).
     #[serde(default)]
     pub antenna_frame: Option<String>,
-    /// `sensor_msgs/msg/Imu` whose turns are taken for the robot's, from the first pose on.
+    /// Topic of `sensor_msgs/msg/Imu` whose orientation replaces the robot's, from the first pose on.
     #[serde(default)]
     pub imu: Option<String>,
 }
 
 impl Topic {
-    /// The topic that is meant.
+    /// The topic, or its default.
     #[must_use]
     pub fn name(&self) -> &str {
         self.topic.as_deref().unwrap_or(if self.kind == Kind::Tf { "/tf" } else { "/odom" })
     }
 }
 
-/// The release whose nodes list this one.
+/// The release whose `ros2 node list` shows this node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Distribution {
@@ -76,28 +76,28 @@ pub enum Distribution {
 #[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
-    /// The domain; `$ROS_DOMAIN_ID` where absent, then 0.
+    /// The domain; default `$ROS_DOMAIN_ID`, then 0.
     pub domain: Option<u16>,
-    /// Name of the node; `csi5300_` and the robot's name where absent.
+    /// Name of the node; default `csi5300_` and the robot's name.
     pub node: Option<String>,
-    /// Its namespace, `/lab`.
+    /// Its namespace, such as `/lab`.
     pub namespace: String,
-    /// The address of this machine whose network is used. DDS asks nobody who they are: other than loopback needs `insecure`.
-    /// Where absent, ROS's variables say ([`Settings::reach`]), then loopback.
+    /// The address of this machine whose network is used. DDS does not authenticate: any address but loopback needs `insecure`.
+    /// Default: ROS's variables ([`Settings::reach`]), then loopback.
     pub interface: Option<Ipv4Addr>,
-    /// Anybody who reaches the interface may publish poses to this robot, and read along.
+    /// Accept that anybody who reaches the interface can publish poses to this robot and read its topics.
     pub insecure: bool,
-    /// Announce to the domain's group, and listen to it: unless this or ROS's variables say otherwise.
+    /// Announce to the domain's multicast group and listen to it. Default: as ROS's variables and the interface decide.
     pub multicast: Option<bool>,
-    /// Machines that are asked, where multicast does not reach; those of `$ROS_STATIC_PEERS` where absent.
+    /// Machines that are queried where multicast does not reach; default `$ROS_STATIC_PEERS`.
     pub peers: Option<Vec<Ipv4Addr>>,
     /// The release whose `ros2 node list` shows this node.
     pub distribution: Distribution,
-    /// Names that are replaced by others.
+    /// Names that are replaced by others (remapping).
     pub remap: BTreeMap<String, String>,
-    /// Times of messages are those of `/clock`.
+    /// Messages have the time of `/clock`.
     pub use_sim_time: bool,
-    /// `frame_id` of what is published: the frame of this robot's poses.
+    /// `frame_id` of published messages: the frame of this robot's poses.
     pub frame: String,
     /// Publish bearings and poses of peers.
     pub publish_bearings: bool,
@@ -109,7 +109,7 @@ pub struct Settings {
     pub publish_csi: bool,
     /// Publish transforms to peers whose range is known.
     pub publish_tf: bool,
-    /// Record what is read and published, from the start.
+    /// Record what is read and published, from the start on.
     pub bag: Option<PathBuf>,
 }
 
@@ -138,14 +138,14 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The domain that is meant.
+    /// The domain, or its default.
     #[must_use]
     pub fn domain(&self) -> u16 {
         let told = || std::env::var("ROS_DOMAIN_ID").ok()?.trim().parse().ok();
         self.domain.or_else(told).unwrap_or(0)
     }
 
-    /// Whom the node looks for: as these settings say, then `ROS_LOCALHOST_ONLY`, `ROS_AUTOMATIC_DISCOVERY_RANGE` and
+    /// Which nodes the node looks for: by these settings, then `ROS_LOCALHOST_ONLY`, `ROS_AUTOMATIC_DISCOVERY_RANGE` and
     /// `ROS_STATIC_PEERS`.
     #[must_use]
     pub fn reach(&self) -> Reach {
@@ -153,19 +153,19 @@ impl Settings {
     }
 }
 
-/// A key below the table, if it is one, and what is wrong with it.
+/// A key of the table, if the error belongs to one, and the error.
 pub type Wrong = (Option<&'static str>, String);
 
 fn wrong_name(name: &str) -> Option<String> {
     let wrong = !is_name(name);
-    wrong.then(|| format!("`{name}` is no name in ROS 2: one looks like /tb3_0/odom, odom or ~/odom"))
+    wrong.then(|| format!("`{name}` is not a valid ROS 2 name: use one like /tb3_0/odom, odom or ~/odom"))
 }
 
-/// What is wrong with poses from a topic, of this robot, of a peer, or of a robot that the room follows.
+/// The error in a topic of poses of this robot, of a peer, or of a robot that the room follows.
 #[must_use]
 pub fn wrong_topic(topic: &Topic, peers: bool) -> Option<Wrong> {
     if peers && topic.stamp == Some(Stamp::Receipt) {
-        // How far a peer's clock is ahead is taken from the exchanges, and applied to its poses.
+        // The offset of a peer's clock is estimated from the exchanges and applied to its poses.
         return Some((Some("stamp"), "a peer's poses have the times of its own clock: `stamp = \"header\"`".into()));
     }
     if topic.kind == Kind::Tf && (topic.frame.is_none() || topic.child.is_none()) {
@@ -184,7 +184,7 @@ pub fn wrong_topic(topic: &Topic, peers: bool) -> Option<Wrong> {
     names.into_iter().find_map(|(key, name)| Some((Some(key), wrong_name(name?)?)))
 }
 
-/// What is wrong with the `[ros2]` table.
+/// The error in the `[ros2]` table.
 #[must_use]
 pub fn wrong_settings(ros: &Settings) -> Option<Wrong> {
     if ros.domain() > DOMAINS {
@@ -192,13 +192,13 @@ pub fn wrong_settings(ros: &Settings) -> Option<Wrong> {
     }
     let interface = ros.interface.unwrap_or(Ipv4Addr::LOCALHOST);
     if interface.is_unspecified() || interface.is_multicast() || interface.is_broadcast() {
-        let why = format!("interface {interface}: one address of this machine, such as 127.0.0.1");
+        let why = format!("interface {interface}: use one address of this machine, such as 127.0.0.1");
         return Some((Some("interface"), why));
     }
     if !ros.insecure && !interface.is_loopback() {
         let why = format!(
-            "anybody who reaches {interface} could publish poses to this robot, as DDS asks nobody who they are: use \
-             127.0.0.1, or say `insecure = true`"
+            "anybody who reaches {interface} could publish poses to this robot, because DDS does not authenticate: use \
+             127.0.0.1, or set `insecure = true`"
         );
         return Some((Some("interface"), why));
     }
@@ -212,10 +212,10 @@ pub fn wrong_settings(ros: &Settings) -> Option<Wrong> {
     }
     let space = Some(ros.namespace.as_str()).filter(|space| *space != "/");
     if let Some(space) = space.filter(|space| !space.starts_with('/') || wrong_name(space).is_some()) {
-        return Some((Some("namespace"), format!("`{space}` is no namespace in ROS 2: one looks like /lab")));
+        return Some((Some("namespace"), format!("`{space}` is not a valid ROS 2 namespace: use one like /lab")));
     }
     if let Some(node) = ros.node.as_deref().filter(|node| node.contains(['/', '~']) || wrong_name(node).is_some()) {
-        return Some((Some("node"), format!("`{node}` is no name of a node in ROS 2: one looks like csi5300_burger")));
+        return Some((Some("node"), format!("`{node}` is not a valid ROS 2 node name: use one like csi5300_burger")));
     }
     let names = ros.remap.iter().flat_map(|(from, to)| [from, to]);
     names.into_iter().find_map(|name| Some((Some("remap"), wrong_name(name)?)))

@@ -1,4 +1,4 @@
-//! The sockets of a participant: discovery and samples on two ports of one address, and the domain's group.
+//! The sockets of a participant: discovery and samples on two ports of one address, and the domain's multicast group.
 
 use super::reach::{Reach, is_own};
 use super::rtps::{MULTICAST, PARTICIPANTS, Prefix, Settings, multicast_address, unicast_ports};
@@ -10,11 +10,11 @@ use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Datagrams that are taken from one socket before the others have their turn.
+/// Datagrams that are read from one socket before the others have their turn.
 const BURST: usize = 64;
 /// Participants of one machine whose ports are tried.
 const PLACES: u16 = 100;
-/// Bytes that may wait to be read.
+/// Size of the receive buffer, bytes.
 const BUFFER: usize = 1 << 20;
 
 /// The sockets of a participant.
@@ -24,21 +24,21 @@ pub(crate) struct Sockets {
     user: UdpSocket,
     addresses: (SocketAddrV4, SocketAddrV4),
     group: Option<UdpSocket>,
-    /// Why there is no group, where it was asked for.
+    /// Why there is no group although one was requested.
     no_group: Option<String>,
     reach: Reach,
     is_local: bool,
     foreign: AtomicU64,
-    /// Who sent the last of them; 0 for nobody.
+    /// The last stranger's address; 0 for none.
     stranger: AtomicU32,
 }
 
 impl Sockets {
-    /// Binds the first two free ports of the domain at the interface; joins its group with multicast. Without it, or on
-    /// loopback, other participants of this machine are asked at their ports, and those of the peers.
+    /// Binds the first two free ports of the domain at the interface and, with multicast, joins its group. Without multicast, or
+    /// on loopback, queries the ports of this machine's other participants and of the peers.
     ///
     /// # Errors
-    /// If there is no such address here, or no port is free.
+    /// If this machine has no such address, or no port is free.
     pub fn open(domain: u16, mut reach: Reach) -> io::Result<Self> {
         let Reach { interface, multicast, is_off, .. } = reach;
         let mut last = io::Error::from(io::ErrorKind::AddrInUse);
@@ -65,7 +65,7 @@ impl Sockets {
         let group = if multicast { join(&meta, domain, interface).map(Some) } else { Ok(None) };
         let (group, no_group) = match group {
             Ok(group) => (group, None),
-            // On loopback all are asked at their ports anyhow.
+            // On loopback all ports are queried anyway.
             Err(_) if is_local => (None, None),
             Err(error) => (None, Some(format!("ROS 2: no multicast at {interface} ({error}): only `peers` are found"))),
         };
@@ -74,7 +74,7 @@ impl Sockets {
         Ok(Self { domain, meta, user, addresses, group, no_group, reach, is_local, foreign, stranger })
     }
 
-    /// What a participant on these sockets is told.
+    /// What the participant on these sockets needs to know.
     pub fn settings(&self, name: String) -> Settings {
         let (meta, user) = self.addresses;
         let at = |ip: &Ipv4Addr| {
@@ -92,12 +92,12 @@ impl Sockets {
         self.domain
     }
 
-    /// Where it takes discovery.
+    /// Where it receives discovery.
     pub fn address(&self) -> SocketAddrV4 {
         self.addresses.0
     }
 
-    /// Datagrams that came from other machines, where only this one is spoken to.
+    /// Datagrams that came from other machines although only this one is allowed.
     pub fn foreign(&self) -> u64 {
         self.foreign.load(Ordering::Relaxed)
     }
@@ -107,18 +107,18 @@ impl Sockets {
         *self.addresses.0.ip()
     }
 
-    /// Counts on from where another one, that this one replaces, ended.
+    /// Continues the counters of the sockets that these replace.
     pub fn follow(self, other: &Self) -> Self {
         self.foreign.store(other.foreign(), Ordering::Relaxed);
         self
     }
 
-    /// Whom it looks for, and who said so.
+    /// Which nodes it looks for, and which setting decided that.
     pub fn reach(&self) -> &str {
         &self.reach.words
     }
 
-    /// What is wrong, in words, where so many participants were met.
+    /// The current problem as text, given the number of participants met.
     pub fn trouble(&self, participants: u64) -> Option<String> {
         let stranger = Ipv4Addr::from(self.stranger.load(Ordering::Relaxed));
         if let Some(why) = &self.reach.waits {
@@ -135,31 +135,31 @@ impl Sockets {
         };
         let (foreign, own) = (self.foreign(), self.addresses.0.ip());
         Some(format!(
-            "ROS 2: nobody was met at {own}, and what comes from {stranger} is not read ({foreign} so far): {next}"
+            "ROS 2: no other node met at {own}; {foreign} datagrams from other addresses ignored, the last from {stranger}: {next}"
         ))
     }
 
-    /// Sends a datagram, and never waits. False if the system did not take it.
+    /// Sends a datagram, and never waits. False if the system did not accept it.
     pub fn send(&self, to: SocketAddrV4, bytes: &[u8]) -> bool {
         match self.meta.send_to(bytes, to) {
             Ok(_) => true,
-            // What an earlier datagram met: nobody at that port, which is usual while peers are looked for.
+            // An earlier datagram's error: nobody at that port, which is usual while peers are searched.
             Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => self.meta.send_to(bytes, to).is_ok(),
             Err(_) => false,
         }
     }
 
-    /// Until something came, for so long at most.
+    /// Waits until something arrives, at most this long.
     pub fn wait(&self, limit: Duration) {
         let sockets = [Some(&self.meta), Some(&self.user), self.group.as_ref()];
         let mut waiting: Vec<PollFd<'_>> =
             sockets.into_iter().flatten().map(|socket| PollFd::new(socket.as_fd(), PollFlags::POLLIN)).collect();
         let limit = PollTimeout::try_from(limit).unwrap_or(PollTimeout::ZERO);
-        // What fails here fails again when it is read.
+        // An error here appears again on reading.
         let _ = poll(&mut waiting, limit);
     }
 
-    /// Hands over what came, a burst of each socket.
+    /// Passes on what arrived, a burst from each socket.
     pub fn receive(&self, buffer: &mut [u8], mut used: impl FnMut(&[u8], Ipv4Addr)) {
         for socket in [Some(&self.meta), Some(&self.user), self.group.as_ref()].into_iter().flatten() {
             for _ in 0..BURST {
@@ -173,7 +173,7 @@ impl Sockets {
                         }
                     }
                     Ok(_) => {}
-                    // Of a datagram that was sent before.
+                    // The error of a datagram sent earlier.
                     Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
                     Err(_) => break,
                 }
@@ -203,14 +203,14 @@ fn join(meta: &UdpSocket, domain: u16, interface: Ipv4Addr) -> io::Result<UdpSoc
     sender.set_multicast_loop_v4(true)?;
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_reuse_address(true)?;
-    // Bound to the group, it takes nothing that was sent to this machine.
+    // Bound to the group's address, it receives nothing that was sent to this machine's own.
     socket.bind(&SocketAddr::V4(multicast_address(domain)).into())?;
     socket.join_multicast_v4(&MULTICAST, &interface)?;
     socket.set_nonblocking(true)?;
     Ok(socket.into())
 }
 
-/// A name that no other participant has: this process, and when it began.
+/// A name that no other participant has: from this process and its start time.
 fn prefix() -> Prefix {
     use std::hash::{BuildHasher, Hasher};
     // The standard library's keys are random.
@@ -234,25 +234,26 @@ mod tests {
     }
 
     #[test]
-    fn who_is_seen_and_not_met_is_said_with_what_to_do() {
+    fn ignored_participants_are_reported_with_a_next_step() {
         let sockets = open(|_| ());
         assert_eq!(sockets.trouble(0), None);
         sockets.foreign.store(2, Ordering::Relaxed);
         sockets.stranger.store(u32::from(Ipv4Addr::new(198, 51, 100, 9)), Ordering::Relaxed);
         let said = sockets.trouble(0).unwrap();
         assert!(
-            said.contains("comes from 198.51.100.9 is not read (2 so far)") && said.contains("`interface`"),
+            said.contains("2 datagrams from other addresses ignored, the last from 198.51.100.9")
+                && said.contains("`interface`"),
             "{said}"
         );
         assert_eq!(sockets.trouble(1), None, "somebody was met");
-        // An address of this machine: its other nodes use the network.
+        // Datagrams from an address of this machine: its other nodes use the network.
         sockets.stranger.store(u32::from(Ipv4Addr::new(127, 0, 0, 1)), Ordering::Relaxed);
         let said = sockets.trouble(0).unwrap();
         assert!(said.contains("ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"), "{said}");
     }
 
     #[test]
-    fn a_node_that_is_off_asks_nobody_and_hears_nobody() {
+    fn a_node_with_discovery_off_sends_and_receives_nothing() {
         let off = open(|reach| reach.is_off = true);
         assert!(
             off.settings("off".into()).announce.is_empty() && !open(|_| ()).settings("on".into()).announce.is_empty()

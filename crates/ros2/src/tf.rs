@@ -1,4 +1,4 @@
-//! Frames and the transforms between them, as `/tf` and `/tf_static` tell them.
+//! Frames and the transforms between them, from `/tf` and `/tf_static`.
 
 use csi5300_bag::messages::standard::TransformStamped;
 use nalgebra::Isometry3;
@@ -23,13 +23,13 @@ pub(crate) struct Tree {
     frames: BTreeMap<String, Frame>,
 }
 
-/// A name of a frame, which early releases wrote with a slash before it.
+/// A frame's name without the leading slash of early releases.
 fn plain(name: &str) -> &str {
     name.trim_start_matches('/')
 }
 
 impl Tree {
-    /// Takes a transform. False for one that is none, or one frame too many.
+    /// Takes a transform. False if it is invalid, or one frame too many.
     pub fn handle(&mut self, told: &TransformStamped, is_fixed: bool) -> bool {
         let child = plain(&told.child_frame_id);
         let Some(transform) = told.transform.isometry() else { return false };
@@ -41,7 +41,7 @@ impl Tree {
         true
     }
 
-    /// How `to` lies in `from`, which is above it, and the lowest frame on the way that moves.
+    /// The pose of `to` in its ancestor `from`, and the lowest moving frame on the way.
     pub fn find(&self, from: &str, to: &str) -> Option<(Isometry3<f64>, Option<&str>)> {
         let (from, mut at) = (plain(from), plain(to));
         let (mut whole, mut moving) = (Isometry3::identity(), None);
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn loops_end_and_what_is_no_transform_is_refused() {
+    fn loops_end_and_invalid_transforms_are_refused() {
         let mut tree = Tree::default();
         tree.handle(&told("a", "b", [0.0; 3], false), false);
         tree.handle(&told("b", "a", [0.0; 3], false), false);

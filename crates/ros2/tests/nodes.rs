@@ -1,4 +1,4 @@
-//! Two nodes on loopback, without anything else: poses, a service's parameters, bearings.
+//! Two nodes on loopback and nothing else: poses, a service's parameters, bearings.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use csi5300::motion::odometry::ros::Stamp;

@@ -1,5 +1,5 @@
-//! How programs speak to their users: results on standard output, notes and errors on standard error, and how a command
-//! ended. Control characters in names are written out.
+//! Output of the programs: results on standard output, notes and errors on standard error, exit statuses. Control characters
+//! in names are escaped.
 
 use std::borrow::Cow;
 use std::fmt::{Arguments, Write as _};
@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// How much is said: errors only, notes too, or also what was read, how long it took and how much memory.
+/// How much is printed: errors only, notes too, or also what was read, and the time and memory used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum Level {
@@ -20,7 +20,7 @@ pub enum Level {
     Verbose,
 }
 
-/// When words are coloured.
+/// When output is coloured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum When {
     /// On a terminal, unless NO_COLOR is set or TERM is `dumb`.
@@ -33,10 +33,10 @@ pub enum When {
 }
 
 impl When {
-    /// Their names.
+    /// All names.
     pub const NAMES: [&str; 3] = ["auto", "always", "never"];
 
-    /// The one of that name; the usual one where there is none.
+    /// The choice of that name, or the default.
     #[must_use]
     pub fn named(name: &str) -> Self {
         match name {
@@ -47,14 +47,14 @@ impl When {
     }
 }
 
-/// How a word is meant.
+/// The meaning of a word's colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
-    /// As it should be.
+    /// Good.
     Good,
-    /// Perhaps not.
+    /// Doubtful.
     Doubt,
-    /// Not as it should be.
+    /// Bad.
     Bad,
 }
 
@@ -64,13 +64,13 @@ const RED: &str = "\x1b[1;31m";
 const PLAIN: &str = "\x1b[0m";
 
 static LEVEL: AtomicU8 = AtomicU8::new(Level::Usual as u8);
-/// Whether words on standard output and on standard error are coloured.
+/// Whether standard output and standard error are coloured.
 static COLOURED: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
 
-/// The program, as errors name it.
+/// The program's name in errors.
 static PROGRAM: OnceLock<&'static str> = OnceLock::new();
 
-/// What was asked for, for the rest of the program `name`.
+/// Sets the output options for the rest of the program `name`.
 pub fn set(name: &'static str, level: Level, colours: When) {
     let _ = PROGRAM.set(name);
     LEVEL.store(level as u8, Ordering::Relaxed);
@@ -86,10 +86,10 @@ pub fn set(name: &'static str, level: Level, colours: When) {
     }
 }
 
-/// Names with ends of lines in them, and their parts.
+/// Names that contain line ends, and their parts.
 static NAMES: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-/// Names that the program was given, or found in folders: ends of lines in them are written out from here on.
+/// Names that the program was given or found in folders: from now on, line ends in them are escaped.
 pub fn add_names(names: impl Iterator<Item = std::ffi::OsString>) {
     let names = names.map(|one| one.to_string_lossy().into_owned()).filter(|one| one.contains('\n'));
     let parts = |name: String| {
@@ -101,7 +101,7 @@ pub fn add_names(names: impl Iterator<Item = std::ffi::OsString>) {
     NAMES.lock().unwrap_or_else(PoisonError::into_inner).extend(parts);
 }
 
-/// True if so much is said.
+/// True if this much is printed.
 pub fn says(level: Level) -> bool {
     LEVEL.load(Ordering::Relaxed) >= level as u8
 }
@@ -120,10 +120,10 @@ fn coloured(word: &str, tone: Tone, wanted: &AtomicBool) -> String {
     if wanted.load(Ordering::Relaxed) { format!("{code}{word}{PLAIN}") } else { word.to_owned() }
 }
 
-/// A text as it may go to a terminal: what names of files, topics and links have of control characters is written as JSON writes
-/// it (`\u001b`), ends of lines, tabs and our own colours stay. A name cannot clear, rename or answer for a terminal.
+/// A text for a terminal. Control characters from the names of files, topics and links are escaped as in JSON (`\u001b`);
+/// line ends, tabs and this program's colours stay. No name can clear or rename a terminal, or answer for it.
 ///
-/// Ends of lines that are in names ([`add_names`]) are written out, too.
+/// Line ends in names ([`add_names`]) are escaped, too.
 pub fn printable(text: &str) -> Cow<'_, str> {
     let names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
     if names.iter().any(|name| text.contains(name.as_str())) {
@@ -154,27 +154,27 @@ fn without_signs(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Signs that turn the direction of what is written behind them, or hide in it: a name can look like another one by them.
+/// Characters that reverse the direction of text or are invisible: with them a name can look like another.
 fn turns_writing(sign: char) -> bool {
     matches!(sign, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}')
 }
 
-/// Says something. Where standard error is closed there is nobody to be told.
+/// Prints to standard error; if it is closed, nobody is there to read.
 pub fn words(level: Level, words: Arguments<'_>) {
     if says(level) {
-        // In one piece: standard error writes each part of a text by itself.
+        // In one piece: standard error writes each part of a text separately.
         let _ = std::io::stderr().lock().write_all(printable(&words.to_string()).as_bytes());
     }
 }
 
-/// Says what went wrong, a line.
+/// Prints an error, one line.
 pub fn error(words: Arguments<'_>) {
     let name = format!("{}:", PROGRAM.get().copied().unwrap_or("csi5300"));
     let name = coloured(&name, Tone::Bad, &COLOURED[1]);
     let _ = writeln!(std::io::stderr().lock(), "{name} {}", printable(&words.to_string()));
 }
 
-/// A line of what may help: not said with `--quiet`.
+/// Prints a hint, one line; not with `--quiet`.
 #[macro_export]
 macro_rules! note {
     ($($words:tt)*) => {{
@@ -182,7 +182,7 @@ macro_rules! note {
     }};
 }
 
-/// Lines of what may help, each with its end.
+/// Prints hints of several lines, each with its line end.
 #[macro_export]
 macro_rules! notes {
     ($($words:tt)*) => {{
@@ -190,7 +190,7 @@ macro_rules! notes {
     }};
 }
 
-/// A line that is said with `--verbose`.
+/// Prints one line with `--verbose`.
 #[macro_export]
 macro_rules! detail {
     ($($words:tt)*) => {{
@@ -198,19 +198,19 @@ macro_rules! detail {
     }};
 }
 
-/// A line of what went wrong.
+/// Prints an error, one line.
 #[macro_export]
 macro_rules! wrong {
     ($($words:tt)*) => {{ $crate::error(format_args!($($words)*)) }};
 }
 
-/// How a command ended.
+/// Exit status of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Done; a cut last record is the normal end of a log that was killed.
     Done,
-    /// Done, but records were dropped or damaged before the tail, rows of a trajectory could not be read, or some link or
-    /// capture failed.
+    /// Done, but records were dropped or damaged before the tail, rows of a trajectory were unreadable, or a link or capture
+    /// failed.
     DataLost,
     /// Nothing usable.
     Nothing,
@@ -226,17 +226,17 @@ impl From<Outcome> for ExitCode {
     }
 }
 
-/// A command's result: its outcome, or what went wrong in words for the user.
+/// A command's result: its outcome, or an error for the user.
 pub type Result = std::result::Result<Outcome, String>;
 
-/// Ends the command as wrong usage, as the argument parser does.
+/// Ends the command with the exit status for wrong usage, as the argument parser does.
 pub fn usage(message: &str) -> ! {
     wrong!("{message}");
     std::process::exit(2);
 }
 
-/// Says which arguments make no sense, or what was asked for instead of a command (`--help`), and ends the program. Parsers
-/// repeat arguments as they are; where nothing of it has to be written out, `plainly` says it.
+/// Prints the parser's message about arguments (or `--help`) and ends the program. Parsers repeat arguments as they are;
+/// where nothing needs escaping, `plainly` prints it.
 pub fn misused(words: &str, status: i32, plainly: impl FnOnce() -> std::convert::Infallible) -> ! {
     if let Cow::Owned(shown) = printable(words) {
         notes!("{shown}");
@@ -245,7 +245,7 @@ pub fn misused(words: &str, status: i32, plainly: impl FnOnce() -> std::convert:
     match plainly() {}
 }
 
-/// Prints to standard output; a reader that went away (`| head`) ends the command quietly, a full disk does not.
+/// Prints to standard output. A closed reader (`| head`) ends the command quietly; a full disk is an error.
 pub fn print(text: &str) {
     match std::io::stdout().write_all(printable(text).as_bytes()) {
         Ok(()) => {}
@@ -257,7 +257,7 @@ pub fn print(text: &str) {
     }
 }
 
-/// True where a program's end of a served room's sockets says that the room has ended: a normal end.
+/// True if an error of a served room's sockets means that the room has ended, which is normal.
 pub fn is_end_of_room(error: &(dyn std::error::Error + 'static)) -> bool {
     use std::io::ErrorKind;
     let mut cause = Some(error);
@@ -285,7 +285,7 @@ pub fn count(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// A number with so many digits behind its point; what rounds to zero has no sign.
+/// A number with this many decimals; what rounds to zero has no sign.
 #[must_use]
 pub fn fixed(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
@@ -295,7 +295,7 @@ pub fn fixed(value: f64, digits: usize) -> String {
     }
 }
 
-/// What this process has used so far: seconds since `begun`, and the most memory, megabytes.
+/// Time since `begun`, seconds, and peak memory, megabytes, of this process.
 pub fn used(begun: std::time::Instant) -> String {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak =
@@ -309,7 +309,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_would_command_a_terminal_is_written_out() {
+    fn control_characters_are_escaped() {
         let name = "a\x1b[2J\x07\r\u{9b}1m\u{7f}\x1b]0;mine\x1b";
         assert_eq!(printable(name), "a\\u001b[2J\\u0007\\u000d\\u009b1m\\u007f\\u001b]0;mine\\u001b");
         assert_eq!(printable("log\u{202e}tad.dat"), "log\\u202etad.dat");
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn one_is_no_plural() {
+    fn one_is_singular() {
         let said = [0, 1, 2].map(|n| count(n, "stretch", "stretches"));
         assert_eq!(said, ["0 stretches", "1 stretch", "2 stretches"]);
     }

@@ -61,7 +61,7 @@
       const [skipped, repeated] = [sum("frames_skipped"), sum("frames_repeated")];
       return [
         `${csi.size(f.bytes)}, ${csi.count(f.records, "record", "records")}${this.long()}`,
-        { host: "times are the host's: the card's clock stands", number: "no times: the card's clock stands, and the host has none" }[f.time_base] ?? null,
+        { host: "times are the host's: the card's clock stands still", number: "no times: the card's clock stands still, and the host has none" }[f.time_base] ?? null,
         f.bfee_missing ? `${csi.count(f.bfee_missing, "number", "numbers")} missing from bfee_count` : "none missing from bfee_count",
         skipped ? `${csi.count(skipped, "frame number", "frame numbers")} not heard` : null,
         repeated ? `${csi.count(repeated, "frame", "frames")} reported twice` : null,

@@ -1,4 +1,4 @@
-//! Which antenna each receive chain was connected to.
+//! The antenna of each receive chain.
 
 use core::fmt;
 
@@ -38,9 +38,9 @@ impl fmt::Display for Antenna {
     }
 }
 
-/// Which antenna each raw receive chain was connected to, for one record.
+/// The antenna of each raw receive chain, for one record.
 ///
-/// Raw chain `k` holds the signal of antenna `antennas()[k]`: a scatter, `by_antenna[perm[k]] = raw[k]`.
+/// Raw chain `k` holds the signal of antenna `antennas()[k]`: `by_antenna[perm[k]] = raw[k]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Antennas {
     of_chain: [Antenna; 3],
@@ -50,11 +50,11 @@ pub struct Antennas {
 impl Antennas {
     /// Reads `antenna_sel` for `n_rx` chains, 1 to 3.
     ///
-    /// With three chains it must be a permutation, with two the first two must differ. With one chain whose number is
-    /// 3 (no antenna) the only antenna with a nonzero RSSI is taken, if there is exactly one.
+    /// With three chains it must be a permutation; with two, the first two must differ. With one chain whose number is 3 (no
+    /// antenna), it is the only antenna with a nonzero RSSI, if there is exactly one.
     ///
     /// # Errors
-    /// [`InvalidPerm`] when the bits name no antenna or one twice. Nothing is guessed.
+    /// [`InvalidPerm`] if the bits name no antenna, or one twice. Nothing is guessed.
     #[inline]
     pub fn new(antenna_sel: u8, n_rx: u8, rssi: [u8; 3]) -> Result<Self, InvalidPerm> {
         let invalid = InvalidPerm { antenna_sel, n_rx };
@@ -77,7 +77,7 @@ impl Antennas {
         Ok(Self { of_chain, n_rx })
     }
 
-    /// The antennas in chain order, one for each chain.
+    /// The antennas in chain order, one per chain.
     #[must_use]
     pub fn as_slice(&self) -> &[Antenna] {
         self.of_chain.get(..usize::from(self.n_rx)).unwrap_or(&self.of_chain)
@@ -91,7 +91,7 @@ impl Antennas {
     }
 }
 
-/// The antennas of three chains, by the low six bits of `antenna_sel`: all that are permutations.
+/// The antennas of three chains, by the low six bits of `antenna_sel`: all permutations.
 static OF_THREE: [Option<[Antenna; 3]>; 64] = {
     let mut table = [None; 64];
     let mut first = 0;
@@ -110,14 +110,14 @@ static OF_THREE: [Option<[Antenna; 3]>; 64] = {
     table
 };
 
-/// The one antenna with a nonzero RSSI.
+/// The only antenna with a nonzero RSSI.
 fn only_heard(rssi: [u8; 3]) -> Option<Antenna> {
     let mut heard = Antenna::ALL.into_iter().zip(rssi).filter(|&(_, rssi)| rssi != 0);
     let (antenna, _) = heard.next()?;
     heard.next().is_none().then_some(antenna)
 }
 
-/// An `antenna_sel` that does not say which antenna is which.
+/// An `antenna_sel` that does not assign the antennas.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InvalidPerm {
     /// The byte as read.

@@ -1,16 +1,16 @@
-//! Samples by chain pair, and as bytes, against the reading bit by bit.
+//! Compares unpacking by chain pair and to bytes with unpacking bit by bit.
 
 use super::{Bfee, Iq, MAX_SAMPLE_BYTES, MAX_SAMPLES, Repr, SUBCARRIERS};
 use std::vec;
 use std::vec::Vec;
 
-/// Samples in which no two neighbours are alike, over the whole range of values.
+/// Samples over the whole range of values, with different neighbours.
 fn samples(count: usize) -> Vec<Iq> {
     let value = |k: usize| (k * 73 + 11) as u8;
     (0..count).map(|k| Iq { i: value(2 * k).cast_signed(), q: value(2 * k + 1).cast_signed() }).collect()
 }
 
-/// Shows a record of every number of chains and streams, with its samples as they are read bit by bit.
+/// Passes on a record of every number of chains and streams, with its samples unpacked bit by bit.
 fn each_size(mut show: impl FnMut(&Repr, &Bfee<'_>, &[Iq])) {
     for (n_rx, n_tx) in (1..=3).flat_map(|n_rx| (1..=3).map(move |n_tx| (n_rx, n_tx))) {
         let repr = Repr { n_rx, n_tx, ..Repr::default() };

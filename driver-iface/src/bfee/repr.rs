@@ -1,11 +1,11 @@
-//! The value form of a bfee, and how it is written.
+//! A bfee as a value, and how to write it.
 
 use byteorder::{ByteOrder, LittleEndian};
 
 use super::{Bfee, Iq, Layout, NOISE_UNKNOWN_DBM, STOCK_HEADER, SUBCARRIERS, Wsr, csi_len, offset};
 use crate::{EmitError, room};
 
-/// All header fields of a bfee; the CSI is handed to [`Repr::emit`] beside it.
+/// All header fields of a bfee; [`Repr::emit`] gets the CSI separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repr {
     /// See [`Bfee::timestamp_low`], microseconds.
@@ -18,7 +18,7 @@ pub struct Repr {
     pub n_rx: u8,
     /// Space-time streams, 1 to 3.
     pub n_tx: u8,
-    /// RSSI of antennas A, B, C in dB; 0 for unused.
+    /// RSSI of antennas A, B, C in dB; 0 if unused.
     pub rssi: [u8; 3],
     /// Noise floor in dBm.
     pub noise_dbm: i8,
@@ -28,7 +28,7 @@ pub struct Repr {
     pub antenna_sel: u8,
     /// Rate and flags.
     pub rate_n_flags: u16,
-    /// What the WSR driver adds; `None` writes the stock layout, no frame number that of 2021.
+    /// Fields that the WSR driver adds: `None` writes the stock layout, a missing frame number that of 2021.
     pub wsr: Option<Wsr>,
 }
 
@@ -71,7 +71,7 @@ impl Repr {
         }
     }
 
-    /// Samples of CSI that belong to it, `30 n_rx n_tx`.
+    /// Number of its CSI samples, `30 n_rx n_tx`.
     #[must_use]
     pub fn samples(&self) -> usize {
         SUBCARRIERS * usize::from(self.n_rx) * usize::from(self.n_tx)
@@ -87,7 +87,7 @@ impl Repr {
         }
     }
 
-    /// Bytes of the body, code not counted.
+    /// Bytes of the body, without the code.
     #[must_use]
     pub fn body_len(&self) -> usize {
         csi_len(self.n_rx, self.n_tx) + self.layout().header_len()
@@ -95,10 +95,10 @@ impl Repr {
 
     /// Writes the body (without the code): header, then `csi` packed, `[subcarrier][raw rx chain][tx]`.
     ///
-    /// Returns the bytes written, [`Repr::body_len`].
+    /// Returns the number of bytes written, [`Repr::body_len`].
     ///
     /// # Errors
-    /// When chains are not 1 to 3, `csi` is not `30 n_rx n_tx` long, or `out` is too short.
+    /// If chains are not 1 to 3, `csi` is not `30 n_rx n_tx` long, or `out` is too short.
     pub fn emit(&self, csi: &[Iq], out: &mut [u8]) -> Result<usize, EmitError> {
         for (name, got) in [("n_rx", self.n_rx), ("n_tx", self.n_tx)] {
             if !(1..=3).contains(&got) {
@@ -139,7 +139,7 @@ impl Repr {
     }
 }
 
-/// Writes the 18 bytes that follow the stock header, or the 14 if there is no number.
+/// Writes the 18 bytes that follow the stock header, or 14 if there is no number.
 fn emit_wsr(wsr: &Wsr, out: &mut [u8]) {
     let fields = wsr.tv_sec.to_le_bytes().into_iter().chain(wsr.tv_usec.to_le_bytes());
     let fields = fields.chain(wsr.mac.0).chain(wsr.frame_count.unwrap_or(0).to_le_bytes());
@@ -148,7 +148,7 @@ fn emit_wsr(wsr: &Wsr, out: &mut [u8]) {
     }
 }
 
-/// Packs samples, `n` for each subcarrier, as a bit stream.
+/// Packs samples, `n` per subcarrier, as a bit stream.
 fn pack(csi: &[Iq], n: usize, out: &mut [u8]) {
     let mut out = out.iter_mut();
     let (mut pending, mut bits) = (0_u32, 0);

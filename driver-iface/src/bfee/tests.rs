@@ -89,7 +89,7 @@ proptest! {
     }
 
     #[test]
-    fn a_column_has_as_many_samples_as_subcarriers_were_asked_for((repr, csi) in any_repr(), some in vec(0..30_u8, 0..30)) {
+    fn a_column_has_one_sample_per_requested_subcarrier((repr, csi) in any_repr(), some in vec(0..30_u8, 0..30)) {
         let body = emitted(&repr, &csi);
         let bfee = Bfee::new_checked(&body).unwrap();
         let (rx, tx) = (bfee.n_rx() - 1, bfee.n_tx() - 1);
@@ -118,7 +118,7 @@ proptest! {
     }
 }
 
-/// Header bytes written by hand from the table of the format, not by `emit`.
+/// Header bytes written by hand from the format's table, not by `emit`.
 #[test]
 fn fields_lie_where_the_format_says() {
     let mut body = vec![0_u8; 38 + 72];
@@ -155,7 +155,7 @@ fn bfee_first() -> Option<Iq> {
 }
 
 #[test]
-fn a_body_that_goes_on_behind_its_csi_is_read_in_its_layout() {
+fn a_body_that_continues_after_its_csi_is_read_in_its_layout() {
     let numbered = Wsr { tv_sec: 5, tv_usec: 6, mac: Mac([2; 6]), frame_count: Some(7) };
     for wsr in [None, Some(Wsr { frame_count: None, ..numbered }), Some(numbered)] {
         let repr = Repr { wsr, ..Repr::default() };
@@ -164,7 +164,7 @@ fn a_body_that_goes_on_behind_its_csi_is_read_in_its_layout() {
         for behind in 0..40 {
             let longer: Vec<u8> = body.iter().copied().chain(0xa0..0xa0 + behind).collect();
             let bfee = Bfee::new_checked(&longer).unwrap();
-            // By its length such a body is of another layout.
+            // By its length such a body has another layout.
             if Layout::Wsr2021.header_len() + 192 != longer.len() && Layout::Wsr.header_len() + 192 != longer.len() {
                 assert_eq!((Repr::parse(&bfee), bfee.iq(29, 2, 0)), (repr, csi.last().copied()), "{behind} behind");
                 assert_eq!(bfee.behind_csi(), &longer[body.len()..]);
@@ -211,7 +211,7 @@ fn antennas_of_known_selections() {
     assert_eq!(of(0x08, 2, [1, 0, 1]), Ok(vec![A, C]));
     assert_eq!(Antennas::new(0x08, 2, [1, 0, 1]).unwrap().chain_of(C), Some(1));
     assert_eq!(Antennas::new(0x08, 2, [1, 0, 1]).unwrap().chain_of(B), None);
-    // One chain: named, or the only one heard.
+    // One chain: named, or the only one with a nonzero RSSI.
     assert_eq!(of(0x02, 1, [0; 3]), Ok(vec![C]));
     assert_eq!(of(0x03, 1, [0, 7, 0]), Ok(vec![B]));
     for (sel, n_rx, rssi) in [
@@ -237,9 +237,9 @@ fn a_sender_is_unknown_where_address_and_number_are_zero() {
 }
 
 #[test]
-fn a_record_says_its_width_and_its_antennas() {
+fn a_record_has_its_width_and_antennas() {
     for (rate_n_flags, wide) in [(0x0101, false), (0x0901, true), (!rate::HT40, false), (rate::HT40, true)] {
-        // Chains 1 and 2 were at C and A.
+        // Chains 1 and 2 were connected to C and A.
         let repr = Repr { n_rx: 2, antenna_sel: 0b00_0010, rate_n_flags, ..Repr::default() };
         let mut body = vec![0; repr.body_len()];
         repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();

@@ -1,7 +1,7 @@
-//! Unpacking of the CSI: a bit stream, least significant bit first.
+//! Unpacks the CSI: a bit stream, least significant bit first.
 //!
-//! For each of 30 subcarriers 3 bits that are not CSI (the SNR field of 802.11n 7.3.1.28, always 0) and then
-//! `n_rx n_tx` samples of 8 bits real and 8 bits imaginary, two's complement, tx fastest. Trailing bits are 0.
+//! Each of 30 subcarriers has 3 bits that are not CSI (the SNR field of 802.11n 7.3.1.28, always 0), then `n_rx n_tx` samples of
+//! 8 bits real and 8 bits imaginary, two's complement, tx fastest. Trailing bits are 0.
 
 use super::{Bfee, SUBCARRIERS};
 
@@ -13,14 +13,14 @@ pub const MAX_SAMPLE_BYTES: usize = 2 * MAX_SAMPLES + WORD;
 
 /// Bits before the samples of each subcarrier.
 const GAP: usize = 3;
-/// Bytes of such a load.
+/// Bytes of a load for three samples.
 const WORD: usize = 8;
 /// Bytes of a load for one sample.
 const LOAD: usize = 4;
-/// Samples that one 64-bit load yields, whatever the bit offset: 48 bits and at most 7 before them.
+/// Samples in one 64-bit load at any bit offset: 48 bits and at most 7 before them.
 const PER_WORD: usize = 3;
 
-/// Bytes on the way to floats, where no wide vector of them lies in two lines of the cache.
+/// Bytes to be widened to floats, aligned so that no wide vector straddles two cache lines.
 #[repr(align(64))]
 struct Lines<const N: usize>([u8; N]);
 
@@ -33,14 +33,14 @@ pub struct Iq {
     pub q: i8,
 }
 
-/// First bit of sample `index` (`rx n_tx + tx`) of a subcarrier when each subcarrier has `n` samples.
+/// First bit of sample `index` (`rx n_tx + tx`) of a subcarrier that has `n` samples.
 const fn bit_of(subcarrier: usize, index: usize, n: usize) -> usize {
     GAP + subcarrier * (GAP + 16 * n) + 16 * index
 }
 
-/// The payload from `bit` on in the low bits: at least 57 bits of it, or zeros after its end.
+/// At least 57 bits of the payload from `bit` on, in the low bits, or zeros after its end.
 ///
-/// The load is moved back from the end, so it never leaves the payload (72 bytes at least).
+/// Near the end the load starts earlier, so it never leaves the payload (at least 72 bytes).
 #[inline(always)]
 fn word_at(payload: &[u8], bit: usize) -> u64 {
     let from = (bit / 8).min(payload.len().saturating_sub(8));
@@ -54,7 +54,7 @@ const fn low_iq(word: u64) -> Iq {
     Iq { i: word as i8, q: (word >> 8) as i8 }
 }
 
-/// Unpacks `N` chain pairs to bytes, a word for every three samples: the last word ends beyond the samples. `None` when a slice is too
+/// Unpacks `N` chain pairs to bytes, one word per three samples: the last word ends after the samples. `None` if a slice is too
 /// short.
 #[inline(always)]
 fn unpack_bytes_n<const N: usize>(payload: &[u8], bytes: &mut [u8]) -> Option<usize> {
@@ -69,9 +69,9 @@ fn unpack_bytes_n<const N: usize>(payload: &[u8], bytes: &mut [u8]) -> Option<us
     Some(SUBCARRIERS * N)
 }
 
-/// Unpacks and widens `N` chain pairs; `BYTES` is `60 N` and room for one word. `None` when a slice is too short.
+/// Unpacks and widens `N` chain pairs; `BYTES` is `60 N` and room for one word. `None` if a slice is too short.
 ///
-/// First to bytes, then all of them to floats, in a loop that compilers vectorise.
+/// First to bytes, then all bytes to floats, in a loop that compilers vectorise.
 #[inline(always)]
 fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
     let out = out.get_mut(..2 * SUBCARRIERS * N)?;
@@ -81,16 +81,16 @@ fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f
     Some(SUBCARRIERS * N)
 }
 
-/// Bytes of `COUNT` subcarriers in a row, the first of which begins on a byte of `payload`; every eighth one does.
+/// Bytes of `COUNT` consecutive subcarriers, the first of which begins on a byte of `payload`; every eighth one does.
 ///
-/// With both counts known the loop unrolls and all offsets and shifts are constants.
+/// With both counts known at compile time the loop unrolls, and all offsets and shifts are constants.
 #[inline(always)]
 fn unpack_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u8]) {
     for subcarrier in 0..COUNT {
         for first in (0..N).step_by(PER_WORD) {
             let word = word_at(payload, bit_of(subcarrier, first, N));
             let at = 2 * (subcarrier * N + first);
-            // An array, as a slice may be copied by a call.
+            // An array, because copying a slice may be a call.
             if let Some(place) = bytes.get_mut(at..).and_then(|rest| rest.first_chunk_mut()) {
                 *place = word.to_le_bytes();
             }
@@ -98,7 +98,7 @@ fn unpack_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u
     }
 }
 
-/// Unpacks `N` chain pairs, the samples of each beside each other. `None` when a slice is too short.
+/// Unpacks `N` chain pairs, with the samples of each adjacent. `None` if a slice is too short.
 #[inline(always)]
 fn unpack_planes_n<const N: usize>(payload: &[u8], out: &mut [[i8; 2]]) -> Option<usize> {
     let payload = payload.get(..60 * N + 12)?;
@@ -111,7 +111,7 @@ fn unpack_planes_n<const N: usize>(payload: &[u8], out: &mut [[i8; 2]]) -> Optio
     Some(SUBCARRIERS * N)
 }
 
-/// Samples of `COUNT` subcarriers in a row from `first` on, which begins on a byte of `payload`; see [`unpack_run`].
+/// Samples of `COUNT` consecutive subcarriers from `first` on, which begins on a byte of `payload`; see [`unpack_run`].
 #[inline(always)]
 fn unpack_planes_run<const N: usize, const COUNT: usize>(
     payload: &[u8],
@@ -131,7 +131,7 @@ fn unpack_planes_run<const N: usize, const COUNT: usize>(
     }
 }
 
-/// Where a sample lies in the payload: the first byte of a load, and the bits before the sample there.
+/// The place of a sample in the payload: the first byte of a load, and the bits before the sample in it.
 #[derive(Clone, Copy)]
 struct Place {
     from: u16,
@@ -139,8 +139,8 @@ struct Place {
 }
 
 impl Place {
-    /// Of sample `index` of the subcarrier that begins at `bit`, in a payload of `len` bytes. The load is moved back from the end, as in
-    /// [`word_at`].
+    /// The place of sample `index` of the subcarrier that begins at `bit`, in a payload of `len` bytes. Near the end the load starts
+    /// earlier, as in [`word_at`].
     #[inline(always)]
     const fn new(len: usize, bit: usize, index: usize) -> Self {
         let (wanted, last) = (bit / 8 + 2 * index, len.saturating_sub(LOAD));
@@ -162,7 +162,7 @@ impl Place {
     }
 }
 
-/// Where the samples of `N` chain pairs lie: of each pair every subcarrier's.
+/// The places of `N` chain pairs' samples: for each pair, every subcarrier's.
 struct Places<const N: usize>;
 
 impl<const N: usize> Places<N> {
@@ -178,13 +178,13 @@ impl<const N: usize> Places<N> {
     };
 }
 
-/// True for all subcarriers in order. An array is compared without a call.
+/// True for all subcarriers in order. Comparing an array needs no call.
 #[inline(always)]
 fn is_whole(subcarriers: &[u8]) -> bool {
     <&[u8; SUBCARRIERS]>::try_from(subcarriers).is_ok_and(|numbers| *numbers == ALL_SUBCARRIERS)
 }
 
-/// True if all numbers are those of subcarriers; eight at once, without a look at those of a whole column.
+/// True if all numbers are subcarrier indices; checks eight at once, and skips a whole column's.
 #[inline(always)]
 fn are_subcarriers(numbers: &[u8]) -> bool {
     let outside = |numbers: &[u8]| numbers.iter().fold(false, |any, &s| any | (usize::from(s) >= SUBCARRIERS));
@@ -192,7 +192,7 @@ fn are_subcarriers(numbers: &[u8]) -> bool {
     is_whole(numbers) || !eights.iter().fold(outside(rest), |any, eight| any | outside(eight))
 }
 
-/// One sample of each subcarrier asked for, of `N` chain pairs, widened.
+/// One sample of each requested subcarrier, of `N` chain pairs, widened.
 #[inline(always)]
 fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [[f32; 2]]) -> Option<()> {
     let payload = payload.get(..60 * N + 12)?;
@@ -206,7 +206,7 @@ fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8]
     let (fours, rest) = subcarriers.as_chunks::<4>();
     let (out_fours, out_rest) = out.split_at_mut(4 * fours.len());
     for (out, four) in out_fours.as_chunks_mut::<4>().0.iter_mut().zip(fours) {
-        // Put together in a register: through memory the wide load would wait for the narrow stores.
+        // Combined in a register: through memory the wide load would wait for the narrow stores.
         let word = four.iter().rev().fold(0, |word, &s| word << 16 | u64::from(u16::from_le_bytes(sample(s))));
         widen(&word.to_le_bytes(), out.as_flattened_mut());
     }
@@ -216,7 +216,7 @@ fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8]
     Some(())
 }
 
-/// One sample of every subcarrier: first gathered, so that widening vectorises.
+/// One sample of every subcarrier: gathered first, so that widening vectorises.
 #[inline(always)]
 fn column_f32_all<const N: usize>(payload: &[u8], index: usize, out: &mut [[f32; 2]; SUBCARRIERS]) -> Option<()> {
     let mut bytes = Lines([0; 2 * SUBCARRIERS + LOAD]);
@@ -230,8 +230,8 @@ fn column_f32_all<const N: usize>(payload: &[u8], index: usize, out: &mut [[f32;
     Some(())
 }
 
-/// One sample of each of `COUNT` subcarriers in a row, the first of which begins on a byte of `payload`, as every eighth one does: all
-/// offsets are constants. Each is written with what the load has behind it, which the next one is written over.
+/// One sample of each of `COUNT` consecutive subcarriers, the first of which begins on a byte of `payload`, as every eighth one
+/// does: all offsets are constants. Each is written with the rest of its load, which the next one overwrites.
 #[inline(always)]
 fn gather_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u8]) {
     for subcarrier in 0..COUNT {
@@ -242,7 +242,7 @@ fn gather_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u
     }
 }
 
-/// Bytes to floats, as many as there are of both.
+/// Bytes to floats, as many as the shorter slice has.
 #[inline(always)]
 fn widen(bytes: &[u8], out: &mut [f32]) {
     for (value, &byte) in out.iter_mut().zip(bytes) {
@@ -257,13 +257,13 @@ pub const ALL_SUBCARRIERS: [u8; SUBCARRIERS] = [
 ];
 
 impl Bfee<'_> {
-    /// Samples in the record, `30 n_rx n_tx`.
+    /// Number of samples in the record, `30 n_rx n_tx`.
     #[must_use]
     pub fn samples(&self) -> usize {
         SUBCARRIERS * self.n_rx() * self.n_tx()
     }
 
-    /// One sample, or `None` when an index is out of range.
+    /// One sample, or `None` if an index is out of range.
     #[must_use]
     pub fn iq(&self, subcarrier: usize, rx: usize, tx: usize) -> Option<Iq> {
         let inside = subcarrier < SUBCARRIERS && rx < self.n_rx() && tx < self.n_tx();
@@ -271,9 +271,9 @@ impl Bfee<'_> {
         inside.then(|| low_iq(word_at(self.payload(), bit_of(subcarrier, rx * self.n_tx() + tx, n))))
     }
 
-    /// Unpacks everything, bit by bit: slow, obvious, and the measure of the fast ways.
+    /// Unpacks everything bit by bit: slow, obvious, and the oracle of the fast ways.
     ///
-    /// Writes `[subcarrier][rx][tx]` to `out` and returns how many samples; `None` when `out` is too short.
+    /// Writes `[subcarrier][rx][tx]` to `out` and returns the number of samples; `None` if `out` is too short.
     pub fn unpack_bits(&self, out: &mut [Iq]) -> Option<usize> {
         let payload = self.payload();
         let bit = |at: usize| payload.get(at / 8).map_or(0, |byte| byte >> (at % 8) & 1);
@@ -287,7 +287,7 @@ impl Bfee<'_> {
         Some(self.samples())
     }
 
-    /// Unpacks everything by 64-bit loads, `[subcarrier][rx][tx]`; `None` when `out` is too short.
+    /// Unpacks everything with 64-bit loads, `[subcarrier][rx][tx]`; `None` if `out` is too short.
     pub fn unpack(&self, out: &mut [Iq]) -> Option<usize> {
         let n = self.n_rx() * self.n_tx();
         let out = out.get_mut(..self.samples())?;
@@ -305,9 +305,9 @@ impl Bfee<'_> {
 
     /// Unpacks everything to `f32`, re and im alternating, `[subcarrier][rx][tx][re, im]`.
     ///
-    /// Returns the number of samples (half the number of floats); `None` when `out` is too short.
+    /// Returns the number of samples (half the number of floats); `None` if `out` is too short.
     ///
-    /// Inlined, as [`Bfee::unpack_bytes`] and [`Bfee::column_f32`] are, so that who compiles for wide vectors has it in those.
+    /// Inlined, like [`Bfee::unpack_bytes`] and [`Bfee::column_f32`], so that callers compiled for wide vectors use those here.
     #[inline(always)]
     pub fn unpack_f32(&self, out: &mut [f32]) -> Option<usize> {
         let payload = self.payload();
@@ -323,8 +323,8 @@ impl Bfee<'_> {
 
     /// Unpacks everything in the order of the payload, `[subcarrier][rx][tx][i, q]`, two's complement.
     ///
-    /// Returns the number of samples (half the number of bytes); `None` when `out` has not 8 bytes more than they take. Those may be
-    /// written to.
+    /// Returns the number of samples (half the number of bytes); `None` if `out` does not have 8 more bytes than they take. Those
+    /// may be overwritten.
     #[inline(always)]
     pub fn unpack_bytes(&self, out: &mut [u8]) -> Option<usize> {
         let payload = self.payload();
@@ -338,9 +338,9 @@ impl Bfee<'_> {
         }
     }
 
-    /// Unpacks everything, one chain pair after the other, `[rx][tx][subcarrier][i, q]`: for work antenna by antenna.
+    /// Unpacks everything, one chain pair after the other, `[rx][tx][subcarrier][i, q]`, for work antenna by antenna.
     ///
-    /// Returns the number of samples; `None` when `out` is too short.
+    /// Returns the number of samples; `None` if `out` is too short.
     pub fn unpack_planes(&self, out: &mut [[i8; 2]]) -> Option<usize> {
         let payload = self.payload();
         match self.n_rx() * self.n_tx() {
@@ -353,9 +353,9 @@ impl Bfee<'_> {
         }
     }
 
-    /// Unpacks one chain pair at the subcarriers asked for, and nothing else.
+    /// Unpacks one chain pair at the requested subcarriers only.
     ///
-    /// Returns the number of samples; `None` when an index is out of range or `out` is shorter than `subcarriers`.
+    /// Returns the number of samples; `None` if an index is out of range or `out` is shorter than `subcarriers`.
     pub fn column(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [Iq]) -> Option<usize> {
         let index = self.column_index(rx, tx, subcarriers)?;
         let n = self.n_rx() * self.n_tx();
@@ -367,7 +367,7 @@ impl Bfee<'_> {
         Some(subcarriers.len())
     }
 
-    /// [`Bfee::column`] to `f32`, re and im alternating; `out` has at least two floats for each subcarrier.
+    /// [`Bfee::column`] to `f32`, re and im alternating; `out` needs at least two floats per subcarrier.
     #[inline(always)]
     pub fn column_f32(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [f32]) -> Option<usize> {
         let index = self.column_index(rx, tx, subcarriers)?;
@@ -384,9 +384,9 @@ impl Bfee<'_> {
         Some(subcarriers.len())
     }
 
-    /// True when the bits that carry no CSI are all 0, as the firmware writes them.
+    /// True if the bits that carry no CSI are all 0, as the firmware writes them.
     ///
-    /// 96 bits in all, spread over the payload: bytes lost or put in before them show here.
+    /// 96 bits in all, spread over the payload: they show bytes lost or inserted before them.
     #[must_use]
     pub fn gaps_are_clear(&self) -> bool {
         let n = self.n_rx() * self.n_tx();
@@ -394,7 +394,7 @@ impl Bfee<'_> {
         gaps | word_at(self.payload(), bit_of(SUBCARRIERS, 0, n) - GAP) == 0
     }
 
-    /// Position of a chain pair among the samples of a subcarrier, if it and all `subcarriers` are in range.
+    /// Position of a chain pair among a subcarrier's samples, if it and all `subcarriers` are in range.
     #[inline]
     fn column_index(&self, rx: usize, tx: usize, subcarriers: &[u8]) -> Option<usize> {
         let inside = rx < self.n_rx() && tx < self.n_tx() && are_subcarriers(subcarriers);

@@ -14,7 +14,7 @@ impl<T: AsRef<[u8]>> Packet<T> {
     /// Checks version, length and presence words. Fields are checked by [`Repr::parse`].
     ///
     /// # Errors
-    /// [`Error`], saying which check failed.
+    /// [`Error`] with the failed check.
     pub fn new_checked(buffer: T) -> Result<Self, Error> {
         let bytes = buffer.as_ref();
         let cut = |expect| Error::Length { expect, got: bytes.len() };
@@ -81,21 +81,20 @@ fn fields_start(header: &[u8]) -> Result<usize, Error> {
     }
 }
 
-/// Who defines the bits of a presence word.
+/// The owner of a presence word's bits.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Namespace {
     /// Radiotap's own table, from bit 0.
     Radiotap,
     /// Radiotap's table beyond bit 31, where nothing is defined: the sizes are unknown.
     Beyond,
-    /// A vendor's; its fields were skipped as a whole.
+    /// A vendor's; its fields are skipped together.
     Vendor,
 }
 
-/// Calls `each` with bit number and bytes of every field of the radiotap namespace.
+/// Calls `each` with the bit number and bytes of every field of the radiotap namespace.
 ///
-/// As in Linux (`ieee80211_radiotap_iterator_next`), a field of unknown size ends the walk: nothing after it can be
-/// found.
+/// As in Linux (`ieee80211_radiotap_iterator_next`), a field of unknown size ends the walk: nothing after it can be located.
 pub(super) fn walk(header: &[u8], mut each: impl FnMut(u32, &[u8])) -> Result<(), Error> {
     let mut at = fields_start(header)?;
     let mut namespace = Namespace::Radiotap;

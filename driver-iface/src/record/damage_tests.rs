@@ -1,4 +1,4 @@
-//! Damage that looks like records, and records in places where damage hides them.
+//! Damage that looks like records, and records hidden by damage.
 
 use super::tests::{bfee_record, framed, in_chunks, mpdu_record, records};
 use super::*;
@@ -6,7 +6,7 @@ use crate::bfee::{self, Iq};
 use std::vec;
 use std::vec::Vec;
 
-/// The stretches of a stream that are no record: where, how long, why.
+/// The damaged stretches of a stream: offset, length, reason.
 fn damage(bytes: &[u8]) -> Vec<(u64, usize, Reason)> {
     let bad = events(bytes).filter_map(|step| match step {
         Step::Bad { offset, skipped, reason } => Some((offset, skipped, reason)),
@@ -16,19 +16,19 @@ fn damage(bytes: &[u8]) -> Vec<(u64, usize, Reason)> {
 }
 
 #[test]
-fn a_record_that_nothing_follows_is_named_by_its_code() {
+fn an_unfollowed_record_is_reported_with_its_code() {
     let good = [bfee_record(1, 3, 1, true), bfee_record(2, 3, 1, true)];
     let stream = [framed(0x42, &[0; 10]), vec![0; 7], good.concat()].concat();
     assert_eq!(damage(&stream), [(0, 20, Reason::NotFollowed { code: 0x42, expect: 13 })]);
     assert!(records(&stream) == good);
-    // Nor does the stream's end speak for half of one.
+    // The stream's end does not vouch for half a record either.
     let half = [good.concat(), framed(0x42, &[0; 10])[..9].to_vec()].concat();
     assert_eq!(damage(&half), [(466, 9, Reason::NotFollowed { code: 0x42, expect: 13 })]);
 }
 
 #[test]
-fn frames_with_wrong_checksums_are_refused_however_many_came_before() {
-    // 120 KB of them, each behind foreign bytes and before a bfee: only its checksum speaks against it.
+fn any_number_of_frames_with_wrong_checksums_is_refused() {
+    // 120 KB of them, each after foreign bytes and before a bfee: only the checksum shows that it is damaged.
     let mut wrong = mpdu_record(3, 3000);
     *wrong.last_mut().unwrap() ^= 1;
     let round = |k: u8| [bfee_record(k, 3, 1, true), vec![0xff; 5], wrong.clone(), bfee_record(k + 100, 3, 1, true)];
@@ -38,16 +38,16 @@ fn frames_with_wrong_checksums_are_refused_however_many_came_before() {
 }
 
 #[test]
-fn records_of_an_unknown_code_that_is_their_length_too_are_kept() {
+fn records_whose_unknown_code_equals_their_length_are_kept() {
     for length in [0x42_u8, 0x13] {
         let log = vec![framed(length, &vec![7; usize::from(length) - 1]); 20];
         assert!(records(&log.concat()) == log, "{length}");
     }
 }
 
-/// Part of a bfee is lost, and where its length ends, inside the next, bytes happen to lead to the one behind that.
+/// Part of a bfee is lost, and the bytes where its length ends, inside the next record, happen to lead to the one after that.
 #[test]
-fn what_follows_by_chance_hides_no_record() {
+fn a_chance_successor_hides_no_record() {
     let [cut, mut hidden, last] = [1, 2, 3].map(|k| bfee_record(k, 3, 1, true));
     let kept = 133;
     let lands = cut.len() - kept;
@@ -58,9 +58,9 @@ fn what_follows_by_chance_hides_no_record() {
     assert!(records(&stream) == [hidden, last]);
 }
 
-/// As many bytes of a frame are lost as the bfee behind it has: where its length ends, a record begins.
+/// A frame loses as many bytes as the following bfee has: where its length ends, a record begins.
 #[test]
-fn a_bfee_that_took_the_place_of_a_frames_end_is_found() {
+fn a_bfee_in_place_of_a_frames_end_is_found() {
     for (n_rx, n_tx, wsr) in [(1, 1, false), (3, 1, true), (2, 3, false), (3, 3, false), (3, 3, true)] {
         let [first, hidden, last] = [1, 2, 3].map(|k| bfee_record(k, n_rx, n_tx, wsr));
         let frame = mpdu_record(4, 900);
@@ -73,7 +73,7 @@ fn a_bfee_that_took_the_place_of_a_frames_end_is_found() {
 }
 
 #[test]
-fn a_record_behind_more_damage_than_one_look_takes_is_found() {
+fn a_record_after_long_damage_is_found() {
     for foreign in [16_380, 20_000, 33_000, 50_000] {
         let log = [bfee_record(1, 3, 1, true), bfee_record(2, 2, 2, false)];
         let stream = [vec![0; foreign], log.concat()].concat();
@@ -82,10 +82,10 @@ fn a_record_behind_more_damage_than_one_look_takes_is_found() {
     }
 }
 
-/// The last four bytes of a frame are lost. The bfee behind it has numbers that read as a noise record where the
-/// frame would have ended: with no more bytes than that, nothing can be said yet.
+/// The last four bytes of a frame are lost. The following bfee has numbers that look like a noise record at the frame's expected
+/// end: with only these bytes, nothing can be decided yet.
 #[test]
-fn a_record_that_begins_in_the_last_bytes_of_another_is_waited_for() {
+fn the_framer_waits_for_a_record_that_begins_in_the_last_bytes() {
     let noise = framed(code::NOISE, &(-92_i32).to_le_bytes());
     let repr = bfee::Repr {
         timestamp_low: u32::from_le_bytes([0, noise[0], noise[1], noise[2]]),
@@ -109,10 +109,10 @@ fn a_record_that_begins_in_the_last_bytes_of_another_is_waited_for() {
     }
 }
 
-/// Each byte that comes has the same front judged again. Its checksum is paid for once: with the credit used up, the frame with a bad
-/// one further on would count as unchecked, and be believed.
+/// Each new byte has the same front judged again. Its checksum is computed once: with the credit used up, a later frame with a bad
+/// checksum would count as unchecked and be accepted.
 #[test]
-fn a_frame_in_doubt_is_checked_once_however_its_bytes_come() {
+fn a_doubtful_frame_is_checked_once_in_any_chunks() {
     let mut wrong = mpdu_record(4, 60);
     *wrong.last_mut().unwrap() ^= 1;
     let good = [bfee_record(1, 3, 1, true), bfee_record(2, 3, 1, true)].concat();

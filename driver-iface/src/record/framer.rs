@@ -1,30 +1,30 @@
-//! The sans-IO reader of a record stream: a state machine of three states, [`State`].
+//! The sans-IO reader of a record stream: a state machine with the states of [`State`].
 //!
-//! Each [`Framer::step`] classes the bytes at the front by their head ([`Front`]), asks for the evidence that this class
-//! needs, and reaches one [`Verdict`]. The questions, in order; the first that is answered decides:
+//! Each [`Framer::step`] classifies the bytes at the front by their head ([`Front`]), collects the evidence that this class
+//! needs, and reaches one [`Verdict`]. The questions in order; the first one answered with yes decides:
 //!
 //! | front | question | verdict |
 //! |---|---|---|
 //! | `Nothing` | is the stream over? | `End(Clean)`, else `Wait` |
 //! | `Partial`, stream not over | | `Wait` |
 //! | `Partial`, stream over | does a record begin inside? | `Skip` to it |
-//! | | is the code unknown, its length read? | `Skip` all: nothing says that it is a record |
+//! | | is the code unknown, its length read? | `Skip` all: nothing shows that it is a record |
 //! | | | `End(Cut)` |
 //! | `Damage` | | `Seek` |
-//! | `Sure` | is what follows sure too? | `Take`, state `Vouched` |
-//! | | is the next but one sure, and what is between has evidence? | `Take`, state `Followed` |
+//! | `Sure` | is the next record sure, too? | `Take`, state `Vouched` |
+//! | | is the next but one sure, and has the one between evidence? | `Take`, state `Followed` |
 //! | | do records follow that vouch for it? | `Take` |
 //! | | does a record begin inside? | `Skip` to it |
-//! | | are a bfee's unused bits zero? | `Take`, else `Seek` behind it |
-//! | `Followed` | does none that is sure begin inside? | `Take`, state `Vouched` |
-//! | | is it an MPDU with a good checksum? | `Take`, else `Seek` |
-//! | `Doubtful` | is what follows sure? | as `Followed` |
-//! | | do records follow, and does none that is sure begin inside? | `Take` |
-//! | | is it an MPDU with a good checksum? | `Take`, else `Seek` |
+//! | | are a bfee's unused bits zero? | `Take`, else `Seek` after it |
+//! | `Followed` | does no sure record begin inside? | `Take`, state `Vouched` |
+//! | | is it an MPDU with a correct checksum? | `Take`, else `Seek` |
+//! | `Doubtful` | is the next record sure? | as `Followed` |
+//! | | do records follow, and does no sure one begin inside? | `Take` |
+//! | | is it an MPDU with a correct checksum? | `Take`, else `Seek` |
 //!
-//! Any question that needs bytes which are not there yet gives `Wait`. `Seek` looks for the next record in at most
-//! [`SEARCH`] positions: found, it is a `Skip` to it; not found, a `Skip` of all of them, state `Lost`. In state `Lost`
-//! the front is `Damage` from its first byte on; a record found right there ends that state.
+//! A question that needs bytes beyond the buffer gives `Wait`. `Seek` searches at most [`SEARCH`] positions for the next record:
+//! if it is found, the verdict is a `Skip` to it; if not, a `Skip` of all of them, state `Lost`. In state `Lost` the front is
+//! `Damage` from its first byte on; a record found right there ends that state.
 
 mod evidence;
 mod usual;
@@ -41,30 +41,30 @@ pub const LOOKAHEAD: usize = 72 * 1024;
 /// Positions searched before a stretch of damage is reported in parts.
 const SEARCH: usize = 16 * 1024;
 
-// The furthest byte looked at: the head of the last link after a candidate at the end of a search behind a bfee.
+// The furthest byte needed: the head of the last link after a candidate at the end of a search after a bfee.
 const _: () = assert!(LENGTH_FIELD + 1 + MAX_BODY + SEARCH + MAX_LINKS * (LENGTH_FIELD + MAX_LENGTH) + 23 <= LOOKAHEAD);
 
-/// What the front of the buffer is.
+/// The front of the buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step<'a> {
     /// A record.
     Record {
-        /// Where it begins in the stream, bytes.
+        /// Its offset in the stream, bytes.
         offset: u64,
         /// Bytes to consume, length field included.
         used: usize,
         /// The record.
         record: Record<'a>,
     },
-    /// More bytes are needed, behind those offered; [`LOOKAHEAD`] of them are always enough.
+    /// More bytes are needed after those offered; [`LOOKAHEAD`] of them are always enough.
     Incomplete,
-    /// Bytes that are no record.
+    /// Damaged bytes.
     Bad {
-        /// Where they begin in the stream, bytes.
+        /// Their offset in the stream, bytes.
         offset: u64,
         /// Bytes to consume.
         skipped: usize,
-        /// Why; [`Reason::StillLost`] continues the step before.
+        /// Why; [`Reason::StillLost`] continues the previous step.
         reason: Reason,
     },
     /// The stream is over; the rest of the buffer, if any, is the tail.
@@ -76,19 +76,19 @@ pub enum Step<'a> {
 pub enum Tail {
     /// Nothing is left over.
     Clean,
-    /// In the middle of a record: the normal end of a log whose logger was killed.
+    /// Inside a record: the normal end of a log whose logger was killed.
     Cut {
-        /// Where the last record begins in the stream, bytes.
+        /// Offset of the last record in the stream, bytes.
         offset: u64,
-        /// Bytes of it that are there.
+        /// Bytes of it that exist.
         bytes: u64,
-        /// Bytes that it should have, length field included; `None` when not even that can be read.
+        /// Its full length, length field included; `None` if not even that can be read.
         expected: Option<u64>,
     },
 }
 
 impl Tail {
-    /// True when the stream was cut at a multiple of 4096 bytes: the logger was killed before it flushed its buffer.
+    /// True if the stream was cut at a multiple of 4096 bytes: the logger was killed before it flushed its buffer.
     #[must_use]
     pub fn is_unflushed_buffer(&self) -> bool {
         match *self {
@@ -100,15 +100,14 @@ impl Tail {
 
 /// Walks a stream of records; owns no buffer.
 ///
-/// Offer the bytes not yet consumed to [`Framer::step`], then drop as many from the front as it returns (`used`,
-/// `skipped`). The same bytes give the same steps, whatever the chunks. Work is linear in the bytes; look-ahead is
-/// bounded by [`LOOKAHEAD`].
+/// Offer the unconsumed bytes to [`Framer::step`], then drop as many from the front as it returns (`used`, `skipped`). The same
+/// bytes give the same steps, whatever the chunks. Work is linear in the bytes; look-ahead is bounded by [`LOOKAHEAD`].
 ///
-/// A record is accepted when its own contents are consistent (a bfee whose lengths obey the formula, a noise value, an
-/// MPDU with a good checksum) or when such a record, or the stream's end, follows where its length says. A bfee or MPDU
-/// without such a follower is searched for the head of another record: if there is one inside, bytes are missing from
-/// the first, which is discarded. So one lost or 100 foreign bytes cost only the record that contains them. Records of
-/// unknown codes are legal; right after damage one is accepted only if its code was met before.
+/// A record is accepted if its own contents are consistent (a bfee whose lengths match, a noise value, an MPDU with a correct
+/// checksum), or if such a record or the stream's end follows where its length says. Otherwise a bfee or MPDU is searched for the
+/// head of another record. If there is one inside, bytes are missing from the first, which is discarded: one lost byte, or 100
+/// foreign ones, cost only the record that contains them. Records of unknown codes are legal; right after damage one is accepted
+/// only if its code was met before.
 #[derive(Clone, Debug)]
 pub struct Framer {
     offset: u64,
@@ -116,19 +115,19 @@ pub struct Framer {
     /// Codes of accepted records.
     seen: Codes,
     known: Known,
-    /// Bytes that checksums may still be taken of; see [`CREDIT`].
+    /// Bytes whose checksum may still be computed; see [`CREDIT`].
     credit: usize,
     usual: Usual,
 }
 
-/// What is known about the present front.
+/// What is known about the current front.
 #[derive(Clone, Copy, Debug, Default)]
 struct Known {
-    /// Positions that begin no record.
+    /// Positions at which no record begins.
     searched: usize,
-    /// Positions that begin none that vouches for itself.
+    /// Positions at which no record begins that vouches for itself.
     searched_sure: usize,
-    /// Whether its checksum is right, once it was asked for.
+    /// Whether its checksum is correct, once computed.
     is_right: Option<bool>,
 }
 
@@ -143,42 +142,42 @@ type Len = u16;
 
 const _: () = assert!(LENGTH_FIELD + MAX_LENGTH <= Len::MAX as usize);
 
-/// What the step before knows of the bytes at the front.
+/// What the previous step knows of the bytes at the front.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     /// Nothing.
     Fresh,
     /// A record of `len` bytes that vouches for itself.
     Vouched { len: Len },
-    /// A record of `len` bytes that does not, and behind it one of `next` bytes that does.
+    /// A record of `len` bytes that does not, followed by one of `next` bytes that does.
     Followed { len: Len, next: Len },
     /// They follow damage in which no record was found.
     Lost,
 }
 
-/// The bytes at the front by their head.
+/// The class of the bytes at the front, by their head.
 enum Front {
     /// None.
     Nothing,
-    /// A part of a record; `expected` bytes where its length can be read.
+    /// A part of a record; `expected` bytes, if its length can be read.
     Partial { expected: Option<usize> },
-    /// No record; one may begin `from` bytes on.
+    /// No record; the next may begin `from` bytes on.
     Damage { from: usize, reason: Reason },
-    /// A whole record that vouches for itself.
+    /// A complete record that vouches for itself.
     Sure { len: usize },
-    /// A whole record by its length, with `bits` of evidence.
+    /// A complete record by its length, with `bits` of evidence.
     Doubtful { len: usize, bits: u32 },
-    /// A whole record by its length, and one of `next` bytes that vouches for itself behind it.
+    /// A complete record by its length, followed by one of `next` bytes that vouches for itself.
     Followed { len: usize, next: Len },
 }
 
 /// What to do with the front.
 enum Verdict {
-    /// It is a record of `len` bytes; `next` is known of what follows.
+    /// It is a record of `len` bytes; `next` is known of the following bytes.
     Take { len: usize, next: State },
-    /// The first `len` bytes are none; `next` is known of what follows.
+    /// The first `len` bytes are damage; `next` is known of the following bytes.
     Skip { len: usize, reason: Reason, next: State },
-    /// The first `from` bytes are none: find out where the next record begins.
+    /// The first `from` bytes are damage: find the next record.
     Seek { from: usize, reason: Reason },
     /// More bytes are needed.
     Wait,
@@ -191,7 +190,7 @@ impl Verdict {
         Self::Take { len, next: State::Fresh }
     }
 
-    /// Skips to a record that was found at `next`.
+    /// Skips to a record found at `next`.
     fn skip_to(next: usize, reason: Reason) -> Self {
         Self::Skip { len: next, reason, next: State::Fresh }
     }
@@ -218,7 +217,7 @@ impl Framer {
             let offset = self.consume(len, next);
             return Step::Record { offset, used: len, record };
         }
-        // Put together anew: what comes back by memory would have the step above go there too.
+        // Rebuilt here: if the value came back through memory, the step above would use memory, too.
         match self.step_in_doubt(front, end) {
             Step::Record { offset, used, record } => Step::Record { offset, used, record },
             Step::Bad { offset, skipped, reason } => Step::Bad { offset, skipped, reason },
@@ -227,7 +226,7 @@ impl Framer {
         }
     }
 
-    /// A step that asks for more than what a good log shows.
+    /// A step that needs more than an intact log's rows.
     #[cold]
     #[inline(never)]
     fn step_in_doubt<'a>(&mut self, front: &'a [u8], end: bool) -> Step<'a> {
@@ -235,9 +234,9 @@ impl Framer {
         self.settle(front, end, verdict)
     }
 
-    /// The rows of the table that a good log keeps to: its records are `Vouched` and `Followed` in turns, or `Vouched` all, and as usual.
-    /// The record at the front, its length and what is known about what follows, in registers; `None` leaves it to [`Self::judge`].
-    /// Its code is one that is known anyhow.
+    /// The rows of the table for intact logs: records are alternately `Vouched` and `Followed`, or all `Vouched`, and as usual.
+    /// Returns the record at the front, its length and what is known about the following bytes, in registers; `None` leaves it to
+    /// [`Self::judge`]. The record's code is known anyway.
     #[inline(always)]
     fn go_on<'a>(&self, front: &'a [u8]) -> Option<(Record<'a>, usize, State)> {
         let (len, next) = match self.state {
@@ -248,26 +247,26 @@ impl Framer {
         Some((Record::from_message(front.get(LENGTH_FIELD..len)?)?, len, next))
     }
 
-    /// What is known about the `rest` behind a record that vouches for itself, if that is enough to take it.
+    /// What is known about the `rest` after a record that vouches for itself, if that is enough to accept it.
     fn behind_sure(&mut self, rest: &[u8]) -> Option<State> {
         let state = self.look_behind_sure(rest)?;
         self.usual.learn(rest, state);
         Some(state)
     }
 
-    /// [`Self::behind_sure`], by the whole heads.
+    /// [`Self::behind_sure`], by the complete heads.
     #[inline(always)]
     fn look_behind_sure(&self, rest: &[u8]) -> Option<State> {
         if let Some(next) = sure(rest) {
             return Some(State::Vouched { len: next as Len });
         }
-        // A copy of a frame, say, before its bfee: what `chain` finds, for the two records behind it as well.
+        // For example a copy of a frame before its bfee: what `chain` would find, but for both following records.
         let between = likely(rest, &self.seen)?;
         let next = sure(rest.get(between..)?)?;
         Some(State::Followed { len: between as Len, next: next as Len })
     }
 
-    /// Carries a verdict out, after the search that a `Seek` asks for.
+    /// Carries out a verdict, after the search of a `Seek`.
     #[inline(never)]
     fn settle<'a>(&mut self, front: &'a [u8], end: bool, verdict: Verdict) -> Step<'a> {
         match verdict {
@@ -285,7 +284,7 @@ impl Framer {
     /// The verdict after a search from position `from` on.
     fn seek(&mut self, front: &[u8], end: bool, from: usize, reason: Reason) -> Verdict {
         match self.search(front, end, from, from + SEARCH) {
-            // In state `Lost` only: the front is judged again, as a record.
+            // Only in state `Lost`: the front is judged again, as a record.
             Found::At(0) => {
                 self.state = State::Fresh;
                 self.judge(front, end)
@@ -339,7 +338,7 @@ impl Framer {
         self.judge_sure_alone(front, end, len)
     }
 
-    /// A record that vouches for itself and is not followed by one that does.
+    /// A record that vouches for itself and whose successor does not.
     #[inline(never)]
     fn judge_sure_alone(&mut self, front: &[u8], end: bool, len: usize) -> Verdict {
         match self.chain(front, end, len, 0, Links::Known) {
@@ -355,7 +354,7 @@ impl Framer {
         }
     }
 
-    /// A record that needs a witness: what follows it, or an MPDU's checksum.
+    /// A record that needs a witness: its successors, or an MPDU's checksum.
     #[inline(never)]
     fn judge_doubtful(&mut self, front: &[u8], end: bool, len: usize, bits: u32) -> Verdict {
         if let Some(next) = front.get(len..).and_then(sure) {
@@ -368,7 +367,7 @@ impl Framer {
         }
     }
 
-    /// A record with a witness behind it, unless one that vouches for itself begins inside; `next` is known of what follows.
+    /// A record with a witness after it, unless one that vouches for itself begins inside; `next` is known of the following bytes.
     #[inline(always)]
     fn judge_followed(&mut self, front: &[u8], end: bool, len: usize, next: State) -> Verdict {
         if is_plain(front, len) {
@@ -390,7 +389,7 @@ impl Framer {
         if is_right { Verdict::take(len) } else { Verdict::Seek { from: 1, reason } }
     }
 
-    /// The stream ends inside the record at the front, or in what looks like one.
+    /// The stream ends inside the record at the front, or inside what looks like one.
     fn judge_tail(&mut self, front: &[u8], expected: Option<usize>) -> Verdict {
         if let Found::At(next) = self.search(front, true, 1, front.len()) {
             return Verdict::skip_to(next, Reason::Overlapped { expect: expected.unwrap_or(next), got: next });
@@ -411,7 +410,7 @@ impl Framer {
         Step::Record { offset, used: len, record }
     }
 
-    /// Moves on; returns where the consumed bytes began.
+    /// Moves on; returns the offset of the consumed bytes.
     #[inline(always)]
     fn consume(&mut self, bytes: usize, next: State) -> u64 {
         let offset = self.offset;
@@ -430,7 +429,7 @@ fn code_of(front: &[u8]) -> u8 {
     front.get(LENGTH_FIELD).copied().unwrap_or(0)
 }
 
-/// All steps over bytes that are wholly in memory, the last of them [`Step::End`].
+/// All steps over bytes that are completely in memory; the last one is [`Step::End`].
 pub fn events(bytes: &[u8]) -> impl Iterator<Item = Step<'_>> {
     let mut framer = Framer::new();
     let mut rest = Some(bytes);

@@ -1,4 +1,4 @@
-//! What three to twenty-three bytes say about being the head of a record.
+//! Evidence in three to twenty-three bytes that they are the head of a record.
 
 use core::fmt;
 
@@ -14,7 +14,7 @@ pub enum Reason {
     ImpossibleLength {
         /// As read.
         got: usize,
-        /// The largest possible, [`MAX_LENGTH`].
+        /// The largest possible one, [`MAX_LENGTH`].
         max: usize,
     },
     /// Code 0xBB with a length shorter than that of any bfee.
@@ -24,26 +24,26 @@ pub enum Reason {
     },
     /// A bfee whose header contradicts itself or the record's length.
     Bfee(bfee::Error),
-    /// A good head, but another record begins inside its span: bytes of this one are missing.
+    /// The head is valid, but another record begins inside its span: bytes of this one are missing.
     Overlapped {
         /// Bytes that the head announces, length field included.
         expect: usize,
         /// Bytes up to the next head.
         got: usize,
     },
-    /// A bfee with bits set where none carries CSI, and no record after it: bytes were put into it.
+    /// A bfee with set bits in the gaps and no record after it: bytes were inserted.
     GapBits,
-    /// No other record follows where its length says, and nothing else vouches for it.
+    /// No record follows where its length says, and nothing else vouches for it.
     NotFollowed {
         /// Its code.
         code: u8,
         /// Bytes that the head announces, length field included.
         expect: usize,
     },
-    /// A record whose bytes are not those that the log's side file has the checksum of
-    /// ([`Check`](crate::side_file::Check)): they were changed, or never written. Found by who reads both, not by the framer.
+    /// A record whose bytes do not match the checksum in the log's side file ([`Check`](crate::side_file::Check)): they were changed,
+    /// or never written. Reported by readers of both files, not by the framer.
     Checksum,
-    /// The damage continues from the step before: too long for one look.
+    /// The damage continues from the previous step: too long for one search.
     StillLost,
 }
 
@@ -61,35 +61,35 @@ impl fmt::Display for Reason {
             Self::NotFollowed { code, expect } => {
                 write!(f, "code {code:#04x}, {expect} bytes, and no record after it")
             }
-            Self::Checksum => write!(f, "a record with another checksum than the side file has"),
+            Self::Checksum => write!(f, "a record whose checksum differs from the side file's"),
             Self::StillLost => write!(f, "still no record"),
         }
     }
 }
 
-/// What a position looks like.
+/// The evidence at a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Head {
     /// Too few bytes to say.
     Short,
-    /// No record can begin so.
+    /// No record can begin like this.
     Bad(Reason),
     /// A record of `len` bytes, length field included.
     Good {
         /// Length field, code and body.
         len: usize,
-        /// Bits of evidence that these bytes are a record. From [`SURE`] on it is certain.
+        /// Bits of evidence that these bytes are a record; certain from [`SURE`] on.
         bits: u32,
     },
 }
 
-/// Bits of evidence that end all doubt: one chance in 10^12 for each position.
+/// Bits of evidence that count as certain: one error in 10^12 positions.
 pub(super) const SURE: u32 = 40;
 
 /// Value of the length field of the shortest bfee: stock, one chain.
 const SHORTEST_BFEE: usize = 1 + bfee::STOCK_HEADER + bfee::csi_len(1, 1);
 
-/// Bytes with which [`head`] never asks for more: length field, code, and the header of a bfee.
+/// Bytes that [`head`] needs at most: length field, code, and the header of a bfee.
 pub(super) const LONGEST_HEAD: usize = LENGTH_FIELD + 1 + bfee::STOCK_HEADER;
 
 /// The codes of records that can be sure by themselves.
@@ -98,7 +98,7 @@ pub(super) const VOUCHING_CODES: [u8; 2] = [code::BFEE, code::NOISE];
 /// The length's high byte of such records is below this.
 pub(super) const VOUCHING_LENGTHS: u8 = ((1 + bfee::MAX_BODY) / 256 + 1) as u8;
 
-/// Codes that were met in good company, a set of bytes.
+/// Codes of accepted records, a set of bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Codes([u64; 4]);
 
@@ -114,7 +114,7 @@ impl Codes {
     }
 }
 
-/// Judges the bytes at a position; `seen` are codes that this stream is known to use.
+/// Judges the bytes at a position; `seen` are codes that this stream uses.
 #[inline]
 pub(super) fn head(bytes: &[u8], seen: &Codes) -> Head {
     let &[high, low, ref rest @ ..] = bytes else { return Head::Short };
@@ -138,7 +138,7 @@ pub(super) fn head(bytes: &[u8], seen: &Codes) -> Head {
     bits.map_or(Head::Short, |bits| Head::Good { len, bits })
 }
 
-/// Length of the record at the front where [`head`] is sure of it, without the reasons of those that are none.
+/// Length of the record at the front if [`head`] is sure of it, without the reasons for damage.
 #[inline(always)]
 pub(super) fn sure(bytes: &[u8]) -> Option<usize> {
     let &[high, low, code, ref body @ ..] = bytes else { return None };
@@ -151,7 +151,7 @@ pub(super) fn sure(bytes: &[u8]) -> Option<usize> {
     is_sure.then_some(LENGTH_FIELD + length)
 }
 
-/// Length of the record at the front where [`head`] has evidence for it, less than it needs to be sure.
+/// Length of the record at the front if [`head`] has evidence for it but is not sure.
 #[inline(always)]
 pub(super) fn likely(bytes: &[u8], seen: &Codes) -> Option<usize> {
     if let &[high, low, code::MPDU, ref body @ ..] = bytes {
@@ -164,10 +164,10 @@ pub(super) fn likely(bytes: &[u8], seen: &Codes) -> Option<usize> {
     }
 }
 
-/// Bits of evidence of a bfee that is longer than its CSI: numbers of chains, and a length of CSI that is theirs.
+/// Bits of evidence of a bfee that is longer than its CSI: numbers of chains, and the matching CSI length.
 const LONGER_BFEE: u32 = 28;
 
-/// A bfee says so much about itself that nothing else looks like one; one that continues behind its CSI needs a witness.
+/// A bfee's fields are so redundant that nothing else looks like one; a bfee that continues after its CSI needs a witness.
 #[inline]
 fn bfee_head(body: &[u8], length: usize) -> Head {
     let checked = body.first_chunk().map(|header| bfee::check(header, length - 1));

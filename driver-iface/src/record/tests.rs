@@ -88,7 +88,7 @@ fn without(log: &[Vec<u8>], at: usize) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn records_that_go_on_behind_their_csi_are_records() {
+fn records_that_continue_after_their_csi_are_accepted() {
     let padded = |seed, behind: usize| {
         let record = bfee_record(seed, 3, 1, seed % 2 == 0);
         framed(code::BFEE, &[&record[3..], &vec![0; behind]].concat())
@@ -102,7 +102,7 @@ fn records_that_go_on_behind_their_csi_are_records() {
             let Step::Record { record, .. } = step else { panic!("{step:?}") };
             assert_eq!(bfee::Bfee::new_checked(record.body).unwrap().behind_csi().len(), behind);
         }
-        // A length field that is wrong is not believed for it.
+        // A wrong length field does not count as such a continuation.
         let mut damaged = (0..9).flat_map(|seed| bfee_record(seed, 3, 1, true)).collect::<Vec<u8>>();
         damaged[1] += behind as u8;
         let found = events(&damaged).filter(|step| matches!(step, Step::Record { .. })).count();
@@ -111,7 +111,7 @@ fn records_that_go_on_behind_their_csi_are_records() {
 }
 
 #[test]
-fn whole_records_end_where_their_lengths_say() {
+fn complete_records_end_at_their_lengths() {
     let bytes = [0, 2, 0xBB, 1, 0, 1, 0xC1, 0, 3, 1, 2, 3];
     let all: Vec<_> = (0..=bytes.len()).map(|upto| whole_records(&bytes, upto)).collect();
     assert_eq!(all[3], (0, 0));
@@ -144,7 +144,7 @@ fn records_of_unknown_codes_are_kept() {
 }
 
 #[test]
-fn one_byte_less_costs_the_record_it_was_in_and_one_more_at_most() {
+fn a_lost_byte_costs_its_record_and_at_most_one_more() {
     for (which, log) in logs().iter().enumerate() {
         let whole = log.concat();
         let last = whole.len() - log.last().unwrap().len();
@@ -156,14 +156,14 @@ fn one_byte_less_costs_the_record_it_was_in_and_one_more_at_most() {
             lost += missing;
             assert!(missing <= 1, "log {which}, byte {at}: {missing} intact records lost");
         }
-        // Only a record of unknown code right after the damage may go with it.
+        // Only a record of unknown code right after the damage may be lost with it.
         let allowed = if which == 4 { last / 2 } else { 0 };
         assert!(lost <= allowed, "log {which}: {lost} intact records lost over all {last} cuts");
     }
 }
 
 #[test]
-fn garbage_anywhere_costs_the_record_it_is_in_and_one_more_at_most() {
+fn garbage_costs_its_record_and_at_most_one_more() {
     let mut state = 7_u32;
     let mut next = move || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -246,7 +246,7 @@ fn damage_has_a_reason_with_numbers() {
 }
 
 #[test]
-fn what_is_no_log_yields_no_record() {
+fn other_files_yield_no_record() {
     let text = "It was a bright cold day in April, and the clocks were striking thirteen.\n".repeat(3000);
     let same = |byte: u8| vec![byte; 100_000];
     for bytes in [text.as_bytes(), b"hi\n", b"x", &same(0), &same(0x41), &same(0xff), &same(b'\n')] {
@@ -277,7 +277,7 @@ fn random_bytes_yield_no_record() {
     assert!(records(&bytes).is_empty());
 }
 
-/// The steps when the stream arrives in chunks of the sizes given, over and over.
+/// The steps if the stream arrives in chunks of the given sizes, repeated.
 pub(super) fn in_chunks(bytes: &[u8], sizes: &[usize]) -> Vec<(u64, usize, Option<Reason>)> {
     let (mut framer, mut steps) = (Framer::new(), Vec::new());
     let (mut from, mut to) = (0, 0);
@@ -346,7 +346,7 @@ proptest! {
 }
 
 proptest! {
-    /// The search for a record inside another looks at these codes only.
+    /// The search for a record inside another tries only these codes.
     #[test]
     fn only_vouching_codes_vouch_for_themselves(mut bytes in vec(any::<u8>(), 23..80), code in any::<u8>(), length in 1_u16..700) {
         bytes[..2].copy_from_slice(&length.to_be_bytes());
@@ -358,7 +358,7 @@ proptest! {
     }
 }
 
-/// Every number of foreign bytes before a record costs these bytes and no record.
+/// Any number of foreign bytes before a record costs these bytes and no record.
 #[test]
 fn foreign_bytes_before_a_record_cost_no_record() {
     for foreign in 0..40 {
@@ -375,13 +375,13 @@ fn foreign_bytes_before_a_record_cost_no_record() {
 }
 
 #[test]
-fn frames_of_a_version_and_type_that_exist_are_evidence() {
+fn existing_frame_versions_and_types_are_evidence() {
     use super::head::{Codes, Head, head};
     let bits = |control: u8, length: u8| match head(&[0, length, code::MPDU, control], &Codes::default()) {
         Head::Good { bits, .. } => bits,
         other => panic!("{other:?}"),
     };
-    // Management, control and data of version 0, of any subtype; type 3 and other versions are none.
+    // Management, control and data of version 0, of any subtype; not type 3 or other versions.
     for (control, plausible) in
         [(0x00, true), (0xd4, true), (0x08, true), (0x88, true), (0x0c, false), (0x09, false), (0x02, false)]
     {
@@ -392,17 +392,17 @@ fn frames_of_a_version_and_type_that_exist_are_evidence() {
 }
 
 #[test]
-fn a_code_and_a_length_are_evidence_where_the_card_has_them() {
+fn known_codes_and_lengths_are_evidence() {
     use super::head::{Codes, Head, SURE, head, likely, sure};
     let bits = |seen: &Codes, bytes: &[u8]| match head(bytes, seen) {
         Head::Good { len, bits } => (len, bits),
         other => panic!("{other:?}"),
     };
     let none = Codes::default();
-    // Reports of an aggregated transmission have nine bytes; of another length the code is all.
+    // Reports of an aggregated transmission have nine bytes; with another length only the code counts.
     assert_eq!(bits(&none, &[0, 9, code::TX_BLOCK_AGG]), (11, 24));
     assert_eq!([8, 10].map(|length| bits(&none, &[0, length, code::TX_BLOCK_AGG]).1), [8, 8]);
-    // A code that nobody knows, until it was met in this log.
+    // An unknown code, until it was met in this log.
     let mut seen = Codes::default();
     seen.insert(0x42);
     assert_eq!([bits(&none, &[1, 2, 0x42]), bits(&seen, &[1, 2, 0x42])], [(0x104, 0), (0x104, 8)]);

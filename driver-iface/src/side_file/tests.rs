@@ -19,16 +19,16 @@ fn parsed(file: &[u8]) -> (Layout, Vec<Entry>) {
 }
 
 #[test]
-fn layouts_are_told_apart_by_the_first_entries() {
+fn the_first_entries_distinguish_layouts() {
     let narrow: Vec<u8> = [1_700_000_000_u32, 250_000, 1_700_000_000, 260_000].map(u32::to_le_bytes).concat();
     assert_eq!(Layout::of(&narrow), Layout::Narrow);
     assert_eq!(Layout::of(&narrow[..8]), Layout::Narrow);
     let wide: Vec<u8> = [1_700_000_000_i64, 250_000].map(i64::to_le_bytes).concat();
     assert_eq!(Layout::of(&wide), Layout::Wide);
-    // The first record came on a whole second.
+    // The first record was received at a whole second.
     let even: Vec<u8> = [1_700_000_000_u32, 0, 1_700_000_000, 10_000].map(u32::to_le_bytes).concat();
     assert_eq!(Layout::of(&even), Layout::Narrow);
-    // Microseconds of a second are none.
+    // A microsecond field of a second is invalid.
     let second: Vec<u8> = [1_700_000_000_i64, 1_000_000].map(i64::to_le_bytes).concat();
     assert_eq!(Layout::of(&second), Layout::Narrow);
     for high in [4, 7, 12, 15] {
@@ -36,7 +36,7 @@ fn layouts_are_told_apart_by_the_first_entries() {
         other[high] = 1;
         assert_eq!(Layout::of(&other), Layout::Narrow, "byte {high}");
     }
-    // First times that are not known: zeros in either layout.
+    // Unknown first times: zeros in either layout.
     for unknown in 1..6 {
         assert_eq!(Layout::of(&[&[0; 16].repeat(unknown)[..], &wide].concat()), Layout::Wide, "{unknown}");
         assert_eq!(Layout::of(&[&[0; 8].repeat(unknown)[..], &narrow].concat()), Layout::Narrow, "{unknown}");
@@ -53,7 +53,7 @@ fn layouts_are_told_apart_by_the_first_entries() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused() {
+fn values_that_do_not_fit_are_refused() {
     let mut out = [0; 16];
     let (us, late) = (Entry::from(Some(1)), Entry::from(Some((i64::from(u32::MAX) + 1) * US_PER_S)));
     for layout in [Layout::Narrow, Layout::Wide, Layout::Checked] {
@@ -79,9 +79,9 @@ fn checksums_are_those_of_rfc_3720() {
     }
 }
 
-/// The bytes of the format, as docs/reference/formats.md has them.
+/// The bytes of the format as in docs/reference/formats.md.
 #[test]
-fn a_checked_side_file_is_a_head_and_16_bytes_a_record() {
+fn a_checked_side_file_has_a_head_and_16_bytes_per_record() {
     let check = Check { len: 0x0102, crc32c: 0x0304_0506 };
     let file = entries(&[Entry { host_us: Some(0x0708), check: Some(check) }, Entry::default()], Layout::Checked);
     assert_eq!(&file[..16], b"csi5300 checks 1");
@@ -89,9 +89,9 @@ fn a_checked_side_file_is_a_head_and_16_bytes_a_record() {
     assert_eq!(file[32..], [0; 16]);
 }
 
-/// Found by fuzzing: a time that no microseconds hold came back as another one.
+/// Found by fuzzing: a time too large for microseconds came back as another one.
 #[test]
-fn a_time_beyond_what_64_bits_hold_is_none() {
+fn a_time_beyond_64_bits_is_unknown() {
     let last = i64::MAX / US_PER_S;
     for (seconds, us, expect) in [
         (last, i64::MAX % US_PER_S, Some(i64::MAX)),
@@ -126,7 +126,7 @@ proptest! {
         prop_assert_eq!(Entry::parse(&out, Layout::Wide), Entry { check: None, ..entry });
     }
 
-    /// Times of this century: what a host's clock can say, and what the layout is seen by.
+    /// Times of this century: the range of a host's clock, which the layout is recognised by.
     #[test]
     fn layout_and_times_of_a_file_come_back(
         times in prop::collection::vec(946_684_800_000_000..4_102_444_800_000_000_i64, 2..20),

@@ -1,5 +1,5 @@
-//! The native dialect: destination, role, turn and slot in the payload, so that one length serves every robot, any
-//! robot may initiate, and clocks can follow the air. Works with the stock CSI driver.
+//! The native dialect: the payload contains destination, role, turn and slot, so that one length serves every robot, any robot may
+//! initiate, and clocks can be synchronised over the air. Works with the stock CSI driver.
 //!
 //! After the common header and number ([`super`]), all numbers big-endian:
 //!
@@ -9,9 +9,9 @@
 //! | 31 | 1 | [`VERSION`] |
 //! | 32 | 1 | role: 0 forward, 1 backward |
 //! | 33 | 1 | flags: 0x01 measurement follows, 0x02 tag follows, 0x04 sender wants the turn |
-//! | 34 | 6 | destination: the robot that is to answer, or is answered |
-//! | 40 | 6 | next: who initiates after this turn (the initiator itself if the turn is to be renewed) |
-//! | 46 | 4 | session of the initiator: the number's own scope, new after every start |
+//! | 34 | 6 | destination: the robot that should answer, or is answered |
+//! | 40 | 6 | next: initiator of the next turn (the current one if the turn should be renewed) |
+//! | 46 | 4 | session of the initiator: scope of the frame number, new at every start |
 //! | 50 | 4 | session of the sender (in a forward frame the same) |
 //! | 54 | 4 | turn: counts changes and renewals of the initiator |
 //! | 58 | 2 | left: slots of this turn after this one |
@@ -19,10 +19,10 @@
 //! | 68 | 4 | length of a round, microseconds |
 //! | 72 | 2 | slots of a round |
 //! | 74 | 76 | [`Measurement`], if flagged |
-//! | .. | 16 | authentication tag, if flagged; over [`authenticated_parts`]: 8 bytes by the group's key, 8 by that of sender and destination |
+//! | .. | 16 | authentication tag, if flagged; over [`authenticated_parts`]: 8 bytes with the group's key, 8 with that of sender and destination |
 //!
-//! A backward frame repeats number, initiator's session, turn, left, next, slot, round and slots of the forward frame
-//! that it answers.
+//! A backward frame repeats number, initiator's session, turn, left, next, slot, round and slots of the forward frame that it
+//! answers.
 
 use super::{Error, FCS_LEN, Frame, emit_header, put};
 use crate::Mac;
@@ -79,24 +79,24 @@ mod flag {
     pub(super) const WANTS_TURN: u8 = 0x04;
 }
 
-/// Which way a frame goes.
+/// Direction of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
-    /// From the initiator to the robot that is to answer.
+    /// From the initiator to the robot that should answer.
     Forward,
     /// The answer.
     Backward,
 }
 
-/// One antenna's CSI of a forward frame as its receiver's card measured it: raw 8-bit values, nothing lost.
+/// One antenna's CSI of a forward frame as its receiver's card measured it: unchanged 8-bit values.
 ///
-/// The frame it measures is `number` of the same initiator's session, not necessarily the one just answered: CSI
-/// takes its way through the kernel and may be ready for a later answer only.
+/// The measured frame is number `number` of the same initiator's session, not necessarily the frame just answered: the kernel may
+/// deliver its CSI too late for that answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Measurement {
-    /// Number of the forward frame measured.
+    /// Number of the measured forward frame.
     pub number: u32,
-    /// The card's 1 MHz clock at reception, wraps every 4,295 s.
+    /// The card's 1 MHz clock at reception; wraps every 4,295 s.
     pub timestamp_low: u32,
     /// Receive antenna, 0 to 2 for A to C (after undoing the card's permutation).
     pub rx_antenna: u8,
@@ -104,7 +104,7 @@ pub struct Measurement {
     pub antenna_sel: u8,
     /// `rssi_a`, `rssi_b`, `rssi_c` of the record.
     pub rssi: [u8; 3],
-    /// Noise, dBm; -127 if not known.
+    /// Noise, dBm; -127 if unknown.
     pub noise_dbm: i8,
     /// Automatic gain, dB.
     pub agc: u8,
@@ -157,11 +157,11 @@ pub struct Repr {
     pub number: u32,
     /// Forward or backward.
     pub role: Role,
-    /// The robot for whom the frame is meant.
+    /// The robot that the frame addresses.
     pub destination: Mac,
-    /// Who initiates after this turn.
+    /// Initiator of the next turn.
     pub next: Mac,
-    /// The sender would like to initiate.
+    /// The sender requests the turn.
     pub wants_turn: bool,
     /// Session of the initiator.
     pub session: u32,
@@ -193,8 +193,8 @@ impl Repr {
     /// Reads a checked frame. The tag is copied, not verified.
     ///
     /// # Errors
-    /// [`Error::Magic`] for a frame of another dialect; [`Error::Version`], [`Error::Role`], [`Error::Flags`] or
-    /// [`Error::Length`] for one that is damaged or newer than this.
+    /// [`Error::Magic`] for a frame of another dialect; [`Error::Version`], [`Error::Role`], [`Error::Flags`] or [`Error::Length`] for
+    /// a damaged or newer one.
     pub fn parse(frame: &Frame<'_>) -> Result<Self, Error> {
         let bytes = frame.mpdu();
         let head: &[u8; BASE_LEN] = bytes.first_chunk().ok_or(Error::Length { expect: BASE_LEN, got: bytes.len() })?;
@@ -295,7 +295,7 @@ pub const fn len_with_fcs(has_measurement: bool, has_tag: bool) -> usize {
 
 /// The bytes that the tag covers: the addresses, and everything from the number up to the tag.
 ///
-/// Frame control, duration and sequence control are omitted: mac80211 and the card rewrite them.
+/// Frame control, duration and sequence control are excluded: mac80211 and the card rewrite them.
 #[must_use]
 pub fn authenticated_parts(mpdu: &[u8]) -> [&[u8]; 2] {
     let addresses = mpdu.get(super::field::ADDR1..super::field::ADDR3 + 6).unwrap_or(&[]);

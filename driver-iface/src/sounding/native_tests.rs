@@ -137,7 +137,7 @@ fn only_plain_data_frames_are_sounding_frames() {
     let repr = plain();
     let mut bytes = [0; MAX_LEN];
     let len = repr.emit(&mut bytes).unwrap();
-    // ToDS, FromDS, more fragments, protected; what is left over a frame may have: retry, power, more data, order.
+    // ToDS, FromDS, more fragments, protected; a frame may have the other bits: retry, power, more data, order.
     for (bit, refused) in [(0, true), (1, true), (2, true), (3, false), (4, false), (5, false), (6, true), (7, false)] {
         let mut frame = bytes;
         frame[1] |= 1 << bit;

@@ -1,10 +1,10 @@
-//! The dialect of the WSR toolbox: the length of a frame says to which robot it is.
+//! The dialect of the WSR toolbox: a frame's length selects the robot.
 //!
-//! A forward frame to robot `k` is `n + 2 k` bytes long on air, FCS included (`n` = 57 in WSR's own examples). The
-//! driver of robot `k`, loaded with `ack_len` = `n + 2 k`, answers every frame of exactly that length with a copy of
-//! it, one byte longer and with its own MAC in addr3. As the copy includes the 4 bytes of the old FCS, and the card
-//! appends a new one, the answer is `ack_len + 5` long on air: even where `ack_len` is odd, so no answer is ever
-//! answered. Sources: WSR `injection/random_packets.c`; driver `dvm/rx.c`, `check_and_send_ack`.
+//! A forward frame to robot `k` is `n + 2 k` bytes long on air, FCS included (`n` = 57 in WSR's own examples). The driver of robot
+//! `k`, loaded with `ack_len` = `n + 2 k`, answers every frame of exactly that length with a copy, one byte longer and with its own
+//! MAC in addr3. As the copy includes the 4 bytes of the old FCS and the card appends a new one, the answer is `ack_len + 5` long
+//! on air. If `ack_len` is odd, that is even, so no answer is ever answered. Sources: WSR `injection/random_packets.c`; driver
+//! `dvm/rx.c`, `check_and_send_ack`.
 
 use super::{Error, FCS_LEN, Frame, MIN_LEN, emit_header, field, put};
 use crate::Mac;
@@ -13,7 +13,7 @@ use crate::Mac;
 pub const DEFAULT_LEN: usize = 57;
 /// Shortest forward frame, FCS included: header, number and FCS, made odd.
 pub const MIN_FORWARD_LEN: usize = MIN_LEN + FCS_LEN + 1;
-/// How much longer than the forward frame the answer is on air: one byte, and the FCS of the copied frame.
+/// Length of the answer on air minus that of the forward frame: one byte, and the FCS of the copied frame.
 pub const REPLY_GROWTH: usize = 1 + FCS_LEN;
 
 /// On-air length (FCS included) of the forward frame to robot `k` if the first robot's is `first_len`.
@@ -23,11 +23,10 @@ pub const fn forward_len(first_len: usize, k: usize) -> usize {
     first_len + 2 * k
 }
 
-/// WSR's filler: a 32-bit linear feedback shift register, 8 shifts per byte, feedback `b31 ^ b29 ^ b25 ^ b24` into
-/// bit 0, the low byte is the output. The number at the head of a payload does not advance it.
+/// WSR's filler: a 32-bit linear feedback shift register, 8 shifts per byte, feedback `b31 ^ b29 ^ b25 ^ b24` into bit 0; the low
+/// byte is the output. The number at the head of a payload does not advance it.
 ///
-/// Receivers do not look at the filler; it is kept for frames that compare equal to WSR's, byte for byte, when one
-/// register runs through a sender's frames in order.
+/// Receivers ignore the filler. With one register for all of a sender's frames in order, frames equal WSR's byte for byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lfsr {
     state: u32,
@@ -42,7 +41,7 @@ impl Default for Lfsr {
 impl Lfsr {
     /// The next byte.
     ///
-    /// The eight bits shifted in depend on bits 31 to 17 of the old state only, so they are computed at once.
+    /// The eight bits shifted in depend only on bits 31 to 17 of the old state, so they are computed at once.
     pub fn next_byte(&mut self) -> u8 {
         let s = self.state;
         let byte = ((s >> 24) ^ (s >> 22) ^ (s >> 18) ^ (s >> 17)) as u8;
@@ -61,7 +60,7 @@ impl Lfsr {
 pub struct Repr {
     /// The initiator's own MAC (addr3).
     pub sender: Mac,
-    /// Frame number; WSR starts at 1. With 0 its driver forgets the sender's MAC.
+    /// Frame number; WSR starts at 1. At 0 its driver forgets the sender's MAC.
     pub number: u32,
     /// Length on air, FCS included: addresses the robot.
     pub len_with_fcs: usize,
@@ -80,7 +79,7 @@ impl Repr {
         self.len_with_fcs.saturating_sub(FCS_LEN)
     }
 
-    /// Writes the frame at the start of `buffer` and returns its length without FCS. `filler` runs on.
+    /// Writes the frame at the start of `buffer` and returns its length without FCS. Advances `filler`.
     ///
     /// # Errors
     /// [`Error::Length`] if the frame does not fit, or is too short for header and number.
@@ -99,8 +98,8 @@ impl Repr {
 
 /// Writes the answer to `forward` as the WSR driver does and returns its length without the new FCS.
 ///
-/// `forward_fcs` are the 4 bytes that followed the forward frame; where the receiver strips them, zeros will do:
-/// nobody looks at them. The driver allocates one byte more than the copy and does not set it; here it is 0.
+/// `forward_fcs` are the 4 bytes that followed the forward frame; zeros if the receiver strips them, because nobody reads them.
+/// The driver allocates one byte more than the copy and leaves it unset; here it is 0.
 ///
 /// # Errors
 /// [`Error::Length`] if the answer does not fit into `buffer`.

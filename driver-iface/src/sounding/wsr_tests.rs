@@ -29,7 +29,7 @@ fn filler_equals_the_bitwise_register_and_the_bytes_on_air() {
 }
 
 #[test]
-fn header_is_that_of_the_stock_sender_but_for_addr3_and_duration() {
+fn the_header_equals_the_stock_senders_except_addr3_and_duration() {
     // Header of frame 1 of sample_0x5_64_3000.dat; the card rewrote the duration to 48 us.
     let on_air = [
         0x08, 0x00, 0x30, 0x00, 0x00, 0x16, 0xea, 0x12, 0x34, 0x56, 0x00, 0x16, 0xea, 0x12, 0x34, 0x56, 0xff, 0xff,
@@ -79,7 +79,7 @@ fn an_answer_is_the_forward_frame_grown_by_five_with_the_responders_mac() {
 #[test]
 fn a_frame_to_each_robot_is_two_bytes_longer_than_to_the_one_before() {
     assert_eq!([0, 1, 2, 5].map(|k| forward_len(DEFAULT_LEN, k)), [57, 59, 61, 67]);
-    // The shortest is the shortest of odd length that has room for its number.
+    // The shortest one is the shortest odd length with room for its number.
     let emitted = |len_with_fcs| {
         let repr = Repr { sender: Mac([2; 6]), number: 1, len_with_fcs };
         repr.emit(&mut [0; 64], &mut Lfsr::default()).map(|len| len + FCS_LEN)

@@ -1,4 +1,4 @@
-//! One card's packets, in order, to records.
+//! Turns one card's packets, in order, into records.
 
 use byteorder::{ByteOrder, LittleEndian};
 
@@ -8,20 +8,20 @@ use crate::bfee::{Layout, MAX_BODY, NOISE_UNKNOWN_DBM, STOCK_HEADER, WSR_HEADER,
 use crate::record::{Record, code};
 use crate::stock::CsiNotification;
 
-/// What records are to be.
+/// The wanted records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Options {
     /// csitool's layout, or WSR's with host time, sender and frame number.
     pub layout: Layout,
-    /// Give 0xC1 records, the frames themselves, before their 0xBB (`connector_log` 0x4).
+    /// Return 0xC1 records, the frames themselves, before their 0xBB (`connector_log` 0x4).
     pub frames: bool,
-    /// Give 0xBB records (`connector_log` 0x1).
+    /// Return 0xBB records (`connector_log` 0x1).
     pub csi: bool,
 }
 
 impl Default for Options {
-    /// 0xBB records in WSR's layout: a bearing needs sender and frame number.
+    /// 0xBB records in WSR's layout, because a bearing needs sender and frame number.
     fn default() -> Self {
         Self { layout: Layout::Wsr, frames: false, csi: true }
     }
@@ -47,7 +47,7 @@ impl Options {
     }
 }
 
-/// What a card sent, and what became of it. The counters wrap.
+/// Counts of a card's packets and their use. The counters wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Counts {
@@ -57,26 +57,26 @@ pub struct Counts {
     pub mpdu: u32,
     /// 0xBB seen.
     pub bfee: u32,
-    /// Records made of 0xBB.
+    /// Records made from 0xBB.
     pub records: u32,
     /// 0xC0 too short.
     pub bad_phy: u32,
-    /// 0xC1 whose lengths contradict each other.
+    /// 0xC1 with contradictory lengths.
     pub bad_mpdu: u32,
-    /// 0xC1 before any 0xC0, not given.
+    /// 0xC1 before any 0xC0, dropped.
     pub mpdu_no_phy: u32,
-    /// 0xBB whose counts or lengths contradict each other.
+    /// 0xBB with contradictory counts or lengths.
     pub bad_bfee: u32,
-    /// 0xBB without a 0xC0 of its own, dropped.
+    /// 0xBB without its own 0xC0, dropped.
     pub no_phy: u32,
-    /// Records whose antenna order the card did not say.
+    /// Records without antenna order from the card.
     pub no_order: u32,
-    /// Records in WSR's layout for whose frame no good 0xC1 came: sender unknown.
+    /// Records in WSR's layout without a good 0xC1 of their frame: sender unknown.
     pub no_sender: u32,
 }
 
 impl Counts {
-    /// 0xBB of which no record was made.
+    /// 0xBB that gave no record.
     #[must_use]
     pub fn dropped(&self) -> u32 {
         self.bad_bfee.wrapping_add(self.no_phy)
@@ -101,9 +101,9 @@ impl Counts {
     }
 }
 
-/// The state of one card: what was received for the frame whose 0xBB is awaited.
+/// The state of one card: packets of the frame whose 0xBB is awaited.
 ///
-/// Call [`handle`](Self::handle) with every packet in the order of arrival, and [`gap`](Self::gap) where some are missing.
+/// Call [`handle`](Self::handle) with every packet in order of arrival, and [`gap`](Self::gap) where some are missing.
 #[derive(Clone, Debug, Default)]
 pub struct Card {
     phy: Option<RxPhy>,
@@ -114,7 +114,7 @@ pub struct Card {
 }
 
 impl Card {
-    /// Everything counted since the card was first seen.
+    /// Counts since the card was first seen.
     #[must_use]
     pub fn counts(&self) -> Counts {
         self.counts
@@ -125,10 +125,10 @@ impl Card {
         (self.phy, self.sender) = (None, None);
     }
 
-    /// Takes one packet. `host_us` is the host's wall clock when it came, microseconds since the Unix epoch; `body` is
-    /// where a record of CSI is written.
+    /// Handles one packet. `host_us` is the host's wall clock at its arrival, microseconds since the Unix epoch; a record of CSI is
+    /// written to `body`.
     ///
-    /// Gives the record that this packet completes, if any: 0xBB, or with [`Options::frames`] 0xC1.
+    /// Returns the record that this packet completes, if any: 0xBB, or with [`Options::frames`] 0xC1.
     pub fn handle<'b>(
         &mut self,
         options: &Options,
@@ -166,7 +166,7 @@ impl Card {
             self.counts.mpdu_no_phy = self.counts.mpdu_no_phy.wrapping_add(1);
             return None;
         }
-        // WSR's driver uses one variable for "sender known" and the number: with number 0 the address is lost too.
+        // WSR's driver uses one variable for "sender known" and the number: with number 0 the address is lost, too.
         let found = mpdu.sender().map(|(mac, number)| (if number == 0 { Mac::default() } else { mac }, number));
         self.sender = found.or(self.sender);
         let body = mpdu.frame().filter(|_| options.frames)?;
@@ -198,7 +198,7 @@ impl Card {
         let header_len = options.layout.header_len();
         if options.layout != Layout::Stock {
             self.counts.no_sender = self.counts.no_sender.wrapping_add(sender.is_none().into());
-            // In the layout of 2021 the CSI is written over the number.
+            // In the layout of 2021 the CSI overwrites the number.
             extend(rest.first_chunk_mut()?, host_us, sender.unwrap_or_default());
         }
         let len = header_len + csi.csi().len();
@@ -221,7 +221,7 @@ fn fill(out: &mut [u8; STOCK_HEADER], firmware: &[u8; STOCK_HEADER], phy: &RxPhy
     LittleEndian::write_u16(&mut out[offset::RATE_N_FLAGS..], phy.rate_n_flags);
 }
 
-/// The 18 bytes that WSR's layout has more.
+/// The 18 additional bytes of WSR's layout.
 fn extend(out: &mut [u8; WSR_HEADER - STOCK_HEADER], host_us: i64, (mac, number): (Mac, u32)) {
     LittleEndian::write_u32(out, host_us.div_euclid(1_000_000) as u32);
     LittleEndian::write_u32(&mut out[offset::TV_USEC - STOCK_HEADER..], host_us.rem_euclid(1_000_000) as u32);

@@ -1,5 +1,4 @@
-//! What the eBPF program (`driver-iface/bpf/csi5300.bpf.c`) puts into its ring buffer: one event for each packet of
-//! interest.
+//! Events of the eBPF program (`driver-iface/bpf/csi5300.bpf.c`) in its ring buffer: one per packet of interest.
 
 use byteorder::{ByteOrder, LittleEndian};
 use core::fmt;
@@ -7,15 +6,15 @@ use core::fmt;
 use super::{Packet, RxMpdu, STATUS_LEN, command};
 use crate::{EmitError, room};
 
-/// Offsets in an event, in the program's order of bytes (little-endian).
+/// Offsets in an event, little-endian as in the program.
 mod at {
-    /// u64: an address that is the card's alone while its driver runs.
+    /// u64: an address unique to the card while its driver runs.
     pub(super) const CARD: usize = 0;
     /// u64: CLOCK_MONOTONIC, nanoseconds.
     pub(super) const TIME_NS: usize = 8;
-    /// u32: events for which the ring had no room, so far.
+    /// u32: number of events so far without room in the ring.
     pub(super) const RING_FULL: usize = 16;
-    /// u32: packets that could not be read, so far.
+    /// u32: number of unreadable packets so far.
     pub(super) const UNREADABLE: usize = 20;
     /// u32: bytes of data in the packet.
     pub(super) const DATA_LEN: usize = 24;
@@ -31,11 +30,11 @@ mod at {
 
 /// Bits of [`Event::flags`].
 pub mod flag {
-    /// The data of an 0xC1 is the beginning of it, and then the four bytes of status from the frame's end.
+    /// The data of an 0xC1 is its beginning, then the four bytes of status from the frame's end.
     pub const FRAME_START: u8 = 1;
 }
 
-/// Why bytes are no event.
+/// Why bytes are not an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EventError {
     /// Shorter than the header.
@@ -45,7 +44,7 @@ pub enum EventError {
         /// Bytes of the event.
         got: usize,
     },
-    /// The data is longer than the event, or than the packet it is from.
+    /// The data is longer than the event, or than its packet.
     Kept {
         /// Bytes of data by the header.
         kept: usize,
@@ -54,7 +53,7 @@ pub enum EventError {
         /// Bytes of the packet's data.
         data_len: usize,
     },
-    /// A flag that this version does not know.
+    /// An unknown flag.
     Flags {
         /// The byte.
         got: u8,
@@ -83,10 +82,10 @@ pub struct Event<'a> {
 }
 
 impl<'a> Event<'a> {
-    /// Checks an event as it stands in the ring; bytes behind its data are padding.
+    /// Checks an event as it stands in the ring; bytes after its data are padding.
     ///
     /// # Errors
-    /// When it is shorter than its header and data, has more data than its packet, or flags that are not known.
+    /// If it is shorter than its header and data, has more data than its packet, or unknown flags.
     pub fn new_checked(bytes: &'a [u8]) -> Result<Self, EventError> {
         let short = EventError::Short { need: at::DATA, got: bytes.len() };
         let (head, rest) = bytes.split_first_chunk().ok_or(short)?;
@@ -113,7 +112,7 @@ impl<'a> Event<'a> {
         self.command() == command::RX_MPDU && self.flags() & flag::FRAME_START != 0
     }
 
-    /// Which card: equal for the packets of one as long as its driver runs.
+    /// The card: equal for one card's packets while its driver runs.
     #[must_use]
     pub fn card(&self) -> u64 {
         self.u64_at(at::CARD)
@@ -125,19 +124,19 @@ impl<'a> Event<'a> {
         self.u64_at(at::TIME_NS)
     }
 
-    /// Events for which the ring had no room before this one, since the program was loaded; wraps.
+    /// Number of events without room in the ring before this one, since the program was loaded; wraps.
     #[must_use]
     pub fn ring_full(&self) -> u32 {
         self.u32_at(at::RING_FULL)
     }
 
-    /// Packets that the program could not read before this one; wraps.
+    /// Number of packets before this one that the program could not read; wraps.
     #[must_use]
     pub fn unreadable(&self) -> u32 {
         self.u32_at(at::UNREADABLE)
     }
 
-    /// Bytes of data of the packet, by its header.
+    /// Bytes of data of the packet, from its header.
     #[must_use]
     pub fn data_len(&self) -> usize {
         self.u32_at(at::DATA_LEN) as usize
@@ -155,7 +154,7 @@ impl<'a> Event<'a> {
         self.head[at::FLAGS]
     }
 
-    /// The packet. What the program cut off is not looked at by the assembly.
+    /// The packet. Making a record does not use what the program cut off.
     #[must_use]
     pub fn packet(&self) -> Packet<'a> {
         if !self.is_start() {
@@ -166,7 +165,7 @@ impl<'a> Event<'a> {
     }
 }
 
-/// All fields of an event; the data is handed to [`EventRepr::emit`] beside it.
+/// All fields of an event; [`EventRepr::emit`] gets the data separately.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EventRepr {
     /// See [`Event::card`].
@@ -189,7 +188,7 @@ impl EventRepr {
     /// Writes the event as the program does. Returns its length.
     ///
     /// # Errors
-    /// When `data` is longer than its u16 can say, or `out` is too short.
+    /// If `data` is too long for its u16, or `out` is too short.
     pub fn emit(&self, data: &[u8], out: &mut [u8]) -> Result<usize, EmitError> {
         let kept = u16::try_from(data.len());
         let kept = kept.map_err(|_| EmitError::Field { name: "kept", got: data.len(), max: u16::MAX.into() })?;

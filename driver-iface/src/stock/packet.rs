@@ -54,23 +54,23 @@ impl fmt::Display for BadPacket {
 
 impl core::error::Error for BadPacket {}
 
-/// What the assembly makes use of.
+/// The packets that records are made from.
 #[derive(Clone, Copy, Debug)]
 pub enum Packet<'a> {
-    /// 0x01: the firmware was restarted.
+    /// 0x01: the firmware restarted.
     Alive,
-    /// 0xC0, or why not.
+    /// 0xC0, or its error.
     RxPhy(Result<RxPhy, BadPacket>),
-    /// 0xC1, or why not.
+    /// 0xC1, or its error.
     RxMpdu(Result<RxMpdu<'a>, BadPacket>),
-    /// 0xBB, or why not.
+    /// 0xBB, or its error.
     Csi(Result<CsiNotification<'a>, BadPacket>),
     /// Every other command.
     Other,
 }
 
 impl<'a> Packet<'a> {
-    /// A whole packet: its command and the data after its 8 bytes of header.
+    /// A complete packet: its command and the data after its header of 8 bytes.
     #[must_use]
     pub fn new(command: u8, data: &'a [u8]) -> Self {
         match command {
@@ -83,7 +83,7 @@ impl<'a> Packet<'a> {
     }
 }
 
-/// What a record takes from 0xC0.
+/// The fields that a record takes from 0xC0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RxPhy {
     /// Low 32 bits of the card's 1 MHz clock when the frame began, microseconds.
@@ -92,7 +92,7 @@ pub struct RxPhy {
     pub rssi: [u8; 3],
     /// Receiver gain, dB.
     pub agc: u8,
-    /// The antennas of the chains, packed; `None` where the card did not say.
+    /// The antennas of the chains, packed; `None` if the card did not report them.
     pub antenna_sel: Option<u8>,
     /// Rate and flags, the low 14 bits.
     pub rate_n_flags: u16,
@@ -119,10 +119,10 @@ impl RxPhy {
     }
 }
 
-/// The first bytes of a frame, as far as it has them.
+/// The first bytes of a frame, as far as they exist.
 pub type FrameStart = [u8; FRAME_START];
 
-/// A frame of 0xC1, whole or its beginning.
+/// A frame of 0xC1, complete or only its beginning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RxMpdu<'a> {
     byte_count: usize,
@@ -134,7 +134,7 @@ impl<'a> RxMpdu<'a> {
     /// Reads the data of 0xC1.
     ///
     /// # Errors
-    /// [`BadPacket::Mpdu`] when the frame is impossibly short or long, or longer than the packet.
+    /// [`BadPacket::Mpdu`] if the frame is impossibly short or long, or longer than the packet.
     pub fn new_checked(data: &'a [u8]) -> Result<Self, BadPacket> {
         let byte_count = checked_len(data, data.len())?;
         let bad = BadPacket::Mpdu { byte_count, got: data.len() };
@@ -143,10 +143,10 @@ impl<'a> RxMpdu<'a> {
         Ok(Self { byte_count, frame, status: LittleEndian::read_u32(status.first_chunk::<STATUS_LEN>().ok_or(bad)?) })
     }
 
-    /// The beginning of the data of 0xC1, of which there were `data_len` bytes, and the status from the frame's end.
+    /// From the first bytes of an 0xC1's data, which has `data_len` bytes, and the status from the frame's end.
     ///
     /// # Errors
-    /// As [`new_checked`](Self::new_checked), and when `start` lacks bytes of the frame that are looked at.
+    /// As [`new_checked`](Self::new_checked), and if `start` lacks needed bytes of the frame.
     pub fn from_start(data_len: usize, start: &'a [u8], status: u32) -> Result<Self, BadPacket> {
         let byte_count = checked_len(start, data_len)?;
         let frame = start.get(offset::MPDU_FRAME..).unwrap_or_default();
@@ -163,19 +163,19 @@ impl<'a> RxMpdu<'a> {
         self.byte_count
     }
 
-    /// The whole frame, 802.11 header to FCS; `None` where only its beginning is at hand.
+    /// The whole frame, 802.11 header to FCS; `None` if only its beginning is available.
     #[must_use]
     pub fn frame(&self) -> Option<&'a [u8]> {
         (self.frame.len() == self.byte_count).then_some(self.frame)
     }
 
-    /// True where the checksum was right and the card's buffer did not overflow.
+    /// True if the checksum was correct and the card's buffer did not overflow.
     #[must_use]
     pub fn is_good(&self) -> bool {
         self.status & STATUS_GOOD == STATUS_GOOD
     }
 
-    /// Address 3 and the number after the header, of a good frame that is long enough for both.
+    /// Address 3 and the number after the header, for a good frame that is long enough for both.
     #[must_use]
     pub fn sender(&self) -> Option<(Mac, u32)> {
         let long_enough = self.byte_count >= FRAME_START + FCS;
@@ -185,7 +185,7 @@ impl<'a> RxMpdu<'a> {
     }
 }
 
-/// The frame's length by the packet's first bytes, if the packet of `data_len` bytes can hold it.
+/// The frame's length from the packet's first bytes, if it fits the packet of `data_len` bytes.
 fn checked_len(start: &[u8], data_len: usize) -> Result<usize, BadPacket> {
     let byte_count = start.first_chunk::<2>().map_or(0, |bytes| usize::from(u16::from_le_bytes(*bytes)));
     let fits = offset::MPDU_FRAME + byte_count + STATUS_LEN <= data_len;
@@ -195,7 +195,7 @@ fn checked_len(start: &[u8], data_len: usize) -> Result<usize, BadPacket> {
     Ok(byte_count)
 }
 
-/// The CSI of 0xBB, checked; a record's header with the fields that the driver fills in still empty.
+/// The CSI of 0xBB, checked; a record's header whose driver fields are still empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CsiNotification<'a> {
     head: &'a [u8; STOCK_HEADER],
@@ -203,10 +203,10 @@ pub struct CsiNotification<'a> {
 }
 
 impl<'a> CsiNotification<'a> {
-    /// Checks the data of 0xBB; bytes behind the CSI are allowed and skipped.
+    /// Checks the data of 0xBB; bytes after the CSI are allowed and skipped.
     ///
     /// # Errors
-    /// When chains are not 1 to 3, the length of the CSI is not theirs, or the data is shorter than it.
+    /// If chains are not 1 to 3, the CSI length does not match, or the data is shorter.
     pub fn new_checked(data: &'a [u8]) -> Result<Self, BadPacket> {
         let got = data.len();
         let short = BadPacket::CsiShort { need: STOCK_HEADER, got };

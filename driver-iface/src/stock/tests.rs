@@ -35,7 +35,7 @@ fn csi() -> Vec<u8> {
     data
 }
 
-/// All packets of a stream; the records as code and body.
+/// Handles all packets of a stream; returns the records as code and body.
 fn records(card: &mut Card, options: &Options, stream: &[(u8, Vec<u8>)]) -> Vec<(u8, Vec<u8>)> {
     let mut body = [0; MAX_BODY];
     let one = |(command, data): &(u8, Vec<u8>)| {
@@ -70,7 +70,7 @@ fn nothing_of_another_frame_is_ever_used() {
     };
     let [c0, c1, bb] = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
     let short = |(command, data): &(u8, Vec<u8>)| (*command, data[..data.len() - 9].to_vec());
-    // A second 0xBB, one before any 0xC0, one after a 0xC0 that cannot be read, one after a new start of the firmware.
+    // A second 0xBB; one before any 0xC0; one after an unreadable 0xC0; one after a firmware restart.
     assert_eq!(count(&[c0.clone(), c1.clone(), bb.clone(), bb.clone()]).1.no_phy, 1);
     assert_eq!(
         count(&[c1.clone(), bb.clone()]).1,
@@ -78,7 +78,7 @@ fn nothing_of_another_frame_is_ever_used() {
     );
     assert_eq!(count(&[c0.clone(), short(&c0), bb.clone()]).0, 0);
     assert_eq!(count(&[c0.clone(), c1.clone(), (0x01, vec![]), bb.clone()]).1.no_phy, 1);
-    // The sender of the frame before is not this frame's.
+    // The previous frame's sender is not this frame's.
     assert_eq!(count(&[c0.clone(), c1.clone(), c0.clone(), bb.clone()]).1.no_sender, 1);
     assert_eq!(count(&[c0.clone(), c1.clone(), short(&c1), bb.clone()]).1.no_sender, 1);
     // Packets are missing.
@@ -90,7 +90,7 @@ fn nothing_of_another_frame_is_ever_used() {
 }
 
 #[test]
-fn an_order_that_the_card_did_not_say_names_no_antenna() {
+fn an_unreported_order_names_no_antenna() {
     for (said, len) in [(0, 64), (1, 60), (1, 63)] {
         let mut c0 = phy();
         c0[1] = said;
@@ -100,7 +100,7 @@ fn an_order_that_the_card_did_not_say_names_no_antenna() {
         let bfee = Bfee::new_checked(&got[0].1).unwrap();
         assert_eq!((bfee.layout(), bfee.antenna_sel(), card.counts().no_order), (Layout::Stock, ORDER_UNKNOWN, 1));
         assert!(bfee.antennas().is_err());
-        // With one chain the only antenna that was heard tells it.
+        // With one chain, it is the only antenna with a nonzero RSSI.
         assert!(Antennas::new(ORDER_UNKNOWN, 1, [0, 30, 0]).is_ok());
     }
 }
@@ -143,7 +143,7 @@ fn the_longest_frame_is_that_of_the_longest_record() {
 }
 
 #[test]
-fn the_beginning_of_a_frame_is_as_long_as_what_is_read_of_it() {
+fn the_kept_beginning_of_a_frame_is_as_long_as_needed() {
     let data = mpdu();
     let frame = |kept: usize| RxMpdu::from_start(data.len(), &data[..kept], 3).map(|mpdu| mpdu.byte_count());
     assert_eq!([frame(32), frame(33), frame(data.len())], [Ok(57); 3]);
@@ -154,7 +154,7 @@ fn the_beginning_of_a_frame_is_as_long_as_what_is_read_of_it() {
 }
 
 #[test]
-fn an_event_of_a_frames_beginning_is_that_frame() {
+fn an_event_with_a_frames_beginning_identifies_the_frame() {
     let (data, mut bytes) = (mpdu(), [0; 128]);
     let kept = [&data[..36], &3_u32.to_le_bytes()].concat();
     let start = EventRepr { data_len: 65, command: 0xC1, flags: 1, ..EventRepr::default() };
@@ -165,13 +165,13 @@ fn an_event_of_a_frames_beginning_is_that_frame() {
     };
     let right = (57, Some(("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304)));
     assert_eq!(sender(&bytes), right);
-    // What was not cut has its status at its own end.
+    // An uncut event has its status at its own end.
     EventRepr { flags: 0, ..start }.emit(&data, &mut bytes).unwrap();
     assert_eq!(sender(&bytes), right);
 }
 
 #[test]
-fn what_is_not_wanted_is_not_given() {
+fn unwanted_records_are_not_returned() {
     let packets = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
     for (csi, frames, codes) in
         [(true, false, &[0xBB][..]), (true, true, &[0xC1, 0xBB]), (false, true, &[0xC1]), (false, false, &[])]
@@ -183,7 +183,7 @@ fn what_is_not_wanted_is_not_given() {
 }
 
 #[test]
-fn only_the_beginning_of_a_frame_has_its_status_behind_it() {
+fn only_a_cut_frame_has_its_status_at_the_end() {
     for (command, flags, kept) in [(0xC1, 1, 12), (0xC1, 0, 8), (0xBB, 1, 8), (0xBB, 0, 8)] {
         let fields = EventRepr { data_len: 8, command, flags, ..EventRepr::default() };
         let mut bytes = [0; 64];
@@ -195,7 +195,7 @@ fn only_the_beginning_of_a_frame_has_its_status_behind_it() {
 }
 
 #[test]
-fn an_event_gives_back_what_it_was_made_of() {
+fn events_round_trip() {
     let fields = EventRepr {
         card: 0x1122_3344_5566_7788,
         time_ns: 0x0102_0304_0506_0708,
@@ -214,21 +214,21 @@ fn an_event_gives_back_what_it_was_made_of() {
 }
 
 #[test]
-fn a_sender_is_told_by_a_good_frame_that_is_long_enough() {
+fn a_good_and_long_enough_frame_names_the_sender() {
     let sender = |status: u32, byte_count: u8| {
         let mut data = mpdu();
         data[0] = byte_count;
         RxMpdu::from_start(data.len(), &data, status).unwrap().sender()
     };
     let right = ("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304);
-    // Address 3 and the number end at byte 28, the checksum follows.
+    // Address 3 and the number end at byte 28; the checksum follows.
     assert_eq!([sender(3, 57), sender(3, 32), sender(3, 31)], [Some(right), Some(right), None]);
     // A wrong checksum, an overflow, both.
     assert_eq!([sender(1, 57), sender(2, 57), sender(0, 57)], [None; 3]);
 }
 
 #[test]
-fn what_was_dropped_is_the_sum_of_what_gave_no_record() {
+fn dropped_counts_every_notification_without_a_record() {
     let counts = Counts { bfee: 9, records: 4, bad_bfee: 2, no_phy: 3, ..Counts::default() };
     assert_eq!((counts.dropped(), counts.plus(&counts).dropped()), (5, 10));
     assert_eq!(Counts { bad_bfee: u32::MAX, ..counts }.dropped(), 2);

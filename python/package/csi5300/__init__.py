@@ -89,7 +89,7 @@ else:
         return sorted({*__all__, "csiread", "plot", "ray"})
 
     def __getattr__(name: str) -> Any:
-        # Modules that most programs do not need are imported when they are first named.
+        # Modules that most programs do not need are imported on first use.
         if name in ("csiread", "plot", "ray"):
             return importlib.import_module(f"{__name__}.{name}")
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

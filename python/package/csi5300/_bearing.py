@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Source: TypeAlias = "File | Log"
 Track: TypeAlias = "str | os.PathLike[str] | NDArray[np.floating[Any]] | Sequence[Sequence[float]]"
-"""A trajectory: a file, or an array (n, 4) of seconds, x, y, z (metres), or (n, 5) with heading (radians); with ``columns`` any."""
+"""A trajectory: a file, or an array (n, 4) of seconds, x, y, z (metres), or (n, 5) with heading (radians); any with ``columns``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +45,15 @@ def _number(value: Any) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Bearing:
-    """One link's answer. False (``if bearing``) where the link has none; :attr:`error` then says why. It can be pickled, with all
-    that :meth:`profile` and :attr:`samples` need."""
+    """One link's answer. False (``if bearing``) if the link has none; :attr:`error` then says why. A pickle includes everything that
+    :meth:`profile` and :attr:`samples` need."""
 
     answer: dict[str, Any]
-    """Everything, by the names of ``csi5300 bearing --json``."""
+    """All values, by the names of ``csi5300 bearing --json``."""
     _link: _native.Link | None = field(repr=False, default=None)
     stretches: list[dict[str, Any]] = field(repr=False, default_factory=list)
-    """With ``every``: each stretch of the motion by itself (``from_s``, ``to_s``, seconds on the trajectory's clock, and the names
-    of :attr:`answer`), and in ``carried`` what it and those before it give together."""
+    """With ``every``: each stretch of the motion alone (``from_s``, ``to_s``, seconds on the trajectory's clock, and the names of
+    :attr:`answer`), and in ``carried`` its answer combined with the earlier ones."""
 
     def __bool__(self) -> bool:
         return self._link is not None
@@ -81,7 +81,7 @@ class Bearing:
 
     @property
     def mac(self) -> str | None:
-        """The transmitter's address, where known."""
+        """The transmitter's address, if known."""
         mac: str | None = self.answer["mac"]
         return mac
 
@@ -97,32 +97,32 @@ class Bearing:
 
     @property
     def azimuth_sd_deg(self) -> float:
-        """Error bar: 68 % of errors are within it (docs/method/accuracy.md), degrees."""
+        """Error bar: half width that holds 68 % of errors (docs/method/accuracy.md), degrees."""
         return _number(self.answer["azimuth_sd_deg"])
 
     @property
     def mirror_deg(self) -> float:
-        """The other azimuth that fits motion along a line, degrees; nan where there is none."""
+        """The mirror, the other azimuth that fits motion along a line, degrees; nan if there is none."""
         return _number(self.answer["mirror_deg"])
 
     @property
     def elevation_deg(self) -> float:
-        """With its sign, degrees; nan where the motion does not distinguish up from down."""
+        """With its sign, degrees; nan if the motion does not distinguish up from down."""
         return _number(self.answer["elevation_deg"])
 
     @property
     def abs_elevation_deg(self) -> float:
-        """Magnitude of the elevation, degrees; nan where none was searched, as of a motion along a line."""
+        """Magnitude of the elevation, degrees; nan if none was searched, as for motion along a line."""
         return _number(self.answer["abs_elevation_deg"])
 
     @property
     def confidence(self) -> float:
-        """Probability that the azimuth is within 5 degrees, 0 to 1; nan where nothing was fitted."""
+        """Probability that the azimuth is within 5 degrees, 0 to 1; nan if nothing was fitted."""
         return _number(self.answer["confidence"])
 
     @property
     def range_m(self) -> float:
-        """Metres from the middle of the motion; nan where the wave front's curvature does not fix it."""
+        """Metres from the middle of the motion; nan if the wave front's curvature does not determine it."""
         return _number(self.answer["range_m"])
 
     def _held(self) -> _native.Link:
@@ -135,9 +135,9 @@ class Bearing:
     ) -> Profile:
         """The evidence over directions.
 
-        ``azimuth`` and ``elevation`` are numbers of even steps (around the circle from -180 degrees; from -90 to 90, one step being
-        the horizon), or arrays of degrees, all azimuths for each elevation. Without ``elevation``: the horizon. Raises
-        :class:`LinkError` without a bearing, :class:`OptionError` for what is neither a whole number nor an array.
+        ``azimuth`` and ``elevation`` are numbers of even steps (around the circle from -180 degrees; from -90 to 90, with a single step
+        on the horizon), or arrays of degrees; all azimuths are combined with each elevation. Without ``elevation``: the horizon. Raises
+        :class:`LinkError` without a bearing, :class:`OptionError` for values that are neither whole numbers nor arrays.
         """
         link = self._held()
         columns, rows = _angles("azimuth", azimuth), _angles("elevation", 1 if elevation is None else elevation)
@@ -155,9 +155,9 @@ class Bearing:
 
     @cached_property
     def samples(self) -> dict[str, NDArray[Any]]:
-        """What the bearing was made of: ``t_s`` (n), ``z`` (n) complex, ``receiver_m`` (n, 3); ``path_m`` (m, 3) the receiver's whole
+        """The input of the bearing: ``t_s`` (n), ``z`` (n) complex, ``receiver_m`` (n, 3); ``path_m`` (m, 3), the receiver's whole
         path; ``phase`` (k, 4): seconds, and radians one way, round trip, and compensated;
-        ``range_change`` (m, 3), where it was asked for: seconds, metres since the first exchange, and their deviation."""
+        ``range_change`` (m, 3), if requested: seconds, metres since the first exchange, and their deviation."""
         return self._held().samples()
 
     def plot(self, *, truth_deg: float | None = None) -> Figure:
@@ -191,9 +191,9 @@ def _angles(name: str, given: Any) -> int | NDArray[np.float64]:
 def read_trajectory(path: str | os.PathLike[str], *, columns: str | None = None) -> NDArray[np.float64]:
     """A trajectory file (docs/reference/formats.md) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan).
 
-    ``columns`` names what is in its columns, instead of what its headings say: ``"t,x,y,yaw"``.
+    ``columns`` names the columns instead of the file's headings: ``"t,x,y,yaw"``.
 
-    Raises :class:`TrajectoryError`, which is a :class:`TrajectoryFileError` where the file cannot be read.
+    Raises :class:`TrajectoryError`; if the file cannot be read, its subclass :class:`TrajectoryFileError`.
     """
     return _native.read_trajectory(path, columns)
 
@@ -218,7 +218,7 @@ def _track(name: str, track: Track) -> Any:
         raise TrajectoryError(f"{name}: {error}: {needed}") from None
     if rows.ndim != 2:
         what = "None" if track is None else f"an array of shape {rows.shape}"
-        raise TrajectoryError(f"{name}: {what} is no trajectory: {needed}")
+        raise TrajectoryError(f"{name}: {what} is not a trajectory: {needed}")
     return np.ascontiguousarray(rows)
 
 
@@ -270,21 +270,22 @@ def bearings(
     antennas: str | Iterable[str] | None = None,
     baseline: Sequence[float] | Sequence[Sequence[float]] | None = None,
 ) -> list[Bearing]:
-    """Bearings from the receiver, whose ``trajectory`` it is, to each transmitter, in the order of ``tx``.
+    """Bearings from the receiver, whose ``trajectory`` is given, to each transmitter, in the order of ``tx``.
 
-    Logs are paths, bytes, file objects or :class:`Log`. Options are those of ``csi5300 bearing`` under the same names and in the same
-    units (``from_`` for ``--from``). ``antenna_offset`` is where the antenna is seen from what the trajectory is of: metres forward,
-    left, up; with ``camera_mount`` (metres forward and left of the middle between the wheels, and heading less the robot's, degrees)
-    the trajectory is a tracking camera's, is held to what wheels can roll, and the antenna is seen from that middle. ``columns``
-    (``"t,x,y,yaw"``) names what is in the columns of trajectories, of files and of arrays. ``decimate`` uses
-    every so manieth pair of frames, what slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain``
-    ``answer["plan"]``, ``range_change`` ``answer["range_change"]`` and an array of :attr:`Bearing.samples`. A link without a bearing is in the list, is False, and has its :attr:`Bearing.error`; so is one whose
-    probability of being within 5 degrees is below ``min_confidence``, or not known.
+    Logs are paths, bytes, file objects or :class:`Log`. Options are those of ``csi5300 bearing``, with the same names and units
+    (``from_`` for ``--from``). ``antenna_offset`` is the antenna's position relative to the tracked point: metres forward, left, up.
+    With ``camera_mount`` (metres forward and left of the middle between the wheels, and heading minus the robot's, degrees) the
+    trajectory is a tracking camera's. It is then reduced to what wheels can roll, and the antenna's position is relative to that
+    middle. ``columns`` (``"t,x,y,yaw"``) names the columns of trajectory files and arrays. ``decimate`` uses every n-th pair of
+    frames, as slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain`` ``answer["plan"]``,
+    ``range_change`` ``answer["range_change"]`` and an array of :attr:`Bearing.samples`. A link without a bearing is in the list, is
+    False, and has an :attr:`Bearing.error`. The same applies to a link whose probability of being within 5 degrees is below
+    ``min_confidence`` or unknown.
 
-    Without ``tx``: the bearing to every sender in ``rx``, by two or three ``antennas`` (``"AB"``) of one robot that turns.
-    ``baseline`` is where the first is seen from the second, metres forward, left, up; of three antennas a list of two. Behind
-    the metres may stand the constant of the chains and its deviation, degrees, as a turn gave them
-    (``answer["chain_constants_deg"]``): then a robot that stands has a bearing too.
+    Without ``tx``: the bearing to every sender in ``rx``, from two or three ``antennas`` (``"AB"``) of one robot that turns.
+    ``baseline`` is the first antenna's position relative to the second, metres forward, left, up; for three antennas a list of two.
+    After the metres may follow the constant of the chains and its deviation, degrees, from an earlier turn
+    (``answer["chain_constants_deg"]``): with it a stationary robot has a bearing, too.
 
     Raises :class:`LogError`, :class:`TrajectoryError`, :class:`OptionError`, whose message names the argument.
     """
@@ -296,16 +297,16 @@ def bearings(
         of_two |= {"antenna_offset": antenna_offset, "camera_mount": camera_mount, "explain": explain, "every": every}
         wrong = [name for name, value in of_two.items() if value]
         if wrong:
-            raise OptionError(f"{wrong[0]}: not with baseline, which is of one robot and its own log")
+            raise OptionError(f"{wrong[0]}: not allowed with baseline, which uses one robot's own log")
         letters = _options.letters(antennas) or "AB"
         own = _track("trajectory", trajectory)
         found = _native.one_log(_source(rx), _name(rx, 0), own, letters, _baselines(baseline), _options.keywords(options))
         return [Bearing(json.loads(answer), link) for answer, link, _ in found]
     if antennas is not None:
-        raise OptionError("antennas: with baseline, which says where they are")
+        raise OptionError("antennas: needs baseline, which gives their positions")
     logs = [] if tx is None else _logs(tx)
     if not logs:
-        raise OptionError("tx: at least one log of a transmitter")
+        raise OptionError("tx: needs at least one log of a transmitter")
     if len(tx_trajectory) > len(logs):
         raise OptionError("tx_trajectory: more than tx")
     names = [_name(log, index) for index, log in enumerate(logs)]

@@ -19,7 +19,7 @@ def _known(values: NDArray[np.int64]) -> np.ma.MaskedArray[Any, np.dtype[Any]]:
 class CardLog:
     """Frames of another card's log that have the same width and chains: a NumPy array for each field, all of length ``n``.
 
-    A field that the log does not have is masked, NaN, NaT, empty or None, never 0.
+    A field that the log does not contain is masked, NaN, NaT, empty or None, never 0.
     """
 
     def __init__(self, name: str, format: str, counts: tuple[int, int, int], fields: dict[str, Any]) -> None:
@@ -39,7 +39,7 @@ class CardLog:
         self.subcarriers: NDArray[np.int16] = fields["subcarriers"]
         """(n_subcarriers,) Index relative to the channel's centre, in units of ``spacing_hz``."""
         self.spacing_hz: float | None = fields["spacing_hz"]
-        """Distance of two subcarriers, Hz."""
+        """Subcarrier spacing, Hz."""
         self.t: NDArray[np.float64] = fields["t"]
         """(n,) Seconds from the log's first frame by the card's clock, else by the host's."""
         self.clock_ticks = _known(fields["clock_ticks"])
@@ -52,9 +52,9 @@ class CardLog:
         """(n, n_rx) dBm if ``rssi_in_dbm``, else dB above the card's reference."""
         self.rssi_in_dbm: bool | None = fields["rssi_in_dbm"]
         self.first_rx: NDArray[np.int64] = fields["first_rx"]
-        """(n,) The receive chain that ``csi`` begins with: nexmon has a frame for each."""
+        """(n,) First receive chain of ``csi``: nexmon has a frame for each chain."""
         self.first_tx: NDArray[np.int64] = fields["first_tx"]
-        """(n,) The stream that ``csi`` begins with."""
+        """(n,) First stream of ``csi``."""
         self._host_us: NDArray[np.int64] = fields["host_us"]
         self._mac: NDArray[np.uint8] = fields["mac"]
 
@@ -79,12 +79,12 @@ class CardLog:
 
 
 def read_card(file: str | os.PathLike[str] | bytes, *, macs: str | Iterable[str] | None = None) -> CardLog:
-    """Reads a log of another card: FeitCSI (AX200, AX210), PicoScenes, nexmon, ESP32, Atheros CSI tool; told apart by its content.
+    """Reads a log of another card: FeitCSI (AX200, AX210), PicoScenes, nexmon, ESP32, Atheros CSI tool; recognised by its content.
 
-    ``file`` is a path or bytes. Kept are frames of the senders ``macs`` with the width and chains that most frames have;
+    ``file`` is a path or bytes. Keeps the frames of the senders ``macs`` that have the most frequent width and number of chains;
     ``CardLog.other_shapes`` counts the others, ``CardLog.damaged`` the stretches that could not be read.
 
-    Raises :class:`LogError` if the file cannot be read, or is of none of these kinds.
+    Raises :class:`LogError` if the file cannot be read, or is none of these kinds.
     """
     format, counts, fields = _native.read_card(file, _options.macs(macs))
     return CardLog("bytes" if isinstance(file, bytes) else os.fspath(file), format, counts, fields)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class Error(Exception):
-    """What this package raises. ``file`` and ``offset`` (bytes) say where, if that is known."""
+    """Base of all exceptions of this package. ``file`` and ``offset`` (bytes) give the place, if known."""
 
     file: str | None
     offset: int | None
@@ -23,7 +23,7 @@ class Error(Exception):
 
 
 class LogError(Error, OSError):
-    """A log cannot be opened, or read further than ``offset``."""
+    """A log cannot be opened, or cannot be read beyond ``offset``."""
 
 
 class LogNotFoundError(LogError, FileNotFoundError):
@@ -31,27 +31,27 @@ class LogNotFoundError(LogError, FileNotFoundError):
 
 
 class OptionError(Error, ValueError):
-    """An argument makes no sense; the message names it."""
+    """An argument is invalid; the message names it."""
 
 
 class OptionFileError(OptionError, OSError):
-    """A file or folder that an argument names is not there or cannot be read."""
+    """A file or folder named by an argument does not exist or cannot be read."""
 
 
 class TrajectoryError(Error, ValueError):
-    """A trajectory cannot be read, or its poses make none."""
+    """A trajectory cannot be read, or its poses are invalid."""
 
 
 class TrajectoryFileError(TrajectoryError, OSError):
-    """A trajectory's file is not there or cannot be read."""
+    """A trajectory's file does not exist or cannot be read."""
 
 
 class SceneError(Error, ValueError):
-    """A scene cannot be read, or cannot be."""
+    """A scene cannot be read, or is invalid."""
 
 
 class SceneFileError(SceneError, OSError):
-    """A scene's file is not there or cannot be read, nor is there a built-in scene of this name."""
+    """A scene's file does not exist or cannot be read, and no built-in scene has this name."""
 
 
 class CaptureError(Error):
@@ -63,7 +63,7 @@ class LinkError(Error):
 
 
 class LiveError(Error, OSError):
-    """The card or the served room cannot be listened to."""
+    """The card or the served room is not available."""
 
 
 class ExportError(Error, OSError):

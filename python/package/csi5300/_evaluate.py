@@ -1,4 +1,4 @@
-"""Captures against their truth: :func:`evaluate`."""
+"""Evaluates captures against their truth: :func:`evaluate`."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     import ray.data
 
 TEXTS = ("capture", "error", "link", "mac")
-"""Columns that are no numbers."""
+"""Columns that are not numbers."""
 
 
 SHOWN = ("link", "azimuth_deg", "azimuth_sd_deg", "confidence", "error_from_mean_pose_deg", "mirror_deg", "error")
-"""Columns that one looks at first."""
+"""The most important columns."""
 MOST_SHOWN = 100
-"""Rows that a notebook shows."""
+"""Rows shown in a notebook."""
 
 
 @dataclass(frozen=True)
 class Capture:
-    """One run below a folder: what :func:`find` lists and :func:`one` evaluates."""
+    """One run below a folder: listed by :func:`find`, evaluated by :func:`one`."""
 
     place: str
     stamp: str
@@ -45,18 +45,18 @@ class Capture:
 
     @property
     def name(self) -> str:
-        """Its folder below the one evaluated, and its time stamp."""
+        """Its folder relative to the evaluated one, and its time stamp."""
         return "/".join(part for part in (self.place, self.stamp) if part)
 
 
 @dataclass
 class Evaluation:
-    """Rows of an evaluation, one a link (and a set of options), in the order of the captures."""
+    """Rows of an evaluation, one per link (and set of options), in the order of the captures."""
 
     rows: list[dict[str, Any]] = field(default_factory=list)
-    """By the names of ``csi5300 evaluate --json``; a capture or link that failed has its ``error``."""
+    """By the names of ``csi5300 evaluate --json``; a failed capture or link has its ``error``."""
     notes: list[str] = field(default_factory=list)
-    """What was lost in the logs or left out, a line each."""
+    """What was lost or skipped in the logs, a line each."""
     lost: bool = False
     """True if something was lost in a log, a folder could not be read, or a link failed."""
 
@@ -94,38 +94,38 @@ class Evaluation:
         return {name: _errors(rows) for name, rows in [*sorted(sets.items()), ("all", self.rows)]}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row a link; needs pandas. Swept values that are not all numbers, or all texts, are texts: lists with commas between."""
+        """One row per link; needs pandas. Swept values that are neither all numbers nor all texts become texts: lists with commas."""
         table: pandas.DataFrame = module("pandas").DataFrame(_columns(self.rows))
         return table
 
     def to_polars(self) -> polars.DataFrame:
-        """A row a link, as :meth:`to_pandas` has them; needs polars."""
+        """One row per link, as :meth:`to_pandas`; needs polars."""
         table: polars.DataFrame = module("polars").DataFrame(_columns(self.rows), strict=False, nan_to_null=True)
         return table
 
     def to_arrow(self) -> pyarrow.Table:
-        """A row a link, as :meth:`to_pandas` has them; needs pyarrow."""
+        """One row per link, as :meth:`to_pandas`; needs pyarrow."""
         pa = module("pyarrow")
         columns = _columns(self.rows)
-        # Not a number means no value, as in pandas.
+        # NaN means "no value", as in pandas.
         table: pyarrow.Table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
         return table
 
     def to_ray(self) -> ray.data.Dataset:
-        """A row a link, as a Ray Dataset on the cluster that was joined; needs ray and pyarrow."""
+        """One row per link, as a Ray Dataset on the joined cluster; needs ray and pyarrow."""
         dataset: ray.data.Dataset = module("ray.data").from_arrow(self.to_arrow())
         return dataset
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """A column for each name that any row has, those that one looks at first in front."""
+    """A column for each name in any row, the most important ones first."""
     every = dict.fromkeys(name for row in rows for name in row)
     names = dict.fromkeys([*(name for name in SHOWN if name in every), *every])
     columns: dict[str, Any] = {name: [row.get(name) for row in rows] for name in names}
     for name, values in columns.items():
         there = [value for value in values if value is not None]
         if not there and name not in TEXTS:
-            # Numbers that no row has are numbers all the same.
+            # Numeric columns without any value stay numeric.
             columns[name] = np.full(len(values), np.nan)
         elif {type(value) for value in there} == {int, float}:
             columns[name] = [None if value is None else float(value) for value in values]
@@ -140,7 +140,7 @@ def _is_plain(values: list[Any]) -> bool:
 
 
 def _words(value: Any) -> str:
-    """A value of an option as the command line takes it: lists with commas between."""
+    """An option's value as on the command line: lists with commas."""
     listed = isinstance(value, Iterable) and not isinstance(value, str)
     return ",".join(str(_options.plain(one)) for one in value) if listed else str(_options.plain(value))
 
@@ -163,7 +163,7 @@ def _errors(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def find(root: str | os.PathLike[str]) -> tuple[list[Capture], list[str]]:
-    """Captures below a folder, in the order of their names, and folders that could not be read."""
+    """Captures below a folder, in order of name, and folders that could not be read."""
     found, unreadable = _native.find_captures(root)
     captures = [
         Capture(place, stamp, os.fspath(folder), [(name, os.fspath(log)) for name, log in logs])
@@ -176,10 +176,10 @@ NO_CAPTURE = "a capture is a folder with groundtruth_positions.json and csi_rx_T
 
 
 def found_below(folder: str | os.PathLike[str]) -> tuple[list[Capture], list[str]]:
-    """As :func:`find`. Raises :class:`OptionError` where there is none, :class:`OptionFileError` where there is no such folder."""
+    """As :func:`find`. Raises :class:`OptionError` if there is none, :class:`OptionFileError` if the folder does not exist."""
     name = os.fspath(folder)
     if not os.path.isdir(name):
-        raise OptionFileError(f"folder: {name} is no folder that can be read", name)
+        raise OptionFileError(f"folder: {name} is not a readable folder", name)
     captures, unreadable = find(name)
     if not captures:
         raise OptionError(f"no capture below {name}: {NO_CAPTURE}", name)
@@ -187,12 +187,12 @@ def found_below(folder: str | os.PathLike[str]) -> tuple[list[Capture], list[str
 
 
 def workers_of(workers: int | None) -> int:
-    """Threads to work with: one a core where none are named."""
+    """Number of threads; by default one per core."""
     return (0 if workers is None else _options.whole("workers", workers)) or os.cpu_count() or 1
 
 
 def combinations(options: Mapping[str, Any], sweep: Mapping[str, Sequence[Any]] | None) -> list[dict[str, Any]]:
-    """The options of each run: the cartesian product of ``sweep``, each with ``options``."""
+    """The options of each run: the cartesian product of ``sweep``, combined with ``options``."""
     names, values = _options.combinations(options, sweep)
     runs = [dict(options) | dict(zip(names, chosen, strict=True)) for chosen in itertools.product(*values)]
     for run in runs:
@@ -201,7 +201,7 @@ def combinations(options: Mapping[str, Any], sweep: Mapping[str, Sequence[Any]] 
 
 
 def _run(options: Mapping[str, Any]) -> tuple[str, str]:
-    """The trajectory, and the other options as the native half takes them."""
+    """The trajectory, and the other options for the native half."""
     keywords = dict(options)
     trajectory = keywords.pop("trajectory", None) or "gt"
     return _options.text("trajectory", trajectory), _options.keywords(keywords)
@@ -213,7 +213,7 @@ def one(
     swept: Iterable[str] = (),
     cancel: _native.Cancel | None = None,
 ) -> Evaluation:
-    """Evaluates a capture, whose files are read once, with each set of options. What fails becomes a row with its ``error``, never an
+    """Evaluates a capture with each set of options, reading its files once. A failure becomes a row with its ``error``, never an
     exception. ``cancel`` ends it early."""
     swept = list(swept)
     done = Evaluation()
@@ -235,7 +235,7 @@ def one(
 
 
 def joined(parts: Iterable[Evaluation], unreadable: Iterable[str] = ()) -> Evaluation:
-    """Evaluations one after the other."""
+    """Evaluates one after the other."""
     notes = [f"cannot read {folder}" for folder in unreadable]
     whole = Evaluation(notes=notes, lost=bool(notes))
     for part in parts:
@@ -255,10 +255,11 @@ def evaluate(
 ) -> Evaluation:
     """Evaluates the captures below ``folder`` (a tree laid out as the WSR data set) against their truth.
 
-    ``options`` are those of ``csi5300 evaluate`` under the same names and in the same units: ``trajectory`` is ``"gt"`` (motion capture),
-    ``"t265"`` (tracking camera) or ``"odom"`` (wheels); ``antenna_offset`` says where the antenna is on the robot, and ``camera_mount``
-    how the tracking camera is mounted, as in :func:`csi5300.bearings`. ``sweep`` maps options to lists of values: every combination is evaluated, and ``option_NAME`` says which a row is of. ``workers``
-    captures are worked on at a time (None: one a core). ``progress`` is called with captures done and all.
+    ``options`` are those of ``csi5300 evaluate``, with the same names and units: ``trajectory`` is ``"gt"`` (motion capture),
+    ``"t265"`` (tracking camera) or ``"odom"`` (wheels); ``antenna_offset`` is the antenna's position on the robot, and ``camera_mount``
+    the tracking camera's, as in :func:`csi5300.bearings`. ``sweep`` maps options to lists of values: every combination is evaluated,
+    and a row's ``option_NAME`` has its values. ``workers`` is the number of captures evaluated in parallel (None: one per core).
+    ``progress`` is called with the number of captures done and their total.
     """
     runs = combinations(options, sweep)
     workers = workers_of(workers)

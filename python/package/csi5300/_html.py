@@ -1,4 +1,4 @@
-"""How a log shows itself in a notebook: what ``csi5300 info`` says, and a small picture."""
+"""A log in a notebook: the summary of ``csi5300 info``, and a small picture."""
 
 from __future__ import annotations
 

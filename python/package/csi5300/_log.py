@@ -41,14 +41,14 @@ def read(
     antennas: str | Iterable[str] | None = None,
     streams: int | None = None,
 ) -> Log:
-    """Reads a log (``.dat``, stock csitool or WSR layout, told apart record by record) into memory.
+    """Reads a log (``.dat``, stock csitool or WSR layout, distinguished record by record) into memory.
 
-    ``file`` is a path, bytes, or an object with ``read`` (binary). Kept are frames of the senders ``macs``, from ``t[0]`` up to
-    ``t[1]`` seconds after the first record (:attr:`Log.t`), of which an antenna of ``antennas`` (``"A"``, ``"BC"``) was used; CSI
-    has rows for these antennas and ``streams`` columns, or as many of both as any frame needs. What is damaged is skipped and
-    counted: :attr:`Log.losses`. Host times come from ``<file>stp`` or from the records.
+    ``file`` is a path, bytes, or an object with ``read`` (binary). Keeps the frames of the senders ``macs``, from ``t[0]`` up to
+    ``t[1]`` seconds after the first record (:attr:`Log.t`), that used an antenna of ``antennas`` (``"A"``, ``"BC"``). CSI has rows
+    for these antennas and ``streams`` columns, or as many of both as any frame needs. Damage is skipped and counted:
+    :attr:`Log.losses`. Host times come from ``<file>stp`` or from the records.
 
-    Raises :class:`LogError` if the file cannot be read, :class:`OptionError` for a filter that makes no sense.
+    Raises :class:`LogError` if the file cannot be read, :class:`OptionError` for an invalid filter.
     """
     letters, columns_of_csi = _options.letters(antennas), _options.streams(streams)
     found = _native.read(_file(file), _options.macs(macs), _options.stretch(t), letters)
@@ -57,7 +57,7 @@ def read(
 
 
 def _places(index: Any) -> int | NDArray[Any]:
-    """A number, or an array of numbers or of True and False. What is masked is not chosen, whatever lies under the mask."""
+    """A number, or an array of numbers or booleans. Masked elements are not selected, whatever lies under the mask."""
     if isinstance(index, np.ma.MaskedArray) and index.ndim:
         index = index.filled(False) if index.dtype == bool else index.compressed()
     places = np.asarray(index)
@@ -67,15 +67,15 @@ def _places(index: Any) -> int | NDArray[Any]:
         return int(places)
     if places.ndim != 1 or places.dtype.kind not in "iub":
         what = f"an array {places.shape} of {places.dtype}" if places.ndim else repr(index)
-        raise IndexError(f"{what}: a log takes a number, a slice, or a row of numbers or of True and False")
+        raise IndexError(f"{what}: a log takes a number, a slice, or an array of numbers or booleans")
     return places
 
 
 class Log(Lost):
     """Frames of a log: a NumPy array for each field, all of length ``n``.
 
-    ``log[3]`` is a :class:`Frame`; ``log[10:20]``, ``log[mask]`` and ``log[indices]`` are logs that share its memory. CSI is held
-    packed as the card sent it and decoded when :attr:`csi` or :meth:`scaled` is asked for.
+    ``log[3]`` is a :class:`Frame`; ``log[10:20]``, ``log[mask]`` and ``log[indices]`` are logs that share its memory. CSI is stored
+    packed as the card sent it, and decoded by :attr:`csi` or :meth:`scaled`.
     """
 
     def __init__(
@@ -93,16 +93,16 @@ class Log(Lost):
         self._letters = letters
         self._streams = streams
         self.info: dict[str, Any] = info
-        """What is known of the log as a whole (``survey``: what ``csi5300 info --json`` counts)."""
+        """Facts about the log as a whole (``survey``: the counters of ``csi5300 info --json``)."""
 
     def __len__(self) -> int:
         return len(self._columns["time_us"])
 
-    # What the log says of each frame.
+    # Fields of the frames.
 
     @property
     def name(self) -> str:
-        """The log's path, or what it was read from."""
+        """The log's path, or its other source."""
         return str(self.info["name"])
 
     @property
@@ -112,9 +112,9 @@ class Log(Lost):
 
     @property
     def t(self) -> NDArray[np.float64]:
-        """(n,) Seconds after the first record of the whole log, by the card's clock: what the ``t`` of :func:`read` counts.
+        """(n,) Seconds after the first record of the whole log, by the card's clock: the scale of :func:`read`'s ``t``.
 
-        So filters, slices and the pieces of :func:`scan` leave each frame its time, and ``log[100:].t[0]`` is not 0.
+        Filters, slices and the pieces of :func:`scan` do not change a frame's time, so ``log[100:].t[0]`` is not 0.
         """
         time, first = self.time_us, self.info.get("first_time_us")
         seconds: NDArray[np.float64] = (time - (time[:1].sum() if first is None else first)) * 1e-6
@@ -122,12 +122,12 @@ class Log(Lost):
 
     @property
     def host_time(self) -> NDArray[np.datetime64]:
-        """(n,) datetime64[us]: the host's wall clock at reception (UTC); NaT where not known."""
+        """(n,) datetime64[us]: the host's wall clock at reception (UTC); NaT if unknown."""
         return self._columns["host_us"].view("datetime64[us]")
 
     @property
     def rssi(self) -> NDArray[np.uint8]:
-        """(n, 3) dB above an internal reference at antennas A, B, C; 0 where nothing was heard."""
+        """(n, 3) dB above an internal reference at antennas A, B, C; 0 if nothing was heard."""
         return self._columns["rssi"]
 
     @property
@@ -137,7 +137,7 @@ class Log(Lost):
 
     @property
     def noise(self) -> Masked:
-        """(n,) Noise floor, dBm; masked where the driver measured none."""
+        """(n,) Noise floor, dBm; masked if the driver did not measure it."""
         noise = self._columns["noise_dbm"]
         return np.ma.masked_array(noise, mask=noise == -127)
 
@@ -154,12 +154,12 @@ class Log(Lost):
 
     @property
     def bfee_count(self) -> NDArray[np.uint16]:
-        """(n,) The driver's record counter, wrapping: a gap is a record lost before the log."""
+        """(n,) The driver's record counter, wrapping: a gap means a record lost before logging."""
         return self._columns["bfee_count"]
 
     @property
     def timestamp_low(self) -> NDArray[np.uint32]:
-        """(n,) The card's clock as the record has it, microseconds, wrapping after 4,295 s."""
+        """(n,) The card's clock as in the record, microseconds, wrapping after 4,295 s."""
         return self._columns["timestamp_low"]
 
     @property
@@ -174,20 +174,20 @@ class Log(Lost):
 
     @property
     def offset(self) -> NDArray[np.int64]:
-        """(n,) Bytes of the log before the record."""
+        """(n,) Offset of the record in the log, bytes."""
         return self._columns["offset"]
 
     @property
     def frame(self) -> Masked:
-        """(n,) The sender's number of the frame; masked where not known."""
+        """(n,) The sender's frame number; masked if unknown."""
         frame = self._columns["frame"]
         return np.ma.masked_array(frame, mask=frame < 0)
 
     @cached_property
     def mac(self) -> NDArray[np.str_]:
-        """(n,) The sender, as ``00:16:ea:12:34:56``; empty where not known."""
+        """(n,) The sender, as ``00:16:ea:12:34:56``; empty if unknown."""
         octets = self._columns["mac"]
-        # A number for each address: numbers are sorted without the interpreter's lock, rows are not.
+        # Addresses as numbers: sorting numbers releases the interpreter's lock, sorting rows does not.
         padded = np.zeros((len(octets), 8), np.uint8)
         padded[:, 2:] = octets
         distinct, which = np.unique(padded.view(">u8").ravel().astype(np.uint64), return_inverse=True)
@@ -197,25 +197,25 @@ class Log(Lost):
 
     @property
     def antenna_order(self) -> Masked:
-        """(n, 3) Antenna of each receive chain, 0 to 2 for A to C; masked for chains not used and where the record does not say."""
+        """(n, 3) Antenna of each receive chain, 0 to 2 for A to C; masked for unused chains and if the record does not name it."""
         order = self._columns["antenna_order"]
         return np.ma.masked_array(order, mask=order == NO_ANTENNA)
 
     @property
     def antennas_known(self) -> NDArray[np.bool_]:
-        """(n,) False where a record does not say which antenna is which: its rows of CSI are then receive chains."""
+        """(n,) False if a record does not name its antennas: its rows of CSI are then receive chains."""
         known: NDArray[np.bool_] = self._columns["antenna_order"][:, 0] != NO_ANTENNA
         return known
 
     @property
     def subcarriers(self) -> NDArray[np.int8]:
-        """(30,) Indices of the subcarriers about the channel centre, 312.5 kHz apart.
+        """(30,) Subcarrier indices relative to the channel centre, 312.5 kHz apart.
 
         Raises :class:`OptionError` if 20 and 40 MHz are mixed: ``log[log.is_40_mhz].subcarriers``.
         """
         wide = self.is_40_mhz
         if len(self) and wide.any() and not wide.all():
-            raise OptionError("frames of 20 and 40 MHz are mixed: choose by log[log.is_40_mhz] or log[~log.is_40_mhz]", self.name)
+            raise OptionError("frames of 20 and 40 MHz are mixed: select with log[log.is_40_mhz] or log[~log.is_40_mhz]", self.name)
         indices = _native.SUBCARRIERS_40_MHZ if len(self) and wide[0] else _native.SUBCARRIERS_20_MHZ
         return np.array(indices, dtype=np.int8)
 
@@ -223,8 +223,8 @@ class Log(Lost):
 
     @cached_property
     def antennas(self) -> str:
-        """Letters of the rows of :attr:`csi`: the antennas asked for, or those that were used in any frame of the log; a part has
-        those of the whole."""
+        """Letters of the rows of :attr:`csi`: the requested antennas, or those that any frame of the log used; a part has those of
+        the whole."""
         if self._letters is not None:
             return "".join(sorted(set(self._letters.upper()) & set("ABC")))
         order = self._columns["antenna_order"]
@@ -236,34 +236,34 @@ class Log(Lost):
 
     @cached_property
     def streams(self) -> int:
-        """Columns of :attr:`csi`: those asked for, or the most streams of a frame of the log; a part has as many as the whole."""
+        """Columns of :attr:`csi`: those requested, or the most streams of any frame of the log; a part has as many as the whole."""
         if self._streams is not None:
             return self._streams
         return int(self.n_tx.max()) if len(self) else 1
 
     @cached_property
     def csi(self) -> NDArray[np.complex64]:
-        """(n, n_rx, n_tx, 30) The card's integers, rows by :attr:`antennas`, not a number where a frame has none.
+        """(n, n_rx, n_tx, 30) The card's integers, rows by :attr:`antennas`, NaN where a frame has none.
 
-        Decoded at the first call and kept. :attr:`present` says what is there; :meth:`masked` masks the rest.
+        Decoded at the first call and kept. :attr:`present` shows which values exist; :meth:`masked` masks the others.
         """
         return self._decode(scaled=False, remove_spatial_mapping=False)
 
     def scaled(
         self, *, remove_spatial_mapping: bool = False, out: NDArray[np.complex64] | None = None
     ) -> NDArray[np.complex64]:
-        """(n, n_rx, n_tx, 30) CSI in units of sqrt(SNR), decoded anew; not a number where a frame has no scale.
+        """(n, n_rx, n_tx, 30) CSI in units of sqrt(SNR), decoded anew; NaN if a frame has no scale.
 
         With ``remove_spatial_mapping`` columns are transmit antennas instead of streams (Intel transmitters). ``out`` is an array of
-        this shape in C's order that is written and returned: memory that was used before is quicker than new memory. Raises
-        :class:`OptionError` for another shape or order.
+        this shape in C order that is written and returned: reusing memory is faster. Raises :class:`OptionError` for another shape or
+        order.
         """
         return self._decode(scaled=True, remove_spatial_mapping=remove_spatial_mapping, out=out)
 
     def raw(
         self, *, remove_spatial_mapping: bool = False, out: NDArray[np.complex64] | None = None
     ) -> NDArray[np.complex64]:
-        """(n, n_rx, n_tx, 30) As :attr:`csi`, decoded anew and not kept; ``out`` as :meth:`scaled` has it."""
+        """(n, n_rx, n_tx, 30) As :attr:`csi`, decoded anew and not kept; ``out`` as in :meth:`scaled`."""
         return self._decode(scaled=False, remove_spatial_mapping=remove_spatial_mapping, out=out)
 
     def masked(self, *, scaled: bool = False) -> Masked:
@@ -293,12 +293,12 @@ class Log(Lost):
 
     @property
     def scale(self) -> NDArray[np.float64]:
-        """(n,) Factor from the card's integers to sqrt(SNR); not a number where RSSI or CSI are all 0."""
+        """(n,) Factor from the card's integers to sqrt(SNR); NaN if RSSI or CSI are all 0."""
         return self._records.scale(self._rows)
 
     @property
     def total_rss(self) -> NDArray[np.float64]:
-        """(n,) Received power over all antennas, dBm; not a number where all RSSI are 0."""
+        """(n,) Received power over all antennas, dBm; NaN if all RSSI are 0."""
         return self._records.total_rss_dbm(self._rows)
 
     def _counted(self) -> dict[str, Any]:
@@ -306,10 +306,10 @@ class Log(Lost):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory of the packed records and the columns; decoded CSI is not counted."""
+        """Bytes of memory of the packed records and the columns, without decoded CSI."""
         return self._records.nbytes + sum(column.nbytes for column in self._columns.values())
 
-    # As a sequence.
+    # Sequence interface.
 
     @overload
     def __getitem__(self, index: int | np.integer[Any]) -> Frame: ...
@@ -349,7 +349,7 @@ class Log(Lost):
         )
 
     def __iter__(self) -> Iterator[Frame]:
-        # In pieces: one decoding for many frames.
+        # In pieces: each is decoded at once.
         for start in range(0, len(self), 1024):
             part = self[start : start + 1024]
             _ = part.csi
@@ -370,7 +370,7 @@ class Log(Lost):
         return Log(self._records, dict(self._columns), self.info, self._letters, self._rows, self._streams)
 
     def _held(self) -> _native._Held:
-        """What native functions take for a log in memory."""
+        """The arguments of native functions for a log in memory."""
         return (self._records, self._rows, self._columns["host_us"])
 
     # To other libraries.
@@ -382,13 +382,13 @@ class Log(Lost):
         return _tables.to_xarray(self, scaled=scaled)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row a frame, without the CSI; needs pandas."""
+        """One row per frame, without the CSI; needs pandas."""
         from . import _tables
 
         return _tables.to_pandas(self)
 
     def to_polars(self, *, scaled: bool = False) -> polars.DataFrame:
-        """A row a frame, CSI in the array columns ``csi_re`` and ``csi_im``; needs polars."""
+        """One row per frame, CSI in the array columns ``csi_re`` and ``csi_im``; needs polars."""
         from . import _tables
 
         return _tables.to_polars(self, scaled=scaled)
@@ -401,7 +401,7 @@ class Log(Lost):
         remove_spatial_mapping: bool = False,
     ) -> int:
         """Writes the frames to ``.npz``, ``.mat`` (v5) or ``.parquet``, with the arrays and columns of ``csi5300 export``
-        (docs/reference/formats.md); a file that is there is replaced. Returns how many frames have no scale (0 unless ``scaled``).
+        (docs/reference/formats.md); replaces an existing file. Returns the number of frames without a scale (0 unless ``scaled``).
 
         Raises :class:`ExportError`.
         """

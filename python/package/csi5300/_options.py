@@ -1,4 +1,4 @@
-"""Arguments as the native half takes them, checked here so that an error names the argument. NumPy's scalars are numbers."""
+"""Prepares arguments for the native half. They are checked here so that an error names the argument. NumPy's scalars are numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEPS = ("compensation", "alignment", "one-way", "near-field", "elevation")
 
 
 def plain(value: Any) -> Any:
-    """A scalar of NumPy as Python's; anything else as it is."""
+    """A NumPy scalar as Python's; any other value unchanged."""
     return value.item() if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0) else value
 
 
@@ -61,7 +61,7 @@ def texts(name: str, value: Any) -> list[str]:
     if isinstance(value, str):
         return [str(value)]
     if not isinstance(value, Iterable):
-        raise OptionError(f"{name}: {value!r} is neither a text nor several")
+        raise OptionError(f"{name}: {value!r} is neither a text nor a list of texts")
     return [text(name, one) for one in value]
 
 
@@ -70,7 +70,7 @@ def steps(name: str, value: Any) -> list[str]:
     given = texts(name, value)
     for one in given:
         if one not in STEPS:
-            raise OptionError(f"{name}: {one!r} is none of {', '.join(STEPS)}")
+            raise OptionError(f"{name}: {one!r} is not one of {', '.join(STEPS)}")
     return given
 
 
@@ -121,11 +121,11 @@ KINDS: Mapping[str, Callable[[str, Any], Any]] = {
     "rx_mac": text,
     "threads": whole,
 }
-"""What each option of bearings and evaluations is; ranges are the native half's to check."""
+"""The type of each option of bearings and evaluations; the native half checks the ranges."""
 
 
 def keywords(options: Mapping[str, Any]) -> str:
-    """Options as the native half takes them: what is None is as by default."""
+    """Options for the native half; None means the default."""
     given = {}
     for name, value in options.items():
         if name not in KINDS:
@@ -136,7 +136,7 @@ def keywords(options: Mapping[str, Any]) -> str:
 
 
 def combinations(options: Mapping[str, Any], sweep: Mapping[str, Any] | None) -> tuple[list[str], list[list[Any]]]:
-    """The names that are swept, and the values of each."""
+    """The swept names, and the values of each."""
     if sweep is None:
         return [], []
     if not isinstance(sweep, Mapping):
@@ -180,5 +180,5 @@ def stretch(value: Any) -> tuple[float | None, float | None] | None:
             raise OptionError(f"t: {end!r} is not a number of seconds")
     start, stop = (None if end is None else float(end) for end in ends)
     if start is not None and stop is not None and start >= stop:
-        raise OptionError(f"t: from {start} to {stop} s is no stretch of time")
+        raise OptionError(f"t: from {start} to {stop} s is not a stretch of time")
     return start, stop

@@ -12,14 +12,14 @@ from ._frame import Lost
 from ._log import File, Log, _file
 
 WIDEST = ("ABC", 3)
-"""Rows and columns that every frame of the card fits in."""
+"""Rows and columns with room for every frame of the card."""
 
 
 class Scan(Lost, Iterator[Log]):
-    """The pieces of a log, one after the other: what :func:`scan` gives.
+    """The result of :func:`scan`: the pieces of a log, in order.
 
-    :attr:`info`, :attr:`losses`, :attr:`lost_something` and :attr:`tail` are those of the log up to where it was read, so of all of
-    it after the last piece.
+    :attr:`info`, :attr:`losses`, :attr:`lost_something` and :attr:`tail` refer to the part read so far, so to the whole log after the
+    last piece.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Scan(Lost, Iterator[Log]):
 
     @property
     def info(self) -> dict[str, Any]:
-        """What was counted so far, as :attr:`Log.info` has it."""
+        """The counters so far, as in :attr:`Log.info`."""
         info: dict[str, Any] = json.loads(self._scanner.info())
         return info
 
@@ -64,12 +64,12 @@ def scan(
 ) -> Scan:
     """Reads a log of any size in constant memory: an iterator over :class:`Log` after :class:`Log` of up to ``chunk`` frames.
 
-    Filters and errors are those of :func:`read`, and the pieces of a log have one shape of CSI, which concatenate: rows for
-    ``antennas`` and ``streams`` columns or, where either is not given, as many as any frame needs, for which the log is read once
-    before; what can be read once only (a FIFO, standard input, a file object that cannot ``seek``) has ``"ABC"`` and 3.
+    Filters and errors are those of :func:`read`. All pieces have the same shape of CSI, so they can be concatenated: rows for
+    ``antennas`` and ``streams`` columns. If either is not given, it is the most that any frame needs; for that the log is read once
+    before. A source that can only be read once (a FIFO, standard input, a file object that cannot ``seek``) gets ``"ABC"`` and 3.
 
-    :attr:`Log.losses` and :attr:`Log.tail` of a piece are those of the log up to the record behind it, so of all of it in the last
-    piece. There is one piece at least: of a log without a frame an empty one, which says what was lost.
+    :attr:`Log.losses` and :attr:`Log.tail` of a piece refer to the log up to the record after it, so to the whole log in the last
+    piece. There is at least one piece: a log without a frame gives an empty one, with the losses.
     """
     rows, columns = _options.letters(antennas), _options.streams(streams)
     filters = (_options.macs(macs), _options.stretch(t), rows)
@@ -81,7 +81,7 @@ def scan(
 
 
 def _widest(file: Any, filters: Any) -> tuple[str, int]:
-    """What the CSI of the frames needs, where the log can be read twice."""
+    """The shape that the frames' CSI needs, if the log can be read twice."""
     if hasattr(file, "read"):
         if not (hasattr(file, "seekable") and file.seekable()):
             return WIDEST
@@ -90,6 +90,6 @@ def _widest(file: Any, filters: Any) -> tuple[str, int]:
         file.seek(start)
         return found
     if isinstance(file, (str, os.PathLike)) and (os.fspath(file) == "-" or not os.path.isfile(file)):
-        # Standard input, a FIFO, or what the native half refuses with its reason.
+        # Standard input, a FIFO, or a file that the native half refuses with its reason.
         return WIDEST
     return _native.widest(_file(file), *filters)

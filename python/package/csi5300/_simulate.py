@@ -20,16 +20,16 @@ from ._log import Log, read
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """What a robot of a room logged, and the truth about it."""
+    """A robot's log in a room, and the truth about it."""
 
     name: str
     mac: str
     data: bytes = field(repr=False)
     """Its log, the bytes of a ``.dat`` file."""
     path: NDArray[np.float64] | None = field(repr=False)
-    """(m, 5) Where its antenna A was: seconds on its host's clock, x, y, z (metres), heading (radians)."""
+    """(m, 5) Positions of its antenna A: seconds on its host's clock, x, y, z (metres), heading (radians)."""
     injected: str
-    """What was done to it on purpose, in words."""
+    """Its injected faults, as text."""
 
     @cached_property
     def log(self) -> Log:
@@ -40,18 +40,18 @@ class Robot:
 
     @property
     def start_m(self) -> NDArray[np.float64] | None:
-        """(3,) Where its antenna A was at the start, metres."""
+        """(3,) Position of its antenna A at the start, metres."""
         return None if self.path is None else self.path[0, 1:4]
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """A scene that was run: its robots, in the scene's order."""
+    """A simulated scene: its robots, in the scene's order."""
 
     channel: int
     robots: list[Robot]
     initiators: list[str]
-    """Names of the robots that asked; the others answered."""
+    """Names of the initiators; the others answered."""
 
     def __getitem__(self, name: str) -> Robot:
         for robot in self.robots:
@@ -66,7 +66,7 @@ class Room:
         return len(self.robots)
 
     def true_azimuth_deg(self, tx: str, rx: str | None = None) -> float:
-        """Azimuth from the mean place of ``rx`` (the first initiator) to where ``tx`` was at the start, degrees."""
+        """Azimuth from the mean position of ``rx`` (the first initiator) to the start position of ``tx``, degrees."""
         own, other = self[rx or self.initiators[0]].path, self[tx].start_m
         if own is None or other is None:
             raise OptionError("a scene too short for a path has no bearing")
@@ -86,14 +86,14 @@ class Room:
 
 
 def _json(scene: Mapping[str, Any]) -> str:
-    """A scene's values, those of NumPy as Python's."""
+    """A scene's values, with NumPy's converted to Python's."""
 
     def known(value: Any) -> Any:
         if isinstance(value, (np.ndarray, np.generic)):
             return value.tolist()
         if isinstance(value, Mapping):
             return dict(value)
-        raise TypeError(f"{value!r} is no value of a scene")
+        raise TypeError(f"{value!r} is not a valid scene value")
 
     try:
         return json.dumps(scene if isinstance(scene, dict) else dict(scene), default=known)
@@ -109,8 +109,8 @@ def simulate(
 ) -> Room:
     """Runs a scene in memory: a ``.toml`` file, the name of a built-in one (``"lab-circle"``), or a dictionary of its values.
 
-    ``seed`` and ``layout`` (``"wsr"``, ``"stock"``) replace the scene's. A seed gives the same bytes on any machine.
-    Raises :class:`SceneError`, which is a :class:`SceneFileError` where the file cannot be read; :class:`OptionError`.
+    ``seed`` and ``layout`` (``"wsr"``, ``"stock"``) replace the scene's. A seed gives the same bytes on any machine. Raises
+    :class:`SceneError`, or its subclass :class:`SceneFileError` if the file cannot be read; :class:`OptionError`.
     """
     is_json = isinstance(scene, Mapping)
     text = _json(scene) if isinstance(scene, Mapping) else os.fspath(scene)

@@ -1,4 +1,4 @@
-"""Records as they come: :class:`Stream`."""
+"""Live records: :class:`Stream`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from . import _native, _options
 from ._errors import LiveError
 from ._log import Log
 
-# Silence that is said, seconds.
+# Silence before the hint, seconds.
 _PATIENCE_S = 5.0
 _SILENCE = "no frame so far: `csi5300 doctor` looks for the reason"
 
@@ -22,9 +22,8 @@ _SILENCE = "no frame so far: `csi5300 doctor` looks for the reason"
 class Stream:
     """Frames of this machine's card, or of a robot in a served room (``csi5300 simulate SCENE --serve --socket PATH``).
 
-    ``for log in stream`` and ``async for log in stream`` give a :class:`Log` of the frames that came since the last one, until a
-    served room ends or the stream is closed, from whichever thread or task. Listening to the card needs CAP_NET_ADMIN. Raises
-    :class:`LiveError`.
+    ``for log in stream`` and ``async for log in stream`` yield a :class:`Log` of the frames received since the last one, until a
+    served room ends or any thread or task closes the stream. Listening to the card needs CAP_NET_ADMIN. Raises :class:`LiveError`.
     """
 
     def __init__(
@@ -36,7 +35,7 @@ class Stream:
         allow_user_sender: bool = False,
         receive_buffer: int | None = None,
     ) -> None:
-        """``room`` is ``PATH#ROBOT``; without it the driver of this machine's card is listened to."""
+        """``room`` is ``PATH#ROBOT``; without it the stream listens to the driver of this machine's card."""
         self._listener: _native.Listener | None = _native.Listener(
             room, connector_index, allow_user_sender, receive_buffer, _options.macs(macs)
         )
@@ -50,24 +49,24 @@ class Stream:
 
     @property
     def info(self) -> dict[str, Any]:
-        """What was counted so far, losses included."""
+        """The counters so far, including losses."""
         info: dict[str, Any] = json.loads(self._open().info())
         return info
 
     @property
     def ended(self) -> bool:
-        """True once a served room ended, or the stream was closed."""
+        """True once the served room ended or the stream was closed."""
         listener = self._listener
         return listener is None or listener.ended
 
     def fileno(self) -> int:
-        """The socket: readable when frames wait."""
+        """The socket: readable if frames wait."""
         return self._open().fileno()
 
     def read(self, timeout: float | None = None) -> Log:
-        """The frames that wait; where there are none, those that come within ``timeout`` seconds (None: waits for one).
+        """The waiting frames; if there are none, those that arrive within ``timeout`` seconds (None: waits for one).
 
-        Raises :class:`LiveError` if the stream is closed, also if that happens while this waits.
+        Raises :class:`LiveError` if the stream is closed, even while this waits.
         """
         listener = self._open()
         log = _take(listener, None if timeout is None else _options.number("timeout", timeout))
@@ -76,7 +75,7 @@ class Stream:
         return log
 
     def close(self) -> None:
-        """Stops listening; who waits for frames, in another thread or task, waits no more."""
+        """Stops listening; waits in other threads or tasks end."""
         listener, self._listener = self._listener, None
         if listener is not None:
             listener.close()
@@ -116,12 +115,12 @@ class Stream:
 
     async def _readable(self, listener: _native.Listener, loop: asyncio.AbstractEventLoop) -> None:
         ready = asyncio.Event()
-        # A descriptor of its own: it stays open whoever closes the stream, and another task that waits has another.
+        # Each task has its own descriptor: it stays open whoever closes the stream.
         socket = os.dup(listener.fileno())
         self._waiting.add((loop, ready))
         loop.add_reader(socket, ready.set)
         try:
-            # The stream may have been closed before this task was among those who wait.
+            # The stream may have been closed before this task was registered as waiting.
             if self._listener is not None:
                 await ready.wait()
         finally:
@@ -131,7 +130,7 @@ class Stream:
 
 
 def _take(listener: _native.Listener, timeout: float | None) -> Log:
-    """What a listener has; who waits without a limit is told once that nothing comes."""
+    """Reads from a listener; a wait without a limit prints one hint if nothing arrives."""
     log = _log(listener, _PATIENCE_S if timeout is None else timeout)
     if timeout is None and not len(log) and not listener.ended:
         warnings.warn(_SILENCE, stacklevel=3)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def columns(log: Log) -> dict[str, Any]:
-    """One-dimensional columns by name; integers that a frame does not have are masked."""
+    """One-dimensional columns by name; missing integers are masked."""
     rssi = log.rssi
     return {
         "time_us": log.time_us,
@@ -37,7 +37,7 @@ def columns(log: Log) -> dict[str, Any]:
 
 
 def module(name: str) -> Any:
-    """A library that is asked for. Raises ImportError, which says how to have it."""
+    """An optional library. Raises ImportError with the install command."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""CSIKit's way to read Intel 5300 logs, over this package's decoder, for scripts that are written for it::
+"""CSIKit's interface for Intel 5300 logs, over this package's decoder, for scripts written for CSIKit::
 
     from csi5300.csikit import csitools, get_reader    # for CSIKit.reader.get_reader and CSIKit.util.csitools
     data = get_reader("rx.dat").read_file("rx.dat", scaled=True)
@@ -54,7 +54,7 @@ class CSIData:
 
 
 def _rows(log: Log, k: int) -> list[int]:
-    """The rows of frame ``k``: antennas A, B, C of three chains, fewer chains in their own order."""
+    """The rows of frame ``k``: antennas A, B, C if it has three chains, otherwise its chains in order."""
     chains = int(log.n_rx[k])
     if not log.antennas_known[k]:
         return list(range(chains))
@@ -66,9 +66,9 @@ class IWLBeamformReader:
     """Reads logs of the CSI tool and of the WSR toolbox."""
 
     def read_file(self, path: str | os.PathLike[str], scaled: bool = False, filter_mac: str | None = None) -> CSIData:
-        """The frames of a log, those of the sender ``filter_mac`` only; ``scaled`` to sqrt(SNR). What is damaged is left out.
+        """The frames of a log, only those of the sender ``filter_mac`` if given; ``scaled`` to sqrt(SNR). Damage is skipped.
 
-        Raises :class:`LogError` for what cannot be read, and for another kind of file, which it names.
+        Raises :class:`LogError` for an unreadable file, and for another kind of file, which the message names.
         """
         log = read(path, macs=filter_mac)
         csi, noise = log.scaled() if scaled else log.csi, log._columns["noise_dbm"]
@@ -84,7 +84,7 @@ class IWLBeamformReader:
 
 
 def get_reader(path: str | os.PathLike[str]) -> IWLBeamformReader:
-    """The reader of ``path``: there is one, and its :meth:`~IWLBeamformReader.read_file` names other kinds of files."""
+    """The reader of ``path``: there is one for all; its :meth:`~IWLBeamformReader.read_file` recognises other kinds of files."""
     return IWLBeamformReader()
 
 
@@ -95,10 +95,10 @@ class csitools:
     def get_CSI(
         csi_data: CSIData, metric: str = "amplitude", extract_as_dBm: bool = True, squeeze_output: bool = False
     ) -> tuple[NDArray[Any], int, int]:
-        """``(csi, frames, subcarriers)``, csi of (n, 30, n_rx, n_tx), as many chains and streams as the first frame has.
+        """``(csi, frames, subcarriers)``, csi of (n, 30, n_rx, n_tx), with the first frame's number of chains and streams.
 
-        ``metric`` is ``"amplitude"`` (dB with ``extract_as_dBm``), ``"phase"`` (radians), or ``"complex"``. Frames with fewer chains
-        or streams are left out, as CSIKit does, here and from ``timestamps``; ``frames`` counts them.
+        ``metric`` is ``"amplitude"`` (dB with ``extract_as_dBm``), ``"phase"`` (radians), or ``"complex"``. As in CSIKit, frames with fewer
+        chains or streams are skipped, here and in ``timestamps``; ``frames`` counts them.
         """
         if not csi_data.frames:
             raise OptionError(f"{csi_data.filename} has no frame with CSI")

@@ -1,6 +1,6 @@
 """Pictures with matplotlib: :func:`heat_map`, :func:`bearing`, :func:`trajectory`.
 
-Each returns a ``Figure`` that no window shows: notebooks draw it, ``figure.savefig("name.png")`` writes it.
+Each returns a ``Figure`` without a window: notebooks display it, ``figure.savefig("name.png")`` writes it.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from ._log import Log
 
 COLUMNS = 1_500
-"""Frames drawn at most, evenly chosen by their number, beside those at both ends of a pause."""
+"""Frames drawn at most, evenly spaced by number, besides those at both ends of a pause."""
 GAP_S = 0.5
 GAP_STEPS = 5
-"""Pauses between frames that are longer than this, and than so many usual steps, are left white."""
+"""Pauses between frames are white if they exceed both this many seconds and this many usual intervals."""
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -34,7 +34,7 @@ def _figure(width: float, height: float) -> Figure:
         raise ImportError("pictures need matplotlib: pip install matplotlib") from error
 
     class Picture(Figure):  # type: ignore[misc, unused-ignore]
-        """A figure that notebooks show, whether pyplot was imported or not."""
+        """A figure that notebooks display, with or without pyplot."""
 
         def _repr_png_(self) -> bytes:
             out = io.BytesIO()
@@ -50,12 +50,12 @@ def _edges(places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _columns(places: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Of frames at these places, in their order: those to draw, the edges of the cells, and which cells are of a frame: the others
-    are the pauses, in which nothing is drawn."""
+    """For frames at these positions, in order: which to draw, the edges of the cells, and which cells belong to a frame; the others
+    are pauses, in which nothing is drawn."""
     steps = np.diff(places)
     usual = float(np.median(steps[steps > 0]))
     pauses = np.flatnonzero(steps > max(GAP_S, GAP_STEPS * usual))
-    # The longest, where there are very many.
+    # Only the longest, if there are many.
     pauses = np.sort(pauses[np.argsort(-steps[pauses], kind="stable")[:COLUMNS]])
     evenly = np.linspace(0, len(places) - 1, min(COLUMNS, len(places))).astype(np.int64)
     drawn = np.unique(np.concatenate([evenly, pauses, pauses + 1]))
@@ -63,7 +63,7 @@ def _columns(places: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np
     half = usual / 2
     before = np.searchsorted(drawn, pauses)
     edges = np.concatenate([[places[0] - half], between, [places[-1] + half]])
-    # The edge in the middle of a pause becomes two, half a step from its ends.
+    # A pause has two edges, half an interval from its ends.
     edges[before + 1] = places[pauses] + half
     edges = np.insert(edges, before + 2, places[pauses + 1] - half)
     is_frame = np.insert(np.ones(len(drawn), dtype=bool), before + 1, False)
@@ -71,7 +71,7 @@ def _columns(places: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np
 
 
 def _without_line(h: NDArray[np.complex64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Phases (n, 30) without offset and slope; the slope is that of neighbours at the usual distance."""
+    """Phases (n, 30) without offset and slope; the slope is measured between neighbours at the usual distance."""
     step = np.diff(places)
     usual = np.median(step)
     pairs = np.flatnonzero(step == usual)
@@ -84,9 +84,9 @@ def _without_line(h: NDArray[np.complex64], places: NDArray[np.float64]) -> NDAr
 def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure:
     """Amplitude (dB, the card's integers) and phase over time and subcarrier of one antenna and stream.
 
-    The phase is what is left of each frame's without its offset and its slope over subcarriers: those of carrier and sampling
-    clock differ from frame to frame and hide the channel. Pauses are white; frames that all have one time are drawn by their
-    number. Raises :class:`OptionError` for an antenna or stream that the log does not have.
+    Each frame's phase is drawn without its offset and slope over subcarriers: those of carrier and sampling clock vary from frame to
+    frame and hide the channel. Pauses are white; frames that all have the same time are drawn by number. Raises :class:`OptionError`
+    for an antenna or stream that the log does not have.
     """
     letter, column = _which(log, antenna, stream)
     order = np.argsort(log.time_us, kind="stable")
@@ -111,7 +111,7 @@ def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure
         figure.colorbar(drawn, ax=axes, label=words)
         axes.set_ylabel("subcarrier")
     upper.set_title(f"{log.name}, antenna {letter}, stream {column + 1}", fontsize="medium")
-    lower.set_xlabel("seconds after the log's first record" if is_timed else "frame: all have one time")
+    lower.set_xlabel("seconds after the log's first record" if is_timed else "frame number: all have the same time")
     return figure
 
 
@@ -131,9 +131,9 @@ def _mark(axes: Any, degrees: float, style: str, words: str) -> None:
 
 
 def bearing(found: Bearing, *, truth_deg: float | None = None) -> Figure:
-    """The profile over azimuth with the answer (and its mirror, and the truth) marked, and the path with the bearing.
+    """The profile over azimuth with answer, mirror and truth marked, and the path with the bearing.
 
-    The profile is the plane wave's on the horizon, its largest value drawn as 1. Raises :class:`LinkError` without a bearing.
+    The profile is the plane wave's on the horizon, scaled to a maximum of 1. Raises :class:`LinkError` without a bearing.
     """
     profile = found.profile(720)
     figure = _figure(9, 4.5)
@@ -157,7 +157,7 @@ def trajectory(bearings: list[Bearing]) -> Figure:
     """The receiver's path from above, with an arrow for each bearing. Raises :class:`OptionError` without any bearing."""
     drawn = [found for found in bearings if found]
     if not drawn:
-        raise OptionError("bearings: none of these links has a bearing, and so a path")
+        raise OptionError("bearings: none of these links has a bearing")
     figure = _figure(5, 5)
     _path(figure.add_subplot(), drawn)
     return figure

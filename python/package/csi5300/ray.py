@@ -1,8 +1,7 @@
-"""Data sets of many captures on a Ray cluster: :func:`evaluate`, :func:`convert`. Without Ray: threads of this machine.
+"""Data sets of many captures on a Ray cluster, or on threads of this machine: :func:`evaluate`, :func:`convert`.
 
-A task is one capture (or one log). A task whose node is lost is done again by Ray; each task gives its rows once, by its place in
-the list, so nothing is counted twice. Files come from anywhere that fsspec reads: a capture's files are fetched by the task that
-needs them, into a folder that goes with it.
+A task is one capture (or one log). Ray repeats a task whose node is lost. Results are stored by the task's number, so nothing counts
+twice. Files may be anywhere that fsspec reads: the task that needs a capture's files copies them into a temporary folder.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ __all__ = ["Converted", "convert", "evaluate", "sweep"]
 
 Progress = Callable[[int, int], None]
 RETRIES = 8
-"""Times that Ray does a task again whose node or process was lost."""
+"""How often Ray repeats a task whose node or process was lost."""
 _PART = re.compile(r"part-\d{5,}\.parquet")
 
 
 def _remote(uri: str) -> tuple[Any, str]:
-    """fsspec's file system and the path in it."""
+    """fsspec's file system, and the path in it."""
     try:
         import fsspec
     except ImportError as error:
@@ -47,7 +46,7 @@ def _is_local(uri: str) -> bool:
 
 @dataclass(frozen=True)
 class _Remote:
-    """A capture whose files are elsewhere."""
+    """A capture with remote files."""
 
     uri: str
     capture: Capture
@@ -65,7 +64,7 @@ class _Remote:
 
 
 def _find_remote(uri: str) -> list[_Remote]:
-    """Captures by the same names as :func:`csi5300._evaluate.find` gives below a local folder."""
+    """Captures with the same names that :func:`csi5300._evaluate.find` gives for a local folder."""
     system, root = _remote(uri)
     folders: dict[str, list[str]] = {}
     for file in system.find(root):
@@ -100,7 +99,7 @@ def _evaluate_task(
 
 
 def _ray(use_ray: bool | None) -> Any:
-    """The module ray, connected; None for threads."""
+    """The connected module ray; None for threads."""
     if use_ray is False:
         return None
     try:
@@ -115,7 +114,7 @@ def _ray(use_ray: bool | None) -> Any:
 
 
 def _on_ray(ray: Any, work: Callable[..., Any], tasks: Sequence[Any], rest: tuple[Any, ...], cpus: float) -> Iterator[tuple[int, Any]]:
-    """Results as they come, with the place of their task; each once."""
+    """Results as they arrive, with the number of their task; one each."""
     remote = ray.remote(num_cpus=cpus, max_retries=RETRIES)(work)
     shared = [ray.put(value) for value in rest]
     limit = max(int(ray.cluster_resources().get("CPU", 1) / max(cpus, 0.01)), 1) * 4
@@ -123,7 +122,7 @@ def _on_ray(ray: Any, work: Callable[..., Any], tasks: Sequence[Any], rest: tupl
     places = iter(enumerate(tasks))
     try:
         while True:
-            # A few tasks for each core wait in the cluster, the others here: millions of them cost no memory.
+            # A few tasks per core wait in the cluster, the others here: millions of tasks cost no memory.
             while len(waiting) < limit and (following := next(places, None)) is not None:
                 place, task = following
                 waiting[remote.remote(task, *shared)] = place
@@ -133,7 +132,7 @@ def _on_ray(ray: Any, work: Callable[..., Any], tasks: Sequence[Any], rest: tupl
             for reference in done:
                 yield waiting.pop(reference), ray.get(reference)
     finally:
-        # After an interrupt or a task's own mistake: nobody waits for the others.
+        # After an interrupt or an error of a task, nobody waits for the others.
         for reference in waiting:
             ray.cancel(reference)
 
@@ -180,11 +179,11 @@ def evaluate(
     progress: Progress | None = None,
     **options: Any,
 ) -> Evaluation:
-    """:func:`csi5300.evaluate` of a folder or of a place that fsspec knows (``s3://bucket/prefix``), a task a capture.
+    """:func:`csi5300.evaluate` for a folder or an fsspec location (``s3://bucket/prefix``), one task per capture.
 
-    ``use_ray``: None for Ray where it is installed (a cluster that was joined by ``ray.init``, else this machine), False for threads.
-    ``sweep``: all its combinations are evaluated by the task that fetched the capture, from files read once. A capture that fails is a row with its
-    ``error``. The rows are in the order of the captures, whoever was done first, and those of :func:`csi5300.evaluate`.
+    ``use_ray``: None for Ray if it is installed (a cluster joined by ``ray.init``, else this machine), False for threads. ``sweep``: the
+    task that copied the capture evaluates all combinations, reading its files once. A failed capture becomes a row with its ``error``.
+    The rows are those of :func:`csi5300.evaluate`, in the order of the captures.
     """
     uri = os.fspath(uri)
     runs = combinations(options, sweep)
@@ -194,7 +193,7 @@ def evaluate(
     if not tasks:
         raise OptionError(f"no capture below {uri}: {NO_CAPTURE}", uri)
     if use_ray is not False or workers is not None:
-        # One capture a core: its links one after the other, unless that was asked for.
+        # One capture per core: its links are estimated one after the other, unless the caller sets it.
         runs = [{"threads": max(int(cpus_per_task), 1), **run} for run in runs]
     parts = _all(_evaluate_task, tasks, (runs, list(sweep or ())), use_ray, workers, cpus_per_task, progress)
     return joined(parts, unreadable)
@@ -207,23 +206,23 @@ def sweep(uri: str | os.PathLike[str], options: Mapping[str, Sequence[Any]], **r
 
 @dataclass(frozen=True)
 class Converted:
-    """What became of a log."""
+    """The result of a log's conversion."""
 
     log: str
-    """Its place below the folder that was converted."""
+    """Its path relative to the converted folder."""
     parts: list[str]
-    """The Parquet files that were written; of a log without a frame none."""
+    """The Parquet files that were written; none for a log without a frame."""
     frames: int
     lost_something: bool
     """True if anything before the log's end was damaged or dropped."""
     error: str | None = None
     tail: dict[str, int | None] | None = None
-    """Where the log was cut in the middle of a record, as :attr:`csi5300.Log.tail` has it."""
+    """Where the log was cut inside a record, as in :attr:`csi5300.Log.tail`."""
 
 
 @dataclass(frozen=True)
 class _Conversion:
-    """What is done to each log."""
+    """The conversion options of each log."""
 
     uri_in: str
     uri_out: str
@@ -233,7 +232,7 @@ class _Conversion:
     shape: tuple[str, int]
 
     def place(self, file: str) -> str:
-        """Where a log is below the folder."""
+        """A log's path relative to the folder."""
         if _is_local(self.uri_in):
             return Path(file).relative_to(self.uri_in).as_posix()
         return posixpath.relpath(file, _remote(self.uri_in)[1].rstrip("/"))
@@ -243,7 +242,7 @@ class _Conversion:
         return f"log={self.place(file).replace('/', '__')}"
 
     def fetched(self, file: str, folder: str) -> str:
-        """The log as a file of this machine."""
+        """The log as a local file."""
         if _is_local(self.uri_in):
             return file
         source, _ = _remote(self.uri_in)
@@ -263,7 +262,7 @@ def _convert_task(file: str, work: _Conversion, cancel: _native.Cancel | None = 
                 if cancel is not None and cancel.is_set():
                     return replace(done, error="the conversion was stopped")
                 if number == 0:
-                    # Those of an earlier conversion may be of other frames.
+                    # Parts of an earlier conversion may have other frames.
                     _clear(work.uri_out, work.partition(file))
                 if len(piece):
                     part = os.path.join(folder, "part.parquet")
@@ -295,7 +294,7 @@ def _clear(uri_out: str, partition: str) -> None:
 
 
 def _put(file: str, uri_out: str, name: str) -> str:
-    """Moves a file to its place; whole or not at all, so that a task may be done twice."""
+    """Moves a file to its destination, completely or not at all, so that a task can be repeated."""
     if _is_local(uri_out):
         target = Path(uri_out) / name
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -325,19 +324,19 @@ def convert(
 ) -> list[Converted]:
     """Writes each log (``*.dat``) below ``uri_in`` as Parquet below ``uri_out``: ``log=PLACE/part-00000.parquet``, ``chunk`` frames a file.
 
-    All files have one schema, whatever the logs hold, and are read as one table: CSI of the antennas A, B and C and of 3 streams,
-    null where a frame has none, or of ``antennas`` and ``streams``. Filters are those of :func:`csi5300.read`.
+    All files have the same schema and can be read as one table: CSI of ``antennas`` and ``streams``, by default antennas A, B and C and
+    3 streams, null where a frame has none. Filters are those of :func:`csi5300.read`.
 
-    ``/`` in PLACE is written ``__``. A log that cannot be read is in the list with its ``error``; what was lost of one that could is
-    said there too. Files are written whole or not at all, under names that follow from the log's, and those of an earlier conversion
-    of the log are removed: what is done twice, by Ray or by you, counts once. Raises :class:`csi5300.OptionError`.
+    ``/`` in PLACE is written ``__``. An unreadable log is in the list with its ``error``; the result of a readable one has its losses.
+    Files are written completely or not at all, under names derived from the log's. Those of an earlier conversion of the log are
+    removed, so repeating a conversion does not count anything twice. Raises :class:`csi5300.OptionError`.
     """
     uri_in, uri_out = os.fspath(uri_in), os.fspath(uri_out)
     letters, columns = _options.letters(antennas), _options.streams(streams)
     filters = (_options.macs(macs), _options.stretch(t), letters)
     shape = (letters or WIDEST[0], columns or WIDEST[1])
     work = _Conversion(uri_in, uri_out, _options.whole("chunk", chunk, 1), _options.flag("scaled", scaled), filters, shape)
-    # It makes no sense for one log if it makes none for all.
+    # Options that are invalid for one log are invalid for all.
     Scan(b"", work.chunk, filters, shape)
     files = _logs(uri_in)
     partitions: dict[str, str] = {}
@@ -351,7 +350,7 @@ def convert(
 def _logs(uri: str) -> list[str]:
     if _is_local(uri):
         if not os.path.isdir(uri):
-            raise OptionFileError(f"uri_in: {uri} is no folder that can be read", uri)
+            raise OptionFileError(f"uri_in: {uri} is not a readable folder", uri)
         files = sorted(str(file) for file in Path(uri).rglob("*.dat"))
     else:
         system, root = _remote(uri)

@@ -1,5 +1,5 @@
-//! Answers of the default pipeline in free space, for motions of one end or both, beside their truth and the Cramer-Rao
-//! bound: `cargo run --release --bin geometries [helix | near | shapes | both | wide]`.
+//! Answers of the default pipeline in free space, for motion of one end or both, compared with their truth and the Cramer-Rao bound:
+//! `cargo run --release --bin geometries [helix | near | shapes | both | wide]`.
 
 use csi5300::pipeline::Options;
 use csi5300_lab::ends::{Ends, Seen};
@@ -77,7 +77,7 @@ fn helix() {
     print("helix, all", &all);
 }
 
-/// The helix with a transmitter 0.5 to 3 m away, with odometry that is exact and that is not.
+/// The helix with a transmitter 0.5 to 3 m away, with exact and with inexact odometry.
 fn near() {
     for range_m in [0.5, 0.8, 1.2, 2.0, 3.0] {
         for (noise, scale) in [(0.0, 0.0), (0.001, 0.01)] {
@@ -101,7 +101,7 @@ fn near() {
     }
 }
 
-/// Drives that are wider than what is searched at once, at up to 0.6 m/s: packets up to a quarter of a wavelength apart.
+/// Drives too wide for one search, at up to 0.6 m/s: packets up to a quarter of a wavelength apart.
 fn wide() {
     for size_m in [1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0] {
         let corner = vec![[size_m, 0.0, 0.0], [size_m, size_m, 0.0]];
@@ -154,7 +154,7 @@ fn tilted(radius_m: f64, tilt_deg: f64) -> RobotMotion {
     RobotMotion::Waypoints(Waypoints { points_m: (1..=60).map(point).collect(), speed_m_s, start_s: 0.0 })
 }
 
-/// Shapes other than the helix, level and not.
+/// Shapes other than the helix, level and not level.
 fn shapes() {
     let straight = |to: [f64; 3]| {
         let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();

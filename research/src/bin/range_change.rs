@@ -1,5 +1,5 @@
-//! Range changes against motion capture (README.md): by motion capture itself, by the tracking camera, by the wheels, and by
-//! motion capture made worse on purpose.
+//! Range changes compared with motion capture (README.md): from motion capture itself, the tracking camera, the wheels, and
+//! deliberately degraded motion capture.
 
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
@@ -18,13 +18,13 @@ type Fallible<T> = Result<T, Box<dyn Error>>;
 
 /// Exchanges that the naive method averages.
 const NAIVE: usize = 5;
-/// What is added to motion capture: relative scale, and metres of a random walk after a metre.
+/// Degradations of motion capture: relative scale, and metres of a random walk after a metre.
 const WORSE: [(f64, f64); 2] = [(0.05, 0.0), (-0.05, 0.02)];
 
-/// Where the antenna is on the robots of WSR, seen from the middle between the wheels: metres forward, left, up.
+/// Position of the antenna on WSR's robots, relative to the middle between the wheels: metres forward, left, up.
 const ANTENNA_M: [f64; 3] = [0.05, 0.16, 0.0];
 
-/// Where a path comes from.
+/// The source of a path.
 #[derive(Clone, Copy)]
 enum Odometry {
     Recorded(TrajectorySource),
@@ -92,7 +92,7 @@ fn main() -> Fallible<()> {
     Ok(())
 }
 
-/// Whether the simulator made it: its odometry is of the antenna.
+/// Whether the simulator made it: then its odometry is the antenna's.
 fn is_simulated(capture: &Capture) -> bool {
     ["rooms_", "drives_"].iter().any(|set| capture.place.starts_with(set))
 }
@@ -114,7 +114,7 @@ fn worse(path: &Trajectory, scale: f64, walk: f64) -> Fallible<Trajectory> {
 /// The errors of one link, metres.
 struct Row {
     link: String,
-    /// What the method says, or why it says nothing.
+    /// Errors of the method, or why it has no result.
     own: Result<Own, String>,
     /// Odometry alone, along the bearing.
     predicted: Errors,
@@ -134,9 +134,9 @@ struct Own {
 struct Errors {
     /// Median of the absolute error.
     median_m: f64,
-    /// At the last exchange.
+    /// Error at the last exchange.
     end_m: f64,
-    /// Root mean square of what no other place of the transmitter explains.
+    /// Root mean square of the error that no other place of the transmitter explains.
     shape_m: f64,
 }
 
@@ -160,7 +160,7 @@ impl std::fmt::Display for Row {
     }
 }
 
-/// Where the transmitters are, metres: their heights count, half a metre of it shortens the change by a percent at 3 m.
+/// Places of the transmitters, metres: heights matter, because half a metre shortens the change by a percent at 3 m.
 fn places(capture: &Capture) -> Fallible<BTreeMap<String, Vector3<f64>>> {
     let text = std::fs::read_to_string(capture.folder.join(TRUTH_FILE))?;
     let json: serde_json::Value = serde_json::from_str(&text)?;
@@ -169,7 +169,7 @@ fn places(capture: &Capture) -> Fallible<BTreeMap<String, Vector3<f64>>> {
     Ok(capture.transmitters.iter().filter_map(|(name, _)| place(name)).collect())
 }
 
-/// The links of a capture, by a path of the receiver, against motion capture and the transmitters' places.
+/// The links of a capture, with a path of the receiver, compared with motion capture and the transmitters' places.
 fn judge(capture: &Capture, odometry: Odometry) -> Fallible<Vec<Row>> {
     let number = capture.channel_number()?.ok_or("the file with the truth names no channel")?;
     let options = Options::new(Channel::new(number, Width::Ht20)?)
@@ -197,7 +197,7 @@ fn judge(capture: &Capture, odometry: Odometry) -> Fallible<Vec<Row>> {
     Ok(rows)
 }
 
-/// Exchanges in a gap of motion capture are not judged; `None` where no range change was asked for.
+/// Exchanges in a gap of motion capture are not judged; `None` if no range change was requested.
 fn row(link: String, bearing: &Bearing, truth: &Trajectory, place: Vector3<f64>) -> Option<Row> {
     let at = |t_s: &f64| truth.at(*t_s).map(|pose| pose.position_m);
     let points: Vec<Option<Vector3<f64>>> = bearing.samples.t_s().iter().map(at).collect();
@@ -222,7 +222,7 @@ fn row(link: String, bearing: &Bearing, truth: &Trajectory, place: Vector3<f64>)
     Some(Row { link, own, predicted: errors(&predicted(bearing)), naive: errors(&naive(bearing)) })
 }
 
-/// The distance as odometry has it, to the place of the bearing.
+/// The distance by odometry, to the place of the bearing.
 fn predicted(bearing: &Bearing) -> Vec<f64> {
     let samples = &bearing.samples;
     let towards = csi5300::bartlett::direction(bearing.answer.azimuth_rad, bearing.answer.elevation_rad());
@@ -272,7 +272,7 @@ impl Errors {
     }
 }
 
-/// The place that explains ranges best, up to a constant; by steps of least squares of 0.3 m at most, from the one given.
+/// The place that explains ranges best, up to a constant; by least-squares steps of at most 0.3 m, from the given one.
 fn fitted(range_m: &[f64], points: &[Vector3<f64>], mut place: Vector3<f64>) -> Vector3<f64> {
     for _ in 0..8 {
         let (mut normal, mut right) = (Matrix3::from_diagonal_element(1e-6), Vector3::zeros());

@@ -1,4 +1,4 @@
-"""bags.py FOLDER...: recordings of the node, read by rosbags and by the strict reader of mcap."""
+"""bags.py FOLDER...: reads recordings of the node with rosbags and with mcap's strict reader."""
 import collections, pathlib, sys
 from mcap.stream_reader import StreamReader
 from mcap.reader import make_reader
@@ -17,7 +17,7 @@ for folder in map(pathlib.Path, sys.argv[1:]):
         assert header.profile == "ros2", header
         decoded = collections.Counter(channel.topic for _, channel, _, _ in reader.iter_decoded_messages())
     assert sum(decoded.values()) == summary.statistics.message_count > 100, decoded
-    # Standard types are those of the releases, by the sums of their definitions too; ours come from the recording.
+    # Standard types come from the releases, with matching type hashes; ours come from the recording.
     for release in (Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY):
         store = get_typestore(release)
         counts = collections.Counter()

@@ -1,11 +1,11 @@
-"""check.py PROGRAM FOLDER: everything that tests/checks/ros2.sh says, but for the recordings."""
+"""check.py PROGRAM FOLDER: the checks of tests/checks/ros2.sh, except for the recordings."""
 import json, math, os, random, re, signal, socket, sys, time
 from running import DOMAIN, TRUTH, add_third, folder, followed, here, off, running, start, start_node, state, until
 
 UNICAST = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>
 <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
 <MaxAutoParticipantIndex>30</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
-# Ports that only who hears the group knows.
+# Only members of the multicast group learn these ports.
 GROUP = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="true"/></Interfaces>
 <AllowMulticast>true</AllowMulticast></General><Discovery><ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>"""
 os.environ["CYCLONEDDS_URI"] = UNICAST
@@ -58,7 +58,7 @@ def bearings(readers):
     print(f"bearings of two robots over DDS, at most {worst:.2f} degrees off", flush=True)
 
 def outputs(participant):
-    """Everything else that is published."""
+    """All other published topics."""
     marked, peers, end = Reader(participant, f"{NODE}/markers", ros.MarkerArray, reliable), set(), time.monotonic() + 90
     while peers != set(TRUTH):
         told = marked.next()
@@ -80,10 +80,10 @@ def outputs(participant):
     graph = Reader(participant, "ros_discovery_info", ros.ParticipantEntitiesInfo, latched).next()
     node = graph.node_entities_info_seq[0]
     assert (node.node_namespace, node.node_name) == ("/", "csi5300_tb3_0") and len(node.writer_gid_seq) > 8, graph
-    print("markers, diagnostics, directions, CSI and the graph of nodes are as they should be", flush=True)
+    print("markers, diagnostics, directions, CSI and the graph of nodes are correct", flush=True)
 
 def shown():
-    """What the layouts for Foxglove and RViz show is published under these names, and its fields are there."""
+    """The topics in the layouts for Foxglove and RViz are published, and have the displayed fields."""
     published = set(state()["ros2"]["published"]) | {"/odom"}
     packaging = f"{here}/../../../packaging"
     text = open(f"{packaging}/foxglove-layout.json").read().replace("burger_1", "tb3_0").replace("burger_2", "tb3_1")
@@ -97,7 +97,7 @@ def shown():
     fields = {"/csi5300_tb3_0/tb3_1/bearing": ros.Bearing.__dataclass_fields__}
     for path in paths:
         topic, _, field = path.partition(".")
-        assert topic in published, f"{path} is shown, and not published: {sorted(published)}"
+        assert topic in published, f"{path} is displayed but not published: {sorted(published)}"
         assert not field or field in fields[topic], f"{topic} has no {field}"
     assert len(paths) > 6, paths
     print(f"all {len(paths)} topics of the layouts are published", flush=True)
@@ -105,7 +105,7 @@ def shown():
 clients = {}
 
 def client(participant, name):
-    """As a program has it: one for all its requests."""
+    """A client as a program has it: one for all its requests."""
     if name not in clients:
         topic = Topic(participant, f"rq/csi5300_tb3_0/{name}Request", ros.TriggerRequest)
         clients[name] = DataWriter(participant, topic, qos=reliable), Reader(participant, f"rr/csi5300_tb3_0/{name}Reply", ros.TriggerResponse, reliable)
@@ -115,7 +115,7 @@ def service(participant, name, number):
     writer, reader = client(participant, name)
     end = time.monotonic() + 60
     while not writer.get_matched_subscriptions() or not reader.reader.get_matched_publications():
-        assert time.monotonic() < end, f"no service {name}"
+        assert time.monotonic() < end, f"no answer from service {name}"
         time.sleep(0.05)
     writer.write(ros.TriggerRequest(77, number, 0))
     said = reader.next(60)
@@ -137,12 +137,12 @@ def recording(participant):
     open(f"{folder}/again/metadata.yaml", "w").write(text)
     print("recordings are started and stopped by services", flush=True)
 
-# Claims that are false of a machine that is busy with other checks.
+# Claims that may fail on a machine that is busy with other checks.
 BUSY = ("host.", "reception.gaps", "exchange.late", "exchange.turn_around")
 
 
 def self_test(participant):
-    """The acceptance claims, as the service that ROS has for it and in the diagnostics."""
+    """The acceptance claims, from ROS's service for them and in the diagnostics."""
     writer = DataWriter(participant, Topic(participant, "rq/csi5300_tb3_0/self_testRequest", ros.SelfTestRequest), qos=reliable)
     reader = Reader(participant, "rr/csi5300_tb3_0/self_testReply", ros.SelfTestResponse, reliable)
     end = time.monotonic() + 60
@@ -167,20 +167,20 @@ def self_test(participant):
     print(f"the service self_test answers for {len(said.status)} claims; diagnostics: {claims.message}", flush=True)
 
 def wrong_ends(participant):
-    """Who asks for more than is offered, or sends something else, is told so."""
+    """A subscriber that requests more than is offered, or a publisher of another type, is reported."""
     eager = DataReader(participant, Topic(participant, f"{NODE}/csi", ros.Csi), qos=reliable)
-    until("the mismatch is said", 60, lambda t: any("/csi5300_tb3_0/csi: the publisher is best effort, and the subscriber asks for reliable" in w for w in t["trouble"]))
+    until("the mismatch is reported", 60, lambda t: any("/csi5300_tb3_0/csi: the publisher is best effort, and the subscriber asks for reliable" in w for w in t["trouble"]))
     del eager
-    until("it is over", 60, lambda t: not any("best effort" in w for w in t["trouble"]))
+    until("the mismatch is over", 60, lambda t: not any("best effort" in w for w in t["trouble"]))
     other = DataWriter(participant, Topic(participant, "rt/tb3_2/pose", ros.Odometry), qos=reliable)
-    until("the other type is said", 60, lambda t: any("another type" in w for w in t["trouble"] + [json.dumps(t["odometry"])]))
+    until("the other type is reported", 60, lambda t: any("another type" in w for w in t["trouble"] + [json.dumps(t["odometry"])]))
     del other
-    print("ends that do not go together are said, in words", flush=True)
+    print("incompatible endpoints are reported", flush=True)
 
 def hostile(participant):
     node = state()
     words = [node["ros2"]["subscribed"]["/tb3_0/odom"]["unreadable"], node["ros2"]["dds"]["malformed"], node["load"]["memory_mib"]]
-    # Of the right name, with something else in it.
+    # The right type name with other content.
     topic = Topic(participant, "rt/tb3_0/odom", ros.NoOdometry)
     writer = DataWriter(participant, topic, qos=reliable)
     end = time.monotonic() + 60
@@ -191,7 +191,7 @@ def hostile(participant):
         writer.write(ros.NoOdometry("x" * (k % 40)))
     until("unreadable messages are counted", 60, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["unreadable"] >= words[0] + 100)
     del writer
-    # Datagrams that are none, and some that nearly are.
+    # Invalid datagrams, some of them nearly valid.
     host, port = node["ros2"]["address"].split(":")
     noise, chance = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), random.Random(1)
     for k in range(20_000):
@@ -199,8 +199,8 @@ def hostile(participant):
         noise.sendto(head + chance.randbytes(chance.randrange(1, 200)), (host, int(port) + k % 2))
         if k % 100 == 0:
             time.sleep(0.002)
-    until("datagrams that are none are counted", 60, lambda t: t["ros2"]["dds"]["malformed"] > words[1] + 1_000)
-    # A flood of poses of a robot that is not followed by others: as fast as they can be written.
+    until("invalid datagrams are counted", 60, lambda t: t["ros2"]["dds"]["malformed"] > words[1] + 1_000)
+    # A flood of poses of a robot that only the room follows: as fast as they can be written.
     flood = DataWriter(participant, Topic(participant, "rt/tb3_2/pose", ros.PoseStamped), qos=best_effort)
     end = time.monotonic() + 60
     while not flood.get_matched_subscriptions():
@@ -222,7 +222,7 @@ def discovery(uri, what):
     before = state()["ros2"]["subscribed"]["/tb3_0/odom"]["read"]
     begun = time.monotonic()
     robots = start_robots(uri)
-    # Nothing comes of those that were there before.
+    # The earlier processes send nothing more.
     until(f"robots are found {what}", 60, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["read"] > before)
     taken = time.monotonic() - begun
     until("poses come", 60, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["read"] > before + 20)
@@ -247,9 +247,9 @@ def main():
     self_test(participant)
     wrong_ends(participant)
     hostile(participant)
-    # A robot that dies is missed; one that begins anew is heard.
+    # A dead robot is missed; a restarted one is heard.
     end(robots)
-    until("silence is said", 60, lambda t: any("nothing comes any more" in w for w in t["trouble"]))
+    until("silence is reported", 60, lambda t: any("nothing comes any more" in w for w in t["trouble"]))
     robots = discovery(UNICAST, "again")
     until("no trouble is left", 60, lambda t: not t["trouble"])
     bearings(readers)

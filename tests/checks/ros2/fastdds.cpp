@@ -1,9 +1,9 @@
-// fastdds DOMAIN HOW: a program of ROS 2 over Fast DDS, as rmw_fastrtps makes it. It publishes where three robots are, reads what
-// the node of tb3_0 says, calls services, and writes what comes to standard output, a line of JSON each. HOW is
+// fastdds DOMAIN HOW: a ROS 2 program over Fast DDS, with the settings of rmw_fastrtps. It publishes the poses of three robots, reads
+// the topics of tb3_0's node, calls services, and prints what it receives as JSON lines. HOW is
 //   default    nothing is set: UDP with multicast, and shared memory
 //   localhost  as ROS_LOCALHOST_ONLY=1 (Humble): UDP on 127.0.0.1 only, and shared memory
 //   range      as ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (from Iron on): no multicast, peers of this machine
-// Standard input: `call NAME` asks a service (std_srvs/srv/Trigger), `greedy` asks for reliable CSI, `modest` asks no more.
+// Standard input: `call NAME` calls a service (std_srvs/srv/Trigger), `greedy` requests reliable CSI, `modest` no longer does.
 #include <fastcdr/Cdr.h>
 #include <fastcdr/FastBuffer.h>
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -31,7 +31,7 @@ using namespace eprosima::fastdds::dds;
 namespace rtps = eprosima::fastrtps::rtps;
 using eprosima::fastcdr::Cdr;
 
-// Values in the order of the .msg files; `each` hands them to who reads or writes.
+// Values in the order of the .msg files; `each` passes them to the reader or writer.
 template <bool READS> struct Archive {
     Cdr& cdr;
     template <class... V> void operator()(V&... values) { (one(values), ...); }
@@ -95,7 +95,7 @@ struct Graph { Gid gid; std::vector<Node> nodes; FIELDS(gid, nodes) };
 struct Request { uint8_t none = 0; FIELDS(none) };
 struct Response { bool success = false; std::string message; FIELDS(success, message) };
 
-// Bytes of a message at most: those in fragments are larger than a datagram.
+// Largest message, bytes: those in fragments are larger than a datagram.
 constexpr uint32_t LARGEST = 400000;
 
 template <class T> struct Type : TopicDataType {
@@ -178,7 +178,7 @@ std::string quoted(const std::string& text) {
     return out + "\"";
 }
 
-// A client, as rmw_fastrtps is one: its answers carry the name of its reader and the number of the request.
+// A client as in rmw_fastrtps: its answers carry the identity of its reader and the number of the request.
 struct Client {
     DataWriter* asks;
     DataReader* hears;
@@ -213,7 +213,7 @@ Pose stand(double x, double y, double heading) {
     return pose;
 }
 
-// Two robots that drive circles and one that stands, as robots.py has them.
+// Two robots on circles and a stationary one, as in robots.py.
 struct Robots {
     DataWriter* odometry[2];
     DataWriter* pose;
@@ -235,7 +235,7 @@ struct Robots {
             said.pose = stand(x + radius * std::cos(angle), y + radius * std::sin(angle), angle + std::copysign(M_PI / 2, rate));
             odometry[k]->write(&said);
         }
-        // So long that it comes in fragments.
+        // So long that it is sent in fragments.
         PoseStamped said;
         said.header.frame_id = long_name;
         said.pose = stand(-14, 16, 0.3);
@@ -303,7 +303,7 @@ int main(int, char** words) {
         });
         for (Client* client : {&start, &stop})
             each<Response>(client->hears, [&](Response& r, SampleInfo& info) {
-                // Whose it is: everybody's answers come on the one topic.
+                // For this client: all answers share one topic.
                 bool own = info.related_sample_identity.writer_guid() == client->hears->guid() || info.related_sample_identity.writer_guid() == client->asks->guid();
                 if (own) std::cout << "{\"answer\": " << info.related_sample_identity.sequence_number().to64long() << ", \"success\": "
                                    << (r.success ? "true" : "false") << ", \"message\": " << quoted(r.message) << "}\n";

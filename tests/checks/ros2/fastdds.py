@@ -1,9 +1,9 @@
-"""fastdds.py PROGRAM FOLDER PEER [HOW...]: a node beside PEER, fastdds.cpp compiled, for each HOW that it knows."""
+"""fastdds.py PROGRAM FOLDER PEER [HOW...]: a node with PEER (fastdds.cpp, compiled), for each HOW that it knows."""
 import json, math, os, queue, signal, subprocess, sys, threading, time
 from running import DOMAIN, TRUTH, add_third, folder, off, running, start, start_node, until
 
 class Peer:
-    """A program over Fast DDS: what it says, line by line."""
+    """A Fast DDS program and its output, line by line."""
     def __init__(self, how):
         self.process = start(sys.argv[3], str(DOMAIN), how, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, stderr=open(f"{folder}/{how}.log", "w"))
         self.said, self.began = queue.Queue(), time.monotonic()
@@ -37,7 +37,7 @@ class Peer:
         return self.next("answer", used=lambda said: said["answer"] == number)
 
     def end(self):
-        """In order: it says that it goes."""
+        """An orderly end: it announces its departure."""
         self.process.stdin.close()
         assert self.process.wait(30) == 0
 
@@ -65,7 +65,7 @@ def outputs(peer):
     said = peer.next("diagnostics")["diagnostics"]
     assert said == ["csi5300: card", "csi5300: odometry", "csi5300: peer tb3_1", "csi5300: peer tb3_2", "csi5300: node", "csi5300: claims"], said
     peer.next("csi")
-    print("  bearings of two robots (one followed by poses in fragments), markers, directions, diagnostics and CSI are as they should be", flush=True)
+    print("  bearings of two robots (one followed by poses in fragments), markers, directions, diagnostics and CSI are correct", flush=True)
 
 def services(peer, number):
     said = peer.call("stop_recording")
@@ -74,10 +74,10 @@ def services(peer, number):
     said = peer.call("start_recording")
     assert said["success"] and said["message"] == f"{folder}/run-r{number}", said
     peer.tell("greedy")
-    until("the mismatch is said", 30, lambda told: any("/csi5300_tb3_0/csi: the publisher is best effort, and the subscriber asks for reliable" in w for w in told["trouble"]))
+    until("the mismatch is reported", 30, lambda told: any("/csi5300_tb3_0/csi: the publisher is best effort, and the subscriber asks for reliable" in w for w in told["trouble"]))
     peer.tell("modest")
-    until("it is over", 30, lambda told: not any("best effort" in w for w in told["trouble"]))
-    print("  services are answered, a mismatch is said in words", flush=True)
+    until("the mismatch is over", 30, lambda told: not any("best effort" in w for w in told["trouble"]))
+    print("  services are answered, a mismatch is reported", flush=True)
 
 def main():
     add_third()

@@ -1,4 +1,4 @@
-"""kinds.py PROGRAM RUN: a recording as other programs write it (rosbags, mcap), in every kind that is read, gives the same logs."""
+"""kinds.py PROGRAM RUN: a recording rewritten by other programs (rosbags, mcap), in every supported kind, gives the same logs."""
 import hashlib, pathlib, subprocess, sys, tempfile
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -8,13 +8,13 @@ convert = pathlib.Path(sys.executable).with_name("rosbags-convert")
 TOPICS = ["/tb3_0/odom", "/csi5300_tb3_0/csi"]
 
 def logs(bag):
-    """What `unbag` makes of it."""
+    """The files that `unbag` writes."""
     with tempfile.TemporaryDirectory() as out:
         subprocess.run([csi5300, "unbag", str(bag), "--out", out], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in pathlib.Path(out).iterdir()}
 
 def rewrite(compression, to):
-    """By the Python library of MCAP."""
+    """Rewrites it with the Python library of MCAP."""
     with open(run / f"{run.name}_0.mcap", "rb") as source, open(to, "wb") as stream:
         writer = Writer(stream, compression=compression, chunk_size=100_000)
         writer.start("ros2")

@@ -1,4 +1,4 @@
-"""robots.py DOMAIN: two robots that drive circles, and one that stands; where they are is a function of the time alone."""
+"""robots.py DOMAIN: two robots on circles, and a stationary one; their poses depend only on the time."""
 import math, sys, time
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter

@@ -1,11 +1,11 @@
-"""A node of ROS 2 in the simulated room, for check.py and fastdds.py: both are called with PROGRAM FOLDER."""
+"""Runs a ROS 2 node in the simulated room, for check.py and fastdds.py; both are called with PROGRAM FOLDER."""
 import contextlib, json, math, os, random, socket, subprocess, sys, time
 
 csi5300, folder = os.path.abspath(sys.argv[1]), os.path.abspath(sys.argv[2])
 here = os.path.dirname(os.path.abspath(__file__))
-# Its ports are below those that a system gives out by itself.
+# Its ports are below those that the system assigns.
 DOMAIN = random.randrange(10, 100)
-# From tb3_0, as robots.py and fastdds.cpp have them.
+# Relative to tb3_0, as in robots.py and fastdds.cpp.
 TRUTH = {"tb3_1": math.atan2(10.0, 24.0), "tb3_2": math.atan2(16.0, -14.0)}
 started = []
 
@@ -37,7 +37,7 @@ def start_node(config, log):
                  env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)})
 
 def add_third():
-    """Puts a robot that motion capture follows into the configuration of examples/ros2."""
+    """Adds a robot that motion capture follows to the configuration of examples/ros2."""
     with open(f"{folder}/room.toml", "a") as room:
         room.write('[[robot]]\nname = "tb3_2"\nposition_m = [-14.0, 16.0, 0.0]\nantenna_m = [-0.03, 0.0, 0.20]\nmotion.followed = {}\n')
     text = open(f"{folder}/robot.toml").read()
@@ -53,7 +53,7 @@ def off(radians, truth):
 
 @contextlib.contextmanager
 def running():
-    """Whatever was started is ended; where something failed, what was logged is shown."""
+    """Ends all started processes; after a failure prints their logs."""
     try:
         yield
     except BaseException:

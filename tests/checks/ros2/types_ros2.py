@@ -1,4 +1,4 @@
-"""Messages of ROS 2 as CycloneDDS has them: ROS 2's names of types, fields in the order of its files."""
+"""ROS 2 messages for CycloneDDS: ROS 2's type names, fields in the order of its files."""
 from dataclasses import dataclass, field
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.types import array, float32, float64, int8, int32, int64, sequence, uint8, uint16, uint32, uint64
@@ -74,7 +74,7 @@ class Odometry(IdlStruct, typename=name("nav_msgs", "Odometry")):
 
 @dataclass
 class NoOdometry(IdlStruct, typename=name("nav_msgs", "Odometry")):
-    """Of the same name and something else: what a node of another version may send."""
+    """The same name with other content, as a node of another version may send it."""
     words: str = ""
 
 @dataclass
@@ -221,7 +221,7 @@ class ParticipantEntitiesInfo(IdlStruct, typename=name("rmw_dds_common", "Partic
 
 @dataclass
 class TriggerRequest(IdlStruct, typename=name("std_srvs", "Trigger_Request", "srv")):
-    """With the head that rmw_cyclonedds writes before a request."""
+    """With the header that rmw_cyclonedds writes before a request."""
     client: uint64
     number: int64
     none: uint8

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0
 /*
- * The air between the cards is user space, behind /dev/fakecard:
+ * The air between the cards, simulated in user space through /dev/fakecard:
  *   read: one transmission: struct air_head (u8 card, u8 0, u16 length, u32 rate_n_flags, u32 tx_flags, u8 rts and data
  *     retry limits, u16 0, u64 microseconds of the host), then the frame;
  *   write: one packet for a card: u8 card, u8 0, u16 length of what follows, then the packet as the card would put it
- *     into memory (u32 length and flags, u8 command, u8 group, u16 sequence, data), whatever it is.
+ *     into memory (u32 length and flags, u8 command, u8 group, u16 sequence, data), valid or not.
  */
 #include <linux/kfifo.h>
 #include <linux/ktime.h>
@@ -23,7 +23,7 @@ static unsigned int cards = 2;
 module_param(cards, uint, 0444);
 static unsigned long lost;
 module_param(lost, ulong, 0444);
-MODULE_PARM_DESC(lost, "transmissions that nobody read in time");
+MODULE_PARM_DESC(lost, "transmissions that were not read in time");
 
 static STRUCT_KFIFO_REC_2(AIR) *air;
 static DEFINE_SPINLOCK(air_lock);
@@ -113,4 +113,4 @@ static void __exit fakecard_exit(void)
 module_init(fakecard_init);
 module_exit(fakecard_exit);
 MODULE_LICENSE("GPL");
-MODULE_DESCRIPTION("Intel 5300 cards that are not there, for tests of the stock driver");
+MODULE_DESCRIPTION("Fake Intel 5300 cards for tests of the stock driver");

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0
 /*
- * Calls iwl_notification_wait as iwldvm does for each packet, where a whole card cannot be had (kernels whose transport
- * is no table of functions any more): `count` frames, each 0xC0, 0xC1, 0xBB of 3 chains.
+ * Calls iwl_notification_wait as iwldvm does for each packet, where there is no fake card (kernels whose transport
+ * is no longer a table of functions): `count` frames, each 0xC0, 0xC1, 0xBB of 3 chains.
  */
 #include <linux/module.h>
 #include <linux/slab.h>
 #include <linux/version.h>
 
-/* iwlwifi/fw/notif-wait.h; the private structure has less than these bytes. */
+/* iwlwifi/fw/notif-wait.h; the private structure is smaller than this. */
 void iwl_notification_wait_init(void *wait_data);
 bool iwl_notification_wait(void *wait_data, void *packet);
 
@@ -64,7 +64,7 @@ static void __exit caller_exit(void)
 module_init(caller_init);
 module_exit(caller_exit);
 MODULE_LICENSE("GPL");
-MODULE_DESCRIPTION("calls iwl_notification_wait, for tests");
+MODULE_DESCRIPTION("Calls iwl_notification_wait, for tests");
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 13, 0)
 MODULE_IMPORT_NS("IWLWIFI");
 #elif LINUX_VERSION_CODE >= KERNEL_VERSION(5, 18, 0)

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0
 /*
- * Intel 5300 cards that are not there, under Debian's own iwlwifi.ko and iwldvm.ko of 6.1.
+ * Fake Intel 5300 cards for Debian's own iwlwifi.ko and iwldvm.ko of 6.1.
  *
- * Each card is a transport (struct iwl_trans_ops) of this module's, on which the real driver is started: it reads an
+ * Each card is a transport (struct iwl_trans_ops) of this module, on which the real driver runs: it reads an
  * EEPROM image, starts a firmware that answers ALIVE and its commands, transmits and receives. Transmissions are
  * reported done (REPLY_TX) at once, whether anybody listens or not.
  */
@@ -31,22 +31,22 @@ module_param(verbose, bool, 0644);
 MODULE_PARM_DESC(verbose, "host commands to the kernel's log");
 static bool at_end;
 module_param(at_end, bool, 0644);
-MODULE_PARM_DESC(at_end, "packets but frames end where their page ends, not begin where it begins");
+MODULE_PARM_DESC(at_end, "packets other than frames end at their page's end instead of beginning at its start");
 static unsigned long plain, beamforming, stations, orders;
 module_param(plain, ulong, 0444);
 module_param(beamforming, ulong, 0444);
-MODULE_PARM_DESC(beamforming, "RXON commands with bit 29, which the patched drivers set; plain: without");
+MODULE_PARM_DESC(beamforming, "RXON commands with bit 29, which the patched drivers set; plain: without it");
 module_param(stations, ulong, 0444);
-MODULE_PARM_DESC(stations, "stations 13 with the magic address that the cards were given");
+MODULE_PARM_DESC(stations, "ADD_STA commands for station 13 with the magic address");
 module_param(orders, ulong, 0444);
-MODULE_PARM_DESC(orders, "requests for the order of the antennas");
+MODULE_PARM_DESC(orders, "requests for the antenna order");
 
 struct card {
 	struct platform_device *pdev;
 	unsigned int number;
 	struct iwl_trans *trans;
 	struct iwl_op_mode *op_mode;
-	struct mutex delivering; /* as on a bus: one packet of a card at a time, and those of two cards at once */
+	struct mutex delivering; /* as on a bus: one packet of a card at a time, but two cards' packets in parallel */
 	struct workqueue_struct *queue;
 	struct sk_buff_head sent[QUEUES];
 	u16 next[QUEUES];
@@ -116,7 +116,7 @@ static void notice_work(struct work_struct *work)
 	kfree(notice);
 }
 
-/* The same from a place that may not sleep. */
+/* The same from atomic context. */
 static void later(struct card *card, u8 cmd, u16 sequence, const void *data, u16 len)
 {
 	struct notice *notice = kzalloc(sizeof(*notice) + len, GFP_ATOMIC);
@@ -176,7 +176,7 @@ static void stop_device(struct iwl_trans *trans)
 	drop_sent(card_of(trans));
 }
 
-/* What the patched drivers ask of a card, by the driver's own structures. */
+/* The patched drivers' requests to a card, in the driver's own structures. */
 static void note_asked(u8 id, const void *data, u16 len)
 {
 	static const u8 order[] = { 1, 0, 0, 0, 0x02, 0x43, 0, 0 }; /* struct iwl5000_dsp_debug of csitool's driver */
@@ -240,7 +240,7 @@ static void report_done(struct card *card, int q, u16 at, const struct iwl_tx_cm
 	later(card, REPLY_TX, (q & 0x1f) << 8 | (at & 0xff), &done, sizeof(done));
 }
 
-/* Not inlined and not static: here stands what iwl_trans_pcie_tx is for a card on a bus. */
+/* Not inlined and not static: takes the place of iwl_trans_pcie_tx of a card on a bus. */
 int fakecard_tx(struct iwl_trans *trans, struct sk_buff *skb, struct iwl_device_tx_cmd *dev_cmd, int q);
 noinline int fakecard_tx(struct iwl_trans *trans, struct sk_buff *skb, struct iwl_device_tx_cmd *dev_cmd, int q)
 {

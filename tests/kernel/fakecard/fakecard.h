@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-2.0 */
-/* Intel 5300 cards that are not there: what cards.c (below the driver) and air.c (towards user space) share. */
+/* Fake Intel 5300 cards: shared by cards.c (below the driver) and air.c (towards user space). */
 #ifndef FAKECARD_H
 #define FAKECARD_H
 
@@ -12,7 +12,7 @@ struct card;
 struct sk_buff;
 struct iwl_tx_cmd;
 
-/* What is read from /dev/fakecard before a frame. */
+/* Header of a frame read from /dev/fakecard. */
 struct air_head {
 	u8 card, zero;
 	__le16 len;
@@ -25,13 +25,13 @@ struct air_head {
 /* cards.c */
 int cards_begin(unsigned int count);
 void cards_end(void);
-/* A packet into the driver, as the transport's receive path hands it over; it may sleep. */
+/* Passes a packet to the driver as the transport's receive path does; may sleep. */
 int deliver(unsigned int card, const void *packet, size_t len);
 
 /* air.c */
 void on_air(struct air_head *head, const struct sk_buff *skb);
 
-/* patched.c: a packet that the driver has been given. */
+/* patched.c: a packet passed to the driver. */
 void as_patched(const u8 *packet, size_t len);
 
 #endif

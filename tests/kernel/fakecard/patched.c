@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0
 /*
- * The patched drivers' way to user space, to compare times with: 0xBB goes out on the connector from where the packet is
- * received (csitool's connector_send_msg: an allocation and cn_netlink_send, both atomic), its bytes as they are.
+ * The patched drivers' path to user space, for comparing times: sends 0xBB over the connector where the packet is
+ * received (csitool's connector_send_msg: an allocation and cn_netlink_send, both atomic), with its bytes unchanged.
  */
 #include <linux/connector.h>
 #include <linux/module.h>
@@ -14,7 +14,7 @@
 
 static bool patched;
 module_param(patched, bool, 0644);
-MODULE_PARM_DESC(patched, "0xBB to the connector as the patched drivers send it");
+MODULE_PARM_DESC(patched, "send 0xBB over the connector as the patched drivers do");
 
 void as_patched(const u8 *packet, size_t len)
 {

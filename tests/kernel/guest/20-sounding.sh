@@ -1,6 +1,5 @@
-# Sounding over mac80211: frames injected by the program cross simulated radios, are answered by the program on another
-# radio, and a kernel module turns what each radio hears into the driver's records. Times are the emulator's: no figure
-# of them means anything.
+# Sounding over mac80211: the program injects frames, which cross simulated radios, and answers them on another radio; a kernel module
+# turns received frames into the driver's records. Times are the emulator's and mean nothing.
 for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211; do load "$module"; done
 load mac80211_hwsim radios=3 channels=2
 A=02:00:00:00:00:00 B=02:00:00:00:01:00 C=02:00:00:00:02:00
@@ -17,7 +16,7 @@ tune
 
 echo "a channel on which nobody may start to transmit: the kernel drops every frame, which is noticed"
 if csi5300 sound --interface wlan0 --peers "$B" --alone --rate 50 $slow --stop-after 4s 2>/tmp/said; then
-    echo "frames that all vanish are no success"
+    echo "a run whose frames all vanish is not a success"
     exit 1
 fi
 cat /tmp/said
@@ -36,18 +35,18 @@ listen() {
     until grep -q "recording to" "$1.said"; do :; done
 }
 stop() {
-    # The last records are still on their way.
+    # The last records are still in transit.
     sleep 1
     kill -TERM $recorders
     for pid in $recorders; do wait "$pid"; done
     recorders=
 }
-# ready FILE PID: waits until the sender's thread says that it runs.
+# ready FILE PID: waits until the sender's thread reports that it runs.
 ready() {
     touch "$1"
     until grep -q "^sending under" "$1"; do kill -0 "$2"; done
 }
-# check LINKS: the logs of this folder, here and once more on the host, to which /init copies /tmp/out.
+# check LINKS: checks the logs of this folder, here and again on the host, to which /init copies /tmp/out.
 check() {
     echo "$1" >links
     CSI5300_TEST_GUEST_LINKS="$1" /tests/live --exact kernel_sounding::every_answered_frame_is_a_pair_of_the_logs --nocapture >/tmp/checked 2>&1 || {

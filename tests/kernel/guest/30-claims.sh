@@ -1,5 +1,5 @@
-# The acceptance claims on mac80211_hwsim: one radio sends and is judged, the other one assists and answers. What hwsim cannot say is not tried, or
-# fails for what it is: its CSI is made of the frame's number.
+# The acceptance claims on mac80211_hwsim: one radio sends and is judged, the other one assists and answers. Claims that hwsim cannot
+# decide are not tried, or fail because its CSI is computed from the frame's number.
 for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211; do load "$module" 2>/dev/null || true; done
 load mac80211_hwsim radios=2 channels=2 2>/dev/null || true
 mkdir -p /tmp/out/claims && cd /tmp/out/claims
@@ -25,7 +25,7 @@ interface = "wlan0"
 send = true
 peer = "127.0.0.1:5300"
 END
-# run NAME: both robots; the verdicts are in NAME.json.
+# run NAME: runs both robots; the verdicts are in NAME.json.
 run() {
     : >"$1.far"
     csi5300 doctor --accept far.toml --connector-index 25 2>"$1.far" &
@@ -62,10 +62,10 @@ until iw reg get | grep -q "country PA"; do :; done
 tune
 run free
 are free holds link injection.channel injection.taken injection.confirmed injection.heard injection.numbers exchange.pairs
-# At the HT rate, under the right address, once.
+# At the HT rate, with the right address, once.
 for of in near far; do are free holds "$of" reception.rate reception.once log.whole log.layout reception.count reception.gaps; done
 are free holds near recorder.same
-# No antennas, no module, no phases that mean anything.
+# No antennas, no module, no meaningful phases.
 are free not_tried link truth.bearing phase.retune phase.rest reception.unplugged phase.crystal
 are free not_tried host module.csi host.processor
 grep -c '"verdict": "holds"' free.json

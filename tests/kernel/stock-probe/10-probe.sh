@@ -1,5 +1,5 @@
-# The module and the eBPF program on a kernel without a fake card: the functions that they want are there, and records come
-# out of calls such as iwldvm makes, the same from both.
+# The module and the eBPF program on a kernel without a fake card: the functions that they probe exist, and calls like iwldvm's give
+# records, the same from both.
 for module in rfkill libarc4 cfg80211 mac80211 iwlwifi iwldvm; do load "$module"; done
 counter() { cat "/sys/module/csi5300/counters/$1"; }
 insmod /modules/csi5300.ko caller=caller
@@ -25,13 +25,13 @@ wait "$recorder"
 wait "$program"
 cmp /tmp/a.dat /tmp/b.dat
 [ "$(counter records) $(counter delivered) $(counter missed)" = "500 500 0" ]
-# Status 1: the caller's records have no CSI, and that is said.
+# Status 1: the caller's records have no CSI, which is reported.
 status=0
 csi5300 info /tmp/a.dat || status=$?
 [ "$status" = 1 ]
 rmmod caller csi5300
 
-# Packets of another module than iwldvm are not the card's.
+# Only iwldvm's packets count as the card's.
 insmod /modules/csi5300.ko
 insmod /modules/caller.ko
 [ "$(counter phy) $(counter bfee)" = "0 0" ]

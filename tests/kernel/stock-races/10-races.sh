@@ -1,5 +1,5 @@
-# Two processors: the module comes and goes fifty times while both cards receive at once, channels are set, parameters change and
-# the eBPF program comes and goes at the same function.
+# Two processors: the module is loaded and unloaded fifty times while both cards receive, channels are set, parameters change, and the
+# eBPF program is attached to and detached from the same function.
 for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm fakecard; do load "$module"; done
 [ "$(grep -c ^processor /proc/cpuinfo)" = 2 ]
 monitors 6
@@ -15,7 +15,7 @@ recorder=$!
 (
     programs=0
     until [ -e /tmp/enough ]; do
-        # Status 3: two senders' packets are mixed, so there are notifications without their reception.
+        # Status 3: two senders' packets are mixed, so some notifications lack their reception.
         csi5300 record --stock /tmp/program.dat --force --stop-after 200records 2>/tmp/program || [ "$?" = 3 ] || { cat /tmp/program; exit 1; }
         programs=$((programs + 1))
     done
@@ -34,7 +34,7 @@ for load in $(seq 50); do
     [ "$(counter bfee)" -gt 0 ]
     rmmod csi5300
 done
-# The programs end by what they record.
+# The programs' recorded data ends them.
 touch /tmp/enough
 wait "$programs" "$channels"
 touch /tmp/stop
@@ -43,7 +43,7 @@ kill -TERM "$recorder"
 wait "$recorder" || true
 echo "50 loads, $(cat /tmp/programs) programs"
 
-# What both cards sent at once is counted and made into records once, whichever processor saw it.
+# Packets of both cards at once are counted and become records once, whichever processor handled them.
 insmod /modules/csi5300.ko transmit=fakecard_tx device=0
 rm -f /tmp/stop
 for k in 1 2; do

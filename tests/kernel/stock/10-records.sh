@@ -1,4 +1,4 @@
-# The stock driver comes up on two cards that are not there; the module's records, byte for byte.
+# The stock driver starts on two fake cards; the module's records, byte by byte.
 for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm; do load "$module"; done
 load fakecard
 until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
@@ -13,7 +13,7 @@ for k in 0 1; do
     iw dev "wlan$k" set channel 64 HT20
 done
 
-# step NAME VARIABLE ARGUMENT: a test of crates/live as a step of this script.
+# step NAME VARIABLE ARGUMENT: runs a test of crates/live as a step of this script.
 step() {
     env "$2=$3" /tests/live --exact "stock::$1" --nocapture >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
     grep -q "1 passed" /tmp/said
@@ -21,7 +21,7 @@ step() {
 }
 counter() { cat "/sys/module/csi5300/counters/$1"; }
 
-# The driver is there, so names that it lacks are wrong, which is said.
+# The driver is loaded, so names that it lacks are wrong, which is reported.
 insmod /modules/csi5300.ko symbol=typo transmit=typo2
 for wrong in "no function typo: is symbol=" "no function typo2: is transmit="; do
     dmesg -r | grep -q "^<4>.*$wrong" || { dmesg | tail -n 5; exit 1; }
@@ -33,7 +33,7 @@ echo "frames that lack something"
 step records::missing_parts_are_dropped_or_marked_and_counted CSI5300_STOCK_DROPS yes
 rmmod csi5300
 
-# records LAYOUT CONNECTOR_LOG FRAMES RATE: csitool's way to log, and `csi5300 record` beside it.
+# records LAYOUT CONNECTOR_LOG FRAMES RATE: csitool's way of logging, and `csi5300 record` beside it.
 records() {
     echo "$3 frames at $4/s, layout $1, connector_log $2"
     insmod /modules/csi5300.ko transmit=fakecard_tx device=0 layout="$1" connector_log="$2"

@@ -1,7 +1,7 @@
-# What the patched drivers ask of the card and the stock one does not, by the commands that the cards get (cards.c).
+# The requests that the patched drivers send to the card and the stock one does not, checked by the commands that the cards receive (cards.c).
 asked() { cat "/sys/module/fakecard/parameters/$1"; }
 counter() { cat "/sys/module/csi5300/counters/$1"; }
-# more NAME WORDS...: the words' command makes the cards' count of NAME grow, and the other counts of RXON not.
+# more NAME COMMAND...: the command increases the cards' count of NAME and no other RXON count.
 before() { for name in plain beamforming stations orders; do eval "old_$name=$(asked $name)"; done; }
 grown() { eval "echo \$(($(asked "$1") - \$old_$1))"; }
 expect() {
@@ -19,7 +19,7 @@ before
 iw dev wlan0 set channel 60 HT20
 expect 'plain>0' beamforming=0 stations=0 orders=0
 
-# A card that is no 5300 on PCI, such as these, is left as it is, unless any card is to be asked.
+# A card that is not a 5300 on PCI, such as these, gets no requests, unless all cards should.
 insmod /modules/csi5300.ko transmit=fakecard_tx
 dmesg | grep -q "csi5300: probe at iwl_restore_stations"
 before
@@ -35,7 +35,7 @@ expect plain=0 'beamforming>0' 'stations>0' 'orders>0'
 [ "$(grown stations)" = "$(grown orders)" ]
 [ "$(counter stations) $(counter orders)" = "$(grown stations) $(grown orders)" ]
 [ "$(counter rxons)" -ge "$(grown beamforming)" ]
-# The firmware loaded anew: the interface goes down and up.
+# Reloaded firmware: the interface goes down and up.
 before
 ip link set wlan0 down
 ip link set wlan0 up

@@ -1,4 +1,4 @@
-# Unloaded under traffic, a card that sends nonsense, and a driver that goes away under the module.
+# The module is unloaded under traffic, a card sends garbage, and the driver goes away under the module.
 dmesg -c >/dev/null
 rm -f /tmp/stop
 CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >/tmp/traffic 2>&1 &
@@ -23,7 +23,7 @@ echo "100,000 malformed packets: $(cd /sys/module/csi5300/counters && grep . phy
 [ "$(cat /sys/module/csi5300/counters/bad_bfee)" -gt 1000 ]
 [ "$(cat /sys/module/csi5300/counters/bad_phy)" -gt 1000 ]
 
-# What the probe costs a packet, in the emulator's time of 2 ns for each instruction.
+# The probe's cost per packet, in the emulator's time of 2 ns per instruction.
 for loaded in no yes; do
     [ "$loaded" = yes ] || rmmod csi5300
     [ "$loaded" = no ] || insmod /modules/csi5300.ko transmit=fakecard_tx device=0
@@ -32,7 +32,7 @@ done
 sed 's/.* other /other /' /tmp/cost-no >/tmp/cost-without
 sed 's/.* other /other /' /tmp/cost-yes | paste -d ' ' /tmp/cost-without - |
     awk '{ printf "cost of a hit, %s: %d ns\n", $1, $4 - $2; if ($1 == "other" && $4 - $2 > 1000) bad = 1 } END { exit bad || NR != 3 }'
-# latency WAY TEST: from the packet to the record in user space, 2,000 frames, on the guest's clock.
+# latency WAY TEST: from the packet to the record in user space, 2,000 frames, by the guest's clock.
 latency() {
     CSI5300_STOCK_LATENCY=2000 /tests/live --exact "stock::hostile::$2" --nocapture >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
     grep -q "1 passed" /tmp/said
@@ -47,8 +47,8 @@ echo 0 >/sys/module/fakecard/parameters/patched
 if grep -q latency_of_the_program /tmp/listed; then latency "the eBPF program" latency_of_the_program; fi
 insmod /modules/csi5300.ko transmit=fakecard_tx device=0 connector_log=5
 
-# The cards and the driver go and come, and packets of another driver's card are the first after each reload; the probes follow, and each
-# card has its own index: what the first one hears goes out on index 21, what the second one hears on 25.
+# Cards and driver are reloaded, and after each reload packets of another driver's card come first. The probes follow, and each card has
+# its own index: records of the first go out on index 21, those of the second on 25.
 rmmod csi5300
 insmod /modules/csi5300.ko transmit=fakecard_tx device=0 connector_log=5 index=21,25
 for reload in 1 2 3; do
@@ -83,6 +83,6 @@ until [ "$(cat /sys/module/csi5300/counters/phy)" -gt "$((before + 100))" ]; do 
 touch /tmp/stop
 wait
 rmmod csi5300
-# Nothing worse than "info" but what loading a module of one's own always says.
+# No message above "info", except those about loading an out-of-tree module.
 dmesg -r | sed -n 's/^<\([0-9]*\)>/\1 /p' | awk '$1 % 8 < 6' | grep -v -e "firmware" -e "taints kernel" -e "verification failed" -e "no function fakecard_tx" >/tmp/worse || true
 [ ! -s /tmp/worse ] || { cat /tmp/worse; exit 1; }

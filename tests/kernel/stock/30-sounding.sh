@@ -1,10 +1,10 @@
-# sound and respond over mac80211 and the stock driver, with a simulated room as the air: bearings against its truth, then
-# the module's own answers in the WSR dialect.
+# sound and respond over mac80211 and the stock driver, with a simulated room as the air: compares bearings with its truth, then tests the
+# module's own answers in the WSR dialect.
 A=00:21:6a:00:00:01 B=00:21:6a:00:00:02
 mkdir -p /tmp/out/stock && cd /tmp/out/stock
 
-# up OPTIONS: the module, with a connector index for each card, 26 and 25. The first packets are the first card's, so where the slots are in
-# another order it is their names that count.
+# up OPTIONS: loads the module with a connector index for each card, 26 and 25. The first packets are the first card's, so if the slots
+# are in another order their names decide.
 up() {
     for k in 0 1; do ip link set "wlan$k" down; done
     insmod /modules/csi5300.ko transmit=fakecard_tx device=0 index=26,25 connector_log=5 "$@"
@@ -14,7 +14,7 @@ up() {
         iw dev "wlan$k" set channel 64 HT20
     done
 }
-# air NAME: the room between the cards, until the file NAME.stop is there.
+# air NAME: simulates the room between the cards until the file NAME.stop exists.
 air() {
     rm -f "$1.stop"
     CSI5300_STOCK_AIR="/guest/room.toml $PWD/$1.csv $PWD/$1.stop" /tests/live --exact stock::air::a_room_between_the_cards --nocapture >"$1.air" 2>&1 &
@@ -69,14 +69,14 @@ grep -e "forward frames" -e "turn-around" sound respond
 answered=$(sed -n 's/.* forward frames, \([0-9]*\) answered.*/\1/p' sound)
 [ "$answered" -ge 1900 ]
 csi5300 bearing --rx rx.dat --tx tx.dat --trajectory two.csv --channel 64 --json >bearing.json
-# The transmitter is at (3, 1.5), the circle's centre at the origin: a slope of 0.5, seen from there, and 0.0109 more or
-# less is half a degree.
+# The transmitter is at (3, 1.5), the circle's centre at the origin: seen from there the slope is 0.5, and a difference of 0.0109 is half
+# a degree.
 within_half_a_degree() {
     sed -n 's/.*"position_m":\[\([^]]*\)\].*/\1/p' bearing.json | awk -F, '
         { off = ($2 / $1 - 0.5) / 0.0109 / 2; printf "transmitter at %.3f, %.3f m, truth 3, 1.5 m: %.3f degrees off\n", $1, $2, off }
         END { exit !(NR == 1 && off > -0.5 && off < 0.5) }'
 }
-# No pair is missing; a late answer, which the sounder did not count, may be in both logs.
+# No pair is missing; both logs may contain a late answer that the sounder did not count.
 complete() {
     pairs=$(number pairs)
     [ "$pairs" -ge "$answered" ] && [ "$pairs" -le "$(sed -n 's/\([0-9]*\) forward frames, .*/\1/p' "$1")" ] || { echo "$pairs pairs of $answered answers"; exit 1; }
@@ -86,9 +86,9 @@ complete sound
 within_half_a_degree
 
 echo "the claims about the card: live, and of the logs that it left"
-# verdict FILE CLAIM: of the first card it is about.
+# verdict FILE CLAIM: for the first card with this claim.
 verdict() { sed -n "/\"id\": \"$2\"/,/\"found\"/s/.*\"verdict\": \"\(.*\)\".*/\1/p" "$1" | head -n 1; }
-# held FILE CLAIM..: all hold.
+# held FILE CLAIM..: all claims hold.
 held() {
     file=$1
     shift
@@ -99,7 +99,7 @@ held() {
 wait "$claims" || true
 held claims.json module.csi module.marked module.order module.layout recorder.same host.buffer log.whole log.layout reception.rate reception.width \
     reception.chains reception.order reception.zero reception.fresh reception.once card.clock
-# How late an emulated host wakes is told; it need not be early.
+# How late an emulated host wakes up is reported; it need not be punctual.
 [ "$(verdict claims.json host.lateness)" != not_tried ]
 csi5300 doctor --accept rx.dat tx.dat --channel 64 --json >logs.json || true
 held logs.json exchange.pairs exchange.drift phase.sign log.whole reception.subcarriers

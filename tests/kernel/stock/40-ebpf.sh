@@ -1,4 +1,4 @@
-# CSI from the stock driver by the eBPF program of `csi5300 record --stock`, no module beside it.
+# CSI from the stock driver with the eBPF program of `csi5300 record --stock`, without the module.
 for module in csi5300 fakecard iwldvm iwlwifi; do rmmod "$module" 2>/dev/null || true; done
 dmesg -c >/dev/null
 cards() {
@@ -12,7 +12,7 @@ step() {
 }
 feed() { step FEED feed "$1"; }
 check() { step CHECK every_record_is_what_the_patched_driver_makes "$1"; }
-# start ARGUMENTS: a recorder that is listening.
+# start ARGUMENTS: starts a recorder and waits until it listens.
 start() {
     : >/tmp/recorder
     csi5300 record --stock /tmp/ebpf.dat --force "$@" 2>/tmp/recorder &
@@ -22,14 +22,14 @@ start() {
         sleep 0.1
     done
 }
-# stop STATUS: the recorder's end.
+# stop STATUS: ends the recorder and checks its status.
 stop() {
     status=0
     kill -TERM "$recorder"
     wait "$recorder" || status=$?
     [ "$status" = "$1" ] || { cat /tmp/recorder; echo "status $status, not $1"; exit 1; }
 }
-# The program's own account: times it ran, and nanoseconds.
+# The kernel's statistics of the program: number of runs, and nanoseconds.
 cost() {
     file=$(grep -l run_cnt "/proc/$recorder"/fdinfo/* | head -n 1)
     ran=$(sed -n 's/^run_cnt:[^0-9]*//p' "$file")
@@ -106,7 +106,7 @@ if [ -x /bin/setcap ]; then
     mkdir -p /tmp/robot
     chown 1000:1000 /tmp/robot
     cp /bin/csi5300 /tmp/robot/csi5300
-    # as_robot CAPABILITIES SECONDS: the recorder of that user; its exit status in `status`.
+    # as_robot CAPABILITIES SECONDS: runs that user's recorder; its exit status is in `status`.
     as_robot() {
         setcap "$1" /tmp/robot/csi5300
         status=0
@@ -124,7 +124,7 @@ if [ -x /bin/setcap ]; then
     kill -TERM "$(pidof csi5300)"
     wait "$robot"
     check "/tmp/robot/few.dat wsr 1 all steady 100 11 -"
-    # Debian's own level: a probe then wants CAP_SYS_ADMIN.
+    # Debian's default level: then a probe needs CAP_SYS_ADMIN.
     sysctl -w kernel.perf_event_paranoid=3
     as_robot cap_bpf,cap_perfmon+ep 100ms
     [ "$status" = 1 ] && grep "perf_event_paranoid" /tmp/recorder || { cat /tmp/recorder; exit 1; }

@@ -1,5 +1,5 @@
-# sound and respond with --stock: their records by the eBPF program, and the module beside it for the rate of what they send. It
-# is silent (connector_log=0). Both robots are on this machine, so each of them leaves out what the other's card hears.
+# sound and respond with --stock: records from the eBPF program; the module beside it only sets the rate of sent frames (connector_log=0).
+# Both robots are on this machine, so each ignores what the other's card hears.
 A=00:21:6a:00:00:01 B=00:21:6a:00:00:02
 mkdir -p /tmp/out/stock && cd /tmp/out/stock
 for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm fakecard; do load "$module"; done
@@ -15,8 +15,8 @@ done
 slow="--rate 100 --turn-around 6000 --guard 1500"
 counter() { cat "/sys/module/csi5300/counters/$1"; }
 
-# exchange NAME SECONDS KEY OPTIONS...: rounds of two robots with --stock, their logs NAME-rx.dat and NAME-tx.dat; files one.KEY and two.KEY, or
-# none for `-`. The room's first robot drives its circle meanwhile.
+# exchange NAME SECONDS KEY OPTIONS...: rounds of two robots with --stock, logged in NAME-rx.dat and NAME-tx.dat; keys one.KEY and two.KEY,
+# or none for `-`. The room's first robot drives its circle meanwhile.
 exchange() {
     name=$1 seconds=$2 key=$3
     shift 3
@@ -44,13 +44,13 @@ exchange() {
 
 echo "records and logs of two robots by the eBPF program"
 exchange ebpf 15 -
-# One sender in each log: the other robot.
+# Each log has one sender: the other robot.
 csi5300 info ebpf-rx.dat | grep -q "$B"
 csi5300 info ebpf-tx.dat | grep -q "$A"
 csi5300 info ebpf-rx.dat | grep -q "$A" && exit 1
 csi5300 info ebpf-tx.dat | grep -q "$B" && exit 1
 csi5300 bearing --rx ebpf-rx.dat --tx ebpf-tx.dat --trajectory ebpf.csv --channel 64 --json >bearing.json
-# No pair is missing; a late answer, which the sounder did not count, may be in both logs.
+# No pair is missing; both logs may contain a late answer that the sounder did not count.
 pairs=$(sed -n 's/.*"pairs":\([0-9]*\).*/\1/p' bearing.json)
 [ "$pairs" -ge "$answered" ] && [ "$pairs" -le "$sounded" ] || { echo "$pairs pairs of $answered answers"; exit 1; }
 # As in 30-sounding.sh: the transmitter is at (3, 1.5).
@@ -67,6 +67,6 @@ exchange keyed 21 key --trajectory keyed.csv --channel 64 --bearing-every 19s --
 grep '"azimuth_deg":[0-9-]' keyed.live | head -n 1 | sed 's/.*"pairs":\([0-9]*\),"azimuth_deg":\([-0-9.]*\),.*/\1 \2/' | awk '
     { off = $2 - 21.80; printf "live: %.2f degrees of %d pairs, %.2f degrees off\n", $2, $1, off }
     END { exit !(NR == 1 && $1 > 1700 && off > -1 && off < 1) }' || { cat keyed.live; exit 1; }
-# The first frame of a card is held back until it sent CSI.
+# A card's first frame is held back until the card has sent CSI.
 [ "$(csi5300 info keyed-rx.dat | sed -n 's/.*code 0xC1 (mpdu): //p')" -ge "$((answered - 1))" ]
 rmmod csi5300

@@ -1,10 +1,10 @@
-//! Which nodes a participant has, as `ros2 node list` wants to know: one message for each size of name (Humble's names of
-//! endpoints have 24 bytes, those from Iron on 16).
+//! The nodes of a participant, for `ros2 node list`: one message for each size of endpoint identifiers (24 bytes in Humble, 16
+//! from Iron on).
 
 use super::{Described, messages};
 use crate::cdr::{Cdr, CdrError, CdrReader, CdrWriter};
 
-/// A name of 256 bytes at most, as the definition has it.
+/// A name of at most 256 bytes, as the definition has it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Name(pub String);
 
@@ -25,7 +25,7 @@ impl Described for Name {
 }
 
 messages! {
-    /// An endpoint's name, from Iron on.
+    /// An endpoint's identifier, from Iron on.
     "rmw_dds_common/msg/Gid" Gid { data: [u8; 16] }
     /// A node and its endpoints.
     "rmw_dds_common/msg/NodeEntitiesInfo" NodeEntitiesInfo {
@@ -43,7 +43,7 @@ pub mod humble {
     use crate::messages::messages;
 
     messages! {
-        /// An endpoint's name.
+        /// An endpoint's identifier.
         "rmw_dds_common/msg/Gid" Gid { data: [u8; 24] }
         /// A node and its endpoints.
         "rmw_dds_common/msg/NodeEntitiesInfo" NodeEntitiesInfo {

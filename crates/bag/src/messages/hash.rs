@@ -1,10 +1,10 @@
-//! The hash of a type, by which nodes of ROS 2 from Iron on tell definitions apart: RIHS01 (REP-2016), the SHA-256 of its
+//! The type hash, with which nodes of ROS 2 from Iron on compare definitions: RIHS01 (REP-2016), the SHA-256 of the type's
 //! description as JSON (`calculate_type_hash` of `rosidl_generator_type_description`).
 
 use sha2::{Digest, Sha256};
 use std::fmt::Write;
 
-/// Numbers of basic types (`type_description_interfaces/msg/FieldType`); `char` is an `uint8` to ROS 2.
+/// Numbers of basic types (`type_description_interfaces/msg/FieldType`); ROS 2 maps `char` to `uint8`.
 const BASIC: [(&str, u32); 15] = [
     ("int8", 2),
     ("uint8", 3),
@@ -22,14 +22,14 @@ const BASIC: [(&str, u32); 15] = [
     ("string", 17),
     ("string<", 21),
 ];
-/// The number of a message of its own.
+/// The number of a nested message.
 const NESTED: u32 = 1;
-/// What an array of a fixed length, and a list of any, add to the number of their values.
+/// Added to the type's number for an array of fixed length, and for an unbounded list.
 const ARRAY: u32 = 48;
 /// See [`ARRAY`].
 const LIST: u32 = 144;
 
-/// `std_msgs/Header` as `std_msgs/msg/Header`; halves of services have all of it.
+/// `std_msgs/Header` as `std_msgs/msg/Header`; halves of services already have the full name.
 fn whole(name: &str) -> String {
     if name.matches('/').count() == 1 { name.replace('/', "/msg/") } else { name.to_owned() }
 }
@@ -59,7 +59,7 @@ fn description((name, text): &(String, String)) -> String {
     format!("{{\"type_name\": \"{}\", \"fields\": [{}]}}", whole(name), fields.join(", "))
 }
 
-/// The hash of the first of these types; the others are what it is made of.
+/// The hash of the first of these types; the others are its parts.
 pub(super) fn rihs01(parts: &[(String, String)]) -> String {
     let Some((first, others)) = parts.split_first() else { return String::new() };
     let mut others: Vec<_> = others.iter().map(|part| (whole(&part.0), description(part))).collect();
@@ -88,7 +88,7 @@ mod tests {
 
     /// As ROS 2 Jazzy's own packages have them (`share/PACKAGE/msg/NAME.json`); nodes of Kilted and Lyrical announce the same.
     #[test]
-    fn hashes_are_those_that_nodes_of_ros_2_announce() {
+    fn type_hashes_equal_those_of_ros_2_nodes() {
         for (own, published) in [
             (Header::type_hash(), "f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01"),
             (Odometry::type_hash(), "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),

@@ -1,12 +1,12 @@
-//! Messages of ROS 2 as structures: fields in the order of the `.msg` files, under their names. CDR and the text of a
-//! definition are both made of them.
+//! ROS 2 messages as structures: fields in the order of the `.msg` files, with their names. CDR and the text of a definition
+//! are derived from them.
 //!
 //! | module | packages |
 //! |---|---|
 //! | `standard` | `builtin_interfaces`, `std_msgs`, `geometry_msgs`, `nav_msgs`, `sensor_msgs`, `tf2_msgs`, `rosgraph_msgs` |
 //! | `shown` | `visualization_msgs`, `diagnostic_msgs` |
 //! | `own` | `csi5300_msgs` (packaging/ros2) |
-//! | `graph` | `rmw_dds_common`: what nodes there are |
+//! | `graph` | `rmw_dds_common`: the nodes of a participant |
 //! | `services` | `std_srvs`, `rcl_interfaces`, `diagnostic_msgs` |
 
 pub mod graph;
@@ -18,11 +18,11 @@ pub mod standard;
 
 use crate::cdr::Cdr;
 
-/// How a type is written in a definition.
+/// A type's name and parts in a definition.
 pub trait Described {
-    /// Its name, as a field has it: `float64`, `std_msgs/Header`.
+    /// Its name as a field's type: `float64`, `std_msgs/Header`.
     fn name() -> String;
-    /// The messages that it is made of, each once, with their fields.
+    /// The messages that it contains, each once, with their fields.
     fn parts(_into: &mut Vec<(String, String)>) {}
 }
 
@@ -31,7 +31,7 @@ pub trait Message: Cdr + Described + Clone + Send + 'static {
     /// `PACKAGE/msg/NAME` or `PACKAGE/srv/NAME`.
     const TYPE: &'static str;
 
-    /// Its hash, as nodes of ROS 2 from Iron on announce it: `RIHS01_` and 64 hexadecimal digits.
+    /// Its hash as nodes of ROS 2 from Iron on announce it: `RIHS01_` and 64 hexadecimal digits.
     #[must_use]
     fn type_hash() -> String {
         let mut parts = Vec::new();
@@ -39,7 +39,7 @@ pub trait Message: Cdr + Described + Clone + Send + 'static {
         hash::rihs01(&parts)
     }
 
-    /// The whole definition: its fields, then those of what it is made of, as recordings have it (`ros2msg`).
+    /// The full definition for recordings (`ros2msg`): its fields, then those of its parts.
     fn definition() -> String {
         let mut parts = Vec::new();
         Self::parts(&mut parts);
@@ -81,7 +81,7 @@ impl<T: Described, const N: usize> Described for [T; N] {
     }
 }
 
-/// Makes messages: `"PACKAGE/msg/NAME" Name { field: type, ... }`.
+/// Defines messages: `"PACKAGE/msg/NAME" Name { field: type, ... }`.
 macro_rules! messages {
     ($($(#[$doc:meta])* $kind:literal $name:ident { $($field:ident: $type:ty),* $(,)? })*) => {$(
         $(#[$doc])*

@@ -1,4 +1,4 @@
-//! What this program publishes; the files with every field's meaning are in `packaging/ros2/csi5300_msgs`.
+//! The messages of this program; the files in `packaging/ros2/csi5300_msgs` explain every field.
 
 use super::messages;
 use super::standard::{Header, Time};
@@ -8,7 +8,7 @@ use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Bfee};
 
 messages! {
-    /// What is said of one peer.
+    /// The report of one peer.
     "csi5300_msgs/msg/Bearing" Bearing {
         header: Header, peer: String, mac: String, state: String, words: String, azimuth: f64, azimuth_sd: f64,
         azimuth_body: f64, mirror: f64, elevation: f64, signed_elevation: f64, range: f64, range_sd: f64, coherence: f64,
@@ -19,11 +19,11 @@ messages! {
         header: Header, mac: String, frame_count: u32, timestamp_low: u32, bfee_count: u16, n_rx: u8, n_tx: u8,
         rssi: [u8; 3], noise: i8, agc: u8, rate_n_flags: u16, antennas: Vec<u8>, re: Vec<i8>, im: Vec<i8>,
     }
-    /// One record, to be drawn: |CSI| of one antenna by subcarrier, unscaled, and its phase, radians. In recordings only.
+    /// One record for display: |CSI| of one antenna by subcarrier, unscaled, and its phase, radians. In recordings only.
     "csi5300_msgs/msg/CsiRow" CsiRow {
         header: Header, sender: String, number: u32, card_us: u32, magnitude: Vec<f32>, phase: Vec<f32>,
     }
-    /// What was read and lost in a log. In recordings only.
+    /// Counts of a log's records and losses. In recordings only.
     "csi5300_msgs/msg/Counters" Counters {
         header: Header, records: u64, damages: u64, damaged_bytes: u64, impossible_records: u64, overruns: u64,
         bfee_missing: u64,
@@ -31,7 +31,7 @@ messages! {
 }
 
 impl Csi {
-    /// Of a record of the card and what is known of its sender.
+    /// From a record of the card and what is known of its sender.
     #[must_use]
     pub fn of(stamp: Time, bfee: &Bfee<'_>, identity: Identity) -> Self {
         let known = Matrix::from_bfee(bfee).ok();
@@ -51,7 +51,7 @@ impl Csi {
             agc: bfee.agc(),
             rate_n_flags: bfee.rate_n_flags(),
             antennas: (0..matrix.n_rx()).filter_map(antenna).map(number).collect(),
-            // They are the card's 8 bits.
+            // The card's 8 bits.
             re: matrix.as_slice().iter().map(|h| h.re as i8).collect(),
             im: matrix.as_slice().iter().map(|h| h.im as i8).collect(),
         }

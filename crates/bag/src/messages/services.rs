@@ -4,13 +4,13 @@ use super::messages;
 use super::shown::{Byte, DiagnosticStatus};
 
 messages! {
-    /// Do it; the field is there because a message has one.
+    /// The request; ROS gives an empty message this field.
     "std_srvs/srv/Trigger_Request" TriggerRequest { structure_needs_at_least_one_member: u8 }
-    /// Whether it was done, and what there is to say.
+    /// Success, and a text.
     "std_srvs/srv/Trigger_Response" TriggerResponse { success: bool, message: String }
-    /// Test yourself; the field is there because a message has one.
+    /// The request; ROS gives an empty message this field.
     "diagnostic_msgs/srv/SelfTest_Request" SelfTestRequest { structure_needs_at_least_one_member: u8 }
-    /// Who was tested, whether all passed (1) or not (0), and each test.
+    /// What was tested, whether all tests passed (1) or not (0), and each test.
     "diagnostic_msgs/srv/SelfTest_Response" SelfTestResponse { id: String, passed: Byte, status: Vec<DiagnosticStatus> }
     /// A parameter's value: the one of the type that `type` names (1 bool, 2 integer, 3 double, 4 string).
     "rcl_interfaces/msg/ParameterValue" ParameterValue {
@@ -22,7 +22,7 @@ messages! {
     "rcl_interfaces/srv/GetParameters_Request" GetParametersRequest { names: Vec<String> }
     /// Their values.
     "rcl_interfaces/srv/GetParameters_Response" GetParametersResponse { values: Vec<ParameterValue> }
-    /// Parameters that begin so, so deep.
+    /// Parameters with these prefixes, to this depth.
     "rcl_interfaces/srv/ListParameters_Request" ListParametersRequest { prefixes: Vec<String>, depth: u64 }
     /// Their names.
     "rcl_interfaces/msg/ListParametersResult" ListParametersResult { names: Vec<String>, prefixes: Vec<String> }

@@ -1,10 +1,10 @@
-//! What RViz, Foxglove and `rqt` show.
+//! Messages for RViz, Foxglove and `rqt`.
 
 use super::standard::{Colour, Duration, Header, Point, Pose, Vector3};
 use super::{Described, messages};
 use crate::cdr::{Cdr, CdrError, CdrReader, CdrWriter};
 
-/// `byte` of a `.msg` file, which is not its `uint8`.
+/// `byte` of a `.msg` file, distinct from its `uint8`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Byte(pub u8);
 
@@ -25,28 +25,28 @@ impl Described for Byte {
 }
 
 messages! {
-    /// Where a texture is.
+    /// A texture coordinate.
     "visualization_msgs/msg/UVCoordinate" Texture { u: f32, v: f32 }
-    /// A picture, compressed.
+    /// A compressed image.
     "sensor_msgs/msg/CompressedImage" Picture { header: Header, format: String, data: Vec<u8> }
     /// A mesh.
     "visualization_msgs/msg/MeshFile" Mesh { filename: String, data: Vec<u8> }
-    /// A thing to be drawn; see the constants below.
+    /// A shape to draw; see the constants below.
     "visualization_msgs/msg/Marker" Marker {
         header: Header, ns: String, id: i32, r#type: i32, action: i32, pose: Pose, scale: Vector3, color: Colour,
         lifetime: Duration, frame_locked: bool, points: Vec<Point>, colors: Vec<Colour>, texture_resource: String,
         texture: Picture, uv_coordinates: Vec<Texture>, text: String, mesh_resource: String, mesh_file: Mesh,
         mesh_use_embedded_materials: bool,
     }
-    /// Several.
+    /// Several markers.
     "visualization_msgs/msg/MarkerArray" MarkerArray { markers: Vec<Marker> }
-    /// A name and what belongs to it.
+    /// A name and its value.
     "diagnostic_msgs/msg/KeyValue" KeyValue { key: String, value: String }
-    /// How a part is: 0 well, 1 a warning, 2 an error, 3 stale.
+    /// The state of a part: 0 OK, 1 warning, 2 error, 3 stale.
     "diagnostic_msgs/msg/DiagnosticStatus" DiagnosticStatus {
         level: Byte, name: String, message: String, hardware_id: String, values: Vec<KeyValue>,
     }
-    /// How several parts are.
+    /// The states of several parts.
     "diagnostic_msgs/msg/DiagnosticArray" DiagnosticArray { header: Header, status: Vec<DiagnosticStatus> }
 }
 
@@ -55,12 +55,12 @@ impl Marker {
     pub const ARROW: i32 = 0;
     /// `type`: a sphere, or an ellipsoid by its `scale`.
     pub const SPHERE: i32 = 2;
-    /// `type`: a line through `points`.
+    /// `type`: a line strip through `points`.
     pub const LINE_STRIP: i32 = 4;
-    /// `type`: words that face who looks.
+    /// `type`: text that faces the viewer.
     pub const TEXT: i32 = 9;
     /// `type`: triangles, three of `points` each.
     pub const TRIANGLES: i32 = 11;
-    /// `action`: take it away.
+    /// `action`: delete.
     pub const DELETE: i32 = 2;
 }

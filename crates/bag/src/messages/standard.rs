@@ -4,7 +4,7 @@ use super::{Described, messages};
 use crate::cdr::{Cdr, CdrError, CdrReader, CdrWriter};
 use nalgebra::{Isometry3, Quaternion as Numbers, Translation3, UnitQuaternion};
 
-/// A covariance of six values, row by row: 36 numbers.
+/// A 6 x 6 covariance, row by row: 36 numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Covariance(pub [[f64; 6]; 6]);
 
@@ -25,11 +25,11 @@ impl Described for Covariance {
 }
 
 messages! {
-    /// Seconds and nanoseconds since the Unix epoch, or of a simulation.
+    /// Seconds and nanoseconds since the Unix epoch, or simulated.
     "builtin_interfaces/msg/Time" Time { sec: i32, nanosec: u32 }
-    /// A time between two.
+    /// A length of time.
     "builtin_interfaces/msg/Duration" Duration { sec: i32, nanosec: u32 }
-    /// Time and frame of what follows.
+    /// Time and frame of a message.
     "std_msgs/msg/Header" Header { stamp: Time, frame_id: String }
     /// A colour, 0 to 1.
     "std_msgs/msg/ColorRGBA" Colour { r: f32, g: f32, b: f32, a: f32 }
@@ -39,46 +39,46 @@ messages! {
     "geometry_msgs/msg/Vector3" Vector3 { x: f64, y: f64, z: f64 }
     /// A rotation.
     "geometry_msgs/msg/Quaternion" Quaternion { x: f64, y: f64, z: f64, w: f64 }
-    /// Where something is, and how it is turned.
+    /// Position and orientation.
     "geometry_msgs/msg/Pose" Pose { position: Point, orientation: Quaternion }
-    /// The same with its time and frame.
+    /// A pose with time and frame.
     "geometry_msgs/msg/PoseStamped" PoseStamped { header: Header, pose: Pose }
-    /// Several, one after the other in time.
+    /// Poses, in order of time.
     "nav_msgs/msg/Path" Path { header: Header, poses: Vec<PoseStamped> }
-    /// Distances in directions of a plane, radians from its x axis.
+    /// Distances by direction in a plane, radians from its x axis.
     "sensor_msgs/msg/LaserScan" LaserScan {
         header: Header, angle_min: f32, angle_max: f32, angle_increment: f32, time_increment: f32, scan_time: f32,
         range_min: f32, range_max: f32, ranges: Vec<f32>, intensities: Vec<f32>,
     }
-    /// The same with how well it is known: x, y, z, turns about x, y, z.
+    /// A pose with its covariance: x, y, z, rotations about x, y, z.
     "geometry_msgs/msg/PoseWithCovariance" PoseWithCovariance { pose: Pose, covariance: Covariance }
-    /// The same with its time and frame.
+    /// The same with time and frame.
     "geometry_msgs/msg/PoseWithCovarianceStamped" PoseWithCovarianceStamped { header: Header, pose: PoseWithCovariance }
-    /// Speeds.
+    /// Velocities.
     "geometry_msgs/msg/Twist" Twist { linear: Vector3, angular: Vector3 }
-    /// The same with how well they are known.
+    /// Velocities with covariance.
     "geometry_msgs/msg/TwistWithCovariance" TwistWithCovariance { twist: Twist, covariance: Covariance }
-    /// From one frame to another.
+    /// A transform.
     "geometry_msgs/msg/Transform" Transform { translation: Vector3, rotation: Quaternion }
-    /// From the frame of its header to its child.
+    /// The transform from the header's frame to the child frame.
     "geometry_msgs/msg/TransformStamped" TransformStamped { header: Header, child_frame_id: String, transform: Transform }
-    /// Several, as on `/tf`.
+    /// Several transforms, as on `/tf`.
     "tf2_msgs/msg/TFMessage" TfMessage { transforms: Vec<TransformStamped> }
-    /// Where a robot is, by its own reckoning.
+    /// A robot's pose by its own odometry.
     "nav_msgs/msg/Odometry" Odometry {
         header: Header, child_frame_id: String, pose: PoseWithCovariance, twist: TwistWithCovariance,
     }
-    /// What an inertial unit measures; an orientation only where the first of its covariance is not -1.
+    /// Measurements of an inertial unit; the orientation is valid unless the first value of its covariance is -1.
     "sensor_msgs/msg/Imu" Imu {
         header: Header, orientation: Quaternion, orientation_covariance: [f64; 9], angular_velocity: Vector3,
         angular_velocity_covariance: [f64; 9], linear_acceleration: Vector3, linear_acceleration_covariance: [f64; 9],
     }
-    /// The time of a simulation.
+    /// Simulated time.
     "rosgraph_msgs/msg/Clock" Clock { clock: Time }
 }
 
 impl Time {
-    /// From microseconds; 0 for what a message cannot hold.
+    /// From microseconds; 0 where a message cannot represent it.
     pub fn from_us(us: i64) -> Self {
         let nanosec = us.rem_euclid(1_000_000) as u32 * 1_000;
         i32::try_from(us.div_euclid(1_000_000)).map_or_else(|_| Self::default(), |sec| Self { sec, nanosec })
@@ -96,7 +96,7 @@ impl From<[f64; 3]> for Point {
     }
 }
 
-/// Rotation and translation, if all numbers are some and the rotation has a length.
+/// Rotation and translation, if all numbers are finite and the quaternion is not zero.
 fn isometry(at: [f64; 3], turned: [f64; 4]) -> Option<Isometry3<f64>> {
     let [x, y, z, w] = turned;
     let rotation = Numbers::new(w, x, y, z);
@@ -110,7 +110,7 @@ fn numbers(turned: &Quaternion) -> [f64; 4] {
 }
 
 impl Transform {
-    /// As a value to be computed with; `None` for what is no transform.
+    /// As an isometry; `None` if it is invalid.
     #[must_use]
     pub fn isometry(&self) -> Option<Isometry3<f64>> {
         let at = &self.translation;
@@ -119,7 +119,7 @@ impl Transform {
 }
 
 impl Pose {
-    /// As a value to be computed with; `None` for what is no pose.
+    /// As an isometry; `None` if it is invalid.
     #[must_use]
     pub fn isometry(&self) -> Option<Isometry3<f64>> {
         let at = &self.position;
@@ -128,7 +128,7 @@ impl Pose {
 }
 
 impl Quaternion {
-    /// As a value to be computed with; `None` for what is no rotation.
+    /// As a unit quaternion; `None` if it is invalid.
     #[must_use]
     pub fn rotation(&self) -> Option<UnitQuaternion<f64>> {
         isometry([0.0; 3], numbers(self)).map(|turned| turned.rotation)

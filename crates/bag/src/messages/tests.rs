@@ -2,7 +2,7 @@ use super::own::{Bearing, Csi};
 use super::standard::{Odometry, Time};
 use super::{Cdr, Described, Message};
 
-/// The fields of a shipped file.
+/// The fields of a `.msg` file.
 fn fields(text: &str) -> String {
     let plain =
         |line: &str| line.split('#').next().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
@@ -10,7 +10,7 @@ fn fields(text: &str) -> String {
 }
 
 #[test]
-fn the_shipped_files_are_what_is_sent() {
+fn sent_messages_match_the_shipped_files() {
     let own = |parts: fn(&mut Vec<(String, String)>)| {
         let mut all = Vec::new();
         parts(&mut all);
@@ -45,7 +45,7 @@ fn a_definition_has_every_part_once() {
 }
 
 #[test]
-fn odometry_is_read_back_and_cut_odometry_is_not() {
+fn odometry_round_trips_and_cut_odometry_is_refused() {
     let mut odometry = Odometry { child_frame_id: "base_link".into(), ..Odometry::default() };
     odometry.header.frame_id = "odom".into();
     odometry.pose.pose.position.x = 1.5;

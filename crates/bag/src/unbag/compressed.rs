@@ -1,23 +1,23 @@
-//! Bytes that were compressed: chunks and messages, and whole files as `ros2 bag record --compression-mode file` writes them.
+//! Compressed data: chunks, messages, and whole files as `ros2 bag record --compression-mode file` writes them.
 
 use ruzstd::decoding::{FrameDecoder, StreamingDecoder};
 use std::fs::File;
 use std::io::{self, Read, Seek};
 use std::os::unix::fs::OpenOptionsExt;
 
-/// Bytes of a message of ours, or of poses, at most.
+/// Largest message of CSI or poses, bytes.
 pub(super) const LARGEST_MESSAGE: u64 = 16 << 20;
-/// Bytes of a chunk that does not say how long it is.
+/// Largest chunk that does not state its length, bytes.
 pub(super) const LARGEST_CHUNK: u64 = 256 << 20;
-/// Bytes of a file that cannot be read from its beginning to its end, and is unpacked on disk.
+/// Largest file that must be unpacked on disk because it needs random access, bytes.
 pub(super) const LARGEST_FILE: u64 = 4 << 30;
 
-/// True for bytes that begin as a frame of Zstandard (RFC 8878, 3.1.1). No message of ROS 2 does: it begins with a zero.
+/// True for bytes that begin as a frame of Zstandard (RFC 8878, 3.1.1). No ROS 2 message does: it begins with a zero.
 pub(crate) fn is_zstd(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0x28, 0xb5, 0x2f, 0xfd])
 }
 
-/// What is in a frame of Zstandard, as it is read: where it is damaged it ends too soon.
+/// The content of a Zstandard frame, as a stream; a damaged frame ends early.
 pub(super) fn stream(from: impl Read) -> io::Result<impl Read> {
     StreamingDecoder::new(from).map(Unpacked).map_err(io::Error::other)
 }
@@ -33,14 +33,14 @@ impl<R: Read> Read for Unpacked<R> {
     }
 }
 
-/// What is in frames of Zstandard, one after the other, as it is read.
+/// The content of consecutive Zstandard frames, as a stream.
 pub(crate) struct Frames<'a> {
     rest: &'a [u8],
     frame: Option<StreamingDecoder<&'a [u8], FrameDecoder>>,
 }
 
 impl<'a> Frames<'a> {
-    /// Of these bytes.
+    /// From bytes in memory.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { rest: bytes, frame: None }
     }
@@ -64,12 +64,12 @@ impl Read for Frames<'_> {
     }
 }
 
-/// What is in a frame of LZ4, at most `most` bytes.
+/// The content of an LZ4 frame, at most `most` bytes.
 pub(super) fn lz4(bytes: &[u8], most: u64) -> io::Result<Vec<u8>> {
     bounded(lz4_flex::frame::FrameDecoder::new(bytes), most)
 }
 
-/// All of it, if it is not more than `most` bytes.
+/// The whole content, if it is at most `most` bytes.
 pub(super) fn bounded(from: impl Read, most: u64) -> io::Result<Vec<u8>> {
     let mut all = Vec::new();
     from.take(most.saturating_add(1)).read_to_end(&mut all)?;
@@ -79,7 +79,7 @@ pub(super) fn bounded(from: impl Read, most: u64) -> io::Result<Vec<u8>> {
     Ok(all)
 }
 
-/// All of it in a file without a name, if it is not more than `most` bytes.
+/// The whole content in an unnamed file, if it is at most `most` bytes.
 pub(super) fn unpacked(from: impl Read, most: u64) -> io::Result<File> {
     let name = format!("csi5300-{}-{:?}.unpacked", std::process::id(), std::thread::current().id());
     let name = std::env::temp_dir().join(name);
@@ -93,5 +93,5 @@ pub(super) fn unpacked(from: impl Read, most: u64) -> io::Result<File> {
 }
 
 fn too_much(most: u64) -> io::Error {
-    io::Error::other(format!("there are more than {} MiB in it", most >> 20))
+    io::Error::other(format!("it contains more than {} MiB", most >> 20))
 }

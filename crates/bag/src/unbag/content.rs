@@ -1,4 +1,4 @@
-//! What becomes of a message: a record of a log, or a row of a trajectory.
+//! Converts a message to a record of a log or a row of a trajectory.
 
 use super::{Channel, compressed};
 use crate::cdr::{Cdr, CdrReader};
@@ -15,18 +15,18 @@ pub(super) const BFEE: u8 = 0xbb;
 /// Two bits that name no antenna.
 const NO_ANTENNA: u8 = 3;
 
-/// What a topic has that estimates need.
+/// Topics that estimates use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Content {
-    /// Records of a card (`csi5300_msgs/msg/Csi`): a log in the WSR layout is made of them.
+    /// Records of a card (`csi5300_msgs/msg/Csi`): they make a log in the WSR layout.
     Csi,
-    /// Poses (`nav_msgs/msg/Odometry`, `geometry_msgs/msg/PoseStamped`): rows of a trajectory.
+    /// Poses (`nav_msgs/msg/Odometry`, `geometry_msgs/msg/PoseStamped`): they make the rows of a trajectory.
     Poses,
 }
 
 impl Content {
-    /// Of a topic; `None` for all that have neither.
+    /// The content of a topic; `None` if it is neither.
     pub(super) fn of(channel: &Channel) -> Option<Self> {
         match channel.kind.as_str() {
             "csi5300_msgs/msg/Csi" => Some(Self::Csi),
@@ -36,7 +36,7 @@ impl Content {
         }
     }
 
-    /// The ending of a file of it.
+    /// The extension of its file.
     pub(super) fn ending(self) -> &'static str {
         match self {
             Self::Csi => "dat",
@@ -45,13 +45,13 @@ impl Content {
     }
 }
 
-/// True for a bearing that a node of this program drew as a pose, `/csi5300_ROBOT/PEER/direction`: no odometry.
+/// True for a bearing published as a pose, `/csi5300_ROBOT/PEER/direction`, which is not odometry.
 fn is_direction(topic: &str) -> bool {
     let mut parts = topic.rsplit('/');
     parts.next() == Some("direction") && parts.nth(1).is_some_and(|node| node.starts_with("csi5300"))
 }
 
-/// What a message is in its file; a payload that was compressed by itself is taken as what it was.
+/// The bytes that a message adds to its file; a payload may be compressed by itself.
 pub(super) fn bytes(channel: &Channel, payload: &[u8]) -> Option<Vec<u8>> {
     let whole = if compressed::is_zstd(payload) {
         Some(compressed::bounded(compressed::Frames::new(payload), compressed::LARGEST_MESSAGE).ok()?)
@@ -60,7 +60,7 @@ pub(super) fn bytes(channel: &Channel, payload: &[u8]) -> Option<Vec<u8>> {
     };
     let payload = whole.as_deref().unwrap_or(payload);
     let mut from = match channel.encoding.as_str() {
-        // Each begins with a header, and that of ROS 1 with a number of its own.
+        // Each begins with a header; that of ROS 1 has a sequence number.
         "ros1" => CdrReader::ros1(payload.get(4..)?),
         _ => CdrReader::of_payload(payload).ok()?,
     };
@@ -84,7 +84,7 @@ fn row(header: &Header, pose: &PoseMessage) -> Option<Vec<u8>> {
     Some(csv::line(&Pose { t_s, position_m: pose.translation.vector, heading_rad }).into_bytes())
 }
 
-/// A record as the WSR driver's logger writes it, length and code first.
+/// A record as the WSR driver's logger writes it: length and code first.
 fn record(csi: &Csi) -> Option<Vec<u8>> {
     let antenna = |row: usize| csi.antennas.get(row).copied().filter(|antenna| *antenna < 3).unwrap_or(NO_ANTENNA);
     let us = u64::try_from(csi.header.stamp.us()).ok()?;

@@ -1,4 +1,4 @@
-//! Recordings of all kinds: what is compressed, SQLite, ROS 1.
+//! All kinds of recordings: compressed, SQLite, ROS 1.
 
 use super::tests::{csi, put, recorded};
 use super::*;
@@ -6,7 +6,7 @@ use crate::cdr::Cdr;
 use crate::messages::Message;
 use crate::messages::standard::{Odometry, Time};
 
-/// A recording of three records of CSI and two poses, as MCAP without compression.
+/// A recording of three records of CSI and two poses, as uncompressed MCAP.
 fn plain() -> Vec<u8> {
     let folder = recorded("plain", |writer| {
         (1..=3).for_each(|k| put(writer, "/n/csi", &csi(k)));
@@ -26,7 +26,7 @@ pub(super) fn odometry(number: u32) -> Odometry {
     odometry
 }
 
-/// What is read of a file with these bytes.
+/// The result of reading a file with these bytes.
 pub(super) fn read_of(name: &str, bytes: &[u8]) -> Result<Recording, BagError> {
     let file = super::tests::own_path(name);
     std::fs::write(&file, bytes).unwrap();
@@ -44,7 +44,7 @@ fn zstd(bytes: &[u8]) -> Vec<u8> {
     ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
 }
 
-/// The same file with the chunks packed by `pack` under the name `by`, and without a summary.
+/// The same file without a summary, its chunks compressed with `pack` under the name `by`.
 fn chunks(bytes: &[u8], by: &str, pack: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     let (mut made, mut rest) = (bytes[..8].to_vec(), &bytes[8..]);
     while rest.len() > 9 {
@@ -66,7 +66,7 @@ fn chunks(bytes: &[u8], by: &str, pack: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
 }
 
 #[test]
-fn compressed_chunks_messages_and_files_are_read_as_those_that_are_not() {
+fn compressed_recordings_read_like_uncompressed_ones() {
     let bytes = plain();
     let expected = read_of("plain", &bytes).unwrap();
     assert_eq!(
@@ -87,7 +87,7 @@ fn compressed_chunks_messages_and_files_are_read_as_those_that_are_not() {
     ] {
         assert_eq!(contents(&read_of(name, &made).unwrap()), contents(&expected), "{name}");
     }
-    // A file that was packed and cut is read up to there.
+    // A compressed file that was cut is read up to the cut.
     let folder = recorded("many", |writer| {
         for k in 1..=1_500 {
             put(writer, "/n/csi", &csi(k));
@@ -101,7 +101,7 @@ fn compressed_chunks_messages_and_files_are_read_as_those_that_are_not() {
     assert!((100..1_500).contains(&cut.topics[0].messages) && cut.cut.len() == 1, "{}", cut.topics[0].messages);
     assert_eq!((read(packed.len()).topics[0].messages, read(30).cut.len()), (1_500, 1));
     std::fs::remove_dir_all(&folder).unwrap();
-    // Each message by itself.
+    // Each message compressed by itself.
     let folder = recorded("messages", |writer| {
         let mut put = |topic: &str, kind, payload: Vec<u8>| {
             writer.put((topic, kind, String::new), 5, &zstd(&payload)).unwrap();
@@ -112,7 +112,7 @@ fn compressed_chunks_messages_and_files_are_read_as_those_that_are_not() {
     });
     assert_eq!(contents(&Recording::read(&folder).unwrap()), contents(&expected));
     std::fs::remove_dir_all(&folder).unwrap();
-    // Damage costs a chunk, and is counted.
+    // Damage costs one chunk and is counted.
     let damaged = read_of("damaged", &chunks(&bytes, "lz4", |bytes| vec![7; bytes.len()])).unwrap();
     assert_eq!((damaged.damaged_parts, damaged.topics.len()), (1, 0));
     let other = read_of("other", &chunks(&bytes, "brotli", <[u8]>::to_vec));
@@ -120,7 +120,7 @@ fn compressed_chunks_messages_and_files_are_read_as_those_that_are_not() {
 }
 
 #[test]
-fn a_database_is_read_through_trees_and_rows_that_go_on_elsewhere() {
+fn a_database_with_deep_trees_and_overflow_pages_is_read() {
     let bytes = include_bytes!("../../../../tests/fixtures/recording.db3");
     let read = read_of("whole.db3", bytes).unwrap();
     let messages: Vec<_> =
@@ -128,9 +128,9 @@ fn a_database_is_read_through_trees_and_rows_that_go_on_elsewhere() {
     assert_eq!(messages, [("/odom", Content::Poses, 12, 0), ("/n/csi", Content::Csi, 40, 0)]);
     let rows = String::from_utf8(read.topics[0].bytes.clone()).unwrap();
     assert!(rows.starts_with("12.001000,0,0.500000,") && rows.contains("\n12.012000,0,6.000000,"), "{rows}");
-    // As the messages of the fixture are packed by itself and as a whole.
+    // The fixture's messages compressed one by one, and the whole file.
     assert_eq!(contents(&read_of("packed.db3", &zstd(bytes)).unwrap()), contents(&read));
-    // One that is cut is read up to there; one whose pages lead back to themselves has an end.
+    // A cut file is read up to the cut; reading ends although pages lead back to themselves.
     let mut most = 0;
     for pages in 1..bytes.len() / 512 {
         match read_of("cut.db3", &bytes[..pages * 512]) {
@@ -142,13 +142,13 @@ fn a_database_is_read_through_trees_and_rows_that_go_on_elsewhere() {
         }
     }
     assert!((30..52).contains(&most), "{most}");
-    // A tree that leads to itself by its right-most page.
+    // A tree whose right-most page leads to itself.
     let mut endless = bytes.to_vec();
     endless[100..112].copy_from_slice(&[5, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1]);
     endless.resize(20 << 20, 0);
     let ended = sqlite::read(Path::new("endless.db3"), io::Cursor::new(endless), &mut |_, _| Ok(()));
     assert!(matches!(ended, Err(BagError::NoTables { .. })), "{ended:?}");
-    // Who plays a compressed file leaves it beside what was in it: each message counts once.
+    // Playing a compressed file leaves the unpacked one beside it: each message counts once.
     let folder = std::env::temp_dir().join(format!("csi5300-kinds-{}-beside", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     std::fs::write(folder.join("run_0.db3"), bytes).unwrap();
@@ -183,10 +183,10 @@ pub(super) fn record1(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
     [&(header.len() as u32).to_le_bytes()[..], &header, &(data.len() as u32).to_le_bytes(), data].concat()
 }
 
-/// What a bag of ROS 1 says of the topic that messages of `number` are of.
+/// A bag's description of the topic whose messages have `number`.
 pub(super) fn connection(number: u32, topic: &str, kind: &str) -> Vec<u8> {
     let data = record1(&[("topic", topic.as_bytes()), ("type", kind.as_bytes())], &[]);
-    // Only the fields: the data of a connection is a header of its own.
+    // Only the fields: a connection's data is itself a header.
     let data = &data[4..data.len() - 4];
     record1(&[("op", &[7]), ("conn", &number.to_le_bytes()), ("topic", topic.as_bytes())], data)
 }
@@ -207,7 +207,7 @@ pub(super) fn numbers(numbers: &[f64]) -> Vec<u8> {
 }
 
 #[test]
-fn a_bag_of_ros_1_is_read_too() {
+fn a_ros_1_bag_is_read() {
     let header = |s: u32| [&9_u32.to_le_bytes()[..], &s.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
     let pose = numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
     let odometry = [header(12), text("base"), pose.clone(), numbers(&[0.0; 36 + 6 + 36])].concat();

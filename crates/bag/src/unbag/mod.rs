@@ -1,4 +1,4 @@
-//! Write logs and trajectories from a recording of ROS 2: what `csi5300 bearing` and `csi5300 compare` read.
+//! Writes logs and trajectories from a recording of ROS 2: the input of `csi5300 bearing` and `csi5300 compare`.
 
 pub(crate) mod compressed;
 mod content;
@@ -34,48 +34,48 @@ pub enum BagError {
         source: io::Error,
     },
     /// A file is of no known kind.
-    #[error("{} is no recording: MCAP, SQLite (ROS 2) and bags of ROS 1 are read", .path.display())]
+    #[error("{} is not a recording: supported are MCAP and SQLite (ROS 2) and bags of ROS 1", .path.display())]
     Unknown {
         /// The file.
         path: PathBuf,
     },
-    /// A database has not the tables of a recording.
-    #[error("{} is a database of SQLite without the tables of a recording (topics, messages)", .path.display())]
+    /// A database lacks the tables of a recording.
+    #[error("{} is an SQLite database without the tables of a recording (topics, messages)", .path.display())]
     NoTables {
         /// The file.
         path: PathBuf,
     },
-    /// A folder has no recording.
-    #[error("{} has no file of a recording (.mcap, .db3, .bag)", .folder.display())]
+    /// A folder contains no recording.
+    #[error("{} contains no recording (.mcap, .db3, .bag)", .folder.display())]
     Empty {
         /// The folder.
         folder: PathBuf,
     },
-    /// Chunks are compressed in a way that is not read.
-    #[error("{} is compressed by {by}, which is not read: `{}` makes one that is", .path.display(), .command)]
+    /// Chunks have an unsupported compression.
+    #[error("{} is compressed with {by}, which is not supported: convert it with `{}`", .path.display(), .command)]
     Compressed {
         /// The file.
         path: PathBuf,
-        /// By what.
+        /// The compression.
         by: String,
-        /// The command that helps.
+        /// A command that converts the file.
         command: &'static str,
     },
-    /// What would be written is what is read.
-    #[error("{} is the recording: it is not overwritten", .path.display())]
+    /// The output is the recording itself.
+    #[error("{} is the recording itself and is not overwritten", .path.display())]
     Input {
         /// The file.
         path: PathBuf,
     },
-    /// More than is held in memory.
-    #[error("{} has more than {} MiB of CSI and poses: `csi5300 unbag` makes files of it", .path.display(), .most >> 20)]
+    /// The recording is too large for memory.
+    #[error("{} has more than {} MiB of CSI and poses: write files with `csi5300 unbag`", .path.display(), .most >> 20)]
     Large {
         /// The recording.
         path: PathBuf,
-        /// Bytes that are held.
+        /// The limit, bytes.
         most: u64,
     },
-    /// There is a file of that name already.
+    /// A file of that name exists.
     #[error("{} already exists", .path.display())]
     There {
         /// The file.
@@ -83,7 +83,7 @@ pub enum BagError {
     },
 }
 
-/// What became of a topic.
+/// The result for a topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct UnbaggedTopic {
@@ -91,15 +91,15 @@ pub struct UnbaggedTopic {
     pub topic: String,
     /// Its type.
     pub kind: String,
-    /// What was written: a log (`.dat`) of CSI, or a trajectory (`.csv`).
+    /// What was written: a log (`.dat`) of CSI or a trajectory (`.csv`).
     pub file: PathBuf,
     /// Messages that were written.
     pub messages: u64,
-    /// Messages that are not of their type, or hold what no record or pose can.
+    /// Messages that are not of their type, or whose values no record or pose can have.
     pub unreadable: u64,
 }
 
-/// What became of a recording.
+/// The result for a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Unbagged {
@@ -107,18 +107,18 @@ pub struct Unbagged {
     pub topics: Vec<UnbaggedTopic>,
     /// Messages of other topics.
     pub others: u64,
-    /// Files that end before they should: they are whole up to their last chunk.
+    /// Files that end early: they are read up to their last complete chunk.
     pub cut: Vec<PathBuf>,
-    /// Parts that are damaged and skipped, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
+    /// Damaged parts that were skipped, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
     pub damaged_parts: u64,
-    /// Messages of unknown topics: their description is damaged.
+    /// Messages of unknown topics, whose description is damaged.
     pub without_topic: u64,
 }
 
-/// Bytes that wait to be written, of all topics.
+/// Bytes that may wait to be written, over all topics.
 const WAITING: usize = 16 << 20;
 
-/// A file that is written: beside its name, until the whole recording is read.
+/// An output file; it has a temporary name until the whole recording is read.
 struct Writing {
     part: PathBuf,
     waiting: Vec<u8>,
@@ -126,7 +126,7 @@ struct Writing {
 }
 
 impl Writing {
-    /// Writes what waits. No file stays open: there may be more topics than a process may have of them.
+    /// Writes the waiting bytes. No file stays open, because there may be more topics than a process may open files.
     fn flush(&mut self) -> Result<(), BagError> {
         let appended = File::options().append(true).open(&self.part).and_then(|mut to| to.write_all(&self.waiting));
         self.waiting = Vec::new();
@@ -134,10 +134,10 @@ impl Writing {
     }
 }
 
-/// What is written of a recording. What does not become a file is removed again.
+/// The output files of a recording. Files that were not finished are removed.
 struct Outputs<'a> {
     folder: &'a Path,
-    /// The files that are read: device and number.
+    /// The input files: device and number.
     inputs: BTreeSet<(u64, u64)>,
     replace: bool,
     files: BTreeMap<(String, String), Writing>,
@@ -146,7 +146,7 @@ struct Outputs<'a> {
 }
 
 impl Outputs<'_> {
-    /// Takes what a message is in its file; nothing where it is unreadable.
+    /// Appends a message's bytes to its file; `None` counts it as unreadable.
     fn take(&mut self, channel: &Channel, content: Content, bytes: Option<Vec<u8>>) -> Result<(), BagError> {
         let key = (channel.topic.clone(), channel.kind.clone());
         if !self.files.contains_key(&key) {
@@ -168,7 +168,7 @@ impl Outputs<'_> {
         Ok(())
     }
 
-    /// A name that no other topic has: those of two may be the same in plain letters.
+    /// A name that no other topic has: two topics may have the same name in plain letters.
     fn name(&mut self, topic: &str, end: &str) -> String {
         let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
         let stem: String = topic.trim_start_matches('/').chars().map(plain).collect();
@@ -195,7 +195,7 @@ impl Outputs<'_> {
         Ok(Writing { part, waiting: Vec::new(), told })
     }
 
-    /// Gives the files their names.
+    /// Gives the files their final names.
     fn finish(&mut self) -> Result<Vec<UnbaggedTopic>, BagError> {
         self.files.values_mut().try_for_each(Writing::flush)?;
         for one in self.files.values() {
@@ -212,12 +212,12 @@ impl Drop for Outputs<'_> {
     }
 }
 
-/// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout and each of poses ([`Content::Poses`]) as a
-/// trajectory into the folder `out`, which is made. `bag` is a folder as `ros2 bag` makes it, or one file: MCAP, SQLite or a
-/// bag of ROS 1, also compressed. Times are those of the headers. Files have their names once all of them are whole.
+/// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout, and each topic of poses ([`Content::Poses`]) as a
+/// trajectory, into the folder `out`, which it creates. `bag` is a folder of `ros2 bag` or one file: MCAP, SQLite or a bag of
+/// ROS 1, also compressed. Times are those of the headers. The files get their names once all are complete.
 ///
 /// # Errors
-/// If nothing can be read or written, a file already exists and not to be replaced, or is the recording itself.
+/// If reading or writing fails, or an output file is the recording or exists and may not be replaced.
 pub fn unbag(bag: &Path, out: &Path, replace: bool) -> Result<Unbagged, BagError> {
     let read = files(bag)?;
     let read = read.iter().filter_map(|file| std::fs::metadata(file).ok());
@@ -241,33 +241,33 @@ pub(crate) struct Channel {
     pub encoding: String,
 }
 
-/// Bytes of a file by which its kind is known.
+/// Number of first bytes that identify a file's kind.
 const START: u64 = 16;
 
-/// Uses a message: its topic and its payload.
+/// Receives a message: its topic and its payload.
 pub(crate) type Used<'a> = dyn FnMut(&Channel, &[u8]) -> Result<(), BagError> + 'a;
 
-/// How a file was read.
+/// The result of reading a file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Ended {
-    /// It ends where it should not.
+    /// It ends early.
     pub cut: bool,
-    /// Chunks, pages and rows that are damaged.
+    /// Damaged chunks, pages and rows.
     pub damaged_parts: u64,
-    /// Messages of topics that are not known.
+    /// Messages of unknown topics.
     pub without_topic: u64,
 }
 
-/// What of a recording is neither CSI nor poses.
+/// What a recording has besides CSI and poses.
 #[derive(Clone, Debug, Default)]
 struct Rest {
     others: u64,
     cut: Vec<PathBuf>,
-    /// Of all files.
+    /// Over all files.
     ended: Ended,
 }
 
-/// Each message of CSI or poses goes to `used`, as the bytes of its file; without any if it is unreadable.
+/// Passes each message of CSI or poses to `used` as the bytes for its file; `None` if it is unreadable.
 fn each(
     bag: &Path,
     mut used: impl FnMut(&Channel, Content, Option<Vec<u8>>) -> Result<(), BagError>,
@@ -291,7 +291,7 @@ fn each(
     Ok(rest)
 }
 
-/// Reads a file of whatever kind it is.
+/// Reads a file of any kind.
 fn read(path: &Path, used: &mut Used<'_>) -> Result<Ended, BagError> {
     let io = |source| BagError::Io { path: path.to_owned(), source };
     let file = || File::open(path).map(BufReader::new).map_err(io);
@@ -322,7 +322,7 @@ fn read(path: &Path, used: &mut Used<'_>) -> Result<Ended, BagError> {
     stream(path, &start, file()?, used)
 }
 
-/// Reads a file that is read from its beginning to its end, `start` being its first bytes.
+/// Reads a file from start to end; `start` has its first bytes.
 fn stream(path: &Path, start: &[u8], from: impl Read, used: &mut Used<'_>) -> Result<Ended, BagError> {
     if start.starts_with(crate::mcap::MAGIC) {
         crate::mcap::read(path, from, used)
@@ -333,7 +333,7 @@ fn stream(path: &Path, start: &[u8], from: impl Read, used: &mut Used<'_>) -> Re
     }
 }
 
-/// The files of a recording, in their order; those of one kind, MCAP before others.
+/// The files of a recording, in order, all of one kind; MCAP is preferred.
 fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
     if !bag.is_dir() {
         return Ok(vec![bag.to_owned()]);
@@ -341,7 +341,7 @@ fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
     let io = |source| BagError::Io { path: bag.to_owned(), source };
     let all = std::fs::read_dir(bag).map_err(io)?.map(|entry| entry.map(|entry| entry.path()));
     let mut all: Vec<PathBuf> = all.collect::<io::Result<_>>().map_err(io)?;
-    // Who plays a compressed file leaves it beside what was in it.
+    // Playing a compressed file leaves the unpacked one beside it.
     let names: BTreeSet<PathBuf> = all.iter().cloned().collect();
     all.retain(|path| path.extension().is_none_or(|end| end != "zstd") || !names.contains(&path.with_extension("")));
     // run_2 before run_10.

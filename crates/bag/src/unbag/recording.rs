@@ -1,4 +1,4 @@
-//! What a recording has for estimates, in memory.
+//! The CSI and poses of a recording, in memory.
 
 use super::{BagError, Content, Rest, each};
 use std::path::{Path, PathBuf};
@@ -11,38 +11,38 @@ pub struct RecordedTopic {
     pub topic: String,
     /// Its type.
     pub kind: String,
-    /// What it has.
+    /// What it contains.
     pub content: Content,
-    /// The log in the WSR layout, or the rows of the trajectory, that its messages make.
+    /// The log in the WSR layout, or the rows of the trajectory, made from its messages.
     pub bytes: Vec<u8>,
-    /// Messages that were taken.
+    /// Messages that were used.
     pub messages: u64,
-    /// Messages that are not of their type, or hold what no record or pose can.
+    /// Messages that are not of their type, or whose values no record or pose can have.
     pub unreadable: u64,
 }
 
-/// The topics of CSI and poses of a recording, with what is in them.
+/// The topics of CSI and poses of a recording, with their content.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Recording {
-    /// By the order in which they began.
+    /// In order of their first message.
     pub topics: Vec<RecordedTopic>,
     /// Messages of other topics.
     pub others: u64,
-    /// Files that end before they should: they are whole up to their last chunk.
+    /// Files that end early: they are read up to their last complete chunk.
     pub cut: Vec<PathBuf>,
-    /// Parts that are damaged and skipped, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
+    /// Damaged parts that were skipped, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
     pub damaged_parts: u64,
-    /// Messages of unknown topics: their description is damaged.
+    /// Messages of unknown topics, whose description is damaged.
     pub without_topic: u64,
 }
 
-/// Bytes of logs and trajectories that are held at most: a day of a robot at 100 records a second is 1.4 GB.
+/// Largest size of logs and trajectories in memory, bytes: a robot's day at 100 records a second is 1.4 GB.
 const MOST: u64 = 2 << 30;
 
 impl Recording {
-    /// Reads the recording `bag` as [`unbag`](super::unbag) does, into memory: a record of two antennas takes 163 bytes, a pose
-    /// about 60. Nothing is written.
+    /// Reads the recording `bag` as [`unbag`](super::unbag) does, but into memory: a record of two antennas takes 163 bytes, a
+    /// pose about 60. Writes nothing.
     ///
     /// # Errors
     /// If it cannot be read.
@@ -70,7 +70,7 @@ impl Recording {
         Ok(Self { topics, others, cut, damaged_parts: ended.damaged_parts, without_topic: ended.without_topic })
     }
 
-    /// The topics that have `content`.
+    /// The topics with this `content`.
     pub fn having(&self, content: Content) -> impl Iterator<Item = &RecordedTopic> {
         self.topics.iter().filter(move |topic| topic.content == content)
     }

@@ -1,4 +1,4 @@
-//! Messages of a bag of ROS 1 (\[rosbag\]), one after the other, without its index.
+//! Messages of a bag of ROS 1 (\[rosbag\]), in order, read without its index.
 
 use super::{BagError, Channel, Ended, Used, compressed};
 use std::collections::BTreeMap;
@@ -6,11 +6,11 @@ use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// How a file begins.
+/// First bytes of a file.
 pub(super) const MAGIC: &[u8; 13] = b"#ROSBAG V2.0\n";
-/// Bytes of one header or of the data behind it at most.
+/// Largest header or data of a record, bytes.
 const LARGEST: u64 = 1 << 30;
-/// Bytes of the index at the end at most.
+/// Largest index at the end, bytes.
 const LARGEST_INDEX: u64 = 256 << 20;
 
 /// Kinds of records, field `op`.
@@ -20,7 +20,7 @@ mod op {
     pub const CONNECTION: u8 = 0x07;
 }
 
-/// The value of a field of a header: `name=value` with their length before them.
+/// The value of a field of a header: `name=value`, preceded by the length of both.
 fn field<'a>(mut header: &'a [u8], name: &str) -> Option<&'a [u8]> {
     while let Some((length, rest)) = header.split_first_chunk::<4>() {
         let (one, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
@@ -41,10 +41,10 @@ fn number(header: &[u8], name: &str) -> Option<u32> {
     field(header, name)?.first_chunk().map(|bytes| u32::from_le_bytes(*bytes))
 }
 
-/// Topics of a bag by their numbers.
+/// Topics of a bag, by number.
 type Connections = BTreeMap<u32, Channel>;
 
-/// A record: its header and its data; `None` at the end of the file, and an empty header where it is cut.
+/// A record, its header and its data; `None` at the end of the file, an empty header if the record is cut.
 fn next(from: &mut impl Read) -> std::io::Result<Option<(Vec<u8>, Vec<u8>)>> {
     let mut part = |first: bool| -> std::io::Result<Option<Vec<u8>>> {
         let mut length = [0; 4];
@@ -62,7 +62,7 @@ fn next(from: &mut impl Read) -> std::io::Result<Option<(Vec<u8>, Vec<u8>)>> {
     Ok(Some((header, part(false)?.unwrap_or_default())))
 }
 
-/// Each message of a bag goes to `used`.
+/// Passes each message of a bag to `used`.
 pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Result<Ended, BagError> {
     let io = |source| BagError::Io { path: path.to_owned(), source };
     let mut magic = [0; MAGIC.len()];
@@ -105,7 +105,7 @@ pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
     }
 }
 
-/// Takes a connection, hands over a message.
+/// Stores a connection, passes on a message.
 fn record(
     header: &[u8],
     data: &[u8],
@@ -134,14 +134,14 @@ fn record(
     }
 }
 
-/// What a connection says. `nav_msgs/Odometry` is `nav_msgs/msg/Odometry` of ROS 2.
+/// The topic of a connection. `nav_msgs/Odometry` becomes `nav_msgs/msg/Odometry` of ROS 2.
 fn channel(header: &[u8], data: &[u8]) -> Channel {
     let kind = text(data, "type").unwrap_or_default().replacen('/', "/msg/", 1);
     Channel { topic: text(header, "topic").unwrap_or_default(), kind, encoding: "ros1".into() }
 }
 
-/// The connections that the index at the end of a bag has once more, in case that a chunk with the first is damaged. `None`
-/// for one that was not ended.
+/// The connections in the index at the end of a bag, which repeats them in case the first chunk with one is damaged. `None`
+/// for an unfinished bag.
 fn described(path: &Path) -> Option<Connections> {
     let mut file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|found| found.is_file()))?;
     let mut magic = [0; MAGIC.len()];

@@ -1,26 +1,26 @@
-//! Messages of a database of SQLite, as `ros2 bag record -s sqlite3` writes it (Humble's default): tables `topics` and
-//! `messages`, read page by page from the file format itself (\[sqlite\] 1.3, 1.6, 2). Journals are not applied.
+//! Messages of an SQLite database, as `ros2 bag record -s sqlite3` writes it (Humble's default): tables `topics` and
+//! `messages`, read page by page in the file format (\[sqlite\] 1.3, 1.6, 2). Journals are not applied.
 
 use super::{BagError, Channel, Ended, Used};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// How a file begins.
+/// First bytes of a file.
 pub(super) const MAGIC: &[u8; 16] = b"SQLite format 3\0";
-/// Levels of a table's tree at most: 20 of them would be more pages than there can be.
+/// Deepest tree of a table: more levels would need more pages than a file can have.
 const DEEPEST: usize = 20;
-/// Bytes of one row at most.
+/// Largest row, bytes.
 const LARGEST: u64 = 1 << 30;
 
 /// Why a row or page cannot be read.
 enum Wrong {
     Io(io::Error),
-    /// It is not as the format has it.
+    /// It violates the format.
     Damaged,
     /// The file ends before it.
     Missing,
-    /// The recording cannot go on.
+    /// The caller cannot continue.
     Bag(BagError),
 }
 
@@ -30,7 +30,7 @@ impl From<io::Error> for Wrong {
     }
 }
 
-/// A value of a row, as far as recordings have them.
+/// A value of a row, of the types in recordings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Value<'a> {
     Number(i64),
@@ -47,7 +47,7 @@ impl Value<'_> {
     }
 }
 
-/// A number of one to nine bytes, seven bits each, the highest first; and what follows it.
+/// A number of one to nine bytes, seven bits each, highest first; and the bytes after it.
 fn varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     let mut value = 0_u64;
     for (k, byte) in bytes.iter().enumerate().take(9) {
@@ -67,7 +67,7 @@ fn signed(bytes: &[u8]) -> i64 {
     bytes.iter().skip(1).fold(first, |value, byte| value << 8 | i64::from(*byte))
 }
 
-/// Columns of a row that are looked at: no table here has more of use.
+/// Columns of a row that are decoded: no table here needs more.
 const COLUMNS: usize = 8;
 
 /// The first values of a row.
@@ -107,20 +107,20 @@ fn be32(page: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_be_bytes(*page.get(at..)?.first_chunk()?))
 }
 
-/// Uses a row: its number, and its bytes.
+/// Receives a row: its number and its bytes.
 type Rows<'a> = dyn FnMut(u64, &[u8]) -> Result<(), BagError> + 'a;
 
-/// A database that was opened.
+/// An open database.
 struct Database<R> {
     from: R,
     page: usize,
-    /// Bytes of a page that are used.
+    /// Usable bytes of a page.
     usable: usize,
     /// Pages that it has.
     pages: u32,
-    /// Pages of the table's tree that were read: one that leads back to itself has an end.
+    /// Pages of the tree that were read: a tree that leads back to itself ends.
     seen: BTreeSet<u32>,
-    /// Pages on which rows may still go on: as many as there are.
+    /// Overflow pages that may still be read: as many as the file has pages.
     left: u32,
     ended: Ended,
 }
@@ -139,7 +139,7 @@ impl<R: Read + Seek> Database<R> {
             return Err(Wrong::Damaged);
         }
         let there = u32::try_from(from.seek(SeekFrom::End(0))? / page as u64).unwrap_or(u32::MAX);
-        // The head says how many there are, where it was written by who wrote last (\[sqlite\] 1.3.7).
+        // The header's number of pages is valid if the last writer wrote it (\[sqlite\] 1.3.7).
         let is_said = be32(&head, 24) == be32(&head, 92);
         let pages = be32(&head, 28).filter(|pages| is_said && *pages > 0).unwrap_or(there);
         let ended = Ended { cut: pages > there, ..Ended::default() };
@@ -155,7 +155,7 @@ impl<R: Read + Seek> Database<R> {
         Ok(bytes)
     }
 
-    /// What cannot be read is counted, and the rest goes on.
+    /// Counts what cannot be read, and continues.
     fn leave_out(&mut self, wrong: Wrong) -> Result<(), Wrong> {
         match wrong {
             Wrong::Damaged => self.ended.damaged_parts += 1,
@@ -165,7 +165,7 @@ impl<R: Read + Seek> Database<R> {
         Ok(())
     }
 
-    /// Each row of the table whose tree begins at page `root`, in the order of their numbers.
+    /// Each row of the table whose tree begins at page `root`, in order of their numbers.
     fn rows(&mut self, root: u32, used: &mut Rows<'_>) -> Result<(), Wrong> {
         (self.seen, self.left) = (BTreeSet::new(), self.pages);
         self.tree(root, 0, used)
@@ -179,7 +179,7 @@ impl<R: Read + Seek> Database<R> {
             Ok(page) => page,
             Err(wrong) => return self.leave_out(wrong),
         };
-        // The file's own head is on its first page.
+        // The first page starts with the file's own header.
         let at = if number == 1 { 100 } else { 0 };
         let kind = page.get(at).copied().unwrap_or(0);
         let list = at + if kind == 5 { 12 } else { 8 };
@@ -199,12 +199,12 @@ impl<R: Read + Seek> Database<R> {
         if kind == 5 { self.tree(be32(&page, at + 8).unwrap_or(0), depth + 1, used) } else { Ok(()) }
     }
 
-    /// A row: its number, and all of it, wherever it goes on.
+    /// A row: its number and all of its bytes, from its overflow pages, too.
     fn row(&mut self, cell: &[u8]) -> Result<(u64, Vec<u8>), Wrong> {
         let (length, rest) = varint(cell).ok_or(Wrong::Damaged)?;
         let (id, rest) = varint(rest).ok_or(Wrong::Damaged)?;
         let whole = usize::try_from(length).ok().filter(|_| length <= LARGEST).ok_or(Wrong::Damaged)?;
-        // As much as stays on the page (\[sqlite\] 1.6).
+        // The part of the row that stays on the page (\[sqlite\] 1.6).
         let most = self.usable - 35;
         let least = (self.usable - 12) * 32 / 255 - 23;
         let here = match whole {
@@ -223,11 +223,11 @@ impl<R: Read + Seek> Database<R> {
         Ok((id, row))
     }
 
-    /// Where the tables begin.
+    /// The root pages of the tables.
     fn tables(&mut self) -> Result<BTreeMap<String, u32>, Wrong> {
         let mut tables = BTreeMap::new();
         self.rows(1, &mut |_, row| {
-            // type, name, name of the table, first page, the words that made it.
+            // type, name, table name, root page, SQL text.
             if let Some([Value::Bytes(b"table"), name, _, Value::Number(root), ..]) = values(row).as_deref() {
                 tables.extend(name.text().zip(u32::try_from(*root).ok()));
             }
@@ -272,7 +272,7 @@ impl<R: Read + Seek> Database<R> {
     }
 }
 
-/// Each message of a recording goes to `used`, in the order of their numbers.
+/// Passes each message of a recording to `used`, in order of their numbers.
 pub(super) fn read(path: &Path, from: impl Read + Seek, used: &mut Used<'_>) -> Result<Ended, BagError> {
     let opened = Database::open(from).and_then(|mut database| {
         database.messages(path, used)?;
@@ -287,7 +287,7 @@ pub(super) fn read(path: &Path, from: impl Read + Seek, used: &mut Used<'_>) -> 
     }
 }
 
-/// True if a journal is beside the file: what was written last is there, as the recording was not ended.
+/// True if there is a journal beside the file: it has the last messages of an unfinished recording.
 pub(super) fn has_journal(path: &Path) -> bool {
     ["-wal", "-journal"].iter().any(|end| {
         let mut name = path.as_os_str().to_owned();

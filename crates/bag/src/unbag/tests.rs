@@ -30,7 +30,7 @@ pub(super) fn csi(number: u32) -> Csi {
     }
 }
 
-/// A path of a test's own: tests of one process run beside each other.
+/// A path of this test alone: tests of one process run in parallel.
 pub(super) fn own_path(name: &str) -> PathBuf {
     static COUNT: AtomicU64 = AtomicU64::new(0);
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
@@ -60,7 +60,7 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
         (odometry.pose.pose.position.x, odometry.pose.pose.orientation.w) = (1.5, 1.0);
         put(writer, "/odom", &odometry);
         put(writer, "/clock", &Clock::default());
-        // A bearing, drawn as a pose.
+        // A bearing published as a pose.
         put(writer, "/lab/csi5300_a/b/direction", &PoseStamped::default());
         writer.finish().unwrap();
     });
@@ -95,7 +95,7 @@ fn bodies(log: &[u8]) -> Vec<&[u8]> {
 }
 
 #[test]
-fn a_log_that_was_published_and_recorded_is_the_log_again() {
+fn a_published_and_recorded_log_is_restored() {
     let log = include_bytes!("../../../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat");
     let mut survey = Survey::default();
     let folder = recorded("again", |writer| {
@@ -111,7 +111,7 @@ fn a_log_that_was_published_and_recorded_is_the_log_again() {
     assert!(bodies(log).len() > 100 && bodies(log).len() == bodies(&again).len());
     for (before, after) in bodies(log).into_iter().zip(bodies(&again)) {
         let (before, after) = (Bfee::new_checked(before).unwrap(), Bfee::new_checked(after).unwrap());
-        // Chains are in the order of their antennas afterwards.
+        // Chains are then in the order of their antennas.
         let plain = |bfee| Repr { antenna_sel: 0, reserved: 0, ..Repr::parse(bfee) };
         assert_eq!(plain(&before), plain(&after));
         let matrix = |bfee| Matrix::from_bfee(bfee).unwrap();
@@ -122,7 +122,7 @@ fn a_log_that_was_published_and_recorded_is_the_log_again() {
 }
 
 #[test]
-fn one_that_is_cut_is_read_up_to_there_and_what_is_none_is_said() {
+fn a_cut_recording_is_read_up_to_the_cut_and_other_files_are_refused() {
     let folder = recorded("cut", |writer| {
         put(writer, "/csi", &csi(1));
         writer.flush().unwrap();
@@ -148,7 +148,7 @@ fn one_that_is_cut_is_read_up_to_there_and_what_is_none_is_said() {
 }
 
 #[test]
-fn topics_of_one_name_in_plain_letters_and_of_none_have_files_of_their_own() {
+fn topics_with_equal_or_empty_plain_names_get_separate_files() {
     let folder = recorded("names", |writer| {
         for topic in ["/a/b", "/a_b", "", "/", "a/b"] {
             let mut pose = PoseStamped::default();
@@ -170,7 +170,7 @@ fn topics_of_one_name_in_plain_letters_and_of_none_have_files_of_their_own() {
 }
 
 #[test]
-fn the_recording_is_not_overwritten_whatever_it_is_called() {
+fn the_recording_is_never_overwritten() {
     let folder = recorded("input", |writer| {
         put(writer, "/n/csi", &csi(1));
         writer.finish().unwrap();

@@ -1,14 +1,14 @@
-//! Numbers summed up by their mean, spread and order statistics.
+//! Mean, spread and order statistics of a set of numbers.
 
 use csi5300::maths::nearest_rank;
 
-/// Distance between the quartiles of a normal distribution of deviation 1.
+/// Interquartile range of a normal distribution of deviation 1.
 pub(super) const QUARTILES: f64 = 1.349;
 
-/// A quantity over all records or pairs that have it. All zero where none has.
+/// A quantity over all records or pairs that have it. All zero if none has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Distribution {
-    /// How many there are.
+    /// Number of values.
     pub count: usize,
     /// Mean.
     pub mean: f64,
@@ -31,7 +31,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Sums finite values.
+    /// Summarises finite values.
     #[must_use]
     pub fn of(values: &[f64]) -> Self {
         let mut sorted: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
@@ -55,7 +55,7 @@ impl Distribution {
         }
     }
 
-    /// Distance between the quartiles.
+    /// Interquartile range.
     #[must_use]
     pub(crate) fn quartile_range(&self) -> f64 {
         self.q3 - self.q1
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn order_statistics_are_those_of_a_ramp() {
+    fn order_statistics_of_a_ramp_are_exact() {
         let mut values: Vec<f64> = (0..=100).rev().map(f64::from).collect();
         values.push(f64::NAN);
         let d = Distribution::of(&values);

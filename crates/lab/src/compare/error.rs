@@ -2,7 +2,7 @@
 
 use csi5300_sim::{RoomError, SceneError};
 
-/// Why a capture cannot be measured, or no scene fitted to it.
+/// Why a capture cannot be measured, or a scene cannot be fitted to it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CompareError {
@@ -12,16 +12,16 @@ pub enum CompareError {
     /// There is no transmitter's log.
     #[error("no transmitter's log")]
     NoTransmitter,
-    /// The two logs give no pairs.
+    /// The two logs have no common frames.
     #[error("{reason}")]
     NoLink {
         /// Why.
         reason: String,
     },
-    /// Too few pairs for figures of a link.
+    /// Too few pairs for the figures of a link.
     #[error("{pairs} pairs are too few to measure a link")]
     FewPairs {
-        /// Pairs there are.
+        /// Number of pairs.
         pairs: usize,
     },
     /// A scene cannot be simulated.
@@ -36,25 +36,25 @@ pub enum CompareError {
     /// A scene has no second robot.
     #[error("a scene of one robot has no link to measure")]
     OneRobot,
-    /// The records are of another bandwidth than the channel.
+    /// The records have another bandwidth than the channel.
     #[error(
-        "the records are of {recorded_mhz} MHz, the channel {channel} is not: 40 MHz have + or - behind the number"
+        "the records are {recorded_mhz} MHz wide, channel {channel} is not: add + or - to the number of a 40 MHz channel"
     )]
     Width {
         /// Bandwidth of the records, MHz.
         recorded_mhz: u16,
-        /// The channel that the records are to be of.
+        /// The expected channel.
         channel: csi5300::signal::channel::Channel,
     },
-    /// A recording without motion does not say where the transmitter is.
+    /// A recording without motion does not show where the transmitter is.
     #[error("the transmitter's place is not known, and without motion it cannot be found")]
     NoPlace,
-    /// What was fitted is no scene.
+    /// The fitted text is not a valid scene.
     #[error("the fitted scene: {source}\n{toml}")]
     Fitted {
         /// Its text.
         toml: String,
-        /// What is wrong with it.
+        /// Its error.
         source: SceneError,
     },
 }

@@ -1,4 +1,4 @@
-//! What is measured of a capture: both robots' logs and what they give together.
+//! Measures a capture: each robot's log, and the two together.
 
 use super::CompareError;
 use super::distribution::{Distribution, QUARTILES};
@@ -18,11 +18,11 @@ pub struct Figures {
     pub receiver: SideFigures,
     /// The other robot's log: forward frames.
     pub transmitter: SideFigures,
-    /// What both give together.
+    /// Figures of both logs together.
     pub link: LinkFigures,
 }
 
-/// What two logs give together.
+/// Figures of two logs together.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct LinkFigures {
     /// Pairs formed.
@@ -31,24 +31,24 @@ pub struct LinkFigures {
     pub df_hz: f64,
     /// Drift of the transmitter's card clock against the receiver's, parts per million.
     pub drift_ppm: f64,
-    /// Host clock of the transmitter less the receiver's, median over the pairs, seconds; none without host times.
+    /// Host clock of the transmitter minus the receiver's, median over the pairs, seconds; `None` without host times.
     pub host_apart_s: Option<f64>,
-    /// Turn-around less its median and drift, microseconds: how much later than usual an answer came.
+    /// Turn-around minus its median and drift, microseconds: the lateness of an answer.
     pub turn_around_us: Distribution,
     /// Standard deviation of the turn-arounds within [`CORE_US`] of the median, from their quartiles.
     pub core_us: f64,
     /// The other turn-arounds: early (by up to [`FAR_US`]), earlier, late.
     pub groups: [LateGroup; 3],
-    /// Mean run length of answers outside the core; none if pairs between were skipped.
+    /// Mean run length of answers outside the core; `None` if pairs in between were skipped.
     pub run: Option<f64>,
     /// Spread of the round trip's phase from packet to packet before turn-around compensation, radians: the circular
     /// standard deviation of its second difference over sqrt(6), so that motion does not count.
     pub spread_before_rad: f64,
     /// The same after compensation.
     pub spread_after_rad: f64,
-    /// `|sum z a| / sum |z|` of the plane wave that fits best, all pairs in motion; none without motion.
+    /// `|sum z a| / sum |z|` of the best-fitting plane wave, all pairs in motion; `None` without motion.
     pub coherence: Option<f64>,
-    /// Coherence within windows of a second, which no curvature of the wave front lowers, mean; none without motion.
+    /// Mean coherence within windows of a second, which a curved wave front does not lower; `None` without motion.
     pub short_coherence: Option<f64>,
     /// Azimuth of the transmitter, degrees.
     pub azimuth_deg: Option<f64>,
@@ -56,54 +56,54 @@ pub struct LinkFigures {
     pub abs_elevation_deg: Option<f64>,
     /// Its elevation with its sign, degrees, where the motion distinguishes up from down.
     pub elevation_deg: Option<f64>,
-    /// Horizontal distance of the transmitter, if the curvature shows it, metres.
+    /// Horizontal distance of the transmitter, metres, if the curvature shows it.
     pub range_m: Option<f64>,
-    /// Where the transmitter seems to be, metres, trajectory's frame.
+    /// Estimated place of the transmitter, metres, trajectory's frame.
     pub place_m: Option<[f64; 3]>,
     /// The phase of every pair, for pictures.
     #[serde(skip)]
     pub course: Vec<Phase>,
-    /// Turn-around less median and drift, each pair, for pictures.
+    /// Turn-around minus median and drift of each pair, for pictures.
     #[serde(skip)]
     pub late_us: Vec<f64>,
 }
 
-/// Turn-arounds away from the core, or frames sent late.
+/// Turn-arounds outside the core, or frames sent late.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct LateGroup {
     /// Share of all.
     pub share: f64,
-    /// Mean, microseconds later than the core.
+    /// Mean lateness relative to the core, microseconds.
     pub mean_us: f64,
     /// Standard deviation, microseconds.
     pub sd_us: f64,
 }
 
 impl LinkFigures {
-    /// Share of the turn-arounds away from the core.
+    /// Share of the turn-arounds outside the core.
     #[must_use]
     pub fn away(&self) -> f64 {
         self.groups.iter().map(|group| group.share).sum()
     }
 }
 
-/// Answers further from the usual than this are not of the core of turn-arounds, microseconds.
+/// Answers further than this from the usual turn-around are outside its core, microseconds.
 ///
-/// Measured: 18,320 answers in the six real captures of \[paper\] (docs/reference/references.md), each less the running median of 121, in steps of 10 us. The
-/// histogram has its peak of 8,802 at 0 to 10 us and falls to less than a hundredth of that at 30 us on either side; it
-/// is lowest (16 to 20 a step) from 40 to 60 us early, and half of each core is within 2 to 4 us.
+/// Measured: 18,320 answers in the six real captures of \[paper\] (docs/reference/references.md), minus the running median of
+/// 121, in steps of 10 us. The histogram peaks at 8,802 from 0 to 10 us and falls to less than a hundredth of that at 30 us on
+/// either side. It is lowest (16 to 20 a step) from 40 to 60 us early. Half of each core is within 2 to 4 us.
 pub const CORE_US: f64 = 25.0;
-/// Answers earlier than this are of a group of their own, microseconds.
+/// Answers earlier than this form a group of their own, microseconds.
 ///
-/// From the same histogram: the early answers peak at 130 us (720 in a step) and again at 210 to 220 us (95); the lowest step
-/// between is the one that begins here (78).
+/// From the same histogram: the early answers peak at 130 us (720 a step) and at 210 to 220 us (95); the lowest step in between
+/// starts here (78).
 pub const FAR_US: f64 = 160.0;
-/// Answers and frames later than this are mishaps of their own, microseconds: the same histogram is empty from 200 us late
-/// but for four answers, 1,140 to 1,490 us late, and from 310 us early.
+/// Answers and frames later than this are outliers, microseconds: the same histogram is empty beyond 310 us early and beyond
+/// 200 us late, except for four answers 1,140 to 1,490 us late.
 pub(super) const LOST_US: f64 = 400.0;
-/// Range if the curvature shows none, metres.
+/// Assumed range if the curvature shows none, metres.
 const USUAL_RANGE_M: f64 = 4.0;
-/// Length of the windows of the short coherence, seconds.
+/// Windows of the short coherence, seconds.
 const WINDOW_S: f64 = 1.0;
 /// Rows per second of a simulated trajectory.
 const TRUTH_HZ: f64 = 180.0;
@@ -111,7 +111,7 @@ const TRUTH_HZ: f64 = 180.0;
 /// Measures a capture; `trajectory` is the receiver's, `displaced` the transmitter's if it moved.
 ///
 /// # Errors
-/// If a log cannot be read or the two have no frame in common.
+/// If a log cannot be read, or the two have no frame in common.
 pub fn measure(
     receiver: &mut (dyn CsiSource + Send),
     transmitter: &mut (dyn CsiSource + Send),
@@ -124,15 +124,15 @@ pub fn measure(
     let options = options.clone().with_keep_course(true);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: displaced }];
     let report = bearings(&mut rx, transmitters, trajectory, &options)?;
-    // The transmitter's log may hold others' frames too; the receiver's are most, as the pipeline has it.
+    // Either log may contain other senders' frames; the link's sender has the most, as in the pipeline.
     let sender = report.links.first().and_then(|found| found.link.as_ref()).map(|link| link.mac);
     let (receiver, transmitter) = (rx.finish(sender), tx.finish(options.rx_mac));
     let link = link_figures(&report, &options)?;
     Ok(Figures { receiver, transmitter, link })
 }
 
-/// Simulates a scene in memory and measures the logs of its first initiator and the next robot, along the initiator's
-/// true path.
+/// Simulates a scene in memory and measures the logs of its first initiator and the next robot along the initiator's true
+/// path.
 ///
 /// # Errors
 /// As [`measure`], and if the scene cannot be simulated.
@@ -140,7 +140,7 @@ pub fn measure_scene(scene: &Scene, options: &Options) -> Result<Figures, Compar
     simulated(scene, None, options)
 }
 
-/// As [`measure_scene`], with a trajectory that a sensor gave, which need not be the true path.
+/// As [`measure_scene`], with a sensor's trajectory instead of the true path.
 ///
 /// # Errors
 /// As [`measure_scene`].
@@ -203,8 +203,8 @@ fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures
     Ok(figures)
 }
 
-/// The circular standard deviation of one phase, from the coherence of second differences, which have six times its
-/// variance.
+/// The circular standard deviation of one phase, from the coherence of second differences, whose variance is six times as
+/// large.
 #[must_use]
 pub fn spread_rad(coherence: f64) -> f64 {
     (-2.0 * coherence.max(1e-12).ln() / 6.0).max(0.0).sqrt()
@@ -250,7 +250,7 @@ fn place(figures: &mut LinkFigures, bearing: &Bearing) {
     figures.short_coherence = short_coherence(bearing);
 }
 
-/// The mean over windows of the coherence with a plane wave from the answer's direction.
+/// Mean over windows of the coherence with a plane wave from the answer's direction.
 fn short_coherence(bearing: &Bearing) -> Option<f64> {
     let level = bearing.answer.abs_elevation_rad.cos();
     let up = bearing.answer.signed_elevation_rad.map_or(0.0, f64::sin);
@@ -267,7 +267,7 @@ fn short_coherence(bearing: &Bearing) -> Option<f64> {
     for window in windows {
         let part = &turned[at..at + window.len()];
         at += window.len();
-        // A window that the motion only touches says little.
+        // A window that the motion only touches is not representative.
         if part.len() >= 8 {
             sum += part.iter().sum::<num_complex::Complex64>().norm() / part.iter().map(|z| z.norm()).sum::<f64>();
             count += 1.0;

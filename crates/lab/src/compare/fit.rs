@@ -1,9 +1,8 @@
-//! A scene fitted to a recorded capture.
+//! Fits a scene to a recorded capture.
 //!
-//! Directly measured figures (rates, carrier offset, turn-around, RSSI, gain, latencies, noise of the subcarriers) go
-//! into the scene. Properties that act through the whole chain (phase noise, transmitted power, reflections) are
-//! adjusted until the simulated figures equal the recorded ones: each round simulates the scene and measures it like
-//! the recording.
+//! Directly measured figures (rates, carrier offset, turn-around, RSSI, gain, latencies, noise of the subcarriers) go into the
+//! scene. Properties that act through the whole chain (phase noise, transmitted power, reflections) are adjusted until the
+//! simulated figures equal the recorded ones: each round simulates the scene and measures it like the recording.
 
 use super::CompareError;
 use super::distribution::Distribution;
@@ -25,25 +24,24 @@ pub struct Fitted {
     pub toml: String,
     /// The scene.
     pub scene: Scene,
-    /// Its figures. The scene's seed is not the one it was fitted with, so these are no better than any other seed's.
+    /// Its figures. The scene has another seed than the one used for fitting, so these are no better than any other seed's.
     pub figures: Figures,
 }
 
-/// What is known of a recording beside its figures.
+/// What is known of a recording besides its figures.
 pub struct Known<'a> {
     /// The receiver's trajectory.
     pub trajectory: &'a Trajectory,
-    /// Its file, as the scene is to name it, relative to `folder`.
+    /// Its file name in the scene, relative to `folder`.
     pub file: &'a Path,
     /// The folder of the scene.
     pub folder: &'a Path,
-    /// Where the transmitter's antenna is, metres, in the trajectory's frame; where it seems to be if not known.
+    /// The transmitter's antenna, metres, in the trajectory's frame; the estimated place if unknown.
     pub transmitter_m: Option<[f64; 3]>,
 }
 
-/// What is adjusted: phase noise of a frame, loss of the walls (no walls where there was no motion to tell), transmitted
-/// power that each side sees, how the slope of the phase varies on each side
-/// (radians per index), spread of the core of turn-arounds.
+/// Adjusted values: phase noise of a frame, loss of the walls (no walls for a recording without motion), transmitted power
+/// that each side sees, variation of the phase slope on each side (radians per index), spread of the core of turn-arounds.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Adjusted {
     pub(super) phase_noise_rad: f64,
@@ -51,27 +49,27 @@ pub(super) struct Adjusted {
     pub(super) tx_power_dbm: [f64; 2],
     pub(super) slope_sd_rad: [f64; 2],
     pub(super) core_us: f64,
-    /// How far the robot was from where its trajectory says, metres: what coherence is lost slowly.
+    /// Deviation of the robot from its trajectory, metres: accounts for slowly lost coherence.
     pub(super) stray_m: f64,
-    /// How far outside of the robots the walls stand, metres: the longer the ways, the more do subcarriers differ.
+    /// Distance of the walls from the robots, metres: longer paths make subcarriers differ more.
     pub(super) margin_m: f64,
 }
 
 /// Rounds of adjustment.
 const ROUNDS: usize = 8;
-/// The seed with which scenes are fitted, and the one that they get.
+/// Seed for fitting, and seed of the fitted scene.
 const SEEDS: [u64; 2] = [1, 2];
-/// Loss of walls that is tried first, and least and largest, dB.
+/// Loss of the walls, dB: first guess, least and largest.
 const WALL_DB: [f64; 3] = [12.0, 1.0, 40.0];
-/// How far outside of the robots walls stand at first, and at least and at most, metres: those of a laboratory.
+/// Distance of the walls from the robots, metres: first guess, least and largest, typical of a laboratory.
 const MARGIN_M: [f64; 3] = [2.5, 1.5, 4.0];
-/// A coefficient is rounded to integers: this is the power of the error, steps squared.
+/// Coefficients are rounded to integers: the power of that error, steps squared.
 const ROUNDING: f64 = 2.0 / 12.0;
 
-/// Refuses a recording that is not as wide as a channel.
+/// Refuses a recording of another bandwidth than the channel's.
 ///
 /// # Errors
-/// [`CompareError::Width`] if most records are of the other width.
+/// [`CompareError::Width`] if most records have the other bandwidth.
 pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareError> {
     let recorded_mhz = if is_wide(&recorded.receiver) { 40 } else { 20 };
     let mhz = if channel.width() == Width::Ht20 { 20 } else { 40 };
@@ -81,8 +79,7 @@ pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareEr
 /// Fits a scene.
 ///
 /// # Errors
-/// If the recording lacks what a scene needs, is not of the options' channel, or the scene made of it cannot
-/// be simulated.
+/// If the recording lacks what a scene needs or is not of the options' channel, or its scene cannot be simulated.
 pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, CompareError> {
     check_width(recorded, options.channel)?;
     let place = known.transmitter_m.or(recorded.link.place_m).ok_or(CompareError::NoPlace)?;
@@ -109,14 +106,13 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
     simulated(&best.1, SEEDS[1])
 }
 
-/// The power of the noise of a subcarrier that the recording has beyond the rounding of its coefficients, relative to
-/// the signal, at the antenna of one side.
+/// The noise power of a subcarrier beyond the rounding of its coefficients, relative to the signal, at one side's antenna.
 pub(super) fn noise(side: &SideFigures) -> f64 {
     let rounding = ROUNDING / side.level[0].median.max(1.0).powi(2);
     (10f64.powf(-0.1 * side.tone_snr_db) - rounding).max(0.0)
 }
 
-/// Where adjustment begins.
+/// The first guess.
 fn first(recorded: &Figures, trajectory: &Trajectory, place: [f64; 3]) -> Adjusted {
     let from_tones = (noise(&recorded.receiver) + noise(&recorded.transmitter)) / 60.0;
     let spread = recorded.link.spread_after_rad;
@@ -140,13 +136,13 @@ pub(super) fn middle(trajectory: &Trajectory) -> Vector3<f64> {
     poses.iter().map(|pose| pose.position_m).sum::<Vector3<f64>>() / poses.len().max(1) as f64
 }
 
-/// Ripple over the subcarriers that the filters do not explain.
+/// Ripple over the subcarriers that filters do not explain.
 fn selective(side: &SideFigures) -> f64 {
     let filter = Distribution::of(&side.filter);
     (side.ripple.median.powi(2) - (filter.sd / filter.mean.max(1e-6)).powi(2)).max(1e-6).sqrt()
 }
 
-/// Difference of the adjusted figures from the recorded ones.
+/// Differences of the adjusted figures from the recorded ones.
 fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     let (a, b) = (&recorded.link, &simulated.link);
     let relative = |a: f64, b: f64| (b / a.max(1e-6)).max(1e-6).ln().abs() / 0.15;
@@ -156,7 +152,7 @@ fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     let gains = gain(&recorded.receiver, &simulated.receiver) + gain(&recorded.transmitter, &simulated.transmitter);
     let spreads = [(a.spread_before_rad, b.spread_before_rad), (a.spread_after_rad, b.spread_after_rad)];
     let spread = spreads.into_iter().map(|(a, b)| relative(a, b)).fold(0.0, f64::max);
-    // Figures that follow the walls, in units of their limits.
+    // Figures that depend on the walls, in units of their limits.
     let fading = |a: &SideFigures, b: &SideFigures| {
         ((a.agc_db.sd - b.agc_db.sd).abs() / 0.7).max((a.ripple.median - b.ripple.median).abs() / 0.05)
     };
@@ -171,13 +167,13 @@ fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures, wave
     // Variances add: each frame gets half of the missing part.
     let missing = 0.5 * (a.spread_after_rad.powi(2) - b.spread_after_rad.powi(2));
     adjusted.phase_noise_rad = (adjusted.phase_noise_rad.powi(2) + missing).max(0.0).sqrt();
-    // Before compensation, the carrier offset makes phase of the turn-around's spread.
+    // Before compensation, the carrier offset turns the turn-around's spread into phase.
     let rad_per_us = TAU * a.df_hz.abs().max(1_000.0) * 1e-6;
     let missing = (a.spread_before_rad.powi(2) - b.spread_before_rad.powi(2)) / rad_per_us.powi(2);
     let core_us = (adjusted.core_us.powi(2) + missing).max(0.0).sqrt();
     adjusted.core_us = core_us.clamp(0.7 * a.core_us, 1.4 * a.core_us);
     if let (Some(loss_db), Some(wanted), Some(got)) = (adjusted.wall_loss_db, a.short_coherence, b.short_coherence) {
-        // Within a second reflections are what takes coherence, and its incoherent power scales with theirs.
+        // Within a second, reflections limit coherence, and their incoherent power scales with the walls' reflection.
         let incoherent = |c: f64| (1.0 - c.powi(2)).clamp(0.01, 0.99);
         let step_db = 5.0 * (incoherent(got) / incoherent(wanted)).log10() * 2.0;
         adjusted.wall_loss_db = Some((loss_db + step_db.clamp(-6.0, 6.0)).clamp(WALL_DB[1], WALL_DB[2]));
@@ -188,8 +184,8 @@ fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures, wave
         adjusted.margin_m = (adjusted.margin_m * longer).clamp(MARGIN_M[1], MARGIN_M[2]);
     }
     if let (Some(wanted), Some(got)) = (a.coherence, b.coherence) {
-        // Over all, places that are off by more than the waves allow: a phase of deviation s leaves exp(-s^2 / 2), and a
-        // round trip has 4 pi of it in a wavelength.
+        // Over the whole motion, deviations from the path limit coherence: a phase of deviation s leaves exp(-s^2 / 2), and a round
+        // trip has 4 pi of phase per wavelength.
         let missing = 2.0 * (got.max(0.01) / wanted.max(0.01)).ln() * (wavelength_m / (2.0 * TAU)).powi(2);
         adjusted.stray_m = (adjusted.stray_m.powi(2) + missing).clamp(0.0, (0.25 * wavelength_m).powi(2)).sqrt();
     }

@@ -17,24 +17,24 @@ use std::f64::consts::TAU;
 /// First line of a fitted scene's text.
 const HEADER: &str =
     "# Fitted to a recorded capture; see docs/guides/simulation.md for what each figure is taken from.\n";
-/// Number of swings of a recorded trajectory's deviation: few, because windows of a second stay coherent.
+/// Number of oscillations of a recorded trajectory's deviation: few, because windows of a second stay coherent.
 const SWINGS: f64 = 3.0;
-/// Decibels by which an amplitude grows that grows by a factor of e.
+/// Decibels of an amplitude factor of e.
 const DB_PER_E: f64 = 8.685_889_638;
-/// Mean latency of the host less three deviations, microseconds. It cannot be seen in a log; it must be long enough for
-/// an answer that is early to be early in the log too.
+/// Mean latency of the host minus three deviations, microseconds. A log does not show it; it must be long enough that an early
+/// answer is early in the log too.
 const LATENCY_US: f64 = 300.0;
-/// Median turn-around, microseconds. It cannot be seen in two logs whose clocks have nothing to do with each other; it
-/// must be long enough for the earliest answers to come after the frame they answer.
+/// Median turn-around, microseconds. Two logs with unrelated clocks do not show it; it must be long enough that the earliest
+/// answers follow the frame that they answer.
 const TURN_AROUND_US: f64 = 450.0;
 /// The bit of `rate_n_flags` for 40 MHz.
 const RATE_40_MHZ: u16 = driver_iface::bfee::rate::HT40;
 
-/// A recording and what goes into its scene.
+/// A recording and the values for its scene.
 pub(super) struct Recording<'a> {
     pub(super) figures: &'a Figures,
     pub(super) known: &'a Known<'a>,
-    /// Where the transmitter's antenna is, metres.
+    /// The transmitter's antenna, metres.
     pub(super) place: [f64; 3],
     pub(super) channel: Channel,
 }
@@ -120,11 +120,11 @@ impl Recording<'_> {
 
     fn transmitter(&self, adjusted: &Adjusted, times: &Times) -> Robot {
         let (rx, tx, link) = (&self.figures.receiver, &self.figures.transmitter, &self.figures.link);
-        // Each card's clock is known against its host's, and the hosts' against each other; the carrier offset is the
-        // finer measure of the difference between the cards.
+        // Each card's clock is known relative to its host's, and the hosts' relative to each other; the carrier offset measures the
+        // difference between the cards more finely.
         let apart_ppm = 1e6 * link.df_hz / self.channel.centre_hz();
         let tx_ppm = brief(rx.card_ppm + apart_ppm);
-        // The clocks were compared in the middle of the capture, an answer later on one side than on the other.
+        // The clocks were compared in the middle of the capture; an answer is later on one side than on the other.
         let host_ppm = tx_ppm - tx.card_ppm;
         let middle_s = 0.5 * (times.first_s + times.last_s);
         let later_us = TURN_AROUND_US + mean_latency_us(rx, 0) - mean_latency_us(tx, 1);
@@ -157,7 +157,7 @@ impl Recording<'_> {
         }
     }
 
-    /// A robot's radio, from its own log and from the other's records of its frames. `k` is 0 for the receiver.
+    /// A robot's radio, from its own log and the other's records of its frames. `k` is 0 for the receiver.
     fn radio(&self, adjusted: &Adjusted, k: usize) -> Radio {
         let sides = [&self.figures.receiver, &self.figures.transmitter];
         let (side, other) = (sides[k], sides[1 - k]);
@@ -201,7 +201,7 @@ impl Recording<'_> {
     }
 }
 
-/// When a recording was, on its receiver's host.
+/// The time span of a recording, by its receiver's host.
 struct Times {
     /// The scene's start, seconds since the Unix epoch.
     start_unix_s: i64,
@@ -213,7 +213,7 @@ struct Times {
 }
 
 impl Times {
-    /// What a card's clock shows at the scene's start, microseconds.
+    /// The card's clock at the scene's start, microseconds.
     fn clock_start_us(&self, side: &SideFigures) -> u64 {
         let first_us = side.clock_us.map_or(0, |(first, _)| first);
         (first_us - (self.start_s * 1e6) as i64).rem_euclid(1 << 32) as u64
@@ -225,16 +225,16 @@ fn group(group: LateGroup) -> csi5300_sim::radio::DelayGroup {
     csi5300_sim::radio::DelayGroup { share, us, spread_us }
 }
 
-/// How late the sender sends: the mean of the exponential lateness of most frames, microseconds, and the delays of the
+/// How late the sender sends: the mean of the exponential lateness of most frames, microseconds, and the extra delays of the
 /// others.
 ///
-/// The difference of two exponential latenesses is symmetric; beyond `x` on one side is half of `exp(-x / mean)` of it. A
-/// delayed frame makes one interval long and the next one short, so it takes its share of either side.
+/// The difference of two exponential latenesses is symmetric; half of `exp(-x / mean)` of it lies beyond `x` on one side. A
+/// delayed frame makes one interval long and the next one short, so it counts on either side.
 fn lateness(side: &SideFigures) -> (f64, LateGroup) {
     let share = side.delayed.share.min(0.2);
     let beyond = (0.25 - share) / (1.0 - 2.0 * share);
     let mean_us = 0.5 * side.interval_us.quartile_range() / -(2.0 * beyond).ln();
-    // What is drawn later than usual is so beside the usual lateness.
+    // A delayed frame has the usual lateness in addition.
     let sd_us = (side.delayed.sd_us.powi(2) - 2.0 * mean_us.powi(2)).max(0.0).sqrt();
     (mean_us, LateGroup { share, sd_us, ..side.delayed })
 }
@@ -285,7 +285,7 @@ pub fn scene_channel(channel: Channel) -> u16 {
     }
 }
 
-/// The channel of a scene. At 40 MHz its primary channel is the lower half where that is a channel: the centre is the same.
+/// The channel of a scene. At 40 MHz the primary channel is the lower half if that is a valid channel; the centre is the same.
 ///
 /// # Errors
 /// If no channel has the scene's number.
@@ -302,7 +302,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scene_is_of_the_channel_whose_centre_and_width_it_has() {
+    fn a_scenes_channel_has_its_centre_and_width() {
         let scene = |channel, bandwidth_mhz| Scene { channel, bandwidth_mhz, ..Scene::default() };
         let named = |scene: &Scene| channel_of(scene).map(|channel| channel.to_string());
         assert_eq!(named(&scene(36, 20)), Ok("36".into()));

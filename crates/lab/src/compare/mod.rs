@@ -1,4 +1,4 @@
-//! A recorded capture compared with a simulated one of the same scene, figure by figure.
+//! Compares a recorded capture with a simulated one of the same scene, figure by figure.
 //!
 //! [`Figures`] are the measurable properties of any capture: its records, their times, and the effects of radios and
 //! channel on the phase. [`rows`] compares those of two captures with their limits, and [`fit()`] derives a scene from

@@ -5,14 +5,13 @@ use csi5300_sim::Recorded;
 use csi5300_sim::scene::Pattern;
 use nalgebra::{SMatrix, SVector, Vector3};
 
-/// Fewer records than this say nothing of a pattern.
+/// Fewer records than this show no pattern.
 const FEWEST: usize = 100;
-/// Headings must lie about in all directions: the length of their mean direction, at most.
+/// Largest length of the mean heading vector: headings must point in all directions.
 const LOPSIDED: f64 = 0.5;
 
-/// The pattern of a robot's antennas, as far as the power of its records (host time, dB) shows it along its trajectory:
-/// the first two harmonics of the azimuth to `place` in the robot's frame, by least squares. None of a robot that did
-/// not turn round.
+/// The pattern of a robot's antennas, estimated from the power of its records (host time, dB) along its trajectory: the first
+/// two harmonics of the azimuth to `place` in the robot's frame, by least squares. `None` if the robot did not turn round.
 pub(super) fn pattern(powers: &[(f64, f64)], trajectory: &Trajectory, place: [f64; 3]) -> Pattern {
     let (from_s, to_s) = trajectory.span_s();
     let path = Recorded::from_trajectory(trajectory);

@@ -1,4 +1,4 @@
-//! What one robot's log shows of its card, driver and host.
+//! Measures what one robot's log shows of its card, driver and host.
 
 use super::distribution::{Distribution, QUARTILES};
 use super::figures::{LOST_US, LateGroup};
@@ -15,14 +15,14 @@ use driver_iface::record::Tail;
 use num_complex::Complex64;
 use std::collections::BTreeMap;
 
-/// Figures of one log: of the frames of one sender in it.
+/// Figures of one sender's frames in one log.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct SideFigures {
     /// Intact bfee records of the sender.
     pub records: usize,
     /// Those of them in the stock layout.
     pub stock: usize,
-    /// Intact bfee records of others, which are in no other figure.
+    /// Intact bfee records of other senders, which no other figure includes.
     pub of_others: usize,
     /// Records by length on disk, bytes.
     pub lengths: BTreeMap<usize, u64>,
@@ -38,19 +38,19 @@ pub struct SideFigures {
     pub rssi_db: [Distribution; 3],
     /// Gain, dB.
     pub agc_db: Distribution,
-    /// Root mean square of the coefficients of antennas A, B, C, steps of the converter.
+    /// Root mean square of the coefficients of antennas A, B, C, ADC steps.
     pub level: [Distribution; 3],
     /// Share of frame numbers that are missing between the first and the last.
     pub missing: f64,
     /// Time between frames of consecutive numbers on the card's clock, microseconds.
     pub interval_us: Distribution,
-    /// Frames that came late beyond the usual: by twice the quartile range or more.
+    /// Unusually late frames: by at least twice the interquartile range.
     pub delayed: LateGroup,
     /// The same on the host's clock.
     pub host_interval_us: Distribution,
-    /// Host time less card time without its drift, microseconds; its median is about 0.
+    /// Host time minus card time without its drift, microseconds; its median is about 0.
     pub latency_us: Distribution,
-    /// Standard deviation of the core of it: what the shortest half would have in a normal distribution, microseconds.
+    /// Standard deviation of its core: that of a normal distribution with the same shortest half, microseconds.
     pub latency_core_us: f64,
     /// How much faster the card's clock runs than the host's, parts per million.
     pub card_ppm: f64,
@@ -58,22 +58,22 @@ pub struct SideFigures {
     pub slope_rad: Distribution,
     /// Ripple of the magnitude over the subcarriers, standard deviation over mean, antenna A.
     pub ripple: Distribution,
-    /// Mean magnitude of each subcarrier relative to the root mean square of all, antenna A: what filters leave.
+    /// Mean magnitude of each subcarrier relative to the root mean square of all, antenna A: the filters' effect.
     pub filter: [f64; SUBCARRIERS],
-    /// Signal to noise of single subcarriers, from how they change from packet to packet, antenna A, dB.
+    /// Signal to noise ratio of single subcarriers, from their change between packets, antenna A, dB.
     pub tone_snr_db: f64,
     /// First and last host time, microseconds since the Unix epoch.
     pub host_us: Option<(i64, i64)>,
     /// First and last time on the card's clock, unwrapped microseconds.
     pub clock_us: Option<(i64, i64)>,
-    /// Bytes of a last record that is cut.
+    /// Bytes of a cut last record.
     pub tail_bytes: usize,
-    /// Power at antenna A as the card has it, RSSI less gain, dB, by host time, seconds since the Unix epoch.
+    /// Power at antenna A, RSSI minus gain, dB, by host time, seconds since the Unix epoch.
     #[serde(skip)]
     pub powers: Vec<(f64, f64)>,
 }
 
-/// Passes a source on unchanged and collects its records' figures.
+/// Passes a source's items on and measures its records.
 pub struct Observed<'a> {
     source: &'a mut (dyn CsiSource + Send),
     indices: [i8; SUBCARRIERS],
@@ -83,7 +83,7 @@ pub struct Observed<'a> {
 }
 
 impl<'a> Observed<'a> {
-    /// Observes `source`; the subcarrier `indices` are those of its channel.
+    /// Measures `source`; the subcarrier `indices` are those of its channel.
     pub fn new(source: &'a mut (dyn CsiSource + Send), indices: [i8; SUBCARRIERS]) -> Self {
         Self { source, indices, survey: Survey::default(), unwrap: Unwrap32::default(), senders: BTreeMap::new() }
     }
@@ -132,14 +132,14 @@ impl CsiSource for Observed<'_> {
     }
 }
 
-/// What is collected of one sender's frames.
+/// Values collected from one sender's frames.
 #[derive(Default)]
 struct Collector {
     indices: [i8; SUBCARRIERS],
     last: Option<LastFrame>,
     /// Frames with a number.
     frames: usize,
-    /// Numbers there, and numbers that should be.
+    /// Numbers present, and numbers expected.
     numbers: (u64, u64),
     side: SideFigures,
     rssi: [Vec<f64>; 3],
@@ -150,9 +150,9 @@ struct Collector {
     ahead: Vec<i64>,
     slopes: Vec<f64>,
     ripples: Vec<f64>,
-    /// The last two packets, flattened.
+    /// The last two packets, without slope and mean phase.
     rows: [Tones; 2],
-    /// Power of noise, and how many tones it is of.
+    /// Noise power, and the number of tones it was summed over.
     noise: (f64, f64),
 }
 
@@ -222,7 +222,7 @@ impl Collector {
         self.frames += 1;
         let Some(before) = self.last.replace(this) else { return };
         let ahead = number.wrapping_sub(before.number);
-        // A restart or a repeated number is no gap.
+        // A restart or a repeated number is not a gap.
         if (1..1_000).contains(&ahead) {
             self.numbers = (self.numbers.0 + 1, self.numbers.1 + u64::from(ahead));
         }
@@ -247,7 +247,7 @@ impl Collector {
         side.tone_snr_db = if self.noise.0 > 0.0 { -10.0 * (self.noise.0 / self.noise.1).log10() } else { f64::NAN };
         side.clock_us = self.clocks.first().copied().zip(self.clocks.last().copied());
         if let (8.., Some(&first)) = (self.ahead.len(), self.ahead.first()) {
-            // Less the first: times since 1970 in microseconds leave a double no digits for parts per million.
+            // Relative to the first: a double has too few digits for parts per million of microseconds since 1970.
             let ahead: Vec<i64> = self.ahead.iter().map(|ahead| ahead - first).collect();
             let line = drift_line(&self.clocks, &ahead);
             let late = self.clocks.iter().zip(&ahead).map(|(&clock, &ahead)| ahead as f64 - line.at(clock as f64));
@@ -261,8 +261,7 @@ impl Collector {
     }
 }
 
-/// The frames that are late beyond the usual: what makes one interval longer makes the next one shorter, so only the long
-/// ones are counted.
+/// Unusually late frames. A late frame makes one interval longer and the next one shorter, so only the long ones are counted.
 fn delayed(intervals_us: &[f64]) -> LateGroup {
     let usual = Distribution::of(intervals_us);
     let late = intervals_us.iter().map(|interval| interval - usual.median);
@@ -271,19 +270,19 @@ fn delayed(intervals_us: &[f64]) -> LateGroup {
     LateGroup { share: late.len() as f64 / intervals_us.len().max(1) as f64, mean_us: d.mean, sd_us: d.sd }
 }
 
-/// What most records have.
+/// The most frequent value.
 pub(super) fn usual<K: Copy>(counts: &BTreeMap<K, u64>) -> Option<K> {
     counts.iter().max_by_key(|(_, count)| **count).map(|(key, _)| *key)
 }
 
-/// Length of the shortest interval that holds half of the values: few on one side do not widen it.
+/// Length of the shortest interval that holds half of the values: a few outliers on one side do not widen it.
 fn shortest_half(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let lengths = values.iter().zip(values.iter().skip(values.len() / 2)).map(|(from, to)| to - from);
     lengths.min_by(f64::total_cmp).unwrap_or(0.0)
 }
 
-/// Power of the second difference of each subcarrier over time: six times that of its noise.
+/// Power of the second difference of each subcarrier over time: six times its noise power.
 fn change(rows: &mut [Tones; 2], noise: &mut (f64, f64), row: Tones) {
     if rows[0].iter().any(|h| *h != Complex64::default()) {
         let second = (0..SUBCARRIERS).map(|k| (rows[0][k] - 2.0 * rows[1][k] + row[k]).norm_sqr() / 6.0);
@@ -293,7 +292,7 @@ fn change(rows: &mut [Tones; 2], noise: &mut (f64, f64), row: Tones) {
     *rows = [rows[1], row];
 }
 
-/// The slope of the phase per subcarrier index, and the tones at unit power without it and without their mean phase.
+/// The phase slope per subcarrier index, and the tones at unit power without slope and mean phase.
 fn flattened(tones: &Tones, rms: f64, indices: &[i8; SUBCARRIERS]) -> (f64, Tones) {
     let usual = indices[1] - indices[0];
     let steps = (1..SUBCARRIERS).filter(|&k| indices[k] - indices[k - 1] == usual);
@@ -304,7 +303,7 @@ fn flattened(tones: &Tones, rms: f64, indices: &[i8; SUBCARRIERS]) -> (f64, Tone
     let mean = |row: &Tones| row.iter().sum::<Complex64>().arg();
     let once = flat(rough, 0.0);
     let phase = mean(&once);
-    // What is left after the rough slope is a small tilt about the mean.
+    // After the rough slope, only a small tilt about the mean remains.
     let (mut sum_xx, mut sum_xy) = (0.0, 0.0);
     for (h, &index) in once.iter().zip(indices) {
         let x = f64::from(index);

@@ -1,4 +1,4 @@
-//! The figures of two captures beside each other, and how far they may differ.
+//! The figures of two captures side by side, with limits.
 
 use super::distribution::Distribution;
 use super::figures::Figures;
@@ -9,55 +9,55 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Allowed {
-    /// Not at all.
+    /// It must be equal.
     Nothing,
     /// By this much, in the figure's unit.
     By(f64),
     /// By this share of the recorded value.
     Share(f64),
-    /// Shown only, without a limit.
+    /// Shown without a limit.
     Anything,
 }
 
-/// What became of a row.
+/// The result of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Within its limit.
     Agrees,
-    /// Not.
+    /// Outside its limit.
     Differs,
-    /// Nothing was asked.
+    /// No limit.
     Shown,
 }
 
 /// One figure of both captures.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct FigureRow {
-    /// Whose: `link`, `receiver`, `transmitter`.
+    /// Its owner: `link`, `receiver`, `transmitter`.
     pub of: &'static str,
-    /// What.
+    /// Its name.
     pub name: String,
     /// Its unit, empty for none.
     pub unit: &'static str,
-    /// In the recorded capture; none where it could not be measured.
+    /// Its value in the recorded capture; `None` if it could not be measured.
     pub recorded: Option<f64>,
-    /// In the simulated capture.
+    /// Its value in the simulated capture.
     pub simulated: Option<f64>,
-    /// How far they may differ.
+    /// Its limit.
     pub allowed: Allowed,
-    /// Whether they do.
+    /// Whether it is within the limit.
     pub verdict: Verdict,
 }
 
-/// Spreads of the phase may differ by this share.
+/// Limit of phase spreads, relative.
 pub const SPREAD: Allowed = Allowed::Share(0.15);
-/// Coherences may differ by this much.
+/// Limit of coherences, absolute.
 pub(crate) const COHERENCE: Allowed = Allowed::By(0.1);
-/// Quartile ranges of times, and levels, may differ by this share.
+/// Limit of interquartile ranges of times, and of levels, relative.
 const WIDTH: Allowed = Allowed::Share(0.2);
 
-/// All figures of two captures beside each other.
+/// All figures of two captures side by side.
 #[must_use]
 pub fn rows(recorded: &Figures, simulated: &Figures) -> Vec<FigureRow> {
     let (a, b) = (&recorded.link, &simulated.link);
@@ -126,7 +126,7 @@ impl Table {
         self.add("signal to noise of a subcarrier", "dB", a.tone_snr_db, b.tone_snr_db, Allowed::By(2.0));
     }
 
-    /// The range of a field that takes few values: lowest and highest must be the same.
+    /// The range of a field with few values: lowest and highest must be equal.
     fn extent<K: Copy + Into<Number>>(&mut self, name: &str, unit: &'static str, a: &Histogram<K>, b: &Histogram<K>) {
         let ends =
             |map: &Histogram<K>| [map.keys().next(), map.keys().next_back()].map(|key| key.map(|k| (*k).into().0));
@@ -135,8 +135,8 @@ impl Table {
         self.maybe(&format!("{name}, highest"), unit, [high, other_high], Allowed::Nothing);
     }
 
-    /// How the records share out over the values of a field: the total variation distance of the two, from 0 (alike) to
-    /// 1 (no value in common), which is 0 of the recorded one by itself.
+    /// The distribution of the records over a field's values: the total variation distance of the two captures, from 0 (equal)
+    /// to 1 (no common value). The recorded capture's distance to itself is 0.
     fn shares<K: Copy + Ord>(&mut self, name: &str, a: &Histogram<K>, b: &Histogram<K>) {
         self.add(&format!("{name}, total variation distance"), "", 0.0, variation(a, b), Allowed::By(0.05));
     }
@@ -208,18 +208,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn distances_of_shares_see_every_value() {
+    fn total_variation_counts_every_value() {
         let counts = |pairs: &[(u8, u64)]| pairs.iter().copied().collect::<Histogram<u8>>();
         let a = counts(&[(0x24, 60), (0x09, 30), (0x21, 10)]);
         assert_eq!(variation(&a, &counts(&[(0x24, 6), (0x09, 3), (0x21, 1)])), 0.0);
-        // The most frequent one's share is the same; the others are swapped.
+        // The most frequent value has the same share; the others are swapped.
         assert!((variation(&a, &counts(&[(0x24, 60), (0x09, 10), (0x21, 30)])) - 0.2).abs() < 1e-12);
         assert_eq!(variation(&a, &counts(&[(0x12, 5)])), 1.0);
         assert_eq!(variation(&a, &counts(&[])), 0.5);
     }
 
     #[test]
-    fn verdicts_follow_what_is_allowed() {
+    fn verdicts_follow_the_limits() {
         use Verdict::{Agrees, Differs, Shown};
         for (recorded, simulated, allowed, expected) in [
             (Some(1.0), Some(1.14), SPREAD, Agrees),

@@ -1,4 +1,4 @@
-//! Logs of cards other than the 5300, read as rows.
+//! Reads logs of cards other than the 5300 as rows.
 
 use super::{Cells, HeatRows, LogIndex, Marks, NO_RSSI, Source, gaps, numbered, span_s};
 use crate::cards::{CardSurvey, CardTime, Layout, is_damage, is_dbm, sender};
@@ -8,19 +8,19 @@ use driver_iface::bfee::{Antenna, Antennas};
 use num_complex::Complex32;
 use std::path::Path;
 
-/// What a log of another card is beside its rows.
+/// A log of another card, besides its rows.
 pub(super) struct CardLog {
     pub format: Format,
     pub survey: CardSurvey,
     pub rssi_in_dbm: bool,
     layouts: Vec<Layout>,
-    /// Of each row, a place in `layouts`.
+    /// Of each row, an index into `layouts`.
     pub layout_of: Vec<u16>,
-    /// The stream that is drawn: the first one of the log.
+    /// The displayed stream: the log's first one.
     stream: usize,
 }
 
-/// Which antenna a chain is connected to: told by a 5300, elsewhere they are counted.
+/// The antenna of a chain: a 5300 reports it; with other cards chains are numbered.
 fn port_of(frame: &Frame, chain: usize) -> usize {
     let told = frame.antenna_sel.zip(u8::try_from(frame.n_rx).ok());
     let antennas = told.and_then(|(sel, n_rx)| Antennas::new(sel, n_rx, [0; 3]).ok());
@@ -56,7 +56,7 @@ impl Times {
         self.host_us.push(self.host_us.last().copied().unwrap_or(0).saturating_add(step.unwrap_or(0).max(0)));
     }
 
-    /// What the times are of, and they themselves: the card's clock, the host's if that stands or is not told, or numbers.
+    /// The source of the times, and the times: the card's clock; the host's if the card's stands still or is missing; or numbers.
     fn settle(self) -> (TimeBase, Vec<i64>, Vec<(usize, f64)>) {
         let (card, host) = (self.card_us.last().copied().unwrap_or(0), self.host_us.last().copied().unwrap_or(0));
         if card > 0 || self.has_card && self.card_us.len() < 2 {
@@ -75,7 +75,7 @@ pub(super) fn open(path: &Path, format: Format, bytes: &[u8]) -> LogIndex {
     let (mut survey, mut times, mut marks) = (CardSurvey::default(), Times::default(), Marks::default());
     let (mut layouts, mut layout_of): (Vec<Layout>, Vec<u16>) = (Vec::new(), Vec::new());
     let (mut macs, mut offset) = (Vec::new(), Vec::new());
-    // By row and port, which is not known to the last before all was read.
+    // By row and port; the number of ports is only known at the end.
     let mut levels: Vec<(usize, usize, i16)> = Vec::new();
     let (mut ports, mut stream, mut rssi_in_dbm) = (0, usize::MAX, false);
     for item in Items::new(format, bytes) {
@@ -130,7 +130,7 @@ pub(super) fn open(path: &Path, format: Format, bytes: &[u8]) -> LogIndex {
     }
 }
 
-/// Places of a layout's subcarriers in the order of their indices, without those beyond the outermost that are measured.
+/// Positions of a layout's subcarriers in the order of their indices, without those outside the measured range.
 fn places(layout: &Layout) -> Vec<usize> {
     let mut places: Vec<usize> = (0..layout.subcarriers.len()).collect();
     places.sort_by_key(|place| layout.subcarriers.get(*place));
@@ -150,7 +150,7 @@ impl CardLog {
         HeatRows { frames: Some(layout.words()), ..HeatRows::new(Some(indices), subcarriers, most) }
     }
 
-    /// CSI of the frames at these places of the log, each with its column, by antenna.
+    /// CSI of the frames at these offsets of the log, each with its column, by antenna.
     pub(super) fn cells(
         &self,
         bytes: &[u8],
@@ -175,7 +175,7 @@ impl CardLog {
         for item in Items::new(self.format, bytes) {
             let Item::Frame(frame) = item else { continue };
             let offset = i64::try_from(frame.offset).unwrap_or(i64::MAX);
-            // What is not there any more is passed over.
+            // Frames that are gone are skipped.
             while wanted.next_if(|(wanted, _)| *wanted < offset).is_some() {}
             let Some((_, column)) = wanted.next_if(|(wanted, _)| *wanted == offset) else {
                 if wanted.peek().is_none() {

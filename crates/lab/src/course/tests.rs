@@ -6,7 +6,7 @@ use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::record::{Record, code};
 use std::path::PathBuf;
 
-/// A record: the card's clock, host time (whole microseconds; 0 for none), frame number.
+/// A record: card's clock, host time (whole microseconds; 0 for none), frame number.
 type Told = (u32, u64, u32);
 
 /// A sender.
@@ -14,12 +14,12 @@ const fn sender(number: u8) -> Mac {
     Mac([2, 0, 0, 0, 0, number])
 }
 
-/// A log of such records of one sender, in a file of its own.
+/// A log of one sender's records, in a file of its own.
 fn log(name: &str, records: &[Told]) -> PathBuf {
     log_of(name, &records.iter().map(|told| (sender(1), *told)).collect::<Vec<_>>())
 }
 
-/// A log of such records of several senders.
+/// A log of several senders' records.
 fn log_of(name: &str, records: &[(Mac, Told)]) -> PathBuf {
     let mut bytes = Vec::new();
     for (k, (mac, (timestamp_low, host_us, frame_count))) in records.iter().enumerate() {
@@ -41,7 +41,7 @@ fn log_of(name: &str, records: &[(Mac, Told)]) -> PathBuf {
     path
 }
 
-/// What `csi5300 info` says of a log.
+/// What `csi5300 info` reports of a log.
 fn survey(path: &Path) -> Survey {
     let (mut source, mut survey) = (Replay::open(path).unwrap(), Survey::default());
     loop {
@@ -55,7 +55,7 @@ fn survey(path: &Path) -> Survey {
 
 const START_US: u64 = 1_700_000_000_000_000;
 
-/// `info`, its pictures and `view` say the same of a log's times; gives what is drawn.
+/// Checks that `info`, its pictures and `view` agree on a log's times; returns the picture's data.
 fn agreed(path: &Path) -> Course {
     let (survey, index) = (survey(path), LogIndex::read(path).unwrap());
     let course = Course::read(path, &Wanted::default()).unwrap();
@@ -80,8 +80,8 @@ fn agreed(path: &Path) -> Course {
 }
 
 #[test]
-fn a_pause_of_an_hour_is_one_wherever_a_log_is_looked_at() {
-    // The card's clock goes on by more than half of its range in the pause: only the host tells that it went forward.
+fn every_view_shows_the_same_pause_of_an_hour() {
+    // The card's clock advances by more than half its range in the pause: only the host's clock shows that it went forward.
     let told = |k: u32| {
         let pause = if k < 50 { 0 } else { 3_553_500_000_u64 };
         let clock = u64::from(4_000_000_000 + 4_000 * k) + pause;
@@ -101,8 +101,8 @@ fn a_clock_that_steps_back_is_seen_once_and_takes_no_time() {
 }
 
 #[test]
-fn where_the_cards_clock_stands_the_host_tells_the_time_else_there_are_numbers() {
-    // Some programs write 0, others count on by one now and then.
+fn without_a_card_clock_times_are_the_hosts_or_record_numbers() {
+    // Some programs write 0, others add 1 now and then.
     let host =
         agreed(&log("host", &(0..100).map(|k| (k / 10, START_US + 10_000 * u64::from(k), k)).collect::<Vec<_>>()));
     assert_eq!((host.base, host.columns), (TimeBase::Host, 100));
@@ -110,24 +110,24 @@ fn where_the_cards_clock_stands_the_host_tells_the_time_else_there_are_numbers()
     let number = agreed(&log("number", &(0..29).map(|k| (0, 0, k)).collect::<Vec<_>>()));
     assert_eq!((number.base, number.span_s, number.columns), (TimeBase::Number, (0.0, 28.0), 29));
     assert!(number.gaps_s.is_empty());
-    // One column for each record, none empty between them.
+    // One column for each record, no empty column between them.
     assert!(number.antennas[0].amplitude_db.iter().all(|db| db.is_finite()), "{:?}", number.antennas[0].line_db);
 }
 
 #[test]
-fn frame_numbers_that_are_skipped_or_come_twice_are_marked_where_they_do() {
+fn skipped_and_repeated_frame_numbers_are_marked_in_place() {
     let number = |k: u32| if k < 20 { k } else { k + 3 } - u32::from(k >= 40);
     let course = agreed(&log("numbers", &(0..60).map(|k| (1_000 * k, 0, number(k))).collect::<Vec<_>>()));
     assert_eq!((&course.skipped, &course.repeated), (&vec![(0.02, 3)], &vec![0.04]));
-    // What does not count up is no number.
+    // Values that do not count up are not frame numbers.
     let random = |k: u32| (1_000 * k, 0, k.wrapping_mul(2_654_435_761) ^ 0x5bd1_e995);
     let course = agreed(&log("random", &(0..60).map(random).collect::<Vec<_>>()));
     assert!(course.skipped.is_empty() && course.repeated.is_empty());
 }
 
 #[test]
-fn a_cut_has_its_csi_by_whatever_clock() {
-    // The card's clock says that nothing lies after half a second, or at 20 and later.
+fn a_stretch_has_its_csi_with_any_clock() {
+    // By the card's clock, no record lies after 0.5 s, or at 20 s and later.
     let host = |k: u32| (k / 10, START_US + 10_000 * u64::from(k), k);
     let path = log("cut-host", &(0..100).map(host).collect::<Vec<_>>());
     let course = Course::read(&path, &Wanted::default().with_cut(Some(0.5), None)).unwrap();
@@ -141,8 +141,8 @@ fn a_cut_has_its_csi_by_whatever_clock() {
 }
 
 #[test]
-fn numbers_skipped_outside_of_what_is_wanted_are_not_counted_in_it() {
-    // Two senders in turn, a record a millisecond; the first skips 3 at 20 ms and 5 at 60 ms and repeats one at 30 ms, the other
+fn numbers_skipped_outside_the_selection_are_not_counted() {
+    // Two senders alternate, a record a millisecond. The first skips 3 at 20 ms and 5 at 60 ms and repeats one at 30 ms; the other
     // skips 7 at 41 ms.
     let told = |k: u32| {
         let own = k / 2;
@@ -166,7 +166,7 @@ fn numbers_skipped_outside_of_what_is_wanted_are_not_counted_in_it() {
     let own = Wanted::default().with_macs(vec![sender(1)]).with_cut(Some(0.045), None);
     assert_eq!(read(own), (vec![(60, 5)], vec![]));
 
-    // The same of a stretch with one sender chosen.
+    // The same for a stretch of one chosen sender.
     let index = LogIndex::read(&path).unwrap();
     let counts = |sender: Option<Mac>| {
         let stretch = index.stretch(0.0, f64::INFINITY, 50, sender);
@@ -184,7 +184,7 @@ fn fixture() -> PathBuf {
         .unwrap()
 }
 
-/// The fixture with some of its bytes taken out, in a file of its own.
+/// The fixture without some of its bytes, in a file of its own.
 fn without(bytes: std::ops::Range<usize>, name: &str) -> PathBuf {
     let mut log = std::fs::read(fixture()).unwrap();
     log.drain(bytes);
@@ -216,7 +216,7 @@ fn every_record_is_in_one_column_of_one_stretch() {
 }
 
 #[test]
-fn csi_kept_and_csi_read_again_are_the_same() {
+fn kept_csi_equals_csi_read_again() {
     let index = LogIndex::read(&fixture()).unwrap();
     let (from_s, to_s) = index.span_s();
     let [sender] = index.senders() else { panic!("{:?}", index.senders()) };
@@ -228,7 +228,7 @@ fn csi_kept_and_csi_read_again_are_the_same() {
         assert!(amplitudes.clone().count() == 30 && amplitudes.clone().all(|(a, b)| (a - b).abs() < 1e-9));
         assert!(a.phase_rad.iter().zip(&b.phase_rad).all(|(a, b)| (a - b).abs() < 1e-4));
     }
-    // A short stretch is read again whoever sent it, a column for two records at most.
+    // A short stretch is read again for any sender, at least two records a column.
     let near = index.csi(from_s, from_s + 0.05, 500, None).unwrap();
     assert!(near.records > 2 && near.columns == near.records.div_ceil(2) && near.every == 1, "{near:?}");
     let own = &near.antennas[0].line_db;
@@ -236,10 +236,10 @@ fn csi_kept_and_csi_read_again_are_the_same() {
 }
 
 #[test]
-fn what_is_missing_stands_where_it_is_missing() {
+fn losses_are_marked_in_place() {
     let whole = LogIndex::read(&fixture()).unwrap();
     let at = |k: usize| whole.offset[k] as usize;
-    // Three records, and later a piece of one.
+    // Three records, and later part of one.
     let gone = without(at(100)..at(103), "gone");
     let index = LogIndex::read(&gone).unwrap();
     let (from_s, to_s) = index.span_s();
@@ -254,7 +254,7 @@ fn what_is_missing_stands_where_it_is_missing() {
     let stretch = index.stretch(0.0, f64::INFINITY, 100, None);
     assert_eq!(stretch.damaged.iter().map(|(_, count)| count).sum::<u64>(), index.survey().unwrap().damages);
     assert!(!stretch.damaged.is_empty());
-    // Behind the damage each row still finds its record.
+    // After the damage each row still finds its record.
     let (later_s, end_s) = (index.t_s(210), index.span_s().1);
     let sender = index.senders()[0];
     let behind = index.csi(later_s, end_s, 10, Some(sender)).unwrap();
@@ -262,11 +262,11 @@ fn what_is_missing_stands_where_it_is_missing() {
     [gone, torn].iter().for_each(|path| std::fs::remove_file(path).unwrap());
 }
 
-/// A frame of an AX2xx: kind, width in MHz, receive chains, sender; in a log they are 1 ms apart by the card's clock.
+/// A frame of an AX2xx: kind, width in MHz, receive chains, sender; frames are 1 ms apart by the card's clock.
 type Heard = (Kind, u16, u8, u8);
 
-/// A log of FeitCSI: chain k has an amplitude of `100 * (k + 1)`, and a delay of `SLOPE_RAD` for each index of a subcarrier. What
-/// was not measured is noise of ten times that.
+/// A FeitCSI log: chain k has an amplitude of `100 * (k + 1)` and a delay of `SLOPE_RAD` per subcarrier index. Subcarriers that
+/// are not measured have noise of ten times that amplitude.
 fn card_log(name: &str, frames: &[Heard]) -> PathBuf {
     let mut bytes = Vec::new();
     for (k, (kind, width_mhz, n_rx, sender)) in frames.iter().enumerate() {
@@ -303,7 +303,7 @@ fn card_log(name: &str, frames: &[Heard]) -> PathBuf {
 const SLOPE_RAD: f64 = 0.05;
 
 #[test]
-fn every_subcarrier_of_another_card_stands_at_its_index_and_what_was_not_measured_is_empty() {
+fn other_cards_subcarriers_are_at_their_indices_and_unmeasured_ones_empty() {
     let path = card_log("card", &[(Kind::Ht, 20, 2, 1); 40]);
     let course = Course::read(&path, &Wanted::default()).unwrap();
     assert_eq!((course.records, course.base, course.format), (40, TimeBase::Card, Some("FeitCSI")));
@@ -329,7 +329,7 @@ fn every_subcarrier_of_another_card_stands_at_its_index_and_what_was_not_measure
     assert!(course.rssi_in_dbm && course.agc.is_empty());
     let levels: Vec<f64> = course.rssi.iter().map(|line| line[0].1).collect();
     assert_eq!((levels, course.rssi[1].len()), (vec![-41.0, -50.0], 40));
-    // The page has the same, from what is kept and from the file.
+    // The page gets the same, from the kept CSI and from the file.
     let index = LogIndex::read(&path).unwrap();
     assert!(index.survey().is_none() && index.card().is_some_and(|(_, survey)| survey.frames == 40));
     assert_eq!((index.antennas(), index.sent()[0].0, index.subcarriers().unwrap().len()), (2, 40, 56));
@@ -346,11 +346,11 @@ fn every_subcarrier_of_another_card_stands_at_its_index_and_what_was_not_measure
 }
 
 #[test]
-fn heat_maps_are_of_one_sender_and_of_its_most_frequent_frames() {
+fn heat_maps_show_one_sender_and_its_most_frequent_frames() {
     let ht = (Kind::Ht, 20, 2, 1);
     let frames: Vec<Heard> = (0..60)
         .map(|k| match k % 6 {
-            // Of the sender that is heard most, one in five is wider, one in five came by one chain.
+            // Of the most frequent sender's frames, one in five is wider, and one in five has one chain.
             0 => (Kind::Ht, 40, 2, 1),
             1 => (Kind::Ht, 20, 1, 1),
             2 => (Kind::Vht, 80, 2, 2),
@@ -363,7 +363,7 @@ fn heat_maps_are_of_one_sender_and_of_its_most_frequent_frames() {
     assert_eq!((course.sender, course.rows.subcarriers, course.antennas.len()), (Some(sender(1)), 56, 2));
     let words = course.left_out().unwrap();
     assert_eq!(words, "without 10 records of other senders and 10 records of another kind or width");
-    // All of them are in the levels.
+    // The levels include all of them.
     assert_eq!((course.rssi[0].len(), course.rssi[1].len()), (60, 50));
     let other = Course::read(&path, &Wanted::default().with_macs(vec![sender(2)])).unwrap();
     assert_eq!((other.records, other.other_senders, other.left_out()), (10, 0, None));
@@ -380,7 +380,7 @@ fn heat_maps_are_of_one_sender_and_of_its_most_frequent_frames() {
 }
 
 #[test]
-fn damage_in_a_log_of_another_card_stands_where_it_is() {
+fn damage_in_another_cards_log_is_marked_in_place() {
     let path = card_log("card-torn", &[(Kind::Ht, 20, 1, 1); 20]);
     let mut bytes = std::fs::read(&path).unwrap();
     let len = bytes.len() / 20;
@@ -388,7 +388,7 @@ fn damage_in_a_log_of_another_card_stands_where_it_is() {
     std::fs::write(&path, bytes).unwrap();
     let course = Course::read(&path, &Wanted::default()).unwrap();
     assert!(course.lost_something && course.records == 19, "{}", course.records);
-    // What the tenth frame lacks is read of the next one: the rest of that is what is no record.
+    // The tenth frame takes its missing bytes from the next; the rest of that is damage.
     let [damaged_s] = course.damaged[..] else { panic!("{:?}", course.damaged) };
     assert!((damaged_s - 0.010).abs() < 1e-9, "{damaged_s}");
     std::fs::remove_file(path).unwrap();

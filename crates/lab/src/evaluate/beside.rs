@@ -1,15 +1,15 @@
-//! What another program answers on the same links, from a table beside the captures.
+//! Another program's answers on the same links, from a table beside the captures.
 
 use super::TrajectorySource;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The table's name, in the folder that is evaluated.
+/// The table's name in the evaluated folder.
 pub const TABLE: &str = "links.csv";
 /// Its columns that are read.
 const COLUMNS: [&str; 5] = ["capture", "tx", "displacement", "peer_est_deg", "peer_err_from_mean_pose_deg"];
 
-/// What another program answers on a link.
+/// Another program's answer on a link.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct Beside {
@@ -19,7 +19,7 @@ pub struct Beside {
     pub error_deg: f64,
 }
 
-/// The answers of another program by link name, of one kind of trajectory.
+/// Another program's answers by link name, for one kind of trajectory.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
     links: BTreeMap<String, Beside>,
@@ -33,19 +33,19 @@ pub enum TableError {
     /// It cannot be read.
     #[error("{TABLE}: {0}")]
     Csv(#[from] csv::Error),
-    /// It has not the columns that are needed.
+    /// It lacks a needed column.
     #[error("{TABLE} has no column `{column}`: it is skipped")]
     Column {
-        /// The one that is missing.
+        /// The missing one.
         column: &'static str,
     },
 }
 
 impl Table {
-    /// Reads the table of a folder; none where there is no such file. Rows without numbers are counted.
+    /// Reads the table of a folder; `None` if there is no such file. Counts rows without numbers.
     ///
     /// # Errors
-    /// If the file is there and is no such table.
+    /// If the file exists and is not such a table.
     pub fn read(folder: &Path, source: TrajectorySource) -> Result<Option<Self>, TableError> {
         let path = folder.join(TABLE);
         if !path.is_file() {
@@ -83,7 +83,7 @@ impl Table {
         Ok(Some(table))
     }
 
-    /// [`Self::read`], with messages: why the table was skipped, or how many of its rows. Both are losses.
+    /// [`Self::read`] with a message about a skipped table or skipped rows; both are losses.
     #[must_use]
     pub fn noted(folder: &Path, source: TrajectorySource) -> (Option<Self>, Option<String>) {
         let said = |words: String| Some(format!("{}: {words}", folder.display()));
@@ -97,13 +97,13 @@ impl Table {
         }
     }
 
-    /// Its answer on a link.
+    /// The answer on a link.
     #[must_use]
     pub fn of(&self, link: &str) -> Option<Beside> {
         self.links.get(link).copied()
     }
 
-    /// Rows that could not be read, or have no numbers.
+    /// Rows that could not be read or lack numbers.
     #[must_use]
     pub fn bad_rows(&self) -> usize {
         self.bad_rows

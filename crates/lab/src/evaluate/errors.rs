@@ -1,4 +1,4 @@
-//! Errors of sets of links in few numbers.
+//! Error statistics of sets of links.
 
 use super::Judged;
 use csi5300::maths::percentile;
@@ -27,7 +27,7 @@ impl Errors {
     pub fn of(errors_deg: impl Iterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = errors_deg.map(f64::abs).filter(|e| e.is_finite()).collect();
         if sorted.is_empty() {
-            // Not a number, null in JSON: no links are not links without error.
+            // NaN, null in JSON: a set without links does not have error 0.
             let none = f64::NAN;
             return Self { links: 0, mean_deg: none, median_deg: none, p90_deg: none, over_20: none };
         }
@@ -48,7 +48,7 @@ impl Errors {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct SetSummary {
-    /// Links found, failed ones included.
+    /// Number of links, including failed ones.
     pub links: usize,
     /// Links without a bearing.
     pub failed: usize,
@@ -58,7 +58,7 @@ pub struct SetSummary {
     pub from_start: Errors,
 }
 
-/// The name of all sets together.
+/// The name for all sets together.
 pub const ALL_SETS: &str = "all";
 
 /// Statistics by set (the first folder below the evaluated one) and of all.

@@ -1,4 +1,4 @@
-//! Captures below a folder: their logs, and which of their trajectories is read.
+//! Finds captures below a folder: their logs and trajectories.
 
 use super::roles::{self, Sorted};
 use csi5300::internal::heading;
@@ -18,15 +18,15 @@ pub enum TrajectorySource {
     GroundTruth,
     /// Tracking camera.
     T265,
-    /// Tracking camera, of whose steps only those that wheels can roll are kept ([`Capture::camera`]).
+    /// Tracking camera, reduced to the steps that wheels can roll ([`Capture::camera`]).
     RollingT265,
     /// Wheel odometry.
     Odometry,
 }
 
 impl TrajectorySource {
-    /// Standard deviation of the heading of its trajectories, radians: what error bars and probabilities have to know of
-    /// the sensor. Of wheels and of what rolls it is that of trajectories of the antenna ([`Capture::antenna_offset_m`]).
+    /// Standard deviation of the heading of its trajectories, radians, for error bars and probabilities. For wheels and rolling
+    /// motion it applies to trajectories of the antenna ([`Capture::antenna_offset_m`]).
     #[must_use]
     pub fn heading_sd_rad(self) -> f64 {
         match self {
@@ -37,7 +37,7 @@ impl TrajectorySource {
         }
     }
 
-    /// How the names of its files begin, before the robot's.
+    /// Prefix of its file names, before the robot's name.
     pub(super) fn prefix(self) -> &'static str {
         match self {
             Self::GroundTruth => "",
@@ -58,7 +58,7 @@ impl std::fmt::Display for TrajectorySource {
     }
 }
 
-/// The receiver's files of a capture whose file names give no roles.
+/// The receiver's files of a capture whose file names do not show roles.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Loose {
     /// Its log.
@@ -76,29 +76,28 @@ pub struct Capture {
     pub stamp: String,
     /// The folder.
     pub folder: PathBuf,
-    /// The receiver's log and trajectory, where their names are others than the usual ones.
+    /// The receiver's log and trajectory, if their names are not the usual ones.
     pub loose: Option<Box<Loose>>,
     /// Transmitters: name (`tx2`) and log.
     pub transmitters: Vec<(String, PathBuf)>,
-    /// Where the receiver's antenna is on its robot, seen from what the tracking camera's or the wheels' trajectory is of:
-    /// metres forward, left, up; none where it is not known, and those trajectories are taken as the antenna's. Motion
-    /// capture is of the antenna itself.
+    /// The receiver's antenna relative to the point that the tracking camera or the wheels track: metres forward, left, up. If
+    /// `None`, those trajectories are taken as the antenna's. Motion capture tracks the antenna itself.
     pub antenna_offset_m: Option<[f64; 3]>,
-    /// Where the tracking camera is on the robot. Its trajectory rolls about the middle between the wheels then, which is where
-    /// the antenna is seen from; none where it is not known.
+    /// Position of the tracking camera on the robot. If given, its trajectory rolls about the middle between the wheels, and the
+    /// antenna's position is relative to that point. `None` if unknown.
     pub camera: Option<Mount>,
 }
 
 impl Capture {
-    /// Name of a link of this capture, or of the capture where `transmitter` is empty.
+    /// Name of a link of this capture, or of the capture if `transmitter` is empty.
     #[must_use]
     pub fn link_name(&self, transmitter: &str) -> String {
         let parts = [self.place.as_str(), self.stamp.as_str(), transmitter];
         parts.iter().filter(|part| !part.is_empty()).copied().collect::<Vec<_>>().join("/")
     }
 
-    /// Standard deviation of the heading of its trajectory by `source`, radians. Wheels whose antenna may be anywhere on the
-    /// robot turn the bearing by as much as the antenna's path differs from theirs.
+    /// Standard deviation of the heading of its trajectory by `source`, radians. For wheels with an unknown antenna position, the
+    /// bearing rotates by as much as the antenna's path differs from theirs.
     #[must_use]
     pub fn heading_sd_rad(&self, source: TrajectorySource) -> f64 {
         match source {
@@ -107,14 +106,14 @@ impl Capture {
         }
     }
 
-    /// True if a file beside its logs says where the transmitters are.
+    /// True if a file beside its logs gives the transmitters' places.
     #[must_use]
     pub fn has_truth(&self) -> bool {
         self.folder.join(TRUTH_FILE).is_file()
     }
 
-    /// The file with the trajectory of `robot`: `rx`, or a transmitter's name. Motion capture may have the name that
-    /// \[paper\] (docs/reference/references.md) gives it.
+    /// The trajectory file of `robot`: `rx`, or a transmitter's name. Motion capture may have the file name used by \[paper\]
+    /// (docs/reference/references.md).
     pub(super) fn trajectory_of(&self, source: TrajectorySource, robot: &str) -> PathBuf {
         if let (Some(loose), "rx") = (&self.loose, robot) {
             return loose.trajectory.clone();
@@ -125,7 +124,7 @@ impl Capture {
         if is_paper { paper } else { usual }
     }
 
-    /// True for logs of a receiver and a transmitter with a trajectory: enough for a bearing.
+    /// True if there are logs of a receiver and a transmitter, and a trajectory: enough for a bearing.
     fn is_whole(&self) -> bool {
         let sources = [TrajectorySource::GroundTruth, TrajectorySource::T265, TrajectorySource::Odometry];
         let has_trajectory = || sources.iter().any(|source| self.trajectory_of(*source, "rx").is_file());
@@ -142,15 +141,15 @@ impl Capture {
     }
 }
 
-/// Finds the captures with a truth below `root`, in the order of their names, and folders that could not be read.
+/// Finds the captures with a truth below `root`, in order of name, and the unreadable folders.
 #[must_use]
 pub fn find(root: &Path) -> (Vec<Capture>, Vec<String>) {
     let (captures, unreadable) = find_all(root);
     (captures.into_iter().filter(Capture::has_truth).collect(), unreadable)
 }
 
-/// The same with captures without a truth: logs of a receiver and its transmitters with a trajectory. Without usual
-/// names, the files of `root` itself are one capture if their content identifies the receiver's log and trajectory.
+/// The same, including captures without a truth: logs of a receiver and its transmitters, with a trajectory. Without usual
+/// names, the files of `root` itself are one capture if their content shows the receiver's log and trajectory.
 #[must_use]
 pub fn find_all(root: &Path) -> (Vec<Capture>, Vec<String>) {
     let (mut captures, unreadable) = named(root);
@@ -191,7 +190,7 @@ pub(super) fn named(root: &Path) -> (Vec<Capture>, Vec<String>) {
         };
         let mut names = Vec::new();
         for entry in entries.flatten() {
-            // Links are not followed: they may lead in circles.
+            // Symbolic links are not followed: they may form loops.
             match entry.file_type() {
                 Ok(kind) if kind.is_dir() => folders.push(entry.path()),
                 _ => names.extend(entry.file_name().into_string().ok()),
@@ -208,7 +207,7 @@ pub(super) fn named(root: &Path) -> (Vec<Capture>, Vec<String>) {
 fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
     let below = folder.strip_prefix(root).unwrap_or(folder);
     let place: Vec<_> = below.components().map(|part| part.as_os_str().to_string_lossy().into_owned()).collect();
-    // A stamp with a transmitter's log only is an unusable capture, and reported as such.
+    // A stamp with only a transmitter's log is reported as an unusable capture.
     let stamp_of = |name: &'_ String| -> Option<String> {
         let name = name.strip_suffix(".dat")?;
         let of_tx = || name.strip_prefix("csi_tx")?.trim_start_matches(|c: char| c.is_ascii_digit()).strip_prefix('_');

@@ -1,4 +1,4 @@
-//! One capture evaluated: its links estimated and compared with the truth.
+//! Evaluates one capture: estimates its links and compares them with the truth.
 
 use super::find::{Capture, TrajectorySource};
 use super::part::Part;
@@ -16,7 +16,7 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// A link's answer beside its truth: a row of `evaluate --json`.
+/// A link's answer and truth: a row of `evaluate --json`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Judged {
     /// The answer.
@@ -24,26 +24,26 @@ pub struct Judged {
     pub answer: Answer,
     /// Bearing from the first pose of the motion, degrees.
     pub true_from_start_deg: Option<f64>,
-    /// Bearing from the mean pose of the pairs used, degrees: what a far-field estimator sees.
+    /// Bearing from the mean pose of the used pairs, degrees: the reference for a far-field estimator.
     pub true_from_mean_pose_deg: Option<f64>,
-    /// Estimate less truth, wrapped, degrees.
+    /// Estimate minus truth, wrapped, degrees.
     pub error_from_start_deg: Option<f64>,
-    /// Estimate less truth, wrapped, degrees.
+    /// Estimate minus truth, wrapped, degrees.
     pub error_from_mean_pose_deg: Option<f64>,
     /// Horizontal distance from the mean pose to the transmitter, metres.
     pub true_range_m: Option<f64>,
-    /// Horizontal range reported less the true one, metres.
+    /// Reported horizontal range minus the true one, metres.
     pub range_error_m: Option<f64>,
-    /// Where the transmitter is, metres; of one that moved, the mean of its places over the pairs used.
+    /// Place of the transmitter, metres; for a moving one, the mean of its places over the used pairs.
     pub true_transmitter_m: Option<[f64; 2]>,
-    /// How high the transmitter is, metres, where that is given: no truth has it.
+    /// Height of the transmitter, metres, if given; no truth file contains it.
     #[serde(skip)]
     pub transmitter_z_m: Option<f64>,
-    /// Horizontal distance between the position reported and where the transmitter was at that time, metres.
+    /// Horizontal distance between the reported position and the transmitter's at that time, metres.
     pub position_error_m: Option<f64>,
     /// The same in deviations of the reported ellipse: 68 % of true places are within 1.52, 95 % within 2.48.
     pub position_error_sd: Option<f64>,
-    /// Mean pose of the pairs used, metres, from motion capture.
+    /// Mean pose of the used pairs, metres, from motion capture.
     pub true_receiver_m: Option<[f64; 2]>,
 }
 
@@ -55,27 +55,27 @@ impl Judged {
     }
 }
 
-/// What the evaluation of a capture gave.
+/// The result of a capture's evaluation.
 pub struct Evaluated {
-    /// One row for each transmitter (one in all if the capture could not be read).
+    /// One row per transmitter, or a single one if the capture could not be read.
     pub rows: Vec<Judged>,
     /// True if records were lost before a log's tail or a link failed.
     pub lost: bool,
-    /// Losses, one a line, with the file's name.
+    /// Losses, one line each, with the file's name.
     pub notes: Vec<String>,
 }
 
-/// Shown each link's bearing with the link's name and the options that it was made by.
+/// Receives each link's bearing with its name and options.
 pub type Look<'a> = dyn FnMut(&str, &Bearing, &Options) + 'a;
 
 impl Capture {
-    /// Estimates every link and compares it with the truth. What cannot be read becomes a row with its error.
+    /// Estimates every link and compares it with the truth. A link that cannot be read becomes a row with its error.
     #[must_use]
     pub fn evaluate(&self, source: TrajectorySource, channel: Option<Channel>, options: &Options) -> Evaluated {
         self.evaluate_and(source, channel, options, &mut |_, _, _| {})
     }
 
-    /// The same of files that were read before: the way to evaluate with several options.
+    /// The same for files that were read before, to evaluate several options.
     #[must_use]
     pub fn evaluate_from(
         &self,
@@ -88,7 +88,7 @@ impl Capture {
         self.evaluate_run(&run, &mut |_, _, _| {})
     }
 
-    /// The same, showing each link's bearing to `look`: for pictures.
+    /// The same, passing each link's bearing to `look`, for pictures.
     #[must_use]
     pub fn evaluate_and(
         &self,
@@ -100,7 +100,7 @@ impl Capture {
         self.evaluate_part(source, channel, options, Part::WHOLE, look)
     }
 
-    /// The same for a part of the motion, whose bearings are judged from the mean pose of the part.
+    /// The same for a part of the motion; its bearings are compared from the mean pose of the part.
     #[must_use]
     pub fn evaluate_part(
         &self,
@@ -173,14 +173,14 @@ impl Capture {
         }
         let rx_path = self.receiver_log();
         let paths = std::iter::once(&rx_path).chain(self.transmitters.iter().map(|(_, path)| path));
-        // So far they are of rows of trajectories.
+        // Up to here these are losses of trajectories.
         let rows_lost = !notes.is_empty();
         let surveys = std::iter::once(&report.receiver).chain(&report.transmitters).map(|log| &log.survey);
         notes.extend(paths.zip(surveys).filter_map(|(path, survey)| loss_note(path, survey)));
         Ok(Evaluated { rows, lost: rows_lost || lost_something(&report), notes })
     }
 
-    /// The trajectories of the transmitters that moved: from `source`, or from motion capture where the capture has no other.
+    /// The trajectories of moving transmitters: from `source`, or from motion capture if the capture has no other.
     fn moved(
         &self,
         shelf: &Shelf,
@@ -206,8 +206,7 @@ impl Capture {
         self.of_antenna(shelf, source, recorded).map_err(EvaluateError::Part)
     }
 
-    /// The bearings of all links, and why a transmitter's log could not be opened: that costs its own link, the others go
-    /// on.
+    /// The bearings of all links, and the errors of transmitters' logs that could not be opened: each costs only its own link.
     fn estimate(
         &self,
         shelf: &Shelf,
@@ -231,7 +230,7 @@ impl Capture {
     }
 }
 
-/// What is evaluated of a capture, and how.
+/// A capture and its evaluation options.
 #[derive(Clone, Copy)]
 struct Run<'a> {
     shelf: &'a Shelf,
@@ -241,7 +240,7 @@ struct Run<'a> {
     part: Part,
 }
 
-/// Reads a trajectory, and notes what of it was lost.
+/// Reads a trajectory and notes its losses.
 fn read_path(shelf: &Shelf, path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
     let (trajectory, counts) = match shelf.trajectory(&path) {
         Ok(read) => read,
@@ -253,7 +252,7 @@ fn read_path(shelf: &Shelf, path: PathBuf, notes: &mut Vec<String>) -> Result<Tr
     Ok(trajectory)
 }
 
-/// What a log lost before its tail, in a line; nothing if nothing was.
+/// A line about a log's losses before its tail, or `None`.
 fn loss_note(path: &Path, survey: &Survey) -> Option<String> {
     let first = survey.losses.first().map(|loss| format!("; the first at offset {}: {}", loss.offset, loss.reason));
     let (damages, bytes, bad) = (survey.damages, survey.damaged_bytes, survey.bad_bfee);
@@ -263,11 +262,11 @@ fn loss_note(path: &Path, survey: &Survey) -> Option<String> {
     })
 }
 
-/// Where a transmitter truly was.
+/// A transmitter's true place.
 struct TruePlace<'a> {
     /// At the start, metres.
     still_m: Option<Vector2<f64>>,
-    /// From there on, if it moved.
+    /// Its trajectory from there on, if it moved.
     path: Option<&'a Trajectory>,
 }
 
@@ -285,7 +284,7 @@ impl TruePlace<'_> {
     }
 }
 
-/// `own` is the trajectory of the bearing. The origin of its frame may differ from the reference's.
+/// `own` is the bearing's trajectory. The origin of its frame may differ from the reference's.
 fn judge(
     answer: Answer,
     transmitter: &TruePlace<'_>,

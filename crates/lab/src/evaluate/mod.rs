@@ -1,15 +1,16 @@
-//! Bearings against truth, over a tree of captures laid out as the WSR data set.
+//! Compares bearings with the truth, over a tree of captures laid out as the WSR data set.
 //!
 //! A capture is a folder with `groundtruth_positions.json` and, for each time stamp TS in it, `csi_rx_TS.dat`, one
 //! `csi_txK_TS.dat` for each transmitter, and the receiver's trajectory as `rx_trajectory_TS_.csv` (motion capture),
-//! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested anyhow. Without the first file
-//! the rest is a capture without a truth, also with the names of \[paper\] (docs/reference/references.md):
-//! `csi_tx_TS.dat`, `rx_movement_TS.csv`. A folder without such names is one capture without a truth if its files'
-//! content shows their [`roles`].
+//! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested in any way. Without the first file, the
+//! rest is a capture without a truth. It may also have the names of \[paper\] (docs/reference/references.md):
+//! `csi_tx_TS.dat`, `rx_movement_TS.csv`. A folder without such names is one capture without a truth if its files' content
+//! shows their [`roles`].
 //!
-//! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link
-//! ([`Judged`]), with several options from files read once ([`Capture::shelf`]), [`summarise`] their errors by set; [`quality`] says what a set of rows is worth beside its errors;
-//! [`transmitters`] locates those from several captures of one frame, [`reliability`], [`surest`] and [`above`] what their probabilities are.
+//! [`find`] lists captures, [`find_all`] also those without a truth. [`Capture::evaluate`] makes a row for each link
+//! ([`Judged`]), with several options from files read once ([`Capture::shelf`]). [`summarise`] gives the errors by set, and
+//! [`quality`] figures about ranges and error bars. [`transmitters`] locates transmitters from several captures in one frame.
+//! [`reliability`], [`surest`] and [`above`] evaluate probabilities.
 
 pub mod beside;
 mod errors;

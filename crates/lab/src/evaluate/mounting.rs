@@ -1,7 +1,7 @@
-//! From what a robot's odometry is of to its antenna.
+//! Converts trajectories of a robot's sensors to its antenna's.
 //!
-//! Phases show where the antenna went. A tracking camera and wheels say where they themselves went: their trajectory becomes the
-//! antenna's by where that is on the robot, and wheels, which count on from the run before, are turned to where another sensor looks.
+//! Phases depend on the antenna's path, but a tracking camera and wheels measure their own. Their trajectory is moved to the
+//! antenna's position on the robot. Wheels continue from the previous run's heading, so they are rotated to another sensor's.
 
 use super::find::{Capture, TrajectorySource};
 use super::shelf::Shelf;
@@ -10,7 +10,7 @@ use csi5300::motion::pose::{Pose, Trajectory, TrajectoryError};
 use nalgebra::{Rotation3, Vector3};
 
 impl Capture {
-    /// The antenna's trajectory, of the one that was recorded by `source`.
+    /// The antenna's trajectory from the one recorded by `source`.
     pub(super) fn of_antenna(
         &self,
         shelf: &Shelf,
@@ -26,8 +26,8 @@ impl Capture {
         self.antenna_offset_m.map_or(Ok(turned.clone()), |offset| turned.with_antenna_offset(offset.into()))
     }
 
-    /// Wheels count on from the heading of the run before unless they are set to zero. Their trajectory is turned to the
-    /// heading that motion capture, or else the tracking camera, has at the same time at the start.
+    /// Unless they are reset, wheels continue from the previous run's heading. Their trajectory is rotated to the heading that
+    /// motion capture, or else the tracking camera, has at the same time at the start.
     fn turned(
         &self,
         shelf: &Shelf,
@@ -46,13 +46,13 @@ impl Capture {
     }
 }
 
-/// The heading of `to` less that of `from` at the first time that both have one, radians.
+/// The heading of `to` minus that of `from` at the first common time, radians.
 fn heading_between_rad(from: &Trajectory, to: &Trajectory) -> Option<f64> {
     let t_s = from.span_s().0.max(to.span_s().0);
     Some(wrap_rad(to.at(t_s)?.heading_rad? - from.at(t_s)?.heading_rad?))
 }
 
-/// A trajectory turned about its first position.
+/// A trajectory rotated about its first position.
 fn turned_by(trajectory: &Trajectory, turn_rad: f64) -> Result<Trajectory, TrajectoryError> {
     let first = trajectory.poses().first().map_or(Vector3::zeros(), |pose| pose.position_m);
     let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), turn_rad);
@@ -68,7 +68,7 @@ fn turned_by(trajectory: &Trajectory, turn_rad: f64) -> Result<Trajectory, Traje
 mod tests {
     use super::*;
 
-    /// A robot on an arc of 0.15 m with its heading along it, from `heading_rad` on.
+    /// A robot on an arc of 0.15 m with its heading along it, starting at `heading_rad`.
     fn wheels(heading_rad: f64) -> Trajectory {
         let pose = |k: usize| {
             let heading = heading_rad - 0.01 * (k.clamp(50, 350) as f64 - 50.0);
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_set_to_zero_is_turned_to_where_another_looks() {
+    fn unreset_wheels_are_rotated_to_another_sensors_heading() {
         let (zeroed, going_on) = (wheels(0.0), wheels(-0.25));
         let turn_rad = heading_between_rad(&going_on, &zeroed).unwrap();
         assert!((turn_rad - 0.25).abs() < 1e-9, "{turn_rad}");

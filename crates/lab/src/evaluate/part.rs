@@ -1,16 +1,16 @@
-//! Parts of a motion: what a shorter drive would have given.
+//! Parts of a motion: the results of a shorter drive.
 
 use csi5300::motion::pose::{Trajectory, TrajectoryError};
 
-/// One of several parts of a motion that follow each other and last equally long, or the first few of them together.
+/// One or more consecutive parts of a motion that is cut into equally long ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub struct Part {
-    /// Its place among them, from 0.
+    /// Index of the first part.
     pub index: u32,
-    /// How many parts the motion is cut into.
+    /// Number of parts into which the motion is cut.
     pub of: u32,
-    /// How many parts from this one on: 1 for a single one.
+    /// Number of parts from there on.
     pub count: u32,
 }
 
@@ -18,7 +18,7 @@ impl Part {
     /// The whole motion.
     pub const WHOLE: Self = Self { index: 0, of: 1, count: 1 };
 
-    /// All `of` parts of a motion, in the order of time.
+    /// All `of` parts of a motion, in order of time.
     pub fn each(of: u32) -> impl Iterator<Item = Self> {
         (0..of).map(move |index| Self { index, of, count: 1 })
     }
@@ -29,8 +29,8 @@ impl Part {
         Self { index: 0, count: self.index + self.count, ..self }
     }
 
-    /// The poses of this part. The motion is what lies between the first and the last pose that moves; a trajectory
-    /// without motion stays whole.
+    /// The poses of this part. The motion lies between the first and the last pose that moves; a trajectory without motion stays
+    /// whole.
     ///
     /// # Errors
     /// If fewer than two poses are in the part.

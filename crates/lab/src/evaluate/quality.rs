@@ -1,4 +1,4 @@
-//! Figures of a set of judged links beside their errors: ranges, refusals, receivers located.
+//! Figures of a set of judged links besides their bearing errors: ranges, refusals, located receivers.
 
 use super::Judged;
 use super::sure::{Kept, Sure, WRONG_DEG, surest};
@@ -27,15 +27,14 @@ pub fn sure(rows: &[Judged]) -> Vec<Sure> {
     rows.iter().filter_map(|row| Some(Sure::new(row.answer.confidence?, row.error_from_mean_pose_deg?))).collect()
 }
 
-/// Median of `|error| / deviation` over that of a normal distribution: 1 where deviations tell the truth, whatever a few
-/// false answers do. `None` without links that have both.
+/// Median of `|error| / deviation`, divided by that of a normal distribution: 1 if deviations are right, whatever a few false
+/// answers do. `None` without links that have both.
 fn scale(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let mut ratios: Vec<f64> = pairs.filter(|(_, sd)| *sd > 0.0).map(|(error, sd)| (error / sd).abs()).collect();
     median(&mut ratios).map(|ratio| ratio / 0.674_5)
 }
 
-/// How the azimuths' errors compare with their error bars: 1 where those tell the truth, less where they are longer than
-/// needed.
+/// The azimuths' errors relative to their error bars: 1 if the bars are right, less if they are too long.
 #[must_use]
 pub fn over_bound(rows: &[&Judged]) -> Option<f64> {
     scale(rows.iter().filter_map(|row| row.error_from_mean_pose_deg.zip(row.answer.azimuth_sd_deg)))
@@ -46,20 +45,20 @@ pub fn over_bound(rows: &[&Judged]) -> Option<f64> {
 pub struct Ranges {
     /// Links with a bearing and a true range.
     pub links: usize,
-    /// Those that reported a range.
+    /// Number of those that reported a range.
     pub reported: usize,
     /// Median of the absolute errors, metres.
     pub median_m: Option<f64>,
-    /// How the errors compare with the predicted deviations: 1 where those tell the truth.
+    /// Errors relative to the predicted deviations: 1 if the deviations are right.
     pub over_bound: Option<f64>,
-    /// Numbers of places reported with a known truth, and of those within their 68 % and their 95 % ellipses.
+    /// Numbers of reported places with a known truth, and of those within their 68 % and their 95 % ellipses.
     pub places: [usize; 3],
 }
 
-/// A plane normal distribution has 68.3 and 95.4 % within so many deviations: `sqrt(-2 ln(1 - share))`.
+/// A plane normal distribution has 68.3 and 95.4 % within these deviations: `sqrt(-2 ln(1 - share))`.
 const ELLIPSES: [f64; 2] = [1.515_8, 2.481_6];
 
-/// How good the ranges are.
+/// Accuracy of the ranges.
 #[must_use]
 pub fn ranges(rows: &[&Judged]) -> Ranges {
     let known = rows.iter().filter(|row| row.true_range_m.is_some() && row.answer.azimuth_deg.is_some());
@@ -73,22 +72,22 @@ pub fn ranges(rows: &[&Judged]) -> Ranges {
     Ranges { links: known.count(), reported, median_m: median(&mut errors), over_bound, places }
 }
 
-/// The share of an answer's range that is horizontal: the truth has no heights.
+/// The horizontal share of an answer's range: the truth has no heights.
 #[must_use]
 pub fn horizontal(answer: &Answer) -> f64 {
     answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos()
 }
 
-/// A receiver located from its links.
+/// A receiver, located from its links.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Receiver {
     /// Name of the capture.
     pub capture: String,
     /// Links used.
     pub links: usize,
-    /// Their names, in the order of what is listed of each.
+    /// Their names, in the order of the lists below.
     pub names: Vec<String>,
-    /// Those of them that have no calibrated probability: they are weighed by [`UNKNOWN_PROBABILITY`].
+    /// Those without a calibrated probability: they are weighted with [`UNKNOWN_PROBABILITY`].
     #[serde(skip_serializing_if = "is_zero")]
     pub without_probability: usize,
     /// Position, metres, in the frame of the true transmitters.
@@ -98,27 +97,27 @@ pub struct Receiver {
     /// Other places that the links fit nearly as well, the likeliest first, metres.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub others_m: Vec<[f64; 2]>,
-    /// Height and its standard deviation, metres, where links with an elevation have transmitters whose heights are given.
+    /// Height and its standard deviation, metres, if links with an elevation have transmitters of known height.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height_m: Option<f64>,
-    /// See there.
+    /// Its standard deviation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height_sd_m: Option<f64>,
-    /// Share of its say that each link kept.
+    /// Share of its weight that each link kept.
     pub weights: Vec<f64>,
     /// The bearing of each link that fits the place, degrees: the answer, its mirror or another candidate.
     pub azimuths_deg: Vec<f64>,
-    /// Their errors against the true bearings from the mean pose, degrees, where all are known.
+    /// Their errors relative to the true bearings from the mean pose, degrees, if all are known.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub azimuth_errors_deg: Vec<f64>,
-    /// The same of the links' answers.
+    /// The same for the links' answers.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub answer_errors_deg: Vec<f64>,
     /// Why there is none.
     pub error: Option<String>,
     /// True mean position of the motion, metres.
     pub true_position_m: Option<[f64; 2]>,
-    /// Distance between the two, metres.
+    /// Distance between the position and the true one, metres.
     pub off_m: Option<f64>,
 }
 
@@ -126,7 +125,7 @@ fn is_zero(count: &usize) -> bool {
     *count == 0
 }
 
-/// Locates the receiver of every capture from its links to transmitters whose places are known.
+/// Locates the receiver of every capture from its links to transmitters with known places.
 #[must_use]
 pub fn receivers(rows: &[Judged]) -> Vec<Receiver> {
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
@@ -180,20 +179,20 @@ fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
     receiver
 }
 
-/// True for a link that is used and has no calibrated probability.
+/// True for a used link without a calibrated probability.
 fn is_unweighed(row: &Judged) -> bool {
     sighting(row).is_some() && row.answer.confidence.is_none()
 }
 
-/// The probability that a link without one is weighed by: as likely within five degrees as not.
+/// The assumed probability of a link without one: even odds of being within five degrees.
 pub const UNKNOWN_PROBABILITY: f64 = 0.5;
 
-/// No bearing is surer than this, with its mirror: the largest calibrated probability.
+/// Upper limit of a bearing's probability, its mirror's included: the largest calibrated one.
 const MOST_SURE: f64 = 0.98;
 
-/// A link as an equation for its receiver. The deviation of the bearing is that which the probability stands for (a
-/// normal error is within five degrees with that probability; [`UNKNOWN_PROBABILITY`] where none is known), at least the
-/// predicted one.
+/// A link as an equation for its receiver. The bearing's deviation is the one that corresponds to its probability (a normal
+/// error is within five degrees with that probability; [`UNKNOWN_PROBABILITY`] if there is none), but at least the predicted
+/// one.
 fn sighting(row: &Judged) -> Option<Sighting> {
     let answer = &row.answer;
     // The probability that the bearing or its mirror is within five degrees: the place decides between the two.
@@ -218,7 +217,7 @@ fn wrap_deg(angle: f64) -> f64 {
     wrap_rad(angle.to_radians()).to_degrees()
 }
 
-/// The candidates beside the answer and its mirror, radians, each with its evidence over that of the answer's own.
+/// The candidates besides the answer and its mirror, radians, each with its evidence relative to the answer's.
 fn others(answer: &Answer) -> Vec<(f64, f64)> {
     let off = |candidate: &CandidateAnswer, azimuth_deg: f64| wrap_deg(candidate.azimuth_deg - azimuth_deg).abs();
     let Some(azimuth_deg) = answer.azimuth_deg else { return Vec::new() };
@@ -229,8 +228,8 @@ fn others(answer: &Answer) -> Vec<(f64, f64)> {
     beside.map(|other| (other.azimuth_deg.to_radians(), other.share / own.share)).collect()
 }
 
-/// Standard deviation of a normal error that is within five degrees with probability `sure`: the error function is
-/// inverted by bisection.
+/// Standard deviation of a normal error that is within five degrees with probability `sure`: inverts the error function by
+/// bisection.
 fn deviation_rad(sure: f64) -> f64 {
     let (mut low, mut high) = (0.1, 6.0);
     for _ in 0..40 {
@@ -271,19 +270,19 @@ mod tests {
     }
 
     #[test]
-    fn deviations_that_tell_the_truth_have_a_scale_of_one() {
+    fn correct_deviations_have_a_scale_of_one() {
         let with_sd = |k: i32| {
             let mut row = row("a/x", 0.0, f64::from(k), 0.5);
             row.answer.azimuth_sd_deg = Some(10.0);
             row
         };
-        // Half of normal errors are within 0.6745 deviations.
+        // Half of all normal errors are within 0.6745 deviations.
         let rows: Vec<Judged> = (-13..=13).map(with_sd).collect();
         let rows: Vec<&Judged> = rows.iter().collect();
         assert!((over_bound(&rows).unwrap() - 0.7 / 0.674_5).abs() < 1e-9, "{:?}", over_bound(&rows));
         assert_eq!(over_bound(&[]), None);
         assert_eq!(ranges(&rows), Ranges { links: 0, reported: 0, median_m: None, over_bound: None, places: [0; 3] });
-        // Half a slant deviation is a whole horizontal one 60 degrees up.
+        // At an elevation of 60 degrees, half a slant deviation is a whole horizontal one.
         let slant = |elevation_deg: f64| {
             let mut row = row("a/x", 0.0, 0.0, 0.5);
             row.answer.abs_elevation_deg = Some(elevation_deg);
@@ -328,7 +327,7 @@ mod tests {
             |azimuth_deg: f64, share: f64| CandidateAnswer { azimuth_deg, share, ..CandidateAnswer::default() };
         let mut rows = [seen("tx2", [4.0, 2.5], 0.5), seen("tx3", [1.5, -3.0], 60.0), seen("tx4", [-2.0, 4.0], -0.5)];
         let truth = rows[1].true_from_mean_pose_deg.unwrap();
-        // 360 degrees away is the same candidate; an answer that is none of them names none.
+        // 360 degrees away is the same candidate; an answer that matches none has no name.
         rows[1].answer.candidates = vec![candidate(truth + 60.0 - 360.0, 0.6), candidate(truth, 0.4)];
         let found = &receivers(&rows)[0];
         assert!((found.azimuths_deg[1] - truth).abs() < 1e-9 && found.azimuth_errors_deg[1].abs() < 1e-9);
@@ -339,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn deviations_stand_for_their_confidence() {
+    fn a_deviation_corresponds_to_its_confidence() {
         // 68.27 % within one deviation, 95.45 % within two.
         assert!((deviation_rad(0.682_689).to_degrees() - 5.0).abs() < 0.01);
         assert!((deviation_rad(0.954_5).to_degrees() - 2.5).abs() < 0.01);

@@ -1,4 +1,4 @@
-//! Logs and trajectories of a folder or command line by their content: which log is the receiver's.
+//! Finds the roles of a folder's or command line's files by their content: which log is the receiver's.
 
 use super::find;
 use crate::kinds::has_record;
@@ -6,11 +6,11 @@ use csi5300::Log;
 use csi5300::motion::odometry::csv::Columns;
 use std::path::{Path, PathBuf};
 
-/// A folder with more files is no capture.
+/// A folder with more files is not a capture.
 const MOST: usize = 64;
 
-/// The files of a folder that is one capture by content; `None` if a capture in or below it has the usual names, or
-/// without a log.
+/// The files of a folder that is one capture by content; `None` if a capture in or below it has the usual names, or if it has
+/// no log.
 #[must_use]
 pub fn loose_files(folder: &Path) -> Option<Vec<PathBuf>> {
     find::named(folder).0.is_empty().then(|| files_with_logs(folder)).flatten()
@@ -39,7 +39,7 @@ pub struct Sorted {
 }
 
 impl Sorted {
-    /// Sorts files by their content; `columns` are those of the trajectories, where they are known.
+    /// Sorts files by their content; `columns` are those of the trajectories, if known.
     #[must_use]
     pub fn new(files: Vec<PathBuf>, columns: Option<&Columns>) -> Self {
         let mut sorted = Self::default();
@@ -59,7 +59,7 @@ impl Sorted {
 /// The only trajectory.
 ///
 /// # Errors
-/// If there is none or more than one, in words with the options that settle it.
+/// If there is none or more than one; the text names the options that settle it.
 pub fn the_trajectory(files: &[PathBuf]) -> Result<PathBuf, String> {
     match files {
         [file] => Ok(file.clone()),
@@ -75,11 +75,11 @@ pub fn the_trajectory(files: &[PathBuf]) -> Result<PathBuf, String> {
     }
 }
 
-/// The log of the robot whose trajectory is given: by its name, else the only one that heard several robots, else the only one whose host times
-/// lie within the trajectory.
+/// The log of the robot whose trajectory is given: the one named so, else the only one that heard several robots, else the only
+/// one whose host times lie within the trajectory.
 ///
 /// # Errors
-/// If the roles are ambiguous, in words with the commands that settle it.
+/// If the roles are ambiguous; the text names the commands that settle it.
 pub fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<PathBuf, String> {
     match logs {
         [] => return Err("none of these files is a log of CSI: a bearing needs the logs of two robots".into()),
@@ -119,7 +119,7 @@ pub fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<
     ))
 }
 
-/// What a log says of its robot.
+/// What a log shows of its robot.
 struct Heard {
     senders: usize,
     host_s: Option<(f64, f64)>,
@@ -129,13 +129,13 @@ fn heard(path: &Path) -> Option<Heard> {
     let mut log = Log::open(path).ok()?;
     while log.next().is_some_and(|frame| frame.is_ok()) {}
     let survey = log.survey();
-    // A sender with few records passed by and is no robot of the capture.
+    // A sender with few records passed by and is not a robot of the capture.
     let most = survey.senders.values().map(|sender| sender.records).max().unwrap_or(0);
     let senders = survey.senders.values().filter(|sender| 10 * sender.records > most).count();
     Some(Heard { senders, host_s: survey.host_us.map(|(a, b)| (a as f64 * 1e-6, b as f64 * 1e-6)) })
 }
 
-/// The only one of them.
+/// The only item, if there is one.
 fn exactly_one<T>(mut all: impl Iterator<Item = T>) -> Option<T> {
     let first = all.next()?;
     all.next().is_none().then_some(first)

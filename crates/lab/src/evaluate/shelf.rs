@@ -8,7 +8,7 @@ use csi5300::source::{CsiSource, Error, replay::Replay};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Logs and trajectories in memory. What is not on the shelf is read from its file each time, as everything is with an empty one.
+/// Logs and trajectories in memory. Other files are read from disk each time; an empty shelf reads all of them from disk.
 #[derive(Debug, Default)]
 pub struct Shelf {
     logs: BTreeMap<PathBuf, Held>,

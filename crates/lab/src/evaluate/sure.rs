@@ -1,12 +1,11 @@
-//! Bearings by their probability: how often those of like probability were right, and what refusing the least sure keeps
-//! and costs.
+//! Bearings by probability: how often bearings of similar probability were right, and the effect of refusing the least sure.
 
 use super::Errors;
 use serde::Serialize;
 
-/// Bearings further off than this are wrong, degrees: what a probability is of.
+/// Bearings further off than this are wrong, degrees; probabilities refer to it.
 pub const WRONG_DEG: f64 = 5.0;
-/// Edges of the bins of like probability, those of the expected calibration error.
+/// Edges of the bins of probability, as for the expected calibration error.
 const BINS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.000_001];
 
 /// A bearing's probability of being within five degrees, and its error.
@@ -20,7 +19,7 @@ pub struct Sure {
 }
 
 impl Sure {
-    /// A bearing of this probability with this error, degrees (of either sign).
+    /// A bearing with this probability and this error, degrees (of either sign).
     #[must_use]
     pub fn new(probability: f64, error_deg: f64) -> Self {
         Self { probability, error_deg: error_deg.abs() }
@@ -33,17 +32,17 @@ impl Sure {
     }
 }
 
-/// Errors of the bearings that are left when the least sure are refused.
+/// Errors of the remaining bearings after refusing the least sure.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Kept {
     /// Share kept, 0..1.
     pub share: f64,
-    /// No bearing kept has a lower probability than this.
+    /// Lowest probability of a kept bearing.
     pub confidence: f64,
     /// Errors of those kept.
     pub errors: Errors,
-    /// Share of those refused that was within five degrees: the cost. None where nothing was refused.
+    /// Share of the refused bearings that was within five degrees: the cost. `None` if nothing was refused.
     pub refused_right: Option<f64>,
 }
 
@@ -59,7 +58,7 @@ impl Kept {
     }
 }
 
-/// What refusing below each of the probabilities `least` keeps; nothing of no bearings.
+/// The result of refusing below each of the probabilities `least`; empty without bearings.
 #[must_use]
 pub fn above(all: &[Sure], least: &[f64]) -> Vec<Kept> {
     let of = |least: &f64| {
@@ -69,13 +68,13 @@ pub fn above(all: &[Sure], least: &[f64]) -> Vec<Kept> {
     if all.is_empty() { Vec::new() } else { least.iter().map(of).collect() }
 }
 
-/// What is left when each of `shares`, rounded up to a whole bearing, is kept, the surest first; nothing of no bearings.
+/// The result of keeping each of `shares`, rounded up to a whole bearing, the surest first; empty without bearings.
 #[must_use]
 pub fn surest(all: &[Sure], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
     let mut falling = all.to_vec();
     falling.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     let of = |share: f64| {
-        // Half a bearing is no bearing more because of how a share is rounded.
+        // Rounding errors of a share must not add a bearing.
         let count = ((falling.len() as f64 * share - 1e-9).ceil() as usize).min(falling.len());
         let (kept, refused) = falling.split_at(count);
         Kept { share, ..Kept::of(kept, refused, kept.last().map_or(0.0, |own| own.probability)) }
@@ -83,15 +82,15 @@ pub fn surest(all: &[Sure], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
     if all.is_empty() { Vec::new() } else { shares.map(of).collect() }
 }
 
-/// Bearings of like probability.
+/// Bearings of similar probability.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Reliability {
-    /// From this probability on.
+    /// Lower edge.
     pub from: f64,
-    /// Up to here.
+    /// Upper edge.
     pub to: f64,
-    /// Bearings.
+    /// Number of bearings.
     pub links: usize,
     /// Their mean probability.
     pub said: f64,
@@ -99,7 +98,7 @@ pub struct Reliability {
     pub right: f64,
 }
 
-/// How often bearings of each fifth of the probabilities were right, without empty fifths.
+/// How often bearings in each fifth of the probabilities were right, without empty fifths.
 #[must_use]
 pub fn reliability(all: &[Sure]) -> Vec<Reliability> {
     let bin = |edges: &[f64]| {
@@ -120,7 +119,7 @@ pub fn reliability(all: &[Sure]) -> Vec<Reliability> {
 mod tests {
     use super::*;
 
-    /// Ten bearings, the surest first, whose error is 0, 1, .. 9 degrees.
+    /// Ten bearings, the surest first, with errors of 0, 1, .. 9 degrees.
     fn ten() -> Vec<Sure> {
         (0..10).map(|k| Sure::new(1.0 - 0.1 * f64::from(k), -f64::from(k))).collect()
     }
@@ -131,7 +130,7 @@ mod tests {
         let curve = surest(&all, [1.0, 0.5].into_iter());
         assert_eq!((curve[0].errors.links, curve[1].errors.links), (10, 5));
         assert!((curve[1].errors.mean_deg - 2.0).abs() < 1e-12 && (curve[0].errors.mean_deg - 4.5).abs() < 1e-12);
-        // Of the five refused one is 5 degrees off: right still.
+        // One of the five refused is 5 degrees off: still right.
         assert_eq!((curve[0].refused_right, curve[1].refused_right), (None, Some(0.2)));
         let least = above(&all, &[0.0, 0.75, 1.1]);
         assert_eq!(least.iter().map(|kept| kept.errors.links).collect::<Vec<_>>(), [10, 3, 0]);

@@ -1,4 +1,4 @@
-//! Where transmitters are, each from all motions of receivers that are seen in one frame.
+//! Locates transmitters, each from all receiver motions in one common frame.
 
 use super::find::{Capture, TrajectorySource};
 use super::judge::Judged;
@@ -10,10 +10,10 @@ use nalgebra::{Matrix2, Rotation2, Vector2};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Squared distance, in standard deviations, within which 68 % of a plane's normal distribution is.
+/// Squared distance, in standard deviations, that holds 68 % of a plane normal distribution.
 const ELLIPSE: f64 = 2.278_868_566_376_729_5;
 
-/// Where the frame of a capture's trajectory lies in the common one.
+/// Position of a capture's trajectory frame in the common frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Frame {
     /// Its origin, metres.
@@ -22,15 +22,15 @@ pub struct Frame {
     pub yaw_rad: f64,
 }
 
-/// What one motion of a receiver says of a transmitter, in the common frame.
+/// The evidence of one receiver motion about a transmitter, in the common frame.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Motion {
     /// Name of the transmitter: `tx2`.
     pub transmitter: String,
-    /// The directions, seen from the middle of the motion.
+    /// The directions from the middle of the motion.
     pub evidence: Evidence,
-    /// Where the transmitter is, metres, where the capture has a truth in the frame of its trajectory.
+    /// Place of the transmitter, metres, if the capture has a truth in its trajectory's frame.
     pub true_m: Option<[f64; 2]>,
 }
 
@@ -40,9 +40,9 @@ pub struct Motion {
 pub struct Motions {
     /// One for each transmitter and stretch that has a bearing.
     pub motions: Vec<Motion>,
-    /// Links without one, and why.
+    /// Links without a bearing, and why.
     pub failed: Vec<(String, String)>,
-    /// Losses, one a line.
+    /// Losses, one line each.
     pub notes: Vec<String>,
     /// True if records were lost, or a link failed over a whole motion.
     pub lost: bool,
@@ -54,11 +54,11 @@ pub struct Motions {
 pub struct OtherPlace {
     /// Its middle, metres in the common frame.
     pub position_m: [f64; 2],
-    /// Probability that it is there.
+    /// Its probability.
     pub share: f64,
 }
 
-/// A transmitter located from all motions together.
+/// A transmitter, located from all motions together.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Located {
@@ -66,7 +66,7 @@ pub struct Located {
     pub transmitter: String,
     /// Motions used.
     pub motions: usize,
-    /// Motions whose evidence could not be used.
+    /// Motions with unusable evidence.
     pub refused: usize,
     /// The likeliest place, metres in the common frame.
     pub position_m: Option<[f64; 2]>,
@@ -76,23 +76,23 @@ pub struct Located {
     pub ellipse_m: Option<[f64; 2]>,
     /// Direction of the longer axis, degrees from +x towards +y, in (-90, 90].
     pub ellipse_deg: Option<f64>,
-    /// Probability that the transmitter is at this place and at none of the others.
+    /// Probability that the transmitter is at this place rather than at the others.
     pub share: Option<f64>,
     /// The other places, the likeliest first.
     pub others: Vec<OtherPlace>,
     /// Why there is none.
     pub error: Option<String>,
-    /// Where it is, metres, where a capture or the caller says it.
+    /// Its true place, metres, if a capture or the caller gives it.
     pub true_position_m: Option<[f64; 2]>,
-    /// Distance between the two, metres.
+    /// Distance between estimate and truth, metres.
     pub off_m: Option<f64>,
     /// Whether the truth is within the ellipse.
     pub within: Option<bool>,
 }
 
 impl Capture {
-    /// What this capture says of each of its transmitters over `stretches` stretches of its motion that last equally long,
-    /// in the common frame, in which its trajectory's lies at `frame`. Truths are in the frame of motion capture alone.
+    /// This capture's evidence about each of its transmitters over `stretches` equally long stretches of its motion, in the common
+    /// frame, where its trajectory's frame lies at `frame`. Truths are in motion capture's frame only.
     #[must_use]
     pub fn motions(
         &self,
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn evidence_that_is_none_is_counted() {
+    fn unusable_evidence_is_counted() {
         let mut broken = seen([0.0, 0.0]);
         broken.evidence.modes.clear();
         let [found] = &located(&[broken.clone(), seen([0.0, 0.0])], &BTreeMap::new())[..] else { panic!() };

@@ -1,4 +1,4 @@
-//! The file with the truth of a capture, and why a capture could not be evaluated.
+//! A capture's truth file, and why a capture could not be evaluated.
 
 use super::find::{Capture, TRUTH_FILE};
 use csi5300::motion::odometry::csv::CsvError;
@@ -10,9 +10,9 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Bytes of the file at most: a line for each of ten thousand transmitters.
+/// Largest truth file, bytes: a line for each of ten thousand transmitters.
 const LONGEST: u64 = 1 << 20;
-/// Transmitters are no further from the origin, metres.
+/// Largest distance of a transmitter from the origin, metres.
 const FURTHEST_M: f64 = 1e6;
 
 /// Why a capture could not be evaluated.
@@ -27,23 +27,23 @@ pub enum EvaluateError {
         /// The operating system's answer.
         source: std::io::Error,
     },
-    /// The file with the truth is invalid.
+    /// The truth file is invalid.
     #[error("{}: {source}", path.display())]
     Truth {
         /// The file.
         path: PathBuf,
-        /// Where it is wrong, and how.
+        /// Position and kind of the error.
         source: serde_json::Error,
     },
-    /// The file with the truth is longer than one can be.
-    #[error("{}: {bytes} bytes; a file with the truth of a capture has {LONGEST} at most", path.display())]
+    /// The truth file is too long.
+    #[error("{}: {bytes} bytes; a truth file has at most {LONGEST}", path.display())]
     Long {
         /// The file.
         path: PathBuf,
         /// Its size.
         bytes: u64,
     },
-    /// The file with the truth has a transmitter where none can be.
+    /// The truth file has a transmitter at an impossible place.
     #[error("{}: {transmitter} is further than 1e6 m from the origin", path.display())]
     Far {
         /// The file.
@@ -51,13 +51,13 @@ pub enum EvaluateError {
         /// The transmitter.
         transmitter: String,
     },
-    /// The file with the truth names an invalid channel.
+    /// The truth file names an invalid channel.
     #[error("{TRUTH_FILE}: {0}")]
     Channel(#[from] ChannelError),
-    /// Neither the file with the truth nor the caller names a channel.
-    #[error("the WiFi channel is not known: no {TRUTH_FILE} names it (--channel does)")]
+    /// Neither the truth file nor the caller names a channel.
+    #[error("unknown WiFi channel: no {TRUTH_FILE} names it; use --channel")]
     NoChannel,
-    /// A receiver's log stands alone.
+    /// A receiver's log has no transmitter's log beside it.
     #[error("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat")]
     NoTransmitter {
         /// Time stamp in the file names.
@@ -71,7 +71,7 @@ pub enum EvaluateError {
         /// Why.
         source: CsvError,
     },
-    /// A part of the motion has too few poses, or the place of the antenna is given and the trajectory has no heading.
+    /// A part of the motion has too few poses, or the antenna's position is given but the trajectory has no heading.
     #[error(transparent)]
     Part(#[from] csi5300::motion::pose::TrajectoryError),
     /// A log cannot be read.
@@ -79,7 +79,7 @@ pub enum EvaluateError {
     Log(#[from] csi5300::source::Error),
 }
 
-/// The file's name once: an operating system's error has it already.
+/// Avoids repeating the file's name, which an operating system's error already contains.
 fn trajectory_text(path: &Path, source: &CsvError) -> String {
     match source {
         CsvError::Io { .. } => source.to_string(),
@@ -109,13 +109,13 @@ struct Xy {
     y: f64,
 }
 
-/// The whole file; one that is longer than [`LONGEST`] is not read to its end.
+/// The whole file; one longer than [`LONGEST`] is not read to its end.
 fn read(path: &Path) -> Result<Vec<u8>, EvaluateError> {
     let io = |source| EvaluateError::Io { path: path.to_owned(), source };
     let file = File::open(path).map_err(io)?;
     let (size, mut text) = (file.metadata().map_err(io)?.len(), Vec::new());
     let got = file.take(LONGEST + 1).read_to_end(&mut text).map_err(io)? as u64;
-    // A pipe has no size of its own.
+    // A pipe has no size.
     match got > LONGEST {
         true => Err(EvaluateError::Long { path: path.to_owned(), bytes: size.max(got) }),
         false => Ok(text),
@@ -123,7 +123,7 @@ fn read(path: &Path) -> Result<Vec<u8>, EvaluateError> {
 }
 
 impl Capture {
-    /// The number of the channel that the file with the truth names, where there is one and it does.
+    /// The channel number in the truth file, if both exist.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -133,7 +133,7 @@ impl Capture {
 }
 
 impl Truth {
-    /// Reads the file of the capture in `folder`.
+    /// Reads the truth file of the capture in `folder`.
     pub(super) fn read(folder: &Path) -> Result<Self, EvaluateError> {
         let path = folder.join(TRUTH_FILE);
         let text = read(&path)?;
@@ -145,7 +145,7 @@ impl Truth {
         }
     }
 
-    /// A transmitter that is further away than any card hears.
+    /// A transmitter beyond the reach of any card.
     fn far(&self) -> Option<&str> {
         let all = self.true_tx_positions.iter().flat_map(|places| &places.value);
         let is_far = |at: &Xy| !(at.x.abs() <= FURTHEST_M && at.y.abs() <= FURTHEST_M);
@@ -157,7 +157,7 @@ impl Truth {
         self.channel.as_ref().map(|channel| channel.value)
     }
 
-    /// Where a transmitter (`tx2`) is, metres.
+    /// The place of a transmitter (`tx2`), metres.
     pub(super) fn place(&self, transmitter: &str) -> Option<Vector2<f64>> {
         let pose = self.true_tx_positions.as_ref()?.value.get(transmitter)?;
         Some(Vector2::new(pose.position.x, pose.position.y))
@@ -169,7 +169,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_truth_that_is_none_is_refused() {
+    fn an_invalid_truth_file_is_refused() {
         let folder = std::env::temp_dir().join(format!("csi5300-truth-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let read = |text: &str| {
@@ -182,10 +182,10 @@ mod tests {
         assert_eq!(at("1e6").unwrap(), Some(Vector2::new(1e6, 2.0)));
         assert!(at("-1.1e6").unwrap_err().contains("tx1 is further"));
         assert!(at("1e308").is_err() && at("1e999").is_err());
-        // Its first MiB is a truth by itself.
+        // Its first MiB is a valid truth file by itself.
         let long = |bytes: u64| format!("{{}}{}", " ".repeat(bytes as usize - 2));
         let error = read(&long(LONGEST + 1)).unwrap_err();
-        assert!(error.contains("1048577 bytes; a file with the truth of a capture has 1048576 at most"), "{error}");
+        assert!(error.contains("1048577 bytes; a truth file has at most 1048576"), "{error}");
         assert!(read(&long(LONGEST)).is_ok() && read("{}").is_ok());
         std::fs::remove_dir_all(folder).unwrap();
     }

@@ -1,7 +1,7 @@
-//! MAT files of version 5, as MATLAB, Octave and `scipy.io.loadmat` read them: arrays of numbers, uncompressed.
+//! MAT files of version 5 for MATLAB, Octave and `scipy.io.loadmat`: arrays of numbers, uncompressed.
 //!
-//! Source: MathWorks, "MAT-File Format", level 5: a header of 128 bytes, then tagged elements, each padded to 8 bytes. Arrays
-//! are stored with the first index fastest.
+//! Source: MathWorks, "MAT-File Format", level 5: a header of 128 bytes, then tagged elements, each padded to 8 bytes. In an
+//! array the first index varies fastest.
 
 use super::ExportError;
 use super::npz::emit;
@@ -17,10 +17,10 @@ const MI_UINT32: u32 = 6;
 const MI_MATRIX: u32 = 14;
 /// Flag of an array with an imaginary part.
 const COMPLEX: u32 = 0x0800;
-/// The longest element: its length is an i32 to some readers.
+/// Longest element, bytes: some readers read its length as an i32.
 const LONGEST: u64 = i32::MAX as u64;
 
-/// A number that an array can hold: its array class (table 1-3), its element type, its bytes.
+/// A number type of arrays: its array class (table 1-3), its element type, its bytes.
 pub trait Number: Pod {
     /// The class of an array of it.
     const CLASS: u32;
@@ -59,7 +59,7 @@ impl Mat {
         for (place, byte) in header.iter_mut().zip(text) {
             *place = *byte;
         }
-        // No subsystem data; version 1.0; "MI" as a number, by which readers see the order of bytes.
+        // No subsystem data; version 1.0; "MI" as a number, which shows readers the byte order.
         let [version, order] = [0x0100_u16, 0x4D49].map(u16::to_ne_bytes);
         for (place, byte) in header.iter_mut().skip(116).zip([0; 8].into_iter().chain(version).chain(order)) {
             *place = byte;
@@ -68,10 +68,10 @@ impl Mat {
         Ok(Self { out, name })
     }
 
-    /// Adds an array; `dims` has its first index fastest, as the values come.
+    /// Adds an array; in `dims` and in the values the first index varies fastest.
     ///
     /// # Errors
-    /// If it cannot be written, is longer than the format holds, or has another number of values.
+    /// If it cannot be written, is too long for the format, or has the wrong number of values.
     pub fn array<T: Number>(
         &mut self,
         name: &str,
@@ -98,7 +98,7 @@ impl Mat {
         self.part(name, dims, im)
     }
 
-    /// Ends the file.
+    /// Finishes the file.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -155,7 +155,7 @@ impl Mat {
     }
 }
 
-/// Bytes with the padding behind them.
+/// Bytes including their padding.
 fn padded(bytes: u64) -> u64 {
     bytes.next_multiple_of(8)
 }
@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_its_elements() {
+    fn a_file_consists_of_its_elements() {
         let path = std::env::temp_dir().join(format!("csi5300-mat-{}.mat", std::process::id()));
         let mut mat = Mat::create(&path).unwrap();
         mat.array("a", &[3, 1], [1_u8, 2, 3].into_iter()).unwrap();

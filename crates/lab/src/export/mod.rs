@@ -1,6 +1,6 @@
-//! Logs as files for other programs: NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet
-//! (DuckDB, Polars, pandas, Spark). The log was read once, into a [`table`](crate::table); or only its columns were,
-//! and the CSI is read while it is written.
+//! Exports logs for other programs: NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet (DuckDB,
+//! Polars, pandas, Spark). The log is read once into a [`table`](crate::table); or only its columns are, and the CSI is read
+//! during writing.
 
 mod mat;
 pub mod npz;
@@ -21,21 +21,21 @@ pub use other_cards::CardFrames;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// What is written, for errors and help.
+/// The formats, for errors and help.
 #[cfg(feature = "parquet")]
 pub const KNOWN: &str = ".npz, .mat or .parquet";
-/// What is written, for errors and help.
+/// The formats, for errors and help.
 #[cfg(not(feature = "parquet"))]
 pub const KNOWN: &str = ".npz or .mat";
 
-/// True for a file whose extension names a format of [`KNOWN`].
+/// True for a file whose extension is one of [`KNOWN`].
 #[must_use]
 pub fn is_known(path: &Path) -> bool {
     let known: &[&str] = if cfg!(feature = "parquet") { &["npz", "mat", "parquet"] } else { &["npz", "mat"] };
     extension(path).is_some_and(|extension| known.contains(&extension.as_str()))
 }
 
-/// The extension in small letters.
+/// The extension in lower case.
 fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }
@@ -45,11 +45,11 @@ fn extension(path: &Path) -> Option<String> {
 enum Source<'a> {
     /// In memory, at these places.
     Arena { arena: &'a Arena, records: Vec<usize> },
-    /// In a log, where the column of offsets says.
+    /// In a log, at the offsets in the column.
     Log(&'a Path),
 }
 
-/// Records of a table on their way to a file.
+/// Records of a table to be exported.
 #[derive(Clone, Debug)]
 pub struct Export<'a> {
     source: Source<'a>,
@@ -61,16 +61,16 @@ pub struct Export<'a> {
 }
 
 impl<'a> Export<'a> {
-    /// The `records` of a table, by their places in the arena; `columns` has a value for each of them, in the same order. Rows
-    /// of CSI are antennas A, B and C, columns as many streams as a record has at most.
+    /// The `records` of a table, by their places in the arena; `columns` has a value for each, in the same order. Rows of CSI are
+    /// antennas A, B and C; columns are as many streams as any record has.
     #[must_use]
     pub fn new(arena: &'a Arena, records: Vec<usize>, columns: &'a Columns, form: Form) -> Self {
         Self::with_source(Source::Arena { arena, records }, columns, form)
     }
 
     /// The records of a log, a regular file, of which only the `columns` are in memory
-    /// ([`Reading::without_bodies`](crate::table::Reading::without_bodies)): their CSI is read from the log, on one thread, while it is
-    /// written. Otherwise as [`Export::new`].
+    /// ([`Reading::without_bodies`](crate::table::Reading::without_bodies)). Their CSI is read during writing, on one thread.
+    /// Otherwise as [`Export::new`].
     #[must_use]
     pub fn of_log(log: &'a Path, columns: &'a Columns, form: Form) -> Self {
         Self::with_source(Source::Log(log), columns, form)
@@ -89,7 +89,7 @@ impl<'a> Export<'a> {
         }
     }
 
-    /// With a flag that ends the writing early, once somebody sets it: [`ExportError::Stopped`].
+    /// With a flag that stops the writing once it is set: [`ExportError::Stopped`].
     #[must_use]
     pub fn with_stop(mut self, stop: &'a AtomicBool) -> Self {
         self.stop = Some(stop);
@@ -107,19 +107,19 @@ impl<'a> Export<'a> {
         self
     }
 
-    /// With this number of streams: further ones of a record are dropped, missing ones are NaN.
+    /// With this number of streams: further streams of a record are dropped, missing ones are NaN.
     #[must_use]
     pub fn with_streams(mut self, streams: usize) -> Self {
         self.streams = streams;
         self
     }
 
-    /// Writes a file in the format of its extension ([`KNOWN`]); replaces an existing one. Returns the number of
-    /// records without the requested scale: their CSI is NaN.
+    /// Writes a file in the format of its extension ([`KNOWN`]); replaces an existing one. Returns the number of records without
+    /// the requested scale: their CSI is NaN.
     ///
     /// # Errors
-    /// If there is no such format, the file cannot be written, the log cannot be read again or was changed, or that was stopped:
-    /// then it is not whole.
+    /// If the format is unknown, the file cannot be written, the log cannot be read again or has changed, or writing was stopped:
+    /// then the file is incomplete.
     pub fn write(&self, path: &Path) -> Result<u64, ExportError> {
         let written = match extension(path).as_deref() {
             Some("npz") => self.npz(path),
@@ -134,13 +134,13 @@ impl<'a> Export<'a> {
         written.map(|figures| if self.form.scaled { figures.unscaled() } else { 0 })
     }
 
-    /// Records whose antennas are not known: their rows are in the order of chains.
+    /// Records with unknown antennas: their rows are in the order of chains.
     #[must_use]
     pub fn without_antennas(&self) -> u64 {
         self.antennas_known().filter(|known| !known).count() as u64
     }
 
-    /// The subcarriers of the records' CSI; none where 20 and 40 MHz are mixed.
+    /// The subcarriers of the records' CSI; `None` if 20 and 40 MHz are mixed.
     fn subcarriers(&self) -> Option<[i8; SUBCARRIERS]> {
         let wide = self.columns.rate.iter().filter(|word| **word & rate::HT40 != 0).count();
         match wide {
@@ -157,7 +157,7 @@ impl<'a> Export<'a> {
         let bytes = shape.iter().product::<u64>() * size_of::<Complex32>() as u64 + n * BYTES;
         let mut npz = Npz::create_for(path, bytes)?;
         let written = npz.blocks("csi", &shape, |piece| walk.next(piece));
-        // Why there were too few values, if there were.
+        // An error here explains why there were too few values.
         let figures = walk.finish()?;
         written?;
         write_fields(self, &figures, &mut npz)?;
@@ -191,13 +191,13 @@ impl<'a> Export<'a> {
         ExportError::Log { file: path.display().to_string(), source }
     }
 
-    /// The antenna of each chain of a record is known.
+    /// True if the antenna of each chain of a record is known.
     fn antennas_known(&self) -> impl Iterator<Item = bool> {
         self.columns.antenna_order.chunks(3).map(|order| order.first().is_some_and(|first| *first != NO_ANTENNA))
     }
 }
 
-/// The pieces of a walk as vectors of their own.
+/// Splits a walk into separate vectors.
 fn vectors(walk: &mut Walk<'_>) -> impl Iterator<Item = Vec<Complex32>> {
     std::iter::from_fn(move || {
         let mut piece = Vec::new();
@@ -206,15 +206,15 @@ fn vectors(walk: &mut Walk<'_>) -> impl Iterator<Item = Vec<Complex32>> {
     })
 }
 
-// The way through the records of an export: once, piece by piece, each decoded into memory that the caller has.
+// The pass through the records of an export: once, piece by piece, each decoded into the caller's memory.
 
 /// Records decoded at a time on all cores.
 const PIECE: usize = 4_096;
-/// Bytes of CSI of a log decoded at a time: they stay in the second-level cache until they are written, and are many for one call of
-/// the kernel.
+/// Bytes of a log's CSI decoded at a time: few enough to stay in the second-level cache until they are written, many enough for
+/// one system call.
 const LOG_PIECE: usize = 512 * 1024;
 
-/// What is computed of each record, in the order of the records; not a number where it has none.
+/// Figures computed for each record, in order; NaN where a record has none.
 #[derive(Clone, Debug, Default)]
 struct Figures {
     /// Received power, dBm.
@@ -228,7 +228,7 @@ impl Figures {
         Self { rss_dbm: Vec::with_capacity(records), scale: Vec::with_capacity(records) }
     }
 
-    /// Adds a record's; `scale` is its factor, where it has one.
+    /// Adds a record's figures; `scale` is its factor, if it has one.
     fn push(&mut self, bfee: Option<&Bfee<'_>>, scale: Option<f64>) {
         self.rss_dbm.push(bfee.and_then(|bfee| total_rss_dbm(bfee).ok()).unwrap_or(f64::NAN));
         self.scale.push(scale.unwrap_or(f64::NAN));
@@ -240,7 +240,7 @@ impl Figures {
     }
 }
 
-/// A walk through all records of an export.
+/// A pass through all records of an export.
 struct Walk<'a> {
     export: &'a Export<'a>,
     order: Order,
@@ -252,7 +252,7 @@ struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    /// Before the first record; CSI in this order.
+    /// Starts before the first record, with CSI in this order.
     ///
     /// # Errors
     /// If the records are in a log that cannot be opened.
@@ -269,8 +269,8 @@ impl<'a> Walk<'a> {
         Ok(Self { export, order, rows, log, done: 0, figures, failure: None })
     }
 
-    /// Replaces the vector's content by the CSI of the next records; empty after the last record, once the export was
-    /// stopped, or when the log cannot be read further ([`Walk::finish`] reports it).
+    /// Replaces the vector's content with the CSI of the next records. It is empty after the last record, once the export was
+    /// stopped, or if the log cannot be read further ([`Walk::finish`] reports it).
     pub fn next(&mut self, csi: &mut Vec<Complex32>) {
         let log_piece = (LOG_PIECE / (size_of::<Complex32>() * self.rows.len().max(1))).max(1);
         let size = if self.log.is_some() { log_piece } else { PIECE };
@@ -295,7 +295,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Reads and decodes the records from the one numbered `from` to those that are done.
+    /// Reads and decodes the records after the decoded ones, starting with number `from`.
     fn read(&mut self, path: &Path, from: usize, csi: &mut [Complex32]) -> Result<(), ExportError> {
         let Some((log, decoder)) = &mut self.log else { return Ok(()) };
         let offsets = self.export.columns.offset.get(from..self.done).unwrap_or_default();
@@ -321,15 +321,15 @@ impl<'a> Walk<'a> {
     /// The figures of all records.
     ///
     /// # Errors
-    /// If the log could not be read to its end, or was changed after its columns were read.
+    /// If the log could not be read to its end, or changed after its columns were read.
     pub fn finish(self) -> Result<Figures, ExportError> {
         self.failure.map_or(Ok(self.figures), Err)
     }
 }
 
-// The fields of records beside their CSI, as arrays of their own types.
+// The fields of records besides their CSI, as arrays of their own types.
 
-/// A file that takes arrays of `count` times `width` values, the values of one record beside each other.
+/// A file for arrays of `count` times `width` values, where each record's values are adjacent.
 trait Target {
     /// Adds an array.
     ///
@@ -358,7 +358,7 @@ impl Target for Npz {
 }
 
 impl Target for Mat {
-    /// With the records last, as the order of MATLAB's indices has them.
+    /// With the records last, as MATLAB orders indices.
     fn put<T: Element + Number>(
         &mut self,
         name: &str,
@@ -370,7 +370,7 @@ impl Target for Mat {
     }
 }
 
-/// Bytes that [`write`] writes of each record.
+/// Bytes that [`write`] writes for each record.
 const BYTES: u64 = 79;
 
 /// Writes all fields.
@@ -410,7 +410,7 @@ fn write_fields(export: &Export<'_>, figures: &Figures, file: &mut impl Target) 
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
-    /// The operating system said no.
+    /// The operating system refused.
     #[error("cannot write {file}: {source}")]
     Io {
         /// The file.
@@ -426,15 +426,15 @@ pub enum ExportError {
         /// The operating system's answer.
         source: std::io::Error,
     },
-    /// A record of the log is not where it was when the log was read first.
+    /// A record of the log is no longer at its offset.
     #[error("{file} was changed while it was exported: the record at byte {offset} is gone; export a copy of it")]
     Changed {
         /// The log.
         file: String,
-        /// Where the record was, bytes.
+        /// Its offset, bytes.
         offset: u64,
     },
-    /// The library that writes the format refused.
+    /// The library for the format failed.
     #[error("writing {file}: {source}")]
     Format {
         /// The file.
@@ -442,7 +442,7 @@ pub enum ExportError {
         /// Its answer.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// An array has another number of values than its shape.
+    /// The number of an array's values does not match its shape.
     #[error("{array} in {file}: {got} values for {expect} places")]
     Values {
         /// The file.
@@ -454,9 +454,9 @@ pub enum ExportError {
         /// Places.
         expect: u64,
     },
-    /// An array is longer than the format holds.
+    /// An array is too long for the format.
     #[error(
-        "{array} in {file} takes {bytes} bytes, and arrays of this format 2^31 at most: export a part, or as .npz or .parquet"
+        "{array} in {file} takes {bytes} bytes, but arrays of this format have at most 2^31: export a part, or as .npz or .parquet"
     )]
     TooLong {
         /// The file.
@@ -472,18 +472,18 @@ pub enum ExportError {
         /// The file.
         file: String,
     },
-    /// No format has this extension.
-    #[error("{file}: CSI is exported as {known}")]
+    /// Unknown extension.
+    #[error("{file}: unknown extension, CSI is exported as {known}")]
     Extension {
         /// The file.
         file: String,
-        /// What is written.
+        /// The known formats.
         known: &'static str,
     },
 }
 
 impl ExportError {
-    /// The same of a file that will have another name: who writes a draft names the file that it becomes.
+    /// The same error for the file's final name: drafts are written under another one.
     #[must_use]
     pub fn of_file(mut self, name: &std::path::Path) -> Self {
         match &mut self {
@@ -493,7 +493,7 @@ impl ExportError {
             | Self::TooLong { file, .. }
             | Self::Stopped { file }
             | Self::Extension { file, .. } => *file = name.display().to_string(),
-            // Of the log that is read.
+            // The error concerns the log that is read.
             Self::Log { .. } | Self::Changed { .. } => {}
         }
         self

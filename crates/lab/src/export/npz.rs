@@ -1,4 +1,4 @@
-//! NPZ files, as NumPy reads them: a ZIP archive of NPY arrays, stored as they are (CSI hardly compresses).
+//! NPZ files for NumPy: a ZIP archive of uncompressed NPY arrays (CSI hardly compresses).
 //!
 //! Source: NumPy Enhancement Proposal 1 (format 1.0), `numpy.savez`.
 
@@ -11,7 +11,7 @@ use std::path::Path;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-/// A value that an array can hold; its bytes are those of memory.
+/// A value type of arrays, stored as in memory.
 pub trait Element: Pod {
     /// Its dtype as NumPy describes it, without the byte order: kind, bytes.
     const DESCR: &str;
@@ -27,8 +27,8 @@ macro_rules! elements {
 
 elements!(u8: "u1", i8: "i1", u16: "u2", u32: "u4", i64: "i8", f64: "f8", Complex32: "c8");
 
-/// A file that takes nothing any more once it has refused something. What is written to it then seems to succeed: the writer of
-/// the archive, which finishes it when it is dropped, would say on standard error that it cannot.
+/// A file that refuses all writes after its first error, but reports success: dropping the archive's writer finishes the file,
+/// and an error there would be printed to standard error.
 struct Disk {
     file: File,
     /// Its intended position in the file, and its end.
@@ -43,7 +43,7 @@ impl Disk {
         Self { file, at: 0, end: 0, refused: None }
     }
 
-    /// Notes what the file refuses.
+    /// Keeps the file's first error.
     fn note<T>(&mut self, said: io::Result<T>) -> io::Result<T> {
         let refused = said.as_ref().err().map(io::Error::kind);
         self.refused = refused.filter(|kind| *kind != io::ErrorKind::Interrupted);
@@ -86,7 +86,7 @@ impl Seek for Disk {
     }
 }
 
-/// An NPZ file being written. Dropped early, it is left without its directory, and readers refuse it.
+/// An NPZ file being written. If it is dropped early it has no directory, and readers refuse it.
 pub struct Npz {
     writer: ZipWriter<Disk>,
     name: String,
@@ -101,7 +101,7 @@ impl Npz {
         Self::create_for(path, 0)
     }
 
-    /// The same for at least so many bytes, which the file system sets aside where it can: writing costs it a third less then. The
+    /// The same for at least this many bytes, which the file system allocates if it can: writing then takes a third less time. The
     /// file itself grows as it is written.
     pub(super) fn create_for(path: &Path, bytes: u64) -> Result<Self, ExportError> {
         let name = path.display().to_string();
@@ -118,7 +118,7 @@ impl Npz {
     /// Adds an array of the given shape, last index fastest.
     ///
     /// # Errors
-    /// If it cannot be written, or has another number of values than its shape.
+    /// If it cannot be written, or the number of values does not match the shape.
     pub fn array<T: Element>(
         &mut self,
         name: &str,
@@ -128,8 +128,7 @@ impl Npz {
         self.add::<T>(name, shape, |out| emit(values, out))
     }
 
-    /// Adds an array whose values are handed over block by block: `next` puts the next values in the place of those in the block,
-    /// and none at the end.
+    /// Adds an array block by block: `next` replaces the block's content with the next values, and leaves it empty at the end.
     ///
     /// # Errors
     /// As [`Npz::array`].
@@ -142,7 +141,7 @@ impl Npz {
         self.add::<T>(name, shape, |out| emit_blocks(next, out))
     }
 
-    /// Adds an array that `write` writes, which says how many values it had.
+    /// Adds an array that `write` writes and whose number of values it returns.
     fn add<T: Element>(
         &mut self,
         name: &str,
@@ -150,7 +149,7 @@ impl Npz {
         write: impl FnOnce(&mut ZipWriter<Disk>) -> io::Result<u64>,
     ) -> Result<(), ExportError> {
         let io = |source| ExportError::Io { file: self.name.clone(), source };
-        // Room for sizes over 4 GiB: an array's size is known only at its end.
+        // Room for sizes over 4 GiB: an array's size is only known at its end.
         let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
         let started = self.writer.start_file(format!("{name}.npy"), options);
         started.map_err(|source| ExportError::Format { file: self.name.clone(), source: source.into() })?;
@@ -197,10 +196,10 @@ fn header<T: Element>(shape: &[u64]) -> Vec<u8> {
     header
 }
 
-/// Bytes written at a time: many for one call of the kernel, few enough to stay in the second-level cache.
+/// Bytes written at a time: enough for one system call, few enough to stay in the second-level cache.
 const BLOCK: usize = 256 * 1024;
 
-/// Writes values as they lie in memory; gives how many there were.
+/// Writes values as they are in memory; returns their number.
 ///
 /// # Errors
 /// As the writer.
@@ -212,8 +211,7 @@ pub(super) fn emit<T: Pod>(mut values: impl Iterator<Item = T>, out: &mut impl W
     emit_blocks(next, out)
 }
 
-/// The same of values that are handed over block by block: `next` puts the next values in the place of those in the block, and none
-/// at the end.
+/// The same block by block: `next` replaces the block's content with the next values, and leaves it empty at the end.
 ///
 /// # Errors
 /// As the writer.
@@ -233,21 +231,21 @@ pub(super) fn emit_blocks<T: Pod>(mut next: impl FnMut(&mut Vec<T>), out: &mut i
 mod tests {
     use super::*;
 
-    /// A file in which nothing can be written is a disk without room: `/dev/full` does not tell where in it one is.
+    /// A file that refuses all writes stands for a full disk: `/dev/full` does not show the position of a write.
     #[test]
-    fn a_disk_that_refused_once_is_not_asked_again_and_the_refusal_is_not_forgotten() {
+    fn after_a_failed_write_nothing_is_written_and_the_error_is_kept() {
         let path = std::env::temp_dir().join(format!("csi5300-refused-{}.npz", std::process::id()));
         std::fs::write(&path, b"").unwrap();
         let mut disk = Disk::new(File::open(&path).unwrap());
         assert!(disk.write(b"x").is_err());
         assert!(disk.refused.is_some());
         assert!(disk.write(b"more").is_ok_and(|count| count == 4) && disk.flush().is_ok());
-        // It goes on where it would be.
+        // The position advances as if the write had succeeded.
         assert_eq!(disk.seek(SeekFrom::Current(-3)).unwrap(), 1);
         assert_eq!((disk.seek(SeekFrom::End(1)).unwrap(), disk.seek(SeekFrom::Start(2)).unwrap()), (5, 2));
         let name = path.display().to_string();
         let refusing = || ZipWriter::new(Disk::new(File::open(&path).unwrap()));
-        // The first array is refused; what comes after is not a success.
+        // The first array is refused; later writes must not succeed.
         let mut npz = Npz { writer: refusing(), name: name.clone() };
         assert!(npz.array("a", &[1], [1_u8].into_iter()).is_err());
         assert!(matches!(npz.finish(), Err(ExportError::Io { .. } | ExportError::Format { .. })));

@@ -1,4 +1,4 @@
-//! Frames of cards other than the 5300 as arrays: all subcarriers of the frames that have one shape.
+//! Exports frames of cards other than the 5300 as arrays: all subcarriers of the frames of one shape.
 
 use super::mat::Mat;
 use super::npz::Npz;
@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
 
-/// What frames of one array share.
+/// What the frames of one array share.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Shape {
     n_rx: usize,
@@ -30,20 +30,20 @@ impl Shape {
 pub struct CardFrames {
     /// The kind of log.
     pub format: Format,
-    /// Frames of the shape that most of the log's frames have.
+    /// Frames of the most frequent shape in the log.
     pub frames: Vec<Frame>,
-    /// Seconds from the log's first frame by the card's clock, else by the host's; not a number where neither is known.
+    /// Seconds from the log's first frame by the card's clock, else by the host's; NaN if neither is known.
     pub time_s: Vec<f64>,
     /// Skipped frames of other shapes.
     pub other_shapes: u64,
-    /// Frames that the caller did not ask for.
+    /// Frames that the caller did not request.
     pub left_out: u64,
-    /// Stretches of the log that are damaged.
+    /// Damaged stretches of the log.
     pub damaged: u64,
 }
 
 impl CardFrames {
-    /// The frames of a log for which `keeps` is true, given each frame's seconds from the log's first.
+    /// The frames of a log for which `keeps` is true; it gets each frame's seconds from the log's first.
     pub fn read(format: Format, bytes: &[u8], mut keeps: impl FnMut(&Frame, f64) -> bool) -> Self {
         let (mut all, mut left_out, mut damaged) = (Vec::new(), 0, 0);
         let mut time = Time::default();
@@ -78,7 +78,7 @@ impl CardFrames {
         self.frames.first().map_or([0; 3], |frame| [frame.n_rx, frame.n_tx, frame.subcarriers.len()])
     }
 
-    /// CSI `[frame][rx][tx][subcarrier]` in units of the card; not a number where the card measured nothing (pilots, the centre).
+    /// CSI `[frame][rx][tx][subcarrier]` in units of the card; NaN where the card measured nothing (pilots, the centre).
     pub fn csi(&self) -> impl Iterator<Item = Complex32> {
         self.frames.iter().flat_map(|frame| {
             let measured = frame.measured.iter().cycle();
@@ -90,7 +90,7 @@ impl CardFrames {
         })
     }
 
-    /// Index of each subcarrier relative to the channel's centre, in units of its spacing.
+    /// Index of each subcarrier relative to the channel's centre, in units of the spacing.
     #[must_use]
     pub fn subcarriers(&self) -> &[i16] {
         self.frames.first().map_or(&[], |frame| &frame.subcarriers)
@@ -104,7 +104,7 @@ impl CardFrames {
         })
     }
 
-    /// A whole number of each frame; -1 where it is not known.
+    /// An integer per frame; -1 if unknown.
     pub fn whole<'a>(&'a self, of: impl Fn(&Frame) -> Option<i64> + 'a) -> impl Iterator<Item = i64> + 'a {
         self.frames.iter().map(move |frame| of(frame).unwrap_or(-1))
     }
@@ -117,7 +117,7 @@ impl CardFrames {
     /// Writes `.npz`, `.mat` or `.csv`.
     ///
     /// # Errors
-    /// [`ExportError`]; [`ExportError::Extension`] for another ending.
+    /// [`ExportError`]; [`ExportError::Extension`] for another extension.
     pub fn write(&self, path: &Path) -> Result<(), ExportError> {
         let [n_rx, n_tx, n_sub] = self.shape().map(|len| len as u64);
         let n = self.frames.len() as u64;
@@ -212,7 +212,7 @@ fn chain(rx: usize) -> char {
     char::from(b'a' + (rx % 26) as u8)
 }
 
-/// All places of a frame's CSI, in the order of [`Frame::csi`].
+/// All positions of a frame's CSI, in the order of [`Frame::csi`].
 fn places(n_rx: usize, n_tx: usize, subcarriers: &[i16]) -> impl Iterator<Item = (usize, usize, i16)> {
     (0..n_rx).flat_map(move |rx| (0..n_tx).flat_map(move |tx| subcarriers.iter().map(move |index| (rx, tx, *index))))
 }
@@ -238,7 +238,7 @@ mod tests {
     use super::*;
     use csi_formats::{Kind, Tones, feitcsi};
 
-    /// A log of AX200 frames, 1 ms apart by the card's clock, of which every third is of another width.
+    /// A log of AX200 frames, 1 ms apart by the card's clock; every third has another width.
     fn log() -> Vec<u8> {
         let mut bytes = Vec::new();
         for k in 0..9_u32 {
@@ -254,7 +254,7 @@ mod tests {
                 mcs: 0,
                 rssi_dbm: [-40, -50],
                 sender: [2, 0, 0, 0, 0, (k % 2) as u8],
-                // It wraps meanwhile.
+                // The clock wraps in between.
                 clock_us: (u32::MAX - 3_500).wrapping_add(1_000 * k),
             };
             let csi: Vec<[i16; 2]> = (0..2 * tones).map(|at| [at as i16, k as i16]).collect();
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_the_usual_shape_are_arrays() {
+    fn frames_of_the_most_frequent_shape_become_arrays() {
         let bytes = log();
         let read = CardFrames::read(Format::FeitCsi, &bytes, |_, _| true);
         assert_eq!((read.frames.len(), read.other_shapes, read.left_out, read.damaged), (6, 3, 0, 0));
@@ -274,7 +274,7 @@ mod tests {
         assert_eq!((n_rx, n_tx, n), (2, 1, read.subcarriers().len()));
         let csi: Vec<Complex32> = read.csi().collect();
         assert_eq!(csi.len(), 6 * n_rx * n_tx * n);
-        // The second chain of the third frame of this shape, by what was written.
+        // The second chain of the third frame of this shape, computed as it was written.
         let (frame, chain, at) = (2, 1, 5);
         assert!(read.frames[0].measured[at]);
         assert_eq!(csi[(frame * n_rx + chain) * n + at], Complex32::new((n + at) as f32, 3.0));

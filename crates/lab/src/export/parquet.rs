@@ -1,4 +1,4 @@
-//! Parquet: a row a record, CSI as fixed-size lists, units in the schema's metadata.
+//! Parquet: one row per record, CSI as fixed-size lists, units in the schema's metadata.
 
 use super::{Export, ExportError, Figures, Walk};
 use crate::table::{NO_TIME, Order};
@@ -39,7 +39,7 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
         .set_compression(Compression::SNAPPY)
         .set_max_row_group_row_count(Some(GROUP))
         .set_created_by("csi5300".into())
-        // Arrow's readers find the facts in the schema, others here.
+        // Arrow's readers find the metadata in the schema, others here.
         .set_key_value_metadata(Some(facts(export).into_iter().map(|(name, fact)| KeyValue::new(name, fact)).collect()))
         .build();
     let none = batch(export, &Figures::default(), 0, &[])?;
@@ -62,7 +62,7 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
     Ok(figures)
 }
 
-/// What holds for the whole file.
+/// Metadata of the whole file.
 fn facts(export: &Export<'_>) -> HashMap<String, String> {
     let letters: String = export.antennas.iter().map(Antenna::to_string).collect();
     let subcarriers = export.subcarriers().map(|indices| indices.map(|index| index.to_string()).join(","));
@@ -93,12 +93,12 @@ fn numbers<T: ArrowPrimitiveType>(name: &str, unit: &str, values: impl Iterator<
     column(name, unit, false, Arc::new(PrimitiveArray::<T>::from_iter_values(values)))
 }
 
-/// The part of a column with `width` values a record.
+/// The part of a column with `width` values per record.
 fn of<T: Copy>(values: &[T], part: &Range<usize>, width: usize) -> impl Iterator<Item = T> {
     values.get(width * part.start..width * part.end).unwrap_or_default().iter().copied()
 }
 
-/// The records from `first` on whose CSI is given.
+/// The records from `first` on, as many as there is CSI.
 fn batch(export: &Export<'_>, figures: &Figures, first: usize, csi: &[Complex32]) -> Result<Vec<Column>, ExportError> {
     const RSSI: &str = "dB above the card's reference, 0: nothing heard";
     let size = export.antennas.len() * export.streams * SUBCARRIERS;
@@ -126,7 +126,7 @@ fn batch(export: &Export<'_>, figures: &Figures, first: usize, csi: &[Complex32]
     Ok(columns)
 }
 
-/// The columns that are null where a record does not say.
+/// The columns that may be null.
 fn maybe(export: &Export<'_>, figures: &Figures, part: &Range<usize>) -> [Column; 6] {
     let all = export.columns;
     let noise = of(&all.noise_dbm, part, 1).map(|dbm| Some(dbm).filter(|dbm| *dbm != NOISE_UNKNOWN_DBM));
@@ -150,7 +150,7 @@ fn maybe(export: &Export<'_>, figures: &Figures, part: &Range<usize>) -> [Column
     ]
 }
 
-/// One part of the CSI: the card's integers as such, scaled CSI as floats; null where a record has none.
+/// One part of the CSI: the card's integers, or scaled CSI as floats; null where a record has none.
 fn lists(
     export: &Export<'_>,
     name: &str,

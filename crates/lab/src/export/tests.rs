@@ -1,5 +1,5 @@
-//! Exports that are stopped, and those of logs that are read again; what whole ones hold is compared by their readers
-//! (python/tests/test_export.py).
+//! Stopped exports, and exports that read the log again; python/tests/test_export.py compares the content of complete ones with
+//! what other readers find.
 
 use super::{Export, ExportError};
 use crate::table::{Arena, Columns, Filter, Form, Reading};
@@ -45,7 +45,7 @@ impl Drop for Temporary {
     }
 }
 
-/// The fixture many times over, longer than what is read at once, with noise between and frames of other records before some.
+/// The fixture repeated many times, longer than one read, with noise in between and other records' frames before some.
 fn long_log() -> Temporary {
     let once = std::fs::read(fixture()).unwrap();
     let mut log = Vec::new();
@@ -78,7 +78,7 @@ fn an_export_that_is_stopped_says_so() {
 }
 
 #[test]
-fn an_extension_may_be_in_capitals_and_streams_more_than_there_are() {
+fn an_extension_may_be_upper_case_and_streams_may_exceed_the_logs() {
     let (arena, columns) = table(&fixture(), Filter::default());
     let export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default());
     let (small, large, wide) = (Temporary::new("log.npz"), Temporary::new("LOG.NPZ"), Temporary::new("wide.npz"));
@@ -92,7 +92,7 @@ fn an_extension_may_be_in_capitals_and_streams_more_than_there_are() {
 }
 
 #[test]
-fn a_log_that_is_read_again_gives_the_same_file_as_one_in_memory() {
+fn exporting_from_disk_and_from_memory_gives_the_same_file() {
     let log = long_log();
     let part = || Filter::default().with_time(Some(0.4), Some(0.9)).unwrap();
     for (number, filter) in [Filter::default(), part()].into_iter().enumerate() {
@@ -115,27 +115,27 @@ fn a_log_that_is_read_again_gives_the_same_file_as_one_in_memory() {
     }
 }
 
-/// What the file system sets aside for an archive is all of it but for its headers: nothing is left over at its end.
+/// The size reserved for an archive is its size without headers: no reserved space is left over.
 #[test]
-fn an_archive_is_its_records_and_headers() {
+fn an_archive_has_no_unused_reserved_space() {
     let log = long_log();
     let columns = columns(&log.0, Filter::default());
     let out = Temporary::new("whole.npz");
     Export::of_log(&log.0, &columns, Form::default()).write(&out.0).unwrap();
     let records = columns.len() as u64 * (3 * 30 * 8 + super::BYTES);
     let headers = std::fs::metadata(&out.0).unwrap().len() - records;
-    // 22 or 23 arrays, each with an NPY header of 128 bytes and its name and sizes in the archive, twice.
+    // 22 or 23 arrays, each with an NPY header of 128 bytes and, twice in the archive, its name and sizes.
     assert!((22 * 200..23 * 500).contains(&headers), "{headers}");
 }
 
 #[test]
-fn a_log_that_changes_meanwhile_is_an_error_with_its_place() {
+fn a_log_that_changes_during_export_is_an_error_with_its_offset() {
     let log = long_log();
     let columns = columns(&log.0, Filter::default());
     let out = Temporary::new("changed.npz");
     let export = Export::of_log(&log.0, &columns, Form::default());
     let bytes = std::fs::read(&log.0).unwrap();
-    // Cut inside the last record; then a record in the middle overwritten.
+    // Cut inside the last record; then a record in the middle is overwritten.
     let last = u64::try_from(*columns.offset.last().unwrap()).unwrap();
     std::fs::write(&log.0, &bytes[..last as usize + 9]).unwrap();
     assert!(matches!(export.write(&out.0), Err(ExportError::Changed { offset, .. }) if offset == last));

@@ -1,4 +1,4 @@
-//! Axes: data to pixels, grids, ticks and their names.
+//! Axes: data to pixels, grids, ticks and labels.
 use super::canvas::{BLACK, Canvas, FONT, PALE};
 use kuva::render::render::TextAnchor;
 
@@ -13,7 +13,7 @@ pub(super) struct Axes {
     pub y: (f64, f64),
     pub log_x: bool,
     pub log_y: bool,
-    /// Ticks of y in place of the round ones.
+    /// Ticks of y instead of the round ones.
     pub y_ticks: Option<Vec<(f64, String)>>,
     pub x_ticks: Option<Vec<(f64, String)>>,
 }
@@ -34,7 +34,7 @@ impl Axes {
         (self.left + u * self.width, self.top + (1.0 - v) * self.height)
     }
 
-    /// Widens one range so that a metre is as long in x as in y.
+    /// Widens one range so that a metre is equally long in x and y.
     pub(super) fn equal_aspect(mut self) -> Self {
         let per_px = ((self.x.1 - self.x.0) / self.width).max((self.y.1 - self.y.0) / self.height);
         let widen = |r: (f64, f64), px: f64| ((r.0 + r.1 - px * per_px) / 2.0, (r.0 + r.1 + px * per_px) / 2.0);
@@ -42,7 +42,7 @@ impl Axes {
         self
     }
 
-    /// Grid, frame, ticks and axis labels; drawn first, under the data.
+    /// Grid, frame, ticks and axis labels; drawn first, below the data.
     pub(super) fn draw(&self, canvas: &mut Canvas, x_label: &str, y_label: &str) {
         let (right, bottom) = (self.left + self.width, self.top + self.height);
         let x_ticks = self.x_ticks.clone().unwrap_or_else(|| ticks(self.x, self.log_x, (self.width / 110.0) as usize));
@@ -64,20 +64,20 @@ impl Axes {
             canvas.line(*from, *to, BLACK, 1.5, false);
         }
         self.under(canvas, x_label, 0.0);
-        // Flat, above the axis: kuva smears letters that it turns.
+        // Horizontal, above the axis: kuva smears rotated letters.
         canvas.text(((self.left - 82.0).max(20.0), self.top - 11.0), y_label, FONT - 2, TextAnchor::Start, BLACK);
     }
 }
 
 impl Axes {
-    /// The name of x, lowered by this many pixels.
+    /// The label of x, lowered by this many pixels.
     pub(super) fn under(&self, canvas: &mut Canvas, x_label: &str, further: f64) {
         let at = (self.left + self.width / 2.0, self.top + self.height + 64.0 + further);
         canvas.text(at, x_label, FONT, TextAnchor::Middle, BLACK);
     }
 }
 
-/// Round tick values inside `range`, about `n` of them, with their names.
+/// About `n` round tick values inside `range`, with their labels.
 fn ticks(range: (f64, f64), log: bool, n: usize) -> Vec<(f64, String)> {
     let inside = |v: f64| v >= range.0 * (1.0 - 1e-9) && v <= range.1 * (1.0 + 1e-9);
     if log {
@@ -89,7 +89,7 @@ fn ticks(range: (f64, f64), log: bool, n: usize) -> Vec<(f64, String)> {
         if round.len() > 1 {
             return round;
         }
-        // A part of a decade: even steps, as on a linear axis.
+        // Less than a decade: even steps, as on a linear axis.
     }
     let rough = (range.1 - range.0) / n.max(2) as f64;
     let decade = 10f64.powf(rough.log10().floor());
@@ -104,7 +104,7 @@ fn log_name(v: f64) -> String {
     if (1e-4..1e6).contains(&v) { format!("{}", (v * 1e6).round() / 1e6) } else { format!("{v:.0e}") }
 }
 
-/// Smallest and largest finite value, never of zero width; `pad` is the share added on both sides.
+/// Smallest and largest finite value, never equal; `pad` is the share added on both sides.
 pub(super) fn extent(values: impl Iterator<Item = f64>, pad: f64) -> Option<(f64, f64)> {
     let seen = values
         .filter(|v| v.is_finite())
@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_axis_has_two_ticks_and_more_inside_of_its_range() {
+    fn every_axis_has_at_least_two_ticks_in_its_range() {
         let ranges = [(0.29, 0.43), (1.01, 1.99), (0.03, 40.0), (1e-9, 1e3), (2.1, 4.9)];
         for (range, log) in ranges.iter().flat_map(|range| [(*range, false), (*range, true)]) {
             let found = ticks(range, log, 8);

@@ -24,7 +24,7 @@ pub(super) const SERIES: [Rgb; 6] = [BLUE, RED, GREEN, PURPLE, ORANGE, SKY];
 pub(super) const WIDTH: f64 = 1200.0;
 pub(super) const FONT: u32 = 22;
 
-/// The colour of series `i`, round again after six.
+/// The colour of series `i`; they repeat after six.
 pub(super) fn series_colour(i: usize) -> Rgb {
     SERIES.get(i % SERIES.len()).copied().unwrap_or(BLACK)
 }
@@ -41,7 +41,7 @@ pub(super) enum Key {
 
 pub(super) struct Canvas(Scene);
 
-/// Points from which on [`Canvas::cloud`] bins, and the size of a bin, pixels.
+/// Number of points from which [`Canvas::cloud`] uses bins, and the size of a bin, pixels.
 const BINNED_FROM: usize = 4_000;
 const BIN_PX: f64 = 3.0;
 
@@ -58,13 +58,13 @@ impl Canvas {
         let mut scene = Scene::new(width, height);
         scene.font_family = Some("DejaVu Sans, Verdana, sans-serif".into());
         let mut canvas = Self(scene);
-        // A letter is 0.6 of its size wide.
+        // A character is 0.6 of its size wide.
         let size = (width - 20.0) / (0.6 * title.chars().count().max(1) as f64);
         canvas.text((width / 2.0, 42.0), title, size.clamp(14.0, 28.0) as u32, TextAnchor::Middle, BLACK);
         canvas
     }
 
-    /// Makes it at least so high.
+    /// Makes it at least this high.
     pub(super) fn grow_to(&mut self, height: f64) {
         self.0.height = self.0.height.max(height);
     }
@@ -140,15 +140,15 @@ impl Canvas {
     }
 
     pub(super) fn text(&mut self, at: (f64, f64), content: &str, size: u32, anchor: TextAnchor, c: Rgb) {
-        // A dollar sign opens a formula in kuva.
+        // A dollar sign starts a formula in kuva.
         let (content, color) = (content.replace('$', "\\$"), Some(colour(c)));
         let rotate = None;
         self.0.elements.push(Primitive::Text { x: at.0, y: at.1, content, size, anchor, rotate, bold: false, color });
     }
 
-    /// Text on a white ground, readable where lines pass below.
+    /// Text on a white background, readable over lines.
     pub(super) fn backed_text(&mut self, at: (f64, f64), content: &str, size: u32, anchor: TextAnchor) {
-        // Words in DejaVu Sans are about 0.53 em wide per letter, digits 0.64.
+        // DejaVu Sans: words are about 0.53 em wide per letter, digits 0.64.
         let letter = |c: char| if c.is_ascii_digit() || c.is_uppercase() { 0.64 } else { 0.53 };
         let width = f64::from(size) * content.chars().map(letter).sum::<f64>();
         let x = match anchor {
@@ -162,7 +162,7 @@ impl Canvas {
         self.text(at, content, size, anchor, BLACK);
     }
 
-    /// Legend rows centred below `y`, outside of the axes; returns the height used.
+    /// Legend rows centred below `y`, outside the axes; returns their height.
     pub(super) fn legend(&mut self, y: f64, entries: &[(Key, Rgb, String)]) -> f64 {
         let width = |e: &(Key, Rgb, String)| 80.0 + 12.5 * e.2.chars().count() as f64;
         let mut rows: Vec<Vec<&(Key, Rgb, String)>> = vec![vec![]];
@@ -198,8 +198,8 @@ impl Canvas {
         32.0 * rows.len() as f64
     }
 
-    /// Points of `series` as dots, or, where they are too many to be seen one by one, as cells of one pixel grid that are
-    /// the darker the more points they hold: on [`BINNED_FROM`] points and more.
+    /// Points of `series` as dots; from [`BINNED_FROM`] points on, as cells of one pixel grid that are darker the more points they
+    /// hold.
     pub(super) fn cloud(&mut self, a: &Axes, points: &[(f64, f64)], r: f64, c: Rgb, opacity: f64) {
         if points.len() < BINNED_FROM {
             self.dots(points, r, c, opacity);
@@ -223,10 +223,10 @@ impl Canvas {
         self.cells(cells);
     }
 
-    /// Draws with everything that leaves the axes cut off.
+    /// Draws, and clips what leaves the axes.
     pub(super) fn clipped(&mut self, a: &Axes, draw: impl FnOnce(&mut Self)) {
         let id = format!("clip{}", self.0.elements.len());
-        // In SVG the region is defined apart from its use.
+        // SVG defines the region separately from its use.
         let (x, y, width, height) = (a.left, a.top, a.width, a.height);
         let rect = format!("<rect x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"/>");
         self.0.defs.push(format!("<clipPath id=\"{id}\">{rect}</clipPath>"));

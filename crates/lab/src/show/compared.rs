@@ -1,12 +1,12 @@
-//! A recording and a simulation beside each other.
+//! A recording and a simulation side by side.
 
 use super::link::track;
 use super::{CdfPlot, Error, Format, PhasePlot, PhaseTrack};
 use crate::compare::Figures;
 use std::path::{Path, PathBuf};
 
-/// Writes the pictures of two captures beside each other into a folder: `compare-phase` (the round trip's phase before
-/// and after turn-around compensation) and `compare-turn-around` (how far answers are from their usual time).
+/// Writes the pictures of two captures side by side into a folder: `compare-phase` (the round trip's phase before and after
+/// turn-around compensation) and `compare-turn-around` (deviation of answers from their usual time).
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
@@ -35,7 +35,7 @@ pub fn write(recorded: &Figures, simulated: &Figures, folder: &Path, format: &Fo
     Ok(written)
 }
 
-/// What the two pictures are called, without their endings.
+/// Names of the two pictures, without extensions.
 #[must_use]
 pub fn stems(folder: &Path) -> [PathBuf; 2] {
     ["compare-phase", "compare-turn-around"].map(|name| folder.join(name))

@@ -12,17 +12,17 @@ pub struct CdfPlot {
     pub title: String,
     /// Quantity and unit, for example "bearing error (degrees)".
     pub x_label: String,
-    /// Name and errors of each series, any order. Magnitudes are drawn; an exact zero stands at the left edge.
+    /// Name and errors of each series, in any order. Magnitudes are drawn; an exact zero is at the left edge.
     pub series: Vec<(String, Vec<f64>)>,
     /// Name and known points (error, share) of others' distributions, dashed, in the colours of the series in their order.
     pub known: Vec<(String, Vec<(f64, f64)>)>,
 }
 
-/// Points of a known distribution that are drawn as such, at most: more are its stairs.
+/// A known distribution with at most this many points is drawn as points, a longer one as steps.
 const FEW: usize = 2;
 
 impl CdfPlot {
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let sizes = |v: &[f64]| {
             let mut sizes: Vec<f64> = v.iter().map(|x| x.abs()).filter(|x| x.is_finite()).collect();
@@ -30,7 +30,7 @@ impl CdfPlot {
             sizes
         };
         let sorted: Vec<Vec<f64>> = self.series.iter().map(|s| sizes(&s.1)).collect();
-        // Errors that are all zero have no place on a log axis: they stand at the edge of a made-up decade.
+        // Errors that are all zero have no place on a log axis: they are drawn at the edge of an arbitrary decade.
         let zeros = sorted.iter().any(|v| !v.is_empty()).then_some((0.1, 1.0));
         let points = self.known.iter().flat_map(|known| known.1.iter().map(|point| point.0));
         let range = extent_log(sorted.iter().flatten().copied().chain(points)).or(zeros);
@@ -61,7 +61,7 @@ impl CdfPlot {
         for (i, known) in self.known.iter().enumerate() {
             let points: Vec<_> = known.1.iter().map(|&(error, share)| axes.at(error, share)).collect();
             points.windows(2).for_each(|pair| canvas.line(pair[0], pair[1], series_colour(i), 2.0, true));
-            // A whole distribution is a line, a few of its points are points.
+            // A complete distribution is a line; a few points of one are points.
             if points.len() <= FEW {
                 canvas.dots(&points, 6.0, series_colour(i), 1.0);
             }
@@ -70,7 +70,7 @@ impl CdfPlot {
     }
 }
 
-/// Points, joined by lines if asked, on linear or logarithmic axes.
+/// Points, joined by lines if requested, on linear or logarithmic axes.
 #[derive(Debug, Clone, Default)]
 pub struct ScatterLines {
     /// Headline.
@@ -79,18 +79,18 @@ pub struct ScatterLines {
     pub x_label: String,
     /// Quantity and unit of y.
     pub y_label: String,
-    /// Logarithmic x; values of zero and below are dropped.
+    /// Logarithmic x; drops values of zero and below.
     pub log_x: bool,
-    /// Logarithmic y; values of zero and below are dropped.
+    /// Logarithmic y; drops values of zero and below.
     pub log_y: bool,
-    /// Name and points of each series, in the order of the line.
+    /// Name and points of each series, in the line's order.
     pub series: Vec<(String, Vec<(f64, f64)>)>,
     /// Whether the points of a series are joined.
     pub lines: bool,
 }
 
 impl ScatterLines {
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let fits = |v: f64, log: bool| v.is_finite() && (!log || v > 0.0);
         let good = |p: &&(f64, f64)| fits(p.0, self.log_x) && fits(p.1, self.log_y);

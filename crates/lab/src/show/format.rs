@@ -1,24 +1,24 @@
-//! The files of pictures: a PNG and an SVG of each.
+//! Picture files: a PNG and an SVG each.
 use super::Error;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// How names of the files of a picture end: pixels, and vectors.
+/// Extensions of a picture's files: pixels and vectors.
 const KINDS: [&str; 2] = ["png", "svg"];
 
 /// How pictures are written: whether files of the same names are replaced.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Format {
-    /// Whether files of the same names are replaced; where not, one of them is [`Error::There`].
+    /// Whether files of the same names are replaced; if not, an existing one is [`Error::There`].
     pub replace: bool,
     /// Files that are never replaced, under any name: [`Error::Kept`].
     pub kept: Vec<PathBuf>,
 }
 
 impl Default for Format {
-    /// What is there is replaced.
+    /// Existing files are replaced.
     fn default() -> Self {
         Self { replace: true, kept: Vec::new() }
     }
@@ -49,8 +49,8 @@ impl Format {
         })
     }
 
-    /// Refuses pictures of which a file already exists and may not be replaced: to be asked before long work, and before
-    /// the first of several pictures.
+    /// Refuses pictures if one of their files exists and may not be replaced. Call it before long work, and before the first of
+    /// several pictures.
     ///
     /// # Errors
     /// [`Error::There`], [`Error::Kept`].
@@ -66,7 +66,7 @@ impl Format {
     }
 }
 
-/// True if both names lead to one file.
+/// True if both names refer to one file.
 fn is_same(a: &Path, b: &Path) -> bool {
     #[cfg(unix)]
     {
@@ -77,11 +77,11 @@ fn is_same(a: &Path, b: &Path) -> bool {
     a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
 
-/// Writes a file that is whole or as it was: under a name of its own beside, and renamed at the end. A link stays one; devices
-/// and pipes are written as they are.
+/// Writes a file so that it is either complete or unchanged: under a temporary name beside it, renamed at the end. A link stays
+/// a link; devices and pipes are written directly.
 ///
 /// # Errors
-/// If it cannot be written; nothing is left of it then.
+/// If it cannot be written; no part of it remains.
 pub(super) fn write_whole(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     if target.metadata().is_ok_and(|found| !found.is_file()) {
@@ -104,7 +104,7 @@ mod tests {
     use std::io::Write;
 
     #[test]
-    fn a_picture_for_which_the_disk_has_no_room_leaves_what_was_there() {
+    fn a_full_disk_leaves_the_old_picture() {
         let folder = std::env::temp_dir().join(format!("csi5300-whole-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let full = |file: &mut File| {

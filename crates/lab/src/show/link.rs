@@ -1,4 +1,4 @@
-//! The pictures of a link: phase, trajectory with the bearing on it, polar profile, maps of places.
+//! The pictures of a link: phase, trajectory with bearing, polar profile, maps of places.
 
 use super::{Error, Format, PhasePlot, PhaseTrack, ProfilePlot, TrajectoryPlot, file_safe};
 use crate::curves::{Curve, evidence, plane_wave, without_motion};
@@ -8,7 +8,7 @@ use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{Bearing, Phase};
 use std::path::{Path, PathBuf};
 
-/// What is drawn of a link.
+/// The input of a link's pictures.
 pub struct LinkPictures<'a> {
     /// The link; its phase is drawn if its course was kept.
     pub bearing: &'a Bearing,
@@ -19,8 +19,8 @@ pub struct LinkPictures<'a> {
 }
 
 impl<'a> LinkPictures<'a> {
-    /// A link with the truth that its row knows. Places are those of motion capture: they are on the picture of a
-    /// trajectory of that frame only.
+    /// A link with the truth from its row. Places are in motion capture's frame: only a picture of a trajectory in that frame shows
+    /// them.
     #[must_use]
     pub fn of(row: &Judged, bearing: &'a Bearing, source: TrajectorySource) -> Self {
         let transmitter_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth);
@@ -28,14 +28,14 @@ impl<'a> LinkPictures<'a> {
         Self { bearing, truth_rad, transmitter_m }
     }
 
-    /// What the pictures of a link are called, without their endings.
+    /// Names of a link's pictures, without extensions.
     #[must_use]
     pub fn stems(folder: &Path, name: &str) -> [PathBuf; 3] {
         ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what))
     }
 
-    /// Writes `NAME-trajectory` and `NAME-profile` into a folder, and `NAME-phase` where the course was kept; none of them if one may not
-    /// be replaced.
+    /// Writes `NAME-trajectory`, `NAME-profile` and, if the course was kept, `NAME-phase` into a folder; none of them if one may
+    /// not be replaced.
     ///
     /// # Errors
     /// If a picture cannot be drawn or written.
@@ -78,8 +78,8 @@ impl<'a> LinkPictures<'a> {
         }
     }
 
-    /// What the answer was chosen from: the evidence over azimuth of the spherical waves, with the plane wave's profile thin
-    /// beside it, or the plane wave's alone where no other was searched.
+    /// The evidence over azimuth from which the answer was chosen: the spherical waves', with the plane wave's profile drawn thin
+    /// beside it; or only the plane wave's if no spherical wave was searched.
     fn profile(&self, name: &str) -> Result<ProfilePlot, bartlett::Error> {
         let answer = &self.bearing.answer;
         let plane_wave = plane_wave(self.bearing)?;
@@ -103,7 +103,7 @@ impl<'a> LinkPictures<'a> {
     }
 }
 
-/// What a picture of a link is called, without its ending.
+/// Name of a link's picture, without extension.
 fn stem(folder: &Path, name: &str, what: &str) -> PathBuf {
     folder.join(format!("{}-{what}", file_safe(name)))
 }
@@ -118,7 +118,7 @@ pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
     }
 }
 
-/// The phases of a link: the product of both directions, and the residual without the motion.
+/// The phases of a link: the product of both directions, and the residual without the motion's phase.
 fn whole_track(bearing: &Bearing) -> PhaseTrack {
     PhaseTrack {
         product_rad: bearing.course.iter().map(|phase| phase.round_trip_rad).collect(),

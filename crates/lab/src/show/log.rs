@@ -12,7 +12,7 @@ use kuva::render::render::TextAnchor;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
-/// Lowest and highest value of a colour bar, its ticks, and the colour of a value.
+/// Lowest and highest value of a colour bar, its ticks, and the colour for a value.
 type Shades<'a> = ((f64, f64), &'a [(f64, String)], &'a dyn Fn(f64) -> Rgb);
 
 /// Lines of a panel with their colours.
@@ -23,9 +23,9 @@ type Lines<'a> = Vec<(Rgb, &'a Vec<(f64, f64)>)>;
 pub struct LogPictures<'a> {
     /// Headline.
     pub title: &'a str,
-    /// What is drawn.
+    /// The log's data.
     pub course: &'a Course,
-    /// Width and height of the drawing, pixels at 96 to the inch; it is higher where its panels need more.
+    /// Width and height of the drawing, pixels at 96 dpi; higher if its panels need more.
     pub size: (f64, f64),
 }
 
@@ -33,11 +33,11 @@ const LEFT: f64 = 110.0;
 const RIGHT: f64 = 120.0;
 const TOP: f64 = 150.0;
 const BOTTOM: f64 = 90.0;
-/// Between panels: the upper one's ticks and the lower one's name.
+/// Space between panels: the upper one's ticks and the lower one's title.
 const GAP: f64 = 70.0;
-/// Height of a panel at least: the three names of a colour bar.
+/// Smallest height of a panel: the three labels of a colour bar.
 const LEAST: f64 = 60.0;
-/// Height of a panel that is nothing but an axis.
+/// Height of a panel that is only an axis.
 const FLAT: f64 = 8.0;
 /// Subtitle: the CSI's sender, and skipped frames.
 const BELOW_TITLE: f64 = 76.0;
@@ -61,7 +61,7 @@ impl LogPictures<'_> {
         Ok(written)
     }
 
-    /// What its two pictures are called, without their endings.
+    /// Names of its two pictures, without extensions.
     #[must_use]
     pub fn stems(stem: &Path) -> [PathBuf; 2] {
         ["csi", "levels"].map(|what| {
@@ -71,8 +71,8 @@ impl LogPictures<'_> {
         })
     }
 
-    /// The frames of `n` panels below each other, from `top` on, with `below` pixels left under them; the canvas grows
-    /// where they have no room on it.
+    /// The frames of `n` panels below each other, starting at `top`, with `below` pixels free under them; the canvas grows if they
+    /// do not fit.
     fn panels(&self, canvas: &mut Canvas, n: usize, top: f64, below: f64) -> Vec<[f64; 4]> {
         let (width, height) = self.size;
         let rest = top + BOTTOM + below + GAP * (n as f64 - 1.0);
@@ -150,7 +150,7 @@ impl LogPictures<'_> {
         }
     }
 
-    /// The CSI's sender, its kind of frames, and skipped ones.
+    /// The CSI's sender, its kind of frames, and skipped frames.
     fn whose(&self) -> String {
         let course = self.course;
         let each = course.rows.each;
@@ -164,8 +164,8 @@ impl LogPictures<'_> {
         parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
     }
 
-    /// Ticks at subcarriers' own indices; at their places in the record where frames of both widths are in the log: the outermost
-    /// ones, the one above the centre, and two between.
+    /// Ticks at subcarrier indices. In a log with frames of both widths, ticks at positions in the record: the outermost ones, the
+    /// one above the centre, and two in between.
     fn subcarrier_ticks(&self, height: f64) -> Vec<(f64, String)> {
         let rows = &self.course.rows;
         let n = rows.subcarriers;
@@ -176,7 +176,7 @@ impl LogPictures<'_> {
         ticked.into_iter().map(|place| (place as f64 + 0.5, rows.index(place).to_string())).collect()
     }
 
-    /// The frames of this number of line panels, and of the rate, which is flat without a rate.
+    /// The frames of this number of line panels, and of the rate, which is only an axis without a clock.
     fn level_panels(&self, canvas: &mut Canvas, lines: usize, top: f64, below: f64) -> Vec<[f64; 4]> {
         if self.has_clock() {
             return self.panels(canvas, lines + 1, top, below);
@@ -187,18 +187,18 @@ impl LogPictures<'_> {
         panels
     }
 
-    /// True if there are times: without them there is no rate.
+    /// True if there are times; without them there is no rate.
     fn has_clock(&self) -> bool {
         self.course.base != TimeBase::Number
     }
 
-    /// What the times are.
+    /// The label of the time axis.
     fn time_words(&self) -> &'static str {
         match self.course.base {
             TimeBase::Host if self.course.format.is_some() => "time (s), of the host",
             TimeBase::Number if self.course.format.is_some() => "frame: the log has no times",
-            TimeBase::Host => "time (s), of the host: the card's clock stands",
-            TimeBase::Number => "record: the card's clock stands, and there are no host times",
+            TimeBase::Host => "time (s), of the host: the card's clock stands still",
+            TimeBase::Number => "record: the card's clock stands still, and there are no host times",
             _ => "time (s)",
         }
     }
@@ -209,7 +209,7 @@ impl LogPictures<'_> {
         let what = if self.has_clock() { "levels and rate" } else { "levels" };
         let mut canvas = Canvas::sized(width, height, &format!("{}: {what}", self.title));
         let name = |antenna: usize| format!("antenna {}", letter(antenna));
-        // Antennas of the CSI only: others were not requested.
+        // Only the CSI's antennas: others were not requested.
         let drawn = |antenna: usize| course.antennas.iter().any(|own| own.antenna == antenna);
         let mut keys: Vec<(Key, Rgb, String)> =
             course.antennas.iter().map(|a| (Key::Line, of(a), name(a.antenna))).collect();
@@ -228,7 +228,7 @@ impl LogPictures<'_> {
         let words = if course.agc.is_empty() { "RSSI of each antenna" } else { "RSSI of each antenna, and gain" };
         levels.extend((!course.agc.is_empty()).then_some((GREY, &course.agc)));
         series.push((format!("{words} ({unit})"), levels));
-        // What the format does not tell has no panel.
+        // A value that the format does not contain has no panel.
         series.retain(|(_, lines)| !lines.is_empty());
         let top = TOP.max(58.0 + canvas.legend(58.0, &keys) + 50.0);
         let events = events::of(course);
@@ -259,7 +259,7 @@ impl LogPictures<'_> {
         }
     }
 
-    /// Records per second with gaps; without a clock only the axis.
+    /// Records per second with gaps; without a clock, only the axis.
     fn rate(&self, canvas: &mut Canvas, frame: [f64; 4]) -> Result<Axes, Error> {
         let course = self.course;
         if !self.has_clock() {
@@ -278,7 +278,7 @@ impl LogPictures<'_> {
                 let right = right.max(left + 1.5);
                 canvas.polygon(&[(left, below), (right, below), (right, above), (left, above)], ORANGE, 0.35);
             }
-            // Steps: a bin's rate holds over all of it.
+            // Steps: a bin's rate applies to all of it.
             let half = 0.5 * (course.span_s.1 - course.span_s.0) / course.rate_hz.len().max(1) as f64;
             let stairs = course.rate_hz.iter().flat_map(|p| [axes.at(p.0 - half, p.1), axes.at(p.0 + half, p.1)]);
             canvas.polyline(stairs.collect(), BLACK, 2.0);
@@ -287,7 +287,7 @@ impl LogPictures<'_> {
     }
 }
 
-/// True if a gap that is no short one beside them lies between two neighbouring points of a line.
+/// True if a gap of at least half their distance lies between two neighbouring points of a line.
 fn is_broken(from_s: f64, to_s: f64, gaps_s: &[(f64, f64)]) -> bool {
     let between = gaps_s.partition_point(|gap| 0.5 * (gap.0 + gap.1) <= from_s);
     let inside = gaps_s.iter().skip(between).take_while(|gap| 0.5 * (gap.0 + gap.1) < to_s);
@@ -310,7 +310,7 @@ mod tests {
     use crate::course::HeatRows;
 
     #[test]
-    fn a_line_is_broken_at_a_gap_and_not_at_one_that_is_short_beside_its_points() {
+    fn a_line_breaks_at_a_gap_that_is_long_relative_to_its_points() {
         let gaps = [(1.0, 2.0), (5.0, 5.01)];
         assert!(is_broken(0.9, 2.1, &gaps) && is_broken(1.0, 2.0, &gaps));
         assert!(!is_broken(2.1, 3.0, &gaps) && !is_broken(4.0, 6.0, &gaps));
@@ -360,7 +360,7 @@ mod tests {
         }
     }
 
-    /// Values of an attribute of all tags.
+    /// Values of an attribute in all tags.
     fn numbers(svg: &str, name: &str) -> Vec<f64> {
         let name = format!(" {name}=\"");
         let parts = svg.split(&name).skip(1);
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn everything_of_a_small_picture_is_on_it() {
+    fn a_small_picture_is_not_cut_off() {
         let bases = [TimeBase::Card, TimeBase::Number];
         let sizes = [(800.0, 500.0), (400.0, 400.0), (1200.0, 1100.0)];
         for (base, size) in bases.into_iter().flat_map(|base| sizes.map(|size| (base, size))) {

@@ -1,20 +1,20 @@
-//! Pictures and pages: links, sets and comparisons drawn, 1200 px wide, each picture as a PNG and an SVG beside each other.
+//! Pictures of links, sets and comparisons, 1200 px wide, each as a PNG and an SVG.
 //!
 //! | file | what it shows |
 //! |---|---|
-//! | [`link`] | a link from end to end: [`link::LinkPictures`] |
-//! | [`log`] | a log over time: heat maps of CSI, levels, rate, what is missing |
+//! | [`link`] | a link: [`link::LinkPictures`] |
+//! | [`log`] | a log over time: heat maps of CSI, levels, rate, losses |
 //! | [`set`] | an evaluation: error distributions, refusals, reliability, a map of each place |
-//! | [`compared`] | a recording and a simulation beside each other |
-//! | [`repeated`] | robots that stand: their phase |
+//! | [`compared`] | a recording and a simulation side by side |
+//! | [`repeated`] | the phase of stationary robots |
 //! | `phase`, `profile`, `place`, `plane`, `curves`, `reliability` | the kinds of picture |
 //! | `format` | the files of a picture |
-//! | `canvas`, `axes` | lines, text, legends, ticks; the only files that name the drawing library's scene |
+//! | `canvas`, `axes` | lines, text, legends, ticks; the only files that use the drawing library |
 //!
-//! Every kind of picture is a plain struct with public fields and one `write(stem, format)`: it adds `.png` and `.svg` to
-//! `stem`, makes missing folders, and returns the paths. Values that are not finite are dropped; a picture with nothing left is
-//! [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends stand above the
-//! axes, never on the data. Azimuths count from +x towards +y.
+//! Every kind of picture is a struct with public fields and one `write(stem, format)`. It adds `.png` and `.svg` to `stem`,
+//! creates missing folders, and returns the paths. Values that are not finite are dropped; a picture without values is
+//! [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends are above the axes,
+//! never on the data. Azimuths count from +x towards +y.
 mod axes;
 mod canvas;
 pub mod compared;
@@ -46,17 +46,17 @@ pub enum Error {
     /// No finite value to draw.
     #[error("{what}: no finite value to draw; check that the estimator produced output")]
     Empty {
-        /// The part of the picture that is empty.
+        /// The empty part of the picture.
         what: &'static str,
     },
-    /// Fields that must have one length do not.
+    /// Fields that must have the same length do not.
     #[error("{what}: {got} values where {expect} were expected")]
     Length {
-        /// The field at fault.
+        /// The wrong field.
         what: &'static str,
-        /// The length the other fields ask for.
+        /// The length of the other fields.
         expect: usize,
-        /// The length found.
+        /// Its length.
         got: usize,
     },
     /// The folder or file could not be written.
@@ -67,19 +67,19 @@ pub enum Error {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// A file of this name leads to one that is never to be replaced.
-    #[error("{} leads to a file that is read: name another folder", path.display())]
+    /// A file of this name leads to one that must never be replaced.
+    #[error("{} leads to an input file: name another folder", path.display())]
     Kept {
         /// The file.
         path: PathBuf,
     },
-    /// A file of this name is there, and is not to be replaced.
+    /// A file of this name exists and may not be replaced.
     #[error("{} already exists", path.display())]
     There {
         /// The file.
         path: PathBuf,
     },
-    /// The folder of a link's pictures could not be made.
+    /// The folder of a link's pictures could not be created.
     #[error("cannot make the folder {folder}: {source}")]
     Folder {
         /// The folder.
@@ -90,13 +90,13 @@ pub enum Error {
     /// A profile could not be computed.
     #[error(transparent)]
     Profile(#[from] csi5300::bartlett::Error),
-    /// The rasteriser refused the picture.
+    /// The rasteriser failed.
     #[error("drawing failed: {0}")]
     Drawing(String),
 }
 
-/// A link name as a file name: letters, digits, `.`, `-` stay, everything else (`/`, `:`, spaces) becomes `_`; a leading
-/// dot too, so that no hidden file or `..` comes out. Never empty.
+/// A link name as a file name: keeps letters, digits, `.` and `-`, and replaces everything else (`/`, `:`, spaces) and a leading
+/// dot by `_`, so that no hidden file or `..` results. Never empty.
 pub fn file_safe(name: &str) -> String {
     let keep = |c: char| if c.is_alphanumeric() || matches!(c, '.' | '-') { c } else { '_' };
     let safe: String = name.chars().map(keep).collect();

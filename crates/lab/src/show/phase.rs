@@ -7,53 +7,53 @@ use kuva::render::render::TextAnchor;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
-/// The phase of one capture; `t_s`, `before_rad` and `after_rad` have one length.
+/// The phase of one capture; `t_s`, `before_rad` and `after_rad` have the same length.
 #[derive(Debug, Clone, Default)]
 pub struct PhaseTrack {
     /// Name above the column, for example "recorded" or "simulated".
     pub label: String,
     /// Time in seconds.
     pub t_s: Vec<f64>,
-    /// Phase before CFO and turn-around removal (forward CSI, or the product uncompensated), radians, any wrapping.
+    /// Phase before CFO and turn-around removal (forward CSI, or the uncompensated product), radians, wrapped or not.
     pub before_rad: Vec<f64>,
-    /// Phase of the product of both directions with the turn-around left in, radians; empty, or one for each time.
+    /// Phase of the product of both directions without turn-around removal, radians; empty, or one for each time.
     pub product_rad: Vec<f64>,
-    /// Phase of the round-trip product after CFO and turn-around removal, radians, any wrapping.
+    /// Phase of the round-trip product after CFO and turn-around removal, radians, wrapped or not.
     pub after_rad: Vec<f64>,
-    /// Whether each time is one of the bearing's samples, others are drawn pale; empty where all are alike.
+    /// Whether each time is one of the bearing's samples; others are drawn pale. Empty if all are alike.
     pub is_used: Vec<bool>,
-    /// Residual of `after_rad` without the motion's phase under the answer: time (seconds, as in `t_s`) and phase
+    /// Residual of `after_rad` without the phase that the motion causes under the answer: time (seconds, as in `t_s`) and phase
     /// (radians); empty if there is none.
     pub left: Vec<(f64, f64)>,
 }
 
-/// Phase before and after removal of CFO and turn-around: wrapped points above, the unwrapped result below, and the
+/// Phase before and after removal of CFO and turn-around: wrapped points at the top, the unwrapped result below, and the
 /// residual without the motion.
 #[derive(Debug, Clone, Default)]
 pub struct PhasePlot {
     /// Headline.
     pub title: String,
-    /// What `before_rad` is.
+    /// The meaning of `before_rad`.
     pub before: String,
     /// The capture.
     pub capture: PhaseTrack,
     /// A second capture beside it, for example the simulated one.
     pub other: Option<PhaseTrack>,
-    /// Pairs averaged before the phase is unwrapped; 0 is five.
+    /// Pairs averaged before the phase is unwrapped; 0 means five.
     pub averaged: usize,
 }
 
-/// Height of a panel, and from one to the next.
+/// Height of a panel, and distance from one to the next.
 const PANEL: f64 = 190.0;
 const STEP: f64 = 256.0;
 const TOP: f64 = 196.0;
 
-/// Pairs whose phases are averaged before they are unwrapped: of single ones with much noise turns would be lost, and of many
-/// those that a motion makes.
+/// Pairs averaged before their phases are unwrapped. With fewer, noise adds whole turns; with more, turns of the motion are
+/// lost.
 const AVERAGED: usize = 5;
 
 impl PhasePlot {
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let tracks: Vec<&PhaseTrack> = std::iter::once(&self.capture).chain(&self.other).collect();
         let panels = if tracks.iter().any(|track| !track.left.is_empty()) { 4 } else { 3 };
@@ -78,7 +78,7 @@ impl PhasePlot {
     }
 }
 
-/// A third of a colour on white.
+/// A colour mixed with two thirds of white.
 fn pale((r, g, b): Rgb) -> Rgb {
     let mix = |own: u8| 255 - (255 - own) / 3;
     (mix(r), mix(g), mix(b))
@@ -104,7 +104,7 @@ impl PhaseTrack {
         Ok(())
     }
 
-    /// What of a phase can be drawn: that of pairs which are used, and of the others.
+    /// The points of a phase that can be drawn: of used pairs, and of the others.
     fn points(&self, phase: &[f64]) -> [Points; 2] {
         let used = |k: usize| self.is_used.get(k).copied().unwrap_or(true);
         let all = self.t_s.iter().copied().zip(phase.iter().copied()).enumerate();
@@ -144,7 +144,7 @@ fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64)
     Ok(())
 }
 
-/// Means of a few neighbours in time, each phase as a point on the circle.
+/// Means of a few neighbours in time, each phase as a point on the unit circle.
 fn averaged(points: &Points, over: usize) -> Points {
     let mut sorted = points.clone();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -175,7 +175,7 @@ fn wrapped(
     }
 }
 
-/// Phases without jumps of whole turns between neighbours; the first becomes zero.
+/// Unwrapped phases, starting at zero.
 fn unwrap(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let phases = unwrap_rad(&points.iter().map(|point| point.1).collect::<Vec<_>>());
     let first = phases.first().copied().unwrap_or(0.0);

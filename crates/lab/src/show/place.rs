@@ -1,4 +1,4 @@
-//! Where waves seem to come from: a map over azimuth and one coordinate more.
+//! Maps of the apparent sources: azimuth against one more coordinate.
 use super::axes::Axes;
 use super::canvas::{BLACK, Canvas, GREEN, Key, RED, WIDTH};
 use super::profile::{FLOOR_DB, shade};
@@ -7,7 +7,7 @@ use crate::words::fixed;
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
 
-/// Heat map over azimuth (all around) and another coordinate, in dB below the highest, down to -20 dB.
+/// Heat map over azimuth (full circle) and another coordinate, in dB below the maximum, down to -20 dB.
 #[derive(Debug, Clone, Default)]
 pub struct PlaceMap {
     /// Headline.
@@ -16,22 +16,22 @@ pub struct PlaceMap {
     pub y_label: String,
     /// Its value at the lower and upper edge.
     pub y: (f64, f64),
-    /// Ticks of it; round ones where empty.
+    /// Its ticks; round ones if empty.
     pub y_ticks: Vec<(f64, String)>,
     /// Cells over azimuth, of equal width over -180 to 180 degrees.
     pub n_az: usize,
     /// `value[row][az]`, row-major from the lower edge on, linear power.
     pub value: Vec<f64>,
-    /// Places to number, the answer first: azimuth (degrees) and the other coordinate.
+    /// Numbered places, the answer first: azimuth (degrees) and the other coordinate.
     pub marks: Vec<(f64, f64)>,
     /// True azimuth, degrees.
     pub truth_deg: Option<f64>,
 }
 
-/// How high the numbers of places are.
+/// Height of the numbers of places, pixels.
 const NUMBER_PX: u32 = 18;
 
-/// Where the number of a place stands: above its ring, or below where that would leave the frame.
+/// Position of a place's number: above its ring, or below it if it would leave the frame.
 fn numbered(at: (f64, f64), axes: &Axes) -> (f64, f64) {
     let above = at.1 - 16.0;
     let is_within = above - f64::from(NUMBER_PX) >= axes.top;
@@ -39,7 +39,7 @@ fn numbered(at: (f64, f64), axes: &Axes) -> (f64, f64) {
 }
 
 impl PlaceMap {
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let rows = self.value.len() / self.n_az.max(1);
         if rows * self.n_az != self.value.len() {

@@ -1,4 +1,4 @@
-//! Pictures in the plane of motion: one trajectory with its bearing, and the map of all robots.
+//! Pictures in the plane of motion: a trajectory with its bearing, and the map of all robots.
 use super::axes::{Axes, extent};
 use super::canvas::{BLACK, BLUE, Canvas, GREEN, GREY, Key, PURPLE, RED, Rgb, SKY, WIDTH};
 use super::{Error, Format};
@@ -7,7 +7,7 @@ use kuva::render::render::TextAnchor;
 use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
-/// A receiver's path with the bearing found from it, metre for metre in x and y.
+/// A receiver's path with its bearing, equal scales in x and y.
 #[derive(Debug, Clone, Default)]
 pub struct TrajectoryPlot {
     /// Headline.
@@ -16,11 +16,11 @@ pub struct TrajectoryPlot {
     pub path_m: Vec<[f64; 2]>,
     /// Positions at which CSI was used, metres.
     pub used_m: Vec<[f64; 2]>,
-    /// Bearing found, radians; drawn from the mean position.
+    /// Estimated bearing, radians; drawn from the mean position.
     pub azimuth_rad: f64,
     /// The mirror bearing that a straight path cannot tell apart, radians.
     pub mirror_rad: Option<f64>,
-    /// Standard deviation of the bearing, radians; the wedge is two of them to each side.
+    /// Standard deviation of the bearing, radians; the wedge extends two of them to each side.
     pub sd_rad: Option<f64>,
     /// True bearing, radians.
     pub truth_rad: Option<f64>,
@@ -46,27 +46,27 @@ pub struct Ray {
     pub origin_m: [f64; 2],
     /// Its azimuth, radians.
     pub azimuth_rad: f64,
-    /// Standard deviation of the azimuth, radians; the wedge is two of them to each side.
+    /// Standard deviation of the azimuth, radians; the wedge extends two of them to each side.
     pub sd_rad: Option<f64>,
-    /// Name at its tip; may be empty.
+    /// Label at its tip; may be empty.
     pub label: String,
     /// Its meaning.
     pub class: RayClass,
 }
 
-/// The two standard deviations of a position, as its covariance has them.
+/// A position with an ellipse of two standard deviations.
 #[derive(Debug, Clone)]
 pub struct Ellipse {
     /// The position, metres.
     pub centre_m: [f64; 2],
     /// Its covariance, metres squared.
     pub covariance_m2: [[f64; 2]; 2],
-    /// Name beside it; may be empty.
+    /// Label beside it; may be empty.
     pub label: String,
 }
 
 impl Ellipse {
-    /// Points around, metres: the covariance's square root (Cholesky) on a circle.
+    /// Points of the ellipse, metres: the covariance's square root (Cholesky) applied to a circle.
     fn around(&self) -> Vec<[f64; 2]> {
         let [[a, b], [_, d]] = self.covariance_m2;
         let l = a.max(1e-12).sqrt();
@@ -79,7 +79,7 @@ impl Ellipse {
     }
 }
 
-/// Map of robots, paths and bearings, metre for metre in x and y.
+/// Map of robots, paths and bearings, equal scales in x and y.
 #[derive(Debug, Clone, Default)]
 pub struct MapPlot {
     /// Headline.
@@ -90,7 +90,7 @@ pub struct MapPlot {
     pub rays: Vec<Ray>,
     /// Path of the receiver, metres.
     pub path_m: Vec<[f64; 2]>,
-    /// Positions found.
+    /// Estimated positions.
     pub ellipses: Vec<Ellipse>,
 }
 
@@ -107,14 +107,14 @@ fn axes(top: f64, points: &[[f64; 2]], pad: f64, what: &'static str) -> Result<A
     Ok(Axes::new(frame, (x0 - more, x1 + more), (y0 - more, y1 + more)).equal_aspect())
 }
 
-/// A pixel in a direction from a place in the frame, twice as far as the frame is wide from corner to corner.
+/// A pixel in a direction from a place in the frame, at twice the frame's diagonal.
 fn beyond(axes: &Axes, from: [f64; 2], azimuth: f64) -> (f64, f64) {
     let far = 2.0 * (axes.x.1 - axes.x.0).hypot(axes.y.1 - axes.y.0);
     axes.at(from[0] + far * azimuth.cos(), from[1] + far * azimuth.sin())
 }
 
-/// The pixels around the directions no further than `half_rad` from an azimuth, from a place in the frame: a sector that ends
-/// beyond the frame, all around from half a turn on.
+/// The pixels of a sector around an azimuth, `half_rad` to either side, from a place in the frame. It ends beyond the frame; from
+/// half a turn on it is the full circle.
 fn sector(axes: &Axes, from: [f64; 2], azimuth: f64, half_rad: f64) -> Vec<(f64, f64)> {
     let half = half_rad.min(PI);
     let steps = (half / ARC_STEP_RAD).ceil().max(1.0);
@@ -126,7 +126,7 @@ fn sector(axes: &Axes, from: [f64; 2], azimuth: f64, half_rad: f64) -> Vec<(f64,
     around
 }
 
-/// The largest step along the arc of a sector, radians: its chords stay beyond the frame.
+/// Largest step along the arc of a sector, radians: its chords stay beyond the frame.
 const ARC_STEP_RAD: f64 = PI / 24.0;
 
 fn pixels(axes: &Axes, points: &[[f64; 2]]) -> Vec<(f64, f64)> {
@@ -134,7 +134,7 @@ fn pixels(axes: &Axes, points: &[[f64; 2]]) -> Vec<(f64, f64)> {
 }
 
 impl TrajectoryPlot {
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let (path, used) = (finite(&self.path_m), finite(&self.used_m));
         let mut view: Vec<[f64; 2]> = path.iter().chain(&used).copied().collect();
@@ -167,7 +167,7 @@ impl TrajectoryPlot {
         canvas.clipped(&axes, |canvas| {
             let start = axes.at(mean[0], mean[1]);
             wedge(canvas, &axes, mean, bar, 0.18);
-            // The truth is wider than the bearing on it, so that both are seen where they agree.
+            // The truth is drawn wider than the bearing, so that both are visible where they agree.
             for &(azimuth, colour, dash, name) in &rays {
                 let width = if name == "truth" { 9.0 } else { 3.0 };
                 canvas.line(start, beyond(&axes, mean, azimuth), colour, width, dash);
@@ -182,7 +182,7 @@ impl TrajectoryPlot {
     }
 }
 
-/// How legends name a wedge.
+/// The wedge's label in legends.
 const TWO_DEVIATIONS: &str = "two deviations";
 
 /// Two standard deviations to each side of a bearing.
@@ -191,7 +191,7 @@ fn wedge(canvas: &mut Canvas, axes: &Axes, from: [f64; 2], (azimuth_rad, sd_rad)
     canvas.polygon(&sector(axes, from, azimuth_rad, 2.0 * sd.abs()), RED, opacity);
 }
 
-/// A ringed dot with a name on the side where there is room.
+/// A ringed dot with a label on the side that has room.
 fn star(canvas: &mut Canvas, at: (f64, f64), name: &str, axes: &Axes) {
     canvas.dots(&[at], 7.0, BLACK, 1.0);
     canvas.ring(at, 13.0, BLACK, 2.5);
@@ -211,7 +211,7 @@ impl RayClass {
 }
 
 impl MapPlot {
-    /// Positions found that are not further from the robots than these are from each other: others would shrink the map to dots.
+    /// Estimated positions no further from the robots than these are from each other: others would shrink the map.
     fn in_view(&self, points: &[[f64; 2]]) -> Vec<&Ellipse> {
         let range = |k: usize| extent(points.iter().filter_map(|p| p.get(k).copied()), 0.0);
         let (Some(x), Some(y)) = (range(0), range(1)) else { return Vec::new() };
@@ -223,7 +223,7 @@ impl MapPlot {
             .collect()
     }
 
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let path = finite(&self.path_m);
         let usable = |r: &&Ray| r.azimuth_rad.is_finite() && r.origin_m.iter().all(|v| v.is_finite());
@@ -287,7 +287,7 @@ impl MapPlot {
 mod tests {
     use super::*;
 
-    /// True for a pixel inside of a polygon: a ray from it crosses its edges an odd number of times.
+    /// True for a pixel inside a polygon: a ray from it crosses the edges an odd number of times.
     fn is_inside(polygon: &[(f64, f64)], (x, y): (f64, f64)) -> bool {
         let ends = polygon.iter().zip(polygon.iter().cycle().skip(1));
         let crossed = ends.filter(|(a, b)| (a.1 > y) != (b.1 > y) && x < a.0 + (y - a.1) / (b.1 - a.1) * (b.0 - a.0));
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wedge_covers_the_frame_in_its_directions_and_nowhere_else() {
+    fn a_wedge_covers_exactly_its_directions_of_the_frame() {
         let axes = Axes::new([120.0, 106.0, 1_040.0, 704.0], (-4.5, 7.0), (-5.9, 2.0)).equal_aspect();
         let from = [-4.0, 1.5];
         for (azimuth, half) in [(-1.4, 0.01), (-1.4, 1.0), (3.0, 1.5), (-1.4, 1.9), (0.5, 3.1), (-1.4, PI), (2.0, 9.0)]

@@ -9,16 +9,16 @@ use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
 
 /// Polar profiles: azimuth 0 is +x to the right, counter-clockwise; the radius is linear, each series relative to its own
-/// highest value. Beside them the neighbourhood of the answer (or of the truth, or of the highest value), enlarged.
+/// maximum. Beside them, an enlarged view around the answer (or the truth, or the maximum).
 #[derive(Debug, Clone, Default)]
 pub struct ProfilePlot {
     /// Headline.
     pub title: String,
-    /// Name, azimuths (degrees, rising) and values (linear, not dB) of what the answer was chosen from: drawn thick.
+    /// Name, azimuths (degrees, rising) and values (linear, not dB) of the curve from which the answer was chosen: drawn thick.
     pub chosen_from: (String, Vec<f64>, Vec<f64>),
-    /// Others, in the same form, drawn thin below it.
+    /// Other curves, in the same form, drawn thin below it.
     pub others: Vec<(String, Vec<f64>, Vec<f64>)>,
-    /// Azimuths of the candidates to mark on the thick curve, degrees.
+    /// Azimuths of the candidates marked on the thick curve, degrees.
     pub candidates_deg: Vec<f64>,
     /// The answer, degrees.
     pub answer_deg: Option<f64>,
@@ -32,12 +32,12 @@ pub struct ProfilePlot {
 
 const CENTRE: (f64, f64) = (390.0, 520.0);
 const RADIUS: f64 = 310.0;
-/// Where the enlarged part stands.
+/// Position and size of the enlarged view, pixels.
 const ENLARGED: [f64; 4] = [820.0, 210.0, 340.0, 620.0];
-/// Half the width of the enlarged part, degrees, at least and at most.
+/// Least and largest half width of the enlarged view, degrees.
 const HALF_WIDTH_DEG: (f64, f64) = (6.0, 60.0);
 
-/// Points of one series, largest 1.
+/// Points of one series, largest value 1.
 type Curve = Vec<(f64, f64)>;
 
 fn polar(azimuth_deg: f64, radius: f64) -> (f64, f64) {
@@ -45,7 +45,7 @@ fn polar(azimuth_deg: f64, radius: f64) -> (f64, f64) {
     (CENTRE.0 + RADIUS * radius * cos, CENTRE.1 - RADIUS * radius * sin)
 }
 
-/// The finite points of a series relative to its highest value; `None` where nothing is above 0.
+/// The finite points of a series relative to its maximum; `None` if no value is above 0.
 fn relative(series: &(String, Vec<f64>, Vec<f64>)) -> Result<Option<Curve>, Error> {
     let (_, azimuths, values) = series;
     if azimuths.len() != values.len() {
@@ -57,7 +57,7 @@ fn relative(series: &(String, Vec<f64>, Vec<f64>)) -> Result<Option<Curve>, Erro
     Ok((top > 0.0).then(|| curve.iter().map(|p| (p.0, (p.1 / top).max(0.0))).collect()))
 }
 
-/// The height of a curve at an azimuth, between its two nearest points.
+/// Height of a curve at an azimuth, interpolated between the nearest points.
 fn height(curve: &Curve, azimuth_deg: f64) -> f64 {
     let offset = |p: &(f64, f64)| wrap_deg(p.0 - azimuth_deg);
     let below = curve.iter().filter(|p| offset(p) <= 0.0).max_by(|a, b| offset(a).total_cmp(&offset(b)));
@@ -74,7 +74,7 @@ fn wrap_deg(degrees: f64) -> f64 {
 }
 
 impl ProfilePlot {
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let chosen = relative(&self.chosen_from)?.ok_or(Error::Empty { what: "profile" })?;
         let mut others = Vec::new();
@@ -109,7 +109,7 @@ impl ProfilePlot {
         self.answer_deg.filter(|azimuth| azimuth.is_finite())
     }
 
-    /// One without a name belongs to the one before, and has its colour.
+    /// An unnamed curve belongs to the one before and has its colour.
     fn colour_of_other(&self, i: usize) -> Rgb {
         let is_named = |k: &usize| self.others.get(*k).is_some_and(|other| !other.0.is_empty());
         series_colour((0..=i).rev().find(is_named).unwrap_or(i) + 3)
@@ -134,7 +134,7 @@ impl ProfilePlot {
         keys
     }
 
-    /// The part about the answer: azimuth to the right, height upwards.
+    /// The enlarged view around the answer: azimuth to the right, height upwards.
     fn enlarged(&self, canvas: &mut Canvas, chosen: &Curve, others: &[(Rgb, Curve)], candidates: &[f64]) {
         let highest = chosen.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map(|p| p.0);
         let Some(middle) = self.answer().or(self.truth_deg.filter(|truth| truth.is_finite())).or(highest) else {
@@ -177,7 +177,7 @@ impl ProfilePlot {
     }
 }
 
-/// A curve in pixels, closed if it goes around the whole circle.
+/// A curve in pixels, closed if it covers the full circle.
 fn around(curve: &Curve) -> Vec<(f64, f64)> {
     let mut px: Vec<_> = curve.iter().map(|p| polar(p.0, p.1)).collect();
     if let (Some(a), Some(b), Some(first)) = (curve.first(), curve.last(), px.first().copied())
@@ -222,7 +222,7 @@ pub struct ProfileMap {
 pub(super) const FLOOR_DB: f64 = -20.0;
 
 impl ProfileMap {
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let expect = self.n_az.saturating_mul(self.n_el);
         if self.value.len() != expect {

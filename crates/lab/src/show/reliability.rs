@@ -1,23 +1,22 @@
-//! Probabilities beside how often they came true.
+//! Reliability diagrams: probabilities against observed frequencies.
 use super::axes::Axes;
 use super::canvas::{BLACK, Canvas, Key, WIDTH, series_colour};
 use super::{Error, Format};
 use std::path::{Path, PathBuf};
 
-/// Bearings of like probability: one point of a [`ReliabilityPlot`].
+/// Bearings of similar probability: one point of a [`ReliabilityPlot`].
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ReliabilityPoint {
     /// Their mean probability, 0..1.
     pub said: f64,
-    /// Share that came true, 0..1.
+    /// Share that was right, 0..1.
     pub right: f64,
-    /// Bearings.
+    /// Number of bearings.
     pub count: usize,
 }
 
-/// A reliability diagram: points on the diagonal are probabilities that hold. Bars are what the share would be in 68 % of
-/// repetitions with as many independent bearings (Wilson's interval); bearings of one place are not independent, so they
-/// are rather short.
+/// A reliability diagram: points on the diagonal are correct probabilities. Bars are the 68 % interval of the share for as many
+/// independent bearings (Wilson); bearings of one place are not independent, so the bars are rather short.
 #[derive(Debug, Clone, Default)]
 pub struct ReliabilityPlot {
     /// Headline.
@@ -26,7 +25,7 @@ pub struct ReliabilityPlot {
     pub series: Vec<(String, Vec<ReliabilityPoint>)>,
 }
 
-/// Lower and upper end of the share that `count` tries with `right` of them true stand for, one deviation either way.
+/// Wilson's interval of one deviation for `right` of `count` tries.
 fn wilson(right: f64, count: usize) -> [f64; 2] {
     let n = count.max(1) as f64;
     let middle = (right + 0.5 / n) / (1.0 + 1.0 / n);
@@ -35,7 +34,7 @@ fn wilson(right: f64, count: usize) -> [f64; 2] {
 }
 
 impl ReliabilityPlot {
-    /// Writes it as `stem` with the ending of each format.
+    /// Writes it as `stem` with the extension of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let good = |p: &&ReliabilityPoint| p.said.is_finite() && p.right.is_finite() && p.count > 0;
         let kept: Vec<Vec<ReliabilityPoint>> =
@@ -48,7 +47,7 @@ impl ReliabilityPlot {
         let series = self.series.iter().zip(&kept).enumerate();
         let mut keys: Vec<_> =
             series.map(|(i, (s, own))| (Key::Dot, series_colour(i), format!("{} ({})", s.0, count(own)))).collect();
-        keys.push((Key::Dash, BLACK, "probabilities that hold".into()));
+        keys.push((Key::Dash, BLACK, "correct probabilities".into()));
         let top = 74.0 + canvas.legend(58.0, &keys);
         let axes = Axes::new([120.0, top, WIDTH - 160.0, 870.0 - top], (0.0, 1.0), (0.0, 1.0));
         axes.draw(&mut canvas, "mean probability given", "share that was within 5 degrees");
@@ -71,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn intervals_of_shares_are_those_of_wilson() {
+    fn intervals_of_shares_are_wilsons() {
         // Half of 100: 0.5 +- 0.5 / sqrt(101). None of 4: up to 1 / (4 + 1).
         let [low, high] = wilson(0.5, 100);
         assert!((high - 0.5 - 0.5 / 101f64.sqrt()).abs() < 1e-12 && (low + high - 1.0).abs() < 1e-12);

@@ -1,14 +1,14 @@
-//! Two robots that stand, as Dijkstra et al. (\[paper\] in docs/reference/references.md) draw them: their phase before and after the offset is
-//! cancelled.
+//! Two stationary robots, drawn as by Dijkstra et al. (\[paper\] in docs/reference/references.md): their phase before and after
+//! the offset is cancelled.
 
 use super::link::track;
 use super::{PhasePlot, PhaseTrack};
 use crate::suite::Standing;
 
-/// Pairs of robots that stand whose phases are averaged before they are unwrapped.
+/// Pairs of stationary robots whose phases are averaged before unwrapping.
 const STANDING: usize = 25;
 
-/// The phase of two robots that stand.
+/// The phase of two stationary robots.
 #[must_use]
 pub fn standing(standing: &Standing) -> PhasePlot {
     let product_rad = standing.course.iter().map(|phase| phase.round_trip_rad).collect();

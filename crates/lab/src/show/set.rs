@@ -9,8 +9,8 @@ use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What the WSR toolbox as released reaches on each set of its data, all links of the published set, against the mean pose, with
-/// motion capture (measured): name, median, 90th percentile, degrees. Drawn where no table has its answers on the links that are.
+/// Results of the released WSR toolbox on each set of its data, with motion capture, against the mean pose, over all links of
+/// the published set (measured): name, median, 90th percentile, degrees. Drawn if no table has its answers on these links.
 const TOOLBOX: [(&str, f64, f64); 5] = [
     ("LOS_Set_A", 2.46, 5.97),
     ("LOS_Set_B", 3.65, 14.80),
@@ -19,12 +19,12 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
     ("NLOS_Set_C", 2.15, 7.03),
 ];
 
-/// What another program answers on the same links, from the tables beside the captures.
+/// Another program's answers on the same links, from the tables beside the captures.
 #[derive(Clone, Debug, Default)]
 pub struct Others(Vec<Table>);
 
 impl Others {
-    /// Adds the table of a folder, if any. Returns its skipped parts with the reason: a loss.
+    /// Adds the table of a folder, if any. Returns what was skipped and why: a loss.
     pub fn add(&mut self, folder: &Path, source: TrajectorySource) -> Option<String> {
         let (table, note) = Table::noted(folder, source);
         self.0.extend(table);
@@ -36,8 +36,8 @@ impl Others {
     }
 }
 
-/// Writes `errors`, where the truth of a link is known, `refusals` and `reliability`, where such a link has a confidence, and
-/// a `map-PLACE` for each capture into a folder.
+/// Writes into a folder: `errors` if a link has a truth, `refusals` and `reliability` if such a link has a confidence, and a
+/// `map-PLACE` for each capture.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
@@ -56,8 +56,7 @@ pub fn write(rows: &[Judged], others: &Others, folder: &Path, format: &Format) -
     Ok(written)
 }
 
-/// Writes a `map-PLACE` for each capture in which it is known where the receiver drove into a folder; none of them if one may
-/// not be replaced.
+/// Writes a `map-PLACE` into a folder for each capture with a known receiver path; none of them if one may not be replaced.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
@@ -79,13 +78,13 @@ pub fn write_maps(rows: &[Judged], folder: &Path, format: &Format) -> Result<Vec
     Ok(written)
 }
 
-/// What the map of a capture ([`Capture::link_name`](crate::evaluate::Capture::link_name)) is called, without its ending.
+/// Name of a capture's map ([`Capture::link_name`](crate::evaluate::Capture::link_name)), without extension.
 #[must_use]
 pub fn map_stem(folder: &Path, capture: &str) -> PathBuf {
     folder.join(format!("map-{}", file_safe(capture)))
 }
 
-/// What the pictures of all links together are called, without their endings.
+/// Names of the pictures of all links together, without extensions.
 #[must_use]
 pub fn stems(folder: &Path) -> [PathBuf; 3] {
     ["errors", "refusals", "reliability"].map(|name| folder.join(name))
@@ -108,7 +107,7 @@ fn errors(rows: &[Judged], others: &Others) -> CdfPlot {
         own.push(error);
         other.extend(others.error_deg(row));
     }
-    // In the order of the sets, so that each has the colour of the other program's.
+    // In the order of the sets, so that each has the same colour as the other program's.
     let known = sets.iter().map(|(set, (own, other))| match other.as_slice() {
         [] => published(set).unwrap_or_default(),
         other => {
@@ -124,7 +123,7 @@ fn errors(rows: &[Judged], others: &Others) -> CdfPlot {
     }
 }
 
-/// What is published of a set: two points.
+/// The published results of a set: two points.
 fn published(set: &str) -> Option<(String, Vec<(f64, f64)>)> {
     let (name, median, p90) = TOOLBOX.iter().find(|own| own.0 == set)?;
     Some((format!("toolbox on all links of {name} as published: median, 90 %"), vec![(*median, 0.5), (*p90, 0.9)]))
@@ -134,7 +133,7 @@ fn median_size(errors: &[f64]) -> f64 {
     csi5300::maths::median(&mut errors.iter().map(|error| error.abs()).collect::<Vec<_>>()).unwrap_or_default()
 }
 
-/// The distribution of errors: the share within each, as stairs.
+/// The distribution of errors: the share within each error, as steps.
 fn steps(errors: &[f64]) -> Vec<(f64, f64)> {
     let mut sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
     sizes.sort_by(f64::total_cmp);

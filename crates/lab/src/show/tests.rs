@@ -12,14 +12,14 @@ fn check(paths: &[PathBuf]) {
     assert_eq!(u32::from_be_bytes(bytes[16..20].try_into().unwrap()), 1200, "width in IHDR");
     let text = std::fs::read_to_string(svg).unwrap();
     assert!(text.starts_with("<svg") && text.trim_end().ends_with("</svg>"));
-    // What is cut off is cut off there too: every region that is used is defined.
+    // The SVG clips, too: every region that is used is defined.
     for name in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
         assert!(text.contains(&format!("id=\"{name}\"")), "{name} is not defined");
     }
     assert!(text.contains("width=\"1200\"") && !text.contains("NaN") && !text.contains("inf"));
 }
 
-/// Three pictures out of values with NaN and infinity among them, which are left out.
+/// Three pictures from values that include NaN and infinity, which are dropped.
 #[test]
 fn draws_around_values_that_are_not_finite() {
     let at = folder("finite");
@@ -58,7 +58,7 @@ fn draws_around_values_that_are_not_finite() {
     std::fs::remove_dir_all(at).unwrap();
 }
 
-/// What is written in a picture, with the pixels where it stands.
+/// The texts of a picture, with their pixel positions.
 fn written_in(svg: &str) -> Vec<(String, f64, f64)> {
     let number = |tag: &str, name: &str| tag.split(&format!(" {name}=\"")).nth(1)?.split('"').next()?.parse().ok();
     let texts = svg.split("<text").skip(1).filter_map(|rest| {
@@ -94,7 +94,7 @@ fn numbers_of_places_stay_within_the_frame() {
     let written = map.write(&at.join("place"), &Format::default()).unwrap();
     let svg = std::fs::read_to_string(&written[1]).unwrap();
     let texts = written_in(&svg);
-    // The frame begins 28 pixels below the words of its legend, and its lower edge is at 600.
+    // The frame begins 28 pixels below the text of its legend, and its lower edge is at 600.
     let legend = texts.iter().find(|text| text.0.starts_with("candidates")).unwrap().2;
     for number in ["1", "2", "3", "4", "5"] {
         let (_, _, y) = texts.iter().find(|text| text.0 == number).unwrap();
@@ -136,7 +136,7 @@ fn link_names_become_file_names() {
     assert_eq!(file_safe(""), "_");
 }
 
-/// A picture of every kind, from values that all are finite.
+/// A picture of every kind, from finite values.
 fn pictures(at: &Path, format: &Format) -> Vec<PathBuf> {
     let ramp = |from: f64| (0..40).map(|k| from + f64::from(k) * 0.1).collect::<Vec<f64>>();
     let capture = PhaseTrack { t_s: ramp(0.0), before_rad: ramp(1.0), after_rad: ramp(2.0), ..PhaseTrack::default() };
@@ -180,7 +180,7 @@ fn pictures(at: &Path, format: &Format) -> Vec<PathBuf> {
 }
 
 #[test]
-fn every_picture_is_pixels_and_vectors_and_replaces_nothing_unasked() {
+fn every_picture_is_a_png_and_an_svg_and_replaces_files_only_on_request() {
     let at = folder("formats");
     let format = Format::default().with_replace(false);
     let written = pictures(&at, &format);
@@ -202,7 +202,7 @@ fn check_kinds(pair: &[PathBuf]) {
     assert!(std::fs::read(svg).unwrap().starts_with(b"<svg"), "{}", svg.display());
 }
 
-/// More points than pixels are cells: a picture of a long log is no larger than one of a short one by much.
+/// More points than pixels become cells: a long log's picture is not much larger than a short one's.
 #[test]
 fn phases_that_are_too_dense_are_binned() {
     let at = folder("dense");

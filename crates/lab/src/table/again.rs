@@ -1,4 +1,4 @@
-//! Records of a log by their places, from a window that moves through the file: a log whose columns were read is read again for its CSI.
+//! Reads records of a log again, by offset, from a window that moves through the file: for CSI of a log whose columns are known.
 
 use driver_iface::bfee::Bfee;
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record, code};
@@ -11,30 +11,29 @@ const WINDOW: usize = 256 * 1024;
 /// Bytes of the longest record.
 const LONGEST: usize = LENGTH_FIELD + MAX_LENGTH;
 
-/// A log that was read before, and whose records are read again.
+/// A log that was read before and whose records are read again.
 pub(crate) struct LogReader {
     file: File,
     window: Vec<u8>,
-    /// Place of the window's first byte in the file.
+    /// Offset of the window in the file.
     start: u64,
-    /// Bytes of the window that were read.
+    /// Bytes in the window.
     filled: usize,
 }
 
 impl LogReader {
-    /// Opens a log; it must be a file in which one can seek.
+    /// Opens a log; the file must be seekable.
     ///
     /// # Errors
-    /// As the operating system.
+    /// Those of the operating system.
     pub fn open(path: &Path) -> io::Result<Self> {
         Ok(Self { file: File::open(path)?, window: vec![0; WINDOW], start: 0, filled: 0 })
     }
 
-    /// The bfee record that begins at a byte of the log; none where no bfee record is there (any more). Quick where each place is behind
-    /// the one before.
+    /// The bfee record at an offset of the log; `None` if there is none (any more). Fast if offsets rise.
     ///
     /// # Errors
-    /// As the operating system.
+    /// Those of the operating system.
     pub fn bfee(&mut self, offset: i64) -> io::Result<Option<Bfee<'_>>> {
         let place = u64::try_from(offset).unwrap_or(u64::MAX);
         let inside = place.checked_sub(self.start).and_then(|at| usize::try_from(at).ok());
@@ -48,7 +47,7 @@ impl LogReader {
         Ok(bfee_at(self.window.get(at..self.filled).unwrap_or_default()))
     }
 
-    /// Moves the window to a place: bytes of it that were read stay, the others are read, as many as there are.
+    /// Moves the window to an offset: keeps the overlapping bytes and reads the others, as many as there are.
     fn move_to(&mut self, place: u64) -> io::Result<()> {
         let end = self.start + self.filled as u64;
         let kept = if (self.start..end).contains(&place) { (end - place) as usize } else { 0 };

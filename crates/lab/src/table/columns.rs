@@ -1,21 +1,21 @@
-//! What a log says of each record beside its CSI, a column a field.
+//! The fields of each record besides its CSI, a column per field.
 
 use csi5300::source::survey::{Fields, Identity};
 use driver_iface::bfee::{Antenna, Antennas, Bfee};
 use std::mem::MaybeUninit;
 
-/// No host time: what NumPy has for it (NaT).
+/// No host time: NumPy's NaT.
 pub const NO_TIME: i64 = i64::MIN;
 /// No antenna.
 pub const NO_ANTENNA: u8 = 255;
 
-/// What is done with memory before it is first written: large pages, say.
+/// Called with memory before it is first written, for example to request large pages.
 pub trait Advise {
-    /// Is told of memory that will be written.
+    /// Receives memory that will be written.
     fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]);
 }
 
-/// Nothing is done.
+/// Does nothing.
 impl Advise for () {
     fn advise<T>(&mut self, _: &mut [MaybeUninit<T>]) {}
 }
@@ -25,9 +25,9 @@ impl Advise for () {
 pub struct Columns {
     /// The card's clock, unwrapped along the log, microseconds from an arbitrary origin.
     pub time_us: Vec<i64>,
-    /// Host time, microseconds since the Unix epoch; [`NO_TIME`] where not known.
+    /// Host time, microseconds since the Unix epoch; [`NO_TIME`] if unknown.
     pub host_us: Vec<i64>,
-    /// The card's clock as the record has it, microseconds; wraps.
+    /// The card's clock as in the record, microseconds; wraps.
     pub timestamp_low: Vec<u32>,
     /// The driver's count of records; wraps.
     pub bfee_count: Vec<u16>,
@@ -35,9 +35,9 @@ pub struct Columns {
     pub n_rx: Vec<u8>,
     /// Streams.
     pub n_tx: Vec<u8>,
-    /// RSSI at antennas A, B, C, three a record, dB relative to the card's reference.
+    /// RSSI at antennas A, B, C, three per record, dB relative to the card's reference.
     pub rssi: Vec<u8>,
-    /// Noise floor, dBm; -127 where not measured.
+    /// Noise floor, dBm; -127 if not measured.
     pub noise_dbm: Vec<i8>,
     /// Gain, dB.
     pub agc: Vec<u8>,
@@ -45,13 +45,13 @@ pub struct Columns {
     pub rate: Vec<u16>,
     /// Antenna of each chain, packed.
     pub antenna_sel: Vec<u8>,
-    /// Antenna of each chain, three a record; see [`antenna_order`].
+    /// Antenna of each chain, three per record; see [`antenna_order`].
     pub antenna_order: Vec<u8>,
-    /// The sender's number of the frame; -1 where not known.
+    /// The sender's frame number; -1 if unknown.
     pub frame: Vec<i64>,
-    /// The sender's address, six a record; zeros where not known.
+    /// The sender's address, six per record; zeros if unknown.
     pub mac: Vec<u8>,
-    /// Bytes of the log before the record, or its running number.
+    /// Offset of the record in the log, or its running number.
     pub offset: Vec<i64>,
 }
 
@@ -62,7 +62,7 @@ impl Columns {
         self.time_us.len()
     }
 
-    /// True without any.
+    /// True without records.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_us.is_empty()
@@ -92,7 +92,7 @@ impl Columns {
         room(&mut self.offset, records, advise);
     }
 
-    /// What the CSI of all records needs.
+    /// The rows and columns needed for the CSI of all records.
     #[must_use]
     pub fn widest(&self) -> Widest {
         let mut widest = Widest::default();
@@ -121,17 +121,17 @@ impl Columns {
     }
 }
 
-/// The rows and columns that the CSI of some records needs.
+/// The rows and columns needed for the CSI of some records.
 #[derive(Clone, Debug, Default)]
 pub struct Widest {
     used: [bool; 3],
-    /// The most chains of a record that does not say which antennas it used.
+    /// Most chains of a record that does not name its antennas.
     unnamed: usize,
     streams: usize,
 }
 
 impl Widest {
-    /// Takes more records into account.
+    /// Includes more records.
     pub fn note(&mut self, columns: &Columns) {
         for (used, antenna) in self.used.iter_mut().zip(Antenna::ALL) {
             *used = *used || columns.antenna_order.iter().any(|order| usize::from(*order) == antenna.index());
@@ -142,8 +142,7 @@ impl Widest {
         self.streams = self.streams.max(columns.n_tx.iter().copied().max().map_or(0, usize::from));
     }
 
-    /// Antennas, in their order: those that any record used, and, where records do not say which they used, as many more as these
-    /// have chains.
+    /// Antennas in order: those that any record used and, if records do not name theirs, enough more for their chains.
     #[must_use]
     pub fn antennas(&self) -> Vec<Antenna> {
         let (used, others): (Vec<_>, Vec<_>) = Antenna::ALL.into_iter().partition(|antenna| self.used[antenna.index()]);
@@ -153,14 +152,14 @@ impl Widest {
         antennas
     }
 
-    /// The most streams of a record, 1 without any.
+    /// The most streams of a record; 1 without records.
     #[must_use]
     pub fn streams(&self) -> usize {
         self.streams.max(1)
     }
 }
 
-/// The antenna of each chain, 0 to 2 for A to C; [`NO_ANTENNA`] for chains not used and where the record does not say.
+/// The antenna of each chain, 0 to 2 for A to C; [`NO_ANTENNA`] for unused chains and if the record does not name it.
 #[must_use]
 pub fn antenna_order(bfee: &Bfee<'_>) -> [u8; 3] {
     order_of(bfee.antennas().ok())

@@ -1,4 +1,4 @@
-//! CSI from packed records into an array that is already there, in either order of its indices.
+//! Decodes CSI from packed records into an existing array, in either order of its indices.
 
 use super::columns::antenna_order;
 use super::memory::Arena;
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 /// Stands for missing CSI.
 const NOTHING: Complex32 = Complex32::new(f32::NAN, f32::NAN);
 
-/// The units of CSI, and in which columns it is.
+/// The units of CSI, and the meaning of its columns.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Form {
     /// In sqrt(SNR) instead of the card's integers.
@@ -21,7 +21,7 @@ pub struct Form {
     pub without_spatial_mapping: bool,
 }
 
-/// In which order the numbers of a record are.
+/// The order of a record's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Order {
     /// `[n_rx][n_tx][subcarrier]`.
@@ -30,7 +30,7 @@ pub(crate) enum Order {
     SubcarriersFirst,
 }
 
-/// The rows of an array: which antenna is in which.
+/// The rows of an array: which antenna is in which row.
 #[derive(Clone, Debug)]
 pub struct Rows {
     row_of: [Option<usize>; 3],
@@ -39,7 +39,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// `antennas` in their order, `n_tx` columns.
+    /// `antennas` in this order, `n_tx` columns.
     #[must_use]
     pub fn new(antennas: &[Antenna], n_tx: usize) -> Self {
         let mut row_of = [None; 3];
@@ -63,8 +63,7 @@ impl Rows {
         self.len() == 0
     }
 
-    /// The chain of each row: that of its antenna, or, where a record does not say which antenna a chain is of, the chain of the
-    /// row's number.
+    /// The chain of each row: that of its antenna or, if a record does not name the antennas, the chain with the row's number.
     fn chains(&self, n_rx: usize, order: [u8; 3]) -> [Option<usize>; 3] {
         let mut chain_of = [None; 3];
         for (chain, antenna) in order.into_iter().enumerate().take(n_rx) {
@@ -80,8 +79,8 @@ impl Rows {
     }
 }
 
-/// Writes the CSI of records `[n_rx][n_tx][subcarrier]`, subcarrier fastest, on all cores of the current pool. `out` has
-/// room for one of [`Rows::len`] a record; what a record does not have is not a number.
+/// Writes the CSI of records `[n_rx][n_tx][subcarrier]`, subcarrier fastest, on all cores of the current pool. `out` has room
+/// for [`Rows::len`] values per record; missing ones are NaN.
 pub fn decode(arena: &Arena, records: &[usize], rows: &Rows, form: Form, out: &mut [Complex32]) {
     decode_in(Order::SubcarriersLast, arena, records, rows, form, out);
 }
@@ -110,7 +109,7 @@ pub(crate) fn decode_in(
     );
 }
 
-/// Decodes records of one thread.
+/// Decodes records on one thread.
 #[derive(Clone, Debug)]
 pub(crate) struct Decoder {
     order: Order,
@@ -118,7 +117,7 @@ pub(crate) struct Decoder {
     form: Form,
     level: Level,
     plan: Plan,
-    /// Room to work in.
+    /// Working memory.
     room: Room,
 }
 
@@ -138,7 +137,7 @@ impl Decoder {
     fn write(&mut self, bfee: &Bfee<'_>, with_factor: bool, out: &mut [Complex32]) -> Option<f64> {
         let Self { order, rows, form, level, plan, room } = self;
         plan.fit(bfee, rows);
-        // Compiled for each SIMD tier, as compilers vectorise it.
+        // Compiled for each SIMD tier, because compilers vectorise it.
         match order {
             Order::SubcarriersLast => dispatch!(*level, _ => one(bfee, plan, rows, *form, with_factor, room, out)),
             Order::SubcarriersFirst => {
@@ -148,7 +147,7 @@ impl Decoder {
     }
 }
 
-/// One record; its factor to sqrt(SNR) where that was asked for.
+/// One record; returns its factor to sqrt(SNR) if requested.
 #[inline(always)]
 fn one(
     bfee: &Bfee<'_>,
@@ -167,7 +166,7 @@ fn one(
     factor
 }
 
-/// Writes the samples of a record times a factor; without one nothing is a number.
+/// Writes a record's samples times a factor; without a factor, NaN.
 #[inline(always)]
 fn write(
     bfee: &Bfee<'_>,
@@ -203,7 +202,7 @@ fn write(
     }
 }
 
-/// The samples of a column times a factor: one loop over as many numbers as there always are, which compilers vectorise.
+/// The samples of a column times a factor: a loop of constant length, which compilers vectorise.
 #[inline(always)]
 fn widen(plane: &[[i8; 2]; SUBCARRIERS], factor: f32, column: &mut [Complex32]) {
     let values = bytemuck::cast_slice_mut::<Complex32, f32>(column).first_chunk_mut::<{ 2 * SUBCARRIERS }>();
@@ -213,19 +212,19 @@ fn widen(plane: &[[i8; 2]; SUBCARRIERS], factor: f32, column: &mut [Complex32]) 
     }
 }
 
-// The places of a record's samples: equal for most records in a row, and remade on changes.
+// Where a record's samples go: equal for most records in a row, and recomputed on changes.
 
 /// Columns of the largest record.
 const MOST: usize = MAX_SAMPLES / SUBCARRIERS;
 
-/// What the plan of a record depends on.
+/// The fields that determine a record's plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Kind {
     antenna_sel: u8,
     /// 0 before the first record.
     n_rx: usize,
     n_tx: usize,
-    /// Of a record of one chain, whose RSSI may say which antenna that was.
+    /// For a record of one chain, whose RSSI may show the antenna.
     rssi: [u8; 3],
 }
 
@@ -239,11 +238,11 @@ impl Kind {
 /// How the columns of an array, row by row, are made from a record's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Way {
-    /// As they are.
+    /// Unchanged.
     Straight,
-    /// From those of the numbers that [`Plan::sources`] has.
+    /// Permuted by [`Plan::sources`].
     Sorted,
-    /// Some have none.
+    /// Some are missing.
     #[default]
     Partly,
 }
@@ -256,12 +255,12 @@ struct Plan {
     chains: [Option<usize>; 3],
     /// How columns are made.
     way: Way,
-    /// Of each column the record's, `chain n_tx + stream`, where it has one.
+    /// For each column the record's `chain n_tx + stream`, if it has one.
     sources: [Option<usize>; MOST],
 }
 
 impl Plan {
-    /// Makes it that of a record.
+    /// Sets it for a record.
     #[inline(always)]
     fn fit(&mut self, bfee: &Bfee<'_>, rows: &Rows) {
         let kind = Kind::of(bfee);
@@ -292,9 +291,9 @@ impl Plan {
     }
 }
 
-// CSI with the subcarriers first, the order of the card's payload: bytes become numbers in one run.
+// CSI with the subcarriers first, the order of the card's payload: a single pass turns bytes into numbers.
 
-/// Room to work in.
+/// Working memory.
 #[derive(Clone, Debug)]
 struct Room {
     samples: [[i8; 2]; MAX_SAMPLES],
@@ -314,7 +313,7 @@ impl Room {
     }
 }
 
-/// One record; its factor to sqrt(SNR) where that was asked for.
+/// One record; returns its factor to sqrt(SNR) if requested.
 #[inline(always)]
 fn one_turned(
     bfee: &Bfee<'_>,
@@ -349,7 +348,7 @@ fn unpack_turned<'a>(bfee: &Bfee<'_>, bytes: &'a mut [u8; MAX_SAMPLE_BYTES]) -> 
     cast_slice(bytes.get(..2 * count).unwrap_or_default())
 }
 
-/// The samples of the columns of an array, all of which the record has.
+/// The samples of an array's columns, if the record has all of them.
 #[inline(always)]
 fn sort<'a>(
     bfee: &Bfee<'_>,
@@ -369,7 +368,7 @@ fn sort<'a>(
     sorted
 }
 
-/// Writes the samples of a record that has not all columns.
+/// Writes the samples of a record that lacks columns.
 #[inline(always)]
 fn partly(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, samples: &[[i8; 2]], factor: f32, out: &mut [Complex32]) {
     let pairs = bfee.n_rx() * bfee.n_tx();
@@ -379,7 +378,7 @@ fn partly(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, samples: &[[i8; 2]], factor
     });
 }
 
-/// Writes the CSI of a record without the matrix by which its streams were spread.
+/// Writes the CSI of a record without the spatial mapping matrix of its streams.
 #[inline(never)]
 fn unmapped(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, factor: f32, out: &mut [Complex32]) {
     let (csi, n_tx) = (Csi::raw(bfee).without_spatial_mapping(bfee.is_40_mhz()), bfee.n_tx());
@@ -389,7 +388,7 @@ fn unmapped(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, factor: f32, out: &mut [C
     });
 }
 
-/// Writes every number by itself: that of a subcarrier and column, or none.
+/// Writes every number separately: that of a subcarrier and column, or NaN.
 #[inline(always)]
 fn each(rows: &Rows, out: &mut [Complex32], number: impl Fn(usize, usize) -> Option<Complex32>) {
     for (subcarrier, columns) in out.chunks_exact_mut((rows.n_rx * rows.n_tx).max(1)).enumerate() {

@@ -1,5 +1,5 @@
-//! Records in memory, as the card sent them: blocks that are written once, the bfee records of a log in them ([`Arena`]), and all that a
-//! source gave, to be given again ([`Held`]).
+//! Records in memory, as the card sent them: blocks that are written once, a log's bfee records in them ([`Arena`]), and all
+//! items of a source, for replay ([`Held`]).
 
 use super::columns::Advise;
 use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
@@ -14,7 +14,7 @@ pub(super) const BLOCK: usize = 4 << 20;
 /// Memory of a fixed size.
 #[derive(Debug)]
 pub(super) enum Memory {
-    /// Of the heap.
+    /// From the heap.
     Heap(Vec<u8>),
     /// Mapped.
     Mapped(MmapMut),
@@ -39,7 +39,7 @@ impl Memory {
 /// A block: on the heap, which takes memory as it is written, or of a fixed size.
 #[derive(Debug)]
 pub(super) enum Block {
-    /// Of the heap.
+    /// On the heap.
     Growing(Vec<u8>),
     /// Of a fixed size; the first `len` bytes are written.
     Fixed {
@@ -56,10 +56,10 @@ impl Block {
         Self::Growing(Vec::new())
     }
 
-    /// For many: mapped in large pages, which takes all of the memory at the first byte and a hundredth of the time a byte.
+    /// For many records: mapped in large pages; all of the memory is taken at the first byte, at a hundredth of the cost per byte.
     pub fn large() -> Self {
         let block = Self::fixed(BLOCK);
-        // Pages of the usual size do as well.
+        // Pages of the usual size work, too.
         #[cfg(target_os = "linux")]
         if let Self::Fixed { memory: Memory::Mapped(map), .. } = &block {
             let _ = map.advise(memmap2::Advice::HugePage);
@@ -73,7 +73,7 @@ impl Block {
         Self::Fixed { memory, len: 0 }
     }
 
-    /// Bytes for which there is room.
+    /// Free bytes.
     pub fn room(&self) -> usize {
         match self {
             Self::Growing(heap) => BLOCK.saturating_sub(heap.len()),
@@ -81,7 +81,7 @@ impl Block {
         }
     }
 
-    /// Adds bytes; where they begin, or `None` without room for them. An empty heap block takes any number.
+    /// Appends bytes; returns their offset, or `None` without room. An empty heap block takes any number.
     pub fn push(&mut self, bytes: &[u8]) -> Option<u32> {
         let from = self.bytes().len();
         match self {
@@ -95,7 +95,7 @@ impl Block {
         u32::try_from(from).ok()
     }
 
-    /// Has `fill` write behind what was written, and takes the bytes that it says it wrote. A growing block has no room for that.
+    /// Lets `fill` write after the written bytes and return their number. A growing block has no room for that.
     pub fn fill<E>(&mut self, fill: impl FnOnce(&mut [u8]) -> Result<usize, E>) -> Result<usize, E> {
         let Self::Fixed { memory, len } = self else { return Ok(0) };
         let room = memory.bytes_mut().get_mut(*len..).unwrap_or_default();
@@ -105,7 +105,7 @@ impl Block {
         Ok(written)
     }
 
-    /// Leaves the next bytes as they are.
+    /// Skips the next bytes.
     pub fn skip(&mut self, bytes: usize) {
         if let Self::Fixed { memory, len } = self {
             *len = (*len + bytes).min(memory.bytes().len());
@@ -120,8 +120,8 @@ impl Block {
         }
     }
 
-    /// Writes `bytes` so that they end at `to`, over what is there; where they begin. A block whose bytes before `to` are too few
-    /// becomes one that holds `bytes` and what is behind `to`.
+    /// Writes `bytes` so that they end at `to`, over what is there; returns their offset. A block with too few bytes before `to`
+    /// becomes one with `bytes` and everything from `to` on.
     pub fn put_before(&mut self, to: usize, bytes: &[u8]) -> usize {
         if let Self::Fixed { memory, .. } = self
             && let Some(from) = to.checked_sub(bytes.len())
@@ -135,7 +135,7 @@ impl Block {
         0
     }
 
-    /// What was written.
+    /// The written bytes.
     pub fn bytes(&self) -> &[u8] {
         match self {
             Self::Growing(heap) => heap,
@@ -152,14 +152,14 @@ struct Entry {
     mpdu: Place,
 }
 
-/// Where a record's body lies.
+/// The place of a record's body.
 #[derive(Clone, Copy, Debug, Default)]
 struct Place {
     block: u32,
     span: Span,
 }
 
-/// bfee records in the order of the log, each with the MPDU record that says who sent it, where there is one.
+/// bfee records in the order of the log, each with the MPDU record that names its sender, if there is one.
 #[derive(Debug, Default)]
 pub struct Arena {
     blocks: Vec<Block>,
@@ -199,7 +199,7 @@ impl Arena {
         self.waiting.clear();
     }
 
-    /// Adds the body of a bfee record that was checked.
+    /// Adds the body of a checked bfee record.
     pub fn push(&mut self, body: &[u8]) {
         let waiting = std::mem::take(&mut self.waiting);
         let mpdu = if waiting.is_empty() { Place::default() } else { self.store(&waiting) };
@@ -209,8 +209,8 @@ impl Arena {
         self.entries.push(Entry { bfee, mpdu });
     }
 
-    /// Takes over a block; `records` are the bfee records in it that are kept, each with its MPDU where that is in the block
-    /// too. The first one's may be an MPDU [noted](Self::note_mpdu) before.
+    /// Takes over a block; `records` are its kept bfee records, each with its MPDU if that is in the block too. The first one's may
+    /// be an MPDU [noted](Self::note_mpdu) before.
     pub(super) fn adopt(&mut self, block: Block, records: impl IntoIterator<Item = (Span, Option<Span>)>) {
         let noted = std::mem::take(&mut self.waiting);
         let mut noted = (!noted.is_empty()).then(|| self.store(&noted));
@@ -257,7 +257,7 @@ impl Arena {
         Bfee::new_checked(self.body(index)).ok()
     }
 
-    /// Bytes of a record and its companion, MPDU first, with their codes.
+    /// Bytes of a record and its MPDU, MPDU first, with their codes.
     pub fn records(&self, index: usize) -> impl Iterator<Item = (u8, &[u8])> {
         let all = [(code::MPDU, self.mpdu(index)), (code::BFEE, self.body(index))];
         all.into_iter().filter(|(_, body)| !body.is_empty())
@@ -270,10 +270,10 @@ impl Arena {
     }
 }
 
-/// What a source gives in a piece at most; a damaged log may give more than it has bytes for records.
+/// Most items of a piece; a damaged log may give more items than it has bytes for records.
 const MOST: usize = 65_536;
 
-/// Where a record's body lies in a block.
+/// The place of a record's body in a block.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Span {
     /// Its first byte.
@@ -297,7 +297,7 @@ enum Item {
     End(Tail),
 }
 
-/// A stretch of what a source gave.
+/// A stretch of a source's items.
 #[derive(Debug)]
 pub(super) struct Piece {
     pub block: Block,
@@ -305,21 +305,21 @@ pub(super) struct Piece {
 }
 
 impl Piece {
-    /// Nothing yet, in this block.
+    /// An empty piece in this block.
     pub fn new(block: Block) -> Self {
         Self { block, items: Vec::new() }
     }
 
-    /// True if the last of them is the log's end.
+    /// True if its last item is the log's end.
     pub fn has_ended(&self) -> bool {
         matches!(self.items.last(), Some(Item::End(_)))
     }
 
-    /// Takes what the source gives until the block is full, nothing is there at `now`, or all was given; whether more may be
-    /// there at once.
+    /// Takes the source's items until the block is full, none is available at `now`, or the log ends; returns whether more may be
+    /// available at once.
     ///
     /// # Errors
-    /// As the source. What it gave before is in the piece.
+    /// Those of the source. Earlier items are in the piece.
     pub fn fill(&mut self, source: &mut (impl CsiSource + ?Sized), now: Instant) -> Result<bool, Error> {
         while self.items.len() < MOST && self.block.room() >= MAX_LENGTH {
             match source.receive(now)? {
@@ -339,7 +339,7 @@ impl Piece {
         Ok(true)
     }
 
-    /// What it gave in this place, and where in the block.
+    /// The item at this index, and its place in the block.
     pub fn get(&self, index: usize) -> Option<(Next<'_>, Span)> {
         Some(match self.items.get(index)? {
             Item::Record(stamps, code, span) => {
@@ -361,7 +361,7 @@ impl Held {
     /// Reads a source to its end; `None` once `go_on`, called every few megabytes, returns false.
     ///
     /// # Errors
-    /// As the source, and [`Error::Endless`] of one that is live.
+    /// Those of the source, and [`Error::Endless`] for a live one.
     pub fn read(source: &mut dyn CsiSource, go_on: &dyn Fn() -> bool) -> Result<Option<Self>, Error> {
         let mut pieces = Vec::new();
         while go_on() {
@@ -385,7 +385,7 @@ impl Held {
     }
 }
 
-/// What a source gave, once more; see [`Held::source`].
+/// Replays a source; see [`Held::source`].
 #[derive(Clone, Debug)]
 pub struct HeldSource<'a> {
     pieces: std::slice::Iter<'a, Piece>,
@@ -433,7 +433,7 @@ mod tests {
         assert_eq!((own.push(&vec![8; BLOCK + 1]), own.push(&[9]), own.room()), (Some(0), None, 0));
     }
     #[test]
-    fn bytes_are_read_behind_a_gap_and_what_was_left_over_is_put_before_them() {
+    fn bytes_are_read_after_a_gap_that_takes_earlier_unused_bytes() {
         let mut block = Block::fixed(10);
         block.skip(3);
         let read = |room: &mut [u8]| {

@@ -1,4 +1,4 @@
-//! Logs as tables in memory: a column for each field, and the CSI packed as the card sent it, decoded into arrays on demand.
+//! Logs as tables in memory: a column per field, and the CSI packed as the card sent it, decoded into arrays on demand.
 //!
 //! [`Reading`] reads a source once through a [`Filter`] into an [`Arena`] and [`Columns`]; [`decode`] writes the CSI of
 //! any of its records into the caller's memory. Exports, pictures of logs, the page and the Python package use it.

@@ -1,4 +1,4 @@
-//! A log read into memory: filters, columns, packed records.
+//! Reads a log into memory: filters, columns, packed records.
 
 use super::columns::{Advise, Columns, antennas};
 use super::memory::{Arena, Block, Span};
@@ -14,26 +14,26 @@ use std::collections::BTreeSet;
 /// Records that [`Reading::burst`] reads at most.
 const BURST: usize = 32_768;
 
-/// Why there is no such filter.
+/// Why a filter is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FilterError {
-    /// A text is no address.
-    #[error("{text:?} is no sender: {source}")]
+    /// A text is not an address.
+    #[error("{text:?} is not a sender address: {source}")]
     Mac {
         /// The text.
         text: String,
         /// Why.
         source: ParseMacError,
     },
-    /// A text names no antennas.
+    /// A text does not name antennas.
     #[error("{text:?} names no antennas: letters of A, B and C, such as A or AC")]
     Antennas {
         /// The text.
         text: String,
     },
     /// The stretch of time is empty or not a number.
-    #[error("from {from_s} to {to_s} seconds after the first record is no stretch of time")]
+    #[error("from {from_s} to {to_s} seconds after the first record is not a stretch of time")]
     Time {
         /// Its beginning, seconds.
         from_s: f64,
@@ -79,7 +79,7 @@ impl Filter {
         Ok(self)
     }
 
-    /// With only records of which one of the antennas named (`A`, `BC`) was used.
+    /// With only records that used one of the named antennas (`A`, `BC`).
     ///
     /// # Errors
     /// [`FilterError::Antennas`].
@@ -101,7 +101,7 @@ impl Filter {
         self.keeps_by(bfee.antennas().ok(), identity, since_us)
     }
 
-    /// The same by the antennas that were used, where they are known.
+    /// The same by the used antennas, if known.
     #[inline]
     fn keeps_by(&self, used: Option<Antennas>, identity: Identity, since_us: i64) -> bool {
         let is_used = |antenna: &Antenna| used.is_some_and(|used| used.chain_of(*antenna).is_some());
@@ -112,11 +112,11 @@ impl Filter {
     }
 }
 
-/// A log on its way into memory.
+/// A log that is being read into memory.
 pub struct Reading<S> {
     source: S,
     filter: Filter,
-    /// What was met so far.
+    /// Counters so far.
     pub survey: Survey,
     /// Records kept since the last [`Reading::take`].
     pub arena: Arena,
@@ -124,7 +124,7 @@ pub struct Reading<S> {
     pub columns: Columns,
     /// Intact records that the filter skipped.
     pub left_out: u64,
-    /// Of each loss and each impossible record the number of intact bfee records before it.
+    /// For each loss and each impossible record, the number of intact bfee records before it.
     pub damaged_after: Vec<u64>,
     first_us: Option<i64>,
     pub(super) ended: bool,
@@ -149,7 +149,7 @@ impl<S: CsiSource> Reading<S> {
         }
     }
 
-    /// With columns only: the arena stays empty. For a log that is read again.
+    /// Columns only: the arena stays empty. For a log that is read again.
     #[must_use]
     pub fn without_bodies(mut self) -> Self {
         self.bodies = false;
@@ -174,13 +174,13 @@ impl<S: CsiSource> Reading<S> {
         self.ended
     }
 
-    /// What was kept since the last call.
+    /// The records kept since the last call.
     pub fn take(&mut self) -> (Arena, Columns) {
         (std::mem::take(&mut self.arena), std::mem::take(&mut self.columns))
     }
 
-    /// Reads on for `BURST` records, until `limit` are kept, until nothing is there, or to the end; whether more may be
-    /// there at once.
+    /// Reads up to `BURST` records, until `limit` are kept, none is available, or the log ends; returns whether more may be
+    /// available at once.
     ///
     /// # Errors
     /// If the source cannot be read further.
@@ -214,7 +214,7 @@ impl<S: CsiSource> Reading<S> {
     }
 }
 
-/// What records become.
+/// Where records are stored.
 pub(super) struct Table<'a> {
     filter: &'a Filter,
     survey: &'a mut Survey,
@@ -232,13 +232,13 @@ impl Table<'_> {
         self.columns.len()
     }
 
-    /// Makes room for so many more records, as far as memory allows; `advise` is told of it.
+    /// Reserves room for this many more records, as far as memory allows; `advise` gets the memory.
     pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
         self.arena.reserve(records, advise);
         self.columns.reserve(records, advise);
     }
 
-    /// Counts what a source gave; whether it is a bfee record, and whether that is kept, whose columns are added then.
+    /// Counts an item; returns whether it is a bfee record and whether that is kept. Adds the columns of a kept one.
     fn note(&mut self, tally: &mut Tally, next: &Next<'_>) -> Option<bool> {
         let bad = self.survey.bad_bfee;
         let noted = self.survey.note_in(tally, next);
@@ -253,7 +253,7 @@ impl Table<'_> {
         Some(self.choose(&Fields::of(&bfee), identity, offset))
     }
 
-    /// Whether a bfee record that was counted is kept; its columns are added then.
+    /// Whether a counted bfee record is kept; its columns are then added.
     #[inline(always)]
     fn choose(&mut self, fields: &Fields, identity: Identity, offset: u64) -> bool {
         let time_us = self.survey.clock_us.map_or(0, |(_, last)| last);
@@ -267,7 +267,7 @@ impl Table<'_> {
         is_kept
     }
 
-    /// Takes what a source gave; the record is copied if it is kept.
+    /// Takes an item of a source; copies the record if it is kept.
     fn take(&mut self, tally: &mut Tally, next: &Next<'_>) {
         let is_kept = self.note(tally, next);
         if !self.bodies {
@@ -281,7 +281,7 @@ impl Table<'_> {
         }
     }
 
-    /// Counts a bfee record, by its fields, whose bytes are in a block, in their place.
+    /// Counts a bfee record whose bytes are in a block, by its fields and place.
     #[inline(always)]
     pub(super) fn sort_bfee(&mut self, sorted: &mut Sorted, stamps: Stamps, fields: &Fields, span: Span) {
         let identity = self.survey.note_fields(&mut sorted.tally, stamps, fields);
@@ -291,7 +291,7 @@ impl Table<'_> {
         }
         sorted.mpdu = None;
         if sorted.kept.is_empty() {
-            // One noted before this block is of no record any more.
+            // An MPDU noted before this block belongs to no later record.
             self.arena.drop_mpdu();
         }
     }
@@ -307,12 +307,12 @@ impl Table<'_> {
             _ => return,
         }
         if sorted.kept.is_empty() {
-            // One noted before this block is of no record any more.
+            // An MPDU noted before this block belongs to no later record.
             self.arena.drop_mpdu();
         }
     }
 
-    /// Keeps what was sorted of a block, whose memory the arena takes over if most of it is kept; the block otherwise.
+    /// Keeps a block's sorted records: the arena takes over the memory if most of it is kept; otherwise returns the block.
     pub(super) fn keep(&mut self, sorted: &mut Sorted, block: Block) -> Option<Block> {
         let Sorted { kept, bytes, mpdu, tally } = sorted;
         self.survey.settle(tally);
@@ -339,22 +339,22 @@ impl Table<'_> {
     }
 }
 
-/// Where a record is in its source.
+/// Place of a record in its source.
 fn place(stamps: Stamps) -> u64 {
     let (Origin::File { offset: place } | Origin::Live { number: place }) = stamps.origin;
     place
 }
 
-/// What of a block is kept.
+/// The kept part of a block.
 #[derive(Default)]
 pub(super) struct Sorted {
-    /// bfee records, each with its MPDU where that is in the block too.
+    /// bfee records, each with its MPDU if that is in the block too.
     kept: Vec<(Span, Option<Span>)>,
     /// Bytes of all of them.
     bytes: u32,
     /// The newest MPDU, until a bfee takes it.
     mpdu: Option<Span>,
-    /// What the survey has not in its maps yet.
+    /// Counts that are not yet in the survey's maps.
     tally: Tally,
 }
 

@@ -1,4 +1,4 @@
-//! A log as a table against the same log frame by frame.
+//! Compares a log as a table with the same log frame by frame.
 
 use super::whole::Cut;
 use super::{
@@ -32,7 +32,7 @@ fn frames() -> Vec<Frame> {
 }
 
 #[test]
-fn a_table_is_its_frames() {
+fn a_table_equals_its_frames() {
     let (arena, columns, left_out) = table(Filter::default());
     let frames = frames();
     assert!(frames.len() > 100 && arena.len() == frames.len() && columns.len() == frames.len() && left_out == 0);
@@ -61,9 +61,9 @@ fn a_table_is_its_frames() {
 }
 
 #[test]
-fn rows_that_a_record_does_not_have_are_no_numbers() {
+fn missing_rows_are_nan() {
     let (arena, ..) = table(Filter::default());
-    // Columns for two streams, of which the records have one; rows in another order; a record that is not there.
+    // Columns for two streams of records that have one; rows in another order; a missing record.
     let rows = Rows::new(&[Antenna::C, Antenna::A], 2);
     let mut csi = vec![Complex32::default(); 3 * rows.len()];
     decode(&arena, &[5, 5, arena.len()], &rows, Form::default(), &mut csi);
@@ -77,8 +77,8 @@ fn rows_that_a_record_does_not_have_are_no_numbers() {
     assert!(csi[2 * rows.len()..].iter().all(|h| h.is_nan()));
 }
 
-/// Records of every number of chains and streams, of antennas in every order, of none that are known and of none that was heard: the
-/// next is always of another kind.
+/// Records of every number of chains and streams, with antennas in every order, unknown antennas and silent ones; consecutive
+/// records are always of different kinds.
 fn all_kinds() -> Arena {
     let mut arena = Arena::default();
     for (k, antenna_sel) in (0..64_u8).enumerate() {
@@ -98,7 +98,7 @@ fn all_kinds() -> Arena {
 }
 
 #[test]
-fn subcarriers_first_or_last_the_numbers_are_the_same() {
+fn both_orders_of_indices_hold_the_same_numbers() {
     use Antenna::{A, B, C};
     let arena = all_kinds();
     let records: Vec<usize> = (0..arena.len() + 1).collect();
@@ -129,7 +129,7 @@ fn subcarriers_first_or_last_the_numbers_are_the_same() {
 }
 
 #[test]
-fn filters_keep_what_was_asked_for() {
+fn filters_keep_the_requested_records() {
     let frames = frames();
     let (first, sender) = (frames[0].card_us, frames[0].mac.unwrap().to_string());
     let (arena, columns, left_out) = table(Filter::default().with_time(Some(0.5), Some(1.0)).unwrap());
@@ -147,9 +147,9 @@ fn filters_keep_what_was_asked_for() {
 /// Copies of the fixture's 281 records.
 const COPIES: usize = 150;
 
-/// Enough copies of the fixture for several blocks of memory, damaged in places, with MPDU records between the others.
+/// Enough copies of the fixture for several blocks of memory, damaged in places, with MPDU records in between.
 #[test]
-fn pieces_need_together_what_the_whole_needs() {
+fn the_needs_of_pieces_add_up_to_those_of_the_whole() {
     let columns = |orders: &[[u8; 3]], n_rx: &[u8], n_tx: &[u8]| Columns {
         antenna_order: orders.concat(),
         n_rx: n_rx.to_vec(),
@@ -190,7 +190,7 @@ fn replay(log: &[u8]) -> Replay<&[u8]> {
     Replay::new(log, "a long log".into())
 }
 
-/// All that is in an arena: each record's MPDU and body.
+/// The content of an arena: each record's MPDU and body.
 fn bodies(arena: &Arena) -> Vec<(&[u8], &[u8])> {
     (0..arena.len()).map(|k| (arena.mpdu(k), arena.body(k))).collect()
 }
@@ -200,7 +200,7 @@ fn two_threads_read_what_one_reads() {
     let log = long();
     let few = Filter::default().with_time(Some(0.5), Some(0.6)).unwrap();
     let nobody = Filter::default().with_macs(["02:00:00:00:00:77"]).unwrap();
-    // As usual; blocks into which few records fit, so that many lie across two of them; and no room for what is left over.
+    // The usual blocks; blocks for few records, so that many straddle two of them; and no room for incomplete records.
     let small = |head| Cut { first: 1_000, block: Some(4_096 + head), head };
     let cuts = [Cut::default(), small(LOOKAHEAD), small(100)];
     for (filter, cut) in
@@ -208,7 +208,7 @@ fn two_threads_read_what_one_reads() {
     {
         let mut one = Reading::new(replay(&log), filter.clone());
         while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
-        // As from too few bytes, and from more than there is memory for.
+        // As if for too few bytes, and for more than there is memory.
         for size in [None, Some(1), Some(u64::MAX)] {
             let mut other = Reading::new(replay(&log), filter.clone());
             other.read_cut(Instant::ZERO, cut, size, &mut (), || true).unwrap();
@@ -225,9 +225,9 @@ fn two_threads_read_what_one_reads() {
     }
 }
 
-/// Without bodies a whole log is read on one thread, in memory that is used again.
+/// Without bodies a whole log is read on one thread, in reused memory.
 #[test]
-fn columns_alone_are_those_of_the_whole_log() {
+fn columns_without_bodies_equal_those_of_the_whole_log() {
     let log = long();
     let few = Filter::default().with_time(Some(0.5), Some(0.6)).unwrap();
     let small = |head| Cut { first: 1_000, block: Some(4_096 + head), head };
@@ -251,7 +251,7 @@ fn columns_alone_are_those_of_the_whole_log() {
     assert!(asked == 3 && !stopped.has_ended() && !stopped.columns.is_empty());
 }
 
-/// Host times of a side file, some of which are not known, beside noise between records: with and without them in one block.
+/// Host times of a side file, some unknown, with noise between records: records with and without them in one block.
 #[test]
 fn two_threads_read_the_host_times_that_one_reads() {
     let folder = std::env::temp_dir().join(format!("csi5300-table-{}", std::process::id()));
@@ -282,9 +282,9 @@ fn two_threads_read_the_host_times_that_one_reads() {
     assert_eq!(two.columns.host_us[2_999], 1_700_002_999_250_000);
 }
 
-/// A log of which some was received, and one whose reader fails in the middle.
+/// A partly received log, and one whose reader fails in the middle.
 #[test]
-fn what_was_received_before_is_not_read_again_and_what_was_read_before_an_error_is_there() {
+fn received_records_are_not_read_twice_and_survive_an_error() {
     let log = long();
     let mut one = Reading::new(replay(&log), Filter::default());
     assert!(one.burst(Instant::ZERO, 700).unwrap() || one.arena.len() == 700);
@@ -307,7 +307,7 @@ impl Read for Failing {
 }
 
 #[test]
-fn reading_ends_when_it_is_told_to() {
+fn reading_stops_on_request() {
     let log = long();
     let mut asked = 0;
     let mut reading = Reading::new(replay(&log), Filter::default());
@@ -321,7 +321,7 @@ fn reading_ends_when_it_is_told_to() {
 }
 
 #[test]
-fn a_held_log_gives_again_what_it_gave() {
+fn a_held_log_can_be_replayed() {
     let log = long();
     let held = Held::read(&mut replay(&log), &|| true).unwrap().unwrap();
     for _ in 0..2 {

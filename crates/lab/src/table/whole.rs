@@ -1,4 +1,4 @@
-//! Whole logs on two threads: one reads bytes and finds records among them, the other sorts these. They stay where they were read.
+//! Whole logs on two threads: one reads bytes and finds records, the other sorts them. Records stay where they were read.
 
 use super::columns::Advise;
 use super::memory::{BLOCK, Block, Span};
@@ -13,18 +13,18 @@ use fearless_simd::{Level, dispatch};
 use std::io::Read;
 use std::sync::mpsc::{channel, sync_channel};
 
-/// Pieces that may wait between the thread that reads and the one that sorts.
+/// Pieces that may wait between the reading and the sorting thread.
 const AHEAD: usize = 4;
 
-/// Bytes that are read at once: few enough to be in the second-level cache while records are found in them.
+/// Bytes of a read: few enough to stay in the second-level cache while records are found in them.
 const STRETCH: usize = 256 << 10;
 
 /// How a log is cut into blocks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
-    /// Bytes of the first block: a log that fits into it is read before a thread would be there.
+    /// Bytes of the first block: a log that fits into it is read before a thread would start.
     pub first: usize,
-    /// Bytes of those in the heap after it, or `None` for [large](Block::large) ones.
+    /// Bytes of later blocks on the heap, or `None` for [large](Block::large) ones.
     pub block: Option<usize>,
     /// Room at the start of a block for the incomplete record at the end of the block before, bytes.
     pub head: usize,
@@ -46,11 +46,11 @@ impl Cut {
 }
 
 impl<R: Read + Send> Reading<Replay<R>> {
-    /// Reads all of a log, on two threads if bodies are kept; records are received at `now`. Stops early once `go_on`,
-    /// called every few megabytes, returns false.
+    /// Reads all of a log, on two threads if bodies are kept; records are received at `now`. Stops early once `go_on`, called every
+    /// few megabytes, returns false.
     ///
     /// # Errors
-    /// If the log cannot be read further. What was read before is there.
+    /// If the log cannot be read further. What was read before is kept.
     pub fn read_all(&mut self, now: Instant, go_on: impl FnMut() -> bool) -> Result<(), Error> {
         self.read_cut(now, Cut::default(), None, &mut (), go_on)
     }
@@ -69,7 +69,7 @@ impl<R: Read + Send> Reading<Replay<R>> {
         self.read_cut(now, Cut::default(), Some(bytes), advise, go_on)
     }
 
-    /// The same in blocks of other sizes.
+    /// The same with other block sizes.
     pub(super) fn read_cut(
         &mut self,
         now: Instant,
@@ -104,7 +104,7 @@ impl<R: Read + Send> Reading<Replay<R>> {
     }
 }
 
-/// Records of a log of `size` bytes by those kept of its first ones, and a few more.
+/// Expected number of kept records in a log of `size` bytes, from the share kept so far, and a few more.
 fn expected(kept: usize, of_bytes: usize, size: u64) -> usize {
     let all = kept as f64 * (size as f64 / of_bytes.max(1) as f64);
     (1.02 * all) as usize
@@ -116,14 +116,14 @@ struct Piece {
     found: Found,
 }
 
-/// What is left of a piece to be used again: what was found in it, and its block if that is not kept.
+/// What remains of a piece for reuse: the memory of its finds, and its block if that is not kept.
 struct Spare {
     block: Option<Block>,
     found: Found,
 }
 
-/// Cuts a log into pieces in a thread of its own and hands over one after the other; `take` gives back what was found, whose memory
-/// is used again, and says whether to go on.
+/// Cuts a log into pieces on its own thread and passes them on in order; `take` returns the memory of the finds for reuse, and
+/// whether to continue.
 fn in_pieces<R: Read + Send>(
     mut cutter: Cutter<'_, R>,
     cut: Cut,
@@ -136,7 +136,7 @@ fn in_pieces<R: Read + Send>(
             loop {
                 let (piece, more) = cutter.next(cut.next(), used.try_recv().unwrap_or_default(), cut.head);
                 let is_last = !matches!(more, Ok(true));
-                // Nobody receives once it was enough.
+                // The receiver is gone once it has enough.
                 if sender.send((piece, more)).is_err() || is_last {
                     return;
                 }
@@ -149,14 +149,14 @@ fn in_pieces<R: Read + Send>(
             if !more? || !go_on {
                 break;
             }
-            // Nobody waits for it behind the last piece.
+            // After the last piece nobody needs the memory.
             let _ = back.send(found);
         }
         Ok(())
     })
 }
 
-/// Cuts a log into pieces in memory that is used again: `take` gives the block back, and says whether to go on.
+/// Cuts a log into pieces in reused memory: `take` returns the block, and whether to continue.
 fn in_one_block<R: Read>(
     mut cutter: Cutter<'_, R>,
     cut: Cut,
@@ -180,17 +180,17 @@ fn in_one_block<R: Read>(
 struct Cutter<'a, R> {
     bytes: &'a mut Bytes<R>,
     framing: &'a mut Framing,
-    /// What the last block ended with and was not used.
+    /// Unused bytes at the end of the last block.
     left: Vec<u8>,
-    /// What was found in a block so far at most.
+    /// Most finds in a block so far.
     most: usize,
 }
 
 impl<R: Read> Cutter<'_, R> {
-    /// The next piece, in `block`, in which bytes are read behind `head`, with the memory of `found`; whether there may be more.
+    /// The next piece, in `block`, read after `head`, with the memory of `found`; returns whether there may be more.
     fn next(&mut self, mut block: Block, found: Found, head: usize) -> (Piece, Result<bool, Error>) {
         let mut found = found.emptied(self.most);
-        // What is left over has room before the bytes, but where that is next to nothing.
+        // The unused bytes fit before the new ones, except where the room is almost zero.
         let has_room = self.left.len() <= head;
         let stretch = if has_room { STRETCH } else { usize::MAX };
         let mut at = if has_room { block.put_before(head, &self.left) } else { 0 };
@@ -227,7 +227,7 @@ impl<R: Read> Cutter<'_, R> {
     }
 }
 
-/// Sorts what was found in a log, a block at a time.
+/// Sorts the finds of a log, a block at a time.
 struct Sorter<'a> {
     table: Table<'a>,
     now: Instant,
@@ -237,7 +237,7 @@ struct Sorter<'a> {
 }
 
 impl Sorter<'_> {
-    /// Takes a piece; gives back what of it is not kept.
+    /// Takes a piece; returns what is not kept of it.
     fn take(&mut self, Piece { block, found }: Piece) -> Spare {
         let Self { table, sorted, .. } = self;
         self.ended = found.each(block.bytes(), self.now, |thing, span| match thing {
@@ -248,19 +248,19 @@ impl Sorter<'_> {
     }
 }
 
-// What the thread that reads found in a block, for the one that sorts: eight bytes a record and a bfee's fields. What is spread over
-// the records themselves costs another thread more to look at than to use.
+// What the reading thread finds in a block for the sorting one: eight bytes per record and a bfee's fields. If these stayed in
+// the records themselves, the other thread would spend more time on fetching than on using them.
 
 /// Bytes of a record before its body.
 const HEAD: u64 = LENGTH_FIELD as u64 + 1;
 
-/// A thing that was found.
+/// A find.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     from: u32,
     len: u16,
     code: u8,
-    /// A record without a host time; the next of the others, if it is not.
+    /// A record without a host time; otherwise the next of the others.
     is_plain: bool,
 }
 
@@ -271,7 +271,7 @@ enum Other {
     End(Tail),
 }
 
-/// One of the things that were found.
+/// A find, decoded.
 enum Thing<'a> {
     /// An intact bfee record.
     Bfee(Stamps, &'a Fields),
@@ -279,19 +279,19 @@ enum Thing<'a> {
     Other(&'a Next<'a>),
 }
 
-/// What was found in a block, in its order.
+/// The finds in a block, in order.
 #[derive(Debug, Default)]
 struct Found {
     places: Vec<Place>,
-    /// Of the intact bfee records among those that are plain.
+    /// Fields of the intact bfee records among the plain ones.
     fields: Vec<Fields>,
     others: Vec<Other>,
-    /// Where the block's first byte is in the log; wraps.
+    /// Offset of the block's first byte in the log; wraps.
     start: u64,
 }
 
 impl Found {
-    /// Forgets all that was found and makes room for `most` things; memory that there is stays.
+    /// Forgets all finds and makes room for `most`; keeps its memory.
     fn emptied(mut self, most: usize) -> Self {
         self.places.clear();
         self.fields.clear();
@@ -301,13 +301,13 @@ impl Found {
         Self { start: 0, ..self }
     }
 
-    /// Adds the records in the block's `bytes` from `at` on; `is_last`: the log ends there. Returns the first unused
-    /// byte, where a record starts.
+    /// Adds the records in the block's `bytes` from `at` on; `is_last`: the log ends there. Returns the first unused byte, where a
+    /// record starts.
     fn find(&mut self, bytes: &[u8], at: usize, framing: &mut Framing, is_last: bool) -> usize {
         dispatch!(Level::new(), _ => self.find_in(bytes, at, framing, is_last))
     }
 
-    /// [`Self::find`], for the vectors that it is compiled for.
+    /// [`Self::find`], for the vectors for which it is compiled.
     #[inline(always)]
     fn find_in(&mut self, bytes: &[u8], mut at: usize, framing: &mut Framing, is_last: bool) -> usize {
         loop {
@@ -359,17 +359,17 @@ impl Found {
         self.others.push(other);
     }
 
-    /// Where the record is in the log whose body begins at byte `from` of the block.
+    /// Place in the log of the record whose body begins at byte `from` of the block.
     fn offset(&self, from: u32) -> u64 {
         self.start.wrapping_add(u64::from(from)).wrapping_sub(HEAD)
     }
 
-    /// How many things.
+    /// Number of finds.
     fn len(&self) -> usize {
         self.places.len()
     }
 
-    /// Gives all, received at `now`, with their places in the block's `bytes`; whether the log ends there.
+    /// Passes on all finds, received at `now`, with their places in the block's `bytes`; returns whether the log ends there.
     fn each(&self, bytes: &[u8], now: Instant, mut take: impl FnMut(Thing<'_>, Span)) -> bool {
         let mut ended = false;
         let stamps = |host_us, offset| Stamps { at: now, host_us, origin: Origin::File { offset } };

@@ -1,4 +1,4 @@
-//! Bearings of simulated captures: how near to the truth, and how near to the bound.
+//! Accuracy of bearings of simulated captures, relative to the truth and to the Cramer-Rao bound.
 
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::Accuracy;
@@ -20,7 +20,7 @@ fn circle(radius_m: f64, duration_s: f64) -> RobotMotion {
     RobotMotion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 })
 }
 
-/// The built-in scene of this name over a full circle of 30 cm, its transmitter 100 times as far and as loud.
+/// The built-in scene of this name over a full circle of 30 cm, with its transmitter 100 times as far and as loud.
 fn far(name: &str) -> Scene {
     let mut scene = Scene::built_in(name).unwrap();
     let place = &mut scene.robot[1].position_m;
@@ -38,7 +38,7 @@ fn far(name: &str) -> Scene {
     scene
 }
 
-/// Fewer rounds a second than the built-in scenes have: the time of a test goes with them.
+/// Fewer rounds per second than in the built-in scenes, to save time.
 fn sound(scene: &mut Scene, rate_hz: f64) {
     scene.sounding.as_mut().unwrap().rate_hz = rate_hz;
 }
@@ -52,16 +52,16 @@ fn errors(runs: &[Run]) -> Vec<f64> {
 }
 
 #[test]
-fn with_the_papers_noise_a_circle_is_right_to_a_quarter_of_a_degree() {
+fn with_the_papers_noise_a_circles_error_is_below_a_quarter_degree() {
     let found = errors(&runs(far("paper-circle"), 10, &options(true)));
     println!("far: {found:.4?}");
     assert!(found.iter().all(|error| error.abs() <= 0.25), "{found:?}");
-    // At this noise a plane wave, which looks at the channel centre alone, loses to phases that slip.
+    // At this noise a plane wave, which uses only the channel centre, loses to phase slips.
     let plane = errors(&runs(far("paper-circle"), 10, &options(false)));
     println!("far, plane wave: {plane:.4?}");
     assert!(plane.iter().all(|error| error.abs() <= 0.3), "{plane:?}");
-    // At 4 m the wave front is curved: a plane wave is off by a bias, and now and then takes the wrong one of the peaks
-    // into which the curvature splits its own. The spherical wave has neither.
+    // At 4 m the wave front is curved: a plane wave has a bias, and sometimes takes the wrong one of the peaks into which the
+    // curvature splits its own. The spherical wave has neither problem.
     let close = || Scene::built_in("paper-circle").unwrap();
     let (plane, spherical) = (errors(&runs(close(), 5, &options(false))), errors(&runs(close(), 5, &options(true))));
     println!("close, plane wave: {plane:.4?}; spherical wave: {spherical:.4?}");
@@ -72,16 +72,16 @@ fn with_the_papers_noise_a_circle_is_right_to_a_quarter_of_a_degree() {
     assert!(sizes[2] <= 0.2, "{plane:?}");
 }
 
-/// The azimuth of the highest value of the curve that pictures draw, degrees.
+/// The azimuth of the maximum of the drawn curve, degrees.
 fn highest_deg(run: &Run) -> f64 {
     let highest = run.profile.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap();
     profile_azimuth_rad(highest.0).to_degrees()
 }
 
-/// A plane wave's profile has the truth of this circle in a null between two of three peaks; the answer was never chosen
-/// from that.
+/// A plane wave's profile has a null at the truth of this circle, between two of three peaks; the answer was never chosen from
+/// it.
 #[test]
-fn the_curve_that_is_drawn_is_highest_at_the_answer() {
+fn the_drawn_curve_peaks_at_the_answer() {
     for name in ["paper-circle", "paper-line"] {
         let run = &runs(Scene::built_in(name).unwrap(), 1, &options(true))[0];
         let off = |azimuth_deg: Option<f64>| {
@@ -95,7 +95,7 @@ fn the_curve_that_is_drawn_is_highest_at_the_answer() {
     }
 }
 
-/// What cards and turn-around of real captures bring, and compensation takes out again.
+/// Compensation removes the effects of real captures' cards and turn-around.
 #[test]
 fn compensation_changes_the_phase_of_every_experiment() {
     for experiment in experiments().iter().filter(|experiment| experiment.scene.duration_s <= 10.0) {
@@ -112,9 +112,9 @@ fn compensation_changes_the_phase_of_every_experiment() {
 }
 
 #[test]
-fn with_every_effect_of_real_radios_it_is_right_to_half_a_degree() {
+fn with_all_radio_effects_the_error_is_below_half_a_degree() {
     for near_field in [false, true] {
-        // A third of the rounds of the built-in scene: what is right with fewer pairs is right with more.
+        // A third of the built-in scene's rounds: if fewer pairs suffice, more do.
         let mut scene = far("lab-circle");
         sound(&mut scene, 33.0);
         let errors = errors(&runs(scene, 4, &options(near_field)));
@@ -123,11 +123,11 @@ fn with_every_effect_of_real_radios_it_is_right_to_half_a_degree() {
     }
 }
 
-/// The Cramer-Rao bound of the azimuth, degrees, over a full circle: `n` round trips whose phase has the deviation
-/// `phase_rad`, common phase unknown, elevation known.
+/// The Cramer-Rao bound of the azimuth, degrees, over a full circle, for `n` round trips of phase deviation `phase_rad` with
+/// common phase unknown and elevation known.
 fn bound_deg(n: f64, radius_m: f64, phase_rad: f64) -> f64 {
     let per_metre = 2.0 * TAU * 5.54e9 / 299_792_458.0;
-    // Across the bearing, a circle's places have the variance radius^2 / 2.
+    // Perpendicular to the bearing, a circle's places have the variance radius^2 / 2.
     (phase_rad / (per_metre * radius_m * (0.5 * n).sqrt())).to_degrees()
 }
 
@@ -155,20 +155,20 @@ fn errors_follow_the_cramer_rao_bound() {
         println!("{snr_db} dB: sd {sd:.5}, bound {bound:.5}, predicted {predicted:.5}, mean {mean:.5} deg");
         // The deviation of 400 errors is itself known to 3.5 %.
         assert!((sd / bound - 1.0).abs() < 0.1, "{snr_db} dB: {sd} of a bound of {bound}");
-        // The host stamps the end of the answer; the phase is that of the middle of the exchange, a quarter of a
-        // millisecond earlier, in which the robot drives 0.02 degrees of this circle.
+        // The host stamps the end of the answer; the phase is that of the middle of the exchange, a quarter of a millisecond earlier.
+        // In that time the robot drives 0.02 degrees of this circle.
         assert!((mean - 0.02).abs() < 0.005, "{snr_db} dB: bias {mean}");
     }
 }
 
-/// The Cramer-Rao bound of the azimuth of a transmitter at `place`, degrees, seen from `points`: round trips of this phase
-/// deviation; common phase, elevation and range are unknown too.
+/// The Cramer-Rao bound of the azimuth of a transmitter at `place` seen from `points`, degrees, for round trips of this phase
+/// deviation with common phase, elevation and range unknown.
 fn near_bound_deg(points: &[Vector3<f64>], place: &Vector3<f64>, phase_rad: f64) -> f64 {
     let middle = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
     let per_metre = 2.0 * TAU * 5.54e9 / 299_792_458.0;
     let away = place - middle;
     let (range, ground) = (away.norm(), away.xy().norm());
-    // How the place moves with azimuth, elevation and range.
+    // Derivatives of the place by azimuth, elevation and range.
     let across = Vector3::new(-away.y, away.x, 0.0);
     let up = Vector3::new(-away.x * away.z / ground, -away.y * away.z / ground, ground);
     let moves = [across, up, away / range];
@@ -213,7 +213,7 @@ fn near_errors_follow_the_bound_with_range_and_height_unknown() {
         let bound = near_bound_deg(&points, &Vector3::from(place_m), phase_rad);
         println!("{angle_deg} degrees, {snr_db} dB: sd {sd:.5}, bound {bound:.5}, mean {mean:.5} deg");
         squares += (sd / bound).powi(2) / cases.len() as f64;
-        // As far as the robot drives in the quarter of a millisecond that the host stamps late.
+        // The robot's movement in the quarter of a millisecond that the host stamps late.
         assert!((0.0..0.03).contains(&mean), "{mean}");
     }
     // The deviation of 120 errors is itself known to 6 %.

@@ -1,4 +1,4 @@
-//! What the room does to its robots on purpose, the pipeline finds: counts equal, exactly.
+//! The pipeline finds exactly the faults that the room injects: counts are equal.
 
 use csi5300::exchange::pairing::{LinkSide, SideCounts};
 use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
@@ -63,7 +63,7 @@ impl Ran {
         self.report.links[0].link.as_ref().unwrap().pairs() as u64
     }
 
-    /// Records of both sides, none of which is a duplicate or suspect.
+    /// Records of both sides that are neither duplicate nor suspect.
     fn clean(&self) -> (SideCounts, SideCounts) {
         let sides = (self.counts(LinkSide::Receiver), self.counts(LinkSide::Transmitter));
         for c in [sides.0, sides.1] {
@@ -104,14 +104,14 @@ fn overruns_and_drops_are_gaps() {
     assert_eq!(rx.handed + ran.rx.overrun_records, ran.rx.received);
     assert_eq!(tx.handed + ran.tx.driver_dropped, ran.tx.received);
     assert!(ran.rx.overrun_records > 90 && ran.tx.driver_dropped > 60, "{:?} {:?}", ran.rx, ran.tx);
-    // The driver's counter shows those between records; the last stall of the receiver is over before the end.
+    // The driver's counter shows those between records; the receiver's last stall ends before the scene does.
     assert_eq!(ran.report.receiver.survey.bfee_missing, ran.rx.overrun_records);
     let missing = ran.report.transmitters[0].survey.bfee_missing;
     assert_eq!(missing, ran.tx.driver_dropped - ran.tx.driver_dropped_unseen, "{:?}", ran.tx);
     assert_eq!(ran.pairs(), rx.paired);
 }
 
-/// What a robot's log holds, and what was done to the robot.
+/// The content of a robot's log, and the faults injected.
 fn log_of(scene: &Scene, robot: usize) -> (Vec<Vec<u8>>, Injected) {
     let mut room = Room::new(scene).unwrap();
     let mut card = room.card(robot).unwrap();
@@ -127,7 +127,7 @@ fn log_of(scene: &Scene, robot: usize) -> (Vec<Vec<u8>>, Injected) {
 }
 
 #[test]
-fn drops_at_the_ends_of_a_log_are_known_to_the_room_and_to_nobody_else() {
+fn only_the_room_knows_drops_at_the_ends_of_a_log() {
     let mut trailing_seen = 0;
     for seed in 1..=12 {
         let whole = scene(seed, "", "faults.driver_drop = 0.5");
@@ -137,8 +137,8 @@ fn drops_at_the_ends_of_a_log_are_known_to_the_room_and_to_nobody_else() {
             (u64::from(bfee.bfee_count()), bfee.wsr().unwrap().frame_count.unwrap())
         };
         let ((first, _), (last, number)) = (bfee(&bodies[0]), bfee(bodies.last().unwrap()));
-        // The room's driver counts from 1, so who was there from its loading knows what is missing before the first
-        // record. What is missing after the last one only the room knows.
+        // The room's driver counts from 1, so a reader from its loading on knows what is missing before the first record. What is
+        // missing after the last one only the room knows.
         let (leading, trailing) = (first - 1, injected.received - last);
         assert_eq!(leading + trailing, injected.driver_dropped_unseen, "seed {seed}: {injected:?}");
         assert_eq!(last - first + 1 - bodies.len() as u64, injected.driver_dropped - injected.driver_dropped_unseen);
@@ -146,7 +146,7 @@ fn drops_at_the_ends_of_a_log_are_known_to_the_room_and_to_nobody_else() {
             continue;
         }
         trailing_seen += 1;
-        // The same room, ended before the frames whose records were lost: another count, and the same log.
+        // The same room, ended before the frames whose records were lost: another count, but the same log.
         let shorter = Scene { duration_s: 0.01 * f64::from(number - 1) + 0.005, ..whole };
         let (same, cut) = log_of(&shorter, 1);
         assert!(same == bodies, "seed {seed}");
@@ -156,7 +156,7 @@ fn drops_at_the_ends_of_a_log_are_known_to_the_room_and_to_nobody_else() {
 }
 
 #[test]
-fn drops_about_a_restart_are_unseen_too() {
+fn drops_around_a_restart_are_not_visible() {
     for seed in 1..=12 {
         let faults = "faults = { driver_drop = 0.5, restart_at_s = [3.0, 6.0], restart_s = 0.5 }";
         let scene = scene(seed, "", faults);
@@ -179,7 +179,7 @@ fn drops_about_a_restart_are_unseen_too() {
 }
 
 #[test]
-fn a_restart_of_the_initiator_is_seen_by_both_and_one_of_the_responder_by_none() {
+fn both_see_an_initiators_restart_and_nobody_a_responders() {
     let ran = Ran::new(&scene(1, "faults = { restart_at_s = [4.0, 7.0], restart_s = 0.5 }", ""));
     let (rx, tx) = ran.clean();
     assert_eq!((rx.restarts, tx.restarts), (ran.rx.restarts, ran.rx.restarts));
@@ -216,7 +216,7 @@ fn all_faults_at_once_add_up() {
         let faults = "faults = { loss = 0.15, duplicate = 0.05, driver_drop = 0.02, queue_records = 15, \
                       stall_every_s = 3.0, stall_s = 0.4, restart_at_s = [5.2], restart_s = 0.3 }\n\
                       crystal.offset_ppm = 9.0\nhost_clock.drift_ppm = 40.0";
-        // Every record is accounted for, on both sides; Ran::new asserts it.
+        // Ran::new asserts that every record is accounted for, on both sides.
         let ran = Ran::new(&scene(seed, faults, faults));
         assert_eq!(ran.counts(LinkSide::Receiver).handed, ran.rx.delivered);
         assert_eq!(ran.counts(LinkSide::Transmitter).handed, ran.tx.delivered);
@@ -226,7 +226,7 @@ fn all_faults_at_once_add_up() {
 }
 
 #[test]
-fn poses_that_never_come_are_gaps_of_the_trajectory() {
+fn lost_poses_are_gaps_in_the_trajectory() {
     let odometry = "odometry = { rate_hz = 50.0, drop = 0.3, late = 0.1, late_s = 0.1 }";
     let room = Room::new(&scene(1, odometry, "")).unwrap();
     let (mut source, mut now, mut poses) = (room.odometry(0).unwrap(), Instant::ZERO, Vec::new());
@@ -250,7 +250,7 @@ fn poses_that_never_come_are_gaps_of_the_trajectory() {
 }
 
 #[test]
-fn a_killed_loggers_tail_is_what_the_log_lacks() {
+fn a_killed_loggers_log_lacks_its_tail() {
     let folder = std::env::temp_dir().join(format!("csi5300-faults-{}", std::process::id()));
     let mut room = Room::new(&scene(1, "faults = { killed = true, loss = 0.1 }", "faults.killed = true")).unwrap();
     let captures = write_dataset(&mut room, &folder, &mut |_| {}).unwrap();

@@ -1,4 +1,4 @@
-//! The committed fixtures are what the simulator makes, to the byte, and give the bearing that their scene states.
+//! The simulator reproduces the committed fixtures byte by byte, and they give their scene's bearing.
 
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
@@ -11,7 +11,7 @@ fn fixtures() -> PathBuf {
 }
 
 #[test]
-fn the_simulator_makes_the_same_bytes_again() {
+fn the_simulator_reproduces_the_fixtures() {
     let made = Path::new(env!("CARGO_TARGET_TMPDIR")).join("small-circle");
     let _ = std::fs::remove_dir_all(&made);
     let scene = Scene::load(&fixtures().join("small-circle.toml")).unwrap();

@@ -1,4 +1,4 @@
-//! Motion in space and motion of both ends, in free space: a part of what `examples/geometries.rs` runs.
+//! Motion in space and motion of both ends, in free space: a part of what `research`'s `geometries` runs.
 
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Effort, Options, WaveModel};
@@ -54,7 +54,7 @@ fn a_helix_shows_azimuth_and_signed_elevation_at_the_bound() {
         }
     }
     let over = squares.map(|sum| (sum / count).sqrt());
-    // 16 errors know a deviation to 18 %.
+    // 16 errors determine a deviation to 18 %.
     assert!(over.iter().all(|over| *over < 1.55), "{over:?} times the bound");
 }
 
@@ -70,8 +70,8 @@ fn near_a_helix_the_place_is_found_above_and_below() {
 }
 
 #[test]
-fn the_limit_of_elevation_is_what_is_expected_and_no_wall() {
-    // Level motion, far above what robots on a floor expect: the samples leave no doubt.
+fn the_elevation_limit_is_a_prior_not_a_hard_bound() {
+    // Level motion, elevations far above those expected of robots on a floor: the samples leave no doubt.
     let seen = see(&in_space(circle(0.3, 1.0), away(70.0, 45.0, 15.0), 3));
     assert!(!seen.signed, "{seen:?}");
     assert!(seen.azimuth_error_deg.abs() < 0.3 && seen.elevation_error_deg.unwrap().abs() < 0.5, "{seen:?}");
@@ -101,7 +101,7 @@ fn evaluate_reads_the_trajectory_of_a_transmitter_that_moved() {
     write_dataset(&mut Room::new(&scene).unwrap(), &folder, &mut |_| {}).unwrap();
     let captures = find(&folder).0;
     let row = &captures[0].evaluate(TrajectorySource::GroundTruth, None, &options()).rows[0];
-    // The line goes from y = 2 to y = 3: so does the bearing's mean.
+    // The line goes from y = 2 to y = 3, and so does the mean of the bearing's positions.
     let [x, y] = row.true_transmitter_m.unwrap();
     assert!((x - 3.0).abs() < 1e-3 && (y - 2.5).abs() < 0.01, "{x} {y}");
     assert!(row.error_from_mean_pose_deg.unwrap().abs() < 0.3, "{row:?}");
@@ -110,7 +110,7 @@ fn evaluate_reads_the_trajectory_of_a_transmitter_that_moved() {
     assert!((last_m[0] - 3.0).abs() < 0.15 && (last_m[1] - 3.0).abs() < 0.15, "{last_m:?}");
 }
 
-/// Drives wider than one search takes: a large circle, and a long way with a turn in it, past a transmitter and far from one.
+/// Drives too wide for one search: a large circle, and a long path with a turn, past a transmitter and far from one.
 #[test]
 fn a_drive_that_is_too_wide_for_one_search_is_searched_in_its_best_stretch() {
     let around = RobotMotion::Circle(Circle { radius_m: 3.0, duration_s: 50.0, turns: 1.0, start_s: 0.0 });
@@ -127,7 +127,7 @@ fn a_drive_that_is_too_wide_for_one_search_is_searched_in_its_best_stretch() {
         let bearing = recording.bearing(&options()).unwrap();
         let seen = recording.judge(&bearing);
         let pairs = &bearing.pairs;
-        // The way with a turn can be searched whole.
+        // The path with a turn can be searched whole.
         let whole = place_m[0] == 9.0;
         assert!((whole || pairs.too_wide > 500) && pairs.in_motion > 200, "{pairs:?}");
         assert_eq!(
@@ -140,7 +140,7 @@ fn a_drive_that_is_too_wide_for_one_search_is_searched_in_its_best_stretch() {
     }
 }
 
-/// A plane wave of a wide drive is no answer however coarse the accuracy that is asked for: wave fronts are curved over it.
+/// Over a wide drive wave fronts are curved, so a plane wave is never the answer, however coarse the requested accuracy.
 #[test]
 fn a_coarse_accuracy_takes_no_plane_wave_of_a_wide_drive() {
     let around = |radius_m: f64| RobotMotion::Circle(Circle { radius_m, duration_s: 50.0, turns: 1.0, start_s: 0.0 });
@@ -151,12 +151,12 @@ fn a_coarse_accuracy_takes_no_plane_wave_of_a_wide_drive() {
         let bearing = recording.bearing(&options().with_accuracy(coarse)).unwrap();
         let seen = recording.judge(&bearing);
         assert!(bearing.answer.model == WaveModel::SphericalWave, "{radius_m}: {:?}", bearing.sufficient);
-        // The search of the wider one's nearly straight stretch may end beside its narrow peak: the error bar says so.
+        // The search of the wider drive's nearly straight stretch may end beside its narrow peak: the error bar shows it.
         assert!(seen.azimuth_error_deg.abs() < seen.azimuth_sd_deg.max(0.5), "{radius_m}: {seen:?}");
     }
 }
 
-/// The one turn of a long way is in the stretch that is searched, wherever it is.
+/// The only turn of a long path is in the searched stretch, wherever it is.
 #[test]
 fn the_only_turn_of_a_long_drive_is_found() {
     for before_m in [3.0, 5.3, 7.9, 10.4] {
@@ -174,9 +174,9 @@ fn the_only_turn_of_a_long_drive_is_found() {
     }
 }
 
-/// A line that climbs does not tell a transmitter's azimuth from its elevation: errors are within error bars.
+/// A climbing line does not separate a transmitter's azimuth from its elevation: errors are within error bars.
 #[test]
-fn a_climbing_line_says_what_elevations_leave_open() {
+fn a_climbing_lines_error_bar_covers_unknown_elevations() {
     let (mut within, mut count, mut widest) = (0, 0, 0f64);
     for (k, rise_deg) in [20f64, 35.0, 50.0].into_iter().enumerate() {
         let (up, flat) = rise_deg.to_radians().sin_cos();
@@ -201,10 +201,10 @@ fn a_climbing_line_says_what_elevations_leave_open() {
     assert!(2 * within >= count && widest < 40.0, "{within} of {count}, {widest}");
 }
 
-/// Along the motion phases change with the square of the azimuth's change only: bar and probability say the same of that, a mirror
-/// close by costs no probability, and both stay two directions where they are carried on.
+/// Along the motion phases depend only on the square of a change in azimuth. Error bar and probability agree on that, a mirror
+/// close by does not lower the probability, and the two stay separate directions in later steps.
 #[test]
-fn a_motion_towards_the_transmitter_or_nearly_is_as_sure_as_its_bar_says() {
+fn motion_towards_the_transmitter_has_a_confidence_that_matches_its_error_bar() {
     let line = RobotMotion::Line(Line { length_m: 1.0, duration_s: 6.0, start_s: 0.0 });
     for (k, azimuth_deg) in [0.0, 0.3, 3.0, 11.0, -169.0, 180.0].into_iter().enumerate() {
         let recording = in_space(line.clone(), away(azimuth_deg, 0.0, 6.0), 40 + k as u64).record().unwrap();
@@ -213,7 +213,7 @@ fn a_motion_towards_the_transmitter_or_nearly_is_as_sure_as_its_bar_says() {
         let folded_deg = answer.azimuth_rad.to_degrees().abs() - azimuth_deg.abs();
         assert!(folded_deg.abs() < 1.5 * seen.azimuth_sd_deg, "{azimuth_deg}: {folded_deg} {seen:?}");
         assert!((0.5..12.0).contains(&seen.azimuth_sd_deg), "{azimuth_deg}: {seen:?}");
-        // What a normal error with the bar makes of five degrees; half of it where the mirror is elsewhere.
+        // The probability that a normal error with this bar is within five degrees; half of it if the mirror is elsewhere.
         let times = 5.0 / seen.azimuth_sd_deg;
         let by_bar = 2.0 / (1.0 + (-1.702 * times).exp()) - 1.0;
         let apart = answer.mirror_rad.map_or(0.0, |mirror| wrap_rad(answer.azimuth_rad - mirror).abs());

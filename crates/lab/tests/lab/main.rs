@@ -1,4 +1,4 @@
-//! Captures, real and simulated, judged against their truth.
+//! Compares real and simulated captures with their truth.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../../../tests/common/mod.rs"]

@@ -1,6 +1,6 @@
-//! Bearings on real captures against the truth. The bounds are the errors of the released WSR toolbox on the same links,
-//! or well below. They are no held-out test: probabilities were fitted to these links, and weights and exponents of the
-//! near field were chosen on them.
+//! Bearings of real captures against the truth. The bounds are the errors of the released WSR toolbox on the same links, or well
+//! below. This is not a held-out test: probabilities were fitted to these links, and near-field weights and exponents were
+//! chosen on them.
 
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};
@@ -43,7 +43,7 @@ fn wsr_links_with_motion_capture() {
     let (los, nlos) = (errors(rows, "LOS"), errors(rows, "NLOS"));
     println!("LOS {los:?}\nNLOS {nlos:?}");
     assert_eq!((los.links, nlos.links), (18, 20));
-    // The toolbox: 4.08 and 2.41 in line of sight, 8.45 and 5.94 without (whose labels are round).
+    // The toolbox: 4.08 and 2.41 in line of sight, 8.45 and 5.94 without (whose labels are rounded).
     assert!(los.mean_deg <= 1.5 && los.median_deg <= 1.2 && los.over_20 == 0.0, "{los:?}");
     assert!(nlos.mean_deg <= 8.0 && nlos.median_deg <= 7.5 && nlos.over_20 == 0.0, "{nlos:?}");
     let in_sight: Vec<&Judged> = rows.iter().filter(|row| row.answer.link.starts_with("LOS")).collect();
@@ -98,7 +98,8 @@ fn every_wsr_log_finds_its_transmitter() {
     }
 }
 
-/// Runs one of the captures of \[paper\] (docs/reference/references.md); the error against the bearing from the mean pose, lines folded on their mirror.
+/// Runs one of the captures of \[paper\] (docs/reference/references.md); returns the error against the bearing from the mean
+/// pose, with lines folded on their mirror.
 fn paper(captures: &Path, shape: &str, name: &str, join: JoinBy, transmitter_m: [f64; 2]) -> f64 {
     let folder = captures.join("paper").join(shape);
     let log = |side: &str| Replay::open(&folder.join(format!("csi_{side}_{name}.dat"))).unwrap();

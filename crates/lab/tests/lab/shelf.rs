@@ -1,4 +1,4 @@
-//! A capture whose files were read once is evaluated as from its files, as often as is asked for.
+//! A capture whose files were read once gives the same evaluation as from its files, any number of times.
 
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
@@ -48,7 +48,7 @@ fn files_are_read_once() {
     assert_ne!(from_files[0].0, from_files[1].0);
     assert!(from_files[0].2 && from_files[0].1.len() == 2, "{from_files:?}");
     let shelf = capture.shelf(&|| true).unwrap();
-    // Nothing but the truth is looked up again.
+    // Nothing but the truth is read again.
     std::fs::remove_file(folder.join(format!("csi_rx_{STAMP}.dat"))).unwrap();
     std::fs::write(folder.join(format!("csi_tx1_{STAMP}.dat")), b"").unwrap();
     std::fs::write(folder.join(format!("rx_trajectory_{STAMP}_.csv")), b"").unwrap();
@@ -58,7 +58,7 @@ fn files_are_read_once() {
 }
 
 #[test]
-fn what_is_not_on_the_shelf_says_why() {
+fn missing_files_are_reported_with_the_reason() {
     let folder = damaged("shelf-without");
     std::fs::remove_file(folder.join(format!("csi_rx_{STAMP}.dat"))).unwrap();
     let capture = only(&folder);

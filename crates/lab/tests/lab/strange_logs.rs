@@ -1,4 +1,4 @@
-//! Logs of different runs, on real captures: refused, and no right pair with them; lines with their mirror.
+//! Logs of different runs, on real captures: they are refused, and no matching pair is. Lines have their mirror.
 
 use csi5300::motion::odometry::csv;
 use csi5300::pipeline::{Bearing, CaptureReport, LinkError, Options, Transmitter, bearings};
@@ -74,9 +74,9 @@ fn logs_of_two_runs_of_four_robots_are_refused() {
 }
 
 #[test]
-fn exchanged_logs_are_told_where_the_other_robots_clock_fits() {
+fn exchanged_logs_are_detected_by_the_other_robots_clock() {
     let Some(captures) = crate::common::captures() else { return };
-    // Of these the robots' host clocks are further apart than the run is long.
+    // In these the robots' host clocks differ by more than the run's length.
     for (place, date) in [("LOS_Set_A/L1", "2021-06-27_202550"), ("NLOS_Set_A/L2", "2021-06-28_194645")] {
         let file = |name: &str| captures.join("wsr").join(place).join(name.replace("DATE", date));
         let (rx, path) = (file("csi_rx_DATE.dat"), file("rx_trajectory_DATE_.csv"));
@@ -86,12 +86,12 @@ fn exchanged_logs_are_told_where_the_other_robots_clock_fits() {
         assert!(matches!(exchanged, LinkError::OutsideTrajectory { other_fits: true, .. }), "{place}: {exchanged}");
         assert!(exchanged.to_string().contains("exchanged"), "{exchanged}");
     }
-    // Where they are seconds apart, a part of the pairs has no pose, which has one by the other log's times.
+    // Where they differ by seconds, some pairs have no pose, but have one by the other log's times.
     for (kind, name) in RUNS {
         let file = |what: &str, ending: &str| captures.join("paper").join(kind).join(format!("{what}_{name}.{ending}"));
         let (rx, tx, path) = (file("csi_rx", "dat"), file("csi_tx", "dat"), file("rx_movement", "csv"));
         let found = [run(&rx, &tx, &path), run(&tx, &rx, &path)].map(Result::unwrap);
-        // Even odds that the answer is of the wrong robot's times.
+        // The answer is as likely from the wrong robot's times.
         assert!(
             found[1].answer.probability < 0.5 && !found[1].answer.has_place(),
             "{name}: {}",
@@ -105,8 +105,8 @@ fn exchanged_logs_are_told_where_the_other_robots_clock_fits() {
     }
 }
 
-/// Nothing but the direct path, so that the shape of the channel says nothing of whose logs these are, and answers that
-/// jitter by more than the pauses between frames do.
+/// Only the direct path, so that the shape of the channel does not show whose logs these are, and answers that jitter by more
+/// than the pauses between frames.
 fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: u32) -> (Simulation, Options) {
     let scene = format!(
         "duration_s = 12.0\ncfo = \"physical\"\nsounding.rate_hz = 50\n\
@@ -122,15 +122,15 @@ fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: 
 }
 
 #[test]
-fn phases_that_follow_the_motion_are_of_one_run_whatever_clocks_say() {
+fn phases_that_follow_the_motion_show_one_run_despite_the_clocks() {
     let bearing = |own: &Simulation, other: &Simulation, options: &Options| {
         let (mut rx, mut tx) = (own.robots[0].replay(), other.robots[1].replay());
         let logs = vec![Transmitter { log: &mut tx, trajectory: None }];
         let path = own.robots[0].true_path.as_ref().unwrap();
         bearings(&mut rx, logs, path, options).unwrap().links.remove(0).bearing
     };
-    // A busy host answers late by milliseconds, or by as much as leaves the clocks nothing to say; the crystals agree, so the
-    // phases are steady before anything is taken out, and random after.
+    // A busy host answers late by milliseconds, or by so much that the clocks show nothing; the crystals agree, so the phases are
+    // steady before compensation and random after.
     let milliseconds = "median_us = 3000.0, spread_us = 1500.0, min_us = 300.0, max_us = 8000.0";
     let less = "median_us = 3000.0, spread_us = 650.0, min_us = 300.0, max_us = 8000.0";
     for turn_around in [milliseconds, less] {
@@ -140,7 +140,7 @@ fn phases_that_follow_the_motion_are_of_one_run_whatever_clocks_say() {
         let off_deg = right.answer.azimuth_rad.to_degrees() - 93f64.atan2(-386.0).to_degrees();
         assert!(off_deg.abs() < 0.5, "{turn_around}: {off_deg}");
         let wrong = bearing(&own, &other, &options);
-        // Crystals that agree leave steady phases in any two logs: where that is all there is, the answer has no direction.
+        // Crystals that agree leave steady phases in any two logs: if that is all there is, the answer has no direction.
         match &wrong {
             Err(LinkError::OfTwoRuns { .. } | LinkError::NotOfOneRun { .. }) => (),
             Ok(bearing) => assert!(bearing.answer.azimuth_sd_rad > 1.0, "{turn_around}: {bearing:?}"),

@@ -75,7 +75,7 @@ fn wrong_name(name: &str) -> Option<String> {
             && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
     };
     let good = name.strip_prefix('/').is_some_and(|parts| parts.split('/').all(part));
-    (!good).then(|| format!("`{name}` is no name in ROS: one looks like /tb3_0/odom"))
+    (!good).then(|| format!("`{name}` is not a valid ROS name: use one like /tb3_0/odom"))
 }
 
 /// The problem of poses from a topic, of this robot, of a peer, or of a robot that the room follows: the key below

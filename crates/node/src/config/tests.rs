@@ -151,7 +151,7 @@ fn robots_of_a_room_follow_what_there_is() {
     let topic = read(", follow = { a.ros.topic = \"/a/odom\" }");
     assert!(ros::is_used(&topic.unwrap()));
     for (follow, why) in [
-        (", follow = { a.ros.topic = \"odom\" }", "no name in ROS"),
+        (", follow = { a.ros.topic = \"odom\" }", "not a valid ROS name"),
         (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "are live"),
         (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "times of arrival"),
     ] {

@@ -1,4 +1,4 @@
-//! What participants say of themselves and of their writers and readers: lists of parameters (\[rtps\] 8.5, 9.6.2).
+//! How participants announce themselves, their writers and their readers: parameter lists (\[rtps\] 8.5, 9.6.2).
 
 use super::qos::Qos;
 use super::wire::{Guid, Prefix, VENDOR};
@@ -6,23 +6,23 @@ use csi5300::time::Span;
 use csi5300_bag::cdr::{Cdr, CdrError, CdrReader, CdrWriter};
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-/// Before a type's hash, in the data that ROS 2 adds to an endpoint (REP-2016): `key=value;`, any number of them.
+/// Precedes a type's hash in an endpoint's user data (REP-2016): any number of `key=value;`.
 const TYPE_HASH: &str = "typehash=";
-/// Encapsulation of a list of parameters, little-endian.
+/// Encapsulation of a parameter list, little-endian.
 const LIST_LE: [u8; 4] = [0, 3, 0, 0];
 /// The entity that stands for a participant.
 pub(crate) const PARTICIPANT: [u8; 4] = [0, 0, 1, 0xc1];
-/// Built-in endpoints that this participant has: participants, publications and subscriptions, announcer and detector.
+/// Built-in endpoints of this participant: participants, publications and subscriptions, announcer and detector.
 const BUILT_IN: u32 = 0x3f;
 /// Addresses of one participant that are kept.
 const ADDRESSES: usize = 16;
-/// Bytes of a name at most, of a topic, a type, a participant or a partition: a topic of DDS has 255.
+/// Longest name of a topic, type, participant or partition, bytes: a DDS topic has at most 255.
 const LONGEST_NAME: usize = 512;
 /// Partitions and representations of an endpoint at most.
 const LONGEST_LIST: usize = 8;
-/// Longest that a participant is kept without a word of it.
+/// Longest lease that is granted.
 const LONGEST_LEASE: Span = Span::from_ms(600_000);
-/// Lease of one that names none.
+/// Lease of a participant that announces none.
 const USUAL_LEASE: Span = Span::from_ms(100_000);
 
 /// Numbers of parameters (\[rtps\] 9.6.3).
@@ -53,41 +53,41 @@ mod id {
     pub const REPRESENTATION: u16 = 0x0073;
 }
 
-/// A participant, as it announces itself.
+/// A participant's announcement.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ParticipantData {
-    /// Who it is.
+    /// Its identity.
     pub prefix: Prefix,
-    /// Who made its program.
+    /// The vendor of its program.
     pub vendor: [u8; 2],
-    /// Where it takes discovery.
+    /// Where it receives discovery.
     pub meta: Vec<SocketAddrV4>,
-    /// Where it takes samples.
+    /// Where it receives samples.
     pub user: Vec<SocketAddrV4>,
-    /// One of both has addresses of IPv6 and no other.
+    /// True if either list has only IPv6 addresses.
     pub is_ipv6: bool,
-    /// It is gone when nothing came for so long.
+    /// Lease: it is gone after this long a silence.
     pub lease: Span,
     /// Its name, for people.
     pub name: String,
 }
 
-/// A writer or reader, as its participant announces it.
+/// The announcement of a writer or reader.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct EndpointData {
-    /// Which one.
+    /// Its identity.
     pub guid: Guid,
     /// Its topic.
     pub topic: String,
     /// The type of its samples.
     pub kind: String,
-    /// What it offers or asks for.
+    /// Offered or requested quality of service.
     pub qos: Qos,
-    /// Where a reader takes samples, if not where its participant does.
+    /// Where a reader receives samples, if not where its participant does.
     pub unicast: Vec<SocketAddrV4>,
 }
 
-/// Makes a list of parameters.
+/// Writes a parameter list.
 struct List(Vec<u8>);
 
 impl List {
@@ -143,7 +143,7 @@ fn address(from: &mut CdrReader<'_>) -> Result<Option<SocketAddrV4>, CdrError> {
     Ok(port.filter(|_| kind == 1 && !ip.is_multicast() && !ip.is_unspecified()).map(|port| SocketAddrV4::new(ip, port)))
 }
 
-/// True for an address of UDP over IPv6 (\[rtps\] 9.3.2), which is read again.
+/// True for a UDP address over IPv6 (\[rtps\] 9.3.2); reads the value again.
 fn is_ipv6(value: &CdrReader<'_>) -> bool {
     i32::read(&mut value.clone()).is_ok_and(|kind| kind == 2)
 }
@@ -152,13 +152,13 @@ fn keep(address: Option<SocketAddrV4>, into: &mut Vec<SocketAddrV4>) {
     into.extend(address.filter(|address| into.len() < ADDRESSES && !into.contains(address)));
 }
 
-/// A name, which is kept: one that is longer than any is refused.
+/// A name to keep; one above the limit is refused.
 fn name(from: &mut CdrReader<'_>) -> Result<String, CdrError> {
     let name = String::read(from)?;
     if name.len() <= LONGEST_NAME { Ok(name) } else { Err(CdrError::Long { length: name.len(), most: LONGEST_NAME }) }
 }
 
-/// A list, which is kept, in the same way.
+/// A list to keep; one above the limit is refused.
 fn list<T>(
     from: &mut CdrReader<'_>,
     read: impl Fn(&mut CdrReader<'_>) -> Result<T, CdrError>,
@@ -170,7 +170,7 @@ fn list<T>(
     (0..length).map(|_| read(from)).collect()
 }
 
-/// Whole seconds and a fraction of 2^-32; what has no end is the longest.
+/// Whole seconds and a fraction of 2^-32; infinity becomes the longest.
 fn span(from: &mut CdrReader<'_>) -> Result<Span, CdrError> {
     let (s, fraction) = (i32::read(from)?, u32::read(from)?);
     let us = i64::from(s).max(0) * 1_000_000 + ((i64::from(fraction) * 1_000_000) >> 32);
@@ -178,7 +178,7 @@ fn span(from: &mut CdrReader<'_>) -> Result<Span, CdrError> {
 }
 
 impl ParticipantData {
-    /// As the payload of an announcement.
+    /// The payload of an announcement.
     pub fn payload(&self) -> Vec<u8> {
         let mut list = List::new();
         list.put(id::VERSION, |value| value.put(&[2, 4]));
@@ -192,7 +192,7 @@ impl ParticipantData {
             0_u32.write(value);
         });
         list.put(id::NAME, |value| self.name.write(value));
-        // As ROS 2 marks its participants: without it they are in no list of nodes.
+        // ROS 2 marks its participants so; without it, no list of nodes shows them.
         list.put(id::USER_DATA, |value| b"enclave=/;".to_vec().write(value));
         list.finish()
     }
@@ -222,7 +222,7 @@ impl ParticipantData {
 }
 
 impl EndpointData {
-    /// As the payload of an announcement.
+    /// The payload of an announcement.
     pub fn payload(&self) -> Vec<u8> {
         let mut list = List::new();
         let (guid, qos) = (self.guid, &self.qos);
@@ -236,7 +236,7 @@ impl EndpointData {
         list.put(id::TOPIC, |value| self.topic.write(value));
         list.put(id::TYPE, |value| self.kind.write(value));
         list.put(id::RELIABILITY, |value| {
-            // It may block for 100 ms.
+            // Maximum blocking time 100 ms.
             (if qos.reliable { 2_u32 } else { 1 }).write(value);
             (0_i32).write(value);
             (429_496_730_u32).write(value);
@@ -256,7 +256,7 @@ impl EndpointData {
         list.finish()
     }
 
-    /// From a payload. What it leaves out is as usual: writers are reliable, readers best effort.
+    /// From a payload. Missing values have their defaults: writers are reliable, readers best effort.
     pub fn read(payload: &[u8], is_writer: bool) -> Result<Option<Self>, CdrError> {
         let (mut guid, mut topic, mut kind) = (None, None, None);
         let (mut qos, mut unicast) = (Qos { reliable: is_writer, ..Qos::default() }, Vec::new());
@@ -269,7 +269,7 @@ impl EndpointData {
                 id::DURABILITY => qos.durability = u32::read(&mut value)?,
                 id::HISTORY => qos.depth = <[u32; 2]>::read(&mut value)?[1],
                 id::DEADLINE => qos.has_deadline = i32::read(&mut value)? != i32::MAX,
-                // Anything but automatic and without a lease: a kind, then seconds and their fractions.
+                // Anything but "automatic" without a lease: a kind, then seconds and fraction.
                 id::LIVELINESS => {
                     qos.has_liveliness = u32::read(&mut value)? != 0 || i32::read(&mut value)? != i32::MAX;
                 }
@@ -288,7 +288,7 @@ impl EndpointData {
     }
 }
 
-/// The hash among the data that ROS 2 adds to an endpoint; one by other rules than RIHS01 says nothing here.
+/// The type hash in an endpoint's user data; hashes of other rules than RIHS01 are ignored.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let pairs = user_data.split(|byte| *byte == b';');
     let hash = pairs.into_iter().find_map(|pair| pair.strip_prefix(TYPE_HASH.as_bytes()))?;
@@ -296,7 +296,7 @@ fn type_hash(user_data: &[u8]) -> Option<String> {
     digits.iter().all(u8::is_ascii_hexdigit).then(|| String::from_utf8_lossy(hash).into_owned())
 }
 
-/// The key of an instance that is over, from a payload that has only that.
+/// The key of a disposed instance, from a payload that has only that.
 pub(crate) fn key(payload: &[u8]) -> Option<Guid> {
     let mut guid = None;
     let _ = each(payload, |id, value| {
@@ -308,7 +308,7 @@ pub(crate) fn key(payload: &[u8]) -> Option<Guid> {
     guid
 }
 
-/// A payload that has only the key of an instance, as one that is over has it.
+/// A payload with only the key of an instance, as for a disposed one.
 pub(crate) fn key_payload(key: [u8; 16]) -> Vec<u8> {
     let mut list = List::new();
     list.put(id::KEY, |value| value.put(&key));
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_announced_is_read_back_and_cut_ones_are_refused() {
+    fn announcements_round_trip_and_cut_ones_are_refused() {
         let lease = Span::from_ms(20_000);
         let (meta, user) = (vec![at(1, 7410)], vec![at(1, 7411), at(2, 7411)]);
         let participant = ParticipantData {
@@ -381,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_that_nothing_can_be_sent_to_are_left_out() {
+    fn unusable_addresses_are_ignored() {
         let mut list = List::new();
         let all = SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 1), 7400);
         list.addresses(id::META_UNICAST, &[all, at(1, 0), SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 7410)]);

@@ -1,16 +1,16 @@
-//! A participant of DDS, as much of it as nodes of ROS 2 need: discovery of participants and endpoints, best effort and
-//! reliable topics without keys, what is latched, fragments (read only), quality of service said in words. Without sockets
-//! and clocks: datagrams and times are handed in, datagrams come out.
+//! A DDS participant with what ROS 2 nodes need: discovery of participants and endpoints, best-effort and reliable topics
+//! without keys, latched samples, fragments (read only), reasons for incompatible quality of service. It has no sockets and
+//! no clock: datagrams and times are passed in, datagrams come out.
 //!
 //! | module | what it is |
 //! |---|---|
-//! | `wire` | datagrams: submessages from bytes and to bytes |
-//! | `discovery` | what participants say of themselves and their endpoints |
+//! | `wire` | datagrams: parsing and writing submessages |
+//! | `discovery` | announcements of participants and endpoints |
 //! | `qos` | quality of service |
 //! | `writer`, `reader` | the two ends of a topic |
-//! | `participant` | who is there, and who goes with whom |
+//! | `participant` | known participants and matched endpoints |
 //!
-//! Everything that others send is bounded: participants, endpoints, samples that wait, fragments.
+//! Everything that others send is bounded: participants, endpoints, waiting samples, fragments.
 
 mod discovery;
 mod participant;
@@ -30,7 +30,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 /// Where participants of a domain announce themselves.
 pub(crate) const MULTICAST: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
-/// Participants of one machine that static peers are asked for.
+/// Participants of one machine that are tried for a static peer.
 pub(crate) const PARTICIPANTS: u16 = 32;
 
 /// Ports of a domain (\[rtps\] 9.6.1): multicast discovery.
@@ -38,7 +38,7 @@ pub(crate) fn multicast_address(domain: u16) -> SocketAddrV4 {
     SocketAddrV4::new(MULTICAST, 7400 + 250 * domain)
 }
 
-/// Discovery and samples of participant number `index` of a machine.
+/// Ports for discovery and samples of participant number `index` of a machine.
 pub(crate) fn unicast_ports(domain: u16, index: u16) -> (u16, u16) {
     let first = 7400 + 250 * domain + 10 + 2 * index;
     (first, first + 1)

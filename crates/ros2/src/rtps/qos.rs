@@ -1,50 +1,50 @@
-//! Quality of service, and why two ends do not go together (\[dds\] 2.2.3).
+//! Quality of service, and why two endpoints do not match (\[dds\] 2.2.3).
 
-/// What a writer offers or a reader asks for, as far as it decides whether they meet.
+/// What a writer offers or a reader requests, as far as matching depends on it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Qos {
-    /// What is lost is sent again.
+    /// Lost samples are sent again.
     pub reliable: bool,
-    /// Who comes late gets what was sent before: 0 volatile, 1 transient local, and further ones.
+    /// Durability, whether late readers receive earlier samples: 0 volatile, 1 transient local, and higher ones.
     pub durability: u32,
-    /// Samples that a writer keeps, or that were asked for.
+    /// Samples that a writer keeps, or that a reader requests.
     pub depth: u32,
-    /// A time between samples is promised or asked for.
+    /// A deadline between samples is offered or requested.
     pub has_deadline: bool,
-    /// Signs of life are promised or asked for: by hand, or within a time.
+    /// Liveliness is offered or requested: manual, or with a lease.
     pub has_liveliness: bool,
-    /// Samples are ordered by the time at which they were written, not received.
+    /// Samples are ordered by time of writing, not of reception.
     pub by_source: bool,
-    /// One writer only.
+    /// Exclusive ownership: one writer only.
     pub exclusive: bool,
-    /// Parts of the domain; none is the one without a name.
+    /// Partitions of the domain; an empty list is the unnamed one.
     pub partitions: Vec<String>,
-    /// Representations offered, or taken: 0 is CDR version 1, 2 version 2. None: 0.
+    /// Data representations offered or accepted: 0 is CDR version 1, 2 version 2. Empty: 0.
     pub representations: Vec<i16>,
-    /// The hash of the type's definition (RIHS01), which ROS 2 puts beside the rest (`USER_DATA`) from Iron on.
+    /// The hash of the type's definition (RIHS01), which ROS 2 sends in `USER_DATA` from Iron on.
     pub type_hash: Option<String>,
 }
 
 impl Qos {
-    /// As ROS 2 publishes and subscribes unless it is asked otherwise: reliable, nothing for those who come late.
+    /// The default of ROS 2: reliable, nothing for late readers.
     #[must_use]
     pub fn reliable(depth: u32) -> Self {
         Self { reliable: true, depth, ..Self::default() }
     }
 
-    /// As ROS 2 has it for sensors: what is lost is lost.
+    /// As ROS 2 has it for sensors: best effort.
     #[must_use]
     pub fn best_effort(depth: u32) -> Self {
         Self { depth, ..Self::default() }
     }
 
-    /// As ROS 2 has it for what is published once, such as `/tf_static`.
+    /// As ROS 2 has it for latched topics such as `/tf_static`.
     #[must_use]
     pub fn latched(depth: u32) -> Self {
         Self { durability: 1, ..Self::reliable(depth) }
     }
 
-    /// Why a reader that asks for `asked` gets nothing of a writer that offers this, in words.
+    /// Why a reader that requests `asked` does not match a writer that offers this, as text.
     #[must_use]
     pub fn mismatch(&self, asked: &Self) -> Option<&'static str> {
         let any = |list: &[i16], wanted: i16| if list.is_empty() { wanted == 0 } else { list.contains(&wanted) };
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_offered_must_be_what_is_asked_for_or_more() {
+    fn offered_quality_must_meet_the_requested_quality() {
         let (sensor, usual, latched) = (Qos::best_effort(5), Qos::reliable(10), Qos::latched(1));
         for (offered, asked, why) in [
             (&usual, &usual, None),
@@ -98,7 +98,7 @@ mod tests {
         let second = Qos { representations: vec![2], ..usual.clone() };
         assert!(usual.mismatch(&second).is_some_and(|why| why.contains("XCDR")));
         assert_eq!(usual.mismatch(&Qos { representations: vec![2, 0], ..usual.clone() }), None);
-        // One that does not say, such as a node of Humble, goes with all.
+        // An endpoint without a hash, such as a node of Humble, matches all.
         let hashed = |hash: &str| Qos { type_hash: Some(hash.into()), ..usual.clone() };
         assert!(hashed("RIHS01_a").mismatch(&hashed("RIHS01_b")).is_some_and(|why| why.contains("type hashes")));
         for (offered, asked) in [(hashed("RIHS01_a"), hashed("RIHS01_a")), (hashed("RIHS01_a"), usual.clone())] {

@@ -1,4 +1,4 @@
-//! A reader: what came of each writer, in order, and what is asked for again (\[rtps\] 8.4.11).
+//! A reader: each writer's samples, in order, and requests for missing ones (\[rtps\] 8.4.11).
 
 use super::qos::Qos;
 use super::wire::{Entity, Fragment, Guid, Maker, Numbers, Prefix};
@@ -6,18 +6,18 @@ use super::writer::Outgoing;
 use std::collections::BTreeMap;
 use std::net::SocketAddrV4;
 
-/// Samples that wait for one that is missing, of one writer.
+/// Samples of one writer that wait for a missing one.
 const HELD: usize = 256;
 /// Bytes of a sample in fragments at most.
 const LARGEST: usize = 1 << 20;
-/// Samples in fragments at a time, of one writer.
+/// Fragmented samples of one writer at a time.
 const PARTS: usize = 2;
-/// Bytes of samples that wait, for one that is missing or for their own fragments, of all writers of a topic.
+/// Bytes of samples that wait for a missing one or for their own fragments, over all writers of a topic.
 pub(super) const WAITING: usize = 8 << 20;
-/// Writers of one topic at most: one of each participant, for built-in topics.
+/// Writers of one topic at most: one per participant, for built-in topics.
 const WRITERS: usize = 128;
 
-/// A sample that comes in fragments.
+/// A sample that arrives in fragments.
 #[derive(Clone, Debug)]
 struct Parts {
     bytes: Vec<u8>,
@@ -27,25 +27,25 @@ struct Parts {
 }
 
 impl Parts {
-    /// Bytes that the sample of a fragment takes, with the marks of its fragments; `None` for one that can be none.
+    /// Bytes that a fragment's sample takes, with the flags of its fragments; `None` for an invalid one.
     fn needed(fragment: &Fragment<'_>) -> Option<usize> {
         let (size, total) = (usize::from(fragment.size), fragment.total as usize);
         (size > 0 && (1..=LARGEST).contains(&total)).then(|| total + total.div_ceil(size))
     }
 
-    /// For the sample of a fragment, for which there is a number of bytes that it takes.
+    /// A new sample for this fragment, of a valid size.
     fn new(fragment: &Fragment<'_>) -> Self {
         let (size, total) = (usize::from(fragment.size).max(1), fragment.total as usize);
         let count = total.div_ceil(size);
         Self { bytes: vec![0; total], size, have: vec![false; count], left: count }
     }
 
-    /// Bytes that it takes, with the marks of its fragments.
+    /// Bytes that it takes, with the flags of its fragments.
     fn len(&self) -> usize {
         self.bytes.len() + self.have.len()
     }
 
-    /// Takes what is in `fragment`; false if it is of another sample.
+    /// Stores what is in `fragment`; false if it belongs to another sample.
     fn take(&mut self, fragment: &Fragment<'_>) -> bool {
         if fragment.total as usize != self.bytes.len() || usize::from(fragment.size) != self.size {
             return false;
@@ -67,7 +67,7 @@ impl Parts {
     }
 }
 
-/// Samples in their order, with their numbers.
+/// Samples in order, with their numbers.
 pub(crate) type Came = Vec<(i64, Vec<u8>)>;
 
 /// A writer of another participant.
@@ -75,9 +75,9 @@ pub(crate) type Came = Vec<(i64, Vec<u8>)>;
 struct Writing {
     to: SocketAddrV4,
     reliable: bool,
-    /// The next number that is handed over; of best effort, `None` before the first.
+    /// The next number to deliver; with best effort, `None` before the first.
     next: Option<i64>,
-    /// It said what it has: what is below was never for this reader.
+    /// It has announced its samples: lower numbers were never for this reader.
     has_begun: bool,
     held: BTreeMap<i64, Vec<u8>>,
     parts: BTreeMap<i64, Parts>,
@@ -87,15 +87,14 @@ struct Writing {
 }
 
 impl Writing {
-    /// Counts what waits again.
+    /// Counts the waiting bytes again.
     fn count(&mut self) {
         let held: usize = self.held.values().map(Vec::len).sum();
         let parts: usize = self.parts.values().map(Parts::len).sum();
         self.waiting = held + parts;
     }
 
-    /// Takes away what will be of use last: the sample with the highest number, of those above `number`. False if there is
-    /// none.
+    /// Discards the sample needed last: that with the highest number above `number`. False if there is none.
     fn give_way(&mut self, number: i64) -> bool {
         let last_held = self.held.last_key_value().map(|(last, _)| *last);
         let last_part = self.parts.last_key_value().map(|(last, _)| *last);
@@ -112,8 +111,8 @@ impl Writing {
         true
     }
 
-    /// Takes away samples in fragments beyond [`PARTS`]. A reliable writer sends again what is missing, and the lowest
-    /// number is what everything waits for: the highest goes. Of best effort nothing comes again: the lowest goes.
+    /// Discards fragmented samples beyond [`PARTS`]. A reliable writer sends missing ones again, and all wait for the lowest
+    /// number: the highest goes. Best-effort samples do not come again: the lowest goes.
     fn bound_parts(&mut self) {
         while self.parts.len() > PARTS {
             let gone = if self.reliable { self.parts.pop_last() } else { self.parts.pop_first() };
@@ -122,12 +121,12 @@ impl Writing {
     }
 }
 
-/// What was counted of a reader.
+/// Counters of a reader.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ReaderCounts {
-    /// Samples that were handed over.
+    /// Delivered samples.
     pub samples: u64,
-    /// Samples that will not come any more.
+    /// Samples that can no longer arrive.
     pub lost: u64,
 }
 
@@ -142,27 +141,27 @@ pub(crate) struct Reader {
 }
 
 impl Reader {
-    /// One that asks for `qos`.
+    /// A reader that requests `qos`.
     pub fn new(own: Prefix, entity: Entity, qos: Qos) -> Self {
         Self { own, entity, qos, writers: BTreeMap::new(), counts: ReaderCounts::default() }
     }
 
-    /// Which one it is.
+    /// Its identity.
     pub fn entity(&self) -> Entity {
         self.entity
     }
 
-    /// Writers that it hears.
+    /// Matched writers.
     pub fn writers(&self) -> usize {
         self.writers.len()
     }
 
-    /// What was counted.
+    /// The counters.
     pub fn counts(&self) -> ReaderCounts {
         self.counts
     }
 
-    /// A writer that goes with this reader; questions for it go to `to`. False if there are too many.
+    /// Matches a writer; requests for it go to `to`. False if there are too many.
     #[must_use]
     pub fn add(&mut self, guid: Guid, to: SocketAddrV4, reliable: bool, out: &mut Vec<Outgoing>) -> bool {
         if let Some(known) = self.writers.get_mut(&guid) {
@@ -173,7 +172,7 @@ impl Reader {
             return false;
         }
         let reliable = reliable && self.qos.reliable;
-        // A reliable writer says where a reader begins, with its first heartbeat; the others with what comes.
+        // A reliable writer's first heartbeat says where a reader starts; a best-effort writer's first sample does.
         let next = reliable.then_some(1);
         let (held, parts) = (BTreeMap::new(), BTreeMap::new());
         self.writers.insert(guid, Writing { to, reliable, next, has_begun: false, held, parts, asked: 0, waiting: 0 });
@@ -183,12 +182,12 @@ impl Reader {
         true
     }
 
-    /// A writer that is gone.
+    /// Removes a writer.
     pub fn remove(&mut self, is: impl Fn(&Guid) -> bool) {
         self.writers.retain(|guid, _| !is(guid));
     }
 
-    /// Takes a sample; gives what is to be handed over, in order.
+    /// Takes a sample; returns the samples to deliver, in order.
     pub fn handle_data(&mut self, guid: Guid, number: i64, payload: &[u8]) -> Came {
         let has_room = self.waiting() + payload.len() <= WAITING;
         let Some(writing) = self.writers.get_mut(&guid).filter(|_| number > 0) else { return Vec::new() };
@@ -197,7 +196,7 @@ impl Reader {
             return Vec::new();
         }
         if writing.reliable {
-            // What has no room is asked for again.
+            // A sample without room is requested again.
             if number == next || (has_room && writing.held.len() < HELD) {
                 writing.held.insert(number, payload.to_vec());
                 writing.count();
@@ -209,13 +208,13 @@ impl Reader {
         self.counts.samples += 1;
         let next = number.saturating_add(1);
         writing.next = Some(next);
-        // What came in part and is older will not be handed over.
+        // Older incomplete samples are not delivered any more.
         writing.parts = writing.parts.split_off(&next);
         writing.count();
         vec![(number, payload.to_vec())]
     }
 
-    /// Takes a part of a sample; gives what is to be handed over.
+    /// Takes a fragment; returns the samples to deliver, in order.
     pub fn handle_fragment(&mut self, guid: Guid, number: i64, fragment: &Fragment<'_>) -> Came {
         let Some(writing) = self.writers.get(&guid).filter(|_| number > 0) else { return Vec::new() };
         if writing.next.is_some_and(|next| number < next) || writing.held.contains_key(&number) {
@@ -234,8 +233,8 @@ impl Reader {
         whole.map(|parts| self.handle_data(guid, number, &parts.bytes)).unwrap_or_default()
     }
 
-    /// Room for `bytes` of sample `number` of a writer: of the writer of whom most waits, samples give way until there is some,
-    /// so that nobody keeps the others' out; of this writer itself those behind the sample. False if there is none to be had.
+    /// Makes room for `bytes` of sample `number` of a writer. The writer with the most waiting bytes gives way, so that nobody
+    /// shuts the others out; the same writer gives up only samples after this one. False if there is no room.
     fn make_room(&mut self, guid: Guid, number: i64, bytes: usize) -> bool {
         while self.waiting() + bytes > WAITING {
             let own = self.writers.get(&guid).map_or(0, |writing| writing.waiting) + bytes;
@@ -251,7 +250,7 @@ impl Reader {
         true
     }
 
-    /// What a writer has: what is missing is asked for, what it has no more is lost.
+    /// A writer's range: requests missing samples, counts those that it no longer has as lost.
     pub fn handle_heartbeat(
         &mut self,
         guid: Guid,
@@ -280,7 +279,7 @@ impl Reader {
         samples
     }
 
-    /// What there will never be.
+    /// Numbers that will never arrive.
     pub fn handle_gap(&mut self, guid: Guid, start: i64, set: &Numbers) -> Came {
         let Some(writing) = self.writers.get_mut(&guid).filter(|writing| writing.reliable) else { return Vec::new() };
         if start <= 0 || set.base < start {
@@ -300,7 +299,7 @@ impl Reader {
         self.hand_over(guid)
     }
 
-    /// Bytes that wait, of all writers.
+    /// Waiting bytes of all writers.
     pub(super) fn waiting(&self) -> usize {
         self.writers.values().map(|writing| writing.waiting).sum()
     }
@@ -309,7 +308,7 @@ impl Reader {
         self.counts.lost = self.counts.lost.saturating_add(samples);
     }
 
-    /// Asks for what is missing up to `last`, or says that nothing is; `begins`: the writer is to say what it has.
+    /// Requests what is missing up to `last`, or acknowledges; `begins`: asks the writer for its range.
     fn ask(&mut self, guid: Guid, last: i64, begins: bool, out: &mut Vec<Outgoing>) {
         let Some(writing) = self.writers.get_mut(&guid) else { return };
         let next = writing.next.unwrap_or(last.saturating_add(1));

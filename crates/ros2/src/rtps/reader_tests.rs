@@ -7,7 +7,7 @@ fn guid(number: u8) -> Guid {
     Guid { prefix: [number; 12], entity: [0, 0, 1, 3] }
 }
 
-/// A reader with so many reliable writers.
+/// A reader with this many reliable writers.
 fn with_writers(count: u8) -> Reader {
     let mut reader = Reader::new([200; 12], [0, 0, 1, 4], Qos::reliable(10));
     (0..count).for_each(|number| assert!(reader.add(guid(number), TO, true, &mut Vec::new())));
@@ -15,7 +15,7 @@ fn with_writers(count: u8) -> Reader {
 }
 
 #[test]
-fn what_waits_is_bounded_in_bytes_and_comes_when_it_is_asked_for_again() {
+fn waiting_bytes_are_bounded_and_dropped_samples_are_requested_again() {
     let mut reader = with_writers(100);
     let bytes = vec![7; 60_000];
     for number in 0..100 {
@@ -29,7 +29,7 @@ fn what_waits_is_bounded_in_bytes_and_comes_when_it_is_asked_for_again() {
     let waiting: usize = held.chain(parts).sum();
     assert_eq!(waiting, reader.waiting());
     assert!((WAITING / 2..=WAITING).contains(&waiting), "{waiting}");
-    // One that has nothing that waits gets all of its samples all the same, and the room of the others is free afterwards.
+    // A writer without waiting samples still delivers all of its own, and the others' room is free afterwards.
     let came: usize = (1..=40).map(|sample| reader.handle_data(guid(99), sample, &bytes).len()).sum();
     assert_eq!(came, 40);
     for number in 0..99 {
@@ -42,7 +42,7 @@ fn what_waits_is_bounded_in_bytes_and_comes_when_it_is_asked_for_again() {
 }
 
 #[test]
-fn ranges_without_end_are_asked_for_in_part_and_counted_without_overflow() {
+fn endless_ranges_are_requested_in_part_and_counted_without_overflow() {
     let mut reader = with_writers(1);
     let mut out = Vec::new();
     reader.handle_heartbeat(guid(0), (1, i64::MAX), false, &mut out);
@@ -52,7 +52,7 @@ fn ranges_without_end_are_asked_for_in_part_and_counted_without_overflow() {
         reader.handle_data(guid(0), i64::MAX, &[0; 8]);
         reader.handle_gap(guid(0), 1, &Numbers::of(i64::MAX - 1, [i64::MAX - 1, i64::MAX].into_iter()));
         assert!(reader.counts().lost > i64::MAX as u64 / 2 * (round + 1).min(3), "{:?}", reader.counts());
-        // It goes, and comes again.
+        // It leaves and returns.
         reader.remove(|_| true);
         assert!(reader.add(guid(0), TO, true, &mut out));
         reader.handle_heartbeat(guid(0), (1, 5), false, &mut out);
@@ -85,10 +85,10 @@ fn hand(reader: &mut Reader, from: u8, number: u8, (first, bytes): &(u32, Vec<u8
 }
 
 #[test]
-fn samples_whose_fragments_come_in_turns_all_become_whole() {
+fn samples_with_interleaved_fragments_all_complete() {
     let mut reader = with_writers(1);
     let mut came = Vec::new();
-    // A writer sends again, round by round, what has not come; fragments of four samples take turns.
+    // A writer sends again what is missing, round by round; fragments of four samples alternate.
     let samples: Vec<Vec<(u32, Vec<u8>)>> = (1..=4).map(|number| fragments(number).collect()).collect();
     for k in (0..4).flat_map(|_| 0..samples[0].len()) {
         for (number, parts) in (1..).zip(&samples) {
@@ -97,7 +97,7 @@ fn samples_whose_fragments_come_in_turns_all_become_whole() {
     }
     assert_eq!(came, [1, 2, 3, 4]);
     assert_eq!(reader.waiting(), 0);
-    // Of best effort nothing is sent again: the latest become whole, and what is older is let go.
+    // Best-effort fragments are not sent again: the latest samples become complete, older ones are dropped.
     let mut reader = Reader::new([200; 12], [0, 0, 1, 4], Qos::best_effort(10));
     assert!(reader.add(guid(0), TO, false, &mut Vec::new()));
     (1..=3).for_each(|number| assert!(hand(&mut reader, 0, number, &fragments(number).next().unwrap()).is_empty()));
@@ -106,10 +106,10 @@ fn samples_whose_fragments_come_in_turns_all_become_whole() {
 }
 
 #[test]
-fn who_holds_most_gives_way_to_a_sample_in_fragments() {
+fn the_writer_with_most_waiting_bytes_gives_way() {
     let mut reader = with_writers(100);
     let bytes = vec![7; 60_000];
-    // Strangers whose first sample never comes fill all that may wait.
+    // Strangers whose first sample never arrives fill all the room.
     for number in 1..100 {
         (2..=200).for_each(|sample| drop(reader.handle_data(guid(number), sample, &bytes)));
     }
@@ -117,7 +117,7 @@ fn who_holds_most_gives_way_to_a_sample_in_fragments() {
     let came: Vec<i64> = fragments(1).flat_map(|part| hand(&mut reader, 0, 1, &part)).collect();
     assert_eq!(came, [1]);
     assert!(reader.waiting() <= WAITING);
-    // One that has filled it itself makes room for the sample that everything behind it waits for, and for no later one.
+    // A writer that filled it itself makes room for the sample that all the others wait for, and for no later one.
     let mut reader = with_writers(1);
     (2..=200).for_each(|sample| drop(reader.handle_data(guid(0), sample, &bytes)));
     let held = reader.writers[&guid(0)].held.len();

@@ -1,14 +1,14 @@
-//! Datagrams of RTPS, the wire protocol of DDS: a header and submessages (\[rtps\] 8.3, 9.4). What is written is
-//! little-endian; both are read. A datagram of another protocol or version is none, an unknown submessage is passed over,
-//! and one that is cut ends its datagram.
+//! Datagrams of RTPS, the wire protocol of DDS: a header and submessages (\[rtps\] 8.3, 9.4). Writes little-endian, reads
+//! both. A datagram of another protocol or version is refused, an unknown submessage is skipped, and a cut one ends its
+//! datagram.
 
 use csi5300_bag::cdr::{Cdr, CdrError, CdrReader};
 
 /// Bytes of a datagram's header.
 const HEADER: usize = 20;
-/// RTPS 2.4: what is common to all that ROS 2 uses.
+/// RTPS 2.4: the version that all of ROS 2 understands.
 const VERSION: [u8; 2] = [2, 4];
-/// Of a program without a number of its own.
+/// Vendor number "unknown".
 pub(crate) const VENDOR: [u8; 2] = [0, 0];
 /// Numbers in one set at most.
 const SET: u32 = 256;
@@ -17,7 +17,7 @@ const SET: u32 = 256;
 pub(crate) type Prefix = [u8; 12];
 /// A writer or reader of a participant.
 pub(crate) type Entity = [u8; 4];
-/// All of a participant's.
+/// A participant's prefix.
 pub(crate) const ANY: Entity = [0; 4];
 
 /// A writer or reader.
@@ -25,7 +25,7 @@ pub(crate) const ANY: Entity = [0; 4];
 pub(crate) struct Guid {
     /// Its participant.
     pub prefix: Prefix,
-    /// Which one it is there.
+    /// Its entity there.
     pub entity: Entity,
 }
 
@@ -45,7 +45,7 @@ impl Guid {
     }
 }
 
-/// Numbers from `base` on, those of set bits; the first bit of the first word is its highest.
+/// A set of numbers from `base` on, one bit each; the first bit of the first word is its highest.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Numbers {
     /// The first number.
@@ -55,12 +55,12 @@ pub(crate) struct Numbers {
 }
 
 impl Numbers {
-    /// None: all below `base` are there.
+    /// The empty set: everything below `base` is there.
     pub fn none(base: i64) -> Self {
         Self { base, bits: 0, words: Vec::new() }
     }
 
-    /// Those of `numbers`, which rise, that fit behind the first.
+    /// The set of `numbers` (rising), as many as fit after the first.
     pub fn of(base: i64, numbers: impl Iterator<Item = i64>) -> Self {
         let mut set = Self::none(base);
         for bit in numbers.map_while(|number| u32::try_from(number - base).ok()).take_while(|bit| *bit < SET) {
@@ -102,23 +102,23 @@ fn put_number(number: i64, to: &mut Vec<u8>) {
     to.extend((number as u32).to_le_bytes());
 }
 
-/// What stands before the payload of a sample, as far as it is used.
+/// The parameters before a sample's payload, as far as they are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Inline {
-    /// The instance is over: disposed of or unregistered.
+    /// The instance was disposed of or unregistered.
     pub is_over: bool,
-    /// Whose it is.
+    /// Its key.
     pub key: Option<[u8; 16]>,
     /// The request that a sample answers: its writer and number.
     pub request: Option<(Guid, i64)>,
 }
 
-/// A part of a sample.
+/// A fragment of a sample, or several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Fragment<'a> {
     /// Number of the first fragment in it, from 1.
     pub first: u32,
-    /// Bytes of each but the last.
+    /// Bytes of each fragment but the last.
     pub size: u16,
     /// Bytes of the sample.
     pub total: u32,
@@ -126,25 +126,25 @@ pub(crate) struct Fragment<'a> {
     pub bytes: &'a [u8],
 }
 
-/// What a submessage brings. Numbers are those of samples of its writer.
+/// The content of a submessage. Numbers are those of its writer's samples.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Body<'a> {
     /// A sample; `None` without a payload.
     Data { number: i64, inline: Inline, payload: Option<&'a [u8]> },
-    /// A part of one.
+    /// A fragment.
     Fragments { number: i64, fragment: Fragment<'a> },
-    /// What the writer has.
+    /// The range that the writer has.
     Heartbeat { first: i64, last: i64, count: u32, is_final: bool },
-    /// What the reader has not.
+    /// What the reader lacks.
     AckNack { missing: Numbers, count: u32 },
-    /// What there will never be: from the first number to the base of the set, and the set.
+    /// Numbers that will never arrive: from the first to the base of the set, and the set.
     Gap { start: i64, set: Numbers },
 }
 
 /// A submessage from one end to another.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Submessage<'a> {
-    /// The participant that it is for; `None` for all.
+    /// The addressed participant; `None` for all.
     pub to: Option<Prefix>,
     /// The reader.
     pub reader: Entity,
@@ -154,7 +154,7 @@ pub(crate) struct Submessage<'a> {
     pub body: Body<'a>,
 }
 
-/// A datagram that was checked: its sender, and its submessages one after the other.
+/// A checked datagram: its sender and its submessages in order.
 #[derive(Clone, Debug)]
 pub(crate) struct Datagram<'a> {
     /// Who sent it.
@@ -171,13 +171,13 @@ impl<'a> Datagram<'a> {
         (start == b"RTPS\x02").then_some(Self { from: *from, rest, to: None })
     }
 
-    /// The next one; `None` at the end, an error where it is cut.
+    /// The next one; `None` at the end, an error if it is cut.
     pub fn next(&mut self) -> Option<Result<Submessage<'a>, CdrError>> {
         loop {
             let ([kind, flags, low, high], rest) = self.rest.split_first_chunk::<4>()?;
             let little = flags & 1 == 1;
             let length = if little { u16::from_le_bytes([*low, *high]) } else { u16::from_be_bytes([*low, *high]) };
-            // 0: to the end, where it is not one that has none.
+            // Length 0: to the end of the datagram, except for submessages that may be empty.
             let length = if length == 0 && !matches!(kind, 0x01 | 0x09) { rest.len() } else { length.into() };
             let Some((body, rest)) = rest.split_at_checked(length) else {
                 let want = length - rest.len();
@@ -210,7 +210,7 @@ impl<'a> Datagram<'a> {
             0x15 | 0x16 => {
                 from.take(2)?;
                 let behind = usize::from(u16::read(&mut from)?);
-                // From behind that field to behind the number: 16 bytes, and 12 more of fragments.
+                // From after that field to after the number: 16 bytes, and 12 more for fragments.
                 let extra = behind.saturating_sub(if kind == 0x15 { 16 } else { 28 });
                 return self.sample(kind, flags, from, extra).map(Some);
             }
@@ -233,7 +233,7 @@ impl<'a> Datagram<'a> {
         Ok(Some(Submessage { to: self.to, reader, writer, body }))
     }
 
-    /// DATA and DATA_FRAG, whose head may be longer by `extra` bytes in a later version.
+    /// DATA and DATA_FRAG; a later version may extend the head by `extra` bytes.
     fn sample(&self, kind: u8, flags: u8, mut from: CdrReader<'a>, extra: usize) -> Result<Submessage<'a>, CdrError> {
         let (reader, writer) = (Entity::read(&mut from)?, Entity::read(&mut from)?);
         let number = number(&mut from)?;
@@ -283,7 +283,7 @@ fn related(value: &[u8]) -> Option<(Guid, i64)> {
     Some((Guid::from_bytes(value)?, number(&mut from).ok()?))
 }
 
-/// A datagram that is being made.
+/// A datagram being written.
 #[derive(Clone, Debug)]
 pub(crate) struct Maker(Vec<u8>);
 
@@ -303,7 +303,7 @@ impl Maker {
         self.0.extend([kind, flags | 1, 0, 0]);
         let begin = self.0.len();
         fill(&mut self.0);
-        // What does not fit is the last and goes to the end, as 0 says.
+        // A longer one is the last and goes to the end of the datagram, as length 0 says.
         let length = u16::try_from(self.0.len() - begin).unwrap_or(0);
         if let Some(place) = self.0.get_mut(begin - 2..begin) {
             place.copy_from_slice(&length.to_le_bytes());
@@ -320,7 +320,7 @@ impl Maker {
         self
     }
 
-    /// A sample. `over` has the key of an instance that is over, which has no payload; `request` what a sample answers.
+    /// A sample. `over` is the key of a disposed instance, which has no payload; `request` is what a sample answers.
     pub fn data(
         mut self,
         (reader, writer): (Entity, Entity),
@@ -354,7 +354,7 @@ impl Maker {
         self
     }
 
-    /// What a writer has, from `first` to `last`.
+    /// The range of a writer's samples, from `first` to `last`.
     pub fn heartbeat(
         mut self,
         (reader, writer): (Entity, Entity),
@@ -371,7 +371,7 @@ impl Maker {
         self
     }
 
-    /// What a reader has not.
+    /// What a reader lacks.
     pub fn acknack(
         mut self,
         (reader, writer): (Entity, Entity),
@@ -387,7 +387,7 @@ impl Maker {
         self
     }
 
-    /// What there will never be: all from `start` to below `end`.
+    /// Numbers that will never arrive: all from `start` to below `end`.
     pub fn gap(mut self, (reader, writer): (Entity, Entity), (start, end): (i64, i64)) -> Self {
         self.submessage(0x08, 0, |bytes| {
             bytes.extend(reader.into_iter().chain(writer));
@@ -397,7 +397,7 @@ impl Maker {
         self
     }
 
-    /// The datagram.
+    /// The finished datagram.
     pub fn finish(self) -> Vec<u8> {
         self.0
     }

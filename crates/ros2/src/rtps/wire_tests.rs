@@ -23,7 +23,7 @@ fn read(bytes: &[u8]) -> Vec<Result<Submessage<'_>, CdrError>> {
 }
 
 #[test]
-fn what_is_made_is_read_back() {
+fn written_datagrams_are_read_back() {
     let bytes = whole();
     assert_eq!(Datagram::new_checked(&bytes).unwrap().from, FROM);
     let all: Vec<_> = read(&bytes).into_iter().map(Result::unwrap).collect();

@@ -6,23 +6,23 @@ use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddrV4;
 use std::sync::Arc;
 
-/// Bytes of a sample at most: what a datagram over UDP takes, less heads.
+/// Bytes of a sample at most: a UDP datagram less the headers.
 pub(crate) const LARGEST: usize = 64_000;
-/// Samples that a reader is sent again between two beats, however often it asks.
+/// Samples that a reader is sent again between two heartbeats, however often it asks.
 const AGAIN: usize = 64;
-/// Beats without a word from a reader after which it gets fewer, or none if it was never heard.
+/// Unanswered heartbeats after which a reader gets fewer, or none if it never answered.
 const UNHEARD: u32 = 10;
-/// A reader that fell silent gets one beat in this many, because its link may come back.
+/// A reader that fell silent gets one heartbeat in this many, because its link may recover.
 const SELDOM: u32 = 5;
-/// Beats that an announcement of such a reader is worth.
+/// Heartbeats that an announcement of such a reader adds.
 const RENEWED: u32 = 2;
 /// Readers of one topic at most.
 const READERS: usize = 256;
 
-/// A datagram and where it is to go.
+/// A datagram and its destination.
 pub(crate) type Outgoing = (SocketAddrV4, Vec<u8>);
 
-/// A sample as it is kept.
+/// A stored sample.
 #[derive(Clone, Debug)]
 struct Sample {
     number: i64,
@@ -36,15 +36,15 @@ struct Sample {
 struct Reading {
     to: SocketAddrV4,
     reliable: bool,
-    /// The first sample that it is to have.
+    /// The first sample for it.
     start: i64,
-    /// It has all below.
+    /// It has all samples below this number.
     acked: i64,
-    /// Number of its last question.
+    /// Number of its last request.
     count: Option<u32>,
-    /// Samples that it may still be sent again before the next beat.
+    /// Samples that it may still be sent again before the next heartbeat.
     again: usize,
-    /// Beats since it was last heard.
+    /// Heartbeats since its last answer.
     unheard: u32,
 }
 
@@ -63,22 +63,22 @@ pub(crate) struct Writer {
 }
 
 impl Writer {
-    /// One that keeps as many samples as `qos` says.
+    /// A writer that keeps as many samples as `qos` says.
     pub fn new(own: Prefix, entity: Entity, qos: Qos) -> Self {
         Self { own, entity, qos, kept: VecDeque::new(), last: 0, readers: BTreeMap::new(), beats: 0, turns: 0 }
     }
 
-    /// Readers that are sent to.
+    /// Matched readers.
     pub fn readers(&self) -> usize {
         self.readers.len()
     }
 
-    /// A reader of this participant is sent to.
+    /// Sends to a reader of this participant.
     pub fn has_reader_of(&self, prefix: Prefix) -> bool {
         self.readers.keys().any(|guid| guid.prefix == prefix)
     }
 
-    /// Which one it is.
+    /// Its identity.
     pub fn entity(&self) -> Entity {
         self.entity
     }
@@ -93,7 +93,7 @@ impl Writer {
         let sample = Sample { number: self.last, payload, request };
         let mut sent: Vec<(SocketAddrV4, Prefix)> = Vec::new();
         for (guid, reader) in &self.readers {
-            // All readers of a participant get it with one datagram.
+            // One datagram serves all readers of a participant.
             if !sent.contains(&(reader.to, guid.prefix)) {
                 sent.push((reader.to, guid.prefix));
                 out.push((reader.to, self.datagram(guid.prefix, [0; 4], &sample, wall_us)));
@@ -112,8 +112,8 @@ impl Writer {
         made.finish()
     }
 
-    /// A reader that goes with this writer; it is told what there is for it. `from_now`: what was written before is not
-    /// for it. False if there are too many.
+    /// Matches a reader and announces the samples for it. `from_now`: earlier samples are not for it. False if there are too
+    /// many.
     #[must_use]
     pub fn add(
         &mut self,
@@ -138,18 +138,18 @@ impl Writer {
         true
     }
 
-    /// The participant of a reader announced itself: the reader gets a few beats more.
+    /// The participant of a reader announced itself: the reader gets a few more heartbeats.
     pub fn renew(&mut self, prefix: Prefix) {
         let of = self.readers.iter_mut().filter(|(guid, _)| guid.prefix == prefix);
         of.for_each(|(_, one)| one.unheard = one.unheard.min(UNHEARD - RENEWED));
     }
 
-    /// A reader that is gone.
+    /// Removes a reader.
     pub fn remove(&mut self, is: impl Fn(&Guid) -> bool) {
         self.readers.retain(|guid, _| !is(guid));
     }
 
-    /// Sends a heartbeat to each reliable reader that lacks samples. A reader that never answered soon gets no more, because its
+    /// Sends a heartbeat to each reliable reader that lacks samples. A reader that never answered soon gets none, because its
     /// address may be forged. One that fell silent gets fewer until its participant's lease ends.
     pub fn beat(&mut self, out: &mut Vec<Outgoing>) {
         self.readers.values_mut().for_each(|one| one.again = AGAIN);
@@ -173,11 +173,11 @@ impl Writer {
         }
     }
 
-    /// What a reader has not: it is sent again, or told that it will never be.
+    /// What a reader lacks: sends it again, or says that it will never arrive.
     pub fn handle_acknack(&mut self, guid: Guid, missing: &Numbers, count: u32, wall_us: i64, out: &mut Vec<Outgoing>) {
         let (first, last) = (self.first(), self.last);
         let Some(reader) = self.readers.get_mut(&guid).filter(|reader| reader.reliable) else { return };
-        // The same question twice, or one that was overtaken; a reader that began anew counts anew.
+        // A repeated or overtaken request; a restarted reader counts from the start.
         if reader.count.is_some_and(|before| count <= before && before - count < 1_000) {
             return;
         }
@@ -205,7 +205,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reader_that_fell_silent_is_asked_until_it_is_back_and_one_that_never_spoke_is_not() {
+    fn a_silent_reader_gets_heartbeats_unless_it_never_answered() {
         let mut writer = Writer::new([1; 12], [0, 0, 1, 3], Qos::reliable(100));
         let guid = |k: u8| Guid { prefix: [k; 12], entity: [0, 0, 1, 4] };
         let at = |k: u8| SocketAddrV4::new([127, 0, 0, k].into(), 7_411);
@@ -220,7 +220,7 @@ mod tests {
             (0..turns).for_each(|_| writer.beat(&mut all));
             all.iter().filter(|(to, _)| *to == at(k)).count()
         };
-        // Four seconds of ten beats each without a link.
+        // Four seconds of ten heartbeats each without a link.
         let heard = beats_to(2, 40);
         assert!((10..=20).contains(&heard), "{heard}");
         assert_eq!(beats_to(3, 10), 0, "its beats are used up");

@@ -1,4 +1,4 @@
-//! The questions of the state machine: what stands behind a record, and where the next one is.
+//! The questions of the state machine: what follows a record, and where the next one is.
 
 use super::super::head::{Codes, Head, LONGEST_HEAD, SURE, VOUCHING_CODES, VOUCHING_LENGTHS, head, sure};
 use super::super::{LENGTH_FIELD, Record, code};
@@ -6,15 +6,15 @@ use super::Framer;
 use crate::bfee::Bfee;
 use crate::mpdu::fcs_is_good;
 
-/// Records that are looked at after one in doubt.
+/// Records that are examined after a doubtful one.
 pub(super) const MAX_LINKS: usize = 6;
 
-/// Bytes of which checksums may be taken at once, and per byte consumed: what keeps the work linear when every few
-/// bytes pretend to be a long frame. A frame that is not checked for want of credit counts as unchecked.
+/// Bytes whose checksum may be computed at once, and per byte consumed: keeps the work linear if every few bytes pretend to be a
+/// long frame. A frame that is not checked for lack of credit counts as unchecked.
 pub(super) const CREDIT: usize = 64 * 1024;
 pub(super) const CREDIT_PER_BYTE: usize = 8;
 
-/// Outcome of a look at what follows.
+/// Result of examining the following records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Chain {
     Yes,
@@ -24,7 +24,7 @@ pub(super) enum Chain {
     Short,
 }
 
-/// Which records may stand between one in doubt and what vouches for it.
+/// Which records may stand between a doubtful one and its witness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Links {
     /// Those of codes that are known or were met before.
@@ -33,7 +33,7 @@ pub(super) enum Links {
     Any,
 }
 
-/// Outcome of a search.
+/// Result of a search.
 pub(super) enum Found {
     At(usize),
     Nothing,
@@ -41,9 +41,9 @@ pub(super) enum Found {
 }
 
 impl Framer {
-    /// Follows the lengths from the record at the front on, until something vouches for them.
+    /// Follows the lengths from the record at the front until a record vouches for them.
     ///
-    /// `len` is that record's length, `bits` the evidence that it brings. A code that comes again counts as known.
+    /// `len` is that record's length, `bits` its own evidence. A repeated code counts as known.
     pub(super) fn chain(&self, front: &[u8], end: bool, len: usize, mut bits: u32, links: Links) -> Chain {
         let mut seen = self.seen;
         note(&mut seen, front);
@@ -71,7 +71,7 @@ impl Framer {
         Chain::No
     }
 
-    /// The first position of `from..to` at which a record can be believed.
+    /// The first position of `from..to` at which a record can be accepted.
     pub(super) fn search(&mut self, front: &[u8], end: bool, from: usize, to: usize) -> Found {
         for at in from.max(self.known.searched)..to.min(front.len()) {
             let rest = front.get(at..).unwrap_or_default();
@@ -95,15 +95,15 @@ impl Framer {
             self.known.searched = front.len();
             return Found::Short;
         }
-        // A search further on may have come further, before it ran out of bytes.
+        // An earlier search may have come further before it ran out of bytes.
         self.known.searched = self.known.searched.max(to);
         Found::Nothing
     }
 
-    /// Whether a record after damage can be believed that does not vouch for itself.
+    /// Whether a record after damage that does not vouch for itself can be accepted.
     ///
-    /// It needs witnesses behind it, not just the stream's end; an MPDU needs both them and its checksum, for among
-    /// many positions one or the other is met by chance.
+    /// It needs witnesses after it, not just the stream's end. An MPDU needs both them and its checksum, because among many positions
+    /// one or the other occurs by chance.
     fn candidate(&mut self, rest: &[u8], end: bool, len: usize, bits: u32) -> Chain {
         let chain = self.chain(rest, end, len, bits, Links::Known);
         if !matches!(chain, Chain::Yes | Chain::End) {
@@ -116,7 +116,7 @@ impl Framer {
         }
     }
 
-    /// Whether an MPDU's checksum is right; `None` for other records and when the credit is used up.
+    /// Whether an MPDU's checksum is correct; `None` for other records and without credit.
     pub(super) fn checksum(&mut self, front: &[u8], len: usize) -> Option<bool> {
         let record = front.get(LENGTH_FIELD..len).and_then(Record::from_message)?;
         if record.code != code::MPDU {
@@ -158,15 +158,15 @@ fn sure_at(front: &[u8], at: usize) -> bool {
     front.get(at..).and_then(sure).is_some()
 }
 
-/// Positions that [`Framer::search_sure`] looks at together.
+/// Positions that [`Framer::search_sure`] examines together.
 const STRETCH: usize = 256;
 
-/// The end of the positions inside a record of `len` bytes at which a head is whole.
+/// The end of the positions inside a record of `len` bytes at which a complete head fits.
 fn whole_heads(front: &[u8], len: usize) -> usize {
     len.min((front.len() + 1).saturating_sub(LONGEST_HEAD))
 }
 
-/// True if two bytes of each position are enough to see that no record inside one of `len` bytes vouches for itself.
+/// True if two bytes of each position suffice to show that no record inside one of `len` bytes vouches for itself.
 #[inline(always)]
 pub(super) fn is_plain(front: &[u8], len: usize) -> bool {
     let Some(heads) = front.get(..len + LONGEST_HEAD - 1) else { return false };
@@ -176,7 +176,7 @@ pub(super) fn is_plain(front: &[u8], len: usize) -> bool {
     }
 }
 
-/// False where no record that vouches for itself begins in `from..to`: by its code, and by its length, which is below
+/// False if no record that vouches for itself begins in `from..to`: judges by its code and by its length, which is below
 /// [`VOUCHING_LENGTHS`].
 #[inline(always)]
 fn may_vouch(front: &[u8], from: usize, to: usize) -> bool {
@@ -186,21 +186,21 @@ fn may_vouch(front: &[u8], from: usize, to: usize) -> bool {
     }
 }
 
-/// 0 if a head with these first and third bytes may vouch for itself. Without a comparison, of which wide vectors make masks.
+/// 0 if a head with these first and third bytes may vouch for itself. It has no comparisons, which wide vectors turn into masks.
 #[inline(always)]
 fn miss(high: u8, code: u8) -> u8 {
     let [bfee, noise] = VOUCHING_CODES;
     (code ^ bfee).min(code ^ noise) | high.saturating_sub(VOUCHING_LENGTHS - 1)
 }
 
-/// [`may_vouch`], of the first and third bytes of the positions; in blocks that a compiler looks at at once.
+/// [`may_vouch`] for the first and third bytes of the positions, in blocks that a compiler can vectorise.
 #[inline(always)]
 fn any_vouches(highs: &[u8], codes: &[u8]) -> bool {
     const BLOCK: usize = 64;
     let (Some(last_highs), Some(last_codes)) = (highs.last_chunk::<BLOCK>(), codes.last_chunk::<BLOCK>()) else {
         return highs.iter().zip(codes).any(|(high, code)| miss(*high, *code) == 0);
     };
-    // The last block overlaps the one before.
+    // The last block overlaps the previous one.
     let mut least = nearer([u8::MAX; BLOCK], last_highs, last_codes);
     let (mut highs, mut codes) = (highs, codes);
     while let (Some((first_highs, more_highs)), Some((first_codes, more_codes))) =
@@ -216,7 +216,7 @@ fn any_vouches(highs: &[u8], codes: &[u8]) -> bool {
     any
 }
 
-/// Of each position in a block what [`miss`] says, or what was there before if that is less.
+/// For each position in a block, the smaller of [`miss`] and the previous value.
 #[inline(always)]
 fn nearer<const BLOCK: usize>(mut least: [u8; BLOCK], highs: &[u8; BLOCK], codes: &[u8; BLOCK]) -> [u8; BLOCK] {
     for k in 0..BLOCK {
@@ -225,7 +225,7 @@ fn nearer<const BLOCK: usize>(mut least: [u8; BLOCK], highs: &[u8; BLOCK], codes
     least
 }
 
-/// Remembers the code of the record at the front, unless it is only the same byte over and over.
+/// Remembers the code of the record at the front, unless the record only repeats one byte.
 fn note(seen: &mut Codes, front: &[u8]) {
     if let [high, low, code, ..] = front
         && (high != code || low != code)
@@ -234,7 +234,7 @@ fn note(seen: &mut Codes, front: &[u8]) {
     }
 }
 
-/// True unless the record is a bfee with bits where none should be.
+/// True unless the record is a bfee with a set bit in the gaps.
 pub(super) fn gaps_are_clear(front: &[u8], len: usize) -> bool {
     match front.get(LENGTH_FIELD..len).and_then(Record::from_message) {
         Some(Record { code: code::BFEE, body }) => Bfee::new_checked(body).is_ok_and(|bfee| bfee.gaps_are_clear()),
@@ -250,7 +250,7 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// Bytes of which heads of bfees and noise records, whole or nearly, are made often.
+    /// Bytes in which complete and almost complete heads of bfees and noise records are frequent.
     fn bytes() -> impl Strategy<Value = Vec<u8>> {
         let noise = Just(vec![0, 5, 0xD0, 0xA6, 0xFF, 0xFF, 0xFF]);
         let bfee: Vec<u8> = [[0, 93, 0xBB].as_slice(), &[0; 8], &[1, 1], &[0; 6], &[72, 0, 0, 0]].concat();
@@ -262,7 +262,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn quick_looks_see_what_a_head_says(bytes in bytes(), codes in prop::collection::vec(any::<u8>(), 0..5)) {
+        fn quick_checks_agree_with_heads(bytes in bytes(), codes in prop::collection::vec(any::<u8>(), 0..5)) {
             let mut seen = Codes::default();
             codes.iter().for_each(|code| seen.insert(*code));
             for at in 0..=bytes.len() {
@@ -277,7 +277,7 @@ mod tests {
         }
 
         #[test]
-        fn a_search_finds_what_a_look_at_every_position_finds(bytes in bytes(), share in 0.0..1.0_f64, end: bool) {
+        fn a_search_equals_a_check_of_every_position(bytes in bytes(), share in 0.0..1.0_f64, end: bool) {
             let mut framer = Framer::new();
             let len = 1 + (share * (bytes.len() - 1) as f64) as usize;
             let whole = whole_heads(&bytes, len);

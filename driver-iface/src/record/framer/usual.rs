@@ -1,8 +1,7 @@
-//! What the records of a log mostly look like: the shapes of those met last, with which the next are compared first.
+//! The usual records of a log: the shapes of those met last, with which the next ones are compared first.
 //!
-//! A record's place follows from the lengths of all records before it. Reading them in sequence stalls the processor at
-//! each; comparing a length with a remembered one does not. So the code continues with the remembered length, never
-//! with the one read.
+//! A record's offset follows from the lengths of all records before it. Reading them in sequence stalls the processor at each;
+//! comparing a length with a remembered one does not. So the code continues with the remembered length, never with the one read.
 
 use super::super::{LENGTH_FIELD, code};
 use super::{Len, State};
@@ -10,18 +9,18 @@ use crate::bfee::{STOCK_HEADER, WSR_HEADER, csi_len, offset};
 
 /// Bytes of a record before its body: length field and code.
 const FRONT: usize = LENGTH_FIELD + 1;
-/// Bytes of a bfee that decide whether it is one; see [`crate::bfee::check`].
+/// Bytes of a bfee's head that identify it; see [`crate::bfee::check`].
 const DECIDING: usize = FRONT + STOCK_HEADER;
 
 /// The first word of a record: length field, code and the first byte of the body.
 type Word = u32;
-/// Of a bfee's first word all but the body's byte decides: the uppermost bits, shifted out.
+/// In a bfee's first word, everything but the body's byte counts; that is the uppermost byte, shifted out.
 const NOT_OF_BFEE: u32 = 8;
-/// Of a frame's first word the version and type decide too, the low half of its frame control.
+/// In a frame's first word, version and type count, too: the low half of its frame control.
 const NOT_OF_FRAME: u32 = 4;
 
-/// Shapes of the bfee and of the frame met last; before any, of some that could be. What is known where they follow a record that
-/// vouches for itself is kept as it is handed on.
+/// Shapes of the last bfee and the last frame; at first, of possible ones. What is known if they follow a record that vouches for
+/// itself is kept in the form in which it is passed on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Usual {
     bfee: Word,
@@ -34,7 +33,7 @@ pub(super) struct Usual {
 }
 
 impl Default for Usual {
-    /// 3x1 as the WSR driver writes it, and no frame that could be.
+    /// 3x1 as the WSR driver writes it, and an impossible frame.
     fn default() -> Self {
         let csi = csi_len(3, 1);
         let length = 1 + WSR_HEADER + csi;
@@ -53,7 +52,7 @@ impl Default for Usual {
 }
 
 impl Usual {
-    /// What is known about the `rest` behind a record that vouches for itself, if what begins it is as usual.
+    /// What is known about the `rest` after a record that vouches for itself, if it begins as usual.
     #[inline(always)]
     pub(super) fn behind_sure(&self, rest: &[u8]) -> Option<State> {
         if self.is_bfee(rest)? {
@@ -64,14 +63,14 @@ impl Usual {
             .then_some(self.followed)
     }
 
-    /// True if the record at the front is a bfee as usual; `None` when there are too few bytes to say.
+    /// True if the record at the front is a bfee as usual; `None` if there are too few bytes.
     #[inline(always)]
     fn is_bfee(&self, bytes: &[u8]) -> Option<bool> {
         let (word, chains, csi) = deciding(bytes.first_chunk()?);
         Some(word << NOT_OF_BFEE == self.bfee && chains == self.chains && csi == self.csi)
     }
 
-    /// Remembers the records behind one that vouches for itself: a frame, if `state` is `Followed` by virtue of one, and a bfee.
+    /// Remembers the records after one that vouches for itself: a frame, if `state` is `Followed` because of one, and a bfee.
     pub(super) fn learn(&mut self, rest: &[u8], state: State) {
         let (between, len) = match state {
             State::Vouched { len } => (0, len),
@@ -85,7 +84,7 @@ impl Usual {
             return;
         }
         (self.bfee, self.chains, self.csi, self.vouched) = (word << NOT_OF_BFEE, chains, csi, State::Vouched { len });
-        // The frame before it may have another length than the one known.
+        // The frame before it may have another length than the known one.
         (self.frame, self.frame_len, self.followed) = (Word::MAX, 0, State::Fresh);
         if let Some(front) = rest.first_chunk()
             && let word = Word::from_le_bytes(*front)
@@ -96,7 +95,7 @@ impl Usual {
     }
 }
 
-/// The bytes of a bfee's head that decide whether it is one: its first word, its chains and its bytes of CSI.
+/// The bytes of a bfee's head that identify it: its first word, its chains and its CSI length.
 #[inline(always)]
 fn deciding(head: &[u8; DECIDING]) -> (Word, [u8; 2], [u8; 2]) {
     let at = |at: usize| [head[FRONT + at], head[FRONT + at + 1]];
@@ -112,7 +111,7 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// Records that follow one that vouches for itself: of many shapes, frames of many types, noise, what no driver writes.
+    /// Records that follow one that vouches for itself: many shapes, frames of many types, noise, and impossible ones.
     fn follower() -> impl Strategy<Value = Vec<u8>> {
         let bfee =
             (0..3_u8, 1..4_u8, 1..4_u8, any::<bool>()).prop_map(|(seed, rx, tx, wsr)| bfee_record(seed, rx, tx, wsr));
@@ -125,7 +124,7 @@ mod tests {
         prop_oneof![4 => bfee, 4 => frame, 1 => other]
     }
 
-    /// What is as usual after `met` is what a look at the heads of `rest` finds, or nothing.
+    /// Checks that the comparison with the usual shapes after `met` agrees with the complete heads of `rest`, or finds nothing.
     fn is_as_a_look_finds(met: &[Vec<u8>], rest: &[u8]) -> bool {
         let mut framer = Framer::new();
         for met in met {
@@ -136,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn what_one_record_was_is_not_taken_for_another() {
+    fn the_usual_shape_is_not_mistaken_for_another() {
         let behind = bfee_record(0, 1, 1, false);
         let frame_before = |n_tx| [mpdu_record(1, 101), bfee_record(1, 3, n_tx, true), behind.clone()].concat();
         // The frame was followed by another bfee than the one met last.
@@ -146,16 +145,16 @@ mod tests {
         let mut other = frame_before(1);
         other[LENGTH_FIELD + 1] |= 0x0c;
         assert!(is_as_a_look_finds(&[frame_before(1)], &other));
-        // Noise and what is none.
+        // Noise and damage.
         let noise = |dbm: i32| [framed(code::NOISE, &dbm.to_le_bytes()), behind.clone()].concat();
         assert!(is_as_a_look_finds(&[noise(-92)], &noise(92)));
     }
 
     proptest! {
-        /// What is as usual is what a look at the whole heads finds; what was just learnt is as usual; one changed byte of what decides is
-        /// not.
+        /// The comparison agrees with the complete heads; a shape just learnt is usual; with one changed byte of those that identify it, it
+        /// is not.
         #[test]
-        fn what_is_as_usual_needs_no_whole_look(
+        fn the_usual_shapes_agree_with_complete_heads(
             logs in prop::collection::vec((follower(), follower()), 1..6), at in 0..200_usize, byte: u8,
         ) {
             let mut framer = Framer::new();

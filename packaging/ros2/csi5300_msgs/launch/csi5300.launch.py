@@ -14,7 +14,7 @@ def generate_launch_description():
         DeclareLaunchArgument("config", description="The node's configuration, with a [ros2] table"),
         DeclareLaunchArgument("program", default_value="csi5300"),
         DeclareLaunchArgument("rviz", default_value="false"),
-        # SIGINT ends it in order: log and recording are whole.
+        # SIGINT ends it cleanly: log and recording are complete.
         ExecuteProcess(
             cmd=[LaunchConfiguration("program"), "node", "--config", LaunchConfiguration("config")],
             name="csi5300", output="screen", sigterm_timeout="10",

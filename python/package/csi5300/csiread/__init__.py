@@ -1,7 +1,7 @@
-"""csiread's reader of Intel 5300 logs, over this package's decoder: ``import csi5300.csiread as csiread``.
+"""csiread's interface for Intel 5300 logs, over this package's decoder: ``import csi5300.csiread as csiread``.
 
-:class:`Intel` has the attributes, methods, shapes and types of ``csiread.Intel`` (csiread 1.4.1); docs/guides/python.md lists where the two
-differ, and why.
+:class:`Intel` has the attributes, methods, shapes and types of ``csiread.Intel`` (csiread 1.4.1); docs/guides/python.md lists the
+differences and their reasons.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .utils import calib, phy_fft, phy_ifft, scidx
 __all__ = ["Intel", "calib", "phy_fft", "phy_ifft", "scidx"]
 
 __version__ = "1.4.1"
-"""That of the csiread whose interface this is: scripts compare it."""
+"""The version of the csiread with this interface: scripts compare it."""
 
 _FIELDS = ("timestamp_low", "bfee_count", "Nrx", "Ntx", "rssi_a", "rssi_b", "rssi_c", "noise", "agc", "rate")
 _FRAMES = ("fc", "dur", "seq")
@@ -28,19 +28,19 @@ _ADDRESSES = ("addr_des", "addr_src", "addr_bssid")
 _PACKETS = (*_FIELDS, "perm", "csi")
 _OTHERS = (*_FRAMES, *_ADDRESSES, "payload")
 _ALL = _PACKETS + _OTHERS
-# In the order in which csiread prints them.
+# In csiread's order of printing.
 _RSSI = ("rssi_b", "rssi_c", "rssi_a")
 _SHOWN = ("timestamp_low", "bfee_count", "Nrx", "Ntx", *_RSSI, "noise", "agc", "perm", "rate", "csi")
 _SHOWN_OF_FRAMES = ("fc", "dur", "addr_src", "addr_des", "addr_bssid", "seq", "payload")
 
 
 def _mapping(turns: list[list[float]]) -> list[complex]:
-    """A unitary matrix of these turns, row by row, in nine places."""
+    """A unitary matrix with these angles, row by row, rounded to nine decimals."""
     values = (np.exp(2j * np.pi * np.array(turns)) / np.sqrt(len(turns))).ravel()
     return [*values, *[0j] * (9 - len(values))]
 
 
-# csitool's sm_matrices.m, streams by transmit antennas: of 2 and 3 streams at 20 MHz, of both at 40 MHz.
+# csitool's sm_matrices.m, streams by transmit antennas: for 2 and 3 streams at 20 MHz, then at 40 MHz.
 _SM = np.array(
     [
         _mapping([[0, 0], [0, 0.5]]),
@@ -54,8 +54,8 @@ _SM = np.array(
 class Intel:
     """A log of the Intel 5300, as ``csiread.Intel`` reads it.
 
-    ``file`` is a path, or None for :meth:`seek` and :meth:`pmsg`. ``nrxnum`` and ``ntxnum`` are the antennas and streams that arrays
-    have room for, ``pl_size`` the bytes of frames kept in ``payload``, ``bufsize`` the most packets of :meth:`seek`.
+    ``file`` is a path, or None for :meth:`seek` and :meth:`pmsg`. ``nrxnum`` and ``ntxnum`` are the numbers of antennas and streams for
+    which arrays have room, ``pl_size`` the bytes of frames kept in ``payload``, ``bufsize`` the most packets of :meth:`seek`.
     """
 
     count: int
@@ -92,12 +92,12 @@ class Intel:
         self.file = None if file is None else os.fspath(file)
         if self.file is not None and not os.path.isfile(self.file):
             if os.path.exists(self.file):
-                raise LogError(f"{self.file} is no regular file, which this reads from any place: use csi5300.read", self.file)
+                raise LogError(f"{self.file} is not a regular file, and Intel needs random access: use csi5300.read", self.file)
             raise LogNotFoundError(f"no such log: {self.file}", self.file)
         self.nrxnum, self.ntxnum, self.pl_size = nrxnum, ntxnum, pl_size
         self.if_report, self.bufsize = if_report, bufsize
         self.skipped = 0
-        """Damaged stretches and impossible records of the last reading (csiread has no such count)."""
+        """Damaged stretches and impossible records of the last reading (csiread does not count them)."""
         self.count = 0
         self.stp = None
         nothing = {name: np.zeros(0, np.intp) for name in (*_FIELDS, *_FRAMES)}
@@ -106,10 +106,10 @@ class Intel:
         self._take({**nothing, "csi": np.zeros((0, 30, nrxnum, ntxnum), np.complex128)}, _ALL)
 
     def _take(self, arrays: dict[str, Any], names: Iterable[str]) -> None:
-        """Keeps arrays under their names, in csiread's types."""
+        """Stores arrays under their names, in csiread's types."""
         kept = {"timestamp_low": np.uint32, "payload": np.uint8, "csi": np.complex128}
         for name in names:
-            # A view, as csiread's arrays are: scripts ask their `base`.
+            # A view, like csiread's arrays: scripts use their `base`.
             setattr(self, name, arrays[name].astype(kept.get(name, np.intp), copy=False)[:])
 
     def __getitem__(self, index: Any) -> dict[str, Any]:
@@ -148,12 +148,12 @@ class Intel:
                 print(f"{self.skipped} damaged stretches skipped")
 
     def pmsg(self, data: bytes) -> int:
-        """Reads one packet, code first, as a socket gave it; its code is returned, and the arrays hold it (0xbb, 0xc1)."""
+        """Reads one packet from a socket, code first; returns its code and stores its arrays (0xbb, 0xc1)."""
         if not data:
             return 0
         if len(data) > 0xFFFF:
             raise ValueError(f"a packet of {len(data)} bytes: records have 65,535 at most")
-        # A record as logs have it: its length, then code and body.
+        # A record as in logs: its length, then code and body.
         record = len(data).to_bytes(2, "big") + bytes(data)
         arrays = _native.classic(record, 0, 0, (self.nrxnum, self.ntxnum), self.pl_size)
         n_rx, n_tx = arrays["largest"]
@@ -166,7 +166,7 @@ class Intel:
         return int(data[0])
 
     def readstp(self, endian: str = "little") -> float:
-        """Reads the host times beside the log (``<file>stp``: seconds and microseconds, u32 each) into ``stp``; gives the first."""
+        """Reads the host times beside the log (``<file>stp``: seconds and microseconds, u32 each) into ``stp``; returns the first."""
         if self.file is None:
             raise LogError("no file was named: Intel(file)")
         name = self.file + "stp"
@@ -179,7 +179,7 @@ class Intel:
         return float(stp[0])
 
     def get_total_rss(self) -> NDArray[np.float64]:
-        """Received power of each packet over all antennas, dBm; 0 where all RSSI are 0."""
+        """Received power of each packet over all antennas, dBm; 0 if all RSSI are 0."""
         power = np.zeros(self.count)
         for rssi in (self.rssi_a, self.rssi_b, self.rssi_c):
             power += np.where(rssi > 0, 10 ** (rssi / 10.0), 0.0)
@@ -201,7 +201,7 @@ class Intel:
         return self.csi if inplace else out
 
     def get_scaled_csi_sm(self, inplace: bool = False) -> NDArray[np.complex128]:
-        """The same with the transmitter's spatial mapping undone."""
+        """The same with the transmitter's spatial mapping removed."""
         scaled = self.get_scaled_csi(inplace)
         unmapped = self._unmap(scaled)
         if inplace and unmapped is not scaled:
@@ -209,11 +209,11 @@ class Intel:
         return scaled if inplace else unmapped
 
     def apply_sm(self, scaled_csi: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Undoes the spatial mapping of Intel transmitters: columns become transmit antennas."""
+        """Removes the spatial mapping of Intel transmitters: columns become transmit antennas."""
         return self._unmap(np.array(scaled_csi, np.complex128, order="C"))
 
     def _unmap(self, csi: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """The same in place, where the memory is in C's order."""
+        """The same in place, for memory in C order."""
         csi = np.ascontiguousarray(csi)
         n_tx, rate = self._columns("Ntx", "rate")
         _native.classic_unmapped(csi, n_tx, rate, _SM)

@@ -1,4 +1,4 @@
-//! Losses and counter events of a log, each a row of ticks under the rate.
+//! Losses and counter events of a log, one row of ticks per kind, under the rate.
 
 use super::super::axes::Axes;
 use super::super::canvas::{BLACK, Canvas, PALE};
@@ -6,9 +6,9 @@ use crate::course::Course;
 use crate::words::count;
 use kuva::render::render::TextAnchor;
 
-/// Ticks drawn at most in a row; more of them lie on each other.
+/// Ticks of a row at most; more would overlap.
 const MARKS: usize = 2_000;
-/// Height of a row, and of its ticks.
+/// Height of a row and of its ticks.
 const ROW: f64 = 44.0;
 const TICK: f64 = 14.0;
 
@@ -19,7 +19,7 @@ pub(super) struct Events {
     times_s: Vec<f64>,
 }
 
-/// Every kind that is in the log.
+/// Every kind that occurs in the log.
 pub(super) fn of(course: &Course) -> Vec<Events> {
     let row = |words: String, times_s: Vec<f64>| Events { words, times_s };
     let sum = |marks: &[(f64, u64)]| marks.iter().map(|mark| mark.1).sum::<u64>();
@@ -39,7 +39,7 @@ pub(super) fn of(course: &Course) -> Vec<Events> {
     all.into_iter().filter(|events| !events.times_s.is_empty()).collect()
 }
 
-/// The room that rows take under the rate.
+/// Height of the rows under the rate.
 pub(super) fn height(events: &[Events]) -> f64 {
     if events.is_empty() { 0.0 } else { 30.0 + ROW * events.len() as f64 }
 }
@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_there_is_has_a_row_and_one_is_no_plural() {
+    fn only_existing_events_have_rows_and_one_is_singular() {
         let mut course = Course::default();
         assert!(of(&course).is_empty() && height(&of(&course)) == 0.0);
         (course.missing, course.repeated) = (vec![(1.0, 1)], vec![2.0, 3.0]);

@@ -216,7 +216,7 @@ fn feitcsi() {
 fn ros_and_sounding() {
     let ros = |more: &str| format!("{CARD}[ros]\nframe = \"odom\"\n{more}\n");
     refused(&ros("master = \"10.0.0.1\""), "master", "one looks like");
-    refused(&ros("node = \"a b\""), "node", "no name in ROS");
+    refused(&ros("node = \"a b\""), "node", "not a valid ROS name");
     let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
     let sounding = |more: &str| format!("{CARD}{peer}[sounding]\nfifo = false\n{more}\n");
     let mon = "interface = \"mon0\"\n";
@@ -254,13 +254,13 @@ fn ros_2() {
     refused(&ros("interface = \"0.0.0.0\"\ninsecure = true"), "interface", "one address");
     refused(&ros("peers = [\"10.0.0.1\"]"), "peers", "cannot be reached from 127.0.0.1");
     refused(&ros("domain = 233"), "domain", "0 to 232");
-    refused(&ros("namespace = \"lab\""), "namespace", "no namespace");
-    refused(&ros("node = \"/a/b\""), "node", "no name of a node");
-    refused(&ros("remap = { \"a b\" = \"/c\" }"), "remap", "no name in ROS 2");
+    refused(&ros("namespace = \"lab\""), "namespace", "not a valid ROS 2 namespace");
+    refused(&ros("node = \"/a/b\""), "node", "not a valid ROS 2 node name");
+    refused(&ros("remap = { \"a b\" = \"/c\" }"), "remap", "not a valid ROS 2 name");
     refused(&topic("type = \"tf\"\nframe = \"odom\""), "type", "from `frame` to `child`");
     refused(&topic("child = \"base_link\""), "child", "is for transforms");
     refused(&topic("type = \"pose\"\nantenna_frame = \"wifi\""), "antenna_frame", "is for odometry");
-    refused(&topic("imu = \"1mu\""), "imu", "no name in ROS 2");
+    refused(&topic("imu = \"1mu\""), "imu", "not a valid ROS 2 name");
     refused(&format!("{ROOM}{PEER}").replace("odometry.room = {}", "odometry.ros2 = {}"), "odometry.ros2", "are live");
 }
 

@@ -1,4 +1,4 @@
-//! What a stranger can make a participant do: send little, keep little.
+//! What a stranger can make a participant do: send little and keep little.
 
 use super::super::discovery::{EndpointData, ParticipantData};
 use super::super::wire::Numbers;
@@ -8,7 +8,7 @@ use std::net::Ipv4Addr;
 
 const STRANGER: Prefix = [9; 12];
 
-/// The announcement of participant `prefix`, which takes everything at `at`.
+/// The announcement of participant `prefix`, which receives everything at `at`.
 fn announcement(prefix: Prefix, at: SocketAddrV4) -> Vec<u8> {
     let (meta, user, lease) = (vec![at], vec![at], Span::from_ms(1 << 40));
     let data = ParticipantData { prefix, vendor: VENDOR, meta, user, is_ipv6: false, lease, name: String::new() };
@@ -30,7 +30,7 @@ fn hand(net: &mut Net, bytes: &[u8]) {
     net.all[0].handle_datagram(bytes, from, (net.now, WALL_US), &mut events);
 }
 
-/// Datagrams of the first participant within so many milliseconds.
+/// Datagrams of the first participant within this many milliseconds.
 fn sent(net: &mut Net, ms: i64) -> Vec<Outgoing> {
     let mut all = Vec::new();
     for _ in 0..ms / 10 {
@@ -41,7 +41,7 @@ fn sent(net: &mut Net, ms: i64) -> Vec<Outgoing> {
     all
 }
 
-/// One participant that announces itself to nobody, with a topic of samples of 1,000 bytes that are kept.
+/// One participant that announces itself to nobody, with a topic of stored samples of 1,000 bytes.
 fn alone() -> Net {
     let mut net = Net::new(1);
     net.all[0].add_writer("rt/a", "T", Qos::latched(300), WALL_US);
@@ -50,11 +50,11 @@ fn alone() -> Net {
 }
 
 #[test]
-fn a_stranger_that_answers_nothing_is_sent_little_and_nobody_else_anything() {
+fn a_silent_stranger_is_sent_little_and_nobody_else_anything() {
     let mut net = alone();
     let (mut handed, mut out) = (0, Vec::new());
     for _ in 0..40 {
-        // It names the address of somebody else.
+        // It announces somebody else's address.
         let bytes = announcement(STRANGER, at(77, 7410));
         handed += bytes.len();
         hand(&mut net, &bytes);
@@ -64,7 +64,7 @@ fn a_stranger_that_answers_nothing_is_sent_little_and_nobody_else_anything() {
     assert!(out.len() > 20, "it is spoken to: {}", out.len());
     assert!(out.iter().all(|(to, _)| *to == at(9, 7410)), "where it sent from, and nowhere else");
     assert!(size < 3 * handed, "{size} bytes for {handed}");
-    // One that leaves it at one announcement.
+    // A stranger that sends only one announcement.
     let mut net = alone();
     let bytes = announcement(STRANGER, at(9, 7410));
     hand(&mut net, &bytes);
@@ -73,14 +73,14 @@ fn a_stranger_that_answers_nothing_is_sent_little_and_nobody_else_anything() {
 }
 
 #[test]
-fn one_that_is_not_heard_for_a_while_gets_what_it_missed() {
+fn a_reader_that_was_silent_for_a_while_gets_what_it_missed() {
     let mut net = Net::new(2);
     net.all[0].add_writer("rt/a", "T", Qos::latched(10), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::latched(10), WALL_US);
     net.run(1_000);
     net.lose = |_| true;
     net.write(0, 0, 5);
-    // Longer than beats go on, shorter than its lease.
+    // Longer than heartbeats continue, shorter than its lease.
     net.run(10_000);
     net.lose = |_| false;
     net.run(4_000);
@@ -88,7 +88,7 @@ fn one_that_is_not_heard_for_a_while_gets_what_it_missed() {
 }
 
 #[test]
-fn questions_without_end_are_answered_at_the_pace_of_beats() {
+fn endless_requests_are_answered_at_the_heartbeat_rate() {
     let mut net = alone();
     hand(&mut net, &announcement(STRANGER, at(9, 7410)));
     hand(&mut net, &reader_of("rt/a", 1));
@@ -108,7 +108,7 @@ fn questions_without_end_are_answered_at_the_pace_of_beats() {
 }
 
 #[test]
-fn a_datagram_full_of_heartbeats_makes_no_endless_answer() {
+fn a_datagram_full_of_heartbeats_gets_a_bounded_answer() {
     let mut net = alone();
     hand(&mut net, &announcement(STRANGER, at(9, 7410)));
     net.all[0].poll_transmit();
@@ -122,18 +122,18 @@ fn a_datagram_full_of_heartbeats_makes_no_endless_answer() {
     let out = net.all[0].poll_transmit();
     assert!((1_000..5_000).contains(&out.len()), "{}", out.len());
     assert!(net.all[0].counts().left_out > 50);
-    // It can be spoken to as before.
+    // It can be reached as before.
     hand(&mut net, &reader_of("rt/a", 1));
     assert_eq!(net.all[0].writer_state(0).matched, 1);
 }
 
 #[test]
-fn names_that_are_longer_than_any_are_not_kept_and_readers_not_without_number() {
+fn overlong_names_are_not_stored_and_readers_are_bounded() {
     let mut net = alone();
     hand(&mut net, &announcement(STRANGER, at(9, 7410)));
     hand(&mut net, &reader_of(&"x".repeat(60_000), 1));
     assert_eq!((net.all[0].counts().unreadable, net.all[0].others.len()), (1, 0));
-    // Numbers of a reliable writer: the one before was taken.
+    // A reliable writer's sample numbers: the previous one was accepted.
     for number in 2..10_000 {
         hand(&mut net, &reader_of("rt/a", number));
         net.all[0].poll_transmit();
@@ -152,10 +152,10 @@ fn writer_of(prefix: Prefix, number: i64) -> Vec<u8> {
 }
 
 #[test]
-fn one_too_many_of_a_topic_is_counted_and_has_its_place_when_somebody_leaves() {
+fn an_endpoint_over_the_limit_is_counted_and_matched_once_one_leaves() {
     let mut net = Net::new(1);
     net.all[0].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
-    // Two writers of each of 65 participants.
+    // Two writers in each of 65 participants.
     let strangers: Vec<Prefix> = (0..65).map(|k| [100 + k; 12]).collect();
     for prefix in &strangers {
         hand(&mut net, &announcement(*prefix, at(9, 7410)));
@@ -165,7 +165,7 @@ fn one_too_many_of_a_topic_is_counted_and_has_its_place_when_somebody_leaves() {
     let state = net.all[0].reader_state(0);
     assert_eq!((state.matched, net.all[0].counts().refused), (128, 2));
     assert!(state.wrong.iter().any(|why| why.contains("too many")), "{:?}", state.wrong);
-    // It is looked at again and again, and counted once.
+    // It is checked repeatedly but counted once.
     sent(&mut net, 2_000);
     assert_eq!(net.all[0].counts().refused, 2);
     net.all[0].forget(strangers[0]);

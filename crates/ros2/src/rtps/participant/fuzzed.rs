@@ -1,5 +1,5 @@
-//! The body of a fuzz target: any steps of others at a participant. It speaks to nobody from whom nothing came, and what it
-//! keeps is bounded.
+//! The body of a fuzz target: other participants take arbitrary steps. The participant sends only to addresses from which it
+//! received something, and what it keeps is bounded.
 //!
 //! The input is a list of `operation, who, length (2 bytes), bytes`; see [`step`].
 
@@ -11,17 +11,17 @@ use std::net::Ipv4Addr;
 
 const OWN: Prefix = [1; 12];
 const WALL_US: i64 = 1_700_000_000_000_000;
-/// Others that speak.
+/// Number of other participants.
 const OTHERS: u8 = 6;
 
-/// A participant, its time, and who has sent to it.
+/// A participant, its time, and the addresses that have sent to it.
 struct Fuzzed {
     participant: Participant,
     now: Instant,
     heard: BTreeSet<Ipv4Addr>,
 }
 
-/// Where one of the others is.
+/// The address of another participant.
 fn ip(who: u8) -> Ipv4Addr {
     Ipv4Addr::new(127, 0, 0, 2 + who % OTHERS)
 }
@@ -30,7 +30,7 @@ fn prefix(who: u8) -> Prefix {
     [2 + who % OTHERS; 12]
 }
 
-/// The announcement of one of the others, as a participant.
+/// Another participant's announcement of itself.
 fn announcement(who: u8) -> Vec<u8> {
     let at = vec![SocketAddrV4::new(ip(who), 7410)];
     let (prefix, lease) = (prefix(who), Span::from_ms(10_000));
@@ -46,7 +46,7 @@ fn announcement(who: u8) -> Vec<u8> {
     Maker::new(prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish()
 }
 
-/// The announcement of a writer or reader of one of the others.
+/// Another participant's announcement of a writer or reader.
 fn end(who: u8, is_writer: bool, number: u8) -> Vec<u8> {
     let kind = if is_writer { 3 } else { 4 };
     let guid = Guid { prefix: prefix(who), entity: entity(usize::from(number), kind) };
@@ -70,8 +70,7 @@ impl Fuzzed {
         Self { participant, now: Instant::ZERO, heard: BTreeSet::new() }
     }
 
-    /// One step: time passes, one of the others sends a datagram, submessages under its name, or an announcement, or a
-    /// sample is written here.
+    /// One step: time passes; another participant sends a datagram, submessages or an announcement; or a sample is written here.
     fn step(&mut self, operation: u8, who: u8, bytes: &[u8]) {
         match operation % 8 {
             0 => {
@@ -117,8 +116,8 @@ pub fn run(bytes: &[u8]) {
 #[path = "../../../../../tests/common/corpus.rs"]
 mod corpus;
 
-/// What two participants send each other, as the input of the target: a writer and a reader of the first's topic on the
-/// other side, samples, some datagrams lost, and a farewell.
+/// What two participants send each other, as input of the target: a writer and its matching reader, samples, some lost
+/// datagrams, and a departure.
 #[cfg(test)]
 fn simulated(lose: impl Fn(usize) -> bool) -> Vec<u8> {
     let settings = |prefix: Prefix, ip: Ipv4Addr, other: Ipv4Addr| {
@@ -168,11 +167,11 @@ fn simulated(lose: impl Fn(usize) -> bool) -> Vec<u8> {
 
 #[cfg(test)]
 #[test]
-fn steps_of_others() {
+fn arbitrary_steps_of_others() {
     for lossy in [false, true] {
         let input = simulated(|sent| lossy && sent % 5 == 3);
         run(&input);
-        // One byte in seventy becomes another one, each time others.
+        // Changes one byte in seventy, different ones each time.
         for start in 0..10 {
             let mut damaged = input.clone();
             damaged.iter_mut().skip(start).step_by(10 * 7).for_each(|byte| *byte = byte.wrapping_add(1 + start as u8));

@@ -1,4 +1,4 @@
-//! What others send: who is there, and who goes with whom.
+//! Incoming datagrams: known participants and matching endpoints.
 
 use super::super::discovery::{EndpointData, ParticipantData, key, key_payload};
 use super::super::reader::{Came, Reader};
@@ -12,11 +12,11 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 const PARTICIPANTS: usize = 128;
 /// Endpoints of other participants that are kept at most.
 const ENDPOINTS: usize = 8_192;
-/// Answers that wait to be sent at most: datagrams that come while there are so many are left out.
+/// Answers that may wait to be sent: datagrams that arrive beyond it are dropped.
 const ANSWERS: usize = 4_096;
 
 impl Participant {
-    /// Takes a datagram that came from `ip`; what it brings is put behind `events`.
+    /// Handles a datagram from `ip`; appends what it brings to `events`.
     pub fn handle_datagram(
         &mut self,
         bytes: &[u8],
@@ -74,7 +74,7 @@ impl Participant {
         let prefix = data.prefix;
         let meta = reach(&data.meta, ip);
         if data.is_ipv6 || meta.is_none() {
-            let why = if data.is_ipv6 { "announces addresses of IPv6 only" } else { "takes nothing over UDP of IPv4" };
+            let why = if data.is_ipv6 { "announces only IPv6 addresses" } else { "accepts nothing over IPv4 UDP" };
             if self.unreachable.len() < PARTICIPANTS {
                 self.unreachable.insert(prefix, format!("{} at {ip} {why}", data.name));
             }
@@ -111,7 +111,7 @@ impl Participant {
         }
     }
 
-    /// Forgets the participant that was silent for longest and goes with nothing here. False if there is none.
+    /// Forgets the longest silent participant that matches nothing here. False if there is none.
     fn make_room(&mut self) -> bool {
         let used = |prefix: &Prefix| self.others.range(all_of(*prefix)).next().is_some();
         let idle = self.peers.iter().filter(|(prefix, _)| !used(prefix)).min_by_key(|(_, peer)| peer.heard_at);
@@ -132,7 +132,7 @@ impl Participant {
         self.counts.participants = self.peers.len() as u64;
     }
 
-    /// Endpoints of this participant part from others.
+    /// Unmatches the endpoints of this participant.
     fn part(&mut self, is: impl Fn(&Guid) -> bool) {
         for own in &mut self.writers {
             own.end.remove(&is);
@@ -187,7 +187,7 @@ impl Participant {
                 self.others.insert(data.guid, (is_writer, data.clone()));
                 self.meet(is_writer, &data);
             }
-            // Only a key: it is over.
+            // Only a key: the endpoint is gone.
             Ok(None) => {
                 let Some(over) = key(payload).filter(|guid| guid.prefix == from) else {
                     self.counts.unreadable += 1;
@@ -200,7 +200,7 @@ impl Participant {
         }
     }
 
-    /// Ends of others for which there was no place are met again: somebody may have left.
+    /// Matches again the endpoints that had no place: somebody may have left.
     pub(super) fn meet_left_out(&mut self) {
         for writers in [true, false] {
             let waits = if writers {
@@ -214,14 +214,14 @@ impl Participant {
         }
     }
 
-    /// Everything that is known of others' writers, or readers, again: there is a new end here.
+    /// Matches all known writers or readers of others with a new endpoint here.
     pub(super) fn meet_all(&mut self, writers: bool) {
         let all: Vec<EndpointData> =
             self.others.values().filter(|(is_writer, _)| *is_writer == writers).map(|(_, data)| data.clone()).collect();
         all.iter().for_each(|data| self.meet(writers, data));
     }
 
-    /// Brings an endpoint of another together with those here that go with it.
+    /// Matches another's endpoint with those here.
     fn meet(&mut self, is_writer: bool, data: &EndpointData) {
         let Some(peer) = self.peers.get(&data.guid.prefix) else { return };
         let ip = *peer.meta.ip();
@@ -250,14 +250,14 @@ impl Participant {
     }
 }
 
-/// All names that endpoints of a participant can have.
+/// All names that a participant's endpoints can have.
 fn all_of(prefix: Prefix) -> std::ops::RangeInclusive<Guid> {
     Guid { prefix, entity: [0; 4] }..=Guid { prefix, entity: [255; 4] }
 }
 
-/// Where one that sent from `ip` takes datagrams: at the address of `list` that is `ip`, else at `ip` and the first port of
-/// the list. A node that names only the address of a network card takes at all of its machine's, as Fast DDS does, and
-/// nothing is ever sent to a machine of which nothing came.
+/// Where a participant that sent from `ip` receives datagrams: at the address of `list` that is `ip`, else at `ip` and the
+/// first port of the list. Fast DDS announces one card's address but receives at all of its machine's. Nothing is ever sent
+/// to a machine that has sent nothing.
 fn reach(list: &[SocketAddrV4], ip: Ipv4Addr) -> Option<SocketAddrV4> {
     let same = list.iter().find(|address| *address.ip() == ip).copied();
     same.or_else(|| list.first().map(|first| SocketAddrV4::new(ip, first.port())))
@@ -267,7 +267,7 @@ fn wrong(own: &str, other: &str) -> Option<&'static str> {
     (own != other).then_some("the other end has another type of message")
 }
 
-/// What a submessage brings a reader.
+/// Passes a submessage to a reader.
 fn take(reader: &mut Reader, writer: Guid, body: &Body<'_>, out: &mut Vec<Outgoing>) -> Came {
     match body {
         Body::Data { number, inline: Inline { is_over: true, key: Some(key), .. }, payload: None } => {

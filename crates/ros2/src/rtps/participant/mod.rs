@@ -1,4 +1,4 @@
-//! A participant: what it has, what it says, and when.
+//! A participant: its endpoints, what it sends, and when.
 
 mod incoming;
 
@@ -12,19 +12,19 @@ use std::collections::BTreeMap;
 use std::net::SocketAddrV4;
 use std::sync::Arc;
 
-/// Others count this one as gone after so long a silence.
+/// The lease that this participant announces.
 const LEASE: Span = Span::from_ms(20_000);
-/// Announcements at the beginning, and between later ones: `(how many, how far apart)`.
+/// Initial and later announcements: `(how many, how far apart)`.
 const EAGER: (u32, Span) = (12, Span::from_ms(250));
 /// See [`EAGER`].
 const ANNOUNCE: Span = Span::from_ms(3_000);
-/// While a reliable reader has not everything, it is told so often what there is.
+/// Period of heartbeats while a reliable reader lacks samples.
 const BEAT: Span = Span::from_ms(100);
-/// An answer waits so long for the reader of who asked.
+/// How long an answer waits for the client's reader.
 const PATIENCE: Span = Span::from_ms(1_000);
-/// Answers that wait at most.
+/// Answers that may wait.
 const WAITING: usize = 64;
-/// How often leases are looked at.
+/// How often leases are checked.
 const LOOK: Span = Span::from_ms(500);
 
 /// Built-in endpoints (\[rtps\] 9.3.1.5): participants, publications, subscriptions.
@@ -33,65 +33,65 @@ const DETECTOR: Entity = [0, 1, 0, 0xc7];
 const PUBLICATIONS: (Entity, Entity) = ([0, 0, 3, 0xc2], [0, 0, 3, 0xc7]);
 const SUBSCRIPTIONS: (Entity, Entity) = ([0, 0, 4, 0xc2], [0, 0, 4, 0xc7]);
 
-/// Where a participant is, and to whom it says so.
+/// A participant's addresses, and where it announces them.
 #[derive(Clone, Debug)]
 pub(crate) struct Settings {
-    /// Who it is.
+    /// Its identity.
     pub prefix: Prefix,
     /// Its name, for people.
     pub name: String,
-    /// Where it takes discovery.
+    /// Where it receives discovery.
     pub meta: SocketAddrV4,
-    /// Where it takes samples.
+    /// Where it receives samples.
     pub user: SocketAddrV4,
     /// Where it announces itself: the group, and static peers.
     pub announce: Vec<SocketAddrV4>,
 }
 
-/// What came.
+/// A received sample.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Event {
     /// The reader's number.
     pub reader: usize,
-    /// Who wrote it, and its number there.
+    /// Its writer, and its number there.
     pub from: (Guid, i64),
-    /// Who made the writer's program.
+    /// The vendor of the writer's program.
     pub vendor: [u8; 2],
     /// The sample.
     pub payload: Vec<u8>,
 }
 
-/// What was counted.
+/// Counters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub(crate) struct Counts {
-    /// Datagrams that came.
+    /// Received datagrams.
     pub datagrams: u64,
-    /// Those that are none of RTPS, or are cut.
+    /// Those that are not RTPS, or are cut.
     pub malformed: u64,
-    /// Announcements that make no sense.
+    /// Invalid announcements.
     pub unreadable: u64,
-    /// Participants that are there.
+    /// Known participants.
     pub participants: u64,
     /// Participants that went silent.
     pub expired: u64,
-    /// Participants and endpoints that were refused because there are too many: of all, or of one topic.
+    /// Participants and endpoints refused because there are too many, in all or of one topic.
     pub refused: u64,
-    /// Answers to services that nobody came to read.
+    /// Answers of services whose client's reader never appeared.
     pub unanswered: u64,
-    /// Datagrams that were left out, or what followed in them, because too many answers waited to be sent.
+    /// Datagrams, or the rest of them, that were dropped because too many answers waited to be sent.
     pub left_out: u64,
 }
 
-/// The state of a topic, of one end of this participant.
+/// The state of one of this participant's endpoints.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct TopicState {
-    /// Ends of others that go with it.
+    /// Matched endpoints of others.
     pub matched: usize,
-    /// Samples that came and that were lost, of a reader.
+    /// Samples that a reader received and lost.
     pub samples: u64,
     /// See `samples`.
     pub lost: u64,
-    /// Why ends of the same topic do not go with it, in words.
+    /// Why endpoints of the same topic do not match, as text.
     pub wrong: Vec<String>,
 }
 
@@ -104,7 +104,7 @@ struct Peer {
     heard_at: Instant,
 }
 
-/// A writer or reader of this participant, with what is announced of it.
+/// A writer or reader of this participant, with its announcement.
 #[derive(Debug)]
 struct Own<T> {
     end: T,
@@ -112,11 +112,11 @@ struct Own<T> {
     wrong: BTreeMap<Guid, &'static str>,
 }
 
-/// Why an end does not go with one here that is as it should be.
+/// Why a compatible endpoint is not matched.
 const NO_PLACE: &str = "there are too many of this topic";
 
 impl<T> Own<T> {
-    /// Notes an end that there is no place for; true if that is new.
+    /// Notes an endpoint without a place; true if that is new.
     fn has_no_place_for(&mut self, guid: Guid) -> bool {
         self.wrong.insert(guid, NO_PLACE) != Some(NO_PLACE)
     }
@@ -126,7 +126,7 @@ impl<T> Own<T> {
     }
 }
 
-/// An answer whose reader is not known.
+/// An answer whose reader is not yet known.
 #[derive(Debug)]
 struct Waiting {
     writer: usize,
@@ -145,10 +145,10 @@ pub(crate) struct Participant {
     publications: (Writer, Reader),
     subscriptions: (Writer, Reader),
     peers: BTreeMap<Prefix, Peer>,
-    /// Endpoints of others: true for writers.
+    /// Others' endpoints: true for writers.
     others: BTreeMap<Guid, (bool, EndpointData)>,
     counts: Counts,
-    /// Who cannot be spoken to, and why.
+    /// Unreachable participants, and why.
     unreachable: BTreeMap<Prefix, String>,
     announced: (u32, Instant),
     beat_at: Instant,
@@ -158,10 +158,10 @@ pub(crate) struct Participant {
 }
 
 impl Participant {
-    /// One that begins to announce itself at `now`.
+    /// A participant that starts to announce itself at `now`.
     pub fn new(settings: Settings, now: Instant) -> Self {
         let own = settings.prefix;
-        // As many as there are endpoints are kept.
+        // The built-in writers keep as many samples as there are endpoints.
         let built_in = |(writer, reader): (Entity, Entity)| {
             (Writer::new(own, writer, Qos::latched(4_096)), Reader::new(own, reader, Qos::latched(4_096)))
         };
@@ -188,7 +188,7 @@ impl Participant {
         Guid { prefix: self.settings.prefix, entity: PARTICIPANT }
     }
 
-    /// Adds a writer of `topic`, both as DDS has them; gives its number and name.
+    /// Adds a writer of `topic`, with DDS names; returns its number and name.
     pub fn add_writer(&mut self, topic: &str, kind: &str, qos: Qos, wall_us: i64) -> (usize, Guid) {
         let number = self.writers.len();
         // Writers and readers without keys.
@@ -202,7 +202,7 @@ impl Participant {
         (number, guid)
     }
 
-    /// Adds a reader of `topic`, which has the next number; gives its name.
+    /// Adds a reader of `topic`, with the next number; returns its name.
     pub fn add_reader(&mut self, topic: &str, kind: &str, qos: Qos, wall_us: i64) -> Guid {
         let number = self.readers.len();
         let entity = entity(number, 0x04);
@@ -228,9 +228,9 @@ impl Participant {
         }
     }
 
-    /// Writes an answer to participant `to`; `request` is what it answers, where that stands beside the sample. A request
-    /// may come before the announcement of the reader that waits for its answer, and a volatile reader gets nothing that was
-    /// written before it was matched: then the answer waits for it.
+    /// Writes an answer to participant `to`; `request` is what it answers, if that is sent beside the sample. A request may
+    /// arrive before the client's reader is announced, and a volatile reader receives nothing written before it matched: then
+    /// the answer waits.
     pub fn answer(
         &mut self,
         writer: usize,
@@ -258,12 +258,12 @@ impl Participant {
         }
     }
 
-    /// Datagrams that are to be sent, with where to.
+    /// Datagrams to send, with their destinations.
     pub fn poll_transmit(&mut self) -> Vec<Outgoing> {
         std::mem::take(&mut self.out)
     }
 
-    /// When [`Self::handle_timeout`] is to be called next.
+    /// When to call [`Self::handle_timeout`] next.
     pub fn next_at(&self) -> Instant {
         self.announced.1.min(self.beat_at).min(self.look_at)
     }
@@ -305,7 +305,7 @@ impl Participant {
         Maker::new(*prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish()
     }
 
-    /// From now on it is where `settings` say, and tells those that it knows; the others hear of it as of a new one.
+    /// Moves to the addresses in `settings` and informs known participants; to the others it appears as a new one.
     pub fn move_to(&mut self, settings: Settings, wall_us: i64) {
         self.settings = Settings { prefix: self.settings.prefix, ..settings };
         self.announced = (0, Instant::ZERO);
@@ -322,7 +322,7 @@ impl Participant {
         }
     }
 
-    /// Says that this participant is over.
+    /// Announces that this participant leaves.
     pub fn leave(&mut self) {
         let own = self.settings.prefix;
         let over = Some(Guid { prefix: own, entity: PARTICIPANT }.bytes());
@@ -346,18 +346,18 @@ impl Participant {
         TopicState { matched: own.end.writers(), samples: counts.samples, lost: counts.lost, wrong }
     }
 
-    /// What was counted.
+    /// The counters.
     pub fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// Participants that announced themselves and cannot be spoken to.
+    /// Participants that announced themselves and cannot be reached.
     pub fn unreachable(&self) -> impl Iterator<Item = &str> {
         self.unreachable.values().map(String::as_str)
     }
 }
 
-/// Writer or reader number `number` of this participant; 0 is taken.
+/// Entity of this participant's writer or reader number `number`; 0 is reserved.
 fn entity(number: usize, kind: u8) -> Entity {
     let [_, high, middle, low] = u32::try_from(number + 1).unwrap_or(u32::MAX).to_be_bytes();
     [high, middle, low, kind]

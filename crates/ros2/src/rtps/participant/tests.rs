@@ -7,7 +7,7 @@ pub(super) fn at(last: u8, port: u16) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::new(127, 0, 0, last), port)
 }
 
-/// Participants that send each other datagrams; those that `lose` says are lost.
+/// Participants that exchange datagrams; those that `lose` selects are lost.
 pub(super) struct Net {
     pub all: Vec<Participant>,
     pub now: Instant,
@@ -37,7 +37,7 @@ impl Net {
         Self { all, now: Instant::ZERO, events, lose: |_| false, sent: 0, places: (1..=count).collect() }
     }
 
-    /// So many milliseconds, in steps of ten.
+    /// Runs this many milliseconds, in steps of ten.
     pub fn run(&mut self, ms: i64) {
         for _ in 0..ms / 10 {
             self.now += Span::from_ms(10);
@@ -59,16 +59,16 @@ impl Net {
         self.all[participant].write(writer, Arc::from([0, 1, 0, 0, sample]), WALL_US);
     }
 
-    /// Last bytes of the samples that came.
+    /// Last bytes of the received samples.
     pub fn came(&self, participant: usize) -> Vec<u8> {
         self.events[participant].iter().map(|event| event.payload[4]).collect()
     }
 }
 
 #[test]
-fn two_find_each_other_and_samples_arrive_in_order_though_a_quarter_is_lost() {
+fn samples_arrive_in_order_with_a_quarter_of_datagrams_lost() {
     let mut net = Net::new(2);
-    // A quarter, in no order that an exchange could follow.
+    // A quarter, in a pattern that no exchange can follow.
     net.lose = |k| (k as u32).wrapping_mul(2_654_435_761) >> 16 & 3 == 0;
     net.all[0].add_writer("rt/a", "T", Qos::reliable(300), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
@@ -84,7 +84,7 @@ fn two_find_each_other_and_samples_arrive_in_order_though_a_quarter_is_lost() {
 }
 
 #[test]
-fn what_is_latched_comes_to_who_is_late_and_the_rest_does_not() {
+fn late_readers_get_only_latched_samples() {
     let mut net = Net::new(2);
     net.all[0].add_writer("rt/latched", "T", Qos::latched(2), WALL_US);
     net.all[0].add_writer("rt/plain", "T", Qos::reliable(10), WALL_US);
@@ -103,10 +103,10 @@ fn what_is_latched_comes_to_who_is_late_and_the_rest_does_not() {
 }
 
 #[test]
-fn an_answer_waits_for_the_reader_of_who_asked_and_comes_once() {
+fn an_answer_waits_for_the_clients_reader_and_arrives_once() {
     let mut net = Net::new(3);
     net.all[0].add_writer("rr/aReply", "T", Qos::reliable(10), WALL_US);
-    // Somebody else who reads answers of this service.
+    // Another client of this service.
     net.all[2].add_reader("rr/aReply", "T", Qos::reliable(10), WALL_US);
     net.run(1_000);
     let answer = |net: &mut Net, sample| {
@@ -124,7 +124,7 @@ fn an_answer_waits_for_the_reader_of_who_asked_and_comes_once() {
     net.run(100);
     assert_eq!(net.came(1), [9, 10], "once its reader is known it does not wait");
     assert_eq!(net.all[0].counts().unanswered, 0);
-    // One that nobody reads is given up and counted, and there is an end to how many wait.
+    // An unread answer is given up and counted, and the number of waiting answers is bounded.
     let nobody = |net: &mut Net| {
         let answer = (Arc::from([0, 1, 0, 0, 7]), None);
         net.all[0].answer(0, [9; 12], answer, (net.now, WALL_US));
@@ -137,7 +137,7 @@ fn an_answer_waits_for_the_reader_of_who_asked_and_comes_once() {
 }
 
 #[test]
-fn what_a_slow_reader_missed_is_said_to_be_gone_and_it_goes_on() {
+fn a_slow_reader_learns_of_lost_samples_and_continues() {
     let mut net = Net::new(2);
     net.all[0].add_writer("rt/a", "T", Qos::reliable(4), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
@@ -156,7 +156,7 @@ fn what_a_slow_reader_missed_is_said_to_be_gone_and_it_goes_on() {
 }
 
 #[test]
-fn ends_that_do_not_go_together_say_why() {
+fn incompatible_endpoints_report_the_reason() {
     let mut net = Net::new(2);
     net.all[0].add_writer("rt/csi", "T", Qos::best_effort(5), WALL_US);
     net.all[0].add_writer("rt/other", "T", Qos::reliable(5), WALL_US);
@@ -172,7 +172,7 @@ fn ends_that_do_not_go_together_say_why() {
 }
 
 #[test]
-fn who_leaves_is_gone_at_once_and_who_dies_after_its_lease() {
+fn a_departure_takes_effect_at_once_and_a_death_after_the_lease() {
     let mut net = Net::new(3);
     for k in 1..3 {
         net.all[k].add_writer("rt/a", "T", Qos::reliable(5), WALL_US);
@@ -193,9 +193,9 @@ fn who_leaves_is_gone_at_once_and_who_dies_after_its_lease() {
 }
 
 #[test]
-fn one_that_gets_another_address_is_met_there_at_once_and_loses_nothing_reliable() {
+fn a_new_address_is_used_at_once_and_loses_nothing_reliable() {
     let mut net = Net::new(2);
-    // Both directions: the one that moves writes, and reads.
+    // Both directions: the one that moves writes and reads.
     net.all[0].add_writer("rt/a", "T", Qos::reliable(300), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
     net.all[1].add_writer("rt/b", "T", Qos::reliable(300), WALL_US);
@@ -208,7 +208,7 @@ fn one_that_gets_another_address_is_met_there_at_once_and_loses_nothing_reliable
         }
     };
     exchange(&mut net, 0..50);
-    // The old address is gone; nothing comes there, and what was sent there is lost.
+    // The old address is gone: whatever is sent there is lost.
     net.places[0] = 9;
     exchange(&mut net, 50..100);
     let settings = |last| Settings {
@@ -240,7 +240,7 @@ fn one_that_gets_another_address_is_met_there_at_once_and_loses_nothing_reliable
 }
 
 #[test]
-fn damaged_datagrams_and_made_up_participants_are_counted_and_bounded() {
+fn damaged_datagrams_and_fake_participants_are_counted_and_bounded() {
     let mut net = Net::new(2);
     net.all[0].add_writer("rt/a", "T", Qos::reliable(5), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::reliable(5), WALL_US);
@@ -281,7 +281,7 @@ fn damaged_datagrams_and_made_up_participants_are_counted_and_bounded() {
 }
 
 #[test]
-fn a_sample_in_fragments_is_put_together() {
+fn a_fragmented_sample_is_assembled() {
     let mut net = Net::new(2);
     net.all[0].add_writer("rt/a", "T", Qos::reliable(5), WALL_US);
     net.all[1].add_reader("rt/a", "T", Qos::best_effort(5), WALL_US);
@@ -315,7 +315,7 @@ fn a_sample_in_fragments_is_put_together() {
 }
 
 #[test]
-fn a_participant_with_addresses_of_ipv6_only_is_named() {
+fn an_ipv6_only_participant_is_named() {
     let mut net = Net::new(1);
     let announced = |prefix: u8, ids: &[u8]| {
         let (meta, user, lease) = (vec![at(9, 7410)], vec![at(9, 7411)], LEASE);
@@ -336,7 +336,6 @@ fn a_participant_with_addresses_of_ipv6_only_is_named() {
         net.all[0].handle_datagram(&announced(prefix, ids), Ipv4Addr::new(127, 0, 0, 9), from, &mut net.events[0]);
     }
     let named: Vec<&str> = net.all[0].unreachable().collect();
-    let expected =
-        ["p7 at 127.0.0.9 announces addresses of IPv6 only", "p8 at 127.0.0.9 announces addresses of IPv6 only"];
+    let expected = ["p7 at 127.0.0.9 announces only IPv6 addresses", "p8 at 127.0.0.9 announces only IPv6 addresses"];
     assert_eq!((named, net.all[0].counts().unreadable), (expected.to_vec(), 0));
 }
