@@ -198,7 +198,7 @@ fn a_fit_finds_40_mhz_again() {
     let narrow =
         Known { trajectory: &path_of(&scene), file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None };
     let error = fit(&recorded, &narrow, &options()).unwrap_err();
-    assert!(error.to_string().contains("the records are of 40 MHz"), "{error}");
+    assert!(error.to_string().contains("the records are 40 MHz wide"), "{error}");
 }
 
 #[test]

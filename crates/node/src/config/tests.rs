@@ -177,8 +177,8 @@ fn a_node_of_ros_is_checked_like_everything_else() {
     );
     for (from, to, why) in [
         ("http://", "", "line 6: master"),
-        ("master", "node = \"a b\"\nmaster", "line 6: `a b` is no name"),
-        ("\"/odom\"", "\"/odom/\"", "line 4: `/odom/` is no name"),
+        ("master", "node = \"a b\"\nmaster", "line 6: `a b` is not a valid ROS name"),
+        ("\"/odom\"", "\"/odom/\"", "line 4: `/odom/` is not a valid ROS name"),
         ("odometry.ros.topic = \"/odom\"", "odometry.ros = { topic = \"/odom\", type = \"imu\" }", "line 4: "),
         ("odometry.ros.topic = \"/odom\"", "odometry.ros = { topic = \"/odom\", stamp = \"now\" }", "line 4: "),
     ] {
