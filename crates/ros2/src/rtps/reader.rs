@@ -9,7 +9,7 @@ use std::net::SocketAddrV4;
 /// Samples that wait for one that is missing, of one writer.
 const HELD: usize = 256;
 /// Bytes of a sample in fragments at most.
-const LARGEST: usize = 1 << 20;
+pub(crate) const LARGEST: usize = 1 << 20;
 /// Samples in fragments at a time, of one writer.
 const PARTS: usize = 2;
 /// Bytes of samples that wait, for one that is missing or for their own fragments, of all writers of a topic.
