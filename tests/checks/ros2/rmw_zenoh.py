@@ -130,11 +130,11 @@ def messages(token):
     assert {len(bytes) for bytes in beside} == {33} and {bytes(sample.payload)[:4] for sample in came} == {b"\0\1\0\0"}
     beside = [Attachment.from_bytes(bytes) for bytes in beside]
     numbers = [one.sequence_id for one in beside]
-    lost = state()["network"]["unsent"]
-    assert all(b > a for a, b in zip(numbers, numbers[1:])) and numbers[-1] - numbers[0] <= len(numbers) - 1 + lost, numbers
+    # Who is slow misses some.
+    assert numbers[0] > 0 and all(b > a for a, b in zip(numbers, numbers[1:])), numbers
     assert all(abs(one.timestamp_ns - time.time_ns()) < 60e9 for one in beside), beside[0]
-    assert {one.gid for one in beside} == {xxhash.xxh3_128_intdigest(token).to_bytes(16, "little")}, beside[0]
-    print(f"rmw_zenoh: markers, diagnostics, CSI; {len(beside)} attachments with numbers {numbers[0]} to {numbers[-1]}", flush=True)
+    assert {one.gid for one in beside} == {xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")}, beside[0]
+    print(f"rmw_zenoh: markers, diagnostics, CSI; attachments of {len(beside)} of {numbers[-1] - numbers[0] + 1} messages", flush=True)
 
 def main():
     add_third()

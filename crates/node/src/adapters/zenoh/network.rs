@@ -182,9 +182,11 @@ impl Network {
     pub fn join(asked: &Asked, own: Mac, owners: &[Owner], ros2: Option<Graph>) -> Result<Self, Error> {
         let keys = ros2.as_ref().map(keys_read);
         let mut config = configured(asked, owners, keys.as_deref())?;
-        let queue = "transport/link/tx/queue/size/real_time";
-        if config.get_json(queue).is_ok_and(|size| size == ZENOH_QUEUE) {
-            config.insert_json5(queue, QUEUE).map_err(wrong("zenoh's queue"))?;
+        // Records and poses; messages of ROS 2.
+        for queue in ["transport/link/tx/queue/size/real_time", "transport/link/tx/queue/size/data"] {
+            if config.get_json(queue).is_ok_and(|size| size == ZENOH_QUEUE) {
+                config.insert_json5(queue, QUEUE).map_err(wrong("zenoh's queue"))?;
+            }
         }
         let session = zenoh::open(config).wait().map_err(wrong("joining the network"))?;
         let mut network = Self {

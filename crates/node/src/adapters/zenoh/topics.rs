@@ -49,7 +49,7 @@ impl Topics {
                 End::Publisher(outlet) => {
                     let (writer, gid, next) = (publishers.len(), gid(&token), AtomicI64::new(1));
                     let declared = session.declare_publisher(key).congestion_control(CongestionControl::Drop);
-                    publishers.push(declared.express(true).wait()?);
+                    publishers.push(declared.wait()?);
                     let (queue, unsent) = (Arc::downgrade(&queue), Arc::clone(unsent));
                     let send = move |payload: &[u8], wall_us: i64| {
                         // The number of a lost message is missed.
@@ -116,6 +116,7 @@ fn earlier(session: &Session, key: &str, take: Arc<Taker>) -> zenoh::Result<Subs
 
 #[cfg(test)]
 mod tests {
+    use super::super::owners::{Owner, access_control};
     use super::*;
     use csi5300_bag::cdr::Cdr;
     use csi5300_bag::messages::Message as _;
@@ -124,8 +125,9 @@ mod tests {
     use csi5300_ros2::{Node, Qos};
     use std::sync::mpsc::channel;
 
-    fn session(key: &str, port: u16) -> Session {
+    fn session(key: &str, port: u16, access_control: &serde_json::Value) -> Session {
         let mut config = zenoh::Config::default();
+        config.insert_json5("access_control", &access_control.to_string()).unwrap();
         let endpoint = format!("[\"tcp/127.0.0.1:{port}\"]");
         for (key, value) in
             [("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]"), (key, endpoint.as_str())]
@@ -144,9 +146,13 @@ mod tests {
         let (give, came) = channel();
         let used = move |time: Time, at| _ = give.send((time.sec, at));
         node.link().subscribe("/asked", Qos::best_effort(5), used, || panic!("unreadable"));
-        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let (own, other) = (session("listen/endpoints", port), session("connect/endpoints", port));
         let graph = node.link().relay().take();
+        // It admits no more than it needs.
+        let owned = [Owner { mac: driver_iface::Mac([2; 6]), certificate: Some("burger-2".into()) }];
+        let strict = access_control("csi5300/robots", &owned, Some(&keys_read(&graph))).unwrap();
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let own = session("listen/endpoints", port, &strict);
+        let other = session("connect/endpoints", port, &serde_json::json!({}));
         let key = |name: &str| format!("{domain}/{name}/builtin_interfaces::msg::dds_::Time_/{}", Time::type_hash());
         assert_eq!(keys_read(&graph), [key("asked")]);
         let carried = Topics::carry(&own, graph, &Arc::default()).unwrap();
