@@ -160,7 +160,7 @@ def main():
             node.terminate()
             assert node.wait(60) in (0, 3), open(f"{folder}/node.log").read()
             end = time.monotonic() + 20
-            while get_topic_info("/diagnostics", **network):
+            while get_topic_info(f"{NODE}/tb3_1/pose", **network):
                 assert time.monotonic() < end, "the node is gone, and its topics are there"
         finally:
             over.set()
