@@ -9,7 +9,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
-use zenoh::sample::{Sample, SampleKind};
+use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
 
 /// Limit of messages that wait for the session; further ones are lost and counted.
@@ -68,7 +68,9 @@ impl Topics {
                         subscribers.push(earlier(session, &key, Arc::clone(&take))?);
                     }
                     let used = move |sample: Sample| take(sample.payload().to_bytes().into_owned());
-                    subscribers.push(session.declare_subscriber(key).callback(used).wait()?);
+                    // As with DDS, the node's own messages (`/tf`) do not come back.
+                    let declared = session.declare_subscriber(key).allowed_origin(Locality::Remote);
+                    subscribers.push(declared.callback(used).wait()?);
                 }
             }
             tokens.push(declare(token)?);
