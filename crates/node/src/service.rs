@@ -17,6 +17,7 @@ use driver_iface::Mac;
 use driver_iface::side_file::Layout;
 use nix::sys::signal::SigSet;
 use sd_notify::NotifyState;
+use std::cell::OnceCell;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -57,7 +58,8 @@ pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
     let sizes = SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     sizes.map_err(|errno| Error::Io { what: "cannot catch signals".into(), source: errno.into() })?;
     let wake = Arc::new(Notify::new());
-    let mut adapters = adapters::make(&Start { config, name: &name, wall_us, wake: Arc::clone(&wake) })?;
+    let start = Start { config, name: &name, wall_us, wake: Arc::clone(&wake), topics: OnceCell::default() };
+    let mut adapters = adapters::make(&start)?;
     let sources = Sources::open(config, Instant::ZERO, wall_us, &mut adapters)?;
     let peers = sources.peers.iter().map(|peer| (peer.peer.name.clone(), peer.peer.mac)).collect();
     let robot = Robot { name: name.clone(), own: sources.own, peers };

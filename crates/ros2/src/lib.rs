@@ -12,6 +12,7 @@
 //! | `bag` | recording of what is read and published |
 //! | `names` | names of topics, services and types |
 //! | [`link`] | the protocol on sockets, with a receiving thread |
+//! | [`rmw_zenoh`] | the topics for a session of zenoh, beside DDS |
 //! | `rtps` | the protocol, without sockets and clocks |
 //!
 //! [`csi5300_bag`] has the messages and their serialisation.
@@ -34,6 +35,7 @@ mod markers;
 mod names;
 mod node;
 pub mod reach;
+pub mod rmw_zenoh;
 mod rtps;
 pub mod said;
 mod services;

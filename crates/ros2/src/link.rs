@@ -4,14 +4,15 @@
 use super::bag::Bag;
 use super::names::{Names, kind, service, topic};
 use super::reach::Reach;
-use super::rtps::{Counts, Event, Guid, LARGEST, Outgoing, Participant, Prefix, Qos};
+use super::rmw_zenoh::{End, Relay, Sender, Topic as Relayed};
+use super::rtps::{Counts, Event, Guid, LARGEST, LARGEST_READ, Outgoing, Participant, Prefix, Qos};
 use super::sockets::Sockets;
 use crate::settings::Distribution;
 use csi5300::time::{Instant, Span};
 use csi5300_bag::messages::{Message, graph};
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -47,6 +48,7 @@ pub struct Shared {
     writers: Mutex<Vec<Topic>>,
     readers: Mutex<Vec<Topic>>,
     pub(crate) bag: Bag,
+    relay: Relay,
     unsent: AtomicU64,
     over: AtomicBool,
 }
@@ -101,14 +103,14 @@ impl Shared {
         (number, good, bad)
     }
 
-    /// Passes samples of `topic` to the handler that `make` builds from the two counters.
+    /// Passes samples of `topic` to the handler that `make` builds from the two counters. Gives the reader's number.
     fn add_reader(
         &self,
         name: &str,
         (topic, kind): (&str, &str),
         qos: Qos,
         make: impl FnOnce(Arc<AtomicU64>, Arc<AtomicU64>) -> Handler,
-    ) {
+    ) -> usize {
         // Registered before the reader is announced.
         let mut handlers = lock(&self.handlers);
         let mut readers = lock(&self.readers);
@@ -116,6 +118,17 @@ impl Shared {
         let (good, bad) = (Arc::default(), Arc::default());
         readers.push(Topic { name: name.to_owned(), guid, good: Arc::clone(&good), bad: Arc::clone(&bad) });
         handlers.push(make(good, bad));
+        handlers.len() - 1
+    }
+
+    /// Takes the payload of a sample that came by another way than DDS.
+    fn take(&self, reader: usize, payload: Vec<u8>) {
+        // One that is larger than any is as unreadable as none.
+        let payload = if payload.len() > LARGEST_READ { Vec::new() } else { payload };
+        let event = Event { reader, from: (Guid::default(), 0), vendor: [0; 2], payload };
+        if let Some(handler) = lock(&self.handlers).get_mut(reader) {
+            handler(self, &event, self.wall_us());
+        }
     }
 
     /// The quality of service of a topic of this type: with its type hash, for releases that compare hashes.
@@ -208,6 +221,8 @@ pub struct Publisher<T> {
     shared: Arc<Shared>,
     writer: usize,
     name: String,
+    /// What sends by another way than DDS.
+    also: Arc<OnceLock<Sender>>,
     sent: Arc<AtomicU64>,
     too_large: Arc<AtomicU64>,
     kind: PhantomData<fn(T)>,
@@ -217,7 +232,11 @@ impl<T: Message> Publisher<T> {
     /// Publishes a message, and records it while a recording runs.
     pub fn put(&self, message: &T) {
         let payload = message.payload();
-        self.shared.bag.put::<T>(&self.name, &payload, self.shared.wall_us());
+        let wall_us = self.shared.wall_us();
+        self.shared.bag.put::<T>(&self.name, &payload, wall_us);
+        if let Some(send) = self.also.get() {
+            send(&payload, wall_us);
+        }
         if payload.len() > LARGEST {
             self.too_large.fetch_add(1, Ordering::Relaxed);
         } else {
@@ -243,6 +262,7 @@ impl Link {
         wall_us: fn() -> Option<i64>,
     ) -> std::io::Result<Self> {
         let participant = Participant::new(sockets.settings(names.node()), Instant::ZERO);
+        let relay = Relay::new(sockets.domain(), &names.namespace, &names.node);
         let shared = Arc::new(Shared {
             names,
             distribution,
@@ -254,6 +274,7 @@ impl Link {
             writers: Mutex::default(),
             readers: Mutex::default(),
             bag,
+            relay,
             unsent: AtomicU64::new(0),
             over: AtomicBool::new(false),
         });
@@ -288,14 +309,27 @@ impl Link {
         &self.shared.names
     }
 
+    /// The topics, for who carries them by another way than DDS.
+    #[must_use]
+    pub fn relay(&self) -> Relay {
+        self.shared.relay.clone()
+    }
+
+    fn relayed<T: Message>(&self, name: &str, qos: &Qos, end: End) {
+        let (name, kind, qos) = (name.to_owned(), kind(T::TYPE), qos.clone());
+        self.shared.relay.add(Relayed { name, kind, type_hash: T::type_hash(), qos, end });
+    }
+
     /// A topic to publish on, named as a ROS 2 node would name it (`~/csi`, `odom`, `/tf`).
     #[must_use]
     pub fn publish<T: Message>(&self, name: &str, qos: Qos) -> Publisher<T> {
         let name = self.shared.names.whole(name);
         let qos = self.shared.of_type::<T>(qos);
-        let (writer, sent, too_large) = self.shared.add_writer(&name, &topic(&name), &kind(T::TYPE), qos);
+        let (writer, sent, too_large) = self.shared.add_writer(&name, &topic(&name), &kind(T::TYPE), qos.clone());
         self.shared.tell_graph(self.graph);
-        Publisher { shared: Arc::clone(&self.shared), writer, name, sent, too_large, kind: PhantomData }
+        let also = Arc::default();
+        self.relayed::<T>(&name, &qos, End::Publisher(Arc::clone(&also)));
+        Publisher { shared: Arc::clone(&self.shared), writer, name, also, sent, too_large, kind: PhantomData }
     }
 
     /// Passes messages of a topic to `used` with their time of receipt, microseconds since the Unix epoch. Calls `unreadable`
@@ -309,7 +343,7 @@ impl Link {
     ) {
         let name = self.shared.names.whole(name);
         let (recorded, qos) = (name.clone(), self.shared.of_type::<T>(qos));
-        self.shared.add_reader(&name, (&topic(&name), &kind(T::TYPE)), qos, |good, bad| {
+        let reader = self.shared.add_reader(&name, (&topic(&name), &kind(T::TYPE)), qos.clone(), |good, bad| {
             Box::new(move |shared, event, wall_us| {
                 let read = T::of_payload(&event.payload);
                 let counter = if read.is_ok() { &good } else { &bad };
@@ -324,6 +358,13 @@ impl Link {
             })
         });
         self.shared.tell_graph(self.graph);
+        let shared = Arc::downgrade(&self.shared);
+        let take = move |payload| {
+            if let Some(shared) = shared.upgrade() {
+                shared.take(reader, payload);
+            }
+        };
+        self.relayed::<T>(&name, &qos, End::Subscription(Box::new(take)));
     }
 
     /// Offers a service; `answer` is called on the receiving thread.

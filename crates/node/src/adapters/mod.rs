@@ -26,7 +26,9 @@ use crate::sources::Poses;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
+use csi5300_ros2::rmw_zenoh::Relay;
 use driver_iface::Mac;
+use std::cell::OnceCell;
 use std::sync::Arc;
 use tokio::sync::Notify;
 
@@ -80,6 +82,8 @@ pub struct Start<'a> {
     pub wall_us: fn() -> Option<i64>,
     /// Notified when there is input for the machine.
     pub wake: Arc<Notify>,
+    /// The topics of ROS 2, for other adapters: they are complete after `meet` of `ros2`.
+    pub topics: OnceCell<Relay>,
 }
 
 /// This robot and its peers, in the order of the configuration.
@@ -123,7 +127,7 @@ impl Kind {
     }
 }
 
-/// The adapters of this program.
+/// The adapters of this program. `zenoh` carries the topics of `ros2`, which is before it.
 const BUILT: &[Kind] = &[
     Kind::new("ros2", ros2::make),
     Kind::new("ros1", ros1::make),

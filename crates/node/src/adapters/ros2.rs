@@ -26,6 +26,7 @@ struct Ros2 {
     config: Config,
     /// Nothing without a table `[ros2]`.
     claims: Option<Claims>,
+    records: Option<Records>,
 }
 
 pub(super) fn make(start: &Start<'_>) -> Made {
@@ -36,6 +37,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
     let asked = config.ros2.clone().unwrap_or_default();
     let node = Node::start(&asked, &config.robot(), start.wall_us);
     let node = node.map_err(|error| Error::Backend(Box::new(error)))?;
+    let _ = start.topics.set(node.link().relay());
     let is_asked = config.ros2.is_some();
     Ok(Some(Box::new(Ros2 {
         node,
@@ -45,6 +47,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         diagnostics: None,
         config: config.clone(),
         claims: None,
+        records: None,
     })))
 }
 
@@ -66,11 +69,12 @@ impl Adapter for Ros2 {
         }
         let publish = || self.node.link().publish("/diagnostics", usual());
         self.diagnostics = self.publishes_diagnostics.then(publish);
+        self.records = self.node.records();
         Ok(())
     }
 
     fn attach(&mut self, machine: &mut Machine) -> Result<(), Error> {
-        if let Some(records) = self.node.records() {
+        if let Some(records) = self.records.take() {
             machine.add_tap(Box::new(Card(records)));
         }
         if let Some(claims) = &self.claims {

@@ -74,6 +74,8 @@ pub struct Network {
     pub publish_records: bool,
     /// Publish this robot's poses.
     pub publish_poses: bool,
+    /// Carry the topics of ROS 2 too, for nodes with `rmw_zenoh_cpp`.
+    pub ros2: bool,
     /// Limit of a peer's waiting records; further ones are lost and counted.
     pub backlog: Option<usize>,
 }

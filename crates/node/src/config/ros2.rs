@@ -1,7 +1,7 @@
 //! ROS 2 in a configuration.
 
 use super::{Capture, Config, Odometry};
-pub use csi5300_ros2::settings::{Settings as Ros2, Topic};
+pub use csi5300_ros2::settings::{Distribution, Settings as Ros2, Topic};
 use toml::Spanned;
 
 /// The topics of poses that a configuration names.
@@ -29,6 +29,8 @@ impl Config {
     #[must_use]
     pub fn ros2_reach(&self) -> Option<String> {
         let asked = self.ros2.clone().unwrap_or_default();
-        is_used(self).then(|| format!("ROS 2, domain {}: {}", asked.domain(), asked.reach().words))
+        let zenoh = self.network.as_ref().is_some_and(|network| network.ros2);
+        let also = if zenoh { "; over [network] too (rmw_zenoh)" } else { "" };
+        is_used(self).then(|| format!("ROS 2, domain {}: {}{also}", asked.domain(), asked.reach().words))
     }
 }

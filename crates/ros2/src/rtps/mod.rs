@@ -23,6 +23,7 @@ mod writer;
 pub(crate) use participant::fuzzed;
 pub(crate) use participant::{Counts, Event, Participant, Settings};
 pub use qos::Qos;
+pub(crate) use reader::LARGEST as LARGEST_READ;
 pub(crate) use wire::{Guid, Prefix, VENDOR};
 pub(crate) use writer::{LARGEST, Outgoing};
 

@@ -9,7 +9,7 @@ use std::net::SocketAddrV4;
 /// Samples of one writer that wait for a missing one.
 const HELD: usize = 256;
 /// Bytes of a sample in fragments at most.
-const LARGEST: usize = 1 << 20;
+pub(crate) const LARGEST: usize = 1 << 20;
 /// Fragmented samples of one writer at a time.
 const PARTS: usize = 2;
 /// Bytes of samples that wait for a missing one or for their own fragments, over all writers of a topic.

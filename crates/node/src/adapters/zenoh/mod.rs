@@ -3,6 +3,7 @@
 mod exposure;
 mod network;
 mod owners;
+mod topics;
 
 use super::{Adapter, Made, Robot, Start};
 use crate::config::{Config, Odometry, Peer, Records};
@@ -10,6 +11,7 @@ use crate::health::Health;
 use crate::machine::Machine;
 use csi5300::source::Error;
 use csi5300::source::remote::Mailbox;
+use csi5300_ros2::rmw_zenoh::Relay;
 use driver_iface::Mac;
 use network::Network;
 use owners::Owner;
@@ -20,6 +22,8 @@ use tokio::sync::Notify;
 struct Zenoh {
     config: Config,
     wake: Arc<Notify>,
+    /// The topics of ROS 2, if they go over the network too.
+    topics: Option<Relay>,
     network: Option<Network>,
     records: Vec<(usize, Mailbox)>,
     poses: Vec<(usize, Mailbox)>,
@@ -27,8 +31,10 @@ struct Zenoh {
 
 pub(super) fn make(start: &Start<'_>) -> Made {
     let (config, wake) = (start.config, Arc::clone(&start.wake));
-    let made = || Zenoh { config: config.clone(), wake, network: None, records: Vec::new(), poses: Vec::new() };
-    Ok(config.network.is_some().then(|| Box::new(made()) as Box<dyn Adapter>))
+    let Some(network) = &config.network else { return Ok(None) };
+    let topics = start.topics.get().filter(|_| network.ros2).cloned();
+    let config = config.clone();
+    Ok(Some(Box::new(Zenoh { config, wake, topics, network: None, records: Vec::new(), poses: Vec::new() })))
 }
 
 /// Why the network cannot be joined.
@@ -48,7 +54,8 @@ impl Adapter for Zenoh {
         let Some(asked) = &self.config.network else { return Ok(()) };
         let peers = || self.config.peer.iter().map(|peer| peer.get_ref()).zip(&robot.peers);
         let owners: Vec<Owner> = peers().map(|(peer, (_, mac))| owner(peer, *mac)).collect();
-        let network = self.network.insert(Network::join(asked, robot.own, &owners)?);
+        let graph = self.topics.as_ref().map(Relay::take);
+        let network = self.network.insert(Network::join(asked, robot.own, &owners, graph)?);
         for (k, (peer, (_, mac))) in peers().enumerate() {
             let waker = || {
                 let wake = Arc::clone(&self.wake);

@@ -5,12 +5,14 @@
 
 use super::exposure::{Doors, LOCAL, Verdict};
 use super::owners::{Owner, access_control, key_of};
+use super::topics::{Topics, keys_read};
 use crate::NodeError;
 use crate::config::Network as Asked;
 use crate::machine::Tap;
 use csi5300::motion::pose::Pose;
 use csi5300::source::Error;
 use csi5300::source::remote::{Batch, Mailbox, QueueCounts};
+use csi5300_ros2::rmw_zenoh::Graph;
 use driver_iface::Mac;
 use driver_iface::record::Record;
 use std::io::Read;
@@ -59,6 +61,7 @@ pub struct Network {
     subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
     mailboxes: Vec<(String, &'static str, Mailbox)>,
     publisher: Option<(SyncSender<Item>, JoinHandle<()>)>,
+    topics: Option<Topics>,
     unsent: Arc<AtomicU64>,
     /// The publisher sends the waiting items, and ends.
     stop: Arc<AtomicBool>,
@@ -79,8 +82,8 @@ fn is_plain(group: &str) -> bool {
     group.chars().all(|letter| letter.is_alphanumeric() || ['-', '_', '.'].contains(&letter))
 }
 
-/// Zenoh's configuration with our endpoints and owners, without unauthenticated access.
-fn configured(asked: &Asked, owners: &[Owner]) -> Result<zenoh::Config, Error> {
+/// Zenoh's configuration with our endpoints and owners, and the keys read for ROS 2, without unauthenticated access.
+fn configured(asked: &Asked, owners: &[Owner], ros2: Option<&[String]>) -> Result<zenoh::Config, Error> {
     if !is_plain(&asked.group) {
         return Err(NodeError::GroupName { group: asked.group.clone() }.into());
     }
@@ -95,7 +98,7 @@ fn configured(asked: &Asked, owners: &[Owner]) -> Result<zenoh::Config, Error> {
         }
     }
     let doors = doors(&config);
-    if let Some(rules) = access_control(&prefix_of(asked), owners) {
+    if let Some(rules) = access_control(&prefix_of(asked), owners, ros2) {
         if !doors.has_certificates {
             return Err(NodeError::NoCertificates.into());
         }
@@ -168,19 +171,22 @@ fn endpoints(value: &serde_json::Value) -> Vec<String> {
 
 /// Why this network cannot be joined, for `--check`.
 pub(crate) fn refusal(asked: &Asked, owners: &[Owner]) -> Option<String> {
-    configured(asked, owners).err().map(|error| error.to_string())
+    configured(asked, owners, None).err().map(|error| error.to_string())
 }
 
 impl Network {
-    /// Joins. Call it outside of an async runtime: zenoh has its own.
+    /// Joins, and carries the topics of `ros2`. Call it outside of an async runtime: zenoh has its own.
     ///
     /// # Errors
     /// If zenoh refuses its configuration or cannot listen, or `owners` have certificates that nobody is asked for.
-    pub fn join(asked: &Asked, own: Mac, owners: &[Owner]) -> Result<Self, Error> {
-        let mut config = configured(asked, owners)?;
-        let queue = "transport/link/tx/queue/size/real_time";
-        if config.get_json(queue).is_ok_and(|size| size == ZENOH_QUEUE) {
-            config.insert_json5(queue, QUEUE).map_err(wrong("zenoh's queue"))?;
+    pub fn join(asked: &Asked, own: Mac, owners: &[Owner], ros2: Option<Graph>) -> Result<Self, Error> {
+        let keys = ros2.as_ref().map(keys_read);
+        let mut config = configured(asked, owners, keys.as_deref())?;
+        // Records and poses; messages of ROS 2.
+        for queue in ["transport/link/tx/queue/size/real_time", "transport/link/tx/queue/size/data"] {
+            if config.get_json(queue).is_ok_and(|size| size == ZENOH_QUEUE) {
+                config.insert_json5(queue, QUEUE).map_err(wrong("zenoh's queue"))?;
+            }
         }
         let session = zenoh::open(config).wait().map_err(wrong("joining the network"))?;
         let mut network = Self {
@@ -190,12 +196,17 @@ impl Network {
             subscribers: Vec::new(),
             mailboxes: Vec::new(),
             publisher: None,
+            topics: None,
             unsent: Arc::default(),
             stop: Arc::default(),
             publishes: (asked.publish_records, asked.publish_poses),
         };
         if asked.publish_records || asked.publish_poses {
             network.publish(own)?;
+        }
+        if let Some(graph) = ros2 {
+            let topics = Topics::carry(&network.session, graph, &network.unsent);
+            network.topics = Some(topics.map_err(wrong("the topics of ROS 2"))?);
         }
         Ok(network)
     }
@@ -278,6 +289,7 @@ impl Drop for Network {
             drop(items);
             let _ = thread.join();
         }
+        drop(self.topics.take());
         let _ = self.session.close().wait();
     }
 }
@@ -394,7 +406,7 @@ impl Tap for Published {
 /// Counts of the network by peer.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct NetworkCounts {
-    /// Records and poses that were not sent because too many waited.
+    /// Records, poses and messages of ROS 2 that were not sent because too many waited.
     pub unsent: u64,
     /// Peers' MACs, their outputs, and the counts.
     pub subscriptions: Vec<(String, &'static str, QueueCounts)>,

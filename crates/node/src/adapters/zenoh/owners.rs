@@ -30,10 +30,11 @@ pub(crate) fn key_of(mac: Mac) -> String {
     mac.to_string().replace(':', "")
 }
 
-/// Zenoh's table `access_control` for keys below `prefix`; `None` without a named certificate.
+/// Zenoh's table `access_control` for keys below `prefix` and those that are read for ROS 2; `None` without a named
+/// certificate.
 ///
 /// Everything else is refused, also messages to many keys (`*`).
-pub(crate) fn access_control(prefix: &str, owners: &[Owner]) -> Option<Value> {
+pub(crate) fn access_control(prefix: &str, owners: &[Owner], ros2: Option<&[String]>) -> Option<Value> {
     if owners.iter().all(|owner| owner.certificate.is_none()) {
         return None;
     }
@@ -53,6 +54,16 @@ pub(crate) fn access_control(prefix: &str, owners: &[Owner]) -> Option<Value> {
                 subjects.push(json!({ "id": key, "cert_common_names": [name] }));
                 policies.push(json!({ "rules": [key], "subjects": [key] }));
             }
+        }
+    }
+    if let Some(keys) = ros2 {
+        // `**` does not include parts that begin with `@`.
+        let graph = ["@ros2_lv/**", "**/@adv/**"];
+        rules.push(json!({ "id": "graph", "permission": "allow", "flows": ["ingress", "egress"], "messages": ASKING, "key_exprs": graph }));
+        open.push(json!("graph"));
+        if !keys.is_empty() {
+            rules.push(json!({ "id": "topics", "permission": "allow", "flows": ["ingress"], "messages": ["put"], "key_exprs": keys }));
+            open.push(json!("topics"));
         }
     }
     policies.push(json!({ "rules": open, "subjects": ["anybody"] }));
@@ -75,13 +86,14 @@ mod tests {
 
     #[test]
     fn without_a_certificate_there_is_no_access_control() {
-        assert_eq!(access_control("csi5300/lab", &[]), None);
-        assert_eq!(access_control("csi5300/lab", &[owner(1, None)]), None);
+        assert_eq!(access_control("csi5300/lab", &[], None), None);
+        assert_eq!(access_control("csi5300/lab", &[owner(1, None)], None), None);
     }
 
     #[test]
     fn an_owned_key_is_published_by_its_certificate_only() {
-        let made = access_control("csi5300/lab", &[owner(1, Some("burger-1")), owner(2, None)]).unwrap();
+        let owners = [owner(1, Some("burger-1")), owner(2, None)];
+        let made = access_control("csi5300/lab", &owners, None).unwrap();
         assert_eq!((&made["enabled"], &made["default_permission"]), (&json!(true), &json!("deny")));
         let rule = |id: &str| made["rules"].as_array().unwrap().iter().find(|rule| rule["id"] == id).unwrap();
         for (id, key) in
@@ -109,5 +121,13 @@ mod tests {
                 { "rules": ["ask", "send", "00216a000002"], "subjects": ["anybody"] },
             ])
         );
+        // Of ROS 2 only what is read, from anybody in the network.
+        let key = "0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_3c".to_owned();
+        let made = access_control("csi5300/lab", &owners, Some(std::slice::from_ref(&key))).unwrap();
+        let put = |rule: &&Value| rule["messages"] == json!(["put"]) && rule["flows"] == json!(["ingress"]);
+        let keys: Vec<&Value> =
+            made["rules"].as_array().unwrap().iter().filter(put).map(|rule| &rule["key_exprs"]).collect();
+        assert_eq!(keys[2..], [&json!([key])]);
+        assert_eq!(made["policies"][1]["rules"], json!(["ask", "send", "00216a000002", "graph", "topics"]));
     }
 }

@@ -1,6 +1,6 @@
 //! ROS, sounding, output and the network.
 
-use super::super::ros;
+use super::super::{ros, ros2};
 use super::Check;
 use crate::adapters;
 use csi5300_sim::toml_lines::Step::Key;
@@ -47,6 +47,21 @@ impl Check<'_> {
         }
         if network.zenoh.as_ref().is_some_and(|file| !file.is_file()) {
             self.refuse_in("network", Some("zenoh"), "there is no such file of zenoh's");
+        }
+        if network.ros2 && !ros2::is_used(self.config) && self.knows(&["capture", "odometry", "peer", "ros2"]) {
+            self.refuse_in(
+                "network",
+                Some("ros2"),
+                "there are no topics to carry: no [ros2] table, and no `ros2` poses",
+            );
+        }
+        let humble = Some(ros2::Distribution::Humble);
+        if network.ros2 && self.config.ros2.as_ref().map(|ros| ros.distribution) == humble {
+            self.refuse_in(
+                "network",
+                Some("ros2"),
+                "topics over zenoh are those of Jazzy and later, not of \"humble\"",
+            );
         }
     }
 

@@ -382,6 +382,15 @@ fn names_that_no_file_or_socket_can_have_are_refused_before_the_start() {
 
 #[cfg(feature = "zenoh")]
 #[test]
+fn topics_of_ros_2_over_the_network() {
+    let network = |ros2: &str| format!("{CARD}[network]\nros2 = true\n{ros2}");
+    assert_eq!(refusals(&network("[ros2]\n")), Vec::<String>::new());
+    refused(&network(""), "ros2 = true", "no topics to carry");
+    refused(&network("[ros2]\ndistribution = \"humble\"\n"), "ros2 = true", "Jazzy");
+}
+
+#[cfg(feature = "zenoh")]
+#[test]
 fn certificates_of_peers() {
     let folder = std::env::temp_dir().join(format!("csi5300-owners-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();

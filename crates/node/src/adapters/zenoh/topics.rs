@@ -1,0 +1,198 @@
+//! The topics of ROS 2 in a session of zenoh, for nodes with `rmw_zenoh_cpp` ([`csi5300_ros2::rmw_zenoh`]).
+
+use csi5300_ros2::rmw_zenoh::{End, Graph, Taker, attachment, gid};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::JoinHandle;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::CongestionControl;
+use zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
+use zenoh::sample::{Locality, Sample, SampleKind};
+use zenoh::{Session, Wait};
+
+/// Limit of messages that wait for the session; further ones are lost and counted.
+const BACKLOG: usize = 1_024;
+
+/// A message: the publisher's number, the payload, and what goes beside it.
+type Message = (usize, Vec<u8>, Vec<u8>);
+
+/// The keys of subscriptions.
+pub(super) fn keys_read(graph: &Graph) -> Vec<String> {
+    let read = graph.topics.iter().filter(|topic| matches!(topic.end, End::Subscription(_)));
+    read.map(|topic| graph.key(topic)).collect()
+}
+
+/// Topics that are carried. Dropping it sends what waits, and ends them.
+pub(super) struct Topics {
+    /// The queue of the thread, which ends with it.
+    queue: Option<Arc<SyncSender<Message>>>,
+    thread: Option<JoinHandle<()>>,
+    _tokens: Vec<LivelinessToken>,
+    _subscribers: Vec<Subscriber<()>>,
+}
+
+impl Topics {
+    /// Carries all topics of a node; `unsent` counts messages that were lost because too many waited.
+    pub fn carry(session: &Session, mut graph: Graph, unsent: &Arc<AtomicU64>) -> zenoh::Result<Self> {
+        let own = session.zid().to_string();
+        let declare = |token: String| session.liveliness().declare_token(token).wait();
+        let mut tokens = vec![declare(graph.node_token(&own))?];
+        let (mut subscribers, mut publishers) = (Vec::new(), Vec::new());
+        let (queue, waiting) = sync_channel::<Message>(BACKLOG);
+        let queue = Arc::new(queue);
+        for (number, topic) in (1..).zip(std::mem::take(&mut graph.topics)) {
+            let (key, token) = (graph.key(&topic), graph.token(&own, number, &topic));
+            let wants_earlier = topic.wants_earlier();
+            match topic.end {
+                End::Publisher(outlet) => {
+                    let (writer, gid, next) = (publishers.len(), gid(&token), AtomicI64::new(1));
+                    let declared = session.declare_publisher(key).congestion_control(CongestionControl::Drop);
+                    publishers.push(declared.wait()?);
+                    let (queue, unsent) = (Arc::downgrade(&queue), Arc::clone(unsent));
+                    let send = move |payload: &[u8], wall_us: i64| {
+                        // The number of a lost message is missed.
+                        let number = next.fetch_add(1, Ordering::Relaxed);
+                        let message =
+                            (writer, payload.to_vec(), attachment(number, wall_us.saturating_mul(1_000), gid));
+                        if queue.upgrade().is_none_or(|queue| queue.try_send(message).is_err()) {
+                            unsent.fetch_add(1, Ordering::Relaxed);
+                        }
+                    };
+                    let _ = outlet.set(Box::new(send));
+                }
+                End::Subscription(take) => {
+                    let take: Arc<Taker> = Arc::new(take);
+                    if wants_earlier {
+                        subscribers.push(earlier(session, &key, Arc::clone(&take))?);
+                    }
+                    let used = move |sample: Sample| take(sample.payload().to_bytes().into_owned());
+                    // As with DDS, the node's own messages (`/tf`) do not come back.
+                    let declared = session.declare_subscriber(key).allowed_origin(Locality::Remote);
+                    subscribers.push(declared.callback(used).wait()?);
+                }
+            }
+            tokens.push(declare(token)?);
+        }
+        let work = move || {
+            for (writer, payload, attachment) in waiting {
+                let publisher: Option<&zenoh::pubsub::Publisher<'_>> = publishers.get(writer);
+                drop(publisher.map(|publisher| publisher.put(payload).attachment(attachment).wait()));
+            }
+        };
+        let thread = std::thread::Builder::new().name("csi5300 topics".into()).spawn(work)?;
+        Ok(Self { queue: Some(queue), thread: Some(thread), _tokens: tokens, _subscribers: subscribers })
+    }
+}
+
+impl Drop for Topics {
+    fn drop(&mut self) {
+        drop(self.queue.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Asks every publisher that is found for what it has kept: zenoh's advanced publishers, which `rmw_zenoh_cpp` has for
+/// transient local topics, show it by a token below the topic's key, and answer at that key (`zenoh-ext`).
+fn earlier(session: &Session, key: &str, take: Arc<Taker>) -> zenoh::Result<Subscriber<()>> {
+    let asker = session.clone();
+    let found = move |token: Sample| {
+        if token.kind() != SampleKind::Put {
+            return;
+        }
+        let take = Arc::clone(&take);
+        let used = move |reply: Reply| {
+            if let Ok(sample) = reply.result() {
+                take(sample.payload().to_bytes().into_owned());
+            }
+        };
+        let asked = asker.get(token.key_expr()).consolidation(ConsolidationMode::None);
+        // A publisher that has gone keeps nothing.
+        let _ = asked.accept_replies(ReplyKeyExpr::Any).callback(used).wait();
+    };
+    session.liveliness().declare_subscriber(format!("{key}/@adv/pub/**")).history(true).callback(found).wait()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::owners::{Owner, access_control};
+    use super::*;
+    use csi5300_bag::cdr::Cdr;
+    use csi5300_bag::messages::Message as _;
+    use csi5300_bag::messages::standard::Time;
+    use csi5300_ros2::settings::Settings;
+    use csi5300_ros2::{Node, Qos};
+    use std::sync::mpsc::channel;
+
+    fn session(key: &str, port: u16, access_control: &serde_json::Value) -> Session {
+        let mut config = zenoh::Config::default();
+        config.insert_json5("access_control", &access_control.to_string()).unwrap();
+        let endpoint = format!("[\"tcp/127.0.0.1:{port}\"]");
+        for (key, value) in
+            [("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]"), (key, endpoint.as_str())]
+        {
+            config.insert_json5(key, value).unwrap();
+        }
+        zenoh::open(config).wait().unwrap()
+    }
+
+    #[test]
+    fn topics_are_carried_both_ways_until_they_are_dropped() {
+        let domain = 150 + (std::process::id() % 80) as u16;
+        let alone = Settings { domain: Some(domain), multicast: Some(false), ..Settings::default() };
+        let node = Node::start(&alone, "burger", || Some(20_000_000)).unwrap();
+        let publisher = node.link().publish::<Time>("~/time", Qos::reliable(32));
+        let (give, came) = channel();
+        let used = move |time: Time, at| _ = give.send((time.sec, at));
+        node.link().subscribe("/asked", Qos::best_effort(5), used, || panic!("unreadable"));
+        let graph = node.link().relay().take();
+        // It admits no more than it needs.
+        let owned = [Owner { mac: driver_iface::Mac([2; 6]), certificate: Some("burger-2".into()) }];
+        let strict = access_control("csi5300/robots", &owned, Some(&keys_read(&graph))).unwrap();
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let own = session("listen/endpoints", port, &strict);
+        let other = session("connect/endpoints", port, &serde_json::json!({}));
+        let key = |name: &str| format!("{domain}/{name}/builtin_interfaces::msg::dds_::Time_/{}", Time::type_hash());
+        assert_eq!(keys_read(&graph), [key("asked")]);
+        let carried = Topics::carry(&own, graph, &Arc::default()).unwrap();
+
+        let (give, samples) = channel();
+        let heard = move |sample: Sample| _ = give.send(sample);
+        let _heard = other.declare_subscriber(key("csi5300_burger/time")).callback(heard).wait().unwrap();
+        let time = |sec| Time { sec, nanosec: 0 };
+        let sample = loop {
+            publisher.put(&time(7));
+            match samples.try_recv() {
+                Ok(sample) => break sample,
+                Err(_) => std::thread::yield_now(),
+            }
+        };
+        assert_eq!(*sample.payload().to_bytes(), time(7).payload());
+        let tokens = || {
+            let replies = other.liveliness().get("@ros2_lv/**").wait().unwrap();
+            let key = |reply: Reply| reply.into_result().unwrap().key_expr().to_string();
+            replies.into_iter().map(key).collect::<Vec<String>>()
+        };
+        let all = tokens();
+        let published = all.iter().find(|token| token.contains("/MP/")).unwrap();
+        let beside = sample.attachment().unwrap().to_bytes();
+        assert_eq!(beside[8..], attachment(0, 20_000_000_000, gid(published))[8..]);
+        assert_eq!(all.len(), 3, "{all:?}");
+
+        let received = loop {
+            other.put(key("asked"), time(9).payload()).wait().unwrap();
+            match came.try_recv() {
+                Ok(received) => break received,
+                Err(_) => std::thread::yield_now(),
+            }
+        };
+        assert_eq!(received, (9, 20_000_000));
+        drop(carried);
+        while !tokens().is_empty() {
+            std::thread::yield_now();
+        }
+    }
+}
