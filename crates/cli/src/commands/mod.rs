@@ -180,7 +180,7 @@ pub fn run() -> ExitCode {
 }
 
 /// Options and arguments that name outputs. Every other one that names a file or folder is an input.
-const OUTPUTS: [&str; 8] = ["out", "output", "profile", "plot", "html", "log", "poses", "report"];
+const OUTPUTS: [&str; 9] = ["out", "output", "profile", "plot", "html", "log", "poses", "report", "factors"];
 
 /// Notes what this run reads, and refuses an output that is among it.
 fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> std::result::Result<(), String> {
@@ -296,7 +296,7 @@ mod tests {
                 written.push(format!("{command} {}", arg.get_id()));
             }
         }
-        let mut all = vec!["bearing profile", "simulate out", "export output", "demo out"];
+        let mut all = vec!["bearing profile", "bearing factors", "simulate out", "export output", "demo out"];
         if cfg!(feature = "plot") {
             all.extend(["bearing plot", "evaluate plot", "info plot"]);
         }
@@ -314,6 +314,7 @@ mod tests {
             "group",
             "key",
             "logs",
+            "ranges",
             "rx",
             "scene",
             "socket",

@@ -3,7 +3,7 @@
 use super::super::{fixed, some};
 use csi5300::maths::median;
 use csi5300_lab::evaluate::Judged;
-use csi5300_lab::evaluate::quality::{Receiver, UNKNOWN_PROBABILITY};
+use csi5300_lab::evaluate::receivers::{Receiver, UNKNOWN_PROBABILITY};
 use std::fmt::Write;
 
 /// The links to a receiver.
@@ -52,10 +52,13 @@ pub fn table(found: &[Receiver], rows: &[Judged]) -> String {
         if let Some(off) = receiver.off_m {
             let _ = write!(text, "; {off:.2} m from the truth");
         }
+        if let [used @ 1.., outliers] = receiver.ranges {
+            let _ = write!(text, "; {}, {outliers} of them outliers", some(used as u64, "range", "ranges"));
+        }
         if receiver.without_probability > 0 {
             let _ = write!(
                 text,
-                "; {} without a calibrated probability weighed as within 5 degrees with {UNKNOWN_PROBABILITY}",
+                "; {} without a calibrated probability taken as right with probability {UNKNOWN_PROBABILITY}",
                 some(receiver.without_probability as u64, "link", "links")
             );
         }
