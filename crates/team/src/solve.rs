@@ -2,7 +2,7 @@
 
 use crate::envelope::Envelope;
 use crate::graph::{Change, KeyframeId, Link, Prior, RobotId, Step, Team, TeamError};
-use crate::start::starts;
+use crate::start::{COSTLIER, starts};
 use crate::wrap;
 use nalgebra::{DMatrix, DVector, Matrix3};
 
@@ -363,7 +363,7 @@ impl<'a> Problem<'a> {
                     _ => damping *= 10.0,
                 }
             };
-            if gain <= 1e-9 {
+            if gain <= if temper > 1.0 { 1e-2 } else { 1e-8 } {
                 break;
             }
         }
@@ -532,6 +532,8 @@ impl Team {
             // Starts that fell into one minimum go on as one.
             solved.dedup_by(|a, b| (a.1 - b.1).abs() < 1e-3 && a.0.is_near(&b.0));
         }
+        let most = solved.first().map_or(0.0, |best| best.1) + COSTLIER;
+        solved.retain(|own| own.1 <= most);
         solved.truncate(SETTLED);
         let mut settled: Vec<Settled> = solved.iter().map(|(state, _)| problem.settle(state)).collect();
         settled.sort_by(|a, b| a.cost.total_cmp(&b.cost));

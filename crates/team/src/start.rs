@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 const KEPT: usize = 6;
 
 /// And by how much more they may cost than the best: `exp(-15)` as likely.
-const COSTLIER: f64 = 15.0;
+pub const COSTLIER: f64 = 15.0;
 
 /// Places of one robot that each arrangement goes on with.
 const PLACES: usize = 4;

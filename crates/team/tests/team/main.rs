@@ -23,21 +23,21 @@ fn hold(hall: Hall, seeds: std::ops::Range<u64>) -> Held {
 
 #[test]
 fn covariances_of_two_robots_hold() {
-    hold(Hall::of(2), 1000..1200);
-    hold(Hall { has_liar: true, ..Hall::of(2) }, 1000..1200);
+    hold(Hall::of(2), 1000..1150);
+    hold(Hall { has_liar: true, ..Hall::of(2) }, 1000..1150);
 }
 
 #[test]
 fn covariances_of_five_robots_hold() {
-    let without = hold(Hall::of(5), 1000..1050);
-    hold(Hall { has_liar: true, ..Hall::of(5) }, 1000..1050);
-    let with = hold(Hall { ranged: 0.25, ..Hall::of(5) }, 1000..1050);
+    let without = hold(Hall::of(5), 1000..1040);
+    hold(Hall { has_liar: true, ..Hall::of(5) }, 1000..1040);
+    let with = hold(Hall { ranged: 0.25, ..Hall::of(5) }, 1000..1040);
     assert!(with.rms_m() < without.rms_m(), "{with:?} {without:?}");
 }
 
 #[test]
 fn covariances_of_twenty_robots_hold() {
-    hold(Hall { has_liar: true, ..Hall::of(20) }, 1000..1010);
+    hold(Hall { has_liar: true, epochs: 12, ..Hall::of(20) }, 1000..1020);
 }
 
 #[test]

@@ -109,6 +109,11 @@ pub fn wrap(angle: f64) -> f64 {
 
 /// A team of a seed.
 pub fn simulated(hall: Hall, seed: u64) -> Simulated {
+    followed(hall, seed, &mut |_, _| {})
+}
+
+/// The same, shown after each second.
+pub fn followed(hall: Hall, seed: u64, look: &mut dyn FnMut(&mut Team, usize)) -> Simulated {
     let mut random = Random::of_seed(seed);
     let (noise, side_m) = (OdometryNoise::default(), 3.0 + 3.0 * (hall.robots as f64).sqrt());
     let (mut team, mut truth) = (Team::default(), Vec::new());
@@ -137,6 +142,7 @@ pub fn simulated(hall: Hall, seed: u64) -> Simulated {
                 }
             }
         }
+        look(&mut team, epoch);
     }
     Simulated { team, truth, keyframes }
 }
