@@ -6,7 +6,8 @@ use crate::start::{COSTLIER, starts};
 use crate::wrap;
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// Deviations are so many times wider in the first descents: a link that is far from its candidates still pulls.
+/// All deviations are so many times wider in the first descents: a link that is far from its candidates still pulls, and
+/// against odometry as much as later.
 const TEMPERS: [f64; 3] = [4.0, 2.0, 1.0];
 
 /// Steps at most in one descent.
@@ -20,6 +21,10 @@ const LIARS: f64 = 0.05;
 
 /// Minima of which the shares of outliers are learnt.
 const SETTLED: usize = 4;
+
+/// Descents from beside the best minimum, and how far beside, metres and radians.
+const KICKS: usize = 8;
+const KICK: [f64; 2] = [0.05, 0.03];
 
 /// Another solution is named where the best is at most this many times as likely.
 const AS_LIKELY: f64 = 2.0;
@@ -170,6 +175,18 @@ type Entry = (Variable, f64);
 /// Where residuals go: the residual in deviations and its derivatives.
 type Rows<'a> = dyn FnMut(f64, &[Entry]) + 'a;
 
+/// Adds residuals to a cost and hands them on, each with its deviation `temper` times as wide.
+fn tempered<'a>(temper: f64, cost: &'a mut f64, rows: &'a mut Rows<'_>) -> impl FnMut(f64, &[Entry]) {
+    let by = 1.0 / temper;
+    let mut scaled = Vec::new();
+    move |residual, entries| {
+        *cost += 0.5 * (residual * by).powi(2);
+        scaled.clear();
+        scaled.extend(entries.iter().map(|(variable, derivative)| (*variable, derivative * by)));
+        rows(residual * by, &scaled);
+    }
+}
+
 fn gradient_of_range(state: &State, [from, to]: [usize; 2], factor: f64) -> ([Entry; 4], f64) {
     use Variable::Pose;
     let (a, b) = (state.poses[from], state.poses[to]);
@@ -192,10 +209,7 @@ impl<'a> Problem<'a> {
     /// measurements whose keyframes are `wanted`.
     fn visit(&self, state: &State, temper: f64, wanted: Wanted<'_>, rows: &mut Rows<'_>) -> f64 {
         let mut cost = 0.0;
-        let mut add = |residual: f64, entries: &[Entry]| {
-            cost += 0.5 * residual * residual;
-            rows(residual, entries);
-        };
+        let mut add = tempered(temper, &mut cost, rows);
         for prior in self.team.priors.iter().filter(|prior| wanted(&[prior.keyframe])) {
             let has_heading = self.team.robots[self.team.keyframes[prior.keyframe].robot].has_heading;
             for k in 0..if has_heading { 3 } else { 2 } {
@@ -210,16 +224,14 @@ impl<'a> Problem<'a> {
             let (second, second_m) = gradient_of_range(state, change.second, 1.0 / change.sd_m);
             add((second_m - first_m - change.change_m) / change.sd_m, &[first, second].concat());
         }
+        drop(add);
         cost + self.links(state, temper, wanted, rows)
     }
 
     /// The priors of calibrations, and what past keyframes say: they are of no keyframe that may be wanted.
-    fn shared(&self, state: &State, rows: &mut Rows<'_>) -> f64 {
+    fn shared(&self, state: &State, temper: f64, rows: &mut Rows<'_>) -> f64 {
         let mut cost = 0.0;
-        let mut add = |residual: f64, entries: &[Entry]| {
-            cost += 0.5 * residual * residual;
-            rows(residual, entries);
-        };
+        let mut add = tempered(temper, &mut cost, rows);
         let carried = self.team.carried.as_ref();
         for robot in (0..self.team.robots.len()).filter(|robot| self.layout.calibrations[*robot].is_some()) {
             if carried.is_some_and(|carried| carried.has_calibration(robot)) {
@@ -242,6 +254,7 @@ impl<'a> Problem<'a> {
                 add(*residual, &entries);
             }
         }
+        drop(add);
         cost
     }
 
@@ -306,7 +319,7 @@ impl<'a> Problem<'a> {
     }
 
     fn cost(&self, state: &State, temper: f64) -> f64 {
-        self.visit(state, temper, &|_| true, &mut |_, _| {}) + self.shared(state, &mut |_, _| {})
+        self.visit(state, temper, &|_| true, &mut |_, _| {}) + self.shared(state, temper, &mut |_, _| {})
     }
 
     /// The normal matrix and the gradient at a state.
@@ -322,7 +335,7 @@ impl<'a> Problem<'a> {
             }
         };
         self.visit(state, temper, &|_| true, &mut add);
-        self.shared(state, &mut add);
+        self.shared(state, temper, &mut add);
         (matrix, side)
     }
 
@@ -423,6 +436,32 @@ impl<'a> Problem<'a> {
             }
         }
         best.unwrap_or_default()
+    }
+}
+
+/// Numbers between -1 and 1, the same on every machine: the multiples of an irrational number.
+fn even(k: usize) -> f64 {
+    2.0 * (k as f64 * 0.618_033_988_749_895).fract() - 1.0
+}
+
+impl Problem<'_> {
+    /// Descends again from beside a minimum: a candidate that is taken at a pose holds it there, so minima lie close to each other.
+    fn kick(&mut self, best: &mut Settled) {
+        for kick in 1..=KICKS {
+            let mut state = best.state.clone();
+            for (k, pose) in state.poses.iter_mut().enumerate() {
+                let [m, rad] = KICK;
+                let by = |part: usize| even((3 * k + part + 1) * (2 * kick + 1));
+                *pose = [pose[0] + m * by(0), pose[1] + m * by(1), wrap(pose[2] + rad * by(2))];
+            }
+            self.null_shares.clone_from(&best.null_shares);
+            let state = self.descend(state, 1.0).0;
+            let outlier_shares = self.learn_shares(&state);
+            let (state, cost) = self.descend(state, 1.0);
+            if cost < best.cost {
+                *best = Settled { state, cost, outlier_shares, null_shares: self.null_shares.clone() };
+            }
+        }
     }
 }
 
@@ -537,6 +576,9 @@ impl Team {
         solved.truncate(SETTLED);
         let mut settled: Vec<Settled> = solved.iter().map(|(state, _)| problem.settle(state)).collect();
         settled.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        if let (Some(best), None) = (settled.first_mut(), before) {
+            problem.kick(best);
+        }
         let mut rest = settled.into_iter();
         let Settled { state, cost, outlier_shares, null_shares } = rest.next().ok_or(TeamError::Empty)?;
         problem.null_shares = null_shares;
@@ -615,7 +657,7 @@ impl Problem<'_> {
             }
         };
         self.visit(state, 1.0, touches, &mut add);
-        self.shared(state, &mut add);
+        self.shared(state, 1.0, &mut add);
         let is_old = |k: &usize| matches!(self.layout.variables[*k], Variable::Pose(keyframe, _) if old.binary_search(&keyframe).is_ok());
         let (gone, stay): (Vec<usize>, Vec<usize>) = (0..n).filter(|k| matrix[(*k, *k)] > 0.0).partition(is_old);
         let part = |rows: &[usize], columns: &[usize]| {
