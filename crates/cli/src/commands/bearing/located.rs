@@ -52,7 +52,8 @@ pub fn table(found: &[Receiver], rows: &[Judged]) -> String {
         if let Some(off) = receiver.off_m {
             let _ = write!(text, "; {off:.2} m from the truth");
         }
-        if let [used @ 1.., outliers] = receiver.ranges {
+        let [used, outliers] = receiver.ranges;
+        if used > 0 {
             let _ = write!(text, "; {}, {outliers} of them outliers", some(used as u64, "range", "ranges"));
         }
         if receiver.without_probability > 0 {
