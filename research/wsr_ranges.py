@@ -22,27 +22,24 @@ def bearings(program: str, folders: list[str], trajectory: str, ranges: str | No
     return [line for line in lines if "link" in line], [line for line in lines if "capture" in line]
 
 
-def middle(link: str, folders: list[str], trajectory: str, receivers: dict) -> float:
-    """A time of the trajectory at which the receiver is near the middle of its motion, where distances are known."""
-    capture, row = link.rsplit("/", 1)[0], receivers[link]
-    place, stamp = capture.rsplit("/", 1)
-    top = next(folder for folder in folders if os.path.basename(os.path.normpath(folder)) == place.split("/")[0]) if len(folders) > 1 else folders[0]
-    folder = os.path.join(top, *(place.split("/")[1:] if len(folders) > 1 else place.split("/")))
-    prefix = "" if trajectory == "gt" else f"{trajectory}_"
-    best, origin = (math.inf, 0.0), row["origin_m"]
-    with open(os.path.join(folder, f"{prefix}rx_trajectory_{stamp}_.csv")) as file:
+def middle(link: str, folders: list[str], origin_m: list[float], transmitter_m: list[float]) -> tuple[float, float]:
+    """When the receiver was nearest to the middle of its motion by motion capture, and its distance to the transmitter then."""
+    place, stamp = link.rsplit("/", 2)[:2]
+    parts = place.split("/")
+    top = next(folder for folder in folders if os.path.basename(os.path.normpath(folder)) == parts[0]) if len(folders) > 1 else folders[0]
+    best = (math.inf, 0.0, 0.0)
+    with open(os.path.join(top, *parts[len(folders) > 1 :], f"rx_trajectory_{stamp}_.csv")) as file:
         for line in file:
-            cells = line.split(",")
-            try:
-                t, x, y = float(cells[0]) + float(cells[1]) * 1e-9, float(cells[2]), float(cells[3])
-            except ValueError:
-                continue
-            best = min(best, (math.hypot(x - origin[0], y - origin[1]), t))
-    return best[1]
+            seconds, _, x, y, *_ = map(float, line.rstrip(",\n").split(","))
+            off_m = math.hypot(x - origin_m[0], y - origin_m[1])
+            best = min(best, (off_m, seconds, math.hypot(x - transmitter_m[0], y - transmitter_m[1])))
+    return best[1:]
 
 
 def main(program: str, folders: list[str]) -> None:
     print("| trajectory | ranges | set | receivers | place, m | answers over 20 deg | from the place over 20 deg |\n|---|---|---|---|---|---|---|")
+    links, _ = bearings(program, folders, "gt", None)
+    at = {link["link"]: middle(link["link"], folders, link["origin_m"], link["true_transmitter_m"]) for link in links if link["origin_m"]}
     for trajectory in ("gt", "t265", "odom"):
         links, _ = bearings(program, folders, trajectory, None)
         rows = {link["link"]: link for link in links if link["azimuth_deg"] is not None and link["true_transmitter_m"]}
@@ -50,9 +47,8 @@ def main(program: str, folders: list[str]) -> None:
             with tempfile.NamedTemporaryFile("w", suffix=".csv") as file:
                 noise = random.Random(1)
                 file.write("time_s,from,to,range_m,sd_m\n")
-                for link, row in rows.items():
-                    t = middle(link, folders, trajectory, rows)
-                    file.write(f"{t:.6f},{link.rsplit('/', 1)[0]},{link},{max(row['true_range_m'] + noise.gauss(0, sd or 1), 0.05):.4f},{sd or 1}\n")
+                for link, (t, distance_m) in at.items():
+                    file.write(f"{t:.6f},{link.rsplit('/', 1)[0]},{link},{max(distance_m + noise.gauss(0, sd or 1), 0.05):.4f},{sd or 1}\n")
                 file.flush()
                 _, receivers = bearings(program, folders, trajectory, file.name if sd else None)
             for name, kind in (("line of sight", "LOS_"), ("behind walls", "NLOS_")):

@@ -8,11 +8,19 @@ use simulated::{Hall, Held, Random, simulated, wrap};
 
 /// 68.3 and 95.4 % of poses within one and two deviations, to seven points.
 fn hold(hall: Hall, seeds: std::ops::Range<u64>) -> Held {
-    let mut held = Held::default();
+    let (mut held, mut unsolved, runs) = (Held::default(), 0, seeds.end - seeds.start);
     for seed in seeds {
         let own = simulated(hall, seed);
-        own.judge(&own.team.solve().unwrap(), &mut held);
+        // Of a robot whose links all seem to be outliers nothing is known.
+        match own.team.solve() {
+            Ok(found) => own.judge(&found, &mut held),
+            Err(error) => {
+                assert!(matches!(error, TeamError::Undetermined { .. }), "{error}");
+                unsolved += 1;
+            }
+        }
     }
+    assert!(50 * unsolved <= runs, "{unsolved} of {runs}");
     for counts in [held.places, held.yaws] {
         for (count, expected) in counts.into_iter().zip([68.3, 95.4]) {
             assert!((held.share(count) - expected).abs() <= 7.0, "{hall:?}: {held:?}");
@@ -29,9 +37,11 @@ fn covariances_of_two_robots_hold() {
 
 #[test]
 fn covariances_of_five_robots_hold() {
-    let without = hold(Hall::of(5), 1000..1040);
-    hold(Hall { has_liar: true, ..Hall::of(5) }, 1000..1040);
-    let with = hold(Hall { ranged: 0.25, ..Hall::of(5) }, 1000..1040);
+    // Robots of one run share its errors, so there are many short runs.
+    let five = Hall { epochs: 20, ..Hall::of(5) };
+    let without = hold(five, 1000..1100);
+    hold(Hall { has_liar: true, ..five }, 1000..1100);
+    let with = hold(Hall { ranged: 0.25, ..five }, 1000..1100);
     assert!(with.rms_m() < without.rms_m(), "{with:?} {without:?}");
 }
 
