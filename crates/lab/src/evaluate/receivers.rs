@@ -1,8 +1,8 @@
 //! Where receivers are, each from its links to transmitters whose places are known: a graph of `csi5300-team`.
 //!
 //! The receiver's trajectory is a robot with one keyframe at its middle, where bearings are seen from, and one at each range of
-//! another sensor. Its yaw is known to the heading's deviation. A link is a mixture of its candidates and its mirror; the
-//! probability of its answer says how likely none of them is right.
+//! another sensor. Its yaw is known to the heading's deviation. A link is a mixture of its candidates and its mirror; their
+//! deviation is that of the answer: the larger of its error bar and of the one that its probability stands for.
 
 use super::find::{Capture, TrajectorySource};
 use super::judge::Judged;
@@ -18,20 +18,20 @@ use nalgebra::{Matrix2, Vector2};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Deviation that no bearing is better than, degrees (median error in line of sight, whatever was predicted).
-const AZIMUTH_FLOOR_DEG: f64 = 1.0;
+/// Error that no bearing is better than, degrees (median error in line of sight about one degree whatever was predicted).
+const AZIMUTH_FLOOR_DEG: f64 = 1.15;
 
-/// One bearing in three is off by several deviations: share and width of the wider normal density.
-const WIDE: [f64; 2] = [0.3, 4.0];
+/// Share of links none of whose bearings is right.
+const LINK_OUTLIERS: f64 = 0.1;
 
-/// The same for ranges from the wave front: their relative floor, and the share of them that are wrong whatever they predict.
+/// Of ranges from the wave front: the relative error that none is better than, and the share of them that are wrong whatever they predict.
 const RANGE_FLOOR: f64 = 0.3;
 const RANGE_MISSED: f64 = 0.5;
 
-/// No link is surer than this that one of its bearings is right: the largest calibrated probability, nearly.
+/// No link is surer than this that one of its bearings is within five degrees: nearly the largest calibrated probability.
 const MOST_SURE: f64 = 0.95;
 
-/// The probability that an answer without one is right: as likely as not.
+/// The probability that an answer without one is weighed by: as likely within five degrees as not.
 pub const UNKNOWN_PROBABILITY: f64 = 0.5;
 
 /// Share of another sensor's ranges that are outliers: off a wall, or of another robot.
@@ -76,7 +76,7 @@ pub struct Receiver {
     pub links: usize,
     /// Their names, in the order of what is listed of each.
     pub names: Vec<String>,
-    /// Those of them that have no calibrated probability: they are taken as right with [`UNKNOWN_PROBABILITY`].
+    /// Those of them that have no calibrated probability: they are weighed by [`UNKNOWN_PROBABILITY`].
     #[serde(skip_serializing_if = "is_zero")]
     pub without_probability: usize,
     /// Position, metres, in the frame of the true transmitters.
@@ -95,7 +95,7 @@ pub struct Receiver {
     /// Ranges of another sensor that were used, and how many of them fit nothing.
     #[serde(skip_serializing_if = "is_none")]
     pub ranges: [usize; 2],
-    /// Share of its say that each link kept: 0 for one that fits nothing else.
+    /// 1 for each link that is used, 0 for one that fits nothing else.
     pub weights: Vec<f64>,
     /// The bearing of each link that the place speaks for, degrees: the answer, its mirror or another of its candidates.
     pub azimuths_deg: Vec<f64>,
@@ -174,12 +174,11 @@ fn receiver(capture: &str, rows: &[&Judged], ranges: &[Ranged]) -> (Receiver, Op
 }
 
 /// A way in which a link may be explained.
+#[derive(Clone, Copy)]
 struct Way {
     azimuth_deg: f64,
     /// True for the answer's own bearing, of which the elevation is.
     is_answer: bool,
-    /// Its deviation over that of the likeliest.
-    width: f64,
 }
 
 /// The graph of a receiver.
@@ -227,9 +226,10 @@ impl Graph {
         }
         let mut ways = Vec::new();
         for row in seen {
-            let (own, modes): (Vec<Way>, Vec<Mode>) = modes(&row.answer).into_iter().unzip();
+            let (own, modes): (Vec<Way>, Vec<Mode>) =
+                modes(&row.answer, heading_sd_rad.to_degrees()).into_iter().unzip();
             let Some(place) = places.get(transmitter(row)) else { continue };
-            team.link(middle, *place, &modes, unexplained(&row.answer))?;
+            team.link(middle, *place, &modes, LINK_OUTLIERS)?;
             ways.push(own);
         }
         let mut used = 0;
@@ -263,7 +263,7 @@ impl Graph {
             let off = |way: &&Way| wrap_deg(way.azimuth_deg - direction_deg).abs();
             let nearest = || ways.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
             let Some(way) = chosen.and_then(|k| ways.get(k)).or_else(nearest) else { continue };
-            let weight = if chosen.is_some() { way.width.powi(-2) } else { 0.0 };
+            let weight = if chosen.is_some() { 1.0 } else { 0.0 };
             receiver.weights.push(weight);
             receiver.azimuths_deg.push(way.azimuth_deg);
             elevations
@@ -282,11 +282,32 @@ fn transmitter(row: &Judged) -> &str {
     row.answer.link.rsplit('/').next().unwrap_or_default()
 }
 
-/// The probability that none of a link's bearings is right: candidates share what the answer's probability leaves.
-fn unexplained(answer: &Answer) -> f64 {
-    let confidence = answer.confidence.unwrap_or(UNKNOWN_PROBABILITY);
-    let share: f64 = bearings(answer).first().map_or(1.0, |first| first.1);
-    1.0 - (confidence / share).clamp(1.0 - MOST_SURE, MOST_SURE)
+/// Standard deviation of a link's bearings, degrees, less what the heading of the whole trajectory adds, which is a variable.
+fn deviation_deg(answer: &Answer, heading_sd_deg: f64) -> f64 {
+    let share = bearings(answer).first().map_or(1.0, |first| first.1);
+    let sure = (answer.confidence.unwrap_or(UNKNOWN_PROBABILITY) / share).clamp(0.01, MOST_SURE);
+    let all = stands_for_deg(sure).max(answer.azimuth_sd_deg.unwrap_or_default());
+    (all * all - heading_sd_deg * heading_sd_deg).max(0.0).sqrt().hypot(AZIMUTH_FLOOR_DEG)
+}
+
+/// Standard deviation of a normal error that is within five degrees with probability `sure`, degrees: the error function is inverted
+/// by bisection.
+fn stands_for_deg(sure: f64) -> f64 {
+    let (mut low, mut high) = (0.1, 6.0);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if within(middle) < sure { low = middle } else { high = middle }
+    }
+    WRONG_DEG / high
+}
+
+/// Probability that a normal error is within `x` deviations (Simpson's rule on the density).
+fn within(x: f64) -> f64 {
+    let n = 64;
+    let h = x / f64::from(n);
+    let density = |k: i32| (-0.5 * (h * f64::from(k)).powi(2)).exp();
+    let inner: f64 = (1..n).map(|k| density(k) * if k % 2 == 1 { 4.0 } else { 2.0 }).sum();
+    2.0 * h / 3.0 * (density(0) + inner + density(n)) / std::f64::consts::TAU.sqrt()
 }
 
 /// Every bearing that a link may be, degrees, with its share of all; that of the answer first. A mirror that is no candidate has its own
@@ -312,29 +333,23 @@ fn bearings(answer: &Answer) -> Vec<(f64, f64)> {
     all.into_iter().map(|(azimuth_deg, share)| (azimuth_deg, share / total)).collect()
 }
 
-/// The ways of a link and their modes: each bearing with a narrow and a wide density. The answer and its mirror may have a range.
-fn modes(answer: &Answer) -> Vec<(Way, Mode)> {
-    let sd_deg = answer.azimuth_bound_deg.unwrap_or_default().hypot(AZIMUTH_FLOOR_DEG);
+/// The ways of a link and their modes. The answer and its mirror may have a range.
+fn modes(answer: &Answer, heading_sd_deg: f64) -> Vec<(Way, Mode)> {
+    let sd_rad = deviation_deg(answer, heading_sd_deg).to_radians();
     let horizontal = horizontal(answer);
     let known = answer.range_m.zip(answer.range_sd_m).filter(|(range, sd)| *range > 0.0 && sd.is_finite());
     let range_m = known.map(|(range, sd)| [range * horizontal, (sd * horizontal).hypot(RANGE_FLOOR * range)]);
     let mut modes = Vec::new();
-    let [wide_share, wide] = WIDE;
     for (k, (azimuth_deg, share)) in bearings(answer).into_iter().enumerate() {
         let is_mirror = answer.mirror_deg.is_some_and(|mirror| wrap_deg(mirror - azimuth_deg).abs() < WRONG_DEG);
-        for (width, part) in [(1.0, 1.0 - wide_share), (wide, wide_share)] {
-            let mut add = |range_m: Option<[f64; 2]>, share: f64| {
-                let mode =
-                    Mode { range_m, ..Mode::azimuth(azimuth_deg.to_radians(), (width * sd_deg).to_radians(), share) };
-                modes.push((Way { azimuth_deg, is_answer: k == 0, width }, mode));
-            };
-            match range_m.filter(|_| k == 0 || is_mirror) {
-                Some(range_m) => {
-                    add(Some(range_m), share * part * (1.0 - RANGE_MISSED));
-                    add(None, share * part * RANGE_MISSED);
-                }
-                None => add(None, share * part),
+        let way = Way { azimuth_deg, is_answer: k == 0 };
+        let mode = |share: f64| Mode::azimuth(azimuth_deg.to_radians(), sd_rad, share);
+        match range_m.filter(|_| k == 0 || is_mirror) {
+            Some(_) => {
+                modes.push((way, Mode { range_m, ..mode(share * (1.0 - RANGE_MISSED)) }));
+                modes.push((way, mode(share * RANGE_MISSED)));
             }
+            None => modes.push((way, mode(share))),
         }
     }
     modes
@@ -500,5 +515,14 @@ mod tests {
         // Numbers that are none cost their link.
         rows[1].answer.azimuth_deg = Some(f64::NAN);
         assert!(receivers(&rows)[0].error.is_some());
+    }
+
+    #[test]
+    fn deviations_stand_for_their_probability() {
+        // 68.27 % within one deviation, 95.45 % within two.
+        assert!((stands_for_deg(0.682_689) - 5.0).abs() < 0.01 && (stands_for_deg(0.954_5) - 2.5).abs() < 0.01);
+        // What the heading adds is taken out, down to the floor.
+        let answer = seen(0, 0.0).answer;
+        assert!(deviation_deg(&answer, 0.0) > 2.0 && (deviation_deg(&answer, 5.0) - AZIMUTH_FLOOR_DEG).abs() < 1e-9);
     }
 }

@@ -59,7 +59,7 @@ pub fn table(found: &[Receiver], rows: &[Judged]) -> String {
         if receiver.without_probability > 0 {
             let _ = write!(
                 text,
-                "; {} without a calibrated probability taken as right with probability {UNKNOWN_PROBABILITY}",
+                "; {} without a calibrated probability weighed as within 5 degrees with {UNKNOWN_PROBABILITY}",
                 some(receiver.without_probability as u64, "link", "links")
             );
         }
