@@ -9,7 +9,7 @@
 //!
 //! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link
 //! ([`Judged`]), with several options from files read once ([`Capture::shelf`]), [`summarise`] their errors by set; [`quality`] says what a set of rows is worth beside its errors;
-//! [`transmitters`] locates those from several captures of one frame, [`reliability`], [`surest`] and [`above`] what their probabilities are.
+//! [`receivers`] locates receivers, [`transmitters`] locates those from several captures of one frame, [`reliability`], [`surest`] and [`above`] what their probabilities are.
 
 pub mod beside;
 mod errors;
@@ -18,6 +18,7 @@ mod judge;
 mod mounting;
 mod part;
 pub mod quality;
+pub mod receivers;
 pub mod roles;
 mod shelf;
 mod sure;
