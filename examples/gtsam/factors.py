@@ -12,6 +12,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C
 
+NEAREST_M = 0.3
+
 
 def factor(keys: list, sds: list, error) -> gtsam.CustomFactor:
     """A factor of residuals `error(poses and calibrations)`, with derivatives by differences."""
@@ -60,7 +62,8 @@ def link_factor(link: dict, null_share: float) -> gtsam.CustomFactor:
         azimuth, distance = math.atan2(seen[1], seen[0]) - a.theta(), float(np.linalg.norm(seen))
         residuals = []
         for cost, by_azimuth, by_range in options:
-            turned = wrap(azimuth - by_azimuth[0]) / by_azimuth[1] if by_azimuth else 0.0
+            # Nearer than NEAREST_M an azimuth is as sharp in metres as there.
+            turned = wrap(azimuth - by_azimuth[0]) / by_azimuth[1] * min(distance / NEAREST_M, 1.0) if by_azimuth else 0.0
             residuals.append(np.array([turned, (distance - by_range[0]) / by_range[1] if by_range else 0.0, math.sqrt(2 * (cost - least))]))
         return min(residuals, key=lambda own: own @ own)
 

@@ -8,6 +8,10 @@ use std::f64::consts::TAU;
 /// Ranges that an outlier may have, metres: uniform up to here (a building).
 pub(crate) const SPAN_M: f64 = 30.0;
 
+/// Nearer than this, metres, an azimuth is as sharp in metres as at this distance: it is measured over a motion, to an antenna
+/// that may be anywhere on its robot, and turns the faster the nearer the robots are.
+pub(crate) const NEAREST_M: f64 = 0.3;
+
 /// A robot of a [`Team`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct RobotId(pub(crate) usize);
@@ -407,7 +411,7 @@ impl Link {
                 cost += 0.5 * (off / (sd * temper)).powi(2) + (sd * TAU.sqrt() / uniform).ln();
             };
             if let Some([azimuth, sd]) = mode.azimuth_rad {
-                add(crate::wrap(azimuth_rad - azimuth), sd, TAU);
+                add(crate::wrap(azimuth_rad - azimuth) * (range_m / NEAREST_M).min(1.0), sd, TAU);
             }
             if let Some([range, sd]) = mode.range_m {
                 add(range_m - range, sd, SPAN_M);

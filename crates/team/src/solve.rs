@@ -1,7 +1,7 @@
 //! Levenberg and Marquardt's way to the poses, and what is known of them there.
 
 use crate::envelope::Envelope;
-use crate::graph::{Change, KeyframeId, Link, Prior, RobotId, Step, Team, TeamError};
+use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError};
 use crate::start::{COSTLIER, starts};
 use crate::wrap;
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -32,11 +32,11 @@ const AS_LIKELY: f64 = 2.0;
 /// And one of its keyframes is further away than this, metres.
 const APART_M: f64 = 0.3;
 
+/// Descents that end so near to each other, in metres and in cost, are one.
+const NEAR: [f64; 2] = [0.05, 0.05];
+
 /// Deviation of the first pose where no prior holds the team, metres and radians: the frame is its own.
 const GAUGE_SD: f64 = 1e-4;
-
-/// A distance below which azimuths change no faster, metres.
-const NEAREST_M: f64 = 0.05;
 
 /// Values of all variables.
 #[derive(Clone, Debug, Default)]
@@ -70,7 +70,7 @@ impl State {
     }
 
     fn is_near(&self, other: &Self) -> bool {
-        let near = |(a, b): (&[f64; 3], &[f64; 3])| (a[0] - b[0]).abs().max((a[1] - b[1]).abs()) < 0.01;
+        let near = |(a, b): (&[f64; 3], &[f64; 3])| (a[0] - b[0]).abs().max((a[1] - b[1]).abs()) < NEAR[0];
         self.poses.iter().zip(&other.poses).all(near)
     }
 
@@ -192,7 +192,7 @@ fn gradient_of_range(state: &State, [from, to]: [usize; 2], factor: f64) -> ([En
     let (a, b) = (state.poses[from], state.poses[to]);
     let (x, y) = (b[0] - a[0], b[1] - a[1]);
     let range_m = x.hypot(y);
-    let (x, y) = (factor * x / range_m.max(NEAREST_M), factor * y / range_m.max(NEAREST_M));
+    let (x, y) = (factor * x / range_m.max(1e-9), factor * y / range_m.max(1e-9));
     ([(Pose(from, 0), -x), (Pose(from, 1), -y), (Pose(to, 0), x), (Pose(to, 1), y)], range_m)
 }
 
@@ -303,12 +303,17 @@ impl<'a> Problem<'a> {
             cost += own;
             let Some(mode) = chosen.map(|k| link.modes[k]) else { continue };
             if let Some([expected, sd]) = mode.azimuth_rad {
-                let (a, b, by) = (state.poses[link.from], state.poses[link.to], 1.0 / (sd * temper));
-                let square = range_m.max(NEAREST_M).powi(2) / by;
-                let (x, y) = ((a[1] - b[1]) / square, (b[0] - a[0]) / square);
+                let (a, b) = (state.poses[link.from], state.poses[link.to]);
+                let (x, y) = ((b[0] - a[0]) / range_m.max(1e-9), (b[1] - a[1]) / range_m.max(1e-9));
+                let (off, near) = (wrap(azimuth - expected), (range_m / NEAREST_M).min(1.0));
+                let by = near / (sd * temper);
+                // Across the line of sight the azimuth turns; along it, an azimuth of a near robot gains weight.
+                let (across, along) =
+                    (by / range_m.max(1e-9), if near < 1.0 { off / (sd * temper * NEAREST_M) } else { 0.0 });
+                let (x, y) = (along * x - across * y, along * y + across * x);
                 let ends =
                     [(Pose(link.from, 0), -x), (Pose(link.from, 1), -y), (Pose(link.to, 0), x), (Pose(link.to, 1), y)];
-                rows(wrap(azimuth - expected) * by, &[&ends[..], &[(Pose(link.from, 2), -by)]].concat());
+                rows(off * by, &[&ends[..], &[(Pose(link.from, 2), -by)]].concat());
             }
             if let Some([expected, sd]) = mode.range_m {
                 let by = 1.0 / (sd * temper);
@@ -354,29 +359,33 @@ impl<'a> Problem<'a> {
     /// Levenberg and Marquardt \[levenberg1944\] \[marquardt1963\] from a state to the nearest minimum, and the cost there.
     fn descend(&self, mut state: State, temper: f64) -> (State, f64) {
         let (mut cost, mut damping) = (self.cost(&state, temper), 1e-4);
+        let least = if temper > 1.0 { 1e-2 } else { 1e-8 };
         for _ in 0..STEPS {
             let (matrix, side) = self.normal(&state, temper);
             let gain = loop {
                 let mut damped = matrix.clone();
                 damped.damp(damping);
-                let tried = damped.factor().ok().map(|factor| {
+                let by = damped.factor().ok().map(|factor| {
                     let mut by = side.clone();
                     factor.solve(&mut by);
-                    let next = self.moved(&state, &by);
-                    let next_cost = self.cost(&next, temper);
-                    (next, next_cost)
+                    by
                 });
-                match tried {
-                    Some((next, next_cost)) if next_cost < cost => {
+                // What the step gains where the problem is linear.
+                let hoped = |by: &Vec<f64>| 0.5 * by.iter().zip(&side).map(|(by, side)| by * side).sum::<f64>();
+                if by.as_ref().is_some_and(|by| hoped(by) < least) || damping > 1e8 {
+                    break 0.0;
+                }
+                if let Some(next) = by.map(|by| self.moved(&state, &by)) {
+                    let next_cost = self.cost(&next, temper);
+                    if next_cost < cost {
                         let gain = cost - next_cost;
                         (state, cost, damping) = (next, next_cost, (0.1 * damping).max(1e-9));
                         break gain;
                     }
-                    _ if damping > 1e8 => break 0.0,
-                    _ => damping *= 10.0,
                 }
+                damping *= 10.0;
             };
-            if gain <= if temper > 1.0 { 1e-2 } else { 1e-8 } {
+            if gain <= least {
                 break;
             }
         }
@@ -569,7 +578,7 @@ impl Team {
             solved = solved.into_iter().map(|(state, _)| problem.descend(state, *temper)).collect();
             solved.sort_by(|a, b| a.1.total_cmp(&b.1));
             // Starts that fell into one minimum go on as one.
-            solved.dedup_by(|a, b| (a.1 - b.1).abs() < 1e-3 && a.0.is_near(&b.0));
+            solved.dedup_by(|a, b| (a.1 - b.1).abs() < NEAR[1] && a.0.is_near(&b.0));
         }
         let most = solved.first().map_or(0.0, |best| best.1) + COSTLIER;
         solved.retain(|own| own.1 <= most);

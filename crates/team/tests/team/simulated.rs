@@ -17,18 +17,23 @@ pub struct Hall {
     pub mirrored: f64,
     /// The last robot's bearings are anything.
     pub has_liar: bool,
+    /// Robots whose first poses are known, by [`START_SD`]. Without one the frame is that of the first robot's odometry.
+    pub anchors: usize,
     /// Share of looks that come with a range: deviation 0.1 m, one in ten up to 10 m too long.
     pub ranged: f64,
 }
 
 impl Hall {
     pub fn of(robots: usize) -> Self {
-        Self { robots, epochs: 30, wrong: 0.15, mirrored: 0.3, has_liar: false, ranged: 0.0 }
+        Self { robots, epochs: 30, wrong: 0.15, mirrored: 0.3, has_liar: false, anchors: 0, ranged: 0.0 }
     }
 }
 
 /// Deviation of the bearings, radians.
 pub const AZIMUTH_SD_RAD: f64 = 0.05;
+
+/// Deviation of the first poses that are known, metres and radians.
+const START_SD: [f64; 3] = [0.05, 0.05, 0.05];
 
 /// Peers that a robot sees in each second, at most.
 const PEERS: usize = 4;
@@ -36,6 +41,8 @@ const PEERS: usize = 4;
 /// A team and where its keyframes truly are.
 pub struct Simulated {
     pub team: Team,
+    /// Where the frame of the team is: of the first robot, or the hall's.
+    pub origin: [f64; 3],
     /// By keyframe.
     pub truth: Vec<[f64; 3]>,
     /// By robot and epoch.
@@ -125,6 +132,10 @@ pub fn followed(hall: Hall, seed: u64, look: &mut dyn FnMut(&mut Team, usize)) -
             let driven_m = if epoch > 0 { driver.step(&mut random, side_m, &noise) } else { 0.0 };
             keyframes[k].push(team.keyframe(robots[k], epoch as f64, driver.odometry, driven_m).unwrap());
             truth.push(driver.pose);
+            if epoch == 0 && k < hall.anchors {
+                let known = [0, 1, 2].map(|part| driver.pose[part] + random.normal(START_SD[part]));
+                team.prior(keyframes[k][0], known, START_SD).unwrap();
+            }
         }
         for k in 0..hall.robots {
             for _ in 0..PEERS.min(hall.robots - 1) {
@@ -144,7 +155,8 @@ pub fn followed(hall: Hall, seed: u64, look: &mut dyn FnMut(&mut Team, usize)) -
         }
         look(&mut team, epoch);
     }
-    Simulated { team, truth, keyframes }
+    let origin = if hall.anchors > 0 { [0.0; 3] } else { truth[0] };
+    Simulated { team, origin, truth, keyframes }
 }
 
 fn bearing(random: &mut Random, hall: Hall, azimuth: f64, lies: bool) -> Vec<Mode> {
@@ -167,7 +179,7 @@ fn bearing(random: &mut Random, hall: Hall, azimuth: f64, lies: bool) -> Vec<Mod
     vec![right(0.85), Mode { share: 0.15, ..first }]
 }
 
-/// How many errors are within what the covariances say: of places (68 and 95 %), of yaws, and the largest error of a place, metres.
+/// How many errors are within 68 and 95 % of what the covariances say, of places and of yaws; and the sum of squared errors of places.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Held {
     pub poses: usize,
@@ -187,8 +199,7 @@ impl Held {
 }
 
 impl Simulated {
-    /// Adds the last pose of every robot but the first. The frame of the team is that of the first robot's odometry, so errors are of
-    /// poses as seen from its true first pose.
+    /// Adds the last pose of every robot but the first, as seen from the true origin of the team's frame.
     pub fn judge(&self, found: &csi5300_team::Solution, held: &mut Held) {
         let seen_from = |origin: [f64; 3], pose: [f64; 3]| {
             let ((sin, cos), x, y) = (origin[2].sin_cos(), pose[0] - origin[0], pose[1] - origin[1]);
@@ -196,7 +207,7 @@ impl Simulated {
         };
         for robot in self.keyframes.iter().skip(1) {
             let last = *robot.last().unwrap();
-            let truth = seen_from(self.truth[self.keyframes[0][0].index()], self.truth[last.index()]);
+            let truth = seen_from(self.origin, self.truth[last.index()]);
             let (pose, covariance) = (found.pose(last), found.covariance(last));
             let off = nalgebra::Vector2::new(pose[0] - truth[0], pose[1] - truth[1]);
             let inverse = covariance.fixed_view::<2, 2>(0, 0).try_inverse().unwrap();
