@@ -32,6 +32,10 @@ const AS_LIKELY: f64 = 2.0;
 /// And one of its keyframes is further away than this, metres.
 const APART_M: f64 = 0.3;
 
+/// Least gain of a step: while minima are compared, and at the best of them.
+const ROUGHLY: f64 = 1e-2;
+const EXACTLY: f64 = 1e-8;
+
 /// Descents that end so near to each other, in metres and in cost, are one.
 const NEAR: [f64; 2] = [0.05, 0.05];
 
@@ -356,10 +360,10 @@ impl<'a> Problem<'a> {
         moved
     }
 
-    /// Levenberg and Marquardt \[levenberg1944\] \[marquardt1963\] from a state to the nearest minimum, and the cost there.
-    fn descend(&self, mut state: State, temper: f64) -> (State, f64) {
+    /// Levenberg and Marquardt \[levenberg1944\] \[marquardt1963\] from a state to the nearest minimum, until a step gains less than
+    /// `least`; and the cost there.
+    fn descend(&self, mut state: State, temper: f64, least: f64) -> (State, f64) {
         let (mut cost, mut damping) = (self.cost(&state, temper), 1e-4);
-        let least = if temper > 1.0 { 1e-2 } else { 1e-8 };
         for _ in 0..STEPS {
             let (matrix, side) = self.normal(&state, temper);
             let gain = loop {
@@ -436,10 +440,10 @@ impl<'a> Problem<'a> {
             let mut state = begin.clone();
             for temper in tempers {
                 self.learn_shares(&state);
-                state = self.descend(state, *temper).0;
+                state = self.descend(state, *temper, ROUGHLY).0;
             }
             let outlier_shares = self.learn_shares(&state);
-            let (state, cost) = self.descend(state, 1.0);
+            let (state, cost) = self.descend(state, 1.0, ROUGHLY);
             if best.as_ref().is_none_or(|best| cost < best.cost) {
                 best = Some(Settled { state, cost, outlier_shares, null_shares: self.null_shares.clone() });
             }
@@ -464,9 +468,9 @@ impl Problem<'_> {
                 *pose = [pose[0] + m * by(0), pose[1] + m * by(1), wrap(pose[2] + rad * by(2))];
             }
             self.null_shares.clone_from(&best.null_shares);
-            let state = self.descend(state, 1.0).0;
+            let state = self.descend(state, 1.0, ROUGHLY).0;
             let outlier_shares = self.learn_shares(&state);
-            let (state, cost) = self.descend(state, 1.0);
+            let (state, cost) = self.descend(state, 1.0, ROUGHLY);
             if cost < best.cost {
                 *best = Settled { state, cost, outlier_shares, null_shares: self.null_shares.clone() };
             }
@@ -542,8 +546,8 @@ impl Solution {
 }
 
 impl Team {
-    /// Solves for all poses, from several starts: every robot in turn is placed where its links to those before it cross, by each
-    /// of their candidates.
+    /// Solves for all poses, from several starts. Each robot in turn is placed where the candidates of its links to those before
+    /// it cross.
     ///
     /// # Errors
     /// [`TeamError`] if there is no keyframe, a robot has no link, or the measurements do not fix a robot.
@@ -575,7 +579,7 @@ impl Team {
         let begun = starts(&team, before.map(|own| &own.state))?;
         let mut solved: Vec<(State, f64)> = begun.into_iter().map(|state| (state, 0.0)).collect();
         for temper in tempers {
-            solved = solved.into_iter().map(|(state, _)| problem.descend(state, *temper)).collect();
+            solved = solved.into_iter().map(|(state, _)| problem.descend(state, *temper, ROUGHLY)).collect();
             solved.sort_by(|a, b| a.1.total_cmp(&b.1));
             // Starts that fell into one minimum go on as one.
             solved.dedup_by(|a, b| (a.1 - b.1).abs() < NEAR[1] && a.0.is_near(&b.0));
@@ -589,8 +593,9 @@ impl Team {
             problem.kick(best);
         }
         let mut rest = settled.into_iter();
-        let Settled { state, cost, outlier_shares, null_shares } = rest.next().ok_or(TeamError::Empty)?;
+        let Settled { state, outlier_shares, null_shares, .. } = rest.next().ok_or(TeamError::Empty)?;
         problem.null_shares = null_shares;
+        let (state, cost) = problem.descend(state, 1.0, EXACTLY);
         let robot_of = |at: usize| match problem.layout.variables[at] {
             Variable::Pose(keyframe, _) => self.keyframes[keyframe].robot,
             Variable::Calibration(robot, _) => robot,
@@ -691,5 +696,46 @@ impl Problem<'_> {
         let variables: Vec<Variable> = stay.iter().map(|k| self.layout.variables[*k]).collect();
         let at = variables.iter().map(|variable| state.get(*variable)).collect();
         Carried { variables, at, rows, side }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Mode, OdometryNoise};
+
+    #[test]
+    fn derivatives_agree_with_differences_of_the_cost() {
+        // Two robots that pass at 0.1 m, and a point; each kind of measurement, none of them met exactly.
+        let mut team = Team::default();
+        let noise = OdometryNoise::default();
+        let robots = ["a", "b"].map(|name| team.robot(name, true, noise).unwrap());
+        let drive = |team: &mut Team, robot: RobotId, y: f64| {
+            [0.0, 1.0].map(|t_s| team.keyframe(robot, t_s, [t_s, y, 0.2 * t_s], 1.1).unwrap())
+        };
+        let (a, b) = (drive(&mut team, robots[0], 0.0), drive(&mut team, robots[1], 0.1));
+        let point = team.robot("c", false, noise).unwrap();
+        let point = team.keyframe(point, 0.0, [0.0; 3], 0.0).unwrap();
+        team.prior(a[0], [0.1, -0.1, 0.05], [0.3; 3]).unwrap();
+        team.link(a[0], b[0], &[Mode::azimuth(0.9, 0.1, 1.0)], 0.1).unwrap();
+        team.link(b[1], point, &[Mode { range_m: Some([3.1, 0.2]), ..Mode::azimuth(0.5, 0.1, 1.0) }], 0.1).unwrap();
+        team.range_change([a[0], point], [a[1], point], -0.6, 0.1).unwrap();
+        let problem = Problem::new(&team);
+        let poses = vec![[0.0, 0.0, 0.1], [1.05, 0.1, 0.2], [0.03, 0.1, 0.0], [1.1, 0.2, 0.1], [3.5, 2.0, 0.0]];
+        let state = State { poses, calibrations: vec![[0.02, 0.01], [-0.03, 0.02], [0.0; 2]] };
+        let (_, gradient) = problem.normal(&state, 1.0);
+        for (k, gradient) in gradient.iter().enumerate() {
+            let cost = |by: f64| {
+                let mut step = vec![0.0; problem.layout.variables.len()];
+                step[k] = -by;
+                problem.cost(&problem.moved(&state, &step), 1.0)
+            };
+            let difference = (cost(1e-6) - cost(-1e-6)) / 2e-6;
+            let variable = problem.layout.variables[k];
+            assert!(
+                (gradient - difference).abs() < 1e-5 * (1.0 + difference.abs()),
+                "{variable:?}: {gradient} {difference}"
+            );
+        }
     }
 }

@@ -14,12 +14,14 @@ pub const COSTLIER: f64 = 15.0;
 /// Places of one robot that each arrangement goes on with.
 const PLACES: usize = 4;
 
-/// Yaws tried for a frame of which nothing is known.
+/// Yaws tried for a frame without a known one.
 const YAWS: usize = 36;
 
-/// Links whose crossings are tried, and links that judge them.
+/// Links whose crossings are tried, links that judge each crossing, and links that judge the best of them, which are so many.
 const CROSSED: usize = 9;
+const FIRST_JUDGES: usize = 15;
 const JUDGES: usize = 45;
+const JUDGED: usize = 400;
 
 /// Deviations are so many times wider: a yaw may be half a step beside the right one.
 const TEMPER: f64 = 3.0;
@@ -172,8 +174,8 @@ fn links_of<'a>(team: &'a Team, arrangement: &Arrangement, robot: usize) -> Vec<
 fn places(team: &Team, arrangement: &Arrangement, robot: usize) -> Vec<(Frame, f64)> {
     let seen = links_of(team, arrangement, robot);
     let all: Vec<usize> = (0..seen.len()).collect();
-    let (crossed, judges) = (some(&all, CROSSED), some(&all, JUDGES));
-    let cost = |frame: Frame| -> f64 {
+    let (crossed, first, judges) = (some(&all, CROSSED), some(&all, FIRST_JUDGES), some(&all, JUDGES));
+    let cost = |frame: Frame, judges: &[usize]| -> f64 {
         let of = |k: &usize| {
             let Seen { link, own, other } = &seen[*k];
             let own_pose = composed(frame, team.keyframes[*own].odometry);
@@ -187,8 +189,11 @@ fn places(team: &Team, arrangement: &Arrangement, robot: usize) -> Vec<(Frame, f
     for yaw in yaws(team, &seen, robot) {
         let loci: Vec<Locus> = crossed.iter().flat_map(|k| loci(team, &seen[*k], *k, yaw)).collect();
         let frame = |at: Vector2<f64>| [at.x, at.y, yaw];
-        found.extend(crossings(&loci).into_iter().map(frame).map(|frame| (frame, cost(frame))));
+        found.extend(crossings(&loci).into_iter().map(frame).map(|frame| (frame, cost(frame, &first))));
     }
+    found.sort_by(|a, b| a.1.total_cmp(&b.1));
+    found.truncate(JUDGED);
+    found.iter_mut().for_each(|(frame, judged)| *judged = cost(*frame, &judges));
     found.sort_by(|a, b| a.1.total_cmp(&b.1));
     let mut apart: Vec<(Frame, f64)> = Vec::new();
     for (frame, cost) in found {
