@@ -136,7 +136,7 @@ pub mod exchange;
 pub mod maths;
 pub mod motion;
 pub mod pipeline;
-pub mod place;
+mod place;
 pub mod signal;
 pub mod source;
 pub mod time;

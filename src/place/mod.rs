@@ -1,4 +1,3 @@
-//! Places of receivers and transmitters from several bearings: at once, and carried from one motion to the next.
+//! Places of transmitters from several bearings, carried from one motion to the next.
 
-pub mod locate;
 pub(crate) mod track;

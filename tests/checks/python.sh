@@ -94,6 +94,9 @@ done
 "$python" "$examples/cluster.py" "$OLDPWD/tests/fixtures"
 if "$own/venv/bin/pip" install --quiet gtsam; then
     "$python" "$examples/../gtsam/team.py"
+    # The same graph solved by GTSAM: poses and covariances agree.
+    (cd "$OLDPWD" && cargo run --quiet --locked -p csi5300-team --example team -- 3 1 "$work/team.json")
+    "$python" "$examples/../gtsam/factors.py" team.json
 else
     without "a team's graph, for which GTSAM cannot be installed"
 fi

@@ -7,7 +7,7 @@ use csi5300::motion::rolling::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::beside::{Beside, Table};
-use csi5300_lab::evaluate::quality::receivers;
+use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find_all, summarise};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};

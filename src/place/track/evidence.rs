@@ -2,8 +2,7 @@
 
 use super::peer_track::TrackError;
 use crate::maths::wrap_rad;
-use crate::place::locate::RANGE_FLOOR;
-use crate::place::track::settings::RANGE_MISSED;
+use crate::place::track::settings::{RANGE_FLOOR, RANGE_MISSED};
 use nalgebra::{Rotation2, Vector2};
 use std::f64::consts::TAU;
 

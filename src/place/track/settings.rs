@@ -10,6 +10,9 @@ pub(crate) const ROOM_M: f64 = 4.0;
 /// A range is reported where its predicted deviation is below this share of it.
 pub(crate) const RANGE_SHARE: f64 = 0.35;
 
+/// Relative error that no range is better than (one range in six is off by more).
+pub(crate) const RANGE_FLOOR: f64 = 0.3;
+
 /// Share of ranges that are wrong whatever their deviation (ranges behind walls and by bent trajectories are wrong by
 /// metres).
 pub(crate) const RANGE_MISSED: f64 = 0.5;

@@ -1,6 +1,7 @@
 //! `csi5300 bearing`.
 
 mod captures;
+mod graph;
 mod located;
 mod one_log;
 mod pairs;
@@ -79,6 +80,8 @@ pub struct Args {
     place: Vec<(String, captures::Place)>,
     #[command(flatten)]
     together: transmitters::Together,
+    #[command(flatten)]
+    graph: graph::Graph,
     /// Write the profile of each link as CSV or NPZ
     #[arg(long, value_name = "OUT.npz|.csv", hide_short_help = true, help_heading = "Profiles")]
     profile: Option<PathBuf>,
@@ -200,6 +203,9 @@ pub fn run(mut args: Args) -> Result {
     }
     if !args.captures.is_empty() {
         return captures::run(&args);
+    }
+    if args.graph.is_wanted() {
+        usage("--ranges and --factors need a capture with transmitters at known places");
     }
     if args.logs.tx.is_empty() && args.logs.bag.bag.is_none() {
         usage("--tx is needed: the other robot's log. For a bearing from one log, add --antennas and --baseline");

@@ -6,7 +6,8 @@ use super::mounting::Mounting;
 use super::{Outcome, Result, fixed, print, print_json, usage};
 use csi5300::maths::median;
 use csi5300::signal::channel::Channel;
-use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, receivers, risk_coverage, sure};
+use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sure};
+use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, find, reliability, summarise};
 #[cfg(feature = "plot")]
 use csi5300_lab::show::set::{self, Others};
@@ -40,10 +41,10 @@ pub struct Args {
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
     /// Antenna (RF port) used on both robots: A, B or C
-    #[arg(long, default_value = "A", value_parser = antenna)]
+    #[arg(long, default_value = "A", value_parser = antenna, hide = true)]
     antenna: Antenna,
     /// Seconds from the receivers' host times to the trajectories'
-    #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true, hide = true)]
     clock_offset: f64,
     /// Standard deviation of the trajectories' heading [default: the sensor's]
     #[arg(long, value_name = "DEGREES")]

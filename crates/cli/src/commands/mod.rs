@@ -182,7 +182,7 @@ pub fn run() -> ExitCode {
 }
 
 /// Options and arguments that name outputs. All others that name files or folders are inputs.
-const OUTPUTS: [&str; 8] = ["out", "output", "profile", "plot", "html", "log", "poses", "report"];
+const OUTPUTS: [&str; 9] = ["out", "output", "profile", "plot", "html", "log", "poses", "report", "factors"];
 
 /// Notes what this run reads, and refuses outputs among it.
 fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> std::result::Result<(), String> {
@@ -298,7 +298,7 @@ mod tests {
                 written.push(format!("{command} {}", arg.get_id()));
             }
         }
-        let mut all = vec!["bearing profile", "simulate out", "export output", "demo out"];
+        let mut all = vec!["bearing profile", "bearing factors", "simulate out", "export output", "demo out"];
         if cfg!(feature = "plot") {
             all.extend(["bearing plot", "evaluate plot", "info plot"]);
         }
@@ -316,6 +316,7 @@ mod tests {
             "group",
             "key",
             "logs",
+            "ranges",
             "rx",
             "scene",
             "socket",

@@ -39,6 +39,12 @@ pub struct Judged {
     /// Height of the transmitter, metres, if given; no truth file contains it.
     #[serde(skip)]
     pub transmitter_z_m: Option<f64>,
+    /// Mean time of the pairs used, seconds on the trajectory's clock.
+    #[serde(skip)]
+    pub middle_t_s: Option<f64>,
+    /// Standard deviation of the heading of the whole trajectory, radians.
+    #[serde(skip)]
+    pub heading_sd_rad: Option<f64>,
     /// Horizontal distance between the reported position and the transmitter's at that time, metres.
     pub position_error_m: Option<f64>,
     /// The same in deviations of the reported ellipse: 68 % of true places are within 1.52, 95 % within 2.48.
@@ -162,7 +168,8 @@ impl Capture {
             let answer = Answer::new(self.link_name(name), link);
             let times_s = link.bearing.as_ref().map(|bearing| bearing.samples.t_s()).unwrap_or_default();
             let transmitter = TruePlace { still_m: truth.place(name), path: path.as_ref() };
-            judge(answer, &transmitter, (&trajectory, reference.as_ref()), times_s)
+            let judged = judge(answer, &transmitter, (&trajectory, reference.as_ref()), times_s);
+            Judged { heading_sd_rad: Some(heading_sd_rad), ..judged }
         };
         let names = self.transmitters.iter().map(|(name, _)| name.as_str());
         let mut rows: Vec<Judged> = names.zip(&paths).zip(&report.links).map(judged).collect();
@@ -319,6 +326,8 @@ fn judge(
         range_error_m: answer.range_m.zip(true_range_m).map(|(range, truth)| range * horizontal(&answer) - truth),
         true_transmitter_m: position.map(|p| [p.x, p.y]),
         transmitter_z_m: None,
+        middle_t_s: (!times_s.is_empty()).then(|| times_s.iter().sum::<f64>() / times_s.len() as f64),
+        heading_sd_rad: None,
         position_error_sd: off.zip(answer.position_covariance_m2).and_then(|(off, c)| {
             let inverse = Matrix2::new(c[0][0], c[0][1], c[1][0], c[1][1]).try_inverse()?;
             Some(off.dot(&(inverse * off)).max(0.0).sqrt())

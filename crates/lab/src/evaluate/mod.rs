@@ -9,7 +9,7 @@
 //!
 //! [`find`] lists captures, [`find_all`] also those without a truth. [`Capture::evaluate`] makes a row for each link
 //! ([`Judged`]), with several options from files read once ([`Capture::shelf`]). [`summarise`] gives the errors by set, and
-//! [`quality`] figures about ranges and error bars. [`transmitters`] locates transmitters from several captures in one frame.
+//! [`quality`] figures about ranges and error bars. [`receivers`] locates receivers, [`transmitters`] locates transmitters from several captures in one frame.
 //! [`reliability`], [`surest`] and [`above`] evaluate probabilities.
 
 pub mod beside;
@@ -19,6 +19,7 @@ mod judge;
 mod mounting;
 mod part;
 pub mod quality;
+pub mod receivers;
 pub mod roles;
 mod shelf;
 mod sure;

@@ -4,7 +4,8 @@ use super::{
     CdfPlot, Ellipse, Error, Format, MapPlot, Ray, RayClass, ReliabilityPlot, ReliabilityPoint, ScatterLines, file_safe,
 };
 use crate::evaluate::beside::Table;
-use crate::evaluate::quality::{Receiver, receivers, refusals, sure};
+use crate::evaluate::quality::{refusals, sure};
+use crate::evaluate::receivers::{Receiver, receivers};
 use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

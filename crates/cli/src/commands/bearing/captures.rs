@@ -5,8 +5,10 @@ use super::super::{Outcome, Result, fixed, hint, print, print_json, usage};
 use super::{Args, located, transmitters};
 use clap::ValueEnum;
 use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
-use csi5300_lab::evaluate::quality::{Receiver, horizontal, receivers};
+use csi5300_lab::evaluate::quality::horizontal;
+use csi5300_lab::evaluate::receivers::{Ranged, Receiver, receivers_with};
 use csi5300_lab::evaluate::{Capture, Judged};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -111,6 +113,8 @@ pub fn run(args: &Args) -> Result {
     if args.together.transmitters {
         return transmitters::run(&args.together, &reading, (captures, lost), &args.place, args.json);
     }
+    args.graph.check(&captures, args.force)?;
+    let ranges = args.graph.ranges(&captures, &reading)?;
     #[cfg(feature = "plot")]
     check_pictures(args, &captures, &names)?;
     let (mut rows, mut shown) = (Vec::new(), 0);
@@ -132,7 +136,7 @@ pub fn run(args: &Args) -> Result {
         }
         rows.extend(evaluated.rows);
     }
-    locate(args, &mut rows);
+    locate(args, &mut rows, &ranges)?;
     #[cfg(feature = "plot")]
     draw_maps(args, &rows)?;
     Ok(match (shown, lost) {
@@ -164,15 +168,17 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>) {
 }
 
 /// Where the receivers are of whose links several see known places, or one that was told.
-fn locate(args: &Args, rows: &mut [Judged]) {
+fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged>>) -> std::result::Result<(), String> {
     for row in rows.iter_mut() {
         let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
         row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
         row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
     }
-    let mut found: Vec<Receiver> = receivers(rows);
+    let graphs = receivers_with(rows, ranges);
+    args.graph.finish(ranges, &graphs)?;
+    let mut found: Vec<Receiver> = graphs.into_iter().map(|(receiver, _)| receiver).collect();
     if args.place.is_empty() {
-        found.retain(|receiver| receiver.position_m.is_some() && receiver.links > 1);
+        found.retain(|receiver| receiver.position_m.is_some() && receiver.links + receiver.ranges[0] > 1);
     }
     found.iter_mut().for_each(|receiver| located::say_unplaced(receiver, rows));
     if args.json {
@@ -180,6 +186,7 @@ fn locate(args: &Args, rows: &mut [Judged]) {
     } else if !found.is_empty() {
         print(&format!("located from links to known places:\n{}", located::table(&found, rows)));
     }
+    Ok(())
 }
 
 /// Refuses pictures that are there before the work, not after.

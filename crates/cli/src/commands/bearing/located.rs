@@ -3,7 +3,7 @@
 use super::super::{fixed, some};
 use csi5300::maths::median;
 use csi5300_lab::evaluate::Judged;
-use csi5300_lab::evaluate::quality::{Receiver, UNKNOWN_PROBABILITY};
+use csi5300_lab::evaluate::receivers::{Receiver, UNKNOWN_PROBABILITY};
 use std::fmt::Write;
 
 /// The links to a receiver.
@@ -51,6 +51,10 @@ pub fn table(found: &[Receiver], rows: &[Judged]) -> String {
         }
         if let Some(off) = receiver.off_m {
             let _ = write!(text, "; {off:.2} m from the truth");
+        }
+        let [used, outliers] = receiver.ranges;
+        if used > 0 {
+            let _ = write!(text, "; {}, {outliers} of them outliers", some(used as u64, "range", "ranges"));
         }
         if receiver.without_probability > 0 {
             let _ = write!(

@@ -1,0 +1,139 @@
+//! The graph by which receivers are located: ranges of another sensor that go into it, and the file that it is written to.
+
+use super::super::captures::Reading;
+use super::super::{some, usage};
+use csi5300_lab::evaluate::Capture;
+use csi5300_lab::evaluate::receivers::{Ranged, Receiver};
+use csi5300_team::ranges::{Range, read};
+use csi5300_team::{Solution, Team, factors};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+// What goes into the graph of a receiver, and where it goes.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Graph of the located receiver")]
+pub struct Graph {
+    /// Ranges between the receiver and transmitters from another sensor (UWB, FTM), as CSV or JSON: time_s, from, to,
+    /// range_m, sd_m. Robots are rx, tx2 and so on, or end a capture's or a link's name
+    #[arg(long, value_name = "FILE", requires = "captures", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
+    ranges: Option<PathBuf>,
+    /// Write the graph by which the receiver of one capture was located: JSON for GTSAM, or g2o's text
+    #[arg(long, value_name = "OUT.json|.g2o", requires = "captures", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
+    factors: Option<PathBuf>,
+}
+
+/// A receiver, and the graph by which it was located.
+pub type Found = (Receiver, Option<(Team, Solution)>);
+
+impl Graph {
+    pub fn is_wanted(&self) -> bool {
+        self.ranges.is_some() || self.factors.is_some()
+    }
+
+    fn is_g2o(path: &Path) -> Option<bool> {
+        let ending = path.extension()?.to_str()?;
+        [("g2o", true), ("json", false)].into_iter().find(|(own, _)| *own == ending).map(|(_, is_g2o)| is_g2o)
+    }
+
+    /// Refuses before the work what could not be written after it.
+    pub fn check(&self, captures: &[Capture], force: bool) -> Result<(), String> {
+        let Some(path) = &self.factors else { return Ok(()) };
+        if captures.len() != 1 {
+            usage(&format!("--factors takes one capture, not {}", captures.len()));
+        }
+        if Self::is_g2o(path).is_none() {
+            usage(&format!("{}: factors are written as .json or .g2o", path.display()));
+        }
+        super::super::draft::Draft::create(path, force).map(drop)
+    }
+
+    /// The ranges of each capture, by its name.
+    pub fn ranges(&self, captures: &[Capture], reading: &Reading) -> Result<BTreeMap<String, Vec<Ranged>>, String> {
+        let mut found: BTreeMap<String, Vec<Ranged>> = BTreeMap::new();
+        let Some(path) = &self.ranges else { return Ok(found) };
+        let words = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+        let text = std::fs::read_to_string(path).map_err(|error| words(&error))?;
+        let ranges = read(&text).map_err(|error| words(&error))?;
+        let mut taken = vec![false; ranges.len()];
+        for capture in captures {
+            let trajectory = capture.path(reading.source()).map_err(|error| words(&error))?;
+            for (range, taken) in ranges.iter().zip(&mut taken) {
+                let Some(transmitter) = transmitter(capture, range) else { continue };
+                let Some(pose) = trajectory.at(range.time_s) else { continue };
+                let own = found.entry(capture.link_name("")).or_default();
+                own.push(Ranged {
+                    transmitter: transmitter.to_owned(),
+                    t_s: range.time_s,
+                    from_m: [pose.position_m.x, pose.position_m.y],
+                    range_m: [range.range_m, range.sd_m],
+                });
+                *taken = true;
+            }
+        }
+        match ranges.iter().zip(taken).find(|(_, taken)| !taken) {
+            Some((Range { from, to, time_s, .. }, _)) => Err(words(&format!(
+                "no capture has {from} and {to} at {time_s} s: robots are rx and {}, times those of the trajectory",
+                captures.first().and_then(|capture| capture.transmitters.first()).map_or("tx", |(name, _)| name)
+            ))),
+            None => Ok(found),
+        }
+    }
+
+    /// Reports ranges that were not used, and writes the graph.
+    pub fn finish(&self, given: &BTreeMap<String, Vec<Ranged>>, found: &[Found]) -> Result<(), String> {
+        for (receiver, _) in found {
+            let given = given.get(&receiver.capture).map_or(0, Vec::len);
+            if receiver.ranges[0] < given {
+                let left = some((given - receiver.ranges[0]) as u64, "range is", "ranges are");
+                note!("{}: {left} to transmitters whose places are not known (--place)", receiver.capture);
+            }
+        }
+        let Some(path) = &self.factors else { return Ok(()) };
+        let Some((_, Some((team, solution)))) = found.first() else {
+            return Err(format!("{}: not written, as no receiver was located", path.display()));
+        };
+        let is_g2o = Self::is_g2o(path).unwrap_or_default();
+        super::super::draft::write(
+            path,
+            if is_g2o { factors::g2o(team, solution) } else { factors::json(team, solution) },
+        )
+    }
+}
+
+/// The transmitter of a range between it and the receiver of a capture, in either order.
+fn transmitter<'a>(capture: &'a Capture, range: &Range) -> Option<&'a str> {
+    let ends = |own: &str, name: &str| own == name || own.strip_suffix(name).is_some_and(|rest| rest.ends_with('/'));
+    let is_receiver = |name: &str| name == "rx" || ends(&capture.link_name(""), name);
+    let other = [(&range.from, &range.to), (&range.to, &range.from)];
+    let other = other.into_iter().find(|(receiver, _)| is_receiver(receiver)).map(|(_, other)| other)?;
+    let names = capture.transmitters.iter().map(|(name, _)| name.as_str());
+    names.into_iter().find(|name| ends(&capture.link_name(name), other))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn robots_are_named_alone_or_by_their_capture() {
+        let capture = Capture {
+            place: "a/b".into(),
+            stamp: "t".into(),
+            folder: PathBuf::new(),
+            loose: None,
+            transmitters: vec![("tx2".into(), PathBuf::new()), ("tx12".into(), PathBuf::new())],
+            antenna_offset_m: None,
+            camera: None,
+        };
+        let of = |from: &str, to: &str| {
+            let range = Range { time_s: 0.0, from: from.into(), to: to.into(), range_m: 1.0, sd_m: 0.1 };
+            transmitter(&capture, &range).map(str::to_owned)
+        };
+        for (from, to) in [("rx", "tx2"), ("tx2", "rx"), ("b/t", "a/b/t/tx2"), ("t/tx2", "a/b/t")] {
+            assert_eq!(of(from, to).as_deref(), Some("tx2"), "{from} {to}");
+        }
+        for (from, to) in [("tx2", "tx12"), ("rx", "x2"), ("c/t", "tx2"), ("rx", "rx")] {
+            assert_eq!(of(from, to), None, "{from} {to}");
+        }
+    }
+}

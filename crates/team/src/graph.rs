@@ -1,0 +1,425 @@
+//! The graph: robots, keyframes, and what was measured between them.
+
+use crate::solve::Carried;
+use nalgebra::{Rotation2, Vector2};
+use serde::Serialize;
+use std::f64::consts::TAU;
+
+/// Ranges that an outlier may have, metres: uniform up to here (a building).
+pub(crate) const SPAN_M: f64 = 30.0;
+
+/// Nearer than this, metres, an azimuth is as sharp in metres as at this distance: it is measured over a motion, to an antenna
+/// that may be anywhere on its robot, and turns the faster the nearer the robots are.
+pub(crate) const NEAREST_M: f64 = 0.3;
+
+/// A robot of a [`Team`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct RobotId(pub(crate) usize);
+
+/// A pose of a robot that is solved for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct KeyframeId(pub(crate) usize);
+
+impl KeyframeId {
+    /// Index into the lists of a [`crate::Solution`].
+    #[must_use]
+    pub fn index(self) -> usize {
+        self.0
+    }
+}
+
+/// Why a measurement is refused, or a team cannot be solved.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TeamError {
+    /// A number that is none.
+    #[error("{what} is {value}: a finite number is needed")]
+    NotFinite {
+        /// Which.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// A deviation, range or share that is too small.
+    #[error("{what} is {value}: a number above 0 is needed")]
+    NotPositive {
+        /// Which.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// Shares that are none.
+    #[error("{what} is {value}: a share from 0 to 1 is needed")]
+    NotAShare {
+        /// Which.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// Two robots of one name.
+    #[error("there are two robots called {name}")]
+    Twice {
+        /// The name.
+        name: String,
+    },
+    /// A name or number that this team has not.
+    #[error("the team has no {what} {which}")]
+    Unknown {
+        /// What kind of thing.
+        what: &'static str,
+        /// Its name or number.
+        which: String,
+    },
+    /// Keyframes must come in the order of their times.
+    #[error("{robot}: a keyframe at {t_s} s does not come after the one at {last_s} s")]
+    NotLater {
+        /// The robot.
+        robot: String,
+        /// The time refused.
+        t_s: f64,
+        /// The last one.
+        last_s: f64,
+    },
+    /// A transmitter without odometry stands still.
+    #[error("{robot} has no heading and so no odometry: it has one keyframe")]
+    OnePlace {
+        /// The robot.
+        robot: String,
+    },
+    /// A measurement from a robot to itself, or a bearing by one that has no heading.
+    #[error("{robot} cannot measure this: a link needs two robots, and a bearing the heading of the first")]
+    NoLink {
+        /// The robot.
+        robot: String,
+    },
+    /// A link without a candidate.
+    #[error("a link from {from} to {to} has no candidate: give an azimuth, a range or both")]
+    NoMode {
+        /// Who measured.
+        from: String,
+        /// What was seen.
+        to: String,
+    },
+    /// No robot.
+    #[error("the team has no keyframe")]
+    Empty,
+    /// A robot that no measurement ties to the others.
+    #[error("no link ties {robot} to the rest of the team, and it has no prior")]
+    Unlinked {
+        /// The robot.
+        robot: String,
+    },
+    /// A robot that can move without any measurement changing.
+    #[error("the measurements do not fix {robot}: a range, a prior or a longer drive is needed")]
+    Undetermined {
+        /// The robot.
+        robot: String,
+    },
+}
+
+/// What odometry may get wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct OdometryNoise {
+    /// Deviation of the heading after one metre, radians; it grows with the root of the way.
+    pub turn_rad_per_rt_m: f64,
+    /// Deviation of a step's end as a share of its length.
+    pub slip: f64,
+    /// Deviation of the constant turn per metre, radians: one variable for each robot.
+    pub bias_sd_rad_per_m: f64,
+    /// Deviation of the constant relative error of lengths: one variable for each robot.
+    pub scale_sd: f64,
+}
+
+impl Default for OdometryNoise {
+    /// Wheels: 1 degree after a metre, 1 % slip, 1 degree per metre of bias, 2 % of scale.
+    fn default() -> Self {
+        let degree = 1f64.to_radians();
+        Self { turn_rad_per_rt_m: degree, slip: 0.01, bias_sd_rad_per_m: degree, scale_sd: 0.02 }
+    }
+}
+
+/// One way in which a link may be explained: an azimuth, a range or both.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Mode {
+    /// Azimuth less the yaw of the keyframe that it was measured from, and its deviation, radians.
+    pub azimuth_rad: Option<[f64; 2]>,
+    /// Range and its deviation, metres.
+    pub range_m: Option<[f64; 2]>,
+    /// Its share of what is no outlier, in any common unit.
+    pub share: f64,
+}
+
+impl Mode {
+    /// An azimuth and its deviation, radians, with a share.
+    #[must_use]
+    pub fn azimuth(azimuth_rad: f64, sd_rad: f64, share: f64) -> Self {
+        Self { azimuth_rad: Some([azimuth_rad, sd_rad]), range_m: None, share }
+    }
+
+    /// A range and its deviation, metres, with a share.
+    #[must_use]
+    pub fn range(range_m: f64, sd_m: f64, share: f64) -> Self {
+        Self { azimuth_rad: None, range_m: Some([range_m, sd_m]), share }
+    }
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Robot {
+    pub name: String,
+    /// Without one it is a point: a transmitter that stands still.
+    pub has_heading: bool,
+    pub noise: OdometryNoise,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Keyframe {
+    pub robot: usize,
+    pub t_s: f64,
+    /// Where the robot's odometry has it: x, y, yaw.
+    pub odometry: [f64; 3],
+    /// Summed into [`Carried`] and no variable any more.
+    #[serde(skip)]
+    pub is_past: bool,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Prior {
+    pub keyframe: usize,
+    pub pose: [f64; 3],
+    /// Deviations; none where the prior is silent.
+    pub sd: [Option<f64>; 3],
+}
+
+/// A step of one robot.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Step {
+    pub from: usize,
+    pub to: usize,
+    /// Motion in the frame of the first keyframe: metres forward, left, and turn in radians.
+    pub motion: [f64; 3],
+    pub driven_m: f64,
+    /// Deviations of the end, metres, and of the turn, radians.
+    pub sd: [f64; 2],
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Link {
+    pub from: usize,
+    pub to: usize,
+    pub modes: Vec<Mode>,
+    pub null_share: f64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Change {
+    /// The two keyframes at the first time.
+    pub first: [usize; 2],
+    /// And at the second.
+    pub second: [usize; 2],
+    pub change_m: f64,
+    pub sd_m: f64,
+}
+
+/// Robots, their keyframes, and what was measured between them.
+///
+/// Call order: robots, then for each its keyframes in the order of time, then measurements between keyframes, then
+/// [`Team::solve`]. More may be added after a solution; [`Team::solve_from`] goes on from it.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Team {
+    pub(crate) robots: Vec<Robot>,
+    pub(crate) keyframes: Vec<Keyframe>,
+    pub(crate) priors: Vec<Prior>,
+    pub(crate) steps: Vec<Step>,
+    pub(crate) links: Vec<Link>,
+    pub(crate) changes: Vec<Change>,
+    #[serde(skip)]
+    pub(crate) carried: Option<Carried>,
+}
+
+type Checked<T = ()> = Result<T, TeamError>;
+
+fn finite(what: &'static str, value: f64) -> Checked {
+    if value.is_finite() { Ok(()) } else { Err(TeamError::NotFinite { what, value }) }
+}
+
+fn positive(what: &'static str, value: f64) -> Checked {
+    finite(what, value)?;
+    if value > 0.0 { Ok(()) } else { Err(TeamError::NotPositive { what, value }) }
+}
+
+impl Team {
+    /// Adds a robot. One without a heading is a transmitter that stands still: it is seen, and sees nothing itself.
+    ///
+    /// # Errors
+    /// If the name is taken, or a deviation is not a number above 0.
+    pub fn robot(&mut self, name: &str, has_heading: bool, noise: OdometryNoise) -> Checked<RobotId> {
+        positive("the deviation of a turn", noise.turn_rad_per_rt_m)?;
+        positive("slip", noise.slip)?;
+        positive("the deviation of the heading's bias", noise.bias_sd_rad_per_m)?;
+        positive("the deviation of the scale", noise.scale_sd)?;
+        if self.robots.iter().any(|own| own.name == name) {
+            return Err(TeamError::Twice { name: name.into() });
+        }
+        self.robots.push(Robot { name: name.into(), has_heading, noise });
+        Ok(RobotId(self.robots.len() - 1))
+    }
+
+    /// The robot of this name.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn named(&self, name: &str) -> Checked<RobotId> {
+        let found = self.robots.iter().position(|own| own.name == name);
+        found.map(RobotId).ok_or_else(|| TeamError::Unknown { what: "robot", which: name.into() })
+    }
+
+    /// Adds a keyframe: the time, where the robot's odometry has it (x, y, yaw), and the way driven since the keyframe before,
+    /// metres, which is at least the straight line.
+    ///
+    /// # Errors
+    /// If a number is not finite, the time does not come after the last one's, or a robot without heading has a keyframe.
+    pub fn keyframe(&mut self, robot: RobotId, t_s: f64, odometry: [f64; 3], driven_m: f64) -> Checked<KeyframeId> {
+        let own = self.robots.get(robot.0);
+        let own = own.ok_or_else(|| TeamError::Unknown { what: "robot", which: robot.0.to_string() })?;
+        finite("the time of a keyframe", t_s)?;
+        odometry.into_iter().try_for_each(|value| finite("odometry", value))?;
+        finite("the way driven", driven_m)?;
+        let id = self.keyframes.len();
+        if let Some(last) = self.keyframes.iter().rposition(|keyframe| keyframe.robot == robot.0) {
+            let before = self.keyframes[last];
+            if !own.has_heading {
+                return Err(TeamError::OnePlace { robot: own.name.clone() });
+            }
+            if t_s <= before.t_s {
+                return Err(TeamError::NotLater { robot: own.name.clone(), t_s, last_s: before.t_s });
+            }
+            self.steps.push(step(last, id, before.odometry, odometry, driven_m, &own.noise));
+        }
+        self.keyframes.push(Keyframe { robot: robot.0, t_s, odometry, is_past: false });
+        Ok(KeyframeId(id))
+    }
+
+    /// What is known of a keyframe: x, y, yaw, and the deviation of each; an infinite one leaves that component free.
+    ///
+    /// # Errors
+    /// If a number is not finite or a deviation is not above 0.
+    pub fn prior(&mut self, keyframe: KeyframeId, pose: [f64; 3], sd: [f64; 3]) -> Checked {
+        self.check(keyframe)?;
+        let known = |k: usize| -> Checked<Option<f64>> {
+            if sd[k] == f64::INFINITY {
+                return Ok(None);
+            }
+            finite("a prior", pose[k])?;
+            positive("the deviation of a prior", sd[k])?;
+            Ok(Some(sd[k]))
+        };
+        let sd = [known(0)?, known(1)?, known(2)?];
+        self.priors.push(Prior { keyframe: keyframe.0, pose, sd });
+        Ok(())
+    }
+
+    /// A link: the candidates by which `from` sees `to`, and the share of such links that are outliers. Returns its index in
+    /// [`crate::Solution::chosen`].
+    ///
+    /// # Errors
+    /// If a number is not finite, a deviation or range not above 0, a share not from 0 to 1, or the link has no candidate.
+    pub fn link(&mut self, from: KeyframeId, to: KeyframeId, modes: &[Mode], null_share: f64) -> Checked<usize> {
+        let (seeing, seen) = (self.check(from)?, self.check(to)?);
+        let own = &self.robots[seeing];
+        let is_bearing = modes.iter().any(|mode| mode.azimuth_rad.is_some());
+        if seeing == seen || (is_bearing && !own.has_heading) {
+            return Err(TeamError::NoLink { robot: own.name.clone() });
+        }
+        for mode in modes {
+            if let Some([azimuth_rad, sd_rad]) = mode.azimuth_rad {
+                finite("an azimuth", azimuth_rad)?;
+                positive("the deviation of an azimuth", sd_rad)?;
+            }
+            if let Some([range_m, sd_m]) = mode.range_m {
+                positive("a range", range_m)?;
+                positive("the deviation of a range", sd_m)?;
+            }
+            positive("the share of a candidate", mode.share)?;
+        }
+        let is_empty = |mode: &Mode| mode.azimuth_rad.is_none() && mode.range_m.is_none();
+        if modes.is_empty() || modes.iter().any(is_empty) {
+            let (from, to) = (own.name.clone(), self.robots[seen].name.clone());
+            return Err(TeamError::NoMode { from, to });
+        }
+        if !(null_share > 0.0 && null_share < 1.0) {
+            return Err(TeamError::NotAShare { what: "the share of outliers", value: null_share });
+        }
+        self.links.push(Link { from: from.0, to: to.0, modes: modes.to_vec(), null_share });
+        Ok(self.links.len() - 1)
+    }
+
+    /// The distance between the keyframes `second` less that between the keyframes `first`, and its deviation, metres.
+    ///
+    /// # Errors
+    /// If a number is not finite, or the deviation is not above 0.
+    pub fn range_change(
+        &mut self,
+        first: [KeyframeId; 2],
+        second: [KeyframeId; 2],
+        change_m: f64,
+        sd_m: f64,
+    ) -> Checked {
+        for [a, b] in [first, second] {
+            let (one, other) = (self.check(a)?, self.check(b)?);
+            if one == other {
+                return Err(TeamError::NoLink { robot: self.robots[one].name.clone() });
+            }
+        }
+        finite("a range change", change_m)?;
+        positive("the deviation of a range change", sd_m)?;
+        let (first, second) = (first.map(|id| id.0), second.map(|id| id.0));
+        self.changes.push(Change { first, second, change_m, sd_m });
+        Ok(())
+    }
+
+    /// The robot of a keyframe that is still a variable.
+    fn check(&self, id: KeyframeId) -> Checked<usize> {
+        let own = self.keyframes.get(id.0).filter(|own| !own.is_past);
+        own.map(|own| own.robot).ok_or_else(|| TeamError::Unknown { what: "keyframe", which: id.0.to_string() })
+    }
+
+    /// True for a robot whose odometry has steps, and so a bias and a scale.
+    pub(crate) fn is_moving(&self, robot: usize) -> bool {
+        self.steps.iter().any(|step| self.keyframes[step.to].robot == robot)
+            || self.carried.as_ref().is_some_and(|carried| carried.has_calibration(robot))
+    }
+}
+
+/// The motion between two poses of one odometry.
+fn step(from: usize, to: usize, a: [f64; 3], b: [f64; 3], driven_m: f64, noise: &OdometryNoise) -> Step {
+    let moved = Rotation2::new(-a[2]) * Vector2::new(b[0] - a[0], b[1] - a[1]);
+    let driven_m = driven_m.max(moved.norm());
+    // A millimetre and a hundredth of a degree: a robot that stands has a step of nothing, not of no deviation.
+    let sd = [(noise.slip * driven_m).hypot(1e-3), (noise.turn_rad_per_rt_m * driven_m.sqrt()).hypot(2e-4)];
+    Step { from, to, motion: [moved.x, moved.y, crate::wrap(b[2] - a[2])], driven_m, sd }
+}
+
+impl Link {
+    /// The likeliest candidate of a link whose target is seen at this azimuth and range, none for the outlier; and its cost: the
+    /// negative logarithm of its density over that of the outlier. `temper` widens all deviations.
+    pub fn best(&self, azimuth_rad: f64, range_m: f64, null_share: f64, temper: f64) -> (Option<usize>, f64) {
+        let total: f64 = self.modes.iter().map(|mode| mode.share).sum();
+        let mut best = (None, -null_share.ln());
+        for (k, mode) in self.modes.iter().enumerate() {
+            let mut cost = -((1.0 - null_share) * mode.share / total).ln();
+            let mut add = |off: f64, sd: f64, uniform: f64| {
+                cost += 0.5 * (off / (sd * temper)).powi(2) + (sd * TAU.sqrt() / uniform).ln();
+            };
+            if let Some([azimuth, sd]) = mode.azimuth_rad {
+                add(crate::wrap(azimuth_rad - azimuth) * (range_m / NEAREST_M).min(1.0), sd, TAU);
+            }
+            if let Some([range, sd]) = mode.range_m {
+                add(range_m - range, sd, SPAN_M);
+            }
+            if cost < best.1 {
+                best = (Some(k), cost);
+            }
+        }
+        best
+    }
+}

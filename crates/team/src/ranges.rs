@@ -1,0 +1,149 @@
+//! Ranges that another sensor measured: UWB, FTM, a `sensor_msgs/Range`-like topic.
+//!
+//! CSV with the heading `time_s,from,to,range_m,sd_m` in any order, or JSON: objects with these fields, one a line or in an array.
+
+use serde::Deserialize;
+
+/// A range between two robots.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct Range {
+    /// When, seconds on the clock of the trajectories.
+    pub time_s: f64,
+    /// Who measured.
+    pub from: String,
+    /// What was measured.
+    pub to: String,
+    /// The distance, metres.
+    pub range_m: f64,
+    /// Its standard deviation, metres.
+    pub sd_m: f64,
+}
+
+/// Why ranges cannot be read.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RangesError {
+    /// A row that is none.
+    #[error("row {row}: {why}")]
+    Row {
+        /// Its number from 1, of the line for CSV and JSON Lines.
+        row: usize,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// CSV without a column.
+    #[error("no column {column}: the heading is time_s,from,to,range_m,sd_m, or the file is JSON with these fields")]
+    Column {
+        /// Which.
+        column: &'static str,
+    },
+}
+
+const COLUMNS: [&str; 5] = ["time_s", "from", "to", "range_m", "sd_m"];
+
+/// Reads ranges.
+///
+/// # Errors
+/// [`RangesError`] for the first row that has no numbers, or numbers that no range has.
+pub fn read(text: &str) -> Result<Vec<Range>, RangesError> {
+    let text = text.trim_start_matches('\u{feff}').trim();
+    let wrong = |row: usize, error: serde_json::Error| RangesError::Row { row, why: error.to_string() };
+    let rows: Vec<(usize, Range)> = if text.starts_with('[') {
+        let all: Vec<Range> = serde_json::from_str(text).map_err(|error| wrong(error.line(), error))?;
+        all.into_iter().enumerate().map(|(k, own)| (k + 1, own)).collect()
+    } else if text.starts_with('{') {
+        let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+        let row = |(k, line)| Ok((k + 1, serde_json::from_str(line).map_err(|error| wrong(k + 1, error))?));
+        lines.map(row).collect::<Result<_, _>>()?
+    } else {
+        csv(text)?
+    };
+    for (row, own) in &rows {
+        let refuse = |why: String| Err(RangesError::Row { row: *row, why });
+        if !own.time_s.is_finite() {
+            return refuse(format!("time_s is {}", own.time_s));
+        }
+        for (what, value) in [("range_m", own.range_m), ("sd_m", own.sd_m)] {
+            if !(value > 0.0 && value.is_finite()) {
+                return refuse(format!("{what} is {value}: a number of metres above 0 is needed"));
+            }
+        }
+        if own.from == own.to || own.from.is_empty() || own.to.is_empty() {
+            return refuse(format!("a range needs two robots, not \"{}\" and \"{}\"", own.from, own.to));
+        }
+    }
+    Ok(rows.into_iter().map(|(_, own)| own).collect())
+}
+
+fn csv(text: &str) -> Result<Vec<(usize, Range)>, RangesError> {
+    let cells = |line: &str| line.split(',').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
+    let heading = cells(text.lines().next().unwrap_or_default());
+    let column =
+        |column: &'static str| heading.iter().position(|own| own == column).ok_or(RangesError::Column { column });
+    let mut at = [0; 5];
+    for (at, name) in at.iter_mut().zip(COLUMNS) {
+        *at = column(name)?;
+    }
+    let row = |(k, line): (usize, &str)| {
+        let (row, cells) = (k + 1, cells(line));
+        let cell = |column: usize| {
+            let found = at.get(column).and_then(|at| cells.get(*at));
+            found.ok_or_else(|| RangesError::Row {
+                row,
+                why: format!("{} cells, {} expected", cells.len(), heading.len()),
+            })
+        };
+        let number = |column: usize| {
+            let text = cell(column)?;
+            text.parse::<f64>().map_err(|_| RangesError::Row { row, why: format!("\"{text}\" is no number") })
+        };
+        let (from, to) = (cell(1)?.clone(), cell(2)?.clone());
+        Ok((row, Range { time_s: number(0)?, from, to, range_m: number(3)?, sd_m: number(4)? }))
+    };
+    text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()).map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CSV: &str = "from,to,time_s,sd_m,range_m\nrx, tx2,1.5,0.1,3.25\n\nrx,tx3,2,0.5,4\n";
+
+    #[test]
+    fn csv_and_json_hold_the_same_ranges() {
+        let own = read(CSV).unwrap();
+        let first = Range { time_s: 1.5, from: "rx".into(), to: "tx2".into(), range_m: 3.25, sd_m: 0.1 };
+        assert_eq!((own.len(), &own[0]), (2, &first));
+        let line = |own: &Range| {
+            format!(
+                r#"{{"time_s":{},"from":"{}","to":"{}","range_m":{},"sd_m":{},"frame_id":"uwb"}}"#,
+                own.time_s, own.from, own.to, own.range_m, own.sd_m
+            )
+        };
+        let lines: Vec<String> = own.iter().map(line).collect();
+        assert_eq!(read(&lines.join("\n")).unwrap(), own);
+        assert_eq!(read(&format!("[{}]", lines.join(","))).unwrap(), own);
+        assert_eq!(read("[]").unwrap(), []);
+    }
+
+    #[test]
+    fn damaged_files_are_refused_with_their_row() {
+        let said = |text: &str| read(text).unwrap_err().to_string();
+        assert!(said("").contains("no column time_s"));
+        assert!(said("time_s,from,to,range_m\n").contains("no column sd_m"));
+        let with = |row: &str| said(&format!("time_s,from,to,range_m,sd_m\n1,a,b,2,0.1\n{row}\n"));
+        for (row, word) in [
+            ("1,a,b,NaN,0.1", "range_m is NaN"),
+            ("1,a,b,2,0", "sd_m is 0"),
+            ("1,a,b,-2,0.1", "range_m is -2"),
+            ("inf,a,b,2,0.1", "time_s is inf"),
+            ("1,a,a,2,0.1", "two robots"),
+            ("1,a,b,2", "4 cells, 5 expected"),
+            ("1,a,b,x,0.1", "\"x\" is no number"),
+        ] {
+            assert!(with(row).contains("row 3") && with(row).contains(word), "{row}: {}", with(row));
+        }
+        assert!(said("{\"time_s\":1}").contains("row 1: missing field"));
+        assert!(said("[{\"time_s\":1,").contains("row 1"));
+    }
+}

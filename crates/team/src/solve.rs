@@ -1,0 +1,741 @@
+//! Levenberg and Marquardt's way to the poses, and what is known of them there.
+
+use crate::envelope::Envelope;
+use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError};
+use crate::start::{COSTLIER, starts};
+use crate::wrap;
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+/// All deviations are so many times wider in the first descents: a link that is far from its candidates still pulls, and
+/// against odometry as much as later.
+const TEMPERS: [f64; 3] = [4.0, 2.0, 1.0];
+
+/// Steps at most in one descent.
+const STEPS: usize = 60;
+
+/// What the given share of outliers counts as, in links, beside those of the robot.
+const NULL_LINKS: f64 = 4.0;
+
+/// Share of robots whose links are all wrong.
+const LIARS: f64 = 0.05;
+
+/// Minima of which the shares of outliers are learnt.
+const SETTLED: usize = 4;
+
+/// Descents from beside the best minimum, and how far beside, metres and radians.
+const KICKS: usize = 8;
+const KICK: [f64; 2] = [0.05, 0.03];
+
+/// Another solution is named where the best is at most this many times as likely.
+const AS_LIKELY: f64 = 2.0;
+
+/// And one of its keyframes is further away than this, metres.
+const APART_M: f64 = 0.3;
+
+/// Least gain of a step: while minima are compared, and at the best of them.
+const ROUGHLY: f64 = 1e-2;
+const EXACTLY: f64 = 1e-8;
+
+/// Descents that end so near to each other, in metres and in cost, are one.
+const NEAR: [f64; 2] = [0.05, 0.05];
+
+/// Deviation of the first pose where no prior holds the team, metres and radians: the frame is its own.
+const GAUGE_SD: f64 = 1e-4;
+
+/// Values of all variables.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct State {
+    /// By keyframe: x, y, yaw.
+    pub poses: Vec<[f64; 3]>,
+    /// By robot: turn per metre and relative error of lengths that its odometry lacks.
+    pub calibrations: Vec<[f64; 2]>,
+}
+
+/// A variable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Variable {
+    Pose(usize, usize),
+    Calibration(usize, usize),
+}
+
+impl State {
+    fn get(&self, variable: Variable) -> f64 {
+        match variable {
+            Variable::Pose(keyframe, k) => self.poses[keyframe][k],
+            Variable::Calibration(robot, k) => self.calibrations[robot][k],
+        }
+    }
+
+    fn get_mut(&mut self, variable: Variable) -> &mut f64 {
+        match variable {
+            Variable::Pose(keyframe, k) => &mut self.poses[keyframe][k],
+            Variable::Calibration(robot, k) => &mut self.calibrations[robot][k],
+        }
+    }
+
+    fn is_near(&self, other: &Self) -> bool {
+        let near = |(a, b): (&[f64; 3], &[f64; 3])| (a[0] - b[0]).abs().max((a[1] - b[1]).abs()) < NEAR[0];
+        self.poses.iter().zip(&other.poses).all(near)
+    }
+
+    fn azimuth_and_range(&self, from: usize, to: usize) -> (f64, f64) {
+        let (a, b) = (self.poses[from], self.poses[to]);
+        let (x, y) = (b[0] - a[0], b[1] - a[1]);
+        (wrap(y.atan2(x) - a[2]), x.hypot(y))
+    }
+}
+
+/// What past keyframes say of the variables that are left: linear, about a point.
+#[derive(Clone, Debug)]
+pub(crate) struct Carried {
+    variables: Vec<Variable>,
+    at: Vec<f64>,
+    /// Residuals are `rows * (x - at) + side`.
+    rows: DMatrix<f64>,
+    side: DVector<f64>,
+}
+
+impl Carried {
+    pub fn has_calibration(&self, robot: usize) -> bool {
+        self.variables.contains(&Variable::Calibration(robot, 0))
+    }
+}
+
+/// Which variable is where: keyframes in the order of time, then what all of them share.
+#[derive(Clone, Debug)]
+struct Layout {
+    variables: Vec<Variable>,
+    poses: Vec<usize>,
+    calibrations: Vec<Option<usize>>,
+}
+
+impl Layout {
+    fn new(team: &Team) -> Self {
+        let moving: Vec<bool> = (0..team.robots.len()).map(|robot| team.is_moving(robot)).collect();
+        let mut order: Vec<usize> = (0..team.keyframes.len()).filter(|k| !team.keyframes[*k].is_past).collect();
+        let key = |k: &usize| (!moving[team.keyframes[*k].robot], team.keyframes[*k].t_s);
+        order.sort_by(|a, b| key(a).0.cmp(&key(b).0).then(key(a).1.total_cmp(&key(b).1)));
+        let mut layout = Self {
+            variables: Vec::new(),
+            poses: vec![usize::MAX; team.keyframes.len()],
+            calibrations: vec![None; team.robots.len()],
+        };
+        for k in order {
+            layout.poses[k] = layout.variables.len();
+            let size = if team.robots[team.keyframes[k].robot].has_heading { 3 } else { 2 };
+            layout.variables.extend((0..size).map(|part| Variable::Pose(k, part)));
+        }
+        for robot in (0..team.robots.len()).filter(|robot| moving[*robot]) {
+            layout.calibrations[robot] = Some(layout.variables.len());
+            layout.variables.extend((0..2).map(|part| Variable::Calibration(robot, part)));
+        }
+        layout
+    }
+
+    fn index(&self, variable: Variable) -> usize {
+        match variable {
+            Variable::Pose(keyframe, k) => self.poses[keyframe] + k,
+            Variable::Calibration(robot, k) => self.calibrations[robot].unwrap_or(usize::MAX) + k,
+        }
+    }
+
+    /// An envelope that holds the products of all variables of one measurement.
+    fn envelope(&self, team: &Team) -> Envelope {
+        let mut first: Vec<usize> = (0..self.variables.len()).collect();
+        let mut group = |variables: &mut dyn Iterator<Item = usize>| {
+            let variables: Vec<usize> = variables.collect();
+            let lowest = variables.iter().copied().min().unwrap_or_default();
+            variables.into_iter().for_each(|variable| first[variable] = first[variable].min(lowest));
+        };
+        let pose = |k: usize| {
+            let size = if team.robots[team.keyframes[k].robot].has_heading { 3 } else { 2 };
+            self.poses[k]..self.poses[k] + size
+        };
+        let calibration = |k: usize| {
+            let first = self.calibrations[team.keyframes[k].robot];
+            first.into_iter().flat_map(|first| first..first + 2)
+        };
+        (0..team.keyframes.len()).filter(|k| !team.keyframes[*k].is_past).for_each(|k| group(&mut pose(k)));
+        self.calibrations.iter().flatten().for_each(|first| group(&mut (*first..first + 2)));
+        team.steps.iter().for_each(|s| group(&mut pose(s.from).chain(pose(s.to)).chain(calibration(s.to))));
+        team.links.iter().for_each(|link| group(&mut pose(link.from).chain(pose(link.to))));
+        let ends = |change: &Change| [change.first, change.second].concat();
+        team.changes.iter().for_each(|change| group(&mut ends(change).into_iter().flat_map(pose)));
+        team.carried.iter().for_each(|carried| group(&mut carried.variables.iter().map(|own| self.index(*own))));
+        Envelope::zeros(first)
+    }
+}
+
+/// What is solved: the graph, its variables, and the share of outliers that each link is taken to have.
+struct Problem<'a> {
+    team: &'a Team,
+    layout: Layout,
+    zeros: Envelope,
+    null_shares: Vec<f64>,
+}
+
+type Entry = (Variable, f64);
+
+/// Where residuals go: the residual in deviations and its derivatives.
+type Rows<'a> = dyn FnMut(f64, &[Entry]) + 'a;
+
+/// Adds residuals to a cost and hands them on, each with its deviation `temper` times as wide.
+fn tempered<'a>(temper: f64, cost: &'a mut f64, rows: &'a mut Rows<'_>) -> impl FnMut(f64, &[Entry]) {
+    let by = 1.0 / temper;
+    let mut scaled = Vec::new();
+    move |residual, entries| {
+        *cost += 0.5 * (residual * by).powi(2);
+        scaled.clear();
+        scaled.extend(entries.iter().map(|(variable, derivative)| (*variable, derivative * by)));
+        rows(residual * by, &scaled);
+    }
+}
+
+fn gradient_of_range(state: &State, [from, to]: [usize; 2], factor: f64) -> ([Entry; 4], f64) {
+    use Variable::Pose;
+    let (a, b) = (state.poses[from], state.poses[to]);
+    let (x, y) = (b[0] - a[0], b[1] - a[1]);
+    let range_m = x.hypot(y);
+    let (x, y) = (factor * x / range_m.max(1e-9), factor * y / range_m.max(1e-9));
+    ([(Pose(from, 0), -x), (Pose(from, 1), -y), (Pose(to, 0), x), (Pose(to, 1), y)], range_m)
+}
+
+/// Which measurements are looked at.
+type Wanted<'a> = &'a dyn Fn(&[usize]) -> bool;
+
+impl<'a> Problem<'a> {
+    fn new(team: &'a Team) -> Self {
+        let (layout, null_shares) = (Layout::new(team), team.links.iter().map(|link| link.null_share).collect());
+        Self { team, zeros: layout.envelope(team), layout, null_shares }
+    }
+
+    /// The cost at a state: half of the squared residuals and what the candidates' densities add. `rows` gets each residual of the
+    /// measurements whose keyframes are `wanted`.
+    fn visit(&self, state: &State, temper: f64, wanted: Wanted<'_>, rows: &mut Rows<'_>) -> f64 {
+        let mut cost = 0.0;
+        let mut add = tempered(temper, &mut cost, rows);
+        for prior in self.team.priors.iter().filter(|prior| wanted(&[prior.keyframe])) {
+            let has_heading = self.team.robots[self.team.keyframes[prior.keyframe].robot].has_heading;
+            for k in 0..if has_heading { 3 } else { 2 } {
+                let Some(sd) = prior.sd[k] else { continue };
+                let off = state.poses[prior.keyframe][k] - prior.pose[k];
+                add(if k == 2 { wrap(off) } else { off } / sd, &[(Variable::Pose(prior.keyframe, k), 1.0 / sd)]);
+            }
+        }
+        self.team.steps.iter().filter(|s| wanted(&[s.from, s.to])).for_each(|s| self.step(state, s, &mut add));
+        for change in self.team.changes.iter().filter(|c| wanted(&[c.first, c.second].concat())) {
+            let (first, first_m) = gradient_of_range(state, change.first, -1.0 / change.sd_m);
+            let (second, second_m) = gradient_of_range(state, change.second, 1.0 / change.sd_m);
+            add((second_m - first_m - change.change_m) / change.sd_m, &[first, second].concat());
+        }
+        drop(add);
+        cost + self.links(state, temper, wanted, rows)
+    }
+
+    /// The priors of calibrations, and what past keyframes say: they are of no keyframe that may be wanted.
+    fn shared(&self, state: &State, temper: f64, rows: &mut Rows<'_>) -> f64 {
+        let mut cost = 0.0;
+        let mut add = tempered(temper, &mut cost, rows);
+        let carried = self.team.carried.as_ref();
+        for robot in (0..self.team.robots.len()).filter(|robot| self.layout.calibrations[*robot].is_some()) {
+            if carried.is_some_and(|carried| carried.has_calibration(robot)) {
+                continue;
+            }
+            let noise = &self.team.robots[robot].noise;
+            for (k, sd) in [noise.bias_sd_rad_per_m, noise.scale_sd].into_iter().enumerate() {
+                add(state.calibrations[robot][k] / sd, &[(Variable::Calibration(robot, k), 1.0 / sd)]);
+            }
+        }
+        if let Some(own) = carried {
+            let off = own.variables.iter().zip(&own.at).map(|(variable, at)| {
+                let off = state.get(*variable) - at;
+                if matches!(variable, Variable::Pose(_, 2)) { wrap(off) } else { off }
+            });
+            let residuals = &own.rows * DVector::from_iterator(own.at.len(), off) + &own.side;
+            for (row, residual) in residuals.iter().enumerate() {
+                let by = own.rows.row(row);
+                let entries: Vec<Entry> = own.variables.iter().copied().zip(by.iter().copied()).collect();
+                add(*residual, &entries);
+            }
+        }
+        drop(add);
+        cost
+    }
+
+    fn step(&self, state: &State, step: &Step, add: &mut Rows<'_>) {
+        use Variable::{Calibration, Pose};
+        let robot = self.team.keyframes[step.to].robot;
+        let (a, b, [bias, scale]) = (state.poses[step.from], state.poses[step.to], state.calibrations[robot]);
+        let ((sin, cos), (x, y)) = (a[2].sin_cos(), (b[0] - a[0], b[1] - a[1]));
+        let (forward, left) = (cos * x + sin * y, cos * y - sin * x);
+        let (turn_sin, turn_cos) = (0.5 * bias * step.driven_m).sin_cos();
+        let [mx, my, turn] = step.motion;
+        let (mx, my) = (turn_cos * mx - turn_sin * my, turn_sin * mx + turn_cos * my);
+        let ([sd_m, sd_rad], half) = (step.sd, 0.5 * step.driven_m * (1.0 + scale));
+        let (own, pose) = (|k| Calibration(robot, k), |at: usize, k: usize| Pose(at, k));
+        let place = |residual: f64, by: [f64; 2], by_yaw: f64, by_bias: f64, by_scale: f64, add: &mut Rows<'_>| {
+            let by = by.map(|by| by / sd_m);
+            add(
+                residual / sd_m,
+                &[
+                    (pose(step.from, 0), -by[0]),
+                    (pose(step.from, 1), -by[1]),
+                    (pose(step.from, 2), by_yaw / sd_m),
+                    (pose(step.to, 0), by[0]),
+                    (pose(step.to, 1), by[1]),
+                    (own(0), by_bias / sd_m),
+                    (own(1), by_scale / sd_m),
+                ],
+            );
+        };
+        place(forward - (1.0 + scale) * mx, [cos, sin], left, half * my, -mx, add);
+        place(left - (1.0 + scale) * my, [-sin, cos], -forward, -half * mx, -my, add);
+        let off = wrap(b[2] - a[2] - turn - bias * step.driven_m) / sd_rad;
+        let by = 1.0 / sd_rad;
+        add(off, &[(pose(step.from, 2), -by), (pose(step.to, 2), by), (own(0), -step.driven_m * by)]);
+    }
+
+    fn links(&self, state: &State, temper: f64, wanted: Wanted<'_>, rows: &mut Rows<'_>) -> f64 {
+        use Variable::Pose;
+        let mut cost = 0.0;
+        for (link, null_share) in self.team.links.iter().zip(&self.null_shares) {
+            if !wanted(&[link.from, link.to]) {
+                continue;
+            }
+            let (azimuth, range_m) = state.azimuth_and_range(link.from, link.to);
+            let (chosen, own) = link.best(azimuth, range_m, *null_share, temper);
+            cost += own;
+            let Some(mode) = chosen.map(|k| link.modes[k]) else { continue };
+            if let Some([expected, sd]) = mode.azimuth_rad {
+                let (a, b) = (state.poses[link.from], state.poses[link.to]);
+                let (x, y) = ((b[0] - a[0]) / range_m.max(1e-9), (b[1] - a[1]) / range_m.max(1e-9));
+                let (off, near) = (wrap(azimuth - expected), (range_m / NEAREST_M).min(1.0));
+                let by = near / (sd * temper);
+                // Across the line of sight the azimuth turns; along it, an azimuth of a near robot gains weight.
+                let (across, along) =
+                    (by / range_m.max(1e-9), if near < 1.0 { off / (sd * temper * NEAREST_M) } else { 0.0 });
+                let (x, y) = (along * x - across * y, along * y + across * x);
+                let ends =
+                    [(Pose(link.from, 0), -x), (Pose(link.from, 1), -y), (Pose(link.to, 0), x), (Pose(link.to, 1), y)];
+                rows(off * by, &[&ends[..], &[(Pose(link.from, 2), -by)]].concat());
+            }
+            if let Some([expected, sd]) = mode.range_m {
+                let by = 1.0 / (sd * temper);
+                rows((range_m - expected) * by, &gradient_of_range(state, [link.from, link.to], by).0);
+            }
+        }
+        cost
+    }
+
+    fn cost(&self, state: &State, temper: f64) -> f64 {
+        self.visit(state, temper, &|_| true, &mut |_, _| {}) + self.shared(state, temper, &mut |_, _| {})
+    }
+
+    /// The normal matrix and the gradient at a state.
+    fn normal(&self, state: &State, temper: f64) -> (Envelope, Vec<f64>) {
+        let (mut matrix, mut side) = (self.zeros.clone(), vec![0.0; self.layout.variables.len()]);
+        let mut add = |residual: f64, entries: &[Entry]| {
+            for (k, (variable, by)) in entries.iter().enumerate() {
+                let row = self.layout.index(*variable);
+                side[row] += by * residual;
+                for (other, factor) in &entries[..=k] {
+                    matrix.add(row, self.layout.index(*other), by * factor);
+                }
+            }
+        };
+        self.visit(state, temper, &|_| true, &mut add);
+        self.shared(state, temper, &mut add);
+        (matrix, side)
+    }
+
+    fn moved(&self, state: &State, by: &[f64]) -> State {
+        let mut moved = state.clone();
+        for (variable, by) in self.layout.variables.iter().zip(by) {
+            let value = moved.get_mut(*variable);
+            *value -= by;
+            if matches!(variable, Variable::Pose(_, 2)) {
+                *value = wrap(*value);
+            }
+        }
+        moved
+    }
+
+    /// Levenberg and Marquardt \[levenberg1944\] \[marquardt1963\] from a state to the nearest minimum, until a step gains less than
+    /// `least`; and the cost there.
+    fn descend(&self, mut state: State, temper: f64, least: f64) -> (State, f64) {
+        let (mut cost, mut damping) = (self.cost(&state, temper), 1e-4);
+        for _ in 0..STEPS {
+            let (matrix, side) = self.normal(&state, temper);
+            let gain = loop {
+                let mut damped = matrix.clone();
+                damped.damp(damping);
+                let by = damped.factor().ok().map(|factor| {
+                    let mut by = side.clone();
+                    factor.solve(&mut by);
+                    by
+                });
+                // What the step gains where the problem is linear.
+                let hoped = |by: &Vec<f64>| 0.5 * by.iter().zip(&side).map(|(by, side)| by * side).sum::<f64>();
+                if by.as_ref().is_some_and(|by| hoped(by) < least) || damping > 1e8 {
+                    break 0.0;
+                }
+                if let Some(next) = by.map(|by| self.moved(&state, &by)) {
+                    let next_cost = self.cost(&next, temper);
+                    if next_cost < cost {
+                        let gain = cost - next_cost;
+                        (state, cost, damping) = (next, next_cost, (0.1 * damping).max(1e-9));
+                        break gain;
+                    }
+                }
+                damping *= 10.0;
+            };
+            if gain <= least {
+                break;
+            }
+        }
+        (state, cost)
+    }
+
+    /// Learns the share of outliers of each robot's links from a state, and switches off a robot whose links fit no better than by
+    /// chance. Returns the shares.
+    fn learn_shares(&mut self, state: &State) -> Vec<f64> {
+        let mut own = vec![(0.0, 0.0, 0.0); self.team.robots.len()];
+        let robot = |link: &Link| self.team.keyframes[link.from].robot;
+        let cost = |link: &Link, null_share: f64| {
+            let (azimuth, range_m) = state.azimuth_and_range(link.from, link.to);
+            link.best(azimuth, range_m, null_share, 1.0)
+        };
+        for link in &self.team.links {
+            let (links, nulls, given) = &mut own[robot(link)];
+            let is_null = cost(link, link.null_share).0.is_none();
+            (*links, *nulls, *given) = (*links + 1.0, *nulls + f64::from(u8::from(is_null)), *given + link.null_share);
+        }
+        let mean = |(links, _, given): (f64, f64, f64)| if links > 0.0 { given / links } else { 0.0 };
+        let share = |own: &(f64, f64, f64)| (own.1 + NULL_LINKS * mean(*own)) / (own.0 + NULL_LINKS);
+        let shares: Vec<f64> = own.iter().map(share).collect();
+        // Of a robot's links some may be given as better than others: they keep their odds to each other.
+        let odds = |share: f64| share / (1.0 - share);
+        let learnt = |link: &Link| {
+            let learnt = odds(link.null_share) * odds(shares[robot(link)]) / odds(mean(own[robot(link)]));
+            learnt / (1.0 + learnt)
+        };
+        self.null_shares = self.team.links.iter().map(learnt).collect();
+        let mut costs = vec![0.0; self.team.robots.len()];
+        for (link, null_share) in self.team.links.iter().zip(&self.null_shares) {
+            costs[robot(link)] += cost(link, *null_share).1;
+        }
+        for (link, null_share) in self.team.links.iter().zip(&mut self.null_shares) {
+            if own[robot(link)].0 > NULL_LINKS && costs[robot(link)] > LIARS.ln() {
+                *null_share = 1.0;
+            }
+        }
+        shares
+    }
+
+    /// A minimum with the shares of outliers learnt there: descended to at once, and from wider deviations, by which robots that do
+    /// not lie come back; the better of both.
+    fn settle(&mut self, begin: &State) -> Settled {
+        let mut best: Option<Settled> = None;
+        for tempers in [&[1.0][..], &[3.0, 1.0]] {
+            let mut state = begin.clone();
+            for temper in tempers {
+                self.learn_shares(&state);
+                state = self.descend(state, *temper, ROUGHLY).0;
+            }
+            let outlier_shares = self.learn_shares(&state);
+            let (state, cost) = self.descend(state, 1.0, ROUGHLY);
+            if best.as_ref().is_none_or(|best| cost < best.cost) {
+                best = Some(Settled { state, cost, outlier_shares, null_shares: self.null_shares.clone() });
+            }
+        }
+        best.unwrap_or_default()
+    }
+}
+
+/// Numbers between -1 and 1, the same on every machine: the multiples of an irrational number.
+fn even(k: usize) -> f64 {
+    2.0 * (k as f64 * 0.618_033_988_749_895).fract() - 1.0
+}
+
+impl Problem<'_> {
+    /// Descends again from beside a minimum: a candidate that is taken at a pose holds it there, so minima lie close to each other.
+    fn kick(&mut self, best: &mut Settled) {
+        for kick in 1..=KICKS {
+            let mut state = best.state.clone();
+            for (k, pose) in state.poses.iter_mut().enumerate() {
+                let [m, rad] = KICK;
+                let by = |part: usize| even((3 * k + part + 1) * (2 * kick + 1));
+                *pose = [pose[0] + m * by(0), pose[1] + m * by(1), wrap(pose[2] + rad * by(2))];
+            }
+            self.null_shares.clone_from(&best.null_shares);
+            let state = self.descend(state, 1.0, ROUGHLY).0;
+            let outlier_shares = self.learn_shares(&state);
+            let (state, cost) = self.descend(state, 1.0, ROUGHLY);
+            if cost < best.cost {
+                *best = Settled { state, cost, outlier_shares, null_shares: self.null_shares.clone() };
+            }
+        }
+    }
+}
+
+/// A minimum and the shares of outliers there.
+#[derive(Default)]
+struct Settled {
+    state: State,
+    cost: f64,
+    outlier_shares: Vec<f64>,
+    null_shares: Vec<f64>,
+}
+
+/// Another solution that fits nearly as well.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Other {
+    /// Pose of each keyframe: x, y, yaw.
+    pub poses: Vec<[f64; 3]>,
+    /// Its cost less that of the solution, 0 to ln 2: how much less likely it is.
+    pub cost_over: f64,
+}
+
+/// Poses of all keyframes.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    pub(crate) state: State,
+    pub(crate) gauge: Option<Prior>,
+    pub(crate) null_shares: Vec<f64>,
+    layout: Layout,
+    factor: Envelope,
+    /// For each link the candidate that fits; none where it is an outlier.
+    pub chosen: Vec<Option<usize>>,
+    /// For each robot the share of its links that are outliers, as learnt: near 1 for one whose answers are wrong.
+    pub outlier_shares: Vec<f64>,
+    /// Negative logarithm of the likelihood, up to a constant of the graph.
+    pub cost: f64,
+    /// Other solutions, the likeliest first: as where a mirror leaves two.
+    pub others: Vec<Other>,
+}
+
+impl Solution {
+    /// Pose of a keyframe: x, y, yaw. Of a point the yaw means nothing.
+    #[must_use]
+    pub fn pose(&self, keyframe: KeyframeId) -> [f64; 3] {
+        self.state.poses[keyframe.0]
+    }
+
+    /// What a robot's odometry lacks: turn in radians per metre driven, and relative error of lengths (0.01: it reports 1 % too
+    /// little).
+    #[must_use]
+    pub fn calibration(&self, robot: RobotId) -> [f64; 2] {
+        self.state.calibrations[robot.0]
+    }
+
+    /// Covariance of a keyframe's pose: the marginal of the linear problem at the solution, about this solution and not `others`.
+    /// Zeros for the yaw of a point, and for a keyframe that was forgotten.
+    #[must_use]
+    pub fn covariance(&self, keyframe: KeyframeId) -> Matrix3<f64> {
+        let mut covariance = Matrix3::zeros();
+        let at = self.layout.poses[keyframe.0];
+        let own = |k: usize| self.layout.variables.get(at.saturating_add(k)) == Some(&Variable::Pose(keyframe.0, k));
+        for column in (0..3).filter(|k| own(*k)) {
+            let mut side = vec![0.0; self.layout.variables.len()];
+            side[at + column] = 1.0;
+            self.factor.solve(&mut side);
+            (0..3).filter(|k| own(*k)).for_each(|row| covariance[(row, column)] = side[at + row]);
+        }
+        covariance
+    }
+}
+
+impl Team {
+    /// Solves for all poses, from several starts. Each robot in turn is placed where the candidates of its links to those before
+    /// it cross.
+    ///
+    /// # Errors
+    /// [`TeamError`] if there is no keyframe, a robot has no link, or the measurements do not fix a robot.
+    pub fn solve(&self) -> Result<Solution, TeamError> {
+        self.solve_all(None)
+    }
+
+    /// The same after more was added to the team: from the solution before. Robots that it lacks are placed as in
+    /// [`Team::solve`].
+    ///
+    /// # Errors
+    /// As [`Team::solve`].
+    pub fn solve_from(&self, before: &Solution) -> Result<Solution, TeamError> {
+        self.solve_all(Some(before))
+    }
+
+    fn solve_all(&self, before: Option<&Solution>) -> Result<Solution, TeamError> {
+        if self.keyframes.is_empty() {
+            return Err(TeamError::Empty);
+        }
+        let (mut team, mut gauge) = (std::borrow::Cow::Borrowed(self), None);
+        if self.priors.is_empty() && self.carried.is_none() {
+            let first = Prior { keyframe: 0, pose: self.keyframes[0].odometry, sd: [Some(GAUGE_SD); 3] };
+            gauge = Some(first);
+            team.to_mut().priors.push(first);
+        }
+        let mut problem = Problem::new(&team);
+        let tempers = if before.is_some() { &TEMPERS[2..] } else { &TEMPERS[..] };
+        let begun = starts(&team, before.map(|own| &own.state))?;
+        let mut solved: Vec<(State, f64)> = begun.into_iter().map(|state| (state, 0.0)).collect();
+        for temper in tempers {
+            solved = solved.into_iter().map(|(state, _)| problem.descend(state, *temper, ROUGHLY)).collect();
+            solved.sort_by(|a, b| a.1.total_cmp(&b.1));
+            // Starts that fell into one minimum go on as one.
+            solved.dedup_by(|a, b| (a.1 - b.1).abs() < NEAR[1] && a.0.is_near(&b.0));
+        }
+        let most = solved.first().map_or(0.0, |best| best.1) + COSTLIER;
+        solved.retain(|own| own.1 <= most);
+        solved.truncate(SETTLED);
+        let mut settled: Vec<Settled> = solved.iter().map(|(state, _)| problem.settle(state)).collect();
+        settled.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        if let (Some(best), None) = (settled.first_mut(), before) {
+            problem.kick(best);
+        }
+        let mut rest = settled.into_iter();
+        let Settled { state, outlier_shares, null_shares, .. } = rest.next().ok_or(TeamError::Empty)?;
+        problem.null_shares = null_shares;
+        let (state, cost) = problem.descend(state, 1.0, EXACTLY);
+        let robot_of = |at: usize| match problem.layout.variables[at] {
+            Variable::Pose(keyframe, _) => self.keyframes[keyframe].robot,
+            Variable::Calibration(robot, _) => robot,
+        };
+        let undetermined = |at| TeamError::Undetermined { robot: self.robots[robot_of(at)].name.clone() };
+        let factor = problem.normal(&state, 1.0).0.factor().map_err(undetermined)?;
+        let choose = |(link, null_share): (&Link, &f64)| {
+            let (azimuth, range_m) = state.azimuth_and_range(link.from, link.to);
+            link.best(azimuth, range_m, *null_share, 1.0).0
+        };
+        let chosen = self.links.iter().zip(&problem.null_shares).map(choose).collect();
+        let Problem { layout, null_shares, .. } = problem;
+        let mut found =
+            Solution { state, gauge, null_shares, layout, factor, chosen, outlier_shares, cost, others: Vec::new() };
+        for other in rest.filter(|other| other.cost - cost < AS_LIKELY.ln()) {
+            if self.is_another(&found, &other.state) {
+                found.others.push(Other { poses: other.state.poses, cost_over: other.cost - cost });
+            }
+        }
+        Ok(found)
+    }
+
+    /// True if a keyframe is elsewhere than in the solution and than in each of its others.
+    fn is_another(&self, found: &Solution, state: &State) -> bool {
+        let far = |poses: &[[f64; 3]]| {
+            let alive = (0..self.keyframes.len()).filter(|k| !self.keyframes[*k].is_past);
+            alive.into_iter().any(|k| {
+                let off = nalgebra::Vector2::new(state.poses[k][0] - poses[k][0], state.poses[k][1] - poses[k][1]);
+                let inverse = || found.covariance(KeyframeId(k)).fixed_view::<2, 2>(0, 0).try_inverse();
+                off.norm() > APART_M && inverse().is_none_or(|inverse| off.dot(&(inverse * off)) > 9.0)
+            })
+        };
+        far(&found.state.poses) && found.others.iter().all(|other| far(&other.poses))
+    }
+
+    /// Ends the time in which keyframes before `before_s` are variables: what they and their measurements say of the others is kept as
+    /// one linear term (Schur complement), about the solution. The last keyframe of a robot stays.
+    pub fn forget(&mut self, solution: &Solution, before_s: f64) {
+        let last = |k: usize| self.keyframes.iter().rposition(|own| own.robot == self.keyframes[k].robot) == Some(k);
+        let is_old = |k: &usize| self.keyframes[*k].t_s < before_s && !self.keyframes[*k].is_past && !last(*k);
+        let old: Vec<usize> = (0..self.keyframes.len()).filter(is_old).collect();
+        if old.is_empty() {
+            return;
+        }
+        let touches = |keyframes: &[usize]| keyframes.iter().any(|k| old.binary_search(k).is_ok());
+        if let (Some(gauge), true) = (solution.gauge, self.priors.is_empty()) {
+            self.priors.push(gauge);
+        }
+        let carried = {
+            let mut problem = Problem::new(self);
+            problem.null_shares.iter_mut().zip(&solution.null_shares).for_each(|(own, learnt)| *own = *learnt);
+            problem.carry(&solution.state, &touches, &old)
+        };
+        self.carried = Some(carried);
+        self.priors.retain(|own| !touches(&[own.keyframe]));
+        self.steps.retain(|own| !touches(&[own.from, own.to]));
+        self.links.retain(|own| !touches(&[own.from, own.to]));
+        self.changes.retain(|own| !touches(&[own.first, own.second].concat()));
+        old.iter().for_each(|k| self.keyframes[*k].is_past = true);
+    }
+}
+
+impl Problem<'_> {
+    /// What the measurements that touch old keyframes say of the variables that stay.
+    fn carry(&self, state: &State, touches: Wanted<'_>, old: &[usize]) -> Carried {
+        let n = self.layout.variables.len();
+        let (mut matrix, mut side) = (DMatrix::<f64>::zeros(n, n), DVector::<f64>::zeros(n));
+        let mut add = |residual: f64, entries: &[Entry]| {
+            for (variable, by) in entries {
+                let row = self.layout.index(*variable);
+                side[row] += by * residual;
+                entries.iter().for_each(|(other, factor)| matrix[(row, self.layout.index(*other))] += by * factor);
+            }
+        };
+        self.visit(state, 1.0, touches, &mut add);
+        self.shared(state, 1.0, &mut add);
+        let is_old = |k: &usize| matches!(self.layout.variables[*k], Variable::Pose(keyframe, _) if old.binary_search(&keyframe).is_ok());
+        let (gone, stay): (Vec<usize>, Vec<usize>) = (0..n).filter(|k| matrix[(*k, *k)] > 0.0).partition(is_old);
+        let part = |rows: &[usize], columns: &[usize]| {
+            DMatrix::from_fn(rows.len(), columns.len(), |row, column| matrix[(rows[row], columns[column])])
+        };
+        let of = |rows: &[usize]| DVector::from_iterator(rows.len(), rows.iter().map(|row| side[*row]));
+        let mut inner = part(&gone, &gone);
+        (0..gone.len()).for_each(|k| inner[(k, k)] *= 1.0 + 1e-12);
+        let cross = part(&stay, &gone);
+        let inverse = inner.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(gone.len(), gone.len()));
+        let rest = part(&stay, &stay) - &cross * &inverse * cross.transpose();
+        let gradient = of(&stay) - &cross * inverse * of(&gone);
+        let own = (0.5 * (&rest + rest.transpose())).symmetric_eigen();
+        let least = 1e-12 * own.eigenvalues.max();
+        let kept: Vec<usize> = (0..stay.len()).filter(|k| own.eigenvalues[*k] > least).collect();
+        let root = |k: usize| own.eigenvalues[k].sqrt();
+        let rows = DMatrix::from_fn(kept.len(), stay.len(), |row, column| {
+            root(kept[row]) * own.eigenvectors[(column, kept[row])]
+        });
+        let along = kept.iter().map(|k| own.eigenvectors.column(*k).dot(&gradient) / root(*k));
+        let side = DVector::from_iterator(kept.len(), along);
+        let variables: Vec<Variable> = stay.iter().map(|k| self.layout.variables[*k]).collect();
+        let at = variables.iter().map(|variable| state.get(*variable)).collect();
+        Carried { variables, at, rows, side }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Mode, OdometryNoise};
+
+    #[test]
+    fn derivatives_agree_with_differences_of_the_cost() {
+        // Two robots that pass at 0.1 m, and a point; each kind of measurement, none of them met exactly.
+        let mut team = Team::default();
+        let noise = OdometryNoise::default();
+        let robots = ["a", "b"].map(|name| team.robot(name, true, noise).unwrap());
+        let drive = |team: &mut Team, robot: RobotId, y: f64| {
+            [0.0, 1.0].map(|t_s| team.keyframe(robot, t_s, [t_s, y, 0.2 * t_s], 1.1).unwrap())
+        };
+        let (a, b) = (drive(&mut team, robots[0], 0.0), drive(&mut team, robots[1], 0.1));
+        let point = team.robot("c", false, noise).unwrap();
+        let point = team.keyframe(point, 0.0, [0.0; 3], 0.0).unwrap();
+        team.prior(a[0], [0.1, -0.1, 0.05], [0.3; 3]).unwrap();
+        team.link(a[0], b[0], &[Mode::azimuth(0.9, 0.1, 1.0)], 0.1).unwrap();
+        team.link(b[1], point, &[Mode { range_m: Some([3.1, 0.2]), ..Mode::azimuth(0.5, 0.1, 1.0) }], 0.1).unwrap();
+        team.range_change([a[0], point], [a[1], point], -0.6, 0.1).unwrap();
+        let problem = Problem::new(&team);
+        let poses = vec![[0.0, 0.0, 0.1], [1.05, 0.1, 0.2], [0.03, 0.1, 0.0], [1.1, 0.2, 0.1], [3.5, 2.0, 0.0]];
+        let state = State { poses, calibrations: vec![[0.02, 0.01], [-0.03, 0.02], [0.0; 2]] };
+        let (_, gradient) = problem.normal(&state, 1.0);
+        for (k, gradient) in gradient.iter().enumerate() {
+            let cost = |by: f64| {
+                let mut step = vec![0.0; problem.layout.variables.len()];
+                step[k] = -by;
+                problem.cost(&problem.moved(&state, &step), 1.0)
+            };
+            let difference = (cost(1e-6) - cost(-1e-6)) / 2e-6;
+            let variable = problem.layout.variables[k];
+            assert!(
+                (gradient - difference).abs() < 1e-5 * (1.0 + difference.abs()),
+                "{variable:?}: {gradient} {difference}"
+            );
+        }
+    }
+}

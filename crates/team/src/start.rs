@@ -1,0 +1,310 @@
+//! Where descents begin: robots placed one after another, where their links to those before them cross.
+
+use crate::graph::{Link, Team, TeamError};
+use crate::solve::State;
+use nalgebra::{Rotation2, Vector2};
+use std::f64::consts::{PI, TAU};
+
+/// Arrangements kept while robots are placed.
+const KEPT: usize = 6;
+
+/// And by how much more they may cost than the best: `exp(-15)` as likely.
+pub const COSTLIER: f64 = 15.0;
+
+/// Places of one robot that each arrangement goes on with.
+const PLACES: usize = 4;
+
+/// Yaws tried for a frame without a known one.
+const YAWS: usize = 36;
+
+/// Links whose crossings are tried, links that judge each crossing, and links that judge the best of them, which are so many.
+const CROSSED: usize = 9;
+const FIRST_JUDGES: usize = 15;
+const JUDGES: usize = 45;
+const JUDGED: usize = 400;
+
+/// Deviations are so many times wider: a yaw may be half a step beside the right one.
+const TEMPER: f64 = 3.0;
+
+/// Where the frame of a robot's odometry lies: x, y, yaw.
+type Frame = [f64; 3];
+
+/// An arrangement: frames of the robots placed so far, and what their links cost.
+#[derive(Clone)]
+struct Arrangement {
+    frames: Vec<Option<Frame>>,
+    cost: f64,
+}
+
+fn composed(frame: Frame, odometry: [f64; 3]) -> [f64; 3] {
+    let at = Vector2::new(frame[0], frame[1]) + Rotation2::new(frame[2]) * Vector2::new(odometry[0], odometry[1]);
+    [at.x, at.y, crate::wrap(frame[2] + odometry[2])]
+}
+
+/// The frame in which `odometry` is at `pose`.
+fn frame_by(pose: [f64; 3], odometry: [f64; 3]) -> Frame {
+    let yaw = pose[2] - odometry[2];
+    let at = Vector2::new(pose[0], pose[1]) - Rotation2::new(yaw) * Vector2::new(odometry[0], odometry[1]);
+    [at.x, at.y, yaw]
+}
+
+fn direction(angle_rad: f64) -> Vector2<f64> {
+    Vector2::new(angle_rad.cos(), angle_rad.sin())
+}
+
+/// States to descend from. Robots of `before` start from there.
+pub fn starts(team: &Team, before: Option<&State>) -> Result<Vec<State>, TeamError> {
+    let frames: Vec<Option<Frame>> = (0..team.robots.len()).map(|robot| known_frame(team, before, robot)).collect();
+    let mut kept = vec![Arrangement { frames, cost: 0.0 }];
+    if kept[0].frames.iter().all(Option::is_none) {
+        // Only directions or parts of places are known: the first robot's odometry is as good as any frame.
+        kept[0].frames[team.keyframes[0].robot] = Some([0.0; 3]);
+    }
+    while let Some(robot) = next(team, &kept[0].frames)? {
+        kept = placed(team, &kept, robot);
+    }
+    Ok(kept.into_iter().map(|own| state(team, &own.frames, before)).collect())
+}
+
+/// The frame of a robot that a solution before or a prior fixes.
+fn known_frame(team: &Team, before: Option<&State>, robot: usize) -> Option<Frame> {
+    let own = |k: &usize| team.keyframes[*k].robot == robot;
+    let solved = before.and_then(|before| (0..before.poses.len()).rev().find(own).map(|k| (k, before.poses[k])));
+    let by_prior = || {
+        let fixes = |prior: &&crate::graph::Prior| {
+            let [x, y, yaw] = prior.sd;
+            own(&prior.keyframe) && x.is_some() && y.is_some() && (yaw.is_some() || !team.robots[robot].has_heading)
+        };
+        team.priors.iter().find(fixes).map(|prior| (prior.keyframe, prior.pose))
+    };
+    solved.or_else(by_prior).map(|(k, pose)| frame_by(pose, team.keyframes[k].odometry))
+}
+
+/// Poses by the frames; of keyframes that were solved before, those.
+fn state(team: &Team, frames: &[Option<Frame>], before: Option<&State>) -> State {
+    let pose = |k: usize| {
+        let known = before.and_then(|before| before.poses.get(k)).copied();
+        let own = &team.keyframes[k];
+        known.unwrap_or_else(|| composed(frames[own.robot].unwrap_or_default(), own.odometry))
+    };
+    let mut calibrations = before.map(|before| before.calibrations.clone()).unwrap_or_default();
+    calibrations.resize(team.robots.len(), [0.0; 2]);
+    State { poses: (0..team.keyframes.len()).map(pose).collect(), calibrations }
+}
+
+/// The robot with the most links to those placed.
+fn next(team: &Team, frames: &[Option<Frame>]) -> Result<Option<usize>, TeamError> {
+    let mut counts = vec![0; frames.len()];
+    for link in &team.links {
+        let (from, to) = (team.keyframes[link.from].robot, team.keyframes[link.to].robot);
+        match (frames[from], frames[to]) {
+            (Some(_), None) => counts[to] += 1,
+            (None, Some(_)) => counts[from] += 1,
+            _ => {}
+        }
+    }
+    let has_keyframe = |robot: usize| team.keyframes.iter().any(|own| own.robot == robot);
+    let open = (0..frames.len()).filter(|robot| frames[*robot].is_none() && has_keyframe(*robot));
+    let Some(robot) = open.max_by_key(|robot| counts[*robot]) else { return Ok(None) };
+    if counts[robot] == 0 {
+        Err(TeamError::Unlinked { robot: team.robots[robot].name.clone() })
+    } else {
+        Ok(Some(robot))
+    }
+}
+
+/// So many of a list, evenly.
+fn some<T: Copy>(all: &[T], most: usize) -> Vec<T> {
+    let step = all.len().div_ceil(most).max(1);
+    all.iter().step_by(step).copied().collect()
+}
+
+/// Every arrangement with `robot` at each of its likeliest places.
+fn placed(team: &Team, kept: &[Arrangement], robot: usize) -> Vec<Arrangement> {
+    let mut longer: Vec<Arrangement> = Vec::new();
+    for own in kept {
+        for (frame, cost) in places(team, own, robot) {
+            let mut frames = own.frames.clone();
+            frames[robot] = Some(frame);
+            longer.push(Arrangement { frames, cost: own.cost + cost });
+        }
+    }
+    longer.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let most = longer.first().map_or(0.0, |best| best.cost) + COSTLIER;
+    longer.retain(|own| own.cost <= most);
+    longer.truncate(KEPT);
+    longer
+}
+
+/// What a link tells of the place of the robot's frame, once its yaw is known: a ray from a point, or a circle about it.
+#[derive(Clone, Copy)]
+struct Locus {
+    link: usize,
+    centre: Vector2<f64>,
+    /// Towards the frame.
+    ray: Option<Vector2<f64>>,
+    range_m: Option<f64>,
+}
+
+/// The links between `robot` and robots that are placed, with the pose of the keyframe at the other end.
+struct Seen<'a> {
+    link: &'a Link,
+    own: usize,
+    other: [f64; 3],
+}
+
+fn links_of<'a>(team: &'a Team, arrangement: &Arrangement, robot: usize) -> Vec<Seen<'a>> {
+    let end = |k: usize| {
+        let own = &team.keyframes[k];
+        arrangement.frames[own.robot].map(|frame| composed(frame, own.odometry))
+    };
+    let seen = |link: &'a Link| {
+        let (from, to) = (team.keyframes[link.from].robot, team.keyframes[link.to].robot);
+        let (own, other) = match (from == robot, to == robot) {
+            (true, _) => (link.from, link.to),
+            (_, true) => (link.to, link.from),
+            _ => return None,
+        };
+        Some(Seen { link, own, other: end(other)? })
+    };
+    team.links.iter().filter_map(seen).collect()
+}
+
+/// The likeliest frames of a robot, and what its links cost there.
+fn places(team: &Team, arrangement: &Arrangement, robot: usize) -> Vec<(Frame, f64)> {
+    let seen = links_of(team, arrangement, robot);
+    let all: Vec<usize> = (0..seen.len()).collect();
+    let (crossed, first, judges) = (some(&all, CROSSED), some(&all, FIRST_JUDGES), some(&all, JUDGES));
+    let cost = |frame: Frame, judges: &[usize]| -> f64 {
+        let of = |k: &usize| {
+            let Seen { link, own, other } = &seen[*k];
+            let own_pose = composed(frame, team.keyframes[*own].odometry);
+            let (from, to) = if link.from == *own { (own_pose, *other) } else { (*other, own_pose) };
+            let (x, y) = (to[0] - from[0], to[1] - from[1]);
+            link.best(crate::wrap(y.atan2(x) - from[2]), x.hypot(y), link.null_share, TEMPER).1
+        };
+        judges.iter().map(of).sum::<f64>() * seen.len() as f64 / judges.len() as f64
+    };
+    let mut found: Vec<(Frame, f64)> = Vec::new();
+    for yaw in yaws(team, &seen, robot) {
+        let loci: Vec<Locus> = crossed.iter().flat_map(|k| loci(team, &seen[*k], *k, yaw)).collect();
+        let frame = |at: Vector2<f64>| [at.x, at.y, yaw];
+        found.extend(crossings(&loci).into_iter().map(frame).map(|frame| (frame, cost(frame, &first))));
+    }
+    found.sort_by(|a, b| a.1.total_cmp(&b.1));
+    found.truncate(JUDGED);
+    found.iter_mut().for_each(|(frame, judged)| *judged = cost(*frame, &judges));
+    found.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let mut apart: Vec<(Frame, f64)> = Vec::new();
+    for (frame, cost) in found {
+        let near = |(other, _): &(Frame, f64)| {
+            let middle = |frame: &Frame| composed(*frame, team.keyframes[seen[0].own].odometry);
+            let (a, b) = (middle(&frame), middle(other));
+            (a[0] - b[0]).hypot(a[1] - b[1]) < 0.5 && crate::wrap(a[2] - b[2]).abs() < 0.4
+        };
+        if apart.len() < PLACES && !apart.iter().any(near) {
+            apart.push((frame, cost));
+        }
+    }
+    apart
+}
+
+/// Yaws that a robot's frame may have: that of its prior; none of a point; else those by which two robots see each other, and all around.
+fn yaws(team: &Team, seen: &[Seen<'_>], robot: usize) -> Vec<f64> {
+    if !team.robots[robot].has_heading {
+        return vec![0.0];
+    }
+    let own = |prior: &crate::graph::Prior| {
+        let sd = prior.sd[2].filter(|_| team.keyframes[prior.keyframe].robot == robot)?;
+        let yaw = prior.pose[2] - team.keyframes[prior.keyframe].odometry[2];
+        Some([0.0, -1.0, 1.0, -2.0, 2.0].map(|by| yaw + by * sd))
+    };
+    if let Some(known) = team.priors.iter().find_map(own) {
+        return if known[4] - known[0] > 0.05 { known.to_vec() } else { vec![known[0]] };
+    }
+    let mut yaws: Vec<f64> = (0..YAWS).map(|k| TAU * k as f64 / YAWS as f64 - PI).collect();
+    let mut azimuths: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
+    for Seen { link, own, other } in seen {
+        let is_own = link.from == *own;
+        // The direction in the frame of the robot, or the one in which it is seen, in that of the team.
+        let turned = if is_own { team.keyframes[*own].odometry[2] } else { other[2] };
+        azimuths[usize::from(is_own)].extend(link.modes.iter().filter_map(|mode| Some(mode.azimuth_rad?[0] + turned)));
+    }
+    let [there, here] = azimuths.map(|all| some(&all, 6));
+    yaws.extend(there.iter().flat_map(|there| here.iter().map(move |here| crate::wrap(there + PI - here))));
+    yaws
+}
+
+/// Where the frame's origin may be by each candidate of a link.
+fn loci(team: &Team, seen: &Seen<'_>, index: usize, yaw: f64) -> Vec<Locus> {
+    let odometry = team.keyframes[seen.own].odometry;
+    let offset = Rotation2::new(yaw) * Vector2::new(odometry[0], odometry[1]);
+    let centre = Vector2::new(seen.other[0], seen.other[1]) - offset;
+    let is_own = seen.link.from == seen.own;
+    let locus = |mode: &crate::graph::Mode| {
+        let ray = mode.azimuth_rad.map(|[azimuth, _]| match is_own {
+            true => -direction(yaw + odometry[2] + azimuth),
+            false => direction(seen.other[2] + azimuth),
+        });
+        Locus { link: index, centre, ray, range_m: mode.range_m.map(|[range_m, _]| range_m) }
+    };
+    seen.link.modes.iter().map(locus).collect()
+}
+
+/// Points that two candidates of different links share, ends of candidates with a range, and steps along a ray that nothing crosses.
+fn crossings(loci: &[Locus]) -> Vec<Vector2<f64>> {
+    let mut found = Vec::new();
+    for (k, a) in loci.iter().enumerate() {
+        if let (Some(ray), Some(range_m)) = (a.ray, a.range_m) {
+            found.push(a.centre + ray * range_m);
+        }
+        for b in loci[k + 1..].iter().filter(|b| b.link != a.link) {
+            match (a.ray, b.ray) {
+                (Some(u), Some(v)) => {
+                    let (cross, between) = (u.perp(&v), b.centre - a.centre);
+                    let (along, other) = (between.perp(&v) / cross, between.perp(&u) / cross);
+                    if cross.abs() > 1e-3 && along > 0.0 && other > 0.0 {
+                        found.push(a.centre + u * along);
+                    }
+                }
+                (Some(ray), None) => on_circle(a.centre, ray, b, &mut found),
+                (None, Some(ray)) => on_circle(b.centre, ray, a, &mut found),
+                (None, None) => of_circles(a, b, &mut found),
+            }
+        }
+    }
+    if found.is_empty() {
+        for own in loci {
+            let rays = own
+                .ray
+                .map_or_else(|| (0..12).map(|k| direction(TAU * f64::from(k) / 12.0)).collect(), |ray| vec![ray]);
+            let lengths_m = own.range_m.map_or_else(|| vec![1.0, 2.0, 4.0, 8.0], |range_m| vec![range_m]);
+            found
+                .extend(rays.iter().flat_map(|ray| lengths_m.iter().map(move |length_m| own.centre + ray * *length_m)));
+        }
+    }
+    found
+}
+
+/// Where a ray meets a circle; the foot of its centre where it passes by.
+fn on_circle(from: Vector2<f64>, ray: Vector2<f64>, circle: &Locus, found: &mut Vec<Vector2<f64>>) {
+    let Some(range_m) = circle.range_m else { return };
+    let to = circle.centre - from;
+    let (along, across) = (to.dot(&ray), to.perp(&ray));
+    let half = (range_m * range_m - across * across).max(0.0).sqrt();
+    found.extend([along - half, along + half].into_iter().filter(|s| *s > 0.0).map(|s| from + ray * s));
+}
+
+/// Where two circles meet; between them where they do not.
+fn of_circles(a: &Locus, b: &Locus, found: &mut Vec<Vector2<f64>>) {
+    let (Some(own_m), Some(other_m)) = (a.range_m, b.range_m) else { return };
+    let between = b.centre - a.centre;
+    let distance = between.norm();
+    if distance < 1e-3 {
+        return;
+    }
+    let along = (distance * distance + own_m * own_m - other_m * other_m) / (2.0 * distance);
+    let half = (own_m * own_m - along * along).max(0.0).sqrt();
+    let (u, v) = (between / distance, Vector2::new(-between.y, between.x) / distance);
+    found.extend([half, -half].map(|half| a.centre + u * along + v * half));
+}

@@ -1,0 +1,121 @@
+"""A team's graph in GTSAM: the factors that `csi5300 bearing CAPTURE --factors OUT.json` or `cargo run -p csi5300-team --example team -- 5 1 OUT.json` wrote.
+
+Keyframe k is Pose2 k, the calibration of robot r the vector C(r): turn per metre, relative error of lengths. Solved from a start beside the poses in the
+file, the graph must end at them, with the same covariances. Run it with `pip install gtsam`.
+"""
+
+import json
+import math
+import sys
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C
+
+NEAREST_M = 0.3
+
+
+def factor(keys: list, sds: list, error) -> gtsam.CustomFactor:
+    """A factor of residuals `error(poses and calibrations)`, with derivatives by differences."""
+
+    def with_jacobians(own: gtsam.CustomFactor, values: gtsam.Values, jacobians: list | None) -> np.ndarray:
+        at = [values.atPose2(key) if key < C(0) else values.atVector(key) for key in own.keys()]
+        if jacobians is not None:
+            for side, value in enumerate(at):
+                size = 3 if isinstance(value, gtsam.Pose2) else 2
+                jacobians[side] = np.zeros((len(sds), size), order="F")
+                for k, step in enumerate(1e-6 * np.eye(size)):
+                    ends = [error(*at[:side], value.retract(by) if size == 3 else value + by, *at[side + 1 :]) for by in (step, -step)]
+                    jacobians[side][:, k] = (ends[0] - ends[1]) / 2e-6
+        return error(*at)
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(np.array(sds)), keys, with_jacobians)
+
+
+def wrap(angle: float) -> float:
+    return math.remainder(angle, math.tau)
+
+
+def step_error(step: dict):
+    (x, y, turn), driven = step["motion"], step["driven_m"]
+
+    def error(a: gtsam.Pose2, b: gtsam.Pose2, calibration: np.ndarray) -> np.ndarray:
+        bias, scale = calibration
+        moved = (1 + scale) * gtsam.Rot2(0.5 * bias * driven).rotate(np.array([x, y]))
+        return np.append(a.transformTo(b.translation()) - moved, wrap(b.theta() - a.theta() - turn - bias * driven))
+
+    return error
+
+
+def link_factor(link: dict, null_share: float) -> gtsam.CustomFactor:
+    """A max-mixture: residuals of the likeliest candidate in its deviations, none of the outlier; the third is what the density costs beside the others'."""
+    total, options = sum(mode["share"] for mode in link["modes"]), [(-math.log(max(null_share, 1e-300)), None, None)]
+    for mode in link["modes"] if null_share < 1 else []:
+        cost = -math.log((1 - null_share) * mode["share"] / total)
+        for part, uniform in (mode["azimuth_rad"], math.tau), (mode["range_m"], 30.0):
+            cost += math.log(part[1] * math.sqrt(math.tau) / uniform) if part else 0.0
+        options.append((cost, mode["azimuth_rad"], mode["range_m"]))
+    least = min(cost for cost, _, _ in options)
+
+    def error(a: gtsam.Pose2, b: gtsam.Pose2) -> np.ndarray:
+        seen = b.translation() - a.translation()
+        azimuth, distance = math.atan2(seen[1], seen[0]) - a.theta(), float(np.linalg.norm(seen))
+        residuals = []
+        for cost, by_azimuth, by_range in options:
+            # Nearer than NEAREST_M an azimuth is as sharp in metres as there.
+            turned = wrap(azimuth - by_azimuth[0]) / by_azimuth[1] * min(distance / NEAREST_M, 1.0) if by_azimuth else 0.0
+            residuals.append(np.array([turned, (distance - by_range[0]) / by_range[1] if by_range else 0.0, math.sqrt(2 * (cost - least))]))
+        return min(residuals, key=lambda own: own @ own)
+
+    return factor([link["from"], link["to"]], [1.0, 1.0, 1.0], error)
+
+
+def change_error(change: dict):
+    return lambda a, b, c, d: np.array([np.linalg.norm(d.translation() - c.translation()) - np.linalg.norm(b.translation() - a.translation()) - change["change_m"]])
+
+
+def main(path: str) -> int:
+    with open(path) as file:
+        document = json.load(file)
+    team, found = document["graph"], document["solution"]
+    graph, start, random = gtsam.NonlinearFactorGraph(), gtsam.Values(), np.random.default_rng(1)
+    for k, (keyframe, pose) in enumerate(zip(team["keyframes"], found["poses"])):
+        start.insert(k, gtsam.Pose2(*(np.array(pose) + random.normal(0, [0.02, 0.02, 0.01]))))
+        if not team["robots"][keyframe["robot"]]["has_heading"]:
+            graph.add(factor([k], [1.0], lambda pose: np.array([pose.theta()])))  # a point's yaw means nothing
+    for prior in team["priors"]:
+        for part, (value, sd) in enumerate(zip(prior["pose"], prior["sd"])):
+            if sd and (part < 2 or team["robots"][team["keyframes"][prior["keyframe"]]["robot"]]["has_heading"]):
+                off = lambda pose, part=part, value=value: np.array([wrap(pose.theta() - value) if part == 2 else pose.translation()[part] - value])
+                graph.add(factor([prior["keyframe"]], [sd], off))
+    for robot in sorted({team["keyframes"][step["to"]]["robot"] for step in team["steps"]}):
+        noise = team["robots"][robot]["noise"]
+        start.insert(C(robot), np.array(found["calibrations"][robot]))
+        graph.add(factor([C(robot)], [noise["bias_sd_rad_per_m"], noise["scale_sd"]], lambda calibration: calibration))
+    for step in team["steps"]:
+        robot, (place, turn) = team["keyframes"][step["to"]]["robot"], step["sd"]
+        graph.add(factor([step["from"], step["to"], C(robot)], [place, place, turn], step_error(step)))
+    for link in team["links"]:
+        graph.add(link_factor(link, link["null_share"]))
+    for change in team["changes"]:
+        graph.add(factor([*change["first"], *change["second"]], [change["sd_m"]], change_error(change)))
+
+    end = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
+    covariances, worst, apart = gtsam.Marginals(graph, end), 0.0, 0.0
+    for k, pose in enumerate(found["poses"]):
+        size = 3 if team["robots"][team["keyframes"][k]["robot"]]["has_heading"] else 2
+        own = end.atPose2(k)
+        off = np.array([own.x() - pose[0], own.y() - pose[1], wrap(own.theta() - pose[2])])[:size]
+        # GTSAM's covariance is in the frame of the pose.
+        turned = np.eye(3)
+        turned[:2, :2] = own.rotation().matrix()
+        covariance = (turned @ covariances.marginalCovariance(k) @ turned.T)[:size, :size]
+        ours = np.array(found["covariances"][k])[:size, :size]
+        worst = max(worst, float(np.abs(off / np.sqrt(np.diag(ours))).max()))
+        apart = max(apart, float(np.abs(covariance - ours).max() / np.abs(ours).max()))
+    print(f"{len(found['poses'])} poses, {graph.size()} factors: off by {worst:.1e} deviations at most, covariances by {100 * apart:.2g} %")
+    return 0 if worst < 0.05 and apart < 0.05 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))
