@@ -6,7 +6,8 @@ mod simulated;
 use csi5300_team::{Mode, OdometryNoise, Team, TeamError, factors};
 use simulated::{Hall, Held, Random, simulated, wrap};
 
-/// 68.3 and 95.4 % of poses within one and two deviations, to seven points.
+/// 68.3 and 95.4 % of poses within one and two deviations, to ten points: so many as these few runs may be off. docs/method/team.md
+/// has more runs.
 fn hold(hall: Hall, seeds: std::ops::Range<u64>) -> Held {
     let (mut held, mut unsolved, runs) = (Held::default(), 0, seeds.end - seeds.start);
     for seed in seeds {
@@ -23,7 +24,7 @@ fn hold(hall: Hall, seeds: std::ops::Range<u64>) -> Held {
     assert!(50 * unsolved <= runs, "{unsolved} of {runs}");
     for counts in [held.places, held.yaws] {
         for (count, expected) in counts.into_iter().zip([68.3, 95.4]) {
-            assert!((held.share(count) - expected).abs() <= 7.0, "{hall:?}: {held:?}");
+            assert!((held.share(count) - expected).abs() <= 10.0, "{hall:?}: {held:?}");
         }
     }
     held
@@ -39,9 +40,9 @@ fn covariances_of_two_robots_hold() {
 fn covariances_of_five_robots_hold() {
     // Robots of one run share its errors, so there are many short runs.
     let five = Hall { epochs: 20, ..Hall::of(5) };
-    let without = hold(five, 1000..1100);
-    hold(Hall { has_liar: true, ..five }, 1000..1100);
-    let with = hold(Hall { ranged: 0.25, ..five }, 1000..1100);
+    let without = hold(five, 1000..1050);
+    hold(Hall { has_liar: true, ..five }, 1000..1050);
+    let with = hold(Hall { ranged: 0.25, ..five }, 1000..1050);
     assert!(with.rms_m() < without.rms_m(), "{with:?} {without:?}");
 }
 
