@@ -93,11 +93,11 @@ pub enum ArrayError {
     /// Fewer than two antennas, or more than three.
     #[error("{antennas} antennas: a bearing from one log needs 2 or 3, such as A,B")]
     Antennas {
-        /// How many were given.
+        /// Antennas given.
         antennas: usize,
     },
     /// An antenna is named twice.
-    #[error("antenna {antenna} is given twice: name each antenna once")]
+    #[error("antenna {antenna} is named twice: name each antenna once")]
     Twice {
         /// The antenna.
         antenna: Antenna,
@@ -126,7 +126,7 @@ pub enum ArrayError {
     Constants {
         /// Constants given.
         constants: usize,
-        /// Baselines.
+        /// Baselines given.
         baselines: usize,
     },
 }
@@ -168,7 +168,7 @@ impl Array {
         Ok(Self { constants: constants.to_vec(), ..self })
     }
 
-    /// Length of the first baseline, metres, and whether the constants of the chains are known.
+    /// Length of the first baseline, metres, and true if the chain constants are known.
     pub(super) fn reach(&self) -> (f64, bool) {
         (self.others.first().map_or(0.0, |(_, baseline_m)| baseline_m.norm()), !self.constants.is_empty())
     }
@@ -193,9 +193,9 @@ pub struct ArrayFrame {
 }
 
 impl ArrayFrame {
-    /// From the CSI of each antenna and transmitted stream: any number of subcarriers, in order. `csi` returns `None` for CSI that
-    /// the card does not have. An unknown sender is [`Mac::default`]; `host_us` is the host's time, microseconds since the Unix
-    /// epoch.
+    /// From the CSI of each antenna and transmitted stream: any number of subcarriers, in order. `csi` returns `None` for CSI
+    /// that the card does not have. An unknown sender is [`Mac::default`]. `host_us` is the host's time, microseconds since
+    /// the Unix epoch.
     ///
     /// Streams are added, because all come from the same direction. More than 30 subcarriers are added up in 30 groups,
     /// because the phase between two antennas hardly changes over a channel.
@@ -434,7 +434,8 @@ impl OneLog {
         }
     }
 
-    /// Counts a frame; returns its sender and its number among the sender's frames. Returns `None` for other senders, and counts them.
+    /// Counts a frame; returns its sender and its number among the sender's frames. For other senders, counts it and returns
+    /// `None`.
     fn next_row(&mut self, sender: Mac) -> Option<(&mut Sender, usize)> {
         let wanted = &self.options.tx_macs;
         let is_wanted = wanted.is_empty() || wanted.contains(&sender);
@@ -512,7 +513,7 @@ struct Baseline {
     rows: Vec<usize>,
 }
 
-/// The samples of all baselines as those of one array.
+/// The samples of all baselines, combined in one array.
 struct Together {
     /// Anchors of known constants first, then measured samples.
     samples: Samples,
@@ -548,7 +549,7 @@ fn times_s(rows: &[Row], trajectory: &Trajectory, options: &Options) -> Result<V
 
 /// The end of a baseline at a time within the trajectory, metres.
 fn end_m(arm: &Trajectory, t_s: f64, length_m: f64) -> Option<Vector3<f64>> {
-    // Between two poses the straight line is a chord of the turn.
+    // Interpolation between two poses follows the chord of the turn, so the length is restored.
     arm.at(t_s).and_then(|pose| UnitVector3::try_new(pose.position_m, 0.1 * GATE_ARM_M)).map(|way| *way * length_m)
 }
 
@@ -611,7 +612,7 @@ impl Joined {
         }
     }
 
-    /// Why there is no sample.
+    /// The reason why there is no sample.
     fn nothing(&self, counts: &PairCounts, times_s: &[Option<f64>], trajectory: &Trajectory) -> LinkError {
         let known = || times_s.iter().flatten().copied();
         let from_s = known().fold(f64::MAX, f64::min);
@@ -626,7 +627,7 @@ impl Joined {
         LinkError::OutsideTrajectory { pairs: counts.formed, from_s, start_s, end_s, other_fits: false }
     }
 
-    /// The samples of all baselines as those of one array.
+    /// Combines the samples of all baselines in one array.
     ///
     /// Each baseline's constant is unknown. Relative to the mean of the baseline's samples it does not depend on the direction,
     /// to first order. So after centring each baseline and removing its constant, one common constant is left.
@@ -869,7 +870,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
     let Together { samples, anchors, rows: used, .. } = &together;
     let mut options = options.clone();
     options.accuracy.near_field = false;
-    // One card has one sampling clock: slopes do not differ between packets.
+    // One card has one sampling clock, so slopes do not differ between packets.
     options.accuracy.align = false;
     options.odometry_sd_m = options.odometry_sd_m.min(ATTITUDE_SD_RAD * joined.length_m);
     if let Some(wrong) = joined.contradiction(sender, &array.constants, trajectory, &options)? {

@@ -18,7 +18,6 @@ use driver_iface::record::{Record, code};
 use num_complex::Complex32;
 use std::io::{self, Read, Seek, SeekFrom};
 
-/// Picoseconds in a microsecond.
 const PS_PER_US: i128 = 1_000_000;
 /// Receive chains of a 5300, the limit of a record.
 const MOST_CHAINS: usize = 3;
@@ -48,7 +47,7 @@ pub struct Translator {
 struct Reading {
     ticks: u64,
     slow_us: Option<u64>,
-    /// Unwrapped, picoseconds.
+    /// Unwrapped time, picoseconds.
     at_ps: i128,
 }
 
@@ -241,7 +240,7 @@ impl Pieces {
     /// Reads once, at most one datagram. Returns the number of bytes, 0 at the end.
     ///
     /// # Errors
-    /// The reader's.
+    /// Any error of the reader.
     pub fn fill(&mut self, reader: &mut impl Read) -> io::Result<usize> {
         self.input.drain(..self.given);
         self.given = 0;
@@ -261,7 +260,7 @@ impl Pieces {
             if read == Err(Why::Cut) && len < LONGEST {
                 return None;
             }
-            // A head may begin in the last bytes.
+            // A record may begin in the last bytes.
             len = len.saturating_sub(feitcsi::HEAD - 1);
         }
         let bytes = front.get(..len).filter(|bytes| !bytes.is_empty())?;
@@ -401,7 +400,8 @@ mod tests {
 
     #[test]
     fn the_coarse_clock_unwraps_the_fine_one_over_any_pause() {
-        // The fine clock wraps after 13.4 s, half of the coarse one's period after 36 minutes. The last step is back, as after a reset.
+        // The fine clock wraps after 13.4 s; half of the coarse one's period is 36 minutes. The last step is back, as after a
+        // reset.
         let at_ns = [1_000_003, 2_000_009, 14_000_000_025, 70_000_000_050, 2_000_000_000_075, 1_999_000_000_000];
         let log: Vec<u8> = at_ns.iter().flat_map(|at| feitcsi((Kind::He, 20), *at, 0.0)).collect();
         let all = translated(&log, 4_096);

@@ -217,7 +217,7 @@ mod tests {
         );
     }
 
-    /// `docs/design.md`, "Publishers": 8, 8, 1 and 16 bytes.
+    /// `docs/design.md`, "Publishers": 8 + 8 + 1 + 16 bytes.
     #[test]
     fn an_attachment_has_33_bytes() {
         let gid: [u8; 16] = std::array::from_fn(|k| 0xa0 + k as u8);

@@ -251,7 +251,7 @@ impl Team {
     /// Adds a robot. A robot without a heading is a transmitter that stands still and measures no bearings.
     ///
     /// # Errors
-    /// If the name is taken, or a deviation is not a number above 0.
+    /// If the name is taken, or a deviation is not above 0.
     pub fn robot(&mut self, name: &str, has_heading: bool, noise: OdometryNoise) -> Checked<RobotId> {
         positive("the deviation of a turn", noise.turn_rad_per_rt_m)?;
         positive("slip", noise.slip)?;
@@ -323,7 +323,8 @@ impl Team {
     /// Returns its index in [`crate::Solution::chosen`].
     ///
     /// # Errors
-    /// If a number is not finite, a deviation or range is not above 0, a share is not between 0 and 1, or the link has no candidate.
+    /// If a number is not finite, a deviation or range is not above 0, a share is not between 0 and 1, or the link has no
+    /// candidate.
     pub fn link(&mut self, from: KeyframeId, to: KeyframeId, modes: &[Mode], null_share: f64) -> Checked<usize> {
         let (seeing, seen) = (self.check(from)?, self.check(to)?);
         let own = &self.robots[seeing];

@@ -458,7 +458,8 @@ fn even(k: usize) -> f64 {
 }
 
 impl Problem<'_> {
-    /// Descends again from perturbations of a minimum. Local minima lie close together, because a chosen candidate holds its pose.
+    /// Descends again from perturbations of a minimum, because a chosen candidate holds its pose and so local minima lie close
+    /// together.
     fn kick(&mut self, best: &mut Settled) {
         for kick in 1..=KICKS {
             let mut state = best.state.clone();

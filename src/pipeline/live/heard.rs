@@ -62,7 +62,7 @@ impl Reach {
     }
 }
 
-/// One sender.
+/// A sender and its last answer.
 struct HeardLink {
     /// `Ok`: the peer's number. `Err`: its number among the other senders.
     number: Result<usize, usize>,
@@ -79,7 +79,6 @@ struct HeardLink {
     bearing: Option<Bearing>,
 }
 
-/// The last answer.
 struct LastAnswer {
     answer: Answer,
     at: Instant,
@@ -149,7 +148,7 @@ impl Heard {
         self.next_due().is_some_and(|due| due <= now && other.is_none_or(|other| due <= other))
     }
 
-    /// The report that is due.
+    /// The next due report.
     pub(super) fn poll_report(&mut self, context: Context<'_>) -> Option<(Result<usize, usize>, PeerReport)> {
         let period = Span::from_s(1.0 / context.settings.rate_hz);
         let link = self.links.iter_mut().min_by_key(|link| link.due)?;

@@ -72,7 +72,7 @@ impl Capture {
 pub struct Receiver {
     /// Name of the capture.
     pub capture: String,
-    /// Links used.
+    /// Number of usable links.
     pub links: usize,
     /// Their names, in the order of the lists below.
     pub names: Vec<String>,

@@ -17,7 +17,7 @@ pub struct Hall {
     pub mirrored: f64,
     /// The last robot's bearings are random.
     pub has_liar: bool,
-    /// Number of robots with a known first pose (deviation [`START_SD`]). With 0, the frame is that of the first robot's odometry.
+    /// Number of robots with a known first pose (deviation [`START_SD`]). With 0, the frame is that of the first robot.
     pub anchors: usize,
     /// Share of observations with a range: deviation 0.1 m; one in ten is up to 10 m too long.
     pub ranged: f64,

@@ -28,7 +28,6 @@ pub struct Pair {
     pub bearing_s: f64,
 }
 
-/// An input of the estimator.
 enum Item {
     Pose(Option<Pose>),
     Record { own: bool, stamps: Stamps, code: u8, body: Vec<u8> },

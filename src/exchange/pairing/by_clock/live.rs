@@ -2,8 +2,8 @@
 //!
 //! Records are kept until the clocks are aligned; alignment is tried repeatedly. From then on, the line is followed as in a
 //! whole log. A pair is returned once no later record can claim a part of it: after the next record of each side. A
-//! clock that was set back, a long pause, or deviations that leave the line end it; later records are aligned again. If a clock
-//! was set forward by less than [`PAUSE_NS`], up to [`LOOK`] pairs may be wrong.
+//! clock that was set back, a long pause, or deviations that leave the line end it; later records are aligned again. If a
+//! clock was set forward by less than [`PAUSE_NS`], up to [`LOOK`] pairs may be wrong.
 
 use super::{
     CardClock, Claim, Claims, Fit, Follower, LEAST, Line, LinkSide, Overlay, Pair, Refusal, STRETCH, Side, centre,
@@ -187,8 +187,8 @@ impl<T> Live<T> {
         }
     }
 
-    /// Ends the line: the card of `side` was restarted, or paused for long. The other side's records after the last pair are kept,
-    /// since they may pair with later ones.
+    /// Ends the line: the card of `side` was restarted, or paused for long. The other side keeps its records after the last
+    /// pair, because they may pair with later ones.
     fn part(&mut self, side: LinkSide) {
         self.advance(true);
         let (i, j) = self.unlock();
@@ -200,8 +200,8 @@ impl<T> Live<T> {
         self.transmitter.forget(transmitter);
     }
 
-    /// Gives up the alignment. Returns, for each side, the number of records up to the last pair; without a pair, the number that
-    /// was tried.
+    /// Gives up the alignment. Returns, for each side, the number of records up to the last pair or, without a pair, the number
+    /// tried.
     fn unlock(&mut self) -> (usize, usize) {
         self.try_at = 2 * LEAST;
         let Some(lock) = self.lock.take() else { return (0, 0) };

@@ -31,7 +31,7 @@ fn other_card(
             Item::Skipped(skipped) => lost += if skipped.why == Why::NoCsi { 0 } else { skipped.len },
         }
     }
-    note!("{}: {}, {frames} frames, {without} without all of the antennas", path.display(), format.name());
+    note!("{}: {}, {frames} frames, {without} lack an antenna", path.display(), format.name());
     if lost > 0 {
         note!("  not read: {lost} bytes");
     }
@@ -108,7 +108,7 @@ pub fn run(args: &Args) -> Result {
             let unused = report.log.unused;
             if unused.no_antenna + unused.other_sender > 0 || !losses.is_empty() {
                 notes!(
-                    "{}: {} bfee records, {} without all of the antennas, {} of other senders\n{losses}",
+                    "{}: {} bfee records, {} lack an antenna, {} of other senders\n{losses}",
                     rx.display(),
                     report.log.survey.bfees(),
                     unused.no_antenna,
@@ -143,7 +143,7 @@ pub fn run(args: &Args) -> Result {
     }
     if report.links.is_empty() {
         wrong!(
-            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows how many chains it has",
+            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows the number of chains",
             rx.display()
         );
     }
