@@ -1,4 +1,4 @@
-//! Combines two independent posteriors of one direction: the azimuth has a uniform prior, so the log-likelihoods add.
+//! Combines two posteriors of one direction: the azimuth has a uniform prior, so the log-likelihoods add.
 //!
 //! The heading error of their common path turns both alike, so it blurs their product once.
 

@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 pub(crate) const SPAN_M: f64 = 30.0;
 
 /// Below this range, metres, the lateral deviation of an azimuth stays what it is at this range: an azimuth is measured over a
-/// motion, to an antenna at an unknown place on its robot, so close robots change direction quickly.
+/// motion, to an antenna at an unknown place on its robot, so the direction to a close robot changes quickly.
 pub(crate) const NEAREST_M: f64 = 0.3;
 
 /// A robot of a [`Team`].

@@ -433,7 +433,7 @@ impl<'a> Problem<'a> {
     }
 
     /// The better of two minima, each with outlier shares learnt there. One descent begins with wider deviations, which
-    /// switches honest robots on again.
+    /// switches robots with right bearings on again.
     fn settle(&mut self, begin: &State) -> Settled {
         let mut best: Option<Settled> = None;
         for tempers in [&[1.0][..], &[3.0, 1.0]] {
@@ -458,8 +458,7 @@ fn even(k: usize) -> f64 {
 }
 
 impl Problem<'_> {
-    /// Descends again from perturbations of a minimum, because a chosen candidate holds its pose and so local minima lie close
-    /// together.
+    /// Descends again from perturbations of a minimum. A chosen candidate holds its pose, so there may be a lower minimum nearby.
     fn kick(&mut self, best: &mut Settled) {
         for kick in 1..=KICKS {
             let mut state = best.state.clone();

@@ -34,7 +34,7 @@ pub fn run(args: &Args, from: &Way, signals: Signals) -> Result {
         }
         Way::Asked(command) => {
             let frames = Frames::ask(command, wall_us).map_err(|error| with_cause(&error))?;
-            (frames, format!("started a measurement of FeitCSI at {}", command.to))
+            (frames, format!("asked FeitCSI at {} to measure", command.to))
         }
     };
     let files = LogFiles::create_bodies(&args.out, args.rotation(), args.force);
