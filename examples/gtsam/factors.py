@@ -1,7 +1,7 @@
-"""A team's graph in GTSAM: the factors that `csi5300 bearing CAPTURE --factors OUT.json` or `cargo run -p csi5300-team --example team -- 5 1 OUT.json` wrote.
+"""Solves a team's graph with GTSAM. Input: JSON from `csi5300 bearing CAPTURE --factors OUT.json` or `cargo run -p csi5300-team --example team -- 5 1 OUT.json`.
 
-Keyframe k is Pose2 k, the calibration of robot r the vector C(r): turn per metre, relative error of lengths. Solved from a start beside the poses in the
-file, the graph must end at them, with the same covariances. Run it with `pip install gtsam`.
+Keyframe k is Pose2 k. The calibration of robot r is the vector C(r): turn per metre, relative error of lengths. The optimisation starts from perturbed
+poses; it must reach the poses and covariances of the file. Requires `pip install gtsam`.
 """
 
 import json
@@ -16,7 +16,7 @@ NEAREST_M = 0.3
 
 
 def factor(keys: list, sds: list, error) -> gtsam.CustomFactor:
-    """A factor of residuals `error(poses and calibrations)`, with derivatives by differences."""
+    """A factor with the residuals `error(*values)` and derivatives by finite differences."""
 
     def with_jacobians(own: gtsam.CustomFactor, values: gtsam.Values, jacobians: list | None) -> np.ndarray:
         at = [values.atPose2(key) if key < C(0) else values.atVector(key) for key in own.keys()]
@@ -48,7 +48,7 @@ def step_error(step: dict):
 
 
 def link_factor(link: dict, null_share: float) -> gtsam.CustomFactor:
-    """A max-mixture: residuals of the likeliest candidate in its deviations, none of the outlier; the third is what the density costs beside the others'."""
+    """A max-mixture: the residuals of the likeliest candidate, in deviations, or 0 for the outlier. The third residual is the cost of the component's density, relative to the least one."""
     total, options = sum(mode["share"] for mode in link["modes"]), [(-math.log(max(null_share, 1e-300)), None, None)]
     for mode in link["modes"] if null_share < 1 else []:
         cost = -math.log((1 - null_share) * mode["share"] / total)
@@ -62,7 +62,7 @@ def link_factor(link: dict, null_share: float) -> gtsam.CustomFactor:
         azimuth, distance = math.atan2(seen[1], seen[0]) - a.theta(), float(np.linalg.norm(seen))
         residuals = []
         for cost, by_azimuth, by_range in options:
-            # Nearer than NEAREST_M an azimuth is as sharp in metres as there.
+            # Below NEAREST_M, the lateral deviation stays what it is at NEAREST_M.
             turned = wrap(azimuth - by_azimuth[0]) / by_azimuth[1] * min(distance / NEAREST_M, 1.0) if by_azimuth else 0.0
             residuals.append(np.array([turned, (distance - by_range[0]) / by_range[1] if by_range else 0.0, math.sqrt(2 * (cost - least))]))
         return min(residuals, key=lambda own: own @ own)
@@ -82,7 +82,7 @@ def main(path: str) -> int:
     for k, (keyframe, pose) in enumerate(zip(team["keyframes"], found["poses"])):
         start.insert(k, gtsam.Pose2(*(np.array(pose) + random.normal(0, [0.02, 0.02, 0.01]))))
         if not team["robots"][keyframe["robot"]]["has_heading"]:
-            graph.add(factor([k], [1.0], lambda pose: np.array([pose.theta()])))  # a point's yaw means nothing
+            graph.add(factor([k], [1.0], lambda pose: np.array([pose.theta()])))  # a point's yaw has no meaning
     for prior in team["priors"]:
         for part, (value, sd) in enumerate(zip(prior["pose"], prior["sd"])):
             if sd and (part < 2 or team["robots"][team["keyframes"][prior["keyframe"]]["robot"]]["has_heading"]):
@@ -113,7 +113,7 @@ def main(path: str) -> int:
         ours = np.array(found["covariances"][k])[:size, :size]
         worst = max(worst, float(np.abs(off / np.sqrt(np.diag(ours))).max()))
         apart = max(apart, float(np.abs(covariance - ours).max() / np.abs(ours).max()))
-    print(f"{len(found['poses'])} poses, {graph.size()} factors: off by {worst:.1e} deviations at most, covariances by {100 * apart:.2g} %")
+    print(f"{len(found['poses'])} poses, {graph.size()} factors: poses differ by at most {worst:.1e} deviations, covariances by {100 * apart:.2g} %")
     return 0 if worst < 0.05 and apart < 0.05 else 1
 
 

@@ -1,25 +1,25 @@
-//! Two kinds of evidence of one direction: over the same azimuths, which have no prior, the log-likelihoods add.
+//! Combines two posteriors of one direction: the azimuth has a uniform prior, so the log-likelihoods add.
 //!
-//! What turns both alike, the heading of the path that both were seen from, blurs their product once.
+//! The heading error of their common path turns both alike, so it blurs their product once.
 
 use super::Found;
 use super::posterior::{Atom, Blur, Mode, mass_within, settle};
 use crate::maths::wrap_rad;
 use std::f64::consts::TAU;
 
-/// Azimuths of the whole circle, and into how many each is split where the product is not negligible.
+/// Number of azimuths on the circle, and the number into which each is split where the product is not negligible.
 const COARSE: usize = 720;
 const SPLIT: usize = 20;
-/// What is this far below the highest, in logarithms, is.
+/// Log-likelihoods this far below the highest are negligible.
 const NEGLIGIBLE: f64 = 12.0;
-/// Directions with less than this share are left out.
+/// Directions with less than this share are dropped.
 const LEAST_SHARE: f64 = 1e-3;
-/// Inverse of the distance of a transmitter whose range is unknown, at least, 1/m.
+/// Least inverse distance assumed for a transmitter, 1/m.
 const UNKNOWN_CURVE: f64 = 0.25;
-/// A mirror is looked for this near to where one of both has it, radians.
+/// A mode this near to a mirror of either side is a mirror, radians.
 const NEAR_RAD: f64 = 0.26;
 
-/// One direction's share, with everything that blurs it but the heading of both.
+/// One posterior, with its blur but without the common heading error.
 struct Side<'a> {
     found: &'a Found,
     blur: Blur,
@@ -31,20 +31,20 @@ impl<'a> Side<'a> {
         Self { found, blur: Blur { heading_rad: own, ..found.blur } }
     }
 
-    /// Probability of a cell over its width.
+    /// Probability density of a cell.
     fn density(&self, azimuth: f64, width: f64) -> f64 {
         mass_within(&self.found.modes, &self.blur, &[azimuth], 0.5 * width) / width
     }
 }
 
-/// By how much the directions from two places may differ, radians: as the nearest place that `found` leaves within a deviation says.
+/// Possible difference between the directions from two places, radians, by the nearest range within one deviation of `found`.
 fn parallax_rad(found: &Found, apart_m: f64) -> f64 {
     let nearest = |mode: &Mode| mode.place.curve + mode.covariance[(2, 2)].max(0.0).sqrt();
     apart_m * found.modes.first().map_or(0.0, nearest).max(UNKNOWN_CURVE)
 }
 
-/// The direction by both: elevations, ranges and places are those of `first`. `shared_rad` is the deviation of the heading of the
-/// path that both were seen from, `apart_m` how far the middle of one's motion is from that of the other's.
+/// The combined direction. Elevations, ranges and places are those of `first`. `shared_rad` is the deviation of the common
+/// path's heading; `apart_m` is the distance between the middles of the two motions, metres.
 pub(crate) fn both(first: &Found, second: &Found, shared_rad: f64, apart_m: f64) -> Found {
     let sides = [Side::new(first, shared_rad, 0.0), Side::new(second, shared_rad, parallax_rad(first, apart_m))];
     let cell = |azimuth: f64, width: f64| -> (f64, Atom) {
@@ -74,7 +74,7 @@ pub(crate) fn both(first: &Found, second: &Found, shared_rad: f64, apart_m: f64)
     Found { modes, mirror, bound_rad, blur: Blur { heading_rad: shared_rad, model_rad: 0.0 }, ..first.clone() }
 }
 
-/// The cells about each local maximum, up to the minima beside it.
+/// The cells around each local maximum, up to the adjacent minima.
 fn segments(logs: &[f64]) -> Vec<Vec<usize>> {
     let count = logs.len();
     let lowest = (0..count).min_by(|a, b| logs[*a].total_cmp(&logs[*b])).unwrap_or(0);
@@ -98,12 +98,12 @@ fn mode(own: &[usize], fine: &[Vec<(f64, Atom)>], highest: f64, first: &Found) -
     let atoms: Vec<Atom> = cells().map(of).collect();
     let mass: f64 = atoms.iter().map(|atom| atom.mass).sum();
     let best = cells().max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, atom)| atom.azimuth);
-    // About the best one: the mean of what lies near it, which a grid does not round.
+    // The mean about the best cell is not rounded to the grid.
     let near = || atoms.iter().filter(|atom| atom.mass > 0.0).map(|atom| (wrap_rad(atom.azimuth - best), atom));
     let mean = near().map(|(off, atom)| off * atom.mass).sum::<f64>() / mass.max(f64::MIN_POSITIVE);
     let square = near().map(|(off, atom)| ((off - mean).powi(2) + atom.width.powi(2) / 12.0) * atom.mass).sum::<f64>();
     let azimuth = wrap_rad(best + mean);
-    // Elevation and range are those of the nearest direction that had some.
+    // Elevation and range are those of the nearest mode of `first`.
     let off = |mode: &&Mode| wrap_rad(mode.place.azimuth - azimuth).abs();
     let nearest = first.modes.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
     let (mut place, mut covariance) = nearest.map_or_else(Default::default, |mode| (Some(mode.place), mode.covariance));

@@ -1,6 +1,6 @@
-//! Bearings from one log: two or three antennas on one robot that turns, without a partner's log.
+//! Bearings from one log: two or three antennas on a turning robot, without a partner's log.
 //!
-//! The receive chains of one card share carrier, sampling clock and gain. In `z = h_A conj(h_B)` they cancel, and the
+//! The receive chains of one card share carrier, sampling clock and gain. These cancel in `z = h_A conj(h_B)`, and the
 //! direction remains:
 //!
 //! ```text
@@ -8,15 +8,15 @@
 //! ```
 //!
 //! with `u` the unit vector to the transmitter, `b` the baseline `r_A - r_B` on the robot, `R` the robot's attitude and `c` a
-//! constant of the two chains. So a turning baseline is an array of its own: `R b` is the displacement, the path gain is 1, and
+//! constant of the two chains. So a turning baseline is a synthetic array: `R b` is the displacement, the path gain is 1, and
 //! the samples go into the same estimate as those of two logs. The robot's position is not needed.
 //!
-//! The wave front is taken as plane: both ends of a baseline see the same curvature, so there is no range.
+//! The wave front is assumed to be plane, so there is no range.
 //!
 //! A turn also gives `c` ([`ChainConstant`]). It holds until the firmware is loaded again. With a known `c`
-//! ([`Array::with_constants`]) a robot that stands has a bearing, and with two antennas its mirror beyond the baseline.
-//! Two antennas at the same place would measure the phase `c`, so the estimate gets as many samples of it at the origin
-//! as there are records.
+//! ([`Array::with_constants`]) a standing robot has a bearing too; two antennas leave its mirror across the baseline.
+//! Two antennas at the same place would measure the phase `c`, so the estimate gets one sample of it at the origin for each
+//! record.
 
 use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
 use super::error::LinkError;
@@ -41,39 +41,39 @@ use num_complex::{Complex32, Complex64};
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Most records kept of a sender. At this number every second one is dropped, so memory is bounded for a log of any length.
+/// Limit of records kept of a sender. Above it, every second one is dropped, so memory is bounded for a log of any length.
 const MAX_ROWS: usize = 8_192;
 /// Longest baseline of one card, metres.
 const LONGEST_M: f64 = 1.0;
-/// Shortest baseline, metres: a thousandth of a wavelength shows no direction.
+/// Shortest baseline, metres: about a thousandth of a wavelength.
 const SHORTEST_M: f64 = 1e-4;
-/// Length of the arm whose end shows when the robot turned, metres: the thresholds of driving robots then mean 0.8
-/// degrees a second.
+/// Length of the arm whose end shows when the robot turns, metres. With it, the speed threshold for driving robots means
+/// 0.8 degrees a second.
 const GATE_ARM_M: f64 = 0.3;
-/// Error of the attitude from moment to moment, radians: it moves the end of the baseline.
+/// Short-term error of the attitude, radians: it moves the end of the baseline.
 const ATTITUDE_SD_RAD: f64 = 0.0175;
-/// Phases follow the turn from this coherence on, times the root of the number of samples: in the best of 10,000 directions
-/// random phases reach `sqrt(ln 1e7)` once in a thousand times.
+/// Least coherence times the square root of the number of samples. In the best of 10,000 directions, random phases reach
+/// `sqrt(ln 1e7)` once in a thousand times.
 const BY_CHANCE: f64 = 4.0;
-/// Azimuths of the density that pictures show.
+/// Azimuths of the density in plots.
 const DENSITY_AZIMUTHS: usize = 1440;
-/// Share of a baseline that its end must have moved for the turn to say what the constants are.
+/// A turn determines the constants if the baseline's end moves by this share of its length, ...
 const TELLING: f64 = 0.3;
-/// Probability of the direction from which it does.
+/// ... and the best direction has this probability.
 const CLEAR_SHARE: f64 = 0.9;
-/// A constant is another one than was given from so many deviations on, and so much, radians: what is wrong is half a turn on a
-/// 5300, anything on others.
+/// A turn contradicts a given constant if they differ by more than this, in deviations and in radians. On a 5300 a wrong
+/// constant is off by half a turn, on other cards by anything.
 const CONTRADICTS_SD: f64 = 4.0;
 const CONTRADICTS_RAD: f64 = 0.5;
-/// Samples of each baseline for the search of the chains' constants.
+/// Samples of each baseline in the search for the chains' constants.
 const ROUGH_ROWS: usize = 256;
 
-/// Two or three antennas of one card, and where they are on the robot.
+/// Two or three antennas of one card, and their places on the robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Array {
     first: Antenna,
     others: Vec<(Antenna, Vector3<f64>)>,
-    /// For each baseline, if known.
+    /// One for each baseline, or empty if unknown.
     constants: Vec<ChainConstant>,
 }
 
@@ -86,23 +86,23 @@ pub struct ChainConstant {
     pub sd_rad: f64,
 }
 
-/// Why antennas and baselines make no array.
+/// Invalid antennas or baselines.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ArrayError {
     /// Fewer than two antennas, or more than three.
-    #[error("{antennas} antennas: a bearing from one log takes 2 or 3, such as A,B")]
+    #[error("{antennas} antennas: a bearing from one log needs 2 or 3, such as A,B")]
     Antennas {
-        /// How many were given.
+        /// Antennas given.
         antennas: usize,
     },
     /// An antenna is named twice.
-    #[error("antenna {antenna} is named twice: each has a place of its own")]
+    #[error("antenna {antenna} is named twice: name each antenna once")]
     Twice {
-        /// Which.
+        /// The antenna.
         antenna: Antenna,
     },
-    /// The number of baselines is not that of the antennas less one.
+    /// The number of baselines is not one less than the number of antennas.
     #[error(
         "{baselines} baselines for {antennas} antennas: {} needed, from each other antenna to the first",
         antennas - 1
@@ -113,31 +113,30 @@ pub enum ArrayError {
         /// Baselines given.
         baselines: usize,
     },
-    /// An impossible baseline.
+    /// A baseline that is too short or too long.
     #[error("a baseline of {length_m} m: metres are expected, {SHORTEST_M} to {LONGEST_M} (4.6 cm are 0.046)")]
     Length {
         /// Its length, metres.
         length_m: f64,
     },
-    /// Another number of constants than of baselines, or one that is not finite.
+    /// The number of constants is not the number of baselines, or one is not finite.
     #[error(
-        "{constants} constants of chains for {baselines} baselines: none, or a finite one for each, with a deviation of 0 or more"
+        "{constants} chain constants for {baselines} baselines: give none, or a finite one for each, with a deviation of 0 or more"
     )]
     Constants {
         /// Constants given.
         constants: usize,
-        /// Baselines.
+        /// Baselines given.
         baselines: usize,
     },
 }
 
 impl Array {
-    /// Antennas, and the place of the first one as seen from each other one, metres (robot frame: x forward, y left, z up).
-    /// Antennas of cards other than the 5300 are receive chains 0, 1 and 2.
+    /// Antennas, and baselines: the vector from each other antenna to the first, metres (robot frame: x forward, y left, z up).
+    /// On cards other than the 5300, antennas A, B and C are receive chains 0, 1 and 2.
     ///
     /// # Errors
-    /// [`ArrayError`] for other than two or three different antennas, or other than one baseline of 0.1 mm to 1 m for each but
-    /// the first.
+    /// [`ArrayError`] unless there are two or three different antennas and one baseline of 0.1 mm to 1 m for each but the first.
     pub fn new(antennas: &[Antenna], baselines_m: &[Vector3<f64>]) -> Result<Self, ArrayError> {
         let (Some((&first, others)), 2..=3) = (antennas.split_first(), antennas.len()) else {
             return Err(ArrayError::Antennas { antennas: antennas.len() });
@@ -156,11 +155,11 @@ impl Array {
         Ok(Self { first, others, constants: Vec::new() })
     }
 
-    /// With what a turn gave for each baseline ([`Bearing::chain_constants`]): then records count that were taken while the
-    /// robot stood.
+    /// Sets the constant of each baseline from an earlier turn ([`Bearing::chain_constants`]). With constants, records of a
+    /// standing robot are used too.
     ///
     /// # Errors
-    /// [`ArrayError::Constants`] for another number of them than of baselines, and for what is not finite.
+    /// [`ArrayError::Constants`] unless there is one finite constant for each baseline.
     pub fn with_constants(self, constants: &[ChainConstant]) -> Result<Self, ArrayError> {
         let is_known = |one: &ChainConstant| one.rad.is_finite() && one.sd_rad.is_finite() && one.sd_rad >= 0.0;
         if constants.len() != self.others.len() || !constants.iter().all(is_known) {
@@ -169,7 +168,7 @@ impl Array {
         Ok(Self { constants: constants.to_vec(), ..self })
     }
 
-    /// Length of the first baseline, metres, and whether the constants of the chains are known.
+    /// Length of the first baseline, metres, and true if the chain constants are known.
     pub(super) fn reach(&self) -> (f64, bool) {
         (self.others.first().map_or(0.0, |(_, baseline_m)| baseline_m.norm()), !self.constants.is_empty())
     }
@@ -185,7 +184,7 @@ impl Array {
     }
 }
 
-/// One frame as the antennas of an array heard it: `h_first conj(h_other)` of each other antenna.
+/// One frame received by an array: `h_first conj(h_other)` for each other antenna.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArrayFrame {
     sender: Mac,
@@ -194,11 +193,11 @@ pub struct ArrayFrame {
 }
 
 impl ArrayFrame {
-    /// From the CSI of each antenna and transmitted stream, any number of subcarriers in their order; `csi` gives none where
-    /// the card does not have it. A sender that is not known is [`Mac::default`]; `host_us` is the host's time, microseconds
-    /// since the Unix epoch.
+    /// From the CSI of each antenna and transmitted stream: any number of subcarriers, in order. `csi` returns `None` for CSI
+    /// that the card does not have. An unknown sender is [`Mac::default`]. `host_us` is the host's time, microseconds since
+    /// the Unix epoch.
     ///
-    /// Streams are added, because all come from the same direction. More than 30 subcarriers are added in 30 groups,
+    /// Streams are added, because all come from the same direction. More than 30 subcarriers are added up in 30 groups,
     /// because the phase between two antennas hardly changes over a channel.
     ///
     /// `None` if one of the antennas is not in the frame or received nothing.
@@ -238,7 +237,7 @@ impl ArrayFrame {
     }
 }
 
-/// The receive chain of a frame that is connected to an antenna: a 5300 reports it; on other cards chains are numbered.
+/// The receive chain of an antenna in a frame. A 5300 reports it; on other cards it is the antenna's number.
 fn chain(frame: &Frame, antenna: Antenna) -> Option<usize> {
     match frame.antenna_sel {
         Some(sel) => Antennas::new(sel, u8::try_from(frame.n_rx).ok()?, [0; 3]).ok()?.chain_of(antenna),
@@ -246,24 +245,24 @@ fn chain(frame: &Frame, antenna: Antenna) -> Option<usize> {
     }
 }
 
-/// One frame, as it is kept.
+/// A kept frame.
 #[derive(Clone, Debug)]
 struct Row {
     host_us: Option<i64>,
-    /// Its number among those of its sender.
+    /// Its number among the frames of its sender.
     row: usize,
     products: Vec<[Complex32; SUBCARRIERS]>,
 }
 
 impl Row {
-    /// The sample of a baseline: the strongest delay, at which all paths meet themselves.
+    /// The sample of a baseline: the sum over subcarriers (delay 0), where each path is multiplied by itself.
     fn z(&self, baseline: usize) -> Complex64 {
         let sum: Complex32 = self.products.get(baseline).into_iter().flatten().sum();
         let z = Complex64::new(f64::from(sum.re), f64::from(sum.im));
         if z.norm() > 0.0 { z / z.norm() } else { Complex64::ONE }
     }
 
-    /// The product on all subcarriers, of unit power and turned.
+    /// The product on all subcarriers, at unit power, times `turn`.
     fn planes(&self, baseline: usize, turn: Complex64) -> Planes {
         let Some(product) = self.products.get(baseline) else { return Planes::ZERO };
         let power = product.iter().map(Complex32::norm_sqr).sum::<f32>() / SUBCARRIERS as f32;
@@ -277,38 +276,38 @@ impl Row {
 #[derive(Clone, Debug)]
 struct Sender {
     rows: Vec<Row>,
-    /// Frames that all antennas heard.
+    /// Frames received by all antennas.
     heard: usize,
-    /// Its frames, with those that an antenna missed if rows are counted.
+    /// All its frames; those that an antenna missed count only when joining by row.
     frames: usize,
     /// One in this many records is kept.
     stride: usize,
 }
 
-/// What one log gives: frames in, bearings out. It does no I/O.
+/// Bearings from one log: takes frames, returns bearings. It does no I/O.
 #[derive(Debug)]
 pub struct OneLog {
     array: Array,
     options: Options,
     log: LogReport,
     senders: BTreeMap<Mac, Sender>,
-    /// Senders and records of each that are kept at most.
+    /// Limits of senders, and of records of each.
     most: (usize, usize),
     first_delay: FirstDelay,
 }
 
-/// What a run over one log gave.
+/// Result of one log.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct OneLogReport {
     /// Counts of the log.
     pub log: LogReport,
-    /// A link for each sender, the one with most records first. [`LinkReport::link`] is none: there are no pairs.
+    /// A link for each sender, the one with most records first. [`LinkReport::link`] is `None`, because there are no pairs.
     pub links: Vec<LinkReport>,
 }
 
 impl OneLog {
-    /// Nothing heard yet. Options of pairs and of two clocks have no effect.
+    /// An empty state. Options about pairs and about two clocks have no effect.
     #[must_use]
     pub fn new(array: Array, options: Options) -> Self {
         let first_delay = FirstDelay::new(options.tier);
@@ -316,16 +315,16 @@ impl OneLog {
         Self { array, options, log: LogReport::default(), senders, most, first_delay }
     }
 
-    /// The same with so many senders and records of each at most.
+    /// Sets the limits of senders, and of records of each.
     pub(super) fn keeping(self, senders: usize, rows: usize) -> Self {
         Self { most: (senders, rows), ..self }
     }
 
-    /// Forgets the records of a sender before `host_us`; of one that is not `named` the sender too, if none is left.
+    /// Forgets a sender's records before `host_us`. If no record is left and it is not `is_named`, forgets the sender too.
     pub(super) fn forget_before(&mut self, sender: Mac, host_us: i64, is_named: bool) {
         let Some(own) = self.senders.get_mut(&sender) else { return };
         own.rows.retain(|row| row.host_us.is_some_and(|at| at >= host_us));
-        // As dense from here on as what remains allows.
+        // Thins out later records only as far as needed.
         let mut expected = own.rows.len();
         while own.stride > 1 && expected <= self.most.1 / 4 {
             (own.stride, expected) = (own.stride / 2, expected * 2);
@@ -335,12 +334,12 @@ impl OneLog {
         }
     }
 
-    /// The host time of a sender's first record that is kept.
+    /// The host time of a sender's first kept record.
     pub(super) fn first_us(&self, sender: Mac) -> Option<i64> {
         self.senders.get(&sender)?.rows.iter().find_map(|row| row.host_us)
     }
 
-    /// The bearing of one sender by the records that are kept.
+    /// The bearing of one sender from the kept records.
     pub(super) fn bearing(
         &self,
         sender: Mac,
@@ -350,12 +349,12 @@ impl OneLog {
         bearing(self.senders.get(&sender).ok_or(LinkError::Unheard)?, &self.array, trajectory, options)
     }
 
-    /// Takes an item of a source of a 5300's records.
+    /// Takes an item from a source of a 5300's records.
     pub fn note(&mut self, next: &Next<'_>) {
         self.note_sender(next);
     }
 
-    /// The same; gives the sender and the host time of a frame that all antennas heard.
+    /// As [`OneLog::note`]; returns the sender and host time of a frame received by all antennas.
     pub(super) fn note_sender(&mut self, next: &Next<'_>) -> Option<(Mac, Option<i64>)> {
         let (bfee, identity) = self.log.survey.note(next)?;
         match ArrayFrame::of_bfee(&self.array, &bfee, identity.mac, identity.host_us) {
@@ -371,9 +370,9 @@ impl OneLog {
         }
     }
 
-    /// Takes a frame of another card. False if it lacks an antenna, or one received nothing.
+    /// Takes a frame of another card. Returns false if an antenna is missing or received nothing.
     ///
-    /// Of frames of 80 MHz and more it takes the first strong delay, where the direct path is nearly alone.
+    /// From frames of 80 MHz and more it takes the first strong delay, where the direct path dominates.
     pub fn note_frame(&mut self, frame: &Frame) -> bool {
         let column = |antenna, stream| frame.column(chain(frame, antenna).filter(|chain| *chain < frame.n_rx)?, stream);
         let mut firsts: Vec<Vec<Complex32>> = Vec::new();
@@ -428,14 +427,15 @@ impl OneLog {
         }
     }
 
-    /// Counts a frame without a product, so that rows joined one by one stay in step.
+    /// Counts a frame without a product, so that joining by row stays aligned.
     fn miss(&mut self, sender: Mac) {
         if self.options.join == JoinBy::Row {
             self.next_row(sender);
         }
     }
 
-    /// Counts a frame; returns its sender and its number among that sender's. `None`, counted too, for other senders.
+    /// Counts a frame; returns its sender and its number among the sender's frames. For other senders, counts it and returns
+    /// `None`.
     fn next_row(&mut self, sender: Mac) -> Option<(&mut Sender, usize)> {
         let wanted = &self.options.tx_macs;
         let is_wanted = wanted.is_empty() || wanted.contains(&sender);
@@ -451,7 +451,7 @@ impl OneLog {
         Some((own, row))
     }
 
-    /// The bearing of every sender, on the trajectory of the robot.
+    /// The bearing of every sender, with the robot's trajectory.
     #[must_use]
     pub fn bearings(self, trajectory: &Trajectory) -> OneLogReport {
         let Self { array, options, log, senders, .. } = self;
@@ -472,10 +472,10 @@ impl OneLog {
     }
 }
 
-/// The bearings to every sender that a log of a 5300 has frames of, by two or three antennas of a robot that turned.
+/// Bearings to all senders in a 5300's log, by two or three antennas on a turning robot.
 ///
 /// # Errors
-/// If the log cannot be read. A sender without a bearing is reported in its place and does not stop the others.
+/// If the log cannot be read. A sender without a bearing has its error in [`LinkReport::bearing`]; the others continue.
 pub fn one_log(
     log: &mut (dyn CsiSource + Send),
     trajectory: &Trajectory,
@@ -498,7 +498,7 @@ pub fn one_log(
     }
 }
 
-/// The outcome of a record for one baseline.
+/// Outcome of a record for one baseline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Fate {
     Cut,
@@ -507,18 +507,18 @@ enum Fate {
     Used,
 }
 
-/// The samples of one baseline, and the rows that they are of.
+/// The samples of one baseline, and the row of each.
 struct Baseline {
     samples: Samples,
     rows: Vec<usize>,
 }
 
-/// The samples of all baselines as those of one array.
+/// The samples of all baselines, combined in one array.
 struct Together {
-    /// Those of a known constant first, then those that were heard.
+    /// Anchors of known constants first, then measured samples.
     samples: Samples,
     anchors: usize,
-    /// The baseline and the row of each that was heard.
+    /// The baseline and row of each measured sample.
     rows: Vec<(usize, usize)>,
     /// The rotation that removed each baseline's constant.
     turns: Vec<Complex64>,
@@ -528,12 +528,12 @@ struct Together {
 struct Joined {
     baselines: Vec<Baseline>,
     fates: Vec<Fate>,
-    /// The end of the first baseline over the whole trajectory.
+    /// Path of the first baseline's end over the whole trajectory.
     arm: Trajectory,
     length_m: f64,
 }
 
-/// The time of each row on the trajectory's clock, seconds; none if it is not known.
+/// The time of each row on the trajectory's clock, seconds; `None` if unknown.
 fn times_s(rows: &[Row], trajectory: &Trajectory, options: &Options) -> Result<Vec<Option<f64>>, LinkError> {
     let by_host = |row: &Row| row.host_us.map(|us| us as f64 * 1e-6 + options.clock_offset_s);
     let by_row = |row: &Row| trajectory.poses().get(row.row).map(|pose| pose.t_s);
@@ -547,9 +547,9 @@ fn times_s(rows: &[Row], trajectory: &Trajectory, options: &Options) -> Result<V
     }
 }
 
-/// The end of a baseline at a time within the trajectory, and whether the robot turns then.
+/// The end of a baseline at a time within the trajectory, metres.
 fn end_m(arm: &Trajectory, t_s: f64, length_m: f64) -> Option<Vector3<f64>> {
-    // Between two poses the straight line is a chord of the turn.
+    // Interpolation between two poses follows the chord of the turn, so the length is restored.
     arm.at(t_s).and_then(|pose| UnitVector3::try_new(pose.position_m, 0.1 * GATE_ARM_M)).map(|way| *way * length_m)
 }
 
@@ -612,7 +612,7 @@ impl Joined {
         }
     }
 
-    /// Why there is no sample.
+    /// The reason why there is no sample.
     fn nothing(&self, counts: &PairCounts, times_s: &[Option<f64>], trajectory: &Trajectory) -> LinkError {
         let known = || times_s.iter().flatten().copied();
         let from_s = known().fold(f64::MAX, f64::min);
@@ -627,10 +627,10 @@ impl Joined {
         LinkError::OutsideTrajectory { pairs: counts.formed, from_s, start_s, end_s, other_fits: false }
     }
 
-    /// The samples of all baselines as those of one array.
+    /// Combines the samples of all baselines in one array.
     ///
-    /// Each baseline's constant is open. About the middle of its own samples it does not depend on the direction, to first
-    /// order, so that with all baselines about their middles and their constants removed one constant is left for all.
+    /// Each baseline's constant is unknown. Relative to the mean of the baseline's samples it does not depend on the direction,
+    /// to first order. So after centring each baseline and removing its constant, one common constant is left.
     fn together(&self, options: &Options) -> Result<Together, LinkError> {
         let heard: Vec<(usize, &Baseline)> =
             self.baselines.iter().enumerate().filter(|(_, own)| !own.samples.is_empty()).collect();
@@ -655,7 +655,7 @@ impl Joined {
         Ok(Together { samples: all, anchors: 0, rows: all_rows, turns })
     }
 
-    /// The same with known constants: as many samples of phase 0 at the origin as there are records.
+    /// As [`Self::together`], with known constants: adds one sample of phase 0 at the origin for each measured one.
     fn anchored(&self, constants: &[ChainConstant], options: &Options) -> Result<Together, LinkError> {
         let turns: Vec<Complex64> = constants.iter().map(|constant| Complex64::cis(-constant.rad)).collect();
         let mut all = Samples::new(options.channel.wavelength_m(), 1).map_err(bartlett::Error::from)?;
@@ -674,7 +674,7 @@ impl Joined {
         Ok(Together { samples: all, anchors, rows: rows.collect(), turns })
     }
 
-    /// Whether the turn says that a constant is another one than was given: the first that is.
+    /// The first given constant that the turn contradicts, if any.
     fn contradiction(
         &self,
         sender: &Sender,
@@ -707,7 +707,7 @@ impl Joined {
         Ok(given.iter().zip(self.constants(&towards)).find_map(wrong))
     }
 
-    /// The constants, given where the transmitter is.
+    /// The constants, given the direction of the transmitter.
     fn constants(&self, towards: &Towards) -> Vec<ChainConstant> {
         self.baselines.iter().map(|own| towards.constant(&own.samples)).collect()
     }
@@ -726,7 +726,7 @@ impl Together {
     }
 }
 
-/// A direction, and how well it is known.
+/// A direction and its deviations.
 struct Towards {
     azimuth_rad: f64,
     elevation_rad: f64,
@@ -745,7 +745,7 @@ impl Towards {
         })
     }
 
-    /// Change of a place's phase for each radian of azimuth and of elevation.
+    /// Derivative of a place's phase by azimuth and by elevation.
     fn slopes(&self, place_m: &Vector3<f64>, wavelength_m: f64) -> [f64; 2] {
         let ((sin_a, cos_a), (sin_e, cos_e)) = (self.azimuth_rad.sin_cos(), self.elevation_rad.sin_cos());
         let by_azimuth = Vector3::new(-sin_a, cos_a, 0.0) * cos_e;
@@ -753,8 +753,8 @@ impl Towards {
         [by_azimuth, by_elevation].map(|by| TAU / wavelength_m * by.dot(place_m))
     }
 
-    /// The residual phase of a baseline and its deviation: from the spread, which neighbours share in part, and from
-    /// the direction, as far as the turn is not centred.
+    /// The residual phase of a baseline and its deviation: from the spread of correlated samples, and from the direction's
+    /// error, if the turn is not centred.
     fn constant(&self, samples: &Samples) -> ChainConstant {
         let (n, wavelength_m) = (samples.len().max(1) as f64, samples.wavelength_m());
         let towards = bartlett::direction(self.azimuth_rad, self.elevation_rad);
@@ -773,7 +773,7 @@ impl Towards {
         ChainConstant { rad, sd_rad: spread.sqrt().hypot(by_direction) }
     }
 
-    /// Deviation of the azimuth from those of the constants, by least squares.
+    /// Deviation of the azimuth due to the constants' deviations, by least squares.
     fn azimuth_sd_of(&self, constants: &[ChainConstant], together: &Together) -> f64 {
         let places = together.samples.receiver_m();
         let middle_m = places.iter().sum::<Vector3<f64>>() / places.len().max(1) as f64;
@@ -793,15 +793,15 @@ fn about_middle(samples: &Samples) -> Vec<(Vector3<f64>, Complex64)> {
     samples.receiver_m().iter().zip(samples.z()).map(|(place_m, z)| (place_m - middle_m, *z)).collect()
 }
 
-/// The sum of a baseline's samples, steered to a direction.
+/// The sum of a baseline's samples, steered towards a direction.
 fn steered(group: &[(Vector3<f64>, Complex64)], towards: &Vector3<f64>, wavelength_m: f64, step: usize) -> Complex64 {
     let turn =
         |(place_m, z): &(Vector3<f64>, Complex64)| z * Complex64::cis(-TAU * towards.dot(place_m) / wavelength_m);
     group.iter().step_by(step.max(1)).map(turn).sum()
 }
 
-/// The constant of each baseline, at the direction with the greatest sum of magnitudes: the most likely one if all
-/// constants are unknown.
+/// The constant of each baseline at the direction with the greatest sum of magnitudes, the likeliest one for unknown
+/// constants.
 fn constants(groups: &[Vec<(Vector3<f64>, Complex64)>], options: &Options) -> Vec<Complex64> {
     let wavelength_m = options.channel.wavelength_m();
     let highest = options.accuracy.elevation_max_rad.unwrap_or(FRAC_PI_2);
@@ -816,7 +816,7 @@ fn constants(groups: &[Vec<(Vector3<f64>, Complex64)>], options: &Options) -> Ve
         };
         groups.iter().map(size).sum()
     };
-    // Eight directions in the width of the main lobe.
+    // Eight directions per width of the main lobe.
     let mut step = (wavelength_m / (16.0 * radius_m.max(1e-3))).clamp(0.01, 0.1);
     let count = |width: f64| (width / step).ceil().max(1.0) as usize;
     let heights = if highest > 0.0 { count(highest - lowest) } else { 0 };
@@ -870,7 +870,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
     let Together { samples, anchors, rows: used, .. } = &together;
     let mut options = options.clone();
     options.accuracy.near_field = false;
-    // One card has one sampling clock: slopes do not differ between packets.
+    // One card has one sampling clock, so slopes do not differ between packets.
     options.accuracy.align = false;
     options.odometry_sd_m = options.odometry_sd_m.min(ATTITUDE_SD_RAD * joined.length_m);
     if let Some(wrong) = joined.contradiction(sender, &array.constants, trajectory, &options)? {
@@ -916,7 +916,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
     })
 }
 
-/// Share of the records that a plane wave explains, without the anchors.
+/// Coherence of the measured samples with a plane wave, without the anchors.
 fn coherence(wave: &Estimate, samples: &Samples, anchors: usize) -> f64 {
     if anchors == 0 {
         return wave.coherence;
@@ -928,7 +928,7 @@ fn coherence(wave: &Estimate, samples: &Samples, anchors: usize) -> f64 {
     steered(&heard, &towards, samples.wavelength_m(), 1).norm() / heard.len().max(1) as f64
 }
 
-/// The phase of the first baseline in every record.
+/// The phase of the first baseline in each record.
 fn course(sender: &Sender, times_s: &[Option<f64>], joined: &Joined) -> Vec<Phase> {
     let first_s = times_s.iter().flatten().next().copied().unwrap_or_default();
     let phase = |((row, t_s), fate): ((&Row, &Option<f64>), &Fate)| {

@@ -1,14 +1,14 @@
-//! A log of another card as records of the 5300, so that what reads those reads these: FeitCSI, of the AX200 and AX210.
+//! Translates logs of another card into records of the 5300: FeitCSI's, from the AX200 and AX210.
 //!
-//! | of a frame | becomes |
+//! | frame | 5300 record |
 //! |---|---|
-//! | CSI of 20 or 40 MHz | the 30 subcarriers of a 5300, 8 bits, full scale: each the mean of the measured ones nearest to it, brought there along the slope of the phase |
-//! | CSI of 80 or 160 MHz | the same of the 20 MHz about the frame's centre, which is not the centre of its 20 MHz channel; marked by [`WIDE`] |
-//! | the card's clock | `timestamp_low` in whole microseconds, and before the bfee a record of what is left ([`code::CARD_CLOCK`]) |
-//! | host time, sender | those of WSR's layout of 2021, which has no frame number: pairs are formed by the clocks |
+//! | CSI of 20 or 40 MHz | the 30 subcarriers of a 5300, 8 bits, full scale: each is the mean of the nearest measured ones, moved along the phase slope |
+//! | CSI of 80 or 160 MHz | the same for the 20 MHz about the frame's centre, which is not the centre of its 20 MHz channel; marked by [`WIDE`] |
+//! | the card's clock | `timestamp_low` in whole microseconds; a record before the bfee has the remainder ([`code::CARD_CLOCK`]) |
+//! | host time, sender | as in WSR's layout of 2021, which has no frame numbers: frames are paired by the clocks |
 //! | RSSI, dBm | RSSI at a gain of 60 dB |
 //!
-//! What gives no bfee is a record that says so ([`code::LEFT_OUT`]): damage, and frames of other widths.
+//! Damaged bytes and frames of other widths become a [`code::LEFT_OUT`] record with the reason.
 
 use crate::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIER_SPACING_HZ, SUBCARRIERS};
 use csi_formats::{Frame, Why, feitcsi};
@@ -18,25 +18,24 @@ use driver_iface::record::{Record, code};
 use num_complex::Complex32;
 use std::io::{self, Read, Seek, SeekFrom};
 
-/// Picoseconds in a microsecond.
 const PS_PER_US: i128 = 1_000_000;
-/// Chains of a 5300, the most that a record holds.
+/// Receive chains of a 5300, the limit of a record.
 const MOST_CHAINS: usize = 3;
-/// Gain at which RSSI is given, dB: from -104 dBm on it is above 0.
+/// Gain written to the records, dB: RSSI is above 0 from -104 dBm on.
 const GAIN_DB: u8 = 60;
 /// `rss = rssi - 44 - agc` dBm (csitool, `get_total_rss.m`).
 const RSSI_OFFSET_DB: i16 = 44;
 /// Antennas of chains 0, 1 and 2: A, B and C.
 const IN_ORDER: u8 = 0b10_01_00;
-/// Bytes read at a time: no datagram is longer.
+/// Bytes read at a time; no datagram is longer.
 const CHUNK: usize = 64 * 1024;
-/// More than any record has: without the next record within this many bytes, the length was damaged.
+/// Longer than any record, bytes. If a record seems cut after this many bytes, its length field is damaged.
 const LONGEST: usize = 256 * 1024;
 
 /// In `rate_n_flags`: the frame was 80 or 160 MHz wide (iwlwifi's `RATE_MCS_CHAN_WIDTH_80`, bit 12).
 pub const WIDE: u16 = 0x1000;
 
-/// Makes records of frames, in the order of their log.
+/// Translates frames, in the order of their log, into records.
 #[derive(Clone, Debug, Default)]
 pub struct Translator {
     last: Option<Reading>,
@@ -48,16 +47,16 @@ pub struct Translator {
 struct Reading {
     ticks: u64,
     slow_us: Option<u64>,
-    /// Unwrapped, picoseconds.
+    /// Unwrapped time, picoseconds.
     at_ps: i128,
 }
 
 impl Translator {
-    /// Appends the records of one frame, or of `len` bytes at `offset` that are none, to a `.dat` log.
+    /// Appends the records of one frame, or of `len` unreadable bytes at `offset`, to a `.dat` log.
     pub fn take(&mut self, read: &Result<Frame, Why>, offset: u64, len: usize, log: &mut Vec<u8>) {
         match read {
             Err(Why::NoCsi) => {}
-            // A logger that was killed: the log ends within a record here too.
+            // The logger was killed: the translated log ends within a record too.
             Err(Why::Cut) => log.extend_from_slice(&[0, u8::MAX, code::BFEE]),
             Err(why) => left_out(offset, len, &why.to_string(), log),
             Ok(frame) => {
@@ -68,7 +67,7 @@ impl Translator {
         }
     }
 
-    /// The same of what FeitCSI wrote of one frame, while others follow.
+    /// As [`Self::take`], for FeitCSI's bytes of one frame, with more frames to follow.
     #[doc(hidden)] // for the crates of this workspace
     pub fn take_bytes(&mut self, bytes: &[u8], offset: u64, log: &mut Vec<u8>) {
         let read = feitcsi::front(bytes).0;
@@ -80,7 +79,7 @@ impl Translator {
         let indices = match frame.width_mhz {
             20 | 80 | 160 => &INDICES_20_MHZ,
             40 => &INDICES_40_MHZ,
-            other => return Err(format!("a frame of {other} MHz: bearings of two robots take those of 20 to 160 MHz")),
+            other => return Err(format!("a frame of {other} MHz: bearings of two robots need 20 to 160 MHz")),
         };
         let width_bits = match frame.width_mhz {
             40 => rate::HT40,
@@ -121,7 +120,7 @@ impl Translator {
         Ok(())
     }
 
-    /// The finest clock, unwrapped by the coarser one, which runs on where the finest wraps more than once.
+    /// The fine clock, unwrapped by the coarse one if it wrapped more than once, picoseconds.
     fn clock_ps(&mut self, frame: &Frame) -> Option<i128> {
         let clock = frame.clock?;
         let period = 1_i128 << clock.bits.min(64);
@@ -133,7 +132,7 @@ impl Translator {
                 let ticks = (i128::from(clock.ticks) - i128::from(last.ticks)).rem_euclid(period);
                 let coarse_us = slow_us.zip(last.slow_us).map(|(now, last)| (now as u32).wrapping_sub(last as u32));
                 let wraps = match coarse_us.map(u32::cast_signed) {
-                    // Set back: what follows is told from what was before by that.
+                    // Set back: the result goes back too, so that readers notice it.
                     Some(us @ ..0) => return self.keep(clock.ticks, slow_us, last.at_ps + i128::from(us) * PS_PER_US),
                     Some(us) => (i128::from(us) * PS_PER_US - ticks * tick_ps + period * tick_ps / 2)
                         .div_euclid(period * tick_ps)
@@ -168,7 +167,7 @@ fn rssi(dbm: i16) -> u8 {
     (dbm + RSSI_OFFSET_DB + i16::from(GAIN_DB)).clamp(1, 255) as u8
 }
 
-/// One column of a frame at the indices of the subcarriers that a 5300 reports.
+/// One column of a frame at the subcarriers that a 5300 reports.
 fn reported(frame: &Frame, rx: usize, tx: usize, indices: &[i8; SUBCARRIERS]) -> Option<[Complex32; SUBCARRIERS]> {
     let step = (frame.spacing_hz() / SUBCARRIER_SPACING_HZ) as f32;
     let values = frame.column(rx, tx)?.iter().zip(&frame.subcarriers).zip(&frame.measured);
@@ -194,7 +193,7 @@ fn reported(frame: &Frame, rx: usize, tx: usize, indices: &[i8; SUBCARRIERS]) ->
     Some(out)
 }
 
-/// `[subcarrier][chain]`, the largest part at full scale.
+/// `[subcarrier][chain]`, scaled so that the largest real or imaginary part is 127.
 fn quantised(columns: &[[Complex32; SUBCARRIERS]]) -> Vec<Iq> {
     let largest = columns.iter().flatten().flat_map(|h| [h.re.abs(), h.im.abs()]).fold(0.0, f32::max);
     let scale = if largest > 0.0 { f32::from(i8::MAX) / largest } else { 0.0 };
@@ -202,7 +201,7 @@ fn quantised(columns: &[[Complex32; SUBCARRIERS]]) -> Vec<Iq> {
     (0..SUBCARRIERS).flat_map(|k| columns.iter().filter_map(move |column| column.get(k))).map(iq).collect()
 }
 
-/// True if a file is a FeitCSI log, by its first bytes; it is read from its beginning afterwards.
+/// True if a file is a FeitCSI log, by its first bytes; rewinds the file.
 pub(super) fn is_other(file: &mut std::fs::File) -> io::Result<bool> {
     if !file.metadata()?.is_file() {
         return Ok(false);
@@ -213,35 +212,35 @@ pub(super) fn is_other(file: &mut std::fs::File) -> io::Result<bool> {
     Ok(feitcsi::is_log(&head))
 }
 
-/// FeitCSI's records in bytes that come a few at a time.
+/// Splits a stream of bytes into FeitCSI's records.
 #[doc(hidden)] // for the crates of this workspace
 #[derive(Debug, Default)]
 pub struct Pieces {
-    /// Bytes of which those up to `given` were handed out.
+    /// Buffered bytes; those before `given` have been returned.
     input: Vec<u8>,
     given: usize,
-    /// Where they begin.
+    /// Offset of the next piece in the stream, bytes.
     offset: u64,
     ended: bool,
 }
 
-/// A record of FeitCSI, or bytes that are none.
+/// A record of FeitCSI, or unreadable bytes.
 #[doc(hidden)] // for the crates of this workspace
 #[derive(Debug)]
 pub struct Piece<'a> {
-    /// The frame in it.
+    /// The frame, or why there is none.
     pub read: Result<Frame, Why>,
-    /// Where it begins.
+    /// Its offset in the stream, bytes.
     pub offset: u64,
-    /// The bytes as they came.
+    /// The bytes, unchanged.
     pub bytes: &'a [u8],
 }
 
 impl Pieces {
-    /// Takes what a reader has, at most one datagram of it: how many bytes, 0 at its end.
+    /// Reads once, at most one datagram. Returns the number of bytes, 0 at the end.
     ///
     /// # Errors
-    /// The reader's.
+    /// Any error of the reader.
     pub fn fill(&mut self, reader: &mut impl Read) -> io::Result<usize> {
         self.input.drain(..self.given);
         self.given = 0;
@@ -253,7 +252,7 @@ impl Pieces {
         read
     }
 
-    /// The next piece; `None` where more has to come, or nothing does.
+    /// The next piece; `None` if it needs more bytes, or at the end.
     pub fn piece(&mut self) -> Option<Piece<'_>> {
         let front = self.input.get(self.given..).filter(|front| !front.is_empty())?;
         let (read, mut len) = feitcsi::front(front);
@@ -261,7 +260,7 @@ impl Pieces {
             if read == Err(Why::Cut) && len < LONGEST {
                 return None;
             }
-            // A head may begin in the last bytes.
+            // A record may begin in the last bytes.
             len = len.saturating_sub(feitcsi::HEAD - 1);
         }
         let bytes = front.get(..len).filter(|bytes| !bytes.is_empty())?;
@@ -278,7 +277,7 @@ impl Pieces {
     }
 }
 
-/// A FeitCSI log, read as a `.dat` log.
+/// Reads a FeitCSI log as a `.dat` log.
 #[derive(Debug)]
 pub struct Translated<R> {
     reader: R,
@@ -289,7 +288,7 @@ pub struct Translated<R> {
 }
 
 impl<R> Translated<R> {
-    /// Nothing read yet.
+    /// Wraps the reader of a FeitCSI log.
     pub fn new(reader: R) -> Self {
         let (pieces, output) = (Pieces::default(), Vec::new());
         Self { reader, translator: Translator::default(), pieces, output, given: 0 }
@@ -324,7 +323,7 @@ mod tests {
     use driver_iface::bfee::Bfee;
     use driver_iface::record::{self, LENGTH_FIELD, card_clock_ps, written};
 
-    /// A record whose two chains have a delay of `slope` radians for each 312.5 kHz, the second chain half a turn ahead.
+    /// A record with a phase slope of `slope` radians per 312.5 kHz; the second chain is half a turn ahead.
     fn feitcsi((kind, width_mhz): (Kind, u16), at_ns: u64, slope: f64) -> Vec<u8> {
         let tones = Tones::of(kind, width_mhz).unwrap();
         let step = if kind == Kind::He { 0.25 } else { 1.0 };
@@ -351,7 +350,7 @@ mod tests {
         log
     }
 
-    /// Gives its bytes a few at a time.
+    /// Reads a few bytes at a time.
     struct Dribble<'a>(&'a [u8], usize);
 
     impl Read for Dribble<'_> {
@@ -370,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn every_reported_subcarrier_has_the_phase_of_its_place() {
+    fn each_reported_subcarrier_has_the_phase_of_its_frequency() {
         for of in [
             (Kind::He, 20),
             (Kind::Ht, 20),
@@ -400,8 +399,9 @@ mod tests {
     }
 
     #[test]
-    fn the_fine_clock_is_unwrapped_by_the_coarse_one_over_any_pause() {
-        // Its period is 13.4 s, half of the other one's 36 minutes; the last step is back, as of a card that was reset.
+    fn the_coarse_clock_unwraps_the_fine_one_over_any_pause() {
+        // The fine clock wraps after 13.4 s; half of the coarse one's period is 36 minutes. The last step is back, as after a
+        // reset.
         let at_ns = [1_000_003, 2_000_009, 14_000_000_025, 70_000_000_050, 2_000_000_000_075, 1_999_000_000_000];
         let log: Vec<u8> = at_ns.iter().flat_map(|at| feitcsi((Kind::He, 20), *at, 0.0)).collect();
         let all = translated(&log, 4_096);
@@ -418,9 +418,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_frame_of_use_is_said_with_its_place_however_the_bytes_come() {
+    fn unusable_bytes_are_reported_with_offset_and_length_for_any_read_size() {
         let [good, wide] = [(Kind::He, 20), (Kind::He, 80)].map(|of| feitcsi(of, 1_000, 0.1));
-        // 320 MHz, which no frame of these cards has.
+        // 320 MHz: these cards have no such frames.
         let wide = [&wide[..92], &(4_u32 << 11 | 4 << 8).to_le_bytes(), &wide[96..]].concat();
         let log = [&good[..], &wide, &good, &[7; 500], &good, &good[..300]].concat();
         let all = translated(&log, 4_096);
@@ -436,7 +436,7 @@ mod tests {
         let left_out = |at: u64, len: u64| (code::LEFT_OUT, Some((at, len)));
         assert_eq!(said[..3], [bfee, left_out(good_len, wide_len), bfee]);
         assert_eq!(said[3..], [left_out(2 * good_len + wide_len, 500), bfee]);
-        // The cut end is a cut end here too.
+        // The translated log ends cut too.
         assert!(all.ends_with(&[0, u8::MAX, code::BFEE]));
         for at_once in [97, 300] {
             let again = translated(&log, at_once);

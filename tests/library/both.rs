@@ -1,4 +1,4 @@
-//! Both kinds of evidence in one answer, in simulated rooms: two logs, and two antennas of the robot that one of them is of.
+//! Combines two logs and two antennas of one robot in one bearing, in simulated rooms.
 
 use csi5300::driver_iface::bfee::Antenna;
 use csi5300::maths::wrap_rad;
@@ -7,7 +7,7 @@ use csi5300::source::replay::Replay;
 use csi5300_sim::{Room, Scene, Simulation};
 use nalgebra::Vector3;
 
-/// A room of one wave, in which the first robot moves so.
+/// Simulates a room with one path; `motion` is that of the first robot.
 fn simulated(motion: &str, antenna_b: &str, azimuth_deg: f64, seed: u64) -> Simulation {
     let (sin, cos) = azimuth_deg.to_radians().sin_cos();
     let scene = format!(
@@ -21,7 +21,7 @@ fn simulated(motion: &str, antenna_b: &str, azimuth_deg: f64, seed: u64) -> Simu
     Room::new(&Scene::parse(&scene).unwrap()).unwrap().run().unwrap()
 }
 
-/// By two logs, by one, and by both.
+/// Bearings from two logs, from one, and from both combined.
 fn three(run: &Simulation, array: &Array) -> [Bearing; 3] {
     let options = Options::new("108".parse().unwrap());
     let [rx, tx] = [0, 1].map(|k| &run.robots[k].log[..]);
@@ -45,7 +45,7 @@ fn rms(errors: &[[f64; 3]], kind: usize) -> f64 {
 }
 
 #[test]
-fn in_one_wave_the_answer_by_both_is_no_worse_than_by_either() {
+fn with_one_path_the_combined_bearing_is_no_worse_than_either() {
     let array = Array::new(&[Antenna::A, Antenna::B], &[Vector3::new(0.1, 0.0, 0.0)]).unwrap();
     let circle = "{ circle = { radius_m = 0.05, duration_s = 10.0, start_s = 0.5 } }";
     let errors: Vec<[f64; 3]> = (0..10_u32)
@@ -65,7 +65,7 @@ fn in_one_wave_the_answer_by_both_is_no_worse_than_by_either() {
     assert!(both < 1.1 * two.min(one) + 0.02, "{two} {one} {both}");
 }
 
-/// Straight ahead for half a metre, then once around on the spot.
+/// Half a metre straight ahead, then a full turn on the spot.
 fn straight_then_around() -> std::path::PathBuf {
     let rows = (0..=550).map(|k| {
         let t_s = f64::from(k) * 0.02;
@@ -78,7 +78,7 @@ fn straight_then_around() -> std::path::PathBuf {
 }
 
 #[test]
-fn the_mirror_of_a_straight_drive_is_gone_by_antennas_that_turn() {
+fn turning_antennas_remove_the_mirror_of_a_straight_drive() {
     let path = straight_then_around();
     let motion = format!("{{ recorded = {{ file = '{}' }} }}", path.display());
     let array = Array::new(&[Antenna::A, Antenna::B], &[Vector3::new(0.05, 0.0, 0.0)]).unwrap();

@@ -1,7 +1,7 @@
-//! An AX200's or AX210's records from FeitCSI: from its UDP socket (`feitcsi --udp-socket`), or its standard output.
+//! Reads an AX200's or AX210's records from FeitCSI: from its UDP socket (`feitcsi --udp-socket`) or its standard output.
 //!
-//! The socket is FeitCSI's. A datagram with a command line starts a measurement, and each record goes to the sender of that
-//! datagram; `stop` ends the measurement and removes FeitCSI's monitor interface (`UdpSocket.cpp` of FeitCSI 2).
+//! FeitCSI owns the socket. A datagram with a command line starts a measurement, and FeitCSI sends each record to the
+//! sender of that datagram. `stop` ends the measurement and removes FeitCSI's monitor interface (`UdpSocket.cpp` of FeitCSI 2).
 
 use crate::wait::Monotonic;
 use csi5300::source::other_card::{Pieces, Translator};
@@ -15,21 +15,21 @@ use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::str::FromStr;
 
-/// Most bytes of a record.
+/// Limit of a record's body, bytes.
 const MOST: usize = 60_000;
 /// Requested receive buffer, bytes; the kernel may grant less.
 const RECEIVE_BUFFER: usize = 8 << 20;
-/// FeitCSI reads no more of a command, bytes.
+/// FeitCSI reads at most this much of a command, bytes.
 const LONGEST_COMMAND: usize = 1_023;
 const STOP: &[u8] = b"stop";
 
-/// A measurement to be started: where FeitCSI listens, and its own options, as in `127.0.0.1:8008 --frequency 5180
-/// --channel-width 80 --format VHT`.
+/// A measurement to start: FeitCSI's address and options, as in `127.0.0.1:8008 --frequency 5180 --channel-width 80
+/// --format VHT`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Command {
     /// FeitCSI's address; its port is 8008.
     pub to: SocketAddr,
-    /// The options, as on its command line. None: 20 MHz of HT frames at 2,412 MHz.
+    /// Options of FeitCSI's command line. If empty: HT frames of 20 MHz at 2,412 MHz.
     pub options: String,
 }
 
@@ -39,51 +39,51 @@ impl FromStr for Command {
     fn from_str(text: &str) -> Result<Self, String> {
         let (to, options) = text.trim().split_once(char::is_whitespace).unwrap_or((text.trim(), ""));
         let to = to.parse().map_err(|_| {
-            format!("`{to}` is no address of FeitCSI: 127.0.0.1:8008, or \"127.0.0.1:8008 --frequency 5180 --channel-width 80 --format VHT\"")
+            format!("`{to}` is not an address: give that of FeitCSI, as in 127.0.0.1:8008 or \"127.0.0.1:8008 --frequency 5180 --channel-width 80 --format VHT\"")
         })?;
         let command = Self { to, options: options.trim().into() };
         match command.line().len() {
             ..=LONGEST_COMMAND => Ok(command),
-            len => Err(format!("FeitCSI reads {LONGEST_COMMAND} bytes of a command, and this one has {len}")),
+            len => Err(format!("this command has {len} bytes, and FeitCSI reads at most {LONGEST_COMMAND} bytes")),
         }
     }
 }
 
 impl Command {
-    /// What FeitCSI is sent: as for any program, the first word is its name.
+    /// The command line sent to FeitCSI; the first word is the program's name.
     fn line(&self) -> String {
         format!("feitcsi {}", self.options).trim_end().to_owned()
     }
 }
 
-/// FeitCSI's output, live and unchanged: each of its records, and any other bytes, are the body of a record here.
+/// FeitCSI's output, live and unchanged. Each of its records, and any other bytes, is the body of a record here.
 #[derive(Debug)]
 pub struct Frames {
     way: Way,
     pieces: Pieces,
-    /// What is handed out, of which the first bytes were.
+    /// The current piece; its first `given` bytes have been returned.
     body: Vec<u8>,
     given: usize,
-    /// Records handed out.
+    /// Records returned.
     number: u64,
     wall_us: fn() -> Option<i64>,
 }
 
-/// FeitCSI's output as records of a 5300 (see [`csi5300::source::other_card`]), from [`Frames`] or a source that passes
-/// them on.
+/// FeitCSI's output as records of a 5300 (see [`csi5300::source::other_card`]), from [`Frames`] or a source that wraps
+/// them.
 ///
-/// Records have FeitCSI's host time; with older versions, which write none, that of the frames.
+/// Records have FeitCSI's host time. Older versions write none; then records have the frames' host time.
 #[derive(Debug)]
 pub struct FeitCsi<S = Frames> {
     frames: S,
     translator: Translator,
-    /// Bytes of the frames that came.
+    /// Bytes of frames received.
     offset: u64,
-    /// Records that were not handed out, from `given` on.
+    /// Translated records; those from `given` on have not been returned.
     buffer: Vec<u8>,
     given: usize,
     stamps: Stamps,
-    /// Records handed out.
+    /// Records returned.
     number: u64,
 }
 
@@ -94,7 +94,7 @@ enum Way {
     Stream(File),
 }
 
-/// A measurement that was started, and is stopped with this.
+/// A running measurement; dropping it stops the measurement.
 #[derive(Debug)]
 struct Measurement(UdpSocket);
 
@@ -107,10 +107,10 @@ impl Measurement {
         let socket = UdpSocket::bind(own)?;
         socket.connect(command.to)?;
         socket.set_nonblocking(true)?;
-        // Beyond the system's limit with CAP_NET_ADMIN; a smaller one will do, for a while.
+        // CAP_NET_ADMIN allows sizes above the system's limit. A smaller buffer works too, for shorter delays.
         let _ = setsockopt(&socket, sockopt::RcvBufForce, &RECEIVE_BUFFER)
             .or_else(|_| setsockopt(&socket, sockopt::RcvBuf, &RECEIVE_BUFFER));
-        // One that nobody stopped would send each record twice.
+        // A measurement that is still running would send each record twice.
         socket.send(STOP)?;
         socket.send(command.line().as_bytes())?;
         Ok(Self(socket))
@@ -119,23 +119,23 @@ impl Measurement {
 
 impl Drop for Measurement {
     fn drop(&mut self) {
-        // FeitCSI may have ended.
+        // Fails if FeitCSI has ended.
         let _ = self.0.send(STOP);
     }
 }
 
-/// What to do about a failure, where a refused datagram has a reason of its own.
+/// The error of a failed read; a refused datagram has its own message.
 fn refused(source: io::Error, nobody: impl FnOnce() -> String) -> Error {
     let what = match source.kind() {
         ErrorKind::ConnectionRefused => nobody(),
-        _ => "reading what FeitCSI writes".into(),
+        _ => "reading FeitCSI's output".into(),
     };
     Error::Io { what, source }
 }
 
 fn nobody(to: SocketAddr) -> String {
     format!(
-        "nobody listens at {to}: start `sudo feitcsi --udp-socket`; it also ends where it does not know an option, and says which"
+        "FeitCSI does not listen at {to}: start `sudo feitcsi --udp-socket`; it exits at an unknown option and prints its name"
     )
 }
 
@@ -143,7 +143,7 @@ impl Way {
     fn nobody(&self) -> String {
         match self {
             Self::Datagrams(measurement) => measurement.0.peer_addr().map(nobody).unwrap_or_default(),
-            Self::Stream(_) => "reading what FeitCSI writes".into(),
+            Self::Stream(_) => "reading FeitCSI's output".into(),
         }
     }
 }
@@ -152,13 +152,13 @@ impl Read for Way {
     fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::Stream(stream) => {
-                // Without O_NONBLOCK, which would affect the program at the other end of a terminal or pipe too.
+                // O_NONBLOCK would also affect the program at the other end of a terminal or pipe.
                 let clock = Monotonic::new();
                 let [is_ready] = clock.wait([stream.as_fd()], Some(Instant::ZERO)).map_err(io::Error::other)?;
                 if is_ready { stream.read(room) } else { Err(ErrorKind::WouldBlock.into()) }
             }
             Self::Datagrams(measurement) => loop {
-                // An empty datagram is no end.
+                // An empty datagram does not end the stream.
                 match measurement.0.recv(room) {
                     Ok(0) => {}
                     read => return read,
@@ -169,16 +169,16 @@ impl Read for Way {
 }
 
 impl Frames {
-    /// Starts a measurement by FeitCSI's UDP socket; dropping the frames stops it.
+    /// Starts a measurement over FeitCSI's UDP socket; dropping the frames stops it.
     ///
     /// # Errors
-    /// If nobody listens at the address, or no socket can be had.
+    /// If FeitCSI does not listen at the address, or a socket cannot be opened.
     pub fn ask(command: &Command, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
         let started = Measurement::start(command).map_err(|source| refused(source, || nobody(command.to)))?;
         Ok(Self::new(Way::Datagrams(started), wall_us))
     }
 
-    /// Reads FeitCSI's standard output, or a pipe that it goes to.
+    /// Reads FeitCSI's standard output, from a pipe for example.
     #[must_use]
     pub fn read(output: OwnedFd, wall_us: fn() -> Option<i64>) -> Self {
         Self::new(Way::Stream(output.into()), wall_us)
@@ -213,7 +213,7 @@ impl CsiSource for Frames {
         }
         let stamps = Stamps { at: now, host_us: (self.wall_us)(), origin: Origin::Live { number: self.number } };
         self.number += 1;
-        // Longer than any frame of these cards is only what is none.
+        // Only unreadable bytes are longer than this.
         self.given = self.body.len().min(MOST);
         Ok(Next::Record(stamps, Record { code: code::BFEE, body: self.body.get(..self.given).unwrap_or_default() }))
     }
@@ -233,18 +233,18 @@ impl AsFd for Frames {
 }
 
 impl<S> FeitCsi<S> {
-    /// Translates the frames that this source hands on.
+    /// Translates the frames of this source.
     pub fn new(frames: S) -> Self {
         let (translator, buffer, stamps) = (Translator::default(), Vec::new(), Stamps::default());
         Self { frames, translator, offset: 0, buffer, given: 0, stamps, number: 0 }
     }
 
-    /// Where its frames come from.
+    /// The source of the frames.
     pub fn frames(&self) -> &S {
         &self.frames
     }
 
-    /// The same, to go on with.
+    /// Returns the source of the frames.
     pub fn into_frames(self) -> S {
         self.frames
     }
@@ -295,7 +295,7 @@ mod tests {
     use driver_iface::record::code;
     use std::io::Write;
 
-    /// What FeitCSI writes of some frames, and the same one by one.
+    /// FeitCSI's output for some frames: whole, and by frame.
     fn written_by_feitcsi() -> (Vec<u8>, Vec<Vec<u8>>) {
         let scene = "duration_s = 1.0\ncard = \"ax210\"\nsounding.rate_hz = 20\n[[robot]]\nname = \"rx\"\n\
                      [[robot]]\nname = \"tx\"\nposition_m = [3.0, 0.0, 0.0]\n";
@@ -305,7 +305,7 @@ mod tests {
         (log.clone(), log.chunks(one).map(<[u8]>::to_vec).collect())
     }
 
-    /// All that is there at once.
+    /// All records available now, and whether the source has ended.
     fn drained(source: &mut FeitCsi) -> (Vec<(u8, Vec<u8>)>, bool) {
         let mut all = Vec::new();
         loop {
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn datagrams_and_a_stream_give_what_the_log_does() {
+    fn datagrams_and_a_stream_give_the_same_records() {
         let (log, frames) = written_by_feitcsi();
         let (mut pipe, output) = std::io::pipe().map(|(read, write)| (write, read)).unwrap();
         let mut streamed = FeitCsi::new(Frames::read(output.into(), || Some(7)));
@@ -336,7 +336,7 @@ mod tests {
         assert!(ended && of_stream.len() == 2 * frames.len(), "{}", of_stream.len());
         assert!(of_stream.chunks(2).all(|two| [two[0].0, two[1].0] == [code::CARD_CLOCK, code::BFEE]));
 
-        // A stand-in for FeitCSI: what it is sent, and its records to whoever asked.
+        // A stand-in for FeitCSI: receives commands, and sends records to their sender.
         let feitcsi = UdpSocket::bind("127.0.0.1:0").unwrap();
         let to = feitcsi.local_addr().unwrap();
         let command: Command = format!("{to} --frequency 5540 --format HESU").parse().unwrap();
@@ -351,7 +351,7 @@ mod tests {
         assert_eq!(drained(&mut source), (Vec::new(), false));
         feitcsi.send_to(&[], asker).unwrap();
         frames.iter().for_each(|frame| assert_eq!(feitcsi.send_to(frame, asker).unwrap(), frame.len()));
-        // On the loopback a datagram is there once it was sent.
+        // On the loopback, a sent datagram has arrived.
         let (of_datagrams, ended) = drained(&mut source);
         assert!(!ended && of_datagrams == of_stream, "{}", of_datagrams.len());
         drop(source);
@@ -359,22 +359,25 @@ mod tests {
     }
 
     #[test]
-    fn a_command_is_an_address_and_options_and_somebody_must_listen() {
+    fn a_command_has_an_address_and_options_and_needs_a_listener() {
         let command: Command = " [::1]:8008\t -f 5180 ".parse().unwrap();
         assert_eq!((command.to.port(), &*command.line()), (8_008, "feitcsi -f 5180"));
         assert_eq!("127.0.0.1:8008".parse::<Command>().unwrap().line(), "feitcsi");
         let refused = |text: &str| text.parse::<Command>().unwrap_err();
-        assert!(refused("8008").contains("`8008` is no address"), "{}", refused("8008"));
+        assert!(refused("8008").contains("`8008` is not an address"), "{}", refused("8008"));
         let long = format!("127.0.0.1:8008 {}", "-v ".repeat(400));
         assert!(refused(&long).contains("1023 bytes"), "{}", refused(&long));
 
         let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let command: Command = free.to_string().parse().unwrap();
-        // The kernel tells with the next call after the one that nobody took.
+        // The kernel reports the refused datagram at the next call.
         let error = match Frames::ask(&command, || None) {
             Err(error) => error,
             Ok(mut frames) => frames.receive(Instant::ZERO).map(|_| ()).unwrap_err(),
         };
-        assert!(error.to_string().contains(&format!("nobody listens at {free}: start `sudo feitcsi")), "{error}");
+        assert!(
+            error.to_string().contains(&format!("FeitCSI does not listen at {free}: start `sudo feitcsi")),
+            "{error}"
+        );
     }
 }

@@ -1,45 +1,45 @@
-//! The topics of a node as nodes with `rmw_zenoh_cpp` have them: keys, liveliness tokens, attachments. It has no session:
-//! who has one takes the topics from a [`Relay`] and carries their messages.
+//! Topics of a node in the format of `rmw_zenoh_cpp`: keys, liveliness tokens, attachments. This module has no zenoh session:
+//! the session's owner takes the topics from a [`Relay`] and carries their messages.
 //!
-//! As ROS 2's `rmw_zenoh` describes it for Jazzy and Kilted, in `docs/design.md` ("Topic and Service name mapping to Zenoh key
-//! expressions", "Graph Cache", "Publishers") and in `liveliness_utils.cpp`, `qos.cpp` and `attachment_helpers.cpp`:
+//! Source: ROS 2's `rmw_zenoh` for Jazzy and Kilted: `docs/design.md` ("Topic and Service name mapping to Zenoh key
+//! expressions", "Graph Cache", "Publishers"), `liveliness_utils.cpp`, `qos.cpp` and `attachment_helpers.cpp`.
 //!
-//! | what | how |
+//! | item | format |
 //! |---|---|
-//! | key of a topic | `<domain>/<name>/<type of DDS>/<type hash>` |
-//! | payload | the one of DDS: CDR after the four bytes of its encapsulation |
-//! | attachment | number from 1 and nanoseconds since the Unix epoch (64 bits, little-endian), 16, the publisher's 16 bytes |
-//! | a publisher's 16 bytes | XXH3 (128 bits) of its token, little-endian |
+//! | key of a topic | `<domain>/<name>/<DDS type>/<type hash>` |
+//! | payload | as in DDS: 4 bytes of encapsulation, then CDR |
+//! | attachment | sequence number from 1 and nanoseconds since the Unix epoch (64 bits each, little-endian), the byte 16, the publisher's GID |
+//! | GID of a publisher | 16 bytes: XXH3 (128 bits) of its token, little-endian |
 //! | token of a node | `@ros2_lv/<domain>/<session>/<node>/<node>/NN/<enclave>/<namespace>/<name>` |
-//! | token of an endpoint | `.../<node>/<endpoint>/MP/...` (`MS` subscribes) `/<topic>/<type>/<hash>/<quality of service>` |
+//! | token of an endpoint | `.../<node>/<endpoint>/MP/...` (`MS` for a subscription) `/<topic>/<type>/<hash>/<quality of service>` |
 //!
-//! In tokens `%` stands for `/`. What is usual in a quality of service is empty: reliable, volatile, the last 42 samples.
+//! In tokens `%` replaces `/`. Default values of the quality of service are empty: reliable, volatile, depth 42.
 
 use crate::rtps::Qos;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use twox_hash::XxHash3_128;
 
-/// Samples kept that a token does not name.
+/// The default depth, which a token leaves empty.
 const USUAL_DEPTH: u32 = 42;
 
-/// Sends a payload; the time is the host's, microseconds since the Unix epoch. It must not wait.
+/// Sends a payload at a host time, microseconds since the Unix epoch. It must not block.
 pub type Sender = Box<dyn Fn(&[u8], i64) + Send + Sync>;
-/// Takes a payload that came.
+/// Takes a received payload.
 pub type Taker = Box<dyn Fn(Vec<u8>) + Send + Sync>;
 
 /// An end of a topic.
 pub enum End {
-    /// Payloads go to what is put in here.
+    /// Payloads go to the sender set here.
     Publisher(Arc<OnceLock<Sender>>),
-    /// It takes what comes.
+    /// Received payloads go to this function.
     Subscription(Taker),
 }
 
 /// A topic of a node.
 pub struct Topic {
-    /// Its whole name.
+    /// Its full name.
     pub(crate) name: String,
-    /// The type of DDS.
+    /// The DDS type.
     pub(crate) kind: String,
     /// `RIHS01_` and 64 hexadecimal digits.
     pub(crate) type_hash: String,
@@ -49,7 +49,7 @@ pub struct Topic {
 }
 
 impl Topic {
-    /// True for a subscription to what was published before it.
+    /// True for a subscription that also wants samples published before it (transient local).
     #[must_use]
     pub fn wants_earlier(&self) -> bool {
         self.qos.durability > 0 && matches!(self.end, End::Subscription(_))
@@ -63,13 +63,13 @@ pub struct Graph {
     pub(crate) domain: u16,
     /// `/` or `/lab`.
     pub(crate) namespace: String,
-    /// Its name there.
+    /// The node's name in the namespace.
     pub(crate) node: String,
     /// Its topics.
     pub topics: Vec<Topic>,
 }
 
-/// A name as one part of a key.
+/// A name as one segment of a key.
 fn mangled(name: &str) -> String {
     name.replace('/', "%")
 }
@@ -88,19 +88,19 @@ impl Graph {
         format!("{}/{}/{}/{}", self.domain, topic.name.trim_matches('/'), topic.kind, topic.type_hash)
     }
 
-    /// Up to the kind, and from there to the node's name; the enclave is the root.
+    /// A token up to the node's name; the enclave is the root.
     fn token_of(&self, session: &str, number: usize, kind: &str) -> String {
         let (domain, namespace) = (self.domain, mangled(&self.namespace));
         format!("@ros2_lv/{domain}/{session}/0/{number}/{kind}/%/{namespace}/{}", self.node)
     }
 
-    /// The node's token. `session` is the identifier of zenoh's session.
+    /// The node's token. `session` is the ID of the zenoh session.
     #[must_use]
     pub fn node_token(&self, session: &str) -> String {
         self.token_of(session, 0, "NN")
     }
 
-    /// The token of a topic; `number` is its own in the session, from 1.
+    /// The token of a topic; `number` is unique in the session, from 1.
     #[must_use]
     pub fn token(&self, session: &str, number: usize, topic: &Topic) -> String {
         let kind = if matches!(topic.end, End::Publisher(_)) { "MP" } else { "MS" };
@@ -109,19 +109,19 @@ impl Graph {
     }
 }
 
-/// The 16 bytes of the endpoint with this token.
+/// The GID of the endpoint with this token.
 #[must_use]
 pub fn gid(token: &str) -> [u8; 16] {
     XxHash3_128::oneshot(token.as_bytes()).to_le_bytes()
 }
 
-/// What goes beside a payload.
+/// The attachment of a payload.
 #[must_use]
 pub fn attachment(number: i64, source_ns: i64, gid: [u8; 16]) -> Vec<u8> {
     [&number.to_le_bytes()[..], &source_ns.to_le_bytes(), &[gid.len() as u8], &gid].concat()
 }
 
-/// Hands a node's topics to who carries them.
+/// Passes a node's topics to the session's owner.
 #[derive(Clone, Default)]
 pub struct Relay(Arc<Mutex<Graph>>);
 
@@ -135,7 +135,7 @@ impl Relay {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).topics.push(topic);
     }
 
-    /// The node, with the topics that nobody has taken yet.
+    /// The node, with the topics that have not been taken yet.
     #[must_use]
     pub fn take(&self) -> Graph {
         let mut graph = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -169,7 +169,7 @@ mod tests {
 
     /// The examples of `docs/design.md`.
     #[test]
-    fn keys_and_tokens_are_those_of_the_design() {
+    fn keys_and_tokens_agree_with_the_design_document() {
         let key = |name: &str| graph(0, "/", "talker").key(&chatter(name, Qos::reliable(7), published()));
         assert_eq!(key("/chatter"), format!("0/chatter/std_msgs::msg::dds_::String_/{HASH}"));
         assert_eq!(key("/robot1/chatter"), format!("0/robot1/chatter/std_msgs::msg::dds_::String_/{HASH}"));
@@ -192,12 +192,12 @@ mod tests {
                  std_msgs::msg::dds_::String_/{HASH}/::,7:,:,:,,"
             )
         );
-        // By PyPI's `xxhash`: `xxh3_128_intdigest(token).to_bytes(16, "little")`.
+        // From PyPI's `xxhash`: `xxh3_128_intdigest(token).to_bytes(16, "little")`.
         assert_eq!(gid(&token), 0xac17_0f31_eadc_d9ff_0cd8_6d7a_1790_7d1c_u128.to_be_bytes());
     }
 
     #[test]
-    fn qualities_of_service_and_namespaces_are_told_where_they_are_not_the_usual_ones() {
+    fn tokens_state_namespaces_and_non_default_qualities_of_service() {
         for (qos, told) in [
             (Qos::reliable(42), "::,:,:,:,,"),
             (Qos::reliable(32), "::,32:,:,:,,"),
@@ -217,7 +217,7 @@ mod tests {
         );
     }
 
-    /// `docs/design.md`, "Publishers": 8, 8, 1 and 16 bytes.
+    /// `docs/design.md`, "Publishers": 8 + 8 + 1 + 16 bytes.
     #[test]
     fn an_attachment_has_33_bytes() {
         let gid: [u8; 16] = std::array::from_fn(|k| 0xa0 + k as u8);

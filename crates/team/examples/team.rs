@@ -1,4 +1,4 @@
-//! Simulated teams: how often their poses are within what the covariances say, or one team's graph as JSON for GTSAM.
+//! Simulated teams: coverage of the covariances and run time; or the graph of one team as JSON for GTSAM.
 //!
 //! `cargo run -p csi5300-team --example team` prints the table of docs/method/team.md;
 //! `.. --example team -- 5 1 OUT.json` writes the graph of five robots, seed 1.
@@ -9,7 +9,7 @@ mod simulated;
 
 use simulated::{Hall, Held, simulated};
 
-/// Seconds that this process was on a processor: what else the machine does does not count.
+/// Processor time of this process, seconds.
 fn processor_s() -> f64 {
     let text = std::fs::read_to_string("/proc/self/schedstat").unwrap();
     text.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e9
@@ -25,7 +25,7 @@ fn main() {
     }
     println!("| team | solved | places within 68 / 95 % | yaws | rms of places, m | processor time of a solution, s |");
     println!("|---|---|---|---|---|---|");
-    // Without known first poses, all robots of a run share the error of the first one's heading: many runs are needed.
+    // Without known first poses, all robots of a run share the heading error of the first one, so many runs are needed.
     for (robots, epochs, anchors, runs) in [(2, 30, 0, 200), (5, 20, 0, 60), (20, 12, 4, 10)] {
         let usual = Hall { epochs, anchors, ..Hall::of(robots) };
         let halls = [
@@ -53,7 +53,8 @@ fn main() {
     window();
 }
 
-/// Twenty robots, one look a second for a minute, solved each second over the last ten: processor time of a solution as a share of its second.
+/// 20 robots with one keyframe per second for a minute, solved every second over the last 10 s: prints the processor time
+/// of a solution as a share of its second.
 fn window() {
     let hall = Hall { epochs: 60, has_liar: true, ..Hall::of(20) };
     let (mut last, mut shares, mut held, mut unsolved) = (None, Vec::new(), Held::default(), 0);
@@ -64,7 +65,7 @@ fn window() {
             None => team.solve(),
             Some(before) => team.solve_from(before),
         };
-        // In the first seconds too little may be known of a robot.
+        // In the first seconds the measurements may not determine a robot.
         let Ok(found) = found else {
             unsolved += 1;
             return;

@@ -1,17 +1,17 @@
-//! A symmetric matrix in envelope form and its Cholesky factor: each row is kept from its first entry to the diagonal.
+//! Symmetric matrix in envelope form and its Cholesky factor. Each row is stored from its first entry to the diagonal.
 
-/// The lower triangle of a symmetric matrix, or its factor.
+/// The lower triangle of a symmetric matrix, or its Cholesky factor.
 #[derive(Clone, Debug)]
 pub struct Envelope {
     /// Column of the first entry of each row.
     first: Vec<usize>,
-    /// Where each row begins in `values`.
+    /// Offset of each row in `values`.
     begins: Vec<usize>,
     values: Vec<f64>,
 }
 
 impl Envelope {
-    /// Zeros in an envelope that begins at these columns.
+    /// A zero matrix; row `k` begins at column `first[k]`.
     pub fn zeros(first: Vec<usize>) -> Self {
         let mut total = 0;
         let begin = |(row, first): (usize, &usize)| {
@@ -27,19 +27,19 @@ impl Envelope {
         self.first.len()
     }
 
-    /// The columns of a row that are kept, up to `end`.
+    /// The entries of a row from column `from` up to `end`; `from` must be inside the envelope.
     fn row(&self, row: usize, from: usize, end: usize) -> &[f64] {
         let begin = self.begins[row] + from - self.first[row];
         &self.values[begin..begin + end - from]
     }
 
-    /// Adds to an entry of the lower triangle, which the envelope must hold.
+    /// Adds to an entry; the envelope must hold it.
     pub fn add(&mut self, row: usize, column: usize, value: f64) {
         let (row, column) = if row < column { (column, row) } else { (row, column) };
         self.values[self.begins[row] + column - self.first[row]] += value;
     }
 
-    /// The diagonal times `1 + damping`, and a hair: a variable that nothing holds stays where it is.
+    /// Multiplies the diagonal by `1 + damping` and adds 1e-9, so that an unconstrained variable does not move.
     pub fn damp(&mut self, damping: f64) {
         for row in 0..self.len() {
             let at = self.begins[row] + row - self.first[row];
@@ -47,7 +47,7 @@ impl Envelope {
         }
     }
 
-    /// The Cholesky factor, or the variable at which the matrix is not positive definite.
+    /// The Cholesky factor. On failure, the row at which the matrix is not positive definite.
     pub fn factor(mut self) -> Result<Self, usize> {
         for row in 0..self.len() {
             for column in self.first[row]..=row {
@@ -84,7 +84,7 @@ impl Envelope {
     }
 }
 
-/// The sum of products, in eight sums: one would wait for each addition before the next.
+/// Dot product in eight partial sums, so that additions need not wait for each other.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (mut sums, tail) = ([0.0; 8], a.len() - a.len() % 8);
     for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
@@ -100,7 +100,7 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
 
     #[test]
-    fn a_factor_solves_as_a_dense_one_does() {
+    fn envelope_and_dense_cholesky_give_the_same_solution() {
         let first = vec![0, 0, 1, 1, 3, 0];
         let mut own = Envelope::zeros(first.clone());
         let mut dense = DMatrix::<f64>::zeros(6, 6);

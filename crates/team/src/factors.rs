@@ -1,6 +1,6 @@
-//! The graph for other estimators: JSON for GTSAM (`examples/gtsam/factors.py`), and g2o's text.
+//! Exports the graph: JSON for GTSAM (`examples/gtsam/factors.py`), or g2o's text format.
 //!
-//! Conventions: metres, radians; yaw from +x towards +y; an azimuth is less the yaw of the keyframe that it was measured from.
+//! Units are metres and radians. Yaw grows from +x towards +y. An azimuth is relative to the yaw of the observing keyframe.
 
 use crate::graph::Team;
 use crate::solve::Solution;
@@ -8,12 +8,12 @@ use crate::{KeyframeId, RobotId};
 use serde_json::json;
 use std::fmt::Write;
 
-/// All factors as JSON, with the solution beside each variable.
+/// The graph and its solution as JSON.
 ///
-/// `robots` (`name`, `has_heading`, `noise`), `keyframes` (`robot`, `t_s`, `odometry`), `priors`, `steps` (`from`, `to`, `motion`,
-/// `driven_m`, `sd` of place and turn), `links` (`from`, `to`, `modes`, `null_share`), `changes`; robots and keyframes are
-/// numbered from 0. `solution` has `poses`, `covariances` (row by row) and `chosen` candidates; `calibrations` by robot are
-/// the turn per metre and the relative error of lengths.
+/// `graph` has `robots` (`name`, `has_heading`, `noise`), `keyframes` (`robot`, `t_s`, `odometry`), `priors`, `steps` (`from`,
+/// `to`, `motion`, `driven_m`, `sd` of position and turn), `links` (`from`, `to`, `modes`, `null_share`) and `changes`. Robots
+/// and keyframes are numbered from 0. `solution` has `poses`, `covariances` (row by row), `chosen` candidates,
+/// `outlier_shares`, `cost` and, for each robot, `calibrations`: the turn per metre and the relative error of lengths.
 #[must_use]
 pub fn json(team: &Team, found: &Solution) -> String {
     let mut team = team.clone();
@@ -32,9 +32,11 @@ pub fn json(team: &Team, found: &Solution) -> String {
     format!("{}\n", json!({ "format": "csi5300-team", "version": 1, "graph": team, "solution": solution }))
 }
 
-/// The graph as g2o's text: `VERTEX_SE2`, `EDGE_PRIOR_SE2` and `EDGE_SE2` as g2o has them. Of links it has the chosen candidates, as
-/// `EDGE_BEARING_SE2 FROM TO AZIMUTH INFORMATION` and `EDGE_RANGE_SE2 FROM TO RANGE INFORMATION`, which readers that do not
-/// know them skip. Steps are corrected by the calibration found; range changes have no edge.
+/// The graph in g2o's text format, with its `VERTEX_SE2`, `EDGE_PRIOR_SE2` and `EDGE_SE2`.
+///
+/// The chosen candidate of each link becomes `EDGE_BEARING_SE2 FROM TO AZIMUTH INFORMATION`,
+/// `EDGE_RANGE_SE2 FROM TO RANGE INFORMATION`, or both. Readers that do not know these two edges skip them. Steps are
+/// corrected by the estimated calibration. Outliers and range changes have no edge.
 #[must_use]
 pub fn g2o(team: &Team, found: &Solution) -> String {
     let mut text = String::new();

@@ -1,22 +1,22 @@
-//! The graph: robots, keyframes, and what was measured between them.
+//! The graph: robots, keyframes, and the measurements between them.
 
 use crate::solve::Carried;
 use nalgebra::{Rotation2, Vector2};
 use serde::Serialize;
 use std::f64::consts::TAU;
 
-/// Ranges that an outlier may have, metres: uniform up to here (a building).
+/// An outlier's range is uniform from 0 to this, metres (size of a building).
 pub(crate) const SPAN_M: f64 = 30.0;
 
-/// Nearer than this, metres, an azimuth is as sharp in metres as at this distance: it is measured over a motion, to an antenna
-/// that may be anywhere on its robot, and turns the faster the nearer the robots are.
+/// Below this range, metres, the lateral deviation of an azimuth stays what it is at this range: an azimuth is measured over a
+/// motion, to an antenna at an unknown place on its robot, so the direction to a close robot changes quickly.
 pub(crate) const NEAREST_M: f64 = 0.3;
 
 /// A robot of a [`Team`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct RobotId(pub(crate) usize);
 
-/// A pose of a robot that is solved for.
+/// A keyframe of a robot; its pose is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct KeyframeId(pub(crate) usize);
 
@@ -28,135 +28,135 @@ impl KeyframeId {
     }
 }
 
-/// Why a measurement is refused, or a team cannot be solved.
+/// A rejected measurement, or the reason why a team cannot be solved.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TeamError {
-    /// A number that is none.
-    #[error("{what} is {value}: a finite number is needed")]
+    /// A number that is not finite.
+    #[error("{what} is {value}: it must be finite")]
     NotFinite {
-        /// Which.
+        /// Name of the number.
         what: &'static str,
         /// Its value.
         value: f64,
     },
-    /// A deviation, range or share that is too small.
-    #[error("{what} is {value}: a number above 0 is needed")]
+    /// A deviation, range or share that is not above 0.
+    #[error("{what} is {value}: it must be above 0")]
     NotPositive {
-        /// Which.
+        /// Name of the number.
         what: &'static str,
         /// Its value.
         value: f64,
     },
-    /// Shares that are none.
-    #[error("{what} is {value}: a share from 0 to 1 is needed")]
+    /// A share outside 0 to 1.
+    #[error("{what} is {value}: it must be between 0 and 1")]
     NotAShare {
-        /// Which.
+        /// Name of the number.
         what: &'static str,
         /// Its value.
         value: f64,
     },
-    /// Two robots of one name.
-    #[error("there are two robots called {name}")]
+    /// Two robots with the same name.
+    #[error("two robots have the name {name}")]
     Twice {
         /// The name.
         name: String,
     },
-    /// A name or number that this team has not.
+    /// An unknown name or number.
     #[error("the team has no {what} {which}")]
     Unknown {
-        /// What kind of thing.
+        /// `robot` or `keyframe`.
         what: &'static str,
         /// Its name or number.
         which: String,
     },
-    /// Keyframes must come in the order of their times.
-    #[error("{robot}: a keyframe at {t_s} s does not come after the one at {last_s} s")]
+    /// A keyframe that is not later than the robot's last one.
+    #[error("{robot}: the keyframe at {t_s} s is not later than the last one, at {last_s} s")]
     NotLater {
         /// The robot.
         robot: String,
-        /// The time refused.
+        /// Time of the rejected keyframe, seconds.
         t_s: f64,
-        /// The last one.
+        /// Time of the robot's last keyframe, seconds.
         last_s: f64,
     },
-    /// A transmitter without odometry stands still.
-    #[error("{robot} has no heading and so no odometry: it has one keyframe")]
+    /// A second keyframe for a robot without a heading.
+    #[error("{robot} has no heading, so it stands still: it can have only one keyframe")]
     OnePlace {
         /// The robot.
         robot: String,
     },
-    /// A measurement from a robot to itself, or a bearing by one that has no heading.
-    #[error("{robot} cannot measure this: a link needs two robots, and a bearing the heading of the first")]
+    /// A measurement from a robot to itself, or a bearing by a robot without a heading.
+    #[error("{robot} cannot measure this: a link needs two robots, and a bearing needs the heading of the first")]
     NoLink {
         /// The robot.
         robot: String,
     },
-    /// A link without a candidate.
-    #[error("a link from {from} to {to} has no candidate: give an azimuth, a range or both")]
+    /// A link without a candidate, or with an empty one.
+    #[error("the link from {from} to {to} has no candidate, or an empty one: give an azimuth, a range or both")]
     NoMode {
-        /// Who measured.
+        /// The observing robot.
         from: String,
-        /// What was seen.
+        /// The observed robot.
         to: String,
     },
-    /// No robot.
+    /// No keyframe.
     #[error("the team has no keyframe")]
     Empty,
-    /// A robot that no measurement ties to the others.
-    #[error("no link ties {robot} to the rest of the team, and it has no prior")]
+    /// A robot without a link to the others.
+    #[error("{robot} has no link to the rest of the team, and no prior")]
     Unlinked {
         /// The robot.
         robot: String,
     },
-    /// A robot that can move without any measurement changing.
-    #[error("the measurements do not fix {robot}: a range, a prior or a longer drive is needed")]
+    /// A robot whose pose the measurements do not determine.
+    #[error("the measurements do not determine {robot}: add a range, a prior or a longer drive")]
     Undetermined {
         /// The robot.
         robot: String,
     },
 }
 
-/// What odometry may get wrong.
+/// Noise of a robot's odometry, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct OdometryNoise {
-    /// Deviation of the heading after one metre, radians; it grows with the root of the way.
+    /// Deviation of the heading after one metre, radians; it grows with the square root of the distance driven.
     pub turn_rad_per_rt_m: f64,
-    /// Deviation of a step's end as a share of its length.
+    /// Deviation of a step's end, as a share of the step's length.
     pub slip: f64,
-    /// Deviation of the constant turn per metre, radians: one variable for each robot.
+    /// Deviation of the constant heading drift, radians per metre driven: one variable for each robot.
     pub bias_sd_rad_per_m: f64,
-    /// Deviation of the constant relative error of lengths: one variable for each robot.
+    /// Deviation of the constant scale error of lengths: one variable for each robot.
     pub scale_sd: f64,
 }
 
 impl Default for OdometryNoise {
-    /// Wheels: 1 degree after a metre, 1 % slip, 1 degree per metre of bias, 2 % of scale.
+    /// Wheel odometry: 1 degree of heading noise after one metre, 1 % slip, 1 degree per metre of bias, 2 % of scale.
     fn default() -> Self {
         let degree = 1f64.to_radians();
         Self { turn_rad_per_rt_m: degree, slip: 0.01, bias_sd_rad_per_m: degree, scale_sd: 0.02 }
     }
 }
 
-/// One way in which a link may be explained: an azimuth, a range or both.
+/// A candidate of a link: an azimuth, a range or both.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Mode {
-    /// Azimuth less the yaw of the keyframe that it was measured from, and its deviation, radians.
+    /// Azimuth relative to the yaw of the observing keyframe, and its deviation, radians.
     pub azimuth_rad: Option<[f64; 2]>,
     /// Range and its deviation, metres.
     pub range_m: Option<[f64; 2]>,
-    /// Its share of what is no outlier, in any common unit.
+    /// Its weight among the candidates of the link, above 0; weights need not add up to 1.
     pub share: f64,
 }
 
 impl Mode {
-    /// An azimuth and its deviation, radians, with a share.
+    /// A candidate with an azimuth and its deviation, radians.
     #[must_use]
     pub fn azimuth(azimuth_rad: f64, sd_rad: f64, share: f64) -> Self {
         Self { azimuth_rad: Some([azimuth_rad, sd_rad]), range_m: None, share }
     }
 
-    /// A range and its deviation, metres, with a share.
+    /// A candidate with a range and its deviation, metres.
     #[must_use]
     pub fn range(range_m: f64, sd_m: f64, share: f64) -> Self {
         Self { azimuth_rad: None, range_m: Some([range_m, sd_m]), share }
@@ -166,7 +166,7 @@ impl Mode {
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Robot {
     pub name: String,
-    /// Without one it is a point: a transmitter that stands still.
+    /// False for a point: a transmitter that stands still.
     pub has_heading: bool,
     pub noise: OdometryNoise,
 }
@@ -175,9 +175,9 @@ pub(crate) struct Robot {
 pub(crate) struct Keyframe {
     pub robot: usize,
     pub t_s: f64,
-    /// Where the robot's odometry has it: x, y, yaw.
+    /// Pose by the robot's odometry: x, y, yaw.
     pub odometry: [f64; 3],
-    /// Summed into [`Carried`] and no variable any more.
+    /// True once it is marginalised into [`Carried`].
     #[serde(skip)]
     pub is_past: bool,
 }
@@ -186,19 +186,19 @@ pub(crate) struct Keyframe {
 pub(crate) struct Prior {
     pub keyframe: usize,
     pub pose: [f64; 3],
-    /// Deviations; none where the prior is silent.
+    /// Deviations; `None` for a free component.
     pub sd: [Option<f64>; 3],
 }
 
-/// A step of one robot.
+/// Odometry between two successive keyframes of a robot.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Step {
     pub from: usize,
     pub to: usize,
-    /// Motion in the frame of the first keyframe: metres forward, left, and turn in radians.
+    /// Motion in the frame of the first keyframe: forward and left in metres, turn in radians.
     pub motion: [f64; 3],
     pub driven_m: f64,
-    /// Deviations of the end, metres, and of the turn, radians.
+    /// Deviations of the end position, metres, and of the turn, radians.
     pub sd: [f64; 2],
 }
 
@@ -212,18 +212,18 @@ pub(crate) struct Link {
 
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Change {
-    /// The two keyframes at the first time.
+    /// The two keyframes of the first range.
     pub first: [usize; 2],
-    /// And at the second.
+    /// The two keyframes of the second range.
     pub second: [usize; 2],
     pub change_m: f64,
     pub sd_m: f64,
 }
 
-/// Robots, their keyframes, and what was measured between them.
+/// Robots, their keyframes, and the measurements between them.
 ///
-/// Call order: robots, then for each its keyframes in the order of time, then measurements between keyframes, then
-/// [`Team::solve`]. More may be added after a solution; [`Team::solve_from`] goes on from it.
+/// Call order: add robots, then each robot's keyframes in time order, then measurements between keyframes; then call
+/// [`Team::solve`]. After more additions, [`Team::solve_from`] continues from the last solution.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Team {
     pub(crate) robots: Vec<Robot>,
@@ -248,10 +248,10 @@ fn positive(what: &'static str, value: f64) -> Checked {
 }
 
 impl Team {
-    /// Adds a robot. One without a heading is a transmitter that stands still: it is seen, and sees nothing itself.
+    /// Adds a robot. A robot without a heading is a transmitter that stands still and measures no bearings.
     ///
     /// # Errors
-    /// If the name is taken, or a deviation is not a number above 0.
+    /// If the name is taken, or a deviation is not above 0.
     pub fn robot(&mut self, name: &str, has_heading: bool, noise: OdometryNoise) -> Checked<RobotId> {
         positive("the deviation of a turn", noise.turn_rad_per_rt_m)?;
         positive("slip", noise.slip)?;
@@ -267,23 +267,24 @@ impl Team {
     /// The robot of this name.
     ///
     /// # Errors
-    /// If there is none.
+    /// If the team has no such robot.
     pub fn named(&self, name: &str) -> Checked<RobotId> {
         let found = self.robots.iter().position(|own| own.name == name);
         found.map(RobotId).ok_or_else(|| TeamError::Unknown { what: "robot", which: name.into() })
     }
 
-    /// Adds a keyframe: the time, where the robot's odometry has it (x, y, yaw), and the way driven since the keyframe before,
-    /// metres, which is at least the straight line.
+    /// Adds a keyframe: its time, seconds; its pose by the robot's odometry (x, y, yaw); and the distance driven since the
+    /// last keyframe, metres, raised to the straight-line distance if it is less.
     ///
     /// # Errors
-    /// If a number is not finite, the time does not come after the last one's, or a robot without heading has a keyframe.
+    /// If a number is not finite, the time is not later than that of the robot's last keyframe, or the robot has no heading and
+    /// already has a keyframe.
     pub fn keyframe(&mut self, robot: RobotId, t_s: f64, odometry: [f64; 3], driven_m: f64) -> Checked<KeyframeId> {
         let own = self.robots.get(robot.0);
         let own = own.ok_or_else(|| TeamError::Unknown { what: "robot", which: robot.0.to_string() })?;
         finite("the time of a keyframe", t_s)?;
         odometry.into_iter().try_for_each(|value| finite("odometry", value))?;
-        finite("the way driven", driven_m)?;
+        finite("the distance driven", driven_m)?;
         let id = self.keyframes.len();
         if let Some(last) = self.keyframes.iter().rposition(|keyframe| keyframe.robot == robot.0) {
             let before = self.keyframes[last];
@@ -299,7 +300,7 @@ impl Team {
         Ok(KeyframeId(id))
     }
 
-    /// What is known of a keyframe: x, y, yaw, and the deviation of each; an infinite one leaves that component free.
+    /// Adds a prior: x, y, yaw and their deviations. An infinite deviation leaves its component free.
     ///
     /// # Errors
     /// If a number is not finite or a deviation is not above 0.
@@ -318,11 +319,12 @@ impl Team {
         Ok(())
     }
 
-    /// A link: the candidates by which `from` sees `to`, and the share of such links that are outliers. Returns its index in
-    /// [`crate::Solution::chosen`].
+    /// Adds a link: the candidates of the measurement from `from` to `to`, and the expected outlier share of such links.
+    /// Returns its index in [`crate::Solution::chosen`].
     ///
     /// # Errors
-    /// If a number is not finite, a deviation or range not above 0, a share not from 0 to 1, or the link has no candidate.
+    /// If a number is not finite, a deviation or range is not above 0, a share is not between 0 and 1, or the link has no
+    /// candidate.
     pub fn link(&mut self, from: KeyframeId, to: KeyframeId, modes: &[Mode], null_share: f64) -> Checked<usize> {
         let (seeing, seen) = (self.check(from)?, self.check(to)?);
         let own = &self.robots[seeing];
@@ -347,13 +349,14 @@ impl Team {
             return Err(TeamError::NoMode { from, to });
         }
         if !(null_share > 0.0 && null_share < 1.0) {
-            return Err(TeamError::NotAShare { what: "the share of outliers", value: null_share });
+            return Err(TeamError::NotAShare { what: "the outlier share", value: null_share });
         }
         self.links.push(Link { from: from.0, to: to.0, modes: modes.to_vec(), null_share });
         Ok(self.links.len() - 1)
     }
 
-    /// The distance between the keyframes `second` less that between the keyframes `first`, and its deviation, metres.
+    /// Adds a range change: the distance between the keyframes `second` minus that between the keyframes `first`, and its
+    /// deviation, metres.
     ///
     /// # Errors
     /// If a number is not finite, or the deviation is not above 0.
@@ -377,31 +380,31 @@ impl Team {
         Ok(())
     }
 
-    /// The robot of a keyframe that is still a variable.
+    /// The robot of a keyframe that has not been marginalised.
     fn check(&self, id: KeyframeId) -> Checked<usize> {
         let own = self.keyframes.get(id.0).filter(|own| !own.is_past);
         own.map(|own| own.robot).ok_or_else(|| TeamError::Unknown { what: "keyframe", which: id.0.to_string() })
     }
 
-    /// True for a robot whose odometry has steps, and so a bias and a scale.
+    /// True for a robot with steps: it has a bias and a scale.
     pub(crate) fn is_moving(&self, robot: usize) -> bool {
         self.steps.iter().any(|step| self.keyframes[step.to].robot == robot)
             || self.carried.as_ref().is_some_and(|carried| carried.has_calibration(robot))
     }
 }
 
-/// The motion between two poses of one odometry.
+/// The step between two poses of one robot's odometry.
 fn step(from: usize, to: usize, a: [f64; 3], b: [f64; 3], driven_m: f64, noise: &OdometryNoise) -> Step {
     let moved = Rotation2::new(-a[2]) * Vector2::new(b[0] - a[0], b[1] - a[1]);
     let driven_m = driven_m.max(moved.norm());
-    // A millimetre and a hundredth of a degree: a robot that stands has a step of nothing, not of no deviation.
+    // At least 1 mm and 0.01 degrees, because a step of length 0 needs a deviation above 0.
     let sd = [(noise.slip * driven_m).hypot(1e-3), (noise.turn_rad_per_rt_m * driven_m.sqrt()).hypot(2e-4)];
     Step { from, to, motion: [moved.x, moved.y, crate::wrap(b[2] - a[2])], driven_m, sd }
 }
 
 impl Link {
-    /// The likeliest candidate of a link whose target is seen at this azimuth and range, none for the outlier; and its cost: the
-    /// negative logarithm of its density over that of the outlier. `temper` widens all deviations.
+    /// The likeliest candidate at a predicted azimuth and range, `None` for the null hypothesis; and its cost: the negative
+    /// logarithm of its density over the outlier density. `temper` multiplies all deviations.
     pub fn best(&self, azimuth_rad: f64, range_m: f64, null_share: f64, temper: f64) -> (Option<usize>, f64) {
         let total: f64 = self.modes.iter().map(|mode| mode.share).sum();
         let mut best = (None, -null_share.ln());

@@ -1,18 +1,18 @@
-//! Where the robots of a team are: one nonlinear least squares over odometry, bearings, ranges and range changes.
+//! Poses of a team of robots: nonlinear least squares over odometry, bearings, ranges and range changes.
 //!
-//! * [`Team`] is the graph: robots, their keyframes, and what was measured between them.
-//! * [`Team::solve`] finds all poses; [`Solution`] has their covariances and what became of each measurement.
-//! * [`ranges`] reads ranges that another sensor measured; [`factors`] writes the graph for g2o and GTSAM.
+//! * [`Team`] is the graph: robots, keyframes, and the measurements between them.
+//! * [`Team::solve`] finds all poses. [`Solution`] holds them with their covariances and each link's chosen candidate.
+//! * [`ranges`] reads ranges from another sensor. [`factors`] writes the graph for g2o and GTSAM.
 //!
-//! Lengths are metres and angles radians, from +x towards +y. The pose of a keyframe is (x, y, yaw) in the frame of the
-//! team: that of the priors, or of the first robot's odometry where there are none.
+//! Lengths are in metres; angles in radians, from +x towards +y. The pose of a keyframe is (x, y, yaw) in the team's
+//! frame: the frame of the priors or, without priors, of the first robot's odometry.
 //!
-//! A link is a *max-mixture* \[olson2012\] of its candidates and of an outlier that any direction and any range fit alike.
-//! Each iteration takes the likeliest of them; a link that fits nothing is its outlier and pulls at nothing.
+//! A link is a *max-mixture* \[olson2012\] of its candidates and a null hypothesis (outlier) with a uniform density.
+//! Each iteration takes the likeliest component. An outlier exerts no pull.
 //!
-//! The solver is Levenberg and Marquardt's on a Cholesky factor in envelope form. `factrs` 0.3, the library of this kind in Rust,
-//! has neither mixtures nor marginal covariances, and brings `faer` with it. Keyframes in the order of time make the normal
-//! matrix a band, for which an envelope needs no search for an ordering.
+//! The solver is Levenberg-Marquardt with a Cholesky factor in envelope form. The Rust library `factrs` 0.3 has neither
+//! mixtures nor marginal covariances, and depends on `faer`. Keyframes in time order make the normal matrix banded, so
+//! the envelope needs no search for an ordering.
 
 mod envelope;
 pub mod factors;

@@ -1,17 +1,18 @@
-//! Ranges that another sensor measured: UWB, FTM, a `sensor_msgs/Range`-like topic.
+//! Reads ranges from another sensor: UWB, FTM, or a topic like `sensor_msgs/Range`.
 //!
-//! CSV with the heading `time_s,from,to,range_m,sd_m` in any order, or JSON: objects with these fields, one a line or in an array.
+//! Formats: CSV with the columns `time_s,from,to,range_m,sd_m` in any order; JSON objects with these fields, one per line or in
+//! an array.
 
 use serde::Deserialize;
 
 /// A range between two robots.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Range {
-    /// When, seconds on the clock of the trajectories.
+    /// Time on the trajectories' clock, seconds.
     pub time_s: f64,
-    /// Who measured.
+    /// The measuring robot.
     pub from: String,
-    /// What was measured.
+    /// The other robot.
     pub to: String,
     /// The distance, metres.
     pub range_m: f64,
@@ -19,22 +20,22 @@ pub struct Range {
     pub sd_m: f64,
 }
 
-/// Why ranges cannot be read.
+/// An error in a file of ranges.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RangesError {
-    /// A row that is none.
+    /// An invalid row.
     #[error("row {row}: {why}")]
     Row {
-        /// Its number from 1, of the line for CSV and JSON Lines.
+        /// Row number from 1; for CSV and JSON Lines, the line number.
         row: usize,
         /// What is wrong with it.
         why: String,
     },
-    /// CSV without a column.
-    #[error("no column {column}: the heading is time_s,from,to,range_m,sd_m, or the file is JSON with these fields")]
+    /// A missing column of a CSV file.
+    #[error("no column {column}: give CSV with the columns time_s,from,to,range_m,sd_m, or JSON with these fields")]
     Column {
-        /// Which.
+        /// Its name.
         column: &'static str,
     },
 }
@@ -44,7 +45,7 @@ const COLUMNS: [&str; 5] = ["time_s", "from", "to", "range_m", "sd_m"];
 /// Reads ranges.
 ///
 /// # Errors
-/// [`RangesError`] for the first row that has no numbers, or numbers that no range has.
+/// [`RangesError`] for the first invalid row, or a missing column.
 pub fn read(text: &str) -> Result<Vec<Range>, RangesError> {
     let text = text.trim_start_matches('\u{feff}').trim();
     let wrong = |row: usize, error: serde_json::Error| RangesError::Row { row, why: error.to_string() };
@@ -61,11 +62,11 @@ pub fn read(text: &str) -> Result<Vec<Range>, RangesError> {
     for (row, own) in &rows {
         let refuse = |why: String| Err(RangesError::Row { row: *row, why });
         if !own.time_s.is_finite() {
-            return refuse(format!("time_s is {}", own.time_s));
+            return refuse(format!("time_s is {}: it must be finite", own.time_s));
         }
         for (what, value) in [("range_m", own.range_m), ("sd_m", own.sd_m)] {
             if !(value > 0.0 && value.is_finite()) {
-                return refuse(format!("{what} is {value}: a number of metres above 0 is needed"));
+                return refuse(format!("{what} is {value}: it must be above 0, in metres"));
             }
         }
         if own.from == own.to || own.from.is_empty() || own.to.is_empty() {
@@ -95,7 +96,7 @@ fn csv(text: &str) -> Result<Vec<(usize, Range)>, RangesError> {
         };
         let number = |column: usize| {
             let text = cell(column)?;
-            text.parse::<f64>().map_err(|_| RangesError::Row { row, why: format!("\"{text}\" is no number") })
+            text.parse::<f64>().map_err(|_| RangesError::Row { row, why: format!("\"{text}\" is not a number") })
         };
         let (from, to) = (cell(1)?.clone(), cell(2)?.clone());
         Ok((row, Range { time_s: number(0)?, from, to, range_m: number(3)?, sd_m: number(4)? }))
@@ -127,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_files_are_refused_with_their_row() {
+    fn an_invalid_row_is_rejected_with_its_number() {
         let said = |text: &str| read(text).unwrap_err().to_string();
         assert!(said("").contains("no column time_s"));
         assert!(said("time_s,from,to,range_m\n").contains("no column sd_m"));
@@ -139,7 +140,7 @@ mod tests {
             ("inf,a,b,2,0.1", "time_s is inf"),
             ("1,a,a,2,0.1", "two robots"),
             ("1,a,b,2", "4 cells, 5 expected"),
-            ("1,a,b,x,0.1", "\"x\" is no number"),
+            ("1,a,b,x,0.1", "\"x\" is not a number"),
         ] {
             assert!(with(row).contains("row 3") && with(row).contains(word), "{row}: {}", with(row));
         }

@@ -1,4 +1,4 @@
-//! Levenberg and Marquardt's way to the poses, and what is known of them there.
+//! Levenberg-Marquardt solver and marginal covariances.
 
 use crate::envelope::Envelope;
 use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError};
@@ -6,40 +6,40 @@ use crate::start::{COSTLIER, starts};
 use crate::wrap;
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// All deviations are so many times wider in the first descents: a link that is far from its candidates still pulls, and
-/// against odometry as much as later.
+/// Factors on all deviations in successive descents, so that a link far from its candidates still pulls. The factor applies
+/// to odometry too, so the balance between them stays the same.
 const TEMPERS: [f64; 3] = [4.0, 2.0, 1.0];
 
-/// Steps at most in one descent.
+/// Limit of steps in one descent.
 const STEPS: usize = 60;
 
-/// What the given share of outliers counts as, in links, beside those of the robot.
+/// Weight of the given outlier share as a prior, in links.
 const NULL_LINKS: f64 = 4.0;
 
-/// Share of robots whose links are all wrong.
+/// Prior probability that all links of a robot are wrong.
 const LIARS: f64 = 0.05;
 
-/// Minima of which the shares of outliers are learnt.
+/// Limit of minima at which outlier shares are learnt.
 const SETTLED: usize = 4;
 
-/// Descents from beside the best minimum, and how far beside, metres and radians.
+/// Descents from perturbations of the best minimum, and the size of these, metres and radians.
 const KICKS: usize = 8;
 const KICK: [f64; 2] = [0.05, 0.03];
 
-/// Another solution is named where the best is at most this many times as likely.
+/// Another solution is reported if the best is at most this many times as likely, ...
 const AS_LIKELY: f64 = 2.0;
 
-/// And one of its keyframes is further away than this, metres.
+/// ... and one of its keyframes is more than this away, metres.
 const APART_M: f64 = 0.3;
 
-/// Least gain of a step: while minima are compared, and at the best of them.
+/// Cost reduction below which a descent stops: while minima are compared, and at the best one.
 const ROUGHLY: f64 = 1e-2;
 const EXACTLY: f64 = 1e-8;
 
-/// Descents that end so near to each other, in metres and in cost, are one.
+/// Descents whose ends differ by less than this, in metres and in cost, are merged.
 const NEAR: [f64; 2] = [0.05, 0.05];
 
-/// Deviation of the first pose where no prior holds the team, metres and radians: the frame is its own.
+/// Deviation of the first pose if the team has no prior, metres and radians. This prior fixes the gauge.
 const GAUGE_SD: f64 = 1e-4;
 
 /// Values of all variables.
@@ -47,11 +47,11 @@ const GAUGE_SD: f64 = 1e-4;
 pub(crate) struct State {
     /// By keyframe: x, y, yaw.
     pub poses: Vec<[f64; 3]>,
-    /// By robot: turn per metre and relative error of lengths that its odometry lacks.
+    /// By robot: turn per metre, radians, and relative error of lengths, both missing from its odometry.
     pub calibrations: Vec<[f64; 2]>,
 }
 
-/// A variable.
+/// A scalar variable: a component of a keyframe's pose or of a robot's calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Variable {
     Pose(usize, usize),
@@ -85,7 +85,7 @@ impl State {
     }
 }
 
-/// What past keyframes say of the variables that are left: linear, about a point.
+/// Linear prior from marginalised keyframes on the remaining variables, about the point `at`.
 #[derive(Clone, Debug)]
 pub(crate) struct Carried {
     variables: Vec<Variable>,
@@ -101,7 +101,7 @@ impl Carried {
     }
 }
 
-/// Which variable is where: keyframes in the order of time, then what all of them share.
+/// Order of the variables: moving robots' keyframes in time order, then standing ones, then calibrations.
 #[derive(Clone, Debug)]
 struct Layout {
     variables: Vec<Variable>,
@@ -139,7 +139,7 @@ impl Layout {
         }
     }
 
-    /// An envelope that holds the products of all variables of one measurement.
+    /// An envelope with room for the products of all variables that share a measurement.
     fn envelope(&self, team: &Team) -> Envelope {
         let mut first: Vec<usize> = (0..self.variables.len()).collect();
         let mut group = |variables: &mut dyn Iterator<Item = usize>| {
@@ -166,7 +166,7 @@ impl Layout {
     }
 }
 
-/// What is solved: the graph, its variables, and the share of outliers that each link is taken to have.
+/// The graph, its variables, and the outlier share of each link.
 struct Problem<'a> {
     team: &'a Team,
     layout: Layout,
@@ -176,10 +176,10 @@ struct Problem<'a> {
 
 type Entry = (Variable, f64);
 
-/// Where residuals go: the residual in deviations and its derivatives.
+/// Receives each residual, in deviations, and its derivatives.
 type Rows<'a> = dyn FnMut(f64, &[Entry]) + 'a;
 
-/// Adds residuals to a cost and hands them on, each with its deviation `temper` times as wide.
+/// Divides each residual by `temper`, adds it to the cost and passes it on.
 fn tempered<'a>(temper: f64, cost: &'a mut f64, rows: &'a mut Rows<'_>) -> impl FnMut(f64, &[Entry]) {
     let by = 1.0 / temper;
     let mut scaled = Vec::new();
@@ -200,7 +200,7 @@ fn gradient_of_range(state: &State, [from, to]: [usize; 2], factor: f64) -> ([En
     ([(Pose(from, 0), -x), (Pose(from, 1), -y), (Pose(to, 0), x), (Pose(to, 1), y)], range_m)
 }
 
-/// Which measurements are looked at.
+/// Selects measurements by their keyframes.
 type Wanted<'a> = &'a dyn Fn(&[usize]) -> bool;
 
 impl<'a> Problem<'a> {
@@ -209,8 +209,8 @@ impl<'a> Problem<'a> {
         Self { team, zeros: layout.envelope(team), layout, null_shares }
     }
 
-    /// The cost at a state: half of the squared residuals and what the candidates' densities add. `rows` gets each residual of the
-    /// measurements whose keyframes are `wanted`.
+    /// The cost of the `wanted` measurements at a state: half of the squared residuals plus the constants of the candidates'
+    /// densities. `rows` receives each residual.
     fn visit(&self, state: &State, temper: f64, wanted: Wanted<'_>, rows: &mut Rows<'_>) -> f64 {
         let mut cost = 0.0;
         let mut add = tempered(temper, &mut cost, rows);
@@ -232,7 +232,7 @@ impl<'a> Problem<'a> {
         cost + self.links(state, temper, wanted, rows)
     }
 
-    /// The priors of calibrations, and what past keyframes say: they are of no keyframe that may be wanted.
+    /// The cost of the calibrations' priors and of the marginalised keyframes. Neither belongs to a keyframe.
     fn shared(&self, state: &State, temper: f64, rows: &mut Rows<'_>) -> f64 {
         let mut cost = 0.0;
         let mut add = tempered(temper, &mut cost, rows);
@@ -311,7 +311,7 @@ impl<'a> Problem<'a> {
                 let (x, y) = ((b[0] - a[0]) / range_m.max(1e-9), (b[1] - a[1]) / range_m.max(1e-9));
                 let (off, near) = (wrap(azimuth - expected), (range_m / NEAREST_M).min(1.0));
                 let by = near / (sd * temper);
-                // Across the line of sight the azimuth turns; along it, an azimuth of a near robot gains weight.
+                // Across the line of sight the azimuth changes. Along it, the weight changes below `NEAREST_M`.
                 let (across, along) =
                     (by / range_m.max(1e-9), if near < 1.0 { off / (sd * temper * NEAREST_M) } else { 0.0 });
                 let (x, y) = (along * x - across * y, along * y + across * x);
@@ -360,8 +360,8 @@ impl<'a> Problem<'a> {
         moved
     }
 
-    /// Levenberg and Marquardt \[levenberg1944\] \[marquardt1963\] from a state to the nearest minimum, until a step gains less than
-    /// `least`; and the cost there.
+    /// Levenberg-Marquardt \[levenberg1944\] \[marquardt1963\] until a step reduces the cost by at most `least`. Returns the
+    /// minimum and its cost.
     fn descend(&self, mut state: State, temper: f64, least: f64) -> (State, f64) {
         let (mut cost, mut damping) = (self.cost(&state, temper), 1e-4);
         for _ in 0..STEPS {
@@ -374,7 +374,7 @@ impl<'a> Problem<'a> {
                     factor.solve(&mut by);
                     by
                 });
-                // What the step gains where the problem is linear.
+                // Cost reduction that the linear model predicts.
                 let hoped = |by: &Vec<f64>| 0.5 * by.iter().zip(&side).map(|(by, side)| by * side).sum::<f64>();
                 if by.as_ref().is_some_and(|by| hoped(by) < least) || damping > 1e8 {
                     break 0.0;
@@ -396,8 +396,8 @@ impl<'a> Problem<'a> {
         (state, cost)
     }
 
-    /// Learns the share of outliers of each robot's links from a state, and switches off a robot whose links fit no better than by
-    /// chance. Returns the shares.
+    /// Learns the outlier share of each robot at a state, and switches off a robot whose links fit no better than chance.
+    /// Returns the shares.
     fn learn_shares(&mut self, state: &State) -> Vec<f64> {
         let mut own = vec![(0.0, 0.0, 0.0); self.team.robots.len()];
         let robot = |link: &Link| self.team.keyframes[link.from].robot;
@@ -413,7 +413,7 @@ impl<'a> Problem<'a> {
         let mean = |(links, _, given): (f64, f64, f64)| if links > 0.0 { given / links } else { 0.0 };
         let share = |own: &(f64, f64, f64)| (own.1 + NULL_LINKS * mean(*own)) / (own.0 + NULL_LINKS);
         let shares: Vec<f64> = own.iter().map(share).collect();
-        // Of a robot's links some may be given as better than others: they keep their odds to each other.
+        // A robot's links may have different given shares: the ratios of their odds stay the same.
         let odds = |share: f64| share / (1.0 - share);
         let learnt = |link: &Link| {
             let learnt = odds(link.null_share) * odds(shares[robot(link)]) / odds(mean(own[robot(link)]));
@@ -432,8 +432,8 @@ impl<'a> Problem<'a> {
         shares
     }
 
-    /// A minimum with the shares of outliers learnt there: descended to at once, and from wider deviations, by which robots that do
-    /// not lie come back; the better of both.
+    /// The better of two minima, each with outlier shares learnt there. One descent begins with wider deviations, which
+    /// switches robots with right bearings on again.
     fn settle(&mut self, begin: &State) -> Settled {
         let mut best: Option<Settled> = None;
         for tempers in [&[1.0][..], &[3.0, 1.0]] {
@@ -452,13 +452,13 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// Numbers between -1 and 1, the same on every machine: the multiples of an irrational number.
+/// Quasi-random numbers from -1 to 1, the same on every machine: multiples of the golden ratio, modulo 1.
 fn even(k: usize) -> f64 {
     2.0 * (k as f64 * 0.618_033_988_749_895).fract() - 1.0
 }
 
 impl Problem<'_> {
-    /// Descends again from beside a minimum: a candidate that is taken at a pose holds it there, so minima lie close to each other.
+    /// Descends again from perturbations of a minimum. A chosen candidate holds its pose, so there may be a lower minimum nearby.
     fn kick(&mut self, best: &mut Settled) {
         for kick in 1..=KICKS {
             let mut state = best.state.clone();
@@ -478,7 +478,7 @@ impl Problem<'_> {
     }
 }
 
-/// A minimum and the shares of outliers there.
+/// A minimum and the outlier shares there.
 #[derive(Default)]
 struct Settled {
     state: State,
@@ -492,11 +492,11 @@ struct Settled {
 pub struct Other {
     /// Pose of each keyframe: x, y, yaw.
     pub poses: Vec<[f64; 3]>,
-    /// Its cost less that of the solution, 0 to ln 2: how much less likely it is.
+    /// Its cost minus that of the solution, from 0 to ln 2: the logarithm of the likelihood ratio.
     pub cost_over: f64,
 }
 
-/// Poses of all keyframes.
+/// Poses of all keyframes, with covariances and the chosen candidates.
 #[derive(Clone, Debug)]
 pub struct Solution {
     pub(crate) state: State,
@@ -504,32 +504,32 @@ pub struct Solution {
     pub(crate) null_shares: Vec<f64>,
     layout: Layout,
     factor: Envelope,
-    /// For each link the candidate that fits; none where it is an outlier.
+    /// For each link, the index of the chosen candidate; `None` for an outlier.
     pub chosen: Vec<Option<usize>>,
-    /// For each robot the share of its links that are outliers, as learnt: near 1 for one whose answers are wrong.
+    /// Learnt outlier share of each robot's links: near 1 if its bearings are wrong.
     pub outlier_shares: Vec<f64>,
-    /// Negative logarithm of the likelihood, up to a constant of the graph.
+    /// Negative log-likelihood, up to a constant of the graph.
     pub cost: f64,
-    /// Other solutions, the likeliest first: as where a mirror leaves two.
+    /// Other solutions, the likeliest first; a mirror leaves two, for example.
     pub others: Vec<Other>,
 }
 
 impl Solution {
-    /// Pose of a keyframe: x, y, yaw. Of a point the yaw means nothing.
+    /// Pose of a keyframe: x, y, yaw. The yaw of a point has no meaning.
     #[must_use]
     pub fn pose(&self, keyframe: KeyframeId) -> [f64; 3] {
         self.state.poses[keyframe.0]
     }
 
-    /// What a robot's odometry lacks: turn in radians per metre driven, and relative error of lengths (0.01: it reports 1 % too
-    /// little).
+    /// Calibration of a robot's odometry: the turn that it lacks, radians per metre driven, and the relative error of lengths
+    /// (0.01: odometry reports 1 % too little).
     #[must_use]
     pub fn calibration(&self, robot: RobotId) -> [f64; 2] {
         self.state.calibrations[robot.0]
     }
 
-    /// Covariance of a keyframe's pose: the marginal of the linear problem at the solution, about this solution and not `others`.
-    /// Zeros for the yaw of a point, and for a keyframe that was forgotten.
+    /// Marginal covariance of a keyframe's pose (x, y, yaw) in the problem linearised at the solution; it does not cover
+    /// `others`. Zero for the yaw of a point, and for a forgotten keyframe.
     #[must_use]
     pub fn covariance(&self, keyframe: KeyframeId) -> Matrix3<f64> {
         let mut covariance = Matrix3::zeros();
@@ -546,17 +546,16 @@ impl Solution {
 }
 
 impl Team {
-    /// Solves for all poses, from several starts. Each robot in turn is placed where the candidates of its links to those before
-    /// it cross.
+    /// Solves for all poses from several initial states. They place one robot after another where candidates of its links to
+    /// placed robots cross.
     ///
     /// # Errors
-    /// [`TeamError`] if there is no keyframe, a robot has no link, or the measurements do not fix a robot.
+    /// [`TeamError`] if there is no keyframe, a robot has no link, or the measurements do not determine a robot.
     pub fn solve(&self) -> Result<Solution, TeamError> {
         self.solve_all(None)
     }
 
-    /// The same after more was added to the team: from the solution before. Robots that it lacks are placed as in
-    /// [`Team::solve`].
+    /// As [`Team::solve`], but starts from an earlier solution. New robots are placed as in [`Team::solve`].
     ///
     /// # Errors
     /// As [`Team::solve`].
@@ -581,7 +580,7 @@ impl Team {
         for temper in tempers {
             solved = solved.into_iter().map(|(state, _)| problem.descend(state, *temper, ROUGHLY)).collect();
             solved.sort_by(|a, b| a.1.total_cmp(&b.1));
-            // Starts that fell into one minimum go on as one.
+            // Merges descents that reached the same minimum.
             solved.dedup_by(|a, b| (a.1 - b.1).abs() < NEAR[1] && a.0.is_near(&b.0));
         }
         let most = solved.first().map_or(0.0, |best| best.1) + COSTLIER;
@@ -618,7 +617,7 @@ impl Team {
         Ok(found)
     }
 
-    /// True if a keyframe is elsewhere than in the solution and than in each of its others.
+    /// True if the state differs from the solution, and from each of its `others`, in a keyframe's position.
     fn is_another(&self, found: &Solution, state: &State) -> bool {
         let far = |poses: &[[f64; 3]]| {
             let alive = (0..self.keyframes.len()).filter(|k| !self.keyframes[*k].is_past);
@@ -631,8 +630,8 @@ impl Team {
         far(&found.state.poses) && found.others.iter().all(|other| far(&other.poses))
     }
 
-    /// Ends the time in which keyframes before `before_s` are variables: what they and their measurements say of the others is kept as
-    /// one linear term (Schur complement), about the solution. The last keyframe of a robot stays.
+    /// Marginalises keyframes before `before_s`, seconds, with their measurements: a Schur complement at the solution replaces
+    /// them by one linear term. The last keyframe of each robot stays.
     pub fn forget(&mut self, solution: &Solution, before_s: f64) {
         let last = |k: usize| self.keyframes.iter().rposition(|own| own.robot == self.keyframes[k].robot) == Some(k);
         let is_old = |k: &usize| self.keyframes[*k].t_s < before_s && !self.keyframes[*k].is_past && !last(*k);
@@ -659,7 +658,7 @@ impl Team {
 }
 
 impl Problem<'_> {
-    /// What the measurements that touch old keyframes say of the variables that stay.
+    /// The linear prior that the measurements of old keyframes leave on the other variables.
     fn carry(&self, state: &State, touches: Wanted<'_>, old: &[usize]) -> Carried {
         let n = self.layout.variables.len();
         let (mut matrix, mut side) = (DMatrix::<f64>::zeros(n, n), DVector::<f64>::zeros(n));
@@ -705,8 +704,8 @@ mod tests {
     use crate::{Mode, OdometryNoise};
 
     #[test]
-    fn derivatives_agree_with_differences_of_the_cost() {
-        // Two robots that pass at 0.1 m, and a point; each kind of measurement, none of them met exactly.
+    fn the_gradient_agrees_with_finite_differences_of_the_cost() {
+        // Two robots that pass at 0.1 m, a point, and each kind of measurement; no residual is 0.
         let mut team = Team::default();
         let noise = OdometryNoise::default();
         let robots = ["a", "b"].map(|name| team.robot(name, true, noise).unwrap());

@@ -1,35 +1,36 @@
-//! Where descents begin: robots placed one after another, where their links to those before them cross.
+//! Initial states: places one robot after another where its links to placed robots cross.
 
 use crate::graph::{Link, Team, TeamError};
 use crate::solve::State;
 use nalgebra::{Rotation2, Vector2};
 use std::f64::consts::{PI, TAU};
 
-/// Arrangements kept while robots are placed.
+/// Limit of arrangements kept while robots are placed.
 const KEPT: usize = 6;
 
-/// And by how much more they may cost than the best: `exp(-15)` as likely.
+/// Arrangements cost at most this much more than the best (`exp(-15)` as likely).
 pub const COSTLIER: f64 = 15.0;
 
-/// Places of one robot that each arrangement goes on with.
+/// Limit of places of a robot tried in each arrangement.
 const PLACES: usize = 4;
 
-/// Yaws tried for a frame without a known one.
+/// Yaws tried for a frame of unknown yaw.
 const YAWS: usize = 36;
 
-/// Links whose crossings are tried, links that judge each crossing, and links that judge the best of them, which are so many.
+/// Limits: links whose crossings are tried, links that judge each crossing, links that judge the best crossings, and the
+/// number of these.
 const CROSSED: usize = 9;
 const FIRST_JUDGES: usize = 15;
 const JUDGES: usize = 45;
 const JUDGED: usize = 400;
 
-/// Deviations are so many times wider: a yaw may be half a step beside the right one.
+/// Factor on all deviations, because a tried yaw may be half a step off.
 const TEMPER: f64 = 3.0;
 
-/// Where the frame of a robot's odometry lies: x, y, yaw.
+/// Origin of a robot's odometry in the team's frame: x, y, yaw.
 type Frame = [f64; 3];
 
-/// An arrangement: frames of the robots placed so far, and what their links cost.
+/// Frames of the robots placed so far, and the cost of their links.
 #[derive(Clone)]
 struct Arrangement {
     frames: Vec<Option<Frame>>,
@@ -41,7 +42,7 @@ fn composed(frame: Frame, odometry: [f64; 3]) -> [f64; 3] {
     [at.x, at.y, crate::wrap(frame[2] + odometry[2])]
 }
 
-/// The frame in which `odometry` is at `pose`.
+/// The frame that puts `odometry` at `pose`.
 fn frame_by(pose: [f64; 3], odometry: [f64; 3]) -> Frame {
     let yaw = pose[2] - odometry[2];
     let at = Vector2::new(pose[0], pose[1]) - Rotation2::new(yaw) * Vector2::new(odometry[0], odometry[1]);
@@ -52,12 +53,12 @@ fn direction(angle_rad: f64) -> Vector2<f64> {
     Vector2::new(angle_rad.cos(), angle_rad.sin())
 }
 
-/// States to descend from. Robots of `before` start from there.
+/// Initial states. Robots in `before` keep their poses.
 pub fn starts(team: &Team, before: Option<&State>) -> Result<Vec<State>, TeamError> {
     let frames: Vec<Option<Frame>> = (0..team.robots.len()).map(|robot| known_frame(team, before, robot)).collect();
     let mut kept = vec![Arrangement { frames, cost: 0.0 }];
     if kept[0].frames.iter().all(Option::is_none) {
-        // Only directions or parts of places are known: the first robot's odometry is as good as any frame.
+        // No prior fixes a whole pose: the first robot's odometry defines the frame.
         kept[0].frames[team.keyframes[0].robot] = Some([0.0; 3]);
     }
     while let Some(robot) = next(team, &kept[0].frames)? {
@@ -66,7 +67,7 @@ pub fn starts(team: &Team, before: Option<&State>) -> Result<Vec<State>, TeamErr
     Ok(kept.into_iter().map(|own| state(team, &own.frames, before)).collect())
 }
 
-/// The frame of a robot that a solution before or a prior fixes.
+/// The frame of a robot from an earlier solution or a prior.
 fn known_frame(team: &Team, before: Option<&State>, robot: usize) -> Option<Frame> {
     let own = |k: &usize| team.keyframes[*k].robot == robot;
     let solved = before.and_then(|before| (0..before.poses.len()).rev().find(own).map(|k| (k, before.poses[k])));
@@ -80,7 +81,7 @@ fn known_frame(team: &Team, before: Option<&State>, robot: usize) -> Option<Fram
     solved.or_else(by_prior).map(|(k, pose)| frame_by(pose, team.keyframes[k].odometry))
 }
 
-/// Poses by the frames; of keyframes that were solved before, those.
+/// Poses from the frames, or from `before` where it has them.
 fn state(team: &Team, frames: &[Option<Frame>], before: Option<&State>) -> State {
     let pose = |k: usize| {
         let known = before.and_then(|before| before.poses.get(k)).copied();
@@ -92,7 +93,7 @@ fn state(team: &Team, frames: &[Option<Frame>], before: Option<&State>) -> State
     State { poses: (0..team.keyframes.len()).map(pose).collect(), calibrations }
 }
 
-/// The robot with the most links to those placed.
+/// The unplaced robot with the most links to placed ones.
 fn next(team: &Team, frames: &[Option<Frame>]) -> Result<Option<usize>, TeamError> {
     let mut counts = vec![0; frames.len()];
     for link in &team.links {
@@ -113,13 +114,13 @@ fn next(team: &Team, frames: &[Option<Frame>]) -> Result<Option<usize>, TeamErro
     }
 }
 
-/// So many of a list, evenly.
+/// At most `most` elements of a list, evenly spaced.
 fn some<T: Copy>(all: &[T], most: usize) -> Vec<T> {
     let step = all.len().div_ceil(most).max(1);
     all.iter().step_by(step).copied().collect()
 }
 
-/// Every arrangement with `robot` at each of its likeliest places.
+/// The arrangements extended by `robot` at each of its likeliest places.
 fn placed(team: &Team, kept: &[Arrangement], robot: usize) -> Vec<Arrangement> {
     let mut longer: Vec<Arrangement> = Vec::new();
     for own in kept {
@@ -136,17 +137,17 @@ fn placed(team: &Team, kept: &[Arrangement], robot: usize) -> Vec<Arrangement> {
     longer
 }
 
-/// What a link tells of the place of the robot's frame, once its yaw is known: a ray from a point, or a circle about it.
+/// Possible origins of the robot's frame by a link, at a given yaw: a ray from `centre`, a circle about it, or a point.
 #[derive(Clone, Copy)]
 struct Locus {
     link: usize,
     centre: Vector2<f64>,
-    /// Towards the frame.
+    /// Direction from `centre` to the frame.
     ray: Option<Vector2<f64>>,
     range_m: Option<f64>,
 }
 
-/// The links between `robot` and robots that are placed, with the pose of the keyframe at the other end.
+/// A link to a placed robot: the robot's own keyframe, and the pose at the other end.
 struct Seen<'a> {
     link: &'a Link,
     own: usize,
@@ -170,7 +171,7 @@ fn links_of<'a>(team: &'a Team, arrangement: &Arrangement, robot: usize) -> Vec<
     team.links.iter().filter_map(seen).collect()
 }
 
-/// The likeliest frames of a robot, and what its links cost there.
+/// The likeliest frames of a robot, with the cost of its links.
 fn places(team: &Team, arrangement: &Arrangement, robot: usize) -> Vec<(Frame, f64)> {
     let seen = links_of(team, arrangement, robot);
     let all: Vec<usize> = (0..seen.len()).collect();
@@ -209,7 +210,8 @@ fn places(team: &Team, arrangement: &Arrangement, robot: usize) -> Vec<(Frame, f
     apart
 }
 
-/// Yaws that a robot's frame may have: that of its prior; none of a point; else those by which two robots see each other, and all around.
+/// Yaws to try for a robot's frame: 0 for a point; those of its prior; else a full turn, and the yaws at which mutual
+/// bearings agree.
 fn yaws(team: &Team, seen: &[Seen<'_>], robot: usize) -> Vec<f64> {
     if !team.robots[robot].has_heading {
         return vec![0.0];
@@ -226,7 +228,7 @@ fn yaws(team: &Team, seen: &[Seen<'_>], robot: usize) -> Vec<f64> {
     let mut azimuths: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
     for Seen { link, own, other } in seen {
         let is_own = link.from == *own;
-        // The direction in the frame of the robot, or the one in which it is seen, in that of the team.
+        // Directions from the robot in its own frame, or to the robot in the team's frame.
         let turned = if is_own { team.keyframes[*own].odometry[2] } else { other[2] };
         azimuths[usize::from(is_own)].extend(link.modes.iter().filter_map(|mode| Some(mode.azimuth_rad?[0] + turned)));
     }
@@ -235,7 +237,7 @@ fn yaws(team: &Team, seen: &[Seen<'_>], robot: usize) -> Vec<f64> {
     yaws
 }
 
-/// Where the frame's origin may be by each candidate of a link.
+/// Possible origins of the frame, by each candidate of a link.
 fn loci(team: &Team, seen: &Seen<'_>, index: usize, yaw: f64) -> Vec<Locus> {
     let odometry = team.keyframes[seen.own].odometry;
     let offset = Rotation2::new(yaw) * Vector2::new(odometry[0], odometry[1]);
@@ -251,7 +253,8 @@ fn loci(team: &Team, seen: &Seen<'_>, index: usize, yaw: f64) -> Vec<Locus> {
     seen.link.modes.iter().map(locus).collect()
 }
 
-/// Points that two candidates of different links share, ends of candidates with a range, and steps along a ray that nothing crosses.
+/// Crossings of candidates of different links, and ends of candidates with azimuth and range; without any, points along the
+/// rays and circles.
 fn crossings(loci: &[Locus]) -> Vec<Vector2<f64>> {
     let mut found = Vec::new();
     for (k, a) in loci.iter().enumerate() {
@@ -286,7 +289,7 @@ fn crossings(loci: &[Locus]) -> Vec<Vector2<f64>> {
     found
 }
 
-/// Where a ray meets a circle; the foot of its centre where it passes by.
+/// Intersections of a ray and a circle; without one, the point of the ray nearest to the centre.
 fn on_circle(from: Vector2<f64>, ray: Vector2<f64>, circle: &Locus, found: &mut Vec<Vector2<f64>>) {
     let Some(range_m) = circle.range_m else { return };
     let to = circle.centre - from;
@@ -295,7 +298,7 @@ fn on_circle(from: Vector2<f64>, ray: Vector2<f64>, circle: &Locus, found: &mut 
     found.extend([along - half, along + half].into_iter().filter(|s| *s > 0.0).map(|s| from + ray * s));
 }
 
-/// Where two circles meet; between them where they do not.
+/// Intersections of two circles; without one, a point between them.
 fn of_circles(a: &Locus, b: &Locus, found: &mut Vec<Vector2<f64>>) {
     let (Some(own_m), Some(other_m)) = (a.range_m, b.range_m) else { return };
     let between = b.centre - a.centre;

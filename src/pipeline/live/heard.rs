@@ -1,4 +1,4 @@
-//! Bearings of what this robot hears alone, by two or three antennas that turn with it: see [`crate::pipeline::OneLog`].
+//! Bearings from this robot's records alone, by two or three antennas that turn with it (see [`crate::pipeline::OneLog`]).
 
 use super::peer::{Context, Why};
 use super::report::{PeerCounts, PeerReport, PeerState};
@@ -10,46 +10,46 @@ use crate::time::{Instant, Span};
 use driver_iface::Mac;
 use std::collections::BTreeSet;
 
-/// Senders beyond the peers whose bearings are reported.
+/// Limit of reported senders that are not peers.
 const OTHERS: usize = 16;
-/// Records of a sender that are kept.
+/// Limit of records kept of a sender.
 const ROWS: usize = 2_048;
-/// Records with fewer than this make no bearing.
+/// A bearing needs at least this many records.
 const LEAST_RECORDS: usize = 24;
-/// The robot must turn by so much before there is a bearing, radians.
+/// Least turn for a bearing, radians.
 const LEAST_TURN_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
-/// A turn since an answer that makes a new one worth while, radians.
+/// Least turn since the last answer for a new one, radians.
 const WORTH_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
-/// All senders that are heard.
+/// All senders heard.
 pub(super) struct Heard {
     log: OneLog,
     array: Reach,
-    /// Peers by their number, then others in the order in which they were heard.
+    /// Peers by number, then others in the order in which they were first heard.
     links: Vec<HeardLink>,
     named: usize,
     own: Mac,
-    /// Peers with paired links, which have no bearing here, and how far back what was heard of them is kept.
+    /// Peers with paired links: they have no bearing here. Their records of the last `window_us` are kept.
     paired: BTreeSet<Mac>,
     window_us: i64,
 }
 
-/// What matters of the array.
+/// Properties of the array.
 #[derive(Clone, Copy)]
 struct Reach {
     /// Length of the first baseline, metres.
     length_m: f64,
-    /// A robot that stands has a bearing.
+    /// If true, a standing robot has a bearing too.
     constants_known: bool,
 }
 
 impl Reach {
-    /// How far an end of the baseline is from where it was before a turn, metres.
+    /// Distance that an end of the baseline moves in a turn, metres.
     fn chord_m(self, turned_rad: f64) -> f64 {
         2.0 * self.length_m * (0.5 * turned_rad.min(std::f64::consts::PI)).sin()
     }
 
-    /// Motion of the baseline's end that is needed, metres.
+    /// Required motion of the baseline's end, metres.
     fn needed_m(self) -> f64 {
         if self.constants_known { 0.0 } else { self.chord_m(LEAST_TURN_RAD) }
     }
@@ -62,24 +62,23 @@ impl Reach {
     }
 }
 
-/// One sender.
+/// A sender and its last answer.
 struct HeardLink {
-    /// The peer's number, or that among the others.
+    /// `Ok`: the peer's number. `Err`: its number among the other senders.
     number: Result<usize, usize>,
     name: String,
     mac: Mac,
     due: Instant,
     counts: PeerCounts,
-    /// Records at the last estimate.
+    /// Records heard at the last estimate.
     searched: Option<u64>,
-    /// When the last record came, and its host time, seconds.
+    /// Arrival of the last record, and its host time, seconds.
     heard_at: Option<Instant>,
     seen_s: Option<f64>,
     last: Option<LastAnswer>,
     bearing: Option<Bearing>,
 }
 
-/// The last answer.
 struct LastAnswer {
     answer: Answer,
     at: Instant,
@@ -88,7 +87,7 @@ struct LastAnswer {
 }
 
 impl Heard {
-    /// `named` are peers by their number, name and MAC; this robot itself and the `paired` ones have no bearing here.
+    /// `named` are peers: number, name, MAC address. This robot (`own`) and the `paired` peers have no bearing here.
     pub(super) fn new(
         array: Array,
         named: Vec<(usize, String, Mac)>,
@@ -100,18 +99,18 @@ impl Heard {
         let link = |(k, name, mac)| HeardLink::new(Ok(k), name, mac, now);
         let links: Vec<HeardLink> = named.into_iter().map(link).collect();
         let named = links.len();
-        // A frame without a sender has a place too, of which nothing is made.
+        // One more place for frames without a sender, which have no bearing.
         let log = OneLog::new(array, options).keeping(named + paired.len() + OTHERS + 1, ROWS);
         let window_us = (window_s * 1e6) as i64;
         Self { log, array: Reach { length_m, constants_known }, links, named, own, paired, window_us }
     }
 
-    /// What was heard.
+    /// The records heard.
     pub(super) fn log(&self) -> &OneLog {
         &self.log
     }
 
-    /// Takes what this robot's card gave.
+    /// Takes an item from this robot's card.
     pub(super) fn note(&mut self, next: &Next<'_>) {
         let Some((mac, host_us)) = self.log.note_sender(next) else { return };
         let Next::Record(stamps, _) = next else { return };
@@ -144,12 +143,12 @@ impl Heard {
         self.links.iter().map(|link| link.due).min()
     }
 
-    /// True if a report is due, and no later than that of another kind of link.
+    /// True if a report is due, and not later than `other`, that of another kind of link.
     pub(super) fn is_before(&self, other: Option<Instant>, now: Instant) -> bool {
         self.next_due().is_some_and(|due| due <= now && other.is_none_or(|other| due <= other))
     }
 
-    /// The report that is due.
+    /// The next due report.
     pub(super) fn poll_report(&mut self, context: Context<'_>) -> Option<(Result<usize, usize>, PeerReport)> {
         let period = Span::from_s(1.0 / context.settings.rate_hz);
         let link = self.links.iter_mut().min_by_key(|link| link.due)?;
@@ -157,13 +156,13 @@ impl Heard {
         Some((link.number, link.report(&mut self.log, self.array, context)))
     }
 
-    /// Every sender's last report.
+    /// The last report of each sender.
     pub(super) fn finish(&mut self, context: Context<'_>) -> Vec<(Result<usize, usize>, PeerReport)> {
         let (log, array) = (&mut self.log, self.array);
         self.links.iter_mut().map(|link| (link.number, link.report(log, array, context))).collect()
     }
 
-    /// What was measured is of another frame.
+    /// Forgets all records and answers, because the odometry has a new frame.
     pub(super) fn begin_anew(&mut self) {
         self.paired.iter().for_each(|mac| self.log.forget_before(*mac, i64::MAX, true));
         for link in &mut self.links {
@@ -176,7 +175,7 @@ impl Heard {
         self.links.iter().find(|link| link.number == number)?.bearing.as_ref()
     }
 
-    /// Counts of a peer that is only heard.
+    /// Counts of a peer that is heard but not paired.
     pub(super) fn counts(&self, peer: usize) -> Option<PeerCounts> {
         self.links.iter().find(|link| link.number == Ok(peer)).map(HeardLink::counts)
     }
@@ -192,7 +191,7 @@ impl HeardLink {
         Self { number, name, mac, due, counts, searched: None, heard_at: None, seen_s: None, last: None, bearing: None }
     }
 
-    /// Its records are what pairs are of other links.
+    /// The counts, with records as pairs.
     fn counts(&self) -> PeerCounts {
         PeerCounts { pairs: self.counts.heard, ..self.counts }
     }
@@ -203,7 +202,7 @@ impl HeardLink {
             own.without((state, words), array, array.chord_m(turned_rad), context)
         };
         let Some(seen_s) = self.seen_s else {
-            return without(self, PeerState::NoPairs, "no record of all antennas yet".into(), 0.0);
+            return without(self, PeerState::NoPairs, "no record with all antennas yet".into(), 0.0);
         };
         let nothing_new = self.searched == Some(self.counts.heard);
         if why == Why::Due && nothing_new {
@@ -222,7 +221,12 @@ impl HeardLink {
         if why == Why::Due && !has_turned && !array.constants_known {
             self.counts.skipped += 1;
             let moved_m = self.last.as_ref().map_or(0.0, |last| last.moved_m);
-            return self.without((PeerState::Held, "held: not turned since".into()), array, moved_m, context);
+            return self.without(
+                (PeerState::Held, "held: not turned since the last bearing".into()),
+                array,
+                moved_m,
+                context,
+            );
         }
         if let Some(words) = array.not_yet(turned_rad).filter(|_| heading_rad.is_some()) {
             return without(self, PeerState::NotYet, words, turned_rad);
@@ -243,12 +247,12 @@ impl HeardLink {
             return report;
         }
         if answer.pairs_in_motion < LEAST_RECORDS {
-            let words = format!("{} records of use, {LEAST_RECORDS} are needed", answer.pairs_in_motion);
+            let words = format!("{} usable records, {LEAST_RECORDS} are needed", answer.pairs_in_motion);
             return without(self, PeerState::NoPairs, words, turned_rad);
         }
         let moved_m = array.chord_m(turned_rad);
         self.last = Some(LastAnswer { answer: answer.clone(), at: context.now, heading_rad, moved_m });
-        // What rounds to zero has no sign.
+        // Avoids -0.00.
         let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
         PeerReport {
             t_s: Some(seen_s),
@@ -263,7 +267,7 @@ impl HeardLink {
         }
     }
 
-    /// A report without a new bearing: the last one, if there is one, is repeated with its age.
+    /// A report without a new bearing; it repeats the last one, if any, with its age.
     fn without(
         &self,
         (state, words): (PeerState, String),
@@ -280,7 +284,7 @@ impl HeardLink {
     }
 }
 
-/// By how much the headings within a time differ at most, radians.
+/// Range of the headings within a time span, radians.
 fn turned_rad(trajectory: &Trajectory, (from_s, to_s): (f64, f64)) -> f64 {
     let inside = trajectory.poses().iter().filter(|pose| (from_s..=to_s).contains(&pose.t_s));
     let (mut before, mut at, mut low, mut high) = (None, 0.0, 0.0_f64, 0.0_f64);

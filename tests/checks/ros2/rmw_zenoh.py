@@ -1,5 +1,5 @@
-"""rmw_zenoh.py PROGRAM FOLDER: the node's topics over zenoh, DDS being off. The other end is PyPI's zenoh-ros2-sdk, which has keys,
-tokens and attachments of its own; rosbags has the types, their hashes and CDR, and eclipse-zenoh the router."""
+"""rmw_zenoh.py PROGRAM FOLDER: checks the node's topics over zenoh, with DDS off. The other end is PyPI's zenoh-ros2-sdk with its own keys,
+tokens and attachments; rosbags provides the types, their hashes and CDR, eclipse-zenoh the router."""
 import math, os, socket, threading, time
 from running import DOMAIN, TRUTH, add_third, folder, here, off, running, start_node, state, until
 import xxhash, zenoh
@@ -45,13 +45,13 @@ def transform(parent, child, x, y, angle):
     return new("geometry_msgs/TransformStamped", header(parent), child, moved)
 
 def robots(over):
-    """Two that drive circles, and one that stands on a plate: where they are is a function of the time alone."""
+    """Publishes two robots that drive circles and one that stands on a plate; poses depend on the time only."""
     import numpy
     none = numpy.zeros(36)
     circles = [("tb3_0", 0.0, 0.0, 0.3, 0.7), ("tb3_1", 24.0, 10.0, 0.25, -0.4)]
     writers = [ROS2Publisher(f"/{name}/odom", node_name=name, **of("nav_msgs/msg/Odometry")) for name, *_ in circles]
     plates = ROS2Publisher("/tf", node_name="plates", **of("tf2_msgs/msg/TFMessage"))
-    # What is published once, before anybody asks for it: as rmw_zenoh_cpp publishes a transient local topic.
+    # Published once, before any subscription, as rmw_zenoh_cpp publishes a transient local topic.
     session = ZenohSession.get_instance()
     once = zenoh.ext.declare_advanced_publisher(session.session, key("/tf_static", "tf2_msgs/msg/TFMessage"),
         cache=zenoh.ext.CacheConfig(max_samples=1), publisher_detection=True)
@@ -76,7 +76,7 @@ class Reader:
     def next(self, seconds=60):
         end = time.monotonic() + seconds
         while not self.came:
-            assert time.monotonic() < end, f"nothing came on {self.topic}: {state()['ros2']}, {state()['network']}, {state()['trouble']}"
+            assert time.monotonic() < end, f"no message on {self.topic}: {state()['ros2']}, {state()['network']}, {state()['trouble']}"
             time.sleep(0.005)
         return self.came.pop(0)
 
@@ -94,7 +94,7 @@ def bearings():
     print(f"rmw_zenoh: bearings of two robots, at most {worst:.2f} degrees off", flush=True)
 
 def graph():
-    """What `ros2 topic list` and `ros2 topic info` show; gives the token of the topic of CSI."""
+    """Checks the output of `ros2 topic list` and `ros2 topic info`; returns the token of the CSI topic."""
     own = {f"{NODE}/{peer}/{part}": kind for peer in TRUTH for part, kind in KINDS.items()}
     own |= {f"{NODE}/markers": "visualization_msgs/msg/MarkerArray", f"{NODE}/csi": "csi5300_msgs/msg/Csi"}
     own |= {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "/tf": "tf2_msgs/msg/TFMessage"}
@@ -116,7 +116,7 @@ def graph():
     return next(token for token in tokens if "%csi/" in token)
 
 def messages(token):
-    """Everything else that is published, with its type; and what goes beside it."""
+    """Checks the other published messages, and the attachments."""
     told = Reader(f"{NODE}/markers", "visualization_msgs/msg/MarkerArray").next()
     assert len(told.markers) == 5 and {m.header.frame_id for m in told.markers} == {"odom"}, told
     assert Reader("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray").next().status[0].name == "csi5300: card"
@@ -124,13 +124,13 @@ def messages(token):
     assert len(csi.re) == len(csi.im) == 30 * csi.n_rx * csi.n_tx and csi.mac, csi
     came = []
     raw = ZenohSession.get_instance().session.declare_subscriber(key(f"{NODE}/csi", "csi5300_msgs/msg/Csi"), came.append)
-    until("records come", 60, lambda _: len(came) > 100)
+    until("records arrive", 60, lambda _: len(came) > 100)
     raw.undeclare()
     beside = [sample.attachment.to_bytes() for sample in came]
     assert {len(bytes) for bytes in beside} == {33} and {bytes(sample.payload)[:4] for sample in came} == {b"\0\1\0\0"}
     beside = [Attachment.from_bytes(bytes) for bytes in beside]
     numbers = [one.sequence_id for one in beside]
-    # Who is slow misses some.
+    # A slow reader misses some.
     assert numbers[0] > 0 and all(b > a for a, b in zip(numbers, numbers[1:])), numbers
     assert all(abs(one.timestamp_ns - time.time_ns()) < 60e9 for one in beside), beside[0]
     assert {one.gid for one in beside} == {xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")}, beside[0]
@@ -161,7 +161,7 @@ def main():
             assert node.wait(60) in (0, 3), open(f"{folder}/node.log").read()
             end = time.monotonic() + 20
             while get_topic_info(f"{NODE}/tb3_1/pose", **network):
-                assert time.monotonic() < end, "the node is gone, and its topics are there"
+                assert time.monotonic() < end, "the node has ended, but its topics remain"
         finally:
             over.set()
             thread.join()

@@ -1,8 +1,8 @@
-//! Where receivers are, each from its links to transmitters whose places are known: a graph of `csi5300-team`.
+//! Locates receivers from their links to transmitters at known places, each by a graph of `csi5300-team`.
 //!
-//! The receiver's trajectory is a robot with one keyframe at its middle, where bearings are seen from, and one at each range of
-//! another sensor. Its yaw is known to the heading's deviation. A link is a mixture of its candidates and its mirror; their
-//! deviation is that of the answer: the larger of its error bar and of the one that its probability stands for.
+//! The receiver is a robot with one keyframe at the middle of its trajectory, the origin of its bearings, and one at each
+//! range from another sensor. Its yaw has a prior with the heading's deviation. A link is a mixture of its candidates and
+//! its mirror. Their deviation is that of the answer: its error bar or, if larger, the one that its probability implies.
 
 use super::find::{Capture, TrajectorySource};
 use super::judge::Judged;
@@ -18,40 +18,40 @@ use nalgebra::{Matrix2, Vector2};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Error that no bearing is better than, degrees (median error in line of sight about one degree whatever was predicted).
+/// Least deviation of a bearing, degrees (the median error in line of sight is about 1 degree, whatever the predicted one).
 const AZIMUTH_FLOOR_DEG: f64 = 1.15;
 
-/// Share of links none of whose bearings is right.
+/// Outlier share of links.
 const LINK_OUTLIERS: f64 = 0.1;
 
-/// Of ranges from the wave front: the relative error that none is better than, and the share of them that are wrong whatever they predict.
+/// Ranges from the wave front: least relative deviation, and share of wrong ones.
 const RANGE_FLOOR: f64 = 0.3;
 const RANGE_MISSED: f64 = 0.5;
 
-/// No link is surer than this that one of its bearings is within five degrees: nearly the largest calibrated probability.
+/// Upper limit of a link's probability that one of its bearings is within 5 degrees; close to the largest calibrated one.
 const MOST_SURE: f64 = 0.95;
 
-/// The probability that an answer without one is weighed by: as likely within five degrees as not.
+/// Probability assumed for an answer without one: it is within 5 degrees as often as not.
 pub const UNKNOWN_PROBABILITY: f64 = 0.5;
 
-/// Share of another sensor's ranges that are outliers: off a wall, or of another robot.
+/// Outlier share of another sensor's ranges: reflections, or ranges of another robot.
 const RANGE_OUTLIERS: f64 = 0.1;
 
-/// Deviation of transmitters' known places, metres.
+/// Deviation of the transmitters' known places, metres.
 const PLACE_SD_M: f64 = 0.01;
 
-/// Least wander of a heading, radians after one metre (motion capture: 0.2 degrees), and errors of a trajectory's lengths.
+/// Least deviation of a heading after one metre, radians (motion capture: 0.2 degrees), and relative error of lengths.
 const TURN_RAD_PER_RT_M: f64 = 0.003_5;
 const SLIP: f64 = 0.01;
 
-/// A range that another sensor measured between a receiver and a transmitter.
+/// A range between a receiver and a transmitter, from another sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ranged {
     /// The transmitter's name: `tx2`.
     pub transmitter: String,
-    /// When, seconds on the trajectory's clock.
+    /// Time on the trajectory's clock, seconds.
     pub t_s: f64,
-    /// Where the receiver's antenna was then in the frame of its trajectory, metres.
+    /// Position of the receiver's antenna at that time, in the frame of its trajectory, metres.
     pub from_m: [f64; 2],
     /// The range and its standard deviation, metres.
     pub range_m: [f64; 2],
@@ -72,44 +72,44 @@ impl Capture {
 pub struct Receiver {
     /// Name of the capture.
     pub capture: String,
-    /// Links used.
+    /// Number of usable links.
     pub links: usize,
-    /// Their names, in the order of what is listed of each.
+    /// Their names, in the order of the lists below.
     pub names: Vec<String>,
-    /// Those of them that have no calibrated probability: they are weighed by [`UNKNOWN_PROBABILITY`].
+    /// Links without a calibrated probability; [`UNKNOWN_PROBABILITY`] is used for them.
     #[serde(skip_serializing_if = "is_zero")]
     pub without_probability: usize,
     /// Position, metres, in the frame of the true transmitters.
     pub position_m: Option<[f64; 2]>,
     /// Its covariance, metres squared, row by row.
     pub covariance_m2: Option<[[f64; 2]; 2]>,
-    /// Other places that the links fit nearly as well, the likeliest first, metres.
+    /// Other positions that fit the links nearly as well, the likeliest first, metres.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub others_m: Vec<[f64; 2]>,
-    /// Height and its standard deviation, metres, where links with an elevation have transmitters whose heights are given.
+    /// Height, metres, if a link has an elevation and its transmitter's height is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height_m: Option<f64>,
-    /// See there.
+    /// Standard deviation of the height, metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height_sd_m: Option<f64>,
-    /// Ranges of another sensor that were used, and how many of them fit nothing.
+    /// Counts of another sensor's ranges: used, and outliers among them.
     #[serde(skip_serializing_if = "is_none")]
     pub ranges: [usize; 2],
-    /// 1 for each link that is used, 0 for one that fits nothing else.
+    /// For each link, 1 if it is used, 0 if it is an outlier.
     pub weights: Vec<f64>,
-    /// The bearing of each link that fits the place, degrees: the answer, its mirror or another candidate.
+    /// For each link, the bearing that fits the position, degrees: the answer, its mirror or another candidate.
     pub azimuths_deg: Vec<f64>,
-    /// Their errors against the true bearings from the mean pose, degrees, where all are known.
+    /// Their errors against the true bearings from the mean pose, degrees; empty unless all are known.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub azimuth_errors_deg: Vec<f64>,
-    /// The same of the links' answers.
+    /// The same errors for the links' answers.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub answer_errors_deg: Vec<f64>,
-    /// Why there is none.
+    /// Why there is no position.
     pub error: Option<String>,
     /// True mean position of the motion, metres.
     pub true_position_m: Option<[f64; 2]>,
-    /// Distance between the two, metres.
+    /// Distance between the position and the true one, metres.
     pub off_m: Option<f64>,
 }
 
@@ -121,13 +121,13 @@ fn is_none(counts: &[usize; 2]) -> bool {
     counts[0] == 0
 }
 
-/// Locates the receiver of every capture from its links to transmitters whose places are known.
+/// Locates the receiver of every capture from its links to transmitters at known places.
 #[must_use]
 pub fn receivers(rows: &[Judged]) -> Vec<Receiver> {
     receivers_with(rows, &BTreeMap::new()).into_iter().map(|(receiver, _)| receiver).collect()
 }
 
-/// The same with ranges of another sensor, by capture; and the graph of each receiver that was located.
+/// As [`receivers`], with ranges from another sensor by capture. Also returns the graph and solution of each located receiver.
 #[must_use]
 pub fn receivers_with(
     rows: &[Judged],
@@ -157,8 +157,9 @@ fn receiver(capture: &str, rows: &[&Judged], ranges: &[Ranged]) -> (Receiver, Op
     if seen.len() < 2 && ranges.is_empty() && seen.iter().all(|row| row.answer.range_m.is_none()) {
         let bearings = if seen.len() == 1 { "bearing" } else { "bearings" };
         let count = seen.len();
-        receiver.error =
-            Some(format!("{count} usable {bearings} and no range: a position needs two bearings, or one with a range"));
+        receiver.error = Some(format!(
+            "{count} usable {bearings} and no range: a position needs two bearings, or one bearing and a range"
+        ));
         return (receiver, None);
     }
     match Graph::new(capture, rows, &seen, ranges).and_then(|graph| Ok((graph.team.solve()?, graph))) {
@@ -173,20 +174,20 @@ fn receiver(capture: &str, rows: &[&Judged], ranges: &[Ranged]) -> (Receiver, Op
     }
 }
 
-/// A way in which a link may be explained.
+/// A possible bearing of a link.
 #[derive(Clone, Copy)]
 struct Way {
     azimuth_deg: f64,
-    /// True for the answer's own bearing, of which the elevation is.
+    /// True for the answer's own bearing, to which the elevation belongs.
     is_answer: bool,
 }
 
 /// The graph of a receiver.
 struct Graph {
     team: Team,
-    /// The middle of its motion.
+    /// Keyframe at the middle of the receiver's motion.
     middle: KeyframeId,
-    /// For each link, the ways in the order of its modes.
+    /// For each link, the bearings of its modes, in their order.
     ways: Vec<Vec<Way>>,
     ranges: usize,
 }
@@ -282,7 +283,7 @@ fn transmitter(row: &Judged) -> &str {
     row.answer.link.rsplit('/').next().unwrap_or_default()
 }
 
-/// Standard deviation of a link's bearings, degrees, less what the heading of the whole trajectory adds, which is a variable.
+/// Standard deviation of a link's bearings, degrees, without the share of the trajectory's heading, which is a variable.
 fn deviation_deg(answer: &Answer, heading_sd_deg: f64) -> f64 {
     let share = bearings(answer).first().map_or(1.0, |first| first.1);
     let sure = (answer.confidence.unwrap_or(UNKNOWN_PROBABILITY) / share).clamp(0.01, MOST_SURE);
@@ -290,7 +291,7 @@ fn deviation_deg(answer: &Answer, heading_sd_deg: f64) -> f64 {
     (all * all - heading_sd_deg * heading_sd_deg).max(0.0).sqrt().hypot(AZIMUTH_FLOOR_DEG)
 }
 
-/// Standard deviation of a normal error that is within five degrees with probability `sure`, degrees: the error function is inverted
+/// Standard deviation of a normal error that is within 5 degrees with probability `sure`, degrees. Inverts the error function
 /// by bisection.
 fn stands_for_deg(sure: f64) -> f64 {
     let (mut low, mut high) = (0.1, 6.0);
@@ -310,8 +311,8 @@ fn within(x: f64) -> f64 {
     2.0 * h / 3.0 * (density(0) + inner + density(n)) / std::f64::consts::TAU.sqrt()
 }
 
-/// Every bearing that a link may be, degrees, with its share of all; that of the answer first. A mirror that is no candidate has its own
-/// share beside that of the answer.
+/// Every possible bearing of a link, degrees, and its share; the answer first. A mirror that is not among the candidates gets
+/// a share in proportion to the answer's.
 fn bearings(answer: &Answer) -> Vec<(f64, f64)> {
     let Some(azimuth_deg) = answer.azimuth_deg else { return Vec::new() };
     let off = |candidate: &CandidateAnswer, azimuth_deg: f64| wrap_deg(candidate.azimuth_deg - azimuth_deg).abs();
@@ -333,7 +334,7 @@ fn bearings(answer: &Answer) -> Vec<(f64, f64)> {
     all.into_iter().map(|(azimuth_deg, share)| (azimuth_deg, share / total)).collect()
 }
 
-/// The ways of a link and their modes. The answer and its mirror may have a range.
+/// The possible bearings of a link and their modes. The answer and its mirror may have a range.
 fn modes(answer: &Answer, heading_sd_deg: f64) -> Vec<(Way, Mode)> {
     let sd_rad = deviation_deg(answer, heading_sd_deg).to_radians();
     let horizontal = horizontal(answer);
@@ -355,7 +356,7 @@ fn modes(answer: &Answer, heading_sd_deg: f64) -> Vec<(Way, Mode)> {
     modes
 }
 
-/// How high a transmitter is and seems from the receiver, and where it is.
+/// A transmitter's place and height, and its elevation from the receiver.
 struct Elevation {
     transmitter_m: Vector2<f64>,
     transmitter_z_m: f64,
@@ -371,8 +372,8 @@ fn elevation(row: &Judged, transmitter_m: [f64; 2]) -> Option<Elevation> {
     Some(Elevation { transmitter_m: transmitter_m.into(), transmitter_z_m, elevation_rad, sd_rad })
 }
 
-/// The height at `at` and its deviation, by the elevations: each by its variance and by the weight of its link. The place is what they
-/// share: its errors do not average out.
+/// The height at `at` and its deviation: mean over the elevations, weighted by inverse variance and by the link's weight. They
+/// share the errors of the position, which do not average out.
 fn height(at: &Vector2<f64>, covariance_m2: &Matrix2<f64>, elevations: &[(Elevation, f64)]) -> Option<(f64, f64)> {
     let (mut sum, mut height_m, mut along) = (0.0, 0.0, Vector2::zeros());
     for (own, weight) in elevations {
@@ -407,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_is_where_its_bearings_meet() {
+    fn a_receiver_is_located_where_its_bearings_cross() {
         let seen = |name: &str, tx: [f64; 2]| Judged {
             true_transmitter_m: Some(tx),
             true_receiver_m: Some([1.0, 2.0]),
@@ -416,8 +417,8 @@ mod tests {
         let found = receivers(&[seen("tx2", [4.0, 2.5]), seen("tx3", [1.5, -3.0]), seen("tx4", [-2.0, 4.0])]);
         assert_eq!((found.len(), found[0].links, found[0].capture.as_str()), (1, 3, "place/stamp"));
         assert!(found[0].off_m.unwrap() < 1e-6 && found[0].height_m.is_none());
-        assert!(found[0].azimuth_errors_deg.is_empty(), "no true bearing was given");
-        // 45 degrees up to a transmitter whose height is given.
+        assert!(found[0].azimuth_errors_deg.is_empty(), "no true bearing is given");
+        // Elevation of 45 degrees to a transmitter of known height.
         let mut rows = [seen("tx2", [4.0, 2.0]), seen("tx3", [1.5, -3.0]), seen("tx4", [-2.0, 4.0])];
         rows[0].transmitter_z_m = Some(3.5);
         (rows[0].answer.elevation_deg, rows[0].answer.elevation_sd_deg) = (Some(45.0), Some(1.0));
@@ -428,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_chooses_among_the_candidates_of_a_link() {
+    fn the_position_selects_among_the_candidates_of_a_link() {
         let receiver = [1.0, 2.0];
         let seen = |name: &str, tx: [f64; 2], off_deg: f64| {
             let truth = (tx[1] - receiver[1]).atan2(tx[0] - receiver[0]).to_degrees();
@@ -440,14 +441,14 @@ mod tests {
             |azimuth_deg: f64, share: f64| CandidateAnswer { azimuth_deg, share, ..CandidateAnswer::default() };
         let mut rows = [seen("tx2", [4.0, 2.5], 0.5), seen("tx3", [1.5, -3.0], 60.0), seen("tx4", [-2.0, 4.0], -0.5)];
         let truth = rows[1].true_from_mean_pose_deg.unwrap();
-        // 360 degrees away is the same candidate; an answer that is none of them names none.
+        // A candidate 360 degrees away is the answer itself.
         rows[1].answer.candidates = vec![candidate(truth + 60.0 - 360.0, 0.6), candidate(truth, 0.4)];
         let found = &receivers(&rows)[0];
         assert!((found.azimuths_deg[1] - truth).abs() < 1e-9 && found.azimuth_errors_deg[1].abs() < 1e-9);
         assert_eq!((found.answer_errors_deg[1], found.names[1].as_str()), (60.0, "place/stamp/tx3"));
         assert!((found.position_m.unwrap()[0] - 1.0).hypot(found.position_m.unwrap()[1] - 2.0) < 0.1, "{found:?}");
         rows[1].answer.mirror_deg = Some(truth);
-        assert_eq!(bearings(&rows[1].answer).len(), 2, "a mirror that is a candidate is no other one");
+        assert_eq!(bearings(&rows[1].answer).len(), 2, "a mirror among the candidates is not added");
     }
 
     const RECEIVER: [f64; 2] = [0.3, -0.4];
@@ -461,14 +462,14 @@ mod tests {
     }
 
     #[test]
-    fn one_bearing_off_a_wall_is_outvoted() {
+    fn one_reflected_bearing_is_an_outlier() {
         let rows = [seen(0, 0.3), seen(1, 70.0), seen(2, 0.3), seen(3, 0.3)];
         let found = &receivers(&rows)[0];
         assert!(found.off_m.unwrap() < 0.1 && found.weights[1] == 0.0 && found.weights[0] == 1.0, "{found:?}");
     }
 
     #[test]
-    fn a_heading_that_three_links_share_is_found() {
+    fn a_heading_error_that_all_links_share_is_estimated() {
         let turned = |sd_deg: f64| {
             let rows: Vec<Judged> =
                 (0..4).map(|k| Judged { heading_sd_rad: Some(f64::to_radians(sd_deg)), ..seen(k, 12.0) }).collect();
@@ -478,7 +479,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_single_link_and_its_mirror_leave_is_two_places_and_a_range_leaves_one() {
+    fn a_link_with_a_mirror_leaves_two_positions_and_ranges_leave_one() {
         let mut one = seen(3, 0.0);
         let azimuth_deg = one.answer.azimuth_deg.unwrap();
         (one.answer.mirror_deg, one.answer.mirror_share) = (Some(-azimuth_deg), Some(0.5));
@@ -490,7 +491,7 @@ mod tests {
         let near = |to: [f64; 2]| places.iter().filter(|at| (at[0] - to[0]).hypot(at[1] - to[1]) < 0.05).count();
         let mirrored = [RECEIVER[0], 2.0 * ROBOTS[3][1] - RECEIVER[1]];
         assert!(places.len() == 2 && near(RECEIVER) == 1 && near(mirrored) == 1, "{found:?}");
-        // Ranges to a transmitter without a bearing, at two places of the drive; a third is off by five metres.
+        // Ranges to a transmitter without a bearing: two good ones, and one that is 5 m too long.
         let silent = Judged { answer: Answer::failed("a/tx0".into(), String::new()), ..seen(0, 0.0) };
         let range = |t_s: f64, from_m: [f64; 2], late_m: f64| {
             let to = [ROBOTS[0][0] - RECEIVER[0] - from_m[0], ROBOTS[0][1] - RECEIVER[1] - from_m[1]];
@@ -503,25 +504,25 @@ mod tests {
     }
 
     #[test]
-    fn without_two_bearings_or_a_range_the_reason_is_given() {
+    fn a_receiver_that_is_not_located_has_a_reason() {
         let found = &receivers(&[seen(0, 0.0)])[0];
         assert!(found.error.as_ref().is_some_and(|why| why.starts_with("1 usable bearing and no range")), "{found:?}");
-        // Two links in one direction cross nowhere.
+        // Two links in the same direction do not cross.
         let mut rows = [seen(0, 0.0), seen(1, 0.0)];
         rows[1].answer.azimuth_deg = rows[0].answer.azimuth_deg;
         rows[1].true_transmitter_m = Some([ROBOTS[0][0] + 0.5, ROBOTS[0][1]]);
         let found = &receivers(&rows)[0];
         assert!(found.position_m.is_none() == found.error.is_some(), "{found:?}");
-        // Numbers that are none cost their link.
+        // A NaN makes the link unusable.
         rows[1].answer.azimuth_deg = Some(f64::NAN);
         assert!(receivers(&rows)[0].error.is_some());
     }
 
     #[test]
-    fn deviations_stand_for_their_probability() {
-        // 68.27 % within one deviation, 95.45 % within two.
+    fn a_probability_implies_a_deviation() {
+        // 68.27 % are within one deviation, 95.45 % within two.
         assert!((stands_for_deg(0.682_689) - 5.0).abs() < 0.01 && (stands_for_deg(0.954_5) - 2.5).abs() < 0.01);
-        // What the heading adds is taken out, down to the floor.
+        // The heading's share is subtracted, down to the floor.
         let answer = seen(0, 0.0).answer;
         assert!(deviation_deg(&answer, 0.0) > 2.0 && (deviation_deg(&answer, 5.0) - AZIMUTH_FLOOR_DEG).abs() < 1e-9);
     }

@@ -1,14 +1,14 @@
-//! An AX200 or AX210, whose CSI comes by FeitCSI: a changed `iwlwifi` and a program (firmware-notes/other-cards.md).
+//! Checks of an AX200 or AX210. FeitCSI, a patched `iwlwifi` and a program, provides its CSI (firmware-notes/other-cards.md).
 
 use super::card::{Card, SECURE_BOOT, driver};
 use super::{Check, System, host, radio};
 
-/// PCI identities (`iwlwifi/pcie/drv.c`).
+/// PCI device IDs (`iwlwifi/pcie/drv.c`).
 const CARDS: [(&str, &str); 2] = [("0x2723", "AX200"), ("0x2725", "AX210")];
-/// Where FeitCSI's driver has a switch for CSI, below the folder of each card.
+/// FeitCSI's driver has its switch for CSI here, below the folder of each card.
 const DEBUG: &str = "/sys/kernel/debug/iwlwifi";
 
-/// All checks; none without such a card.
+/// All checks; `None` without such a card.
 pub(super) fn checks(system: &dyn System) -> Option<Vec<Check>> {
     let card = Card::find_by(system, |device| CARDS.iter().any(|(known, _)| *known == device))?;
     let (_, name) = CARDS.iter().find(|(device, _)| *device == card.device)?;
@@ -19,9 +19,9 @@ pub(super) fn checks(system: &dyn System) -> Option<Vec<Check>> {
     Some(checks)
 }
 
-/// The only way to CSI of these cards.
+/// FeitCSI is the only way to CSI of these cards.
 fn way(system: &dyn System) -> Check {
-    let expected = "FeitCSI's iwlwifi: it has csi_enabled in debugfs";
+    let expected = "FeitCSI's iwlwifi, with csi_enabled in debugfs";
     let name = "way to CSI";
     let cards = system.names(DEBUG);
     if cards.iter().any(|card| system.size(&format!("{DEBUG}/{card}/iwlmvm/csi_enabled")).is_some()) {
@@ -30,10 +30,10 @@ fn way(system: &dyn System) -> Check {
         return Check::good(name, "FeitCSI: its driver is loaded", expected).mend(next);
     }
     if cards.is_empty() {
-        return Check::unknown(name, format!("FeitCSI; only root sees {DEBUG}"), expected)
+        return Check::unknown(name, format!("only root can read {DEBUG}"), expected)
             .mend(format!("sudo ls {DEBUG}/*/iwlmvm/csi_enabled"));
     }
-    Check::bad(name, "FeitCSI; this iwlwifi is the distribution's, and gives no CSI", expected).mend(
+    Check::bad(name, "none: this iwlwifi is not FeitCSI's, and gives no CSI", expected).mend(
         "install the package feitcsi-iwlwifi (https://feitcsi.kuskosoft.com), then sudo modprobe -r iwlmvm iwlwifi && sudo \
          modprobe iwlwifi",
     )
@@ -49,15 +49,15 @@ fn program(system: &dyn System) -> Check {
 }
 
 fn secure_boot(system: &dyn System) -> Check {
-    let expected = "off, or FeitCSI's module signed with a key that this machine knows";
+    let expected = "off, or FeitCSI's module signed with an enrolled key";
     match system.bytes(SECURE_BOOT).and_then(|bytes| bytes.get(4).copied()) {
         Some(1) => Check::doubt("Secure Boot", "on", expected)
-            .mend("switch Secure Boot off in the BIOS set-up, or enrol the key of DKMS: sudo mokutil --import"),
+            .mend("switch off Secure Boot in the BIOS setup, or enrol the DKMS key: sudo mokutil --import"),
         _ => Check::good("Secure Boot", "off", expected),
     }
 }
 
-/// No version is known that gives no CSI, so the version is only reported.
+/// No known version lacks CSI, so the version is only reported.
 fn firmware(system: &dyn System) -> Check {
     let expected = "loaded, and not crashed";
     let name = "firmware loaded";

@@ -1,4 +1,4 @@
-//! Robots with AX210s, and robots with two antennas and no peer, in virtual time.
+//! Robots with AX210s, and robots with two antennas, in virtual time.
 
 use super::robots::{folder, machine, off_deg, run};
 use csi5300::pipeline::live::PeerState;
@@ -17,18 +17,18 @@ const AX210: &str = "duration_s = 26.0\nseed = 5\nchannel = 108\ncard = \"ax210\
     crystal.clock_start_us = 4294960000\nodometry = { rate_hz = 50.0 }\n\
     [[robot]]\nname = \"tx\"\nposition_m = [7.0, -4.0, 0.0]\ncrystal.offset_ppm = 4.0\nhost_clock = { offset_s = 11.0 }\n";
 
-/// A card that loses records, and whose clocks begin anew.
+/// A card that loses records and restarts its clocks.
 struct Worse {
     card: Card,
-    /// Of so many thousand records one is lost.
+    /// Lost records per 1,000.
     lost: u64,
-    /// Records after which the card was restarted.
+    /// Number of records after which the card restarts.
     restart_at: u64,
     count: u64,
     seed: u64,
     /// Clock at the restart, microseconds.
     from_us: u32,
-    /// The record of the finer clock is of one that is lost.
+    /// True after a lost record of the fine clock; its bfee is lost too.
     losing: bool,
     body: Vec<u8>,
 }
@@ -83,13 +83,13 @@ impl CsiSource for Worse {
 }
 
 #[test]
-fn two_ax210s_give_the_rooms_bearing_while_they_drive_with_losses_and_a_restart() {
+fn two_ax210s_give_the_true_bearing_despite_losses_and_a_restart() {
     let folder = folder("ax210");
     std::fs::write(folder.join("room.toml"), AX210).unwrap();
     let text = "channel = \"108\"\ncapture.room = { scene = \"room.toml\", robot = \"rx\" }\nodometry.room = {}\n\
                 [[peer]]\nname = \"tx\"\nrecords.room = {}\n[estimator]\nrate_hz = 0.5\n";
     let config = Config::read(text, &folder).unwrap_or_else(|error| panic!("{error}"));
-    // From the circle's middle, 25 cm to the left of where it began.
+    // From the centre of the circle, 25 cm to the left of the start.
     let truth_deg = (-4.25_f64).atan2(7.0).to_degrees();
     for (lost, restart_at, least) in [(0, u64::MAX, 1_300), (300, u64::MAX, 600), (300, 350, 350)] {
         let mut sources = Sources::open(&config, Instant::ZERO, || None, &mut []).unwrap();
@@ -115,7 +115,7 @@ fn two_antennas(more: &str) -> String {
 }
 
 #[test]
-fn every_sender_that_a_turning_robot_hears_has_a_bearing() {
+fn a_turning_robot_has_a_bearing_of_each_sender() {
     let folder = folder("two-antennas");
     let room = Room::new(&Scene::find("two-antennas".as_ref()).unwrap()).unwrap();
     let truth_deg = 5.0_f64.atan2(3.0).to_degrees();
@@ -137,17 +137,17 @@ fn every_sender_that_a_turning_robot_hears_has_a_bearing() {
 }
 
 #[test]
-fn a_robot_that_stands_has_a_bearing_by_the_constant_that_a_turn_gave() {
+fn a_standing_robot_has_a_bearing_with_the_chain_constant_of_an_earlier_turn() {
     let folder = folder("two-antennas-stand");
     let config = Config::read(&two_antennas(""), &folder).unwrap();
     let (_, last) = run(machine(&config), Instant::from_us(12_000_000));
     let [deg, sd_deg] = last[0].answer.chain_constants_deg[0];
     let known = two_antennas(&format!("chain_constants_deg = [[{deg:?}, {sd_deg:?}]]\n"));
     let config = Config::read(&known, &folder).unwrap_or_else(|error| panic!("{error}"));
-    // Before the turn begins.
+    // Before the turn.
     let (_, last) = run(machine(&config), Instant::from_us(900_000));
     let truth_deg = 5.0_f64.atan2(3.0).to_degrees();
-    // Two sides of the baseline, and side lobes of one longer than half a wavelength.
+    // The mirror, and the grating lobes of a baseline longer than half a wavelength, are candidates too.
     let off = |azimuth_deg: f64| csi5300::maths::wrap_rad((azimuth_deg - truth_deg).to_radians()).to_degrees().abs();
     let nearest = last[0].answer.candidates.iter().map(|own| off(own.azimuth_deg)).fold(f64::MAX, f64::min);
     println!("standing: nearest candidate {nearest:.2} deg off of {}", last[0].answer.candidates.len());
@@ -155,7 +155,7 @@ fn a_robot_that_stands_has_a_bearing_by_the_constant_that_a_turn_gave() {
 }
 
 #[test]
-fn what_is_heard_is_evidence_beside_the_answers_of_a_peer() {
+fn antennas_and_answers_of_a_peer_are_combined() {
     let folder = folder("two-antennas-both");
     let text = two_antennas("[[peer]]\nname = \"tx\"\nrecords.room = {}\n[estimator]\nleast_motion_m = 0.02\n");
     let scene = std::fs::read_to_string(crate::common::root().join("scenes/two-antennas.toml")).unwrap();
@@ -166,7 +166,7 @@ fn what_is_heard_is_evidence_beside_the_answers_of_a_peer() {
     let [report] = &last[..] else { panic!("{last:?}") };
     let [two, one] = report.answer.kinds_deg[..] else { panic!("{report:?}") };
     let off = off_deg(report, 5.0_f64.atan2(3.0).to_degrees());
-    println!("{two:?} by answers, {one:?} heard, {off:.2} deg off by both");
+    println!("{two:?} from answers, {one:?} from antennas, combined {off:.2} deg off");
     assert!(report.state == PeerState::Bearing && off < 1.0, "{off} {report:?}");
     assert!(report.answer.azimuth_sd_deg.unwrap() < 1.1 * two[1].min(one[1]) + 0.02, "{report:?}");
 }

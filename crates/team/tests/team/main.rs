@@ -1,4 +1,4 @@
-//! Teams whose poses are known, and graphs that are none.
+//! Simulated teams with known poses, and invalid graphs.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod simulated;
@@ -6,13 +6,13 @@ mod simulated;
 use csi5300_team::{Mode, OdometryNoise, Team, TeamError, factors};
 use simulated::{Hall, Held, Random, simulated, wrap};
 
-/// 68.3 and 95.4 % of poses within one and two deviations, to ten points: so many as these few runs may be off. docs/method/team.md
-/// has more runs.
+/// Asserts that 68.3 and 95.4 % of the poses are within one and two deviations, with a tolerance of 10 percentage points for
+/// the few runs. docs/method/team.md has more runs.
 fn hold(hall: Hall, seeds: std::ops::Range<u64>) -> Held {
     let (mut held, mut unsolved, runs) = (Held::default(), 0, seeds.end - seeds.start);
     for seed in seeds {
         let own = simulated(hall, seed);
-        // Of a robot whose links all seem to be outliers nothing is known.
+        // A robot whose links all seem to be outliers is undetermined.
         match own.team.solve() {
             Ok(found) => own.judge(&found, &mut held),
             Err(error) => {
@@ -31,14 +31,14 @@ fn hold(hall: Hall, seeds: std::ops::Range<u64>) -> Held {
 }
 
 #[test]
-fn covariances_of_two_robots_hold() {
+fn covariances_of_two_robots_cover_the_errors() {
     hold(Hall::of(2), 1000..1100);
     hold(Hall { has_liar: true, ..Hall::of(2) }, 1000..1100);
 }
 
 #[test]
-fn covariances_of_five_robots_hold() {
-    // Robots of one run share its errors, so there are many short runs.
+fn covariances_of_five_robots_cover_the_errors() {
+    // Robots of a run share errors, so there are many short runs.
     let five = Hall { epochs: 20, ..Hall::of(5) };
     let without = hold(five, 1000..1050);
     hold(Hall { has_liar: true, ..five }, 1000..1050);
@@ -47,20 +47,20 @@ fn covariances_of_five_robots_hold() {
 }
 
 #[test]
-fn covariances_of_twenty_robots_hold() {
-    // Four first poses are known: otherwise all robots of one run share the error of the first one's heading.
+fn covariances_of_twenty_robots_cover_the_errors() {
+    // Four first poses are known: otherwise all robots of a run share the heading error of the first one.
     hold(Hall { has_liar: true, epochs: 12, anchors: 4, ..Hall::of(20) }, 1000..1008);
 }
 
 #[test]
-fn a_robot_that_lies_is_switched_off() {
+fn a_robot_with_random_bearings_is_switched_off() {
     let own = simulated(Hall { has_liar: true, ..Hall::of(5) }, 7);
     let shares = own.team.solve().unwrap().outlier_shares;
     assert!(shares[4] > 0.7 && shares[..4].iter().all(|share| *share < 0.35), "{shares:?}");
 }
 
 #[test]
-fn a_window_of_the_last_seconds_agrees_with_all_of_them() {
+fn a_window_gives_the_same_poses_and_covariances_as_the_whole_graph() {
     let own = simulated(Hall { wrong: 0.0, mirrored: 0.0, ..Hall::of(3) }, 3);
     let all = own.team.solve().unwrap();
     let mut window = own.team.clone();
@@ -78,7 +78,7 @@ fn a_window_of_the_last_seconds_agrees_with_all_of_them() {
 }
 
 #[test]
-fn a_mirror_leaves_two_places_and_a_range_to_a_third_robot_one() {
+fn a_mirror_leaves_two_solutions_and_a_further_range_leaves_one() {
     let mut team = Team::default();
     let mut anchor = |name: &str, pose: [f64; 3]| {
         let robot = team.robot(name, true, OdometryNoise::default()).unwrap();
@@ -100,7 +100,7 @@ fn a_mirror_leaves_two_places_and_a_range_to_a_third_robot_one() {
     team.link(c, b, &[Mode::range(right_m, 0.1, 1.0)], 0.05).unwrap();
     let found = team.solve().unwrap();
     assert!(found.others.is_empty() && found.pose(b)[1] < -1.8, "{:?}", found.pose(b));
-    // Written for others: one vertex a robot, one edge for each part of the chosen candidates.
+    // g2o: one vertex for each robot, one edge for each part of a chosen candidate.
     let text = factors::g2o(&team, &found);
     let count = |word: &str| text.lines().filter(|line| line.starts_with(word)).count();
     assert_eq!(["VERTEX_SE2 ", "EDGE_PRIOR_SE2 ", "EDGE_BEARING_SE2 ", "EDGE_RANGE_SE2 "].map(count), [3, 2, 1, 2]);
@@ -109,7 +109,7 @@ fn a_mirror_leaves_two_places_and_a_range_to_a_third_robot_one() {
 
 #[test]
 fn range_changes_fix_the_scale_of_odometry() {
-    // A robot drives four metres towards another one, and its odometry has five.
+    // A robot drives 4 m towards another one; its odometry reports 5 m.
     let mut team = Team::default();
     let noise = OdometryNoise { scale_sd: 0.3, ..OdometryNoise::default() };
     let (a, b) = (team.robot("a", true, noise).unwrap(), team.robot("b", false, noise).unwrap());
@@ -134,7 +134,7 @@ fn range_changes_fix_the_scale_of_odometry() {
 }
 
 #[test]
-fn foreign_numbers_and_teams_that_nothing_ties_are_refused() {
+fn invalid_numbers_and_undetermined_teams_are_rejected() {
     let noise = OdometryNoise::default();
     let mut team = Team::default();
     assert_eq!(team.solve().unwrap_err(), TeamError::Empty);
@@ -161,7 +161,7 @@ fn foreign_numbers_and_teams_that_nothing_ties_are_refused() {
     }
     let good = [Mode::azimuth(0.0, 0.1, 1.0)];
     assert!(team.link(first, seen, &[], 0.1).is_err() && team.link(first, first, &good, 0.1).is_err());
-    assert!(team.link(seen, first, &good, 0.1).is_err(), "a point sees nothing");
+    assert!(team.link(seen, first, &good, 0.1).is_err(), "a point measures no bearing");
     for share in [0.0, 1.0, f64::NAN] {
         assert!(matches!(team.link(first, seen, &good, share), Err(TeamError::NotAShare { .. })));
     }
@@ -169,7 +169,7 @@ fn foreign_numbers_and_teams_that_nothing_ties_are_refused() {
     assert!(team.range_change([first, first], [first, seen], 0.0, 1.0).is_err());
     assert!(team.range_change([first, seen], [first, seen], 0.0, 0.0).is_err());
     assert_eq!(team.solve().unwrap_err(), TeamError::Unlinked { robot: "b".into() });
-    // One direction leaves the distance open.
+    // One direction does not determine the distance.
     team.link(first, seen, &good, 0.1).unwrap();
     assert_eq!(team.solve().unwrap_err(), TeamError::Undetermined { robot: "b".into() });
     team.link(first, seen, &[Mode::range(3.0, 0.1, 1.0)], 0.1).unwrap();

@@ -1,25 +1,25 @@
-//! A team in simulation: robots that drive between random places of a hall and see each other.
+//! Simulates a team: robots drive between random places of a hall and observe each other.
 
 use csi5300_team::{KeyframeId, Mode, OdometryNoise, Team};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
 
-/// What is simulated.
+/// Settings of a simulation.
 #[derive(Clone, Copy, Debug)]
 pub struct Hall {
     pub robots: usize,
-    /// Seconds; each robot has a keyframe and looks at its peers once in each.
+    /// Duration, seconds. Each second, each robot has a keyframe and observes its peers.
     pub epochs: usize,
-    /// Share of bearings whose first candidate is wrong; half of them have the right one second.
+    /// Share of bearings with a wrong first candidate; in half of them the second candidate is right.
     pub wrong: f64,
-    /// Share of bearings with a mirror as likely as the right direction.
+    /// Share of bearings with a mirror of equal share.
     pub mirrored: f64,
-    /// The last robot's bearings are anything.
+    /// The last robot's bearings are random.
     pub has_liar: bool,
-    /// Robots whose first poses are known, by [`START_SD`]. Without one the frame is that of the first robot's odometry.
+    /// Number of robots with a known first pose (deviation [`START_SD`]). With 0, the frame is that of the first robot.
     pub anchors: usize,
-    /// Share of looks that come with a range: deviation 0.1 m, one in ten up to 10 m too long.
+    /// Share of observations with a range: deviation 0.1 m; one in ten is up to 10 m too long.
     pub ranged: f64,
 }
 
@@ -32,16 +32,16 @@ impl Hall {
 /// Deviation of the bearings, radians.
 pub const AZIMUTH_SD_RAD: f64 = 0.05;
 
-/// Deviation of the first poses that are known, metres and radians.
+/// Deviation of the known first poses, metres and radians.
 const START_SD: [f64; 3] = [0.05, 0.05, 0.05];
 
-/// Peers that a robot sees in each second, at most.
+/// Limit of peers that a robot observes each second.
 const PEERS: usize = 4;
 
-/// A team and where its keyframes truly are.
+/// A team and the true poses of its keyframes.
 pub struct Simulated {
     pub team: Team,
-    /// Where the frame of the team is: of the first robot, or the hall's.
+    /// True pose of the team's frame: the first robot's first pose or, with anchors, that of the hall.
     pub origin: [f64; 3],
     /// By keyframe.
     pub truth: Vec<[f64; 3]>,
@@ -70,7 +70,7 @@ impl Random {
     }
 }
 
-/// A robot under way.
+/// A driving robot.
 struct Driver {
     pose: [f64; 3],
     goal: [f64; 2],
@@ -87,7 +87,8 @@ impl Driver {
         Self { pose: [pose[0], pose[1], random.between(-PI, PI)], goal, odometry: [0.0; 3], bias, scale }
     }
 
-    /// Half a metre towards the goal, turning by at most 40 degrees. Odometry has the step less bias, scale and noise.
+    /// Drives half a metre towards the goal and turns by at most 40 degrees. Odometry reports the step with bias, scale and
+    /// noise.
     fn step(&mut self, random: &mut Random, side_m: f64, noise: &OdometryNoise) -> f64 {
         let to = [self.goal[0] - self.pose[0], self.goal[1] - self.pose[1]];
         if to[0].hypot(to[1]) < 1.0 {
@@ -114,12 +115,12 @@ pub fn wrap(angle: f64) -> f64 {
     (angle + PI).rem_euclid(TAU) - PI
 }
 
-/// A team of a seed.
+/// Simulates a team.
 pub fn simulated(hall: Hall, seed: u64) -> Simulated {
     followed(hall, seed, &mut |_, _| {})
 }
 
-/// The same, shown after each second.
+/// As [`simulated`], and calls `look` after each second.
 pub fn followed(hall: Hall, seed: u64, look: &mut dyn FnMut(&mut Team, usize)) -> Simulated {
     let mut random = Random::of_seed(seed);
     let (noise, side_m) = (OdometryNoise::default(), 3.0 + 3.0 * (hall.robots as f64).sqrt());
@@ -173,13 +174,14 @@ fn bearing(random: &mut Random, hall: Hall, azimuth: f64, lies: bool) -> Vec<Mod
     }
     if random.happens(hall.mirrored) {
         let own = right(0.5);
-        // Driven straight ahead, a robot does not tell left from right.
+        // A robot that drives straight ahead cannot distinguish left from right.
         return vec![Mode::azimuth(-own.azimuth_rad.unwrap()[0], AZIMUTH_SD_RAD, 0.5), own];
     }
     vec![right(0.85), Mode { share: 0.15, ..first }]
 }
 
-/// How many errors are within 68 and 95 % of what the covariances say, of places and of yaws; and the sum of squared errors of places.
+/// Counts of position and yaw errors within the 68 and 95 % regions of the covariances, and the sum of squared position
+/// errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Held {
     pub poses: usize,
@@ -199,7 +201,7 @@ impl Held {
 }
 
 impl Simulated {
-    /// Adds the last pose of every robot but the first, as seen from the true origin of the team's frame.
+    /// Adds the last pose of each robot but the first, relative to the true pose of the team's frame.
     pub fn judge(&self, found: &csi5300_team::Solution, held: &mut Held) {
         let seen_from = |origin: [f64; 3], pose: [f64; 3]| {
             let ((sin, cos), x, y) = (origin[2].sin_cos(), pose[0] - origin[0], pose[1] - origin[1]);

@@ -1,4 +1,4 @@
-//! One channel: the real scheduler of every robot on the simulated air.
+//! Simulates one channel: each robot's real scheduler on simulated air.
 
 use crate::Fallible;
 use csi5300::driver_iface::Mac;
@@ -12,40 +12,39 @@ use csi5300_sim::random::Stream;
 use csi5300_sim::scene::Robot;
 use csi5300_sim::{Interface, Room, Scene};
 
-/// Share of frames that a card does not decode, as in the scene `lab-circle`.
+/// Share of frames that a card fails to decode, as in the scene `lab-circle`.
 const LOSS: f64 = 0.0015;
-/// Clocks are fast or slow by at most this.
+/// Greatest relative error of a clock's rate.
 const DRIFT: f64 = 20e-6;
-/// Groups of all runs together, at least, if they share a channel.
+/// Least number of groups in all runs together, if groups share a channel.
 const GROUPS: u16 = 20;
-/// Slots until a silent group has an initiator: two silences, and the rest of a window.
+/// Slots until a silent group has an initiator: two silences and the rest of a window.
 const BEGIN_SLOTS: u32 = 200;
-/// Shortest simulation after all robots had a turn, seconds.
+/// Least simulated time after all robots had a turn, seconds.
 const COUNTED_S: f64 = 4.0;
-/// Interval at which ages are looked at.
+/// Interval at which ages are sampled.
 const LOOK: Span = Span::from_ms(50);
 
-/// Robots on one channel, all within reach of each other. Groups know nothing of each other, and each asks for its share of
-/// the air.
+/// Robots on one channel, all within reach of each other. Groups do not coordinate; each requests its share of the air.
 #[derive(Clone, Copy, Debug)]
 pub struct Shared {
     pub groups: u16,
-    /// Robots of a group.
+    /// Robots in a group.
     pub size: u16,
 }
 
-/// What a robot got.
+/// Results, for each robot.
 #[derive(Debug)]
 pub struct Got {
     /// Exchanges in which it took part, a second.
     pub exchanges_hz: f64,
     /// Share of forward frames without an answer.
     pub lost: f64,
-    /// Bearings that were due with a new exchange, a second.
+    /// Bearings due with a new exchange, a second.
     pub bearings_hz: f64,
-    /// Age of a pair's last exchange that is exceeded 5 % of the time, seconds.
+    /// 95th percentile of the age of a pair's last exchange, seconds.
     pub age_s: f64,
-    /// Records that its card made, others' exchanges included, a second.
+    /// Records of its card, including those of other robots' exchanges, a second.
     pub records_hz: f64,
 }
 
@@ -63,12 +62,12 @@ impl Shared {
         Plan::new(&request).map(|plan| (request, plan))
     }
 
-    /// Exchanges in which a robot takes part if nothing is lost, a second: two of a group do in each.
+    /// Exchanges in which a robot takes part if nothing is lost, a second. Each exchange involves two robots of the group.
     pub fn computed_hz(self, plan: &Plan) -> f64 {
         2e6 / plan.slot_us() / f64::from(self.size)
     }
 
-    /// The mean of several runs if there are few groups, whose slots meet by chance.
+    /// Simulates the channel. With few groups, whose slots overlap by chance, this is the mean of several runs.
     pub fn simulate(self) -> Fallible<Got> {
         let runs = if self.groups == 1 { 1 } else { (GROUPS / self.groups).max(1) };
         let got: Vec<Got> = (1..=runs).map(|seed| self.run(seed.into())).collect::<Fallible<_>>()?;
@@ -82,7 +81,7 @@ impl Shared {
         })
     }
 
-    /// Runs the channel until every robot had a turn, and for another cycle, which counts.
+    /// Runs the channel until every robot had a turn, then counts for another cycle.
     fn run(self, seed: u64) -> Fallible<Got> {
         let (request, plan) = self.plan()?;
         let cycle = Span::from_us(plan.cycle_us(self.size.into()).try_into()?);
@@ -100,7 +99,7 @@ impl Shared {
         let macs: Vec<Mac> = (0..scene.robot.len()).filter_map(|k| room.mac(k)).collect();
         let (mut hosts, mut random) = (Vec::new(), Stream::of_seed(seed));
         for group in macs.chunks(self.size.into()) {
-            // Groups are not in step.
+            // Groups are not synchronised.
             let at = Instant::from_us((1e5 * random.uniform()) as i64);
             for own in group {
                 let peers: Vec<Mac> = group.iter().copied().filter(|mac| mac != own).collect();
@@ -121,7 +120,7 @@ impl Shared {
             room.advance(now);
             hosts.iter_mut().try_for_each(|host| host.step(now, &macs))?;
         }
-        let (from, to) = (before.ok_or("it ended before it began")?, totals(&hosts, &room));
+        let (from, to) = (before.ok_or("the run ended before counting began")?, totals(&hosts, &room));
         let [forward, answered, records] = [0, 1, 2].map(|k| (to[k] - from[k]) as f64);
         let per_robot_hz = 1.0 / (f64::from(self.robots()) * (end - begin).as_s());
         let (ages_s, fresh) = self.ages(&hosts, begin, end);
@@ -135,7 +134,8 @@ impl Shared {
         })
     }
 
-    /// Ages of all pairs' last exchanges at regular times, sorted, seconds; and how often a bearing was due with a new one.
+    /// Ages of all pairs' last exchanges, sampled at regular times, sorted, seconds; and the number of bearings due with a new
+    /// exchange.
     fn ages(self, hosts: &[Host], begin: Instant, end: Instant) -> (Vec<f64>, f64) {
         let period = Span::from_s(1.0 / LiveSettings::new(1.0).rate_hz);
         let (mut ages_s, mut fresh) = (Vec::new(), 0.0);
@@ -160,7 +160,7 @@ impl Shared {
     }
 }
 
-/// A robot on a grid of a metre.
+/// A robot on a grid with 1 m spacing.
 fn robot(k: u16) -> Robot {
     Robot { name: format!("r{k}"), position_m: [f64::from(k % 32), f64::from(k / 32), 0.0], ..Robot::default() }
 }
@@ -169,11 +169,11 @@ fn robot(k: u16) -> Robot {
 struct Host {
     tdma: Tdma,
     air: Interface,
-    /// How fast its clock is.
+    /// Relative error of its clock's rate; above 0 if fast.
     ahead: f64,
-    /// Its next timeout by the room's clock.
+    /// Its next timeout on the room's clock.
     due: Option<Instant>,
-    /// When each robot of its group answered it.
+    /// Times of the answers from each robot of its group.
     answered: Vec<Vec<Instant>>,
 }
 
@@ -197,7 +197,7 @@ impl Host {
                         let size = self.answered.len();
                         self.answered[at % size].push(now);
                     }
-                    // The next answer carries what the card measured.
+                    // The next answer carries the card's measurement.
                     Event::Asked { peer, number, .. } => _ = self.tdma.set_measurement(peer, measurement(number)),
                     _ => {}
                 }
@@ -216,13 +216,13 @@ fn send(tdma: &mut Tdma, air: &mut Interface, own: Instant, now: Instant) -> Fal
     Ok(())
 }
 
-/// A measurement; the scheduler does not look at its values.
+/// A measurement; the scheduler ignores its values.
 fn measurement(number: u32) -> Measurement {
     let (timestamp_low, iq) = (number.wrapping_mul(1_000), [[0; 2]; SUBCARRIERS]);
     Measurement { number, timestamp_low, rx_antenna: 0, antenna_sel: 0, rssi: [0; 3], noise_dbm: -127, agc: 0, iq }
 }
 
-/// Forward frames, those answered, and records, of all robots so far.
+/// Counts of all robots so far: forward frames, answered ones, records.
 fn totals(hosts: &[Host], room: &Room) -> [u64; 3] {
     let counts = |of: fn(&Tdma) -> u64| hosts.iter().map(|host| of(&host.tdma)).sum();
     let records = room.injected().iter().map(|robot| robot.received).sum();
@@ -234,7 +234,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_simulated_is_what_is_computed() {
+    fn simulated_rates_agree_with_computed_ones() {
         for size in [2, 3, 7] {
             let alone = Shared { groups: 1, size };
             let plan = alone.plan().unwrap().1;
@@ -243,7 +243,7 @@ mod tests {
             let share = got.exchanges_hz / alone.computed_hz(&plan);
             assert!((1.0 - 4.0 * LOSS..1.001).contains(&share) && got.lost < 4.0 * LOSS, "{size}: {share}, {got:?}");
             assert!(got.age_s < 1e-6 * plan.cycle_us(size.into()) as f64, "{got:?}");
-            // Every card reports all frames of others: both of an exchange, or one if it takes part.
+            // Each card reports every frame of others: both of an exchange, or one if its robot takes part.
             let records_hz = got.exchanges_hz * f64::from(size - 1);
             assert!((got.records_hz / records_hz - 1.0).abs() < 0.01, "{got:?}, {records_hz}");
         }
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn more_robots_than_a_scheduler_takes_are_refused() {
+    fn more_robots_than_a_scheduler_accepts_are_rejected() {
         let error = |size| Shared { groups: 1, size }.plan().err();
         assert_eq!((error(256), error(257)), (None, Some(PlanError::Links(256))));
     }

@@ -1,7 +1,7 @@
-//! Fleets: what each robot gets of the air, sends and computes, and what breaks first (`docs/method/fleet.md`):
+//! Limits of fleets: air time, network traffic and processor time of each robot (`docs/method/fleet.md`):
 //! `cargo run --release --bin fleet [ROBOTS..]`.
 //!
-//! Air time is computed, channels are simulated, messages and processor time are measured on one pair.
+//! Air time is computed, channels are simulated, and messages and processor time are measured on one pair.
 
 mod air;
 mod pair;
@@ -13,15 +13,16 @@ use std::fs::read_to_string;
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
 
-/// Groups alone on their channel, fleets, channels, and the size of small groups, robots.
+/// Sizes of groups alone on a channel, sizes of fleets, numbers of channels, and size of small groups.
 const ALONE: [u16; 5] = [2, 5, 10, 20, 50];
 const FLEETS: [u16; 3] = [10, 100, 1_000];
 const CHANNELS: [u16; 4] = [1, 3, 8, 24];
 const SMALL: u16 = 10;
-/// The drive that exchanges are to follow, and what a router's link carries: 1 Gbit/s.
+/// Speed of the robots, and capacity of a router's link (1 Gbit/s), bytes per second.
 const DRIVE_M_S: f64 = 0.1;
 const ROUTER_BYTES_HZ: f64 = 125e6;
-/// Wavelengths between two exchanges, at most: beyond them the one-way channel has no sign (`src/estimate/signal.rs`).
+/// Greatest distance driven between two exchanges, wavelengths; beyond it, the sign of the one-way channel is lost
+/// (`src/estimate/signal.rs`).
 const SPACING: f64 = 0.25;
 
 fn main() -> Fallible<()> {
@@ -91,12 +92,12 @@ fn row(got: &Got) -> String {
     format!("{exchanges_hz:.1} | {:.1} % | {bearings_hz:.1} | {age_s:.2} |", 1e2 * lost)
 }
 
-/// What a robot sends, what its group's router sends on, the robot's share of a core, and what is too much.
+/// Traffic of a robot and of its group's router, the robot's share of a core, and the exceeded limits.
 fn costs(pair: &Pair, shared: Shared, got: &Got, spacing_m: f64) -> String {
     let peers = f64::from(shared.size - 1);
     let sent_hz = got.records_hz * pair.record_bytes + pair.poses_hz * pair.pose_bytes;
     let router_hz = sent_hz * peers * f64::from(shared.size);
-    // All peers' records come, others' exchanges included.
+    // A robot receives all records of its peers, including those of exchanges between others.
     let processor = got.bearings_hz * pair.bearing_s + got.records_hz * pair.record_s * (1.0 + peers);
     let [air, router] = [DRIVE_M_S * got.age_s / spacing_m, router_hz / ROUTER_BYTES_HZ];
     let shares = [("air", air), ("router", router), ("processor", processor)];

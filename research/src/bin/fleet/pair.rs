@@ -1,4 +1,4 @@
-//! One pair: its messages, and the processor time of its estimate.
+//! Measures one pair: sizes of its messages, and processor time of its estimate.
 
 use crate::Fallible;
 use csi5300::driver_iface::record::Record;
@@ -14,13 +14,13 @@ use csi5300_sim::motion::{Circle, RobotMotion};
 use csi5300_sim::{Room, Scene};
 use std::fs::{read_dir, read_to_string};
 
-/// What a pair costs.
+/// Costs of a pair.
 #[derive(Debug)]
 pub struct Pair {
-    /// A record and a pose as the node publishes them, each in a message of its own, bytes.
+    /// Size of a record and of a pose as the node publishes them, each in its own message, bytes.
     pub record_bytes: f64,
     pub pose_bytes: f64,
-    /// The report of a bearing as a line of JSON, bytes.
+    /// Size of a bearing's report as a line of JSON, bytes.
     pub line_bytes: f64,
     pub poses_hz: f64,
     /// Processor time of a record and of a bearing, seconds.
@@ -28,13 +28,12 @@ pub struct Pair {
     pub bearing_s: f64,
 }
 
-/// An input of the estimator.
 enum Item {
     Pose(Option<Pose>),
     Record { own: bool, stamps: Stamps, code: u8, body: Vec<u8> },
 }
 
-/// Measures two turns of the circle of the scene `lab-circle`, 100 exchanges a second, one robot standing.
+/// Measures two turns of the circle in the scene `lab-circle`, with 100 exchanges a second; the other robot stands.
 pub fn measure(channel: Channel) -> Fallible<Pair> {
     let mut scene = Scene::built_in("lab-circle").ok_or("no scene lab-circle")?;
     scene.duration_s = 60.0;
@@ -87,7 +86,7 @@ pub fn measure(channel: Channel) -> Fallible<Pair> {
     })
 }
 
-/// The poses of the first robot and the records of both, in the order of time.
+/// The poses of the first robot and the records of both, in time order.
 fn items(room: &mut Room) -> Fallible<Vec<(Instant, Item)>> {
     let end_s = room.scene().duration_s;
     let mut robot = room.backend(0).ok_or("no robot")?;
@@ -136,7 +135,7 @@ mod tests {
     use csi5300::source::remote::Mailbox;
 
     #[test]
-    fn messages_are_those_that_a_peer_reads() {
+    fn a_peer_can_read_the_messages() {
         let record = Record { code: 0xbb, body: &[7; 213] };
         let pose = Pose { t_s: 1.0, position_m: nalgebra::Vector3::zeros(), heading_rad: None };
         for message in [record_message(Some(1), record), pose_message(pose)] {

@@ -1,9 +1,9 @@
-//! The same while records come: a window of each side, pairs once each.
+//! Pairing by clocks while records arrive: a window of each side; each pair is returned once.
 //!
-//! Records are kept until the clocks are understood, which is tried again and again; from then on the line is followed as in a
-//! whole log, and a pair is given as soon as no later record can have a part of it: with the next record of each side. A
-//! clock that was set back, or a long pause, ends the line: what follows is aligned anew, and so it is where the deviations no longer
-//! lie together. There up to [`LOOK`] pairs may be wrong, where a clock was set forward within [`PAUSE_NS`].
+//! Records are kept until the clocks are aligned; alignment is tried repeatedly. From then on, the line is followed as in a
+//! whole log. A pair is returned once no later record can claim a part of it: after the next record of each side. A
+//! clock that was set back, a long pause, or deviations that leave the line end it; later records are aligned again. If a
+//! clock was set forward by less than [`PAUSE_NS`], up to [`LOOK`] pairs may be wrong.
 
 use super::{
     CardClock, Claim, Claims, Fit, Follower, LEAST, Line, LinkSide, Overlay, Pair, Refusal, STRETCH, Side, centre,
@@ -11,49 +11,49 @@ use super::{
 };
 use std::collections::VecDeque;
 
-/// Records of a side that are kept before the clocks are understood.
+/// Limit of records kept of a side before the clocks are aligned.
 const WINDOW: usize = 2 * STRETCH;
-/// Records of a side that wait for the other at most.
+/// Limit of records of a side that wait for the other side.
 const BACKLOG: usize = 2 * WINDOW;
-/// After a longer pause the clocks are aligned anew: one that was set forward looks like a pause.
+/// After a longer pause, the clocks are aligned again, because a clock that was set forward looks like a pause.
 const PAUSE_NS: i64 = 30_000_000_000;
-/// A line that goes on as before is within so much of it, and of a change of its drift.
+/// A new line continues the one before if it differs by less than this, plus a change of drift.
 const SAME_NS: f64 = 500_000.0;
 const MAX_CHANGE: f64 = 5e-6;
-/// Deviations after which it is asked whether they still lie on the line, ...
+/// The line is checked after this many deviations, ...
 const LOOK: usize = 24;
-/// ... and records without as many.
+/// ... and given up after this many records with fewer deviations.
 const LONGEST_LOOK: usize = 512;
 
-/// Pairs the records of one link while they come. Call [`handle`](Self::handle) for each record of the frames of one sender on
-/// either side, in its card's order, and [`poll_pair`](Self::poll_pair) until `None` after each.
+/// Pairs the records of one link while they arrive. Call [`handle`](Self::handle) for each record of one sender's frames on
+/// either side, in its card's order; after each, call [`poll_pair`](Self::poll_pair) until `None`.
 #[derive(Clone, Debug)]
 pub(crate) struct Live<T> {
     receiver: Side<T>,
     transmitter: Side<T>,
     lock: Option<Lock>,
-    /// Records of the side with fewer when the clocks are next looked at.
+    /// Number of records, of the side with fewer, at which alignment is next tried.
     try_at: usize,
     refusal: Option<Refusal>,
-    /// The line before the present one.
+    /// The previous line.
     before: Option<Line>,
     restarts: u32,
     number: u32,
     ready: VecDeque<Pair<T>>,
 }
 
-/// Clocks that are understood.
+/// State while the clocks are aligned.
 #[derive(Clone, Debug)]
 struct Lock {
     fit: Fit,
     half_ns: f64,
     follower: Follower,
     claims: Claims,
-    /// The receiver's first record that is not decided.
+    /// The receiver's first undecided record.
     next: usize,
-    /// The last pair, by the places of its records.
+    /// The last pair, by the indices of its records.
     last: Option<(usize, usize)>,
-    /// Deviations since the last look, and records.
+    /// Deviations since the last check, and number of records since then.
     off: Vec<f64>,
     looked: usize,
 }
@@ -77,7 +77,7 @@ impl Lock {
         let middle = overlay.a.partition_point(|a| (*a as f64) < line.at);
         let mut wanted = vec![0.0; middle];
         let start = overlay.follow_way(line, overlay.a.iter().take(middle).rev().zip(wanted.iter_mut().rev()));
-        // Earlier ones have no partner: the transmitter's records begin later, or it was silent.
+        // Earlier records have no partner: the transmitter's records begin later, or it was silent.
         let first = overlay.b.first().map_or(0.0, |b| *b as f64) - overlay.half_ns;
         let next = overlay.a.partition_point(|a| start.on_other(*a as f64) < first);
         let (follower, claims, off) = (Follower::new(start), Claims::default(), Vec::new());
@@ -97,7 +97,7 @@ impl Lock {
         middle.abs() < 0.1 * self.half_ns && sharpness > self.fit.sharpness / 4.0
     }
 
-    /// The sides have forgotten so many records.
+    /// Shifts the indices after the sides have forgotten records.
     fn forget(&mut self, receiver: usize, transmitter: usize) {
         self.next = self.next.saturating_sub(receiver);
         let moved = |i: usize, j: usize| Some((i.checked_sub(receiver)?, j.checked_sub(transmitter)?));
@@ -110,7 +110,7 @@ impl Lock {
 }
 
 impl<T> Live<T> {
-    /// A link of two cards with these clocks.
+    /// A link between two cards with these clocks.
     pub(crate) fn new(receiver: CardClock, transmitter: CardClock) -> Self {
         Self {
             receiver: Side::new(receiver),
@@ -140,22 +140,22 @@ impl<T> Live<T> {
         self.keep();
     }
 
-    /// The next pair, in the order of the receiver's records; numbers rise.
+    /// The next pair, in the order of the receiver's records; pair numbers increase.
     pub(crate) fn poll_pair(&mut self) -> Option<Pair<T>> {
         self.ready.pop_front()
     }
 
-    /// How often the clocks did not go on as before: a card was restarted.
+    /// How often the clocks did not continue the previous line: card restarts.
     pub(crate) fn restarts(&self) -> u32 {
         self.restarts
     }
 
-    /// Why there are no pairs, where records were looked at in vain.
+    /// Why alignment failed, while there are no pairs.
     pub(crate) fn refusal(&self) -> Option<Refusal> {
         self.refusal.filter(|_| self.lock.is_none())
     }
 
-    /// Ends both sides.
+    /// Ends both sides and decides what remains.
     pub(crate) fn finish(&mut self) {
         if self.lock.is_none() {
             self.try_at = LEAST;
@@ -165,7 +165,7 @@ impl<T> Live<T> {
         [&mut self.receiver, &mut self.transmitter].into_iter().for_each(Side::count_unpaired);
     }
 
-    /// What became of the records of `side`: what is unpaired is known when both have ended.
+    /// Counts of `side`; unpaired records are counted when both sides have ended.
     #[cfg(test)]
     pub(super) fn counts(&self, side: LinkSide) -> super::ClockCounts {
         match side {
@@ -174,7 +174,7 @@ impl<T> Live<T> {
         }
     }
 
-    /// Records in memory, of the side with more.
+    /// Number of records in memory, of the side with more.
     #[cfg(test)]
     pub(super) fn kept(&self) -> usize {
         self.receiver.len().max(self.transmitter.len())
@@ -187,7 +187,8 @@ impl<T> Live<T> {
         }
     }
 
-    /// The card of `side` was restarted, or paused for long. What the other side has beyond the last pair may go with what comes.
+    /// Ends the line: the card of `side` was restarted, or paused for long. The other side keeps its records after the last
+    /// pair, because they may pair with later ones.
     fn part(&mut self, side: LinkSide) {
         self.advance(true);
         let (i, j) = self.unlock();
@@ -199,8 +200,8 @@ impl<T> Live<T> {
         self.transmitter.forget(transmitter);
     }
 
-    /// The clocks are no longer understood. Gives how many records of each side are up to the last pair; without one, those that
-    /// were looked at in vain.
+    /// Gives up the alignment. Returns, for each side, the number of records up to the last pair or, without a pair, the number
+    /// tried.
     fn unlock(&mut self) -> (usize, usize) {
         self.try_at = 2 * LEAST;
         let Some(lock) = self.lock.take() else { return (0, 0) };
@@ -208,7 +209,7 @@ impl<T> Live<T> {
         lock.last.map_or((lock.next, 0), |(i, j)| (i + 1, j + 1))
     }
 
-    /// Tries to understand the clocks, once there are enough more records, and before a side forgets some.
+    /// Tries to align the clocks, once there are enough new records and before a side forgets some.
     fn seek(&mut self) {
         let (count, most) =
             (self.receiver.len().min(self.transmitter.len()), self.receiver.len().max(self.transmitter.len()));
@@ -230,7 +231,7 @@ impl<T> Live<T> {
         self.try_at = count + count.div_ceil(2);
     }
 
-    /// Decides what can be decided; at the end everything.
+    /// Decides all records that can be decided; `at_end`, all that remain.
     fn advance(&mut self, at_end: bool) {
         let Some(lock) = &mut self.lock else { return };
         let (receiver, transmitter) = (&mut self.receiver, &mut self.transmitter);
@@ -271,7 +272,7 @@ impl<T> Live<T> {
         }
     }
 
-    /// Forgets what no pair can need any more.
+    /// Forgets records that no pair can need any more.
     fn keep(&mut self) {
         let (own, other) = (self.receiver.len(), self.transmitter.len());
         let Some(lock) = &mut self.lock else {
@@ -279,7 +280,7 @@ impl<T> Live<T> {
             self.transmitter.forget(if other >= WINDOW { STRETCH } else { 0 });
             return;
         };
-        // Pauses of what was decided tell how long an exchange is.
+        // Decided records are kept, because their pauses show the length of an exchange.
         let mut gone = (0, 0);
         if lock.next > WINDOW {
             gone.0 = lock.next - STRETCH;
@@ -297,7 +298,7 @@ impl<T> Live<T> {
 }
 
 impl Lock {
-    /// Makes a pair of a claim that stands.
+    /// Makes a pair of a decided claim, unless it is ambiguous.
     fn settle<T>(
         &mut self,
         claim: Option<Claim>,

@@ -1,4 +1,4 @@
-//! The graph by which receivers are located: ranges of another sensor that go into it, and the file that it is written to.
+//! Options of the graph that locates receivers: ranges from another sensor, and the output file.
 
 use super::super::captures::Reading;
 use super::super::{some, usage};
@@ -9,20 +9,19 @@ use csi5300_team::{Solution, Team, factors};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-// What goes into the graph of a receiver, and where it goes.
 #[derive(clap::Args)]
 #[command(next_help_heading = "Graph of the located receiver")]
 pub struct Graph {
     /// Ranges between the receiver and transmitters from another sensor (UWB, FTM), as CSV or JSON: time_s, from, to,
-    /// range_m, sd_m. Robots are rx, tx2 and so on, or end a capture's or a link's name
+    /// range_m, sd_m. Robot names: rx, tx2 and so on, or the last parts of a capture's or link's name
     #[arg(long, value_name = "FILE", requires = "captures", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     ranges: Option<PathBuf>,
-    /// Write the graph by which the receiver of one capture was located: JSON for GTSAM, or g2o's text
+    /// Write the graph that located the receiver of one capture: JSON for GTSAM, or g2o's text format
     #[arg(long, value_name = "OUT.json|.g2o", requires = "captures", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     factors: Option<PathBuf>,
 }
 
-/// A receiver, and the graph by which it was located.
+/// A receiver, and its graph and solution if it was located.
 pub type Found = (Receiver, Option<(Team, Solution)>);
 
 impl Graph {
@@ -35,14 +34,14 @@ impl Graph {
         [("g2o", true), ("json", false)].into_iter().find(|(own, _)| *own == ending).map(|(_, is_g2o)| is_g2o)
     }
 
-    /// Refuses before the work what could not be written after it.
+    /// Checks, before any estimate, that the graph can be written.
     pub fn check(&self, captures: &[Capture], force: bool) -> Result<(), String> {
         let Some(path) = &self.factors else { return Ok(()) };
         if captures.len() != 1 {
             usage(&format!("--factors takes one capture, not {}", captures.len()));
         }
         if Self::is_g2o(path).is_none() {
-            usage(&format!("{}: factors are written as .json or .g2o", path.display()));
+            usage(&format!("{}: --factors writes .json or .g2o", path.display()));
         }
         super::super::draft::Draft::create(path, force).map(drop)
     }
@@ -72,7 +71,7 @@ impl Graph {
         }
         match ranges.iter().zip(taken).find(|(_, taken)| !taken) {
             Some((Range { from, to, time_s, .. }, _)) => Err(words(&format!(
-                "no capture has {from} and {to} at {time_s} s: robots are rx and {}, times those of the trajectory",
+                "no capture has {from} and {to} at {time_s} s: the robots are rx and {}, and times are those of the trajectory",
                 captures.first().and_then(|capture| capture.transmitters.first()).map_or("tx", |(name, _)| name)
             ))),
             None => Ok(found),
@@ -85,12 +84,12 @@ impl Graph {
             let given = given.get(&receiver.capture).map_or(0, Vec::len);
             if receiver.ranges[0] < given {
                 let left = some((given - receiver.ranges[0]) as u64, "range is", "ranges are");
-                note!("{}: {left} to transmitters whose places are not known (--place)", receiver.capture);
+                note!("{}: {left} not used: give the transmitters' places with --place", receiver.capture);
             }
         }
         let Some(path) = &self.factors else { return Ok(()) };
         let Some((_, Some((team, solution)))) = found.first() else {
-            return Err(format!("{}: not written, as no receiver was located", path.display()));
+            return Err(format!("{}: not written, because no receiver was located", path.display()));
         };
         let is_g2o = Self::is_g2o(path).unwrap_or_default();
         super::super::draft::write(
@@ -100,7 +99,7 @@ impl Graph {
     }
 }
 
-/// The transmitter of a range between it and the receiver of a capture, in either order.
+/// The capture's transmitter that a range belongs to; either end may be the receiver.
 fn transmitter<'a>(capture: &'a Capture, range: &Range) -> Option<&'a str> {
     let ends = |own: &str, name: &str| own == name || own.strip_suffix(name).is_some_and(|rest| rest.ends_with('/'));
     let is_receiver = |name: &str| name == "rx" || ends(&capture.link_name(""), name);
@@ -115,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn robots_are_named_alone_or_by_their_capture() {
+    fn robots_have_short_names_or_names_with_their_capture() {
         let capture = Capture {
             place: "a/b".into(),
             stamp: "t".into(),

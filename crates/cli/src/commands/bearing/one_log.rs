@@ -1,4 +1,4 @@
-//! `csi5300 bearing --antennas A,B --baseline X,Y,Z`: every sender that one log heard, by antennas that turn with the robot.
+//! `csi5300 bearing --antennas A,B --baseline X,Y,Z`: bearings of all senders in one log, from antennas on a turning robot.
 
 use super::super::inputs::Inputs;
 use super::super::{Outcome, Result, hint, info, print, print_json, usage};
@@ -12,7 +12,7 @@ use csi5300::pipeline::{
 use nalgebra::Vector3;
 use std::path::Path;
 
-/// The result of another card's log, and whether some of its bytes were unreadable; none for other files.
+/// The result of another card's log, and whether some bytes were unreadable; `None` for other files.
 fn other_card(
     path: &Path,
     trajectory: &Trajectory,
@@ -31,14 +31,14 @@ fn other_card(
             Item::Skipped(skipped) => lost += if skipped.why == Why::NoCsi { 0 } else { skipped.len },
         }
     }
-    note!("{}: {}, {frames} frames, {without} without all of the antennas", path.display(), format.name());
+    note!("{}: {}, {frames} frames, {without} lack an antenna", path.display(), format.name());
     if lost > 0 {
         note!("  not read: {lost} bytes");
     }
     Ok(Some((one.bearings(trajectory), lost > 0)))
 }
 
-/// The name of a link: the log's, with the sender where there are several.
+/// The name of a link: that of the log, with the sender if there are several.
 fn name(inputs: &Inputs, rx: &Path, link: &LinkReport, links: usize) -> String {
     let own = link_name(inputs, rx);
     match link.mac {
@@ -48,7 +48,7 @@ fn name(inputs: &Inputs, rx: &Path, link: &LinkReport, links: usize) -> String {
     }
 }
 
-/// The antennas and their baselines, with the constants of their chains where they are given.
+/// The antennas, their baselines and, if given, the constants of their chains.
 fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
     let metres: Vec<Vector3<f64>> = args.logs.baseline.iter().map(|baseline| baseline.metres).collect();
     let array = Array::new(&args.estimation.antenna, &metres)?;
@@ -56,7 +56,7 @@ fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
     if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
 }
 
-/// Adds the evidence of the receiver's log alone to the bearings of two logs.
+/// Combines the bearings of two logs with those of the receiver's log alone.
 pub fn join(
     args: &Args,
     inputs: &Inputs,
@@ -64,11 +64,11 @@ pub fn join(
     report: &mut CaptureReport,
 ) -> std::result::Result<(), String> {
     if rx.as_os_str() == "-" {
-        usage("with --baseline and --tx the log is read twice: --rx cannot be standard input");
+        usage("--baseline with --tx reads the log twice: --rx cannot be standard input");
     }
     let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
     let mut options = options(args).unwrap_or_else(|message| usage(&message));
-    // Every sender: the clocks told which of them a transmitter's log is of.
+    // All senders: pairing by clocks has identified the transmitters.
     options.tx_macs.clear();
     let trajectory = inputs.trajectory(path)?;
     let one = match other_card(rx, &trajectory, &array, &options)? {
@@ -108,7 +108,7 @@ pub fn run(args: &Args) -> Result {
             let unused = report.log.unused;
             if unused.no_antenna + unused.other_sender > 0 || !losses.is_empty() {
                 notes!(
-                    "{}: {} bfee records, {} without all of the antennas, {} of other senders\n{losses}",
+                    "{}: {} bfee records, {} lack an antenna, {} of other senders\n{losses}",
                     rx.display(),
                     report.log.survey.bfees(),
                     unused.no_antenna,
@@ -131,7 +131,7 @@ pub fn run(args: &Args) -> Result {
         if args.json {
             print_json(&answer);
         } else {
-            // With known constants the robot may stand.
+            // With known constants, the robot may stand still.
             let stands = args.logs.baseline.iter().any(|baseline| baseline.constant.is_some());
             let of = if stands { MirrorOf::Antennas } else { MirrorOf::Motion };
             print(&describe(&answer, of, "", &pairs::records(&answer)));
@@ -143,7 +143,7 @@ pub fn run(args: &Args) -> Result {
     }
     if report.links.is_empty() {
         wrong!(
-            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows how many chains it has",
+            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows the number of chains",
             rx.display()
         );
     }

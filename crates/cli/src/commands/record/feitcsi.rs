@@ -1,4 +1,4 @@
-//! `csi5300 record --feitcsi`: the card is an AX200 or AX210, and the log one of FeitCSI.
+//! `csi5300 record --feitcsi`: records an AX200 or AX210 to a FeitCSI log.
 
 use super::super::Result;
 use super::super::live::{Signals, create_refused};
@@ -9,7 +9,7 @@ use csi5300_live::listener::Lost;
 use csi5300_live::wait::wall_us;
 use std::os::fd::AsFd;
 
-/// Where FeitCSI's records come from.
+/// Source of FeitCSI's records.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Way {
     Input,
@@ -19,7 +19,7 @@ pub enum Way {
 pub fn source(text: &str) -> std::result::Result<Way, String> {
     match text {
         "-" => Ok(Way::Input),
-        _ => text.parse().map(Way::Asked).map_err(|why| format!("{why}, or - for the standard input")),
+        _ => text.parse().map(Way::Asked).map_err(|why| format!("{why}, or - for standard input")),
     }
 }
 
@@ -30,11 +30,11 @@ pub fn run(args: &Args, from: &Way, signals: Signals) -> Result {
         Way::Input => {
             let input = std::io::stdin().as_fd().try_clone_to_owned();
             let input = input.map_err(|error| format!("standard input: {error}"))?;
-            (Frames::read(input, wall_us), "reading what FeitCSI writes from the standard input".to_owned())
+            (Frames::read(input, wall_us), "reading FeitCSI's output from standard input".to_owned())
         }
         Way::Asked(command) => {
             let frames = Frames::ask(command, wall_us).map_err(|error| with_cause(&error))?;
-            (frames, format!("FeitCSI at {} was asked to measure", command.to))
+            (frames, format!("asked FeitCSI at {} to measure", command.to))
         }
     };
     let files = LogFiles::create_bodies(&args.out, args.rotation(), args.force);

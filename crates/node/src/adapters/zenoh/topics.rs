@@ -1,4 +1,4 @@
-//! The topics of ROS 2 in a session of zenoh, for nodes with `rmw_zenoh_cpp` ([`csi5300_ros2::rmw_zenoh`]).
+//! Carries ROS 2 topics over a zenoh session, for nodes with `rmw_zenoh_cpp` ([`csi5300_ros2::rmw_zenoh`]).
 
 use csi5300_ros2::rmw_zenoh::{End, Graph, Taker, attachment, gid};
 use std::sync::Arc;
@@ -12,21 +12,21 @@ use zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
 use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
 
-/// Limit of messages that wait for the session; further ones are lost and counted.
+/// Limit of queued messages; further ones are dropped and counted.
 const BACKLOG: usize = 1_024;
 
-/// A message: the publisher's number, the payload, and what goes beside it.
+/// The publisher's index, the payload and the attachment.
 type Message = (usize, Vec<u8>, Vec<u8>);
 
-/// The keys of subscriptions.
+/// The keys of all subscriptions.
 pub(super) fn keys_read(graph: &Graph) -> Vec<String> {
     let read = graph.topics.iter().filter(|topic| matches!(topic.end, End::Subscription(_)));
     read.map(|topic| graph.key(topic)).collect()
 }
 
-/// Topics that are carried. Dropping it sends what waits, and ends them.
+/// Carried topics. Dropping this sends the queued messages and ends the topics.
 pub(super) struct Topics {
-    /// The queue of the thread, which ends with it.
+    /// The queue of the sending thread; closing it ends the thread.
     queue: Option<Arc<SyncSender<Message>>>,
     thread: Option<JoinHandle<()>>,
     _tokens: Vec<LivelinessToken>,
@@ -34,7 +34,7 @@ pub(super) struct Topics {
 }
 
 impl Topics {
-    /// Carries all topics of a node; `unsent` counts messages that were lost because too many waited.
+    /// Carries all topics of a node; `unsent` counts messages dropped because the queue was full.
     pub fn carry(session: &Session, mut graph: Graph, unsent: &Arc<AtomicU64>) -> zenoh::Result<Self> {
         let own = session.zid().to_string();
         let declare = |token: String| session.liveliness().declare_token(token).wait();
@@ -52,7 +52,7 @@ impl Topics {
                     publishers.push(declared.wait()?);
                     let (queue, unsent) = (Arc::downgrade(&queue), Arc::clone(unsent));
                     let send = move |payload: &[u8], wall_us: i64| {
-                        // The number of a lost message is missed.
+                        // A dropped message leaves a gap in the sequence numbers.
                         let number = next.fetch_add(1, Ordering::Relaxed);
                         let message =
                             (writer, payload.to_vec(), attachment(number, wall_us.saturating_mul(1_000), gid));
@@ -68,7 +68,7 @@ impl Topics {
                         subscribers.push(earlier(session, &key, Arc::clone(&take))?);
                     }
                     let used = move |sample: Sample| take(sample.payload().to_bytes().into_owned());
-                    // As with DDS, the node's own messages (`/tf`) do not come back.
+                    // As with DDS, the node does not receive its own messages (`/tf`).
                     let declared = session.declare_subscriber(key).allowed_origin(Locality::Remote);
                     subscribers.push(declared.callback(used).wait()?);
                 }
@@ -95,8 +95,8 @@ impl Drop for Topics {
     }
 }
 
-/// Asks every publisher that is found for what it has kept: zenoh's advanced publishers, which `rmw_zenoh_cpp` has for
-/// transient local topics, show it by a token below the topic's key, and answer at that key (`zenoh-ext`).
+/// Queries every discovered publisher for the samples that it kept. `rmw_zenoh_cpp` uses zenoh's advanced publishers for
+/// transient local topics: each declares a token below the topic's key and answers queries there (`zenoh-ext`).
 fn earlier(session: &Session, key: &str, take: Arc<Taker>) -> zenoh::Result<Subscriber<()>> {
     let asker = session.clone();
     let found = move |token: Sample| {
@@ -110,7 +110,7 @@ fn earlier(session: &Session, key: &str, take: Arc<Taker>) -> zenoh::Result<Subs
             }
         };
         let asked = asker.get(token.key_expr()).consolidation(ConsolidationMode::None);
-        // A publisher that has gone keeps nothing.
+        // A publisher that is gone does not answer.
         let _ = asked.accept_replies(ReplyKeyExpr::Any).callback(used).wait();
     };
     session.liveliness().declare_subscriber(format!("{key}/@adv/pub/**")).history(true).callback(found).wait()
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn topics_are_carried_both_ways_until_they_are_dropped() {
+    fn topics_are_carried_in_both_directions_until_dropped() {
         let domain = 150 + (std::process::id() % 80) as u16;
         let alone = Settings { domain: Some(domain), multicast: Some(false), ..Settings::default() };
         let node = Node::start(&alone, "burger", || Some(20_000_000)).unwrap();
@@ -149,7 +149,7 @@ mod tests {
         let used = move |time: Time, at| _ = give.send((time.sec, at));
         node.link().subscribe("/asked", Qos::best_effort(5), used, || panic!("unreadable"));
         let graph = node.link().relay().take();
-        // It admits no more than it needs.
+        // The access control admits only the needed keys.
         let owned = [Owner { mac: driver_iface::Mac([2; 6]), certificate: Some("burger-2".into()) }];
         let strict = access_control("csi5300/robots", &owned, Some(&keys_read(&graph))).unwrap();
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
