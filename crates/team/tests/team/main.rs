@@ -40,9 +40,9 @@ fn covariances_of_two_robots_cover_the_errors() {
 fn covariances_of_five_robots_cover_the_errors() {
     // Robots of a run share errors, so there are many short runs.
     let five = Hall { epochs: 20, ..Hall::of(5) };
-    let without = hold(five, 1000..1040);
+    let without = hold(five, 1000..1050);
     hold(Hall { has_liar: true, ..five }, 1000..1050);
-    let with = hold(Hall { ranged: 0.25, ..five }, 1000..1040);
+    let with = hold(Hall { ranged: 0.25, ..five }, 1000..1050);
     assert!(with.rms_m() < without.rms_m(), "{with:?} {without:?}");
 }
 
