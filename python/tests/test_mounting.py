@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 Poses = NDArray[np.float64]
 OUTPUT = {"bag", "color", "help", "json", "quiet", "verbose", "force", "profile", "grid", "plot"}
-OUTPUT |= {"place", "transmitters", "frame", "stretches"}
+OUTPUT |= {"place", "transmitters", "frame", "stretches", "ranges", "factors"}
 """Options about recordings, printing and pictures, for which Python has arrays, attributes and methods; and options of captures."""
 OFFSET, MOUNT = (0.05, 0.16, 0.0), (0.04, 0.17, -1.5)
 
