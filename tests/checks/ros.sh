@@ -144,9 +144,13 @@ def bearings(node):
             good = good + 1 if here < 1.0 else 0
             worst = max(worst, here if good else 0.0)
             assert time.monotonic() < end, f"{here} degrees off: {told}"
-        pose = once(f"{node}/{peer}/pose")
-        q = pose["pose"]["orientation"]
-        assert off(2 * math.atan2(q["z"], q["w"]), truth) < 1.0 and pose["header"]["frame_id"] == "odom", pose
+        # On a busy machine, a bearing in between has few exchanges.
+        here = math.inf
+        while not here < 1.0:
+            pose = once(f"{node}/{peer}/pose")
+            q = pose["pose"]["orientation"]
+            here = off(2 * math.atan2(q["z"], q["w"]), truth)
+            assert time.monotonic() < end and pose["header"]["frame_id"] == "odom", pose
         assert math.hypot(pose["pose"]["position"]["x"], pose["pose"]["position"]["y"]) < 0.5, pose
     print(f"bearings of two robots over rostopic, at most {worst:.2f} degrees off")
 
