@@ -33,7 +33,7 @@ pub fn run(args: &Args, from: &Way, signals: Signals) -> Result {
             (Frames::read(input, wall_us), "reading FeitCSI's output from standard input".to_owned())
         }
         Way::Asked(command) => {
-            let frames = Frames::ask(command, wall_us).map_err(|error| with_cause(&error))?;
+            let frames = Frames::ask(command, wall_us).map_err(text)?;
             (frames, format!("asked FeitCSI at {} to measure", command.to))
         }
     };
@@ -46,9 +46,4 @@ pub fn run(args: &Args, from: &Way, signals: Signals) -> Result {
     let failed = session.capture(&mut source, |source| (source.frames().totals(), Lost::default())).err();
     let (_, files, totals) = source.into_frames().finish(session.clock.now()).map_err(text)?;
     Ok(session.end(failed, &(String::new(), Lost::default()), &totals, &files))
-}
-
-fn with_cause(error: &csi5300::source::Error) -> String {
-    let cause = std::error::Error::source(error).map(|cause| format!(": {cause}"));
-    format!("{error}{}", cause.unwrap_or_default())
 }
