@@ -184,6 +184,26 @@ fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(V
     Ok((logs, unread))
 }
 
+/// Runs what does not estimate bearings from two logs: one log, or captures. Ends the program if the other log is missing.
+fn run_other(args: &Args) -> Option<Result> {
+    if !args.logs.baseline.is_empty() && args.logs.tx.is_empty() {
+        if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
+            usage("with --baseline, --rx-mac, --key and --antenna-offset need --tx");
+        }
+        return Some(one_log::run(args));
+    }
+    if !args.captures.is_empty() {
+        return Some(captures::run(args));
+    }
+    if args.graph.is_wanted() {
+        usage("--ranges and --factors need a capture with transmitters at known places");
+    }
+    if args.logs.tx.is_empty() && args.logs.bag.bag.is_none() {
+        usage("--tx is needed: the other robot's log. For a bearing from one log, add --antennas and --baseline");
+    }
+    None
+}
+
 /// Estimates and prints the bearings.
 pub fn run(mut args: Args) -> Result {
     if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
@@ -195,20 +215,8 @@ pub fn run(mut args: Args) -> Result {
         );
     }
     roles::take(&mut args)?;
-    if !args.logs.baseline.is_empty() && args.logs.tx.is_empty() {
-        if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
-            usage("with --baseline, --rx-mac, --key and --antenna-offset need --tx");
-        }
-        return one_log::run(&args);
-    }
-    if !args.captures.is_empty() {
-        return captures::run(&args);
-    }
-    if args.graph.is_wanted() {
-        usage("--ranges and --factors need a capture with transmitters at known places");
-    }
-    if args.logs.tx.is_empty() && args.logs.bag.bag.is_none() {
-        usage("--tx is needed: the other robot's log. For a bearing from one log, add --antennas and --baseline");
+    if let Some(done) = run_other(&args) {
+        return done;
     }
     let options = options(&args).unwrap_or_else(|message| usage(&message));
     let key = args.logs.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;

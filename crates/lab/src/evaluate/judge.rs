@@ -341,3 +341,11 @@ fn judge(
         answer,
     }
 }
+
+/// A link with an answer, for tests.
+#[cfg(test)]
+pub(super) fn row(link: &str, azimuth_deg: f64, error_deg: f64, confidence: f64) -> Judged {
+    let mut answer = Answer::failed(link.into(), String::new());
+    (answer.error, answer.azimuth_deg, answer.confidence) = (None, Some(azimuth_deg), Some(confidence));
+    Judged { answer, error_from_mean_pose_deg: Some(error_deg), ..Judged::default() }
+}

@@ -77,14 +77,8 @@ pub fn horizontal(answer: &Answer) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::judge::row;
     use super::*;
-    use csi5300::pipeline::Answer;
-
-    fn row(link: &str, azimuth_deg: f64, error_deg: f64, confidence: f64) -> Judged {
-        let mut answer = Answer::failed(link.into(), String::new());
-        (answer.error, answer.azimuth_deg, answer.confidence) = (None, Some(azimuth_deg), Some(confidence));
-        Judged { answer, error_from_mean_pose_deg: Some(error_deg), ..Judged::default() }
-    }
 
     #[test]
     fn refusing_the_unsure_lowers_the_error() {

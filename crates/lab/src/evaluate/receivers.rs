@@ -399,13 +399,8 @@ fn wrap_deg(angle: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::judge::row;
     use super::*;
-
-    fn row(link: &str, azimuth_deg: f64, error_deg: f64, confidence: f64) -> Judged {
-        let mut answer = Answer::failed(link.into(), String::new());
-        (answer.error, answer.azimuth_deg, answer.confidence) = (None, Some(azimuth_deg), Some(confidence));
-        Judged { answer, error_from_mean_pose_deg: Some(error_deg), ..Judged::default() }
-    }
 
     #[test]
     fn a_receiver_is_located_where_its_bearings_cross() {

@@ -38,6 +38,42 @@ fn other_card(
     Ok(Some((one.bearings(trajectory), lost > 0)))
 }
 
+/// The bearings from one log.
+struct Alone {
+    report: OneLogReport,
+    lost: bool,
+    /// Unused and lost records of a 5300's log.
+    notes: Option<String>,
+}
+
+impl Alone {
+    fn read(
+        inputs: &Inputs,
+        rx: &Path,
+        trajectory: &Trajectory,
+        (array, options): (&Array, &Options),
+    ) -> std::result::Result<Self, String> {
+        if let Some((report, lost)) = other_card(rx, trajectory, array, options)? {
+            return Ok(Self { report, lost, notes: None });
+        }
+        let mut log = inputs.open(rx)?;
+        let report = one_log(&mut log, trajectory, array, options).map_err(|error| error.to_string())?;
+        let (survey, unused) = (&report.log.survey, report.log.unused);
+        let losses = info::losses(survey, log.bytes());
+        let has_notes = unused.no_antenna + unused.other_sender > 0 || !losses.is_empty();
+        let notes = has_notes.then(|| {
+            format!(
+                "{}: {} bfee records, {} lack an antenna, {} of other senders\n{losses}",
+                rx.display(),
+                survey.bfees(),
+                unused.no_antenna,
+                unused.other_sender
+            )
+        });
+        Ok(Self { lost: survey.lost_something(), notes, report })
+    }
+}
+
 /// The name of a link: that of the log, with the sender if there are several.
 fn name(inputs: &Inputs, rx: &Path, link: &LinkReport, links: usize) -> String {
     let own = link_name(inputs, rx);
@@ -71,10 +107,7 @@ pub fn join(
     // All senders: pairing by clocks has identified the transmitters.
     options.tx_macs.clear();
     let trajectory = inputs.trajectory(path)?;
-    let one = match other_card(rx, &trajectory, &array, &options)? {
-        Some((one, _)) => one,
-        None => one_log(&mut inputs.open(rx)?, &trajectory, &array, &options).map_err(|error| error.to_string())?,
-    };
+    let Alone { report: one, .. } = Alone::read(inputs, rx, &trajectory, (&array, &options))?;
     for link in &mut report.links {
         let heard = one.links.iter().find(|heard| heard.mac.is_some() && heard.mac == link.mac);
         let Some(heard) = heard.map(|heard| &heard.bearing) else { continue };
@@ -99,26 +132,10 @@ pub fn run(args: &Args) -> Result {
     };
     let inputs = Inputs::files(args.logs.columns.clone());
     let trajectory = inputs.trajectory(path)?;
-    let (report, mut lost) = match other_card(rx, &trajectory, &array, &options)? {
-        Some(found) => found,
-        None => {
-            let mut log = inputs.open(rx)?;
-            let report = one_log(&mut log, &trajectory, &array, &options).map_err(|error| error.to_string())?;
-            let losses = info::losses(&report.log.survey, log.bytes());
-            let unused = report.log.unused;
-            if unused.no_antenna + unused.other_sender > 0 || !losses.is_empty() {
-                notes!(
-                    "{}: {} bfee records, {} lack an antenna, {} of other senders\n{losses}",
-                    rx.display(),
-                    report.log.survey.bfees(),
-                    unused.no_antenna,
-                    unused.other_sender
-                );
-            }
-            let lost = report.log.survey.lost_something();
-            (report, lost)
-        }
-    };
+    let Alone { report, mut lost, notes } = Alone::read(&inputs, rx, &trajectory, (&array, &options))?;
+    if let Some(notes) = notes {
+        notes!("{notes}");
+    }
     let mut answered = 0;
     for link in &report.links {
         let name = name(&inputs, rx, link, report.links.len());
