@@ -106,7 +106,7 @@ pub fn send_gently(sender: &mut Sender, counts: std::ops::Range<u16>) {
 }
 
 /// Bytes that wait in the connector sockets of this namespace.
-fn queued_bytes() -> u64 {
+pub fn queued_bytes() -> u64 {
     let table = std::fs::read_to_string("/proc/thread-self/net/netlink").unwrap();
     let rows = table.lines().skip(1).map(|line| line.split_whitespace().collect::<Vec<_>>());
     rows.filter(|row| row[1] == "11").map(|row| row[4].parse::<u64>().unwrap()).sum()

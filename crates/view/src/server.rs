@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// Connections at a time; a browser opens six for one page.
 const CONNECTIONS: usize = 64;
-/// Time limit for a request's head, and for a browser that reads nothing.
+/// Usual time limit for a request's head, and for a browser that reads nothing.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Bytes of a request's head at most, and fields in it.
 const HEAD: usize = 16 * 1024;
@@ -47,6 +47,8 @@ impl Ends {
 pub struct Server {
     listener: TcpListener,
     address: SocketAddr,
+    /// See [`PATIENCE`].
+    patience: Duration,
 }
 
 impl Server {
@@ -58,7 +60,7 @@ impl Server {
         let failed = |source| Error::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        Ok(Self { listener, address })
+        Ok(Self { listener, address, patience: PATIENCE })
     }
 
     /// Where it listens.
@@ -79,7 +81,7 @@ impl Server {
 
     /// Answers on threads of its own, for as long as the process runs.
     fn start(self, view: Arc<View>) -> io::Result<()> {
-        let Self { listener, address } = self;
+        let Self { listener, address, patience } = self;
         let accept = move || {
             // Each connection has a copy.
             let places = Arc::new(());
@@ -95,7 +97,7 @@ impl Server {
                 let (view, place) = (Arc::clone(&view), Arc::clone(&places));
                 let serve = move || {
                     // A browser that goes away in the middle is no error of ours.
-                    let _ = respond(stream, address, &view);
+                    let _ = respond(stream, (address, patience), &view);
                     drop(place);
                 };
                 let _ = thread::Builder::new().name("csi5300 page".into()).spawn(serve);
@@ -106,8 +108,8 @@ impl Server {
 }
 
 /// The head of a request.
-fn head(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
-    let (until, mut head) = (Instant::now() + PATIENCE, Vec::new());
+fn head(stream: &mut TcpStream, patience: Duration) -> io::Result<Vec<u8>> {
+    let (until, mut head) = (Instant::now() + patience, Vec::new());
     loop {
         let left = until.saturating_duration_since(Instant::now()).max(Duration::from_millis(1));
         stream.set_read_timeout(Some(left))?;
@@ -125,9 +127,9 @@ fn head(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
 }
 
 /// Answers one request.
-fn respond(mut stream: TcpStream, address: SocketAddr, view: &View) -> io::Result<()> {
-    stream.set_write_timeout(Some(PATIENCE))?;
-    let head = head(&mut stream)?;
+fn respond(mut stream: TcpStream, (address, patience): (SocketAddr, Duration), view: &View) -> io::Result<()> {
+    stream.set_write_timeout(Some(patience))?;
+    let head = head(&mut stream, patience)?;
     let mut fields = [httparse::EMPTY_HEADER; FIELDS];
     let mut request = httparse::Request::new(&mut fields);
     let is_whole = request.parse(&head).is_ok_and(|parsed| parsed.is_complete());

@@ -87,6 +87,13 @@ impl Grown {
     }
 }
 
+impl Drop for Grown {
+    fn drop(&mut self) {
+        // Even if a starting process holds a copy of the descriptor. Without a lock there is nothing to end.
+        let _ = self.file.unlock();
+    }
+}
+
 /// Writes as much of `bytes` as can be: how many.
 fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, io::Result<()>) {
     let mut done = 0;
@@ -201,7 +208,7 @@ impl LogFiles {
         let problem = self.sync();
         match open_files(&numbered(&self.path, self.number + 1), self.force, self.side.is_some()) {
             Ok((data, side)) => {
-                self.finished.push(std::mem::replace(&mut self.data, data).path);
+                self.finished.push(std::mem::replace(&mut self.data, data).path.clone());
                 self.side = side;
                 self.number += 1;
                 (self.since, self.records) = (None, 0);

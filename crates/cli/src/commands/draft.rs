@@ -158,11 +158,13 @@ impl FolderDraft {
     pub fn new(folder: &Path) -> Result<Self, String> {
         let part = folder.join(format!(".part-{}", std::process::id()));
         let made = !folder.exists();
-        std::fs::create_dir_all(&part).map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
+        // From here on a signal takes it away.
         drafts().push(part.clone());
         #[cfg(feature = "live")]
         signals::watch();
-        Ok(Self { folder: folder.to_owned(), part, made })
+        let draft = Self { folder: folder.to_owned(), part, made };
+        std::fs::create_dir_all(&draft.part).map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
+        Ok(draft)
     }
 
     /// Where to write them.

@@ -128,9 +128,8 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
         (status, verdict("reception.rate", "far"), verdict("reception.rate", "near")),
         (1, "fails".into(), "holds".into())
     );
-    for id in ["injection.numbers", "injection.heard", "injection.confirmed"] {
-        assert_eq!(verdict(id, "link"), "holds", "{id}: {out}");
-    }
+    assert_eq!(verdict("injection.numbers", "link"), "holds", "{out}");
+    let arrived = ["injection.heard", "injection.confirmed"].map(|id| verdict(id, "link"));
     assert_ne!(verdict("exchange.pairs", "link"), "not_tried");
     assert_eq!(verdict("injection.channel", "link"), "not_tried");
 
@@ -175,6 +174,9 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
     assert!(said.contains("listen while another robot sounds, then you unplug antenna B taken from"), "{said}");
     assert!(out.contains("stopped: 2 of 3") && out.contains("0 records came without antenna B"), "{out}");
     room.stop();
+    let (_, served) = room.end();
+    // What a busy machine reads too late is lost, and the room says so.
+    assert!(arrived == ["holds", "holds"] || served.contains(" messages were lost"), "{arrived:?} {served}");
 }
 
 #[test]

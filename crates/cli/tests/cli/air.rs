@@ -124,11 +124,11 @@ fn a_served_room_is_heard_through_the_kernel() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
-/// Two robots, the one on circles for as long as the room lasts, radios as real ones but for their crystals, which nearly
+/// Two robots, the one on circles for as long as the room lasts, which is longer than any test; radios as real ones but for their crystals, which nearly
 /// agree: a busy machine answers milliseconds late, in which real ones would turn by tens of cycles (that they are
 /// compensated is tested in virtual time). Drivers in the stock layout.
 pub const LIVE: &str = r#"
-duration_s = 120.0
+duration_s = 12000.0
 cfo = "physical"
 driver = "stock"
 [radio]
@@ -140,7 +140,7 @@ sampling_offset = true
 [[robot]]
 name = "rx"
 mac = "02:00:00:00:00:0a"
-motion.circle = { radius_m = 0.3, duration_s = 120.0, turns = 30 }
+motion.circle = { radius_m = 0.3, duration_s = 12000.0, turns = 3000 }
 crystal.offset_ppm = 0.0015
 [[robot]]
 name = "tx"
@@ -161,7 +161,11 @@ records.room = {}
 accurate = false
 [output]
 bearings = "bearings.jsonl"
+status_line = "always"
 "#;
+
+/// Standard deviation of a bearing that is a quarter of what tests allow.
+const SURE_DEG: f64 = 0.5;
 
 /// A program whose words are waited for.
 pub struct Program {
@@ -182,6 +186,23 @@ impl Program {
         while !self.said.contains(word) {
             let read = self.stderr.read_line(&mut self.said).unwrap();
             assert!(read > 0, "it ended before it said `{word}`:\n{}", self.said);
+        }
+    }
+
+    /// For a node that writes its bearings there and prints its state: its last one, once it has made so many and knows the last
+    /// well. A busy machine's first ones are of few exchanges, or have moved too little.
+    pub fn sure_bearing(&mut self, bearings: &Path, least: usize) -> serde_json::Value {
+        loop {
+            let lines = std::fs::read_to_string(bearings).unwrap_or_default();
+            // The last line may not be whole yet.
+            let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+            let mut made = lines.filter(|line| line["state"] == "bearing").collect::<Vec<_>>();
+            let is_sure = |last: &serde_json::Value| last["azimuth_sd_deg"].as_f64().is_some_and(|sd| sd < SURE_DEG);
+            if made.len() >= least && made.last().is_some_and(is_sure) {
+                return made.remove(made.len() - 1);
+            }
+            self.said.clear();
+            self.until("records/s");
         }
     }
 
@@ -279,20 +300,19 @@ fn programs_sound_each_other_in_a_served_room() {
     // A second listener on the same card.
     let mut recorder = Program::start(&["record", record, "--room", &rx_room]);
     recorder.until("recording to");
-    let node = Program::start(&["node", "--config", node]);
-    let sound =
-        ["sound", "--room", &rx_room, "--peers", "02:00:00:00:00:0b", "--alone", "--log", rx, "--stop-after", "8s"];
-    let (status, sounded) = Program::start(&[&sound[..], &slow[..]].concat()).end();
+    let mut node = Program::start(&["node", "--config", node]);
+    let sound = ["sound", "--room", &rx_room, "--peers", "02:00:00:00:00:0b", "--alone", "--log", rx];
+    let sound = Program::start(&[&sound[..], &slow[..]].concat());
+    let found = node.sure_bearing(&folder.join("bearings.jsonl"), 6);
+    let off_deg = found["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
+    assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {found}");
+    sound.stop();
+    let (status, sounded) = sound.end();
     assert_eq!(status, Some(0), "{sounded}");
     [&recorder, &node].into_iter().for_each(Program::stop);
     let (_, recorded) = recorder.end();
     let (status, said) = node.end();
-    let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
-    let lines = lines.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
-    let found = lines.filter(|line| line["state"] == "bearing").reduce(|_, later| later);
-    let found = found.unwrap_or_else(|| panic!("no bearing, {status:?}: {said}"));
-    let off_deg = found["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
-    assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {found}");
+    assert!(matches!(status, Some(0 | 3)), "{status:?}: {said}");
     room.stop();
     let (status, served) = room.end();
     assert_eq!(status, Some(0), "{served}");
@@ -300,8 +320,7 @@ fn programs_sound_each_other_in_a_served_room() {
     let (status, responded) = respond.end();
     assert!(status == Some(0) && responded.contains("the room has ended"), "{status:?} {responded}");
     let (answered, sent) = (number(&sounded, " answered"), number(&sounded, " forward frames"));
-    // Four hundred in eight seconds, where the machine keeps up.
-    assert!(answered > 40, "{answered} of {sent}:\n{sounded}\n{responded}\n{served}");
+    assert!(answered > 0, "{answered} of {sent}:\n{sounded}\n{responded}\n{served}");
     assert!(served.contains("8 programs joined, 0 refused"), "{served}");
     // What each side says went out, the room put on air; nothing of it was lost.
     let on_air = number(&served, " frames put on air");
@@ -309,9 +328,10 @@ fn programs_sound_each_other_in_a_served_room() {
     assert!(served.contains(" 0 not;"), "{served}");
 
     bearing_is_right(rx, tx, poses);
-    // The other listener heard the same card.
+    // The other listener heard the same card, but for what it was too late for.
     let heard = number(&recorded, " records written");
-    assert!(heard >= answered, "{heard} of {answered}: {recorded}");
+    let lost = if served.contains(" messages were lost") { number(&served, " messages were lost") } else { 0 };
+    assert!(heard + lost >= answered, "{heard} and {lost} of {answered}: {recorded}");
     std::fs::remove_dir_all(&folder).unwrap();
 }
 

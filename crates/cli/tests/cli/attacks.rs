@@ -66,8 +66,13 @@ impl Room {
         Monitor::over(air, mac, &Options::new("stranger", native::MAX_LEN).with_rate(1, Bandwidth::Ht20)).unwrap()
     }
 
+    /// Where the robot on circles writes its bearings.
+    fn file(&self) -> PathBuf {
+        self.folder.join("rx.jsonl")
+    }
+
     fn bearings(&self) -> Vec<serde_json::Value> {
-        let lines = std::fs::read_to_string(self.folder.join("rx.jsonl")).unwrap_or_default();
+        let lines = std::fs::read_to_string(self.file()).unwrap_or_default();
         let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
         lines.filter(|line| line["state"] == "bearing").collect()
     }
@@ -125,21 +130,22 @@ fn four_hundred_made_up_senders_do_not_blind_a_node() {
     let mut rx = room.node("rx", "tx", true);
     rx.until("records/s");
     let (mut stranger, clock) = (room.stranger(), Monotonic::new());
-    for n in 0..400 {
-        let next_at = clock.now() + csi5300::time::Span::from_ms(2);
-        stranger.inject(clock.now(), &made_up(n)).unwrap();
-        clock.sleep_until(next_at);
-    }
+    let shared = Arc::new(Shared::default());
+    let seen = Arc::clone(&shared);
+    // Again and again: on a busy machine not every frame goes out, and not each is heard.
+    let crowd = std::thread::spawn(move || {
+        for n in (0..400).cycle().take_while(|_| !seen.stop.load(Relaxed)) {
+            let next_at = clock.now() + csi5300::time::Span::from_ms(2);
+            let _ = stranger.inject(clock.now(), &made_up(n));
+            clock.sleep_until(next_at);
+        }
+    });
     rx.until("more than 256 senders on this channel");
+    shared.stop.store(true, Relaxed);
+    crowd.join().unwrap();
     let tx = room.node("tx", "rx", false);
-    // A busy machine's first bearings have moved too little, and say so.
-    let is_sure = |last: serde_json::Value| last["azimuth_sd_deg"].as_f64().is_some_and(|sd| sd < 2.0);
-    while room.bearings().len() < 4 || !room.bearings().pop().is_some_and(is_sure) {
-        rx.said.clear();
-        rx.until("records/s");
-    }
-    let last = room.bearings().pop().unwrap();
-    assert!(off_deg(&last).abs() < 4.0, "{last}");
+    let last = rx.sure_bearing(&room.file(), 4);
+    assert!(off_deg(&last).abs() < 2.0, "{last}");
     let said = room.end([rx, tx]);
     assert!(said.contains("more than 256 senders"), "{said}");
 }
@@ -166,8 +172,8 @@ fn answer(mut stranger: Monitor, shared: &Shared) {
         let (role, tag) = (native::Role::Backward, None);
         let forged = Repr { sender: forward.destination, role, destination: forward.sender, tag, ..forward };
         let len = forged.emit(&mut bytes).unwrap();
-        stranger.inject(clock.now(), &bytes[..len]).unwrap();
-        shared.answered.fetch_add(1, Relaxed);
+        // A room that is late has no space for it.
+        shared.answered.fetch_add(u64::from(stranger.inject(clock.now(), &bytes[..len]).is_ok()), Relaxed);
     }
 }
 
@@ -191,7 +197,9 @@ fn a_stranger_answers(driver: &str, alarm: &str) {
     shared.stop.store(true, Relaxed);
     thread.join().unwrap();
     for bearing in &bearings {
-        assert!(off_deg(bearing).abs() < 3.0, "{bearing}");
+        // A busy machine's first bearings have moved too little, and say so.
+        let bar_deg = bearing["azimuth_95_deg"].as_f64().unwrap();
+        assert!(off_deg(bearing).abs() < f64::max(3.0, 2.0 * bar_deg), "{bearing}");
     }
     let said = room.end([rx, tx]);
     assert!(said.contains(alarm), "{said}");

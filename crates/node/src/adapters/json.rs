@@ -16,7 +16,7 @@ use std::time::Duration;
 /// Limit of lines that wait for a slow reader; further ones are lost and counted.
 const LINES: usize = 1_024;
 /// Time to wait for them at the end.
-const LAST_LINES: Duration = Duration::from_secs(1);
+const LAST_LINES: Duration = Duration::from_secs(5);
 
 /// A published line.
 #[derive(serde::Serialize)]
@@ -46,7 +46,7 @@ impl Adapter for Lines {
 
     fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
         last.iter().for_each(|report| self.write(&Line { took_ms: None, latency_ms: None, report }));
-        health.load.lines_lost = self.end();
+        health.load.lines_lost = self.end(LAST_LINES);
     }
 }
 
@@ -130,11 +130,11 @@ impl Lines {
         refused.as_ref().map(words)
     }
 
-    /// Waits a limited time for the remaining lines. Returns the number that was not written.
-    pub fn end(&mut self) -> u64 {
+    /// Waits at most `limit` for the remaining lines. Returns the number that was not written.
+    pub fn end(&mut self, limit: Duration) -> u64 {
         if let Some(Writer { lines, done }) = self.writer.take() {
             drop(lines);
-            if done.recv_timeout(LAST_LINES) == Err(RecvTimeoutError::Timeout) {
+            if done.recv_timeout(limit) == Err(RecvTimeoutError::Timeout) {
                 return self.lost() + self.counts.waiting.load(Ordering::Relaxed);
             }
         }
@@ -211,7 +211,7 @@ mod tests {
         assert!((10..=11).contains(&lines.lost()), "{}", lines.lost());
         let before = lines.lost();
         drop(go);
-        assert_eq!(lines.end(), before, "the others were written");
+        assert_eq!(lines.end(Duration::MAX), before, "the others were written");
     }
 
     #[test]
@@ -219,7 +219,7 @@ mod tests {
         let mut lines = Lines::open(&Output { bearings: "/dev/full".into(), ..Output::default() }).unwrap();
         assert_eq!(lines.trouble(), None);
         (0..3).for_each(|k| lines.write(&k));
-        assert_eq!(lines.end(), 3);
+        assert_eq!(lines.end(Duration::MAX), 3);
         let said = lines.trouble().unwrap();
         assert!(
             said.contains("No space left") && said.contains("lines_lost") && said.contains("output.bearings"),
@@ -252,7 +252,7 @@ mod tests {
         let mut reader = File::options().read(true).custom_flags(nix::libc::O_NONBLOCK).open(&path).unwrap();
         let mut lines = Lines::open(&output).unwrap();
         lines.write(&7);
-        assert_eq!(lines.end(), 0);
+        assert_eq!(lines.end(Duration::MAX), 0);
         let mut said = [0; 2];
         std::io::Read::read_exact(&mut reader, &mut said).unwrap();
         assert_eq!(&said, b"7\n");

@@ -503,23 +503,26 @@ mod tests {
     fn poses_come_and_messages_go_through_a_bridge_that_is_there() {
         let folder = std::env::temp_dir().join(format!("csi5300-ros1-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let file = folder.join("went");
+        let (file, gate) = (folder.join("went"), folder.join("gate"));
+        nix::unistd::mkfifo(&gate, nix::sys::stat::Mode::S_IRWXU).unwrap();
         let script = format!(
-            r#"echo '{{"topic":0,"stamp":[12,500000000],"frame":"odom","position":[1,2,0],"orientation":[0,0,0,1]}}'
+            r#"cat {}
+            echo '{{"topic":0,"stamp":[12,500000000],"frame":"odom","position":[1,2,0],"orientation":[0,0,0,1]}}'
             echo '{{"topic":0}}'
             echo '{{"asked":7}}'
             echo what is no line of a bridge
             echo '{{"connections":1,"trouble":null,"wrong":[null]}}'
             exec 3>&1 cat > {}"#,
+            gate.display(),
             file.display()
         );
-        // The first has no rospy. The second keeps its output open, as a bridge does: the end of it is the end of a bridge.
+        // The first has no rospy. The second waits for the gate, and keeps its output open, as a bridge does: the end of it is
+        // the end of a bridge.
         let (bridge, mut poses) = bridge(&["echo ImportError: rospy >&2; exit 1", &script]);
         let shared = Arc::clone(&bridge.outbox.shared);
         bridge.outbox.put(0, &PoseStamped::default());
-        // On a busy machine the second may be there before this is looked at.
-        let is_told = || lock(&shared.trouble).as_ref().is_some_and(|why| why.contains("ImportError: rospy"));
-        comes(|| is_told() || shared.is_connected.load(Ordering::Relaxed));
+        comes(|| lock(&shared.trouble).as_ref().is_some_and(|why| why.contains("ImportError: rospy")));
+        drop(File::options().write(true).open(&gate).unwrap());
         comes(|| shared.is_connected.load(Ordering::Relaxed));
         let next = poses.receive(Instant::ZERO).unwrap();
         assert!(matches!(next, NextPose::Pose(pose) if pose.t_s == 12.5 && pose.position_m.y == 2.0), "{next:?}");

@@ -186,7 +186,11 @@ mod tests {
         let living = std::os::unix::net::UnixListener::bind(&socket).unwrap();
         assert!(make_way(&socket).unwrap_err().to_string().contains("another node"));
         drop(living);
-        make_way(&socket).unwrap();
+        // Programs that other tests start hold copies of it between their fork and their exec.
+        while let Err(error) = make_way(&socket) {
+            assert!(error.to_string().contains("another node"), "{error}");
+            std::thread::yield_now();
+        }
         assert!(!socket.exists());
         make_way(&socket).unwrap();
         std::fs::remove_dir_all(&folder).unwrap();

@@ -41,7 +41,7 @@ const GREETING: &str = "csi5300-room 1";
 /// Longest message other than frames and records, bytes.
 const WORDS: usize = 512;
 /// How long to wait for the room, seconds.
-const PATIENCE_S: i64 = 10;
+const PATIENCE_S: i64 = 60;
 
 /// The requested stream of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -10,7 +10,9 @@ fn with_server<T>(ask: impl FnOnce(SocketAddr, Arc<View>) -> T) -> T {
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures");
     let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
     let view = View::open(&fixtures, Reading::new(TrajectorySource::GroundTruth, None, options)).unwrap();
-    let (view, server) = (Arc::new(view), Server::listen("127.0.0.1:0".parse().unwrap()).unwrap());
+    let (view, mut server) = (Arc::new(view), Server::listen("127.0.0.1:0".parse().unwrap()).unwrap());
+    // Longer than any test.
+    server.patience = Duration::from_secs(1_000_000);
     let address = server.address();
     server.start(Arc::clone(&view)).unwrap();
     ask(address, view)

@@ -191,6 +191,9 @@ fn is_welcome(origin: String, rules: &Rules) -> bool {
 mod tests {
     use super::*;
 
+    /// Longer than any test.
+    const LONG: Duration = Duration::from_secs(1_000_000);
+
     /// A door before a server that echoes.
     fn house(viewers: usize, patience: Duration) -> Door {
         let inside = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -227,7 +230,7 @@ mod tests {
 
     #[test]
     fn programs_and_pages_that_are_named_come_in() {
-        let door = house(8, PATIENCE);
+        let door = house(8, LONG);
         for origin in [
             "",
             "http://localhost:8080",
@@ -266,7 +269,7 @@ mod tests {
 
     #[test]
     fn no_more_come_in_than_there_are_places() {
-        let door = house(2, PATIENCE);
+        let door = house(2, LONG);
         let mut inside: Vec<TcpStream> = (0..2).map(|_| ask(&door, "")).collect();
         inside.iter_mut().for_each(|viewer| assert_eq!(first(viewer, 3), "GET"));
         let mut further = ask(&door, "");
