@@ -54,8 +54,8 @@ pub struct Args {
     #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
     json: bool,
     /// Overwrite existing outputs
-    #[cfg(any(feature = "plot", feature = "view"))]
-    #[arg(long)]
+    #[cfg(feature = "view")]
+    #[arg(long, requires = "html")]
     force: bool,
 }
 

@@ -134,7 +134,9 @@ fn no_output_is_an_input() {
                 for output in outputs {
                     let mut args: Vec<&str> =
                         args.iter().map(|arg| if *arg == "OUT" { output.as_str() } else { *arg }).collect();
-                    if args[0] != "info" && (args[0] != "unbag" || output.contains("recording")) {
+                    // `info` and `evaluate --plot` replace pictures unasked.
+                    let is_pictures = args[0] == "info" || args.starts_with(&["evaluate", "set", "--plot"]);
+                    if !is_pictures && (args[0] != "unbag" || output.contains("recording")) {
                         args.push("--force");
                     }
                     let (status, _, err) = folder.run(&args);
