@@ -77,6 +77,16 @@ def test_a_pause_is_white(rx: Path) -> None:
     assert is_drawn.all() and np.allclose(np.diff(edges), 1)
 
 
+def test_a_heat_map_has_one_sender(rx: Path, tx: Path) -> None:
+    pytest.importorskip("matplotlib")
+    some = tx.read_bytes()
+    log, both = csi5300.read(rx), csi5300.read(rx.read_bytes() + some[: len(some) // 2])
+    assert len(set(both.mac)) == 2
+    figure = both.plot()
+    assert np.array_equal(_drawn(figure)[0], _drawn(log.plot())[0])
+    assert figure.axes[0].get_title().endswith(f", sender {log.mac[0]}") and "sender" not in log.plot().axes[0].get_title()
+
+
 def test_pictures(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     log = csi5300.read(rx)

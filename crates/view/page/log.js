@@ -193,7 +193,7 @@
 
     heatChart() {
       const axis = { splits: () => ticked(this.rows()).map((k) => k + 0.5), values: (_, places) => places.map((place) => this.subcarrier(Math.floor(place))) };
-      return this.chart(230, { name: "CSI over time and subcarrier, first stream", axis }, {
+      return this.chart(230, { name: "CSI over time and subcarrier, first stream, one sender", axis }, {
         scale: { range: () => [0, this.rows()] }, showX: true, cursorY: true,
         series: [{}, { stroke: "transparent", points: { show: false } }],
         hooks: { draw: [(plot) => this.paint(plot)], setCursor: [(plot) => this.point(plot)] },
@@ -329,6 +329,7 @@
       const k = plot.cursor.top >= 0 && plot.cursor.left >= 0 ? Math.min(rows - 1, Math.max(0, Math.floor(plot.posToVal(plot.cursor.top, "y")))) : null;
       const here = k === null ? "" : `; subcarrier ${this.subcarrier(k)}: ${csi.figure(value(own[chosen.map], k), 2)}`;
       const every = [
+        this.maps.sender ? `; sender ${this.maps.sender}` : "",
         this.maps.frames ? `; ${this.maps.frames}` : "",
         this.maps.other_frames ? `, without ${csi.count(this.maps.other_frames, "frame", "frames")} of another kind or width` : "",
         this.maps.subcarriers_a_row > 1 ? `; each row is ${this.maps.subcarriers_a_row} subcarriers` : "",

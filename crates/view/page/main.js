@@ -57,14 +57,14 @@
     const rows = [...page.rows.values()];
     const judged = !rows.length || rows.some((row) => csi.isNumber(row.error_from_mean_pose_deg) || row.beside);
     const chart = judged ? csi.el("section", { class: "card wide" }, csi.el("h3", {}, "Errors by set")) : null;
-    const title = judged ? "Absolute errors against the bearing from the mean pose, degrees" : "Links by set; where transmitters are is not known, so there are no errors";
+    const title = judged ? "Absolute errors against the bearing from the mean pose, degrees" : "Links by set (no errors: the transmitters' places are unknown)";
     const table = csi.el("section", { class: "card wide" }, csi.el("h3", {}, title), csi.setTable(sets, judged));
     shown.replaceChildren(csi.el("h2", {}, "All links"), csi.el("div", { class: "cards" }, ...(chart ? [chart] : []), table));
     if (chart) csi.showErrors(chart, rows);
     if (page.notes?.length) {
       shown.append(csi.el("section", { class: "card" }, csi.el("h3", {}, "Lost or left out"), csi.el("ul", { class: "notes bad" }, ...page.notes.map((note) => csi.el("li", {}, note)))));
     }
-    shown.append(csi.el("p", { class: "soft" }, "A click on a link in the table shows it; a click on a head sorts. ? lists the keys."));
+    shown.append(csi.el("p", { class: "soft" }, "Click a link in the table to show it, or a heading to sort. ? lists the keys."));
   };
 
   const showAllLater = csi.seldom(1000, () => { if (page.link === null && !address()) showAll().catch(failed); });

@@ -10,7 +10,7 @@
     { name: "±", key: "sd", title: "error bar of the azimuth (68 %), degrees", value: (row) => row.azimuth_sd_deg, text: (row) => csi.figure(row.azimuth_sd_deg, 1) },
     { name: "error", key: "error", title: "against the bearing from the mean pose, degrees", value: off, text: (row) => csi.figure(row.error_from_mean_pose_deg, 1), bad: (row) => off(row) > 20 },
     { name: "toolbox", key: "toolbox", title: "error of the program in links.csv on the same link, degrees", value: other, text: (row) => csi.figure(row.beside?.error_deg, 1), beside: true },
-    { name: "prob.", key: "prob", title: "probability that the azimuth is within five degrees", value: (row) => row.confidence, text: (row) => csi.figure(row.confidence, 2), more: true },
+    { name: "prob.", key: "prob", title: "probability that the azimuth is within five degrees", value: (row) => row.confidence, text: (row) => csi.figure(row.confidence, 2) },
     { name: "range", key: "range", title: "metres", value: (row) => row.range_m, text: (row) => csi.figure(row.range_m, 1), more: true, most: true },
     { name: "pairs", key: "pairs", title: "pairs used", value: (row) => row.pairs_in_motion, text: (row) => String(row.pairs_in_motion), more: true, most: true },
   ];
@@ -171,7 +171,7 @@
     const most = Math.min(180, Math.max(10, grid.at(Math.floor(grid.length * 0.97)) ?? 10));
     const stepped = uPlot.paths.stepped({ align: 1 });
     const { plot } = csi.chart(host, {
-      height: 280, x: {}, y: { name: "share of links (%) whose error is at most so many degrees" },
+      height: 280, x: {}, y: { name: "share of links (%) with at most this error, degrees" },
       options: {
         scales: { x: { time: false, range: (_, low, high) => (csi.isNumber(low) ? [Math.max(0, low), high] : [0, most]) }, y: { range: [0, 101] } },
         cursor: { y: false, points: { show: false } },

@@ -1,6 +1,7 @@
 //! CSI of a stretch as the page takes it: a byte a cell.
 
 use csi5300_lab::course::{StretchCsi, letter};
+use driver_iface::Mac;
 use serde::Serialize;
 use std::f64::consts::PI;
 
@@ -41,14 +42,16 @@ pub(crate) struct Maps {
     frames: Option<String>,
     /// Records with frames of another kind or width.
     other_frames: usize,
+    /// The only sender whose records they hold; `None` if the log has no other.
+    sender: Option<String>,
     records: usize,
     every: usize,
     antennas: Vec<AntennaMaps>,
 }
 
 impl Maps {
-    /// Of one antenna, or of all.
-    pub fn new(csi: &StretchCsi, antenna: Option<char>) -> Self {
+    /// Of one antenna, or of all, and of this sender.
+    pub fn new(csi: &StretchCsi, antenna: Option<char>, sender: Option<Mac>) -> Self {
         let wanted = csi.antennas.iter().filter(|own| antenna.is_none_or(|wanted| letter(own.antenna) == wanted));
         let maps = |own: &csi5300_lab::course::AntennaCourse| {
             let known = || own.amplitude_db.iter().copied().filter(|db| db.is_finite());
@@ -70,6 +73,7 @@ impl Maps {
             subcarriers_a_row: csi.rows.each,
             frames: csi.rows.frames.clone(),
             other_frames: csi.other_frames,
+            sender: sender.map(|mac| mac.to_string()),
             records: csi.records,
             every: csi.every,
             antennas: wanted.map(maps).collect(),

@@ -389,8 +389,16 @@ impl View {
             return Ok(serde_json::to_vec(&index.stretch(from_s, to_s, columns, sender))?);
         }
         let antenna = query.value::<char>("antenna")?;
-        Ok(serde_json::to_vec(&Maps::new(&index.csi(from_s, to_s, columns, sender)?, antenna))?)
+        // Means over several senders would be nobody's channel.
+        let sender = sender.or_else(|| most_heard(index));
+        Ok(serde_json::to_vec(&Maps::new(&index.csi(from_s, to_s, columns, sender)?, antenna, sender))?)
     }
+}
+
+/// The sender with the most records, if there are several; the first of equals.
+fn most_heard(index: &LogIndex) -> Option<Mac> {
+    let heard = index.senders().iter().zip(index.sent()).rev().max_by_key(|(_, (records, _))| *records);
+    heard.map(|(mac, _)| *mac).filter(|_| index.senders().len() > 1)
 }
 
 /// Senders listed of a log.

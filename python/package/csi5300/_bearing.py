@@ -306,7 +306,7 @@ def bearings(
         raise OptionError("antennas: needs baseline, which gives their positions")
     logs = [] if tx is None else _logs(tx)
     if not logs:
-        raise OptionError("tx: needs at least one log of a transmitter")
+        raise OptionError("tx: name the other robot's log; for a bearing from one log, give antennas and baseline")
     if len(tx_trajectory) > len(logs):
         raise OptionError("tx_trajectory: more than tx")
     names = [_name(log, index) for index, log in enumerate(logs)]

@@ -409,7 +409,7 @@ class Log(Lost):
         return self._records.write(path, self._rows, self._columns, *shape, scaled, remove_spatial_mapping)
 
     def plot(self, *, antenna: str | None = None, stream: int = 0) -> Figure:
-        """Amplitude and phase over time and subcarrier; needs matplotlib."""
+        """Amplitude and phase of the most frequent sender's frames over time and subcarrier; needs matplotlib."""
         from . import plot
 
         return plot.heat_map(self, antenna=antenna, stream=stream)

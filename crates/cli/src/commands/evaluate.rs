@@ -54,8 +54,8 @@ pub struct Args {
     #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
     json: bool,
     /// Overwrite existing outputs
-    #[cfg(any(feature = "plot", feature = "view"))]
-    #[arg(long)]
+    #[cfg(feature = "view")]
+    #[arg(long, requires = "html")]
     force: bool,
 }
 
@@ -81,15 +81,11 @@ pub fn run(args: &Args) -> Result {
     if let Some(out) = &args.html {
         return page(args, out);
     }
-    #[cfg(feature = "plot")]
-    check_pictures(args, &[])?;
     let reading = args.reading();
     let source = reading.source();
     let options = reading.options().unwrap_or_else(|message| usage(&message));
     let (captures, unreadable) = find_all(args.folders.iter())?;
     let captures = reading.mounted(captures);
-    #[cfg(feature = "plot")]
-    check_pictures(args, &captures)?;
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }
@@ -177,15 +173,6 @@ impl Beside {
     }
 }
 
-/// Refuses existing pictures before minutes of work, not after.
-#[cfg(feature = "plot")]
-fn check_pictures(args: &Args, captures: &[Capture]) -> std::result::Result<(), String> {
-    let Some(folder) = &args.plot else { return Ok(()) };
-    let maps = captures.iter().map(|capture| set::map_stem(folder, &capture.link_name("")));
-    let stems: Vec<PathBuf> = set::stems(folder).into_iter().chain(maps).collect();
-    super::pictures::check(&stems, args.force)
-}
-
 /// The captures below all folders, and folders that could not be read.
 fn find_all<'a>(
     folders: impl Iterator<Item = &'a PathBuf>,
@@ -234,8 +221,8 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<()
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        let written = set::write(rows, &beside.others, folder, &super::pictures::format(args.force));
-        let written = written.map_err(|error| super::pictures::refused(&error))?;
+        let written = set::write(rows, &beside.others, folder, &super::pictures::format());
+        let written = written.map_err(|error| error.to_string())?;
         note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     }
     Ok(())

@@ -120,7 +120,7 @@ pub fn run(args: &Args) -> Result {
             Some("dat") => "; --dat writes a log",
             _ => "",
         };
-        usage(&format!("{}: CSI is exported as .csv or {KNOWN}{hint}", args.output.display()));
+        usage(&format!("{}: CSI is exported as .csv, {KNOWN}{hint}", args.output.display()));
     }
     let filter = args.filter().unwrap_or_else(|error| usage(&error.to_string()));
     if let Some((format, bytes)) = csi5300_lab::cards::read(&args.file) {

@@ -8,6 +8,7 @@ use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
 use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
 use csi5300::source::{Checks, CsiSource, Next};
 use csi5300::time::Instant;
+use csi5300_say::{Level, says};
 use driver_iface::Mac;
 use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, SUBCARRIERS, rate};
 use driver_iface::record::{Tail, code};
@@ -230,6 +231,17 @@ fn tail_words(survey: &Survey, bytes: u64) -> String {
 
 /// The losses, a line each; empty if there are none.
 pub fn losses(survey: &Survey, bytes: u64) -> String {
+    damages(survey) + &end(survey, bytes)
+}
+
+/// The same for commands that only read the log: a last record that a killed logger cut is usual, and printed with `-v` only.
+pub fn unusual_losses(survey: &Survey, bytes: u64) -> String {
+    let is_usual = survey.tail.is_some_and(|tail| tail.is_unflushed_buffer());
+    let end = if is_usual && !says(Level::Verbose) { String::new() } else { end(survey, bytes) };
+    damages(survey) + &end
+}
+
+fn damages(survey: &Survey) -> String {
     let mut text = String::new();
     for loss in &survey.losses {
         let _ = writeln!(text, "  lost: {} bytes at offset {}: {}", loss.bytes, loss.offset, loss.reason);
@@ -238,10 +250,13 @@ pub fn losses(survey: &Survey, bytes: u64) -> String {
     if all > LOSSES_KEPT as u64 {
         let _ = writeln!(text, "  lost: and {} more like these", all - LOSSES_KEPT as u64);
     }
-    if survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)) {
-        let _ = writeln!(text, "  end: {}", tail_words(survey, bytes));
-    }
     text
+}
+
+/// Where the log is cut, in a line; empty if it ends with a whole record.
+fn end(survey: &Survey, bytes: u64) -> String {
+    let is_cut = survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean));
+    if is_cut { format!("  end: {}\n", tail_words(survey, bytes)) } else { String::new() }
 }
 
 /// The results of a side file's checksums, in a line.

@@ -61,8 +61,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
                   0  done; a log cut at its end, a room that ends and a stop by a signal are normal\n  \
                   1  nothing usable: a file that is missing or cannot be written, no link with a bearing, no record\n  \
                   2  wrong usage: an invalid argument, extension, configuration or scene\n  \
-                  3  done, but records were lost before the end of a log, rows of a trajectory were skipped, or a link or\n     \
-                  capture failed"
+                  3  done, but a log lost records before its end, trajectory rows were skipped, or a link failed"
 )]
 struct Cli {
     /// Print results and errors only: no notes, no progress

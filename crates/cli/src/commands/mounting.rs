@@ -8,11 +8,11 @@ use nalgebra::Vector3;
 // Places of antenna and camera on the robot.
 #[derive(clap::Args, Clone, Default)]
 pub struct Mounting {
-    /// Place of the antenna seen from the tracked point: metres forward, left, up
+    /// Position of the antenna relative to the tracked point: metres forward, left, up
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     pub antenna_offset: Option<Vector3<f64>>,
-    /// Place of the tracking camera: metres forward and left of the middle between the wheels, and its heading less the
-    /// robot's, degrees. --antenna-offset then starts from that middle, and only rolling motion is kept
+    /// Position of the tracking camera: metres forward and left of the middle between the wheels, and its heading minus the
+    /// robot's, degrees. --antenna-offset is then relative to that middle, and only rolling motion is kept
     #[arg(
         long,
         value_name = "X,Y,YAW",

@@ -1,27 +1,11 @@
 //! Pictures that commands draw: a PNG and an SVG each.
 
-use csi5300_lab::show::{Error, Format};
+use csi5300_lab::show::Format;
 use std::path::PathBuf;
 
-/// Pictures of the same names are replaced if `force` is set, those that lead to inputs never.
-pub fn format(force: bool) -> Format {
-    Format::default().with_replace(force).with_kept(super::draft::read_files())
-}
-
-/// Refuses pictures that are there and may not be replaced: before the work, not after it.
-///
-/// # Errors
-/// The first of them, in words.
-pub fn check(stems: &[PathBuf], force: bool) -> Result<(), String> {
-    format(force).check(stems).map_err(|error| refused(&error))
-}
-
-/// Why there is no picture, with the flag that helps.
-pub fn refused(error: &Error) -> String {
-    match error {
-        Error::There { .. } => format!("{error}: --force overwrites it"),
-        _ => error.to_string(),
-    }
+/// Replaces earlier pictures of the same names, but never a file that leads to an input.
+pub fn format() -> Format {
+    Format::default().with_kept(super::draft::read_files())
 }
 
 /// Of files in both formats a name for each picture.

@@ -82,12 +82,18 @@ fn files_are_told_apart_by_their_content() {
     let (status, out, err) = folder.run(&[&both[..], &["--trajectory", "u.csv"]].concat());
     assert_eq!((status, azimuth(&out)), (0, azimuth(&by_option)), "{err}");
     std::fs::copy(folder.0.join("a.dat"), folder.0.join("c.dat")).unwrap();
+    // Named by options and by their content together. The last one is as a shell expands --tx tx*.dat: the third log is a link, too.
+    let mixed = ["bearing", "--rx", "a.dat", "--channel", "108", "--json", "--tx", "b.dat", "t.csv"];
+    let (status, out, err) = folder.run(&mixed);
+    assert_eq!((status, azimuth(&out)), (0, azimuth(&by_option)), "{err}");
+    let (_, out, err) = folder.run(&[&mixed[..], &["c.dat"]].concat());
+    assert_eq!(out.lines().map(|line| json(line)["link"].clone()).collect::<Vec<_>>(), ["b", "c"], "{err}");
     for (words, said) in [
         (&["bearing", "a.dat", "c.dat", "t.csv", "--channel", "108"][..], "--rx a.dat --tx c.dat --trajectory t.csv"),
         (&["bearing", "a.dat", "t.csv", "--channel", "108"], "is the only log"),
         (&["bearing", "a.dat", "b.dat", "--channel", "108"], "is a trajectory"),
         (&["bearing", "a.dat", "b.dat", "t.csv"], "--channel is needed"),
-        (&["bearing", ".", "--rx", "a.dat", "--channel", "108"], "either all by --rx"),
+        (&["bearing", ".", "--rx", "a.dat", "--channel", "108"], "one by one, or their folder"),
     ] {
         let (status, _, err) = folder.run(words);
         assert!(status != 0 && err.contains(said), "{words:?}: {status} {err}");
@@ -211,7 +217,7 @@ fn exports_hold_what_the_log_holds() {
     assert_eq!(status, 0, "{err}");
     assert!(std::fs::read(folder.0.join("log.npz")).unwrap().starts_with(b"PK"));
     let (status, _, err) = folder.run(&["export", "log.dat", "log.xls"]);
-    assert!(status == 2 && err.contains(".csv or .npz"), "{err}");
+    assert!(status == 2 && err.contains("exported as .csv, .npz"), "{err}");
 }
 
 #[test]

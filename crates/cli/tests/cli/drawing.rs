@@ -1,4 +1,4 @@
-//! Pictures of every command that draws: PNG and SVG, and nothing overwritten unasked; and the page as one file.
+//! Pictures of every command that draws: PNG and SVG, replaced by the next run; and the page as one file.
 
 use super::commands::{Folder, capture};
 use crate::common::link::link;
@@ -12,7 +12,7 @@ fn names(folder: &Folder, within: &str) -> Vec<String> {
 }
 
 #[test]
-fn pictures_of_a_link_are_all_or_none_replaced() {
+fn pictures_of_a_link_are_replaced_by_the_next_run() {
     let folder = Folder::new("drawing-link");
     folder.link(&link(300, 2.0));
     let (status, _, err) = folder.bearing(&["--plot", "p"]);
@@ -21,44 +21,33 @@ fn pictures_of_a_link_are_all_or_none_replaced() {
     for what in ["phase", "profile", "trajectory"] {
         assert!(["png", "svg"].iter().all(|kind| all.contains(&format!("tx-{what}.{kind}"))), "{all:?}");
     }
-    // One of them is gone: the others are there, and it is not written.
-    std::fs::remove_file(folder.0.join("p/tx-phase.png")).unwrap();
+    let first = std::fs::read(folder.0.join("p/tx-phase.svg")).unwrap();
+    folder.write("p/tx-phase.svg", b"old");
     let (status, _, err) = folder.bearing(&["--plot", "p"]);
-    assert!(status == 1 && err.contains(" already exists: --force overwrites it"), "{err}");
-    assert_eq!(names(&folder, "p").len(), all.len() - 1);
-    assert_eq!(folder.bearing(&["--plot", "p", "--force"]).0, 0);
-    assert_eq!(names(&folder, "p"), all);
+    assert_eq!(status, 0, "{err}");
+    assert_eq!((names(&folder, "p"), std::fs::read(folder.0.join("p/tx-phase.svg")).unwrap()), (all, first));
 }
 
 #[test]
-fn pictures_of_captures_are_refused_before_the_work_begins() {
+fn pictures_and_maps_of_captures_are_replaced_by_the_next_run() {
     let folder = Folder::new("drawing-tree");
     capture(&folder, "tree/A/good", &link(600, 2.0));
-    let draw = |more: &[&str]| folder.run(&[&["evaluate", "tree", "--plot", "p"], more].concat());
-    let (status, out, err) = draw(&[]);
-    assert!(status == 0 && out.contains("A/good/1/tx2"), "{err}");
-    for name in ["errors", "refusals", "reliability", "map-A_good_1"] {
-        assert!(folder.0.join(format!("p/{name}.svg")).is_file(), "{name}");
-    }
-    let (status, out, err) = draw(&[]);
-    assert!(status == 1 && out.is_empty() && err.contains("p/errors.png already exists: --force"), "{out}{err}");
-    assert_eq!(draw(&["--force"]).0, 0);
-    let (status, _, err) = folder.run(&["bearing", "tree", "--plot", "link"]);
-    assert_eq!(status, 0, "{err}");
-    let maps: Vec<String> = names(&folder, "link").into_iter().filter(|name| name.starts_with("map-")).collect();
-    assert_eq!(maps.len(), 2, "{maps:?}");
-    // A map alone is enough to be refused, before anything is said of the link.
-    for map in maps {
-        let only = format!("only-{map}");
-        std::fs::create_dir(folder.0.join(&only)).unwrap();
-        folder.write(&format!("{only}/{map}"), b"mine");
-        let (status, out, err) = folder.run(&["bearing", "tree", "--plot", &only]);
-        assert!(status == 1 && out.is_empty() && err.contains("already exists: --force"), "{map}: {out}{err}");
-        if map.starts_with("map-") {
-            let (status, out, err) = folder.run(&["evaluate", "tree", "--plot", &only]);
-            assert!(status == 1 && out.is_empty() && err.contains("already exists: --force"), "{map}: {out}{err}");
+    for _ in 0..2 {
+        let (status, out, err) = folder.run(&["evaluate", "tree", "--plot", "p"]);
+        assert!(status == 0 && out.contains("A/good/1/tx2"), "{err}");
+        for name in ["errors", "refusals", "reliability", "map-A_good_1"] {
+            let picture = folder.0.join(format!("p/{name}.svg"));
+            assert!(std::fs::read(&picture).unwrap().len() > 100, "{name}");
+            std::fs::write(picture, "old").unwrap();
         }
-        assert_eq!(names(&folder, &only), [map], "nothing else was drawn");
+        let (status, _, err) = folder.run(&["bearing", "tree", "--plot", "link"]);
+        assert_eq!(status, 0, "{err}");
+        let maps: Vec<String> = names(&folder, "link").into_iter().filter(|name| name.starts_with("map-")).collect();
+        assert_eq!(maps.len(), 2, "{maps:?}");
+        for map in maps {
+            assert!(std::fs::read(folder.0.join("link").join(&map)).unwrap().len() > 100, "{map}");
+            folder.write(&format!("link/{map}"), b"old");
+        }
     }
 }
 
@@ -93,19 +82,19 @@ fn errors_are_drawn_beside_those_of_another_program_on_the_same_links() {
     let drawn = std::fs::read_to_string(folder.0.join("p/errors.svg")).unwrap();
     assert!(drawn.contains("toolbox, the same links (median 6.50)"), "{drawn}");
     assert!(drawn.contains("toolbox on all links of NLOS_Set_A as published"), "{drawn}");
-    // All together come last, whatever the sets are called, and of what is not known nothing is said.
+    // `all` comes last whatever the sets are called, and unknown figures are not printed.
     let line =
         |start: &str| out.lines().position(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start}: {out}"));
     assert!(line("nlos: 1 link, 0 failed") < line("all: 2 links, 0 failed"), "{out}");
     assert!(!out.contains("0 of 0 links") && !out.contains("median error -"), "{out}");
 }
 
-/// A side table that is none, or has a row without numbers: said before the work, and a loss, of every command that reads it.
+/// Every command that reads a side table reports a wrong one, and rows without numbers, before the work, and counts them as a loss.
 #[test]
 fn what_is_left_out_of_another_programs_answers_is_said_and_is_a_loss() {
     let folder = Folder::new("drawing-bad-table");
     capture(&folder, "tree/A/good", &link(300, 2.0));
-    // A link that fails is said all the same.
+    // A failed link is reported too.
     capture(&folder, "tree/A/short", &link(5, 2.0));
     let head = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg";
     let row = format!("{head}\nA/good/1,tx2,gt,30.0,x\n");
@@ -115,7 +104,7 @@ fn what_is_left_out_of_another_programs_answers_is_said_and_is_a_loss() {
     ];
     for (table, words) in cases {
         folder.write("tree/links.csv", table.as_bytes());
-        let mut commands = vec![&["evaluate", "tree", "--plot", "p", "--force"][..]];
+        let mut commands = vec![&["evaluate", "tree", "--plot", "p"][..]];
         if cfg!(feature = "view") {
             commands.push(&["evaluate", "tree", "--html", "i.html", "--force"]);
         }

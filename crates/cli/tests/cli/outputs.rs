@@ -134,7 +134,9 @@ fn no_output_is_an_input() {
                 for output in outputs {
                     let mut args: Vec<&str> =
                         args.iter().map(|arg| if *arg == "OUT" { output.as_str() } else { *arg }).collect();
-                    if !["unbag"].contains(&args[0]) || output.contains("recording") {
+                    // `info` and `evaluate --plot` replace pictures unasked.
+                    let is_pictures = args[0] == "info" || args.starts_with(&["evaluate", "set", "--plot"]);
+                    if !is_pictures && (args[0] != "unbag" || output.contains("recording")) {
                         args.push("--force");
                     }
                     let (status, _, err) = folder.run(&args);
@@ -179,7 +181,7 @@ fn a_picture_that_leads_to_the_log_is_refused(folder: &Folder) {
     std::fs::create_dir(folder.0.join("pictures")).unwrap();
     std::os::unix::fs::symlink("../rx.dat", folder.0.join("pictures/rx-csi.png")).unwrap();
     let log = std::fs::read(folder.0.join("rx.dat")).unwrap();
-    let (status, _, err) = folder.run(&["info", "rx.dat", "--plot", "pictures", "--force"]);
+    let (status, _, err) = folder.run(&["info", "rx.dat", "--plot", "pictures"]);
     assert!(status != 0 && err.contains("leads to an input file"), "{status}: {err}");
     assert_eq!(std::fs::read(folder.0.join("rx.dat")).unwrap(), log);
 }

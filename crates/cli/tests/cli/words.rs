@@ -18,7 +18,7 @@ fn quiet_says_results_and_errors_and_verbose_what_was_read() {
     for words in ["lost:", "reading rx.dat", "reading tx.dat", "reading t.csv: ", " s, ", " MB of memory"] {
         assert!(err.contains(words), "no `{words}` in {err}");
     }
-    // An error is said all the same.
+    // Errors are printed even so.
     let (status, _, err) = folder.run(&["-q", "info", "none.dat"]);
     assert!(status == 1 && err.contains("none.dat"), "{err}");
     assert_eq!(folder.run(&["info", "rx.dat", "-q", "-v"]).0, 2);
@@ -143,7 +143,7 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     assert!(status == 2 && err.contains("--channel"), "{err}");
     let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108"]);
     assert!(status == 1 && err.contains("1 capture without one"), "{err}");
-    // The transmitter is 1 km away, so the bearing alone says little of where the receiver is; it is said that it is used.
+    // The transmitter is 1 km away, so the bearing alone says little of where the receiver is; the output says that it is used.
     let unplaced = "not located: the place of tx is not known (--place tx=X,Y)";
     let place = |place: &str| folder.run(&["bearing", "runs", "--channel", "108", "--place", place, "--json"]);
     let receiver = |out: &str| json(out.lines().nth(1).unwrap_or_else(|| panic!("{out}")));

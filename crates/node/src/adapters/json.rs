@@ -6,7 +6,7 @@ use crate::health::Health;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use std::fs::{File, TryLockError};
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -74,6 +74,10 @@ impl Lines {
     pub fn open(output: &Output) -> Result<Self, Error> {
         let to: Box<dyn Write + Send> = match output.bearings.as_str() {
             "" => return Ok(Self { writer: None, counts: Arc::default() }),
+            // A person reads there: the line of state has the bearings.
+            "-" if output.shows_line() && std::io::stdout().is_terminal() => {
+                return Ok(Self { writer: None, counts: Arc::default() });
+            }
             "-" => Box::new(std::io::stdout()),
             path => Box::new(
                 append_to(path)

@@ -96,11 +96,11 @@ pub struct Robot {
     pub peers: Vec<(String, Mac)>,
 }
 
-/// What is said of a peer.
+/// A report about a peer.
 pub struct Said<'a> {
     /// Its number.
     pub peer: usize,
-    /// What is said.
+    /// The report.
     pub report: &'a PeerReport,
     /// How long the estimate took, milliseconds.
     pub took_ms: f64,

@@ -1,7 +1,7 @@
 //! The state: on a Unix socket as lines of JSON, for `csi5300 watch`, and as one line on a terminal.
 
 use super::{Adapter, Made, Start};
-use crate::config::StatusLine;
+use crate::config::Output;
 use crate::health::Health;
 use crate::machine::Machine;
 use crate::{NodeError, descriptors};
@@ -26,7 +26,7 @@ const NO_DESCRIPTORS: Duration = Duration::from_millis(500);
 
 pub(super) fn make(start: &Start<'_>) -> Made {
     let socket = start.config.output.status_socket.as_deref().map(StatusSocket::open).transpose()?;
-    Ok(Some(Box::new(Status { socket, text: StatusText::new(start.config.output.status_line) })))
+    Ok(Some(Box::new(Status { socket, text: StatusText::new(&start.config.output) })))
 }
 
 struct Status {
@@ -146,14 +146,8 @@ struct StatusText {
 }
 
 impl StatusText {
-    pub fn new(asked: StatusLine) -> Self {
-        let terminal = std::io::stderr().is_terminal();
-        let shown = match asked {
-            StatusLine::Auto => terminal,
-            StatusLine::Always => true,
-            StatusLine::Never => false,
-        };
-        Self { shown, terminal }
+    pub fn new(output: &Output) -> Self {
+        Self { shown: output.shows_line(), terminal: std::io::stderr().is_terminal() }
     }
 
     pub fn show(&self, line: &str) {

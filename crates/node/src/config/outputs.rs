@@ -1,5 +1,6 @@
 //! What is recorded and published, and the network of the robots.
 
+use std::io::IsTerminal;
 use std::path::PathBuf;
 
 /// The log of everything that this robot's card reports.
@@ -20,7 +21,7 @@ pub struct Log {
 #[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Output {
-    /// Bearings as JSON lines: a file, or `-` for standard output; empty for nowhere.
+    /// Bearings as JSON lines: a file, or `-` for standard output; empty for nowhere. On a terminal, the line of state replaces those of `-`.
     pub bearings: String,
     /// A Unix socket on which the state is published, for `csi5300 watch`.
     pub status_socket: Option<PathBuf>,
@@ -40,6 +41,17 @@ impl Default for Output {
             status_line: StatusLine::Auto,
             foxglove: None,
             foxglove_origins: Vec::new(),
+        }
+    }
+}
+
+impl Output {
+    /// True if the line of state is shown.
+    pub fn shows_line(&self) -> bool {
+        match self.status_line {
+            StatusLine::Auto => std::io::stderr().is_terminal(),
+            StatusLine::Always => true,
+            StatusLine::Never => false,
         }
     }
 }

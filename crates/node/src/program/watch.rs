@@ -353,34 +353,37 @@ fn table(peers: &[Value]) -> Table<'static> {
 /// Bearings on a circle; mirrors thin, this robot's heading as a tick.
 fn compass(frame: &mut Frame<'_>, area: Rect, state: &Value, peers: &[Value]) {
     let towards = |deg: f64, length: f64| (length * deg.to_radians().cos(), length * deg.to_radians().sin());
-    let canvas = Canvas::default()
-        .block(Block::bordered().title(" bearings "))
-        .marker(Marker::Braille)
-        .x_bounds([-1.35, 1.35])
-        .y_bounds([-1.35, 1.35])
-        .paint(|context| {
-            context.draw(&Circle { x: 0.0, y: 0.0, radius: 1.0, color: Color::DarkGray });
-            for deg in [0.0, 90.0, 180.0, -90.0] {
-                let ((x1, y1), (x2, y2)) = (towards(deg, 1.0), towards(deg, 1.06));
-                context.draw(&Stroke { x1, y1, x2, y2, color: Color::DarkGray });
-                let (x, y) = towards(deg, 1.16);
-                context.print(x, y, Span::styled(format!("{deg:.0}"), Style::new().fg(Color::DarkGray)));
-            }
-            if let Some(heading) = number(state, "/pose/2") {
-                let ((x1, y1), (x2, y2)) = (towards(heading, 0.9), towards(heading, 1.0));
-                context.draw(&Stroke { x1, y1, x2, y2, color: Color::White });
-            }
-            for (k, peer) in peers.iter().enumerate() {
-                let color = COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White);
-                for (path, length) in [("/report/azimuth_deg", 1.0), ("/report/mirror_deg", 0.5)] {
-                    let Some(deg) = number(peer, path) else { continue };
-                    let (x2, y2) = towards(deg, length);
-                    context.draw(&Stroke { x1: 0.0, y1: 0.0, x2, y2, color });
-                    let (x, y) = towards(deg, length + 0.12);
-                    context.print(x, y, Span::styled((k + 1).to_string(), Style::new().fg(color)));
+    let block = Block::bordered().title(" bearings ");
+    // A cell of a terminal is twice as high as wide; the circle fills the shorter side.
+    let inside = block.inner(area);
+    let (width, height) = (f64::from(inside.width.max(1)), 2.0 * f64::from(inside.height.max(1)));
+    let [across, up] = [width, height].map(|side| 1.35 * side / width.min(height));
+    let canvas =
+        Canvas::default().block(block).marker(Marker::Braille).x_bounds([-across, across]).y_bounds([-up, up]).paint(
+            |context| {
+                context.draw(&Circle { x: 0.0, y: 0.0, radius: 1.0, color: Color::DarkGray });
+                for deg in [0.0, 90.0, 180.0, -90.0] {
+                    let ((x1, y1), (x2, y2)) = (towards(deg, 1.0), towards(deg, 1.06));
+                    context.draw(&Stroke { x1, y1, x2, y2, color: Color::DarkGray });
+                    let (x, y) = towards(deg, 1.16);
+                    context.print(x, y, Span::styled(format!("{deg:.0}"), Style::new().fg(Color::DarkGray)));
                 }
-            }
-        });
+                if let Some(heading) = number(state, "/pose/2") {
+                    let ((x1, y1), (x2, y2)) = (towards(heading, 0.9), towards(heading, 1.0));
+                    context.draw(&Stroke { x1, y1, x2, y2, color: Color::White });
+                }
+                for (k, peer) in peers.iter().enumerate() {
+                    let color = COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White);
+                    for (path, length) in [("/report/azimuth_deg", 1.0), ("/report/mirror_deg", 0.5)] {
+                        let Some(deg) = number(peer, path) else { continue };
+                        let (x2, y2) = towards(deg, length);
+                        context.draw(&Stroke { x1: 0.0, y1: 0.0, x2, y2, color });
+                        let (x, y) = towards(deg, length + 0.12);
+                        context.print(x, y, Span::styled((k + 1).to_string(), Style::new().fg(color)));
+                    }
+                }
+            },
+        );
     frame.render_widget(canvas, area);
 }
 
@@ -432,6 +435,19 @@ mod tests {
                 assert!(shown.contains(words), "no `{words}` in\n{shown}");
             }
         }
+        // The circle is as wide as high, in units of half a cell's height.
+        let shown = screen(&serde_json::json!({}), 120, 30);
+        let drawn = |line: &str| {
+            line.chars()
+                .enumerate()
+                .filter(|(_, dot)| ('\u{2801}'..='\u{28ff}').contains(dot))
+                .map(|(x, _)| x)
+                .collect::<Vec<_>>()
+        };
+        let lines: Vec<Vec<usize>> = shown.lines().map(drawn).filter(|line| !line.is_empty()).collect();
+        let (left, right) = (lines.iter().flatten().min().unwrap(), lines.iter().flatten().max().unwrap());
+        let (width, height) = ((right - left + 1) as f64, 2.0 * lines.len() as f64);
+        assert!((width / height - 1.0).abs() < 0.15, "{width} x {height}\n{shown}");
         screen(&state, 20, 5);
         screen(&Value::Null, 80, 24);
     }

@@ -200,7 +200,7 @@ fn the_bearing_of_a_peer_that_vanished_grows_old() {
     for (at, _, report) in late {
         let age = at.as_s() - report.age_s;
         assert!(report.state == PeerState::NoPairs && (11.0..13.0).contains(&age), "{at:?} {report:?}");
-        assert!(report.answer.azimuth_deg.is_some(), "the last bearing is said again");
+        assert!(report.answer.azimuth_deg.is_some(), "the last bearing is repeated");
     }
 }
 
@@ -251,7 +251,7 @@ fn a_deaf_antenna_is_reported_without_waiting() {
     config.antenna = Antenna::B;
     let (reports, last) = run(machine(&config), Instant::from_us(4_000_000));
     let (first, then) = reports.split_first().unwrap();
-    // What is said before the first pair is that there was none.
+    // The first report, before any pair, says that there was none.
     assert!(first.0.as_s() < 1.0 && !then.is_empty(), "{first:?}");
     for report in then.iter().map(|(.., report)| report).chain(&last) {
         assert_eq!(report.state, PeerState::NoPairs);

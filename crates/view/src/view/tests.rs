@@ -69,6 +69,22 @@ fn a_stretch_of_a_log_is_what_was_asked_for() {
 }
 
 #[test]
+fn a_heat_map_is_of_one_sender() {
+    let folder = std::env::temp_dir().join(format!("csi5300-senders-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let read = |name: &str| std::fs::read(fixtures().join("small-circle").join(name)).unwrap();
+    let (rx, tx) = (read("csi_rx_2023-11-14_221320.dat"), read("csi_tx1_2023-11-14_221320.dat"));
+    std::fs::write(folder.join("both.dat"), [&tx[..tx.len() / 2], &rx].concat()).unwrap();
+    let view = View::open(&folder, reading()).unwrap();
+    let senders = ask(&view, "/data/log/0", "")["senders"].clone();
+    let most = senders.as_array().unwrap().iter().max_by_key(|sender| sender["records"].as_u64()).unwrap();
+    let csi = ask(&view, "/data/log/0/csi", "columns=40");
+    assert_eq!((senders.as_array().map(Vec::len), &csi["sender"]), (Some(2), &most["mac"]), "{senders}");
+    assert_eq!(csi["records"], most["records"], "{senders}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
 fn a_stretch_of_a_log_that_was_replaced_is_refused_until_the_page_is_loaded_again() {
     let folder = std::env::temp_dir().join(format!("csi5300-view-replaced-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();

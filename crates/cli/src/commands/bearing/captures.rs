@@ -2,6 +2,7 @@
 
 use super::super::captures::{Reading, Which};
 use super::super::{Outcome, Result, fixed, hint, print, print_json, usage};
+use super::words::{explain_lines, in_a_line, is_short};
 use super::{Args, located, transmitters};
 use clap::ValueEnum;
 use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
@@ -115,8 +116,6 @@ pub fn run(args: &Args) -> Result {
     }
     args.graph.check(&captures, args.force)?;
     let ranges = args.graph.ranges(&captures, &reading)?;
-    #[cfg(feature = "plot")]
-    check_pictures(args, &captures, &names)?;
     let (mut rows, mut shown) = (Vec::new(), 0);
     for capture in &captures {
         let mut links: Vec<(String, Bearing)> = Vec::new();
@@ -124,17 +123,20 @@ pub fn run(args: &Args) -> Result {
         let mut evaluated = capture.evaluate_and(reading.source(), reading.channel, &options, &mut look);
         hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
-        evaluated.notes.iter().for_each(|line| note!("{line}"));
         evaluated.rows.retain(|row| names.contains(&row.answer.link));
         for row in &mut evaluated.rows {
             args.min_confidence.into_iter().for_each(|least| row.answer.refuse_below(least));
             let bearing = links.iter().find(|(name, _)| *name == row.answer.link).map(|(_, bearing)| bearing);
-            tell(args, row, bearing);
+            tell(args, row, bearing, names.len());
             shown += usize::from(row.answer.azimuth_deg.is_some());
             #[cfg(feature = "plot")]
             bearing.map_or(Ok(()), |bearing| draw(args, &reading, row, bearing))?;
         }
+        evaluated.notes.iter().for_each(|line| note!("{line}"));
         rows.extend(evaluated.rows);
+    }
+    if !args.json && !args.explain {
+        explain_lines(names.len());
     }
     locate(args, &mut rows, &ranges)?;
     #[cfg(feature = "plot")]
@@ -147,18 +149,20 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// One link.
-fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>) {
+fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>, links: usize) {
     match bearing {
         _ if args.json => print_json(&Row::new(row, bearing)),
         Some(bearing) if args.explain => print(&explain(row, bearing)),
         _ => {
-            let mut text = super::describe(
-                &row.answer,
-                MirrorOf::Motion,
-                &super::pairs::doubts(&row.answer),
-                &super::pairs::pairs(&row.answer),
-            );
-            truth(&mut text, "  truth", row);
+            let (answer, doubts) = (&row.answer, super::pairs::doubts(&row.answer));
+            let text = if is_short(links) {
+                let truth = true_azimuth("  truth", row).unwrap_or_default();
+                format!("{}{truth}\n{doubts}", in_a_line(answer, MirrorOf::Motion))
+            } else {
+                let mut text = super::describe(answer, MirrorOf::Motion, links, &doubts, &super::pairs::pairs(answer));
+                truth(&mut text, "  truth", row);
+                text
+            };
             print(&text);
         }
     }
@@ -189,29 +193,19 @@ fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged
     Ok(())
 }
 
-/// Refuses pictures that are there before the work, not after.
-#[cfg(feature = "plot")]
-fn check_pictures(args: &Args, captures: &[Capture], names: &[String]) -> std::result::Result<(), String> {
-    let Some(folder) = &args.plot else { return Ok(()) };
-    let links = names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::stems(folder, name));
-    let map = |capture: &Capture| csi5300_lab::show::set::map_stem(folder, &capture.link_name(""));
-    let stems: Vec<PathBuf> = links.chain(captures.iter().map(map)).collect();
-    super::super::pictures::check(&stems, args.force)
-}
-
 #[cfg(feature = "plot")]
 fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
     let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, reading.source());
-    super::write(&pictures, folder, &row.answer.link, args.force)
+    super::write(&pictures, folder, &row.answer.link)
 }
 
 /// A map of each capture: the bearings, the transmitters, the receiver as located.
 #[cfg(feature = "plot")]
 fn draw_maps(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let written = csi5300_lab::show::set::write_maps(rows, folder, &super::super::pictures::format(args.force));
-    let written = written.map_err(|error| super::super::pictures::refused(&error))?;
+    let written = csi5300_lab::show::set::write_maps(rows, folder, &super::super::pictures::format());
+    let written = written.map_err(|error| error.to_string())?;
     if !written.is_empty() {
         note!("{}: {}", folder.display(), super::super::some(written.len() as u64, "map", "maps"));
     }
@@ -282,9 +276,9 @@ fn conclusion(text: &mut String, row: &Judged) {
 
 /// The truth, if it is known.
 fn truth(text: &mut String, head: &str, row: &Judged) {
-    if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
-        let _ = write!(text, "{head} {} deg: off by {}", fixed(truth, 2), fixed(error, 2));
-        if let Some(mirror) = row.answer.mirror_deg {
+    if let Some(azimuth) = true_azimuth(head, row) {
+        *text += &azimuth;
+        if let (Some(mirror), Some(truth)) = (row.answer.mirror_deg, row.true_from_mean_pose_deg) {
             let off = (mirror - truth + 180.0).rem_euclid(360.0) - 180.0;
             let _ = write!(text, ", its mirror by {}", fixed(off, 2));
         }
@@ -297,6 +291,12 @@ fn truth(text: &mut String, head: &str, row: &Judged) {
         }
         text.push('\n');
     }
+}
+
+/// The true azimuth and the answer's error, if the truth is known.
+fn true_azimuth(head: &str, row: &Judged) -> Option<String> {
+    let (truth, error) = (row.true_from_mean_pose_deg?, row.error_from_mean_pose_deg?);
+    Some(format!("{head} {} deg: off by {}", fixed(truth, 2), fixed(error, 2)))
 }
 
 /// What lies on the line or in the plane of a mirror.

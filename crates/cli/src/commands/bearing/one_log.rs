@@ -3,7 +3,7 @@
 use super::super::inputs::Inputs;
 use super::super::{Outcome, Result, hint, info, print, print_json, usage};
 use super::captures::MirrorOf;
-use super::{Args, artefacts, describe, link_name, options, pairs};
+use super::{Args, artefacts, describe, explain_lines, link_name, options, pairs};
 use csi_formats::{Item, Items, Why};
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{
@@ -59,16 +59,11 @@ impl Alone {
         let mut log = inputs.open(rx)?;
         let report = one_log(&mut log, trajectory, array, options).map_err(|error| error.to_string())?;
         let (survey, unused) = (&report.log.survey, report.log.unused);
-        let losses = info::losses(survey, log.bytes());
-        let has_notes = unused.no_antenna + unused.other_sender > 0 || !losses.is_empty();
+        let losses = info::unusual_losses(survey, log.bytes());
+        let has_notes = unused.no_antenna > 0 || !losses.is_empty();
         let notes = has_notes.then(|| {
-            format!(
-                "{}: {} bfee records, {} lack an antenna, {} of other senders\n{losses}",
-                rx.display(),
-                survey.bfees(),
-                unused.no_antenna,
-                unused.other_sender
-            )
+            let (bfees, lacking) = (survey.bfees(), unused.no_antenna);
+            format!("{}: {bfees} bfee records, {lacking} lack an antenna\n{losses}", rx.display())
         });
         Ok(Self { lost: survey.lost_something(), notes, report })
     }
@@ -133,9 +128,6 @@ pub fn run(args: &Args) -> Result {
     let inputs = Inputs::files(args.logs.columns.clone());
     let trajectory = inputs.trajectory(path)?;
     let Alone { report, mut lost, notes } = Alone::read(&inputs, rx, &trajectory, (&array, &options))?;
-    if let Some(notes) = notes {
-        notes!("{notes}");
-    }
     let mut answered = 0;
     for link in &report.links {
         let name = name(&inputs, rx, link, report.links.len());
@@ -151,7 +143,7 @@ pub fn run(args: &Args) -> Result {
             // With known constants, the robot may stand still.
             let stands = args.logs.baseline.iter().any(|baseline| baseline.constant.is_some());
             let of = if stands { MirrorOf::Antennas } else { MirrorOf::Motion };
-            print(&describe(&answer, of, "", &pairs::records(&answer)));
+            print(&describe(&answer, of, report.links.len(), "", &pairs::records(&answer)));
         }
         if let Some(error) = &answer.error {
             wrong!("{}: {error}", answer.link);
@@ -163,6 +155,12 @@ pub fn run(args: &Args) -> Result {
             "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows the number of chains",
             rx.display()
         );
+    }
+    if !args.json {
+        explain_lines(report.links.len());
+    }
+    if let Some(notes) = notes {
+        notes!("{notes}");
     }
     lost |= answered < report.links.len();
     Ok(match answered {

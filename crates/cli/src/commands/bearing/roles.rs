@@ -4,6 +4,7 @@ use super::super::files::{is_same_file, must_not_be_empty};
 use super::super::usage;
 use super::Args;
 use csi5300_lab::evaluate::roles::{Sorted, loose_files, receiver, the_trajectory};
+use std::path::PathBuf;
 
 /// Gives each file its role, as if `--rx`, `--tx` and `--trajectory` had named it. It leaves folders of captures with the usual file names, and links
 /// of them, alone.
@@ -23,10 +24,12 @@ pub fn take(args: &mut Args) -> Result<(), String> {
             };
         }
     };
-    if args.logs.rx.is_some() || !args.logs.tx.is_empty() {
-        usage("name the logs and the trajectory either all by --rx, --tx and --trajectory, or all without");
-    }
     let is_named_one_by_one = args.captures.iter().all(|path| path.is_file());
+    if !is_named_one_by_one && (args.logs.rx.is_some() || !args.logs.tx.is_empty()) {
+        usage("name the logs one by one, or their folder without --rx and --tx");
+    }
+    // A shell expands `--tx csi_tx*.dat` to one name behind the option and others that stand alone.
+    let files: Vec<PathBuf> = args.logs.tx.drain(..).chain(files).collect();
     if let Some((_, twice)) =
         files.iter().enumerate().find(|(k, file)| files[..*k].iter().any(|other| is_same_file(other, file)))
     {
@@ -38,7 +41,10 @@ pub fn take(args: &mut Args) -> Result<(), String> {
         return Err(format!("{} is neither a log of CSI nor a trajectory", file.display()));
     }
     let trajectory = args.logs.trajectory.take().map_or_else(|| the_trajectory(&trajectories), Ok)?;
-    let rx = receiver(&logs, &trajectory, args.logs.baseline.is_empty())?;
+    let rx = match args.logs.rx.take() {
+        Some(rx) => rx,
+        None => receiver(&logs, &trajectory, args.logs.baseline.is_empty())?,
+    };
     args.logs.tx = logs.iter().filter(|log| **log != rx).cloned().collect();
     note!("{} is the receiver's log, {} its trajectory", rx.display(), trajectory.display());
     (args.logs.rx, args.logs.trajectory) = (Some(rx), Some(trajectory));

@@ -17,19 +17,32 @@ const WIDE_DEG: f64 = 60.0;
 /// If one wave explains a smaller share of the phases than this, the path may be wrong.
 const LITTLE: f64 = 0.3;
 
-/// Describes an answer. `doubts` are always printed, `details` with `-v` only.
-pub(super) fn describe(answer: &Answer, of: MirrorOf, doubts: &str, details: &str) -> String {
-    describe_with(answer, of, doubts, says(Level::Verbose).then_some(details))
+/// Describes an answer: the only one in a few lines, one of several `links` in one line. `doubts` are always printed, `details` with
+/// `-v` only.
+pub(super) fn describe(answer: &Answer, of: MirrorOf, links: usize, doubts: &str, details: &str) -> String {
+    let details = says(Level::Verbose).then_some(details);
+    if is_short(links) { in_a_line(answer, of) + "\n" + doubts } else { describe_with(answer, of, doubts, details) }
 }
 
-fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&str>) -> String {
+/// True if each of so many links is one line.
+pub(super) fn is_short(links: usize) -> bool {
+    links > 1 && !says(Level::Verbose)
+}
+
+/// Explains the lines of several links.
+pub(super) fn explain_lines(links: usize) {
+    if is_short(links) {
+        note!("GOOD, FAIR, POOR: the probability of being within 5 degrees; -v prints more about each link");
+    }
+}
+
+/// The link, its azimuth, and another one that is about as probable.
+fn head(answer: &Answer, of: MirrorOf) -> String {
     let mut text = answer.link.clone();
     if let Some(mac) = &answer.mac {
         let _ = write!(text, " ({mac})");
     }
-    let Some(azimuth) = answer.azimuth_deg else {
-        return format!("{text}: no bearing\n{doubts}{}", details.unwrap_or_default());
-    };
+    let Some(azimuth) = answer.azimuth_deg else { return text + ": no bearing" };
     let _ = write!(text, ": {} deg", fixed(azimuth, 2));
     if let Some(sd) = answer.azimuth_sd_deg {
         let _ = write!(text, " +- {sd:.2}");
@@ -39,7 +52,32 @@ fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&s
     } else if let Some(next) = answer.candidates.get(1).filter(|_| has_rival(answer)) {
         let _ = write!(text, ", or {} deg ({:.0} %)", fixed(next.azimuth_deg, 2), 100.0 * next.share);
     }
-    text.push('\n');
+    text
+}
+
+/// The answer in a line, without its end.
+pub(super) fn in_a_line(answer: &Answer, of: MirrorOf) -> String {
+    let mut text = head(answer, of);
+    match sure(answer) {
+        Some(sure) => {
+            let _ = write!(text, "  {} {:.0} %", grade(sure), 100.0 * sure);
+        }
+        None if is_wide(answer) => {
+            let _ = write!(text, "  {}", toned("POOR", Tone::Bad));
+        }
+        None => {}
+    }
+    if let (Some(range), Some(sd), Some(_)) = (answer.range_m, answer.range_sd_m, answer.position_m) {
+        let _ = write!(text, "  {range:.2} +- {sd:.2} m");
+    }
+    text
+}
+
+fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&str>) -> String {
+    let mut text = head(answer, of) + "\n";
+    if answer.azimuth_deg.is_none() {
+        return text + doubts + details.unwrap_or_default();
+    }
     text += &verdict(answer);
     text += &origin(answer);
     if let Some(body) = answer.azimuth_body_deg {
@@ -70,24 +108,30 @@ fn sure(answer: &Answer) -> Option<f64> {
     answer.confidence.map(|confidence| (confidence / (1.0 - answer.mirror_share.unwrap_or(0.0))).min(1.0))
 }
 
+fn is_wide(answer: &Answer) -> bool {
+    answer.azimuth_sd_deg.is_some_and(|sd| sd > WIDE_DEG)
+}
+
+fn grade(sure: f64) -> String {
+    match sure {
+        _ if sure >= GOOD => toned("GOOD", Tone::Good),
+        _ if sure >= FAIR => toned("FAIR", Tone::Doubt),
+        _ => toned("POOR", Tone::Bad),
+    }
+}
+
 fn verdict(answer: &Answer) -> String {
     let Some(sure) = sure(answer) else {
-        let is_wide = answer.azimuth_sd_deg.is_some_and(|sd| sd > WIDE_DEG);
         let poor = || {
             format!(
                 "  {}: no direction stands out. Check the antennas, the baseline and the trajectory's clock, or turn further\n",
                 toned("POOR", Tone::Bad)
             )
         };
-        return is_wide.then(poor).unwrap_or_default();
-    };
-    let word = match sure {
-        _ if sure >= GOOD => toned("GOOD", Tone::Good),
-        _ if sure >= FAIR => toned("FAIR", Tone::Doubt),
-        _ => toned("POOR", Tone::Bad),
+        return is_wide(answer).then(poor).unwrap_or_default();
     };
     let of = if answer.mirror_deg.is_some() { " of one of the two" } else { "" };
-    format!("  {word}: {:.0} % sure to be within 5 degrees{of}\n", 100.0 * sure)
+    format!("  {}: {:.0} % sure to be within 5 degrees{of}\n", grade(sure), 100.0 * sure)
 }
 
 /// Where the bearing is seen from, and how far away the transmitter is.
@@ -189,6 +233,7 @@ mod tests {
         let short = describe_with(&good, MirrorOf::Motion, "", None);
         assert_eq!(short.lines().count(), 3, "{short}");
         assert!(short.starts_with("tx: 97.00 deg +- 34.40\n  GOOD: 93 % sure"), "{short}");
+        assert_eq!(in_a_line(&good, MirrorOf::Motion), "tx: 97.00 deg +- 34.40  GOOD 93 %");
         assert!(
             !short.contains("CFO") && describe_with(&good, MirrorOf::Motion, "", Some("  CFO\n")).ends_with("  CFO\n")
         );

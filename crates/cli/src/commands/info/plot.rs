@@ -35,9 +35,6 @@ pub struct Args {
     /// Draw up to this time, seconds after the first record
     #[arg(long, value_name = "SECONDS", requires = "plot")]
     to: Option<f64>,
-    /// Overwrite existing outputs
-    #[arg(long, requires = "plot")]
-    force: bool,
 }
 
 /// What a log's pictures are called: its name, with a number where another log has the same.
@@ -52,7 +49,6 @@ fn stem(folder: &Path, logs: &[PathBuf], k: usize) -> PathBuf {
 pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> std::result::Result<Vec<PathBuf>, String> {
     let (Some(folder), Some(log)) = (&args.plot, logs.get(k)) else { return Ok(Vec::new()) };
     let stem = stem(folder, logs, k);
-    pictures::check(&LogPictures::stems(&stem), args.force)?;
     if log.as_os_str() == "-" {
         usage("a log is read again for its pictures, and standard input only once: name a file");
     }
@@ -70,5 +66,5 @@ pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> std::result::Result<Vec<
     }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let drawn = LogPictures { title: &title, course: &course, size: SIZE };
-    drawn.write(&stem, &pictures::format(args.force)).map_err(|error| pictures::refused(&error))
+    drawn.write(&stem, &pictures::format()).map_err(|error| error.to_string())
 }

@@ -133,8 +133,6 @@ impl Args {
 
     /// Refuses outputs that are inputs, and existing ones without --force.
     fn check_outputs<'a>(&'a self, read: impl Iterator<Item = &'a Path>) -> Words<()> {
-        #[cfg(feature = "plot")]
-        pictures::check(&csi5300_lab::show::compared::stems(&self.out), self.force)?;
         let simulated = self.out.join(SIMULATED);
         let written: Vec<PathBuf> = match &self.with {
             Some(folder) if folder.is_dir() => return Ok(()),
@@ -283,9 +281,9 @@ fn draw(_: &Args, _: &Figures, _: &Figures) -> Words<()> {
 
 #[cfg(feature = "plot")]
 fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
-    let format = pictures::format(args.force);
+    let format = pictures::format();
     let written = csi5300_lab::show::compared::write(recorded, simulated, &args.out, &format);
-    let written = written.map_err(|error| pictures::refused(&error))?;
+    let written = written.map_err(|error| error.to_string())?;
     for path in pictures::first_of_each(&written).filter(|_| !args.json) {
         print(&format!("picture {}\n", path.display()));
     }
