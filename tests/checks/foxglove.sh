@@ -8,10 +8,12 @@ node=
 trap '[ -z "$node" ] || kill "$node" 2>/dev/null || true; rm -rf "$folder"' EXIT
 csi5300=$(scripts/program.sh)
 port=$("$python" -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
+# The robot drives for as long as anybody looks.
+sed -e 's/^duration_s = 30.0/duration_s = 270000.0/' -e 's/, duration_s = 27.0/, duration_s = 270000.0, turns = 10000/' scenes/lab-circle.toml >"$folder/room.toml"
 cat >"$folder/robot.toml" <<END
 name = "burger"
 channel = "108"
-capture.room = { scene = "lab-circle", robot = "rx" }
+capture.room = { scene = "room.toml", robot = "rx" }
 odometry.room = {}
 [estimator]
 least_motion_m = 0.2
@@ -49,7 +51,7 @@ def message_of(schema, name):
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
 async def connect(url):
-    for _ in range(100):
+    for _ in range(1_000):
         try:
             return await websockets.connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None)
         except OSError:
@@ -64,7 +66,7 @@ async def watch(url):
     async with await connect(url) as socket:
         while not done(got):
             try:
-                said = await asyncio.wait_for(socket.recv(), 60)
+                said = await asyncio.wait_for(socket.recv(), 600)
             except (websockets.ConnectionClosed, asyncio.TimeoutError) as ended:
                 came = {topic: len(messages) for topic, messages in got.items()}
                 sys.exit(f"{ended!r} after {came} of {sorted(channels.values())}")

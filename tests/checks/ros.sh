@@ -111,7 +111,8 @@ def state():
         return json.loads(s.makefile().readline())
 
 def until(what, seconds, condition):
-    end = time.monotonic() + seconds
+    # A busy machine needs longer.
+    end = time.monotonic() + 20 * seconds
     while True:
         told = state()
         if condition(told):
@@ -127,7 +128,7 @@ def goes_on():
     until("poses go on", 5, lambda told: followed(told) > before + 20)
 
 def once(topic):
-    text = subprocess.run(["rostopic", "echo", "-n", "1", topic], capture_output=True, text=True, timeout=20, check=True).stdout
+    text = subprocess.run(["rostopic", "echo", "-n", "1", topic], capture_output=True, text=True, timeout=300, check=True).stdout
     return yaml.safe_load(text.split("---")[0])
 
 def off(radians, truth):
@@ -136,7 +137,7 @@ def off(radians, truth):
 def bearings(node):
     worst = 0.0
     for peer, truth in [("tb3_1", math.atan2(10.0, 24.0)), ("tb3_2", math.atan2(16.0, -14.0))]:
-        end, good = time.monotonic() + 60, 0
+        end, good = time.monotonic() + 600, 0
         while good < 3:
             told = once(f"{node}/{peer}/bearing")
             assert told["peer"] == peer and told["header"]["frame_id"] == "odom", told
@@ -161,8 +162,8 @@ def csi(node):
     import rospy
     from csi5300_msgs.msg import Bearing, Csi
     rospy.init_node("reader", disable_signals=True)
-    assert rospy.wait_for_message(f"{node}/csi", Csi, 10).timestamp_low > 0
-    assert rospy.wait_for_message(f"{node}/tb3_1/bearing", Bearing, 10).pairs > 0
+    assert rospy.wait_for_message(f"{node}/csi", Csi, 300).timestamp_low > 0
+    assert rospy.wait_for_message(f"{node}/tb3_1/bearing", Bearing, 300).pairs > 0
 
 def self_test(node):
     """The service, and the claims in /diagnostics, with Debian's diagnostic_msgs."""
@@ -170,9 +171,9 @@ def self_test(node):
     from diagnostic_msgs.msg import DiagnosticArray
     from diagnostic_msgs.srv import SelfTest
     rospy.init_node("tester", disable_signals=True)
-    rospy.wait_for_service(f"{node}/self_test", 10)
+    rospy.wait_for_service(f"{node}/self_test", 300)
     ask = rospy.ServiceProxy(f"{node}/self_test", SelfTest)
-    end = time.monotonic() + 60
+    end = time.monotonic() + 600
     while True:
         said = ask()
         levels = {status.name: status.level for status in said.status}
@@ -182,9 +183,9 @@ def self_test(node):
         time.sleep(1)
     assert said.id and levels["csi5300: exchange.pairs, tb3_2"] == 0, said
     assert 3 in levels.values(), "a simulated card cannot answer every claim"
-    end = time.monotonic() + 60
+    end = time.monotonic() + 600
     while True:
-        parts = {status.name: status for status in rospy.wait_for_message("/diagnostics", DiagnosticArray, 10).status}
+        parts = {status.name: status for status in rospy.wait_for_message("/diagnostics", DiagnosticArray, 300).status}
         if parts["csi5300: claims"].level != 3:
             break
         assert time.monotonic() < end, parts
@@ -195,7 +196,7 @@ look() { (cd "$folder" && python3 -c "import sys; sys.argv = ['look', '', '$fold
 master() {
     start roscore roscore -p "$port"
     core=$started
-    for _ in $(seq 100); do
+    for _ in $(seq 1000); do
         if rostopic list >/dev/null 2>&1; then
             # roscore starts it in its own group.
             core_master=$(python3 -c "import xmlrpc.client; print(xmlrpc.client.ServerProxy('$ROS_MASTER_URI').getPid('/check')[2])")
@@ -212,7 +213,7 @@ trap failed ERR
 # The node starts first and finds no master.
 start node "$csi5300" node --config "$folder/robot.toml"
 node=$started
-for _ in $(seq 50); do [ -S "$folder/status.sock" ] && break; sleep 0.1; done
+until [ -S "$folder/status.sock" ] || ! kill -0 "$node"; do sleep 0.1; done
 look 'until("no master", 10, lambda t: any("does not answer" in w for w in t["trouble"]))'
 master
 start robots python3 "$folder/robots.py"

@@ -28,10 +28,12 @@ LOS_A/P1/$stamp,$tx,gt,30.0,6.5
 LOS_B/P1/$stamp,$tx,gt,30.0,-12.5
 END
 
+# The robot drives for as long as anybody looks.
+sed -e 's/^duration_s = 30.0/duration_s = 270000.0/' -e 's/, duration_s = 27.0/, duration_s = 270000.0, turns = 10000/' scenes/lab-circle.toml >"$folder/room.toml"
 cat >"$folder/robot.toml" <<END
 name = "burger"
 channel = "108"
-capture.room = { scene = "lab-circle", robot = "rx", speed = 1.0 }
+capture.room = { scene = "room.toml", robot = "rx", speed = 1.0 }
 odometry.room = {}
 [estimator]
 least_motion_m = 0.2
@@ -45,7 +47,7 @@ END
 serve() { # what, where its address is written
     "$csi5300" view "$1" >"$2" &
     started+=($!)
-    for _ in $(seq 100); do [ -s "$2" ] && return; sleep 0.1; done
+    while kill -0 "$!" 2>/dev/null; do [ ! -s "$2" ] || return 0; sleep 0.1; done
     echo "csi5300 view $1 says no address"; exit 1
 }
 serve "$folder/captures" "$folder/captures.url"
@@ -53,10 +55,9 @@ serve "$(ls "$folder"/captures/LOS_A/P1/csi_rx_*.dat)" "$folder/log.url"
 status=0
 "$csi5300" evaluate "$folder/captures" --html "$folder/page.html" || status=$?
 [ "$status" = 3 ] || { echo "a capture without its log: exit status $status instead of 3"; exit 1; }
-# Started last and viewed first, because the room ends after a minute.
 (cd "$folder" && exec "$csi5300" node --config robot.toml) 2>"$folder/said" &
 started+=($!)
-for _ in $(seq 100); do [ -S "$folder/status.sock" ] && break; sleep 0.1; done
+until [ -S "$folder/status.sock" ] || ! kill -0 "$!"; do sleep 0.1; done
 serve "$folder/status.sock" "$folder/node.url"
 sed 's/faults = { loss = 0.0018, killed = true }/faults = { card = ["clock_steps"] }/' scenes/lab-circle.toml >"$folder/broken.toml"
 status=0

@@ -16,12 +16,13 @@ def start(*words, **more):
 
 def state():
     with socket.socket(socket.AF_UNIX) as s:
-        s.settimeout(10)
+        s.settimeout(100)
         s.connect(f"{folder}/status.sock")
         return json.loads(s.makefile().readline())
 
 def until(what, seconds, condition):
-    end = time.monotonic() + seconds
+    # A busy machine needs longer.
+    end = time.monotonic() + 10 * seconds
     while True:
         try:
             told = state()

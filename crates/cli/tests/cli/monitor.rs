@@ -274,10 +274,11 @@ fn relay(mut from: File, mut to: File, mut watch: impl FnMut(&[u8]) -> bool) {
     }
 }
 
-/// A 0xBB as the WSR driver makes it of a frame, for whoever listens on `index`.
-fn report(sender: &mut Sender, frame: &[u8], clock_us: u32) {
+/// A 0xBB as the WSR driver makes it of a frame, for whoever listens on `index`; the card's `count` has no gap where a frame was not
+/// answered.
+fn report(sender: &mut Sender, frame: &[u8], count: u16, clock_us: u32) {
     let view = Frame::new_checked(frame).unwrap();
-    let mut body = crate::private::body(view.number() as u16, 3, 1, true);
+    let mut body = crate::private::body(count, 3, 1, true);
     body[..4].copy_from_slice(&clock_us.to_le_bytes());
     body[28..34].copy_from_slice(&view.sender().0);
     body[34..38].copy_from_slice(&view.number().to_le_bytes());
@@ -339,8 +340,10 @@ fn sound_and_respond_exchange_frames_and_measurements() {
     std::thread::spawn(move || {
         let clock = Monotonic::new();
         let mut card = Sender::open(25, true).unwrap();
+        let mut count = 0;
         relay(a_in, b_out, |frame| {
-            report(&mut card, frame, clock.now().as_us() as u32);
+            count += 1;
+            report(&mut card, frame, count, clock.now().as_us() as u32);
             false
         });
     });
@@ -348,7 +351,7 @@ fn sound_and_respond_exchange_frames_and_measurements() {
     let clock = Monotonic::new();
     let (mut numbers, mut measured) = (Vec::new(), Vec::new());
     relay(b_in, a_out, |frame| {
-        report(&mut card, frame, clock.now().as_us() as u32);
+        report(&mut card, frame, numbers.len() as u16, clock.now().as_us() as u32);
         let answer = parse(frame);
         assert_eq!((answer.role, answer.sender, answer.destination), (native::Role::Backward, B, A));
         assert!(answer.tag.is_some());
