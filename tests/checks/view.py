@@ -224,6 +224,8 @@ with sync_playwright() as playwright:
     seen = Watched(browser, log, log, **wide)
     expect(seen.page.locator("p.readout")).to_contain_text("amplitude from")
     expect(seen.page.locator("#shown")).to_contain_text("281 records")
+    head, places = seen.page.locator("#list th").first.bounding_box(), [row.bounding_box() for row in rows(seen.page).all()]
+    assert len(places) > 1 and all(place["y"] > head["y"] + head["height"] - 2 for place in places), "the head hides a row"
     heat(seen.page)
     seen.picture("view-log")
     seen.close()

@@ -51,7 +51,9 @@ serve() { # what, where its address is written
     echo "csi5300 view $1 says no address"; exit 1
 }
 serve "$folder/captures" "$folder/captures.url"
-serve "$(ls "$folder"/captures/LOS_A/P1/csi_rx_*.dat)" "$folder/log.url"
+mkdir "$folder/logs"
+cp "$folder"/captures/LOS_A/P1/csi_*.dat "$folder/logs"
+serve "$folder/logs" "$folder/log.url"
 status=0
 "$csi5300" evaluate "$folder/captures" --html "$folder/page.html" || status=$?
 [ "$status" = 3 ] || { echo "a capture without its log: exit status $status instead of 3"; exit 1; }
