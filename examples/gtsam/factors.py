@@ -48,7 +48,7 @@ def step_error(step: dict):
 
 
 def link_factor(link: dict, null_share: float) -> gtsam.CustomFactor:
-    """A max-mixture: the residuals of the likeliest candidate, in deviations, or 0 for the outlier. The third residual is the cost of the component's density, relative to the least one."""
+    """A max-mixture: the residuals of the likeliest candidate, in deviations, or 0 for the outlier. The third residual is the cost of the component's density, relative to the least one, plus 1."""
     total, options = sum(mode["share"] for mode in link["modes"]), [(-math.log(max(null_share, 1e-300)), None, None)]
     for mode in link["modes"] if null_share < 1 else []:
         cost = -math.log((1 - null_share) * mode["share"] / total)
@@ -63,8 +63,9 @@ def link_factor(link: dict, null_share: float) -> gtsam.CustomFactor:
         residuals = []
         for cost, by_azimuth, by_range in options:
             # Below NEAREST_M, the lateral deviation stays what it is at NEAREST_M.
-            turned = wrap(azimuth - by_azimuth[0]) / by_azimuth[1] * min(distance / NEAREST_M, 1.0) if by_azimuth else 0.0
-            residuals.append(np.array([turned, (distance - by_range[0]) / by_range[1] if by_range else 0.0, math.sqrt(2 * (cost - least))]))
+            near = max(min(distance / NEAREST_M, 1.0), 1e-6) if by_azimuth else 1.0
+            turned = wrap(azimuth - by_azimuth[0]) / by_azimuth[1] * near if by_azimuth else 0.0
+            residuals.append(np.array([turned, (distance - by_range[0]) / by_range[1] if by_range else 0.0, math.sqrt(2 * (1 + cost - least - math.log(near)))]))
         return min(residuals, key=lambda own: own @ own)
 
     return factor([link["from"], link["to"]], [1.0, 1.0, 1.0], error)

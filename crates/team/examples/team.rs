@@ -25,14 +25,17 @@ fn main() {
     }
     println!("| team | solved | places within 68 / 95 % | yaws | rms of places, m | processor time of a solution, s |");
     println!("|---|---|---|---|---|---|");
-    // Without known first poses, all robots of a run share the heading error of the first one, so many runs are needed.
-    for (robots, epochs, anchors, runs) in [(2, 30, 0, 200), (5, 20, 0, 60), (20, 12, 4, 10)] {
+    // Robots of a run share errors, so many runs are needed.
+    for (robots, epochs, anchors, runs) in [(2, 30, 0, 600), (5, 20, 0, 120), (20, 12, 4, 30)] {
         let usual = Hall { epochs, anchors, ..Hall::of(robots) };
-        let halls = [
+        let mut halls = vec![
             ("", usual),
             (", ranges", Hall { ranged: 0.25, ..usual }),
             (", one lies", Hall { has_liar: true, ..usual }),
         ];
+        if anchors > 0 {
+            halls.push((", no known pose", Hall { anchors: 0, ..usual }));
+        }
         for (name, hall) in halls {
             let (mut held, mut spent_s, mut solved) = (Held::default(), 0.0, 0);
             for seed in 0..runs {

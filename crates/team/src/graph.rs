@@ -207,6 +207,9 @@ pub(crate) struct Link {
     pub from: usize,
     pub to: usize,
     pub modes: Vec<Mode>,
+    /// By candidate: the part of its cost that depends on neither poses nor outlier share.
+    #[serde(skip)]
+    pub constants: Vec<f64>,
     pub null_share: f64,
 }
 
@@ -351,7 +354,7 @@ impl Team {
         if !(null_share > 0.0 && null_share < 1.0) {
             return Err(TeamError::NotAShare { what: "the outlier share", value: null_share });
         }
-        self.links.push(Link { from: from.0, to: to.0, modes: modes.to_vec(), null_share });
+        self.links.push(Link::new(from.0, to.0, modes, null_share));
         Ok(self.links.len() - 1)
     }
 
@@ -403,21 +406,28 @@ fn step(from: usize, to: usize, a: [f64; 3], b: [f64; 3], driven_m: f64, noise: 
 }
 
 impl Link {
+    fn new(from: usize, to: usize, modes: &[Mode], null_share: f64) -> Self {
+        let total: f64 = modes.iter().map(|mode| mode.share).sum();
+        let part = |of: Option<[f64; 2]>, uniform: f64| of.map_or(0.0, |[_, sd]| (sd * TAU.sqrt() / uniform).ln());
+        let constant = |own: &Mode| part(own.azimuth_rad, TAU) + part(own.range_m, SPAN_M) - (own.share / total).ln();
+        Self { from, to, constants: modes.iter().map(constant).collect(), modes: modes.to_vec(), null_share }
+    }
+
     /// The likeliest candidate at a predicted azimuth and range, `None` for the null hypothesis; and its cost: the negative
     /// logarithm of its density over the outlier density. `temper` multiplies all deviations.
     pub fn best(&self, azimuth_rad: f64, range_m: f64, null_share: f64, temper: f64) -> (Option<usize>, f64) {
-        let total: f64 = self.modes.iter().map(|mode| mode.share).sum();
         let mut best = (None, -null_share.ln());
-        for (k, mode) in self.modes.iter().enumerate() {
-            let mut cost = -((1.0 - null_share) * mode.share / total).ln();
-            let mut add = |off: f64, sd: f64, uniform: f64| {
-                cost += 0.5 * (off / (sd * temper)).powi(2) + (sd * TAU.sqrt() / uniform).ln();
-            };
+        let (by, near, right) = (1.0 / temper, nearness(range_m), -(1.0 - null_share).ln());
+        // Below `NEAREST_M` the deviation is larger, so the density is lower. Otherwise a robot placed on another one would fit
+        // every azimuth.
+        let wider = if near < 1.0 { -near.ln() } else { 0.0 };
+        for (k, (mode, constant)) in self.modes.iter().zip(&self.constants).enumerate() {
+            let mut cost = right + constant;
             if let Some([azimuth, sd]) = mode.azimuth_rad {
-                add(crate::wrap(azimuth_rad - azimuth) * (range_m / NEAREST_M).min(1.0), sd, TAU);
+                cost += wider + 0.5 * (crate::wrap(azimuth_rad - azimuth) * near * by / sd).powi(2);
             }
             if let Some([range, sd]) = mode.range_m {
-                add(range_m - range, sd, SPAN_M);
+                cost += 0.5 * ((range_m - range) * by / sd).powi(2);
             }
             if cost < best.1 {
                 best = (Some(k), cost);
@@ -425,4 +435,9 @@ impl Link {
         }
         best
     }
+}
+
+/// The range as a share of [`NEAREST_M`], at most 1: the deviation of an azimuth is divided by it.
+pub(crate) fn nearness(range_m: f64) -> f64 {
+    (range_m / NEAREST_M).clamp(1e-6, 1.0)
 }

@@ -26,6 +26,10 @@ pub use solve::{Other, Solution};
 
 /// An angle in (-pi, pi].
 pub(crate) fn wrap(angle_rad: f64) -> f64 {
-    let turned = angle_rad.rem_euclid(std::f64::consts::TAU);
-    if turned > std::f64::consts::PI { turned - std::f64::consts::TAU } else { turned }
+    use std::f64::consts::{PI, TAU};
+    if angle_rad > -PI && angle_rad <= PI {
+        return angle_rad;
+    }
+    let turned = angle_rad.rem_euclid(TAU);
+    if turned > PI { turned - TAU } else { turned }
 }

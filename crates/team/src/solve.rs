@@ -1,8 +1,8 @@
 //! Levenberg-Marquardt solver and marginal covariances.
 
 use crate::envelope::Envelope;
-use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError};
-use crate::start::{COSTLIER, starts};
+use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError, nearness};
+use crate::start::{COSTLIER, again, starts};
 use crate::wrap;
 use nalgebra::{DMatrix, DVector, Matrix3};
 
@@ -21,6 +21,15 @@ const LIARS: f64 = 0.05;
 
 /// Limit of minima at which outlier shares are learnt.
 const SETTLED: usize = 4;
+
+/// Other places for robots are tried again after a gain, at most so often.
+const ROUNDS: usize = 8;
+
+/// Such places are tried if the robot's links cost there at most this much more, ...
+const DEARER: f64 = 5.0;
+
+/// ... or if they are among this many of the least costly.
+const TRIED: usize = 8;
 
 /// Descents from perturbations of the best minimum, and the size of these, metres and radians.
 const KICKS: usize = 8;
@@ -309,7 +318,7 @@ impl<'a> Problem<'a> {
             if let Some([expected, sd]) = mode.azimuth_rad {
                 let (a, b) = (state.poses[link.from], state.poses[link.to]);
                 let (x, y) = ((b[0] - a[0]) / range_m.max(1e-9), (b[1] - a[1]) / range_m.max(1e-9));
-                let (off, near) = (wrap(azimuth - expected), (range_m / NEAREST_M).min(1.0));
+                let (off, near) = (wrap(azimuth - expected), nearness(range_m));
                 let by = near / (sd * temper);
                 // Across the line of sight the azimuth changes. Along it, the weight changes below `NEAREST_M`.
                 let (across, along) =
@@ -318,6 +327,10 @@ impl<'a> Problem<'a> {
                 let ends =
                     [(Pose(link.from, 0), -x), (Pose(link.from, 1), -y), (Pose(link.to, 0), x), (Pose(link.to, 1), y)];
                 rows(off * by, &[&ends[..], &[(Pose(link.from, 2), -by)]].concat());
+                if near < 1.0 {
+                    // The density is proportional to the range: gradient and curvature of its negative logarithm.
+                    rows(-1.0, &gradient_of_range(state, [link.from, link.to], 1.0 / range_m.max(1e-9)).0);
+                }
             }
             if let Some([expected, sd]) = mode.range_m {
                 let by = 1.0 / (sd * temper);
@@ -478,6 +491,53 @@ impl Problem<'_> {
     }
 }
 
+impl Problem<'_> {
+    /// Tries other places for each robot among the others, and adds the minima found. With `is_suspect_only`, for robots with
+    /// more outliers than other links.
+    fn place_again(&mut self, settled: &mut Vec<Settled>, is_suspect_only: bool) {
+        for _ in 0..ROUNDS {
+            let Some(best) = settled.first() else { return };
+            let (cost, null_shares) = (best.cost, best.null_shares.clone());
+            let robots = (0..self.team.robots.len()).filter(|robot| !is_suspect_only || self.is_suspect(best, *robot));
+            let mut states: Vec<(f64, State)> =
+                robots.flat_map(|robot| again(self.team, &best.state, &null_shares, robot)).collect();
+            states.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let mut lowest = cost;
+            for (k, (dearer, state)) in states.into_iter().enumerate() {
+                if lowest < cost - DEARER || (k >= TRIED && dearer > DEARER) {
+                    break;
+                }
+                self.null_shares.clone_from(&null_shares);
+                let state = self.descend(state, 2.0, ROUGHLY).0;
+                let (state, own) = self.descend(state, 1.0, ROUGHLY);
+                if own < lowest + COSTLIER && !settled.iter().any(|other| state.is_near(&other.state)) {
+                    let own = self.settle(&state);
+                    lowest = lowest.min(own.cost);
+                    settled.push(own);
+                }
+            }
+            settled.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+            if lowest >= cost - DEARER {
+                return;
+            }
+        }
+    }
+
+    /// True if most links to and from a robot are outliers, without those of switched-off robots.
+    fn is_suspect(&self, at: &Settled, robot: usize) -> bool {
+        let (mut links, mut outliers) = (0, 0);
+        for (link, null_share) in self.team.links.iter().zip(&at.null_shares) {
+            let ends = [link.from, link.to].map(|k| self.team.keyframes[k].robot);
+            if *null_share < 1.0 && ends.contains(&robot) {
+                let (azimuth, range_m) = at.state.azimuth_and_range(link.from, link.to);
+                links += 1;
+                outliers += usize::from(link.best(azimuth, range_m, *null_share, 1.0).0.is_none());
+            }
+        }
+        2 * outliers > links
+    }
+}
+
 /// A minimum and the outlier shares there.
 #[derive(Default)]
 struct Settled {
@@ -588,6 +648,7 @@ impl Team {
         solved.truncate(SETTLED);
         let mut settled: Vec<Settled> = solved.iter().map(|(state, _)| problem.settle(state)).collect();
         settled.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        problem.place_again(&mut settled, before.is_some());
         if let (Some(best), None) = (settled.first_mut(), before) {
             problem.kick(best);
         }

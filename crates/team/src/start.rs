@@ -6,7 +6,7 @@ use nalgebra::{Rotation2, Vector2};
 use std::f64::consts::{PI, TAU};
 
 /// Limit of arrangements kept while robots are placed.
-const KEPT: usize = 6;
+const KEPT: usize = 3;
 
 /// Arrangements cost at most this much more than the best (`exp(-15)` as likely).
 pub const COSTLIER: f64 = 15.0;
@@ -17,12 +17,11 @@ const PLACES: usize = 4;
 /// Yaws tried for a frame of unknown yaw.
 const YAWS: usize = 36;
 
-/// Limits: links whose crossings are tried, links that judge each crossing, links that judge the best crossings, and the
-/// number of these.
+/// Limit of links whose crossings are tried.
 const CROSSED: usize = 9;
-const FIRST_JUDGES: usize = 15;
-const JUDGES: usize = 45;
-const JUDGED: usize = 400;
+
+/// Crossings are judged by more and more links: limits of links, and of the best crossings kept.
+const JUDGES: [[usize; 2]; 3] = [[5, 2000], [15, 400], [45, 400]];
 
 /// Factor on all deviations, because a tried yaw may be half a step off.
 const TEMPER: f64 = 3.0;
@@ -124,7 +123,12 @@ fn some<T: Copy>(all: &[T], most: usize) -> Vec<T> {
 fn placed(team: &Team, kept: &[Arrangement], robot: usize) -> Vec<Arrangement> {
     let mut longer: Vec<Arrangement> = Vec::new();
     for own in kept {
-        for (frame, cost) in places(team, own, robot) {
+        let end = |k: usize| {
+            let other = &team.keyframes[k];
+            own.frames[other.robot].map(|frame| composed(frame, other.odometry))
+        };
+        let shares = team.links.iter().map(|link| link.null_share);
+        for (frame, cost) in places(team, &links_of(team, robot, end, shares), robot, None) {
             let mut frames = own.frames.clone();
             frames[robot] = Some(frame);
             longer.push(Arrangement { frames, cost: own.cost + cost });
@@ -147,67 +151,96 @@ struct Locus {
     range_m: Option<f64>,
 }
 
-/// A link to a placed robot: the robot's own keyframe, and the pose at the other end.
+/// A link to a placed robot: its outlier share, the robot's own keyframe, and the pose at the other end.
 struct Seen<'a> {
     link: &'a Link,
+    null_share: f64,
     own: usize,
     other: [f64; 3],
 }
 
-fn links_of<'a>(team: &'a Team, arrangement: &Arrangement, robot: usize) -> Vec<Seen<'a>> {
-    let end = |k: usize| {
-        let own = &team.keyframes[k];
-        arrangement.frames[own.robot].map(|frame| composed(frame, own.odometry))
-    };
-    let seen = |link: &'a Link| {
+impl Seen<'_> {
+    /// The link's cost with the robot's own keyframe at `own`.
+    fn cost(&self, own: [f64; 3]) -> f64 {
+        let (from, to) = if self.link.from == self.own { (own, self.other) } else { (self.other, own) };
+        let (x, y) = (to[0] - from[0], to[1] - from[1]);
+        self.link.best(crate::wrap(y.atan2(x) - from[2]), x.hypot(y), self.null_share, TEMPER).1
+    }
+}
+
+/// A robot's links to keyframes with a pose. Links that are switched off are left out.
+fn links_of(
+    team: &Team,
+    robot: usize,
+    pose: impl Fn(usize) -> Option<[f64; 3]>,
+    null_shares: impl Iterator<Item = f64>,
+) -> Vec<Seen<'_>> {
+    let seen = |(link, null_share): (_, f64)| {
+        let link: &Link = link;
         let (from, to) = (team.keyframes[link.from].robot, team.keyframes[link.to].robot);
         let (own, other) = match (from == robot, to == robot) {
             (true, _) => (link.from, link.to),
             (_, true) => (link.to, link.from),
             _ => return None,
         };
-        Some(Seen { link, own, other: end(other)? })
+        Some(Seen { link, null_share, own, other: pose(other).filter(|_| null_share < 1.0)? })
     };
-    team.links.iter().filter_map(seen).collect()
+    team.links.iter().zip(null_shares).filter_map(seen).collect()
+}
+
+/// States like a solved one, but with one robot at another place where its links fit, and by how much more they cost there.
+pub fn again(team: &Team, state: &State, null_shares: &[f64], robot: usize) -> Vec<(f64, State)> {
+    let seen = links_of(team, robot, |k| Some(state.poses[k]), null_shares.iter().copied());
+    if seen.is_empty() || !team.robots[robot].has_heading {
+        return Vec::new();
+    }
+    let dearer = |other: &State| -> f64 {
+        seen.iter().map(|own| own.cost(other.poses[own.own]) - own.cost(state.poses[own.own])).sum()
+    };
+    let moved = |(frame, _): (Frame, f64)| {
+        let mut other = state.clone();
+        other.calibrations[robot] = [0.0; 2];
+        for (pose, own) in other.poses.iter_mut().zip(&team.keyframes).filter(|(_, own)| own.robot == robot) {
+            *pose = composed(frame, own.odometry);
+        }
+        (dearer(&other), other)
+    };
+    places(team, &seen, robot, Some(state)).into_iter().map(moved).collect()
 }
 
 /// The likeliest frames of a robot, with the cost of its links.
-fn places(team: &Team, arrangement: &Arrangement, robot: usize) -> Vec<(Frame, f64)> {
-    let seen = links_of(team, arrangement, robot);
+/// Those near the robot's place in the state `but` are left out.
+fn places(team: &Team, seen: &[Seen<'_>], robot: usize, but: Option<&State>) -> Vec<(Frame, f64)> {
     let all: Vec<usize> = (0..seen.len()).collect();
-    let (crossed, first, judges) = (some(&all, CROSSED), some(&all, FIRST_JUDGES), some(&all, JUDGES));
-    let cost = |frame: Frame, judges: &[usize]| -> f64 {
-        let of = |k: &usize| {
-            let Seen { link, own, other } = &seen[*k];
-            let own_pose = composed(frame, team.keyframes[*own].odometry);
-            let (from, to) = if link.from == *own { (own_pose, *other) } else { (*other, own_pose) };
-            let (x, y) = (to[0] - from[0], to[1] - from[1]);
-            link.best(crate::wrap(y.atan2(x) - from[2]), x.hypot(y), link.null_share, TEMPER).1
-        };
-        judges.iter().map(of).sum::<f64>() * seen.len() as f64 / judges.len() as f64
-    };
+    let crossed = some(&all, CROSSED);
     let mut found: Vec<(Frame, f64)> = Vec::new();
-    for yaw in yaws(team, &seen, robot) {
+    for yaw in yaws(team, seen, robot) {
         let loci: Vec<Locus> = crossed.iter().flat_map(|k| loci(team, &seen[*k], *k, yaw)).collect();
-        let frame = |at: Vector2<f64>| [at.x, at.y, yaw];
-        found.extend(crossings(&loci).into_iter().map(frame).map(|frame| (frame, cost(frame, &first))));
+        found.extend(crossings(&loci).into_iter().map(|at| ([at.x, at.y, yaw], 0.0)));
     }
-    found.sort_by(|a, b| a.1.total_cmp(&b.1));
-    found.truncate(JUDGED);
-    found.iter_mut().for_each(|(frame, judged)| *judged = cost(*frame, &judges));
-    found.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let mut apart: Vec<(Frame, f64)> = Vec::new();
-    for (frame, cost) in found {
-        let near = |(other, _): &(Frame, f64)| {
-            let middle = |frame: &Frame| composed(*frame, team.keyframes[seen[0].own].odometry);
-            let (a, b) = (middle(&frame), middle(other));
-            (a[0] - b[0]).hypot(a[1] - b[1]) < 0.5 && crate::wrap(a[2] - b[2]).abs() < 0.4
-        };
-        if apart.len() < PLACES && !apart.iter().any(near) {
-            apart.push((frame, cost));
+    for [judges, kept] in JUDGES {
+        let judges = some(&all, judges);
+        let links = seen.len() as f64 / judges.len() as f64;
+        for (frame, cost) in &mut found {
+            let of = |k: &usize| seen[*k].cost(composed(*frame, team.keyframes[seen[*k].own].odometry));
+            *cost = links * judges.iter().map(of).sum::<f64>();
         }
+        found.sort_by(|a, b| a.1.total_cmp(&b.1));
+        found.truncate(kept);
     }
-    apart
+    let middle = seen[seen.len() / 2].own;
+    let mut apart: Vec<[f64; 3]> = but.map(|state| state.poses[middle]).into_iter().collect();
+    let most = apart.len() + PLACES;
+    found.retain(|(frame, _)| {
+        let own = composed(*frame, team.keyframes[middle].odometry);
+        let near = |other: &[f64; 3]| {
+            (own[0] - other[0]).hypot(own[1] - other[1]) < 0.5 && crate::wrap(own[2] - other[2]).abs() < 0.4
+        };
+        let is_kept = apart.len() < most && !apart.iter().any(near);
+        apart.extend(Some(own).filter(|_| is_kept));
+        is_kept
+    });
+    found
 }
 
 /// Yaws to try for a robot's frame: 0 for a point; those of its prior; else a full turn, and the yaws at which mutual
@@ -226,7 +259,7 @@ fn yaws(team: &Team, seen: &[Seen<'_>], robot: usize) -> Vec<f64> {
     }
     let mut yaws: Vec<f64> = (0..YAWS).map(|k| TAU * k as f64 / YAWS as f64 - PI).collect();
     let mut azimuths: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
-    for Seen { link, own, other } in seen {
+    for Seen { link, own, other, .. } in seen {
         let is_own = link.from == *own;
         // Directions from the robot in its own frame, or to the robot in the team's frame.
         let turned = if is_own { team.keyframes[*own].odometry[2] } else { other[2] };
