@@ -169,7 +169,7 @@ pub mod internal {
         };
     }
     pub use crate::signal::cfo::drift_line;
-    pub use crate::source::hearing::{FrameReceiver, HeardFrame};
     pub use crate::source::key_file::{create_key_file, group_text, robot_text};
-    pub use crate::source::survey::bounds::{LOSSES_KEPT, PAUSE_US, SENDERS_KEPT};
+    pub use crate::source::survey::{LOSSES_KEPT, PAUSE_US, SENDERS_KEPT};
+    pub use crate::source::{FrameReceiver, HeardFrame};
 }
