@@ -154,7 +154,7 @@ pub mod internal {
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
-    pub use crate::bartlett::direct::oracle;
+    pub use crate::bartlett::planner::oracle;
     pub use crate::bartlett::search::Searcher;
     pub use crate::estimate::heading;
     pub use crate::exchange::tdma::auth::{Proof, Prover};
