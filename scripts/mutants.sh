@@ -42,12 +42,12 @@ of_room() {
             filter=(exchange:: tdma:: fuzz_sounding::)
             ;;
         recorder)
-            files=(--file 'src/source/recorder.rs' --file 'src/source/recorder/**' --file 'src/source/side_file.rs' --file 'src/source/replay.rs')
+            files=(--file 'src/source/recorder.rs' --file 'src/source/side_file.rs' --file 'src/source/replay.rs')
             arguments=(--package csi5300 "${quick[@]}" -C=--lib)
             filter=(source::)
             ;;
         intake)
-            files=(--file 'src/source/survey.rs' --file 'src/source/survey/**' --file 'src/source/key_file.rs' --file 'src/source/remote.rs' --file 'src/source/remote/**' --file 'src/pipeline/intake.rs' --file 'src/pipeline/live/strangers.rs')
+            files=(--file 'src/source/survey.rs' --file 'src/source/key_file.rs' --file 'src/source/remote.rs' --file 'src/pipeline/intake.rs' --file 'src/pipeline/live/strangers.rs')
             arguments=(--package csi5300 "${quick[@]}" -C=--lib)
             filter=(source:: pipeline::)
             ;;

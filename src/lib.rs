@@ -154,11 +154,11 @@ pub mod internal {
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
-    pub use crate::bartlett::direct::oracle;
+    pub use crate::bartlett::planner::oracle;
     pub use crate::bartlett::search::Searcher;
     pub use crate::estimate::heading;
-    pub use crate::exchange::pairing::numbering::before_first_number;
-    pub use crate::exchange::tdma::proof::{Proof, Prover};
+    pub use crate::exchange::tdma::auth::{Proof, Prover};
+    pub use crate::exchange::tdma::roster::before_first_number;
     pub use crate::motion::heading::heading_of;
     pub use crate::motion::rolling::Roller;
     pub use crate::pipeline::intake::{FrameHeard, Front};
@@ -168,8 +168,8 @@ pub mod internal {
             Evidence, EvidenceMode, PeerPlace, PeerPlaces, PeerTrack, TrackAnswer, TrackError, TrackSettings, places,
         };
     }
-    pub use crate::signal::cfo::drift_line::drift_line;
-    pub use crate::source::hearing::{FrameReceiver, HeardFrame};
+    pub use crate::signal::cfo::drift_line;
     pub use crate::source::key_file::{create_key_file, group_text, robot_text};
-    pub use crate::source::survey::bounds::{LOSSES_KEPT, PAUSE_US, SENDERS_KEPT};
+    pub use crate::source::survey::{LOSSES_KEPT, PAUSE_US, SENDERS_KEPT};
+    pub use crate::source::{FrameReceiver, HeardFrame};
 }

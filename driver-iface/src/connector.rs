@@ -10,7 +10,7 @@ use byteorder::{ByteOrder, LittleEndian};
 use core::fmt;
 
 use crate::record::Record;
-use crate::{EmitError, room};
+use crate::{EmitError, array, room};
 
 /// Address family of netlink sockets.
 pub const AF_NETLINK: u16 = 16;
@@ -198,7 +198,7 @@ impl<'a> Iterator for Messages<'a> {
         let Some((head, data)) = rest.split_first_chunk::<CN_MSG>() else {
             return Some(Err(Error::Short { need: CN_MSG, got: rest.len() }));
         };
-        let field = |at: usize| head.get(at - NLMSGHDR..).map_or(0, LittleEndian::read_u32);
+        let field = |at: usize| u32::from_le_bytes(array(head, at - NLMSGHDR));
         let len = usize::from(LittleEndian::read_u16(&head[offset::CN_LEN - NLMSGHDR..]));
         let Some((data, rest)) = data.split_at_checked(len) else {
             return Some(Err(Error::DataLength { len, left: data.len() }));

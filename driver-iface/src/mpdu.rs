@@ -5,13 +5,12 @@
 //! frame of a log ends with its own FCS, none has one.
 //!
 //! The driver sends it before it checks the FCS, so damaged frames appear, too, and before the 0xBB of the same frame. A 0xBB
-//! belongs to the 0xC1 just before it ([`Pairing`]); counting records does not find the right one.
+//! belongs to the 0xC1 just before it; counting records does not find the right one.
 
 use byteorder::{BigEndian, ByteOrder, LittleEndian};
 use core::fmt;
 
-use crate::record::code;
-use crate::{EmitError, Mac, checksum, room};
+use crate::{EmitError, Mac, array, checksum, room};
 
 /// Bytes of an 802.11 data header with three addresses (802.11-2016 9.2.4).
 pub const HEADER: usize = 24;
@@ -74,10 +73,6 @@ impl<'a> Mpdu<'a> {
         Ok(Self { frame, head, payload, fcs: u32::from_le_bytes(*fcs) })
     }
 
-    fn mac_at(&self, at: usize) -> Mac {
-        Mac(self.head.get(at..).and_then(|bytes| bytes.first_chunk()).copied().unwrap_or_default())
-    }
-
     /// Frame control: version, type, subtype and flags; 0x0008 for plain data.
     #[must_use]
     pub fn frame_control(&self) -> u16 {
@@ -93,19 +88,19 @@ impl<'a> Mpdu<'a> {
     /// Address 1, the receiver.
     #[must_use]
     pub fn addr1(&self) -> Mac {
-        self.mac_at(offset::ADDR1)
+        Mac(array(self.head, offset::ADDR1))
     }
 
     /// Address 2, the transmitter.
     #[must_use]
     pub fn addr2(&self) -> Mac {
-        self.mac_at(offset::ADDR2)
+        Mac(array(self.head, offset::ADDR2))
     }
 
     /// Address 3; the robot's own address in sounding frames.
     #[must_use]
     pub fn addr3(&self) -> Mac {
-        self.mac_at(offset::ADDR3)
+        Mac(array(self.head, offset::ADDR3))
     }
 
     /// Sequence control.
@@ -283,42 +278,6 @@ impl<'a> Repr<'a> {
     }
 }
 
-/// Finds the 0xC1 of a 0xBB: the one just before it.
-///
-/// Feed it the code of every record in order, with a value for the record (an offset, a parsed frame).
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Pairing<T> {
-    last: Option<T>,
-}
-
-impl<T> Pairing<T> {
-    /// At the start: no record yet.
-    #[must_use]
-    pub const fn new() -> Self {
-        Self { last: None }
-    }
-
-    /// Takes the next record; for a 0xBB returns the value of the 0xC1 just before it.
-    ///
-    /// Other codes (noise, status) in between do not separate them. A second 0xC1 replaces the first, which had no CSI; a second 0xBB
-    /// finds none. After damage call [`Pairing::forget`].
-    pub fn next(&mut self, code: u8, record: T) -> Option<T> {
-        match code {
-            code::MPDU => {
-                self.last = Some(record);
-                None
-            }
-            code::BFEE => self.last.take(),
-            _ => None,
-        }
-    }
-
-    /// Forgets the last 0xC1: records are missing after it.
-    pub fn forget(&mut self) {
-        self.last = None;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -329,19 +288,6 @@ mod tests {
     #[test]
     fn crc_of_the_check_string() {
         assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
-    }
-
-    #[test]
-    fn a_bfee_belongs_to_the_frame_just_before_it() {
-        let mut pairing = Pairing::new();
-        let mut next = |code, n| pairing.next(code, n);
-        assert_eq!(next(code::BFEE, 0), None);
-        assert_eq!((next(code::MPDU, 1), next(code::MPDU, 2), next(code::NOISE, 3)), (None, None, None));
-        assert_eq!((next(code::BFEE, 4), next(code::BFEE, 5)), (Some(2), None));
-        let mut pairing = Pairing::new();
-        pairing.next(code::MPDU, 1);
-        pairing.forget();
-        assert_eq!(pairing.next(code::BFEE, 2), None);
     }
 
     #[test]

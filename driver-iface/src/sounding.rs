@@ -18,11 +18,7 @@
 //! `injection/random_packets.c`, driver `dvm/rx.c` and `dvm/tx.c`; field values of the stock sender from csiread's
 //! `sample_0x5_64_3000.dat`.
 
-pub mod native;
-pub mod wsr;
-
-use crate::Mac;
-use byteorder::{BigEndian, ByteOrder};
+use crate::{Mac, array, put};
 use core::fmt;
 
 /// addr1 and addr2 of every sounding frame (WSR `random_packets.c`; iwlwifi `dvm/sta.c`, `dvm/tx.c`).
@@ -108,37 +104,32 @@ impl<'a> Frame<'a> {
             return Err(Error::Length { expect: MIN_LEN, got: bytes.len() });
         }
         let frame = Self { bytes };
-        let control = frame.array(field::FRAME_CONTROL);
+        let control = array(bytes, field::FRAME_CONTROL);
         if control[0] != FRAME_CONTROL[0] || control[1] & FLAGS_MUST_BE_CLEAR != 0 {
             return Err(Error::FrameControl(control));
         }
-        let addr1 = Mac(frame.array(field::ADDR1));
+        let addr1 = Mac(array(bytes, field::ADDR1));
         if addr1 != MAGIC_MAC { Err(Error::Receiver(addr1)) } else { Ok(frame) }
-    }
-
-    /// The `N` bytes at a fixed offset; zeros after the end, which callers have checked.
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        self.bytes.get(at..).and_then(|rest| rest.first_chunk()).copied().unwrap_or([0; N])
     }
 
     /// addr2: [`MAGIC_MAC`] in frames whose CSI the receiver reports.
     #[must_use]
     pub fn addr2(&self) -> Mac {
-        Mac(self.array(field::ADDR2))
+        Mac(array(self.bytes, field::ADDR2))
     }
 
     /// addr3: the sender's own MAC.
     #[must_use]
     #[doc(alias = "addr3")]
     pub fn sender(&self) -> Mac {
-        Mac(self.array(field::ADDR3))
+        Mac(array(self.bytes, field::ADDR3))
     }
 
     /// The frame number.
     #[must_use]
     #[doc(alias = "frame_count")]
     pub fn number(&self) -> u32 {
-        BigEndian::read_u32(&self.array::<4>(field::NUMBER))
+        u32::from_be_bytes(array(self.bytes, field::NUMBER))
     }
 
     /// Everything after the number.
@@ -173,8 +164,734 @@ fn emit_header(buffer: &mut [u8], sender: Mac, number: u32) {
     }
 }
 
-fn put(buffer: &mut [u8], at: usize, bytes: &[u8]) {
-    if let Some(place) = buffer.get_mut(at..at + bytes.len()) {
-        place.copy_from_slice(bytes);
+pub mod native {
+    //! The native dialect: the payload contains destination, role, turn and slot, so that one length serves every robot, any robot may
+    //! initiate, and clocks can be synchronised over the air. Works with the stock CSI driver.
+    //!
+    //! After the common header and number ([`super`]), all numbers big-endian:
+    //!
+    //! | offset | size | field |
+    //! |---|---|---|
+    //! | 28 | 3 | [`MAGIC`] |
+    //! | 31 | 1 | [`VERSION`] |
+    //! | 32 | 1 | role: 0 forward, 1 backward |
+    //! | 33 | 1 | flags: 0x01 measurement follows, 0x02 tag follows, 0x04 sender wants the turn |
+    //! | 34 | 6 | destination: the robot that should answer, or is answered |
+    //! | 40 | 6 | next: initiator of the next turn (the current one if the turn should be renewed) |
+    //! | 46 | 4 | session of the initiator: scope of the frame number, new at every start |
+    //! | 50 | 4 | session of the sender (in a forward frame the same) |
+    //! | 54 | 4 | turn: counts changes and renewals of the initiator |
+    //! | 58 | 2 | left: slots of this turn after this one |
+    //! | 60 | 8 | slot number since the initiator's epoch, of the forward frame |
+    //! | 68 | 4 | length of a round, microseconds |
+    //! | 72 | 2 | slots of a round |
+    //! | 74 | 76 | [`Measurement`], if flagged |
+    //! | .. | 16 | authentication tag, if flagged; over [`authenticated_parts`]: 8 bytes with the group's key, 8 with that of sender and destination |
+    //!
+    //! A backward frame repeats number, initiator's session, turn, left, next, slot, round and slots of the forward frame that it
+    //! answers.
+
+    use super::{Error, FCS_LEN, Frame, emit_header};
+    use crate::{Mac, array, put};
+
+    /// First bytes of a native body.
+    pub const MAGIC: [u8; 3] = *b"csi";
+    /// Version of this layout.
+    pub const VERSION: u8 = 1;
+    /// Bytes without measurement and tag, without FCS.
+    pub const BASE_LEN: usize = field::MEASUREMENT;
+    /// Bytes of a measurement.
+    pub const MEASUREMENT_LEN: usize = 16 + 2 * SUBCARRIERS;
+    /// Bytes of the authentication tag.
+    pub const TAG_LEN: usize = 16;
+    /// Bytes of the longest frame, without FCS.
+    pub const MAX_LEN: usize = BASE_LEN + MEASUREMENT_LEN + TAG_LEN;
+    /// Subcarriers that the card reports.
+    pub const SUBCARRIERS: usize = crate::bfee::SUBCARRIERS;
+
+    /// Offsets in the MPDU.
+    mod field {
+        pub(super) const MAGIC: usize = 28;
+        pub(super) const VERSION: usize = 31;
+        pub(super) const ROLE: usize = 32;
+        pub(super) const FLAGS: usize = 33;
+        pub(super) const DESTINATION: usize = 34;
+        pub(super) const NEXT: usize = 40;
+        pub(super) const SESSION: usize = 46;
+        pub(super) const SENDER_SESSION: usize = 50;
+        pub(super) const TURN: usize = 54;
+        pub(super) const LEFT: usize = 58;
+        pub(super) const SLOT: usize = 60;
+        pub(super) const ROUND_US: usize = 68;
+        pub(super) const SLOTS: usize = 72;
+        pub(super) const MEASUREMENT: usize = 74;
+    }
+
+    /// Offsets in a measurement.
+    mod measured {
+        pub(super) const NUMBER: usize = 0;
+        pub(super) const TIMESTAMP_LOW: usize = 4;
+        pub(super) const RX_ANTENNA: usize = 8;
+        pub(super) const ANTENNA_SEL: usize = 9;
+        pub(super) const RSSI: usize = 10;
+        pub(super) const NOISE_DBM: usize = 13;
+        pub(super) const AGC: usize = 14;
+        pub(super) const RESERVED: usize = 15;
+        pub(super) const IQ: usize = 16;
+    }
+
+    mod flag {
+        pub(super) const MEASUREMENT: u8 = 0x01;
+        pub(super) const TAG: u8 = 0x02;
+        pub(super) const WANTS_TURN: u8 = 0x04;
+    }
+
+    /// Direction of a frame.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum Role {
+        /// From the initiator to the robot that should answer.
+        Forward,
+        /// The answer.
+        Backward,
+    }
+
+    /// One antenna's CSI of a forward frame as its receiver's card measured it: unchanged 8-bit values.
+    ///
+    /// The measured frame is number `number` of the same initiator's session, not necessarily the frame just answered: the kernel may
+    /// deliver its CSI too late for that answer.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub struct Measurement {
+        /// Number of the measured forward frame.
+        pub number: u32,
+        /// The card's 1 MHz clock at reception; wraps every 4,295 s.
+        pub timestamp_low: u32,
+        /// Receive antenna, 0 to 2 for A to C (after undoing the card's permutation).
+        pub rx_antenna: u8,
+        /// `antenna_sel` of the record.
+        pub antenna_sel: u8,
+        /// `rssi_a`, `rssi_b`, `rssi_c` of the record.
+        pub rssi: [u8; 3],
+        /// Noise, dBm; -127 if unknown.
+        pub noise_dbm: i8,
+        /// Automatic gain, dB.
+        pub agc: u8,
+        /// `iq[subcarrier] = [I, Q]`, in the card's order of subcarriers.
+        pub iq: [[i8; 2]; SUBCARRIERS],
+    }
+
+    impl Measurement {
+        fn parse(bytes: &[u8; MEASUREMENT_LEN]) -> Self {
+            let mut iq = [[0; 2]; SUBCARRIERS];
+            let (pairs, _) = bytes.split_at(measured::IQ).1.as_chunks::<2>();
+            for (value, pair) in iq.iter_mut().zip(pairs) {
+                *value = pair.map(u8::cast_signed);
+            }
+            let [noise_dbm] = array(bytes, measured::NOISE_DBM);
+            let [rx_antenna] = array(bytes, measured::RX_ANTENNA);
+            let [antenna_sel] = array(bytes, measured::ANTENNA_SEL);
+            let [agc] = array(bytes, measured::AGC);
+            Self {
+                number: u32::from_be_bytes(array(bytes, measured::NUMBER)),
+                timestamp_low: u32::from_be_bytes(array(bytes, measured::TIMESTAMP_LOW)),
+                rx_antenna,
+                antenna_sel,
+                rssi: array(bytes, measured::RSSI),
+                noise_dbm: noise_dbm.cast_signed(),
+                agc,
+                iq,
+            }
+        }
+
+        fn emit(&self, bytes: &mut [u8]) {
+            put(bytes, measured::NUMBER, &self.number.to_be_bytes());
+            put(bytes, measured::TIMESTAMP_LOW, &self.timestamp_low.to_be_bytes());
+            put(bytes, measured::RX_ANTENNA, &[self.rx_antenna, self.antenna_sel]);
+            put(bytes, measured::RSSI, &self.rssi);
+            put(bytes, measured::NOISE_DBM, &[self.noise_dbm.cast_unsigned(), self.agc]);
+            put(bytes, measured::RESERVED, &[0]);
+            for (k, value) in self.iq.iter().enumerate() {
+                put(bytes, measured::IQ + 2 * k, &value.map(i8::cast_unsigned));
+            }
+        }
+    }
+
+    /// A native frame as a value.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub struct Repr {
+        /// The sender's own MAC (addr3).
+        pub sender: Mac,
+        /// Frame number, counted by the initiator.
+        pub number: u32,
+        /// Forward or backward.
+        pub role: Role,
+        /// The robot that the frame addresses.
+        pub destination: Mac,
+        /// Initiator of the next turn.
+        pub next: Mac,
+        /// The sender requests the turn.
+        pub wants_turn: bool,
+        /// Session of the initiator.
+        pub session: u32,
+        /// Session of the sender.
+        pub sender_session: u32,
+        /// Number of the turn.
+        pub turn: u32,
+        /// Slots of the turn after this one.
+        pub left: u16,
+        /// Number of this slot since the initiator's epoch.
+        pub slot: u64,
+        /// Length of a round, microseconds.
+        pub round_us: u32,
+        /// Slots of a round.
+        pub slots: u16,
+        /// The sender's measurement of an earlier frame.
+        pub measurement: Option<Measurement>,
+        /// Authentication tag.
+        pub tag: Option<[u8; TAG_LEN]>,
+    }
+
+    impl Repr {
+        /// Bytes to hand to the card, which appends the FCS.
+        #[must_use]
+        pub const fn mpdu_len(&self) -> usize {
+            mpdu_len(self.measurement.is_some(), self.tag.is_some())
+        }
+
+        /// Reads a checked frame. The tag is copied, not verified.
+        ///
+        /// # Errors
+        /// [`Error::Magic`] for a frame of another dialect; [`Error::Version`], [`Error::Role`], [`Error::Flags`] or [`Error::Length`] for
+        /// a damaged or newer one.
+        pub fn parse(frame: &Frame<'_>) -> Result<Self, Error> {
+            let bytes = frame.mpdu();
+            let head: &[u8; BASE_LEN] =
+                bytes.first_chunk().ok_or(Error::Length { expect: BASE_LEN, got: bytes.len() })?;
+            let magic = array(head, field::MAGIC);
+            if magic != MAGIC {
+                return Err(Error::Magic(magic));
+            }
+            let ([version], [role], [flags]) =
+                (array(head, field::VERSION), array(head, field::ROLE), array(head, field::FLAGS));
+            if version != VERSION {
+                return Err(Error::Version(version));
+            }
+            if flags & !(flag::MEASUREMENT | flag::TAG | flag::WANTS_TURN) != 0 {
+                return Err(Error::Flags(flags));
+            }
+            let role = match role {
+                0 => Role::Forward,
+                1 => Role::Backward,
+                other => return Err(Error::Role(other)),
+            };
+            let (has_measurement, has_tag) = (flags & flag::MEASUREMENT != 0, flags & flag::TAG != 0);
+            let expect = mpdu_len(has_measurement, has_tag);
+            if bytes.len() != expect {
+                return Err(Error::Length { expect, got: bytes.len() });
+            }
+            let after = bytes.get(BASE_LEN..).unwrap_or(&[]);
+            Ok(Self {
+                sender: frame.sender(),
+                number: frame.number(),
+                role,
+                destination: Mac(array(head, field::DESTINATION)),
+                next: Mac(array(head, field::NEXT)),
+                wants_turn: flags & flag::WANTS_TURN != 0,
+                session: u32::from_be_bytes(array(head, field::SESSION)),
+                sender_session: u32::from_be_bytes(array(head, field::SENDER_SESSION)),
+                turn: u32::from_be_bytes(array(head, field::TURN)),
+                left: u16::from_be_bytes(array(head, field::LEFT)),
+                slot: u64::from_be_bytes(array(head, field::SLOT)),
+                round_us: u32::from_be_bytes(array(head, field::ROUND_US)),
+                slots: u16::from_be_bytes(array(head, field::SLOTS)),
+                measurement: after.first_chunk().filter(|_| has_measurement).map(Measurement::parse),
+                tag: after.last_chunk().filter(|_| has_tag).copied(),
+            })
+        }
+
+        /// Writes the frame at the start of `buffer` and returns its length without FCS.
+        ///
+        /// # Errors
+        /// [`Error::Length`] if it does not fit; [`MAX_LEN`] always does.
+        pub fn emit(&self, buffer: &mut [u8]) -> Result<usize, Error> {
+            let len = self.mpdu_len();
+            let got = buffer.len();
+            let frame = buffer.get_mut(..len).ok_or(Error::Length { expect: len, got })?;
+            emit_header(frame, self.sender, self.number);
+            let role = match self.role {
+                Role::Forward => 0,
+                Role::Backward => 1,
+            };
+            let flags = set_if(self.measurement.is_some(), flag::MEASUREMENT)
+                | set_if(self.tag.is_some(), flag::TAG)
+                | set_if(self.wants_turn, flag::WANTS_TURN);
+            put(frame, field::MAGIC, &MAGIC);
+            put(frame, field::VERSION, &[VERSION]);
+            put(frame, field::ROLE, &[role]);
+            put(frame, field::FLAGS, &[flags]);
+            put(frame, field::DESTINATION, &self.destination.0);
+            put(frame, field::NEXT, &self.next.0);
+            put(frame, field::SESSION, &self.session.to_be_bytes());
+            put(frame, field::SENDER_SESSION, &self.sender_session.to_be_bytes());
+            put(frame, field::TURN, &self.turn.to_be_bytes());
+            put(frame, field::LEFT, &self.left.to_be_bytes());
+            put(frame, field::SLOT, &self.slot.to_be_bytes());
+            put(frame, field::ROUND_US, &self.round_us.to_be_bytes());
+            put(frame, field::SLOTS, &self.slots.to_be_bytes());
+            if let (Some(measurement), Some(place)) = (&self.measurement, frame.get_mut(field::MEASUREMENT..)) {
+                measurement.emit(place);
+            }
+            if let (Some(tag), Some(place)) = (&self.tag, frame.last_chunk_mut()) {
+                *place = *tag;
+            }
+            Ok(len)
+        }
+    }
+
+    /// Length without FCS of a frame with or without its optional parts.
+    #[must_use]
+    pub const fn mpdu_len(has_measurement: bool, has_tag: bool) -> usize {
+        let measurement = if has_measurement { MEASUREMENT_LEN } else { 0 };
+        let tag = if has_tag { TAG_LEN } else { 0 };
+        BASE_LEN + measurement + tag
+    }
+
+    /// Length with FCS, as [`mpdu_len`].
+    #[must_use]
+    pub const fn len_with_fcs(has_measurement: bool, has_tag: bool) -> usize {
+        mpdu_len(has_measurement, has_tag) + FCS_LEN
+    }
+
+    /// The bytes that the tag covers: the addresses, and everything from the number up to the tag.
+    ///
+    /// Frame control, duration and sequence control are excluded: mac80211 and the card rewrite them.
+    #[must_use]
+    pub fn authenticated_parts(mpdu: &[u8]) -> [&[u8]; 2] {
+        let addresses = mpdu.get(super::field::ADDR1..super::field::ADDR3 + 6).unwrap_or(&[]);
+        let end = mpdu.len().saturating_sub(TAG_LEN);
+        [addresses, mpdu.get(super::field::NUMBER..end).unwrap_or(&[])]
+    }
+
+    /// Replaces the tag of an emitted frame whose [`Repr::tag`] was set.
+    pub fn set_tag(mpdu: &mut [u8], tag: [u8; TAG_LEN]) {
+        if let Some(place) = mpdu.last_chunk_mut() {
+            *place = tag;
+        }
+    }
+
+    fn set_if(condition: bool, bits: u8) -> u8 {
+        if condition { bits } else { 0 }
+    }
+}
+
+pub mod wsr {
+    //! The dialect of the WSR toolbox: a frame's length selects the robot.
+    //!
+    //! A forward frame to robot `k` is `n + 2 k` bytes long on air, FCS included (`n` = 57 in WSR's own examples). The driver of robot
+    //! `k`, loaded with `ack_len` = `n + 2 k`, answers every frame of exactly that length with a copy, one byte longer and with its own
+    //! MAC in addr3. As the copy includes the 4 bytes of the old FCS and the card appends a new one, the answer is `ack_len + 5` long
+    //! on air. If `ack_len` is odd, that is even, so no answer is ever answered. Sources: WSR `injection/random_packets.c`; driver
+    //! `dvm/rx.c`, `check_and_send_ack`.
+
+    use super::{Error, FCS_LEN, Frame, MIN_LEN, emit_header, field};
+    use crate::{Mac, put};
+
+    /// On-air length of the forward frame to the first robot in WSR's examples.
+    pub const DEFAULT_LEN: usize = 57;
+    /// Shortest forward frame, FCS included: header, number and FCS, made odd.
+    pub const MIN_FORWARD_LEN: usize = MIN_LEN + FCS_LEN + 1;
+    /// Length of the answer on air minus that of the forward frame: one byte, and the FCS of the copied frame.
+    pub const REPLY_GROWTH: usize = 1 + FCS_LEN;
+
+    /// On-air length (FCS included) of the forward frame to robot `k` if the first robot's is `first_len`.
+    #[must_use]
+    #[doc(alias = "ack_len")]
+    pub const fn forward_len(first_len: usize, k: usize) -> usize {
+        first_len + 2 * k
+    }
+
+    /// WSR's filler: a 32-bit linear feedback shift register, 8 shifts per byte, feedback `b31 ^ b29 ^ b25 ^ b24` into bit 0; the low
+    /// byte is the output. The number at the head of a payload does not advance it.
+    ///
+    /// Receivers ignore the filler. With one register for all of a sender's frames in order, frames equal WSR's byte for byte.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub struct Lfsr {
+        state: u32,
+    }
+
+    impl Default for Lfsr {
+        fn default() -> Self {
+            Self { state: 0x1f3d_5b79 }
+        }
+    }
+
+    impl Lfsr {
+        /// The next byte.
+        ///
+        /// The eight bits shifted in depend only on bits 31 to 17 of the old state, so they are computed at once.
+        pub fn next_byte(&mut self) -> u8 {
+            let s = self.state;
+            let byte = ((s >> 24) ^ (s >> 22) ^ (s >> 18) ^ (s >> 17)) as u8;
+            self.state = (s << 8) | u32::from(byte);
+            byte
+        }
+
+        /// Fills a slice.
+        pub fn fill(&mut self, bytes: &mut [u8]) {
+            bytes.iter_mut().for_each(|byte| *byte = self.next_byte());
+        }
+    }
+
+    /// A forward frame as a value.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub struct Repr {
+        /// The initiator's own MAC (addr3).
+        pub sender: Mac,
+        /// Frame number; WSR starts at 1. At 0 its driver forgets the sender's MAC.
+        pub number: u32,
+        /// Length on air, FCS included: addresses the robot.
+        pub len_with_fcs: usize,
+    }
+
+    impl Repr {
+        /// Reads a checked frame.
+        #[must_use]
+        pub fn parse(frame: &Frame<'_>) -> Self {
+            Self { sender: frame.sender(), number: frame.number(), len_with_fcs: frame.len_with_fcs() }
+        }
+
+        /// Bytes to hand to the card, which appends the FCS.
+        #[must_use]
+        pub const fn mpdu_len(&self) -> usize {
+            self.len_with_fcs.saturating_sub(FCS_LEN)
+        }
+
+        /// Writes the frame at the start of `buffer` and returns its length without FCS. Advances `filler`.
+        ///
+        /// # Errors
+        /// [`Error::Length`] if the frame does not fit, or is too short for header and number.
+        pub fn emit(&self, buffer: &mut [u8], filler: &mut Lfsr) -> Result<usize, Error> {
+            let len = self.mpdu_len();
+            if len < MIN_LEN {
+                return Err(Error::Length { expect: MIN_LEN, got: len });
+            }
+            let got = buffer.len();
+            let frame = buffer.get_mut(..len).ok_or(Error::Length { expect: len, got })?;
+            emit_header(frame, self.sender, self.number);
+            filler.fill(frame.get_mut(field::BODY..).unwrap_or(&mut []));
+            Ok(len)
+        }
+    }
+
+    /// Writes the answer to `forward` as the WSR driver does and returns its length without the new FCS.
+    ///
+    /// `forward_fcs` are the 4 bytes that followed the forward frame; zeros if the receiver strips them, because nobody reads them.
+    /// The driver allocates one byte more than the copy and leaves it unset; here it is 0.
+    ///
+    /// # Errors
+    /// [`Error::Length`] if the answer does not fit into `buffer`.
+    #[doc(alias = "check_and_send_ack")]
+    pub fn emit_reply(
+        forward: &Frame<'_>,
+        forward_fcs: [u8; FCS_LEN],
+        responder: Mac,
+        buffer: &mut [u8],
+    ) -> Result<usize, Error> {
+        let copied = forward.mpdu();
+        let len = copied.len() + REPLY_GROWTH;
+        let got = buffer.len();
+        let reply = buffer.get_mut(..len).ok_or(Error::Length { expect: len, got })?;
+        reply.fill(0);
+        put(reply, 0, copied);
+        put(reply, copied.len(), &forward_fcs);
+        put(reply, field::ADDR3, &responder.0);
+        Ok(len)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    mod native {
+        use crate::Mac;
+        use crate::sounding::native::*;
+        use crate::sounding::{Error, Frame, MAGIC_MAC};
+        use proptest::prelude::*;
+
+        fn any_measurement() -> impl Strategy<Value = Measurement> {
+            let iq = proptest::collection::vec(any::<[i8; 2]>(), SUBCARRIERS);
+            (any::<(u32, u32, u8, u8, [u8; 3], i8, u8)>(), iq).prop_map(|(m, iq)| Measurement {
+                number: m.0,
+                timestamp_low: m.1,
+                rx_antenna: m.2,
+                antenna_sel: m.3,
+                rssi: m.4,
+                noise_dbm: m.5,
+                agc: m.6,
+                iq: iq.try_into().unwrap(),
+            })
+        }
+
+        fn any_repr() -> impl Strategy<Value = Repr> {
+            let addresses = any::<([u8; 6], [u8; 6], [u8; 6], u32, bool, bool)>();
+            let numbers = any::<(u32, u32, u32, u16, u64, u32, u16)>();
+            let extras = (proptest::option::of(any_measurement()), any::<Option<[u8; TAG_LEN]>>());
+            (addresses, numbers, extras).prop_map(|(a, n, (measurement, tag))| Repr {
+                sender: Mac(a.0),
+                destination: Mac(a.1),
+                next: Mac(a.2),
+                number: a.3,
+                role: if a.4 { Role::Forward } else { Role::Backward },
+                wants_turn: a.5,
+                session: n.0,
+                sender_session: n.1,
+                turn: n.2,
+                left: n.3,
+                slot: n.4,
+                round_us: n.5,
+                slots: n.6,
+                measurement,
+                tag,
+            })
+        }
+
+        fn plain() -> Repr {
+            Repr {
+                sender: Mac([2, 0, 0, 0, 0, 1]),
+                number: 0x0102_0304,
+                role: Role::Forward,
+                destination: Mac([2, 0, 0, 0, 0, 2]),
+                next: Mac([2, 0, 0, 0, 0, 3]),
+                wants_turn: true,
+                session: 5,
+                sender_session: 5,
+                turn: 6,
+                left: 7,
+                slot: 8,
+                round_us: 10_000,
+                slots: 12,
+                measurement: None,
+                tag: None,
+            }
+        }
+
+        #[test]
+        fn a_native_frame_keeps_what_csi_and_wsr_logs_need() {
+            let mut buffer = [0; MAX_LEN];
+            let len = plain().emit(&mut buffer).unwrap();
+            assert_eq!(len, 74);
+            assert_eq!(buffer[4..10], MAGIC_MAC.0);
+            assert_eq!(buffer[10..16], MAGIC_MAC.0);
+            assert_eq!(buffer[16..22], [2, 0, 0, 0, 0, 1]);
+            assert_eq!(buffer[24..28], [1, 2, 3, 4]);
+            assert_eq!(buffer[28..34], [b'c', b's', b'i', 1, 0, 4]);
+            assert_eq!(buffer[58..74], [0, 7, 0, 0, 0, 0, 0, 0, 0, 8, 0, 0, 0x27, 0x10, 0, 12]);
+        }
+
+        #[test]
+        fn every_damage_is_named() {
+            let mut buffer = [0; MAX_LEN];
+            let len = plain().emit(&mut buffer).unwrap();
+            let parse = |bytes: &[u8]| Repr::parse(&Frame::new_checked(bytes).unwrap());
+            assert_eq!(parse(&buffer[..len]), Ok(plain()));
+            assert_eq!(parse(&buffer[..len - 1]), Err(Error::Length { expect: 74, got: 73 }));
+            assert_eq!(parse(&buffer[..len + 1]), Err(Error::Length { expect: 74, got: 75 }));
+            for (at, value, error) in [
+                (28, b'x', Error::Magic(*b"xsi")),
+                (31, 2, Error::Version(2)),
+                (32, 2, Error::Role(2)),
+                (33, 8, Error::Flags(8)),
+                (33, 3, Error::Length { expect: 166, got: 74 }),
+            ] {
+                let mut damaged = buffer;
+                damaged[at] = value;
+                assert_eq!(parse(&damaged[..len]), Err(error));
+            }
+        }
+
+        #[test]
+        fn the_tag_covers_all_but_what_the_card_rewrites() {
+            let mut buffer = [0; MAX_LEN];
+            let len = Repr { tag: Some([0; TAG_LEN]), ..plain() }.emit(&mut buffer).unwrap();
+            set_tag(&mut buffer[..len], [9; TAG_LEN]);
+            let frame = &buffer[..len];
+            assert_eq!(Repr::parse(&Frame::new_checked(frame).unwrap()).unwrap().tag, Some([9; TAG_LEN]));
+            let [addresses, rest] = authenticated_parts(frame);
+            assert_eq!(addresses, &frame[4..22]);
+            assert_eq!(rest, &frame[24..74]);
+            assert_eq!(authenticated_parts(&[]), [&[] as &[u8]; 2]);
+        }
+
+        proptest! {
+            #[test]
+            fn emit_then_parse_is_the_identity(repr in any_repr()) {
+                let mut buffer = [0xee; MAX_LEN];
+                let len = repr.emit(&mut buffer).unwrap();
+                prop_assert_eq!(len, repr.mpdu_len());
+                let frame = Frame::new_checked(&buffer[..len]).unwrap();
+                let extras = (repr.measurement.is_some(), repr.tag.is_some());
+                prop_assert_eq!(frame.len_with_fcs(), len_with_fcs(extras.0, extras.1));
+                prop_assert_eq!(len == MAX_LEN, extras == (true, true));
+                prop_assert_eq!(Repr::parse(&frame), Ok(repr));
+            }
+
+            #[test]
+            fn foreign_bytes_never_panic(repr in any_repr(), cut in 0usize..200, at in 0usize..200, value: u8) {
+                let mut buffer = [0; MAX_LEN + 40];
+                repr.emit(&mut buffer).unwrap();
+                if let Some(byte) = buffer.get_mut(at) {
+                    *byte = value;
+                }
+                if let Ok(frame) = Frame::new_checked(&buffer[..cut]) {
+                    let _ = Repr::parse(&frame);
+                }
+            }
+        }
+
+        #[test]
+        fn only_plain_data_frames_are_sounding_frames() {
+            let repr = plain();
+            let mut bytes = [0; MAX_LEN];
+            let len = repr.emit(&mut bytes).unwrap();
+            // ToDS, FromDS, more fragments, protected; a frame may have the other bits: retry, power, more data, order.
+            for (bit, refused) in
+                [(0, true), (1, true), (2, true), (3, false), (4, false), (5, false), (6, true), (7, false)]
+            {
+                let mut frame = bytes;
+                frame[1] |= 1 << bit;
+                let got = Frame::new_checked(&frame[..len]).map(|_| ());
+                let expected = if refused { Err(Error::FrameControl([8, 1 << bit])) } else { Ok(()) };
+                assert_eq!(got, expected, "bit {bit}");
+            }
+        }
+    }
+
+    mod wsr {
+        use crate::Mac;
+        use crate::sounding::wsr::*;
+        use crate::sounding::{Error, FCS_LEN, Frame, HEADER_LEN, MAGIC_MAC};
+        use proptest::prelude::*;
+        use std::vec::Vec;
+
+        /// The register as WSR writes it, one shift at a time.
+        fn slow_byte(state: &mut u32) -> u8 {
+            for _ in 0..8 {
+                let bit = (*state >> 31 ^ *state >> 29 ^ *state >> 25 ^ *state >> 24) & 1;
+                *state = *state << 1 | bit;
+            }
+            *state as u8
+        }
+
+        #[test]
+        fn filler_equals_the_bitwise_register_and_the_bytes_on_air() {
+            let (mut fast, mut slow) = (Lfsr::default(), 0x1f3d_5b79);
+            // First payload bytes of frames 1 to 3 of csiread's sample_0x5_64_3000.dat (100 payload bytes each, no number).
+            let on_air: [[u8; 6]; 3] = [
+                [0x32, 0x33, 0x54, 0x48, 0x6f, 0x81],
+                [0x7c, 0x5d, 0x0f, 0xb6, 0xb4, 0xed],
+                [0x67, 0xcb, 0x81, 0x10, 0xef, 0xc5],
+            ];
+            for expect in on_air {
+                let window: Vec<u8> = (0..100).map(|_| fast.next_byte()).collect();
+                assert_eq!(window[..6], expect);
+                assert!(window.iter().all(|byte| *byte == slow_byte(&mut slow)));
+            }
+        }
+
+        #[test]
+        fn the_header_equals_the_stock_senders_except_addr3_and_duration() {
+            // Header of frame 1 of sample_0x5_64_3000.dat; the card rewrote the duration to 48 us.
+            let on_air = [
+                0x08, 0x00, 0x30, 0x00, 0x00, 0x16, 0xea, 0x12, 0x34, 0x56, 0x00, 0x16, 0xea, 0x12, 0x34, 0x56, 0xff,
+                0xff, 0xff, 0xff, 0xff, 0xff, 0x00, 0x00,
+            ];
+            let mut buffer = [0; 64];
+            let repr = Repr { sender: Mac([0xff; 6]), number: 1, len_with_fcs: 57 };
+            assert_eq!(repr.emit(&mut buffer, &mut Lfsr::default()), Ok(53));
+            assert_eq!(buffer[..2], on_air[..2]);
+            assert_eq!(buffer[2..4], [0xff, 0xff]);
+            assert_eq!(buffer[4..HEADER_LEN], on_air[4..]);
+            assert_eq!(buffer[24..34], [0, 0, 0, 1, 0x32, 0x33, 0x54, 0x48, 0x6f, 0x81]);
+        }
+
+        #[test]
+        fn the_counter_stays_true_and_the_filler_runs_on_beyond_68_966_frames() {
+            let (mut filler, mut slow) = (Lfsr::default(), 0x1f3d_5b79);
+            let mut buffer = [0; 64];
+            for number in 1..=150_000u32 {
+                let repr = Repr { sender: Mac([2; 6]), number, len_with_fcs: 57 };
+                let len = repr.emit(&mut buffer, &mut filler).unwrap();
+                let frame = Frame::new_checked(&buffer[..len]).unwrap();
+                assert_eq!(Repr::parse(&frame), repr);
+                assert_eq!(frame.body(), &buffer[28..len]);
+                assert!(frame.body().iter().all(|byte| *byte == slow_byte(&mut slow)));
+            }
+        }
+
+        #[test]
+        fn an_answer_is_the_forward_frame_grown_by_five_with_the_responders_mac() {
+            let mut buffer = [0; 64];
+            let len = Repr { sender: Mac([2; 6]), number: 9, len_with_fcs: 59 }
+                .emit(&mut buffer, &mut Lfsr::default())
+                .unwrap();
+            let forward = Frame::new_checked(&buffer[..len]).unwrap();
+            let mut reply = [0xee; 64];
+            let reply_len = emit_reply(&forward, [1, 2, 3, 4], Mac([7; 6]), &mut reply).unwrap();
+            let answer = Frame::new_checked(&reply[..reply_len]).unwrap();
+            assert_eq!(answer.len_with_fcs(), 64); // driver-interface: 62, 64, 66 for 57, 59, 61
+            assert_eq!((answer.sender(), answer.number()), (Mac([7; 6]), 9));
+            assert_eq!(answer.mpdu()[..16], buffer[..16]);
+            assert_eq!(answer.mpdu()[22..55], buffer[22..55]);
+            assert_eq!(reply[55..60], [1, 2, 3, 4, 0]);
+            assert_eq!(answer.addr2(), MAGIC_MAC);
+            assert_eq!(
+                emit_reply(&forward, [0; 4], Mac([7; 6]), &mut [0; 59]),
+                Err(Error::Length { expect: 60, got: 59 })
+            );
+        }
+
+        #[test]
+        fn a_frame_to_each_robot_is_two_bytes_longer_than_to_the_one_before() {
+            assert_eq!([0, 1, 2, 5].map(|k| forward_len(DEFAULT_LEN, k)), [57, 59, 61, 67]);
+            // The shortest one is the shortest odd length with room for its number.
+            let emitted = |len_with_fcs| {
+                let repr = Repr { sender: Mac([2; 6]), number: 1, len_with_fcs };
+                repr.emit(&mut [0; 64], &mut Lfsr::default()).map(|len| len + FCS_LEN)
+            };
+            assert_eq!((MIN_FORWARD_LEN % 2, emitted(MIN_FORWARD_LEN)), (1, Ok(MIN_FORWARD_LEN)));
+            assert!(emitted(MIN_FORWARD_LEN - 2).is_err());
+        }
+
+        #[test]
+        fn no_answer_is_ever_answered() {
+            for first in (MIN_FORWARD_LEN..200).step_by(2) {
+                for (a, b) in (0..40).flat_map(|a| (0..40).map(move |b| (a, b))) {
+                    assert_ne!(forward_len(first, a) + REPLY_GROWTH, forward_len(first, b));
+                }
+            }
+        }
+
+        #[test]
+        fn frames_too_short_or_not_ours_are_refused() {
+            let mut buffer = [0; 64];
+            let short = Repr { sender: Mac([2; 6]), number: 1, len_with_fcs: 31 };
+            assert_eq!(short.emit(&mut buffer, &mut Lfsr::default()), Err(Error::Length { expect: 28, got: 27 }));
+            let len = Repr { len_with_fcs: 57, ..short }.emit(&mut buffer, &mut Lfsr::default()).unwrap();
+            assert_eq!(Frame::new_checked(&buffer[..27]).err(), Some(Error::Length { expect: 28, got: 27 }));
+            let mut other = buffer;
+            other[0] = 0x80;
+            assert_eq!(Frame::new_checked(&other[..len]).err(), Some(Error::FrameControl([0x80, 0])));
+            other = buffer;
+            other[9] = 0x57;
+            assert!(matches!(Frame::new_checked(&other[..len]), Err(Error::Receiver(_))));
+        }
+
+        proptest! {
+            #[test]
+            fn emit_then_parse_is_the_identity(sender: [u8; 6], number: u32, len_with_fcs in 32usize..300) {
+                let repr = Repr { sender: Mac(sender), number, len_with_fcs };
+                let mut buffer = [0; 300];
+                let len = repr.emit(&mut buffer, &mut Lfsr::default()).unwrap();
+                prop_assert_eq!(Repr::parse(&Frame::new_checked(&buffer[..len]).unwrap()), repr);
+            }
+        }
     }
 }

@@ -13,13 +13,12 @@
 //! A record is made from one 0xC0 and one 0xBB. Used or contradictory packets are forgotten, so that no record contains another
 //! frame's fields; [`Counts`] counts dropped packets by reason.
 
-mod card;
-mod event;
-mod packet;
-
-pub use card::{Card, Counts, Options};
-pub use event::{Event, EventError, EventRepr, flag};
-pub use packet::{BadPacket, CsiNotification, FrameStart, Packet, RxMpdu, RxPhy};
+use crate::bfee::{self, Layout, MAX_BODY, NOISE_UNKNOWN_DBM, STOCK_HEADER, Wsr};
+use crate::mpdu::FCS;
+use crate::record::{Record, code};
+use crate::{EmitError, Mac, array, mpdu, room};
+use byteorder::{BigEndian, ByteOrder, LittleEndian};
+use core::fmt;
 
 /// Commands in a packet's header (`dvm/commands.h`).
 pub mod command {
@@ -33,53 +32,907 @@ pub mod command {
     pub const CSI: u8 = 0xBB;
 }
 
-/// Offsets in a packet and in its commands' data.
-pub mod offset {
-    /// u32 of the packet; [`SIZE_MASK`](super::SIZE_MASK) selects the number of bytes after it.
-    pub const LEN_N_FLAGS: usize = 0;
-    /// u8 of the packet.
-    pub const COMMAND: usize = 4;
-    /// The packet's data.
-    pub const DATA: usize = 8;
+/// Offsets in the data of commands.
+mod offset {
     /// u8 of 0xC0: number of words after the fixed part; the first byte of the first one is the antenna order.
-    pub const PHY_CFG_COUNT: usize = 1;
+    pub(super) const PHY_CFG_COUNT: usize = 1;
     /// u64 of 0xC0, microseconds of the card's clock.
-    pub const PHY_TIMESTAMP: usize = 4;
+    pub(super) const PHY_TIMESTAMP: usize = 4;
     /// u32 of 0xC0, bits 15 to 9: gain in dB.
-    pub const PHY_AGC: usize = 24;
+    pub(super) const PHY_AGC: usize = 24;
     /// u32 of 0xC0: RSSI of antenna A in bits 7 to 0, of B in bits 23 to 16.
-    pub const PHY_RSSI_AB: usize = 28;
+    pub(super) const PHY_RSSI_AB: usize = 28;
     /// u32 of 0xC0: RSSI of antenna C in bits 7 to 0.
-    pub const PHY_RSSI_C: usize = 32;
+    pub(super) const PHY_RSSI_C: usize = 32;
     /// u32 of 0xC0.
-    pub const PHY_RATE_N_FLAGS: usize = 52;
+    pub(super) const PHY_RATE_N_FLAGS: usize = 52;
     /// u8 of 0xC0, if there are configured words.
-    pub const PHY_ANTENNA_SEL: usize = 60;
-    /// u16 of 0xC1: bytes of the frame, FCS included.
-    pub const MPDU_BYTE_COUNT: usize = 0;
-    /// The frame in 0xC1; a u32 of status follows it.
-    pub const MPDU_FRAME: usize = 4;
+    pub(super) const PHY_ANTENNA_SEL: usize = 60;
+    /// The frame in 0xC1, after a u16 of its length, FCS included; a u32 of status follows it.
+    pub(super) const MPDU_FRAME: usize = 4;
 }
 
-/// Bits of [`offset::LEN_N_FLAGS`] with the packet's size, counted from the command byte on.
-pub const SIZE_MASK: u32 = 0x3fff;
 /// Bytes of 0xC0 without configured words.
-pub const PHY_LEN: usize = 60;
+const PHY_LEN: usize = 60;
 /// Bytes of 0xC0 with one configured word.
-pub const PHY_LEN_WITH_ORDER: usize = 64;
+const PHY_LEN_WITH_ORDER: usize = 64;
 /// Bytes of the status after a frame.
-pub const STATUS_LEN: usize = 4;
+const STATUS_LEN: usize = 4;
 /// Bits of the status: checksum correct, and no overflow of the card's buffer (RX_RES_STATUS_NO_CRC32_ERROR,
 /// RX_RES_STATUS_NO_RXE_OVERFLOW).
-pub const STATUS_GOOD: u32 = 0b11;
+const STATUS_GOOD: u32 = 0b11;
 /// The shortest frame: an acknowledgement with its FCS.
-pub const MIN_FRAME: usize = 14;
+const MIN_FRAME: usize = 14;
 /// The longest frame that fits a record.
-pub const MAX_FRAME: usize = crate::record::MAX_LENGTH - 1;
+const MAX_FRAME: usize = crate::record::MAX_LENGTH - 1;
 /// Bytes of a frame that are read: 802.11 header and number.
-pub const FRAME_START: usize = crate::mpdu::HEADER + crate::mpdu::COUNTER;
+const FRAME_START: usize = crate::mpdu::HEADER + crate::mpdu::COUNTER;
 /// `antenna_sel` if the card did not report it: it names no antenna.
 pub const ORDER_UNKNOWN: u8 = 0xff;
 
+/// The wanted records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Options {
+    /// csitool's layout, or WSR's with host time, sender and frame number.
+    pub layout: Layout,
+    /// Return 0xC1 records, the frames themselves, before their 0xBB (`connector_log` 0x4).
+    pub frames: bool,
+    /// Return 0xBB records (`connector_log` 0x1).
+    pub csi: bool,
+}
+
+impl Default for Options {
+    /// 0xBB records in WSR's layout, because a bearing needs sender and frame number.
+    fn default() -> Self {
+        Self { layout: Layout::Wsr, frames: false, csi: true }
+    }
+}
+
+impl Options {
+    /// Sets [`layout`](Self::layout).
+    #[must_use]
+    pub fn with_layout(self, layout: Layout) -> Self {
+        Self { layout, ..self }
+    }
+
+    /// Sets [`frames`](Self::frames).
+    #[must_use]
+    pub fn with_frames(self, frames: bool) -> Self {
+        Self { frames, ..self }
+    }
+
+    /// Sets [`csi`](Self::csi).
+    #[must_use]
+    pub fn with_csi(self, csi: bool) -> Self {
+        Self { csi, ..self }
+    }
+}
+
+/// Counts of a card's packets and their use. The counters wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Counts {
+    /// 0xC0 seen.
+    pub phy: u32,
+    /// 0xC1 seen.
+    pub mpdu: u32,
+    /// 0xBB seen.
+    pub bfee: u32,
+    /// Records made from 0xBB.
+    pub records: u32,
+    /// 0xC0 too short.
+    pub bad_phy: u32,
+    /// 0xC1 with contradictory lengths.
+    pub bad_mpdu: u32,
+    /// 0xC1 before any 0xC0, dropped.
+    pub mpdu_no_phy: u32,
+    /// 0xBB with contradictory counts or lengths.
+    pub bad_bfee: u32,
+    /// 0xBB without its own 0xC0, dropped.
+    pub no_phy: u32,
+    /// Records without antenna order from the card.
+    pub no_order: u32,
+    /// Records in WSR's layout without a good 0xC1 of their frame: sender unknown.
+    pub no_sender: u32,
+}
+
+impl Counts {
+    /// 0xBB that gave no record.
+    #[must_use]
+    pub fn dropped(&self) -> u32 {
+        self.bad_bfee.wrapping_add(self.no_phy)
+    }
+
+    /// The sum of two cards' counts.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        Self {
+            phy: self.phy.wrapping_add(other.phy),
+            mpdu: self.mpdu.wrapping_add(other.mpdu),
+            bfee: self.bfee.wrapping_add(other.bfee),
+            records: self.records.wrapping_add(other.records),
+            bad_phy: self.bad_phy.wrapping_add(other.bad_phy),
+            bad_mpdu: self.bad_mpdu.wrapping_add(other.bad_mpdu),
+            mpdu_no_phy: self.mpdu_no_phy.wrapping_add(other.mpdu_no_phy),
+            bad_bfee: self.bad_bfee.wrapping_add(other.bad_bfee),
+            no_phy: self.no_phy.wrapping_add(other.no_phy),
+            no_order: self.no_order.wrapping_add(other.no_order),
+            no_sender: self.no_sender.wrapping_add(other.no_sender),
+        }
+    }
+}
+
+/// The state of one card: packets of the frame whose 0xBB is awaited.
+///
+/// Call [`handle`](Self::handle) with every packet in order of arrival, and [`gap`](Self::gap) where some are missing.
+#[derive(Clone, Debug, Default)]
+pub struct Card {
+    phy: Option<RxPhy>,
+    phy_seen: bool,
+    sender: Option<(Mac, u32)>,
+    bfee_count: u16,
+    counts: Counts,
+}
+
+impl Card {
+    /// Counts since the card was first seen.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// Packets are missing here: the current frame must not be combined with later packets.
+    pub fn gap(&mut self) {
+        (self.phy, self.sender) = (None, None);
+    }
+
+    /// Handles one packet. `host_us` is the host's wall clock at its arrival, microseconds since the Unix epoch; a record of CSI is
+    /// written to `body`.
+    ///
+    /// Returns the record that this packet completes, if any: 0xBB, or with [`Options::frames`] 0xC1.
+    pub fn handle<'b>(
+        &mut self,
+        options: &Options,
+        packet: &Packet<'b>,
+        host_us: i64,
+        body: &'b mut [u8; MAX_BODY],
+    ) -> Option<Record<'b>> {
+        match packet {
+            Packet::Alive => {
+                self.gap();
+                self.phy_seen = false;
+                None
+            }
+            Packet::RxPhy(phy) => {
+                self.counts.phy = self.counts.phy.wrapping_add(1);
+                (self.phy, self.sender) = (phy.ok(), None);
+                self.phy_seen |= phy.is_ok();
+                self.counts.bad_phy = self.counts.bad_phy.wrapping_add(phy.is_err().into());
+                None
+            }
+            Packet::RxMpdu(mpdu) => self.mpdu(options, mpdu.as_ref().ok()),
+            Packet::Csi(csi) => self.csi(options, csi.as_ref().ok(), host_us, body),
+            Packet::Other => None,
+        }
+    }
+
+    fn mpdu<'a>(&mut self, options: &Options, mpdu: Option<&RxMpdu<'a>>) -> Option<Record<'a>> {
+        self.counts.mpdu = self.counts.mpdu.wrapping_add(1);
+        let Some(mpdu) = mpdu else {
+            self.counts.bad_mpdu = self.counts.bad_mpdu.wrapping_add(1);
+            self.sender = None;
+            return None;
+        };
+        if !self.phy_seen {
+            self.counts.mpdu_no_phy = self.counts.mpdu_no_phy.wrapping_add(1);
+            return None;
+        }
+        // WSR's driver uses one variable for "sender known" and the number: with number 0 the address is lost, too.
+        let found = mpdu.sender().map(|(mac, number)| (if number == 0 { Mac::default() } else { mac }, number));
+        self.sender = found.or(self.sender);
+        let body = mpdu.frame().filter(|_| options.frames)?;
+        Some(Record { code: code::MPDU, body })
+    }
+
+    fn csi<'b>(
+        &mut self,
+        options: &Options,
+        csi: Option<&CsiNotification<'_>>,
+        host_us: i64,
+        body: &'b mut [u8; MAX_BODY],
+    ) -> Option<Record<'b>> {
+        self.counts.bfee = self.counts.bfee.wrapping_add(1);
+        let (phy, sender) = (self.phy.take(), self.sender.take());
+        let Some(csi) = csi else {
+            self.counts.bad_bfee = self.counts.bad_bfee.wrapping_add(1);
+            return None;
+        };
+        let Some(phy) = phy else {
+            self.counts.no_phy = self.counts.no_phy.wrapping_add(1);
+            return None;
+        };
+        self.bfee_count = self.bfee_count.wrapping_add(1);
+        self.counts.records = self.counts.records.wrapping_add(1);
+        self.counts.no_order = self.counts.no_order.wrapping_add(phy.antenna_sel.is_none().into());
+        let is_wsr = options.layout != Layout::Stock;
+        self.counts.no_sender = self.counts.no_sender.wrapping_add((is_wsr && sender.is_none()).into());
+        let (mac, number) = sender.unwrap_or_default();
+        let wsr = Wsr {
+            tv_sec: host_us.div_euclid(1_000_000) as u32,
+            tv_usec: host_us.rem_euclid(1_000_000) as u32,
+            mac,
+            frame_count: (options.layout == Layout::Wsr).then_some(number),
+        };
+        // Chains and reserved bytes are the firmware's, the rest is from 0xC0.
+        let repr = bfee::Repr {
+            timestamp_low: phy.timestamp_low,
+            bfee_count: self.bfee_count,
+            reserved: u16::from_le_bytes(array(csi.head, bfee::offset::RESERVED)),
+            n_rx: csi.head[bfee::offset::N_RX],
+            n_tx: csi.head[bfee::offset::N_TX],
+            rssi: phy.rssi,
+            noise_dbm: NOISE_UNKNOWN_DBM,
+            agc: phy.agc,
+            antenna_sel: phy.antenna_sel.unwrap_or(ORDER_UNKNOWN),
+            rate_n_flags: phy.rate_n_flags,
+            wsr: is_wsr.then_some(wsr),
+        };
+        let body = body.get_mut(..repr.body_len())?;
+        let (header, payload) = body.split_at_mut_checked(repr.layout().header_len())?;
+        repr.emit_header(header);
+        payload.copy_from_slice(csi.csi);
+        Some(Record { code: code::BFEE, body }).filter(|_| options.csi)
+    }
+}
+
+/// Offsets in an event, little-endian as in the program.
+mod at {
+    /// u64: an address unique to the card while its driver runs.
+    pub(super) const CARD: usize = 0;
+    /// u64: CLOCK_MONOTONIC, nanoseconds.
+    pub(super) const TIME_NS: usize = 8;
+    /// u32: number of events so far without room in the ring.
+    pub(super) const RING_FULL: usize = 16;
+    /// u32: number of unreadable packets so far.
+    pub(super) const UNREADABLE: usize = 20;
+    /// u32: bytes of data in the packet.
+    pub(super) const DATA_LEN: usize = 24;
+    /// u8: the packet's command.
+    pub(super) const COMMAND: usize = 28;
+    /// u8: [`flag`](super::flag).
+    pub(super) const FLAGS: usize = 29;
+    /// u16: bytes of data in the event.
+    pub(super) const KEPT: usize = 30;
+    /// The data.
+    pub(super) const DATA: usize = 32;
+}
+
+/// Bits of [`Event::flags`].
+pub mod flag {
+    /// The data of an 0xC1 is its beginning, then the four bytes of status from the frame's end.
+    pub const FRAME_START: u8 = 1;
+}
+
+/// Why bytes are not an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EventError {
+    /// Shorter than the header.
+    Short {
+        /// Bytes that the header has.
+        need: usize,
+        /// Bytes of the event.
+        got: usize,
+    },
+    /// The data is longer than the event, or than its packet.
+    Kept {
+        /// Bytes of data by the header.
+        kept: usize,
+        /// Bytes after the header.
+        left: usize,
+        /// Bytes of the packet's data.
+        data_len: usize,
+    },
+    /// An unknown flag.
+    Flags {
+        /// The byte.
+        got: u8,
+    },
+}
+
+impl fmt::Display for EventError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Short { need, got } => write!(f, "event of {got} bytes, its header has {need}"),
+            Self::Kept { kept, left, data_len } => {
+                write!(f, "event with {kept} bytes kept of a packet of {data_len}, {left} are there")
+            }
+            Self::Flags { got } => write!(f, "event with unknown flags {got:#04x}"),
+        }
+    }
+}
+
+impl core::error::Error for EventError {}
+
+/// A checked view of an event.
+#[derive(Clone, Copy, Debug)]
+pub struct Event<'a> {
+    head: &'a [u8; at::DATA],
+    data: &'a [u8],
+}
+
+impl<'a> Event<'a> {
+    /// Checks an event as it stands in the ring; bytes after its data are padding.
+    ///
+    /// # Errors
+    /// If it is shorter than its header and data, has more data than its packet, or unknown flags.
+    pub fn new_checked(bytes: &'a [u8]) -> Result<Self, EventError> {
+        let short = EventError::Short { need: at::DATA, got: bytes.len() };
+        let (head, rest) = bytes.split_first_chunk().ok_or(short)?;
+        let mut event = Self { head, data: rest };
+        let kept = usize::from(LittleEndian::read_u16(&head[at::KEPT..]));
+        let limit = event.data_len().saturating_add(if event.is_start() { STATUS_LEN } else { 0 });
+        let refused = EventError::Kept { kept, left: rest.len(), data_len: event.data_len() };
+        event.data = rest.get(..kept).filter(|_| kept <= limit).ok_or(refused)?;
+        match event.flags() & !flag::FRAME_START {
+            0 => Ok(event),
+            _ => Err(EventError::Flags { got: event.flags() }),
+        }
+    }
+
+    fn u32_at(&self, at: usize) -> u32 {
+        u32::from_le_bytes(array(self.head, at))
+    }
+
+    fn u64_at(&self, at: usize) -> u64 {
+        u64::from_le_bytes(array(self.head, at))
+    }
+
+    fn is_start(&self) -> bool {
+        self.command() == command::RX_MPDU && self.flags() & flag::FRAME_START != 0
+    }
+
+    /// The card: equal for one card's packets while its driver runs.
+    #[must_use]
+    pub fn card(&self) -> u64 {
+        self.u64_at(at::CARD)
+    }
+
+    /// When the driver handled the packet: CLOCK_MONOTONIC, nanoseconds.
+    #[must_use]
+    pub fn time_ns(&self) -> u64 {
+        self.u64_at(at::TIME_NS)
+    }
+
+    /// Number of events without room in the ring before this one, since the program was loaded; wraps.
+    #[must_use]
+    pub fn ring_full(&self) -> u32 {
+        self.u32_at(at::RING_FULL)
+    }
+
+    /// Number of packets before this one that the program could not read; wraps.
+    #[must_use]
+    pub fn unreadable(&self) -> u32 {
+        self.u32_at(at::UNREADABLE)
+    }
+
+    /// Bytes of data of the packet, from its header.
+    #[must_use]
+    pub fn data_len(&self) -> usize {
+        self.u32_at(at::DATA_LEN) as usize
+    }
+
+    /// The packet's command.
+    #[must_use]
+    pub fn command(&self) -> u8 {
+        self.head[at::COMMAND]
+    }
+
+    /// How the packet was cut, [`flag`].
+    #[must_use]
+    pub fn flags(&self) -> u8 {
+        self.head[at::FLAGS]
+    }
+
+    /// The packet. Making a record does not use what the program cut off.
+    #[must_use]
+    pub fn packet(&self) -> Packet<'a> {
+        if !self.is_start() {
+            return Packet::new(self.command(), self.data);
+        }
+        let (start, status) = self.data.split_last_chunk::<STATUS_LEN>().unwrap_or((&[], &[0; STATUS_LEN]));
+        Packet::RxMpdu(RxMpdu::from_start(self.data_len(), start, u32::from_le_bytes(*status)))
+    }
+}
+
+/// All fields of an event; [`EventRepr::emit`] gets the data separately.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EventRepr {
+    /// See [`Event::card`].
+    pub card: u64,
+    /// See [`Event::time_ns`].
+    pub time_ns: u64,
+    /// See [`Event::ring_full`].
+    pub ring_full: u32,
+    /// See [`Event::unreadable`].
+    pub unreadable: u32,
+    /// See [`Event::data_len`].
+    pub data_len: u32,
+    /// See [`Event::command`].
+    pub command: u8,
+    /// See [`Event::flags`].
+    pub flags: u8,
+}
+
+impl EventRepr {
+    /// Writes the event as the program does. Returns its length.
+    ///
+    /// # Errors
+    /// If `data` is too long for its u16, or `out` is too short.
+    pub fn emit(&self, data: &[u8], out: &mut [u8]) -> Result<usize, EmitError> {
+        let kept = u16::try_from(data.len());
+        let kept = kept.map_err(|_| EmitError::Field { name: "kept", got: data.len(), max: u16::MAX.into() })?;
+        let out = room(out, at::DATA + data.len())?;
+        LittleEndian::write_u64(&mut out[at::CARD..], self.card);
+        LittleEndian::write_u64(&mut out[at::TIME_NS..], self.time_ns);
+        LittleEndian::write_u32(&mut out[at::RING_FULL..], self.ring_full);
+        LittleEndian::write_u32(&mut out[at::UNREADABLE..], self.unreadable);
+        LittleEndian::write_u32(&mut out[at::DATA_LEN..], self.data_len);
+        out[at::COMMAND] = self.command;
+        out[at::FLAGS] = self.flags;
+        LittleEndian::write_u16(&mut out[at::KEPT..], kept);
+        let len = out.len();
+        out[at::DATA..].copy_from_slice(data);
+        Ok(len)
+    }
+}
+
+/// Why a packet is not used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BadPacket {
+    /// 0xC0 shorter than its fixed part.
+    Phy {
+        /// Bytes of data.
+        got: usize,
+    },
+    /// 0xC1 whose frame length is impossible or exceeds the packet.
+    Mpdu {
+        /// The frame's length by its header.
+        byte_count: usize,
+        /// Bytes of data.
+        got: usize,
+    },
+    /// 0xBB shorter than its header, or than header and CSI.
+    CsiShort {
+        /// Bytes needed.
+        need: usize,
+        /// Bytes of data.
+        got: usize,
+    },
+    /// 0xBB whose header contradicts itself.
+    Csi(bfee::Error),
+}
+
+impl fmt::Display for BadPacket {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Phy { got } => write!(f, "RX_PHY of {got} bytes, its fixed part has {PHY_LEN}"),
+            Self::Mpdu { byte_count, got } => write!(
+                f,
+                "RX_MPDU of {got} bytes with a frame of {byte_count}; {MIN_FRAME} to {MAX_FRAME} are possible, and 8 more \
+                 bytes belong to it"
+            ),
+            Self::CsiShort { need, got } => write!(f, "CSI notification of {got} bytes, {need} are needed"),
+            Self::Csi(error) => write!(f, "CSI notification: {error}"),
+        }
+    }
+}
+
+impl core::error::Error for BadPacket {}
+
+/// The packets that records are made from.
+#[derive(Clone, Copy, Debug)]
+pub enum Packet<'a> {
+    /// 0x01: the firmware restarted.
+    Alive,
+    /// 0xC0, or its error.
+    RxPhy(Result<RxPhy, BadPacket>),
+    /// 0xC1, or its error.
+    RxMpdu(Result<RxMpdu<'a>, BadPacket>),
+    /// 0xBB, or its error.
+    Csi(Result<CsiNotification<'a>, BadPacket>),
+    /// Every other command.
+    Other,
+}
+
+impl<'a> Packet<'a> {
+    /// A complete packet: its command and the data after its header of 8 bytes.
+    #[must_use]
+    pub fn new(command: u8, data: &'a [u8]) -> Self {
+        match command {
+            command::ALIVE => Self::Alive,
+            command::RX_PHY => Self::RxPhy(RxPhy::new_checked(data)),
+            command::RX_MPDU => Self::RxMpdu(RxMpdu::new_checked(data)),
+            command::CSI => Self::Csi(CsiNotification::new_checked(data)),
+            _ => Self::Other,
+        }
+    }
+}
+
+/// The fields that a record takes from 0xC0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RxPhy {
+    /// Low 32 bits of the card's 1 MHz clock when the frame began, microseconds.
+    pub timestamp_low: u32,
+    /// RSSI of antennas A, B, C in dB above an internal reference.
+    pub rssi: [u8; 3],
+    /// Receiver gain, dB.
+    pub agc: u8,
+    /// The antennas of the chains, packed; `None` if the card did not report them.
+    pub antenna_sel: Option<u8>,
+    /// Rate and flags, the low 14 bits.
+    pub rate_n_flags: u16,
+}
+
+impl RxPhy {
+    /// Reads the data of 0xC0.
+    ///
+    /// # Errors
+    /// [`BadPacket::Phy`] for less than 60 bytes.
+    pub fn new_checked(data: &[u8]) -> Result<Self, BadPacket> {
+        let fixed = data.first_chunk::<PHY_LEN>().ok_or(BadPacket::Phy { got: data.len() })?;
+        let word = |at: usize| u32::from_le_bytes(array(fixed, at));
+        let (ab, c) = (word(offset::PHY_RSSI_AB), word(offset::PHY_RSSI_C));
+        let configured = fixed[offset::PHY_CFG_COUNT] > 0 && data.len() >= PHY_LEN_WITH_ORDER;
+        let order = data.get(offset::PHY_ANTENNA_SEL).copied();
+        Ok(Self {
+            timestamp_low: word(offset::PHY_TIMESTAMP),
+            rssi: [ab as u8, (ab >> 16) as u8, c as u8],
+            agc: (word(offset::PHY_AGC) >> 9 & 0x7f) as u8,
+            antenna_sel: order.filter(|order| configured && *order != ORDER_UNKNOWN),
+            rate_n_flags: (word(offset::PHY_RATE_N_FLAGS) & 0x3fff) as u16,
+        })
+    }
+}
+
+/// A frame of 0xC1, complete or only its beginning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RxMpdu<'a> {
+    byte_count: usize,
+    frame: &'a [u8],
+    status: u32,
+}
+
+impl<'a> RxMpdu<'a> {
+    /// Reads the data of 0xC1.
+    ///
+    /// # Errors
+    /// [`BadPacket::Mpdu`] if the frame is impossibly short or long, or longer than the packet.
+    pub fn new_checked(data: &'a [u8]) -> Result<Self, BadPacket> {
+        let byte_count = checked_len(data, data.len())?;
+        let bad = BadPacket::Mpdu { byte_count, got: data.len() };
+        let frame = data.get(offset::MPDU_FRAME..).and_then(|rest| rest.split_at_checked(byte_count));
+        let (frame, status) = frame.ok_or(bad)?;
+        Ok(Self { byte_count, frame, status: LittleEndian::read_u32(status.first_chunk::<STATUS_LEN>().ok_or(bad)?) })
+    }
+
+    /// From the first bytes of an 0xC1's data, which has `data_len` bytes, and the status from the frame's end.
+    ///
+    /// # Errors
+    /// As [`new_checked`](Self::new_checked), and if `start` lacks needed bytes of the frame.
+    pub fn from_start(data_len: usize, start: &'a [u8], status: u32) -> Result<Self, BadPacket> {
+        let byte_count = checked_len(start, data_len)?;
+        let frame = start.get(offset::MPDU_FRAME..).unwrap_or_default();
+        let frame = frame.get(..byte_count).unwrap_or(frame);
+        if frame.len() < byte_count.min(FRAME_START) {
+            return Err(BadPacket::Mpdu { byte_count, got: start.len() });
+        }
+        Ok(Self { byte_count, frame, status })
+    }
+
+    /// Bytes of the frame, FCS included.
+    #[must_use]
+    pub fn byte_count(&self) -> usize {
+        self.byte_count
+    }
+
+    /// The whole frame, 802.11 header to FCS; `None` if only its beginning is available.
+    #[must_use]
+    pub fn frame(&self) -> Option<&'a [u8]> {
+        (self.frame.len() == self.byte_count).then_some(self.frame)
+    }
+
+    /// True if the checksum was correct and the card's buffer did not overflow.
+    #[must_use]
+    pub fn is_good(&self) -> bool {
+        self.status & STATUS_GOOD == STATUS_GOOD
+    }
+
+    /// Address 3 and the number after the header, for a good frame that is long enough for both.
+    #[must_use]
+    pub fn sender(&self) -> Option<(Mac, u32)> {
+        let long_enough = self.byte_count >= FRAME_START + FCS;
+        let start = self.frame.first_chunk::<FRAME_START>().filter(|_| self.is_good() && long_enough)?;
+        let mac = start.get(mpdu::offset::ADDR3..)?.first_chunk()?;
+        Some((Mac(*mac), start.get(mpdu::offset::COUNTER..).map(BigEndian::read_u32)?))
+    }
+}
+
+/// The frame's length from the packet's first bytes, if it fits the packet of `data_len` bytes.
+fn checked_len(start: &[u8], data_len: usize) -> Result<usize, BadPacket> {
+    let byte_count = start.first_chunk::<2>().map_or(0, |bytes| usize::from(u16::from_le_bytes(*bytes)));
+    let fits = offset::MPDU_FRAME + byte_count + STATUS_LEN <= data_len;
+    if !fits || !(MIN_FRAME..=MAX_FRAME).contains(&byte_count) {
+        return Err(BadPacket::Mpdu { byte_count, got: data_len });
+    }
+    Ok(byte_count)
+}
+
+/// The CSI of 0xBB, checked; a record's header whose driver fields are still empty.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CsiNotification<'a> {
+    head: &'a [u8; STOCK_HEADER],
+    csi: &'a [u8],
+}
+
+impl<'a> CsiNotification<'a> {
+    /// Checks the data of 0xBB; bytes after the CSI are allowed and skipped.
+    ///
+    /// # Errors
+    /// If chains are not 1 to 3, the CSI length does not match, or the data is shorter.
+    pub fn new_checked(data: &'a [u8]) -> Result<Self, BadPacket> {
+        let got = data.len();
+        let short = BadPacket::CsiShort { need: STOCK_HEADER, got };
+        let (head, rest) = data.split_first_chunk::<STOCK_HEADER>().ok_or(short)?;
+        let len = usize::from(u16::from_le_bytes([head[bfee::offset::LEN], head[bfee::offset::LEN + 1]]));
+        bfee::check(head, STOCK_HEADER + len).map_err(BadPacket::Csi)?;
+        let csi = rest.get(..len).ok_or(BadPacket::CsiShort { need: STOCK_HEADER + len, got })?;
+        debug_assert_eq!(len, bfee::csi_len(head[bfee::offset::N_RX], head[bfee::offset::N_TX]));
+        Ok(Self { head, csi })
+    }
+
+    /// The packed CSI.
+    #[must_use]
+    pub fn csi(&self) -> &'a [u8] {
+        self.csi
+    }
+}
+
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::bfee::{Antennas, Bfee};
+    use std::vec;
+    use std::vec::Vec;
+
+    /// 0xC0 with RSSI 33, 32, 31, gain 40, time 0x0102030405, MCS 1, one configured word with the order C, B, A.
+    fn phy() -> Vec<u8> {
+        let mut data = vec![0; 64];
+        data[1] = 1;
+        data[4..12].copy_from_slice(&0x01_0203_0405_u64.to_le_bytes());
+        data[24..28].copy_from_slice(&(40_u32 << 9 | 0x1ff).to_le_bytes());
+        data[28..32].copy_from_slice(&(32_u32 << 16 | 33).to_le_bytes());
+        data[32] = 31;
+        data[52..56].copy_from_slice(&0x4101_u32.to_le_bytes());
+        data[60] = 0x06;
+        data
+    }
+
+    /// 0xC1 with a frame of 57 bytes, number 0x01020304, from 00:21:6a:00:00:07.
+    fn mpdu() -> Vec<u8> {
+        let mut data = vec![0; 4 + 57 + 4];
+        data[0] = 57;
+        data[4 + 16..4 + 22].copy_from_slice(&[0, 0x21, 0x6a, 0, 0, 7]);
+        data[4 + 24..4 + 28].copy_from_slice(&[1, 2, 3, 4]);
+        data[4 + 57] = 3;
+        data
+    }
+
+    /// 0xBB of 3x1 chains, CSI bytes 1, 2, 3 ...
+    fn csi() -> Vec<u8> {
+        let mut data = vec![0x77; 20];
+        (data[8], data[9]) = (3, 1);
+        data[16..18].copy_from_slice(&192_u16.to_le_bytes());
+        data.extend((0..192).map(|k| k as u8));
+        data
+    }
+
+    /// Handles all packets of a stream; returns the records as code and body.
+    fn records(card: &mut Card, options: &Options, stream: &[(u8, Vec<u8>)]) -> Vec<(u8, Vec<u8>)> {
+        let mut body = [0; MAX_BODY];
+        let one = |(command, data): &(u8, Vec<u8>)| {
+            let record = card.handle(options, &Packet::new(*command, data), 1_700_000_000_000_123, &mut body)?;
+            Some((record.code, record.body.to_vec()))
+        };
+        stream.iter().filter_map(one).collect()
+    }
+
+    #[test]
+    fn the_three_packets_of_a_frame_are_a_record() {
+        let (mut card, options) = (Card::default(), Options::default().with_frames(true));
+        let got = records(&mut card, &options, &[(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())]);
+        assert_eq!(got[0], (0xC1, mpdu()[4..61].to_vec()));
+        let bfee = Bfee::new_checked(&got[1].1).unwrap();
+        assert_eq!((bfee.layout(), bfee.timestamp_low(), bfee.bfee_count()), (Layout::Wsr, 0x0203_0405, 1));
+        assert_eq!((bfee.rssi(), bfee.agc(), bfee.noise_dbm(), bfee.rate_n_flags()), ([33, 32, 31], 40, -127, 0x0101));
+        assert_eq!((bfee.antenna_sel(), bfee.reserved(), bfee.payload()), (0x06, 0x7777, &csi()[20..]));
+        let wsr = bfee.wsr().unwrap();
+        assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count), (1_700_000_000, 123, Some(0x0102_0304)));
+        assert_eq!(wsr.mac, "00:21:6a:00:00:07".parse().unwrap());
+        let expect = Counts { phy: 1, mpdu: 1, bfee: 1, records: 1, ..Counts::default() };
+        assert_eq!((got.len(), card.counts(), expect.dropped()), (2, expect, 0));
+    }
+
+    #[test]
+    fn nothing_of_another_frame_is_ever_used() {
+        let options = Options::default();
+        let count = |stream: &[(u8, Vec<u8>)]| {
+            let mut card = Card::default();
+            (records(&mut card, &options, stream).len(), card.counts())
+        };
+        let [c0, c1, bb] = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
+        let short = |(command, data): &(u8, Vec<u8>)| (*command, data[..data.len() - 9].to_vec());
+        // A second 0xBB; one before any 0xC0; one after an unreadable 0xC0; one after a firmware restart.
+        assert_eq!(count(&[c0.clone(), c1.clone(), bb.clone(), bb.clone()]).1.no_phy, 1);
+        assert_eq!(
+            count(&[c1.clone(), bb.clone()]).1,
+            Counts { mpdu: 1, mpdu_no_phy: 1, bfee: 1, no_phy: 1, ..Counts::default() }
+        );
+        assert_eq!(count(&[c0.clone(), short(&c0), bb.clone()]).0, 0);
+        assert_eq!(count(&[c0.clone(), c1.clone(), (0x01, vec![]), bb.clone()]).1.no_phy, 1);
+        // The previous frame's sender is not this frame's.
+        assert_eq!(count(&[c0.clone(), c1.clone(), c0.clone(), bb.clone()]).1.no_sender, 1);
+        assert_eq!(count(&[c0.clone(), c1.clone(), short(&c1), bb.clone()]).1.no_sender, 1);
+        // Packets are missing.
+        let (mut card, mut body) = (Card::default(), [0; MAX_BODY]);
+        assert!(card.handle(&options, &Packet::new(0xC0, &c0.1), 0, &mut body).is_none());
+        card.gap();
+        assert!(card.handle(&options, &Packet::new(0xBB, &bb.1), 0, &mut body).is_none());
+        assert_eq!((card.counts().records, card.counts().no_phy), (0, 1));
+    }
+
+    #[test]
+    fn an_unreported_order_names_no_antenna() {
+        for (said, len) in [(0, 64), (1, 60), (1, 63)] {
+            let mut c0 = phy();
+            c0[1] = said;
+            c0.truncate(len);
+            let mut card = Card::default();
+            let got = records(&mut card, &Options::default().with_layout(Layout::Stock), &[(0xC0, c0), (0xBB, csi())]);
+            let bfee = Bfee::new_checked(&got[0].1).unwrap();
+            assert_eq!((bfee.layout(), bfee.antenna_sel(), card.counts().no_order), (Layout::Stock, ORDER_UNKNOWN, 1));
+            assert!(bfee.antennas().is_err());
+            // With one chain, it is the only antenna with a nonzero RSSI.
+            assert!(Antennas::new(ORDER_UNKNOWN, 1, [0, 30, 0]).is_ok());
+        }
+    }
+
+    #[test]
+    fn refusals_say_what_is_wrong() {
+        assert_eq!(RxPhy::new_checked(&[0; 59]), Err(BadPacket::Phy { got: 59 }));
+        let mut long = mpdu();
+        long[0] = 58;
+        assert_eq!(RxMpdu::new_checked(&long).unwrap_err(), BadPacket::Mpdu { byte_count: 58, got: 65 });
+        assert!(RxMpdu::from_start(65, &mpdu()[..31], 3).is_err() && RxMpdu::from_start(65, &mpdu()[..32], 3).is_ok());
+        let whole = mpdu();
+        let checked = RxMpdu::new_checked(&whole).unwrap();
+        assert_eq!((checked.byte_count(), checked.frame()), (57, whole.get(4..61)));
+        assert!(
+            (whole.len() - 8..whole.len()).all(|len| RxMpdu::from_start(len, &whole, 3).is_err()),
+            "no room for the status"
+        );
+        let mut bb = csi();
+        bb.truncate(211);
+        assert_eq!(CsiNotification::new_checked(&bb).unwrap_err(), BadPacket::CsiShort { need: 212, got: 211 });
+        bb[16] = 191;
+        let refused = CsiNotification::new_checked(&bb).unwrap_err();
+        assert_eq!(refused, BadPacket::Csi(crate::bfee::Error::CsiLength { expect: 192, got: 191 }));
+        assert!(std::format!("{refused}").contains("191"));
+    }
+
+    #[test]
+    fn the_longest_frame_is_that_of_the_longest_record() {
+        let packet = |len: u16| {
+            let mut data = std::vec![0; 4 + usize::from(len) + STATUS_LEN];
+            data[..2].copy_from_slice(&len.to_le_bytes());
+            data
+        };
+        for (len, fits) in [(13, false), (14, true), (8_191, true), (8_192, false)] {
+            let data = packet(len);
+            assert_eq!(RxMpdu::new_checked(&data).is_ok(), fits, "{len}");
+            assert_eq!(RxMpdu::from_start(data.len(), &data, 3).is_ok(), fits, "{len}");
+        }
+    }
+
+    #[test]
+    fn the_kept_beginning_of_a_frame_is_as_long_as_needed() {
+        let data = mpdu();
+        let frame = |kept: usize| RxMpdu::from_start(data.len(), &data[..kept], 3).map(|mpdu| mpdu.byte_count());
+        assert_eq!([frame(32), frame(33), frame(data.len())], [Ok(57); 3]);
+        for kept in [2, 3, 4, 5, 31] {
+            assert_eq!(frame(kept), Err(BadPacket::Mpdu { byte_count: 57, got: kept }));
+        }
+        assert_eq!(frame(1), Err(BadPacket::Mpdu { byte_count: 0, got: data.len() }));
+    }
+
+    #[test]
+    fn an_event_with_a_frames_beginning_identifies_the_frame() {
+        let (data, mut bytes) = (mpdu(), [0; 128]);
+        let kept = [&data[..36], &3_u32.to_le_bytes()].concat();
+        let start = EventRepr { data_len: 65, command: 0xC1, flags: 1, ..EventRepr::default() };
+        start.emit(&kept, &mut bytes).unwrap();
+        let sender = |bytes: &[u8]| match Event::new_checked(bytes).unwrap().packet() {
+            Packet::RxMpdu(Ok(frame)) => (frame.byte_count(), frame.sender()),
+            other => panic!("{other:?}"),
+        };
+        let right = (57, Some(("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304)));
+        assert_eq!(sender(&bytes), right);
+        // An uncut event has its status at its own end.
+        EventRepr { flags: 0, ..start }.emit(&data, &mut bytes).unwrap();
+        assert_eq!(sender(&bytes), right);
+    }
+
+    #[test]
+    fn unwanted_records_are_not_returned() {
+        let packets = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
+        for (csi, frames, codes) in
+            [(true, false, &[0xBB][..]), (true, true, &[0xC1, 0xBB]), (false, true, &[0xC1]), (false, false, &[])]
+        {
+            let options = Options::default().with_csi(csi).with_frames(frames);
+            let got = records(&mut Card::default(), &options, &packets);
+            assert_eq!(got.iter().map(|(code, _)| *code).collect::<Vec<u8>>(), codes, "csi {csi}, frames {frames}");
+        }
+    }
+
+    #[test]
+    fn only_a_cut_frame_has_its_status_at_the_end() {
+        for (command, flags, kept) in [(0xC1, 1, 12), (0xC1, 0, 8), (0xBB, 1, 8), (0xBB, 0, 8)] {
+            let fields = EventRepr { data_len: 8, command, flags, ..EventRepr::default() };
+            let mut bytes = [0; 64];
+            for (len, fits) in [(kept, true), (kept + 1, false)] {
+                fields.emit(&[7; 13][..len], &mut bytes).unwrap();
+                assert_eq!(Event::new_checked(&bytes).is_ok(), fits, "{command:#x} {flags} {len}");
+            }
+        }
+    }
+
+    #[test]
+    fn events_round_trip() {
+        let fields = EventRepr {
+            card: 0x1122_3344_5566_7788,
+            time_ns: 0x0102_0304_0506_0708,
+            ring_full: 0x0a0b_0c0d,
+            unreadable: 0x1a1b_1c1d,
+            data_len: 0x0102_0304,
+            command: 0xBB,
+            flags: 0,
+        };
+        let mut bytes = [0xee; 64];
+        let len = fields.emit(&[5, 6, 7], &mut bytes).unwrap();
+        let event = Event::new_checked(&bytes).unwrap();
+        assert_eq!((len, event.card(), event.time_ns()), (35, fields.card, fields.time_ns));
+        assert_eq!((event.ring_full(), event.unreadable()), (fields.ring_full, fields.unreadable));
+        assert_eq!((event.data_len(), event.command(), event.flags()), (0x0102_0304, 0xBB, 0));
+    }
+
+    #[test]
+    fn a_good_and_long_enough_frame_names_the_sender() {
+        let sender = |status: u32, byte_count: u8| {
+            let mut data = mpdu();
+            data[0] = byte_count;
+            RxMpdu::from_start(data.len(), &data, status).unwrap().sender()
+        };
+        let right = ("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304);
+        // Address 3 and the number end at byte 28; the checksum follows.
+        assert_eq!([sender(3, 57), sender(3, 32), sender(3, 31)], [Some(right), Some(right), None]);
+        // A wrong checksum, an overflow, both.
+        assert_eq!([sender(1, 57), sender(2, 57), sender(0, 57)], [None; 3]);
+    }
+
+    #[test]
+    fn dropped_counts_every_notification_without_a_record() {
+        let counts = Counts { bfee: 9, records: 4, bad_bfee: 2, no_phy: 3, ..Counts::default() };
+        assert_eq!((counts.dropped(), counts.plus(&counts).dropped()), (5, 10));
+        assert_eq!(Counts { bad_bfee: u32::MAX, ..counts }.dropped(), 2);
+    }
+}

@@ -1,11 +1,9 @@
 //! Grids of directions, profiles over them, and the two figures that \[paper\] and the WSR toolbox \[wsr\] take from a profile.
 
+use super::Error;
+use nalgebra::Vector3;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::sync::Arc;
-
-use nalgebra::Vector3;
-
-use super::error::Error;
 
 /// The unit vector from the receiver to a transmitter at an azimuth (from +x towards +y) and an elevation (from the
 /// xy plane upwards), radians.
@@ -173,16 +171,6 @@ impl Profile {
     }
 }
 
-/// The profile variance \[wsr-ijrr\] about the highest peak, as the WSR toolbox \[wsr\] has it: lower is sharper, 1 is a uniform
-/// profile.
-///
-/// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped
-/// around the circle (WSR_Module.cpp:1352; there in single precision). None for an empty grid or a single direction.
-#[cfg(test)]
-pub(crate) fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
-    profile_variance(profile, profile.grid.shape().0, |row, column, columns| profile.values[row * columns + column])
-}
-
 /// The profile variance \[wsr-ijrr\] about the highest peak: lower is sharper, 1 is a uniform profile.
 ///
 /// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped around the
@@ -212,4 +200,48 @@ fn profile_variance(profile: &Profile, rows: usize, value: impl Fn(usize, usize,
     }
     let n = (rows * columns) as f64;
     (plain > 0.0 && sum > 0.0).then(|| (weighted / sum) / (plain / n))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The profile variance of a profile over a grid of directions.
+    fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
+        profile_variance(profile, profile.grid.shape().0, |row, column, columns| profile.values[row * columns + column])
+    }
+
+    #[test]
+    fn grids_have_the_directions_they_promise() {
+        let degrees = |(a, e): (f64, f64)| (a.to_degrees(), e.to_degrees());
+        let close = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).abs() < 1e-9 && (a.1 - b.1).abs() < 1e-9;
+        let plain = Grid::azimuth_elevation(360, 181);
+        assert_eq!((plain.len(), plain.shape()), (65_160, (181, 360)));
+        assert!(close(degrees(plain.at(0)), (-180.0, -90.0)));
+        assert!(close(degrees(plain.at(90 * 360 + 190)), (10.0, 0.0)));
+        let wsr = Grid::wsr();
+        assert_eq!((wsr.len(), wsr.shape()), (32_400, (90, 360)));
+        assert!(close(degrees(wsr.at(359)), (180.0, 90.0)));
+        assert!(close(degrees(wsr.at(89 * 360)), (-180.0, 0.0)));
+        assert!(close(degrees(wsr.at(360 + 1)), (-180.0 + 360.0 / 359.0, 90.0 - 90.0 / 89.0)));
+    }
+
+    #[test]
+    fn profile_variance_is_one_for_a_flat_profile_and_small_for_a_sharp_one() {
+        let grid = Grid::azimuth(360);
+        let flat = Profile { grid: grid.clone(), values: vec![0.5; 360], sum_abs: 1.0 };
+        assert!((wsr_profile_variance(&flat).unwrap() - 1.0).abs() < 1e-12);
+        assert!((flat.likelihood_share().unwrap() - 1.0 / 360.0).abs() < 1e-15);
+        let row: Vec<f64> = (0..360).map(|i| f64::from(i * 37 % 101)).collect();
+        let tiled = Profile { grid: Grid::wsr(), values: row.repeat(90), sum_abs: 1.0 };
+        let planar = Profile { grid: Grid::wsr_azimuths(), values: row, sum_abs: 1.0 };
+        assert_eq!(wsr_profile_variance(&tiled), wsr_planar_profile_variance(&planar));
+        let mut values = vec![0.0; 360];
+        (values[359], values[0]) = (1.0, 0.5);
+        let sharp = Profile { grid, values, sum_abs: 1.0 };
+        // The neighbour across the wrap is one step away: (0.5 * 1 / 1.5) / (mean d^2).
+        let mean: f64 = (0..360).map(|i: i32| f64::from(i.min(360 - i)).powi(2)).sum::<f64>() / 360.0;
+        assert!((wsr_profile_variance(&sharp).unwrap() - (1.0 / 3.0) / mean).abs() < 1e-15);
+        assert!((sharp.likelihood_share().unwrap() - 2.0 / 3.0).abs() < 1e-15);
+    }
 }

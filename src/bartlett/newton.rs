@@ -1,11 +1,20 @@
-//! Newton's method on the exact profile, in double, from a sampled candidate to its local maximum.
+//! The exact profile near a direction, in double: its derivatives, Newton's method from a sampled candidate to the local maximum, and
+//! the deviations to be expected there.
+//!
+//! # Deviations
+//! The Cramer-Rao bound of a bearing \[stoica-nehorai1989\], from the geometry and an estimated signal-to-noise ratio.
+//!
+//! The model is `z_t = A exp(j 2 pi q_t . u) + n_t` with an unknown complex `A` and white complex noise of variance
+//! `sigma^2 / w_t`. The Fisher information of a direction coordinate is then `2 |A|^2 / sigma^2` times the weighted,
+//! centred second moment of the phase's derivative; for one coordinate and unit weights that is
+//! `sd^2 = 1 / (2 g kappa^2 sum ((p_t - mean) . u_perp)^2)`. Samples that are products of a forward and a backward
+//! channel have the signal-to-noise ratio `g / (2 + 1/g)` of the product, which is what is estimated here.
 
-use std::f64::consts::TAU;
-
+use super::scene::Scene;
+use csi5300_kernels::sums::{Aim, Columns, Wanted, moments};
 use fearless_simd::Level;
 use num_complex::Complex64;
-
-use csi5300_kernels::sums::{Aim, Columns, Wanted, moments};
+use std::f64::consts::{PI, TAU};
 
 /// The second coordinate of a search; its meaning depends on the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,10 +54,10 @@ pub(crate) struct Top {
 
 /// `F`, its gradient and its Hessian (aa, ab, bb).
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Local {
-    pub value: f64,
-    pub gradient: [f64; 2],
-    pub hessian: [f64; 3],
+struct Local {
+    value: f64,
+    gradient: [f64; 2],
+    hessian: [f64; 3],
 }
 
 impl Local {
@@ -60,13 +69,13 @@ impl Local {
 }
 
 /// How the direction depends on the second coordinate: `s` and height, their first and second derivatives.
-pub(crate) struct Bend {
-    pub s: [f64; 3],
-    pub height: [f64; 3],
+struct Bend {
+    s: [f64; 3],
+    height: [f64; 3],
 }
 
 impl Second {
-    pub fn bend(self, b: f64) -> Bend {
+    fn bend(self, b: f64) -> Bend {
         match self {
             Self::Cosine => Bend { s: [b, 1.0, 0.0], height: [0.0; 3] },
             Self::Elevation => {
@@ -102,7 +111,7 @@ impl Hill<'_> {
     }
 
     /// Value and derivatives at a point, from the moments of the samples.
-    pub fn local(&self, at: Point) -> Local {
+    fn local(&self, at: Point) -> Local {
         let Bend { s: [s, ds, dds], height: [height, dh, ddh] } = self.kind.bend(at.second);
         let (sin, cos) = at.azimuth.sin_cos();
         let wanted = if self.is_ring() { Wanted::Azimuth } else { Wanted::Both };
@@ -122,6 +131,11 @@ impl Hill<'_> {
             gradient: [with(fa), with(fb)],
             hessian: [with(faa) + cross(fa, fa), with(fab) + cross(fa, fb), with(fbb) + cross(fb, fb)],
         }
+    }
+
+    /// The value at a point.
+    pub fn value(&self, at: Point) -> f64 {
+        self.local(at).value
     }
 
     /// Climbs from `start` to the local maximum of its hill.
@@ -181,4 +195,95 @@ impl Hill<'_> {
         let norm = na.hypot(nb);
         if norm == 0.0 { [0.0; 2] } else { [ra * na / norm, rb * nb / norm] }
     }
+}
+
+/// No bearing is worse than a uniform guess over the circle: pi / sqrt(3).
+const SD_MAX: f64 = PI / 1.732_050_807_568_877_2;
+
+/// What a fit of one plane wave leaves.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fit {
+    /// `|A|^2 / sigma^2` for unit (scaled) weight.
+    ratio: f64,
+    /// The same for a sample of mean weight: the signal-to-noise ratio.
+    pub snr: f64,
+}
+
+impl Fit {
+    /// From `F = |f|^2` at the estimate. The amplitude is relieved of the noise's own share.
+    pub fn new(scene: &Scene, value: f64) -> Self {
+        let used = scene.weight.iter().filter(|w| **w > 0.0).count() as f64;
+        let w = scene.weight_sum;
+        let residual = (scene.energy - value / w).max(0.0);
+        // One complex amplitude and two angles are fitted: two complex degrees of freedom.
+        let variance = if used > 2.0 { residual / (used - 2.0) } else { f64::INFINITY };
+        let amplitude = (value / (w * w) - variance / w).max(0.0);
+        let ratio = if variance == f64::INFINITY { 0.0 } else { amplitude / variance };
+        Self { ratio, snr: ratio * w / used }
+    }
+}
+
+/// Weighted, centred second moments of the positions about an azimuth, turns squared: hh, hv, vv, hz, vz, zz.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Spread([f64; 6]);
+
+impl Spread {
+    pub fn new(scene: &Scene, azimuth: f64) -> Self {
+        let [xx, xy, yy, xz, yz, zz] = scene.weighted_scatter();
+        let (s, c) = azimuth.sin_cos();
+        // h = c x + s y, v = c y - s x.
+        Self([
+            c * c * xx + 2.0 * c * s * xy + s * s * yy,
+            c * s * (yy - xx) + (c * c - s * s) * xy,
+            s * s * xx - 2.0 * c * s * xy + c * c * yy,
+            c * xz + s * yz,
+            c * yz - s * xz,
+            zz,
+        ])
+    }
+}
+
+/// Standard deviations of azimuth and of the second coordinate, each with the other as a nuisance: the Cramer-Rao bound.
+///
+/// With `second_known` the azimuth stands alone (and the second deviation is infinite); along the motion it is known by the
+/// square of its change. Nothing exceeds a uniform guess for the azimuth.
+pub(crate) fn deviations(fit: Fit, spread: Spread, kind: Second, at: Point, second_known: bool) -> [f64; 2] {
+    let gain = 2.0 * fit.ratio * TAU * TAU;
+    let [aa, ab, bb] = information(spread, kind, at);
+    let det = aa * bb - ab * ab;
+    let sd = |information: f64| if information > 0.0 { (1.0 / information).sqrt() } else { f64::INFINITY };
+    if second_known {
+        // Towards or away from the motion phases do not change with the azimuth to first order, and by half of its square to
+        // second: then that square is what is known.
+        let [s, ..] = kind.bend(at.second).s;
+        let by_square = (2.0 * sd(gain * s * s * spread.0[0])).sqrt();
+        return [sd(gain * aa).min(by_square).min(SD_MAX), f64::INFINITY];
+    }
+    // A determinant of the size of rounding errors: the two coordinates have the same effect on the phases.
+    if det <= 1e-13 * aa * bb {
+        return [SD_MAX, f64::INFINITY];
+    }
+    [sd(gain * det / bb).min(SD_MAX), sd(gain * det / aa)]
+}
+
+/// How far the phases that a change of azimuth makes differ from those that a change of the second coordinate makes:
+/// `1 - r^2` of their correlation over the trajectory, 0 (the same, as on a line) to 1 (a circle).
+pub(crate) fn independence(spread: Spread, kind: Second, at: Point) -> f64 {
+    let [aa, ab, bb] = information(spread, kind, at);
+    if aa * bb > 0.0 { (1.0 - ab * ab / (aa * bb)).max(0.0) } else { 0.0 }
+}
+
+/// Information on azimuth, on both, and on the second coordinate, but for a common factor.
+fn information(spread: Spread, kind: Second, at: Point) -> [f64; 3] {
+    let Bend { s: [s, ds, _], height: [_, dh, _] } = kind.bend(at.second);
+    let [hh, hv, vv, hz, vz, zz] = spread.0;
+    [s * s * vv, s * (ds * hv + dh * vz), ds * ds * hh + 2.0 * ds * dh * hz + dh * dh * zz]
+}
+
+/// Standard deviation of |elevation|, radians, from that of its cosine.
+///
+/// Near the horizon the cosine is flat: an error `d` of it is an elevation of `sqrt(2 d)`.
+pub(crate) fn elevation_deviation(elevation: f64, cosine_sd: f64) -> f64 {
+    let sin = elevation.sin();
+    (cosine_sd / (sin * sin + 2.0 * cosine_sd).sqrt()).min(PI / 2.0)
 }

@@ -9,9 +9,9 @@
 //! decide: it is wrong or tied on half of these links.
 
 use crate::exchange::pairing::by_clock::Refusal;
-use crate::exchange::pairing::{LinkSide, Pair, Pairing};
+use crate::exchange::pairing::{Pair, Pairing};
 use crate::maths::upper_median;
-use crate::signal::cfo::drift_line::drift_line;
+use crate::signal::cfo::drift_line;
 use driver_iface::Mac;
 
 /// Fewest common numbers that decide whether logs match.
@@ -45,18 +45,7 @@ pub fn common(receiver: &[Mark], transmitter: &[Mark]) -> Vec<Pair<usize>> {
         pairs.extend(std::iter::from_fn(|| pairing.poll_pair()));
         pairs.len()
     };
-    loop {
-        let side = pairing.behind();
-        let next = match side {
-            LinkSide::Receiver => r.next().map(|mark| (side, mark)),
-            LinkSide::Transmitter => t.next().map(|mark| (side, mark)),
-        };
-        let next = next.or_else(|| r.next().map(|mark| (LinkSide::Receiver, mark)));
-        let Some((side, (place, &(number, timestamp_low)))) =
-            next.or_else(|| t.next().map(|mark| (LinkSide::Transmitter, mark)))
-        else {
-            break;
-        };
+    while let Some((side, (place, &(number, timestamp_low)))) = pairing.next(&mut r, &mut t) {
         pairing.handle(side, number, timestamp_low, place);
         if take(&mut pairing) >= MAX_COMMON {
             break;
@@ -185,7 +174,7 @@ const TOGETHER: usize = 6;
 /// is evidence against it for the others. `reciprocity[log][mac]`, where known, is the correlation of the channel's
 /// changes in the two directions, 0 for strangers and nearly 1 for the two ends of a link: with the spread `s` and the
 /// correlation `r` a match costs `ln s - 2 artanh r`. A log is settled if every other assignment costs at least
-/// `pairing.min_margin` times as much, and its spread is within that factor of its least.
+/// `MIN_MARGIN` times as much, and its spread is within that factor of its least.
 pub fn settle(
     found: &mut [Result<Match, Unmatched>],
     spreads: &[Vec<Option<Spread>>],
@@ -193,8 +182,7 @@ pub fn settle(
     taken: &[bool],
 ) {
     let clear: Vec<usize> = found.iter().flatten().map(|own| own.mac).collect();
-    let open = |result: &Result<Match, Unmatched>| is_open(result);
-    let logs: Vec<usize> = (0..found.len()).filter(|&log| open(&found[log])).take(TOGETHER).collect();
+    let logs: Vec<usize> = (0..found.len()).filter(|&log| is_open(&found[log])).take(TOGETHER).collect();
     let choices: Vec<Vec<(usize, f64)>> = logs
         .iter()
         .map(|&log| {
@@ -215,8 +203,7 @@ pub fn settle(
         let margin = cheapest(&choices, &mut Vec::new(), Some((k, mac))).map(|(other, _)| (other - cost).exp());
         let least = spreads[log].iter().flatten().map(|s| s.spread_us).fold(f64::INFINITY, f64::min);
         let Some(spread) = spreads[log][mac] else { continue };
-        let clearly = MIN_MARGIN;
-        if margin.is_none_or(|margin| margin >= clearly) && spread.spread_us <= clearly * (least + 0.1) {
+        if margin.is_none_or(|margin| margin >= MIN_MARGIN) && spread.spread_us <= MIN_MARGIN * (least + 0.1) {
             found[log] = Ok(Match { mac, spread, margin });
         }
     }
@@ -256,6 +243,10 @@ fn cheapest(
 mod tests {
     use super::*;
 
+    fn of(us: f64) -> Option<Spread> {
+        Some(Spread { spread_us: us, common: 400 })
+    }
+
     /// Three robots answer in slots 3 ms apart, each within its own turn-around jitter; the slots wander by 200 us.
     fn round(robot: u32, jitter: u32) -> (Vec<Mark>, Vec<Mark>) {
         let noise = |n: u32, salt: u32| {
@@ -286,7 +277,6 @@ mod tests {
 
     #[test]
     fn unclear_logs_are_settled_together_and_by_the_channel() {
-        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         // Each alone is unclear (1.3 times); both together are clear (1.7 times).
         let spreads = [vec![of(10.0), of(13.0)], vec![of(13.0), of(10.0)]];
         let mut found = assign(&spreads, &[]);
@@ -312,7 +302,6 @@ mod tests {
 
     #[test]
     fn spreads_below_what_clocks_can_tell_decide_nothing_by_their_ratio() {
-        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         let margin = |a: f64, b: f64| assign(&[vec![of(a), of(b)]], &[])[0].map(|found| found.margin);
         assert_eq!(margin(0.0, 0.1), Ok(Some(2.0)), "a tenth of a microsecond is added to both");
         assert!(matches!(margin(0.0, 0.04), Err(Unmatched::Unclear { .. })), "1.4 times");
@@ -327,7 +316,6 @@ mod tests {
 
     #[test]
     fn the_cheapest_assignment_is_taken() {
-        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         let spreads = [vec![of(10.0), of(13.0)]];
         let mut found = assign(&spreads, &[]);
         settle(&mut found, &spreads, &[vec![Some(0.5), None]], &[]);
@@ -347,9 +335,7 @@ mod tests {
     fn sixteen_numbers_in_common_are_enough_and_half_as_much_again_is_clear() {
         let (receiver, transmitter) = round(0, 20);
         let common = |records: usize| spread(&receiver[..records], &transmitter).map(|found| found.common);
-        let least = MIN_COMMON;
-        assert_eq!([common(least - 1), common(least)], [None, Some(least)]);
-        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
+        assert_eq!([common(MIN_COMMON - 1), common(MIN_COMMON)], [None, Some(MIN_COMMON)]);
         // Both are a tenth of a microsecond more: 1 and 1.5.
         assert_eq!(assign(&[vec![of(0.9), of(1.4)]], &[])[0].map(|found| found.mac), Ok(0));
         assert!(assign(&[vec![of(0.9), of(1.39)]], &[])[0].is_err());
@@ -357,7 +343,6 @@ mod tests {
 
     #[test]
     fn of_two_logs_of_one_sender_the_better_keeps_it() {
-        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         let found = assign(&[vec![of(5.0), of(300.0)], vec![of(8.0), of(300.0)]], &[]);
         assert_eq!(found[0].map(|found| found.mac), Ok(0));
         assert_eq!(found[1], Err(Unmatched::Taken { spread_us: 8.0, other_us: 5.0 }));
@@ -366,7 +351,6 @@ mod tests {
 
     #[test]
     fn an_unclear_log_gets_the_remaining_sender() {
-        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         // The first sender clearly belongs to another log, or is named for one.
         let clear = [vec![of(5.0), of(300.0)], vec![of(8.0), of(9.0)]];
         let named = [vec![None, None], vec![of(9.0), of(8.0)]];

@@ -308,7 +308,7 @@ mod tests {
             assert!(note(&mut front, &[&[0; 60]], 1).is_none());
             assert_eq!((front.log.unchecked, front.log.unused.unauthenticated), (1, wrong));
         }
-        let right = crate::exchange::tdma::proof::tests::frame(&Key::new([7; 16]));
+        let right = crate::exchange::tdma::auth::tests::recorded(&Key::new([7; 16]));
         let (_, heard) = note(&mut front, &[&right], 1).unwrap();
         assert_eq!((heard.proof, front.log.unchecked, front.log.unused.unauthenticated), (Proof::Good, 1, 3));
         let mut open = Front::new(Antenna::A);

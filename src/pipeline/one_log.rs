@@ -30,7 +30,7 @@ use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::{Planes, lanes};
 use crate::signal::samples::Samples;
-use crate::source::survey::bounds::SENDERS_KEPT;
+use crate::source::survey::SENDERS_KEPT;
 use crate::source::{CsiSource, Error, Next};
 use crate::time::Instant;
 use csi_formats::Frame;

@@ -131,7 +131,7 @@ fn pair(receiver: &[FrameHeard], transmitter: &[FrameHeard]) -> Result<(Fit, Vec
     let mut machine = ByClock::new(CardClock::INTEL_5300, CardClock::INTEL_5300);
     for (side, frames) in [(LinkSide::Receiver, receiver), (LinkSide::Transmitter, transmitter)] {
         for (place, frame) in frames.iter().enumerate() {
-            machine.handle(side, frame.timestamp_low.into(), frame.host_us, place);
+            machine.handle(side, frame.timestamp_low.into(), place);
         }
     }
     let fit = machine.finish()?;

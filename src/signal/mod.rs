@@ -4,5 +4,4 @@ pub mod cfo;
 pub mod channel;
 pub mod csi;
 pub(crate) mod planes;
-pub(crate) mod reciprocity;
 pub mod samples;

@@ -1,5 +1,6 @@
 //! Coherent samples with their positions: what the front end makes and every estimator takes.
 
+use crate::maths::upper_median;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 
@@ -191,11 +192,7 @@ impl Samples {
     pub(crate) fn spacing_m(&self) -> f64 {
         let places: Vec<Vector3<f64>> = self.displacements_m().collect();
         let mut steps: Vec<f64> = places.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
-        let middle = steps.len() / 2;
-        match steps.is_empty() {
-            true => 0.0,
-            false => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
-        }
+        upper_median(&mut steps).unwrap_or(0.0)
     }
 
     /// Time of each sample, seconds on the receiver's clock.

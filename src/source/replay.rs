@@ -6,6 +6,7 @@ use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use crate::time::Instant;
 use driver_iface::record::{Framer, LOOKAHEAD, Reason, Record, Step, Tail};
 use driver_iface::side_file::Layout;
+use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -85,12 +86,12 @@ impl Replay<Box<dyn Read + Send>> {
         if path.is_dir() {
             return Err(Error::Directory { path: path.into() });
         }
-        let mut file = std::fs::File::open(path).map_err(io)?;
+        let mut file = File::open(path).map_err(io)?;
         if is_other(&mut file).map_err(io)? {
             return Ok(Self::new(Box::new(Translated::new(file)), name));
         }
-        let mut replay = Self::new(Box::new(file), name.clone());
-        replay.framing.side = SideFile::of(path);
+        let mut replay = Self::new(Box::new(file), name);
+        replay.framing.side = SideFile::of(path, || Some(Replay::new(File::open(path).ok()?, String::new())));
         Ok(replay)
     }
 }
@@ -202,7 +203,7 @@ impl<R: Read> Replay<R> {
     /// How the log's side file is laid out, if it has one.
     #[must_use]
     pub fn side_layout(&self) -> Option<Layout> {
-        self.framing.side.as_ref().map(SideFile::layout)
+        self.framing.side.as_ref().map(|side| side.layout)
     }
 
     /// The results of the side file's checksums so far; `None` without checksums.
@@ -251,8 +252,10 @@ impl<R: Read> CsiSource for Replay<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::source::side_file::tests::bytes_of;
     use driver_iface::bfee::{Iq, Repr};
-    use driver_iface::record::{Tail, code};
+    use driver_iface::record::code;
+    use driver_iface::side_file::{Check, Entry};
 
     /// Five records with noise before and between: each is found, every byte is accounted for, time is the caller's.
     #[test]
@@ -307,7 +310,6 @@ mod tests {
 
     #[test]
     fn a_log_says_what_its_side_file_is_and_what_that_said() {
-        use driver_iface::side_file::{Check, Entry};
         let folder = std::env::temp_dir().join(format!("csi5300-replay-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let records: Vec<[u8; 7]> = (1..=3).map(|dbm| [0, 5, code::NOISE, dbm, 0xff, 0xff, 0xff]).collect();
@@ -320,14 +322,12 @@ mod tests {
         };
         assert_eq!(replayed(), (None, None), "there is none");
         for (layout, good) in [(Layout::Narrow, None), (Layout::Wide, None), (Layout::Checked, Some(3))] {
-            let mut side = layout.head().to_vec();
-            for (record, host_us) in records.iter().zip(1_700_000_000_000_000..) {
-                let check = (layout == Layout::Checked).then(|| Check::of(record));
-                let mut out = [0; Layout::Wide.bytes()];
-                Entry { host_us: Some(host_us), check }.emit(layout, &mut out).unwrap();
-                side.extend_from_slice(&out[..layout.bytes()]);
-            }
-            std::fs::write(folder.join("out.datstp"), side).unwrap();
+            let entry = |(record, host_us): (&[u8; 7], i64)| Entry {
+                host_us: Some(host_us),
+                check: (layout == Layout::Checked).then(|| Check::of(record)),
+            };
+            let entries: Vec<Entry> = records.iter().zip(1_700_000_000_000_000..).map(entry).collect();
+            std::fs::write(folder.join("out.datstp"), bytes_of(layout, &entries)).unwrap();
             assert_eq!(replayed(), (Some(layout), good));
         }
         std::fs::remove_dir_all(folder).unwrap();

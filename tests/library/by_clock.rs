@@ -35,8 +35,8 @@ fn busiest(frames: &[(Mac, u32, u32)]) -> Mac {
 /// Numbers of both frames of each pair.
 fn pair(rx: &[(u32, u32)], tx: &[(u32, u32)]) -> Result<(f64, Vec<(u32, u32)>), Refusal> {
     let mut machine = ByClock::new(CardClock::INTEL_5300, CardClock::INTEL_5300);
-    rx.iter().for_each(|(clock, number)| machine.handle(LinkSide::Receiver, (*clock).into(), None, *number));
-    tx.iter().for_each(|(clock, number)| machine.handle(LinkSide::Transmitter, (*clock).into(), None, *number));
+    rx.iter().for_each(|(clock, number)| machine.handle(LinkSide::Receiver, (*clock).into(), *number));
+    tx.iter().for_each(|(clock, number)| machine.handle(LinkSide::Transmitter, (*clock).into(), *number));
     let fit = machine.finish()?;
     Ok((fit.sharpness, std::iter::from_fn(|| machine.poll_pair()).map(|p| (p.receiver, p.transmitter)).collect()))
 }

@@ -110,7 +110,7 @@ fn by_clock<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) ->
     let mut machine = ByClock::new(CLOCK, CLOCK);
     for (side, heard, sender) in [(LinkSide::Receiver, near, of_far), (LinkSide::Transmitter, far, of_near)] {
         for record in heard.records.iter().filter(|record| record.mac == sender) {
-            machine.handle(side, record.card_us.cast_unsigned(), record.host_us, record);
+            machine.handle(side, record.card_us.cast_unsigned(), record);
         }
     }
     let refused = machine.finish().err();

@@ -8,7 +8,7 @@
 //! 1. A stretch of the receiver's log is laid over the transmitter's at every difference that makes one of its records
 //!    meet another. For each difference the deviations from a straight line are sorted into bins of 10 us; the share of
 //!    pairs of deviations in the same or neighbouring bins is its **sharpness**. It does not require a single peak:
-//!    turn-arounds often have two. Host clocks are not used unless the caller states how well they agree.
+//!    turn-arounds often have two. Host clocks are not used.
 //! 2. The sharpest difference is taken if it stands out from all others. Otherwise the two logs do not belong together,
 //!    or the exchanges are too regular to be distinguished.
 //! 3. From there the line is followed to both ends, so that drift may change with temperature.
@@ -18,10 +18,6 @@
 //! After a step back of a clock, the rest is aligned separately.
 //!
 //! [`ByClock`] takes whole logs, `Live` the same records as they come.
-
-mod live;
-
-pub(crate) use live::Live;
 
 use super::{LinkSide, Pair};
 use std::collections::VecDeque;
@@ -97,7 +93,7 @@ pub enum Refusal {
     },
     /// The exchanges are too regular.
     #[error(
-        "exchanges came every {period_us:.0} us too regularly for the cards' clocks to tell one from the next, and frames have no numbers: send at varied times, or say how well the hosts' clocks agree"
+        "exchanges came every {period_us:.0} us too regularly for the cards' clocks to tell one from the next, and frames have no numbers: send at varied times"
     )]
     TooRegular {
         /// Their period, microseconds.
@@ -116,8 +112,6 @@ pub struct Fit {
     pub sharpness: f64,
     /// Ratio of its sharpness to the next.
     pub ratio: f64,
-    /// Whether the hosts' clocks were needed to decide.
-    pub by_hosts: bool,
 }
 
 /// Records of one side by outcome: `handed = paired + unpaired + twice + ambiguous`.
@@ -143,7 +137,6 @@ struct Side<T> {
     now_ns: Option<i64>,
     /// Unwrapped, since the first record, ns, rising.
     at_ns: Vec<i64>,
-    host_us: Vec<Option<i64>>,
     items: Vec<Option<T>>,
     /// The first record after each step back of the clock.
     starts: Vec<usize>,
@@ -152,9 +145,8 @@ struct Side<T> {
 
 impl<T> Side<T> {
     fn new(clock: CardClock) -> Self {
-        let (at_ns, host_us, items) = (Vec::new(), Vec::new(), Vec::new());
-        let (last, now_ns, starts) = (None, None, vec![0]);
-        Self { clock, last, now_ns, at_ns, host_us, items, starts, counts: ClockCounts::default() }
+        let (at_ns, items, starts) = (Vec::new(), Vec::new(), vec![0]);
+        Self { clock, last: None, now_ns: None, at_ns, items, starts, counts: ClockCounts::default() }
     }
 
     /// Time from the last record to one with this reading, ns; negative where the clock was set back.
@@ -163,7 +155,7 @@ impl<T> Side<T> {
         (i128::from(step) * i128::from(self.clock.tick_ps) / 1_000) as i64
     }
 
-    fn push(&mut self, ticks: u64, host_us: Option<i64>, item: T) {
+    fn push(&mut self, ticks: u64, item: T) {
         self.counts.handed += 1;
         let step_ns = self.step_ns(ticks);
         if self.last.is_some() && (0..TWICE_NS).contains(&step_ns) {
@@ -178,7 +170,6 @@ impl<T> Side<T> {
         let now_ns = self.now_ns.unwrap_or(0).saturating_add(step_ns.max(0));
         self.now_ns = Some(now_ns);
         self.at_ns.push(now_ns);
-        self.host_us.push(host_us);
         self.items.push(Some(item));
     }
 
@@ -192,6 +183,17 @@ impl<T> Side<T> {
     fn count_unpaired(&mut self) {
         let ClockCounts { handed, paired, twice, ambiguous, .. } = self.counts;
         self.counts.unpaired = handed.saturating_sub(paired + twice + ambiguous);
+    }
+
+    fn forget(&mut self, count: usize) {
+        let count = count.min(self.at_ns.len());
+        self.at_ns.drain(..count);
+        self.items.drain(..count);
+        self.starts.truncate(1);
+    }
+
+    fn len(&self) -> usize {
+        self.at_ns.len()
     }
 }
 
@@ -217,7 +219,6 @@ fn taken<T>(receiver: &mut Side<T>, transmitter: &mut Side<T>, (i, j): (usize, u
 pub struct ByClock<T> {
     receiver: Side<T>,
     transmitter: Side<T>,
-    hosts_within_us: Option<i64>,
     ready: VecDeque<Pair<T>>,
 }
 
@@ -226,21 +227,14 @@ impl<T> ByClock<T> {
     #[must_use]
     pub fn new(receiver: CardClock, transmitter: CardClock) -> Self {
         let (receiver, transmitter) = (Side::new(receiver), Side::new(transmitter));
-        Self { receiver, transmitter, hosts_within_us: None, ready: VecDeque::new() }
+        Self { receiver, transmitter, ready: VecDeque::new() }
     }
 
-    /// The same with hosts' clocks that agree to within this many microseconds: only such pairs are considered.
-    #[must_use]
-    pub fn with_hosts_within(mut self, us: Option<i64>) -> Self {
-        self.hosts_within_us = us;
-        self
-    }
-
-    /// Takes a record of `side` with its card's clock and its host time, microseconds since the Unix epoch.
-    pub fn handle(&mut self, side: LinkSide, ticks: u64, host_us: Option<i64>, item: T) {
+    /// Takes a record of `side` with its card's clock.
+    pub fn handle(&mut self, side: LinkSide, ticks: u64, item: T) {
         match side {
-            LinkSide::Receiver => self.receiver.push(ticks, host_us, item),
-            LinkSide::Transmitter => self.transmitter.push(ticks, host_us, item),
+            LinkSide::Receiver => self.receiver.push(ticks, item),
+            LinkSide::Transmitter => self.transmitter.push(ticks, item),
         }
     }
 
@@ -286,15 +280,9 @@ impl<T> ByClock<T> {
     }
 
     fn align(&self, rx: std::ops::Range<usize>, tx: std::ops::Range<usize>) -> Result<(Fit, Partners), Refusal> {
-        let (a, b) = (&self.receiver.at_ns[rx.clone()], &self.transmitter.at_ns[tx.clone()]);
-        let (host_a, host_b) = (&self.receiver.host_us[rx], &self.transmitter.host_us[tx]);
-        let agree = |i: usize, j: usize| match (self.hosts_within_us, host_a[i], host_b[j]) {
-            (Some(within), Some(a), Some(b)) => (b - a).abs() <= within,
-            _ => true,
-        };
-        let overlay = Overlay::new(a, b);
-        let (line, fit) = overlay.stands_out(&[0.5, 0.2, 0.8], &agree)?;
-        Ok((Fit { by_hosts: self.hosts_within_us.is_some(), ..fit }, overlay.follow(line)))
+        let overlay = Overlay::new(&self.receiver.at_ns[rx], &self.transmitter.at_ns[tx]);
+        let (line, fit) = overlay.stands_out(&[0.5, 0.2, 0.8])?;
+        Ok((fit, overlay.follow(line)))
     }
 
     fn take(&mut self, rx: usize, tx: usize, partners: &Partners) {
@@ -311,6 +299,16 @@ impl<T> ByClock<T> {
 struct Partners {
     pairs: Vec<(usize, usize)>,
     ambiguous: usize,
+}
+
+impl Partners {
+    fn settle(&mut self, claim: Option<Claim>) {
+        match claim {
+            Some(Claim { i, j, is_ambiguous: false, .. }) => self.pairs.push((i, j)),
+            Some(_) => self.ambiguous += 1,
+            None => {}
+        }
+    }
 }
 
 /// A difference of the clocks: `b = a + difference + drift (a - at)`, ns.
@@ -361,10 +359,10 @@ impl<'a> Overlay<'a> {
     }
 
     /// The difference that stands out about one of these places, in shares of `a`.
-    fn stands_out(&self, places: &[f64], agree: &dyn Fn(usize, usize) -> bool) -> Result<(Line, Fit), Refusal> {
+    fn stands_out(&self, places: &[f64]) -> Result<(Line, Fit), Refusal> {
         let mut refusal = None;
         for place in places {
-            match self.best((place * self.a.len() as f64) as usize, agree) {
+            match self.best((place * self.a.len() as f64) as usize) {
                 Ok(found) => return Ok(found),
                 Err(why) => refusal = refusal.or(Some(why)),
             }
@@ -381,7 +379,7 @@ impl<'a> Overlay<'a> {
     }
 
     /// The best difference, if it stands out.
-    fn best(&self, middle: usize, agree: &dyn Fn(usize, usize) -> bool) -> Result<(Line, Fit), Refusal> {
+    fn best(&self, middle: usize) -> Result<(Line, Fit), Refusal> {
         let stretch = self.stretch(middle);
         let few = Refusal::TooFew { receiver: stretch.len(), transmitter: self.b.len() };
         if stretch.len() < LEAST {
@@ -393,8 +391,7 @@ impl<'a> Overlay<'a> {
         let mut room = Room::default();
         let mut judged: Vec<Judged> = Vec::new();
         for anchor in anchors {
-            let met = (0..self.b.len()).filter(|j| agree(anchor, *j));
-            judged.extend(met.filter_map(|j| self.judge(own, self.b[j] - self.a[anchor], 0, &mut room)));
+            judged.extend(self.b.iter().filter_map(|b| self.judge(own, b - self.a[anchor], 0, &mut room)));
         }
         let mut all: Vec<f64> = judged.iter().map(|judged| judged.sharpness).collect();
         judged.sort_by(|x, y| y.sharpness.total_cmp(&x.sharpness));
@@ -413,13 +410,7 @@ impl<'a> Overlay<'a> {
             return Err(self.why_not(own, ratio));
         }
         let Line { difference, drift, .. } = best.line;
-        let fit = Fit {
-            difference_us: difference * 1e-3,
-            drift_ppm: drift * 1e6,
-            sharpness: best.sharpness,
-            ratio,
-            by_hosts: false,
-        };
+        let fit = Fit { difference_us: difference * 1e-3, drift_ppm: drift * 1e6, sharpness: best.sharpness, ratio };
         Ok((best.line, fit))
     }
 
@@ -598,16 +589,6 @@ impl Claims {
     }
 }
 
-impl Partners {
-    fn settle(&mut self, claim: Option<Claim>) {
-        match claim {
-            Some(Claim { i, j, is_ambiguous: false, .. }) => self.pairs.push((i, j)),
-            Some(_) => self.ambiguous += 1,
-            None => {}
-        }
-    }
-}
-
 /// Deviations of one difference, kept for the next one's.
 struct Room {
     x: Vec<f64>,
@@ -652,5 +633,581 @@ fn centre(values: &mut [f64]) -> (f64, f64) {
     (middle, 1.482_6 * median(&mut off))
 }
 
+/// Limit of records kept of a side before the clocks are aligned.
+const WINDOW: usize = 2 * STRETCH;
+/// Limit of records of a side that wait for the other side.
+const BACKLOG: usize = 2 * WINDOW;
+/// After a longer pause, the clocks are aligned again, because a clock that was set forward looks like a pause.
+const PAUSE_NS: i64 = 30_000_000_000;
+/// A new line continues the one before if it differs by less than this, plus a change of drift.
+const SAME_NS: f64 = 500_000.0;
+const MAX_CHANGE: f64 = 5e-6;
+/// The line is checked after this many deviations, ...
+const LOOK: usize = 24;
+/// ... and given up after this many records with fewer deviations.
+const LONGEST_LOOK: usize = 512;
+
+/// Pairing by clocks while records arrive: a window of each side; each pair is returned once.
+///
+/// Records are kept until the clocks are aligned; alignment is tried repeatedly. From then on, the line is followed as in a
+/// whole log. A pair is returned once no later record can claim a part of it: after the next record of each side. A
+/// clock that was set back, a long pause, or deviations that leave the line end it; later records are aligned again. If a
+/// clock was set forward by less than `PAUSE_NS`, up to `LOOK` pairs may be wrong.
+///
+/// Call [`handle`](Self::handle) for each record of one sender's frames on
+/// either side, in its card's order; after each, call [`poll_pair`](Self::poll_pair) until `None`.
+#[derive(Clone, Debug)]
+pub(crate) struct Live<T> {
+    receiver: Side<T>,
+    transmitter: Side<T>,
+    lock: Option<Lock>,
+    /// Number of records, of the side with fewer, at which alignment is next tried.
+    try_at: usize,
+    refusal: Option<Refusal>,
+    /// The previous line.
+    before: Option<Line>,
+    restarts: u32,
+    number: u32,
+    ready: VecDeque<Pair<T>>,
+}
+
+/// State while the clocks are aligned.
+#[derive(Clone, Debug)]
+struct Lock {
+    fit: Fit,
+    half_ns: f64,
+    follower: Follower,
+    claims: Claims,
+    /// The receiver's first undecided record.
+    next: usize,
+    /// The last pair, by the indices of its records.
+    last: Option<(usize, usize)>,
+    /// Deviations since the last check, and number of records since then.
+    off: Vec<f64>,
+    looked: usize,
+}
+
+impl Lock {
+    fn new(overlay: &Overlay<'_>, line: Line, fit: Fit) -> Self {
+        let middle = overlay.a.partition_point(|a| (*a as f64) < line.at);
+        let mut wanted = vec![0.0; middle];
+        let start = overlay.follow_way(line, overlay.a.iter().take(middle).rev().zip(wanted.iter_mut().rev()));
+        // Earlier records have no partner: the transmitter's records begin later, or it was silent.
+        let first = overlay.b.first().map_or(0.0, |b| *b as f64) - overlay.half_ns;
+        let next = overlay.a.partition_point(|a| start.on_other(*a as f64) < first);
+        let (follower, claims, off) = (Follower::new(start), Claims::default(), Vec::new());
+        Self { fit, half_ns: overlay.half_ns, follower, claims, next, last: None, off, looked: 0 }
+    }
+
+    /// Notes the deviation of a record. False if the records have left the line.
+    fn look(&mut self, off: Option<f64>) -> bool {
+        self.off.extend(off);
+        self.looked += 1;
+        if self.off.len() < LOOK {
+            return self.looked < LONGEST_LOOK;
+        }
+        let sharpness = sharpness_of(&self.off);
+        let middle = centre(&mut self.off).0;
+        (self.looked, self.off) = (0, Vec::new());
+        middle.abs() < 0.1 * self.half_ns && sharpness > self.fit.sharpness / 4.0
+    }
+
+    /// Shifts the indices after the sides have forgotten records.
+    fn forget(&mut self, receiver: usize, transmitter: usize) {
+        self.next = self.next.saturating_sub(receiver);
+        let moved = |i: usize, j: usize| Some((i.checked_sub(receiver)?, j.checked_sub(transmitter)?));
+        self.last = self.last.and_then(|(i, j)| moved(i, j));
+        self.claims.0 = self.claims.0.and_then(|claim| {
+            let (i, j) = moved(claim.i, claim.j)?;
+            Some(Claim { i, j, ..claim })
+        });
+    }
+
+    /// Makes a pair of a decided claim, unless it is ambiguous.
+    fn settle<T>(
+        &mut self,
+        claim: Option<Claim>,
+        receiver: &mut Side<T>,
+        transmitter: &mut Side<T>,
+        number: &mut u32,
+    ) -> Option<Pair<T>> {
+        let claim = claim?;
+        if claim.is_ambiguous {
+            receiver.counts.ambiguous += 2;
+            transmitter.counts.ambiguous += 1;
+            return None;
+        }
+        let pair = taken(receiver, transmitter, (claim.i, claim.j))?;
+        self.last = Some((claim.i, claim.j));
+        *number = number.wrapping_add(1);
+        Some(Pair { number: *number, ..pair })
+    }
+}
+
+impl<T> Live<T> {
+    /// A link between two cards with these clocks.
+    pub(crate) fn new(receiver: CardClock, transmitter: CardClock) -> Self {
+        Self {
+            receiver: Side::new(receiver),
+            transmitter: Side::new(transmitter),
+            lock: None,
+            try_at: 2 * LEAST,
+            refusal: None,
+            before: None,
+            restarts: 0,
+            number: 0,
+            ready: VecDeque::new(),
+        }
+    }
+
+    /// Takes a record of `side` with its card's clock.
+    pub(crate) fn handle(&mut self, side: LinkSide, ticks: u64, item: T) {
+        let own = self.side_mut(side);
+        let step_ns = own.step_ns(ticks);
+        if !(0..=PAUSE_NS).contains(&step_ns) {
+            self.part(side);
+        }
+        self.side_mut(side).push(ticks, item);
+        if self.lock.is_none() {
+            self.seek();
+        }
+        self.advance(false);
+        self.keep();
+    }
+
+    /// The next pair, in the order of the receiver's records; pair numbers increase.
+    pub(crate) fn poll_pair(&mut self) -> Option<Pair<T>> {
+        self.ready.pop_front()
+    }
+
+    /// How often the clocks did not continue the previous line: card restarts.
+    pub(crate) fn restarts(&self) -> u32 {
+        self.restarts
+    }
+
+    /// Why alignment failed, while there are no pairs.
+    pub(crate) fn refusal(&self) -> Option<Refusal> {
+        self.refusal.filter(|_| self.lock.is_none())
+    }
+
+    /// Ends both sides and decides what remains.
+    pub(crate) fn finish(&mut self) {
+        if self.lock.is_none() {
+            self.try_at = LEAST;
+            self.seek();
+        }
+        self.advance(true);
+        [&mut self.receiver, &mut self.transmitter].into_iter().for_each(Side::count_unpaired);
+    }
+
+    fn side_mut(&mut self, side: LinkSide) -> &mut Side<T> {
+        match side {
+            LinkSide::Receiver => &mut self.receiver,
+            LinkSide::Transmitter => &mut self.transmitter,
+        }
+    }
+
+    /// Ends the line: the card of `side` was restarted, or paused for long. The other side keeps its records after the last
+    /// pair, because they may pair with later ones.
+    fn part(&mut self, side: LinkSide) {
+        self.advance(true);
+        let (i, j) = self.unlock();
+        let (receiver, transmitter) = match side {
+            LinkSide::Receiver => (self.receiver.len(), j),
+            LinkSide::Transmitter => (i, self.transmitter.len()),
+        };
+        self.receiver.forget(receiver);
+        self.transmitter.forget(transmitter);
+    }
+
+    /// Gives up the alignment. Returns, for each side, the number of records up to the last pair or, without a pair, the number
+    /// tried.
+    fn unlock(&mut self) -> (usize, usize) {
+        self.try_at = 2 * LEAST;
+        let Some(lock) = self.lock.take() else { return (0, 0) };
+        self.before = Some(lock.follower.line);
+        lock.last.map_or((lock.next, 0), |(i, j)| (i + 1, j + 1))
+    }
+
+    /// Tries to align the clocks, once there are enough new records and before a side forgets some.
+    fn seek(&mut self) {
+        let (count, most) =
+            (self.receiver.len().min(self.transmitter.len()), self.receiver.len().max(self.transmitter.len()));
+        if count < self.try_at && (count < LEAST || most < WINDOW) {
+            return;
+        }
+        let overlay = Overlay::new(&self.receiver.at_ns, &self.transmitter.at_ns);
+        match overlay.stands_out(&[0.5]) {
+            Ok((line, fit)) => {
+                let goes_on = |before: Line| {
+                    let off = line.difference - (before.difference + before.drift * (line.at - before.at));
+                    off.abs() < SAME_NS + MAX_CHANGE * (line.at - before.at).abs()
+                };
+                self.restarts += u32::from(!self.before.is_none_or(goes_on));
+                self.lock = Some(Lock::new(&overlay, line, fit));
+            }
+            Err(why) => self.refusal = Some(why),
+        }
+        self.try_at = count + count.div_ceil(2);
+    }
+
+    /// Decides all records that can be decided; `at_end`, all that remain.
+    fn advance(&mut self, at_end: bool) {
+        let Some(lock) = &mut self.lock else { return };
+        let (receiver, transmitter) = (&mut self.receiver, &mut self.transmitter);
+        let (own_to, other_to) = (receiver.at_ns.last().copied(), transmitter.at_ns.last().copied());
+        let (own_to, other_to) = (own_to.unwrap_or_default() as f64, other_to.unwrap_or_default() as f64);
+        let mut is_on = true;
+        while let Some(a) = receiver.at_ns.get(lock.next).map(|a| *a as f64) {
+            let wanted = lock.follower.line.on_other(a);
+            let is_past = other_to >= wanted + lock.half_ns;
+            if !is_on || !(is_past || at_end) {
+                break;
+            }
+            let near = nearest(&transmitter.at_ns, wanted, lock.half_ns);
+            let ended = match near {
+                Some((j, off)) => lock.claims.claim(lock.next, j, off),
+                None => lock.claims.0.take(),
+            };
+            self.ready.extend(lock.settle(ended, receiver, transmitter, &mut self.number));
+            let off = near.map(|(_, off)| off);
+            lock.next += 1;
+            is_on = lock.look(off);
+            if lock.follower.note(a, off) {
+                lock.half_ns = Overlay::new(&receiver.at_ns, &transmitter.at_ns).half_ns;
+            }
+        }
+        let is_safe = |claim: &Claim| {
+            let at = transmitter.at_ns.get(claim.j).map_or(0.0, |b| *b as f64);
+            at_end || lock.follower.line.on_other(own_to) > at + lock.half_ns
+        };
+        if lock.claims.0.as_ref().is_some_and(is_safe) {
+            let claim = lock.claims.0.take();
+            self.ready.extend(lock.settle(claim, receiver, transmitter, &mut self.number));
+        }
+        if !is_on {
+            let (i, j) = self.unlock();
+            self.receiver.forget(i);
+            self.transmitter.forget(j);
+        }
+    }
+
+    /// Forgets records that no pair can need any more.
+    fn keep(&mut self) {
+        let (own, other) = (self.receiver.len(), self.transmitter.len());
+        let Some(lock) = &mut self.lock else {
+            self.receiver.forget(if own >= WINDOW { STRETCH } else { 0 });
+            self.transmitter.forget(if other >= WINDOW { STRETCH } else { 0 });
+            return;
+        };
+        // Decided records are kept, because their pauses show the length of an exchange.
+        let mut gone = (0, 0);
+        if lock.next > WINDOW {
+            gone.0 = lock.next - STRETCH;
+            let from = lock.follower.line.on_other(self.receiver.at_ns.get(gone.0).map_or(0.0, |a| *a as f64));
+            gone.1 = self.transmitter.at_ns.partition_point(|b| (*b as f64) < from);
+        } else if own.max(other) > BACKLOG + WINDOW {
+            gone = (own.saturating_sub(BACKLOG), other.saturating_sub(BACKLOG));
+        }
+        if gone != (0, 0) {
+            lock.forget(gone.0, gone.1);
+            self.receiver.forget(gone.0);
+            self.transmitter.forget(gone.1);
+        }
+    }
+}
+
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+
+    /// xorshift: the same on every run.
+    struct Random(u64);
+
+    impl Random {
+        fn new(seed: u64) -> Self {
+            Self((seed + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15))
+        }
+
+        /// Between two values.
+        fn between(&mut self, from: f64, to: f64) -> f64 {
+            self.0 ^= self.0 << 13;
+            self.0 ^= self.0 >> 7;
+            self.0 ^= self.0 << 17;
+            from + (to - from) * (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+        }
+
+        fn chance(&mut self, of: f64) -> bool {
+            self.between(0.0, 1.0) < of
+        }
+    }
+
+    /// What is exchanged, and how it is heard.
+    #[derive(Clone, Copy)]
+    struct Link {
+        exchanges: usize,
+        /// Mean pause, and how far it varies to both sides, us.
+        pause_us: (f64, f64),
+        lost: f64,
+        drift: f64,
+        clocks: [CardClock; 2],
+        seed: u64,
+    }
+
+    const USUAL: Link = Link {
+        exchanges: 1_500,
+        pause_us: (10_000.0, 250.0),
+        lost: 0.0,
+        drift: 15e-6,
+        clocks: [CardClock::INTEL_5300; 2],
+        seed: 7,
+    };
+
+    /// Records of the two logs: ticks, and the exchange that they are of.
+    type Heard = [Vec<(u64, usize)>; 2];
+
+    impl Link {
+        /// Frames at the ticks of a timer that come late by up to `pause_us.1`; answers after some tens of us, a tenth of them later.
+        fn heard(self) -> Heard {
+            let mut random = Random::new(self.seed);
+            let offsets = [random.between(0.0, 4e9), random.between(0.0, 4e9)];
+            let mut heard = [Vec::new(), Vec::new()];
+            for k in 0..self.exchanges {
+                let sent = k as f64 * self.pause_us.0 + random.between(-self.pause_us.1, self.pause_us.1);
+                let much = if random.chance(0.1) { 250.0 } else { 30.0 };
+                let late = random.between(0.0, much);
+                for (side, at) in [(0, sent + 300.0 + late), (1, sent)] {
+                    if !random.chance(self.lost) {
+                        let rate = if side == 1 { 1.0 + self.drift } else { 1.0 };
+                        heard[side].push((ticks(self.clocks[side], (at + 1e6) * rate + offsets[side]), k));
+                    }
+                }
+            }
+            heard
+        }
+    }
+
+    /// A time as a card's clock shows it.
+    fn ticks(clock: CardClock, us: f64) -> u64 {
+        let ticks = (us * 1e6 / f64::from(clock.tick_ps)) as u64;
+        if clock.bits >= 64 { ticks } else { ticks & ((1 << clock.bits) - 1) }
+    }
+
+    /// Pairs found, by the exchanges of their two records, and what was said of the clocks.
+    fn pair(link: &Link, heard: &Heard) -> Result<(Vec<(usize, usize)>, Fit), Refusal> {
+        let mut machine = ByClock::new(link.clocks[0], link.clocks[1]);
+        for (side, records) in SIDES.into_iter().zip(heard) {
+            records.iter().for_each(|(ticks, exchange)| machine.handle(side, *ticks, *exchange));
+        }
+        let fit = machine.finish()?;
+        let pairs: Vec<Pair<usize>> = std::iter::from_fn(|| machine.poll_pair()).collect();
+        assert!(pairs.iter().zip(0..).all(|(pair, number)| pair.number == number));
+        assert!(pairs.windows(2).all(|two| two[0].clock_rx_us < two[1].clock_rx_us));
+        SIDES.iter().for_each(|&side| balance(&machine.counts(side), pairs.len()));
+        Ok((pairs.into_iter().map(|pair| (pair.receiver, pair.transmitter)).collect(), fit))
+    }
+
+    const SIDES: [LinkSide; 2] = [LinkSide::Receiver, LinkSide::Transmitter];
+
+    fn balance(counts: &ClockCounts, pairs: usize) {
+        assert_eq!(counts.handed, counts.paired + counts.unpaired + counts.twice + counts.ambiguous, "{counts:?}");
+        assert_eq!(counts.paired, pairs);
+    }
+
+    fn wrong(pairs: &[(usize, usize)]) -> usize {
+        pairs.iter().filter(|(a, b)| a != b).count()
+    }
+
+    /// Exchanges that are in both logs.
+    fn common(heard: &Heard) -> usize {
+        heard[0].iter().filter(|(_, k)| heard[1].iter().any(|(_, other)| other == k)).count()
+    }
+
+    #[test]
+    fn exchanges_are_found_whatever_the_clocks_and_however_many_are_lost() {
+        let wide = (20_000.0, 8_000.0);
+        for (name, link) in [
+            ("usual", USUAL),
+            ("30 % lost on each side", Link { lost: 0.3, ..USUAL }),
+            ("100 ppm", Link { drift: 100e-6, ..USUAL }),
+            ("-100 ppm, 30 % lost", Link { drift: -100e-6, lost: 0.3, ..USUAL }),
+            ("FTM clocks, that wrap every 13.4 s", Link { clocks: [CardClock::FTM; 2], exchanges: 4_000, ..USUAL }),
+            ("two kinds of clocks", Link { clocks: [CardClock::FTM, CardClock::INTEL_5300], lost: 0.2, ..USUAL }),
+            ("irregular, few", Link { exchanges: 80, pause_us: wide, ..USUAL }),
+            ("irregular, many lost", Link { exchanges: 400, pause_us: wide, lost: 0.3, drift: 60e-6, ..USUAL }),
+            ("4 ms", Link { pause_us: (4_000.0, 150.0), exchanges: 900, ..USUAL }),
+        ] {
+            for seed in 0..3 {
+                let link = Link { seed, ..link };
+                let heard = link.heard();
+                let (pairs, fit) = pair(&link, &heard).unwrap_or_else(|why| panic!("{name}, seed {seed}: {why}"));
+                let (found, wrong, common) = (pairs.len(), wrong(&pairs), common(&heard));
+                assert!(
+                    found as f64 >= 0.995 * common as f64 && wrong == 0,
+                    "{name}: {found} of {common}, {wrong} wrong"
+                );
+                // Two bins over the stretch that was aligned.
+                let error_ppm = 20e6 / (link.pause_us.0 * link.exchanges.min(STRETCH) as f64);
+                assert!((fit.drift_ppm - 1e6 * link.drift).abs() < error_ppm, "{name}: {fit:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn logs_of_two_runs_are_refused_and_so_is_a_rate_without_any_variation() {
+        for seed in 0..4 {
+            let [own, _] = Link { seed, ..USUAL }.heard();
+            let [_, other] = Link { seed: seed + 100, ..USUAL }.heard();
+            assert!(matches!(pair(&USUAL, &[own, other]), Err(Refusal::Strangers { .. })), "seed {seed}");
+            let regular = Link { pause_us: (10_000.0, 2.0), seed, ..USUAL };
+            let Err(Refusal::TooRegular { period_us }) = pair(&regular, &regular.heard()) else {
+                panic!("seed {seed}")
+            };
+            assert!((period_us - 10_000.0).abs() < 30.0);
+        }
+        let few = Link { exchanges: 20, ..USUAL };
+        assert_eq!(pair(&few, &few.heard()), Err(Refusal::TooFew { receiver: 20, transmitter: 20 }));
+    }
+
+    #[test]
+    fn a_set_clock_splits_a_log_and_loses_nothing_else() {
+        let mut heard = USUAL.heard();
+        // The transmitter's card restarts in the middle.
+        let at = heard[1].len() / 2;
+        let from = heard[1][at].0 - 5_000;
+        heard[1][at..].iter_mut().for_each(|(ticks, _)| *ticks = ticks.wrapping_sub(from) & 0xffff_ffff);
+        let (pairs, _) = pair(&USUAL, &heard).unwrap();
+        assert!(pairs.len() >= USUAL.exchanges - 8 && wrong(&pairs) == 0, "{}", pairs.len());
+    }
+
+    #[test]
+    fn frames_of_others_and_frames_that_are_reported_twice_take_no_partner() {
+        let heard = USUAL.heard();
+        let mut random = Random::new(1);
+        // The transmitter also hears what the receiver sends to a third robot, some 5 ms after each; some records come twice.
+        let mut tx: Vec<(u64, usize)> = Vec::new();
+        for &(ticks, k) in &heard[1] {
+            tx.push((ticks, k));
+            if k % 10 == 0 {
+                tx.push((ticks + 40, usize::MAX));
+            }
+            if random.chance(0.6) {
+                tx.push((ticks + 5_000 + random.between(0.0, 200.0) as u64, usize::MAX));
+            }
+        }
+        let (pairs, _) = pair(&USUAL, &[heard[0].clone(), tx]).unwrap();
+        assert!(pairs.len() as f64 >= 0.995 * USUAL.exchanges as f64 && wrong(&pairs) == 0, "{}", pairs.len());
+    }
+
+    #[test]
+    fn a_log_that_covers_a_part_of_the_other_is_paired_there() {
+        let heard = USUAL.heard();
+        let part = heard[1][900..].to_vec();
+        let (pairs, _) = pair(&USUAL, &[heard[0].clone(), part]).unwrap();
+        assert_eq!((pairs.len(), wrong(&pairs)), (600, 0));
+    }
+
+    /// The same as records come, the transmitter's `late` of them behind: pairs, and wrong ones.
+    fn pair_live(link: &Link, heard: &Heard, late: usize) -> (Vec<(usize, usize)>, Live<usize>) {
+        let mut machine = Live::new(link.clocks[0], link.clocks[1]);
+        let [rx, tx] = heard;
+        let mut pairs = Vec::new();
+        let mut records = |machine: &mut Live<usize>, side, record: Option<&(u64, usize)>| {
+            record.into_iter().for_each(|(ticks, exchange)| machine.handle(side, *ticks, *exchange));
+            pairs.extend(std::iter::from_fn(|| machine.poll_pair()).map(|pair| (pair.receiver, pair.transmitter)));
+        };
+        let (mut i, mut j) = (0, 0);
+        while i < rx.len() || j < tx.len() {
+            let own_is_next = rx.get(i).is_some_and(|(_, k)| tx.get(j).is_none_or(|(_, other)| *k < other + late));
+            if own_is_next {
+                records(&mut machine, LinkSide::Receiver, rx.get(i));
+                i += 1;
+            } else {
+                records(&mut machine, LinkSide::Transmitter, tx.get(j));
+                j += 1;
+            }
+        }
+        machine.finish();
+        records(&mut machine, LinkSide::Receiver, None);
+        [&machine.receiver, &machine.transmitter].iter().for_each(|side| balance(&side.counts, pairs.len()));
+        (pairs, machine)
+    }
+
+    /// Number of records in memory, of the side with more.
+    fn kept(machine: &Live<usize>) -> usize {
+        machine.receiver.len().max(machine.transmitter.len())
+    }
+
+    #[test]
+    fn records_are_paired_as_they_come_as_in_whole_logs() {
+        let wide = (20_000.0, 8_000.0);
+        for (name, link) in [
+            ("usual", USUAL),
+            ("30 % lost on each side", Link { lost: 0.3, ..USUAL }),
+            ("100 ppm, 30 % lost, many", Link { drift: 100e-6, lost: 0.3, exchanges: 9_000, ..USUAL }),
+            ("FTM clocks, that wrap every 13.4 s", Link { clocks: [CardClock::FTM; 2], exchanges: 4_000, ..USUAL }),
+            ("irregular, many lost", Link { exchanges: 400, pause_us: wide, lost: 0.3, drift: 60e-6, ..USUAL }),
+        ] {
+            for (seed, late) in [(0, 0), (1, 1), (2, 150)] {
+                let link = Link { seed, ..link };
+                let heard = link.heard();
+                let (whole, _) = pair(&link, &heard).unwrap();
+                let (live, _) = pair_live(&link, &heard, late);
+                assert_eq!(live, whole, "{name}, seed {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_pair_comes_with_the_next_exchange_once_the_clocks_are_understood() {
+        let [rx, tx] = USUAL.heard();
+        let mut machine = Live::new(USUAL.clocks[0], USUAL.clocks[1]);
+        let (mut first, mut newest) = (None, 0);
+        for ((a, i), (b, j)) in rx.iter().zip(&tx) {
+            machine.handle(LinkSide::Receiver, *a, *i);
+            machine.handle(LinkSide::Transmitter, *b, *j);
+            newest = std::iter::from_fn(|| machine.poll_pair()).map(|pair| pair.receiver).last().unwrap_or(newest);
+            first = first.or((newest > 0).then_some(*i));
+            assert!(first.is_none() || newest + 1 >= *i, "{newest} at {i}");
+        }
+        assert!(first.is_some_and(|first| first < 200), "{first:?}");
+        assert!(kept(&machine) <= WINDOW_KEPT);
+    }
+
+    /// Records of a side that may be in memory while clocks are understood and no side is behind.
+    const WINDOW_KEPT: usize = 2 * STRETCH + 2;
+
+    #[test]
+    fn either_card_may_restart_while_records_come_and_clocks_may_jump() {
+        for (side, jump_us) in [(1, None), (0, None), (1, Some(7_003_000)), (0, Some(200_000_000))] {
+            let mut heard = Link { exchanges: 3_000, ..USUAL }.heard();
+            let at = heard[side].len() / 2;
+            let from = heard[side][at].0 - 5_000;
+            for (ticks, _) in &mut heard[side][at..] {
+                *ticks = jump_us.map_or(ticks.wrapping_sub(from), |us| *ticks + us) & 0xffff_ffff;
+            }
+            let (pairs, machine) = pair_live(&USUAL, &heard, 0);
+            assert_eq!(machine.restarts(), 1, "{side} {jump_us:?}");
+            let wrong = wrong(&pairs);
+            let most = if jump_us == Some(7_003_000) { 24 } else { 0 };
+            assert!(pairs.len() >= 2_900 && wrong <= most, "{side} {jump_us:?}: {} pairs, {wrong} wrong", pairs.len());
+        }
+    }
+
+    #[test]
+    fn records_of_two_runs_give_no_pairs_as_they_come_and_memory_is_bounded() {
+        let [own, _] = Link { exchanges: 5_000, ..USUAL }.heard();
+        let [_, other] = Link { exchanges: 5_000, seed: 107, ..USUAL }.heard();
+        let (pairs, machine) = pair_live(&USUAL, &[own, other], 0);
+        assert!(pairs.is_empty(), "{}", pairs.len());
+        assert!(matches!(machine.refusal(), Some(Refusal::Strangers { .. })), "{:?}", machine.refusal());
+        assert!(kept(&machine) <= WINDOW_KEPT);
+        // A feed that stops does not fill the memory either, and goes on where it comes back.
+        let link = Link { exchanges: 9_000, ..USUAL };
+        let [rx, tx] = link.heard();
+        let stops: Vec<(u64, usize)> = tx.iter().filter(|(_, k)| !(2_000..2_900).contains(k)).copied().collect();
+        let (pairs, machine) = pair_live(&link, &[rx, stops], 0);
+        assert!(pairs.len() >= 8_000 && wrong(&pairs) == 0, "{} {}", pairs.len(), wrong(&pairs));
+        assert!(kept(&machine) <= WINDOW_KEPT, "{}", kept(&machine));
+    }
+}

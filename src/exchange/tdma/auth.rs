@@ -1,4 +1,4 @@
-//! The tag of native frames: SipHash-2-4 \[siphash2012\] under two keys, half of the tag each.
+//! The tag of native frames, and the check of records' frames by it: SipHash-2-4 \[siphash2012\] under two keys, half of the tag each.
 //!
 //! | bytes of the tag | key | what it shows |
 //! |---|---|---|
@@ -8,8 +8,11 @@
 //! Both come from one secret by HKDF with SHA-256 \[rfc5869\]: `info` is [`GROUP`], or [`PAIR`] and the two addresses,
 //! the lower first. A tag does not show that a frame is new; sessions and numbers do, see [`super::Tdma`].
 
+use crate::source::Next;
 use driver_iface::Mac;
-use driver_iface::sounding::native::{self, Repr};
+use driver_iface::record::code;
+use driver_iface::sounding::native::Repr;
+use driver_iface::sounding::{FCS_LEN, Frame, native};
 use hkdf::Hkdf;
 use sha2::Sha256;
 use siphasher::sip128::{Hasher128, SipHasher24};
@@ -28,15 +31,17 @@ const HALF: usize = native::TAG_LEN / 2;
 
 /// The keys of an exchange: of the group, and of pairs. Its bytes are not printed, and are overwritten when the last
 /// copy is dropped.
-#[derive(Clone)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct Key(Arc<Keys>);
 
+#[derive(PartialEq, Eq)]
 struct Keys {
     group: [u8; KEY_LEN],
     pairs: Pairs,
 }
 
 /// Where the keys of pairs come from.
+#[derive(PartialEq, Eq)]
 enum Pairs {
     /// Derived from the group's secret when needed.
     Secret(Vec<u8>),
@@ -142,6 +147,17 @@ impl Key {
             _ => Shown::Nothing,
         }
     }
+
+    /// What the tag of a frame without FCS shows. For frames between two other robots, whose key this robot may lack,
+    /// it shows only that a group member made them.
+    fn prove(&self, mpdu: &[u8]) -> Proof {
+        let parsed = Frame::new_checked(mpdu).and_then(|frame| Repr::parse(&frame));
+        match parsed.map(|repr| self.check(mpdu, &repr)) {
+            Ok(Shown::Pair) => Proof::Good,
+            Ok(Shown::Group) => Proof::Unknown,
+            Ok(Shown::Nothing) | Err(_) => Proof::Wrong,
+        }
+    }
 }
 
 /// HKDF-SHA256 without salt: the secret is random already.
@@ -166,28 +182,65 @@ fn same(a: &[u8; HALF], b: &[u8]) -> bool {
     b.len() == HALF && a.iter().zip(b).fold(0, |differs, (a, b)| differs | (a ^ b)) == 0
 }
 
-impl PartialEq for Key {
-    fn eq(&self, other: &Self) -> bool {
-        let keys = |key: &Self| match &key.0.pairs {
-            Pairs::Secret(secret) => (secret.clone(), None, Vec::new()),
-            Pairs::Of(own, keys) => (Vec::new(), Some(*own), keys.clone()),
-        };
-        self.0.group == other.0.group && keys(self) == keys(other)
-    }
-}
-
-impl Eq for Key {}
-
 impl fmt::Debug for Key {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Key(..)")
     }
 }
 
+/// What is known about the frame that a record measures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Proof {
+    /// The record has no frame, or there is no key.
+    #[default]
+    Unknown,
+    /// Its tag is valid: its sender made it, at some time.
+    Good,
+    /// It has no tag, or another one.
+    Wrong,
+}
+
+/// Checks the frames that come before records (0xC1 before 0xBB).
+#[derive(Clone, Debug, Default)]
+pub struct Prover {
+    key: Option<Key>,
+    frame: Proof,
+}
+
+impl Prover {
+    /// The key to check frames with, if any.
+    #[must_use]
+    pub fn new(key: Option<Key>) -> Self {
+        Self { key, frame: Proof::Unknown }
+    }
+
+    /// True if there is a key.
+    #[must_use]
+    pub fn has_key(&self) -> bool {
+        self.key.is_some()
+    }
+
+    /// Takes the items of a source in order; returns, for a record of CSI, what is known about its frame.
+    pub fn note(&mut self, next: &Next<'_>) -> Proof {
+        match (next, &self.key) {
+            (Next::Record(_, record), Some(key)) if record.code == code::MPDU => {
+                let mpdu = record.body.split_at_checked(record.body.len().saturating_sub(FCS_LEN));
+                self.frame = mpdu.map_or(Proof::Wrong, |(mpdu, _)| key.prove(mpdu));
+                self.frame
+            }
+            (Next::Record(_, record), _) if record.code == code::BFEE => std::mem::take(&mut self.frame),
+            // The frame before may belong to a lost record.
+            (Next::Lost(_), _) => std::mem::take(&mut self.frame),
+            _ => Proof::Unknown,
+        }
+    }
+}
+
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
-    use driver_iface::sounding::Frame;
+    use crate::source::{Loss, Stamps};
+    use driver_iface::record::{Reason, Record, Tail};
     use driver_iface::sounding::native::Role;
 
     const A: Mac = Mac([2, 0, 0, 0, 0, 1]);
@@ -305,5 +358,53 @@ mod tests {
         let others = [key(2), robot(1, A, &[B]), robot(1, A, &[B, C]), robot(1, B, &[A]), robot(2, A, &[B])];
         assert!(others.iter().all(|other| *other != key(1)));
         assert!(others.iter().filter(|other| **other == robot(1, A, &[B])).count() == 1);
+    }
+
+    /// A frame from A to B with the key's tag, and a checksum that is not used: the body of a record.
+    pub(crate) fn recorded(key: &Key) -> Vec<u8> {
+        [frame(A, B, key), vec![0; FCS_LEN]].concat()
+    }
+
+    fn record(code: u8, body: &[u8]) -> Next<'_> {
+        Next::Record(Stamps::default(), Record { code, body })
+    }
+
+    #[test]
+    fn a_record_has_the_proof_of_the_frame_right_before_it() {
+        let key = Key::new([7; 16]);
+        let good = recorded(&key);
+        let mut wrong = good.clone();
+        wrong[27] ^= 1;
+        let mut prover = Prover::new(Some(key));
+        assert!(prover.has_key());
+        let of = |prover: &mut Prover, mpdu: &[u8]| {
+            let frame = prover.note(&record(code::MPDU, mpdu));
+            (frame, prover.note(&record(code::BFEE, &[])))
+        };
+        assert_eq!(of(&mut prover, &good), (Proof::Good, Proof::Good));
+        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Unknown, "its frame is missing");
+        assert_eq!(of(&mut prover, &wrong), (Proof::Wrong, Proof::Wrong));
+        assert_eq!(of(&mut prover, &good[..3]), (Proof::Wrong, Proof::Wrong));
+        // Another kind of record changes nothing; a loss may be of the record.
+        let _ = prover.note(&record(code::MPDU, &good));
+        assert_eq!(prover.note(&record(0x7f, &[])), Proof::Unknown);
+        assert_eq!(prover.note(&Next::Pending), Proof::Unknown);
+        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Good);
+        let _ = prover.note(&record(code::MPDU, &good));
+        let loss = Loss::Bytes { offset: 0, len: 1, reason: Reason::Checksum };
+        let _ = prover.note(&Next::Lost(loss));
+        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Unknown);
+        assert_eq!(prover.note(&Next::End(Tail::Clean)), Proof::Unknown);
+    }
+
+    #[test]
+    fn frames_between_others_prove_only_the_group() {
+        let key = Key::new([7; 16]);
+        let proof = |key: Option<Key>| Prover::new(key).note(&record(code::MPDU, &recorded(&Key::new([7; 16]))));
+        assert_eq!(proof(Some(key.for_robot(B, &[A]))), Proof::Good);
+        assert_eq!(proof(Some(key.for_robot(C, &[A, B]))), Proof::Unknown);
+        assert_eq!(proof(Some(Key::new([8; 16]))), Proof::Wrong);
+        assert_eq!(proof(None), Proof::Unknown);
+        assert!(!Prover::new(None).has_key());
     }
 }

@@ -1,9 +1,9 @@
-//! What fits into a round: slot length, the highest rate.
+//! What fits into a round: the airtime of frames, slot length, the highest rate.
 
-use super::phy::{Dialect, Phy};
-use crate::time::{Instant, Span};
+use crate::time::Span;
 use driver_iface::Mac;
-use driver_iface::sounding::wsr;
+use driver_iface::radiotap::Bandwidth;
+use driver_iface::sounding::{native, wsr};
 
 /// Longest time from the end of a forward frame to the start of its answer, microseconds: the WSR driver answers
 /// within 145 to 322 us, median 225 (892 second frames in WSR's `test_count_rx_5.dat`, rise to rise).
@@ -11,12 +11,12 @@ const TURN_AROUND_US: u32 = 322;
 /// Default guard, microseconds: how late a frame may start, and again how far clocks may be apart.
 const GUARD_US: u32 = 50;
 /// Most robots in one exchange, this one included.
-pub(crate) const MAX_ROBOTS: usize = 256;
+pub(super) const MAX_ROBOTS: usize = 256;
 /// Default length of a turn, slots: every frame of it names the next initiator, which at 60 % loss misses all of them
 /// once in 10^7 turns.
-pub(crate) const TURN_SLOTS: u16 = 32;
+const TURN_SLOTS: u16 = 32;
 /// Longest turn, slots (before it is rounded up to whole rounds).
-pub(crate) const MAX_TURN_SLOTS: u16 = 60_000;
+const MAX_TURN_SLOTS: u16 = 60_000;
 
 /// The request for a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -159,13 +159,15 @@ pub struct Plan {
     pub slots: u16,
     /// Modulation.
     pub phy: Phy,
-    round_us: u32,
-    forward_us: u32,
+    /// Length of a round, microseconds.
+    pub(super) round_us: u32,
+    /// Airtime of the longest forward frame, microseconds.
+    pub(super) forward_us: u32,
     backward_us: u32,
     turn_around_us: u32,
     guard_us: u32,
     turn_slots: u16,
-    dialect: Dialect,
+    pub(super) dialect: Dialect,
 }
 
 impl Plan {
@@ -223,12 +225,6 @@ impl Plan {
         forward.saturating_add(turn_around).saturating_add(backward).saturating_add(guard.saturating_mul(2))
     }
 
-    /// Length of a round, microseconds.
-    #[must_use]
-    pub(super) fn round_us(&self) -> u32 {
-        self.round_us
-    }
-
     /// Rounds per second.
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
@@ -259,12 +255,6 @@ impl Plan {
         u64::from(initiators) * u64::from(self.turn_slots()) * u64::from(self.round_us) / u64::from(self.slots)
     }
 
-    /// Airtime of the longest forward frame, microseconds.
-    #[must_use]
-    pub(super) fn forward_us(&self) -> u32 {
-        self.forward_us
-    }
-
     /// How late a forward frame may start.
     #[must_use]
     pub(super) fn guard(&self) -> Span {
@@ -275,12 +265,6 @@ impl Plan {
     #[must_use]
     pub(crate) fn turn_around(&self) -> Span {
         Span::from_us(i64::from(self.turn_around_us))
-    }
-
-    /// Frame dialect.
-    #[must_use]
-    pub(super) fn dialect(&self) -> Dialect {
-        self.dialect
     }
 
     /// Start of slot `n` after the epoch: `floor(n * round / slots)`, exact for every `n`.
@@ -299,11 +283,89 @@ impl Plan {
         let (rounds, rest) = (offset.as_us().div_euclid(round_us), offset.as_us().rem_euclid(round_us));
         rounds * slots + ((rest + 1) * slots - 1) / round_us
     }
+}
 
-    /// Start of slot `n` for a given epoch.
+/// HT modulation of every frame: one of MCS 0 to 31, long guard interval, BCC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Phy {
+    /// MCS index; `monitor_tx_rate` 0x4101 is MCS 1.
+    pub mcs: u8,
+    /// Channel width.
+    pub bandwidth: Bandwidth,
+}
+
+impl Default for Phy {
+    /// HT20 MCS 1, 13 Mb/s: what the csitool README sets (0x4101).
+    fn default() -> Self {
+        Self { mcs: 1, bandwidth: Bandwidth::Ht20 }
+    }
+}
+
+impl Phy {
+    /// Highest MCS with equal modulation on up to four streams (802.11-2016 clause 19.5).
+    const MAX_MCS: u8 = 31;
+
+    /// Data bits in one OFDM symbol of 4 us (802.11-2016 tables 19-27 to 19-34).
     #[must_use]
-    pub(super) fn slot_start(&self, epoch: Instant, n: i64) -> Instant {
-        epoch + self.offset_of(n)
+    fn bits_per_symbol(&self) -> u32 {
+        const HT20: [u32; 8] = [26, 52, 78, 104, 156, 208, 234, 260];
+        const HT40: [u32; 8] = [54, 108, 162, 216, 324, 432, 486, 540];
+        let table = match self.bandwidth {
+            Bandwidth::Ht20 => HT20,
+            Bandwidth::Ht40 => HT40,
+        };
+        let one_stream = table.get(usize::from(self.mcs % 8)).copied().unwrap_or(26);
+        one_stream * self.streams()
+    }
+
+    fn streams(&self) -> u32 {
+        u32::from(self.mcs / 8 + 1)
+    }
+
+    /// Time on air of a frame of `len_with_fcs` bytes, microseconds: HT-mixed preamble (L-STF, L-LTF, L-SIG, HT-SIG,
+    /// HT-STF, one HT-LTF per stream, four for three) and whole symbols of 4 us (802.11-2016 equation 19-90).
+    #[must_use]
+    pub fn airtime_us(&self, len_with_fcs: usize) -> u32 {
+        let ltf = match self.streams() {
+            3 => 4,
+            streams => streams,
+        };
+        let preamble = 8 + 8 + 4 + 8 + 4 + 4 * ltf;
+        let bits = 16 + 8 * len_with_fcs as u32 + 6;
+        preamble + 4 * bits.div_ceil(self.bits_per_symbol())
+    }
+}
+
+/// The format of frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dialect {
+    /// As the WSR toolbox: the length of a frame addresses a robot.
+    Wsr {
+        /// On-air length (FCS included) of the forward frame to the robot of index 0; odd.
+        first_len: u16,
+    },
+    /// The dialect of this project, see [`driver_iface::sounding::native`].
+    Native {
+        /// Leave room for a measurement in the backward frame.
+        measurement: bool,
+        /// Leave room for an authentication tag in every frame.
+        authenticated: bool,
+    },
+}
+
+impl Dialect {
+    /// Longest forward and backward frames on air, FCS included, if robots' indices go up to `last_index`.
+    #[must_use]
+    pub fn longest(&self, last_index: usize) -> (usize, usize) {
+        match *self {
+            Self::Wsr { first_len } => {
+                let forward = wsr::forward_len(usize::from(first_len), last_index);
+                (forward, forward + wsr::REPLY_GROWTH)
+            }
+            Self::Native { measurement, authenticated } => {
+                (native::len_with_fcs(false, authenticated), native::len_with_fcs(measurement, authenticated))
+            }
+        }
     }
 }
 
@@ -321,16 +383,16 @@ mod tests {
         ] {
             let request = Request { dialect, ..Request::new(12, 100.0) };
             let plan = Plan::new(&request).unwrap();
-            assert_eq!((plan.round_us(), plan.slots, plan.rate_hz()), (10_000, 12, 100.0));
+            assert_eq!((plan.round_us, plan.slots, plan.rate_hz()), (10_000, 12, 100.0));
             assert!((plan.slot_us() - 833.333).abs() < 0.001);
             let (forward_len, _) = dialect.longest(12);
-            assert_eq!(plan.forward_us(), request.phy.airtime_us(forward_len));
+            assert_eq!(plan.forward_us, request.phy.airtime_us(forward_len));
             let Err(PlanError::Rate { highest_hz, slot_us, .. }) = Plan::new(&Request { links: 32, ..request }) else {
                 panic!("32 links at 100 rounds/s must not fit");
             };
             assert!((40.0..60.0).contains(&highest_hz), "{highest_hz}");
             let plan = Plan::new(&Request { links: 32, rate_hz: highest_hz, ..request }).unwrap();
-            assert_eq!(plan.round_us(), slot_us * 32);
+            assert_eq!(plan.round_us, slot_us * 32);
             assert!(Plan::new(&Request { links: 32, rate_hz: highest_hz * 1.001, ..request }).is_err());
         }
     }
@@ -358,5 +420,27 @@ mod tests {
             prop_assert_eq!(plan.slot_at(start), n);
             prop_assert_eq!(plan.slot_at(end - Span::from_us(1)), n);
         }
+    }
+
+    #[test]
+    fn the_longest_frames_are_those_of_the_last_robot_and_of_both_additions() {
+        let wsr = Dialect::Wsr { first_len: 57 };
+        assert_eq!([wsr.longest(0), wsr.longest(3)], [(57, 57 + wsr::REPLY_GROWTH), (63, 63 + wsr::REPLY_GROWTH)]);
+        for (measurement, authenticated) in [(false, false), (true, false), (false, true), (true, true)] {
+            let (forward, backward) = Dialect::Native { measurement, authenticated }.longest(3);
+            let tag = if authenticated { native::TAG_LEN } else { 0 };
+            assert_eq!(forward, native::len_with_fcs(false, false) + tag);
+            assert_eq!(backward, native::len_with_fcs(measurement, false) + tag);
+        }
+    }
+
+    #[test]
+    fn airtime_is_that_of_the_standard() {
+        let ht20 = |mcs| Phy { mcs, bandwidth: Bandwidth::Ht20 };
+        // 57 bytes: 478 bits; 19 symbols of 26, 10 of 52, 2 of 260.
+        assert_eq!([0, 1, 7].map(|mcs| ht20(mcs).airtime_us(57)), [36 + 76, 36 + 40, 36 + 8]);
+        assert_eq!(Phy { mcs: 0, bandwidth: Bandwidth::Ht40 }.airtime_us(57), 36 + 36);
+        // Three streams: four HT-LTFs, 78 bits a symbol.
+        assert_eq!(ht20(16).airtime_us(57), 48 + 28);
     }
 }

@@ -1,8 +1,7 @@
 //! The robots of the exchange: when each was heard, which links are due, whose turn may be next.
 
-use super::config::Config;
-use super::event::LinkCounts;
-use crate::time::{Instant, Span};
+use super::{Config, LinkCounts};
+use crate::time::Instant;
 use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
 
@@ -182,13 +181,13 @@ impl Roster {
         self.peers.get_mut(at)
     }
 
-    pub(super) fn peer_of_rank(&self, rank: u16) -> Option<usize> {
-        let at = match rank.cmp(&self.own_rank) {
-            std::cmp::Ordering::Less => usize::from(rank),
-            std::cmp::Ordering::Equal => return None,
-            std::cmp::Ordering::Greater => usize::from(rank) - 1,
-        };
-        (at < self.peers.len()).then_some(at)
+    /// `None` for this robot's own rank.
+    pub(super) fn peer_of_rank(&self, rank: u16) -> Option<&Peer> {
+        self.peers.iter().find(|peer| peer.rank == rank)
+    }
+
+    pub(super) fn peer_of_mac(&self, mac: Mac) -> Option<&Peer> {
+        self.peers.get(self.find(mac)?)
     }
 
     pub(super) fn link_of_peer(&self, peer: usize) -> Option<&Link> {
@@ -304,15 +303,20 @@ impl Outstanding {
     }
 }
 
-/// The time `rounds` rounds before `now`.
-pub(super) fn rounds_before(now: Instant, round_us: u32, rounds: i64) -> Instant {
-    now - Span::from_us(i64::from(round_us).saturating_mul(rounds))
+/// The number before an initiator's first: robots count from places as far from each other as 31 bits allow, by their
+/// `rank` among the `robots` of the exchange, so that the counts of two initiators in one log never meet.
+///
+/// The first robot starts with 1, like WSR's sender. Two robots are 2^30 numbers apart, 12 days at 1,000 a second.
+#[must_use]
+pub fn before_first_number(rank: u16, robots: usize) -> u32 {
+    let apart = (1u32 << 31) / u32::try_from(robots.max(1)).unwrap_or(u32::MAX);
+    u32::from(rank).wrapping_mul(apart)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::plan::Request;
     use super::*;
+    use crate::exchange::tdma::Request;
 
     fn mac(last: u8) -> Mac {
         Mac([2, 0, 0, 0, 0, last])
@@ -333,9 +337,9 @@ mod tests {
             assert_eq!(rank(&a, last), rank(&b, last));
         }
         for at in 0..3 {
-            assert_eq!(a.peer_of_rank(a.peers[at].rank), Some(at));
+            assert_eq!(a.peer_of_rank(a.peers[at].rank).map(|peer| peer.mac), Some(a.peers[at].mac));
         }
-        assert_eq!((a.peer_of_rank(1), a.peer_of_rank(4)), (None, None));
+        assert!(a.peer_of_rank(1).is_none() && a.peer_of_rank(4).is_none());
     }
 
     #[test]
@@ -399,7 +403,6 @@ mod tests {
         assert_eq!(next(&roster), Some(1), "after the last the first");
         roster.peers[0].heard_at = Some(Instant::from_us(999));
         assert_eq!(next(&roster), Some(2));
-        assert_eq!(rounds_before(now, 100, 3), Instant::from_us(700));
     }
 
     #[test]
