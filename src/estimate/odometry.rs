@@ -10,7 +10,8 @@
 //! 1. **Start.** Every offset on a grid, with every azimuth, coarsely. The best ones that are apart are starts.
 //! 2. **Top.** From each, Newton's method for the errors and for every stretch's azimuth, curvature and elevation together. An
 //!    elevation shortens level motion as a wrong scale does, so only its prior keeps them apart.
-//! 3. **Deviations** from the curvature at the highest top, with a normal prior. A direction of the four errors that the phases hardly
+//! 3. **Deviations** from the curvature at the highest top, with a normal prior. All links have the odometry's drift in common: an error that
+//!    changes the shape of the path by less than this is not known, however many phases there are. A direction of the four errors that the phases hardly
 //!    narrow is left at no error, and followed to one deviation on either side: an offset on a circle about the point that the robot
 //!    turned about.
 //! 4. **Criterion.** The fit counts only if it is decisively likelier than no error at all, with the share of the prior that the phases
@@ -56,6 +57,8 @@ const STEP_M: f64 = 0.0015;
 /// Newton's steps: their number, and the longest, in deviations of the prior.
 const ITERATIONS: usize = 15;
 const LONGEST: f64 = 0.3;
+/// What else odometry gets wrong in the shape of a stretch, metres: wheels and cameras drift.
+const DRIFT_M: f64 = 0.005;
 /// Steps to a deviation that is followed.
 const FOLLOWED: u32 = 4;
 /// `ln` of how much likelier than no error the errors have to be.
@@ -129,7 +132,11 @@ impl fmt::Display for OdometryFit {
         if let Some(why) = &self.refused {
             return writeln!(f, "odometry: not corrected: {why}");
         }
-        writeln!(f, "odometry: corrected by the phases of {} links, exp({:.0}) times as likely as none", self.links, self.log_odds)?;
+        writeln!(
+            f,
+            "odometry: corrected by the phases of {} links, exp({:.0}) times as likely as none",
+            self.links, self.log_odds
+        )?;
         let mut line = |name: &str, error: &OdometryError, unit: &str, by: f64, digits: usize, why: &str| {
             let (value, sd) = (by * error.value, by * error.sd);
             if error.known {
@@ -195,7 +202,8 @@ pub(crate) fn stretches(
     let plane = |of: Vec<Vector3<f64>>| means(of).iter().map(|p| Complex64::new(p.x, p.y)).collect::<Vec<_>>();
     let at_m = plane(poses.iter().map(|pose| pose.position_m).collect());
     let nose = plane(headings.iter().map(|heading| Vector3::new(heading.cos(), heading.sin(), 0.0)).collect());
-    let heading_rad: Vec<f64> = means(headings.iter().map(|own| Vector3::x() * *own).collect()).iter().map(|own| own.x).collect();
+    let heading_rad: Vec<f64> =
+        means(headings.iter().map(|own| Vector3::x() * *own).collect()).iter().map(|own| own.x).collect();
     let partner_m = plane(samples.transmitter_m().to_vec());
     let probe = means(probe);
     let way_m = |points: &[Vector3<f64>]| points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum::<f64>();
@@ -241,7 +249,9 @@ impl Aperture {
     /// The mean of every few rows.
     fn thinned(&self) -> Self {
         let mean = |few: &[_]| -> [f32; 2 * super::signal::COLUMNS] {
-            std::array::from_fn(|k| few.iter().map(|row: &[f32; 2 * super::signal::COLUMNS]| row[k]).sum::<f32>() / few.len() as f32)
+            std::array::from_fn(|k| {
+                few.iter().map(|row: &[f32; 2 * super::signal::COLUMNS]| row[k]).sum::<f32>() / few.len() as f32
+            })
         };
         Self {
             path_gain: self.path_gain,
@@ -304,7 +314,14 @@ impl Stretch {
             let logs = self.coarse.log_likelihoods(&places);
             let best = logs.iter().zip(&places).max_by(|a, b| a.0.total_cmp(b.0));
             best.map_or((0.0, Unknown::zeros()), |(log, place)| {
-                (*log, Unknown::new((place.azimuth - self.turned_rad(&path)) / AZIMUTH_RAD, 0.0, (place.curve - CURVE[0]) / CURVE[1]))
+                (
+                    *log,
+                    Unknown::new(
+                        (place.azimuth - self.turned_rad(&path)) / AZIMUTH_RAD,
+                        0.0,
+                        (place.curve - CURVE[0]) / CURVE[1],
+                    ),
+                )
             })
         };
         errors.iter().map(best).collect()
@@ -323,6 +340,27 @@ impl Stretch {
             0.5 * CURVE[1] * radius * radius,
         ];
         moves.map(|moved| (STEP_M / moved).min(0.5))
+    }
+
+    /// By how much errors change the shape of the path, but for its direction: mean products, square metres.
+    fn shapes(&self, errors: &Errors) -> Matrix4<f64> {
+        const BY: f64 = 0.02;
+        let path = self.path(errors, 0.0);
+        let size: f64 = path.iter().map(|p| p.norm_squared()).sum::<f64>().max(f64::MIN_POSITIVE);
+        let change = |k: usize| {
+            let [up, down] = [BY, -BY].map(|by| {
+                let mut moved = *errors;
+                moved[k] += by;
+                self.path(&moved, 0.0)
+            });
+            let own: Vec<Vector3<f64>> = up.iter().zip(&down).map(|(up, down)| (up - down) / (2.0 * BY)).collect();
+            let aside = |p: &Vector3<f64>| Vector3::new(-p.y, p.x, 0.0);
+            let turn = own.iter().zip(&path).map(|(own, p)| own.dot(&aside(p))).sum::<f64>() / size;
+            own.iter().zip(&path).map(|(own, p)| own - aside(p) * turn).collect::<Vec<_>>()
+        };
+        let changes: [Vec<Vector3<f64>>; 4] = std::array::from_fn(change);
+        let product = |j: usize, k: usize| changes[j].iter().zip(&changes[k]).map(|(a, b)| a.dot(b)).sum::<f64>();
+        Matrix4::from_fn(|j, k| product(j, k) / path.len() as f64)
     }
 
     /// Gradient and negative second derivatives of [`Self::log`].
@@ -398,10 +436,14 @@ impl Drive {
     /// No error first, then the best offsets of the grid.
     fn starts(&mut self) -> Vec<Point> {
         let side = (REACH_M / GRID_M) as i32;
-        let offset = |i: i32, j: i32| Errors::new(0.0, 0.0, f64::from(i) * GRID_M / PRIOR_SD[2], f64::from(j) * GRID_M / PRIOR_SD[3]);
+        let offset = |i: i32, j: i32| {
+            Errors::new(0.0, 0.0, f64::from(i) * GRID_M / PRIOR_SD[2], f64::from(j) * GRID_M / PRIOR_SD[3])
+        };
         let all = (-side..=side).flat_map(|i| (-side..=side).map(move |j| (i, j)));
-        let grid: Vec<Errors> =
-            std::iter::once((0, 0)).chain(all.filter(|(i, j)| i * i + j * j <= side * side)).map(|(i, j)| offset(i, j)).collect();
+        let grid: Vec<Errors> = std::iter::once((0, 0))
+            .chain(all.filter(|(i, j)| i * i + j * j <= side * side))
+            .map(|(i, j)| offset(i, j))
+            .collect();
         let seen = self.each(|_, own| own.coarse(&grid));
         let log = |k: &usize| seen.iter().map(|own| own[*k].0).sum::<f64>() - 0.5 * grid[*k].norm_squared();
         let mut order: Vec<(usize, f64)> = (0..grid.len()).map(|k| (k, log(&k))).collect();
@@ -413,7 +455,10 @@ impl Drive {
                 chosen.push(*k);
             }
         }
-        chosen.iter().map(|k| Point { errors: grid[*k], unknowns: seen.iter().map(|own| own[*k].1).collect() }).collect()
+        chosen
+            .iter()
+            .map(|k| Point { errors: grid[*k], unknowns: seen.iter().map(|own| own[*k].1).collect() })
+            .collect()
     }
 
     fn log(&mut self, at: &Point) -> f64 {
@@ -448,7 +493,11 @@ impl Drive {
                 errors: at.errors + step * size,
                 unknowns: at.unknowns.iter().zip(&unknowns).map(|(own, step)| own + step * size).collect(),
             };
-            let tried = [1.0, 0.4, 0.15, 0.05].map(moved).into_iter().map(|point| (self.log(&point), point)).find(|next| next.0 > log);
+            let tried = [1.0, 0.4, 0.15, 0.05]
+                .map(moved)
+                .into_iter()
+                .map(|point| (self.log(&point), point))
+                .find(|next| next.0 > log);
             let Some((higher, point)) = tried else { break };
             let is_done = higher - log < 0.01;
             (log, at) = (higher, point);
@@ -457,6 +506,18 @@ impl Drive {
             }
         }
         Top { at, log, information }
+    }
+
+    /// Information on the errors at a maximum, the prior's with it: that of the phases, limited by the drift of the odometry.
+    fn known(&self, top: &Top) -> Matrix4<f64> {
+        let mut phases = SymmetricEigen::new(top.information - Matrix4::identity());
+        phases.eigenvalues.apply(|value| *value = value.max(0.0));
+        let phases = phases.recompose();
+        let links = self.stretches.last().map_or(1, |last| last.link + 1);
+        let shapes: Matrix4<f64> = self.stretches.iter().map(|own| own.shapes(&top.at.errors)).sum();
+        let drift = shapes / (links as f64 * DRIFT_M * DRIFT_M);
+        let both = drift * inverse(&(drift + phases)) * phases;
+        0.5 * (both + both.transpose()) + Matrix4::identity()
     }
 
     /// Goes `by`, which lies `along` a direction, with the rest at its maximum.
@@ -473,11 +534,13 @@ impl Drive {
     /// The maximum without what the phases hardly show: drift of the odometry would decide it.
     fn without_unknown(&mut self, mut top: Top) -> Top {
         for _ in 0..4 {
-            let eigen = SymmetricEigen::new(top.information);
+            let eigen = SymmetricEigen::new(self.known(&top));
             let all = eigen.eigenvalues.iter().enumerate().filter(|(_, value)| value.max(1.0).powf(-0.5) >= NARROWED);
             let along = all.map(|(k, _)| eigen.eigenvectors.column(k).into_owned());
             let by = |along: &Errors| along.dot(&top.at.errors).abs();
-            let Some(along) = along.max_by(|a, b| by(a).total_cmp(&by(b))).filter(|along| by(along) > 0.1) else { break };
+            let Some(along) = along.max_by(|a, b| by(a).total_cmp(&by(b))).filter(|along| by(along) > 0.1) else {
+                break;
+            };
             top = self.follow(top.at.clone(), -along * along.dot(&top.at.errors), &along);
         }
         top
@@ -503,7 +566,7 @@ impl Drive {
         }
         tops.sort_by(|a, b| b.log.total_cmp(&a.log));
         let Some((best, others)) = tops.split_first() else { return OdometryFit::refused(NOTHING) };
-        let eigen = SymmetricEigen::new(best.information);
+        let eigen = SymmetricEigen::new(self.known(best));
         let (mut covariance, mut turned) = (Matrix4::zeros(), 0.0);
         let mut spread = |errors: &Errors, share: f64, drive: &Self| {
             let off = errors - best.at.errors;
@@ -532,7 +595,8 @@ impl Drive {
             sd: PRIOR_SD[k] * covariance[(k, k)].sqrt().min(1.0),
             known: covariance[(k, k)].sqrt() < NARROWED,
         };
-        let log_odds = best.log - none.log - 0.5 * eigen.eigenvalues.iter().map(|value| value.max(1.0).ln()).sum::<f64>();
+        let log_odds =
+            best.log - none.log - 0.5 * eigen.eigenvalues.iter().map(|value| value.max(1.0).ln()).sum::<f64>();
         let refused = (log_odds.partial_cmp(&DECISIVE) != Some(std::cmp::Ordering::Greater)).then(|| {
             format!("the phases hardly prefer other errors to none (log odds {log_odds:.1}, {DECISIVE} are needed)")
         });
@@ -567,8 +631,8 @@ pub(crate) fn fit(stretches: Vec<Stretch>, parallel: bool) -> OdometryFit {
 mod tests {
     use super::*;
     use crate::bartlett::Tier;
-    use crate::estimate::prior::Limits;
     use crate::estimate::Effort;
+    use crate::estimate::prior::Limits;
     use crate::signal::channel::INDICES_20_MHZ;
     use crate::signal::samples::Samples;
 
@@ -680,7 +744,10 @@ mod tests {
         let off_m = radius(errors(&found).map(|own| own.value)) - radius(WRONG);
         // As the elevations of the transmitters are open, to some percent.
         assert!(off_m.abs() < 0.01, "{off_m}");
-        assert!((forward.value - WRONG[2]).abs() < 2.0 * forward.sd && (left.value - WRONG[3]).abs() < 2.0 * left.sd, "{found:?}");
+        assert!(
+            (forward.value - WRONG[2]).abs() < 2.0 * forward.sd && (left.value - WRONG[3]).abs() < 2.0 * left.sd,
+            "{found:?}"
+        );
         assert!(found.rotation_sd_rad > 0.2, "{found:?}");
         let words = found.to_string();
         assert!(words.contains("forward") && words.contains("not shown by this drive; drive straight, too"), "{words}");

@@ -6,8 +6,8 @@ use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
 use super::stretch;
 use crate::bartlett;
-use crate::estimate::range_change::range_change;
 use crate::estimate::odometry::{self, OdometryFit, PROBE_M, Stretch};
+use crate::estimate::range_change::range_change;
 use crate::estimate::{Found, NoRangeChange, RangeChange, estimate};
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Motion, Pose, Trajectory};
@@ -142,7 +142,9 @@ pub fn estimate_all(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bea
 
 /// What the receiver's odometry gets wrong, from the phases of all links, and the trajectory without it, with the deviation of its heading.
 pub(super) fn fit_odometry(links: &[LinkJoin<'_>], options: &Options) -> (OdometryFit, Option<(Trajectory, f64)>) {
-    let Some(receiver) = links.first().map(|join| join.receiver) else { return (odometry::fit(Vec::new(), false), None) };
+    let Some(receiver) = links.first().map(|join| join.receiver) else {
+        return (odometry::fit(Vec::new(), false), None);
+    };
     let (mut all, mut why) = (Vec::new(), None);
     for (k, join) in links.iter().enumerate() {
         match stretches(join, options, k) {

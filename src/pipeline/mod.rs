@@ -34,7 +34,9 @@ mod reading;
 mod stretch;
 mod unnumbered;
 
-pub use crate::estimate::{Effort, NoRangeChange, OdometryError, OdometryFit, RangeChange, Reason, Risk, Sufficient, Unexplained};
+pub use crate::estimate::{
+    Effort, NoRangeChange, OdometryError, OdometryFit, RangeChange, Reason, Risk, Sufficient, Unexplained,
+};
 pub use answer::{Answer, CandidateAnswer, RangeChangeAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};

@@ -62,7 +62,9 @@ fn a_drive_with_curves_to_both_sides_shows_scale_and_offset() {
         let fit = after[0].1.odometry_fit.clone().unwrap();
         println!("{fit:?}\n{fit}");
         assert!(fit.refused.is_none() && fit.links == 2 && after[1].0.odometry_fit.as_ref() == Some(&fit), "{fit:?}");
-        for (own, truth) in [(fit.scale, SCALE - 1.0), (fit.turn, 0.0), (fit.forward_m, ANTENNA_M.x), (fit.left_m, ANTENNA_M.y)] {
+        for (own, truth) in
+            [(fit.scale, SCALE - 1.0), (fit.turn, 0.0), (fit.forward_m, ANTENNA_M.x), (fit.left_m, ANTENNA_M.y)]
+        {
             assert!(own.known && (own.value - truth).abs() < 3.0 * own.sd, "{own:?}, {truth}");
         }
         assert!(fit.forward_m.sd < 0.01 && fit.left_m.sd < 0.01 && fit.scale.sd < 0.02, "{fit:?}");

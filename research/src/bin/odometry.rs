@@ -151,7 +151,15 @@ fn judge(capture: &Capture, path: Given) -> Fallible<Vec<Row>> {
         let (b, a) = (judged(before, &truth, *place), judged(after, &truth, *place));
         println!(
             "{}: {}: {:.1} -> {:.1} deg, bar {:.1} -> {:.1}, length {:.3} -> {:.3}; {}",
-            path.name(), capture.link_name(name), b.error_deg, a.error_deg, b.bars_deg[0], a.bars_deg[0], b.length, a.length, words(&fit)
+            path.name(),
+            capture.link_name(name),
+            b.error_deg,
+            a.error_deg,
+            b.bars_deg[0],
+            a.bars_deg[0],
+            b.length,
+            a.length,
+            words(&fit)
         );
         let known = match path {
             Given::Simulated([scale, forward, left]) => Some([scale, forward, left]),
@@ -172,8 +180,13 @@ fn words(fit: &OdometryFit) -> String {
     };
     format!(
         "scale {} %, turn {} %, forward {} mm, left {} mm, log odds {:.1}, rotation {:.1} deg{}",
-        one(&fit.scale, 100.0), one(&fit.turn, 100.0), one(&fit.forward_m, 1e3), one(&fit.left_m, 1e3), fit.log_odds,
-        fit.rotation_sd_rad.to_degrees(), if fit.refused.is_some() { ", refused" } else { "" }
+        one(&fit.scale, 100.0),
+        one(&fit.turn, 100.0),
+        one(&fit.forward_m, 1e3),
+        one(&fit.left_m, 1e3),
+        fit.log_odds,
+        fit.rotation_sd_rad.to_degrees(),
+        if fit.refused.is_some() { ", refused" } else { "" }
     )
 }
 
@@ -182,7 +195,11 @@ fn places(capture: &Capture) -> Fallible<BTreeMap<String, [f64; 2]>> {
     let text = std::fs::read_to_string(capture.folder.join(TRUTH_FILE))?;
     let json: serde_json::Value = serde_json::from_str(&text)?;
     let at = |name: &str, axis: &str| json["true_tx_positions"]["value"][name]["position"][axis].as_f64();
-    Ok(capture.transmitters.iter().filter_map(|(name, _)| Some((name.clone(), [at(name, "x")?, at(name, "y")?]))).collect())
+    Ok(capture
+        .transmitters
+        .iter()
+        .filter_map(|(name, _)| Some((name.clone(), [at(name, "x")?, at(name, "y")?])))
+        .collect())
 }
 
 fn judged(bearing: &Bearing, truth: &Trajectory, place: [f64; 2]) -> Judged {

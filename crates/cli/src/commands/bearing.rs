@@ -67,9 +67,6 @@ pub struct Args {
     /// what the scene needs]
     #[arg(long, value_name = "DEGREES", value_parser = accuracy, conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     accuracy: Option<f64>,
-    /// Refuse bearings whose probability of being within 5 degrees is unknown or below this (0 to 1)
-    #[arg(long, value_name = "P", hide_short_help = true)]
-    min_confidence: Option<f64>,
     /// Place of a transmitter in the trajectory's frame, metres: tx2=-3.18,1.11. It replaces the capture's truth.
     /// Heights give the receiver's height too, if the motion shows elevations
     #[arg(
@@ -215,9 +212,6 @@ fn run_other(args: &Args) -> Option<Result> {
 
 /// Estimates and prints the bearings.
 pub fn run(mut args: Args) -> Result {
-    if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
-        usage("--min-confidence takes a probability, 0 to 1");
-    }
     if args.estimation.antenna.len() > 1 && args.logs.baseline.is_empty() {
         usage(
             "two antennas of one robot need --baseline X,Y,Z: where the first is seen from the second, in metres forward, left, up",
@@ -266,9 +260,6 @@ pub fn run(mut args: Args) -> Result {
     for (name, link) in names.iter().zip(&report.links) {
         let mut answer = Answer::new(name.clone(), link);
         hint::add(&mut answer);
-        if let Some(least) = args.min_confidence {
-            answer.refuse_below(least);
-        }
         if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
             answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).map_err(|error| error.to_string())?);
         }

@@ -127,8 +127,7 @@ pub fn run(args: &Args) -> Result {
         evaluated.notes.iter().for_each(|line| note!("{line}"));
         evaluated.rows.retain(|row| names.contains(&row.answer.link));
         super::print_fit(args, evaluated.rows.iter().find_map(|row| row.answer.odometry_fit.as_ref()));
-        for row in &mut evaluated.rows {
-            args.min_confidence.into_iter().for_each(|least| row.answer.refuse_below(least));
+        for row in &evaluated.rows {
             let bearing = links.iter().find(|(name, _)| *name == row.answer.link).map(|(_, bearing)| bearing);
             tell(args, row, bearing);
             shown += usize::from(row.answer.azimuth_deg.is_some());

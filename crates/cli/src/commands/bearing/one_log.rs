@@ -141,9 +141,6 @@ pub fn run(args: &Args) -> Result {
         let name = name(&inputs, rx, link, report.links.len());
         let mut answer = Answer::new(name.clone(), link);
         hint::add(&mut answer);
-        if let Some(least) = args.min_confidence {
-            answer.refuse_below(least);
-        }
         answered += usize::from(answer.azimuth_deg.is_some());
         if args.json {
             print_json(&answer);
