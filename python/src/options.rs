@@ -25,6 +25,13 @@ enum Step {
     Elevation,
 }
 
+/// What can be fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Fit {
+    Odometry,
+}
+
 /// Keyword arguments from JSON; absent ones have their defaults.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -56,6 +63,8 @@ pub struct Keywords {
     pub explain: bool,
     /// Whether links include the change of the distance.
     range_change: bool,
+    /// What is fitted before bearings.
+    fit: Option<Fit>,
     key: Option<PathBuf>,
     /// The columns of trajectories.
     columns: Option<String>,
@@ -119,6 +128,7 @@ impl Keywords {
             .with_compensate(!self.no_compensation && !self.left_out(Step::Compensation))
             .with_accuracy(self.accuracy())
             .with_range_change(self.range_change)
+            .with_fit_odometry(self.fit.is_some())
             .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))
             .with_clock_offset_s(self.clock_offset.unwrap_or(0.0))
             .with_join(if self.join_rows { JoinBy::Row } else { JoinBy::Time })

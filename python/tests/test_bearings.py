@@ -140,6 +140,29 @@ def test_the_range_change_is_returned_on_request(rx: Path, tx: Path, path_csv: P
     assert np.array_equal(other.samples["range_change"], rows)
 
 
+def test_odometry_is_fitted_on_request(rx: Path, tx: Path, path_csv: Path) -> None:
+    options: dict[str, Any] = {"channel": 108, "fit": "odometry"}
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, **options)
+    assert bearing.answer["odometry_fit"]["refused"] == "the trajectory has no headings"
+    track = csi5300.read_trajectory(path_csv)
+    steps = np.gradient(track[:, 1:3], axis=0)
+    moving = np.hypot(*steps.T) > 1e-6
+    track[:, 4] = np.interp(track[:, 0], track[moving, 0], np.unwrap(np.arctan2(steps[moving, 1], steps[moving, 0])))
+    # Wheels 12 cm to the right of the antenna.
+    wheels = track.copy()
+    wheels[:, 1] += 0.12 * np.sin(track[:, 4])
+    wheels[:, 2] -= 0.12 * np.cos(track[:, 4])
+    (plain,) = csi5300.bearings(rx, tx, trajectory=wheels, channel=108)
+    assert "odometry_fit" not in plain.answer
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=wheels, **options)
+    fit = bearing.answer["odometry_fit"]
+    # One circle: its radius shows, where on it the antenna is does not.
+    assert "refused" not in fit and fit["links"] == 1 and not fit["forward_m"]["known"], fit
+    assert abs(fit["left_m"]["value"] - 0.12) < 2 * fit["left_m"]["sd"] + 0.01, fit
+    with pytest.raises(csi5300.OptionError, match="fit|variant"):
+        csi5300.bearings(rx, tx, trajectory=wheels, channel=108, fit="walls")
+
+
 def test_a_log_without_records_is_reported(rx: Path, tx: Path, path_csv: Path) -> None:
     noise = b"It was a dark and stormy night. " * 20
     (bearing,) = csi5300.bearings(noise, tx, trajectory=path_csv, channel=108)

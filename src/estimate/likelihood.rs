@@ -73,22 +73,33 @@ impl Field {
             let full = (0..lengths).map(|length| full(&aperture.energy, &cuts, 1 << (lengths - 1 - length))).collect();
             Own { aperture, full }
         };
-        let axis = |of: &dyn Fn(&Vector3<f64>) -> f64| -> Vec<f32> {
-            let mut all: Vec<f32> = points_m.iter().map(|p| of(p) as f32).collect();
-            all.resize(count.next_multiple_of(WIDEST), 0.0);
-            all
-        };
-        Self {
-            x: axis(&|p| p.x / wavelength_m),
-            y: axis(&|p| p.y / wavelength_m),
-            z: axis(&|p| p.z / wavelength_m),
-            square: axis(&|p| p.norm_squared() / (wavelength_m * wavelength_m)),
+        let mut field = Self {
+            x: Vec::new(),
+            y: Vec::new(),
+            z: Vec::new(),
+            square: Vec::new(),
             apertures: apertures.into_iter().map(own).collect(),
             cuts,
             freedom,
             wavelength_m,
             level: tier.level_or_portable(),
-        }
+        };
+        field.set_points(points_m);
+        field
+    }
+
+    /// The same channels and windows along other points.
+    pub fn set_points(&mut self, points_m: &[Vector3<f64>]) {
+        let (wavelength_m, whole) = (self.wavelength_m, points_m.len().next_multiple_of(WIDEST));
+        let fill = |axis: &mut Vec<f32>, of: &dyn Fn(&Vector3<f64>) -> f64| {
+            axis.clear();
+            axis.extend(points_m.iter().map(|p| of(p) as f32));
+            axis.resize(whole, 0.0);
+        };
+        fill(&mut self.x, &|p| p.x / wavelength_m);
+        fill(&mut self.y, &|p| p.y / wavelength_m);
+        fill(&mut self.z, &|p| p.z / wavelength_m);
+        fill(&mut self.square, &|p| p.norm_squared() / (wavelength_m * wavelength_m));
     }
 
     /// `ln L` of each place.

@@ -7,6 +7,8 @@
 //!       -> azimuth, candidates, error bar, probability, range, place     [`Found`]
 //! ```
 //!
+//! `odometry` asks for the path's own errors.
+//!
 //! A clean scene stops early: where one wave leaves nothing but noise, its place by least squares is the most likely one, and
 //! the posterior is that of independent samples (`one_wave`). Everything else is searched with windows, which assume only
 //! that a wave stays coherent over some part of the motion.
@@ -14,6 +16,7 @@
 mod combine;
 pub(crate) mod likelihood;
 mod mirror;
+pub(crate) mod odometry;
 pub(crate) mod one_wave;
 pub(crate) mod posterior;
 pub(crate) mod prior;
@@ -28,6 +31,7 @@ use crate::signal::samples::Samples;
 pub(crate) use combine::both;
 use likelihood::{Field, Place};
 use nalgebra::Vector3;
+pub use odometry::{OdometryError, OdometryFit};
 pub use one_wave::Unexplained;
 use posterior::{Blur, Mode, Steps, half_width, mass_within};
 use prior::{Limits, Prior};

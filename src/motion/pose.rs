@@ -2,8 +2,8 @@
 //!
 //! Frame: the trajectory file's own, metres, right-handed; azimuth and heading from +x towards +y.
 
-use crate::maths::{lower_rank, upper_median, wrap_rad};
-use nalgebra::{UnitQuaternion, Vector3};
+use crate::maths::{lower_rank, unwrap_rad, upper_median, wrap_rad};
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 
 /// A clock was set back where a path in the order of time is longer by this factor than as it was given (up to 1.01
 /// in the three shared recordings that have a step back).
@@ -471,6 +471,28 @@ impl Trajectory {
         let mut moved = self.clone();
         for pose in &mut moved.poses {
             *pose = pose.mounted(offset_m)?;
+        }
+        Ok(moved)
+    }
+
+    /// The antenna's trajectory if lengths are `1 + scale` times the reported ones, angles `1 + turn` times, and the antenna is at
+    /// `offset_m` (robot frame: x forward, y left, z up). It begins as reported.
+    ///
+    /// # Errors
+    /// [`TrajectoryError::NoHeading`] if a pose has no heading.
+    pub(crate) fn with_errors(&self, scale: f64, turn: f64, offset_m: Vector3<f64>) -> Result<Self, TrajectoryError> {
+        let headings: Option<Vec<f64>> = self.poses.iter().map(|pose| pose.heading_rad).collect();
+        let headings = unwrap_rad(&headings.ok_or(TrajectoryError::NoHeading)?);
+        let (mut moved, mut at_m) = (self.clone(), self.poses[0].position_m);
+        for (k, pose) in moved.poses.iter_mut().enumerate() {
+            if let Some(before) = k.checked_sub(1) {
+                let middle = 0.5 * (headings[before] + headings[k]);
+                let turned = Rotation3::from_axis_angle(&Vector3::z_axis(), turn * (middle - headings[0]));
+                let step_m = turned * (self.poses[k].position_m - self.poses[before].position_m);
+                at_m += Vector3::new((1.0 + scale) * step_m.x, (1.0 + scale) * step_m.y, step_m.z);
+            }
+            let heading_rad = Some(wrap_rad(headings[k] + turn * (headings[k] - headings[0])));
+            *pose = Pose { position_m: at_m, heading_rad, ..*pose }.mounted(offset_m)?;
         }
         Ok(moved)
     }

@@ -8,7 +8,7 @@ use super::link::Link;
 use super::one_log::ChainConstant;
 use super::{CaptureReport, LinkReport};
 use crate::bartlett::Geometry;
-use crate::estimate::{NoRangeChange, RangeChange, Sufficient};
+use crate::estimate::{NoRangeChange, OdometryFit, RangeChange, Sufficient};
 use crate::exchange::pairing::{LinkSide, SideCounts};
 use driver_iface::Mac;
 use serde::Serialize;
@@ -82,6 +82,9 @@ pub struct Answer {
     /// How the distance to the transmitter changed over the exchanges used, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range_change: Option<RangeChangeAnswer>,
+    /// What the odometry of the drive got wrong, if requested; the bearing is on the corrected trajectory unless `refused`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub odometry_fit: Option<OdometryFit>,
     /// The directions that explain the samples, the most probable first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub candidates: Vec<CandidateAnswer>,
@@ -252,6 +255,7 @@ impl Answer {
         self.pair_counts = bearing.pairs;
         self.compensated = bearing.compensated;
         self.range_change = bearing.range_change.as_ref().map(RangeChangeAnswer::new);
+        self.odometry_fit.clone_from(&bearing.odometry_fit);
         self.slope_sd_rad = bearing.slope_sd_rad;
         if let Some(turn_around) = &bearing.turn_around {
             self.cfo_hz = Some(turn_around.df_hz);

@@ -5,7 +5,7 @@ use crate::bartlett::{self, Estimate, Grid, Method, Planner, ProfileOptions};
 use crate::estimate::likelihood::Place;
 use crate::estimate::posterior::Mode;
 use crate::estimate::tuning;
-use crate::estimate::{Found, NoRangeChange, RangeChange, Sufficient};
+use crate::estimate::{Found, NoRangeChange, OdometryFit, RangeChange, Sufficient};
 use crate::maths::wrap_rad;
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
@@ -243,6 +243,9 @@ pub struct Bearing {
     /// From one log: the phase that the chains add on each baseline, estimated from the turn; none if they were given,
     /// or for two logs.
     pub chain_constants: Vec<ChainConstant>,
+    /// What the odometry of the whole drive got wrong, if [`super::Options::fit_odometry`] asked for it: the same for all links of a
+    /// receiver.
+    pub odometry_fit: Option<OdometryFit>,
     /// Pairs by fate.
     pub pairs: PairCounts,
     /// Mean receiver position of the samples used, metres, trajectory frame: the origin of the answer's azimuth and

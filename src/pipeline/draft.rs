@@ -6,10 +6,11 @@ use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
 use super::stretch;
 use crate::bartlett;
+use crate::estimate::odometry::{self, OdometryFit, PROBE_M, Stretch};
 use crate::estimate::range_change::range_change;
 use crate::estimate::{Found, NoRangeChange, RangeChange, estimate};
 use crate::exchange::pairing::LinkSide;
-use crate::motion::pose::{Motion, Trajectory};
+use crate::motion::pose::{Motion, Pose, Trajectory};
 use crate::signal::cfo::TurnAround;
 use crate::signal::planes::{Planes, round_trips};
 use crate::signal::samples::Samples;
@@ -125,6 +126,7 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
         samples: gated.samples,
         found,
         kinds_rad: Vec::new(),
+        odometry_fit: None,
         path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
     })
 }
@@ -136,6 +138,46 @@ pub fn estimate_all(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bea
         true => links.par_iter().map(|join| bearing(join, options)).collect(),
         false => links.iter().map(|join| bearing(join, options)).collect(),
     }
+}
+
+/// What the receiver's odometry gets wrong, from the phases of all links, and the trajectory without it, with the deviation of its heading.
+pub(super) fn fit_odometry(links: &[LinkJoin<'_>], options: &Options) -> (OdometryFit, Option<(Trajectory, f64)>) {
+    let Some(receiver) = links.first().map(|join| join.receiver) else {
+        return (odometry::fit(Vec::new(), false), None);
+    };
+    let (mut all, mut why) = (Vec::new(), None);
+    for (k, join) in links.iter().enumerate() {
+        match stretches(join, options, k) {
+            Ok(own) => all.extend(own),
+            Err(refused) => why = refused.or(why),
+        }
+    }
+    let found = match why.filter(|_| all.is_empty()) {
+        Some(why) => OdometryFit::refused(why),
+        None => odometry::fit(all, options.parallel),
+    };
+    let corrected = found.corrected(receiver).filter(|_| found.refused.is_none());
+    let heading_sd_rad = found.heading_sd_rad(options.heading_sd_of(receiver));
+    (found, corrected.map(|trajectory| (trajectory, heading_sd_rad)))
+}
+
+/// The stretches of a link along its whole motion, for [`odometry::fit`]; an error says why there are none, if that is the trajectory's fault.
+fn stretches(join: &LinkJoin<'_>, options: &Options, number: usize) -> Result<Vec<Stretch>, Option<&'static str>> {
+    let LinkJoin { link, receiver, transmitter } = *join;
+    let usable = || {
+        something(link, receiver, options)?;
+        let phases = Compensated::new(link, options);
+        of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err()).map_or(Ok(()), Err)?;
+        Ok::<_, LinkError>((phases, times_s(link.rows(), receiver, options)?))
+    };
+    let (phases, times_s) = usable().map_err(|_| None)?;
+    let probe = receiver.with_antenna_offset(PROBE_M * Vector3::x()).map_err(|_| Some(odometry::NO_HEADINGS))?;
+    let gate = Gate::new(link, &probe, transmitter, &times_s, options);
+    let gated = gate.pass(&times_s, &phases.z).map_err(|_| None)?;
+    let poses: Option<Vec<Pose>> = gated.samples.t_s().iter().map(|t_s| receiver.at(*t_s)).collect();
+    let poses = poses.filter(|poses| !poses.is_empty()).ok_or(None)?;
+    let task = options.task(&gated.samples, receiver);
+    odometry::stretches(&task, phases.round_trips(link, options), &gated.used, &poses, number).map_err(Some)
 }
 
 /// Refuses a link without any pair to join.

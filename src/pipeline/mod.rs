@@ -34,7 +34,9 @@ mod reading;
 mod stretch;
 mod unnumbered;
 
-pub use crate::estimate::{Effort, NoRangeChange, RangeChange, Reason, Risk, Sufficient, Unexplained};
+pub use crate::estimate::{
+    Effort, NoRangeChange, OdometryError, OdometryFit, RangeChange, Reason, Risk, Sufficient, Unexplained,
+};
 pub use answer::{Answer, CandidateAnswer, RangeChangeAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
@@ -127,7 +129,17 @@ pub fn bearings(
         .zip(paths)
         .filter_map(|(link, transmitter)| Some(LinkJoin { link: link.as_ref()?, receiver: trajectory, transmitter }))
         .collect();
-    let mut made = estimate(&joins, options).into_iter();
+    let fit = options.fit_odometry.then(|| draft::fit_odometry(&joins, options));
+    let (fit, corrected) = fit.map_or((None, None), |(fit, corrected)| (Some(fit), corrected));
+    let mut made = match &corrected {
+        None => estimate(&joins, options),
+        Some((receiver, heading_sd_rad)) => {
+            let joins: Vec<LinkJoin<'_>> = joins.iter().map(|join| LinkJoin { receiver, ..*join }).collect();
+            estimate(&joins, &options.clone().with_heading_sd_rad(Some(*heading_sd_rad)))
+        }
+    };
+    made.iter_mut().flatten().for_each(|bearing| bearing.odometry_fit.clone_from(&fit));
+    let mut made = made.into_iter();
     let report = |(link, found): (Option<Link>, MacFound)| {
         let (mac, matched) = found.as_ref().map_or((None, None), |(mac, matched)| (Some(*mac), *matched));
         let missing = || Err(found.err().unwrap_or(Unmatched::NothingInCommon).into());

@@ -896,6 +896,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         compensated: false,
         turn_around: None,
         range_change: None,
+        odometry_fit: None,
         pairs: counts,
         mean_position_m: sum / poses.len().max(1) as f64,
         density: if keeps { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },

@@ -127,6 +127,8 @@ pub struct Options {
     pub keep_course: bool,
     /// Whether the change of the distance from exchange to exchange is computed too.
     pub range_change: bool,
+    /// Whether the receiver's odometry is corrected by the phases of all links first. Links of a live session are never.
+    pub fit_odometry: bool,
     /// Which steps are taken, and the limits of the prior.
     pub accuracy: Accuracy,
     /// Standard deviation of the positions' short-term error, metres: it decides whether the motion's depth
@@ -164,6 +166,7 @@ impl Options {
             parallel: false,
             keep_course: false,
             range_change: false,
+            fit_odometry: false,
             odometry_sd_m: sensor::POSITION_M,
             tier: Tier::detect(),
         }
@@ -240,6 +243,13 @@ impl Options {
         self
     }
 
+    /// With or without odometry corrected by the phases ([`crate::pipeline::Bearing::odometry_fit`]).
+    #[must_use]
+    pub fn with_fit_odometry(mut self, fit_odometry: bool) -> Self {
+        self.fit_odometry = fit_odometry;
+        self
+    }
+
     /// With or without the data for pictures of phase, trajectory and profile.
     #[must_use]
     pub fn with_keep_course(mut self, keep_course: bool) -> Self {
@@ -269,7 +279,7 @@ impl Options {
 
     /// Standard deviation of the heading: the one given, or that of the trajectory's kind of sensor; and of the azimuths that
     /// rounded times leave.
-    fn heading_sd_of(&self, trajectory: &Trajectory) -> f64 {
+    pub(super) fn heading_sd_of(&self, trajectory: &Trajectory) -> f64 {
         let usual_deg = match trajectory.kind() {
             TrajectoryKind::Camera => sensor::CAMERA_DEG,
             TrajectoryKind::Wheels => sensor::WHEELS_DEG,

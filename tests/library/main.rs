@@ -10,6 +10,7 @@ mod fuzz_corpus;
 mod fuzz_csv;
 mod fuzz_sounding;
 mod inputs;
+mod odometry;
 mod one_log;
 mod pipeline;
 mod soak;

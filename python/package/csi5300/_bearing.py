@@ -263,6 +263,7 @@ def bearings(
     every: float | None = None,
     explain: bool = False,
     range_change: bool = False,
+    fit: str | None = None,
     key: str | os.PathLike[str] | None = None,
     tx_mac: str | Iterable[str] | None = None,
     rx_mac: str | None = None,
@@ -278,8 +279,8 @@ def bearings(
     trajectory is a tracking camera's. It is then reduced to what wheels can roll, and the antenna's position is relative to that
     middle. ``columns`` (``"t,x,y,yaw"``) names the columns of trajectory files and arrays. ``decimate`` uses every n-th pair of
     frames, as slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain`` ``answer["plan"]``,
-    ``range_change`` ``answer["range_change"]`` and an array of :attr:`Bearing.samples`. A link without a bearing is in the list, is
-    False, and has an :attr:`Bearing.error`. The same applies to a link whose probability of being within 5 degrees is below
+    ``range_change`` ``answer["range_change"]`` and an array of :attr:`Bearing.samples`. ``fit="odometry"`` corrects the trajectory
+    by the phases of all links first: ``answer["odometry_fit"]``. A link without a bearing is in the list, is False, and has an :attr:`Bearing.error`. The same applies to a link whose probability of being within 5 degrees is below
     ``min_confidence`` or unknown.
 
     Without ``tx``: the bearing to every sender in ``rx``, from two or three ``antennas`` (``"AB"``) of one robot that turns.
@@ -294,7 +295,7 @@ def bearings(
         del options[name]
     if baseline is not None:
         of_two: dict[str, Any] = {"tx": tx, "tx_trajectory": tx_trajectory, "antenna": antenna, "rx_mac": rx_mac, "key": key}
-        of_two |= {"antenna_offset": antenna_offset, "camera_mount": camera_mount, "explain": explain, "every": every}
+        of_two |= {"antenna_offset": antenna_offset, "camera_mount": camera_mount, "explain": explain, "every": every, "fit": fit}
         wrong = [name for name, value in of_two.items() if value]
         if wrong:
             raise OptionError(f"{wrong[0]}: not allowed with baseline, which uses one robot's own log")

@@ -116,6 +116,7 @@ KINDS: Mapping[str, Callable[[str, Any], Any]] = {
     "every": number,
     "explain": flag,
     "range_change": flag,
+    "fit": text,
     "key": path,
     "tx_mac": texts,
     "rx_mac": text,

@@ -20,7 +20,7 @@ use csi5300::motion::odometry::csv::Columns;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
-use csi5300::pipeline::{CaptureReport, Effort, LinkReport, LogReport, Options, Transmitter, bearings};
+use csi5300::pipeline::{CaptureReport, Effort, LinkReport, LogReport, OdometryFit, Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
 use csi5300_say::{Level, says};
@@ -44,6 +44,9 @@ pub struct Args {
     channel: Option<Channel>,
     #[command(flatten)]
     mounting: Mounting,
+    /// Correct odometry by the phases of all links, and print its scale, turn and the antenna's offset with deviations
+    #[arg(long, value_name = "WHAT", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
+    fit: Option<Fit>,
     /// Draw phase, trajectory and profile of each link, and a map of each capture, into this folder
     #[cfg(feature = "plot")]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
@@ -89,6 +92,12 @@ pub struct Args {
     /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's grid)
     #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID", hide_short_help = true, help_heading = "Profiles")]
     grid: Grid,
+}
+
+/// What is fitted before bearings.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Fit {
+    Odometry,
 }
 
 // Logs named one by one.
@@ -253,6 +262,7 @@ pub fn run(mut args: Args) -> Result {
     }
     let names = told_apart(args.logs.tx.iter().map(|path| link_name(&inputs, path)).collect());
     let (mut answered, links) = (0, names.len() + unread.len());
+    print_fit(&args, report.links.iter().find_map(|link| link.bearing.as_ref().ok()?.odometry_fit.as_ref()));
     for (name, link) in names.iter().zip(&report.links) {
         let mut answer = Answer::new(name.clone(), link);
         hint::add(&mut answer);
@@ -297,7 +307,7 @@ fn accuracy(text: &str) -> std::result::Result<f64, String> {
 impl Args {
     /// Options with the effort that the accuracy needs, and with what is drawn or printed beside the bearing.
     fn asked(&self, options: Options) -> Options {
-        let mut options = options.with_range_change(self.json);
+        let mut options = options.with_range_change(self.json).with_fit_odometry(self.fit.is_some());
         #[cfg(feature = "plot")]
         {
             options = options.with_keep_course(self.plot.is_some());
@@ -426,6 +436,12 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
     for ((path, report), source) in args.logs.tx.iter().zip(&report.transmitters).zip(txs) {
         log(path, report, source.bytes());
     }
+}
+
+/// What the odometry got wrong, and how the antenna's place is given from now on. JSON has it in every link.
+fn print_fit(args: &Args, fit: Option<&OdometryFit>) {
+    let Some(fit) = fit.filter(|_| !args.json) else { return };
+    print(&words::fitted(fit, args.mounting.antenna_offset.unwrap_or_default()));
 }
 
 /// One link's answer, and why there is none.

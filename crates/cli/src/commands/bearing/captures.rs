@@ -124,6 +124,7 @@ pub fn run(args: &Args) -> Result {
         hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
         evaluated.rows.retain(|row| names.contains(&row.answer.link));
+        super::print_fit(args, evaluated.rows.iter().find_map(|row| row.answer.odometry_fit.as_ref()));
         for row in &mut evaluated.rows {
             args.min_confidence.into_iter().for_each(|least| row.answer.refuse_below(least));
             let bearing = links.iter().find(|(name, _)| *name == row.answer.link).map(|(_, bearing)| bearing);

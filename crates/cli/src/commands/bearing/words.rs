@@ -2,8 +2,9 @@
 
 use super::captures::{MirrorOf, mirror, places};
 use crate::commands::fixed;
-use csi5300::pipeline::{Answer, WaveModel};
+use csi5300::pipeline::{Answer, OdometryFit, WaveModel};
 use csi5300_say::{Level, Tone, says, toned};
+use nalgebra::Vector3;
 use std::fmt::Write;
 
 /// A second candidate with at least this probability stands beside the first.
@@ -94,6 +95,19 @@ fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&s
     if let Some(details) = details {
         text += &quality(answer);
         text += details;
+    }
+    text
+}
+
+/// What the odometry got wrong, and the antenna's place where the drive shows it; `given_m` is where it was said to be.
+pub(super) fn fitted(fit: &OdometryFit, given_m: Vector3<f64>) -> String {
+    let mut text = fit.to_string();
+    let (forward, left) = (&fit.forward_m, &fit.left_m);
+    if fit.refused.is_none() && forward.known && left.known {
+        // An arm is as long as it was given, but turned with the corrected heading.
+        let given_m = given_m * (1.0 + fit.scale.value) / (1.0 + fit.turn.value);
+        let (x, y) = (given_m.x + forward.value, given_m.y + left.value);
+        let _ = writeln!(text, "  from now on: --antenna-offset {x:.3},{y:.3},{}", given_m.z);
     }
     text
 }
