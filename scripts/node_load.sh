@@ -74,7 +74,7 @@ def measure(robots):
         time.sleep(16)
         seconds, after = time.monotonic() - begun, [cost(node) for node in nodes]
         load = os.getloadavg()[0]
-        state = json.loads(subprocess.run([csi5300, "watch", f"{folder}/s0", "--json"], check=True, stdout=subprocess.PIPE).stdout)
+        state = json.loads(subprocess.run([csi5300, "watch", f"{folder}/s0"], check=True, stdout=subprocess.PIPE).stdout)
         for node in nodes:
             node.wait(timeout=60)
         share = [100 * (b[0] - a[0]) / seconds for a, b in zip(before, after)]

@@ -114,7 +114,7 @@ def start(folder, k):
     return subprocess.Popen(words, stderr=open(f"{folder}/r{k}.err", "w"), stdout=subprocess.DEVNULL)
 
 def state(folder):
-    return json.loads(run(csi5300, "watch", f"{folder}/s", "--json"))
+    return json.loads(run(csi5300, "watch", f"{folder}/s"))
 
 def pairs(folder):
     return [peer["counts"]["pairs"] for peer in state(folder)["peers"]]

@@ -27,12 +27,9 @@ pub struct WatchArgs {
     /// The node's status socket [default: that of the configuration that `node` finds, else /run/csi5300/status.sock]
     #[arg(value_name = "SOCKET")]
     socket: Option<PathBuf>,
-    /// Print one state as a table and exit
+    /// Print one state as a table and exit. Without it, an output that is no terminal gets one state as JSON
     #[arg(long)]
     once: bool,
-    /// Print one state as JSON and exit; the default if the output is no terminal
-    #[arg(long, conflicts_with = "once")]
-    json: bool,
 }
 
 /// Becomes the robot's service: the program beside this one, else the first in the search path.

@@ -28,12 +28,9 @@ pub struct Args {
     /// The node's status socket [default: that of the configuration that `node` finds, else /run/csi5300/status.sock]
     #[arg(value_name = "SOCKET")]
     socket: Option<PathBuf>,
-    /// Print one state as a table and end
+    /// Print one state as a table and exit. Without it, an output that is no terminal gets one state as JSON
     #[arg(long)]
     once: bool,
-    /// Print one state as JSON and end; the default if the output is no terminal
-    #[arg(long, conflicts_with = "once")]
-    json: bool,
 }
 
 /// Time between two reads of the state.
@@ -112,7 +109,7 @@ pub fn run(args: &Args) -> Result {
     let socket = args.socket.clone().unwrap_or_else(super::places::status_socket);
     let stream = connect(&socket)?;
     let mut states = lines(stream);
-    if args.once || args.json || !std::io::stdout().is_terminal() {
+    if args.once || !std::io::stdout().is_terminal() {
         return match states.find(|line| !line.as_ref().is_ok_and(String::is_empty)) {
             Some(Ok(line)) if args.once => {
                 let state = serde_json::from_str(&line).map_err(|error| format!("the node's state: {error}"))?;

@@ -183,7 +183,7 @@ fn the_state_is_served_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     );
     std::fs::write(folder.join("robot.toml"), text).unwrap();
     let mut node = Running(program(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
-    let look = || said(program(&folder).args(["watch", "s", "--json"]).output().unwrap());
+    let look = || said(program(&folder).args(["watch", "s"]).output().unwrap());
     // The socket appears when the robot is up.
     let state = loop {
         let (status, out, _) = look();
