@@ -6,7 +6,7 @@ use super::{Args, located, transmitters};
 use clap::ValueEnum;
 use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
 use csi5300_lab::evaluate::quality::horizontal;
-use csi5300_lab::evaluate::receivers::{Ranged, Receiver, receivers_with};
+use csi5300_lab::evaluate::receivers::{Located, Ranged, receivers_with};
 use csi5300_lab::evaluate::{Capture, Judged};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -113,7 +113,7 @@ pub fn run(args: &Args) -> Result {
     if args.together.transmitters {
         return transmitters::run(&args.together, &reading, (captures, lost), &args.place, args.json);
     }
-    args.graph.check(&captures, args.force)?;
+    args.graph.check(&captures, !args.place.is_empty(), args.force)?;
     let ranges = args.graph.ranges(&captures, &reading)?;
     #[cfg(feature = "plot")]
     check_pictures(args, &captures, &names)?;
@@ -136,9 +136,11 @@ pub fn run(args: &Args) -> Result {
         }
         rows.extend(evaluated.rows);
     }
-    locate(args, &mut rows, &ranges)?;
+    let located = locate(args, &mut rows, &ranges)?;
     #[cfg(feature = "plot")]
-    draw_maps(args, &rows)?;
+    draw_maps(args, &rows, &located)?;
+    #[cfg(not(feature = "plot"))]
+    drop(located);
     Ok(match (shown, lost) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,
@@ -168,25 +170,32 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>) {
 }
 
 /// Where the receivers are of whose links several see known places, or one that was told.
-fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged>>) -> std::result::Result<(), String> {
+fn locate(
+    args: &Args,
+    rows: &mut [Judged],
+    ranges: &BTreeMap<String, Vec<Ranged>>,
+) -> std::result::Result<Located, String> {
     for row in rows.iter_mut() {
         let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
         row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
         row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
     }
-    let graphs = receivers_with(rows, ranges);
-    args.graph.finish(ranges, &graphs)?;
-    let mut found: Vec<Receiver> = graphs.into_iter().map(|(receiver, _)| receiver).collect();
+    // A given place is that of a transmitter in all captures, so those of one name stand.
+    let mut located = receivers_with(rows, ranges, !args.place.is_empty());
+    args.graph.finish(ranges, &located)?;
+    let found = &mut located.receivers;
     if args.place.is_empty() {
         found.retain(|receiver| receiver.position_m.is_some() && receiver.links + receiver.ranges[0] > 1);
     }
     found.iter_mut().for_each(|receiver| located::say_unplaced(receiver, rows));
     if args.json {
         found.iter().for_each(print_json);
+        located.transmitters.iter().for_each(print_json);
     } else if !found.is_empty() {
-        print(&format!("located from links to known places:\n{}", located::table(&found, rows)));
+        print(&format!("located from links to known places:\n{}", located::table(found, rows)));
+        print(&located::shared(&located.transmitters));
     }
-    Ok(())
+    Ok(located)
 }
 
 /// Refuses pictures that are there before the work, not after.
@@ -195,7 +204,9 @@ fn check_pictures(args: &Args, captures: &[Capture], names: &[String]) -> std::r
     let Some(folder) = &args.plot else { return Ok(()) };
     let links = names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::stems(folder, name));
     let map = |capture: &Capture| csi5300_lab::show::set::map_stem(folder, &capture.link_name(""));
-    let stems: Vec<PathBuf> = links.chain(captures.iter().map(map)).collect();
+    let team = (!args.place.is_empty() && captures.len() > 1)
+        .then(|| csi5300_lab::show::set::map_stem(folder, csi5300_lab::show::set::TEAM));
+    let stems: Vec<PathBuf> = links.chain(captures.iter().map(map)).chain(team).collect();
     super::super::pictures::check(&stems, args.force)
 }
 
@@ -208,9 +219,10 @@ fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std:
 
 /// A map of each capture: the bearings, the transmitters, the receiver as located.
 #[cfg(feature = "plot")]
-fn draw_maps(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
+fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let written = csi5300_lab::show::set::write_maps(rows, folder, &super::super::pictures::format(args.force));
+    let written =
+        csi5300_lab::show::set::write_maps(rows, located, folder, &super::super::pictures::format(args.force));
     let written = written.map_err(|error| super::super::pictures::refused(&error))?;
     if !written.is_empty() {
         note!("{}: {}", folder.display(), super::super::some(written.len() as u64, "map", "maps"));
