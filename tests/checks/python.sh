@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The Python package: builds the wheel once (release, for manylinux2014); checks its types (mypy --strict, with tests and examples); runs
-# its tests with the libraries that it works with, its examples and notebook; tests the wheel alone in a clean environment; and runs
+# its tests with the libraries that it works with, its examples and notebooks; tests the wheel alone in a clean environment; and runs
 # README's lines, with pip building from the clone. Exit status 77: no Python, or no PyPI. If PyPI can be reached, anything that cannot
 # be installed is a failure.
 set -euo pipefail
@@ -128,19 +128,21 @@ block python >readme.py
 "$own/readme/bin/python" readme.py
 [ -s csi.png ] && [ -s bearing.png ] || { echo "README's lines made no pictures"; exit 1; }
 
-step "the notebook"
-cp "$examples/first_look.ipynb" .
+step "the notebooks"
+cp "$examples/first_look.ipynb" "$examples/../gtsam/"{team.ipynb,factors.py} .
+[ -e team.json ] || (cd "$OLDPWD" && cargo run --quiet --locked -p csi5300-team --example team -- 3 1 "$work/team.json")
 if "$python" -c 'import nbclient, ipykernel'; then
     "$python" - <<'PY'
 import nbclient, nbformat
 
-notebook = nbformat.read("first_look.ipynb", as_version=4)
-nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
-pictures = sum("image/png" in o.get("data", {}) for c in notebook.cells for o in c.get("outputs", []))
-assert pictures >= 2, f"{pictures} pictures"
-print(f"first_look.ipynb: {pictures} pictures")
+for name, least in ("first_look", 2), ("team", 1):
+    notebook = nbformat.read(f"{name}.ipynb", as_version=4)
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    pictures = sum("image/png" in o.get("data", {}) for c in notebook.cells for o in c.get("outputs", []))
+    assert pictures >= least, f"{name}.ipynb: {pictures} pictures"
+    print(f"{name}.ipynb: {pictures} pictures")
 PY
 else
-    echo "no Jupyter: the notebook was not executed"
+    echo "no Jupyter: the notebooks were not executed"
 fi
 step "done"

@@ -1,6 +1,7 @@
 //! The state of a running robot, for the status socket and `csi5300 watch`.
 
 use super::machine::{Machine, PoseCounts};
+use super::team::TeamState;
 use csi5300::internal::SENDERS_KEPT;
 use csi5300::motion::odometry::SourceCounts;
 use csi5300::pipeline::live::{PeerCounts, PeerReport};
@@ -40,6 +41,8 @@ pub struct Health {
     pub log: Option<Totals>,
     /// The peers, then other senders whose bearings are made of what is heard alone.
     pub peers: Vec<PeerHealth>,
+    /// The team's poses, if a graph of it is configured.
+    pub team: Option<TeamState>,
     /// Counts of the robots' network.
     pub network: Option<serde_json::Value>,
     /// Counts of this robot's part in the sounding exchange.
@@ -220,6 +223,7 @@ impl Looks {
             pose: pose.map(|pose| (pose.t_s, pose.position_m.into(), pose.heading_rad.map(f64::to_degrees))),
             log: machine.totals(),
             peers: peers.chain(others).collect(),
+            team: None,
             network: None,
             sounding: None,
             ros: None,

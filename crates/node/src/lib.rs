@@ -12,6 +12,7 @@
 //! | `sounder` | the robot's part in the sounding exchange |
 //! | [`adapters`] | what a node speaks, behind one trait: ROS 1 and 2, zenoh, Foxglove, lines of JSON, the status socket |
 //! | [`health`] | what is published beside the bearings |
+//! | [`team`] | this robot and its peers as one graph |
 //! | [`service`] | tokio: waits, hands over, publishes |
 //!
 //! A feature gates only the module of its adapter and its line in the list of adapters.
@@ -27,6 +28,7 @@ pub mod self_test;
 pub mod service;
 mod sounder;
 pub mod sources;
+pub mod team;
 pub mod threads;
 mod together;
 

@@ -115,6 +115,8 @@ struct PeerRunning {
     poses: Option<Running<Poses>>,
     /// Its records come over a network, which does not signal their end.
     open_ended: bool,
+    /// Times that its poses changed to another frame.
+    new_frames: u64,
 }
 
 /// What was counted of this robot's odometry.
@@ -163,6 +165,7 @@ impl Machine {
                 records: peer.records.map(Running::new),
                 poses: peer.poses.map(Running::new),
                 open_ended: false,
+                new_frames: 0,
             });
         }
         let mut estimator = LiveEstimator::new(sources.own, sources.track, told, settings, options, now);
@@ -248,7 +251,11 @@ impl Machine {
         let Some(running) = self.peers.get_mut(peer) else { return false };
         if let Some(poses) = &mut running.poses {
             let estimator = &mut self.estimator;
-            let failed = poses.drain(now, |pose| estimator.handle_peer_pose(peer, pose));
+            let new_frames = &mut running.new_frames;
+            let failed = poses.drain(now, |pose| {
+                *new_frames += u64::from(pose.is_none());
+                estimator.handle_peer_pose(peer, pose);
+            });
             self.trouble.extend(failed.map(|error| format!("poses of peer {peer}: {error}")));
         }
         let Some(records) = running.records.as_mut().filter(|records| !records.ended) else { return false };
@@ -321,6 +328,12 @@ impl Machine {
     #[must_use]
     pub fn pose_counts(&self) -> PoseCounts {
         self.pose_counts
+    }
+
+    /// Times that a peer's poses changed to another frame.
+    #[must_use]
+    pub fn peer_frames(&self, peer: usize) -> u64 {
+        self.peers.get(peer).map_or(0, |peer| peer.new_frames)
     }
 
     /// Counts of the source of this robot's poses.

@@ -6,6 +6,7 @@ use super::health::{Health, Load, Looks};
 use super::machine::{Capture, Machine};
 use super::sounder::Sounder;
 use super::sources::{Card, Sources};
+use super::team::Solver;
 use csi5300::motion::odometry::clock::WallWatch;
 use csi5300::pipeline::live::PeerState;
 use csi5300::source::Error;
@@ -94,6 +95,8 @@ struct Service<'a> {
     clock: Clock,
     machine: Machine,
     sounder: Sounder,
+    /// Where the robots are, if a graph of the team is configured.
+    team: Option<Solver>,
     looks: Looks,
     load: Load,
     /// Real time and processor time of the last look.
@@ -135,6 +138,7 @@ impl<'a> Service<'a> {
             clock,
             machine,
             sounder,
+            team: Solver::start(config, &name)?,
             looks: Looks::new(name),
             load: Load::default(),
             looked: (clock.real.now(), processor_s()),
@@ -231,6 +235,7 @@ impl<'a> Service<'a> {
         let latency_ms = report.heard_at.map(since);
         let said = Said { peer, report: &report, took_ms: self.load.estimate_ms, latency_ms, machine: &self.machine };
         self.adapters.iter_mut().for_each(|adapter| adapter.report(&said));
+        self.team.iter_mut().for_each(|team| team.note(peer, &report, &self.machine));
         self.looks.note(peer, report);
     }
 
@@ -252,6 +257,7 @@ impl<'a> Service<'a> {
         let mut health = self.looks.look(&self.machine, self.clock.now(), self.load);
         health.sounding = self.sounder.look().and_then(|counts| serde_json::to_value(counts).ok());
         health.trouble.extend(self.sounder.trouble());
+        health.team = self.team.as_mut().map(|team| team.look().clone());
         self.adapters.iter_mut().for_each(|adapter| adapter.look(&mut health));
         self.load.late_ms = 0.0;
         self.adapters.iter_mut().for_each(|adapter| adapter.tell(&health, &self.machine));

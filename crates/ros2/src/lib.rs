@@ -43,6 +43,7 @@ pub mod settings;
 mod sockets;
 mod tf;
 
+pub use markers::colour;
 pub use names::name_part;
 pub use node::{Node, Records};
 pub use rtps::Qos;

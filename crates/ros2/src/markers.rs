@@ -28,6 +28,12 @@ const COLOURS: [[f32; 3]; 6] = [
     [0.55, 0.34, 0.29],
 ];
 
+/// The colour of peer number `number`: red, green, blue, each 0 to 1.
+#[must_use]
+pub fn colour(number: usize) -> [f32; 3] {
+    COLOURS.get(number % COLOURS.len()).copied().unwrap_or_default()
+}
+
 fn point(place: Place<f64>) -> Point {
     <[f64; 3]>::from(place).into()
 }
@@ -67,8 +73,7 @@ fn along(from: Place<f64>, azimuth: f64, elevation: f64, length: f64) -> Place<f
 
 /// The markers of the peer of this name and number.
 pub fn of(header: &Header, (name, number): (&str, usize), report: &PeerReport) -> MarkerArray {
-    let colour = COLOURS.get(number % COLOURS.len()).copied().unwrap_or_default();
-    let (peer, answer) = (Peer { header, name, colour }, &report.answer);
+    let (peer, answer) = (Peer { header, name, colour: colour(number) }, &report.answer);
     let seen = answer.origin_m.zip(answer.azimuth_deg).filter(|_| has_bearing(report));
     let Some((from, azimuth)) = seen.map(|(origin_m, deg)| (Place::from(origin_m), deg.to_radians())) else {
         return MarkerArray { markers: (0..5).map(|id| peer.none(id)).collect() };

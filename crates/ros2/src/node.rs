@@ -115,6 +115,18 @@ impl Node {
         Some(Records { csi, clock: self.clock.clone(), survey: Survey::default() })
     }
 
+    /// The topic of markers, if enabled.
+    #[must_use]
+    pub fn markers(&self) -> Option<&Publisher<MarkerArray>> {
+        self.markers.as_ref()
+    }
+
+    /// The topic of transforms, if enabled.
+    #[must_use]
+    pub fn tf(&self) -> Option<&Publisher<TfMessage>> {
+        self.tf.as_ref()
+    }
+
     /// A header with the stamp of a host time, microseconds since the Unix epoch.
     #[must_use]
     pub fn header(&self, host_us: i64, frame_id: String) -> Header {

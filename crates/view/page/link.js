@@ -55,7 +55,7 @@
     const entries = [["sky", "path of the receiver"], ["red", "bearing, error bar 68 % and 95 %"]];
     if (csi.isNumber(row.mirror_deg)) entries.push(["grey", "mirror", "dash"]);
     if (csi.isNumber(row.true_from_mean_pose_deg)) entries.push(["green", "truth"]);
-    if (row.position_m) entries.push(["red", "ellipse: position, two deviations", "area"]);
+    if (row.position_m) entries.push(["red", "ellipse: position, 95 %", "area"]);
     if (sameFrame && receiver?.position_m) entries.push(["purple", `receiver located${csi.isNumber(receiver.off_m) ? `, ${csi.figure(receiver.off_m, 2)} m off` : ""}`]);
     return csi.keyOf(...entries);
   };

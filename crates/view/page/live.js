@@ -19,6 +19,18 @@
     return `${csi.figure(report.azimuth_deg, 1)}° ± ${csi.figure(report.azimuth_sd_deg, 1)}°${mirror}`;
   };
 
+  // From the frame of the odometry into that of the team.
+  const into = ([left, up, yaw]) => ([x, y]) => [left + Math.cos(yaw) * x - Math.sin(yaw) * y, up + Math.sin(yaw) * x + Math.cos(yaw) * y];
+
+  // Ellipses and names of the team's robots, in the colours of their bearings.
+  const team = ({ robots }, peers) => {
+    const colours = robots.map(({ name }, k) => (k ? csi.seriesName(Math.max(0, peers.findIndex((peer) => peer.name === name))) : "grey"));
+    const ellipses = robots.map(({ position_m: centre, covariance: [[a, b], [c, d]] }, k) => ({ centre, covariance: [[a, b], [c, d]], colour: colours[k] }));
+    const named = robots.map(({ name, position_m: at }, k) => ({ at, label: name, colour: colours[k] })).slice(1);
+    const others = robots.flatMap(({ name, others_m: all }, k) => all.map((at) => ({ at, label: `${name}?`, colour: colours[k] })));
+    return { ellipses, places: [...named, ...others] };
+  };
+
   class Live {
     constructor(host) {
       this.states = [];
@@ -33,7 +45,8 @@
       host.replaceChildren(this.title, this.words, this.trouble, csi.el("div", { class: "cards" },
         card("Peers", true, csi.el("div", { class: "scroll" }, table)), map, lines));
       this.map = csi.map(map);
-      map.append(csi.keyOf(["sky", "where the robot was"], [csi.seriesName(0), "bearings in each peer's colour, error bars 68 % and 95 %"]));
+      map.append(csi.keyOf(["sky", "where the robot was"], [csi.seriesName(0), "bearings in each peer's colour, error bars 68 % and 95 %, ellipses 95 %"]));
+      this.notes = map.appendChild(csi.el("p", { class: "soft" }));
       this.lines = lines;
       this.show = csi.seldom(150, () => this.draw());
     }
@@ -69,23 +82,30 @@
     }
 
     drawMap(state) {
-      const places = this.states.map((other) => at(other, "pose/1")).filter(Boolean).map(([x, y]) => [x, y]);
+      const solved = state.team?.solved ? state.team : null;
+      const frame = solved?.odometry ?? [0, 0, 0];
+      const turned = (frame[2] * 180) / Math.PI;
+      const places = this.states.map((other) => at(other, "pose/1")).filter(Boolean).map(into(frame));
       const here = at(state, "pose/1");
+      this.notes.textContent = (state.team?.notes ?? []).join("; ");
       if (!here) return;
       const rays = (state.peers ?? []).flatMap((peer, k) => {
         const report = peer.report ?? {};
         const colour = csi.seriesName(k);
         // A bearing is seen from the middle of its motion, where the robot no longer is.
-        const from = report.origin_m ?? here;
-        const own = csi.isNumber(report.azimuth_deg) ? [{ from, deg: report.azimuth_deg, sd: report.azimuth_sd_deg, colour }] : [];
-        return csi.isNumber(report.mirror_deg) ? [...own, { from, deg: report.mirror_deg, colour, dash: [6, 5], width: 1.2 }] : own;
+        const from = into(frame)(report.origin_m ?? here);
+        const own = csi.isNumber(report.azimuth_deg) ? [{ from, deg: report.azimuth_deg + turned, sd: report.azimuth_sd_deg, colour }] : [];
+        return csi.isNumber(report.mirror_deg) ? [...own, { from, deg: report.mirror_deg + turned, colour, dash: [6, 5], width: 1.2 }] : own;
       });
-      const ellipses = (state.peers ?? []).flatMap(({ report }, k) => {
-        if (!report?.position_m || !report.position_covariance_m2) return [];
+      // A peer in the team's graph has its ellipse from there, not from its last bearing alone.
+      const known = solved ? team(solved, state.peers ?? []) : { ellipses: [], places: [] };
+      const ellipses = (state.peers ?? []).flatMap(({ name, report }, k) => {
+        if (!report?.position_m || !report.position_covariance_m2 || solved?.frame || solved?.robots.some((robot) => robot.name === name)) return [];
         const [[a, b], [c, d]] = report.position_covariance_m2;
         return [{ centre: report.position_m, covariance: [[a, b], [c, d]], colour: csi.seriesName(k) }];
       });
-      this.map.show({ paths: [{ points: places, colour: "sky" }], rays, ellipses, robot: { at: [here[0], here[1]], heading_deg: state.pose[2] } });
+      const robot = { at: into(frame)(here), heading_deg: csi.isNumber(state.pose[2]) ? state.pose[2] + turned : null };
+      this.map.show({ paths: [{ points: places, colour: "sky" }], rays, ellipses: [...known.ellipses, ...ellipses], places: known.places, robot });
     }
 
     // Rates and azimuths; charts are made anew when peers come.

@@ -4,8 +4,9 @@
 {
   const rad = (deg) => (deg * Math.PI) / 180;
 
-  // The square root of a covariance on a circle of so many deviations.
-  const around = ({ centre, covariance, deviations = 2 }) => {
+  // The ellipse that holds 95 %: the square root of a covariance on a circle of `sqrt(-2 ln 0.05)` deviations.
+  const deviations = 2.44775;
+  const around = ({ centre, covariance }) => {
     const [[a, b], [, d]] = covariance;
     const l = Math.sqrt(Math.max(a, 1e-12));
     const [m, n] = [b / l, Math.sqrt(Math.max(d - (b * b) / (l * l), 0))];

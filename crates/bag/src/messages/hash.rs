@@ -83,7 +83,7 @@ mod tests {
     use super::super::services::{ListParametersRequest, ParameterValue, TriggerRequest, TriggerResponse};
     use super::super::shown::{DiagnosticArray, MarkerArray};
     use super::super::standard::{
-        Clock, Header, Imu, LaserScan, Odometry, Path, PoseStamped, PoseWithCovarianceStamped, TfMessage,
+        Clock, Header, Imu, LaserScan, Odometry, Path, PoseStamped, PoseWithCovarianceStamped, Text, TfMessage,
     };
 
     /// As ROS 2 Jazzy's own packages have them (`share/PACKAGE/msg/NAME.json`); nodes of Kilted and Lyrical announce the same.
@@ -91,6 +91,7 @@ mod tests {
     fn type_hashes_equal_those_of_ros_2_nodes() {
         for (own, published) in [
             (Header::type_hash(), "f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01"),
+            (Text::type_hash(), "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
             (Odometry::type_hash(), "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
             (PoseStamped::type_hash(), "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"),
             (

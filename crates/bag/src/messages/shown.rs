@@ -55,6 +55,8 @@ impl Marker {
     pub const ARROW: i32 = 0;
     /// `type`: a sphere, or an ellipsoid by its `scale`.
     pub const SPHERE: i32 = 2;
+    /// `type`: a cylinder, upright and round or elliptic by its `scale`.
+    pub const CYLINDER: i32 = 3;
     /// `type`: a line strip through `points`.
     pub const LINE_STRIP: i32 = 4;
     /// `type`: text that faces the viewer.

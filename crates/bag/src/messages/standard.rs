@@ -31,6 +31,8 @@ messages! {
     "builtin_interfaces/msg/Duration" Duration { sec: i32, nanosec: u32 }
     /// Time and frame of a message.
     "std_msgs/msg/Header" Header { stamp: Time, frame_id: String }
+    /// Text, here JSON.
+    "std_msgs/msg/String" Text { data: String }
     /// A colour, 0 to 1.
     "std_msgs/msg/ColorRGBA" Colour { r: f32, g: f32, b: f32, a: f32 }
     /// A place, metres.

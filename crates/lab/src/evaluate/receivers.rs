@@ -6,33 +6,16 @@
 
 use super::find::{Capture, TrajectorySource};
 use super::judge::Judged;
-use super::quality::horizontal;
 use super::shelf::Shelf;
-use super::sure::WRONG_DEG;
 use super::truth::EvaluateError;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::{Answer, CandidateAnswer};
+pub use csi5300_team::answers::UNKNOWN_PROBABILITY;
+use csi5300_team::answers::{AZIMUTH_FLOOR_DEG, LINK_OUTLIERS, Way, ways};
 use csi5300_team::{KeyframeId, Mode, OdometryNoise, Solution, Team, TeamError};
 use nalgebra::{Matrix2, Vector2};
 use serde::Serialize;
-use std::collections::BTreeMap;
-
-/// Least deviation of a bearing, degrees (the median error in line of sight is about 1 degree, whatever the predicted one).
-const AZIMUTH_FLOOR_DEG: f64 = 1.15;
-
-/// Outlier share of links.
-const LINK_OUTLIERS: f64 = 0.1;
-
-/// Ranges from the wave front: least relative deviation, and share of wrong ones.
-const RANGE_FLOOR: f64 = 0.3;
-const RANGE_MISSED: f64 = 0.5;
-
-/// Upper limit of a link's probability that one of its bearings is within 5 degrees; close to the largest calibrated one.
-const MOST_SURE: f64 = 0.95;
-
-/// Probability assumed for an answer without one: it is within 5 degrees as often as not.
-pub const UNKNOWN_PROBABILITY: f64 = 0.5;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Outlier share of another sensor's ranges: reflections, or ranges of another robot.
 const RANGE_OUTLIERS: f64 = 0.1;
@@ -121,79 +104,206 @@ fn is_none(counts: &[usize; 2]) -> bool {
     counts[0] == 0
 }
 
+/// A transmitter at an unknown place, located with the receivers of several captures.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Shared {
+    /// Its name in every capture.
+    pub transmitter: String,
+    /// Number of captures with a bearing of it.
+    pub captures: usize,
+    /// Position, metres.
+    pub position_m: [f64; 2],
+    /// Its covariance, metres squared, row by row.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// Other positions that fit nearly as well, the likeliest first, metres.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub others_m: Vec<[f64; 2]>,
+}
+
+/// What the links of captures locate.
+#[derive(Clone, Debug, Default)]
+pub struct Located {
+    /// The receivers, one for each capture.
+    pub receivers: Vec<Receiver>,
+    /// Transmitters at unknown places.
+    pub transmitters: Vec<Shared>,
+    /// The graph with its solution: of the captures as one, or of the only capture.
+    pub graph: Option<(Team, Solution)>,
+}
+
 /// Locates the receiver of every capture from its links to transmitters at known places.
 #[must_use]
 pub fn receivers(rows: &[Judged]) -> Vec<Receiver> {
-    receivers_with(rows, &BTreeMap::new()).into_iter().map(|(receiver, _)| receiver).collect()
+    receivers_with(rows, &BTreeMap::new(), false).receivers
 }
 
-/// As [`receivers`], with ranges from another sensor by capture. Also returns the graph and solution of each located receiver.
+/// As [`receivers`], with ranges from another sensor by capture.
+///
+/// With `stand`, transmitters of one name stand at one place in all captures. Captures that share such a transmitter at an
+/// unknown place then make one graph, which locates it too.
 #[must_use]
-pub fn receivers_with(
-    rows: &[Judged],
-    ranges: &BTreeMap<String, Vec<Ranged>>,
-) -> Vec<(Receiver, Option<(Team, Solution)>)> {
-    let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
+pub fn receivers_with(rows: &[Judged], ranges: &BTreeMap<String, Vec<Ranged>>, stand: bool) -> Located {
+    let mut by_name: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
         let name = row.answer.link.rsplit_once('/').map_or("", |(capture, _)| capture);
-        captures.entry(name).or_default().push(row);
+        by_name.entry(name).or_default().push(row);
     }
-    let none = Vec::new();
-    captures.into_iter().map(|(name, rows)| receiver(name, &rows, ranges.get(name).unwrap_or(&none))).collect()
+    let ranges = |name: &str| ranges.get(name).map(Vec::as_slice).unwrap_or_default();
+    let captures: Vec<Links<'_>> =
+        by_name.into_iter().map(|(name, rows)| Links { name, rows, ranges: ranges(name) }).collect();
+    let mut located = if stand { as_one(&captures) } else { Located::default() };
+    let mut graphs = Vec::new();
+    for links in &captures {
+        if located.receivers.iter().all(|own| own.capture != links.name) {
+            let (receiver, graph) = links.locate();
+            located.receivers.push(receiver);
+            graphs.extend(graph);
+        }
+    }
+    located.receivers.sort_by(|a, b| a.capture.cmp(&b.capture));
+    let alone = || graphs.pop().filter(|_| graphs.is_empty());
+    located.graph = located.graph.or_else(alone);
+    located
 }
 
-fn receiver(capture: &str, rows: &[&Judged], ranges: &[Ranged]) -> (Receiver, Option<(Team, Solution)>) {
-    let is_usable =
-        |row: &&&Judged| row.answer.azimuth_deg.is_some_and(f64::is_finite) && row.true_transmitter_m.is_some();
-    let seen: Vec<&Judged> = rows.iter().filter(is_usable).copied().collect();
-    let mut receiver = Receiver {
-        capture: capture.into(),
-        links: seen.len(),
-        names: seen.iter().map(|row| row.answer.link.clone()).collect(),
-        without_probability: seen.iter().filter(|row| row.answer.confidence.is_none()).count(),
-        true_position_m: rows.iter().find_map(|row| row.true_receiver_m),
-        ..Receiver::default()
+/// The captures that share transmitters at unknown places, as one graph. Captures and transmitters that it does not determine
+/// are removed from it.
+fn as_one(captures: &[Links<'_>]) -> Located {
+    let mut left: Vec<&Links<'_>> = captures.iter().collect();
+    let mut lost: BTreeSet<String> = BTreeSet::new();
+    loop {
+        let known = known(&left);
+        let mut shared: BTreeMap<&str, usize> = BTreeMap::new();
+        for links in &left {
+            let unknown = |name: &&str| !known.contains_key(*name) && !lost.contains(*name);
+            let names: BTreeSet<&str> = links.seen(|_| true).into_iter().map(transmitter).filter(unknown).collect();
+            names.into_iter().for_each(|name| *shared.entry(name).or_default() += 1);
+        }
+        shared.retain(|_, captures| *captures > 1);
+        if shared.is_empty() {
+            return Located::default();
+        }
+        let is_used = |name: &str| shared.contains_key(name) || known.contains_key(name);
+        left.retain(|links| links.lack(&links.seen(is_used)).is_none());
+        let mut graph = Joint::default();
+        let solved = left
+            .iter()
+            .try_for_each(|links| graph.add(links, &links.seen(is_used), Some(&known)))
+            .and_then(|()| graph.team.solve());
+        match solved {
+            Ok(found) => return graph.located(&left, &shared, found),
+            Err(TeamError::Undetermined { robot } | TeamError::Unlinked { robot }) => {
+                let count = left.len();
+                left.retain(|links| links.name != robot);
+                if left.len() == count && !lost.insert(robot) {
+                    return Located::default();
+                }
+            }
+            Err(_) => return Located::default(),
+        }
+    }
+}
+
+/// Known places by names. A name with several places is none of a transmitter that stands.
+fn known<'a>(captures: &[&Links<'a>]) -> BTreeMap<&'a str, [f64; 2]> {
+    let mut places: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
+    for row in captures.iter().flat_map(|links| &links.rows) {
+        places.entry(transmitter(row)).or_default().extend(row.true_transmitter_m);
+    }
+    let one = |(name, all): (&'a str, Vec<[f64; 2]>)| {
+        let first = all.first().copied()?;
+        all.iter().all(|place| *place == first).then_some((name, first))
     };
-    if seen.len() < 2 && ranges.is_empty() && seen.iter().all(|row| row.answer.range_m.is_none()) {
-        let bearings = if seen.len() == 1 { "bearing" } else { "bearings" };
+    places.into_iter().filter_map(one).collect()
+}
+
+/// The links of a capture.
+struct Links<'a> {
+    /// Name of the capture.
+    name: &'a str,
+    rows: Vec<&'a Judged>,
+    ranges: &'a [Ranged],
+}
+
+impl<'a> Links<'a> {
+    /// The links with a bearing to transmitters whose place is known, here or by `is_known`.
+    fn seen(&self, is_known: impl Fn(&str) -> bool) -> Vec<&'a Judged> {
+        let is_placed = |row: &&&Judged| row.true_transmitter_m.is_some() || is_known(transmitter(row));
+        let has_bearing = |row: &&&Judged| row.answer.azimuth_deg.is_some_and(f64::is_finite);
+        self.rows.iter().filter(has_bearing).filter(is_placed).copied().collect()
+    }
+
+    /// Why these links locate nothing, if they are too few.
+    fn lack(&self, seen: &[&Judged]) -> Option<String> {
         let count = seen.len();
-        receiver.error = Some(format!(
-            "{count} usable {bearings} and no range: a position needs two bearings, or one bearing and a range"
-        ));
-        return (receiver, None);
+        let bearings = if count == 1 { "bearing" } else { "bearings" };
+        (count < 2 && self.ranges.is_empty() && seen.iter().all(|row| row.answer.range_m.is_none())).then(|| {
+            format!("{count} usable {bearings} and no range: a position needs two bearings, or one bearing and a range")
+        })
     }
-    match Graph::new(capture, rows, &seen, ranges).and_then(|graph| Ok((graph.team.solve()?, graph))) {
-        Ok((found, graph)) => {
-            graph.fill(&mut receiver, &seen, &found);
-            (receiver, Some((graph.team, found)))
+
+    fn receiver(&self, seen: &[&Judged]) -> Receiver {
+        Receiver {
+            capture: self.name.into(),
+            links: seen.len(),
+            names: seen.iter().map(|row| row.answer.link.clone()).collect(),
+            without_probability: seen.iter().filter(|row| row.answer.confidence.is_none()).count(),
+            true_position_m: self.rows.iter().find_map(|row| row.true_receiver_m),
+            ..Receiver::default()
         }
-        Err(error) => {
-            receiver.error = Some(error.to_string());
-            (receiver, None)
+    }
+
+    /// The receiver from these links alone, with its graph.
+    fn locate(&self) -> (Receiver, Option<(Team, Solution)>) {
+        let seen = self.seen(|_| false);
+        let mut receiver = self.receiver(&seen);
+        receiver.error = self.lack(&seen);
+        if receiver.error.is_some() {
+            return (receiver, None);
+        }
+        let mut graph = Joint::default();
+        let solved = graph.add(self, &seen, None).and_then(|()| graph.team.solve());
+        match (solved, graph.own.pop()) {
+            (Ok(found), Some(own)) => {
+                own.fill(&mut receiver, &seen, &found);
+                (receiver, Some((graph.team, found)))
+            }
+            (solved, _) => {
+                receiver.error = solved.err().map(|error| error.to_string());
+                (receiver, None)
+            }
         }
     }
 }
 
-/// A possible bearing of a link.
-#[derive(Clone, Copy)]
-struct Way {
-    azimuth_deg: f64,
-    /// True for the answer's own bearing, to which the elevation belongs.
-    is_answer: bool,
-}
-
-/// The graph of a receiver.
-struct Graph {
+/// A graph of captures.
+#[derive(Default)]
+struct Joint {
     team: Team,
+    /// The transmitters: those of known places that differ between captures with the capture's name before their own.
+    places: BTreeMap<String, KeyframeId>,
+    own: Vec<Graph>,
+}
+
+/// A receiver in the graph.
+struct Graph {
     /// Keyframe at the middle of the receiver's motion.
     middle: KeyframeId,
-    /// For each link, the bearings of its modes, in their order.
-    ways: Vec<Vec<Way>>,
-    ranges: usize,
+    /// For each link, its place in the graph, its transmitter, and its possible bearings, in the order of its modes.
+    links: Vec<(usize, KeyframeId, Vec<Way>)>,
+    /// The places of the ranges in the graph.
+    ranges: Vec<usize>,
 }
 
-impl Graph {
-    fn new(capture: &str, rows: &[&Judged], seen: &[&Judged], ranges: &[Ranged]) -> Result<Self, TeamError> {
+impl Joint {
+    /// Adds a capture. `known` are places of transmitters that stand, if there are several captures.
+    fn add(
+        &mut self,
+        links: &Links<'_>,
+        seen: &[&Judged],
+        known: Option<&BTreeMap<&str, [f64; 2]>>,
+    ) -> Result<(), TeamError> {
+        let Links { name: capture, rows, ranges } = links;
         let heading_sd_rad = rows.iter().find_map(|row| row.heading_sd_rad).unwrap_or_default();
         let noise = OdometryNoise {
             turn_rad_per_rt_m: heading_sd_rad.max(TURN_RAD_PER_RT_M),
@@ -201,7 +311,7 @@ impl Graph {
             bias_sd_rad_per_m: TURN_RAD_PER_RT_M,
             scale_sd: SLIP,
         };
-        let mut team = Team::default();
+        let team = &mut self.team;
         let own = team.robot(if capture.is_empty() { "rx" } else { capture }, true, noise)?;
         let origin_m = rows.iter().find_map(|row| row.answer.origin_m).unwrap_or_default();
         let middle_t_s = rows.iter().find_map(|row| row.middle_t_s).unwrap_or_default();
@@ -217,52 +327,93 @@ impl Graph {
         let middle = at(middle_t_s);
         let free = f64::INFINITY;
         team.prior(middle, [0.0; 3], [free, free, heading_sd_rad.max(1e-4)])?;
-        let mut places = BTreeMap::new();
+        let mut own_places = BTreeMap::new();
         for row in rows {
-            let (Some([x, y]), name) = (row.true_transmitter_m, transmitter(row)) else { continue };
-            let robot = team.robot(name, false, noise)?;
-            let keyframe = team.keyframe(robot, middle_t_s, [x, y, 0.0], 0.0)?;
-            team.prior(keyframe, [x, y, 0.0], [PLACE_SD_M, PLACE_SD_M, free])?;
-            places.insert(name, keyframe);
+            let name = transmitter(row);
+            let place_m = row.true_transmitter_m.or_else(|| known?.get(name).copied());
+            let is_seen = seen.iter().any(|seen| transmitter(seen) == name);
+            if place_m.is_none() && !is_seen {
+                continue;
+            }
+            // One whose place is another in another capture is another robot.
+            let is_one = known.is_none_or(|known| known.contains_key(name)) || place_m.is_none();
+            let key = if is_one { name.to_owned() } else { format!("{capture}/{name}") };
+            let keyframe = match self.places.get(&key) {
+                Some(keyframe) => *keyframe,
+                None => {
+                    let robot = team.robot(&key, false, noise)?;
+                    let [x, y] = place_m.unwrap_or_default();
+                    let keyframe = team.keyframe(robot, middle_t_s, [x, y, 0.0], 0.0)?;
+                    if place_m.is_some() {
+                        team.prior(keyframe, [x, y, 0.0], [PLACE_SD_M, PLACE_SD_M, free])?;
+                    }
+                    keyframe
+                }
+            };
+            self.places.insert(key, keyframe);
+            own_places.insert(name, keyframe);
         }
-        let mut ways = Vec::new();
+        let mut graph = Graph { middle, links: Vec::new(), ranges: Vec::new() };
         for row in seen {
-            let (own, modes): (Vec<Way>, Vec<Mode>) =
-                modes(&row.answer, heading_sd_rad.to_degrees()).into_iter().unzip();
-            let Some(place) = places.get(transmitter(row)) else { continue };
-            team.link(middle, *place, &modes, LINK_OUTLIERS)?;
-            ways.push(own);
+            let own = ways(&row.answer, heading_sd_rad.to_degrees());
+            let Some(place) = own_places.get(transmitter(row)) else { continue };
+            let modes: Vec<Mode> = own.iter().map(|way| way.mode).collect();
+            graph.links.push((team.link(middle, *place, &modes, LINK_OUTLIERS)?, *place, own));
         }
-        let mut used = 0;
-        for range in ranges {
-            let Some(place) = places.get(range.transmitter.as_str()) else { continue };
+        for range in *ranges {
+            let Some(place) = own_places.get(range.transmitter.as_str()) else { continue };
             let [range_m, sd_m] = range.range_m;
-            team.link(at(range.t_s), *place, &[Mode::range(range_m, sd_m, 1.0)], RANGE_OUTLIERS)?;
-            used += 1;
+            graph.ranges.push(team.link(at(range.t_s), *place, &[Mode::range(range_m, sd_m, 1.0)], RANGE_OUTLIERS)?);
         }
-        Ok(Self { team, middle, ways, ranges: used })
+        self.own.push(graph);
+        Ok(())
     }
 
-    fn fill(&self, receiver: &mut Receiver, seen: &[&Judged], found: &Solution) {
-        let [x, y, _] = found.pose(self.middle);
-        let (at, covariance_m2) =
-            (Vector2::new(x, y), found.covariance(self.middle).fixed_view::<2, 2>(0, 0).into_owned());
-        receiver.position_m = Some([x, y]);
-        receiver.covariance_m2 = Some(covariance_m2.into());
-        receiver.off_m = receiver.true_position_m.map(|truth| (at - Vector2::from(truth)).norm());
-        let other = |other: &csi5300_team::Other| {
-            let [x, y, _] = other.poses[self.middle.index()];
-            [x, y]
+    /// What the solved graph locates.
+    fn located(self, captures: &[&Links<'_>], shared: &BTreeMap<&str, usize>, found: Solution) -> Located {
+        let known = known(captures);
+        let is_used = |name: &str| shared.contains_key(name) || known.contains_key(name);
+        let receiver = |(links, own): (&&Links<'_>, &Graph)| {
+            let seen = links.seen(is_used);
+            let mut receiver = links.receiver(&seen);
+            own.fill(&mut receiver, &seen, &found);
+            receiver
         };
-        receiver.others_m = found.others.iter().map(other).collect();
-        let chosen = &found.chosen[self.ways.len()..];
-        receiver.ranges = [self.ranges, chosen.iter().filter(|chosen| chosen.is_none()).count()];
+        let receivers = captures.iter().zip(&self.own).map(receiver).collect();
+        let place = |(name, captures): (&&str, &usize)| {
+            let keyframe = *self.places.get(*name)?;
+            let (position_m, covariance_m2, others_m) = place(&found, keyframe);
+            Some(Shared { transmitter: (*name).to_owned(), captures: *captures, position_m, covariance_m2, others_m })
+        };
+        let transmitters = shared.iter().filter_map(place).collect();
+        Located { receivers, transmitters, graph: Some((self.team, found)) }
+    }
+}
+
+/// Position of a keyframe, its covariance, and other positions that fit nearly as well.
+fn place(found: &Solution, keyframe: KeyframeId) -> ([f64; 2], [[f64; 2]; 2], Vec<[f64; 2]>) {
+    let xy = |[x, y, _]: [f64; 3]| [x, y];
+    let covariance_m2 = found.covariance(keyframe).fixed_view::<2, 2>(0, 0).into_owned();
+    let others = found.others.iter().map(|other| xy(other.poses[keyframe.index()])).collect();
+    (xy(found.pose(keyframe)), covariance_m2.into(), others)
+}
+
+impl Graph {
+    fn fill(&self, receiver: &mut Receiver, seen: &[&Judged], found: &Solution) {
+        let ([x, y], covariance_m2, others_m) = place(found, self.middle);
+        let at = Vector2::new(x, y);
+        receiver.position_m = Some([x, y]);
+        receiver.covariance_m2 = Some(covariance_m2);
+        receiver.off_m = receiver.true_position_m.map(|truth| (at - Vector2::from(truth)).norm());
+        receiver.others_m = others_m;
+        receiver.ranges = [self.ranges.len(), self.ranges.iter().filter(|link| found.chosen[**link].is_none()).count()];
         let mut elevations = Vec::new();
-        for ((row, ways), chosen) in seen.iter().zip(&self.ways).zip(&found.chosen) {
-            let Some([tx, ty]) = row.true_transmitter_m else { continue };
+        for (row, (link, keyframe, ways)) in seen.iter().zip(&self.links) {
+            let [tx, ty] = row.true_transmitter_m.unwrap_or_else(|| place(found, *keyframe).0);
             let direction_deg = (ty - y).atan2(tx - x).to_degrees();
             let off = |way: &&Way| wrap_deg(way.azimuth_deg - direction_deg).abs();
             let nearest = || ways.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+            let chosen = found.chosen[*link];
             let Some(way) = chosen.and_then(|k| ways.get(k)).or_else(nearest) else { continue };
             let weight = if chosen.is_some() { 1.0 } else { 0.0 };
             receiver.weights.push(weight);
@@ -275,85 +426,12 @@ impl Graph {
         receiver.azimuth_errors_deg = errors.collect::<Option<_>>().unwrap_or_default();
         let errors = seen.iter().map(|row| row.error_from_mean_pose_deg);
         receiver.answer_errors_deg = errors.collect::<Option<_>>().unwrap_or_default();
-        (receiver.height_m, receiver.height_sd_m) = height(&at, &covariance_m2, &elevations).unzip();
+        (receiver.height_m, receiver.height_sd_m) = height(&at, &covariance_m2.into(), &elevations).unzip();
     }
 }
 
 fn transmitter(row: &Judged) -> &str {
     row.answer.link.rsplit('/').next().unwrap_or_default()
-}
-
-/// Standard deviation of a link's bearings, degrees, without the share of the trajectory's heading, which is a variable.
-fn deviation_deg(answer: &Answer, heading_sd_deg: f64) -> f64 {
-    let share = bearings(answer).first().map_or(1.0, |first| first.1);
-    let sure = (answer.confidence.unwrap_or(UNKNOWN_PROBABILITY) / share).clamp(0.01, MOST_SURE);
-    let all = stands_for_deg(sure).max(answer.azimuth_sd_deg.unwrap_or_default());
-    (all * all - heading_sd_deg * heading_sd_deg).max(0.0).sqrt().hypot(AZIMUTH_FLOOR_DEG)
-}
-
-/// Standard deviation of a normal error that is within 5 degrees with probability `sure`, degrees. Inverts the error function
-/// by bisection.
-fn stands_for_deg(sure: f64) -> f64 {
-    let (mut low, mut high) = (0.1, 6.0);
-    for _ in 0..40 {
-        let middle = 0.5 * (low + high);
-        if within(middle) < sure { low = middle } else { high = middle }
-    }
-    WRONG_DEG / high
-}
-
-/// Probability that a normal error is within `x` deviations (Simpson's rule on the density).
-fn within(x: f64) -> f64 {
-    let n = 64;
-    let h = x / f64::from(n);
-    let density = |k: i32| (-0.5 * (h * f64::from(k)).powi(2)).exp();
-    let inner: f64 = (1..n).map(|k| density(k) * if k % 2 == 1 { 4.0 } else { 2.0 }).sum();
-    2.0 * h / 3.0 * (density(0) + inner + density(n)) / std::f64::consts::TAU.sqrt()
-}
-
-/// Every possible bearing of a link, degrees, and its share; the answer first. A mirror that is not among the candidates gets
-/// a share in proportion to the answer's.
-fn bearings(answer: &Answer) -> Vec<(f64, f64)> {
-    let Some(azimuth_deg) = answer.azimuth_deg else { return Vec::new() };
-    let off = |candidate: &CandidateAnswer, azimuth_deg: f64| wrap_deg(candidate.azimuth_deg - azimuth_deg).abs();
-    let usable = || answer.candidates.iter().filter(|own| own.share > 0.0 && own.azimuth_deg.is_finite());
-    let own = usable().min_by(|a, b| off(a, azimuth_deg).total_cmp(&off(b, azimuth_deg)));
-    let own_share = own.map_or(1.0, |own| own.share);
-    let mut all = vec![(azimuth_deg, own_share)];
-    all.extend(
-        usable()
-            .filter(|other| own.is_none_or(|own| !std::ptr::eq(*other, own)))
-            .map(|other| (other.azimuth_deg, other.share)),
-    );
-    let is_listed = |mirror: f64| all.iter().any(|(azimuth, _)| wrap_deg(azimuth - mirror).abs() < WRONG_DEG);
-    if let Some(mirror_deg) = answer.mirror_deg.filter(|mirror| !is_listed(*mirror)) {
-        let share = answer.mirror_share.unwrap_or(0.5).clamp(0.01, 0.5);
-        all.push((mirror_deg, own_share * share / (1.0 - share)));
-    }
-    let total: f64 = all.iter().map(|(_, share)| share).sum();
-    all.into_iter().map(|(azimuth_deg, share)| (azimuth_deg, share / total)).collect()
-}
-
-/// The possible bearings of a link and their modes. The answer and its mirror may have a range.
-fn modes(answer: &Answer, heading_sd_deg: f64) -> Vec<(Way, Mode)> {
-    let sd_rad = deviation_deg(answer, heading_sd_deg).to_radians();
-    let horizontal = horizontal(answer);
-    let known = answer.range_m.zip(answer.range_sd_m).filter(|(range, sd)| *range > 0.0 && sd.is_finite());
-    let range_m = known.map(|(range, sd)| [range * horizontal, (sd * horizontal).hypot(RANGE_FLOOR * range)]);
-    let mut modes = Vec::new();
-    for (k, (azimuth_deg, share)) in bearings(answer).into_iter().enumerate() {
-        let is_mirror = answer.mirror_deg.is_some_and(|mirror| wrap_deg(mirror - azimuth_deg).abs() < WRONG_DEG);
-        let way = Way { azimuth_deg, is_answer: k == 0 };
-        let mode = |share: f64| Mode::azimuth(azimuth_deg.to_radians(), sd_rad, share);
-        match range_m.filter(|_| k == 0 || is_mirror) {
-            Some(_) => {
-                modes.push((way, Mode { range_m, ..mode(share * (1.0 - RANGE_MISSED)) }));
-                modes.push((way, mode(share * RANGE_MISSED)));
-            }
-            None => modes.push((way, mode(share))),
-        }
-    }
-    modes
 }
 
 /// A transmitter's place and height, and its elevation from the receiver.
@@ -401,6 +479,7 @@ fn wrap_deg(angle: f64) -> f64 {
 mod tests {
     use super::super::judge::row;
     use super::*;
+    use csi5300::pipeline::{Answer, CandidateAnswer};
 
     #[test]
     fn a_receiver_is_located_where_its_bearings_cross() {
@@ -442,8 +521,6 @@ mod tests {
         assert!((found.azimuths_deg[1] - truth).abs() < 1e-9 && found.azimuth_errors_deg[1].abs() < 1e-9);
         assert_eq!((found.answer_errors_deg[1], found.names[1].as_str()), (60.0, "place/stamp/tx3"));
         assert!((found.position_m.unwrap()[0] - 1.0).hypot(found.position_m.unwrap()[1] - 2.0) < 0.1, "{found:?}");
-        rows[1].answer.mirror_deg = Some(truth);
-        assert_eq!(bearings(&rows[1].answer).len(), 2, "a mirror among the candidates is not added");
     }
 
     const RECEIVER: [f64; 2] = [0.3, -0.4];
@@ -493,9 +570,54 @@ mod tests {
             Ranged { transmitter: "tx0".into(), t_s, from_m, range_m: [to[0].hypot(to[1]) + late_m, 0.1] }
         };
         let ranges = vec![range(1.0, [0.5, 0.0], 0.0), range(2.0, [0.5, 0.5], 5.0), range(3.0, [0.0, 0.5], 0.0)];
-        let (found, graph) = receivers_with(&[one, silent], &BTreeMap::from([("a".to_owned(), ranges)])).remove(0);
+        let located = receivers_with(&[one, silent], &BTreeMap::from([("a".to_owned(), ranges)]), false);
+        let found = &located.receivers[0];
         assert!(found.others_m.is_empty() && found.off_m.unwrap() < 0.05 && found.ranges == [3, 1], "{found:?}");
-        assert!(graph.is_some());
+        assert!(located.graph.is_some());
+    }
+
+    /// A link with an exact bearing from a receiver to a transmitter whose place is given or not.
+    fn link(name: &str, from: [f64; 2], to: [f64; 2], is_known: bool) -> Judged {
+        let azimuth_deg = (to[1] - from[1]).atan2(to[0] - from[0]).to_degrees();
+        let row = row(name, azimuth_deg, 0.0, 0.9);
+        Judged { true_transmitter_m: is_known.then_some(to), true_receiver_m: Some(from), ..row }
+    }
+
+    #[test]
+    fn captures_that_share_an_unknown_transmitter_are_one_graph() {
+        let (known, unknown) = ([[4.0, 0.0], [0.0, 5.0]], [-3.0, 2.0]);
+        let places = [("a", [0.0, 0.0]), ("b", [1.0, -3.0]), ("c", [3.0, 3.0])];
+        let mut rows = Vec::new();
+        for (capture, at) in &places {
+            // Capture c has a bearing of one known place only.
+            let count = if *capture == "c" { 1 } else { 2 };
+            rows.extend((0..count).map(|k| link(&format!("{capture}/tx{k}"), *at, known[k], true)));
+            rows.push(link(&format!("{capture}/tx9"), *at, unknown, false));
+        }
+        let alone = receivers_with(&rows, &BTreeMap::new(), false);
+        assert!(alone.transmitters.is_empty() && alone.graph.is_none());
+        assert!(alone.receivers[2].error.as_ref().is_some_and(|why| why.starts_with("1 usable bearing")));
+        let one = receivers_with(&rows, &BTreeMap::new(), true);
+        for (receiver, (name, _)) in one.receivers.iter().zip(&places) {
+            assert_eq!((receiver.capture.as_str(), receiver.links), (*name, if *name == "c" { 2 } else { 3 }));
+            assert!(receiver.off_m.unwrap() < 1e-3 && receiver.weights.iter().all(|own| *own == 1.0), "{receiver:?}");
+        }
+        let found = &one.transmitters[0];
+        let off_m = (found.position_m[0] - unknown[0]).hypot(found.position_m[1] - unknown[1]);
+        assert!(one.transmitters.len() == 1 && found.captures == 3 && off_m < 1e-3, "{found:?}");
+        // Further bearings cannot make a receiver less certain.
+        let trace = |own: &Receiver| own.covariance_m2.map(|own| own[0][0] + own[1][1]).unwrap();
+        (0..2).for_each(|k| assert!(trace(&one.receivers[k]) < trace(&alone.receivers[k]) + 1e-12));
+        // Names of different places are different robots, and connect nothing.
+        let (team, _) = one.graph.unwrap();
+        assert!(team.named("tx9").is_ok() && team.named("tx0").is_ok() && team.named("c").is_ok());
+        let mut apart = rows.clone();
+        apart[0].true_transmitter_m = Some([40.0, 0.0]);
+        let (team, _) = receivers_with(&apart, &BTreeMap::new(), true).graph.unwrap();
+        assert!(team.named("a/tx0").is_ok() && team.named("b/tx0").is_ok() && team.named("tx0").is_err());
+        // One bearing of an unknown place is of no use.
+        let one = receivers_with(&rows[..3], &BTreeMap::new(), true);
+        assert!(one.transmitters.is_empty() && one.receivers[0].links == 2 && one.graph.is_some(), "{one:?}");
     }
 
     #[test]
@@ -511,14 +633,5 @@ mod tests {
         // A NaN makes the link unusable.
         rows[1].answer.azimuth_deg = Some(f64::NAN);
         assert!(receivers(&rows)[0].error.is_some());
-    }
-
-    #[test]
-    fn a_probability_implies_a_deviation() {
-        // 68.27 % are within one deviation, 95.45 % within two.
-        assert!((stands_for_deg(0.682_689) - 5.0).abs() < 0.01 && (stands_for_deg(0.954_5) - 2.5).abs() < 0.01);
-        // The heading's share is subtracted, down to the floor.
-        let answer = seen(0, 0.0).answer;
-        assert!(deviation_deg(&answer, 0.0) > 2.0 && (deviation_deg(&answer, 5.0) - AZIMUTH_FLOOR_DEG).abs() < 1e-9);
     }
 }

@@ -54,7 +54,10 @@ pub struct Ray {
     pub class: RayClass,
 }
 
-/// A position with an ellipse of two standard deviations.
+/// Deviations in which 95 % of the errors in a plane are: `sqrt(-2 ln 0.05)`.
+const HOLDS_95: f64 = 2.447_75;
+
+/// A position with the ellipse that holds 95 %.
 #[derive(Debug, Clone)]
 pub struct Ellipse {
     /// The position, metres.
@@ -66,14 +69,14 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// Points of the ellipse, metres: the covariance's square root (Cholesky) applied to a circle.
+    /// Points of the ellipse, metres: the covariance's square root (Cholesky) applied to a circle of [`HOLDS_95`] deviations.
     fn around(&self) -> Vec<[f64; 2]> {
         let [[a, b], [_, d]] = self.covariance_m2;
         let l = a.max(1e-12).sqrt();
         let (m, n) = (b / l, (d - b * b / (l * l)).max(0.0).sqrt());
         let point = |k: i32| {
             let (sin, cos) = (TAU * f64::from(k) / 72.0).sin_cos();
-            [self.centre_m[0] + 2.0 * l * cos, self.centre_m[1] + 2.0 * (m * cos + n * sin)]
+            [self.centre_m[0] + HOLDS_95 * l * cos, self.centre_m[1] + HOLDS_95 * (m * cos + n * sin)]
         };
         finite(&(0..72).map(point).collect::<Vec<_>>())
     }
@@ -247,7 +250,7 @@ impl MapPlot {
             keys.push((Key::Area, RED, TWO_DEVIATIONS.to_owned()));
         }
         if !ellipses.is_empty() {
-            keys.push((Key::Dot, PURPLE, "position found, two deviations".to_owned()));
+            keys.push((Key::Dot, PURPLE, "position found, 95 %".to_owned()));
         }
         let mut canvas = Canvas::new(900.0, &self.title);
         let top = 74.0 + canvas.legend(58.0, &keys);
@@ -274,6 +277,11 @@ impl MapPlot {
             let (sin, cos) = ray.azimuth_rad.sin_cos();
             let tip = axes.at(ray.origin_m[0] + reach * cos, ray.origin_m[1] + reach * sin);
             canvas.backed_text((tip.0, tip.1 + 7.0), &ray.label, 20, TextAnchor::Middle);
+        }
+        let is_new = |ellipse: &&&Ellipse| truth.iter().all(|(name, _)| *name != ellipse.label);
+        for ellipse in ellipses.iter().filter(is_new).filter(|ellipse| !ellipse.label.is_empty()) {
+            let at = axes.at(ellipse.centre_m[0], ellipse.centre_m[1]);
+            canvas.backed_text((at.0, at.1 - 14.0), &ellipse.label, 20, TextAnchor::Middle);
         }
         for (name, p) in &truth {
             let at = axes.at(p[0], p[1]);

@@ -5,7 +5,7 @@ use super::{
 };
 use crate::evaluate::beside::Table;
 use crate::evaluate::quality::{refusals, sure};
-use crate::evaluate::receivers::{Receiver, receivers};
+use crate::evaluate::receivers::{Located, Receiver, receivers_with};
 use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -53,15 +53,16 @@ pub fn write(rows: &[Judged], others: &Others, folder: &Path, format: &Format) -
         written.extend(refused(rows).write(&refusals_stem, format)?);
         written.extend(reliable(rows).write(&reliability_stem, format)?);
     }
-    written.extend(write_maps(rows, folder, format)?);
+    written.extend(write_maps(rows, &receivers_with(rows, &BTreeMap::new(), false), folder, format)?);
     Ok(written)
 }
 
-/// Writes a `map-PLACE` into a folder for each capture with a known receiver path; none of them if one may not be replaced.
+/// Writes a `map-PLACE` into a folder for each capture with a known receiver path, with the receiver as located, and a `map-team`
+/// if several captures were located as one graph; none of them if one may not be replaced.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_maps(rows: &[Judged], folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
+pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
         if let Some((capture, _)) = row.answer.link.rsplit_once('/') {
@@ -70,14 +71,21 @@ pub fn write_maps(rows: &[Judged], folder: &Path, format: &Format) -> Result<Vec
     }
     captures.retain(|_, own| own.iter().any(|row| row.true_receiver_m.is_some()));
     let stem = |capture: &str| map_stem(folder, capture);
-    format.check(&captures.keys().map(|capture| stem(capture)).collect::<Vec<_>>())?;
-    let (located, mut written) = (receivers(rows), Vec::new());
+    let team = (!located.transmitters.is_empty()).then(|| stem(TEAM));
+    format.check(&captures.keys().map(|capture| stem(capture)).chain(team.clone()).collect::<Vec<_>>())?;
+    let mut written = Vec::new();
     for (capture, own) in captures {
-        let receiver = located.iter().find(|receiver| receiver.capture == capture);
+        let receiver = located.receivers.iter().find(|receiver| receiver.capture == capture);
         written.extend(map(capture, &own, receiver).write(&stem(capture), format)?);
+    }
+    if let Some(stem) = team {
+        written.extend(team_map(rows, located).write(&stem, format)?);
     }
     Ok(written)
 }
+
+/// The map of captures that are one graph, in place of a capture's name.
+pub const TEAM: &str = "team";
 
 /// Name of a capture's map ([`Capture::link_name`](crate::evaluate::Capture::link_name)), without extension.
 #[must_use]
@@ -158,6 +166,33 @@ fn refused(rows: &[Judged]) -> ScatterLines {
         lines: true,
         ..ScatterLines::default()
     }
+}
+
+/// All receivers and transmitters of one graph, with the bearings that fit their places.
+fn team_map(rows: &[Judged], located: &Located) -> MapPlot {
+    let mut plot = MapPlot { title: "Receivers and transmitters, 95 % ellipses".into(), ..MapPlot::default() };
+    for receiver in &located.receivers {
+        let Some((centre_m, covariance_m2)) = receiver.position_m.zip(receiver.covariance_m2) else { continue };
+        plot.ellipses.push(Ellipse { centre_m, covariance_m2, label: receiver.capture.clone() });
+        plot.rays.extend(receiver.azimuths_deg.iter().map(|deg| Ray {
+            origin_m: centre_m,
+            azimuth_rad: deg.to_radians(),
+            sd_rad: None,
+            label: String::new(),
+            class: RayClass::Measured,
+        }));
+    }
+    for own in &located.transmitters {
+        let (centre_m, covariance_m2) = (own.position_m, own.covariance_m2);
+        plot.ellipses.push(Ellipse { centre_m, covariance_m2, label: own.transmitter.clone() });
+    }
+    let name = |row: &Judged| row.answer.link.rsplit('/').next().unwrap_or_default().to_owned();
+    let mut known: Vec<(String, [f64; 2])> =
+        rows.iter().filter_map(|row| Some((name(row), row.true_transmitter_m?))).collect();
+    known.sort_by(|a, b| a.0.cmp(&b.0));
+    known.dedup();
+    plot.truth = known;
+    plot
 }
 
 fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot {

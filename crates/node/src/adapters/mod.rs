@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `json` | bearings as lines of JSON |
 //! | `status` | the state on a Unix socket, and as one line on a terminal |
-//! | `ros2`, `diagnostics` | ROS 2 |
+//! | `ros2`, `diagnostics`, `team` | ROS 2 |
 //! | `ros1` | ROS 1, through a bridge in Python |
 //! | `zenoh` | the robots' network (feature `zenoh`) |
 //! | `foxglove` | Foxglove's viewers over a websocket (feature `foxglove`) |
@@ -16,6 +16,7 @@ mod json;
 mod ros1;
 mod ros2;
 mod status;
+mod team;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 

@@ -1,6 +1,7 @@
 //! ROS 2: poses of topics in; bearings, markers, diagnostics and CSI out; parameters; the self-test.
 
 use super::diagnostics::Claims;
+use super::team::Topics;
 use super::{Adapter, Made, Robot, Said, Start};
 use crate::config::{Config, Odometry, ros2::is_used};
 use crate::health::Health;
@@ -27,6 +28,8 @@ struct Ros2 {
     /// Nothing without a table `[ros2]`.
     claims: Option<Claims>,
     records: Option<Records>,
+    /// None without a table `[ros2]` or `[team]`.
+    team: Option<Topics>,
 }
 
 pub(super) fn make(start: &Start<'_>) -> Made {
@@ -48,6 +51,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         config: config.clone(),
         claims: None,
         records: None,
+        team: None,
     })))
 }
 
@@ -66,6 +70,10 @@ impl Adapter for Ros2 {
             let asked = claims.clone();
             self.node.link().serve("~/self_test", move |_: &_, _: SelfTestRequest| asked.answer());
             self.claims = Some(claims);
+            let names = || robot.peers.iter().map(|(name, _)| name.clone()).collect();
+            let frame = self.config.ros2.as_ref().map(|ros| ros.frame.clone()).unwrap_or_default();
+            self.team =
+                self.config.team.as_ref().map(|team| Topics::new(&self.node, names(), frame, !team.places.is_empty()));
         }
         let publish = || self.node.link().publish("/diagnostics", usual());
         self.diagnostics = self.publishes_diagnostics.then(publish);
@@ -94,6 +102,9 @@ impl Adapter for Ros2 {
     }
 
     fn tell(&mut self, health: &Health, _: &Machine) {
+        if let (Some(topics), Some(team)) = (&mut self.team, &health.team) {
+            topics.tell(&self.node, team, (self.wall_us)().unwrap_or(0));
+        }
         if let (Some(publisher), Some(claims)) = (&self.diagnostics, &self.claims) {
             let header = self.node.header((self.wall_us)().unwrap_or(0), String::new());
             publisher.put(&claims.diagnostics(header, health));

@@ -11,4 +11,5 @@ mod other_cards;
 mod peers;
 mod program;
 mod robots;
+mod team;
 mod watching;

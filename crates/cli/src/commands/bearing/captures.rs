@@ -7,7 +7,7 @@ use super::{Args, located, transmitters};
 use clap::ValueEnum;
 use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
 use csi5300_lab::evaluate::quality::horizontal;
-use csi5300_lab::evaluate::receivers::{Ranged, Receiver, receivers_with};
+use csi5300_lab::evaluate::receivers::{Located, Ranged, receivers_with};
 use csi5300_lab::evaluate::{Capture, Judged};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -114,7 +114,7 @@ pub fn run(args: &Args) -> Result {
     if args.together.transmitters {
         return transmitters::run(&args.together, &reading, (captures, lost), &args.place, args.json);
     }
-    args.graph.check(&captures, args.force)?;
+    args.graph.check(&captures, !args.place.is_empty(), args.force)?;
     let ranges = args.graph.ranges(&captures, &reading)?;
     let (mut rows, mut shown) = (Vec::new(), 0);
     for capture in &captures {
@@ -139,9 +139,11 @@ pub fn run(args: &Args) -> Result {
     if !args.json && !args.explain {
         explain_lines(names.len());
     }
-    locate(args, &mut rows, &ranges)?;
+    let located = locate(args, &mut rows, &ranges)?;
     #[cfg(feature = "plot")]
-    draw_maps(args, &rows)?;
+    draw_maps(args, &rows, &located)?;
+    #[cfg(not(feature = "plot"))]
+    drop(located);
     Ok(match (shown, lost) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,
@@ -173,25 +175,32 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>, links: usize) {
 }
 
 /// Where the receivers are of whose links several see known places, or one that was told.
-fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged>>) -> std::result::Result<(), String> {
+fn locate(
+    args: &Args,
+    rows: &mut [Judged],
+    ranges: &BTreeMap<String, Vec<Ranged>>,
+) -> std::result::Result<Located, String> {
     for row in rows.iter_mut() {
         let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
         row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
         row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
     }
-    let graphs = receivers_with(rows, ranges);
-    args.graph.finish(ranges, &graphs)?;
-    let mut found: Vec<Receiver> = graphs.into_iter().map(|(receiver, _)| receiver).collect();
+    // A given place is that of a transmitter in all captures, so those of one name stand.
+    let mut located = receivers_with(rows, ranges, !args.place.is_empty());
+    args.graph.finish(ranges, &located)?;
+    let found = &mut located.receivers;
     if args.place.is_empty() {
         found.retain(|receiver| receiver.position_m.is_some() && receiver.links + receiver.ranges[0] > 1);
     }
     found.iter_mut().for_each(|receiver| located::say_unplaced(receiver, rows));
     if args.json {
         found.iter().for_each(print_json);
+        located.transmitters.iter().for_each(print_json);
     } else if !found.is_empty() {
-        print(&format!("located from links to known places:\n{}", located::table(&found, rows)));
+        print(&format!("located from links to known places:\n{}", located::table(found, rows)));
+        print(&located::shared(&located.transmitters));
     }
-    Ok(())
+    Ok(located)
 }
 
 #[cfg(feature = "plot")]
@@ -203,9 +212,9 @@ fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std:
 
 /// A map of each capture: the bearings, the transmitters, the receiver as located.
 #[cfg(feature = "plot")]
-fn draw_maps(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
+fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let written = csi5300_lab::show::set::write_maps(rows, folder, &super::super::pictures::format());
+    let written = csi5300_lab::show::set::write_maps(rows, located, folder, &super::super::pictures::format());
     let written = written.map_err(|error| error.to_string())?;
     if !written.is_empty() {
         note!("{}: {}", folder.display(), super::super::some(written.len() as u64, "map", "maps"));

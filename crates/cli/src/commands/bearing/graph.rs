@@ -3,9 +3,9 @@
 use super::super::captures::Reading;
 use super::super::{some, usage};
 use csi5300_lab::evaluate::Capture;
-use csi5300_lab::evaluate::receivers::{Ranged, Receiver};
+use csi5300_lab::evaluate::receivers::{Located, Ranged};
+use csi5300_team::factors;
 use csi5300_team::ranges::{Range, read};
-use csi5300_team::{Solution, Team, factors};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -16,13 +16,11 @@ pub struct Graph {
     /// range_m, sd_m. Robot names: rx, tx2 and so on, or the last parts of a capture's or link's name
     #[arg(long, value_name = "FILE", requires = "captures", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     ranges: Option<PathBuf>,
-    /// Write the graph that located the receiver of one capture: JSON for GTSAM, or g2o's text format
+    /// Write the graph that located the receiver of one capture, or with --place of several captures: JSON for GTSAM, or
+    /// g2o's text format
     #[arg(long, value_name = "OUT.json|.g2o", requires = "captures", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     factors: Option<PathBuf>,
 }
-
-/// A receiver, and its graph and solution if it was located.
-pub type Found = (Receiver, Option<(Team, Solution)>);
 
 impl Graph {
     pub fn is_wanted(&self) -> bool {
@@ -35,10 +33,14 @@ impl Graph {
     }
 
     /// Checks, before any estimate, that the graph can be written.
-    pub fn check(&self, captures: &[Capture], force: bool) -> Result<(), String> {
+    pub fn check(&self, captures: &[Capture], has_place: bool, force: bool) -> Result<(), String> {
         let Some(path) = &self.factors else { return Ok(()) };
-        if captures.len() != 1 {
-            usage(&format!("--factors takes one capture, not {}", captures.len()));
+        if captures.len() != 1 && !has_place {
+            usage(&format!(
+                "--factors takes one capture, not {}: several are one graph with --place NAME=X,Y of a transmitter that stands, \
+                 if they share another one of unknown place",
+                captures.len()
+            ));
         }
         if Self::is_g2o(path).is_none() {
             usage(&format!("{}: --factors writes .json or .g2o", path.display()));
@@ -79,8 +81,8 @@ impl Graph {
     }
 
     /// Reports ranges that were not used, and writes the graph.
-    pub fn finish(&self, given: &BTreeMap<String, Vec<Ranged>>, found: &[Found]) -> Result<(), String> {
-        for (receiver, _) in found {
+    pub fn finish(&self, given: &BTreeMap<String, Vec<Ranged>>, found: &Located) -> Result<(), String> {
+        for receiver in &found.receivers {
             let given = given.get(&receiver.capture).map_or(0, Vec::len);
             if receiver.ranges[0] < given {
                 let left = some((given - receiver.ranges[0]) as u64, "range is", "ranges are");
@@ -88,8 +90,13 @@ impl Graph {
             }
         }
         let Some(path) = &self.factors else { return Ok(()) };
-        let Some((_, Some((team, solution)))) = found.first() else {
-            return Err(format!("{}: not written, because no receiver was located", path.display()));
+        let Some((team, solution)) = &found.graph else {
+            let why = if found.receivers.iter().any(|receiver| receiver.position_m.is_some()) {
+                "the captures share no transmitter of unknown place, which would connect them"
+            } else {
+                "no receiver was located"
+            };
+            return Err(format!("{}: not written, because {why}", path.display()));
         };
         let is_g2o = Self::is_g2o(path).unwrap_or_default();
         super::super::draft::write(

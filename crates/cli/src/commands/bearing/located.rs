@@ -3,7 +3,7 @@
 use super::super::{fixed, some};
 use csi5300::maths::median;
 use csi5300_lab::evaluate::Judged;
-use csi5300_lab::evaluate::receivers::{Receiver, UNKNOWN_PROBABILITY};
+use csi5300_lab::evaluate::receivers::{Receiver, Shared, UNKNOWN_PROBABILITY};
 use std::fmt::Write;
 
 /// The links to a receiver.
@@ -64,10 +64,7 @@ pub fn table(found: &[Receiver], rows: &[Judged]) -> String {
             );
         }
         text.push('\n');
-        for [x, y] in &receiver.others_m {
-            let _ =
-                writeln!(text, "  or x {} m, y {} m, which the links fit nearly as well", fixed(*x, 2), fixed(*y, 2));
-        }
+        others(&receiver.others_m, &mut text);
         said_otherwise(receiver, rows, &mut text);
         for row in own(receiver, rows) {
             let Some(position_m) = row.answer.position_m else { continue };
@@ -86,6 +83,29 @@ pub fn table(found: &[Receiver], rows: &[Judged]) -> String {
             writeln!(text, "{} located, median error {median:.2} m", some(off.len() as u64, "receiver", "receivers"));
     }
     text
+}
+
+/// Transmitters located with the receivers.
+pub fn shared(found: &[Shared]) -> String {
+    let mut text = String::new();
+    for Shared { transmitter, captures, position_m: [x, y], covariance_m2: c, others_m } in found {
+        let _ = writeln!(
+            text,
+            "{transmitter}: x {} +- {:.2} m, y {} +- {:.2} m from {captures} captures",
+            fixed(*x, 2),
+            c[0][0].sqrt(),
+            fixed(*y, 2),
+            c[1][1].sqrt()
+        );
+        others(others_m, &mut text);
+    }
+    text
+}
+
+fn others(places_m: &[[f64; 2]], text: &mut String) {
+    for [x, y] in places_m {
+        let _ = writeln!(text, "  or x {} m, y {} m, which the links fit nearly as well", fixed(*x, 2), fixed(*y, 2));
+    }
 }
 
 /// The links whose place fits another bearing than their answer.

@@ -51,6 +51,7 @@ pub(super) fn problems(
     check.ros();
     check.something_to_do();
     check.peers();
+    check.team();
     check.sounding();
     check.output();
     check.files_to_write();

@@ -17,6 +17,28 @@ impl Check<'_> {
         }
     }
 
+    /// Known places of the team's graph.
+    pub(super) fn team(&mut self) {
+        let config = self.config;
+        let Some(team) = &config.team else { return };
+        if config.peer.is_empty() && self.knows(&["peer"]) {
+            self.refuse(&[Key("team")], "[team] needs a [[peer]]: the graph is made of bearings");
+        }
+        for (name, place_m) in &team.places {
+            let key = [Key("team"), Key("places"), Key(name)];
+            if config.peer.iter().all(|peer| peer.get_ref().name != *name) && self.knows(&["peer"]) {
+                self.refuse(&key, format!("[team]: places: there is no peer `{name}`"));
+            } else if !place_m.iter().all(|m| m.is_finite()) {
+                self.refuse(&key, format!("[team]: places: {name}: every number must be finite"));
+            }
+        }
+        let own_frame = config.ros2.as_ref().map(|ros| ros.frame.as_str());
+        if team.frame.is_empty() || (!team.places.is_empty() && own_frame == Some(team.frame.as_str())) {
+            let why = "[team]: frame: the places need a frame other than that of the odometry ([ros2] frame)";
+            self.refuse(&[Key("team"), Key("frame")], why);
+        }
+    }
+
     /// Its name and MAC.
     fn wrong_identity(&self, k: usize, peer: &Peer) -> Vec<(Vec<Step<'static>>, String)> {
         let (name, mut wrong) = (&peer.name, Vec::new());

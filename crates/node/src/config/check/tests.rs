@@ -34,6 +34,21 @@ fn the_base_configuration_is_good() {
 }
 
 #[test]
+fn the_team() {
+    let team = |rest: &str| format!("{ROOM}[team]\n{rest}\n{PEER}");
+    assert_eq!(refusals(&team("places = { tx = [1.0, 2.0] }\nframe = \"hall\"")), Vec::<String>::new());
+    refused(&team("frame = \"hall\"\nplaces.ty = [1.0, 2.0]"), "places", "no peer `ty`");
+    refused(&team("places.tx = [1.0, inf]"), "places", "finite");
+    refused(&team("places = {}\nplace = {}"), "place = ", "unknown field");
+    refused(
+        &format!("{}[ros2]\nframe = \"map\"\n", team("frame = \"map\"\nplaces.tx = [1.0, 2.0]")),
+        "frame",
+        "other than",
+    );
+    refused(&format!("{CARD}[team]\n"), "[team]", "needs a [[peer]]");
+}
+
+#[test]
 fn this_robot() {
     let card = |from: &str, to: &str| CARD.replace(from, to);
     refused(&card("mac = \"02:00:00:00:00:01\"\n", ""), "capture.card", "`mac`");

@@ -1,0 +1,406 @@
+//! This robot and its peers as one graph of `csi5300-team`: its odometry, and its bearings of its peers.
+//!
+//! A bearing enters if it shares no sample with the peer's last one and every step of the estimate made it. It becomes a
+//! keyframe of this robot at the mean position of its samples, with the axes of the odometry's frame, and a link. Peers that
+//! stand are points. Those that move and publish their poses have keyframes of their own.
+//!
+//! If places of peers are given, their frame is the team's. Otherwise it is the frame of this robot's odometry at the last keyframe.
+
+use crate::config::{Config, Team as Asked};
+use crate::machine::{Machine, PoseCounts};
+use csi5300::maths::wrap_rad;
+use csi5300::pipeline::Bearing;
+use csi5300::pipeline::live::{PeerReport, PeerState};
+use csi5300::source::Error;
+use csi5300_team::answers::{LINK_OUTLIERS, ways};
+use csi5300_team::{KeyframeId, Mode, OdometryNoise, RobotId, Solution, Team, TeamError, factors};
+use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+
+/// Bearings in a graph at most; the oldest are forgotten.
+const KEPT: usize = 48;
+/// Bytes of the factors at most: a message of ROS 2 holds 64,000.
+const LARGEST: usize = 60_000;
+/// Deviation of a given place, metres.
+const PLACE_SD_M: f64 = 0.01;
+/// Deviation of the keyframe that defines the frame, metres and radians.
+const GAUGE_SD: f64 = 1e-3;
+/// Least deviation between the axes of this robot's frame and those of a peer's, radians: 1 degree.
+const AXES_SD_RAD: f64 = 0.017;
+/// Steps in which paths are measured, so that noise at rest does not add up, metres.
+const STEP_M: f64 = 0.02;
+/// Least time between two keyframes of a robot, seconds.
+const APART_S: f64 = 1e-6;
+
+/// The team as solved last.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct TeamState {
+    /// Name of the frame of given places; none in the frame of this robot's odometry.
+    pub frame: Option<String>,
+    /// Pose of the odometry's frame in the team's: x, y in metres, yaw in radians.
+    pub odometry: [f64; 3],
+    /// This robot, then the peers that the bearings determine.
+    pub robots: Vec<Member>,
+    /// Why there is no newer solution, or why peers are missing.
+    pub notes: Vec<String>,
+    /// Number of solutions so far.
+    pub solved: u64,
+    /// The graph with its solution, as [`csi5300_team::factors::json`].
+    #[serde(skip)]
+    pub factors: Arc<str>,
+}
+
+/// A robot of the team at its last keyframe; this robot at the end of its last bearing.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Member {
+    /// Its name.
+    pub name: String,
+    /// Host time, seconds since the Unix epoch.
+    pub t_s: f64,
+    /// Place in the team's frame, metres.
+    pub position_m: [f64; 2],
+    /// This robot's heading, radians.
+    pub heading_rad: Option<f64>,
+    /// Covariance of x, y and heading, row by row, metres and radians; zeros for the heading of a peer.
+    pub covariance: [[f64; 3]; 3],
+    /// Other places that fit nearly as well, the likeliest first.
+    pub others_m: Vec<[f64; 2]>,
+}
+
+/// A bearing in the graph.
+#[derive(Clone, Debug)]
+struct Seen {
+    peer: String,
+    /// Host times of the first and the last sample, seconds.
+    span_s: [f64; 2],
+    /// This robot, in the frame of its odometry.
+    own: Stretch,
+    /// The peer, with the axes of that frame; `None` if it stands.
+    other: Option<Stretch>,
+    /// This robot at the last sample.
+    end_m: Vector2<f64>,
+    heading_rad: Option<f64>,
+    modes: Vec<Mode>,
+}
+
+impl Seen {
+    fn middle_s(&self) -> f64 {
+        0.5 * (self.span_s[0] + self.span_s[1])
+    }
+}
+
+/// A robot's motion during a bearing.
+#[derive(Clone, Copy, Debug)]
+struct Stretch {
+    mean_m: Vector2<f64>,
+    speed_m_per_s: f64,
+}
+
+impl Stretch {
+    fn of(path_m: &[Vector3<f64>], seconds: f64) -> Self {
+        let mean_m = path_m.iter().sum::<Vector3<f64>>().xy() / path_m.len().max(1) as f64;
+        let (mut length_m, mut last) = (0.0, path_m.first().map(Vector3::xy).unwrap_or_default());
+        for at in path_m.iter().map(Vector3::xy) {
+            let step_m = (at - last).norm();
+            if step_m >= STEP_M {
+                (length_m, last) = (length_m + step_m, at);
+            }
+        }
+        Self { mean_m, speed_m_per_s: length_m / seconds.max(1e-3) }
+    }
+}
+
+/// The bearings so far, as a graph.
+#[derive(Clone, Debug)]
+pub struct Graph {
+    name: String,
+    asked: Asked,
+    heading_sd_rad: f64,
+    /// Bearings of the coarse grid only are all that there are.
+    is_coarse: bool,
+    seen: VecDeque<Seen>,
+    /// Frames that this robot's and each peer's poses were in.
+    frames: (PoseCounts, BTreeMap<String, u64>),
+}
+
+impl Graph {
+    /// An empty graph of the robot `name`, if the configuration asks for one.
+    #[must_use]
+    pub fn new(config: &Config, name: &str) -> Option<Self> {
+        Some(Self {
+            name: name.to_owned(),
+            asked: config.team.clone()?,
+            heading_sd_rad: config.heading_sd_deg().to_radians(),
+            is_coarse: !config.estimator.accurate,
+            seen: VecDeque::new(),
+            frames: Default::default(),
+        })
+    }
+
+    /// Takes the machine's last report about a peer. True if the graph changed.
+    pub fn note(&mut self, peer: usize, report: &PeerReport, machine: &Machine) -> bool {
+        let Some((known, _)) = machine.estimator.peers().nth(peer) else { return false };
+        let counts = PoseCounts { poses: 0, ..machine.pose_counts() };
+        if counts != self.frames.0 {
+            // Earlier keyframes are in another frame.
+            self.seen.clear();
+            self.frames.0 = counts;
+        }
+        let frames = self.frames.1.entry(known.name.clone()).or_default();
+        if std::mem::replace(frames, machine.peer_frames(peer)) != machine.peer_frames(peer) {
+            self.seen.retain(|seen| seen.peer != known.name);
+        }
+        let is_whole = report.state == PeerState::Bearing && (report.accurate || self.is_coarse);
+        let bearing = machine.estimator.bearing(peer).filter(|_| is_whole);
+        let seen = bearing.and_then(|bearing| self.seen(&known.name, report, bearing));
+        let is_new = seen.is_some();
+        self.seen.extend(seen);
+        if self.seen.len() > KEPT {
+            self.seen.pop_front();
+        }
+        is_new
+    }
+
+    /// A bearing, if none of its samples is in the graph yet.
+    fn seen(&self, peer: &str, report: &PeerReport, bearing: &Bearing) -> Option<Seen> {
+        let samples = &bearing.samples;
+        let span_s = [*samples.t_s().first()?, *samples.t_s().last()?];
+        let before = self.seen.iter().rev().find(|seen| seen.peer == peer);
+        let modes: Vec<Mode> =
+            ways(&report.answer, self.heading_sd_rad.to_degrees()).into_iter().map(|way| way.mode).collect();
+        if modes.is_empty() || before.is_some_and(|before| span_s[0] <= before.span_s[1]) {
+            return None;
+        }
+        let (path_m, seconds) = (samples.receiver_m(), span_s[1] - span_s[0]);
+        let moves = samples.transmitter_m().iter().any(|at| *at != Vector3::zeros());
+        Some(Seen {
+            peer: peer.to_owned(),
+            span_s,
+            own: Stretch::of(path_m, seconds),
+            other: moves.then(|| Stretch::of(samples.transmitter_m(), seconds)),
+            end_m: path_m.last()?.xy(),
+            heading_rad: bearing.heading_rad,
+            modes,
+        })
+    }
+
+    /// Poses of this robot and of the peers that the bearings determine.
+    ///
+    /// # Errors
+    /// If they determine no peer.
+    pub fn solve(&self) -> Result<TeamState, TeamError> {
+        let mut graph = self.clone();
+        loop {
+            let state = graph.solve_all()?;
+            if state.factors.len() <= LARGEST || graph.seen.pop_front().is_none() {
+                return Ok(state);
+            }
+        }
+    }
+
+    fn solve_all(&self) -> Result<TeamState, TeamError> {
+        let (mut missing, mut notes) = (BTreeSet::new(), Vec::new());
+        loop {
+            let built = Built::new(self, &missing)?;
+            match built.team.solve() {
+                Ok(found) => return Ok(TeamState { notes, ..built.state(self, &found) }),
+                Err(TeamError::Undetermined { robot } | TeamError::Unlinked { robot })
+                    if built.peers.contains_key(&robot) && built.peers.len() > 1 =>
+                {
+                    notes.push(format!("{robot} is missing: the bearings do not determine its place yet"));
+                    missing.insert(robot);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+    }
+}
+
+/// The graph of the team, with its keyframes.
+struct Built {
+    team: Team,
+    /// This robot's keyframes in the order of time, each with its time and its bearing.
+    own: Vec<(Keyframe, Seen)>,
+    /// The last keyframe of each peer.
+    peers: BTreeMap<String, Keyframe>,
+}
+
+/// A keyframe and its time, seconds.
+type Keyframe = (KeyframeId, f64);
+
+/// Adds a robot's keyframe during a bearing, later than its last one.
+fn add(
+    team: &mut Team,
+    robot: RobotId,
+    t_s: f64,
+    at: Stretch,
+    before: Option<Keyframe>,
+) -> Result<Keyframe, TeamError> {
+    let before_s = before.map_or(t_s - APART_S, |(_, before_s)| before_s);
+    let t_s = t_s.max(before_s + APART_S);
+    let id = team.keyframe(robot, t_s, [at.mean_m.x, at.mean_m.y, 0.0], (t_s - before_s) * at.speed_m_per_s)?;
+    Ok((id, t_s))
+}
+
+impl Built {
+    fn new(graph: &Graph, missing: &BTreeSet<String>) -> Result<Self, TeamError> {
+        let usual = OdometryNoise::default();
+        let noise = OdometryNoise { turn_rad_per_rt_m: usual.turn_rad_per_rt_m.max(graph.heading_sd_rad), ..usual };
+        let mut seen: Vec<&Seen> = graph.seen.iter().filter(|seen| !missing.contains(&seen.peer)).collect();
+        seen.sort_by(|a, b| a.middle_s().total_cmp(&b.middle_s()));
+        let moving: BTreeSet<&String> =
+            seen.iter().filter(|seen| seen.other.is_some()).map(|seen| &seen.peer).collect();
+        let mut team = Team::default();
+        let robot = team.robot(&graph.name, true, noise)?;
+        let mut built = Self { team, own: Vec::new(), peers: BTreeMap::new() };
+        for seen in seen {
+            let before = built.own.last().map(|(before, _)| *before);
+            let own = add(&mut built.team, robot, seen.middle_s(), seen.own, before)?;
+            let to = built.peer(graph, seen, moving.contains(&seen.peer).then_some(noise))?;
+            built.team.link(own.0, to, &seen.modes, LINK_OUTLIERS)?;
+            built.own.push((own, seen.clone()));
+        }
+        let is_known = |name: &String| graph.asked.places.contains_key(name) && !moving.contains(name);
+        if !graph.asked.places.is_empty() && !built.peers.keys().any(is_known) {
+            return Err(TeamError::Unlinked { robot: graph.name.clone() });
+        }
+        if let Some(((last, _), seen)) = built.own.last().filter(|_| graph.asked.places.is_empty()) {
+            built.team.prior(*last, [seen.own.mean_m.x, seen.own.mean_m.y, 0.0], [GAUGE_SD; 3])?;
+        }
+        Ok(built)
+    }
+
+    /// The keyframe of the peer that a bearing is of; `noise` is that of its odometry if it moves.
+    fn peer(&mut self, graph: &Graph, seen: &Seen, noise: Option<OdometryNoise>) -> Result<KeyframeId, TeamError> {
+        let (known, free) = (self.peers.get(&seen.peer).copied(), f64::INFINITY);
+        if let Some((place, _)) = known.filter(|_| noise.is_none()) {
+            return Ok(place);
+        }
+        let robot = match known {
+            Some(_) => self.team.named(&seen.peer)?,
+            None => self.team.robot(&seen.peer, noise.is_some(), noise.unwrap_or_default())?,
+        };
+        let still = Stretch { mean_m: Vector2::zeros(), speed_m_per_s: 0.0 };
+        let keyframe = add(&mut self.team, robot, seen.middle_s(), seen.other.unwrap_or(still), known)?;
+        match graph.asked.places.get(&seen.peer) {
+            Some([x, y]) if noise.is_none() => {
+                self.team.prior(keyframe.0, [*x, *y, 0.0], [PLACE_SD_M, PLACE_SD_M, free])?;
+            }
+            _ if noise.is_some() && known.is_none() && graph.asked.places.is_empty() => {
+                // Its frame has the axes of this robot's.
+                let sd_rad = graph.heading_sd_rad.max(AXES_SD_RAD);
+                self.team.prior(keyframe.0, [0.0; 3], [free, free, sd_rad])?;
+            }
+            _ => {}
+        }
+        self.peers.insert(seen.peer.clone(), keyframe);
+        Ok(keyframe.0)
+    }
+
+    fn state(&self, graph: &Graph, found: &Solution) -> TeamState {
+        let mut robots: Vec<Member> = self.own_member(graph, found).into_iter().collect();
+        let odometry = self.own.last().map(|((last, _), seen)| odometry(found.pose(*last), seen)).unwrap_or_default();
+        robots.extend(self.peers.iter().map(|(name, (keyframe, t_s))| {
+            let [x, y, _] = found.pose(*keyframe);
+            let mut covariance = found.covariance(*keyframe);
+            covariance.row_mut(2).fill(0.0);
+            covariance.column_mut(2).fill(0.0);
+            let other = |pose: &[f64; 3]| [pose[0], pose[1]];
+            Member {
+                name: name.clone(),
+                t_s: *t_s,
+                position_m: [x, y],
+                heading_rad: None,
+                covariance: covariance.transpose().into(),
+                others_m: found.others.iter().filter_map(|own| own.poses.get(keyframe.index()).map(other)).collect(),
+            }
+        }));
+        let frame = (!graph.asked.places.is_empty()).then(|| graph.asked.frame.clone());
+        let factors = factors::json(&self.team, found).into();
+        TeamState { frame, odometry, robots, factors, ..TeamState::default() }
+    }
+
+    /// This robot at the end of its last bearing.
+    fn own_member(&self, graph: &Graph, found: &Solution) -> Option<Member> {
+        let ((last, _), seen) = self.own.last()?;
+        let at = |pose: [f64; 3]| {
+            let [x, y, yaw] = odometry(pose, seen);
+            Vector2::new(x, y) + Rotation2::new(yaw) * seen.end_m
+        };
+        let pose = found.pose(*last);
+        let end = at(pose);
+        // An error of the keyframe's yaw turns the way from there to the end.
+        let mut turn = Matrix3::identity();
+        (turn[(0, 2)], turn[(1, 2)]) = (pose[1] - end.y, end.x - pose[0]);
+        let covariance = turn * found.covariance(*last) * turn.transpose();
+        let others = found.others.iter().filter_map(|own| own.poses.get(last.index()));
+        Some(Member {
+            name: graph.name.clone(),
+            t_s: seen.span_s[1],
+            position_m: end.into(),
+            heading_rad: seen.heading_rad.map(|heading| wrap_rad(heading + pose[2])),
+            covariance: covariance.transpose().into(),
+            others_m: others.map(|pose| at(*pose).into()).collect(),
+        })
+    }
+}
+
+/// Pose of the odometry's frame, by the pose of a bearing's keyframe.
+fn odometry([x, y, yaw]: [f64; 3], seen: &Seen) -> [f64; 3] {
+    let origin = Vector2::new(x, y) - Rotation2::new(yaw) * seen.own.mean_m;
+    [origin.x, origin.y, yaw]
+}
+
+/// A graph that is solved on its own thread, so that the robot never waits for it.
+pub struct Solver {
+    graph: Graph,
+    /// The graph has a bearing that was not given to the thread.
+    is_new: bool,
+    to: SyncSender<Graph>,
+    from: Receiver<Result<TeamState, String>>,
+    state: TeamState,
+}
+
+impl Solver {
+    /// Starts the thread, if the configuration asks for a graph.
+    ///
+    /// # Errors
+    /// If it cannot be started.
+    pub fn start(config: &Config, name: &str) -> Result<Option<Self>, Error> {
+        let Some(graph) = Graph::new(config, name) else { return Ok(None) };
+        let (to, asked) = sync_channel::<Graph>(0);
+        let (tell, from) = sync_channel(1);
+        let solve = move || {
+            while let Ok(graph) = asked.recv() {
+                if tell.send(graph.solve().map_err(|why| why.to_string())).is_err() {
+                    return;
+                }
+            }
+        };
+        let thread = std::thread::Builder::new().name("csi5300 team".into()).spawn(solve);
+        thread.map_err(|source| Error::Io { what: "cannot start the thread that solves the team".into(), source })?;
+        Ok(Some(Self { graph, is_new: false, to, from, state: TeamState::default() }))
+    }
+
+    /// Takes the machine's last report about a peer.
+    pub fn note(&mut self, peer: usize, report: &PeerReport, machine: &Machine) {
+        self.is_new |= self.graph.note(peer, report, machine);
+    }
+
+    /// The team as solved last. A graph with new bearings is solved next.
+    pub fn look(&mut self) -> &TeamState {
+        match self.from.try_recv() {
+            Ok(Ok(state)) => self.state = TeamState { solved: self.state.solved + 1, ..state },
+            Ok(Err(why)) => self.state.notes = vec![why],
+            Err(TryRecvError::Empty | TryRecvError::Disconnected) => {}
+        }
+        // A thread that still solves is given the graph at a later look.
+        if self.is_new && self.to.try_send(self.graph.clone()).is_ok() {
+            self.is_new = false;
+        }
+        &self.state
+    }
+}
