@@ -173,43 +173,22 @@ impl Profile {
     }
 }
 
-/// The profile variance \[wsr-ijrr\] about the highest peak, as the WSR toolbox \[wsr\] has it: lower is sharper, 1 is a uniform
-/// profile.
-///
-/// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped
-/// around the circle (WSR_Module.cpp:1352; there in single precision). None for an empty grid or a single direction.
-#[cfg(test)]
-pub(crate) fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
-    profile_variance(profile, profile.grid.shape().0, |row, column, columns| profile.values[row * columns + column])
-}
-
 /// The profile variance \[wsr-ijrr\] about the highest peak: lower is sharper, 1 is a uniform profile.
 ///
 /// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped around the
 /// circle, as in the planar mode of the WSR toolbox \[wsr\] (WSR_Module.cpp:1352; there in single precision): one row of
-/// azimuths, repeated for each of its 90 polar angles; the highest of equal entries is the last. None for an empty grid.
+/// azimuths, repeated for each of its 90 polar angles; the highest of equal entries is the last, so the peak is in the last row.
+/// None for an empty grid.
 pub(crate) fn wsr_planar_profile_variance(azimuths: &Profile) -> Option<f64> {
-    profile_variance(azimuths, WSR_ROWS, |_, column, _| azimuths.values[column])
-}
-
-fn profile_variance(profile: &Profile, rows: usize, value: impl Fn(usize, usize, usize) -> f64) -> Option<f64> {
-    let columns = profile.grid.shape().1;
-    let (peak, _) = profile.max()?;
-    // Of one row that is repeated, the last one holds the last of the highest entries.
-    let peak_row = if rows > profile.grid.shape().0 { rows - 1 } else { peak / columns };
-    let peak_column = peak % columns;
+    let (peak, _) = azimuths.max()?;
+    let columns = azimuths.values.len();
+    let up2 = (0..WSR_ROWS).map(|up| (up * up) as f64).sum::<f64>() / WSR_ROWS as f64;
     let (mut weighted, mut plain, mut sum) = (0.0, 0.0, 0.0);
-    for row in 0..rows {
-        let up = row.abs_diff(peak_row) as f64;
-        for column in 0..columns {
-            let across = column.abs_diff(peak_column);
-            let across = across.min(columns - across) as f64;
-            let (d2, value) = (across * across + up * up, value(row, column, columns));
-            weighted += d2 * value;
-            plain += d2;
-            sum += value;
-        }
+    for (column, value) in azimuths.values.iter().enumerate() {
+        let across = column.abs_diff(peak);
+        let across = across.min(columns - across) as f64;
+        let d2 = across * across + up2;
+        (weighted, plain, sum) = (weighted + d2 * value, plain + d2, sum + value);
     }
-    let n = (rows * columns) as f64;
-    (plain > 0.0 && sum > 0.0).then(|| (weighted / sum) / (plain / n))
+    (plain > 0.0 && sum > 0.0).then(|| (weighted / sum) / (plain / columns as f64))
 }

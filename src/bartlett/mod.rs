@@ -55,8 +55,6 @@ pub use error::Error;
 pub use estimate::{Estimate, Peak, SearchOptions};
 pub use explain::{ElevationSearch, Explanation, Method, Precision, ProfileOptions, SearchPlan};
 pub(crate) use grid::wsr_planar_profile_variance;
-#[cfg(test)]
-use grid::wsr_profile_variance;
 pub use grid::{Grid, Profile, direction};
 pub use planner::Planner;
 pub use scene::{Geometry, Shape};

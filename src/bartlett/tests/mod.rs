@@ -345,20 +345,28 @@ fn grids_have_the_directions_they_promise() {
 }
 
 #[test]
-fn profile_variance_is_one_for_a_flat_profile_and_small_for_a_sharp_one() {
-    let grid = Grid::azimuth(360);
-    let flat = Profile { grid: grid.clone(), values: vec![0.5; 360], sum_abs: 1.0 };
-    assert!((wsr_profile_variance(&flat).unwrap() - 1.0).abs() < 1e-12);
-    assert!((flat.likelihood_share().unwrap() - 1.0 / 360.0).abs() < 1e-15);
-    let row: Vec<f64> = (0..360).map(|i| f64::from(i * 37 % 101)).collect();
-    let tiled = Profile { grid: Grid::wsr(), values: row.repeat(90), sum_abs: 1.0 };
-    let planar = Profile { grid: Grid::wsr_azimuths(), values: row, sum_abs: 1.0 };
-    assert_eq!(wsr_profile_variance(&tiled), wsr_planar_profile_variance(&planar));
-    let mut values = vec![0.0; 360];
-    (values[359], values[0]) = (1.0, 0.5);
-    let sharp = Profile { grid, values, sum_abs: 1.0 };
-    // The neighbour across the wrap is one step away: (0.5 * 1 / 1.5) / (mean d^2).
-    let mean: f64 = (0..360).map(|i: i32| f64::from(i.min(360 - i)).powi(2)).sum::<f64>() / 360.0;
-    assert!((wsr_profile_variance(&sharp).unwrap() - (1.0 / 3.0) / mean).abs() < 1e-15);
-    assert!((sharp.likelihood_share().unwrap() - 2.0 / 3.0).abs() < 1e-15);
+fn profile_variance_is_that_of_the_row_repeated_for_each_polar_angle() {
+    // By its definition; steps across the wrap are single ones.
+    let tiled = |row: &[f64]| {
+        let peak = row.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0 as i32;
+        let (mut weighted, mut plain) = (0.0, 0.0);
+        for up in 0..90 {
+            for (column, value) in row.iter().enumerate() {
+                let across = (column as i32 - peak).rem_euclid(360).min((peak - column as i32).rem_euclid(360));
+                let d2 = f64::from(across * across + up * up);
+                (weighted, plain) = (weighted + d2 * value, plain + d2);
+            }
+        }
+        weighted / (90.0 * row.iter().sum::<f64>()) / (plain / (90.0 * 360.0))
+    };
+    let profile = |values: Vec<f64>| Profile { grid: Grid::wsr_azimuths(), values, sum_abs: 1.0 };
+    let mut sharp = vec![0.0; 360];
+    (sharp[359], sharp[0]) = (1.0, 0.5);
+    for row in [vec![0.5; 360], (0..360).map(|i| f64::from(i * 37 % 101)).collect(), sharp.clone()] {
+        let found = wsr_planar_profile_variance(&profile(row.clone())).unwrap();
+        assert!((found / tiled(&row) - 1.0).abs() < 1e-12, "{found}");
+    }
+    assert!((wsr_planar_profile_variance(&profile(vec![0.5; 360])).unwrap() - 1.0).abs() < 1e-12);
+    assert!((profile(vec![0.5; 360]).likelihood_share().unwrap() - 1.0 / 360.0).abs() < 1e-15);
+    assert!((profile(sharp).likelihood_share().unwrap() - 2.0 / 3.0).abs() < 1e-15);
 }
