@@ -127,6 +127,9 @@ pub struct Options {
     pub keep_course: bool,
     /// Whether the change of the distance from exchange to exchange is computed too.
     pub range_change: bool,
+    /// Whether the figures of merit of other programs are computed too.
+    #[doc(hidden)] // for the crates of this workspace
+    pub figures: bool,
     /// Which steps are taken, and the limits of the prior.
     pub accuracy: Accuracy,
     /// Standard deviation of the positions' short-term error, metres: it decides whether the motion's depth
@@ -163,6 +166,7 @@ impl Options {
             accuracy: Accuracy::default(),
             parallel: false,
             keep_course: false,
+            figures: true,
             range_change: false,
             odometry_sd_m: sensor::POSITION_M,
             tier: Tier::detect(),
@@ -237,6 +241,14 @@ impl Options {
     #[must_use]
     pub fn with_range_change(mut self, range_change: bool) -> Self {
         self.range_change = range_change;
+        self
+    }
+
+    /// With or without [`crate::pipeline::Bearing::figures`].
+    #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
+    pub fn with_figures(mut self, figures: bool) -> Self {
+        self.figures = figures;
         self
     }
 

@@ -28,18 +28,22 @@ impl DriftLine {
 /// The median of the slopes between pairs half a record apart (after Theil and Sen \[theil-sen\]), then least squares without
 /// the pairs that are further than 25 us from the line, four times over.
 pub fn drift_line(clock_us: &[i64], difference_us: &[i64]) -> DriftLine {
-    drift_line_by(clock_us, difference_us, clock_us.len() / 2)
+    drift_line_of(clock_us, difference_us, slope_between(clock_us, difference_us, clock_us.len() / 2))
 }
 
-/// The same by the slopes between pairs `lag` apart. A turn-around that steps to another level tilts the line only if more than
-/// half of them have the step between them, and the shorter they are the fewer have.
-pub(super) fn drift_line_by(clock_us: &[i64], difference_us: &[i64], lag: usize) -> DriftLine {
-    let n = clock_us.len();
-    let slope_between = |k: usize| {
+/// The median of the slopes between pairs `lag` apart. A turn-around that steps to another level tilts it only if more than half of
+/// them have the step between them, and the shorter they are the fewer have.
+pub(super) fn slope_between(clock_us: &[i64], difference_us: &[i64], lag: usize) -> f64 {
+    let slope = |k: usize| {
         let run = (clock_us[k + lag] - clock_us[k]) as f64;
         (run > 0.0).then(|| (difference_us[k + lag] - difference_us[k]) as f64 / run)
     };
-    let slope = median((0..n - lag).filter_map(slope_between).collect());
+    median((0..clock_us.len() - lag).filter_map(slope).collect())
+}
+
+/// The line about one of this slope.
+pub(super) fn drift_line_of(clock_us: &[i64], difference_us: &[i64], slope: f64) -> DriftLine {
+    let n = clock_us.len();
     let origin = clock_us[0] as f64;
     let y = median((0..n).map(|k| difference_us[k] as f64 - slope * (clock_us[k] as f64 - origin)).collect());
     let mut line = DriftLine { slope, x: origin, y };

@@ -1,5 +1,6 @@
 //! The search for the carrier frequency offset `df` that makes the product's phase steady.
 
+use crate::maths::vertex;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
@@ -16,7 +17,7 @@ const DRIFT_HZ: f64 = 4_000.0;
 const GAIN_PER_BLOCK: f64 = 2.0;
 
 /// Step of the search, Hz (the coherence is 8 kHz wide).
-const STEP_HZ: f64 = 400.0;
+const STEP_HZ: f64 = 800.0;
 
 /// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
 /// histogram makes the search over `df` as cheap as the jitter is small.
@@ -148,36 +149,13 @@ impl Turning {
     }
 }
 
-/// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: a grid, then golden sections.
+/// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: on a grid, and between its points by a parabola.
 pub(super) fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
-    let step_hz = STEP_HZ;
-    let steps = (reach_hz / step_hz) as i32;
-    let from_hz = near_hz - f64::from(steps) * step_hz;
-    let mut turning = Turning::new(terms, from_hz, step_hz);
-    let mut best = (f64::NEG_INFINITY, near_hz);
-    for k in 0..=2 * steps {
-        let value = turning.next().norm_sqr();
-        if value > best.0 {
-            best = (value, from_hz + f64::from(k) * step_hz);
-        }
-    }
-    let f = |hz: f64| sum_at(terms, hz).norm_sqr();
-    let ratio = (5f64.sqrt() - 1.0) / 2.0;
-    let (mut low, mut high) = (best.1 - step_hz, best.1 + step_hz);
-    let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
-    let (mut at_a, mut at_b) = (f(a), f(b));
-    while high - low > 0.5 {
-        if at_a >= at_b {
-            (high, b, at_b) = (b, a, at_a);
-            a = high - ratio * (high - low);
-            at_a = f(a);
-        } else {
-            (low, a, at_a) = (a, b, at_b);
-            b = low + ratio * (high - low);
-            at_b = f(b);
-        }
-    }
-    0.5 * (low + high)
+    let steps = (reach_hz / STEP_HZ) as i32;
+    let from_hz = near_hz - f64::from(steps) * STEP_HZ;
+    let mut turning = Turning::new(terms, from_hz, STEP_HZ);
+    let values: Vec<f64> = (0..=2 * steps).map(|_| turning.next().norm_sqr()).collect();
+    from_hz + STEP_HZ * vertex(&values)
 }
 
 #[cfg(test)]

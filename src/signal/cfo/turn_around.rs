@@ -1,6 +1,6 @@
 //! The phase `2 pi df d` that the jitter `d` of the turn-around leaves: `df` estimated, the phase removed.
 
-use super::drift_line::{DriftLine, drift_line_by, median};
+use super::drift_line::{DriftLine, drift_line_of, median, slope_between};
 use super::offset::{Term, along, course, maximise, second_differences, sum_at};
 use num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -49,18 +49,15 @@ impl TurnAround {
         if n < 8 || clock_rx_us.len() != n || difference_us.len() != n || clock_rx_us[n - 1] <= clock_rx_us[0] {
             return None;
         }
-        let lines: Vec<DriftLine> = [2, 4, 8]
-            .map(|parts| drift_line_by(clock_rx_us, difference_us, (n / parts).max(1)))
-            .into_iter()
-            .filter(|line| line.slope.abs() <= MAX_DRIFT)
-            .collect();
+        let slopes = [2, 4, 8].map(|parts| slope_between(clock_rx_us, difference_us, (n / parts).max(1)));
+        let line = |slope: f64| drift_line_of(clock_rx_us, difference_us, slope);
         let terms = second_differences(z, clock_rx_us, difference_us);
         let total: f64 = terms.iter().map(|term| term.count).sum();
         if total < 4.0 {
             return None;
         }
         let coherence = |df_hz: f64| sum_at(&terms, df_hz).norm() / total;
-        let (line, df_hz) = by_lines(&lines, &terms, carrier_hz, 2.0 * total.sqrt())?;
+        let (line, df_hz) = by_lines(&slopes, &line, &terms, carrier_hz, 2.0 * total.sqrt())?;
         let residual = |k: usize| (difference_us[k] as f64 - line.at(clock_rx_us[k] as f64)).abs();
         let jitter_median_us = median((0..n).map(residual).collect());
         let (before, mut after) = (coherence(0.0), coherence(df_hz));
@@ -105,23 +102,36 @@ impl TurnAround {
     }
 }
 
-/// The offset near the drift by one of the lines, and that line: the first, unless the sum of the terms is greater by `gain`
-/// with an offset that was not within its reach. `None` without lines.
+/// The offset near the drift by one of the lines, each through a slope, and that line: the first, unless the sum of the terms is
+/// greater by `gain` with an offset that was not within its reach. `None` without lines.
 ///
 /// A turn-around that steps by 140 us in the middle of 20 s tilts the first line by 14 ppm, 75 kHz of a carrier at 5.3 GHz.
-fn by_lines(lines: &[DriftLine], terms: &[Term], carrier_hz: f64, gain: f64) -> Option<(DriftLine, f64)> {
+fn by_lines(
+    slopes: &[f64],
+    line: &dyn Fn(f64) -> DriftLine,
+    terms: &[Term],
+    carrier_hz: f64,
+    gain: f64,
+) -> Option<(DriftLine, f64)> {
     let mut searched: Vec<f64> = Vec::new();
     let mut best: Option<(f64, DriftLine, f64)> = None;
-    for line in lines {
-        let near_hz = line.slope * carrier_hz;
-        if searched.iter().any(|hz| (hz - near_hz).abs() < 0.5 * SEARCH_HZ) {
+    let is_searched = |searched: &[f64], slope: f64| {
+        slope.abs() > MAX_DRIFT || searched.iter().any(|hz| (hz - slope * carrier_hz).abs() < 0.5 * SEARCH_HZ)
+    };
+    for slope in slopes {
+        if is_searched(&searched, *slope) {
             continue;
         }
+        let line = line(*slope);
+        if is_searched(&searched, line.slope) {
+            continue;
+        }
+        let near_hz = line.slope * carrier_hz;
         searched.push(near_hz);
         let df_hz = maximise(terms, near_hz, SEARCH_HZ);
         let sum = sum_at(terms, df_hz).norm();
         if best.as_ref().is_none_or(|(greatest, ..)| sum > greatest + gain) {
-            best = Some((sum, *line, df_hz));
+            best = Some((sum, line, df_hz));
         }
     }
     best.map(|(_, line, df_hz)| (line, df_hz))

@@ -293,7 +293,8 @@ fn accuracy(text: &str) -> std::result::Result<f64, String> {
 impl Args {
     /// Options with the effort that the accuracy needs, and with what is drawn or printed beside the bearing.
     fn asked(&self, options: Options) -> Options {
-        let mut options = options.with_range_change(self.json);
+        let has_figures = self.json || csi5300_say::says(csi5300_say::Level::Verbose);
+        let mut options = options.with_range_change(self.json).with_figures(has_figures);
         #[cfg(feature = "plot")]
         {
             options = options.with_keep_course(self.plot.is_some());

@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> Result {
     check_pictures(args, &[])?;
     let reading = args.reading();
     let source = reading.source();
-    let options = reading.options().unwrap_or_else(|message| usage(&message));
+    let options = reading.options().unwrap_or_else(|message| usage(&message)).with_figures(args.json);
     let (captures, unreadable) = find_all(args.folders.iter())?;
     let captures = reading.mounted(captures);
     #[cfg(feature = "plot")]
