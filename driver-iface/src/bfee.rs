@@ -682,6 +682,8 @@ const GAP: usize = 3;
 const WORD: usize = 8;
 /// Bytes of a load for one sample.
 const LOAD: usize = 4;
+/// Bytes of one sample of every subcarrier, and of the rest of the last load.
+const COLUMN: usize = 2 * SUBCARRIERS + LOAD;
 /// Samples in one 64-bit load at any bit offset: 48 bits and at most 7 before them.
 const PER_WORD: usize = 3;
 
@@ -884,15 +886,22 @@ fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8]
 /// One sample of every subcarrier: gathered first, so that widening vectorises.
 #[inline(always)]
 fn column_f32_all<const N: usize>(payload: &[u8], index: usize, out: &mut [[f32; 2]; SUBCARRIERS]) -> Option<()> {
-    let mut bytes = Lines([0; 2 * SUBCARRIERS + LOAD]);
+    widen(&gather::<N>(payload, index)?.0, out.as_flattened_mut());
+    Some(())
+}
+
+/// The bytes of one sample of every subcarrier.
+#[inline(always)]
+fn gather<const N: usize>(payload: &[u8], index: usize) -> Option<Lines<COLUMN>> {
+    let payload = payload.get(..60 * N + 12)?;
+    let mut bytes = Lines([0; COLUMN]);
     for octave in 0..3 {
         let from = octave * (GAP + 16 * N) + 2 * index;
         gather_run::<N, 8>(payload.get(from..from + 14 * N + 6)?, bytes.0.get_mut(16 * octave..)?);
     }
     let from = 3 * (GAP + 16 * N) + 2 * index;
     gather_run::<N, 6>(payload.get(from..from + 10 * N + 5)?, bytes.0.get_mut(48..)?);
-    widen(&bytes.0, out.as_flattened_mut());
-    Some(())
+    Some(bytes)
 }
 
 /// One sample of each of `COUNT` consecutive subcarriers, the first of which begins on a byte of `payload`, as every eighth one
@@ -1024,6 +1033,21 @@ impl Bfee<'_> {
     pub fn column(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [Iq]) -> Option<usize> {
         let index = self.column_index(rx, tx, subcarriers)?;
         let n = self.n_rx() * self.n_tx();
+        if is_whole(subcarriers) {
+            let bytes = match n {
+                1 => gather::<1>(self.payload(), index),
+                2 => gather::<2>(self.payload(), index),
+                3 => gather::<3>(self.payload(), index),
+                4 => gather::<4>(self.payload(), index),
+                6 => gather::<6>(self.payload(), index),
+                _ => gather::<9>(self.payload(), index),
+            }?;
+            let pairs = bytes.0.as_chunks::<2>().0;
+            for (out, [i, q]) in out.get_mut(..SUBCARRIERS)?.iter_mut().zip(pairs) {
+                *out = Iq { i: i.cast_signed(), q: q.cast_signed() };
+            }
+            return Some(SUBCARRIERS);
+        }
         for (out, &subcarrier) in out.get_mut(..subcarriers.len())?.iter_mut().zip(subcarriers) {
             let bit = bit_of(usize::from(subcarrier), 0, n);
             let [i, q] = Place::new(self.payload().len(), bit, index).sample(self.payload()).map(u8::cast_signed);

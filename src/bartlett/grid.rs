@@ -175,41 +175,25 @@ impl Profile {
 ///
 /// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped around the
 /// circle, as in the planar mode of the WSR toolbox \[wsr\] (WSR_Module.cpp:1352; there in single precision): one row of
-/// azimuths, repeated for each of its 90 polar angles; the highest of equal entries is the last. None for an empty grid.
+/// azimuths, repeated for each of its 90 polar angles; the highest of equal entries is the last, so the peak is in the last row.
+/// None for an empty grid.
 pub(crate) fn wsr_planar_profile_variance(azimuths: &Profile) -> Option<f64> {
-    profile_variance(azimuths, WSR_ROWS, |_, column, _| azimuths.values[column])
-}
-
-fn profile_variance(profile: &Profile, rows: usize, value: impl Fn(usize, usize, usize) -> f64) -> Option<f64> {
-    let columns = profile.grid.shape().1;
-    let (peak, _) = profile.max()?;
-    // Of one row that is repeated, the last one holds the last of the highest entries.
-    let peak_row = if rows > profile.grid.shape().0 { rows - 1 } else { peak / columns };
-    let peak_column = peak % columns;
+    let (peak, _) = azimuths.max()?;
+    let columns = azimuths.values.len();
+    let up2 = (0..WSR_ROWS).map(|up| (up * up) as f64).sum::<f64>() / WSR_ROWS as f64;
     let (mut weighted, mut plain, mut sum) = (0.0, 0.0, 0.0);
-    for row in 0..rows {
-        let up = row.abs_diff(peak_row) as f64;
-        for column in 0..columns {
-            let across = column.abs_diff(peak_column);
-            let across = across.min(columns - across) as f64;
-            let (d2, value) = (across * across + up * up, value(row, column, columns));
-            weighted += d2 * value;
-            plain += d2;
-            sum += value;
-        }
+    for (column, value) in azimuths.values.iter().enumerate() {
+        let across = column.abs_diff(peak);
+        let across = across.min(columns - across) as f64;
+        let d2 = across * across + up2;
+        (weighted, plain, sum) = (weighted + d2 * value, plain + d2, sum + value);
     }
-    let n = (rows * columns) as f64;
-    (plain > 0.0 && sum > 0.0).then(|| (weighted / sum) / (plain / n))
+    (plain > 0.0 && sum > 0.0).then(|| (weighted / sum) / (plain / columns as f64))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// The profile variance of a profile over a grid of directions.
-    fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
-        profile_variance(profile, profile.grid.shape().0, |row, column, columns| profile.values[row * columns + column])
-    }
 
     #[test]
     fn grids_have_the_directions_they_promise() {
@@ -227,21 +211,29 @@ mod tests {
     }
 
     #[test]
-    fn profile_variance_is_one_for_a_flat_profile_and_small_for_a_sharp_one() {
-        let grid = Grid::azimuth(360);
-        let flat = Profile { grid: grid.clone(), values: vec![0.5; 360], sum_abs: 1.0 };
-        assert!((wsr_profile_variance(&flat).unwrap() - 1.0).abs() < 1e-12);
-        assert!((flat.likelihood_share().unwrap() - 1.0 / 360.0).abs() < 1e-15);
-        let row: Vec<f64> = (0..360).map(|i| f64::from(i * 37 % 101)).collect();
-        let tiled = Profile { grid: Grid::wsr(), values: row.repeat(90), sum_abs: 1.0 };
-        let planar = Profile { grid: Grid::wsr_azimuths(), values: row, sum_abs: 1.0 };
-        assert_eq!(wsr_profile_variance(&tiled), wsr_planar_profile_variance(&planar));
-        let mut values = vec![0.0; 360];
-        (values[359], values[0]) = (1.0, 0.5);
-        let sharp = Profile { grid, values, sum_abs: 1.0 };
-        // The neighbour across the wrap is one step away: (0.5 * 1 / 1.5) / (mean d^2).
-        let mean: f64 = (0..360).map(|i: i32| f64::from(i.min(360 - i)).powi(2)).sum::<f64>() / 360.0;
-        assert!((wsr_profile_variance(&sharp).unwrap() - (1.0 / 3.0) / mean).abs() < 1e-15);
-        assert!((sharp.likelihood_share().unwrap() - 2.0 / 3.0).abs() < 1e-15);
+    fn profile_variance_is_that_of_the_row_repeated_for_each_polar_angle() {
+        // By its definition; steps across the wrap are single ones.
+        let tiled = |row: &[f64]| {
+            let peak = row.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0 as i32;
+            let (mut weighted, mut plain) = (0.0, 0.0);
+            for up in 0..90 {
+                for (column, value) in row.iter().enumerate() {
+                    let across = (column as i32 - peak).rem_euclid(360).min((peak - column as i32).rem_euclid(360));
+                    let d2 = f64::from(across * across + up * up);
+                    (weighted, plain) = (weighted + d2 * value, plain + d2);
+                }
+            }
+            weighted / (90.0 * row.iter().sum::<f64>()) / (plain / (90.0 * 360.0))
+        };
+        let profile = |values: Vec<f64>| Profile { grid: Grid::wsr_azimuths(), values, sum_abs: 1.0 };
+        let mut sharp = vec![0.0; 360];
+        (sharp[359], sharp[0]) = (1.0, 0.5);
+        for row in [vec![0.5; 360], (0..360).map(|i| f64::from(i * 37 % 101)).collect(), sharp.clone()] {
+            let found = wsr_planar_profile_variance(&profile(row.clone())).unwrap();
+            assert!((found / tiled(&row) - 1.0).abs() < 1e-12, "{found}");
+        }
+        assert!((wsr_planar_profile_variance(&profile(vec![0.5; 360])).unwrap() - 1.0).abs() < 1e-12);
+        assert!((profile(vec![0.5; 360]).likelihood_share().unwrap() - 1.0 / 360.0).abs() < 1e-15);
+        assert!((profile(sharp).likelihood_share().unwrap() - 2.0 / 3.0).abs() < 1e-15);
     }
 }

@@ -76,6 +76,11 @@ pub struct LinkJoin<'a> {
 /// # Errors
 /// See [`LinkError`].
 pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing, LinkError> {
+    bearing_in(join, join.receiver.motion(), options)
+}
+
+/// The same with the receiver's motion.
+fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<Bearing, LinkError> {
     let LinkJoin { link, receiver, transmitter } = *join;
     something(link, receiver, options)?;
     let phases = Compensated::new(link, options);
@@ -83,7 +88,7 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
     // If a robot moves far between irregular frames, phases look as random as those of two runs, but they follow its
     // motion.
     let doubt = of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err());
-    let gate = Gate::new(link, receiver, transmitter, &times_s, options);
+    let gate = Gate::new(link, (receiver, motion), transmitter, &times_s, options);
     let found = gate.pass(&times_s, &phases.z).and_then(|mut gated| {
         gated.pairs.no_pose_by_transmitter = match options.join {
             JoinBy::Time => link.outside_by_transmitter(receiver, options),
@@ -96,7 +101,7 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
             gated = gated.within(stretch, &gate)?;
         }
         let task = options.task(&gated.samples, receiver);
-        let found = estimate(&task, || phases.round_trips(link, options), &gated.used)?;
+        let found = estimate(&task, || phases.round_trips(link, &gated.used, options))?;
         Ok((gated, found))
     });
     let follows =
@@ -113,7 +118,7 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
         range_change: options.range_change.then(|| gated.range_change(&found, link, &phases, options)),
         sufficient: found.sufficient,
         heading_rad: gated.heading_rad,
-        figures: ProfileFigures::of(samples)?,
+        figures: if options.figures { ProfileFigures::of(samples)? } else { ProfileFigures::default() },
         compensated: phases.compensated,
         turn_around: phases.turn_around,
         chain_constants: Vec::new(),
@@ -134,10 +139,15 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
 /// The bearings of all links of a capture, in their order.
 #[must_use]
 pub fn estimate_all(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing, LinkError>> {
-    match options.parallel {
-        true => links.par_iter().map(|join| bearing(join, options)).collect(),
-        false => links.iter().map(|join| bearing(join, options)).collect(),
-    }
+    // Links of one capture share their receiver, and so its motion.
+    let Some((first, motion)) = links.first().map(|join| (join.receiver, join.receiver.motion())) else {
+        return Vec::new();
+    };
+    let one = |join: &LinkJoin<'_>| {
+        let is_shared = std::ptr::eq(join.receiver, first);
+        bearing_in(join, if is_shared { motion } else { join.receiver.motion() }, options)
+    };
+    if options.parallel { links.par_iter().map(one).collect() } else { links.iter().map(one).collect() }
 }
 
 /// What the receiver's odometry gets wrong, from the phases of all links, and the trajectory without it, with the deviation of its heading.
@@ -172,12 +182,12 @@ fn stretches(join: &LinkJoin<'_>, options: &Options, number: usize) -> Result<Ve
     };
     let (phases, times_s) = usable().map_err(|_| None)?;
     let probe = receiver.with_antenna_offset(PROBE_M * Vector3::x()).map_err(|_| Some(odometry::NO_HEADINGS))?;
-    let gate = Gate::new(link, &probe, transmitter, &times_s, options);
+    let gate = Gate::new(link, (&probe, probe.motion()), transmitter, &times_s, options);
     let gated = gate.pass(&times_s, &phases.z).map_err(|_| None)?;
     let poses: Option<Vec<Pose>> = gated.samples.t_s().iter().map(|t_s| receiver.at(*t_s)).collect();
     let poses = poses.filter(|poses| !poses.is_empty()).ok_or(None)?;
     let task = options.task(&gated.samples, receiver);
-    odometry::stretches(&task, phases.round_trips(link, options), &gated.used, &poses, number).map_err(Some)
+    odometry::stretches(&task, phases.round_trips(link, &gated.used, options), &poses, number).map_err(Some)
 }
 
 /// Refuses a link without any pair to join.
@@ -279,10 +289,10 @@ impl Compensated {
         spread_us.map_or(Ok(()), |spread_us| Err(LinkError::NotOfOneRun { spread_us }))
     }
 
-    /// The round trips on all subcarriers, with the rotation of those at the channel centre.
-    fn round_trips(&self, link: &Link, options: &Options) -> Vec<Planes> {
-        let turns = link.rows().iter().zip(&self.z).map(|(row, z)| z / row.z);
-        round_trips(link.frames(), turns, options.tier)
+    /// The round trips of these rows on all subcarriers, with the rotation of those at the channel centre.
+    fn round_trips(&self, link: &Link, used: &[usize], options: &Options) -> Vec<Planes> {
+        let (rows, frames) = (link.rows(), link.frames());
+        round_trips(used.iter().map(|&k| (&frames[k], self.z[k] / rows[k].z)), options.tier)
     }
 }
 
@@ -314,17 +324,16 @@ struct PairPlace {
 impl<'a> Gate<'a> {
     fn new(
         link: &Link,
-        receiver: &'a Trajectory,
+        receiver: (&'a Trajectory, Motion),
         transmitter: Option<&'a Trajectory>,
         times_s: &[f64],
         options: &'a Options,
     ) -> Self {
         let by_time = link.first_us().filter(|_| options.join == JoinBy::Time);
         let first_s = by_time.map(|us| us as f64 * 1e-6 + options.clock_offset_s);
-        let with_motion = |trajectory: &'a Trajectory| (trajectory, trajectory.motion());
         Self {
-            receiver: with_motion(receiver),
-            transmitter: transmitter.map(with_motion),
+            receiver,
+            transmitter: transmitter.map(|trajectory| (trajectory, trajectory.motion())),
             options,
             first_s: first_s.or_else(|| times_s.first().copied()).unwrap_or(NEVER_S),
             before: link.counts_before(),
@@ -400,8 +409,7 @@ impl Gated {
         options: &Options,
     ) -> Result<RangeChange, NoRangeChange> {
         let mode = found.modes.first().ok_or(NoRangeChange::Doubtful { direction_sd_rad: f64::INFINITY })?;
-        let all = phases.round_trips(link, options);
-        let rows = self.used.iter().map(|&k| all.get(k).copied().unwrap_or(Planes::ZERO)).collect();
+        let rows = phases.round_trips(link, &self.used, options);
         let indices = options.channel.subcarriers();
         let place = (&mode.place, found.direction_sd_rad());
         range_change(&self.samples, rows, &indices, place, found.middle_m, options.tier)

@@ -530,6 +530,19 @@ fn delimiter(row: &str) -> char {
 }
 
 fn cells_by(row: &str, by: char) -> Vec<&str> {
+    let is_cell = |cell: &&str| by != ' ' || !cell.is_empty();
+    let mut cells: Vec<&str> = match row.contains('"') {
+        true => quoted(row, by).into_iter().filter(is_cell).collect(),
+        false => row.split(by).map(str::trim).filter(is_cell).collect(),
+    };
+    while cells.last().is_some_and(|last| last.is_empty()) {
+        cells.pop();
+    }
+    cells
+}
+
+/// The parts of a row with quotes.
+fn quoted(row: &str, by: char) -> Vec<&str> {
     let quotes = row.bytes().filter(|byte| *byte == b'"').count() % 2 == 0;
     let (mut inside, mut begins) = (false, true);
     let parts = row.split(|letter: char| {
@@ -538,12 +551,7 @@ fn cells_by(row: &str, by: char) -> Vec<&str> {
         begins = ends || (begins && letter == ' ');
         ends
     });
-    let parts = parts.map(|cell| cell.trim().trim_matches('"').trim());
-    let mut cells: Vec<&str> = parts.filter(|cell| by != ' ' || !cell.is_empty()).collect();
-    while cells.last().is_some_and(|last| last.is_empty()) {
-        cells.pop();
-    }
-    cells
+    parts.map(|cell| cell.trim().trim_matches('"').trim()).collect()
 }
 
 fn number(cell: &str) -> Option<f64> {
@@ -904,7 +912,7 @@ impl Rows {
             return Ok(());
         }
         let begun = self.counts.rows + self.counts.bad_rows > 0;
-        if is_comment(text) || (is_words(&cells) && !begun && !self.has_name_first(&cells, text)) {
+        if is_comment(text) || (!begun && is_words(&cells) && !self.has_name_first(&cells, text)) {
             if !begun && self.head.len() < HEAD {
                 self.head.push((line, text.to_owned()));
             }

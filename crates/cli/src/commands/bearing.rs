@@ -307,7 +307,9 @@ fn accuracy(text: &str) -> std::result::Result<f64, String> {
 impl Args {
     /// Options with the effort that the accuracy needs, and with what is drawn or printed beside the bearing.
     fn asked(&self, options: Options) -> Options {
-        let mut options = options.with_range_change(self.json).with_fit_odometry(self.fit.is_some());
+        let has_figures = self.json || says(Level::Verbose);
+        let mut options = options.with_range_change(self.json).with_figures(has_figures);
+        options = options.with_fit_odometry(self.fit.is_some());
         #[cfg(feature = "plot")]
         {
             options = options.with_keep_course(self.plot.is_some());

@@ -6,7 +6,7 @@ use super::quality::horizontal;
 use super::shelf::Shelf;
 use super::truth::{EvaluateError, Truth};
 use csi5300::maths::wrap_rad;
-use csi5300::motion::pose::Trajectory;
+use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Answer, Bearing, CaptureReport, LinkReport, Options, Transmitter, bearings, lost_something};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::CsiSource;
@@ -169,11 +169,15 @@ impl Capture {
                 look(&self.link_name(name), bearing, &options);
             }
         }
+        let start = reference.as_ref().and_then(|reference| {
+            let at_s = reference.motion().window_s.map_or(reference.span_s().0, |(from, _)| from);
+            reference.at(at_s)
+        });
         let judged = |((name, path), link): ((&str, &Option<Trajectory>), &LinkReport)| {
             let answer = Answer::new(self.link_name(name), link);
             let times_s = link.bearing.as_ref().map(|bearing| bearing.samples.t_s()).unwrap_or_default();
             let transmitter = TruePlace { still_m: truth.place(name), path: path.as_ref() };
-            let judged = judge(answer, &transmitter, (&trajectory, reference.as_ref()), times_s);
+            let judged = judge(answer, &transmitter, (start, reference.as_ref()), times_s);
             Judged { heading_sd_rad: Some(heading_sd_rad), ..judged }
         };
         let names = self.transmitters.iter().map(|(name, _)| name.as_str());
@@ -296,27 +300,23 @@ impl TruePlace<'_> {
     }
 }
 
-/// `own` is the bearing's trajectory. The origin of its frame may differ from the reference's.
+/// `start` is the reference's first pose in motion. The origin of its frame may differ from that of the bearing's.
 fn judge(
     answer: Answer,
     transmitter: &TruePlace<'_>,
-    (own, reference): (&Trajectory, Option<&Trajectory>),
+    (start, reference): (Option<Pose>, Option<&Trajectory>),
     times_s: &[f64],
 ) -> Judged {
     let position = transmitter.mean(times_s);
     let bearing_from =
         |from: Vector3<f64>, to: Option<Vector2<f64>>| to.map(|p| (p.y - from.y).atan2(p.x - from.x).to_degrees());
-    let start = reference.and_then(|reference| {
-        let at_s = reference.motion().window_s.map_or(reference.span_s().0, |(from, _)| from);
-        reference.at(at_s)
-    });
-    let mean_of = |path: &Trajectory| {
+    let mean = reference.and_then(|path| {
         let seen: Vec<_> = times_s.iter().filter_map(|&t| path.at(t)).collect();
         let sum = seen.iter().fold(Vector3::zeros(), |sum, pose| sum + pose.position_m);
         (!seen.is_empty()).then(|| sum / seen.len() as f64)
-    };
-    let mean = reference.and_then(mean_of);
-    let origin_m = mean.zip(mean_of(own)).map_or(Vector2::zeros(), |(there, here)| (there - here).xy());
+    });
+    let origin_m =
+        mean.zip(answer.origin_m).map_or(Vector2::zeros(), |(there, here)| (there - Vector3::from(here)).xy());
     let true_from_start_deg = start.and_then(|pose| bearing_from(pose.position_m, transmitter.at(pose.t_s)));
     let true_from_mean_pose_deg = mean.and_then(|mean| bearing_from(mean, position));
     let reported = answer.position_m.zip(answer.position_t_s.and_then(|t_s| transmitter.at(t_s)));
