@@ -47,7 +47,7 @@ impl Default for Output {
 
 impl Output {
     /// True if the line of state is shown.
-    pub fn shows_line(&self) -> bool {
+    pub(crate) fn shows_line(&self) -> bool {
         match self.status_line {
             StatusLine::Auto => std::io::stderr().is_terminal(),
             StatusLine::Always => true,

@@ -91,6 +91,10 @@ fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&s
     text += doubts;
     if sure(answer).is_some_and(|sure| sure < FAIR) {
         text += &why(answer);
+        // With `-v` the candidates stand among the details.
+        if details.is_none() {
+            text += &next_step(answer);
+        }
     }
     if let Some(details) = details {
         text += &quality(answer);
@@ -171,7 +175,7 @@ fn origin(answer: &Answer) -> String {
     }
 }
 
-/// What makes an answer poor, and what to do next.
+/// What makes an answer poor.
 fn why(answer: &Answer) -> String {
     let mut text = String::new();
     // That question stands above.
@@ -188,12 +192,19 @@ fn why(answer: &Answer) -> String {
     } else if has_rival(answer) {
         text += "  Why: other directions explain the samples about as well.\n";
     } else {
-        text += "  Why: the peak is wide. A longer way, or a second one with a turn in it, makes it narrower.\n";
+        text += "  Why: the peak is wide. A longer drive, or one with a turn, makes it narrower.\n";
     }
-    if has_rival(answer) && answer.mirror_deg.is_none() {
-        text += &places(&answer.candidates);
+    text
+}
+
+/// Other directions of a poor answer, and what to look at next.
+fn next_step(answer: &Answer) -> String {
+    if answer.pair_counts.may_be_exchanged() {
+        return String::new();
     }
-    text + "  Look at the pictures (--plot DIR); -v prints details.\n"
+    let others = has_rival(answer) && answer.mirror_deg.is_none();
+    let candidates = if others { places(&answer.candidates) } else { String::new() };
+    candidates + "  Look at the pictures (--plot DIR); -v prints details.\n"
 }
 
 /// The elevation: with its sign where the motion distinguishes up from down.
@@ -261,6 +272,8 @@ mod tests {
         {
             assert!(poor.contains(words), "{words}: {poor}");
         }
+        let long = describe_with(&answer(0.35, |_| ()), MirrorOf::Motion, "", Some(""));
+        assert!(long.contains("28 % of the phases") && !long.contains("-v prints details"), "{long}");
         assert!(describe_with(&answer(0.6, |_| ()), MirrorOf::Motion, "", None).contains("FAIR: 60 %"));
         let wide = describe_with(&answer(0.35, |answer| answer.coherence = Some(0.6)), MirrorOf::Motion, "", None);
         assert!(wide.contains("the peak is wide"), "{wide}");
