@@ -110,9 +110,7 @@ impl OdometryFit {
     }
 
     /// The antenna's trajectory by these errors; none without headings.
-    #[must_use]
-    #[doc(hidden)] // for the crates of this workspace
-    pub fn corrected(&self, trajectory: &Trajectory) -> Option<Trajectory> {
+    pub(crate) fn corrected(&self, trajectory: &Trajectory) -> Option<Trajectory> {
         let offset_m = Vector3::new(self.forward_m.value, self.left_m.value, 0.0);
         trajectory.with_errors(self.scale.value, self.turn.value, offset_m).ok()
     }

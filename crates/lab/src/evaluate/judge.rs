@@ -154,12 +154,10 @@ impl Capture {
         let mut options = options.clone().with_heading_sd_rad(Some(heading_sd_rad));
         options.channel = channel;
         let moved = self.moved(shelf, source, &mut notes)?;
-        let cut = part.cut(&trajectory)?;
-        let (report, failed) = self.estimate(shelf, &cut, &moved, &options)?;
+        let (report, failed) = self.estimate(shelf, &part.cut(&trajectory)?, &moved, &options)?;
         let fit = report.links.iter().find_map(|link| link.bearing.as_ref().ok()?.odometry_fit.as_ref());
         let fit = fit.filter(|fit| fit.refused.is_none());
         let heading_sd_rad = fit.map_or(heading_sd_rad, |fit| fit.heading_sd_rad(heading_sd_rad));
-        let trajectory = fit.and_then(|fit| fit.corrected(&cut)).unwrap_or(trajectory);
         let paths = match source {
             TrajectorySource::GroundTruth => moved,
             _ => self.moved(shelf, TrajectorySource::GroundTruth, &mut Vec::new())?,
