@@ -134,8 +134,8 @@ impl Field {
             for length in (0..lengths).rev() {
                 let mut power = f32x8::splat(simd, 0.0);
                 for sum in &work.sums[..blocks] {
-                    let sum = f32x8::from_slice(simd, sum);
-                    power = sum.mul_add(sum, power);
+                    let (re, im) = (f32x8::from_slice(simd, &sum[..COLUMNS]), f32x8::from_slice(simd, &sum[COLUMNS..]));
+                    power = re.mul_add(re, im.mul_add(im, power));
                 }
                 let power: f32 = power.as_slice().iter().sum();
                 shares[length] = if own.full[length] > 0.0 { f64::from(power) / own.full[length] } else { 0.0 };
@@ -201,40 +201,36 @@ impl Work {
     }
 }
 
-/// Adds a row times `cos` and times `sin` to the sums. A closure in its place would not always be inlined into the code for AVX;
-/// each vector operation is then a call.
+/// Adds a row to the sums of `re cos`, `im sin`, `re sin` and `im cos`. A closure in its place would not always be inlined
+/// into the code for AVX; each vector operation is then a call.
 #[inline(always)]
-fn add<S: Simd>(simd: S, sums: &mut [f32x8<S>; 2], row: &[f32; 2 * COLUMNS], cos: f32, sin: f32) {
-    let row = f32x8::from_slice(simd, row);
-    sums[0] = row.mul_add(f32x8::splat(simd, cos), sums[0]);
-    sums[1] = row.mul_add(f32x8::splat(simd, sin), sums[1]);
+fn add<S: Simd>(simd: S, sums: &mut [f32x8<S>; 4], row: &[f32; 2 * COLUMNS], cos: f32, sin: f32) {
+    let (re, im) = (f32x8::from_slice(simd, &row[..COLUMNS]), f32x8::from_slice(simd, &row[COLUMNS..]));
+    let (cos, sin) = (f32x8::splat(simd, cos), f32x8::splat(simd, sin));
+    sums[0] = re.mul_add(cos, sums[0]);
+    sums[1] = im.mul_add(sin, sums[1]);
+    sums[2] = re.mul_add(sin, sums[2]);
+    sums[3] = im.mul_add(cos, sums[3]);
 }
-
-/// Rows at a time, with sums of their own: none waits for another.
-const ABREAST: usize = 4;
 
 /// `sum row e` over a window, column by column.
 #[inline(always)]
 fn window<S: Simd>(simd: S, rows: &[[f32; 2 * COLUMNS]], cos: &[f32], sin: &[f32]) -> [f32; 2 * COLUMNS] {
-    let mut sums = [[f32x8::splat(simd, 0.0); 2]; ABREAST];
-    let (some_rows, last_rows) = rows.as_chunks::<ABREAST>();
-    let ((some_cos, last_cos), (some_sin, last_sin)) = (cos.as_chunks::<ABREAST>(), sin.as_chunks::<ABREAST>());
-    for ((rows, cos), sin) in some_rows.iter().zip(some_cos).zip(some_sin) {
-        for k in 0..ABREAST {
-            add(simd, &mut sums[k], &rows[k], cos[k], sin[k]);
-        }
+    // Two rows at a time, four sums each: no sum waits for another.
+    let mut sums = [[f32x8::splat(simd, 0.0); 4]; 2];
+    let (two_rows, last_row) = rows.as_chunks::<2>();
+    let ((two_cos, last_cos), (two_sin, last_sin)) = (cos.as_chunks::<2>(), sin.as_chunks::<2>());
+    for ((rows, cos), sin) in two_rows.iter().zip(two_cos).zip(two_sin) {
+        add(simd, &mut sums[0], &rows[0], cos[0], sin[0]);
+        add(simd, &mut sums[1], &rows[1], cos[1], sin[1]);
     }
-    for ((row, cos), sin) in last_rows.iter().zip(last_cos).zip(last_sin) {
+    for ((row, cos), sin) in last_row.iter().zip(last_cos).zip(last_sin) {
         add(simd, &mut sums[0], row, *cos, *sin);
     }
-    let [a, b, c, d] = sums;
-    let (by_cos, by_sin) = ((a[0] + b[0]) + (c[0] + d[0]), (a[1] + b[1]) + (c[1] + d[1]));
-    let (by_cos, by_sin) = (by_cos.as_slice(), by_sin.as_slice());
+    let [[re_cos, im_sin, re_sin, im_cos], odd] = sums;
     let mut out = [0.0; 2 * COLUMNS];
-    for column in 0..COLUMNS {
-        out[column] = by_cos[column] - by_sin[COLUMNS + column];
-        out[COLUMNS + column] = by_sin[column] + by_cos[COLUMNS + column];
-    }
+    ((re_cos + odd[0]) - (im_sin + odd[1])).store_slice(&mut out[..COLUMNS]);
+    ((re_sin + odd[2]) + (im_cos + odd[3])).store_slice(&mut out[COLUMNS..]);
     out
 }
 

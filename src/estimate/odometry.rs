@@ -18,7 +18,7 @@
 //!    leave (Laplace's approximation).
 
 use super::likelihood::{Field, Place};
-use super::signal::{Aperture, Bins};
+use super::signal::Aperture;
 use super::{Task, channels, heading, tuning};
 use crate::maths::unwrap_rad;
 use crate::motion::pose::{Pose, Trajectory};
@@ -110,7 +110,9 @@ impl OdometryFit {
     }
 
     /// The antenna's trajectory by these errors; none without headings.
-    pub(crate) fn corrected(&self, trajectory: &Trajectory) -> Option<Trajectory> {
+    #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
+    pub fn corrected(&self, trajectory: &Trajectory) -> Option<Trajectory> {
         let offset_m = Vector3::new(self.forward_m.value, self.left_m.value, 0.0);
         trajectory.with_errors(self.scale.value, self.turn.value, offset_m).ok()
     }
@@ -183,6 +185,7 @@ pub(crate) struct Stretch {
 pub(crate) fn stretches(
     task: &Task<'_>,
     rows: Vec<Planes>,
+    used: &[usize],
     poses: &[Pose],
     link: usize,
 ) -> Result<Vec<Stretch>, &'static str> {
@@ -194,8 +197,7 @@ pub(crate) fn stretches(
     if (high - low).z > TALL * (high - low).xy().norm() {
         return Err("the motion is not level");
     }
-    let bins = Bins::along(&probe, samples.wavelength_m());
-    let (_, apertures) = channels(task, &bins, rows);
+    let (_, apertures, bins) = channels(task, &probe, rows, used);
     let means = |of: Vec<Vector3<f64>>| bins.points_m(&of);
     let plane = |of: Vec<Vector3<f64>>| means(of).iter().map(|p| Complex64::new(p.x, p.y)).collect::<Vec<_>>();
     let at_m = plane(poses.iter().map(|pose| pose.position_m).collect());
@@ -685,6 +687,7 @@ mod tests {
             one_way: true,
             tier: Tier::detect(),
         };
+        let used: Vec<usize> = (0..poses.len()).collect();
         let mut all = Vec::new();
         for link in 0..3 {
             let mut row = |p: &Vector3<f64>| {
@@ -702,7 +705,7 @@ mod tests {
                 row
             };
             let rows: Vec<Planes> = antenna_m.iter().map(&mut row).collect();
-            all.extend(stretches(&task, rows, &poses, link).unwrap());
+            all.extend(stretches(&task, rows, &used, &poses, link).unwrap());
         }
         fit(all, false)
     }

@@ -27,8 +27,6 @@ const FALSE_ALARM: f64 = 0.001;
 const LEAST_SAMPLES: usize = 32;
 /// Phases of a wave with less of the power wrap too often for least squares.
 const LEAST_SHARE: f64 = 0.25;
-/// With more of it all samples are looked at: what noise is left of their means might be less than what averaging does.
-const CLEAR_SHARE: f64 = 0.9;
 /// Steps of least squares at most.
 const STEPS: usize = 12;
 /// Azimuths of the posterior on either side of the most likely one, and how far the first of them goes in deviations.
@@ -120,13 +118,13 @@ struct Wave<'a> {
 }
 
 /// Looks for one wave next to `start`, or next to `plane_wave` if there is none. `points` are the displacements of
-/// `samples` about their middle, `bins` which of them are averaged to see at less cost what is no noise.
+/// `samples` about their middle.
 ///
 /// # Errors
 /// What else there is.
 pub(crate) fn explain(
     samples: &Samples,
-    (points, bins): (&[Vector3<f64>], &Bins),
+    points: &[Vector3<f64>],
     (plane_wave, start): (&Estimate, Option<Place>),
     prior: &Prior,
     steps: &Steps,
@@ -139,21 +137,12 @@ pub(crate) fn explain(
     let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
     let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
     let mut wave = Wave { samples, points, kappa, prior, open };
-    let place = start.unwrap_or_else(|| best_start(samples, (points, bins), plane_wave, prior, steps, tier));
-    let mut at = At { place, scale: 0.0 };
-    let share = explained(&wave, &at);
+    let place = start.unwrap_or_else(|| best_start(samples, points, plane_wave, prior, steps, tier));
+    let share = explained(&wave, &At { place, scale: 0.0 });
     if share < LEAST_SHARE {
         return Err(Unexplained::Faint(share));
     }
-    if share < CLEAR_SHARE
-        && let Some(means) = bins.samples(samples, points).filter(|means| means.len() >= LEAST_SAMPLES)
-    {
-        let fit =
-            Wave { samples: &means, points: means.receiver_m(), ..wave }.settled(at).ok_or(Unexplained::NoPlace)?;
-        whiteness(&fit.left, tier)?;
-        at = fit.at;
-    }
-    let Fit { at, left } = wave.settled(at).ok_or(Unexplained::NoPlace)?;
+    let Fit { at, left } = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
     whiteness(&left, tier)?;
     unambiguous(&wave, &at, plane_wave, steps)?;
     let peak = highest_peak(&wave, &at, &left, plane_wave, tier)?;
@@ -172,13 +161,14 @@ pub(crate) fn explain(
 /// The best of the places about the plane wave, on a grid.
 fn best_start(
     samples: &Samples,
-    (points, bins): (&[Vector3<f64>], &Bins),
+    points: &[Vector3<f64>],
     plane_wave: &Estimate,
     prior: &Prior,
     steps: &Steps,
     tier: Tier,
 ) -> Place {
-    let aperture = Aperture::of_phasors(samples.z(), bins, samples.path_gain());
+    let bins = Bins::for_start(points, samples.wavelength_m());
+    let aperture = Aperture::of_phasors(samples.z(), &bins, samples.path_gain());
     let field =
         Field::new(&bins.points_m(points), vec![aperture], samples.wavelength_m(), 1.0 + bins.len() as f64, 1, tier);
     let elevation = plane_wave.signed_elevation_rad.unwrap_or(plane_wave.abs_elevation_rad);

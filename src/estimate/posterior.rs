@@ -8,7 +8,7 @@
 use super::likelihood::{Field, Place};
 use super::prior::{Cell, Prior};
 use super::tuning;
-use crate::maths::{vertex, wrap_rad};
+use crate::maths::wrap_rad;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::{PI, TAU};
 
@@ -16,18 +16,16 @@ use std::f64::consts::{PI, TAU};
 const FINE: usize = 9;
 /// Times that a fine grid closes in at most: each time by half at least, a thousandfold.
 const CLOSER: usize = 10;
-/// Atoms of no more mass do not count.
-const NOTHING: f64 = 1e-7;
 /// What is this far below the highest, in logarithms, holds less than a tenth of a percent.
 const NEGLIGIBLE: f64 = 7.0;
 /// Tops this far below the highest are looked at closely: they may hold some percent.
 const CLOSE: f64 = 4.0;
 /// Tops that are looked at closely at most.
 const TOPS: usize = 6;
-/// Means of samples times places that a search may take: a fifth of a second of one core.
-const MOST: f64 = 4.5e7;
+/// Samples times places that a search may take: a second of one core.
+const MOST: f64 = 3e8;
 /// The coarsest azimuths of a grid, radians.
-const COARSEST_RAD: f64 = 5.0 * PI / 180.0;
+const COARSEST_RAD: f64 = 4.0 * PI / 180.0;
 
 /// Probability at one azimuth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,8 +68,8 @@ impl Steps {
         let by_elevation = (window_m * prior.elevation_rad[1].sin() + tall_m).min(window_m).max(0.1 * turn_m);
         Self {
             azimuth,
-            elevation: if prior.is_signed() { 2.0 * turn_m / by_elevation } else { turn_m / window_m },
-            curve: 2.0 * turn_m / (window_m * radius_m.max(window_m)),
+            elevation: if prior.is_signed() { turn_m / by_elevation } else { 0.5 * turn_m / window_m },
+            curve: turn_m / (window_m * radius_m.max(window_m)),
         }
     }
 
@@ -200,10 +198,8 @@ impl Coarse {
         let Some(local) = local else {
             let atoms: Vec<Atom> = basin.iter().map(atom).collect();
             let cells = self.bounds(top);
-            let count = self.logs.len();
-            let around = [count - 1, 0, 1].map(|step| self.logs[(top + step) % count]);
             let place = prior.at_height(Place {
-                azimuth: wrap_rad((top as f64 + vertex(&around) - 1.0) * spacing),
+                azimuth: atom(&top).azimuth,
                 elevation: cells.elevation.1,
                 curve: cells.curve.1,
             });
@@ -354,7 +350,7 @@ impl Local {
         );
         let covariance = second / total - mean * mean.transpose();
         let logs: Vec<f64> = cells.chunks(each).map(log_sum).collect();
-        let place = Place { azimuth: wrap_rad(azimuth(0) + width * vertex(&logs)), elevation: mean[1], curve: mean[2] };
+        let place = Place { azimuth: wrap_rad(azimuth(0) + width * top(&logs)), elevation: mean[1], curve: mean[2] };
         Self { place, covariance, cell, bounds, logs }
     }
 
@@ -386,6 +382,16 @@ impl Local {
             mass: (log - highest).exp() * width,
         })
     }
+}
+
+/// The place of the maximum, in steps from the first: a parabola through the highest value and its neighbours.
+fn top(logs: &[f64]) -> f64 {
+    let best = logs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
+    let (Some(before), Some(after)) = (best.checked_sub(1).and_then(|k| logs.get(k)), logs.get(best + 1)) else {
+        return best as f64;
+    };
+    let bend = before - 2.0 * logs[best] + after;
+    best as f64 + if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
 /// How far an azimuth may be off beyond what the posterior of one wave says.
@@ -431,7 +437,7 @@ const FULL_WIDTH: f64 = 2.354_820_045;
 /// Probability that the truth is within `half_rad` of one of `centres`.
 pub(crate) fn mass_within(modes: &[Mode], blur: &Blur, centres: &[f64], half_rad: f64) -> f64 {
     let (mut explained, mut kernel, mut of) = (0.0, Kernel::new(blur, 0.0), f64::NAN);
-    for atom in modes.iter().flat_map(|mode| &mode.atoms).filter(|atom| atom.mass > NOTHING) {
+    for atom in modes.iter().flat_map(|mode| &mode.atoms).filter(|atom| atom.mass > 0.0) {
         if atom.width != of {
             (kernel, of) = (Kernel::new(blur, atom.width), atom.width);
         }

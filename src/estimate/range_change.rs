@@ -16,10 +16,10 @@
 //! Conventions are those of [`crate::signal::samples`]: a longer path lowers the phase.
 
 use super::likelihood::Place;
-use super::signal::align;
+use super::signal::{align, remove_slope};
 use crate::bartlett::{self, Tier};
 use crate::signal::channel::SUBCARRIERS;
-use crate::signal::planes::Planes;
+use crate::signal::planes::{LANES, Planes};
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, Vector3};
 use num_complex::{Complex32, Complex64};
@@ -139,6 +139,7 @@ pub(crate) fn range_change(
     if direction_sd_rad.is_nan() || direction_sd_rad > PREDICTION {
         return Err(NoRangeChange::Doubtful { direction_sd_rad });
     }
+    remove_slope(&mut rows, indices, tier);
     align(&mut rows, indices, tier);
     let wavenumber = TAU * f64::from(samples.path_gain()) / wavelength_m;
     let prediction = Prediction::of(place, &points);
@@ -224,18 +225,22 @@ impl Steps {
         let mut sums = vec![Planes::ZERO; self.len()];
         for ((step, row), range_m) in self.of.iter().zip(rows).zip(range_m) {
             let turn = Complex64::cis(wavenumber * range_m);
-            sums[*step].add(&row.scaled(Complex32::new(turn.re as f32, turn.im as f32)));
+            sums[*step].add(&scaled(row, Complex32::new(turn.re as f32, turn.im as f32)));
         }
         sums.iter_mut().for_each(|sum| *sum = unit(sum));
         sums
     }
 }
 
+fn scaled(row: &Planes, by: Complex32) -> Planes {
+    row.times(&Planes { re: [by.re; LANES], im: [by.im; LANES] })
+}
+
 /// A row of unit power, or zeros.
 fn unit(row: &Planes) -> Planes {
     let power: f32 = row.sizes().iter().map(|size| size * size).sum();
     let by = 1.0 / power.sqrt();
-    if by.is_finite() { row.scaled(Complex32::new(by, 0.0)) } else { Planes::ZERO }
+    if by.is_finite() { scaled(row, Complex32::new(by, 0.0)) } else { Planes::ZERO }
 }
 
 /// The distance by odometry.
@@ -331,7 +336,7 @@ fn phasors(rows: &[Planes], mean_m: &[f64], wavenumber: f64) -> Vec<Complex64> {
     let mut common = Planes::ZERO;
     for (row, mean_m) in rows.iter().zip(mean_m) {
         let turn = Complex64::cis(wavenumber * mean_m);
-        common.add(&row.scaled(Complex32::new(turn.re as f32, turn.im as f32)));
+        common.add(&scaled(row, Complex32::new(turn.re as f32, turn.im as f32)));
     }
     let common = unit(&common);
     let along = |row: &Planes| {
@@ -536,7 +541,6 @@ impl Followed {
 mod tests {
     use super::*;
     use crate::signal::channel::INDICES_20_MHZ;
-    use crate::signal::planes::LANES;
 
     const WAVELENGTH_M: f64 = 0.054_114_162;
     const WAVENUMBER: f64 = 2.0 * TAU / WAVELENGTH_M;

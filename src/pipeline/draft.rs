@@ -101,7 +101,7 @@ fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<
             gated = gated.within(stretch, &gate)?;
         }
         let task = options.task(&gated.samples, receiver);
-        let found = estimate(&task, || phases.round_trips(link, &gated.used, options))?;
+        let found = estimate(&task, || phases.round_trips(link, options), &gated.used)?;
         Ok((gated, found))
     });
     let follows =
@@ -187,7 +187,7 @@ fn stretches(join: &LinkJoin<'_>, options: &Options, number: usize) -> Result<Ve
     let poses: Option<Vec<Pose>> = gated.samples.t_s().iter().map(|t_s| receiver.at(*t_s)).collect();
     let poses = poses.filter(|poses| !poses.is_empty()).ok_or(None)?;
     let task = options.task(&gated.samples, receiver);
-    odometry::stretches(&task, phases.round_trips(link, &gated.used, options), &poses, number).map_err(Some)
+    odometry::stretches(&task, phases.round_trips(link, options), &gated.used, &poses, number).map_err(Some)
 }
 
 /// Refuses a link without any pair to join.
@@ -289,10 +289,10 @@ impl Compensated {
         spread_us.map_or(Ok(()), |spread_us| Err(LinkError::NotOfOneRun { spread_us }))
     }
 
-    /// The round trips of these rows on all subcarriers, with the rotation of those at the channel centre.
-    fn round_trips(&self, link: &Link, used: &[usize], options: &Options) -> Vec<Planes> {
-        let (rows, frames) = (link.rows(), link.frames());
-        round_trips(used.iter().map(|&k| (&frames[k], self.z[k] / rows[k].z)), options.tier)
+    /// The round trips on all subcarriers, with the rotation of those at the channel centre.
+    fn round_trips(&self, link: &Link, options: &Options) -> Vec<Planes> {
+        let turns = link.rows().iter().zip(&self.z).map(|(row, z)| z / row.z);
+        round_trips(link.frames(), turns, options.tier)
     }
 }
 
@@ -409,7 +409,8 @@ impl Gated {
         options: &Options,
     ) -> Result<RangeChange, NoRangeChange> {
         let mode = found.modes.first().ok_or(NoRangeChange::Doubtful { direction_sd_rad: f64::INFINITY })?;
-        let rows = phases.round_trips(link, &self.used, options);
+        let all = phases.round_trips(link, options);
+        let rows = self.used.iter().map(|&k| all.get(k).copied().unwrap_or(Planes::ZERO)).collect();
         let indices = options.channel.subcarriers();
         let place = (&mode.place, found.direction_sd_rad());
         range_change(&self.samples, rows, &indices, place, found.middle_m, options.tier)

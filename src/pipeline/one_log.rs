@@ -720,8 +720,9 @@ impl Together {
             let turn = self.turns.get(*baseline).copied().unwrap_or(Complex64::ONE);
             sender.rows.get(*row).map_or(Planes::ZERO, |row| row.planes(*baseline, turn))
         };
+        let all: Vec<usize> = (0..self.samples.len()).collect();
         let rows = || std::iter::repeat_n(Planes::ONE, self.anchors).chain(self.rows.iter().map(planes)).collect();
-        Ok(estimate(&options.task(&self.samples, trajectory), rows)?)
+        Ok(estimate(&options.task(&self.samples, trajectory), rows, &all)?)
     }
 }
 

@@ -81,18 +81,6 @@ impl Planes {
         }
     }
 
-    /// Every place's conjugate.
-    #[inline(always)]
-    pub fn conj(&self) -> Self {
-        Self { re: self.re, im: lanes(|k| -self.im[k]) }
-    }
-
-    /// Every place times one factor.
-    #[inline(always)]
-    pub fn scaled(&self, by: Complex32) -> Self {
-        self.times(&Self { re: [by.re; LANES], im: [by.im; LANES] })
-    }
-
     /// The magnitude of each place.
     #[inline(always)]
     pub fn sizes(&self) -> Lanes {
@@ -105,11 +93,12 @@ impl Planes {
     }
 }
 
-/// The round trip of each pair (forward, backward) of frames, of unit power and with its rotation; zeros if it is not finite.
-pub(crate) fn round_trips<'a>(pairs: impl Iterator<Item = (&'a [Heard; 2], Complex64)>, tier: Tier) -> Vec<Planes> {
-    let mut rows = Vec::with_capacity(pairs.size_hint().0);
+/// The round trip of each pair (forward, backward) of frames, of unit power and with the given rotation; zeros if it is
+/// not finite.
+pub(crate) fn round_trips(pairs: &[[Heard; 2]], turns: impl Iterator<Item = Complex64>, tier: Tier) -> Vec<Planes> {
+    let mut rows = Vec::with_capacity(pairs.len());
     on_tier!(tier.level_or_portable(), _simd => {
-        for (pair, turn) in pairs {
+        for (pair, turn) in pairs.iter().zip(turns) {
             rows.push(round_trip(pair, turn));
         }
     });
@@ -122,7 +111,7 @@ fn round_trip([forward, backward]: &[Heard; 2], turn: Complex64) -> Planes {
     let power = lanes(|k| product.re[k] * product.re[k] + product.im[k] * product.im[k]);
     let factor = Complex32::new(turn.re as f32, turn.im as f32) / (sum(&power) / SUBCARRIERS as f32).sqrt();
     let factor = if factor.is_finite() { factor } else { Complex32::default() };
-    product.scaled(factor)
+    product.times(&Planes { re: [factor.re; LANES], im: [factor.im; LANES] })
 }
 
 /// The CSI, unscaled.
@@ -180,7 +169,7 @@ mod tests {
         let product: Vec<Complex32> = forward.iter().zip(&backward).map(|(a, b)| wide(*a) * wide(*b)).collect();
         let power = product.iter().map(Complex32::norm_sqr).sum::<f32>() / SUBCARRIERS as f32;
         for tier in Tier::available() {
-            let rows = round_trips(pairs.iter().map(|pair| (pair, turn)), tier);
+            let rows = round_trips(&pairs, [turn; 2].into_iter(), tier);
             let own = row(&rows[0]);
             let expected = product.iter().map(|v| v * Complex32::cis(0.4) / power.sqrt());
             assert!(own.iter().zip(expected).all(|(got, expected)| (got - expected).norm() < 1e-6), "{tier:?}");
