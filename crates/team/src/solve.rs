@@ -22,14 +22,12 @@ const LIARS: f64 = 0.05;
 /// Limit of minima at which outlier shares are learnt.
 const SETTLED: usize = 4;
 
-/// Other places for robots are tried again after a gain, at most so often.
-const ROUNDS: usize = 8;
+/// Limit of other places tried for robots, in a first solution and in later ones; the robots' links cost least there.
+const TRIED: [usize; 2] = [6, 2];
 
-/// Such places are tried if the robot's links cost there at most this much more, ...
-const DEARER: f64 = 5.0;
-
-/// ... or if they are among this many of the least costly.
-const TRIED: usize = 8;
+/// After a gain of more than this in cost, the remaining places are computed anew, at most so often.
+const GAIN: f64 = 5.0;
+const ROUNDS: usize = 4;
 
 /// Descents from perturbations of the best minimum, and the size of these, metres and radians.
 const KICKS: usize = 8;
@@ -495,7 +493,9 @@ impl Problem<'_> {
     /// Tries other places for each robot among the others, and adds the minima found. With `is_suspect_only`, for robots with
     /// more outliers than other links.
     fn place_again(&mut self, settled: &mut Vec<Settled>, is_suspect_only: bool) {
-        for _ in 0..ROUNDS {
+        let tried = TRIED[usize::from(is_suspect_only)];
+        let rounds = if is_suspect_only { 1 } else { ROUNDS };
+        for _ in 0..rounds {
             let Some(best) = settled.first() else { return };
             let (cost, null_shares) = (best.cost, best.null_shares.clone());
             let robots = (0..self.team.robots.len()).filter(|robot| !is_suspect_only || self.is_suspect(best, *robot));
@@ -503,8 +503,8 @@ impl Problem<'_> {
                 robots.flat_map(|robot| again(self.team, &best.state, &null_shares, robot)).collect();
             states.sort_by(|a, b| a.0.total_cmp(&b.0));
             let mut lowest = cost;
-            for (k, (dearer, state)) in states.into_iter().enumerate() {
-                if lowest < cost - DEARER || (k >= TRIED && dearer > DEARER) {
+            for (_, state) in states.into_iter().take(tried) {
+                if lowest < cost - GAIN {
                     break;
                 }
                 self.null_shares.clone_from(&null_shares);
@@ -517,7 +517,7 @@ impl Problem<'_> {
                 }
             }
             settled.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-            if lowest >= cost - DEARER {
+            if lowest >= cost - GAIN {
                 return;
             }
         }
