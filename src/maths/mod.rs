@@ -9,5 +9,5 @@ mod order;
 
 pub use angle::{unwrap_rad, wrap_rad};
 pub(crate) use counter::unwrap_near;
-pub(crate) use order::{lower_rank, upper_median, upper_median_ord, vertex};
+pub(crate) use order::{lower_rank, upper_median, upper_median_ord};
 pub use order::{median, nearest_rank, percentile};

@@ -54,17 +54,6 @@ fn upper_median_by<T: Copy>(values: &mut [T], order: impl FnMut(&T, &T) -> Order
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, order).1)
 }
 
-/// The place of the maximum, in steps from the first: a parabola through the highest value and its neighbours.
-#[must_use]
-pub(crate) fn vertex(values: &[f64]) -> f64 {
-    let best = values.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
-    let (Some(before), Some(after)) = (best.checked_sub(1).and_then(|k| values.get(k)), values.get(best + 1)) else {
-        return best as f64;
-    };
-    let bend = before - 2.0 * values[best] + after;
-    best as f64 + if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

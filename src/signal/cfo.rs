@@ -13,7 +13,7 @@
 //! [`round_trip_at_centre`] brings the product of the two directions to the channel's centre, `round_trips_at_centre` of many pairs at
 //! once; `drift_line` fits the drift of one card's clock against the other's; [`TurnAround`] searches for `df` and removes it.
 
-use crate::maths::{upper_median, vertex, wrap_rad};
+use crate::maths::{upper_median, wrap_rad};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::samples::Coherent;
 use csi5300_kernels::simd::{Tier, V, on_tier, sin_cos_turns, turns_of};
@@ -224,15 +224,18 @@ impl TurnAround {
         if n < 8 || clock_rx_us.len() != n || difference_us.len() != n || clock_rx_us[n - 1] <= clock_rx_us[0] {
             return None;
         }
-        let slopes = [2, 4, 8].map(|parts| slope_between(clock_rx_us, difference_us, (n / parts).max(1)));
-        let line = |slope: f64| drift_line_of(clock_rx_us, difference_us, slope);
+        let lines: Vec<DriftLine> = [2, 4, 8]
+            .map(|parts| drift_line_by(clock_rx_us, difference_us, (n / parts).max(1)))
+            .into_iter()
+            .filter(|line| line.slope.abs() <= MAX_DRIFT)
+            .collect();
         let terms = second_differences(z, clock_rx_us, difference_us);
         let total: f64 = terms.iter().map(|term| term.count).sum();
         if total < 4.0 {
             return None;
         }
         let coherence = |df_hz: f64| sum_at(&terms, df_hz).norm() / total;
-        let (line, df_hz) = by_lines(&slopes, &line, &terms, carrier_hz, 2.0 * total.sqrt())?;
+        let (line, df_hz) = by_lines(&lines, &terms, carrier_hz, 2.0 * total.sqrt())?;
         let residual = |k: usize| (difference_us[k] as f64 - line.at(clock_rx_us[k] as f64)).abs();
         let jitter_median_us = median((0..n).map(residual).collect());
         let (before, mut after) = (coherence(0.0), coherence(df_hz));
@@ -277,36 +280,23 @@ impl TurnAround {
     }
 }
 
-/// The offset near the drift by one of the lines, each through a slope, and that line: the first, unless the sum of the terms is
-/// greater by `gain` with an offset that was not within its reach. `None` without lines.
+/// The offset near the drift by one of the lines, and that line: the first, unless the sum of the terms is greater by `gain`
+/// with an offset that was not within its reach. `None` without lines.
 ///
 /// A turn-around that steps by 140 us in the middle of 20 s tilts the first line by 14 ppm, 75 kHz of a carrier at 5.3 GHz.
-fn by_lines(
-    slopes: &[f64],
-    line: &dyn Fn(f64) -> DriftLine,
-    terms: &[Term],
-    carrier_hz: f64,
-    gain: f64,
-) -> Option<(DriftLine, f64)> {
+fn by_lines(lines: &[DriftLine], terms: &[Term], carrier_hz: f64, gain: f64) -> Option<(DriftLine, f64)> {
     let mut searched: Vec<f64> = Vec::new();
     let mut best: Option<(f64, DriftLine, f64)> = None;
-    let is_searched = |searched: &[f64], slope: f64| {
-        slope.abs() > MAX_DRIFT || searched.iter().any(|hz| (hz - slope * carrier_hz).abs() < 0.5 * SEARCH_HZ)
-    };
-    for slope in slopes {
-        if is_searched(&searched, *slope) {
-            continue;
-        }
-        let line = line(*slope);
-        if is_searched(&searched, line.slope) {
-            continue;
-        }
+    for line in lines {
         let near_hz = line.slope * carrier_hz;
+        if searched.iter().any(|hz| (hz - near_hz).abs() < 0.5 * SEARCH_HZ) {
+            continue;
+        }
         searched.push(near_hz);
         let df_hz = maximise(terms, near_hz, SEARCH_HZ);
         let sum = sum_at(terms, df_hz).norm();
         if best.as_ref().is_none_or(|(greatest, ..)| sum > greatest + gain) {
-            best = Some((sum, line, df_hz));
+            best = Some((sum, *line, df_hz));
         }
     }
     best.map(|(_, line, df_hz)| (line, df_hz))
@@ -350,23 +340,21 @@ impl DriftLine {
 ///
 /// The median of the slopes between pairs half a record apart (after Theil and Sen \[theil-sen\]), then least squares without
 /// the pairs that are further than 25 us from the line, four times over.
+#[doc(hidden)] // for the crates of this workspace
+#[must_use]
 pub fn drift_line(clock_us: &[i64], difference_us: &[i64]) -> DriftLine {
-    drift_line_of(clock_us, difference_us, slope_between(clock_us, difference_us, clock_us.len() / 2))
+    drift_line_by(clock_us, difference_us, clock_us.len() / 2)
 }
 
-/// The median of the slopes between pairs `lag` apart. A turn-around that steps to another level tilts it only if more than half of
-/// them have the step between them, and the shorter they are the fewer have.
-fn slope_between(clock_us: &[i64], difference_us: &[i64], lag: usize) -> f64 {
-    let slope = |k: usize| {
+/// The same by the slopes between pairs `lag` apart. A turn-around that steps to another level tilts the line only if more than
+/// half of them have the step between them, and the shorter they are the fewer have.
+fn drift_line_by(clock_us: &[i64], difference_us: &[i64], lag: usize) -> DriftLine {
+    let n = clock_us.len();
+    let slope_between = |k: usize| {
         let run = (clock_us[k + lag] - clock_us[k]) as f64;
         (run > 0.0).then(|| (difference_us[k + lag] - difference_us[k]) as f64 / run)
     };
-    median((0..clock_us.len() - lag).filter_map(slope).collect())
-}
-
-/// The line about one of this slope.
-fn drift_line_of(clock_us: &[i64], difference_us: &[i64], slope: f64) -> DriftLine {
-    let n = clock_us.len();
+    let slope = median((0..n - lag).filter_map(slope_between).collect());
     let origin = clock_us[0] as f64;
     let y = median((0..n).map(|k| difference_us[k] as f64 - slope * (clock_us[k] as f64 - origin)).collect());
     let mut line = DriftLine { slope, x: origin, y };
@@ -414,7 +402,7 @@ const DRIFT_HZ: f64 = 4_000.0;
 const GAIN_PER_BLOCK: f64 = 2.0;
 
 /// Step of the search, Hz (the coherence is 8 kHz wide).
-const STEP_HZ: f64 = 800.0;
+const STEP_HZ: f64 = 400.0;
 
 /// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
 /// histogram makes the search over `df` as cheap as the jitter is small.
@@ -543,13 +531,35 @@ impl Turning {
     }
 }
 
-/// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: on a grid, and between its points by a parabola.
+/// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: a grid, then golden sections.
 fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
     let steps = (reach_hz / STEP_HZ) as i32;
     let from_hz = near_hz - f64::from(steps) * STEP_HZ;
     let mut turning = Turning::new(terms, from_hz, STEP_HZ);
-    let values: Vec<f64> = (0..=2 * steps).map(|_| turning.next().norm_sqr()).collect();
-    from_hz + STEP_HZ * vertex(&values)
+    let mut best = (f64::NEG_INFINITY, near_hz);
+    for k in 0..=2 * steps {
+        let value = turning.next().norm_sqr();
+        if value > best.0 {
+            best = (value, from_hz + f64::from(k) * STEP_HZ);
+        }
+    }
+    let f = |hz: f64| sum_at(terms, hz).norm_sqr();
+    let ratio = (5f64.sqrt() - 1.0) / 2.0;
+    let (mut low, mut high) = (best.1 - STEP_HZ, best.1 + STEP_HZ);
+    let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
+    let (mut at_a, mut at_b) = (f(a), f(b));
+    while high - low > 0.5 {
+        if at_a >= at_b {
+            (high, b, at_b) = (b, a, at_a);
+            a = high - ratio * (high - low);
+            at_a = f(a);
+        } else {
+            (low, a, at_a) = (a, b, at_b);
+            b = low + ratio * (high - low);
+            at_b = f(b);
+        }
+    }
+    0.5 * (low + high)
 }
 
 #[cfg(test)]
