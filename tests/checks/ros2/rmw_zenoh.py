@@ -109,12 +109,16 @@ def graph():
     for topics, which, usual in ((own, "publishers", "::,32:,:,:,,"), (read, "subscribers", "2::,64:,:,:,,")):
         for topic, kind in topics.items():
             def ends(topic=topic, which=which):
-                all = getattr(get_topic_info(topic, verbose=True, **network), which)
+                info = get_topic_info(topic, verbose=True, **network)
+                all = getattr(info, which) if info else []
                 return [(t.topic_type, t.type_hash, t.qos) for t in all if t.node_name.strip("/") == "csi5300_tb3_0" and t.node_namespace == "/"]
             qos = {f"{NODE}/csi": "2::,5:,:,:,,", "/tf_static": ":1:,64:,:,:,,"}.get(topic, usual)
             complete(ends, [(kind, store.hash_rihs01(kind), qos)])
-    tokens = [str(reply.ok.key_expr) for reply in ZenohSession.get_instance().liveliness.get(f"@ros2_lv/{DOMAIN}/**")]
-    tokens = [token for token in tokens if token.split("/")[8] == "csi5300_tb3_0"]
+    def own_tokens():
+        tokens = [str(reply.ok.key_expr) for reply in ZenohSession.get_instance().liveliness.get(f"@ros2_lv/{DOMAIN}/**")]
+        return [token for token in tokens if token.split("/")[8] == "csi5300_tb3_0"]
+    complete(lambda: len(own_tokens()), len(own) + len(read) + 1)
+    tokens = own_tokens()
     ids = [token.split("/")[2:6] for token in tokens]
     assert len({session for session, *_ in ids}) == 1 and {node for _, node, *_ in ids} == {"0"}, tokens
     assert len({number for *_, number, _ in ids}) == len(ids) == len(own) + len(read) + 1, tokens
