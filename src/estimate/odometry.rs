@@ -80,7 +80,7 @@ pub struct OdometryError {
     pub known: bool,
 }
 
-/// What a drive's phases say of its odometry.
+/// Errors of a robot's odometry, estimated from the phases of one drive.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct OdometryFit {
@@ -110,9 +110,7 @@ impl OdometryFit {
     }
 
     /// The antenna's trajectory by these errors; none without headings.
-    #[must_use]
-    #[doc(hidden)] // for the crates of this workspace
-    pub fn corrected(&self, trajectory: &Trajectory) -> Option<Trajectory> {
+    pub(crate) fn corrected(&self, trajectory: &Trajectory) -> Option<Trajectory> {
         let offset_m = Vector3::new(self.forward_m.value, self.left_m.value, 0.0);
         trajectory.with_errors(self.scale.value, self.turn.value, offset_m).ok()
     }
@@ -134,7 +132,7 @@ impl fmt::Display for OdometryFit {
         }
         writeln!(
             f,
-            "odometry: corrected by the phases of {} links, exp({:.0}) times as likely as none",
+            "odometry: corrected by the phases of {} links, exp({:.0}) times as likely as no correction",
             self.links, self.log_odds
         )?;
         let mut line = |name: &str, error: &OdometryError, unit: &str, by: f64, digits: usize, why: &str| {
