@@ -4,10 +4,13 @@
 #![allow(clippy::expect_used)]
 
 mod common;
+#[path = "common/picture.rs"]
+mod picture;
 
 use common::*;
 use csi5300::bartlett::{Grid, Planner, ProfileOptions, SearchOptions, Tier};
 use csi5300::internal::Searcher;
+use picture::*;
 
 fn main() {
     banner("Cost as the work grows");

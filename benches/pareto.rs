@@ -8,6 +8,8 @@
 #![allow(clippy::expect_used)]
 
 mod common;
+#[path = "common/picture.rs"]
+mod picture;
 
 use std::process::Command;
 
@@ -15,6 +17,7 @@ use common::*;
 use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Tier};
 use csi5300::internal::Searcher;
 use csi5300::signal::samples::Samples;
+use picture::*;
 
 struct Job {
     name: &'static str,

@@ -4,6 +4,8 @@
 #![allow(clippy::expect_used)]
 
 mod common;
+#[path = "common/picture.rs"]
+mod picture;
 
 use std::f64::consts::TAU;
 
@@ -13,6 +15,7 @@ use csi5300::internal::oracle;
 use csi5300::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::Complex64;
+use picture::*;
 
 fn main() {
     banner("Numerical stability");

@@ -5,6 +5,8 @@
 #![allow(clippy::expect_used)]
 
 mod common;
+#[path = "common/picture.rs"]
+mod picture;
 
 use common::*;
 use csi5300::motion::pose::{Pose, Trajectory};
@@ -16,6 +18,7 @@ use csi5300_sim::motion::{Circle, Line, RobotMotion};
 use csi5300_sim::radio::{Agc, FixedGain, Gain};
 use csi5300_sim::{Room, scene::Scene};
 use nalgebra::Vector3;
+use picture::*;
 use std::f64::consts::TAU;
 
 /// Signal over noise in one direction on one subcarrier, dB.

@@ -5,6 +5,8 @@
 #![allow(clippy::expect_used)]
 
 mod common;
+#[path = "common/picture.rs"]
+mod picture;
 
 use std::f64::consts::{PI, TAU};
 
@@ -14,6 +16,7 @@ use csi5300::internal::Searcher;
 use csi5300::maths::wrap_rad;
 use csi5300_sim::random::Stream;
 use nalgebra::Vector3;
+use picture::*;
 
 const SHAPES: [&str; 4] = ["circle", "line", "arc", "walk"];
 

@@ -16,6 +16,7 @@ use csi5300::pipeline::{
 };
 use csi5300::source::{CsiSource, Next, Origin, Stamps};
 use csi5300::time::Instant;
+use csi5300_lab::kinds::trajectory_refused;
 use csi5300_lab::table::{Arena, NO_TIME, antennas};
 use driver_iface::record::{Record, Tail};
 use numpy::ndarray::ArrayView1;
@@ -107,7 +108,8 @@ fn trajectory(of: &Bound<'_, PyAny>, columns: Option<&Columns>) -> PyResult<Traj
                 CsvError::Io { .. } => Kind::TrajectoryFile,
                 _ => Kind::Trajectory,
             };
-            csv::read_as(&path, columns.as_ref()).map_err(|error| Failure::new(kind(&error), error).of(file))
+            let refused = |error: CsvError| Failure::new(kind(&error), trajectory_refused(&path, &error)).of(file);
+            csv::read_as(&path, columns.as_ref()).map_err(refused)
         })?;
         (read, name)
     };

@@ -99,7 +99,7 @@ def test_wrong_options_are_named(rx: Path, tx: Path, path_csv: Path) -> None:
         run(tx_trajectory=[[1.0]])
     with pytest.raises(csi5300.TrajectoryError):
         csi5300.bearings(rx, tx, trajectory=[[0, 0, 0, 0]], channel=108)
-    with pytest.raises(csi5300.TrajectoryError):
+    with pytest.raises(csi5300.TrajectoryError, match=r"\.dat is a log of CSI: a trajectory is"):
         csi5300.bearings(rx, tx, trajectory=rx, channel=108)
     with pytest.raises(csi5300.OptionError):
         csi5300.bearings(rx, [], trajectory=path_csv, channel=108)

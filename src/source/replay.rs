@@ -73,7 +73,7 @@ pub enum Front {
 impl Replay<Box<dyn Read + Send>> {
     /// Opens a log; `-` is standard input. Host times come from its side file (`<log>stp`), if there is one; a record
     /// whose checksum is not the side file's is lost. A log of FeitCSI (AX200, AX210), which is recognised by its first
-    /// bytes, is read as one of a 5300: 30 subcarriers of frames of 20 and 40 MHz, 8 bits, no frame numbers.
+    /// bytes, is read as one of a 5300: 30 subcarriers of the middle 20 or 40 MHz, 8 bits, no frame numbers.
     ///
     /// # Errors
     /// If it cannot be opened, or is a directory.

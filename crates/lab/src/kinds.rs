@@ -1,5 +1,6 @@
 //! Distinguishes logs and trajectories from other kinds of files.
 
+use csi5300::motion::odometry::csv::CsvError;
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
 use std::io::Read;
@@ -7,6 +8,8 @@ use std::path::Path;
 
 /// The description of a log, for messages.
 pub const A_LOG: &str = "a log is the .dat that the CSI tool, the WSR toolbox or `csi5300 record` wrote";
+/// The description of a trajectory.
+const A_TRAJECTORY: &str = "a trajectory is a table of times and places, as CSV (docs/reference/formats.md)";
 /// Bytes that identify another kind of file; a log that begins with damage has its first record within them.
 const BEGINNING: usize = 4_096;
 const SEARCHED: u64 = 1 << 20;
@@ -18,10 +21,19 @@ pub fn not_a_log(path: &Path) -> Option<&'static str> {
     binary_kind(&bytes).or_else(|| text_kind(&bytes)).filter(|_| !has_record(path))
 }
 
-/// The kind of a binary file.
+/// Why a file gives no trajectory, in words, with its name and its kind.
 #[must_use]
-pub fn not_a_trajectory(path: &Path) -> Option<&'static str> {
-    binary_kind(&beginning(path))
+pub fn trajectory_refused(path: &Path, error: &CsvError) -> String {
+    let name = path.display();
+    match error {
+        // Names the file.
+        CsvError::Io { .. } => error.to_string(),
+        _ if has_record(path) => format!("{name} is a log of CSI: {A_TRAJECTORY}"),
+        _ => match binary_kind(&beginning(path)) {
+            Some(kind) => format!("{name} is another kind of file, {kind}: {A_TRAJECTORY}"),
+            None => format!("{name}: {error}"),
+        },
+    }
 }
 
 /// The first bytes of a file; empty for a pipe.
@@ -36,8 +48,7 @@ fn beginning(path: &Path) -> Vec<u8> {
 }
 
 /// True if a record is near the beginning of a file.
-#[must_use]
-pub fn has_record(path: &Path) -> bool {
+pub(crate) fn has_record(path: &Path) -> bool {
     // Standard input can be read only once.
     let Some(mut log) = (path.as_os_str() != "-").then(|| Replay::open(path).ok()).flatten() else { return false };
     while log.bytes() <= SEARCHED {

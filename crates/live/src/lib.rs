@@ -45,7 +45,6 @@ pub mod netlink;
 pub mod serial;
 pub mod sounding;
 pub mod status;
-#[cfg(feature = "stock")]
 pub mod stock;
 pub mod sys;
 pub mod wait;

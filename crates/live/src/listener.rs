@@ -2,7 +2,6 @@
 //! kernel's own driver (feature `stock`).
 
 use crate::netlink::Netlink;
-#[cfg(feature = "stock")]
 use crate::stock::Stock;
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
@@ -14,7 +13,6 @@ pub enum Listener {
     /// The driver's messages: the patched driver's, or those of the module `csi5300`.
     Connector(Box<Netlink>),
     /// The card's packets, by the eBPF program.
-    #[cfg(feature = "stock")]
     Stock(Box<Stock>),
 }
 
@@ -42,7 +40,6 @@ impl Listener {
     pub fn buffer(&self) -> usize {
         match self {
             Self::Connector(listener) => listener.receive_buffer(),
-            #[cfg(feature = "stock")]
             Self::Stock(stock) => stock.ring_bytes(),
         }
     }
@@ -57,7 +54,6 @@ impl Listener {
                 let kernel = counters.kernel_drops.max(counters.overrun_bfee_gap);
                 Lost { kernel, driver: counters.other_bfee_gap }
             }
-            #[cfg(feature = "stock")]
             Self::Stock(stock) => {
                 let counters = stock.counters();
                 let dropped = u64::from(counters.cards.dropped());
@@ -73,7 +69,6 @@ impl From<Netlink> for Listener {
     }
 }
 
-#[cfg(feature = "stock")]
 impl From<Stock> for Listener {
     fn from(stock: Stock) -> Self {
         Self::Stock(Box::new(stock))
@@ -84,7 +79,6 @@ impl CsiSource for Listener {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
         match self {
             Self::Connector(listener) => listener.receive(now),
-            #[cfg(feature = "stock")]
             Self::Stock(stock) => stock.receive(now),
         }
     }
@@ -92,7 +86,6 @@ impl CsiSource for Listener {
     fn next_at(&self) -> Option<Instant> {
         match self {
             Self::Connector(listener) => listener.next_at(),
-            #[cfg(feature = "stock")]
             Self::Stock(stock) => stock.next_at(),
         }
     }
@@ -102,7 +95,6 @@ impl AsFd for Listener {
     fn as_fd(&self) -> BorrowedFd<'_> {
         match self {
             Self::Connector(listener) => listener.as_fd(),
-            #[cfg(feature = "stock")]
             Self::Stock(stock) => stock.as_fd(),
         }
     }

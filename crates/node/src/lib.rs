@@ -12,7 +12,7 @@
 //! | `sounder` | the robot's part in the sounding exchange |
 //! | [`adapters`] | what a node speaks, behind one trait: ROS 1 and 2, zenoh, Foxglove, lines of JSON, the status socket |
 //! | [`health`] | what is published beside the bearings |
-//! | [`team`] | this robot and its peers as one graph |
+//! | [`team`], [`ranges`] | this robot and its peers as one graph; ranges of another sensor for it |
 //! | [`service`] | tokio: waits, hands over, publishes |
 //!
 //! A feature gates only the module of its adapter and its line in the list of adapters.
@@ -24,6 +24,7 @@ mod descriptors;
 mod error;
 pub mod health;
 pub mod machine;
+pub mod ranges;
 pub mod self_test;
 pub mod service;
 mod sounder;

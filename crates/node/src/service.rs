@@ -4,6 +4,7 @@ use super::adapters::{self, Adapter, Robot, Said, Start};
 use super::config::{Config, Log};
 use super::health::{Health, Load, Looks};
 use super::machine::{Capture, Machine};
+use super::ranges::Ranges;
 use super::sounder::Sounder;
 use super::sources::{Card, Sources};
 use super::team::Solver;
@@ -59,16 +60,25 @@ pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
     let sizes = SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     sizes.map_err(|errno| Error::Io { what: "cannot catch signals".into(), source: errno.into() })?;
     let wake = Arc::new(Notify::new());
-    let start = Start { config, name: &name, wall_us, wake: Arc::clone(&wake), topics: OnceCell::default() };
+    let ranges = Ranges::default();
+    let start = Start {
+        config,
+        name: &name,
+        wall_us,
+        wake: Arc::clone(&wake),
+        ranges: ranges.clone(),
+        topics: OnceCell::default(),
+    };
     let mut adapters = adapters::make(&start)?;
     let sources = Sources::open(config, Instant::ZERO, wall_us, &mut adapters)?;
+    let team = Solver::start(config, &name, ranges)?;
     let peers = sources.peers.iter().map(|peer| (peer.peer.name.clone(), peer.peer.mac)).collect();
     let robot = Robot { name: name.clone(), own: sources.own, peers };
     adapters.iter_mut().try_for_each(|adapter| adapter.meet(&robot))?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let io = |source| Error::Io { what: "cannot start tokio".into(), source };
     // Adapters are dropped outside of the runtime, where they may wait for their own, and after the machine is finished.
-    runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&mut adapters, &wake)))
+    runtime.map_err(io)?.block_on(Service::serve(config, name, (sources, team), (&mut adapters, &wake)))
 }
 
 /// Real time, and the sources' own, which runs `speed` times as fast.
@@ -111,7 +121,7 @@ impl<'a> Service<'a> {
     async fn serve(
         config: &Config,
         name: String,
-        mut sources: Sources,
+        (mut sources, team): (Sources, Option<Solver>),
         (adapters, came): (&'a mut [Box<dyn Adapter>], &'a Notify),
     ) -> Result<Ended, Error> {
         // Signals first: from here on they end the robot in order.
@@ -138,7 +148,7 @@ impl<'a> Service<'a> {
             clock,
             machine,
             sounder,
-            team: Solver::start(config, &name)?,
+            team,
             looks: Looks::new(name),
             load: Load::default(),
             looked: (clock.real.now(), processor_s()),

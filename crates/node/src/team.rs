@@ -1,13 +1,15 @@
 //! This robot and its peers as one graph of `csi5300-team`: its odometry, and its bearings of its peers.
 //!
 //! A bearing enters if it shares no sample with the peer's last one and every step of the estimate made it. It becomes a
-//! keyframe of this robot at the mean position of its samples, with the axes of the odometry's frame, and a link. Peers that
-//! stand are points. Those that move and publish their poses have keyframes of their own.
+//! keyframe of this robot at the mean position of its samples, with the axes of the odometry's frame, and a link. Ranges of
+//! another sensor during it become links from this robot's positions at their times. Peers that stand are points. Those that
+//! move and publish their poses have keyframes of their own.
 //!
 //! If places of peers are given, their frame is the team's. Otherwise it is the frame of this robot's odometry at the last keyframe.
 
 use crate::config::{Config, Team as Asked};
 use crate::machine::{Machine, PoseCounts};
+use crate::ranges::{Ranged, Ranges};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::Bearing;
 use csi5300::pipeline::live::{PeerReport, PeerState};
@@ -20,8 +22,15 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
-/// Bearings in a graph at most; the oldest are forgotten.
+/// Bearings in a graph at most, and bearings and ranges; the oldest are forgotten.
 const KEPT: usize = 48;
+const LINKS: usize = 96;
+/// Ranges during a bearing that become links, at these parts of its time: the errors of neighbours are not independent.
+const PARTS: [f64; 2] = [0.25, 0.75];
+/// Share of ranges that are wrong, by reflections.
+const RANGE_OUTLIERS: f64 = 0.1;
+/// Ranges to a peer that wait for a bearing.
+const RANGES: usize = 1_024;
 /// Bytes of the factors at most: a message of ROS 2 holds 64,000.
 const LARGEST: usize = 60_000;
 /// Deviation of a given place, metres.
@@ -70,38 +79,41 @@ pub struct Member {
     pub others_m: Vec<[f64; 2]>,
 }
 
-/// A bearing in the graph.
+/// A bearing in the graph, and ranges during it.
 #[derive(Clone, Debug)]
 struct Seen {
     peer: String,
     /// Host times of the first and the last sample, seconds.
     span_s: [f64; 2],
+    /// The bearing, then ranges.
+    links: Vec<Link>,
+    /// This robot at the last sample.
+    end_m: Vector2<f64>,
+    heading_rad: Option<f64>,
+}
+
+/// A bearing or a range.
+#[derive(Clone, Debug)]
+struct Link {
+    t_s: f64,
     /// This robot, in the frame of its odometry.
     own: Stretch,
     /// The peer, with the axes of that frame; `None` if it stands.
     other: Option<Stretch>,
-    /// This robot at the last sample.
-    end_m: Vector2<f64>,
-    heading_rad: Option<f64>,
     modes: Vec<Mode>,
+    outliers: f64,
 }
 
-impl Seen {
-    fn middle_s(&self) -> f64 {
-        0.5 * (self.span_s[0] + self.span_s[1])
-    }
-}
-
-/// A robot's motion during a bearing.
+/// A robot's motion during a bearing: its mean position, or that of a range, and its mean speed.
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
-    mean_m: Vector2<f64>,
+    at_m: Vector2<f64>,
     speed_m_per_s: f64,
 }
 
 impl Stretch {
     fn of(path_m: &[Vector3<f64>], seconds: f64) -> Self {
-        let mean_m = path_m.iter().sum::<Vector3<f64>>().xy() / path_m.len().max(1) as f64;
+        let at_m = path_m.iter().sum::<Vector3<f64>>().xy() / path_m.len().max(1) as f64;
         let (mut length_m, mut last) = (0.0, path_m.first().map(Vector3::xy).unwrap_or_default());
         for at in path_m.iter().map(Vector3::xy) {
             let step_m = (at - last).norm();
@@ -109,7 +121,19 @@ impl Stretch {
                 (length_m, last) = (length_m + step_m, at);
             }
         }
-        Self { mean_m, speed_m_per_s: length_m / seconds.max(1e-3) }
+        Self { at_m, speed_m_per_s: length_m / seconds.max(1e-3) }
+    }
+
+    /// At one time of the stretch, by its path.
+    fn at(self, t_s: f64, times_s: &[f64], path_m: &[Vector3<f64>]) -> Self {
+        let after = times_s.partition_point(|at_s| *at_s < t_s).clamp(1, times_s.len().max(2) - 1);
+        let pair = |values: &[f64]| Some([*values.get(after - 1)?, *values.get(after)?]);
+        let (Some([from_s, to_s]), Some(from), Some(to)) = (pair(times_s), path_m.get(after - 1), path_m.get(after))
+        else {
+            return self;
+        };
+        let part = ((t_s - from_s) / (to_s - from_s).max(1e-6)).clamp(0.0, 1.0);
+        Self { at_m: from.lerp(to, part).xy(), ..self }
     }
 }
 
@@ -122,6 +146,8 @@ pub struct Graph {
     /// Bearings of the coarse grid only are all that there are.
     is_coarse: bool,
     seen: VecDeque<Seen>,
+    /// The last ranges to each peer.
+    ranges: BTreeMap<String, VecDeque<Ranged>>,
     /// Frames that this robot's and each peer's poses were in.
     frames: (PoseCounts, BTreeMap<String, u64>),
 }
@@ -136,8 +162,18 @@ impl Graph {
             heading_sd_rad: config.heading_sd_deg().to_radians(),
             is_coarse: !config.estimator.accurate,
             seen: VecDeque::new(),
+            ranges: BTreeMap::new(),
             frames: Default::default(),
         })
+    }
+
+    /// Keeps a range for the bearing during which it was measured.
+    pub fn range(&mut self, range: Ranged) {
+        let ranges = self.ranges.entry(range.peer.clone()).or_default();
+        ranges.push_back(range);
+        if ranges.len() > RANGES {
+            ranges.pop_front();
+        }
     }
 
     /// Takes the machine's last report about a peer. True if the graph changed.
@@ -158,7 +194,8 @@ impl Graph {
         let seen = bearing.and_then(|bearing| self.seen(&known.name, report, bearing));
         let is_new = seen.is_some();
         self.seen.extend(seen);
-        if self.seen.len() > KEPT {
+        let links = |seen: &VecDeque<Seen>| seen.iter().map(|seen| seen.links.len()).sum::<usize>();
+        while self.seen.len() > KEPT || links(&self.seen) > LINKS {
             self.seen.pop_front();
         }
         is_new
@@ -174,17 +211,41 @@ impl Graph {
         if modes.is_empty() || before.is_some_and(|before| span_s[0] <= before.span_s[1]) {
             return None;
         }
-        let (path_m, seconds) = (samples.receiver_m(), span_s[1] - span_s[0]);
-        let moves = samples.transmitter_m().iter().any(|at| *at != Vector3::zeros());
+        let (path_m, other_m, seconds) = (samples.receiver_m(), samples.transmitter_m(), span_s[1] - span_s[0]);
+        let own = Stretch::of(path_m, seconds);
+        let moves = other_m.iter().any(|at| *at != Vector3::zeros());
+        let other = moves.then(|| Stretch::of(other_m, seconds));
+        let bearing_link = Link { t_s: 0.5 * (span_s[0] + span_s[1]), own, other, modes, outliers: LINK_OUTLIERS };
+        let range_link = |range: &Ranged| {
+            let [range_m, sd_m] = range.range_m;
+            Link {
+                t_s: range.t_s,
+                own: own.at(range.t_s, samples.t_s(), path_m),
+                other: other.map(|other| other.at(range.t_s, samples.t_s(), other_m)),
+                modes: vec![Mode::range(range_m, sd_m, 1.0)],
+                outliers: RANGE_OUTLIERS,
+            }
+        };
+        let ranges = self.ranges_within(peer, span_s).into_iter().map(range_link);
         Some(Seen {
             peer: peer.to_owned(),
             span_s,
-            own: Stretch::of(path_m, seconds),
-            other: moves.then(|| Stretch::of(samples.transmitter_m(), seconds)),
+            links: std::iter::once(bearing_link).chain(ranges).collect(),
             end_m: path_m.last()?.xy(),
             heading_rad: bearing.heading_rad,
-            modes,
         })
+    }
+
+    /// The ranges next to the [`PARTS`] of a bearing's time.
+    fn ranges_within(&self, peer: &str, [from_s, to_s]: [f64; 2]) -> Vec<&Ranged> {
+        let within = || self.ranges.get(peer).into_iter().flatten().filter(|own| (from_s..=to_s).contains(&own.t_s));
+        let next_to = |part: f64| {
+            let at_s = from_s + part * (to_s - from_s);
+            within().min_by(|a, b| (a.t_s - at_s).abs().total_cmp(&(b.t_s - at_s).abs()))
+        };
+        let mut found: Vec<&Ranged> = PARTS.into_iter().filter_map(next_to).collect();
+        found.dedup_by(|a, b| std::ptr::eq(*a, *b));
+        found
     }
 
     /// Poses of this robot and of the peers that the bearings determine.
@@ -220,10 +281,12 @@ impl Graph {
 }
 
 /// The graph of the team, with its keyframes.
-struct Built {
+struct Built<'a> {
     team: Team,
-    /// This robot's keyframes in the order of time, each with its time and its bearing.
-    own: Vec<(Keyframe, Seen)>,
+    /// This robot's last keyframe, and its place in the frame of the odometry.
+    own: Option<(Keyframe, Vector2<f64>)>,
+    /// The last bearing.
+    last: Option<&'a Seen>,
     /// The last keyframe of each peer.
     peers: BTreeMap<String, Keyframe>,
 }
@@ -231,7 +294,7 @@ struct Built {
 /// A keyframe and its time, seconds.
 type Keyframe = (KeyframeId, f64);
 
-/// Adds a robot's keyframe during a bearing, later than its last one.
+/// Adds a robot's keyframe, later than its last one.
 fn add(
     team: &mut Team,
     robot: RobotId,
@@ -241,51 +304,58 @@ fn add(
 ) -> Result<Keyframe, TeamError> {
     let before_s = before.map_or(t_s - APART_S, |(_, before_s)| before_s);
     let t_s = t_s.max(before_s + APART_S);
-    let id = team.keyframe(robot, t_s, [at.mean_m.x, at.mean_m.y, 0.0], (t_s - before_s) * at.speed_m_per_s)?;
+    let id = team.keyframe(robot, t_s, [at.at_m.x, at.at_m.y, 0.0], (t_s - before_s) * at.speed_m_per_s)?;
     Ok((id, t_s))
 }
 
-impl Built {
-    fn new(graph: &Graph, missing: &BTreeSet<String>) -> Result<Self, TeamError> {
+impl<'a> Built<'a> {
+    fn new(graph: &'a Graph, missing: &BTreeSet<String>) -> Result<Self, TeamError> {
         let usual = OdometryNoise::default();
         let noise = OdometryNoise { turn_rad_per_rt_m: usual.turn_rad_per_rt_m.max(graph.heading_sd_rad), ..usual };
-        let mut seen: Vec<&Seen> = graph.seen.iter().filter(|seen| !missing.contains(&seen.peer)).collect();
-        seen.sort_by(|a, b| a.middle_s().total_cmp(&b.middle_s()));
-        let moving: BTreeSet<&String> =
-            seen.iter().filter(|seen| seen.other.is_some()).map(|seen| &seen.peer).collect();
+        let seen = || graph.seen.iter().filter(|seen| !missing.contains(&seen.peer));
+        let mut links: Vec<(&Seen, &Link)> =
+            seen().flat_map(|seen| seen.links.iter().map(move |link| (seen, link))).collect();
+        links.sort_by(|(_, a), (_, b)| a.t_s.total_cmp(&b.t_s));
+        let is_moving = |(_, link): &&(&Seen, &Link)| link.other.is_some();
+        let moving: BTreeSet<&String> = links.iter().filter(is_moving).map(|(seen, _)| &seen.peer).collect();
         let mut team = Team::default();
         let robot = team.robot(&graph.name, true, noise)?;
-        let mut built = Self { team, own: Vec::new(), peers: BTreeMap::new() };
-        for seen in seen {
-            let before = built.own.last().map(|(before, _)| *before);
-            let own = add(&mut built.team, robot, seen.middle_s(), seen.own, before)?;
-            let to = built.peer(graph, seen, moving.contains(&seen.peer).then_some(noise))?;
-            built.team.link(own.0, to, &seen.modes, LINK_OUTLIERS)?;
-            built.own.push((own, seen.clone()));
+        let last = seen().max_by(|a, b| a.span_s[1].total_cmp(&b.span_s[1]));
+        let mut built = Self { team, own: None, last, peers: BTreeMap::new() };
+        for (seen, link) in links {
+            let own = add(&mut built.team, robot, link.t_s, link.own, built.own.map(|(before, _)| before))?;
+            let to = built.peer(graph, (&seen.peer, link), moving.contains(&seen.peer).then_some(noise))?;
+            built.team.link(own.0, to, &link.modes, link.outliers)?;
+            built.own = Some((own, link.own.at_m));
         }
         let is_known = |name: &String| graph.asked.places.contains_key(name) && !moving.contains(name);
         if !graph.asked.places.is_empty() && !built.peers.keys().any(is_known) {
             return Err(TeamError::Unlinked { robot: graph.name.clone() });
         }
-        if let Some(((last, _), seen)) = built.own.last().filter(|_| graph.asked.places.is_empty()) {
-            built.team.prior(*last, [seen.own.mean_m.x, seen.own.mean_m.y, 0.0], [GAUGE_SD; 3])?;
+        if let Some(((last, _), at_m)) = built.own.filter(|_| graph.asked.places.is_empty()) {
+            built.team.prior(last, [at_m.x, at_m.y, 0.0], [GAUGE_SD; 3])?;
         }
         Ok(built)
     }
 
-    /// The keyframe of the peer that a bearing is of; `noise` is that of its odometry if it moves.
-    fn peer(&mut self, graph: &Graph, seen: &Seen, noise: Option<OdometryNoise>) -> Result<KeyframeId, TeamError> {
-        let (known, free) = (self.peers.get(&seen.peer).copied(), f64::INFINITY);
+    /// The keyframe of the peer that a link leads to; `noise` is that of its odometry if it moves.
+    fn peer(
+        &mut self,
+        graph: &Graph,
+        (name, link): (&String, &Link),
+        noise: Option<OdometryNoise>,
+    ) -> Result<KeyframeId, TeamError> {
+        let (known, free) = (self.peers.get(name).copied(), f64::INFINITY);
         if let Some((place, _)) = known.filter(|_| noise.is_none()) {
             return Ok(place);
         }
         let robot = match known {
-            Some(_) => self.team.named(&seen.peer)?,
-            None => self.team.robot(&seen.peer, noise.is_some(), noise.unwrap_or_default())?,
+            Some(_) => self.team.named(name)?,
+            None => self.team.robot(name, noise.is_some(), noise.unwrap_or_default())?,
         };
-        let still = Stretch { mean_m: Vector2::zeros(), speed_m_per_s: 0.0 };
-        let keyframe = add(&mut self.team, robot, seen.middle_s(), seen.other.unwrap_or(still), known)?;
-        match graph.asked.places.get(&seen.peer) {
+        let still = Stretch { at_m: Vector2::zeros(), speed_m_per_s: 0.0 };
+        let keyframe = add(&mut self.team, robot, link.t_s, link.other.unwrap_or(still), known)?;
+        match graph.asked.places.get(name) {
             Some([x, y]) if noise.is_none() => {
                 self.team.prior(keyframe.0, [*x, *y, 0.0], [PLACE_SD_M, PLACE_SD_M, free])?;
             }
@@ -296,13 +366,13 @@ impl Built {
             }
             _ => {}
         }
-        self.peers.insert(seen.peer.clone(), keyframe);
+        self.peers.insert(name.clone(), keyframe);
         Ok(keyframe.0)
     }
 
     fn state(&self, graph: &Graph, found: &Solution) -> TeamState {
         let mut robots: Vec<Member> = self.own_member(graph, found).into_iter().collect();
-        let odometry = self.own.last().map(|((last, _), seen)| odometry(found.pose(*last), seen)).unwrap_or_default();
+        let odometry = self.own.map(|((last, _), at_m)| odometry(found.pose(last), at_m)).unwrap_or_default();
         robots.extend(self.peers.iter().map(|(name, (keyframe, t_s))| {
             let [x, y, _] = found.pose(*keyframe);
             let mut covariance = found.covariance(*keyframe);
@@ -325,17 +395,17 @@ impl Built {
 
     /// This robot at the end of its last bearing.
     fn own_member(&self, graph: &Graph, found: &Solution) -> Option<Member> {
-        let ((last, _), seen) = self.own.last()?;
+        let (((last, _), at_m), seen) = (self.own?, self.last?);
         let at = |pose: [f64; 3]| {
-            let [x, y, yaw] = odometry(pose, seen);
+            let [x, y, yaw] = odometry(pose, at_m);
             Vector2::new(x, y) + Rotation2::new(yaw) * seen.end_m
         };
-        let pose = found.pose(*last);
+        let pose = found.pose(last);
         let end = at(pose);
         // An error of the keyframe's yaw turns the way from there to the end.
         let mut turn = Matrix3::identity();
         (turn[(0, 2)], turn[(1, 2)]) = (pose[1] - end.y, end.x - pose[0]);
-        let covariance = turn * found.covariance(*last) * turn.transpose();
+        let covariance = turn * found.covariance(last) * turn.transpose();
         let others = found.others.iter().filter_map(|own| own.poses.get(last.index()));
         Some(Member {
             name: graph.name.clone(),
@@ -348,20 +418,23 @@ impl Built {
     }
 }
 
-/// Pose of the odometry's frame, by the pose of a bearing's keyframe.
-fn odometry([x, y, yaw]: [f64; 3], seen: &Seen) -> [f64; 3] {
-    let origin = Vector2::new(x, y) - Rotation2::new(yaw) * seen.own.mean_m;
+/// Pose of the odometry's frame, by the pose of a keyframe and its place in that frame.
+fn odometry([x, y, yaw]: [f64; 3], at_m: Vector2<f64>) -> [f64; 3] {
+    let origin = Vector2::new(x, y) - Rotation2::new(yaw) * at_m;
     [origin.x, origin.y, yaw]
 }
 
 /// A graph that is solved on its own thread, so that the robot never waits for it.
 pub struct Solver {
     graph: Graph,
+    ranges: Ranges,
     /// The graph has a bearing that was not given to the thread.
     is_new: bool,
     to: SyncSender<Graph>,
     from: Receiver<Result<TeamState, String>>,
     state: TeamState,
+    /// Why there is no newer solution, or why peers are missing.
+    notes: Vec<String>,
 }
 
 impl Solver {
@@ -369,7 +442,7 @@ impl Solver {
     ///
     /// # Errors
     /// If it cannot be started.
-    pub fn start(config: &Config, name: &str) -> Result<Option<Self>, Error> {
+    pub fn start(config: &Config, name: &str, ranges: Ranges) -> Result<Option<Self>, Error> {
         let Some(graph) = Graph::new(config, name) else { return Ok(None) };
         let (to, asked) = sync_channel::<Graph>(0);
         let (tell, from) = sync_channel(1);
@@ -382,25 +455,46 @@ impl Solver {
         };
         let thread = std::thread::Builder::new().name("csi5300 team".into()).spawn(solve);
         thread.map_err(|source| Error::Io { what: "cannot start the thread that solves the team".into(), source })?;
-        Ok(Some(Self { graph, is_new: false, to, from, state: TeamState::default() }))
+        let (state, notes) = (TeamState::default(), Vec::new());
+        Ok(Some(Self { graph, ranges, is_new: false, to, from, state, notes }))
     }
 
     /// Takes the machine's last report about a peer.
     pub fn note(&mut self, peer: usize, report: &PeerReport, machine: &Machine) {
+        self.ranges.take().into_iter().for_each(|range| self.graph.range(range));
         self.is_new |= self.graph.note(peer, report, machine);
     }
 
     /// The team as solved last. A graph with new bearings is solved next.
     pub fn look(&mut self) -> &TeamState {
         match self.from.try_recv() {
-            Ok(Ok(state)) => self.state = TeamState { solved: self.state.solved + 1, ..state },
-            Ok(Err(why)) => self.state.notes = vec![why],
+            Ok(Ok(state)) => {
+                self.notes.clone_from(&state.notes);
+                self.state = TeamState { solved: self.state.solved + 1, ..state };
+            }
+            Ok(Err(why)) => self.notes = vec![why],
             Err(TryRecvError::Empty | TryRecvError::Disconnected) => {}
         }
+        self.state.notes = self.notes.iter().cloned().chain(self.range_notes()).collect();
         // A thread that still solves is given the graph at a later look.
         if self.is_new && self.to.try_send(self.graph.clone()).is_ok() {
             self.is_new = false;
         }
         &self.state
+    }
+
+    /// Topics of ranges without usable messages.
+    fn range_notes(&self) -> impl Iterator<Item = String> {
+        self.graph.asked.ranges.iter().filter_map(|(peer, asked)| {
+            let (counts, topic) = (self.ranges.counts(peer), &asked.topic);
+            match (counts.came, counts.unusable) {
+                (0, _) => Some(format!("no range to {peer} yet on {topic}")),
+                (_, 0) => None,
+                (came, unusable) => Some(format!(
+                    "{unusable} of {came} ranges to {peer} are unusable: not finite, outside of their own limits, without \
+                     a time, or not sensor_msgs/msg/Range"
+                )),
+            }
+        })
     }
 }

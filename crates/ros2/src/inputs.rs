@@ -1,12 +1,12 @@
 //! Poses from ROS 2 topics (odometry, motion capture, transforms), the antenna's place from `/tf_static`, orientation from an
-//! inertial unit, and simulated time.
+//! inertial unit, ranges, and simulated time.
 
 use super::link::Link;
 use super::rtps::Qos;
 use super::tf::Tree;
 use crate::settings::{Kind, Topic};
 use csi5300::motion::odometry::ros::{Inbox, Message, Stamp, Wanted};
-use csi5300_bag::messages::standard::{Clock, Header, Imu, Odometry, PoseStamped, TfMessage};
+use csi5300_bag::messages::standard::{Clock, Header, Imu, Odometry, PoseStamped, Range, TfMessage};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -95,6 +95,23 @@ impl Turns {
 fn heading(rotation: &UnitQuaternion<f64>) -> f64 {
     let forward = rotation * Vector3::x();
     forward.y.atan2(forward.x)
+}
+
+/// Passes the ranges of `topic` to `used`: host time in microseconds, range and its deviation in metres (0: unknown); `None` for a
+/// range that cannot be used. A range without a stamp has its time of receipt.
+pub(crate) fn ranges(
+    link: &Link,
+    topic: &str,
+    clock: &SimClock,
+    used: impl Fn(Option<(i64, [f64; 2])>) + Clone + Send + 'static,
+) {
+    let (clock, unreadable) = (clock.clone(), used.clone());
+    let read = move |told: Range, received_us| {
+        let stamp_us = told.header.stamp.us();
+        let at_us = if stamp_us == 0 { Some(received_us) } else { clock.to_host(stamp_us) };
+        used(at_us.zip(told.metres()));
+    };
+    link.subscribe(topic, Qos::best_effort(DEPTH), read, move || unreadable(None));
 }
 
 /// State that the subscriptions of one source of poses share.

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::bag::Bag;
-use crate::inputs::{PoseTopic, SimClock};
+use crate::inputs::{PoseTopic, SimClock, ranges};
 use crate::link::{Link, Publisher, usual};
 use crate::names::{Names, name_part};
 use crate::reach::{Asked, Reach, outward};
@@ -83,6 +83,12 @@ impl Node {
         let (opened, source) = PoseTopic::open(&self.link, topic, usual, &self.clock);
         self.topics.push(opened);
         source
+    }
+
+    /// Passes the ranges of a topic (`sensor_msgs/msg/Range`) to `used`: host time in microseconds, range and its deviation in
+    /// metres (0: unknown); `None` for a message that cannot be used.
+    pub fn ranges(&self, topic: &str, used: impl Fn(Option<(i64, [f64; 2])>) + Clone + Send + 'static) {
+        ranges(&self.link, topic, &self.clock, used);
     }
 
     /// Announces the topics of these peers (name and MAC), as the settings ask.

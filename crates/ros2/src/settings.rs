@@ -156,7 +156,9 @@ impl Settings {
 /// A key of the table, if the error belongs to one, and the error.
 pub type Wrong = (Option<&'static str>, String);
 
-fn wrong_name(name: &str) -> Option<String> {
+/// The error in the name of a topic.
+#[must_use]
+pub fn wrong_name(name: &str) -> Option<String> {
     let wrong = !is_name(name);
     wrong.then(|| format!("`{name}` is not a valid ROS 2 name: use one like /tb3_0/odom, odom or ~/odom"))
 }

@@ -87,7 +87,6 @@ fn records_of_a_card_that_nobody_has_are_counted_as_unheard() {
     assert!(counts.to_string().contains("1000 records nobody listened to"), "{counts}");
 }
 
-#[cfg(feature = "serve")]
 #[test]
 fn records_let_go_are_counted_as_unheard_and_those_after_them_come() {
     let mut room = Room::quiet(&scene("")).unwrap();

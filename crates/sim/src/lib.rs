@@ -77,7 +77,6 @@ mod room;
 mod room_error;
 pub mod scene;
 mod scene_check;
-#[cfg(feature = "serve")]
 pub mod served;
 mod simulation;
 mod sounder;

@@ -134,7 +134,6 @@ impl Port {
     }
 
     /// Drops the records up to `now`, like the kernel without a listener: they are counted, not computed.
-    #[cfg(feature = "serve")]
     pub(crate) fn let_go(&mut self, now: Instant) {
         let shared = Arc::clone(&self.air);
         let mut air = lock(&shared);
@@ -152,7 +151,6 @@ impl Port {
     }
 
     /// The last record that was handed out reached nobody.
-    #[cfg(feature = "serve")]
     pub(crate) fn take_back(&mut self) {
         let mut air = lock(&self.air);
         let injected = &mut air.node(self.robot).injected;

@@ -15,7 +15,6 @@
 //! mixtures nor marginal covariances, and depends on `faer`. Keyframes in time order make the normal matrix banded, so
 //! the envelope needs no search for an ordering.
 
-#[cfg(feature = "answers")]
 pub mod answers;
 mod envelope;
 pub mod factors;

@@ -100,7 +100,7 @@ impl Evidence {
         self.modes.iter().filter(|mode| mode.is_usable())
     }
 
-    /// The probability that one of the directions is right, within what is said.
+    /// The probability that one of the modes is right.
     pub(super) fn believed(&self) -> f64 {
         self.known.clamp(0.0, 0.99)
     }

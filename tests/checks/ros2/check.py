@@ -1,6 +1,6 @@
 """check.py PROGRAM FOLDER: the checks of tests/checks/ros2.sh, except for the recordings."""
-import json, math, os, random, re, signal, socket, sys, time
-from running import DOMAIN, TRUTH, add_third, folder, followed, here, off, running, start, start_node, state, until
+import json, math, os, random, re, signal, socket, sys, threading, time
+from running import DOMAIN, TRUTH, add_team, add_third, folder, followed, here, off, running, start, start_node, state, until
 
 UNICAST = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>
 <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
@@ -62,6 +62,8 @@ def outputs(participant):
     marked, peers, end = Reader(participant, f"{NODE}/markers", ros.MarkerArray, reliable), set(), time.monotonic() + 600
     while peers != set(TRUTH):
         told = marked.next()
+        if told.markers[0].ns.startswith("team/"):
+            continue
         assert len(told.markers) == 5 and {m.header.frame_id for m in told.markers} == {"odom"}, told
         arrow, words = told.markers[0], told.markers[4]
         if arrow.action == 0:
@@ -166,6 +168,53 @@ def self_test(participant):
     assert claims.level == 0 and claims.message.endswith("claims hold") or busy and len(busy) == len(claims.values), claims
     print(f"the service self_test answers for {len(said.status)} claims; diagnostics: {claims.message}", flush=True)
 
+def team(participant, readers):
+    """The peers are too far away for bearings from one circle to cross: ranges of another sensor place them."""
+    missing = until("ranges are missed", 60, lambda t: t["team"] and len([w for w in t["team"]["notes"] if w.startswith("no range to")]) == 2)
+    assert not missing["team"]["robots"], missing["team"]
+    stamp = readers["tb3_2"].next().header.stamp
+    # The room has a clock of its own.
+    ahead, over = stamp.sec + stamp.nanosec * 1e-9 - time.time(), threading.Event()
+    writers = {peer: DataWriter(participant, Topic(participant, f"rt/uwb/{peer}", ros.Range), qos=reliable) for peer in TRUTH}
+
+    def measure():
+        chance = random.Random(2)
+        while not over.wait(0.1):
+            now = time.time()
+            stamp = ros.Time(int(now + ahead), int((now + ahead) % 1 * 1e9))
+            own, other = (0.3 * math.cos(0.7 * now), 0.3 * math.sin(0.7 * now)), (24.0 + 0.25 * math.cos(-0.4 * now), 10.0 + 0.25 * math.sin(-0.4 * now))
+            for peer, place in (("tb3_1", other), ("tb3_2", (-14.0, 16.0))):
+                told = math.dist(own, place) + chance.gauss(0.0, 0.1)
+                writers[peer].write(ros.Range(ros.Header(stamp, "uwb"), min_range=0.3, max_range=50.0, range=told, variance=0.01))
+            writers["tb3_2"].write(ros.Range(ros.Header(stamp, "uwb"), min_range=0.3, max_range=50.0, range=math.inf))
+
+    thread = threading.Thread(target=measure)
+    thread.start()
+    try:
+        found = lambda t: {one["name"]: one for one in t["team"]["robots"]}
+        told = until("both peers are placed", 120, lambda t: {"tb3_1", "tb3_2"} <= set(found(t)))
+        assert any("ranges to tb3_2 are unusable" in w for w in told["team"]["notes"]) and told["ros2"]["subscribed"]["/uwb/tb3_1"]["read"] > 0, told
+        robots = found(told)
+        (x, y), covariance = robots["tb3_2"]["position_m"], robots["tb3_2"]["covariance"]
+        worst_m = math.hypot(x + 14.0, y - 16.0)
+        assert worst_m < 2.0 and covariance[0][0] + covariance[1][1] < 2.0, robots
+        x, y = robots["tb3_1"]["position_m"]
+        worst_m = max(worst_m, math.hypot(x - 24.0, y - 10.0) - 0.25)
+        assert worst_m < 2.0, robots
+        graph = json.loads(Reader(participant, f"{NODE}/factors", ros.Text, latched).next().data)
+        links = graph["graph"]["links"]
+        ranges = [link for link in links if link["modes"][0]["azimuth_rad"] is None]
+        assert graph["format"] == "csi5300-team" and 0 < len(ranges) < len(links), graph
+        marked, names = Reader(participant, f"{NODE}/markers", ros.MarkerArray, reliable), set()
+        while len(names) < 3:
+            markers = marked.next().markers
+            names |= {m.ns for m in markers if m.ns.startswith("team/") and m.header.frame_id == "odom"}
+        assert names == {"team/tb3_0", "team/tb3_1", "team/tb3_2"}, names
+        print(f"the team: {len(links)} links, of which {len(ranges)} are ranges of a topic; peers at most {worst_m:.2f} m off; factors and ellipses are published", flush=True)
+    finally:
+        over.set()
+        thread.join()
+
 def wrong_ends(participant):
     """A subscriber that requests more than is offered, or a publisher of another type, is reported."""
     eager = DataReader(participant, Topic(participant, f"{NODE}/csi", ros.Csi), qos=reliable)
@@ -235,12 +284,14 @@ def end(process):
 
 def main():
     add_third()
+    add_team()
     node = start_node("robot.toml", "node.log")
     until("the node runs", 60, lambda t: True)
     robots = discovery(UNICAST, "without multicast")
     participant = DomainParticipant(DOMAIN)
     readers = {peer: Reader(participant, f"{NODE}/{peer}/bearing", ros.Bearing, reliable) for peer in TRUTH}
     bearings(readers)
+    team(participant, readers)
     outputs(participant)
     shown()
     recording(participant)

@@ -1,7 +1,7 @@
 """rmw_zenoh.py PROGRAM FOLDER: checks the node's topics over zenoh, with DDS off. The other end is PyPI's zenoh-ros2-sdk with its own keys,
 tokens and attachments; rosbags provides the types, their hashes and CDR, eclipse-zenoh the router."""
 import math, os, socket, threading, time
-from running import DOMAIN, TRUTH, add_third, folder, here, off, running, start_node, state, until
+from running import DOMAIN, TRUTH, add_team, add_third, folder, here, off, running, start_node, state, until
 import xxhash, zenoh
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
@@ -103,8 +103,10 @@ def graph():
     """Checks the output of `ros2 topic list` and `ros2 topic info`; returns the token of the CSI topic."""
     own = {f"{NODE}/{peer}/{part}": kind for peer in TRUTH for part, kind in KINDS.items()}
     own |= {f"{NODE}/markers": "visualization_msgs/msg/MarkerArray", f"{NODE}/csi": "csi5300_msgs/msg/Csi"}
+    own[f"{NODE}/factors"] = "std_msgs/msg/String"
     own |= {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "/tf": "tf2_msgs/msg/TFMessage"}
     read = {"/tb3_0/odom": "nav_msgs/msg/Odometry", "/tb3_1/odom": "nav_msgs/msg/Odometry", "/tf": "tf2_msgs/msg/TFMessage", "/tf_static": "tf2_msgs/msg/TFMessage"}
+    read |= {f"/uwb/{peer}": "sensor_msgs/msg/Range" for peer in TRUTH}
     complete(lambda: dict(get_topic_names_and_types(**network)), {topic: [kind] for topic, kind in (own | read).items()})
     for topics, which, usual in ((own, "publishers", "::,32:,:,:,,"), (read, "subscribers", "2::,64:,:,:,,")):
         for topic, kind in topics.items():
@@ -112,7 +114,7 @@ def graph():
                 info = get_topic_info(topic, verbose=True, **network)
                 all = getattr(info, which) if info else []
                 return [(t.topic_type, t.type_hash, t.qos) for t in all if t.node_name.strip("/") == "csi5300_tb3_0" and t.node_namespace == "/"]
-            qos = {f"{NODE}/csi": "2::,5:,:,:,,", "/tf_static": ":1:,64:,:,:,,"}.get(topic, usual)
+            qos = {f"{NODE}/csi": "2::,5:,:,:,,", "/tf_static": ":1:,64:,:,:,,", f"{NODE}/factors": ":1:,1:,:,:,,"}.get(topic, usual)
             complete(ends, [(kind, store.hash_rihs01(kind), qos)])
     def own_tokens():
         tokens = [str(reply.ok.key_expr) for reply in ZenohSession.get_instance().liveliness.get(f"@ros2_lv/{DOMAIN}/**")]
@@ -128,7 +130,9 @@ def graph():
 
 def messages(token):
     """Checks the other published messages, and the attachments."""
-    told = Reader(f"{NODE}/markers", "visualization_msgs/msg/MarkerArray").next()
+    marked = Reader(f"{NODE}/markers", "visualization_msgs/msg/MarkerArray")
+    while (told := marked.next()).markers[0].ns.startswith("team/"):
+        pass
     assert len(told.markers) == 5 and {m.header.frame_id for m in told.markers} == {"odom"}, told
     assert Reader("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray").next().status[0].name == "csi5300: card"
     csi = Reader(f"{NODE}/csi", "csi5300_msgs/msg/Csi").next()
@@ -149,6 +153,7 @@ def messages(token):
 
 def main():
     add_third()
+    add_team()
     text = open(f"{folder}/robot.toml").read()
     text = text.replace('{ topic = "/tb3_2/pose", type = "pose" }', '{ type = "tf", frame = "world", child = "tb3_2/base_footprint" }')
     open(f"{folder}/robot.toml", "w").write(text + f'[network]\nros2 = true\nconnect = ["tcp/127.0.0.1:{PORT}"]\n')

@@ -46,6 +46,11 @@ def add_third():
     text = text.replace("[ros2]\n", f'[[peer]]\nname = "tb3_2"\nrecords.room = {{}}\nposes.room = {{}}\nantenna_offset_m = [-0.03, 0.0, 0.20]\n\n[ros2]\nbag = "run"\n')
     open(f"{folder}/robot.toml", "w").write(text)
 
+def add_team():
+    """Asks for the graph of the team, with ranges to both peers."""
+    with open(f"{folder}/robot.toml", "a") as robot:
+        robot.write('[team]\n' + "".join(f'ranges.{peer} = {{ topic = "/uwb/{peer}" }}\n' for peer in TRUTH))
+
 def followed(told):
     return told["odometry"]["followed"]["poses"]
 

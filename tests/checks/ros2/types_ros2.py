@@ -143,6 +143,20 @@ class Marker(IdlStruct, typename=name("visualization_msgs", "Marker")):
     mesh_use_embedded_materials: bool
 
 @dataclass
+class Range(IdlStruct, typename=name("sensor_msgs", "Range")):
+    header: Header = field(default_factory=Header)
+    radiation_type: uint8 = 0
+    field_of_view: float32 = 0.0
+    min_range: float32 = 0.0
+    max_range: float32 = 0.0
+    range: float32 = 0.0
+    variance: float32 = 0.0
+
+@dataclass
+class Text(IdlStruct, typename=name("std_msgs", "String")):
+    data: str = ""
+
+@dataclass
 class MarkerArray(IdlStruct, typename=name("visualization_msgs", "MarkerArray")):
     markers: sequence[Marker]
 

@@ -734,7 +734,7 @@ pub static CLAIMS: [Claim; 49] = [
         says: "CSI comes as a notification, not as an answer to a command.",
         needs: Needs::Module,
         expected: "`unmarked` stays 0",
-        source: "iwlwifi pcie/rx.c: bit 7 of the packet's sequence number",
+        source: "iwlwifi pcie/rx.c: bit 15 of the packet's sequence number",
         causes: &["the firmware does not set the bit: the driver takes CSI for answers"],
         next: "sudo dmesg | grep \"wrong command queue\"",
         check: Check::Host(module::marked),

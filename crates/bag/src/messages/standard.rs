@@ -24,6 +24,26 @@ impl Described for Covariance {
     }
 }
 
+/// The last field of a message, which releases up to Humble lack: 0 there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Variance(pub f32);
+
+impl Cdr for Variance {
+    fn write(&self, to: &mut CdrWriter) {
+        self.0.write(to);
+    }
+
+    fn read(from: &mut CdrReader<'_>) -> Result<Self, CdrError> {
+        if from.rest().is_empty() { Ok(Self::default()) } else { Cdr::read(from).map(Self) }
+    }
+}
+
+impl Described for Variance {
+    fn name() -> String {
+        "float32".into()
+    }
+}
+
 messages! {
     /// Seconds and nanoseconds since the Unix epoch, or simulated.
     "builtin_interfaces/msg/Time" Time { sec: i32, nanosec: u32 }
@@ -75,6 +95,10 @@ messages! {
         header: Header, orientation: Quaternion, orientation_covariance: [f64; 9], angular_velocity: Vector3,
         angular_velocity_covariance: [f64; 9], linear_acceleration: Vector3, linear_acceleration_covariance: [f64; 9],
     }
+    /// A range in metres, with its variance where known (0: unknown).
+    "sensor_msgs/msg/Range" Range {
+        header: Header, radiation_type: u8, field_of_view: f32, min_range: f32, max_range: f32, range: f32, variance: Variance,
+    }
     /// Simulated time.
     "rosgraph_msgs/msg/Clock" Clock { clock: Time }
 }
@@ -89,6 +113,17 @@ impl Time {
     /// Microseconds.
     pub fn us(&self) -> i64 {
         i64::from(self.sec) * 1_000_000 + i64::from(self.nanosec) / 1_000
+    }
+}
+
+impl Range {
+    /// The range, metres, and its deviation (0: unknown); `None` if it is not finite or outside of its own limits.
+    #[must_use]
+    pub fn metres(&self) -> Option<[f64; 2]> {
+        let is_within = self.max_range <= self.min_range || (self.min_range..=self.max_range).contains(&self.range);
+        let is_usable = self.range.is_finite() && self.range > 0.0 && is_within;
+        let variance = if self.variance.0.is_finite() { self.variance.0.max(0.0) } else { 0.0 };
+        is_usable.then(|| [f64::from(self.range), f64::from(variance).sqrt()])
     }
 }
 

@@ -1,5 +1,5 @@
 use super::own::{Bearing, Csi};
-use super::standard::{Odometry, Time};
+use super::standard::{Odometry, Range, Time, Variance};
 use super::{Cdr, Described, Message};
 
 /// The fields of a `.msg` file.
@@ -56,6 +56,24 @@ fn odometry_round_trips_and_cut_odometry_is_refused() {
     for cut in 0..payload.len() {
         assert!(Odometry::of_payload(&payload[..cut]).is_err());
     }
+}
+
+#[test]
+fn a_range_of_humble_has_no_variance_and_one_outside_of_its_limits_is_unusable() {
+    let mut range = Range { min_range: 0.2, max_range: 50.0, range: 4.0, variance: Variance(0.01), ..Range::default() };
+    range.header.frame_id = "uwb".into();
+    let payload = range.payload();
+    assert_eq!(Range::of_payload(&payload), Ok(range.clone()));
+    let [range_m, sd_m] = range.metres().unwrap();
+    assert!(range_m == 4.0 && (sd_m - 0.1).abs() < 1e-6);
+    let humble = Range::of_payload(&payload[..payload.len() - 4]).unwrap();
+    assert_eq!(humble.metres(), Some([4.0, 0.0]));
+    assert!(Range::of_payload(&payload[..payload.len() - 2]).is_err());
+    for wrong in [f32::INFINITY, f32::NEG_INFINITY, f32::NAN, 0.1, 50.5, -1.0] {
+        assert_eq!(Range { range: wrong, ..range.clone() }.metres(), None, "{wrong}");
+    }
+    // Without limits, any range counts.
+    assert_eq!(Range { range: 70.0, ..Range::default() }.metres(), Some([70.0, 0.0]));
 }
 
 #[test]

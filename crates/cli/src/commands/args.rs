@@ -6,7 +6,6 @@ use csi5300::pipeline::{Accuracy, ChainConstant, JoinBy, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
-#[cfg(feature = "view")]
 use std::net::SocketAddr;
 
 /// No card hears another one at this distance, metres.
@@ -159,7 +158,6 @@ fn one_of_antennas(text: &str) -> Result<Antenna, String> {
 }
 
 /// A channel that an Intel 5300 can be set to, by its number.
-#[cfg(feature = "live")]
 pub fn channel_of_5300(text: &str) -> Result<Channel, String> {
     if text.ends_with("MHz") {
         return Err(
@@ -180,7 +178,6 @@ pub fn mac(text: &str) -> Result<Mac, String> {
 }
 
 /// An address of this machine with a port.
-#[cfg(feature = "view")]
 pub fn address(text: &str) -> Result<SocketAddr, String> {
     let port = text.trim_start_matches(':').parse::<u16>().map_or_else(|_| "8080".to_owned(), |port| port.to_string());
     text.parse().map_err(|_| {
@@ -232,7 +229,7 @@ pub fn triple(text: &str) -> Result<Vector3<f64>, String> {
     }
 }
 
-#[cfg(all(test, feature = "live"))]
+#[cfg(test)]
 mod tests {
     use super::*;
 

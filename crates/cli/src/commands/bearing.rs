@@ -48,7 +48,6 @@ pub struct Args {
     #[arg(long, value_name = "WHAT", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
     fit: Option<Fit>,
     /// Draw phase, trajectory and profile of each link, and a map of each capture, into this folder
-    #[cfg(feature = "plot")]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     plot: Option<PathBuf>,
     /// Print JSON, one object a line (docs/reference/formats.md)
@@ -310,7 +309,6 @@ impl Args {
         let has_figures = self.json || says(Level::Verbose);
         let mut options = options.with_range_change(self.json).with_figures(has_figures);
         options = options.with_fit_odometry(self.fit.is_some());
-        #[cfg(feature = "plot")]
         {
             options = options.with_keep_course(self.plot.is_some());
         }
@@ -339,7 +337,6 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
         draft.keep(false).map_err(|error| format!("writing {}: {error}", path.display()))?;
         note!("profile of {name}: {}", path.display());
     }
-    #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
         let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None };
         write(&pictures, folder, name)?;
@@ -348,7 +345,6 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
 }
 
 /// Writes the pictures of a link.
-#[cfg(feature = "plot")]
 fn write(
     pictures: &csi5300_lab::show::link::LinkPictures<'_>,
     folder: &Path,

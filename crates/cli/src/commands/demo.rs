@@ -252,24 +252,12 @@ fn table(shown: &[Shown]) -> String {
     text
 }
 
-#[cfg(not(feature = "plot"))]
-fn draw(_: &Args, _: &str, _: &Bearing, _: &Scene, _: Option<f64>) -> Words<Vec<PathBuf>> {
-    Ok(Vec::new())
-}
-
-#[cfg(not(feature = "plot"))]
-fn draw_standing(_: &Args, _: &Standing) -> Words<Vec<PathBuf>> {
-    Ok(Vec::new())
-}
-
-#[cfg(feature = "plot")]
 fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
     let picture = csi5300_lab::show::repeated::standing(standing);
     let written = picture.write(&args.out.join("standing-phase"), &super::pictures::format());
     written.map_err(|error| error.to_string())
 }
 
-#[cfg(feature = "plot")]
 fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Option<f64>) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
     let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m };
@@ -277,11 +265,7 @@ fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Op
     written.map_err(|error| error.to_string())
 }
 
-#[cfg(not(feature = "plot"))]
-fn say_pictures(_: &Args, _: &[PathBuf]) {}
-
 /// A line for each picture, by the first of its formats.
-#[cfg(feature = "plot")]
 fn say_pictures(args: &Args, written: &[PathBuf]) {
     for path in super::pictures::first_of_each(written).filter(|_| !args.json) {
         print(&format!("  picture {}\n", path.display()));

@@ -98,7 +98,6 @@ impl Draft {
         let part = (!is_special).then_some(part);
         if let Some(part) = &part {
             drafts().push(part.clone());
-            #[cfg(feature = "live")]
             signals::watch();
         }
         Self { path, part }
@@ -160,7 +159,6 @@ impl FolderDraft {
         let made = !folder.exists();
         // From here on a signal takes it away.
         drafts().push(part.clone());
-        #[cfg(feature = "live")]
         signals::watch();
         let draft = Self { folder: folder.to_owned(), part, made };
         std::fs::create_dir_all(&draft.part).map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
@@ -262,7 +260,6 @@ pub fn led_to(path: &Path) -> PathBuf {
     at
 }
 
-#[cfg(feature = "live")]
 mod signals {
     use super::{drafts, remove};
     use csi5300_live::wait::is_ignored;

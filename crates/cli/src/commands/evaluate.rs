@@ -9,7 +9,6 @@ use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sure};
 use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, find, reliability, summarise};
-#[cfg(feature = "plot")]
 use csi5300_lab::show::set::{self, Others};
 use driver_iface::bfee::Antenna;
 use rayon::prelude::*;
@@ -24,13 +23,11 @@ pub struct Args {
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
     /// Write the page of `csi5300 view` for one DIR as one file, with captures without a truth
-    #[cfg(feature = "view")]
     #[arg(long, value_name = "OUT.html")]
     html: Option<PathBuf>,
     /// Draw error distributions, refusals, reliability and a map of each place into this folder
-    #[cfg(feature = "plot")]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
-    #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
+    #[arg(conflicts_with = "html")]
     plot: Option<PathBuf>,
     /// Which trajectory of captures to use
     #[arg(long, value_enum, default_value = "gt")]
@@ -51,10 +48,9 @@ pub struct Args {
     heading_sd: Option<f64>,
     /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
-    #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
+    #[arg(conflicts_with = "html")]
     json: bool,
     /// Overwrite existing outputs
-    #[cfg(feature = "view")]
     #[arg(long, requires = "html")]
     force: bool,
 }
@@ -77,7 +73,6 @@ impl Args {
 
 /// Evaluates a tree of captures.
 pub fn run(args: &Args) -> Result {
-    #[cfg(feature = "view")]
     if let Some(out) = &args.html {
         return page(args, out);
     }
@@ -117,7 +112,6 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// Writes the page of `view` as one file.
-#[cfg(feature = "view")]
 fn page(args: &Args, out: &std::path::Path) -> Result {
     let [folder] = args.folders.as_slice() else { usage("--html takes one folder") };
     let is_html = |ending: &std::ffi::OsStr| ["html", "htm"].iter().any(|own| ending.eq_ignore_ascii_case(own));
@@ -149,7 +143,6 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
 /// What another program answers on the links, for the pictures.
 #[derive(Default)]
 struct Beside {
-    #[cfg(feature = "plot")]
     others: Others,
     /// True if some of it could not be read.
     lost: bool,
@@ -158,17 +151,13 @@ struct Beside {
 impl Beside {
     /// Reads the tables beside the captures if pictures are drawn, and reports skipped rows.
     fn read(args: &Args) -> Self {
-        #[cfg_attr(not(feature = "plot"), allow(unused_mut))]
         let mut beside = Self::default();
-        #[cfg(feature = "plot")]
         for folder in args.folders.iter().filter(|_| args.plot.is_some()) {
             if let Some(words) = beside.others.add(folder, args.reading().source()) {
                 note!("{words}");
                 beside.lost = true;
             }
         }
-        #[cfg(not(feature = "plot"))]
-        let _ = args;
         beside
     }
 }
@@ -207,7 +196,6 @@ fn find_all<'a>(
 }
 
 /// Prints rows and summary, and draws the requested pictures.
-#[cfg_attr(not(feature = "plot"), allow(unused_variables))]
 fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<(), String> {
     let summary = summarise(rows);
     if args.json {
@@ -219,7 +207,6 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<()
             print(&worth(rows));
         }
     }
-    #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
         let written = set::write(rows, &beside.others, folder, &super::pictures::format());
         let written = written.map_err(|error| error.to_string())?;

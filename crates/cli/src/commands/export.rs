@@ -253,10 +253,8 @@ fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
 struct Large;
 
 impl Advise for Large {
-    #[cfg_attr(not(feature = "live"), allow(unused_variables))]
     fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]) {
         // Pages of the usual size do as well.
-        #[cfg(feature = "live")]
         let _ = csi5300_live::sys::advise_large_pages(memory);
     }
 }

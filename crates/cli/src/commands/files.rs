@@ -1,10 +1,10 @@
 //! Files that commands read and write: logs, trajectories, other kinds of files; outputs that are not overwritten.
 
 use super::hint;
-use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
+use csi5300::motion::odometry::csv::{self, Columns, CsvCounts};
 use csi5300::motion::pose::Trajectory;
 use csi5300::source::replay::Replay;
-use csi5300_lab::kinds::{A_LOG, has_record, not_a_log, not_a_trajectory};
+use csi5300_lab::kinds::{A_LOG, not_a_log, trajectory_refused};
 use std::io::Read;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,9 +13,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub type Log = Replay<Box<dyn Read + Send>>;
 
 type Words<T> = std::result::Result<T, String>;
-
-/// What a trajectory is.
-const A_TRAJECTORY: &str = "a trajectory is a table of times and places, as CSV (docs/reference/formats.md)";
 
 /// Opens a log; `-` is standard input.
 ///
@@ -65,15 +62,7 @@ pub fn read_trajectory(path: &Path) -> Words<Trajectory> {
 /// # Errors
 /// As [`read_trajectory`].
 pub fn read_trajectory_as(path: &Path, columns: Option<&Columns>) -> Words<Trajectory> {
-    let name = path.display();
-    let (trajectory, counts) = csv::read_as(path, columns).map_err(|error| match error {
-        CsvError::Io { .. } => error.to_string(),
-        _ if has_record(path) => format!("{name} is a log of CSI: {A_TRAJECTORY}"),
-        _ => match not_a_trajectory(path) {
-            Some(kind) => format!("{name} is another kind of file, {kind}: {A_TRAJECTORY}"),
-            None => format!("{name}: {error}"),
-        },
-    })?;
+    let (trajectory, counts) = csv::read_as(path, columns).map_err(|error| trajectory_refused(path, &error))?;
     say_trajectory(path, &trajectory, &counts);
     Ok(trajectory)
 }

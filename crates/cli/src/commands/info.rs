@@ -1,6 +1,5 @@
 //! `csi5300 info`.
 
-#[cfg(feature = "plot")]
 mod plot;
 
 use super::{Outcome, Result, other_cards, print, print_json, some};
@@ -25,7 +24,6 @@ pub struct Args {
     /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
-    #[cfg(feature = "plot")]
     #[command(flatten)]
     plot: plot::Args,
 }
@@ -151,18 +149,12 @@ fn drawn(args: &Args, files: &[PathBuf], k: usize, failed: &mut bool) -> Vec<Pat
     })
 }
 
-#[cfg(feature = "plot")]
 fn draw(args: &Args, files: &[PathBuf], k: usize) -> std::result::Result<Vec<PathBuf>, String> {
     let drawn = plot::draw(&args.plot, files, k)?;
     if !args.json {
         drawn.iter().for_each(|path| note!("{}", path.display()));
     }
     Ok(drawn)
-}
-
-#[cfg(not(feature = "plot"))]
-fn draw(_: &Args, _: &[PathBuf], _: usize) -> std::result::Result<Vec<PathBuf>, String> {
-    Ok(Vec::new())
 }
 
 /// A log that was read.

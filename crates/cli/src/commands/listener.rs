@@ -2,11 +2,9 @@
 //! messages.
 
 use super::live::join_refused;
-#[cfg(feature = "stock")]
 use csi5300::source::Error;
 use csi5300_live::listener::Listener;
 use csi5300_live::netlink::{Found, Netlink, Options};
-#[cfg(feature = "stock")]
 use csi5300_live::stock::{self, Stock};
 use csi5300_live::wait::wall_us;
 use csi5300_sim::served::{self, Address};
@@ -23,11 +21,11 @@ pub struct Listening {
     pub card: Card,
     /// Accept messages of other programs too: emulators, `replay --connector`
     #[arg(long)]
-    #[cfg_attr(feature = "stock", arg(conflicts_with = "stock"))]
+    #[arg(conflicts_with = "stock")]
     pub allow_user_sender: bool,
     /// Use a robot of a simulated room (`simulate SCENE --serve --socket PATH`) as the card
     #[arg(long, value_name = "PATH#ROBOT", conflicts_with_all = ["connector_index", "allow_user_sender"])]
-    #[cfg_attr(feature = "stock", arg(conflicts_with = "stock"))]
+    #[arg(conflicts_with = "stock")]
     pub room: Option<Address>,
 }
 
@@ -39,7 +37,6 @@ pub struct Card {
     connector_index: Option<u32>,
     /// Take packets from the kernel's unpatched driver by an eBPF program (Linux 5.8 or later), and make the WSR
     /// driver's or csitool's records, with or without frames (0xC1)
-    #[cfg(feature = "stock")]
     #[arg(
         long,
         value_enum,
@@ -54,7 +51,6 @@ pub struct Card {
 }
 
 /// The driver whose records are made, with or without frames.
-#[cfg(feature = "stock")]
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 enum Records {
     Wsr,
@@ -78,7 +74,6 @@ impl Listening {
     /// Opens what the arguments name.
     pub fn open(&self, needs: Needs) -> Result<Listener, String> {
         let receive_buffer = usize::try_from(needs.receive_buffer.unwrap_or(RECEIVE_BUFFER)).unwrap_or(usize::MAX);
-        #[cfg(feature = "stock")]
         if let Some(asked) = self.card.stock {
             let layout = match asked {
                 Records::Wsr | Records::WsrFrames => driver_iface::bfee::Layout::Wsr,
@@ -107,7 +102,6 @@ impl Listening {
 pub fn describe(listener: &Listener) -> String {
     match listener {
         Listener::Connector(listener) => describe_connector(listener),
-        #[cfg(feature = "stock")]
         Listener::Stock(stock) => {
             format!("listening to the packets of the unpatched iwlwifi, ring of {} KiB", stock.ring_bytes() / 1024)
         }
@@ -132,13 +126,11 @@ fn describe_connector(listener: &Netlink) -> String {
 pub fn summary(listener: &Listener) -> String {
     match listener {
         Listener::Connector(listener) => connector_summary(listener),
-        #[cfg(feature = "stock")]
         Listener::Stock(stock) => stock_summary(stock),
     }
 }
 
 /// An error with what caused it: the kernel's own answer is at the end.
-#[cfg(feature = "stock")]
 fn with_causes(error: &Error) -> String {
     let mut text = error.to_string();
     let mut at = std::error::Error::source(error);
@@ -150,7 +142,6 @@ fn with_causes(error: &Error) -> String {
 }
 
 /// Printed if the card receives but sends no CSI.
-#[cfg(feature = "stock")]
 const NO_CSI: &str = "  the card received frames and sent no CSI: does csitool's firmware run, and are they HT frames to and \
                       from 00:16:ea:12:34:56? The patched drivers ask the card for CSI, which this program cannot: with the \
                       module csi5300 loaded before the channel is set it is asked, too\n";
@@ -183,7 +174,6 @@ fn connector_summary(listener: &Netlink) -> String {
     text
 }
 
-#[cfg(feature = "stock")]
 fn stock_summary(stock: &Stock) -> String {
     let mut text = String::new();
     let counters = stock.counters();

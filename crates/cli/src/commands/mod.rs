@@ -6,7 +6,6 @@ mod bearing;
 mod captures;
 mod completions;
 mod demo;
-#[cfg(feature = "live")]
 mod doctor;
 mod draft;
 mod evaluate;
@@ -16,35 +15,26 @@ mod hint;
 mod info;
 mod inputs;
 mod key;
-#[cfg(feature = "live")]
 mod listener;
-#[cfg(feature = "live")]
 mod live;
 mod mcap;
 mod mounting;
 mod node;
 mod old;
 mod other_cards;
-#[cfg(feature = "plot")]
 mod pictures;
 mod profile;
-#[cfg(feature = "live")]
 mod record;
-#[cfg(feature = "live")]
 mod replay;
-#[cfg(feature = "live")]
 mod setup;
 mod simulate;
-#[cfg(feature = "live")]
 mod sound;
 mod threads;
 mod unbag;
-#[cfg(feature = "view")]
 mod view;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-#[cfg(feature = "live")]
 pub use csi5300_say::is_end_of_room;
 use csi5300_say::{self as say, Level, When};
 pub use csi5300_say::{Outcome, Result, count as some, fixed, print, print_json, usage};
@@ -94,7 +84,6 @@ enum Command {
     /// Simulate the circle and line experiments of Dijkstra et al., decode their logs, and draw the bearings
     Demo(demo::Args),
     /// Show logs, captures or a running node on a page in the browser
-    #[cfg(feature = "view")]
     View(view::Args),
     /// Print the bearing from a receiver that moved to each transmitter it heard
     Bearing(Box<bearing::Args>),
@@ -105,19 +94,14 @@ enum Command {
     /// Compare the bearings of captures with the truth: table, pictures or one HTML page
     Evaluate(evaluate::Args),
     /// Check everything between this machine and its first record, and print how to repair it
-    #[cfg(feature = "live")]
     Doctor(doctor::Args),
     /// Print the steps that put the card into monitor mode, or take them with --apply
-    #[cfg(feature = "live")]
     Setup(setup::Args),
     /// Record the driver's messages to a log
-    #[cfg(feature = "live")]
     Record(record::Args),
     /// Play a log at its own pace, to standard output or into the kernel's connector
-    #[cfg(feature = "live")]
     Replay(replay::Args),
     /// Exchange frames with other robots so that both cards measure; print live bearings
-    #[cfg(feature = "live")]
     Sound(Box<sound::Args>),
     /// Run the service of a robot: capture, odometry, peers, live bearings
     Node(node::NodeArgs),
@@ -204,21 +188,15 @@ fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) ->
 fn execute(command: Command) -> Result {
     match command {
         Command::Demo(args) => demo::run(&args),
-        #[cfg(feature = "view")]
         Command::View(args) => view::run(&args),
         Command::Bearing(args) => bearing::run(*args),
         Command::Info(args) => info::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
-        #[cfg(feature = "live")]
         Command::Doctor(args) => doctor::run(&args),
-        #[cfg(feature = "live")]
         Command::Setup(args) => setup::run(&args),
-        #[cfg(feature = "live")]
         Command::Record(args) => record::run(&args),
-        #[cfg(feature = "live")]
         Command::Replay(args) => replay::run(&args),
-        #[cfg(feature = "live")]
         Command::Sound(args) => sound::run(&args),
         Command::Node(_) | Command::Watch(_) => node::run(),
         Command::Simulate(args) => simulate::run(&args),
@@ -298,9 +276,7 @@ mod tests {
             }
         }
         let mut all = vec!["bearing profile", "bearing factors", "simulate out", "export output", "demo out"];
-        if cfg!(feature = "plot") {
-            all.extend(["bearing plot", "evaluate plot", "info plot"]);
-        }
+        all.extend(["bearing plot", "evaluate plot", "info plot"]);
         for known in all {
             assert!(written.iter().any(|one| one == known), "{known}: {written:?}");
         }

@@ -71,7 +71,7 @@ pub struct Args {
     /// Record an AX200 or AX210 by FeitCSI: the address of its UDP socket and its options, such as "127.0.0.1:8008 --frequency
     /// 5180 --channel-width 80 --format VHT", or - if it writes to the standard input. OUT is then a log of FeitCSI
     #[arg(long, value_name = "ADDRESS OPTIONS", value_parser = feitcsi::source, conflicts_with_all = ["live", "checksums", "connector_index", "allow_user_sender", "room"])]
-    #[cfg_attr(feature = "stock", arg(conflicts_with = "stock"))]
+    #[arg(conflicts_with = "stock")]
     feitcsi: Option<feitcsi::Way>,
     #[command(flatten)]
     listening: Listening,

@@ -1,7 +1,6 @@
 //! `csi5300 simulate`.
 
 mod compare;
-#[cfg(feature = "live")]
 mod serve;
 mod suite;
 
@@ -37,7 +36,6 @@ pub struct Args {
     /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]
     json: bool,
-    #[cfg(feature = "live")]
     #[command(flatten)]
     live: serve::Args,
     #[command(flatten)]
@@ -64,11 +62,7 @@ const TABLE: &str = "csi5300-suite.csv";
 impl Args {
     /// True if anything was asked of serving.
     fn serves(&self) -> bool {
-        #[cfg(feature = "live")]
-        let serves = self.live.serve || self.live.asked();
-        #[cfg(not(feature = "live"))]
-        let serves = false;
-        serves
+        self.live.serve || self.live.asked()
     }
 
     /// Runs a comparison or the experiments.
@@ -109,11 +103,9 @@ pub fn run(args: &Args) -> Result {
         Some(Layout::Wsr) => Driver::Wsr,
         Some(Layout::Stock) => Driver::Stock,
     };
-    #[cfg(feature = "live")]
     if args.live.serve {
         return serve::run(scene, file, &args.live, args.json);
     }
-    #[cfg(feature = "live")]
     if args.live.asked() {
         usage("--socket, --robot, --poses and --speed need --serve");
     }

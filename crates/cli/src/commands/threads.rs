@@ -6,7 +6,6 @@
 /// If they were made before, in words.
 pub fn make(count: usize) -> Result<(), String> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(count).use_current_thread();
-    #[cfg(feature = "live")]
     let pool = {
         csi5300_live::sys::keep_heap();
         pool.start_handler(|_| csi5300_live::sys::keep_heap())

@@ -91,11 +91,7 @@ pub fn run(args: &Args) -> Result {
 
 /// SIGHUP ends it, unless it is ignored, as under `nohup`.
 fn ends_by_hangup() -> bool {
-    #[cfg(feature = "live")]
-    let ends = !csi5300_live::wait::is_ignored(nix::sys::signal::Signal::SIGHUP);
-    #[cfg(not(feature = "live"))]
-    let ends = true;
-    ends
+    !csi5300_live::wait::is_ignored(nix::sys::signal::Signal::SIGHUP)
 }
 
 /// Opens the page as the desktop opens pages.

@@ -61,7 +61,6 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     }
 }
 
-#[cfg(feature = "live")]
 #[test]
 fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
     let folder = Folder::new("accept-cards");
@@ -83,7 +82,6 @@ fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
 }
 
 /// `record --feitcsi` with the log of one simulated robot on its way.
-#[cfg(feature = "live")]
 fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut std::process::Child)) -> (i32, String) {
     use std::process::{Command, Stdio};
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
@@ -95,7 +93,6 @@ fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut s
     (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
 }
 
-#[cfg(feature = "live")]
 #[test]
 fn what_feitcsi_writes_is_recorded_byte_by_byte() {
     use std::io::Write;
@@ -226,13 +223,11 @@ fn the_constant_of_a_turn_gives_a_robot_that_stands_a_bearing() {
 }
 
 /// The same with a second antenna on the robot that drives.
-#[cfg(any(feature = "plot", feature = "view"))]
 fn two_antennas() -> String {
     PAIR.replace("name = \"rx\"\n", "name = \"rx\"\nantenna_b_m = [0.03, 0.0, 0.0]\n")
 }
 
 /// Logs of every format, with what the pictures of each have to say: subcarriers at the edges, letters of its antennas.
-#[cfg(any(feature = "plot", feature = "view"))]
 const LOGS: [(&str, &str, [i64; 2], &str); 10] = [
     ("atheros/ath_csi_1.dat", "Atheros CSI tool", [-28, 28], "ABC"),
     ("esp32/example_csi.csv", "ESP32 CSV", [0, 0], "A"),
@@ -246,7 +241,6 @@ const LOGS: [(&str, &str, [i64; 2], &str); 10] = [
     ("picoscenes/rx_by_iwl5300.csi", "PicoScenes", [0, 0], "ABC"),
 ];
 
-#[cfg(feature = "plot")]
 #[test]
 fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     let folder = Folder::new("plot-cards");
@@ -298,7 +292,6 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
 }
 
 /// What the page of a log is told.
-#[cfg(feature = "view")]
 fn asked(log: &str, paths: &[&str]) -> Vec<serde_json::Value> {
     use std::io::{BufRead, BufReader, Read, Write};
     let mut page = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
@@ -320,7 +313,6 @@ fn asked(log: &str, paths: &[&str]) -> Vec<serde_json::Value> {
     answers
 }
 
-#[cfg(feature = "view")]
 #[test]
 fn the_page_shows_logs_of_other_cards() {
     let folder = Folder::new("view-cards");
@@ -359,7 +351,6 @@ fn the_page_shows_logs_of_other_cards() {
     }
 }
 
-#[cfg(feature = "view")]
 #[test]
 fn an_address_without_its_half_is_shown_whole() {
     let folder = Folder::new("address");

@@ -61,7 +61,6 @@ fn files_are_told_apart_by_their_content() {
         assert!(err.contains("rx.dat is the receiver's log"), "{err}");
     }
     // The page of the same folder has its link.
-    #[cfg(feature = "view")]
     {
         let (status, _, err) = folder.run(&["evaluate", ".", "--channel", "108", "--html", "page.html"]);
         assert!(status == 0 && err.contains("page.html: 1 link,"), "{status} {err}");
@@ -480,7 +479,6 @@ fn several_links_to_known_places_locate_the_receiver_and_old_names_say_the_new_o
 }
 
 #[test]
-#[cfg(feature = "plot")]
 fn a_link_of_a_capture_is_explained_with_pictures() {
     let folder = Folder::new("explained");
     capture(&folder, "place", &link(600, 2.0));

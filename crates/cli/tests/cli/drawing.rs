@@ -51,7 +51,6 @@ fn pictures_and_maps_of_captures_are_replaced_by_the_next_run() {
     }
 }
 
-#[cfg(feature = "view")]
 #[test]
 fn a_page_has_its_ending_and_says_why_a_link_has_no_bearing() {
     let folder = Folder::new("drawing-page");
@@ -105,9 +104,7 @@ fn what_is_left_out_of_another_programs_answers_is_said_and_is_a_loss() {
     for (table, words) in cases {
         folder.write("tree/links.csv", table.as_bytes());
         let mut commands = vec![&["evaluate", "tree", "--plot", "p"][..]];
-        if cfg!(feature = "view") {
-            commands.push(&["evaluate", "tree", "--html", "i.html", "--force"]);
-        }
+        commands.push(&["evaluate", "tree", "--html", "i.html", "--force"]);
         for command in commands {
             let (status, _, err) = folder.run(command);
             assert!(status == 3 && err.lines().any(|line| line == words), "{command:?}: {status} {err}");

@@ -37,13 +37,11 @@ fn the_demonstration_prints_spreads_and_bearings_and_overwrites_only_its_own_fil
     let folder = Folder::new("demo");
     let (status, out, err) = folder.run(&["demo", "--out", "d"]);
     assert_eq!(status, 0, "{err}");
-    if cfg!(feature = "plot") {
-        for stem in ["standing-phase", "circle-profile", "line-trajectory"] {
-            assert!(out.contains(&format!("  picture d/{stem}.png\n")), "{out}");
-            assert!(folder.0.join(format!("d/{stem}.svg")).is_file(), "{stem}");
-        }
-        assert!(!out.contains(".svg"), "{out}");
+    for stem in ["standing-phase", "circle-profile", "line-trajectory"] {
+        assert!(out.contains(&format!("  picture d/{stem}.png\n")), "{out}");
+        assert!(folder.0.join(format!("d/{stem}.svg")).is_file(), "{stem}");
     }
+    assert!(!out.contains(".svg"), "{out}");
     let spread = |name: &str| -> f64 {
         let line = out.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name}: {out}"));
         line.split(name).nth(1).unwrap().split_whitespace().next().unwrap().parse().unwrap()
@@ -164,12 +162,9 @@ fn every_field_of_json_is_in_the_documentation() {
         &["simulate", "paper-circle", "--out", "room", "--json"],
         &["export", "--dat", "rx.dat", "again.dat", "--json"],
         &["export", "rx.dat", "rx.npz", "--json"],
-        #[cfg(feature = "plot")]
         &["info", "rx.dat", "--plot", "p", "--json"],
         &["mcap", "rx.dat", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "m.mcap", "--json"],
-        #[cfg(feature = "live")]
         &["doctor", "c", "--json"],
-        #[cfg(feature = "live")]
         &["setup", "--undo", "--interface", "none", "--json"],
     ];
     for command in commands {
@@ -181,7 +176,6 @@ fn every_field_of_json_is_in_the_documentation() {
 }
 
 /// The page as one file holds an answer of every kind that `view` gives but a node's states, whose fields `node.rs` looks at.
-#[cfg(feature = "view")]
 #[test]
 fn every_field_of_the_page_is_in_the_documentation() {
     let folder = Folder::new("page");
@@ -234,7 +228,6 @@ fn commands_end_alike() {
     assert!(help.contains("Exit status of every command"), "{help}");
 }
 
-#[cfg(feature = "plot")]
 #[test]
 fn a_log_is_drawn_with_what_is_asked_for() {
     let folder = Folder::new("plot");

@@ -5,44 +5,32 @@
 mod common;
 #[path = "../../../../tests/common/documented.rs"]
 mod documented;
-#[cfg(feature = "live")]
 #[path = "../../../../tests/common/private.rs"]
 mod private;
 
 // Tests start in the order of their names; those that wait the longest are the first.
-#[cfg(feature = "live")]
 mod acceptance;
-#[cfg(feature = "live")]
 mod air;
-#[cfg(feature = "live")]
 mod answers;
-#[cfg(feature = "live")]
 mod attacks;
 mod bags;
 mod cards;
 mod commands;
 mod compare;
-#[cfg(feature = "plot")]
 mod drawing;
-#[cfg(all(feature = "live", feature = "plot"))]
 mod full;
 mod looking;
-#[cfg(feature = "live")]
 mod monitor;
 #[cfg(unix)]
 mod outputs;
-#[cfg(feature = "live")]
 mod recording;
 mod recovering;
-#[cfg(feature = "live")]
 mod served;
-#[cfg(feature = "view")]
 mod signalled;
 mod words;
 
 /// Builds the robot's service, which `csi5300 node` starts, where it is not beside the program yet: a test of this package alone
 /// builds no other's.
-#[cfg(feature = "live")]
 fn with_node() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {

@@ -261,7 +261,6 @@ fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
     assert!(!Path::new("/dev/nullstp").exists());
 }
 
-#[cfg(feature = "live")]
 /// Starts a command that reads the pipe `input` of the folder, hands it half a log and waits until it writes a draft.
 fn begun(folder: &Folder, prefix: &str, args: &[&str]) -> (std::process::Child, std::fs::File) {
     use std::io::Write;
@@ -287,7 +286,6 @@ fn begun(folder: &Folder, prefix: &str, args: &[&str]) -> (std::process::Child, 
     (child, pipe)
 }
 
-#[cfg(feature = "live")]
 #[test]
 fn a_signal_leaves_the_old_output_and_nothing_else() {
     use nix::sys::signal::{Signal, kill};

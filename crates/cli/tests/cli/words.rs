@@ -27,7 +27,6 @@ fn quiet_says_results_and_errors_and_verbose_what_was_read() {
 #[test]
 fn colours_are_for_terminals_and_for_who_asks() {
     let folder = Folder::new("colours");
-    #[cfg(feature = "live")]
     {
         std::fs::create_dir_all(folder.0.join("machine")).unwrap();
         let doctor = |more: &[&str]| folder.run(&[&["doctor", "machine"][..], more].concat()).1;
@@ -83,9 +82,7 @@ fn a_file_of_another_kind_is_named_for_what_it_is() {
         let (status, _, err) = folder.run(command);
         assert!(status == 1 && err.contains("rx.npz is another kind of file, a ZIP archive"), "{command:?}: {err}");
     }
-    #[cfg(feature = "plot")]
     assert!(folder.run(&["info", "t.csv", "--plot", "."]).2.contains("another kind of file"));
-    #[cfg(feature = "view")]
     assert!(folder.run(&["view", "t.csv"]).2.contains("another kind of file"));
 }
 
@@ -172,7 +169,6 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let (status, _, err) = locate(&["runs", "--frame", "kitchen=0,0,0"]);
     assert!(status == 2 && err.contains("no capture has this name"), "{err}");
     std::fs::remove_dir_all(folder.0.join("other")).unwrap();
-    #[cfg(feature = "view")]
     {
         let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108", "--html", "r.html"]);
         assert_eq!(status, 0, "{err}");

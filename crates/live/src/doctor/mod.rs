@@ -21,7 +21,6 @@ pub use reception::Reception;
 pub(crate) use setup::module::RATE as MODULE_RATE;
 pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo, warnings};
 pub use system::{Machine, Ran, System, Tree, module_counters};
-#[cfg(feature = "stock")]
 pub(crate) use ways::{EBPF_FROM, kernel_version};
 
 /// The result of a check.

@@ -515,5 +515,4 @@ fn the_stock_driver_gets_its_own_rate_and_no_ack_len() {
     assert_eq!(default_interface(&system).unwrap(), "wlp1s0");
 }
 
-#[cfg(feature = "stock")]
 mod ways;

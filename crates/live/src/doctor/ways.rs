@@ -127,9 +127,6 @@ fn ebpf(system: &dyn System) -> Way {
     if lockdown.contains("[confidentiality]") {
         return Way::Closed("kernel lockdown `confidentiality`".into());
     }
-    if !cfg!(feature = "stock") {
-        return Way::Needs("this build lacks the feature `stock`", "build with --features stock");
-    }
     if system.names("/sys/module/iwlwifi").is_empty() {
         return Way::Needs("iwlwifi is not loaded", "sudo modprobe iwlwifi");
     }

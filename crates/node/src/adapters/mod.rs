@@ -23,6 +23,7 @@ mod zenoh;
 use crate::config::{Config, Odometry};
 use crate::health::Health;
 use crate::machine::Machine;
+use crate::ranges::Ranges;
 use crate::sources::Poses;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::pipeline::live::PeerReport;
@@ -83,6 +84,8 @@ pub struct Start<'a> {
     pub wall_us: fn() -> Option<i64>,
     /// Notified when there is input for the machine.
     pub wake: Arc<Notify>,
+    /// Ranges of another sensor go here.
+    pub ranges: Ranges,
     /// The topics of ROS 2, for other adapters: they are complete after `meet` of `ros2`.
     pub topics: OnceCell<Relay>,
 }

@@ -6,6 +6,7 @@ use super::{Adapter, Made, Robot, Said, Start};
 use crate::config::{Config, Odometry, ros2::is_used};
 use crate::health::Health;
 use crate::machine::{Machine, Tap};
+use crate::ranges::{Ranged, Ranges};
 use crate::sources::Poses;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::motion::pose::Pose;
@@ -30,6 +31,7 @@ struct Ros2 {
     records: Option<Records>,
     /// None without a table `[ros2]` or `[team]`.
     team: Option<Topics>,
+    ranges: Ranges,
 }
 
 pub(super) fn make(start: &Start<'_>) -> Made {
@@ -52,6 +54,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         claims: None,
         records: None,
         team: None,
+        ranges: start.ranges.clone(),
     })))
 }
 
@@ -75,6 +78,7 @@ impl Adapter for Ros2 {
             self.team =
                 self.config.team.as_ref().map(|team| Topics::new(&self.node, names(), frame, !team.places.is_empty()));
         }
+        self.subscribe_to_ranges();
         let publish = || self.node.link().publish("/diagnostics", usual());
         self.diagnostics = self.publishes_diagnostics.then(publish);
         self.records = self.node.records();
@@ -108,6 +112,21 @@ impl Adapter for Ros2 {
         if let (Some(publisher), Some(claims)) = (&self.diagnostics, &self.claims) {
             let header = self.node.header((self.wall_us)().unwrap_or(0), String::new());
             publisher.put(&claims.diagnostics(header, health));
+        }
+    }
+}
+
+impl Ros2 {
+    fn subscribe_to_ranges(&self) {
+        for (peer, asked) in self.config.team.iter().flat_map(|team| &team.ranges) {
+            let (peer, usual_m, ranges) = (peer.clone(), asked.sd_m, self.ranges.clone());
+            self.node.ranges(&asked.topic, move |told| {
+                let ranged = |(us, [range_m, sd_m]): (i64, [f64; 2])| {
+                    let range_m = [range_m, if sd_m > 0.0 { sd_m } else { usual_m }];
+                    Ranged { peer: peer.clone(), t_s: us as f64 * 1e-6, range_m }
+                };
+                ranges.put(&peer, told.map(ranged));
+            });
         }
     }
 }

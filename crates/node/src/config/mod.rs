@@ -9,7 +9,7 @@
 //! | [`sounding`] | this robot's part in the sounding exchange |
 //! | [`ros`] | ROS 1: topics of poses, and this program as a node |
 //! | [`ros2`] | the same of ROS 2 |
-//! | `team` | known places for the graph of the team |
+//! | `team` | known places and ranges for the graph of the team |
 //! | `outputs` | what is recorded and published, and the network |
 //! | `check` | what contradicts itself or this machine, one function a group of rules |
 //! | `reading` | the text read with everything in it that is of another kind than it should be |
@@ -35,7 +35,7 @@ pub use estimation::Estimation;
 pub use outputs::{Log, Network, Output, StatusLine};
 pub use problem::{ConfigError, Problem};
 pub use robots::{CameraMount, Csv, Model, NoKeys, Odometry, OpenCr, Peer, Place, Records};
-pub use team::Team;
+pub use team::{RangeTopic, Team};
 
 use csi5300::pipeline::{Effort, Options};
 use csi5300::signal::channel::Channel;

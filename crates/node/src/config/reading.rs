@@ -10,6 +10,8 @@ use toml::de::{DeTable, DeValue};
 
 /// Limit of reported problems: a file with more is another kind of file.
 const MOST: usize = 64;
+/// Limit of reported syntax errors: the first ones cause many of the others.
+const FEW: usize = 5;
 /// Stand-ins for missing or wrong keys, so that the rest can be read. A configuration with one is refused.
 const STAND_INS: &str = "channel = \"108\"\ncapture.card = {}\n";
 
@@ -45,6 +47,15 @@ impl<'t> Reading<'t> {
         let (document, wrong) = DeTable::parse_recoverable(text);
         let (whole, table) = (document.span(), document.into_inner());
         let mut problems: Vec<Problem> = wrong.iter().map(|error| problem(error.span(), error.message())).collect();
+        let few = if table.is_empty() { 1 } else { FEW };
+        let more = problems.len().saturating_sub(few);
+        problems.truncate(few);
+        if let Some(last) = problems.last_mut().filter(|_| more > 0) {
+            last.reason += &match table.is_empty() {
+                true => format!(" ({more} further errors: this file is no configuration in TOML)"),
+                false => format!(" ({more} further syntax errors)"),
+            };
+        }
         let (gone, stand_ins) = (BTreeSet::new(), BTreeSet::new());
         let mut reading = Self { config: None, table, problems: Vec::new(), gone, stand_ins };
         let mut cuts: Vec<Cut> = Vec::new();

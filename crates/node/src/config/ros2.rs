@@ -21,7 +21,8 @@ fn topics(config: &Config) -> impl Iterator<Item = &Topic> {
 /// True if anything is read from or published over ROS 2.
 #[must_use]
 pub fn is_used(config: &Config) -> bool {
-    config.ros2.is_some() || topics(config).next().is_some()
+    let has_ranges = config.team.as_ref().is_some_and(|team| !team.ranges.is_empty());
+    config.ros2.is_some() || has_ranges || topics(config).next().is_some()
 }
 
 impl Config {

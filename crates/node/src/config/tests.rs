@@ -277,3 +277,15 @@ fn an_unknown_scene_is_named_once_with_the_known_ones() {
         "line 2: there is no file nosuch, and no built-in scene of that name: paper-circle, paper-line, lab-circle";
     assert!(nowhere.starts_with(words), "{nowhere}");
 }
+
+#[test]
+fn another_kind_of_file_is_one_problem_and_syntax_errors_are_few() {
+    let other = refused("root:x:0:0:root\nbin:x:1:1:bin\nsys:x:2:2:sys\n");
+    assert!(other.lines().count() == 1 && other.contains("no configuration in TOML"), "{other}");
+    let broken: String = (0..20).map(|k| format!("a b {k}\n")).collect();
+    let many = refused(&format!("{ROOM}{broken}"));
+    assert!(many.lines().count() <= FEW_LINES && many.contains("further syntax errors"), "{many}");
+}
+
+/// Most lines that syntax errors take.
+const FEW_LINES: usize = 5;

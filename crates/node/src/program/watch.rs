@@ -268,7 +268,7 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
             Span::raw(format!("  up {} s  log: {log}", figure(of("/uptime_s"), 0))),
         ]),
         Line::from(format!(
-            "records {}, {}/s; lost {lost:.0}, missing in bfee_count {}; from strangers {}",
+            "records {}, {}/s; lost {lost:.0}, missing in bfee_count {}; of other senders {}",
             figure(of("/records"), 0),
             figure(of("/records_hz"), 0),
             figure(of("/missing"), 0),

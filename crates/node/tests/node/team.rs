@@ -1,9 +1,13 @@
 //! A robot and its peers as one graph, in simulated rooms and virtual time.
 
 use crate::robots::{folder, machine};
+use csi5300::motion::pose::Pose;
 use csi5300::time::{Instant, Span};
 use csi5300_node::config::Config;
+use csi5300_node::machine::Tap;
+use csi5300_node::ranges::{Ranged, Ranges};
 use csi5300_node::team::{Graph, Member, TeamState};
+use driver_iface::record::Record;
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -28,6 +32,25 @@ fn scene(walker: usize) -> String {
     text
 }
 
+/// Another sensor of the robot that walks: ranges to `r1` five times a second, with an error of 0.1 m; one in seven is 3 m too long.
+struct Uwb(Ranges, usize);
+
+impl Tap for Uwb {
+    fn record(&mut self, _: Option<i64>, _: Record<'_>) {}
+
+    fn pose(&mut self, pose: Option<Pose>) {
+        let Some(pose) = pose else { return };
+        self.1 += 1;
+        if self.1.is_multiple_of(10) {
+            let [x, y] = PLACES[1];
+            let late_m = if self.1.is_multiple_of(70) { 3.0 } else { 0.14 * (self.1 as f64).sin() };
+            let range_m = (pose.position_m.x - x).hypot(pose.position_m.y - y) + late_m;
+            let ranged = Ranged { peer: "r1".into(), t_s: pose.t_s, range_m: [range_m, 0.1] };
+            self.0.put("r1", Some(ranged));
+        }
+    }
+}
+
 /// The state of the team when the records have ended, as robot `r0` sees it.
 fn team(name: &str, walker: usize, peers: &[usize], rest: &str) -> Result<TeamState, String> {
     let folder = folder(name);
@@ -44,9 +67,14 @@ fn team(name: &str, walker: usize, peers: &[usize], rest: &str) -> Result<TeamSt
     text += rest;
     let config = Config::read(&text, &folder).unwrap_or_else(|error| panic!("{error}\n{text}"));
     let (mut machine, mut graph, mut now) = (machine(&config), Graph::new(&config, "r0").unwrap(), Instant::ZERO);
+    let ranges = Ranges::default();
+    if config.team.as_ref().is_some_and(|team| !team.ranges.is_empty()) {
+        machine.add_tap(Box::new(Uwb(ranges.clone(), 0)));
+    }
     while !machine.is_done(now) {
         while machine.take(now).unwrap() {}
         while let Some((peer, report)) = machine.poll_report(now) {
+            ranges.take().into_iter().for_each(|range| graph.range(range));
             graph.note(peer, &report, &machine);
         }
         now = machine.next_at().unwrap_or(now).max(now + Span::from_ms(1));
@@ -116,4 +144,21 @@ fn a_peer_that_walks_has_the_frame_of_its_own_poses() {
     }
     println!("{} keyframes, at most {worst:.3} m off", keyframes.len());
     assert!(worst > 0.0 && worst < 0.5, "{worst}");
+}
+
+#[test]
+fn ranges_of_another_sensor_narrow_a_place() {
+    let bearings = team("team-bearings", 0, &[1], "[team]\n").unwrap();
+    let both = team("team-ranges", 0, &[1], "[team]\nranges.r1 = { topic = \"/uwb\" }\n").unwrap();
+    let [without, with] = [&bearings, &both].map(|found| found.robots.iter().find(|own| own.name == "r1").unwrap());
+    is_at(with, PLACES[1]);
+    let trace = |own: &Member| own.covariance[0][0] + own.covariance[1][1];
+    assert!(trace(with) < 0.5 * trace(without), "{without:?} {with:?}");
+    let factors: Value = serde_json::from_str(&both.factors).unwrap();
+    let (links, chosen) = (&factors["graph"]["links"], factors["solution"]["chosen"].as_array().unwrap());
+    let is_range = |link: &Value| link["modes"][0]["azimuth_rad"].is_null();
+    let ranges: Vec<usize> = (0..chosen.len()).filter(|k| is_range(&links[*k])).collect();
+    let wrong = ranges.iter().filter(|k| chosen[**k].is_null()).count();
+    println!("{} of {} links are ranges, {wrong} of them outliers", ranges.len(), chosen.len());
+    assert!(ranges.len() >= 8 && wrong >= 1 && wrong <= ranges.len() / 3, "{wrong} of {}", ranges.len());
 }

@@ -2,7 +2,7 @@
 
 use super::super::captures::{Reading, Which};
 use super::super::{Outcome, Result, fixed, hint, print, print_json, usage};
-use super::words::{explain_lines, in_a_line, is_short};
+use super::words::{digits, explain_lines, in_a_line, is_short};
 use super::{Args, located, transmitters};
 use clap::ValueEnum;
 use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
@@ -130,7 +130,6 @@ pub fn run(args: &Args) -> Result {
             let bearing = links.iter().find(|(name, _)| *name == row.answer.link).map(|(_, bearing)| bearing);
             tell(args, row, bearing, names.len());
             shown += usize::from(row.answer.azimuth_deg.is_some());
-            #[cfg(feature = "plot")]
             bearing.map_or(Ok(()), |bearing| draw(args, &reading, row, bearing))?;
         }
         evaluated.notes.iter().for_each(|line| note!("{line}"));
@@ -140,10 +139,7 @@ pub fn run(args: &Args) -> Result {
         explain_lines(names.len());
     }
     let located = locate(args, &mut rows, &ranges)?;
-    #[cfg(feature = "plot")]
     draw_maps(args, &rows, &located)?;
-    #[cfg(not(feature = "plot"))]
-    drop(located);
     Ok(match (shown, lost) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,
@@ -203,7 +199,6 @@ fn locate(
     Ok(located)
 }
 
-#[cfg(feature = "plot")]
 fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
     let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, reading.source());
@@ -211,7 +206,6 @@ fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std:
 }
 
 /// A map of each capture: the bearings, the transmitters, the receiver as located.
-#[cfg(feature = "plot")]
 fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
     let written = csi5300_lab::show::set::write_maps(rows, located, folder, &super::super::pictures::format());
@@ -320,7 +314,7 @@ pub enum MirrorOf {
 
 /// The other bearing that these points cannot distinguish from the answer, and why.
 pub fn mirror(answer: &Answer, of: MirrorOf) -> Option<String> {
-    let azimuth = fixed(answer.mirror_deg?, 2);
+    let azimuth = fixed(answer.mirror_deg?, digits(answer.azimuth_sd_deg));
     let height = answer.mirror_elevation_deg.map(|elevation| format!(" at elevation {} deg", fixed(elevation, 1)));
     let shape = match (of, &height) {
         (MirrorOf::Motion, None) => "motion along a line",

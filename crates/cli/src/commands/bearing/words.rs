@@ -37,6 +37,22 @@ pub(super) fn explain_lines(links: usize) {
     }
 }
 
+/// Decimals of an angle with this error bar: two significant digits of the bar, at most two decimals.
+pub(super) fn digits(sd_deg: Option<f64>) -> usize {
+    match sd_deg {
+        Some(sd_deg) if sd_deg >= 10.0 => 0,
+        Some(sd_deg) if sd_deg >= 1.0 => 1,
+        _ => 2,
+    }
+}
+
+/// An angle with its error bar.
+fn with_bar(azimuth_deg: f64, sd_deg: Option<f64>) -> String {
+    let digits = digits(sd_deg);
+    let bar = sd_deg.map_or(String::new(), |sd_deg| format!(" +- {sd_deg:.digits$}"));
+    format!("{} deg{bar}", fixed(azimuth_deg, digits))
+}
+
 /// The link, its azimuth, and another one that is about as probable.
 fn head(answer: &Answer, of: MirrorOf) -> String {
     let mut text = answer.link.clone();
@@ -44,14 +60,12 @@ fn head(answer: &Answer, of: MirrorOf) -> String {
         let _ = write!(text, " ({mac})");
     }
     let Some(azimuth) = answer.azimuth_deg else { return text + ": no bearing" };
-    let _ = write!(text, ": {} deg", fixed(azimuth, 2));
-    if let Some(sd) = answer.azimuth_sd_deg {
-        let _ = write!(text, " +- {sd:.2}");
-    }
+    let _ = write!(text, ": {}", with_bar(azimuth, answer.azimuth_sd_deg));
     if let Some(mirror) = mirror(answer, of) {
         let _ = write!(text, ", or its mirror {mirror}");
     } else if let Some(next) = answer.candidates.get(1).filter(|_| has_rival(answer)) {
-        let _ = write!(text, ", or {} deg ({:.0} %)", fixed(next.azimuth_deg, 2), 100.0 * next.share);
+        let next_deg = fixed(next.azimuth_deg, digits(answer.azimuth_sd_deg));
+        let _ = write!(text, ", or {next_deg} deg ({:.0} %)", 100.0 * next.share);
     }
     text
 }
@@ -82,11 +96,10 @@ fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&s
     text += &verdict(answer);
     text += &origin(answer);
     if let Some(body) = answer.azimuth_body_deg {
-        let sd = answer.azimuth_body_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
         let seen =
             if answer.position_m.is_some() { "seen from its place then" } else { "seen from the middle of the motion" };
         let nose = "from the robot's nose at the end, positive to the left";
-        let _ = writeln!(text, "  {} deg{sd} {nose}, {seen}", fixed(body, 2));
+        let _ = writeln!(text, "  {} {nose}, {seen}", with_bar(body, answer.azimuth_body_sd_deg));
     }
     text += doubts;
     if sure(answer).is_some_and(|sure| sure < FAIR) {
@@ -257,8 +270,8 @@ mod tests {
         let good = answer(0.93, |answer| (answer.range_m, answer.range_sd_m) = (Some(3.9), Some(0.2)));
         let short = describe_with(&good, MirrorOf::Motion, "", None);
         assert_eq!(short.lines().count(), 3, "{short}");
-        assert!(short.starts_with("tx: 97.00 deg +- 34.40\n  GOOD: 93 % sure"), "{short}");
-        assert_eq!(in_a_line(&good, MirrorOf::Motion), "tx: 97.00 deg +- 34.40  GOOD 93 %");
+        assert!(short.starts_with("tx: 97 deg +- 34\n  GOOD: 93 % sure"), "{short}");
+        assert_eq!(in_a_line(&good, MirrorOf::Motion), "tx: 97 deg +- 34  GOOD 93 %");
         assert!(
             !short.contains("CFO") && describe_with(&good, MirrorOf::Motion, "", Some("  CFO\n")).ends_with("  CFO\n")
         );
@@ -283,7 +296,7 @@ mod tests {
     fn a_mirror_has_half_of_the_probability_and_the_pair_all() {
         let two = |answer: &mut Answer| (answer.mirror_deg, answer.mirror_share) = (Some(-97.0), Some(0.5));
         let text = describe_with(&answer(0.47, two), MirrorOf::Motion, "", None);
-        assert!(text.contains("or its mirror -97.00 deg") && text.contains("GOOD: 94 % sure"), "{text}");
+        assert!(text.contains("or its mirror -97 deg") && text.contains("GOOD: 94 % sure"), "{text}");
         assert!(text.contains("of one of the two") && !text.contains("Why"), "{text}");
     }
 }

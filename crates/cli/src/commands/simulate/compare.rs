@@ -3,7 +3,6 @@
 use super::super::args::channel;
 use super::super::draft;
 use super::super::inputs::{BagArgs, Inputs};
-#[cfg(feature = "plot")]
 use super::super::pictures;
 use super::super::{
     Outcome, Result, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some, usage,
@@ -274,12 +273,6 @@ fn short(value: f64) -> String {
     fixed(value, digits.clamp(0, 6) as usize)
 }
 
-#[cfg(not(feature = "plot"))]
-fn draw(_: &Args, _: &Figures, _: &Figures) -> Words<()> {
-    Ok(())
-}
-
-#[cfg(feature = "plot")]
 fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
     let format = pictures::format();
     let written = csi5300_lab::show::compared::write(recorded, simulated, &args.out, &format);

@@ -83,7 +83,6 @@ fn latency() {
 }
 
 /// The same by the eBPF program. Argument: frames.
-#[cfg(feature = "stock")]
 #[test]
 fn latency_of_the_program() {
     use csi5300::source::{CsiSource, Next};

@@ -2,6 +2,7 @@
 
 use super::super::{Capture, Odometry, Peer, Records};
 use super::Check;
+use csi5300_ros2::settings::wrong_name;
 use csi5300_sim::toml_lines::Step;
 use csi5300_sim::toml_lines::Step::{Index, Key};
 
@@ -17,19 +18,28 @@ impl Check<'_> {
         }
     }
 
-    /// Known places of the team's graph.
+    /// Known places and ranges of the team's graph.
     pub(super) fn team(&mut self) {
         let config = self.config;
         let Some(team) = &config.team else { return };
         if config.peer.is_empty() && self.knows(&["peer"]) {
             self.refuse(&[Key("team")], "[team] needs a [[peer]]: the graph is made of bearings");
         }
+        let is_peer = |name: &str| config.peer.iter().any(|peer| peer.get_ref().name == name);
         for (name, place_m) in &team.places {
             let key = [Key("team"), Key("places"), Key(name)];
-            if config.peer.iter().all(|peer| peer.get_ref().name != *name) && self.knows(&["peer"]) {
+            if !is_peer(name) && self.knows(&["peer"]) {
                 self.refuse(&key, format!("[team]: places: there is no peer `{name}`"));
             } else if !place_m.iter().all(|m| m.is_finite()) {
                 self.refuse(&key, format!("[team]: places: {name}: every number must be finite"));
+            }
+        }
+        for (name, ranges) in &team.ranges {
+            let key = [Key("team"), Key("ranges"), Key(name)];
+            if !is_peer(name) && self.knows(&["peer"]) {
+                self.refuse(&key, format!("[team]: ranges: there is no peer `{name}`"));
+            } else if let Some(why) = wrong_name(&ranges.topic) {
+                self.refuse(&key, format!("[team]: ranges: {name}: {why}"));
             }
         }
         let own_frame = config.ros2.as_ref().map(|ros| ros.frame.as_str());

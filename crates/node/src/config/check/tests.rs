@@ -40,6 +40,10 @@ fn the_team() {
     refused(&team("frame = \"hall\"\nplaces.ty = [1.0, 2.0]"), "places", "no peer `ty`");
     refused(&team("places.tx = [1.0, inf]"), "places", "finite");
     refused(&team("places = {}\nplace = {}"), "place = ", "unknown field");
+    assert_eq!(refusals(&team("ranges.tx = { topic = \"/uwb/tx\" }")), Vec::<String>::new());
+    refused(&team("frame = \"map\"\nranges.ty = { topic = \"/uwb/ty\" }"), "ranges", "no peer `ty`");
+    refused(&team("frame = \"map\"\nranges.tx = { topic = \"/uwb tx\" }"), "ranges", "not a valid ROS 2 name");
+    refused(&team("frame = \"map\"\nranges.tx = { topic = \"/uwb\", sd_m = 0.0 }"), "ranges", "above 0");
     refused(
         &format!("{}[ros2]\nframe = \"map\"\n", team("frame = \"map\"\nplaces.tx = [1.0, 2.0]")),
         "frame",
