@@ -188,6 +188,8 @@ with sync_playwright() as playwright:
     peer = seen.page.locator("tbody tr", has_text="tx")
     expect(peer).to_contain_text(re.compile(r"\d+\.\d° ± \d"))
     assert painted(seen.page, seen.page.locator("canvas.map")) > 10, "no map"
+    # The team's graph places the peer.
+    expect(seen.page.locator("canvas.map")).to_have_attribute("aria-label", re.compile(", tx"))
     first = seen.page.locator("#shown p").first.text_content()
     expect(seen.page.locator("#shown p").first).not_to_have_text(first)
     seen.picture("view-node")

@@ -37,6 +37,9 @@ capture.room = { scene = "room.toml", robot = "rx", speed = 1.0 }
 odometry.room = {}
 [estimator]
 least_motion_m = 0.2
+accurate_every_s = 1.0
+window_m = 0.8
+[team]
 [[peer]]
 name = "tx"
 records.room = {}

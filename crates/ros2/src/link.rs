@@ -350,7 +350,8 @@ impl Link {
                 counter.fetch_add(1, Ordering::Relaxed);
                 match read {
                     Ok(message) => {
-                        shared.bag.put::<T>(&recorded, &event.payload, wall_us);
+                        // As the recording's definition says, also where another release's message lacks a field.
+                        shared.bag.put::<T>(&recorded, &message.payload(), wall_us);
                         used(message, wall_us);
                     }
                     Err(_) => unreadable(),

@@ -84,6 +84,8 @@
     // `scene`: paths, dots, rays, ellipses, places, robot. The view stays where the user moved it.
     show(scene) {
       this.scene = scene;
+      const named = (scene.places ?? []).map((place) => place.label).filter(Boolean);
+      this.canvas.setAttribute("aria-label", ["map of robots and bearings", ...named].join(", "));
       if (!this.moved) this.view = null;
       this.draw();
     }
