@@ -309,9 +309,7 @@ impl Args {
         let has_figures = self.json || says(Level::Verbose);
         let mut options = options.with_range_change(self.json).with_figures(has_figures);
         options = options.with_fit_odometry(self.fit.is_some());
-        {
-            options = options.with_keep_course(self.plot.is_some());
-        }
+        options = options.with_keep_course(self.plot.is_some());
         let effort = match self.accuracy {
             None => return options,
             Some(0.0) => Effort::Everything,
@@ -350,10 +348,9 @@ fn write(
     folder: &Path,
     name: &str,
 ) -> std::result::Result<(), String> {
-    let written = pictures.write(folder, name, &super::pictures::format());
-    for path in written.map_err(|error| error.to_string())? {
-        note!("picture of {name}: {}", path.display());
-    }
+    let written = pictures.write(folder, name, &super::pictures::format()).map_err(|error| error.to_string())?;
+    let first: Vec<String> = super::pictures::first_of_each(&written).map(|path| path.display().to_string()).collect();
+    note!("pictures of {name}, also as .svg: {}", first.join(", "));
     Ok(())
 }
 

@@ -61,12 +61,10 @@ fn files_are_told_apart_by_their_content() {
         assert!(err.contains("rx.dat is the receiver's log"), "{err}");
     }
     // The page of the same folder has its link.
-    {
-        let (status, _, err) = folder.run(&["evaluate", ".", "--channel", "108", "--html", "page.html"]);
-        assert!(status == 0 && err.contains("page.html: 1 link,"), "{status} {err}");
-        let (status, _, err) = folder.run(&["view", "rx.dat", "tx.dat"]);
-        assert!(status == 2 && err.contains("into one folder"), "{status} {err}");
-    }
+    let (status, _, err) = folder.run(&["evaluate", ".", "--channel", "108", "--html", "page.html"]);
+    assert!(status == 0 && err.contains("page.html: 1 link,"), "{status} {err}");
+    let (status, _, err) = folder.run(&["view", "rx.dat", "tx.dat"]);
+    assert!(status == 2 && err.contains("into one folder"), "{status} {err}");
     let (status, _, err) = folder.run(&["evaluate", ".", "--channel", "108"]);
     assert!(status == 1 && err.contains("1 capture without one"), "{status} {err}");
     // Names that say nothing: only the receiver's host times lie within the trajectory.

@@ -27,14 +27,12 @@ fn quiet_says_results_and_errors_and_verbose_what_was_read() {
 #[test]
 fn colours_are_for_terminals_and_for_who_asks() {
     let folder = Folder::new("colours");
-    {
-        std::fs::create_dir_all(folder.0.join("machine")).unwrap();
-        let doctor = |more: &[&str]| folder.run(&[&["doctor", "machine"][..], more].concat()).1;
-        assert!(!doctor(&[]).contains('\x1b'));
-        assert!(!doctor(&["--color", "never"]).contains('\x1b'));
-        let coloured = doctor(&["--color", "always"]);
-        assert!(coloured.contains("\x1b[1;31mBAD \x1b[0m"), "{coloured}");
-    }
+    std::fs::create_dir_all(folder.0.join("machine")).unwrap();
+    let doctor = |more: &[&str]| folder.run(&[&["doctor", "machine"][..], more].concat()).1;
+    assert!(!doctor(&[]).contains('\x1b'));
+    assert!(!doctor(&["--color", "never"]).contains('\x1b'));
+    let coloured = doctor(&["--color", "always"]);
+    assert!(coloured.contains("\x1b[1;31mBAD \x1b[0m"), "{coloured}");
     assert!(!folder.run(&["info", "none.dat"]).2.contains('\x1b'));
     let (_, _, err) = folder.run(&["--color", "always", "info", "none.dat"]);
     assert!(err.starts_with("\x1b[1;31mcsi5300:\x1b[0m "), "{err}");
@@ -169,10 +167,8 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let (status, _, err) = locate(&["runs", "--frame", "kitchen=0,0,0"]);
     assert!(status == 2 && err.contains("no capture has this name"), "{err}");
     std::fs::remove_dir_all(folder.0.join("other")).unwrap();
-    {
-        let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108", "--html", "r.html"]);
-        assert_eq!(status, 0, "{err}");
-    }
+    let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108", "--html", "r.html"]);
+    assert_eq!(status, 0, "{err}");
 }
 
 #[test]

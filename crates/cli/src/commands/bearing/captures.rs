@@ -282,10 +282,6 @@ fn conclusion(text: &mut String, row: &Judged) {
 fn truth(text: &mut String, head: &str, row: &Judged) {
     if let Some(azimuth) = true_azimuth(head, row) {
         *text += &azimuth;
-        if let (Some(mirror), Some(truth)) = (row.answer.mirror_deg, row.true_from_mean_pose_deg) {
-            let off = (mirror - truth + 180.0).rem_euclid(360.0) - 180.0;
-            let _ = write!(text, ", its mirror by {}", fixed(off, 2));
-        }
         // No truth has heights.
         if let Some(range) = row.true_range_m {
             let _ = write!(text, "; horizontally {range:.2} m");
@@ -297,10 +293,14 @@ fn truth(text: &mut String, head: &str, row: &Judged) {
     }
 }
 
-/// The true azimuth and the answer's error, if the truth is known.
+/// The true azimuth and the errors of the answer and its mirror, if the truth is known.
 fn true_azimuth(head: &str, row: &Judged) -> Option<String> {
     let (truth, error) = (row.true_from_mean_pose_deg?, row.error_from_mean_pose_deg?);
-    Some(format!("{head} {} deg: off by {}", fixed(truth, 2), fixed(error, 2)))
+    let mirror = row.answer.mirror_deg.map_or(String::new(), |mirror| {
+        let off = (mirror - truth + 180.0).rem_euclid(360.0) - 180.0;
+        format!(", its mirror by {}", fixed(off, 2))
+    });
+    Some(format!("{head} {} deg: off by {}{mirror}", fixed(truth, 2), fixed(error, 2)))
 }
 
 /// What lies on the line or in the plane of a mirror.
