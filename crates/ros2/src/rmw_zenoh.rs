@@ -54,6 +54,12 @@ impl Topic {
     pub fn wants_earlier(&self) -> bool {
         self.qos.durability > 0 && matches!(self.end, End::Subscription(_))
     }
+
+    /// The number of samples that a publisher keeps for later subscribers (transient local); 0 keeps none.
+    #[must_use]
+    pub fn kept(&self) -> usize {
+        if self.qos.durability > 0 { self.qos.depth as usize } else { 0 }
+    }
 }
 
 /// A node and its topics.

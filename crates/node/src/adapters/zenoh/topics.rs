@@ -1,14 +1,15 @@
 //! Carries ROS 2 topics over a zenoh session, for nodes with `rmw_zenoh_cpp` ([`csi5300_ros2::rmw_zenoh`]).
 
 use csi5300_ros2::rmw_zenoh::{End, Graph, Taker, attachment, gid};
-use std::sync::Arc;
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
-use zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
+use zenoh::query::{ConsolidationMode, Query, Queryable, Reply, ReplyKeyExpr};
 use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
 
@@ -31,6 +32,39 @@ pub(super) struct Topics {
     thread: Option<JoinHandle<()>>,
     _tokens: Vec<LivelinessToken>,
     _subscribers: Vec<Subscriber<()>>,
+    _queryables: Vec<Queryable<()>>,
+}
+
+/// A payload and its attachment.
+type Sent = (Vec<u8>, Vec<u8>);
+
+/// The last samples of a publisher, for subscribers that come later.
+#[derive(Clone, Default)]
+struct Kept {
+    samples: Arc<Mutex<VecDeque<Sent>>>,
+    /// The number of samples; 0 keeps none.
+    depth: usize,
+}
+
+impl Kept {
+    fn push(&self, payload: &[u8], attachment: &[u8]) {
+        if self.depth > 0 {
+            let mut samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
+            samples.push_back((payload.to_vec(), attachment.to_vec()));
+            if samples.len() > self.depth {
+                samples.pop_front();
+            }
+        }
+    }
+
+    /// Answers queries with samples of the topic `key`.
+    fn answer(&self, key: &str, query: &Query) {
+        let samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        for (payload, attachment) in samples {
+            // An asker that is gone takes no answer.
+            let _ = query.reply(key, payload).attachment(attachment).wait();
+        }
+    }
 }
 
 impl Topics {
@@ -39,17 +73,26 @@ impl Topics {
         let own = session.zid().to_string();
         let declare = |token: String| session.liveliness().declare_token(token).wait();
         let mut tokens = vec![declare(graph.node_token(&own))?];
-        let (mut subscribers, mut publishers) = (Vec::new(), Vec::new());
+        let (mut subscribers, mut publishers, mut queryables) = (Vec::new(), Vec::new(), Vec::new());
         let (queue, waiting) = sync_channel::<Message>(BACKLOG);
         let queue = Arc::new(queue);
         for (number, topic) in (1..).zip(std::mem::take(&mut graph.topics)) {
             let (key, token) = (graph.key(&topic), graph.token(&own, number, &topic));
-            let wants_earlier = topic.wants_earlier();
+            let (wants_earlier, depth) = (topic.wants_earlier(), topic.kept());
             match topic.end {
                 End::Publisher(outlet) => {
                     let (writer, gid, next) = (publishers.len(), gid(&token), AtomicI64::new(1));
+                    let kept = Kept { depth, ..Kept::default() };
+                    if depth > 0 {
+                        // As an advanced publisher of `zenoh-ext`: a token, and answers to queries of the same key.
+                        let own_key = format!("{key}/@adv/pub/{own}/{number}/_");
+                        let (answering, topic_key) = (kept.clone(), key.clone());
+                        let answer = move |query: Query| answering.answer(&topic_key, &query);
+                        queryables.push(session.declare_queryable(own_key.clone()).callback(answer).wait()?);
+                        tokens.push(declare(own_key)?);
+                    }
                     let declared = session.declare_publisher(key).congestion_control(CongestionControl::Drop);
-                    publishers.push(declared.wait()?);
+                    publishers.push((declared.wait()?, kept));
                     let (queue, unsent) = (Arc::downgrade(&queue), Arc::clone(unsent));
                     let send = move |payload: &[u8], wall_us: i64| {
                         // A dropped message leaves a gap in the sequence numbers.
@@ -77,12 +120,16 @@ impl Topics {
         }
         let work = move || {
             for (writer, payload, attachment) in waiting {
-                let publisher: Option<&zenoh::pubsub::Publisher<'_>> = publishers.get(writer);
-                drop(publisher.map(|publisher| publisher.put(payload).attachment(attachment).wait()));
+                let publisher: Option<&(zenoh::pubsub::Publisher<'_>, Kept)> = publishers.get(writer);
+                if let Some((publisher, kept)) = publisher {
+                    kept.push(&payload, &attachment);
+                    let _ = publisher.put(payload).attachment(attachment).wait();
+                }
             }
         };
         let thread = std::thread::Builder::new().name("csi5300 topics".into()).spawn(work)?;
-        Ok(Self { queue: Some(queue), thread: Some(thread), _tokens: tokens, _subscribers: subscribers })
+        let (queue, thread) = (Some(queue), Some(thread));
+        Ok(Self { queue, thread, _tokens: tokens, _subscribers: subscribers, _queryables: queryables })
     }
 }
 
@@ -145,6 +192,7 @@ mod tests {
         let alone = Settings { domain: Some(domain), multicast: Some(false), ..Settings::default() };
         let node = Node::start(&alone, "burger", || Some(20_000_000)).unwrap();
         let publisher = node.link().publish::<Time>("~/time", Qos::reliable(32));
+        let latched = node.link().publish::<Time>("~/last", Qos::latched(1));
         let (give, came) = channel();
         let used = move |time: Time, at| _ = give.send((time.sec, at));
         node.link().subscribe("/asked", Qos::best_effort(5), used, || panic!("unreadable"));
@@ -185,10 +233,26 @@ mod tests {
             }
         };
         let all = tokens();
-        let published = all.iter().find(|token| token.contains("/MP/")).unwrap();
+        let published = all.iter().find(|token| token.contains("/MP/") && token.contains("%time")).unwrap();
         let beside = sample.attachment().unwrap().to_bytes();
         assert_eq!(beside[8..], attachment(0, 20_000_000_000, gid(published))[8..]);
-        assert_eq!(all.len(), 3, "{all:?}");
+        assert_eq!(all.len(), 4, "{all:?}");
+
+        // A late subscriber asks for what was published before it.
+        [3, 4].into_iter().for_each(|sec| latched.put(&time(sec)));
+        let (give, earlier_ones) = channel();
+        let take: Taker = Box::new(move |payload| _ = give.send(payload));
+        let take = Arc::new(take);
+        let last = loop {
+            // The samples may still be on their way to the sending thread.
+            let asking = earlier(&other, &key("csi5300_burger/last"), Arc::clone(&take)).unwrap();
+            let came = earlier_ones.recv_timeout(std::time::Duration::from_secs(2));
+            drop(asking);
+            if let Ok(payload) = came {
+                break payload;
+            }
+        };
+        assert_eq!(last, time(4).payload());
 
         let received = loop {
             other.put(key("asked"), time(9).payload()).wait().unwrap();
