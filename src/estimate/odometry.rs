@@ -132,8 +132,10 @@ impl fmt::Display for OdometryFit {
         }
         writeln!(
             f,
-            "odometry: corrected by the phases of {} links, exp({:.0}) times as likely as no correction",
-            self.links, self.log_odds
+            "odometry: corrected by the phases of {} link{}; natural logarithm of the odds against no correction: {:.0}",
+            self.links,
+            if self.links == 1 { "" } else { "s" },
+            self.log_odds
         )?;
         let mut line = |name: &str, error: &OdometryError, unit: &str, by: f64, digits: usize, why: &str| {
             let (value, sd) = (by * error.value, by * error.sd);

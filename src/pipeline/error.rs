@@ -18,7 +18,7 @@ pub enum LinkError {
         transmitter: u64,
     },
     /// The antenna heard nothing: all CSI of the pairs is zero.
-    #[error("the antenna heard nothing: the CSI of all {pairs} pairs is zero in one of the directions")]
+    #[error("the antenna heard nothing: the CSI of all {pairs} pairs is zero in one of the directions; try another --antenna")]
     Silent {
         /// Pairs.
         pairs: usize,
@@ -107,7 +107,7 @@ pub enum LinkError {
     Unheard,
     /// One log: the robot did not turn.
     #[error(
-        "no turn: none of the {records} records was taken while the baseline turned, and two antennas that do not turn show no bearing, unless the constant between their chains is known from a turn before"
+        "no turn: none of the {records} records was taken while the baseline turned, and two antennas that do not turn show no bearing, unless the constant between their chains is known from a turn before (--baseline X,Y,Z,DEG,SD)"
     )]
     NotTurned {
         /// Records of the sender.

@@ -91,7 +91,7 @@ pub struct ChainConstant {
 #[non_exhaustive]
 pub enum ArrayError {
     /// Fewer than two antennas, or more than three.
-    #[error("{antennas} antennas: a bearing from one log needs 2 or 3, such as A,B")]
+    #[error("a bearing from one log needs 2 or 3 antennas, such as A,B, and {antennas} is given")]
     Antennas {
         /// Antennas given.
         antennas: usize,

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum Error {
     /// What was named is not there.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}{}", path.display(), if is_socket(path) { "; does the node run?" } else { "" })]
     Missing {
         /// What was named.
         path: PathBuf,
@@ -98,4 +98,9 @@ impl Error {
             _ => 500,
         }
     }
+}
+
+/// True if a path is named like a socket.
+fn is_socket(path: &std::path::Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "sock")
 }

@@ -70,7 +70,7 @@ impl Reading {
         let captures = self.mounted(captures);
         detail!("{} in or below {}", super::some(captures.len() as u64, "capture", "captures"), folder.display());
         if self.channel.is_none() && captures.iter().all(|capture| !capture.has_truth()) {
-            usage("--channel is needed: no groundtruth_positions.json names the WiFi channel of these captures");
+            usage("--channel is needed, such as --channel 108: no groundtruth_positions.json of these captures names it");
         }
         Ok((captures, unreadable))
     }

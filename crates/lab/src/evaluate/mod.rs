@@ -32,4 +32,4 @@ pub use judge::{Evaluated, Judged, Look};
 pub use part::Part;
 pub use shelf::Shelf;
 pub use sure::{Kept, Reliability, Sure, WRONG_DEG, above, reliability, surest};
-pub use truth::EvaluateError;
+pub use truth::{EvaluateError, channel_number_in};

@@ -132,6 +132,14 @@ impl Capture {
     }
 }
 
+/// The channel number in the truth file of a folder, if it has one that names a channel.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn channel_number_in(folder: &Path) -> Result<Option<u32>, EvaluateError> {
+    if folder.join(TRUTH_FILE).is_file() { Ok(Truth::read(folder)?.channel()) } else { Ok(None) }
+}
+
 impl Truth {
     /// Reads the truth file of the capture in `folder`.
     pub(super) fn read(folder: &Path) -> Result<Self, EvaluateError> {

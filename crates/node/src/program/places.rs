@@ -37,6 +37,12 @@ pub fn configuration() -> Result<PathBuf, String> {
 /// The status socket of the default configuration, if it names one.
 pub fn status_socket() -> PathBuf {
     let found = configurations().into_iter().find(|file| file.is_file());
-    let named = found.and_then(|file| Config::load(&file).ok()?.output.status_socket);
+    let named = found.and_then(|file| match Config::load(&file) {
+        Ok(config) => config.output.status_socket,
+        Err(_) => {
+            note!("{} is not valid (csi5300-node --check): looking at {STATUS_SOCKET}", file.display());
+            None
+        }
+    });
     named.unwrap_or_else(|| Path::new(STATUS_SOCKET).to_path_buf())
 }

@@ -1,6 +1,6 @@
 //! The service itself.
 
-use csi5300_node::config::{Antennas, Capture, Config, Feitcsi, Odometry};
+use csi5300_node::config::{Antennas, Capture, Config, Feitcsi, Odometry, Team};
 use csi5300_node::service::{self, Ended};
 use csi5300_say::{Outcome, Result, Tone, count, is_end_of_room, print, toned, usage};
 use std::path::PathBuf;
@@ -91,10 +91,11 @@ fn what_will_run(config: &Config) -> String {
         ("records", Some(capture)),
         ("poses", Some(odometry)),
         ("antennas", config.array.as_ref().map(antennas)),
-        ("bearings of", Some(bearings_of(config))),
+        ("peers", Some(bearings_of(config))),
         ("sounding", config.sounding.as_ref().map(|own| (if own.initiate { "initiates" } else { "answers" }).into())),
         ("log", config.log.as_ref().map(|log| log.file.display().to_string())),
-        ("bearings to", (!output.bearings.is_empty()).then(|| output.bearings.clone())),
+        ("team", config.team.as_ref().map(team)),
+        ("output", (!output.bearings.is_empty()).then(|| output.bearings.clone()).map(to_standard_output)),
         ("status", output.status_socket.as_ref().map(|socket| socket.display().to_string())),
         ("Foxglove", output.foxglove.map(|address| address.to_string())),
         ("network", config.network.as_ref().map(|network| format!("group {}", network.group))),
@@ -109,6 +110,20 @@ fn what_will_run(config: &Config) -> String {
         ),
     ];
     lines.into_iter().filter_map(|(what, value)| Some(format!("  {what:12} {}\n", value?))).collect()
+}
+
+fn to_standard_output(file: String) -> String {
+    if file == "-" { "standard output".into() } else { file }
+}
+
+fn team(team: &Team) -> String {
+    let names = |what: &str, names: Vec<&String>| match names.as_slice() {
+        [] => String::new(),
+        names => format!(", {what} {}", names.iter().map(|name| name.as_str()).collect::<Vec<_>>().join(", ")),
+    };
+    let places = names("known places of", team.places.keys().collect());
+    let frame = if team.places.is_empty() { String::new() } else { format!(" in frame {}", team.frame) };
+    format!("one graph{places}{frame}{}", names("ranges to", team.ranges.keys().collect()))
 }
 
 /// The antennas of bearings of what is heard alone.

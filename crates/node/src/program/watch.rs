@@ -248,6 +248,16 @@ fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
     frame.render_widget(Paragraph::new("q ends; bearings are in the odometry's frame, +x to the right"), foot);
 }
 
+/// The team's graph, if there is one.
+fn team(state: &Value) -> String {
+    let Some(team) = state.get("team").filter(|team| !team.is_null()) else { return String::new() };
+    let notes: Vec<&str> = team["notes"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    let robots = team["robots"].as_array().map_or(0, Vec::len);
+    let solved = if robots == 0 { "not solved".to_owned() } else { format!("{robots} robots placed") };
+    let notes = if notes.is_empty() { String::new() } else { format!(": {}", notes.join("; ")) };
+    format!("; team: {solved}{notes}")
+}
+
 fn summary(state: &Value) -> Vec<Line<'static>> {
     let of = |path| number(state, path);
     let lost = of("/losses").unwrap_or(0.0);
@@ -274,7 +284,7 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
             figure(of("/missing"), 0),
             figure(of("/strangers"), 0)
         )),
-        Line::from(format!("poses {}/s: {pose}", figure(of("/poses_hz"), 0))),
+        Line::from(format!("poses {}/s: {pose}{}", figure(of("/poses_hz"), 0), team(state))),
         Line::from(format!(
             "load {} % of a core, {} MiB; estimate {} ms, longest {}; late {} ms",
             short(of("/load/cpu_percent")),

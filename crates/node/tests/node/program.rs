@@ -49,12 +49,12 @@ fn a_configuration_is_checked_whole_before_anything_starts() {
     let check = |name: &str| said(program(&folder).args(["node", "--config", name, "--check"]).output().unwrap());
     let (status, out, err) = check("good.toml");
     assert!(status == 0 && out.starts_with("good.toml: good\n  channel "), "{out}{err}");
-    assert!(out.contains("simulated room lab-circle") && out.contains("bearings of  tx"), "{out}");
+    assert!(out.contains("simulated room lab-circle") && out.contains("peers        tx"), "{out}");
     let antennas = "[array]\nantennas = [\"A\", \"B\"]\nbaselines_m = [[0.1, 0, 0]]\n";
     std::fs::write(folder.join("heard.toml"), ROOM.split("[[peer]]").next().unwrap().to_owned() + antennas).unwrap();
     let (status, out, err) = check("heard.toml");
     assert!(
-        status == 0 && out.contains("antennas     A, B\n  bearings of  every sender that is heard\n"),
+        status == 0 && out.contains("antennas     A, B\n  peers        every sender that is heard\n"),
         "{out}{err}"
     );
     let bad = ROOM.replace("channel = \"108\"", "channel = \"13\"").replace("capture.room", "capture.radio");

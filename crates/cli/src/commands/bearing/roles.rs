@@ -3,8 +3,11 @@
 use super::super::files::{is_same_file, must_not_be_empty};
 use super::super::usage;
 use super::Args;
+use csi5300::motion::odometry::csv;
 use csi5300_lab::evaluate::roles::{Sorted, loose_files, receiver, the_trajectory};
-use std::path::PathBuf;
+use csi5300_lab::evaluate::{TRUTH_FILE, channel_number_in};
+use csi5300_lab::kinds::trajectory_refused;
+use std::path::{Path, PathBuf};
 
 /// Gives each file its role, as if `--rx`, `--tx` and `--trajectory` had named it. It leaves folders of captures with the usual file names, and links
 /// of them, alone.
@@ -38,7 +41,9 @@ pub fn take(args: &mut Args) -> Result<(), String> {
     let Sorted { logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());
     if let (Some(file), true) = (others.first(), is_named_one_by_one) {
         must_not_be_empty(file)?;
-        return Err(format!("{} is neither a log of CSI nor a trajectory", file.display()));
+        let why = csv::read_as(file, args.logs.columns.as_ref()).err();
+        let why = why.map_or_else(|| file.display().to_string(), |error| trajectory_refused(file, &error));
+        return Err(format!("neither a log of CSI nor a trajectory: {why}"));
     }
     let trajectory = args.logs.trajectory.take().map_or_else(|| the_trajectory(&trajectories), Ok)?;
     let rx = match args.logs.rx.take() {
@@ -47,11 +52,16 @@ pub fn take(args: &mut Args) -> Result<(), String> {
     };
     args.logs.tx = logs.iter().filter(|log| **log != rx).cloned().collect();
     note!("{} is the receiver's log, {} its trajectory", rx.display(), trajectory.display());
+    if args.channel.is_none() {
+        let folder = rx.parent().unwrap_or(Path::new(""));
+        let Some(number) = channel_number_in(folder).map_err(|error| error.to_string())? else {
+            usage("--channel is needed, such as --channel 108: no groundtruth_positions.json beside these logs names it");
+        };
+        args.channel = Some(number.to_string().parse().map_err(|error| format!("channel {number}: {error}"))?);
+        note!("channel {number}, by {}", folder.join(TRUTH_FILE).display());
+    }
     (args.logs.rx, args.logs.trajectory) = (Some(rx), Some(trajectory));
     args.captures.clear();
-    if args.channel.is_none() {
-        usage("--channel is needed: no groundtruth_positions.json names the WiFi channel of these logs");
-    }
     Ok(())
 }
 

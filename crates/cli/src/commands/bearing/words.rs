@@ -205,7 +205,7 @@ fn why(answer: &Answer) -> String {
     } else if has_rival(answer) {
         text += "  Why: other directions explain the samples about as well.\n";
     } else {
-        text += "  Why: the peak is wide. A longer drive, or one with a turn, makes it narrower.\n";
+        text += "  Why: the peak is wide. A longer drive or one with a turn makes it narrower; with wheel odometry, so does --antenna-offset.\n";
     }
     text
 }
