@@ -18,7 +18,9 @@ pub enum LinkError {
         transmitter: u64,
     },
     /// The antenna heard nothing: all CSI of the pairs is zero.
-    #[error("the antenna heard nothing: the CSI of all {pairs} pairs is zero in one of the directions; try another --antenna")]
+    #[error(
+        "the antenna heard nothing: the CSI of all {pairs} pairs is zero in one of the directions; try another --antenna"
+    )]
     Silent {
         /// Pairs.
         pairs: usize,

@@ -110,7 +110,9 @@ pub enum TeamError {
         robot: String,
     },
     /// A robot whose pose the measurements do not determine.
-    #[error("the measurements do not determine {robot}: they need another robot, a range, a known place or a longer drive")]
+    #[error(
+        "the measurements do not determine {robot}: they need another robot, a range, a known place or a longer drive"
+    )]
     Undetermined {
         /// The robot.
         robot: String,

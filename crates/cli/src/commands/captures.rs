@@ -70,7 +70,9 @@ impl Reading {
         let captures = self.mounted(captures);
         detail!("{} in or below {}", super::some(captures.len() as u64, "capture", "captures"), folder.display());
         if self.channel.is_none() && captures.iter().all(|capture| !capture.has_truth()) {
-            usage("--channel is needed, such as --channel 108: no groundtruth_positions.json of these captures names it");
+            usage(
+                "--channel is needed, such as --channel 108: no groundtruth_positions.json of these captures names it",
+            );
         }
         Ok((captures, unreadable))
     }

@@ -17,6 +17,9 @@ use csi5300_ros2::link::{Publisher, usual};
 use csi5300_ros2::{Node, Records};
 use driver_iface::record::Record;
 
+/// Least deviation of a range, metres, whatever its variance says.
+const LEAST_SD_M: f64 = 0.01;
+
 struct Ros2 {
     node: Node,
     wall_us: fn() -> Option<i64>,
@@ -122,7 +125,7 @@ impl Ros2 {
             let (peer, usual_m, ranges) = (peer.clone(), asked.sd_m, self.ranges.clone());
             self.node.ranges(&asked.topic, move |told| {
                 let ranged = |(us, [range_m, sd_m]): (i64, [f64; 2])| {
-                    let range_m = [range_m, if sd_m > 0.0 { sd_m } else { usual_m }];
+                    let range_m = [range_m, if sd_m > 0.0 { sd_m.max(LEAST_SD_M) } else { usual_m }];
                     Ranged { peer: peer.clone(), t_s: us as f64 * 1e-6, range_m }
                 };
                 ranges.put(&peer, told.map(ranged));

@@ -55,7 +55,9 @@ pub fn take(args: &mut Args) -> Result<(), String> {
     if args.channel.is_none() {
         let folder = rx.parent().unwrap_or(Path::new(""));
         let Some(number) = channel_number_in(folder).map_err(|error| error.to_string())? else {
-            usage("--channel is needed, such as --channel 108: no groundtruth_positions.json beside these logs names it");
+            usage(
+                "--channel is needed, such as --channel 108: no groundtruth_positions.json beside these logs names it",
+            );
         };
         args.channel = Some(number.to_string().parse().map_err(|error| format!("channel {number}: {error}"))?);
         note!("channel {number}, by {}", folder.join(TRUTH_FILE).display());
