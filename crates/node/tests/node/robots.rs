@@ -328,13 +328,13 @@ fn the_accuracy_layer_runs_at_intervals_and_last() {
 }
 
 #[test]
-fn an_hour_of_driving_needs_no_more_memory_than_its_first_minutes() {
+fn forty_minutes_of_driving_need_no_more_memory_than_its_first_minutes() {
     let folder = folder("ring-hour");
     let circle = "motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }";
-    let walk = "motion.random_walk = { speed_m_s = 0.2, duration_s = 3600.0, within_m = 1.5 }";
+    let walk = "motion.random_walk = { speed_m_s = 0.2, duration_s = 2400.0, within_m = 1.5 }";
     let text = scene(2, false)
         .replace(circle, walk)
-        .replace("duration_s = 24.0", "duration_s = 3600.0")
+        .replace("duration_s = 24.0", "duration_s = 2400.0")
         .replace("rate_hz = 100.0", "rate_hz = 20.0")
         .replace("odometry = { rate_hz = 50.0", "odometry = { rate_hz = 20.0");
     let mut config = config(&folder, &text, 2, false);
@@ -342,7 +342,7 @@ fn an_hour_of_driving_needs_no_more_memory_than_its_first_minutes() {
     let mut machine = machine(&config);
     let mut now = Instant::ZERO;
     let mut grown = Vec::new();
-    for _ in 0..12 {
+    for _ in 0..8 {
         let until = now + Span::from_ms(300_000);
         let minutes = allocation_counter::measure(|| {
             while now < until {
@@ -355,9 +355,9 @@ fn an_hour_of_driving_needs_no_more_memory_than_its_first_minutes() {
     }
     let counts = machine.estimator.peers().next().unwrap().1;
     println!("bytes kept of each five minutes: {grown:?}; {counts:?}");
-    assert!(counts.pairs > 60_000 && counts.accurate > 30, "{counts:?}");
+    assert!(counts.pairs > 40_000 && counts.accurate > 20, "{counts:?}");
     let later: i64 = grown[2..].iter().sum();
-    assert!(later.abs() < 256 * 1024, "{later} bytes more after an hour than after ten minutes");
+    assert!(later.abs() < 256 * 1024, "{later} bytes more after forty minutes than after ten minutes");
 }
 
 #[test]
