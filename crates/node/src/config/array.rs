@@ -1,5 +1,6 @@
 //! Antennas of this robot's card for bearings of what it hears alone.
 
+use super::values::lists;
 use csi5300::pipeline::{Array, ArrayError, ChainConstant};
 use driver_iface::bfee::Antenna;
 use nalgebra::Vector3;
@@ -13,10 +14,11 @@ pub struct Antennas {
     #[serde(deserialize_with = "antennas")]
     pub antennas: Vec<Antenna>,
     /// The place of the first one as seen from each other one: metres forward, left, up.
+    #[serde(deserialize_with = "lists")]
     pub baselines_m: Vec<[f64; 3]>,
     /// Of each baseline what a turn gave: the constant between the chains and its deviation, degrees. With it a robot that stands
     /// has a bearing.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "lists")]
     pub chain_constants_deg: Vec<[f64; 2]>,
 }
 

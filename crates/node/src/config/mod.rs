@@ -46,7 +46,7 @@ use reading::Reading;
 use std::io::Read;
 use std::path::Path;
 use toml::Spanned;
-use values::{antenna, antenna_a, channel, maybe_parsed};
+use values::{antenna, antenna_a, channel, exactly, maybe_parsed};
 
 /// Bytes of a configuration that are read: more than any has.
 const LONGEST: u64 = 1 << 20;
@@ -76,7 +76,7 @@ pub struct Config {
     #[serde(default)]
     pub odometry: Odometry,
     /// The antenna's place on the robot: metres forward, left, up. The room's odometry is the robot's too.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub antenna_offset_m: [f64; 3],
     /// The mount of the tracking camera, if the poses are its: they are then constrained to rolling motion, and
     /// `antenna_offset_m` starts from the middle between the wheels.

@@ -1,6 +1,6 @@
 //! This robot's odometry and its peers.
 
-use super::values::{hundred, maybe_parsed, positive};
+use super::values::{exactly, hundred, maybe_parsed, positive};
 use super::{ros, ros2};
 use csi5300::motion::odometry::drive::Geometry;
 use csi5300::motion::rolling::Mount;
@@ -119,6 +119,7 @@ impl<'de> serde::de::Visitor<'de> for CsvVisitor {
 #[serde(deny_unknown_fields, default)]
 pub struct Place {
     /// Metres.
+    #[serde(deserialize_with = "exactly")]
     pub position_m: [f64; 3],
     /// Degrees from +x towards +y.
     pub heading_deg: f64,
@@ -163,7 +164,7 @@ pub struct Peer {
     #[serde(default)]
     pub poses: Odometry,
     /// Its antenna's place on it: metres forward, left, up.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub antenna_offset_m: [f64; 3],
     /// How far its frame is turned against this robot's, degrees.
     #[serde(default)]

@@ -1,6 +1,6 @@
 //! The graph of this robot and its peers.
 
-use super::values::positive;
+use super::values::{named, positive};
 use std::collections::BTreeMap;
 
 /// The graph of this robot and its peers ([`crate::team`]).
@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 #[serde(deny_unknown_fields, default)]
 pub struct Team {
     /// Known places of peers that stand, metres: their frame is the team's. Without any, it is the frame of this robot's odometry.
+    #[serde(deserialize_with = "named")]
     pub places: BTreeMap<String, [f64; 2]>,
     /// Name of the places' frame.
     pub frame: String,

@@ -3,6 +3,7 @@
 use csi5300::signal::channel::Channel;
 use driver_iface::bfee::Antenna;
 use serde::de::{Deserialize, Deserializer, Error as _};
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::str::FromStr;
 
@@ -51,6 +52,32 @@ pub(super) fn positive<'de, D: Deserializer<'de>>(input: D) -> Result<f64, D::Er
 
 pub(super) fn maybe_positive<'de, D: Deserializer<'de>>(input: D) -> Result<Option<f64>, D::Error> {
     positive(input).map(Some)
+}
+
+/// Numbers of a list that must have `N` of them: arrays of serde ignore further ones.
+struct Exactly<const N: usize>([f64; N]);
+
+impl<'de, const N: usize> Deserialize<'de> for Exactly<N> {
+    fn deserialize<D: Deserializer<'de>>(input: D) -> Result<Self, D::Error> {
+        let all = Vec::<f64>::deserialize(input)?;
+        let count = all.len();
+        all.try_into().map(Self).map_err(|_| D::Error::custom(format!("{count} numbers where {N} are expected")))
+    }
+}
+
+pub(super) fn exactly<'de, const N: usize, D: Deserializer<'de>>(input: D) -> Result<[f64; N], D::Error> {
+    Exactly::deserialize(input).map(|own| own.0)
+}
+
+pub(super) fn lists<'de, const N: usize, D: Deserializer<'de>>(input: D) -> Result<Vec<[f64; N]>, D::Error> {
+    Vec::<Exactly<N>>::deserialize(input).map(|all| all.into_iter().map(|own| own.0).collect())
+}
+
+pub(super) fn named<'de, const N: usize, D: Deserializer<'de>>(
+    input: D,
+) -> Result<BTreeMap<String, [f64; N]>, D::Error> {
+    let all = BTreeMap::<String, Exactly<N>>::deserialize(input)?;
+    Ok(all.into_iter().map(|(name, own)| (name, own.0)).collect())
 }
 
 pub(super) fn antenna_a() -> Antenna {

@@ -39,6 +39,8 @@ fn the_team() {
     assert_eq!(refusals(&team("places = { tx = [1.0, 2.0] }\nframe = \"hall\"")), Vec::<String>::new());
     refused(&team("frame = \"hall\"\nplaces.ty = [1.0, 2.0]"), "places", "no peer `ty`");
     refused(&team("places.tx = [1.0, inf]"), "places", "finite");
+    refused(&team("places.tx = [1.0, 2.0, 3.0]"), "places", "3 numbers where 2 are expected");
+    refused(&format!("antenna_offset_m = [0, 0, 0, 7]\n{}", team("")), "antenna_offset_m", "4 numbers where 3");
     refused(&team("places = {}\nplace = {}"), "place = ", "unknown field");
     assert_eq!(refusals(&team("ranges.tx = { topic = \"/uwb/tx\" }")), Vec::<String>::new());
     refused(&team("frame = \"map\"\nranges.ty = { topic = \"/uwb/ty\" }"), "ranges", "no peer `ty`");
