@@ -91,7 +91,7 @@ pub struct ChainConstant {
 #[non_exhaustive]
 pub enum ArrayError {
     /// Fewer than two antennas, or more than three.
-    #[error("a bearing from one log needs 2 or 3 antennas, such as A,B, and {antennas} is given")]
+    #[error("a bearing from one log needs 2 or 3 antennas, such as A,B, not {antennas}")]
     Antennas {
         /// Antennas given.
         antennas: usize,

@@ -358,7 +358,7 @@ pub(super) mod tests {
     fn a_record_is_found_behind_more_changed_ones_than_the_window_has() {
         // Checksums of the numbers themselves: records have 16 bits of their own.
         let checked = |bytes: &[u8]| Entry { check: Some(Check::of(bytes)), ..Entry::default() };
-        for changed in [WINDOW + STRANGERS, WINDOW + 2 * STRANGERS + 1, FURTHEST / 4] {
+        for changed in [WINDOW + STRANGERS, WINDOW + 2 * STRANGERS + 1, FURTHEST] {
             let entries: Vec<Entry> = (0..changed + 100).map(|at| checked(&at.to_le_bytes())).collect();
             let mut file = side_file(&entries);
             let said: Vec<bool> = (0..changed + 100)
