@@ -37,7 +37,7 @@ pub(crate) use grid::wsr_planar_profile_variance;
 pub use grid::{Grid, Profile, direction};
 pub use planner::{Explanation, Method, Planner, Precision, ProfileOptions};
 pub use scene::{Geometry, Shape};
-pub(crate) use search::Searcher;
+pub(crate) use search::{Means, Searcher};
 pub use search::{ElevationSearch, SearchPlan, search};
 
 use crate::estimate::tuning::sensor;

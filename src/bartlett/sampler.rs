@@ -48,6 +48,11 @@ impl Sampled {
         let highest = self.maxima.iter().max_by(|a, b| a.value().total_cmp(&b.value()));
         highest.map_or((0, 0.0), |maximum| (maximum.column, maximum.value()))
     }
+
+    /// Multiplies the samples: scenes are scaled each by a power of two.
+    pub fn scale(&mut self, by: f64) {
+        self.maxima.iter_mut().flat_map(|maximum| &mut maximum.around).for_each(|value| *value *= by);
+    }
 }
 
 /// Elevations from 0 to `limit` whose phases differ by at most [`RING_STEP`] from one to the next.

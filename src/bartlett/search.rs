@@ -125,7 +125,14 @@ const LIMIT_RADIUS: f64 = 5e5;
 /// [`Error`] for input that is empty or without energy, for positions not finite in wavelengths; for an elevation limit outside 0
 /// to 90 degrees; [`Error::NoMotion`] where the receiver did not move horizontally.
 pub fn search(samples: &Samples, options: &SearchOptions) -> Result<Estimate, Error> {
-    Searcher::new(options.tier).search_with(samples, options.elevation_max_rad, options.odometry_sd_m)
+    Searcher::new(options.tier).search_with(samples, None, options.elevation_max_rad, options.odometry_sd_m)
+}
+
+/// Averages of neighbouring samples, whose profile has its peaks where that of all samples has them.
+pub(crate) struct Means<'a> {
+    pub samples: &'a Samples,
+    /// The share of a wave's amplitude that they lose at most.
+    pub lost: f64,
 }
 
 /// A search that keeps its FFTs from call to call.
@@ -158,20 +165,24 @@ impl Searcher {
     /// # Errors
     /// As [`search`].
     pub fn search(&mut self, samples: &Samples, elevation_max_rad: f64) -> Result<Estimate, Error> {
-        self.search_with(samples, elevation_max_rad, sensor::POSITION_M)
+        self.search_with(samples, None, elevation_max_rad, sensor::POSITION_M)
     }
 
-    /// As [`Searcher::search`], with the assumed error of the positions.
+    /// As [`Searcher::search`], with the assumed error of the positions. Peaks are looked for in the profile of `means`, if there
+    /// are any, and climbed in that of all samples.
     ///
     /// # Errors
     /// As [`search`].
     pub(crate) fn search_with(
         &mut self,
         samples: &Samples,
+        means: Option<Means<'_>>,
         elevation_max_rad: f64,
         odometry_sd_m: f64,
     ) -> Result<Estimate, Error> {
         let scene = Scene::on(self.tier, samples)?;
+        let lost = means.as_ref().map_or(0.0, |means| means.lost);
+        let thinned = means.map(|means| Scene::on(self.tier, means.samples)).transpose()?;
         if !(0.0..=PI / 2.0).contains(&elevation_max_rad) {
             return Err(Error::ElevationMax { elevation_max_rad });
         }
@@ -186,7 +197,8 @@ impl Searcher {
         let order = self.order(TAU * scene.radius);
         let ring = good_size(SAMPLES_PER_ORDER * order + 16);
         let shape = scene.shape();
-        let search = Search { scene: &scene, shape, tools: self, order, ring, evaluations: 0, exact: 0 };
+        let sampled = (thinned.as_ref().unwrap_or(&scene), lost);
+        let search = Search { scene: &scene, sampled, shape, tools: self, order, ring, evaluations: 0, exact: 0 };
         Ok(search.run(elevation_max_rad, odometry_sd_m))
     }
 }
@@ -194,6 +206,8 @@ impl Searcher {
 /// One search under way.
 struct Search<'a> {
     scene: &'a Scene,
+    /// What rings are sampled of, and the share of a wave's amplitude that it lacks at most.
+    sampled: (&'a Scene, f64),
     shape: Shape,
     tools: &'a mut Searcher,
     /// The band limit of a ring.
@@ -229,10 +243,11 @@ impl<'a> Search<'a> {
 
     fn plan(&self, elevation: ElevationSearch, rings: usize) -> SearchPlan {
         let precision = if self.in_double() { Precision::Double } else { Precision::Single };
-        let (tier, samples) = (self.tools.tier, self.scene.len());
+        let (tier, samples) = (self.tools.tier, self.sampled.0.len());
         let pair = pair_ns(tier, precision);
         // An exact look, with its derivatives in double, takes about as long as four pairs.
-        let pairs = (self.evaluations - self.exact) as f64 / 2.0 + 4.0 * self.exact as f64;
+        let all = self.scene.len() as f64 / samples as f64;
+        let pairs = (self.evaluations - self.exact) as f64 / 2.0 + 4.0 * all * self.exact as f64;
         SearchPlan {
             tier,
             precision,
@@ -262,12 +277,13 @@ impl<'a> Search<'a> {
         let order_of = |share: f64| tail_order(1.005 * share * TAU * self.scene.radius, TAIL);
         let highest = elevations.last().copied().unwrap_or_default();
         let rings = Rings::new(self.order, self.ring, self.scene.is_flat(), highest, order_of);
-        let sampled = if self.in_double() {
-            self.tools.double.sample(self.tools.tier, self.scene, elevations, &rings)
+        let mut sampled = if self.in_double() {
+            self.tools.double.sample(self.tools.tier, self.sampled.0, elevations, &rings)
         } else {
-            self.tools.single.sample(self.tools.tier, self.scene, elevations, &rings)
+            self.tools.single.sample(self.tools.tier, self.sampled.0, elevations, &rings)
         };
         self.evaluations += sampled.summed;
+        sampled.scale(2f64.powi(2 * (self.scene.exponent - self.sampled.0.exponent)));
         sampled
     }
 
@@ -282,10 +298,10 @@ impl<'a> Search<'a> {
         let along = (self.order as f64 * PI / self.ring as f64).cos();
         let across = if rows > 1 { (RING_STEP / 2.0).cos() } else { 1.0 };
         let radius = TAU * self.scene.radius.hypot(self.scene.half_height);
-        let rough = if self.scene.sines() == Sines::Rough { ROUGH } else { 0.0 };
+        let rough = if self.sampled.0.sines() == Sines::Rough { ROUGH } else { 0.0 };
         let rounding = if self.in_double() { 1e-15 * radius } else { 1e-6 + 2e-7 * radius + rough };
         let [tail, lost] = [TAIL, TAIL + rounding].map(|share| share * self.scene.sum_abs);
-        (along * across * (best - tail) - lost).max(0.0)
+        (along * across * (1.0 - self.sampled.1) * (best - tail) - lost).max(0.0)
     }
 
     /// True if the data determine the elevation better than its limits do: the predicted deviation, azimuth as a

@@ -24,7 +24,7 @@ pub(crate) mod range_change;
 pub(crate) mod signal;
 pub(crate) mod tuning;
 
-use crate::bartlett::{self, Searcher, Tier};
+use crate::bartlett::{self, Means, Searcher, Tier};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
@@ -278,19 +278,23 @@ pub(crate) fn estimate(
     };
     let models: Vec<Model> =
         signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, (reach, signed))).collect();
+    let bins = Bins::along(&models[0].points, samples.wavelength_m());
+    let means = bins.means(samples, &points);
     let mut searcher = Searcher::new(task.tier);
-    let plane_wave = plane_wave(task, &mut searcher, &models)?;
-    let reason = match early(task, &models, (&plane_wave, None), middle_m) {
+    let plane_wave = plane_wave(task, &mut searcher, &models, means.as_ref())?;
+    let start = (&plane_wave, None);
+    let few = means.as_ref().map(|means| (means, &bins));
+    let reason = match early(task, &models, few, start, middle_m) {
         Ok(found) => return Ok(found),
         Err(reason) => reason,
     };
-    if reason != Reason::Asked
+    if let Reason::Unexplained(Unexplained::Faint(_)) = reason
         && let Some(steeper) = steeper(task, &mut searcher, &models, &plane_wave)
-        && let Ok(found) = early(task, &models, (&steeper, None), middle_m)
+        && let Ok(found) = early(task, &models, few, (&steeper, None), middle_m)
     {
         return Ok(found);
     }
-    let (slope_sd_rad, apertures, bins) = channels(task, &models[0].points, rows(), used);
+    let (slope_sd_rad, apertures) = channels(task, &bins, rows(), used);
     let fine = !matches!(task.effort, Effort::Within(asked) if asked >= COARSE_RAD);
     let mut best: Option<Windowed> = None;
     for model in models {
@@ -308,7 +312,7 @@ pub(crate) fn estimate(
     let Some(Windowed { model, mut modes, .. }) = best else { return Err(bartlett::Error::Empty) };
     // A wave that the plane wave did not lead to.
     let start = modes.first().map(|mode| mode.place);
-    if let Ok(found) = early(task, std::slice::from_ref(&model), (&plane_wave, start), middle_m) {
+    if let Ok(found) = early(task, std::slice::from_ref(&model), few, (&plane_wave, start), middle_m) {
         return Ok(found);
     }
     let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry_sd_m);
@@ -388,8 +392,10 @@ fn plane_wave(
     task: &Task<'_>,
     searcher: &mut Searcher,
     models: &[Model],
+    means: Option<&Samples>,
 ) -> Result<bartlett::Estimate, bartlett::Error> {
-    searcher.search_with(task.samples, highest_expected_rad(task, models), task.odometry_sd_m)
+    let means = means.map(|samples| Means { samples, lost: signal::MEANS_LOSE });
+    searcher.search_with(task.samples, means, highest_expected_rad(task, models), task.odometry_sd_m)
 }
 
 /// Largest |elevation| that the plane wave is looked for at first, radians.
@@ -412,7 +418,7 @@ fn steeper(
     // Means are enough to find where least squares over all samples begin; heights only where a model has them.
     let points = &models.last()?.points;
     let thinned = Bins::for_start(points, task.samples.wavelength_m()).samples(task.samples, points)?;
-    let any = searcher.search_with(&thinned, FRAC_PI_2, task.odometry_sd_m).ok()?;
+    let any = searcher.search_with(&thinned, None, FRAC_PI_2, task.odometry_sd_m).ok()?;
     let kept = (sum_abs(&thinned) / sum_abs(task.samples)).powi(2);
     (kept * any.value > plane_wave.value).then_some(any)
 }
@@ -422,11 +428,13 @@ fn sum_abs(samples: &Samples) -> f64 {
     samples.z().iter().zip(samples.weight()).map(|(z, weight)| weight * z.norm()).sum()
 }
 
-/// The answer of one wave, where that is all there is.
+/// The answer of one wave, where that is all there is. Means of the samples, if there are any, are looked at first: where they
+/// show more than one wave, so do the samples.
 fn early(
     task: &Task<'_>,
     models: &[Model],
-    (plane_wave, start): (&bartlett::Estimate, Option<Place>),
+    means: Option<(&Samples, &Bins)>,
+    start: (&bartlett::Estimate, Option<Place>),
     middle_m: Vector3<f64>,
 ) -> Result<Found, Reason> {
     if task.effort == Effort::Everything {
@@ -441,7 +449,10 @@ fn early(
         let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
         let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(nearest)) } else { model.prior };
         let prior = if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior };
-        match one_wave::explain(samples, &model.points, (plane_wave, start), &prior, &model.steps, task.tier) {
+        let checked = means.map_or(Ok(()), |(means, bins)| {
+            one_wave::check(means, &bins.points_m(&model.points), start, &prior, &model.steps, task.tier)
+        });
+        match checked.and_then(|()| one_wave::explain(samples, &model.points, start, &prior, &model.steps, task.tier)) {
             // Two models of the heights may both leave noise: the likelier one.
             Ok(one) if best.as_ref().is_none_or(|best| one.log_likelihood > best.2.log_likelihood) => {
                 best = Some((model, prior, one));
@@ -454,7 +465,7 @@ fn early(
     let mut modes = one.modes;
     let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry_sd_m);
     Ok(Found {
-        plane_wave: plane_wave.clone(),
+        plane_wave: start.0.clone(),
         sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),
         signed: prior.is_signed() && !mirror.level,
         mirror: mirror.of_first,
@@ -468,18 +479,11 @@ fn early(
 }
 
 /// The channels along the motion, averaged, and the standard deviation of the slopes that were removed.
-fn channels(
-    task: &Task<'_>,
-    points: &[Vector3<f64>],
-    mut rows: Vec<Planes>,
-    used: &[usize],
-) -> (Option<f64>, Vec<Aperture>, Bins) {
+fn channels(task: &Task<'_>, bins: &Bins, mut rows: Vec<Planes>, used: &[usize]) -> (Option<f64>, Vec<Aperture>) {
     let samples = task.samples;
-    let wavelength_m = samples.wavelength_m();
-    let bins = Bins::along(points, wavelength_m);
     let gain = samples.path_gain();
     if rows.is_empty() {
-        return (None, vec![Aperture::of_phasors(samples.z(), &bins, gain)], bins);
+        return (None, vec![Aperture::of_phasors(samples.z(), bins, gain)]);
     }
     let slope_sd_rad = task.align.then(|| {
         remove_slope(&mut rows, &task.indices, task.tier);
@@ -489,13 +493,13 @@ fn channels(
     let silent = Planes::ZERO;
     let own = |rows: &[Planes]| -> Aperture {
         let chosen = used.iter().map(|&k| rows.get(k).unwrap_or(&silent));
-        Aperture::of_subcarriers(chosen, &bins, gain, task.tier)
+        Aperture::of_subcarriers(chosen, bins, gain, task.tier)
     };
     let mut apertures = vec![own(&rows)];
-    if task.one_way && gain == 2 && is_dense_enough(samples.spacing_m() / wavelength_m) {
+    if task.one_way && gain == 2 && is_dense_enough(samples.spacing_m() / samples.wavelength_m()) {
         take_roots(&mut rows, task.tier);
         let chosen = used.iter().map(|&k| rows.get(k).unwrap_or(&silent));
-        apertures.push(Aperture::of_subcarriers(chosen, &bins, 1, task.tier));
+        apertures.push(Aperture::of_subcarriers(chosen, bins, 1, task.tier));
     }
-    (slope_sd_rad, apertures, bins)
+    (slope_sd_rad, apertures)
 }

@@ -18,7 +18,7 @@
 //!    leave (Laplace's approximation).
 
 use super::likelihood::{Field, Place};
-use super::signal::Aperture;
+use super::signal::{Aperture, Bins};
 use super::{Task, channels, heading, tuning};
 use crate::maths::unwrap_rad;
 use crate::motion::pose::{Pose, Trajectory};
@@ -197,7 +197,8 @@ pub(crate) fn stretches(
     if (high - low).z > TALL * (high - low).xy().norm() {
         return Err("the motion is not level");
     }
-    let (_, apertures, bins) = channels(task, &probe, rows, used);
+    let bins = Bins::along(&probe, task.samples.wavelength_m());
+    let (_, apertures) = channels(task, &bins, rows, used);
     let means = |of: Vec<Vector3<f64>>| bins.points_m(&of);
     let plane = |of: Vec<Vector3<f64>>| means(of).iter().map(|p| Complex64::new(p.x, p.y)).collect::<Vec<_>>();
     let at_m = plane(poses.iter().map(|pose| pose.position_m).collect());

@@ -117,6 +117,14 @@ struct Wave<'a> {
     open: Open,
 }
 
+/// A wave that leaves nothing but noise, as it was found.
+struct Alone<'a> {
+    wave: Wave<'a>,
+    fit: Fit,
+    /// The highest Bartlett peak of what it leaves, in units of the mean noise.
+    peak: f64,
+}
+
 /// Looks for one wave next to `start`, or next to `plane_wave` if there is none. `points` are the displacements of
 /// `samples` about their middle.
 ///
@@ -125,27 +133,12 @@ struct Wave<'a> {
 pub(crate) fn explain(
     samples: &Samples,
     points: &[Vector3<f64>],
-    (plane_wave, start): (&Estimate, Option<Place>),
+    start: (&Estimate, Option<Place>),
     prior: &Prior,
     steps: &Steps,
     tier: Tier,
 ) -> Result<OneWave, Unexplained> {
-    if samples.len() < LEAST_SAMPLES {
-        return Err(Unexplained::FewSamples(samples.len()));
-    }
-    let kappa = TAU * f64::from(samples.path_gain()) / samples.wavelength_m();
-    let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
-    let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
-    let mut wave = Wave { samples, points, kappa, prior, open };
-    let place = start.unwrap_or_else(|| best_start(samples, points, plane_wave, prior, steps, tier));
-    let share = explained(&wave, &At { place, scale: 0.0 });
-    if share < LEAST_SHARE {
-        return Err(Unexplained::Faint(share));
-    }
-    let Fit { at, left } = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
-    whiteness(&left, tier)?;
-    unambiguous(&wave, &at, plane_wave, steps)?;
-    let peak = highest_peak(&wave, &at, &left, plane_wave, tier)?;
+    let Alone { mut wave, fit: Fit { at, left }, peak } = alone(samples, points, start, prior, steps, tier)?;
     let free = left.len() as f64 - 5.0;
     let variance = (left.iter().map(|e| e * e).sum::<f64>() / free).max(1e-16);
     let bound_rad = wave.covariance(&at, variance, false)[(0, 0)].max(0.0).sqrt();
@@ -156,6 +149,48 @@ pub(crate) fn explain(
     let modes = vec![wave.mode(&at, covariance, variance)];
     let log_likelihood = -0.5 * left.len() as f64 * variance.ln();
     Ok(OneWave { modes, bound_rad, risk_rad: (2.0 * peak).sqrt() * bound_rad, log_likelihood })
+}
+
+/// Whether [`explain`] finds one wave that leaves nothing but noise.
+///
+/// # Errors
+/// What else there is.
+pub(crate) fn check(
+    samples: &Samples,
+    points: &[Vector3<f64>],
+    start: (&Estimate, Option<Place>),
+    prior: &Prior,
+    steps: &Steps,
+    tier: Tier,
+) -> Result<(), Unexplained> {
+    alone(samples, points, start, prior, steps, tier).map(|_| ())
+}
+
+fn alone<'a>(
+    samples: &'a Samples,
+    points: &'a [Vector3<f64>],
+    (plane_wave, start): (&Estimate, Option<Place>),
+    prior: &'a Prior,
+    steps: &Steps,
+    tier: Tier,
+) -> Result<Alone<'a>, Unexplained> {
+    if samples.len() < LEAST_SAMPLES {
+        return Err(Unexplained::FewSamples(samples.len()));
+    }
+    let kappa = TAU * f64::from(samples.path_gain()) / samples.wavelength_m();
+    let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
+    let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
+    let wave = Wave { samples, points, kappa, prior, open };
+    let place = start.unwrap_or_else(|| best_start(samples, points, plane_wave, prior, steps, tier));
+    let share = explained(&wave, &At { place, scale: 0.0 });
+    if share < LEAST_SHARE {
+        return Err(Unexplained::Faint(share));
+    }
+    let fit = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
+    whiteness(&fit.left, tier)?;
+    unambiguous(&wave, &fit.at, plane_wave, steps)?;
+    let peak = highest_peak(&wave, &fit.at, &fit.left, plane_wave, tier)?;
+    Ok(Alone { wave, fit, peak })
 }
 
 /// The best of the places about the plane wave, on a grid.

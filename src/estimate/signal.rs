@@ -23,6 +23,12 @@ pub(crate) const COLUMNS: usize = 8;
 /// Samples closer together than this along the motion are averaged, wavelengths: a wave straight ahead then loses 3 % of
 /// the round trip's amplitude.
 const BIN_WAVELENGTHS: f64 = 0.06;
+/// The most that a wave loses of a round trip's amplitude by it.
+pub(crate) const MEANS_LOSE: f64 = 0.03;
+/// Means are looked at first where this many samples make one: fewer cost as much as they save.
+const WORTHWHILE: usize = 2;
+/// Fewer means tell no wave from noise.
+const LEAST_MEANS: usize = 64;
 /// The same for a search that only gives least squares a start: a steep wave, which turns less along the motion, loses an eighth of the power.
 const START_WAVELENGTHS: f64 = 0.2;
 
@@ -209,6 +215,12 @@ impl Bins {
         self.of.iter().zip(points_m).for_each(|(bin, point)| means[*bin] += point);
         means.iter_mut().zip(&self.counts).for_each(|(mean, count)| *mean /= *count);
         means
+    }
+
+    /// The means of the samples, where there are enough of them and they are much fewer.
+    pub fn means(&self, samples: &Samples, points_m: &[Vector3<f64>]) -> Option<Samples> {
+        let is_worthwhile = self.len() >= LEAST_MEANS && WORTHWHILE * self.len() <= samples.len();
+        is_worthwhile.then(|| self.samples(samples, points_m)).flatten()
     }
 
     /// The weighted mean of the samples in each bin, with the weight of the bin. Displacements, `points_m`, become the

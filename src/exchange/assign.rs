@@ -33,7 +33,7 @@ pub struct Spread {
 }
 
 /// Pairs used: a median of a few hundred is stable.
-const MAX_COMMON: usize = 768;
+const MAX_COMMON: usize = 384;
 
 /// The first pairs of one transmitter log and the receiver's frames of one MAC, both in log order, with their places in them.
 #[must_use]
