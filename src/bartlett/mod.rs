@@ -37,8 +37,8 @@ pub(crate) use grid::wsr_planar_profile_variance;
 pub use grid::{Grid, Profile, direction};
 pub use planner::{Explanation, Method, Planner, Precision, ProfileOptions};
 pub use scene::{Geometry, Shape};
-pub(crate) use search::{Means, Searcher};
 pub use search::{ElevationSearch, SearchPlan, search};
+pub(crate) use search::{Means, Searcher};
 
 use crate::estimate::tuning::sensor;
 use crate::signal::samples::{Samples, SamplesError};

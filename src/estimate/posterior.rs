@@ -18,6 +18,10 @@ const FINE: usize = 9;
 const CLOSER: usize = 10;
 /// What is this far below the highest, in logarithms, holds less than a tenth of a percent.
 const NEGLIGIBLE: f64 = 7.0;
+/// One cell in so many is looked at first.
+const FIRST: usize = 3;
+/// Azimuths whose first cells are this far below the highest, in logarithms, are not looked at further: they hold nothing.
+const HOPELESS: f64 = 2.0 * NEGLIGIBLE;
 /// Tops this far below the highest are looked at closely: they may hold some percent.
 const CLOSE: f64 = 4.0;
 /// Tops that are looked at closely at most.
@@ -121,11 +125,50 @@ pub(crate) fn settle(modes: &mut [Mode]) {
     modes.sort_by(|a, b| b.mass.total_cmp(&a.mass));
 }
 
-/// The whole circle, coarsely.
-struct Coarse {
+/// Cells of elevation and 1 / range: cell `k` is of elevation `k / curves`.
+struct Cells {
     elevations: Vec<Cell>,
     curves: Vec<Cell>,
-    /// `ln (prior x likelihood)` of every cell: `cells[(azimuth * elevations + elevation) * curves + curve]`.
+}
+
+impl Cells {
+    fn len(&self) -> usize {
+        self.elevations.len() * self.curves.len()
+    }
+
+    fn at(&self, k: usize) -> [&Cell; 2] {
+        [&self.elevations[k / self.curves.len()], &self.curves[k % self.curves.len()]]
+    }
+
+    fn place(&self, azimuth: f64, k: usize) -> Place {
+        let [elevation, curve] = self.at(k);
+        Place { azimuth, elevation: elevation.at, curve: curve.at }
+    }
+
+    /// `ln` of the prior of a cell.
+    fn log_prior(&self, k: usize) -> f64 {
+        let [elevation, curve] = self.at(k);
+        (elevation.mass * curve.mass).ln()
+    }
+
+    /// `ln (prior x likelihood)` of cells at azimuths.
+    fn logs(&self, field: &Field, prior: &Prior, chosen: &[(f64, usize)]) -> Vec<f64> {
+        let place = |&(azimuth, k): &(f64, usize)| prior.at_height(self.place(azimuth, k));
+        let mut logs = field.log_likelihoods(&chosen.iter().map(place).collect::<Vec<_>>());
+        logs.iter_mut().zip(chosen).for_each(|(log, (_, k))| *log += self.log_prior(*k));
+        logs
+    }
+
+    /// Whether a cell is looked at first: each is one of them or beside one.
+    fn is_first(&self, k: usize) -> bool {
+        self.len() <= FIRST || (k / self.curves.len() + k % self.curves.len()) % FIRST == 1
+    }
+}
+
+/// The whole circle, coarsely.
+struct Coarse {
+    grid: Cells,
+    /// `ln (prior x likelihood)` of every cell, azimuth by azimuth.
     cells: Vec<f64>,
     /// `ln` of their sums over each azimuth.
     logs: Vec<f64>,
@@ -134,13 +177,30 @@ struct Coarse {
 impl Coarse {
     fn new(field: &Field, prior: &Prior, steps: &Steps) -> Self {
         let azimuths = (TAU / steps.azimuth).ceil().max(4.0) as usize;
-        let elevations = prior.elevations(prior.elevation_rad, steps.elevation);
-        let curves = prior.curves([0.0, prior.curve_max], steps.curve);
-        let azimuth = |k: usize| TAU * k as f64 / azimuths as f64;
-        let cells = logs(field, prior, (0..azimuths).map(azimuth), &elevations, &curves);
-        let each = elevations.len() * curves.len();
+        let grid = Cells {
+            elevations: prior.elevations(prior.elevation_rad, steps.elevation),
+            curves: prior.curves([0.0, prior.curve_max], steps.curve),
+        };
+        let each = grid.len();
+        let mut cells = vec![f64::NEG_INFINITY; azimuths * each];
+        let look = |cells: &mut [f64], chosen: &[usize]| {
+            let at = |k: &usize| (TAU * (k / each) as f64 / azimuths as f64, k % each);
+            let logs = grid.logs(field, prior, &chosen.iter().map(at).collect::<Vec<_>>());
+            chosen.iter().zip(logs).for_each(|(k, log)| cells[*k] = log);
+        };
+        let (first, others): (Vec<usize>, Vec<usize>) = (0..cells.len()).partition(|k| grid.is_first(k % each));
+        look(&mut cells, &first);
+        let looked_at: Vec<f64> = (0..each).filter(|k| grid.is_first(*k)).map(|k| grid.log_prior(k)).collect();
+        // The mean likelihood of what was looked at.
+        let mean = |cells: &[f64]| log_sum(cells) - log_sum(&looked_at);
+        let means: Vec<f64> = cells.chunks(each).map(mean).collect();
+        let highest = means.iter().copied().fold(f64::MIN, f64::max);
+        let (open, hopeless): (Vec<usize>, Vec<usize>) =
+            others.into_iter().partition(|k| means[k / each] > highest - HOPELESS);
+        look(&mut cells, &open);
+        hopeless.iter().for_each(|&k| cells[k] = means[k / each] + grid.log_prior(k % each));
         let logs = cells.chunks(each).map(log_sum).collect();
-        Self { elevations, curves, cells, logs }
+        Self { grid, cells, logs }
     }
 
     fn spacing(&self) -> f64 {
@@ -232,18 +292,18 @@ impl Coarse {
 
     /// The cells of an azimuth that are not negligible, and the best of them.
     fn bounds(&self, azimuth: usize) -> CellBounds {
-        let each = self.elevations.len() * self.curves.len();
+        let each = self.grid.len();
         let own = &self.cells[azimuth * each..(azimuth + 1) * each];
         let best = own.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
         let (mut elevation, mut curve) = ([f64::MAX, f64::MIN], [f64::MAX, f64::MIN]);
         for (k, log) in own.iter().enumerate() {
             if *log > own[best] - NEGLIGIBLE {
-                let (e, c) = (self.elevations[k / self.curves.len()], self.curves[k % self.curves.len()]);
+                let [e, c] = self.grid.at(k);
                 elevation = [elevation[0].min(e.low), elevation[1].max(e.high)];
                 curve = [curve[0].min(c.low), curve[1].max(c.high)];
             }
         }
-        let (e, c) = (self.elevations[best / self.curves.len()], self.curves[best % self.curves.len()]);
+        let [e, c] = self.grid.at(best);
         CellBounds { elevation: (elevation, e.at), curve: (curve, c.at) }
     }
 }
@@ -252,28 +312,6 @@ impl Coarse {
 struct CellBounds {
     elevation: ([f64; 2], f64),
     curve: ([f64; 2], f64),
-}
-
-/// `ln (prior x likelihood)` of every cell of a grid.
-fn logs(
-    field: &Field,
-    prior: &Prior,
-    azimuths: impl Iterator<Item = f64>,
-    elevations: &[Cell],
-    curves: &[Cell],
-) -> Vec<f64> {
-    let (mut places, mut priors) = (Vec::new(), Vec::new());
-    for azimuth in azimuths {
-        for elevation in elevations {
-            for curve in curves {
-                places.push(prior.at_height(Place { azimuth, elevation: elevation.at, curve: curve.at }));
-                priors.push((elevation.mass * curve.mass).ln());
-            }
-        }
-    }
-    let mut logs = field.log_likelihoods(&places);
-    logs.iter_mut().zip(priors).for_each(|(log, prior)| *log += prior);
-    logs
 }
 
 fn log_sum(logs: &[f64]) -> f64 {
@@ -327,16 +365,18 @@ impl Local {
         let fine = |span: f64, step: f64| if span > 1.5 * step { step } else { span / 3.0 };
         let [e_low, e_high] = bounds.elevation;
         let span = if prior.is_signed() { e_high - e_low } else { (e_high - e_low) * e_high.sin() };
-        let elevations = prior.elevations(bounds.elevation, fine(span, steps.elevation));
-        let curves = prior.curves(bounds.curve, fine(bounds.curve[1] - bounds.curve[0], steps.curve));
-        let cells = logs(field, prior, (0..FINE).map(azimuth), &elevations, &curves);
-        let each = elevations.len() * curves.len();
+        let grid = Cells {
+            elevations: prior.elevations(bounds.elevation, fine(span, steps.elevation)),
+            curves: prior.curves(bounds.curve, fine(bounds.curve[1] - bounds.curve[0], steps.curve)),
+        };
+        let each = grid.len();
+        let chosen: Vec<(f64, usize)> = (0..FINE * each).map(|k| (azimuth(k / each), k % each)).collect();
+        let cells = grid.logs(field, prior, &chosen);
         let highest = cells.iter().copied().fold(f64::MIN, f64::max);
         let (mut mean, mut second, mut total) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
-        for (k, log) in cells.iter().enumerate() {
+        for (log, (azimuth, k)) in cells.iter().zip(&chosen) {
             let weight = (log - highest).exp();
-            let (e, c) = (elevations[k % each / curves.len()], curves[k % curves.len()]);
-            let place = prior.at_height(Place { azimuth: azimuth(k / each), elevation: e.at, curve: c.at });
+            let place = prior.at_height(grid.place(*azimuth, *k));
             let at = Vector3::new(place.azimuth, place.elevation, place.curve);
             mean += at * weight;
             second += at * at.transpose() * weight;
@@ -345,8 +385,8 @@ impl Local {
         mean /= total;
         let cell = Vector3::new(
             width,
-            (e_high - e_low) / elevations.len() as f64,
-            (bounds.curve[1] - bounds.curve[0]) / curves.len() as f64,
+            (e_high - e_low) / grid.elevations.len() as f64,
+            (bounds.curve[1] - bounds.curve[0]) / grid.curves.len() as f64,
         );
         let covariance = second / total - mean * mean.transpose();
         let logs: Vec<f64> = cells.chunks(each).map(log_sum).collect();
