@@ -13,6 +13,7 @@ use crate::bartlett::Tier;
 use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, f32x8};
 use nalgebra::Vector3;
+use num_complex::Complex64;
 
 /// Lanes of the widest vector: `f32` of 512 bits.
 const WIDEST: usize = 16;
@@ -111,6 +112,25 @@ impl Field {
             self.log_of(&rho)
         };
         places.iter().map(&mut log_of).collect()
+    }
+
+    /// `|sum z e|^2` over the motion for each place, of one phasor `z` for each point with its path `path_gain` times.
+    pub fn powers(&self, z: &[Complex64], path_gain: u8, places: &[Place]) -> Vec<f64> {
+        let part = |of: fn(&Complex64) -> f64| {
+            let mut part: Vec<f32> = z.iter().map(|z| of(z) as f32).collect();
+            part.resize(self.x.len(), 0.0);
+            part
+        };
+        let (re, im) = (part(|z| z.re), part(|z| z.im));
+        let mut work = Work::new(self.x.len(), self.cuts.len());
+        let mut power = |place: &Place| {
+            on_tier!(self.level, simd => {
+                self.steer(simd, place, &mut work);
+                let (cos, sin) = if path_gain == 1 { (&work.cos, &work.sin) } else { (&work.cos2, &work.sin2) };
+                along(simd, [&re, &im], [cos, sin])
+            })
+        };
+        places.iter().map(&mut power).collect()
     }
 
     fn log_of(&self, rho: &[f64]) -> f64 {
@@ -213,6 +233,20 @@ fn add<S: Simd>(simd: S, sums: &mut [f32x8<S>; 4], row: &[f32; 2 * COLUMNS], cos
     sums[3] = im.mul_add(cos, sums[3]);
 }
 
+/// `|sum z e|^2` of whole vectors.
+#[inline(always)]
+fn along<S: Simd>(simd: S, [re, im]: [&[f32]; 2], [cos, sin]: [&[f32]; 2]) -> f64 {
+    let lanes = V::<S, f32>::LEN;
+    let mut sums = [V::<S, f32>::splat(simd, 0.0); 2];
+    for from in (0..re.len()).step_by(lanes) {
+        let load = |values: &[f32]| V::<S, f32>::from_slice(simd, &values[from..from + lanes]);
+        let (re, im, cos, sin) = (load(re), load(im), load(cos), load(sin));
+        sums[0] = re.mul_add(cos, sums[0]) - im * sin;
+        sums[1] = re.mul_add(sin, im.mul_add(cos, sums[1]));
+    }
+    sums.iter().map(|sum| f64::from(sum.as_slice().iter().sum::<f32>()).powi(2)).sum()
+}
+
 /// `sum row e` over a window, column by column.
 #[inline(always)]
 fn window<S: Simd>(simd: S, rows: &[[f32; 2 * COLUMNS]], cos: &[f32], sin: &[f32]) -> [f32; 2 * COLUMNS] {
@@ -238,7 +272,6 @@ fn window<S: Simd>(simd: S, rows: &[[f32; 2 * COLUMNS]], cos: &[f32], sin: &[f32
 mod tests {
     use super::*;
     use crate::estimate::signal::Bins;
-    use num_complex::Complex64;
     use std::f64::consts::TAU;
 
     const WAVELENGTH_M: f64 = 0.054;

@@ -10,7 +10,7 @@
 use super::likelihood::{Field, Place};
 use super::posterior::{Atom, Mode, Steps};
 use super::prior::Prior;
-use super::signal::{Aperture, Bins};
+use super::signal::Bins;
 use super::tuning::sensor;
 use crate::bartlett::{Estimate, Searcher, Tier};
 use crate::maths::wrap_rad;
@@ -203,9 +203,7 @@ fn best_start(
     tier: Tier,
 ) -> Place {
     let bins = Bins::for_start(points, samples.wavelength_m());
-    let aperture = Aperture::of_phasors(samples.z(), &bins, samples.path_gain());
-    let field =
-        Field::new(&bins.points_m(points), vec![aperture], samples.wavelength_m(), 1.0 + bins.len() as f64, 1, tier);
+    let field = Field::new(&bins.points_m(points), Vec::new(), samples.wavelength_m(), 0.0, 1, tier);
     let elevation = plane_wave.signed_elevation_rad.unwrap_or(plane_wave.abs_elevation_rad);
     let mut elevations = vec![elevation];
     match prior.is_signed() {
@@ -222,8 +220,8 @@ fn best_start(
             places.extend(curves.iter().map(|cell| at(cell.at)));
         }
     }
-    let logs = field.log_likelihoods(&places);
-    let best = logs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
+    let powers = field.powers(&bins.phasors(samples.z()), samples.path_gain(), &places);
+    let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
     places[best]
 }
 

@@ -223,6 +223,13 @@ impl Bins {
         is_worthwhile.then(|| self.samples(samples, points_m)).flatten()
     }
 
+    /// The mean phasor of each bin.
+    pub fn phasors(&self, z: &[Complex64]) -> Vec<Complex64> {
+        let mut sums = vec![Complex64::ZERO; self.len()];
+        self.of.iter().zip(z).for_each(|(bin, z)| sums[*bin] += z);
+        sums.iter().zip(&self.counts).map(|(sum, count)| sum / *count).collect()
+    }
+
     /// The weighted mean of the samples in each bin, with the weight of the bin. Displacements, `points_m`, become the
     /// receiver's positions, metres; the transmitter's are zero.
     pub fn samples(&self, samples: &Samples, points_m: &[Vector3<f64>]) -> Option<Samples> {
@@ -281,28 +288,28 @@ impl Aperture {
 
     /// One phasor for each sample, averaged by `bins`.
     pub fn of_phasors(z: &[Complex64], bins: &Bins, path_gain: u8) -> Self {
-        let mut sums = vec![Complex64::ZERO; bins.len()];
-        bins.of.iter().zip(z).for_each(|(bin, z)| sums[*bin] += z);
-        let means = sums.iter().zip(&bins.counts).map(|(sum, count)| sum / *count);
-        let row = |z: Complex64| {
+        let means = bins.phasors(z);
+        let row = |z: &Complex64| {
             let mut out = [0.0; 2 * COLUMNS];
             (out[0], out[COLUMNS]) = (z.re as f32, z.im as f32);
             out
         };
-        let energy = means.clone().map(|z| z.norm_sqr()).collect();
-        Self { path_gain, rows: means.map(row).collect(), energy }
+        let energy = means.iter().map(Complex64::norm_sqr).collect();
+        Self { path_gain, rows: means.iter().map(row).collect(), energy }
     }
 }
 
 /// The eigenvectors of the greatest eigenvalues of `sum row^H row`.
 fn strongest(rows: &[Planes], tier: Tier) -> Vec<Planes> {
+    const WHOLE: usize = 8;
     let mut scatter = DMatrix::<Complex32>::zeros(SUBCARRIERS, SUBCARRIERS);
     let mut sums = vec![Planes::ZERO; SUBCARRIERS];
     on_tier!(tier.level_or_portable(), _simd => {
         for row in rows {
+            // Of a matrix that is its own adjoint what is right of the diagonal is enough; whole vectors are summed.
             for (k, sum) in sums.iter_mut().enumerate() {
                 let (re, im) = (row.re[k], -row.im[k]);
-                for i in 0..LANES {
+                for i in k / WHOLE * WHOLE..LANES {
                     sum.re[i] += re * row.re[i] - im * row.im[i];
                     sum.im[i] += re * row.im[i] + im * row.re[i];
                 }
@@ -310,8 +317,9 @@ fn strongest(rows: &[Planes], tier: Tier) -> Vec<Planes> {
         }
     });
     for (k, sum) in sums.iter().enumerate() {
-        for i in 0..SUBCARRIERS {
+        for i in k..SUBCARRIERS {
             scatter[(k, i)] = Complex32::new(sum.re[i], sum.im[i]);
+            scatter[(i, k)] = scatter[(k, i)].conj();
         }
     }
     let eigen = SymmetricEigen::new(scatter);

@@ -403,6 +403,8 @@ const GAIN_PER_BLOCK: f64 = 2.0;
 
 /// Step of the search, Hz (the coherence is 8 kHz wide).
 const STEP_HZ: f64 = 400.0;
+/// The same about its best: a parabola is off by less than a hertz.
+const CLOSE_HZ: f64 = 50.0;
 
 /// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
 /// histogram makes the search over `df` as cheap as the jitter is small.
@@ -531,7 +533,8 @@ impl Turning {
     }
 }
 
-/// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: a grid, then golden sections.
+/// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: the vertex of a parabola through the best of a
+/// grid and its neighbours, and once more through three offsets closer together.
 fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
     let steps = (reach_hz / STEP_HZ) as i32;
     let from_hz = near_hz - f64::from(steps) * STEP_HZ;
@@ -543,23 +546,11 @@ fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
             best = (value, from_hz + f64::from(k) * STEP_HZ);
         }
     }
-    let f = |hz: f64| sum_at(terms, hz).norm_sqr();
-    let ratio = (5f64.sqrt() - 1.0) / 2.0;
-    let (mut low, mut high) = (best.1 - STEP_HZ, best.1 + STEP_HZ);
-    let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
-    let (mut at_a, mut at_b) = (f(a), f(b));
-    while high - low > 0.5 {
-        if at_a >= at_b {
-            (high, b, at_b) = (b, a, at_a);
-            a = high - ratio * (high - low);
-            at_a = f(a);
-        } else {
-            (low, a, at_a) = (a, b, at_b);
-            b = low + ratio * (high - low);
-            at_b = f(b);
-        }
-    }
-    0.5 * (low + high)
+    [STEP_HZ, CLOSE_HZ].into_iter().fold(best.1, |hz, step_hz| {
+        let [before, here, after] = [-step_hz, 0.0, step_hz].map(|by| sum_at(terms, hz + by).norm_sqr());
+        let bend = before - 2.0 * here + after;
+        hz + if bend < 0.0 { step_hz * (0.5 * (before - after) / bend).clamp(-1.0, 1.0) } else { 0.0 }
+    })
 }
 
 #[cfg(test)]
