@@ -359,22 +359,18 @@ fn drift_line_by(clock_us: &[i64], difference_us: &[i64], lag: usize) -> DriftLi
     let y = median((0..n).map(|k| difference_us[k] as f64 - slope * (clock_us[k] as f64 - origin)).collect());
     let mut line = DriftLine { slope, x: origin, y };
     for _ in 0..4 {
-        let near = (0..n).filter(|&k| (difference_us[k] as f64 - line.at(clock_us[k] as f64)).abs() <= OUTLIER_US);
-        let (mut count, mut sx, mut sy) = (0.0, 0.0, 0.0);
-        for k in near.clone() {
-            count += 1.0;
-            sx += clock_us[k] as f64 - origin;
-            sy += difference_us[k] as f64 - y;
-        }
-        if count < 4.0 {
+        let is_near = |k: &usize| (difference_us[*k] as f64 - line.at(clock_us[*k] as f64)).abs() <= OUTLIER_US;
+        let about = |k: usize| (clock_us[k] as f64 - origin, difference_us[k] as f64 - y);
+        let near: Vec<(f64, f64)> = (0..n).filter(is_near).map(about).collect();
+        if near.len() < 4 {
             break;
         }
-        let (mx, my) = (sx / count, sy / count);
+        let (sx, sy) = near.iter().fold((0.0, 0.0), |(sx, sy), (x, y)| (sx + x, sy + y));
+        let (mx, my) = (sx / near.len() as f64, sy / near.len() as f64);
         let (mut sxx, mut sxy) = (0.0, 0.0);
-        for k in near {
-            let x = clock_us[k] as f64 - origin - mx;
-            sxx += x * x;
-            sxy += x * (difference_us[k] as f64 - y - my);
+        for (x, y) in near {
+            sxx += (x - mx) * (x - mx);
+            sxy += (x - mx) * (y - my);
         }
         if sxx <= 0.0 {
             break;
