@@ -32,6 +32,7 @@ pub(crate) use combine::both;
 use likelihood::{Field, Place};
 use nalgebra::Vector3;
 pub use odometry::{OdometryError, OdometryFit};
+use one_wave::Heard;
 pub use one_wave::Unexplained;
 use posterior::{Blur, Mode, Steps, half_width, mass_within};
 use prior::{Limits, Prior};
@@ -441,6 +442,7 @@ fn early(
         return Err(Reason::Asked);
     }
     let samples = task.samples;
+    let false_alarm = one_wave::FALSE_ALARM / if means.is_some() { 2.0 } else { 1.0 };
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
     let mut best: Option<(&Model, Prior, one_wave::OneWave)> = None;
     for model in models {
@@ -449,10 +451,12 @@ fn early(
         let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
         let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(nearest)) } else { model.prior };
         let prior = if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior };
-        let checked = means.map_or(Ok(()), |(means, bins)| {
-            one_wave::check(means, &bins.points_m(&model.points), start, &prior, &model.steps, task.tier)
+        let checked = means.map_or(Ok(()), |(samples, bins)| {
+            let heard = Heard { samples, points: &bins.points_m(&model.points), false_alarm };
+            one_wave::check(heard, start, &prior, &model.steps, task.tier)
         });
-        match checked.and_then(|()| one_wave::explain(samples, &model.points, start, &prior, &model.steps, task.tier)) {
+        let heard = Heard { samples, points: &model.points, false_alarm };
+        match checked.and_then(|()| one_wave::explain(heard, start, &prior, &model.steps, task.tier)) {
             // Two models of the heights may both leave noise: the likelier one.
             Ok(one) if best.as_ref().is_none_or(|best| one.log_likelihood > best.2.log_likelihood) => {
                 best = Some((model, prior, one));

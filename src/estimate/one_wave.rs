@@ -21,8 +21,8 @@ use num_complex::Complex64;
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt;
 
-/// Probability of a false alarm: then the posterior over windows is computed needlessly.
-const FALSE_ALARM: f64 = 0.001;
+/// Probability of a false alarm of a test: then the posterior over windows is computed needlessly.
+pub(crate) const FALSE_ALARM: f64 = 0.001;
 /// Fewer samples tell no noise from anything else.
 const LEAST_SAMPLES: usize = 32;
 /// Phases of a wave with less of the power wrap too often for least squares.
@@ -125,20 +125,28 @@ struct Alone<'a> {
     peak: f64,
 }
 
-/// Looks for one wave next to `start`, or next to `plane_wave` if there is none. `points` are the displacements of
-/// `samples` about their middle.
+/// The samples to look at.
+#[derive(Clone, Copy)]
+pub(crate) struct Heard<'a> {
+    pub samples: &'a Samples,
+    /// Displacements of the samples about their middle, metres.
+    pub points: &'a [Vector3<f64>],
+    /// Probability of a false alarm of each test.
+    pub false_alarm: f64,
+}
+
+/// Looks for one wave next to `start`, or next to `plane_wave` if there is none.
 ///
 /// # Errors
 /// What else there is.
 pub(crate) fn explain(
-    samples: &Samples,
-    points: &[Vector3<f64>],
+    heard: Heard<'_>,
     start: (&Estimate, Option<Place>),
     prior: &Prior,
     steps: &Steps,
     tier: Tier,
 ) -> Result<OneWave, Unexplained> {
-    let Alone { mut wave, fit: Fit { at, left }, peak } = alone(samples, points, start, prior, steps, tier)?;
+    let Alone { mut wave, fit: Fit { at, left }, peak } = alone(heard, start, prior, steps, tier)?;
     let free = left.len() as f64 - 5.0;
     let variance = (left.iter().map(|e| e * e).sum::<f64>() / free).max(1e-16);
     let bound_rad = wave.covariance(&at, variance, false)[(0, 0)].max(0.0).sqrt();
@@ -156,19 +164,17 @@ pub(crate) fn explain(
 /// # Errors
 /// What else there is.
 pub(crate) fn check(
-    samples: &Samples,
-    points: &[Vector3<f64>],
+    heard: Heard<'_>,
     start: (&Estimate, Option<Place>),
     prior: &Prior,
     steps: &Steps,
     tier: Tier,
 ) -> Result<(), Unexplained> {
-    alone(samples, points, start, prior, steps, tier).map(|_| ())
+    alone(heard, start, prior, steps, tier).map(|_| ())
 }
 
 fn alone<'a>(
-    samples: &'a Samples,
-    points: &'a [Vector3<f64>],
+    Heard { samples, points, false_alarm }: Heard<'a>,
     (plane_wave, start): (&Estimate, Option<Place>),
     prior: &'a Prior,
     steps: &Steps,
@@ -187,9 +193,9 @@ fn alone<'a>(
         return Err(Unexplained::Faint(share));
     }
     let fit = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
-    whiteness(&fit.left, tier)?;
+    whiteness(&fit.left, false_alarm, tier)?;
     unambiguous(&wave, &fit.at, plane_wave, steps)?;
-    let peak = highest_peak(&wave, &fit.at, &fit.left, plane_wave, tier)?;
+    let peak = highest_peak(&wave, &fit, plane_wave, false_alarm, tier)?;
     Ok(Alone { wave, fit, peak })
 }
 
@@ -527,7 +533,7 @@ fn direction(place: &Place) -> Vector3<f64> {
 
 /// Refuses residuals whose cumulative periodogram is not that of white noise (Bartlett's test: the largest distance from the
 /// diagonal goes as Kolmogorov's).
-fn whiteness(left: &[f64], tier: Tier) -> Result<(), Unexplained> {
+fn whiteness(left: &[f64], false_alarm: f64, tier: Tier) -> Result<(), Unexplained> {
     let count = left.len();
     let mut spectrum: Vec<_> = left.iter().map(|e| Complex64::new(*e, 0.0)).collect();
     Ffts::<f64>::new(tier).forward(count).process(&mut spectrum);
@@ -541,7 +547,7 @@ fn whiteness(left: &[f64], tier: Tier) -> Result<(), Unexplained> {
         sum += own / total;
         furthest = furthest.max((sum - (k as f64 + 1.0) / half).abs());
     }
-    let limit = (-0.5 * (0.5 * FALSE_ALARM).ln() / half).sqrt();
+    let limit = (-0.5 * (0.5 * false_alarm).ln() / half).sqrt();
     if furthest > limit { Err(Unexplained::NotWhite(furthest / limit)) } else { Ok(()) }
 }
 
@@ -568,7 +574,13 @@ fn explained(wave: &Wave<'_>, at: &At) -> f64 {
 }
 
 /// The highest Bartlett peak of the residual, in units of the mean noise.
-fn highest_peak(wave: &Wave<'_>, at: &At, left: &[f64], plane_wave: &Estimate, tier: Tier) -> Result<f64, Unexplained> {
+fn highest_peak(
+    wave: &Wave<'_>,
+    Fit { at, left }: &Fit,
+    plane_wave: &Estimate,
+    false_alarm: f64,
+    tier: Tier,
+) -> Result<f64, Unexplained> {
     let samples = wave.samples;
     let mut rest = Samples::new(samples.wavelength_m(), samples.path_gain()).map_err(|_| Unexplained::NoPlace)?;
     for (k, ((p, phase), e)) in wave.points.iter().zip(wave.phases(at)).zip(left).enumerate() {
@@ -583,6 +595,6 @@ fn highest_peak(wave: &Wave<'_>, at: &At, left: &[f64], plane_wave: &Estimate, t
     let sum: f64 = left.iter().map(|e| e.abs()).sum();
     let peak = found.value * sum * sum / sizes;
     let cells = (2 * found.plan.band_limit + 1) * found.plan.rings.max(1);
-    let most = (cells as f64 / FALSE_ALARM).ln();
+    let most = (cells as f64 / false_alarm).ln();
     if peak > most { Err(Unexplained::AnotherWave(peak / most)) } else { Ok(peak) }
 }
