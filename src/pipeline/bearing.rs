@@ -1,4 +1,5 @@
-//! The result of a link: one answer from the posterior, and the data that it was computed from.
+//! The result of a link: one answer from the posterior, the data that it was computed from, and its evidence about the
+//! transmitter's place, for a filter over several motions.
 
 use super::one_log::ChainConstant;
 use crate::bartlett::{self, Estimate, Grid, Method, Planner, ProfileOptions};
@@ -7,9 +8,10 @@ use crate::estimate::posterior::Mode;
 use crate::estimate::tuning;
 use crate::estimate::{Found, NoRangeChange, OdometryFit, RangeChange, Sufficient};
 use crate::maths::wrap_rad;
+use crate::place::track::{Evidence, EvidenceMode};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// An azimuth within this of the truth counts as right, radians.
 const RIGHT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
@@ -374,4 +376,34 @@ impl ProfileFigures {
         let likelihood_share = profile.likelihood_share();
         Ok(Self { wsr_profile_variance: bartlett::wsr_planar_profile_variance(&profile), likelihood_share })
     }
+}
+
+/// Largest deviation of a mirror's side: two densities closer than four deviations merge.
+const MIRROR_SHARE: f64 = 0.25;
+
+impl Bearing {
+    /// The candidates with their probabilities, seen from the middle of the samples. Positions are those of the
+    /// receiver less the transmitter's displacement, so a transmitter with known odometry counts as standing at its
+    /// start; see `PeerTrack`.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn evidence(&self) -> Evidence {
+        let samples = &self.samples;
+        let sum = samples.displacements_m().fold(Vector3::zeros(), |sum, p| sum + p);
+        let middle_m = sum / samples.len().max(1) as f64;
+        let t_s = samples.t_s().last().copied().unwrap_or_default();
+        Evidence::new(t_s, Vector2::new(middle_m.x, middle_m.y), modes(&self.answer), 1.0 - tuning::UNEXPLAINED)
+    }
+}
+
+fn modes(answer: &BearingAnswer) -> Vec<EvidenceMode> {
+    let apart_rad = answer.mirror_rad.map(|mirror| wrap_rad(answer.azimuth_rad - mirror).abs());
+    let most_rad = apart_rad.map_or(f64::MAX, |apart| MIRROR_SHARE * apart);
+    let sd_rad =
+        answer.azimuth_bound_rad.hypot(tuning::MODEL_DEG.to_radians()).min(most_rad.max(answer.azimuth_bound_rad));
+    let range_m = answer.range.map(|range| (range.range_m * answer.abs_elevation_rad.cos(), range.sd_m));
+    let mode = |(k, candidate): (usize, &Candidate)| {
+        EvidenceMode::new(candidate.azimuth_rad, sd_rad, candidate.share).with_range_m(range_m.filter(|_| k == 0))
+    };
+    answer.candidates.iter().enumerate().map(mode).collect()
 }

@@ -6,41 +6,36 @@
 //! |---|---|
 //! | records of each log become frames of one antenna | `intake` |
 //! | frames without numbers get them by the cards' clocks | `unnumbered` |
-//! | which transmitter wrote which log | `matching` |
-//! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
+//! | which transmitter wrote which log; all logs read in step | `reading` |
+//! | frames paired, each pair a round trip | `link` |
 //! | clocks, compensation, the gate of motion, the estimate (`crate::estimate`) | `draft` |
-//! | of motion that is too wide to be searched at once, the stretch that tells most | `stretch` |
 //! | one log of a robot that turns, by two or three antennas | `one_log`, `first_delay` |
 //! | the same while robots drive, over the last metres | [`live`] |
-//! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
-//! | what it says of the transmitter's place, for a filter over several motions | `evidence`, `carried` |
+//! | the answer, as values with its evidence of the place, and as a line of JSON | `bearing`, `answer`, `explain` |
 
 mod answer;
 mod bearing;
 mod capture;
-mod carried;
 mod draft;
 mod error;
-mod evidence;
 mod explain;
 mod first_delay;
 pub(crate) mod intake;
 mod link;
 pub mod live;
-mod matching;
 mod one_log;
 mod options;
 mod reading;
-mod stretch;
 mod unnumbered;
 
 pub use crate::estimate::{
     Effort, NoRangeChange, OdometryError, OdometryFit, RangeChange, Reason, Risk, Sufficient, Unexplained,
 };
-pub use answer::{Answer, CandidateAnswer, RangeChangeAnswer, lost_something};
+pub use answer::{
+    Answer, CandidateAnswer, CarriedAnswer, CarriedCandidate, RangeChangeAnswer, StretchAnswer, lost_something,
+};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
-pub use carried::{CarriedAnswer, CarriedCandidate, StretchAnswer};
 pub(crate) use draft::{LinkJoin, bearing as estimate_one, estimate_all as estimate};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};
@@ -56,7 +51,7 @@ use crate::source::survey::Survey;
 use crate::source::{CsiSource, Error};
 use driver_iface::Mac;
 use intake::LogReader;
-use matching::{MacFound, find_macs, read_ahead, receivers};
+use reading::{MacFound, find_macs, read_ahead, receivers};
 
 /// One transmitter: its log and, if it moved too, its trajectory on the receiver's clock.
 pub struct Transmitter<'a> {

@@ -1,7 +1,7 @@
 //! Bearings from this robot's records alone, by two or three antennas that turn with it (see [`crate::pipeline::OneLog`]).
 
 use super::peer::{Context, Why};
-use super::report::{PeerCounts, PeerReport, PeerState};
+use super::{PeerCounts, PeerReport, PeerState};
 use crate::maths::wrap_rad;
 use crate::motion::pose::Trajectory;
 use crate::pipeline::{Answer, Array, Bearing, LinkError, OneLog, Options};

@@ -1,7 +1,7 @@
 //! One peer: its link, its schedule, its last answer, its reports.
 
-use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use super::track::{Track, Window, aligned, window};
+use super::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::pairing::by_clock::{self, CardClock};
