@@ -144,7 +144,7 @@ pub mod time;
 pub use driver_iface;
 pub use nalgebra;
 pub use num_complex;
-pub use source::log::{Frame, Log};
+pub use source::replay::{Frame, Log};
 
 /// What benches, examples and other crates of this workspace measure and fit beneath the library's interface: no part of
 /// it, and free to change with any version.
@@ -159,12 +159,12 @@ pub mod internal {
     pub use crate::estimate::heading;
     pub use crate::exchange::tdma::auth::{Proof, Prover};
     pub use crate::exchange::tdma::roster::before_first_number;
-    pub use crate::motion::heading::heading_of;
-    pub use crate::motion::rolling::Roller;
+    pub use crate::motion::pose::Roller;
+    pub use crate::motion::pose::heading_of;
     pub use crate::pipeline::intake::{FrameHeard, Front};
     /// The filter over a peer's place.
     pub mod track {
-        pub use crate::place::track::{
+        pub use crate::place::{
             Evidence, EvidenceMode, PeerPlace, PeerPlaces, PeerTrack, TrackAnswer, TrackError, TrackSettings, places,
         };
     }

@@ -4,16 +4,13 @@
 //! table that does not depend on the samples, for a bucket of apertures (5 percent wide), and prints what it does and
 //! what it leaves out.
 
-use super::Error;
-use super::grid::{Grid, Layout, Profile, direction, ring_azimuth};
 use super::scene::{Geometry, Scene, ldexp};
+use super::{Error, Grid, Layout, Profile, direction, ring_azimuth};
 use crate::signal::samples::Samples;
-use csi5300_kernels::cone::Cone;
 use csi5300_kernels::evaluate::{Batch, Buffers, Evaluator, Places, Slab};
 use csi5300_kernels::fft::Ffts;
-use csi5300_kernels::nufft::Nufft;
+use csi5300_kernels::nufft::{Axis, Cone, Nufft, Setting};
 use csi5300_kernels::rings::{RingWork, Rings, azimuths_for, distinct, nodes_for};
-use csi5300_kernels::setting::{Axis, Setting};
 use csi5300_kernels::simd::{Real, Tier};
 use nalgebra::Vector3;
 use num_complex::Complex64;

@@ -5,7 +5,7 @@ use super::options::Options;
 use super::{Answer, Bearing, CaptureReport};
 use super::{LinkJoin, estimate};
 use crate::motion::pose::Trajectory;
-use crate::place::track::{PeerTrack, TrackAnswer, TrackSettings};
+use crate::place::{PeerTrack, TrackAnswer, TrackSettings};
 use serde::Serialize;
 
 /// The combined evidence of all stretches of motion about a peer, in degrees: a part of a JSON line.
@@ -43,7 +43,7 @@ impl CarriedAnswer {
     /// The same in degrees.
     #[must_use]
     pub(crate) fn new(answer: &TrackAnswer) -> Self {
-        let candidate = |mode: &crate::place::track::TrackMode| CarriedCandidate {
+        let candidate = |mode: &crate::place::TrackMode| CarriedCandidate {
             azimuth_deg: mode.azimuth_rad.to_degrees(),
             share: mode.share,
         };

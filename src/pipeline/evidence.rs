@@ -3,7 +3,7 @@
 use super::bearing::{Bearing, BearingAnswer};
 use crate::estimate::tuning;
 use crate::maths::wrap_rad;
-use crate::place::track::{Evidence, EvidenceMode};
+use crate::place::{Evidence, EvidenceMode};
 use nalgebra::{Vector2, Vector3};
 
 /// Largest deviation of a mirror's side: two densities closer than four deviations merge.

@@ -2,7 +2,6 @@
 //! robot are values of one type, [`CsiSource`]. Who only wants to read a log takes [`Log`](crate::Log).
 
 pub(crate) mod key_file;
-pub(crate) mod log;
 pub mod other_card;
 pub mod recorder;
 pub mod replay;
@@ -10,8 +9,6 @@ mod side_file;
 pub mod survey;
 
 // What the robot's service is made of: public for the crates of this workspace, no part of the library's interface.
-#[doc(hidden)]
-pub mod paced;
 #[doc(hidden)]
 pub mod remote;
 

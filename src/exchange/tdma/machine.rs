@@ -1,9 +1,9 @@
 //! The scheduler's state machine: its contract and timers, turns, what it hears, and its slots.
 
 use super::auth::{Key, Shown};
-use super::plan::{Dialect, Plan, PlanError};
 use super::roster::{ABSENT_AFTER, Outstanding, Priority, Roster, before_first_number};
 use super::{Cause, Config, Event, LinkCounts, TdmaCounts};
+use super::{Dialect, Plan, PlanError};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::native::{Measurement, Role};

@@ -15,7 +15,7 @@ mod report;
 mod track;
 
 pub use crate::exchange::admission::AdmissionCounts;
-pub use crate::place::track::TrackCounts;
+pub use crate::place::TrackCounts;
 pub use estimator::LiveEstimator;
 pub use links::Links;
 pub use report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};

@@ -3,7 +3,7 @@
 use super::track::Track;
 use crate::exchange::admission::AdmissionCounts;
 use crate::pipeline::Answer;
-use crate::place::track::TrackCounts;
+use crate::place::TrackCounts;
 use crate::time::Instant;
 use driver_iface::Mac;
 use serde::Serialize;

@@ -1,8 +1,8 @@
 //! Places of antenna and camera on the receiver's robot.
 
 use super::args::triple;
+use csi5300::motion::pose::Mount;
 use csi5300::motion::pose::Trajectory;
-use csi5300::motion::rolling::Mount;
 use nalgebra::Vector3;
 
 // Places of antenna and camera on the robot.

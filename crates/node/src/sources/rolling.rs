@@ -2,7 +2,7 @@
 
 use csi5300::internal::Roller;
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
-use csi5300::motion::rolling::Mount;
+use csi5300::motion::pose::Mount;
 use csi5300::time::Instant;
 
 /// The middle between the wheels of a robot, by the camera that it carries.
