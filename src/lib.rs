@@ -154,13 +154,13 @@ pub mod internal {
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
-    pub use crate::bartlett::planner::oracle;
+    pub use crate::bartlett::planner::{Planner, ProfileOptions, oracle};
     pub use crate::bartlett::search::Searcher;
     pub use crate::estimate::heading;
+    pub use crate::exchange::pairing::by_clock::{ByClock, CardClock, Refusal};
     pub use crate::exchange::tdma::auth::{Proof, Prover};
     pub use crate::exchange::tdma::roster::before_first_number;
-    pub use crate::motion::pose::Roller;
-    pub use crate::motion::pose::heading_of;
+    pub use crate::motion::pose::{Roller, heading_of};
     pub use crate::pipeline::intake::{FrameHeard, Front};
     /// The filter over a peer's place.
     pub mod track {

@@ -58,7 +58,6 @@ fn temper(known: f64, own_share: f64) -> f64 {
 
 /// What may happen to places between two stretches of motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct TrackSettings {
     /// Standard deviation of the heading of the whole trajectory, radians, as for single bearings. Common to all stretches,
     /// it decides between no places; error bars and probabilities of answers hold it.
@@ -91,36 +90,6 @@ impl TrackSettings {
             gone_s: GONE_S,
             own_share: OWN_SHARE,
         }
-    }
-
-    /// For a peer that wanders so far without odometry: standard deviation after one second, metres.
-    #[must_use]
-    pub fn with_wander_m_per_rt_s(self, wander_m_per_rt_s: f64) -> Self {
-        Self { wander_m_per_rt_s, ..self }
-    }
-
-    /// For odometry whose heading wanders so far: standard deviation after one metre, radians.
-    #[must_use]
-    pub fn with_turn_rad_per_rt_m(self, turn_rad_per_rt_m: f64) -> Self {
-        Self { turn_rad_per_rt_m, ..self }
-    }
-
-    /// For odometry whose positions are off by this share of the way driven.
-    #[must_use]
-    pub fn with_slip(self, slip: f64) -> Self {
-        Self { slip, ..self }
-    }
-
-    /// With another time after which a silent peer counts as lost, seconds.
-    #[must_use]
-    pub fn with_gone_s(self, gone_s: f64) -> Self {
-        Self { gone_s, ..self }
-    }
-
-    /// For stretches of which each after the first adds this to the power of all, 0..1.
-    #[must_use]
-    pub fn with_own_share(self, own_share: f64) -> Self {
-        Self { own_share, ..self }
     }
 
     /// Standard deviations after `driven_m` metres and `passed_s` seconds: of the heading, radians, and of the place of the
@@ -1296,7 +1265,7 @@ mod tests {
     fn stretches_that_are_deceived_together_are_not_as_sure_as_independent_ones() {
         let places = [Vector2::new(4.0, 1.0), Vector2::new(-3.0, 2.0)];
         let sure = [1.0, 0.3, 0.0].map(|own_share| {
-            let mut track = PeerTrack::new(settings().with_own_share(own_share));
+            let mut track = PeerTrack::new(TrackSettings { own_share, ..settings() });
             for k in 0..4 {
                 let mut evidence = seen(f64::from(k), Vector2::new(0.0, 0.2 * f64::from(k)), &places);
                 evidence.modes[1].share = 0.5;
@@ -1351,7 +1320,7 @@ mod tests {
     fn odometry_that_drifts_makes_what_was_known_less_sure() {
         let peer = Vector2::new(3.0, 0.0);
         let shares = [0.0, 2.0, 20.0].map(|turn_deg: f64| {
-            let drifting = settings().with_turn_rad_per_rt_m(turn_deg * DEGREE);
+            let drifting = TrackSettings { turn_rad_per_rt_m: turn_deg * DEGREE, ..settings() };
             let mut track = PeerTrack::new(drifting);
             track.update(&seen(0.0, Vector2::zeros(), &[peer])).unwrap();
             // Sees next to nothing, after a metre.
@@ -1361,7 +1330,7 @@ mod tests {
         });
         assert!(shares[0] < shares[1] && 2.0 * shares[1] < shares[2], "{shares:?}");
         let wandering = |wander| {
-            let mut track = PeerTrack::new(settings().with_wander_m_per_rt_s(wander));
+            let mut track = PeerTrack::new(TrackSettings { wander_m_per_rt_s: wander, ..settings() });
             track.update(&seen(0.0, Vector2::zeros(), &[peer])).unwrap();
             track.update(&seen(100.0, Vector2::new(0.0, 0.1), &[Vector2::new(0.0, 3.0)])).unwrap();
             off_deg(&track.last_answer().unwrap(), FRAC_PI_2)
@@ -1385,7 +1354,7 @@ mod tests {
 
     #[test]
     fn a_new_frame_and_a_long_silence_begin_anew_and_are_counted() {
-        let mut track = PeerTrack::new(settings().with_gone_s(60.0));
+        let mut track = PeerTrack::new(TrackSettings { gone_s: 60.0, ..settings() });
         track.reset();
         assert_eq!(track.counts(), TrackCounts::default());
         let peer = Vector2::new(3.0, 0.0);
@@ -1441,7 +1410,7 @@ mod tests {
     #[test]
     fn numbers_at_the_ends_of_what_there_is_leave_answers_finite() {
         let extremes = [0.0, 1e-300, 1e-9, 1.0, 1e9, 1e300];
-        let mut track = PeerTrack::new(settings().with_turn_rad_per_rt_m(1e300).with_slip(1e300));
+        let mut track = PeerTrack::new(TrackSettings { turn_rad_per_rt_m: 1e300, slip: 1e300, ..settings() });
         for (k, value) in extremes.into_iter().enumerate() {
             let mode = EvidenceMode::new(value, value.max(1e-300), 1.0).with_range_m(Some((value.max(1e-300), value)));
             let evidence = Evidence::new(k as f64, Vector2::new(value, -value), vec![mode], value).with_driven_m(value);

@@ -277,7 +277,7 @@ mod tests {
     }
 
     fn everywhere() -> SearchOptions {
-        SearchOptions::default().with_elevation_max_rad(PI / 2.0)
+        SearchOptions { elevation_max_rad: PI / 2.0, ..SearchOptions::default() }
     }
 
     /// The directions of an answer: its own and its mirror.

@@ -36,16 +36,18 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::sync::Arc;
 
 pub use csi5300_kernels::simd::Tier;
-pub use planner::{Explanation, Method, Planner, Precision, ProfileOptions};
+pub use planner::{Explanation, Method, Precision};
+pub(crate) use planner::{Planner, ProfileOptions};
 pub use scene::{Geometry, Shape};
 pub(crate) use search::Searcher;
 pub use search::{ElevationSearch, SearchPlan, search};
 
-/// The Bartlett profile of `samples` over `grid` with the default guarantee, `|f~ - f| <= 1e-4 sum w |z|`, by a planner
-/// of its own. Keep a [`Planner`] to reuse plans.
+/// The Bartlett profile of `samples` over `grid` with the guarantee `|f~ - f| <= 1e-4 sum w |z|`. A receiver that did not move has a
+/// constant profile: that is a profile, though not a bearing.
 ///
 /// # Errors
-/// As [`Planner::profile`].
+/// [`Error`] for input that is empty or without energy, for positions not finite in wavelengths, and for directions that are not
+/// finite.
 pub fn profile(samples: &Samples, grid: &Grid) -> Result<Profile, Error> {
     Planner::default().profile(samples, grid, &ProfileOptions::default())
 }
@@ -113,7 +115,6 @@ pub enum Error {
 
 /// What to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct SearchOptions {
     /// Largest |elevation| of the search, radians, 0 to pi/2. Default 20 degrees. 0 fixes the horizon.
     pub elevation_max_rad: f64,
@@ -127,15 +128,6 @@ pub struct SearchOptions {
 impl Default for SearchOptions {
     fn default() -> Self {
         Self { elevation_max_rad: 20f64.to_radians(), odometry_sd_m: sensor::POSITION_M, tier: Tier::detect() }
-    }
-}
-
-impl SearchOptions {
-    /// With another largest |elevation|, radians, 0 to pi/2; 0 fixes the horizon.
-    #[must_use]
-    pub fn with_elevation_max_rad(mut self, elevation_max_rad: f64) -> Self {
-        self.elevation_max_rad = elevation_max_rad;
-        self
     }
 }
 

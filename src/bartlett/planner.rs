@@ -207,7 +207,6 @@ fn load(scene: &Scene, plan: &Plan, batch: &mut Batch) {
 
 /// How exact, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct ProfileOptions {
     /// The guarantee: every `|f~(u) - f(u)| <= eps * sum w |z|`. Default 1e-4; 0 asks for the oracle.
     pub eps: f64,
@@ -220,29 +219,6 @@ pub struct ProfileOptions {
 impl Default for ProfileOptions {
     fn default() -> Self {
         Self { eps: 1e-4, method: None, precision: None }
-    }
-}
-
-impl ProfileOptions {
-    /// With another guarantee, relative to `sum w |z|`.
-    #[must_use]
-    pub fn with_eps(mut self, eps: f64) -> Self {
-        self.eps = eps;
-        self
-    }
-
-    /// With a method forced.
-    #[must_use]
-    pub fn with_method(mut self, method: Method) -> Self {
-        self.method = Some(method);
-        self
-    }
-
-    /// With a precision forced.
-    #[must_use]
-    pub fn with_precision(mut self, precision: Precision) -> Self {
-        self.precision = Some(precision);
-        self
     }
 }
 

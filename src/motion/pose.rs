@@ -77,7 +77,7 @@ pub struct Gap {
 /// Poses that a trajectory was given and does not use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 #[non_exhaustive]
-pub struct LeftOut {
+pub(crate) struct LeftOut {
     /// Poses at the start that were from before the run.
     pub stale: usize,
     /// Poses at a time that a later one has too, which is elsewhere.
@@ -91,7 +91,7 @@ pub struct LeftOut {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum TrajectoryKind {
+pub(crate) enum TrajectoryKind {
     /// Neither the file nor its name shows it.
     #[default]
     Unknown,
@@ -106,7 +106,7 @@ pub enum TrajectoryKind {
 impl TrajectoryKind {
     /// By the words of headings, of the names of frames or of a file, where they name a sensor; `odom` names none.
     #[must_use]
-    pub fn of_words(text: &str) -> Self {
+    pub(super) fn of_words(text: &str) -> Self {
         let text = text.to_lowercase();
         let has =
             |names: &[&str]| text.split(|letter: char| !letter.is_alphanumeric()).any(|word| names.contains(&word));
@@ -335,19 +335,19 @@ impl Trajectory {
 
     /// What it was given and does not use.
     #[must_use]
-    pub fn left_out(&self) -> LeftOut {
+    pub(crate) fn left_out(&self) -> LeftOut {
         self.left_out
     }
 
     /// What kind of sensor it is of.
     #[must_use]
-    pub fn kind(&self) -> TrajectoryKind {
+    pub(crate) fn kind(&self) -> TrajectoryKind {
         self.kind
     }
 
     /// As of a sensor of this kind.
     #[must_use]
-    pub fn with_kind(mut self, kind: TrajectoryKind) -> Self {
+    pub(super) fn with_kind(mut self, kind: TrajectoryKind) -> Self {
         self.kind = kind;
         self
     }
@@ -398,14 +398,14 @@ impl Trajectory {
 
     /// By how much its path turns, in the median, within [`Self::time_step_s`], radians; 0 where times are not rounded.
     #[must_use]
-    pub fn turn_in_step_rad(&self) -> f64 {
+    pub(crate) fn turn_in_step_rad(&self) -> f64 {
         self.rounded.map_or(0.0, |(_, turn_rad)| turn_rad)
     }
 
     /// Standard deviation of every azimuth that rounded times leave, radians: poses may be early or late by half a step, all by
     /// the same, and the path turns meanwhile. It adds to that of the heading.
     #[must_use]
-    pub fn rounding_sd_rad(&self) -> f64 {
+    pub(crate) fn rounding_sd_rad(&self) -> f64 {
         self.turn_in_step_rad() / 12f64.sqrt()
     }
 

@@ -369,7 +369,7 @@ impl ProfileFigures {
     pub(super) fn of(samples: &Samples) -> Result<Self, bartlett::Error> {
         // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
         // Tables that serve one profile cost more than its sums.
-        let options = ProfileOptions::default().with_method(Method::Direct);
+        let options = ProfileOptions { method: Some(Method::Direct), ..ProfileOptions::default() };
         let profile = Planner::default().profile(samples, &Grid::wsr_azimuths(), &options)?;
         let likelihood_share = profile.likelihood_share();
         Ok(Self { wsr_profile_variance: bartlett::wsr_planar_profile_variance(&profile), likelihood_share })

@@ -2,7 +2,7 @@
 
 use crate::common::{captures, cases, skipped};
 use csi5300::exchange::pairing::LinkSide;
-use csi5300::exchange::pairing::by_clock::{ByClock, CardClock, Refusal};
+use csi5300::internal::{ByClock, CardClock, Refusal};
 use csi5300::pipeline::Capture;
 use driver_iface::Mac;
 use driver_iface::bfee::{Bfee, Repr};

@@ -40,7 +40,7 @@ fn thirty_two_peers_are_refused_at_100_and_run_at_the_rate_that_is_offered() {
     let Err(PlanError::Rate { highest_hz, .. }) = Tdma::new(&one_initiator(32, request)[0]) else {
         panic!("32 peers at 100 rounds/s cannot fit");
     };
-    let mut air = Air::new(&one_initiator(32, request.with_rate_hz(highest_hz)), 2);
+    let mut air = Air::new(&one_initiator(32, Request { rate_hz: highest_hz, ..request }), 2);
     air.jitter_us = 50;
     air.run_s(5);
     let before = air.pairs();
@@ -238,7 +238,7 @@ fn measurements_of_another_session_are_not_carried() {
     let mut second = Tdma::new(&configs[1]).unwrap();
     let mut carried = Vec::new();
     for session in [1, 2] {
-        let mut first = Tdma::new(&configs[0].clone().with_session(session)).unwrap();
+        let mut first = Tdma::new(&Config { session, ..configs[0].clone() }).unwrap();
         let (now, frame) = loop {
             let now = first.poll_timeout().unwrap();
             if let Some(transmit) = first.poll_transmit(now) {
@@ -353,7 +353,7 @@ fn a_crashed_responder_is_absent_and_asked_rarely() {
     // 64 rounds until it is absent, then every eighth (priority 32 of 255) of the rest.
     let asked = sounded(&air) - before;
     assert!((64 + 100..64 + 135).contains(&asked), "{asked}");
-    air.start(1, &configs[1].clone().with_session(2));
+    air.start(1, &Config { session: 2, ..configs[1].clone() });
     let (before, answers) = (sounded(&air), air.stations[0].answered[1]);
     air.run_s(1);
     assert!(sounded(&air) - before >= 90);
@@ -397,7 +397,7 @@ fn a_crashed_initiator_is_replaced_within_the_claim_windows() {
         }
         // Two silences, and then one window of a silence for each of three robots.
         assert!(air.now_us - crash_us <= 5 * SILENCE_US + 50_000, "{} us", air.now_us - crash_us);
-        let config = three()[victim].clone().with_session(2);
+        let config = Config { session: 2, ..three()[victim].clone() };
         air.start(victim, &config);
     }
     air.run_s(5);
@@ -432,7 +432,7 @@ fn a_restart_begins_numbers_anew_under_another_session() {
     air.crash(1);
     air.run_us(1_234_567);
     air.stations[1].numbers.clear();
-    air.start(1, &configs[1].clone().with_session(7));
+    air.start(1, &Config { session: 7, ..configs[1].clone() });
     air.run_s(10);
     let numbers = &air.stations[1].numbers;
     assert_eq!(numbers[0], before_first_number(1, 3) + 1);
@@ -532,7 +532,7 @@ fn a_driver_that_sleeps_through_its_turn_finds_it_gone() {
 fn a_turn_passed_on_is_not_given_up_to_its_successor() {
     // The successor's first frame comes before the driver of the robot whose turn is over has looked at its clock.
     let dialect = Dialect::Native { measurement: false, authenticated: true };
-    let mut configs = everybody(2, Request::new(1, 100.0).with_dialect(dialect));
+    let mut configs = everybody(2, Request { dialect, ..Request::new(1, 100.0) });
     configs.iter_mut().for_each(|config| config.key = Some(Key::new([1; 16])));
     let mut robots: Vec<Tdma> = configs.iter().map(|config| Tdma::new(config).unwrap()).collect();
     let mut now = Instant::ZERO;
@@ -620,7 +620,7 @@ fn the_golden_table_holds() {
 }
 
 fn wsr_request(links: u16, rate_hz: f64) -> Request {
-    Request::new(links, rate_hz).with_dialect(Dialect::Wsr { first_len: 57 })
+    Request { dialect: Dialect::Wsr { first_len: 57 }, ..Request::new(links, rate_hz) }
 }
 
 /// What WSR's kernel driver does with `ack_len` (driver-interface: `check_and_send_ack`), written down again.
@@ -638,7 +638,7 @@ fn kernel_answer(mpdu: &[u8], ack_len: usize, own: Mac) -> Option<Vec<u8>> {
 #[test]
 fn three_kernel_responders_are_sounded_beyond_100_000_packets() {
     let (own, peers) = (mac(200), [mac(3), mac(1), mac(2)]);
-    let config = Config::new(own, 0, &peers, wsr_request(3, 100.0), 1).with_initiate(true);
+    let config = Config { initiate: true, ..Config::new(own, 0, &peers, wsr_request(3, 100.0), 1) };
     let mut tdma = Tdma::new(&config).unwrap();
     let (mut sent, mut answered) = (0u32, 0u32);
     let mut last_at = None;
@@ -679,7 +679,7 @@ fn three_kernel_responders_are_sounded_beyond_100_000_packets() {
 fn an_open_loop_sender_goes_on_without_hearing_anything() {
     for (open_loop, sounded) in [(true, 6_000), (false, 1_000)] {
         let request = wsr_request(3, 100.0);
-        let mut config = Config::new(mac(9), 0, &[mac(1), mac(2), mac(3)], request, 1).with_initiate(true);
+        let mut config = Config { initiate: true, ..Config::new(mac(9), 0, &[mac(1), mac(2), mac(3)], request, 1) };
         config.open_loop = open_loop;
         let mut tdma = Tdma::new(&config).unwrap();
         let begun = tdma.poll_timeout().unwrap();
@@ -768,7 +768,7 @@ fn an_answer_is_given_up_to_one_turn_around_after_its_frame_and_only_the_newest(
 
 #[test]
 fn lengths_of_no_robot_are_foreign_and_an_answer_counts_once() {
-    let config = Config::new(mac(5), 1, &[mac(200)], wsr_request(3, 100.0), 1).with_initiate(true);
+    let config = Config { initiate: true, ..Config::new(mac(5), 1, &[mac(200)], wsr_request(3, 100.0), 1) };
     let mut tdma = Tdma::new(&config).unwrap();
     // Two of the three slots of a round are of no link.
     let (now, frame) = loop {
@@ -887,7 +887,7 @@ fn one_link() -> Request {
 
 /// Three links, 200 rounds a second, answers with measurements.
 fn request(authenticated: bool) -> Request {
-    Request::new(3, 200.0).with_dialect(Dialect::Native { measurement: true, authenticated })
+    Request { dialect: Dialect::Native { measurement: true, authenticated }, ..Request::new(3, 200.0) }
 }
 
 #[test]
@@ -956,7 +956,7 @@ fn an_initiator_of_an_earlier_turn_is_believed_at_once_only_after_a_silence() {
     // Robot 0 had some fifty turns when it was heard; robot 1 begins with its first.
     let (at, late) = frame_of(0, Instant::ZERO, 2_000);
     for (pause_us, believed) in [(0, false), (1_000_000, true)] {
-        let mut listener = Tdma::new(&everybody(4, request(false))[3].clone().with_initiate(false)).unwrap();
+        let mut listener = Tdma::new(&Config { initiate: false, ..everybody(4, request(false))[3].clone() }).unwrap();
         listener.handle_heard(at, at, &late);
         assert_eq!(listener.initiator(), Some(mac(0)));
         let (then, early) = frame_of(1, at + Span::from_us(pause_us), 0);
@@ -993,7 +993,7 @@ proptest! {
         by_length: bool,
     ) {
         let dialect = if by_length { Dialect::Wsr { first_len: 57 } } else { request(false).dialect };
-        let configs = everybody(4, request(false).with_dialect(dialect));
+        let configs = everybody(4, Request { dialect, ..request(false) });
         let mut tdmas: Vec<Tdma> = configs.iter().take(2).map(|config| Tdma::new(config).unwrap()).collect();
         let mut frames: Vec<Vec<u8>> = vec![Vec::new()];
         let (mut now, mut sounded) = (Instant::ZERO, Vec::new());
@@ -1033,7 +1033,7 @@ proptest! {
 #[test]
 fn a_key_is_needed_on_both_sides_and_in_the_plan() {
     let key = Some(Key::new([1; 16]));
-    let with = |authenticated, key| Tdma::new(&everybody(4, request(authenticated))[0].clone().with_key(key));
+    let with = |authenticated, key| Tdma::new(&Config { key, ..everybody(4, request(authenticated))[0].clone() });
     assert_eq!(with(true, None).err(), Some(PlanError::Key));
     assert_eq!(with(false, key.clone()).err(), Some(PlanError::Key));
     assert!(with(true, key).is_ok());
@@ -1043,7 +1043,7 @@ fn a_key_is_needed_on_both_sides_and_in_the_plan() {
 fn a_wrong_key_and_an_old_session_are_not_answered() {
     let configs = everybody(2, one_link());
     let with = |k: usize, key: u8, session| {
-        let config = configs[k].clone().with_key(Some(Key::new([key; 16]))).with_session(session).with_initiate(k == 0);
+        let config = Config { key: Some(Key::new([key; 16])), session, initiate: k == 0, ..configs[k].clone() };
         Tdma::new(&config).unwrap()
     };
     let first_frame = |mut tdma: Tdma| {
@@ -1069,7 +1069,7 @@ fn a_wrong_key_and_an_old_session_are_not_answered() {
 fn what_was_taped_before_a_restart_is_not_answered_after_it() {
     let configs = everybody(2, one_link());
     let key = Some(Key::new([1; 16]));
-    let initiator = |session| configs[0].clone().with_key(key.clone()).with_session(session).with_initiate(true);
+    let initiator = |session| Config { key: key.clone(), session, initiate: true, ..configs[0].clone() };
     let frames = |session| {
         let (mut tdma, mut frames) = (Tdma::new(&initiator(session)).unwrap(), Vec::new());
         while frames.len() < 3 {
@@ -1080,7 +1080,7 @@ fn what_was_taped_before_a_restart_is_not_answered_after_it() {
     };
     let (old, current) = (frames(4), frames(5));
     let answers = |heard: &[(Mac, u32, u32)], (now, _, frame): &(Instant, u32, Vec<u8>)| {
-        let mut config = configs[1].clone().with_key(key.clone()).with_session(9);
+        let mut config = Config { key: key.clone(), session: 9, ..configs[1].clone() };
         config.heard = heard.to_vec();
         let mut responder = Tdma::new(&config).unwrap();
         responder.handle_heard(*now, *now, frame);
@@ -1097,8 +1097,8 @@ fn what_was_taped_before_a_restart_is_not_answered_after_it() {
 
 /// An initiator's exchanges with its first peer under a session: each forward frame with its answer.
 fn exchanges(configs: &[Config], session: u32, count: usize) -> Vec<(Instant, Vec<u8>, Vec<u8>)> {
-    let mut initiator = Tdma::new(&configs[0].clone().with_session(session)).unwrap();
-    let mut responder = Tdma::new(&configs[1].clone().with_initiate(false)).unwrap();
+    let mut initiator = Tdma::new(&Config { session, ..configs[0].clone() }).unwrap();
+    let mut responder = Tdma::new(&Config { initiate: false, ..configs[1].clone() }).unwrap();
     let mut found = Vec::new();
     while found.len() < count {
         let now = initiator.poll_timeout().unwrap();
@@ -1121,10 +1121,10 @@ fn what_a_robot_says_in_anothers_name_to_a_third_silences_nobody() {
     let of = |k: usize| {
         let peers: Vec<Mac> =
             configs.iter().map(|config| config.own.mac).filter(|mac| *mac != configs[k].own.mac).collect();
-        configs[k].clone().with_key(Some(key.for_robot(configs[k].own.mac, &peers))).with_initiate(k == 0)
+        Config { key: Some(key.for_robot(configs[k].own.mac, &peers)), initiate: k == 0, ..configs[k].clone() }
     };
     let frames = |session, to: usize| {
-        let (mut tdma, mut frames) = (Tdma::new(&of(0).with_session(session)).unwrap(), Vec::new());
+        let (mut tdma, mut frames) = (Tdma::new(&Config { session, ..of(0) }).unwrap(), Vec::new());
         while frames.len() < 4 {
             let now = tdma.poll_timeout().unwrap();
             let sent = tdma.poll_transmit(now).filter(|sent| sent.peer == configs[to].own.mac);
@@ -1134,7 +1134,7 @@ fn what_a_robot_says_in_anothers_name_to_a_third_silences_nobody() {
     };
     let honest = frames(5, 1);
     for forged in [frames(5 + 0x7fff_0000, 2).remove(0).1, frames(5, 2).remove(3).1] {
-        let mut responder = Tdma::new(&of(1).with_session(9)).unwrap();
+        let mut responder = Tdma::new(&Config { session: 9, ..of(1) }).unwrap();
         for (now, frame) in &honest {
             responder.handle_heard(*now, *now, &forged);
             responder.handle_heard(*now, *now, frame);
@@ -1144,7 +1144,7 @@ fn what_a_robot_says_in_anothers_name_to_a_third_silences_nobody() {
         assert!(!events.iter().any(|event| matches!(event, Event::Restarted { .. })), "{events:?}");
     }
     // The robot itself says it: an older session is not answered any more.
-    let mut responder = Tdma::new(&of(1).with_session(9)).unwrap();
+    let mut responder = Tdma::new(&Config { session: 9, ..of(1) }).unwrap();
     let (now, anew) = frames(6, 1).remove(3);
     responder.handle_heard(now, now, &anew);
     assert!(responder.poll_transmit(now).is_some());
@@ -1170,7 +1170,7 @@ fn three_with_keys() -> Vec<Config> {
     let macs: Vec<Mac> = configs.iter().map(|config| config.own.mac).collect();
     let with_key = |(k, config): (usize, Config)| {
         let peers: Vec<Mac> = macs.iter().copied().filter(|mac| *mac != macs[k]).collect();
-        config.with_key(Some(Key::new([1; 16]).for_robot(macs[k], &peers))).with_session(5).with_initiate(k == 0)
+        Config { key: Some(Key::new([1; 16]).for_robot(macs[k], &peers)), session: 5, initiate: k == 0, ..config }
     };
     configs.into_iter().enumerate().map(with_key).collect()
 }
@@ -1286,10 +1286,12 @@ fn answers_in_their_slots_are_heard_whatever_was_said_of_numbers() {
 #[test]
 fn taped_answers_to_others_are_not_heard_again() {
     let key = Some(Key::new([1; 16]));
-    let configs: Vec<Config> =
-        everybody(3, request(true)).into_iter().map(|config| config.with_key(key.clone()).with_session(9)).collect();
+    let configs: Vec<Config> = everybody(3, request(true))
+        .into_iter()
+        .map(|config| Config { key: key.clone(), session: 9, ..config })
+        .collect();
     let (older, now) = (exchanges(&configs, 4, 1), exchanges(&configs, 5, 3));
-    let mut listener = Tdma::new(&configs[2].clone().with_initiate(false)).unwrap();
+    let mut listener = Tdma::new(&Config { initiate: false, ..configs[2].clone() }).unwrap();
     let mut replayed = |(at, frames): (Instant, &[&Vec<u8>])| {
         let before = listener.counts().replayed;
         frames.iter().for_each(|frame| listener.handle_heard(at, at, frame));
@@ -1305,9 +1307,9 @@ fn taped_answers_to_others_are_not_heard_again() {
 
 #[test]
 fn an_answer_that_comes_again_is_no_pair() {
-    let configs = everybody(2, one_link().with_dialect(request(false).dialect));
+    let configs = everybody(2, Request { dialect: request(false).dialect, ..one_link() });
     let mut initiator = Tdma::new(&configs[0]).unwrap();
-    let mut responder = Tdma::new(&configs[1].clone().with_initiate(false)).unwrap();
+    let mut responder = Tdma::new(&Config { initiate: false, ..configs[1].clone() }).unwrap();
     let now = initiator.poll_timeout().unwrap();
     let forward = initiator.poll_transmit(now).unwrap().frame.to_vec();
     responder.handle_heard(now, now, &forward);
@@ -1322,7 +1324,7 @@ fn an_answer_that_comes_again_is_no_pair() {
 fn without_a_key_answers_to_others_are_not_told_apart_by_their_age() {
     let configs = everybody(3, request(false));
     let (older, now) = (exchanges(&configs, 4, 1), exchanges(&configs, 5, 3));
-    let mut listener = Tdma::new(&configs[2].clone().with_initiate(false)).unwrap();
+    let mut listener = Tdma::new(&Config { initiate: false, ..configs[2].clone() }).unwrap();
     for (at, forward, answer) in now.iter().chain(&older) {
         listener.handle_heard(*at, *at, forward);
         listener.handle_heard(*at, *at, answer);

@@ -23,7 +23,7 @@
 //! // Two robots on one air, without loss. The first initiates, the second answers.
 //! let (a, b) = (Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2]));
 //! let request = Request::new(1, 100.0);
-//! let mut first = Tdma::new(&Config::new(a, 0, &[b], request, 1).with_initiate(true))?;
+//! let mut first = Tdma::new(&Config { initiate: true, ..Config::new(a, 0, &[b], request, 1) })?;
 //! let mut second = Tdma::new(&Config::new(b, 0, &[a], request, 1))?;
 //! let mut now = Instant::ZERO;
 //! while first.counts().answered < 3 {
@@ -209,7 +209,6 @@ pub struct Robot {
 
 /// What a scheduler is made from: robots and request are the same on every robot, the rest is its own.
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct Config {
     /// This robot.
     pub own: Robot,
@@ -271,34 +270,6 @@ impl Config {
             silence_slots: 64,
             patience_us: 10_000,
         }
-    }
-
-    /// Wants the turn, or only answers.
-    #[must_use]
-    pub const fn with_initiate(mut self, initiate: bool) -> Self {
-        self.initiate = initiate;
-        self
-    }
-
-    /// Number of this start, larger after every restart.
-    #[must_use]
-    pub const fn with_session(mut self, session: u32) -> Self {
-        self.session = session;
-        self
-    }
-
-    /// The shared key, or none.
-    #[must_use]
-    pub fn with_key(mut self, key: Option<Key>) -> Self {
-        self.key = key;
-        self
-    }
-
-    /// Where slot 0 is.
-    #[must_use]
-    pub const fn with_epoch(mut self, epoch: Epoch) -> Self {
-        self.epoch = epoch;
-        self
     }
 
     /// The MACs this robot sounds.
@@ -367,7 +338,6 @@ const MAX_TURN_SLOTS: u16 = 60_000;
 
 /// The request for a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct Request {
     /// Links that an initiator sounds in one round; every robot of an exchange asks for the same number.
     pub links: u16,
@@ -406,41 +376,6 @@ impl Request {
             guard_us: GUARD_US,
             turn_slots: TURN_SLOTS,
         }
-    }
-
-    /// Rounds per second.
-    #[must_use]
-    pub const fn with_rate_hz(mut self, rate_hz: f64) -> Self {
-        self.rate_hz = rate_hz;
-        self
-    }
-
-    /// Modulation.
-    #[must_use]
-    pub const fn with_phy(mut self, phy: Phy) -> Self {
-        self.phy = phy;
-        self
-    }
-
-    /// Frame dialect.
-    #[must_use]
-    pub const fn with_dialect(mut self, dialect: Dialect) -> Self {
-        self.dialect = dialect;
-        self
-    }
-
-    /// Longest time from the end of a forward frame to the start of its answer, microseconds.
-    #[must_use]
-    pub const fn with_turn_around_us(mut self, turn_around_us: u32) -> Self {
-        self.turn_around_us = turn_around_us;
-        self
-    }
-
-    /// How late a forward frame may start, microseconds.
-    #[must_use]
-    pub const fn with_guard_us(mut self, guard_us: u32) -> Self {
-        self.guard_us = guard_us;
-        self
     }
 }
 
@@ -727,7 +662,7 @@ mod tests {
 
     /// What is wrong with robot 1 among 2, 3 and 4, changed so.
     fn fault(dialect: Dialect, change: impl FnOnce(&mut Config)) -> Option<PlanError> {
-        let request = Request::new(3, 10.0).with_dialect(dialect);
+        let request = Request { dialect, ..Request::new(3, 10.0) };
         let mut config = Config::new(mac(1), 3, &[mac(2), mac(3), mac(4)], request, 1);
         change(&mut config);
         config.check(&Plan::new(&config.request).unwrap()).err()
