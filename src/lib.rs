@@ -130,11 +130,24 @@
 
 pub mod bartlett;
 pub(crate) mod estimate;
-pub mod exchange;
+/// The exchange of frames: who sends when, and which frames belong together. State machines without I/O.
+pub mod exchange {
+    pub(crate) mod admission;
+    pub mod pairing;
+    pub mod tdma;
+
+    // Public for the tests of this workspace, no part of the library's interface.
+    #[doc(hidden)]
+    pub mod assign;
+}
 // What estimators count and wrap with: public for the crates of this workspace, no part of the library's interface.
 #[doc(hidden)]
 pub mod maths;
-pub mod motion;
+/// Where a robot is, and how that is known.
+pub mod motion {
+    pub mod odometry;
+    pub mod pose;
+}
 pub mod pipeline;
 mod place;
 pub mod signal;

@@ -88,7 +88,7 @@ pub struct SearchPlan {
 impl SearchPlan {
     /// The directions not computed, and why.
     #[must_use]
-    pub(crate) fn skipped(&self) -> Vec<String> {
+    fn skipped(&self) -> Vec<String> {
         let mut list = vec![format!(
             "the profile on any grid: {} azimuths a ring hold its {} modes, and its maximum is found between them",
             self.summed, self.band_limit

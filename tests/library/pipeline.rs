@@ -1,8 +1,7 @@
 //! The pipeline from outside: a golden answer, what no answer may depend on, and what is refused, with why: logs and trajectories that
 //! do not belong together.
 
-use crate::common::link::{Link, PARTNER_AHEAD_S, START_S, TRANSMITTER, link, louder_link};
-use crate::common::root;
+use crate::common::{Link, PARTNER_AHEAD_S, START_S, TRANSMITTER, link, louder_link, root};
 use csi5300::exchange::assign::Unmatched;
 use csi5300::exchange::pairing::LinkSide;
 use csi5300::maths::wrap_rad;

@@ -10,8 +10,7 @@
 
 use super::dynamixel::{PacketCounts, Parser, Status, emit_read};
 use crate::maths::wrap_rad;
-use crate::motion::pose::Pose;
-use crate::motion::pose::heading_of;
+use crate::motion::pose::{Pose, heading_of};
 use crate::time::{Instant, Span, Unwrap32};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::collections::VecDeque;

@@ -2,8 +2,7 @@
 //! queue that its source reads. The connections themselves are in `csi5300-node` (features `ros1` and `ros2`).
 
 use super::{NextPose, OdometryError, OdometrySource};
-use crate::motion::pose::Pose;
-use crate::motion::pose::heading_of;
+use crate::motion::pose::{Pose, heading_of};
 use crate::time::{Instant, Span};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::collections::VecDeque;

@@ -1,4 +1,0 @@
-//! Where a robot is, and how that is known.
-
-pub mod odometry;
-pub mod pose;
