@@ -275,17 +275,12 @@ impl Grid {
 
     /// Number of directions.
     #[must_use]
+    #[allow(clippy::len_without_is_empty)]
     pub fn len(&self) -> usize {
         match &*self.layout {
             Layout::Rings { azimuths, elevations_rad } => azimuths * elevations_rad.len(),
             Layout::List { directions, .. } => directions.len(),
         }
-    }
-
-    /// True if there is no direction (an empty list).
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// Rows (elevations) and columns (azimuths); a list is one row.

@@ -551,15 +551,6 @@ pub struct Mount {
     pub yaw_rad: f64,
 }
 
-impl Mount {
-    /// A sensor at `offset_m` (forward, left, up of the middle between the wheels, metres) whose heading is the robot's and
-    /// `yaw_rad` more.
-    #[must_use]
-    pub fn new(offset_m: Vector3<f64>, yaw_rad: f64) -> Self {
-        Self { offset_m, yaw_rad }
-    }
-}
-
 impl Trajectory {
     /// The trajectory of the middle between the wheels of a robot that carries the sensor of this one at `mount`: each step
     /// is the part along the robot's heading (that of its middle) of what the sensor reports; heights stay as reported, and

@@ -44,5 +44,5 @@ impl Mounting {
 fn mount(text: &str) -> Result<Mount, String> {
     let place =
         triple(text).map_err(|_| "three finite numbers separated by commas: metres, metres, degrees".to_owned())?;
-    Ok(Mount::new(Vector3::new(place.x, place.y, 0.0), place.z.to_radians()))
+    Ok(Mount { offset_m: Vector3::new(place.x, place.y, 0.0), yaw_rad: place.z.to_radians() })
 }

@@ -142,7 +142,7 @@ impl CameraMount {
     /// The same for [`csi5300::motion::pose`].
     #[must_use]
     pub fn mount(&self) -> Mount {
-        Mount::new(Vector3::new(self.forward_m, self.left_m, 0.0), self.yaw_deg.to_radians())
+        Mount { offset_m: Vector3::new(self.forward_m, self.left_m, 0.0), yaw_rad: self.yaw_deg.to_radians() }
     }
 }
 
