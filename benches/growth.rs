@@ -8,8 +8,9 @@ mod common;
 mod picture;
 
 use common::*;
-use csi5300::bartlett::{Grid, Planner, ProfileOptions, SearchOptions, Tier};
+use csi5300::bartlett::{Grid, SearchOptions, Tier};
 use csi5300::internal::Searcher;
+use csi5300::internal::{Planner, ProfileOptions};
 use picture::*;
 
 fn main() {

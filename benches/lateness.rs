@@ -94,9 +94,11 @@ fn carry(mut from: File, mut to: File) {
 fn robot(own: usize, interface: &str, fifo_priority: Option<i32>, clock: Monotonic) -> Result<Running, Failure> {
     let options = Options::new(interface, native::MAX_LEN).with_rate(1, Bandwidth::Ht20);
     let now = clock.now();
-    let mut config = Config::new(MACS[own], 0, &[MACS[1 - own]], Request::new(1, 1_000.0), 1)
-        .with_initiate(own == 0)
-        .with_epoch(Epoch::Heard(now));
+    let mut config = Config {
+        initiate: own == 0,
+        epoch: Epoch::Heard(now),
+        ..Config::new(MACS[own], 0, &[MACS[1 - own]], Request::new(1, 1_000.0), 1)
+    };
     (config.start, config.open_loop, config.silence_slots) = (now, true, 2);
     Ok(Running::start(
         Tdma::new(&config)?,

@@ -14,8 +14,9 @@ mod picture;
 use std::process::Command;
 
 use common::*;
-use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Tier};
+use csi5300::bartlett::{Grid, Method, Precision, Tier};
 use csi5300::internal::Searcher;
+use csi5300::internal::{Planner, ProfileOptions};
 use csi5300::signal::samples::Samples;
 use picture::*;
 
@@ -36,8 +37,7 @@ fn jobs() -> [Job; 4] {
 
 /// The direct sums in double, which agree with the oracle (checked here on 200 directions, printed).
 fn reference(samples: &Samples, grid: &Grid) -> Vec<f64> {
-    let options =
-        ProfileOptions::default().with_eps(1e-13).with_method(Method::Direct).with_precision(Precision::Double);
+    let options = ProfileOptions { eps: 1e-13, method: Some(Method::Direct), precision: Some(Precision::Double) };
     let values = Planner::default().profile(samples, grid, &options).expect("a profile").values;
     let picked: Vec<usize> = (0..200).map(|i| i * (grid.len() - 1) / 199).collect();
     let list = Grid::directions(picked.iter().map(|i| grid.at(*i)).collect());
@@ -208,15 +208,16 @@ fn profiler<'a>(job: &'a Job, samples: &'a Samples, tier: Tier, options: Profile
 fn planned<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
     let tolerances = [1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12];
     let all = tiers().flat_map(|tier| tolerances.map(|eps| (tier, eps)));
-    let mut all: Vec<_> =
-        all.map(|(tier, eps)| profiler(job, samples, tier, ProfileOptions::default().with_eps(eps), "")).collect();
+    let mut all: Vec<_> = all
+        .map(|(tier, eps)| profiler(job, samples, tier, ProfileOptions { eps, ..ProfileOptions::default() }, ""))
+        .collect();
     all.extend(tiers().flat_map(|tier| [1e-4, 1e-6, 1e-12].map(|eps| planned_anew(job, samples, tier, eps))));
     all
 }
 
 /// One profile and no more: the planner is made within the time.
 fn planned_anew<'a>(job: &'a Job, samples: &'a Samples, tier: Tier, eps: f64) -> Contender<'a> {
-    let options = ProfileOptions::default().with_eps(eps);
+    let options = ProfileOptions { eps, ..ProfileOptions::default() };
     let precision = if eps < 1e-5 { "f64" } else { "f32" };
     Contender::new(format!("{tier:?} {precision} planned anew:"), eps, move |out| {
         Planner::new(tier).profile_into(samples, &job.grid, &options, out).expect("a profile");
@@ -234,7 +235,7 @@ fn forced<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
     for tier in tiers() {
         for &method in methods {
             for (precision, eps) in [(Precision::Single, 1e-4), (Precision::Double, 1e-12)] {
-                let options = ProfileOptions::default().with_eps(eps).with_method(method).with_precision(precision);
+                let options = ProfileOptions { eps, method: Some(method), precision: Some(precision) };
                 all.push(profiler(job, samples, tier, options, " forced"));
             }
         }
@@ -244,8 +245,7 @@ fn forced<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
 
 /// The guaranteed search, azimuth alone; the error is how far its peak is below that of a grid of 0.01 degrees.
 fn bearings(samples: &Samples) -> Vec<Contender<'_>> {
-    let options =
-        ProfileOptions::default().with_eps(1e-12).with_method(Method::Direct).with_precision(Precision::Double);
+    let options = ProfileOptions { eps: 1e-12, method: Some(Method::Direct), precision: Some(Precision::Double) };
     let dense = Planner::default().profile(samples, &Grid::azimuth(36_000), &options).expect("a profile");
     let top = dense.max().map_or(0.0, |(_, top)| top);
     let search = |tier: Tier| {

@@ -10,8 +10,9 @@ mod picture;
 use std::f64::consts::TAU;
 
 use common::*;
-use csi5300::bartlett::{Error, Grid, Method, Planner, Precision, ProfileOptions, direction, search};
+use csi5300::bartlett::{Error, Grid, Method, Precision, direction, search};
 use csi5300::internal::oracle;
+use csi5300::internal::{Planner, ProfileOptions};
 use csi5300::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::Complex64;
@@ -43,8 +44,7 @@ fn breaking() {
         let samples = job(20, radius, 0.3 * radius, 5);
         let grid = Grid::azimuth_elevation(72, 19);
         let reference = oracle(&samples, &grid).expect("a profile").values;
-        let forced =
-            |precision| ProfileOptions::default().with_eps(1e-4).with_method(Method::Direct).with_precision(precision);
+        let forced = |precision| ProfileOptions { eps: 1e-4, method: Some(Method::Direct), precision: Some(precision) };
         let ways = [forced(Precision::Single), forced(Precision::Double), ProfileOptions::default()];
         let errors = ways.map(|options| worst(&samples, &grid, &options, &reference));
         table.row(&[vec![radius.to_string()], errors.map(|e| format!("{e:.1e}")).into()].concat());
@@ -79,12 +79,11 @@ fn judge(made: Result<Samples, Error>) -> Vec<Vec<String>> {
             return vec![vec![none(), none(), none(), none(), none(), format!("error: {}", kind(error))]];
         }
     };
-    let forced =
-        |precision| ProfileOptions::default().with_eps(1e-4).with_method(Method::Direct).with_precision(precision);
+    let forced = |precision| ProfileOptions { eps: 1e-4, method: Some(Method::Direct), precision: Some(precision) };
     let [single, double] =
         [Precision::Single, Precision::Double].map(|p| worst(&samples, &grid, &forced(p), &reference));
     let row = |eps: f64| {
-        let options = ProfileOptions::default().with_eps(eps);
+        let options = ProfileOptions { eps, ..ProfileOptions::default() };
         let planned = worst(&samples, &grid, &options, &reference);
         let plan = Planner::default().explain(&samples, &grid, &options).expect("a plan");
         let method = format!("{:?} {:?}", plan.method, plan.precision);

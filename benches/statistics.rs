@@ -11,8 +11,9 @@ mod picture;
 use std::f64::consts::{PI, TAU};
 
 use common::*;
-use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Tier};
+use csi5300::bartlett::{Grid, Method, Precision, Tier};
 use csi5300::internal::Searcher;
+use csi5300::internal::{Planner, ProfileOptions};
 use csi5300::maths::wrap_rad;
 use csi5300_sim::random::Stream;
 use nalgebra::Vector3;
@@ -234,8 +235,7 @@ fn wrong_peaks(scenes: usize) {
         evaluations += estimate.evaluations;
         let extent = points.iter().flat_map(|p| [p.x.abs(), p.y.abs()]).fold(0.0, f64::max) * 1.5;
         let count = (4 * (20.0 * 232.2 * extent) as usize + 400).next_multiple_of(4);
-        let options =
-            ProfileOptions::default().with_eps(1e-10).with_method(Method::Direct).with_precision(Precision::Double);
+        let options = ProfileOptions { eps: 1e-10, method: Some(Method::Direct), precision: Some(Precision::Double) };
         let dense = planner.profile(&samples, &Grid::azimuth(count), &options).expect("a profile");
         let (_, top) = dense.max().expect("a direction");
         wrong += usize::from(estimate.value < top * (1.0 - 1e-9));

@@ -49,7 +49,7 @@ fn main() {
 
 fn configs(dialect: Dialect) -> Vec<Config> {
     let macs: Vec<Mac> = (0..=PEERS as u8).map(|last| Mac([2, 0, 0, 0, 0, last])).collect();
-    let request = Request::new(PEERS as u16, 100.0).with_dialect(dialect);
+    let request = Request { dialect, ..Request::new(PEERS as u16, 100.0) };
     let is_authenticated = matches!(dialect, Dialect::Native { authenticated: true, .. });
     let config = |(own, index): (&Mac, u16)| {
         let peers: Vec<Mac> = macs.iter().copied().filter(|mac| mac != own).collect();

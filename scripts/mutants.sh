@@ -39,7 +39,7 @@ of_room() {
         exchange)
             files=(--file 'src/exchange/**')
             arguments=(--package csi5300 "${quick[@]}" -C=--lib -C=--test=library)
-            filter=(exchange:: tdma:: fuzz_sounding::)
+            filter=(exchange:: tdma:: fuzz::)
             ;;
         recorder)
             files=(--file 'src/source/recorder.rs' --file 'src/source/side_file.rs' --file 'src/source/replay.rs')

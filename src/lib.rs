@@ -130,11 +130,24 @@
 
 pub mod bartlett;
 pub(crate) mod estimate;
-pub mod exchange;
+/// The exchange of frames: who sends when, and which frames belong together. State machines without I/O.
+pub mod exchange {
+    pub(crate) mod admission;
+    pub mod pairing;
+    pub mod tdma;
+
+    // Public for the tests of this workspace, no part of the library's interface.
+    #[doc(hidden)]
+    pub mod assign;
+}
 // What estimators count and wrap with: public for the crates of this workspace, no part of the library's interface.
 #[doc(hidden)]
 pub mod maths;
-pub mod motion;
+/// Where a robot is, and how that is known.
+pub mod motion {
+    pub mod odometry;
+    pub mod pose;
+}
 pub mod pipeline;
 mod place;
 pub mod signal;
@@ -144,7 +157,7 @@ pub mod time;
 pub use driver_iface;
 pub use nalgebra;
 pub use num_complex;
-pub use source::log::{Frame, Log};
+pub use source::replay::{Frame, Log};
 
 /// What benches, examples and other crates of this workspace measure and fit beneath the library's interface: no part of
 /// it, and free to change with any version.
@@ -154,17 +167,17 @@ pub mod internal {
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
-    pub use crate::bartlett::planner::oracle;
+    pub use crate::bartlett::planner::{Planner, ProfileOptions, oracle};
     pub use crate::bartlett::search::Searcher;
     pub use crate::estimate::heading;
+    pub use crate::exchange::pairing::by_clock::{ByClock, CardClock, Refusal};
     pub use crate::exchange::tdma::auth::{Proof, Prover};
     pub use crate::exchange::tdma::roster::before_first_number;
-    pub use crate::motion::heading::heading_of;
-    pub use crate::motion::rolling::Roller;
+    pub use crate::motion::pose::{Roller, heading_of};
     pub use crate::pipeline::intake::{FrameHeard, Front};
     /// The filter over a peer's place.
     pub mod track {
-        pub use crate::place::track::{
+        pub use crate::place::{
             Evidence, EvidenceMode, PeerPlace, PeerPlaces, PeerTrack, TrackAnswer, TrackError, TrackSettings, places,
         };
     }

@@ -197,9 +197,39 @@ impl Step16 {
     }
 }
 
+/// Two clocks that drift apart by this much at once were not steered: one was set, microseconds.
+const SET_US: f64 = 500_000.0;
+
+/// Detects that the host's wall clock was set: it then advances by more or less than the monotonic one.
+#[derive(Clone, Copy, Debug, Default)]
+#[doc(hidden)]
+pub struct WallWatch {
+    last: Option<i64>,
+}
+
+impl WallWatch {
+    /// True if the wall clock was set since the last call; both clocks read at about one moment, microseconds.
+    pub fn was_set(&mut self, wall_us: i64, monotonic_us: i64) -> bool {
+        let difference = wall_us.saturating_sub(monotonic_us);
+        let last = self.last.replace(difference);
+        last.is_some_and(|last| difference.saturating_sub(last).unsigned_abs() as f64 > SET_US)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_wall_clock_that_was_set_is_told_from_one_that_is_steered() {
+        let mut watch = WallWatch::default();
+        // 500 ppm for an hour, in looks of half a second.
+        assert!((0..7_200).all(|k| !watch.was_set(1_700_000_000_000_000 + k * 500_250, k * 500_000)));
+        let (wall_us, at_us) = (1_700_000_000_000_000 + 7_200 * 500_250, 7_200 * 500_000);
+        assert!(watch.was_set(wall_us - 2_000_000, at_us));
+        assert!(!watch.was_set(wall_us - 2_000_000 + 500_000, at_us + 500_000));
+        assert!(watch.was_set(wall_us + 3_600_000_000, at_us + 1_000_000));
+    }
 
     #[test]
     fn timestamps_unwrap_forward_and_tolerate_reordering() {

@@ -62,12 +62,14 @@ impl Air {
             1 => Dialect::Native { measurement: false, authenticated: true },
             _ => Dialect::Wsr { first_len: 57 },
         };
-        let request = Request::new(2, 200.0).with_dialect(dialect);
+        let request = Request { dialect, ..Request::new(2, 200.0) };
         let robot = |own: usize| {
             let peers: Vec<Mac> = MACS.iter().copied().filter(|mac| *mac != MACS[own]).collect();
-            let mut config = Config::new(MACS[own], own as u16, &peers, request, 1)
-                .with_initiate(own == 0)
-                .with_key((kind % 3 == 1).then(|| Key::new([7; 16])));
+            let mut config = Config {
+                initiate: own == 0,
+                key: (kind % 3 == 1).then(|| Key::new([7; 16])),
+                ..Config::new(MACS[own], own as u16, &peers, request, 1)
+            };
             config.silence_slots = 2;
             Tdma::new(&config).unwrap()
         };

@@ -3,7 +3,7 @@
 use crate::error::{Cancel, Failure, Kind, Stop, interruptible, stopped};
 use crate::options::Keywords;
 use crate::pool::{build, pool};
-use csi5300::motion::rolling::Mount;
+use csi5300::motion::pose::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::{Capture, Shelf, TrajectorySource, find};

@@ -2,8 +2,8 @@
 
 use crate::error::{Failure, Kind};
 use csi5300::motion::odometry::csv::Columns;
+use csi5300::motion::pose::Mount;
 use csi5300::motion::pose::Trajectory;
-use csi5300::motion::rolling::Mount;
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{Accuracy, Effort, JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
@@ -154,7 +154,7 @@ impl Keywords {
     /// The mount of the robot's tracking camera, if given.
     pub fn camera(&self) -> Option<Mount> {
         let [x, y, yaw] = self.camera_mount?;
-        Some(Mount::new(Vector3::new(x, y, 0.0), yaw.to_radians()))
+        Some(Mount { offset_m: Vector3::new(x, y, 0.0), yaw_rad: yaw.to_radians() })
     }
 
     /// The antenna's trajectory, computed from the recorded one.

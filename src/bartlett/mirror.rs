@@ -14,9 +14,9 @@
 //! Both together leave `D = 1 / (1 / L + s^2 / (2 h^2))` of the logarithm, and the reflection has the share `1 / (1 + e^D)` of
 //! the evidence. A reflection with less than one percent is not given.
 
-use super::grid::direction;
-use super::newton::{Hill, Point, Second, Top};
+use super::direction;
 use super::scene::{Geometry, Scene, Shape};
+use super::search::{Hill, Point, Second, Top};
 use crate::maths::wrap_rad;
 use nalgebra::Vector3;
 use num_complex::Complex64;
@@ -277,7 +277,7 @@ mod tests {
     }
 
     fn everywhere() -> SearchOptions {
-        SearchOptions::default().with_elevation_max_rad(PI / 2.0)
+        SearchOptions { elevation_max_rad: PI / 2.0, ..SearchOptions::default() }
     }
 
     /// The directions of an answer: its own and its mirror.

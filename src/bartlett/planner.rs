@@ -4,16 +4,13 @@
 //! table that does not depend on the samples, for a bucket of apertures (5 percent wide), and prints what it does and
 //! what it leaves out.
 
-use super::Error;
-use super::grid::{Grid, Layout, Profile, direction, ring_azimuth};
 use super::scene::{Geometry, Scene, ldexp};
+use super::{Error, Grid, Layout, Profile, direction, ring_azimuth};
 use crate::signal::samples::Samples;
-use csi5300_kernels::cone::Cone;
 use csi5300_kernels::evaluate::{Batch, Buffers, Evaluator, Places, Slab};
 use csi5300_kernels::fft::Ffts;
-use csi5300_kernels::nufft::Nufft;
+use csi5300_kernels::nufft::{Axis, Cone, Nufft, Setting};
 use csi5300_kernels::rings::{RingWork, Rings, azimuths_for, distinct, nodes_for};
-use csi5300_kernels::setting::{Axis, Setting};
 use csi5300_kernels::simd::{Real, Tier};
 use nalgebra::Vector3;
 use num_complex::Complex64;
@@ -210,7 +207,6 @@ fn load(scene: &Scene, plan: &Plan, batch: &mut Batch) {
 
 /// How exact, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct ProfileOptions {
     /// The guarantee: every `|f~(u) - f(u)| <= eps * sum w |z|`. Default 1e-4; 0 asks for the oracle.
     pub eps: f64,
@@ -223,29 +219,6 @@ pub struct ProfileOptions {
 impl Default for ProfileOptions {
     fn default() -> Self {
         Self { eps: 1e-4, method: None, precision: None }
-    }
-}
-
-impl ProfileOptions {
-    /// With another guarantee, relative to `sum w |z|`.
-    #[must_use]
-    pub fn with_eps(mut self, eps: f64) -> Self {
-        self.eps = eps;
-        self
-    }
-
-    /// With a method forced.
-    #[must_use]
-    pub fn with_method(mut self, method: Method) -> Self {
-        self.method = Some(method);
-        self
-    }
-
-    /// With a precision forced.
-    #[must_use]
-    pub fn with_precision(mut self, precision: Precision) -> Self {
-        self.precision = Some(precision);
-        self
     }
 }
 

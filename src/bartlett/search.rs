@@ -12,20 +12,37 @@
 //! The elevation is searched along with it on rings whose phases differ by at most [`RING_STEP`] from one to the next; the
 //! same kind of bound holds between them with the profile's maximum on the disc of all cosines in the place of the maximum
 //! over the circle.
+//!
+//! # Sampling
+//! Around a ring `f` is band limited: it is summed at `2 M + 2` azimuths or a few more and interpolated; `M` is that of the
+//! radius as seen from the ring, which falls with the cosine of its elevation. Antipodes share their sums: `f(-u)` has the
+//! same terms conjugated in their phases. Rings are taken some at a time, from the horizon outwards, and only their maxima
+//! are kept: all of a sphere would be megabytes.
+//!
+//! # Deviations
+//! The Cramer-Rao bound of a bearing \[stoica-nehorai1989\], from the geometry and an estimated signal-to-noise ratio.
+//!
+//! The model is `z_t = A exp(j 2 pi q_t . u) + n_t` with an unknown complex `A` and white complex noise of variance
+//! `sigma^2 / w_t`. The Fisher information of a direction coordinate is then `2 |A|^2 / sigma^2` times the weighted,
+//! centred second moment of the phase's derivative; for one coordinate and unit weights that is
+//! `sd^2 = 1 / (2 g kappa^2 sum ((p_t - mean) . u_perp)^2)`. Samples that are products of a forward and a backward
+//! channel have the signal-to-noise ratio `g / (2 + 1/g)` of the product, which is what is estimated here.
 
 use super::mirror::{Reflections, axis, is_thin, odometry_tells};
-use super::newton::{Fit, Hill, Point, Second, Spread, Top, deviations, elevation_deviation, independence};
 use super::planner::{Precision, instructions, pair_ns, tail_order};
-use super::sampler::{RING_STEP, Rings, Sampled, Sampler, elevation_rings};
 use super::scene::{Geometry, Scene, Shape};
 use super::{Error, Estimate, Peak, SearchOptions};
 use crate::estimate::tuning::sensor;
-use crate::maths::wrap_rad;
+use crate::maths::{UNIFORM_RAD, wrap_rad};
 use crate::signal::samples::Samples;
-use csi5300_kernels::fft::good_size;
-use csi5300_kernels::simd::{ROUGH, Tier};
-use csi5300_kernels::sums::Sines;
+use csi5300_kernels::fft::{Ffts, good_size, near_size};
+use csi5300_kernels::rings::{Resample, ResampleWork};
+use csi5300_kernels::simd::{ROUGH, Real, Tier};
+use csi5300_kernels::sums::{Aim, Columns, PairSum, Sines, Wanted, moments, pairs};
+use fearless_simd::Level;
 use nalgebra::Vector3;
+use num_complex::{Complex, Complex64};
+use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -71,7 +88,7 @@ pub struct SearchPlan {
 impl SearchPlan {
     /// The directions not computed, and why.
     #[must_use]
-    pub fn skipped(&self) -> Vec<String> {
+    fn skipped(&self) -> Vec<String> {
         let mut list = vec![format!(
             "the profile on any grid: {} azimuths a ring hold its {} modes, and its maximum is found between them",
             self.summed, self.band_limit
@@ -459,14 +476,597 @@ impl Findings<'_> {
     }
 }
 
+/// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.5 to the nearest.
+const RING_STEP: f64 = 1.0;
+
+/// Above this many samples noise alone would be sampled as badly as rough sines are.
+const ROUGH_SAMPLES: usize = 4_096;
+
+/// FFTs and buffers of one precision.
+struct Sampler<T: Real> {
+    ffts: Ffts<T>,
+    columns: [Vec<T>; 5],
+    directions: Vec<[T; 3]>,
+    rows: Vec<Complex<T>>,
+    work: ResampleWork<T>,
+    /// Whether sums are split over the threads of the current rayon pool; they are the same numbers.
+    pub parallel: bool,
+}
+
+/// A sampled profile.
+#[derive(Default)]
+struct Sampled {
+    /// Its rows, those below the horizon among them.
+    pub rows: usize,
+    /// Directions that were summed, antipodes among them.
+    pub summed: usize,
+    /// Its local maxima.
+    pub maxima: Vec<Maximum>,
+}
+
+impl Sampled {
+    /// Place in its row and value of the highest sample; (0, 0) if there is none.
+    pub fn highest(&self) -> (usize, f64) {
+        let highest = self.maxima.iter().max_by(|a, b| a.value().total_cmp(&b.value()));
+        highest.map_or((0, 0.0), |maximum| (maximum.column, maximum.value()))
+    }
+
+    /// Multiplies the samples: scenes are scaled each by a power of two.
+    fn scale(&mut self, by: f64) {
+        self.maxima.iter_mut().flat_map(|maximum| &mut maximum.around).for_each(|value| *value *= by);
+    }
+}
+
+/// Elevations from 0 to `limit` whose phases differ by at most [`RING_STEP`] from one to the next.
+fn elevation_rings(scene: &Scene, limit: f64) -> Vec<f64> {
+    let (radius, height) = (scene.radius, scene.half_height);
+    let change = TAU * (radius * (1.0 - limit.cos()) + height * limit.sin());
+    let steps = (change / RING_STEP).ceil().max(1.0);
+    // r (1 - cos e) + h sin e = c: with w = hypot(r, h) and p = atan2(h, r), e = acos((r - c) / w) - p.
+    let (width, phase) = (radius.hypot(height), height.atan2(radius));
+    let elevation = |part: f64| (((radius - part / TAU) / width).clamp(-1.0, 1.0).acos() - phase).clamp(0.0, limit);
+    let ring = |i: usize| if i == 0 { 0.0 } else { elevation(change * i as f64 / steps) };
+    (0..steps as usize).map(ring).chain([limit]).collect()
+}
+
+impl Scene {
+    /// The sines that a search of these samples needs: errors count against the highest peak of noise.
+    fn sines(&self) -> Sines {
+        if self.len() <= ROUGH_SAMPLES { Sines::Rough } else { Sines::Fine }
+    }
+}
+
+/// Into how many parts the cosine of the elevation is cut: each has a band limit.
+const PARTS: usize = 4;
+/// Directions that are summed before their rings are interpolated: what fits a core's own memory.
+const AT_ONCE: usize = 2_048;
+/// Directions that one thread sums at a time.
+const SPLIT: usize = 512;
+
+/// How rings are sampled.
+#[derive(Clone, Copy)]
+struct Rings {
+    /// Azimuths that are summed on rings whose elevation's cosine is at most 1/4, 1/2, 3/4 and 1.
+    evaluated: [usize; PARTS],
+    /// Azimuths that are interpolated from them.
+    pub dense: usize,
+    /// Level motion: the antipode of a direction is on its ring.
+    flat: bool,
+}
+
+impl Rings {
+    /// Of a motion whose ring on the horizon needs modes up to `order`, for elevations up to `highest`; the modes of a share of
+    /// the radius are asked for by `order_of`, where rings are as high.
+    pub fn new(order: usize, dense: usize, flat: bool, highest: f64, order_of: impl Fn(f64) -> usize) -> Self {
+        let size = |k: usize| match (k + 1) as f64 / PARTS as f64 {
+            share if share < 1.0 && highest.cos() <= share => Self::summed(order_of(share).min(order)),
+            _ => Self::summed(order),
+        };
+        Self { evaluated: std::array::from_fn(size), dense, flat }
+    }
+
+    /// The azimuths that hold the modes up to `order`.
+    pub fn summed(order: usize) -> usize {
+        near_size(2 * order + 2, 2)
+    }
+
+    fn evaluated(&self, elevation: f64) -> usize {
+        let part = (PARTS as f64 * elevation.cos()).ceil() as usize;
+        self.evaluated[part.clamp(1, PARTS) - 1]
+    }
+
+    /// Whether the antipodes of half a ring are its other half; those of any other ring are the ring below the horizon.
+    fn is_whole(&self, elevation: f64) -> bool {
+        self.flat || elevation == 0.0
+    }
+
+    /// Directions to be summed at an elevation.
+    fn columns(&self, elevation: f64) -> usize {
+        let evaluated = self.evaluated(elevation);
+        if self.is_whole(elevation) { evaluated / 2 } else { evaluated }
+    }
+
+    /// `elevations` from the front that are sampled as the first of them is, no more than are taken at once.
+    fn alike(&self, elevations: &[f64]) -> usize {
+        let Some(first) = elevations.first() else { return 0 };
+        let evaluated = self.evaluated(*first);
+        let most = (AT_ONCE / evaluated).max(1);
+        elevations.iter().take(most).take_while(|e| self.evaluated(**e) == evaluated).count()
+    }
+}
+
+impl<T: Real> Sampler<T> {
+    pub fn new(tier: Tier) -> Self {
+        let (columns, work) = (Default::default(), ResampleWork::default());
+        Self { ffts: Ffts::new(tier), columns, directions: Vec::new(), rows: Vec::new(), work, parallel: false }
+    }
+
+    /// `F` on rings at the given elevations (from 0 upwards) and, unless the motion is level, at their negatives.
+    pub fn sample(&mut self, tier: Tier, scene: &Scene, elevations: &[f64], rings: &Rings) -> Sampled {
+        let c = scene.columns();
+        for (column, from) in self.columns.iter_mut().zip([c.x, c.y, c.z, c.re, c.im]) {
+            column.clear();
+            column.extend(from.iter().map(|v| T::of(*v)));
+        }
+        let mut sides = Sides::default();
+        let mut rest = elevations;
+        while !rest.is_empty() {
+            let (group, tail) = rest.split_at(rings.alike(rest));
+            rest = tail;
+            self.sum(tier, scene, group, rings);
+            let mut dense = self.work.dense.chunks_exact(rings.dense);
+            for &elevation in group {
+                let evaluated = rings.evaluated(elevation);
+                if !rings.is_whole(elevation) {
+                    sides.below(dense.next().unwrap_or_default(), elevation, evaluated);
+                }
+                sides.above(dense.next().unwrap_or_default(), elevation, evaluated);
+            }
+        }
+        sides.end()
+    }
+
+    /// Fills `work.dense` with the rows of `elevations`, which are summed alike: before each comes the one below the horizon,
+    /// if it has one.
+    fn sum(&mut self, tier: Tier, scene: &Scene, elevations: &[f64], rings: &Rings) {
+        let evaluated = elevations.first().map_or(0, |first| rings.evaluated(*first));
+        let angle = |j: usize| (TAU * j as f64 / evaluated as f64).sin_cos();
+        let circle: Vec<(f64, f64)> = (0..evaluated).map(angle).collect();
+        self.directions.clear();
+        for &elevation in elevations {
+            let (sin_el, cos_el) = elevation.sin_cos();
+            let turned = |(sin, cos): &(f64, f64)| [cos_el * cos, cos_el * sin, sin_el].map(T::of);
+            self.directions.extend(circle[..rings.columns(elevation)].iter().map(turned));
+        }
+        let [x, y, z, re, im] = &self.columns;
+        let columns = Columns { x, y, z, re, im };
+        let of = |directions: &[[T; 3]]| pairs::<T>(tier.level_or_portable(), columns, directions, scene.sines());
+        let sums = match self.parallel {
+            true => self.directions.par_chunks(SPLIT).map(of).collect::<Vec<_>>().concat(),
+            false => of(&self.directions),
+        };
+        self.rows.clear();
+        let mut rest = sums.as_slice();
+        for &elevation in elevations {
+            let (row, tail) = rest.split_at(rings.columns(elevation));
+            rest = tail;
+            self.arrange(row, rings.is_whole(elevation));
+        }
+        Resample::new(evaluated, rings.dense, &mut self.ffts).run(&self.rows, &mut self.work);
+    }
+
+    /// Rows from the sums of antipodal pairs: the antipode of (a, e) is (a + pi, -e).
+    fn arrange(&mut self, row: &[PairSum], is_whole: bool) {
+        let narrow = |c: num_complex::Complex64| Complex::new(T::of(c.re), T::of(c.im));
+        let here = row.iter().map(|s| narrow(s.here()));
+        if is_whole {
+            self.rows.extend(here.chain(row.iter().map(|s| narrow(s.opposite()))));
+        } else {
+            let (first, second) = row.split_at(row.len() / 2);
+            self.rows.extend(second.iter().chain(first).map(|s| narrow(s.opposite())).chain(here));
+        }
+    }
+}
+
+/// Both sides of the horizon, as their rows come: of each elevation the one below first.
+#[derive(Default)]
+struct Sides {
+    up: Side,
+    down: Option<Side>,
+    row: Vec<f64>,
+    sampled: Sampled,
+}
+
+impl Sides {
+    /// Takes the sums of a row.
+    fn take<T: Real>(&mut self, row: &[Complex<T>], evaluated: usize) {
+        self.row.clear();
+        self.row.extend(row.iter().map(|f| -> f64 { f.norm_sqr().into() }));
+        self.sampled.rows += 1;
+        self.sampled.summed += evaluated;
+    }
+
+    fn above<T: Real>(&mut self, row: &[Complex<T>], elevation: f64, evaluated: usize) {
+        self.take(row, evaluated);
+        self.up.push(&self.row, elevation, &mut self.sampled.maxima);
+    }
+
+    fn below<T: Real>(&mut self, row: &[Complex<T>], elevation: f64, evaluated: usize) {
+        self.take(row, evaluated);
+        // The first of them is a neighbour of the horizon, which is the last row above as yet.
+        let down = self.down.get_or_insert_with(|| self.up.met_by(&self.row));
+        down.push(&self.row, -elevation, &mut self.sampled.maxima);
+    }
+
+    fn end(mut self) -> Sampled {
+        for side in std::iter::once(&mut self.up).chain(&mut self.down) {
+            side.end(&mut self.sampled.maxima);
+        }
+        self.sampled
+    }
+}
+
+/// A sample that none of its eight neighbours exceeds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Maximum {
+    /// Elevation of its row, radians.
+    pub elevation: f64,
+    /// Its place in the row.
+    column: usize,
+    /// The sample before it on its row, itself, and the one after it.
+    around: [f64; 3],
+}
+
+impl Maximum {
+    pub fn value(&self) -> f64 {
+        self.around[1]
+    }
+
+    /// Where it is in its row, in steps: the vertex of the parabola through the logarithms of the three samples.
+    pub fn vertex(&self) -> f64 {
+        let [before, here, after] = self.around.map(|value| value.max(f64::MIN_POSITIVE).ln());
+        let bend = before - 2.0 * here + after;
+        let offset = if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+        self.column as f64 + offset
+    }
+}
+
+/// The rows on one side of the horizon, from the horizon outwards: each is searched once the next one is there. Three rows are kept,
+/// and never all of them.
+#[derive(Default)]
+struct Side {
+    /// The row before the last one, and the last one; empty if there is none.
+    before: Vec<f64>,
+    last: Vec<f64>,
+    elevation: f64,
+    /// The last row is searched by another side.
+    only_beside: bool,
+    /// Which samples of a row may be maxima of it.
+    high: Vec<bool>,
+}
+
+impl Side {
+    /// The other side of a horizon that is the only row as yet; `row` is the first one there. The horizon is searched by this
+    /// side alone.
+    fn met_by(&mut self, row: &[f64]) -> Self {
+        self.before = row.to_vec();
+        Self { last: self.last.clone(), only_beside: true, ..Self::default() }
+    }
+
+    /// Takes the next row.
+    fn push(&mut self, row: &[f64], elevation: f64, maxima: &mut Vec<Maximum>) {
+        self.search(row, maxima);
+        std::mem::swap(&mut self.before, &mut self.last);
+        self.last.clear();
+        self.last.extend_from_slice(row);
+        (self.elevation, self.only_beside) = (elevation, false);
+    }
+
+    /// Searches the last row, after which there is none.
+    fn end(&mut self, maxima: &mut Vec<Maximum>) {
+        self.search(&[], maxima);
+    }
+
+    fn search(&mut self, next: &[f64], maxima: &mut Vec<Maximum>) {
+        let ring = self.last.len();
+        if self.only_beside || ring == 0 {
+            return;
+        }
+        let row = &self.last;
+        // Most are below a neighbour on their own ring: said of all in a plain loop, which is vector code.
+        self.high.clear();
+        self.high.resize(ring, false);
+        for (high, around) in self.high[1..].iter_mut().zip(row.windows(3)) {
+            *high = (around[1] >= around[0]) & (around[1] >= around[2]);
+        }
+        (self.high[0], self.high[ring - 1]) = (true, true);
+        for (column, _) in self.high.iter().enumerate().filter(|(_, high)| **high) {
+            let (before, after) =
+                (if column == 0 { ring - 1 } else { column - 1 }, if column + 1 == ring { 0 } else { column + 1 });
+            let around = [row[before], row[column], row[after]];
+            let value = around[1];
+            let below = |row: &[f64]| row.is_empty() || [before, column, after].iter().all(|c| row[*c] <= value);
+            if around[0] <= value && around[2] <= value && below(&self.before) && below(next) {
+                maxima.push(Maximum { elevation: self.elevation, column, around });
+            }
+        }
+    }
+}
+
+/// The second coordinate of a search; its meaning depends on the motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Second {
+    /// Level motion sees the cosine of the elevation and nothing else of it.
+    Cosine,
+    /// Any other motion sees the elevation.
+    Elevation,
+}
+
+/// A direction: azimuth (radians) and the second coordinate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Point {
+    pub azimuth: f64,
+    pub second: f64,
+}
+
+/// A profile `F = |f|^2` with its search region in the second coordinate.
+#[derive(Clone, Copy)]
+pub(crate) struct Hill<'a> {
+    pub level: Level,
+    pub samples: Columns<'a, f64>,
+    pub kind: Second,
+    pub low: f64,
+    pub high: f64,
+    /// Trust region: largest steps in azimuth and in the second coordinate.
+    pub reach: [f64; 2],
+}
+
+/// A local maximum.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Top {
+    pub at: Point,
+    pub value: f64,
+    pub evaluations: usize,
+}
+
+/// `F`, its gradient and its Hessian (aa, ab, bb).
+#[derive(Clone, Copy, Debug)]
+struct Local {
+    value: f64,
+    gradient: [f64; 2],
+    hessian: [f64; 3],
+}
+
+impl Local {
+    /// How much `F` rises along a small step, to second order.
+    fn rise(&self, step: [f64; 2]) -> f64 {
+        let ([a, b], [aa, ab, bb]) = (step, self.hessian);
+        self.gradient[0] * a + self.gradient[1] * b + 0.5 * (aa * a * a + 2.0 * ab * a * b + bb * b * b)
+    }
+}
+
+/// How the direction depends on the second coordinate: `s` and height, their first and second derivatives.
+struct Bend {
+    s: [f64; 3],
+    height: [f64; 3],
+}
+
+impl Second {
+    fn bend(self, b: f64) -> Bend {
+        match self {
+            Self::Cosine => Bend { s: [b, 1.0, 0.0], height: [0.0; 3] },
+            Self::Elevation => {
+                let (sin, cos) = b.sin_cos();
+                Bend { s: [cos, -sin, -cos], height: [sin, cos, -sin] }
+            }
+        }
+    }
+
+    pub fn elevation(self, b: f64) -> f64 {
+        match self {
+            Self::Cosine => b.clamp(-1.0, 1.0).acos(),
+            Self::Elevation => b,
+        }
+    }
+
+    pub fn of_elevation(self, elevation: f64) -> f64 {
+        match self {
+            Self::Cosine => elevation.cos(),
+            Self::Elevation => elevation,
+        }
+    }
+}
+
+/// Steps this small, in units of the reach, are taken without another look: the value there follows from the derivatives
+/// here to `(2 M step)^3 / 6`, below 2e-12 for the `6 M` samples that make the reach.
+const NEAR: f64 = 1e-4;
+
+impl Hill<'_> {
+    /// True if the second coordinate is fixed: derivatives by it are then not computed.
+    fn is_ring(&self) -> bool {
+        self.low >= self.high
+    }
+
+    /// Value and derivatives at a point, from the moments of the samples.
+    fn local(&self, at: Point) -> Local {
+        let Bend { s: [s, ds, dds], height: [height, dh, ddh] } = self.kind.bend(at.second);
+        let (sin, cos) = at.azimuth.sin_cos();
+        let wanted = if self.is_ring() { Wanted::Azimuth } else { Wanted::Both };
+        let m = moments(self.level, self.samples, Aim { cos, sin, s, height }, wanted);
+        let j = Complex64::i();
+        // With theta = 2 pi (s h + height z): dh/da = v, dv/da = -h.
+        let fa = -j * TAU * s * m.v;
+        let fb = -j * TAU * (m.h * ds + m.z * dh);
+        let faa = j * TAU * s * m.h - TAU * TAU * s * s * m.vv;
+        let fab = -j * TAU * ds * m.v - TAU * TAU * s * (m.hv * ds + m.vz * dh);
+        let fbb = -j * TAU * (m.h * dds + m.z * ddh)
+            - TAU * TAU * (m.hh * (ds * ds) + m.hz * (2.0 * ds * dh) + m.zz * (dh * dh));
+        let with = |g: Complex64| 2.0 * (m.one.conj() * g).re;
+        let cross = |g: Complex64, h: Complex64| 2.0 * (g.conj() * h).re;
+        Local {
+            value: m.one.norm_sqr(),
+            gradient: [with(fa), with(fb)],
+            hessian: [with(faa) + cross(fa, fa), with(fab) + cross(fa, fb), with(fbb) + cross(fb, fb)],
+        }
+    }
+
+    /// The value at a point.
+    pub fn value(&self, at: Point) -> f64 {
+        self.local(at).value
+    }
+
+    /// Climbs from `start` to the local maximum of its hill.
+    pub fn climb(&self, start: Point) -> Top {
+        let mut at = Point { azimuth: start.azimuth, second: start.second.clamp(self.low, self.high) };
+        let mut here = self.local(at);
+        let mut evaluations = 1;
+        for _ in 0..40 {
+            let mut step = self.step(at, &here);
+            if (0..2).all(|i| step[i].abs() <= NEAR * self.reach[i]) && here.hessian[0] < 0.0 {
+                let second = (at.second + step[1]).clamp(self.low, self.high);
+                here.value += here.rise([step[0], second - at.second]).max(0.0);
+                at = Point { azimuth: at.azimuth + step[0], second };
+                break;
+            }
+            let mut moved = false;
+            for _ in 0..12 {
+                let to =
+                    Point { azimuth: at.azimuth + step[0], second: (at.second + step[1]).clamp(self.low, self.high) };
+                let there = self.local(to);
+                evaluations += 1;
+                if there.value >= here.value {
+                    (at, here, moved) = (to, there, true);
+                    break;
+                }
+                if step[0].abs() < 1e-9 && step[1].abs() < 1e-9 {
+                    break;
+                }
+                step = step.map(|d| d / 4.0);
+            }
+            if !moved || (step[0].abs() < 1e-8 && step[1].abs() < 1e-8) {
+                break;
+            }
+        }
+        Top { at, value: here.value, evaluations }
+    }
+
+    /// A Newton step where the hill is concave, else a step along the gradient; within reach, and along the edge
+    /// where the gradient points out of the region.
+    fn step(&self, at: Point, local: &Local) -> [f64; 2] {
+        let [ga, gb] = local.gradient;
+        let [haa, hab, hbb] = local.hessian;
+        let at_edge = (at.second <= self.low && gb <= 0.0) || (at.second >= self.high && gb >= 0.0);
+        let [ra, rb] = self.reach;
+        let fallback = |g: f64, h: f64, r: f64| if h < 0.0 { (-g / h).clamp(-r, r) } else { r.copysign(g) };
+        if at_edge || self.is_ring() {
+            return [fallback(ga, haa, ra), 0.0];
+        }
+        let det = haa * hbb - hab * hab;
+        if haa < 0.0 && det > 0.0 {
+            let step = [(hab * gb - hbb * ga) / det, (hab * ga - haa * gb) / det];
+            let shrink = (ra / step[0].abs()).min(rb / step[1].abs()).min(1.0);
+            return step.map(|d| d * shrink);
+        }
+        // Along the gradient of the profile in units of the reach, as far as the reach.
+        let (na, nb) = (ga * ra, gb * rb);
+        let norm = na.hypot(nb);
+        if norm == 0.0 { [0.0; 2] } else { [ra * na / norm, rb * nb / norm] }
+    }
+}
+
+/// What a fit of one plane wave leaves.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fit {
+    /// `|A|^2 / sigma^2` for unit (scaled) weight.
+    ratio: f64,
+    /// The same for a sample of mean weight: the signal-to-noise ratio.
+    pub snr: f64,
+}
+
+impl Fit {
+    /// From `F = |f|^2` at the estimate. The amplitude is relieved of the noise's own share.
+    pub fn new(scene: &Scene, value: f64) -> Self {
+        let used = scene.weight.iter().filter(|w| **w > 0.0).count() as f64;
+        let w = scene.weight_sum;
+        let residual = (scene.energy - value / w).max(0.0);
+        // One complex amplitude and two angles are fitted: two complex degrees of freedom.
+        let variance = if used > 2.0 { residual / (used - 2.0) } else { f64::INFINITY };
+        let amplitude = (value / (w * w) - variance / w).max(0.0);
+        let ratio = if variance == f64::INFINITY { 0.0 } else { amplitude / variance };
+        Self { ratio, snr: ratio * w / used }
+    }
+}
+
+/// Weighted, centred second moments of the positions about an azimuth, turns squared: hh, hv, vv, hz, vz, zz.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Spread([f64; 6]);
+
+impl Spread {
+    pub fn new(scene: &Scene, azimuth: f64) -> Self {
+        let [xx, xy, yy, xz, yz, zz] = scene.weighted_scatter();
+        let (s, c) = azimuth.sin_cos();
+        // h = c x + s y, v = c y - s x.
+        Self([
+            c * c * xx + 2.0 * c * s * xy + s * s * yy,
+            c * s * (yy - xx) + (c * c - s * s) * xy,
+            s * s * xx - 2.0 * c * s * xy + c * c * yy,
+            c * xz + s * yz,
+            c * yz - s * xz,
+            zz,
+        ])
+    }
+}
+
+/// Standard deviations of azimuth and of the second coordinate, each with the other as a nuisance: the Cramer-Rao bound.
+///
+/// With `second_known` the azimuth stands alone (and the second deviation is infinite); along the motion it is known by the
+/// square of its change. Nothing exceeds a uniform guess for the azimuth.
+pub(crate) fn deviations(fit: Fit, spread: Spread, kind: Second, at: Point, second_known: bool) -> [f64; 2] {
+    let gain = 2.0 * fit.ratio * TAU * TAU;
+    let [aa, ab, bb] = information(spread, kind, at);
+    let det = aa * bb - ab * ab;
+    let sd = |information: f64| if information > 0.0 { (1.0 / information).sqrt() } else { f64::INFINITY };
+    if second_known {
+        // Towards or away from the motion phases do not change with the azimuth to first order, and by half of its square to
+        // second: then that square is what is known.
+        let [s, ..] = kind.bend(at.second).s;
+        let by_square = (2.0 * sd(gain * s * s * spread.0[0])).sqrt();
+        return [sd(gain * aa).min(by_square).min(UNIFORM_RAD), f64::INFINITY];
+    }
+    // A determinant of the size of rounding errors: the two coordinates have the same effect on the phases.
+    if det <= 1e-13 * aa * bb {
+        return [UNIFORM_RAD, f64::INFINITY];
+    }
+    [sd(gain * det / bb).min(UNIFORM_RAD), sd(gain * det / aa)]
+}
+
+/// How far the phases that a change of azimuth makes differ from those that a change of the second coordinate makes:
+/// `1 - r^2` of their correlation over the trajectory, 0 (the same, as on a line) to 1 (a circle).
+pub(crate) fn independence(spread: Spread, kind: Second, at: Point) -> f64 {
+    let [aa, ab, bb] = information(spread, kind, at);
+    if aa * bb > 0.0 { (1.0 - ab * ab / (aa * bb)).max(0.0) } else { 0.0 }
+}
+
+/// Information on azimuth, on both, and on the second coordinate, but for a common factor.
+fn information(spread: Spread, kind: Second, at: Point) -> [f64; 3] {
+    let Bend { s: [s, ds, _], height: [_, dh, _] } = kind.bend(at.second);
+    let [hh, hv, vv, hz, vz, zz] = spread.0;
+    [s * s * vv, s * (ds * hv + dh * vz), ds * ds * hh + 2.0 * ds * dh * hz + dh * dh * zz]
+}
+
+/// Standard deviation of |elevation|, radians, from that of its cosine.
+///
+/// Near the horizon the cosine is flat: an error `d` of it is an elevation of `sqrt(2 d)`.
+pub(crate) fn elevation_deviation(elevation: f64, cosine_sd: f64) -> f64 {
+    let sin = elevation.sin();
+    (cosine_sd / (sin * sin + 2.0 * cosine_sd).sqrt()).min(PI / 2.0)
+}
+
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
     use crate::bartlett::planner::{oracle, oracle_sum};
     use crate::bartlett::{Grid, direction, profile};
-    use csi5300_kernels::simd::Real;
-    use csi5300_kernels::sums::{Columns, pairs};
-    use num_complex::Complex64;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -780,6 +1380,52 @@ pub(super) mod tests {
             assert!(wrap_rad(estimate.azimuth_rad - reference.azimuth_rad).abs() < 1e-7);
             assert!((estimate.value - reference.value).abs() < 1e-7);
             assert!((estimate.snr / reference.snr - 1.0).abs() < 1e-5);
+        }
+    }
+
+    /// Rows of ascending elevation, `rows[half]` the horizon.
+    fn found(rows: &[Vec<f64>]) -> Vec<Maximum> {
+        let half = rows.len() / 2;
+        let mut maxima = Vec::new();
+        let mut up = Side::default();
+        up.push(&rows[half], 0.0, &mut maxima);
+        if half > 0 {
+            let mut down = up.met_by(&rows[half - 1]);
+            for k in 1..=half {
+                down.push(&rows[half - k], -(k as f64), &mut maxima);
+                up.push(&rows[half + k], k as f64, &mut maxima);
+            }
+            down.end(&mut maxima);
+        }
+        up.end(&mut maxima);
+        maxima
+    }
+
+    #[test]
+    fn the_maxima_are_those_that_no_neighbour_exceeds() {
+        let mut state = 9u64;
+        let mut random = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64
+        };
+        for half in [0, 1, 2, 7] {
+            let (n, ring) = (2 * half + 1, 11);
+            let rows: Vec<Vec<f64>> = (0..n).map(|_| (0..ring).map(|_| random()).collect()).collect();
+            let mut expected = Vec::new();
+            for (r, own) in rows.iter().enumerate() {
+                for (column, value) in own.iter().enumerate() {
+                    let near = |row: &Vec<f64>| [ring - 1, 0, 1].map(|d| row[(column + d) % ring]);
+                    let around = near(own);
+                    let beside = rows[r.saturating_sub(1)..(r + 2).min(n)].iter().flat_map(near);
+                    if beside.fold(0.0, f64::max) <= *value {
+                        expected.push((r as f64 - half as f64, column, around));
+                    }
+                }
+            }
+            let mut got: Vec<_> = found(&rows).iter().map(|m| (m.elevation, m.column, m.around)).collect();
+            got.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            assert!(!expected.is_empty());
+            assert_eq!(got, expected, "{half}");
         }
     }
 }

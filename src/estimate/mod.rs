@@ -59,7 +59,7 @@ pub mod heading {
     pub const MOTION_CAPTURE_RAD: f64 = sensor::MOTION_CAPTURE_DEG.to_radians();
     /// A tracking camera.
     pub const CAMERA_RAD: f64 = sensor::CAMERA_DEG.to_radians();
-    /// A camera's path held to what wheels can roll ([`crate::motion::rolling`]).
+    /// A camera's path held to what wheels can roll ([`crate::motion::pose::Trajectory::rolling`]).
     pub const ROLLING_CAMERA_RAD: f64 = sensor::ROLLING_CAMERA_DEG.to_radians();
     /// Wheels, where the place of the antenna on the robot is known.
     pub const WHEELS_RAD: f64 = sensor::WHEELS_DEG.to_radians();

@@ -25,7 +25,7 @@ use crate::maths::{unwrap_near, upper_median_ord};
 use std::collections::{HashMap, VecDeque};
 use std::hash::{BuildHasherDefault, Hasher};
 
-pub mod by_clock;
+pub(crate) mod by_clock;
 
 /// The log a record is from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -13,7 +13,7 @@ use crate::bartlett::Geometry;
 use crate::estimate::{NoRangeChange, OdometryFit, RangeChange, Sufficient};
 use crate::exchange::pairing::{LinkSide, SideCounts};
 use crate::motion::pose::Trajectory;
-use crate::place::track::{PeerTrack, TrackAnswer, TrackSettings};
+use crate::place::{PeerTrack, TrackAnswer, TrackSettings};
 use driver_iface::Mac;
 use serde::Serialize;
 
@@ -388,7 +388,7 @@ impl CarriedAnswer {
     /// The same in degrees.
     #[must_use]
     pub(crate) fn new(answer: &TrackAnswer) -> Self {
-        let candidate = |mode: &crate::place::track::TrackMode| CarriedCandidate {
+        let candidate = |mode: &crate::place::TrackMode| CarriedCandidate {
             azimuth_deg: mode.azimuth_rad.to_degrees(),
             share: mode.share,
         };

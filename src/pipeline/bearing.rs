@@ -8,7 +8,7 @@ use crate::estimate::posterior::Mode;
 use crate::estimate::tuning;
 use crate::estimate::{Found, NoRangeChange, OdometryFit, RangeChange, Sufficient};
 use crate::maths::wrap_rad;
-use crate::place::track::{Evidence, EvidenceMode};
+use crate::place::{Evidence, EvidenceMode};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -371,7 +371,7 @@ impl ProfileFigures {
     pub(super) fn of(samples: &Samples) -> Result<Self, bartlett::Error> {
         // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
         // Tables that serve one profile cost more than its sums.
-        let options = ProfileOptions::default().with_method(Method::Direct);
+        let options = ProfileOptions { method: Some(Method::Direct), ..ProfileOptions::default() };
         let profile = Planner::default().profile(samples, &Grid::wsr_azimuths(), &options)?;
         let likelihood_share = profile.likelihood_share();
         Ok(Self { wsr_profile_variance: bartlett::wsr_planar_profile_variance(&profile), likelihood_share })

@@ -2,7 +2,7 @@
 //! delay, and the first strong delay is nearly the direct path alone.
 //!
 //! Errors of bearings of a robot that turns, 48 simulated rooms of two reflections, 20 dB, degrees.
-//! `tests/library/taps.rs` repeats the last row; the others were measured once, those of 20 and 40 MHz without the
+//! `tests/library/rooms.rs` repeats the last row; the others were measured once, those of 20 and 40 MHz without the
 //! limit [`WIDE_MHZ`]:
 //!
 //! | width, MHz | product: median, 90 % | first delay | first delay better in |

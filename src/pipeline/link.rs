@@ -3,7 +3,7 @@
 use super::bearing::{PairCounts, Phase};
 use super::intake::FrameHeard;
 use super::options::Options;
-use crate::exchange::kinship::{self, Kinship, Reciprocal, Reciprocity, kinship};
+use crate::exchange::assign::{Kinship, LEAST_PAUSES, Reciprocal, Reciprocity, kinship};
 use crate::exchange::pairing::{LinkSide, Pair, Pairing, SideCounts};
 use crate::maths::upper_median_ord;
 use crate::motion::pose::Trajectory;
@@ -293,7 +293,7 @@ impl Link {
     /// True if both frames of every pair and the times of both cards are equal: one log was given for both sides.
     /// Frames alone are also equal without noise and motion.
     pub(super) fn is_one_log(&self) -> bool {
-        self.frames.len() >= kinship::LEAST
+        self.frames.len() >= LEAST_PAUSES
             && self.frames.iter().all(|[forward, backward]| forward == backward)
             && self.rows.iter().all(|row| row.difference_us == 0)
     }

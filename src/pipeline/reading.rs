@@ -3,9 +3,7 @@
 use super::intake::{FrameHeard, LogReader};
 use super::link::Link;
 use super::options::Options;
-use crate::exchange::assign::MIN_COMMON;
-use crate::exchange::assign::{self, Mark, Match, Spread, Unmatched};
-use crate::exchange::kinship::Reciprocity;
+use crate::exchange::assign::{self, MIN_COMMON, Mark, Match, Reciprocity, Spread, Unmatched};
 use crate::exchange::pairing::LinkSide;
 use crate::source::Error;
 use driver_iface::Mac;

@@ -2,16 +2,16 @@
 //! robot are values of one type, [`CsiSource`]. Who only wants to read a log takes [`Log`](crate::Log).
 
 pub(crate) mod key_file;
-pub(crate) mod log;
-pub mod other_card;
-pub mod recorder;
 pub mod replay;
 mod side_file;
 pub mod survey;
 
-// What the robot's service is made of: public for the crates of this workspace, no part of the library's interface.
+// What the programs and the robot's service are made of: public for the crates of this workspace, no part of the library's
+// interface.
 #[doc(hidden)]
-pub mod paced;
+pub mod other_card;
+#[doc(hidden)]
+pub mod recorder;
 #[doc(hidden)]
 pub mod remote;
 

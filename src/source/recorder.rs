@@ -5,8 +5,7 @@
 //! counted**, and the source is never held up. Chunks hold whole records, and a write that the disk cut short is taken
 //! back to the last whole record.
 //!
-//! Dropping a recorder writes its records before it returns, as [`Recorder::finish`] does; an earlier [`Tally`] has the
-//! result.
+//! Dropping a recorder writes its records before it returns, as [`Recorder::finish`] does.
 
 use super::{CsiSource, Error, Next, side_path};
 use crate::time::{Instant, Span};
@@ -94,18 +93,6 @@ pub struct Totals {
     pub failing: bool,
 }
 
-/// The totals of a recorder, for any thread, and after its end.
-#[derive(Clone, Debug)]
-pub struct Tally(Arc<Shared>);
-
-impl Tally {
-    /// What was recorded so far.
-    #[must_use]
-    pub fn totals(&self) -> Totals {
-        self.0.totals()
-    }
-}
-
 /// A source whose records are also written to `W`.
 pub struct Recorder<S, W: Sink> {
     source: S,
@@ -130,12 +117,6 @@ impl<S: CsiSource, W: Sink> Recorder<S, W> {
     #[must_use]
     pub fn totals(&self) -> Totals {
         self.queue.shared.totals()
-    }
-
-    /// The totals, which outlive the recorder.
-    #[must_use]
-    pub fn tally(&self) -> Tally {
-        Tally(Arc::clone(&self.queue.shared))
     }
 
     /// Writes the rest, syncs it, and returns everything.
@@ -1175,7 +1156,7 @@ mod tests {
         let (log, syncs) = (Arc::clone(&sink.log), Arc::clone(&sink.syncs));
         let options = Options { chunk_bytes: 10_000, chunks: 1_000, ..Options::default() };
         let mut recorder = Recorder::new(Numbered::new((0..1_000).map(Some)), sink, options).unwrap();
-        let tally = recorder.tally();
+        let tally = Arc::clone(&recorder.queue.shared);
         drain(&mut recorder, Instant::ZERO);
         drop(recorder);
         let totals = tally.totals();
@@ -1191,7 +1172,7 @@ mod tests {
             let log = Arc::clone(&sink.log);
             let options = Options { chunk_bytes: 10_000, chunks: 1_000, ..Options::default() };
             let mut recorder = Recorder::new(Numbered::new((0..1_000).map(Some)), sink, options).unwrap();
-            let tally = recorder.tally();
+            let tally = Arc::clone(&recorder.queue.shared);
             drain(&mut recorder, Instant::ZERO);
             if finish {
                 assert!(matches!(recorder.finish(Instant::ZERO), Err(Error::WriterDied)));

@@ -1,10 +1,15 @@
-//! A recorded `.dat` log as a [`CsiSource`]: read in chunks, never loaded.
+//! A recorded `.dat` log, read in chunks, never loaded: as a [`CsiSource`] at once ([`Replay`]) or at the pace at which it was
+//! recorded ([`Paced`]), and frame by frame ([`Log`]), which is all that most readers need.
 
 use super::other_card::{Translated, is_other};
 use super::side_file::{Checks, Said, SideFile};
+use super::survey::{CardClock, Identity, Survey};
 use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
-use crate::time::Instant;
-use driver_iface::record::{Framer, LOOKAHEAD, Reason, Record, Step, Tail};
+use crate::signal::csi::{Csi, ScaleError, scale_factor};
+use crate::time::{Instant, Span, Unwrap32};
+use driver_iface::Mac;
+use driver_iface::bfee::{Bfee, NOISE_UNKNOWN_DBM};
+use driver_iface::record::{Framer, LOOKAHEAD, Reason, Record, Step, Tail, code};
 use driver_iface::side_file::Layout;
 use std::fs::File;
 use std::io::Read;
@@ -249,12 +254,260 @@ impl<R: Read> CsiSource for Replay<R> {
     }
 }
 
+/// A recorded log, read in chunks: an iterator over its frames with CSI.
+///
+/// What was damaged or is missing is no error; it is counted in [`Log::survey`], to be asked during the loop or after it.
+/// Host times come from the log's side file if there is one (`.datstp`), else from the records where the driver
+/// writes them (WSR layout). Senders and frame numbers come from the record (WSR layout) or from the frame that the
+/// driver logged before it (stock layout with connector_log 5).
+///
+/// ```
+/// use csi5300::Log;
+///
+/// let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat");
+/// let mut log = Log::open(path)?;
+/// let mut frames = 0;
+/// for frame in &mut log {
+///     let frame = frame?;
+///     let h = frame.csi.get(0, 0, 0).expect("each frame has a first subcarrier, row and stream");
+///     assert!(h.norm() < 182.0 && frame.mac.is_some());
+///     frames += 1;
+/// }
+/// assert_eq!(frames, log.survey().bfees());
+/// assert!(!log.survey().lost_something());
+/// # Ok::<(), csi5300::source::Error>(())
+/// ```
+pub struct Log {
+    replay: Replay<Box<dyn Read + Send>>,
+    survey: Survey,
+    clock: CardClock,
+    failed: bool,
+}
+
+/// One received frame: its channel, and what the card and the host say of its reception.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Frame {
+    /// The channel, `h[subcarrier][rx][tx]` in the card's integers: 30 subcarriers, `n_rx` antennas, `n_tx` streams.
+    ///
+    /// Rows are antennas from A on; where the record does not say which antenna is which ([`Csi::antenna`] is `None`),
+    /// they are receive chains.
+    pub csi: Csi,
+    /// Factor from the card's integers to sqrt(SNR), the channel's gain over the noise; see [`scale_factor`].
+    pub scale: Result<f64, ScaleError>,
+    /// The sender, if it is known.
+    pub mac: Option<Mac>,
+    /// The number that the sender gave the frame, if it is known.
+    pub number: Option<u32>,
+    /// The card's clock at reception, microseconds from an arbitrary origin, unwrapped along the log.
+    pub card_us: i64,
+    /// The host's wall clock at reception, microseconds since the Unix epoch, if it is known.
+    pub host_us: Option<i64>,
+    /// Signal strength at antennas A, B, C, dB above an internal reference; 0 where nothing was heard.
+    pub rssi: [u8; 3],
+    /// The receiver's gain, dB.
+    pub agc: u8,
+    /// Noise floor, dBm, where the driver measured one.
+    pub noise_dbm: Option<i8>,
+    /// Rate and format of the frame, as the driver has them (`rate_n_flags`).
+    pub rate_n_flags: u16,
+    /// The card's count of frames with CSI, wrapping: a gap is a record that was lost before the log.
+    pub bfee_count: u16,
+    /// Bytes of the log before the record.
+    pub offset: u64,
+}
+
+impl Log {
+    /// Opens a log; `-` is standard input.
+    ///
+    /// # Errors
+    /// If it cannot be opened, or is a directory.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
+        let replay = Replay::open(path.as_ref())?;
+        Ok(Self { replay, survey: Survey::default(), clock: CardClock::default(), failed: false })
+    }
+
+    /// What was read so far: records by kind, senders, losses with their places.
+    #[must_use]
+    pub fn survey(&self) -> &Survey {
+        &self.survey
+    }
+
+    /// How the log ended, once it did.
+    #[must_use]
+    pub fn tail(&self) -> Option<Tail> {
+        self.survey.tail
+    }
+
+    /// Bytes read so far: the size of the log once it ended.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.replay.bytes()
+    }
+
+    /// The next frame; `None` at the end of the log.
+    fn next_frame(&mut self) -> Result<Option<Frame>, Error> {
+        loop {
+            let next = self.replay.receive(Instant::ZERO)?;
+            let origin = match &next {
+                Next::Record(stamps, _) => stamps.origin,
+                Next::End(_) | Next::Pending => {
+                    self.survey.note(&next);
+                    return Ok(None);
+                }
+                Next::Lost(_) => Origin::default(),
+            };
+            let Some((bfee, identity)) = self.survey.note(&next) else { continue };
+            let (card_us, _) = self.clock.note(bfee.timestamp_low(), identity.host_us);
+            return Ok(Some(Frame::new(&bfee, identity, card_us, origin)));
+        }
+    }
+}
+
+impl Iterator for Log {
+    type Item = Result<Frame, Error>;
+
+    /// The next frame, or why the file could not be read further; nothing comes after that.
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.failed {
+            return None;
+        }
+        let next = self.next_frame().transpose();
+        self.failed = matches!(next, Some(Err(_)));
+        next
+    }
+}
+
+impl Frame {
+    fn new(bfee: &Bfee<'_>, identity: Identity, card_us: i64, origin: Origin) -> Self {
+        Self {
+            csi: Csi::from_bfee(bfee).unwrap_or_else(|_| Csi::raw(bfee)),
+            scale: scale_factor(bfee),
+            mac: Some(identity.mac).filter(|mac| !mac.is_zero()),
+            number: identity.frame_count,
+            card_us,
+            host_us: identity.host_us,
+            rssi: bfee.rssi(),
+            agc: bfee.agc(),
+            noise_dbm: Some(bfee.noise_dbm()).filter(|noise| *noise != NOISE_UNKNOWN_DBM),
+            rate_n_flags: bfee.rate_n_flags(),
+            bfee_count: bfee.bfee_count(),
+            offset: origin.position(),
+        }
+    }
+}
+
+/// Gives each record of `S` when it is due by the card's clock (`timestamp_low`).
+///
+/// Records without a clock of their own (MPDUs come just before their bfee) are due with the record before them. A clock
+/// that steps back, as after a reload of the driver, costs no time.
+#[doc(hidden)]
+pub struct Paced<S> {
+    source: S,
+    speed: f64,
+    longest: Option<Span>,
+    clock: Unwrap32,
+    last_card_us: Option<i64>,
+    due: Option<Instant>,
+    held: Held,
+    /// The time of the last call.
+    asked: Instant,
+    body: Vec<u8>,
+}
+
+/// Records read ahead that wait for their time.
+enum Held {
+    Nothing,
+    Record(Stamps, u8),
+    Lost(Loss),
+    End(Tail),
+}
+
+impl<S: CsiSource> Paced<S> {
+    /// Plays `source` at `speed` times its own pace (above 0; infinity for no waiting), shortening pauses to `longest`
+    /// of the player's time.
+    pub fn new(source: S, speed: f64, longest: Option<Span>) -> Self {
+        Self {
+            source,
+            speed,
+            longest,
+            clock: Unwrap32::default(),
+            last_card_us: None,
+            due: None,
+            held: Held::Nothing,
+            asked: Instant::ZERO,
+            body: Vec::new(),
+        }
+    }
+
+    /// The same, its first record due at `at`.
+    #[must_use]
+    pub fn beginning(self, at: Instant) -> Self {
+        Self { due: Some(at), ..self }
+    }
+
+    /// The log being played.
+    pub fn source(&self) -> &S {
+        &self.source
+    }
+
+    fn read_ahead(&mut self, now: Instant) -> Result<(), Error> {
+        let (held, clock) = match self.source.receive(now)? {
+            Next::Record(stamps, record) => {
+                self.body.clear();
+                self.body.extend_from_slice(record.body);
+                let bfee = (record.code == code::BFEE).then(|| Bfee::new_checked(record.body).ok()).flatten();
+                (Held::Record(stamps, record.code), bfee.map(|bfee| bfee.timestamp_low()))
+            }
+            Next::Lost(loss) => (Held::Lost(loss), None),
+            Next::End(tail) => (Held::End(tail), None),
+            Next::Pending => (Held::Nothing, None),
+        };
+        self.held = held;
+        let Some(raw) = clock else { return Ok(()) };
+        let card_us = self.clock.next(raw);
+        let step_us = self.last_card_us.map_or(0, |last| card_us - last).max(0);
+        self.last_card_us = Some(card_us);
+        let wait = Span::from_s(step_us as f64 * 1e-6 / self.speed);
+        let wait = self.longest.map_or(wait, |longest| wait.min(longest));
+        self.due = Some(self.due.unwrap_or(now) + wait);
+        Ok(())
+    }
+}
+
+impl<S: CsiSource> CsiSource for Paced<S> {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        self.asked = now;
+        if matches!(self.held, Held::Nothing) {
+            self.read_ahead(now)?;
+        }
+        if self.due.is_some_and(|due| due > now) {
+            return Ok(Next::Pending);
+        }
+        Ok(match std::mem::replace(&mut self.held, Held::Nothing) {
+            Held::Nothing => Next::Pending,
+            Held::Record(stamps, code) => Next::Record(Stamps { at: now, ..stamps }, Record { code, body: &self.body }),
+            Held::Lost(loss) => Next::Lost(loss),
+            Held::End(tail) => {
+                self.held = Held::End(tail);
+                Next::End(tail)
+            }
+        })
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        match self.held {
+            Held::Nothing => self.source.next_at(),
+            _ => Some(self.due.unwrap_or(self.asked)),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::source::side_file::tests::bytes_of;
-    use driver_iface::bfee::{Iq, Repr};
-    use driver_iface::record::code;
+    use driver_iface::bfee::{self, Iq, Repr, csi_len};
     use driver_iface::side_file::{Check, Entry};
 
     /// Five records with noise before and between: each is found, every byte is accounted for, time is the caller's.
@@ -366,5 +619,60 @@ mod tests {
         assert!((3..=4).contains(&records), "{records}");
         let Error::Io { what, source } = failed else { panic!("{failed}") };
         assert_eq!((what.as_str(), source.kind()), ("reading two.dat at byte 28", std::io::ErrorKind::ConnectionReset));
+    }
+
+    fn log(clocks_us: &[u32]) -> Vec<u8> {
+        let mut log = Vec::new();
+        for clock in clocks_us {
+            let mut body = vec![0; bfee::STOCK_HEADER + csi_len(1, 1)];
+            body[..4].copy_from_slice(&clock.to_le_bytes());
+            body[bfee::offset::N_RX] = 1;
+            body[bfee::offset::N_TX] = 1;
+            body[bfee::offset::LEN] = csi_len(1, 1) as u8;
+            let record = Record { code: code::BFEE, body: &body };
+            let from = log.len();
+            log.resize(from + record.emit_len(), 0);
+            record.emit(&mut log[from..]).unwrap();
+        }
+        log
+    }
+
+    fn times(clocks_us: &[u32], speed: f64, longest: Option<Span>) -> Vec<i64> {
+        let bytes = log(clocks_us);
+        let mut paced = Paced::new(Replay::new(bytes.as_slice(), "test".into()), speed, longest);
+        let (mut now, mut times) = (Instant::from_us(500), Vec::new());
+        loop {
+            match paced.receive(now).unwrap() {
+                Next::Record(stamps, _) => times.push(stamps.at.as_us()),
+                Next::Pending => {
+                    let at = paced.next_at().unwrap();
+                    assert!(at > now, "waiting for nothing");
+                    now = at;
+                }
+                Next::End(_) => return times,
+                Next::Lost(loss) => panic!("{loss:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn records_come_at_the_cards_pace() {
+        let clocks = [u32::MAX - 999, 1_000, 3_000, 2_500, 12_500];
+        assert_eq!(times(&clocks, 1.0, None), [500, 2_500, 4_500, 4_500, 14_500]);
+        assert_eq!(times(&clocks, 2.0, None), [500, 1_500, 2_500, 2_500, 7_500]);
+        assert_eq!(times(&clocks, 1.0, Some(Span::from_ms(3))), [500, 2_500, 4_500, 4_500, 7_500]);
+        assert_eq!(times(&clocks, f64::INFINITY, None), [500; 5]);
+    }
+
+    #[test]
+    fn a_log_may_begin_later() {
+        let bytes = log(&[7, 1_007]);
+        let begin = Instant::from_us(9_000);
+        let mut paced = Paced::new(Replay::new(bytes.as_slice(), "test".into()), 1.0, None).beginning(begin);
+        assert!(matches!(paced.receive(Instant::ZERO), Ok(Next::Pending)));
+        assert_eq!(paced.next_at(), Some(begin));
+        assert!(matches!(paced.receive(begin), Ok(Next::Record(..))));
+        assert!(matches!(paced.receive(begin), Ok(Next::Pending)));
+        assert_eq!(paced.next_at(), Some(Instant::from_us(10_000)));
     }
 }

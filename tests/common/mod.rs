@@ -1,8 +1,11 @@
-//! What several tests share.
+//! What several tests share: what was skipped, where captures are, and a synthetic link, made with the product's own encoder: a robot on a
+//! circle, a far transmitter, both logs as bytes.
 #![allow(dead_code)]
 
-pub mod link;
-
+use driver_iface::Mac;
+use driver_iface::bfee::{Iq, Repr, Wsr};
+use driver_iface::record::{Record, code};
+use std::f64::consts::TAU;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -82,4 +85,76 @@ pub fn captures() -> Option<PathBuf> {
     }
     skipped(&format!("no captures at {} (CSI5300_CAPTURES names another folder)", folder.display()));
     None
+}
+
+/// Wavelength at channel 108, metres.
+const WAVELENGTH_M: f64 = 299_792_458.0 / 5.54e9;
+/// Seconds since the Unix epoch at which it begins.
+pub const START_S: f64 = 1_700_000_000.0;
+/// How far the transmitter's host clock is ahead of the receiver's, seconds.
+pub const PARTNER_AHEAD_S: f64 = 60.0;
+/// The robots' MACs.
+pub const RECEIVER: Mac = Mac([0, 0x21, 0x6a, 1, 2, 3]);
+pub const TRANSMITTER: Mac = Mac([0, 0x21, 0x6a, 4, 5, 6]);
+
+/// A link at 100 Hz for `n` exchanges.
+pub struct Link {
+    /// Records of the receiver's log.
+    pub rx: Vec<Vec<u8>>,
+    /// Records of the transmitter's log.
+    pub tx: Vec<Vec<u8>>,
+    /// Trajectory of the receiver, 5 columns.
+    pub trajectory: String,
+}
+
+/// A link whose transmitter is far away at `azimuth_rad`; the robot stands for half a second, then drives a circle of
+/// 30 cm radius. The host clocks are a minute apart, the turn-around jitters.
+pub fn link(n: u32, azimuth_rad: f64) -> Link {
+    louder_link(n, azimuth_rad, 1)
+}
+
+/// The same with every component of the CSI times `gain`, exactly; at most 3 fits eight bits.
+pub fn louder_link(n: u32, azimuth_rad: f64, gain: i8) -> Link {
+    let place = |t_s: f64| {
+        let turn = ((t_s - 0.5).max(0.0) / (f64::from(n) * 0.01 - 0.5) * TAU).sin_cos();
+        (0.3 * turn.1 - 0.3, 0.3 * turn.0)
+    };
+    let mut made = Link { rx: Vec::new(), tx: Vec::new(), trajectory: String::new() };
+    for k in 0..n {
+        let t_s = f64::from(k) * 0.01;
+        let (x, y) = place(t_s);
+        let path_rad = TAU / WAVELENGTH_M * (x * azimuth_rad.cos() + y * azimuth_rad.sin());
+        let jitter_us = k.wrapping_mul(2_654_435_761) >> 28;
+        let cfo_rad = 0.7 * f64::from(k) + TAU * 5_000.0 * f64::from(jitter_us) * 1e-6;
+        let clock_us = 10_000 * k;
+        let forward_rad = path_rad + cfo_rad;
+        let backward_rad = path_rad - 0.7 * f64::from(k);
+        made.tx.push(record(k, clock_us + 5_000, RECEIVER, START_S + PARTNER_AHEAD_S + t_s, (forward_rad, gain)));
+        made.rx.push(record(k, clock_us + 240 + jitter_us, TRANSMITTER, START_S + t_s, (backward_rad, gain)));
+    }
+    for row in 0..=(2 * n) {
+        let t_s = f64::from(row) * 0.005;
+        let (x, y) = place(t_s);
+        made.trajectory += &format!("{:.6},0,{x:.6},{y:.6},0.1,\n", START_S + t_s);
+    }
+    made
+}
+
+fn record(k: u32, timestamp_low: u32, mac: Mac, host_s: f64, (phase_rad, gain): (f64, i8)) -> Vec<u8> {
+    let tv_usec = ((host_s.fract() * 1e6).round() as u32).min(999_999);
+    let wsr = Wsr { tv_sec: host_s as u32, tv_usec, mac, frame_count: Some(k + 1) };
+    let repr =
+        Repr { timestamp_low, bfee_count: k as u16, rssi: [38, 0, 0], n_rx: 3, wsr: Some(wsr), ..Repr::default() };
+    let mut csi = vec![Iq::default(); repr.samples()];
+    for (subcarrier, chains) in csi.chunks_mut(3).enumerate() {
+        let phase = phase_rad - 0.4 * (2.0 * subcarrier as f64 - 29.0);
+        let part = |of: f64| gain * (40.0 * of).round() as i8;
+        chains[0] = Iq { i: part(phase.cos()), q: part(phase.sin()) };
+    }
+    let mut body = vec![0; repr.body_len()];
+    repr.emit(&csi, &mut body).unwrap();
+    let record = Record { code: code::BFEE, body: &body };
+    let mut bytes = vec![0; record.emit_len()];
+    record.emit(&mut bytes).unwrap();
+    bytes
 }

@@ -1,12 +1,13 @@
-//! The pipeline from outside: a golden answer, and what no answer may depend on.
+//! The pipeline from outside: a golden answer, what no answer may depend on, and what is refused, with why: logs and trajectories that
+//! do not belong together.
 
-use crate::common::link::{Link, PARTNER_AHEAD_S, link, louder_link};
-use crate::common::root;
+use crate::common::{Link, PARTNER_AHEAD_S, START_S, TRANSMITTER, link, louder_link, root};
+use csi5300::exchange::assign::Unmatched;
 use csi5300::exchange::pairing::LinkSide;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::{Answer, Bearing, CaptureReport, Effort, Options, Transmitter, bearings};
+use csi5300::pipeline::{Answer, Bearing, CaptureReport, Effort, JoinBy, LinkError, Options, Transmitter, bearings};
 use csi5300::source::replay::Replay;
 use nalgebra::{Rotation3, Vector3};
 use proptest::prelude::*;
@@ -209,4 +210,48 @@ proptest! {
         prop_assert!(off(own.plane_wave.azimuth_rad, turned.plane_wave.azimuth_rad) < 1e-5);
         prop_assert!(off(own.answer.azimuth_rad, turned.answer.azimuth_rad) < 1e-3, "{:?} {:?}", own.answer, turned.answer);
     }
+}
+
+fn only_bearing(rx: &[Vec<u8>], tx: &[Vec<u8>], path: &Trajectory, options: &Options) -> Result<Bearing, LinkError> {
+    run(rx, tx, path, options).links.remove(0).bearing
+}
+
+/// A pose for each of `frames` frames of a fixture's circle, `late_s` late.
+fn a_row_a_frame(frames: usize, late_s: f64) -> Trajectory {
+    let pose = |k: usize| {
+        let t_s = k as f64 * 0.01;
+        let (sin, cos) = (2.0 * t_s).sin_cos();
+        Pose { t_s: START_S + t_s + late_s, position_m: Vector3::new(0.3 * cos, 0.3 * sin, 0.0), heading_rad: None }
+    };
+    Trajectory::new((0..frames).map(pose).collect()).unwrap()
+}
+
+fn made() -> Link {
+    link(400, 2.0)
+}
+
+#[test]
+fn one_log_for_both_sides_is_refused() {
+    let (made, path) = (made(), a_row_a_frame(400, 0.0));
+    for log in [&made.rx, &made.tx] {
+        let refused = only_bearing(log, log, &path, &options()).unwrap_err();
+        assert!(matches!(refused, LinkError::Unmatched(Unmatched::SameSender { .. })), "{refused:?}");
+    }
+    // Named, so that nothing is matched: the frames themselves are the same.
+    let named = options().with_macs(Some(TRANSMITTER), vec![TRANSMITTER]);
+    assert!(only_bearing(&made.rx, &made.rx, &path, &named).is_err());
+    assert!(only_bearing(&made.rx, &made.tx, &path, &options()).is_ok());
+}
+
+#[test]
+fn a_row_for_each_frame_at_other_times_is_refused_and_joined_row_by_row() {
+    let made = made();
+    let late = a_row_a_frame(400, 0.5);
+    let refused = only_bearing(&made.rx, &made.tx, &late, &options()).unwrap_err();
+    assert_eq!(refused, LinkError::RowsNotTimes { rows: 400, outside: 50, pairs: 400 });
+    assert!(only_bearing(&made.rx, &made.tx, &late, &options().with_join(JoinBy::Row)).is_ok());
+    assert!(only_bearing(&made.rx, &made.tx, &late, &options().with_clock_offset_s(0.5)).is_ok());
+    // Fewer rows than frames: a trajectory that begins late is no row for each frame.
+    let short = Trajectory::new(late.poses()[..300].to_vec()).unwrap();
+    assert!(only_bearing(&made.rx, &made.tx, &short, &options()).is_ok());
 }

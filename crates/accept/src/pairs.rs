@@ -3,7 +3,7 @@
 use crate::collect::{Heard, HeardRecord, Plan};
 use crate::stats::line;
 use csi5300::exchange::pairing::LinkSide;
-use csi5300::exchange::pairing::by_clock::{ByClock, CardClock, Refusal};
+use csi5300::internal::{ByClock, CardClock, Refusal};
 use csi5300::signal::cfo::{TurnAround, at_centre, round_trip_at_centre};
 use csi5300::signal::channel::{Channel, SUBCARRIERS};
 use driver_iface::Mac;

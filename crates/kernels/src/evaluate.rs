@@ -5,10 +5,7 @@ use std::f64::consts::{PI, TAU};
 use fearless_simd::Level;
 use num_complex::Complex;
 
-use crate::cone::Cone;
-use crate::kernel::Kernel;
-use crate::nufft::{CARRY, Nufft, Targets, Work};
-use crate::setting::{Axis, Setting};
+use crate::nufft::{Axis, CARRY, Cone, Kernel, Nufft, Setting, Targets, Work};
 use crate::simd::Real;
 use crate::sums::{Columns, Sines, pairs};
 

@@ -5,24 +5,17 @@
 //! |---|---|
 //! | [`simd`] | tiers, the two precisions, sine and cosine of an angle in turns |
 //! | [`sums`] | direct sums over samples, and their derivatives |
-//! | [`kernel`] | the spreading window of the NUFFT, its transform and its polynomials |
-//! | [`setting`] | width and oversampling for a tolerance; one axis of a grid |
-//! | [`nufft`] | non-uniform to non-uniform transforms in a plane |
-//! | [`rings`], [`resample`] | profiles on rings of equal elevation from few evaluated directions |
-//! | [`cone`] | motion along a line: a one-dimensional transform |
+//! | [`nufft`] | non-uniform to non-uniform transforms in a plane and along a line, their spreading window and its settings |
+//! | [`rings`] | profiles on rings of equal elevation from few evaluated directions |
 //! | [`evaluate`] | all of these behind one type, chosen by the planner |
 //! | [`fft`] | plans of `rustfft` for the tier, lengths with fast FFTs |
 //!
 //! [`simd::Real`] is the entry to all code that is generic over the precision. Its methods are compiled here for `f32` and
 //! `f64` and for every tier; callers compile none of it.
 
-pub mod cone;
 pub mod evaluate;
 pub mod fft;
-pub mod kernel;
 pub mod nufft;
-pub mod resample;
 pub mod rings;
-pub mod setting;
 pub mod simd;
 pub mod sums;

@@ -1,7 +1,7 @@
 //! The spreading window of the NUFFT.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use csi5300_kernels::kernel::*;
+use csi5300_kernels::nufft::Kernel;
 use std::f64::consts::PI;
 
 #[test]

@@ -61,18 +61,20 @@ pub(super) fn request(scene: &Scene, sounding: &Sounding) -> Result<Request, Pla
         Dialect::Wsr => tdma::Dialect::Wsr { first_len: wsr::DEFAULT_LEN as u16 },
         Dialect::Native => tdma::Dialect::Native { measurement: false, authenticated: false },
     };
-    let request = Request::new(scene.robot.len().saturating_sub(1) as u16, sounding.rate_hz)
-        .with_phy(phy)
-        .with_dialect(dialect)
-        .with_turn_around_us(longest(|radio| radio.turn_around.max_us).ceil() as u32)
-        .with_guard_us(Request::default().guard_us.max(longest(lateness_us).ceil() as u32));
+    let request = Request {
+        phy,
+        dialect,
+        turn_around_us: longest(|radio| radio.turn_around.max_us).ceil() as u32,
+        guard_us: Request::default().guard_us.max(longest(lateness_us).ceil() as u32),
+        ..Request::new(scene.robot.len().saturating_sub(1) as u16, sounding.rate_hz)
+    };
     if sounding.rate_hz != f64::INFINITY {
         return Plan::new(&request).map(|_| request);
     }
-    match Plan::new(&request.with_rate_hz(1e6)) {
-        Err(PlanError::Rate { highest_hz, .. }) => Ok(request.with_rate_hz(highest_hz)),
+    match Plan::new(&Request { rate_hz: 1e6, ..request }) {
+        Err(PlanError::Rate { highest_hz, .. }) => Ok(Request { rate_hz: highest_hz, ..request }),
         Err(other) => Err(other),
-        Ok(_) => Ok(request.with_rate_hz(1e6)),
+        Ok(_) => Ok(Request { rate_hz: 1e6, ..request }),
     }
 }
 
@@ -96,9 +98,11 @@ pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) 
     let peers = (0..scene.robot.len()).filter(|&peer| peer != robot);
     let begin = Instant::from_us((sounding.start_s * 1e6).round() as i64);
     let session = (scene.start_unix_s as u32).wrapping_add(restarts as u32);
-    let mut config = Config::new(world.mac(robot), index(robot), &[], request, session)
-        .with_initiate(initiators.contains(&robot))
-        .with_epoch(tdma::Epoch::Heard(begin));
+    let mut config = Config {
+        initiate: initiators.contains(&robot),
+        epoch: tdma::Epoch::Heard(begin),
+        ..Config::new(world.mac(robot), index(robot), &[], request, session)
+    };
     config.start = now.max(begin);
     config.peers = peers.map(|peer| tdma::Robot { mac: world.mac(peer), index: index(peer) }).collect();
     if initiators.len() == 1 {

@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::events::Events;
 use crate::link::Detail;
-use csi5300::motion::rolling::Mount;
+use csi5300::motion::pose::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::beside::{Beside, Table};

@@ -1,9 +1,9 @@
 //! The scheduler's state machine: its contract and timers, turns, what it hears, and its slots.
 
 use super::auth::{Key, Shown};
-use super::plan::{Dialect, Plan, PlanError};
 use super::roster::{ABSENT_AFTER, Outstanding, Priority, Roster, before_first_number};
 use super::{Cause, Config, Event, LinkCounts, TdmaCounts};
+use super::{Dialect, Plan, PlanError};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::native::{Measurement, Role};
@@ -1148,7 +1148,8 @@ mod tests {
     /// Robot `k` of `robots`, which all want the turn and share a clock; a silence is 8 slots, a turn 32.
     fn robot(k: u16, robots: u16) -> Tdma {
         let peers: Vec<Mac> = (0..robots).filter(|other| *other != k).map(mac).collect();
-        let mut config = Config::new(mac(k), k, &peers, Request::new(robots - 1, 100.0), 1).with_initiate(true);
+        let mut config =
+            Config { initiate: true, ..Config::new(mac(k), k, &peers, Request::new(robots - 1, 100.0), 1) };
         (config.silence_slots, config.epoch) = (8, Epoch::Common(Instant::ZERO));
         Tdma::new(&config).unwrap()
     }
@@ -1455,9 +1456,9 @@ mod tests {
     fn two(key: Option<Key>) -> [Tdma; 2] {
         [0, 1].map(|k| {
             let dialect = Dialect::Native { measurement: true, authenticated: key.is_some() };
-            let request = Request::new(1, 100.0).with_dialect(dialect);
+            let request = Request { dialect, ..Request::new(1, 100.0) };
             let config = Config::new(mac(k), k, &[mac(1 - k)], request, 1);
-            let config = config.with_key(key.clone()).with_initiate(k == 0).with_epoch(Epoch::Common(Instant::ZERO));
+            let config = Config { key: key.clone(), initiate: k == 0, epoch: Epoch::Common(Instant::ZERO), ..config };
             Tdma::new(&config).unwrap()
         })
     }
@@ -1550,7 +1551,7 @@ mod tests {
 
     #[test]
     fn a_robot_without_links_never_takes_the_turn() {
-        let mut config = Config::new(mac(0), 0, &[mac(1)], Request::new(1, 100.0), 1).with_initiate(true);
+        let mut config = Config { initiate: true, ..Config::new(mac(0), 0, &[mac(1)], Request::new(1, 100.0), 1) };
         assert!(Tdma::new(&config).unwrap().poll_timeout().is_some());
         config.links = Some(Vec::new());
         assert_eq!(Tdma::new(&config).unwrap().poll_timeout(), None);
@@ -1619,13 +1620,13 @@ mod tests {
     }
 
     fn request(authenticated: bool) -> Request {
-        Request::new(2, 100.0).with_dialect(Dialect::Native { measurement: true, authenticated })
+        Request { dialect: Dialect::Native { measurement: true, authenticated }, ..Request::new(2, 100.0) }
     }
 
     /// Robot 2 of three, which only listens and answers. It has slots of 5 ms from 0 on.
     fn listener(key: Option<Key>) -> Tdma {
-        let mut config = Config::new(mac(2), 2, &[mac(0), mac(1)], request(key.is_some()), 1).with_key(key);
-        config.epoch = Epoch::Common(Instant::ZERO);
+        let mut config = Config::new(mac(2), 2, &[mac(0), mac(1)], request(key.is_some()), 1);
+        (config.key, config.epoch) = (key, Epoch::Common(Instant::ZERO));
         Tdma::new(&config).unwrap()
     }
 
@@ -1852,7 +1853,7 @@ mod tests {
         let mut silent = listener(None);
         silent.respond = false;
         assert_eq!(latest_answer(&mut silent, 0), None);
-        let mut config = Config::new(mac(2), 2, &[mac(0), mac(1)], request(false), 1).with_initiate(true);
+        let mut config = Config { initiate: true, ..Config::new(mac(2), 2, &[mac(0), mac(1)], request(false), 1) };
         config.epoch = Epoch::Common(Instant::ZERO);
         let mut holder = Tdma::new(&config).unwrap();
         while !holder.has_turn() {

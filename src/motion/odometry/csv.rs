@@ -17,8 +17,7 @@
 //! [`Columns`] that choose one. Columns are parted by semicolons, tabs, commas or spaces; all but commas leave decimal commas to
 //! the numbers. Rows that cannot be read are counted with their line and skipped.
 
-use crate::motion::heading::heading_of;
-use crate::motion::pose::{Pose, Trajectory, TrajectoryError, TrajectoryKind};
+use crate::motion::pose::{Pose, Trajectory, TrajectoryError, TrajectoryKind, heading_of};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};

@@ -8,7 +8,7 @@
 //! antennas.
 
 pub use crate::exchange::admission::AdmissionCounts;
-pub use crate::place::track::TrackCounts;
+pub use crate::place::TrackCounts;
 #[doc(hidden)]
 pub use track::Track;
 

@@ -9,7 +9,7 @@ use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::{
     Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, OneLog, Options, estimate_one,
 };
-use crate::place::track::{PeerTrack, TrackCounts, TrackSettings};
+use crate::place::{PeerTrack, TrackCounts, TrackSettings};
 use crate::source::Next;
 use crate::time::{Instant, Span};
 use driver_iface::Mac;

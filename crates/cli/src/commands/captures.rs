@@ -3,7 +3,7 @@
 use super::args::Estimation;
 use super::mounting::Mounting;
 use super::usage;
-use csi5300::motion::rolling::Mount;
+use csi5300::motion::pose::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find_all};

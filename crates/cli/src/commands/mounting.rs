@@ -1,8 +1,8 @@
 //! Places of antenna and camera on the receiver's robot.
 
 use super::args::triple;
+use csi5300::motion::pose::Mount;
 use csi5300::motion::pose::Trajectory;
-use csi5300::motion::rolling::Mount;
 use nalgebra::Vector3;
 
 // Places of antenna and camera on the robot.
@@ -44,5 +44,5 @@ impl Mounting {
 fn mount(text: &str) -> Result<Mount, String> {
     let place =
         triple(text).map_err(|_| "three finite numbers separated by commas: metres, metres, degrees".to_owned())?;
-    Ok(Mount::new(Vector3::new(place.x, place.y, 0.0), place.z.to_radians()))
+    Ok(Mount { offset_m: Vector3::new(place.x, place.y, 0.0), yaw_rad: place.z.to_radians() })
 }

@@ -2,7 +2,7 @@
 
 use super::live::{Signals, duration, speed};
 use super::{Outcome, Result};
-use csi5300::source::paced::Paced;
+use csi5300::source::replay::Paced;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;

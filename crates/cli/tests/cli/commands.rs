@@ -1,6 +1,6 @@
 //! The command as its users meet it: answers, exit statuses, and what it says of bad input.
 
-use crate::common::link::{Link, TRANSMITTER, link};
+use crate::common::{Link, TRANSMITTER, link};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 

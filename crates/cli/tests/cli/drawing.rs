@@ -1,7 +1,7 @@
 //! Pictures of every command that draws: PNG and SVG, replaced by the next run; and the page as one file.
 
 use super::commands::{Folder, capture};
-use crate::common::link::link;
+use crate::common::link;
 
 /// Names in a folder, sorted.
 fn names(folder: &Folder, within: &str) -> Vec<String> {

@@ -1,7 +1,7 @@
 //! Outputs on a disk without room for them: what was there stays, nothing that is cut has a name, and one line says so.
 
 use super::commands::Folder;
-use crate::common::link::link;
+use crate::common::link;
 use crate::private::inside;
 use std::process::Command;
 

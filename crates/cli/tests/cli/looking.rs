@@ -1,7 +1,7 @@
 //! What people look at first: the demonstration, `info`, `export`, pictures; and how commands end.
 
 use super::commands::{Folder, json};
-use crate::common::link::link;
+use crate::common::link;
 use driver_iface::bfee::{Bfee, Iq, Repr};
 use driver_iface::record::{Record, code};
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! An output is never an input: every command, with every output option set to every input, by name and by links.
 
 use super::commands::Folder;
-use crate::common::link::link;
+use crate::common::link;
 use std::path::{Path, PathBuf};
 
 /// A run: its inputs, and its arguments, in which OUT is the output.

@@ -1,7 +1,7 @@
 //! Damaged logs and outputs: what is recovered was written, what already exists stays until something better is whole.
 
 use crate::commands::{Folder, json};
-use crate::common::link::link;
+use crate::common::link;
 use csi5300::source::recorder::{Chunk, LogFiles, Rotation, Sink};
 use csi5300::source::{CsiSource, Next, replay::Replay, side_path};
 use csi5300::time::Instant;

@@ -40,10 +40,9 @@ fn card_of(address: &Address, wall_us: fn() -> Option<i64>) -> (Netlink, Mac) {
 fn machine(room: &Room, own: usize, initiate: bool) -> Tdma {
     let peers: Vec<Mac> = (0..room.scene().robot.len()).filter(|&k| k != own).map(|k| room.mac(k).unwrap()).collect();
     let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
-    let request = Request::new(1, 100.0).with_phy(phy);
+    let request = Request { phy, ..Request::new(1, 100.0) };
     let epoch = Epoch::Heard(Instant::ZERO);
-    let mut config =
-        Config::new(room.mac(own).unwrap(), 0, &peers, request, 1).with_initiate(initiate).with_epoch(epoch);
+    let mut config = Config { initiate, epoch, ..Config::new(room.mac(own).unwrap(), 0, &peers, request, 1) };
     config.silence_slots = 2;
     Tdma::new(&config).unwrap()
 }

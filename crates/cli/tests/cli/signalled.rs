@@ -26,7 +26,7 @@ fn send(child: &Child, signal: Signal) {
 fn a_signal_ends_the_page_as_it_ends_a_recording() {
     use std::io::{BufRead, BufReader};
     let folder = Folder::new("view-signals");
-    folder.write("rx.dat", &crate::common::link::link(100, 1.0).rx.concat());
+    folder.write("rx.dat", &crate::common::link(100, 1.0).rx.concat());
     for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP] {
         let Some(mut command) = usual() else { return };
         command.arg("view").arg(folder.0.join("rx.dat")).stdout(Stdio::piped());

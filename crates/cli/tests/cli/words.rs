@@ -1,7 +1,7 @@
 //! What every command has: how much it says, in which colours, how it ends, and what it says of the wrong file.
 
 use super::commands::{Folder, json};
-use crate::common::link::link;
+use crate::common::link;
 
 #[test]
 fn quiet_says_results_and_errors_and_verbose_what_was_read() {

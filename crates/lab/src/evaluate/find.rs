@@ -2,7 +2,7 @@
 
 use super::roles::{self, Sorted};
 use csi5300::internal::heading;
-use csi5300::motion::rolling::Mount;
+use csi5300::motion::pose::Mount;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 

@@ -83,7 +83,7 @@ impl Setup {
     /// The machine's configuration: a robot that answers, and does not initiate.
     #[must_use]
     pub fn config(&self, own: Mac, session: u32) -> Config {
-        Config::new(own, self.own_index, &self.peers, self.request, session).with_key(self.key.clone())
+        Config { key: self.key.clone(), ..Config::new(own, self.own_index, &self.peers, self.request, session) }
     }
 }
 

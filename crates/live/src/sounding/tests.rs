@@ -61,7 +61,7 @@ impl FrameReceiver for &mut Script {
 
 fn initiator() -> Tdma {
     // In an open loop it sounds in every round, answered or not.
-    let mut config = config(A, B).with_initiate(true).with_epoch(Epoch::Common(Instant::ZERO));
+    let mut config = Config { initiate: true, epoch: Epoch::Common(Instant::ZERO), ..config(A, B) };
     config.open_loop = true;
     Tdma::new(&config).unwrap()
 }

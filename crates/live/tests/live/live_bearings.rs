@@ -1,6 +1,6 @@
 //! Live bearings: products from the card's records and the measurements in the answers, as good as from both logs.
 
-use crate::common::link::{RECEIVER, TRANSMITTER, link};
+use crate::common::{RECEIVER, TRANSMITTER, link};
 use csi5300::motion::odometry::csv;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};

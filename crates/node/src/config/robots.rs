@@ -2,8 +2,8 @@
 
 use super::values::{exactly, hundred, maybe_parsed, positive};
 use super::{ros, ros2};
-use csi5300::motion::odometry::drive::Geometry;
-use csi5300::motion::rolling::Mount;
+use csi5300::motion::odometry::opencr::Geometry;
+use csi5300::motion::pose::Mount;
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::path::PathBuf;
@@ -139,10 +139,10 @@ pub struct CameraMount {
 }
 
 impl CameraMount {
-    /// The same for [`csi5300::motion::rolling`].
+    /// The same for [`csi5300::motion::pose`].
     #[must_use]
     pub fn mount(&self) -> Mount {
-        Mount::new(Vector3::new(self.forward_m, self.left_m, 0.0), self.yaw_deg.to_radians())
+        Mount { offset_m: Vector3::new(self.forward_m, self.left_m, 0.0), yaw_rad: self.yaw_deg.to_radians() }
     }
 }
 

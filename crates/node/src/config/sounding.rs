@@ -51,11 +51,13 @@ impl Sounding {
     #[must_use]
     pub fn request(&self, peers: usize, bandwidth: Bandwidth) -> Request {
         let links = self.links.unwrap_or(u16::try_from(peers).unwrap_or(u16::MAX));
-        Request::new(links, self.rate_hz)
-            .with_phy(Phy { mcs: self.mcs, bandwidth })
-            .with_dialect(Dialect::Native { measurement: self.measurement, authenticated: self.key.is_some() })
-            .with_guard_us(self.guard_us)
-            .with_turn_around_us(self.turn_around_us)
+        Request {
+            phy: Phy { mcs: self.mcs, bandwidth },
+            dialect: Dialect::Native { measurement: self.measurement, authenticated: self.key.is_some() },
+            guard_us: self.guard_us,
+            turn_around_us: self.turn_around_us,
+            ..Request::new(links, self.rate_hz)
+        }
     }
 }
 

@@ -2,8 +2,8 @@
 
 use super::Poses;
 use crate::config::{Csv, Place};
+use csi5300::motion::odometry::Replayed;
 use csi5300::motion::odometry::csv;
-use csi5300::motion::odometry::replay::Replayed;
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::Track;
 use csi5300::source::Error;

@@ -4,7 +4,7 @@ use super::{Card, Opened};
 use crate::NodeError;
 use crate::config::Replay as Asked;
 use crate::together::{self, Begin};
-use csi5300::source::paced::Paced;
+use csi5300::source::replay::Paced;
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Error, Next};

@@ -2,7 +2,7 @@
 
 use csi5300::internal::Roller;
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
-use csi5300::motion::rolling::Mount;
+use csi5300::motion::pose::Mount;
 use csi5300::time::Instant;
 
 /// The middle between the wheels of a robot, by the camera that it carries.
@@ -77,7 +77,7 @@ mod tests {
             pose(3, 5.0, 7.0),
         ];
         // A camera that looks 0.02 to the left of a robot that drives along x.
-        let mount = Mount::new(Vector3::new(0.1, 0.2, 0.0), 0.02);
+        let mount = Mount { offset_m: Vector3::new(0.1, 0.2, 0.0), yaw_rad: 0.02 };
         let mut rolling = Rolling::new(Listed(listed.into()), mount);
         let mut at = || rolling.receive(Instant::ZERO).unwrap();
         let place = |next: NextPose| match next {

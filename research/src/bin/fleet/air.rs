@@ -58,7 +58,7 @@ impl Shared {
         let request = Request::new(self.size - 1, 1e-3);
         let slot_us = Plan::new(&request)?.shortest_slot_us();
         let round_us = slot_us * u32::from(self.size - 1) * u32::from(self.groups);
-        let request = request.with_rate_hz(1e6 / f64::from(round_us));
+        let request = Request { rate_hz: 1e6 / f64::from(round_us), ..request };
         Plan::new(&request).map(|plan| (request, plan))
     }
 
@@ -103,7 +103,7 @@ impl Shared {
             let at = Instant::from_us((1e5 * random.uniform()) as i64);
             for own in group {
                 let peers: Vec<Mac> = group.iter().copied().filter(|mac| mac != own).collect();
-                let mut config = Config::new(*own, 0, &peers, request, 1).with_initiate(true);
+                let mut config = Config { initiate: true, ..Config::new(*own, 0, &peers, request, 1) };
                 (config.epoch, config.start) = (Epoch::Heard(at), at);
                 let (tdma, air) = (Tdma::new(&config)?, room.interface(hosts.len()).ok_or("an interface is taken")?);
                 let (ahead, answered) = (DRIFT * (2.0 * random.uniform() - 1.0), vec![Vec::new(); group.len()]);

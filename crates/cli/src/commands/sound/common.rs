@@ -116,11 +116,13 @@ impl Sounding {
         };
         let own = self.own_index().map_or(0, |index| index.saturating_add(1));
         let peers = u16::try_from(self.peers.len()).unwrap_or(u16::MAX);
-        Request::new(self.links.unwrap_or(peers.max(own)), self.rate)
-            .with_phy(Phy { mcs: self.mcs, bandwidth })
-            .with_dialect(dialect)
-            .with_guard_us(self.guard)
-            .with_turn_around_us(self.turn_around)
+        Request {
+            phy: Phy { mcs: self.mcs, bandwidth },
+            dialect,
+            guard_us: self.guard,
+            turn_around_us: self.turn_around,
+            ..Request::new(self.links.unwrap_or(peers.max(own)), self.rate)
+        }
     }
 
     /// What carries the frames, in words.

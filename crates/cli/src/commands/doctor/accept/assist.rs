@@ -193,7 +193,7 @@ fn answerer(desk: &Desk, first: Mac) -> Words<(Running, Mac)> {
         mac: None,
         peers: vec![first],
         // It answers each frame when it comes, and sends none of its own: the plan only has to fit.
-        request: Request::new(1, 100.0).with_phy(PHY).with_dialect(dialect).with_turn_around_us(6_000),
+        request: Request { phy: PHY, dialect, turn_around_us: 6_000, ..Request::new(1, 100.0) },
         own_index: 0,
         key: None,
     };

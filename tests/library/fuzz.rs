@@ -1,10 +1,61 @@
-//! The body of the fuzz target for frames from the air, on lists of steps from a seeded generator.
+//! The fuzz targets of the library and the simulator on their corpus, and two of them on input from a seeded generator.
 
+#[path = "../common/corpus.rs"]
+mod corpus;
+#[path = "../../fuzz/targets/log.rs"]
+mod log;
+#[path = "../../fuzz/targets/remote.rs"]
+mod remote;
+#[path = "../../fuzz/targets/scene.rs"]
+mod scene;
 #[path = "../../fuzz/targets/sounding.rs"]
-pub mod sounding;
+mod sounding;
+#[path = "../../fuzz/targets/trajectory_csv.rs"]
+mod trajectory_csv;
 
 use csi5300_sim::random::Stream;
 use driver_iface::sounding::native::{self, Role};
+
+#[test]
+fn corpora() {
+    corpus::replay("log", log::run);
+    corpus::replay("remote", remote::run);
+    corpus::replay("scene", scene::run);
+    corpus::replay("sounding", sounding::run);
+    corpus::replay("trajectory_csv", trajectory_csv::run);
+}
+
+#[test]
+fn trajectories() {
+    const WORDS: [&[u8]; 14] = [
+        b"0", b"1.5", b"-3e2", b"nan", b"inf", b"1e308", b"1e-320", b",", b",,", b"\"", b"\n", b"\r\n", b"x", b"\xff\0",
+    ];
+    let mut random = Stream::of_seed(0x5300_0004);
+    let mut below = |end: usize| random.below(end as u64) as usize;
+    for case in 0..100_000_u32 {
+        let columns = [5, 6, 9, 15][below(4)];
+        let mut text = Vec::new();
+        for row in 0..below(6) {
+            for column in 0..columns {
+                let value = if column == 0 { row as f64 } else { below(1_000) as f64 * 1e-3 };
+                text.extend(format!("{value},").into_bytes());
+            }
+            text.push(b'\n');
+        }
+        for _ in 0..below(4) {
+            let at = below(text.len() + 1);
+            match below(3) {
+                0 => text.truncate(at),
+                1 if at < text.len() => drop(text.remove(at)),
+                _ => drop(text.splice(at..at, WORDS[below(WORDS.len())].iter().copied())),
+            }
+        }
+        if case % 5 == 0 {
+            text = (0..below(40)).flat_map(|_| WORDS[below(WORDS.len())].to_vec()).collect();
+        }
+        trajectory_csv::run(&text);
+    }
+}
 
 /// A native frame that could be right, of and for anybody.
 fn crafted(random: &mut Stream) -> Vec<u8> {

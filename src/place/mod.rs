@@ -1,3 +1,0 @@
-//! Places of transmitters from several bearings, carried from one motion to the next.
-
-pub(crate) mod track;
