@@ -22,7 +22,7 @@ mkdir "$place/out"
 tar -xzmf "$place/out.tar.gz" -C "$place/out"
 for links in "$place"/out/*/links; do
     cd "${links%/*}"
-    CSI5300_TEST_GUEST_LINKS=$(cat links) "$tree/tests/live" --exact kernel_sounding::every_answered_frame_is_a_pair_of_the_logs --nocapture >checked ||
+    CSI5300_TEST_GUEST_LINKS=$(cat links) "$tree/tests/live" --exact kernel::every_answered_frame_is_a_pair_of_the_logs --nocapture >checked ||
         { cat checked; echo "the copied logs of ${PWD##*/} are not those of the guest"; exit 1; }
     grep -q "1 passed" checked
     printf 'copied out, %s: %s\n' "${PWD##*/}" "$(grep -c pairs checked) links with pairs, $("$tree/bin/csi5300" info --json ./*.dat | wc -l) logs read"

@@ -24,15 +24,12 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::indexing_slicing))]
 
 mod claims;
-mod collect;
-mod page;
-mod pairs;
+mod evidence;
 mod report;
 pub mod stats;
 
 pub use claims::{CLAIMS, Claim, Needs};
-pub use collect::{
+pub use evidence::{
     After, Collector, Done, Evidence, Heard, HeardRecord, Interface, Plan, Sending, Sent, Side, Truth, collect, run,
-    run_sending,
 };
 pub use report::{Curve, Figure, Finding, LogFacts, Of, Report, Verdict};

@@ -3,12 +3,12 @@
 //! FeitCSI owns the socket. A datagram with a command line starts a measurement, and FeitCSI sends each record to the
 //! sender of that datagram. `stop` ends the measurement and removes FeitCSI's monitor interface (`UdpSocket.cpp` of FeitCSI 2).
 
+use crate::netlink::widen;
 use crate::wait::Monotonic;
 use csi5300::source::other_card::{Pieces, Translator};
 use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use driver_iface::record::{LENGTH_FIELD, Record, Tail, code, written};
-use nix::sys::socket::{setsockopt, sockopt};
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
@@ -108,8 +108,7 @@ impl Measurement {
         socket.connect(command.to)?;
         socket.set_nonblocking(true)?;
         // CAP_NET_ADMIN allows sizes above the system's limit. A smaller buffer works too, for shorter delays.
-        let _ = setsockopt(&socket, sockopt::RcvBufForce, &RECEIVE_BUFFER)
-            .or_else(|_| setsockopt(&socket, sockopt::RcvBuf, &RECEIVE_BUFFER));
+        let _ = widen(&socket, RECEIVE_BUFFER);
         // A measurement that is still running would send each record twice.
         socket.send(STOP)?;
         socket.send(command.line().as_bytes())?;

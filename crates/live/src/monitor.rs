@@ -13,20 +13,21 @@
 //!
 //! A frame that the kernel refuses is an [`Error::NotSent`] and counted by cause; the next one may succeed.
 
-mod error;
-mod filter;
-mod socket;
-
-pub use error::MonitorError;
-
+use crate::sys::{self, ARPHRD_IEEE80211_RADIOTAP, Instruction, operation::*, step};
 use csi5300::internal::{FrameReceiver, HeardFrame};
 use csi5300::source::{Error, Injector, NotSent};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::radiotap::{self, Bandwidth, Packet, Repr};
-use socket::Opened;
-use std::io::ErrorKind;
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use driver_iface::sounding::MAGIC_MAC;
+use nix::errno::Errno;
+use nix::sys::socket::{
+    AddressFamily, ControlMessageOwned, LinkAddr, MsgFlags, SockFlag, SockType, SockaddrLike, getsockopt, recvmsg,
+    setsockopt, socket, sockopt,
+};
+use nix::sys::time::TimeSpec;
+use std::io::{self, ErrorKind, IoSliceMut};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 
 /// Bytes read of a received buffer: a sounding frame and its radiotap header are far shorter.
 const RECEIVE_LEN: usize = 1_024;
@@ -140,6 +141,7 @@ pub struct Monitor {
     /// Radiotap header, written once, and room for the longest frame.
     out: Box<[u8]>,
     input: Box<[u8]>,
+    /// Room for the kernel's stamp of a frame.
     control: Vec<u8>,
     wall_us: fn() -> Option<i64>,
     counters: AirCounts,
@@ -152,7 +154,7 @@ impl Monitor {
     /// No such interface, CAP_NET_RAW missing, another link type than radiotap, the interface down, or an MTU too small
     /// for `longest`: each with what to do about it.
     pub fn open(options: &Options) -> Result<Self, Error> {
-        Self::with(options, |longest| socket::open(&options.interface, longest))
+        Self::with(options, |longest| open(&options.interface, longest))
     }
 
     /// A message socket (SOCK_SEQPACKET) that acts as a monitor interface: one radiotap header and frame a message,
@@ -179,7 +181,7 @@ impl Monitor {
             header_len,
             out,
             input: vec![0; RECEIVE_LEN].into_boxed_slice(),
-            control: socket::control_buffer(),
+            control: nix::cmsg_space!(TimeSpec),
             wall_us: options.wall_us,
             counters: AirCounts::default(),
         })
@@ -194,14 +196,14 @@ impl Monitor {
     /// Everything counted so far.
     #[must_use]
     pub fn counters(&mut self) -> AirCounts {
-        self.counters.dropped += socket::drops(&self.socket);
+        self.counters.dropped += sys::packet_drops(self.socket.as_fd()).map_or(0, u64::from);
         self.counters
     }
 
     /// Counts the result of a send of `len` bytes.
     fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize) -> Result<(), Error> {
         let why = self.counters.note_sent(sent, len, self.mtu);
-        let why = why.map_err(|error| socket::failed("sending on", &self.interface, error))?;
+        let why = why.map_err(|error| failed("sending on", &self.interface, error))?;
         why.map_or(Ok(()), |why| Err(Error::NotSent(why)))
     }
 
@@ -253,7 +255,7 @@ impl Injector for Monitor {
             return Err(Error::NotSent(NotSent::TooLong { len, mtu: self.out.len() }));
         };
         place.copy_from_slice(frame);
-        let sent = socket::send(&self.socket, self.out.get(..len).unwrap_or_default());
+        let sent = send(&self.socket, self.out.get(..len).unwrap_or_default());
         self.note_sent(sent, len)
     }
 }
@@ -261,13 +263,13 @@ impl Injector for Monitor {
 impl FrameReceiver for Monitor {
     fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error> {
         loop {
-            let received = match socket::receive(&self.socket, &mut self.input, &mut self.control) {
+            let received = match receive(&self.socket, &mut self.input, &mut self.control) {
                 Ok(received) => received,
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(None),
                 // Reported once when the interface goes down; later frames are only counted.
                 Err(error) if error.raw_os_error() == Some(libc::ENETDOWN) => continue,
                 Err(error) if error.kind() == ErrorKind::Interrupted => continue,
-                Err(error) => return Err(socket::failed("receiving from", &self.interface, error)),
+                Err(error) => return Err(failed("receiving from", &self.interface, error)),
             };
             if received.len == 0 {
                 let what = format!("receiving from {}: the room has ended", self.interface);
@@ -295,10 +297,182 @@ impl FrameReceiver for Monitor {
     }
 }
 
+/// Why frames cannot be sent and heard on an interface; inside [`csi5300::source::Error::Backend`].
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MonitorError {
+    /// The interface is down.
+    #[error("{interface} is down: `sudo ip link set {interface} up`")]
+    Down {
+        /// Its name.
+        interface: String,
+    },
+    /// The frames to be sent are longer than the interface takes.
+    #[error(
+        "{interface} takes {mtu} bytes at most, frames here have up to {longest} with their radiotap header: \
+         `sudo ip link set {interface} mtu 2304`"
+    )]
+    Mtu {
+        /// Its name.
+        interface: String,
+        /// Bytes that it takes, radiotap header included.
+        mtu: usize,
+        /// Bytes of the longest frame with its radiotap header.
+        longest: usize,
+    },
+    /// The interface is no monitor.
+    #[error(
+        "{interface} has link type {link_type}, not that of a monitor interface ({ARPHRD_IEEE80211_RADIOTAP}, \
+         radiotap): `sudo ip link set {interface} down && sudo iw dev {interface} set type monitor && \
+         sudo ip link set {interface} up`"
+    )]
+    LinkType {
+        /// Its name.
+        interface: String,
+        /// ARPHRD_* of the kernel (`linux/if_arp.h`).
+        link_type: u16,
+    },
+    /// The radiotap header cannot express the request.
+    #[error(transparent)]
+    Header(#[from] radiotap::Error),
+}
+
+impl From<MonitorError> for csi5300::source::Error {
+    fn from(error: MonitorError) -> Self {
+        Self::Backend(Box::new(error))
+    }
+}
+
+/// PACKET_OUTGOING (`linux/if_packet.h`): a copy of what this host sends.
+const OUTGOING: u8 = 4;
+
+/// An interface, opened.
+#[derive(Debug)]
+struct Opened {
+    socket: OwnedFd,
+    mac: Option<Mac>,
+    mtu: usize,
+}
+
+/// A fatal error, with the operation.
+fn failed(doing: &str, interface: &str, source: io::Error) -> Error {
+    let gone = matches!(source.raw_os_error(), Some(libc::ENXIO | libc::ENODEV));
+    let hint = if gone { ": the interface is gone; was its driver reloaded?" } else { "" };
+    Error::Io { what: format!("{doing} {interface}{hint}"), source }
+}
+
+/// Opens the interface; `longest` is the longest buffer that will be sent, radiotap header included.
+fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
+    // Without a protocol nothing is received before the filter is set; binding then names all protocols.
+    let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
+    let socket = socket(AddressFamily::Packet, SockType::Raw, flags, None).map_err(|errno| match errno {
+        Errno::EPERM | Errno::EACCES => Error::Io {
+            what: format!(
+                "not allowed to inject frames: give the program the capabilities once, \
+                 `sudo setcap cap_net_raw,cap_net_admin,cap_sys_nice,cap_ipc_lock+ep $(command -v {})`, or run it as root",
+                crate::sys::program()
+            ),
+            source: errno.into(),
+        },
+        Errno::EAFNOSUPPORT => Error::Io {
+            what: "packet sockets are not allowed to this service (RestrictAddressFamilies): install \
+                   csi5300-node-sounding.conf beside its unit"
+                .into(),
+            source: errno.into(),
+        },
+        _ => Error::Io { what: "cannot open a packet socket".into(), source: errno.into() },
+    })?;
+    let index = nix::net::if_::if_nametoindex(interface).map_err(|errno| Error::Io {
+        what: format!("there is no interface {interface} here (`ip link` lists them; `csi5300 setup` makes a monitor)"),
+        source: errno.into(),
+    })?;
+    let io = |what: &str| {
+        let what = format!("{what} {interface}");
+        move |source: io::Error| Error::Io { what, source }
+    };
+    sys::attach_filter(socket.as_fd(), &sounding_filter()).map_err(io("cannot filter the socket of"))?;
+    // Stamps give the time of reception, however late a frame is fetched.
+    setsockopt(&socket, sockopt::ReceiveTimestampns, &true)
+        .map_err(|errno| io("cannot stamp frames of")(errno.into()))?;
+    sys::bind_packet(socket.as_fd(), index).map_err(io("cannot bind to"))?;
+    let (link_type, mac) = sys::packet_link(socket.as_fd()).map_err(io("cannot ask for the link of"))?;
+    if link_type != ARPHRD_IEEE80211_RADIOTAP {
+        return Err(MonitorError::LinkType { interface: interface.into(), link_type }.into());
+    }
+    // Binding to an interface that is down leaves its error on the socket.
+    if getsockopt(&socket, sockopt::SocketError) == Ok(libc::ENETDOWN) {
+        return Err(MonitorError::Down { interface: interface.into() }.into());
+    }
+    let mtu = sys::mtu(socket.as_fd(), interface).map_err(io("cannot ask for the MTU of"))?;
+    if mtu < longest {
+        return Err(MonitorError::Mtu { interface: interface.into(), mtu, longest }.into());
+    }
+    Ok(Opened { socket, mac, mtu })
+}
+
+/// Sends one buffer.
+fn send(socket: &OwnedFd, buffer: &[u8]) -> io::Result<usize> {
+    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
+    Ok(nix::sys::socket::send(socket.as_raw_fd(), buffer, flags)?)
+}
+
+/// What was received.
+#[derive(Clone, Copy, Debug)]
+struct Received {
+    /// True length, which may exceed the buffer.
+    len: usize,
+    is_outgoing: bool,
+    /// Microseconds since the Unix epoch.
+    stamp_us: Option<i64>,
+}
+
+/// Receives one buffer.
+fn receive(socket: &OwnedFd, buffer: &mut [u8], control: &mut [u8]) -> io::Result<Received> {
+    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC;
+    let mut parts = [IoSliceMut::new(buffer)];
+    let message = recvmsg::<LinkAddr>(socket.as_raw_fd(), &mut parts, Some(control), flags)?;
+    let stamp = message.cmsgs().ok().and_then(|mut said| {
+        said.find_map(|said| if let ControlMessageOwned::ScmTimestampns(stamp) = said { Some(stamp) } else { None })
+    });
+    Ok(Received {
+        len: message.bytes,
+        is_outgoing: message.address.is_some_and(|from| from.len() > 0 && from.pkttype() == OUTGOING),
+        stamp_us: stamp.map(|stamp| stamp.tv_sec().saturating_mul(1_000_000) + stamp.tv_nsec() / 1_000),
+    })
+}
+
+/// A classic filter that passes data frames (frame control 08) with the magic MAC in addr1, which both dialects have,
+/// after a radiotap header of any length; it drops outgoing copies, but not tx-status frames.
+fn sounding_filter() -> Vec<Instruction> {
+    let [a, b, c, d, e, f] = MAGIC_MAC.0;
+    let (magic_high, magic_low) = (u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([0, 0, e, f]));
+    let steps = [
+        (LOAD_WORD, 0, 0, PACKET_TYPE),
+        (JUMP_IF_EQUAL, 13, 0, OUTGOING.into()),
+        // The radiotap header's length, little-endian at offset 2, becomes X.
+        (LOAD_BYTE, 0, 0, 3),
+        (SHIFT_LEFT, 0, 0, 8),
+        (TO_X, 0, 0, 0),
+        (LOAD_BYTE, 0, 0, 2),
+        (ADD_X, 0, 0, 0),
+        (TO_X, 0, 0, 0),
+        (LOAD_BYTE_AT_X, 0, 0, 0),
+        (JUMP_IF_EQUAL, 0, 5, 0x08),
+        (LOAD_WORD_AT_X, 0, 0, 4),
+        (JUMP_IF_EQUAL, 0, 3, magic_high),
+        (LOAD_HALF_AT_X, 0, 0, 8),
+        (JUMP_IF_EQUAL, 0, 1, magic_low),
+        (RETURN, 0, 0, u32::MAX),
+        (RETURN, 0, 0, 0),
+    ];
+    steps.map(|(code, if_true, if_false, k)| step(code, if_true, if_false, k)).to_vec()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io;
+    use crate::sys::passes;
+    use driver_iface::sounding::wsr::{self, Lfsr};
 
     #[test]
     fn every_result_of_sending_is_counted_by_its_cause() {
@@ -331,5 +505,35 @@ mod tests {
         assert_eq!(age(Some(5), Some(second + 5)), None);
         assert_eq!(age(Some(second), Some(3)), Some(Span::default()), "the clock was set back");
         assert_eq!((age(None, Some(9)), age(Some(9), None)), (Some(Span::default()), Some(Span::default())));
+    }
+
+    #[test]
+    fn sounding_frames_pass_behind_any_header_and_nothing_else_does() {
+        let program = sounding_filter();
+        let mut frame = [0; 60];
+        let repr = wsr::Repr { sender: driver_iface::Mac([2; 6]), number: 7, len_with_fcs: 57 };
+        let len = repr.emit(&mut frame, &mut Lfsr::default()).unwrap();
+        let frame = &frame[..len];
+        for header in [Repr::default(), Repr::injected(1, Bandwidth::Ht20), Repr::lorcon(5_540)] {
+            let mut buffer = vec![0; header.header_len()];
+            header.emit(&mut buffer).unwrap();
+            let start = buffer.len();
+            buffer.extend(frame);
+            assert!(passes(&program, &buffer, 3), "of others");
+            assert!(!passes(&program, &buffer, OUTGOING.into()), "own, on its way out");
+            for at in [0, 4, 5, 6, 7, 8, 9] {
+                let mut other = buffer.clone();
+                other[start + at] ^= 1;
+                assert!(!passes(&program, &other, 3), "byte {at}");
+            }
+            for cut in 0..start + 10 {
+                assert!(!passes(&program, &buffer[..cut], 3), "cut to {cut}");
+            }
+        }
+        // A header longer than 255 bytes.
+        let mut long = vec![0; 300];
+        (long[2], long[3]) = (44, 1);
+        long.extend(frame);
+        assert!(passes(&program, &long, 3));
     }
 }

@@ -19,6 +19,26 @@ pub struct Instruction {
     pub k: u32,
 }
 
+/// Operations of an [`Instruction`] (`BPF_*`).
+pub(crate) mod operation {
+    pub(crate) const LOAD_WORD: u16 = 0x20; // BPF_LD | BPF_W | BPF_ABS
+    pub(crate) const LOAD_BYTE: u16 = 0x30; // BPF_LD | BPF_B | BPF_ABS
+    pub(crate) const LOAD_WORD_AT_X: u16 = 0x40; // BPF_LD | BPF_W | BPF_IND
+    pub(crate) const LOAD_HALF_AT_X: u16 = 0x48; // BPF_LD | BPF_H | BPF_IND
+    pub(crate) const LOAD_BYTE_AT_X: u16 = 0x50; // BPF_LD | BPF_B | BPF_IND
+    pub(crate) const SHIFT_LEFT: u16 = 0x64; // BPF_ALU | BPF_LSH | BPF_K
+    pub(crate) const ADD_X: u16 = 0x0c; // BPF_ALU | BPF_ADD | BPF_X
+    pub(crate) const TO_X: u16 = 0x07; // BPF_MISC | BPF_TAX
+    pub(crate) const JUMP_IF_EQUAL: u16 = 0x15; // BPF_JMP | BPF_JEQ | BPF_K
+    pub(crate) const RETURN: u16 = 0x06; // BPF_RET | BPF_K
+    /// Operand that loads the packet's type from the kernel's ancillary data (SKF_AD_OFF + SKF_AD_PKTTYPE).
+    pub(crate) const PACKET_TYPE: u32 = (-0x1000_i32 + 4).cast_unsigned();
+}
+
+pub(crate) fn step(code: u16, if_true: u8, if_false: u8, k: u32) -> Instruction {
+    Instruction { code, if_true, if_false, k }
+}
+
 /// Attaches a classic filter to a socket (SO_ATTACH_FILTER); it replaces an earlier one.
 ///
 /// # Errors
@@ -42,7 +62,7 @@ pub fn attach_filter(socket: BorrowedFd<'_>, program: &[Instruction]) -> io::Res
             size,
         )
     };
-    if answer == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+    answered(answer)
 }
 
 /// ARPHRD_IEEE80211_RADIOTAP (`linux/if_arp.h`): the link type of a monitor interface.
@@ -232,8 +252,46 @@ pub(crate) fn program() -> String {
 }
 
 #[cfg(test)]
+pub(crate) use tests::passes;
+
+#[cfg(test)]
 mod tests {
-    use super::{advise_large_pages, keep_heap};
+    use super::operation::PACKET_TYPE;
+    use super::{Instruction, advise_large_pages, keep_heap};
+
+    /// Runs a filter as `linux/filter.h` defines it, as far as ours go; a load beyond the end refuses the packet.
+    pub(crate) fn passes(program: &[Instruction], packet: &[u8], packet_type: u32) -> bool {
+        let (mut at, mut a, mut x) = (0, 0_u32, 0_u32);
+        loop {
+            let step = program[at];
+            at += 1;
+            let load = |offset: u32, len: usize| {
+                let bytes = packet.get(offset as usize..)?.get(..len)?;
+                Some(bytes.iter().fold(0, |sum, byte| sum << 8 | u32::from(*byte)))
+            };
+            let loaded = match step.code {
+                0x20 if step.k == PACKET_TYPE => Some(packet_type),
+                0x20 => load(step.k, 4),
+                0x30 => load(step.k, 1),
+                0x40 => load(x + step.k, 4),
+                0x48 => load(x + step.k, 2),
+                0x50 => load(x + step.k, 1),
+                0x64 => Some(a << step.k),
+                0x0c => Some(a + x),
+                0x07 => {
+                    x = a;
+                    Some(a)
+                }
+                0x15 => {
+                    at += usize::from(if a == step.k { step.if_true } else { step.if_false });
+                    Some(a)
+                }
+                _ => return step.k != 0,
+            };
+            let Some(loaded) = loaded else { return false };
+            a = loaded;
+        }
+    }
 
     #[test]
     fn memory_in_large_pages_is_written_like_any_other() {

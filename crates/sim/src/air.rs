@@ -3,18 +3,17 @@
 //! Everything is an event in a queue ordered by time, so an idle room costs nothing. Coefficients are computed when a
 //! record is read, and only for robots that are read.
 
-use super::event::{Event, What};
 use super::faults::Injected;
-use super::followed::Follower;
-use super::node::{Flight, FrameBytes, FrameHeard, Listening, Node, Outgoing, Reception};
-use super::radio::Radio;
-use super::station::{FrameRole, Station};
-use super::surfaces::Path;
-use super::world::World;
+use super::motion::Follower;
+use super::radio::{Away, Radio};
+use super::random::{Purpose, Stream};
+use super::sounder::{FrameRole, Station};
+use super::world::{Path, World};
 use csi5300::time::Instant;
-use driver_iface::{Mac, sounding};
-use std::cmp::Reverse;
-use std::collections::{BinaryHeap, VecDeque};
+use driver_iface::Mac;
+use driver_iface::mpdu::{self, Mpdu};
+use driver_iface::sounding::{self, MAGIC_MAC};
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 /// Time of the clear channel assessment: senders that start closer together do not hear each other (802.11 aCCATime).
@@ -44,7 +43,8 @@ pub(crate) type MakeStation = Box<dyn FnMut(usize, u64, Instant) -> Option<Box<d
 pub struct Air {
     world: Arc<World>,
     nodes: Vec<Node>,
-    events: BinaryHeap<Reverse<Event>>,
+    /// By true time; at equal times the one pushed earlier is first.
+    events: BTreeMap<(i64, u64), What>,
     order: u64,
     active: Vec<Active>,
     now_ns: i64,
@@ -63,14 +63,13 @@ impl std::fmt::Debug for Air {
 
 impl Air {
     /// The air of a world, at time 0. `make_station` makes the room's own senders.
-    #[must_use]
     pub fn new(world: Arc<World>, make_station: MakeStation) -> Self {
         let scene = world.scene();
         let nodes = (0..scene.robot.len()).map(|robot| Node::new(scene.seed, robot)).collect();
         let end_ns = (scene.duration_s * 1e9).round() as i64;
         let mut air = Self {
             nodes,
-            events: BinaryHeap::new(),
+            events: BTreeMap::new(),
             order: 0,
             active: Vec::new(),
             now_ns: 0,
@@ -95,7 +94,6 @@ impl Air {
     }
 
     /// The world.
-    #[must_use]
     pub fn world(&self) -> &Arc<World> {
         &self.world
     }
@@ -111,21 +109,18 @@ impl Air {
     }
 
     /// The current true time.
-    #[must_use]
     pub fn now_ns(&self) -> i64 {
         self.now_ns
     }
 
     /// The end of the scene, true time.
-    #[must_use]
     pub fn end_ns(&self) -> i64 {
         self.end_ns
     }
 
     /// The time of the next event before the end.
-    #[must_use]
     pub fn next_ns(&self) -> Option<i64> {
-        self.events.peek().map(|Reverse(event)| event.t_ns).filter(|&t_ns| t_ns <= self.end_ns)
+        self.events.first_key_value().map(|((t_ns, _), _)| *t_ns).filter(|&t_ns| t_ns <= self.end_ns)
     }
 
     /// Lets a robot follow a source. False if it follows one already.
@@ -138,7 +133,6 @@ impl Air {
     }
 
     /// The source that a robot follows.
-    #[must_use]
     pub fn follower(&self, robot: usize) -> Option<&Follower> {
         self.followers.iter().find(|follower| follower.robot == robot)
     }
@@ -149,10 +143,10 @@ impl Air {
         let now = Instant::from_us(until_ns.max(self.now_ns) / 1_000);
         self.followers.iter_mut().for_each(|follower| follower.take(now));
         let until_ns = until_ns.min(self.end_ns);
-        while self.events.peek().is_some_and(|Reverse(event)| event.t_ns <= until_ns) {
-            let Some(Reverse(event)) = self.events.pop() else { break };
-            self.now_ns = self.now_ns.max(event.t_ns);
-            self.handle(event);
+        while let Some(event) = self.events.first_entry().filter(|event| event.key().0 <= until_ns) {
+            let ((t_ns, _), what) = event.remove_entry();
+            self.now_ns = self.now_ns.max(t_ns);
+            self.handle(t_ns, what);
         }
         self.now_ns = self.now_ns.max(until_ns);
     }
@@ -194,12 +188,11 @@ impl Air {
 
     fn push(&mut self, t_ns: i64, what: What) {
         self.order += 1;
-        self.events.push(Reverse(Event { t_ns, order: self.order, what }));
+        self.events.insert((t_ns, self.order), what);
     }
 
-    fn handle(&mut self, event: Event) {
-        let t_ns = event.t_ns;
-        match event.what {
+    fn handle(&mut self, t_ns: i64, what: What) {
+        match what {
             What::Start { from } => {
                 if self.nodes[from].tried_ns == Some(t_ns) {
                     self.start(t_ns, from);
@@ -431,4 +424,206 @@ fn driver_answer(frame: &FrameBytes, own: Mac) -> Option<Vec<u8>> {
     let mut answer = vec![0; frame.without_fcs().len() + sounding::wsr::REPLY_GROWTH];
     sounding::wsr::emit_reply(&forward, fcs, own, &mut answer).ok()?;
     Some(answer)
+}
+
+/// A frame on air.
+#[derive(Debug)]
+pub struct Flight {
+    /// The sender.
+    pub from: usize,
+    /// True time of its rise.
+    pub start_ns: i64,
+    /// True time of its end.
+    pub end_ns: i64,
+    /// True time of the rise of its exchange's forward frame.
+    pub instant_ns: i64,
+    /// Modulation and coding scheme.
+    pub mcs: u8,
+    /// Times that the card has sent it before.
+    pub retries: u8,
+    /// The card will send it once more.
+    pub again: bool,
+    /// The frame with its FCS.
+    pub bytes: FrameBytes,
+}
+
+/// A frame as it is on air, its FCS at the end.
+#[derive(Clone, Debug)]
+pub struct FrameBytes(Arc<[u8]>);
+
+impl FrameBytes {
+    /// A frame to which the card appends the FCS.
+    pub fn new(frame: &[u8]) -> Self {
+        let mut bytes = Vec::with_capacity(frame.len() + mpdu::FCS);
+        bytes.extend_from_slice(frame);
+        bytes.extend_from_slice(&mpdu::crc32(frame).to_le_bytes());
+        Self(bytes.into())
+    }
+
+    /// All bytes.
+    pub fn with_fcs(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// The bytes between host and card.
+    pub fn without_fcs(&self) -> &[u8] {
+        self.0.split_last_chunk::<{ mpdu::FCS }>().map_or(&[], |(frame, _)| frame)
+    }
+
+    /// The fields of the header; `None` of a frame shorter than one.
+    pub fn mpdu(&self) -> Option<Mpdu<'_>> {
+        Mpdu::new_checked(&self.0).ok()
+    }
+
+    /// The number of a sounding frame, in both dialects.
+    pub fn number(&self) -> Option<u32> {
+        self.mpdu()?.sounding_counter()
+    }
+
+    /// Whether a card in monitor mode reports CSI of it: addresses 1 and 2 are the magic ones (iwlwifi dvm/sta.c,
+    /// csitool FAQ).
+    pub fn is_measured(&self) -> bool {
+        self.mpdu().is_some_and(|mpdu| [mpdu.addr1(), mpdu.addr2()] == [MAGIC_MAC; 2])
+    }
+}
+
+/// A frame that passed a robot's monitor interface.
+#[derive(Clone, Debug)]
+pub struct Passed {
+    /// The frame.
+    pub flight: Arc<Flight>,
+    /// The robot's own frame: the card's report that it was sent.
+    pub own: bool,
+}
+
+/// A frame that a card received and its driver handed on.
+#[derive(Clone, Debug)]
+pub struct Reception {
+    /// The frame.
+    pub flight: Arc<Flight>,
+    /// True time of its rise at the receiver.
+    pub t_ns: i64,
+    /// True time at which the record reaches the host.
+    pub arrival_ns: i64,
+    /// The driver's counter.
+    pub bfee_count: u16,
+    /// The card's clock, not wrapped.
+    pub clock_us: u64,
+    /// The frame's role for this robot.
+    pub role: FrameRole,
+}
+
+/// Which records of a robot are read; the others are not computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Listening {
+    /// None.
+    Nobody,
+    /// Those of exchanges in which this robot takes part.
+    Own,
+    /// All.
+    All,
+}
+
+/// One robot's card, driver and sender.
+#[derive(Debug)]
+pub struct Node {
+    /// Records under way to the host or waiting to be read.
+    pub arrivals: VecDeque<Reception>,
+    /// What was done to this robot.
+    pub injected: Injected,
+    /// Which of this robot's records somebody reads.
+    pub listening: Listening,
+    /// Frames that passed its monitor interface and were not fetched yet, if somebody has one.
+    pub passed: Option<VecDeque<Passed>>,
+    /// Frames lost because nobody fetched them.
+    pub passed_lost: u64,
+    station: Option<Box<dyn Station>>,
+    /// The next time the station is asked.
+    armed_ns: Option<i64>,
+    /// The last frame heard, until it is answered.
+    heard: Option<FrameHeard>,
+    /// Frames that the card is to send, in order.
+    outgoing: VecDeque<Outgoing>,
+    /// When the first of them is tried.
+    tried_ns: Option<i64>,
+    on: bool,
+    /// The card's clock at the last switch-on, subtracted from its reading.
+    clock_base_us: u64,
+    bfee_count: u16,
+    /// Records lost in the driver since the last that it handed on; `None` before the first.
+    dropped_since: Option<u64>,
+    last_arrival_ns: i64,
+    timing: Stream,
+    loss: Stream,
+    /// The answer to the last frame heard.
+    away: Away,
+}
+
+/// A frame heard.
+#[derive(Clone, Copy, Debug)]
+struct FrameHeard {
+    start_ns: i64,
+    end_ns: i64,
+    instant_ns: i64,
+    /// Deviation of the host's interrupt from its usual time.
+    away_ns: i64,
+    number: Option<u32>,
+}
+
+/// A frame in a card's queue.
+#[derive(Debug)]
+struct Outgoing {
+    not_before_ns: i64,
+    instant_ns: Option<i64>,
+    mcs: u8,
+    retries: u8,
+    bytes: FrameBytes,
+}
+
+/// Frames that a monitor interface holds until they are fetched; the kernel's default holds about as many.
+const PASSED: usize = 256;
+
+impl Node {
+    /// Passes a frame to the robot's monitor interface, if it is taken.
+    fn pass(&mut self, flight: &Arc<Flight>, own: bool) {
+        match &mut self.passed {
+            Some(passed) if passed.len() < PASSED => passed.push_back(Passed { flight: Arc::clone(flight), own }),
+            Some(_) => self.passed_lost += 1,
+            None => {}
+        }
+    }
+
+    fn new(seed: u64, robot: usize) -> Self {
+        Self {
+            arrivals: VecDeque::new(),
+            injected: Injected::default(),
+            listening: Listening::Nobody,
+            passed: None,
+            passed_lost: 0,
+            station: None,
+            armed_ns: None,
+            heard: None,
+            outgoing: VecDeque::new(),
+            tried_ns: None,
+            on: true,
+            clock_base_us: 0,
+            bfee_count: 0,
+            dropped_since: None,
+            last_arrival_ns: 0,
+            timing: Stream::new(seed, robot, Purpose::Timing),
+            loss: Stream::new(seed, robot, Purpose::Loss),
+            away: Away::default(),
+        }
+    }
+}
+
+/// Kinds of events.
+#[derive(Debug)]
+enum What {
+    Start { from: usize },
+    End { flight: u64 },
+    Again { robot: usize, flight: Arc<Flight>, role: FrameRole },
+    Ask { robot: usize },
+    Off { robot: usize },
+    On { robot: usize },
 }

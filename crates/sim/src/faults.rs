@@ -1,7 +1,9 @@
-//! Injected faults, and exact counts of them.
+//! Injected faults, exact counts of them, and faults of a card or its driver, which falsify records.
+//!
+//! Each of the latter is one line of a scene, `faults.card = ["clock_steps"]`. The checks of real cards are tested on them.
 
-use super::card_fault::CardFault;
 use csi5300::time::{Instant, Span};
+use driver_iface::bfee::{Iq, Repr};
 use serde::{Deserialize, Serialize};
 
 /// Losses and mishaps of one robot, each as its receiver sees it. All off by default.
@@ -53,7 +55,6 @@ impl Default for Faults {
 
 impl Faults {
     /// If the listening process is stopped at `now`, when it goes on. Stalls begin at whole multiples of their period.
-    #[must_use]
     pub(crate) fn stalled_until(&self, now: Instant) -> Option<Instant> {
         let [every_us, stall_us] = self.stalls_us();
         if every_us <= 0 || stall_us <= 0 || now.as_us() < every_us {
@@ -172,6 +173,259 @@ impl std::fmt::Display for Injected {
     }
 }
 
+/// A fault of a card or its driver. Records are changed after the radio has measured and before they are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CardFault {
+    /// `antenna_sel` names antennas A and B the wrong way round.
+    AntennasSwapped,
+    /// `antenna_sel` is A, B, C in every record, whatever the order is.
+    AntennasConstant,
+    /// `antenna_sel` is no permutation.
+    AntennasInvalid,
+    /// RSSI of antennas A and B are exchanged.
+    RssiSwapped,
+    /// Every coefficient is conjugated.
+    Conjugated,
+    /// The subcarriers are shifted by one place.
+    SubcarriersShifted,
+    /// The subcarriers are in reverse order.
+    SubcarriersReversed,
+    /// The card's clock runs 60 ppm fast; its carrier does not.
+    ClockFast,
+    /// The card's clock steps forward by 0.3 s at the 500th record.
+    ClockSteps,
+    /// The host's clock steps back by 2 s at the 500th record.
+    HostClockSteps,
+    /// Every tenth frame is reported under the number of the one before it.
+    NumberRepeated,
+    /// Every third frame is reported as another robot's.
+    OtherSender,
+    /// The reported rate is a legacy one.
+    LegacyRate,
+    /// Every record reports 40 MHz.
+    WideTold,
+    /// The phase of each record is random.
+    PhaseJumps,
+    /// The carrier is 7.3 kHz off in reception only.
+    CarrierNotShared,
+    /// The reported gain is 0 dB.
+    NoGain,
+    /// Coefficients are six times too large and cut.
+    Saturated,
+    /// Coefficients are sixteen times too small.
+    Faint,
+    /// Every second record has one chain fewer.
+    ChainsToggle,
+    /// Every tenth record's coefficients are all zero.
+    ZeroCsi,
+    /// Every second record repeats the coefficients of the one before it.
+    StaleCsi,
+    /// Every second record is written without host time, sender and number.
+    NoTail,
+    /// Every record ends 20 bytes too early.
+    CutShort,
+    /// Every 20th record is not made, after `bfee_count` was counted up.
+    DropsTwentieth,
+    /// `bfee_count` stands still.
+    CountStands,
+    /// The reported noise floor is -20 dBm.
+    NoiseFloor,
+    /// The coefficients are mostly noise.
+    Deaf,
+    /// Antenna B's phase is a quarter of a turn ahead, as after another start state of a divider.
+    QuarterTurn,
+    /// All phases are half a turn ahead.
+    HalfTurn,
+}
+
+impl CardFault {
+    /// All, in the order of their declaration.
+    pub const ALL: [Self; 30] = [
+        Self::AntennasSwapped,
+        Self::AntennasConstant,
+        Self::AntennasInvalid,
+        Self::RssiSwapped,
+        Self::Conjugated,
+        Self::SubcarriersShifted,
+        Self::SubcarriersReversed,
+        Self::ClockFast,
+        Self::ClockSteps,
+        Self::HostClockSteps,
+        Self::NumberRepeated,
+        Self::OtherSender,
+        Self::LegacyRate,
+        Self::WideTold,
+        Self::PhaseJumps,
+        Self::CarrierNotShared,
+        Self::NoGain,
+        Self::Saturated,
+        Self::Faint,
+        Self::ChainsToggle,
+        Self::ZeroCsi,
+        Self::StaleCsi,
+        Self::NoTail,
+        Self::CutShort,
+        Self::DropsTwentieth,
+        Self::CountStands,
+        Self::NoiseFloor,
+        Self::Deaf,
+        Self::QuarterTurn,
+        Self::HalfTurn,
+    ];
+
+    /// Its name in a scene.
+    #[must_use]
+    pub fn name(self) -> String {
+        serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
+    }
+}
+
+/// Samples of the largest record of one stream.
+const SAMPLES: usize = 90;
+
+/// The faults of one card, and their state.
+#[derive(Clone, Debug)]
+pub(crate) struct FaultyCard {
+    faults: Vec<CardFault>,
+    nth: u64,
+    last_number: Option<u32>,
+    last_csi: [Iq; SAMPLES],
+}
+
+/// A random number of 0 to below 1 for a record and a sample: the same on every machine.
+fn chance(nth: u64, sample: u64) -> f64 {
+    // splitmix64, as in java.util.SplittableRandom.
+    let mut x = nth.wrapping_mul(1_000).wrapping_add(sample).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    ((x ^ (x >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+/// Every coefficient multiplied by `scale` and turned by `turns`, rounded and cut as the card does.
+fn turned(csi: &mut [Iq], scale: f64, turns: f64) {
+    let angle = std::f64::consts::TAU * turns.fract();
+    let (cos, sin) = (libm::cos(angle), libm::sin(angle));
+    for iq in csi {
+        let (i, q) = (f64::from(iq.i) * scale, f64::from(iq.q) * scale);
+        let cut = |x: f64| libm::round(x).clamp(-128.0, 127.0) as i8;
+        *iq = Iq { i: cut(i * cos - q * sin), q: cut(i * sin + q * cos) };
+    }
+}
+
+impl FaultyCard {
+    /// A card with these faults; `None` where there are none.
+    pub(crate) fn new(faults: &[CardFault]) -> Option<Self> {
+        let card = Self { faults: faults.to_vec(), nth: 0, last_number: None, last_csi: [Iq::default(); SAMPLES] };
+        (!faults.is_empty()).then_some(card)
+    }
+
+    /// Changes a record before it is written; `t_s` is the true time. False if there is no record.
+    pub(crate) fn change(&mut self, repr: &mut Repr, csi: &mut [Iq; SAMPLES], t_s: f64) -> bool {
+        self.nth += 1;
+        let measured = *csi;
+        let mut made = true;
+        for index in 0..self.faults.len() {
+            if let Some(fault) = self.faults.get(index).copied() {
+                made &= self.apply(fault, repr, csi, t_s);
+            }
+        }
+        self.last_csi = measured;
+        made
+    }
+
+    fn apply(&mut self, fault: CardFault, repr: &mut Repr, csi: &mut [Iq; SAMPLES], t_s: f64) -> bool {
+        let nth = self.nth;
+        let n_rx = usize::from(repr.n_rx);
+        match fault {
+            CardFault::AntennasSwapped => {
+                let renamed = |bits: u8| if bits < 2 { bits ^ 1 } else { bits };
+                repr.antenna_sel = (0..3).fold(0, |sel, k| sel | renamed(repr.antenna_sel >> (2 * k) & 3) << (2 * k));
+            }
+            CardFault::AntennasConstant => repr.antenna_sel = 0x24,
+            CardFault::AntennasInvalid => repr.antenna_sel = 0x00,
+            CardFault::RssiSwapped => repr.rssi.swap(0, 1),
+            CardFault::Conjugated => csi.iter_mut().for_each(|iq| iq.q = iq.q.saturating_neg()),
+            CardFault::SubcarriersShifted => csi[..30 * n_rx].rotate_right(n_rx),
+            CardFault::SubcarriersReversed => {
+                let before = *csi;
+                for (to, from) in
+                    csi[..30 * n_rx].chunks_exact_mut(n_rx).zip(before[..30 * n_rx].chunks_exact(n_rx).rev())
+                {
+                    to.copy_from_slice(from);
+                }
+            }
+            CardFault::ClockFast => repr.timestamp_low = repr.timestamp_low.wrapping_add((t_s * 60.0) as u32),
+            CardFault::ClockSteps if nth >= 500 => repr.timestamp_low = repr.timestamp_low.wrapping_add(300_000),
+            CardFault::HostClockSteps if nth >= 500 => {
+                if let Some(wsr) = &mut repr.wsr {
+                    wsr.tv_sec = wsr.tv_sec.saturating_sub(2);
+                }
+            }
+            CardFault::NumberRepeated => {
+                let number = repr.wsr.as_mut().and_then(|wsr| wsr.frame_count.as_mut());
+                if let Some((number, last)) = number.zip(self.last_number.as_mut()) {
+                    let told = if nth.is_multiple_of(10) { *last } else { *number };
+                    *last = *number;
+                    *number = told;
+                } else {
+                    self.last_number = repr.wsr.and_then(|wsr| wsr.frame_count);
+                }
+            }
+            CardFault::OtherSender if nth.is_multiple_of(3) => {
+                if let Some(wsr) = &mut repr.wsr {
+                    wsr.mac.0[4] ^= 0x55;
+                }
+            }
+            CardFault::LegacyRate => repr.rate_n_flags = 0x000D,
+            CardFault::WideTold => repr.rate_n_flags |= 0x0800,
+            CardFault::PhaseJumps => turned(csi, 1.0, chance(nth, 0)),
+            CardFault::CarrierNotShared => turned(csi, 1.0, 7_321.0 * t_s),
+            CardFault::NoGain => repr.agc = 0,
+            CardFault::Saturated => turned(csi, 6.0, 0.0),
+            CardFault::Faint => turned(csi, 1.0 / 16.0, 0.0),
+            CardFault::ChainsToggle if n_rx > 1 && nth.is_multiple_of(2) => {
+                let before = *csi;
+                for (to, from) in csi.chunks_exact_mut(n_rx - 1).zip(before.chunks_exact(n_rx)) {
+                    to.copy_from_slice(&from[..n_rx - 1]);
+                }
+                repr.n_rx -= 1;
+            }
+            CardFault::ZeroCsi if nth.is_multiple_of(10) => *csi = [Iq::default(); SAMPLES],
+            CardFault::StaleCsi if nth.is_multiple_of(2) => *csi = self.last_csi,
+            CardFault::NoTail if nth.is_multiple_of(2) => repr.wsr = None,
+            CardFault::DropsTwentieth => return !nth.is_multiple_of(20),
+            CardFault::CountStands => repr.bfee_count = 7,
+            CardFault::NoiseFloor => repr.noise_dbm = -20,
+            CardFault::Deaf => {
+                let noise = |sample: usize, half: u64| {
+                    // The sum of four has a standard deviation of 1/sqrt(3).
+                    let sum: f64 = (0..4).map(|k| chance(nth, 8 * sample as u64 + 4 * half + k) - 0.5).sum();
+                    libm::round(sum * 60.0) as i8
+                };
+                turned(csi, 0.3, 0.0);
+                for (sample, iq) in csi.iter_mut().enumerate() {
+                    *iq = Iq { i: iq.i.saturating_add(noise(sample, 0)), q: iq.q.saturating_add(noise(sample, 1)) };
+                }
+            }
+            CardFault::QuarterTurn => {
+                let chain = (0..n_rx).find(|chain| repr.antenna_sel >> (2 * chain) & 3 == 1);
+                if let Some(chain) = chain {
+                    csi[..30 * n_rx].chunks_exact_mut(n_rx).for_each(|row| turned(&mut row[chain..=chain], 1.0, 0.25));
+                }
+            }
+            CardFault::HalfTurn => turned(csi, 1.0, 0.5),
+            _ => {}
+        }
+        true
+    }
+
+    /// Bytes of a record's body that are written.
+    pub(crate) fn kept(&self, body_len: usize) -> usize {
+        if self.faults.contains(&CardFault::CutShort) { body_len.saturating_sub(20) } else { body_len }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -192,5 +446,30 @@ mod tests {
         assert_eq!(until_ms(&Faults::default(), 20_000), None);
         let rounded = |stall_s| Faults { stall_every_s: 2e-6, stall_s, ..Faults::default() }.goes_on_after_stalls();
         assert_eq!([1.4e-6, 1.6e-6].map(rounded), [true, false], "1 and 2 of 2 us");
+    }
+
+    #[test]
+    fn every_fault_has_a_name_and_changes_records() {
+        let csi: [Iq; SAMPLES] = std::array::from_fn(|k| Iq { i: (k % 50) as i8 + 3, q: 20 - (k % 31) as i8 });
+        for fault in CardFault::ALL {
+            let named: CardFault = serde_json::from_value(fault.name().into()).unwrap();
+            assert_eq!(named, fault);
+            let mut card = FaultyCard::new(&[fault]).unwrap();
+            let wsr =
+                driver_iface::bfee::Wsr { tv_sec: 9, tv_usec: 0, mac: driver_iface::Mac::ZERO, frame_count: Some(0) };
+            let changed = (0..600_u32).any(|nth| {
+                let wsr = driver_iface::bfee::Wsr { frame_count: Some(nth), ..wsr };
+                let before =
+                    Repr { bfee_count: 9, antenna_sel: 0x21, rssi: [30, 25, 20], wsr: Some(wsr), ..Repr::default() };
+                let mut repr = before;
+                let mut now = csi;
+                now[0].i += (nth % 2) as i8;
+                let measured = now;
+                let made = card.change(&mut repr, &mut now, 0.0101 * f64::from(nth));
+                !made || repr != before || now != measured || card.kept(repr.body_len()) != repr.body_len()
+            });
+            assert!(changed, "{fault:?}");
+        }
+        assert!(FaultyCard::new(&[]).is_none());
     }
 }

@@ -25,23 +25,17 @@
 //! | module | what it turns into what |
 //! |---|---|
 //! | [`scene`] | TOML into values and back |
-//! | `scene_check`, `refusal` | values into refusals with their place |
+//! | `refusal` | values into refusals with their place |
 //! | [`toml_lines`] | a place in a TOML text into its line |
-//! | [`motion`] | time into poses: shapes, walks, waypoints, recorded trajectories |
-//! | `followed` | an odometry source into poses, while it gives them |
-//! | `surfaces` | two places into paths: image method \[allen-berkley1979\] to any order, exact lengths, blocked and weakened paths |
-//! | `carrier` | paths into 30 tones at the card's true subcarrier indices |
+//! | [`motion`] | time into poses: shapes, walks, waypoints, recorded trajectories; an odometry source while it gives them |
 //! | [`crystal`] | time into a card's clock and carrier phase, which share one crystal |
-//! | `world`, `world_check` | all of these for every robot; refusals of what cannot be |
-//! | [`radio`], `receiver` | tones into 8-bit coefficients: noise, gain control, RSSI, antenna order, saturation |
-//! | `station`, `sounder` | time into frames: the TDMA state machine |
-//! | `air`, `event`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
-//! | `turn_around` | frames into the moments of their answers |
-//! | `card_fault` | records into those of a card with faults |
-//! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
-//! | `interface` | frames for senders outside of the room, as a monitor interface gives them |
-//! | `odometer` | true motion into a sensor's poses |
-//! | `dataset`, `simulation` | a room into a capture folder, or logs in memory |
+//! | `world` | all of these for every robot; two places into paths: image method \[allen-berkley1979\] to any order, exact lengths, blocked and weakened paths; paths into 30 tones at the card's true subcarrier indices |
+//! | [`radio`], `receiver` | tones into 8-bit coefficients: noise, gain control, RSSI, antenna order, saturation; frames into the moments of their answers |
+//! | `sounder` | time into frames: the TDMA state machine |
+//! | `air` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
+//! | `faults` | records into those of a card with faults |
+//! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does; frames for senders outside of the room, as a monitor interface gives them; true motion into a sensor's poses |
+//! | `dataset`, `room` | a room into a capture folder, or logs in memory |
 //! | [`random`] | a seed into random numbers |
 //!
 //! Two rules. Disabled effects cost nothing: they draw no random number, reflections need surfaces, and coefficients
@@ -53,65 +47,27 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 mod air;
-mod backend;
-mod built_in;
-mod card_fault;
-mod carrier;
 pub mod crystal;
 mod dataset;
-mod event;
 mod faults;
-mod followed;
-mod interface;
 mod maths;
 pub mod motion;
-mod node;
-mod odometer;
 mod port;
 pub mod radio;
 pub mod random;
 mod receiver;
-mod recorded;
 mod refusal;
 mod room;
-mod room_error;
 pub mod scene;
-mod scene_check;
 pub mod served;
-mod simulation;
 mod sounder;
-mod station;
-mod surfaces;
 pub mod toml_lines;
-mod turn_around;
 mod world;
-mod world_check;
 
-pub use backend::Backend;
-pub use built_in::BUILT_IN;
-pub use card_fault::CardFault;
 pub use dataset::{WrittenCapture, WrittenLog, stamp, write_dataset};
-pub use faults::{Faults, Injected};
-pub use interface::{Interface, Seen};
-pub use odometer::Odometer;
-pub use port::Port;
-pub use recorded::{Recorded, RecordedError};
+pub use faults::{CardFault, Faults, Injected};
+pub use motion::{Recorded, RecordedError};
+pub use port::{Interface, Odometer, Port, Seen};
 pub use refusal::{SceneError, ScenePlace};
-pub use room::Room;
-pub use room_error::{CardError, RoomError};
-pub use scene::Scene;
-pub use simulation::{SimulatedRobot, Simulation};
-
-#[cfg(test)]
-use station::{FrameRole, Station};
-
-#[cfg(test)]
-mod account_tests;
-#[cfg(test)]
-mod dataset_tests;
-#[cfg(test)]
-mod room_tests;
-#[cfg(test)]
-mod scene_numbers_tests;
-#[cfg(test)]
-mod sounding_tests;
+pub use room::{Backend, CardError, Room, RoomError, SimulatedRobot, Simulation};
+pub use scene::{BUILT_IN, Scene};

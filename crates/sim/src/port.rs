@@ -1,23 +1,29 @@
-//! One robot's card as a [`CsiSource`] and an [`Injector`].
+//! What one robot has of a room: its card as a [`CsiSource`] and an [`Injector`], its monitor interface, and its odometry, a
+//! sensor that gives true motion with a rate, noise, scale and heading errors, gaps and late poses.
 
-use super::air::Air;
-use super::card_fault::FaultyCard;
+use super::air::{Air, Flight, Listening, Passed, Reception};
 use super::crystal::FTM_TICKS_PER_US;
-use super::faults::Faults;
-use super::node::{Flight, Listening, Reception};
+use super::faults::{Faults, FaultyCard};
+use super::maths::{rad, turned};
+use super::motion;
 use super::radio::Radio;
+use super::random::{Purpose, Stream};
 use super::receiver::{Arrival, Ax210, Receiver};
-use super::room_error::CardError;
-use super::scene::{Card, Driver, Scene};
-use super::station::FrameRole;
+use super::room::CardError;
+use super::scene::{Card, Driver, Odometry, Scene};
+use super::sounder::FrameRole;
+use super::world::World;
 use csi_formats::feitcsi;
+use csi5300::internal::{FrameReceiver, HeardFrame};
+use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
+use csi5300::motion::pose::Pose;
 use csi5300::source::other_card::Translator;
 use csi5300::source::{CsiSource, Error, Injector, Loss, Next, Origin, Stamps};
-use csi5300::time::Instant;
-use driver_iface::Mac;
+use csi5300::time::{Instant, Span};
 use driver_iface::bfee::{MAX_BODY, NOISE_UNKNOWN_DBM, Repr, Wsr};
-use driver_iface::mpdu;
 use driver_iface::record::{LENGTH_FIELD, Record, Tail, code, written};
+use driver_iface::{Mac, mpdu};
+use nalgebra::Vector3;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -67,9 +73,7 @@ struct FeitCsi {
 /// The item read; a record's body is in the port.
 enum Read {
     Record(Stamps, u8, FrameRole, usize),
-    Lost(Loss),
-    Pending,
-    End,
+    None(Next<'static>),
 }
 
 /// Locks the air. It is consistent between events, so a poisoned lock is usable.
@@ -127,9 +131,7 @@ impl Port {
             Read::Record(stamps, code, role, from) => {
                 (role, from, Next::Record(stamps, Record { code, body: &self.body }))
             }
-            Read::Lost(loss) => (FrameRole::Unknown, 0, Next::Lost(loss)),
-            Read::Pending => (FrameRole::Unknown, 0, Next::Pending),
-            Read::End => (FrameRole::Unknown, 0, Next::End(Tail::Clean)),
+            Read::None(next) => (FrameRole::Unknown, 0, next),
         })
     }
 
@@ -166,7 +168,7 @@ impl Port {
         let now_ns = self.now.as_us().saturating_mul(1_000);
         air.advance(now_ns);
         if self.faults.stalled_until(self.now).is_some() {
-            return Ok(Read::Pending);
+            return Ok(Read::None(Next::Pending));
         }
         self.fill(&mut air, now_ns);
         loop {
@@ -198,10 +200,10 @@ impl Port {
             return Ok(read);
         }
         if let Some(dropped) = self.overrun.take() {
-            return Ok(Read::Lost(Loss::Overrun { dropped: Some(dropped) }));
+            return Ok(Read::None(Next::Lost(Loss::Overrun { dropped: Some(dropped) })));
         }
         let over = now_ns >= air.end_ns() && air.node(self.robot).arrivals.is_empty();
-        Ok(if over { Read::End } else { Read::Pending })
+        Ok(Read::None(if over { Next::End(Tail::Clean) } else { Next::Pending }))
     }
 
     /// Moves arrived records into the socket's queue; those that do not fit are lost.
@@ -237,13 +239,17 @@ impl Port {
         }
     }
 
+    fn arrival(&self, reception: &Reception) -> Arrival {
+        let flight = &reception.flight;
+        Arrival { from: flight.from, to: self.robot, t_ns: reception.t_ns, instant_ns: flight.instant_ns }
+    }
+
     /// Measures a reception with an AX210 and writes FeitCSI's record. False if there is nothing to measure.
     fn write_feitcsi(&mut self, air: &mut Air, reception: &Reception) -> bool {
         self.load(air);
         let (world, flight) = (Arc::clone(air.world()), &reception.flight);
+        let arrival = self.arrival(reception);
         let Some(feitcsi) = &mut self.ax210 else { return false };
-        let arrival =
-            Arrival { from: flight.from, to: self.robot, t_ns: reception.t_ns, instant_ns: flight.instant_ns };
         let Some(measured) = self.receiver.measure_ax210(&world, arrival, &feitcsi.card) else {
             air.node(self.robot).injected.unmeasured += 1;
             return false;
@@ -293,8 +299,7 @@ impl Port {
     fn write_bfee(&mut self, air: &mut Air, reception: &Reception) -> Result<bool, Error> {
         let world = Arc::clone(air.world());
         let flight = &reception.flight;
-        let arrival =
-            Arrival { from: flight.from, to: self.robot, t_ns: reception.t_ns, instant_ns: flight.instant_ns };
+        let arrival = self.arrival(reception);
         self.load(air);
         let Some(mut measured) = self.receiver.measure(&world, arrival) else {
             air.node(self.robot).injected.unmeasured += 1;
@@ -411,4 +416,258 @@ pub(super) fn host_us(air: &Air, robot: usize, t_ns: i64) -> i64 {
 /// The first whole microsecond at or after a time.
 pub(super) fn ceil_us(t_ns: i64) -> Instant {
     Instant::from_us(t_ns.saturating_add(999).div_euclid(1_000))
+}
+
+/// A robot's monitor interface in a room, the counterpart of `csi5300_live::monitor::Monitor`.
+///
+/// It hears everything up to the room's time, which cards, odometries, injectors and [`super::Room::advance`] move
+/// forward. A sender of the room's own on the same robot continues beside it.
+#[derive(Debug)]
+pub struct Interface {
+    air: Arc<Mutex<Air>>,
+    robot: usize,
+    current: Option<Arc<Flight>>,
+    went_out: u64,
+    retried: u64,
+}
+
+/// A frame that passed the interface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Seen<'a> {
+    /// The frame, without FCS.
+    pub frame: &'a [u8],
+    /// Modulation and coding scheme, 0 to 7.
+    pub mcs: u8,
+    /// How long ago it ended on air.
+    pub age: Span,
+    /// This robot sent it: the card reports it as sent.
+    pub own: bool,
+    /// How often the card sent it again.
+    pub retries: u8,
+}
+
+impl Interface {
+    /// `None` if it is taken.
+    pub(super) fn new(air: Arc<Mutex<Air>>, robot: usize) -> Option<Self> {
+        let mut guard = lock(&air);
+        let passed = &mut guard.node(robot).passed;
+        if passed.is_some() {
+            return None;
+        }
+        *passed = Some(VecDeque::new());
+        drop(guard);
+        Some(Self { air, robot, current: None, went_out: 0, retried: 0 })
+    }
+
+    /// The next frame that passed, own ones too; `None` if there is none yet.
+    pub fn see(&mut self) -> Option<Seen<'_>> {
+        let mut air = lock(&self.air);
+        let Passed { flight, own } = air.node(self.robot).passed.as_mut()?.pop_front()?;
+        let age = Span::from_us((air.now_ns() - flight.end_ns).max(0) / 1_000);
+        drop(air);
+        self.went_out += u64::from(own);
+        self.retried += u64::from(own && flight.retries > 0);
+        let flight = self.current.insert(flight);
+        Some(Seen { frame: flight.bytes.without_fcs(), mcs: flight.mcs, age, own, retries: flight.retries })
+    }
+
+    /// As [`Injector::inject`], at a modulation and coding scheme of one stream, 0 to 7, other than the scene's.
+    ///
+    /// # Errors
+    /// [`Error::Backend`] with [`CardError::Mcs`] for another scheme, [`CardError::FrameLength`] for a frame too short or too
+    /// long.
+    pub fn inject_at(&mut self, now: Instant, frame: &[u8], mcs: u8) -> Result<(), Error> {
+        if mcs > 7 {
+            return Err(CardError::Mcs { mcs }.into());
+        }
+        inject(&self.air, self.robot, now, frame, Some(mcs))
+    }
+
+    /// Own frames that the card reports as sent more than once.
+    #[must_use]
+    pub fn retried(&self) -> u64 {
+        self.retried
+    }
+
+    /// Frames that passed and were lost because they were not fetched.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        lock(&self.air).node(self.robot).passed_lost
+    }
+}
+
+impl Drop for Interface {
+    fn drop(&mut self) {
+        lock(&self.air).node(self.robot).passed = None;
+    }
+}
+
+impl Injector for Interface {
+    fn inject(&mut self, now: Instant, frame: &[u8]) -> Result<(), Error> {
+        inject(&self.air, self.robot, now, frame, None)
+    }
+}
+
+impl FrameReceiver for Interface {
+    fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error> {
+        loop {
+            match self.see().map(|seen| (seen.own, seen.age)) {
+                None => return Ok(None),
+                Some((true, _)) => {}
+                Some((false, age)) => {
+                    let frame = self.current.as_ref().map(|flight| flight.bytes.without_fcs());
+                    return Ok(frame.map(|frame| HeardFrame { frame, age }));
+                }
+            }
+        }
+    }
+
+    fn sent_for_certain(&self) -> Option<u64> {
+        Some(self.went_out)
+    }
+
+    fn failed_for_certain(&self) -> u64 {
+        0
+    }
+}
+
+/// A robot's odometry in the scene's frame: at the start the sensor has no error.
+#[derive(Debug)]
+pub struct Odometer {
+    air: Arc<Mutex<Air>>,
+    world: Arc<World>,
+    robot: usize,
+    sensor: Odometry,
+    stream: Stream,
+    /// Number of the next measurement.
+    next: i64,
+    /// Late poses with their arrival times.
+    late: Vec<(i64, Pose)>,
+    before: motion::Pose,
+    believed_m: Vector3<f64>,
+    heading_error_rad: f64,
+    /// Of a followed robot: the frame of the last pose.
+    frame: u32,
+}
+
+impl Odometer {
+    pub(super) fn new(air: Arc<Mutex<Air>>, robot: usize) -> Self {
+        let world = Arc::clone(lock(&air).world());
+        let scene = world.scene();
+        let before = world.pose(robot, 0.0);
+        Self {
+            sensor: scene.robot[robot].odometry,
+            stream: Stream::new(scene.seed, robot, Purpose::Odometry),
+            robot,
+            next: 0,
+            late: Vec::new(),
+            before,
+            believed_m: before.position_m,
+            heading_error_rad: 0.0,
+            frame: 0,
+            air,
+            world,
+        }
+    }
+
+    /// True time of measurement number `n`; `None` after the end of the scene.
+    fn measured_ns(&self, n: i64) -> Option<i64> {
+        let t_s = n as f64 / self.sensor.rate_hz;
+        (t_s <= self.world.scene().duration_s).then_some((t_s * 1e9).round() as i64)
+    }
+
+    fn due_ns(&self) -> Option<i64> {
+        let late = self.late.iter().map(|late| late.0).min();
+        [late, self.measured_ns(self.next)].into_iter().flatten().min()
+    }
+
+    /// True if a followed robot's poses are in another frame from `due_ns` on: dead reckoning restarts.
+    fn begins_frame(&mut self, due_ns: i64) -> bool {
+        let t_s = due_ns as f64 * 1e-9;
+        let Some(frame) = self.world.frame(self.robot, t_s).filter(|frame| *frame != self.frame) else { return false };
+        let first = std::mem::replace(&mut self.frame, frame) == 0;
+        self.before = self.world.pose(self.robot, t_s);
+        (self.believed_m, self.heading_error_rad) = (self.before.position_m, 0.0);
+        self.late.clear();
+        !first
+    }
+
+    /// The pose that is due at `due_ns`, if it is not dropped or late.
+    fn take(&mut self, due_ns: i64) -> Option<Pose> {
+        if let Some(at) = self.late.iter().position(|late| late.0 == due_ns) {
+            return Some(self.late.swap_remove(at).1);
+        }
+        if self.world.frame(self.robot, due_ns as f64 * 1e-9) == Some(0) {
+            // Its place is not known yet.
+            self.next += 1;
+            return None;
+        }
+        let pose = self.measure(due_ns);
+        self.next += 1;
+        let mut air = lock(&self.air);
+        let injected = &mut air.node(self.robot).injected;
+        if self.stream.happens(self.sensor.drop) {
+            injected.poses_dropped += 1;
+            None
+        } else if self.stream.happens(self.sensor.late) {
+            injected.poses_late += 1;
+            self.late.push((due_ns + (self.sensor.late_s * 1e9).round() as i64, pose));
+            None
+        } else {
+            Some(pose)
+        }
+    }
+
+    /// One step of dead reckoning: the true step, scaled, and turned by the heading error.
+    fn measure(&mut self, t_ns: i64) -> Pose {
+        let sensor = self.sensor;
+        let truth = self.world.pose(self.robot, t_ns as f64 * 1e-9);
+        if sensor.scale == 1.0 && sensor.heading_drift_deg_s == 0.0 && sensor.heading_walk_deg == 0.0 {
+            self.believed_m = truth.position_m;
+        } else {
+            let step_s = if self.next == 0 { 0.0 } else { 1.0 / sensor.rate_hz };
+            let driven = (truth.position_m - self.before.position_m) * sensor.scale;
+            self.believed_m += turned(driven, self.heading_error_rad);
+            self.heading_error_rad += rad(sensor.heading_drift_deg_s) * step_s;
+            self.heading_error_rad += self.stream.spread(rad(sensor.heading_walk_deg) * step_s.sqrt());
+        }
+        self.before = truth;
+        let mut noise = || self.stream.spread(sensor.noise_m);
+        let position_m = self.believed_m + Vector3::new(noise(), noise(), noise());
+        let yaw_rad = truth.yaw_rad + self.heading_error_rad + self.stream.spread(rad(sensor.noise_deg));
+        let t_s = host_us(&lock(&self.air), self.robot, t_ns) as f64 * 1e-6;
+        Pose { t_s, position_m, heading_rad: Some(yaw_rad) }
+    }
+}
+
+impl OdometrySource for Odometer {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+        let now_ns = now.as_us().saturating_mul(1_000);
+        while let Some(due_ns) = self.due_ns() {
+            if due_ns > now_ns {
+                return Ok(NextPose::Pending);
+            }
+            if self.begins_frame(due_ns) {
+                return Ok(NextPose::NewFrame);
+            }
+            if let Some(pose) = self.take(due_ns) {
+                lock(&self.air).node(self.robot).injected.poses += 1;
+                return Ok(NextPose::Pose(pose));
+            }
+        }
+        Ok(NextPose::End)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.due_ns().map(|ns| Instant::from_us(ns.saturating_add(999).div_euclid(1_000)))
+    }
+
+    fn trouble(&self) -> Option<String> {
+        lock(&self.air).follower(self.robot)?.trouble()
+    }
+
+    fn counted(&self) -> Option<SourceCounts> {
+        Some(lock(&self.air).follower(self.robot)?.counted())
+    }
 }

@@ -1,7 +1,17 @@
-//! Why a scene is refused, and its place.
+//! Why a scene is refused, and its place: invalid values, impossible places of robots, soundings that do not fit. The only
+//! way in for scenes from files.
 
+use super::faults::Faults;
+use super::motion::RobotMotion;
+use super::radio::{AntennaOrder, DelayGroup, Gain, Noise, Radio, Stray, TurnAround};
+use super::scene::{Card, Cfo, Dialect, Driver, HostClock, Odometry, Pattern, Preamble, Robot, Scene};
+use super::sounder::request;
 use super::toml_lines::{Step, TomlLines};
+use super::world::{Carrier, World, surfaces};
+use csi5300::signal::channel::Channel;
+use nalgebra::Vector3;
 use std::fmt;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Why a scene was refused.
@@ -153,6 +163,11 @@ impl From<Problem> for SceneError {
     }
 }
 
+/// The problems of a table, which has this key.
+fn table(key: &'static str, check: impl FnOnce() -> Checked) -> Checked {
+    check().map_err(|problem| problem.key(key))
+}
+
 /// Refuses a value unless `ok`.
 pub(crate) fn ensure(ok: bool, key: &'static str, reason: impl FnOnce() -> String) -> Checked {
     if ok { Ok(()) } else { Err(Problem::new(format!("{key} {}", reason())).key(key)) }
@@ -206,4 +221,932 @@ pub(crate) fn decibels(key: &'static str, values: &[f64]) -> Checked {
     ensure(values.iter().all(|v| v.abs() <= FURTHEST_DB), key, || {
         format!("must be finite numbers of dB, of at most {FURTHEST_DB} either side of 0")
     })
+}
+
+/// A scene lasts a year at most, seconds.
+const LONGEST_S: f64 = 31_536_000.0;
+/// A random walk lasts a day at most, seconds: its steps of 10 ms are in memory.
+const LONGEST_WALK_S: f64 = 86_400.0;
+/// Limit of rounds and of poses a second: more than a card or an encoder delivers.
+const FASTEST_HZ: f64 = 100_000.0;
+/// No delay is longer than a quarter of an hour, microseconds.
+const LATEST_US: f64 = 1e9;
+
+impl Scene {
+    /// Checks every value and its relation to others; `world_check` has the rest.
+    pub(crate) fn check_values(&self) -> Checked {
+        positive("duration_s", self.duration_s)?;
+        at_most("duration_s", self.duration_s, LONGEST_S)?;
+        let most_mhz = match (self.card, self.preamble) {
+            (Card::Intel5300, _) | (_, Some(Preamble::Ht)) => 40,
+            _ => 160,
+        };
+        let is_width = matches!(self.bandwidth_mhz, 20 | 40 | 80 | 160) && self.bandwidth_mhz <= most_mhz;
+        ensure(is_width, "bandwidth_mhz", || match most_mhz {
+            40 => format!("is {}; the card has 20 and 40", self.bandwidth_mhz),
+            _ => format!("is {}; the card has 20, 40, 80 and 160", self.bandwidth_mhz),
+        })?;
+        // The number of a wider channel is that of its centre, which is no channel of 20 MHz.
+        let is_assigned = self.bandwidth_mhz > 20 || self.channel.to_string().parse::<Channel>().is_ok();
+        let has_carrier = Carrier::new(self.channel, self.bandwidth_mhz == 40).is_some();
+        ensure(is_assigned && has_carrier, "channel", || {
+            format!("is {}; channels are 1 to 14, 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177", self.channel)
+        })?;
+        ensure(self.reflections <= 4, "reflections", || format!("is {}; 4 is the most", self.reflections))?;
+        ensure(self.host_times_fit(&HostClock::default()), "start_unix_s", || {
+            format!(
+                "is {}, and the scene lasts {} s; records hold seconds from 0 to 4,294,967,295",
+                self.start_unix_s, self.duration_s
+            )
+        })?;
+        table("cfo", || check_cfo(&self.cfo))?;
+        table("radio", || check_radio(&self.radio))?;
+        ensure(!self.robot.is_empty(), "robot", || "is missing: a scene needs at least one [[robot]]".to_owned())?;
+        for (number, robot) in self.robot.iter().enumerate() {
+            let within = |p: Problem| {
+                let name = if robot.name.is_empty() {
+                    format!("robot {}", number + 1)
+                } else {
+                    robot.name.escape_debug().to_string()
+                };
+                let reason = format!("{name}: {}", p.reason);
+                p.because(reason).item("robot", number)
+            };
+            self.check_robot(number, robot).map_err(within)?;
+        }
+        self.check_card()?;
+        self.check_sounding()?;
+        self.check_surfaces()
+    }
+
+    /// Refuses keys of the other card.
+    fn check_card(&self) -> Checked {
+        if self.card == Card::Intel5300 {
+            return ensure(self.preamble.is_none(), "preamble", || "is of an AX210: a 5300 sends HT".to_owned());
+        }
+        ensure(self.driver == Driver::Wsr, "driver", || "is of a 5300: an AX210 has FeitCSI's".to_owned())?;
+        let radio = |radio: &Radio| {
+            let none = |key: &'static str| move || format!("is of a 5300: an AX210 has no {key}");
+            ensure(radio.filter_db.is_none(), "filter_db", none("filter of 30 subcarriers"))?;
+            ensure(radio.antenna_order == AntennaOrder::Fixed, "antenna_order", none("order by RSSI"))
+        };
+        table("radio", || radio(&self.radio))?;
+        for (number, robot) in self.robot.iter().enumerate() {
+            let check = || {
+                ensure(robot.antenna_c_m.is_none(), "antenna_c_m", || "is a third: an AX210 has two".to_owned())?;
+                let faults = robot.faults.card.is_empty();
+                ensure(faults, "faults", || {
+                    "has faults of a 5300's records, which an AX210 does not write".to_owned()
+                })?;
+                table("radio", || robot.radio.as_ref().map_or(Ok(()), radio))
+            };
+            check().map_err(|p: Problem| p.item("robot", number))?;
+        }
+        Ok(())
+    }
+
+    /// True if records can hold the host's time from the start of the scene to its end.
+    fn host_times_fit(&self, clock: &HostClock) -> bool {
+        let held = 0.0..=f64::from(u32::MAX);
+        let begins_s = self.start_unix_s as f64 + clock.offset_s;
+        let ends_s = begins_s + self.duration_s * (1.0 + clock.drift_ppm * 1e-6);
+        held.contains(&begins_s) && held.contains(&ends_s)
+    }
+
+    fn check_robot(&self, number: usize, robot: &Robot) -> Checked {
+        ensure(!robot.name.is_empty(), "name", || "is missing".to_owned())?;
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        ensure(robot.name.chars().all(plain), "name", || {
+            "goes into file names: only letters, digits, - and _".to_owned()
+        })?;
+        let mac = robot.mac_address(number);
+        ensure(mac.is_some(), "mac", || "is no MAC address; one looks like 00:21:6A:53:89:D2".to_owned())?;
+        for (other_number, other) in self.robot.iter().take(number).enumerate() {
+            ensure(other.name != robot.name, "name", || "is taken: two robots cannot share one".to_owned())?;
+            ensure(other.mac_address(other_number) != mac, "mac", || {
+                format!("is also that of {}: pairs are told apart by MAC", other.name)
+            })?;
+        }
+        finite("position_m", &robot.position_m)?;
+        finite("yaw_deg", &[robot.yaw_deg])?;
+        finite("antenna_m", &robot.antenna_m)?;
+        finite("antenna_b_m", &robot.antenna_b_m.unwrap_or_default())?;
+        finite("antenna_c_m", &robot.antenna_c_m.unwrap_or_default())?;
+        let Pattern { cos_db, sin_db, cos2_db, sin2_db } = robot.pattern;
+        let harmonics = [cos_db, sin_db, cos2_db, sin2_db];
+        ensure(harmonics.iter().all(|db| db.abs() <= 60.0), "pattern", || {
+            "has no more than 60 dB of any kind".to_owned()
+        })?;
+        table("motion", || check_motion(&robot.motion))?;
+        let c = &robot.crystal;
+        let drifts = [c.offset_ppm, c.drift_ppm_per_s, c.warm_up_ppm, c.wander_ppm];
+        ensure(drifts.iter().all(|ppm| ppm.abs() <= 1e3), "crystal", || {
+            "is off by more than 1,000 ppm; crystals are good to some 20".to_owned()
+        })?;
+        table("crystal", || positive("warm_up_s", c.warm_up_s))?;
+        table("crystal", || positive("wander_period_s", c.wander_period_s))?;
+        let host = &robot.host_clock;
+        ensure(host.offset_s.abs() < 1e8 && host.drift_ppm.abs() <= 1e3, "host_clock", || {
+            "is further off than clocks are".to_owned()
+        })?;
+        ensure(self.host_times_fit(host), "host_clock", || {
+            format!(
+                "is {} s ahead of a scene that begins at {} s and lasts {} s; records hold seconds from 0 to 4,294,967,295",
+                host.offset_s, self.start_unix_s, self.duration_s
+            )
+        })?;
+        if let Some(radio) = &robot.radio {
+            table("radio", || check_radio(radio))?;
+        }
+        table("faults", || check_faults(&robot.faults))?;
+        table("odometry", || check_odometry(&robot.odometry))
+    }
+
+    fn check_sounding(&self) -> Checked {
+        let Some(sounding) = &self.sounding else { return Ok(()) };
+        table("sounding", || {
+            ensure(sounding.rate_hz > 0.0, "rate_hz", || format!("is {}; it must be more than 0", sounding.rate_hz))?;
+            // Infinity is the highest rate that fits.
+            if sounding.rate_hz.is_finite() {
+                at_most("rate_hz", sounding.rate_hz, FASTEST_HZ)?;
+            }
+            not_negative("start_s", sounding.start_s)?;
+            ensure(self.robot.len() >= 2, "rate_hz", || "needs two robots at least".to_owned())?;
+            for (number, name) in sounding.initiators.iter().enumerate() {
+                ensure(self.robot.iter().any(|r| r.name == *name), "initiators", || format!("has no robot {name:?}"))?;
+                let twice = sounding.initiators[..number].contains(name);
+                ensure(!twice, "initiators", || format!("names {name:?} twice"))?;
+            }
+            let takes_turns = sounding.dialect == Dialect::Native || sounding.initiators.len() <= 1;
+            ensure(takes_turns, "initiators", || "take turns, which only the native dialect knows".to_owned())?;
+            Ok(())
+        })
+    }
+
+    fn check_surfaces(&self) -> Checked {
+        for (index, wall) in self.wall.iter().enumerate() {
+            let check = || {
+                finite("from_m", &wall.from_m)?;
+                finite("to_m", &wall.to_m)?;
+                ensure(wall.from_m != wall.to_m, "to_m", || "is where the wall begins".to_owned())?;
+                finite("bottom_m", &[wall.bottom_m])?;
+                finite("top_m", &[wall.top_m])?;
+                ensure(wall.top_m > wall.bottom_m, "top_m", || "is not above bottom_m".to_owned())?;
+                not_negative("thickness_m", wall.thickness_m)?;
+                check_losses(wall.loss_db, wall.through_db)
+            };
+            check().map_err(|p: Problem| p.item("wall", index))?;
+        }
+        for (index, panel) in self.reflector.iter().enumerate() {
+            let check = || {
+                finite("corner_m", &panel.corner_m)?;
+                finite("edge_a_m", &panel.edge_a_m)?;
+                finite("edge_b_m", &panel.edge_b_m)?;
+                let area = Vector3::from(panel.edge_a_m).cross(&Vector3::from(panel.edge_b_m)).norm();
+                ensure(area > 1e-6, "edge_b_m", || "spans no area with edge_a_m".to_owned())?;
+                check_losses(panel.loss_db, panel.through_db)
+            };
+            check().map_err(|p: Problem| p.item("reflector", index))?;
+        }
+        Ok(())
+    }
+}
+
+fn check_losses(loss_db: f64, through_db: Option<f64>) -> Checked {
+    not_negative("loss_db", loss_db)?;
+    through_db.map_or(Ok(()), |db| not_negative("through_db", db))
+}
+
+fn check_motion(motion: &RobotMotion) -> Checked {
+    let timed = |kind: &'static str, sizes: [(&'static str, f64); 2], duration_s: f64, start_s: f64| {
+        let [size, of_any_sign] = sizes;
+        table(kind, || {
+            not_negative(size.0, size.1)?;
+            finite(of_any_sign.0, &[of_any_sign.1])?;
+            positive("duration_s", duration_s)?;
+            not_negative("start_s", start_s)
+        })
+    };
+    match motion {
+        RobotMotion::Static => Ok(()),
+        RobotMotion::Line(m) => {
+            let length = ("length_m", m.length_m);
+            timed("line", [length, length], m.duration_s, m.start_s)
+        }
+        RobotMotion::Circle(m) => {
+            timed("circle", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
+        }
+        RobotMotion::Arc(m) => {
+            timed("arc", [("radius_m", m.radius_m), ("angle_deg", m.angle_deg)], m.duration_s, m.start_s)
+        }
+        RobotMotion::Square(m) => timed("square", [("side_m", m.side_m), ("turns", m.turns)], m.duration_s, m.start_s),
+        RobotMotion::Helix(m) => {
+            table("helix", || finite("rise_m", &[m.rise_m]))?;
+            timed("helix", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
+        }
+        RobotMotion::FigureEight(m) => {
+            timed("figure_eight", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
+        }
+        RobotMotion::RandomWalk(m) => {
+            table("random_walk", || {
+                positive("within_m", m.within_m)?;
+                at_most("duration_s", m.duration_s, LONGEST_WALK_S)
+            })?;
+            let sizes = [("speed_m_s", m.speed_m_s), ("turning_deg_s", m.turning_deg_s)];
+            timed("random_walk", sizes, m.duration_s, m.start_s)
+        }
+        RobotMotion::Waypoints(m) => table("waypoints", || {
+            positive("speed_m_s", m.speed_m_s)?;
+            not_negative("start_s", m.start_s)?;
+            ensure(!m.points_m.is_empty(), "points_m", || "has no points".to_owned())?;
+            m.points_m.iter().try_for_each(|p| finite("points_m", p))
+        }),
+        RobotMotion::Recorded(m) => table("recorded", || {
+            not_negative("start_s", m.start_s)?;
+            not_negative("stray_m", m.stray_m)?;
+            positive("stray_s", m.stray_s)
+        }),
+        RobotMotion::Followed(m) => table("followed", || {
+            finite("origin_m", &m.origin_m)?;
+            finite("origin_yaw_deg", &[m.origin_yaw_deg])
+        }),
+    }
+}
+
+fn check_cfo(cfo: &Cfo) -> Checked {
+    let Cfo::Paper(cfo) = cfo else { return Ok(()) };
+    table("paper", || {
+        finite("df_hz", &[cfo.df_hz])?;
+        finite("c1", &[cfo.c1])?;
+        finite("c2", &[cfo.c2])?;
+        not_negative("jitter_ns", cfo.jitter_ns)
+    })
+}
+
+fn check_gain(gain: &Gain) -> Checked {
+    match gain {
+        Gain::Fixed(fixed) => table("fixed", || positive("lsb_at_1m", fixed.lsb_at_1m)),
+        Gain::Agc(agc) => table("agc", || {
+            positive("target_lsb", agc.target_lsb)?;
+            deviation_db("lsb_std_db", agc.lsb_std_db)?;
+            decibels("rssi_db", &[agc.rssi_db])?;
+            deviation_db("agc_std_db", agc.agc_std_db)
+        }),
+    }
+}
+
+fn check_stray(stray: &Stray) -> Checked {
+    not_negative("lsb", stray.lsb)?;
+    decibels("rssi_db", &[stray.rssi_db])?;
+    deviation_db("rssi_std_db", stray.rssi_std_db)
+}
+
+fn check_radio(radio: &Radio) -> Checked {
+    let sizes = [
+        ("phase_noise_rad", radio.phase_noise_rad),
+        ("chain_noise_rad", radio.chain_noise_rad),
+        ("delay_std_ns", radio.delay_std_ns),
+        ("send_jitter_us", radio.send_jitter_us),
+        ("host_latency_us", radio.host_latency_us),
+        ("host_latency_std_us", radio.host_latency_std_us),
+    ];
+    sizes
+        .iter()
+        .try_for_each(|&(key, value)| not_negative(key, value).and_then(|()| at_most(key, value, LATEST_US)))?;
+    finite("delay_ns", &[radio.delay_ns])?;
+    finite("chain_deg", &radio.chain_deg)?;
+    decibels("filter_db", &radio.filter_db.unwrap_or_default())?;
+    table("send_delay", || {
+        share("share", radio.send_delay.share)?;
+        not_negative("us", radio.send_delay.us)?;
+        not_negative("spread_us", radio.send_delay.spread_us)
+    })?;
+    decibels("tx_power_dbm", &[radio.tx_power_dbm])?;
+    ensure((1..=3).contains(&radio.chains), "chains", || format!("is {}; the card has 1 to 3", radio.chains))?;
+    ensure(radio.mcs <= 7, "mcs", || format!("is {}; one stream has 0 to 7", radio.mcs))?;
+    if let Noise::SnrDb(db) | Noise::FloorDbm(db) = radio.noise {
+        decibels("noise", &[db])?;
+    }
+    table("gain", || check_gain(&radio.gain))?;
+    table("stray_b", || check_stray(&radio.stray_b))?;
+    table("stray_c", || check_stray(&radio.stray_c))?;
+    check_turn_around(&radio.turn_around)
+}
+
+fn check_turn_around(turn: &TurnAround) -> Checked {
+    let ordered = turn.min_us >= 0.0 && turn.min_us <= turn.median_us && turn.median_us <= turn.max_us;
+    ensure(ordered, "turn_around", || {
+        format!("has min_us {}, median_us {}, max_us {}: not in order", turn.min_us, turn.median_us, turn.max_us)
+    })?;
+    table("turn_around", || {
+        at_most("max_us", turn.max_us, LATEST_US)?;
+        not_negative("spread_us", turn.spread_us)?;
+        not_negative("tail_spread_us", turn.tail_spread_us)?;
+        finite("tail_us", &[turn.tail_us])?;
+        not_negative("tail_run", turn.tail_run)?;
+        let group = |group: &DelayGroup| {
+            share("share", group.share)?;
+            finite("us", &[group.us])?;
+            not_negative("spread_us", group.spread_us)
+        };
+        table("far", || group(&turn.far))?;
+        table("late", || group(&turn.late))
+    })?;
+    let all = turn.groups().iter().map(|group| group.share).sum::<f64>();
+    ensure(all <= 1.0, "turn_around", || format!("has groups away from the core of {all} in all; more than all"))?;
+    table("turn_around", || share("tail", turn.tail))
+}
+
+fn check_faults(faults: &Faults) -> Checked {
+    share("loss", faults.loss)?;
+    share("duplicate", faults.duplicate)?;
+    share("retry", faults.retry)?;
+    share("driver_drop", faults.driver_drop)?;
+    ensure(faults.queue_records > 0, "queue_records", || "is 0: nothing would ever arrive".to_owned())?;
+    not_negative("stall_every_s", faults.stall_every_s)?;
+    not_negative("stall_s", faults.stall_s)?;
+    ensure(faults.goes_on_after_stalls(), "stall_s", || {
+        format!(
+            "is {}, in whole microseconds not less than stall_every_s, {}: the listener would never go on",
+            faults.stall_s, faults.stall_every_s
+        )
+    })?;
+    faults.restart_at_s.iter().try_for_each(|&t_s| not_negative("restart_at_s", t_s))?;
+    not_negative("restart_s", faults.restart_s)
+}
+
+fn check_odometry(odometry: &Odometry) -> Checked {
+    positive("rate_hz", odometry.rate_hz)?;
+    at_most("rate_hz", odometry.rate_hz, FASTEST_HZ)?;
+    not_negative("noise_m", odometry.noise_m)?;
+    not_negative("noise_deg", odometry.noise_deg)?;
+    positive("scale", odometry.scale)?;
+    finite("heading_drift_deg_s", &[odometry.heading_drift_deg_s])?;
+    not_negative("heading_walk_deg", odometry.heading_walk_deg)?;
+    share("drop", odometry.drop)?;
+    share("late", odometry.late)?;
+    not_negative("late_s", odometry.late_s)
+}
+
+/// Interval and limit of checked places of a path, seconds.
+const STEP_S: f64 = 0.05;
+const STEPS: f64 = 20_000.0;
+
+/// Checks a scene as a whole: the sounding fits, and robots stay outside walls.
+///
+/// # Errors
+/// [`SceneError::Value`] with the place in the scene.
+pub(crate) fn check(world: &World) -> Result<(), SceneError> {
+    check_rate(world.scene())?;
+    check_ways(world)?;
+    Ok(check_places(world)?)
+}
+
+/// The rounds asked for fit into the time there is.
+fn check_rate(scene: &Scene) -> Checked {
+    let Some(sounding) = &scene.sounding else { return Ok(()) };
+    request(scene, sounding).map(|_| ()).map_err(|error| Problem::new(error.to_string()).key("rate_hz").key("sounding"))
+}
+
+/// Robots neither begin inside walls nor drive into or through them.
+fn check_ways(world: &World) -> Checked {
+    let scene = world.scene();
+    let walls = surfaces(scene).unwrap_or_default();
+    let all_steps = (scene.duration_s / STEP_S).ceil().min(STEPS) as usize;
+    for (index, robot) in scene.robot.iter().enumerate() {
+        let steps = if world.is_still(index) || walls.is_empty() { 0 } else { all_steps };
+        let mut before = world.pose(index, 0.0).position_m;
+        for step in 0..=steps {
+            let t_s = if steps == 0 { 0.0 } else { scene.duration_s * step as f64 / steps as f64 };
+            let here = world.pose(index, t_s).position_m;
+            for (wall, surface) in scene.wall.iter().zip(&walls) {
+                let inside = surface.distance_m(here) <= 0.5 * wall.thickness_m;
+                if inside || surface.separates(before, here) {
+                    let when = if step == 0 { "is".to_owned() } else { format!("drives, after {t_s:.1} s,") };
+                    let ([x0, y0], [x1, y1]) = (wall.from_m, wall.to_m);
+                    let reason = format!("{} {when} inside the wall from ({x0}, {y0}) to ({x1}, {y1})", robot.name);
+                    let key = if step == 0 { "position_m" } else { "motion" };
+                    return Err(Problem::new(reason).key(key).item("robot", index));
+                }
+            }
+            before = here;
+        }
+    }
+    Ok(())
+}
+
+/// Two things closer than this, metres, are at the same place.
+const SAME_PLACE_M: f64 = 0.01;
+
+/// Refuses robots that start at one place, and antennas at one place on robots that stay: nothing could be measured.
+/// Robots that meet later are counted.
+fn check_places(world: &World) -> Checked {
+    let robots = &world.scene().robot;
+    for (index, robot) in robots.iter().enumerate() {
+        for (other, state) in robots.iter().enumerate().take(index) {
+            let apart = world.pose(index, 0.0).position_m - world.pose(other, 0.0).position_m;
+            if apart.norm() < SAME_PLACE_M {
+                let reason = format!("{} is where {} is", robot.name, state.name);
+                return Err(Problem::new(reason).key("position_m").item("robot", index));
+            }
+            let stay = world.is_still(index) && world.is_still(other);
+            if stay && (antennas_meet(world, index, other) || antennas_meet(world, other, index)) {
+                let reason =
+                    format!("an antenna of {} is where one of {} is, and both stay there", robot.name, state.name);
+                return Err(Problem::new(reason).key("antenna_m").item("robot", index));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// True if one robot's sending antenna is at the place of another's receiving antenna.
+fn antennas_meet(world: &World, from: usize, to: usize) -> bool {
+    let scene = world.scene();
+    let chains = scene.robot.get(to).map_or(0, |robot| usize::from(scene.radio_of(robot).chains));
+    let sends = world.antenna(from, 0, 0.0);
+    let receive = (0..chains).filter_map(|antenna| world.antenna(to, antenna, 0.0));
+    sends.is_some_and(|sends| receive.into_iter().any(|receives| (sends - receives).norm() < SAME_PLACE_M))
+}
+
+/// Bytes of a scene's file at most.
+const LONGEST: u64 = 16 << 20;
+
+impl Scene {
+    /// Reads and checks a scene's text, with the lines of what is refused. Trajectory files are relative to the current
+    /// folder.
+    ///
+    /// # Errors
+    /// [`SceneError`] with the line and the reason: unknown keys, values out of range, robots inside walls, ...
+    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
+        Self::read(text, Path::new(""))
+    }
+
+    /// As [`Scene::from_toml`]; trajectory files are relative to `folder`, and the scene contains that path.
+    ///
+    /// # Errors
+    /// As [`Scene::from_toml`].
+    pub fn read(text: &str, folder: &Path) -> Result<Self, SceneError> {
+        let mut scene = Self::parse(text)?;
+        for robot in &mut scene.robot {
+            if let RobotMotion::Recorded(motion) = &mut robot.motion {
+                motion.file = folder.join(&motion.file);
+            }
+        }
+        let checked = World::new(&scene).and_then(|world| check(&world));
+        checked.map_err(|error| error.locate(text))?;
+        Ok(scene)
+    }
+
+    /// Reads and checks a scene file.
+    ///
+    /// # Errors
+    /// As [`Scene::from_toml`], and when the file cannot be read.
+    pub fn load(file: &Path) -> Result<Self, SceneError> {
+        let io = |source| SceneError::Io { file: file.to_owned(), source };
+        let mut text = String::new();
+        std::fs::File::open(file).map_err(io)?.take(LONGEST + 1).read_to_string(&mut text).map_err(io)?;
+        if text.len() as u64 > LONGEST {
+            return Err(io(std::io::Error::other(format!(
+                "it is longer than {} MiB, which no scene is",
+                LONGEST >> 20
+            ))));
+        }
+        Self::read(&text, file.parent().unwrap_or(Path::new("")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CardFault;
+    use crate::crystal::Crystal;
+    use crate::motion::{
+        Arc, Circle, FigureEight, FollowedMotion, Helix, Line, RandomWalk, RecordedMotion, Square, Waypoints,
+    };
+    use crate::radio::{Agc, FixedGain};
+    use crate::scene::{PaperCfo, Reflector, Sounding, Wall};
+    use toml::Value;
+
+    const GOOD: &str = r#"duration_s = 10.0
+seed = 3
+noise_free = true
+[cfo.paper]
+df_hz = 10
+[[robot]]
+name = "rx"
+mac = "00:21:6A:53:89:D2"
+motion.circle = { radius_m = 0.3, duration_s = 10.0 }
+[[robot]]
+name = "tx"
+position_m = [-3.858, 0.929, 0.0]
+[[wall]]
+from_m = [-5.0, 3.0]
+to_m = [5.0, 3.0]
+"#;
+
+    fn good() -> String {
+        GOOD.replace("noise_free = true", "reflections = 1")
+    }
+
+    fn refused(text: &str) -> (usize, String) {
+        let error = Scene::from_toml(text).unwrap_err();
+        (error.line().unwrap_or_else(|| panic!("no line: {error}")), error.to_string())
+    }
+
+    #[test]
+    fn a_good_scene_is_read() {
+        let scene = Scene::from_toml(&good()).unwrap();
+        assert_eq!(scene.robot.len(), 2);
+        assert_eq!(scene.robot[1].mac_address(1).unwrap().0, [2, 0x53, 0, 0, 0, 1]);
+        assert!(matches!(scene.cfo, Cfo::Paper(c) if c.c1 == 10_000.0 && c.df_hz == 10.0));
+    }
+
+    #[test]
+    fn bad_scenes_are_refused_with_line_and_reason() {
+        let good = good();
+        let cases: [(String, usize, &str); 37] = [
+            (GOOD.to_owned(), 3, "noise_free"),
+            (good.replace("duration_s = 10.0\nseed", "duration_s = -1.0\nseed"), 1, "more than 0"),
+            (good.replace("duration_s = 10.0\nseed", "duration_s = 1e12\nseed"), 1, "is the most"),
+            (good.replace("seed = 3", "radio.host_latency_std_us = 1e18"), 2, "is the most"),
+            (good.replace("name = \"tx\"", "name = \"tx\"\nodometry.rate_hz = 1e12"), 12, "is the most"),
+            (good.replace("seed = 3", "channel = 20"), 2, "channels are"),
+            (good.replace("radius_m = 0.3,", "radius_m = -0.3,"), 9, "radius_m is -0.3"),
+            (good.replace("radius_m = 0.3,", "radius_m = 0.3, colour = 1,"), 9, "colour"),
+            (good.replace("name = \"tx\"", "name = \"tx\"\nmac = \"00:21:6a:53:89:d2\""), 12, "is also that of rx"),
+            (good.replace("mac = \"00:21:6A:53:89:D2\"", "mac = \"00:21:6A:53:89\""), 8, "no MAC address"),
+            (good.replace("[-3.858, 0.929, 0.0]", "[-3.858, 2.97, 0.0]"), 12, "inside the wall"),
+            (good.replace("[-3.858, 0.929, 0.0]", "[0.0, 0.0, 0.0]"), 12, "tx is where rx is"),
+            (good.replace("radius_m = 0.3,", "radius_m = 1.6,"), 9, "drives, after"),
+            (good.replace("name = \"tx\"", "name = \"tx\"\n[robot.faults]\nloss = 1.5\n[robot.x]"), 14, "x"),
+            (good.replace("name = \"tx\"", "name = \"tx\"\nfaults.loss = 1.5"), 12, "a share"),
+            (
+                good.replace("name = \"tx\"", "name = \"tx\"\nfaults = { stall_every_s = 1.0, stall_s = 1.0 }"),
+                12,
+                "never go on",
+            ),
+            // Both are 2 us on the clock of the room.
+            (
+                good.replace(
+                    "name = \"tx\"",
+                    "name = \"tx\"\nfaults = { stall_every_s = 0.000002, stall_s = 0.0000016 }",
+                ),
+                12,
+                "never go on",
+            ),
+            (good.replace("seed = 3", "start_unix_s = 4294967294"), 2, "lasts 10 s; records hold"),
+            (good.replace("seed = 3", "start_unix_s = -1"), 2, "is -1"),
+            (
+                good.replace("name = \"tx\"", "name = \"tx\"\nhost_clock.offset_s = -9.0")
+                    .replace("seed = 3", "start_unix_s = 5"),
+                12,
+                "is -9 s ahead of a scene that begins at 5 s",
+            ),
+            (
+                good.replace(
+                    "name = \"tx\"",
+                    "name = \"tx\"\nmotion.random_walk = { speed_m_s = 1.0, duration_s = 1e9 }",
+                ),
+                12,
+                "86400 is the most",
+            ),
+            (
+                good.replace(
+                    "motion.circle = { radius_m = 0.3, duration_s = 10.0 }",
+                    "antenna_m = [-3.858, 0.929, 0.2]",
+                )
+                .replace("name = \"tx\"", "name = \"tx\"\nantenna_m = [0.0, 0.0, 0.2]"),
+                12,
+                "an antenna of tx is where one of rx is",
+            ),
+            (good.replace("to_m = [5.0, 3.0]", "to_m = [-5.0, 3.0]"), 15, "where the wall begins"),
+            (good.replace("to_m = [5.0, 3.0]", "to_m = [1e308, 3.0]"), 15, "at most 1e9"),
+            (good.replace("to_m = [5.0, 3.0]", "to_m = [5.0, 3.0]\ntop_m = inf"), 16, "at most 1e9"),
+            (good.replace("radius_m = 0.3,", "radius_m = 0.3, turns = inf,"), 9, "at most 1e9"),
+            (good.replace("seed = 3", "radio.turn_around.max_us = 1e300"), 2, "is the most"),
+            (
+                good.clone()
+                    + "[[reflector]]\ncorner_m = [9.0, 9.0, 0.0]\nedge_a_m = [1e308, 0.0, 0.0]\nedge_b_m = [0.0, 0.0, 1.0]\n",
+                good.lines().count() + 3,
+                "at most 1e9",
+            ),
+            (good.replace("name = \"tx\"", "name = \"tx\"\nodometry.noise_m = 1e300"), 12, "is the most"),
+            (good.replace("duration_s = 10.0 }", "duration_s = 1e-300 }"), 9, "is the least"),
+            (good.replace("seed = 3", "radio.noise = { floor_dbm = 1e300 }"), 2, "numbers of dB"),
+            (good.replace("seed = 3", "radio.delay_ns = 1e300"), 2, "at most 1e9"),
+            (good.replace("seed = 3", "radio.send_delay = { share = 2.0 }"), 2, "a share"),
+            (good.replace("seed = 3", "radio.send_delay = { us = -1.0 }"), 2, "us is -1"),
+            (good.replace("seed = 3", "radio.filter_db = [0.0, 1.0]"), 2, "length 2"),
+            (good.replace("name = \"tx\"", "name = \"tx\"\npattern = { cos_db = 70.0 }"), 12, "60 dB"),
+            (
+                good.replace(
+                    "circle = { radius_m = 0.3, duration_s = 10.0 }",
+                    "recorded = { file = \"t\", stray_m = -0.1 }",
+                ),
+                9,
+                "stray_m is -0.1",
+            ),
+        ];
+        for (text, line, what) in cases {
+            let (got, reason) = refused(&text);
+            assert!(reason.contains(what), "{reason:?} does not say {what:?}");
+            assert_eq!(got, line, "{reason}\n{text}");
+        }
+    }
+
+    #[test]
+    fn missing_things_are_refused_too() {
+        assert!(Scene::from_toml("duration_s = 1.0").unwrap_err().to_string().contains("[[robot]]"));
+        let no_rate = good().replace("[cfo.paper]", "[sounding]\nrate_hz = -5.0\n[cfo.paper]");
+        let (line, reason) = refused(&no_rate);
+        assert_eq!((line, reason.contains("rate_hz is -5")), (5, true), "{reason}");
+        let nobody = good().replace("[cfo.paper]", "[sounding]\ninitiators = [\"me\"]\n[cfo.paper]");
+        assert!(refused(&nobody).1.contains("no robot \"me\""));
+        let twice = nobody.replace("[\"me\"]", "[\"rx\", \"tx\", \"rx\"]");
+        assert!(refused(&twice).1.contains("names \"rx\" twice"));
+    }
+
+    /// Numbers that may be negative, by their last names.
+    const SIGNED: [&str; 38] = [
+        "position_m",
+        "yaw_deg",
+        "antenna_m",
+        "antenna_b_m",
+        "antenna_c_m",
+        "cos_db",
+        "sin_db",
+        "cos2_db",
+        "sin2_db",
+        "offset_ppm",
+        "drift_ppm_per_s",
+        "warm_up_ppm",
+        "wander_ppm",
+        "offset_s",
+        "drift_ppm",
+        "heading_drift_deg_s",
+        "delay_ns",
+        "chain_deg",
+        "filter_db",
+        "tx_power_dbm",
+        "snr_db",
+        "floor_dbm",
+        "rssi_db",
+        "tail_us",
+        "from_m",
+        "to_m",
+        "bottom_m",
+        "corner_m",
+        "edge_a_m",
+        "edge_b_m",
+        "turns",
+        "angle_deg",
+        "rise_m",
+        "points_m",
+        "origin_m",
+        "origin_yaw_deg",
+        "turning_deg_s",
+        "df_hz",
+    ];
+    /// The same, for names that occur in several tables.
+    const SIGNED_WAYS: [&str; 4] = ["paper.c1", "paper.c2", "far.us", "late.us"];
+
+    fn radio(gain: Gain, noise: Noise) -> Radio {
+        let group = DelayGroup { share: 0.1, us: 30.0, spread_us: 2.0 };
+        Radio {
+            noise,
+            phase_noise_rad: 0.1,
+            delay_ns: 200.0,
+            delay_std_ns: 20.0,
+            sampling_offset: true,
+            filter_db: Some([0.5; 30]),
+            gain,
+            tx_power_dbm: 14.0,
+            chains: 2,
+            chain_deg: [40.0, -50.0],
+            chain_flips: true,
+            chain_noise_rad: 0.2,
+            stray_b: Stray { lsb: 1.0, rssi_db: 3.0, rssi_std_db: 0.5 },
+            stray_c: Stray { lsb: 2.0, rssi_db: 4.0, rssi_std_db: 0.5 },
+            antenna_order: AntennaOrder::ByRssi,
+            mcs: 1,
+            turn_around: TurnAround {
+                median_us: 220.0,
+                spread_us: 5.0,
+                tail: 0.1,
+                tail_us: -90.0,
+                tail_spread_us: 4.0,
+                far: group,
+                late: group,
+                tail_run: 2.0,
+                min_us: 140.0,
+                max_us: 320.0,
+            },
+            send_jitter_us: 40.0,
+            send_delay: group,
+            host_latency_us: 90.0,
+            host_latency_std_us: 9.0,
+        }
+    }
+
+    fn robot(number: usize, motion: RobotMotion) -> Robot {
+        Robot {
+            name: format!("r{number}"),
+            mac: None,
+            position_m: [10.0 * (number + 1) as f64, 1.0, 0.5],
+            yaw_deg: 10.0,
+            antenna_m: [0.1, 0.0, 0.2],
+            antenna_b_m: Some([0.2, 0.0, 0.2]),
+            antenna_c_m: Some([0.3, 0.0, 0.2]),
+            pattern: Pattern { cos_db: 1.0, sin_db: 0.5, cos2_db: 0.3, sin2_db: 0.2 },
+            motion,
+            crystal: Crystal {
+                offset_ppm: 1.0,
+                drift_ppm_per_s: 0.1,
+                warm_up_ppm: 0.5,
+                warm_up_s: 20.0,
+                wander_ppm: 0.1,
+                wander_period_s: 30.0,
+                clock_start_us: 7,
+            },
+            host_clock: HostClock { offset_s: 2.0, drift_ppm: 3.0 },
+            radio: Some(radio(Gain::Fixed(FixedGain { lsb_at_1m: 200.0, agc_db: 20 }), Noise::FloorDbm(-92.0))),
+            faults: Faults {
+                loss: 0.1,
+                duplicate: 0.1,
+                retry: 0.1,
+                driver_drop: 0.1,
+                queue_records: 99,
+                stall_every_s: 5.0,
+                stall_s: 0.1,
+                restart_at_s: vec![8.0],
+                restart_s: 0.5,
+                killed: true,
+                card: vec![CardFault::NoGain],
+            },
+            odometry: Odometry {
+                rate_hz: 50.0,
+                noise_m: 0.01,
+                noise_deg: 0.1,
+                scale: 1.01,
+                heading_drift_deg_s: 0.1,
+                heading_walk_deg: 0.1,
+                drop: 0.1,
+                late: 0.1,
+                late_s: 0.1,
+            },
+            ack_len: Some(57),
+        }
+    }
+
+    /// A scene with every possible number and robots of all motions. It names all fields, so that a new one does not
+    /// compile without a line here.
+    fn full(trajectory: &Path) -> Scene {
+        let (start_s, duration_s, radius_m, turns) = (0.1, 5.0, 1.0, 2.0);
+        let motions = [
+            RobotMotion::Line(Line { length_m: 2.0, duration_s, start_s }),
+            RobotMotion::Circle(Circle { radius_m, duration_s, turns, start_s }),
+            RobotMotion::Arc(Arc { radius_m, angle_deg: 45.0, duration_s, start_s }),
+            RobotMotion::Square(Square { side_m: 1.0, duration_s, turns, start_s }),
+            RobotMotion::Helix(Helix { radius_m, rise_m: 0.1, duration_s, turns, start_s }),
+            RobotMotion::FigureEight(FigureEight { radius_m, duration_s, turns, start_s }),
+            RobotMotion::RandomWalk(RandomWalk {
+                speed_m_s: 0.2,
+                turning_deg_s: 80.0,
+                within_m: 1.5,
+                duration_s,
+                start_s,
+            }),
+            RobotMotion::Waypoints(Waypoints { points_m: vec![[90.0, 2.0, 0.0]], speed_m_s: 0.3, start_s }),
+            RobotMotion::Recorded(RecordedMotion { file: trajectory.into(), start_s, stray_m: 0.01, stray_s: 9.0 }),
+            RobotMotion::Followed(FollowedMotion { origin_m: [1.0, 2.0, 3.0], origin_yaw_deg: 4.0 }),
+        ];
+        Scene {
+            name: "full".into(),
+            seed: 5,
+            duration_s: 10.0,
+            channel: 100,
+            bandwidth_mhz: 40,
+            start_unix_s: 1_600_000_000,
+            reflections: 1,
+            cfo: Cfo::Paper(PaperCfo { df_hz: 11.0, c1: 9_000.0, c2: 190.0, jitter_ns: 90.0 }),
+            card: Card::Intel5300,
+            preamble: None,
+            driver: Driver::Stock,
+            sounding: Some(Sounding {
+                rate_hz: 2.0,
+                initiators: vec!["r0".into()],
+                dialect: Dialect::Native,
+                start_s: 0.2,
+            }),
+            radio: radio(
+                Gain::Agc(Agc { target_lsb: 30.0, lsb_std_db: 0.5, rssi_db: 37.0, agc_std_db: 0.5 }),
+                Noise::SnrDb(20.0),
+            ),
+            robot: motions.into_iter().enumerate().map(|(number, motion)| robot(number, motion)).collect(),
+            wall: vec![Wall {
+                from_m: [0.0, -9.0],
+                to_m: [5.0, -9.0],
+                bottom_m: 0.1,
+                top_m: 2.4,
+                thickness_m: 0.2,
+                loss_db: 5.0,
+                through_db: Some(9.0),
+            }],
+            reflector: vec![Reflector {
+                corner_m: [1.0, -9.0, 2.0],
+                edge_a_m: [2.0, 0.1, 0.1],
+                edge_b_m: [0.1, 2.0, 0.2],
+                loss_db: 5.0,
+                through_db: Some(9.0),
+            }],
+        }
+    }
+
+    /// Calls `visit` with each number of a document and the way to it; indices are left out of the way's last part.
+    fn numbers(value: &Value, way: &mut Vec<Step>, visit: &mut dyn FnMut(&[Step])) {
+        match value {
+            Value::Integer(_) | Value::Float(_) => visit(way),
+            Value::Array(items) => {
+                for (index, item) in items.iter().enumerate() {
+                    way.push(Step::Index(index));
+                    numbers(item, way, visit);
+                    way.pop();
+                }
+            }
+            Value::Table(table) => {
+                for (key, item) in table {
+                    way.push(Step::Key(key.clone()));
+                    numbers(item, way, visit);
+                    way.pop();
+                }
+            }
+            _ => {}
+        }
+    }
+
+    #[derive(Clone, Debug)]
+    enum Step {
+        Key(String),
+        Index(usize),
+    }
+
+    fn at<'v>(value: &'v mut Value, way: &[Step]) -> &'v mut Value {
+        way.iter().fold(value, |value, step| match step {
+            Step::Key(key) => &mut value[key.as_str()],
+            Step::Index(index) => &mut value[*index],
+        })
+    }
+
+    fn read(document: &Value) -> Result<Scene, SceneError> {
+        Scene::from_toml(&toml::to_string(document).unwrap())
+    }
+
+    #[test]
+    fn every_number_of_a_scene_that_makes_no_sense_is_refused_with_its_line() {
+        let trajectory = std::env::temp_dir().join(format!("csi5300-numbers-{}.csv", std::process::id()));
+        std::fs::write(&trajectory, "10.0,0,90,0,1,\n11.0,0,91,2,1,\n").unwrap();
+        let text = full(&trajectory).to_toml().unwrap();
+        Scene::from_toml(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+        let mut document: Value = toml::from_str(&text).unwrap();
+        let mut ways = Vec::new();
+        numbers(&document, &mut Vec::new(), &mut |way| ways.push(way.to_vec()));
+        assert!(ways.len() > 700, "{} numbers", ways.len());
+        // Robots differ in their motions alone.
+        let apart = |way: &&Vec<Step>| match &way[..] {
+            [Step::Key(robot), Step::Index(index), Step::Key(table), ..] if robot == "robot" => {
+                *index == 0 || table == "motion"
+            }
+            _ => true,
+        };
+        let mut wrong = Vec::new();
+        for way in ways.iter().filter(apart) {
+            let keys: Vec<&str> = way
+                .iter()
+                .filter_map(|step| if let Step::Key(key) = step { Some(key.as_str()) } else { None })
+                .collect();
+            let name = keys.join(".");
+            let signed =
+                SIGNED.contains(keys.last().unwrap()) || SIGNED_WAYS.iter().any(|signed| name.ends_with(signed));
+            let before = at(&mut document, way).clone();
+            let whole = before.is_integer();
+            let cases = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300].map(Value::Float);
+            let negative = if whole { Value::Integer(-1) } else { Value::Float(-1.0) };
+            for case in cases.into_iter().chain(std::iter::once(negative).filter(|_| !signed)) {
+                // Without end is the highest rate that fits.
+                if name == "sounding.rate_hz" && case.as_float() == Some(f64::INFINITY) {
+                    continue;
+                }
+                *at(&mut document, way) = case.clone();
+                match read(&document) {
+                    Ok(_) => wrong.push(format!("{name} = {case:?} is taken")),
+                    Err(error) if error.line().is_none() => wrong.push(format!("{name} = {case:?}: no line: {error}")),
+                    Err(_) => {}
+                }
+            }
+            *at(&mut document, way) = before;
+        }
+        std::fs::remove_file(&trajectory).unwrap();
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    }
 }

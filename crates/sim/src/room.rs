@@ -1,21 +1,25 @@
-//! The room: one card and one odometry for each robot, and their accounts.
+//! The room: one card and one odometry for each robot, and their accounts; or a run to its end in memory.
 
 use super::air::{Air, MakeStation};
 use super::faults::Injected;
-use super::followed::Follower;
-use super::interface::Interface;
-use super::motion::Pose;
-use super::odometer::Odometer;
-use super::port::{Port, ceil_us, host_us, lock};
-use super::room_error::RoomError;
-use super::scene::Scene;
-use super::sounder::sounder;
-use super::station::Station;
+use super::motion::{Follower, Pose};
+use super::port::{Interface, Odometer, Port, ceil_us, host_us, lock};
+use super::refusal::{SceneError, check};
+use super::scene::{Card, Scene};
+use super::sounder::{FrameRole, Station, sounder};
 use super::world::World;
-use super::world_check::check;
+use csi_formats::feitcsi;
+use csi5300::exchange::tdma::PlanError;
 use csi5300::motion::odometry::OdometrySource;
+use csi5300::motion::pose::{self, Trajectory};
+use csi5300::source::other_card::Translated;
+use csi5300::source::replay::Replay;
+use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
-use driver_iface::Mac;
+use driver_iface::record::Record;
+use driver_iface::{EmitError, Mac};
+use nalgebra::Vector3;
+use std::io::Read;
 use std::sync::{Arc, Mutex};
 
 /// A room full of robots.
@@ -169,5 +173,825 @@ impl Room {
     #[must_use]
     pub fn injected(&self) -> Vec<Injected> {
         lock(&self.air).injected().collect()
+    }
+}
+
+/// One robot's backend, as a real robot has it.
+#[derive(Debug)]
+pub struct Backend {
+    /// Its card: [`csi5300::source::CsiSource`] and [`csi5300::source::Injector`].
+    pub card: Port,
+    /// Its odometry: [`csi5300::motion::odometry::OdometrySource`].
+    pub odometry: Odometer,
+}
+
+impl Room {
+    /// A robot's backend. Each is handed out once; `None` if its card was taken, or without such a robot.
+    pub fn backend(&mut self, robot: usize) -> Option<Backend> {
+        let odometry = self.odometry(robot)?;
+        Some(Backend { card: self.card(robot)?, odometry })
+    }
+}
+
+/// Rows per second of true paths, as motion capture gives them.
+const TRUTH_HZ: f64 = 200.0;
+
+/// A room that was run to its end.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Simulation {
+    /// Its robots, in the scene's order.
+    pub robots: Vec<SimulatedRobot>,
+}
+
+/// The log of a robot, and its true path.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct SimulatedRobot {
+    /// Its name in the scene.
+    pub name: String,
+    /// Its card's MAC address.
+    pub mac: Mac,
+    /// The bytes of its log (a `.dat`, of an AX210 FeitCSI's): the records of exchanges in which it took part.
+    pub log: Vec<u8>,
+    /// Whole records in it.
+    pub records: u64,
+    /// The true path of its antenna A, 200 times a second on its host's clock, metres in the scene's frame; `None` if
+    /// the scene is too short for two poses.
+    pub true_path: Option<Trajectory>,
+    /// Its account of faults.
+    pub injected: Injected,
+}
+
+impl Simulation {
+    /// The robot of this name.
+    #[must_use]
+    pub fn robot(&self, name: &str) -> Option<&SimulatedRobot> {
+        self.robots.iter().find(|robot| robot.name == name)
+    }
+}
+
+impl SimulatedRobot {
+    /// Its log as a source of records.
+    #[must_use]
+    pub fn replay(&self) -> Replay<Box<dyn Read + Send + '_>> {
+        let log: &[u8] = &self.log;
+        let is_feitcsi = feitcsi::is_log(log);
+        let log: Box<dyn Read + Send + '_> = if is_feitcsi { Box::new(Translated::new(log)) } else { Box::new(log) };
+        Replay::new(log, format!("the log of {}", self.name))
+    }
+
+    /// Where its antenna A was at the start, metres in the scene's frame.
+    #[must_use]
+    pub fn start_m(&self) -> Option<Vector3<f64>> {
+        self.true_path.as_ref()?.poses().first().map(|pose| pose.position_m)
+    }
+}
+
+impl Room {
+    /// Runs the room to its end and keeps all logs in memory, each with the records of its robot's own exchanges.
+    ///
+    /// # Errors
+    /// [`RoomError::CardTaken`] if somebody reads one of the cards already; [`RoomError::Source`] as a card's
+    /// [`CsiSource::receive`].
+    pub fn run(self) -> Result<Simulation, RoomError> {
+        self.run_while(|_| true)
+    }
+
+    /// [`Room::run`] while `go_on` returns true; it gets the scene's time after each event.
+    ///
+    /// # Errors
+    /// As [`Room::run`], and [`RoomError::Stopped`].
+    pub fn run_while(mut self, mut go_on: impl FnMut(Instant) -> bool) -> Result<Simulation, RoomError> {
+        let is_framed = self.scene().card == Card::Intel5300;
+        let mut logs = vec![(Vec::new(), 0); self.scene().robot.len()];
+        let keep = |robot: usize, _, _, _, record: &Record<'_>| {
+            let Some((log, records)) = logs.get_mut(robot) else { return Ok(()) };
+            *records += 1;
+            append(log, record, is_framed)
+        };
+        self.run_cards(keep, |now| match go_on(now) {
+            true => Ok(()),
+            false => Err(RoomError::Stopped { at_s: now.as_s() }),
+        })?;
+        let injected = self.injected();
+        let robots = logs.into_iter().zip(injected).enumerate().map(|(robot, ((log, records), injected))| {
+            let name = self.scene().robot.get(robot).map_or_else(String::new, |state| state.name.clone());
+            let mac = self.mac(robot).unwrap_or(Mac::ZERO);
+            SimulatedRobot { name, mac, log, records, true_path: self.true_path(robot, TRUTH_HZ), injected }
+        });
+        Ok(Simulation { robots: robots.collect() })
+    }
+
+    /// Reads all cards, as their usual loggers do, to the room's end. `keep` gets each record with the robot that has it, the
+    /// frame's role for it, its sender's number and the host's time; `step` gets the scene's time after each event.
+    pub(super) fn run_cards(
+        &mut self,
+        mut keep: impl FnMut(usize, FrameRole, usize, Option<i64>, &Record<'_>) -> Result<(), Error>,
+        mut step: impl FnMut(Instant) -> Result<(), RoomError>,
+    ) -> Result<(), RoomError> {
+        let robots = self.scene().robot.len();
+        let mut cards: Vec<Port> = (0..robots).filter_map(|robot| self.card(robot)).collect();
+        if cards.len() != robots {
+            return Err(RoomError::CardTaken);
+        }
+        cards.iter_mut().for_each(Port::for_logger);
+        let mut now = Instant::ZERO;
+        loop {
+            let mut next: Option<Instant> = None;
+            for (robot, card) in cards.iter_mut().enumerate() {
+                loop {
+                    match card.receive_with_role(now)? {
+                        (role, from, Next::Record(stamps, record)) => keep(robot, role, from, stamps.host_us, &record)?,
+                        (.., Next::Lost(_)) => {}
+                        (.., Next::Pending) => {
+                            next = [next, card.next_at()].into_iter().flatten().min();
+                            break;
+                        }
+                        (.., Next::End(_)) => break,
+                    }
+                }
+            }
+            let Some(at) = next else { return Ok(()) };
+            now = now.max(at);
+            step(now)?;
+        }
+    }
+
+    /// The true path of a robot's antenna A, start to end, `rate_hz` times a second on its host's clock, metres in the
+    /// scene's frame; `None` without such a robot, or if the scene is too short for two poses.
+    #[must_use]
+    pub fn true_path(&self, robot: usize, rate_hz: f64) -> Option<Trajectory> {
+        let rows = (self.scene().duration_s * rate_hz).floor() as usize;
+        let pose = |row: usize| {
+            let t_s = row as f64 / rate_hz;
+            let (position_m, host_us) = (self.antenna(robot, t_s)?, self.host_us(robot, t_s)?);
+            let heading_rad = self.pose(robot, t_s).map(|pose| pose.yaw_rad);
+            Some(pose::Pose { t_s: host_us as f64 * 1e-6, position_m, heading_rad })
+        };
+        Trajectory::new((0..=rows).filter_map(pose).collect()).ok()
+    }
+}
+
+/// Appends a record as its logger does; FeitCSI's has no length before it.
+pub(super) fn append(log: &mut Vec<u8>, record: &Record<'_>, is_framed: bool) -> Result<(), Error> {
+    if !is_framed {
+        log.extend_from_slice(record.body);
+        return Ok(());
+    }
+    let from = log.len();
+    log.resize(from + record.emit_len(), 0);
+    let place = log.get_mut(from..).unwrap_or_default();
+    let written = record.emit(place).map_err(|error| CardError::Frame(error).into());
+    written.map(|_| ())
+}
+
+/// Why a room could not be built or used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RoomError {
+    /// The scene was refused.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The scene's sounding does not fit.
+    #[error(transparent)]
+    Sounding(#[from] PlanError),
+    /// A robot cannot follow poses.
+    #[error("robot `{robot}` follows no poses: its motion in the scene is not `followed`")]
+    NotFollowed {
+        /// Its name.
+        robot: String,
+    },
+    /// A robot of a data set follows poses that only a running node has.
+    #[error(
+        "robot `{robot}` goes where an odometry source says while a node runs: `csi5300 node`, with `follow` in `capture.room`"
+    )]
+    Followed {
+        /// Its name.
+        robot: String,
+    },
+    /// A robot follows a source already.
+    #[error("robot `{robot}` follows a source already")]
+    FollowsAlready {
+        /// Its name.
+        robot: String,
+    },
+    /// A card of a room that is to be run as a whole is taken.
+    #[error("a card of this room was taken before; all are needed")]
+    CardTaken,
+    /// A run was stopped before the room's end.
+    #[error("the run was stopped {at_s:.3} s into the scene")]
+    Stopped {
+        /// Time of the scene, seconds.
+        at_s: f64,
+    },
+    /// A card or an odometry of the room failed, or a file could not be written.
+    #[error(transparent)]
+    Source(#[from] csi5300::source::Error),
+}
+
+/// Why a card of a room gave no record or took no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CardError {
+    /// The body of a simulated record cannot be written.
+    #[error("cannot write a simulated record: {0}")]
+    Body(#[source] EmitError),
+    /// A simulated record fits no frame of a log.
+    #[error("cannot frame a simulated record: {0}")]
+    Frame(#[source] EmitError),
+    /// A frame is longer or shorter than cards send.
+    #[error("a frame of {len} bytes was not sent: {least} to {most} are possible")]
+    FrameLength {
+        /// Its bytes.
+        len: usize,
+        /// Bytes of the shortest, a MAC header.
+        least: usize,
+        /// Bytes of the longest.
+        most: usize,
+    },
+    /// A modulation and coding scheme of more than one stream.
+    #[error("MCS {mcs}: cards in a room send one stream, MCS 0 to 7")]
+    Mcs {
+        /// The scheme.
+        mcs: u8,
+    },
+}
+
+impl From<CardError> for csi5300::source::Error {
+    fn from(error: CardError) -> Self {
+        Self::Backend(Box::new(error))
+    }
+}
+
+impl From<RoomError> for csi5300::source::Error {
+    fn from(error: RoomError) -> Self {
+        match error {
+            RoomError::Source(error) => error,
+            other => Self::Backend(Box::new(other)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::radio::{Gain, Noise};
+    use crate::{Room, RoomError, Scene};
+    use csi5300::motion::odometry::NextPose;
+    use csi5300::source::{Injector, Loss};
+    use csi5300::time::Span;
+    use driver_iface::bfee::{Antenna, Bfee, Layout};
+    use driver_iface::mpdu::Mpdu;
+    use driver_iface::record::code;
+    use num_complex::Complex64;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_run_ends_when_it_is_told_to() {
+        let scene = Scene::parse(
+            "duration_s = 36000.0\nsounding.rate_hz = 100\n\
+             [[robot]]\nname = \"rx\"\nmotion.circle = { radius_m = 0.3, duration_s = 36000.0 }\n\
+             [[robot]]\nname = \"tx\"\nposition_m = [3.0, 1.0, 0.5]\n",
+        );
+        let room = Room::new(&scene.unwrap()).unwrap();
+        let ended = room.run_while(|now| now.as_s() < 0.5);
+        assert!(matches!(ended, Err(RoomError::Stopped { at_s }) if (0.5..0.6).contains(&at_s)), "{ended:?}");
+    }
+
+    /// A frame as the WSR toolbox sends it: magic addresses, own MAC, big-endian number, `len` bytes with FCS.
+    fn frame(mac: [u8; 6], number: u32, len: usize) -> Vec<u8> {
+        let mut bytes = vec![0x08, 0, 0xff, 0xff];
+        bytes.extend([0x00, 0x16, 0xea, 0x12, 0x34, 0x56].repeat(2));
+        bytes.extend(mac);
+        bytes.extend([0, 0]);
+        bytes.extend(number.to_be_bytes());
+        bytes.resize(len - 4, 0x55);
+        bytes
+    }
+
+    /// Sends one numbered frame every 10 ms; answers are left to the drivers' `ack_len`.
+    #[derive(Debug)]
+    struct Beacon {
+        mac: [u8; 6],
+        number: u32,
+        next: Instant,
+    }
+
+    impl Station for Beacon {
+        fn heard(&mut self, _: Instant, _: &[u8]) -> FrameRole {
+            FrameRole::Unknown
+        }
+
+        fn transmit(&mut self, now: Instant, out: &mut Vec<u8>) -> bool {
+            if now < self.next {
+                return false;
+            }
+            self.number += 1;
+            self.next = Instant::from_us((now.as_us() / 10_000 + 1) * 10_000);
+            *out = frame(self.mac, self.number, 57);
+            true
+        }
+
+        fn timeout(&self) -> Option<Instant> {
+            Some(self.next)
+        }
+    }
+
+    /// A room whose robot 0 beacons; the others answer by their drivers.
+    fn beaconing(scene: &Scene) -> Room {
+        let mac = scene.robot[0].mac_address(0).unwrap().0;
+        let make = move |robot: usize, _, _| {
+            (robot == 0).then(|| Box::new(Beacon { mac, number: 0, next: Instant::ZERO }) as Box<dyn Station>)
+        };
+        Room::with_stations(scene, Box::new(make)).unwrap()
+    }
+
+    fn two(head: &str, rx: &str, tx: &str) -> Scene {
+        let text = format!(
+            "duration_s = 10.0\n{head}\n[[robot]]\nname = \"rx\"\n{rx}\n[[robot]]\nname = \"tx\"\n\
+             position_m = [-3.858, 0.929, 0.0]\nack_len = 57\n{tx}\n"
+        );
+        Scene::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"))
+    }
+
+    /// One record, as read.
+    #[derive(Clone, Debug, PartialEq)]
+    struct Row {
+        at: Instant,
+        host_us: i64,
+        body: Vec<u8>,
+    }
+
+    impl Row {
+        fn bfee(&self) -> Bfee<'_> {
+            Bfee::new_checked(&self.body).unwrap()
+        }
+
+        fn number(&self) -> u32 {
+            self.bfee().wsr().unwrap().frame_count.unwrap()
+        }
+    }
+
+    /// Reads a card to its end, as a process does that wakes whenever something comes.
+    fn drain(port: &mut Port) -> (Vec<Row>, u64) {
+        let (mut rows, mut lost, mut now) = (Vec::new(), 0, Instant::ZERO);
+        loop {
+            match port.receive(now).unwrap() {
+                Next::Record(stamps, record) => {
+                    assert_eq!(record.code, code::BFEE);
+                    rows.push(Row { at: stamps.at, host_us: stamps.host_us.unwrap(), body: record.body.to_vec() });
+                }
+                Next::Lost(Loss::Overrun { dropped }) => lost += dropped.unwrap(),
+                Next::Lost(other) => panic!("{other:?}"),
+                Next::Pending => {
+                    let next = port.next_at().unwrap();
+                    assert!(next > now, "no progress at {now:?}");
+                    now = next;
+                }
+                Next::End(_) => return (rows, lost),
+            }
+        }
+    }
+
+    /// Runs a beaconing room to its end: records of robots 0 and 1, overruns reported by them, and the room's account.
+    fn run(scene: &Scene) -> ([Vec<Row>; 2], [u64; 2], Vec<Injected>) {
+        let mut room = beaconing(scene);
+        let (mut rx, mut tx) = (room.card(0).unwrap(), room.card(1).unwrap());
+        let (rx_rows, rx_lost) = drain(&mut rx);
+        let (tx_rows, tx_lost) = drain(&mut tx);
+        ([rx_rows, tx_rows], [rx_lost, tx_lost], room.injected())
+    }
+
+    #[test]
+    fn an_exchange_gives_pairs_in_the_wsr_layout() {
+        let scene = two(
+            "radio.send_jitter_us = 100.0\n[radio.turn_around]\nspread_us = 20.0",
+            "crystal.offset_ppm = 2.0",
+            "host_clock = { offset_s = 4.06 }",
+        );
+        let ([rx, tx], lost, injected) = run(&scene);
+        assert_eq!((rx.len(), tx.len(), lost), (1000, 1000, [0, 0]), "the frame of 10.0 s is too late");
+        assert_eq!((injected[0].sent, injected[1].sent), (1000, 1000));
+        let mut turns_us = Vec::new();
+        for (i, (back, forth)) in rx.iter().zip(&tx).enumerate() {
+            let (b, f) = (back.bfee(), forth.bfee());
+            assert_eq!((b.layout(), back.body.len()), (Layout::Wsr, 230));
+            assert_eq!((back.number(), forth.number()), (i as u32 + 1, i as u32 + 1));
+            assert_eq!(b.wsr().unwrap().mac.0, [2, 0x53, 0, 0, 0, 1]);
+            assert_eq!(f.wsr().unwrap().mac.0, [2, 0x53, 0, 0, 0, 0]);
+            assert_eq!((b.bfee_count(), b.noise_dbm(), b.rate_n_flags()), (i as u16 + 1, -127, 0x100));
+            let host_apart_us = forth.host_us - back.host_us;
+            assert!((4_059_000..4_061_000).contains(&host_apart_us), "{host_apart_us}");
+            // The receiver's card clock gains 2 us a second on the other's.
+            let gained_us = 2e-6 * f64::from(f.timestamp_low());
+            turns_us.push(f64::from(b.timestamp_low()) - f64::from(f.timestamp_low()) - gained_us);
+        }
+        let mean = turns_us.iter().sum::<f64>() / 1000.0;
+        let std = (turns_us.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / 1000.0).sqrt();
+        assert!((mean - 225.0).abs() < 3.0 && (std - 20.0).abs() < 2.0, "turn-around {mean} +- {std} us");
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_bytes_whoever_reads_first() {
+        let text = "radio.noise.snr_db = 10.0\nradio.phase_noise_rad = 0.1\nradio.delay_std_ns = 30.0\nradio.antenna_order = \"by_rssi\"";
+        let scene = two(text, "faults = { loss = 0.1, duplicate = 0.1 }", "");
+        let ([rx, tx], ..) = run(&scene);
+        let mut room = beaconing(&scene);
+        let (mut rx2, mut tx2) = (room.card(0).unwrap(), room.card(1).unwrap());
+        assert!(room.card(0).is_none(), "each card is handed out once");
+        let tx2 = drain(&mut tx2).0;
+        assert_eq!((drain(&mut rx2).0, tx2), (rx.clone(), tx));
+        let other = Scene { seed: 2, ..scene };
+        assert_ne!(run(&other).0[0], rx);
+    }
+
+    #[test]
+    fn losses_match_the_rooms_account() {
+        let scene = two("", "faults = { loss = 0.3, duplicate = 0.05, driver_drop = 0.1 }", "faults.loss = 0.2");
+        let ([rx, tx], _, injected) = run(&scene);
+        let [a, b] = [injected[0], injected[1]];
+        assert_eq!(tx.len() as u64, a.sent - 1 - b.lost, "all but the last frame, which does not end in time");
+        assert!((150..250).contains(&b.lost), "{}", b.lost);
+        assert_eq!(a.lost, b.sent - (a.received - a.duplicated));
+        assert_eq!(rx.len() as u64, a.received - a.driver_dropped);
+        assert_eq!((a.delivered, b.delivered), (rx.len() as u64, tx.len() as u64));
+        assert!(a.lost > 150 && a.duplicated > 10 && a.driver_dropped > 30, "{a:?}");
+        // What a reader can count by itself: gaps in bfee_count, and numbers that come twice.
+        let mut gaps = csi5300::time::Step16::default();
+        let before_first = u64::from(rx[0].bfee().bfee_count()) - 1;
+        let after_last = a.received - u64::from(rx[rx.len() - 1].bfee().bfee_count());
+        let missing: u64 = rx.iter().map(|row| u64::from(gaps.missing(row.bfee().bfee_count()))).sum();
+        assert_eq!(missing + before_first + after_last, a.driver_dropped);
+    }
+
+    #[test]
+    fn missing_copies_are_not_counted() {
+        // Every frame comes twice, 112 and 225 us after its rise at least, but for one: its receiver is switched off between.
+        let scene = two("", "", "faults = { duplicate = 1.0, restart_at_s = [5.00015], restart_s = 0.005 }");
+        let ([_, tx], _, injected) = run(&scene);
+        let numbers: Vec<u32> = tx.iter().map(Row::number).collect();
+        let twice = numbers.windows(2).filter(|pair| pair[0] == pair[1]).count() as u64;
+        assert_eq!((injected[1].duplicated, injected[1].delivered), (twice, 2 * twice + 1), "{:?}", injected[1]);
+    }
+
+    #[test]
+    fn a_stopped_reader_overruns_its_queue_and_the_counts_agree() {
+        let scene = two("", "faults = { queue_records = 20, stall_every_s = 2.0, stall_s = 0.5 }", "");
+        let ([rx, _], lost, injected) = run(&scene);
+        let a = injected[0];
+        // Stalls from 2, 4, 6, 8 and (at the very end) 10 s on: 50 frames each, 20 of which fit.
+        assert!((4..=5).contains(&a.overruns), "{a:?}");
+        assert_eq!(lost[0], a.overrun_records);
+        assert!((115..=125).contains(&a.overrun_records), "{a:?}");
+        let mut gaps = csi5300::time::Step16::default();
+        let missing: u64 = rx.iter().map(|row| u64::from(gaps.missing(row.bfee().bfee_count()))).sum();
+        assert_eq!(missing, a.overrun_records, "each lost record is a gap in bfee_count");
+    }
+
+    #[test]
+    fn after_an_overrun_nothing_comes_until_the_queue_is_empty() {
+        let scene = two("", "faults.queue_records = 10", "");
+        let mut room = beaconing(&scene);
+        let mut rx = room.card(0).unwrap();
+        // Half a second without reading: 51 records came, 10 were kept. One is read, then half a second passes again.
+        assert!(matches!(rx.receive(Instant::from_us(504_000)).unwrap(), Next::Record(..)));
+        let later = Instant::from_us(1_004_000);
+        for _ in 0..9 {
+            assert!(matches!(rx.receive(later).unwrap(), Next::Record(..)));
+        }
+        let lost = rx.receive(later).unwrap();
+        assert!(matches!(lost, Next::Lost(Loss::Overrun { dropped: Some(91) })), "{lost:?}");
+        assert!(matches!(rx.receive(later).unwrap(), Next::Pending));
+        assert!(matches!(rx.receive(Instant::from_us(1_014_000)).unwrap(), Next::Record(..)));
+    }
+
+    #[test]
+    fn a_restart_resets_all_counters() {
+        let scene =
+            two("", "faults = { restart_at_s = [4.0], restart_s = 1.0 }\ncrystal.clock_start_us = 4000000000", "");
+        let ([rx, tx], _, injected) = run(&scene);
+        let counts: Vec<u16> = rx.iter().map(|r| r.bfee().bfee_count()).collect();
+        let restart = counts.windows(2).position(|w| w[1] < w[0]).unwrap() + 1;
+        assert_eq!((counts[restart], rx[restart].number()), (1, 1));
+        assert_eq!((rx[0].bfee().timestamp_low() / 1_000, rx[restart].bfee().timestamp_low() / 1_000), (4_000_000, 0));
+        assert!(rx[restart].at - rx[restart - 1].at >= Span::from_ms(999));
+        assert_eq!(injected[0].restarts, 1);
+        assert_eq!(
+            tx.iter().filter(|row| row.number() == 1).count(),
+            2,
+            "the other robot sees the numbers begin again"
+        );
+    }
+
+    #[test]
+    fn the_stock_driver_gives_frame_and_record_in_turn() {
+        let scene = two("driver = \"stock\"", "", "");
+        let mut room = beaconing(&scene);
+        let mut rx = room.card(0).unwrap();
+        let now = Instant::from_us(500_000);
+        for number in 1..=40 {
+            let Next::Record(_, record) = rx.receive(now).unwrap() else { panic!("no frame {number}") };
+            assert_eq!(record.code, code::MPDU);
+            let mpdu = Mpdu::new_checked(record.body).unwrap();
+            assert!(mpdu.fcs_is_good());
+            assert_eq!((mpdu.sounding_counter(), mpdu.addr3().0[5]), (Some(number), 1));
+            let Next::Record(_, record) = rx.receive(now).unwrap() else { panic!("no record {number}") };
+            assert_eq!((record.code, Bfee::new_checked(record.body).unwrap().layout()), (code::BFEE, Layout::Stock));
+        }
+    }
+
+    #[test]
+    fn frames_that_overlap_are_lost_and_busy_air_is_waited_for() {
+        let scene = two("", "", "");
+        let mut room = Room::quiet(&scene).unwrap();
+        let (mut a, mut b) = (room.card(0).unwrap(), room.card(1).unwrap());
+        let mac = [1; 6];
+        // Within the time of channel assessment: neither hears the other.
+        a.inject(Instant::from_us(1_000), &frame(mac, 1, 59)).unwrap();
+        b.inject(Instant::from_us(1_002), &frame(mac, 2, 59)).unwrap();
+        // Later it does, and waits.
+        a.inject(Instant::from_us(5_000), &frame(mac, 3, 59)).unwrap();
+        b.inject(Instant::from_us(5_050), &frame(mac, 4, 59)).unwrap();
+        let (a_rows, b_rows) = (drain(&mut a).0, drain(&mut b).0);
+        assert_eq!((a_rows.len(), a_rows[0].number()), (1, 4));
+        assert_eq!((b_rows.len(), b_rows[0].number()), (1, 3));
+        let injected = room.injected();
+        assert_eq!((injected[0].collided, injected[1].collided), (1, 1));
+        // Frame 3 is on air for 116 us; DIFS is 34.
+        assert!(a_rows[0].bfee().timestamp_low() >= 5_150);
+        // What one card is given at once goes out in order.
+        let mut room = Room::quiet(&scene).unwrap();
+        let (mut a, mut b) = (room.card(0).unwrap(), room.card(1).unwrap());
+        for number in 1..=50 {
+            a.inject(Instant::ZERO, &frame(mac, number, 59)).unwrap();
+        }
+        assert_eq!(drain(&mut b).0.iter().map(Row::number).collect::<Vec<_>>(), (1..=50).collect::<Vec<_>>());
+        let error = a.inject(Instant::ZERO, &[0; 9]).unwrap_err();
+        assert!(error.to_string().contains("9 bytes"), "{error}");
+    }
+
+    #[test]
+    fn walls_keep_frames_out() {
+        let wall = "[[wall]]\nfrom_m = [-2.0, -9.0]\nto_m = [-2.0, 9.0]\n";
+        let ([rx, tx], _, injected) = run(&two("", "", wall));
+        assert_eq!((rx.len(), tx.len(), injected[1].out_of_reach), (0, 0, 1000));
+        let thin = format!("{wall}through_db = 10.0\n");
+        let ([rx, _], ..) = run(&two("", "", &thin));
+        assert_eq!(rx.len(), 1000);
+        // 10 dB less: the gain control compensates.
+        let open = run(&two("", "", "")).0;
+        assert_eq!(rx[0].bfee().agc(), open[0][0].bfee().agc() + 10);
+    }
+
+    #[test]
+    fn odometry_is_a_sensor() {
+        let circle = "motion.circle = { radius_m = 0.3, duration_s = 10.0 }\n";
+        let poses = |sensor: &str| {
+            let room = Room::quiet(&two("", &format!("{circle}odometry = {{ {sensor} }}"), "")).unwrap();
+            let mut source = room.odometry(0).unwrap();
+            let (mut poses, mut now) = (Vec::new(), Instant::ZERO);
+            loop {
+                match source.receive(now).unwrap() {
+                    NextPose::Pose(pose) => poses.push(pose),
+                    NextPose::Pending => now = source.next_at().unwrap(),
+                    NextPose::NewFrame => panic!("the room has one frame"),
+                    NextPose::End => break,
+                }
+            }
+            (poses, room.injected()[0], room)
+        };
+        let (perfect, counts, room) = poses("rate_hz = 50.0");
+        assert_eq!((perfect.len(), counts.poses), (501, 501));
+        for (n, pose) in perfect.iter().enumerate() {
+            let t_s = n as f64 / 50.0;
+            assert!((pose.position_m - room.pose(0, t_s).unwrap().position_m).norm() < 1e-9);
+            assert!((pose.t_s - 1.7e9 - t_s).abs() < 1e-6);
+        }
+        let (scaled, ..) = poses("scale = 1.1");
+        let reach = scaled.iter().map(|p| p.position_m.norm()).fold(0.0, f64::max);
+        assert!((reach - 0.66).abs() < 1e-3, "{reach}");
+        let (turned, ..) = poses("heading_drift_deg_s = 2.0");
+        let turn = turned[1000].heading_rad.unwrap() - perfect[500].heading_rad.unwrap();
+        assert!((turn - 20f64.to_radians()).abs() < 1e-9, "{turn}");
+        let end = turned[1000].position_m.norm();
+        assert!(end > 0.03, "a drifting heading does not close the circle: {end} m");
+        let (gappy, counts, _) = poses("drop = 0.1, late = 0.1, late_s = 0.05, noise_m = 0.002");
+        assert_eq!(gappy.len() as u64 + counts.poses_dropped, 1001);
+        let backwards = gappy.windows(2).filter(|w| w[1].t_s < w[0].t_s).count() as u64;
+        assert!(counts.poses_late > 50 && backwards > 0 && backwards <= counts.poses_late);
+        let rms = gappy.iter().map(|p| p.position_m.z.powi(2)).sum::<f64>() / gappy.len() as f64;
+        assert!((rms.sqrt() - 0.002).abs() < 2e-4, "{}", rms.sqrt());
+    }
+
+    proptest! {
+        /// No injected frame causes a panic, and exactly the frames for which a card reports CSI give records.
+        #[test]
+        fn any_frame_is_carried(frames in prop::collection::vec((prop::collection::vec(any::<u8>(), 0..90), any::<bool>()), 0..12)) {
+            let mut scene = two("", "", "");
+            // An answer to a frame of 57 bytes could collide with the next.
+            scene.robot[1].ack_len = None;
+            let mut room = Room::quiet(&scene).unwrap();
+            let (mut a, mut b) = (room.card(0).unwrap(), room.card(1).unwrap());
+            let mut with_csi = 0;
+            for (mut bytes, magic) in frames {
+                if magic && bytes.len() >= 16 {
+                    bytes[4..16].copy_from_slice(&[0x00, 0x16, 0xea, 0x12, 0x34, 0x56].repeat(2));
+                }
+                let sent = a.inject(Instant::ZERO, &bytes).is_ok();
+                prop_assert_eq!(sent, bytes.len() >= 24);
+                with_csi += usize::from(sent && magic);
+            }
+            prop_assert_eq!(drain(&mut b).0.len(), with_csi);
+        }
+    }
+
+    /// Coherent samples of all pairs, and where the receiver was: the sum of products over the four middle tones.
+    struct Pairs {
+        z: Vec<Complex64>,
+        at: Vec<Vector3<f64>>,
+        clock_us: Vec<i64>,
+        difference_us: Vec<f64>,
+    }
+
+    impl Pairs {
+        fn new(rx: &[Row], tx: &[Row], position: impl Fn(f64) -> Vector3<f64>) -> Self {
+            let tones = |row: &Row| {
+                let bfee = row.bfee();
+                let chain = bfee.chain_of(Antenna::A).unwrap();
+                [13, 14, 15, 16].map(|i| bfee.iq(i, chain, 0).map(|s| Complex64::new(s.i.into(), s.q.into())).unwrap())
+            };
+            let mut pairs = Self { z: Vec::new(), at: Vec::new(), clock_us: Vec::new(), difference_us: Vec::new() };
+            let mut backs = rx.iter().peekable();
+            for forth in tx {
+                while backs.next_if(|b| b.number() < forth.number()).is_some() {}
+                if let Some(back) = backs.next_if(|b| b.number() == forth.number()) {
+                    pairs.z.push(tones(back).iter().zip(tones(forth)).map(|(b, f)| b * f).sum());
+                    pairs.at.push(position((back.host_us - 1_700_000_000_000_000) as f64 * 1e-6));
+                    let [b, f] = [back, forth].map(|row| i64::from(row.bfee().timestamp_low()));
+                    pairs.clock_us.push(b);
+                    pairs.difference_us.push((f - b) as f64);
+                }
+            }
+            assert!(pairs.z.len() > 900);
+            pairs
+        }
+
+        /// The azimuth of the highest point of |sum z exp()| by the plain sum, the estimator's definition.
+        fn bearing_deg(&self) -> f64 {
+            let turns = 2.0 * 5.540e9 / 299_792_458.0;
+            let power = |deg: f64| {
+                let u = Vector3::new(deg.to_radians().cos(), deg.to_radians().sin(), 0.0);
+                let steered = |(z, p): (&Complex64, &Vector3<f64>)| {
+                    z * Complex64::from_polar(1.0, -std::f64::consts::TAU * turns * u.dot(p))
+                };
+                self.z.iter().zip(&self.at).map(steered).sum::<Complex64>().norm()
+            };
+            let best =
+                |grid: &mut dyn Iterator<Item = f64>| grid.max_by(|a, b| power(*a).total_cmp(&power(*b))).unwrap();
+            let coarse = best(&mut (0..720).map(|i| -180.0 + 0.5 * f64::from(i)));
+            best(&mut (-50..=50).map(|i| coarse + 0.01 * f64::from(i)))
+        }
+    }
+
+    /// The built-in scene of this name, its transmitter 100 times as far, where there is no near field: estimate and truth.
+    fn far_bearing_deg(name: &str, compensate: bool) -> (f64, f64) {
+        let mut scene = Scene::built_in(name).unwrap();
+        for coordinate in &mut scene.robot[1].position_m {
+            *coordinate *= 100.0;
+        }
+        if let Gain::Fixed(fixed) = &mut scene.radio.gain {
+            fixed.lsb_at_1m *= 100.0;
+        }
+        scene.radio.noise = match scene.radio.noise {
+            Noise::FloorDbm(dbm) => Noise::FloorDbm(dbm - 40.0),
+            other => other,
+        };
+        scene.wall.clear();
+        let host = scene.robot[0].host_clock;
+        let mut room = Room::new(&scene).unwrap();
+        let (mut rx, mut tx) = (room.card(0).unwrap(), room.card(1).unwrap());
+        let (rx, tx) = (drain(&mut rx).0, drain(&mut tx).0);
+        let true_s = |host_s: f64| (host_s - host.offset_s) / (1.0 + host.drift_ppm * 1e-6);
+        let mut pairs = Pairs::new(&rx, &tx, |t_s| room.antenna(0, true_s(t_s)).unwrap());
+        if compensate {
+            let turn =
+                csi5300::signal::cfo::TurnAround::estimate(&pairs.z, &pairs.clock_us, &pairs.difference_us, 5.540e9)
+                    .unwrap();
+            turn.apply(&mut pairs.z);
+        }
+        let mean = pairs.at.iter().sum::<Vector3<f64>>() / pairs.at.len() as f64;
+        let to = room.antenna(1, 0.0).unwrap() - mean;
+        (pairs.bearing_deg(), f64::atan2(to.y, to.x).to_degrees())
+    }
+
+    #[test]
+    fn the_papers_circle_gives_the_bearing_to_a_tenth_of_a_degree() {
+        let (got, want) = far_bearing_deg("paper-circle", false);
+        assert!((got - want).abs() <= 0.1, "{got}, not {want}");
+    }
+
+    #[test]
+    fn a_circle_with_all_effects_of_real_cards_is_within_half_a_degree() {
+        let (got, want) = far_bearing_deg("lab-circle", true);
+        assert!((got - want).abs() <= 0.5, "{got}, not {want}");
+    }
+
+    #[test]
+    fn a_line_has_a_mirror() {
+        let (got, want) = far_bearing_deg("paper-line", false);
+        // Ahead is +x: the mirror of an azimuth is its negative.
+        assert!((got.abs() - want.abs()).abs() <= 0.3, "{got}, not {want} or its mirror");
+    }
+
+    /// A robot `tx`, and `rx` with these lines.
+    fn scene(rx: &str) -> Scene {
+        let text = format!(
+            "duration_s = 10.0\n[[robot]]\nname = \"tx\"\nposition_m = [1.5, 0.0, 0.0]\n[[robot]]\nname = \"rx\"\n{rx}\n"
+        );
+        Scene::from_toml(&text).unwrap_or_else(|error| panic!("{error}\n{text}"))
+    }
+
+    /// `tx` sends frames of these numbers, one every 10 ms.
+    fn send(tx: &mut Port, numbers: std::ops::Range<u32>) {
+        numbers.for_each(|number| {
+            tx.inject(Instant::from_us(i64::from(number) * 10_000), &frame([2, 0x53, 0, 0, 0, 1], number, 57)).unwrap()
+        });
+    }
+
+    /// Reads a card to its end; the number of its records.
+    fn read(card: &mut Port) -> u64 {
+        let (mut records, mut now) = (0, Instant::ZERO);
+        loop {
+            match card.receive(now).unwrap() {
+                Next::Record(..) => records += 1,
+                Next::Pending => now = card.next_at().unwrap(),
+                Next::Lost(_) => {}
+                Next::End(_) => return records,
+            }
+        }
+    }
+
+    fn sum(of: Injected) -> u64 {
+        let lost = of.driver_dropped + of.overrun_records + of.unmeasured;
+        of.delivered + of.unheard + of.under_way + of.overheard + lost
+    }
+
+    /// The account of a thousand frames, with `rx`'s card read to its end.
+    fn counted(scene: &Scene) -> Injected {
+        let mut room = Room::quiet(scene).unwrap();
+        let (mut tx, mut rx) = (room.card(0).unwrap(), room.card(1).unwrap());
+        send(&mut tx, 0..1000);
+        let records = read(&mut rx);
+        let counts = room.injected()[1];
+        assert_eq!((records, sum(counts)), (counts.delivered, counts.received), "{counts}");
+        counts
+    }
+
+    #[test]
+    fn a_frame_that_comes_while_antennas_meet_is_counted_as_such() {
+        // It drives over the other's antenna after 5 s, when frame 500 is on air.
+        let mut scene = scene("motion.line = { length_m = 3.0, duration_s = 10.0 }");
+        let counts = counted(&scene);
+        assert_eq!((counts.received, counts.delivered, counts.unmeasured), (1000, 999, 1));
+        assert!(counts.to_string().contains("1 without a record because antennas met"), "{counts}");
+        // With a second antenna there is no record of that moment either.
+        scene.robot[1].antenna_b_m = Some([0.0, 0.5, 0.0]);
+        assert_eq!(counted(&scene).unmeasured, 1);
+    }
+
+    #[test]
+    fn records_that_the_driver_or_a_full_queue_lost_are_in_the_account_too() {
+        let counts = counted(&scene(
+            "faults = { loss = 0.1, driver_drop = 0.1, queue_records = 20, stall_every_s = 3.0, stall_s = 1.0 }",
+        ));
+        assert_eq!(counts.received + counts.lost, 1000);
+        assert!(counts.driver_dropped > 50 && counts.overrun_records > 100, "{counts}");
+    }
+
+    #[test]
+    fn records_of_a_card_that_nobody_has_are_counted_as_unheard() {
+        let mut room = Room::quiet(&scene("")).unwrap();
+        send(&mut room.card(0).unwrap(), 0..1000);
+        room.advance(Instant::from_us(10_000_000));
+        let counts = room.injected()[1];
+        assert_eq!((counts.received, counts.unheard, counts.delivered), (1000, 1000, 0));
+        assert!(counts.to_string().contains("1000 records nobody listened to"), "{counts}");
+    }
+
+    #[test]
+    fn records_let_go_are_counted_as_unheard_and_those_after_them_come() {
+        let mut room = Room::quiet(&scene("")).unwrap();
+        let (mut tx, mut rx) = (room.card(0).unwrap(), room.card(1).unwrap());
+        send(&mut tx, 0..50);
+        // Frame 49 is on its way to the host.
+        rx.let_go(Instant::from_us(490_150));
+        let counts = room.injected()[1];
+        assert_eq!((counts.received, counts.unheard, counts.under_way, counts.delivered), (50, 49, 1, 0));
+        send(&mut tx, 50..100);
+        assert_eq!(read(&mut rx), 51);
+        rx.take_back();
+        let counts = room.injected()[1];
+        assert_eq!((counts.delivered, counts.unheard, sum(counts)), (50, 50, 100), "the last one reached nobody");
     }
 }

@@ -13,7 +13,7 @@ for chains in "3 1" "3 3"; do
     wait "$recorder"
     cat /tmp/said
     CSI5300_TEST_GUEST_LOG=$log CSI5300_TEST_GUEST_CHAINS="$1 $2" CSI5300_TEST_GUEST_COUNT=2000 \
-        /tests/live --exact kernel_guest::the_module_s_records_are_in_the_log --nocapture
+        /tests/live --exact kernel::the_module_s_records_are_in_the_log --nocapture
     # A later listener finds the index by name.
     csi5300 record /tmp/none.dat --stop-after 100ms 2>/tmp/said || true
     grep -q "index 26 (where the driver is registered)" /tmp/said

@@ -49,7 +49,7 @@ ready() {
 # check LINKS: checks the logs of this folder, here and again on the host, to which /init copies /tmp/out.
 check() {
     echo "$1" >links
-    CSI5300_TEST_GUEST_LINKS="$1" /tests/live --exact kernel_sounding::every_answered_frame_is_a_pair_of_the_logs --nocapture >/tmp/checked 2>&1 || {
+    CSI5300_TEST_GUEST_LINKS="$1" /tests/live --exact kernel::every_answered_frame_is_a_pair_of_the_logs --nocapture >/tmp/checked 2>&1 || {
         cat /tmp/checked
         exit 1
     }

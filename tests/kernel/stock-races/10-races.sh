@@ -7,7 +7,7 @@ dmesg -c >/dev/null
 counter() { cat "/sys/module/csi5300/counters/$1"; }
 
 for k in 1 2; do
-    CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >"/tmp/traffic-$k" 2>&1 &
+    CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::traffic >"/tmp/traffic-$k" 2>&1 &
     eval "traffic_$k=$!"
 done
 csi5300 record /tmp/races.dat --force 2>/tmp/recorder &
@@ -47,7 +47,7 @@ echo "50 loads, $(cat /tmp/programs) programs"
 insmod /modules/csi5300.ko transmit=fakecard_tx device=0
 rm -f /tmp/stop
 for k in 1 2; do
-    CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >"/tmp/traffic-$k" 2>&1 &
+    CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::traffic >"/tmp/traffic-$k" 2>&1 &
     eval "traffic_$k=$!"
 done
 until [ "$(counter bfee)" -gt 5000 ]; do sleep 0.1; done

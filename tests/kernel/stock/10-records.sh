@@ -30,7 +30,7 @@ rmmod csi5300
 insmod /modules/csi5300.ko transmit=fakecard_tx device=0
 grep -q "iwlagn *26:1" /proc/net/connector
 echo "frames that lack something"
-step records::missing_parts_are_dropped_or_marked_and_counted CSI5300_STOCK_DROPS yes
+step missing_parts_are_dropped_or_marked_and_counted CSI5300_STOCK_DROPS yes
 rmmod csi5300
 
 # records LAYOUT CONNECTOR_LOG FRAMES RATE: csitool's way of logging, and `csi5300 record` beside it.
@@ -41,7 +41,7 @@ records() {
     csi5300 record /tmp/recorded.dat --force 2>/tmp/recorder &
     recorder=$!
     until grep -q "recording to" /tmp/recorder; do :; done
-    step records::every_record_is_what_the_patched_driver_makes CSI5300_STOCK_RECORDS "$1 $2 $3 $4 /tmp/expected.dat"
+    step every_record_is_what_the_patched_driver_makes CSI5300_STOCK_RECORDS "$1 $2 $3 $4 /tmp/expected.dat"
     sleep 1
     kill -TERM "$recorder"
     wait "$recorder"

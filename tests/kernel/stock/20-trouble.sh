@@ -1,7 +1,7 @@
 # The module is unloaded under traffic, a card sends garbage, and the driver goes away under the module.
 dmesg -c >/dev/null
 rm -f /tmp/stop
-CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >/tmp/traffic 2>&1 &
+CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::traffic >/tmp/traffic 2>&1 &
 traffic=$!
 csi5300 record /tmp/trouble.dat --force 2>/tmp/recorder &
 recorder=$!
@@ -17,7 +17,7 @@ wait "$recorder" || true
 echo "50 times loaded and unloaded under traffic"
 
 insmod /modules/csi5300.ko transmit=fakecard_tx device=0 connector_log=5
-CSI5300_STOCK_HOSTILE=100000 /tests/live --exact stock::hostile::malformed_packets >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
+CSI5300_STOCK_HOSTILE=100000 /tests/live --exact stock::malformed_packets >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
 grep -q "1 passed" /tmp/said
 echo "100,000 malformed packets: $(cd /sys/module/csi5300/counters && grep . phy mpdu bfee records bad_phy bad_mpdu bad_bfee no_phy | tr '\n' ' ')"
 [ "$(cat /sys/module/csi5300/counters/bad_bfee)" -gt 1000 ]
@@ -27,14 +27,14 @@ echo "100,000 malformed packets: $(cd /sys/module/csi5300/counters && grep . phy
 for loaded in no yes; do
     [ "$loaded" = yes ] || rmmod csi5300
     [ "$loaded" = no ] || insmod /modules/csi5300.ko transmit=fakecard_tx device=0
-    CSI5300_STOCK_COST=20000 /tests/live --exact stock::hostile::cost --nocapture | grep -e "^other" -e "^phy" -e "^bfee" -e " other " >"/tmp/cost-$loaded"
+    CSI5300_STOCK_COST=20000 /tests/live --exact stock::cost --nocapture | grep -e "^other" -e "^phy" -e "^bfee" -e " other " >"/tmp/cost-$loaded"
 done
 sed 's/.* other /other /' /tmp/cost-no >/tmp/cost-without
 sed 's/.* other /other /' /tmp/cost-yes | paste -d ' ' /tmp/cost-without - |
     awk '{ printf "cost of a hit, %s: %d ns\n", $1, $4 - $2; if ($1 == "other" && $4 - $2 > 1000) bad = 1 } END { exit bad || NR != 3 }'
 # latency WAY TEST: from the packet to the record in user space, 2,000 frames, by the guest's clock.
 latency() {
-    CSI5300_STOCK_LATENCY=2000 /tests/live --exact "stock::hostile::$2" --nocapture >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
+    CSI5300_STOCK_LATENCY=2000 /tests/live --exact "stock::$2" --nocapture >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
     grep -q "1 passed" /tmp/said
     echo "from packet to user space, $1: $(sed -n 's/.*from packet to user space: //p' /tmp/said)"
 }
@@ -64,7 +64,7 @@ for reload in 1 2 3; do
         csi5300 record "/tmp/reload-$index.dat" --force --connector-index "$index" --stop-after 3s 2>"/tmp/said-$index" &
         until grep -q "recording to" "/tmp/said-$index"; do :; done
     done
-    CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >/tmp/traffic 2>&1 &
+    CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::traffic >/tmp/traffic 2>&1 &
     before=$(cat /sys/module/csi5300/counters/delivered)
     until [ "$(cat /sys/module/csi5300/counters/delivered)" -gt "$((before + 100))" ]; do :; done
     sleep 3
@@ -78,7 +78,7 @@ rmmod caller
 echo "three reloads of the driver: both cards on their own connector index"
 before=$(cat /sys/module/csi5300/counters/phy)
 rm -f /tmp/stop
-CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >/tmp/traffic 2>&1 &
+CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::traffic >/tmp/traffic 2>&1 &
 until [ "$(cat /sys/module/csi5300/counters/phy)" -gt "$((before + 100))" ]; do :; done
 touch /tmp/stop
 wait

@@ -17,7 +17,7 @@ up() {
 # air NAME: simulates the room between the cards until the file NAME.stop exists.
 air() {
     rm -f "$1.stop"
-    CSI5300_STOCK_AIR="/guest/room.toml $PWD/$1.csv $PWD/$1.stop" /tests/live --exact stock::air::a_room_between_the_cards --nocapture >"$1.air" 2>&1 &
+    CSI5300_STOCK_AIR="/guest/room.toml $PWD/$1.csv $PWD/$1.stop" /tests/live --exact stock::a_room_between_the_cards --nocapture >"$1.air" 2>&1 &
     air=$!
 }
 landed() {

@@ -21,7 +21,7 @@ exchange() {
     name=$1 seconds=$2 key=$3
     shift 3
     [ "$key" = - ] && one="" two="" || one="--key one.$key" two="--key two.$key"
-    CSI5300_STOCK_AIR="/guest/room.toml $PWD/$name.csv $PWD/$name.stop" /tests/live --exact stock::air::a_room_between_the_cards --nocapture >"$name.air" 2>&1 &
+    CSI5300_STOCK_AIR="/guest/room.toml $PWD/$name.csv $PWD/$name.stop" /tests/live --exact stock::a_room_between_the_cards --nocapture >"$name.air" 2>&1 &
     air=$!
     rates_before=$(counter rates_set)
     : >"$name.respond"

@@ -1,7 +1,7 @@
-//! Claims of clocks and of the host.
+//! Claims of clocks and of the host, and those decided by the kernel module's counters.
 
-use super::Told;
-use crate::collect::{Evidence, Heard, HeardRecord};
+use super::{Needs, Told};
+use crate::evidence::{Evidence, Heard, HeardRecord};
 use crate::report::Verdict;
 use crate::stats::{SURE, line, quantile};
 use csi5300::bartlett::Tier;
@@ -121,11 +121,10 @@ pub(super) fn card_rate(heard: &Heard, _: &Evidence) -> Told {
     // Late records at one end tilt the line.
     let length = points.last().map_or(0.0, |point| point.0).max(1e-3);
     let (ppm, error) = (-1e6 * slope, 1e6 * (SURE * error + 1e-4 / length));
-    let told = match ppm.abs() {
-        _ if error > 20.0 => Told::not_tried(format!("{ppm:+.1} ppm +- {error:.0}: too short a recording")),
-        ppm_abs if ppm_abs - error > 100.0 => Told::decided(false, format!("{ppm:+.1} ppm +- {error:.1}")),
-        ppm_abs if ppm_abs <= 100.0 => Told::decided(true, format!("{ppm:+.1} ppm +- {error:.1}")),
-        _ => Told::not_tried(format!("{ppm:+.1} ppm +- {error:.1}: too near the limit")),
+    let told = if error > 20.0 {
+        Told::not_tried(format!("{ppm:+.1} ppm +- {error:.0}: too short a recording"))
+    } else {
+        Told::limited(ppm.abs(), error, 100.0, format!("{ppm:+.1} ppm +- {error:.1}"))
     };
     told.with("rate", ppm, "ppm")
 }
@@ -191,4 +190,92 @@ pub(super) fn recorder(heard: &Heard, _: &Evidence) -> Told {
         lost as f64,
         "",
     )
+}
+
+/// Growth of the counters, in the order of the names; or why it is unknown.
+fn grown<const N: usize>(evidence: &Evidence, names: [&str; N]) -> Result<[u64; N], Told> {
+    if evidence.counters.is_empty() {
+        return Err(Told::needs(Needs::Module));
+    }
+    let of = |name: &str| evidence.counters.iter().find(|(known, _)| known == name).map(|(_, more)| *more);
+    let found = names.map(of);
+    match found.iter().position(Option::is_none) {
+        Some(at) => Err(Told::not_tried(format!(
+            "the module has no counter `{}`: it is of another version",
+            names.get(at).unwrap_or(&"")
+        ))),
+        None => Ok(found.map(Option::unwrap_or_default)),
+    }
+}
+
+pub(super) fn csi(evidence: &Evidence) -> Told {
+    match grown(evidence, ["phy", "bfee", "records"]) {
+        Err(told) => told,
+        Ok([0, 0, _]) => Told::not_tried("no frame was heard meanwhile"),
+        Ok([phy, bfee, records]) => Told::decided(
+            bfee > 0 && records > 0,
+            format!("{phy} frames heard, {bfee} with CSI, {records} records made"),
+        )
+        .with("bfee", bfee as f64, ""),
+    }
+}
+
+/// A counter that must not grow while CSI comes.
+pub(super) fn stays_zero<const N: usize>(evidence: &Evidence, names: [&str; N]) -> Told {
+    let bfee = match grown(evidence, ["bfee"]) {
+        Err(told) => return told,
+        Ok([0]) => return Told::not_tried("no CSI came meanwhile: see module.csi"),
+        Ok([bfee]) => bfee,
+    };
+    match grown(evidence, names) {
+        Err(told) => told,
+        Ok(counts) => {
+            let words: Vec<String> = names.iter().zip(counts).map(|(name, count)| format!("{name} +{count}")).collect();
+            Told::decided(counts.iter().all(|count| *count == 0), format!("{} of {bfee} with CSI", words.join(", ")))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::CLAIMS;
+    use crate::evidence::{Collector, Plan};
+    use crate::report::Verdict::{Fails, Holds, NotTried};
+
+    fn verdicts(counters: &[(&str, u64)]) -> [crate::report::Verdict; 4] {
+        let mut collector = Collector::new(Plan::new("64".parse().unwrap()));
+        counters.iter().for_each(|(name, more)| collector.counted(name, *more));
+        let evidence = collector.finish();
+        ["csi", "marked", "order", "layout"].map(|what| {
+            let claim = CLAIMS.iter().find(|claim| claim.id == format!("module.{what}")).unwrap();
+            claim.judge(&evidence)[0].verdict
+        })
+    }
+
+    #[test]
+    fn counters_are_read() {
+        assert_eq!(verdicts(&[]), [NotTried; 4]);
+        let good = [
+            ("phy", 900),
+            ("bfee", 800),
+            ("records", 800),
+            ("unmarked", 0),
+            ("no_order", 0),
+            ("bad_bfee", 0),
+            ("bad_phy", 0),
+        ];
+        assert_eq!(verdicts(&good), [Holds; 4]);
+        let deaf = [("phy", 900), ("bfee", 0), ("records", 0), ("unmarked", 0)];
+        assert_eq!(verdicts(&deaf), [Fails, NotTried, NotTried, NotTried]);
+        let bad = [
+            ("phy", 900),
+            ("bfee", 800),
+            ("records", 800),
+            ("unmarked", 800),
+            ("no_order", 3),
+            ("bad_bfee", 0),
+            ("bad_phy", 1),
+        ];
+        assert_eq!(verdicts(&bad), [Holds, Fails, Fails, Fails]);
+    }
 }

@@ -1,14 +1,10 @@
 //! The table of claims with their checks.
 
 mod host;
-mod injection;
 mod link;
-mod module;
-mod person;
 mod reception;
 
-use crate::collect::{Evidence, Heard};
-use crate::pairs::Pairs;
+use crate::evidence::{Done, Evidence, Heard, Pairs};
 use crate::report::{Figure, Finding, Of, Verdict};
 use crate::stats::share_bounds;
 
@@ -86,6 +82,21 @@ impl Told {
     fn with(mut self, name: &'static str, value: f64, unit: &'static str) -> Self {
         self.figures.push(Figure { name, value, unit });
         self
+    }
+
+    /// More of the finding, behind it.
+    fn adding(mut self, more: &str) -> Self {
+        self.found.push_str(more);
+        self
+    }
+
+    /// A deviation that is known within `error`, against its limit.
+    fn limited(deviation: f64, error: f64, limit: f64, found: String) -> Self {
+        match deviation {
+            away if away <= limit => Self::decided(true, found),
+            away if away - error > limit => Self::decided(false, found),
+            _ => Self::not_tried(format!("{found}: too near the limit")),
+        }
     }
 
     /// A share with a limit. It fails if the share is certainly above it; in between nothing is decided.
@@ -390,7 +401,7 @@ pub static CLAIMS: [Claim; 49] = [
             "the antennas couple: they are closer than a few centimetres",
         ],
         next: "plug all in and run it again; then the cables from the card to the housing",
-        check: Check::Link(person::unplugged),
+        check: Check::Link(link::unplugged),
     },
     Claim {
         id: "reception.subcarriers",
@@ -612,7 +623,7 @@ pub static CLAIMS: [Claim; 49] = [
             "a robot was moved: 4 mm are 45 degrees of the round trip at 5.5 GHz",
         ],
         next: "use one antenna, or begin a new log after each retune",
-        check: Check::Link(person::retune),
+        check: Check::Link(|evidence| link::same(evidence, Done::Retuned, Needs::Retunes)),
     },
     Claim {
         id: "phase.reload",
@@ -622,7 +633,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "half of pi/2, the smallest step of this card that is known (firmware-notes/csi-quirks.md)",
         causes: &["the card recalibrates its chains", "a robot was moved: 4 mm are 45 degrees of the round trip"],
         next: "begin a new log after each reload",
-        check: Check::Link(person::reload),
+        check: Check::Link(|evidence| link::same(evidence, Done::Reloaded, Needs::Reload)),
     },
     Claim {
         id: "injection.taken",
@@ -632,7 +643,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "packet(7): ENOBUFS where the interface's queue is full",
         causes: &["the interface is down or not in monitor mode", "the channel forbids sending (no-IR, radar)"],
         next: "`csi5300 doctor`",
-        check: Check::Link(injection::taken),
+        check: Check::Link(link::taken),
     },
     Claim {
         id: "injection.channel",
@@ -642,7 +653,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "mac80211 drops injected frames on such channels silently (firmware-notes/injection.md)",
         causes: &["the regulatory domain is the world's (00)", "the channel needs radar detection"],
         next: "sudo iw reg set XX with your country's code, then set the channel; or another channel",
-        check: Check::Link(injection::channel),
+        check: Check::Link(link::channel),
     },
     Claim {
         id: "injection.confirmed",
@@ -652,7 +663,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "mac80211: one status a frame; on mac80211_hwsim each frame has one (firmware-notes/injection.md)",
         causes: &["the channel forbids sending (no-IR, radar): see injection.channel", "the queue ran over"],
         next: "`csi5300 doctor`",
-        check: Check::Link(injection::confirmed),
+        check: Check::Link(link::confirmed),
     },
     Claim {
         id: "injection.once",
@@ -662,7 +673,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "the count of retries in the driver's report (radiotap field 17)",
         causes: &["the driver waits for acknowledgements: the frames lack the no-acknowledgement flag"],
         next: "on the robot that sends: `csi5300 doctor`, then firmware-notes/injection.md",
-        check: Check::Link(injection::once),
+        check: Check::Link(link::once),
     },
     Claim {
         id: "injection.pace",
@@ -676,7 +687,7 @@ pub static CLAIMS: [Claim; 49] = [
             "the channel is busy, so frames wait for air",
         ],
         next: "another channel, then cpupower frequency-set -g performance",
-        check: Check::Link(injection::pace),
+        check: Check::Link(link::pace),
     },
     Claim {
         id: "injection.heard",
@@ -690,7 +701,7 @@ pub static CLAIMS: [Claim; 49] = [
             "the other card is on another channel",
         ],
         next: "`csi5300 record OUT.dat` on the other robot, then `csi5300 doctor` here",
-        check: Check::Link(injection::heard),
+        check: Check::Link(link::heard),
     },
     Claim {
         id: "injection.numbers",
@@ -703,7 +714,7 @@ pub static CLAIMS: [Claim; 49] = [
             "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`)",
         ],
         next: INFO,
-        check: Check::Link(injection::numbers),
+        check: Check::Link(link::numbers),
     },
     Claim {
         id: "recorder.same",
@@ -727,7 +738,7 @@ pub static CLAIMS: [Claim; 49] = [
             "another firmware is loaded than csitool's",
         ],
         next: "sudo dmesg | grep iwl, then echo N | sudo tee /sys/module/csi5300/parameters/ask for N from 0 to 7",
-        check: Check::Host(module::csi),
+        check: Check::Host(host::csi),
     },
     Claim {
         id: "module.marked",
@@ -737,7 +748,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "iwlwifi pcie/rx.c: bit 15 of the packet's sequence number",
         causes: &["the firmware does not set the bit: the driver takes CSI for answers"],
         next: "sudo dmesg | grep \"wrong command queue\"",
-        check: Check::Host(module::marked),
+        check: Check::Host(|evidence| host::stays_zero(evidence, ["unmarked"])),
     },
     Claim {
         id: "module.order",
@@ -747,7 +758,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "iwlwifi dvm/rx.c: REPLY_RX_PHY_CMD before each frame",
         causes: &["the phase packet is laid out in another way", "one chain only is in use"],
         next: "connect antenna A only, and record again",
-        check: Check::Host(module::order),
+        check: Check::Host(|evidence| host::stays_zero(evidence, ["no_order"])),
     },
     Claim {
         id: "module.layout",
@@ -757,7 +768,7 @@ pub static CLAIMS: [Claim; 49] = [
         source: "iwlwifi dvm/commands.h",
         causes: &["another firmware is loaded than csitool's"],
         next: "sha256sum /lib/firmware/iwlwifi-5000-2.ucode",
-        check: Check::Host(module::layout),
+        check: Check::Host(|evidence| host::stays_zero(evidence, ["bad_bfee", "bad_phy"])),
     },
     Claim {
         id: "truth.bearing",

@@ -1,8 +1,8 @@
 //! Claims about the records of one card.
 
 use super::Told;
-use crate::collect::{Evidence, Heard, HeardRecord};
-use crate::pairs::{antenna_a, column};
+use crate::evidence::{Evidence, Heard, HeardRecord};
+use crate::evidence::{antenna_a, column};
 use crate::stats::{SURE, mean_and_error, quantile};
 use csi5300::signal::channel::{SUBCARRIERS, Width};
 use driver_iface::Mac;
@@ -100,7 +100,11 @@ pub(super) fn order(heard: &Heard, _: &Evidence) -> Told {
 
 /// Mean power of a chain, steps squared, first stream.
 fn chain_power(record: &HeardRecord, chain: usize) -> f64 {
-    column(record, chain).iter().map(|h| f64::from(h.norm_sqr())).sum::<f64>() / SUBCARRIERS as f64
+    mean_power(&column(record, chain))
+}
+
+fn mean_power(h: &[Complex32; SUBCARRIERS]) -> f64 {
+    h.iter().map(|h| f64::from(h.norm_sqr())).sum::<f64>() / SUBCARRIERS as f64
 }
 
 /// Chains with less than this are quantisation and crosstalk, steps squared.
@@ -141,7 +145,7 @@ pub(super) fn antenna_names(heard: &Heard, _: &Evidence) -> Told {
         0.02,
         "records have powers and RSSI that disagree by more than 5 dB",
     );
-    Told { found: told.found.clone() + &power_and_rssi(heard), ..told }
+    told.adding(&power_and_rssi(heard))
 }
 
 /// The median level of B and C above A, by the named chain's power and by RSSI: `; B less A: 4 dB by power, -4 dB by RSSI`.
@@ -237,11 +241,8 @@ fn strongest(record: &HeardRecord) -> [Complex32; SUBCARRIERS] {
 }
 
 pub(super) fn level(heard: &Heard, _: &Evidence) -> Told {
-    let power = |record: &HeardRecord| {
-        strongest(record).iter().map(|h| f64::from(h.norm_sqr())).sum::<f64>() / SUBCARRIERS as f64
-    };
     let levels: Vec<f64> =
-        heard.records.iter().map(|record| power(record).sqrt()).filter(|level| *level > 0.0).collect();
+        heard.records.iter().map(|record| mean_power(&strongest(record)).sqrt()).filter(|level| *level > 0.0).collect();
     match quantile(&levels, 0.5) {
         Some(median) if levels.len() >= super::LEAST => {
             Told::decided((8.0..=64.0).contains(&median), format!("median {median:.1} steps"))
@@ -258,7 +259,7 @@ pub(super) fn saturation(heard: &Heard, _: &Evidence) -> Told {
     });
     let gains: Vec<f64> = heard.records.iter().map(|record| f64::from(record.head.agc)).collect();
     match quantile(&gains, 0.5) {
-        Some(gain) => Told { found: format!("{}; median gain {gain:.0} dB", told.found), ..told },
+        Some(gain) => told.adding(&format!("; median gain {gain:.0} dB")),
         None => told,
     }
 }
@@ -292,9 +293,7 @@ pub(super) fn gain(heard: &Heard, _: &Evidence) -> Told {
 /// A verdict with the median of its values.
 fn with_median_dbm(told: Told, dbm: &[f64]) -> Told {
     match quantile(dbm, 0.5) {
-        Some(median) => {
-            Told { found: format!("{}; median {median:.0} dBm", told.found), ..told }.with("median", median, "dBm")
-        }
+        Some(median) => told.adding(&format!("; median {median:.0} dBm")).with("median", median, "dBm"),
         None => told,
     }
 }
@@ -315,7 +314,7 @@ fn snr_db(record: &HeardRecord) -> Option<f64> {
     for (k, h) in h.iter_mut().enumerate() {
         *h *= Complex32::cis(-slope.arg() * k as f32);
     }
-    let power = h.iter().map(|h| f64::from(h.norm_sqr())).sum::<f64>() / SUBCARRIERS as f64;
+    let power = mean_power(&h);
     // Within each half of the band the indices are equally spaced.
     let thirds = h.get(..14)?.windows(4).chain(h.get(15..29)?.windows(4));
     let squares: Vec<f64> = thirds
@@ -352,10 +351,8 @@ pub(super) fn once(heard: &Heard, _: &Evidence) -> Told {
     }
     match numbered {
         0 => Told::not_tried("no record has a sender and a number"),
-        _ => {
-            let told = Told::share(twice, numbered, 0.01, "numbers come twice in a row");
-            Told { found: format!("{}; {skipped} are skipped", told.found), ..told }
-        }
+        _ => Told::share(twice, numbered, 0.01, "numbers come twice in a row")
+            .adding(&format!("; {skipped} are skipped")),
     }
 }
 

@@ -1,6 +1,9 @@
-//! The card, its driver and its firmware.
+//! The card, its driver and its firmware, and the ways to CSI that are open to it.
+//!
+//! A 5300 has three: the patched driver, the kernel module beside the distribution's driver, or an eBPF program beside
+//! it. An AX200 or AX210 has one: FeitCSI, a patched `iwlwifi` and a program (firmware-notes/other-cards.md).
 
-use super::ways::Ways;
+use super::host::{self, holds};
 use super::{Check, System};
 
 /// PCI identities of the Intel 5300 (`iwlwifi/pcie/drv.c`).
@@ -26,13 +29,18 @@ pub(super) struct Card {
 }
 
 impl Card {
+    /// Its device number, as `lspci` prints it.
+    fn number(&self) -> &str {
+        self.device.trim_start_matches("0x")
+    }
+
     /// A card of the 5000 series.
     pub(super) fn find(system: &dyn System) -> Option<Self> {
         Self::find_by(system, |device| IWL5300.contains(&device) || SERIES_5000.contains(&device))
     }
 
     /// The first of Intel's cards that is known by its identity.
-    pub(super) fn find_by(system: &dyn System, known: impl Fn(&str) -> bool) -> Option<Self> {
+    fn find_by(system: &dyn System, known: impl Fn(&str) -> bool) -> Option<Self> {
         let bus = "/sys/bus/pci/devices";
         system.names(bus).into_iter().find_map(|slot| {
             let vendor = system.text(&format!("{bus}/{slot}/vendor"))?;
@@ -48,7 +56,29 @@ impl Card {
 }
 
 /// The firmware's variable of Secure Boot: four bytes of attributes, then 1 where it is on.
-pub(super) const SECURE_BOOT: &str = "/sys/firmware/efi/efivars/SecureBoot-8be4df61-93ca-11d2-aa0d-00e098032b8c";
+const SECURE_BOOT: &str = "/sys/firmware/efi/efivars/SecureBoot-8be4df61-93ca-11d2-aa0d-00e098032b8c";
+
+/// `None` without the variable: not booted by EFI, or without Secure Boot.
+pub(super) fn secure_boot_is_on(system: &dyn System) -> Option<bool> {
+    system.bytes(SECURE_BOOT)?.get(4).map(|state| *state == 1)
+}
+
+fn release(system: &dyn System) -> Option<String> {
+    system.text("/proc/sys/kernel/osrelease")
+}
+
+fn kernel_log(system: &dyn System) -> String {
+    system.run(&["dmesg"]).filter(|ran| ran.ok).map(|ran| ran.text).unwrap_or_default()
+}
+
+fn has_crashed(log: &str) -> bool {
+    log.lines().any(|line| line.contains("iwlwifi") && line.contains("Microcode SW error"))
+}
+
+/// A module's parameter as a number, decimal or hexadecimal.
+pub(super) fn number(text: &str) -> Option<u32> {
+    text.strip_prefix("0x").map_or_else(|| text.parse().ok(), |hex| u32::from_str_radix(hex, 16).ok())
+}
 
 pub(super) fn checks(system: &dyn System, card: Option<&Card>, ways: &Ways) -> Vec<Check> {
     let mut checks = vec![on_the_bus(card), ways.check(), kernel(system, ways), secure_boot(system, ways)];
@@ -63,13 +93,11 @@ pub(super) fn checks(system: &dyn System, card: Option<&Card>, ways: &Ways) -> V
 fn on_the_bus(card: Option<&Card>) -> Check {
     let expected = "an Intel 5300 (8086:4235 or 8086:4236)";
     match card {
-        Some(card) if IWL5300.contains(&card.device.as_str()) => Check::good(
-            "card",
-            format!("8086:{} in slot {}", card.device.trim_start_matches("0x"), card.slot),
-            expected,
-        ),
+        Some(card) if IWL5300.contains(&card.device.as_str()) => {
+            Check::good("card", format!("8086:{} in slot {}", card.number(), card.slot), expected)
+        }
         Some(card) => {
-            let found = format!("8086:{}: of the same series, but not a 5300", card.device.trim_start_matches("0x"));
+            let found = format!("8086:{}: of the same series, but not a 5300", card.number());
             Check::doubt("card", found, expected).mend("use an Intel 5300: the firmware was made for it")
         }
         None => Check::bad("card", "none on the PCI bus", expected)
@@ -86,13 +114,13 @@ fn has_patch(release: &str) -> bool {
 
 /// True if no patched driver exists for this kernel, and another way is one step away.
 pub(super) fn leads_elsewhere(system: &dyn System, ways: &Ways) -> bool {
-    let release = system.text("/proc/sys/kernel/osrelease").unwrap_or_default();
+    let release = release(system).unwrap_or_default();
     ways.leads_past_patch() && !has_patch(&release)
 }
 
 fn kernel(system: &dyn System, ways: &Ways) -> Check {
     let expected = format!("one with a published CSI driver: {}", KERNELS.join(", "));
-    let Some(release) = system.text("/proc/sys/kernel/osrelease") else {
+    let Some(release) = release(system) else {
         return Check::unknown("kernel", "no /proc/sys/kernel/osrelease", expected);
     };
     if has_patch(&release) {
@@ -110,17 +138,17 @@ fn kernel(system: &dyn System, ways: &Ways) -> Check {
 
 fn secure_boot(system: &dyn System, ways: &Ways) -> Check {
     let expected = "off: it refuses the patched module, which is unsigned";
-    match system.bytes(SECURE_BOOT).and_then(|bytes| bytes.get(4).copied()) {
-        Some(1) if ways.without_patch() => {
+    match secure_boot_is_on(system) {
+        Some(true) if ways.without_patch() => {
             Check::good("Secure Boot", "on: this machine's way to CSI (above) works with it", expected)
         }
-        Some(1) => Check::bad("Secure Boot", "on", expected).mend("switch Secure Boot off in the BIOS set-up"),
+        Some(true) => Check::bad("Secure Boot", "on", expected).mend("switch Secure Boot off in the BIOS set-up"),
         Some(_) => Check::good("Secure Boot", "off", expected),
         None => Check::good("Secure Boot", "no such variable: not booted by EFI, or without it", expected),
     }
 }
 
-pub(super) fn driver(system: &dyn System, card: &Card) -> Check {
+fn driver(system: &dyn System, card: &Card) -> Check {
     match system.link(&format!("/sys/bus/pci/devices/{}/driver", card.slot)) {
         Some(name) if name == "iwlwifi" => Check::good("driver", name, "iwlwifi"),
         Some(name) => Check::bad("driver", format!("bound to {name}"), "iwlwifi").mend("sudo modprobe iwlwifi"),
@@ -136,15 +164,13 @@ fn patched(system: &dyn System, ways: &Ways) -> Check {
             Some(_) => "the WSR driver (it has ack_len)",
             None => "the csitool driver",
         };
-        let log = system.run(&["dmesg"]).filter(|ran| ran.ok).map(|ran| ran.text).unwrap_or_default();
+        let log = kernel_log(system);
         let unsigned = log.lines().any(|line| line.contains("iwl") && line.contains("module verification failed"));
-        let note = match unsigned {
-            true => {
-                "; `module verification failed` in the kernel's log is harmless: nobody signed a module that was built here"
-            }
-            false => "",
-        };
-        return Check::good("patched module", format!("{layout}{note}"), expected);
+        let mut found = layout.to_string();
+        if unsigned {
+            found += "; `module verification failed` in the kernel's log is harmless: nobody signed a module that was built here";
+        }
+        return Check::good("patched module", found, expected);
     }
     if ways.without_patch() {
         return Check::good("patched module", "absent, and not needed: see `way to CSI`", expected);
@@ -166,9 +192,8 @@ fn parameters(system: &dyn System) -> Check {
     let Some(text) = system.text(&format!("{PARAMETERS}/connector_log")) else {
         return Check::unknown("connector_log", "not there", expected);
     };
-    let parsed = text.strip_prefix("0x").map_or_else(|| text.parse().ok(), |hex| u32::from_str_radix(hex, 16).ok());
     let ack = system.text(&format!("{PARAMETERS}/ack_len")).map_or(String::new(), |ack| format!(", ack_len {ack}"));
-    match parsed {
+    match number(&text) {
         Some(bits) if bits & 1 != 0 => Check::good("connector_log", format!("{bits:#x}{ack}"), expected),
         _ => Check::bad("connector_log", format!("{text}{ack}: no CSI is sent"), expected)
             .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1"),
@@ -209,8 +234,8 @@ fn newer_firmware(system: &dyn System) -> Check {
 fn firmware_loaded(system: &dyn System, card: Option<&Card>) -> Check {
     let expected = format!("version {FIRMWARE_VERSION}");
     let name = "firmware loaded";
-    let log = system.run(&["dmesg"]).filter(|ran| ran.ok).map(|ran| ran.text).unwrap_or_default();
-    if log.lines().any(|line| line.contains("iwlwifi") && line.contains("Microcode SW error")) {
+    let log = kernel_log(system);
+    if has_crashed(&log) {
         return Check::bad(name, "the firmware crashed (Microcode SW error in the kernel's log)", expected)
             .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1");
     }
@@ -230,5 +255,235 @@ fn firmware_loaded(system: &dyn System, card: Option<&Card>) -> Check {
             .mend("mend the firmware files above, then reload the driver"),
         None => Check::unknown(name, "not in the kernel's log", expected)
             .mend("sudo dmesg | grep 'loaded firmware version'"),
+    }
+}
+
+/// The first kernel with a ring buffer for eBPF (BPF_MAP_TYPE_RINGBUF), and with CAP_BPF and CAP_PERFMON.
+pub(crate) const EBPF_FROM: (u32, u32) = (5, 8);
+/// Bits of CapEff (`linux/capability.h`).
+const CAP_SYS_ADMIN: u32 = 21;
+const CAP_PERFMON: u32 = 38;
+const CAP_BPF: u32 = 39;
+/// The path of the loaded module.
+const MODULE: &str = "/sys/module/csi5300";
+
+/// Version and patch level of a kernel's release: 6.1 of `6.1.0-56-amd64`.
+pub(crate) fn kernel_version(release: &str) -> Option<(u32, u32)> {
+    let mut numbers = release.trim().split(|c: char| !c.is_ascii_digit());
+    Some((numbers.next()?.parse().ok()?, numbers.next()?.parse().ok()?))
+}
+
+/// The state of a way.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Way {
+    /// In use.
+    Taken(&'static str),
+    /// Ready.
+    Open(&'static str),
+    /// One step away: what is missing, and how to get it.
+    Needs(&'static str, &'static str),
+    /// Impossible on this machine, and why.
+    Closed(String),
+}
+
+/// The ways and their names, best first.
+pub(super) struct Ways {
+    patched: Way,
+    module: Way,
+    ebpf: Way,
+}
+
+impl Ways {
+    pub(super) fn find(system: &dyn System) -> Self {
+        Self { patched: patched_way(system), module: module_way(system), ebpf: ebpf_way(system) }
+    }
+
+    /// True if another way than the patched driver works, so that its problems do not matter.
+    pub(super) fn without_patch(&self) -> bool {
+        !matches!(self.patched, Way::Taken(_))
+            && [&self.module, &self.ebpf].iter().any(|way| matches!(way, Way::Taken(_) | Way::Open(_)))
+    }
+
+    /// True if one of the other ways needs at most one step.
+    fn leads_past_patch(&self) -> bool {
+        !matches!(self.patched, Way::Taken(_))
+            && [&self.module, &self.ebpf].iter().any(|way| !matches!(way, Way::Closed(_)))
+    }
+
+    fn check(&self) -> Check {
+        let expected = "the patched driver, the module csi5300, or Linux 5.8 and later for `record --stock`";
+        let all = [("patched driver", &self.patched), ("module", &self.module), ("eBPF", &self.ebpf)];
+        let words = |(name, way): &(&str, &Way)| match way {
+            Way::Taken(what) => format!("{name}: in use ({what})"),
+            Way::Open(what) => format!("{name}: yes ({what})"),
+            Way::Needs(what, _) => format!("{name}: after a step ({what})"),
+            Way::Closed(why) => format!("{name}: no ({why})"),
+        };
+        let list = all.iter().map(words).collect::<Vec<_>>().join("; ");
+        // The one in use is best, then a ready one, of these the one with more functions.
+        let by = |wanted: fn(&Way) -> bool| all.iter().find(|(_, way)| wanted(way));
+        let taken = by(|way| matches!(way, Way::Taken(_)));
+        let best = taken.or(by(|way| matches!(way, Way::Open(_)))).or(by(|way| matches!(way, Way::Needs(..))));
+        let name = "way to CSI";
+        match best {
+            Some((best, Way::Taken(_))) => Check::good(name, format!("{list}. Best here: {best}"), expected),
+            Some((best, Way::Open(what))) => {
+                Check::good(name, format!("{list}. Best here: {best}"), expected).mend(*what)
+            }
+            Some((best, Way::Needs(_, mend))) => {
+                Check::doubt(name, format!("{list}. Best here: {best}"), expected).mend(*mend)
+            }
+            _ => Check::bad(name, list, expected)
+                .mend("install a kernel for which a way is open: any distribution's of 5.8 or later will do"),
+        }
+    }
+}
+
+fn patched_way(system: &dyn System) -> Way {
+    match system.text("/sys/module/iwlwifi/parameters/connector_log") {
+        Some(_) => Way::Taken("iwlwifi has connector_log"),
+        None => Way::Closed("this iwlwifi has no connector_log".into()),
+    }
+}
+
+fn module_way(system: &dyn System) -> Way {
+    if !system.names(MODULE).is_empty() {
+        return Way::Taken("csi5300 is loaded");
+    }
+    let Some(release) = release(system) else {
+        return Way::Closed("the kernel's release is unknown".into());
+    };
+    if secure_boot_is_on(system) == Some(true) {
+        return Way::Closed("Secure Boot refuses unsigned modules".into());
+    }
+    if system.names(&format!("/lib/modules/{release}/build")).is_empty() {
+        let mend = "sudo apt install linux-headers-$(uname -r) dkms, then the package of packaging/dkms";
+        return Way::Needs("no kernel headers", mend);
+    }
+    Way::Needs("headers are there", "sudo apt install dkms, then the package of packaging/dkms")
+}
+
+fn ebpf_way(system: &dyn System) -> Way {
+    let release = release(system).unwrap_or_default();
+    match kernel_version(&release) {
+        Some(version) if version >= EBPF_FROM => {}
+        Some(_) => return Way::Closed(format!("{release} is older than 5.8")),
+        None => return Way::Closed("the kernel's release is unknown".into()),
+    }
+    if system.run(&["uname", "-m"]).is_some_and(|ran| ran.ok && ran.text.trim() != "x86_64") {
+        return Way::Closed("not x86-64".into());
+    }
+    if system.text("/sys/bus/event_source/devices/kprobe/type").is_none() {
+        return Way::Closed("the kernel has no kprobes".into());
+    }
+    let lockdown = system.text("/sys/kernel/security/lockdown").unwrap_or_default();
+    if lockdown.contains("[confidentiality]") {
+        return Way::Closed("kernel lockdown `confidentiality`".into());
+    }
+    if system.names("/sys/module/iwlwifi").is_empty() {
+        return Way::Needs("iwlwifi is not loaded", "sudo modprobe iwlwifi");
+    }
+    if !may_load(system) {
+        let mend = "sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)";
+        return Way::Needs("CAP_BPF and CAP_PERFMON are not held", mend);
+    }
+    // An extra level of Debian's and Ubuntu's kernels, at which CAP_PERFMON is not enough for a probe.
+    let paranoid = system.text("/proc/sys/kernel/perf_event_paranoid").and_then(|level| level.parse::<i32>().ok());
+    if paranoid.is_some_and(|level| level > 2) && holds(system, CAP_SYS_ADMIN) != Some(true) {
+        let mend = "sudo sysctl -w kernel.perf_event_paranoid=2 (in /etc/sysctl.d to stay), or run it as root";
+        return Way::Needs("kernel.perf_event_paranoid above 2 wants root", mend);
+    }
+    Way::Open(
+        "csi5300 record --stock; it only receives: an HT rate for frames sent, and asking the card for CSI, need the module",
+    )
+}
+
+fn may_load(system: &dyn System) -> bool {
+    let has = |capability| holds(system, capability) == Some(true);
+    has(CAP_SYS_ADMIN) || (has(CAP_BPF) && has(CAP_PERFMON))
+}
+
+/// PCI device IDs (`iwlwifi/pcie/drv.c`).
+const CARDS: [(&str, &str); 2] = [("0x2723", "AX200"), ("0x2725", "AX210")];
+/// FeitCSI's driver has its switch for CSI here, below the folder of each card.
+const DEBUG: &str = "/sys/kernel/debug/iwlwifi";
+
+/// All checks; `None` without such a card.
+pub(super) fn ax2xx_checks(system: &dyn System) -> Option<Vec<Check>> {
+    let card = Card::find_by(system, |device| CARDS.iter().any(|(known, _)| *known == device))?;
+    let (_, name) = CARDS.iter().find(|(device, _)| *device == card.device)?;
+    let found = format!("Intel {name} (8086:{}) in slot {}", card.number(), card.slot);
+    let mut checks =
+        vec![Check::good("card", found, "an Intel 5300, AX200 or AX210"), feitcsi_way(system), feitcsi_program(system)];
+    checks.extend([driver(system, &card), feitcsi_secure_boot(system), feitcsi_firmware(system)]);
+    checks.extend([host::rfkill(system), host::domain(system), host::buffers(system), host::clock(system)]);
+    Some(checks)
+}
+
+/// FeitCSI is the only way to CSI of these cards.
+fn feitcsi_way(system: &dyn System) -> Check {
+    let expected = "FeitCSI's iwlwifi, with csi_enabled in debugfs";
+    let name = "way to CSI";
+    let cards = system.names(DEBUG);
+    if cards.iter().any(|card| system.size(&format!("{DEBUG}/{card}/iwlmvm/csi_enabled")).is_some()) {
+        let next =
+            "sudo feitcsi --udp-socket, then csi5300 record OUT.csi --feitcsi \"127.0.0.1:8008 --frequency 5180\"";
+        return Check::good(name, "FeitCSI: its driver is loaded", expected).mend(next);
+    }
+    if cards.is_empty() {
+        return Check::unknown(name, format!("only root can read {DEBUG}"), expected)
+            .mend(format!("sudo ls {DEBUG}/*/iwlmvm/csi_enabled"));
+    }
+    Check::bad(name, "none: this iwlwifi is not FeitCSI's, and gives no CSI", expected).mend(
+        "install the package feitcsi-iwlwifi (https://feitcsi.kuskosoft.com), then sudo modprobe -r iwlmvm iwlwifi && sudo \
+         modprobe iwlwifi",
+    )
+}
+
+fn feitcsi_program(system: &dyn System) -> Check {
+    let expected = "the program feitcsi";
+    match system.run(&["feitcsi", "--version"]) {
+        Some(ran) => Check::good("FeitCSI", ran.text.lines().next().unwrap_or("installed"), expected),
+        None => Check::bad("FeitCSI", "not installed", expected)
+            .mend("install the package feitcsi (https://feitcsi.kuskosoft.com)"),
+    }
+}
+
+fn feitcsi_secure_boot(system: &dyn System) -> Check {
+    let expected = "off, or FeitCSI's module signed with an enrolled key";
+    match secure_boot_is_on(system) {
+        Some(true) => Check::doubt("Secure Boot", "on", expected)
+            .mend("switch off Secure Boot in the BIOS setup, or enrol the DKMS key: sudo mokutil --import"),
+        _ => Check::good("Secure Boot", "off", expected),
+    }
+}
+
+/// No known version lacks CSI, so the version is only reported.
+fn feitcsi_firmware(system: &dyn System) -> Check {
+    let expected = "loaded, and not crashed";
+    let name = "firmware loaded";
+    let log = kernel_log(system);
+    if has_crashed(&log) {
+        return Check::bad(name, "the firmware crashed (Microcode SW error in the kernel's log)", expected)
+            .mend("sudo modprobe -r iwlmvm iwlwifi && sudo modprobe iwlwifi");
+    }
+    match log.lines().rev().find_map(|line| line.split_once("loaded firmware version ")) {
+        Some((_, version)) => Check::good(name, version.trim(), expected),
+        None => Check::unknown(name, "not in the kernel's log", expected)
+            .mend("sudo dmesg | grep 'loaded firmware version'"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_of_kernels() {
+        assert_eq!(kernel_version("6.1.0-56-amd64\n"), Some((6, 1)));
+        assert_eq!(kernel_version("5.10-rc3"), Some((5, 10)));
+        assert!(kernel_version("4.15.0-45-generic").unwrap() < EBPF_FROM);
+        assert!(kernel_version("5.8.0").unwrap() >= EBPF_FROM);
+        assert_eq!(kernel_version("mainline"), None);
     }
 }

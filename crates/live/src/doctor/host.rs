@@ -1,9 +1,9 @@
-//! The host: connector, privileges, namespace, buffers, clock.
+//! The host and its interface: mode, channel, rate and other owners; connector, privileges, namespace, buffers, clock.
 
-use super::card;
-use super::ways::Ways;
-use super::{Check, System};
 use driver_iface::connector::{CN_IDX, registered_idx};
+
+use super::card::{self, Card, Ways};
+use super::{Check, System};
 
 /// CAP_NET_ADMIN (`linux/capability.h`).
 const CAP_NET_ADMIN: u32 = 12;
@@ -91,5 +91,282 @@ pub(super) fn clock(system: &dyn System) -> Check {
             Check::doubt(name, "not synchronised", expected).mend("sudo apt install chrony && sudo chronyc -a makestep")
         }
         _ => Check::unknown(name, "timedatectl does not report it", expected).mend("chronyc tracking"),
+    }
+}
+
+/// `type` of a monitor interface in sysfs (ARPHRD_IEEE80211_RADIOTAP).
+const RADIOTAP: &str = "803";
+/// RATE_MCS_HT_MSK of a transmission rate (`dvm/commands.h`): only HT frames carry CSI.
+const RATE_HT: u32 = 0x100;
+
+pub(super) fn radio_checks(system: &dyn System, card: Option<&Card>) -> Vec<Check> {
+    let mut checks = vec![rfkill(system)];
+    if let Some(card) = card {
+        let Some(interface) = interface(system, card) else {
+            checks.push(
+                Check::bad("interface", "the card has none", "a network interface on the card")
+                    .mend("sudo modprobe iwldvm; if none comes up, `sudo dmesg | grep iwl` shows why"),
+            );
+            return checks;
+        };
+        checks.extend([mode(system, &interface), owner(system, &interface, card), channel(system, &interface, card)]);
+        if !is_monitor(system, &interface) {
+            checks.extend(association(system, &interface));
+        }
+        checks.push(rate(system, card));
+    }
+    checks.push(domain(system));
+    checks
+}
+
+/// The monitor interface if there is one, else the first.
+fn interface(system: &dyn System, card: &Card) -> Option<String> {
+    let monitor = |name: &&String| is_monitor(system, name);
+    card.interfaces.iter().find(monitor).or(card.interfaces.first()).cloned()
+}
+
+fn is_monitor(system: &dyn System, interface: &str) -> bool {
+    system.text(&format!("/sys/class/net/{interface}/type")).as_deref() == Some(RADIOTAP)
+}
+
+fn is_up(system: &dyn System, interface: &str) -> bool {
+    let flags = system.text(&format!("/sys/class/net/{interface}/flags")).unwrap_or_default();
+    u32::from_str_radix(flags.trim_start_matches("0x"), 16).is_ok_and(|flags| flags & 1 != 0)
+}
+
+pub(super) fn rfkill(system: &dyn System) -> Check {
+    let expected = "WiFi is not blocked";
+    let class = "/sys/class/rfkill";
+    let mut blocked = Vec::new();
+    for name in system.names(class) {
+        let is = |file: &str, value: &str| system.text(&format!("{class}/{name}/{file}")).as_deref() == Some(value);
+        if is("type", "wlan") {
+            blocked.extend(is("hard", "1").then_some("by a switch (hard)"));
+            blocked.extend(is("soft", "1").then_some("by software (soft)"));
+        }
+    }
+    match blocked.first() {
+        None => Check::good("rfkill", "not blocked", expected),
+        Some(how) if how.contains("hard") => Check::bad("rfkill", format!("blocked {how}"), expected)
+            .mend("turn on the machine's radio switch, or the card's disable pin (mini-PCIe pin 20) is held low"),
+        Some(how) => Check::bad("rfkill", format!("blocked {how}"), expected).mend("sudo rfkill unblock wifi"),
+    }
+}
+
+fn mode(system: &dyn System, interface: &str) -> Check {
+    let expected = "monitor mode, up (for frames between robots; an access point's CSI comes in managed mode too)";
+    let set = format!(
+        "sudo ip link set {interface} down && sudo iw dev {interface} set type monitor && sudo ip link set {interface} up"
+    );
+    let kind = system.text(&format!("/sys/class/net/{interface}/type"));
+    match (kind.as_deref(), is_up(system, interface)) {
+        (Some(RADIOTAP), true) => Check::good("interface", format!("{interface}: monitor, up"), expected),
+        (Some(RADIOTAP), false) => Check::bad("interface", format!("{interface}: monitor, but down"), expected)
+            .mend(format!("sudo ip link set {interface} up")),
+        _ => Check::doubt("interface", format!("{interface}: not a monitor"), expected).mend(set),
+    }
+}
+
+fn owner(system: &dyn System, interface: &str, card: &Card) -> Check {
+    let expected = "no other program and no other interface of the card sets its mode and channel";
+    let name = "other owners";
+    let other = card.interfaces.iter().find(|other| *other != interface && is_up(system, other));
+    if let Some(other) = other.filter(|_| is_monitor(system, interface)) {
+        let found = format!(
+            "{other} is up on the same card: {interface} hears its channel, and cannot be set to another (busy)"
+        );
+        return Check::bad(name, found, expected).mend(format!("sudo ip link set {other} down"));
+    }
+    if let Some(ran) = system.run(&["nmcli", "-t", "-f", "DEVICE,STATE", "device"]) {
+        let state =
+            ran.text.lines().find_map(|line| line.strip_prefix(interface)?.strip_prefix(':').map(str::to_string));
+        if let Some(state) = state.filter(|state| state != "unmanaged") {
+            return Check::bad(name, format!("NetworkManager has {interface} ({state})"), expected)
+                .mend(format!("sudo nmcli device set {interface} managed no"));
+        }
+    }
+    let supplicant =
+        system.names("/proc").into_iter().filter(|pid| pid.bytes().all(|b| b.is_ascii_digit())).find(|pid| {
+            let words = system.bytes(&format!("/proc/{pid}/cmdline")).unwrap_or_default();
+            let words: Vec<_> = words.split(|byte| *byte == 0).map(String::from_utf8_lossy).collect();
+            let program = words.first().is_some_and(|word| word.ends_with("wpa_supplicant"));
+            // Started for this interface; NetworkManager's own (-u) is idle on unmanaged ones.
+            program && words.iter().any(|word| word.trim_start_matches("-i") == interface)
+        });
+    match supplicant {
+        Some(pid) => Check::bad(name, format!("wpa_supplicant (process {pid}) has {interface}"), expected)
+            .mend(format!("sudo kill {pid}, and leave {interface} out of /etc/network/interfaces or netplan")),
+        None => Check::good(name, "none seen", expected),
+    }
+}
+
+/// Requirements for CSI of an access point's frames.
+fn association(system: &dyn System, interface: &str) -> Vec<Check> {
+    let Some(link) = system.run(&["iw", "dev", interface, "link"]).map(|ran| ran.text) else { return Vec::new() };
+    let expected = "associated with an open access point that sends HT frames (802.11n)";
+    let name = "association";
+    let Some(station) = link.trim().strip_prefix("Connected to ") else {
+        let mend =
+            format!("sudo iw dev {interface} connect SSID, of an open network (or monitor mode, see `interface`)");
+        return vec![
+            Check::bad(name, "not associated: no frames come to this card, and so no CSI", expected).mend(mend),
+        ];
+    };
+    let station = station.split_whitespace().next().unwrap_or_default();
+    let mut checks = Vec::new();
+    // The card measures CSI of the access point's frames; without their rate, this card's own rate is taken.
+    let rate =
+        |which: &str| link.lines().find_map(|line| line.trim().strip_prefix(which).map(|rate| rate.trim().to_owned()));
+    if let Some(rate) = rate("rx bitrate:").or_else(|| rate("tx bitrate:")).filter(|rate| !rate.contains("MCS")) {
+        let found = format!("{rate}: a legacy rate, and only HT frames (MCS) carry CSI");
+        let mend = "802.11n on the access point (mode n, WMM on, open: WEP and TKIP end HT), `swcrypto` and `11n_disable` of \
+                    iwlwifi at 0, and traffic: ping -i 0.01 to the access point";
+        checks.push(Check::bad(name, found, expected).mend(mend));
+    }
+    if is_encrypted(system, interface, station) {
+        let mend = "an open network on the access point, for the time of the measurement";
+        let found = format!("{station} encrypts: the CSI firmware measures no encrypted frames");
+        checks.push(Check::bad(name, found, expected).mend(mend));
+    }
+    if checks.is_empty() {
+        checks.push(Check::good(name, format!("associated with {station}"), expected));
+    }
+    checks
+}
+
+/// True if the last scan found that a station encrypts.
+fn is_encrypted(system: &dyn System, interface: &str, station: &str) -> bool {
+    // Known scan results; a copy of a machine may have the scan itself.
+    let known = system.run(&["iw", "dev", interface, "scan", "dump"]);
+    let scan = known.or_else(|| system.run(&["iw", "dev", interface, "scan"])).map(|ran| ran.text).unwrap_or_default();
+    let of_station =
+        |part: &&str| part.split(['(', ' ', '\n', '\t']).next().is_some_and(|own| own.eq_ignore_ascii_case(station));
+    let mut lines = scan.split("BSS ").find(of_station).unwrap_or_default().lines().map(str::trim);
+    lines.any(|line| {
+        line.starts_with("RSN:")
+            || line.starts_with("WPA:")
+            || (line.starts_with("capability:") && line.contains("Privacy"))
+    })
+}
+
+/// A transmission rate (`rate_n_flags` of `dvm/commands.h`) in words.
+fn rate_words(rate: u32) -> String {
+    const LEGACY: [(u32, &str); 12] = [
+        (0xd, "6"),
+        (0xf, "9"),
+        (0x5, "12"),
+        (0x7, "18"),
+        (0x9, "24"),
+        (0xb, "36"),
+        (0x1, "48"),
+        (0x3, "54"),
+        (10, "1"),
+        (20, "2"),
+        (55, "5.5"),
+        (110, "11"),
+    ];
+    let code = rate & 0xff;
+    let cck = rate & 0x200 != 0;
+    let kind = if rate & RATE_HT != 0 {
+        format!("HT, MCS {}", code & 0x1f)
+    } else {
+        let known = LEGACY.iter().skip(if cck { 8 } else { 0 }).find(|(own, _)| *own == code);
+        let speed = known.map_or_else(|| "an unknown rate".to_owned(), |(_, speed)| format!("{speed} Mbit/s"));
+        format!("legacy {}, {speed}", if cck { "CCK" } else { "OFDM" })
+    };
+    let antennas: String = [(0x4000, 'A'), (0x8000, 'B'), (0x1_0000, 'C')]
+        .into_iter()
+        .filter_map(|(bit, name)| (rate & bit != 0).then_some(name))
+        .collect();
+    let width = if rate & 0x800 != 0 { "40 MHz" } else { "20 MHz" };
+    let guard = if rate & 0x2000 != 0 { ", short guard" } else { "" };
+    let antennas = if antennas.is_empty() { "no antenna".into() } else { format!("antennas {antennas}") };
+    format!("{kind}, {width}{guard}, {antennas}")
+}
+
+fn channel(system: &dyn System, interface: &str, card: &Card) -> Check {
+    let expected = "a 5 GHz channel, the same width and channel on all robots, on which the card may transmit";
+    let name = "channel";
+    let Some(ran) = system.run(&["iw", "dev", interface, "info"]) else {
+        return Check::unknown(name, "iw is not installed", expected).mend("sudo apt install iw");
+    };
+    let line = ran.text.lines().find_map(|line| line.trim().strip_prefix("channel ").map(str::to_string));
+    let Some(line) = line else {
+        return Check::bad(name, format!("{interface} has none"), expected)
+            .mend(format!("sudo ip link set {interface} up && sudo iw dev {interface} set channel 64 HT20"));
+    };
+    let mhz: Option<u32> = line.split_once('(').and_then(|(_, rest)| rest.split_whitespace().next()?.parse().ok());
+    if mhz.is_some_and(|mhz| mhz < 3_000) {
+        return Check::doubt(
+            name,
+            format!("{line}: at 2.4 GHz each antenna's phase jumps by multiples of pi/2"),
+            expected,
+        )
+        .mend(format!("sudo iw dev {interface} set channel 64 HT20"));
+    }
+    let flags = mhz.zip(card.phy.as_ref()).and_then(|(mhz, phy)| flags_of_phy(system, phy, mhz)).unwrap_or_default();
+    let forbidden = ["disabled", "no IR", "passive", "radar"].iter().find(|flag| flags.contains(**flag));
+    match forbidden {
+        None => Check::good(name, line, expected),
+        Some(_) => Check::doubt(name, format!("{line}; this card may not start to transmit there ({flags})"), expected)
+            .mend("enough to receive; to transmit, take a channel without these flags in `iw phy`"),
+    }
+}
+
+/// The text in parentheses after a channel in `iw`'s output.
+fn flags_of_phy(system: &dyn System, phy: &str, mhz: u32) -> Option<String> {
+    let text = system.run(&["iw", "phy", phy, "info"])?.text;
+    let line = text.lines().find(|line| {
+        let mut words = line.trim().trim_start_matches("* ").split_whitespace();
+        let frequency = words.next().and_then(|word| word.parse::<f64>().ok());
+        words.next() == Some("MHz") && frequency.is_some_and(|found| (found - f64::from(mhz)).abs() < 0.5)
+    })?;
+    Some(line.split_once(']')?.1.trim().to_string())
+}
+
+/// Flags of a channel for an interface, as `iw phy` prints them in parentheses; `mhz` is its centre. `None` without such a channel, or
+/// without `iw`.
+#[must_use]
+pub fn channel_flags(system: &dyn System, interface: &str, mhz: u32) -> Option<String> {
+    flags_of_phy(system, &system.text(&format!("/sys/class/net/{interface}/phy80211/name"))?, mhz)
+}
+
+/// The path of the driver's `monitor_tx_rate`; its depth differs between kernels.
+pub(crate) fn rate_file(system: &dyn System, phy: &str) -> Option<String> {
+    let base = format!("/sys/kernel/debug/ieee80211/{phy}/iwlwifi");
+    let places = ["debug", "iwldvm/debug", "iwldvm", ""];
+    let at = |place: &&str| format!("{base}/{place}/monitor_tx_rate").replace("//", "/");
+    places.iter().map(at).find(|path| system.size(path).is_some())
+}
+
+fn rate(system: &dyn System, card: &Card) -> Check {
+    let expected = "an HT rate, such as 0x4101 (antenna A, MCS 1), on robots that transmit";
+    let name = "monitor_tx_rate";
+    let Some(path) = card.phy.as_ref().and_then(|phy| rate_file(system, phy)) else {
+        return Check::unknown(name, "not found: debugfs not mounted, not root, or not the CSI driver", expected)
+            .mend("sudo mount -t debugfs none /sys/kernel/debug; run the doctor as root");
+    };
+    let text = system.text(&path).unwrap_or_default();
+    let rate = u32::from_str_radix(text.trim_start_matches("0x"), 16);
+    let found = rate.as_ref().map_or(text, |rate| format!("{rate:#x} ({})", rate_words(*rate)));
+    if rate.is_ok_and(|rate| rate & RATE_HT != 0) {
+        return Check::good(name, found, expected);
+    }
+    Check::doubt(name, format!("{found}: not HT, so what this card sends gives no CSI to others"), expected)
+        .mend(format!("echo 0x4101 | sudo tee {path}"))
+}
+
+pub(super) fn domain(system: &dyn System) -> Check {
+    let expected = "the country that the robots are in";
+    let name = "regulatory domain";
+    let Some(ran) = system.run(&["iw", "reg", "get"]) else {
+        return Check::unknown(name, "iw is not installed", expected).mend("sudo apt install iw");
+    };
+    let country = ran.text.lines().find_map(|line| line.trim().strip_prefix("country ").map(str::to_string));
+    match country {
+        Some(country) if !country.starts_with("00") => Check::good(name, country, expected),
+        Some(_) => Check::doubt(name, "00 (world): most 5 GHz channels are for listening only", expected)
+            .mend("sudo iw reg set XX with your country's code, wait two seconds, then set the channel"),
+        None => Check::unknown(name, "iw does not report it", expected),
     }
 }

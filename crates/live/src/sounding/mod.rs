@@ -11,32 +11,587 @@
 //!   the session.
 //! * [`set_rate`] sets the rate of the CSI driver, which ignores radiotap's.
 
-mod beside;
-mod error;
 mod exchange;
-mod figures;
-mod mailbox;
-mod messages;
-mod peer_sessions;
 mod products;
-mod rate;
-mod run;
-mod session;
-mod setup;
+mod sessions;
 mod thread;
-mod watch;
 
-pub use beside::Beside;
-pub use error::SoundingError;
-pub use exchange::{Exchange, News};
-pub use figures::{Figures, KERNEL_TURN_AROUND_US, spread_of};
-pub use messages::{DriverMessages, LogTotals};
-pub use products::{Products, measurement};
-pub use rate::{Rate, rate_n_flags, set_rate};
-pub use run::{Finished, Observer, Session};
-pub use setup::{Opened, Setup, read_key};
+pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, spread_of};
+pub use products::{Beside, Products, measurement};
 pub use thread::{Granted, NotGranted, Order, Running, Settings};
-pub use watch::Notice;
+
+use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
+use crate::listener::Listener;
+use crate::monitor::{self, AirCounts, Monitor};
+use crate::wait::{Monotonic, wall_us};
+use csi5300::exchange::tdma::{Config, Key, Phy, Request, Tdma, TdmaCounts};
+use csi5300::source::recorder::{self, LogFiles, Recorder, Totals};
+use csi5300::source::{CsiSource, Error, Next};
+use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
+use driver_iface::radiotap::Bandwidth;
+use sessions::PeerSessions;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::path::Path;
+
+/// Interval at which news are fetched and [`Observer::look`] is called.
+const LOOK: Span = Span::from_ms(50);
+/// Longest time to read the driver after the end.
+const LAST_WORDS: Span = Span::from_ms(500);
+
+/// A program's reactions. The default methods do nothing.
+pub trait Observer {
+    /// An item of the driver. The running exchange takes orders.
+    fn record(&mut self, _next: &Next<'_>, _running: &Running) {}
+
+    /// News of the sender's thread.
+    fn news(&mut self, _news: &News) {}
+
+    /// Called every 50 ms and after all available items.
+    fn look(&mut self, _now: Instant, _running: &Running) {}
+}
+
+/// The end of a session, and its system settings.
+#[derive(Clone, Copy, Debug)]
+pub struct Session<'a> {
+    clock: Monotonic,
+    stop: BorrowedFd<'a>,
+    stop_at: Option<Instant>,
+    settings: Settings,
+}
+
+/// The result of a session.
+#[derive(Debug)]
+pub struct Finished {
+    /// The machine with its counts, the interface with its counters, and how punctual the host was.
+    pub exchange: Exchange<Monitor>,
+    /// Counts of the interface.
+    pub air: AirCounts,
+    /// News that were lost because they were not fetched in time.
+    pub news_lost: u64,
+    /// The log, where there was one.
+    pub log: Option<LogTotals>,
+    /// The error that ended the session, if any.
+    pub error: Option<Error>,
+}
+
+impl<'a> Session<'a> {
+    /// A session on `clock` that ends when `stop` is readable: a signal's file descriptor, the reading end of a pipe.
+    #[must_use]
+    pub fn new(clock: Monotonic, stop: BorrowedFd<'a>) -> Self {
+        Self { clock, stop, stop_at: None, settings: Settings::default() }
+    }
+
+    /// It also ends at this optional time; the sending thread does so by itself, however long an [`Observer`] takes.
+    #[must_use]
+    pub fn with_stop_at(mut self, stop_at: Option<Instant>) -> Self {
+        self.stop_at = stop_at;
+        self
+    }
+
+    /// The system settings of the sender's thread; its end is the session's.
+    #[must_use]
+    pub fn with_settings(mut self, settings: Settings) -> Self {
+        self.settings = settings;
+        self
+    }
+
+    /// Sounds until it is stopped, the time is up, or the interface or the listener fails.
+    ///
+    /// # Errors
+    /// If it cannot be started, waited for or ended. A failure while it runs is in [`Finished::error`].
+    pub fn run(
+        &self,
+        opened: Opened,
+        mut messages: DriverMessages,
+        observer: &mut dyn Observer,
+    ) -> Result<Finished, Error> {
+        let connector = messages.fd()?;
+        let settings = Settings { stop_at: self.stop_at, ..self.settings };
+        let running = Running::start_opened(opened, self.clock, settings)?;
+        let failed = loop {
+            if let Err(error) = take(&mut messages, self.clock.now(), &running, observer) {
+                break Some(error);
+            }
+            while let Some(news) = running.news() {
+                observer.news(&news);
+            }
+            let now = self.clock.now();
+            observer.look(now, &running);
+            if running.has_ended() || self.stop_at.is_some_and(|end| end <= now) {
+                break None;
+            }
+            let until = [messages.next_at(), self.stop_at, Some(now + LOOK)].into_iter().flatten().min();
+            // Without a listener this waits for the stop twice.
+            let first = connector.as_ref().map_or(self.stop, |fd| fd.as_fd());
+            if self.clock.wait([first, self.stop], until)?[1] {
+                break None;
+            }
+        };
+        self.end(running, messages, failed, observer)
+    }
+
+    fn end(
+        &self,
+        running: Running,
+        mut messages: DriverMessages,
+        mut failed: Option<Error>,
+        observer: &mut dyn Observer,
+    ) -> Result<Finished, Error> {
+        let (mut exchange, left, news_lost, error) = running.stop()?;
+        left.iter().for_each(|news| observer.news(news));
+        // Messages sent before the end belong in the log. A driver without pauses does not delay the end.
+        let enough_at = self.clock.now() + LAST_WORDS;
+        while failed.is_none() && messages.is_recorded() && self.clock.now() < enough_at {
+            match messages.receive(self.clock.now()) {
+                Ok(Next::Pending | Next::End(_)) => break,
+                Ok(_) => {}
+                Err(error) => failed = Some(error),
+            }
+        }
+        let log = messages.finish(self.clock.now())?;
+        Ok(Finished { air: exchange.air.counters(), exchange, news_lost, log, error: failed.or(error) })
+    }
+}
+
+/// Takes everything that the driver has sent.
+fn take(
+    messages: &mut DriverMessages,
+    now: Instant,
+    running: &Running,
+    observer: &mut dyn Observer,
+) -> Result<(), Error> {
+    loop {
+        let next = messages.receive(now)?;
+        if matches!(next, Next::Pending | Next::End(_)) {
+            return Ok(());
+        }
+        observer.record(&next, running);
+    }
+}
+
+impl Finished {
+    /// Counts of the machine.
+    #[must_use]
+    pub fn counts(&self) -> &TdmaCounts {
+        self.exchange.tdma.counts()
+    }
+
+    /// True if frames were not taken, records are not in the log, or something failed.
+    #[must_use]
+    pub fn lost_anything(&self) -> bool {
+        self.air.not_taken() > 0 || self.error.is_some() || self.log.as_ref().is_some_and(|log| log.missing() > 0)
+    }
+
+    /// Frames that the machine sent: forward frames and answers.
+    #[must_use]
+    pub fn sent(&self) -> u64 {
+        self.counts().forward + self.counts().replies
+    }
+
+    /// Of these, those that the kernel reports as failed.
+    #[must_use]
+    pub fn reported_failed(&self) -> u64 {
+        self.air.tx_failed.min(self.sent())
+    }
+
+    /// Of these, those that the kernel reports as sent.
+    #[must_use]
+    pub fn confirmed(&self) -> u64 {
+        self.air.tx_status.saturating_sub(self.air.tx_failed).min(self.sent())
+    }
+}
+
+/// The source of the card's records, and their log.
+pub struct DriverMessages(Kind);
+
+enum Kind {
+    None,
+    Read(Listener),
+    Recorded(Box<Recorder<Listener, LogFiles>>),
+}
+
+/// The result of a recorded log.
+#[derive(Clone, Debug)]
+pub struct LogTotals {
+    /// What was recorded.
+    pub recorded: Totals,
+    /// Records that were lost before they were read.
+    pub dropped_before: u64,
+}
+
+impl LogTotals {
+    /// Records of the card that the log does not have.
+    #[must_use]
+    pub fn missing(&self) -> u64 {
+        self.recorded.dropped + self.recorded.lost_on_disk + self.dropped_before
+    }
+}
+
+impl DriverMessages {
+    /// The driver is not listened to.
+    #[must_use]
+    pub fn none() -> Self {
+        Self(Kind::None)
+    }
+
+    /// They are read.
+    #[must_use]
+    pub fn read(listener: impl Into<Listener>) -> Self {
+        Self(Kind::Read(listener.into()))
+    }
+
+    /// They are read, and recorded in `files`.
+    ///
+    /// # Errors
+    /// If the recorder's thread cannot be started.
+    pub fn recorded(listener: impl Into<Listener>, files: LogFiles) -> Result<Self, Error> {
+        Ok(Self(Kind::Recorded(Box::new(Recorder::new(listener.into(), files, recorder::Options::default())?))))
+    }
+
+    fn is_recorded(&self) -> bool {
+        matches!(self.0, Kind::Recorded(_))
+    }
+
+    /// Something to wait on, where there is a listener.
+    fn fd(&self) -> Result<Option<OwnedFd>, Error> {
+        let fd = match &self.0 {
+            Kind::None => return Ok(None),
+            Kind::Read(listener) => listener.as_fd(),
+            Kind::Recorded(recorder) => recorder.source().as_fd(),
+        };
+        let io = |source| Error::Io { what: "what is listened to".into(), source };
+        fd.try_clone_to_owned().map(Some).map_err(io)
+    }
+
+    /// Ends the log, if there is one.
+    fn finish(self, now: Instant) -> Result<Option<LogTotals>, Error> {
+        let Kind::Recorded(recorder) = self.0 else { return Ok(None) };
+        let (listener, _, recorded) = recorder.finish(now)?;
+        Ok(Some(LogTotals { recorded, dropped_before: listener.lost().total() }))
+    }
+}
+
+impl CsiSource for DriverMessages {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        match &mut self.0 {
+            Kind::None => Ok(Next::Pending),
+            Kind::Read(listener) => listener.receive(now),
+            Kind::Recorded(recorder) => recorder.receive(now),
+        }
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        match &self.0 {
+            Kind::None => None,
+            Kind::Read(listener) => listener.next_at(),
+            Kind::Recorded(recorder) => recorder.next_at(),
+        }
+    }
+}
+
+/// The settings of an exchange.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// Monitor interface; only a name for messages with [`Setup::open_on`].
+    pub interface: String,
+    /// This robot's MAC, instead of the interface's own.
+    pub mac: Option<Mac>,
+    /// All other robots.
+    pub peers: Vec<Mac>,
+    /// Rate, frames and timing: the same on every robot.
+    pub request: Request,
+    /// WSR dialect: this robot's index.
+    pub own_index: u16,
+    /// Key that all robots share.
+    pub key: Option<Key>,
+}
+
+/// An exchange that can be started with [`Running::start`](Running::start).
+#[derive(Debug)]
+pub struct Opened {
+    /// The machine.
+    pub tdma: Tdma,
+    /// The interface.
+    pub monitor: Monitor,
+    /// This robot's MAC.
+    pub own: Mac,
+    /// The key that all robots share.
+    pub key: Option<Key>,
+    /// The peers' sessions, with a key.
+    heard: PeerSessions,
+    /// A warning about the session's number.
+    pub warning: Option<String>,
+}
+
+impl Setup {
+    /// The options of the interface.
+    #[must_use]
+    pub fn options(&self) -> monitor::Options {
+        let (forward, backward) = self.request.dialect.longest(usize::from(self.request.links));
+        let phy = self.request.phy;
+        monitor::Options::new(self.interface.clone(), forward.max(backward)).with_rate(phy.mcs, phy.bandwidth)
+    }
+
+    /// Opens the interface and makes the machine; `settle` may change its configuration.
+    ///
+    /// # Errors
+    /// If the interface cannot be opened or has no MAC, or the plan does not fit.
+    pub fn open(&self, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
+        self.open_on(Monitor::open(&self.options())?, settle)
+    }
+
+    /// As [`Setup::open`], on an interface that is open.
+    ///
+    /// # Errors
+    /// If it has no MAC, or the plan does not fit.
+    pub fn open_on(&self, monitor: Monitor, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
+        let nameless = || SoundingError::NoMac { interface: self.interface.clone() };
+        let own = self.mac.or(monitor.mac()).ok_or_else(nameless)?;
+        let (session, warning) = sessions::begin(own, wall_us());
+        let mut config = self.config(own, session);
+        let stranger = self.key.as_ref().and_then(|key| self.peers.iter().find(|peer| !key.has_pair(own, **peer)));
+        if let Some(peer) = stranger {
+            return Err(SoundingError::NoKeyWith { own, peer: *peer }.into());
+        }
+        let heard = if self.key.is_some() { PeerSessions::open(own) } else { PeerSessions::default() };
+        config.heard = heard.peers();
+        settle(&mut config);
+        let tdma = Tdma::new(&config).map_err(|error| Error::Backend(Box::new(error)))?;
+        Ok(Opened { tdma, monitor, own, key: self.key.clone(), heard, warning })
+    }
+
+    /// The machine's configuration: a robot that answers, and does not initiate.
+    #[must_use]
+    pub fn config(&self, own: Mac, session: u32) -> Config {
+        Config { key: self.key.clone(), ..Config::new(own, self.own_index, &self.peers, self.request, session) }
+    }
+}
+
+/// Reads a key: see [`csi5300::source::read_key`].
+///
+/// # Errors
+/// If the file is refused.
+pub fn read_key(path: &Path) -> Result<Key, Error> {
+    csi5300::source::read_key(path).map_err(|error| Error::Backend(Box::new(error)))
+}
+
+/// RATE_MCS_HT_MSK (`dvm/commands.h`): an HT rate, the only ones with CSI.
+const HT: u32 = 0x100;
+/// RATE_MCS_HT40_MSK: 40 MHz wide.
+const HT40: u32 = 0x800;
+
+/// Antennas of the card.
+const ANTENNAS: u32 = 3;
+
+/// How to get an HT rate under the kernel's own driver.
+const LOAD: &str = "load the module csi5300 (`csi5300 setup --driver module` says how)";
+
+/// The result for the driver's rate.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Rate {
+    /// The driver has no such file: it takes the rate from radiotap.
+    FromRadiotap,
+    /// A card under the kernel's own driver, which sends every injected frame at a legacy rate; the remedy.
+    Legacy(&'static str),
+    /// It was right already.
+    Right(u32),
+    /// It was set; the rate before.
+    Set(u32, String),
+    /// It is another rate and could not be set; the command that does.
+    Other {
+        /// The current rate.
+        found: String,
+        /// The error.
+        error: String,
+        /// The command that sets it.
+        mend: String,
+    },
+}
+
+/// The driver's number for a rate (`rate_n_flags`, `dvm/commands.h`): 0x4101 is MCS 1, 20 MHz, antenna A.
+///
+/// Several streams (MCS 8 and up) go out on as many antennas: `antenna` and the next ones, A after C. `None` for more
+/// streams than the card has antennas (MCS 24 and up).
+#[must_use]
+pub fn rate_n_flags(phy: Phy, antenna: Antenna) -> Option<u32> {
+    const ANTENNA_A: u32 = 0x4000;
+    let streams = u32::from(phy.mcs / 8 + 1);
+    if streams > ANTENNAS {
+        return None;
+    }
+    let first = match antenna {
+        Antenna::A => 0,
+        Antenna::B => 1,
+        Antenna::C => 2,
+    };
+    let antennas = (first..first + streams).fold(0, |bits, k| bits | ANTENNA_A << (k % ANTENNAS));
+    let width = match phy.bandwidth {
+        Bandwidth::Ht20 => 0,
+        Bandwidth::Ht40 => HT40,
+    };
+    Some(antennas | width | HT | u32::from(phy.mcs))
+}
+
+/// Sets the rate of a driver that ignores radiotap.
+#[must_use]
+pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
+    let phy = system.text(&format!("/sys/class/net/{interface}/phy80211/name"));
+    let patched = phy.and_then(|phy| rate_file(system, &phy));
+    // The module's rate is for all cards under iwldvm; other drivers' cards take theirs from radiotap.
+    let driver = system.link(&format!("/sys/class/net/{interface}/device/driver"));
+    let is_intel = driver.as_deref() == Some("iwlwifi");
+    let module = || (is_intel && system.text(MODULE_RATE).is_some()).then(|| MODULE_RATE.to_string());
+    let Some(path) = patched.or_else(module) else {
+        let device = system.text(&format!("/sys/class/net/{interface}/device/device")).unwrap_or_default();
+        let is_card = is_intel && IWL5300.contains(&device.to_lowercase().as_str());
+        return if is_card { Rate::Legacy(LOAD) } else { Rate::FromRadiotap };
+    };
+    let found = system.text(&path).unwrap_or_default();
+    if u32::from_str_radix(found.trim_start_matches("0x"), 16) == Ok(rate) {
+        return Rate::Right(rate);
+    }
+    match system.write(&path, &format!("{rate:#x}")) {
+        Ok(()) => Rate::Set(rate, found),
+        Err(error) => Rate::Other {
+            found,
+            error: format!("writing {path}: {error}"),
+            mend: format!("echo {rate:#x} | sudo tee {path}"),
+        },
+    }
+}
+
+/// Errors of an exchange. Within [`csi5300::source::Error`] they are a backend's.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SoundingError {
+    /// The interface has no MAC, and none was given.
+    #[error("{interface} has no MAC of its own: name the one to use")]
+    NoMac {
+        /// The interface.
+        interface: String,
+    },
+    /// A robot's key file has no key with a peer.
+    #[error("the key file has no key of {own} with {peer}: make another with `csi5300 key robot`, all peers named")]
+    NoKeyWith {
+        /// This robot.
+        own: Mac,
+        /// The peer.
+        peer: Mac,
+    },
+    /// The thread that sends has panicked.
+    #[error("the thread that sends has panicked")]
+    Panicked,
+}
+
+impl From<SoundingError> for csi5300::source::Error {
+    fn from(error: SoundingError) -> Self {
+        Self::Backend(Box::new(error))
+    }
+}
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::doctor::Tree;
+
+    #[test]
+    fn every_stream_has_an_antenna() {
+        let rate = |mcs, antenna| rate_n_flags(Phy { mcs, bandwidth: Bandwidth::Ht20 }, antenna);
+        assert_eq!(rate_n_flags(Phy { mcs: 0, bandwidth: Bandwidth::Ht40 }, Antenna::B), Some(0x8900));
+        assert_eq!([rate(7, Antenna::C), rate(8, Antenna::A)], [Some(0x1_0107), Some(0xc108)]);
+        assert_eq!([rate(15, Antenna::C), rate(16, Antenna::B)], [Some(0x1_410f), Some(0x1_c110)]);
+        assert_eq!([rate(23, Antenna::A), rate(24, Antenna::A)], [Some(0x1_c117), None]);
+    }
+
+    #[test]
+    fn the_driver_s_file_is_found_by_the_interface_and_set_once() {
+        let root = std::env::temp_dir().join(format!("csi5300-rate-{}", std::process::id()));
+        let files = [
+            ("sys/class/net/mon0/phy80211/name", "phy3\n"),
+            ("sys/kernel/debug/ieee80211/phy3/iwlwifi/iwldvm/debug/monitor_tx_rate", "0x0\n"),
+            ("sys/class/net/mon1/phy80211/name", "phy4\n"),
+            ("sys/class/net/mon2/phy80211/name", "phy5\n"),
+            ("sys/class/net/mon2/device/device", "0x4235\n"),
+            ("sys/module/csi5300/parameters/monitor_tx_rate", "0x4100\n"),
+        ];
+        for (path, text) in files {
+            let path = root.join(path);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        }
+        std::os::unix::fs::symlink("../iwlwifi", root.join("sys/class/net/mon2/device/driver")).unwrap();
+        let tree = Tree::new(root.clone());
+        let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
+        let rate = rate_n_flags(phy, Antenna::A).unwrap();
+        assert_eq!(rate, 0x4101);
+        assert_eq!(set_rate(&tree, "mon1", rate), Rate::FromRadiotap);
+        assert_eq!(set_rate(&tree, "mon0", rate), Rate::Set(rate, "0x0".into()));
+        assert_eq!(set_rate(&tree, "mon0", rate), Rate::Right(rate));
+        // The stock driver with the module.
+        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Set(rate, "0x4100".into()));
+        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Right(rate));
+        // And without it, which another Intel card does not need.
+        std::fs::remove_file(root.join("sys/module/csi5300/parameters/monitor_tx_rate")).unwrap();
+        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Legacy(LOAD));
+        std::fs::write(root.join("sys/class/net/mon2/device/device"), "0x2723\n").unwrap();
+        assert_eq!(set_rate(&tree, "mon2", rate), Rate::FromRadiotap);
+        std::fs::remove_dir_all(root).unwrap();
+    }
+
+    /// Keeps what comes.
+    #[derive(Default)]
+    struct Kept {
+        news: Vec<News>,
+        looks: u32,
+    }
+
+    impl Observer for Kept {
+        fn news(&mut self, news: &News) {
+            self.news.push(news.clone());
+        }
+
+        fn look(&mut self, _: Instant, _: &Running) {
+            self.looks += 1;
+        }
+    }
+
+    /// A session on a socket, with what `stop_at` and `stopped` end it by.
+    fn session(stopped: bool, stop_at: Option<Instant>) -> (Kept, Finished) {
+        use nix::sys::socket::{AddressFamily, SockFlag, SockType, socketpair};
+        let (ours, _theirs) =
+            socketpair(AddressFamily::Unix, SockType::SeqPacket, None, SockFlag::SOCK_NONBLOCK).unwrap();
+        let [own, peer] = [1, 2].map(|last| Mac([2, 0, 0, 0, 0, last]));
+        let setup = Setup {
+            interface: "a socket".into(),
+            mac: Some(own),
+            peers: vec![peer],
+            request: Request::new(1, 100.0),
+            own_index: 0,
+            key: None,
+        };
+        let monitor = Monitor::over(ours, own, &setup.options()).unwrap();
+        let tdma = Tdma::new(&setup.config(own, 1)).unwrap();
+        let opened = Opened { tdma, monitor, own, key: None, heard: PeerSessions::default(), warning: None };
+        let (stop, end) = std::io::pipe().unwrap();
+        let end = Some(end).filter(|_| !stopped);
+        let mut kept = Kept::default();
+        let session = Session::new(Monotonic::new(), stop.as_fd())
+            .with_settings(Settings { fifo_priority: None, ..Settings::default() })
+            .with_stop_at(stop_at);
+        let finished = session.run(opened, DriverMessages::none(), &mut kept).unwrap();
+        drop(end);
+        (kept, finished)
+    }
+
+    #[test]
+    fn a_session_ends_when_it_is_stopped_and_when_its_time_is_up() {
+        for (kept, finished) in [session(true, None), session(false, Some(Instant::ZERO))] {
+            assert!(matches!(kept.news[..], [News::Started(_), ..]), "{:?}", kept.news);
+            assert!(kept.looks > 0 && finished.error.is_none() && finished.log.is_none());
+            assert_eq!((finished.sent(), finished.confirmed(), finished.news_lost), (0, 0, 0));
+            assert!(!finished.lost_anything());
+        }
+    }
+}

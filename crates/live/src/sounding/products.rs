@@ -3,18 +3,25 @@
 //! The initiator's card reports the backward frame; what the responder's card reported of the forward frame comes in a
 //! later answer ([`driver_iface::sounding::native::Measurement`]). Both go into the library's live estimator, as a node's
 //! records do.
+//!
+//! [`Beside`] computes them beside a session: a bearing may take seconds, while the session must read its driver and watch
+//! its stop and its time.
 
+use crate::wait::Monotonic;
 use csi5300::exchange::tdma::Key;
 use csi5300::internal::FrameHeard;
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::live::{Links, LiveEstimator, LivePeer, LiveSettings, Track};
 use csi5300::pipeline::{Options, UnusedRecords};
-use csi5300::source::Next;
 use csi5300::source::survey::Identity;
-use csi5300::time::Instant;
+use csi5300::source::{Error, Next};
+use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Bfee};
 use driver_iface::sounding::native::Measurement;
+use std::io::PipeReader;
+use std::os::fd::{AsFd, BorrowedFd};
+use std::thread::JoinHandle;
 
 /// One antenna's CSI of a forward frame, to be sent to its initiator; `None` without that antenna or a number.
 #[must_use]
@@ -96,5 +103,148 @@ impl Products {
     #[must_use]
     pub fn links(&self) -> Links {
         self.estimator.links()
+    }
+}
+
+/// Repeated work, one piece at a time, in a separate thread.
+#[derive(Debug)]
+pub struct Beside<T> {
+    every: Span,
+    next_at: Instant,
+    under_way: Option<UnderWay<T>>,
+}
+
+#[derive(Debug)]
+struct UnderWay<T> {
+    thread: JoinHandle<T>,
+    /// Readable, at its end, once the work is done.
+    done: PipeReader,
+}
+
+impl<T: Send + 'static> Beside<T> {
+    /// Due at `first_at`, then `every` span after the start of the last piece, or as soon as that is done.
+    #[must_use]
+    pub fn new(first_at: Instant, every: Span) -> Self {
+        Self { every, next_at: first_at, under_way: None }
+    }
+
+    /// True if a piece is due and none is running.
+    #[must_use]
+    pub fn is_due(&self, now: Instant) -> bool {
+        self.under_way.is_none() && self.next_at <= now
+    }
+
+    /// Starts a piece of `work`, unless one is running.
+    ///
+    /// # Errors
+    /// If thread or pipe cannot be created.
+    pub fn begin(&mut self, now: Instant, work: impl FnOnce() -> T + Send + 'static) -> Result<(), Error> {
+        if self.under_way.is_some() {
+            return Ok(());
+        }
+        self.next_at = now + self.every;
+        let io = |source| Error::Io { what: "cannot start a thread beside the one that listens".into(), source };
+        let (done, doing) = std::io::pipe().map_err(io)?;
+        let work = move || {
+            // Closed when the work ends, also by a panic.
+            let _doing = doing;
+            work()
+        };
+        let thread = std::thread::Builder::new().name("csi5300 beside".into()).spawn(work).map_err(io)?;
+        self.under_way = Some(UnderWay { thread, done });
+        Ok(())
+    }
+
+    /// The result of a finished piece, once.
+    ///
+    /// # Panics
+    /// If the work did.
+    pub fn take(&mut self) -> Option<T> {
+        self.under_way.take_if(|doing| doing.thread.is_finished()).map(joined)
+    }
+
+    /// Waits for the running piece, unless `stop` is readable: then it ends with the process.
+    ///
+    /// # Errors
+    /// If it cannot be waited for.
+    ///
+    /// # Panics
+    /// If the work did.
+    pub fn last(&mut self, clock: Monotonic, stop: BorrowedFd<'_>) -> Result<Option<T>, Error> {
+        let Some(doing) = self.under_way.take() else { return Ok(None) };
+        loop {
+            match clock.wait([doing.done.as_fd(), stop], None)? {
+                [true, _] => return Ok(Some(joined(doing))),
+                [false, true] => return Ok(None),
+                [false, false] => {}
+            }
+        }
+    }
+}
+
+fn joined<T>(doing: UnderWay<T>) -> T {
+    doing.thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc::channel;
+
+    const SECOND: Span = Span::from_ms(1_000);
+
+    fn at(s: i64) -> Instant {
+        Instant::from_us(s * 1_000_000)
+    }
+
+    #[test]
+    fn nobody_waits_for_work_that_takes_longer_than_its_turn() {
+        let (go, gate) = channel();
+        let mut beside = Beside::new(at(0), SECOND);
+        assert!(beside.is_due(at(0)));
+        beside.begin(at(0), move || gate.recv().unwrap_or(0)).unwrap();
+        for s in 0..10 {
+            assert_eq!((beside.is_due(at(s)), beside.take()), (false, None), "a piece is under way");
+        }
+        beside.begin(at(10), || 9).unwrap();
+        go.send(7).unwrap();
+        let (stop, _open) = std::io::pipe().unwrap();
+        assert_eq!(beside.last(Monotonic::new(), stop.as_fd()).unwrap(), Some(7), "the one that was begun first");
+    }
+
+    #[test]
+    fn pieces_follow_each_other_at_their_times() {
+        let mut beside = Beside::new(at(5), SECOND);
+        assert!(!beside.is_due(at(4)));
+        beside.begin(at(5), || 1).unwrap();
+        let made = loop {
+            match beside.take() {
+                Some(made) => break made,
+                None => std::thread::yield_now(),
+            }
+        };
+        assert_eq!((made, beside.take()), (1, None));
+        assert!(!beside.is_due(at(5)) && beside.is_due(at(6)));
+    }
+
+    #[test]
+    fn a_stop_does_not_wait_for_running_work() {
+        let (_held, gate) = channel::<u8>();
+        let mut beside = Beside::new(at(0), SECOND);
+        beside.begin(at(0), move || gate.recv().is_ok()).unwrap();
+        let (stop, asked) = std::io::pipe().unwrap();
+        drop(asked);
+        assert_eq!(beside.last(Monotonic::new(), stop.as_fd()).unwrap(), None);
+        let mut idle = Beside::<u8>::new(at(0), SECOND);
+        assert_eq!(idle.last(Monotonic::new(), stop.as_fd()).unwrap(), None, "nothing was begun");
+    }
+
+    #[test]
+    #[should_panic(expected = "a defect")]
+    fn a_panic_of_the_work_is_not_lost() {
+        let mut beside = Beside::<()>::new(at(0), SECOND);
+        beside.begin(at(0), || panic!("a defect")).unwrap();
+        let (stop, _open) = std::io::pipe().unwrap();
+        let _ = beside.last(Monotonic::new(), stop.as_fd());
     }
 }

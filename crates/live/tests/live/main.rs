@@ -7,8 +7,7 @@ mod common;
 mod private;
 
 mod connector;
-mod kernel_guest;
-mod kernel_sounding;
+mod kernel;
 mod live_bearings;
 #[cfg(feature = "serial")]
 mod opencr;

@@ -1,22 +1,334 @@
-//! The room's side: programs, frames in; frames, records and poses out. It neither waits nor reads a clock.
+//! A simulated room in another process that acts as the card: injected and received frames of a robot, its card's
+//! records and its odometry's poses, over a Unix socket.
+//!
+//! `csi5300 simulate SCENE.toml --serve --socket PATH` runs a [`Server`]; `sound`, `record` (with `--room PATH#ROBOT`)
+//! and `node` (with `capture.served`) use it with the code for cards: the socket carries the same bytes as the
+//! kernel's, so everything behind the live crate's `Monitor` and `Netlink` is shared.
+//!
+//! The socket is of type SOCK_SEQPACKET: messages keep their bounds, and a closed partner is noticed. The first message
+//! is a request in words:
+//!
+//! | to the room | from the room |
+//! |---|---|
+//! | `csi5300-room 1 air ROBOT` | `ok MAC`, then radiotap header and 802.11 frame, one a message, both ways. A frame that went out comes back as a tx-status copy (TX flags), as mac80211's do |
+//! | `csi5300-room 1 card ROBOT` | `ok MAC`, then connector datagrams: `nlmsghdr`, `cn_msg`, record |
+//! | `csi5300-room 1 poses ROBOT` | `ok MAC`, then lines `time,0,x,y,z,heading,` on the robot's host clock |
+//! | anything else | `no`, and why |
+//!
+//! A frame is on air from the moment of its hand-over, by the kernel's stamp of the message; overlapping frames
+//! collide. Several programs may listen to one card; one at a time may use a robot's air.
 
-use super::place::Place;
-use super::{GREETING, Role, WORDS, seqpacket};
 use crate::{Interface, Odometer, Port, Room};
-use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
+use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, csv};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::connector::{CN_IDX, CN_VAL, MAX_DATAGRAM, Repr as Message};
 use driver_iface::radiotap::{Bandwidth, Mcs, Packet, Repr};
 use driver_iface::record::{Record, code};
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
-use nix::sys::socket::{Backlog, ControlMessageOwned, MsgFlags, SockFlag, listen, recvmsg, send, setsockopt, sockopt};
-use nix::sys::time::TimeSpec;
-use std::io::{ErrorKind, IoSliceMut};
+use nix::sys::socket::{
+    AddressFamily, Backlog, ControlMessageOwned, MsgFlags, SockFlag, SockType, UnixAddr, bind, connect, listen, recv,
+    recvmsg, send, setsockopt, socket, sockopt,
+};
+use nix::sys::time::{TimeSpec, TimeVal};
+use std::fmt;
+use std::io::{self, ErrorKind, IoSliceMut};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::os::unix::net::UnixListener;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// First word of the first message, and the version of what follows.
+const GREETING: &str = "csi5300-room 1";
+/// Longest message other than frames and records, bytes.
+const WORDS: usize = 512;
+/// How long to wait for the room, seconds.
+const PATIENCE_S: i64 = 60;
+
+/// The requested stream of a robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Its monitor interface.
+    Air,
+    /// Its card's records.
+    Card,
+    /// Its odometry.
+    Poses,
+}
+
+impl Role {
+    const ALL: [(Self, &str); 3] = [(Self::Air, "air"), (Self::Card, "card"), (Self::Poses, "poses")];
+
+    fn word(self) -> &'static str {
+        Self::ALL.iter().find(|(role, _)| *role == self).map_or("", |(_, word)| word)
+    }
+}
+
+/// Connects to a robot of a room; returns the socket, which does not block and stamps messages, and the robot's MAC.
+///
+/// # Errors
+/// [`JoinError::NoRoom`] where no room is served, [`JoinError::Refused`] with the room's reason, [`JoinError::Answer`] from
+/// something else that listens there.
+pub fn join(address: &Address, role: Role) -> Result<(OwnedFd, Mac), JoinError> {
+    let no_room = |source: nix::errno::Errno| JoinError::NoRoom { address: address.clone(), source: source.into() };
+    let socket = seqpacket(SockFlag::empty()).map_err(no_room)?;
+    setsockopt(&socket, sockopt::ReceiveTimeout, &TimeVal::new(PATIENCE_S, 0)).map_err(no_room)?;
+    let path = UnixAddr::new(&address.socket).map_err(no_room)?;
+    connect(socket.as_raw_fd(), &path).map_err(no_room)?;
+    let hello = format!("{GREETING} {} {}", role.word(), address.robot);
+    send(socket.as_raw_fd(), hello.as_bytes(), MsgFlags::MSG_NOSIGNAL).map_err(no_room)?;
+    let mut answer = [0; WORDS];
+    let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty()).map_err(no_room)?;
+    let answer = String::from_utf8_lossy(answer.get(..len).unwrap_or_default());
+    let strange = || JoinError::Answer { address: address.clone(), len };
+    match answer.split_once(' ') {
+        Some(("ok", mac)) => Ok((socket, mac.parse().map_err(|_| strange())?)),
+        Some(("no", why)) => Err(JoinError::Refused { address: address.clone(), why: why.into() }),
+        _ => Err(strange()),
+    }
+}
+
+/// A socket that stamps received messages.
+fn seqpacket(flags: SockFlag) -> nix::Result<OwnedFd> {
+    let socket = socket(AddressFamily::Unix, SockType::SeqPacket, flags | SockFlag::SOCK_CLOEXEC, None)?;
+    setsockopt(&socket, sockopt::ReceiveTimestampns, &true)?;
+    Ok(socket)
+}
+
+/// Takes one message of a robot's card or odometry: its true length, 0 once the room has ended.
+///
+/// # Errors
+/// The kernel's, WouldBlock where there is none.
+fn take(socket: &OwnedFd, buffer: &mut [u8]) -> io::Result<usize> {
+    loop {
+        match recv(socket.as_raw_fd(), buffer, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC) {
+            // The partner closed with unread data; its earlier messages are still readable.
+            Err(nix::errno::Errno::ECONNRESET) => {}
+            taken => return Ok(taken?),
+        }
+    }
+}
+
+/// A robot of a served room: `PATH#ROBOT`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Address {
+    /// The room's socket.
+    pub socket: PathBuf,
+    /// The robot's name in the scene.
+    pub robot: String,
+}
+
+impl FromStr for Address {
+    type Err = AddressError;
+
+    fn from_str(text: &str) -> Result<Self, AddressError> {
+        match text.rsplit_once('#') {
+            Some((path, robot)) if !path.is_empty() && !robot.is_empty() => {
+                Ok(Self { socket: path.into(), robot: robot.into() })
+            }
+            _ => Err(AddressError),
+        }
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} of the room at {}", self.robot, self.socket.display())
+    }
+}
+
+/// A text that is no [`Address`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a robot of a served room is PATH#ROBOT, such as /tmp/room#rx")]
+pub struct AddressError;
+
+/// Why a robot of a room cannot be joined; inside [`csi5300::source::Error::Backend`] where a source is asked for.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum JoinError {
+    /// Nothing listens there, or it left.
+    #[error("cannot reach {address}: {source}")]
+    NoRoom {
+        /// Who was asked for.
+        address: Address,
+        /// The operating system's reason.
+        source: io::Error,
+    },
+    /// The room has no such robot, or another program has its air.
+    #[error("{address}: {why}")]
+    Refused {
+        /// Who was asked for.
+        address: Address,
+        /// The room's words.
+        why: String,
+    },
+    /// Another protocol.
+    #[error("{address}: the answer of {len} bytes is not that of a room")]
+    Answer {
+        /// Who was asked for.
+        address: Address,
+        /// Length of the answer.
+        len: usize,
+    },
+}
+
+impl From<JoinError> for Error {
+    fn from(error: JoinError) -> Self {
+        Self::Backend(Box::new(error))
+    }
+}
+
+/// Bytes of a socket's path at most (struct sockaddr_un: 108 with the zero at its end).
+const LONGEST_PATH: usize = 107;
+
+/// Why a room has no socket; inside [`csi5300::source::Error::Backend`].
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlaceError {
+    /// Another file is there; it stays.
+    #[error("{} is there and is no socket: give the room's socket another name", path.display())]
+    NoSocket {
+        /// The path.
+        path: PathBuf,
+    },
+    /// Somebody listens there.
+    #[error("another room, or another program, is served at {}: stop it first, or give this one another name", path.display())]
+    Taken {
+        /// The path.
+        path: PathBuf,
+    },
+    /// The name does not fit a socket.
+    #[error("the path {} has {len} bytes; a socket's has 1 to {LONGEST_PATH}", path.display())]
+    Length {
+        /// The path.
+        path: PathBuf,
+        /// Its bytes.
+        len: usize,
+    },
+}
+
+impl From<PlaceError> for Error {
+    fn from(error: PlaceError) -> Self {
+        Self::Backend(Box::new(error))
+    }
+}
+
+/// The path of a socket, which is removed at the end.
+#[derive(Debug)]
+struct Place {
+    path: PathBuf,
+    /// Device and inode of the socket.
+    own: (u64, u64),
+}
+
+impl Place {
+    /// Binds a socket to a path. Removes an abandoned socket there first, but no other file.
+    fn take(socket: &OwnedFd, path: &Path) -> Result<Self, Error> {
+        let io = |source: io::Error| cannot_serve(path, source);
+        let len = path.as_os_str().len();
+        if !(1..=LONGEST_PATH).contains(&len) {
+            return Err(PlaceError::Length { path: path.to_owned(), len }.into());
+        }
+        make_way(path)?;
+        let address = UnixAddr::new(path).map_err(|errno| io(errno.into()))?;
+        bind(socket.as_raw_fd(), &address).map_err(|errno| io(errno.into()))?;
+        Ok(Self { own: identity(path).map_err(io)?, path: path.to_owned() })
+    }
+
+    /// The path.
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Removes the socket if it is still at the path. It must be open, so that its inode is not reused.
+    fn leave(&self) {
+        if identity(&self.path).is_ok_and(|there| there == self.own) {
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+fn cannot_serve(path: &Path, source: io::Error) -> Error {
+    Error::Io { what: format!("cannot serve a room at {}; is its folder there and writable", path.display()), source }
+}
+
+/// Device and inode at a path, without following a link.
+fn identity(path: &Path) -> io::Result<(u64, u64)> {
+    let there = std::fs::symlink_metadata(path)?;
+    Ok((there.dev(), there.ino()))
+}
+
+/// Removes an abandoned socket, but no other file.
+fn make_way(path: &Path) -> Result<(), Error> {
+    let Ok(there) = std::fs::symlink_metadata(path) else { return Ok(()) };
+    if !there.file_type().is_socket() {
+        return Err(PlaceError::NoSocket { path: path.to_owned() }.into());
+    }
+    let asked = seqpacket(SockFlag::empty()).and_then(|socket| {
+        let address = UnixAddr::new(path)?;
+        connect(socket.as_raw_fd(), &address)
+    });
+    match asked {
+        // Somebody listens, to sockets of this type or of another.
+        Ok(()) | Err(Errno::EPROTOTYPE | Errno::EAGAIN) => Err(PlaceError::Taken { path: path.to_owned() }.into()),
+        Err(Errno::ECONNREFUSED) => std::fs::remove_file(path).map_err(|source| cannot_serve(path, source)),
+        Err(errno) => Err(cannot_serve(path, errno.into())),
+    }
+}
+
+/// Longest line of a pose, bytes.
+const LINE: usize = 512;
+
+/// Poses of a robot in a served room. Never blocks; wait on its file descriptor.
+#[derive(Debug)]
+pub struct Poses {
+    socket: OwnedFd,
+    ended: bool,
+}
+
+impl Poses {
+    /// Joins the room.
+    ///
+    /// # Errors
+    /// No room there, or no such robot in it.
+    pub fn join(address: &Address) -> Result<Self, Error> {
+        Ok(Self { socket: join(address, Role::Poses)?.0, ended: false })
+    }
+}
+
+impl OdometrySource for Poses {
+    fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
+        let mut line = [0; LINE];
+        while !self.ended {
+            match take(&self.socket, &mut line) {
+                Ok(0) => self.ended = true,
+                Ok(len) => {
+                    let line = line.get(..len).unwrap_or_default();
+                    let what = "a pose of a room";
+                    let pose = csv::parse_line(line).map_err(|source| OdometryError::Row { what, source })?;
+                    return Ok(NextPose::Pose(pose));
+                }
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(NextPose::Pending),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(source) => return Err(OdometryError::Io { what: "receiving poses from a room", source }),
+            }
+        }
+        Ok(NextPose::End)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        None
+    }
+}
+
+impl AsFd for Poses {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
 
 /// Longest radiotap header and frame that are taken, bytes (IEEE80211_MAX_FRAME_LEN and a header of ours).
 const LONGEST: usize = 2_352 + driver_iface::radiotap::MAX_EMIT_LEN;
@@ -114,7 +426,7 @@ impl Server {
     /// Opens the socket. One that an earlier room left behind is replaced.
     ///
     /// # Errors
-    /// [`PlaceError`](super::PlaceError) when what is there is no socket, or one that is in use; when the path cannot be used.
+    /// [`PlaceError`](PlaceError) when what is there is no socket, or one that is in use; when the path cannot be used.
     pub fn bind(path: &Path) -> Result<Self, Error> {
         let io = |errno: Errno| {
             let what = format!("cannot serve a room at {}", path.display());
@@ -438,5 +750,101 @@ fn say(socket: &OwnedFd, message: &[u8]) -> Sent {
         Ok(_) => Sent::Yes,
         Err(Errno::EAGAIN | Errno::ENOBUFS | Errno::ENOMEM) => Sent::NoRoom,
         Err(_) => Sent::Gone,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_room_the_error_names_robot_and_socket() {
+        let address = Address { socket: "/nowhere/room".into(), robot: "rx".into() };
+        let error = join(&address, Role::Air).unwrap_err();
+        assert!(error.to_string().contains("rx of the room at /nowhere/room"), "{error}");
+        assert!(matches!(error, JoinError::NoRoom { source, .. } if source.kind() == io::ErrorKind::NotFound));
+    }
+
+    #[test]
+    fn a_robot_of_a_room_is_its_socket_and_its_name() {
+        let address: Address = "/tmp/a#b/room#rx".parse().unwrap();
+        assert_eq!(address, Address { socket: "/tmp/a#b/room".into(), robot: "rx".into() });
+        assert_eq!(address.to_string(), "rx of the room at /tmp/a#b/room");
+        for wrong in ["", "#", "/tmp/room", "/tmp/room#", "#rx"] {
+            assert!(wrong.parse::<Address>().is_err(), "{wrong}");
+        }
+    }
+
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("csi5300-place-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        folder
+    }
+
+    fn socket() -> OwnedFd {
+        seqpacket(SockFlag::empty()).unwrap()
+    }
+
+    fn refused(path: &Path) -> String {
+        Place::take(&socket(), path).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn other_files_stay_and_are_named() {
+        let folder = folder("files");
+        let [file, link, dangling] = ["precious.dat", "link", "dangling"].map(|name| folder.join(name));
+        std::fs::write(&file, "precious").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        std::os::unix::fs::symlink(folder.join("none"), &dangling).unwrap();
+        for path in [&file, &link, &dangling, &folder] {
+            let said = refused(path);
+            assert!(said.contains("is there and is no socket") && !said.contains("another room"), "{said}");
+            assert!(std::fs::symlink_metadata(path).is_ok());
+        }
+        assert_eq!(std::fs::read_to_string(&link).unwrap(), "precious");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn the_refusal_names_the_places_problem_and_no_other_room() {
+        let folder = folder("lacks");
+        let cases = [
+            (folder.join("none").join("room"), "No such file"),
+            (folder.join("x".repeat(120)), "a socket's has 1 to 107"),
+            (PathBuf::new(), "has 0 bytes"),
+        ];
+        for (path, why) in cases {
+            let said = refused(&path);
+            assert!(said.contains(why) && !said.contains("another"), "{said}");
+        }
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_socket_in_use_is_refused_and_one_left_behind_is_replaced() {
+        let folder = folder("sockets");
+        let path = folder.join("room");
+        // Of another type, as a node's status socket.
+        let living = UnixListener::bind(&path).unwrap();
+        assert!(refused(&path).contains("is served at"));
+        drop(living);
+        let own = socket();
+        let place = Place::take(&own, &path).unwrap();
+        place.leave();
+        assert!(!path.exists());
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_file_in_place_of_the_socket_stays() {
+        let folder = folder("later");
+        let path = folder.join("room");
+        let own = socket();
+        let place = Place::take(&own, &path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, "of somebody else").unwrap();
+        place.leave();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "of somebody else");
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

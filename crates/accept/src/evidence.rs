@@ -1,17 +1,22 @@
-//! Collects the cards' records for the claims.
+//! The cards' records for the claims: collected, and paired by exchange into forward and backward frames.
 
 use crate::claims::CLAIMS;
-use crate::pairs::Pairs;
 use crate::report::Report;
+use crate::stats::line;
+use csi5300::exchange::pairing::LinkSide;
+use csi5300::internal::{ByClock, CardClock, Refusal};
 use csi5300::motion::pose::Trajectory;
-use csi5300::signal::channel::Channel;
+use csi5300::signal::cfo::{TurnAround, at_centre, round_trip_at_centre};
+use csi5300::signal::channel::{Channel, SUBCARRIERS};
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Error, Injector, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Iq, MAX_SAMPLES, Repr};
+use driver_iface::bfee::{Antenna, Antennas, Iq, MAX_SAMPLES, Repr};
 use driver_iface::record::code;
 use driver_iface::sounding::wsr::{self, Lfsr};
+use num_complex::{Complex32, Complex64};
+use std::collections::{BTreeMap, HashMap};
 
 /// Limit of a card's records for the claims: an hour at 100 a second. Later ones are counted and logged.
 const RECORDS: usize = 360_000;
@@ -250,23 +255,13 @@ impl<'a> Sending<'a> {
 
 /// Takes the cards' items.
 #[derive(Debug)]
-pub struct Collector {
-    plan: Plan,
-    near: Heard,
-    far: Option<Heard>,
-    sent: Vec<Sent>,
-    interface: Interface,
-    after: Vec<After>,
-    unplugged: Vec<(Antenna, Heard)>,
-    lateness_us: Vec<f64>,
-    counters: Vec<(String, u64)>,
-}
+pub struct Collector(Evidence);
 
 impl Collector {
     /// An empty collector.
     #[must_use]
     pub fn new(plan: Plan) -> Self {
-        Self {
+        Self(Evidence {
             plan,
             near: Heard::default(),
             far: None,
@@ -276,75 +271,76 @@ impl Collector {
             unplugged: Vec::new(),
             lateness_us: Vec::new(),
             counters: Vec::new(),
-        }
+            pairs: None,
+        })
     }
 
     /// Takes an item of a card.
     pub fn heard(&mut self, side: Side, next: &Next<'_>) {
         match side {
-            Side::Near => self.unplugged.last_mut().map_or(&mut self.near, |(_, heard)| heard).note(next),
-            Side::Far => self.far.get_or_insert_default().note(next),
+            Side::Near => self.0.unplugged.last_mut().map_or(&mut self.0.near, |(_, heard)| heard).note(next),
+            Side::Far => self.0.far.get_or_insert_default().note(next),
         }
     }
 
     /// The first robot sent a frame.
     pub fn sent(&mut self, frame: Sent) {
-        self.sent.push(frame);
+        self.0.sent.push(frame);
     }
 
     /// What the interface knows that sent them.
     pub fn interface(&mut self, interface: Interface) {
-        self.interface = interface;
+        self.0.interface = interface;
     }
 
     /// Logs of both cards after something was done to the first one.
     pub fn after(&mut self, done: Done, near: &[u8], far: Option<&[u8]>) {
         let (near, far) = (Heard::of_log(near), far.map(Heard::of_log));
-        let pairs = far.as_ref().map(|far| Pairs::of(&near, far, &self.plan));
-        self.after.push(After { done, near, far, pairs });
+        let pairs = far.as_ref().map(|far| Pairs::of(&near, far, &self.0.plan));
+        self.0.after.push(After { done, near, far, pairs });
     }
 
     /// From now on this antenna of the first robot, and no other, is unplugged; later records are kept separately. It
     /// must be last in a run.
     pub fn unplugged(&mut self, antenna: Antenna) {
-        self.unplugged.push((antenna, Heard::default()));
+        self.0.unplugged.push((antenna, Heard::default()));
     }
 
     /// Takes a log of the first robot's card with this antenna unplugged.
     pub fn unplugged_log(&mut self, antenna: Antenna, bytes: &[u8]) {
-        self.unplugged.push((antenna, Heard::of_log(bytes)));
+        self.0.unplugged.push((antenna, Heard::of_log(bytes)));
     }
 
     /// Takes a log as one card's data, in place of live ones.
     pub fn log(&mut self, side: Side, bytes: &[u8]) {
         match side {
-            Side::Near => self.near = Heard::of_log(bytes),
-            Side::Far => self.far = Some(Heard::of_log(bytes)),
+            Side::Near => self.0.near = Heard::of_log(bytes),
+            Side::Far => self.0.far = Some(Heard::of_log(bytes)),
         }
     }
 
     /// Notes the lateness of a wake-up.
     pub fn woke_late(&mut self, late: Span) {
-        self.lateness_us.push(late.as_us() as f64);
+        self.0.lateness_us.push(late.as_us() as f64);
     }
 
     /// Notes the growth of a counter of the kernel module.
     pub fn counted(&mut self, name: &str, more: u64) {
-        self.counters.push((name.to_owned(), more));
+        self.0.counters.push((name.to_owned(), more));
     }
 
     /// Records with CSI of the near card so far.
     #[must_use]
     pub fn records(&self) -> usize {
-        self.near.records.len()
+        self.0.near.records.len()
     }
 
     /// The collected evidence.
     #[must_use]
     pub fn finish(self) -> Evidence {
-        let pairs = self.far.as_ref().map(|far| Pairs::of(&self.near, far, &self.plan));
-        let Self { plan, near, far, sent, interface, after, unplugged, lateness_us, counters } = self;
-        Evidence { plan, near, far, sent, interface, after, unplugged, lateness_us, counters, pairs }
+        let Self(evidence) = self;
+        let pairs = evidence.far.as_ref().map(|far| Pairs::of(&evidence.near, far, &evidence.plan));
+        Evidence { pairs, ..evidence }
     }
 }
 
@@ -389,19 +385,6 @@ pub fn run<'a>(near: &'a mut dyn CsiSource, far: Option<&'a mut dyn CsiSource>, 
     collect(near, far, None, plan).map(|evidence| evidence.judge())
 }
 
-/// [`run`], and the first robot sends meanwhile.
-///
-/// # Errors
-/// As [`run`]. A refused frame is no error; a claim reports it.
-pub fn run_sending<'a>(
-    near: &'a mut dyn CsiSource,
-    far: Option<&'a mut dyn CsiSource>,
-    sending: Sending<'_>,
-    plan: Plan,
-) -> Result<Report, Error> {
-    collect(near, far, Some(sending), plan).map(|evidence| evidence.judge())
-}
-
 /// The evidence that [`run`] judges.
 ///
 /// # Errors
@@ -442,4 +425,196 @@ pub fn collect<'a>(
         now = next_at.map_or(now, |at| at.max(now + Span::from_us(1)));
     }
     Ok(collector.finish())
+}
+
+/// Exchanges of two cards: all frames that each heard of the other, paired by number, or by the cards' clocks without
+/// numbers.
+#[derive(Debug, Default)]
+pub(crate) struct Pairs {
+    /// Frames that each card heard of the other, each number once.
+    pub frames: [usize; 2],
+    /// Why frames without numbers could not be paired by the cards' clocks.
+    pub refused: Option<Refusal>,
+    /// The near robot sounds others too, so not all frames that the far card heard were for the far robot.
+    pub among_others: bool,
+    /// The near card's clock at each pair, microseconds.
+    pub near_us: Vec<i64>,
+    /// Far clock less near clock, microseconds.
+    pub difference_us: Vec<i64>,
+    /// Forward times backward at the channel centre, of antenna A.
+    pub product: Vec<Complex64>,
+    /// Forward times the conjugate of backward.
+    pub ratio: Vec<Complex64>,
+    /// One direction alone: the near card's CSI.
+    pub one_way: Vec<Complex64>,
+    /// Turn-around of each pair less the clocks' line, microseconds.
+    pub turn_us: Vec<f64>,
+    /// Drift of the far clock against the near one by that line, ppm, and its standard error.
+    pub drift_ppm: Option<(f64, f64)>,
+    /// The library's compensation of the product.
+    pub compensation: Option<TurnAround>,
+    /// The same of the ratio.
+    pub ratio_compensation: Option<TurnAround>,
+}
+
+/// Antenna A's coefficients of the first stream; the first chain's if the record does not name A.
+pub(crate) fn antenna_a(record: &HeardRecord) -> [Complex32; SUBCARRIERS] {
+    let head = &record.head;
+    let antennas = Antennas::new(head.antenna_sel, head.n_rx, head.rssi).ok();
+    let chain = antennas.and_then(|antennas| antennas.chain_of(Antenna::A)).unwrap_or(0);
+    column(record, chain)
+}
+
+/// The coefficients of one chain, first stream.
+pub(crate) fn column(record: &HeardRecord, chain: usize) -> [Complex32; SUBCARRIERS] {
+    let (n_rx, n_tx) = (usize::from(record.head.n_rx), usize::from(record.head.n_tx));
+    std::array::from_fn(|k| {
+        let iq = record.csi.get((k * n_rx + chain) * n_tx).copied().unwrap_or_default();
+        Complex32::new(f32::from(iq.i), f32::from(iq.q))
+    })
+}
+
+/// Senders of records with or without numbers, and how many each has.
+fn senders(heard: &Heard, numbered: bool) -> BTreeMap<Mac, usize> {
+    let mut counts = BTreeMap::new();
+    for record in heard.records.iter().filter(|record| record.number.is_some() == numbered) {
+        *counts.entry(record.mac).or_default() += 1;
+    }
+    counts
+}
+
+fn most(senders: BTreeMap<Mac, usize>) -> Option<Mac> {
+    senders.into_iter().max_by_key(|(mac, count)| (*count, *mac)).map(|(mac, _)| mac)
+}
+
+/// The sender that most numbered records have.
+pub(crate) fn usual_sender(heard: &Heard) -> Option<Mac> {
+    most(senders(heard, true))
+}
+
+/// The near card's record and the far card's of each exchange.
+struct Partners<'a> {
+    pairs: Vec<(&'a HeardRecord, &'a HeardRecord)>,
+    frames: [usize; 2],
+    refused: Option<Refusal>,
+}
+
+fn by_number<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -> Partners<'a> {
+    // A repeated number identifies no exchange.
+    let mut heard_by_far: HashMap<u32, Option<&HeardRecord>> = HashMap::new();
+    for record in far.records.iter().filter(|record| record.mac == of_near) {
+        if let Some(number) = record.number {
+            heard_by_far.entry(number).and_modify(|twice| *twice = None).or_insert(Some(record));
+        }
+    }
+    let (mut pairs, mut frames, mut last) = (Vec::new(), 0, None);
+    for record in near.records.iter().filter(|record| record.mac == of_far && record.number.is_some()) {
+        if record.number == last {
+            continue;
+        }
+        last = record.number;
+        frames += 1;
+        let other = record.number.and_then(|number| heard_by_far.get(&number).copied().flatten());
+        pairs.extend(other.map(|other| (record, other)));
+    }
+    Partners { pairs, frames: [frames, heard_by_far.len()], refused: None }
+}
+
+fn by_clock<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -> Partners<'a> {
+    // Whole microseconds, without wraps.
+    const CLOCK: CardClock = CardClock { tick_ps: 1_000_000, bits: 64 };
+    let mut machine = ByClock::new(CLOCK, CLOCK);
+    for (side, heard, sender) in [(LinkSide::Receiver, near, of_far), (LinkSide::Transmitter, far, of_near)] {
+        for record in heard.records.iter().filter(|record| record.mac == sender) {
+            machine.handle(side, record.card_us.cast_unsigned(), record);
+        }
+    }
+    let refused = machine.finish().err();
+    let frames = [LinkSide::Receiver, LinkSide::Transmitter].map(|side| {
+        let counts = machine.counts(side);
+        counts.handed - counts.twice
+    });
+    let pairs = std::iter::from_fn(|| machine.poll_pair()).map(|pair| (pair.receiver, pair.transmitter)).collect();
+    Partners { pairs, frames, refused }
+}
+
+impl Pairs {
+    /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. If near heard
+    /// several robots, the one with the most coherent product is used.
+    pub(crate) fn of(near: &Heard, far: &Heard, plan: &Plan) -> Self {
+        let numbered = [near, far].iter().all(|heard| heard.records.iter().any(|record| record.number.is_some()));
+        let Some(of_near) = plan.macs.map(|macs| macs[0]).or_else(|| most(senders(far, numbered))) else {
+            return Self::default();
+        };
+        let of_far = |mac: &Mac| plan.macs.is_none_or(|macs| macs[1] == *mac);
+        let pair = if numbered { by_number } else { by_clock };
+        let candidates = senders(near, numbered).into_keys().filter(of_far);
+        let candidates = candidates.map(|of_far| Self::with(pair(near, far, [of_near, of_far]), plan.channel));
+        let (candidates, refused): (Vec<Self>, Vec<Self>) = candidates.partition(|pairs| pairs.len() > 0);
+        if let (true, Some(refused)) =
+            (candidates.is_empty(), refused.into_iter().find(|pairs| pairs.refused.is_some()))
+        {
+            return refused;
+        }
+        let most = candidates.iter().map(Self::len).max().unwrap_or(0);
+        let coherence = |pairs: &Self| pairs.compensation.as_ref().map_or(0.0, |found| found.coherence_after);
+        let likely = candidates.into_iter().filter(|pairs| 2 * pairs.len() >= most).map(|mut pairs| {
+            pairs.compensate(plan.channel.centre_hz());
+            pairs
+        });
+        let pairs = likely.max_by(|a, b| coherence(a).total_cmp(&coherence(b))).unwrap_or_default();
+        let among_others = plan.macs.is_some() && senders(near, numbered).len() > 1;
+        Self { among_others, ..pairs }
+    }
+
+    fn with(partners: Partners<'_>, channel: Channel) -> Self {
+        let indices = channel.subcarriers();
+        let mut pairs = Self { frames: partners.frames, refused: partners.refused, ..Self::default() };
+        for (record, other) in partners.pairs {
+            let (backward, forward) = (antenna_a(record), antenna_a(other));
+            let conjugated = backward.map(|h| h.conj());
+            let product = round_trip_at_centre(&forward, &backward, &indices);
+            let ratio = round_trip_at_centre(&forward, &conjugated, &indices);
+            let Some(((product, ratio), one_way)) = product.zip(ratio).zip(at_centre(&backward, &indices)) else {
+                continue;
+            };
+            pairs.near_us.push(record.card_us);
+            pairs.difference_us.push(other.card_us - record.card_us);
+            pairs.product.push(product.h);
+            pairs.ratio.push(ratio.h);
+            pairs.one_way.push(one_way.h);
+        }
+        pairs.fit();
+        pairs
+    }
+
+    /// The clocks' line through the pairs.
+    fn fit(&mut self) {
+        let (Some(&first_us), Some(&first_difference)) = (self.near_us.first(), self.difference_us.first()) else {
+            return;
+        };
+        let points: Vec<(f64, f64)> = self
+            .near_us
+            .iter()
+            .zip(&self.difference_us)
+            .map(|(us, difference)| ((us - first_us) as f64, (difference - first_difference) as f64))
+            .collect();
+        if let Some((offset, slope, error)) = line(&points) {
+            self.turn_us = points.iter().map(|(x, y)| y - offset - slope * x).collect();
+            self.drift_ppm = Some((slope * 1e6, error * 1e6));
+        }
+    }
+
+    /// The library's compensation of the phases.
+    fn compensate(&mut self, carrier_hz: f64) {
+        let difference_us: Vec<f64> = self.difference_us.iter().map(|us| *us as f64).collect();
+        let estimate = |z: &[Complex64]| TurnAround::estimate(z, &self.near_us, &difference_us, carrier_hz);
+        let (product, ratio) = (estimate(&self.product), estimate(&self.ratio));
+        (self.compensation, self.ratio_compensation) = (product, ratio);
+    }
+
+    /// Pairs that were formed.
+    pub(crate) fn len(&self) -> usize {
+        self.product.len()
+    }
 }
