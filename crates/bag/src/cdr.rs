@@ -69,8 +69,8 @@ impl<'a> CdrReader<'a> {
         Self { bytes, at: 0, little, most: 8, has_ends: true }
     }
 
-    /// From bytes of ROS 1: little-endian, without alignment, strings without a zero.
-    pub fn ros1(bytes: &'a [u8]) -> Self {
+    /// From bytes of ROS 1 or MCAP: little-endian, without alignment, strings without a zero.
+    pub fn packed(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0, little: true, most: 1, has_ends: false }
     }
 
@@ -275,7 +275,7 @@ mod tests {
     #[test]
     fn ros_1_values_are_unaligned_and_strings_unterminated() {
         let bytes = [&[7, 2, 0, 0, 0, b'a', b'b'][..], &1.5_f64.to_le_bytes(), &[0; 4]].concat();
-        let mut from = CdrReader::ros1(&bytes);
+        let mut from = CdrReader::packed(&bytes);
         assert_eq!((u8::read(&mut from), String::read(&mut from)), (Ok(7), Ok("ab".into())));
         assert_eq!((f64::read(&mut from), String::read(&mut from)), (Ok(1.5), Ok(String::new())));
         assert!(u8::read(&mut from).is_err());

@@ -2,6 +2,7 @@
 //! chunks with indices, and a summary at the end; an unfinished file is readable up to its last chunk. The reader accepts
 //! compressed chunks and reads from start to end without the index, so that it also reads files without an end.
 
+use crate::cdr::{Cdr, CdrError, CdrReader};
 use crate::unbag::{BagError, Channel, Ended, Used, compressed};
 use crc32fast::hash as crc32;
 use std::collections::BTreeMap;
@@ -262,42 +263,12 @@ impl<W: Write> McapWriter<W> {
 
 /// Largest record, bytes.
 const LARGEST: u64 = 1 << 30;
-/// Largest chunk, unpacked bytes: recorders start a new chunk after some megabytes.
-const LARGEST_CHUNK: u64 = 256 << 20;
 /// Largest record in a chunk that is decoded, bytes.
 const LARGEST_IN_CHUNK: u64 = 32 << 20;
 /// Largest summary, bytes: only its description of topics is used.
 const LARGEST_SUMMARY: u64 = 64 << 20;
 /// Length of the footer, which locates the summary, with the file's last bytes.
 const FOOTER: u64 = 9 + 20 + MAGIC.len() as u64;
-
-/// Reads values of MCAP: little-endian, strings with their length.
-struct Fields<'a>(&'a [u8]);
-
-impl<'a> Fields<'a> {
-    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
-        let (taken, rest) = self.0.split_at_checked(count)?;
-        self.0 = rest;
-        Some(taken)
-    }
-
-    fn u32(&mut self) -> Option<u32> {
-        Some(u32::from_le_bytes(*self.take(4)?.first_chunk()?))
-    }
-
-    fn u16(&mut self) -> Option<u16> {
-        Some(u16::from_le_bytes(*self.take(2)?.first_chunk()?))
-    }
-
-    fn u64(&mut self) -> Option<u64> {
-        Some(u64::from_le_bytes(*self.take(8)?.first_chunk()?))
-    }
-
-    fn text(&mut self) -> Option<String> {
-        let length = self.u32()?;
-        String::from_utf8(self.take(length as usize)?.to_vec()).ok()
-    }
-}
 
 /// What is known of a file so far.
 #[derive(Default)]
@@ -308,29 +279,28 @@ struct State {
 
 impl State {
     /// Handles a record; returns the message if it contains one.
-    fn record<'a>(&mut self, kind: u8, content: &'a [u8]) -> Option<(u16, &'a [u8])> {
-        let mut fields = Fields(content);
+    fn record<'a>(&mut self, kind: u8, content: &'a [u8]) -> Result<Option<(u16, &'a [u8])>, CdrError> {
+        let mut from = CdrReader::packed(content);
         match kind {
             kind::SCHEMA => {
-                let (number, name) = (fields.u16()?, fields.text()?);
+                let (number, name) = (u16::read(&mut from)?, String::read(&mut from)?);
                 self.schemas.insert(number, name);
-                None
             }
             kind::CHANNEL => {
-                let (number, schema) = (fields.u16()?, fields.u16()?);
-                let (topic, encoding) = (fields.text()?, fields.text()?);
+                let (number, schema) = (u16::read(&mut from)?, u16::read(&mut from)?);
+                let (topic, encoding) = (String::read(&mut from)?, String::read(&mut from)?);
                 let kind = self.schemas.get(&schema).cloned().unwrap_or_default();
                 self.channels.insert(number, Channel { topic, kind, encoding });
-                None
             }
             kind::MESSAGE => {
-                let number = fields.u16()?;
+                let number = u16::read(&mut from)?;
                 // Sequence number and two times.
-                fields.take(20)?;
-                Some((number, fields.0))
+                from.take(20)?;
+                return Ok(Some((number, from.rest())));
             }
-            _ => None,
+            _ => {}
         }
+        Ok(None)
     }
 }
 
@@ -380,8 +350,9 @@ fn described(path: &Path) -> Option<State> {
     file.seek(SeekFrom::Start(end.checked_sub(FOOTER)?)).ok()?;
     let mut footer = Vec::new();
     (&file).take(FOOTER).read_to_end(&mut footer).ok()?;
-    let mut fields = Fields(footer.strip_suffix(MAGIC)?.strip_prefix(&[kind::FOOTER])?);
-    let (_, start, _, sum) = (fields.u64()?, fields.u64()?, fields.u64()?, fields.u32()?);
+    let mut from = CdrReader::packed(footer.strip_suffix(MAGIC)?.strip_prefix(&[kind::FOOTER])?);
+    let [_, start, _] = <[u64; 3]>::read(&mut from).ok()?;
+    let sum = u32::read(&mut from).ok()?;
     let length = (end - MAGIC.len() as u64).checked_sub(start).filter(|length| *length <= LARGEST_SUMMARY)?;
     file.seek(SeekFrom::Start(start)).ok().filter(|_| start > 0)?;
     let mut summary = Vec::new();
@@ -391,11 +362,17 @@ fn described(path: &Path) -> Option<State> {
     if sum != 0 && crc32(summed) != sum {
         return None;
     }
-    let (mut state, mut fields) = (State::default(), Fields(&summary));
-    while let Some((kind, content)) = next_record(&mut fields) {
-        state.record(kind, content);
+    let (mut state, mut from) = (State::default(), CdrReader::packed(&summary));
+    while let Ok((kind, content)) = next_record(&mut from) {
+        // A record that cannot be read describes nothing.
+        let _ = state.record(kind, content);
     }
     Some(state)
+}
+
+fn next_record<'a>(from: &mut CdrReader<'a>) -> Result<(u8, &'a [u8]), CdrError> {
+    let (kind, length) = (u8::read(from)?, u64::read(from)?);
+    Ok((kind, from.take(usize::try_from(length).unwrap_or(usize::MAX))?))
 }
 
 impl Reading<'_, '_> {
@@ -405,7 +382,7 @@ impl Reading<'_, '_> {
 
     /// Handles a record; passes on a message.
     fn record(&mut self, kind: u8, content: &[u8]) -> Result<(), BagError> {
-        let Some((number, payload)) = self.state.record(kind, content) else { return Ok(()) };
+        let Ok(Some((number, payload))) = self.state.record(kind, content) else { return Ok(()) };
         match self.state.channels.get(&number) {
             Some(channel) => (self.used)(channel, payload),
             None => {
@@ -419,11 +396,11 @@ impl Reading<'_, '_> {
     /// damaged chunk is used, and only one of its records is in memory at a time.
     fn chunk(&mut self, content: &[u8]) -> Result<(), BagError> {
         let chunk = match ReadChunk::of(content) {
-            Some(chunk) if !["", "zstd", "lz4"].contains(&chunk.compression.as_str()) => {
+            Ok(chunk) if !["", "zstd", "lz4"].contains(&chunk.compression.as_str()) => {
                 let (path, by) = (self.path.to_owned(), chunk.compression);
                 return Err(BagError::Compressed { path, by, command: "mcap compress --compression none" });
             }
-            Some(chunk) if chunk.is_good() => chunk,
+            Ok(chunk) if chunk.is_good() => chunk,
             _ => {
                 self.ended.damaged_parts += 1;
                 return Ok(());
@@ -469,13 +446,13 @@ struct ReadChunk<'a> {
 }
 
 impl<'a> ReadChunk<'a> {
-    fn of(content: &'a [u8]) -> Option<Self> {
-        let mut fields = Fields(content);
+    fn of(content: &'a [u8]) -> Result<Self, CdrError> {
+        let mut from = CdrReader::packed(content);
         // Times of the first and the last message.
-        fields.take(16)?;
-        let (size, sum, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
-        let length = usize::try_from(fields.u64()?).ok()?;
-        Some(Self { size, sum, compression, records: fields.take(length)? })
+        from.take(16)?;
+        let (size, sum, compression) = (u64::read(&mut from)?, u32::read(&mut from)?, String::read(&mut from)?);
+        let length = u64::read(&mut from)?;
+        Ok(Self { size, sum, compression, records: from.take(usize::try_from(length).unwrap_or(usize::MAX))? })
     }
 
     /// Its records.
@@ -491,7 +468,7 @@ impl<'a> ReadChunk<'a> {
     fn is_good(&self) -> bool {
         let (mut from, mut sum, mut length) = (self.unpacked(), crc32fast::Hasher::new(), 0);
         let mut buffer = [0; 1 << 14];
-        if self.size > LARGEST_CHUNK {
+        if self.size > compressed::LARGEST_CHUNK {
             return false;
         }
         loop {
@@ -509,15 +486,6 @@ impl<'a> ReadChunk<'a> {
             }
         }
     }
-}
-
-fn next_record<'a>(fields: &mut Fields<'a>) -> Option<(u8, &'a [u8])> {
-    let mut ahead = Fields(fields.0);
-    let kind = *ahead.take(1)?.first()?;
-    let length = usize::try_from(ahead.u64()?).ok()?;
-    let content = ahead.take(length)?;
-    *fields = ahead;
-    Some((kind, content))
 }
 
 #[cfg(test)]

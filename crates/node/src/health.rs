@@ -8,6 +8,7 @@ use csi5300::pipeline::live::{PeerCounts, PeerReport};
 use csi5300::source::recorder::Totals;
 use csi5300::time::{Instant, Span};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// The state, as one JSON object.
@@ -161,51 +162,39 @@ pub struct Looks {
     name: String,
     last: Option<(Instant, u64, u64, Vec<u64>)>,
     alarms: Alarms,
-    reports: Vec<Option<PeerReport>>,
+    /// The last report of each peer.
+    reports: BTreeMap<usize, PeerReport>,
 }
 
 impl Looks {
     /// A monitor of the robot `name`.
-    #[must_use]
     pub fn new(name: String) -> Self {
         Self { name, ..Self::default() }
     }
 
     /// Keeps a peer's last report.
     pub fn note(&mut self, peer: usize, report: PeerReport) {
-        if self.reports.len() <= peer {
-            self.reports.resize(peer + 1, None);
-        }
-        if let Some(place) = self.reports.get_mut(peer) {
-            *place = Some(report);
-        }
+        self.reports.insert(peer, report);
     }
 
     /// The state now.
     pub fn look(&mut self, machine: &Machine, now: Instant, load: Load) -> Health {
         let survey = &machine.estimator.own_log().survey;
         let (losses, strangers) = machine.estimator.losses();
-        let poses = machine.pose_counts();
+        let poses = machine.pose_counts;
         let paired = machine.estimator.peers().map(|(_, counts)| counts.pairs);
         let pairs: Vec<u64> = paired.chain(machine.estimator.others().map(|(.., counts)| counts.pairs)).collect();
         let (before, records_before, poses_before, pairs_before) =
             self.last.take().unwrap_or((Instant::ZERO, 0, 0, vec![0; pairs.len()]));
         let seconds = (now - before).as_s().max(1e-6);
         let rate = |now: u64, before: u64| (now - before.min(now)) as f64 / seconds;
-        let peers = machine.estimator.peers().enumerate().map(|(k, (peer, counts))| PeerHealth {
-            name: peer.name.clone(),
-            mac: peer.mac.to_string(),
-            counts,
-            pairs_hz: rate(counts.pairs, pairs_before.get(k).copied().unwrap_or(0)),
-            report: self.reports.get(k).cloned().flatten(),
-        });
-        let others = machine.estimator.others().zip(machine.estimator.peers().count()..);
-        let others = others.map(|((name, mac, counts), k)| PeerHealth {
+        let peers = machine.estimator.peers().map(|(peer, counts)| (peer.name.as_str(), peer.mac, counts));
+        let peers = peers.chain(machine.estimator.others()).enumerate().map(|(k, (name, mac, counts))| PeerHealth {
             name: name.to_owned(),
             mac: mac.to_string(),
             counts,
             pairs_hz: rate(counts.pairs, pairs_before.get(k).copied().unwrap_or(0)),
-            report: self.reports.get(k).cloned().flatten(),
+            report: self.reports.get(&k).cloned(),
         });
         let pose = machine.estimator.track().last();
         let health = Health {
@@ -222,14 +211,10 @@ impl Looks {
             poses_hz: rate(poses.poses, poses_before),
             pose: pose.map(|pose| (pose.t_s, pose.position_m.into(), pose.heading_rad.map(f64::to_degrees))),
             log: machine.totals(),
-            peers: peers.chain(others).collect(),
-            team: None,
-            network: None,
-            sounding: None,
-            ros: None,
-            ros2: None,
+            peers: peers.collect(),
             load,
             trouble: machine.trouble().into_iter().chain(self.alarms.look(machine, now)).collect(),
+            ..Health::default()
         };
         self.last = Some((now, survey.records, poses.poses, pairs));
         health
@@ -238,20 +223,15 @@ impl Looks {
 
 impl Health {
     /// Everything on one line.
-    #[must_use]
     pub fn line(&self) -> String {
         let mut text = format!("{:.0} records/s, {:.0} poses/s", self.records_hz, self.poses_hz);
         let disk = self.log.as_ref().map_or(0, |log| log.dropped + log.lost_on_disk);
         let _ = write!(text, "; lost {}", self.losses + disk);
         for peer in &self.peers {
             let _ = write!(text, "; {} ", peer.name);
-            match &peer.report {
-                Some(report) => match report.answer.azimuth_deg {
-                    Some(azimuth) => {
-                        let _ = write!(text, "{azimuth:.1} deg");
-                    }
-                    None => text.push_str(&report.words),
-                },
+            match peer.report.as_ref().map(|report| (report.answer.azimuth_deg, &report.words)) {
+                Some((Some(azimuth), _)) => text += &format!("{azimuth:.1} deg"),
+                Some((None, words)) => text.push_str(words),
                 None => text.push('-'),
             }
         }

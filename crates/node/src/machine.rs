@@ -45,8 +45,7 @@ impl Capture {
     }
 
     /// What is in the log.
-    #[must_use]
-    pub fn totals(&self) -> Option<Totals> {
+    pub(crate) fn totals(&self) -> Option<Totals> {
         match self {
             Self::Plain(_) => None,
             Self::Logged(recorder) => Some(recorder.totals()),
@@ -68,9 +67,9 @@ impl Capture {
 /// A receiver of every record and pose of this robot: its peers, over a network, or viewers.
 pub trait Tap: Send {
     /// A record of this robot's card.
-    fn record(&mut self, host_us: Option<i64>, record: Record<'_>);
+    fn record(&mut self, _host_us: Option<i64>, _record: Record<'_>) {}
     /// A pose of this robot's antenna; `None`: those that follow are in another frame.
-    fn pose(&mut self, pose: Option<Pose>);
+    fn pose(&mut self, _pose: Option<Pose>) {}
     /// Every item of a card, losses too: this robot's, or that of peer number `peer`.
     fn heard(&mut self, _peer: Option<usize>, _now: Instant, _next: &Next<'_>) {}
 }
@@ -138,7 +137,8 @@ pub struct Machine {
     /// The estimator.
     pub estimator: LiveEstimator,
     taps: Vec<Box<dyn Tap>>,
-    pose_counts: PoseCounts,
+    /// What was counted of this robot's odometry.
+    pub pose_counts: PoseCounts,
     trouble: Vec<String>,
     /// When a record last came from anybody.
     heard_at: Instant,
@@ -318,27 +318,18 @@ impl Machine {
     }
 
     /// Silence of this robot's card, if long: no driver, no peer, or another channel.
-    #[must_use]
-    pub fn silent_for(&self, now: Instant) -> Option<Span> {
+    pub(crate) fn silent_for(&self, now: Instant) -> Option<Span> {
         let silent = now - self.own_heard_at;
         (!self.capture.ended && silent >= SILENT).then_some(silent)
     }
 
-    /// What was counted of this robot's odometry.
-    #[must_use]
-    pub fn pose_counts(&self) -> PoseCounts {
-        self.pose_counts
-    }
-
     /// Times that a peer's poses changed to another frame.
-    #[must_use]
-    pub fn peer_frames(&self, peer: usize) -> u64 {
+    pub(crate) fn peer_frames(&self, peer: usize) -> u64 {
         self.peers.get(peer).map_or(0, |peer| peer.new_frames)
     }
 
     /// Counts of the source of this robot's poses.
-    #[must_use]
-    pub fn odometry_counts(&self) -> Option<SourceCounts> {
+    pub(crate) fn odometry_counts(&self) -> Option<SourceCounts> {
         self.poses.as_ref().and_then(|poses| poses.source.counted())
     }
 
@@ -350,8 +341,7 @@ impl Machine {
     }
 
     /// What is in the log.
-    #[must_use]
-    pub fn totals(&self) -> Option<Totals> {
+    pub(crate) fn totals(&self) -> Option<Totals> {
         self.capture.source.totals()
     }
 

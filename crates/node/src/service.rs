@@ -4,16 +4,14 @@ use super::adapters::{self, Adapter, Robot, Said, Start};
 use super::config::{Config, Log};
 use super::health::{Health, Load, Looks};
 use super::machine::{Capture, Machine};
-use super::ranges::Ranges;
 use super::sounder::Sounder;
 use super::sources::{Card, Sources};
-use super::team::Solver;
+use super::team::{Ranges, Solver};
 use csi5300::pipeline::live::PeerState;
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals};
 use csi5300::source::side_path;
-use csi5300::time::WallWatch;
-use csi5300::time::{Instant, Span};
+use csi5300::time::{Instant, Span, WallWatch};
 use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
 use driver_iface::Mac;
 use driver_iface::side_file::Layout;
@@ -104,7 +102,7 @@ struct Service<'a> {
     wake: &'a Notify,
     clock: Clock,
     machine: Machine,
-    sounder: Sounder,
+    sounder: Option<Sounder>,
     /// Where the robots are, if a graph of the team is configured.
     team: Option<Solver>,
     looks: Looks,
@@ -141,7 +139,7 @@ impl<'a> Service<'a> {
         adapters.iter_mut().try_for_each(|adapter| adapter.attach(&mut machine))?;
         // Last: from here on it sends.
         let sounder = Sounder::start(config, own, peers, clock.real)?;
-        sounder.attach(&mut machine);
+        sounder.iter().for_each(|sounder| sounder.attach(&mut machine));
         let mut service = Self {
             adapters,
             wake: came,
@@ -169,7 +167,9 @@ impl<'a> Service<'a> {
         let mut look_at = self.clock.real.now();
         let mut alive_at = look_at;
         loop {
-            self.sounder.take(&mut self.machine, self.clock.now());
+            if let Some(sounder) = &mut self.sounder {
+                sounder.take(&mut self.machine, self.clock.now());
+            }
             let more = self.machine.take(self.clock.now())?;
             self.watch_wall();
             self.estimate();
@@ -265,8 +265,7 @@ impl<'a> Service<'a> {
         self.looked = (real, used_s);
         self.load.memory_mib = resident_mib().unwrap_or(0.0);
         let mut health = self.looks.look(&self.machine, self.clock.now(), self.load);
-        health.sounding = self.sounder.look().and_then(|counts| serde_json::to_value(counts).ok());
-        health.trouble.extend(self.sounder.trouble());
+        self.sounder.iter_mut().for_each(|sounder| sounder.look(&mut health));
         health.team = self.team.as_mut().map(|team| team.look().clone());
         self.adapters.iter_mut().for_each(|adapter| adapter.look(&mut health));
         self.load.late_ms = 0.0;
@@ -278,7 +277,7 @@ impl<'a> Service<'a> {
         let mut health = self.look();
         let (reports, totals) = self.machine.finish(self.clock.now())?;
         // The machine held the sender too, for its measurements.
-        let error = self.sounder.stop().or(error);
+        let error = self.sounder.take().and_then(Sounder::stop).or(error);
         self.adapters.iter_mut().for_each(|adapter| adapter.finish(&reports, &mut health));
         for (report, peer) in reports.into_iter().zip(&mut health.peers) {
             self.bearings += u64::from(report.state == PeerState::Bearing);

@@ -1,6 +1,7 @@
 //! The robot's part in the sounding exchange: the sender's thread beside the service.
 
 use super::config::{Capture, Config, Peer, Records};
+use super::health::Health;
 use super::machine::{Machine, Tap};
 use csi5300::exchange::tdma::{Epoch, Event, Key};
 use csi5300::internal::{Proof, Prover};
@@ -21,7 +22,7 @@ use std::sync::Arc;
 
 /// Counts of the exchange.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct SoundingCounts {
+struct SoundingCounts {
     /// Forward frames answered.
     answered: u64,
     /// Forward frames not answered in time.
@@ -44,10 +45,8 @@ pub(super) struct SoundingCounts {
     ended: bool,
 }
 
-/// A running exchange, if requested.
-pub(super) struct Sounder(Option<Sounds>);
-
-struct Sounds {
+/// A running exchange.
+pub(super) struct Sounder {
     running: Arc<Running>,
     counts: SoundingCounts,
     antenna: Antenna,
@@ -60,10 +59,8 @@ struct Sounds {
 
 impl Sounder {
     /// Starts the sending thread, if requested.
-    pub fn start(config: &Config, own: Mac, peers: Vec<Mac>, clock: Monotonic) -> Result<Self, Error> {
-        let Some((asked, request)) = config.sounding.as_ref().zip(config.sounding_request()) else {
-            return Ok(Self(None));
-        };
+    pub fn start(config: &Config, own: Mac, peers: Vec<Mac>, clock: Monotonic) -> Result<Option<Self>, Error> {
+        let Some((asked, request)) = config.sounding.as_ref().zip(config.sounding_request()) else { return Ok(None) };
         let room = match config.capture.get_ref() {
             Capture::Served(served) => Some(Address { socket: served.socket.clone(), robot: served.robot.clone() }),
             _ => None,
@@ -111,59 +108,55 @@ impl Sounder {
         let by_answers = |peer: &Peer| matches!(peer.records, Records::Sounding(_));
         let asked = config.peer.iter().map(|peer| peer.get_ref());
         let answering = asked.zip(&peers).filter(|(peer, _)| by_answers(peer)).map(|(_, mac)| *mac).collect();
-        Ok(Self(Some(Sounds { running, counts, antenna: config.antenna, peers, answering, measures, key })))
+        Ok(Some(Self { running, counts, antenna: config.antenna, peers, answering, measures, key }))
     }
 
     /// From now on answers carry the card's measurements, and with a key only confirmed exchanges are used.
     pub fn attach(&self, machine: &mut Machine) {
-        if let Some(key) = self.0.as_ref().and_then(|sounds| sounds.key.as_ref()) {
+        if let Some(key) = &self.key {
             machine.estimator.require_key(key);
         }
-        if let Some(sounds) = self.0.as_ref().filter(|sounds| sounds.measures) {
+        if self.measures {
             machine.add_tap(Box::new(Measuring {
-                running: Arc::clone(&sounds.running),
-                antenna: sounds.antenna,
-                peers: sounds.peers.clone(),
-                survey: Survey::with_known(sounds.peers.iter().copied()),
-                prover: Prover::new(sounds.key.clone()),
+                running: Arc::clone(&self.running),
+                antenna: self.antenna,
+                peers: self.peers.clone(),
+                survey: Survey::with_known(self.peers.iter().copied()),
+                prover: Prover::new(self.key.clone()),
             }));
         }
     }
 
     /// Takes the news: exchanges that the machine may use.
     pub fn take(&mut self, machine: &mut Machine, now: Instant) {
-        let Some(sounds) = &mut self.0 else { return };
-        while let Some(news) = sounds.running.news() {
-            sounds.counts.note(&news);
+        while let Some(news) = self.running.news() {
+            self.counts.note(&news);
             let News::Event(event) = news else { continue };
             if let Event::Answered { peer, number, .. } | Event::Asked { peer, number, .. } = &event {
                 machine.estimator.handle_confirmed(*peer, *number, now);
             }
             if let Event::Answered { peer, measurement: Some(measured), .. } = &event
-                && sounds.answering.contains(peer)
+                && self.answering.contains(peer)
             {
                 machine.estimator.handle_measurement(*peer, measured);
             }
         }
     }
 
-    /// What was counted so far.
-    pub fn look(&mut self) -> Option<&SoundingCounts> {
-        let sounds = self.0.as_mut()?;
-        sounds.counts.ended = sounds.running.has_ended();
-        Some(&sounds.counts)
-    }
-
-    /// What is wrong at the moment, in words.
-    pub fn trouble(&self) -> Option<String> {
-        let counts = self.0.as_ref().map(|sounds| &sounds.counts)?;
-        let ended = counts.ended.then(|| "sounding: the thread that sends has ended".to_owned());
-        ended.or_else(|| counts.notice.as_ref().map(|notice| format!("sounding: {notice}")))
+    /// Adds what was counted so far, and what is wrong at the moment, to the state.
+    pub fn look(&mut self, health: &mut Health) {
+        self.counts.ended = self.running.has_ended();
+        health.sounding = serde_json::to_value(&self.counts).ok();
+        if self.counts.ended {
+            health.trouble.push("sounding: the thread that sends has ended".into());
+        } else if let Some(notice) = &self.counts.notice {
+            health.trouble.push(format!("sounding: {notice}"));
+        }
     }
 
     /// Stops the thread; returns the error that had ended it, if any.
     pub fn stop(self) -> Option<Error> {
-        let running = Arc::into_inner(self.0?.running)?;
+        let running = Arc::into_inner(self.running)?;
         running.stop().map_or_else(Some, |(.., error)| error)
     }
 }
@@ -217,6 +210,4 @@ impl Tap for Measuring {
             self.running.order(Order::Measurement(identity.mac, measurement));
         }
     }
-
-    fn pose(&mut self, _: Option<csi5300::motion::pose::Pose>) {}
 }

@@ -9,7 +9,7 @@
 
 use crate::config::{Config, Team as Asked};
 use crate::machine::{Machine, PoseCounts};
-use crate::ranges::{Ranged, Ranges};
+use crate::threads::spawn;
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::Bearing;
 use csi5300::pipeline::live::{PeerReport, PeerState};
@@ -19,8 +19,8 @@ use csi5300_team::{KeyframeId, Mode, OdometryNoise, RobotId, Solution, Team, Tea
 use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Bearings in a graph at most, and bearings and ranges; the oldest are forgotten.
 const KEPT: usize = 48;
@@ -43,6 +43,8 @@ const AXES_SD_RAD: f64 = 0.017;
 const STEP_M: f64 = 0.02;
 /// Least time between two keyframes of a robot, seconds.
 const APART_S: f64 = 1e-6;
+/// Ranges that wait at most; the oldest are lost.
+const WAITING: usize = 4_096;
 
 /// The team as solved last.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -179,7 +181,7 @@ impl Graph {
     /// Takes the machine's last report about a peer. True if the graph changed.
     pub fn note(&mut self, peer: usize, report: &PeerReport, machine: &Machine) -> bool {
         let Some((known, _)) = machine.estimator.peers().nth(peer) else { return false };
-        let counts = PoseCounts { poses: 0, ..machine.pose_counts() };
+        let counts = PoseCounts { poses: 0, ..machine.pose_counts };
         if counts != self.frames.0 {
             // Earlier keyframes are in another frame.
             self.seen.clear();
@@ -453,8 +455,7 @@ impl Solver {
                 }
             }
         };
-        let thread = std::thread::Builder::new().name("csi5300 team".into()).spawn(solve);
-        thread.map_err(|source| Error::Io { what: "cannot start the thread that solves the team".into(), source })?;
+        spawn("csi5300 team", "cannot start the thread that solves the team", solve)?;
         let (state, notes) = (TeamState::default(), Vec::new());
         Ok(Some(Self { graph, ranges, is_new: false, to, from, state, notes }))
     }
@@ -496,5 +497,64 @@ impl Solver {
                 )),
             }
         })
+    }
+}
+
+/// A range to a peer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ranged {
+    /// The peer's name.
+    pub peer: String,
+    /// Host time, seconds since the Unix epoch.
+    pub t_s: f64,
+    /// The range and its standard deviation, metres.
+    pub range_m: [f64; 2],
+}
+
+/// Messages of one peer's topic.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct RangeCounts {
+    /// All.
+    pub came: u64,
+    /// Those that could not be used: not finite, outside of their own limits, or of another type.
+    pub unusable: u64,
+}
+
+/// Ranges that wait, shared by an adapter and the service.
+#[derive(Clone, Debug, Default)]
+pub struct Ranges(Arc<Mutex<Waiting>>);
+
+#[derive(Debug, Default)]
+struct Waiting {
+    ranges: VecDeque<Ranged>,
+    counts: BTreeMap<String, RangeCounts>,
+}
+
+impl Ranges {
+    fn lock(&self) -> MutexGuard<'_, Waiting> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds a message about `peer`; `range` is `None` if it cannot be used.
+    pub fn put(&self, peer: &str, range: Option<Ranged>) {
+        let mut waiting = self.lock();
+        let counts = waiting.counts.entry(peer.to_owned()).or_default();
+        counts.came += 1;
+        counts.unusable += u64::from(range.is_none());
+        waiting.ranges.extend(range);
+        if waiting.ranges.len() > WAITING {
+            waiting.ranges.pop_front();
+        }
+    }
+
+    /// All that wait.
+    #[must_use]
+    pub fn take(&self) -> VecDeque<Ranged> {
+        std::mem::take(&mut self.lock().ranges)
+    }
+
+    /// The messages about `peer` so far.
+    fn counts(&self, peer: &str) -> RangeCounts {
+        self.lock().counts.get(peer).copied().unwrap_or_default()
     }
 }

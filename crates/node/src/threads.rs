@@ -13,6 +13,7 @@ use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 
 /// Limit of waiting records; then the thread waits too, and overruns in the kernel are counted there.
 const RECORDS: usize = 32_768;
@@ -22,6 +23,16 @@ const POSES: usize = 4_096;
 const TELL: usize = 256;
 /// Interval of reads of a source of poses.
 const LOOK: Span = Span::from_ms(500);
+
+/// Starts a thread; `what` says that it cannot be started.
+pub(crate) fn spawn(
+    name: &str,
+    what: &'static str,
+    work: impl FnOnce() + Send + 'static,
+) -> Result<JoinHandle<()>, Error> {
+    let thread = std::thread::Builder::new().name(name.into()).spawn(work);
+    thread.map_err(|source| Error::Io { what: what.into(), source })
+}
 
 enum Item {
     Record(Stamps, u8, Vec<u8>),
@@ -44,7 +55,8 @@ impl CardThread {
     /// # Errors
     /// If the thread cannot be started.
     pub fn start<S: CsiSource + AsFd + Send + 'static>(card: S) -> Result<Self, Error> {
-        let io = |source| Error::Io { what: "cannot start the thread that listens to the card".into(), source };
+        let what = "cannot start the thread that listens to the card";
+        let io = |source| Error::Io { what: what.into(), source };
         let (told, tell) = UnixStream::pair().map_err(io)?;
         told.set_nonblocking(true).map_err(io)?;
         tell.set_nonblocking(true).map_err(io)?;
@@ -55,7 +67,7 @@ impl CardThread {
             }
             let _ = (&tell).write(&[0]);
         };
-        std::thread::Builder::new().name("csi5300 card".into()).spawn(read).map_err(io)?;
+        spawn("csi5300 card", what, read)?;
         Ok(Self { items, told, body: Vec::new() })
     }
 
@@ -194,9 +206,7 @@ impl PoseThread {
                 }
             }
         };
-        let what = "cannot start the thread of the odometry".into();
-        let thread = std::thread::Builder::new().name("csi5300 poses".into()).spawn(take);
-        thread.map_err(|source| Error::Io { what, source })?;
+        spawn("csi5300 poses", "cannot start the thread of the odometry", take)?;
         Ok(Self { poses, told: shared })
     }
 }

@@ -216,7 +216,7 @@ fn metadata(file: &str, times: Option<(u64, u64)>, channels: &[Written]) -> Stri
 mod tests {
     use super::*;
     use csi5300_bag::cdr::Cdr;
-    use csi5300_bag::messages::standard::Clock;
+    use csi5300_bag::messages::Clock;
 
     #[test]
     fn an_empty_recording_is_removed() {

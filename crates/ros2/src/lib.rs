@@ -4,21 +4,19 @@
 //! | module | what it is |
 //! |---|---|
 //! | `node` | the whole node: [`Node`] |
-//! | [`settings`] | the configuration and its checks |
-//! | [`reach`] | which nodes it looks for: settings and ROS environment variables |
-//! | `inputs`, `tf` | poses from topics |
-//! | [`said`], `markers` | a peer's report as messages and as markers |
-//! | `services` | requests and answers |
+//! | [`settings`] | the configuration and its checks; which nodes it looks for |
+//! | `inputs` | poses from topics |
+//! | [`said`] | a peer's report as messages and as markers |
 //! | `bag` | recording of what is read and published |
 //! | `names` | names of topics, services and types |
-//! | [`link`] | the protocol on sockets, with a receiving thread |
+//! | [`link`], `sockets` | the protocol on sockets, with a receiving thread; requests and answers |
 //! | [`rmw_zenoh`] | the topics for a session of zenoh, beside DDS |
 //! | `rtps` | the protocol, without sockets and clocks |
 //!
 //! [`csi5300_bag`] has the messages and their serialisation.
 //!
 //! ```no_run
-//! use csi5300_bag::messages::standard::PoseStamped;
+//! use csi5300_bag::messages::PoseStamped;
 //! use csi5300_ros2::{Node, Qos, settings::Settings};
 //!
 //! let node = Node::start(&Settings::default(), "burger", || Some(0))?;
@@ -31,22 +29,17 @@
 mod bag;
 mod inputs;
 pub mod link;
-mod markers;
 mod names;
 mod node;
-pub mod reach;
 pub mod rmw_zenoh;
 mod rtps;
 pub mod said;
-mod services;
 pub mod settings;
 mod sockets;
-mod tf;
 
-pub use markers::colour;
-pub use names::name_part;
 pub use node::{Node, Records};
 pub use rtps::Qos;
+pub use said::colour;
 
 use std::net::Ipv4Addr;
 use std::path::PathBuf;

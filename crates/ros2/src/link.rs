@@ -1,15 +1,15 @@
 //! A participant on sockets, with a receiving thread. Publishing sends at once and never waits; datagrams that the system
-//! does not accept are counted.
+//! does not accept are counted. Requests and answers of services.
 
 use super::bag::Bag;
 use super::names::{Names, kind, service, topic};
-use super::reach::Reach;
 use super::rmw_zenoh::{End, Relay, Sender, Topic as Relayed};
-use super::rtps::{Counts, Event, Guid, LARGEST, LARGEST_READ, Outgoing, Participant, Prefix, Qos};
+use super::rtps::{Counts, Event, Guid, LARGEST, LARGEST_READ, Outgoing, Participant, Qos};
+use super::settings::{Distribution, Reach};
 use super::sockets::Sockets;
-use crate::settings::Distribution;
 use csi5300::time::{Instant, Span};
-use csi5300_bag::messages::{Message, graph};
+use csi5300_bag::cdr::{CDR_LE, Cdr, CdrReader, CdrWriter};
+use csi5300_bag::messages::{self, Message, humble};
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -20,6 +20,9 @@ use std::time::Duration;
 const LOOK: Span = Span::from_ms(1_000);
 /// Samples that a topic keeps for readers that lack them.
 const DEPTH: u32 = 32;
+
+/// The vendor number of Eclipse Cyclone DDS.
+const CYCLONE: [u8; 2] = [1, 0x10];
 
 /// Receives a sample: its topic, its sender, its time of receipt.
 type Handler = Box<dyn FnMut(&Shared, &Event, i64) + Send>;
@@ -76,23 +79,18 @@ impl Shared {
         self.unsent.fetch_add(unsent as u64, Ordering::Relaxed);
     }
 
-    fn write(&self, writer: usize, payload: Vec<u8>) {
+    /// Changes the participant, then sends what it has to send.
+    fn with(&self, change: impl FnOnce(&mut Participant)) {
         let out = {
             let mut participant = lock(&self.participant);
-            participant.write(writer, payload.into(), self.wall_us());
+            change(&mut participant);
             participant.poll_transmit()
         };
         self.send(out);
     }
 
-    /// Sends an answer to the client.
-    fn answer(&self, writer: usize, to: Prefix, (payload, request): (Vec<u8>, Option<(Guid, i64)>)) {
-        let out = {
-            let mut participant = lock(&self.participant);
-            participant.answer(writer, to, (payload.into(), request), (self.now(), self.wall_us()));
-            participant.poll_transmit()
-        };
-        self.send(out);
+    fn write(&self, writer: usize, payload: Vec<u8>) {
+        self.with(|participant| participant.write(writer, payload.into(), self.wall_us()));
     }
 
     fn add_writer(&self, name: &str, topic: &str, kind: &str, qos: Qos) -> (usize, Arc<AtomicU64>, Arc<AtomicU64>) {
@@ -145,17 +143,14 @@ impl Shared {
         let (node_namespace, node_name) = (self.names.namespace.clone(), self.names.node.clone());
         let payload = match self.distribution {
             Distribution::Jazzy => {
-                use csi5300_bag::cdr::Cdr;
-                let gid = |guid: &Guid| graph::Gid { data: guid.bytes() };
+                let gid = |guid: &Guid| messages::Gid { data: guid.bytes() };
                 let reader_gid_seq = readers.iter().map(gid).collect();
                 let writer_gid_seq = writers.iter().map(gid).collect();
-                let (node_namespace, node_name) = (graph::Name(node_namespace), graph::Name(node_name));
-                let node = graph::NodeEntitiesInfo { node_namespace, node_name, reader_gid_seq, writer_gid_seq };
-                graph::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
+                let (node_namespace, node_name) = (messages::Name(node_namespace), messages::Name(node_name));
+                let node = messages::NodeEntitiesInfo { node_namespace, node_name, reader_gid_seq, writer_gid_seq };
+                messages::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
             }
             Distribution::Humble => {
-                use csi5300_bag::cdr::Cdr;
-                use graph::humble;
                 let gid = |guid: &Guid| {
                     let mut data = [0; 24];
                     data.iter_mut().zip(guid.bytes()).for_each(|(to, from)| *to = from);
@@ -174,10 +169,10 @@ impl Shared {
     /// are retried at the next check.
     fn follow(&self, reach: Reach) {
         let old = self.sockets();
-        if reach.interface == old.interface() {
+        if reach.interface == *old.meta_address.ip() {
             return;
         }
-        let Ok(new) = Sockets::open(old.domain(), reach) else { return };
+        let Ok(new) = Sockets::open(old.domain, reach) else { return };
         let new = Arc::new(new.follow(&old));
         let out = {
             let mut participant = lock(&self.participant);
@@ -207,12 +202,7 @@ impl Shared {
                 }
             }
         }
-        let out = {
-            let mut participant = lock(&self.participant);
-            participant.handle_timeout(self.now());
-            participant.poll_transmit()
-        };
-        self.send(out);
+        self.with(|participant| participant.handle_timeout(self.now()));
     }
 }
 
@@ -262,7 +252,7 @@ impl Link {
         wall_us: fn() -> Option<i64>,
     ) -> std::io::Result<Self> {
         let participant = Participant::new(sockets.settings(names.node()), Instant::ZERO);
-        let relay = Relay::new(sockets.domain(), &names.namespace, &names.node);
+        let relay = Relay::new(sockets.domain, &names.namespace, &names.node);
         let shared = Arc::new(Shared {
             names,
             distribution,
@@ -279,7 +269,7 @@ impl Link {
             over: AtomicBool::new(false),
         });
         let kind = kind("rmw_dds_common/msg/ParticipantEntitiesInfo");
-        let qos = shared.of_type::<graph::ParticipantEntitiesInfo>(Qos::latched(1));
+        let qos = shared.of_type::<messages::ParticipantEntitiesInfo>(Qos::latched(1));
         let graph = shared.add_writer("", "ros_discovery_info", &kind, qos).0;
         let working = Arc::clone(&shared);
         let work = move || {
@@ -291,12 +281,7 @@ impl Link {
                 }
                 working.turn(&mut buffer);
             }
-            let out = {
-                let mut participant = lock(&working.participant);
-                participant.leave();
-                participant.poll_transmit()
-            };
-            working.send(out);
+            working.with(Participant::leave);
         };
         let thread = Some(std::thread::Builder::new().name("csi5300 ros2".into()).spawn(work)?);
         let link = Self { shared, graph, thread };
@@ -376,12 +361,13 @@ impl Link {
         let (asked, answered) = (self.shared.of_type::<Q>(asked), self.shared.of_type::<A>(answered));
         let (writer, sent, _) = self.shared.add_writer(&name, &answers, &kind(A::TYPE), answered);
         self.shared.add_reader(&name, (&requests, &kind(Q::TYPE)), asked, |good, bad| {
-            Box::new(move |shared, event, _| match super::services::request::<Q>(event) {
+            Box::new(move |shared, event, _| match request::<Q>(event) {
                 Some((head, question)) => {
                     good.fetch_add(1, Ordering::Relaxed);
                     sent.fetch_add(1, Ordering::Relaxed);
-                    let said = super::services::answer(head, &answer(shared, question));
-                    shared.answer(writer, event.from.0.prefix, said);
+                    let said = answer_to(head, &answer(shared, question));
+                    let (to, now) = (event.from.0.prefix, (shared.now(), shared.wall_us()));
+                    shared.with(|participant| participant.answer(writer, to, said, now));
                 }
                 None => drop(bad.fetch_add(1, Ordering::Relaxed)),
             })
@@ -394,17 +380,14 @@ impl Link {
     pub fn trouble(&self) -> Vec<String> {
         let (writers, readers) = (lock(&self.shared.writers), lock(&self.shared.readers));
         let participant = lock(&self.shared.participant);
-        let wrong = |(number, topic): (usize, &Topic)| {
-            let wrong = participant.writer_state(number).wrong;
+        let own = writers.iter().enumerate().map(|(number, topic)| (topic, participant.writer_state(number)));
+        let read = readers.iter().enumerate().map(|(number, topic)| (topic, participant.reader_state(number)));
+        let wrong = own.chain(read).flat_map(|(topic, state)| {
             let name = if topic.name.is_empty() { "ros_discovery_info" } else { &topic.name };
-            wrong.into_iter().map(move |why| format!("{name}: {why}")).collect::<Vec<_>>()
-        };
-        let own = writers.iter().enumerate().flat_map(wrong);
-        let read = readers.iter().enumerate().flat_map(|(number, topic)| {
-            participant.reader_state(number).wrong.into_iter().map(|why| format!("{}: {why}", topic.name))
+            state.wrong.into_iter().map(move |why| format!("{name}: {why}"))
         });
         let others = participant.unreachable().map(|who| format!("ROS 2: {who}, so nothing can be sent to it"));
-        own.chain(read)
+        wrong
             .chain(others)
             .chain(self.shared.sockets().trouble(participant.counts().participants))
             .chain(self.shared.bag.trouble())
@@ -433,8 +416,8 @@ impl Link {
         let (counts, sockets): (Counts, _) = (participant.counts(), self.shared.sockets());
         serde_json::json!({
             "node": self.shared.names.node(),
-            "address": sockets.address(),
-            "reach": sockets.reach(),
+            "address": sockets.meta_address,
+            "reach": sockets.reach.words,
             "foreign": sockets.foreign(),
             "unsent": number(&self.shared.unsent),
             "dds": counts,
@@ -461,10 +444,44 @@ impl Drop for Link {
     }
 }
 
+/// The client of a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Head {
+    /// Client and number, written before the request.
+    Inside(u64, i64),
+    /// The request's writer and number.
+    Beside(Guid, i64),
+}
+
+/// The client and its request.
+fn request<Q: Message>(event: &Event) -> Option<(Head, Q)> {
+    let mut from = CdrReader::of_payload(&event.payload).ok()?;
+    let head = if event.vendor == CYCLONE {
+        Head::Inside(u64::read(&mut from).ok()?, i64::read(&mut from).ok()?)
+    } else {
+        Head::Beside(event.from.0, event.from.1)
+    };
+    Some((head, Q::read(&mut from).ok()?))
+}
+
+/// The payload of an answer, and the request that it answers if that is sent beside it.
+fn answer_to<A: Message>(head: Head, answer: &A) -> (Arc<[u8]>, Option<(Guid, i64)>) {
+    match head {
+        Head::Beside(guid, number) => (answer.payload().into(), Some((guid, number))),
+        Head::Inside(client, number) => {
+            let mut to = CdrWriter::plain();
+            client.write(&mut to);
+            number.write(&mut to);
+            answer.write(&mut to);
+            ([&CDR_LE[..], &to.into_bytes()].concat().into(), None)
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use csi5300_bag::messages::standard::Time;
+    use csi5300_bag::messages::{Time, TriggerRequest, TriggerResponse};
     use std::net::Ipv4Addr;
     use std::sync::mpsc::channel;
 
@@ -505,5 +522,22 @@ mod tests {
         until(3);
         assert!(moving.counted()["address"].as_str().unwrap().starts_with("127.0.0.2:"));
         assert_eq!(fixed.counted()["subscribed"]["/a"]["publishers"], 1);
+    }
+
+    #[test]
+    fn both_ways_of_identifying_a_request_are_understood() {
+        let from = (Guid { prefix: [7; 12], entity: [0, 0, 1, 3] }, 5);
+        let event = |vendor, payload| Event { reader: 0, from, vendor, payload };
+        let inside = [&CDR_LE[..], &9_u64.to_le_bytes(), &3_i64.to_le_bytes(), &[0]].concat();
+        let (head, _) = request::<TriggerRequest>(&event(CYCLONE, inside.clone())).unwrap();
+        assert_eq!(head, Head::Inside(9, 3));
+        let said = TriggerResponse { success: true, message: "x".into() };
+        let (payload, beside) = answer_to(head, &said);
+        assert_eq!((&payload[..20], beside), (&inside[..20], None));
+        assert_eq!(payload[20..], said.payload()[4..]);
+        let (head, _) = request::<TriggerRequest>(&event([1, 0x0f], vec![0, 1, 0, 0, 0])).unwrap();
+        assert_eq!(head, Head::Beside(from.0, from.1));
+        assert_eq!(answer_to(head, &said), (said.payload().into(), Some(from)));
+        assert!(request::<TriggerRequest>(&event(CYCLONE, vec![0, 1, 0, 0, 0])).is_none());
     }
 }

@@ -5,22 +5,19 @@ use crate::bag::Bag;
 use crate::inputs::{PoseTopic, SimClock, ranges};
 use crate::link::{Link, Publisher, usual};
 use crate::names::{Names, name_part};
-use crate::reach::{Asked, Reach, outward};
 use crate::rtps::Qos;
-use crate::settings::{Settings, Topic};
+use crate::said;
+use crate::settings::{Asked, Reach, Settings, Topic, outward};
 use crate::sockets::Sockets;
-use crate::{markers, said};
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::survey::Survey;
 use csi5300::source::{Next, Stamps};
-use csi5300_bag::messages::own::{Bearing, Csi};
-use csi5300_bag::messages::services::{
-    GetParametersRequest, GetParametersResponse, ListParametersRequest, ListParametersResponse, ListParametersResult,
-    ParameterValue, TriggerRequest, TriggerResponse,
+use csi5300_bag::messages::{
+    Bearing, Csi, GetParametersRequest, GetParametersResponse, Header, ListParametersRequest, ListParametersResponse,
+    ListParametersResult, MarkerArray, ParameterValue, PoseStamped, PoseWithCovarianceStamped, TfMessage, Time,
+    TriggerRequest, TriggerResponse,
 };
-use csi5300_bag::messages::shown::MarkerArray;
-use csi5300_bag::messages::standard::{Header, PoseStamped, PoseWithCovarianceStamped, TfMessage, Time};
 use driver_iface::record::Record;
 use std::sync::Arc;
 
@@ -43,8 +40,10 @@ pub struct Node {
     /// Names of all peers; `peers` has those with published bearings.
     names: Vec<String>,
     peers: Vec<Peer>,
-    markers: Option<Publisher<MarkerArray>>,
-    tf: Option<Publisher<TfMessage>>,
+    /// The topic of markers, if enabled.
+    pub markers: Option<Publisher<MarkerArray>>,
+    /// The topic of transforms, if enabled.
+    pub tf: Option<Publisher<TfMessage>>,
 }
 
 impl Node {
@@ -121,18 +120,6 @@ impl Node {
         Some(Records { csi, clock: self.clock.clone(), survey: Survey::default() })
     }
 
-    /// The topic of markers, if enabled.
-    #[must_use]
-    pub fn markers(&self) -> Option<&Publisher<MarkerArray>> {
-        self.markers.as_ref()
-    }
-
-    /// The topic of transforms, if enabled.
-    #[must_use]
-    pub fn tf(&self) -> Option<&Publisher<TfMessage>> {
-        self.tf.as_ref()
-    }
-
     /// A header with the stamp of a host time, microseconds since the Unix epoch.
     #[must_use]
     pub fn header(&self, host_us: i64, frame_id: String) -> Header {
@@ -150,7 +137,7 @@ impl Node {
         }
         if let Some(markers) = &self.markers {
             let name = self.names.get(peer).unwrap_or(&report.answer.link);
-            markers.put(&markers::of(&header, (name, peer), report));
+            markers.put(&said::markers(&header, (name, peer), report));
         }
         if let (Some(tf), Some(place)) = (&self.tf, &place) {
             tf.put(&said::transform(place, &name_part(&report.answer.link)));
@@ -177,12 +164,6 @@ impl Node {
     /// Updates the problems that the sources of poses report.
     pub fn look(&self) {
         self.topics.iter().for_each(PoseTopic::look);
-    }
-
-    /// The counters.
-    #[must_use]
-    pub fn counted(&self) -> serde_json::Value {
-        self.link.counted()
     }
 
     /// Current problems as text.

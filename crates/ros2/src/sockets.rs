@@ -1,7 +1,7 @@
 //! The sockets of a participant: discovery and samples on two ports of one address, and the domain's multicast group.
 
-use super::reach::{Reach, is_own};
 use super::rtps::{MULTICAST, PARTICIPANTS, Prefix, Settings, multicast_address, unicast_ports};
+use super::settings::{Reach, is_own};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
@@ -19,14 +19,18 @@ const BUFFER: usize = 1 << 20;
 
 /// The sockets of a participant.
 pub(crate) struct Sockets {
-    domain: u16,
+    /// The domain.
+    pub domain: u16,
+    /// Where it receives discovery.
+    pub meta_address: SocketAddrV4,
+    user_address: SocketAddrV4,
+    /// Which nodes it looks for, and which setting decided that.
+    pub reach: Reach,
     meta: UdpSocket,
     user: UdpSocket,
-    addresses: (SocketAddrV4, SocketAddrV4),
     group: Option<UdpSocket>,
     /// Why there is no group although one was requested.
     no_group: Option<String>,
-    reach: Reach,
     is_local: bool,
     foreign: AtomicU64,
     /// The last stranger's address; 0 for none.
@@ -55,7 +59,7 @@ impl Sockets {
                 (Err(error), _) | (_, Err(error)) => return Err(error),
             }
         }
-        let Some((meta, user, at, samples)) = bound else { return Err(last) };
+        let Some((meta, user, meta_address, user_address)) = bound else { return Err(last) };
         let is_local = interface.is_loopback();
         if !is_off && (is_local || !multicast) {
             reach.peers.push(interface);
@@ -69,14 +73,24 @@ impl Sockets {
             Err(_) if is_local => (None, None),
             Err(error) => (None, Some(format!("ROS 2: no multicast at {interface} ({error}): only `peers` are found"))),
         };
-        let addresses = (at, samples);
-        let (foreign, stranger) = (AtomicU64::new(0), AtomicU32::new(0));
-        Ok(Self { domain, meta, user, addresses, group, no_group, reach, is_local, foreign, stranger })
+        Ok(Self {
+            domain,
+            meta_address,
+            user_address,
+            reach,
+            meta,
+            user,
+            group,
+            no_group,
+            is_local,
+            foreign: AtomicU64::new(0),
+            stranger: AtomicU32::new(0),
+        })
     }
 
     /// What the participant on these sockets needs to know.
     pub fn settings(&self, name: String) -> Settings {
-        let (meta, user) = self.addresses;
+        let (meta, user) = (self.meta_address, self.user_address);
         let at = |ip: &Ipv4Addr| {
             (0..PARTICIPANTS)
                 .map(|index| SocketAddrV4::new(*ip, unicast_ports(self.domain, index).0))
@@ -87,35 +101,15 @@ impl Sockets {
         Settings { prefix: prefix(), name, meta, user, announce: group.chain(asked).collect() }
     }
 
-    /// The domain.
-    pub fn domain(&self) -> u16 {
-        self.domain
-    }
-
-    /// Where it receives discovery.
-    pub fn address(&self) -> SocketAddrV4 {
-        self.addresses.0
-    }
-
     /// Datagrams that came from other machines although only this one is allowed.
     pub fn foreign(&self) -> u64 {
         self.foreign.load(Ordering::Relaxed)
-    }
-
-    /// The address whose network is used.
-    pub fn interface(&self) -> Ipv4Addr {
-        *self.addresses.0.ip()
     }
 
     /// Continues the counters of the sockets that these replace.
     pub fn follow(self, other: &Self) -> Self {
         self.foreign.store(other.foreign(), Ordering::Relaxed);
         self
-    }
-
-    /// Which nodes it looks for, and which setting decided that.
-    pub fn reach(&self) -> &str {
-        &self.reach.words
     }
 
     /// The current problem as text, given the number of participants met.
@@ -133,7 +127,7 @@ impl Sockets {
         } else {
             "to meet other machines give `[ros2]` `interface`, this machine's address in their network, and `insecure = true`"
         };
-        let (foreign, own) = (self.foreign(), self.addresses.0.ip());
+        let (foreign, own) = (self.foreign(), self.meta_address.ip());
         Some(format!(
             "ROS 2: no other node met at {own}; {foreign} datagrams from other addresses ignored, the last from {stranger}: {next}"
         ))
@@ -183,7 +177,7 @@ impl Sockets {
 
     /// Ends a wait.
     pub fn wake(&self) {
-        let _ = self.user.send_to(&[], self.addresses.1);
+        let _ = self.user.send_to(&[], self.user_address);
     }
 }
 
@@ -259,7 +253,7 @@ mod tests {
             off.settings("off".into()).announce.is_empty() && !open(|_| ()).settings("on".into()).announce.is_empty()
         );
         let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
-        sender.send_to(b"RTPS", off.address()).unwrap();
+        sender.send_to(b"RTPS", off.meta_address).unwrap();
         let mut came = 0;
         off.wait(Duration::from_secs(5));
         off.receive(&mut [0; 64], |_, _| came += 1);

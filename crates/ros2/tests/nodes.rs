@@ -6,8 +6,7 @@ use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::pipeline::Answer;
 use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::time::Instant;
-use csi5300_bag::messages::own::Bearing;
-use csi5300_bag::messages::standard::{Header, Odometry, Time};
+use csi5300_bag::messages::{Bearing, Header, Odometry, Time};
 use csi5300_ros2::settings::{Settings, Topic};
 use csi5300_ros2::{Node, Qos};
 use std::sync::mpsc::channel;
@@ -70,5 +69,5 @@ fn poses_and_bearings_go_from_one_node_to_another() {
     assert_eq!((bearing.peer.as_str(), bearing.state.as_str(), bearing.header.stamp.sec), ("tx", "bearing", 13));
     assert!((bearing.azimuth - std::f64::consts::FRAC_PI_2).abs() < 1e-12 && bearing.range.is_nan());
     assert!(robot.trouble().is_empty() && listener.trouble().is_empty());
-    assert_eq!(robot.counted()["published"]["/odom"]["subscribers"], 1);
+    assert_eq!(robot.link().counted()["published"]["/odom"]["subscribers"], 1);
 }

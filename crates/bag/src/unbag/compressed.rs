@@ -7,8 +7,8 @@ use std::os::unix::fs::OpenOptionsExt;
 
 /// Largest message of CSI or poses, bytes.
 pub(super) const LARGEST_MESSAGE: u64 = 16 << 20;
-/// Largest chunk that does not state its length, bytes.
-pub(super) const LARGEST_CHUNK: u64 = 256 << 20;
+/// Largest chunk, unpacked bytes: recorders start a new chunk after some megabytes.
+pub(crate) const LARGEST_CHUNK: u64 = 256 << 20;
 /// Largest file that must be unpacked on disk because it needs random access, bytes.
 pub(super) const LARGEST_FILE: u64 = 4 << 30;
 

@@ -1,20 +1,19 @@
-//! Writes logs and trajectories from a recording of ROS 2: the input of `csi5300 bearing` and `csi5300 compare`.
+//! Logs and trajectories from recordings of ROS, the input of `csi5300 bearing` and `csi5300 compare`: MCAP and SQLite of ROS 2,
+//! bags of ROS 1, also compressed. [`unbag`] writes them to files, [`Recording::read`] reads them into memory.
 
 pub(crate) mod compressed;
-mod content;
-#[cfg(test)]
-mod damage_tests;
-#[cfg(test)]
-mod kinds_tests;
-mod recording;
 mod ros1;
 mod sqlite;
 #[cfg(test)]
 mod tests;
 
-pub use content::Content;
-pub use recording::{RecordedTopic, Recording};
-
+use crate::cdr::{Cdr, CdrReader};
+use crate::messages::{Csi, Header, Odometry, Pose as PoseMessage, PoseStamped};
+use csi5300::internal::heading_of;
+use csi5300::motion::odometry::csv;
+use csi5300::motion::pose::Pose;
+use driver_iface::bfee::{Iq, Repr, Wsr};
+use driver_iface::record::{Record, code};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
@@ -83,6 +82,36 @@ pub enum BagError {
     },
 }
 
+/// Topics that estimates use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Content {
+    /// Records of a card (`csi5300_msgs/msg/Csi`): they make a log in the WSR layout.
+    Csi,
+    /// Poses (`nav_msgs/msg/Odometry`, `geometry_msgs/msg/PoseStamped`): they make the rows of a trajectory.
+    Poses,
+}
+
+impl Content {
+    /// The content of a topic; `None` if it is neither.
+    fn of(channel: &Channel) -> Option<Self> {
+        match channel.kind.as_str() {
+            "csi5300_msgs/msg/Csi" => Some(Self::Csi),
+            "nav_msgs/msg/Odometry" => Some(Self::Poses),
+            "geometry_msgs/msg/PoseStamped" if !is_direction(&channel.topic) => Some(Self::Poses),
+            _ => None,
+        }
+    }
+
+    /// The extension of its file.
+    fn ending(self) -> &'static str {
+        match self {
+            Self::Csi => "dat",
+            Self::Poses => "csv",
+        }
+    }
+}
+
 /// The result for a topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
@@ -99,12 +128,12 @@ pub struct UnbaggedTopic {
     pub unreadable: u64,
 }
 
-/// The result for a recording.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// What was read of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Unbagged {
-    /// Topics of which something was written.
-    pub topics: Vec<UnbaggedTopic>,
+pub struct Unbagged<T> {
+    /// The topics of CSI and poses, in order of their names; in memory, of their first message.
+    pub topics: Vec<T>,
     /// Messages of other topics.
     pub others: u64,
     /// Files that end early: they are read up to their last complete chunk.
@@ -113,6 +142,84 @@ pub struct Unbagged {
     pub damaged_parts: u64,
     /// Messages of unknown topics, whose description is damaged.
     pub without_topic: u64,
+}
+
+/// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout, and each topic of poses ([`Content::Poses`]) as a
+/// trajectory, into the folder `out`, which it creates. `bag` is a folder of `ros2 bag` or one file: MCAP, SQLite or a bag of
+/// ROS 1, also compressed. Times are those of the headers. The files get their names once all are complete.
+///
+/// # Errors
+/// If reading or writing fails, or an output file is the recording or exists and may not be replaced.
+pub fn unbag(bag: &Path, out: &Path, replace: bool) -> Result<Unbagged<UnbaggedTopic>, BagError> {
+    let read = files(bag)?;
+    let read = read.iter().filter_map(|file| std::fs::metadata(file).ok());
+    let inputs = read.map(|file| (file.dev(), file.ino())).collect();
+    std::fs::create_dir_all(out).map_err(|source| BagError::Io { path: out.to_owned(), source })?;
+    let (files, names) = (BTreeMap::new(), BTreeSet::new());
+    let mut outputs = Outputs { folder: out, inputs, replace, files, names, waiting: 0 };
+    let mut done = each(bag, |channel, content, bytes| outputs.take(channel, content, bytes))?;
+    done.topics = outputs.finish()?;
+    Ok(done)
+}
+
+/// A topic of CSI or poses.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct RecordedTopic {
+    /// Its name.
+    pub topic: String,
+    /// Its type.
+    pub kind: String,
+    /// What it contains.
+    pub content: Content,
+    /// The log in the WSR layout, or the rows of the trajectory, made from its messages.
+    pub bytes: Vec<u8>,
+    /// Messages that were used.
+    pub messages: u64,
+    /// Messages that are not of their type, or whose values no record or pose can have.
+    pub unreadable: u64,
+}
+
+/// The topics of CSI and poses of a recording, with their content.
+pub type Recording = Unbagged<RecordedTopic>;
+
+/// Largest size of logs and trajectories in memory, bytes: a robot's day at 100 records a second is 1.4 GB.
+const MOST: u64 = 2 << 30;
+
+impl Recording {
+    /// Reads the recording `bag` as [`unbag`] does, but into memory: a record of two antennas takes 163 bytes, a
+    /// pose about 60. Writes nothing.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn read(bag: &Path) -> Result<Self, BagError> {
+        let (mut topics, mut held) = (Vec::<RecordedTopic>::new(), 0);
+        let mut done: Self = each(bag, |channel, content, bytes| {
+            let known = topics.iter().position(|one| one.topic == channel.topic && one.kind == channel.kind);
+            let at = known.unwrap_or_else(|| {
+                let (topic, kind) = (channel.topic.clone(), channel.kind.clone());
+                topics.push(RecordedTopic { topic, kind, content, bytes: Vec::new(), messages: 0, unreadable: 0 });
+                topics.len() - 1
+            });
+            if let Some(one) = topics.get_mut(at) {
+                held += bytes.as_ref().map_or(0, Vec::len) as u64;
+                if held > MOST {
+                    return Err(BagError::Large { path: bag.to_owned(), most: MOST });
+                }
+                one.messages += u64::from(bytes.is_some());
+                one.unreadable += u64::from(bytes.is_none());
+                one.bytes.extend(bytes.unwrap_or_default());
+            }
+            Ok(())
+        })?;
+        done.topics = topics;
+        Ok(done)
+    }
+
+    /// The topics with this `content`.
+    pub fn having(&self, content: Content) -> impl Iterator<Item = &RecordedTopic> {
+        self.topics.iter().filter(move |topic| topic.content == content)
+    }
 }
 
 /// Bytes that may wait to be written, over all topics.
@@ -212,24 +319,6 @@ impl Drop for Outputs<'_> {
     }
 }
 
-/// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout, and each topic of poses ([`Content::Poses`]) as a
-/// trajectory, into the folder `out`, which it creates. `bag` is a folder of `ros2 bag` or one file: MCAP, SQLite or a bag of
-/// ROS 1, also compressed. Times are those of the headers. The files get their names once all are complete.
-///
-/// # Errors
-/// If reading or writing fails, or an output file is the recording or exists and may not be replaced.
-pub fn unbag(bag: &Path, out: &Path, replace: bool) -> Result<Unbagged, BagError> {
-    let read = files(bag)?;
-    let read = read.iter().filter_map(|file| std::fs::metadata(file).ok());
-    let inputs = read.map(|file| (file.dev(), file.ino())).collect();
-    std::fs::create_dir_all(out).map_err(|source| BagError::Io { path: out.to_owned(), source })?;
-    let (files, names) = (BTreeMap::new(), BTreeSet::new());
-    let mut outputs = Outputs { folder: out, inputs, replace, files, names, waiting: 0 };
-    let Rest { others, cut, ended } = each(bag, |channel, content, bytes| outputs.take(channel, content, bytes))?;
-    let topics = outputs.finish()?;
-    Ok(Unbagged { topics, others, cut, damaged_parts: ended.damaged_parts, without_topic: ended.without_topic })
-}
-
 /// A topic of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Channel {
@@ -258,37 +347,27 @@ pub(crate) struct Ended {
     pub without_topic: u64,
 }
 
-/// What a recording has besides CSI and poses.
-#[derive(Clone, Debug, Default)]
-struct Rest {
-    others: u64,
-    cut: Vec<PathBuf>,
-    /// Over all files.
-    ended: Ended,
-}
-
-/// Passes each message of CSI or poses to `used` as the bytes for its file; `None` if it is unreadable.
-fn each(
+/// Passes each message of CSI or poses to `used` as the bytes for its file, `None` if it is unreadable; returns everything but
+/// the topics.
+fn each<T>(
     bag: &Path,
     mut used: impl FnMut(&Channel, Content, Option<Vec<u8>>) -> Result<(), BagError>,
-) -> Result<Rest, BagError> {
-    let mut rest = Rest::default();
+) -> Result<Unbagged<T>, BagError> {
+    let mut done = Unbagged { topics: Vec::new(), others: 0, cut: Vec::new(), damaged_parts: 0, without_topic: 0 };
     for file in files(bag)? {
-        let mut others = 0;
         let ended = read(&file, &mut |channel, payload| {
             let known = ["cdr", "ros1"].contains(&channel.encoding.as_str());
             let Some(content) = Content::of(channel).filter(|_| known) else {
-                others += 1;
+                done.others += 1;
                 return Ok(());
             };
-            used(channel, content, content::bytes(channel, payload))
+            used(channel, content, bytes(channel, payload))
         })?;
-        rest.others += others;
-        rest.ended.damaged_parts += ended.damaged_parts;
-        rest.ended.without_topic += ended.without_topic;
-        rest.cut.extend(ended.cut.then_some(file));
+        done.damaged_parts += ended.damaged_parts;
+        done.without_topic += ended.without_topic;
+        done.cut.extend(ended.cut.then_some(file));
     }
-    Ok(rest)
+    Ok(done)
 }
 
 /// Reads a file of any kind.
@@ -355,4 +434,83 @@ fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
     };
     let found = [".mcap", ".db3", ".bag"].into_iter().map(of).find(|files| !files.is_empty());
     found.ok_or_else(|| BagError::Empty { folder: bag.to_owned() })
+}
+
+/// True for a bearing published as a pose, `/csi5300_ROBOT/PEER/direction`, which is not odometry.
+fn is_direction(topic: &str) -> bool {
+    let mut parts = topic.rsplit('/');
+    parts.next() == Some("direction") && parts.nth(1).is_some_and(|node| node.starts_with("csi5300"))
+}
+
+/// The bytes that a message adds to its file; a payload may be compressed by itself.
+fn bytes(channel: &Channel, payload: &[u8]) -> Option<Vec<u8>> {
+    let whole = if compressed::is_zstd(payload) {
+        Some(compressed::bounded(compressed::Frames::new(payload), compressed::LARGEST_MESSAGE).ok()?)
+    } else {
+        None
+    };
+    let payload = whole.as_deref().unwrap_or(payload);
+    let mut from = match channel.encoding.as_str() {
+        // Each begins with a header; that of ROS 1 has a sequence number.
+        "ros1" => CdrReader::packed(payload.get(4..)?),
+        _ => CdrReader::of_payload(payload).ok()?,
+    };
+    match channel.kind.as_str() {
+        "csi5300_msgs/msg/Csi" => record(&Csi::read(&mut from).ok()?),
+        "nav_msgs/msg/Odometry" => {
+            let told = Odometry::read(&mut from).ok()?;
+            row(&told.header, &told.pose.pose)
+        }
+        _ => {
+            let told = PoseStamped::read(&mut from).ok()?;
+            row(&told.header, &told.pose)
+        }
+    }
+}
+
+fn row(header: &Header, pose: &PoseMessage) -> Option<Vec<u8>> {
+    let pose = pose.isometry()?;
+    let heading_rad = Some(heading_of(&pose.rotation));
+    let t_s = header.stamp.us() as f64 * 1e-6;
+    Some(csv::line(&Pose { t_s, position_m: pose.translation.vector, heading_rad }).into_bytes())
+}
+
+/// Two bits that name no antenna.
+const NO_ANTENNA: u8 = 3;
+
+/// A record as the WSR driver's logger writes it: length and code first.
+fn record(csi: &Csi) -> Option<Vec<u8>> {
+    let antenna = |row: usize| csi.antennas.get(row).copied().filter(|antenna| *antenna < 3).unwrap_or(NO_ANTENNA);
+    let us = u64::try_from(csi.header.stamp.us()).ok()?;
+    let mac = if csi.mac.is_empty() { driver_iface::Mac::ZERO } else { csi.mac.parse().ok()? };
+    let wsr = Wsr {
+        tv_sec: u32::try_from(us / 1_000_000).ok()?,
+        tv_usec: (us % 1_000_000) as u32,
+        mac,
+        frame_count: Some(csi.frame_count),
+    };
+    let repr = Repr {
+        timestamp_low: csi.timestamp_low,
+        bfee_count: csi.bfee_count,
+        reserved: 0,
+        n_rx: csi.n_rx,
+        n_tx: csi.n_tx,
+        rssi: csi.rssi,
+        noise_dbm: csi.noise,
+        agc: csi.agc,
+        antenna_sel: (0..3).fold(0, |all, row| all | (antenna(row) & 3) << (2 * row)),
+        rate_n_flags: csi.rate_n_flags,
+        wsr: Some(wsr),
+    };
+    if csi.re.len() != csi.im.len() {
+        return None;
+    }
+    let iq: Vec<Iq> = csi.re.iter().zip(&csi.im).map(|(i, q)| Iq { i: *i, q: *q }).collect();
+    let mut body = vec![0; driver_iface::bfee::MAX_BODY];
+    let length = repr.emit(&iq, &mut body).ok()?;
+    let record = Record { code: code::BFEE, body: body.get(..length)? };
+    let mut bytes = vec![0; record.emit_len()];
+    let length = record.emit(&mut bytes).ok()?;
+    bytes.truncate(length);
+    Some(bytes)
 }

@@ -1,17 +1,17 @@
-use super::content::BFEE;
+//! Recordings of all kinds, intact and damaged.
+
 use super::*;
+use crate::cdr::Cdr;
 use crate::mcap::McapWriter;
-use crate::messages::Message;
-use crate::messages::own::Csi;
-use crate::messages::standard::{Clock, Header, Odometry, PoseStamped, Time};
+use crate::messages::{Clock, Csi, Header, Message, Odometry, PoseStamped, Time};
 use csi5300::signal::csi::Csi as Matrix;
 use csi5300::source::survey::Survey;
 use csi5300::source::{Next, Stamps};
 use driver_iface::bfee::{Bfee, Repr};
-use driver_iface::record::{Record, Step, events};
+use driver_iface::record::{Step, events};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-pub(super) fn csi(number: u32) -> Csi {
+fn csi(number: u32) -> Csi {
     Csi {
         header: Header { stamp: Time::from_us(12_000_000 + i64::from(number)), frame_id: String::new() },
         mac: "00:21:6a:00:00:07".into(),
@@ -31,21 +31,21 @@ pub(super) fn csi(number: u32) -> Csi {
 }
 
 /// A path of this test alone: tests of one process run in parallel.
-pub(super) fn own_path(name: &str) -> PathBuf {
+fn own_path(name: &str) -> PathBuf {
     static COUNT: AtomicU64 = AtomicU64::new(0);
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
     std::env::temp_dir().join(format!("csi5300-unbag-{}-{count}-{name}", std::process::id()))
 }
 
 /// A folder with a recording of these messages.
-pub(super) fn recorded(name: &str, write: impl FnOnce(&mut McapWriter<File>)) -> PathBuf {
+fn recorded(name: &str, write: impl FnOnce(&mut McapWriter<File>)) -> PathBuf {
     let folder = own_path(name);
     std::fs::create_dir_all(&folder).unwrap();
     write(&mut McapWriter::new(File::create(folder.join("run_0.mcap")).unwrap()).unwrap());
     folder
 }
 
-pub(super) fn put<T: Message>(writer: &mut McapWriter<File>, topic: &str, message: &T) {
+fn put<T: Message>(writer: &mut McapWriter<File>, topic: &str, message: &T) {
     writer.put((topic, T::TYPE, T::definition), 5, &message.payload()).unwrap();
 }
 
@@ -100,7 +100,7 @@ fn a_published_and_recorded_log_is_restored() {
     let mut survey = Survey::default();
     let folder = recorded("again", |writer| {
         for body in bodies(log) {
-            let next = Next::Record(Stamps::default(), Record { code: BFEE, body });
+            let next = Next::Record(Stamps::default(), Record { code: code::BFEE, body });
             let (bfee, identity) = survey.note(&next).unwrap();
             put(writer, "/csi", &Csi::of(Time::from_us(identity.host_us.unwrap()), &bfee, identity));
         }
@@ -189,4 +189,414 @@ fn the_recording_is_never_overwritten() {
     }
     assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1, "nothing is left of what was refused");
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// A recording of three records of CSI and two poses, as uncompressed MCAP.
+fn plain() -> Vec<u8> {
+    let folder = recorded("plain", |writer| {
+        (1..=3).for_each(|k| put(writer, "/n/csi", &csi(k)));
+        (1..=2).for_each(|k| put(writer, "/odom", &odometry(k)));
+        writer.finish().unwrap();
+    });
+    let bytes = std::fs::read(folder.join("run_0.mcap")).unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
+    bytes
+}
+
+fn odometry(number: u32) -> Odometry {
+    let mut odometry = Odometry::default();
+    odometry.header.stamp = Time::from_us(12_000_000 + i64::from(number));
+    odometry.child_frame_id = "base_link".into();
+    (odometry.pose.pose.position.x, odometry.pose.pose.orientation.w) = (f64::from(number) / 2.0, 1.0);
+    odometry
+}
+
+/// The result of reading a file with these bytes.
+fn read_of(name: &str, bytes: &[u8]) -> Result<Recording, BagError> {
+    let file = own_path(name);
+    std::fs::write(&file, bytes).unwrap();
+    let read = Recording::read(&file);
+    std::fs::remove_file(&file).unwrap();
+    read
+}
+
+/// Name, messages and bytes of each topic.
+fn contents(recording: &Recording) -> Vec<(&str, u64, &[u8])> {
+    recording.topics.iter().map(|one| (one.topic.as_str(), one.messages, one.bytes.as_slice())).collect()
+}
+
+fn zstd(bytes: &[u8]) -> Vec<u8> {
+    ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
+}
+
+/// The same file without a summary, its chunks compressed with `pack` under the name `by`.
+fn chunks(bytes: &[u8], by: &str, pack: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
+    let (mut made, mut rest) = (bytes[..8].to_vec(), &bytes[8..]);
+    while rest.len() > 9 {
+        let length = u64::from_le_bytes(*rest[1..].first_chunk().unwrap()) as usize;
+        let (kind, content) = (rest[0], &rest[9..9 + length]);
+        rest = &rest[9 + length..];
+        if kind == 0x06 {
+            assert_eq!(content[28..32], [0; 4], "this one is not compressed");
+            let packed = pack(&content[40..]);
+            let head = [&content[..28], &(by.len() as u32).to_le_bytes(), by.as_bytes()];
+            let content = [&head.concat()[..], &(packed.len() as u64).to_le_bytes(), &packed].concat();
+            made.extend([&[kind][..], &(content.len() as u64).to_le_bytes(), &content].concat());
+        } else if kind == 0x0f {
+            made.extend([&[kind][..], &(length as u64).to_le_bytes(), content].concat());
+            return made;
+        }
+    }
+    panic!("no end of the data")
+}
+
+#[test]
+fn compressed_recordings_read_like_uncompressed_ones() {
+    let bytes = plain();
+    let expected = read_of("plain", &bytes).unwrap();
+    assert_eq!(
+        contents(&expected).iter().map(|(topic, messages, _)| (*topic, *messages)).collect::<Vec<_>>(),
+        [("/n/csi", 3), ("/odom", 2)]
+    );
+    let lz4 = |bytes: &[u8]| {
+        let mut to = lz4_flex::frame::FrameEncoder::new(Vec::new());
+        to.write_all(bytes).unwrap();
+        to.finish().unwrap()
+    };
+    let two_frames = |bytes: &[u8]| [zstd(&bytes[..10]), zstd(&bytes[10..])].concat();
+    for (name, made) in [
+        ("zstd", chunks(&bytes, "zstd", zstd)),
+        ("frames", chunks(&bytes, "zstd", two_frames)),
+        ("lz4", chunks(&bytes, "lz4", lz4)),
+        ("file", zstd(&bytes)),
+    ] {
+        assert_eq!(contents(&read_of(name, &made).unwrap()), contents(&expected), "{name}");
+    }
+    // A compressed file that was cut is read up to the cut.
+    let folder = recorded("many", |writer| {
+        for k in 1..=1_500 {
+            put(writer, "/n/csi", &csi(k));
+            (k % 100 == 0).then(|| writer.flush().unwrap());
+        }
+        writer.finish().unwrap();
+    });
+    let packed = zstd(&std::fs::read(folder.join("run_0.mcap")).unwrap());
+    let read = |length: usize| read_of("cut", &packed[..length]).unwrap();
+    let cut = read(packed.len() * 3 / 4);
+    assert!((100..1_500).contains(&cut.topics[0].messages) && cut.cut.len() == 1, "{}", cut.topics[0].messages);
+    assert_eq!((read(packed.len()).topics[0].messages, read(30).cut.len()), (1_500, 1));
+    std::fs::remove_dir_all(&folder).unwrap();
+    // Each message compressed by itself.
+    let folder = recorded("messages", |writer| {
+        let mut put = |topic: &str, kind, payload: Vec<u8>| {
+            writer.put((topic, kind, String::new), 5, &zstd(&payload)).unwrap();
+        };
+        (1..=3).for_each(|k| put("/n/csi", "csi5300_msgs/msg/Csi", csi(k).payload()));
+        (1..=2).for_each(|k| put("/odom", Odometry::TYPE, odometry(k).payload()));
+        writer.finish().unwrap();
+    });
+    assert_eq!(contents(&Recording::read(&folder).unwrap()), contents(&expected));
+    std::fs::remove_dir_all(&folder).unwrap();
+    // Damage costs one chunk and is counted.
+    let damaged = read_of("damaged", &chunks(&bytes, "lz4", |bytes| vec![7; bytes.len()])).unwrap();
+    assert_eq!((damaged.damaged_parts, damaged.topics.len()), (1, 0));
+    let other = read_of("other", &chunks(&bytes, "brotli", <[u8]>::to_vec));
+    assert!(matches!(other, Err(BagError::Compressed { by, .. }) if by == "brotli"));
+}
+
+#[test]
+fn a_database_with_deep_trees_and_overflow_pages_is_read() {
+    let bytes = include_bytes!("../../../../tests/fixtures/recording.db3");
+    let read = read_of("whole.db3", bytes).unwrap();
+    let messages: Vec<_> =
+        read.topics.iter().map(|one| (one.topic.as_str(), one.content, one.messages, one.unreadable)).collect();
+    assert_eq!(messages, [("/odom", Content::Poses, 12, 0), ("/n/csi", Content::Csi, 40, 0)]);
+    let rows = String::from_utf8(read.topics[0].bytes.clone()).unwrap();
+    assert!(rows.starts_with("12.001000,0,0.500000,") && rows.contains("\n12.012000,0,6.000000,"), "{rows}");
+    // The fixture's messages compressed one by one, and the whole file.
+    assert_eq!(contents(&read_of("packed.db3", &zstd(bytes)).unwrap()), contents(&read));
+    // A cut file is read up to the cut; reading ends although pages lead back to themselves.
+    let mut most = 0;
+    for pages in 1..bytes.len() / 512 {
+        match read_of("cut.db3", &bytes[..pages * 512]) {
+            Ok(read) => {
+                assert_eq!(read.cut.len(), 1, "{pages}");
+                most = most.max(read.topics.iter().map(|one| one.messages).sum::<u64>());
+            }
+            Err(error) => assert!(matches!(error, BagError::NoTables { .. }), "{error}"),
+        }
+    }
+    assert!((30..52).contains(&most), "{most}");
+    // A tree whose right-most page leads to itself.
+    let mut endless = bytes.to_vec();
+    endless[100..112].copy_from_slice(&[5, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1]);
+    endless.resize(20 << 20, 0);
+    let ended = sqlite::read(Path::new("endless.db3"), io::Cursor::new(endless), &mut |_, _| Ok(()));
+    assert!(matches!(ended, Err(BagError::NoTables { .. })), "{ended:?}");
+    // Playing a compressed file leaves the unpacked one beside it: each message counts once.
+    let folder = std::env::temp_dir().join(format!("csi5300-kinds-{}-beside", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("run_0.db3"), bytes).unwrap();
+    std::fs::write(folder.join("run_0.db3.zstd"), zstd(bytes)).unwrap();
+    assert_eq!(contents(&Recording::read(&folder).unwrap()), contents(&read));
+    std::fs::remove_dir_all(&folder).unwrap();
+    let mut seed = 7_u32;
+    for _ in 0..2_000 {
+        let mut damaged = bytes.to_vec();
+        for _ in 0..20 {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let place = 100 + (seed >> 4) as usize % (damaged.len() - 100);
+            damaged[place] = seed as u8;
+        }
+        let path = Path::new("damaged.db3");
+        let mut messages = 0;
+        let ended = sqlite::read(path, io::Cursor::new(damaged), &mut |_, _| {
+            messages += 1;
+            Ok(())
+        });
+        assert!(matches!(ended, Ok(_) | Err(BagError::NoTables { .. })) && messages < 1_000, "{ended:?}");
+    }
+}
+
+/// A record of a bag of ROS 1.
+fn record1(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
+    let field = |(name, value): &(&str, &[u8])| {
+        let one = [name.as_bytes(), b"=", value].concat();
+        [&(one.len() as u32).to_le_bytes()[..], &one].concat()
+    };
+    let header: Vec<u8> = fields.iter().flat_map(field).collect();
+    [&(header.len() as u32).to_le_bytes()[..], &header, &(data.len() as u32).to_le_bytes(), data].concat()
+}
+
+/// A bag's description of the topic whose messages have `number`.
+fn connection(number: u32, topic: &str, kind: &str) -> Vec<u8> {
+    let data = record1(&[("topic", topic.as_bytes()), ("type", kind.as_bytes())], &[]);
+    // Only the fields: a connection's data is itself a header.
+    let data = &data[4..data.len() - 4];
+    record1(&[("op", &[7]), ("conn", &number.to_le_bytes()), ("topic", topic.as_bytes())], data)
+}
+
+/// A message of ROS 1 in a bag.
+fn message(number: u32, data: &[u8]) -> Vec<u8> {
+    record1(&[("op", &[2]), ("conn", &number.to_le_bytes()), ("time", &[0; 8])], data)
+}
+
+/// A string as ROS 1 writes it.
+fn text(text: &str) -> Vec<u8> {
+    [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat()
+}
+
+/// Numbers as ROS 1 writes them.
+fn numbers(numbers: &[f64]) -> Vec<u8> {
+    numbers.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+#[test]
+fn a_ros_1_bag_is_read() {
+    let header = |s: u32| [&9_u32.to_le_bytes()[..], &s.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
+    let pose = numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+    let odometry = [header(12), text("base"), pose.clone(), numbers(&[0.0; 36 + 6 + 36])].concat();
+    let csi = [
+        header(13),
+        text("00:21:6a:00:00:07"),
+        [5_u32, 6].iter().flat_map(|v| v.to_le_bytes()).collect(),
+        7_u16.to_le_bytes().to_vec(),
+        vec![1, 1, 30, 0, 0, 164, 40, 1, 1],
+        [&1_u32.to_le_bytes()[..], &[0]].concat(),
+        [&30_u32.to_le_bytes()[..], &[3; 30]].concat(),
+        [&30_u32.to_le_bytes()[..], &[4; 30]].concat(),
+    ];
+    let inside = [
+        connection(0, "/odom", "nav_msgs/Odometry"),
+        connection(1, "/csi", "csi5300_msgs/Csi"),
+        connection(2, "/words", "std_msgs/String"),
+        message(0, &odometry),
+        message(1, &csi.concat()),
+        message(2, &text("hello")),
+        message(0, &odometry[..99]),
+    ];
+    let inside = inside.concat();
+    let file = |compression: &str, data: &[u8]| {
+        let chunk = record1(&[("op", &[5]), ("compression", compression.as_bytes()), ("size", &[0; 4])], data);
+        [&ros1::MAGIC[..], &record1(&[("op", &[3])], &[32; 40]), &chunk].concat()
+    };
+    let lz4 = {
+        let mut to = lz4_flex::frame::FrameEncoder::new(Vec::new());
+        to.write_all(&inside).unwrap();
+        to.finish().unwrap()
+    };
+    for (name, bytes) in [("none.bag", file("none", &inside)), ("lz4.bag", file("lz4", &lz4))] {
+        let read = read_of(name, &bytes).unwrap();
+        let counts: Vec<_> = read.topics.iter().map(|one| (one.topic.as_str(), one.messages, one.unreadable)).collect();
+        assert_eq!((counts, read.others, read.cut.len()), (vec![("/odom", 1, 1), ("/csi", 1, 0)], 1, 0));
+        assert_eq!(read.topics[0].bytes, b"12.000000,0,1.500000,-2.000000,0.000000,0.000000,\n");
+        let cut = read_of(name, &bytes[..bytes.len() - 9]).unwrap();
+        assert_eq!(cut.cut.len(), 1);
+    }
+    assert!(matches!(read_of("bz2.bag", &file("bz2", &inside)), Err(BagError::Compressed { by, .. }) if by == "bz2"));
+}
+
+/// A recording in two chunks, of which only the first describes the topics. It has three records of CSI and two poses, then
+/// two records and one pose. Also returns the offsets of the chunks.
+fn in_two() -> (Vec<u8>, [usize; 2]) {
+    let folder = recorded("two", |writer| {
+        (1..=3).for_each(|k| put(writer, "/n/csi", &csi(k)));
+        (1..=2).for_each(|k| put(writer, "/odom", &odometry(k)));
+        writer.flush().unwrap();
+        (4..=5).for_each(|k| put(writer, "/n/csi", &csi(k)));
+        put(writer, "/odom", &odometry(3));
+        writer.finish().unwrap();
+    });
+    let bytes = std::fs::read(folder.join("run_0.mcap")).unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
+    let (mut found, mut at) = (Vec::new(), 8);
+    while found.len() < 2 {
+        if bytes[at] == 0x06 {
+            found.push(at + 9 + 40);
+        }
+        at += 9 + u64::from_le_bytes(*bytes[at + 1..].first_chunk().unwrap()) as usize;
+    }
+    (bytes, [found[0], found[1]])
+}
+
+/// The offset at which an MCAP file's data ends and its summary begins.
+fn end_of_data(bytes: &[u8]) -> usize {
+    let mut at = 8;
+    while bytes[at] != 0x0f {
+        at += 9 + u64::from_le_bytes(*bytes[at + 1..].first_chunk().unwrap()) as usize;
+    }
+    at
+}
+
+/// Messages of the topics, damaged parts and messages of unknown topics.
+fn counts(recording: &Recording) -> (Vec<u64>, u64, u64) {
+    assert!(recording.cut.is_empty(), "{:?}", recording.cut);
+    let messages = recording.topics.iter().map(|one| one.messages).collect();
+    (messages, recording.damaged_parts, recording.without_topic)
+}
+
+#[test]
+fn a_chunk_with_a_wrong_checksum_is_skipped() {
+    let (bytes, [first, second]) = in_two();
+    assert_eq!(counts(&read_of("whole", &bytes).unwrap()), (vec![5, 3], 0, 0));
+    // The last byte of the second chunk belongs to a pose.
+    let mut damaged = bytes.clone();
+    let end = second - 40 + u64::from_le_bytes(*bytes[second - 48..].first_chunk().unwrap()) as usize;
+    damaged[end - 1] ^= 1;
+    assert_eq!(counts(&read_of("pose", &damaged).unwrap()), (vec![3, 2], 1, 0));
+    // Without a CRC the chunk is used.
+    damaged[second - 16..second - 12].fill(0);
+    assert_eq!(counts(&read_of("sum", &damaged).unwrap()), (vec![5, 3], 0, 0));
+    // Without a CRC, a length beyond the chunk costs the messages after it.
+    damaged[second + 8] = 0xff;
+    assert_eq!(counts(&read_of("length", &damaged).unwrap()), (vec![3, 2], 1, 0));
+    // The summary repeats the topics of the first chunk, so that later messages are used.
+    let mut damaged = bytes.clone();
+    damaged[first + 20] ^= 1;
+    assert_eq!(counts(&read_of("first", &damaged).unwrap()), (vec![2, 1], 1, 0));
+}
+
+#[test]
+fn messages_of_unknown_topics_are_counted() {
+    let (bytes, [first, _]) = in_two();
+    let mut damaged = bytes.clone();
+    damaged[first + 20] ^= 1;
+    // Without a summary, as in an unfinished recording; and with a damaged summary.
+    let data = end_of_data(&damaged);
+    let without = [&damaged[..data], &[0x0f, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]].concat();
+    assert_eq!(counts(&read_of("without", &without).unwrap()), (vec![], 1, 3));
+    let footer = damaged.len() - 8 - 20;
+    let sum = driver_iface::mpdu::crc32(&damaged[data + 13..footer + 16]);
+    damaged[footer + 16..footer + 20].copy_from_slice(&sum.to_le_bytes());
+    assert_eq!(counts(&read_of("summed", &damaged).unwrap()), (vec![2, 1], 1, 0));
+    damaged[data + 13 + 20] ^= 1;
+    assert_eq!(counts(&read_of("twice", &damaged).unwrap()), (vec![], 1, 3));
+    // The summary is only read where the footer says.
+    for start in [0, u64::MAX, bytes.len() as u64] {
+        damaged[footer..footer + 8].copy_from_slice(&start.to_le_bytes());
+        assert_eq!(counts(&read_of("nowhere", &damaged).unwrap()), (vec![], 1, 3));
+    }
+}
+
+#[test]
+fn damage_in_a_database_loses_only_the_damaged_rows() {
+    let bytes = include_bytes!("../../../../tests/fixtures/recording.db3");
+    let (mut messages, mut without) = (Vec::new(), Vec::new());
+    for page in 1..bytes.len() / 512 {
+        let mut damaged = bytes.to_vec();
+        let kind = damaged[512 * page];
+        damaged[512 * page] = 0xee;
+        match read_of("middle.db3", &damaged) {
+            Ok(read) => {
+                let (topics, parts, orphans) = counts(&read);
+                // The first byte of an overflow page belongs to the next page's number.
+                assert!(parts > 0 || ![5, 13].contains(&kind) || topics == [12, 40], "page {page}");
+                messages.push(topics.iter().sum::<u64>() + orphans);
+                without.push(orphans);
+            }
+            Err(error) => assert!(matches!(error, BagError::NoTables { .. }), "{error}"),
+        }
+    }
+    // Most pages hold messages; without the page of topics, every message lacks one.
+    assert!(messages.iter().filter(|count| (26..52).contains(*count)).count() > 10, "{messages:?}");
+    assert_eq!(without.iter().filter(|orphans| **orphans == 52).count(), 1, "{without:?}");
+    assert!(messages.iter().all(|count| *count <= 52));
+}
+
+#[test]
+fn a_bags_index_replaces_connections_of_a_damaged_chunk() {
+    let header = [&9_u32.to_le_bytes()[..], &12_u32.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
+    let pose = [header, numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0])].concat();
+    let chunk =
+        |by: &str, data: &[u8]| record1(&[("op", &[5]), ("compression", by.as_bytes()), ("size", &[0; 4])], data);
+    let described = connection(0, "/pose", "geometry_msgs/PoseStamped");
+    let chunks = [
+        chunk("lz4", &[7; 40]),
+        chunk("none", &[message(0, &pose), message(0, &pose)].concat()),
+        // It ends inside a message.
+        chunk("none", &message(0, &pose)[..60]),
+    ]
+    .concat();
+    let start = |index: u64| record1(&[("op", &[3]), ("index_pos", &index.to_le_bytes())], &[32; 40]);
+    let index = ros1::MAGIC.len() + start(0).len() + chunks.len();
+    let file = |at: u64| [&ros1::MAGIC[..], &start(at), &chunks, &described].concat();
+    let read = read_of("indexed.bag", &file(index as u64)).unwrap();
+    assert_eq!((counts(&read), read.topics[0].topic.as_str()), ((vec![2], 2, 0), "/pose"));
+    // An unfinished bag has no index.
+    let read = read_of("unindexed.bag", &file(0)).unwrap();
+    assert_eq!(counts(&read), (vec![], 2, 2));
+}
+
+/// An MCAP file with one Zstandard chunk that claims `size` bytes.
+fn bomb(records: &[u8], size: u64) -> Vec<u8> {
+    let packed = ruzstd::encoding::compress_to_vec(records, ruzstd::encoding::CompressionLevel::Fastest);
+    let mut content = [0, 1, size].map(u64::to_le_bytes).concat();
+    content.extend([0; 4]);
+    content.extend(4_u32.to_le_bytes());
+    content.extend(b"zstd");
+    content.extend((packed.len() as u64).to_le_bytes());
+    content.extend(packed);
+    let head = [&[0x06][..], &(content.len() as u64).to_le_bytes()].concat();
+    [crate::mcap::MAGIC, head.as_slice(), &content].concat()
+}
+
+#[test]
+fn an_unpacked_chunk_is_bounded_and_streamed() {
+    // One record of an unknown kind, all zeros.
+    let size = 96_u64 << 20;
+    let mut records = vec![0x7f];
+    records.extend((size - 9).to_le_bytes());
+    records.resize(size as usize, 0);
+    let good = bomb(&records, size);
+    drop(records);
+    assert!(good.len() < 1 << 20, "{}", good.len());
+    let mut read = None;
+    let used = allocation_counter::measure(|| read = Some(read_of("bomb", &good).unwrap()));
+    let read = read.unwrap();
+    assert_eq!((read.damaged_parts, read.topics.len()), (0, 0));
+    assert!(used.bytes_max < 16 << 20, "{} bytes at a time", used.bytes_max);
+    // Longer or shorter than claimed, or than allowed.
+    for said in [size - 1, size + 1, 1 << 30] {
+        assert_eq!(read_of("bomb-said", &bomb(&[0; 64], said)).unwrap().damaged_parts, 1);
+    }
 }

@@ -3,6 +3,7 @@
 use super::{Adapter, Made, Said, Start};
 use crate::config::Output;
 use crate::health::Health;
+use crate::threads::spawn;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use std::fs::{File, TryLockError};
@@ -31,7 +32,7 @@ struct Line<'a> {
 
 pub(super) fn make(start: &Start<'_>) -> Made {
     let lines = Lines::open(&start.config.output)?;
-    Ok(lines.writer.is_some().then(|| Box::new(lines) as Box<dyn Adapter>))
+    Ok(lines.map(|lines| Box::new(lines) as Box<dyn Adapter>))
 }
 
 impl Adapter for Lines {
@@ -71,13 +72,12 @@ struct LineCounts {
 }
 
 impl Lines {
-    pub fn open(output: &Output) -> Result<Self, Error> {
+    /// Opens the output, if there is one.
+    fn open(output: &Output) -> Result<Option<Self>, Error> {
         let to: Box<dyn Write + Send> = match output.bearings.as_str() {
-            "" => return Ok(Self { writer: None, counts: Arc::default() }),
+            "" => return Ok(None),
             // A person reads there: the line of state has the bearings.
-            "-" if output.shows_line() && std::io::stdout().is_terminal() => {
-                return Ok(Self { writer: None, counts: Arc::default() });
-            }
+            "-" if output.shows_line() && std::io::stdout().is_terminal() => return Ok(None),
             "-" => Box::new(std::io::stdout()),
             path => Box::new(
                 append_to(path)
@@ -85,7 +85,7 @@ impl Lines {
                     .map_err(|source| Error::Io { what: format!("cannot write bearings to {path}"), source })?,
             ),
         };
-        Self::to(to)
+        Self::to(to).map(Some)
     }
 
     fn to(mut to: Box<dyn Write + Send>) -> Result<Self, Error> {
@@ -105,9 +105,7 @@ impl Lines {
             drop(to);
             drop(written);
         };
-        let what = "cannot start the thread that writes bearings".into();
-        let thread = std::thread::Builder::new().name("csi5300 bearings".into()).spawn(write);
-        thread.map_err(|source| Error::Io { what, source })?;
+        spawn("csi5300 bearings", "cannot start the thread that writes bearings", write)?;
         Ok(Self { writer: Some(Writer { lines, done }), counts })
     }
 
@@ -220,7 +218,7 @@ mod tests {
 
     #[test]
     fn lines_that_the_disk_refuses_are_counted_and_explained() {
-        let mut lines = Lines::open(&Output { bearings: "/dev/full".into(), ..Output::default() }).unwrap();
+        let mut lines = Lines::open(&Output { bearings: "/dev/full".into(), ..Output::default() }).unwrap().unwrap();
         assert_eq!(lines.trouble(), None);
         (0..3).for_each(|k| lines.write(&k));
         assert_eq!(lines.end(Duration::MAX), 3);
@@ -235,7 +233,7 @@ mod tests {
     fn two_nodes_do_not_write_one_file() {
         let path = std::env::temp_dir().join(format!("csi5300-bearings-twice-{}", std::process::id()));
         let output = Output { bearings: path.display().to_string(), ..Output::default() };
-        let first = Lines::open(&output).unwrap();
+        let first = Lines::open(&output).unwrap().unwrap();
         let refused = Lines::open(&output).err().unwrap().to_string();
         assert!(refused.contains("another node writes it: stop that one"), "{refused}");
         let Writer { lines, done } = first.writer.unwrap();
@@ -254,7 +252,7 @@ mod tests {
         let refused = Lines::open(&output).err().unwrap().to_string();
         assert!(refused.contains("nobody reads"), "{refused}");
         let mut reader = File::options().read(true).custom_flags(nix::libc::O_NONBLOCK).open(&path).unwrap();
-        let mut lines = Lines::open(&output).unwrap();
+        let mut lines = Lines::open(&output).unwrap().unwrap();
         lines.write(&7);
         assert_eq!(lines.end(Duration::MAX), 0);
         let mut said = [0; 2];

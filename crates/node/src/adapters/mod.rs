@@ -4,27 +4,25 @@
 //! |---|---|
 //! | `json` | bearings as lines of JSON |
 //! | `status` | the state on a Unix socket, and as one line on a terminal |
-//! | `ros2`, `diagnostics`, `team` | ROS 2 |
+//! | `ros2` | ROS 2, with the team's topics |
 //! | `ros1` | ROS 1, through a bridge in Python |
 //! | `zenoh` | the robots' network (feature `zenoh`) |
 //! | `foxglove` | Foxglove's viewers over a websocket (feature `foxglove`) |
 
-mod diagnostics;
 #[cfg(feature = "foxglove")]
 mod foxglove;
 mod json;
 mod ros1;
 mod ros2;
 mod status;
-mod team;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 
 use crate::config::{Config, Odometry};
 use crate::health::Health;
 use crate::machine::Machine;
-use crate::ranges::Ranges;
 use crate::sources::Poses;
+use crate::team::Ranges;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
@@ -33,6 +31,9 @@ use driver_iface::Mac;
 use std::cell::OnceCell;
 use std::sync::Arc;
 use tokio::sync::Notify;
+
+/// Descriptors that stay free for the log, its next file and what the service opens.
+const RESERVED: u64 = 32;
 
 /// A protocol of a node. It is made before any source is opened and dropped after the machine has ended, both outside
 /// of tokio; it waits on its own threads, or in a task that [`Adapter::attach`] spawns. No method may wait: data that
@@ -160,4 +161,13 @@ pub(crate) fn missing(name: &str) -> Option<String> {
 /// Why a requested adapter cannot be made, by its own check.
 pub(crate) fn refusal(config: &Config) -> Option<String> {
     BUILT.iter().find_map(|kind| (kind.refusal)(config))
+}
+
+/// False if viewers would take descriptors that the log needs.
+fn are_descriptors_to_spare() -> bool {
+    let limit =
+        nix::sys::resource::getrlimit(nix::sys::resource::Resource::RLIMIT_NOFILE).map_or(u64::MAX, |(soft, _)| soft);
+    // The listing itself uses a descriptor.
+    let used = std::fs::read_dir("/proc/self/fd").map_or(u64::MAX, |listing| listing.count() as u64);
+    used.saturating_add(RESERVED) < limit
 }

@@ -2,20 +2,16 @@
 //! master and exchanges lines of JSON. A library for ROS 1 would need three hundred crates and OpenSSL; machines with a
 //! master have rospy.
 
-use super::diagnostics::Claims;
 use super::{Adapter, Made, Robot, Said, Start};
-use crate::config::ros::{Ros, is_used, name_part};
-use crate::config::{Config, Odometry};
+use crate::config::{Config, Odometry, Ros, name_part};
+use crate::diagnostics::Claims;
 use crate::health::Health;
 use crate::machine::{Machine, Tap};
 use crate::sources::Poses;
 use csi5300::motion::odometry::ros::{Inbox, Kind, Message, Stamp, Wanted};
-use csi5300::motion::pose::Pose;
 use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next, Stamps};
-use csi5300_bag::messages::own::Csi;
-use csi5300_bag::messages::services::SelfTestResponse;
-use csi5300_bag::messages::standard::{Header, Time};
+use csi5300_bag::messages::{Csi, Header, SelfTestResponse, Time};
 use csi5300_ros2::said;
 use driver_iface::record::Record;
 use serde_json::{Value, json};
@@ -59,29 +55,24 @@ const FAREWELL: Duration = Duration::from_millis(20);
 
 pub(super) fn make(start: &Start<'_>) -> Made {
     let config = start.config;
-    if !is_used(config) {
+    if !config.uses_ros() {
         return Ok(None);
     }
-    let (settings, publishes) = (config.ros.clone().unwrap_or_default(), config.ros.is_some());
-    let (master, node) = (settings.master(), settings.node(config));
-    let (reads, writes, bridge) = (Vec::new(), Vec::new(), None);
-    let commands = PYTHONS.map(|python| [python, "-c", BRIDGE].map(str::to_owned).to_vec()).to_vec();
-    let wall_us = start.wall_us;
+    let settings = config.ros.clone().unwrap_or_default();
     Ok(Some(Box::new(Ros1 {
+        node: settings.node(config),
         settings,
-        publishes,
+        publishes: config.ros.is_some(),
         config: config.clone(),
         claims: None,
-        master,
-        node,
-        reads,
-        writes,
+        reads: Vec::new(),
+        writes: Vec::new(),
         csi: 0,
         diagnostics: 0,
         peers: Vec::new(),
-        commands,
-        wall_us,
-        bridge,
+        commands: PYTHONS.map(|python| [python, "-c", BRIDGE].map(str::to_owned).to_vec()).to_vec(),
+        wall_us: start.wall_us,
+        bridge: None,
     })))
 }
 
@@ -93,7 +84,7 @@ struct Ros1 {
     config: Config,
     /// Nothing without a table `[ros]`.
     claims: Option<Claims>,
-    master: String,
+    /// Its name.
     node: String,
     reads: Vec<(Inbox, Kind)>,
     /// Topics that are written, and their types.
@@ -128,7 +119,7 @@ impl Ros1 {
             "diagnostic_msgs/DiagnosticArray": with(&[DIAGNOSTICS, HEADER, STATUS, KEY_VALUE]),
             "diagnostic_msgs/SelfTestResponse": with(&[SELF_TEST, STATUS, KEY_VALUE]),
         });
-        let told = json!({ "master": self.master, "node": self.node, "read": reads, "write": writes,
+        let told = json!({ "master": self.settings.master(), "node": self.node, "read": reads, "write": writes,
             "serves": self.publishes, "definitions": definitions });
         format!("{told}\n")
     }
@@ -229,8 +220,6 @@ impl Tap for Card {
         let Some((bfee, identity)) = self.survey.note(&next) else { return };
         self.outbox.put(self.topic, &Csi::of(Time::from_us(identity.host_us.unwrap_or(0)), &bfee, identity));
     }
-
-    fn pose(&mut self, _: Option<Pose>) {}
 }
 
 /// Answers a call of the service `self_test`.
@@ -481,7 +470,7 @@ mod tests {
     use super::*;
     use csi5300::motion::odometry::{NextPose, OdometrySource};
     use csi5300::time::Instant;
-    use csi5300_bag::messages::standard::PoseStamped;
+    use csi5300_bag::messages::PoseStamped;
 
     /// A bridge that is this shell script, with one topic that is read, one that is written, and the service.
     fn bridge(scripts: &[&str]) -> (Bridge, csi5300::motion::odometry::ros::Topic) {
@@ -546,7 +535,7 @@ mod tests {
     #[test]
     fn written_fields_match_the_shipped_messages() {
         for (text, message) in [
-            (BEARING, serde_json::to_value(csi5300_bag::messages::own::Bearing::default()).unwrap()),
+            (BEARING, serde_json::to_value(csi5300_bag::messages::Bearing::default()).unwrap()),
             (CSI, serde_json::to_value(Csi::default()).unwrap()),
         ] {
             let plain = |line: &str| Some(line.split('#').next()?.split_whitespace().nth(1)?.to_owned());

@@ -1,10 +1,10 @@
 //! The state: on a Unix socket as lines of JSON, for `csi5300 watch`, and as one line on a terminal.
 
-use super::{Adapter, Made, Start};
+use super::{Adapter, Made, Start, are_descriptors_to_spare};
+use crate::NodeError;
 use crate::config::Output;
 use crate::health::Health;
 use crate::machine::Machine;
-use crate::{NodeError, descriptors};
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use std::fs::Permissions;
@@ -118,7 +118,7 @@ async fn accept(listener: UnixListener, states: watch::Receiver<Arc<str>>) {
             // Whoever finds no place is let go at once.
             Ok((stream, _)) => {
                 if let Ok(place) = Arc::clone(&places).try_acquire_owned()
-                    && descriptors::are_to_spare()
+                    && are_descriptors_to_spare()
                 {
                     drop(tokio::spawn(serve(stream, states.clone(), place)));
                 }

@@ -1,10 +1,15 @@
-//! Reads a configuration and collects all its problems: unreadable parts are removed, and the rest is read again.
+//! Reads a configuration and collects all its problems: unreadable parts are removed, and the rest is read again. Values as the
+//! file writes them.
 
-use super::{Config, Problem};
+use super::Config;
+use csi5300::signal::channel::Channel;
 use csi5300_sim::toml_lines::line_of;
-use serde::Deserialize;
-use std::collections::BTreeSet;
+use driver_iface::bfee::Antenna;
+use serde::de::{Deserialize, Deserializer, Error as _};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
 use std::ops::Range;
+use std::str::FromStr;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -14,6 +19,29 @@ const MOST: usize = 64;
 const FEW: usize = 5;
 /// Stand-ins for missing or wrong keys, so that the rest can be read. A configuration with one is refused.
 const STAND_INS: &str = "channel = \"108\"\ncapture.card = {}\n";
+
+/// All problems of a configuration.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+pub struct ConfigError(pub Vec<Problem>);
+
+/// One problem.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Problem {
+    /// Line, from 1, where there is one.
+    pub line: Option<usize>,
+    /// The problem and its remedy.
+    pub reason: String,
+}
+
+impl Display for Problem {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.line {
+            Some(line) => write!(f, "line {line}: {}", self.reason),
+            None => f.write_str(&self.reason),
+        }
+    }
+}
 
 /// A configuration as far as it can be read.
 pub(super) struct Reading<'t> {
@@ -144,4 +172,83 @@ fn take_out_below(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>) -> Opti
         }
         _ => None,
     }
+}
+
+pub(super) fn parsed<'de, D: Deserializer<'de>, T: FromStr<Err: Display>>(input: D) -> Result<T, D::Error> {
+    String::deserialize(input)?.parse().map_err(D::Error::custom)
+}
+
+pub(super) fn maybe_parsed<'de, D: Deserializer<'de>, T: FromStr<Err: Display>>(
+    input: D,
+) -> Result<Option<T>, D::Error> {
+    parsed(input).map(Some)
+}
+
+/// A channel: text, or the number of one of 20 MHz.
+pub(super) fn channel<'de, D: Deserializer<'de>>(input: D) -> Result<Channel, D::Error> {
+    #[derive(serde::Deserialize)]
+    #[serde(untagged, expecting = "a channel: \"108\", \"36+\" for 40 MHz, or its centre, \"5290MHz\"")]
+    enum Written {
+        Number(u32),
+        Text(String),
+    }
+    let text = match Written::deserialize(input)? {
+        Written::Number(number) => number.to_string(),
+        Written::Text(text) => text,
+    };
+    text.parse().map_err(D::Error::custom)
+}
+
+pub(super) fn antenna<'de, D: Deserializer<'de>>(input: D) -> Result<Antenna, D::Error> {
+    match String::deserialize(input)?.as_str() {
+        "A" => Ok(Antenna::A),
+        "B" => Ok(Antenna::B),
+        "C" => Ok(Antenna::C),
+        other => Err(D::Error::custom(format!("antenna `{other}`: A, B or C"))),
+    }
+}
+
+pub(super) fn antennas<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<Antenna>, D::Error> {
+    #[derive(serde::Deserialize)]
+    struct One(#[serde(deserialize_with = "antenna")] Antenna);
+    Ok(Vec::<One>::deserialize(input)?.into_iter().map(|one| one.0).collect())
+}
+
+pub(super) fn positive<'de, D: Deserializer<'de>>(input: D) -> Result<f64, D::Error> {
+    let value = f64::deserialize(input)?;
+    if value.is_finite() && value > 0.0 {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value}: a number above 0")))
+    }
+}
+
+pub(super) fn maybe_positive<'de, D: Deserializer<'de>>(input: D) -> Result<Option<f64>, D::Error> {
+    positive(input).map(Some)
+}
+
+/// Numbers of a list that must have `N` of them: arrays of serde ignore further ones.
+struct Exactly<const N: usize>([f64; N]);
+
+impl<'de, const N: usize> Deserialize<'de> for Exactly<N> {
+    fn deserialize<D: Deserializer<'de>>(input: D) -> Result<Self, D::Error> {
+        let all = Vec::<f64>::deserialize(input)?;
+        let count = all.len();
+        all.try_into().map(Self).map_err(|_| D::Error::custom(format!("{count} numbers where {N} are expected")))
+    }
+}
+
+pub(super) fn exactly<'de, const N: usize, D: Deserializer<'de>>(input: D) -> Result<[f64; N], D::Error> {
+    Exactly::deserialize(input).map(|own| own.0)
+}
+
+pub(super) fn lists<'de, const N: usize, D: Deserializer<'de>>(input: D) -> Result<Vec<[f64; N]>, D::Error> {
+    Vec::<Exactly<N>>::deserialize(input).map(|all| all.into_iter().map(|own| own.0).collect())
+}
+
+pub(super) fn named<'de, const N: usize, D: Deserializer<'de>>(
+    input: D,
+) -> Result<BTreeMap<String, [f64; N]>, D::Error> {
+    let all = BTreeMap::<String, Exactly<N>>::deserialize(input)?;
+    Ok(all.into_iter().map(|(name, own)| (name, own.0)).collect())
 }

@@ -106,7 +106,7 @@ impl Keys {
 
 /// Shows a running node until `q` or a signal.
 pub fn run(args: &Args) -> Result {
-    let socket = args.socket.clone().unwrap_or_else(super::places::status_socket);
+    let socket = args.socket.clone().unwrap_or_else(super::status_socket);
     let stream = connect(&socket)?;
     let mut states = lines(stream);
     if args.once || !std::io::stdout().is_terminal() {

@@ -6,10 +6,8 @@ mod common;
 #[path = "../../../../tests/common/documented.rs"]
 mod documented;
 
-mod other_cards;
 #[cfg(feature = "zenoh")]
 mod peers;
 mod program;
 mod robots;
 mod team;
-mod watching;

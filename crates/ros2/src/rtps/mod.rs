@@ -5,8 +5,7 @@
 //! | module | what it is |
 //! |---|---|
 //! | `wire` | datagrams: parsing and writing submessages |
-//! | `discovery` | announcements of participants and endpoints |
-//! | `qos` | quality of service |
+//! | `discovery` | announcements of participants and endpoints, and their quality of service |
 //! | `writer`, `reader` | the two ends of a topic |
 //! | `participant` | known participants and matched endpoints |
 //!
@@ -14,15 +13,14 @@
 
 mod discovery;
 mod participant;
-mod qos;
 mod reader;
 mod wire;
 mod writer;
 
+pub use discovery::Qos;
 #[cfg(feature = "fuzzed")]
 pub(crate) use participant::fuzzed;
 pub(crate) use participant::{Counts, Event, Participant, Settings};
-pub use qos::Qos;
 pub(crate) use reader::LARGEST as LARGEST_READ;
 pub(crate) use wire::{Guid, Prefix, VENDOR};
 pub(crate) use writer::{LARGEST, Outgoing};

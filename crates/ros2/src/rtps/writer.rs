@@ -1,6 +1,6 @@
 //! A writer: what it keeps, to whom it sends, and what it sends again (\[rtps\] 8.4.9).
 
-use super::qos::Qos;
+use super::discovery::Qos;
 use super::wire::{Entity, Guid, Maker, Numbers, Prefix};
 use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddrV4;
@@ -52,7 +52,8 @@ struct Reading {
 #[derive(Debug)]
 pub(crate) struct Writer {
     own: Prefix,
-    entity: Entity,
+    /// Its identity.
+    pub entity: Entity,
     qos: Qos,
     kept: VecDeque<Sample>,
     last: i64,
@@ -76,11 +77,6 @@ impl Writer {
     /// Sends to a reader of this participant.
     pub fn has_reader_of(&self, prefix: Prefix) -> bool {
         self.readers.keys().any(|guid| guid.prefix == prefix)
-    }
-
-    /// Its identity.
-    pub fn entity(&self) -> Entity {
-        self.entity
     }
 
     fn first(&self) -> i64 {

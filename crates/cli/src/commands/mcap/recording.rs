@@ -18,11 +18,9 @@ use csi5300::pipeline::Bearing;
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::source::survey::Survey;
 use csi5300_bag::mcap::McapWriter;
-use csi5300_bag::messages::Message;
-use csi5300_bag::messages::own::{Counters, CsiRow};
-use csi5300_bag::messages::standard::{
-    Header, LaserScan, Path, Pose as Placed, PoseStamped, Quaternion, TfMessage, Time, Transform, TransformStamped,
-    Vector3,
+use csi5300_bag::messages::{
+    Counters, CsiRow, Header, LaserScan, Message, Path, Pose as Placed, PoseStamped, Quaternion, TfMessage, Time,
+    Transform, TransformStamped, Vector3,
 };
 use driver_iface::Mac;
 use std::fs::File;

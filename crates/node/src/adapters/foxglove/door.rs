@@ -3,11 +3,11 @@
 //! The server behind it listens on this machine only, without checks. A connection is admitted once the head of its
 //! request is complete; later bytes are copied.
 
-use crate::descriptors;
+use crate::adapters::are_descriptors_to_spare;
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -83,25 +83,9 @@ impl Drop for Door {
     }
 }
 
-/// A place for a viewer, freed when dropped.
-struct Place(Arc<AtomicUsize>);
-
-impl Place {
-    fn take(taken: &Arc<AtomicUsize>, limit: usize) -> Option<Self> {
-        let before = taken.fetch_add(1, Ordering::Relaxed);
-        let place = Self(Arc::clone(taken));
-        (before < limit).then_some(place)
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
 fn wait(listener: &TcpListener, inside: SocketAddr, rules: &Arc<Rules>, over: &AtomicBool) {
-    let taken = Arc::new(AtomicUsize::new(0));
+    // Each viewer holds a clone.
+    let places = Arc::new(());
     loop {
         let came = listener.accept();
         if over.load(Ordering::Relaxed) {
@@ -112,7 +96,10 @@ fn wait(listener: &TcpListener, inside: SocketAddr, rules: &Arc<Rules>, over: &A
             continue;
         };
         // Without a free place the connection is closed at once.
-        let Some(place) = Place::take(&taken, rules.viewers).filter(|_| descriptors::are_to_spare()) else { continue };
+        if Arc::strong_count(&places) > rules.viewers || !are_descriptors_to_spare() {
+            continue;
+        }
+        let place = Arc::clone(&places);
         let rules = Arc::clone(rules);
         let lead = move || {
             let _ = lead(viewer, inside, &rules);

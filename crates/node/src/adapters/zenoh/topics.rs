@@ -165,11 +165,10 @@ fn earlier(session: &Session, key: &str, take: Arc<Taker>) -> zenoh::Result<Subs
 
 #[cfg(test)]
 mod tests {
-    use super::super::owners::{Owner, access_control};
+    use super::super::access::{Owner, access_control};
     use super::*;
     use csi5300_bag::cdr::Cdr;
-    use csi5300_bag::messages::Message as _;
-    use csi5300_bag::messages::standard::Time;
+    use csi5300_bag::messages::{Message as _, Time};
     use csi5300_ros2::settings::Settings;
     use csi5300_ros2::{Node, Qos};
     use std::sync::mpsc::channel;

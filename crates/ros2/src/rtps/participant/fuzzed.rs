@@ -43,7 +43,7 @@ fn announcement(who: u8) -> Vec<u8> {
         lease,
         name: String::new(),
     };
-    Maker::new(prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish()
+    announced(prefix, &data.payload())
 }
 
 /// Another participant's announcement of a writer or reader.

@@ -1,0 +1,611 @@
+//! What a configuration names, opened.
+
+use crate::NodeError;
+use crate::adapters::Adapter;
+use crate::config::{self, CameraMount, Capture, Config, Feitcsi, Odometry, Peer as PeerConfig, Records};
+use crate::threads::{CardThread, PoseThread};
+use csi5300::internal::Roller;
+use csi5300::motion::odometry::ros::Stamp;
+use csi5300::motion::odometry::{Mounted, Replayed};
+use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts, csv};
+use csi5300::motion::pose::Mount;
+use csi5300::motion::pose::Pose;
+use csi5300::pipeline::Array;
+use csi5300::pipeline::live::{LivePeer, Track};
+use csi5300::source::replay::Paced;
+use csi5300::source::replay::Replay;
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, Error, Next};
+use csi5300::time::{Instant, Span, Unwrap32};
+use csi5300_live::feitcsi::{FeitCsi, Frames};
+use csi5300_live::netlink::{self, Netlink};
+use csi5300_live::serial::Serial;
+use csi5300_live::stock::{self, Stock};
+use csi5300_sim::Room;
+use csi5300_sim::served::{self, Address, Role};
+use driver_iface::Mac;
+use driver_iface::bfee::Bfee;
+use driver_iface::record::code;
+use nalgebra::Vector3;
+use std::collections::HashMap;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+
+/// Records of a log in which a host time is looked for.
+const LOOKED_AT: usize = 4_096;
+/// Frames at the start of a log that are searched for a common one.
+const FRAMES: usize = 4_096;
+/// Records and time by which logs may be apart without being moved, because records wait for their partners.
+const RECORDS: usize = 1_024;
+const APART: Span = Span::from_ms(5_000);
+
+/// A source of records that may move to another thread.
+pub type Card = Box<dyn CsiSource + Send>;
+/// A source of poses that may move to another thread.
+pub type Poses = Box<dyn OdometrySource + Send>;
+
+/// One peer's sources. What comes over the network or with answers has none here.
+pub struct PeerSources {
+    /// What the estimator knows of it.
+    pub peer: LivePeer,
+    /// Its records.
+    pub records: Option<Card>,
+    /// Its poses.
+    pub poses: Option<Poses>,
+    /// It does not answer: its bearing is that of the array.
+    pub is_heard_only: bool,
+}
+
+/// Everything that a configuration names.
+pub struct Sources {
+    /// This robot's MAC.
+    pub own: Mac,
+    /// This robot's records.
+    pub capture: Card,
+    /// Something to wait on for more records, for a source that does not know when they come.
+    pub wake: Option<UnixStream>,
+    /// This robot's poses.
+    pub poses: Option<Poses>,
+    /// Its place, if it never moves.
+    pub track: Track,
+    /// The peers.
+    pub peers: Vec<PeerSources>,
+    /// The antennas for bearings of what is heard alone.
+    pub array: Option<Array>,
+    /// Times real time.
+    pub speed: f64,
+}
+
+/// This robot's records, opened.
+struct Opened {
+    card: Card,
+    wake: Option<UnixStream>,
+    /// The MAC of the card, where the source says it.
+    mac: Option<Mac>,
+    /// Times real time.
+    speed: f64,
+}
+
+/// Where things are on a robot.
+struct Mounting {
+    /// The antenna: metres forward, left, up.
+    antenna_m: [f64; 3],
+    /// The camera that its poses are of.
+    camera: Option<CameraMount>,
+}
+
+/// What several sources of one configuration share.
+struct Shared<'a> {
+    start: Instant,
+    /// Reads the host's wall clock.
+    wall_us: fn() -> Option<i64>,
+    adapters: &'a mut [Box<dyn Adapter>],
+    /// The simulated room of this process.
+    room: Option<Room>,
+    /// The socket of a room that another program runs.
+    served: Option<&'a Path>,
+    /// This robot's replayed log.
+    replayed: Option<ReplayedLog<'a>>,
+}
+
+impl Sources {
+    /// Opens everything; the sources' time begins at `start`. `wall_us` reads the host's wall clock, and `adapters` have poses.
+    ///
+    /// # Errors
+    /// What cannot be opened, with what to do about it.
+    pub fn open(
+        config: &Config,
+        start: Instant,
+        wall_us: fn() -> Option<i64>,
+        adapters: &mut [Box<dyn Adapter>],
+    ) -> Result<Self, Error> {
+        let mut shared = Shared { start, wall_us, adapters, room: None, served: None, replayed: None };
+        let capture = config.capture.get_ref();
+        let Opened { card, wake, mac, speed } = shared.capture(capture, config)?;
+        let own = config.mac.or(mac);
+        let robot = capture.robot().unwrap_or_default();
+        let mount = Mounting { antenna_m: config.antenna_offset_m, camera: config.camera_mount };
+        let (poses, track) = shared.poses(&config.odometry, robot, mount)?;
+        let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
+        let own = own.ok_or(NodeError::OwnMac)?;
+        let array = config.array.as_ref().map(|array| array.array()).transpose();
+        let array = array.map_err(|error| Error::Backend(Box::new(error)))?;
+        Ok(Self { own, capture: card, wake, poses, track, peers, array, speed })
+    }
+}
+
+/// Poses of an adapter, with the time that is usual unless the configuration says which.
+fn adapted(adapters: &mut [Box<dyn Adapter>], odometry: &Odometry, usual: Stamp) -> Result<Poses, Error> {
+    let found = adapters.iter_mut().find_map(|adapter| adapter.poses(odometry, usual));
+    found.ok_or_else(|| NodeError::NoAdapter.into())
+}
+
+impl<'a> Shared<'a> {
+    /// This robot's records.
+    fn capture(&mut self, capture: &'a Capture, config: &Config) -> Result<Opened, Error> {
+        match capture {
+            Capture::Card(asked) => open_card(asked, self.wall_us),
+            Capture::Stock(asked) => {
+                let has_key = config.sounding.as_ref().is_some_and(|sounding| sounding.key.is_some());
+                open_stock(asked, config.mac, has_key, self.wall_us)
+            }
+            Capture::Feitcsi(asked) => open_feitcsi(asked, self.wall_us),
+            Capture::Served(served) => {
+                self.served = Some(&served.socket);
+                open_served(served, self.wall_us)
+            }
+            Capture::Replay(asked) => {
+                let (opened, replayed) = open_replay(asked, config.mac)?;
+                self.replayed = Some(replayed);
+                Ok(opened)
+            }
+            Capture::Room(asked) => {
+                let mut room = open_room(asked)?;
+                for (robot, odometry) in &asked.follow {
+                    let source = match odometry {
+                        Odometry::Csv(file) => trajectory(file, None, self.start)?,
+                        // The room's time is that of this host.
+                        Odometry::Ros(_) | Odometry::Ros2(_) => adapted(self.adapters, odometry, Stamp::Receipt)?,
+                        _ => return Err(NodeError::Follows { robot: robot.to_owned() }.into()),
+                    };
+                    room.follow(number(&room, robot)?, source)?;
+                }
+                let own = number(&room, &asked.robot)?;
+                let card = Box::new(room.card(own).ok_or(NodeError::CardTaken)?);
+                let mac = room.mac(own);
+                self.room = Some(room);
+                Ok(Opened { card, wake: None, mac, speed: asked.speed })
+            }
+        }
+    }
+
+    /// A source of poses, or the place of a robot that has none.
+    fn poses(&mut self, odometry: &Odometry, robot: &str, mount: Mounting) -> Result<(Option<Poses>, Track), Error> {
+        let source: Poses = match odometry {
+            Odometry::Static(place) => return Ok((None, still(place, mount.antenna_m))),
+            Odometry::Network(_) => return Ok((None, Track::default())),
+            Odometry::Csv(file) => {
+                let origin_s = self.replayed.as_ref().map_or(0.0, |replayed| replayed.origin_s);
+                trajectory(file, Some(origin_s), self.start)?
+            }
+            Odometry::Ros(_) | Odometry::Ros2(_) => adapted(self.adapters, odometry, Stamp::Header)?,
+            Odometry::Room(_) => match (self.served, &self.room) {
+                (Some(socket), _) => Box::new(served::Poses::join(&address(socket, robot))?),
+                (None, Some(room)) => Box::new(room.odometry(number(room, robot)?).ok_or_else(|| absent(robot))?),
+                (None, None) => return Err(absent(robot)),
+            },
+            Odometry::Opencr(port) => {
+                let geometry = port.model.map(config::Model::geometry);
+                let serial = Serial::open(port.port.clone(), port.rate_hz, geometry, self.start, self.wall_us)?;
+                Box::new(PoseThread::start(serial)?)
+            }
+        };
+        let source: Poses = match mount.camera {
+            Some(camera) => Box::new(Rolling::new(source, camera.mount())),
+            None => source,
+        };
+        let offset_m = Vector3::from(mount.antenna_m);
+        let mounted: Poses =
+            if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
+        Ok((Some(mounted), Track::default()))
+    }
+
+    /// A peer's records; its MAC, where the source says it.
+    fn records(&mut self, peer: &PeerConfig) -> Result<(Option<Card>, Option<Mac>), Error> {
+        match &peer.records {
+            Records::Network(_) | Records::Sounding(_) => Ok((None, None)),
+            Records::Heard(_) => {
+                let in_room = |room: &Room| room.mac(room.number(&peer.name)?);
+                Ok((None, self.room.as_ref().and_then(in_room)))
+            }
+            Records::Replay(log) => {
+                Ok((Some(peer_log(&log.file, peer.mac, self.replayed.as_ref(), self.start)?), None))
+            }
+            Records::Room(_) => {
+                let (card, mac): (Card, Mac) = match (self.served, &mut self.room) {
+                    (Some(socket), _) => {
+                        let (card, mac) = join(socket, &peer.name, self.wall_us)?;
+                        (Box::new(card), mac)
+                    }
+                    (None, Some(room)) => peer_card(room, &peer.name)?,
+                    (None, None) => return Err(absent(&peer.name)),
+                };
+                Ok((Some(card), Some(mac)))
+            }
+        }
+    }
+
+    fn peer(&mut self, peer: &PeerConfig) -> Result<PeerSources, Error> {
+        let (records, mac) = self.records(peer)?;
+        let mount = Mounting { antenna_m: peer.antenna_offset_m, camera: None };
+        let (poses, track) = self.poses(&peer.poses, &peer.name, mount)?;
+        let unknown = || NodeError::PeerMac { peer: peer.name.clone() };
+        let mac = peer.mac.or(mac).ok_or_else(unknown)?;
+        let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
+        let is_heard_only = matches!(peer.records, Records::Heard(_));
+        Ok(PeerSources { peer: told, records, poses, is_heard_only })
+    }
+}
+
+/// Listens to the driver, on a thread of its own.
+fn open_card(card: &config::Card, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
+    let (connector_index, allow_user_sender) = (card.connector_index, card.allow_user_sender);
+    let options = netlink::Options::default()
+        .with_connector_index(connector_index)
+        .with_allow_user_sender(allow_user_sender)
+        .with_wall_us(wall_us);
+    opened(CardThread::start(Netlink::open(&options)?)?)
+}
+
+/// The same by the eBPF program, under the kernel's own driver. `own` is this robot's MAC, and `frames` says whether their
+/// tags are checked.
+fn open_stock(
+    asked: &config::Stock,
+    own: Option<Mac>,
+    frames: bool,
+    wall_us: fn() -> Option<i64>,
+) -> Result<Opened, Error> {
+    let records = driver_iface::stock::Options::default().with_frames(asked.frames || frames);
+    let options = stock::Options::default().with_records(records).with_own(own).with_wall_us(wall_us);
+    opened(CardThread::start(Stock::open(&options)?)?)
+}
+
+/// What FeitCSI writes. A pipe stays open, whoever writes to it and whenever.
+fn open_feitcsi(asked: &Feitcsi, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
+    let frames = match asked {
+        Feitcsi::Udp(command) => Frames::ask(command, wall_us)?,
+        Feitcsi::Pipe(pipe) => {
+            let io = |source| Error::Io { what: format!("cannot read {}", pipe.display()), source };
+            let pipe = std::fs::File::options().read(true).write(true).open(pipe).map_err(io)?;
+            Frames::read(pipe.into(), wall_us)
+        }
+    };
+    opened(CardThread::start(FeitCsi::new(frames))?)
+}
+
+/// A card's records come when they come.
+fn opened(card: CardThread) -> Result<Opened, Error> {
+    Ok(Opened { wake: Some(card.wake()?), card: Box::new(card), mac: None, speed: 1.0 })
+}
+
+/// This robot's card in a room that another program runs.
+fn open_served(asked: &config::Served, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
+    let (card, mac) = join(&asked.socket, &asked.robot, wall_us)?;
+    Ok(Opened { wake: Some(card.wake()?), card: Box::new(card), mac: Some(mac), speed: 1.0 })
+}
+
+fn join(socket: &Path, robot: &str, wall_us: fn() -> Option<i64>) -> Result<(CardThread, Mac), Error> {
+    let (room, mac) = served::join(&address(socket, robot), Role::Card)?;
+    Ok((CardThread::start(Netlink::over(room, wall_us))?, mac))
+}
+
+fn address(socket: &Path, robot: &str) -> Address {
+    Address { socket: socket.to_owned(), robot: robot.to_owned() }
+}
+
+/// The simulated room of a scene that has this robot.
+fn open_room(asked: &config::Room) -> Result<Room, Error> {
+    let (room, robot) = (Room::new(&asked.load_scene()?)?, &asked.robot);
+    if room.number(robot).is_none() {
+        let known = room.scene().robot.iter().map(|robot| robot.name.clone()).collect();
+        return Err(NodeError::NotInScene { robot: robot.clone(), known }.into());
+    }
+    Ok(room)
+}
+
+/// There is no such robot.
+fn absent(robot: &str) -> Error {
+    NodeError::NotInRoom { robot: robot.to_owned() }.into()
+}
+
+fn number(room: &Room, robot: &str) -> Result<usize, Error> {
+    room.number(robot).ok_or_else(|| absent(robot))
+}
+
+/// A peer's card, and its MAC.
+fn peer_card(room: &mut Room, robot: &str) -> Result<(Card, Mac), Error> {
+    let absent = || NodeError::NotInRoomOrTwice { robot: robot.to_owned() };
+    let number = room.number(robot).ok_or_else(absent)?;
+    let (mac, card) = (room.mac(number), room.card(number));
+    let (mac, card) = mac.zip(card).ok_or_else(absent)?;
+    Ok((Box::new(card), mac))
+}
+
+/// This robot's replayed log.
+struct ReplayedLog<'a> {
+    file: &'a Path,
+    /// Its MAC, if that is known.
+    own: Option<Mac>,
+    /// Host time at which the log begins, seconds.
+    origin_s: f64,
+}
+
+/// This robot's log.
+fn open_replay(asked: &config::Replay, own: Option<Mac>) -> Result<(Opened, ReplayedLog<'_>), Error> {
+    let origin_s = first_host_s(&asked.file)?;
+    let card = Box::new(Paced::new(Replay::open(&asked.file)?, 1.0, None));
+    let replayed = ReplayedLog { file: &asked.file, own, origin_s };
+    Ok((Opened { card, wake: None, mac: None, speed: asked.speed }, replayed))
+}
+
+/// A peer's log, to be played together with this robot's.
+fn peer_log(log: &Path, peer: Option<Mac>, own: Option<&ReplayedLog<'_>>, start: Instant) -> Result<Card, Error> {
+    let mut replay = Replay::open(log)?;
+    let mut begin = Begin::default();
+    if let Some((own, (own_mac, peer))) = own.and_then(|own| Some((own, own.own.zip(peer)?))) {
+        begin = together(|| Replay::open(own.file), || Replay::open(log), (own_mac, peer))?;
+    }
+    for _ in 0..begin.skip {
+        replay.receive(start)?;
+    }
+    Ok(Box::new(Paced::new(replay, 1.0, None).beginning(start + begin.after)))
+}
+
+/// The host time of a log's first record that has one, seconds since the Unix epoch.
+fn first_host_s(log: &Path) -> Result<f64, Error> {
+    let mut source = Replay::open(log)?;
+    let mut survey = Survey::default();
+    for _ in 0..LOOKED_AT {
+        let next = source.receive(Instant::ZERO)?;
+        let ended = matches!(next, Next::End(_));
+        if let Some(host_us) = survey.note(&next).and_then(|(_, identity)| identity.host_us) {
+            return Ok(host_us as f64 * 1e-6);
+        }
+        if ended {
+            break;
+        }
+    }
+    Err(NodeError::NoHostTime { log: log.to_owned() }.into())
+}
+
+/// The start of the peer's log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Begin {
+    /// Its skipped records, from before this robot's log.
+    skip: usize,
+    /// Its start after this robot's log.
+    after: Span,
+}
+
+/// A frame of one sender in a log.
+struct Frame {
+    number: u32,
+    /// Records and losses before it, ...
+    before: usize,
+    /// ... and the card's time since the first.
+    since: Span,
+}
+
+/// The frames of `sender` in a log, one by one.
+fn frames(mut log: impl CsiSource, sender: Mac) -> impl Iterator<Item = Result<Frame, Error>> {
+    let (mut survey, mut clock, mut first, mut before, mut ended) =
+        (Survey::default(), Unwrap32::default(), None, 0, false);
+    std::iter::from_fn(move || {
+        while !ended {
+            let next = match log.receive(Instant::ZERO) {
+                Ok(next) => next,
+                Err(error) => {
+                    ended = true;
+                    return Some(Err(error));
+                }
+            };
+            ended = matches!(next, Next::End(_));
+            before += 1;
+            if let Next::Record(_, record) = &next
+                && record.code == code::BFEE
+                && let Ok(bfee) = Bfee::new_checked(record.body)
+            {
+                let now_us = clock.next(bfee.timestamp_low());
+                let since = Span::from_us(now_us - *first.get_or_insert(now_us));
+                let identity = survey.note(&next).map(|(_, identity)| identity);
+                let of_sender = identity.filter(|identity| identity.mac == sender);
+                if let Some(number) = of_sender.and_then(|identity| identity.frame_count) {
+                    return Some(Ok(Frame { number, before: before - 1, since }));
+                }
+            } else {
+                survey.note(&next);
+            }
+        }
+        None
+    })
+}
+
+/// The start of the peer's log at which the two meet, by their first common frame number. `own` and `peer` open the
+/// logs; the sender in each is the other robot.
+fn together<S: CsiSource>(
+    own: impl Fn() -> Result<S, Error>,
+    peer: impl Fn() -> Result<S, Error>,
+    (own_mac, peer_mac): (Mac, Mac),
+) -> Result<Begin, Error> {
+    let common = match first_common(frames(own()?, peer_mac), frames(peer()?, own_mac))? {
+        Some((own, peer)) => Some((own, peer)),
+        None => first_common(frames(peer()?, own_mac), frames(own()?, peer_mac))?.map(|(peer, own)| (own, peer)),
+    };
+    let Some((own, peer)) = common else { return Ok(Begin::default()) };
+    if peer.since > own.since + APART && peer.before > RECORDS {
+        // A stock record comes after its MPDU.
+        return Ok(Begin { skip: peer.before - 1, after: own.since });
+    }
+    let after = own.since - peer.since;
+    Ok(Begin { skip: 0, after: if after > APART { after } else { Span::default() } })
+}
+
+/// The first common frame number, in both logs.
+fn first_common(
+    one: impl Iterator<Item = Result<Frame, Error>>,
+    other: impl Iterator<Item = Result<Frame, Error>>,
+) -> Result<Option<(Frame, Frame)>, Error> {
+    let mut first = HashMap::new();
+    for frame in one.take(FRAMES) {
+        let frame = frame?;
+        first.entry(frame.number).or_insert(frame);
+    }
+    for frame in other {
+        let frame = frame?;
+        if let Some(partner) = first.remove(&frame.number) {
+            return Ok(Some((partner, frame)));
+        }
+    }
+    Ok(None)
+}
+
+/// A trajectory at its own pace from `origin_s` on, or from its first pose.
+fn trajectory(file: &config::Csv, origin_s: Option<f64>, start: Instant) -> Result<Poses, Error> {
+    let (trajectory, _) = csv::read(&file.file).map_err(|error| Error::Backend(Box::new(error)))?;
+    Ok(Box::new(Replayed::new(&trajectory, origin_s.unwrap_or(trajectory.span_s().0), start, 1.0)))
+}
+
+/// The place of the antenna of a robot that stands.
+fn still(place: &config::Place, offset_m: [f64; 3]) -> Track {
+    let heading_rad = place.heading_deg.to_radians();
+    let pose = Pose { t_s: 0.0, position_m: Vector3::from(place.position_m), heading_rad: Some(heading_rad) };
+    let antenna = pose.mounted(Vector3::from(offset_m)).map_or(pose.position_m, |pose| pose.position_m);
+    Track::still(antenna, heading_rad)
+}
+
+/// The middle between the wheels of a robot, by the camera that it carries.
+struct Rolling<S> {
+    source: S,
+    roller: Roller,
+}
+
+impl<S: OdometrySource> Rolling<S> {
+    /// Of a camera at `mount` whose poses `source` gives.
+    fn new(source: S, mount: Mount) -> Self {
+        Self { source, roller: Roller::new(mount) }
+    }
+}
+
+impl<S: OdometrySource> OdometrySource for Rolling<S> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+        Ok(match self.source.receive(now)? {
+            NextPose::Pose(pose) => NextPose::Pose(self.roller.step(&pose)?),
+            NextPose::NewFrame => {
+                self.roller.reset();
+                NextPose::NewFrame
+            }
+            other => other,
+        })
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.source.next_at()
+    }
+
+    fn trouble(&self) -> Option<String> {
+        self.source.trouble()
+    }
+
+    fn counted(&self) -> Option<SourceCounts> {
+        self.source.counted()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use driver_iface::bfee::{Iq, Repr, Wsr};
+    use driver_iface::record::Record;
+    use std::collections::VecDeque;
+
+    struct Listed(VecDeque<NextPose>);
+
+    impl OdometrySource for Listed {
+        fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
+            Ok(self.0.pop_front().unwrap_or(NextPose::End))
+        }
+
+        fn next_at(&self) -> Option<Instant> {
+            None
+        }
+    }
+
+    #[test]
+    fn sideways_slips_are_removed_until_a_new_frame() {
+        let pose = |k: u32, x: f64, y: f64| {
+            let heading_rad = Some(0.02);
+            NextPose::Pose(Pose { t_s: f64::from(k) * 0.02, position_m: Vector3::new(x, y, 0.1), heading_rad })
+        };
+        let listed = [
+            pose(0, 0.0, 0.0),
+            pose(1, 0.01, 0.005),
+            NextPose::Pending,
+            pose(2, 0.02, 0.01),
+            NextPose::NewFrame,
+            pose(3, 5.0, 7.0),
+        ];
+        // A camera that looks 0.02 to the left of a robot that drives along x.
+        let mount = Mount { offset_m: Vector3::new(0.1, 0.2, 0.0), yaw_rad: 0.02 };
+        let mut rolling = Rolling::new(Listed(listed.into()), mount);
+        let mut at = || rolling.receive(Instant::ZERO).unwrap();
+        let place = |next: NextPose| match next {
+            NextPose::Pose(pose) => (pose.position_m + Vector3::new(0.1, 0.2, 0.0), pose.heading_rad),
+            other => panic!("{other:?}"),
+        };
+        let near = |next: NextPose, x: f64, y: f64| {
+            let (position_m, heading_rad) = place(next);
+            assert!((position_m - Vector3::new(x, y, 0.1)).norm() < 1e-9, "{position_m}");
+            assert!(heading_rad.unwrap().abs() < 1e-12);
+        };
+        near(at(), 0.0, 0.0);
+        near(at(), 0.01, 0.0);
+        assert_eq!(at(), NextPose::Pending);
+        near(at(), 0.02, 0.0);
+        assert_eq!(at(), NextPose::NewFrame);
+        near(at(), 5.0, 7.0);
+        assert_eq!(at(), NextPose::End);
+    }
+
+    #[test]
+    fn logs_meet_at_their_first_common_frame() {
+        let (own_mac, peer_mac) = (Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2]));
+        let begin = |own: std::ops::Range<u32>, peer: std::ops::Range<u32>| {
+            let (own, peer) = (log(own, peer_mac, 5), log(peer, own_mac, 4_000_000_000));
+            let open = |bytes: &'static [u8]| move || Ok(Replay::new(bytes, "test".into()));
+            together(open(own.leak()), open(peer.leak()), (own_mac, peer_mac)).unwrap()
+        };
+        // At 100 frames a second: the peer was started a hundred seconds before, about together, or after.
+        let early = begin(10_000..11_000, 0..11_000);
+        assert_eq!(early, Begin { skip: 9_999, after: Span::default() });
+        assert_eq!(begin(100..1_000, 0..1_000), Begin::default());
+        assert_eq!(begin(0..11_000, 10_000..11_000), Begin { skip: 0, after: Span::from_ms(100_000) });
+        assert_eq!(begin(0..100, 200..300), Begin::default());
+    }
+
+    /// WSR records of `sender`, 10 ms apart.
+    fn log(numbers: std::ops::Range<u32>, sender: Mac, from_us: u32) -> Vec<u8> {
+        let mut log = Vec::new();
+        for number in numbers {
+            let wsr = Some(Wsr { tv_sec: 0, tv_usec: 0, mac: sender, frame_count: Some(number) });
+            let timestamp_low = from_us.wrapping_add(number * 10_000);
+            let repr = Repr { timestamp_low, n_rx: 1, antenna_sel: 0, wsr, ..Repr::default() };
+            let mut body = vec![0; repr.body_len()];
+            repr.emit(&[Iq { i: 1, q: 1 }; 30], &mut body).unwrap();
+            let record = Record { code: code::BFEE, body: &body };
+            let from = log.len();
+            log.resize(from + record.emit_len(), 0);
+            record.emit(&mut log[from..]).unwrap();
+        }
+        log
+    }
+}
