@@ -13,7 +13,7 @@ use csi5300_sim::scene::{Cfo, PaperCfo, Scene};
 use csi5300_sim::{Port, Room};
 use num_complex::Complex64;
 use rayon::prelude::*;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// Durations of the stationary experiments, seconds (\[paper\], section III-A).
 pub const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
@@ -64,21 +64,6 @@ pub struct Run {
     pub residual_rad: f64,
     /// The same after turn-around compensation.
     pub residual_compensated_rad: f64,
-    /// The curve from which the azimuth was chosen at [`PROFILE_AZIMUTHS`] azimuths, maximum 1; empty at rest.
-    #[serde(skip)]
-    pub profile: Vec<f64>,
-    /// The phase of every pair; only for the first repetition.
-    #[serde(skip)]
-    pub course: Vec<Phase>,
-}
-
-/// Azimuths of [`Run::profile`], evenly spaced around the circle.
-pub const PROFILE_AZIMUTHS: usize = 1_440;
-
-/// Azimuth of a value of [`Run::profile`], radians in (-pi, pi].
-#[must_use]
-pub fn profile_azimuth_rad(index: usize) -> f64 {
-    TAU * (index + 1) as f64 / PROFILE_AZIMUTHS as f64 - PI
 }
 
 /// All experiments, in the order of \[paper\].
@@ -144,11 +129,10 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
     let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or(CompareError::OneRobot)?;
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let options = options.clone().with_keep_course(true);
-    let report = bearings(&mut rx, transmitters, &path, &options)?;
+    let report = bearings(&mut rx, transmitters, &path, options)?;
     let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
     let link = found.link.as_ref().ok_or_else(|| CompareError::NoLink { reason: "no pairs".into() })?;
-    let (turn_around, course) = link.phases(&options);
+    let (turn_around, _) = link.phases(options);
     let turn_around = turn_around.ok_or(CompareError::FewPairs { pairs: link.pairs() })?;
     let mut run = Run {
         experiment: experiment.name.clone(),
@@ -156,7 +140,6 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
         pairs: link.pairs(),
         residual_rad: spread_rad(turn_around.coherence_before),
         residual_compensated_rad: spread_rad(turn_around.coherence_after),
-        course: if repetition == 1 { course } else { Vec::new() },
         ..Run::default()
     };
     if scene.robot[0].motion != RobotMotion::Static {
@@ -176,7 +159,6 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.truth_deg = truth_rad.map(f64::to_degrees);
     run.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
     run.mirror_deg = answer.mirror_rad.map(f64::to_degrees);
-    run.profile = profile(bearing);
     let off = |azimuth: f64| truth_rad.map(|truth| wrap_rad(azimuth - truth).to_degrees());
     let answers = [Some(answer.azimuth_rad), answer.mirror_rad];
     let errors = answers.into_iter().flatten().filter_map(off);
@@ -187,18 +169,6 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.confidence = Some(answer.probability);
     run.likelihood_share = bearing.figures.likelihood_share;
     run.coherence = Some(bearing.plane_wave.coherence);
-}
-
-/// The probability density over azimuth relative to its maximum.
-fn profile(bearing: &Bearing) -> Vec<f64> {
-    let density = &bearing.density;
-    let nearest = |index: usize| {
-        let turns = profile_azimuth_rad(index).rem_euclid(TAU) / TAU;
-        density.get((turns * density.len() as f64).round() as usize % density.len().max(1)).copied().unwrap_or_default()
-    };
-    let values: Vec<f64> = (0..PROFILE_AZIMUTHS).map(nearest).collect();
-    let highest = values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    values.into_iter().map(|value| value / highest).collect()
 }
 
 /// The phase of two stationary robots, which only the radios change.

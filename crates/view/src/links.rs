@@ -6,7 +6,7 @@ use crate::link::Detail;
 use csi5300::motion::rolling::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
-use csi5300_lab::evaluate::beside::{Beside, Table};
+use csi5300_lab::evaluate::quality::{Beside, Table};
 use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find_all, summarise};
 use serde::Serialize;

@@ -336,7 +336,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
         note!("profile of {name}: {}", path.display());
     }
     if let Some(folder) = &args.plot {
-        let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None };
+        let pictures = csi5300_lab::show::results::LinkPictures { bearing, truth_rad: None, transmitter_m: None };
         write(&pictures, folder, name)?;
     }
     Ok(())
@@ -344,11 +344,11 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
 
 /// Writes the pictures of a link.
 fn write(
-    pictures: &csi5300_lab::show::link::LinkPictures<'_>,
+    pictures: &csi5300_lab::show::results::LinkPictures<'_>,
     folder: &Path,
     name: &str,
 ) -> std::result::Result<(), String> {
-    let written = pictures.write(folder, name, &super::pictures::format()).map_err(|error| error.to_string())?;
+    let written = pictures.write(folder, name, &super::draft::read_files()).map_err(|error| error.to_string())?;
     let first: Vec<String> = super::pictures::first_of_each(&written).map(|path| path.display().to_string()).collect();
     note!("pictures of {name}, also as .svg: {}", first.join(", "));
     Ok(())

@@ -253,15 +253,15 @@ fn table(shown: &[Shown]) -> String {
 }
 
 fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
-    let picture = csi5300_lab::show::repeated::standing(standing);
-    let written = picture.write(&args.out.join("standing-phase"), &super::pictures::format());
+    let picture = csi5300_lab::show::results::standing(standing);
+    let written = picture.write(&args.out.join("standing-phase"), &super::draft::read_files());
     written.map_err(|error| error.to_string())
 }
 
 fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Option<f64>) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
-    let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m };
-    let written = pictures.write(&args.out, name, &super::pictures::format());
+    let pictures = csi5300_lab::show::results::LinkPictures { bearing, truth_rad, transmitter_m };
+    let written = pictures.write(&args.out, name, &super::draft::read_files());
     written.map_err(|error| error.to_string())
 }
 

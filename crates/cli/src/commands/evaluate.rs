@@ -6,10 +6,10 @@ use super::mounting::Mounting;
 use super::{Outcome, Result, fixed, print, print_json, usage};
 use csi5300::maths::median;
 use csi5300::signal::channel::Channel;
-use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sure};
+use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sets, sure};
 use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, find, reliability, summarise};
-use csi5300_lab::show::set::{self, Others};
+use csi5300_lab::show::results::{Others, write_set};
 use driver_iface::bfee::Antenna;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -208,7 +208,7 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<()
         }
     }
     if let Some(folder) = &args.plot {
-        let written = set::write(rows, &beside.others, folder, &super::pictures::format());
+        let written = write_set(rows, &beside.others, folder, &super::draft::read_files());
         let written = written.map_err(|error| error.to_string())?;
         note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     }
@@ -323,13 +323,4 @@ fn range_words(ranges: &Ranges) -> Option<String> {
         _ => format!("; of {places} places {within_68} within the 68 % ellipse, {within_95} within the 95 % one"),
     };
     Some(format!("range from {} of {links}, median error {median_m:.2} m{over}{ellipses}", ranges.reported))
-}
-
-/// Links by set.
-fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
-    let mut sets: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
-    for row in rows {
-        sets.entry(row.set()).or_default().push(row);
-    }
-    sets
 }

@@ -2,7 +2,7 @@
 
 use csi5300::bartlett::{self, Grid};
 use csi5300::signal::samples::Samples;
-use csi5300_lab::export::{ExportError, npz::Npz};
+use csi5300_lab::export::{ExportError, Npz};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 

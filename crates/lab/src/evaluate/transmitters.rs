@@ -1,8 +1,7 @@
 //! Locates transmitters, each from all receiver motions in one common frame.
 
-use super::find::{Capture, TrajectorySource};
-use super::judge::Judged;
-use super::part::Part;
+use super::captures::{Capture, TrajectorySource};
+use super::judge::{Judged, Part};
 use csi5300::internal::track::{Evidence, PeerPlace, places};
 use csi5300::pipeline::{Bearing, Options};
 use csi5300::signal::channel::Channel;
@@ -132,8 +131,7 @@ fn motion(row: &Judged, evidence: Evidence, source: TrajectorySource, frame: Fra
         place_m.into()
     };
     let true_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth).map(common);
-    let transmitter = row.answer.link.rsplit('/').next().unwrap_or_default().to_owned();
-    Motion { transmitter, evidence, true_m }
+    Motion { transmitter: row.transmitter().to_owned(), evidence, true_m }
 }
 
 /// Locates every transmitter from all motions that heard it; `told` has the places that the caller knows, by name.

@@ -1,6 +1,6 @@
 //! Decodes CSI from packed records into an existing array, in either order of its indices.
 
-use super::columns::antenna_order;
+use super::antenna_order;
 use super::memory::Arena;
 use bytemuck::{cast_slice, cast_slice_mut};
 use csi5300::signal::csi::{Csi, scale_factor_of};

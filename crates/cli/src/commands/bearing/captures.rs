@@ -177,7 +177,7 @@ fn locate(
     ranges: &BTreeMap<String, Vec<Ranged>>,
 ) -> std::result::Result<Located, String> {
     for row in rows.iter_mut() {
-        let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
+        let own = args.place.iter().find(|(name, _)| row.transmitter() == name);
         row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
         row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
     }
@@ -201,14 +201,14 @@ fn locate(
 
 fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, reading.source());
+    let pictures = csi5300_lab::show::results::LinkPictures::of(row, bearing, reading.source());
     super::write(&pictures, folder, &row.answer.link)
 }
 
 /// A map of each capture: the bearings, the transmitters, the receiver as located.
 fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let written = csi5300_lab::show::set::write_maps(rows, located, folder, &super::super::pictures::format());
+    let written = csi5300_lab::show::results::write_maps(rows, located, folder, &super::super::draft::read_files());
     let written = written.map_err(|error| error.to_string())?;
     if !written.is_empty() {
         note!("{}: {}", folder.display(), super::super::some(written.len() as u64, "map", "maps"));

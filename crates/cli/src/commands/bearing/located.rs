@@ -16,8 +16,8 @@ fn own<'a>(receiver: &Receiver, rows: &'a [Judged]) -> impl Iterator<Item = &'a 
 pub fn say_unplaced(receiver: &mut Receiver, rows: &[Judged]) {
     let Some(error) = receiver.error.clone() else { return };
     let is_unplaced = |row: &&Judged| row.answer.azimuth_deg.is_some() && row.true_transmitter_m.is_none();
-    let name = |row: &'_ Judged| row.answer.link.rsplit('/').next().unwrap_or_default().to_owned();
-    let unplaced: Vec<String> = own(receiver, rows).filter(is_unplaced).map(name).collect();
+    let unplaced: Vec<String> =
+        own(receiver, rows).filter(is_unplaced).map(|row| row.transmitter().to_owned()).collect();
     let (whose, options) = match &unplaced[..] {
         [] => return,
         [one] => (format!("the place of {one} is"), format!("--place {one}=X,Y")),

@@ -4,7 +4,7 @@ use super::super::files::{is_same_file, must_not_be_empty};
 use super::super::usage;
 use super::Args;
 use csi5300::motion::odometry::csv;
-use csi5300_lab::evaluate::roles::{Sorted, loose_files, receiver, the_trajectory};
+use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
 use csi5300_lab::evaluate::{TRUTH_FILE, channel_number_in};
 use csi5300_lab::kinds::trajectory_refused;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,7 @@
 //! `csi5300 info --plot`: a log over time as pictures.
 
 use super::super::args::{antenna, mac};
-use super::super::{files, hint, pictures, usage};
+use super::super::{draft, files, hint, usage};
 use csi5300_lab::cards;
 use csi5300_lab::course::{Course, Wanted};
 use csi5300_lab::show::file_safe;
@@ -66,5 +66,5 @@ pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> std::result::Result<Vec<
     }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let drawn = LogPictures { title: &title, course: &course, size: SIZE };
-    drawn.write(&stem, &pictures::format()).map_err(|error| error.to_string())
+    drawn.write(&stem, &draft::read_files()).map_err(|error| error.to_string())
 }

@@ -13,7 +13,7 @@ use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::fit::{Known, check_width};
 use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
-use csi5300_lab::evaluate::find;
+use csi5300_lab::evaluate::{channel_number_in, find};
 use csi5300_say::{Tone, toned};
 use csi5300_sim::Scene;
 use std::fmt::Write;
@@ -181,7 +181,7 @@ fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel
 fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
     let (captures, _) = find(folder);
     let capture = captures.first().ok_or_else(|| no_capture(folder))?;
-    match (asked, capture.channel_number().map_err(|error| error.to_string())?) {
+    match (asked, channel_number_in(&capture.folder).map_err(|error| error.to_string())?) {
         (Some(channel), Some(own)) if u32::from(scene_channel(channel)) != own => {
             Err(format!("{} is of channel {own}, not of --channel {channel}", folder.display()))
         }
@@ -274,8 +274,7 @@ fn short(value: f64) -> String {
 }
 
 fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
-    let format = pictures::format();
-    let written = csi5300_lab::show::compared::write(recorded, simulated, &args.out, &format);
+    let written = csi5300_lab::show::results::write_compared(recorded, simulated, &args.out, &draft::read_files());
     let written = written.map_err(|error| error.to_string())?;
     for path in pictures::first_of_each(&written).filter(|_| !args.json) {
         print(&format!("picture {}\n", path.display()));
