@@ -39,9 +39,13 @@ pub struct Args {
 /// How captures are read, for the page.
 pub fn reading(reading: &Reading) -> csi5300_view::Reading {
     let options = reading.options().unwrap_or_else(|message| usage(&message));
-    csi5300_view::Reading::new(reading.source(), reading.channel, options)
-        .with_antenna_offset_m(reading.antenna_offset_m())
-        .with_camera(reading.camera())
+    csi5300_view::Reading {
+        source: reading.source(),
+        channel: reading.channel,
+        options,
+        antenna_offset_m: reading.antenna_offset_m(),
+        camera: reading.camera(),
+    }
 }
 
 impl Args {

@@ -5,8 +5,8 @@ use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
-use csi5300_lab::compare::fit::Known;
 use csi5300_lab::compare::Allowed;
+use csi5300_lab::compare::fit::Known;
 use csi5300_lab::compare::{
     FigureRow, Figures, Fitted, Verdict, fit, measure, measure_scene, measure_scene_along, rows,
 };
