@@ -10,6 +10,7 @@ mod transmitters;
 mod words;
 
 use self::words::{describe, explain_lines};
+use super::Words;
 use super::args::{Baseline, Estimation, baseline, channel, columns, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
@@ -169,7 +170,7 @@ fn check(args: &Args) {
 
 /// Opens the transmitters' logs. Removes an unreadable one, with its MAC and trajectory, from the arguments and gives
 /// its error as an answer; an error if it is the only log.
-fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
+fn open_transmitters(args: &mut Args, inputs: &Inputs) -> Words<(Vec<Log>, Vec<Answer>)> {
     let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
     while let Some(path) = args.logs.tx.get(k) {
         match inputs.open(path) {
@@ -298,7 +299,7 @@ fn told_apart(stems: Vec<String>) -> Vec<String> {
 }
 
 /// Degrees that an azimuth may be off.
-fn accuracy(text: &str) -> std::result::Result<f64, String> {
+fn accuracy(text: &str) -> Words<f64> {
     let degrees = text.parse().ok().filter(|degrees| (0.0..=45.0).contains(degrees));
     degrees.ok_or_else(|| "degrees from 0 to 45".into())
 }
@@ -320,13 +321,13 @@ impl Args {
     }
 }
 
-fn options(args: &Args) -> std::result::Result<Options, String> {
+fn options(args: &Args) -> Words<Options> {
     let options = args.asked(args.estimation.options(args.channel.ok_or("--channel is needed")?)?);
     Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
-fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::result::Result<(), String> {
+fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> Words<()> {
     let Ok(bearing) = &link.bearing else { return Ok(()) };
     if let Some(path) = &args.profile {
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
@@ -343,11 +344,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
 }
 
 /// Writes the pictures of a link.
-fn write(
-    pictures: &csi5300_lab::show::results::LinkPictures<'_>,
-    folder: &Path,
-    name: &str,
-) -> std::result::Result<(), String> {
+fn write(pictures: &csi5300_lab::show::results::LinkPictures<'_>, folder: &Path, name: &str) -> Words<()> {
     let written = pictures.write(folder, name, &super::draft::read_files()).map_err(|error| error.to_string())?;
     let first: Vec<String> = super::pictures::first_of_each(&written).map(|path| path.display().to_string()).collect();
     note!("pictures of {name}, also as .svg: {}", first.join(", "));

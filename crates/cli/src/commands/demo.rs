@@ -1,6 +1,7 @@
 //! `csi5300 demo`: what cancelling the carrier offset does to the phase of two robots that stand, then the circle and the
 //! line of Dijkstra et al. (\[paper\] in docs/reference/references.md), simulated, decoded and estimated.
 
+use super::Words;
 use super::args::Estimation;
 use super::{Outcome, Result, fixed, print, print_json, simulate};
 use csi5300::maths::wrap_rad;
@@ -35,8 +36,6 @@ const SCENES: [(&str, &str); 2] = [
 const CARDS: &str = include_str!("../../../../scenes/lab-circle.toml");
 /// How long they stand, seconds.
 const STANDING_S: f64 = 10.0;
-
-type Words<T> = std::result::Result<T, String>;
 
 /// One row of the table at the end.
 #[derive(serde::Serialize)]

@@ -2,6 +2,7 @@
 
 mod accept;
 
+use super::Words;
 use super::args::channel;
 use super::listener::{Card, Listening, Needs, describe};
 use super::live::{Signals, duration};
@@ -98,7 +99,7 @@ fn text(checks: &[Check], ready: bool) -> String {
     text
 }
 
-fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
+fn listen(args: &Args, span: Span) -> Words<Vec<Check>> {
     let signals = Signals::catch().map_err(|error| error.to_string())?;
     let mut heard = Reception::default();
     let listening = Listening { card: args.card.clone(), allow_user_sender: false, room: None };

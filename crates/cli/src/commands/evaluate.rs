@@ -1,5 +1,6 @@
 //! `csi5300 evaluate`.
 
+use super::Words;
 use super::args::{ClockOffset, Estimation, antenna, channel};
 use super::captures::{A_CAPTURE, Reading, Which, add_names};
 use super::mounting::Mounting;
@@ -163,9 +164,7 @@ impl Beside {
 }
 
 /// The captures below all folders, and folders that could not be read.
-fn find_all<'a>(
-    folders: impl Iterator<Item = &'a PathBuf>,
-) -> std::result::Result<(Vec<Capture>, Vec<String>), String> {
+fn find_all<'a>(folders: impl Iterator<Item = &'a PathBuf>) -> Words<(Vec<Capture>, Vec<String>)> {
     let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
     for folder in folders {
         if !folder.is_dir() {
@@ -196,7 +195,7 @@ fn find_all<'a>(
 }
 
 /// Prints rows and summary, and draws the requested pictures.
-fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<(), String> {
+fn show(args: &Args, rows: &[Judged], beside: &Beside) -> Words<()> {
     let summary = summarise(rows);
     if args.json {
         rows.iter().for_each(print_json);

@@ -2,6 +2,7 @@
 
 mod recover;
 
+use super::Words;
 use super::draft::Draft;
 use super::{Outcome, Result, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
@@ -72,8 +73,6 @@ struct Row<'a> {
     /// Records and stretches of the log that were damaged.
     damaged: u64,
 }
-
-type Words<T> = std::result::Result<T, String>;
 
 impl Args {
     fn filter(&self) -> std::result::Result<Filter, csi5300_lab::table::FilterError> {

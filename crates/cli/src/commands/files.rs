@@ -1,5 +1,6 @@
 //! Files that commands read and write: logs, trajectories, other kinds of files; outputs that are not overwritten.
 
+use super::Words;
 use super::hint;
 use csi5300::motion::odometry::csv::{self, Columns, CsvCounts};
 use csi5300::motion::pose::Trajectory;
@@ -11,8 +12,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A log that is read.
 pub type Log = Replay<Box<dyn Read + Send>>;
-
-type Words<T> = std::result::Result<T, String>;
 
 /// Opens a log; `-` is standard input.
 ///

@@ -2,6 +2,7 @@
 
 mod plot;
 
+use super::Words;
 use super::{Outcome, Result, other_cards, print, print_json, some};
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
 use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
@@ -120,7 +121,7 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// The logs in place of each folder, by their names.
-fn logs(named: &[PathBuf]) -> std::result::Result<Vec<PathBuf>, String> {
+fn logs(named: &[PathBuf]) -> Words<Vec<PathBuf>> {
     let mut all = Vec::new();
     for path in named {
         if !path.is_dir() {
@@ -149,7 +150,7 @@ fn drawn(args: &Args, files: &[PathBuf], k: usize, failed: &mut bool) -> Vec<Pat
     })
 }
 
-fn draw(args: &Args, files: &[PathBuf], k: usize) -> std::result::Result<Vec<PathBuf>, String> {
+fn draw(args: &Args, files: &[PathBuf], k: usize) -> Words<Vec<PathBuf>> {
     let drawn = plot::draw(&args.plot, files, k)?;
     if !args.json {
         drawn.iter().for_each(|path| note!("{}", path.display()));
@@ -176,7 +177,7 @@ fn is_silent(bfee: &Bfee<'_>) -> bool {
     })
 }
 
-fn survey(path: &Path) -> std::result::Result<Read, String> {
+fn survey(path: &Path) -> Words<Read> {
     let mut source = super::open_log(path)?;
     let (mut survey, mut silent) = (Survey::default(), 0);
     loop {

@@ -1,5 +1,6 @@
 //! Where logs and trajectories come from: files, or with `--bag` the topics of a recording, which is read into memory.
 
+use super::Words;
 use super::files::{Log, read_trajectory_as, say_trajectory};
 use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Trajectory;
@@ -16,8 +17,6 @@ pub struct BagArgs {
     #[arg(long, value_name = "BAG", hide_short_help = true)]
     pub bag: Option<PathBuf>,
 }
-
-type Words<T> = std::result::Result<T, String>;
 
 /// The named inputs: the receiver's log, the transmitters' logs, the receiver's trajectory.
 pub struct Named {

@@ -1,5 +1,6 @@
 //! `csi5300 key`.
 
+use super::Words;
 use super::args::mac;
 use super::{Outcome, Result};
 use csi5300::internal::{create_key_file, group_text, robot_text};
@@ -66,7 +67,7 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// From the kernel's generator.
-fn random() -> std::result::Result<[u8; 32], String> {
+fn random() -> Words<[u8; 32]> {
     let mut secret = [0; 32];
     let read = std::fs::File::open("/dev/urandom").and_then(|mut source| source.read_exact(&mut secret));
     read.map(|()| secret).map_err(|error| format!("/dev/urandom: {error}"))

@@ -2,6 +2,7 @@
 
 mod recording;
 
+use super::Words;
 use super::args::{Estimation, channel, columns};
 use super::files::read_trajectory_as;
 use super::{Outcome, Result, fixed, info, usage};
@@ -111,12 +112,7 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// Every record of a log. Those without a host time get the card's, from the log's beginning on.
-fn convert(
-    recording: &mut Recording,
-    name: &str,
-    path: &Path,
-    args: &Args,
-) -> std::result::Result<(Survey, u64), String> {
+fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> Words<(Survey, u64)> {
     let mut log = super::open_log(path)?;
     let mut front = Front::new(args.estimation.antenna());
     let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
@@ -145,7 +141,7 @@ fn estimate(
     trajectory: &Trajectory,
     options: &Options,
     args: &Args,
-) -> std::result::Result<Vec<LinkRow>, String> {
+) -> Words<Vec<LinkRow>> {
     let text = |error: csi5300::source::Error| super::hint::log_refused(&error);
     let Some((receiver, others)) = args.logs.split_first().filter(|(_, others)| !others.is_empty()) else {
         return Ok(Vec::new());

@@ -42,6 +42,9 @@ pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+/// A result whose error is words for the user.
+pub type Words<T> = std::result::Result<T, String>;
+
 /// Bearings between robots from WiFi alone: CSI of the Intel 5300, live, replayed or simulated.
 #[derive(Parser)]
 #[command(
@@ -168,7 +171,7 @@ pub fn run() -> ExitCode {
 const OUTPUTS: [&str; 9] = ["out", "output", "profile", "plot", "html", "log", "poses", "report", "factors"];
 
 /// Notes what this run reads, and refuses outputs among it.
-fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> std::result::Result<(), String> {
+fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> Words<()> {
     let Some((name, given)) = matches.subcommand() else { return Ok(()) };
     let named = |arg: &clap::Arg| {
         let takes = arg.get_action().takes_values();

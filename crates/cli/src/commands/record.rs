@@ -2,6 +2,7 @@
 
 mod feitcsi;
 
+use super::Words;
 use super::listener::{self, Listening, Needs};
 use super::live::{Signals, create_refused, duration, rotation_size, size, some_duration};
 use super::{Outcome, Result, say};
@@ -84,7 +85,7 @@ enum Limit {
     Records(u64),
 }
 
-fn limit(text: &str) -> std::result::Result<Limit, String> {
+fn limit(text: &str) -> Words<Limit> {
     match text.strip_suffix("records") {
         Some(count) => match count.trim_end().parse() {
             Ok(count) if count > 0 => Ok(Limit::Records(count)),
@@ -227,7 +228,7 @@ fn losses(totals: &Totals, lost: &Lost) -> Losses {
 }
 
 impl<'a> Session<'a> {
-    fn new(args: &'a Args, signals: Signals, listener: &impl AsFd, rests: bool) -> std::result::Result<Self, String> {
+    fn new(args: &'a Args, signals: Signals, listener: &impl AsFd, rests: bool) -> Words<Self> {
         let (terminal, clock) = (std::io::stderr().is_terminal(), Monotonic::new());
         let socket = listener.as_fd().try_clone_to_owned().map_err(|error| format!("listener: {error}"))?;
         let view = match args.watch {
@@ -253,11 +254,7 @@ impl<'a> Session<'a> {
     }
 
     /// Receives until a signal, a limit, or an error; what was received is in the recorder either way.
-    fn capture<S: CsiSource>(
-        &mut self,
-        source: &mut S,
-        tell: impl Fn(&S) -> (Totals, Lost),
-    ) -> std::result::Result<(), String> {
+    fn capture<S: CsiSource>(&mut self, source: &mut S, tell: impl Fn(&S) -> (Totals, Lost)) -> Words<()> {
         let most = self.args.most_records();
         let end_at = match self.args.stop_after {
             Some(Limit::After(span)) => Some(self.clock.now() + span),

@@ -1,5 +1,6 @@
 //! `csi5300 replay`.
 
+use super::Words;
 use super::live::{Signals, duration, speed};
 use super::{Outcome, Result};
 use csi5300::source::paced::Paced;
@@ -66,7 +67,7 @@ enum Target {
 }
 
 impl Target {
-    fn send(&mut self, record: Record<'_>) -> std::result::Result<(), String> {
+    fn send(&mut self, record: Record<'_>) -> Words<()> {
         match self {
             Self::Connector(sender) => sender.send(record).map_err(|error| error.to_string()),
             Self::Stdout(out, frame) => {

@@ -4,6 +4,7 @@ mod compare;
 mod serve;
 mod suite;
 
+use super::Words;
 use super::{Outcome, Result, print, print_json, usage};
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::scene::Driver;
@@ -131,7 +132,7 @@ pub fn run(args: &Args) -> Result {
 
 /// A scene from its file, or the built-in one of that name if there is no such file. One that makes no sense is wrong usage, as a
 /// configuration is.
-pub fn load(file: &Path) -> std::result::Result<Scene, String> {
+pub fn load(file: &Path) -> Words<Scene> {
     Scene::find(file).map_err(|error| match error.is_of_text() {
         true => usage(&error.of_file(file)),
         false => error.of_file(file),
@@ -139,7 +140,7 @@ pub fn load(file: &Path) -> std::result::Result<Scene, String> {
 }
 
 /// Runs a scene into a folder, with a progress bar on a terminal.
-pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCapture>, Vec<Injected>), String> {
+pub fn write(scene: &Scene, folder: &Path) -> Words<(Vec<WrittenCapture>, Vec<Injected>)> {
     let mut room = Room::new(scene).map_err(|error| error.to_string())?;
     for robot in &scene.robot {
         if let RobotMotion::Recorded(recorded) = &robot.motion {

@@ -4,7 +4,8 @@ mod common;
 mod respond;
 
 pub use self::common::see_to_rate;
-use self::common::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
+use self::common::{DialectArg, NO_NUMBERS, Sounding, Wanted, tell, waiting};
+use super::Words;
 use super::args::{Estimation, antenna};
 use super::live::{Signals, duration};
 use super::{Result, fixed, hint, print, print_json, usage};
@@ -95,7 +96,7 @@ impl Line {
 }
 
 /// The bearings of all peers with products, or why the trajectory cannot be read.
-type Made = std::result::Result<Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>, String>;
+type Made = Words<Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>>;
 
 /// Makes bearings from products, beside the sounding.
 struct Bearings<'a> {
@@ -180,7 +181,7 @@ impl Bearings<'_> {
     }
 
     /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this.
-    fn finish(mut self, signals: &Signals) -> std::result::Result<(), String> {
+    fn finish(mut self, signals: &Signals) -> Words<()> {
         let last = self.beside.last(self.clock, signals.as_fd()).map_err(|error| error.to_string())?;
         last.into_iter().for_each(|made| self.tell(made));
         Ok(())
@@ -211,7 +212,7 @@ pub fn run(args: &Args) -> Result {
     if args.answer {
         return respond::run(common, args.antenna, args.json);
     }
-    if args.trajectory.is_some() && common.dialect == Words::Wsr {
+    if args.trajectory.is_some() && common.dialect == DialectArg::Wsr {
         usage(
             "live bearings need the responder's measurements, which only native frames carry: leave out --trajectory, \
              record with --log, and use `csi5300 bearing` on the logs of both robots",

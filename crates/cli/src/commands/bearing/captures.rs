@@ -1,5 +1,6 @@
 //! Bearings of captures: folders with the logs of a receiver and its transmitters, a trajectory and perhaps the truth.
 
+use super::super::Words;
 use super::super::captures::{Reading, Which};
 use super::super::{Outcome, Result, fixed, hint, print, print_json, usage};
 use super::words::{digits, explain_lines, in_a_line, is_short};
@@ -17,7 +18,7 @@ use std::path::{Path, PathBuf};
 pub type Place = ([f64; 2], Option<f64>);
 
 /// A transmitter's name and place.
-pub fn place(text: &str) -> std::result::Result<(String, Place), String> {
+pub fn place(text: &str) -> Words<(String, Place)> {
     let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
         let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
         let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;
@@ -47,7 +48,7 @@ impl Args {
 
     /// The named captures with their requested links, and whether some could not be read. Of several folders, each
     /// one's name precedes its captures' names.
-    fn find(&self, reading: &Reading) -> std::result::Result<(Vec<Capture>, Vec<String>, bool), String> {
+    fn find(&self, reading: &Reading) -> Words<(Vec<Capture>, Vec<String>, bool)> {
         let (mut captures, mut names, mut lost) = (Vec::new(), Vec::new(), false);
         for named in &self.captures {
             let (folder, wanted) = parts(named);
@@ -171,11 +172,7 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>, links: usize) {
 }
 
 /// Where the receivers are of whose links several see known places, or one that was told.
-fn locate(
-    args: &Args,
-    rows: &mut [Judged],
-    ranges: &BTreeMap<String, Vec<Ranged>>,
-) -> std::result::Result<Located, String> {
+fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged>>) -> Words<Located> {
     for row in rows.iter_mut() {
         let own = args.place.iter().find(|(name, _)| row.transmitter() == name);
         row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
@@ -199,14 +196,14 @@ fn locate(
     Ok(located)
 }
 
-fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
+fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> Words<()> {
     let Some(folder) = &args.plot else { return Ok(()) };
     let pictures = csi5300_lab::show::results::LinkPictures::of(row, bearing, reading.source());
     super::write(&pictures, folder, &row.answer.link)
 }
 
 /// A map of each capture: the bearings, the transmitters, the receiver as located.
-fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> std::result::Result<(), String> {
+fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> Words<()> {
     let Some(folder) = &args.plot else { return Ok(()) };
     let written = csi5300_lab::show::results::write_maps(rows, located, folder, &super::super::draft::read_files());
     let written = written.map_err(|error| error.to_string())?;

@@ -1,5 +1,6 @@
 //! `csi5300 bearing --antennas A,B --baseline X,Y,Z`: bearings of all senders in one log, from antennas on a turning robot.
 
+use super::super::Words;
 use super::super::inputs::Inputs;
 use super::super::{Outcome, Result, hint, info, print, print_json, usage};
 use super::captures::MirrorOf;
@@ -18,7 +19,7 @@ fn other_card(
     trajectory: &Trajectory,
     array: &Array,
     options: &Options,
-) -> std::result::Result<Option<(OneLogReport, bool)>, String> {
+) -> Words<Option<(OneLogReport, bool)>> {
     let Some((format, bytes)) = csi5300_lab::cards::read(path) else { return Ok(None) };
     let mut one = OneLog::new(array.clone(), options.clone());
     let (mut frames, mut without, mut lost) = (0_u64, 0_u64, 0_u64);
@@ -47,12 +48,7 @@ struct Alone {
 }
 
 impl Alone {
-    fn read(
-        inputs: &Inputs,
-        rx: &Path,
-        trajectory: &Trajectory,
-        (array, options): (&Array, &Options),
-    ) -> std::result::Result<Self, String> {
+    fn read(inputs: &Inputs, rx: &Path, trajectory: &Trajectory, (array, options): (&Array, &Options)) -> Words<Self> {
         if let Some((report, lost)) = other_card(rx, trajectory, array, options)? {
             return Ok(Self { report, lost, notes: None });
         }
@@ -88,12 +84,7 @@ fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
 }
 
 /// Combines the bearings of two logs with those of the receiver's log alone.
-pub fn join(
-    args: &Args,
-    inputs: &Inputs,
-    (rx, path): (&Path, &Path),
-    report: &mut CaptureReport,
-) -> std::result::Result<(), String> {
+pub fn join(args: &Args, inputs: &Inputs, (rx, path): (&Path, &Path), report: &mut CaptureReport) -> Words<()> {
     if rx.as_os_str() == "-" {
         usage("--baseline with --tx reads the log twice: --rx cannot be standard input");
     }

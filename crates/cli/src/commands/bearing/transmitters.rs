@@ -1,5 +1,6 @@
 //! `csi5300 bearing CAPTURE --transmitters`: each transmitter from all captures together.
 
+use super::super::Words;
 use super::super::captures::Reading;
 use super::super::{Outcome, Result, fixed, print, print_json, some, usage};
 use super::captures::Place;
@@ -44,7 +45,7 @@ impl Together {
     }
 }
 
-fn frame(text: &str) -> std::result::Result<(String, Frame), String> {
+fn frame(text: &str) -> Words<(String, Frame)> {
     let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
         let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
         let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;

@@ -1,5 +1,6 @@
 //! `csi5300 doctor --accept`: which promises of the card, its driver and its host hold.
 
+use super::super::Words;
 use super::Args;
 use crate::commands::args::channel as channel_of;
 use crate::commands::draft::{FolderDraft, reads};
@@ -145,10 +146,10 @@ impl Judged {
     }
 }
 
-type Found = std::result::Result<Judged, String>;
+type Found = Words<Judged>;
 
 /// `None` if this robot assisted.
-fn evidence(args: &Args) -> std::result::Result<Option<Judged>, String> {
+fn evidence(args: &Args) -> Words<Option<Judged>> {
     let toml = |path: &Path| path.extension().is_some_and(|ending| ending == "toml");
     let found = match args.what.as_slice() {
         [] => live::listen(args, &Desk::default()),
@@ -184,7 +185,7 @@ fn evidence(args: &Args) -> std::result::Result<Option<Judged>, String> {
 }
 
 /// The channel by the command line or the desk.
-fn channel(args: &Args, desk: &Desk) -> std::result::Result<Channel, String> {
+fn channel(args: &Args, desk: &Desk) -> Words<Channel> {
     let told = desk.channel.as_deref().map(channel_of).transpose()?;
     let Some(channel) = args.channel.or(told) else {
         usage(
@@ -195,7 +196,7 @@ fn channel(args: &Args, desk: &Desk) -> std::result::Result<Channel, String> {
 }
 
 /// The plan by the desk and the command line.
-fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
+fn plan(args: &Args, desk: &Desk) -> Words<Plan> {
     let mut plan = Plan::new(channel(args, desk)?);
     plan.at_rest = desk.at_rest;
     plan.truth = match (&desk.trajectory, desk.azimuth_deg) {
@@ -210,7 +211,7 @@ fn plan(args: &Args, desk: &Desk) -> std::result::Result<Plan, String> {
 }
 
 /// A log's bytes; those of a FeitCSI log as records of the 5300.
-fn log(path: &Path) -> std::result::Result<Vec<u8>, String> {
+fn log(path: &Path) -> Words<Vec<u8>> {
     reads(path);
     open_log(path)?;
     let failed = |error| format!("{}: {error}", path.display());
@@ -223,7 +224,7 @@ fn log(path: &Path) -> std::result::Result<Vec<u8>, String> {
 }
 
 /// The logs after retunes and reloads.
-fn later(collector: &mut Collector, desk: &Desk) -> std::result::Result<(), String> {
+fn later(collector: &mut Collector, desk: &Desk) -> Words<()> {
     for (done, all) in [(Done::Retuned, &desk.retuned), (Done::Reloaded, &desk.reloaded)] {
         for logs in all {
             let bytes = logs.iter().map(|path| log(path)).collect::<std::result::Result<Vec<_>, _>>()?;
@@ -273,12 +274,7 @@ fn room(scene: &Scene) -> Found {
 }
 
 /// The report's files, the logs beside it, and the state from which an interrupted run continues.
-fn write(
-    report: &Report,
-    evidence: &Evidence,
-    stopped: Option<&stopped::Stopped>,
-    folder: &Path,
-) -> std::result::Result<(), String> {
+fn write(report: &Report, evidence: &Evidence, stopped: Option<&stopped::Stopped>, folder: &Path) -> Words<()> {
     let draft = FolderDraft::new(folder)?;
     let date = evidence
         .near

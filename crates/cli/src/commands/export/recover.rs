@@ -2,6 +2,7 @@
 
 mod settle;
 
+use super::super::Words;
 use super::super::draft::{Draft, led_to};
 use super::super::{Outcome, Result};
 use csi5300::source::survey::{Identity, Survey};
@@ -53,8 +54,6 @@ pub enum Layout {
     /// side file (OUTPUTstp)
     Stock,
 }
-
-type Words<T> = std::result::Result<T, String>;
 
 /// Records of other codes that wait for a CSI record or its frame: this many confirm each other.
 const WAITING: usize = 16;

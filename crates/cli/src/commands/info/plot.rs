@@ -1,5 +1,6 @@
 //! `csi5300 info --plot`: a log over time as pictures.
 
+use super::super::Words;
 use super::super::args::{antenna, mac};
 use super::super::{draft, files, hint, usage};
 use csi5300_lab::cards;
@@ -46,7 +47,7 @@ fn stem(folder: &Path, logs: &[PathBuf], k: usize) -> PathBuf {
 }
 
 /// Draws the `k`th log, if requested; returns the pictures.
-pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> std::result::Result<Vec<PathBuf>, String> {
+pub fn draw(args: &Args, logs: &[PathBuf], k: usize) -> Words<Vec<PathBuf>> {
     let (Some(folder), Some(log)) = (&args.plot, logs.get(k)) else { return Ok(Vec::new()) };
     let stem = stem(folder, logs, k);
     if log.as_os_str() == "-" {

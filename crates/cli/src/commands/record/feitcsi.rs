@@ -1,6 +1,7 @@
 //! `csi5300 record --feitcsi`: records an AX200 or AX210 to a FeitCSI log.
 
 use super::super::Result;
+use super::super::Words;
 use super::super::live::{Signals, create_refused};
 use super::{Args, Session};
 use csi5300::source::recorder::{LogFiles, Recorder};
@@ -16,7 +17,7 @@ pub enum Way {
     Asked(Command),
 }
 
-pub fn source(text: &str) -> std::result::Result<Way, String> {
+pub fn source(text: &str) -> Words<Way> {
     match text {
         "-" => Ok(Way::Input),
         _ => text.parse().map(Way::Asked).map_err(|why| format!("{why}, or - for standard input")),

@@ -1,5 +1,6 @@
 //! `csi5300 simulate --rx ...`: a recorded capture beside a simulated one.
 
+use super::super::Words;
 use super::super::args::channel;
 use super::super::draft;
 use super::super::inputs::{BagArgs, Inputs};
@@ -68,8 +69,6 @@ pub struct Args {
     /// A line of JSON for each figure.
     pub json: bool,
 }
-
-type Words<T> = std::result::Result<T, String>;
 
 /// Compares a recorded and a simulated capture.
 pub fn run(args: &Args) -> Result {

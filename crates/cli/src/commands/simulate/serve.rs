@@ -3,6 +3,7 @@
 mod poses;
 
 use self::poses::PosesFile;
+use super::super::Words;
 use super::super::live::Signals;
 use super::super::{Outcome, Result};
 use csi5300::motion::odometry::{NextPose, OdometrySource};
@@ -50,7 +51,7 @@ impl Args {
     }
 }
 
-fn served(text: &str) -> std::result::Result<(String, u32), String> {
+fn served(text: &str) -> Words<(String, u32)> {
     match text.rsplit_once('=') {
         None => Ok((text.to_owned(), CN_IDX)),
         Some((name, index)) => {
@@ -69,8 +70,6 @@ struct Served {
     sent: u64,
     poses: Option<(Odometer, PosesFile)>,
 }
-
-type Words<T> = std::result::Result<T, String>;
 
 /// The line of JSON: what was served, and what was done to each robot.
 #[derive(serde::Serialize)]

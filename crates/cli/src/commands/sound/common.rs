@@ -1,5 +1,6 @@
 //! What sounding and answering (`sound --answer`) share: arguments, interface, messages.
 
+use super::super::Words;
 use super::super::args::{channel_of_5300, mac};
 use super::super::listener::{Listening, Needs, describe};
 use super::super::live::{Signals, create_refused, duration, join_refused};
@@ -46,8 +47,8 @@ pub struct Sounding {
     #[arg(long, default_value_t = 100.0, value_name = "HZ")]
     pub rate: f64,
     /// Format of the frames
-    #[arg(long, value_enum, default_value_t = Words::Native)]
-    pub dialect: Words,
+    #[arg(long, value_enum, default_value_t = DialectArg::Native)]
+    pub dialect: DialectArg,
     /// Links in a round, the same on all robots [default: the number of peers]
     #[arg(long, value_name = "N")]
     pub links: Option<u16>,
@@ -98,7 +99,7 @@ pub struct Sounding {
 
 /// A dialect by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Words {
+pub enum DialectArg {
     /// Ours, for any CSI driver: destination, role, number and slot in the frame
     Native,
     /// The WSR toolbox's: the length of a frame addresses a robot
@@ -111,8 +112,8 @@ impl Sounding {
         let is_wide = self.ht40 || self.channel.is_some_and(|channel| channel.width() != Width::Ht20);
         let bandwidth = if is_wide { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
         let dialect = match self.dialect {
-            Words::Native => Dialect::Native { measurement: true, authenticated: self.key.is_some() },
-            Words::Wsr => Dialect::Wsr { first_len: FIRST_LEN },
+            DialectArg::Native => Dialect::Native { measurement: true, authenticated: self.key.is_some() },
+            DialectArg::Wsr => Dialect::Wsr { first_len: FIRST_LEN },
         };
         let own = self.own_index().map_or(0, |index| index.saturating_add(1));
         let peers = u16::try_from(self.peers.len()).unwrap_or(u16::MAX);
@@ -140,19 +141,19 @@ impl Sounding {
     /// Ends the command if arguments contradict each other.
     fn check(&self) {
         match (self.dialect, self.ack_len) {
-            (Words::Native, Some(_)) => usage("--ack-len belongs to --dialect wsr"),
-            (Words::Wsr, Some(len)) if len < FIRST_LEN || (len - FIRST_LEN) % 2 == 1 => {
+            (DialectArg::Native, Some(_)) => usage("--ack-len belongs to --dialect wsr"),
+            (DialectArg::Wsr, Some(len)) if len < FIRST_LEN || (len - FIRST_LEN) % 2 == 1 => {
                 usage(&format!("--ack-len {len}: {FIRST_LEN}, and two bytes more for each robot"))
             }
             _ => {}
         }
-        if self.dialect == Words::Wsr && self.key.is_some() {
+        if self.dialect == DialectArg::Wsr && self.key.is_some() {
             usage("--key belongs to the native dialect: WSR frames have no room for a tag");
         }
     }
 
     /// Opens the interface and makes the machine.
-    pub fn open(&self, settle: impl FnOnce(&mut Config)) -> std::result::Result<Opened, String> {
+    pub fn open(&self, settle: impl FnOnce(&mut Config)) -> Words<Opened> {
         self.check();
         let request = self.request();
         let plan = Plan::new(&request).map_err(|error| refused(&error))?;
@@ -175,7 +176,7 @@ impl Sounding {
         let opened = monitor.and_then(|monitor| {
             setup.open_on(monitor, |config| {
                 // A WSR robot without a length answers nothing here; its kernel may.
-                config.respond = self.dialect == Words::Native || self.ack_len.is_some();
+                config.respond = self.dialect == DialectArg::Native || self.ack_len.is_some();
                 settle(config);
             })
         });
@@ -194,12 +195,12 @@ impl Sounding {
     }
 
     /// Sets or checks the driver's rate.
-    pub fn see_to_rate(&self, antenna: Antenna) -> std::result::Result<(), String> {
+    pub fn see_to_rate(&self, antenna: Antenna) -> Words<()> {
         self.interface.as_deref().map_or(Ok(()), |interface| see_to_rate(interface, self.request().phy, antenna))
     }
 
     /// The card's records, if wanted: recorded, or only read. `own` is this robot's MAC.
-    pub fn messages(&self, wanted: Wanted, own: Mac) -> std::result::Result<DriverMessages, String> {
+    pub fn messages(&self, wanted: Wanted, own: Mac) -> Words<DriverMessages> {
         if self.log.is_none() && wanted == Wanted::Not {
             return Ok(DriverMessages::none());
         }
@@ -226,7 +227,7 @@ impl Sounding {
         opened: Opened,
         clock: Monotonic,
         observer: &mut dyn Observer,
-    ) -> std::result::Result<(Outcome, ExchangeRow), String> {
+    ) -> Words<(Outcome, ExchangeRow)> {
         let fifo_priority = Settings::default().fifo_priority.filter(|_| !self.no_fifo);
         let session = Session::new(clock, signals.as_fd())
             .with_settings(Settings { fifo_priority, ..Settings::default() })
@@ -271,7 +272,7 @@ impl Sounding {
 }
 
 /// Sets or checks the rate at which an interface's driver sends.
-pub fn see_to_rate(interface: &str, phy: Phy, antenna: Antenna) -> std::result::Result<(), String> {
+pub fn see_to_rate(interface: &str, phy: Phy, antenna: Antenna) -> Words<()> {
     let rate = rate_n_flags(phy, antenna)
         .ok_or_else(|| format!("--mcs {} has more streams than the card has antennas: 23 is the highest", phy.mcs))?;
     match set_rate(&Machine, interface, rate) {

@@ -4,7 +4,7 @@
 
 use super::super::live::Signals;
 use super::super::{Result, print_json, usage};
-use super::common::{NO_NUMBERS, Sounding, Wanted, Words, tell};
+use super::common::{DialectArg, NO_NUMBERS, Sounding, Wanted, tell};
 use csi5300::exchange::tdma::Epoch;
 use csi5300::internal::{Proof, Prover};
 use csi5300::source::Next;
@@ -49,14 +49,14 @@ impl Observer for Measuring {
 
 /// Answers until a signal or a limit ends it.
 pub fn run(common: &Sounding, antenna: Antenna, json: bool) -> Result {
-    if common.dialect == Words::Wsr && common.ack_len.is_none() {
+    if common.dialect == DialectArg::Wsr && common.ack_len.is_none() {
         usage("--dialect wsr needs --ack-len, the length of the frames meant for this robot (57 for the first)");
     }
     let signals = Signals::catch().map_err(|error| error.to_string())?;
     let clock = Monotonic::new();
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
     common.see_to_rate(antenna)?;
-    let carries = common.dialect == Words::Native;
+    let carries = common.dialect == DialectArg::Native;
     let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not }, opened.own)?;
     let peers = common.peers.clone();
     let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));

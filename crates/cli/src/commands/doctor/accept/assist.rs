@@ -3,6 +3,7 @@
 //! One connection of TCP, in lines: `csi5300-accept 1 CHANNEL MAC` (or `-` for a robot that does not send); `ok MAC` (or `-`), or `no WHY`;
 //! `end`; `log BYTES` and the log.
 
+use super::super::super::Words;
 use super::super::Args;
 use super::{Desk, channel, live};
 use crate::commands::live::Signals;
@@ -31,8 +32,6 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// Bytes of a line, and of a log, at most.
 const LINE: u64 = 256;
 const LOG: u64 = 256 << 20;
-
-type Words<T> = std::result::Result<T, String>;
 
 fn line(from: &mut impl BufRead) -> Words<String> {
     let mut text = String::new();

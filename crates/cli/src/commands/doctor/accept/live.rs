@@ -1,5 +1,6 @@
 //! The card of this machine, or a robot of a served room: listened to, while frames are sent or a person unplugs antennas.
 
+use super::super::super::Words;
 use super::super::Args;
 use super::stopped::Stopped;
 use super::{Desk, Found, Judged, assist, later, plan};
@@ -32,8 +33,6 @@ const TAIL_S: f64 = 1.0;
 const PERSON_S: f64 = 20.0;
 /// How often a waiting host is woken, to see how late it is.
 const WAKE_US: i64 = 5_000;
-
-type Words<T> = std::result::Result<T, String>;
 
 /// The robot of a room in place of the card, if any.
 pub(super) fn address(desk: &Desk) -> Words<Option<Address>> {
