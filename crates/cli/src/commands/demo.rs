@@ -1,9 +1,8 @@
 //! `csi5300 demo`: what cancelling the carrier offset does to the phase of two robots that stand, then the circle and the
 //! line of Dijkstra et al. (\[paper\] in docs/reference/references.md), simulated, decoded and estimated.
 
-use super::Words;
 use super::args::Estimation;
-use super::{Outcome, Result, fixed, print, print_json, simulate};
+use super::{Outcome, Result, Words, fixed, print, print_json, simulate};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
@@ -266,7 +265,7 @@ fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Op
 
 /// A line for each picture, by the first of its formats.
 fn say_pictures(args: &Args, written: &[PathBuf]) {
-    for path in super::pictures::first_of_each(written).filter(|_| !args.json) {
+    for path in super::files::first_of_each(written).filter(|_| !args.json) {
         print(&format!("  picture {}\n", path.display()));
     }
 }

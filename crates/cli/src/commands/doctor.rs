@@ -2,11 +2,9 @@
 
 mod accept;
 
-use super::Words;
 use super::args::channel;
-use super::listener::{Card, Listening, Needs, describe};
-use super::live::{Signals, duration};
-use super::{Outcome, Result, print, print_json, usage};
+use super::live::{Card, Listening, Needs, Signals, describe, duration};
+use super::{Outcome, Result, Words, print, print_json, usage};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;

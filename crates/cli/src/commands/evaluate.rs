@@ -1,10 +1,7 @@
 //! `csi5300 evaluate`.
 
-use super::Words;
-use super::args::{ClockOffset, Estimation, antenna, channel};
-use super::captures::{A_CAPTURE, Reading, Which, add_names};
-use super::mounting::Mounting;
-use super::{Outcome, Result, fixed, print, print_json, usage};
+use super::args::{A_CAPTURE, ClockOffset, Estimation, Mounting, Reading, Which, add_names, antenna, channel};
+use super::{Outcome, Result, Words, fixed, print, print_json, usage};
 use csi5300::maths::median;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sets, sure};

@@ -2,9 +2,8 @@
 
 mod recover;
 
-use super::Words;
 use super::draft::Draft;
-use super::{Outcome, Result, info, print_json, usage};
+use super::{Outcome, Result, Words, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};

@@ -1,8 +1,7 @@
 //! `csi5300 key`.
 
-use super::Words;
 use super::args::mac;
-use super::{Outcome, Result};
+use super::{Outcome, Result, Words};
 use csi5300::internal::{create_key_file, group_text, robot_text};
 use csi5300::source::{KeyFileError, read_key};
 use driver_iface::Mac;

@@ -1,22 +1,21 @@
 //! `csi5300 record`.
 
-mod feitcsi;
-
-use super::Words;
-use super::listener::{self, Listening, Needs};
-use super::live::{Signals, create_refused, duration, rotation_size, size, some_duration};
-use super::{Outcome, Result, say};
+use super::live::{
+    Listening, Needs, Signals, create_refused, describe, duration, rotation_size, size, some_duration,
+    summary as listener_summary,
+};
+use super::{Outcome, Result, Words, say};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
-use csi5300::source::side_path;
-use csi5300::source::{CsiSource, Error, Loss, Next};
+use csi5300::source::{CsiSource, Error, Loss, Next, side_path};
 use csi5300::time::{Instant, Span};
+use csi5300_live::feitcsi::{Command, FeitCsi, Frames};
 use csi5300_live::listener::Lost;
 use csi5300_live::status::{Losses, Status};
-use csi5300_live::wait::Monotonic;
+use csi5300_live::wait::{Monotonic, wall_us};
 use driver_iface::record::code;
 use driver_iface::side_file::Layout;
 use std::fmt::Write as _;
-use std::io::{IsTerminal, Write};
+use std::io::{IsTerminal, Write as _};
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Path, PathBuf};
 
@@ -71,9 +70,9 @@ pub struct Args {
     receive_buffer: u64,
     /// Record an AX200 or AX210 by FeitCSI: the address of its UDP socket and its options, such as "127.0.0.1:8008 --frequency
     /// 5180 --channel-width 80 --format VHT", or - if it writes to the standard input. OUT is then a log of FeitCSI
-    #[arg(long, value_name = "ADDRESS OPTIONS", value_parser = feitcsi::source, conflicts_with_all = ["live", "checksums", "connector_index", "allow_user_sender", "room"])]
+    #[arg(long, value_name = "ADDRESS OPTIONS", value_parser = feitcsi_source, conflicts_with_all = ["live", "checksums", "connector_index", "allow_user_sender", "room"])]
     #[arg(conflicts_with = "stock")]
-    feitcsi: Option<feitcsi::Way>,
+    feitcsi: Option<Way>,
     #[command(flatten)]
     listening: Listening,
 }
@@ -145,7 +144,7 @@ pub fn run(args: &Args) -> Result {
     // Signals first: one that comes during the opening must not leave half a start behind.
     let signals = Signals::catch().map_err(|error| error.to_string())?;
     if let Some(from) = &args.feitcsi {
-        return feitcsi::run(args, from, signals);
+        return run_feitcsi(args, from, signals);
     }
     let listener = args.listening.open(Needs { receive_buffer: Some(args.receive_buffer), ..Needs::default() })?;
     let files = LogFiles::create(&args.out, args.rotation(), args.force).map_err(|error| create_refused(&error))?;
@@ -153,7 +152,7 @@ pub fn run(args: &Args) -> Result {
     let rests = !args.live && listener.buffer() >= ROOMY;
     let mut session = Session::new(args, signals, &listener, rests)?;
     let clock = session.clock;
-    note!("{}; recording to {}", listener::describe(&listener), args.out.display());
+    note!("{}; recording to {}", describe(&listener), args.out.display());
     let recorder = Recorder::new(listener, files, args.options()).map_err(text)?;
     let (failed, listener, files, totals) = if args.live {
         let pipe = Pipe::new(std::io::stdout());
@@ -174,7 +173,7 @@ pub fn run(args: &Args) -> Result {
         let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
         (failed, listener, files, totals)
     };
-    let told = (listener::summary(&listener), listener.lost());
+    let told = (listener_summary(&listener), listener.lost());
     Ok(session.end(failed, &told, &totals, &files))
 }
 
@@ -399,4 +398,43 @@ fn remove_empty(output: &Path) {
     if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
         note!("nothing to write: no {}", output.display());
     }
+}
+
+/// Source of FeitCSI's records.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Way {
+    Input,
+    Asked(Command),
+}
+
+fn feitcsi_source(text: &str) -> Words<Way> {
+    match text {
+        "-" => Ok(Way::Input),
+        _ => text.parse().map(Way::Asked).map_err(|why| format!("{why}, or - for standard input")),
+    }
+}
+
+/// Records until a signal, a limit or the end of the input.
+fn run_feitcsi(args: &Args, from: &Way, signals: Signals) -> Result {
+    let text = |error: csi5300::source::Error| error.to_string();
+    let (frames, words) = match from {
+        Way::Input => {
+            let input = std::io::stdin().as_fd().try_clone_to_owned();
+            let input = input.map_err(|error| format!("standard input: {error}"))?;
+            (Frames::read(input, wall_us), "reading FeitCSI's output from standard input".to_owned())
+        }
+        Way::Asked(command) => {
+            let frames = Frames::ask(command, wall_us).map_err(text)?;
+            (frames, format!("asked FeitCSI at {} to measure", command.to))
+        }
+    };
+    let files = LogFiles::create_bodies(&args.out, args.rotation(), args.force);
+    let files = files.map_err(|error| create_refused(&error))?;
+    let mut session = Session::new(args, signals, &frames, false)?;
+    note!("{words}; recording to {}", args.out.display());
+    let recorder = Recorder::new(frames, files, args.options()).map_err(text)?;
+    let mut source = FeitCsi::new(recorder);
+    let failed = session.capture(&mut source, |source| (source.frames().totals(), Lost::default())).err();
+    let (_, files, totals) = source.into_frames().finish(session.clock.now()).map_err(text)?;
+    Ok(session.end(failed, &(String::new(), Lost::default()), &totals, &files))
 }

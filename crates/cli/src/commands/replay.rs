@@ -1,8 +1,7 @@
 //! `csi5300 replay`.
 
-use super::Words;
 use super::live::{Signals, duration, speed};
-use super::{Outcome, Result};
+use super::{Outcome, Result, Words};
 use csi5300::source::paced::Paced;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};

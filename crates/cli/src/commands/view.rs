@@ -1,8 +1,6 @@
 //! `csi5300 view`: a page in the browser about a log, captures or a running node.
 
-use super::args::{Estimation, address, antenna, channel};
-use super::captures::{Reading, Which};
-use super::mounting::Mounting;
+use super::args::{Estimation, Mounting, Reading, Which, address, antenna, channel};
 use super::{Outcome, Result, print, usage};
 use csi5300::signal::channel::Channel;
 use csi5300_view::{Ends, Server, View};

@@ -60,7 +60,7 @@ pub struct OtherPlace {
 /// A transmitter, located from all motions together.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
-pub struct Located {
+pub struct LocatedTransmitter {
     /// Its name.
     pub transmitter: String,
     /// Motions used.
@@ -136,7 +136,7 @@ fn motion(row: &Judged, evidence: Evidence, source: TrajectorySource, frame: Fra
 
 /// Locates every transmitter from all motions that heard it; `told` has the places that the caller knows, by name.
 #[must_use]
-pub fn located(motions: &[Motion], told: &BTreeMap<String, [f64; 2]>) -> Vec<Located> {
+pub fn located(motions: &[Motion], told: &BTreeMap<String, [f64; 2]>) -> Vec<LocatedTransmitter> {
     let mut transmitters: BTreeMap<&str, Vec<&Motion>> = BTreeMap::new();
     for motion in motions {
         transmitters.entry(&motion.transmitter).or_default().push(motion);
@@ -148,7 +148,7 @@ pub fn located(motions: &[Motion], told: &BTreeMap<String, [f64; 2]>) -> Vec<Loc
     transmitters.into_iter().map(one).collect()
 }
 
-fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) -> Located {
+fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) -> LocatedTransmitter {
     let evidence: Vec<Evidence> = motions.iter().map(|motion| motion.evidence.clone()).collect();
     let (found, error, motions, refused) = match places(&evidence) {
         Ok(found) => (found.places, None, found.used, found.refused),
@@ -157,7 +157,7 @@ fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) ->
     let best = found.first();
     let axes = best.map(|place| axes(&place.covariance_m2));
     let off_m = best.zip(true_position_m).map(|(place, truth)| place.position_m - Vector2::from(truth));
-    Located {
+    LocatedTransmitter {
         transmitter: name.to_owned(),
         motions,
         refused,

@@ -1,12 +1,10 @@
 //! `csi5300 simulate --rx ...`: a recorded capture beside a simulated one.
 
-use super::super::Words;
-use super::super::args::channel;
-use super::super::draft;
-use super::super::inputs::{BagArgs, Inputs};
-use super::super::pictures;
-use super::super::{
-    Outcome, Result, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some, usage,
+use crate::commands::args::channel;
+use crate::commands::files::{self, BagArgs, Inputs};
+use crate::commands::{
+    Outcome, Result, Words, draft, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some,
+    usage,
 };
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
@@ -275,7 +273,7 @@ fn short(value: f64) -> String {
 fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
     let written = csi5300_lab::show::results::write_compared(recorded, simulated, &args.out, &draft::read_files());
     let written = written.map_err(|error| error.to_string())?;
-    for path in pictures::first_of_each(&written).filter(|_| !args.json) {
+    for path in files::first_of_each(&written).filter(|_| !args.json) {
         print(&format!("picture {}\n", path.display()));
     }
     Ok(())
@@ -283,7 +281,7 @@ fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::short;
+    use super::*;
 
     #[test]
     fn figures_have_four_digits_and_what_is_nothing_has_no_sign() {
