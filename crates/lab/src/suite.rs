@@ -126,14 +126,14 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
     let scene = Scene { seed: repetition, ..experiment.scene.clone() };
     let mut room = Room::new(&scene)?;
     let path = true_path(&room, 0)?;
-    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or(CompareError::OneRobot)?;
+    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or_else(CompareError::one_robot)?;
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
     let report = bearings(&mut rx, transmitters, &path, options)?;
-    let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
-    let link = found.link.as_ref().ok_or_else(|| CompareError::NoLink { reason: "no pairs".into() })?;
+    let found = report.links.first().ok_or_else(CompareError::no_transmitter)?;
+    let link = found.link.as_ref().ok_or_else(|| CompareError::Lacks("no pairs".into()))?;
     let (turn_around, _) = link.phases(options);
-    let turn_around = turn_around.ok_or(CompareError::FewPairs { pairs: link.pairs() })?;
+    let turn_around = turn_around.ok_or_else(|| CompareError::few_pairs(link.pairs()))?;
     let mut run = Run {
         experiment: experiment.name.clone(),
         repetition,
@@ -143,8 +143,7 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
         ..Run::default()
     };
     if scene.robot[0].motion != RobotMotion::Static {
-        let none = |error: &dyn std::fmt::Display| CompareError::NoLink { reason: error.to_string() };
-        let bearing = found.bearing.as_ref().map_err(|error| none(error))?;
+        let bearing = found.bearing.as_ref().map_err(|error| CompareError::Lacks(error.to_string()))?;
         judge(&mut run, bearing, &room);
     }
     Ok(run)

@@ -1,5 +1,6 @@
 //! Arguments that several commands share, and how commands on folders of captures read them.
 
+use super::InWords;
 use super::usage;
 use clap::Args;
 use csi5300::motion::odometry::csv::Columns;
@@ -146,7 +147,7 @@ fn clock_offset(text: &str) -> Result<ClockOffset, String> {
 
 /// The columns of a trajectory.
 pub fn columns(text: &str) -> Result<Columns, String> {
-    text.parse::<Columns>().map_err(|error| error.to_string())
+    text.parse::<Columns>().in_words()
 }
 
 /// An antenna by its letter.
@@ -175,12 +176,12 @@ pub fn channel_of_5300(text: &str) -> Result<Channel, String> {
 
 /// A WiFi channel: its number, with `+` or `-` for a 40 MHz pair, or its centre in MHz.
 pub fn channel(text: &str) -> Result<Channel, String> {
-    text.parse::<Channel>().map_err(|error| error.to_string())
+    text.parse::<Channel>().in_words()
 }
 
 /// A MAC address.
 pub fn mac(text: &str) -> Result<Mac, String> {
-    text.parse::<Mac>().map_err(|error| error.to_string())
+    text.parse::<Mac>().in_words()
 }
 
 /// An address of this machine with a port.
@@ -228,7 +229,7 @@ pub fn baseline(text: &str) -> Result<Baseline, String> {
 /// Three numbers: metres forward, left, up.
 fn triple(text: &str) -> Result<Vector3<f64>, String> {
     let parts: Vec<f64> =
-        text.split(',').map(|part| part.trim().parse::<f64>()).collect::<Result<_, _>>().map_err(|e| e.to_string())?;
+        text.split(',').map(|part| part.trim().parse::<f64>()).collect::<Result<_, _>>().in_words()?;
     match parts[..] {
         [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
         _ => Err("three finite numbers in metres, separated by commas".into()),
@@ -266,7 +267,7 @@ impl Mounting {
             let own = rolled.unwrap_or(recorded);
             self.antenna_offset.map_or(Ok(own.clone()), |offset| own.with_antenna_offset(offset))
         });
-        moved.map_err(|error| error.to_string())
+        moved.in_words()
     }
 }
 
@@ -366,7 +367,7 @@ impl Reading {
 
     /// The pipeline's options. Their channel is a stand-in where none was given: each capture brings its own.
     pub fn options(&self) -> Result<Options, String> {
-        let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
+        let fallback = Channel::new(108, Width::Ht20).in_words()?;
         self.estimation.options(self.channel.unwrap_or(fallback))
     }
 }

@@ -6,7 +6,7 @@ mod words;
 
 use super::args::{Baseline, Estimation, Mounting, baseline, channel, columns, mac};
 use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown};
-use super::{Outcome, Result, Words, hint, info, is_same_file, print, print_json, usage};
+use super::{InWords, Outcome, Result, Words, hint, info, is_same_file, print, print_json, usage};
 use captures::MirrorOf;
 use csi_formats::{Item, Items, Why};
 use csi5300::bartlett::{self, Grid};
@@ -231,7 +231,7 @@ pub fn run(mut args: Args) -> Result {
         return done;
     }
     let options = options(&args).unwrap_or_else(|message| usage(&message));
-    let key = args.logs.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
+    let key = args.logs.key.as_deref().map(read_key).transpose().in_words()?;
     let is_named = !args.logs.tx.is_empty();
     let (inputs, named) = args.logs.bag.resolve(
         args.logs.rx.take(),
@@ -258,7 +258,7 @@ pub fn run(mut args: Args) -> Result {
         .map(|(k, log)| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: partners.get(k) })
         .collect();
     make_threads(0)?;
-    let mut report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
+    let mut report = bearings(&mut receiver, transmitters, &trajectory, &options).in_words()?;
     if !args.logs.baseline.is_empty() {
         join_one_log(&args, &inputs, (&rx, &named.trajectory), &mut report)?;
     }
@@ -272,7 +272,7 @@ pub fn run(mut args: Args) -> Result {
             answer.refuse_below(least);
         }
         if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
-            answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).map_err(|error| error.to_string())?);
+            answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).in_words()?);
         }
         answered += usize::from(answer.azimuth_deg.is_some());
         tell(&answer, links, args.json);
@@ -347,7 +347,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> Words<
 
 /// Writes the pictures of a link.
 fn write(pictures: &csi5300_lab::show::results::LinkPictures<'_>, folder: &Path, name: &str) -> Words<()> {
-    let written = pictures.write(folder, name, &super::draft::read_files()).map_err(|error| error.to_string())?;
+    let written = pictures.write(folder, name, &super::draft::read_files()).in_words()?;
     let first: Vec<String> = first_of_each(&written).map(|path| path.display().to_string()).collect();
     note!("pictures of {name}, also as .svg: {}", first.join(", "));
     Ok(())
@@ -506,7 +506,7 @@ impl Alone {
             return Ok(Self { report, lost, notes: None });
         }
         let mut log = inputs.open(rx)?;
-        let report = one_log(&mut log, trajectory, array, options).map_err(|error| error.to_string())?;
+        let report = one_log(&mut log, trajectory, array, options).in_words()?;
         let (survey, unused) = (&report.log.survey, report.log.unused);
         let losses = info::unusual_losses(survey, log.bytes());
         let has_notes = unused.no_antenna > 0 || !losses.is_empty();
@@ -659,7 +659,7 @@ fn take_roles(args: &mut Args) -> Words<()> {
     note!("{} is the receiver's log, {} its trajectory", rx.display(), trajectory.display());
     if args.channel.is_none() {
         let folder = rx.parent().unwrap_or(Path::new(""));
-        let Some(number) = channel_number_in(folder).map_err(|error| error.to_string())? else {
+        let Some(number) = channel_number_in(folder).in_words()? else {
             usage(
                 "--channel is needed, such as --channel 108: no groundtruth_positions.json beside these logs names it",
             );
@@ -721,7 +721,7 @@ fn is_profile(path: &Path) -> bool {
 ///
 /// Values are `|f|^2 / (sum |z|)^2`, 0 to 1.
 fn write_profile(path: &Path, grid: &Grid, samples: &Samples) -> Words<()> {
-    let profile = bartlett::profile(samples, grid).map_err(|error| error.to_string())?;
+    let profile = bartlett::profile(samples, grid).in_words()?;
     let (rows, columns) = profile.grid.shape();
     let shape = [rows as u64, columns as u64];
     let angles = || (0..profile.values.len()).map(|index| profile.grid.at(index));
@@ -734,7 +734,7 @@ fn write_profile(path: &Path, grid: &Grid, samples: &Samples) -> Words<()> {
                 npz.array("value", &shape, profile.values.iter().copied())?;
                 npz.finish()
             };
-            written().map_err(|error| error.to_string())
+            written().in_words()
         }
         Some("csv") => {
             let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
@@ -760,5 +760,5 @@ fn make_threads(count: usize) -> Words<()> {
         csi5300_live::sys::keep_heap();
         pool.start_handler(|_| csi5300_live::sys::keep_heap())
     };
-    pool.build_global().map_err(|error| error.to_string())
+    pool.build_global().in_words()
 }

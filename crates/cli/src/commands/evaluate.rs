@@ -1,7 +1,7 @@
 //! `csi5300 evaluate`.
 
 use super::args::{A_CAPTURE, ClockOffset, Estimation, Mounting, Reading, Which, add_names, antenna, channel};
-use super::{Outcome, Result, Words, fixed, print, print_json, usage};
+use super::{InWords, Outcome, Result, Words, fixed, print, print_json, usage};
 use csi5300::maths::median;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sets, sure};
@@ -122,10 +122,10 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
     let reading = args.reading();
     reading.find(folder)?;
     let reading = super::view::reading(&reading);
-    let view = csi5300_view::View::open(folder, reading).map_err(|error| error.to_string())?;
+    let view = csi5300_view::View::open(folder, reading).in_words()?;
     view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
     super::progress("");
-    let page = view.file().map_err(|error| error.to_string())?;
+    let page = view.file().in_words()?;
     super::draft::write(out, &page)?;
     view.notes().iter().for_each(|line| note!("{line}"));
     view.failed().iter().for_each(|line| wrong!("{line}"));
@@ -205,7 +205,7 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> Words<()> {
     }
     if let Some(folder) = &args.plot {
         let written = write_set(rows, &beside.others, folder, &super::draft::read_files());
-        let written = written.map_err(|error| error.to_string())?;
+        let written = written.in_words()?;
         note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     }
     Ok(())

@@ -3,7 +3,7 @@
 mod recover;
 
 use super::draft::Draft;
-use super::{Outcome, Result, Words, info, print_json, usage};
+use super::{InWords, Outcome, Result, Words, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
@@ -230,7 +230,7 @@ fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
         }
         None => reading.read_all(Instant::ZERO, || true),
     };
-    read.map_err(|error| error.to_string())?;
+    read.in_words()?;
     let (arena, columns) = reading.take();
     let (records, bytes) = (columns.len() as u64, reading.source().bytes());
     let mut export = match size {
@@ -266,7 +266,7 @@ fn scan(
     let mut source = super::open_log(path)?;
     let (mut survey, mut first_us) = (Survey::default(), None);
     loop {
-        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let next = source.receive(Instant::ZERO).in_words()?;
         if let Some((bfee, identity)) = survey.note(&next) {
             let time_us = survey.clock_us.map_or(0, |(_, last)| last);
             if filter.keeps(&bfee, identity, time_us - *first_us.get_or_insert(time_us)) {

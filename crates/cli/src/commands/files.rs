@@ -1,7 +1,7 @@
 //! Files that commands read and write: logs, trajectories, with `--bag` the topics of a recording; other kinds of files; outputs that are
 //! not overwritten.
 
-use super::{Words, hint};
+use super::{InWords, Words, hint};
 use csi5300::motion::odometry::csv::{self, Columns, CsvCounts};
 use csi5300::motion::pose::Trajectory;
 use csi5300::source::replay::Replay;
@@ -213,7 +213,7 @@ pub fn order_unknown(found: &[PathBuf]) -> String {
 impl Inputs {
     /// Reads a recording, and finds the topics that were not named.
     fn of(bag: &Path, rx: Option<PathBuf>, tx: Vec<PathBuf>, trajectory: Option<PathBuf>) -> Words<(Self, Named)> {
-        let recording = Recording::read(bag).map_err(|error| error.to_string())?;
+        let recording = Recording::read(bag).in_words()?;
         let inputs = Self { recorded: Some((bag.to_path_buf(), recording)), columns: None };
         inputs.say();
         let named = inputs.choose(rx, tx, trajectory)?;

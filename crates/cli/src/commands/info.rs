@@ -1,7 +1,7 @@
 //! `csi5300 info`.
 
 use super::args::{antenna, mac};
-use super::{Outcome, Result, Words, draft, files, hint, print, print_json, some, usage};
+use super::{InWords, Outcome, Result, Words, draft, files, hint, print, print_json, some, usage};
 use csi_formats::{Format, Items};
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
 use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
@@ -185,7 +185,7 @@ fn survey(path: &Path) -> Words<Read> {
     let mut source = super::open_log(path)?;
     let (mut survey, mut silent) = (Survey::default(), 0);
     loop {
-        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let next = source.receive(Instant::ZERO).in_words()?;
         silent += u64::from(survey.note(&next).is_some_and(|(bfee, _)| is_silent(&bfee)));
         if matches!(next, Next::End(_)) {
             return Ok(Read { survey, bytes: source.bytes(), checks: source.checks(), silent });
@@ -554,7 +554,7 @@ fn draw_pictures(args: &Pictures, logs: &[PathBuf], k: usize) -> Words<Vec<PathB
     }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let drawn = LogPictures { title: &title, course: &course, size: SIZE };
-    drawn.write(&stem, &draft::read_files()).map_err(|error| error.to_string())
+    drawn.write(&stem, &draft::read_files()).in_words()
 }
 
 /// What is in a log, as JSON has it.

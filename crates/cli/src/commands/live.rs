@@ -1,6 +1,7 @@
 //! What the live commands share: kinds of arguments, signals, refusals; what they listen to (the kernel's connector, or the card under
 //! the kernel's own driver), and its messages.
 
+use super::InWords;
 use csi5300::source::Error;
 use csi5300::time::Span;
 use csi5300_live::listener::Listener;
@@ -175,7 +176,7 @@ impl Listening {
             .with_connector_index(self.card.connector_index)
             .with_allow_user_sender(self.allow_user_sender)
             .with_receive_buffer(receive_buffer);
-        Netlink::open(&options).map(Listener::from).map_err(|error| error.to_string())
+        Netlink::open(&options).map(Listener::from).in_words()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::args::{Estimation, channel, columns};
 use super::files::read_trajectory_as;
-use super::{Outcome, Result, Words, fixed, info, usage};
+use super::{InWords, Outcome, Result, Words, fixed, info, usage};
 use csi5300::bartlett::{self, Grid};
 use csi5300::internal::{FrameHeard, Front};
 use csi5300::motion::odometry::csv::Columns;
@@ -124,20 +124,20 @@ fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> W
     let mut front = Front::new(args.estimation.antenna());
     let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
     loop {
-        let next = log.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let next = log.receive(Instant::ZERO).in_words()?;
         if let Some((sender, heard)) = front.note(&next) {
             // It wraps every 71.6 minutes.
             let card_us = clock.next(heard.timestamp_low);
             let since_us = card_us - *first_card_us.get_or_insert(card_us);
             let t_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
-            recording.record(name, t_s, sender, &heard).map_err(|error| error.to_string())?;
+            recording.record(name, t_s, sender, &heard).in_words()?;
         }
         if matches!(next, Next::End(_)) {
             break;
         }
     }
     let end_s = front.log.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
-    recording.counters(name, end_s, &front.log.survey).map_err(|error| error.to_string())?;
+    recording.counters(name, end_s, &front.log.survey).in_words()?;
     Ok((front.log.survey, log.bytes()))
 }
 
@@ -261,7 +261,7 @@ impl Recording {
         let (answer, t_s) = (&bearing.answer, bearing.samples.t_s().last().copied().unwrap_or(0.0));
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
         let towards = aim(answer.azimuth_rad, answer.signed_elevation_rad.unwrap_or(0.0));
-        let scan = profile(link, t_s, bearing).map_err(|error| error.to_string())?;
+        let scan = profile(link, t_s, bearing).in_words()?;
         let mut put = || {
             self.put(&format!("/bearing/{link}"), t_s, &placed(&from, towards.clone()))?;
             if let Some(mirror_rad) = answer.mirror_rad {

@@ -37,6 +37,18 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A result whose error is words for the user.
 pub type Words<T> = std::result::Result<T, String>;
 
+/// Errors in words.
+trait InWords<T> {
+    /// The value, or the error in words.
+    fn in_words(self) -> Words<T>;
+}
+
+impl<T, E: std::fmt::Display> InWords<T> for std::result::Result<T, E> {
+    fn in_words(self) -> Words<T> {
+        self.map_err(|error| error.to_string())
+    }
+}
+
 /// Bearings between robots from WiFi alone: CSI of the Intel 5300, live, replayed or simulated.
 #[derive(Parser)]
 #[command(

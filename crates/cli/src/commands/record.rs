@@ -4,7 +4,7 @@ use super::live::{
     Listening, Needs, Signals, create_refused, describe, duration, rotation_size, size, some_duration,
     summary as listener_summary,
 };
-use super::{Outcome, Result, Words, say};
+use super::{InWords, Outcome, Result, Words, say};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
 use csi5300::source::{CsiSource, Error, Loss, Next, side_path};
 use csi5300::time::{Instant, Span};
@@ -140,9 +140,8 @@ enum View {
 
 /// Records until a signal or a limit ends it.
 pub fn run(args: &Args) -> Result {
-    let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     if let Some(from) = &args.feitcsi {
         return run_feitcsi(args, from, signals);
     }
@@ -153,24 +152,24 @@ pub fn run(args: &Args) -> Result {
     let mut session = Session::new(args, signals, &listener, rests)?;
     let clock = session.clock;
     note!("{}; recording to {}", describe(&listener), args.out.display());
-    let recorder = Recorder::new(listener, files, args.options()).map_err(text)?;
+    let recorder = Recorder::new(listener, files, args.options()).in_words()?;
     let (failed, listener, files, totals) = if args.live {
         let pipe = Pipe::new(std::io::stdout());
         let mut options = Options::default();
         (options.sync_every, options.hand_over) = (None, Span::from_ms(10));
-        let mut tee = Recorder::new(recorder, pipe, options).map_err(text)?;
+        let mut tee = Recorder::new(recorder, pipe, options).in_words()?;
         let failed = session.capture(&mut tee, |tee| (tee.source().totals(), tee.source().source().lost())).err();
-        let (recorder, _, piped) = tee.finish(clock.now()).map_err(text)?;
+        let (recorder, _, piped) = tee.finish(clock.now()).in_words()?;
         let missed = piped.received - piped.written;
         if missed > 0 {
             note!("standard output missed {missed} records; the log has them");
         }
-        let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
+        let (listener, files, totals) = recorder.finish(clock.now()).in_words()?;
         (failed, listener, files, totals)
     } else {
         let mut recorder = recorder;
         let failed = session.capture(&mut recorder, |own| (own.totals(), own.source().lost())).err();
-        let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
+        let (listener, files, totals) = recorder.finish(clock.now()).in_words()?;
         (failed, listener, files, totals)
     };
     let told = (listener_summary(&listener), listener.lost());
@@ -267,7 +266,7 @@ impl<'a> Session<'a> {
         let mut taken = 0;
         loop {
             let now = self.clock.now();
-            let next = source.receive(now).map_err(|error| error.to_string())?;
+            let next = source.receive(now).in_words()?;
             self.status.note(now, &next);
             let pending = match &next {
                 Next::Lost(loss) => {
@@ -306,7 +305,7 @@ impl<'a> Session<'a> {
                 if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
             let may_rest = (1..=FEW).contains(&std::mem::take(&mut taken)) && self.rests;
             let rest = (pending && may_rest).then_some(now + REST);
-            ending |= self.wait(until, rest).map_err(|error| error.to_string())?;
+            ending |= self.wait(until, rest).in_words()?;
         }
     }
 
@@ -416,7 +415,6 @@ fn feitcsi_source(text: &str) -> Words<Way> {
 
 /// Records until a signal, a limit or the end of the input.
 fn run_feitcsi(args: &Args, from: &Way, signals: Signals) -> Result {
-    let text = |error: csi5300::source::Error| error.to_string();
     let (frames, words) = match from {
         Way::Input => {
             let input = std::io::stdin().as_fd().try_clone_to_owned();
@@ -424,7 +422,7 @@ fn run_feitcsi(args: &Args, from: &Way, signals: Signals) -> Result {
             (Frames::read(input, wall_us), "reading FeitCSI's output from standard input".to_owned())
         }
         Way::Asked(command) => {
-            let frames = Frames::ask(command, wall_us).map_err(text)?;
+            let frames = Frames::ask(command, wall_us).in_words()?;
             (frames, format!("asked FeitCSI at {} to measure", command.to))
         }
     };
@@ -432,9 +430,9 @@ fn run_feitcsi(args: &Args, from: &Way, signals: Signals) -> Result {
     let files = files.map_err(|error| create_refused(&error))?;
     let mut session = Session::new(args, signals, &frames, false)?;
     note!("{words}; recording to {}", args.out.display());
-    let recorder = Recorder::new(frames, files, args.options()).map_err(text)?;
+    let recorder = Recorder::new(frames, files, args.options()).in_words()?;
     let mut source = FeitCsi::new(recorder);
     let failed = session.capture(&mut source, |source| (source.frames().totals(), Lost::default())).err();
-    let (_, files, totals) = source.into_frames().finish(session.clock.now()).map_err(text)?;
+    let (_, files, totals) = source.into_frames().finish(session.clock.now()).in_words()?;
     Ok(session.end(failed, &(String::new(), Lost::default()), &totals, &files))
 }

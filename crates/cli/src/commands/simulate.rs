@@ -4,7 +4,7 @@ mod compare;
 mod serve;
 
 use super::draft::Draft;
-use super::{Outcome, Result, Words, print, print_json, progress, some, usage};
+use super::{InWords, Outcome, Result, Words, print, print_json, progress, some, usage};
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
@@ -143,7 +143,7 @@ pub fn load(file: &Path) -> Words<Scene> {
 
 /// Runs a scene into a folder, with a progress bar on a terminal.
 pub fn write(scene: &Scene, folder: &Path) -> Words<(Vec<WrittenCapture>, Vec<Injected>)> {
-    let mut room = Room::new(scene).map_err(|error| error.to_string())?;
+    let mut room = Room::new(scene).in_words()?;
     for robot in &scene.robot {
         if let RobotMotion::Recorded(recorded) = &robot.motion {
             super::draft::reads(&recorded.file);
@@ -239,7 +239,7 @@ fn run_suite(which: &Which, path: &Path, force: bool, json: bool) -> Result {
         let names: Vec<String> = experiments().into_iter().map(|experiment| experiment.name).collect();
         usage(&format!("no experiment has that in its name; there are: {}", names.join("; ")));
     }
-    let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
+    let channel = Channel::new(108, Width::Ht20).in_words()?;
     let failed = |error: String| format!("cannot write {}: {error}", path.display());
     let draft = Draft::create(path, force)?;
     // Opened first, so that an unwritable file fails before minutes of work.
@@ -249,7 +249,7 @@ fn run_suite(which: &Which, path: &Path, force: bool, json: bool) -> Result {
         progress(&format!("{} of {} experiments: {}", k + 1, all.len(), experiment.name));
         let own =
             run_all(std::slice::from_ref(experiment), which.repetitions.unwrap_or(REPETITIONS), &Options::new(channel));
-        runs.extend(own.map_err(|error| error.to_string())?);
+        runs.extend(own.in_words()?);
     }
     progress("");
     runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;

@@ -4,7 +4,7 @@
 
 use super::args::{Estimation, antenna, channel_of_5300, mac};
 use super::live::{Listening, Needs, Signals, create_refused, describe, duration, join_refused};
-use super::{Outcome, Result, Words, fixed, hint, is_end_of_room, print, print_json, usage};
+use super::{InWords, Outcome, Result, Words, fixed, hint, is_end_of_room, print, print_json, usage};
 use csi5300::exchange::tdma::{Config, Dialect, Epoch, Event, Phy, Plan, PlanError, Request, TdmaCounts};
 use csi5300::internal::{Proof, Prover};
 use csi5300::motion::odometry::csv;
@@ -12,7 +12,7 @@ use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::recorder::{LogFiles, Rotation};
 use csi5300::source::survey::Survey;
-use csi5300::source::{Error, Next};
+use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
 use csi5300_live::doctor::Machine;
 use csi5300_live::monitor::{AirCounts, Monitor};
@@ -191,7 +191,7 @@ impl Bearings<'_> {
 
     /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this.
     fn finish(mut self, signals: &Signals) -> Words<()> {
-        let last = self.beside.last(self.clock, signals.as_fd()).map_err(|error| error.to_string())?;
+        let last = self.beside.last(self.clock, signals.as_fd()).in_words()?;
         last.into_iter().for_each(|made| self.tell(made));
         Ok(())
     }
@@ -227,7 +227,7 @@ pub fn run(args: &Args) -> Result {
              record with --log, and use `csi5300 bearing` on the logs of both robots",
         );
     }
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     let clock = Monotonic::new();
     let now = clock.now();
     let opened = common.open(|config| {
@@ -301,7 +301,7 @@ fn answer(common: &Sounding, antenna: Antenna, json: bool) -> Result {
     if common.dialect == DialectArg::Wsr && common.ack_len.is_none() {
         usage("--dialect wsr needs --ack-len, the length of the frames meant for this robot (57 for the first)");
     }
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     let clock = Monotonic::new();
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
     common.see_to_rate(antenna)?;
@@ -443,14 +443,13 @@ impl Sounding {
         self.check();
         let request = self.request();
         let plan = Plan::new(&request).map_err(|error| refused(&error))?;
-        let text = |error: Error| error.to_string();
         let setup = Setup {
             interface: self.name(),
             mac: self.mac,
             peers: self.peers.clone(),
             request,
             own_index: self.own_index().unwrap_or(0),
-            key: self.key.as_deref().map(read_key).transpose().map_err(text)?,
+            key: self.key.as_deref().map(read_key).transpose().in_words()?,
         };
         let monitor = match &self.listening.room {
             Some(address) => {
@@ -466,7 +465,7 @@ impl Sounding {
                 settle(config);
             })
         });
-        let opened = opened.map_err(text)?;
+        let opened = opened.in_words()?;
         opened.warning.iter().for_each(|warning| note!("{warning}"));
         note!(
             "{} is {}; {} in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
@@ -518,7 +517,7 @@ impl Sounding {
         let session = Session::new(clock, signals.as_fd())
             .with_settings(Settings { fifo_priority, ..Settings::default() })
             .with_stop_at(self.stop_after.map(|span| clock.now() + span));
-        let finished = session.run(opened, messages, observer).map_err(|error| error.to_string())?;
+        let finished = session.run(opened, messages, observer).in_words()?;
         let error = finished.error.as_ref().filter(|_| !self.room_ended(&finished)).map(ToString::to_string);
         Ok((self.conclude(&finished), ExchangeRow::new(&self.peers, &finished, error)))
     }

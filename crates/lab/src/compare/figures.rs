@@ -138,24 +138,16 @@ pub fn measure(
     Ok(Figures { receiver, transmitter, link })
 }
 
-/// Simulates a scene in memory and measures the logs of its first initiator and the next robot along the initiator's true
-/// path.
+/// Simulates a scene in memory and measures the logs of its first initiator and the next robot, along the initiator's true path or a
+/// sensor's trajectory.
 ///
 /// # Errors
 /// As [`measure`], and if the scene cannot be simulated.
-pub fn measure_scene(scene: &Scene, options: &Options) -> Result<Figures, CompareError> {
-    simulated(scene, None, options)
-}
-
-/// As [`measure_scene`], with a sensor's trajectory instead of the true path.
-///
-/// # Errors
-/// As [`measure_scene`].
-pub fn measure_scene_along(scene: &Scene, trajectory: &Trajectory, options: &Options) -> Result<Figures, CompareError> {
-    simulated(scene, Some(trajectory), options)
-}
-
-fn simulated(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) -> Result<Figures, CompareError> {
+pub fn measure_scene(
+    scene: &Scene,
+    trajectory: Option<&Trajectory>,
+    options: &Options,
+) -> Result<Figures, CompareError> {
     let mut room = Room::new(scene)?;
     let receiver = scene.initiators().first().copied().unwrap_or(0);
     let other = usize::from(receiver == 0);
@@ -164,7 +156,7 @@ fn simulated(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) 
         None => true_path(&room, receiver)?,
     };
     let (Some(mut rx), Some(mut tx)) = (room.card(receiver), room.card(other)) else {
-        return Err(CompareError::OneRobot);
+        return Err(CompareError::one_robot());
     };
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     let moves = scene.robot.get(other).is_some_and(|robot| robot.motion != RobotMotion::Static);
@@ -177,20 +169,16 @@ fn simulated(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) 
 /// # Errors
 /// If the scene is too short for two poses.
 pub fn true_path(room: &Room, robot: usize) -> Result<Trajectory, CompareError> {
-    room.true_path(robot, TRUTH_HZ).ok_or_else(|| CompareError::Short { duration_s: room.scene().duration_s })
+    let short = || format!("a scene of {} s is too short for two poses", room.scene().duration_s);
+    room.true_path(robot, TRUTH_HZ).ok_or_else(|| CompareError::Lacks(short()))
 }
 
 fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures, CompareError> {
-    let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
-    let link = found.link.as_ref().ok_or_else(|| {
-        let reason = match &found.bearing {
-            Err(error) => error.to_string(),
-            Ok(_) => "the logs have nothing in common".into(),
-        };
-        CompareError::NoLink { reason }
-    })?;
+    let found = report.links.first().ok_or_else(CompareError::no_transmitter)?;
+    let why = || found.bearing.as_ref().map_or_else(ToString::to_string, |_| "the logs have nothing in common".into());
+    let link = found.link.as_ref().ok_or_else(|| CompareError::Lacks(why()))?;
     let (turn_around, course) = link.phases(options);
-    let turn = turn_around.ok_or(CompareError::FewPairs { pairs: course.len() })?;
+    let turn = turn_around.ok_or_else(|| CompareError::few_pairs(course.len()))?;
     let mut figures = LinkFigures {
         pairs: link.pairs(),
         df_hz: turn.df_hz,

@@ -5,7 +5,7 @@
 //! simulated figures equal the recorded ones: each round simulates the scene and measures it like the recording.
 
 use super::CompareError;
-use super::figures::{Distribution, Figures, LateGroup, QUARTILES, SideFigures, measure_scene_along, usual};
+use super::figures::{Distribution, Figures, LateGroup, QUARTILES, SideFigures, measure_scene, usual};
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, ChannelError, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, Width};
@@ -70,11 +70,16 @@ const ROUNDING: f64 = 2.0 / 12.0;
 /// Refuses a recording of another bandwidth than the channel's.
 ///
 /// # Errors
-/// [`CompareError::Width`] if most records have the other bandwidth.
+/// If most records have the other bandwidth.
 pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareError> {
     let recorded_mhz = if is_wide(&recorded.receiver) { 40 } else { 20 };
     let mhz = if channel.width() == Width::Ht20 { 20 } else { 40 };
-    if recorded_mhz == mhz { Ok(()) } else { Err(CompareError::Width { recorded_mhz, channel }) }
+    if recorded_mhz == mhz {
+        return Ok(());
+    }
+    Err(CompareError::Lacks(format!(
+        "the records are {recorded_mhz} MHz wide, channel {channel} is not: add + or - to the number of a 40 MHz channel"
+    )))
 }
 
 /// Fits a scene.
@@ -83,16 +88,17 @@ pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareEr
 /// If the recording lacks what a scene needs or is not of the options' channel, or its scene cannot be simulated.
 pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, CompareError> {
     check_width(recorded, options.channel)?;
-    let place = known.transmitter_m.or(recorded.link.place_m).ok_or(CompareError::NoPlace)?;
+    let no_place = || "the transmitter's place is not known, and without motion it cannot be found".into();
+    let place = known.transmitter_m.or(recorded.link.place_m).ok_or_else(|| CompareError::Lacks(no_place()))?;
     let recording = Recording { figures: recorded, known, place, channel: options.channel };
     let mut adjusted = first(recorded, known.trajectory, place);
     let simulated = |adjusted: &Adjusted, seed: u64| {
         let scene = recording.scene(adjusted, seed);
-        let unwritable = |source| CompareError::Fitted { toml: String::new(), source };
-        let toml = text(&scene).map_err(unwritable)?;
-        let read = Scene::read(&toml, known.folder);
-        let scene = read.map_err(|source| CompareError::Fitted { toml: toml.clone(), source })?;
-        let figures = measure_scene_along(&scene, known.trajectory, options)?;
+        let invalid =
+            |toml: &str, source: SceneError| CompareError::Lacks(format!("the fitted scene: {source}\n{toml}"));
+        let toml = text(&scene).map_err(|source| invalid("", source))?;
+        let scene = Scene::read(&toml, known.folder).map_err(|source| invalid(&toml, source))?;
+        let figures = measure_scene(&scene, Some(known.trajectory), options)?;
         Ok::<_, CompareError>(Fitted { toml, scene, figures })
     };
     let mut best = (f64::INFINITY, adjusted);

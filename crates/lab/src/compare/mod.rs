@@ -7,9 +7,9 @@
 pub mod figures;
 pub mod fit;
 
-use csi5300_sim::{RoomError, SceneError};
+use csi5300_sim::RoomError;
 use figures::{Distribution, SideFigures};
-pub use figures::{Figures, LinkFigures, measure, measure_scene, measure_scene_along};
+pub use figures::{Figures, LinkFigures, measure, measure_scene};
 pub use fit::{Fitted, channel_of, fit, scene_channel};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -110,10 +110,10 @@ impl Table {
     fn side(&mut self, of: &'static str, a: &SideFigures, b: &SideFigures) {
         self.of = of;
         self.add("records", "", a.records as f64, b.records as f64, Allowed::Share(0.02));
-        self.extent("record length", "bytes", &a.lengths, &b.lengths);
-        self.extent("10 n_rx + n_tx", "", &a.streams, &b.streams);
+        self.extent(("record length", "bytes"), &a.lengths, &b.lengths, |bytes| bytes as f64);
+        self.extent(("10 n_rx + n_tx", ""), &a.streams, &b.streams, |streams| streams as f64);
         self.shares("rate_n_flags", &a.rates, &b.rates);
-        self.extent("noise", "dBm", &a.noise_dbm, &b.noise_dbm);
+        self.extent(("noise", "dBm"), &a.noise_dbm, &b.noise_dbm, f64::from);
         self.shares("antenna_sel", &a.antenna_sel, &b.antenna_sel);
         for (antenna, (a, b)) in ["A", "B", "C"].iter().zip(a.rssi_db.iter().zip(&b.rssi_db)) {
             self.field(&format!("RSSI {antenna}"), "dB", a, b);
@@ -135,9 +135,14 @@ impl Table {
     }
 
     /// The range of a field with few values: lowest and highest must be equal.
-    fn extent<K: Copy + Into<Number>>(&mut self, name: &str, unit: &'static str, a: &Histogram<K>, b: &Histogram<K>) {
-        let ends =
-            |map: &Histogram<K>| [map.keys().next(), map.keys().next_back()].map(|key| key.map(|k| (*k).into().0));
+    fn extent<K: Copy>(
+        &mut self,
+        (name, unit): (&str, &'static str),
+        a: &Histogram<K>,
+        b: &Histogram<K>,
+        number: fn(K) -> f64,
+    ) {
+        let ends = |map: &Histogram<K>| [map.keys().next(), map.keys().next_back()].map(|key| key.copied().map(number));
         let ([low, high], [other_low, other_high]) = (ends(a), ends(b));
         self.maybe(&format!("{name}, lowest"), unit, [low, other_low], Allowed::Nothing);
         self.maybe(&format!("{name}, highest"), unit, [high, other_high], Allowed::Nothing);
@@ -177,21 +182,6 @@ fn variation<K: Copy + Ord>(a: &Histogram<K>, b: &Histogram<K>) -> f64 {
     0.5 * keys.into_iter().map(|key| (share(a, key) - share(b, key)).abs()).sum::<f64>()
 }
 
-/// A field's value as a number.
-struct Number(f64);
-
-impl From<i8> for Number {
-    fn from(value: i8) -> Self {
-        Self(f64::from(value))
-    }
-}
-
-impl From<usize> for Number {
-    fn from(value: usize) -> Self {
-        Self(value as f64)
-    }
-}
-
 fn verdict(recorded: Option<f64>, simulated: Option<f64>, allowed: Allowed) -> Verdict {
     let limit = |recorded: f64| match allowed {
         Allowed::Nothing => Some(0.0),
@@ -218,54 +208,26 @@ pub enum CompareError {
     /// A log cannot be read.
     #[error(transparent)]
     Log(#[from] csi5300::source::Error),
-    /// There is no transmitter's log.
-    #[error("no transmitter's log")]
-    NoTransmitter,
-    /// The two logs have no common frames.
-    #[error("{reason}")]
-    NoLink {
-        /// Why.
-        reason: String,
-    },
-    /// Too few pairs for the figures of a link.
-    #[error("{pairs} pairs are too few to measure a link")]
-    FewPairs {
-        /// Number of pairs.
-        pairs: usize,
-    },
     /// A scene cannot be simulated.
     #[error(transparent)]
     Room(#[from] RoomError),
-    /// A scene is too short for a trajectory.
-    #[error("a scene of {duration_s} s is too short for two poses")]
-    Short {
-        /// Its length, seconds.
-        duration_s: f64,
-    },
-    /// A scene has no second robot.
-    #[error("a scene of one robot has no link to measure")]
-    OneRobot,
-    /// The records have another bandwidth than the channel.
-    #[error(
-        "the records are {recorded_mhz} MHz wide, channel {channel} is not: add + or - to the number of a 40 MHz channel"
-    )]
-    Width {
-        /// Bandwidth of the records, MHz.
-        recorded_mhz: u16,
-        /// The expected channel.
-        channel: csi5300::signal::channel::Channel,
-    },
-    /// A recording without motion does not show where the transmitter is.
-    #[error("the transmitter's place is not known, and without motion it cannot be found")]
-    NoPlace,
-    /// The fitted text is not a valid scene.
-    #[error("the fitted scene: {source}\n{toml}")]
-    Fitted {
-        /// Its text.
-        toml: String,
-        /// Its error.
-        source: SceneError,
-    },
+    /// What the capture or the scene lacks.
+    #[error("{0}")]
+    Lacks(String),
+}
+
+impl CompareError {
+    pub(crate) fn no_transmitter() -> Self {
+        Self::Lacks("no transmitter's log".into())
+    }
+
+    pub(crate) fn one_robot() -> Self {
+        Self::Lacks("a scene of one robot has no link to measure".into())
+    }
+
+    pub(crate) fn few_pairs(pairs: usize) -> Self {
+        Self::Lacks(format!("{pairs} pairs are too few to measure a link"))
+    }
 }
 
 #[cfg(test)]

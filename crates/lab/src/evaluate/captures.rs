@@ -389,72 +389,18 @@ const FURTHEST_M: f64 = 1e6;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EvaluateError {
-    /// A file could not be read.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's answer.
-        source: std::io::Error,
-    },
-    /// The truth file is invalid.
-    #[error("{}: {source}", path.display())]
-    Truth {
-        /// The file.
-        path: PathBuf,
-        /// Position and kind of the error.
-        source: serde_json::Error,
-    },
-    /// The truth file is too long.
-    #[error("{}: {bytes} bytes; a truth file has at most {LONGEST}", path.display())]
-    Long {
-        /// The file.
-        path: PathBuf,
-        /// Its size.
-        bytes: u64,
-    },
-    /// The truth file has a transmitter at an impossible place.
-    #[error("{}: {transmitter} is further than 1e6 m from the origin", path.display())]
-    Far {
-        /// The file.
-        path: PathBuf,
-        /// The transmitter.
-        transmitter: String,
-    },
+    /// A file is missing or invalid.
+    #[error("{0}")]
+    File(String),
     /// The truth file names an invalid channel.
     #[error("{TRUTH_FILE}: {0}")]
     Channel(#[from] ChannelError),
-    /// Neither the truth file nor the caller names a channel.
-    #[error("unknown WiFi channel: no {TRUTH_FILE} names it; use --channel")]
-    NoChannel,
-    /// A receiver's log has no transmitter's log beside it.
-    #[error("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat")]
-    NoTransmitter {
-        /// Time stamp in the file names.
-        stamp: String,
-    },
-    /// The trajectory cannot be read.
-    #[error("{}", trajectory_text(path, source))]
-    Trajectory {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: CsvError,
-    },
     /// A part of the motion has too few poses, or the antenna's position is given but the trajectory has no heading.
     #[error(transparent)]
     Part(#[from] csi5300::motion::pose::TrajectoryError),
     /// A log cannot be read.
     #[error(transparent)]
     Log(#[from] csi5300::source::Error),
-}
-
-/// Avoids repeating the file's name, which an operating system's error already contains.
-fn trajectory_text(path: &Path, source: &CsvError) -> String {
-    match source {
-        CsvError::Io { .. } => source.to_string(),
-        _ => format!("{}: {source}", path.display()),
-    }
 }
 
 #[derive(Default, Deserialize)]
@@ -479,15 +425,20 @@ struct Xy {
     y: f64,
 }
 
+/// A file with what is wrong with it.
+fn invalid(path: &Path, why: &dyn std::fmt::Display) -> EvaluateError {
+    EvaluateError::File(format!("{}: {why}", path.display()))
+}
+
 /// The whole file; one longer than [`LONGEST`] is not read to its end.
 fn read(path: &Path) -> Result<Vec<u8>, EvaluateError> {
-    let io = |source| EvaluateError::Io { path: path.to_owned(), source };
+    let io = |source: std::io::Error| invalid(path, &source);
     let file = File::open(path).map_err(io)?;
     let (size, mut text) = (file.metadata().map_err(io)?.len(), Vec::new());
     let got = file.take(LONGEST + 1).read_to_end(&mut text).map_err(io)? as u64;
     // A pipe has no size.
     match got > LONGEST {
-        true => Err(EvaluateError::Long { path: path.to_owned(), bytes: size.max(got) }),
+        true => Err(invalid(path, &format_args!("{} bytes; a truth file has at most {LONGEST}", size.max(got)))),
         false => Ok(text),
     }
 }
@@ -505,10 +456,11 @@ impl Truth {
     pub(super) fn read(folder: &Path) -> Result<Self, EvaluateError> {
         let path = folder.join(TRUTH_FILE);
         let text = read(&path)?;
-        let truth: Self =
-            serde_json::from_slice(&text).map_err(|source| EvaluateError::Truth { path: path.clone(), source })?;
+        let truth: Self = serde_json::from_slice(&text).map_err(|source| invalid(&path, &source))?;
         match truth.far() {
-            Some(transmitter) => Err(EvaluateError::Far { transmitter: transmitter.to_owned(), path }),
+            Some(transmitter) => {
+                Err(invalid(&path, &format_args!("{transmitter} is further than 1e6 m from the origin")))
+            }
             None => Ok(truth),
         }
     }

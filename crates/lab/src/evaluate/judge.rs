@@ -1,8 +1,9 @@
 //! Evaluates one capture: estimates its links and compares them with the truth.
 
-use super::captures::{Capture, EvaluateError, Shelf, TrajectorySource, Truth};
+use super::captures::{Capture, EvaluateError, Shelf, TRUTH_FILE, TrajectorySource, Truth};
 use super::quality::horizontal;
 use csi5300::maths::wrap_rad;
+use csi5300::motion::odometry::csv::CsvError;
 use csi5300::motion::pose::{Pose, Trajectory, TrajectoryError};
 use csi5300::pipeline::{Answer, Bearing, CaptureReport, LinkReport, Options, Transmitter, bearings, lost_something};
 use csi5300::signal::channel::{Channel, Width};
@@ -142,10 +143,15 @@ impl Capture {
         let channel = match (channel, truth.channel()) {
             (Some(channel), _) => channel,
             (None, Some(number)) => Channel::new(number, Width::Ht20)?,
-            (None, None) => return Err(EvaluateError::NoChannel),
+            (None, None) => {
+                return Err(EvaluateError::File(format!(
+                    "unknown WiFi channel: no {TRUTH_FILE} names it; use --channel"
+                )));
+            }
         };
         if self.transmitters.is_empty() {
-            return Err(EvaluateError::NoTransmitter { stamp: self.stamp.clone() });
+            let stamp = &self.stamp;
+            return Err(EvaluateError::File(format!("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat")));
         }
         let mut notes = Vec::new();
         let trajectory = self.trajectory(shelf, source, &mut notes)?;
@@ -261,7 +267,9 @@ struct Run<'a> {
 fn read_path(shelf: &Shelf, path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
     let (trajectory, counts) = match shelf.trajectory(&path) {
         Ok(read) => read,
-        Err(source) => return Err(EvaluateError::Trajectory { path, source }),
+        // An operating system's error names the file.
+        Err(error @ CsvError::Io { .. }) => return Err(EvaluateError::File(error.to_string())),
+        Err(error) => return Err(EvaluateError::File(format!("{}: {error}", path.display()))),
     };
     if counts.lost_something(&trajectory) {
         notes.extend(counts.notes(&trajectory).into_iter().map(|words| format!("{}: {words}", path.display())));

@@ -291,36 +291,23 @@ pub struct Table {
     bad_rows: usize,
 }
 
-/// Why a table is not used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum TableError {
-    /// It cannot be read.
-    #[error("{TABLE}: {0}")]
-    Csv(#[from] csv::Error),
-    /// It lacks a needed column.
-    #[error("{TABLE} has no column `{column}`: it is skipped")]
-    Column {
-        /// The missing one.
-        column: &'static str,
-    },
-}
-
 impl Table {
     /// Reads the table of a folder; `None` if there is no such file. Counts rows without numbers.
     ///
     /// # Errors
     /// If the file exists and is not such a table.
-    pub fn read(folder: &Path, source: TrajectorySource) -> Result<Option<Self>, TableError> {
+    pub fn read(folder: &Path, source: TrajectorySource) -> Result<Option<Self>, String> {
         let path = folder.join(TABLE);
         if !path.is_file() {
             return Ok(None);
         }
-        let mut reader = csv::ReaderBuilder::new().flexible(true).from_path(path)?;
-        let head = reader.headers()?.clone();
+        let unreadable = |error: csv::Error| format!("{TABLE}: {error}");
+        let mut reader = csv::ReaderBuilder::new().flexible(true).from_path(path).map_err(unreadable)?;
+        let head = reader.headers().map_err(unreadable)?.clone();
+        let lacking = |column| format!("{TABLE} has no column `{column}`: it is skipped");
         let mut places = [0; COLUMNS.len()];
         for (place, column) in places.iter_mut().zip(COLUMNS) {
-            *place = head.iter().position(|name| name == column).ok_or(TableError::Column { column })?;
+            *place = head.iter().position(|name| name == column).ok_or_else(|| lacking(column))?;
         }
         let displacement = match source {
             TrajectorySource::GroundTruth => "gt",
@@ -353,7 +340,7 @@ impl Table {
     pub fn noted(folder: &Path, source: TrajectorySource) -> (Option<Self>, Option<String>) {
         let said = |words: String| Some(format!("{}: {words}", folder.display()));
         match Self::read(folder, source) {
-            Err(error) => (None, said(error.to_string())),
+            Err(error) => (None, said(error)),
             Ok(Some(table)) if table.bad_rows > 0 => {
                 let rows = csi5300_say::count(table.bad_rows as u64, "row", "rows");
                 (Some(table), said(format!("{TABLE}: {rows} without numbers skipped")))

@@ -4,7 +4,7 @@
 use super::Args;
 use super::words::{describe, digits, doubts, explain_lines, in_a_line, is_short, pairs};
 use crate::commands::args::{Reading, Which};
-use crate::commands::{Outcome, Result, Words, fixed, hint, print, print_json, some, usage};
+use crate::commands::{InWords, Outcome, Result, Words, fixed, hint, print, print_json, some, usage};
 use clap::ValueEnum;
 use csi5300::maths::median;
 use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
@@ -210,7 +210,7 @@ fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> Word
 fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> Words<()> {
     let Some(folder) = &args.plot else { return Ok(()) };
     let written = csi5300_lab::show::results::write_maps(rows, located, folder, &crate::commands::draft::read_files());
-    let written = written.map_err(|error| error.to_string())?;
+    let written = written.in_words()?;
     if !written.is_empty() {
         note!("{}: {}", folder.display(), crate::commands::some(written.len() as u64, "map", "maps"));
     }

@@ -10,7 +10,7 @@ use crate::commands::args::channel as channel_of;
 use crate::commands::draft::{FolderDraft, reads};
 use crate::commands::files::{open_log, read_trajectory};
 use crate::commands::live::{Listening, Needs, Signals, describe, join_refused};
-use crate::commands::{Outcome, Result, Words, print, simulate, usage};
+use crate::commands::{InWords, Outcome, Result, Words, print, simulate, usage};
 use csi_formats::Format;
 use csi5300::exchange::tdma::{Dialect, Epoch, Phy, Request};
 use csi5300::internal::FrameReceiver;
@@ -116,7 +116,7 @@ pub fn run(args: &Args) -> Result {
     let mut report = evidence.judge();
     report.facts = facts;
     match args.json {
-        true => println!("{}", report.json().map_err(|error| error.to_string())?),
+        true => println!("{}", report.json().in_words()?),
         false => print(&text(&report)),
     }
     if let Some(folder) = &args.report {
@@ -268,13 +268,13 @@ fn logs(args: &Args, desk: &Desk) -> Found {
 
 /// The first two robots of a simulated room, in virtual time.
 fn room(scene: &Scene) -> Found {
-    let mut room = Room::new(scene).map_err(|error| error.to_string())?;
+    let mut room = Room::new(scene).in_words()?;
     // A scene's number is that of the centre, here it is the lower half's.
     let name = match scene.bandwidth_mhz {
         40 => format!("{}+", scene.channel.saturating_sub(2)),
         _ => scene.channel.to_string(),
     };
-    let mut plan = Plan::new(name.parse::<Channel>().map_err(|error| error.to_string())?);
+    let mut plan = Plan::new(name.parse::<Channel>().in_words()?);
     let still = |robot: &csi5300_sim::scene::Robot| robot.motion == RobotMotion::default();
     plan.at_rest = scene.robot.iter().all(still);
     if let (Some(trajectory), Some(to)) = (room.true_path(0, 100.0), room.antenna(1, 0.0))
@@ -288,7 +288,7 @@ fn room(scene: &Scene) -> Found {
     let Some(mut near) = room.card(0) else { return Err("the scene has no robot".into()) };
     let mut far = room.card(1);
     let far = far.as_mut().map(|far| far as &mut dyn CsiSource);
-    let evidence = collect(&mut near, far, None, plan).map_err(|error| error.to_string())?;
+    let evidence = collect(&mut near, far, None, plan).in_words()?;
     Ok(Judged::of(evidence, format!("backend: simulated room, scene {:?}, seed {}", scene.name, scene.seed)))
 }
 
@@ -301,8 +301,8 @@ fn write(report: &Report, evidence: &Evidence, stopped: Option<&Stopped>, folder
         .iter()
         .find_map(|record| record.host_us)
         .map_or_else(|| "no date".into(), |us| stamp(us.div_euclid(1_000_000)));
-    let json = report.json().map_err(|error| error.to_string())?;
-    let goes_on = stopped.map(serde_json::to_vec).transpose().map_err(|error| error.to_string())?.unwrap_or_default();
+    let json = report.json().in_words()?;
+    let goes_on = stopped.map(serde_json::to_vec).transpose().in_words()?.unwrap_or_default();
     let mut files = vec![
         ("report.json".to_owned(), json.into_bytes()),
         ("report.xml".into(), report.junit().into_bytes()),
@@ -364,7 +364,7 @@ fn air(desk: &Desk, options: &Options) -> Words<(Monitor, Mac)> {
         }
         None => Monitor::open(options),
     };
-    let monitor = monitor.map_err(|error| error.to_string())?;
+    let monitor = monitor.in_words()?;
     let mac = monitor.mac().ok_or_else(|| format!("{} has no MAC", options.interface))?;
     Ok((monitor, mac))
 }
@@ -466,7 +466,7 @@ fn listen(args: &Args, desk: &Desk) -> Found {
     let system = Machine;
     let mut plan = plan(args, desk)?;
     let (steps, left_out) = Step::plan(args, desk)?;
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     let air = desk.send.then(|| sender(desk)).transpose()?;
     let mac = air.as_ref().map(|air| air.1);
     let asked = Step::asked(&steps, desk, plan.channel);
@@ -507,7 +507,7 @@ fn listen(args: &Args, desk: &Desk) -> Found {
         let counters = monitor.borrow_mut().counters();
         let (confirmed, retried) = (Some(counters.tx_status), counters.tx_retried);
         // Of the channel that frames are named by, the lower or upper half of 40 MHz.
-        let half = Channel::new(plan.channel.number(), Width::Ht20).map_err(|error| error.to_string())?;
+        let half = Channel::new(plan.channel.number(), Width::Ht20).in_words()?;
         let mhz = (half.centre_hz() / 1e6).round() as u32;
         let channel_flags = desk.interface.as_deref().and_then(|name| channel_flags(&system, name, mhz));
         collector.interface(Interface { confirmed, retried, channel_flags });
@@ -587,9 +587,9 @@ impl Run<'_> {
             }
             if let Some(monitor) = self.monitor {
                 // What the driver reports of own frames is counted on the way.
-                while monitor.borrow_mut().hear().map_err(|error| error.to_string())?.is_some() {}
+                while monitor.borrow_mut().hear().in_words()?.is_some() {}
             }
-            let next = self.listener.receive(self.clock.now()).map_err(|error| error.to_string())?;
+            let next = self.listener.receive(self.clock.now()).in_words()?;
             let (pending, over) = (matches!(next, Next::Pending), matches!(next, Next::End(_)));
             self.collector.heard(Side::Near, &next);
             if over || (pending && self.wait(end, due)?) {
@@ -604,7 +604,7 @@ impl Run<'_> {
         let wake = (self.clock.now() + Span::from_us(WAKE_US)).min(end);
         let until = [self.listener.next_at(), due, Some(wake)].into_iter().flatten().min();
         let fds = [self.listener.as_fd(), self.signals.as_fd()];
-        let ready = self.clock.wait(fds, until).map_err(|error| error.to_string())?;
+        let ready = self.clock.wait(fds, until).in_words()?;
         if !ready.contains(&true)
             && let Some(until) = until
         {
@@ -619,16 +619,16 @@ impl Run<'_> {
         loop {
             let until = self.clock.now() + Span::from_ms(50);
             let fds = [stdin.as_fd(), self.signals.as_fd()];
-            match self.clock.wait(fds, Some(until)).map_err(|error| error.to_string())? {
+            match self.clock.wait(fds, Some(until)).in_words()? {
                 [_, true] => return Ok(true),
                 [true, _] => {
-                    let read = stdin.lock().read_line(&mut String::new()).map_err(|error| error.to_string())?;
+                    let read = stdin.lock().read_line(&mut String::new()).in_words()?;
                     return Ok(read == 0);
                 }
                 _ => {}
             }
             loop {
-                match self.listener.receive(self.clock.now()).map_err(|error| error.to_string())? {
+                match self.listener.receive(self.clock.now()).in_words()? {
                     Next::Pending => break,
                     Next::End(_) => return Ok(true),
                     Next::Record(..) | Next::Lost(_) => {}
@@ -719,12 +719,12 @@ fn must_be_there(interface: &str) -> Words<()> {
 /// Waits for the first robot and assists it.
 fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
     desk.interface.as_deref().map_or(Ok(()), must_be_there)?;
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     let failed = |error: std::io::Error| format!("cannot wait at {address}: {error}");
     let waiting = TcpListener::bind(address).map_err(failed)?;
     note!("waiting at {} for the first robot; Ctrl-C ends it", waiting.local_addr().map_err(failed)?);
     let clock = Monotonic::new();
-    let ready = clock.wait([waiting.as_fd(), signals.as_fd()], None).map_err(|error| error.to_string())?;
+    let ready = clock.wait([waiting.as_fd(), signals.as_fd()], None).in_words()?;
     if ready[1] {
         return Ok(());
     }
@@ -744,7 +744,7 @@ fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
     note!("the first robot came, on channel {told}: recording until it ends");
     let mut collector = Collector::new(Plan::new(told));
     loop {
-        let next = listener.receive(clock.now()).map_err(|error| error.to_string())?;
+        let next = listener.receive(clock.now()).in_words()?;
         let (pending, over) = (matches!(next, Next::Pending), matches!(next, Next::End(_)));
         collector.heard(Side::Near, &next);
         if over {
@@ -755,7 +755,7 @@ fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
             let latest = clock.now() + Span::from_ms(200);
             let until = listener.next_at().map_or(latest, |at| at.min(latest));
             let fds = [listener.as_fd(), stream.get_ref().as_fd(), signals.as_fd()];
-            let ready = clock.wait(fds, Some(until)).map_err(|error| error.to_string())?;
+            let ready = clock.wait(fds, Some(until)).in_words()?;
             if ready[2] {
                 return Err("ended before the first robot did".into());
             }
@@ -769,7 +769,7 @@ fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
         return Err(format!("unexpected message from the first robot: {said}"));
     }
     if let Some(running) = running {
-        running.stop().map_err(|error| error.to_string())?;
+        running.stop().in_words()?;
     }
     let log = collector.finish().near.log;
     let stream = stream.get_mut();
@@ -800,7 +800,6 @@ fn agree(args: &Args, desk: &Desk, said: &str) -> Words<Agreed> {
 
 /// Answers the first robot's frames on the interface, from user space.
 fn answerer(desk: &Desk, first: Mac) -> Words<(Running, Mac)> {
-    let text = |error: csi5300::source::Error| error.to_string();
     let dialect = Dialect::Wsr { first_len: wsr::DEFAULT_LEN as u16 };
     let setup = Setup {
         interface: desk.interface.clone().unwrap_or_default(),
@@ -818,7 +817,7 @@ fn answerer(desk: &Desk, first: Mac) -> Words<(Running, Mac)> {
     let clock = Monotonic::new();
     let opened =
         setup.open_on(monitor, |config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()));
-    let running = Running::start_opened(opened.map_err(text)?, clock, Settings::default()).map_err(text)?;
+    let running = Running::start_opened(opened.in_words()?, clock, Settings::default()).in_words()?;
     Ok((running, mac))
 }
 

@@ -1,7 +1,7 @@
 //! `csi5300 export --dat`: every intact record of a damaged log.
 
 use crate::commands::draft::{Draft, led_to, rest};
-use crate::commands::{Outcome, Result, Words};
+use crate::commands::{InWords, Outcome, Result, Words};
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{Checks, CsiSource, Next, Origin, side_path};
@@ -89,7 +89,7 @@ impl Output {
 
     fn write(&mut self, record: Record<'_>, host_us: Option<i64>) -> Words<()> {
         self.frame.resize(record.emit_len(), 0);
-        record.emit(&mut self.frame).map_err(|error| error.to_string())?;
+        record.emit(&mut self.frame).in_words()?;
         let name = &self.name;
         let failed = |error: std::io::Error| format!("writing {name}: {error}");
         self.data.write_all(&self.frame).map_err(failed)?;
@@ -115,7 +115,7 @@ impl Output {
             (0..csi5300::signal::channel::SUBCARRIERS).flat_map(|k| rows.clone().map(move |(rx, tx)| (k, rx, tx)));
         let csi: Vec<Iq> = all.filter_map(|(k, rx, tx)| bfee.iq(k, rx, tx)).collect();
         let mut body = vec![0; repr.body_len()];
-        repr.emit(&csi, &mut body).map_err(|error| error.to_string())?;
+        repr.emit(&csi, &mut body).in_words()?;
         self.write(Record { code: code::BFEE, body: &body }, identity.host_us)
     }
 
@@ -197,7 +197,7 @@ fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
         payload: &payload,
     };
     let mut frame = vec![0; repr.emit_len()];
-    repr.emit(&mut frame).map_err(|error| error.to_string())?;
+    repr.emit(&mut frame).in_words()?;
     Ok(frame)
 }
 
@@ -271,7 +271,7 @@ fn copy(
     loop {
         // What a side file's checksums let through is no doubt.
         let is_checked = source.checks().is_some_and(|checks| !checks.out_of_step);
-        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let next = source.receive(Instant::ZERO).in_words()?;
         let noted = survey.note(&next);
         match (next, noted) {
             (Next::Record(..), Some((bfee, identity))) if layout == Some(Layout::Stock) && bfee.wsr().is_some() => {
@@ -317,11 +317,11 @@ fn settle(log: &Path, side: Option<SideLayout>) -> Words<u64> {
 fn misread(log: &Path) -> Words<BTreeSet<u64>> {
     let failed = |error: std::io::Error| format!("reading {}: {error}", log.display());
     let mut written = Written::open(log).map_err(failed)?;
-    let mut source = Replay::open(log).map_err(|error| error.to_string())?;
+    let mut source = Replay::open(log).in_words()?;
     let mut misread = BTreeSet::new();
     let mut next = written.next().map_err(failed)?;
     loop {
-        let found = match source.receive(Instant::ZERO).map_err(|error| error.to_string())? {
+        let found = match source.receive(Instant::ZERO).in_words()? {
             Next::Record(stamps, record) => match stamps.origin {
                 Origin::File { offset } => Some((offset, record.emit_len())),
                 Origin::Live { .. } => continue,

@@ -3,8 +3,8 @@
 use crate::commands::args::channel;
 use crate::commands::files::{self, BagArgs, Inputs};
 use crate::commands::{
-    Outcome, Result, Words, draft, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some,
-    usage,
+    InWords, Outcome, Result, Words, draft, fixed, is_same_file, print, print_json, progress, read_trajectory,
+    simulate, some, usage,
 };
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
@@ -88,7 +88,7 @@ pub fn run(args: &Args) -> Result {
     let trajectory = inputs.trajectory(&named.trajectory)?;
     let displaced = args.recorded.tx_trajectory.as_deref().map(|path| inputs.trajectory(path)).transpose()?;
     let recorded = read(&inputs, (&named.rx, tx), (&trajectory, displaced.as_ref()), &options)?;
-    check_width(&recorded, options.channel).map_err(|error| error.to_string())?;
+    check_width(&recorded, options.channel).in_words()?;
     let folder = args.out.join(SIMULATED);
     // A fitted scene's robot strays from the recorded trajectory; a recording has only the latter.
     let along = args.with.is_none().then_some(&trajectory);
@@ -178,12 +178,12 @@ fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel
 fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
     let (captures, _) = find(folder);
     let capture = captures.first().ok_or_else(|| no_capture(folder))?;
-    match (asked, channel_number_in(&capture.folder).map_err(|error| error.to_string())?) {
+    match (asked, channel_number_in(&capture.folder).in_words()?) {
         (Some(channel), Some(own)) if u32::from(scene_channel(channel)) != own => {
             Err(format!("{} is of channel {own}, not of --channel {channel}", folder.display()))
         }
         (Some(channel), _) => Ok(channel),
-        (None, Some(own)) => Channel::new(own, Width::Ht20).map_err(|error| error.to_string()),
+        (None, Some(own)) => Channel::new(own, Width::Ht20).in_words(),
         (None, None) => usage(&format!("--channel is needed: no file with a truth in {} names it", folder.display())),
     }
 }
@@ -209,7 +209,7 @@ fn read(
     paths: (&Trajectory, Option<&Trajectory>),
     options: &Options,
 ) -> Words<Figures> {
-    measure(&mut inputs.open(rx)?, &mut inputs.open(tx)?, paths.0, paths.1, options).map_err(|error| error.to_string())
+    measure(&mut inputs.open(rx)?, &mut inputs.open(tx)?, paths.0, paths.1, options).in_words()
 }
 
 /// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
@@ -235,7 +235,7 @@ fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Op
     draft::write(&args.out.join(TRAJECTORY), &poses)?;
     let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: None };
     progress("fitting a scene to the recording");
-    let fitted = fit(recorded, &known, options).map_err(|error| error.to_string());
+    let fitted = fit(recorded, &known, options).in_words();
     progress("");
     let fitted = fitted?;
     draft::write(&args.out.join(SCENE), &fitted.toml)?;
@@ -272,7 +272,7 @@ fn short(value: f64) -> String {
 
 fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
     let written = csi5300_lab::show::results::write_compared(recorded, simulated, &args.out, &draft::read_files());
-    let written = written.map_err(|error| error.to_string())?;
+    let written = written.in_words()?;
     for path in files::first_of_each(&written).filter(|_| !args.json) {
         print(&format!("picture {}\n", path.display()));
     }

@@ -1,7 +1,7 @@
 //! `csi5300 simulate --serve`: a room in real time.
 
 use crate::commands::live::Signals;
-use crate::commands::{Outcome, Result, Words, is_same_file};
+use crate::commands::{InWords, Outcome, Result, Words, is_same_file};
 use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
 use csi5300::motion::pose::Pose;
 use csi5300::source::{CsiSource, Loss, Next};
@@ -108,13 +108,13 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     if json && args.poses.iter().any(|path| path.as_os_str() == "-") {
         crate::commands::usage("--json and --poses - both want standard output");
     }
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     let speed = args.speed.unwrap_or(1.0);
     if args.socket.is_some() && speed != 1.0 {
         return Err("other programs live in real time: --socket and --speed do not go together".into());
     }
     let outputs = open(&scene, file, args)?;
-    let server = args.socket.as_deref().map(Server::bind).transpose().map_err(|error| error.to_string())?;
+    let server = args.socket.as_deref().map(Server::bind).transpose().in_words()?;
     for (output, sender) in outputs.iter().filter_map(|output| Some((output, output.sender.as_ref()?))) {
         note!("serving {} on connector index {}", output.name, sender.index());
     }
@@ -128,7 +128,7 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     let clock = Monotonic::new();
     begin(&mut scene, wall_us());
     let room = if server.is_some() { Room::quiet(&scene) } else { Room::new(&scene) };
-    let mut room = room.map_err(|error| error.to_string())?;
+    let mut room = room.in_words()?;
     let robots = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
     let mut serving = Serving { room, server, robots, clock, speed, behind: Span::default() };
     serving.work(&signals)?;
@@ -170,8 +170,7 @@ impl Serving {
             let until = until.map(|span| Instant::ZERO + span + Span::from_us(1));
             // Without a socket, this waits for the signals twice.
             let fds = [signals.as_fd(), self.server.as_ref().map_or(signals.as_fd(), AsFd::as_fd)];
-            let ready =
-                self.clock.wait(fds, Some(until.unwrap_or(Instant::ZERO))).map_err(|error| error.to_string())?;
+            let ready = self.clock.wait(fds, Some(until.unwrap_or(Instant::ZERO))).in_words()?;
             if ready[0] {
                 break;
             }
@@ -192,7 +191,7 @@ impl Serving {
         if let Some(server) = &mut self.server {
             // Both clocks at one moment: the kernel stamps by one, the room runs by the other.
             *now = self.clock.now();
-            next = server.turn(&mut self.room, *now, wall_us()).map_err(|error| error.to_string())?;
+            next = server.turn(&mut self.room, *now, wall_us()).in_words()?;
             server.notice().into_iter().for_each(|why| note!("a frame was not sent: {why}"));
         }
         for robot in &mut self.robots {
@@ -297,7 +296,7 @@ fn open(scene: &Scene, file: &Path, args: &Args) -> Words<Vec<Output>> {
     }
     let mut taken = in_use(scene, file, args);
     let output = |(k, (name, index)): (usize, (String, Option<u32>))| {
-        let sender = index.map(|index| Sender::open(index, true)).transpose().map_err(|error| error.to_string())?;
+        let sender = index.map(|index| Sender::open(index, true)).transpose().in_words()?;
         let poses = args.poses.get(k).map(|path| PosesFile::open(path, &taken)).transpose()?;
         taken.extend(args.poses.get(k).map(|path| (path.clone(), "where the poses of another robot go")));
         Ok(Output { name, sender, poses })
@@ -337,12 +336,11 @@ impl Output {
 impl Served {
     /// Sends what is due by `now`. Returns when more is due; `None` at the end.
     fn pump(&mut self, now: Instant) -> Words<Option<Instant>> {
-        let words = |error: csi5300::source::Error| error.to_string();
         let mut card_at = None;
         while let Some((card, sender)) = &mut self.card {
-            match card.receive(now).map_err(words)? {
+            match card.receive(now).in_words()? {
                 Next::Record(_, record) => {
-                    sender.send(record).map_err(words)?;
+                    sender.send(record).in_words()?;
                     self.sent += 1;
                 }
                 Next::Lost(Loss::Overrun { .. } | Loss::Bytes { .. } | Loss::Datagram { .. }) => {}
@@ -360,7 +358,7 @@ impl Served {
     fn pump_poses(&mut self, now: Instant) -> Words<Option<Instant>> {
         let Some((source, out)) = &mut self.poses else { return Ok(None) };
         loop {
-            match source.receive(now).map_err(|error| error.to_string())? {
+            match source.receive(now).in_words()? {
                 NextPose::Pose(pose) => out.write(&pose),
                 NextPose::NewFrame => {}
                 NextPose::Pending => return Ok(source.next_at()),
