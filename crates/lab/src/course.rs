@@ -54,7 +54,6 @@ const SENDERS: usize = u16::MAX as usize;
 
 /// Which part of a log is wanted.
 #[derive(Clone, Debug, Default)]
-#[non_exhaustive]
 pub struct Wanted {
     /// Only frames of these senders; empty: of all.
     pub macs: Vec<Mac>,
@@ -67,27 +66,6 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    /// With these senders only.
-    #[must_use]
-    pub fn with_macs(mut self, macs: Vec<Mac>) -> Self {
-        self.macs = macs;
-        self
-    }
-
-    /// With these antennas only.
-    #[must_use]
-    pub fn with_antennas(mut self, antennas: Vec<Antenna>) -> Self {
-        self.antennas = antennas;
-        self
-    }
-
-    /// Between two times only, seconds after the first record.
-    #[must_use]
-    pub fn with_cut(mut self, from_s: Option<f64>, to_s: Option<f64>) -> Self {
-        (self.from_s, self.to_s) = (from_s, to_s);
-        self
-    }
-
     fn takes(&self, mac: Mac, t_s: f64) -> bool {
         (self.macs.is_empty() || self.macs.contains(&mac))
             && self.from_s.is_none_or(|from| t_s >= from)
@@ -300,25 +278,28 @@ enum Source {
 /// An index of a log: 25 bytes a record and the CSI of 4,096 columns; CSI of shorter stretches is read again from the file.
 pub struct LogIndex {
     path: PathBuf,
-    /// The source of its times.
-    base: TimeBase,
+    /// The source of its times: with [`TimeBase::Number`] they are record numbers.
+    pub base: TimeBase,
     source: Source,
-    bytes: u64,
+    /// Its size, bytes.
+    pub bytes: u64,
     /// Of each record: time since the log's first record, microseconds.
     t_us: Vec<i64>,
     /// Its offset in the file, bytes.
     offset: Vec<i64>,
-    /// Antennas, or receive chains.
-    ports: usize,
+    /// Number of antennas or receive chains in its CSI.
+    pub ports: usize,
     /// A value per antenna and record.
     rssi: Vec<i16>,
     /// Empty if the format does not contain it.
     agc: Vec<u8>,
     /// Its sender, an index into `senders`.
     sent_by: Vec<u16>,
-    senders: Vec<Mac>,
+    /// Its senders, in the order in which they were first heard; all zero stands for an unknown one.
+    pub senders: Vec<Mac>,
     marks: Marks,
-    span_s: (f64, f64),
+    /// First and last time, seconds after the first record.
+    pub span_s: (f64, f64),
     gaps_s: Vec<(f64, f64)>,
     /// CSI of the whole log by antenna, in [`KEPT`] columns or fewer.
     kept: Option<Vec<Cells>>,
@@ -527,18 +508,6 @@ impl LogIndex {
         })
     }
 
-    /// The log.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Its size, bytes.
-    #[must_use]
-    pub fn bytes(&self) -> u64 {
-        self.bytes
-    }
-
     /// Everything counted in a 5300's log; `None` for another card's.
     #[must_use]
     pub fn survey(&self) -> Option<&Survey> {
@@ -563,22 +532,10 @@ impl LogIndex {
         self.t_us.len()
     }
 
-    /// Number of antennas or receive chains in its CSI.
-    #[must_use]
-    pub fn antennas(&self) -> usize {
-        self.ports
-    }
-
     /// True if RSSI is in dBm, false if in dB above an unknown reference.
     #[must_use]
     pub fn rssi_in_dbm(&self) -> bool {
         matches!(&self.source, Source::Card(card) if card.rssi_in_dbm)
-    }
-
-    /// The source of its times: with [`TimeBase::Number`] they are record numbers.
-    #[must_use]
-    pub fn base(&self) -> TimeBase {
-        self.base
     }
 
     /// The meaning of heat maps' rows, at most `most` of them, for frames of a layout.
@@ -617,18 +574,6 @@ impl LogIndex {
     #[must_use]
     pub fn subcarriers(&self) -> Option<Vec<i16>> {
         self.heat_rows(self.usual(0..self.t_us.len()), usize::MAX).indices
-    }
-
-    /// First and last time, seconds after the first record.
-    #[must_use]
-    pub fn span_s(&self) -> (f64, f64) {
-        self.span_s
-    }
-
-    /// Its senders, in the order in which they were first heard; all zero stands for an unknown one.
-    #[must_use]
-    pub fn senders(&self) -> &[Mac] {
-        &self.senders
     }
 
     fn t_s(&self, row: usize) -> f64 {
@@ -1027,6 +972,11 @@ mod tests {
         }
     }
 
+    /// Records between two times, seconds.
+    fn cut(from_s: Option<f64>, to_s: Option<f64>) -> Wanted {
+        Wanted { from_s, to_s, ..Wanted::default() }
+    }
+
     const START_US: u64 = 1_700_000_000_000_000;
 
     /// Checks that `info`, its pictures and `view` agree on a log's times; returns the picture's data.
@@ -1036,7 +986,7 @@ mod tests {
         let stretch = index.stretch(0.0, f64::INFINITY, 100, None);
         let long_s = survey.elapsed_us(survey.time_base()) as f64 * 1e-6;
         assert!((course.span_s.1 - course.span_s.0 - long_s).abs() < 1e-9, "{:?} {long_s}", course.span_s);
-        assert_eq!((course.span_s, course.base), (index.span_s(), index.base()));
+        assert_eq!((course.span_s, course.base), (index.span_s, index.base));
         assert_eq!(course.base, survey.time_base());
         let back = [course.steps_back.len(), stretch.steps_back.len()];
         assert_eq!(back, [survey.clock_steps.steps_back as usize; 2]);
@@ -1104,11 +1054,11 @@ mod tests {
         // By the card's clock, no record lies after 0.5 s, or at 20 s and later.
         let host = |k: u32| (k / 10, START_US + 10_000 * u64::from(k), k);
         let path = log("cut-host", &(0..100).map(host).collect::<Vec<_>>());
-        let course = Course::read(&path, &Wanted::default().with_cut(Some(0.5), None)).unwrap();
+        let course = Course::read(&path, &cut(Some(0.5), None)).unwrap();
         assert_eq!((course.base, course.records, course.antennas.len()), (TimeBase::Host, 50, 3));
         std::fs::remove_file(path).unwrap();
         let path = log("cut-number", &(0..29).map(|k| (0, 0, k)).collect::<Vec<_>>());
-        let course = Course::read(&path, &Wanted::default().with_cut(Some(20.0), Some(24.0))).unwrap();
+        let course = Course::read(&path, &cut(Some(20.0), Some(24.0))).unwrap();
         assert_eq!((course.base, course.records, course.antennas.len()), (TimeBase::Number, 5, 3));
         assert_eq!(course.antennas[0].line_db.len(), 5);
         std::fs::remove_file(path).unwrap();
@@ -1134,10 +1084,10 @@ mod tests {
             (skipped, course.repeated.iter().map(|t_s| ms(*t_s)).collect::<Vec<_>>())
         };
         assert_eq!(read(Wanted::default()), (vec![(20, 3), (41, 7), (60, 5)], vec![30]));
-        assert_eq!(read(Wanted::default().with_cut(Some(0.05), None)), (vec![(60, 5)], vec![]));
-        assert_eq!(read(Wanted::default().with_cut(Some(0.025), Some(0.05))), (vec![(41, 7)], vec![30]));
-        assert_eq!(read(Wanted::default().with_macs(vec![sender(2)])), (vec![(41, 7)], vec![]));
-        let own = Wanted::default().with_macs(vec![sender(1)]).with_cut(Some(0.045), None);
+        assert_eq!(read(cut(Some(0.05), None)), (vec![(60, 5)], vec![]));
+        assert_eq!(read(cut(Some(0.025), Some(0.05))), (vec![(41, 7)], vec![30]));
+        assert_eq!(read(Wanted { macs: vec![sender(2)], ..Wanted::default() }), (vec![(41, 7)], vec![]));
+        let own = Wanted { macs: vec![sender(1)], ..cut(Some(0.045), None) };
         assert_eq!(read(own), (vec![(60, 5)], vec![]));
 
         // The same for a stretch of one chosen sender.
@@ -1170,7 +1120,7 @@ mod tests {
     #[test]
     fn every_record_is_in_one_column_of_one_stretch() {
         let index = LogIndex::read(&fixture()).unwrap();
-        let (from_s, to_s) = index.span_s();
+        let (from_s, to_s) = index.span_s;
         let whole = index.stretch(from_s, to_s, 50, None);
         assert_eq!(whole.records as u64, index.survey().unwrap().bfees());
         let width_s = (to_s - from_s) / whole.rate_hz.len() as f64;
@@ -1192,8 +1142,8 @@ mod tests {
     #[test]
     fn kept_csi_equals_csi_read_again() {
         let index = LogIndex::read(&fixture()).unwrap();
-        let (from_s, to_s) = index.span_s();
-        let [sender] = index.senders() else { panic!("{:?}", index.senders()) };
+        let (from_s, to_s) = index.span_s;
+        let [sender] = index.senders.as_slice() else { panic!("{:?}", index.senders.as_slice()) };
         let kept = index.csi(from_s, to_s, 1, None).unwrap();
         let again = index.csi(from_s, to_s, 1, Some(*sender)).unwrap();
         assert_eq!((kept.records, kept.every, kept.antennas.len()), (again.records, again.every, again.antennas.len()));
@@ -1216,7 +1166,7 @@ mod tests {
         // Three records, and later part of one.
         let gone = without(at(100)..at(103), "gone");
         let index = LogIndex::read(&gone).unwrap();
-        let (from_s, to_s) = index.span_s();
+        let (from_s, to_s) = index.span_s;
         let stretch = index.stretch(from_s, to_s, 1_000, None);
         assert_eq!(stretch.columns, stretch.records.div_ceil(2));
         let column = |row: usize| bin(whole.t_s(row), (from_s, to_s), stretch.columns);
@@ -1229,8 +1179,8 @@ mod tests {
         assert_eq!(stretch.damaged.iter().map(|(_, count)| count).sum::<u64>(), index.survey().unwrap().damages);
         assert!(!stretch.damaged.is_empty());
         // After the damage each row still finds its record.
-        let (later_s, end_s) = (index.t_s(210), index.span_s().1);
-        let sender = index.senders()[0];
+        let (later_s, end_s) = (index.t_s(210), index.span_s.1);
+        let sender = index.senders[0];
         let behind = index.csi(later_s, end_s, 10, Some(sender)).unwrap();
         assert!(behind.antennas[0].amplitude_db.iter().all(|db| db.is_finite()), "{behind:?}");
         [gone, torn].iter().for_each(|path| std::fs::remove_file(path).unwrap());
@@ -1313,7 +1263,7 @@ mod tests {
         // The page gets the same, from the kept CSI and from the file.
         let index = LogIndex::read(&path).unwrap();
         assert!(index.survey().is_none() && index.card().is_some_and(|(_, survey)| survey.frames == 40));
-        assert_eq!((index.antennas(), index.sent()[0].0, index.subcarriers().unwrap().len()), (2, 40, 56));
+        assert_eq!((index.ports, index.sent()[0].0, index.subcarriers().unwrap().len()), (2, 40, 56));
         assert!((index.sent()[0].1.unwrap() - 1_000.0).abs() < 1e-6);
         let [kept, again] = [None, Some(sender(1))].map(|sender| index.csi(0.0, 1.0, 20, sender).unwrap());
         assert_eq!((kept.antennas.len(), &kept.rows), (2, &course.rows));
@@ -1348,7 +1298,7 @@ mod tests {
         assert_eq!(words, "without 10 records of other senders and 10 records of another kind or width");
         // The levels include all of them.
         assert_eq!((course.rssi[0].len(), course.rssi[1].len()), (60, 50));
-        let other = Course::read(&path, &Wanted::default().with_macs(vec![sender(2)])).unwrap();
+        let other = Course::read(&path, &Wanted { macs: vec![sender(2)], ..Wanted::default() }).unwrap();
         assert_eq!((other.records, other.other_senders, other.left_out()), (10, 0, None));
         // 242 subcarriers, two a row.
         assert_eq!((other.rows.subcarriers, other.rows.each, other.rows.len()), (242, 2, 121));

@@ -71,7 +71,7 @@ impl Named {
             return Err(Error::NoFile { path: self.path.clone() });
         }
         let index = Arc::new(LogIndex::read(&self.path)?);
-        place.stamp = Some(Stamp::new(&before, &self.metadata()?, index.bytes()));
+        place.stamp = Some(Stamp::new(&before, &self.metadata()?, index.bytes));
         Ok(Arc::clone(place.index.insert(index)))
     }
 }
@@ -327,7 +327,7 @@ mod tests {
         let open = std::fs::File::options().write(true).open(&log).unwrap();
         open.set_len(bytes.len() as u64 / 2).unwrap();
         assert!(is_changed());
-        assert!(logs.read(0).unwrap().unwrap().1.bytes() < first.bytes() && !is_changed());
+        assert!(logs.read(0).unwrap().unwrap().1.bytes < first.bytes && !is_changed());
         open.set_modified(SystemTime::UNIX_EPOCH).unwrap();
         assert!(is_changed());
         let (_, third) = logs.read(0).unwrap().unwrap();

@@ -366,21 +366,21 @@ impl View {
         };
         let facts = LogFacts {
             name: &log.name,
-            bytes: index.bytes(),
+            bytes: index.bytes,
             cut: survey.is_some_and(|survey| survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean))),
-            span_s: index.span_s(),
-            time_base: index.base(),
+            span_s: index.span_s,
+            time_base: index.base,
             subcarriers: index.subcarriers(),
-            antennas: (0..index.antennas()).map(letter).collect(),
+            antennas: (0..index.ports).map(letter).collect(),
             rssi_in_dbm: index.rssi_in_dbm(),
-            senders: index.senders().iter().zip(index.sent()).take(SENDERS).map(sender).collect(),
+            senders: index.senders.iter().zip(index.sent()).take(SENDERS).map(sender).collect(),
             counted,
         };
         Ok(Some(serde_json::to_vec(&facts)?))
     }
 
     fn stretch(&self, index: &LogIndex, what: &str, query: &Query<'_>) -> Result<Vec<u8>, Error> {
-        let span_s = index.span_s();
+        let span_s = index.span_s;
         let (from_s, to_s) = (query.seconds("from", span_s.0)?, query.seconds("to", span_s.1)?);
         let (columns, sender) = (query.value("columns")?.unwrap_or(COLUMNS), query.value::<Mac>("sender")?);
         if what == "levels" {
@@ -395,8 +395,8 @@ impl View {
 
 /// The sender with the most records, if there are several; the first of equals.
 fn most_heard(index: &LogIndex) -> Option<Mac> {
-    let heard = index.senders().iter().zip(index.sent()).rev().max_by_key(|(_, (records, _))| *records);
-    heard.map(|(mac, _)| *mac).filter(|_| index.senders().len() > 1)
+    let heard = index.senders.iter().zip(index.sent()).rev().max_by_key(|(_, (records, _))| *records);
+    heard.map(|(mac, _)| *mac).filter(|_| index.senders.len() > 1)
 }
 
 /// Senders listed of a log.

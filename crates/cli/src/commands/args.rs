@@ -351,14 +351,9 @@ impl Reading {
         self.mounting.antenna_offset.map(Into::into)
     }
 
-    /// The given mount of the tracking camera.
-    pub fn camera(&self) -> Option<Mount> {
-        self.mounting.camera_mount
-    }
-
     /// Captures with the given places of antenna and camera.
     pub fn mounted(&self, mut captures: Vec<Capture>) -> Vec<Capture> {
-        let (antenna_offset_m, camera) = (self.antenna_offset_m(), self.camera());
+        let (antenna_offset_m, camera) = (self.antenna_offset_m(), self.mounting.camera_mount);
         for capture in &mut captures {
             (capture.antenna_offset_m, capture.camera) = (antenna_offset_m, camera);
         }

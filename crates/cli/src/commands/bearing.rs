@@ -5,7 +5,7 @@ mod captures;
 mod words;
 
 use super::args::{Baseline, Estimation, Mounting, baseline, channel, columns, mac};
-use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown};
+use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown, told_apart};
 use super::{InWords, Outcome, Result, Words, hint, info, is_same_file, print, print_json, usage};
 use captures::MirrorOf;
 use csi_formats::{Item, Items, Why};
@@ -291,13 +291,6 @@ pub fn run(mut args: Args) -> Result {
     } else {
         Outcome::Done
     })
-}
-
-/// The names of links, those that stand more than once with their place among all behind them.
-fn told_apart(stems: Vec<String>) -> Vec<String> {
-    let is_shared = |name: &String| stems.iter().filter(|other| *other == name).count() > 1;
-    let apart = |(k, name): (usize, &String)| if is_shared(name) { format!("{name}.{}", k + 1) } else { name.clone() };
-    stems.iter().enumerate().map(apart).collect()
 }
 
 /// Degrees that an azimuth may be off.

@@ -82,7 +82,7 @@ pub fn run(args: &Args) -> Result {
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }
-    let beside = Beside::read(args);
+    let (others, others_lost) = beside(args);
     let bar = super::bar(captures.len() as u64, &super::some(captures.len() as u64, "capture", "captures"));
     let one = |capture: &Capture| {
         let mut evaluated = capture.evaluate(source, reading.channel, &options);
@@ -95,9 +95,9 @@ pub fn run(args: &Args) -> Result {
     for note in results.iter().flat_map(|result| &result.notes) {
         note!("{note}");
     }
-    let lost = !unreadable.is_empty() || beside.lost || results.iter().any(|result| result.lost);
+    let lost = !unreadable.is_empty() || others_lost || results.iter().any(|result| result.lost);
     let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
-    let shown = show(args, &rows, &beside);
+    let shown = show(args, &rows, &others);
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
         wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
     }
@@ -138,26 +138,17 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
     })
 }
 
-/// What another program answers on the links, for the pictures.
-#[derive(Default)]
-struct Beside {
-    others: Others,
-    /// True if some of it could not be read.
-    lost: bool,
-}
-
-impl Beside {
-    /// Reads the tables beside the captures if pictures are drawn, and reports skipped rows.
-    fn read(args: &Args) -> Self {
-        let mut beside = Self::default();
-        for folder in args.folders.iter().filter(|_| args.plot.is_some()) {
-            if let Some(words) = beside.others.add(folder, args.reading().source()) {
-                note!("{words}");
-                beside.lost = true;
-            }
+/// What another program answers on the links, from the tables beside the captures, if pictures are drawn; and whether some of it could not be
+/// read.
+fn beside(args: &Args) -> (Others, bool) {
+    let (mut others, mut lost) = (Others::default(), false);
+    for folder in args.folders.iter().filter(|_| args.plot.is_some()) {
+        if let Some(words) = others.add(folder, args.reading().source()) {
+            note!("{words}");
+            lost = true;
         }
-        beside
     }
+    (others, lost)
 }
 
 /// The captures below all folders, and folders that could not be read.
@@ -192,7 +183,7 @@ fn find_all<'a>(folders: impl Iterator<Item = &'a PathBuf>) -> Words<(Vec<Captur
 }
 
 /// Prints rows and summary, and draws the requested pictures.
-fn show(args: &Args, rows: &[Judged], beside: &Beside) -> Words<()> {
+fn show(args: &Args, rows: &[Judged], others: &Others) -> Words<()> {
     let summary = summarise(rows);
     if args.json {
         rows.iter().for_each(print_json);
@@ -204,7 +195,7 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> Words<()> {
         }
     }
     if let Some(folder) = &args.plot {
-        let written = write_set(rows, &beside.others, folder, &super::draft::read_files());
+        let written = write_set(rows, others, folder, &super::draft::read_files());
         let written = written.in_words()?;
         note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     }

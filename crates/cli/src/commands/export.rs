@@ -106,8 +106,7 @@ struct Written {
 /// Writes the CSI of a log.
 pub fn run(args: &Args) -> Result {
     if args.dat {
-        let Args { file: input, output, layout, json, force, .. } = args;
-        return recover::run(&recover::Recovery { input, output, layout: *layout, json: *json, force: *force });
+        return recover::run(args);
     }
     let extension = args.output.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     let extension = extension.as_deref();

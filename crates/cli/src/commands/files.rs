@@ -351,6 +351,13 @@ pub fn first_of_each(written: &[PathBuf]) -> impl Iterator<Item = &PathBuf> {
     written.iter().filter(move |path| path.extension() == first)
 }
 
+/// Names of logs or links, those that stand more than once with their place among all behind them.
+pub fn told_apart(stems: Vec<String>) -> Vec<String> {
+    let is_shared = |name: &String| stems.iter().filter(|other| *other == name).count() > 1;
+    let apart = |(k, name): (usize, &String)| if is_shared(name) { format!("{name}.{}", k + 1) } else { name.clone() };
+    stems.iter().enumerate().map(apart).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -86,9 +86,11 @@ struct Row<'a> {
 pub fn run(args: &Args) -> Result {
     let (mut usable, mut lost, mut failed) = (false, false, false);
     let files = logs(&args.files)?;
-    for (k, path) in files.iter().enumerate() {
+    let stem = |log: &PathBuf| log.file_stem().map_or("log".into(), |stem| stem.to_string_lossy().into_owned());
+    let names = files::told_apart(files.iter().map(stem).collect());
+    for (k, (path, name)) in files.iter().zip(&names).enumerate() {
         if let Some(mut row) = read_other_card(path) {
-            row.pictures = drawn(args, &files, k, &mut failed);
+            row.pictures = drawn(args, path, name, &mut failed);
             row.show(args.json, k > 0);
             usable |= row.is_usable();
             lost |= row.lost_something();
@@ -96,7 +98,7 @@ pub fn run(args: &Args) -> Result {
         }
         match survey(path) {
             Ok(read) => {
-                let pictures = drawn(args, &files, k, &mut failed);
+                let pictures = drawn(args, path, name, &mut failed);
                 if args.json {
                     print_json(&row(path, &read, pictures));
                 } else {
@@ -145,21 +147,15 @@ fn logs(named: &[PathBuf]) -> Words<Vec<PathBuf>> {
     Ok(all)
 }
 
-/// The requested pictures of the `k`th log. Prints the error if they cannot be drawn.
-fn drawn(args: &Args, files: &[PathBuf], k: usize, failed: &mut bool) -> Vec<PathBuf> {
-    draw(args, files, k).unwrap_or_else(|message| {
+/// The requested pictures of a log. Prints the error if they cannot be drawn.
+fn drawn(args: &Args, log: &Path, name: &str, failed: &mut bool) -> Vec<PathBuf> {
+    let drawn = draw_pictures(&args.plot, log, name).unwrap_or_else(|message| {
         *failed = true;
         wrong!("{message}");
         Vec::new()
-    })
-}
-
-fn draw(args: &Args, files: &[PathBuf], k: usize) -> Words<Vec<PathBuf>> {
-    let drawn = draw_pictures(&args.plot, files, k)?;
-    if !args.json {
-        drawn.iter().for_each(|path| note!("{}", path.display()));
-    }
-    Ok(drawn)
+    });
+    drawn.iter().filter(|_| !args.json).for_each(|path| note!("{}", path.display()));
+    drawn
 }
 
 /// A log that was read.
@@ -525,26 +521,17 @@ struct Pictures {
     to: Option<f64>,
 }
 
-/// What a log's pictures are called: its name, with a number where another log has the same.
-fn stem(folder: &Path, logs: &[PathBuf], k: usize) -> PathBuf {
-    let name = |log: &PathBuf| log.file_stem().map_or("log".into(), |stem| stem.to_string_lossy().into_owned());
-    let own = logs.get(k).map(name).unwrap_or_default();
-    let same = logs.iter().filter(|log| name(log) == own).count() > 1;
-    folder.join(file_safe(&if same { format!("{own}.{}", k + 1) } else { own }))
-}
-
-/// Draws the `k`th log, if requested; returns the pictures.
-fn draw_pictures(args: &Pictures, logs: &[PathBuf], k: usize) -> Words<Vec<PathBuf>> {
-    let (Some(folder), Some(log)) = (&args.plot, logs.get(k)) else { return Ok(Vec::new()) };
-    let stem = stem(folder, logs, k);
+/// Draws a log, if requested; returns the pictures, which have this name.
+fn draw_pictures(args: &Pictures, log: &Path, name: &str) -> Words<Vec<PathBuf>> {
+    let Some(folder) = &args.plot else { return Ok(Vec::new()) };
     if log.as_os_str() == "-" {
         usage("a log is read again for its pictures, and standard input only once: name a file");
     }
     if !cards::is_log(log) {
         files::must_be_log(log)?;
     }
-    let wanted =
-        Wanted::default().with_macs(args.mac.clone()).with_antennas(args.antenna.clone()).with_cut(args.from, args.to);
+    let (macs, antennas) = (args.mac.clone(), args.antenna.clone());
+    let wanted = Wanted { macs, antennas, from_s: args.from, to_s: args.to };
     let course = Course::read(log, &wanted).map_err(|error| hint::log_refused(&error))?;
     if course.records == 0 {
         return Err(format!("{}: no matching record to draw", log.display()));
@@ -554,7 +541,7 @@ fn draw_pictures(args: &Pictures, logs: &[PathBuf], k: usize) -> Words<Vec<PathB
     }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let drawn = LogPictures { title: &title, course: &course, size: SIZE };
-    drawn.write(&stem, &draft::read_files()).in_words()
+    drawn.write(&folder.join(file_safe(name)), &draft::read_files()).in_words()
 }
 
 /// What is in a log, as JSON has it.

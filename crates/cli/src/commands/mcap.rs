@@ -1,7 +1,7 @@
 //! `csi5300 mcap`.
 
 use super::args::{Estimation, channel, columns};
-use super::files::read_trajectory_as;
+use super::files::{read_trajectory_as, told_apart};
 use super::{InWords, Outcome, Result, Words, fixed, info, usage};
 use csi5300::bartlett::{self, Grid};
 use csi5300::internal::{FrameHeard, Front};
@@ -77,7 +77,9 @@ struct LinkRow {
 /// Converts captures.
 pub fn run(args: &Args) -> Result {
     let draft = super::draft::Draft::create(&args.out, args.force)?;
-    let names = names(&args.logs);
+    // As parts of topics.
+    let stem = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let names = told_apart(args.logs.iter().map(stem).collect());
     let trajectory =
         args.trajectory.as_deref().map(|path| read_trajectory_as(path, args.columns.as_ref())).transpose()?;
     // Options are checked before the file is created.
@@ -174,14 +176,6 @@ fn estimate(
         }
     }
     Ok(rows)
-}
-
-/// Names of the logs as parts of topics: their stems, numbered where two are the same.
-fn names(logs: &[PathBuf]) -> Vec<String> {
-    let stems: Vec<String> =
-        logs.iter().map(|path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned()).collect();
-    let again = |k: usize| stems.iter().filter(|other| **other == stems[k]).count() > 1;
-    (0..stems.len()).map(|k| if again(k) { format!("{}.{}", stems[k], k + 1) } else { stems[k].clone() }).collect()
 }
 
 /// Directions of a profile.

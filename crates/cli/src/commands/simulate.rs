@@ -88,8 +88,7 @@ impl Args {
         if !self.recorded.is_named() {
             return None;
         }
-        let (with, recorded) = (self.scene.clone(), self.recorded.clone());
-        Some(compare::run(&compare::Args { with, recorded, out: out(COMPARED), force: self.force, json: self.json }))
+        Some(compare::run(self, &out(COMPARED)))
     }
 }
 

@@ -42,7 +42,7 @@ pub fn reading(reading: &Reading) -> csi5300_view::Reading {
         channel: reading.channel,
         options,
         antenna_offset_m: reading.antenna_offset_m(),
-        camera: reading.camera(),
+        camera: reading.mounting.camera_mount,
     }
 }
 

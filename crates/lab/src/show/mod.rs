@@ -18,8 +18,8 @@ mod plots;
 pub mod results;
 
 pub use plots::{
-    CdfPlot, Ellipse, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, ReliabilityPlot, ReliabilityPoint,
-    ScatterLines, TrajectoryPlot,
+    CdfPlot, Ellipse, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, ReliabilityPlot, ScatterLines,
+    TrajectoryPlot,
 };
 use std::path::PathBuf;
 
@@ -214,7 +214,7 @@ mod tests {
         let ray =
             |class| Ray { origin_m: [0.0; 2], azimuth_rad: 1.0, sd_rad: Some(0.1), label: "tx ± 1°".into(), class };
         let ellipse = Ellipse { centre_m: [1.0, 2.0], covariance_m2: [[0.1, 0.0], [0.0, 0.2]], label: "tx".into() };
-        let point = ReliabilityPoint { said: 0.8, right: 0.7, count: 9 };
+        let point = crate::evaluate::Reliability { from: 0.6, to: 0.8, links: 9, said: 0.8, right: 0.7 };
         let trajectory = TrajectoryPlot {
             path_m: path_m.clone(),
             azimuth_rad: 1.0,

@@ -5,6 +5,7 @@ use super::canvas::{
     Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, ORANGE, PALE, PURPLE, RED, Rgb, SKY, WIDTH, extent, extent_log,
     series_colour,
 };
+use crate::evaluate::Reliability;
 use csi5300::maths::{percentile, unwrap_rad, wrap_rad};
 use csi5300_say::fixed;
 use kuva::render::render::TextAnchor;
@@ -114,17 +115,6 @@ impl ScatterLines {
     }
 }
 
-/// Bearings of similar probability: one point of a [`ReliabilityPlot`].
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct ReliabilityPoint {
-    /// Their mean probability, 0..1.
-    pub said: f64,
-    /// Share that was right, 0..1.
-    pub right: f64,
-    /// Number of bearings.
-    pub count: usize,
-}
-
 /// A reliability diagram: points on the diagonal are correct probabilities. Bars are the 68 % interval of the share for as many
 /// independent bearings (Wilson); bearings of one place are not independent, so the bars are rather short.
 #[derive(Debug, Clone, Default)]
@@ -132,7 +122,7 @@ pub struct ReliabilityPlot {
     /// Headline.
     pub title: String,
     /// Name and points of each series.
-    pub series: Vec<(String, Vec<ReliabilityPoint>)>,
+    pub series: Vec<(String, Vec<Reliability>)>,
 }
 
 /// Wilson's interval of one deviation for `right` of `count` tries.
@@ -146,14 +136,14 @@ fn wilson(right: f64, count: usize) -> [f64; 2] {
 impl ReliabilityPlot {
     /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
     pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
-        let good = |p: &&ReliabilityPoint| p.said.is_finite() && p.right.is_finite() && p.count > 0;
-        let drawn: Vec<Vec<ReliabilityPoint>> =
+        let good = |p: &&Reliability| p.said.is_finite() && p.right.is_finite() && p.links > 0;
+        let drawn: Vec<Vec<Reliability>> =
             self.series.iter().map(|s| s.1.iter().filter(good).copied().collect()).collect();
         if drawn.iter().all(Vec::is_empty) {
             return Err(Error::Empty { what: "reliability" });
         }
         let mut canvas = Canvas::new(960.0, &self.title);
-        let count = |points: &[ReliabilityPoint]| points.iter().map(|p| p.count).sum::<usize>();
+        let count = |points: &[Reliability]| points.iter().map(|p| p.links).sum::<usize>();
         let series = self.series.iter().zip(&drawn).enumerate();
         let mut keys: Vec<_> =
             series.map(|(i, (s, own))| (Key::Dot, series_colour(i), format!("{} ({})", s.0, count(own)))).collect();
@@ -164,7 +154,7 @@ impl ReliabilityPlot {
         canvas.line(axes.at(0.0, 0.0), axes.at(1.0, 1.0), BLACK, 2.0, true);
         for (i, points) in drawn.iter().enumerate() {
             for point in points {
-                let [low, high] = wilson(point.right, point.count);
+                let [low, high] = wilson(point.right, point.links);
                 canvas.line(axes.at(point.said, low), axes.at(point.said, high), series_colour(i), 3.0, false);
             }
             let at: Vec<(f64, f64)> = points.iter().map(|point| axes.at(point.said, point.right)).collect();

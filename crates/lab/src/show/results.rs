@@ -2,15 +2,15 @@
 
 use super::canvas::check;
 use super::{
-    CdfPlot, Ellipse, Error, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, ReliabilityPlot,
-    ReliabilityPoint, ScatterLines, TrajectoryPlot, file_safe,
+    CdfPlot, Ellipse, Error, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, ReliabilityPlot, ScatterLines,
+    TrajectoryPlot, file_safe,
 };
 use crate::compare::Figures;
 use crate::curves::{Curve, evidence, plane_wave, without_motion};
 use crate::evaluate::quality::Table;
 use crate::evaluate::quality::{refusals, sure};
 use crate::evaluate::receivers::{Located, Receiver, receivers_with};
-use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
+use crate::evaluate::{Judged, Kept, TrajectorySource, reliability};
 use crate::suite::Standing;
 use csi5300::bartlett;
 use csi5300::nalgebra::Vector3;
@@ -221,12 +221,8 @@ pub fn set_stems(folder: &Path) -> [PathBuf; 3] {
     ["errors", "refusals", "reliability"].map(|name| folder.join(name))
 }
 
-fn points(bins: &[Reliability]) -> Vec<ReliabilityPoint> {
-    bins.iter().map(|bin| ReliabilityPoint { said: bin.said, right: bin.right, count: bin.links }).collect()
-}
-
 fn reliable(rows: &[Judged]) -> ReliabilityPlot {
-    let series = vec![("links".to_owned(), points(&reliability(&sure(rows))))];
+    let series = vec![("links".to_owned(), reliability(&sure(rows)))];
     ReliabilityPlot { title: "How often bearings of each confidence were right".into(), series }
 }
 

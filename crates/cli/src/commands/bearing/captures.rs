@@ -23,16 +23,19 @@ pub type Place = ([f64; 2], Option<f64>);
 
 /// A transmitter's name and place.
 pub fn place(text: &str) -> Words<(String, Place)> {
-    let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
-        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
-        let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;
-        match numbers[..] {
-            [x, y] => Some((name.to_owned(), ([x, y], None))),
-            [x, y, z] => Some((name.to_owned(), ([x, y], Some(z)))),
-            _ => None,
-        }
+    let parts = named_numbers(text).and_then(|(name, numbers)| match numbers[..] {
+        [x, y] => Some((name.to_owned(), ([x, y], None))),
+        [x, y, z] => Some((name.to_owned(), ([x, y], Some(z)))),
+        _ => None,
     });
     parts.ok_or_else(|| "a name and two or three numbers of metres, such as tx2=-3.18,1.11".into())
+}
+
+/// A name and finite numbers: `NAME=1,2`.
+fn named_numbers(text: &str) -> Option<(&str, Vec<f64>)> {
+    let (name, numbers) = text.split_once('=').filter(|(name, _)| !name.is_empty())?;
+    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
+    Some((name, numbers.split(',').map(number).collect::<Option<_>>()?))
 }
 
 impl Args {
@@ -614,9 +617,7 @@ impl Together {
 }
 
 fn frame(text: &str) -> Words<(String, Frame)> {
-    let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
-        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
-        let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;
+    let parts = named_numbers(text).and_then(|(name, numbers)| {
         let [x, y, deg] = numbers[..] else { return None };
         Some((name.trim_end_matches('/').to_owned(), Frame { origin_m: [x, y], yaw_rad: deg.to_radians() }))
     });

@@ -1,7 +1,8 @@
 //! `csi5300 export --dat`: every intact record of a damaged log.
 
-use crate::commands::draft::{Draft, led_to, rest};
-use crate::commands::{InWords, Outcome, Result, Words};
+use super::Args;
+use crate::commands::draft::{Draft, led_to, must_not_be_read, rest};
+use crate::commands::{InWords, Outcome, Result, Words, info, must_not_exist, open_log, print_json, some};
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{Checks, CsiSource, Next, Origin, side_path};
@@ -14,20 +15,6 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
-
-/// The input, the output, and the options.
-pub struct Recovery<'a> {
-    /// The damaged log; - is standard input.
-    pub input: &'a Path,
-    /// Where the intact records go.
-    pub output: &'a Path,
-    /// The layout to bring records into.
-    pub layout: Option<Layout>,
-    /// Print one JSON object about records and losses.
-    pub json: bool,
-    /// Overwrite an existing output.
-    pub force: bool,
-}
 
 /// The line of JSON.
 #[derive(serde::Serialize)]
@@ -202,43 +189,43 @@ fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
 }
 
 /// Copies the intact records of a log.
-pub fn run(args: &Recovery<'_>) -> Result {
+pub fn run(args: &Args) -> Result {
     let output = args.output.display().to_string();
-    crate::commands::draft::must_not_be_read(args.output)?;
-    crate::commands::must_not_exist(args.output, args.force)?;
-    let mut source = crate::commands::open_log(args.input)?;
+    must_not_be_read(&args.output)?;
+    must_not_exist(&args.output, args.force)?;
+    let mut source = open_log(&args.file)?;
     // Checksums of what was never checked would vouch for it.
     let is_checked = source.checks().is_none_or(|checks| !checks.out_of_step);
     let own = source.side_layout().filter(|_| is_checked);
     let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { own };
     // Without a side file of its own the recovered log must not be read with that of another.
-    side_files(args.output).iter().try_for_each(|side| {
-        crate::commands::draft::must_not_be_read(side).and_then(|()| crate::commands::must_not_exist(side, args.force))
-    })?;
-    let mut out = Output::create(args.output, side)?;
+    side_files(&args.output)
+        .iter()
+        .try_for_each(|side| must_not_be_read(side).and_then(|()| must_not_exist(side, args.force)))?;
+    let mut out = Output::create(&args.output, side)?;
     let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
     if side.is_some() && !out.draft.is_file() {
         note!("{output} is no file: host times, which go into a side file, are not written");
     }
     copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts)?;
-    notes!("{}", crate::commands::info::losses(&survey, source.bytes()));
+    notes!("{}", info::losses(&survey, source.bytes()));
     let checks = source.checks();
     if let Some(checks) = &checks {
-        note!("  {}", crate::commands::info::check_words(checks));
+        note!("  {}", info::check_words(checks));
     }
     let mut kept = out.kept;
     if kept == 0 {
         drop(out);
         note!("nothing to write: no {output}");
     } else {
-        let taken = out.finish(args.output)?;
+        let taken = out.finish(&args.output)?;
         (kept, doubts.dropped) = (kept.saturating_sub(taken), doubts.dropped + taken);
-        note!("{} written to {output}", crate::commands::some(kept, "intact record", "intact records"));
+        note!("{} written to {output}", some(kept, "intact record", "intact records"));
     }
     if args.json {
         let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
         let row = Row {
-            output: args.output,
+            output: &args.output,
             records: kept,
             bad_bfee,
             damages,
@@ -246,10 +233,10 @@ pub fn run(args: &Recovery<'_>) -> Result {
             doubtful: doubts.dropped,
             checks,
         };
-        crate::commands::print_json(&row);
+        print_json(&row);
     }
     if doubts.dropped > 0 {
-        let doubtful = crate::commands::some(doubts.dropped, "doubtful record", "doubtful records");
+        let doubtful = some(doubts.dropped, "doubtful record", "doubtful records");
         note!("  {doubtful} skipped beside the damage: they may not be real");
     }
     let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
