@@ -16,20 +16,11 @@ use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// Durations of the stationary experiments, seconds (\[paper\], section III-A).
-pub const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
+const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
 /// Radii of the circles, metres; lines are as long as the circles.
-pub const RADII_M: [f64; 3] = [0.1, 0.2, 0.3];
+const RADII_M: [f64; 3] = [0.1, 0.2, 0.3];
 /// Repetitions of each simulated experiment (\[paper\]).
 pub const REPETITIONS: u64 = 10;
-
-/// One experiment.
-#[derive(Clone, Debug)]
-pub struct Experiment {
-    /// Its name.
-    pub name: String,
-    /// Its scene; repetitions differ by seed.
-    pub scene: Scene,
-}
 
 /// The result of one repetition.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -66,17 +57,18 @@ pub struct Run {
     pub residual_compensated_rad: f64,
 }
 
-/// All experiments, in the order of \[paper\].
+/// The scenes of all experiments, in the order of \[paper\]; repetitions differ by seed.
 #[must_use]
-pub fn experiments() -> Vec<Experiment> {
+pub fn experiments() -> Vec<Scene> {
     let Some(base) = Scene::built_in("paper-circle") else { return Vec::new() };
     let mut all = Vec::new();
     for (kind, c1) in [("constant CFO", 0.0), ("sinusoidal CFO", PaperCfo::default().c1)] {
         for duration_s in STATIONARY_S {
-            let mut scene = Scene { duration_s, ..base.clone() };
+            let name = format!("stationary {duration_s} s, {kind}");
+            let mut scene = Scene { name, duration_s, ..base.clone() };
             scene.cfo = Cfo::Paper(PaperCfo { c1, ..PaperCfo::default() });
             scene.robot[0].motion = RobotMotion::Static;
-            all.push(Experiment { name: format!("stationary {duration_s} s, {kind}"), scene });
+            all.push(scene);
         }
     }
     for radius_m in RADII_M {
@@ -84,36 +76,23 @@ pub fn experiments() -> Vec<Experiment> {
         let circle = RobotMotion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 });
         let line = RobotMotion::Line(Line { length_m: TAU * radius_m, duration_s, start_s: 0.0 });
         for (kind, motion) in [("circle", circle), ("line", line)] {
-            let mut scene = base.clone();
+            let mut scene = Scene { name: format!("{kind} {:.0} cm", 100.0 * radius_m), ..base.clone() };
             scene.robot[0].motion = motion;
-            all.push(Experiment { name: format!("{kind} {:.0} cm", 100.0 * radius_m), scene });
+            all.push(scene);
         }
     }
     all
 }
 
-/// Error of a repetition.
-#[derive(Debug, thiserror::Error)]
-#[error("{experiment}, repetition {repetition}: {source}")]
-pub struct SuiteError {
-    /// The experiment.
-    pub experiment: String,
-    /// Its repetition, from 1.
-    pub repetition: u64,
-    /// Why.
-    pub source: CompareError,
-}
-
 /// Runs every experiment this number of times, on all cores of the current rayon pool; results in order.
 ///
 /// # Errors
-/// The first repetition that failed, with its experiment.
-pub fn run_all(experiments: &[Experiment], repetitions: u64, options: &Options) -> Result<Vec<Run>, SuiteError> {
-    let jobs: Vec<(&Experiment, u64)> =
+/// The first repetition that failed, with its experiment, in words.
+pub fn run_all(experiments: &[Scene], repetitions: u64, options: &Options) -> Result<Vec<Run>, String> {
+    let jobs: Vec<(&Scene, u64)> =
         experiments.iter().flat_map(|experiment| (1..=repetitions).map(move |k| (experiment, k))).collect();
-    let one = |(experiment, k): &(&Experiment, u64)| {
-        let named = |source| SuiteError { experiment: experiment.name.clone(), repetition: *k, source };
-        run(experiment, *k, options).map_err(named)
+    let one = |(experiment, k): &(&Scene, u64)| {
+        run(experiment, *k, options).map_err(|error| format!("{}, repetition {k}: {error}", experiment.name))
     };
     jobs.par_iter().map(one).collect()
 }
@@ -122,8 +101,8 @@ pub fn run_all(experiments: &[Experiment], repetitions: u64, options: &Options) 
 ///
 /// # Errors
 /// If the scene cannot be simulated or gives no link.
-pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Result<Run, CompareError> {
-    let scene = Scene { seed: repetition, ..experiment.scene.clone() };
+pub fn run(experiment: &Scene, repetition: u64, options: &Options) -> Result<Run, CompareError> {
+    let scene = Scene { seed: repetition, ..experiment.clone() };
     let mut room = Room::new(&scene)?;
     let path = true_path(&room, 0)?;
     let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or_else(CompareError::one_robot)?;

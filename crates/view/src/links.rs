@@ -364,7 +364,7 @@ struct Phases {
 
 /// A link that has a bearing.
 #[derive(Serialize)]
-pub(crate) struct Detail {
+struct Detail {
     /// What the answer was chosen from first, then others.
     curves: Vec<Relative>,
     path_m: Vec<[f64; 2]>,

@@ -61,7 +61,7 @@ impl Stamp {
 impl Named {
     /// The file now.
     fn metadata(&self) -> Result<Metadata, Error> {
-        self.path.metadata().map_err(|source| Error::Missing { path: self.path.clone(), source })
+        self.path.metadata().map_err(|source| Error::missing(&self.path, &source))
     }
 
     /// The index of the current file.

@@ -28,13 +28,16 @@ impl Node {
     /// # Errors
     /// If the socket has no listener, or the thread cannot be started.
     pub fn open(path: &Path, events: Weak<Events>) -> Result<Arc<Self>, Error> {
-        let failed = |source| Error::Node { path: path.to_owned(), source };
-        let stream = UnixStream::connect(path).map_err(failed)?;
+        let silent = |source: std::io::Error| {
+            let path = path.display();
+            Error::Words(format!("{path}: {source}; does the node run, and is this its `output.status_socket`?"))
+        };
+        let stream = UnixStream::connect(path).map_err(silent)?;
         let node = Arc::new(Self { path: path.to_owned(), said: Mutex::default() });
         let of = Arc::downgrade(&node);
         let listen = move || listen(&of, &events, Some(stream));
         let thread = std::thread::Builder::new().name("csi5300 node".into()).spawn(listen);
-        thread.map_err(|source| Error::Start { what: "the thread that listens to the node", source })?;
+        thread.map_err(|source| Error::start("the thread that listens to the node", &source))?;
         Ok(node)
     }
 

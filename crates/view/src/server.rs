@@ -40,7 +40,7 @@ impl Ends {
     pub fn catch(hangup: bool) -> Result<Self, Error> {
         let all = [Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup.then_some(Signal::SIGHUP));
         let set = SigSet::from_iter(all);
-        let failed = |errno: nix::Error| Error::Start { what: "waiting for signals", source: errno.into() };
+        let failed = |errno: nix::Error| Error::start("waiting for signals", &io::Error::from(errno));
         set.thread_block().map(|()| Self(set)).map_err(failed)
     }
 }
@@ -60,7 +60,7 @@ impl Server {
     /// # Errors
     /// If the address cannot be used.
     pub fn listen(address: SocketAddr) -> Result<Self, Error> {
-        let failed = |source| Error::Listen { address, source };
+        let failed = |source: io::Error| Error::Words(format!("cannot listen on {address}: {source}"));
         let listener = TcpListener::bind(address).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         Ok(Self { listener, address, patience: PATIENCE })
@@ -77,8 +77,8 @@ impl Server {
     /// # Errors
     /// If the server cannot be started.
     pub fn run(self, view: &Arc<View>, ends: &Ends) -> Result<(), Error> {
-        self.start(Arc::clone(view)).map_err(|source| Error::Start { what: "the server", source })?;
-        let failed = |errno: nix::Error| Error::Start { what: "waiting for signals", source: errno.into() };
+        self.start(Arc::clone(view)).map_err(|source| Error::start("the server", &source))?;
+        let failed = |errno: nix::Error| Error::start("waiting for signals", &io::Error::from(errno));
         ends.0.wait().map(drop).map_err(failed)
     }
 
@@ -207,7 +207,7 @@ fn start(status: u16, kind: &str, length: Option<usize>) -> String {
 
 /// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum Refused {
+enum Refused {
     /// It names no host, or one by a name.
     #[error("this page is at an address in numbers or at localhost, not at this host")]
     Host,
@@ -230,7 +230,7 @@ impl Refused {
 
 /// What a request says of itself.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Asked<'a> {
+struct Asked<'a> {
     pub method: &'a str,
     pub host: Option<&'a str>,
     pub origin: Option<&'a str>,
@@ -238,7 +238,7 @@ pub(crate) struct Asked<'a> {
 }
 
 /// Admits a request to `listening`, or returns why not.
-pub(crate) fn admit(listening: SocketAddr, asked: Asked<'_>) -> Result<(), Refused> {
+fn admit(listening: SocketAddr, asked: Asked<'_>) -> Result<(), Refused> {
     if !matches!(asked.method, "GET" | "HEAD") {
         return Err(Refused::Method);
     }

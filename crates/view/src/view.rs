@@ -129,7 +129,7 @@ impl View {
     /// # Errors
     /// If it is not there, or a pipe or a device, which could be waited for.
     pub fn check(path: &Path) -> Result<Metadata, Error> {
-        let found = std::fs::metadata(path).map_err(|source| Error::Missing { path: path.to_owned(), source })?;
+        let found = std::fs::metadata(path).map_err(|source| Error::missing(path, &source))?;
         match found.is_file() || found.is_dir() || found.file_type().is_socket() {
             true => Ok(found),
             false => Err(Error::NoFile { path: path.to_owned() }),
@@ -158,7 +158,10 @@ impl View {
         if kind.is_dir() {
             let (logs, links) = (Logs::below(path), Links::below(path, reading));
             if logs.len() == 0 && links.is_none() {
-                return Err(Error::Empty { path: path.to_owned() });
+                return Err(Error::Words(format!(
+                    "no log and no capture below {}: a log's name ends in .dat, of another card in .csi, .pcap or .csv",
+                    path.display()
+                )));
             }
             return Ok(view(logs, links, None));
         }
@@ -169,7 +172,11 @@ impl View {
         let logs = Logs::new(vec![(name.clone(), path.to_owned())]);
         // Read at once: an unreadable log is reported before there is a page.
         let known = logs.read(0)?.is_some_and(|(_, index)| index.records() > 0);
-        if known { Ok(view(logs, None, None)) } else { Err(Error::NoRecord { path: path.to_owned() }) }
+        if known {
+            return Ok(view(logs, None, None));
+        }
+        let path = path.display();
+        Err(Error::Words(format!("{path}: no intact CSI record in it (`csi5300 info` lists its content)")))
     }
 
     /// Begins to evaluate the links on `threads` threads, for as long as somebody has the view.
@@ -189,7 +196,7 @@ impl View {
                 }
             };
             let thread = std::thread::Builder::new().name("csi5300 links".into()).spawn(work);
-            thread.map_err(|source| Error::Start { what: "the thread that evaluates links", source })?;
+            thread.map_err(|source| Error::start("the thread that evaluates links", &source))?;
         }
         Ok(())
     }
@@ -426,7 +433,7 @@ const LINKED: &str = "<link rel=\"stylesheet\" href=\"/uplot.css\"><link rel=\"s
                       <script defer src=\"/uplot.js\"></script><script defer src=\"/page.js\"></script>";
 
 /// A file of the page by its path: its kind and text.
-pub(crate) fn page_file(path: &str) -> Option<(&'static str, String)> {
+fn page_file(path: &str) -> Option<(&'static str, String)> {
     Some(match path {
         "" | "/" => ("text/html; charset=utf-8", HEAD.replace(FILES, LINKED)),
         "/uplot.js" => ("text/javascript; charset=utf-8", UPLOT.to_owned()),
@@ -438,7 +445,7 @@ pub(crate) fn page_file(path: &str) -> Option<(&'static str, String)> {
 }
 
 /// The page as one file with the answers to its requests: path and JSON of each.
-pub(crate) fn whole_page(title: &str, answers: &[(String, String)]) -> String {
+fn whole_page(title: &str, answers: &[(String, String)]) -> String {
     let name = title.replace('&', "&amp;").replace('<', "&lt;");
     let mut head = HEAD.replace("<title>csi5300</title>", &format!("<title>{name}: csi5300</title>"));
     head = head.replace(FILES, &format!("<style>{UPLOT_STYLE}{STYLE}</style>"));
@@ -590,11 +597,15 @@ mod tests {
         }
         let endless = ask(&view, "/data/log/0/levels", "columns=99999999&from=nan&to=inf");
         assert!(endless["columns"].as_u64() <= Some(4_000), "{}", endless["columns"]);
-        assert!(matches!(View::open(Path::new("/nowhere"), reading()), Err(Error::Missing { .. })));
-        let toml = fixtures().join("small-circle.toml");
-        assert!(matches!(View::open(&toml, reading()), Err(Error::NoRecord { .. })));
         let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-        assert!(matches!(View::open(&source, reading()), Err(Error::Empty { .. })));
+        for (path, words) in [
+            (PathBuf::from("/nowhere"), "/nowhere: No such file"),
+            (fixtures().join("small-circle.toml"), "no intact CSI record in it"),
+            (source, "no log and no capture below"),
+        ] {
+            let why = View::open(&path, reading()).err().unwrap().to_string();
+            assert!(why.contains(words), "{why}");
+        }
     }
 
     #[test]

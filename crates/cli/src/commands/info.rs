@@ -92,8 +92,8 @@ pub fn run(args: &Args) -> Result {
         if let Some(mut row) = read_other_card(path) {
             row.pictures = drawn(args, path, name, &mut failed);
             row.show(args.json, k > 0);
-            usable |= row.is_usable();
-            lost |= row.lost_something();
+            usable |= row.survey.frames > 0;
+            lost |= row.survey.is_damaged;
             continue;
         }
         match survey(path) {
@@ -554,7 +554,7 @@ struct OtherRow {
     senders: BTreeMap<String, u64>,
     /// The pictures drawn.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub pictures: Vec<PathBuf>,
+    pictures: Vec<PathBuf>,
     #[serde(flatten)]
     survey: CardSurvey,
 }
@@ -574,18 +574,8 @@ impl OtherRow {
         }
     }
 
-    /// True if there is CSI in the log.
-    fn is_usable(&self) -> bool {
-        self.survey.frames > 0
-    }
-
-    /// True if bytes could not be read.
-    pub fn lost_something(&self) -> bool {
-        self.survey.is_damaged
-    }
-
     /// Prints it, as a line of JSON or as text, parted from what was printed before.
-    pub fn show(&self, json: bool, parted: bool) {
+    fn show(&self, json: bool, parted: bool) {
         match json {
             true => print_json(self),
             false => print(&format!("{}{}", if parted { "\n" } else { "" }, self.text())),

@@ -166,7 +166,6 @@ impl Listening {
             let options = stock::Options::default().with_records(records).with_ring(receive_buffer).with_own(needs.own);
             return Stock::open(&options).map(Listener::from).map_err(|error| with_causes(&error));
         }
-        let _ = (needs.own, needs.frames);
         if let Some(address) = &self.room {
             let (card, _) = served::join(address, served::Role::Card).map_err(|error| join_refused(&error))?;
             return Ok(Netlink::over(card, wall_us).into());

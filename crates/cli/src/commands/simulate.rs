@@ -248,7 +248,7 @@ fn run_suite(which: &Which, path: &Path, force: bool, json: bool) -> Result {
         progress(&format!("{} of {} experiments: {}", k + 1, all.len(), experiment.name));
         let own =
             run_all(std::slice::from_ref(experiment), which.repetitions.unwrap_or(REPETITIONS), &Options::new(channel));
-        runs.extend(own.in_words()?);
+        runs.extend(own?);
     }
     progress("");
     runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;

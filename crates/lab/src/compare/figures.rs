@@ -107,7 +107,7 @@ pub const CORE_US: f64 = 25.0;
 pub const FAR_US: f64 = 160.0;
 /// Answers and frames later than this are outliers, microseconds: the same histogram is empty beyond 310 us early and beyond
 /// 200 us late, except for four answers 1,140 to 1,490 us late.
-pub(super) const LOST_US: f64 = 400.0;
+const LOST_US: f64 = 400.0;
 /// Assumed range if the curvature shows none, metres.
 const USUAL_RANGE_M: f64 = 4.0;
 /// Windows of the short coherence, seconds.

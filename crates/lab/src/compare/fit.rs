@@ -44,16 +44,16 @@ pub struct Known<'a> {
 /// Adjusted values: phase noise of a frame, loss of the walls (no walls for a recording without motion), transmitted power
 /// that each side sees, variation of the phase slope on each side (radians per index), spread of the core of turn-arounds.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Adjusted {
-    pub(super) phase_noise_rad: f64,
-    pub(super) wall_loss_db: Option<f64>,
-    pub(super) tx_power_dbm: [f64; 2],
-    pub(super) slope_sd_rad: [f64; 2],
-    pub(super) core_us: f64,
+struct Adjusted {
+    phase_noise_rad: f64,
+    wall_loss_db: Option<f64>,
+    tx_power_dbm: [f64; 2],
+    slope_sd_rad: [f64; 2],
+    core_us: f64,
     /// Deviation of the robot from its trajectory, metres: accounts for slowly lost coherence.
-    pub(super) stray_m: f64,
+    stray_m: f64,
     /// Distance of the walls from the robots, metres: longer paths make subcarriers differ more.
-    pub(super) margin_m: f64,
+    margin_m: f64,
 }
 
 /// Rounds of adjustment.
@@ -114,7 +114,7 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
 }
 
 /// The noise power of a subcarrier beyond the rounding of its coefficients, relative to the signal, at one side's antenna.
-pub(super) fn noise(side: &SideFigures) -> f64 {
+fn noise(side: &SideFigures) -> f64 {
     let rounding = ROUNDING / side.level[0].median.max(1.0).powi(2);
     (10f64.powf(-0.1 * side.tone_snr_db) - rounding).max(0.0)
 }
@@ -138,7 +138,7 @@ fn first(recorded: &Figures, trajectory: &Trajectory, place: [f64; 3]) -> Adjust
     }
 }
 
-pub(super) fn middle(trajectory: &Trajectory) -> Vector3<f64> {
+fn middle(trajectory: &Trajectory) -> Vector3<f64> {
     let poses = trajectory.poses();
     poses.iter().map(|pose| pose.position_m).sum::<Vector3<f64>>() / poses.len().max(1) as f64
 }
@@ -222,22 +222,22 @@ const TURN_AROUND_US: f64 = 450.0;
 const RATE_40_MHZ: u16 = driver_iface::bfee::rate::HT40;
 
 /// A recording and the values for its scene.
-pub(super) struct Recording<'a> {
-    pub(super) figures: &'a Figures,
-    pub(super) known: &'a Known<'a>,
+struct Recording<'a> {
+    figures: &'a Figures,
+    known: &'a Known<'a>,
     /// The transmitter's antenna, metres.
-    pub(super) place: [f64; 3],
-    pub(super) channel: Channel,
+    place: [f64; 3],
+    channel: Channel,
 }
 
 /// The text of a fitted scene.
-pub(super) fn text(scene: &Scene) -> Result<String, SceneError> {
+fn text(scene: &Scene) -> Result<String, SceneError> {
     Ok(format!("{HEADER}{}", scene.to_toml()?))
 }
 
 impl Recording<'_> {
     /// The scene with this seed.
-    pub(super) fn scene(&self, adjusted: &Adjusted, seed: u64) -> Scene {
+    fn scene(&self, adjusted: &Adjusted, seed: u64) -> Scene {
         let (rx, tx) = (&self.figures.receiver, &self.figures.transmitter);
         let times = self.times();
         let sounding = Sounding {
@@ -436,7 +436,7 @@ fn brief(value: f64) -> f64 {
 }
 
 /// Whether the card reported channels of 40 MHz.
-pub(super) fn is_wide(side: &SideFigures) -> bool {
+fn is_wide(side: &SideFigures) -> bool {
     usual(&side.rates).is_some_and(|rate| rate & RATE_40_MHZ != 0)
 }
 
@@ -495,7 +495,7 @@ const LOPSIDED: f64 = 0.5;
 
 /// The pattern of a robot's antennas, estimated from the power of its records (host time, dB) along its trajectory: the first
 /// two harmonics of the azimuth to `place` in the robot's frame, by least squares. `None` if the robot did not turn round.
-pub(super) fn pattern(powers: &[(f64, f64)], trajectory: &Trajectory, place: [f64; 3]) -> Pattern {
+fn pattern(powers: &[(f64, f64)], trajectory: &Trajectory, place: [f64; 3]) -> Pattern {
     let (from_s, to_s) = trajectory.span_s();
     let path = Recorded::from_trajectory(trajectory);
     let mut normal = SMatrix::<f64, 5, 5>::zeros();

@@ -49,7 +49,7 @@ impl TrajectorySource {
     }
 
     /// Prefix of its file names, before the robot's name.
-    pub(super) fn prefix(self) -> &'static str {
+    fn prefix(self) -> &'static str {
         match self {
             Self::GroundTruth => "",
             Self::T265 | Self::RollingT265 => "t265_",
@@ -256,7 +256,7 @@ pub fn loose_files(folder: &Path) -> Option<Vec<PathBuf>> {
 }
 
 /// The files of a folder; `None` if none is a log, or if there are too many.
-pub(super) fn files_with_logs(folder: &Path) -> Option<Vec<PathBuf>> {
+fn files_with_logs(folder: &Path) -> Option<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
     let mut files: Vec<PathBuf> = entries.filter(|path| path.is_file()).take(MOST + 1).collect();
     if files.len() > MOST {

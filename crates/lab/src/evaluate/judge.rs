@@ -366,7 +366,7 @@ pub(super) fn row(link: &str, azimuth_deg: f64, error_deg: f64, confidence: f64)
 
 impl Capture {
     /// The antenna's trajectory from the one recorded by `source`.
-    pub(super) fn of_antenna(
+    fn of_antenna(
         &self,
         shelf: &Shelf,
         source: TrajectorySource,

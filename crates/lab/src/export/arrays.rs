@@ -213,7 +213,7 @@ pub(super) fn emit<T: Pod>(mut values: impl Iterator<Item = T>, out: &mut impl W
 ///
 /// # Errors
 /// As the writer.
-pub(super) fn emit_blocks<T: Pod>(mut next: impl FnMut(&mut Vec<T>), out: &mut impl Write) -> io::Result<u64> {
+fn emit_blocks<T: Pod>(mut next: impl FnMut(&mut Vec<T>), out: &mut impl Write) -> io::Result<u64> {
     let (mut block, mut written) = (Vec::new(), 0);
     loop {
         next(&mut block);

@@ -20,9 +20,9 @@ pub(super) const RED: Rgb = (213, 94, 0);
 pub(super) const PURPLE: Rgb = (204, 121, 167);
 pub(super) const SKY: Rgb = (86, 180, 233);
 /// Colours of series in order (Okabe and Ito 2008).
-pub(super) const SERIES: [Rgb; 6] = [BLUE, RED, GREEN, PURPLE, ORANGE, SKY];
+const SERIES: [Rgb; 6] = [BLUE, RED, GREEN, PURPLE, ORANGE, SKY];
 pub(super) const WIDTH: f64 = 1200.0;
-pub(super) const FONT: u32 = 22;
+const FONT: u32 = 22;
 
 /// The colour of series `i`; they repeat after six.
 pub(super) fn series_colour(i: usize) -> Rgb {
@@ -411,7 +411,7 @@ fn is_same(a: &Path, b: &Path) -> bool {
 ///
 /// # Errors
 /// If it cannot be written; no part of it remains.
-pub(super) fn write_whole(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
+fn write_whole(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     if target.metadata().is_ok_and(|found| !found.is_file()) {
         return write(&mut File::create(&target)?);

@@ -60,8 +60,7 @@ impl LogPictures<'_> {
     }
 
     /// Names of its two pictures, without extensions.
-    #[must_use]
-    pub fn stems(stem: &Path) -> [PathBuf; 2] {
+    fn stems(stem: &Path) -> [PathBuf; 2] {
         ["csi", "levels"].map(|what| {
             let mut name = stem.as_os_str().to_owned();
             name.push(format!("-{what}"));
@@ -310,13 +309,13 @@ const TICK: f64 = 14.0;
 
 /// One kind of event.
 #[derive(Debug, PartialEq)]
-pub(super) struct Events {
+struct Events {
     words: String,
     times_s: Vec<f64>,
 }
 
 /// Every kind that occurs in the log.
-pub(super) fn events_of(course: &Course) -> Vec<Events> {
+fn events_of(course: &Course) -> Vec<Events> {
     let row = |words: String, times_s: Vec<f64>| Events { words, times_s };
     let sum = |marks: &[(f64, u64)]| marks.iter().map(|mark| mark.1).sum::<u64>();
     let times = |marks: &[(f64, u64)]| marks.iter().map(|mark| mark.0).collect::<Vec<_>>();
@@ -336,12 +335,12 @@ pub(super) fn events_of(course: &Course) -> Vec<Events> {
 }
 
 /// Height of the rows under the rate.
-pub(super) fn events_height(events: &[Events]) -> f64 {
+fn events_height(events: &[Events]) -> f64 {
     if events.is_empty() { 0.0 } else { 30.0 + ROW * events.len() as f64 }
 }
 
 /// Draws them below a panel, over the same times.
-pub(super) fn draw_events(canvas: &mut Canvas, above: &Axes, events: &[Events]) {
+fn draw_events(canvas: &mut Canvas, above: &Axes, events: &[Events]) {
     for (k, row) in events.iter().enumerate() {
         let top = above.top + above.height + 46.0 + ROW * (k as f64 + 0.4);
         canvas.text((above.left, top - 5.0), &row.words, 18, TextAnchor::Start, BLACK);

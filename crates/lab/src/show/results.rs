@@ -39,8 +39,7 @@ impl<'a> LinkPictures<'a> {
     }
 
     /// Names of a link's pictures, without extensions.
-    #[must_use]
-    pub fn stems(folder: &Path, name: &str) -> [PathBuf; 3] {
+    fn stems(folder: &Path, name: &str) -> [PathBuf; 3] {
         ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what))
     }
 
@@ -165,15 +164,14 @@ impl Others {
 /// # Errors
 /// If a picture cannot be drawn or written.
 pub fn write_set(rows: &[Judged], others: &Others, folder: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
-    let [errors_stem, refusals_stem, reliability_stem] = set_stems(folder);
     let judged = |row: &&Judged| row.error_from_mean_pose_deg.is_some();
     let mut written = Vec::new();
     if rows.iter().any(|row| judged(&row)) {
-        written.extend(errors(rows, others).write(&errors_stem, kept)?);
+        written.extend(errors(rows, others).write(&folder.join("errors"), kept)?);
     }
     if !sure(rows).is_empty() {
-        written.extend(refused(rows).write(&refusals_stem, kept)?);
-        written.extend(reliable(rows).write(&reliability_stem, kept)?);
+        written.extend(refused(rows).write(&folder.join("refusals"), kept)?);
+        written.extend(reliable(rows).write(&folder.join("reliability"), kept)?);
     }
     written.extend(write_maps(rows, &receivers_with(rows, &BTreeMap::new(), false), folder, kept)?);
     Ok(written)
@@ -192,8 +190,8 @@ pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path, kept: &[Pat
         }
     }
     captures.retain(|_, own| own.iter().any(|row| row.true_receiver_m.is_some()));
-    let stem = |capture: &str| map_stem(folder, capture);
-    let team = (!located.transmitters.is_empty()).then(|| stem(TEAM));
+    let stem = |capture: &str| folder.join(format!("map-{}", file_safe(capture)));
+    let team = (!located.transmitters.is_empty()).then(|| stem("team"));
     check(&captures.keys().map(|capture| stem(capture)).chain(team.clone()).collect::<Vec<_>>(), kept)?;
     let mut written = Vec::new();
     for (capture, own) in captures {
@@ -204,21 +202,6 @@ pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path, kept: &[Pat
         written.extend(team_map(rows, located).write(&stem, kept)?);
     }
     Ok(written)
-}
-
-/// The map of captures that are one graph, in place of a capture's name.
-pub const TEAM: &str = "team";
-
-/// Name of a capture's map ([`Capture::link_name`](crate::evaluate::Capture::link_name)), without extension.
-#[must_use]
-pub fn map_stem(folder: &Path, capture: &str) -> PathBuf {
-    folder.join(format!("map-{}", file_safe(capture)))
-}
-
-/// Names of the pictures of all links together, without extensions.
-#[must_use]
-pub fn set_stems(folder: &Path) -> [PathBuf; 3] {
-    ["errors", "refusals", "reliability"].map(|name| folder.join(name))
 }
 
 fn reliable(rows: &[Judged]) -> ReliabilityPlot {
@@ -373,16 +356,9 @@ pub fn write_compared(
         series: vec![late("recorded", recorded), late("simulated", simulated)],
         ..CdfPlot::default()
     };
-    let [phase_stem, turn_around_stem] = compared_stems(folder);
-    let mut written = phase.write(&phase_stem, kept)?;
-    written.extend(turn_around.write(&turn_around_stem, kept)?);
+    let mut written = phase.write(&folder.join("compare-phase"), kept)?;
+    written.extend(turn_around.write(&folder.join("compare-turn-around"), kept)?);
     Ok(written)
-}
-
-/// Names of the two pictures, without extensions.
-#[must_use]
-pub fn compared_stems(folder: &Path) -> [PathBuf; 2] {
-    ["compare-phase", "compare-turn-around"].map(|name| folder.join(name))
 }
 
 /// Pairs of stationary robots whose phases are averaged before unwrapping.

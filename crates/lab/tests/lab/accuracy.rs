@@ -5,7 +5,7 @@ use csi5300::pipeline::{Accuracy, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::figures::true_path;
 use csi5300_lab::curves;
-use csi5300_lab::suite::{Experiment, Run, experiments, run, run_all};
+use csi5300_lab::suite::{Run, experiments, run, run_all};
 use csi5300_sim::Room;
 use csi5300_sim::motion::{Arc, Circle, RobotMotion};
 use csi5300_sim::radio::{Gain, Noise};
@@ -46,7 +46,7 @@ fn sound(scene: &mut Scene, rate_hz: f64) {
 }
 
 fn runs(scene: Scene, repetitions: u64, options: &Options) -> Vec<Run> {
-    run_all(&[Experiment { name: scene.name.clone(), scene }], repetitions, options).unwrap()
+    run_all(&[scene], repetitions, options).unwrap()
 }
 
 fn errors(runs: &[Run]) -> Vec<f64> {
@@ -100,7 +100,7 @@ fn the_drawn_curve_peaks_at_the_answer() {
 /// Compensation removes the effects of real captures' cards and turn-around.
 #[test]
 fn compensation_changes_the_phase_of_every_experiment() {
-    for experiment in experiments().iter().filter(|experiment| experiment.scene.duration_s <= 10.0) {
+    for experiment in experiments().iter().filter(|experiment| experiment.duration_s <= 10.0) {
         let run = run(experiment, 1, &options(false)).unwrap();
         assert!(
             run.residual_compensated_rad < run.residual_rad - 0.02,
