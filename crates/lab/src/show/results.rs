@@ -264,7 +264,6 @@ fn refused(rows: &[Judged]) -> ScatterLines {
             ("median".into(), points(|kept| kept.errors.median_deg)),
             ("90th percentile".into(), points(|kept| kept.errors.p90_deg)),
         ],
-        ..ScatterLines::default()
     }
 }
 
