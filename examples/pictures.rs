@@ -24,14 +24,14 @@ fn lobe(azimuth_deg: f64, at: f64, width: f64) -> f64 {
 }
 
 /// Phases of one link, and of two beside each other.
-fn phases(out: &Path, format: &Format) -> Result<(), Error> {
+fn phases(out: &Path) -> Result<(), Error> {
     let (recorded, simulated) = (track("recorded", 3000, 0.4), track("simulated", 3000, 0.2));
     let start = std::time::Instant::now();
     let phase = PhasePlot { title: "Phase of one link".into(), capture: recorded, ..PhasePlot::default() };
-    phase.write(&out.join("phase"), format)?;
+    phase.write(&out.join("phase"), &[])?;
     println!("phase plot of 3000 points: {:.2} s", start.elapsed().as_secs_f64());
     PhasePlot { title: "Recorded and simulated".into(), other: Some(simulated), ..phase }
-        .write(&out.join("phases"), format)?;
+        .write(&out.join("phases"), &[])?;
     Ok(())
 }
 
@@ -41,7 +41,7 @@ fn turn() -> Vec<[f64; 2]> {
 }
 
 /// Where a robot drove, and where its signal comes from.
-fn bearings(out: &Path, format: &Format) -> Result<(), Error> {
+fn bearings(out: &Path) -> Result<(), Error> {
     let path_m = turn();
     let trajectory = TrajectoryPlot {
         title: "Bearing from one turn".into(),
@@ -53,7 +53,7 @@ fn bearings(out: &Path, format: &Format) -> Result<(), Error> {
         truth_rad: Some(0.58),
         transmitter_m: Some([1.6, 1.05]),
     };
-    trajectory.write(&out.join("trajectory"), format)?;
+    trajectory.write(&out.join("trajectory"), &[])?;
 
     let azimuth: Vec<f64> = (-180..180).map(f64::from).collect();
     let profile =
@@ -69,32 +69,26 @@ fn bearings(out: &Path, format: &Format) -> Result<(), Error> {
         truth_deg: Some(33.0),
         mirror_deg: Some(-35.0),
     };
-    profile.write(&out.join("profile"), format)?;
-
-    let cell = |i: usize| lobe((i % 180) as f64 * 2.0 - 180.0, 35.0, 30.0) * lobe((i / 180) as f64 * 2.0, 25.0, 20.0);
-    let value = (0..180 * 45).map(|i| cell(i) + 0.02 + 0.01 * noise(i)).collect();
-    ProfileMap { title: "Azimuth and elevation".into(), n_az: 180, n_el: 45, value }
-        .write(&out.join("map_az_el"), format)?;
+    profile.write(&out.join("profile"), &[])?;
     Ok(())
 }
 
 /// Distributions of errors, and curves.
-fn curves(out: &Path, format: &Format) -> Result<(), Error> {
+fn curves(out: &Path) -> Result<(), Error> {
     let errors = |scale: f64| (0..300).map(|i| scale * noise(i) * noise(i + 500)).collect::<Vec<f64>>();
     let series = vec![("one antenna".into(), errors(12.0)), ("three antennas".into(), errors(5.0))];
     CdfPlot { title: "Bearing error".into(), x_label: "error (degrees)".into(), series, ..CdfPlot::default() }
-        .write(&out.join("cdf"), format)?;
-    let pareto = |a: f64| (0..6).map(|k| (a * 4f64.powi(k), 8.0 / 2f64.powi(k) + 0.1)).collect();
-    let series = vec![("direct".into(), pareto(2.0)), ("rings".into(), pareto(0.1))];
-    let (x_label, y_label) = ("run time (ms)".into(), "error (degrees)".into());
-    let title = "Run time against error".into();
-    ScatterLines { title, x_label, y_label, log_x: true, log_y: true, series, lines: true }
-        .write(&out.join("pareto"), format)?;
+        .write(&out.join("cdf"), &[])?;
+    let falling = |a: f64| (0..6).map(|k| (100.0 - 10.0 * f64::from(k), a / (1.0 + f64::from(k)))).collect();
+    let series = vec![("mean".into(), falling(8.0)), ("median".into(), falling(3.0))];
+    let (x_label, y_label) = ("links kept (%)".into(), "error (degrees)".into());
+    let title = "Error of the links that are kept".into();
+    ScatterLines { title, x_label, y_label, series }.write(&out.join("refusals"), &[])?;
     Ok(())
 }
 
 /// All robots of a place.
-fn robots(out: &Path, format: &Format) -> Result<(), Error> {
+fn robots(out: &Path) -> Result<(), Error> {
     let truth = vec![("robot A".into(), [3.0, 2.0]), ("robot B".into(), [-2.0, 2.5]), ("robot C".into(), [2.0, -2.0])];
     let ray = |azimuth_rad, label: &str, class| Ray {
         origin_m: [0.0; 2],
@@ -111,15 +105,14 @@ fn robots(out: &Path, format: &Format) -> Result<(), Error> {
         ray(-0.55, "A", RayClass::Mirror),
     ];
     MapPlot { title: "Robots and bearings".into(), truth, rays, path_m: turn(), ..MapPlot::default() }
-        .write(&out.join("robots"), format)?;
+        .write(&out.join("robots"), &[])?;
     Ok(())
 }
 
 fn main() -> Result<(), Error> {
     let out = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "pictures".into()));
-    let format = Format::default();
-    phases(&out, &format)?;
-    bearings(&out, &format)?;
-    curves(&out, &format)?;
-    robots(&out, &format)
+    phases(&out)?;
+    bearings(&out)?;
+    curves(&out)?;
+    robots(&out)
 }

@@ -20,6 +20,15 @@ pub struct Curve {
     pub values: Vec<f64>,
 }
 
+impl Curve {
+    /// From azimuths, degrees, in any order, with their values.
+    fn new(name: &str, mut points: Vec<(f64, f64)>) -> Self {
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (azimuths_deg, values) = points.into_iter().unzip();
+        Self { name: name.into(), azimuths_deg, values }
+    }
+}
+
 /// The probability density over azimuth relative to its maximum, if the bearing kept its course
 /// ([`keep_course`](csi5300::pipeline::Options::keep_course)).
 #[must_use]
@@ -28,10 +37,7 @@ pub fn evidence(bearing: &Bearing) -> Option<Curve> {
     let highest = density.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let step_rad = std::f64::consts::TAU / density.len() as f64;
     let at = |(k, value): (usize, &f64)| (wrap_rad(k as f64 * step_rad).to_degrees(), value / highest);
-    let mut points: Vec<(f64, f64)> = density.iter().enumerate().map(at).collect();
-    points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (azimuths_deg, values) = points.into_iter().unzip();
-    Some(Curve { name: "probability density".into(), azimuths_deg, values })
+    Some(Curve::new("probability density", density.iter().enumerate().map(at).collect()))
 }
 
 /// The plane wave's profile over azimuth: the maximum over the |elevations| of its peaks.
@@ -51,11 +57,8 @@ pub fn plane_wave(bearing: &Bearing) -> Result<Curve, bartlett::Error> {
         let profile = bartlett::profile(&bearing.samples, &ring)?;
         values.iter_mut().zip(profile.values).for_each(|(value, own)| *value = value.max(own));
     }
-    let mut points: Vec<(f64, f64)> =
-        azimuths.iter().map(|azimuth| wrap_rad(*azimuth).to_degrees()).zip(values).collect();
-    points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (azimuths_deg, values) = points.into_iter().unzip();
-    Ok(Curve { name: "plane wave at the channel centre".into(), azimuths_deg, values })
+    let points = azimuths.iter().map(|azimuth| wrap_rad(*azimuth).to_degrees()).zip(values).collect();
+    Ok(Curve::new("plane wave at the channel centre", points))
 }
 
 /// Residual phases of the samples after removal of the paths to the answer, about their mean: (seconds from the link's first

@@ -11,7 +11,6 @@
 //! | [`curves`] | a bearing | curves over azimuth and time for pictures and pages |
 //! | [`table`] | a log | its records in memory: columns, and CSI decoded on demand |
 //! | [`export`] | such a table | NPZ, MAT and Parquet files |
-//! | [`words`] | counts | text with their nouns |
 //! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) |
 //!
 //! `evaluate`, `compare` and `suite` do not depend on pictures; `show` draws their results.
@@ -29,4 +28,3 @@ pub mod kinds;
 pub mod show;
 pub mod suite;
 pub mod table;
-pub mod words;

@@ -13,23 +13,14 @@ use csi5300_sim::scene::{Cfo, PaperCfo, Scene};
 use csi5300_sim::{Port, Room};
 use num_complex::Complex64;
 use rayon::prelude::*;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// Durations of the stationary experiments, seconds (\[paper\], section III-A).
-pub const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
+const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
 /// Radii of the circles, metres; lines are as long as the circles.
-pub const RADII_M: [f64; 3] = [0.1, 0.2, 0.3];
+const RADII_M: [f64; 3] = [0.1, 0.2, 0.3];
 /// Repetitions of each simulated experiment (\[paper\]).
 pub const REPETITIONS: u64 = 10;
-
-/// One experiment.
-#[derive(Clone, Debug)]
-pub struct Experiment {
-    /// Its name.
-    pub name: String,
-    /// Its scene; repetitions differ by seed.
-    pub scene: Scene,
-}
 
 /// The result of one repetition.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -64,34 +55,20 @@ pub struct Run {
     pub residual_rad: f64,
     /// The same after turn-around compensation.
     pub residual_compensated_rad: f64,
-    /// The curve from which the azimuth was chosen at [`PROFILE_AZIMUTHS`] azimuths, maximum 1; empty at rest.
-    #[serde(skip)]
-    pub profile: Vec<f64>,
-    /// The phase of every pair; only for the first repetition.
-    #[serde(skip)]
-    pub course: Vec<Phase>,
 }
 
-/// Azimuths of [`Run::profile`], evenly spaced around the circle.
-pub const PROFILE_AZIMUTHS: usize = 1_440;
-
-/// Azimuth of a value of [`Run::profile`], radians in (-pi, pi].
+/// The scenes of all experiments, in the order of \[paper\]; repetitions differ by seed.
 #[must_use]
-pub fn profile_azimuth_rad(index: usize) -> f64 {
-    TAU * (index + 1) as f64 / PROFILE_AZIMUTHS as f64 - PI
-}
-
-/// All experiments, in the order of \[paper\].
-#[must_use]
-pub fn experiments() -> Vec<Experiment> {
+pub fn experiments() -> Vec<Scene> {
     let Some(base) = Scene::built_in("paper-circle") else { return Vec::new() };
     let mut all = Vec::new();
     for (kind, c1) in [("constant CFO", 0.0), ("sinusoidal CFO", PaperCfo::default().c1)] {
         for duration_s in STATIONARY_S {
-            let mut scene = Scene { duration_s, ..base.clone() };
+            let name = format!("stationary {duration_s} s, {kind}");
+            let mut scene = Scene { name, duration_s, ..base.clone() };
             scene.cfo = Cfo::Paper(PaperCfo { c1, ..PaperCfo::default() });
             scene.robot[0].motion = RobotMotion::Static;
-            all.push(Experiment { name: format!("stationary {duration_s} s, {kind}"), scene });
+            all.push(scene);
         }
     }
     for radius_m in RADII_M {
@@ -99,36 +76,23 @@ pub fn experiments() -> Vec<Experiment> {
         let circle = RobotMotion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 });
         let line = RobotMotion::Line(Line { length_m: TAU * radius_m, duration_s, start_s: 0.0 });
         for (kind, motion) in [("circle", circle), ("line", line)] {
-            let mut scene = base.clone();
+            let mut scene = Scene { name: format!("{kind} {:.0} cm", 100.0 * radius_m), ..base.clone() };
             scene.robot[0].motion = motion;
-            all.push(Experiment { name: format!("{kind} {:.0} cm", 100.0 * radius_m), scene });
+            all.push(scene);
         }
     }
     all
 }
 
-/// Error of a repetition.
-#[derive(Debug, thiserror::Error)]
-#[error("{experiment}, repetition {repetition}: {source}")]
-pub struct SuiteError {
-    /// The experiment.
-    pub experiment: String,
-    /// Its repetition, from 1.
-    pub repetition: u64,
-    /// Why.
-    pub source: CompareError,
-}
-
 /// Runs every experiment this number of times, on all cores of the current rayon pool; results in order.
 ///
 /// # Errors
-/// The first repetition that failed, with its experiment.
-pub fn run_all(experiments: &[Experiment], repetitions: u64, options: &Options) -> Result<Vec<Run>, SuiteError> {
-    let jobs: Vec<(&Experiment, u64)> =
+/// The first repetition that failed, with its experiment, in words.
+pub fn run_all(experiments: &[Scene], repetitions: u64, options: &Options) -> Result<Vec<Run>, String> {
+    let jobs: Vec<(&Scene, u64)> =
         experiments.iter().flat_map(|experiment| (1..=repetitions).map(move |k| (experiment, k))).collect();
-    let one = |(experiment, k): &(&Experiment, u64)| {
-        let named = |source| SuiteError { experiment: experiment.name.clone(), repetition: *k, source };
-        run(experiment, *k, options).map_err(named)
+    let one = |(experiment, k): &(&Scene, u64)| {
+        run(experiment, *k, options).map_err(|error| format!("{}, repetition {k}: {error}", experiment.name))
     };
     jobs.par_iter().map(one).collect()
 }
@@ -137,31 +101,28 @@ pub fn run_all(experiments: &[Experiment], repetitions: u64, options: &Options) 
 ///
 /// # Errors
 /// If the scene cannot be simulated or gives no link.
-pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Result<Run, CompareError> {
-    let scene = Scene { seed: repetition, ..experiment.scene.clone() };
+pub fn run(experiment: &Scene, repetition: u64, options: &Options) -> Result<Run, CompareError> {
+    let scene = Scene { seed: repetition, ..experiment.clone() };
     let mut room = Room::new(&scene)?;
     let path = true_path(&room, 0)?;
-    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or(CompareError::OneRobot)?;
+    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or_else(CompareError::one_robot)?;
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let options = options.clone().with_keep_course(true);
-    let report = bearings(&mut rx, transmitters, &path, &options)?;
-    let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
-    let link = found.link.as_ref().ok_or_else(|| CompareError::NoLink { reason: "no pairs".into() })?;
-    let (turn_around, course) = link.phases(&options);
-    let turn_around = turn_around.ok_or(CompareError::FewPairs { pairs: link.pairs() })?;
+    let report = bearings(&mut rx, transmitters, &path, options)?;
+    let found = report.links.first().ok_or_else(CompareError::no_transmitter)?;
+    let link = found.link.as_ref().ok_or_else(|| CompareError::Lacks("no pairs".into()))?;
+    let (turn_around, _) = link.phases(options);
+    let turn_around = turn_around.ok_or_else(|| CompareError::few_pairs(link.pairs()))?;
     let mut run = Run {
         experiment: experiment.name.clone(),
         repetition,
         pairs: link.pairs(),
         residual_rad: spread_rad(turn_around.coherence_before),
         residual_compensated_rad: spread_rad(turn_around.coherence_after),
-        course: if repetition == 1 { course } else { Vec::new() },
         ..Run::default()
     };
     if scene.robot[0].motion != RobotMotion::Static {
-        let none = |error: &dyn std::fmt::Display| CompareError::NoLink { reason: error.to_string() };
-        let bearing = found.bearing.as_ref().map_err(|error| none(error))?;
+        let bearing = found.bearing.as_ref().map_err(|error| CompareError::Lacks(error.to_string()))?;
         judge(&mut run, bearing, &room);
     }
     Ok(run)
@@ -176,7 +137,6 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.truth_deg = truth_rad.map(f64::to_degrees);
     run.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
     run.mirror_deg = answer.mirror_rad.map(f64::to_degrees);
-    run.profile = profile(bearing);
     let off = |azimuth: f64| truth_rad.map(|truth| wrap_rad(azimuth - truth).to_degrees());
     let answers = [Some(answer.azimuth_rad), answer.mirror_rad];
     let errors = answers.into_iter().flatten().filter_map(off);
@@ -187,18 +147,6 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.confidence = Some(answer.probability);
     run.likelihood_share = bearing.figures.likelihood_share;
     run.coherence = Some(bearing.plane_wave.coherence);
-}
-
-/// The probability density over azimuth relative to its maximum.
-fn profile(bearing: &Bearing) -> Vec<f64> {
-    let density = &bearing.density;
-    let nearest = |index: usize| {
-        let turns = profile_azimuth_rad(index).rem_euclid(TAU) / TAU;
-        density.get((turns * density.len() as f64).round() as usize % density.len().max(1)).copied().unwrap_or_default()
-    };
-    let values: Vec<f64> = (0..PROFILE_AZIMUTHS).map(nearest).collect();
-    let highest = values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    values.into_iter().map(|value| value / highest).collect()
 }
 
 /// The phase of two stationary robots, which only the radios change.

@@ -2,13 +2,11 @@
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`View`] | what is looked at, and every answer that the page asks for |
+//! | [`View`] | what is looked at, the page's files, and every answer that the page asks for |
 //! | `logs` | logs, read once and binned again for each stretch that is looked at |
-//! | `links` | the links of captures, evaluated in the background |
-//! | `link` | one link: curves, path, phases |
+//! | `links` | the links of captures, evaluated in the background: rows, curves, paths, phases |
 //! | `node` | the states of a running node, from its status socket |
-//! | `page` | the page's files, and all of it as one |
-//! | [`Server`] | HTTP on one address; `guard` says who is let in |
+//! | [`Server`] | HTTP on one address, and who is let in |
 //!
 //! The answers are the JSON of the library and of `csi5300_lab` (docs/reference/formats.md), binned. docs/guides/view.md is the guide.
 //!
@@ -34,19 +32,95 @@
 //! * `phases`: at `t_s` of all pairs: `one_way_rad` (forward), `round_trip_rad`, `compensated_rad`; at `left_t_s` (from the first pair used) `left_rad`: residual about its mean
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
-mod csi;
-mod error;
-mod events;
-mod guard;
-mod link;
 mod links;
 mod logs;
 mod node;
-mod page;
 mod server;
 mod view;
 
-pub use error::Error;
 pub use links::Reading;
 pub use server::{Ends, Server};
+use std::io;
+use std::path::{Path, PathBuf};
 pub use view::{Answer, View};
+
+/// Why nothing can be shown, or a question of the page has no answer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// What was named is not there or cannot be shown, or nothing can be started; in words.
+    #[error("{0}")]
+    Words(String),
+    /// What can be read only once, or is no file at all.
+    #[error(
+        "{} is a pipe or a device: the page reads a log more than once, so write it to a file first", path.display()
+    )]
+    NoFile {
+        /// What was named.
+        path: PathBuf,
+    },
+    /// A log is another one than the page was made of.
+    #[error("{} was changed since it was read: load the page again", path.display())]
+    Changed {
+        /// The log.
+        path: PathBuf,
+    },
+    /// A log cannot be read.
+    #[error(transparent)]
+    Log(#[from] csi5300::source::Error),
+    /// The page requested something that does not exist.
+    #[error("nothing at {path}")]
+    NoSuch {
+        /// The request.
+        path: String,
+    },
+    /// The page asked with a value that cannot be meant.
+    #[error("`{name}={value}` cannot be read")]
+    Query {
+        /// The name of the value.
+        name: &'static str,
+        /// The value.
+        value: String,
+    },
+    /// An answer could not be written as JSON.
+    #[error("cannot write the answer: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+impl Error {
+    /// What was named is not there.
+    pub(crate) fn missing(path: &Path, source: &io::Error) -> Self {
+        let is_socket = path.extension().is_some_and(|extension| extension == "sock");
+        Self::Words(format!("{}: {source}{}", path.display(), if is_socket { "; does the node run?" } else { "" }))
+    }
+
+    /// A thread or the server could not be started.
+    pub(crate) fn start(what: &str, source: &dyn std::fmt::Display) -> Self {
+        Self::Words(format!("cannot start {what}: {source}"))
+    }
+
+    /// The status of the HTTP answer that says this.
+    pub(crate) fn status(&self) -> u16 {
+        match self {
+            Self::NoSuch { .. } => 404,
+            Self::Query { .. } => 400,
+            Self::Changed { .. } => 409,
+            _ => 500,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Reading;
+    use csi5300::pipeline::Options;
+    use csi5300::signal::channel::{Channel, Width};
+    use csi5300_lab::evaluate::TrajectorySource;
+
+    /// How the tests read captures.
+    pub fn reading() -> Reading {
+        let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
+        let source = TrajectorySource::GroundTruth;
+        Reading { source, channel: None, options, antenna_offset_m: None, camera: None }
+    }
+}

@@ -1,12 +1,13 @@
-//! Links of captures, evaluated in the background; those that somebody wants to see at once, while the background rests.
+//! Links of captures, evaluated in the background; those that somebody wants to see at once, while the background rests. Of each
+//! one its row, and what the page draws: profiles, the robot's path, phases.
 
 use crate::Error;
-use crate::events::Events;
-use crate::link::Detail;
+use crate::node::Events;
 use csi5300::motion::pose::Mount;
-use csi5300::pipeline::Options;
+use csi5300::pipeline::{Bearing, Options, Phase};
 use csi5300::signal::channel::Channel;
-use csi5300_lab::evaluate::beside::{Beside, Table};
+use csi5300_lab::curves::{Curve, evidence, plane_wave, without_motion};
+use csi5300_lab::evaluate::quality::{Beside, Table};
 use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find_all, summarise};
 use serde::Serialize;
@@ -20,40 +21,16 @@ const URGENT: usize = 2;
 /// How captures are read and their links estimated.
 #[derive(Clone)]
 pub struct Reading {
-    source: TrajectorySource,
-    channel: Option<Channel>,
-    options: Options,
-    antenna_offset_m: Option<[f64; 3]>,
-    camera: Option<Mount>,
-}
-
-impl Reading {
-    /// With the trajectories of `source`; by default each capture's own channel.
-    #[must_use]
-    pub fn new(source: TrajectorySource, channel: Option<Channel>, options: Options) -> Self {
-        // Curves, paths and phases are what the page shows.
-        Self { source, channel, options: options.with_keep_course(true), antenna_offset_m: None, camera: None }
-    }
-
-    /// With the antenna this far (metres forward, left, up) from what the trajectories of the camera or the wheels are of.
-    #[must_use]
-    pub fn with_antenna_offset_m(self, antenna_offset_m: Option<[f64; 3]>) -> Self {
-        Self { antenna_offset_m, ..self }
-    }
-
-    /// The same with the tracking camera there on the robot ([`Capture::camera`]).
-    #[must_use]
-    pub fn with_camera(self, camera: Option<Mount>) -> Self {
-        Self { camera, ..self }
-    }
-
-    pub(crate) fn source(&self) -> TrajectorySource {
-        self.source
-    }
-
-    pub(crate) fn antenna(&self) -> driver_iface::bfee::Antenna {
-        self.options.antenna
-    }
+    /// Whose trajectories.
+    pub source: TrajectorySource,
+    /// The channel of all captures, if it is not each one's own.
+    pub channel: Option<Channel>,
+    /// How links are estimated.
+    pub options: Options,
+    /// The antenna, this far (metres forward, left, up) from what the trajectories of the camera or the wheels are of.
+    pub antenna_offset_m: Option<[f64; 3]>,
+    /// The tracking camera on the robot ([`Capture::camera`]).
+    pub camera: Option<Mount>,
 }
 
 /// A row of the table: a line of `evaluate --json`, shorter, and what another program answers.
@@ -143,7 +120,9 @@ impl Drop for Urgent<'_> {
 
 impl Links {
     /// The captures below a folder.
-    pub fn below(folder: &Path, reading: Reading) -> Option<Self> {
+    pub fn below(folder: &Path, mut reading: Reading) -> Option<Self> {
+        // Curves, paths and phases are what the page shows.
+        reading.options = reading.options.with_keep_course(true);
         let (mut captures, unreadable) = find_all(folder);
         for capture in &mut captures {
             (capture.antenna_offset_m, capture.camera) = (reading.antenna_offset_m, reading.camera);
@@ -152,7 +131,7 @@ impl Links {
             return None;
         }
         let mut notes: Vec<String> = unreadable.iter().map(|folder| format!("cannot read {folder}")).collect();
-        let (table, note) = Table::noted(folder, reading.source());
+        let (table, note) = Table::noted(folder, reading.source);
         notes.extend(note);
         let mut first = vec![0];
         for capture in &captures {
@@ -221,7 +200,7 @@ impl Links {
     fn evaluate(&self, number: usize, events: &Events) {
         let Some(capture) = self.captures.get(number) else { return };
         let mut details: BTreeMap<String, Arc<str>> = BTreeMap::new();
-        let mut look = |name: &str, bearing: &csi5300::pipeline::Bearing, _: &Options| {
+        let mut look = |name: &str, bearing: &Bearing, _: &Options| {
             if let Ok(text) = serde_json::to_string(&Detail::new(bearing)) {
                 details.insert(name.to_owned(), text.into());
             }
@@ -356,17 +335,96 @@ fn short(number: usize, done: &Done) -> ShortRow<'_> {
     }
 }
 
+/// Poses of the path, and positions of samples, at most.
+const PLACES: usize = 1_000;
+/// Phases at most.
+const PHASES: usize = 1_500;
+/// Points of a profile at most.
+const POINTS: usize = 720;
+
+/// A curve over azimuth, relative to its own highest value.
+#[derive(Serialize)]
+struct Relative {
+    name: String,
+    azimuths_deg: Vec<f64>,
+    values: Vec<f64>,
+}
+
+/// Phases of the pairs, radians in (-pi, pi], beside their times.
+#[derive(Serialize)]
+struct Phases {
+    t_s: Vec<f64>,
+    one_way_rad: Vec<f64>,
+    round_trip_rad: Vec<f64>,
+    compensated_rad: Vec<f64>,
+    /// The residual without the motion: times from the first sample in motion, and phases.
+    left_t_s: Vec<f64>,
+    left_rad: Vec<f64>,
+}
+
+/// A link that has a bearing.
+#[derive(Serialize)]
+struct Detail {
+    /// What the answer was chosen from first, then others.
+    curves: Vec<Relative>,
+    path_m: Vec<[f64; 2]>,
+    used_m: Vec<[f64; 2]>,
+    phases: Phases,
+}
+
+impl Detail {
+    /// Of a bearing whose course was kept.
+    pub fn new(bearing: &Bearing) -> Self {
+        let curves = [evidence(bearing), plane_wave(bearing).ok()].into_iter().flatten().map(relative);
+        let xy = |points: &[nalgebra::Vector3<f64>]| thin(points, PLACES, |p| [round(p.x, 1e4), round(p.y, 1e4)]);
+        let course = |value: fn(&Phase) -> f64| thin(&bearing.course, PHASES, |p| round(value(p), 1e4));
+        let left = without_motion(bearing);
+        Self {
+            curves: curves.collect(),
+            path_m: xy(&bearing.path_m),
+            used_m: xy(bearing.samples.receiver_m()),
+            phases: Phases {
+                t_s: course(|phase| phase.t_s),
+                one_way_rad: course(|phase| phase.one_way_rad),
+                round_trip_rad: course(|phase| phase.round_trip_rad),
+                compensated_rad: course(|phase| phase.compensated_rad),
+                left_t_s: thin(&left, PHASES, |point| round(point.0, 1e4)),
+                left_rad: thin(&left, PHASES, |point| round(point.1, 1e4)),
+            },
+        }
+    }
+}
+
+/// A curve relative to its highest value; of more points than are shown the highest of each few.
+fn relative(curve: Curve) -> Relative {
+    let top = curve.values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f64::max);
+    let scale = if top > 0.0 { 1.0 / top } else { 1.0 };
+    let few = curve.values.len().div_ceil(POINTS).max(1);
+    let points: Vec<(f64, f64)> = curve.azimuths_deg.into_iter().zip(curve.values).collect();
+    let highest = |few: &[(f64, f64)]| few.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
+    let kept = points.chunks(few).filter_map(highest);
+    let (azimuths_deg, values) = kept.map(|(azimuth, value)| (round(azimuth, 1e3), round(value * scale, 1e5))).unzip();
+    Relative { name: curve.name, azimuths_deg, values }
+}
+
+/// Every n-th value.
+fn thin<T, U>(values: &[T], most: usize, show: impl Fn(&T) -> U) -> Vec<U> {
+    values.iter().step_by(values.len().div_ceil(most).max(1)).map(show).collect()
+}
+
+/// A value to a fraction of `per`: what a pixel cannot show is not sent.
+fn round(value: f64, per: f64) -> f64 {
+    (value * per).round() / per
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use csi5300::signal::channel::Width;
 
     #[test]
     fn what_somebody_waits_for_is_done_before_what_is_next() {
         let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
-        let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-        let reading = Reading::new(TrajectorySource::GroundTruth, None, options);
-        let mut links = Links::below(&fixture, reading).unwrap();
+        let mut links = Links::below(&fixture, crate::tests::reading()).unwrap();
         // The same capture three times, a link each.
         links.captures = std::iter::repeat_n(links.captures[0].clone(), 3).collect();
         links.first = vec![0, 1, 2, 3];
@@ -382,5 +440,25 @@ mod tests {
         });
         assert_eq!(links.state().arrived, [2, 0, 1]);
         assert!(links.urgent(0).is_none(), "it is done");
+    }
+
+    #[test]
+    fn the_highest_value_is_kept_and_is_one() {
+        let azimuths_deg: Vec<f64> = (0..5000).map(|k| f64::from(k) * 0.072 - 180.0).collect();
+        let mut values = vec![0.5; 5000];
+        values[1234] = 4.0;
+        let top = azimuths_deg[1234];
+        let shown = relative(Curve { name: "c".into(), azimuths_deg, values });
+        assert!(shown.values.len() <= POINTS);
+        let best = shown.values.iter().position(|value| *value == 1.0).unwrap();
+        assert!((shown.azimuths_deg[best] - top).abs() < 1e-3);
+        assert_eq!(shown.values.iter().filter(|value| **value == 0.125).count(), shown.values.len() - 1);
+    }
+
+    #[test]
+    fn thinning_is_even_and_keeps_short_rows_whole() {
+        assert_eq!(thin(&[1, 2, 3], 5, |v| *v), [1, 2, 3]);
+        assert_eq!(thin(&(0..10).collect::<Vec<_>>(), 5, |v| *v), [0, 2, 4, 6, 8]);
+        assert_eq!(thin(&[0; 0], 5, |v: &i32| *v), [0; 0]);
     }
 }

@@ -1,11 +1,14 @@
 //! HTTP for browsers on this machine: a connection is one request, on a thread of its own.
+//!
+//! It admits requests of this page, but not requests that other pages cause: a page of the web can make a browser ask a server on
+//! localhost, by its number or by a name of the page's own that resolves to it (DNS rebinding). The browser then says another
+//! `Host`, `Origin` or `Sec-Fetch-Site` than this page's.
 
-use crate::events::Listener;
-use crate::guard::{Asked, admit};
+use crate::node::Listener;
 use crate::{Answer, Error, View};
 use nix::sys::signal::{SigSet, Signal};
 use std::io::{self, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -37,7 +40,7 @@ impl Ends {
     pub fn catch(hangup: bool) -> Result<Self, Error> {
         let all = [Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup.then_some(Signal::SIGHUP));
         let set = SigSet::from_iter(all);
-        let failed = |errno: nix::Error| Error::Start { what: "waiting for signals", source: errno.into() };
+        let failed = |errno: nix::Error| Error::start("waiting for signals", &io::Error::from(errno));
         set.thread_block().map(|()| Self(set)).map_err(failed)
     }
 }
@@ -57,7 +60,7 @@ impl Server {
     /// # Errors
     /// If the address cannot be used.
     pub fn listen(address: SocketAddr) -> Result<Self, Error> {
-        let failed = |source| Error::Listen { address, source };
+        let failed = |source: io::Error| Error::Words(format!("cannot listen on {address}: {source}"));
         let listener = TcpListener::bind(address).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         Ok(Self { listener, address, patience: PATIENCE })
@@ -74,8 +77,8 @@ impl Server {
     /// # Errors
     /// If the server cannot be started.
     pub fn run(self, view: &Arc<View>, ends: &Ends) -> Result<(), Error> {
-        self.start(Arc::clone(view)).map_err(|source| Error::Start { what: "the server", source })?;
-        let failed = |errno: nix::Error| Error::Start { what: "waiting for signals", source: errno.into() };
+        self.start(Arc::clone(view)).map_err(|source| Error::start("the server", &source))?;
+        let failed = |errno: nix::Error| Error::start("waiting for signals", &io::Error::from(errno));
         ends.0.wait().map(drop).map_err(failed)
     }
 
@@ -202,5 +205,203 @@ fn start(status: u16, kind: &str, length: Option<usize>) -> String {
     )
 }
 
+/// Why a request is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+enum Refused {
+    /// It names no host, or one by a name.
+    #[error("this page is at an address in numbers or at localhost, not at this host")]
+    Host,
+    /// It comes from another page.
+    #[error("another page may not look here")]
+    Origin,
+    /// It wants to do something.
+    #[error("there is nothing to do here but to look (GET)")]
+    Method,
+}
+
+impl Refused {
+    pub fn status(self) -> u16 {
+        match self {
+            Self::Method => 405,
+            Self::Host | Self::Origin => 403,
+        }
+    }
+}
+
+/// What a request says of itself.
+#[derive(Clone, Copy, Debug, Default)]
+struct Asked<'a> {
+    pub method: &'a str,
+    pub host: Option<&'a str>,
+    pub origin: Option<&'a str>,
+    pub fetch_site: Option<&'a str>,
+}
+
+/// Admits a request to `listening`, or returns why not.
+fn admit(listening: SocketAddr, asked: Asked<'_>) -> Result<(), Refused> {
+    if !matches!(asked.method, "GET" | "HEAD") {
+        return Err(Refused::Method);
+    }
+    let host = asked.host.ok_or(Refused::Host)?;
+    if !is_own(listening, host) {
+        return Err(Refused::Host);
+    }
+    let own = asked.origin.is_none_or(|origin| origin.strip_prefix("http://") == Some(host));
+    let same = asked.fetch_site.is_none_or(|site| matches!(site, "same-origin" | "none"));
+    if own && same { Ok(()) } else { Err(Refused::Origin) }
+}
+
+/// True for `localhost` and for addresses in numbers; where only this machine is listened to, for its own only. Any port:
+/// a tunnel has another.
+fn is_own(listening: SocketAddr, host: &str) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => rest.split(']').next().unwrap_or_default(),
+        None => host.split(':').next().unwrap_or_default(),
+    };
+    match name.parse::<IpAddr>() {
+        Ok(address) => address.is_loopback() || !listening.ip().is_loopback(),
+        Err(_) => name.eq_ignore_ascii_case("localhost"),
+    }
+}
+
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    /// A server of the fixtures.
+    fn with_server<T>(ask: impl FnOnce(SocketAddr, Arc<View>) -> T) -> T {
+        let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures");
+        let view = View::open(&fixtures, crate::tests::reading()).unwrap();
+        let (view, mut server) = (Arc::new(view), Server::listen("127.0.0.1:0".parse().unwrap()).unwrap());
+        // Longer than any test.
+        server.patience = Duration::from_secs(1_000_000);
+        let address = server.address();
+        server.start(Arc::clone(&view)).unwrap();
+        ask(address, view)
+    }
+
+    /// All that comes to one request, whose connection then ends.
+    fn asked(address: SocketAddr, request: &str) -> String {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        // Of a head that is too long the rest is thrown away, and the connection with it.
+        let _ = stream.read_to_end(&mut answer);
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    fn request(line: &str, more: &str) -> String {
+        format!("{line} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{more}\r\n")
+    }
+
+    #[test]
+    fn answers_have_their_status_and_may_load_nothing_from_elsewhere() {
+        with_server(|address, _| {
+            let page = asked(address, &request("GET /", ""));
+            assert!(page.starts_with("HTTP/1.1 200") && page.contains("<!doctype html>"), "{page}");
+            for header in [
+                "content-security-policy: default-src 'none'",
+                "x-content-type-options: nosniff",
+                "cache-control: no-store",
+            ] {
+                assert!(page.contains(header), "{header}: {page}");
+            }
+            let known = [
+                ("GET /data/overview", "", "200"),
+                ("HEAD /page.js", "", "200"),
+                ("GET /data/log/0/csi?columns=10", "Origin: http://localhost\r\n", "200"),
+                ("GET /data/log/99", "", "404"),
+                ("GET /data/log/0/levels?from=x", "", "400"),
+                ("GET /..%2f..%2fetc/passwd", "", "404"),
+                ("POST /", "", "405"),
+                ("GET /", "Origin: http://evil.example\r\n", "403"),
+                ("GET /events", "Sec-Fetch-Site: cross-site\r\n", "403"),
+            ];
+            for (line, more, status) in known {
+                let answer = asked(address, &request(line, more));
+                assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{line} {more}: {answer}");
+            }
+            let nameless = asked(address, "GET / HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n");
+            assert!(nameless.starts_with("HTTP/1.1 403"), "{nameless}");
+            let endless = asked(address, &request("GET /", &format!("X: {}\r\n", "x".repeat(HEAD))));
+            assert!(!endless.starts_with("HTTP/1.1 200"), "{endless}");
+        });
+    }
+
+    #[test]
+    fn events_come_as_they_happen() {
+        with_server(|address, view| {
+            let mut stream = TcpStream::connect(address).unwrap();
+            stream.write_all(request("GET /events", "").as_bytes()).unwrap();
+            let mut said = [0; 1024];
+            let head = stream.read(&mut said).unwrap();
+            assert!(String::from_utf8_lossy(&said[..head]).contains("content-type: text/event-stream"));
+            view.events.tell("rows", "{\"done\":1}");
+            let mut text = String::new();
+            while !text.contains("data: {\"done\":1}") {
+                let more = stream.read(&mut said).unwrap();
+                assert!(more > 0, "{text}");
+                text += &String::from_utf8_lossy(&said[..more]);
+            }
+        });
+    }
+
+    #[test]
+    fn connections_are_not_without_number_and_one_that_goes_makes_room() {
+        with_server(|address, _| {
+            let mut idle = Vec::new();
+            for _ in 0..CONNECTIONS {
+                idle.push(TcpStream::connect(address).unwrap());
+            }
+            assert_eq!(asked(address, &request("GET /", "")), "", "no place is left");
+            drop(idle.pop());
+            while asked(address, &request("GET /", "")).is_empty() {}
+        });
+    }
+
+    fn ask(listening: &str, asked: Asked<'_>) -> Result<(), Refused> {
+        admit(listening.parse().unwrap(), Asked { method: "GET", ..asked })
+    }
+
+    #[test]
+    fn only_numbers_and_localhost_are_this_page() {
+        let host = |name| Asked { host: Some(name), ..Asked::default() };
+        for name in ["127.0.0.1:8080", "localhost:8080", "LocalHost", "[::1]:8080", "127.0.0.1:9000"] {
+            assert_eq!(ask("127.0.0.1:8080", host(name)), Ok(()), "{name}");
+        }
+        for name in
+            ["evil.example:8080", "localhost.evil.example", "127.0.0.1.evil.example", "", "[::1", "10.0.0.7:8080"]
+        {
+            let expected = if name == "[::1" { Ok(()) } else { Err(Refused::Host) };
+            assert_eq!(ask("127.0.0.1:8080", host(name)), expected, "{name}");
+        }
+        assert_eq!(ask("127.0.0.1:8080", Asked::default()), Err(Refused::Host));
+        assert_eq!(ask("10.0.0.7:8080", host("10.0.0.7:8080")), Ok(()));
+        assert_eq!(ask("10.0.0.7:8080", host("robot.example:8080")), Err(Refused::Host));
+    }
+
+    #[test]
+    fn another_page_may_neither_read_nor_embed() {
+        let from = |origin, fetch_site| Asked { host: Some("127.0.0.1:8080"), origin, fetch_site, ..Asked::default() };
+        assert_eq!(ask("127.0.0.1:8080", from(Some("http://127.0.0.1:8080"), Some("same-origin"))), Ok(()));
+        assert_eq!(ask("127.0.0.1:8080", from(None, Some("none"))), Ok(()));
+        for (origin, site) in [
+            (Some("http://evil.example"), None),
+            (Some("null"), None),
+            (Some("https://127.0.0.1:8080"), None),
+            (None, Some("cross-site")),
+            (None, Some("same-site")),
+        ] {
+            assert_eq!(ask("127.0.0.1:8080", from(origin, site)), Err(Refused::Origin), "{origin:?} {site:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_can_be_done() {
+        for method in ["POST", "PUT", "DELETE", "OPTIONS", "CONNECT"] {
+            let asked = Asked { method, host: Some("localhost"), ..Asked::default() };
+            assert_eq!(admit("127.0.0.1:1".parse().unwrap(), asked), Err(Refused::Method));
+        }
+    }
+}

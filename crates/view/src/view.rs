@@ -1,11 +1,9 @@
 //! What is looked at, and every answer that the page asks for.
 
-use crate::csi::Maps;
-use crate::events::Events;
+use crate::Error;
 use crate::links::{Links, Reading};
-use crate::logs::Logs;
-use crate::node::Node;
-use crate::{Error, page};
+use crate::logs::{Logs, Maps};
+use crate::node::{Events, Node};
 use csi5300::source::survey::{Sender, Survey, TimeBase};
 use csi5300_lab::cards::CardSurvey;
 use csi5300_lab::course::{LogIndex, letter};
@@ -131,7 +129,7 @@ impl View {
     /// # Errors
     /// If it is not there, or a pipe or a device, which could be waited for.
     pub fn check(path: &Path) -> Result<Metadata, Error> {
-        let found = std::fs::metadata(path).map_err(|source| Error::Missing { path: path.to_owned(), source })?;
+        let found = std::fs::metadata(path).map_err(|source| Error::missing(path, &source))?;
         match found.is_file() || found.is_dir() || found.file_type().is_socket() {
             true => Ok(found),
             false => Err(Error::NoFile { path: path.to_owned() }),
@@ -145,7 +143,7 @@ impl View {
     pub fn open(path: &Path, reading: Reading) -> Result<Self, Error> {
         let kind = Self::check(path)?;
         let events = Arc::new(Events::default());
-        let (antenna, source) = (reading.antenna(), reading.source());
+        let (antenna, source) = (reading.options.antenna, reading.source);
         let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
         let view = |logs, links, node| Self {
             name: name.clone(),
@@ -160,7 +158,10 @@ impl View {
         if kind.is_dir() {
             let (logs, links) = (Logs::below(path), Links::below(path, reading));
             if logs.len() == 0 && links.is_none() {
-                return Err(Error::Empty { path: path.to_owned() });
+                return Err(Error::Words(format!(
+                    "no log and no capture below {}: a log's name ends in .dat, of another card in .csi, .pcap or .csv",
+                    path.display()
+                )));
             }
             return Ok(view(logs, links, None));
         }
@@ -171,7 +172,11 @@ impl View {
         let logs = Logs::new(vec![(name.clone(), path.to_owned())]);
         // Read at once: an unreadable log is reported before there is a page.
         let known = logs.read(0)?.is_some_and(|(_, index)| index.records() > 0);
-        if known { Ok(view(logs, None, None)) } else { Err(Error::NoRecord { path: path.to_owned() }) }
+        if known {
+            return Ok(view(logs, None, None));
+        }
+        let path = path.display();
+        Err(Error::Words(format!("{path}: no intact CSI record in it (`csi5300 info` lists its content)")))
     }
 
     /// Begins to evaluate the links on `threads` threads, for as long as somebody has the view.
@@ -191,7 +196,7 @@ impl View {
                 }
             };
             let thread = std::thread::Builder::new().name("csi5300 links".into()).spawn(work);
-            thread.map_err(|source| Error::Start { what: "the thread that evaluates links", source })?;
+            thread.map_err(|source| Error::start("the thread that evaluates links", &source))?;
         }
         Ok(())
     }
@@ -251,7 +256,7 @@ impl View {
     /// If there is no such thing, a value cannot be meant, or a log cannot be read.
     pub fn answer(&self, path: &str, query: &str) -> Result<Answer, Error> {
         let none = || Error::NoSuch { path: path.to_owned() };
-        if let Some((kind, text)) = page::file(path) {
+        if let Some((kind, text)) = page_file(path) {
             return Ok(Answer { kind, bytes: text.into_bytes() });
         }
         let query = Query(query);
@@ -312,7 +317,7 @@ impl View {
                 give(format!("/data/log/{log}/csi"), &query)?;
             }
         }
-        Ok(page::whole(&self.name, &answers))
+        Ok(whole_page(&self.name, &answers))
     }
 
     fn overview(&self) -> Overview<'_> {
@@ -368,21 +373,21 @@ impl View {
         };
         let facts = LogFacts {
             name: &log.name,
-            bytes: index.bytes(),
+            bytes: index.bytes,
             cut: survey.is_some_and(|survey| survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean))),
-            span_s: index.span_s(),
-            time_base: index.base(),
+            span_s: index.span_s,
+            time_base: index.base,
             subcarriers: index.subcarriers(),
-            antennas: (0..index.antennas()).map(letter).collect(),
+            antennas: (0..index.ports).map(letter).collect(),
             rssi_in_dbm: index.rssi_in_dbm(),
-            senders: index.senders().iter().zip(index.sent()).take(SENDERS).map(sender).collect(),
+            senders: index.senders.iter().zip(index.sent()).take(SENDERS).map(sender).collect(),
             counted,
         };
         Ok(Some(serde_json::to_vec(&facts)?))
     }
 
     fn stretch(&self, index: &LogIndex, what: &str, query: &Query<'_>) -> Result<Vec<u8>, Error> {
-        let span_s = index.span_s();
+        let span_s = index.span_s;
         let (from_s, to_s) = (query.seconds("from", span_s.0)?, query.seconds("to", span_s.1)?);
         let (columns, sender) = (query.value("columns")?.unwrap_or(COLUMNS), query.value::<Mac>("sender")?);
         if what == "levels" {
@@ -397,12 +402,249 @@ impl View {
 
 /// The sender with the most records, if there are several; the first of equals.
 fn most_heard(index: &LogIndex) -> Option<Mac> {
-    let heard = index.senders().iter().zip(index.sent()).rev().max_by_key(|(_, (records, _))| *records);
-    heard.map(|(mac, _)| *mac).filter(|_| index.senders().len() > 1)
+    let heard = index.senders.iter().zip(index.sent()).rev().max_by_key(|(_, (records, _))| *records);
+    heard.map(|(mac, _)| *mac).filter(|_| index.senders.len() > 1)
 }
 
 /// Senders listed of a log.
 const SENDERS: usize = 64;
 
+/// The plotting library uPlot and its licence: `page/vendor`, from npm's `uplot` as published.
+const UPLOT: &str = include_str!("../page/vendor/uPlot.iife.min.js");
+const UPLOT_STYLE: &str = include_str!("../page/vendor/uPlot.min.css");
+const HEAD: &str = include_str!("../page/index.html");
+const STYLE: &str = include_str!("../page/page.css");
+/// The page's own script, in the order in which its parts need each other.
+const SCRIPTS: [&str; 10] = [
+    include_str!("../page/base.js"),
+    include_str!("../page/colours.js"),
+    include_str!("../page/charts.js"),
+    include_str!("../page/log.js"),
+    include_str!("../page/map.js"),
+    include_str!("../page/profile.js"),
+    include_str!("../page/table.js"),
+    include_str!("../page/link.js"),
+    include_str!("../page/live.js"),
+    include_str!("../page/main.js"),
+];
+/// Where the head names its files.
+const FILES: &str = "<!-- files -->";
+const LINKED: &str = "<link rel=\"stylesheet\" href=\"/uplot.css\"><link rel=\"stylesheet\" href=\"/page.css\">\
+                      <script defer src=\"/uplot.js\"></script><script defer src=\"/page.js\"></script>";
+
+/// A file of the page by its path: its kind and text.
+fn page_file(path: &str) -> Option<(&'static str, String)> {
+    Some(match path {
+        "" | "/" => ("text/html; charset=utf-8", HEAD.replace(FILES, LINKED)),
+        "/uplot.js" => ("text/javascript; charset=utf-8", UPLOT.to_owned()),
+        "/uplot.css" => ("text/css; charset=utf-8", UPLOT_STYLE.to_owned()),
+        "/page.js" => ("text/javascript; charset=utf-8", SCRIPTS.concat()),
+        "/page.css" => ("text/css; charset=utf-8", STYLE.to_owned()),
+        _ => return None,
+    })
+}
+
+/// The page as one file with the answers to its requests: path and JSON of each.
+fn whole_page(title: &str, answers: &[(String, String)]) -> String {
+    let name = title.replace('&', "&amp;").replace('<', "&lt;");
+    let mut head = HEAD.replace("<title>csi5300</title>", &format!("<title>{name}: csi5300</title>"));
+    head = head.replace(FILES, &format!("<style>{UPLOT_STYLE}{STYLE}</style>"));
+    let (above, below) = head.rsplit_once("</body>").unwrap_or((&head, ""));
+    let mut page = String::with_capacity(answers.iter().map(|answer| answer.1.len() + 64).sum::<usize>() + (1 << 17));
+    page.push_str(above);
+    page.push_str("<script type=\"application/json\" id=\"answers\">{");
+    for (k, (path, json)) in answers.iter().enumerate() {
+        // This sign is in strings only: no name from outside can end the element.
+        let json = json.replace('<', "\\u003c");
+        page.push_str(&format!("{}\"{path}\":{json}", if k == 0 { "" } else { "," }));
+    }
+    page.push_str("}</script>");
+    for script in std::iter::once(UPLOT).chain(SCRIPTS) {
+        page.push_str("<script>");
+        page.push_str(script);
+        page.push_str("</script>");
+    }
+    page.push_str("</body>");
+    page.push_str(below);
+    page
+}
+
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::tests::reading;
+    use serde_json::Value;
+
+    fn fixtures() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures")
+    }
+
+    fn ask(view: &View, path: &str, query: &str) -> Value {
+        let answer = view.answer(path, query).unwrap();
+        assert_eq!(answer.kind, "application/json");
+        serde_json::from_slice(&answer.bytes).unwrap()
+    }
+
+    #[test]
+    fn a_folder_answers_what_evaluate_and_the_log_say() {
+        let view = View::open(&fixtures(), reading()).unwrap();
+        let overview = ask(&view, "/data/overview", "");
+        assert_eq!((overview["kind"].as_str(), overview["logs"].as_array().map(Vec::len)), (Some("captures"), Some(2)));
+        assert_eq!(overview["links"].as_array().map(Vec::len), Some(1));
+        // Until it is evaluated it is waited for.
+        let waiting = ask(&view, "/data/link/0", "");
+        assert_eq!(
+            (&waiting["waiting"], waiting["logs"]["receiver"].is_u64()),
+            (&Value::from(true), true),
+            "{waiting}"
+        );
+        assert_eq!(ask(&view, "/data/rows", "")["known"], 0);
+        let mut seen = Vec::new();
+        view.finish(|done| seen.push(done));
+        assert_eq!((seen, view.outcome()), (vec![1], (true, false)));
+        let rows = ask(&view, "/data/rows", "");
+        let row = &rows["rows"][0];
+        assert!(row["error_from_mean_pose_deg"].as_f64().unwrap().abs() < 0.1, "{row}");
+        assert_eq!(ask(&view, "/data/rows", "known=1")["rows"].as_array().map(Vec::len), Some(0));
+        let sets = ask(&view, "/data/sets", "");
+        assert_eq!((&sets["all"]["links"], &sets["all"]["beside"]), (&Value::from(1), &Value::Null));
+
+        let link = ask(&view, "/data/link/0", "");
+        assert_eq!(link["row"]["azimuth_deg"], row["azimuth_deg"]);
+        let curve = &link["drawn"]["curves"][0];
+        let values: Vec<f64> = curve["values"].as_array().unwrap().iter().filter_map(Value::as_f64).collect();
+        let best = values.iter().position(|value| *value == 1.0).unwrap();
+        let off = curve["azimuths_deg"][best].as_f64().unwrap() - row["azimuth_deg"].as_f64().unwrap();
+        assert!(off.abs() < 1.0, "the curve's top is the answer: {off}");
+        let receiver = link["logs"]["receiver"].as_u64().unwrap();
+        let facts = ask(&view, &format!("/data/log/{receiver}"), "");
+        assert!(facts["name"].as_str().unwrap().contains("csi_rx_"), "{facts}");
+        assert_eq!(facts["senders"][0]["records"], facts["wsr"]);
+    }
+
+    #[test]
+    fn a_stretch_of_a_log_is_what_was_asked_for() {
+        let view = View::open(&fixtures().join("small-circle"), reading()).unwrap();
+        let log = view.logs.iter().position(|log| log.name.starts_with("csi_rx_")).unwrap();
+        let whole = ask(&view, &format!("/data/log/{log}/levels"), "columns=40");
+        let to_s = whole["to_s"].as_f64().unwrap();
+        let part = ask(&view, &format!("/data/log/{log}/levels"), &format!("from=0.5&to={to_s}&columns=40"));
+        assert_eq!((part["from_s"].as_f64(), part["rssi"][0]["mean"].as_array().map(Vec::len)), (Some(0.5), Some(40)));
+        assert!(part["records"].as_u64() < whole["records"].as_u64());
+        let csi = ask(&view, &format!("/data/log/{log}/csi"), "columns=40&antenna=A");
+        let antennas = csi["antennas"].as_array().unwrap();
+        assert_eq!((antennas.len(), antennas[0]["antenna"].as_str()), (1, Some("A")));
+        let cells = antennas[0]["amplitude_db"]["cells"].as_str().unwrap();
+        assert_eq!(cells.len(), (40_usize * 30).div_ceil(3) * 4);
+    }
+
+    #[test]
+    fn a_heat_map_is_of_one_sender() {
+        let folder = std::env::temp_dir().join(format!("csi5300-senders-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let read = |name: &str| std::fs::read(fixtures().join("small-circle").join(name)).unwrap();
+        let (rx, tx) = (read("csi_rx_2023-11-14_221320.dat"), read("csi_tx1_2023-11-14_221320.dat"));
+        std::fs::write(folder.join("both.dat"), [&tx[..tx.len() / 2], &rx].concat()).unwrap();
+        let view = View::open(&folder, reading()).unwrap();
+        let senders = ask(&view, "/data/log/0", "")["senders"].clone();
+        let most = senders.as_array().unwrap().iter().max_by_key(|sender| sender["records"].as_u64()).unwrap();
+        let csi = ask(&view, "/data/log/0/csi", "columns=40");
+        assert_eq!((senders.as_array().map(Vec::len), &csi["sender"]), (Some(2), &most["mac"]), "{senders}");
+        assert_eq!(csi["records"], most["records"], "{senders}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_stretch_of_a_log_that_was_replaced_is_refused_until_the_page_is_loaded_again() {
+        let folder = std::env::temp_dir().join(format!("csi5300-view-replaced-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let fixture =
+            View::open(&fixtures(), reading()).unwrap().logs.iter().next().map(|log| log.path.clone()).unwrap();
+        let log = folder.join("a.dat");
+        std::fs::copy(&fixture, &log).unwrap();
+        let view = View::open(&log, reading()).unwrap();
+        ask(&view, "/data/log/0/csi", "columns=40");
+        std::fs::copy(&fixture, folder.join("b")).unwrap();
+        std::fs::rename(folder.join("b"), &log).unwrap();
+        for what in ["csi", "levels"] {
+            let error = view.answer(&format!("/data/log/0/{what}"), "").map(|_| ()).unwrap_err();
+            assert!(error.status() == 409 && error.to_string().contains("was changed since"), "{what}: {error}");
+        }
+        ask(&view, "/data/log/0", "");
+        ask(&view, "/data/log/0/csi", "columns=40");
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn what_cannot_be_meant_is_said() {
+        let view = View::open(&fixtures(), reading()).unwrap();
+        for path in [
+            "/data/log/9",
+            "/data/link/7",
+            "/data/states",
+            "/../Cargo.toml",
+            "/data/log/0/../1",
+            "/data/log/-1",
+            "//",
+            "",
+        ] {
+            let error = view.answer(path, "").map(|answer| answer.kind);
+            assert!(path.is_empty() && error.is_ok() || error.is_err_and(|error| error.status() == 404), "{path}");
+        }
+        for query in ["columns=many", "from=x", "sender=nobody"] {
+            let error = view.answer("/data/log/0/levels", query).map(|_| ()).unwrap_err();
+            assert_eq!(error.status(), 400, "{query}: {error}");
+        }
+        let endless = ask(&view, "/data/log/0/levels", "columns=99999999&from=nan&to=inf");
+        assert!(endless["columns"].as_u64() <= Some(4_000), "{}", endless["columns"]);
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+        for (path, words) in [
+            (PathBuf::from("/nowhere"), "/nowhere: No such file"),
+            (fixtures().join("small-circle.toml"), "no intact CSI record in it"),
+            (source, "no log and no capture below"),
+        ] {
+            let why = View::open(&path, reading()).err().unwrap().to_string();
+            assert!(why.contains(words), "{why}");
+        }
+    }
+
+    #[test]
+    fn the_page_as_one_file_has_all_its_answers_and_fetches_nothing() {
+        let view = View::open(&fixtures(), reading()).unwrap();
+        view.finish(|_| {});
+        let page = view.file().unwrap();
+        assert!(page.len() < 400 * 1024, "{} KiB", page.len() / 1024);
+        for outside in ["src=\"", "href=\"http", "@import", "url(http"] {
+            assert!(!page.contains(outside), "{outside}");
+        }
+        let (_, rest) = page.split_once("<script type=\"application/json\" id=\"answers\">").unwrap();
+        let answers: Value = serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap();
+        for path in
+            ["/data/overview", "/data/rows", "/data/sets", "/data/link/0", "/data/log/1/levels", "/data/log/0/csi"]
+        {
+            assert!(answers.get(path).is_some(), "{path}");
+        }
+        assert_eq!(answers["/data/rows"], ask(&view, "/data/rows", ""));
+    }
+
+    #[test]
+    fn names_from_outside_cannot_become_markup() {
+        let answers = [("/data/overview".to_owned(), r#"{"name":"</script><script>x()<!--"}"#.to_owned())];
+        let page = whole_page("</title><b>", &answers);
+        assert!(!page.contains("<script>x()") && !page.contains("<b>") && !page.contains("x()<!--"));
+        let inside = page.split_once("id=\"answers\">").unwrap().1.split_once("</script>").unwrap().0;
+        let back: serde_json::Value = serde_json::from_str(inside).unwrap();
+        assert_eq!(back["/data/overview"]["name"], "</script><script>x()<!--");
+    }
+
+    #[test]
+    fn every_file_that_the_page_names_is_there() {
+        let (_, head) = page_file("/").unwrap();
+        let named: Vec<&str> = head.split("\"/").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+        assert_eq!(named.len(), 4, "{named:?}");
+        named.iter().for_each(|name| assert!(page_file(&format!("/{name}")).is_some(), "{name}"));
+        assert!(page_file("/page/base.js").is_none());
+        // What ends a script would end it in the one file too.
+        assert!(SCRIPTS.iter().chain([&UPLOT]).all(|script| !script.contains("</script")));
+    }
+}

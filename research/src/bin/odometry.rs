@@ -5,7 +5,7 @@ use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, OdometryError, OdometryFit, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
-use csi5300_lab::evaluate::{Capture, TRUTH_FILE, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, TRUTH_FILE, TrajectorySource, channel_number_in, find};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -125,7 +125,7 @@ fn table(path: Given, captures: &[&Capture]) -> Fallible<()> {
 }
 
 fn judge(capture: &Capture, path: Given) -> Fallible<Vec<Row>> {
-    let number = capture.channel_number()?.ok_or("the file with the truth names no channel")?;
+    let number = channel_number_in(&capture.folder)?.ok_or("the file with the truth names no channel")?;
     let (own, heading_sd_rad) = path.of(capture)?;
     let options = Options::new(Channel::new(number, Width::Ht20)?).with_heading_sd_rad(Some(heading_sd_rad));
     let truth = capture.path(TrajectorySource::GroundTruth)?;

@@ -1,12 +1,19 @@
-//! Arguments that several commands share.
+//! Arguments that several commands share, and how commands on folders of captures read them.
 
+use super::InWords;
+use super::usage;
 use clap::Args;
 use csi5300::motion::odometry::csv::Columns;
+use csi5300::motion::pose::Mount;
+use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{Accuracy, ChainConstant, JoinBy, Options};
-use csi5300::signal::channel::Channel;
-use driver_iface::{Mac, bfee::Antenna};
+use csi5300::signal::channel::{Channel, Width};
+use csi5300_lab::evaluate::{Capture, TrajectorySource, find_all};
+use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
 use nalgebra::Vector3;
 use std::net::SocketAddr;
+use std::path::Path;
 
 /// No card hears another one at this distance, metres.
 const FURTHEST_M: f64 = 1e6;
@@ -140,7 +147,7 @@ fn clock_offset(text: &str) -> Result<ClockOffset, String> {
 
 /// The columns of a trajectory.
 pub fn columns(text: &str) -> Result<Columns, String> {
-    text.parse::<Columns>().map_err(|error| error.to_string())
+    text.parse::<Columns>().in_words()
 }
 
 /// An antenna by its letter.
@@ -169,12 +176,12 @@ pub fn channel_of_5300(text: &str) -> Result<Channel, String> {
 
 /// A WiFi channel: its number, with `+` or `-` for a 40 MHz pair, or its centre in MHz.
 pub fn channel(text: &str) -> Result<Channel, String> {
-    text.parse::<Channel>().map_err(|error| error.to_string())
+    text.parse::<Channel>().in_words()
 }
 
 /// A MAC address.
 pub fn mac(text: &str) -> Result<Mac, String> {
-    text.parse::<Mac>().map_err(|error| error.to_string())
+    text.parse::<Mac>().in_words()
 }
 
 /// An address of this machine with a port.
@@ -220,13 +227,155 @@ pub fn baseline(text: &str) -> Result<Baseline, String> {
 }
 
 /// Three numbers: metres forward, left, up.
-pub fn triple(text: &str) -> Result<Vector3<f64>, String> {
+fn triple(text: &str) -> Result<Vector3<f64>, String> {
     let parts: Vec<f64> =
-        text.split(',').map(|part| part.trim().parse::<f64>()).collect::<Result<_, _>>().map_err(|e| e.to_string())?;
+        text.split(',').map(|part| part.trim().parse::<f64>()).collect::<Result<_, _>>().in_words()?;
     match parts[..] {
         [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
         _ => Err("three finite numbers in metres, separated by commas".into()),
     }
+}
+
+// Places of antenna and camera on the robot.
+#[derive(clap::Args, Clone, Default)]
+pub struct Mounting {
+    /// Position of the antenna relative to the tracked point: metres forward, left, up
+    #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
+    pub antenna_offset: Option<Vector3<f64>>,
+    /// Position of the tracking camera: metres forward and left of the middle between the wheels, and its heading minus the
+    /// robot's, degrees. --antenna-offset is then relative to that middle, and only rolling motion is kept
+    #[arg(
+        long,
+        value_name = "X,Y,YAW",
+        value_parser = mount,
+        requires = "antenna_offset",
+        hide_short_help = true,
+        allow_negative_numbers = true,
+        allow_hyphen_values = true
+    )]
+    pub camera_mount: Option<Mount>,
+}
+
+impl Mounting {
+    /// The antenna's trajectory, from the recorded one.
+    ///
+    /// # Errors
+    /// If that has no heading, in words.
+    pub fn of_antenna(&self, recorded: Trajectory) -> Result<Trajectory, String> {
+        let rolled = self.camera_mount.map(|mount| recorded.rolling(&mount)).transpose();
+        let moved = rolled.and_then(|rolled| {
+            let own = rolled.unwrap_or(recorded);
+            self.antenna_offset.map_or(Ok(own.clone()), |offset| own.with_antenna_offset(offset))
+        });
+        moved.in_words()
+    }
+}
+
+/// Metres forward and left, and degrees.
+fn mount(text: &str) -> Result<Mount, String> {
+    let place =
+        triple(text).map_err(|_| "three finite numbers separated by commas: metres, metres, degrees".to_owned())?;
+    Ok(Mount { offset_m: Vector3::new(place.x, place.y, 0.0), yaw_rad: place.z.to_radians() })
+}
+
+/// What a capture is, for who named a folder without one.
+pub const A_CAPTURE: &str = "a capture is a folder with csi_rx_TS.dat, csi_txK_TS.dat, a trajectory (rx_trajectory_TS_.csv) and, \
+                             for the truth and the channel, groundtruth_positions.json";
+
+/// How captures are read.
+pub struct Reading {
+    /// Which trajectory to use.
+    pub trajectory: Which,
+    /// Where antenna and camera are on the robot.
+    pub mounting: Mounting,
+    /// WiFi channel instead of the one in groundtruth_positions.json.
+    pub channel: Option<Channel>,
+    /// How bearings are made.
+    pub estimation: Estimation,
+}
+
+/// Line ends in folder names are printed as escapes.
+pub fn add_names(captures: &[Capture], unreadable: &[String]) {
+    let places = captures.iter().map(|capture| &capture.place);
+    csi5300_say::add_names(places.chain(unreadable).map(Into::into));
+}
+
+impl Reading {
+    /// The trajectory to use.
+    pub fn source(&self) -> TrajectorySource {
+        match (self.trajectory, self.mounting.camera_mount) {
+            (Which::T265, Some(_)) => TrajectorySource::RollingT265,
+            (_, Some(_)) => usage("--camera-mount is of the tracking camera: --trajectory t265"),
+            (Which::Gt, None) if self.mounting.antenna_offset.is_some() => usage(
+                "--antenna-offset is for wheels and cameras (--trajectory odom, t265): motion capture tracks the antenna itself",
+            ),
+            (Which::Gt, None) => TrajectorySource::GroundTruth,
+            (Which::T265, None) => TrajectorySource::T265,
+            (Which::Odom, None) => TrajectorySource::Odometry,
+        }
+    }
+
+    /// The captures in and below `folder`, with a truth or without, and folders that could not be read.
+    ///
+    /// # Errors
+    /// If there is none, or none with a channel, in words.
+    pub fn find(&self, folder: &Path) -> Result<(Vec<Capture>, Vec<String>), String> {
+        let (captures, unreadable) = find_all(folder);
+        add_names(&captures, &unreadable);
+        if captures.is_empty() {
+            if folder.is_file() {
+                return Err(format!(
+                    "{} is a file: name the folder of the capture, or all of its files",
+                    folder.display()
+                ));
+            }
+            let name = folder.display();
+            return Err(if folder.is_dir() {
+                format!("no capture in or below {name}: {A_CAPTURE}")
+            } else {
+                format!("{name}: no such file or folder; {A_CAPTURE}")
+            });
+        }
+        let captures = self.mounted(captures);
+        detail!("{} in or below {}", super::some(captures.len() as u64, "capture", "captures"), folder.display());
+        if self.channel.is_none() && captures.iter().all(|capture| !capture.has_truth()) {
+            usage(
+                "--channel is needed, such as --channel 108: no groundtruth_positions.json of these captures names it",
+            );
+        }
+        Ok((captures, unreadable))
+    }
+
+    /// The given place of the antenna, metres forward, left, up.
+    pub fn antenna_offset_m(&self) -> Option<[f64; 3]> {
+        self.mounting.antenna_offset.map(Into::into)
+    }
+
+    /// Captures with the given places of antenna and camera.
+    pub fn mounted(&self, mut captures: Vec<Capture>) -> Vec<Capture> {
+        let (antenna_offset_m, camera) = (self.antenna_offset_m(), self.mounting.camera_mount);
+        for capture in &mut captures {
+            (capture.antenna_offset_m, capture.camera) = (antenna_offset_m, camera);
+        }
+        captures
+    }
+
+    /// The pipeline's options. Their channel is a stand-in where none was given: each capture brings its own.
+    pub fn options(&self) -> Result<Options, String> {
+        let fallback = Channel::new(108, Width::Ht20).in_words()?;
+        self.estimation.options(self.channel.unwrap_or(fallback))
+    }
+}
+
+/// A trajectory file of a capture.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Which {
+    /// Motion capture
+    Gt,
+    /// Tracking camera
+    T265,
+    /// Wheel odometry
+    Odom,
 }
 
 #[cfg(test)]

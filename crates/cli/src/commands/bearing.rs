@@ -1,32 +1,35 @@
-//! `csi5300 bearing`.
+//! `csi5300 bearing`: from the logs of two robots; with --antennas and --baseline those of all senders in one log, from antennas on a
+//! turning robot.
 
 mod captures;
-mod graph;
-mod located;
-mod one_log;
-mod pairs;
-mod roles;
-mod transmitters;
 mod words;
 
-use self::words::{describe, explain_lines};
-use super::args::{Baseline, Estimation, baseline, channel, columns, mac};
-use super::files::Log;
-use super::inputs::{BagArgs, Inputs, order_unknown};
-use super::mounting::Mounting;
-use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, usage};
-use csi5300::bartlett::Grid;
-use csi5300::motion::odometry::csv::Columns;
-use csi5300::pipeline::LinkError;
-use csi5300::pipeline::LinkPlan;
-use csi5300::pipeline::{Answer, lost_something};
-use csi5300::pipeline::{CaptureReport, Effort, LinkReport, LogReport, OdometryFit, Options, Transmitter, bearings};
+use super::args::{Baseline, Estimation, Mounting, baseline, channel, columns, mac};
+use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown, told_apart};
+use super::{InWords, Outcome, Result, Words, hint, info, is_same_file, print, print_json, usage};
+use captures::MirrorOf;
+use csi_formats::{Item, Items, Why};
+use csi5300::bartlett::{self, Grid};
+use csi5300::motion::odometry::csv::{self, Columns};
+use csi5300::motion::pose::Trajectory;
+use csi5300::pipeline::{
+    Answer, Array, ArrayError, CaptureReport, ChainConstant, Effort, LinkError, LinkPlan, LinkReport, LogReport,
+    OdometryFit, OneLog, OneLogReport, Options, Transmitter, bearings, lost_something, one_log,
+};
 use csi5300::signal::channel::Channel;
+use csi5300::signal::samples::Samples;
 use csi5300::source::{CsiSource, read_key};
+use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
+use csi5300_lab::evaluate::{TRUTH_FILE, channel_number_in};
+use csi5300_lab::export::{ExportError, Npz};
+use csi5300_lab::kinds::trajectory_refused;
 use csi5300_say::{Level, says};
 use driver_iface::Mac;
-use std::fmt::Write;
+use nalgebra::Vector3;
+use std::fmt::Write as _;
+use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
+use words::{describe, doubts, explain_lines, fitted, pairs, records};
 
 // Arguments of `bearing`.
 #[derive(clap::Args)]
@@ -82,14 +85,14 @@ pub struct Args {
     )]
     place: Vec<(String, captures::Place)>,
     #[command(flatten)]
-    together: transmitters::Together,
+    together: captures::Together,
     #[command(flatten)]
-    graph: graph::Graph,
+    graph: captures::Graph,
     /// Write the profile of each link as CSV or NPZ
     #[arg(long, value_name = "OUT.npz|.csv", hide_short_help = true, help_heading = "Profiles")]
     profile: Option<PathBuf>,
     /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's grid)
-    #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID", hide_short_help = true, help_heading = "Profiles")]
+    #[arg(long, default_value = "360", value_parser = grid, value_name = "GRID", hide_short_help = true, help_heading = "Profiles")]
     grid: Grid,
 }
 
@@ -162,14 +165,14 @@ fn check(args: &Args) {
     if let Some((_, twice)) = logs().find(|(k, log)| logs().take(*k).any(|(_, other)| is_same(log, other))) {
         usage(&format!("{} is given twice: each robot has its own log", twice.display()));
     }
-    if let Some(path) = args.profile.as_deref().filter(|path| !profile::is_known(path)) {
+    if let Some(path) = args.profile.as_deref().filter(|path| !is_profile(path)) {
         usage(&format!("{}: a profile is written as .csv or .npz", path.display()));
     }
 }
 
 /// Opens the transmitters' logs. Removes an unreadable one, with its MAC and trajectory, from the arguments and gives
 /// its error as an answer; an error if it is the only log.
-fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
+fn open_transmitters(args: &mut Args, inputs: &Inputs) -> Words<(Vec<Log>, Vec<Answer>)> {
     let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
     while let Some(path) = args.logs.tx.get(k) {
         match inputs.open(path) {
@@ -199,7 +202,7 @@ fn run_other(args: &Args) -> Option<Result> {
         if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
             usage("with --baseline, --rx-mac, --key and --antenna-offset need --tx");
         }
-        return Some(one_log::run(args));
+        return Some(run_one_log(args));
     }
     if !args.captures.is_empty() {
         return Some(captures::run(args));
@@ -223,12 +226,12 @@ pub fn run(mut args: Args) -> Result {
             "two antennas of one robot need --baseline X,Y,Z: where the first is seen from the second, in metres forward, left, up",
         );
     }
-    roles::take(&mut args)?;
+    take_roles(&mut args)?;
     if let Some(done) = run_other(&args) {
         return done;
     }
     let options = options(&args).unwrap_or_else(|message| usage(&message));
-    let key = args.logs.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
+    let key = args.logs.key.as_deref().map(read_key).transpose().in_words()?;
     let is_named = !args.logs.tx.is_empty();
     let (inputs, named) = args.logs.bag.resolve(
         args.logs.rx.take(),
@@ -254,10 +257,10 @@ pub fn run(mut args: Args) -> Result {
         .enumerate()
         .map(|(k, log)| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: partners.get(k) })
         .collect();
-    super::threads::make(0)?;
-    let mut report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
+    make_threads(0)?;
+    let mut report = bearings(&mut receiver, transmitters, &trajectory, &options).in_words()?;
     if !args.logs.baseline.is_empty() {
-        one_log::join(&args, &inputs, (&rx, &named.trajectory), &mut report)?;
+        join_one_log(&args, &inputs, (&rx, &named.trajectory), &mut report)?;
     }
     let names = told_apart(args.logs.tx.iter().map(|path| link_name(&inputs, path)).collect());
     let (mut answered, links) = (0, names.len() + unread.len());
@@ -269,7 +272,7 @@ pub fn run(mut args: Args) -> Result {
             answer.refuse_below(least);
         }
         if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
-            answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).map_err(|error| error.to_string())?);
+            answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).in_words()?);
         }
         answered += usize::from(answer.azimuth_deg.is_some());
         tell(&answer, links, args.json);
@@ -290,15 +293,8 @@ pub fn run(mut args: Args) -> Result {
     })
 }
 
-/// The names of links, those that stand more than once with their place among all behind them.
-fn told_apart(stems: Vec<String>) -> Vec<String> {
-    let is_shared = |name: &String| stems.iter().filter(|other| *other == name).count() > 1;
-    let apart = |(k, name): (usize, &String)| if is_shared(name) { format!("{name}.{}", k + 1) } else { name.clone() };
-    stems.iter().enumerate().map(apart).collect()
-}
-
 /// Degrees that an azimuth may be off.
-fn accuracy(text: &str) -> std::result::Result<f64, String> {
+fn accuracy(text: &str) -> Words<f64> {
     let degrees = text.parse().ok().filter(|degrees| (0.0..=45.0).contains(degrees));
     degrees.ok_or_else(|| "degrees from 0 to 45".into())
 }
@@ -320,36 +316,32 @@ impl Args {
     }
 }
 
-fn options(args: &Args) -> std::result::Result<Options, String> {
+fn options(args: &Args) -> Words<Options> {
     let options = args.asked(args.estimation.options(args.channel.ok_or("--channel is needed")?)?);
     Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
-fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::result::Result<(), String> {
+fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> Words<()> {
     let Ok(bearing) = &link.bearing else { return Ok(()) };
     if let Some(path) = &args.profile {
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
         let draft = super::draft::Draft::create(&path, args.force)?;
-        profile::write(draft.path(), &args.grid, &bearing.samples).map_err(|error| draft.words(&error))?;
+        write_profile(draft.path(), &args.grid, &bearing.samples).map_err(|error| draft.words(&error))?;
         draft.keep(false).map_err(|error| format!("writing {}: {error}", path.display()))?;
         note!("profile of {name}: {}", path.display());
     }
     if let Some(folder) = &args.plot {
-        let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None };
+        let pictures = csi5300_lab::show::results::LinkPictures { bearing, truth_rad: None, transmitter_m: None };
         write(&pictures, folder, name)?;
     }
     Ok(())
 }
 
 /// Writes the pictures of a link.
-fn write(
-    pictures: &csi5300_lab::show::link::LinkPictures<'_>,
-    folder: &Path,
-    name: &str,
-) -> std::result::Result<(), String> {
-    let written = pictures.write(folder, name, &super::pictures::format()).map_err(|error| error.to_string())?;
-    let first: Vec<String> = super::pictures::first_of_each(&written).map(|path| path.display().to_string()).collect();
+fn write(pictures: &csi5300_lab::show::results::LinkPictures<'_>, folder: &Path, name: &str) -> Words<()> {
+    let written = pictures.write(folder, name, &super::draft::read_files()).in_words()?;
+    let first: Vec<String> = first_of_each(&written).map(|path| path.display().to_string()).collect();
     note!("pictures of {name}, also as .svg: {}", first.join(", "));
     Ok(())
 }
@@ -436,7 +428,7 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
 /// What the odometry got wrong, and how the antenna's place is given from now on. JSON has it in every link.
 fn print_fit(args: &Args, fit: Option<&OdometryFit>) {
     let Some(fit) = fit.filter(|_| !args.json) else { return };
-    print(&words::fitted(fit, args.mounting.antenna_offset.unwrap_or_default()));
+    print(&fitted(fit, args.mounting.antenna_offset.unwrap_or_default()));
 }
 
 /// One link's answer, and why there is none.
@@ -444,7 +436,7 @@ fn tell(answer: &Answer, links: usize, json: bool) {
     if json {
         print_json(answer);
     } else {
-        print(&describe(answer, captures::MirrorOf::Motion, links, &pairs::doubts(answer), &pairs::pairs(answer)));
+        print(&describe(answer, captures::MirrorOf::Motion, links, &doubts(answer), &pairs(answer)));
         print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
     }
     if let Some(error) = &answer.error {
@@ -465,4 +457,301 @@ fn say_heard(rx: &Path, report: &CaptureReport, link: &LinkReport) {
             if heard.is_empty() { "nobody".into() } else { heard.join(", ") }
         );
     }
+}
+
+/// The result of another card's log, and whether some bytes were unreadable; `None` for other files.
+fn other_card(
+    path: &Path,
+    trajectory: &Trajectory,
+    array: &Array,
+    options: &Options,
+) -> Words<Option<(OneLogReport, bool)>> {
+    let Some((format, bytes)) = csi5300_lab::cards::read(path) else { return Ok(None) };
+    let mut one = OneLog::new(array.clone(), options.clone());
+    let (mut frames, mut without, mut lost) = (0_u64, 0_u64, 0_u64);
+    for item in Items::new(format, &bytes) {
+        match item {
+            Item::Frame(frame) => {
+                frames += 1;
+                without += u64::from(!one.note_frame(&frame));
+            }
+            Item::Skipped(skipped) => lost += if skipped.why == Why::NoCsi { 0 } else { skipped.len },
+        }
+    }
+    note!("{}: {}, {frames} frames, {without} lack an antenna", path.display(), format.name());
+    if lost > 0 {
+        note!("  not read: {lost} bytes");
+    }
+    Ok(Some((one.bearings(trajectory), lost > 0)))
+}
+
+/// The bearings from one log.
+struct Alone {
+    report: OneLogReport,
+    lost: bool,
+    /// Unused and lost records of a 5300's log.
+    notes: Option<String>,
+}
+
+impl Alone {
+    fn read(inputs: &Inputs, rx: &Path, trajectory: &Trajectory, (array, options): (&Array, &Options)) -> Words<Self> {
+        if let Some((report, lost)) = other_card(rx, trajectory, array, options)? {
+            return Ok(Self { report, lost, notes: None });
+        }
+        let mut log = inputs.open(rx)?;
+        let report = one_log(&mut log, trajectory, array, options).in_words()?;
+        let (survey, unused) = (&report.log.survey, report.log.unused);
+        let losses = info::unusual_losses(survey, log.bytes());
+        let has_notes = unused.no_antenna > 0 || !losses.is_empty();
+        let notes = has_notes.then(|| {
+            let (bfees, lacking) = (survey.bfees(), unused.no_antenna);
+            format!("{}: {bfees} bfee records, {lacking} lack an antenna\n{losses}", rx.display())
+        });
+        Ok(Self { lost: survey.lost_something(), notes, report })
+    }
+}
+
+/// The name of a link: that of the log, with the sender if there are several.
+fn sender_name(inputs: &Inputs, rx: &Path, link: &LinkReport, links: usize) -> String {
+    let own = link_name(inputs, rx);
+    match link.mac {
+        _ if links == 1 => own,
+        Some(mac) => format!("{own}/{mac}"),
+        None => format!("{own}/unknown"),
+    }
+}
+
+/// The antennas, their baselines and, if given, the constants of their chains.
+fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
+    let metres: Vec<Vector3<f64>> = args.logs.baseline.iter().map(|baseline| baseline.metres).collect();
+    let array = Array::new(&args.estimation.antenna, &metres)?;
+    let constants: Vec<ChainConstant> = args.logs.baseline.iter().filter_map(|baseline| baseline.constant).collect();
+    if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
+}
+
+/// Combines the bearings of two logs with those of the receiver's log alone.
+fn join_one_log(args: &Args, inputs: &Inputs, (rx, path): (&Path, &Path), report: &mut CaptureReport) -> Words<()> {
+    if rx.as_os_str() == "-" {
+        usage("--baseline with --tx reads the log twice: --rx cannot be standard input");
+    }
+    let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
+    let mut options = options(args).unwrap_or_else(|message| usage(&message));
+    // All senders: pairing by clocks has identified the transmitters.
+    options.tx_macs.clear();
+    let trajectory = inputs.trajectory(path)?;
+    let Alone { report: one, .. } = Alone::read(inputs, rx, &trajectory, (&array, &options))?;
+    for link in &mut report.links {
+        let heard = one.links.iter().find(|heard| heard.mac.is_some() && heard.mac == link.mac);
+        let Some(heard) = heard.map(|heard| &heard.bearing) else { continue };
+        match (&link.bearing, heard) {
+            (Ok(two), Ok(heard)) => link.bearing = Ok(two.with_one_log(heard)),
+            (Err(why), Ok(heard)) => {
+                note!("the two logs give no bearing ({why}): this one is from {} alone", rx.display());
+                link.bearing = Ok(heard.clone());
+            }
+            (_, Err(why)) => note!("{} alone gives no bearing: {why}", rx.display()),
+        }
+    }
+    Ok(())
+}
+
+/// Estimates and prints the bearings.
+fn run_one_log(args: &Args) -> Result {
+    let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
+    let options = options(args).unwrap_or_else(|message| usage(&message));
+    let (Some(rx), Some(path)) = (&args.logs.rx, &args.logs.trajectory) else {
+        usage("--rx and --trajectory are needed");
+    };
+    let inputs = Inputs::files(args.logs.columns.clone());
+    let trajectory = inputs.trajectory(path)?;
+    let Alone { report, mut lost, notes } = Alone::read(&inputs, rx, &trajectory, (&array, &options))?;
+    let mut answered = 0;
+    for link in &report.links {
+        let name = sender_name(&inputs, rx, link, report.links.len());
+        let mut answer = Answer::new(name.clone(), link);
+        hint::add(&mut answer);
+        if let Some(least) = args.min_confidence {
+            answer.refuse_below(least);
+        }
+        answered += usize::from(answer.azimuth_deg.is_some());
+        if args.json {
+            print_json(&answer);
+        } else {
+            // With known constants, the robot may stand still.
+            let stands = args.logs.baseline.iter().any(|baseline| baseline.constant.is_some());
+            let of = if stands { MirrorOf::Antennas } else { MirrorOf::Motion };
+            print(&describe(&answer, of, report.links.len(), "", &records(&answer)));
+        }
+        if let Some(error) = &answer.error {
+            wrong!("{}: {error}", answer.link);
+        }
+        artefacts(args, &name, link, report.links.len())?;
+    }
+    if report.links.is_empty() {
+        wrong!(
+            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows the number of chains",
+            rx.display()
+        );
+    }
+    if !args.json {
+        explain_lines(report.links.len());
+    }
+    if let Some(notes) = notes {
+        notes!("{notes}");
+    }
+    lost |= answered < report.links.len();
+    Ok(match answered {
+        0 => Outcome::Nothing,
+        _ if lost => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
+}
+
+/// Gives each file its role, as if `--rx`, `--tx` and `--trajectory` had named it. It leaves folders of captures with the usual file names, and links
+/// of them, alone.
+fn take_roles(args: &mut Args) -> Words<()> {
+    let files = match args.captures.as_slice() {
+        [] => return Ok(()),
+        [folder] if folder.is_dir() => match loose_files(folder) {
+            Some(files) => files,
+            None => return refuse_named(args),
+        },
+        named if named.iter().all(|path| path.is_file()) => named.to_vec(),
+        named => {
+            let missing = named.iter().find(|path| !path.exists() && path.extension().is_some());
+            return match missing.filter(|_| named.iter().any(|path| path.is_file())) {
+                Some(path) => Err(format!("{}: no such file", path.display())),
+                None => refuse_named(args),
+            };
+        }
+    };
+    let is_named_one_by_one = args.captures.iter().all(|path| path.is_file());
+    if !is_named_one_by_one && (args.logs.rx.is_some() || !args.logs.tx.is_empty()) {
+        usage("name the logs one by one, or their folder without --rx and --tx");
+    }
+    // A shell expands `--tx csi_tx*.dat` to one name behind the option and others that stand alone.
+    let files: Vec<PathBuf> = args.logs.tx.drain(..).chain(files).collect();
+    if let Some((_, twice)) =
+        files.iter().enumerate().find(|(k, file)| files[..*k].iter().any(|other| is_same_file(other, file)))
+    {
+        return Err(format!("{} is given twice: each robot has its own log", twice.display()));
+    }
+    let Sorted { logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());
+    if let (Some(file), true) = (others.first(), is_named_one_by_one) {
+        must_not_be_empty(file)?;
+        let why = csv::read_as(file, args.logs.columns.as_ref()).err();
+        let why = why.map_or_else(|| file.display().to_string(), |error| trajectory_refused(file, &error));
+        return Err(format!("neither a log of CSI nor a trajectory: {why}"));
+    }
+    let trajectory = args.logs.trajectory.take().map_or_else(|| the_trajectory(&trajectories), Ok)?;
+    let rx = match args.logs.rx.take() {
+        Some(rx) => rx,
+        None => receiver(&logs, &trajectory, args.logs.baseline.is_empty())?,
+    };
+    args.logs.tx = logs.iter().filter(|log| **log != rx).cloned().collect();
+    note!("{} is the receiver's log, {} its trajectory", rx.display(), trajectory.display());
+    if args.channel.is_none() {
+        let folder = rx.parent().unwrap_or(Path::new(""));
+        let Some(number) = channel_number_in(folder).in_words()? else {
+            usage(
+                "--channel is needed, such as --channel 108: no groundtruth_positions.json beside these logs names it",
+            );
+        };
+        args.channel = Some(number.to_string().parse().map_err(|error| format!("channel {number}: {error}"))?);
+        note!("channel {number}, by {}", folder.join(TRUTH_FILE).display());
+    }
+    (args.logs.rx, args.logs.trajectory) = (Some(rx), Some(trajectory));
+    args.captures.clear();
+    Ok(())
+}
+
+/// Refuses options of single logs for a capture, which brings its own files.
+fn refuse_named(args: &Args) -> Words<()> {
+    let logs = &args.logs;
+    let given = [
+        ("--rx", logs.rx.is_some()),
+        ("--tx", !logs.tx.is_empty()),
+        ("--tx-trajectory", !logs.tx_trajectory.is_empty()),
+        ("--tx-mac", !logs.tx_mac.is_empty()),
+        ("--rx-mac", logs.rx_mac.is_some()),
+        ("--key", logs.key.is_some()),
+        ("--columns", logs.columns.is_some()),
+        ("--baseline", !logs.baseline.is_empty()),
+        ("--profile", args.profile.is_some()),
+    ];
+    match given.iter().find(|(_, given)| *given) {
+        Some((name, _)) => {
+            usage(&format!("{name} applies to single logs: name the files of the capture instead of its folder"))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The grid named by `--grid`.
+fn grid(text: &str) -> Words<Grid> {
+    const LIMIT: usize = 10_000_000;
+    let wrong = || format!("`{text}` is no grid: 360 (azimuths), 360x181 (azimuths x elevations) or wsr");
+    let count = |text: &str| text.parse::<usize>().ok().filter(|n| (1..=LIMIT).contains(n)).ok_or_else(wrong);
+    match text.split_once('x') {
+        _ if text == "wsr" => Ok(Grid::wsr()),
+        None => Ok(Grid::azimuth(count(text)?)),
+        Some((azimuths, elevations)) => {
+            let (azimuths, elevations) = (count(azimuths)?, count(elevations)?);
+            let all = azimuths.checked_mul(elevations).filter(|all| *all <= LIMIT);
+            all.map(|_| Grid::azimuth_elevation(azimuths, elevations))
+                .ok_or_else(|| format!("{text}: over {LIMIT} directions"))
+        }
+    }
+}
+
+/// True for a file that [`write_profile`] can write.
+fn is_profile(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "csv" || extension == "npz")
+}
+
+/// Writes the profile of `samples` over `grid` to a .csv (azimuth_deg, elevation_deg, value) or an .npz (arrays
+/// `azimuth_deg`, `elevation_deg`, `value`, rows of elevations by columns of azimuths).
+///
+/// Values are `|f|^2 / (sum |z|)^2`, 0 to 1.
+fn write_profile(path: &Path, grid: &Grid, samples: &Samples) -> Words<()> {
+    let profile = bartlett::profile(samples, grid).in_words()?;
+    let (rows, columns) = profile.grid.shape();
+    let shape = [rows as u64, columns as u64];
+    let angles = || (0..profile.values.len()).map(|index| profile.grid.at(index));
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("npz") => {
+            let written = || -> std::result::Result<(), ExportError> {
+                let mut npz = Npz::create(path)?;
+                npz.array("azimuth_deg", &shape, angles().map(|(azimuth, _)| azimuth.to_degrees()))?;
+                npz.array("elevation_deg", &shape, angles().map(|(_, elevation)| elevation.to_degrees()))?;
+                npz.array("value", &shape, profile.values.iter().copied())?;
+                npz.finish()
+            };
+            written().in_words()
+        }
+        Some("csv") => {
+            let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
+            let mut out = BufWriter::new(std::fs::File::create(path).map_err(failed)?);
+            writeln!(out, "azimuth_deg,elevation_deg,value").map_err(failed)?;
+            for ((azimuth, elevation), value) in angles().zip(&profile.values) {
+                writeln!(out, "{:.6},{:.6},{value:.9e}", azimuth.to_degrees(), elevation.to_degrees())
+                    .map_err(failed)?;
+            }
+            out.flush().map_err(failed)
+        }
+        _ => Err(format!("{}: a profile is written as .csv or .npz", path.display())),
+    }
+}
+
+/// Makes the threads that links are worked on with, this one among them; 0 is one for each core.
+///
+/// # Errors
+/// If they were made before, in words.
+fn make_threads(count: usize) -> Words<()> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(count).use_current_thread();
+    let pool = {
+        csi5300_live::sys::keep_heap();
+        pool.start_handler(|_| csi5300_live::sys::keep_heap())
+    };
+    pool.build_global().in_words()
 }

@@ -2,7 +2,7 @@
 //! line of Dijkstra et al. (\[paper\] in docs/reference/references.md), simulated, decoded and estimated.
 
 use super::args::Estimation;
-use super::{Outcome, Result, fixed, print, print_json, simulate};
+use super::{InWords, Outcome, Result, Words, fixed, print, print_json, simulate};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
@@ -35,8 +35,6 @@ const SCENES: [(&str, &str); 2] = [
 const CARDS: &str = include_str!("../../../../scenes/lab-circle.toml");
 /// How long they stand, seconds.
 const STANDING_S: f64 = 10.0;
-
-type Words<T> = std::result::Result<T, String>;
 
 /// One row of the table at the end.
 #[derive(serde::Serialize)]
@@ -95,7 +93,7 @@ pub fn run(args: &Args) -> Result {
         "Two robots, simulated down to the bytes of their logs. The rest of this program\n\
          reads these logs like recorded ones.\n\n",
     );
-    let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
+    let channel = Channel::new(108, Width::Ht20).in_words()?;
     let options = Estimation::default().options(channel)?.with_keep_course(true);
     stand(args, &options)?;
     let mut shown = Vec::new();
@@ -140,7 +138,7 @@ fn stand(args: &Args, options: &Options) -> Words<()> {
         print(&describe_standing(&standing));
     }
     say_pictures(args, &draw_standing(args, &standing)?);
-    only_logs(&args.out.join("standing"), &trajectory).map_err(|error| error.to_string())
+    only_logs(&args.out.join("standing"), &trajectory).in_words()
 }
 
 /// Removes the trajectories and the truth beside the logs: robots at rest have no bearing, so `evaluate` would count a failed link.
@@ -212,12 +210,12 @@ fn estimate(rx: &Path, tx: &Path, trajectory: &Path, options: &Options) -> Words
     let (mut receiver, mut transmitter) = (super::open_log(rx)?, super::open_log(tx)?);
     let path = super::read_trajectory(trajectory)?;
     let transmitters = vec![Transmitter { log: &mut transmitter, trajectory: None }];
-    bearings(&mut receiver, transmitters, &path, options).map_err(|error| error.to_string())
+    bearings(&mut receiver, transmitters, &path, options).in_words()
 }
 
 fn bearing_of(report: CaptureReport) -> Words<Bearing> {
     let link = report.links.into_iter().next().ok_or("no link")?;
-    link.bearing.map_err(|error| error.to_string())
+    link.bearing.in_words()
 }
 
 /// The bearing to the scene's transmitter from the mean pose of the samples.
@@ -253,21 +251,21 @@ fn table(shown: &[Shown]) -> String {
 }
 
 fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
-    let picture = csi5300_lab::show::repeated::standing(standing);
-    let written = picture.write(&args.out.join("standing-phase"), &super::pictures::format());
-    written.map_err(|error| error.to_string())
+    let picture = csi5300_lab::show::results::standing(standing);
+    let written = picture.write(&args.out.join("standing-phase"), &super::draft::read_files());
+    written.in_words()
 }
 
 fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Option<f64>) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
-    let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m };
-    let written = pictures.write(&args.out, name, &super::pictures::format());
-    written.map_err(|error| error.to_string())
+    let pictures = csi5300_lab::show::results::LinkPictures { bearing, truth_rad, transmitter_m };
+    let written = pictures.write(&args.out, name, &super::draft::read_files());
+    written.in_words()
 }
 
 /// A line for each picture, by the first of its formats.
 fn say_pictures(args: &Args, written: &[PathBuf]) {
-    for path in super::pictures::first_of_each(written).filter(|_| !args.json) {
+    for path in super::files::first_of_each(written).filter(|_| !args.json) {
         print(&format!("  picture {}\n", path.display()));
     }
 }

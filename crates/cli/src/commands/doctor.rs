@@ -3,9 +3,8 @@
 mod accept;
 
 use super::args::channel;
-use super::listener::{Card, Listening, Needs, describe};
-use super::live::{Signals, duration};
-use super::{Outcome, Result, print, print_json, usage};
+use super::live::{Card, Listening, Needs, Signals, describe, duration};
+use super::{InWords, Outcome, Result, Words, print, print_json, usage};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
@@ -98,8 +97,8 @@ fn text(checks: &[Check], ready: bool) -> String {
     text
 }
 
-fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+fn listen(args: &Args, span: Span) -> Words<Vec<Check>> {
+    let signals = Signals::catch().in_words()?;
     let mut heard = Reception::default();
     let listening = Listening { card: args.card.clone(), allow_user_sender: false, room: None };
     let mut listener = match listening.open(Needs::default()) {
@@ -118,11 +117,11 @@ fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
     let clock = Monotonic::new();
     let end = clock.now() + span;
     while clock.now() < end {
-        let next = listener.receive(clock.now()).map_err(|error| error.to_string())?;
+        let next = listener.receive(clock.now()).in_words()?;
         heard.note(&next);
         if matches!(next, Next::Pending) {
             let until = [listener.next_at(), Some(end)].into_iter().flatten().min();
-            let ready = clock.wait([listener.as_fd(), signals.as_fd()], until).map_err(|error| error.to_string())?;
+            let ready = clock.wait([listener.as_fd(), signals.as_fd()], until).in_words()?;
             if ready[1] {
                 break;
             }

@@ -4,9 +4,11 @@
 
 use super::files::{is_same_file, must_not_exist};
 use csi5300::source::side_path;
+use csi5300_live::wait::is_ignored;
+use nix::sys::signal::{SigSet, Signal, raise};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, Once, PoisonError};
 
 /// Links of links that are followed, as many as the kernel does.
 const LINKS: usize = 40;
@@ -98,7 +100,7 @@ impl Draft {
         let part = (!is_special).then_some(part);
         if let Some(part) = &part {
             drafts().push(part.clone());
-            signals::watch();
+            watch_signals();
         }
         Self { path, part }
     }
@@ -159,7 +161,7 @@ impl FolderDraft {
         let made = !folder.exists();
         // From here on a signal takes it away.
         drafts().push(part.clone());
-        signals::watch();
+        watch_signals();
         let draft = Self { folder: folder.to_owned(), part, made };
         std::fs::create_dir_all(&draft.part).map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
         Ok(draft)
@@ -260,31 +262,24 @@ pub fn led_to(path: &Path) -> PathBuf {
     at
 }
 
-mod signals {
-    use super::{drafts, remove};
-    use csi5300_live::wait::is_ignored;
-    use nix::sys::signal::{SigSet, Signal, raise};
-    use std::sync::Once;
-
-    /// From here on a signal that would end the program takes drafts away before it does. Threads started later inherit that.
-    pub fn watch() {
-        static ONCE: Once = Once::new();
-        ONCE.call_once(|| {
-            let ends = [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().filter(|one| !is_ignored(*one));
-            let set = SigSet::from_iter(ends);
-            if set.thread_block().is_ok() {
-                let wait = move || {
-                    let Ok(signal) = set.wait() else { return };
-                    let drafts = drafts();
-                    drafts.iter().for_each(|part| remove(part));
-                    // It ends the program, as it would have at once; nothing is given a name meanwhile.
-                    let _ = set.thread_unblock().and_then(|()| raise(signal));
-                };
-                // Without it the signal waits until the output is whole.
-                let _ = std::thread::Builder::new().name("csi5300 signals".into()).spawn(wait);
-            }
-        });
-    }
+/// From here on a signal that would end the program takes drafts away before it does. Threads started later inherit that.
+fn watch_signals() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let ends = [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().filter(|one| !is_ignored(*one));
+        let set = SigSet::from_iter(ends);
+        if set.thread_block().is_ok() {
+            let wait = move || {
+                let Ok(signal) = set.wait() else { return };
+                let drafts = drafts();
+                drafts.iter().for_each(|part| remove(part));
+                // It ends the program, as it would have at once; nothing is given a name meanwhile.
+                let _ = set.thread_unblock().and_then(|()| raise(signal));
+            };
+            // Without it the signal waits until the output is whole.
+            let _ = std::thread::Builder::new().name("csi5300 signals".into()).spawn(wait);
+        }
+    });
 }
 
 #[cfg(test)]

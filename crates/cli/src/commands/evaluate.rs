@@ -1,15 +1,13 @@
 //! `csi5300 evaluate`.
 
-use super::args::{ClockOffset, Estimation, antenna, channel};
-use super::captures::{A_CAPTURE, Reading, Which, add_names};
-use super::mounting::Mounting;
-use super::{Outcome, Result, fixed, print, print_json, usage};
+use super::args::{A_CAPTURE, ClockOffset, Estimation, Mounting, Reading, Which, add_names, antenna, channel};
+use super::{InWords, Outcome, Result, Words, fixed, print, print_json, usage};
 use csi5300::maths::median;
 use csi5300::signal::channel::Channel;
-use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sure};
+use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sets, sure};
 use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, find, reliability, summarise};
-use csi5300_lab::show::set::{self, Others};
+use csi5300_lab::show::results::{Others, write_set};
 use driver_iface::bfee::Antenna;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -84,7 +82,7 @@ pub fn run(args: &Args) -> Result {
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }
-    let beside = Beside::read(args);
+    let (others, others_lost) = beside(args);
     let bar = super::bar(captures.len() as u64, &super::some(captures.len() as u64, "capture", "captures"));
     let one = |capture: &Capture| {
         let mut evaluated = capture.evaluate(source, reading.channel, &options);
@@ -97,9 +95,9 @@ pub fn run(args: &Args) -> Result {
     for note in results.iter().flat_map(|result| &result.notes) {
         note!("{note}");
     }
-    let lost = !unreadable.is_empty() || beside.lost || results.iter().any(|result| result.lost);
+    let lost = !unreadable.is_empty() || others_lost || results.iter().any(|result| result.lost);
     let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
-    let shown = show(args, &rows, &beside);
+    let shown = show(args, &rows, &others);
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
         wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
     }
@@ -124,10 +122,10 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
     let reading = args.reading();
     reading.find(folder)?;
     let reading = super::view::reading(&reading);
-    let view = csi5300_view::View::open(folder, reading).map_err(|error| error.to_string())?;
+    let view = csi5300_view::View::open(folder, reading).in_words()?;
     view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
     super::progress("");
-    let page = view.file().map_err(|error| error.to_string())?;
+    let page = view.file().in_words()?;
     super::draft::write(out, &page)?;
     view.notes().iter().for_each(|line| note!("{line}"));
     view.failed().iter().for_each(|line| wrong!("{line}"));
@@ -140,32 +138,21 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
     })
 }
 
-/// What another program answers on the links, for the pictures.
-#[derive(Default)]
-struct Beside {
-    others: Others,
-    /// True if some of it could not be read.
-    lost: bool,
-}
-
-impl Beside {
-    /// Reads the tables beside the captures if pictures are drawn, and reports skipped rows.
-    fn read(args: &Args) -> Self {
-        let mut beside = Self::default();
-        for folder in args.folders.iter().filter(|_| args.plot.is_some()) {
-            if let Some(words) = beside.others.add(folder, args.reading().source()) {
-                note!("{words}");
-                beside.lost = true;
-            }
+/// What another program answers on the links, from the tables beside the captures, if pictures are drawn; and whether some of it could not be
+/// read.
+fn beside(args: &Args) -> (Others, bool) {
+    let (mut others, mut lost) = (Others::default(), false);
+    for folder in args.folders.iter().filter(|_| args.plot.is_some()) {
+        if let Some(words) = others.add(folder, args.reading().source()) {
+            note!("{words}");
+            lost = true;
         }
-        beside
     }
+    (others, lost)
 }
 
 /// The captures below all folders, and folders that could not be read.
-fn find_all<'a>(
-    folders: impl Iterator<Item = &'a PathBuf>,
-) -> std::result::Result<(Vec<Capture>, Vec<String>), String> {
+fn find_all<'a>(folders: impl Iterator<Item = &'a PathBuf>) -> Words<(Vec<Capture>, Vec<String>)> {
     let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
     for folder in folders {
         if !folder.is_dir() {
@@ -196,7 +183,7 @@ fn find_all<'a>(
 }
 
 /// Prints rows and summary, and draws the requested pictures.
-fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<(), String> {
+fn show(args: &Args, rows: &[Judged], others: &Others) -> Words<()> {
     let summary = summarise(rows);
     if args.json {
         rows.iter().for_each(print_json);
@@ -208,8 +195,8 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<()
         }
     }
     if let Some(folder) = &args.plot {
-        let written = set::write(rows, &beside.others, folder, &super::pictures::format());
-        let written = written.map_err(|error| error.to_string())?;
+        let written = write_set(rows, others, folder, &super::draft::read_files());
+        let written = written.in_words()?;
         note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     }
     Ok(())
@@ -323,13 +310,4 @@ fn range_words(ranges: &Ranges) -> Option<String> {
         _ => format!("; of {places} places {within_68} within the 68 % ellipse, {within_95} within the 95 % one"),
     };
     Some(format!("range from {} of {links}, median error {median_m:.2} m{over}{ellipses}", ranges.reported))
-}
-
-/// Links by set.
-fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
-    let mut sets: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
-    for row in rows {
-        sets.entry(row.set()).or_default().push(row);
-    }
-    sets
 }

@@ -3,7 +3,7 @@
 mod recover;
 
 use super::draft::Draft;
-use super::{Outcome, Result, info, print_json, usage};
+use super::{InWords, Outcome, Result, Words, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
@@ -73,8 +73,6 @@ struct Row<'a> {
     damaged: u64,
 }
 
-type Words<T> = std::result::Result<T, String>;
-
 impl Args {
     fn filter(&self) -> std::result::Result<Filter, csi5300_lab::table::FilterError> {
         let mut filter = Filter::default().with_time(self.from, self.to)?;
@@ -108,8 +106,7 @@ struct Written {
 /// Writes the CSI of a log.
 pub fn run(args: &Args) -> Result {
     if args.dat {
-        let Args { file: input, output, layout, json, force, .. } = args;
-        return recover::run(&recover::Recovery { input, output, layout: *layout, json: *json, force: *force });
+        return recover::run(args);
     }
     let extension = args.output.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     let extension = extension.as_deref();
@@ -232,7 +229,7 @@ fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
         }
         None => reading.read_all(Instant::ZERO, || true),
     };
-    read.map_err(|error| error.to_string())?;
+    read.in_words()?;
     let (arena, columns) = reading.take();
     let (records, bytes) = (columns.len() as u64, reading.source().bytes());
     let mut export = match size {
@@ -268,7 +265,7 @@ fn scan(
     let mut source = super::open_log(path)?;
     let (mut survey, mut first_us) = (Survey::default(), None);
     loop {
-        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let next = source.receive(Instant::ZERO).in_words()?;
         if let Some((bfee, identity)) = survey.note(&next) {
             let time_us = survey.clock_us.map_or(0, |(_, last)| last);
             if filter.keeps(&bfee, identity, time_us - *first_us.get_or_insert(time_us)) {
@@ -308,77 +305,30 @@ fn sample(csi: &Csi, known: bool, subcarrier: usize, port: usize, stream: usize)
     csi.get(subcarrier, row, stream)
 }
 
-/// The fields of a record beside its CSI, by column name.
-const FIELDS: [&str; 18] = [
-    "time_us",
-    "timestamp_low",
-    "bfee_count",
-    "host_us",
-    "frame_count",
-    "n_rx",
-    "n_tx",
-    "rssi_a",
-    "rssi_b",
-    "rssi_c",
-    "noise_dbm",
-    "agc",
-    "antenna_sel",
-    "rate_n_flags",
-    "antennas_known",
-    "total_rss_dbm",
-    "scale",
-    "record",
-];
+/// The columns of a record beside its CSI.
+const FIELDS: &str = "time_us,timestamp_low,bfee_count,host_us,frame_count,n_rx,n_tx,rssi_a,rssi_b,rssi_c,noise_dbm,agc,\
+                      antenna_sel,rate_n_flags,antennas_known,total_rss_dbm,scale,record,mac";
 
-/// A value in the type of its field.
-#[derive(Clone, Copy, Debug)]
-enum Value {
-    U8(u8),
-    I8(i8),
-    U16(u16),
-    U32(u32),
-    I64(Option<i64>),
-    F64(f64),
-}
-
-impl std::fmt::Display for Value {
-    /// As a CSV cell: empty without a value.
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::U8(value) => value.fmt(out),
-            Self::I8(value) => value.fmt(out),
-            Self::U16(value) => value.fmt(out),
-            Self::U32(value) => value.fmt(out),
-            Self::I64(value) => value.map_or(Ok(()), |value| value.fmt(out)),
-            Self::F64(value) if value.is_nan() => Ok(()),
-            Self::F64(value) => value.fmt(out),
-        }
-    }
-}
-
-/// The value of a field.
-fn field(name: &str, index: u64, bfee: &Bfee<'_>, identity: Identity, time_us: i64) -> Value {
-    let [a, b, c] = bfee.rssi();
-    match name {
-        "record" => Value::I64(i64::try_from(index).ok()),
-        "time_us" => Value::I64(Some(time_us)),
-        "timestamp_low" => Value::U32(bfee.timestamp_low()),
-        "bfee_count" => Value::U16(bfee.bfee_count()),
-        "host_us" => Value::I64(identity.host_us),
-        "frame_count" => Value::I64(identity.frame_count.map(i64::from)),
-        "n_rx" => Value::U8(bfee.n_rx() as u8),
-        "n_tx" => Value::U8(bfee.n_tx() as u8),
-        "rssi_a" => Value::U8(a),
-        "rssi_b" => Value::U8(b),
-        "rssi_c" => Value::U8(c),
-        "noise_dbm" => Value::I8(bfee.noise_dbm()),
-        "agc" => Value::U8(bfee.agc()),
-        "antenna_sel" => Value::U8(bfee.antenna_sel()),
-        "rate_n_flags" => Value::U16(bfee.rate_n_flags()),
-        "antennas_known" => Value::U8(u8::from(bfee.antennas().is_ok())),
-        "total_rss_dbm" => Value::F64(total_rss_dbm(bfee).unwrap_or(f64::NAN)),
-        _ => Value::F64(scale_factor(bfee).unwrap_or(f64::NAN)),
-    }
+/// Their values; empty where one is not known.
+fn fields(record: u64, bfee: &Bfee<'_>, identity: Identity, time_us: i64) -> String {
+    let [rssi_a, rssi_b, rssi_c] = bfee.rssi();
+    let host_us = identity.host_us.map_or(String::new(), |us| us.to_string());
+    let frame_count = identity.frame_count.map_or(String::new(), |count| count.to_string());
+    let known = |value: Option<f64>| value.filter(|value| !value.is_nan()).map_or(String::new(), |v| v.to_string());
+    let (total_rss_dbm, scale) = (known(total_rss_dbm(bfee).ok()), known(scale_factor(bfee).ok()));
+    format!(
+        "{time_us},{},{},{host_us},{frame_count},{},{},{rssi_a},{rssi_b},{rssi_c},{},{},{},{},{},{total_rss_dbm},{scale},{record},{}",
+        bfee.timestamp_low(),
+        bfee.bfee_count(),
+        bfee.n_rx(),
+        bfee.n_tx(),
+        bfee.noise_dbm(),
+        bfee.agc(),
+        bfee.antenna_sel(),
+        bfee.rate_n_flags(),
+        u8::from(bfee.antennas().is_ok()),
+        identity.mac
+    )
 }
 
 /// The largest number of streams in a log; 3 for standard input and pipes, which can be read only once.
@@ -396,7 +346,7 @@ fn csv(args: &Args, output: &Path, filter: &Filter) -> Words<Written> {
     let ports: Vec<usize> = filter.antennas().unwrap_or(&Antenna::ALL).iter().map(|antenna| antenna.index()).collect();
     let failed = |error: std::io::Error| format!("writing {}: {error}", args.output.display());
     let mut out = BufWriter::with_capacity(1 << 18, std::fs::File::create(output).map_err(failed)?);
-    let mut header = FIELDS.join(",") + ",mac";
+    let mut header = FIELDS.to_owned();
     let cells = || {
         let port = |s| ports.iter().flat_map(move |&port| (0..streams).map(move |stream| (s, port, stream)));
         (0..SUBCARRIERS).flat_map(port)
@@ -408,11 +358,7 @@ fn csv(args: &Args, output: &Path, filter: &Filter) -> Words<Written> {
     writeln!(out, "{header}").map_err(failed)?;
     let (mut records, mut unscaled, mut without_antennas) = (0, 0, 0);
     let (survey, bytes) = scan(&args.file, filter, |bfee, identity, time_us| {
-        let mut line = String::with_capacity(2_048);
-        for name in FIELDS {
-            line += &format!("{},", field(name, records, bfee, identity, time_us));
-        }
-        line += &identity.mac.to_string();
+        let mut line = fields(records, bfee, identity, time_us);
         let csi = csi(bfee, args, &mut unscaled);
         without_antennas += u64::from(bfee.antennas().is_err());
         for (s, port, stream) in cells() {

@@ -1,16 +1,21 @@
 //! `csi5300 info`.
 
-mod plot;
-
-use super::{Outcome, Result, other_cards, print, print_json, some};
+use super::args::{antenna, mac};
+use super::{InWords, Outcome, Result, Words, draft, files, hint, print, print_json, some, usage};
+use csi_formats::{Format, Items};
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
 use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
 use csi5300::source::{Checks, CsiSource, Next};
 use csi5300::time::Instant;
+use csi5300_lab::cards::{self, CardSurvey};
+use csi5300_lab::course::{Course, Wanted};
+use csi5300_lab::show::file_safe;
+use csi5300_lab::show::log::LogPictures;
 use csi5300_say::{Level, says};
 use driver_iface::Mac;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, SUBCARRIERS, rate};
+use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq, SUBCARRIERS, rate};
 use driver_iface::record::{Tail, code};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -25,7 +30,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    plot: plot::Args,
+    plot: Pictures,
 }
 
 #[derive(serde::Serialize)]
@@ -81,17 +86,19 @@ struct Row<'a> {
 pub fn run(args: &Args) -> Result {
     let (mut usable, mut lost, mut failed) = (false, false, false);
     let files = logs(&args.files)?;
-    for (k, path) in files.iter().enumerate() {
-        if let Some(mut row) = other_cards::read(path) {
-            row.pictures = drawn(args, &files, k, &mut failed);
+    let stem = |log: &PathBuf| log.file_stem().map_or("log".into(), |stem| stem.to_string_lossy().into_owned());
+    let names = files::told_apart(files.iter().map(stem).collect());
+    for (k, (path, name)) in files.iter().zip(&names).enumerate() {
+        if let Some(mut row) = read_other_card(path) {
+            row.pictures = drawn(args, path, name, &mut failed);
             row.show(args.json, k > 0);
-            usable |= row.is_usable();
-            lost |= row.lost_something();
+            usable |= row.survey.frames > 0;
+            lost |= row.survey.is_damaged;
             continue;
         }
         match survey(path) {
             Ok(read) => {
-                let pictures = drawn(args, &files, k, &mut failed);
+                let pictures = drawn(args, path, name, &mut failed);
                 if args.json {
                     print_json(&row(path, &read, pictures));
                 } else {
@@ -120,7 +127,7 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// The logs in place of each folder, by their names.
-fn logs(named: &[PathBuf]) -> std::result::Result<Vec<PathBuf>, String> {
+fn logs(named: &[PathBuf]) -> Words<Vec<PathBuf>> {
     let mut all = Vec::new();
     for path in named {
         if !path.is_dir() {
@@ -140,21 +147,15 @@ fn logs(named: &[PathBuf]) -> std::result::Result<Vec<PathBuf>, String> {
     Ok(all)
 }
 
-/// The requested pictures of the `k`th log. Prints the error if they cannot be drawn.
-fn drawn(args: &Args, files: &[PathBuf], k: usize, failed: &mut bool) -> Vec<PathBuf> {
-    draw(args, files, k).unwrap_or_else(|message| {
+/// The requested pictures of a log. Prints the error if they cannot be drawn.
+fn drawn(args: &Args, log: &Path, name: &str, failed: &mut bool) -> Vec<PathBuf> {
+    let drawn = draw_pictures(&args.plot, log, name).unwrap_or_else(|message| {
         *failed = true;
         wrong!("{message}");
         Vec::new()
-    })
-}
-
-fn draw(args: &Args, files: &[PathBuf], k: usize) -> std::result::Result<Vec<PathBuf>, String> {
-    let drawn = plot::draw(&args.plot, files, k)?;
-    if !args.json {
-        drawn.iter().for_each(|path| note!("{}", path.display()));
-    }
-    Ok(drawn)
+    });
+    drawn.iter().filter(|_| !args.json).for_each(|path| note!("{}", path.display()));
+    drawn
 }
 
 /// A log that was read.
@@ -176,11 +177,11 @@ fn is_silent(bfee: &Bfee<'_>) -> bool {
     })
 }
 
-fn survey(path: &Path) -> std::result::Result<Read, String> {
+fn survey(path: &Path) -> Words<Read> {
     let mut source = super::open_log(path)?;
     let (mut survey, mut silent) = (Survey::default(), 0);
     loop {
-        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let next = source.receive(Instant::ZERO).in_words()?;
         silent += u64::from(survey.note(&next).is_some_and(|(bfee, _)| is_silent(&bfee)));
         if matches!(next, Next::End(_)) {
             return Ok(Read { survey, bytes: source.bytes(), checks: source.checks(), silent });
@@ -491,4 +492,129 @@ fn steps(sender: &Sender) -> String {
     .filter(|(count, _)| *count > 0)
     .map(|(count, what)| format!(", {count} {what}"))
     .collect()
+}
+
+/// Size of the drawing, pixels; higher where its panels and rows need more.
+const SIZE: (f64, f64) = (1200.0, 1100.0);
+
+// What is drawn of logs.
+#[derive(clap::Args)]
+#[group(id = "drawn")]
+#[command(next_help_heading = "Pictures")]
+struct Pictures {
+    /// Draw each log into this folder: NAME-csi (CSI of the sender with the most records, by antenna) and NAME-levels
+    /// (amplitude, RSSI, gain, rate, gaps, losses, steps back of the clock). Times are the card's, the host's if that
+    /// clock stands still, or record numbers
+    #[arg(long, visible_alias = "out", value_name = "DIR")]
+    pub plot: Option<PathBuf>,
+    /// Draw only frames of these senders
+    #[arg(long, value_delimiter = ',', value_parser = mac, value_name = "MAC,..", requires = "plot")]
+    mac: Vec<Mac>,
+    /// Draw only these antennas (RF ports): A,B,C
+    #[arg(long, value_delimiter = ',', value_parser = antenna, value_name = "A,..", requires = "plot")]
+    antenna: Vec<Antenna>,
+    /// Draw from this time, seconds after the first record
+    #[arg(long, value_name = "SECONDS", requires = "plot")]
+    from: Option<f64>,
+    /// Draw up to this time, seconds after the first record
+    #[arg(long, value_name = "SECONDS", requires = "plot")]
+    to: Option<f64>,
+}
+
+/// Draws a log, if requested; returns the pictures, which have this name.
+fn draw_pictures(args: &Pictures, log: &Path, name: &str) -> Words<Vec<PathBuf>> {
+    let Some(folder) = &args.plot else { return Ok(Vec::new()) };
+    if log.as_os_str() == "-" {
+        usage("a log is read again for its pictures, and standard input only once: name a file");
+    }
+    if !cards::is_log(log) {
+        files::must_be_log(log)?;
+    }
+    let (macs, antennas) = (args.mac.clone(), args.antenna.clone());
+    let wanted = Wanted { macs, antennas, from_s: args.from, to_s: args.to };
+    let course = Course::read(log, &wanted).map_err(|error| hint::log_refused(&error))?;
+    if course.records == 0 {
+        return Err(format!("{}: no matching record to draw", log.display()));
+    }
+    if let Some(left_out) = course.left_out() {
+        note!("{}: the heat maps are {left_out} (--mac chooses senders)", log.display());
+    }
+    let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let drawn = LogPictures { title: &title, course: &course, size: SIZE };
+    drawn.write(&folder.join(file_safe(name)), &draft::read_files()).in_words()
+}
+
+/// What is in a log, as JSON has it.
+#[derive(serde::Serialize)]
+struct OtherRow {
+    file: String,
+    bytes: u64,
+    /// The kind of log, in words.
+    format: &'static str,
+    senders: BTreeMap<String, u64>,
+    /// The pictures drawn.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pictures: Vec<PathBuf>,
+    #[serde(flatten)]
+    survey: CardSurvey,
+}
+
+impl OtherRow {
+    fn new(path: &Path, format: Format, bytes: &[u8]) -> Self {
+        let mut survey = CardSurvey::default();
+        Items::new(format, bytes).for_each(|item| survey.note(&item));
+        let name = |mac: &Mac| if *mac == Mac::default() { "unknown".into() } else { mac.to_string() };
+        Self {
+            file: path.display().to_string(),
+            bytes: bytes.len() as u64,
+            format: format.name(),
+            senders: survey.senders.iter().map(|(mac, count)| (name(mac), *count)).collect(),
+            pictures: Vec::new(),
+            survey,
+        }
+    }
+
+    /// Prints it, as a line of JSON or as text, parted from what was printed before.
+    fn show(&self, json: bool, parted: bool) {
+        match json {
+            true => print_json(self),
+            false => print(&format!("{}{}", if parted { "\n" } else { "" }, self.text())),
+        }
+    }
+
+    fn text(&self) -> String {
+        let survey = &self.survey;
+        let frames = some(survey.frames, "frame", "frames");
+        let mut text = format!("{}: {} bytes, {}, {frames}\n", self.file, self.bytes, self.format);
+        for (what, counts) in [("card", &survey.cards), ("frames", &survey.shapes), ("sender", &self.senders)] {
+            for (key, count) in counts {
+                let _ = writeln!(text, "  {what} {key}: {count}");
+            }
+        }
+        if let Some(span_s) = survey.host_span_s {
+            let _ = writeln!(text, "  {span_s:.3} s by the host's clock");
+        }
+        for (why, bytes) in &survey.skipped {
+            let _ = writeln!(text, "  not read: {bytes} bytes: {why}");
+        }
+        let _ = writeln!(text, "  bearings: {}", self.bearings());
+        text
+    }
+
+    /// Which bearings such a log can give.
+    fn bearings(&self) -> &'static str {
+        match (self.format, self.survey.n_rx) {
+            ("FeitCSI", 2..) => {
+                "of two robots that exchanged frames, or of one with two antennas (`bearing --baseline`)"
+            }
+            ("FeitCSI", _) => "of two robots that exchanged frames",
+            (_, 2..) => "of one robot with two antennas (`bearing --baseline`)",
+            _ => "none; one log needs two antennas in the same frame, and each frame here has one",
+        }
+    }
+}
+
+/// The log of another card, if a file is one; `None` for any other file, and for one that cannot be read.
+fn read_other_card(path: &Path) -> Option<OtherRow> {
+    cards::read(path).map(|(format, bytes)| OtherRow::new(path, format, &bytes))
 }

@@ -1,9 +1,9 @@
 //! `csi5300 key`.
 
 use super::args::mac;
-use super::{Outcome, Result};
+use super::{InWords, Outcome, Result, Words};
 use csi5300::internal::{create_key_file, group_text, robot_text};
-use csi5300::source::{KeyFileError, read_key};
+use csi5300::source::read_key;
 use driver_iface::Mac;
 use std::io::Read;
 use std::path::PathBuf;
@@ -45,14 +45,13 @@ enum What {
 
 /// Makes a key.
 pub fn run(args: &Args) -> Result {
-    let text = |error: KeyFileError| error.to_string();
     let (file, content) = match &args.what {
         What::New { file } => (file, group_text(&random()?)),
         What::Robot { group, mac, peers, file } => {
             if let Some(own) = peers.iter().find(|peer| *peer == mac) {
                 return Err(format!("{own} is the robot's own MAC: --peers are the others"));
             }
-            let group = read_key(group).map_err(text)?;
+            let group = read_key(group).in_words()?;
             let own = group.for_robot(*mac, peers);
             if let Some(peer) = peers.iter().find(|peer| !own.has_pair(*mac, **peer)) {
                 return Err(format!("no key of {mac} with {peer} can be made from a robot's file: give the group's"));
@@ -60,13 +59,13 @@ pub fn run(args: &Args) -> Result {
             (file, robot_text(&own).ok_or("no key was made")?)
         }
     };
-    create_key_file(file, &content).map_err(text)?;
+    create_key_file(file, &content).in_words()?;
     note!("{}: a new key, mode 0600", file.display());
     Ok(Outcome::Done)
 }
 
 /// From the kernel's generator.
-fn random() -> std::result::Result<[u8; 32], String> {
+fn random() -> Words<[u8; 32]> {
     let mut secret = [0; 32];
     let read = std::fs::File::open("/dev/urandom").and_then(|mut source| source.read_exact(&mut secret));
     read.map(|()| secret).map_err(|error| format!("/dev/urandom: {error}"))

@@ -3,8 +3,6 @@
 
 mod args;
 mod bearing;
-mod captures;
-mod completions;
 mod demo;
 mod doctor;
 mod draft;
@@ -13,34 +11,43 @@ mod export;
 mod files;
 mod hint;
 mod info;
-mod inputs;
 mod key;
-mod listener;
 mod live;
 mod mcap;
-mod mounting;
-mod node;
 mod old;
-mod other_cards;
-mod pictures;
-mod profile;
 mod record;
 mod replay;
 mod setup;
 mod simulate;
 mod sound;
-mod threads;
 mod unbag;
 mod view;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-pub use csi5300_say::is_end_of_room;
-use csi5300_say::{self as say, Level, When};
-pub use csi5300_say::{Outcome, Result, count as some, fixed, print, print_json, usage};
+use csi5300_say as say;
+use csi5300_say::{Level, When};
+pub use csi5300_say::{Outcome, Result, count as some, fixed, is_end_of_room, print, print_json, usage};
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A result whose error is words for the user.
+pub type Words<T> = std::result::Result<T, String>;
+
+/// Errors in words.
+trait InWords<T> {
+    /// The value, or the error in words.
+    fn in_words(self) -> Words<T>;
+}
+
+impl<T, E: std::fmt::Display> InWords<T> for std::result::Result<T, E> {
+    fn in_words(self) -> Words<T> {
+        self.map_err(|error| error.to_string())
+    }
+}
 
 /// Bearings between robots from WiFi alone: CSI of the Intel 5300, live, replayed or simulated.
 #[derive(Parser)]
@@ -104,9 +111,9 @@ enum Command {
     /// Exchange frames with other robots so that both cards measure; print live bearings
     Sound(Box<sound::Args>),
     /// Run the service of a robot: capture, odometry, peers, live bearings
-    Node(node::NodeArgs),
+    Node(NodeArgs),
     /// Show a running node in the terminal: peers, rates, losses, bearings on a compass
-    Watch(node::WatchArgs),
+    Watch(WatchArgs),
     /// Simulate a room of robots: write the logs of their cards, serve them live, or compare a recording
     Simulate(Box<simulate::Args>),
     /// Write captures as MCAP, for Foxglove, Lichtblick and MCAP readers
@@ -120,7 +127,7 @@ enum Command {
     Key(key::Args),
     /// Print the script by which a shell completes commands and options
     #[command(hide = true)]
-    Completions(completions::Args),
+    Completions(CompletionsArgs),
 }
 
 /// Runs the command named by the arguments.
@@ -168,7 +175,7 @@ pub fn run() -> ExitCode {
 const OUTPUTS: [&str; 9] = ["out", "output", "profile", "plot", "html", "log", "poses", "report", "factors"];
 
 /// Notes what this run reads, and refuses outputs among it.
-fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> std::result::Result<(), String> {
+fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> Words<()> {
     let Some((name, given)) = matches.subcommand() else { return Ok(()) };
     let named = |arg: &clap::Arg| {
         let takes = arg.get_action().takes_values();
@@ -198,12 +205,12 @@ fn execute(command: Command) -> Result {
         Command::Record(args) => record::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Sound(args) => sound::run(&args),
-        Command::Node(_) | Command::Watch(_) => node::run(),
+        Command::Node(_) | Command::Watch(_) => become_node(),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mcap(args) => mcap::run(&args),
         Command::Unbag(args) => unbag::run(&args),
         Command::Key(args) => key::run(&args),
-        Command::Completions(args) => completions::run(&args),
+        Command::Completions(args) => completions(&args),
     }
 }
 
@@ -255,10 +262,69 @@ impl Bar {
     }
 }
 
+// Arguments of `completions`.
+#[derive(clap::Args)]
+#[command(after_help = "Example, for the running shell and for every later one:\n  \
+                        source <(csi5300 completions bash)\n  \
+                        csi5300 completions bash > ~/.local/share/bash-completion/completions/csi5300")]
+struct CompletionsArgs {
+    /// The shell
+    #[arg(value_enum)]
+    shell: clap_complete::Shell,
+}
+
+/// Prints the script of a shell.
+fn completions(args: &CompletionsArgs) -> Result {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "csi5300", &mut script);
+    print(&String::from_utf8_lossy(&script));
+    Ok(Outcome::Done)
+}
+
+/// The robot's service.
+const PROGRAM: &str = "csi5300-node";
+
+// Arguments of `node`; what they mean is the service's.
+#[derive(clap::Args)]
+struct NodeArgs {
+    /// The robot's configuration; packaging/robot.toml explains every key [default: robot.toml in this folder, in
+    /// ~/.config/csi5300 ($XDG_CONFIG_HOME), or in /etc/csi5300]
+    #[arg(long, value_name = "ROBOT.toml")]
+    config: Option<PathBuf>,
+    /// Check the configuration, start nothing
+    #[arg(long)]
+    check: bool,
+}
+
+// Arguments of `watch`.
+#[derive(clap::Args)]
+struct WatchArgs {
+    /// The node's status socket [default: that of the configuration that `node` finds, else /run/csi5300/status.sock]
+    #[arg(value_name = "SOCKET")]
+    socket: Option<PathBuf>,
+    /// Print one state as a table and exit. Without it, an output that is no terminal gets one state as JSON
+    #[arg(long)]
+    once: bool,
+}
+
+/// Becomes the robot's service: the program beside this one, else the first in the search path.
+fn become_node() -> Result {
+    let beside = std::env::current_exe().ok().map(|own| own.with_file_name(PROGRAM)).filter(|file| file.is_file());
+    let program = beside.unwrap_or_else(|| PROGRAM.into());
+    let refused = std::process::Command::new(&program).args(std::env::args_os().skip(1)).exec();
+    Err(match refused.kind() {
+        std::io::ErrorKind::NotFound => format!(
+            "the robot's service is a program of its own, {PROGRAM}, which is neither beside this one nor in PATH: packages have \
+             both, and `cargo build --release -p csi5300-node` makes it"
+        ),
+        _ => format!("{}: {refused}", program.display()),
+    })
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Cli, OUTPUTS};
-    use clap::{Arg, Command, CommandFactory};
+    use super::*;
+    use clap::{Arg, Command};
 
     /// Every option that names a file is listed as an output or an input.
     #[test]

@@ -1,21 +1,21 @@
 //! `csi5300 record`.
 
-mod feitcsi;
-
-use super::listener::{self, Listening, Needs};
-use super::live::{Signals, create_refused, duration, rotation_size, size, some_duration};
-use super::{Outcome, Result, say};
+use super::live::{
+    Listening, Needs, Signals, create_refused, describe, duration, rotation_size, size, some_duration,
+    summary as listener_summary,
+};
+use super::{InWords, Outcome, Result, Words, say};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
-use csi5300::source::side_path;
-use csi5300::source::{CsiSource, Error, Loss, Next};
+use csi5300::source::{CsiSource, Error, Loss, Next, side_path};
 use csi5300::time::{Instant, Span};
+use csi5300_live::feitcsi::{Command, FeitCsi, Frames};
 use csi5300_live::listener::Lost;
 use csi5300_live::status::{Losses, Status};
-use csi5300_live::wait::Monotonic;
+use csi5300_live::wait::{Monotonic, wall_us};
 use driver_iface::record::code;
 use driver_iface::side_file::Layout;
 use std::fmt::Write as _;
-use std::io::{IsTerminal, Write};
+use std::io::{IsTerminal, Write as _};
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Path, PathBuf};
 
@@ -70,9 +70,9 @@ pub struct Args {
     receive_buffer: u64,
     /// Record an AX200 or AX210 by FeitCSI: the address of its UDP socket and its options, such as "127.0.0.1:8008 --frequency
     /// 5180 --channel-width 80 --format VHT", or - if it writes to the standard input. OUT is then a log of FeitCSI
-    #[arg(long, value_name = "ADDRESS OPTIONS", value_parser = feitcsi::source, conflicts_with_all = ["live", "checksums", "connector_index", "allow_user_sender", "room"])]
+    #[arg(long, value_name = "ADDRESS OPTIONS", value_parser = feitcsi_source, conflicts_with_all = ["live", "checksums", "connector_index", "allow_user_sender", "room"])]
     #[arg(conflicts_with = "stock")]
-    feitcsi: Option<feitcsi::Way>,
+    feitcsi: Option<Way>,
     #[command(flatten)]
     listening: Listening,
 }
@@ -84,7 +84,7 @@ enum Limit {
     Records(u64),
 }
 
-fn limit(text: &str) -> std::result::Result<Limit, String> {
+fn limit(text: &str) -> Words<Limit> {
     match text.strip_suffix("records") {
         Some(count) => match count.trim_end().parse() {
             Ok(count) if count > 0 => Ok(Limit::Records(count)),
@@ -140,11 +140,10 @@ enum View {
 
 /// Records until a signal or a limit ends it.
 pub fn run(args: &Args) -> Result {
-    let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     if let Some(from) = &args.feitcsi {
-        return feitcsi::run(args, from, signals);
+        return run_feitcsi(args, from, signals);
     }
     let listener = args.listening.open(Needs { receive_buffer: Some(args.receive_buffer), ..Needs::default() })?;
     let files = LogFiles::create(&args.out, args.rotation(), args.force).map_err(|error| create_refused(&error))?;
@@ -152,28 +151,28 @@ pub fn run(args: &Args) -> Result {
     let rests = !args.live && listener.buffer() >= ROOMY;
     let mut session = Session::new(args, signals, &listener, rests)?;
     let clock = session.clock;
-    note!("{}; recording to {}", listener::describe(&listener), args.out.display());
-    let recorder = Recorder::new(listener, files, args.options()).map_err(text)?;
+    note!("{}; recording to {}", describe(&listener), args.out.display());
+    let recorder = Recorder::new(listener, files, args.options()).in_words()?;
     let (failed, listener, files, totals) = if args.live {
         let pipe = Pipe::new(std::io::stdout());
         let mut options = Options::default();
         (options.sync_every, options.hand_over) = (None, Span::from_ms(10));
-        let mut tee = Recorder::new(recorder, pipe, options).map_err(text)?;
+        let mut tee = Recorder::new(recorder, pipe, options).in_words()?;
         let failed = session.capture(&mut tee, |tee| (tee.source().totals(), tee.source().source().lost())).err();
-        let (recorder, _, piped) = tee.finish(clock.now()).map_err(text)?;
+        let (recorder, _, piped) = tee.finish(clock.now()).in_words()?;
         let missed = piped.received - piped.written;
         if missed > 0 {
             note!("standard output missed {missed} records; the log has them");
         }
-        let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
+        let (listener, files, totals) = recorder.finish(clock.now()).in_words()?;
         (failed, listener, files, totals)
     } else {
         let mut recorder = recorder;
         let failed = session.capture(&mut recorder, |own| (own.totals(), own.source().lost())).err();
-        let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
+        let (listener, files, totals) = recorder.finish(clock.now()).in_words()?;
         (failed, listener, files, totals)
     };
-    let told = (listener::summary(&listener), listener.lost());
+    let told = (listener_summary(&listener), listener.lost());
     Ok(session.end(failed, &told, &totals, &files))
 }
 
@@ -227,7 +226,7 @@ fn losses(totals: &Totals, lost: &Lost) -> Losses {
 }
 
 impl<'a> Session<'a> {
-    fn new(args: &'a Args, signals: Signals, listener: &impl AsFd, rests: bool) -> std::result::Result<Self, String> {
+    fn new(args: &'a Args, signals: Signals, listener: &impl AsFd, rests: bool) -> Words<Self> {
         let (terminal, clock) = (std::io::stderr().is_terminal(), Monotonic::new());
         let socket = listener.as_fd().try_clone_to_owned().map_err(|error| format!("listener: {error}"))?;
         let view = match args.watch {
@@ -253,11 +252,7 @@ impl<'a> Session<'a> {
     }
 
     /// Receives until a signal, a limit, or an error; what was received is in the recorder either way.
-    fn capture<S: CsiSource>(
-        &mut self,
-        source: &mut S,
-        tell: impl Fn(&S) -> (Totals, Lost),
-    ) -> std::result::Result<(), String> {
+    fn capture<S: CsiSource>(&mut self, source: &mut S, tell: impl Fn(&S) -> (Totals, Lost)) -> Words<()> {
         let most = self.args.most_records();
         let end_at = match self.args.stop_after {
             Some(Limit::After(span)) => Some(self.clock.now() + span),
@@ -271,7 +266,7 @@ impl<'a> Session<'a> {
         let mut taken = 0;
         loop {
             let now = self.clock.now();
-            let next = source.receive(now).map_err(|error| error.to_string())?;
+            let next = source.receive(now).in_words()?;
             self.status.note(now, &next);
             let pending = match &next {
                 Next::Lost(loss) => {
@@ -310,7 +305,7 @@ impl<'a> Session<'a> {
                 if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
             let may_rest = (1..=FEW).contains(&std::mem::take(&mut taken)) && self.rests;
             let rest = (pending && may_rest).then_some(now + REST);
-            ending |= self.wait(until, rest).map_err(|error| error.to_string())?;
+            ending |= self.wait(until, rest).in_words()?;
         }
     }
 
@@ -402,4 +397,42 @@ fn remove_empty(output: &Path) {
     if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
         note!("nothing to write: no {}", output.display());
     }
+}
+
+/// Source of FeitCSI's records.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Way {
+    Input,
+    Asked(Command),
+}
+
+fn feitcsi_source(text: &str) -> Words<Way> {
+    match text {
+        "-" => Ok(Way::Input),
+        _ => text.parse().map(Way::Asked).map_err(|why| format!("{why}, or - for standard input")),
+    }
+}
+
+/// Records until a signal, a limit or the end of the input.
+fn run_feitcsi(args: &Args, from: &Way, signals: Signals) -> Result {
+    let (frames, words) = match from {
+        Way::Input => {
+            let input = std::io::stdin().as_fd().try_clone_to_owned();
+            let input = input.map_err(|error| format!("standard input: {error}"))?;
+            (Frames::read(input, wall_us), "reading FeitCSI's output from standard input".to_owned())
+        }
+        Way::Asked(command) => {
+            let frames = Frames::ask(command, wall_us).in_words()?;
+            (frames, format!("asked FeitCSI at {} to measure", command.to))
+        }
+    };
+    let files = LogFiles::create_bodies(&args.out, args.rotation(), args.force);
+    let files = files.map_err(|error| create_refused(&error))?;
+    let mut session = Session::new(args, signals, &frames, false)?;
+    note!("{words}; recording to {}", args.out.display());
+    let recorder = Recorder::new(frames, files, args.options()).in_words()?;
+    let mut source = FeitCsi::new(recorder);
+    let failed = session.capture(&mut source, |source| (source.frames().totals(), Lost::default())).err();
+    let (_, files, totals) = source.into_frames().finish(session.clock.now()).in_words()?;
+    Ok(session.end(failed, &(String::new(), Lost::default()), &totals, &files))
 }

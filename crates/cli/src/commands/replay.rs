@@ -1,7 +1,7 @@
 //! `csi5300 replay`.
 
 use super::live::{Signals, duration, speed};
-use super::{Outcome, Result};
+use super::{InWords, Outcome, Result, Words};
 use csi5300::source::replay::Paced;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
@@ -66,13 +66,13 @@ enum Target {
 }
 
 impl Target {
-    fn send(&mut self, record: Record<'_>) -> std::result::Result<(), String> {
+    fn send(&mut self, record: Record<'_>) -> Words<()> {
         match self {
-            Self::Connector(sender) => sender.send(record).map_err(|error| error.to_string()),
+            Self::Connector(sender) => sender.send(record).in_words(),
             Self::Stdout(out, frame) => {
                 frame.resize(record.emit_len(), 0);
-                record.emit(frame).map_err(|error| error.to_string())?;
-                out.write_all(frame).map_err(|error| error.to_string())
+                record.emit(frame).in_words()?;
+                out.write_all(frame).in_words()
             }
         }
     }
@@ -80,17 +80,17 @@ impl Target {
 
 /// Plays a log.
 pub fn run(args: &Args) -> Result {
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     let log = super::open_log(&args.file)?;
     let mut target = match args.connector {
-        Some(index) => Target::Connector(Sender::open(index, true).map_err(|error| error.to_string())?),
+        Some(index) => Target::Connector(Sender::open(index, true).in_words()?),
         None => Target::Stdout(std::io::stdout().lock(), Vec::new()),
     };
     let mut source = Paced::new(log, args.speed, args.longest_pause);
     let (clock, mut survey, mut sent) = (Monotonic::new(), Survey::default(), 0_u64);
     let begun = clock.now();
     loop {
-        let next = source.receive(clock.now()).map_err(|error| error.to_string())?;
+        let next = source.receive(clock.now()).in_words()?;
         survey.note(&next);
         match next {
             Next::Record(_, record) => {
@@ -109,7 +109,7 @@ pub fn run(args: &Args) -> Result {
                     return Ok(Outcome::Done);
                 }
                 let until = source.next_at().unwrap_or_else(|| clock.now());
-                if clock.wait([signals.as_fd()], Some(until)).map_err(|error| error.to_string())?[0] {
+                if clock.wait([signals.as_fd()], Some(until)).in_words()?[0] {
                     break;
                 }
             }

@@ -2,9 +2,12 @@
 
 mod compare;
 mod serve;
-mod suite;
 
-use super::{Outcome, Result, print, print_json, usage};
+use super::draft::Draft;
+use super::{InWords, Outcome, Result, Words, print, print_json, progress, some, usage};
+use csi5300::pipeline::Options;
+use csi5300::signal::channel::{Channel, Width};
+use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::scene::Driver;
 use csi5300_sim::{Injected, Room, Scene, WrittenCapture, write_dataset};
@@ -41,7 +44,7 @@ pub struct Args {
     #[command(flatten)]
     recorded: compare::Recorded,
     #[command(flatten)]
-    which: suite::Which,
+    which: Which,
 }
 
 /// A layout of records: that of a driver.
@@ -80,13 +83,12 @@ impl Args {
             usage("a recording is compared with a scene, not with the experiments");
         }
         if is_suite {
-            return Some(suite::run(&self.which, &out(TABLE), self.force, self.json));
+            return Some(run_suite(&self.which, &out(TABLE), self.force, self.json));
         }
         if !self.recorded.is_named() {
             return None;
         }
-        let (with, recorded) = (self.scene.clone(), self.recorded.clone());
-        Some(compare::run(&compare::Args { with, recorded, out: out(COMPARED), force: self.force, json: self.json }))
+        Some(compare::run(self, &out(COMPARED)))
     }
 }
 
@@ -131,7 +133,7 @@ pub fn run(args: &Args) -> Result {
 
 /// A scene from its file, or the built-in one of that name if there is no such file. One that makes no sense is wrong usage, as a
 /// configuration is.
-pub fn load(file: &Path) -> std::result::Result<Scene, String> {
+pub fn load(file: &Path) -> Words<Scene> {
     Scene::find(file).map_err(|error| match error.is_of_text() {
         true => usage(&error.of_file(file)),
         false => error.of_file(file),
@@ -139,8 +141,8 @@ pub fn load(file: &Path) -> std::result::Result<Scene, String> {
 }
 
 /// Runs a scene into a folder, with a progress bar on a terminal.
-pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCapture>, Vec<Injected>), String> {
-    let mut room = Room::new(scene).map_err(|error| error.to_string())?;
+pub fn write(scene: &Scene, folder: &Path) -> Words<(Vec<WrittenCapture>, Vec<Injected>)> {
+    let mut room = Room::new(scene).in_words()?;
     for robot in &scene.robot {
         if let RobotMotion::Recorded(recorded) = &robot.motion {
             super::draft::reads(&recorded.file);
@@ -201,6 +203,99 @@ fn describe(scene: &Scene, captures: &[WrittenCapture], injected: &[Injected]) -
     }
     for (robot, injected) in injected.iter().enumerate().filter(|(_, injected)| **injected != Injected::default()) {
         let _ = writeln!(text, "  in the room, {}: {injected}", name(robot));
+    }
+    text
+}
+
+// Which experiments to run.
+#[derive(clap::Args, Clone)]
+#[command(
+    next_help_heading = "The experiments of Dijkstra et al. (SCENE is suite; --out names a CSV table with a row for each repetition)"
+)]
+pub struct Which {
+    /// Repetitions of each experiment [default: 10]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    repetitions: Option<u64>,
+    /// Only experiments whose name contains this
+    #[arg(long, value_name = "TEXT")]
+    only: Option<String>,
+}
+
+impl Which {
+    /// True if anything was asked of them.
+    fn is_asked(&self) -> bool {
+        self.repetitions.is_some() || self.only.is_some()
+    }
+}
+
+/// Runs the experiments of Dijkstra et al. (\[paper\] in docs/reference/references.md) and prints a table of them.
+fn run_suite(which: &Which, path: &Path, force: bool, json: bool) -> Result {
+    let mut all = experiments();
+    if let Some(text) = &which.only {
+        all.retain(|experiment| experiment.name.contains(text));
+    }
+    if all.is_empty() {
+        let names: Vec<String> = experiments().into_iter().map(|experiment| experiment.name).collect();
+        usage(&format!("no experiment has that in its name; there are: {}", names.join("; ")));
+    }
+    let channel = Channel::new(108, Width::Ht20).in_words()?;
+    let failed = |error: String| format!("cannot write {}: {error}", path.display());
+    let draft = Draft::create(path, force)?;
+    // Opened first, so that an unwritable file fails before minutes of work.
+    let mut csv = csv::Writer::from_path(draft.path()).map_err(|error| failed(error.to_string()))?;
+    let mut runs = Vec::new();
+    for (k, experiment) in all.iter().enumerate() {
+        progress(&format!("{} of {} experiments: {}", k + 1, all.len(), experiment.name));
+        let own =
+            run_all(std::slice::from_ref(experiment), which.repetitions.unwrap_or(REPETITIONS), &Options::new(channel));
+        runs.extend(own?);
+    }
+    progress("");
+    runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;
+    csv.flush().map_err(|error| failed(error.to_string()))?;
+    draft.keep(false).map_err(|error| failed(error.to_string()))?;
+    let table = summarise(&runs);
+    if json {
+        table.iter().for_each(print_json);
+    } else {
+        print(&describe_suite(&table));
+    }
+    note!("{} in {}", some(runs.len() as u64, "repetition", "repetitions"), path.display());
+    Ok(Outcome::Done)
+}
+
+fn describe_suite(table: &[Summary]) -> String {
+    let mut text = format!(
+        "{:<34} {:>5} {:>17} {:>11} {:>10} {:>10} {:>17}\n{:<34} {:>5} {:>17} {:>11} {:>10} {:>10} {:>17}\n",
+        "experiment",
+        "runs",
+        "|error| mean, max",
+        "confidence",
+        "likelihood",
+        "coherence",
+        "residual, comp.",
+        "",
+        "",
+        "deg",
+        "",
+        "share",
+        "",
+        "rad"
+    );
+    let value = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));
+    for row in table {
+        let errors = row.mean_error_deg.zip(row.largest_error_deg);
+        let error = errors.map_or_else(|| "-".into(), |(mean, largest)| format!("{mean:.3}, {largest:.3}"));
+        let residual = format!("{:.3}, {:.3}", row.residual_rad, row.residual_compensated_rad);
+        let _ = writeln!(
+            text,
+            "{:<34} {:>5} {error:>17} {:>11} {:>10} {:>10} {residual:>17}",
+            row.experiment,
+            row.repetitions,
+            value(row.confidence, 2),
+            value(row.likelihood_share, 4),
+            value(row.coherence, 3),
+        );
     }
     text
 }

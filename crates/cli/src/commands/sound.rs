@@ -1,23 +1,33 @@
-//! `csi5300 sound`.
+//! `csi5300 sound`, and `sound --answer`: answers the frames of robots that sound. Answers are given at once, from user space; with
+//! `--dialect wsr --ack-len N` as the WSR driver gives them in the kernel. In the native dialect an answer carries what the card measured
+//! of an earlier frame, so that the initiator has bearings live.
 
-mod common;
-mod respond;
-
-pub use self::common::see_to_rate;
-use self::common::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
-use super::args::{Estimation, antenna};
-use super::live::{Signals, duration};
-use super::{Result, fixed, hint, print, print_json, usage};
-use csi5300::exchange::tdma::{Epoch, Event, Plan};
+use super::args::{Estimation, antenna, channel_of_5300, mac};
+use super::live::{Listening, Needs, Signals, create_refused, describe, duration, join_refused};
+use super::{InWords, Outcome, Result, Words, fixed, hint, is_end_of_room, print, print_json, usage};
+use csi5300::exchange::tdma::{Config, Dialect, Epoch, Event, Phy, Plan, PlanError, Request, TdmaCounts};
+use csi5300::internal::{Proof, Prover};
 use csi5300::motion::odometry::csv;
 use csi5300::pipeline::{Bearing, LinkError};
+use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::Next;
+use csi5300::source::recorder::{LogFiles, Rotation};
+use csi5300::source::survey::Survey;
 use csi5300::time::{Instant, Span};
-use csi5300_live::sounding::{Beside, News, Observer, Products, Running};
+use csi5300_live::doctor::Machine;
+use csi5300_live::monitor::{AirCounts, Monitor};
+use csi5300_live::sounding::{
+    Beside, DriverMessages, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Products, Rate,
+    Running, Session, Settings, Setup, measurement, rate_n_flags, read_key, set_rate, spread_of,
+};
 use csi5300_live::wait::Monotonic;
+use csi5300_sim::served;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
+use driver_iface::radiotap::Bandwidth;
+use driver_iface::sounding::wsr;
 use std::collections::BTreeMap;
+use std::fmt::Write;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
@@ -95,7 +105,7 @@ impl Line {
 }
 
 /// The bearings of all peers with products, or why the trajectory cannot be read.
-type Made = std::result::Result<Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>, String>;
+type Made = Words<Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>>;
 
 /// Makes bearings from products, beside the sounding.
 struct Bearings<'a> {
@@ -180,8 +190,8 @@ impl Bearings<'_> {
     }
 
     /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this.
-    fn finish(mut self, signals: &Signals) -> std::result::Result<(), String> {
-        let last = self.beside.last(self.clock, signals.as_fd()).map_err(|error| error.to_string())?;
+    fn finish(mut self, signals: &Signals) -> Words<()> {
+        let last = self.beside.last(self.clock, signals.as_fd()).in_words()?;
         last.into_iter().for_each(|made| self.tell(made));
         Ok(())
     }
@@ -209,15 +219,15 @@ impl Bearings<'_> {
 pub fn run(args: &Args) -> Result {
     let common = &args.common;
     if args.answer {
-        return respond::run(common, args.antenna, args.json);
+        return answer(common, args.antenna, args.json);
     }
-    if args.trajectory.is_some() && common.dialect == Words::Wsr {
+    if args.trajectory.is_some() && common.dialect == DialectArg::Wsr {
         usage(
             "live bearings need the responder's measurements, which only native frames carry: leave out --trajectory, \
              record with --log, and use `csi5300 bearing` on the logs of both robots",
         );
     }
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     let clock = Monotonic::new();
     let now = clock.now();
     let opened = common.open(|config| {
@@ -251,4 +261,603 @@ pub fn run(args: &Args) -> Result {
         print_json(&BTreeMap::from([("summary", row)]));
     }
     Ok(outcome)
+}
+
+/// Hands the card's measurements to the answers.
+struct Measuring {
+    antenna: Antenna,
+    peers: Vec<Mac>,
+    survey: Survey,
+    prover: Prover,
+    carries: bool,
+    told: bool,
+}
+
+impl Observer for Measuring {
+    fn record(&mut self, next: &Next<'_>, running: &Running) {
+        let proof = self.prover.note(next);
+        let Some((bfee, identity)) = self.survey.note(next) else { return };
+        if self.carries && identity.frame_count.is_none() && bfee.wsr().is_none() && !self.told {
+            self.told = true;
+            note!("{NO_NUMBERS}");
+        }
+        if self.carries
+            && proof != Proof::Wrong
+            && self.peers.contains(&identity.mac)
+            && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
+        {
+            // Where too many wait, the next one is newer.
+            running.order(Order::Measurement(identity.mac, measurement));
+        }
+    }
+
+    fn news(&mut self, news: &News) {
+        tell(news);
+    }
+}
+
+/// Answers until a signal or a limit ends it.
+fn answer(common: &Sounding, antenna: Antenna, json: bool) -> Result {
+    if common.dialect == DialectArg::Wsr && common.ack_len.is_none() {
+        usage("--dialect wsr needs --ack-len, the length of the frames meant for this robot (57 for the first)");
+    }
+    let signals = Signals::catch().in_words()?;
+    let clock = Monotonic::new();
+    let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
+    common.see_to_rate(antenna)?;
+    let carries = common.dialect == DialectArg::Native;
+    let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not }, opened.own)?;
+    let peers = common.peers.clone();
+    let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));
+    let mut task = Measuring { antenna, peers, survey, prover, carries, told: false };
+    let (outcome, row) = common.run(&signals, messages, opened, clock, &mut task)?;
+    if json {
+        print_json(&row);
+    }
+    Ok(outcome)
+}
+
+/// WSR dialect: length of the frames for the first robot, frame check sequence included.
+const FIRST_LEN: u16 = wsr::DEFAULT_LEN as u16;
+
+// Arguments of sounding and answering.
+#[derive(clap::Args, Clone, Debug)]
+struct Sounding {
+    /// Monitor interface
+    #[arg(long, value_name = "NAME", required_unless_present = "room", conflicts_with = "room")]
+    interface: Option<String>,
+    /// MACs of the other robots; in the WSR dialect they get frames of 57, 59, 61 ... bytes
+    #[arg(long, required = true, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
+    peers: Vec<Mac>,
+    /// Rounds a second, each with one exchange per peer
+    #[arg(long, default_value_t = 100.0, value_name = "HZ")]
+    rate: f64,
+    /// Format of the frames
+    #[arg(long, value_enum, default_value_t = DialectArg::Native)]
+    dialect: DialectArg,
+    /// Links in a round, the same on all robots [default: the number of peers]
+    #[arg(long, value_name = "N")]
+    links: Option<u16>,
+    /// Modulation of every frame, 0 to 23; from 8 on frames use several streams and antennas
+    #[arg(long, default_value_t = 1, value_name = "MCS")]
+    mcs: u8,
+    // Of one version ago: a channel of 40 MHz says so.
+    #[arg(long, hide = true)]
+    ht40: bool,
+    /// WiFi channel, with + or - for 40 MHz; needed for bearings
+    #[arg(long, value_parser = channel_of_5300, value_name = "NUMBER")]
+    channel: Option<Channel>,
+    /// WSR dialect: length of the frames that this robot answers (57, 59, 61 ...)
+    #[arg(long, value_name = "BYTES")]
+    ack_len: Option<u16>,
+    /// How late a frame may be sent, and the free time after it, microseconds; later frames are skipped
+    #[arg(long, default_value_t = Request::default().guard_us, value_name = "US")]
+    guard: u32,
+    /// How long after a forward frame its answer may begin, microseconds
+    #[arg(long, default_value_t = Request::default().turn_around_us, value_name = "US")]
+    turn_around: u32,
+    /// Key file of the group or of this robot (`csi5300 key`): frames without a valid tag and of older sessions are
+    /// ignored
+    ///
+    /// The clock numbers the sessions; $XDG_STATE_HOME/csi5300, ~/.local/state/csi5300 or /var/lib/csi5300 keeps the
+    /// last number. If none can be written and the clock is set back, other robots ignore this one until its clock has
+    /// caught up.
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
+    /// This robot's MAC, instead of the interface's own
+    #[arg(long, value_parser = mac, value_name = "MAC")]
+    mac: Option<Mac>,
+    /// Do not ask for SCHED_FIFO
+    #[arg(long)]
+    no_fifo: bool,
+    /// Stop after this time
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    stop_after: Option<Span>,
+    /// Also record what the card hears to this log
+    #[arg(long, value_name = "OUT.dat")]
+    log: Option<PathBuf>,
+    /// Overwrite existing outputs
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    listening: Listening,
+}
+
+/// A dialect by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum DialectArg {
+    /// Ours, for any CSI driver: destination, role, number and slot in the frame
+    Native,
+    /// The WSR toolbox's: the length of a frame addresses a robot
+    Wsr,
+}
+
+impl Sounding {
+    /// The plan that the arguments request.
+    fn request(&self) -> Request {
+        let is_wide = self.ht40 || self.channel.is_some_and(|channel| channel.width() != Width::Ht20);
+        let bandwidth = if is_wide { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
+        let dialect = match self.dialect {
+            DialectArg::Native => Dialect::Native { measurement: true, authenticated: self.key.is_some() },
+            DialectArg::Wsr => Dialect::Wsr { first_len: FIRST_LEN },
+        };
+        let own = self.own_index().map_or(0, |index| index.saturating_add(1));
+        let peers = u16::try_from(self.peers.len()).unwrap_or(u16::MAX);
+        Request {
+            phy: Phy { mcs: self.mcs, bandwidth },
+            dialect,
+            guard_us: self.guard,
+            turn_around_us: self.turn_around,
+            ..Request::new(self.links.unwrap_or(peers.max(own)), self.rate)
+        }
+    }
+
+    /// What carries the frames, in words.
+    fn name(&self) -> String {
+        match (&self.interface, &self.listening.room) {
+            (Some(interface), _) => interface.clone(),
+            (None, Some(address)) => address.to_string(),
+            (None, None) => String::new(),
+        }
+    }
+
+    /// The robot's index in the WSR dialect, from the length that it answers.
+    fn own_index(&self) -> Option<u16> {
+        self.ack_len.map(|len| len.saturating_sub(FIRST_LEN) / 2)
+    }
+
+    /// Ends the command if arguments contradict each other.
+    fn check(&self) {
+        match (self.dialect, self.ack_len) {
+            (DialectArg::Native, Some(_)) => usage("--ack-len belongs to --dialect wsr"),
+            (DialectArg::Wsr, Some(len)) if len < FIRST_LEN || (len - FIRST_LEN) % 2 == 1 => {
+                usage(&format!("--ack-len {len}: {FIRST_LEN}, and two bytes more for each robot"))
+            }
+            _ => {}
+        }
+        if self.dialect == DialectArg::Wsr && self.key.is_some() {
+            usage("--key belongs to the native dialect: WSR frames have no room for a tag");
+        }
+    }
+
+    /// Opens the interface and makes the machine.
+    fn open(&self, settle: impl FnOnce(&mut Config)) -> Words<Opened> {
+        self.check();
+        let request = self.request();
+        let plan = Plan::new(&request).map_err(|error| refused(&error))?;
+        let setup = Setup {
+            interface: self.name(),
+            mac: self.mac,
+            peers: self.peers.clone(),
+            request,
+            own_index: self.own_index().unwrap_or(0),
+            key: self.key.as_deref().map(read_key).transpose().in_words()?,
+        };
+        let monitor = match &self.listening.room {
+            Some(address) => {
+                let (air, mac) = served::join(address, served::Role::Air).map_err(|error| join_refused(&error))?;
+                Monitor::over(air, mac, &setup.options())
+            }
+            None => Monitor::open(&setup.options()),
+        };
+        let opened = monitor.and_then(|monitor| {
+            setup.open_on(monitor, |config| {
+                // A WSR robot without a length answers nothing here; its kernel may.
+                config.respond = self.dialect == DialectArg::Native || self.ack_len.is_some();
+                settle(config);
+            })
+        });
+        let opened = opened.in_words()?;
+        opened.warning.iter().for_each(|warning| note!("{warning}"));
+        note!(
+            "{} is {}; {} in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
+            self.name(),
+            opened.own,
+            super::some(plan.slots.into(), "link", "links"),
+            plan.rate_hz(),
+            plan.slot_us(),
+            plan.shortest_slot_us()
+        );
+        Ok(opened)
+    }
+
+    /// Sets or checks the driver's rate.
+    fn see_to_rate(&self, antenna: Antenna) -> Words<()> {
+        self.interface.as_deref().map_or(Ok(()), |interface| see_to_rate(interface, self.request().phy, antenna))
+    }
+
+    /// The card's records, if wanted: recorded, or only read. `own` is this robot's MAC.
+    fn messages(&self, wanted: Wanted, own: Mac) -> Words<DriverMessages> {
+        if self.log.is_none() && wanted == Wanted::Not {
+            return Ok(DriverMessages::none());
+        }
+        let needs = Needs { own: Some(own), frames: self.key.is_some(), receive_buffer: None };
+        let listener = match self.listening.open(needs) {
+            Ok(listener) => listener,
+            Err(error) if self.log.is_none() && wanted == Wanted::IfPossible => {
+                note!("answers carry no measurement: {error}");
+                return Ok(DriverMessages::none());
+            }
+            Err(error) => return Err(error),
+        };
+        note!("{}", describe(&listener));
+        let Some(log) = &self.log else { return Ok(DriverMessages::read(listener)) };
+        let files = LogFiles::create(log, Rotation::default(), self.force);
+        files.and_then(|files| DriverMessages::recorded(listener, files)).map_err(|error| create_refused(&error))
+    }
+
+    /// Runs until a signal, the time limit or a failure of the interface; then prints the summary and returns it for JSON.
+    fn run(
+        &self,
+        signals: &Signals,
+        messages: DriverMessages,
+        opened: Opened,
+        clock: Monotonic,
+        observer: &mut dyn Observer,
+    ) -> Words<(Outcome, ExchangeRow)> {
+        let fifo_priority = Settings::default().fifo_priority.filter(|_| !self.no_fifo);
+        let session = Session::new(clock, signals.as_fd())
+            .with_settings(Settings { fifo_priority, ..Settings::default() })
+            .with_stop_at(self.stop_after.map(|span| clock.now() + span));
+        let finished = session.run(opened, messages, observer).in_words()?;
+        let error = finished.error.as_ref().filter(|_| !self.room_ended(&finished)).map(ToString::to_string);
+        Ok((self.conclude(&finished), ExchangeRow::new(&self.peers, &finished, error)))
+    }
+
+    /// True if the simulated room ended, which is a normal end.
+    fn room_ended(&self, finished: &Finished) -> bool {
+        finished.error.as_ref().is_some_and(|error| self.listening.room.is_some() && is_end_of_room(error))
+    }
+
+    /// Prints the summary, and returns the outcome.
+    fn conclude(&self, finished: &Finished) -> Outcome {
+        notes!("{}", summary(&self.peers, finished));
+        if finished.news_lost > 0 {
+            note!("  {} events of the radio were lost", finished.news_lost);
+        }
+        if let (Some(totals), Some(log)) = (&finished.log, &self.log) {
+            note!("{} written to {}", super::some(totals.recorded.written, "record", "records"), log.display());
+            if totals.missing() > 0 {
+                note!("  not in it: {}", super::some(totals.missing(), "record", "records"));
+            }
+        }
+        let over = self.room_ended(finished);
+        match &finished.error {
+            Some(_) if over => note!("the room has ended"),
+            Some(error) => wrong!("{error}"),
+            None => {}
+        }
+        let unlogged = finished.log.as_ref().is_some_and(|log| log.missing() > 0);
+        let lost = if over { unlogged } else { finished.lost_anything() };
+        let counts = finished.counts();
+        match counts.answered + counts.replies {
+            0 => Outcome::Nothing,
+            _ if lost => Outcome::DataLost,
+            _ => Outcome::Done,
+        }
+    }
+}
+
+/// Sets or checks the rate at which an interface's driver sends.
+pub fn see_to_rate(interface: &str, phy: Phy, antenna: Antenna) -> Words<()> {
+    let rate = rate_n_flags(phy, antenna)
+        .ok_or_else(|| format!("--mcs {} has more streams than the card has antennas: 23 is the highest", phy.mcs))?;
+    match set_rate(&Machine, interface, rate) {
+        Rate::FromRadiotap | Rate::Right(_) => {}
+        Rate::Set(rate, before) => note!("monitor_tx_rate set to {rate:#x} (was {before})"),
+        Rate::Legacy(mend) => {
+            note!("this driver sends injected frames at a legacy rate, which makes no CSI: {mend}")
+        }
+        Rate::Other { found, error, mend } => {
+            note!("monitor_tx_rate is {found}, so frames go out at another rate ({error}): {mend}");
+        }
+    }
+    Ok(())
+}
+
+/// A plan's refusal in words.
+fn refused(error: &PlanError) -> String {
+    match error {
+        PlanError::Rate { highest_hz, .. } => {
+            format!("{error}: try --rate {:.2}", (highest_hz * 100.0).floor() / 100.0)
+        }
+        _ => error.to_string(),
+    }
+}
+
+/// Whether the driver's messages are needed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wanted {
+    /// Not needed.
+    Not,
+    /// Useful.
+    IfPossible,
+    /// Required.
+    Needed,
+}
+
+/// How many were lost or ignored for one cause.
+#[derive(Clone, Copy)]
+struct Cause {
+    /// Its name in JSON.
+    name: &'static str,
+    /// How many.
+    count: u64,
+    /// What follows the number in words.
+    words: &'static str,
+}
+
+fn cause(name: &'static str, count: u64, words: &'static str) -> Cause {
+    Cause { name, count, words }
+}
+
+/// Due frames that were not sent, or perhaps late.
+fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &AirCounts) -> [Cause; 7] {
+    let skipped = counts.missed_slots + figures.too_late;
+    [
+        cause("host_late", skipped, "frames skipped because the host was late (never sent late)"),
+        cause("answer_late", counts.missed_replies, "answers skipped because they were late"),
+        cause("perhaps_late", figures.perhaps_late, "frames handed over in time that the kernel took late"),
+        cause("no_room", air.no_room, "frames not taken: no room in the kernel's queue"),
+        cause("interface_down", air.down, "frames not taken: the interface was down"),
+        cause("too_long", air.too_long, "frames not taken: longer than the MTU"),
+        cause("cut", air.cut, "frames that the kernel took only in part"),
+    ]
+}
+
+/// Frames heard and turns that were not used.
+fn not_used(counts: &TdmaCounts, air: &AirCounts) -> [Cause; 17] {
+    [
+        cause("kernel_dropped", air.dropped, "frames heard but dropped by the kernel before they were read"),
+        cause("stale", air.stale, "frames dropped after a second or more in the kernel's queue"),
+        cause("bad_fcs", air.bad_fcs, "frames with a wrong check sequence"),
+        cause("damaged", air.damaged, "frames behind an unreadable radiotap header"),
+        cause("foreign", counts.foreign, "frames of another dialect or damaged"),
+        cause("strangers", counts.strangers, "frames of robots that are no peers"),
+        cause("unauthenticated", counts.unauthenticated, "frames without the key"),
+        cause("contested", counts.contested, "measurements whose number two frames had"),
+        cause("replayed", counts.replayed, "frames repeated or of an old session"),
+        cause("unmatched", counts.unmatched, "answers that match no waiting frame"),
+        cause("other_plan", counts.other_plan, "frames of another plan (--rate, --links)"),
+        cause("yields", counts.yields, "turns yielded to another initiator"),
+        cause("overslept", counts.overslept, "turns lost because the host was busy"),
+        cause("rivals", counts.rivals, "frames that contradict an earlier initiator or turn"),
+        cause("off_epoch", counts.off_epoch, "frames outside their slot"),
+        cause("own_echoes", counts.own_echoes, "copies of this robot's own frames"),
+        cause("events_lost", counts.events_lost, "events lost because too many came at once"),
+    ]
+}
+
+/// The line.
+#[derive(serde::Serialize)]
+struct ExchangeRow {
+    /// Forward frames sent, and how many of them were answered.
+    forward: u64,
+    answered: u64,
+    /// Answers sent.
+    answers: u64,
+    /// Forward frames and their answers by peer, if any.
+    peers: Vec<PeerRow>,
+    /// From a slot's start to the time at which the host came to it, of every slot that was due.
+    lateness_us: Option<Spread>,
+    /// From the hand-over of a forward frame to the beginning of its answer.
+    answer_us: Option<Spread>,
+    /// From the kernel's stamp on a forward frame to the hand-over of its answer.
+    turn_around_us: Option<Spread>,
+    /// Frames not sent, and frames heard but not used, by cause; causes with none are omitted.
+    not_sent: BTreeMap<&'static str, u64>,
+    not_used: BTreeMap<&'static str, u64>,
+    /// Frames that the kernel reports as sent, and as failed; `None` if it reports nothing.
+    confirmed: Option<u64>,
+    failed: Option<u64>,
+    /// The driver's messages in the log, and those missing from it, if they were recorded.
+    records: Option<u64>,
+    records_missing: Option<u64>,
+    /// What ended the session, if neither the time nor a signal did.
+    error: Option<String>,
+}
+
+#[derive(serde::Serialize)]
+struct PeerRow {
+    mac: String,
+    forward: u64,
+    answered: u64,
+}
+
+/// Quantiles, microseconds.
+#[derive(serde::Serialize)]
+struct Spread {
+    p50: u64,
+    p90: u64,
+    p99: u64,
+    max: u64,
+}
+
+/// The quantiles of a histogram in which there is something.
+macro_rules! spread {
+    ($histogram:expr) => {
+        (!$histogram.is_empty()).then(|| {
+            let [p50, p90, p99] = [0.5, 0.9, 0.99].map(|share| $histogram.value_at_quantile(share));
+            Spread { p50, p90, p99, max: $histogram.max() }
+        })
+    };
+}
+
+impl ExchangeRow {
+    /// Of a session with `peers`; `error` is what ended it, if neither the time nor a signal did.
+    fn new(peers: &[Mac], finished: &Finished, error: Option<String>) -> Self {
+        let (counts, figures, air) = (finished.counts(), &finished.exchange.figures, finished.air);
+        let peer = |mac: &Mac| {
+            let link = finished.exchange.tdma.link_counts(*mac).filter(|link| link.sounded > 0)?;
+            Some(PeerRow { mac: mac.to_string(), forward: link.sounded, answered: link.answered })
+        };
+        let named = |causes: &[Cause]| {
+            causes.iter().filter(|cause| cause.count > 0).map(|cause| (cause.name, cause.count)).collect()
+        };
+        let reports = air.tx_status > 0;
+        Self {
+            forward: counts.forward,
+            answered: counts.answered,
+            answers: counts.replies,
+            peers: peers.iter().filter_map(peer).collect(),
+            lateness_us: spread!(figures.due_us),
+            answer_us: spread!(figures.answer_us),
+            turn_around_us: spread!(figures.turn_around_us),
+            not_sent: named(&not_sent(counts, figures, &air)),
+            not_used: named(&not_used(counts, &air)),
+            confirmed: reports.then(|| finished.confirmed()),
+            failed: reports.then(|| finished.reported_failed()),
+            records: finished.log.as_ref().map(|log| log.recorded.written),
+            records_missing: finished.log.as_ref().map(csi5300_live::sounding::LogTotals::missing),
+            error,
+        }
+    }
+}
+
+/// Printed once if the driver's records carry neither sender nor number.
+const NO_NUMBERS: &str = "the driver's records carry neither sender nor number: load it with connector_log=0x5 (csitool), or use the WSR driver";
+
+/// A first frame within this time is announced as "at once", seconds.
+const AT_ONCE_S: f64 = 0.5;
+/// The summary of a session without a frame.
+const NOTHING_SENT: &str =
+    "no frame was sent: it ended while this robot still listened for others, or nobody sounded it\n";
+
+/// Prints events as they come.
+fn tell(news: &News) {
+    match news {
+        News::Started(granted) => note!("{granted}"),
+        News::Notice(notice) => note!("{notice}"),
+        News::Event(Event::Joined(peer)) => note!("{} joined", peer),
+        News::Event(Event::Absent(peer)) => note!("{} does not answer; waiting for it", peer),
+        News::Event(Event::Restarted { peer, .. }) => note!("{} restarted", peer),
+        News::Event(Event::Yielded { to, .. }) => note!("{} initiates too, and takes precedence", to),
+        News::Event(_) => {}
+    }
+}
+
+/// When the first frame is sent, and whose answers are awaited from then on.
+fn waiting(peers: &[Mac], first_in: Option<Span>) -> String {
+    let peers = peers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    let first = first_in.map_or(0, Span::as_us) as f64 * 1e-6;
+    let first = match first > AT_ONCE_S {
+        true => format!("in {first:.1} s, if no other robot is heard to initiate until then (--alone: at once)"),
+        false => "at once".to_string(),
+    };
+    format!("first frame {first}; then waiting for answers of {peers}")
+}
+
+/// How a session went.
+fn summary(peers: &[Mac], finished: &Finished) -> String {
+    let (counts, figures, air) = (finished.counts(), &finished.exchange.figures, finished.air);
+    let mut text = String::new();
+    if counts.forward > 0 {
+        let _ = writeln!(
+            text,
+            "{} forward frames, {} answered{}",
+            counts.forward,
+            counts.answered,
+            unanswered(counts.forward, counts.answered)
+        );
+        for mac in peers {
+            if let Some(link) = finished.exchange.tdma.link_counts(*mac) {
+                let _ = writeln!(text, "  {mac}: {} sounded, {} answered", link.sounded, link.answered);
+            }
+        }
+        let _ = writeln!(text, "  lateness: {}: every slot that was due, skipped ones too", spread_of(&figures.due_us));
+        let _ = writeln!(text, "  lateness of the frames sent: {}", spread_of(&figures.lateness_us));
+        let _ = writeln!(text, "  answers began after: {}", spread_of(&figures.answer_us));
+    }
+    if counts.forward + counts.replies == 0 {
+        text.push_str(NOTHING_SENT);
+    }
+    if counts.replies > 0 {
+        let _ = writeln!(text, "{} answers", counts.replies);
+        let turn_around = spread_of(&figures.turn_around_us);
+        let _ = writeln!(text, "  turn-around, from the kernel's receive stamp: {turn_around}");
+    }
+    if counts.answered + counts.replies > 0 {
+        let [least, median, most] = KERNEL_TURN_AROUND_US;
+        let airtime_us = finished.exchange.tdma.plan().phy.airtime_us(wsr::DEFAULT_LEN);
+        let _ = writeln!(
+            text,
+            "  the WSR kernel driver: {least} to {most} us, median {median}, from start to start of the frames, {airtime_us} us of it on air"
+        );
+    }
+    for Cause { count, words, .. } in not_sent(counts, figures, &air).into_iter().chain(not_used(counts, &air)) {
+        if count > 0 {
+            let _ = writeln!(text, "  {count} {words}");
+        }
+    }
+    text + &confirmed(finished)
+}
+
+/// The unanswered frames, if there are more than a few, and likely causes.
+fn unanswered(forward: u64, answered: u64) -> String {
+    let missing = forward.saturating_sub(answered);
+    match missing * 20 > forward {
+        true => format!(
+            "; {missing} ({:.0} %) were not: the other robot is off, far, or later than --turn-around allows",
+            100.0 * missing as f64 / forward as f64
+        ),
+        false => String::new(),
+    }
+}
+
+/// What the kernel reports of the frames sent.
+fn confirmed(finished: &Finished) -> String {
+    let (sent, failed, mut text) = (finished.sent(), finished.reported_failed(), String::new());
+    if finished.air.tx_failed > 0 {
+        let _ = writeln!(text, "  the kernel reports {failed} of {sent} frames as failed");
+    }
+    match finished.confirmed() {
+        0 if sent > 0 => {
+            let _ = writeln!(text, "  the kernel confirms none of {sent} frames as sent");
+        }
+        0 => {}
+        confirmed => {
+            let _ = writeln!(text, "  the kernel confirms {confirmed} of {sent} frames as sent");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_waited_for_is_said() {
+        let peers = ["00:21:6a:00:00:02".parse().unwrap(), "00:21:6a:00:00:03".parse().unwrap()];
+        let soon = waiting(&peers, Some(Span::from_ms(150)));
+        assert_eq!(soon, "first frame at once; then waiting for answers of 00:21:6a:00:00:02, 00:21:6a:00:00:03");
+        assert!(waiting(&peers, Some(Span::from_ms(6_400))).contains("in 6.4 s, if no other robot"));
+    }
+
+    #[test]
+    fn rounds_without_an_answer_are_said_where_they_are_many() {
+        assert_eq!(unanswered(1_000, 980), "");
+        assert_eq!(unanswered(0, 0), "");
+        assert!(unanswered(900, 600).contains("300 (33 %)"));
+    }
 }

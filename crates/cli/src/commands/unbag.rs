@@ -55,7 +55,7 @@ pub fn run(args: &Args) -> Result {
     for file in &done.cut {
         note!("{}: the end is missing; everything before it was read", file.display());
     }
-    for words in super::inputs::lost_words(done.damaged_parts, done.without_topic) {
+    for words in super::files::lost_words(done.damaged_parts, done.without_topic) {
         lost = true;
         note!("{}: {words}", args.bag.display());
     }

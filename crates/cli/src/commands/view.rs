@@ -1,9 +1,7 @@
 //! `csi5300 view`: a page in the browser about a log, captures or a running node.
 
-use super::args::{Estimation, address, antenna, channel};
-use super::captures::{Reading, Which};
-use super::mounting::Mounting;
-use super::{Outcome, Result, print, usage};
+use super::args::{Estimation, Mounting, Reading, Which, address, antenna, channel};
+use super::{InWords, Outcome, Result, print, usage};
 use csi5300::signal::channel::Channel;
 use csi5300_view::{Ends, Server, View};
 use driver_iface::bfee::Antenna;
@@ -39,9 +37,13 @@ pub struct Args {
 /// How captures are read, for the page.
 pub fn reading(reading: &Reading) -> csi5300_view::Reading {
     let options = reading.options().unwrap_or_else(|message| usage(&message));
-    csi5300_view::Reading::new(reading.source(), reading.channel, options)
-        .with_antenna_offset_m(reading.antenna_offset_m())
-        .with_camera(reading.camera())
+    csi5300_view::Reading {
+        source: reading.source(),
+        channel: reading.channel,
+        options,
+        antenna_offset_m: reading.antenna_offset_m(),
+        camera: reading.mounting.camera_mount,
+    }
 }
 
 impl Args {
@@ -61,20 +63,20 @@ pub fn run(args: &Args) -> Result {
         usage("view takes one log, folder or socket: put the files of a capture into one folder, and name that")
     };
     // Before there are threads, which inherit it.
-    let ends = Ends::catch(ends_by_hangup()).map_err(|error| error.to_string())?;
+    let ends = Ends::catch(ends_by_hangup()).in_words()?;
     // Before it is opened: a pipe would be waited for.
-    View::check(what).map_err(|error| error.to_string())?;
+    View::check(what).in_words()?;
     if !csi5300_lab::cards::is_log(what) {
         super::files::must_be_log(what)?;
     }
-    let view = View::open(what, reading(&args.reading())).map_err(|error| error.to_string())?;
+    let view = View::open(what, reading(&args.reading())).in_words()?;
     view.left_out().iter().for_each(|words| note!("{words}"));
     let view = Arc::new(view);
-    let server = Server::listen(args.listen).map_err(|error| error.to_string())?;
+    let server = Server::listen(args.listen).in_words()?;
     let address = server.address();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     // One core is left for who clicks.
-    view.start(cores.saturating_sub(1).max(1)).map_err(|error| error.to_string())?;
+    view.start(cores.saturating_sub(1).max(1)).in_words()?;
     let shown =
         if address.ip().is_unspecified() { SocketAddr::new([127, 0, 0, 1].into(), address.port()) } else { address };
     let url = format!("http://{shown}/");
@@ -85,7 +87,7 @@ pub fn run(args: &Args) -> Result {
     if args.open {
         open(&url);
     }
-    server.run(&view, &ends).map_err(|error| error.to_string())?;
+    server.run(&view, &ends).in_words()?;
     Ok(Outcome::Done)
 }
 

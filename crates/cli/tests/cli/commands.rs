@@ -1,6 +1,9 @@
-//! The command as its users meet it: answers, exit statuses, and what it says of bad input.
+//! The commands as their users meet them: answers, exit statuses, how much they say and in which colours, and what they say of the wrong
+//! file.
 
 use crate::common::{Link, TRANSMITTER, link};
+use driver_iface::bfee::{Bfee, Iq, Repr};
+use driver_iface::record::{Record, code};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
@@ -494,4 +497,607 @@ fn a_link_of_a_capture_is_explained_with_pictures() {
     }
     assert_eq!(folder.run(&["bearing", "place/tx9"]).0, 1);
     assert_eq!(folder.run(&["bearing", "place", "--tx", "tx.dat"]).0, 2, "a capture has its logs");
+}
+
+#[test]
+fn quiet_says_results_and_errors_and_verbose_what_was_read() {
+    let folder = Folder::new("quiet");
+    let mut damaged = link(300, 2.0);
+    damaged.rx[100].remove(7);
+    folder.link(&damaged);
+    let (status, usual_out, usual) = folder.bearing(&[]);
+    assert!(status == 3 && usual.contains("lost:"), "{usual}");
+    let (status, out, err) = folder.bearing(&["--quiet"]);
+    assert_eq!((status, out, err.as_str()), (3, usual_out.clone(), ""));
+    let (_, out, err) = folder.bearing(&["-v"]);
+    assert!(out.starts_with(&usual_out) && out.contains("coherence, 0 to 1") && out.contains("CFO"), "{out}");
+    for words in ["lost:", "reading rx.dat", "reading tx.dat", "reading t.csv: ", " s, ", " MB of memory"] {
+        assert!(err.contains(words), "no `{words}` in {err}");
+    }
+    // Errors are printed even so.
+    let (status, _, err) = folder.run(&["-q", "info", "none.dat"]);
+    assert!(status == 1 && err.contains("none.dat"), "{err}");
+    assert_eq!(folder.run(&["info", "rx.dat", "-q", "-v"]).0, 2);
+}
+
+#[test]
+fn colours_are_for_terminals_and_for_who_asks() {
+    let folder = Folder::new("colours");
+    std::fs::create_dir_all(folder.0.join("machine")).unwrap();
+    let doctor = |more: &[&str]| folder.run(&[&["doctor", "machine"][..], more].concat()).1;
+    assert!(!doctor(&[]).contains('\x1b'));
+    assert!(!doctor(&["--color", "never"]).contains('\x1b'));
+    let coloured = doctor(&["--color", "always"]);
+    assert!(coloured.contains("\x1b[1;31mBAD \x1b[0m"), "{coloured}");
+    assert!(!folder.run(&["info", "none.dat"]).2.contains('\x1b'));
+    let (_, _, err) = folder.run(&["--color", "always", "info", "none.dat"]);
+    assert!(err.starts_with("\x1b[1;31mcsi5300:\x1b[0m "), "{err}");
+}
+
+#[test]
+fn a_name_is_shown_and_commands_no_terminal() {
+    let folder = Folder::new("terminal");
+    let name = "here\x1b[2J\x1b]0;mine\x07\u{9b}7m";
+    capture(&folder, &format!("tree/{name}"), &link(300, 2.0));
+    folder.write(&format!("{name}.dat"), b"none");
+    let shown = r"here\u001b[2J\u001b]0;mine\u0007\u009b7m";
+    let log = format!("{name}.dat");
+    let bearing = vec!["-v", "bearing", "--channel", "108", "--rx", &log, "--tx", &log, "--trajectory", &log];
+    let no_option = format!("--{name}");
+    for arguments in
+        [vec!["bearing", "tree"], vec!["info", &no_option], vec!["info", &log], vec!["info", "--json", &log], bearing]
+    {
+        let (_, out, err) = folder.run(&arguments);
+        let said = out + &err;
+        assert!(said.contains(shown) && !said.contains(|sign: char| sign.is_control() && sign != '\n'), "{said:?}");
+    }
+    assert_eq!(json(&folder.run(&["bearing", "tree", "--json"]).1)["link"].as_str().unwrap().find(name), Some(0));
+}
+
+#[test]
+fn a_file_of_another_kind_is_named_for_what_it_is() {
+    let folder = Folder::new("kinds");
+    folder.link(&link(300, 2.0));
+    let args = |rx: &str, tx: &str, t: &str| {
+        folder.run(&["bearing", "--rx", rx, "--tx", tx, "--trajectory", t, "--channel", "108"])
+    };
+    for (rx, tx) in [("t.csv", "tx.dat"), ("rx.dat", "t.csv")] {
+        let (status, _, err) = args(rx, tx, "t.csv");
+        assert!(status == 1 && err.contains("t.csv is another kind of file, a table of numbers"), "{err}");
+        assert!(!err.contains("one run"), "{err}");
+    }
+    let (status, _, err) = args("rx.dat", "tx.dat", "tx.dat");
+    assert!(
+        status == 1 && err.contains("tx.dat is a log of CSI: a trajectory is a table of times and places"),
+        "{err}"
+    );
+    assert_eq!(folder.run(&["export", "rx.dat", "rx.npz"]).0, 0);
+    for command in [&["info", "rx.npz"][..], &["export", "rx.npz", "x.csv"], &["export", "--dat", "rx.npz", "x.dat"]] {
+        let (status, _, err) = folder.run(command);
+        assert!(status == 1 && err.contains("rx.npz is another kind of file, a ZIP archive"), "{command:?}: {err}");
+    }
+    assert!(folder.run(&["info", "t.csv", "--plot", "."]).2.contains("another kind of file"));
+    assert!(folder.run(&["view", "t.csv"]).2.contains("another kind of file"));
+}
+
+#[test]
+fn every_command_ends_with_2_where_it_is_used_wrongly_and_has_the_same_help() {
+    let folder = Folder::new("usages");
+    let (_, help, _) = folder.run(&["--help"]);
+    let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    // What goes on in a further line stands further to the right.
+    let first = |line: &'_ str| line.strip_prefix("  ").filter(|rest| !rest.starts_with(' ')).is_some();
+    let commands: Vec<&str> =
+        commands.filter(|line| first(line)).filter_map(|line| line.split_whitespace().next()).collect();
+    assert!(commands.len() > 5 && commands.contains(&"bearing") && commands.contains(&"simulate"), "{commands:?}");
+    for command in commands.into_iter().filter(|command| *command != "help") {
+        let (status, _, err) = folder.run(&[command, "--no-such-option"]);
+        assert!(status == 2 && err.contains("--no-such-option"), "{command}: {status} {err}");
+        let (status, help, _) = folder.run(&[command, "--help"]);
+        assert!(status == 0 && help.contains("--quiet") && help.contains("--color"), "{command}: {help}");
+    }
+    // The table of the page is the one of the program.
+    let page = std::fs::read_to_string(crate::common::root().join("docs/reference/troubleshooting.md")).unwrap();
+    let table: Vec<&str> = page.split("## Exit status").nth(1).unwrap().lines().collect();
+    for status in ["0", "1", "2", "3"] {
+        assert!(help.contains(&format!("\n  {status}  ")), "{help}");
+        assert!(table.iter().any(|line| line.starts_with(&format!("| {status} |"))), "{table:?}");
+    }
+}
+
+/// A capture without a truth, with the names of Dijkstra et al.
+fn truthless(folder: &Folder) {
+    let made = link(600, 2.0);
+    std::fs::create_dir_all(folder.0.join("runs/circle")).unwrap();
+    folder.write("runs/circle/csi_rx_real_1.dat", &made.rx.concat());
+    folder.write("runs/circle/csi_tx_real_1.dat", &made.tx.concat());
+    folder.write("runs/circle/rx_movement_real_1.csv", made.trajectory.as_bytes());
+}
+
+#[test]
+fn captures_without_a_truth_are_explained_located_and_shown() {
+    let folder = Folder::new("truthless");
+    truthless(&folder);
+    let (status, out, err) = folder.run(&["bearing", "runs", "--channel", "108", "--explain"]);
+    assert!(status == 0 && out.starts_with("circle/real_1/tx\n") && !out.contains("\ntruth"), "{out}{err}");
+    // Links as they are named there, wholly or by their end.
+    for name in ["runs/circle/real_1/tx", "runs/circle/tx"] {
+        let (status, out, err) = folder.run(&["bearing", name, "--channel", "108", "--json"]);
+        let row = json(&out);
+        assert_eq!(status, 0, "{err}");
+        assert!((row["azimuth_deg"].as_f64().unwrap() - 2f64.to_degrees()).abs() < 0.2, "{row}");
+        assert!(row["error_from_mean_pose_deg"].is_null() && row["residual_phase_rad"].is_f64(), "{row}");
+    }
+    let (status, _, err) = folder.run(&["bearing", "runs/circle/real_2/tx", "--channel", "108"]);
+    assert!(status == 1 && err.contains("real_2/tx is no link of runs/circle"), "{err}");
+    let (status, _, err) = folder.run(&["bearing", "runs"]);
+    assert!(status == 2 && err.contains("--channel"), "{err}");
+    let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108"]);
+    assert!(status == 1 && err.contains("1 capture without one"), "{err}");
+    // The transmitter is 1 km away, so the bearing alone says little of where the receiver is; the output says that it is used.
+    let unplaced = "not located: the place of tx is not known (--place tx=X,Y)";
+    let place = |place: &str| folder.run(&["bearing", "runs", "--channel", "108", "--place", place, "--json"]);
+    let receiver = |out: &str| json(out.lines().nth(1).unwrap_or_else(|| panic!("{out}")));
+    assert_eq!(receiver(&place("tx7=1,2").1)["error"], unplaced);
+    assert_eq!(receiver(&place("tx=-416,909").1)["links"], 1);
+    assert_eq!(place("tx=1").0, 2);
+    // One motion has a direction and no range: a long place. Another, beside the first, looks past it at a right angle.
+    let locate = |more: &[&str]| folder.run(&[&["bearing", "--transmitters", "--channel", "108"], more].concat());
+    let place = |out: &str| {
+        let found = json(out);
+        let number = |name: &str, k: usize| found[name][k].as_f64().unwrap_or_else(|| panic!("{found}"));
+        assert_eq!(found["transmitter"], "tx");
+        ([number("position_m", 0), number("position_m", 1)], [number("ellipse_m", 0), number("ellipse_m", 1)], found)
+    };
+    let (_, [longer, shorter], _) = place(&locate(&["runs", "--json"]).1);
+    assert!(longer > 3.0 * shorter, "{longer} {shorter}");
+    let beside = ["runs", "other", "--frame", "other/circle=-7.04,3.38,-90", "--place", "tx=-2.50,5.46", "--json"];
+    std::fs::rename(folder.0.join("runs"), folder.0.join("other")).unwrap();
+    truthless(&folder);
+    let (status, out, err) = locate(&beside);
+    let ([x, y], [longer, _], found) = place(&out);
+    // 114.6 degrees from about the origin, and 24.6 from about (-7.04, 3.38), cross six metres from here.
+    let off_m = (x + 2.5).hypot(y - 5.46);
+    assert!(status == 0 && found["motions"] == 2 && off_m < 0.8 && longer < 4.0, "{found} {err}");
+    assert!((found["off_m"].as_f64().unwrap() - off_m).abs() < 1e-3, "{found}");
+    let (status, _, err) = locate(&["runs", "--frame", "kitchen=0,0,0"]);
+    assert!(status == 2 && err.contains("no capture has this name"), "{err}");
+    std::fs::remove_dir_all(folder.0.join("other")).unwrap();
+    let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108", "--html", "r.html"]);
+    assert_eq!(status, 0, "{err}");
+}
+
+#[test]
+fn logs_of_a_capture_give_their_link_the_name_of_captures() {
+    let folder = Folder::new("link-names");
+    truthless(&folder);
+    let file = |name: &str| format!("runs/circle/{name}");
+    let (rx, tx, t) = (file("csi_rx_real_1.dat"), file("csi_tx_real_1.dat"), file("rx_movement_real_1.csv"));
+    let args = ["bearing", "--rx", &rx, "--tx", &tx, "--trajectory", &t, "--channel", "108", "--json"];
+    assert_eq!(json(&folder.run(&args).1)["link"], "real_1/tx");
+    let (status, _, err) = folder.run(&[&args[..], &["--tx", "gone.dat", "--profile", "p.csv"]].concat());
+    assert_eq!(status, 3, "{err}");
+    folder.write("csi_tx2.dat", &std::fs::read(folder.0.join(&tx)).unwrap());
+    let (_, out, _) =
+        folder.run(&["bearing", "--rx", &rx, "--tx", "csi_tx2.dat", "--trajectory", &t, "--channel", "108", "--json"]);
+    assert_eq!(json(&out)["link"], "csi_tx2");
+}
+
+#[test]
+fn rows_of_a_trajectory_that_cannot_be_read_are_a_loss_and_a_line_of_headings_is_none() {
+    let folder = Folder::new("rows");
+    let made = link(600, 2.0);
+    folder.link(&made);
+    let (status, expected, errors) = folder.bearing(&["--json"]);
+    assert_eq!(status, 0, "{errors}");
+    folder.write("t.csv", format!("time,ns,x,y,z\n{}", made.trajectory).as_bytes());
+    let (status, out, errors) = folder.bearing(&["--json"]);
+    assert_eq!((status, &out), (0, &expected), "{errors}");
+    // Every tenth row is damaged, by a stray quote among others.
+    let damaged = |(k, line): (usize, &str)| match k % 20 {
+        5 => line.replacen(',', ",\"x", 1) + "\n",
+        15 => "x\n".to_owned(),
+        _ => line.to_owned() + "\n",
+    };
+    let rows: String = made.trajectory.lines().enumerate().map(damaged).collect();
+    folder.write("t.csv", rows.as_bytes());
+    let (status, out, errors) = folder.bearing(&["--json"]);
+    let lost = made.trajectory.lines().count() / 10;
+    assert!(status == 3 && errors.contains(&format!("{lost} rows skipped")), "{status}: {errors}");
+    let azimuth = |text: &str| json(text.lines().next().unwrap())["azimuth_deg"].as_f64().unwrap();
+    assert!((azimuth(&out) - azimuth(&expected)).abs() < 1.0, "{out}");
+    // Times of whole seconds are too coarse for a path that turns; a clock that was set back leaves the longest part.
+    let time = |line: &str| line.split(',').next().unwrap().parse::<f64>().unwrap();
+    let with_times = |of: &dyn Fn(usize, f64) -> f64| {
+        let row = |(k, line): (usize, &str)| format!("{:.6},{}\n", of(k, time(line)), line.split_once(',').unwrap().1);
+        made.trajectory.lines().enumerate().map(row).collect::<String>()
+    };
+    let middle = made.trajectory.lines().count() / 3;
+    let set_back = with_times(&|k, t_s| if k < middle { t_s } else { t_s - 1.0 });
+    let whole = with_times(&|_, t_s| t_s.floor());
+    for (rows, words, expected) in [(whole, "times are rounded to 1 s", 1), (set_back, "time goes back by 0.9", 3)] {
+        folder.write("t.csv", rows.as_bytes());
+        let (status, _, errors) = folder.bearing(&["--json"]);
+        assert!(status == expected && errors.contains(words), "{status}: {errors}");
+    }
+    // Semicolons and decimal commas change nothing.
+    let semicolons: String =
+        made.trajectory.lines().map(|line| line.replace(',', ";").replace('.', ",") + "\n").collect();
+    folder.write("t.csv", semicolons.as_bytes());
+    assert_eq!(folder.bearing(&["--json"]).1, expected);
+    // Coordinates that no room has are left out with their rows.
+    for far in ["1e308", "-1e308", "1e155"] {
+        for every in [1, 2, 7] {
+            let moved = |(k, line): (usize, &str)| {
+                let mut cells: Vec<&str> = line.split(',').collect();
+                if k % every == 0 {
+                    cells[2] = far;
+                }
+                cells.join(",") + "\n"
+            };
+            let rows: String = made.trajectory.lines().enumerate().map(moved).collect();
+            folder.write("t.csv", rows.as_bytes());
+            let (status, out, errors) = folder.bearing(&["--json"]);
+            assert!(errors.contains("column 3 is further than 1e9 m from the origin"), "{errors}");
+            assert_eq!(status, if every == 1 { 1 } else { 3 }, "{far} {every}: {errors}");
+            assert!(every == 1 || (azimuth(&out) - azimuth(&expected)).abs() < 1.0, "{far} {every}: {out}");
+        }
+    }
+}
+
+#[test]
+fn a_file_that_is_missing_is_no_wrong_usage_and_one_that_makes_no_sense_is() {
+    let folder = Folder::new("words-status");
+    folder.write("scene.toml", b"colour = 3\n");
+    let (status, _, err) = folder.run(&["simulate", "gone.toml", "--out", "o"]);
+    assert!(status == 1 && err.contains("no file gone.toml, and no built-in scene"), "{status} {err}");
+    folder.link(&link(300, 1.0));
+    let (status, _, err) = folder.bearing(&["--key", "gone.key"]);
+    assert!(status == 1 && err.contains("gone.key"), "{status} {err}");
+    let (status, _, err) = folder.run(&["simulate", "scene.toml", "--out", "o"]);
+    assert!(status == 2 && err.contains("scene.toml: line 1: unknown field `colour`"), "{status} {err}");
+    // What a configuration has is for the robot's service to say (crates/node/tests/node/program.rs).
+    assert_eq!(folder.run(&["node", "--check", "--colour", "never", "--no-such-option"]).0, 2);
+}
+
+/// A sender repeats some of its frames; many numbers that come twice may be somebody else's answers.
+#[test]
+fn numbers_that_come_twice_are_said_where_they_are_many() {
+    let folder = Folder::new("twice");
+    let made = link(400, 1.0);
+    folder.link(&made);
+    let said = |every: usize| {
+        let twice = |(at, record): (usize, &Vec<u8>)| record.repeat(1 + usize::from(at % every == 0));
+        folder.write("rx.dat", &made.rx.iter().enumerate().flat_map(twice).collect::<Vec<u8>>());
+        folder.bearing(&["-v"]).1
+    };
+    let words = "100 frames of the receiver's log repeat an earlier number";
+    assert!(said(4).contains(words), "{}", said(4));
+    assert!(folder.bearing(&[]).1.contains(words), "without -v, too");
+    assert!(!said(20).contains("repeat an earlier number") && said(20).contains("20 duplicates"), "{}", said(20));
+}
+
+#[test]
+fn columns_that_may_mean_two_things_are_asked_for() {
+    let folder = Folder::new("columns");
+    let made = link(600, 2.0);
+    folder.link(&made);
+    let (_, plain, _) = folder.bearing(&["--json"]);
+    // Time, x, y and yaw, as a robot's own logger writes them, without headings and with.
+    let rows: Vec<Vec<&str>> = made.trajectory.lines().map(|line| line.split(',').collect()).collect();
+    let four: String = rows.iter().map(|row| format!("{},{},{},0.5\n", row[0], row[2], row[3])).collect();
+    folder.write("t.csv", four.as_bytes());
+    let (status, _, err) = folder.bearing(&[]);
+    assert!(status == 1 && err.contains("4 columns without headings") && err.contains("--columns"), "{status}: {err}");
+    let azimuth = |out: &str| json(out.trim())["azimuth_deg"].as_f64().unwrap();
+    let (_, named, err) = folder.bearing(&["--json", "--columns", "t,x,y,yaw"]);
+    assert!((azimuth(&named) - azimuth(&plain)).abs() < 1e-6, "{err}");
+    folder.write("t.csv", format!("time [s],pos_x,pos_y,yaw\n{four}").as_bytes());
+    let (_, headed, err) = folder.bearing(&["--json"]);
+    assert!((azimuth(&headed) - azimuth(&plain)).abs() < 1e-6, "{err}");
+    let (status, _, err) = folder.bearing(&["--columns", "t,x,z"]);
+    assert!(status == 2 && err.contains("name no y"), "{status}: {err}");
+    let (status, _, err) = folder.bearing(&["--antenna-offset", "4.6,15.9,0"]);
+    assert!(status == 1 && err.contains("16.6 m is off the robot"), "{status}: {err}");
+    let (status, _, err) =
+        folder.run(&["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "37"]);
+    assert!(status == 2 && err.contains("`37` is no channel"), "{status}: {err}");
+}
+
+/// The records of a log, each with its length field.
+fn records(log: &[u8]) -> Vec<Vec<u8>> {
+    let (mut rest, mut found) = (log, Vec::new());
+    while let [high, low, ..] = rest {
+        let (record, after) = rest.split_at(2 + usize::from(u16::from_be_bytes([*high, *low])));
+        found.push(record.to_vec());
+        rest = after;
+    }
+    found
+}
+
+/// A record with other header fields.
+fn changed(record: &[u8], change: impl FnOnce(&mut Repr)) -> Vec<u8> {
+    let bfee = Bfee::new_checked(&record[3..]).unwrap();
+    let mut repr = Repr::parse(&bfee);
+    change(&mut repr);
+    let all = (0..30).flat_map(|k| (0..bfee.n_rx()).flat_map(move |rx| (0..bfee.n_tx()).map(move |tx| (k, rx, tx))));
+    let csi: Vec<Iq> = all.map(|(k, rx, tx)| bfee.iq(k, rx, tx).unwrap()).collect();
+    let mut body = vec![0; repr.body_len()];
+    repr.emit(&csi, &mut body).unwrap();
+    let record = Record { code: code::BFEE, body: &body };
+    let mut bytes = vec![0; record.emit_len()];
+    record.emit(&mut bytes).unwrap();
+    bytes
+}
+
+#[test]
+fn the_demonstration_prints_spreads_and_bearings_and_overwrites_only_its_own_files() {
+    let folder = Folder::new("demo");
+    let (status, out, err) = folder.run(&["demo", "--out", "d"]);
+    assert_eq!(status, 0, "{err}");
+    for stem in ["standing-phase", "circle-profile", "line-trajectory"] {
+        assert!(out.contains(&format!("  picture d/{stem}.png\n")), "{out}");
+        assert!(folder.0.join(format!("d/{stem}.svg")).is_file(), "{stem}");
+    }
+    assert!(!out.contains(".svg"), "{out}");
+    let spread = |name: &str| -> f64 {
+        let line = out.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name}: {out}"));
+        line.split(name).nth(1).unwrap().split_whitespace().next().unwrap().parse().unwrap()
+    };
+    let (one, product, taken_out) =
+        (spread("one direction"), spread("both directions multiplied"), spread("the turn-around removed"));
+    assert!(one > 0.9 && product < 0.75 * one && taken_out < 0.5 * product, "{out}");
+    for name in ["circle", "line"] {
+        let row = out.lines().find(|line| line.trim_start().starts_with(name)).unwrap();
+        let number = |column: usize| -> f64 { row.split_whitespace().nth(column).unwrap().parse().unwrap() };
+        // The line's error bar is that of its own side: the mirror, 22 degrees away, stands beside it.
+        assert!(number(6).abs() < 0.5 && number(3) < 5.0, "{row}");
+    }
+    let (status, again, err) = folder.run(&["demo", "--out", "d"]);
+    assert!(status == 0 && again == out, "{err}");
+    // Robots at rest are no link that failed.
+    let (status, out, err) = folder.run(&["evaluate", "d"]);
+    assert!(status == 0 && out.contains("all: 2 links, 0 failed"), "{out}{err}");
+    folder.write("d/mine.txt", b"");
+    let (status, _, err) = folder.run(&["demo", "--out", "d"]);
+    assert!(status == 1 && err.contains("--force"), "{err}");
+}
+
+#[test]
+fn info_says_what_the_clock_did_and_nothing_of_what_was_not_measured() {
+    let folder = Folder::new("info-clock");
+    let log = link(300, 1.0).rx.concat();
+    // After 150 records the card's clock falls back by 4 s, 50 later it is 6 s further.
+    let jump = |k: usize, record: &Vec<u8>| match k {
+        150..200 => changed(record, |repr| repr.timestamp_low = repr.timestamp_low.wrapping_sub(4_000_000)),
+        200.. => changed(record, |repr| repr.timestamp_low = repr.timestamp_low.wrapping_add(2_000_000)),
+        _ => record.clone(),
+    };
+    let all: Vec<u8> = records(&log).iter().enumerate().flat_map(|(k, record)| jump(k, record)).collect();
+    folder.write("jump.dat", &all);
+    let (_, out, _) = folder.run(&["info", "jump.dat"]);
+    assert!(
+        out.contains("1 step back, the furthest by 3.9") || out.contains("1 step back, the furthest by 4.0"),
+        "{out}"
+    );
+    assert!(out.contains("1 pause of a second and more, the longest 6.0 s"), "{out}");
+    assert!(out.contains("is the median between frames"), "{out}");
+    let (_, out, _) = folder.run(&["info", "--json", "jump.dat"]);
+    let row = json(&out);
+    assert!(row["noise_dbm"].is_null() || row["noise_unknown"].as_u64() == Some(0), "{out}");
+    let sender = row["senders"].as_object().unwrap().values().next().unwrap().clone();
+    assert!(sender["rate_hz"].as_f64().unwrap() < 0.6 * sender["median_rate_hz"].as_f64().unwrap(), "{out}");
+}
+
+#[test]
+fn what_has_no_scale_is_exported_as_no_number_and_counted() {
+    let folder = Folder::new("export-scale");
+    let silent = |k: usize, record: &Vec<u8>| match k {
+        0..10 => changed(record, |repr| repr.rssi = [0; 3]),
+        _ => record.clone(),
+    };
+    let log = link(40, 1.0).rx.concat();
+    let all: Vec<u8> = records(&log).iter().enumerate().flat_map(|(k, record)| silent(k, record)).collect();
+    folder.write("rx.dat", &all);
+    let (status, _, err) = folder.run(&["export", "rx.dat", "rx.csv", "--scaled"]);
+    assert!(status == 0 && err.contains("10 of 40 records have no scale"), "{err}");
+    let text = std::fs::read_to_string(folder.0.join("rx.csv")).unwrap();
+    let cells: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+    let at = cells[0].iter().position(|name| *name == "re_0_a_1").unwrap();
+    assert!(cells[1..11].iter().all(|row| row[at].is_empty()) && cells[11..].iter().all(|row| !row[at].is_empty()));
+    assert_eq!(folder.run(&["export", "rx.dat", "rx.npz"]).0, 0);
+    let npz = std::fs::read(folder.0.join("rx.npz")).unwrap();
+    let descr = |name: &str| {
+        let from = npz.windows(name.len()).position(|window| window == name.as_bytes()).unwrap();
+        let head = String::from_utf8_lossy(&npz[from..from + 200]).into_owned();
+        head.split("'descr': '").nth(1).unwrap().split('\'').next().unwrap().to_owned()
+    };
+    assert_eq!(descr("timestamp_low.npy"), "<u4");
+    assert_eq!(descr("noise_dbm.npy"), "|i1");
+    assert_eq!(descr("host_us.npy"), "<i8");
+    assert_eq!(descr("scale.npy"), "<f8");
+}
+
+#[test]
+fn a_wsr_log_becomes_one_of_the_stock_layout_with_the_same_csi() {
+    let folder = Folder::new("recover-stock");
+    folder.link(&link(600, 2.0));
+    for name in ["rx", "tx"] {
+        let (log, stock) = (format!("{name}.dat"), format!("stock-{name}.dat"));
+        let (status, _, err) = folder.run(&["export", "--dat", &log, &stock, "--layout", "stock"]);
+        assert_eq!(status, 0, "{err}");
+    }
+    let (_, out, _) = folder.run(&["info", "stock-rx.dat"]);
+    assert!(out.contains("stock layout, ") && out.contains("code 0xC1"), "{out}");
+    let args = ["--trajectory", "t.csv", "--channel", "108", "--json"];
+    let answer = |rx: &str, tx: &str| json(&folder.run(&[&["bearing", "--rx", rx, "--tx", tx][..], &args].concat()).1);
+    let (wsr, stock) = (answer("rx.dat", "tx.dat"), answer("stock-rx.dat", "stock-tx.dat"));
+    for key in ["azimuth_deg", "pairs", "pairs_in_motion", "mac"] {
+        assert_eq!(wsr[key], stock[key], "{key}: {wsr}\n{stock}");
+    }
+    let side = std::fs::metadata(folder.0.join("stock-rx.datstp")).unwrap().len();
+    assert_eq!(side as usize, 8 * records(&std::fs::read(folder.0.join("stock-rx.dat")).unwrap()).len());
+}
+
+#[test]
+fn every_field_of_json_is_in_the_documentation() {
+    let folder = Folder::new("formats");
+    folder.link(&link(300, 2.0));
+    let mut found = String::new();
+    found += &folder.bearing(&["--json"]).1;
+    found += &folder.run(&["info", "rx.dat", "--json"]).1;
+    std::fs::create_dir_all(folder.0.join("c")).unwrap();
+    for (name, file) in [("rx.dat", "csi_rx_1.dat"), ("tx.dat", "csi_tx_1.dat"), ("t.csv", "rx_movement_1.csv")] {
+        std::fs::copy(folder.0.join(name), folder.0.join("c").join(file)).unwrap();
+    }
+    capture(&folder, "tree/A", &link(300, 2.0));
+    let commands = [
+        &["bearing", "c", "--channel", "108", "--place", "tx=-416,909", "--json"][..],
+        &["evaluate", "tree", "--json"],
+        &["bearing", "c", "--channel", "108", "--transmitters", "--json"],
+        &["simulate", "suite", "--only", "circle 10", "--repetitions", "1", "--out", "t.csv.suite", "--json"],
+        &["demo", "--out", "demo", "--json"],
+        &["simulate", "paper-circle", "--out", "room", "--json"],
+        &["export", "--dat", "rx.dat", "again.dat", "--json"],
+        &["export", "rx.dat", "rx.npz", "--json"],
+        &["info", "rx.dat", "--plot", "p", "--json"],
+        &["mcap", "rx.dat", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "m.mcap", "--json"],
+        &["doctor", "c", "--json"],
+        &["setup", "--undo", "--interface", "none", "--json"],
+    ];
+    for command in commands {
+        let (_, out, err) = folder.run(command);
+        assert!(!out.is_empty(), "{command:?}: {err}");
+        found += &out;
+    }
+    assert!(crate::documented::are_documented(&found) > 100, "{found}");
+}
+
+/// The page as one file holds an answer of every kind that `view` gives but a node's states, whose fields `node.rs` looks at.
+#[test]
+fn every_field_of_the_page_is_in_the_documentation() {
+    let folder = Folder::new("page");
+    capture(&folder, "tree/A", &link(300, 2.0));
+    let beside = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg\nA/1,tx2,gt,119.0,-1.0\n";
+    folder.write("tree/links.csv", beside.as_bytes());
+    let (status, _, err) = folder.run(&["evaluate", "tree", "--html", "page.html"]);
+    assert_eq!(status, 0, "{err}");
+    let page = std::fs::read_to_string(folder.0.join("page.html")).unwrap();
+    let (_, rest) = page.split_once("id=\"answers\">").unwrap();
+    let answers = json(rest.split_once("</script>").unwrap().0);
+    let described = crate::documented::pages();
+    let mut fields = 0;
+    for (path, answer) in answers.as_object().unwrap() {
+        let general: String = path.chars().map(|sign| if sign.is_ascii_digit() { 'N' } else { sign }).collect();
+        let known = [format!("`{general}`"), format!("`{general}?")];
+        assert!(known.iter().any(|path| described.contains(path)), "crates/view/src/lib.rs does not name {general}");
+        // Sets stand by their names, as in the summary of `evaluate`.
+        let by_set = serde_json::json!({ "summary": answer });
+        fields +=
+            crate::documented::are_documented(&if path == "/data/sets" { by_set } else { answer.clone() }.to_string());
+    }
+    assert!(fields > 100, "{fields} fields: {answers}");
+}
+
+#[test]
+fn commands_end_alike() {
+    let folder = Folder::new("ends");
+    folder.link(&link(300, 2.0));
+    assert_eq!(folder.bearing(&["--min-confidence", "1"]).0, 1, "the only link was refused");
+    assert_eq!(folder.run(&["export", "rx.dat", "rx.xls"]).0, 2, "an extension that cannot be meant");
+    assert_eq!(folder.bearing(&["--profile", "p.csv"]).0, 0);
+    let (status, _, err) = folder.bearing(&["--profile", "p.csv"]);
+    assert!(status == 1 && err.contains("p.csv already exists: --force overwrites it"), "{err}");
+    assert_eq!(folder.bearing(&["--profile", "p.csv", "--force"]).0, 0);
+    for command in
+        [&["info", "none.dat"][..], &["export", "none.dat", "x.csv"], &["export", "--dat", "none.dat", "x.dat"]]
+    {
+        let (status, _, err) = folder.run(command);
+        assert_eq!(status, 1, "{command:?}: {err}");
+    }
+    let built_in = ["simulate", "paper-line", "--out", "paper-line"];
+    assert_eq!(folder.run(&built_in).0, 0, "a built-in scene by its name");
+    let (status, _, err) = folder.run(&built_in);
+    assert!(status == 1 && err.contains("--force") && !err.contains("cannot read"), "its folder is no scene: {err}");
+    std::fs::create_dir(folder.0.join("room")).unwrap();
+    let (status, _, err) = folder.run(&["simulate", "room", "--out", "again"]);
+    assert!(status == 1 && err.contains("cannot read room: ") && err.matches("room").count() == 1, "{err}");
+    let (_, help, _) = folder.run(&["--help"]);
+    assert!(help.contains("Exit status of every command"), "{help}");
+}
+
+#[test]
+fn a_log_is_drawn_with_what_is_asked_for() {
+    let folder = Folder::new("plot");
+    folder.link(&link(300, 2.0));
+    let args = ["info", "rx.dat", "--plot", "p", "--antenna", "A", "--json"];
+    let (status, out, err) = folder.run(&args);
+    assert_eq!(status, 0, "{err}");
+    assert_eq!(json(&out)["pictures"].as_array().map(Vec::len), Some(4));
+    for what in ["csi", "levels"] {
+        assert!(folder.0.join(format!("p/rx-{what}.png")).is_file());
+        let svg = std::fs::read_to_string(folder.0.join(format!("p/rx-{what}.svg"))).unwrap();
+        assert!(svg.contains("width=\"1200\"") && !svg.contains("NaN"), "{what}");
+    }
+    assert_eq!(folder.run(&args).0, 0, "the next run replaces them");
+    let (status, _, err) = folder.run(&["info", "rx.dat", "--mac", "02:00:00:00:00:77", "--plot", "q"]);
+    assert!(status == 3 && err.contains("no matching record"), "{status} {err}");
+    assert_eq!(folder.run(&["info", "rx.dat", "--from", "1"]).0, 2, "nothing is drawn");
+}
+
+#[test]
+fn logs_of_frames_only_and_of_zeros_say_why_they_are_of_no_use() {
+    let folder = Folder::new("no-csi");
+    folder.link(&link(60, 0.5));
+    let (status, ..) = folder.run(&["export", "--dat", "rx.dat", "stock.dat", "--layout", "stock"]);
+    assert_eq!(status, 0);
+    // Each record: two bytes of length, then its code.
+    let records = |keep: u8| {
+        let bytes = std::fs::read(folder.0.join("stock.dat")).unwrap();
+        let (mut rest, mut kept) = (&bytes[..], Vec::new());
+        while rest.len() > 2 {
+            let (record, after) = rest.split_at(2 + usize::from(u16::from_be_bytes([rest[0], rest[1]])));
+            if record[2] == keep {
+                kept.push(record.to_vec());
+            }
+            rest = after;
+        }
+        kept
+    };
+    folder.write("only_c1.dat", &records(0xC1).concat());
+    let (status, out, _) = folder.run(&["info", "only_c1.dat"]);
+    assert!(
+        status == 1 && out.contains("only copies of frames (0xC1)") && out.contains("HT frames"),
+        "{status}: {out}"
+    );
+    let mut silent = records(0xBB);
+    // Behind length, code and the 20 bytes of the head.
+    silent.iter_mut().for_each(|record| record[23..].fill(0));
+    folder.write("csi0.dat", &silent.concat());
+    let (status, out, _) = folder.run(&["info", "csi0.dat"]);
+    assert!(status == 1 && out.contains("60 records have CSI of only zeros"), "{status}: {out}");
+    let (_, out, _) = folder.run(&["info", "csi0.dat", "--json"]);
+    assert_eq!(json(out.trim())["silent"], 60);
+}
+
+#[test]
+fn names_are_written_out() {
+    let folder = Folder::new("names");
+    let (status, _, err) = folder.run(&["info", "a\nb\u{202e}tad.log"]);
+    assert_eq!(status, 1);
+    assert!(err.contains("a\\nb\\u202etad.log") && err.trim_end().lines().count() == 1, "{err}");
+    // Also those that are found in a folder, and in a scene.
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
+    let place = folder.0.join("tree/q\nb\u{202e}tad");
+    std::fs::create_dir_all(&place).unwrap();
+    for file in std::fs::read_dir(fixture).unwrap().map(|entry| entry.unwrap().path()) {
+        std::fs::copy(&file, place.join(file.file_name().unwrap())).unwrap();
+    }
+    for command in ["bearing", "evaluate"] {
+        let (status, out, err) = folder.run(&[command, "tree"]);
+        assert!(status == 0 && out.contains("q\\nb\\u202etad/2023-11-14_221320/tx1"), "{out} {err}");
+    }
+    folder.write("evil.toml", b"channel = 108\nduration_s = 1.0\n[[robot]]\nname = \"t\\nb\"\n");
+    let (status, _, err) = folder.run(&["simulate", "evil.toml", "--out", "out"]);
+    assert!(status != 0 && err.contains("t\\nb: name goes into file names"), "{err}");
 }

@@ -5,11 +5,9 @@ use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
+use csi5300_lab::compare::Allowed;
 use csi5300_lab::compare::fit::Known;
-use csi5300_lab::compare::table::Allowed;
-use csi5300_lab::compare::{
-    FigureRow, Figures, Fitted, Verdict, fit, measure, measure_scene, measure_scene_along, rows,
-};
+use csi5300_lab::compare::{FigureRow, Figures, Fitted, Verdict, fit, measure, measure_scene, rows};
 use csi5300_sim::{Scene, scene::Driver};
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -100,7 +98,7 @@ fn judged(
     assert_eq!(fitted.scene.seed, SEEDS[0]);
     let table = |seed: u64| {
         let scene = Scene { seed, ..fitted.scene.clone() };
-        let again = || measure_scene_along(&scene, trajectory, options).unwrap();
+        let again = || measure_scene(&scene, Some(trajectory), options).unwrap();
         let figures = if seed == SEEDS[0] { &fitted.figures } else { &again() };
         (format!("{name}, seed {seed}"), rows(recorded, figures))
     };
@@ -144,7 +142,7 @@ struct Refitted {
 fn refitted(scene: &Scene, name: &str, told: bool, options: &Options) -> Refitted {
     let folder = std::env::temp_dir().join(format!("csi5300-compare-{name}-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
-    let recorded = measure_scene(scene, options).unwrap();
+    let recorded = measure_scene(scene, None, options).unwrap();
     let room = csi5300_sim::Room::new(scene).unwrap();
     let trajectory = csi5300_lab::compare::figures::true_path(&room, 0).unwrap();
     std::fs::write(folder.join("t.csv"), trajectory.poses().iter().map(csv::line).collect::<String>()).unwrap();
@@ -218,7 +216,7 @@ fn a_fit_finds_the_transmitter_where_nobody_says_where_it_is() {
     let mut still = scene;
     still.robot[0].motion = csi5300_sim::motion::RobotMotion::Static;
     still.duration_s = 5.0;
-    let recorded = measure_scene(&still, &options()).unwrap();
+    let recorded = measure_scene(&still, None, &options()).unwrap();
     let known =
         Known { trajectory: &path_of(&still), file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None };
     let error = fit(&recorded, &known, &options()).unwrap_err();
@@ -235,7 +233,7 @@ fn figures_of_different_scenes_differ() {
     let measured = |name: &str| {
         let mut scene = Scene::built_in(name).unwrap();
         scene.duration_s = 6.0;
-        measure_scene(&scene, &options()).unwrap()
+        measure_scene(&scene, None, &options()).unwrap()
     };
     let table = rows(&measured("lab-circle"), &measured("paper-circle"));
     let differs = |name: &str| table.iter().any(|row| row.name == name && row.verdict == Verdict::Differs);

@@ -11,23 +11,15 @@ mod private;
 // Tests start in the order of their names; those that wait the longest are the first.
 mod acceptance;
 mod air;
-mod answers;
-mod attacks;
 mod bags;
 mod cards;
 mod commands;
 mod compare;
-mod drawing;
-mod full;
-mod looking;
 mod monitor;
 #[cfg(unix)]
 mod outputs;
 mod recording;
-mod recovering;
 mod served;
-mod signalled;
-mod words;
 
 /// Builds the robot's service, which `csi5300 node` starts, where it is not beside the program yet: a test of this package alone
 /// builds no other's.

@@ -5,15 +5,16 @@
 //! simulated figures equal the recorded ones: each round simulates the scene and measures it like the recording.
 
 use super::CompareError;
-use super::distribution::Distribution;
-use super::figures::{Figures, measure_scene_along};
-use super::fitted_scene::{Recording, is_wide, text};
-use super::side::SideFigures;
+use super::figures::{Distribution, Figures, LateGroup, QUARTILES, SideFigures, measure_scene, usual};
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
-use csi5300::signal::channel::{Channel, Width};
-use csi5300_sim::Scene;
-use nalgebra::Vector3;
+use csi5300::signal::channel::{Channel, ChannelError, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, Width};
+use csi5300_sim::crystal::Crystal;
+use csi5300_sim::motion::{RecordedMotion, RobotMotion};
+use csi5300_sim::radio::{Agc, AntennaOrder, Gain, Noise, Radio, Stray, TurnAround};
+use csi5300_sim::scene::{Cfo, Driver, HostClock, Pattern, Robot, Sounding, Wall};
+use csi5300_sim::{Faults, Recorded, Scene, SceneError};
+use nalgebra::{SMatrix, SVector, Vector3};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -43,16 +44,16 @@ pub struct Known<'a> {
 /// Adjusted values: phase noise of a frame, loss of the walls (no walls for a recording without motion), transmitted power
 /// that each side sees, variation of the phase slope on each side (radians per index), spread of the core of turn-arounds.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Adjusted {
-    pub(super) phase_noise_rad: f64,
-    pub(super) wall_loss_db: Option<f64>,
-    pub(super) tx_power_dbm: [f64; 2],
-    pub(super) slope_sd_rad: [f64; 2],
-    pub(super) core_us: f64,
+struct Adjusted {
+    phase_noise_rad: f64,
+    wall_loss_db: Option<f64>,
+    tx_power_dbm: [f64; 2],
+    slope_sd_rad: [f64; 2],
+    core_us: f64,
     /// Deviation of the robot from its trajectory, metres: accounts for slowly lost coherence.
-    pub(super) stray_m: f64,
+    stray_m: f64,
     /// Distance of the walls from the robots, metres: longer paths make subcarriers differ more.
-    pub(super) margin_m: f64,
+    margin_m: f64,
 }
 
 /// Rounds of adjustment.
@@ -69,11 +70,16 @@ const ROUNDING: f64 = 2.0 / 12.0;
 /// Refuses a recording of another bandwidth than the channel's.
 ///
 /// # Errors
-/// [`CompareError::Width`] if most records have the other bandwidth.
+/// If most records have the other bandwidth.
 pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareError> {
     let recorded_mhz = if is_wide(&recorded.receiver) { 40 } else { 20 };
     let mhz = if channel.width() == Width::Ht20 { 20 } else { 40 };
-    if recorded_mhz == mhz { Ok(()) } else { Err(CompareError::Width { recorded_mhz, channel }) }
+    if recorded_mhz == mhz {
+        return Ok(());
+    }
+    Err(CompareError::Lacks(format!(
+        "the records are {recorded_mhz} MHz wide, channel {channel} is not: add + or - to the number of a 40 MHz channel"
+    )))
 }
 
 /// Fits a scene.
@@ -82,16 +88,17 @@ pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareEr
 /// If the recording lacks what a scene needs or is not of the options' channel, or its scene cannot be simulated.
 pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, CompareError> {
     check_width(recorded, options.channel)?;
-    let place = known.transmitter_m.or(recorded.link.place_m).ok_or(CompareError::NoPlace)?;
+    let no_place = || "the transmitter's place is not known, and without motion it cannot be found".into();
+    let place = known.transmitter_m.or(recorded.link.place_m).ok_or_else(|| CompareError::Lacks(no_place()))?;
     let recording = Recording { figures: recorded, known, place, channel: options.channel };
     let mut adjusted = first(recorded, known.trajectory, place);
     let simulated = |adjusted: &Adjusted, seed: u64| {
         let scene = recording.scene(adjusted, seed);
-        let unwritable = |source| CompareError::Fitted { toml: String::new(), source };
-        let toml = text(&scene).map_err(unwritable)?;
-        let read = Scene::read(&toml, known.folder);
-        let scene = read.map_err(|source| CompareError::Fitted { toml: toml.clone(), source })?;
-        let figures = measure_scene_along(&scene, known.trajectory, options)?;
+        let invalid =
+            |toml: &str, source: SceneError| CompareError::Lacks(format!("the fitted scene: {source}\n{toml}"));
+        let toml = text(&scene).map_err(|source| invalid("", source))?;
+        let scene = Scene::read(&toml, known.folder).map_err(|source| invalid(&toml, source))?;
+        let figures = measure_scene(&scene, Some(known.trajectory), options)?;
         Ok::<_, CompareError>(Fitted { toml, scene, figures })
     };
     let mut best = (f64::INFINITY, adjusted);
@@ -107,7 +114,7 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
 }
 
 /// The noise power of a subcarrier beyond the rounding of its coefficients, relative to the signal, at one side's antenna.
-pub(super) fn noise(side: &SideFigures) -> f64 {
+fn noise(side: &SideFigures) -> f64 {
     let rounding = ROUNDING / side.level[0].median.max(1.0).powi(2);
     (10f64.powf(-0.1 * side.tone_snr_db) - rounding).max(0.0)
 }
@@ -131,7 +138,7 @@ fn first(recorded: &Figures, trajectory: &Trajectory, place: [f64; 3]) -> Adjust
     }
 }
 
-pub(super) fn middle(trajectory: &Trajectory) -> Vector3<f64> {
+fn middle(trajectory: &Trajectory) -> Vector3<f64> {
     let poses = trajectory.poses();
     poses.iter().map(|pose| pose.position_m).sum::<Vector3<f64>>() / poses.len().max(1) as f64
 }
@@ -195,5 +202,381 @@ fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures, wave
     }
     for (slope, (a, b)) in adjusted.slope_sd_rad.iter_mut().zip(sides) {
         *slope = (slope.powi(2) + a.slope_rad.sd.powi(2) - b.slope_rad.sd.powi(2)).max(0.0).sqrt();
+    }
+}
+
+/// First line of a fitted scene's text.
+const HEADER: &str =
+    "# Fitted to a recorded capture; see docs/guides/simulation.md for what each figure is taken from.\n";
+/// Number of oscillations of a recorded trajectory's deviation: few, because windows of a second stay coherent.
+const SWINGS: f64 = 3.0;
+/// Decibels of an amplitude factor of e.
+const DB_PER_E: f64 = 8.685_889_638;
+/// Mean latency of the host minus three deviations, microseconds. A log does not show it; it must be long enough that an early
+/// answer is early in the log too.
+const LATENCY_US: f64 = 300.0;
+/// Median turn-around, microseconds. Two logs with unrelated clocks do not show it; it must be long enough that the earliest
+/// answers follow the frame that they answer.
+const TURN_AROUND_US: f64 = 450.0;
+/// The bit of `rate_n_flags` for 40 MHz.
+const RATE_40_MHZ: u16 = driver_iface::bfee::rate::HT40;
+
+/// A recording and the values for its scene.
+struct Recording<'a> {
+    figures: &'a Figures,
+    known: &'a Known<'a>,
+    /// The transmitter's antenna, metres.
+    place: [f64; 3],
+    channel: Channel,
+}
+
+/// The text of a fitted scene.
+fn text(scene: &Scene) -> Result<String, SceneError> {
+    Ok(format!("{HEADER}{}", scene.to_toml()?))
+}
+
+impl Recording<'_> {
+    /// The scene with this seed.
+    fn scene(&self, adjusted: &Adjusted, seed: u64) -> Scene {
+        let (rx, tx) = (&self.figures.receiver, &self.figures.transmitter);
+        let times = self.times();
+        let sounding = Sounding {
+            rate_hz: brief(1e6 / tx.interval_us.median.max(1.0)),
+            start_s: times.start_s,
+            ..Sounding::default()
+        };
+        let walls = adjusted.wall_loss_db.map(|db| walls(self.known.trajectory, self.place, db, adjusted.margin_m));
+        Scene {
+            name: "fitted".into(),
+            seed,
+            duration_s: brief(times.last_s + 0.005),
+            channel: scene_channel(self.channel),
+            bandwidth_mhz: if is_wide(rx) { 40 } else { 20 },
+            driver: if 2 * rx.stock > rx.records { Driver::Stock } else { Driver::Wsr },
+            start_unix_s: times.start_unix_s,
+            cfo: Cfo::Physical,
+            reflections: if walls.is_some() { 2 } else { 0 },
+            sounding: Some(sounding),
+            robot: vec![self.receiver(adjusted, &times), self.transmitter(adjusted, &times)],
+            wall: walls.unwrap_or_default(),
+            ..Scene::default()
+        }
+    }
+
+    fn times(&self) -> Times {
+        let (from_s, to_s) = self.known.trajectory.span_s();
+        let (first_us, last_us) = self.figures.receiver.host_us.unwrap_or(((from_s * 1e6) as i64, (to_s * 1e6) as i64));
+        let start_unix_s = (first_us.div_euclid(1_000_000)).min(from_s.floor() as i64);
+        let since = |us: i64| (us - start_unix_s * 1_000_000) as f64 * 1e-6;
+        let (first_s, last_s) = (since(first_us), since(last_us));
+        Times { start_unix_s, first_s, last_s, start_s: brief((first_s - 0.001).max(0.0)) }
+    }
+
+    fn receiver(&self, adjusted: &Adjusted, times: &Times) -> Robot {
+        let (rx, tx) = (&self.figures.receiver, &self.figures.transmitter);
+        let (from_s, to_s) = self.known.trajectory.span_s();
+        let seen = pattern(&rx.powers, self.known.trajectory, self.place);
+        let motion = RecordedMotion {
+            file: self.known.file.to_owned(),
+            start_s: brief(from_s - times.start_unix_s as f64),
+            stray_m: brief(adjusted.stray_m),
+            stray_s: brief(((to_s - from_s) / SWINGS).max(0.1)),
+        };
+        let (jitter_us, delay) = lateness(tx);
+        let radio = self.radio(adjusted, 0);
+        Robot {
+            name: "rx".into(),
+            position_m: self.known.trajectory.poses().first().map_or([0.0; 3], |pose| pose.position_m.into()),
+            motion: RobotMotion::Recorded(motion),
+            pattern: csi5300_sim::scene::Pattern {
+                cos_db: brief(seen.cos_db),
+                sin_db: brief(seen.sin_db),
+                cos2_db: brief(seen.cos2_db),
+                sin2_db: brief(seen.sin2_db),
+            },
+            crystal: Crystal {
+                offset_ppm: rx.card_ppm,
+                clock_start_us: times.clock_start_us(rx),
+                ..Crystal::default()
+            },
+            faults: Faults {
+                loss: brief((rx.missing - tx.missing).max(0.0)),
+                killed: rx.tail_bytes > 0,
+                ..Faults::default()
+            },
+            radio: Some(Radio { send_jitter_us: brief(jitter_us), send_delay: group(delay), ..radio }),
+            ..Robot::default()
+        }
+    }
+
+    fn transmitter(&self, adjusted: &Adjusted, times: &Times) -> Robot {
+        let (rx, tx, link) = (&self.figures.receiver, &self.figures.transmitter, &self.figures.link);
+        // Each card's clock is known relative to its host's, and the hosts' relative to each other; the carrier offset measures the
+        // difference between the cards more finely.
+        let apart_ppm = 1e6 * link.df_hz / self.channel.centre_hz();
+        let tx_ppm = brief(rx.card_ppm + apart_ppm);
+        // The clocks were compared in the middle of the capture; an answer is later on one side than on the other.
+        let host_ppm = tx_ppm - tx.card_ppm;
+        let middle_s = 0.5 * (times.first_s + times.last_s);
+        let later_us = TURN_AROUND_US + mean_latency_us(rx, 0) - mean_latency_us(tx, 1);
+        let offset_s = link.host_apart_s.map_or(0.0, |s| s + 1e-6 * (later_us - host_ppm * middle_s));
+        Robot {
+            name: "tx".into(),
+            position_m: self.place,
+            crystal: Crystal { offset_ppm: tx_ppm, clock_start_us: times.clock_start_us(tx), ..Crystal::default() },
+            host_clock: HostClock { offset_s, drift_ppm: brief(host_ppm) },
+            faults: Faults { loss: brief(tx.missing), killed: tx.tail_bytes > 0, ..Faults::default() },
+            radio: Some(Radio { turn_around: self.turn_around(adjusted), ..self.radio(adjusted, 1) }),
+            ..Robot::default()
+        }
+    }
+
+    fn turn_around(&self, adjusted: &Adjusted) -> TurnAround {
+        let link = &self.figures.link;
+        let ([early, far, late], turn) = (link.groups, &link.turn_around_us);
+        TurnAround {
+            median_us: TURN_AROUND_US,
+            spread_us: brief(adjusted.core_us),
+            tail: brief(early.share),
+            tail_us: brief(early.mean_us),
+            tail_spread_us: brief(early.sd_us),
+            far: group(far),
+            late: group(late),
+            tail_run: brief(link.run.unwrap_or(0.0)),
+            min_us: brief((TURN_AROUND_US + turn.min - turn.median).max(0.0)),
+            max_us: brief(TURN_AROUND_US + turn.max - turn.median),
+        }
+    }
+
+    /// A robot's radio, from its own log and the other's records of its frames. `k` is 0 for the receiver.
+    fn radio(&self, adjusted: &Adjusted, k: usize) -> Radio {
+        let sides = [&self.figures.receiver, &self.figures.transmitter];
+        let (side, other) = (sides[k], sides[1 - k]);
+        let ns = |slope_rad: f64| 1e9 * slope_rad / (TAU * SUBCARRIER_SPACING_HZ);
+        let away_m = (middle(self.known.trajectory) - nalgebra::Vector3::from(self.place)).norm();
+        let flight_ns = 1e9 * away_m / SPEED_OF_LIGHT_M_PER_S;
+        let tones = noise(side);
+        let [_, level_b, level_c] = &side.level;
+        let [rssi_a, rssi_b, rssi_c] = &side.rssi_db;
+        let stray = |lsb: f64, rssi: &super::figures::Distribution| Stray {
+            lsb: brief(lsb),
+            rssi_db: brief(rssi.mean),
+            rssi_std_db: brief(rssi.sd),
+        };
+        Radio {
+            phase_noise_rad: brief(adjusted.phase_noise_rad),
+            mcs: usual(&other.rates).map_or(0, |rate| (rate & 7) as u8),
+            chains: usual(&side.streams).map_or(3, |streams| (streams / 10) as u8),
+            filter_db: side
+                .filter
+                .iter()
+                .all(|gain| *gain > 0.0)
+                .then(|| side.filter.map(|gain| brief(20.0 * gain.log10()))),
+            noise: if tones > 1e-6 { Noise::SnrDb(brief(-10.0 * tones.log10())) } else { Noise::Off },
+            delay_ns: brief(ns(-side.slope_rad.mean) - flight_ns),
+            delay_std_ns: brief(ns(adjusted.slope_sd_rad[k])),
+            antenna_order: AntennaOrder::ByRssi,
+            tx_power_dbm: brief(adjusted.tx_power_dbm[k]),
+            host_latency_us: brief(mean_latency_us(side, k)),
+            host_latency_std_us: brief(latency_us(side, k)),
+            gain: Gain::Agc(Agc {
+                target_lsb: brief(side.level[0].median),
+                lsb_std_db: brief(DB_PER_E * side.level[0].sd / side.level[0].mean.max(1.0)),
+                rssi_db: brief(rssi_a.mean),
+                agc_std_db: brief(rssi_a.sd),
+            }),
+            stray_b: stray(level_b.mean, rssi_b),
+            stray_c: stray(level_c.mean, rssi_c),
+            ..Radio::default()
+        }
+    }
+}
+
+/// The time span of a recording, by its receiver's host.
+struct Times {
+    /// The scene's start, seconds since the Unix epoch.
+    start_unix_s: i64,
+    /// First and last record, seconds into the scene.
+    first_s: f64,
+    last_s: f64,
+    /// First round.
+    start_s: f64,
+}
+
+impl Times {
+    /// The card's clock at the scene's start, microseconds.
+    fn clock_start_us(&self, side: &SideFigures) -> u64 {
+        let first_us = side.clock_us.map_or(0, |(first, _)| first);
+        (first_us - (self.start_s * 1e6) as i64).rem_euclid(1 << 32) as u64
+    }
+}
+
+fn group(group: LateGroup) -> csi5300_sim::radio::DelayGroup {
+    let [share, us, spread_us] = [group.share, group.mean_us, group.sd_us].map(brief);
+    csi5300_sim::radio::DelayGroup { share, us, spread_us }
+}
+
+/// How late the sender sends: the mean of the exponential lateness of most frames, microseconds, and the extra delays of the
+/// others.
+///
+/// The difference of two exponential latenesses is symmetric; half of `exp(-x / mean)` of it lies beyond `x` on one side. A
+/// delayed frame makes one interval long and the next one short, so it counts on either side.
+fn lateness(side: &SideFigures) -> (f64, LateGroup) {
+    let share = side.delayed.share.min(0.2);
+    let beyond = (0.25 - share) / (1.0 - 2.0 * share);
+    let mean_us = 0.5 * side.interval_us.quartile_range() / -(2.0 * beyond).ln();
+    // A delayed frame has the usual lateness in addition.
+    let sd_us = (side.delayed.sd_us.powi(2) - 2.0 * mean_us.powi(2)).max(0.0).sqrt();
+    (mean_us, LateGroup { share, sd_us, ..side.delayed })
+}
+
+/// Six significant digits: no figure is known better.
+fn brief(value: f64) -> f64 {
+    format!("{value:.5e}").parse().unwrap_or(value)
+}
+
+/// Whether the card reported channels of 40 MHz.
+fn is_wide(side: &SideFigures) -> bool {
+    usual(&side.rates).is_some_and(|rate| rate & RATE_40_MHZ != 0)
+}
+
+/// Standard deviation of a host's latency, microseconds: the core, without the responder's early answers.
+fn latency_us(side: &SideFigures, k: usize) -> f64 {
+    if k == 1 { side.latency_core_us } else { side.latency_us.quartile_range() / QUARTILES }
+}
+
+fn mean_latency_us(side: &SideFigures, k: usize) -> f64 {
+    LATENCY_US + 3.0 * latency_us(side, k)
+}
+
+/// Four walls about both robots.
+fn walls(trajectory: &Trajectory, place: [f64; 3], loss_db: f64, margin_m: f64) -> Vec<Wall> {
+    let mut low = [place[0], place[1]];
+    let mut high = low;
+    for pose in trajectory.poses() {
+        for axis in 0..2 {
+            low[axis] = low[axis].min(pose.position_m[axis]);
+            high[axis] = high[axis].max(pose.position_m[axis]);
+        }
+    }
+    let ([x0, y0], [x1, y1]) = (low.map(|v| brief(v - margin_m)), high.map(|v| brief(v + margin_m)));
+    let corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]];
+    let wall = |ends: &[[f64; 2]]| Wall { bottom_m: -1.0, loss_db: brief(loss_db), ..Wall::between(ends[0], ends[1]) };
+    corners.windows(2).map(wall).collect()
+}
+
+/// A channel's number in a scene: at 40 MHz that of the centre, two above or below the primary channel's.
+#[must_use]
+pub fn scene_channel(channel: Channel) -> u16 {
+    let number = channel.number() as u16;
+    match channel.width() {
+        Width::Ht20 => number,
+        Width::Ht40Plus => number + 2,
+        Width::Ht40Minus => number.saturating_sub(2),
+    }
+}
+
+/// The channel of a scene. At 40 MHz the primary channel is the lower half if that is a valid channel; the centre is the same.
+///
+/// # Errors
+/// If no channel has the scene's number.
+pub fn channel_of(scene: &Scene) -> Result<Channel, ChannelError> {
+    let number = u32::from(scene.channel);
+    if scene.bandwidth_mhz != 40 {
+        return Channel::new(number, Width::Ht20);
+    }
+    Channel::new(number.saturating_sub(2), Width::Ht40Plus).or_else(|_| Channel::new(number + 2, Width::Ht40Minus))
+}
+
+/// Fewer records than this show no pattern.
+const FEWEST: usize = 100;
+/// Largest length of the mean heading vector: headings must point in all directions.
+const LOPSIDED: f64 = 0.5;
+
+/// The pattern of a robot's antennas, estimated from the power of its records (host time, dB) along its trajectory: the first
+/// two harmonics of the azimuth to `place` in the robot's frame, by least squares. `None` if the robot did not turn round.
+fn pattern(powers: &[(f64, f64)], trajectory: &Trajectory, place: [f64; 3]) -> Pattern {
+    let (from_s, to_s) = trajectory.span_s();
+    let path = Recorded::from_trajectory(trajectory);
+    let mut normal = SMatrix::<f64, 5, 5>::zeros();
+    let mut right = SVector::<f64, 5>::zeros();
+    let (mut count, mut mean) = (0, [0.0; 2]);
+    for &(t_s, power_db) in powers.iter().filter(|(t_s, _)| (from_s..=to_s).contains(t_s)) {
+        let pose = path.at(t_s - from_s);
+        let way = Vector3::from(place) - pose.position_m;
+        let (sin, cos) = (way.y.atan2(way.x) - pose.yaw_rad).sin_cos();
+        let row = SVector::from([1.0, cos, sin, 2.0 * cos * cos - 1.0, 2.0 * sin * cos]);
+        normal += row * row.transpose();
+        right += row * power_db;
+        count += 1;
+        mean = [mean[0] + cos, mean[1] + sin];
+    }
+    let lopsided = mean[0].hypot(mean[1]) > LOPSIDED * f64::from(count);
+    let found = normal.cholesky().map(|normal| normal.solve(&right));
+    match found.filter(|_| count as usize >= FEWEST && !lopsided) {
+        Some(found) => Pattern { cos_db: found[1], sin_db: found[2], cos2_db: found[3], sin2_db: found[4] },
+        None => Pattern::default(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::motion::pose::Pose;
+
+    #[test]
+    fn a_scenes_channel_has_its_centre_and_width() {
+        let scene = |channel, bandwidth_mhz| Scene { channel, bandwidth_mhz, ..Scene::default() };
+        let named = |scene: &Scene| channel_of(scene).map(|channel| channel.to_string());
+        assert_eq!(named(&scene(36, 20)), Ok("36".into()));
+        assert_eq!(named(&scene(110, 40)), Ok("108+".into()));
+        // No channel is two below the lowest of a band.
+        assert_eq!([named(&scene(34, 40)), named(&scene(2, 40))], [Ok("36-".into()), Ok("4-".into())]);
+        for (number, mhz) in [(36, 20), (110, 40), (34, 40), (3, 40), (196, 40)] {
+            let channel = channel_of(&scene(number, mhz)).unwrap();
+            assert_eq!((scene_channel(channel), channel.width() != Width::Ht20), (number, mhz == 40));
+        }
+        assert!(channel_of(&scene(20, 20)).is_err());
+    }
+
+    /// Half a minute on a circle of 30 cm, `turns` times round.
+    fn driven(turns: f64) -> Trajectory {
+        let pose = |k: i32| {
+            let (t_s, angle) = (f64::from(k) * 0.01, TAU * turns * f64::from(k) / 3_000.0);
+            let position_m = Vector3::new(0.3 * angle.sin(), -0.3 * angle.cos(), 0.0);
+            Pose { t_s, position_m, heading_rad: Some(angle) }
+        };
+        Trajectory::new((0..=3_000).map(pose).collect()).unwrap()
+    }
+
+    #[test]
+    fn a_robot_that_turns_shows_its_pattern_and_one_that_does_not_shows_none() {
+        let truth = Pattern { cos_db: 0.5, sin_db: -2.0, cos2_db: 1.0, sin2_db: 0.25 };
+        let (place, trajectory) = ([-30.0, 20.0, 1.0], driven(3.0));
+        let path = Recorded::from_trajectory(&trajectory);
+        let powers = |path: &Recorded| -> Vec<(f64, f64)> {
+            let power = |k: u32| {
+                let t_s = f64::from(k) * 0.01;
+                let pose = path.at(t_s);
+                let way = Vector3::from(place) - pose.position_m;
+                let a = way.y.atan2(way.x) - pose.yaw_rad;
+                let fading = if k.is_multiple_of(2) { 1.0 } else { -1.0 };
+                (t_s, -40.0 + truth.gain_db(a.cos(), a.sin()) + fading)
+            };
+            (0..3_000).map(power).collect()
+        };
+        let found = pattern(&powers(&path), &trajectory, place);
+        for (found, truth) in [
+            (found.cos_db, truth.cos_db),
+            (found.sin_db, truth.sin_db),
+            (found.cos2_db, truth.cos2_db),
+            (found.sin2_db, truth.sin2_db),
+        ] {
+            assert!((found - truth).abs() < 0.05, "{found} of {truth}");
+        }
+        let still = driven(0.05);
+        let lopsided = pattern(&powers(&Recorded::from_trajectory(&still)), &still, place);
+        assert_eq!(lopsided, Pattern::default());
+        assert_eq!(pattern(&powers(&path)[..50], &trajectory, place), Pattern::default());
     }
 }

@@ -1,18 +1,16 @@
 //! Evaluates one capture: estimates its links and compares them with the truth.
 
-use super::find::{Capture, TrajectorySource};
-use super::part::Part;
+use super::captures::{Capture, EvaluateError, Shelf, TRUTH_FILE, TrajectorySource, Truth};
 use super::quality::horizontal;
-use super::shelf::Shelf;
-use super::truth::{EvaluateError, Truth};
 use csi5300::maths::wrap_rad;
-use csi5300::motion::pose::{Pose, Trajectory};
+use csi5300::motion::odometry::csv::CsvError;
+use csi5300::motion::pose::{Pose, Trajectory, TrajectoryError};
 use csi5300::pipeline::{Answer, Bearing, CaptureReport, LinkReport, Options, Transmitter, bearings, lost_something};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::CsiSource;
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -58,6 +56,12 @@ impl Judged {
     #[must_use]
     pub fn set(&self) -> &str {
         self.answer.link.split('/').next().unwrap_or_default()
+    }
+
+    /// The transmitter's name: the last part of the link's.
+    #[must_use]
+    pub fn transmitter(&self) -> &str {
+        self.answer.link.rsplit('/').next().unwrap_or_default()
     }
 }
 
@@ -139,10 +143,15 @@ impl Capture {
         let channel = match (channel, truth.channel()) {
             (Some(channel), _) => channel,
             (None, Some(number)) => Channel::new(number, Width::Ht20)?,
-            (None, None) => return Err(EvaluateError::NoChannel),
+            (None, None) => {
+                return Err(EvaluateError::File(format!(
+                    "unknown WiFi channel: no {TRUTH_FILE} names it; use --channel"
+                )));
+            }
         };
         if self.transmitters.is_empty() {
-            return Err(EvaluateError::NoTransmitter { stamp: self.stamp.clone() });
+            let stamp = &self.stamp;
+            return Err(EvaluateError::File(format!("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat")));
         }
         let mut notes = Vec::new();
         let trajectory = self.trajectory(shelf, source, &mut notes)?;
@@ -258,7 +267,9 @@ struct Run<'a> {
 fn read_path(shelf: &Shelf, path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
     let (trajectory, counts) = match shelf.trajectory(&path) {
         Ok(read) => read,
-        Err(source) => return Err(EvaluateError::Trajectory { path, source }),
+        // An operating system's error names the file.
+        Err(error @ CsvError::Io { .. }) => return Err(EvaluateError::File(error.to_string())),
+        Err(error) => return Err(EvaluateError::File(format!("{}: {error}", path.display()))),
     };
     if counts.lost_something(&trajectory) {
         notes.extend(counts.notes(&trajectory).into_iter().map(|words| format!("{}: {words}", path.display())));
@@ -351,4 +362,150 @@ pub(super) fn row(link: &str, azimuth_deg: f64, error_deg: f64, confidence: f64)
     let mut answer = Answer::failed(link.into(), String::new());
     (answer.error, answer.azimuth_deg, answer.confidence) = (None, Some(azimuth_deg), Some(confidence));
     Judged { answer, error_from_mean_pose_deg: Some(error_deg), ..Judged::default() }
+}
+
+impl Capture {
+    /// The antenna's trajectory from the one recorded by `source`.
+    fn of_antenna(
+        &self,
+        shelf: &Shelf,
+        source: TrajectorySource,
+        recorded: Trajectory,
+    ) -> Result<Trajectory, TrajectoryError> {
+        if source == TrajectorySource::GroundTruth {
+            return Ok(recorded);
+        }
+        let rolls = source == TrajectorySource::RollingT265;
+        let recorded = if rolls { recorded.rolling(&self.camera.unwrap_or_default())? } else { recorded };
+        let turned = self.turned(shelf, source, recorded)?;
+        self.antenna_offset_m.map_or(Ok(turned.clone()), |offset| turned.with_antenna_offset(offset.into()))
+    }
+
+    /// Unless they are reset, wheels continue from the previous run's heading. Their trajectory is rotated to the heading that
+    /// motion capture, or else the tracking camera, has at the same time at the start.
+    fn turned(
+        &self,
+        shelf: &Shelf,
+        source: TrajectorySource,
+        recorded: Trajectory,
+    ) -> Result<Trajectory, TrajectoryError> {
+        if source != TrajectorySource::Odometry {
+            return Ok(recorded);
+        }
+        let mut others = [TrajectorySource::GroundTruth, TrajectorySource::T265].into_iter();
+        let turn_rad = others.find_map(|other| {
+            let other = shelf.trajectory(&self.trajectory_of(other, "rx")).ok()?.0;
+            heading_between_rad(&recorded, &other)
+        });
+        turn_rad.map_or(Ok(recorded.clone()), |turn_rad| turned_by(&recorded, turn_rad))
+    }
+}
+
+/// The heading of `to` minus that of `from` at the first common time, radians.
+fn heading_between_rad(from: &Trajectory, to: &Trajectory) -> Option<f64> {
+    let t_s = from.span_s().0.max(to.span_s().0);
+    Some(wrap_rad(to.at(t_s)?.heading_rad? - from.at(t_s)?.heading_rad?))
+}
+
+/// A trajectory rotated about its first position.
+fn turned_by(trajectory: &Trajectory, turn_rad: f64) -> Result<Trajectory, TrajectoryError> {
+    let first = trajectory.poses().first().map_or(Vector3::zeros(), |pose| pose.position_m);
+    let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), turn_rad);
+    let turned = |pose: &Pose| Pose {
+        t_s: pose.t_s,
+        position_m: first + rotation * (pose.position_m - first),
+        heading_rad: pose.heading_rad.map(|heading| wrap_rad(heading + turn_rad)),
+    };
+    Trajectory::new(trajectory.poses().iter().map(turned).collect())
+}
+
+/// One or more consecutive parts of a motion that is cut into equally long ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub struct Part {
+    /// Index of the first part.
+    pub index: u32,
+    /// Number of parts into which the motion is cut.
+    pub of: u32,
+    /// Number of parts from there on.
+    pub count: u32,
+}
+
+impl Part {
+    /// The whole motion.
+    pub const WHOLE: Self = Self { index: 0, of: 1, count: 1 };
+
+    /// All `of` parts of a motion, in order of time.
+    pub fn each(of: u32) -> impl Iterator<Item = Self> {
+        (0..of).map(move |index| Self { index, of, count: 1 })
+    }
+
+    /// The motion from its start to the end of this part.
+    #[must_use]
+    pub fn and_before(self) -> Self {
+        Self { index: 0, count: self.index + self.count, ..self }
+    }
+
+    /// The poses of this part. The motion lies between the first and the last pose that moves; a trajectory without motion stays
+    /// whole.
+    ///
+    /// # Errors
+    /// If fewer than two poses are in the part.
+    pub fn cut(self, trajectory: &Trajectory) -> Result<Trajectory, TrajectoryError> {
+        let Some((start_s, end_s)) = trajectory.motion().window_s.filter(|_| self.of > 1) else {
+            return Ok(trajectory.clone());
+        };
+        let edge_s = |k: u32| start_s + (end_s - start_s) * f64::from(k) / f64::from(self.of);
+        let (from_s, to_s) = (edge_s(self.index), edge_s(self.index + self.count));
+        let inside = trajectory.poses().iter().filter(|pose| (from_s..=to_s).contains(&pose.t_s));
+        Trajectory::new(inside.copied().collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A robot on an arc of 0.15 m with its heading along it, starting at `heading_rad`.
+    fn wheels(heading_rad: f64) -> Trajectory {
+        let pose = |k: usize| {
+            let heading = heading_rad - 0.01 * (k.clamp(50, 350) as f64 - 50.0);
+            let place = Vector3::new(-heading.sin(), heading.cos(), 0.0) * 0.15;
+            Pose { t_s: 0.05 * k as f64, position_m: place, heading_rad: Some(wrap_rad(heading)) }
+        };
+        Trajectory::new((0..400).map(pose).collect()).unwrap()
+    }
+
+    #[test]
+    fn unreset_wheels_are_rotated_to_another_sensors_heading() {
+        let (zeroed, going_on) = (wheels(0.0), wheels(-0.25));
+        let turn_rad = heading_between_rad(&going_on, &zeroed).unwrap();
+        assert!((turn_rad - 0.25).abs() < 1e-9, "{turn_rad}");
+        let turned = turned_by(&going_on, turn_rad).unwrap();
+        let moved = |trajectory: &Trajectory, k: usize| {
+            let poses = trajectory.poses();
+            poses[k].position_m - poses[0].position_m
+        };
+        for k in 0..400 {
+            assert!((moved(&turned, k) - moved(&zeroed, k)).norm() < 1e-9, "{k}");
+        }
+        assert_eq!(heading_between_rad(&turned, &wheels(1.0)).map(|rad| (rad * 1e6).round()), Some(1e6));
+    }
+
+    #[test]
+    fn parts_follow_each_other_and_make_up_the_motion() {
+        let at = |k: usize| Vector3::new(0.01 * (k.clamp(100, 300) as f64 - 100.0), 0.0, 0.0);
+        let pose = |k: usize| Pose { t_s: 0.02 * k as f64, position_m: at(k), heading_rad: None };
+        let whole = Trajectory::new((0..400).map(pose).collect()).unwrap();
+        assert_eq!(Part::WHOLE.cut(&whole).unwrap(), whole);
+        let (start_s, end_s) = whole.motion().window_s.unwrap();
+        let spans: Vec<(f64, f64)> = Part::each(4).map(|part| part.cut(&whole).unwrap().span_s()).collect();
+        assert!((spans[0].0 - start_s).abs() < 0.03 && (spans[3].1 - end_s).abs() < 0.03, "{spans:?}");
+        for (k, span) in spans.iter().enumerate() {
+            assert!((span.1 - span.0 - (end_s - start_s) / 4.0).abs() < 0.05, "{k}: {spans:?}");
+        }
+        assert!(spans.windows(2).all(|two| two[1].0 - two[0].1 < 0.03), "{spans:?}");
+        let so_far = Part::each(4).nth(2).unwrap().and_before().cut(&whole).unwrap().span_s();
+        assert_eq!(so_far, (spans[0].0, spans[2].1));
+    }
 }

@@ -5,31 +5,24 @@
 //! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested in any way. Without the first file, the
 //! rest is a capture without a truth. It may also have the names of \[paper\] (docs/reference/references.md):
 //! `csi_tx_TS.dat`, `rx_movement_TS.csv`. A folder without such names is one capture without a truth if its files' content
-//! shows their [`roles`].
+//! shows their roles ([`captures`]).
 //!
 //! [`find`] lists captures, [`find_all`] also those without a truth. [`Capture::evaluate`] makes a row for each link
 //! ([`Judged`]), with several options from files read once ([`Capture::shelf`]). [`summarise`] gives the errors by set, and
-//! [`quality`] figures about ranges and error bars. [`receivers`] locates receivers, [`transmitters`] locates transmitters from several captures in one frame.
+//! [`quality`] figures about ranges and error bars. [`receivers`] locates receivers, [`transmitters`] locates transmitters from
+//! several captures in one frame.
 //! [`reliability`], [`surest`] and [`above`] evaluate probabilities.
 
-pub mod beside;
-mod errors;
-mod find;
+pub mod captures;
 mod judge;
-mod mounting;
-mod part;
 pub mod quality;
 pub mod receivers;
-pub mod roles;
-mod shelf;
-mod sure;
 pub mod transmitters;
-mod truth;
 
-pub use errors::{ALL_SETS, Errors, SetSummary, summarise};
-pub use find::{Capture, Loose, TRUTH_FILE, TrajectorySource, find, find_all};
-pub use judge::{Evaluated, Judged, Look};
-pub use part::Part;
-pub use shelf::Shelf;
-pub use sure::{Kept, Reliability, Sure, WRONG_DEG, above, reliability, surest};
-pub use truth::{EvaluateError, channel_number_in};
+pub use captures::{
+    Capture, EvaluateError, Loose, Shelf, TRUTH_FILE, TrajectorySource, channel_number_in, find, find_all,
+};
+pub use judge::{Evaluated, Judged, Look, Part};
+pub use quality::{
+    ALL_SETS, Errors, Kept, Reliability, SetSummary, Sure, WRONG_DEG, above, reliability, summarise, surest,
+};

@@ -4,10 +4,8 @@
 //! range from another sensor. Its yaw has a prior with the heading's deviation. A link is a mixture of its candidates and
 //! its mirror. Their deviation is that of the answer: its error bar or, if larger, the one that its probability implies.
 
-use super::find::{Capture, TrajectorySource};
+use super::captures::{Capture, EvaluateError, Shelf, TrajectorySource};
 use super::judge::Judged;
-use super::shelf::Shelf;
-use super::truth::EvaluateError;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::Trajectory;
 pub use csi5300_team::answers::UNKNOWN_PROBABILITY;
@@ -176,7 +174,8 @@ fn as_one(captures: &[Links<'_>]) -> Located {
         let mut shared: BTreeMap<&str, usize> = BTreeMap::new();
         for links in &left {
             let unknown = |name: &&str| !known.contains_key(*name) && !lost.contains(*name);
-            let names: BTreeSet<&str> = links.seen(|_| true).into_iter().map(transmitter).filter(unknown).collect();
+            let names: BTreeSet<&str> =
+                links.seen(|_| true).into_iter().map(Judged::transmitter).filter(unknown).collect();
             names.into_iter().for_each(|name| *shared.entry(name).or_default() += 1);
         }
         shared.retain(|_, captures| *captures > 1);
@@ -208,7 +207,7 @@ fn as_one(captures: &[Links<'_>]) -> Located {
 fn known<'a>(captures: &[&Links<'a>]) -> BTreeMap<&'a str, [f64; 2]> {
     let mut places: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
     for row in captures.iter().flat_map(|links| &links.rows) {
-        places.entry(transmitter(row)).or_default().extend(row.true_transmitter_m);
+        places.entry(row.transmitter()).or_default().extend(row.true_transmitter_m);
     }
     let one = |(name, all): (&'a str, Vec<[f64; 2]>)| {
         let first = all.first().copied()?;
@@ -228,7 +227,7 @@ struct Links<'a> {
 impl<'a> Links<'a> {
     /// The links with a bearing to transmitters whose place is known, here or by `is_known`.
     fn seen(&self, is_known: impl Fn(&str) -> bool) -> Vec<&'a Judged> {
-        let is_placed = |row: &&&Judged| row.true_transmitter_m.is_some() || is_known(transmitter(row));
+        let is_placed = |row: &&&Judged| row.true_transmitter_m.is_some() || is_known(row.transmitter());
         let has_bearing = |row: &&&Judged| row.answer.azimuth_deg.is_some_and(f64::is_finite);
         self.rows.iter().filter(has_bearing).filter(is_placed).copied().collect()
     }
@@ -329,9 +328,9 @@ impl Joint {
         team.prior(middle, [0.0; 3], [free, free, heading_sd_rad.max(1e-4)])?;
         let mut own_places = BTreeMap::new();
         for row in rows {
-            let name = transmitter(row);
+            let name = row.transmitter();
             let place_m = row.true_transmitter_m.or_else(|| known?.get(name).copied());
-            let is_seen = seen.iter().any(|seen| transmitter(seen) == name);
+            let is_seen = seen.iter().any(|seen| seen.transmitter() == name);
             if place_m.is_none() && !is_seen {
                 continue;
             }
@@ -356,7 +355,7 @@ impl Joint {
         let mut graph = Graph { middle, links: Vec::new(), ranges: Vec::new() };
         for row in seen {
             let own = ways(&row.answer, heading_sd_rad.to_degrees());
-            let Some(place) = own_places.get(transmitter(row)) else { continue };
+            let Some(place) = own_places.get(row.transmitter()) else { continue };
             let modes: Vec<Mode> = own.iter().map(|way| way.mode).collect();
             graph.links.push((team.link(middle, *place, &modes, LINK_OUTLIERS)?, *place, own));
         }
@@ -430,10 +429,6 @@ impl Graph {
     }
 }
 
-fn transmitter(row: &Judged) -> &str {
-    row.answer.link.rsplit('/').next().unwrap_or_default()
-}
-
 /// A transmitter's place and height, and its elevation from the receiver.
 struct Elevation {
     transmitter_m: Vector2<f64>,
@@ -477,8 +472,8 @@ fn wrap_deg(angle: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::judge::row;
     use super::*;
+    use crate::evaluate::judge::row;
     use csi5300::pipeline::{Answer, CandidateAnswer};
 
     #[test]

@@ -1,8 +1,7 @@
 //! Locates transmitters, each from all receiver motions in one common frame.
 
-use super::find::{Capture, TrajectorySource};
-use super::judge::Judged;
-use super::part::Part;
+use super::captures::{Capture, TrajectorySource};
+use super::judge::{Judged, Part};
 use csi5300::internal::track::{Evidence, PeerPlace, places};
 use csi5300::pipeline::{Bearing, Options};
 use csi5300::signal::channel::Channel;
@@ -61,7 +60,7 @@ pub struct OtherPlace {
 /// A transmitter, located from all motions together.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
-pub struct Located {
+pub struct LocatedTransmitter {
     /// Its name.
     pub transmitter: String,
     /// Motions used.
@@ -132,13 +131,12 @@ fn motion(row: &Judged, evidence: Evidence, source: TrajectorySource, frame: Fra
         place_m.into()
     };
     let true_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth).map(common);
-    let transmitter = row.answer.link.rsplit('/').next().unwrap_or_default().to_owned();
-    Motion { transmitter, evidence, true_m }
+    Motion { transmitter: row.transmitter().to_owned(), evidence, true_m }
 }
 
 /// Locates every transmitter from all motions that heard it; `told` has the places that the caller knows, by name.
 #[must_use]
-pub fn located(motions: &[Motion], told: &BTreeMap<String, [f64; 2]>) -> Vec<Located> {
+pub fn located(motions: &[Motion], told: &BTreeMap<String, [f64; 2]>) -> Vec<LocatedTransmitter> {
     let mut transmitters: BTreeMap<&str, Vec<&Motion>> = BTreeMap::new();
     for motion in motions {
         transmitters.entry(&motion.transmitter).or_default().push(motion);
@@ -150,7 +148,7 @@ pub fn located(motions: &[Motion], told: &BTreeMap<String, [f64; 2]>) -> Vec<Loc
     transmitters.into_iter().map(one).collect()
 }
 
-fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) -> Located {
+fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) -> LocatedTransmitter {
     let evidence: Vec<Evidence> = motions.iter().map(|motion| motion.evidence.clone()).collect();
     let (found, error, motions, refused) = match places(&evidence) {
         Ok(found) => (found.places, None, found.used, found.refused),
@@ -159,7 +157,7 @@ fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) ->
     let best = found.first();
     let axes = best.map(|place| axes(&place.covariance_m2));
     let off_m = best.zip(true_position_m).map(|(place, truth)| place.position_m - Vector2::from(truth));
-    Located {
+    LocatedTransmitter {
         transmitter: name.to_owned(),
         motions,
         refused,

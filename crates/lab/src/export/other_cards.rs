@@ -1,7 +1,6 @@
 //! Exports frames of cards other than the 5300 as arrays: all subcarriers of the frames of one shape.
 
-use super::mat::Mat;
-use super::npz::Npz;
+use super::arrays::{Mat, Npz};
 use super::{ExportError, Target};
 use crate::cards::{CardTime, Layout, is_damage, is_dbm};
 use csi_formats::{Format, Frame, Item, Items};

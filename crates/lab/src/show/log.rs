@@ -1,12 +1,10 @@
 //! A log over time: CSI as heat maps, amplitude by antenna, RSSI and gain, rate, losses.
-mod events;
 
-use super::axes::{Axes, extent};
-use super::canvas::{BLACK, Canvas, GREY, Key, ORANGE, Rgb, series_colour};
-use super::{Error, Format};
+use super::Error;
+use super::canvas::{Axes, BLACK, Canvas, GREY, Key, ORANGE, PALE, Rgb, check, extent, series_colour};
 use crate::course::{AntennaCourse, Course, letter};
-use crate::words::count;
 use csi5300::source::survey::TimeBase;
+use csi5300_say::count;
 use kuva::plot::ColorMap;
 use kuva::render::render::TextAnchor;
 use std::f64::consts::PI;
@@ -47,23 +45,22 @@ impl LogPictures<'_> {
     ///
     /// # Errors
     /// If there is nothing to draw, or a picture cannot be drawn or written.
-    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
         if self.course.records == 0 {
             return Err(Error::Empty { what: "log" });
         }
         let [csi, levels] = Self::stems(stem);
-        format.check(&[csi.clone(), levels.clone()])?;
+        check(&[csi.clone(), levels.clone()], kept)?;
         let mut written = Vec::new();
         if !self.course.antennas.is_empty() {
-            written.extend(self.csi().save(&csi, format)?);
+            written.extend(self.csi().save(&csi, kept)?);
         }
-        written.extend(self.levels()?.save(&levels, format)?);
+        written.extend(self.levels()?.save(&levels, kept)?);
         Ok(written)
     }
 
     /// Names of its two pictures, without extensions.
-    #[must_use]
-    pub fn stems(stem: &Path) -> [PathBuf; 2] {
+    fn stems(stem: &Path) -> [PathBuf; 2] {
         ["csi", "levels"].map(|what| {
             let mut name = stem.as_os_str().to_owned();
             name.push(format!("-{what}"));
@@ -231,15 +228,15 @@ impl LogPictures<'_> {
         // A value that the format does not contain has no panel.
         series.retain(|(_, lines)| !lines.is_empty());
         let top = TOP.max(58.0 + canvas.legend(58.0, &keys) + 50.0);
-        let events = events::of(course);
-        let below = events::height(&events);
+        let events = events_of(course);
+        let below = events_height(&events);
         let panels = self.level_panels(&mut canvas, series.len(), top, below);
         let [panels @ .., last] = panels.as_slice() else { return Err(Error::Empty { what: "levels" }) };
         for ((words, lines), panel) in series.iter().zip(panels) {
             self.lines(&mut canvas, *panel, lines, words);
         }
         let axes = self.rate(&mut canvas, *last)?;
-        events::draw(&mut canvas, &axes, &events);
+        draw_events(&mut canvas, &axes, &events);
         axes.under(&mut canvas, self.time_words(), (below - 24.0).max(0.0));
         Ok(canvas)
     }
@@ -304,6 +301,58 @@ fn circular(share: f64) -> Rgb {
     (part(0.5), part(0.83), part(0.17))
 }
 
+/// Ticks of a row at most; more would overlap.
+const MARKS: usize = 2_000;
+/// Height of a row and of its ticks.
+const ROW: f64 = 44.0;
+const TICK: f64 = 14.0;
+
+/// One kind of event.
+#[derive(Debug, PartialEq)]
+struct Events {
+    words: String,
+    times_s: Vec<f64>,
+}
+
+/// Every kind that occurs in the log.
+fn events_of(course: &Course) -> Vec<Events> {
+    let row = |words: String, times_s: Vec<f64>| Events { words, times_s };
+    let sum = |marks: &[(f64, u64)]| marks.iter().map(|mark| mark.1).sum::<u64>();
+    let times = |marks: &[(f64, u64)]| marks.iter().map(|mark| mark.0).collect::<Vec<_>>();
+    let back = count(course.steps_back.len() as u64, "step back of the card's clock", "steps back of the card's clock");
+    let missing = count(sum(&course.missing), "number missing", "numbers missing");
+    let damaged = count(course.damaged.len() as u64, "damaged stretch", "damaged stretches");
+    let skipped = count(sum(&course.skipped), "number skipped", "numbers skipped");
+    let repeated = count(course.repeated.len() as u64, "frame reported twice", "frames reported twice");
+    let all = [
+        row(damaged, course.damaged.clone()),
+        row(format!("{missing} from bfee_count"), times(&course.missing)),
+        row(format!("{skipped} in frame_count (not heard)"), times(&course.skipped)),
+        row(repeated, course.repeated.clone()),
+        row(back, course.steps_back.iter().map(|step| step.0).collect()),
+    ];
+    all.into_iter().filter(|events| !events.times_s.is_empty()).collect()
+}
+
+/// Height of the rows under the rate.
+fn events_height(events: &[Events]) -> f64 {
+    if events.is_empty() { 0.0 } else { 30.0 + ROW * events.len() as f64 }
+}
+
+/// Draws them below a panel, over the same times.
+fn draw_events(canvas: &mut Canvas, above: &Axes, events: &[Events]) {
+    for (k, row) in events.iter().enumerate() {
+        let top = above.top + above.height + 46.0 + ROW * (k as f64 + 0.4);
+        canvas.text((above.left, top - 5.0), &row.words, 18, TextAnchor::Start, BLACK);
+        let middle = top + 0.5 * TICK;
+        canvas.line((above.left, middle), (above.left + above.width, middle), PALE, 1.0, false);
+        for t_s in row.times_s.iter().step_by(row.times_s.len().div_ceil(MARKS).max(1)) {
+            let x = above.at(*t_s, above.y.0).0;
+            canvas.line((x, top), (x, top + TICK), BLACK, 2.0, false);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -322,7 +371,7 @@ mod tests {
     fn drawn(name: &str, course: &Course, size: (f64, f64)) -> Vec<String> {
         let stem = std::env::temp_dir().join(format!("csi5300-log-{name}-{}", std::process::id()));
         let pictures = LogPictures { title: "a.dat", course, size };
-        let mut written = pictures.write(&stem, &Format::default()).unwrap();
+        let mut written = pictures.write(&stem, &[]).unwrap();
         written
             .retain(|path| path.extension().is_some_and(|kind| kind == "svg") || std::fs::remove_file(path).is_err());
         let read = |path: PathBuf| {
@@ -391,5 +440,17 @@ mod tests {
         );
         assert_eq!(with.matches("<path").count(), without.matches("<path").count() + 1);
         assert!(without.contains("numbers skipped") && without.contains("record: the card"), "{without}");
+    }
+
+    #[test]
+    fn only_existing_events_have_rows_and_one_is_singular() {
+        let mut course = Course::default();
+        assert!(events_of(&course).is_empty() && events_height(&events_of(&course)) == 0.0);
+        (course.missing, course.repeated) = (vec![(1.0, 1)], vec![2.0, 3.0]);
+        course.steps_back = vec![(4.0, 0.5)];
+        let words: Vec<String> = events_of(&course).into_iter().map(|row| row.words).collect();
+        let expected =
+            ["1 number missing from bfee_count", "2 frames reported twice", "1 step back of the card's clock"];
+        assert_eq!(words, expected);
     }
 }

@@ -2,41 +2,25 @@
 //!
 //! | file | what it shows |
 //! |---|---|
-//! | [`link`] | a link: [`link::LinkPictures`] |
+//! | [`results`] | a link, an evaluation, a recording beside a simulation, stationary robots |
 //! | [`log`] | a log over time: heat maps of CSI, levels, rate, losses |
-//! | [`set`] | an evaluation: error distributions, refusals, reliability, a map of each place |
-//! | [`compared`] | a recording and a simulation side by side |
-//! | [`repeated`] | the phase of stationary robots |
-//! | `phase`, `profile`, `place`, `plane`, `curves`, `reliability` | the kinds of picture |
-//! | `format` | the files of a picture |
-//! | `canvas`, `axes` | lines, text, legends, ticks; the only files that use the drawing library |
+//! | `plots` | the kinds of picture |
+//! | `canvas` | lines, text, legends, axes, files; the only file that uses the drawing library |
 //!
-//! Every kind of picture is a struct with public fields and one `write(stem, format)`. It adds `.png` and `.svg` to `stem`,
-//! creates missing folders, and returns the paths. Values that are not finite are dropped; a picture without values is
-//! [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends are above the axes,
-//! never on the data. Azimuths count from +x towards +y.
-mod axes;
-mod canvas;
-pub mod compared;
-mod curves;
-mod format;
-pub mod link;
-pub mod log;
-mod phase;
-mod place;
-mod plane;
-mod profile;
-mod reliability;
-pub mod repeated;
-pub mod set;
+//! Every kind of picture is a struct with public fields and one `write(stem, kept)`. It adds `.png` and `.svg` to `stem`,
+//! creates missing folders, replaces files except those in `kept`, and returns the paths. Values that are not finite are dropped; a
+//! picture without values is [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends are
+//! above the axes, never on the data. Azimuths count from +x towards +y.
 
-pub use curves::{CdfPlot, ScatterLines};
-pub use format::Format;
-pub use phase::{PhasePlot, PhaseTrack};
-pub use place::PlaceMap;
-pub use plane::{Ellipse, MapPlot, Ray, RayClass, TrajectoryPlot};
-pub use profile::{ProfileMap, ProfilePlot};
-pub use reliability::{ReliabilityPlot, ReliabilityPoint};
+mod canvas;
+pub mod log;
+mod plots;
+pub mod results;
+
+pub use plots::{
+    CdfPlot, Ellipse, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, ReliabilityPlot, ScatterLines,
+    TrajectoryPlot,
+};
 use std::path::PathBuf;
 
 /// Why a picture was not written.
@@ -73,12 +57,6 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
-    /// A file of this name exists and may not be replaced.
-    #[error("{} already exists", path.display())]
-    There {
-        /// The file.
-        path: PathBuf,
-    },
     /// The folder of a link's pictures could not be created.
     #[error("cannot make the folder {folder}: {source}")]
     Folder {
@@ -108,4 +86,204 @@ pub fn file_safe(name: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    fn folder(name: &str) -> PathBuf {
+        std::env::temp_dir().join(format!("csi5300-plot-{}-{name}", std::process::id()))
+    }
+
+    fn check(paths: &[PathBuf]) {
+        let [png, svg] = paths else { panic!("two files expected, {paths:?}") };
+        let bytes = std::fs::read(png).unwrap();
+        assert_eq!(&bytes[..8], b"\x89PNG\r\n\x1a\n");
+        assert_eq!(u32::from_be_bytes(bytes[16..20].try_into().unwrap()), 1200, "width in IHDR");
+        let text = std::fs::read_to_string(svg).unwrap();
+        assert!(text.starts_with("<svg") && text.trim_end().ends_with("</svg>"));
+        // The SVG clips, too: every region that is used is defined.
+        for name in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
+            assert!(text.contains(&format!("id=\"{name}\"")), "{name} is not defined");
+        }
+        assert!(text.contains("width=\"1200\"") && !text.contains("NaN") && !text.contains("inf"));
+    }
+
+    /// Three pictures from values that include NaN and infinity, which are dropped.
+    #[test]
+    fn draws_around_values_that_are_not_finite() {
+        let at = folder("finite");
+        let t_s = vec![0.0, 1.0, f64::NAN, 3.0];
+        let capture = PhaseTrack {
+            label: "a<b & $c".into(),
+            t_s: t_s.clone(),
+            before_rad: vec![1.0, f64::INFINITY, 2.0, 9.0],
+            after_rad: t_s,
+            left: vec![(0.0, f64::NAN), (1.0, 4.0)],
+            ..PhaseTrack::default()
+        };
+        check(
+            &PhasePlot { title: "t".into(), before: String::new(), other: Some(capture.clone()), capture, averaged: 0 }
+                .write(&at.join("phase"), &[])
+                .unwrap(),
+        );
+        let path_m = vec![[0.0, 0.0], [f64::NAN, 1.0], [1.0, 1.0]];
+        let plot = TrajectoryPlot { path_m, azimuth_rad: f64::NAN, sd_rad: Some(0.1), ..Default::default() };
+        check(&plot.write(&at.join("path.v1"), &[]).unwrap());
+        assert!(at.join("path.v1.png").exists(), "a dot in the stem is kept");
+        let chosen_from = ("s".into(), vec![0.0, 90.0], vec![f64::NAN, 1.0]);
+        let (answer_deg, answer_sd_deg, truth_deg) = (Some(90.0), Some(f64::INFINITY), Some(f64::NAN));
+        check(
+            &ProfilePlot { chosen_from, answer_deg, answer_sd_deg, truth_deg, ..Default::default() }
+                .write(&at.join("polar"), &[])
+                .unwrap(),
+        );
+        let cdf = CdfPlot { series: vec![("s".into(), vec![0.0, f64::NAN, 2.0])], ..Default::default() };
+        check(&cdf.write(&at.join("cdf"), &[]).unwrap());
+        let lines = ScatterLines { series: vec![("s".into(), vec![(0.0, 1.0), (2.0, 3.0)])], ..Default::default() };
+        check(&lines.write(&at.join("lines"), &[]).unwrap());
+        std::fs::remove_dir_all(at).unwrap();
+    }
+
+    /// The texts of a picture, with their pixel positions.
+    fn written_in(svg: &str) -> Vec<(String, f64, f64)> {
+        let number = |tag: &str, name: &str| tag.split(&format!(" {name}=\"")).nth(1)?.split('"').next()?.parse().ok();
+        let texts = svg.split("<text").skip(1).filter_map(|rest| {
+            let (tag, rest) = rest.split_once('>')?;
+            Some((rest.split('<').next()?.to_owned(), number(tag, "x")?, number(tag, "y")?))
+        });
+        texts.collect()
+    }
+
+    #[test]
+    fn legends_name_the_wedge_of_a_bearing_that_has_one_and_no_angle_is_minus_zero() {
+        let at = folder("legend");
+        let svg = |sd_rad: Option<f64>| {
+            let path_m = vec![[0.0, 0.0], [1.0, 1.0]];
+            let plot =
+                TrajectoryPlot { path_m, azimuth_rad: -1e-17, truth_rad: Some(-1e-5), sd_rad, ..Default::default() };
+            let written = plot.write(&at.join("trajectory"), &[]).unwrap();
+            std::fs::read_to_string(&written[1]).unwrap()
+        };
+        for (sd_rad, is_named) in [(Some(1.8), true), (None, false), (Some(f64::INFINITY), false)] {
+            let words: Vec<String> = written_in(&svg(sd_rad)).into_iter().map(|text| text.0).collect();
+            assert_eq!(words.iter().any(|text| text == "two deviations"), is_named, "{sd_rad:?}: {words:?}");
+            assert!(words.iter().any(|text| text == "bearing 0.00°"), "{words:?}");
+            assert!(words.iter().any(|text| text == "truth 0.00°"), "{words:?}");
+        }
+        std::fs::remove_dir_all(at).unwrap();
+    }
+
+    #[test]
+    fn nothing_to_draw_is_an_error() {
+        let stem = folder("empty").join("x");
+        let empty = |r: Result<Vec<PathBuf>, Error>| assert!(matches!(r, Err(Error::Empty { .. })), "{r:?}");
+        empty(PhasePlot::default().write(&stem, &[]));
+        empty(TrajectoryPlot::default().write(&stem, &[]));
+        empty(MapPlot::default().write(&stem, &[]));
+        empty(ProfilePlot::default().write(&stem, &[]));
+        empty(CdfPlot::default().write(&stem, &[]));
+        empty(ScatterLines::default().write(&stem, &[]));
+        let short = PhasePlot { capture: PhaseTrack { t_s: vec![1.0; 4], ..Default::default() }, ..Default::default() };
+        assert!(matches!(short.write(&stem, &[]), Err(Error::Length { expect: 4, got: 0, .. })));
+        assert!(!stem.parent().is_some_and(Path::exists), "nothing was written");
+    }
+
+    #[test]
+    fn a_folder_that_is_a_file_is_named() {
+        let file = folder("file");
+        std::fs::write(&file, "x").unwrap();
+        let plot = CdfPlot { series: vec![("s".into(), vec![1.0])], ..Default::default() };
+        let error = plot.write(&file.join("cdf"), &[]).unwrap_err();
+        assert!(matches!(&error, Error::Io { path, .. } if path == &file), "{error}");
+        std::fs::remove_file(file).unwrap();
+    }
+
+    #[test]
+    fn link_names_become_file_names() {
+        assert_eq!(file_safe("tx0/rx 1:a-b.c"), "tx0_rx_1_a-b.c");
+        assert_eq!(file_safe("../x"), "_._x");
+        assert_eq!(file_safe(""), "_");
+    }
+
+    /// A picture of every kind, from finite values.
+    fn pictures(at: &Path) -> Vec<PathBuf> {
+        let ramp = |from: f64| (0..40).map(|k| from + f64::from(k) * 0.1).collect::<Vec<f64>>();
+        let capture =
+            PhaseTrack { t_s: ramp(0.0), before_rad: ramp(1.0), after_rad: ramp(2.0), ..PhaseTrack::default() };
+        let path_m: Vec<[f64; 2]> = ramp(0.0).iter().map(|a| [a.cos(), a.sin()]).collect();
+        let ray =
+            |class| Ray { origin_m: [0.0; 2], azimuth_rad: 1.0, sd_rad: Some(0.1), label: "tx ± 1°".into(), class };
+        let ellipse = Ellipse { centre_m: [1.0, 2.0], covariance_m2: [[0.1, 0.0], [0.0, 0.2]], label: "tx".into() };
+        let point = crate::evaluate::Reliability { from: 0.6, to: 0.8, links: 9, said: 0.8, right: 0.7 };
+        let trajectory = TrajectoryPlot {
+            path_m: path_m.clone(),
+            azimuth_rad: 1.0,
+            mirror_rad: Some(-1.0),
+            sd_rad: Some(0.1),
+            transmitter_m: Some([2.0, 2.0]),
+            ..Default::default()
+        };
+        let profile = ProfilePlot {
+            chosen_from: ("evidence".into(), ramp(-180.0), ramp(0.5)),
+            answer_deg: Some(-179.0),
+            answer_sd_deg: Some(1.0),
+            truth_deg: Some(-178.0),
+            mirror_deg: Some(178.0),
+            ..Default::default()
+        };
+        let rays = vec![ray(RayClass::Measured), ray(RayClass::Mirror), ray(RayClass::Truth)];
+        let written = [
+            PhasePlot { capture, ..Default::default() }.write(&at.join("phase"), &[]),
+            trajectory.write(&at.join("path"), &[]),
+            MapPlot { rays, path_m, ellipses: vec![ellipse], ..Default::default() }.write(&at.join("map"), &[]),
+            profile.write(&at.join("profile"), &[]),
+            CdfPlot { series: vec![("s".into(), ramp(0.1))], ..Default::default() }.write(&at.join("cdf"), &[]),
+            ScatterLines { series: vec![("s".into(), vec![(1.0, 2.0), (2.0, 3.0)])], ..Default::default() }
+                .write(&at.join("lines"), &[]),
+            ReliabilityPlot { series: vec![("s".into(), vec![point])], ..Default::default() }
+                .write(&at.join("reliability"), &[]),
+        ];
+        written.into_iter().flat_map(Result::unwrap).collect()
+    }
+
+    #[test]
+    fn every_picture_is_a_png_and_an_svg_and_replaces_no_kept_file() {
+        let at = folder("formats");
+        let written = pictures(&at);
+        assert_eq!(written.len(), 2 * 7);
+        written.chunks(2).for_each(check_kinds);
+        let again = CdfPlot { series: vec![("s".into(), vec![1.0])], ..CdfPlot::default() };
+        std::fs::write(at.join("cdf.svg"), "mine").unwrap();
+        std::fs::remove_file(at.join("cdf.png")).unwrap();
+        let refused = again.write(&at.join("cdf"), &[at.join("other.dat"), at.join("cdf.svg")]);
+        assert!(matches!(&refused, Err(Error::Kept { path }) if *path == at.join("cdf.svg")), "{refused:?}");
+        assert!(std::fs::read(at.join("cdf.svg")).unwrap() == b"mine" && !at.join("cdf.png").exists());
+        assert!(again.write(&at.join("cdf"), &[]).is_ok());
+        std::fs::remove_dir_all(at).unwrap();
+    }
+
+    fn check_kinds(pair: &[PathBuf]) {
+        let [png, svg] = pair else { panic!("{pair:?}") };
+        assert!(std::fs::read(png).unwrap().starts_with(b"\x89PNG"), "{}", png.display());
+        assert!(std::fs::read(svg).unwrap().starts_with(b"<svg"), "{}", svg.display());
+    }
+
+    /// More points than pixels become cells: a long log's picture is not much larger than a short one's.
+    #[test]
+    fn phases_that_are_too_dense_are_binned() {
+        let at = folder("dense");
+        let svg = |n: usize| {
+            let t_s: Vec<f64> = (0..n).map(|k| k as f64 * 0.01).collect();
+            let phase: Vec<f64> = (0..n).map(|k| (k as f64 * 0.618).rem_euclid(1.0)).collect();
+            let capture = PhaseTrack { t_s, before_rad: phase.clone(), after_rad: phase, ..PhaseTrack::default() };
+            let plot = PhasePlot { capture, ..PhasePlot::default() };
+            let written = plot.write(&at.join(n.to_string()), &[]).unwrap();
+            std::fs::read_to_string(&written[1]).unwrap()
+        };
+        let dots = |svg: &str| svg.matches("<circle").count();
+        let (few, many) = (svg(1_000), svg(20_000));
+        assert!(dots(&few) >= 2 * 1_000, "{}", dots(&few));
+        assert!(dots(&many) < 10 && many.matches("<rect").count() > 1_000, "{}", dots(&many));
+        std::fs::remove_dir_all(at).unwrap();
+    }
+}

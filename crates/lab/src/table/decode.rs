@@ -1,6 +1,6 @@
 //! Decodes CSI from packed records into an existing array, in either order of its indices.
 
-use super::columns::antenna_order;
+use super::antenna_order;
 use super::memory::Arena;
 use bytemuck::{cast_slice, cast_slice_mut};
 use csi5300::signal::csi::{Csi, scale_factor_of};
@@ -158,7 +158,7 @@ fn one(
     room: &mut Room,
     out: &mut [Complex32],
 ) -> Option<f64> {
-    let samples = room.planes();
+    let samples = &mut room.samples;
     let count = bfee.unpack_planes(samples).unwrap_or(0);
     let samples = samples.get(..count).unwrap_or_default();
     let factor = if with_factor { scale_factor_of(bfee, samples).ok() } else { None };
@@ -303,13 +303,6 @@ struct Room {
 impl Default for Room {
     fn default() -> Self {
         Self { samples: [[0; 2]; MAX_SAMPLES], bytes: [0; MAX_SAMPLE_BYTES] }
-    }
-}
-
-impl Room {
-    /// For samples by chain pair.
-    fn planes(&mut self) -> &mut [[i8; 2]; MAX_SAMPLES] {
-        &mut self.samples
     }
 }
 

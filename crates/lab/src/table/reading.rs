@@ -1,15 +1,19 @@
-//! Reads a log into memory: filters, columns, packed records.
+//! Reads a log into memory: filters, columns, packed records. Whole logs are read on two threads: one reads bytes and finds
+//! records, the other sorts them. Records stay where they were read.
 
-use super::columns::{Advise, Columns, antennas};
-use super::memory::{Arena, Block, Span};
+use super::memory::{Arena, BLOCK, Block, Span};
+use super::{Advise, Columns, antennas};
+use csi5300::source::replay::{Bytes, Framing, Front, Replay};
 use csi5300::source::survey::{Fields, Identity, Survey, Tally};
-use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
+use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use csi5300::time::Instant;
-use driver_iface::Mac;
-use driver_iface::ParseMacError;
 use driver_iface::bfee::{Antenna, Antennas, Bfee};
-use driver_iface::record::code;
+use driver_iface::record::{LENGTH_FIELD, LOOKAHEAD, Record, Tail, code};
+use driver_iface::{Mac, ParseMacError};
+use fearless_simd::{Level, dispatch};
 use std::collections::BTreeSet;
+use std::io::Read;
+use std::sync::mpsc::{channel, sync_channel};
 
 /// Records that [`Reading::burst`] reads at most.
 const BURST: usize = 32_768;
@@ -127,8 +131,8 @@ pub struct Reading<S> {
     /// For each loss and each impossible record, the number of intact bfee records before it.
     pub damaged_after: Vec<u64>,
     first_us: Option<i64>,
-    pub(super) ended: bool,
-    pub(super) bodies: bool,
+    ended: bool,
+    bodies: bool,
 }
 
 impl<S: CsiSource> Reading<S> {
@@ -208,14 +212,14 @@ impl<S: CsiSource> Reading<S> {
         Ok(true)
     }
 
-    pub(super) fn parts(&mut self) -> (&mut S, Table<'_>) {
+    fn parts(&mut self) -> (&mut S, Table<'_>) {
         let Self { source, filter, survey, arena, columns, left_out, damaged_after, first_us, bodies, .. } = self;
         (source, Table { filter, survey, arena, columns, left_out, damaged_after, first_us, bodies: *bodies })
     }
 }
 
 /// Where records are stored.
-pub(super) struct Table<'a> {
+struct Table<'a> {
     filter: &'a Filter,
     survey: &'a mut Survey,
     arena: &'a mut Arena,
@@ -228,12 +232,12 @@ pub(super) struct Table<'a> {
 
 impl Table<'_> {
     /// Records kept.
-    pub(super) fn kept(&self) -> usize {
+    fn kept(&self) -> usize {
         self.columns.len()
     }
 
     /// Reserves room for this many more records, as far as memory allows; `advise` gets the memory.
-    pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
+    fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
         self.arena.reserve(records, advise);
         self.columns.reserve(records, advise);
     }
@@ -283,7 +287,7 @@ impl Table<'_> {
 
     /// Counts a bfee record whose bytes are in a block, by its fields and place.
     #[inline(always)]
-    pub(super) fn sort_bfee(&mut self, sorted: &mut Sorted, stamps: Stamps, fields: &Fields, span: Span) {
+    fn sort_bfee(&mut self, sorted: &mut Sorted, stamps: Stamps, fields: &Fields, span: Span) {
         let identity = self.survey.note_fields(&mut sorted.tally, stamps, fields);
         if self.choose(fields, identity, place(stamps)) {
             sorted.keep(span);
@@ -297,7 +301,7 @@ impl Table<'_> {
     }
 
     /// Counts an item of a source whose bytes are in a block.
-    pub(super) fn sort(&mut self, sorted: &mut Sorted, next: &Next<'_>, span: Span) {
+    fn sort(&mut self, sorted: &mut Sorted, next: &Next<'_>, span: Span) {
         let is_kept = self.note(&mut sorted.tally, next);
         match (next, is_kept) {
             (_, Some(true)) => return sorted.keep(span),
@@ -313,7 +317,7 @@ impl Table<'_> {
     }
 
     /// Keeps a block's sorted records: the arena takes over the memory if most of it is kept; otherwise returns the block.
-    pub(super) fn keep(&mut self, sorted: &mut Sorted, block: Block) -> Option<Block> {
+    fn keep(&mut self, sorted: &mut Sorted, block: Block) -> Option<Block> {
         let Sorted { kept, bytes, mpdu, tally } = sorted;
         self.survey.settle(tally);
         let (bytes, mpdu) = (std::mem::take(bytes), mpdu.take());
@@ -347,7 +351,7 @@ fn place(stamps: Stamps) -> u64 {
 
 /// The kept part of a block.
 #[derive(Default)]
-pub(super) struct Sorted {
+struct Sorted {
     /// bfee records, each with its MPDU if that is in the block too.
     kept: Vec<(Span, Option<Span>)>,
     /// Bytes of all of them.
@@ -365,5 +369,394 @@ impl Sorted {
         let mpdu = self.mpdu.take();
         self.bytes += span.len + mpdu.map_or(0, |mpdu| mpdu.len);
         self.kept.push((span, mpdu));
+    }
+}
+
+/// Pieces that may wait between the reading and the sorting thread.
+const AHEAD: usize = 4;
+
+/// Bytes of a read: few enough to stay in the second-level cache while records are found in them.
+const STRETCH: usize = 256 << 10;
+
+/// How a log is cut into blocks.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cut {
+    /// Bytes of the first block: a log that fits into it is read before a thread would start.
+    pub first: usize,
+    /// Bytes of later blocks on the heap, or `None` for [large](Block::large) ones.
+    pub block: Option<usize>,
+    /// Room at the start of a block for the incomplete record at the end of the block before, bytes.
+    pub head: usize,
+}
+
+impl Default for Cut {
+    fn default() -> Self {
+        const { assert!(LOOKAHEAD < BLOCK) };
+        Self { first: 128 << 10, block: None, head: LOOKAHEAD }
+    }
+}
+
+impl Cut {
+    fn next(self) -> Block {
+        let mut block = self.block.map_or_else(Block::large, Block::fixed);
+        block.skip(self.head);
+        block
+    }
+}
+
+impl<R: Read + Send> Reading<Replay<R>> {
+    /// Reads all of a log, on two threads if bodies are kept; records are received at `now`. Stops early once `go_on`, called every
+    /// few megabytes, returns false.
+    ///
+    /// # Errors
+    /// If the log cannot be read further. What was read before is kept.
+    pub fn read_all(&mut self, now: Instant, go_on: impl FnMut() -> bool) -> Result<(), Error> {
+        self.read_cut(now, Cut::default(), None, &mut (), go_on)
+    }
+
+    /// The same for a log of about `bytes`, with room reserved from the start; `advise` gets the memory.
+    ///
+    /// # Errors
+    /// As [`Self::read_all`].
+    pub fn read_sized(
+        &mut self,
+        now: Instant,
+        bytes: u64,
+        advise: &mut impl Advise,
+        go_on: impl FnMut() -> bool,
+    ) -> Result<(), Error> {
+        self.read_cut(now, Cut::default(), Some(bytes), advise, go_on)
+    }
+
+    /// The same with other block sizes.
+    pub(super) fn read_cut(
+        &mut self,
+        now: Instant,
+        cut: Cut,
+        size: Option<u64>,
+        advise: &mut impl Advise,
+        mut go_on: impl FnMut() -> bool,
+    ) -> Result<(), Error> {
+        if self.ended {
+            return Ok(());
+        }
+        let bodies = self.bodies;
+        let (replay, table) = self.parts();
+        let (bytes, framing) = replay.halves();
+        let mut cutter = Cutter { bytes, framing, left: Vec::new(), most: 0 };
+        let mut sorter = Sorter { table, now, sorted: Sorted::default(), ended: false };
+        let (first, more) = cutter.next(Block::fixed(cut.first), Found::default(), 0);
+        let first_bytes = first.block.bytes().len();
+        sorter.take(first);
+        if more? && go_on() {
+            if let Some(size) = size {
+                sorter.table.reserve(expected(sorter.table.kept(), first_bytes, size), advise);
+            }
+            if bodies {
+                in_pieces(cutter, cut, |piece| (sorter.take(piece).found, go_on()))?;
+            } else {
+                in_one_block(cutter, cut, |piece| (sorter.take(piece), go_on()))?;
+            }
+        }
+        self.ended = sorter.ended;
+        Ok(())
+    }
+}
+
+/// Expected number of kept records in a log of `size` bytes, from the share kept so far, and a few more.
+fn expected(kept: usize, of_bytes: usize, size: u64) -> usize {
+    let all = kept as f64 * (size as f64 / of_bytes.max(1) as f64);
+    (1.02 * all) as usize
+}
+
+/// A block and what was found in it.
+struct Piece {
+    block: Block,
+    found: Found,
+}
+
+/// What remains of a piece for reuse: the memory of its finds, and its block if that is not kept.
+struct Spare {
+    block: Option<Block>,
+    found: Found,
+}
+
+/// Cuts a log into pieces on its own thread and passes them on in order; `take` returns the memory of the finds for reuse, and
+/// whether to continue.
+fn in_pieces<R: Read + Send>(
+    mut cutter: Cutter<'_, R>,
+    cut: Cut,
+    mut take: impl FnMut(Piece) -> (Found, bool),
+) -> Result<(), Error> {
+    let (sender, pieces) = sync_channel(AHEAD);
+    let (back, used) = channel();
+    std::thread::scope(|scope| {
+        let read = move || {
+            loop {
+                let (piece, more) = cutter.next(cut.next(), used.try_recv().unwrap_or_default(), cut.head);
+                let is_last = !matches!(more, Ok(true));
+                // The receiver is gone once it has enough.
+                if sender.send((piece, more)).is_err() || is_last {
+                    return;
+                }
+            }
+        };
+        let started = std::thread::Builder::new().name("csi5300-read".into()).spawn_scoped(scope, read);
+        started.map_err(|source| Error::Io { what: "cannot start a thread to read the log".into(), source })?;
+        for (piece, more) in pieces {
+            let (found, go_on) = take(piece);
+            if !more? || !go_on {
+                break;
+            }
+            // After the last piece nobody needs the memory.
+            let _ = back.send(found);
+        }
+        Ok(())
+    })
+}
+
+/// Cuts a log into pieces in reused memory: `take` returns the block, and whether to continue.
+fn in_one_block<R: Read>(
+    mut cutter: Cutter<'_, R>,
+    cut: Cut,
+    mut take: impl FnMut(Piece) -> (Spare, bool),
+) -> Result<(), Error> {
+    let bytes = cut.head + cut.block.unwrap_or(STRETCH);
+    let (mut block, mut found) = (Block::fixed(bytes), Found::default());
+    loop {
+        block.skip(cut.head);
+        let (piece, more) = cutter.next(block, found, cut.head);
+        let (spare, go_on) = take(piece);
+        if !more? || !go_on {
+            return Ok(());
+        }
+        found = spare.found;
+        block = spare.block.and_then(Block::emptied).unwrap_or_else(|| Block::fixed(bytes));
+    }
+}
+
+/// Reads a log and finds its records, a block at a time.
+struct Cutter<'a, R> {
+    bytes: &'a mut Bytes<R>,
+    framing: &'a mut Framing,
+    /// Unused bytes at the end of the last block.
+    left: Vec<u8>,
+    /// Most finds in a block so far.
+    most: usize,
+}
+
+impl<R: Read> Cutter<'_, R> {
+    /// The next piece, in `block`, read after `head`, with the memory of `found`; returns whether there may be more.
+    fn next(&mut self, mut block: Block, found: Found, head: usize) -> (Piece, Result<bool, Error>) {
+        let mut found = found.emptied(self.most);
+        // The unused bytes fit before the new ones, except where the room is almost zero.
+        let has_room = self.left.len() <= head;
+        let stretch = if has_room { STRETCH } else { usize::MAX };
+        let mut at = if has_room { block.put_before(head, &self.left) } else { 0 };
+        let more = loop {
+            let more = self.fill(&mut block, stretch);
+            if !has_room {
+                at = block.put_before(head, &self.left);
+            }
+            at = found.find(block.bytes(), at, self.framing, matches!(more, Ok(false)));
+            if !has_room || !matches!(more, Ok(true)) || block.room() == 0 {
+                break more;
+            }
+        };
+        self.left.clear();
+        self.left.extend_from_slice(block.bytes().get(at..).unwrap_or_default());
+        self.most = self.most.max(found.len());
+        (Piece { block, found }, more)
+    }
+
+    /// Reads until a block is full or the log ends; returns whether there may be more.
+    fn fill(&mut self, block: &mut Block, bytes: usize) -> Result<bool, Error> {
+        let until = block.room().saturating_sub(bytes);
+        while block.room() > until {
+            let wanted = block.room() - until;
+            let read = block.fill(|room| {
+                let most = room.len().min(wanted);
+                self.bytes.read_into(room.split_at_mut(most).0)
+            })?;
+            if read == 0 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// Sorts the finds of a log, a block at a time.
+struct Sorter<'a> {
+    table: Table<'a>,
+    now: Instant,
+    /// Of the current block; its memory is reused.
+    sorted: Sorted,
+    ended: bool,
+}
+
+impl Sorter<'_> {
+    /// Takes a piece; returns what is not kept of it.
+    fn take(&mut self, Piece { block, found }: Piece) -> Spare {
+        let Self { table, sorted, .. } = self;
+        self.ended = found.each(block.bytes(), self.now, |thing, span| match thing {
+            Thing::Bfee(stamps, fields) => table.sort_bfee(sorted, stamps, fields, span),
+            Thing::Other(next) => table.sort(sorted, next, span),
+        });
+        Spare { block: table.keep(sorted, block), found }
+    }
+}
+
+// What the reading thread finds in a block for the sorting one: eight bytes per record and a bfee's fields. If these stayed in
+// the records themselves, the other thread would spend more time on fetching than on using them.
+
+/// Bytes of a record before its body.
+const HEAD: u64 = LENGTH_FIELD as u64 + 1;
+
+/// A find.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    from: u32,
+    len: u16,
+    code: u8,
+    /// A record without a host time; otherwise the next of the others.
+    is_plain: bool,
+}
+
+#[derive(Clone, Debug)]
+enum Other {
+    Record { host_us: Option<i64>, offset: u64, code: u8, span: Span },
+    Lost(Loss),
+    End(Tail),
+}
+
+/// A find, decoded.
+enum Thing<'a> {
+    /// An intact bfee record.
+    Bfee(Stamps, &'a Fields),
+    /// Anything else.
+    Other(&'a Next<'a>),
+}
+
+/// The finds in a block, in order.
+#[derive(Debug, Default)]
+struct Found {
+    places: Vec<Place>,
+    /// Fields of the intact bfee records among the plain ones.
+    fields: Vec<Fields>,
+    others: Vec<Other>,
+    /// Offset of the block's first byte in the log; wraps.
+    start: u64,
+}
+
+impl Found {
+    /// Forgets all finds and makes room for `most`; keeps its memory.
+    fn emptied(mut self, most: usize) -> Self {
+        self.places.clear();
+        self.fields.clear();
+        self.others.clear();
+        self.places.reserve(most);
+        self.fields.reserve(most);
+        Self { start: 0, ..self }
+    }
+
+    /// Adds the records in the block's `bytes` from `at` on; `is_last`: the log ends there. Returns the first unused byte, where a
+    /// record starts.
+    fn find(&mut self, bytes: &[u8], at: usize, framing: &mut Framing, is_last: bool) -> usize {
+        dispatch!(Level::new(), _ => self.find_in(bytes, at, framing, is_last))
+    }
+
+    /// [`Self::find`], for the vectors for which it is compiled.
+    #[inline(always)]
+    fn find_in(&mut self, bytes: &[u8], mut at: usize, framing: &mut Framing, is_last: bool) -> usize {
+        loop {
+            match framing.step(bytes.get(at..).unwrap_or_default(), is_last) {
+                Front::Record { used, body, code, offset, host_us } => {
+                    if self.places.is_empty() {
+                        self.start = offset.wrapping_sub(at as u64);
+                    }
+                    at += used;
+                    let span = Span { from: (at - body) as u32, len: body as u32 };
+                    self.record(bytes, span, code, offset, host_us);
+                }
+                Front::Lost { used, loss } => {
+                    at += used;
+                    self.other(Other::Lost(loss));
+                }
+                Front::Short => return at,
+                Front::End(tail) => {
+                    self.other(Other::End(tail));
+                    return at;
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn record(&mut self, bytes: &[u8], span: Span, code: u8, offset: u64, host_us: Option<i64>) {
+        if let Ok(len) = u16::try_from(span.len)
+            && host_us.is_none()
+            && self.offset(span.from) == offset
+            && (code != code::BFEE || self.bfee(span.of(bytes)))
+        {
+            self.places.push(Place { from: span.from, len, code, is_plain: true });
+            return;
+        }
+        self.other(Other::Record { host_us, offset, code, span });
+    }
+
+    /// Adds the fields of a bfee record, if it is intact.
+    #[inline(always)]
+    fn bfee(&mut self, body: &[u8]) -> bool {
+        let Ok(bfee) = Bfee::new_checked(body) else { return false };
+        self.fields.push(Fields::of(&bfee));
+        true
+    }
+
+    fn other(&mut self, other: Other) {
+        self.places.push(Place { from: 0, len: 0, code: 0, is_plain: false });
+        self.others.push(other);
+    }
+
+    /// Place in the log of the record whose body begins at byte `from` of the block.
+    fn offset(&self, from: u32) -> u64 {
+        self.start.wrapping_add(u64::from(from)).wrapping_sub(HEAD)
+    }
+
+    /// Number of finds.
+    fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Passes on all finds, received at `now`, with their places in the block's `bytes`; returns whether the log ends there.
+    fn each(&self, bytes: &[u8], now: Instant, mut take: impl FnMut(Thing<'_>, Span)) -> bool {
+        let mut ended = false;
+        let stamps = |host_us, offset| Stamps { at: now, host_us, origin: Origin::File { offset } };
+        let record = |stamps, code, span: Span| Next::Record(stamps, Record { code, body: span.of(bytes) });
+        let (mut fields, mut others) = (self.fields.iter(), self.others.iter());
+        for place in &self.places {
+            if place.is_plain {
+                let span = Span { from: place.from, len: place.len.into() };
+                let stamps = stamps(None, self.offset(place.from));
+                let fields = if place.code == code::BFEE { fields.next() } else { None };
+                match fields {
+                    Some(fields) => take(Thing::Bfee(stamps, fields), span),
+                    None => take(Thing::Other(&record(stamps, place.code, span)), span),
+                }
+                continue;
+            }
+            match others.next() {
+                Some(Other::Record { host_us, offset, code, span }) => {
+                    take(Thing::Other(&record(stamps(*host_us, *offset), *code, *span)), *span);
+                }
+                Some(Other::Lost(loss)) => take(Thing::Other(&Next::Lost(loss.clone())), Span::default()),
+                Some(Other::End(tail)) => {
+                    ended = true;
+                    take(Thing::Other(&Next::End(*tail)), Span::default());
+                }
+                None => {}
+            }
+        }
+        ended
     }
 }

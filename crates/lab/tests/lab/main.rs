@@ -5,9 +5,6 @@
 mod common;
 
 mod accuracy;
+mod captures;
 mod faults;
-mod fixtures;
 mod geometries;
-mod real_bearings;
-mod shelf;
-mod strange_logs;

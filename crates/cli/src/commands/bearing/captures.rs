@@ -1,14 +1,19 @@
-//! Bearings of captures: folders with the logs of a receiver and its transmitters, a trajectory and perhaps the truth.
+//! Bearings of captures: folders with the logs of a receiver and its transmitters, a trajectory and perhaps the truth; receivers and
+//! transmitters located from them.
 
-use super::super::captures::{Reading, Which};
-use super::super::{Outcome, Result, fixed, hint, print, print_json, usage};
-use super::words::{digits, explain_lines, in_a_line, is_short};
-use super::{Args, located, transmitters};
+use super::Args;
+use super::words::{describe, digits, doubts, explain_lines, in_a_line, is_short, pairs};
+use crate::commands::args::{Reading, Which};
+use crate::commands::{InWords, Outcome, Result, Words, fixed, hint, print, print_json, some, usage};
 use clap::ValueEnum;
+use csi5300::maths::median;
 use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
 use csi5300_lab::evaluate::quality::horizontal;
-use csi5300_lab::evaluate::receivers::{Located, Ranged, receivers_with};
+use csi5300_lab::evaluate::receivers::{Located, Ranged, Receiver, Shared, UNKNOWN_PROBABILITY, receivers_with};
+use csi5300_lab::evaluate::transmitters::{Frame, LocatedTransmitter, Motion, located};
 use csi5300_lab::evaluate::{Capture, Judged};
+use csi5300_team::factors;
+use csi5300_team::ranges::{Range, read};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -17,17 +22,20 @@ use std::path::{Path, PathBuf};
 pub type Place = ([f64; 2], Option<f64>);
 
 /// A transmitter's name and place.
-pub fn place(text: &str) -> std::result::Result<(String, Place), String> {
-    let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
-        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
-        let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;
-        match numbers[..] {
-            [x, y] => Some((name.to_owned(), ([x, y], None))),
-            [x, y, z] => Some((name.to_owned(), ([x, y], Some(z)))),
-            _ => None,
-        }
+pub fn place(text: &str) -> Words<(String, Place)> {
+    let parts = named_numbers(text).and_then(|(name, numbers)| match numbers[..] {
+        [x, y] => Some((name.to_owned(), ([x, y], None))),
+        [x, y, z] => Some((name.to_owned(), ([x, y], Some(z)))),
+        _ => None,
     });
     parts.ok_or_else(|| "a name and two or three numbers of metres, such as tx2=-3.18,1.11".into())
+}
+
+/// A name and finite numbers: `NAME=1,2`.
+fn named_numbers(text: &str) -> Option<(&str, Vec<f64>)> {
+    let (name, numbers) = text.split_once('=').filter(|(name, _)| !name.is_empty())?;
+    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
+    Some((name, numbers.split(',').map(number).collect::<Option<_>>()?))
 }
 
 impl Args {
@@ -47,7 +55,7 @@ impl Args {
 
     /// The named captures with their requested links, and whether some could not be read. Of several folders, each
     /// one's name precedes its captures' names.
-    fn find(&self, reading: &Reading) -> std::result::Result<(Vec<Capture>, Vec<String>, bool), String> {
+    fn find(&self, reading: &Reading) -> Words<(Vec<Capture>, Vec<String>, bool)> {
         let (mut captures, mut names, mut lost) = (Vec::new(), Vec::new(), false);
         for named in &self.captures {
             let (folder, wanted) = parts(named);
@@ -112,7 +120,7 @@ pub fn run(args: &Args) -> Result {
     let options = args.asked(options);
     let (captures, names, mut lost) = args.find(&reading)?;
     if args.together.transmitters {
-        return transmitters::run(&args.together, &reading, (captures, lost), &args.place, args.json);
+        return locate_transmitters(&args.together, &reading, (captures, lost), &args.place, args.json);
     }
     args.graph.check(&captures, !args.place.is_empty(), args.force)?;
     let ranges = args.graph.ranges(&captures, &reading)?;
@@ -153,12 +161,12 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>, links: usize) {
         _ if args.json => print_json(&Row::new(row, bearing)),
         Some(bearing) if args.explain => print(&explain(row, bearing)),
         _ => {
-            let (answer, doubts) = (&row.answer, super::pairs::doubts(&row.answer));
+            let (answer, doubts) = (&row.answer, doubts(&row.answer));
             let text = if is_short(links) {
                 let truth = true_azimuth("  truth", row).unwrap_or_default();
                 format!("{}{truth}\n{doubts}", in_a_line(answer, MirrorOf::Motion))
             } else {
-                let mut text = super::describe(answer, MirrorOf::Motion, links, &doubts, &super::pairs::pairs(answer));
+                let mut text = describe(answer, MirrorOf::Motion, links, &doubts, &pairs(answer));
                 truth(&mut text, "  truth", row);
                 text
             };
@@ -171,13 +179,9 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>, links: usize) {
 }
 
 /// Where the receivers are of whose links several see known places, or one that was told.
-fn locate(
-    args: &Args,
-    rows: &mut [Judged],
-    ranges: &BTreeMap<String, Vec<Ranged>>,
-) -> std::result::Result<Located, String> {
+fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged>>) -> Words<Located> {
     for row in rows.iter_mut() {
-        let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
+        let own = args.place.iter().find(|(name, _)| row.transmitter() == name);
         row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
         row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
     }
@@ -188,30 +192,30 @@ fn locate(
     if args.place.is_empty() {
         found.retain(|receiver| receiver.position_m.is_some() && receiver.links + receiver.ranges[0] > 1);
     }
-    found.iter_mut().for_each(|receiver| located::say_unplaced(receiver, rows));
+    found.iter_mut().for_each(|receiver| say_unplaced(receiver, rows));
     if args.json {
         found.iter().for_each(print_json);
         located.transmitters.iter().for_each(print_json);
     } else if !found.is_empty() {
-        print(&format!("located from links to known places:\n{}", located::table(found, rows)));
-        print(&located::shared(&located.transmitters));
+        print(&format!("located from links to known places:\n{}", receivers_table(found, rows)));
+        print(&shared(&located.transmitters));
     }
     Ok(located)
 }
 
-fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
+fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> Words<()> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, reading.source());
+    let pictures = csi5300_lab::show::results::LinkPictures::of(row, bearing, reading.source());
     super::write(&pictures, folder, &row.answer.link)
 }
 
 /// A map of each capture: the bearings, the transmitters, the receiver as located.
-fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> std::result::Result<(), String> {
+fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> Words<()> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let written = csi5300_lab::show::set::write_maps(rows, located, folder, &super::super::pictures::format());
-    let written = written.map_err(|error| error.to_string())?;
+    let written = csi5300_lab::show::results::write_maps(rows, located, folder, &crate::commands::draft::read_files());
+    let written = written.in_words()?;
     if !written.is_empty() {
-        note!("{}: {}", folder.display(), super::super::some(written.len() as u64, "map", "maps"));
+        note!("{}: {}", folder.display(), crate::commands::some(written.len() as u64, "map", "maps"));
     }
     Ok(())
 }
@@ -340,6 +344,349 @@ pub fn places(candidates: &[CandidateAnswer]) -> String {
     text
 }
 
+/// The links to a receiver.
+fn own<'a>(receiver: &Receiver, rows: &'a [Judged]) -> impl Iterator<Item = &'a Judged> {
+    let capture = format!("{}/", receiver.capture);
+    rows.iter().filter(move |row| row.answer.link.starts_with(&capture))
+}
+
+/// Of a receiver that is not located: which of its bearings are to transmitters whose places are not known.
+fn say_unplaced(receiver: &mut Receiver, rows: &[Judged]) {
+    let Some(error) = receiver.error.clone() else { return };
+    let is_unplaced = |row: &&Judged| row.answer.azimuth_deg.is_some() && row.true_transmitter_m.is_none();
+    let unplaced: Vec<String> =
+        own(receiver, rows).filter(is_unplaced).map(|row| row.transmitter().to_owned()).collect();
+    let (whose, options) = match &unplaced[..] {
+        [] => return,
+        [one] => (format!("the place of {one} is"), format!("--place {one}=X,Y")),
+        [one, ..] => (format!("the places of {} are", unplaced.join(", ")), format!("--place {one}=X,Y and so on")),
+    };
+    let unplaced = format!("{whose} not known ({options})");
+    let known = if receiver.links == 0 { "not located:".into() } else { format!("{error};") };
+    receiver.error = Some(format!("{known} {unplaced}"));
+}
+
+fn receivers_table(found: &[Receiver], rows: &[Judged]) -> String {
+    let mut text = String::new();
+    for receiver in found {
+        let _ = write!(text, "{}: ", receiver.capture);
+        match (receiver.position_m, receiver.covariance_m2) {
+            (Some([x, y]), Some(c)) => {
+                let _ = write!(
+                    text,
+                    "x {} +- {:.2} m, y {} +- {:.2} m from {}",
+                    fixed(x, 2),
+                    c[0][0].sqrt(),
+                    fixed(y, 2),
+                    c[1][1].sqrt(),
+                    some(receiver.links as u64, "link", "links")
+                );
+                if let (Some(z), Some(sd)) = (receiver.height_m, receiver.height_sd_m) {
+                    let _ = write!(text, ", z {} +- {sd:.2} m", fixed(z, 2));
+                }
+            }
+            _ => text += receiver.error.as_deref().unwrap_or("not located"),
+        }
+        if let Some(off) = receiver.off_m {
+            let _ = write!(text, "; {off:.2} m from the truth");
+        }
+        let [used, outliers] = receiver.ranges;
+        if used > 0 {
+            let _ = write!(text, "; {}, {outliers} of them outliers", some(used as u64, "range", "ranges"));
+        }
+        if receiver.without_probability > 0 {
+            let _ = write!(
+                text,
+                "; {} without a calibrated probability weighed as within 5 degrees with {UNKNOWN_PROBABILITY}",
+                some(receiver.without_probability as u64, "link", "links")
+            );
+        }
+        text.push('\n');
+        others(&receiver.others_m, &mut text);
+        said_otherwise(receiver, rows, &mut text);
+        for row in own(receiver, rows) {
+            let Some(position_m) = row.answer.position_m else { continue };
+            let [x, y, z] = position_m.map(|metres| fixed(metres, 2));
+            let mirror = row
+                .answer
+                .mirror_deg
+                .map_or(String::new(), |deg| format!("; its mirror, at {} deg, is as far away", fixed(deg, 2)));
+            let _ = writeln!(text, "  {}: seen at x {x}, y {y}, z {z} m{mirror}", row.answer.link);
+        }
+    }
+    errors(found, &mut text);
+    let mut off: Vec<f64> = found.iter().filter_map(|receiver| receiver.off_m).collect();
+    if let Some(median) = median(&mut off) {
+        let _ =
+            writeln!(text, "{} located, median error {median:.2} m", some(off.len() as u64, "receiver", "receivers"));
+    }
+    text
+}
+
+/// Transmitters located with the receivers.
+fn shared(found: &[Shared]) -> String {
+    let mut text = String::new();
+    for Shared { transmitter, captures, position_m: [x, y], covariance_m2: c, others_m } in found {
+        let _ = writeln!(
+            text,
+            "{transmitter}: x {} +- {:.2} m, y {} +- {:.2} m from {captures} captures",
+            fixed(*x, 2),
+            c[0][0].sqrt(),
+            fixed(*y, 2),
+            c[1][1].sqrt()
+        );
+        others(others_m, &mut text);
+    }
+    text
+}
+
+fn others(places_m: &[[f64; 2]], text: &mut String) {
+    for [x, y] in places_m {
+        let _ = writeln!(text, "  or x {} m, y {} m, which the links fit nearly as well", fixed(*x, 2), fixed(*y, 2));
+    }
+}
+
+/// The links whose place fits another bearing than their answer.
+fn said_otherwise(receiver: &Receiver, rows: &[Judged], text: &mut String) {
+    for (link, azimuth_deg) in receiver.names.iter().zip(&receiver.azimuths_deg) {
+        let answer = rows.iter().find(|row| row.answer.link == *link).and_then(|row| row.answer.azimuth_deg);
+        if let Some(answer) = answer.filter(|answer| (answer - azimuth_deg).abs() > 1e-6) {
+            let [fitting, answer] = [*azimuth_deg, answer].map(|deg| fixed(deg, 2));
+            let _ = writeln!(text, "  {link}: {fitting} deg fits this place, not the {answer} deg answered");
+        }
+    }
+}
+
+/// Errors of the bearings of links to located receivers, as answered and as the places choose them, where the truth is known.
+fn errors(found: &[Receiver], text: &mut String) {
+    let chosen = || found.iter().filter(|receiver| receiver.azimuth_errors_deg.len() > 1);
+    let pool = |errors: fn(&Receiver) -> &[f64]| {
+        let mut errors: Vec<f64> = chosen().flat_map(errors).map(|error| error.abs()).collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        median(&mut errors).map(|median| format!("{mean:.2} / {median:.2} deg"))
+    };
+    if let (Some(answered), Some(fitting)) = (pool(|r| &r.answer_errors_deg), pool(|r| &r.azimuth_errors_deg)) {
+        let _ = writeln!(
+            text,
+            "receivers with two or more links: error mean / median {answered} of the answers, {fitting} of the candidates that fit the place"
+        );
+    }
+}
+
+#[derive(clap::Args)]
+#[command(next_help_heading = "Graph of the located receiver")]
+pub struct Graph {
+    /// Ranges between the receiver and transmitters from another sensor (UWB, FTM), as CSV or JSON: time_s, from, to,
+    /// range_m, sd_m. Robot names: rx, tx2 and so on, or the last parts of a capture's or link's name
+    #[arg(long, value_name = "FILE", requires = "captures", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
+    ranges: Option<PathBuf>,
+    /// Write the graph that located the receiver of one capture, or with --place of several captures: JSON for GTSAM, or
+    /// g2o's text format
+    #[arg(long, value_name = "OUT.json|.g2o", requires = "captures", conflicts_with_all = ["transmitters", "baseline"], hide_short_help = true)]
+    factors: Option<PathBuf>,
+}
+
+impl Graph {
+    pub fn is_wanted(&self) -> bool {
+        self.ranges.is_some() || self.factors.is_some()
+    }
+
+    fn is_g2o(path: &Path) -> Option<bool> {
+        let ending = path.extension()?.to_str()?;
+        [("g2o", true), ("json", false)].into_iter().find(|(own, _)| *own == ending).map(|(_, is_g2o)| is_g2o)
+    }
+
+    /// Checks, before any estimate, that the graph can be written.
+    pub fn check(&self, captures: &[Capture], has_place: bool, force: bool) -> Words<()> {
+        let Some(path) = &self.factors else { return Ok(()) };
+        if captures.len() != 1 && !has_place {
+            usage(&format!(
+                "--factors takes one capture, not {}: several are one graph with --place NAME=X,Y of a transmitter that stands, \
+                 if they share another one of unknown place",
+                captures.len()
+            ));
+        }
+        if Self::is_g2o(path).is_none() {
+            usage(&format!("{}: --factors writes .json or .g2o", path.display()));
+        }
+        crate::commands::draft::Draft::create(path, force).map(drop)
+    }
+
+    /// The ranges of each capture, by its name.
+    pub fn ranges(&self, captures: &[Capture], reading: &Reading) -> Words<BTreeMap<String, Vec<Ranged>>> {
+        let mut found: BTreeMap<String, Vec<Ranged>> = BTreeMap::new();
+        let Some(path) = &self.ranges else { return Ok(found) };
+        let words = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+        let text = std::fs::read_to_string(path).map_err(|error| words(&error))?;
+        let ranges = read(&text).map_err(|error| words(&error))?;
+        let mut taken = vec![false; ranges.len()];
+        for capture in captures {
+            let trajectory = capture.path(reading.source()).map_err(|error| words(&error))?;
+            for (range, taken) in ranges.iter().zip(&mut taken) {
+                let Some(transmitter) = transmitter(capture, range) else { continue };
+                let Some(pose) = trajectory.at(range.time_s) else { continue };
+                let own = found.entry(capture.link_name("")).or_default();
+                own.push(Ranged {
+                    transmitter: transmitter.to_owned(),
+                    t_s: range.time_s,
+                    from_m: [pose.position_m.x, pose.position_m.y],
+                    range_m: [range.range_m, range.sd_m],
+                });
+                *taken = true;
+            }
+        }
+        match ranges.iter().zip(taken).find(|(_, taken)| !taken) {
+            Some((Range { from, to, time_s, .. }, _)) => Err(words(&format!(
+                "no capture has {from} and {to} at {time_s} s: the robots are rx and {}, and times are those of the trajectory",
+                captures.first().and_then(|capture| capture.transmitters.first()).map_or("tx", |(name, _)| name)
+            ))),
+            None => Ok(found),
+        }
+    }
+
+    /// Reports ranges that were not used, and writes the graph.
+    pub fn finish(&self, given: &BTreeMap<String, Vec<Ranged>>, found: &Located) -> Words<()> {
+        for receiver in &found.receivers {
+            let given = given.get(&receiver.capture).map_or(0, Vec::len);
+            if receiver.ranges[0] < given {
+                let left = some((given - receiver.ranges[0]) as u64, "range is", "ranges are");
+                note!("{}: {left} not used: give the transmitters' places with --place", receiver.capture);
+            }
+        }
+        let Some(path) = &self.factors else { return Ok(()) };
+        let Some((team, solution)) = &found.graph else {
+            let why = if found.receivers.iter().any(|receiver| receiver.position_m.is_some()) {
+                "the captures share no transmitter of unknown place, which would connect them"
+            } else {
+                "no receiver was located"
+            };
+            return Err(format!("{}: not written, because {why}", path.display()));
+        };
+        let is_g2o = Self::is_g2o(path).unwrap_or_default();
+        crate::commands::draft::write(
+            path,
+            if is_g2o { factors::g2o(team, solution) } else { factors::json(team, solution) },
+        )
+    }
+}
+
+/// The capture's transmitter that a range belongs to; either end may be the receiver.
+fn transmitter<'a>(capture: &'a Capture, range: &Range) -> Option<&'a str> {
+    let ends = |own: &str, name: &str| own == name || own.strip_suffix(name).is_some_and(|rest| rest.ends_with('/'));
+    let is_receiver = |name: &str| name == "rx" || ends(&capture.link_name(""), name);
+    let other = [(&range.from, &range.to), (&range.to, &range.from)];
+    let other = other.into_iter().find(|(receiver, _)| is_receiver(receiver)).map(|(_, other)| other)?;
+    let names = capture.transmitters.iter().map(|(name, _)| name.as_str());
+    names.into_iter().find(|name| ends(&capture.link_name(name), other))
+}
+
+// How captures lie to each other.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Transmitters from several captures")]
+pub struct Together {
+    /// Locate each transmitter from all captures together. Their trajectories must share one frame (motion capture), or
+    /// use --frame
+    #[arg(long, requires = "captures", conflicts_with = "explain", hide_short_help = true)]
+    pub transmitters: bool,
+    /// Frame of a capture's trajectory in the common one: origin, metres, and rotation from +x towards +y, degrees.
+    /// CAPTURE is a folder as in link names
+    #[arg(long, value_name = "CAPTURE=X,Y,DEGREES", value_parser = frame, allow_hyphen_values = true, requires = "transmitters", hide_short_help = true)]
+    frame: Vec<(String, Frame)>,
+}
+
+impl Together {
+    /// The frame of a capture's trajectory: that of the longest name that is its or a folder's above it.
+    fn frame(&self, capture: &Capture) -> Frame {
+        let own = capture.link_name("");
+        let is_of = |name: &str| own == name || own.strip_prefix(name).is_some_and(|rest| rest.starts_with('/'));
+        let named = self.frame.iter().filter(|(name, _)| is_of(name));
+        named.max_by_key(|(name, _)| name.len()).map(|(_, frame)| *frame).unwrap_or_default()
+    }
+
+    /// Refuses frames of captures that are not there.
+    fn must_be_of(&self, captures: &[Capture]) {
+        for (name, _) in &self.frame {
+            let below = format!("{name}/");
+            let is_there = |own: String| own == *name || own.starts_with(&below);
+            if !captures.iter().any(|capture| is_there(capture.link_name(""))) {
+                let names: Vec<String> = captures.iter().take(5).map(|capture| capture.link_name("")).collect();
+                usage(&format!("--frame {name}=...: no capture has this name; there are {}", names.join(", ")));
+            }
+        }
+    }
+}
+
+fn frame(text: &str) -> Words<(String, Frame)> {
+    let parts = named_numbers(text).and_then(|(name, numbers)| {
+        let [x, y, deg] = numbers[..] else { return None };
+        Some((name.trim_end_matches('/').to_owned(), Frame { origin_m: [x, y], yaw_rad: deg.to_radians() }))
+    });
+    parts.ok_or_else(|| "a capture's name, metres, metres, degrees, such as kitchen=4.2,-1,90".into())
+}
+
+/// Locates every transmitter of the captures.
+fn locate_transmitters(
+    together: &Together,
+    reading: &Reading,
+    (captures, mut lost): (Vec<Capture>, bool),
+    told: &[(String, Place)],
+    json: bool,
+) -> Result {
+    let options = reading.options()?;
+    together.must_be_of(&captures);
+    let (mut motions, mut failed): (Vec<Motion>, Vec<(String, String)>) = (Vec::new(), Vec::new());
+    for capture in &captures {
+        let frame = together.frame(capture);
+        let found = capture.motions(reading.source(), reading.channel, &options, 1, frame);
+        lost |= found.lost;
+        found.notes.iter().for_each(|line| note!("{line}"));
+        motions.extend(found.motions);
+        failed.extend(found.failed);
+    }
+    let told: BTreeMap<String, [f64; 2]> = told.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
+    let found = located(&motions, &told);
+    if json {
+        found.iter().for_each(print_json);
+    } else {
+        print(&transmitters_table(&found));
+    }
+    failed.iter().for_each(|(link, error)| wrong!("{link}: {error}"));
+    Ok(match found.iter().any(|one| one.position_m.is_some()) {
+        false => Outcome::Nothing,
+        true if lost => Outcome::DataLost,
+        true => Outcome::Done,
+    })
+}
+
+fn transmitters_table(found: &[LocatedTransmitter]) -> String {
+    let mut text = String::new();
+    for one in found {
+        let _ = write!(text, "{}: ", one.transmitter);
+        let Some((position_m, share)) = one.position_m.zip(one.share) else {
+            let _ = writeln!(text, "{}", one.error.as_deref().unwrap_or("not located"));
+            continue;
+        };
+        let [x, y] = position_m.map(|metres| fixed(metres, 2));
+        let _ = write!(text, "x {x}, y {y} m");
+        if let Some(([longer, shorter], deg)) = one.ellipse_m.zip(one.ellipse_deg) {
+            let _ = write!(text, "; 68 % within {longer:.2} by {shorter:.2} m towards {} degrees", fixed(deg, 0));
+        }
+        let _ = write!(text, "; share {share:.2}, from {}", some(one.motions as u64, "motion", "motions"));
+        if one.refused > 0 {
+            let _ = write!(text, ", {} unusable", one.refused);
+        }
+        if let Some(off) = one.off_m {
+            let _ = write!(text, "; {off:.2} m from the truth");
+        }
+        text.push('\n');
+        for other in &one.others {
+            let [x, y] = other.position_m.map(|metres| fixed(metres, 2));
+            let _ = writeln!(text, "  or x {x}, y {y} m: share {:.2}", other.share);
+        }
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -385,6 +732,39 @@ mod tests {
         assert_eq!(place("tx=1,2,0.5"), Ok(("tx".into(), ([1.0, 2.0], Some(0.5)))));
         for wrong in ["tx=1", "tx=1,2,3,4", "=1,2", "tx=1,nan", "tx=1,2,inf", "tx"] {
             assert!(place(wrong).is_err_and(|why| why.contains("two or three numbers")), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn robots_have_short_names_or_names_with_their_capture() {
+        let capture = Capture {
+            place: "a/b".into(),
+            stamp: "t".into(),
+            folder: PathBuf::new(),
+            loose: None,
+            transmitters: vec![("tx2".into(), PathBuf::new()), ("tx12".into(), PathBuf::new())],
+            antenna_offset_m: None,
+            camera: None,
+        };
+        let of = |from: &str, to: &str| {
+            let range = Range { time_s: 0.0, from: from.into(), to: to.into(), range_m: 1.0, sd_m: 0.1 };
+            transmitter(&capture, &range).map(str::to_owned)
+        };
+        for (from, to) in [("rx", "tx2"), ("tx2", "rx"), ("b/t", "a/b/t/tx2"), ("t/tx2", "a/b/t")] {
+            assert_eq!(of(from, to).as_deref(), Some("tx2"), "{from} {to}");
+        }
+        for (from, to) in [("tx2", "tx12"), ("rx", "x2"), ("c/t", "tx2"), ("rx", "rx")] {
+            assert_eq!(of(from, to), None, "{from} {to}");
+        }
+    }
+
+    #[test]
+    fn a_frame_has_a_place_and_a_direction() {
+        let (name, found) = frame("a/b/=1,-2.5, 90").unwrap();
+        assert_eq!((name.as_str(), found.origin_m), ("a/b", [1.0, -2.5]));
+        assert!((found.yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        for wrong in ["a=1,2", "=1,2,3", "a=1,2,nan", "a", "a=1,2,3,4"] {
+            assert!(frame(wrong).is_err_and(|why| why.contains("degrees")), "{wrong}");
         }
     }
 }

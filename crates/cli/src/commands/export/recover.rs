@@ -1,33 +1,20 @@
 //! `csi5300 export --dat`: every intact record of a damaged log.
 
-mod settle;
-
-use super::super::draft::{Draft, led_to};
-use super::super::{Outcome, Result};
+use super::Args;
+use crate::commands::draft::{Draft, led_to, must_not_be_read, rest};
+use crate::commands::{InWords, Outcome, Result, Words, info, must_not_exist, open_log, print_json, some};
+use csi5300::source::replay::Replay;
 use csi5300::source::survey::{Identity, Survey};
-use csi5300::source::{Checks, CsiSource, Next, replay::Replay, side_path};
+use csi5300::source::{Checks, CsiSource, Next, Origin, side_path};
 use csi5300::time::Instant;
 use driver_iface::bfee::{Bfee, Iq, Repr};
-use driver_iface::record::{Record, code};
+use driver_iface::record::{LENGTH_FIELD, Record, code};
 use driver_iface::side_file::{Check, Entry, Layout as SideLayout};
 use driver_iface::{Mac, mpdu};
+use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufReader, BufWriter, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
-
-/// The input, the output, and the options.
-pub struct Recovery<'a> {
-    /// The damaged log; - is standard input.
-    pub input: &'a Path,
-    /// Where the intact records go.
-    pub output: &'a Path,
-    /// The layout to bring records into.
-    pub layout: Option<Layout>,
-    /// Print one JSON object about records and losses.
-    pub json: bool,
-    /// Overwrite an existing output.
-    pub force: bool,
-}
 
 /// The line of JSON.
 #[derive(serde::Serialize)]
@@ -53,8 +40,6 @@ pub enum Layout {
     /// side file (OUTPUTstp)
     Stock,
 }
-
-type Words<T> = std::result::Result<T, String>;
 
 /// Records of other codes that wait for a CSI record or its frame: this many confirm each other.
 const WAITING: usize = 16;
@@ -91,7 +76,7 @@ impl Output {
 
     fn write(&mut self, record: Record<'_>, host_us: Option<i64>) -> Words<()> {
         self.frame.resize(record.emit_len(), 0);
-        record.emit(&mut self.frame).map_err(|error| error.to_string())?;
+        record.emit(&mut self.frame).in_words()?;
         let name = &self.name;
         let failed = |error: std::io::Error| format!("writing {name}: {error}");
         self.data.write_all(&self.frame).map_err(failed)?;
@@ -117,7 +102,7 @@ impl Output {
             (0..csi5300::signal::channel::SUBCARRIERS).flat_map(|k| rows.clone().map(move |(rx, tx)| (k, rx, tx)));
         let csi: Vec<Iq> = all.filter_map(|(k, rx, tx)| bfee.iq(k, rx, tx)).collect();
         let mut body = vec![0; repr.body_len()];
-        repr.emit(&csi, &mut body).map_err(|error| error.to_string())?;
+        repr.emit(&csi, &mut body).in_words()?;
         self.write(Record { code: code::BFEE, body: &body }, identity.host_us)
     }
 
@@ -133,7 +118,7 @@ impl Output {
         if !self.draft.is_file() {
             return Ok(0);
         }
-        let taken = settle::settle(self.draft.path(), layout)?;
+        let taken = settle(self.draft.path(), layout)?;
         let named = side_path(self.draft.target());
         self.draft.keep(layout.is_some()).map_err(failed)?;
         let older = side_files(path).into_iter().filter(|side| layout.is_none() || led_to(side) != led_to(&named));
@@ -199,48 +184,48 @@ fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
         payload: &payload,
     };
     let mut frame = vec![0; repr.emit_len()];
-    repr.emit(&mut frame).map_err(|error| error.to_string())?;
+    repr.emit(&mut frame).in_words()?;
     Ok(frame)
 }
 
 /// Copies the intact records of a log.
-pub fn run(args: &Recovery<'_>) -> Result {
+pub fn run(args: &Args) -> Result {
     let output = args.output.display().to_string();
-    super::super::draft::must_not_be_read(args.output)?;
-    super::super::must_not_exist(args.output, args.force)?;
-    let mut source = super::super::open_log(args.input)?;
+    must_not_be_read(&args.output)?;
+    must_not_exist(&args.output, args.force)?;
+    let mut source = open_log(&args.file)?;
     // Checksums of what was never checked would vouch for it.
     let is_checked = source.checks().is_none_or(|checks| !checks.out_of_step);
     let own = source.side_layout().filter(|_| is_checked);
     let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { own };
     // Without a side file of its own the recovered log must not be read with that of another.
-    side_files(args.output).iter().try_for_each(|side| {
-        super::super::draft::must_not_be_read(side).and_then(|()| super::super::must_not_exist(side, args.force))
-    })?;
-    let mut out = Output::create(args.output, side)?;
+    side_files(&args.output)
+        .iter()
+        .try_for_each(|side| must_not_be_read(side).and_then(|()| must_not_exist(side, args.force)))?;
+    let mut out = Output::create(&args.output, side)?;
     let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
     if side.is_some() && !out.draft.is_file() {
         note!("{output} is no file: host times, which go into a side file, are not written");
     }
     copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts)?;
-    notes!("{}", super::super::info::losses(&survey, source.bytes()));
+    notes!("{}", info::losses(&survey, source.bytes()));
     let checks = source.checks();
     if let Some(checks) = &checks {
-        note!("  {}", super::super::info::check_words(checks));
+        note!("  {}", info::check_words(checks));
     }
     let mut kept = out.kept;
     if kept == 0 {
         drop(out);
         note!("nothing to write: no {output}");
     } else {
-        let taken = out.finish(args.output)?;
+        let taken = out.finish(&args.output)?;
         (kept, doubts.dropped) = (kept.saturating_sub(taken), doubts.dropped + taken);
-        note!("{} written to {output}", super::super::some(kept, "intact record", "intact records"));
+        note!("{} written to {output}", some(kept, "intact record", "intact records"));
     }
     if args.json {
         let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
         let row = Row {
-            output: args.output,
+            output: &args.output,
             records: kept,
             bad_bfee,
             damages,
@@ -248,10 +233,10 @@ pub fn run(args: &Recovery<'_>) -> Result {
             doubtful: doubts.dropped,
             checks,
         };
-        super::super::print_json(&row);
+        print_json(&row);
     }
     if doubts.dropped > 0 {
-        let doubtful = super::super::some(doubts.dropped, "doubtful record", "doubtful records");
+        let doubtful = some(doubts.dropped, "doubtful record", "doubtful records");
         note!("  {doubtful} skipped beside the damage: they may not be real");
     }
     let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
@@ -273,7 +258,7 @@ fn copy(
     loop {
         // What a side file's checksums let through is no doubt.
         let is_checked = source.checks().is_some_and(|checks| !checks.out_of_step);
-        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let next = source.receive(Instant::ZERO).in_words()?;
         let noted = survey.note(&next);
         match (next, noted) {
             (Next::Record(..), Some((bfee, identity))) if layout == Some(Layout::Stock) && bfee.wsr().is_some() => {
@@ -297,5 +282,108 @@ fn copy(
             (Next::Pending, _) => {}
             (Next::End(_), _) => return doubts.believe(out),
         }
+    }
+}
+
+/// Takes records out of a log that was just written, and their entries out of its side file, until it reads as it was
+/// written. Gives how many.
+fn settle(log: &Path, side: Option<SideLayout>) -> Words<u64> {
+    let mut taken = 0;
+    loop {
+        let misread = misread(log)?;
+        if misread.is_empty() {
+            return Ok(taken);
+        }
+        taken += misread.len() as u64;
+        let failed = |error: std::io::Error| format!("writing {}: {error}", log.display());
+        take_out(log, side, &misread).map_err(failed)?;
+    }
+}
+
+/// The numbers, from 0, of records that a reader does not find where they were written.
+fn misread(log: &Path) -> Words<BTreeSet<u64>> {
+    let failed = |error: std::io::Error| format!("reading {}: {error}", log.display());
+    let mut written = Written::open(log).map_err(failed)?;
+    let mut source = Replay::open(log).in_words()?;
+    let mut misread = BTreeSet::new();
+    let mut next = written.next().map_err(failed)?;
+    loop {
+        let found = match source.receive(Instant::ZERO).in_words()? {
+            Next::Record(stamps, record) => match stamps.origin {
+                Origin::File { offset } => Some((offset, record.emit_len())),
+                Origin::Live { .. } => continue,
+            },
+            Next::Lost(_) | Next::Pending => continue,
+            Next::End(_) => None,
+        };
+        while let Some((offset, len)) = next
+            && found.is_none_or(|found| offset <= found.0)
+        {
+            if found != Some((offset, len)) {
+                misread.insert(written.number - 1);
+            }
+            next = written.next().map_err(failed)?;
+        }
+        if found.is_none() {
+            return Ok(misread);
+        }
+    }
+}
+
+/// Rewrites a log without some of its records.
+fn take_out(log: &Path, side: Option<SideLayout>, out: &BTreeSet<u64>) -> std::io::Result<()> {
+    let mut written = Written::open(log)?;
+    let rest = rest(log);
+    let mut kept = BufWriter::new(File::create(&rest)?);
+    while written.next()?.is_some() {
+        if !out.contains(&(written.number - 1)) {
+            kept.write_all(&written.record)?;
+        }
+    }
+    kept.into_inner()?.sync_data()?;
+    std::fs::rename(&rest, log)?;
+    let Some(layout) = side else { return Ok(()) };
+    let entries = std::fs::read(side_path(log))?;
+    let (head, entries) = entries.split_at_checked(layout.head().len()).unwrap_or((&entries, &[]));
+    let kept = (0..).zip(entries.chunks(layout.bytes())).filter(|(number, _)| !out.contains(number));
+    std::fs::write(
+        side_path(log),
+        kept.fold(head.to_vec(), |mut all, (_, entry)| {
+            all.extend_from_slice(entry);
+            all
+        }),
+    )
+}
+
+/// The records of an intact log, by their lengths alone.
+struct Written {
+    file: BufReader<File>,
+    offset: u64,
+    /// Of records read.
+    number: u64,
+    /// The last one.
+    record: Vec<u8>,
+}
+
+impl Written {
+    fn open(log: &Path) -> std::io::Result<Self> {
+        Ok(Self { file: BufReader::new(File::open(log)?), offset: 0, number: 0, record: Vec::new() })
+    }
+
+    /// Offset and length of the next record; `None` at the end.
+    fn next(&mut self) -> std::io::Result<Option<(u64, usize)>> {
+        let mut length = [0; LENGTH_FIELD];
+        match self.file.read_exact(&mut length) {
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+            outcome => outcome?,
+        }
+        self.record.clear();
+        self.record.extend_from_slice(&length);
+        self.record.resize(LENGTH_FIELD + usize::from(u16::from_be_bytes(length)), 0);
+        self.file.read_exact(self.record.split_at_mut(LENGTH_FIELD).1)?;
+        let offset = self.offset;
+        self.offset += self.record.len() as u64;
+        self.number += 1;
+        Ok(Some((offset, self.record.len())))
     }
 }

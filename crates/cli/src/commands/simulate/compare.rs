@@ -1,11 +1,11 @@
 //! `csi5300 simulate --rx ...`: a recorded capture beside a simulated one.
 
-use super::super::args::channel;
-use super::super::draft;
-use super::super::inputs::{BagArgs, Inputs};
-use super::super::pictures;
-use super::super::{
-    Outcome, Result, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some, usage,
+use super::Args;
+use crate::commands::args::channel;
+use crate::commands::files::{self, BagArgs, Inputs};
+use crate::commands::{
+    InWords, Outcome, Result, Words, draft, fixed, is_same_file, print, print_json, progress, read_trajectory,
+    simulate, some, usage,
 };
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
@@ -13,7 +13,7 @@ use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::fit::{Known, check_width};
 use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
-use csi5300_lab::evaluate::find;
+use csi5300_lab::evaluate::{channel_number_in, find};
 use csi5300_say::{Tone, toned};
 use csi5300_sim::Scene;
 use std::fmt::Write;
@@ -55,24 +55,10 @@ impl Recorded {
     }
 }
 
-/// The captures to compare, and the options.
-pub struct Args {
-    /// A scene, or a folder with a simulated capture; without it a scene is fitted.
-    pub with: Option<PathBuf>,
-    /// The recording.
-    pub recorded: Recorded,
-    /// Folder for the fitted scene and its trajectory, the simulated capture and the pictures.
-    pub out: PathBuf,
-    /// Replace what an earlier run left in that folder.
-    pub force: bool,
-    /// A line of JSON for each figure.
-    pub json: bool,
-}
-
-type Words<T> = std::result::Result<T, String>;
-
-/// Compares a recorded and a simulated capture.
-pub fn run(args: &Args) -> Result {
+/// Compares a recorded capture with a scene or with a folder of a simulated capture, or fits a scene to it. `out` gets the fitted scene and its
+/// trajectory, the simulated capture and the pictures.
+pub fn run(args: &Args, out: &Path) -> Result {
+    let with = args.scene.as_deref();
     // Checked before minutes of reading and fitting.
     let tx: Vec<PathBuf> = args.recorded.tx.iter().cloned().collect();
     let (inputs, named) =
@@ -85,20 +71,20 @@ pub fn run(args: &Args) -> Result {
             return Err(format!("several logs could be the other robot's ({}): --tx names one", several.join(", ")));
         }
     };
-    args.check_outputs(inputs.bag().into_iter().chain([&*named.rx, tx, &named.trajectory]))?;
-    let given = args.with.as_deref().filter(|with| !with.is_dir()).map(simulate::load).transpose()?;
+    args.check_outputs(out, inputs.bag().into_iter().chain([&*named.rx, tx, &named.trajectory]))?;
+    let given = with.filter(|with| !with.is_dir()).map(simulate::load).transpose()?;
     let options = Options::new(args.channel(given.as_ref())?);
     let trajectory = inputs.trajectory(&named.trajectory)?;
     let displaced = args.recorded.tx_trajectory.as_deref().map(|path| inputs.trajectory(path)).transpose()?;
     let recorded = read(&inputs, (&named.rx, tx), (&trajectory, displaced.as_ref()), &options)?;
-    check_width(&recorded, options.channel).map_err(|error| error.to_string())?;
-    let folder = args.out.join(SIMULATED);
+    check_width(&recorded, options.channel).in_words()?;
+    let folder = out.join(SIMULATED);
     // A fitted scene's robot strays from the recorded trajectory; a recording has only the latter.
-    let along = args.with.is_none().then_some(&trajectory);
-    let capture = match (&args.with, given) {
-        (Some(folder), None) => folder.clone(),
+    let along = with.is_none().then_some(&trajectory);
+    let capture = match (with, given) {
+        (Some(folder), None) => folder.to_owned(),
         (_, given) => {
-            let scene = given.map_or_else(|| fitted(args, &recorded, &trajectory, &options), Ok)?;
+            let scene = given.map_or_else(|| fitted(out, &recorded, &trajectory, &options), Ok)?;
             clear(&folder)?;
             simulate::write(&scene, &folder)?;
             folder
@@ -111,7 +97,7 @@ pub fn run(args: &Args) -> Result {
     } else {
         print(&describe(&table));
     }
-    draw(args, &recorded, &simulated)?;
+    draw(args.json, out, &recorded, &simulated)?;
     Ok(if inputs.lost() { Outcome::DataLost } else { Outcome::Done })
 }
 
@@ -123,7 +109,7 @@ const SIMULATED: &str = "simulated";
 impl Args {
     /// The channel of both captures: the scene's, the folder's, or the requested one.
     fn channel(&self, scene: Option<&Scene>) -> Words<Channel> {
-        match (&self.with, scene) {
+        match (&self.scene, scene) {
             (Some(file), Some(scene)) => of_scene(file, scene, self.recorded.channel),
             (Some(folder), None) => of_folder(folder, self.recorded.channel),
             (None, _) => Ok(self.recorded.channel.unwrap_or_else(|| usage("--channel is needed to fit a scene"))),
@@ -131,14 +117,14 @@ impl Args {
     }
 
     /// Refuses outputs that are inputs, and existing ones without --force.
-    fn check_outputs<'a>(&'a self, read: impl Iterator<Item = &'a Path>) -> Words<()> {
-        let simulated = self.out.join(SIMULATED);
-        let written: Vec<PathBuf> = match &self.with {
+    fn check_outputs<'a>(&'a self, out: &Path, read: impl Iterator<Item = &'a Path>) -> Words<()> {
+        let simulated = out.join(SIMULATED);
+        let written: Vec<PathBuf> = match &self.scene {
             Some(folder) if folder.is_dir() => return Ok(()),
             Some(_) => Vec::new(),
-            None => [TRAJECTORY, SCENE].iter().map(|name| self.out.join(name)).collect(),
+            None => [TRAJECTORY, SCENE].iter().map(|name| out.join(name)).collect(),
         };
-        for input in read.chain(self.recorded.tx_trajectory.as_deref()).chain(self.with.as_deref()) {
+        for input in read.chain(self.recorded.tx_trajectory.as_deref()).chain(self.scene.as_deref()) {
             if let Some(output) = written.iter().find(|output| is_same_file(input, output)) {
                 return Err(format!("{} is an input: name another --out", output.display()));
             }
@@ -181,12 +167,12 @@ fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel
 fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
     let (captures, _) = find(folder);
     let capture = captures.first().ok_or_else(|| no_capture(folder))?;
-    match (asked, capture.channel_number().map_err(|error| error.to_string())?) {
+    match (asked, channel_number_in(&capture.folder).in_words()?) {
         (Some(channel), Some(own)) if u32::from(scene_channel(channel)) != own => {
             Err(format!("{} is of channel {own}, not of --channel {channel}", folder.display()))
         }
         (Some(channel), _) => Ok(channel),
-        (None, Some(own)) => Channel::new(own, Width::Ht20).map_err(|error| error.to_string()),
+        (None, Some(own)) => Channel::new(own, Width::Ht20).in_words(),
         (None, None) => usage(&format!("--channel is needed: no file with a truth in {} names it", folder.display())),
     }
 }
@@ -212,7 +198,7 @@ fn read(
     paths: (&Trajectory, Option<&Trajectory>),
     options: &Options,
 ) -> Words<Figures> {
-    measure(&mut inputs.open(rx)?, &mut inputs.open(tx)?, paths.0, paths.1, options).map_err(|error| error.to_string())
+    measure(&mut inputs.open(rx)?, &mut inputs.open(tx)?, paths.0, paths.1, options).in_words()
 }
 
 /// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
@@ -231,17 +217,17 @@ fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> 
 }
 
 /// Fits a scene to the recorded capture and keeps it, with the trajectory that it names.
-fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Options) -> Words<Scene> {
-    std::fs::create_dir_all(&args.out).map_err(|error| format!("cannot make {}: {error}", args.out.display()))?;
+fn fitted(out: &Path, recorded: &Figures, trajectory: &Trajectory, options: &Options) -> Words<Scene> {
+    std::fs::create_dir_all(out).map_err(|error| format!("cannot make {}: {error}", out.display()))?;
     let mut poses = String::new();
     trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
-    draft::write(&args.out.join(TRAJECTORY), &poses)?;
-    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: None };
+    draft::write(&out.join(TRAJECTORY), &poses)?;
+    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: out, transmitter_m: None };
     progress("fitting a scene to the recording");
-    let fitted = fit(recorded, &known, options).map_err(|error| error.to_string());
+    let fitted = fit(recorded, &known, options).in_words();
     progress("");
     let fitted = fitted?;
-    draft::write(&args.out.join(SCENE), &fitted.toml)?;
+    draft::write(&out.join(SCENE), &fitted.toml)?;
     Ok(fitted.scene)
 }
 
@@ -273,11 +259,10 @@ fn short(value: f64) -> String {
     fixed(value, digits.clamp(0, 6) as usize)
 }
 
-fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
-    let format = pictures::format();
-    let written = csi5300_lab::show::compared::write(recorded, simulated, &args.out, &format);
-    let written = written.map_err(|error| error.to_string())?;
-    for path in pictures::first_of_each(&written).filter(|_| !args.json) {
+fn draw(json: bool, out: &Path, recorded: &Figures, simulated: &Figures) -> Words<()> {
+    let written = csi5300_lab::show::results::write_compared(recorded, simulated, out, &draft::read_files());
+    let written = written.in_words()?;
+    for path in files::first_of_each(&written).filter(|_| !json) {
         print(&format!("picture {}\n", path.display()));
     }
     Ok(())
@@ -285,7 +270,7 @@ fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::short;
+    use super::*;
 
     #[test]
     fn figures_have_four_digits_and_what_is_nothing_has_no_sign() {

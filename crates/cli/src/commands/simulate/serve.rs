@@ -1,11 +1,9 @@
 //! `csi5300 simulate --serve`: a room in real time.
 
-mod poses;
-
-use self::poses::PosesFile;
-use super::super::live::Signals;
-use super::super::{Outcome, Result};
-use csi5300::motion::odometry::{NextPose, OdometrySource};
+use crate::commands::live::Signals;
+use crate::commands::{InWords, Outcome, Result, Words, is_same_file};
+use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
+use csi5300::motion::pose::Pose;
 use csi5300::source::{CsiSource, Loss, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_live::netlink::Sender;
@@ -15,7 +13,10 @@ use csi5300_sim::served::{ServedCounts, Server};
 use csi5300_sim::{Injected, Odometer, Port, Room, Scene};
 use driver_iface::connector::CN_IDX;
 use nix::sys::prctl::set_timerslack;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsFd;
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
 // Options of a served room.
@@ -39,7 +40,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     poses: Vec<PathBuf>,
     /// Speed relative to real time [default: 1]; max does not wait
-    #[arg(long, value_parser = super::super::live::speed)]
+    #[arg(long, value_parser = crate::commands::live::speed)]
     speed: Option<f64>,
 }
 
@@ -50,7 +51,7 @@ impl Args {
     }
 }
 
-fn served(text: &str) -> std::result::Result<(String, u32), String> {
+fn served(text: &str) -> Words<(String, u32)> {
     match text.rsplit_once('=') {
         None => Ok((text.to_owned(), CN_IDX)),
         Some((name, index)) => {
@@ -69,8 +70,6 @@ struct Served {
     sent: u64,
     poses: Option<(Odometer, PosesFile)>,
 }
-
-type Words<T> = std::result::Result<T, String>;
 
 /// The line of JSON: what was served, and what was done to each robot.
 #[derive(serde::Serialize)]
@@ -107,15 +106,15 @@ struct SocketRow {
 /// Serves a scene, which was read from `file`, until its end or a signal.
 pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     if json && args.poses.iter().any(|path| path.as_os_str() == "-") {
-        super::super::usage("--json and --poses - both want standard output");
+        crate::commands::usage("--json and --poses - both want standard output");
     }
-    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let signals = Signals::catch().in_words()?;
     let speed = args.speed.unwrap_or(1.0);
     if args.socket.is_some() && speed != 1.0 {
         return Err("other programs live in real time: --socket and --speed do not go together".into());
     }
     let outputs = open(&scene, file, args)?;
-    let server = args.socket.as_deref().map(Server::bind).transpose().map_err(|error| error.to_string())?;
+    let server = args.socket.as_deref().map(Server::bind).transpose().in_words()?;
     for (output, sender) in outputs.iter().filter_map(|output| Some((output, output.sender.as_ref()?))) {
         note!("serving {} on connector index {}", output.name, sender.index());
     }
@@ -129,12 +128,12 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     let clock = Monotonic::new();
     begin(&mut scene, wall_us());
     let room = if server.is_some() { Room::quiet(&scene) } else { Room::new(&scene) };
-    let mut room = room.map_err(|error| error.to_string())?;
+    let mut room = room.in_words()?;
     let robots = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
     let mut serving = Serving { room, server, robots, clock, speed, behind: Span::default() };
     serving.work(&signals)?;
     if json {
-        super::super::print_json(&serving.row());
+        crate::commands::print_json(&serving.row());
     }
     Ok(serving.conclude())
 }
@@ -171,8 +170,7 @@ impl Serving {
             let until = until.map(|span| Instant::ZERO + span + Span::from_us(1));
             // Without a socket, this waits for the signals twice.
             let fds = [signals.as_fd(), self.server.as_ref().map_or(signals.as_fd(), AsFd::as_fd)];
-            let ready =
-                self.clock.wait(fds, Some(until.unwrap_or(Instant::ZERO))).map_err(|error| error.to_string())?;
+            let ready = self.clock.wait(fds, Some(until.unwrap_or(Instant::ZERO))).in_words()?;
             if ready[0] {
                 break;
             }
@@ -193,7 +191,7 @@ impl Serving {
         if let Some(server) = &mut self.server {
             // Both clocks at one moment: the kernel stamps by one, the room runs by the other.
             *now = self.clock.now();
-            next = server.turn(&mut self.room, *now, wall_us()).map_err(|error| error.to_string())?;
+            next = server.turn(&mut self.room, *now, wall_us()).in_words()?;
             server.notice().into_iter().for_each(|why| note!("a frame was not sent: {why}"));
         }
         for robot in &mut self.robots {
@@ -240,7 +238,7 @@ impl Serving {
         let mut all_written = true;
         for (unwritten, file) in self.robots.iter().filter_map(|robot| Some(robot.poses.as_ref()?.1.unwritten())) {
             if unwritten > 0 {
-                note!("{} not written to {file}", super::super::some(unwritten, "pose", "poses"));
+                note!("{} not written to {file}", crate::commands::some(unwritten, "pose", "poses"));
                 all_written = false;
             }
         }
@@ -256,11 +254,11 @@ impl Serving {
 fn describe(scene: &Scene, counts: &ServedCounts, injected: &[Injected]) -> String {
     let mut text = format!(
         "{} joined, {} refused; {} put on air, {} not; {} sent\n",
-        super::super::some(counts.joined, "program", "programs"),
+        crate::commands::some(counts.joined, "program", "programs"),
         counts.refused,
-        super::super::some(counts.frames, "frame", "frames"),
+        crate::commands::some(counts.frames, "frame", "frames"),
         counts.bad_frames,
-        super::super::some(counts.records, "record", "records")
+        crate::commands::some(counts.records, "record", "records")
     );
     if counts.untaken > 0 {
         text += &format!("  {} messages were lost because a program did not read them\n", counts.untaken);
@@ -298,7 +296,7 @@ fn open(scene: &Scene, file: &Path, args: &Args) -> Words<Vec<Output>> {
     }
     let mut taken = in_use(scene, file, args);
     let output = |(k, (name, index)): (usize, (String, Option<u32>))| {
-        let sender = index.map(|index| Sender::open(index, true)).transpose().map_err(|error| error.to_string())?;
+        let sender = index.map(|index| Sender::open(index, true)).transpose().in_words()?;
         let poses = args.poses.get(k).map(|path| PosesFile::open(path, &taken)).transpose()?;
         taken.extend(args.poses.get(k).map(|path| (path.clone(), "where the poses of another robot go")));
         Ok(Output { name, sender, poses })
@@ -338,12 +336,11 @@ impl Output {
 impl Served {
     /// Sends what is due by `now`. Returns when more is due; `None` at the end.
     fn pump(&mut self, now: Instant) -> Words<Option<Instant>> {
-        let words = |error: csi5300::source::Error| error.to_string();
         let mut card_at = None;
         while let Some((card, sender)) = &mut self.card {
-            match card.receive(now).map_err(words)? {
+            match card.receive(now).in_words()? {
                 Next::Record(_, record) => {
-                    sender.send(record).map_err(words)?;
+                    sender.send(record).in_words()?;
                     self.sent += 1;
                 }
                 Next::Lost(Loss::Overrun { .. } | Loss::Bytes { .. } | Loss::Datagram { .. }) => {}
@@ -361,12 +358,187 @@ impl Served {
     fn pump_poses(&mut self, now: Instant) -> Words<Option<Instant>> {
         let Some((source, out)) = &mut self.poses else { return Ok(None) };
         loop {
-            match source.receive(now).map_err(|error| error.to_string())? {
+            match source.receive(now).in_words()? {
                 NextPose::Pose(pose) => out.write(&pose),
                 NextPose::NewFrame => {}
                 NextPose::Pending => return Ok(source.next_at()),
                 NextPose::End => return Ok(None),
             }
         }
+    }
+}
+
+/// A row of poses is shorter, bytes.
+const ROW: u64 = 512;
+
+/// Where a robot's poses go.
+struct PosesFile {
+    name: String,
+    out: Box<dyn Write>,
+    /// Poses that are not there, since the first that could not be written.
+    unwritten: u64,
+}
+
+impl PosesFile {
+    /// Opens a file to append to; `-` is standard output. `others` are of other use here: what the scene was read from, the
+    /// room's socket, poses of other robots.
+    pub fn open(path: &Path, others: &[(PathBuf, &str)]) -> Words<Self> {
+        if path.as_os_str() == "-" {
+            return Ok(Self::over("standard output".into(), Box::new(io::stdout())));
+        }
+        let name = path.display().to_string();
+        if let Some((_, what)) = others.iter().find(|(other, _)| is_same_place(path, other)) {
+            return Err(format!("{name} is {what}: --poses needs a file of its own"));
+        }
+        let failed = |error: io::Error| format!("cannot append poses to {name}: {error}");
+        if !may_grow(path).map_err(failed)? {
+            return Err(format!(
+                "{name} exists and holds something other than whole rows of poses that a room wrote: --poses needs a file \
+                 of its own"
+            ));
+        }
+        let file: File = OpenOptions::new().create(true).append(true).open(path).map_err(failed)?;
+        Ok(Self::over(name, Box::new(file)))
+    }
+
+    fn over(name: String, out: Box<dyn Write>) -> Self {
+        Self { name, out, unwritten: 0 }
+    }
+
+    /// Appends a pose, in the columns of motion capture with a heading. After a failure, reported once, poses are only
+    /// counted: a row after half a row would be read with it.
+    pub fn write(&mut self, pose: &Pose) {
+        let done = match self.unwritten {
+            0 => self.out.write_all(csv::line(pose).as_bytes()).and_then(|()| self.out.flush()),
+            _ => {
+                self.unwritten += 1;
+                return;
+            }
+        };
+        if let Err(error) = done {
+            self.unwritten = 1;
+            wrong!("cannot write poses to {}: {error}. The room continues without writing more of them", self.name);
+        }
+    }
+
+    /// Poses that were not written, and where.
+    fn unwritten(&self) -> (u64, &str) {
+        (self.unwritten, &self.name)
+    }
+}
+
+/// True if two paths are of one file, or will be: links are followed. Devices and pipes are anybody's.
+fn is_same_place(path: &Path, other: &Path) -> bool {
+    let place = |path: &Path| {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        Some(folder.canonicalize().ok()?.join(path.file_name()?))
+    };
+    match std::fs::metadata(path) {
+        Ok(there) if there.file_type().is_char_device() || there.file_type().is_fifo() => false,
+        Ok(_) if is_same_file(other, path) => true,
+        _ => place(path).is_some_and(|here| place(other) == Some(here)),
+    }
+}
+
+/// True if a file is new or empty, no plain file at all, or begins and ends with rows of poses as a room writes them.
+fn may_grow(path: &Path) -> io::Result<bool> {
+    let len = match std::fs::metadata(path) {
+        Ok(there) if there.is_file() => there.len(),
+        _ => return Ok(true),
+    };
+    if len == 0 {
+        return Ok(true);
+    }
+    let mut file = File::open(path)?;
+    let (mut begins, mut ends) = (Vec::new(), Vec::new());
+    (&file).take(ROW).read_to_end(&mut begins)?;
+    file.seek(SeekFrom::Start(len.saturating_sub(ROW)))?;
+    file.read_to_end(&mut ends)?;
+    let first = begins.split_inclusive(|&byte| byte == b'\n').next();
+    let last = ends.split_inclusive(|&byte| byte == b'\n').next_back();
+    Ok([first, last].into_iter().flatten().all(is_row))
+}
+
+/// True for a row that a room would write in the same way.
+fn is_row(row: &[u8]) -> bool {
+    csv::parse_line(row).is_ok_and(|pose| pose.heading_rad.is_some() && csv::line(&pose).as_bytes() == row)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn pose(k: u32) -> Pose {
+        let position_m = Vector3::new(0.1 * f64::from(k), -0.3, 1e-7);
+        Pose { t_s: 1_700_000_000.123_456 + f64::from(k), position_m, heading_rad: Some(-0.5) }
+    }
+
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("csi5300-poses-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        folder
+    }
+
+    #[test]
+    fn poses_are_appended_to_those_of_a_room_before() {
+        let folder = folder("append");
+        let path = folder.join("poses.csv");
+        for run in 0..3 {
+            let mut poses = PosesFile::open(&path, &[]).unwrap();
+            (0..20).for_each(|k| poses.write(&pose(100 * run + k)));
+            assert_eq!(poses.unwritten().0, 0);
+        }
+        assert_eq!(csv::read(&path).unwrap().1.rows, 60);
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn files_of_another_kind_are_refused_and_stay_as_they_are() {
+        let folder = folder("refuse");
+        let row = csv::line(&pose(1));
+        let others: [&[u8]; 6] = [
+            b"duration_s = 3.0\n",
+            b"10.0,0,1,2,3,\n",
+            b"10.0,0,1,2,3,0.5,\n",
+            &row.as_bytes()[..20],
+            &[row.as_bytes(), b"and more"].concat(),
+            &[&[0xff; 600], row.as_bytes()].concat(),
+        ];
+        for other in others {
+            let path = folder.join("other");
+            std::fs::write(&path, other).unwrap();
+            let said = PosesFile::open(&path, &[]).err().unwrap();
+            assert!(said.contains("holds something other than whole rows"), "{said}");
+            assert_eq!(std::fs::read(&path).unwrap(), other);
+        }
+        assert!(PosesFile::open(&folder, &[]).is_err(), "a folder");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn what_the_room_reads_or_is_reached_by_is_refused_under_any_name() {
+        let folder = folder("own");
+        let [scene, link, socket] = ["scene.toml", "link", "room"].map(|name| folder.join(name));
+        std::fs::write(&scene, csv::line(&pose(1))).unwrap();
+        std::os::unix::fs::symlink(&scene, &link).unwrap();
+        let others = [(scene.clone(), "the scene"), (socket, "the room's socket")];
+        for (path, what) in
+            [(&scene, "is the scene"), (&link, "is the scene"), (&folder.join("./room"), "the room's socket")]
+        {
+            let said = PosesFile::open(path, &others).err().unwrap();
+            assert!(said.contains(what), "{said}");
+        }
+        assert!(!folder.join("room").exists());
+        let null = Path::new("/dev/null");
+        assert!(PosesFile::open(null, &[(null.into(), "the poses of another robot")]).is_ok());
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn what_a_full_disk_does_not_take_is_counted() {
+        let mut poses = PosesFile::open(Path::new("/dev/full"), &[]).unwrap();
+        (0..7).for_each(|k| poses.write(&pose(k)));
+        assert_eq!(poses.unwritten(), (7, "/dev/full"));
     }
 }

@@ -1,0 +1,863 @@
+//! The kinds of picture: error distributions and curves, reliability, phase over time, the plane of motion, profiles.
+
+use super::Error;
+use super::canvas::{
+    Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, ORANGE, PALE, PURPLE, RED, Rgb, SKY, WIDTH, extent, extent_log,
+    series_colour,
+};
+use crate::evaluate::Reliability;
+use csi5300::maths::{percentile, unwrap_rad, wrap_rad};
+use csi5300_say::fixed;
+use kuva::render::render::TextAnchor;
+use std::f64::consts::{PI, TAU};
+use std::path::{Path, PathBuf};
+
+/// Empirical distribution functions over a logarithmic x axis.
+#[derive(Debug, Clone, Default)]
+pub struct CdfPlot {
+    /// Headline.
+    pub title: String,
+    /// Quantity and unit, for example "bearing error (degrees)".
+    pub x_label: String,
+    /// Name and errors of each series, in any order. Magnitudes are drawn; an exact zero is at the left edge.
+    pub series: Vec<(String, Vec<f64>)>,
+    /// Name and known points (error, share) of others' distributions, dashed, in the colours of the series in their order.
+    pub known: Vec<(String, Vec<(f64, f64)>)>,
+}
+
+/// A known distribution with at most this many points is drawn as points, a longer one as steps.
+const FEW: usize = 2;
+
+impl CdfPlot {
+    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
+    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+        let sizes = |v: &[f64]| {
+            let mut sizes: Vec<f64> = v.iter().map(|x| x.abs()).filter(|x| x.is_finite()).collect();
+            sizes.sort_by(f64::total_cmp);
+            sizes
+        };
+        let sorted: Vec<Vec<f64>> = self.series.iter().map(|s| sizes(&s.1)).collect();
+        // Errors that are all zero have no place on a log axis: they are drawn at the edge of an arbitrary decade.
+        let zeros = sorted.iter().any(|v| !v.is_empty()).then_some((0.1, 1.0));
+        let points = self.known.iter().flat_map(|known| known.1.iter().map(|point| point.0));
+        let range = extent_log(sorted.iter().flatten().copied().chain(points)).or(zeros);
+        let range = range.ok_or(Error::Empty { what: "error distribution" })?;
+        let mut canvas = Canvas::new(780.0, &self.title);
+        let median = |v: &[f64]| match v {
+            [] => String::new(),
+            _ => format!(" (median {:.2})", percentile(v, 0.5)),
+        };
+        let keys = self.series.iter().zip(&sorted).enumerate();
+        let mut keys: Vec<_> =
+            keys.map(|(i, (s, v))| (Key::Line, series_colour(i), s.0.clone() + &median(v))).collect();
+        let known = self.known.iter().enumerate().filter(|(_, known)| !known.1.is_empty());
+        keys.extend(known.map(|(i, known)| (Key::Dash, series_colour(i), known.0.clone())));
+        let top = 74.0 + canvas.legend(58.0, &keys);
+        let mut axes = Axes::new([120.0, top, WIDTH - 160.0, 690.0 - top], range, (0.0, 1.02));
+        axes.log_x = true;
+        axes.draw(&mut canvas, &self.x_label, "cumulative share");
+        for (i, values) in sorted.iter().enumerate() {
+            let n = values.len() as f64;
+            let stairs = values.iter().enumerate().flat_map(|(k, &v)| {
+                let v = v.max(range.0);
+                [axes.at(v, k as f64 / n), axes.at(v, (k + 1) as f64 / n)]
+            });
+            let end = (!values.is_empty()).then(|| axes.at(range.1, 1.0));
+            canvas.polyline(stairs.chain(end).collect(), series_colour(i), 3.0);
+        }
+        for (i, known) in self.known.iter().enumerate() {
+            let points: Vec<_> = known.1.iter().map(|&(error, share)| axes.at(error, share)).collect();
+            points.windows(2).for_each(|pair| canvas.line(pair[0], pair[1], series_colour(i), 2.0, true));
+            // A complete distribution is a line; a few points of one are points.
+            if points.len() <= FEW {
+                canvas.dots(&points, 6.0, series_colour(i), 1.0);
+            }
+        }
+        canvas.save(stem, kept)
+    }
+}
+
+/// Points, joined by lines.
+#[derive(Debug, Clone, Default)]
+pub struct ScatterLines {
+    /// Headline.
+    pub title: String,
+    /// Quantity and unit of x.
+    pub x_label: String,
+    /// Quantity and unit of y.
+    pub y_label: String,
+    /// Name and points of each series, in the line's order.
+    pub series: Vec<(String, Vec<(f64, f64)>)>,
+}
+
+impl ScatterLines {
+    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
+    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+        let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
+        let drawn: Vec<Vec<(f64, f64)>> =
+            self.series.iter().map(|s| s.1.iter().filter(good).copied().collect()).collect();
+        let range = |pick: fn(&(f64, f64)) -> f64| {
+            extent(drawn.iter().flatten().map(pick), 0.05).ok_or(Error::Empty { what: "points" })
+        };
+        let (x, y) = (range(|p| p.0)?, range(|p| p.1)?);
+        let mut canvas = Canvas::new(780.0, &self.title);
+        let keys: Vec<_> =
+            self.series.iter().enumerate().map(|(i, s)| (Key::Dot, series_colour(i), s.0.clone())).collect();
+        let top = 74.0 + canvas.legend(58.0, &keys);
+        let axes = Axes::new([130.0, top, WIDTH - 170.0, 690.0 - top], x, y);
+        axes.draw(&mut canvas, &self.x_label, &self.y_label);
+        for (i, points) in drawn.iter().enumerate() {
+            let px: Vec<_> = points.iter().map(|p| axes.at(p.0, p.1)).collect();
+            canvas.dots(&px, 7.0, series_colour(i), 0.9);
+            canvas.polyline(px, series_colour(i), 2.5);
+        }
+        canvas.save(stem, kept)
+    }
+}
+
+/// A reliability diagram: points on the diagonal are correct probabilities. Bars are the 68 % interval of the share for as many
+/// independent bearings (Wilson); bearings of one place are not independent, so the bars are rather short.
+#[derive(Debug, Clone, Default)]
+pub struct ReliabilityPlot {
+    /// Headline.
+    pub title: String,
+    /// Name and points of each series.
+    pub series: Vec<(String, Vec<Reliability>)>,
+}
+
+/// Wilson's interval of one deviation for `right` of `count` tries.
+fn wilson(right: f64, count: usize) -> [f64; 2] {
+    let n = count.max(1) as f64;
+    let middle = (right + 0.5 / n) / (1.0 + 1.0 / n);
+    let half = (right * (1.0 - right) / n + 0.25 / (n * n)).sqrt() / (1.0 + 1.0 / n);
+    [(middle - half).max(0.0), (middle + half).min(1.0)]
+}
+
+impl ReliabilityPlot {
+    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
+    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+        let good = |p: &&Reliability| p.said.is_finite() && p.right.is_finite() && p.links > 0;
+        let drawn: Vec<Vec<Reliability>> =
+            self.series.iter().map(|s| s.1.iter().filter(good).copied().collect()).collect();
+        if drawn.iter().all(Vec::is_empty) {
+            return Err(Error::Empty { what: "reliability" });
+        }
+        let mut canvas = Canvas::new(960.0, &self.title);
+        let count = |points: &[Reliability]| points.iter().map(|p| p.links).sum::<usize>();
+        let series = self.series.iter().zip(&drawn).enumerate();
+        let mut keys: Vec<_> =
+            series.map(|(i, (s, own))| (Key::Dot, series_colour(i), format!("{} ({})", s.0, count(own)))).collect();
+        keys.push((Key::Dash, BLACK, "correct probabilities".into()));
+        let top = 74.0 + canvas.legend(58.0, &keys);
+        let axes = Axes::new([120.0, top, WIDTH - 160.0, 870.0 - top], (0.0, 1.0), (0.0, 1.0));
+        axes.draw(&mut canvas, "mean probability given", "share that was within 5 degrees");
+        canvas.line(axes.at(0.0, 0.0), axes.at(1.0, 1.0), BLACK, 2.0, true);
+        for (i, points) in drawn.iter().enumerate() {
+            for point in points {
+                let [low, high] = wilson(point.right, point.links);
+                canvas.line(axes.at(point.said, low), axes.at(point.said, high), series_colour(i), 3.0, false);
+            }
+            let at: Vec<(f64, f64)> = points.iter().map(|point| axes.at(point.said, point.right)).collect();
+            canvas.dots(&at, 9.0, series_colour(i), 1.0);
+            canvas.polyline(at, series_colour(i), 1.5);
+        }
+        canvas.save(stem, kept)
+    }
+}
+
+/// The phase of one capture; `t_s`, `before_rad` and `after_rad` have the same length.
+#[derive(Debug, Clone, Default)]
+pub struct PhaseTrack {
+    /// Name above the column, for example "recorded" or "simulated".
+    pub label: String,
+    /// Time in seconds.
+    pub t_s: Vec<f64>,
+    /// Phase before CFO and turn-around removal (forward CSI, or the uncompensated product), radians, wrapped or not.
+    pub before_rad: Vec<f64>,
+    /// Phase of the product of both directions without turn-around removal, radians; empty, or one for each time.
+    pub product_rad: Vec<f64>,
+    /// Phase of the round-trip product after CFO and turn-around removal, radians, wrapped or not.
+    pub after_rad: Vec<f64>,
+    /// Whether each time is one of the bearing's samples; others are drawn pale. Empty if all are alike.
+    pub is_used: Vec<bool>,
+    /// Residual of `after_rad` without the phase that the motion causes under the answer: time (seconds, as in `t_s`) and phase
+    /// (radians); empty if there is none.
+    pub left: Vec<(f64, f64)>,
+}
+
+/// Phase before and after removal of CFO and turn-around: wrapped points at the top, the unwrapped result below, and the
+/// residual without the motion.
+#[derive(Debug, Clone, Default)]
+pub struct PhasePlot {
+    /// Headline.
+    pub title: String,
+    /// The meaning of `before_rad`.
+    pub before: String,
+    /// The capture.
+    pub capture: PhaseTrack,
+    /// A second capture beside it, for example the simulated one.
+    pub other: Option<PhaseTrack>,
+    /// Pairs averaged before the phase is unwrapped; 0 means five.
+    pub averaged: usize,
+}
+
+/// Height of a panel, and distance from one to the next.
+const PANEL: f64 = 190.0;
+const STEP: f64 = 256.0;
+const TOP: f64 = 196.0;
+
+/// Pairs averaged before their phases are unwrapped. With fewer, noise adds whole turns; with more, turns of the motion are
+/// lost.
+const AVERAGED: usize = 5;
+
+impl PhasePlot {
+    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
+    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+        let tracks: Vec<&PhaseTrack> = std::iter::once(&self.capture).chain(&self.other).collect();
+        let panels = if tracks.iter().any(|track| !track.left.is_empty()) { 4 } else { 3 };
+        let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &self.title);
+        let before = if self.before.is_empty() { "before" } else { &self.before };
+        let mut keys = vec![(Key::Dot, ORANGE, before.to_owned())];
+        if tracks.iter().any(|track| !track.product_rad.is_empty()) {
+            keys.push((Key::Dot, PURPLE, "both directions multiplied".into()));
+        }
+        keys.push((Key::Dot, BLUE, "and the turn-around removed".into()));
+        if tracks.iter().any(|track| track.is_used.contains(&false)) {
+            keys.push((Key::Dot, pale(GREY), "pale: not used (standing, or cut)".into()));
+        }
+        canvas.legend(62.0, &keys);
+        let gap = 120.0;
+        let width = (WIDTH - 150.0 - gap * (tracks.len() - 1) as f64) / tracks.len() as f64;
+        for (i, track) in tracks.iter().enumerate() {
+            let averaged = if self.averaged == 0 { AVERAGED } else { self.averaged };
+            draw_track(&mut canvas, track, (120.0 + i as f64 * (width + gap), width), averaged)?;
+        }
+        canvas.save(stem, kept)
+    }
+}
+
+/// A colour mixed with two thirds of white.
+fn pale((r, g, b): Rgb) -> Rgb {
+    let mix = |own: u8| 255 - (255 - own) / 3;
+    (mix(r), mix(g), mix(b))
+}
+
+/// Times and phases of one kind.
+type Points = Vec<(f64, f64)>;
+
+impl PhaseTrack {
+    fn check(&self) -> Result<(), Error> {
+        let expect = self.t_s.len();
+        let or_all = |own: usize| if own == 0 { expect } else { own };
+        for (what, got) in [
+            ("before_rad", self.before_rad.len()),
+            ("after_rad", self.after_rad.len()),
+            ("product_rad", or_all(self.product_rad.len())),
+            ("is_used", or_all(self.is_used.len())),
+        ] {
+            if got != expect {
+                return Err(Error::Length { what, expect, got });
+            }
+        }
+        Ok(())
+    }
+
+    /// The points of a phase that can be drawn: of used pairs, and of the others.
+    fn points(&self, phase: &[f64]) -> [Points; 2] {
+        let used = |k: usize| self.is_used.get(k).copied().unwrap_or(true);
+        let all = self.t_s.iter().copied().zip(phase.iter().copied()).enumerate();
+        let known = all.filter(|(_, p)| p.0.is_finite() && p.1.is_finite());
+        let (used, others): (Vec<_>, Vec<_>) = known.partition(|(k, _)| used(*k));
+        [used, others].map(|points| points.into_iter().map(|(_, point)| point).collect())
+    }
+}
+
+fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64), over: usize) -> Result<(), Error> {
+    track.check()?;
+    let drawn = |phase: &[f64], colour| {
+        let [used, others] = track.points(phase);
+        [(others, pale(colour)), (used, colour)]
+    };
+    let (before, after) = (drawn(&track.before_rad, ORANGE), drawn(&track.after_rad, BLUE));
+    let product = drawn(&track.product_rad, PURPLE);
+    let empty = Error::Empty { what: "phase over time" };
+    let times = before.iter().chain(&after).flat_map(|(points, _)| points.iter().map(|p| p.0));
+    let times = extent(times, 0.02).ok_or(empty)?;
+    canvas.text((left + width / 2.0, 148.0), &track.label, 22, TextAnchor::Middle, BLACK);
+    let frame = |panel: f64| [left, TOP + STEP * panel, width, PANEL];
+    wrapped(canvas, frame(0.0), times, &before, ("", "before: wrapped phase (rad)"));
+    wrapped(canvas, frame(1.0), times, &[product, after].concat(), ("", "after: wrapped phase (rad)"));
+    let still: Points = track.left.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
+    let named = |is_last: bool| if is_last { "time (s)" } else { "" };
+    let line = unwrap(&averaged(&track.points(&track.after_rad).concat(), over));
+    if let Some(range) = extent(line.iter().map(|p| p.1), 0.06) {
+        let below = Axes::new(frame(2.0), times, range);
+        below.draw(canvas, named(still.is_empty()), &format!("after, unwrapped: means of {over} pairs (rad)"));
+        canvas.polyline(line.iter().map(|p| below.at(p.0, p.1)).collect(), BLUE, 2.5);
+    }
+    if !still.is_empty() {
+        let words = (named(true), "after, less the phase that this motion makes under this bearing (rad)");
+        wrapped(canvas, frame(3.0), times, &[(still, GREEN)], words);
+    }
+    Ok(())
+}
+
+/// Means of a few neighbours in time, each phase as a point on the unit circle.
+fn averaged(points: &Points, over: usize) -> Points {
+    let mut sorted = points.clone();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mean = |near: &[(f64, f64)]| {
+        let sum = near.iter().map(|p| p.1.sin_cos()).fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
+        let middle = near.get(near.len() / 2).map_or(0.0, |p| p.0);
+        (middle, f64::atan2(sum.0, sum.1))
+    };
+    sorted.windows(over.min(sorted.len()).max(1)).map(mean).collect()
+}
+
+/// A panel of wrapped phases.
+fn wrapped(
+    canvas: &mut Canvas,
+    frame: [f64; 4],
+    times: (f64, f64),
+    series: &[(Points, Rgb)],
+    (x_label, y_label): (&str, &str),
+) {
+    let mut axes = Axes::new(frame, times, (-PI * 1.06, PI * 1.06));
+    let names = ["-π", "-π/2", "0", "π/2", "π"];
+    axes.y_ticks = Some((-2..).zip(names).map(|(k, name)| (f64::from(k) * PI / 2.0, name.into())).collect());
+    axes.draw(canvas, x_label, y_label);
+    let radius = if series.iter().map(|(phase, _)| phase.len()).sum::<usize>() > 800 { 2.2 } else { 3.2 };
+    for (phase, colour) in series {
+        let px: Vec<_> = phase.iter().map(|p| axes.at(p.0, wrap_rad(p.1))).collect();
+        canvas.cloud(&axes, &px, radius, *colour, 0.7);
+    }
+}
+
+/// Unwrapped phases, starting at zero.
+fn unwrap(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let phases = unwrap_rad(&points.iter().map(|point| point.1).collect::<Vec<_>>());
+    let first = phases.first().copied().unwrap_or(0.0);
+    points.iter().zip(&phases).map(|(point, phase)| (point.0, phase - first)).collect()
+}
+
+/// A receiver's path with its bearing, equal scales in x and y.
+#[derive(Debug, Clone, Default)]
+pub struct TrajectoryPlot {
+    /// Headline.
+    pub title: String,
+    /// Whole path of the receiver, metres, in the odometry frame.
+    pub path_m: Vec<[f64; 2]>,
+    /// Positions at which CSI was used, metres.
+    pub used_m: Vec<[f64; 2]>,
+    /// Estimated bearing, radians; drawn from the mean position.
+    pub azimuth_rad: f64,
+    /// The mirror bearing that a straight path cannot tell apart, radians.
+    pub mirror_rad: Option<f64>,
+    /// Standard deviation of the bearing, radians; the wedge extends two of them to each side.
+    pub sd_rad: Option<f64>,
+    /// True bearing, radians.
+    pub truth_rad: Option<f64>,
+    /// True position of the transmitter, metres; not shown beyond eight path lengths.
+    pub transmitter_m: Option<[f64; 2]>,
+}
+
+/// The meaning of a ray of [`MapPlot`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RayClass {
+    /// A measured bearing.
+    Measured,
+    /// Its mirror image.
+    Mirror,
+    /// The true direction.
+    Truth,
+}
+
+/// A bearing drawn on the map.
+#[derive(Debug, Clone)]
+pub struct Ray {
+    /// Where it starts, metres.
+    pub origin_m: [f64; 2],
+    /// Its azimuth, radians.
+    pub azimuth_rad: f64,
+    /// Standard deviation of the azimuth, radians; the wedge extends two of them to each side.
+    pub sd_rad: Option<f64>,
+    /// Label at its tip; may be empty.
+    pub label: String,
+    /// Its meaning.
+    pub class: RayClass,
+}
+
+/// Deviations in which 95 % of the errors in a plane are: `sqrt(-2 ln 0.05)`.
+const HOLDS_95: f64 = 2.447_75;
+
+/// A position with the ellipse that holds 95 %.
+#[derive(Debug, Clone)]
+pub struct Ellipse {
+    /// The position, metres.
+    pub centre_m: [f64; 2],
+    /// Its covariance, metres squared.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// Label beside it; may be empty.
+    pub label: String,
+}
+
+impl Ellipse {
+    /// Points of the ellipse, metres: the covariance's square root (Cholesky) applied to a circle of [`HOLDS_95`] deviations.
+    fn around(&self) -> Vec<[f64; 2]> {
+        let [[a, b], [_, d]] = self.covariance_m2;
+        let l = a.max(1e-12).sqrt();
+        let (m, n) = (b / l, (d - b * b / (l * l)).max(0.0).sqrt());
+        let point = |k: i32| {
+            let (sin, cos) = (TAU * f64::from(k) / 72.0).sin_cos();
+            [self.centre_m[0] + HOLDS_95 * l * cos, self.centre_m[1] + HOLDS_95 * (m * cos + n * sin)]
+        };
+        finite(&(0..72).map(point).collect::<Vec<_>>())
+    }
+}
+
+/// Map of robots, paths and bearings, equal scales in x and y.
+#[derive(Debug, Clone, Default)]
+pub struct MapPlot {
+    /// Headline.
+    pub title: String,
+    /// Name and true position of each robot or beacon, metres.
+    pub truth: Vec<(String, [f64; 2])>,
+    /// Bearings.
+    pub rays: Vec<Ray>,
+    /// Path of the receiver, metres.
+    pub path_m: Vec<[f64; 2]>,
+    /// Estimated positions.
+    pub ellipses: Vec<Ellipse>,
+}
+
+fn finite(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    points.iter().filter(|p| p.iter().all(|v| v.is_finite())).copied().collect()
+}
+
+/// Equal axes below `top` that show all points.
+fn axes(top: f64, points: &[[f64; 2]], pad: f64, what: &'static str) -> Result<Axes, Error> {
+    let range = |k: usize| extent(points.iter().filter_map(|p| p.get(k).copied()), 0.0).ok_or(Error::Empty { what });
+    let ((x0, x1), (y0, y1)) = (range(0)?, range(1)?);
+    let more = pad * (x1 - x0).max(y1 - y0);
+    let frame = [120.0, top, WIDTH - 160.0, 810.0 - top];
+    Ok(Axes::new(frame, (x0 - more, x1 + more), (y0 - more, y1 + more)).equal_aspect())
+}
+
+/// A pixel in a direction from a place in the frame, at twice the frame's diagonal.
+fn beyond(axes: &Axes, from: [f64; 2], azimuth: f64) -> (f64, f64) {
+    let far = 2.0 * (axes.x.1 - axes.x.0).hypot(axes.y.1 - axes.y.0);
+    axes.at(from[0] + far * azimuth.cos(), from[1] + far * azimuth.sin())
+}
+
+/// The pixels of a sector around an azimuth, `half_rad` to either side, from a place in the frame. It ends beyond the frame; from
+/// half a turn on it is the full circle.
+fn sector(axes: &Axes, from: [f64; 2], azimuth: f64, half_rad: f64) -> Vec<(f64, f64)> {
+    let half = half_rad.min(PI);
+    let steps = (half / ARC_STEP_RAD).ceil().max(1.0);
+    let edge = |k: i32| beyond(axes, from, azimuth + half * f64::from(k) / steps);
+    let mut around: Vec<_> = (-steps as i32..=steps as i32).map(edge).collect();
+    if half < PI {
+        around.push(axes.at(from[0], from[1]));
+    }
+    around
+}
+
+/// Largest step along the arc of a sector, radians: its chords stay beyond the frame.
+const ARC_STEP_RAD: f64 = PI / 24.0;
+
+fn pixels(axes: &Axes, points: &[[f64; 2]]) -> Vec<(f64, f64)> {
+    points.iter().map(|p| axes.at(p[0], p[1])).collect()
+}
+
+impl TrajectoryPlot {
+    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
+    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+        let (path, used) = (finite(&self.path_m), finite(&self.used_m));
+        let mut view: Vec<[f64; 2]> = path.iter().chain(&used).copied().collect();
+        let own = axes(0.0, &view, 0.0, "trajectory")?;
+        let size = (own.x.1 - own.x.0).max(own.y.1 - own.y.0);
+        let of = if used.is_empty() { &path } else { &used };
+        let n = of.len() as f64;
+        let mean = [of.iter().map(|p| p[0]).sum::<f64>() / n, of.iter().map(|p| p[1]).sum::<f64>() / n];
+        let near = |p: &[f64; 2]| (p[0] - mean[0]).hypot(p[1] - mean[1]) <= 8.0 * size;
+        let transmitter = self.transmitter_m.filter(near);
+        view.extend(transmitter);
+
+        let rays = [
+            (self.truth_rad, GREEN, false, "truth"),
+            (self.mirror_rad, GREY, true, "mirror"),
+            (Some(self.azimuth_rad), RED, false, "bearing"),
+        ];
+        let rays: Vec<_> = rays.iter().filter_map(|r| Some((r.0.filter(|a| a.is_finite())?, r.1, r.2, r.3))).collect();
+        let bar = (self.azimuth_rad, self.sd_rad.filter(|sd| sd.is_finite() && self.azimuth_rad.is_finite()));
+        let mut keys = vec![(Key::Line, SKY, "path".to_owned()), (Key::Dot, BLUE, "CSI used".to_owned())];
+        keys.extend(rays.iter().rev().map(|&(azimuth, colour, dash, name)| {
+            let key = if dash { Key::Dash } else { Key::Line };
+            (key, colour, format!("{name} {}°", fixed(azimuth.to_degrees(), 2)))
+        }));
+        keys.extend(bar.1.map(|_| (Key::Area, RED, TWO_DEVIATIONS.to_owned())));
+        let mut canvas = Canvas::new(900.0, &self.title);
+        let top = 74.0 + canvas.legend(58.0, &keys);
+        let axes = axes(top, &view, 0.3, "trajectory")?;
+        axes.draw(&mut canvas, "x (m)", "y (m)");
+        canvas.clipped(&axes, |canvas| {
+            let start = axes.at(mean[0], mean[1]);
+            wedge(canvas, &axes, mean, bar, 0.18);
+            // The truth is drawn wider than the bearing, so that both are visible where they agree.
+            for &(azimuth, colour, dash, name) in &rays {
+                let width = if name == "truth" { 9.0 } else { 3.0 };
+                canvas.line(start, beyond(&axes, mean, azimuth), colour, width, dash);
+            }
+            canvas.polyline(pixels(&axes, &path), SKY, 4.0);
+            canvas.dots(&pixels(&axes, &used), 3.5, BLUE, 0.9);
+        });
+        if let Some(p) = transmitter {
+            star(&mut canvas, axes.at(p[0], p[1]), "transmitter", &axes);
+        }
+        canvas.save(stem, kept)
+    }
+}
+
+/// The wedge's label in legends.
+const TWO_DEVIATIONS: &str = "two deviations";
+
+/// Two standard deviations to each side of a bearing.
+fn wedge(canvas: &mut Canvas, axes: &Axes, from: [f64; 2], (azimuth_rad, sd_rad): (f64, Option<f64>), opacity: f64) {
+    let Some(sd) = sd_rad.filter(|sd| sd.is_finite() && azimuth_rad.is_finite()) else { return };
+    canvas.polygon(&sector(axes, from, azimuth_rad, 2.0 * sd.abs()), RED, opacity);
+}
+
+/// A ringed dot with a label on the side that has room.
+fn star(canvas: &mut Canvas, at: (f64, f64), name: &str, axes: &Axes) {
+    canvas.dots(&[at], 7.0, BLACK, 1.0);
+    canvas.ring(at, 13.0, BLACK, 2.5);
+    let left = at.0 > axes.left + 0.8 * axes.width;
+    let (dx, anchor) = if left { (-20.0, TextAnchor::End) } else { (20.0, TextAnchor::Start) };
+    canvas.backed_text((at.0 + dx, at.1 - 14.0), name, 20, anchor);
+}
+
+impl RayClass {
+    fn look(self) -> (Rgb, bool, &'static str) {
+        match self {
+            Self::Measured => (RED, false, "measured bearing"),
+            Self::Mirror => (GREY, true, "mirror"),
+            Self::Truth => (GREEN, false, "true direction"),
+        }
+    }
+}
+
+impl MapPlot {
+    /// Estimated positions no further from the robots than these are from each other: others would shrink the map.
+    fn in_view(&self, points: &[[f64; 2]]) -> Vec<&Ellipse> {
+        let range = |k: usize| extent(points.iter().filter_map(|p| p.get(k).copied()), 0.0);
+        let (Some(x), Some(y)) = (range(0), range(1)) else { return Vec::new() };
+        let room = (x.1 - x.0).max(y.1 - y.0);
+        let inside = |v: f64, range: (f64, f64)| (range.0 - room..=range.1 + room).contains(&v);
+        self.ellipses
+            .iter()
+            .filter(|ellipse| inside(ellipse.centre_m[0], x) && inside(ellipse.centre_m[1], y))
+            .collect()
+    }
+
+    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
+    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+        let path = finite(&self.path_m);
+        let usable = |r: &&Ray| r.azimuth_rad.is_finite() && r.origin_m.iter().all(|v| v.is_finite());
+        let rays: Vec<&Ray> = self.rays.iter().filter(usable).collect();
+        let truth: Vec<_> = self.truth.iter().filter(|t| t.1.iter().all(|v| v.is_finite())).collect();
+        let mut view = path.clone();
+        view.extend(truth.iter().map(|t| t.1).chain(rays.iter().map(|r| r.origin_m)));
+        let ellipses = self.in_view(&view);
+        view.extend(ellipses.iter().map(|ellipse| ellipse.centre_m));
+        let mut keys = vec![];
+        if !path.is_empty() {
+            keys.push((Key::Line, BLUE, "path of the receiver".to_owned()));
+        }
+        for class in [RayClass::Measured, RayClass::Mirror, RayClass::Truth] {
+            if rays.iter().any(|r| r.class == class) {
+                let (colour, dash, name) = class.look();
+                keys.push((if dash { Key::Dash } else { Key::Line }, colour, name.to_owned()));
+            }
+        }
+        if rays.iter().any(|ray| ray.sd_rad.is_some()) {
+            keys.push((Key::Area, RED, TWO_DEVIATIONS.to_owned()));
+        }
+        if !ellipses.is_empty() {
+            keys.push((Key::Dot, PURPLE, "position found, 95 %".to_owned()));
+        }
+        let mut canvas = Canvas::new(900.0, &self.title);
+        let top = 74.0 + canvas.legend(58.0, &keys);
+        let axes = axes(top, &view, 0.12, "map")?;
+        axes.draw(&mut canvas, "x (m)", "y (m)");
+        let reach = 0.16 * (axes.y.1 - axes.y.0).max(axes.x.1 - axes.x.0);
+        canvas.clipped(&axes, |canvas| {
+            for ray in &rays {
+                wedge(canvas, &axes, ray.origin_m, (ray.azimuth_rad, ray.sd_rad), 0.12);
+            }
+            for ellipse in &ellipses {
+                canvas.polygon(&pixels(&axes, &ellipse.around()), PURPLE, 0.35);
+                canvas.dots(&pixels(&axes, &finite(&[ellipse.centre_m])), 5.0, PURPLE, 1.0);
+            }
+            canvas.polyline(pixels(&axes, &path), BLUE, 4.0);
+            for ray in &rays {
+                let (colour, dash, _) = ray.class.look();
+                let from = axes.at(ray.origin_m[0], ray.origin_m[1]);
+                let end = beyond(&axes, ray.origin_m, ray.azimuth_rad);
+                canvas.line(from, end, colour, if dash { 2.0 } else { 2.5 }, dash);
+            }
+        });
+        for ray in rays.iter().filter(|r| !r.label.is_empty()) {
+            let (sin, cos) = ray.azimuth_rad.sin_cos();
+            let tip = axes.at(ray.origin_m[0] + reach * cos, ray.origin_m[1] + reach * sin);
+            canvas.backed_text((tip.0, tip.1 + 7.0), &ray.label, 20, TextAnchor::Middle);
+        }
+        let is_new = |ellipse: &&&Ellipse| truth.iter().all(|(name, _)| *name != ellipse.label);
+        for ellipse in ellipses.iter().filter(is_new).filter(|ellipse| !ellipse.label.is_empty()) {
+            let at = axes.at(ellipse.centre_m[0], ellipse.centre_m[1]);
+            canvas.backed_text((at.0, at.1 - 14.0), &ellipse.label, 20, TextAnchor::Middle);
+        }
+        for (name, p) in &truth {
+            let at = axes.at(p[0], p[1]);
+            star(&mut canvas, at, name, &axes);
+        }
+        canvas.save(stem, kept)
+    }
+}
+
+/// Polar profiles: azimuth 0 is +x to the right, counter-clockwise; the radius is linear, each series relative to its own
+/// maximum. Beside them, an enlarged view around the answer (or the truth, or the maximum).
+#[derive(Debug, Clone, Default)]
+pub struct ProfilePlot {
+    /// Headline.
+    pub title: String,
+    /// Name, azimuths (degrees, rising) and values (linear, not dB) of the curve from which the answer was chosen: drawn thick.
+    pub chosen_from: (String, Vec<f64>, Vec<f64>),
+    /// Other curves, in the same form, drawn thin below it.
+    pub others: Vec<(String, Vec<f64>, Vec<f64>)>,
+    /// Azimuths of the candidates marked on the thick curve, degrees.
+    pub candidates_deg: Vec<f64>,
+    /// The answer, degrees.
+    pub answer_deg: Option<f64>,
+    /// Its predicted standard deviation, degrees: an error bar of one to each side.
+    pub answer_sd_deg: Option<f64>,
+    /// True azimuth, degrees.
+    pub truth_deg: Option<f64>,
+    /// Mirror azimuth, degrees.
+    pub mirror_deg: Option<f64>,
+}
+
+const CENTRE: (f64, f64) = (390.0, 520.0);
+const RADIUS: f64 = 310.0;
+/// Position and size of the enlarged view, pixels.
+const ENLARGED: [f64; 4] = [820.0, 210.0, 340.0, 620.0];
+/// Least and largest half width of the enlarged view, degrees.
+const HALF_WIDTH_DEG: (f64, f64) = (6.0, 60.0);
+
+/// Points of one series, largest value 1.
+type Curve = Vec<(f64, f64)>;
+
+fn polar(azimuth_deg: f64, radius: f64) -> (f64, f64) {
+    let (sin, cos) = azimuth_deg.to_radians().sin_cos();
+    (CENTRE.0 + RADIUS * radius * cos, CENTRE.1 - RADIUS * radius * sin)
+}
+
+/// The finite points of a series relative to its maximum; `None` if no value is above 0.
+fn relative(series: &(String, Vec<f64>, Vec<f64>)) -> Result<Option<Curve>, Error> {
+    let (_, azimuths, values) = series;
+    if azimuths.len() != values.len() {
+        return Err(Error::Length { what: "profile values", expect: azimuths.len(), got: values.len() });
+    }
+    let points = azimuths.iter().copied().zip(values.iter().copied());
+    let curve: Curve = points.filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
+    let top = curve.iter().map(|p| p.1).fold(0.0, f64::max);
+    Ok((top > 0.0).then(|| curve.iter().map(|p| (p.0, (p.1 / top).max(0.0))).collect()))
+}
+
+/// Height of a curve at an azimuth, interpolated between the nearest points.
+fn height(curve: &Curve, azimuth_deg: f64) -> f64 {
+    let offset = |p: &(f64, f64)| wrap_deg(p.0 - azimuth_deg);
+    let below = curve.iter().filter(|p| offset(p) <= 0.0).max_by(|a, b| offset(a).total_cmp(&offset(b)));
+    let above = curve.iter().filter(|p| offset(p) >= 0.0).min_by(|a, b| offset(a).total_cmp(&offset(b)));
+    match (below, above) {
+        (Some(a), Some(b)) if offset(b) > offset(a) => a.1 - (b.1 - a.1) * offset(a) / (offset(b) - offset(a)),
+        (Some(p), _) | (_, Some(p)) => p.1,
+        _ => 0.0,
+    }
+}
+
+fn wrap_deg(degrees: f64) -> f64 {
+    wrap_rad(degrees.to_radians()).to_degrees()
+}
+
+impl ProfilePlot {
+    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
+    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+        let chosen = relative(&self.chosen_from)?.ok_or(Error::Empty { what: "profile" })?;
+        let mut others = Vec::new();
+        for (i, series) in self.others.iter().enumerate() {
+            others.extend(relative(series)?.map(|curve| (self.colour_of_other(i), curve)));
+        }
+        let mut canvas = Canvas::new(950.0, &self.title);
+        canvas.legend(58.0, &self.keys());
+        draw_grid(&mut canvas);
+        let rays = [(self.truth_deg, GREEN, 7.0, false), (self.mirror_deg, GREY, 3.0, true)];
+        for (azimuth, colour, width, dash) in rays {
+            if let Some(azimuth) = azimuth.filter(|azimuth| azimuth.is_finite()) {
+                canvas.line(CENTRE, polar(azimuth, 1.0), colour, width, dash);
+            }
+        }
+        for (colour, curve) in &others {
+            canvas.polyline(around(curve), *colour, 1.5);
+        }
+        canvas.polyline(around(&chosen), BLUE, 3.5);
+        let candidates: Vec<f64> = self.candidates_deg.iter().copied().filter(|azimuth| azimuth.is_finite()).collect();
+        let marks: Vec<_> = candidates.iter().map(|&azimuth| polar(azimuth, height(&chosen, azimuth))).collect();
+        marks.iter().for_each(|&at| canvas.ring(at, 7.0, BLACK, 2.0));
+        if let Some(answer) = self.answer() {
+            canvas.line(CENTRE, polar(answer, 1.0), RED, 2.5, false);
+            canvas.dots(&[polar(answer, height(&chosen, answer))], 7.0, RED, 1.0);
+        }
+        self.enlarged(&mut canvas, &chosen, &others, &candidates);
+        canvas.save(stem, kept)
+    }
+
+    fn answer(&self) -> Option<f64> {
+        self.answer_deg.filter(|azimuth| azimuth.is_finite())
+    }
+
+    /// An unnamed curve belongs to the one before and has its colour.
+    fn colour_of_other(&self, i: usize) -> Rgb {
+        let is_named = |k: &usize| self.others.get(*k).is_some_and(|other| !other.0.is_empty());
+        series_colour((0..=i).rev().find(is_named).unwrap_or(i) + 3)
+    }
+
+    fn keys(&self) -> Vec<(Key, Rgb, String)> {
+        let mut keys = vec![(Key::Line, BLUE, self.chosen_from.0.clone())];
+        let others = self.others.iter().enumerate().filter(|(_, other)| !other.0.is_empty());
+        keys.extend(others.map(|(i, other)| (Key::Line, self.colour_of_other(i), other.0.clone())));
+        if let Some(answer) = self.answer() {
+            let sd = self.answer_sd_deg.filter(|sd| sd.is_finite()).map_or(String::new(), |sd| format!(" ± {sd:.2}°"));
+            keys.push((Key::Dot, RED, format!("answer {}°{sd}", fixed(answer, 2))));
+        }
+        let mark = |azimuth: Option<f64>, key, colour, name: &str| {
+            azimuth.filter(|a| a.is_finite()).map(|azimuth| (key, colour, format!("{name} {}°", fixed(azimuth, 2))))
+        };
+        keys.extend(mark(self.mirror_deg, Key::Dash, GREY, "mirror"));
+        keys.extend(mark(self.truth_deg, Key::Line, GREEN, "truth"));
+        if self.candidates_deg.len() > 1 {
+            keys.push((Key::Ring, BLACK, "candidates".into()));
+        }
+        keys
+    }
+
+    /// The enlarged view around the answer: azimuth to the right, height upwards.
+    fn enlarged(&self, canvas: &mut Canvas, chosen: &Curve, others: &[(Rgb, Curve)], candidates: &[f64]) {
+        let highest = chosen.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map(|p| p.0);
+        let Some(middle) = self.answer().or(self.truth_deg.filter(|truth| truth.is_finite())).or(highest) else {
+            return;
+        };
+        let off = self.truth_deg.map_or(0.0, |truth| 1.3 * wrap_deg(truth - middle).abs());
+        let wide = self.answer_sd_deg.filter(|sd| sd.is_finite()).map_or(0.0, |sd| 3.0 * sd);
+        let half = off.max(wide).clamp(HALF_WIDTH_DEG.0, HALF_WIDTH_DEG.1);
+        let mut axes = Axes::new(ENLARGED, (middle - half, middle + half), (0.0, 1.05));
+        axes.y_ticks = Some((0..=4).map(|k| (0.25 * f64::from(k), format!("{}", 0.25 * f64::from(k)))).collect());
+        axes.draw(canvas, "azimuth (degrees)", "enlarged: relative to the highest");
+        let at = |azimuth: f64, value: f64| axes.at(middle + wrap_deg(azimuth - middle), value);
+        canvas.clipped(&axes, |canvas| {
+            if let Some(truth) = self.truth_deg.filter(|truth| truth.is_finite()) {
+                canvas.line(at(truth, 0.0), at(truth, 1.05), GREEN, 7.0, false);
+            }
+            let line = |curve: &Curve| {
+                let mut points: Vec<(f64, f64)> = curve.iter().map(|p| at(p.0, p.1)).collect();
+                points.sort_by(|a, b| a.0.total_cmp(&b.0));
+                points
+            };
+            others.iter().for_each(|(colour, curve)| canvas.polyline(line(curve), *colour, 1.5));
+            canvas.polyline(line(chosen), BLUE, 3.5);
+            for &azimuth in candidates {
+                canvas.ring(at(azimuth, height(chosen, azimuth)), 7.0, BLACK, 2.0);
+            }
+            if let Some(answer) = self.answer() {
+                let value = height(chosen, answer);
+                canvas.line(at(answer, 0.0), at(answer, value), RED, 2.5, false);
+                canvas.dots(&[at(answer, value)], 7.0, RED, 1.0);
+                if let Some(sd) = self.answer_sd_deg.filter(|sd| sd.is_finite()) {
+                    let (left, right) = (axes.at(middle - sd, value), axes.at(middle + sd, value));
+                    canvas.line(left, right, RED, 3.0, false);
+                    for end in [left, right] {
+                        canvas.line((end.0, end.1 - 9.0), (end.0, end.1 + 9.0), RED, 3.0, false);
+                    }
+                }
+            }
+        });
+    }
+}
+
+/// A curve in pixels, closed if it covers the full circle.
+fn around(curve: &Curve) -> Vec<(f64, f64)> {
+    let mut px: Vec<_> = curve.iter().map(|p| polar(p.0, p.1)).collect();
+    if let (Some(a), Some(b), Some(first)) = (curve.first(), curve.last(), px.first().copied())
+        && (b.0 - a.0).abs() > 350.0
+    {
+        px.push(first);
+    }
+    px
+}
+
+fn draw_grid(canvas: &mut Canvas) {
+    for k in 0..12 {
+        let azimuth = f64::from(30 * k);
+        canvas.line(CENTRE, polar(azimuth, 1.0), PALE, 1.0, false);
+        let at = polar(azimuth, 1.09);
+        let signed = if k > 6 { azimuth - 360.0 } else { azimuth };
+        canvas.text((at.0, at.1 + 7.0), &format!("{signed:.0}°"), 20, TextAnchor::Middle, BLACK);
+    }
+    for k in 1..=4 {
+        let r = f64::from(k) / 4.0;
+        canvas.ring(CENTRE, RADIUS * r, if k == 4 { BLACK } else { PALE }, 1.5);
+        let at = polar(75.0, r - 0.05);
+        canvas.text(at, &format!("{r}"), 16, TextAnchor::Middle, GREY);
+    }
+    let words = "azimuth; radius: relative to the highest of each curve";
+    canvas.text((CENTRE.0, 912.0), words, 20, TextAnchor::Middle, BLACK);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intervals_of_shares_are_wilsons() {
+        // Half of 100: 0.5 +- 0.5 / sqrt(101). None of 4: up to 1 / (4 + 1).
+        let [low, high] = wilson(0.5, 100);
+        assert!((high - 0.5 - 0.5 / 101f64.sqrt()).abs() < 1e-12 && (low + high - 1.0).abs() < 1e-12);
+        let [low, high] = wilson(0.0, 4);
+        assert!(low.abs() < 1e-12 && (high - 0.2).abs() < 1e-12, "{low} {high}");
+    }
+
+    /// True for a pixel inside a polygon: a ray from it crosses the edges an odd number of times.
+    fn is_inside(polygon: &[(f64, f64)], (x, y): (f64, f64)) -> bool {
+        let ends = polygon.iter().zip(polygon.iter().cycle().skip(1));
+        let crossed = ends.filter(|(a, b)| (a.1 > y) != (b.1 > y) && x < a.0 + (y - a.1) / (b.1 - a.1) * (b.0 - a.0));
+        crossed.count() % 2 == 1
+    }
+
+    #[test]
+    fn a_wedge_covers_exactly_its_directions_of_the_frame() {
+        let axes = Axes::new([120.0, 106.0, 1_040.0, 704.0], (-4.5, 7.0), (-5.9, 2.0)).equal_aspect();
+        let from = [-4.0, 1.5];
+        for (azimuth, half) in [(-1.4, 0.01), (-1.4, 1.0), (3.0, 1.5), (-1.4, 1.9), (0.5, 3.1), (-1.4, PI), (2.0, 9.0)]
+        {
+            let polygon = sector(&axes, from, azimuth, half);
+            for (i, j) in (0..60).flat_map(|i| (0..40).map(move |j| (i, j))) {
+                let at = [-4.5 + 11.5 * (f64::from(i) + 0.5) / 60.0, -5.9 + 7.9 * (f64::from(j) + 0.5) / 40.0];
+                let off = (at[1] - from[1]).atan2(at[0] - from[0]) - azimuth;
+                let off = csi5300::maths::wrap_rad(off).abs();
+                if (off - half).abs() > 1e-3 {
+                    let inside = is_inside(&polygon, axes.at(at[0], at[1]));
+                    assert_eq!(inside, off < half, "{half} rad about {azimuth}: {at:?}, {off} rad off");
+                }
+            }
+        }
+    }
+}
