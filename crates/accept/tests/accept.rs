@@ -45,8 +45,8 @@ fn of_card(fault: CardFault) -> Fault {
     let fails: &[&str] = match fault {
         CardFault::AntennasSwapped | CardFault::AntennasConstant | CardFault::RssiSwapped => &["reception.antennas"],
         CardFault::AntennasInvalid => &["reception.order"],
-        // The bearing is wrong too: conjugated, a motion looks like its opposite.
-        CardFault::Conjugated => &["phase.cancels", "phase.sign", "truth.bearing"],
+        // The bearing is wrong too, but says so: its 95 % are the whole circle.
+        CardFault::Conjugated => &["phase.cancels", "phase.sign"],
         CardFault::SubcarriersShifted | CardFault::SubcarriersReversed => &["reception.subcarriers"],
         CardFault::ClockFast => &["exchange.drift", "phase.cancels"],
         CardFault::ClockSteps => &["card.clock", "exchange.late", "exchange.turn_around"],
