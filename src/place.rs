@@ -48,6 +48,7 @@ const SLIP: f64 = 0.01;
 
 /// A peer that is silent for longer counts as lost, seconds (longer than a window of a live estimator).
 const GONE_S: f64 = 300.0;
+
 /// The power that the evidence of `known` motions together is taken to (each counts as the probability that one of its
 /// directions is right): motions are deceived together, and each after the first counts as a share of one that is
 /// deceived by itself (`own_share`).
@@ -853,6 +854,11 @@ pub struct PeerPlaces {
 }
 
 /// Where a peer that stands still is, from motions whose positions and azimuths are in one frame, in any order.
+///
+/// The logarithms of what each motion says of a place are summed over the motions, and the sum is weighed by `temper`: motions are
+/// deceived together. The grid begins coarse and wide; cells that hold nearly all of the probability are cut in four until they
+/// are small. A cell's likelihood is that of directions and ranges blurred by the cell, so that no peak falls between the
+/// centres of coarse cells.
 ///
 /// # Errors
 /// [`TrackError`] of the first motion where none can be used, or [`TrackError::NoDirection`] without any.

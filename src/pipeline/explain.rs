@@ -40,7 +40,7 @@ impl LinkPlan {
     /// The plan behind `bearing`, and that of its profile over `grid`.
     ///
     /// # Errors
-    /// As [`Planner::explain`].
+    /// As [`bartlett::profile`].
     pub fn of(bearing: &Bearing, options: &Options, grid: &Grid) -> Result<Self, bartlett::Error> {
         let profile = Planner::default().explain(&bearing.samples, grid, &ProfileOptions::default())?;
         let decoded = format!(

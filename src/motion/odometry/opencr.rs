@@ -519,7 +519,11 @@ const MAX_DRIFT: f64 = 500e-6;
 /// A difference this far from the line means that one clock was set, microseconds.
 const STEP_US: f64 = 500_000.0;
 
-/// The fit.
+/// A controller's clock brought onto the host's.
+///
+/// What a controller reports is old by the time it arrives, by an amount that varies but is never negative. So the
+/// host's time minus the controller's is bounded from below by the true difference: the smallest differences of each
+/// second lie on a line, the two clocks' offset and drift.
 #[derive(Clone, Debug, Default)]
 struct ClockFit {
     /// (controller's time, smallest host minus controller) of each block, microseconds.
