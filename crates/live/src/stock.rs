@@ -159,12 +159,6 @@ impl Stock {
         self.ring_bytes
     }
 
-    /// True while the driver to which the program is attached is loaded.
-    #[must_use]
-    pub fn is_attached(&self) -> bool {
-        self.program.is_attached()
-    }
-
     /// Everything counted so far; losses after the last event included.
     #[must_use]
     pub fn counters(&self) -> StockCounts {
@@ -455,11 +449,6 @@ impl Program {
             Err(error) => return Err(error),
         }
         Ok(true)
-    }
-
-    /// True while the driver to which the probe belongs is loaded.
-    fn is_attached(&self) -> bool {
-        self.link.is_some() && driver() == self.driver
     }
 
     /// Hits at which the kernel did not run the program, because another one ran on that processor; 0 if it does not
