@@ -15,8 +15,7 @@
 //!
 //! CSI is a bit stream of 10-bit numbers, imaginary part first, `[subcarrier][tx][rx]` with rx fastest.
 
-use crate::bits::Bits;
-use crate::{Card, Clock, Endian, Frame, Front, Kind, RssiUnit, Tones, Why, array, to_next};
+use crate::{Bits, Card, Clock, Endian, Frame, Front, Kind, RssiUnit, Tones, Why, array, no_end, sequence, to_next};
 use alloc::vec::Vec;
 
 /// Bytes of a record before its CSI, without the length field.
@@ -87,10 +86,7 @@ pub fn front(bytes: &[u8], endian: Endian) -> Front {
         return (Err(Why::Cut), bytes.len());
     }
     let Some(head) = Head::parse(bytes, endian) else { return (Err(Why::Damaged), to_next(bytes, is_record)) };
-    let Some(record) = bytes.get(LENGTH_FIELD + HEAD..head.len) else {
-        let next = to_next(bytes, is_record);
-        return (Err(if next == bytes.len() { Why::Cut } else { Why::Damaged }), next);
-    };
+    let Some(record) = bytes.get(LENGTH_FIELD + HEAD..head.len) else { return no_end(bytes, is_record) };
     let Some((csi, frame)) = record.split_at_checked(head.csi_len).filter(|_| head.csi_len > 0) else {
         return (Err(Why::NoCsi), head.len);
     };
@@ -104,26 +100,19 @@ fn read(head: &Head, csi: &[u8], frame: &[u8]) -> Option<Frame> {
     let (n_rx, n_tx, n) = (usize::from(head.n_rx), usize::from(head.n_tx), subcarriers.len());
     let rssi = |rssi: &u8| (*rssi != NO_RSSI).then_some(i16::from(*rssi));
     Some(Frame {
-        offset: 0,
-        card: Card::Qca9300,
         clock: Some(Clock::us(head.clock_us, 64)),
-        slow_clock: None,
-        host_us: None,
         sender: array(frame, 10),
-        sequence: array(frame, 22).map(|bytes| u16::from_le_bytes(bytes) >> 4),
+        sequence: sequence(frame),
         centre_mhz: Some(head.centre_mhz),
         width_mhz,
         kind: Some(Kind::Ht),
         n_rx,
         n_tx,
-        first_rx: 0,
-        first_tx: 0,
-        antenna_sel: None,
         csi: unpack(csi, (n_rx, n_tx, n))?,
         measured: alloc::vec![true; n],
         subcarriers,
         rssi: head.rssi.iter().take(n_rx).map(rssi).collect(),
-        rssi_unit: RssiUnit::Db,
+        ..Frame::of(Card::Qca9300, RssiUnit::Db)
     })
 }
 

@@ -16,77 +16,17 @@ use crate::{Card, Clock, Frame, Kind, RssiUnit, Tones, Why};
 use alloc::vec::Vec;
 
 /// ESP32-CSI-Tool's columns before the samples.
-const TOOL: [&str; 25] = [
-    "type",
-    "role",
-    "mac",
-    "rssi",
-    "rate",
-    "sig_mode",
-    "mcs",
-    "bandwidth",
-    "smoothing",
-    "not_sounding",
-    "aggregation",
-    "stbc",
-    "fec_coding",
-    "sgi",
-    "noise_floor",
-    "ampdu_cnt",
-    "channel",
-    "secondary_channel",
-    "local_timestamp",
-    "ant",
-    "sig_len",
-    "rx_state",
-    "real_time_set",
-    "real_timestamp",
-    "len",
-];
+const TOOL: &str = "\
+    type,role,mac,rssi,rate,sig_mode,mcs,bandwidth,smoothing,not_sounding,aggregation,stbc,fec_coding,sgi,\
+    noise_floor,ampdu_cnt,channel,secondary_channel,local_timestamp,ant,sig_len,rx_state,real_time_set,\
+    real_timestamp,len";
 /// esp-csi's columns.
-const ESP_CSI: [&str; 24] = [
-    "type",
-    "id",
-    "mac",
-    "rssi",
-    "rate",
-    "sig_mode",
-    "mcs",
-    "bandwidth",
-    "smoothing",
-    "not_sounding",
-    "aggregation",
-    "stbc",
-    "fec_coding",
-    "sgi",
-    "noise_floor",
-    "ampdu_cnt",
-    "channel",
-    "secondary_channel",
-    "local_timestamp",
-    "ant",
-    "sig_len",
-    "rx_state",
-    "len",
-    "first_word",
-];
+const ESP_CSI: &str = "\
+    type,id,mac,rssi,rate,sig_mode,mcs,bandwidth,smoothing,not_sounding,aggregation,stbc,fec_coding,sgi,\
+    noise_floor,ampdu_cnt,channel,secondary_channel,local_timestamp,ant,sig_len,rx_state,len,first_word";
 /// esp-csi's columns on the ESP32-C5 and C6.
-const ESP_CSI_C6: [&str; 14] = [
-    "type",
-    "id",
-    "mac",
-    "rssi",
-    "rate",
-    "noise_floor",
-    "fft_gain",
-    "agc_gain",
-    "channel",
-    "local_timestamp",
-    "sig_len",
-    "rx_state",
-    "len",
-    "first_word",
-];
+const ESP_CSI_C6: &str =
+    "type,id,mac,rssi,rate,noise_floor,fft_gain,agc_gain,channel,local_timestamp,sig_len,rx_state,len,first_word";
 const START: &[u8] = b"CSI_DATA";
 /// Longest line that is parsed, bytes.
 const MAX_LINE: usize = 16 * 1024;
@@ -111,8 +51,9 @@ pub(crate) struct Columns {
 }
 
 impl Columns {
-    fn named(names: &[&str]) -> Self {
-        let at = |name: &str| names.iter().position(|known| *known == name);
+    /// From a header line.
+    fn named(names: &str) -> Self {
+        let at = |name: &str| names.split(',').position(|known| known.trim() == name);
         Self {
             mac: at("mac"),
             rssi: at("rssi"),
@@ -129,12 +70,8 @@ impl Columns {
 
     /// By the number of columns before the samples.
     fn counted(columns: usize) -> Option<Self> {
-        match columns {
-            25 => Some(Self::named(&TOOL)),
-            24 => Some(Self::named(&ESP_CSI)),
-            14 => Some(Self::named(&ESP_CSI_C6)),
-            _ => None,
-        }
+        let known = [TOOL, ESP_CSI, ESP_CSI_C6].into_iter().find(|names| names.split(',').count() == columns);
+        known.map(Self::named)
     }
 }
 
@@ -158,14 +95,13 @@ pub(crate) fn front(bytes: &[u8], columns: &mut Option<Columns>) -> (Option<Resu
     let Ok(text) = core::str::from_utf8(line) else { return (Some(Err(Why::Damaged)), len) };
     let text = text.trim();
     if text.starts_with("type,") {
-        let names: Vec<&str> = text.split(',').map(str::trim).collect();
-        *columns = Some(Columns::named(&names));
+        *columns = Some(Columns::named(text));
         return (None, len);
     }
     if text.is_empty() {
         return (None, len);
     }
-    if !text.starts_with("CSI_DATA") {
+    if !text.as_bytes().starts_with(START) {
         return (Some(Err(Why::NoCsi)), len);
     }
     let why = if len == bytes.len() && !is_whole { Why::Cut } else { Why::Damaged };
@@ -194,26 +130,17 @@ fn read(text: &str, columns: &mut Option<Columns>) -> Option<Frame> {
     }
     let channel = number(columns.channel).and_then(|channel| u16::try_from(channel).ok());
     Some(Frame {
-        offset: 0,
-        card: Card::Esp32,
         clock: number(columns.clock).and_then(|us| u64::try_from(us).ok()).map(|us| Clock::us(us, 32)),
-        slow_clock: None,
         host_us: number(columns.is_real).filter(|is_set| *is_set == 1).and_then(|_| host_us(field(columns.real_s)?)),
         sender: field(columns.mac).and_then(mac),
-        sequence: None,
         centre_mhz: channel.filter(|channel| (1..=14).contains(channel)).map(|channel| centre_mhz(channel, side)),
         width_mhz: if csi.len() > FIELD { 40 } else { 20 },
         kind: is_ht.map(|is_ht| if is_ht && values.len() > FIELD { Kind::Ht } else { Kind::Legacy }),
-        n_rx: 1,
-        n_tx: 1,
-        first_rx: 0,
-        first_tx: 0,
-        antenna_sel: None,
         subcarriers,
         measured,
         csi,
         rssi: alloc::vec![number(columns.rssi).and_then(|rssi| i16::try_from(rssi).ok())],
-        rssi_unit: RssiUnit::Dbm,
+        ..Frame::of(Card::Esp32, RssiUnit::Dbm)
     })
 }
 
@@ -297,7 +224,7 @@ mod tests {
             "CSI_DATA,AP,3C:71:BF:6D:2A:78,-73,11,0,0,0,1,1,0,0,0,0,-93,0,6,0,80272146,0,101,0,1,1.5,128,[{} ]\n",
             samples(64, " ")
         );
-        let heading = format!("{},CSI_DATA\n", TOOL.join(","));
+        let heading = format!("{TOOL},CSI_DATA\n");
         let esp_csi = format!(
             "CSI_DATA,7,3c:71:bf:6d:2a:78,-73,11,0,0,0,1,1,0,0,0,0,-93,0,6,0,80272146,0,101,0,128,0,\"[{}]\"\n",
             samples(64, ",")

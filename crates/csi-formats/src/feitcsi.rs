@@ -18,7 +18,7 @@
 //! CSI is `[rx][tx][subcarrier]` of i16 pairs, real part first. Pilots are not measured: the firmware leaves noise there. Old
 //! firmware writes 14 extra subcarriers into the middle of VHT160; they are removed.
 
-use crate::{Card, Clock, Frame, Front, Kind, RssiUnit, Tones, Why, array, i16_pairs, to_next, u32_at, u64_at};
+use crate::{Card, Clock, Frame, Front, Kind, RssiUnit, Tones, Why, array, i16_pairs, no_end, to_next, u32_at, u64_at};
 use alloc::vec::Vec;
 
 /// Bytes of a record before its CSI.
@@ -173,12 +173,7 @@ pub fn front(bytes: &[u8]) -> Front {
         return (Err(Why::Damaged), to_next(bytes, is_record));
     }
     let len = HEAD.saturating_add(head.csi_len);
-    let Some(csi) = bytes.get(HEAD..len) else {
-        // Cut, or the length is damaged: then another record begins inside.
-        let next = to_next(bytes, is_record);
-        return (Err(if next == bytes.len() { Why::Cut } else { Why::Damaged }), next);
-    };
-    (frame(&head, csi), len)
+    bytes.get(HEAD..len).map_or_else(|| no_end(bytes, is_record), |csi| (frame(&head, csi), len))
 }
 
 fn frame(head: &Head, csi: &[u8]) -> Result<Frame, Why> {
@@ -192,26 +187,19 @@ fn frame(head: &Head, csi: &[u8]) -> Result<Frame, Why> {
     }
     let (clock, slow_clock) = head.clocks();
     Ok(Frame {
-        offset: 0,
-        card: Card::Ax2xx,
         clock: Some(clock),
         slow_clock: Some(slow_clock),
         host_us: i64::try_from(head.host_us).ok().filter(|us| *us > 0),
         sender: Some(head.sender),
-        sequence: None,
-        centre_mhz: None,
         width_mhz,
         kind,
         n_rx: head.n_rx.into(),
         n_tx: head.n_tx.into(),
-        first_rx: 0,
-        first_tx: 0,
-        antenna_sel: None,
         csi: columns(csi, written, is_faulty),
         subcarriers,
         measured: data,
         rssi: head.rssi_dbm(),
-        rssi_unit: RssiUnit::Dbm,
+        ..Frame::of(Card::Ax2xx, RssiUnit::Dbm)
     })
 }
 

@@ -17,7 +17,7 @@
 //! A point is a pair of i16 (43455c0, 4339), or a u32 of two mantissas with a common exponent (4358, 4366c0). One datagram is
 //! one [`Frame`] of one chain: [`Frame::first_rx`] is the core. The points at the edges and the centre carry no signal.
 
-use crate::{Card, Clock, Endian, Frame, Front, RssiUnit, Why, array, i16_pairs, to_next, u16_at};
+use crate::{Card, Endian, Frame, Front, RssiUnit, Why, array, i16_pairs, no_end, to_next, u16_at};
 use alloc::vec::Vec;
 
 /// Bytes of a pcap's header.
@@ -100,10 +100,7 @@ pub(crate) fn front(bytes: &[u8], log: &[u8]) -> Front {
         let why = if bytes.len() < PACKET_HEAD { Why::Cut } else { Why::Damaged };
         return (Err(why), to_next(bytes, is_ours));
     };
-    let Some(packet) = bytes.get(PACKET_HEAD..PACKET_HEAD + len) else {
-        let next = to_next(bytes, is_ours);
-        return (Err(if next == bytes.len() { Why::Cut } else { Why::Damaged }), next);
-    };
+    let Some(packet) = bytes.get(PACKET_HEAD..PACKET_HEAD + len) else { return no_end(bytes, is_ours) };
     let frame = datagram(packet).ok_or(Why::NoCsi).and_then(read);
     (frame.map(|frame| Frame { host_us: Some(host_us), ..frame }), PACKET_HEAD + len)
 }
@@ -154,21 +151,12 @@ fn read(payload: &[u8]) -> Result<Frame, Why> {
     // Firmware that does not report the RSSI repeats the magic number there.
     let rssi = array::<2>(payload, 2).filter(|bytes| *bytes != MAGIC).map(|[rssi, _]| i16::from(rssi.cast_signed()));
     Ok(Frame {
-        offset: 0,
-        card: Card::Broadcom(name),
-        clock: None::<Clock>,
-        slow_clock: None,
-        host_us: None,
         sender: array(payload, 4),
         sequence: u16_at(payload, 10).map(|control| control >> 4),
         centre_mhz: u16_at(payload, 14).and_then(centre_mhz),
         width_mhz,
-        kind: None,
-        n_rx: 1,
-        n_tx: 1,
         first_rx: (cores & 7) as u8,
         first_tx: (cores >> 3 & 7) as u8,
-        antenna_sel: None,
         measured: subcarriers.iter().map(|index| (inner..=outer).contains(&index.abs())).collect(),
         subcarriers,
         csi: match points {
@@ -176,7 +164,7 @@ fn read(payload: &[u8]) -> Result<Frame, Why> {
             Points::Floats { mantissa, exponent } => floats(csi, mantissa, exponent),
         },
         rssi: alloc::vec![rssi],
-        rssi_unit: RssiUnit::Dbm,
+        ..Frame::of(Card::Broadcom(name), RssiUnit::Dbm)
     })
 }
 

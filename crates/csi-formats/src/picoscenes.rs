@@ -13,10 +13,10 @@
 //! Other segments are skipped by their length. CSI segments of version 5 and later may be compressed; only PicoScenes' own
 //! library reads those.
 
-use crate::bits::Bits;
-use crate::feitcsi::{HEAD as MVM_HEAD, Head as MvmHead};
+use crate::feitcsi::Head as MvmHead;
 use crate::{
-    Card, Clock, Frame, Front, Kind, RssiUnit, Tones, Why, array, i16_pairs, to_next, tones, u16_at, u32_at, u64_at,
+    Bits, Card, Clock, Frame, Front, Kind, RssiUnit, Tones, Why, array, i16_pairs, no_end, of_5300, sequence, to_next,
+    u16_at, u32_at, u64_at,
 };
 use alloc::vec::Vec;
 
@@ -52,10 +52,7 @@ pub fn front(bytes: &[u8]) -> Front {
             Err(why) => (Err(why), next().min(len)),
             read => (read, len),
         },
-        _ => {
-            let next = next();
-            (Err(if next == bytes.len() { Why::Cut } else { Why::Damaged }), next)
-        }
+        _ => no_end(bytes, is_log),
     }
 }
 
@@ -174,7 +171,7 @@ impl<'a> Csi<'a> {
     /// Subcarriers, and which of them were measured.
     fn tones(&self) -> Option<(Vec<i16>, Vec<bool>)> {
         if self.device == device::INTEL_5300 {
-            return tones::of_5300(self.width_mhz).map(|all| (all, alloc::vec![true; 30]));
+            return of_5300(self.width_mhz).map(|all| (all, alloc::vec![true; 30]));
         }
         let Tones { subcarriers, data } = Tones::of(self.kind?, self.width_mhz)?;
         let measured = if self.device == device::QCA9300 { alloc::vec![true; data.len()] } else { data };
@@ -234,30 +231,23 @@ fn join(basic: Option<&Basic>, csi: &Csi<'_>, mvm: Option<&MvmHead>, mpdu: &[u8]
     };
     let all = |basic: &Basic| (0..csi.n_rx.into()).map(|chain| rssi(basic, chain).map(i16::from)).collect();
     Ok(Frame {
-        offset: 0,
-        card,
         clock: clocks.map(|(ftm, _)| ftm).or(of_basic),
         slow_clock: clocks.map(|(_, us)| us),
-        host_us: None,
         sender: array(mpdu, 10),
-        sequence: array(mpdu, 22).map(|bytes| u16::from_le_bytes(bytes) >> 4),
+        sequence: sequence(mpdu),
         centre_mhz: basic.map(|basic| basic.centre_mhz),
         width_mhz: if csi.width_mhz > 0 { csi.width_mhz } else { basic.map_or(0, |basic| basic.width_mhz) },
         kind: csi.kind,
         n_rx: csi.n_rx.into(),
         n_tx: csi.n_tx.into(),
-        first_rx: 0,
-        first_tx: 0,
         antenna_sel: (card == Card::Intel5300).then_some(csi.antenna_sel),
         csi: samples,
         subcarriers,
         measured,
         rssi: basic.map_or_else(Vec::new, all),
-        rssi_unit: if card == Card::Ax2xx { RssiUnit::Dbm } else { RssiUnit::Db },
+        ..Frame::of(card, if card == Card::Ax2xx { RssiUnit::Dbm } else { RssiUnit::Db })
     })
 }
-
-const _: () = assert!(MVM_HEAD == 272);
 
 #[cfg(test)]
 mod tests {
