@@ -1,4 +1,4 @@
-//! A bearing of the estimator as the candidates of a link (feature `answers`).
+//! A bearing of the estimator as the candidates of a link.
 
 use crate::{Mode, wrap};
 use csi5300::pipeline::{Answer, CandidateAnswer};

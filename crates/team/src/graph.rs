@@ -391,6 +391,11 @@ impl Team {
         own.map(|own| own.robot).ok_or_else(|| TeamError::Unknown { what: "keyframe", which: id.0.to_string() })
     }
 
+    /// Variables of a keyframe's pose: x, y and, with a heading, yaw.
+    pub(crate) fn pose_size(&self, keyframe: usize) -> usize {
+        if self.robots[self.keyframes[keyframe].robot].has_heading { 3 } else { 2 }
+    }
+
     /// True for a robot with steps: it has a bias and a scale.
     pub(crate) fn is_moving(&self, robot: usize) -> bool {
         self.steps.iter().any(|step| self.keyframes[step.to].robot == robot)
@@ -415,9 +420,11 @@ impl Link {
         Self { from, to, constants: modes.iter().map(constant).collect(), modes: modes.to_vec(), null_share }
     }
 
-    /// The likeliest candidate at a predicted azimuth and range, `None` for the null hypothesis; and its cost: the negative
+    /// The likeliest candidate if its ends have these poses, `None` for the null hypothesis; and its cost: the negative
     /// logarithm of its density over the outlier density. `temper` multiplies all deviations.
-    pub fn best(&self, azimuth_rad: f64, range_m: f64, null_share: f64, temper: f64) -> (Option<usize>, f64) {
+    pub fn best(&self, from: [f64; 3], to: [f64; 3], null_share: f64, temper: f64) -> (Option<usize>, f64) {
+        let (x, y) = (to[0] - from[0], to[1] - from[1]);
+        let (azimuth_rad, range_m) = (crate::wrap(y.atan2(x) - from[2]), x.hypot(y));
         let mut best = (None, -null_share.ln());
         let (by, near, right) = (1.0 / temper, nearness(range_m), -(1.0 - null_share).ln());
         // Below `NEAREST_M` the deviation is larger, so the density is lower. Otherwise a robot placed on another one would fit

@@ -3,7 +3,7 @@
 //! * [`Team`] is the graph: robots, keyframes, and the measurements between them.
 //! * [`Team::solve`] finds all poses. [`Solution`] holds them with their covariances and each link's chosen candidate.
 //! * [`ranges`] reads ranges from another sensor. [`factors`] writes the graph for g2o and GTSAM.
-//! * `answers` (feature `answers`) makes links of the estimator's bearings.
+//! * [`answers`] makes links of the estimator's bearings.
 //!
 //! Lengths are in metres; angles in radians, from +x towards +y. The pose of a keyframe is (x, y, yaw) in the team's
 //! frame: the frame of the priors or, without priors, of the first robot's odometry.
@@ -16,7 +16,6 @@
 //! the envelope needs no search for an ordering.
 
 pub mod answers;
-mod envelope;
 pub mod factors;
 mod graph;
 pub mod ranges;

@@ -1,6 +1,5 @@
 //! Levenberg-Marquardt solver and marginal covariances.
 
-use crate::envelope::Envelope;
 use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError, nearness};
 use crate::start::{COSTLIER, again, starts};
 use crate::wrap;
@@ -85,10 +84,15 @@ impl State {
         self.poses.iter().zip(&other.poses).all(near)
     }
 
-    fn azimuth_and_range(&self, from: usize, to: usize) -> (f64, f64) {
+    /// From one keyframe to another: x and y in the team's frame.
+    fn between(&self, [from, to]: [usize; 2]) -> (f64, f64) {
         let (a, b) = (self.poses[from], self.poses[to]);
-        let (x, y) = (b[0] - a[0], b[1] - a[1]);
-        (wrap(y.atan2(x) - a[2]), x.hypot(y))
+        (b[0] - a[0], b[1] - a[1])
+    }
+
+    /// As [`Link::best`], at this state.
+    fn best(&self, link: &Link, null_share: f64, temper: f64) -> (Option<usize>, f64) {
+        link.best(self.poses[link.from], self.poses[link.to], null_share, temper)
     }
 }
 
@@ -129,8 +133,7 @@ impl Layout {
         };
         for k in order {
             layout.poses[k] = layout.variables.len();
-            let size = if team.robots[team.keyframes[k].robot].has_heading { 3 } else { 2 };
-            layout.variables.extend((0..size).map(|part| Variable::Pose(k, part)));
+            layout.variables.extend((0..team.pose_size(k)).map(|part| Variable::Pose(k, part)));
         }
         for robot in (0..team.robots.len()).filter(|robot| moving[*robot]) {
             layout.calibrations[robot] = Some(layout.variables.len());
@@ -154,10 +157,7 @@ impl Layout {
             let lowest = variables.iter().copied().min().unwrap_or_default();
             variables.into_iter().for_each(|variable| first[variable] = first[variable].min(lowest));
         };
-        let pose = |k: usize| {
-            let size = if team.robots[team.keyframes[k].robot].has_heading { 3 } else { 2 };
-            self.poses[k]..self.poses[k] + size
-        };
+        let pose = |k: usize| self.poses[k]..self.poses[k] + team.pose_size(k);
         let calibration = |k: usize| {
             let first = self.calibrations[team.keyframes[k].robot];
             first.into_iter().flat_map(|first| first..first + 2)
@@ -171,6 +171,101 @@ impl Layout {
         team.carried.iter().for_each(|carried| group(&mut carried.variables.iter().map(|own| self.index(*own))));
         Envelope::zeros(first)
     }
+}
+
+/// The lower triangle of a symmetric matrix, or its Cholesky factor, in envelope form: each row is stored from its first
+/// entry to the diagonal.
+#[derive(Clone, Debug)]
+struct Envelope {
+    /// Column of the first entry of each row.
+    first: Vec<usize>,
+    /// Offset of each row in `values`.
+    begins: Vec<usize>,
+    values: Vec<f64>,
+}
+
+impl Envelope {
+    /// A zero matrix; row `k` begins at column `first[k]`.
+    fn zeros(first: Vec<usize>) -> Self {
+        let mut total = 0;
+        let begin = |(row, first): (usize, &usize)| {
+            let begin = total;
+            total += row + 1 - first;
+            begin
+        };
+        let begins = first.iter().enumerate().map(begin).collect();
+        Self { first, begins, values: vec![0.0; total] }
+    }
+
+    fn len(&self) -> usize {
+        self.first.len()
+    }
+
+    /// The entries of a row from column `from` up to `end`; `from` must be inside the envelope.
+    fn row(&self, row: usize, from: usize, end: usize) -> &[f64] {
+        let begin = self.begins[row] + from - self.first[row];
+        &self.values[begin..begin + end - from]
+    }
+
+    /// Adds to an entry; the envelope must hold it.
+    fn add(&mut self, row: usize, column: usize, value: f64) {
+        let (row, column) = if row < column { (column, row) } else { (row, column) };
+        self.values[self.begins[row] + column - self.first[row]] += value;
+    }
+
+    /// Multiplies the diagonal by `1 + damping` and adds 1e-9, so that an unconstrained variable does not move.
+    fn damp(&mut self, damping: f64) {
+        for row in 0..self.len() {
+            let at = self.begins[row] + row - self.first[row];
+            self.values[at] = self.values[at] * (1.0 + damping) + 1e-9;
+        }
+    }
+
+    /// The Cholesky factor. On failure, the row at which the matrix is not positive definite.
+    fn factor(mut self) -> Result<Self, usize> {
+        for row in 0..self.len() {
+            for column in self.first[row]..=row {
+                let from = self.first[row].max(self.first[column]);
+                let sum = dot(self.row(row, from, column), self.row(column, from, column));
+                let at = self.begins[row] + column - self.first[row];
+                let rest = self.values[at] - sum;
+                self.values[at] = if column < row {
+                    rest / self.row(column, column, column + 1)[0]
+                } else if rest > 1e-11 * self.values[at] {
+                    rest.sqrt()
+                } else {
+                    return Err(row);
+                };
+            }
+        }
+        Ok(self)
+    }
+
+    /// Solves `L L' x = side` in place.
+    fn solve(&self, side: &mut [f64]) {
+        for row in 0..self.len() {
+            let first = self.first[row];
+            let known = dot(self.row(row, first, row), &side[first..row]);
+            side[row] = (side[row] - known) / self.row(row, row, row + 1)[0];
+        }
+        for row in (0..self.len()).rev() {
+            let first = self.first[row];
+            side[row] /= self.row(row, row, row + 1)[0];
+            let (before, rest) = side.split_at_mut(row);
+            let own = self.row(row, first, row);
+            before[first..].iter_mut().zip(own).for_each(|(x, a)| *x -= a * rest[0]);
+        }
+    }
+}
+
+/// Dot product in eight partial sums, so that additions need not wait for each other.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (mut sums, tail) = ([0.0; 8], a.len() - a.len() % 8);
+    for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
+        sums.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a * b);
+    }
+    let rest: f64 = a[tail..].iter().zip(&b[tail..]).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f64>() + rest
 }
 
 /// The graph, its variables, and the outlier share of each link.
@@ -198,13 +293,17 @@ fn tempered<'a>(temper: f64, cost: &'a mut f64, rows: &'a mut Rows<'_>) -> impl 
     }
 }
 
-fn gradient_of_range(state: &State, [from, to]: [usize; 2], factor: f64) -> ([Entry; 4], f64) {
+/// Derivatives that pull the ends of a measurement apart.
+fn along_line([from, to]: [usize; 2], x: f64, y: f64) -> [Entry; 4] {
     use Variable::Pose;
-    let (a, b) = (state.poses[from], state.poses[to]);
-    let (x, y) = (b[0] - a[0], b[1] - a[1]);
+    [(Pose(from, 0), -x), (Pose(from, 1), -y), (Pose(to, 0), x), (Pose(to, 1), y)]
+}
+
+/// `factor` times the derivatives of a range; and the range.
+fn gradient_of_range(state: &State, ends: [usize; 2], factor: f64) -> ([Entry; 4], f64) {
+    let (x, y) = state.between(ends);
     let range_m = x.hypot(y);
-    let (x, y) = (factor * x / range_m.max(1e-9), factor * y / range_m.max(1e-9));
-    ([(Pose(from, 0), -x), (Pose(from, 1), -y), (Pose(to, 0), x), (Pose(to, 1), y)], range_m)
+    (along_line(ends, factor * x / range_m.max(1e-9), factor * y / range_m.max(1e-9)), range_m)
 }
 
 /// Selects measurements by their keyframes.
@@ -222,8 +321,7 @@ impl<'a> Problem<'a> {
         let mut cost = 0.0;
         let mut add = tempered(temper, &mut cost, rows);
         for prior in self.team.priors.iter().filter(|prior| wanted(&[prior.keyframe])) {
-            let has_heading = self.team.robots[self.team.keyframes[prior.keyframe].robot].has_heading;
-            for k in 0..if has_heading { 3 } else { 2 } {
+            for k in 0..self.team.pose_size(prior.keyframe) {
                 let Some(sd) = prior.sd[k] else { continue };
                 let off = state.poses[prior.keyframe][k] - prior.pose[k];
                 add(if k == 2 { wrap(off) } else { off } / sd, &[(Variable::Pose(prior.keyframe, k), 1.0 / sd)]);
@@ -279,19 +377,18 @@ impl<'a> Problem<'a> {
         let [mx, my, turn] = step.motion;
         let (mx, my) = (turn_cos * mx - turn_sin * my, turn_sin * mx + turn_cos * my);
         let ([sd_m, sd_rad], half) = (step.sd, 0.5 * step.driven_m * (1.0 + scale));
-        let (own, pose) = (|k| Calibration(robot, k), |at: usize, k: usize| Pose(at, k));
         let place = |residual: f64, by: [f64; 2], by_yaw: f64, by_bias: f64, by_scale: f64, add: &mut Rows<'_>| {
             let by = by.map(|by| by / sd_m);
             add(
                 residual / sd_m,
                 &[
-                    (pose(step.from, 0), -by[0]),
-                    (pose(step.from, 1), -by[1]),
-                    (pose(step.from, 2), by_yaw / sd_m),
-                    (pose(step.to, 0), by[0]),
-                    (pose(step.to, 1), by[1]),
-                    (own(0), by_bias / sd_m),
-                    (own(1), by_scale / sd_m),
+                    (Pose(step.from, 0), -by[0]),
+                    (Pose(step.from, 1), -by[1]),
+                    (Pose(step.from, 2), by_yaw / sd_m),
+                    (Pose(step.to, 0), by[0]),
+                    (Pose(step.to, 1), by[1]),
+                    (Calibration(robot, 0), by_bias / sd_m),
+                    (Calibration(robot, 1), by_scale / sd_m),
                 ],
             );
         };
@@ -299,40 +396,38 @@ impl<'a> Problem<'a> {
         place(left - (1.0 + scale) * my, [-sin, cos], -forward, -half * mx, -my, add);
         let off = wrap(b[2] - a[2] - turn - bias * step.driven_m) / sd_rad;
         let by = 1.0 / sd_rad;
-        add(off, &[(pose(step.from, 2), -by), (pose(step.to, 2), by), (own(0), -step.driven_m * by)]);
+        add(off, &[(Pose(step.from, 2), -by), (Pose(step.to, 2), by), (Calibration(robot, 0), -step.driven_m * by)]);
     }
 
     fn links(&self, state: &State, temper: f64, wanted: Wanted<'_>, rows: &mut Rows<'_>) -> f64 {
-        use Variable::Pose;
         let mut cost = 0.0;
         for (link, null_share) in self.team.links.iter().zip(&self.null_shares) {
             if !wanted(&[link.from, link.to]) {
                 continue;
             }
-            let (azimuth, range_m) = state.azimuth_and_range(link.from, link.to);
-            let (chosen, own) = link.best(azimuth, range_m, *null_share, temper);
+            let (chosen, own) = state.best(link, *null_share, temper);
             cost += own;
             let Some(mode) = chosen.map(|k| link.modes[k]) else { continue };
+            let (ends, yaw) = ([link.from, link.to], state.poses[link.from][2]);
+            let (x, y) = state.between(ends);
+            let range_m = x.hypot(y);
             if let Some([expected, sd]) = mode.azimuth_rad {
-                let (a, b) = (state.poses[link.from], state.poses[link.to]);
-                let (x, y) = ((b[0] - a[0]) / range_m.max(1e-9), (b[1] - a[1]) / range_m.max(1e-9));
-                let (off, near) = (wrap(azimuth - expected), nearness(range_m));
+                let (off, near) = (wrap(wrap(y.atan2(x) - yaw) - expected), nearness(range_m));
+                let (x, y) = (x / range_m.max(1e-9), y / range_m.max(1e-9));
                 let by = near / (sd * temper);
                 // Across the line of sight the azimuth changes. Along it, the weight changes below `NEAREST_M`.
                 let (across, along) =
                     (by / range_m.max(1e-9), if near < 1.0 { off / (sd * temper * NEAREST_M) } else { 0.0 });
                 let (x, y) = (along * x - across * y, along * y + across * x);
-                let ends =
-                    [(Pose(link.from, 0), -x), (Pose(link.from, 1), -y), (Pose(link.to, 0), x), (Pose(link.to, 1), y)];
-                rows(off * by, &[&ends[..], &[(Pose(link.from, 2), -by)]].concat());
+                rows(off * by, &[&along_line(ends, x, y)[..], &[(Variable::Pose(link.from, 2), -by)]].concat());
                 if near < 1.0 {
                     // The density is proportional to the range: gradient and curvature of its negative logarithm.
-                    rows(-1.0, &gradient_of_range(state, [link.from, link.to], 1.0 / range_m.max(1e-9)).0);
+                    rows(-1.0, &gradient_of_range(state, ends, 1.0 / range_m.max(1e-9)).0);
                 }
             }
             if let Some([expected, sd]) = mode.range_m {
                 let by = 1.0 / (sd * temper);
-                rows((range_m - expected) * by, &gradient_of_range(state, [link.from, link.to], by).0);
+                rows((range_m - expected) * by, &gradient_of_range(state, ends, by).0);
             }
         }
         cost
@@ -412,13 +507,9 @@ impl<'a> Problem<'a> {
     fn learn_shares(&mut self, state: &State) -> Vec<f64> {
         let mut own = vec![(0.0, 0.0, 0.0); self.team.robots.len()];
         let robot = |link: &Link| self.team.keyframes[link.from].robot;
-        let cost = |link: &Link, null_share: f64| {
-            let (azimuth, range_m) = state.azimuth_and_range(link.from, link.to);
-            link.best(azimuth, range_m, null_share, 1.0)
-        };
         for link in &self.team.links {
             let (links, nulls, given) = &mut own[robot(link)];
-            let is_null = cost(link, link.null_share).0.is_none();
+            let is_null = state.best(link, link.null_share, 1.0).0.is_none();
             (*links, *nulls, *given) = (*links + 1.0, *nulls + f64::from(u8::from(is_null)), *given + link.null_share);
         }
         let mean = |(links, _, given): (f64, f64, f64)| if links > 0.0 { given / links } else { 0.0 };
@@ -433,7 +524,7 @@ impl<'a> Problem<'a> {
         self.null_shares = self.team.links.iter().map(learnt).collect();
         let mut costs = vec![0.0; self.team.robots.len()];
         for (link, null_share) in self.team.links.iter().zip(&self.null_shares) {
-            costs[robot(link)] += cost(link, *null_share).1;
+            costs[robot(link)] += state.best(link, *null_share, 1.0).1;
         }
         for (link, null_share) in self.team.links.iter().zip(&mut self.null_shares) {
             if own[robot(link)].0 > NULL_LINKS && costs[robot(link)] > LIARS.ln() {
@@ -453,22 +544,21 @@ impl<'a> Problem<'a> {
                 self.learn_shares(&state);
                 state = self.descend(state, *temper, ROUGHLY).0;
             }
-            let outlier_shares = self.learn_shares(&state);
-            let (state, cost) = self.descend(state, 1.0, ROUGHLY);
-            if best.as_ref().is_none_or(|best| cost < best.cost) {
-                best = Some(Settled { state, cost, outlier_shares, null_shares: self.null_shares.clone() });
+            let own = self.settled(state);
+            if best.as_ref().is_none_or(|best| own.cost < best.cost) {
+                best = Some(own);
             }
         }
         best.unwrap_or_default()
     }
-}
 
-/// Quasi-random numbers from -1 to 1, the same on every machine: multiples of the golden ratio, modulo 1.
-fn even(k: usize) -> f64 {
-    2.0 * (k as f64 * 0.618_033_988_749_895).fract() - 1.0
-}
+    /// The minimum near a state, with outlier shares learnt at the state.
+    fn settled(&mut self, begin: State) -> Settled {
+        let outlier_shares = self.learn_shares(&begin);
+        let (state, cost) = self.descend(begin, 1.0, ROUGHLY);
+        Settled { state, cost, outlier_shares, null_shares: self.null_shares.clone() }
+    }
 
-impl Problem<'_> {
     /// Descends again from perturbations of a minimum. A chosen candidate holds its pose, so there may be a lower minimum nearby.
     fn kick(&mut self, best: &mut Settled) {
         for kick in 1..=KICKS {
@@ -480,16 +570,13 @@ impl Problem<'_> {
             }
             self.null_shares.clone_from(&best.null_shares);
             let state = self.descend(state, 1.0, ROUGHLY).0;
-            let outlier_shares = self.learn_shares(&state);
-            let (state, cost) = self.descend(state, 1.0, ROUGHLY);
-            if cost < best.cost {
-                *best = Settled { state, cost, outlier_shares, null_shares: self.null_shares.clone() };
+            let own = self.settled(state);
+            if own.cost < best.cost {
+                *best = own;
             }
         }
     }
-}
 
-impl Problem<'_> {
     /// Tries other places for each robot among the others, and adds the minima found. With `is_suspect_only`, for robots with
     /// more outliers than other links.
     fn place_again(&mut self, settled: &mut Vec<Settled>, is_suspect_only: bool) {
@@ -529,13 +616,56 @@ impl Problem<'_> {
         for (link, null_share) in self.team.links.iter().zip(&at.null_shares) {
             let ends = [link.from, link.to].map(|k| self.team.keyframes[k].robot);
             if *null_share < 1.0 && ends.contains(&robot) {
-                let (azimuth, range_m) = at.state.azimuth_and_range(link.from, link.to);
                 links += 1;
-                outliers += usize::from(link.best(azimuth, range_m, *null_share, 1.0).0.is_none());
+                outliers += usize::from(at.state.best(link, *null_share, 1.0).0.is_none());
             }
         }
         2 * outliers > links
     }
+
+    /// The linear prior that the measurements of old keyframes leave on the other variables.
+    fn carry(&self, state: &State, touches: Wanted<'_>, old: &[usize]) -> Carried {
+        let n = self.layout.variables.len();
+        let (mut matrix, mut side) = (DMatrix::<f64>::zeros(n, n), DVector::<f64>::zeros(n));
+        let mut add = |residual: f64, entries: &[Entry]| {
+            for (variable, by) in entries {
+                let row = self.layout.index(*variable);
+                side[row] += by * residual;
+                entries.iter().for_each(|(other, factor)| matrix[(row, self.layout.index(*other))] += by * factor);
+            }
+        };
+        self.visit(state, 1.0, touches, &mut add);
+        self.shared(state, 1.0, &mut add);
+        let is_old = |k: &usize| matches!(self.layout.variables[*k], Variable::Pose(keyframe, _) if old.binary_search(&keyframe).is_ok());
+        let (gone, stay): (Vec<usize>, Vec<usize>) = (0..n).filter(|k| matrix[(*k, *k)] > 0.0).partition(is_old);
+        let part = |rows: &[usize], columns: &[usize]| {
+            DMatrix::from_fn(rows.len(), columns.len(), |row, column| matrix[(rows[row], columns[column])])
+        };
+        let of = |rows: &[usize]| DVector::from_iterator(rows.len(), rows.iter().map(|row| side[*row]));
+        let mut inner = part(&gone, &gone);
+        (0..gone.len()).for_each(|k| inner[(k, k)] *= 1.0 + 1e-12);
+        let cross = part(&stay, &gone);
+        let inverse = inner.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(gone.len(), gone.len()));
+        let rest = part(&stay, &stay) - &cross * &inverse * cross.transpose();
+        let gradient = of(&stay) - &cross * inverse * of(&gone);
+        let own = (0.5 * (&rest + rest.transpose())).symmetric_eigen();
+        let least = 1e-12 * own.eigenvalues.max();
+        let kept: Vec<usize> = (0..stay.len()).filter(|k| own.eigenvalues[*k] > least).collect();
+        let root = |k: usize| own.eigenvalues[k].sqrt();
+        let rows = DMatrix::from_fn(kept.len(), stay.len(), |row, column| {
+            root(kept[row]) * own.eigenvectors[(column, kept[row])]
+        });
+        let along = kept.iter().map(|k| own.eigenvectors.column(*k).dot(&gradient) / root(*k));
+        let side = DVector::from_iterator(kept.len(), along);
+        let variables: Vec<Variable> = stay.iter().map(|k| self.layout.variables[*k]).collect();
+        let at = variables.iter().map(|variable| state.get(*variable)).collect();
+        Carried { variables, at, rows, side }
+    }
+}
+
+/// Quasi-random numbers from -1 to 1, the same on every machine: multiples of the golden ratio, modulo 1.
+fn even(k: usize) -> f64 {
+    2.0 * (k as f64 * 0.618_033_988_749_895).fract() - 1.0
 }
 
 /// A minimum and the outlier shares there.
@@ -662,10 +792,7 @@ impl Team {
         };
         let undetermined = |at| TeamError::Undetermined { robot: self.robots[robot_of(at)].name.clone() };
         let factor = problem.normal(&state, 1.0).0.factor().map_err(undetermined)?;
-        let choose = |(link, null_share): (&Link, &f64)| {
-            let (azimuth, range_m) = state.azimuth_and_range(link.from, link.to);
-            link.best(azimuth, range_m, *null_share, 1.0).0
-        };
+        let choose = |(link, null_share): (&Link, &f64)| state.best(link, *null_share, 1.0).0;
         let chosen = self.links.iter().zip(&problem.null_shares).map(choose).collect();
         let Problem { layout, null_shares, .. } = problem;
         let mut found =
@@ -718,47 +845,6 @@ impl Team {
     }
 }
 
-impl Problem<'_> {
-    /// The linear prior that the measurements of old keyframes leave on the other variables.
-    fn carry(&self, state: &State, touches: Wanted<'_>, old: &[usize]) -> Carried {
-        let n = self.layout.variables.len();
-        let (mut matrix, mut side) = (DMatrix::<f64>::zeros(n, n), DVector::<f64>::zeros(n));
-        let mut add = |residual: f64, entries: &[Entry]| {
-            for (variable, by) in entries {
-                let row = self.layout.index(*variable);
-                side[row] += by * residual;
-                entries.iter().for_each(|(other, factor)| matrix[(row, self.layout.index(*other))] += by * factor);
-            }
-        };
-        self.visit(state, 1.0, touches, &mut add);
-        self.shared(state, 1.0, &mut add);
-        let is_old = |k: &usize| matches!(self.layout.variables[*k], Variable::Pose(keyframe, _) if old.binary_search(&keyframe).is_ok());
-        let (gone, stay): (Vec<usize>, Vec<usize>) = (0..n).filter(|k| matrix[(*k, *k)] > 0.0).partition(is_old);
-        let part = |rows: &[usize], columns: &[usize]| {
-            DMatrix::from_fn(rows.len(), columns.len(), |row, column| matrix[(rows[row], columns[column])])
-        };
-        let of = |rows: &[usize]| DVector::from_iterator(rows.len(), rows.iter().map(|row| side[*row]));
-        let mut inner = part(&gone, &gone);
-        (0..gone.len()).for_each(|k| inner[(k, k)] *= 1.0 + 1e-12);
-        let cross = part(&stay, &gone);
-        let inverse = inner.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(gone.len(), gone.len()));
-        let rest = part(&stay, &stay) - &cross * &inverse * cross.transpose();
-        let gradient = of(&stay) - &cross * inverse * of(&gone);
-        let own = (0.5 * (&rest + rest.transpose())).symmetric_eigen();
-        let least = 1e-12 * own.eigenvalues.max();
-        let kept: Vec<usize> = (0..stay.len()).filter(|k| own.eigenvalues[*k] > least).collect();
-        let root = |k: usize| own.eigenvalues[k].sqrt();
-        let rows = DMatrix::from_fn(kept.len(), stay.len(), |row, column| {
-            root(kept[row]) * own.eigenvectors[(column, kept[row])]
-        });
-        let along = kept.iter().map(|k| own.eigenvectors.column(*k).dot(&gradient) / root(*k));
-        let side = DVector::from_iterator(kept.len(), along);
-        let variables: Vec<Variable> = stay.iter().map(|k| self.layout.variables[*k]).collect();
-        let at = variables.iter().map(|variable| state.get(*variable)).collect();
-        Carried { variables, at, rows, side }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -797,5 +883,25 @@ mod tests {
                 "{variable:?}: {gradient} {difference}"
             );
         }
+    }
+    #[test]
+    fn envelope_and_dense_cholesky_give_the_same_solution() {
+        let first = vec![0, 0, 1, 1, 3, 0];
+        let mut own = Envelope::zeros(first.clone());
+        let mut dense = DMatrix::<f64>::zeros(6, 6);
+        for row in 0..6 {
+            for column in first[row]..=row {
+                let value = if row == column { 5.0 + row as f64 } else { 1.0 / (1.0 + (row + 2 * column) as f64) };
+                own.add(column, row, value);
+                (dense[(row, column)], dense[(column, row)]) = (value, value);
+            }
+        }
+        let side = DVector::from_fn(6, |k, _| k as f64 - 2.5);
+        let mut x = side.as_slice().to_vec();
+        own.clone().factor().unwrap().solve(&mut x);
+        let expected = dense.cholesky().unwrap().solve(&side);
+        assert!((DVector::from_vec(x) - expected).norm() < 1e-12);
+        own.add(3, 3, -20.0);
+        assert_eq!(own.factor().unwrap_err(), 3);
     }
 }

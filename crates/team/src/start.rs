@@ -1,6 +1,6 @@
 //! Initial states: places one robot after another where its links to placed robots cross.
 
-use crate::graph::{Link, Team, TeamError};
+use crate::graph::{Link, Mode, Prior, Team, TeamError};
 use crate::solve::State;
 use nalgebra::{Rotation2, Vector2};
 use std::f64::consts::{PI, TAU};
@@ -71,7 +71,7 @@ fn known_frame(team: &Team, before: Option<&State>, robot: usize) -> Option<Fram
     let own = |k: &usize| team.keyframes[*k].robot == robot;
     let solved = before.and_then(|before| (0..before.poses.len()).rev().find(own).map(|k| (k, before.poses[k])));
     let by_prior = || {
-        let fixes = |prior: &&crate::graph::Prior| {
+        let fixes = |prior: &&Prior| {
             let [x, y, yaw] = prior.sd;
             own(&prior.keyframe) && x.is_some() && y.is_some() && (yaw.is_some() || !team.robots[robot].has_heading)
         };
@@ -163,8 +163,7 @@ impl Seen<'_> {
     /// The link's cost with the robot's own keyframe at `own`.
     fn cost(&self, own: [f64; 3]) -> f64 {
         let (from, to) = if self.link.from == self.own { (own, self.other) } else { (self.other, own) };
-        let (x, y) = (to[0] - from[0], to[1] - from[1]);
-        self.link.best(crate::wrap(y.atan2(x) - from[2]), x.hypot(y), self.null_share, TEMPER).1
+        self.link.best(from, to, self.null_share, TEMPER).1
     }
 }
 
@@ -249,7 +248,7 @@ fn yaws(team: &Team, seen: &[Seen<'_>], robot: usize) -> Vec<f64> {
     if !team.robots[robot].has_heading {
         return vec![0.0];
     }
-    let own = |prior: &crate::graph::Prior| {
+    let own = |prior: &Prior| {
         let sd = prior.sd[2].filter(|_| team.keyframes[prior.keyframe].robot == robot)?;
         let yaw = prior.pose[2] - team.keyframes[prior.keyframe].odometry[2];
         Some([0.0, -1.0, 1.0, -2.0, 2.0].map(|by| yaw + by * sd))
@@ -276,7 +275,7 @@ fn loci(team: &Team, seen: &Seen<'_>, index: usize, yaw: f64) -> Vec<Locus> {
     let offset = Rotation2::new(yaw) * Vector2::new(odometry[0], odometry[1]);
     let centre = Vector2::new(seen.other[0], seen.other[1]) - offset;
     let is_own = seen.link.from == seen.own;
-    let locus = |mode: &crate::graph::Mode| {
+    let locus = |mode: &Mode| {
         let ray = mode.azimuth_rad.map(|[azimuth, _]| match is_own {
             true => -direction(yaw + odometry[2] + azimuth),
             false => direction(seen.other[2] + azimuth),
