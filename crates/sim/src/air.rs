@@ -63,7 +63,6 @@ impl std::fmt::Debug for Air {
 
 impl Air {
     /// The air of a world, at time 0. `make_station` makes the room's own senders.
-    #[must_use]
     pub fn new(world: Arc<World>, make_station: MakeStation) -> Self {
         let scene = world.scene();
         let nodes = (0..scene.robot.len()).map(|robot| Node::new(scene.seed, robot)).collect();
@@ -95,7 +94,6 @@ impl Air {
     }
 
     /// The world.
-    #[must_use]
     pub fn world(&self) -> &Arc<World> {
         &self.world
     }
@@ -111,19 +109,16 @@ impl Air {
     }
 
     /// The current true time.
-    #[must_use]
     pub fn now_ns(&self) -> i64 {
         self.now_ns
     }
 
     /// The end of the scene, true time.
-    #[must_use]
     pub fn end_ns(&self) -> i64 {
         self.end_ns
     }
 
     /// The time of the next event before the end.
-    #[must_use]
     pub fn next_ns(&self) -> Option<i64> {
         self.events.first_key_value().map(|((t_ns, _), _)| *t_ns).filter(|&t_ns| t_ns <= self.end_ns)
     }
@@ -138,7 +133,6 @@ impl Air {
     }
 
     /// The source that a robot follows.
-    #[must_use]
     pub fn follower(&self, robot: usize) -> Option<&Follower> {
         self.followers.iter().find(|follower| follower.robot == robot)
     }

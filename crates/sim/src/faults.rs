@@ -55,7 +55,6 @@ impl Default for Faults {
 
 impl Faults {
     /// If the listening process is stopped at `now`, when it goes on. Stalls begin at whole multiples of their period.
-    #[must_use]
     pub(crate) fn stalled_until(&self, now: Instant) -> Option<Instant> {
         let [every_us, stall_us] = self.stalls_us();
         if every_us <= 0 || stall_us <= 0 || now.as_us() < every_us {

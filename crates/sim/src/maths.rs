@@ -10,45 +10,38 @@ use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
 /// Degrees to radians.
-#[must_use]
 pub fn rad(degrees: f64) -> f64 {
     degrees * (PI / 180.0)
 }
 
 /// `exp(j 2 pi turns)`. Whole turns are removed first, exactly, so large phases lose nothing here.
-#[must_use]
 pub fn phasor(turns: f64) -> Complex64 {
     let (sin, cos) = libm::sincos(TAU * (turns - turns.round_ties_even()));
     Complex64::new(cos, sin)
 }
 
 /// The amplitude ratio of `db` decibels: `10^(db / 20)`.
-#[must_use]
 pub fn amplitude(db: f64) -> f64 {
     libm::exp(db * (std::f64::consts::LN_10 / 20.0))
 }
 
 /// The power ratio of `db` decibels: `10^(db / 10)`.
-#[must_use]
 pub fn power(db: f64) -> f64 {
     libm::exp(db * (std::f64::consts::LN_10 / 10.0))
 }
 
 /// Decibels of a power ratio; `-inf` for 0.
-#[must_use]
 pub fn decibel(power: f64) -> f64 {
     10.0 * libm::log10(power)
 }
 
 /// The unit vector in the horizontal plane at `yaw_rad` from +x towards +y.
-#[must_use]
 pub fn heading(yaw_rad: f64) -> Vector3<f64> {
     let (sin, cos) = libm::sincos(yaw_rad);
     Vector3::new(cos, sin, 0.0)
 }
 
 /// `v` turned by `yaw_rad` about +z.
-#[must_use]
 pub fn turned(v: Vector3<f64>, yaw_rad: f64) -> Vector3<f64> {
     if v.x == 0.0 && v.y == 0.0 {
         return v;

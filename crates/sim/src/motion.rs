@@ -33,7 +33,6 @@ impl Pose {
     }
 
     /// The pose at `part` of the way to another: straight, turning the short way.
-    #[must_use]
     pub(super) fn towards(&self, to: &Self, part: f64) -> Self {
         let turn = to.yaw_rad - self.yaw_rad;
         let turn = turn - TAU * (turn / TAU).round();
@@ -260,7 +259,6 @@ enum Shape {
 
 impl Track {
     /// Makes a motion ready. Random walks draw from `stream`; `recorded` is the file of a recorded one.
-    #[must_use]
     pub fn new(start: Pose, motion: &RobotMotion, recorded: Option<Recorded>, stream: &mut Stream) -> Self {
         let turning = |radius_m, angle_rad, rise_m| Shape::Turning { radius_m, angle_rad, rise_m };
         let (shape, start_s, duration_s) = match motion {
@@ -294,13 +292,11 @@ impl Track {
     }
 
     /// True if the robot never moves.
-    #[must_use]
     pub fn is_still(&self) -> bool {
         matches!(self.shape, Shape::Still)
     }
 
     /// The way of a followed robot.
-    #[must_use]
     pub fn way(&self) -> Option<&SharedWay> {
         match &self.shape {
             Shape::Followed(way) => Some(way),
@@ -309,7 +305,6 @@ impl Track {
     }
 
     /// The pose at true time `t_s`, seconds since the scene began.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> Pose {
         let moved_s = (t_s - self.start_s).clamp(0.0, self.duration_s);
         let part = if self.duration_s > 0.0 { moved_s / self.duration_s } else { 0.0 };
@@ -439,7 +434,6 @@ pub enum RecordedError {
 
 impl Recorded {
     /// A trajectory from rows of (seconds, pose), which are put into the order of time.
-    #[must_use]
     pub(crate) fn from_rows(mut rows: Vec<(f64, Pose)>) -> Self {
         rows.sort_by(|a, b| a.0.total_cmp(&b.0));
         let first = rows.first().map_or(0.0, |row| row.0);
@@ -497,7 +491,6 @@ impl Recorded {
 
     /// The same with every place off by slow swings: of standard deviation `stray_m` in x and in y, each of sines with
     /// periods about `stray_s`. They do not depend on the seed, because a recorded path is fixed.
-    #[must_use]
     pub(super) fn strayed(mut self, stray_m: f64, stray_s: f64) -> Self {
         /// Periods of the sines, in no simple ratio, so that the deviation is reached within a few periods.
         const PERIODS: [f64; 8] = [0.62, 0.73, 0.86, 1.01, 1.19, 1.41, 1.67, 1.98];
@@ -567,7 +560,6 @@ pub(crate) struct Way {
 
 impl Way {
     /// A robot that waits at `start`.
-    #[must_use]
     pub fn new(start: Pose, motion: &FollowedMotion) -> Self {
         let origin = Pose { position_m: Vector3::from(motion.origin_m), yaw_rad: rad(motion.origin_yaw_deg) };
         Self {
@@ -581,7 +573,6 @@ impl Way {
     }
 
     /// The pose at a time of the room no later than now, and the number of its frame: 0 before the first pose came.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> (Pose, u32) {
         let after = self.knots.partition_point(|knot| knot.t_s <= t_s);
         let Some(from) = self.knots.get(after.saturating_sub(1)) else { return (self.origin, 0) };
@@ -692,13 +683,11 @@ impl Follower {
     }
 
     /// The source's error.
-    #[must_use]
     pub fn trouble(&self) -> Option<String> {
         self.ended.clone().filter(|why| !why.is_empty()).or_else(|| self.source.trouble())
     }
 
     /// Counts of the robot and of its source.
-    #[must_use]
     pub fn counted(&self) -> SourceCounts {
         SourceCounts::Followed { followed: lock(&self.way).counts, source: self.source.counted().map(Box::new) }
     }

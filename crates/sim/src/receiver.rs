@@ -61,7 +61,6 @@ struct Incoming {
 
 impl Receiver {
     /// The receiver of a robot.
-    #[must_use]
     pub fn new(radio: Radio, seed: u64, robot: usize) -> Self {
         let [stream, chains] = [Purpose::Radio, Purpose::Chains].map(|purpose| Stream::new(seed, robot, purpose));
         let mut receiver =
@@ -121,7 +120,7 @@ impl Receiver {
         let t_s = arrival.t_ns as f64 * 1e-9;
         for (antenna, (tones, power)) in incoming.tones.iter_mut().zip(&mut incoming.power).enumerate().take(n_rx) {
             if world.paths(arrival.from, arrival.to, antenna, t_s, &mut self.paths) {
-                world.add(&self.paths, common, tones);
+                self.paths.iter().for_each(|path| world.carrier.add(path, common, tones));
                 if let Some(filter) = &self.filter {
                     tones.iter_mut().zip(filter).for_each(|(tone, gain)| *tone *= *gain);
                 }
@@ -316,7 +315,8 @@ impl Receiver {
         let t_s = arrival.t_ns as f64 * 1e-9;
         world.paths(arrival.from, arrival.to, antenna, t_s, &mut self.paths).then_some(())?;
         let mut tones = vec![Complex64::default(); card.tones.subcarriers.len()];
-        world.add_at(&self.paths, common, (&card.tones.subcarriers, card.spacing_hz), &mut tones);
+        let at = (&card.tones.subcarriers[..], card.spacing_hz);
+        self.paths.iter().for_each(|path| world.carrier.add_at(path, common, at, &mut tones));
         if let Some(phasor) = self.chain_phasor(antenna) {
             tones.iter_mut().for_each(|tone| *tone *= phasor);
         }
@@ -384,8 +384,8 @@ mod tests {
         let m = receive(&scene, 1)[0];
         assert_eq!((m.n_rx, m.antenna_sel, m.saturated), (3, 0x24, 0));
         let world = World::new(&scene).unwrap();
-        for (i, &k) in world.carrier().indices().iter().enumerate() {
-            let hz = world.carrier().centre_hz + f64::from(k) * 312_500.0;
+        for (i, &k) in world.carrier.indices.iter().enumerate() {
+            let hz = world.carrier.centre_hz + f64::from(k) * 312_500.0;
             let want = Complex64::from_polar(100.0, -std::f64::consts::TAU * 4.0 * hz / 299_792_458.0);
             let got = m.csi[3 * i];
             assert!(

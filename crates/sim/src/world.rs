@@ -19,7 +19,8 @@ use num_complex::Complex64;
 #[derive(Debug)]
 pub struct World {
     scene: Scene,
-    carrier: Carrier,
+    /// The carrier.
+    pub carrier: Carrier,
     surfaces: Surfaces,
     robots: Vec<Placed>,
 }
@@ -72,56 +73,42 @@ impl World {
     }
 
     /// The scene.
-    #[must_use]
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// The carrier.
-    #[cfg(test)]
-    pub fn carrier(&self) -> &Carrier {
-        &self.carrier
-    }
-
     /// True without surfaces: every robot hears every other one.
-    #[must_use]
     pub fn is_open(&self) -> bool {
         self.surfaces.is_empty()
     }
 
     /// The MAC address of a robot.
-    #[must_use]
     pub fn mac(&self, robot: usize) -> Mac {
         self.robots[robot].mac
     }
 
     /// A robot's true pose, `t_s` seconds into the scene.
-    #[must_use]
     pub fn pose(&self, robot: usize, t_s: f64) -> Pose {
         self.robots[robot].track.at(t_s)
     }
 
     /// The way of a robot that follows a source; `None` for others.
-    #[must_use]
     pub fn way(&self, robot: usize) -> Option<&SharedWay> {
         self.robots.get(robot)?.track.way()
     }
 
     /// The number of the frame in which a followed robot's pose is at `t_s`, 0 before its first one came; `None` for a
     /// robot that follows nobody.
-    #[must_use]
     pub fn frame(&self, robot: usize, t_s: f64) -> Option<u32> {
         self.way(robot).map(|way| lock(way).at(t_s).1)
     }
 
     /// True if a robot never moves.
-    #[must_use]
     pub fn is_still(&self, robot: usize) -> bool {
         self.robots[robot].track.is_still()
     }
 
     /// Where an antenna (0 = A) is, `None` if it is not connected.
-    #[must_use]
     pub fn antenna(&self, robot: usize, antenna: usize, t_s: f64) -> Option<Vector3<f64>> {
         let placed = &self.robots[robot];
         let offset = (*placed.antennas_m.get(antenna)?)?;
@@ -132,7 +119,6 @@ impl World {
     ///
     /// A sender's crystal that runs fast turns the coefficient forward: the received tone `exp(j 2 pi f_from t)` is
     /// mixed with `exp(-j 2 pi f_to t)`. `instant_ns` is the time of the exchange's forward frame.
-    #[must_use]
     pub fn carrier_turns(&self, from: usize, to: usize, t_ns: i64, instant_ns: i64, jitter: f64) -> f64 {
         match self.scene.cfo {
             Cfo::Off => 0.0,
@@ -152,13 +138,11 @@ impl World {
     }
 
     /// Whether [`World::carrier_turns`] uses its jitter.
-    #[must_use]
     pub fn carrier_jitters(&self) -> bool {
         matches!(self.scene.cfo, Cfo::Paper(cfo) if cfo.jitter_ns != 0.0)
     }
 
     /// The sampling time offset between two cards' grids, seconds, within half a sample.
-    #[must_use]
     pub fn sampling_offset_s(&self, from: usize, to: usize, t_ns: i64) -> f64 {
         let period_s = SAMPLE_20_S * 20.0 / f64::from(self.scene.bandwidth_mhz);
         let samples = self.gained_s(from, to, t_ns) / period_s;
@@ -204,22 +188,7 @@ impl World {
         db.map(amplitude)
     }
 
-    /// Adds a set of paths to tones; sizes are relative to free space at 1 m.
-    pub fn add(&self, paths: &[Path], common: Common, tones: &mut Tones) {
-        for path in paths {
-            self.carrier.add(path, common, tones);
-        }
-    }
-
-    /// The same at any subcarriers, by their indices and their spacing, Hz.
-    pub fn add_at(&self, paths: &[Path], common: Common, at: (&[i16], f64), tones: &mut [Complex64]) {
-        for path in paths {
-            self.carrier.add_at(path, common, at, tones);
-        }
-    }
-
     /// The loss of free space over the first metre, dB.
-    #[must_use]
     pub fn first_metre_db(&self) -> f64 {
         let turns = 2.0 * std::f64::consts::TAU / self.carrier.wavelength_m();
         20.0 * libm::log10(turns)
@@ -261,7 +230,8 @@ pub type Tones = [Complex64; TONES];
 pub struct Carrier {
     /// Centre frequency, Hz.
     pub centre_hz: f64,
-    indices: &'static [i8; TONES],
+    /// The subcarrier indices of the 30 tones.
+    pub indices: &'static [i8; TONES],
 }
 
 /// Contribution of the radios to every path.
@@ -278,7 +248,6 @@ impl Carrier {
     /// The carrier of a 5 GHz (or 2.4 GHz, 1 to 14) channel number, 20 MHz or 40 MHz wide.
     ///
     /// At 40 MHz the given number is that of the 40 MHz channel's centre. `None` for numbers that are no channel.
-    #[must_use]
     pub fn new(channel: u16, wide: bool) -> Option<Self> {
         // 802.11-2016 17.3.8.4.3 and 19.3.15.2: 5000 + 5 n MHz; 2407 + 5 n MHz, and 2484 MHz for channel 14.
         let centre_mhz = match channel {
@@ -292,19 +261,13 @@ impl Carrier {
     }
 
     /// Wavelength at the centre, metres.
-    #[must_use]
     pub fn wavelength_m(&self) -> f64 {
         SPEED_OF_LIGHT_M_PER_S / self.centre_hz
     }
 
-    /// The subcarrier indices of the 30 tones.
-    #[cfg(test)]
-    pub fn indices(&self) -> &'static [i8; TONES] {
-        self.indices
-    }
-
     /// Adds a path to `tones`: `gain / d exp(-j 2 pi (d f_k / c))` at the frequency `f_k` of each tone, with the
-    /// radios' contribution. Distances are exact, without a far-field approximation.
+    /// radios' contribution. Distances are exact, without a far-field approximation; sizes are relative to free space at
+    /// 1 m.
     ///
     /// Three sines and cosines a path: tone follows tone by multiplication, which costs about 30 rounding errors.
     pub fn add(&self, path: &Path, common: Common, tones: &mut Tones) {
@@ -374,7 +337,6 @@ impl Surface {
     ///
     /// `loss_db` is lost in each reflection (which also turns the phase by half a turn, as at a good conductor);
     /// `through_db` in each passage, `None` for opaque.
-    #[must_use]
     pub fn new(corner: Vector3<f64>, edges: [Vector3<f64>; 2], loss_db: f64, through_db: Option<f64>) -> Option<Self> {
         let [a, b] = edges;
         let across = a.cross(&b);
@@ -412,8 +374,7 @@ impl Surface {
         self.duals.iter().all(within).then_some(point)
     }
 
-    /// The distance of a point from the surface, metres, and whether a segment crosses it.
-    #[must_use]
+    /// The distance of a point from the surface, metres.
     pub fn distance_m(&self, p: Vector3<f64>) -> f64 {
         let clamped = |dual: &Vector3<f64>| (p - self.corner).dot(dual).clamp(0.0, 1.0);
         let edges = self.edges();
@@ -422,7 +383,6 @@ impl Surface {
     }
 
     /// True if the straight way between two points goes through the surface.
-    #[must_use]
     pub fn separates(&self, from: Vector3<f64>, to: Vector3<f64>) -> bool {
         self.crossing(from, to).is_some()
     }
@@ -446,13 +406,11 @@ pub struct Surfaces {
 
 impl Surfaces {
     /// The surfaces of a scene; paths have at most `order` reflections.
-    #[must_use]
     pub fn new(all: Vec<Surface>, order: usize) -> Self {
         Self { all, order }
     }
 
     /// True if there is nothing but free space.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.all.is_empty()
     }
@@ -547,7 +505,7 @@ mod tests {
             let mut tones = [Complex64::default(); TONES];
             let path = Path { length_m: 3.968_3, gain: -0.5 };
             carrier.add(&path, common, &mut tones);
-            for (tone, &k) in tones.iter().zip(carrier.indices()) {
+            for (tone, &k) in tones.iter().zip(carrier.indices) {
                 let hz = carrier.centre_hz + f64::from(k) * SUBCARRIER_SPACING_HZ;
                 let turns = common.turns
                     - path.length_m * hz / SPEED_OF_LIGHT_M_PER_S
