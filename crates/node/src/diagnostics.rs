@@ -4,6 +4,7 @@
 use crate::adapters::Robot;
 use crate::config::{Capture, Config};
 use crate::health::Health;
+use crate::lock;
 use crate::machine::{Machine, Tap};
 use csi5300::pipeline::live::PeerState;
 use csi5300::signal::channel::Channel;
@@ -15,7 +16,7 @@ use csi5300_live::doctor::{self, module_counters};
 use driver_iface::Mac;
 use driver_iface::record::Record;
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// The window of the claims, and the interval of a node's own checks.
@@ -133,7 +134,7 @@ impl SelfTest {
             let before = self.counters.iter().find(|(known, _)| *known == name).map_or(0, |(_, count)| *count);
             collector.counted(&name, count.wrapping_sub(before));
         }
-        let cards = self.cards.lock().unwrap_or_else(PoisonError::into_inner);
+        let cards = lock(&self.cards);
         // A silent card keeps its records; the others' window shows whether they are old.
         let last = cards.iter().filter_map(Card::last).max().unwrap_or(Instant::ZERO);
         let since = last - WINDOW;
@@ -149,7 +150,7 @@ impl SelfTest {
 
 impl Tap for SelfTest {
     fn heard(&mut self, peer: Option<usize>, now: Instant, next: &Next<'_>) {
-        let mut cards = self.cards.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut cards = lock(&self.cards);
         if let Some(card) = cards.get_mut(peer.map_or(0, |peer| peer + 1)) {
             card.note(now, next);
         }
@@ -206,7 +207,7 @@ impl Claims {
             tokio::time::sleep(Duration::from_secs_f64(WINDOW.as_s())).await;
             let test = self.test.clone();
             if let Ok(found) = tokio::task::spawn_blocking(move || test.judge()).await {
-                *self.last.lock().unwrap_or_else(PoisonError::into_inner) = found;
+                *lock(&self.last) = found;
             }
         }
     }
@@ -214,7 +215,7 @@ impl Claims {
     /// All parts of the state, and the last findings.
     pub fn diagnostics(&self, header: Header, health: &Health) -> DiagnosticArray {
         let mut told = of(header, health);
-        told.status.push(claims(&self.robot, &self.last.lock().unwrap_or_else(PoisonError::into_inner)));
+        told.status.push(claims(&self.robot, &lock(&self.last)));
         told
     }
 }

@@ -1,8 +1,8 @@
 //! What a configuration names, opened.
 
-use crate::NodeError;
 use crate::adapters::Adapter;
 use crate::config::{self, CameraMount, Capture, Config, Feitcsi, Odometry, Peer as PeerConfig, Records};
+use crate::refused;
 use crate::threads::{CardThread, PoseThread};
 use csi5300::internal::Roller;
 use csi5300::motion::odometry::ros::Stamp;
@@ -127,7 +127,7 @@ impl Sources {
         let mount = Mounting { antenna_m: config.antenna_offset_m, camera: config.camera_mount };
         let (poses, track) = shared.poses(&config.odometry, robot, mount)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
-        let own = own.ok_or(NodeError::OwnMac)?;
+        let own = own.ok_or_else(|| refused("this robot's MAC is not known"))?;
         let array = config.array.as_ref().map(|array| array.array()).transpose();
         let array = array.map_err(|error| Error::Backend(Box::new(error)))?;
         Ok(Self { own, capture: card, wake, poses, track, peers, array, speed })
@@ -137,7 +137,7 @@ impl Sources {
 /// Poses of an adapter, with the time that is usual unless the configuration says which.
 fn adapted(adapters: &mut [Box<dyn Adapter>], odometry: &Odometry, usual: Stamp) -> Result<Poses, Error> {
     let found = adapters.iter_mut().find_map(|adapter| adapter.poses(odometry, usual));
-    found.ok_or_else(|| NodeError::NoAdapter.into())
+    found.ok_or_else(|| refused("these poses come by what this program does not speak"))
 }
 
 impl<'a> Shared<'a> {
@@ -166,12 +166,12 @@ impl<'a> Shared<'a> {
                         Odometry::Csv(file) => trajectory(file, None, self.start)?,
                         // The room's time is that of this host.
                         Odometry::Ros(_) | Odometry::Ros2(_) => adapted(self.adapters, odometry, Stamp::Receipt)?,
-                        _ => return Err(NodeError::Follows { robot: robot.to_owned() }.into()),
+                        _ => return Err(refused(format!("robot `{robot}` follows `ros2`, `ros` or `csv`"))),
                     };
                     room.follow(number(&room, robot)?, source)?;
                 }
                 let own = number(&room, &asked.robot)?;
-                let card = Box::new(room.card(own).ok_or(NodeError::CardTaken)?);
+                let card = Box::new(room.card(own).ok_or_else(|| refused("the room's card is taken"))?);
                 let mac = room.mac(own);
                 self.room = Some(room);
                 Ok(Opened { card, wake: None, mac, speed: asked.speed })
@@ -239,7 +239,7 @@ impl<'a> Shared<'a> {
         let (records, mac) = self.records(peer)?;
         let mount = Mounting { antenna_m: peer.antenna_offset_m, camera: None };
         let (poses, track) = self.poses(&peer.poses, &peer.name, mount)?;
-        let unknown = || NodeError::PeerMac { peer: peer.name.clone() };
+        let unknown = || refused(format!("the MAC of peer `{}` is not known", peer.name));
         let mac = peer.mac.or(mac).ok_or_else(unknown)?;
         let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
         let is_heard_only = matches!(peer.records, Records::Heard(_));
@@ -307,15 +307,15 @@ fn address(socket: &Path, robot: &str) -> Address {
 fn open_room(asked: &config::Room) -> Result<Room, Error> {
     let (room, robot) = (Room::new(&asked.load_scene()?)?, &asked.robot);
     if room.number(robot).is_none() {
-        let known = room.scene().robot.iter().map(|robot| robot.name.clone()).collect();
-        return Err(NodeError::NotInScene { robot: robot.clone(), known }.into());
+        let known: Vec<&str> = room.scene().robot.iter().map(|robot| robot.name.as_str()).collect();
+        return Err(refused(format!("the scene has no robot `{robot}`: it has {}", known.join(", "))));
     }
     Ok(room)
 }
 
 /// There is no such robot.
 fn absent(robot: &str) -> Error {
-    NodeError::NotInRoom { robot: robot.to_owned() }.into()
+    refused(format!("the room has no robot `{robot}`"))
 }
 
 fn number(room: &Room, robot: &str) -> Result<usize, Error> {
@@ -324,7 +324,7 @@ fn number(room: &Room, robot: &str) -> Result<usize, Error> {
 
 /// A peer's card, and its MAC.
 fn peer_card(room: &mut Room, robot: &str) -> Result<(Card, Mac), Error> {
-    let absent = || NodeError::NotInRoomOrTwice { robot: robot.to_owned() };
+    let absent = || refused(format!("the room has no robot `{robot}`, or it is used twice"));
     let number = room.number(robot).ok_or_else(absent)?;
     let (mac, card) = (room.mac(number), room.card(number));
     let (mac, card) = mac.zip(card).ok_or_else(absent)?;
@@ -375,7 +375,10 @@ fn first_host_s(log: &Path) -> Result<f64, Error> {
             break;
         }
     }
-    Err(NodeError::NoHostTime { log: log.to_owned() }.into())
+    let log = log.display();
+    Err(refused(format!(
+        "{log}: no record has a host time (WSR layout, or a .datstp file beside the log), so poses cannot be joined with it"
+    )))
 }
 
 /// The start of the peer's log.

@@ -8,6 +8,7 @@
 //! If places of peers are given, their frame is the team's. Otherwise it is the frame of this robot's odometry at the last keyframe.
 
 use crate::config::{Config, Team as Asked};
+use crate::lock;
 use crate::machine::{Machine, PoseCounts};
 use crate::threads::spawn;
 use csi5300::maths::wrap_rad;
@@ -20,7 +21,7 @@ use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Bearings in a graph at most, and bearings and ranges; the oldest are forgotten.
 const KEPT: usize = 48;
@@ -531,13 +532,9 @@ struct Waiting {
 }
 
 impl Ranges {
-    fn lock(&self) -> MutexGuard<'_, Waiting> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Adds a message about `peer`; `range` is `None` if it cannot be used.
     pub fn put(&self, peer: &str, range: Option<Ranged>) {
-        let mut waiting = self.lock();
+        let mut waiting = lock(&self.0);
         let counts = waiting.counts.entry(peer.to_owned()).or_default();
         counts.came += 1;
         counts.unusable += u64::from(range.is_none());
@@ -550,11 +547,11 @@ impl Ranges {
     /// All that wait.
     #[must_use]
     pub fn take(&self) -> VecDeque<Ranged> {
-        std::mem::take(&mut self.lock().ranges)
+        std::mem::take(&mut lock(&self.0).ranges)
     }
 
     /// The messages about `peer` so far.
     fn counts(&self, peer: &str) -> RangeCounts {
-        self.lock().counts.get(peer).copied().unwrap_or_default()
+        lock(&self.0).counts.get(peer).copied().unwrap_or_default()
     }
 }

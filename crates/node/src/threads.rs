@@ -1,7 +1,7 @@
 //! Threads for card and wheels: their data are read and stamped at once, however long an estimate takes. Both threads
 //! end with the source that reads from them.
 
-use crate::NodeError;
+use crate::{lock, refused};
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
 use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
 use csi5300::time::{Instant, Span};
@@ -12,7 +12,7 @@ use std::net::Shutdown;
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 /// Limit of waiting records; then the thread waits too, and overruns in the kernel are counted there.
@@ -136,7 +136,7 @@ impl CsiSource for CardThread {
             Ok(Item::Failed(error)) => return Err(error),
             Err(TryRecvError::Empty) => Next::Pending,
             Err(TryRecvError::Disconnected) => {
-                return Err(NodeError::CardThreadEnded.into());
+                return Err(refused("the thread that listens to the card has ended"));
             }
         })
     }
@@ -193,7 +193,7 @@ impl PoseThread {
                     Ok(NextPose::Pending) => {
                         // Nobody reads any more.
                         let Some(told) = told.upgrade() else { return };
-                        told.lock().unwrap_or_else(PoisonError::into_inner).ask(&source, now);
+                        lock(&told).ask(&source, now);
                         drop(told);
                         clock.sleep_until(source.next_at().map_or(now + LOOK, |at| at.min(now + LOOK)));
                     }
@@ -225,11 +225,11 @@ impl OdometrySource for PoseThread {
     }
 
     fn trouble(&self) -> Option<String> {
-        self.told.lock().unwrap_or_else(PoisonError::into_inner).trouble.clone()
+        lock(&self.told).trouble.clone()
     }
 
     fn counted(&self) -> Option<SourceCounts> {
-        self.told.lock().unwrap_or_else(PoisonError::into_inner).counted.clone()
+        lock(&self.told).counted.clone()
     }
 }
 

@@ -1,6 +1,7 @@
 //! Records what a node reads and publishes: a folder as `ros2 bag` makes it, with one MCAP file, written on its own thread.
 //! A message that the thread cannot take in time is dropped and counted; the caller never waits.
 
+use crate::lock;
 use csi5300_bag::mcap::{McapWriter, Written};
 use csi5300_bag::messages::Message;
 use std::fmt::Write as _;
@@ -9,7 +10,7 @@ use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -36,7 +37,7 @@ struct Counts {
 
 impl Counts {
     fn fail(&self, error: &io::Error) {
-        *self.failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
+        *lock(&self.failed) = Some(error.to_string());
     }
 }
 
@@ -62,20 +63,16 @@ impl Bag {
         Self { folder, running: Mutex::default(), counts: Arc::default() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Option<Running>> {
-        self.running.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Starts a recording and returns its folder. A running recording continues.
     ///
     /// # Errors
     /// If its folder or file cannot be created.
     pub fn start(&self) -> io::Result<PathBuf> {
-        let mut running = self.lock();
+        let mut running = lock(&self.running);
         if let Some(running) = &*running {
             return Ok(running.folder.clone());
         }
-        *self.counts.failed.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *lock(&self.counts.failed) = None;
         let folder = free_name(&self.folder);
         std::fs::create_dir_all(&folder)?;
         let name = file_name(&folder);
@@ -96,7 +93,7 @@ impl Bag {
 
     /// Ends the recording and returns its folder, if there was one.
     pub fn stop(&self) -> Option<PathBuf> {
-        let running = self.lock().take()?;
+        let running = lock(&self.running).take()?;
         drop(running.rows);
         let _ = running.thread.join();
         Some(running.folder)
@@ -104,7 +101,7 @@ impl Bag {
 
     /// Records a message of time `wall_us`; never waits.
     pub fn put<T: Message>(&self, topic: &str, payload: &[u8], wall_us: i64) {
-        let running = self.lock();
+        let running = lock(&self.running);
         let Some(running) = &*running else { return };
         let time_ns = u64::try_from(wall_us).unwrap_or(0) * 1_000;
         let (topic, kind) = (topic.to_owned(), T::TYPE);
@@ -116,13 +113,13 @@ impl Bag {
 
     /// The current problem as text.
     pub fn trouble(&self) -> Option<String> {
-        let failed = self.counts.failed.lock().unwrap_or_else(PoisonError::into_inner);
+        let failed = lock(&self.counts.failed);
         failed.as_ref().map(|why| format!("the recording of ROS 2 ended: {why}"))
     }
 
     /// The counters.
     pub fn counted(&self) -> serde_json::Value {
-        let folder = self.lock().as_ref().map(|running| running.folder.clone());
+        let folder = lock(&self.running).as_ref().map(|running| running.folder.clone());
         let number = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         serde_json::json!({ "folder": folder, "written": number(&self.counts.written), "lost": number(&self.counts.lost) })
     }
@@ -131,7 +128,7 @@ impl Bag {
 impl Drop for Bag {
     /// Removes a recording without messages, so that a node that repeatedly fails to start leaves no folders.
     fn drop(&mut self) {
-        let before = self.lock().as_ref().map(|running| running.before);
+        let before = lock(&self.running).as_ref().map(|running| running.before);
         let Some(folder) = self.stop() else { return };
         if before == Some(self.counts.written.load(Ordering::Relaxed)) {
             let files = [file_name(&folder), "metadata.yaml".into()];

@@ -2,6 +2,7 @@
 //! inertial unit, ranges, and simulated time.
 
 use super::link::Link;
+use super::lock;
 use super::rtps::Qos;
 use crate::settings::{Kind, Topic};
 use csi5300::motion::odometry::ros::{Inbox, Message, Stamp, Wanted};
@@ -9,7 +10,7 @@ use csi5300_bag::messages::{Clock, Header, Imu, Odometry, PoseStamped, Range, Tf
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Messages that a reader of poses keeps.
 const DEPTH: u32 = 64;
@@ -134,10 +135,6 @@ struct State {
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Passes on a pose in the frame of `header`.
     fn put(&self, state: &mut State, header: &Header, pose: Isometry3<f64>, received_us: i64) {
         let Some(us) = self.clock.to_host(header.stamp.us()) else {
@@ -160,7 +157,7 @@ impl Shared {
     }
 
     fn odometry(&self, odometry: &Odometry, antenna: Option<&str>, received_us: i64) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let Some(pose) = odometry.pose.pose.isometry() else { return self.inbox.unreadable() };
         let mounted = match antenna {
             None => Isometry3::identity(),
@@ -184,7 +181,7 @@ impl Shared {
     }
 
     fn transforms(&self, told: &TfMessage, is_fixed: bool, wanted: Option<(&str, &str)>, received_us: i64) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         for one in &told.transforms {
             if !state.tree.handle(one, is_fixed) {
                 self.inbox.unreadable();
@@ -229,7 +226,7 @@ impl PoseTopic {
         }
         if let Some(imu) = &topic.imu {
             let turned = Arc::clone(&shared);
-            let used = move |imu: Imu, received_us| turned.lock().turns.handle(&imu, received_us);
+            let used = move |imu: Imu, received_us| lock(&turned.state).turns.handle(&imu, received_us);
             link.subscribe(imu, Qos::best_effort(DEPTH), used, || ());
         }
         let source = shared.inbox.source();
@@ -249,7 +246,7 @@ impl PoseTopic {
             }
             Kind::Pose => {
                 let used = move |told: PoseStamped, at| match told.pose.isometry() {
-                    Some(pose) => into.put(&mut into.lock(), &told.header, pose, at),
+                    Some(pose) => into.put(&mut lock(&into.state), &told.header, pose, at),
                     None => into.inbox.unreadable(),
                 };
                 link.subscribe(topic.name(), qos, used, unreadable)
@@ -264,7 +261,7 @@ impl PoseTopic {
 
     /// Sets the source's current problem.
     pub fn look(&self) {
-        let waits = self.0.lock().waits.clone();
+        let waits = lock(&self.0.state).waits.clone();
         self.0.inbox.say(waits);
     }
 }
@@ -406,13 +403,13 @@ mod tests {
         let shared = shared(Stamp::Header);
         shared.odometry(&odometry(10.0, 1.0, 0.0), Some("antenna"), 10_000_000);
         assert_eq!(poses(&shared), []);
-        assert!(shared.lock().waits.as_ref().is_some_and(|why| why.contains("from base_link to antenna")));
+        assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("from base_link to antenna")));
         let fixed = TfMessage { transforms: vec![transform("base_link", "antenna", 0.0, 0.5)] };
         shared.transforms(&fixed, true, None, 0);
         shared.odometry(&odometry(10.0, 1.0, std::f64::consts::FRAC_PI_2), Some("antenna"), 10_000_000);
         let pose = poses(&shared)[0];
         assert!((pose.position_m - Vector3::new(1.0, 0.5, 0.0)).norm() < 1e-9, "{pose:?}");
-        assert_eq!((pose.t_s, shared.lock().waits.clone()), (10.0, None));
+        assert_eq!((pose.t_s, lock(&shared.state).waits.clone()), (10.0, None));
     }
 
     #[test]
@@ -424,7 +421,7 @@ mod tests {
         };
         tell(vec![transform("base_link", "antenna", 0.0, 0.1)], true);
         tell(vec![transform("odom", "base_link", 4.0, 1.0)], false);
-        assert!(shared.lock().waits.as_ref().is_some_and(|why| why.contains("from map to antenna")));
+        assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("from map to antenna")));
         // Stamped ahead, as AMCL does.
         tell(vec![transform("map", "odom", 6.0, 10.0)], false);
         assert_eq!(poses(&shared), []);
@@ -439,7 +436,7 @@ mod tests {
         let shared = shared(Stamp::Header);
         let imu = |rad, at| {
             let imu = Imu { orientation: turned(rad), ..Imu::default() };
-            shared.lock().turns.handle(&imu, at);
+            lock(&shared.state).turns.handle(&imu, at);
         };
         imu(2.0, 10_000_000);
         shared.odometry(&odometry(10.0, 0.0, 0.5), None, 10_000_000);
@@ -452,8 +449,8 @@ mod tests {
             assert!((heading - expected).abs() < 1e-6, "{headings:?}");
         }
         let unknown = Imu { orientation: turned(9.0), orientation_covariance: [-1.0; 9], ..Imu::default() };
-        shared.lock().turns.handle(&unknown, 11_000_000);
-        assert_eq!(shared.lock().turns.newest.map(|(_, at)| at), Some(10_100_000));
+        lock(&shared.state).turns.handle(&unknown, 11_000_000);
+        assert_eq!(lock(&shared.state).turns.newest.map(|(_, at)| at), Some(10_100_000));
     }
 
     #[test]
@@ -463,7 +460,7 @@ mod tests {
         let shared = Shared { clock: clock.clone(), ..shared(Stamp::Header) };
         shared.odometry(&odometry(3.0, 0.0, 0.0), None, 1_000_000_000);
         assert!(poses(&shared).is_empty() && clock.is_unknown() && clock.to_stamp(7) == 0);
-        assert!(shared.lock().waits.as_ref().is_some_and(|why| why.contains("/clock")));
+        assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("/clock")));
         ahead.store(990_000_000, Ordering::Relaxed);
         shared.odometry(&odometry(3.0, 0.0, 0.0), None, 993_000_000);
         assert_eq!(poses(&shared)[0].t_s, 993.0);

@@ -43,6 +43,7 @@ pub use said::colour;
 
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Why a node cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -66,6 +67,11 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
+}
+
+/// What a mutex holds, also after a panic of who held it.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The RTPS fuzz target: other participants take arbitrary steps.

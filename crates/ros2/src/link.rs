@@ -2,6 +2,7 @@
 //! does not accept are counted. Requests and answers of services.
 
 use super::bag::Bag;
+use super::lock;
 use super::names::{Names, kind, service, topic};
 use super::rmw_zenoh::{End, Relay, Sender, Topic as Relayed};
 use super::rtps::{Counts, Event, Guid, LARGEST, LARGEST_READ, Outgoing, Participant, Qos};
@@ -12,7 +13,7 @@ use csi5300_bag::cdr::{CDR_LE, Cdr, CdrReader, CdrWriter};
 use csi5300_bag::messages::{self, Message, humble};
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -54,10 +55,6 @@ pub struct Shared {
     relay: Relay,
     unsent: AtomicU64,
     over: AtomicBool,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Shared {

@@ -15,8 +15,9 @@
 //!
 //! In tokens `%` replaces `/`. Default values of the quality of service are empty: reliable, volatile, depth 42.
 
+use crate::lock;
 use crate::rtps::Qos;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use twox_hash::XxHash3_128;
 
 /// The default depth, which a token leaves empty.
@@ -138,13 +139,13 @@ impl Relay {
     }
 
     pub(crate) fn add(&self, topic: Topic) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).topics.push(topic);
+        lock(&self.0).topics.push(topic);
     }
 
     /// The node, with the topics that have not been taken yet.
     #[must_use]
     pub fn take(&self) -> Graph {
-        let mut graph = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut graph = lock(&self.0);
         let topics = std::mem::take(&mut graph.topics);
         Graph { domain: graph.domain, namespace: graph.namespace.clone(), node: graph.node.clone(), topics }
     }

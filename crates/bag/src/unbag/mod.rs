@@ -1,5 +1,5 @@
 //! Logs and trajectories from recordings of ROS, the input of `csi5300 bearing` and `csi5300 compare`: MCAP and SQLite of ROS 2,
-//! bags of ROS 1, also compressed. [`unbag`] writes them to files, [`Recording::read`] reads them into memory.
+//! bags of ROS 1, also compressed. [`unbag`] writes them to files, `Recording::read` reads them into memory.
 
 pub(crate) mod compressed;
 mod ros1;

@@ -3,6 +3,7 @@
 use super::{Adapter, Made, Said, Start};
 use crate::config::Output;
 use crate::health::Health;
+use crate::lock;
 use crate::threads::spawn;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
@@ -11,7 +12,7 @@ use std::io::{IsTerminal, Write};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Limit of lines that wait for a slow reader; further ones are lost and counted.
@@ -98,7 +99,7 @@ impl Lines {
             for line in waiting {
                 let error = to.write_all(line.as_bytes()).and_then(|()| to.flush()).err();
                 shared.lost.fetch_add(u64::from(error.is_some()), Ordering::Relaxed);
-                *shared.refused.lock().unwrap_or_else(PoisonError::into_inner) = error.map(|error| error.to_string());
+                *lock(&shared.refused) = error.map(|error| error.to_string());
                 shared.waiting.fetch_sub(1, Ordering::Relaxed);
             }
             // The waiting side may open the file again.
@@ -127,7 +128,7 @@ impl Lines {
 
     /// The error of writing, in words.
     fn trouble(&self) -> Option<String> {
-        let refused = self.counts.refused.lock().unwrap_or_else(PoisonError::into_inner);
+        let refused = lock(&self.counts.refused);
         let words = |why| format!("bearings are not written ({why}): see `output.bearings`; `lines_lost` counts them");
         refused.as_ref().map(words)
     }

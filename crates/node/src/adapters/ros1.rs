@@ -6,6 +6,7 @@ use super::{Adapter, Made, Robot, Said, Start};
 use crate::config::{Config, Odometry, Ros, name_part};
 use crate::diagnostics::Claims;
 use crate::health::Health;
+use crate::lock;
 use crate::machine::{Machine, Tap};
 use crate::sources::Poses;
 use csi5300::motion::odometry::ros::{Inbox, Kind, Message, Stamp, Wanted};
@@ -21,7 +22,7 @@ use std::os::fd::AsFd;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -235,10 +236,6 @@ struct Shared {
     input: Mutex<Option<ChildStdin>>,
     child: Mutex<Option<Child>>,
     over: AtomicBool,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Shared {

@@ -100,7 +100,7 @@ impl Adapter for Ros2 {
 
     fn attach(&mut self, machine: &mut Machine) -> Result<(), Error> {
         if let Some(records) = self.records.take() {
-            machine.add_tap(Box::new(Card(records)));
+            machine.add_tap(Box::new(records));
         }
         if let Some(claims) = &self.claims {
             claims.attach(machine, self.publishes_diagnostics);
@@ -144,11 +144,9 @@ impl Ros2 {
     }
 }
 
-struct Card(Records);
-
-impl Tap for Card {
+impl Tap for Records {
     fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        self.0.put(host_us, record);
+        self.put(host_us, record);
     }
 }
 

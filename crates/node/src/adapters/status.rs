@@ -1,10 +1,10 @@
 //! The state: on a Unix socket as lines of JSON, for `csi5300 watch`, and as one line on a terminal.
 
 use super::{Adapter, Made, Start, are_descriptors_to_spare};
-use crate::NodeError;
 use crate::config::Output;
 use crate::health::Health;
 use crate::machine::Machine;
+use crate::refused;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use std::fs::Permissions;
@@ -92,10 +92,10 @@ fn make_way(path: &Path) -> Result<(), Error> {
     let name = path.display();
     let Ok(there) = std::fs::symlink_metadata(path) else { return Ok(()) };
     if !there.file_type().is_socket() {
-        return Err(NodeError::NoSocket { path: path.to_owned() }.into());
+        return Err(refused(format!("{name} is there and is no socket: give `status_socket` another name")));
     }
     match std::os::unix::net::UnixStream::connect(path) {
-        Ok(_) => Err(NodeError::AnotherNode { path: path.to_owned() }.into()),
+        Ok(_) => Err(refused(format!("another node answers on {name}: stop it first"))),
         Err(error) if error.kind() == ErrorKind::ConnectionRefused => {
             let io =
                 |source| Error::Io { what: format!("cannot remove the socket {name} that nobody listens on"), source };

@@ -10,7 +10,7 @@ mod reading;
 
 pub use reading::{ConfigError, Problem};
 
-use crate::NodeError;
+use crate::refused;
 use csi5300::exchange::tdma::{Dialect, Phy, Request};
 use csi5300::internal::heading;
 use csi5300::motion::odometry::opencr::Geometry;
@@ -92,18 +92,6 @@ pub struct Config {
 }
 
 impl Config {
-    /// Reads and checks a file; paths in it are relative to its folder.
-    ///
-    /// # Errors
-    /// [`ConfigError`] with every problem found.
-    pub fn load(file: &Path) -> Result<Self, ConfigError> {
-        let unread = |error| {
-            let reason = format!("cannot be read: {error}");
-            ConfigError(vec![Problem { line: None, reason }])
-        };
-        Self::of_file(&Self::text_of(file).map_err(unread)?, file)
-    }
-
     /// The text of a file or pipe, up to the limit of a configuration.
     ///
     /// # Errors
@@ -381,7 +369,7 @@ impl Room {
     /// If there is no such scene, or it is refused.
     pub(crate) fn load_scene(&self) -> Result<Scene, Error> {
         let name = &self.scene;
-        Scene::find(name).map_err(|source| NodeError::Scene { scene: name.clone(), source }.into())
+        Scene::find(name).map_err(|error| refused(error.of_file(name).to_string()))
     }
 }
 
@@ -614,7 +602,7 @@ pub struct Estimation {
     /// Largest |elevation| of a peer, degrees; where absent 20 for level motion.
     pub elevation_max_deg: Option<f64>,
     /// Standard deviation of the heading of this robot's poses, degrees; where absent that of its kind of odometry
-    /// ([`Config::heading_sd_deg`]).
+    /// (`Config::heading_sd_deg`).
     pub heading_sd_deg: Option<f64>,
     /// The posterior on a fine grid; if false, on the coarse grid only.
     pub accurate: bool,
@@ -1086,7 +1074,7 @@ mod tests {
     #[test]
     fn the_example_for_simulators_is_good() {
         let file = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("examples/ros/robot.toml");
-        Config::load(&file).unwrap();
+        Config::of_file(&Config::text_of(&file).unwrap(), &file).unwrap();
     }
 
     #[test]

@@ -280,9 +280,9 @@ fn configuration() -> std::result::Result<PathBuf, String> {
 /// The status socket of the default configuration, if it names one.
 fn status_socket() -> PathBuf {
     let found = configurations().into_iter().find(|file| file.is_file());
-    let named = found.and_then(|file| match Config::load(&file) {
-        Ok(config) => config.output.status_socket,
-        Err(_) => {
+    let named = found.and_then(|file| match Config::text_of(&file).map(|text| Config::of_file(&text, &file)) {
+        Ok(Ok(config)) => config.output.status_socket,
+        _ => {
             note!("{} is not valid (csi5300-node --check): looking at {STATUS_SOCKET}", file.display());
             None
         }

@@ -1,4 +1,5 @@
-//! A robot as one value, in virtual time: bearings while it drives, in a simulated room and from replayed captures.
+//! A robot as one value, in virtual time: bearings while it drives, in a simulated room and from replayed captures, with AX210s and with
+//! two antennas.
 
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::live::{PeerReport, PeerState};

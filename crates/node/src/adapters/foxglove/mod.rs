@@ -17,6 +17,7 @@ mod door;
 use super::{Adapter, Made, Said, Start};
 use crate::health::Health;
 use crate::machine::{Machine, Tap};
+use crate::{lock, refused};
 use csi5300::bartlett::{self, Grid};
 use csi5300::internal::{FrameHeard, Front};
 use csi5300::motion::pose::Pose;
@@ -35,7 +36,7 @@ use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Poses of a path at most.
 const PATH: usize = 500;
@@ -48,10 +49,6 @@ const ROBOT: &str = "robot";
 struct Shown {
     live: Arc<Mutex<Live>>,
     antenna: Antenna,
-}
-
-fn lock(live: &Mutex<Live>) -> MutexGuard<'_, Live> {
-    live.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 pub(super) fn make(start: &Start<'_>) -> Made {
@@ -186,8 +183,7 @@ impl Live {
         address: SocketAddr,
         origins: Vec<String>,
     ) -> Result<Self, Error> {
-        let failed =
-            |source: &dyn Display| Error::Backend(format!("cannot listen for viewers on {address}: {source}").into());
+        let failed = |source: &dyn Display| refused(format!("cannot listen for viewers on {address}: {source}"));
         let context = Context::new();
         let transforms = context.channel_builder("/tf").build();
         let poses = context.channel_builder("/pose").build();

@@ -7,10 +7,10 @@ mod access;
 mod topics;
 
 use super::{Adapter, Made, Robot, Start};
-use crate::NodeError;
 use crate::config::{Config, Network as Asked, Odometry, Peer, Records};
 use crate::health::Health;
 use crate::machine::{Machine, Tap};
+use crate::refused;
 use crate::threads::spawn;
 use access::{Doors, LOCAL, Owner, Verdict, access_control, key_of};
 use csi5300::motion::pose::Pose;
@@ -162,7 +162,7 @@ struct Subscription {
 }
 
 fn wrong(what: &str) -> impl Fn(zenoh::Error) -> Error + '_ {
-    move |error| Error::Backend(format!("{what}: {error}").into())
+    move |error| refused(format!("{what}: {error}"))
 }
 
 /// The prefix of a group's keys.
@@ -178,7 +178,7 @@ fn is_plain(group: &str) -> bool {
 /// Zenoh's configuration with our endpoints and owners, and the keys read for ROS 2, without unauthenticated access.
 fn configured(asked: &Asked, owners: &[Owner], ros2: Option<&[String]>) -> Result<zenoh::Config, Error> {
     if !is_plain(&asked.group) {
-        return Err(NodeError::GroupName { group: asked.group.clone() }.into());
+        return Err(refused(format!("[network] group {:?}: letters, digits, `-`, `_` and `.` only", asked.group)));
     }
     let mut config = match &asked.zenoh {
         Some(file) => zenoh::Config::from_file(file).map_err(wrong("zenoh's configuration"))?,
@@ -193,10 +193,16 @@ fn configured(asked: &Asked, owners: &[Owner], ros2: Option<&[String]>) -> Resul
     let doors = doors(&config);
     if let Some(rules) = access_control(&prefix_of(asked), owners, ros2) {
         if !doors.has_certificates {
-            return Err(NodeError::NoCertificates.into());
+            return Err(refused(
+                "a peer's `certificate` needs a network where both ends show one: TLS with `enable_mtls` in zenoh's file \
+                 (`network.zenoh`), as in packaging/zenoh-tls.json5",
+            ));
         }
         if doors.has_rules {
-            return Err(NodeError::TwoAccessControls.into());
+            return Err(refused(
+                "zenoh's file (`network.zenoh`) has an `access_control` of its own: leave out that, or the peers' \
+                 `certificate`, of which one is made",
+            ));
         }
         config.insert_json5("access_control", &rules.to_string()).map_err(wrong("`certificate` of a peer"))?;
     }
@@ -208,7 +214,12 @@ fn configured(asked: &Asked, owners: &[Owner], ros2: Option<&[String]>) -> Resul
     }
     match doors.judge() {
         Verdict::Good => {}
-        Verdict::Open(endpoint) => return Err(NodeError::OpenNetwork { endpoint }.into()),
+        Verdict::Open(endpoint) => {
+            return Err(refused(format!(
+                "anybody who reaches {endpoint} could publish as any robot: ask for a password or a certificate in zenoh's \
+                 file (`network.zenoh`), listen on 127.0.0.1, or say `insecure = true` in [network]"
+            )));
+        }
         Verdict::KeepLocal => {
             if doors.listen.is_none() {
                 let local = serde_json::to_string(&[LOCAL]).unwrap_or_default();
@@ -240,12 +251,18 @@ fn doors(config: &zenoh::Config) -> Doors {
 }
 
 /// Refuses a file without users: zenoh would then ask for no password.
-fn has_users(path: &Path) -> Result<(), NodeError> {
-    let none = |source| NodeError::NoUsers { path: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(|error| none(Some(error)))?;
+fn has_users(path: &Path) -> Result<(), Error> {
+    let none = |why: String| {
+        let path = path.display();
+        refused(format!(
+            "{path} names no user: a line `user:password` for each, or leave out `dictionary_file` in zenoh's file \
+             (`network.zenoh`){why}"
+        ))
+    };
     let mut text = String::new();
-    file.take(USERS_BYTES).read_to_string(&mut text).map_err(|error| none(Some(error)))?;
-    if text.trim().is_empty() { Err(none(None)) } else { Ok(()) }
+    let read = std::fs::File::open(path).and_then(|file| file.take(USERS_BYTES).read_to_string(&mut text));
+    read.map_err(|error| none(format!(": {error}")))?;
+    if text.trim().is_empty() { Err(none(String::new())) } else { Ok(()) }
 }
 
 /// Every endpoint in a list, or in the lists of each mode.

@@ -1,10 +1,11 @@
 //! Carries ROS 2 topics over a zenoh session, for nodes with `rmw_zenoh_cpp` ([`csi5300_ros2::rmw_zenoh`]).
 
+use crate::lock;
 use csi5300_ros2::rmw_zenoh::{End, Graph, Taker, attachment, gid};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
@@ -49,7 +50,7 @@ struct Kept {
 impl Kept {
     fn push(&self, payload: &[u8], attachment: &[u8]) {
         if self.depth > 0 {
-            let mut samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut samples = lock(&self.samples);
             samples.push_back((payload.to_vec(), attachment.to_vec()));
             if samples.len() > self.depth {
                 samples.pop_front();
@@ -59,7 +60,7 @@ impl Kept {
 
     /// Answers queries with samples of the topic `key`.
     fn answer(&self, key: &str, query: &Query) {
-        let samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let samples = lock(&self.samples).clone();
         for (payload, attachment) in samples {
             // An asker that is gone takes no answer.
             let _ = query.reply(key, payload).attachment(attachment).wait();
