@@ -9,7 +9,7 @@
 //! | [`machine`] | the robot as one value: sources, log, estimator, taps |
 //! | [`diagnostics`] | the acceptance claims of the last seconds; the state as ROS shows it |
 //! | `sounder` | the robot's part in the sounding exchange |
-//! | `adapters` | what a node speaks, behind one trait: ROS 1 and 2, zenoh, Foxglove, lines of JSON, the status socket |
+//! | [`adapters`] | what a node speaks, behind one trait: ROS 1 and 2, zenoh, Foxglove, lines of JSON, the status socket |
 //! | `health` | what is published beside the bearings |
 //! | [`team`] | this robot and its peers as one graph; ranges of another sensor for it |
 //! | [`service`] | tokio: waits, hands over, publishes |
@@ -17,7 +17,7 @@
 //! A feature gates only the module of its adapter and its line in the list of adapters.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
-mod adapters;
+pub mod adapters;
 pub mod config;
 pub mod diagnostics;
 mod health;
