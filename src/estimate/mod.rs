@@ -46,6 +46,8 @@ const LEVEL_TURNS: f64 = 0.35;
 /// A tracking camera's height drifts by up to a seventh of a circle's radius: heights below this share of the motion's
 /// longest side may be no heights at all.
 const TALL: f64 = 0.2;
+/// Least squares reach the wave that is there from one that explains this share of the power: a wave elsewhere would leave it less.
+const LARGE_SHARE: f64 = 0.5;
 /// Probability of a transmitter nearer than [`tuning::NEAREST_M`].
 const NEARER: f64 = 0.05;
 /// From this accuracy on the grid alone will do, radians: of 71 WSR links it moves the azimuth by 1.1 degrees in the median, 2.5 at most.
@@ -289,7 +291,8 @@ pub(crate) fn estimate(
         Ok(found) => return Ok(found),
         Err(reason) => reason,
     };
-    if let Reason::Unexplained(Unexplained::Faint(_)) = reason
+    if reason != Reason::Asked
+        && plane_wave.coherence.powi(2) < LARGE_SHARE
         && let Some(steeper) = steeper(task, &mut searcher, &models, &plane_wave)
         && let Ok(found) = early(task, &models, few, (&steeper, None), middle_m)
     {

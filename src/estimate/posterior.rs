@@ -20,8 +20,10 @@ const CLOSER: usize = 10;
 const NEGLIGIBLE: f64 = 7.0;
 /// One cell in so many is looked at first.
 const FIRST: usize = 3;
-/// Azimuths whose first cells are this far below the highest, in logarithms, are not looked at further: they hold nothing.
+/// Azimuths whose first cells are this far below the highest, in logarithms, and below this share of it, are not looked at further.
+/// Beside a sharp top the likelihood has fallen far, but not to what it is elsewhere.
 const HOPELESS: f64 = 2.0 * NEGLIGIBLE;
+const HOPELESS_SHARE: f64 = 0.2;
 /// Tops this far below the highest are looked at closely: they may hold some percent.
 const CLOSE: f64 = 4.0;
 /// Tops that are looked at closely at most.
@@ -195,8 +197,8 @@ impl Coarse {
         let mean = |cells: &[f64]| log_sum(cells) - log_sum(&looked_at);
         let means: Vec<f64> = cells.chunks(each).map(mean).collect();
         let highest = means.iter().copied().fold(f64::MIN, f64::max);
-        let (open, hopeless): (Vec<usize>, Vec<usize>) =
-            others.into_iter().partition(|k| means[k / each] > highest - HOPELESS);
+        let least = (highest - HOPELESS).min(HOPELESS_SHARE * highest);
+        let (open, hopeless): (Vec<usize>, Vec<usize>) = others.into_iter().partition(|k| means[k / each] > least);
         look(&mut cells, &open);
         hopeless.iter().for_each(|&k| cells[k] = means[k / each] + grid.log_prior(k % each));
         let logs = cells.chunks(each).map(log_sum).collect();
