@@ -47,7 +47,7 @@ of_room() {
             filter=(source::)
             ;;
         intake)
-            files=(--file 'src/source/survey.rs' --file 'src/source/key_file.rs' --file 'src/source/remote.rs' --file 'src/pipeline/intake.rs' --file 'src/pipeline/live/mod.rs')
+            files=(--file 'src/source/survey.rs' --file 'src/source/key_file.rs' --file 'src/source/remote.rs' --file 'src/pipeline/intake.rs')
             arguments=(--package csi5300 "${quick[@]}" -C=--lib)
             filter=(source:: pipeline::)
             ;;

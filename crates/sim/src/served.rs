@@ -426,7 +426,7 @@ impl Server {
     /// Opens the socket. One that an earlier room left behind is replaced.
     ///
     /// # Errors
-    /// [`PlaceError`](PlaceError) when what is there is no socket, or one that is in use; when the path cannot be used.
+    /// [`PlaceError`] when what is there is no socket, or one that is in use; when the path cannot be used.
     pub fn bind(path: &Path) -> Result<Self, Error> {
         let io = |errno: Errno| {
             let what = format!("cannot serve a room at {}", path.display());

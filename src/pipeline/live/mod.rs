@@ -200,7 +200,7 @@ impl LiveEstimator {
 
     /// The next report, if one is due, with the peer's number.
     ///
-    /// After its time a report waits for another pair, at most a moment; once more, from the accuracy layer, when
+    /// After its time a report waits for another pair, at most a moment; once more, as a whole estimate, when
     /// nothing else is due.
     pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
         self.peers.iter_mut().for_each(|state| state.admit(now, &self.options));
@@ -338,7 +338,7 @@ fn forget(track: &mut Track, keep_s: f64) {
     }
 }
 
-/// The links of a [`LiveEstimator`](super::LiveEstimator) as they were at one moment: a copy, for bearings in another
+/// The links of a [`LiveEstimator`] as they were at one moment: a copy, for bearings in another
 /// thread while records arrive.
 #[derive(Clone, Debug)]
 pub struct Links {
@@ -374,7 +374,7 @@ pub struct LiveSettings {
     pub rate_hz: f64,
     /// Poses are extrapolated by at most this, seconds.
     pub extrapolate_s: f64,
-    /// Interval of the accuracy layer for each peer, seconds: in between, bearings assume a plane wave at the channel
+    /// Interval between whole estimates of a peer, seconds: in between, bearings assume a plane wave at the channel
     /// centre. 0: every time. It also runs when the robots stop, and at the end.
     pub accurate_every_s: f64,
 }
@@ -438,7 +438,7 @@ pub struct PeerReport {
     pub needed_m: f64,
     /// Age of a repeated bearing, seconds.
     pub age_s: f64,
-    /// The bearing is of the accuracy layer.
+    /// The bearing is a whole estimate, not that of a plane wave.
     pub accurate: bool,
     /// When the last record in it came, on the driver's clock.
     #[serde(skip)]
@@ -459,7 +459,7 @@ pub struct PeerCounts {
     pub pairs: u64,
     /// Searches made.
     pub estimates: u64,
-    /// Those of them with the accuracy layer.
+    /// Those of them that were whole estimates.
     pub accurate: u64,
     /// Searches skipped because nothing moved.
     pub skipped: u64,

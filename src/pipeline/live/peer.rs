@@ -44,7 +44,7 @@ pub(super) struct PeerLink {
     searched: Option<u64>,
     /// Arrival of the record that made the newest pair.
     paired_at: Option<Instant>,
-    /// When the accuracy layer last ran, and whether it runs next.
+    /// When the last whole estimate was made, and whether the next one is whole.
     accurate_at: Option<Instant>,
     pub(super) unrefined: bool,
     /// The last complete estimate.
@@ -87,7 +87,7 @@ pub(super) struct Context<'a> {
     pub(super) track: &'a Track,
     pub(super) settings: &'a LiveSettings,
     pub(super) options: &'a Options,
-    /// The same without the accuracy layer.
+    /// The same for a plane wave alone.
     pub(super) plain: &'a Options,
     /// What this robot's antennas hear alone, if it has an array.
     pub(super) one_log: Option<&'a OneLog>,
@@ -100,7 +100,7 @@ pub(super) struct Context<'a> {
 pub(super) enum Why {
     /// Its time has come.
     Due,
-    /// The last report was of a plane wave, and the accuracy layer is due.
+    /// The last report was of a plane wave, and a whole estimate is due.
     Refine,
     /// Nothing more comes.
     End,
@@ -249,7 +249,7 @@ impl PeerLink {
         self.counts.heard_by_peer += 1;
     }
 
-    /// When its last answer was made, if the accuracy layer has not refined it yet.
+    /// When its last answer was made, if no whole estimate has refined it yet.
     pub(super) fn unrefined_since(&self) -> Option<Instant> {
         self.last.as_ref().filter(|_| self.unrefined).map(|last| last.at)
     }
@@ -290,7 +290,7 @@ impl PeerLink {
         {
             self.counts.skipped += 1;
             let moved_m = last.moved_m;
-            self.unrefined = context.has_layers() && !last.accurate;
+            self.unrefined = context.wants_whole() && !last.accurate;
             return self.without(PeerState::Held, "held: nothing moved since".into(), moved_m, context, seen);
         }
         let span_s = (end_s - settings.window_s - SETTLE_S, end_s + settings.window_s);
@@ -323,13 +323,13 @@ impl PeerLink {
         if report.state == PeerState::Bearing {
             let (answer, moved_m, accurate) = (report.answer.clone(), found.extent_m, report.accurate);
             self.last = Some(LastAnswer { answer, at: now, motion, moved_m, accurate });
-            self.unrefined = context.has_layers() && !accurate && self.is_layers_turn(context);
+            self.unrefined = context.wants_whole() && !accurate && self.is_whole_due(context);
         }
         report
     }
 
-    /// True if the accuracy layer is due.
-    fn is_layers_turn(&self, context: Context<'_>) -> bool {
+    /// True if a whole estimate is due.
+    fn is_whole_due(&self, context: Context<'_>) -> bool {
         let every = Span::from_s(context.settings.accurate_every_s);
         self.accurate_at.is_none_or(|at| context.now - at >= every)
     }
@@ -360,7 +360,7 @@ impl PeerLink {
         self.forget_before(if found.cut { found.from_s } else { found.from_s - SETTLE_S });
         let seen = self.link.last_us().map(|us| us as f64 * 1e-6);
         let receiver = cut(receiver, found);
-        let accurate = context.has_layers() && (context.why != Why::Due || context.settings.accurate_every_s <= 0.0);
+        let accurate = context.wants_whole() && (context.why != Why::Due || context.settings.accurate_every_s <= 0.0);
         let join = LinkJoin { link: &self.link, receiver: &receiver, transmitter };
         let options = if accurate { context.options } else { context.plain };
         let two = estimate_one(&join, options);
@@ -387,7 +387,7 @@ impl PeerLink {
             report.answer.cause = answer.cause;
             return report;
         }
-        answer.carried = self.carry(found.path_m, accurate || !context.has_layers());
+        answer.carried = self.carry(found.path_m, accurate || !context.wants_whole());
         // What rounds to zero has no sign.
         let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
         let words = format!("bearing {:.2} deg", hundredths / 100.0);
@@ -440,8 +440,8 @@ impl PeerLink {
 }
 
 impl Context<'_> {
-    /// True if the accuracy layer is enabled.
-    fn has_layers(&self) -> bool {
+    /// True if whole estimates are asked for.
+    fn wants_whole(&self) -> bool {
         self.options.accuracy.near_field
     }
 }
