@@ -98,11 +98,11 @@ static_binaries() {
     fi
     {
         RUSTFLAGS="-C target-feature=+crt-static" \
-            cargo test --quiet --no-run -p csi5300-live --features stock --test live --target "$TARGET" --message-format=json &&
+            cargo test --quiet --no-run -p csi5300-live --test live --target "$TARGET" --message-format=json &&
             RUSTFLAGS="-C target-feature=+crt-static" \
                 cargo test --quiet --no-run -p driver-iface --test stock_guest --target "$TARGET" --message-format=json &&
             RUSTFLAGS="-C target-feature=+crt-static" \
-                cargo build --quiet -p csi5300-cli --no-default-features --features stock --target "$TARGET" --message-format=json
+                cargo build --quiet -p csi5300-cli --target "$TARGET" --message-format=json
     } >"$place/built.json" </dev/null || { echo "the static binaries do not build"; exit 1; }
     strip -o "$1/tests/live" "$(binary live)"
     strip -o "$1/tests/stock_guest" "$(binary stock_guest)"
