@@ -185,8 +185,8 @@ impl Searcher {
         self.search_with(samples, None, elevation_max_rad, sensor::POSITION_M)
     }
 
-    /// As [`Searcher::search`], with the assumed error of the positions. Peaks are looked for in the profile of `means`, if there
-    /// are any, and climbed in that of all samples.
+    /// As [`Searcher::search`], with the assumed error of the positions, metres. With `means`, rings are sampled of these, and peaks
+    /// are climbed in the profile of all samples.
     ///
     /// # Errors
     /// As [`search`].
@@ -214,8 +214,8 @@ impl Searcher {
         let order = self.order(TAU * scene.radius);
         let ring = good_size(SAMPLES_PER_ORDER * order + 16);
         let shape = scene.shape();
-        let sampled = (thinned.as_ref().unwrap_or(&scene), lost);
-        let search = Search { scene: &scene, sampled, shape, tools: self, order, ring, evaluations: 0, exact: 0 };
+        let sampled = thinned.as_ref().unwrap_or(&scene);
+        let search = Search { scene: &scene, sampled, lost, shape, tools: self, order, ring, evaluations: 0, exact: 0 };
         Ok(search.run(elevation_max_rad, odometry_sd_m))
     }
 }
@@ -223,8 +223,10 @@ impl Searcher {
 /// One search under way.
 struct Search<'a> {
     scene: &'a Scene,
-    /// What rings are sampled of, and the share of a wave's amplitude that it lacks at most.
-    sampled: (&'a Scene, f64),
+    /// What rings are sampled of.
+    sampled: &'a Scene,
+    /// The share of a wave's amplitude that this lacks at most.
+    lost: f64,
     shape: Shape,
     tools: &'a mut Searcher,
     /// The band limit of a ring.
@@ -260,11 +262,11 @@ impl<'a> Search<'a> {
 
     fn plan(&self, elevation: ElevationSearch, rings: usize) -> SearchPlan {
         let precision = if self.in_double() { Precision::Double } else { Precision::Single };
-        let (tier, samples) = (self.tools.tier, self.sampled.0.len());
+        let (tier, samples) = (self.tools.tier, self.sampled.len());
         let pair = pair_ns(tier, precision);
         // An exact look, with its derivatives in double, takes about as long as four pairs.
-        let all = self.scene.len() as f64 / samples as f64;
-        let pairs = (self.evaluations - self.exact) as f64 / 2.0 + 4.0 * all * self.exact as f64;
+        let per_mean = self.scene.len() as f64 / samples as f64;
+        let pairs = (self.evaluations - self.exact) as f64 / 2.0 + 4.0 * per_mean * self.exact as f64;
         SearchPlan {
             tier,
             precision,
@@ -295,12 +297,12 @@ impl<'a> Search<'a> {
         let highest = elevations.last().copied().unwrap_or_default();
         let rings = Rings::new(self.order, self.ring, self.scene.is_flat(), highest, order_of);
         let mut sampled = if self.in_double() {
-            self.tools.double.sample(self.tools.tier, self.sampled.0, elevations, &rings)
+            self.tools.double.sample(self.tools.tier, self.sampled, elevations, &rings)
         } else {
-            self.tools.single.sample(self.tools.tier, self.sampled.0, elevations, &rings)
+            self.tools.single.sample(self.tools.tier, self.sampled, elevations, &rings)
         };
         self.evaluations += sampled.summed;
-        sampled.scale(2f64.powi(2 * (self.scene.exponent - self.sampled.0.exponent)));
+        sampled.scale(2f64.powi(2 * (self.scene.exponent - self.sampled.exponent)));
         sampled
     }
 
@@ -315,10 +317,10 @@ impl<'a> Search<'a> {
         let along = (self.order as f64 * PI / self.ring as f64).cos();
         let across = if rows > 1 { (RING_STEP / 2.0).cos() } else { 1.0 };
         let radius = TAU * self.scene.radius.hypot(self.scene.half_height);
-        let rough = if self.sampled.0.sines() == Sines::Rough { ROUGH } else { 0.0 };
+        let rough = if self.sampled.sines() == Sines::Rough { ROUGH } else { 0.0 };
         let rounding = if self.in_double() { 1e-15 * radius } else { 1e-6 + 2e-7 * radius + rough };
         let [tail, lost] = [TAIL, TAIL + rounding].map(|share| share * self.scene.sum_abs);
-        (along * across * (1.0 - self.sampled.1) * (best - tail) - lost).max(0.0)
+        (along * across * (1.0 - self.lost) * (best - tail) - lost).max(0.0)
     }
 
     /// True if the data determine the elevation better than its limits do: the predicted deviation, azimuth as a
@@ -511,7 +513,7 @@ impl Sampled {
         highest.map_or((0, 0.0), |maximum| (maximum.column, maximum.value()))
     }
 
-    /// Multiplies the samples: scenes are scaled each by a power of two.
+    /// Multiplies the samples: from one scene's scale to another's.
     fn scale(&mut self, by: f64) {
         self.maxima.iter_mut().flat_map(|maximum| &mut maximum.around).for_each(|value| *value *= by);
     }

@@ -46,7 +46,7 @@ const LEVEL_TURNS: f64 = 0.35;
 /// A tracking camera's height drifts by up to a seventh of a circle's radius: heights below this share of the motion's
 /// longest side may be no heights at all.
 const TALL: f64 = 0.2;
-/// Least squares reach the wave that is there from one that explains this share of the power: a wave elsewhere would leave it less.
+/// Where a wave explains this share of the power, no other direction can hold the only wave: it would leave this one less.
 const LARGE_SHARE: f64 = 0.5;
 /// Probability of a transmitter nearer than [`tuning::NEAREST_M`].
 const NEARER: f64 = 0.05;
@@ -432,8 +432,8 @@ fn sum_abs(samples: &Samples) -> f64 {
     samples.z().iter().zip(samples.weight()).map(|(z, weight)| weight * z.norm()).sum()
 }
 
-/// The answer of one wave, where that is all there is. Means of the samples, if there are any, are looked at first: where they
-/// show more than one wave, so do the samples.
+/// The answer of one wave, where that is all there is. With means of the samples, these have to pass the same tests first, which
+/// takes less time.
 fn early(
     task: &Task<'_>,
     models: &[Model],
@@ -456,7 +456,7 @@ fn early(
         let prior = if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior };
         let checked = means.map_or(Ok(()), |(samples, bins)| {
             let heard = Heard { samples, points: &bins.points_m(&model.points), false_alarm };
-            one_wave::check(heard, start, &prior, &model.steps, task.tier)
+            one_wave::alone(heard, start, &prior, &model.steps, task.tier).map(drop)
         });
         let heard = Heard { samples, points: &model.points, false_alarm };
         match checked.and_then(|()| one_wave::explain(heard, start, &prior, &model.steps, task.tier)) {

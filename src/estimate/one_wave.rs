@@ -118,7 +118,7 @@ struct Wave<'a> {
 }
 
 /// A wave that leaves nothing but noise, as it was found.
-struct Alone<'a> {
+pub(crate) struct Alone<'a> {
     wave: Wave<'a>,
     fit: Fit,
     /// The highest Bartlett peak of what it leaves, in units of the mean noise.
@@ -159,21 +159,11 @@ pub(crate) fn explain(
     Ok(OneWave { modes, bound_rad, risk_rad: (2.0 * peak).sqrt() * bound_rad, log_likelihood })
 }
 
-/// Whether [`explain`] finds one wave that leaves nothing but noise.
+/// The wave that [`explain`] finds, without its posterior.
 ///
 /// # Errors
 /// What else there is.
-pub(crate) fn check(
-    heard: Heard<'_>,
-    start: (&Estimate, Option<Place>),
-    prior: &Prior,
-    steps: &Steps,
-    tier: Tier,
-) -> Result<(), Unexplained> {
-    alone(heard, start, prior, steps, tier).map(|_| ())
-}
-
-fn alone<'a>(
+pub(crate) fn alone<'a>(
     Heard { samples, points, false_alarm }: Heard<'a>,
     (plane_wave, start): (&Estimate, Option<Place>),
     prior: &'a Prior,

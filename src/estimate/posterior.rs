@@ -18,10 +18,10 @@ const FINE: usize = 9;
 const CLOSER: usize = 10;
 /// What is this far below the highest, in logarithms, holds less than a tenth of a percent.
 const NEGLIGIBLE: f64 = 7.0;
-/// One cell in so many is looked at first.
+/// One cell in so many is computed first.
 const FIRST: usize = 3;
-/// Azimuths whose first cells are this far below the highest, in logarithms, and below this share of it, are not looked at further.
-/// Beside a sharp top the likelihood has fallen far, but not to what it is elsewhere.
+/// The other cells of an azimuth are left out if its first ones are this far below the highest, in logarithms, and below this share
+/// of it: beside a sharp top the likelihood has fallen far, but not to what it is elsewhere.
 const HOPELESS: f64 = 2.0 * NEGLIGIBLE;
 const HOPELESS_SHARE: f64 = 0.2;
 /// Tops this far below the highest are looked at closely: they may hold some percent.
@@ -161,7 +161,7 @@ impl Cells {
         logs
     }
 
-    /// Whether a cell is looked at first: each is one of them or beside one.
+    /// Whether a cell is computed first: each cell is one of them or beside one.
     fn is_first(&self, k: usize) -> bool {
         self.len() <= FIRST || (k / self.curves.len() + k % self.curves.len()) % FIRST == 1
     }
@@ -185,21 +185,21 @@ impl Coarse {
         };
         let each = grid.len();
         let mut cells = vec![f64::NEG_INFINITY; azimuths * each];
-        let look = |cells: &mut [f64], chosen: &[usize]| {
+        let compute = |cells: &mut [f64], chosen: &[usize]| {
             let at = |k: &usize| (TAU * (k / each) as f64 / azimuths as f64, k % each);
             let logs = grid.logs(field, prior, &chosen.iter().map(at).collect::<Vec<_>>());
             chosen.iter().zip(logs).for_each(|(k, log)| cells[*k] = log);
         };
         let (first, others): (Vec<usize>, Vec<usize>) = (0..cells.len()).partition(|k| grid.is_first(k % each));
-        look(&mut cells, &first);
-        let looked_at: Vec<f64> = (0..each).filter(|k| grid.is_first(*k)).map(|k| grid.log_prior(k)).collect();
-        // The mean likelihood of what was looked at.
-        let mean = |cells: &[f64]| log_sum(cells) - log_sum(&looked_at);
+        compute(&mut cells, &first);
+        let first_priors: Vec<f64> = (0..each).filter(|k| grid.is_first(*k)).map(|k| grid.log_prior(k)).collect();
+        // The mean likelihood of an azimuth's first cells.
+        let mean = |cells: &[f64]| log_sum(cells) - log_sum(&first_priors);
         let means: Vec<f64> = cells.chunks(each).map(mean).collect();
         let highest = means.iter().copied().fold(f64::MIN, f64::max);
         let least = (highest - HOPELESS).min(HOPELESS_SHARE * highest);
         let (open, hopeless): (Vec<usize>, Vec<usize>) = others.into_iter().partition(|k| means[k / each] > least);
-        look(&mut cells, &open);
+        compute(&mut cells, &open);
         hopeless.iter().for_each(|&k| cells[k] = means[k / each] + grid.log_prior(k % each));
         let logs = cells.chunks(each).map(log_sum).collect();
         Self { grid, cells, logs }

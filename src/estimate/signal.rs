@@ -23,11 +23,10 @@ pub(crate) const COLUMNS: usize = 8;
 /// Samples closer together than this along the motion are averaged, wavelengths: a wave straight ahead then loses 3 % of
 /// the round trip's amplitude.
 const BIN_WAVELENGTHS: f64 = 0.06;
-/// The most that a wave loses of a round trip's amplitude by it.
+/// The share of a round trip's amplitude that a wave loses by it at most.
 pub(crate) const MEANS_LOSE: f64 = 0.03;
-/// Means are looked at first where this many samples make one: fewer cost as much as they save.
-const WORTHWHILE: usize = 2;
-/// Fewer means tell no wave from noise.
+/// Means stand in for samples where on average at least so many samples make one, and there are at least so many means.
+const SAMPLES_PER_MEAN: usize = 2;
 const LEAST_MEANS: usize = 64;
 /// The same for a search that only gives least squares a start: a steep wave, which turns less along the motion, loses an eighth of the power.
 const START_WAVELENGTHS: f64 = 0.2;
@@ -219,8 +218,8 @@ impl Bins {
 
     /// The means of the samples, where there are enough of them and they are much fewer.
     pub fn means(&self, samples: &Samples, points_m: &[Vector3<f64>]) -> Option<Samples> {
-        let is_worthwhile = self.len() >= LEAST_MEANS && WORTHWHILE * self.len() <= samples.len();
-        is_worthwhile.then(|| self.samples(samples, points_m)).flatten()
+        let is_dense = self.len() >= LEAST_MEANS && SAMPLES_PER_MEAN * self.len() <= samples.len();
+        is_dense.then(|| self.samples(samples, points_m)).flatten()
     }
 
     /// The mean phasor of each bin.

@@ -8,6 +8,7 @@ use driver_iface::record::{Record, code};
 use std::f64::consts::TAU;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// Says that the running test does not run whole here, and why: on standard error past the harness, which hides what passed; as a line of [`skips`], of which
 /// the last binary of `cargo test` makes a summary; and of the file that `CSI5300_SKIPS` names, where `.ci/run` collects them.
@@ -151,10 +152,27 @@ fn record(k: u32, timestamp_low: u32, mac: Mac, host_s: f64, (phase_rad, gain): 
         let part = |of: f64| gain * (40.0 * of).round() as i8;
         chains[0] = Iq { i: part(phase.cos()), q: part(phase.sin()) };
     }
+    emitted(&repr, &csi)
+}
+
+/// A bfee record of a log, as bytes.
+pub fn emitted(repr: &Repr, csi: &[Iq]) -> Vec<u8> {
     let mut body = vec![0; repr.body_len()];
-    repr.emit(&csi, &mut body).unwrap();
+    repr.emit(csi, &mut body).unwrap();
     let record = Record { code: code::BFEE, body: &body };
     let mut bytes = vec![0; record.emit_len()];
     record.emit(&mut bytes).unwrap();
     bytes
+}
+
+/// A program, started with signals as usual: tests may run with SIGHUP ignored. `None` where `env` cannot do that.
+pub fn with_usual_signals(program: &str) -> Option<Command> {
+    let known = Command::new("env").args(["--default-signal", "true"]).output();
+    if !known.is_ok_and(|output| output.status.success()) {
+        skipped("`env --default-signal` is not there (coreutils 8.31)");
+        return None;
+    }
+    let mut command = Command::new("env");
+    command.args(["--default-signal", program]);
+    Some(command)
 }

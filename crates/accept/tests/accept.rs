@@ -45,7 +45,7 @@ fn of_card(fault: CardFault) -> Fault {
     let fails: &[&str] = match fault {
         CardFault::AntennasSwapped | CardFault::AntennasConstant | CardFault::RssiSwapped => &["reception.antennas"],
         CardFault::AntennasInvalid => &["reception.order"],
-        // The bearing is wrong too, but says so: its 95 % are the whole circle.
+        // The bearing is wrong too, but says so: its 95 % are nearly the whole circle.
         CardFault::Conjugated => &["phase.cancels", "phase.sign"],
         CardFault::SubcarriersShifted | CardFault::SubcarriersReversed => &["reception.subcarriers"],
         CardFault::ClockFast => &["exchange.drift", "phase.cancels"],

@@ -1,9 +1,8 @@
 //! The commands as their users meet them: answers, exit statuses, how much they say and in which colours, and what they say of the wrong
 //! file.
 
-use crate::common::{Link, TRANSMITTER, link};
+use crate::common::{Link, TRANSMITTER, emitted, link};
 use driver_iface::bfee::{Bfee, Iq, Repr};
-use driver_iface::record::{Record, code};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
@@ -822,12 +821,7 @@ fn changed(record: &[u8], change: impl FnOnce(&mut Repr)) -> Vec<u8> {
     change(&mut repr);
     let all = (0..30).flat_map(|k| (0..bfee.n_rx()).flat_map(move |rx| (0..bfee.n_tx()).map(move |tx| (k, rx, tx))));
     let csi: Vec<Iq> = all.map(|(k, rx, tx)| bfee.iq(k, rx, tx).unwrap()).collect();
-    let mut body = vec![0; repr.body_len()];
-    repr.emit(&csi, &mut body).unwrap();
-    let record = Record { code: code::BFEE, body: &body };
-    let mut bytes = vec![0; record.emit_len()];
-    record.emit(&mut bytes).unwrap();
-    bytes
+    emitted(&repr, &csi)
 }
 
 #[test]

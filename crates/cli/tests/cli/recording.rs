@@ -316,18 +316,6 @@ fn a_replayed_log_arrives_through_the_kernel() {
     std::fs::remove_dir_all(folder).unwrap();
 }
 
-/// The program, started with signals as usual: tests may run with SIGHUP ignored. `None` where `env` cannot do that.
-fn usual() -> Option<Command> {
-    let known = Command::new("env").args(["--default-signal", "true"]).output();
-    if !known.is_ok_and(|output| output.status.success()) {
-        crate::common::skipped("`env --default-signal` is not there (coreutils 8.31)");
-        return None;
-    }
-    let mut command = Command::new("env");
-    command.args(["--default-signal", env!("CARGO_BIN_EXE_csi5300")]);
-    Some(command)
-}
-
 fn send_signal(child: &Child, signal: Signal) {
     kill(Pid::from_raw(child.id() as i32), signal).unwrap();
 }
@@ -338,7 +326,7 @@ fn a_signal_ends_the_page_as_it_ends_a_recording() {
     let folder = Folder::new("view-signals");
     folder.write("rx.dat", &crate::common::link(100, 1.0).rx.concat());
     for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP] {
-        let Some(mut command) = usual() else { return };
+        let Some(mut command) = crate::common::with_usual_signals(env!("CARGO_BIN_EXE_csi5300")) else { return };
         command.arg("view").arg(folder.0.join("rx.dat")).stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let mut address = String::new();

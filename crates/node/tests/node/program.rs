@@ -251,18 +251,6 @@ fn survey(log: &Path) -> Survey {
     }
 }
 
-/// The program, started with signals as usual: tests may run with SIGHUP ignored. `None` where `env` cannot do that.
-fn usual() -> Option<Command> {
-    let known = Command::new("env").args(["--default-signal", "true"]).output();
-    if !known.is_ok_and(|output| output.status.success()) {
-        crate::common::skipped("`env --default-signal` is not there (coreutils 8.31)");
-        return None;
-    }
-    let mut command = Command::new("env");
-    command.args(["--default-signal", env!("CARGO_BIN_EXE_csi5300-node")]);
-    Some(command)
-}
-
 /// A terminal whose ends no program inherits: one that holds its own terminal's other end never sees that it ended.
 fn terminal() -> OpenptyResult {
     let size = Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 };
@@ -281,7 +269,7 @@ fn send(child: &Child, signal: Signal) {
 fn a_signal_gives_the_terminal_back_as_it_was() {
     let folder = folder("watch-signals");
     for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP, Signal::SIGQUIT] {
-        let Some(mut command) = usual() else { return };
+        let Some(mut command) = crate::common::with_usual_signals(env!("CARGO_BIN_EXE_csi5300-node")) else { return };
         let socket = folder.join(format!("{signal}.sock"));
         let node = UnixListener::bind(&socket).unwrap();
         let terminal = terminal();
@@ -343,7 +331,7 @@ fn a_line_without_an_end_is_given_up() {
 fn a_closed_terminal_ends_the_display() {
     let folder = folder("watch-ended");
     for is_own in [true, false] {
-        let Some(mut command) = usual() else { return };
+        let Some(mut command) = crate::common::with_usual_signals(env!("CARGO_BIN_EXE_csi5300-node")) else { return };
         if is_own {
             let usual = command;
             command = Command::new("setsid");
