@@ -9,8 +9,7 @@ mod picture;
 
 use common::*;
 use csi5300::bartlett::{Grid, SearchOptions, Tier};
-use csi5300::internal::Searcher;
-use csi5300::internal::{Planner, ProfileOptions};
+use csi5300::internal::{Planner, ProfileOptions, Searcher};
 use picture::*;
 
 fn main() {

@@ -15,8 +15,7 @@ use std::process::Command;
 
 use common::*;
 use csi5300::bartlett::{Grid, Method, Precision, Tier};
-use csi5300::internal::Searcher;
-use csi5300::internal::{Planner, ProfileOptions};
+use csi5300::internal::{Planner, ProfileOptions, Searcher};
 use csi5300::signal::samples::Samples;
 use picture::*;
 

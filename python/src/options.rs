@@ -2,8 +2,7 @@
 
 use crate::error::{Failure, Kind};
 use csi5300::motion::odometry::csv::Columns;
-use csi5300::motion::pose::Mount;
-use csi5300::motion::pose::Trajectory;
+use csi5300::motion::pose::{Mount, Trajectory};
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{Accuracy, Effort, JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};

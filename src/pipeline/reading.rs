@@ -8,8 +8,7 @@ use crate::exchange::pairing::LinkSide;
 use crate::source::Error;
 use driver_iface::Mac;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 /// Frames of each log that are read ahead to find its transmitter.
 pub(super) const READ_AHEAD: usize = 32_768;

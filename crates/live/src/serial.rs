@@ -1,7 +1,6 @@
 //! The serial port of a TurtleBot3: opened, watched, and reopened after it was unplugged.
 
-use csi5300::motion::odometry::opencr::Geometry;
-use csi5300::motion::odometry::opencr::{ControllerCounts, Found, OpenCr};
+use csi5300::motion::odometry::opencr::{ControllerCounts, Found, Geometry, OpenCr};
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
 use csi5300::source::Error;
 use csi5300::time::{Instant, Span};

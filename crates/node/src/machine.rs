@@ -4,9 +4,8 @@
 use super::sources::{Card, Poses, Sources};
 use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::motion::pose::Pose;
-use csi5300::pipeline::LinkError;
-use csi5300::pipeline::Options;
 use csi5300::pipeline::live::{LiveEstimator, PeerReport, PeerState};
+use csi5300::pipeline::{LinkError, Options};
 use csi5300::source::recorder::{LogFiles, Recorder, Totals};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};

@@ -2,8 +2,7 @@
 
 use super::auth::{Key, Shown};
 use super::roster::{ABSENT_AFTER, Outstanding, Priority, Roster, before_first_number};
-use super::{Cause, Config, Event, LinkCounts, TdmaCounts};
-use super::{Dialect, Plan, PlanError};
+use super::{Cause, Config, Dialect, Event, LinkCounts, Plan, PlanError, TdmaCounts};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::native::{Measurement, Role};

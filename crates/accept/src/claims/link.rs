@@ -2,8 +2,9 @@
 //! or unplugs an antenna.
 
 use super::{LEAST, Needs, Told};
-use crate::evidence::{After, Done, Evidence, Heard, HeardRecord, Interface, Sending, Sent};
-use crate::evidence::{Pairs, column, usual_sender};
+use crate::evidence::{
+    After, Done, Evidence, Heard, HeardRecord, Interface, Pairs, Sending, Sent, column, usual_sender,
+};
 use crate::report::Verdict;
 use crate::stats::{SURE, quantile};
 use csi5300::exchange::tdma::Phy;

@@ -1,13 +1,11 @@
 //! Claims about the records of one card.
 
 use super::Told;
-use crate::evidence::{Evidence, Heard, HeardRecord};
-use crate::evidence::{antenna_a, column};
+use crate::evidence::{Evidence, Heard, HeardRecord, antenna_a, column};
 use crate::stats::{SURE, mean_and_error, quantile};
 use csi5300::signal::channel::{SUBCARRIERS, Width};
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Antennas};
-use driver_iface::bfee::{Iq, NOISE_UNKNOWN_DBM, rate};
+use driver_iface::bfee::{Antenna, Antennas, Iq, NOISE_UNKNOWN_DBM, rate};
 use driver_iface::record::Tail;
 use num_complex::Complex32;
 use std::collections::{BTreeMap, HashMap};

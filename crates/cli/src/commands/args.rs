@@ -1,11 +1,9 @@
 //! Arguments that several commands share, and how commands on folders of captures read them.
 
-use super::InWords;
-use super::usage;
+use super::{InWords, usage};
 use clap::Args;
 use csi5300::motion::odometry::csv::Columns;
-use csi5300::motion::pose::Mount;
-use csi5300::motion::pose::Trajectory;
+use csi5300::motion::pose::{Mount, Trajectory};
 use csi5300::pipeline::{Accuracy, ChainConstant, JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find_all};

@@ -7,8 +7,7 @@ use super::{
 };
 use crate::compare::Figures;
 use crate::curves::{Curve, evidence, plane_wave, without_motion};
-use crate::evaluate::quality::Table;
-use crate::evaluate::quality::{refusals, sure};
+use crate::evaluate::quality::{Table, refusals, sure};
 use crate::evaluate::receivers::{Located, Receiver, receivers_with};
 use crate::evaluate::{Judged, Kept, TrajectorySource, reliability};
 use crate::suite::Standing;
