@@ -14,6 +14,7 @@ use csi5300_lab::table::{Advise, Filter, Form, Reading};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Bfee};
 use num_complex::Complex32;
+use std::fmt::Write as _;
 use std::io::{BufWriter, Write};
 use std::mem::MaybeUninit;
 use std::path::{Path, PathBuf};
@@ -363,7 +364,11 @@ fn csv(args: &Args, output: &Path, filter: &Filter) -> Words<Written> {
         without_antennas += u64::from(bfee.antennas().is_err());
         for (s, port, stream) in cells() {
             let sample = csi.as_ref().and_then(|(csi, known)| sample(csi, *known, s, port, stream));
-            line += &sample.map_or(",,".into(), |h| format!(",{},{}", h.re, h.im));
+            // Writing to a string never fails.
+            let _ = match sample {
+                Some(h) => write!(line, ",{},{}", h.re, h.im),
+                None => line.write_str(",,"),
+            };
         }
         records += 1;
         writeln!(out, "{line}").map_err(failed)
