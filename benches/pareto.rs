@@ -97,7 +97,11 @@ fn main() {
                     format!("{vector:.1}"),
                     format!("{:.1}", vector / ms),
                 ]);
-                if job.name == "planar" && (n, radius) == (1_000, 0.3) && !who.ends_with("forced") {
+                if job.name == "planar"
+                    && (n, radius) == (1_000, 0.3)
+                    && !who.ends_with("forced")
+                    && !who.contains("anew")
+                {
                     draw(&mut series, who, *ms, *error);
                 }
             }

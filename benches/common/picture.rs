@@ -13,7 +13,7 @@ pub struct Series {
 pub fn picture(name: &str, title: &str, x: &str, y: &str, series: &[Series]) {
     let colors = [
         "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999", "#8b4513", "#556b2f",
-        "#9400d3", "#b22222",
+        "#9400d3", "#b22222", "#ff69b4", "#00008b",
     ];
     let mut plots: Vec<Plot> = Vec::new();
     for (i, s) in series.iter().enumerate() {
