@@ -1,13 +1,15 @@
 //! Cards other than the 5300: FeitCSI's logs of two simulated robots, and the constants between the chains of one.
 
-use crate::commands::{Folder, json};
+use crate::air::Program;
+use crate::commands::{Folder, json, of};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
 
 /// Simulates a scene into `name`; the receiver's log, the transmitter's, and the trajectory that begins so.
 fn simulated(folder: &Folder, name: &str, scene: &str, trajectory: &str) -> [String; 3] {
     folder.write("scene.toml", scene.as_bytes());
-    let (status, _, err) = folder.run(&["simulate", "scene.toml", "--out", name]);
-    assert_eq!(status, 0, "{err}");
+    folder.says(&["simulate", "scene.toml", "--out", name], 0, &[]);
     let find = |start: &str| {
         let files = std::fs::read_dir(folder.0.join(name)).unwrap().map(|entry| entry.unwrap().path());
         let is_it = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with(start);
@@ -25,8 +27,8 @@ const PAIR: &str = "duration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsou
 fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     let folder = Folder::new("feitcsi");
     let [rx, tx, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
-    let (status, out, err) = folder.run(&["info", &rx]);
-    assert!(status == 0 && out.contains("FeitCSI, 600 frames") && out.contains("of two robots"), "{out}{err}");
+    let (out, _) = folder.says(&["info", &rx], 0, &[]);
+    assert!(out.contains("FeitCSI, 600 frames") && out.contains("of two robots"), "{out}");
     let (status, out, err) = folder.run(&["bearing", &rx, &tx, &path, "--channel", "108", "--json"]);
     let answer = json(out.lines().next().unwrap());
     assert_eq!(status, 0, "{err}");
@@ -45,9 +47,8 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     log.drain(200 * len + 300..200 * len + 400);
     let damaged = folder.write("damaged.csi", &log);
     let damaged = damaged.to_str().unwrap();
-    let (status, out, err) =
-        folder.run(&["bearing", "--rx", damaged, "--tx", &tx, "--trajectory", &path, "--channel", "108"]);
-    assert!(status == 3 && out.contains("114.") && err.contains("598 bfee records"), "{status} {out}{err}");
+    let (out, _) = folder.says(&of(damaged, &tx, &path), 3, &["598 bfee records"]);
+    assert!(out.contains("114."));
     // Frames of 80 and 160 MHz are taken about their centres.
     for (width, number, centre) in [("80", "106", "5530MHz"), ("160", "114", "5570MHz")] {
         let wide = PAIR.replace("card =", &format!("bandwidth_mhz = {width}\nchannel = {number}\ncard ="));
@@ -65,8 +66,7 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
 fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
     let folder = Folder::new("accept-cards");
     let [rx, tx, _] = simulated(&folder, "room", PAIR, "rx_trajectory_");
-    let (status, out, err) = folder.run(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"]);
-    assert_eq!(status, 0, "{out}{err}");
+    let (out, _) = folder.says(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"], 0, &[]);
     let report = json(&out);
     let verdict = |id: &str| {
         let all = report["findings"].as_array().unwrap();
@@ -82,8 +82,7 @@ fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
 }
 
 /// `record --feitcsi` with the log of one simulated robot on its way.
-fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut std::process::Child)) -> (i32, String) {
-    use std::process::{Command, Stdio};
+fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut Child)) -> (i32, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
     command.args(["record", "out.csi", "--force", "--feitcsi", from]).args(more).current_dir(&folder.0);
     let mut child = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -95,7 +94,6 @@ fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut s
 
 #[test]
 fn what_feitcsi_writes_is_recorded_byte_by_byte() {
-    use std::io::Write;
     use std::net::UdpSocket;
     let folder = Folder::new("record-feitcsi");
     let [rx, tx, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
@@ -136,8 +134,8 @@ fn what_feitcsi_writes_is_recorded_byte_by_byte() {
         assert_eq!(asked().0, "stop");
     });
     assert!(status == 0 && err.contains("600 records written to out.csi") && out() == log, "{status} {err}");
-    let (status, said, _) = folder.run(&["info", "out.csi"]);
-    assert!(status == 0 && said.contains("FeitCSI, 600 frames"), "{said}");
+    let (said, _) = folder.says(&["info", "out.csi"], 0, &[]);
+    assert!(said.contains("FeitCSI, 600 frames"), "{said}");
     let answers: Vec<String> = [&rx, "out.csi"]
         .map(|rx| {
             folder.run(&["bearing", "--rx", rx, "--tx", &tx, "--trajectory", &path, "--channel", "108", "--json"]).1
@@ -162,8 +160,7 @@ fn what_feitcsi_writes_is_recorded_byte_by_byte() {
 fn all_subcarriers_of_another_card_are_exported() {
     let folder = Folder::new("export-cards");
     let [rx, ..] = simulated(&folder, "room", PAIR, "rx_trajectory_");
-    let (status, out, err) = folder.run(&["export", &rx, "a.csv", "--from", "1", "--to", "2", "--json"]);
-    assert_eq!(status, 0, "{err}");
+    let (out, _) = folder.says(&["export", &rx, "a.csv", "--from", "1", "--to", "2", "--json"], 0, &[]);
     let text = std::fs::read_to_string(folder.0.join("a.csv")).unwrap();
     let records = text.lines().count() as u64 - 1;
     assert!((48..=52).contains(&records) && json(out.trim())["records"] == records, "{out}");
@@ -171,11 +168,10 @@ fn all_subcarriers_of_another_card_are_exported() {
     // 242 subcarriers of HE at 20 MHz, two chains.
     assert_eq!(text.lines().next().unwrap().matches(",re_").count(), 2 * 242);
     for args in [&["--scaled"][..], &["--antennas", "A"], &["--remove-spatial-mapping"]] {
-        let (status, _, err) = folder.run(&[&["export", &rx, "b.npz"], args].concat());
-        assert!(status == 2 && err.contains("a FeitCSI log"), "{status} {err}");
+        folder.says(&[&["export", &rx, "b.npz"], args].concat(), 2, &["a FeitCSI log"]);
     }
-    let (status, _, err) = folder.run(&["export", &rx, "c.npz", "--mac", "02:00:00:00:00:09"]);
-    assert!(status == 1 && err.contains("600 frames skipped") && !folder.0.join("c.npz").exists(), "{status} {err}");
+    folder.says(&["export", &rx, "c.npz", "--mac", "02:00:00:00:00:09"], 1, &["600 frames skipped"]);
+    assert!(!folder.0.join("c.npz").exists());
     let Some(cases) = crate::common::cases("other-cards") else { return };
     for name in
         ["atheros/ath_csi_1.dat", "picoscenes/rx_by_iwl5300.csi", "nexmon/example_4358.pcap", "esp32/example_csi.csv"]
@@ -291,26 +287,29 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     }
 }
 
+/// Where a page of `view` is served, once it is.
+pub fn place(page: &mut Program) -> String {
+    let mut address = String::new();
+    BufReader::new(page.child.stdout.take().unwrap()).read_line(&mut address).unwrap();
+    address.trim().trim_start_matches("http://").trim_end_matches('/').to_owned()
+}
+
+/// What it answers.
+pub fn get(place: &str, path: &str) -> serde_json::Value {
+    let mut stream = std::net::TcpStream::connect(place).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200"), "{path}: {answer}");
+    json(answer.split_once("\r\n\r\n").unwrap().1)
+}
+
 /// What the page of a log is told.
 fn asked(log: &str, paths: &[&str]) -> Vec<serde_json::Value> {
-    use std::io::{BufRead, BufReader, Read, Write};
-    let mut page = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
-    let mut page = page.args(["view", log]).stdout(std::process::Stdio::piped()).spawn().unwrap();
-    let mut address = String::new();
-    BufReader::new(page.stdout.take().unwrap()).read_line(&mut address).unwrap();
-    let place = address.trim().trim_start_matches("http://").trim_end_matches('/');
-    let ask = |path: &&str| {
-        let mut stream = std::net::TcpStream::connect(place).unwrap();
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n").unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        assert!(answer.starts_with("HTTP/1.1 200"), "{log} {path}: {answer}");
-        json(answer.split_once("\r\n\r\n").unwrap().1)
-    };
-    let answers = paths.iter().map(ask).collect();
-    page.kill().unwrap();
-    page.wait().unwrap();
-    answers
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let mut page = Program::of(command.args(["view", log]).stdout(Stdio::piped()));
+    let place = place(&mut page);
+    paths.iter().map(|path| get(&place, path)).collect()
 }
 
 #[test]
@@ -337,8 +336,7 @@ fn the_page_shows_logs_of_other_cards() {
     let told: String = answers.iter().map(|answer| format!("{answer}\n")).collect();
     assert!(crate::documented::are_documented(&told) > 20);
     folder.write("words.csv", b"It was a dark and stormy night.\n");
-    let (status, _, err) = folder.run(&["view", "words.csv"]);
-    assert!(status == 1 && err.contains("is another kind of file, text"), "{status} {err}");
+    folder.says(&["view", "words.csv"], 1, &["is another kind of file, text"]);
 
     let Some(cases) = crate::common::cases("other-cards") else { return };
     for (name, format, _, antennas) in LOGS {
@@ -356,12 +354,14 @@ fn an_address_without_its_half_is_shown_whole() {
     let folder = Folder::new("address");
     for (given, wanted) in [("8080", "127.0.0.1:8080"), (":9000", "127.0.0.1:9000"), ("localhost:1", "127.0.0.1:8080")]
     {
-        let (status, _, err) = folder.run(&["view", "x.dat", "--listen", given]);
-        assert!(status == 2 && err.contains(wanted) && err.contains("an IP address and a port"), "{given}: {err}");
+        folder.says(&["view", "x.dat", "--listen", given], 2, &[wanted, "an IP address and a port"]);
     }
     for given in ["00:21:6a:53:89", "00216a5389d2", "00:21:6a:53:89:zz"] {
-        let (status, _, err) = folder.run(&["bearing", "--tx-mac", given, "a.dat", "b.dat", "t.csv"]);
-        assert!(status == 2 && err.contains("six hexadecimal octets like 00:21:6a:53:89:d2"), "{given}: {err}");
+        folder.says(
+            &["bearing", "--tx-mac", given, "a.dat", "b.dat", "t.csv"],
+            2,
+            &["six hexadecimal octets like 00:21:6a:53:89:d2"],
+        );
     }
 }
 
@@ -373,8 +373,7 @@ fn info_takes_the_logs_of_a_folder() {
     let (status, out, _) = folder.run(&["info", "room", "--json"]);
     assert_eq!((status, out.lines().count()), (0, 2), "{out}");
     std::fs::create_dir(folder.0.join("empty")).unwrap();
-    let (status, _, err) = folder.run(&["info", "empty"]);
-    assert!(status == 1 && err.contains("no log in this folder"), "{status} {err}");
+    folder.says(&["info", "empty"], 1, &["no log in this folder"]);
 }
 
 #[test]
@@ -391,6 +390,5 @@ fn two_logs_and_two_antennas_give_one_answer() {
     let off = answer["azimuth_deg"].as_f64().unwrap() - (5.0_f64 - 0.05).atan2(3.0).to_degrees();
     let kinds = answer["kinds_deg"].as_array().unwrap();
     assert!(status == 0 && off.abs() < 0.5 && kinds.len() == 2, "{off} {answer}{err}");
-    let (status, _, err) = folder.run(&[&named[..], &antennas, &["--rx-mac", "02:53:00:00:00:01"]].concat());
-    assert!(status == 2 && err.contains("need --tx"), "{err}");
+    folder.says(&[&named[..], &antennas, &["--rx-mac", "02:53:00:00:00:01"]].concat(), 2, &["need --tx"]);
 }
