@@ -550,11 +550,7 @@ impl Sounding {
         let unlogged = finished.log.as_ref().is_some_and(|log| log.missing() > 0);
         let lost = if over { unlogged } else { finished.lost_anything() };
         let counts = finished.counts();
-        match counts.answered + counts.replies {
-            0 => Outcome::Nothing,
-            _ if lost => Outcome::DataLost,
-            _ => Outcome::Done,
-        }
+        Outcome::of(counts.answered + counts.replies > 0, lost)
     }
 }
 

@@ -126,11 +126,7 @@ pub fn run(args: &Args) -> Result {
             folder.display()
         );
     }
-    Ok(match report.count(Verdict::Fails) {
-        0 if is_whole => Outcome::Done,
-        0 => Outcome::DataLost,
-        _ => Outcome::Nothing,
-    })
+    Ok(Outcome::of(report.count(Verdict::Fails) == 0, !is_whole))
 }
 
 /// The table with coloured verdicts.
