@@ -457,9 +457,8 @@ mod tests {
     /// Host times of a side file, some unknown, with noise between records: records with and without them in one block.
     #[test]
     fn two_threads_read_the_host_times_that_one_reads() {
-        let folder = std::env::temp_dir().join(format!("csi5300-table-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let path = folder.join("stock.dat");
+        let folder = crate::temporary::Temporary::folder("table");
+        let path = folder.0.join("stock.dat");
         let repr = Repr::default();
         let mut body = vec![0; repr.body_len()];
         repr.emit(&vec![Iq { i: 3, q: -4 }; repr.samples()], &mut body).unwrap();
@@ -473,13 +472,12 @@ mod tests {
             times.extend([1_700_000_000 + k, 250_000].map(|part| if known { part } else { 0 }).map(i64::to_le_bytes));
         }
         std::fs::write(&path, &log).unwrap();
-        std::fs::write(folder.join("stock.datstp"), times.as_flattened()).unwrap();
+        std::fs::write(folder.0.join("stock.datstp"), times.as_flattened()).unwrap();
         let open = || Reading::new(Replay::open(&path).unwrap(), Filter::default());
         let (mut one, mut two) = (open(), open());
         while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
         let cut = Cut { first: 1_000, block: Some(4_096 + LOOKAHEAD), head: LOOKAHEAD };
         two.read_cut(Instant::ZERO, cut, None, &mut (), || true).unwrap();
-        std::fs::remove_dir_all(&folder).unwrap();
         assert_eq!(format!("{:?}", one.columns), format!("{:?}", two.columns));
         assert_eq!(two.columns.host_us.iter().filter(|us| **us == NO_TIME).count(), 1_000);
         assert_eq!(two.columns.host_us[2_999], 1_700_002_999_250_000);
