@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
 /// Simulates a scene into `name`; the receiver's log, the transmitter's, and the trajectory that begins so.
-fn simulated(folder: &Folder, name: &str, scene: &str, trajectory: &str) -> [String; 3] {
+pub fn simulated(folder: &Folder, name: &str, scene: &str, trajectory: &str) -> [String; 3] {
     folder.write("scene.toml", scene.as_bytes());
     folder.says(&["simulate", "scene.toml", "--out", name], 0, &[]);
     let find = |start: &str| {
@@ -18,7 +18,7 @@ fn simulated(folder: &Folder, name: &str, scene: &str, trajectory: &str) -> [Str
     ["csi_rx_", "csi_tx1_", trajectory].map(find)
 }
 
-const PAIR: &str = "duration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsounding.rate_hz = 50\n\
+pub const PAIR: &str = "duration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsounding.rate_hz = 50\n\
      [radio]\nnoise.snr_db = 20\nsend_jitter_us = 60\nturn_around.spread_us = 8\n\
      [[robot]]\nname = \"rx\"\nmotion.circle = { radius_m = 0.25, duration_s = 12.0 }\n\
      [[robot]]\nname = \"tx\"\nposition_m = [-4.0, 9.0, 0.0]\ncrystal.offset_ppm = -6.0\n";
