@@ -2,7 +2,6 @@
 //! simulates; programs sound each other in it; and a stranger with a radio and without a key attacks them.
 
 use crate::commands::{Folder, json};
-use crate::private::inside;
 use csi5300::internal::FrameReceiver;
 use csi5300::motion::odometry::csv;
 use csi5300::source::replay::Replay;
@@ -91,10 +90,7 @@ fn serve(scene: &Path, logs: &[(&Path, &str)], more: &[&str]) -> (String, String
 
 #[test]
 fn a_served_room_is_heard_through_the_kernel() {
-    if !inside(concat!(module_path!(), "::a_served_room_is_heard_through_the_kernel"), "-Urn") {
-        return;
-    }
-    let folder = Folder::new("serve");
+    let Some(folder) = Folder::inside(a_served_room_is_heard_through_the_kernel, "-Urn", "serve") else { return };
     let [rx, tx, poses] = ["rx.dat", "tx.dat", "poses.csv"].map(|name| folder.0.join(name));
     let scene = folder.write("scene.toml", SCENE.as_bytes());
     let options = ["--speed", "20", "--robot", "rx=26", "--robot", "tx=12", "--poses", poses.to_str().unwrap()];

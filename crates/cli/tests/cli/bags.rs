@@ -99,19 +99,26 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     }
     let (_, out, _) = run(&["--bag", "run.mcap", "--rx", "/a/csi"]);
     assert!(out.contains(r#""link":"b/csi""#), "{out}");
-    // Both logs could be the receiver's; a name that is none; one log for both.
-    for (args, words) in [
-        (&[][..], "run.mcap has several topics of CSI (/a/csi, /b/csi): --rx names that of the robot that moved"),
-        (&["--rx", "/c/csi"], "/c/csi is neither a file nor a topic of CSI in run.mcap, which has /a/csi, /b/csi"),
-        (&["--rx", "/a/odom"], "/a/odom is neither a file nor a topic of CSI in run.mcap, which has /a/csi, /b/csi"),
+    // Both logs could be the receiver's; a name that is none; one log for both. Without the other robot's log, without odometry.
+    std::fs::write(folder.0.join("one.mcap"), mcap(&topics[..1])).unwrap();
+    let (whole, one) = (["--bag", "run.mcap"], ["--bag", "one.mcap"]);
+    let other = "is neither a file nor a topic of CSI in run.mcap, which has /a/csi, /b/csi";
+    for (bag, more, status, words) in [
+        (
+            &whole[..],
+            &[][..],
+            1,
+            "run.mcap has several topics of CSI (/a/csi, /b/csi): --rx names that of the robot that moved",
+        ),
+        (&whole, &["--rx", "/c/csi"], 1, &format!("/c/csi {other}")),
+        (&whole, &["--rx", "/a/odom"], 1, &format!("/a/odom {other}")),
+        (&whole, &["--rx", "/a/csi", "--tx", "/a/csi"], 2, "/a/csi is given twice"),
+        (&[], &[], 2, "--rx"),
+        (&one, &[], 1, "--tx names the log of the other robot"),
+        (&one, &["--tx", &tx], 1, "one.mcap has no poses (nav_msgs/msg/Odometry"),
     ] {
-        let (status, _, errors) = run(&[&["--bag", "run.mcap"][..], args].concat());
-        assert!(status == 1 && errors.contains(words), "{status}: {errors}");
+        folder.says(&[&["bearing", "--channel", "108", "--json"], bag, more].concat(), status, &[words]);
     }
-    let (status, _, errors) = run(&["--bag", "run.mcap", "--rx", "/a/csi", "--tx", "/a/csi"]);
-    assert!(status == 2 && errors.contains("/a/csi is given twice"), "{status}: {errors}");
-    let (status, _, errors) = run(&[]);
-    assert!(status == 2 && errors.contains("--rx"), "{status}: {errors}");
     // Which of several transmitters a MAC is of is not guessed.
     let three = [topics.to_vec(), vec![("/c/csi", CSI, csi(Path::new(&tx)))]].concat();
     std::fs::write(folder.0.join("three.mcap"), mcap(&three)).unwrap();
@@ -125,12 +132,6 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     let (status, out, errors) = run(&[&of_three[..], &["--tx", "/b/csi", "--tx-mac", &mac]].concat());
     assert_eq!((status, answers(&out)), (0, answers(&expected)), "{errors}");
     std::fs::remove_file(folder.0.join("three.mcap")).unwrap();
-    // Without the other robot's log, without odometry.
-    std::fs::write(folder.0.join("one.mcap"), mcap(&topics[..1])).unwrap();
-    let (status, _, errors) = run(&["--bag", "one.mcap"]);
-    assert!(status == 1 && errors.contains("--tx names the log of the other robot"), "{errors}");
-    let (status, _, errors) = run(&["--bag", "one.mcap", "--tx", &tx]);
-    assert!(status == 1 && errors.contains("one.mcap has no poses (nav_msgs/msg/Odometry"), "{errors}");
     // A message that is none is left out and said.
     let mut damaged = topics.clone();
     damaged[1].2.push(vec![0, 1, 0, 0, 7]);

@@ -2,6 +2,7 @@
 //! file.
 
 use crate::common::{Link, TRANSMITTER, emitted, link};
+use crate::private::inside;
 use driver_iface::bfee::{Bfee, Iq, Repr};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -15,6 +16,23 @@ impl Folder {
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
+    }
+
+    /// The same for this test in namespaces of its own, by these options of unshare(1).
+    pub fn inside<T>(_: T, options: &str, name: &str) -> Option<Self> {
+        inside(std::any::type_name::<T>(), options).then(|| Self::new(name))
+    }
+
+    /// Mounts a disk of so many bytes over one of its folders; `None`, said, where that cannot be done.
+    pub fn mount(&self, below: &str, size: &str) -> Option<PathBuf> {
+        let disk = self.0.join(below);
+        let size = format!("size={size}");
+        let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", &size, "none"]).arg(&disk).status();
+        if mounted.is_ok_and(|status| status.success()) {
+            return Some(disk);
+        }
+        crate::common::skipped("a tmpfs cannot be mounted here");
+        None
     }
 
     pub fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {

@@ -37,6 +37,11 @@ fn tun(name: &str, mtu: usize) -> Option<File> {
     }
 }
 
+/// One for this test in a network namespace of its own.
+fn apart<T>(_: T, name: &str, mtu: usize) -> Option<File> {
+    if inside(std::any::type_name::<T>(), "-Urn") { tun(name, mtu) } else { None }
+}
+
 /// Without a clock no frame is old, however late a busy machine reads it.
 fn options(interface: &str) -> Options {
     Options::new(interface, native::MAX_LEN).with_rate(1, Bandwidth::Ht20).with_wall_us(|| None)
@@ -83,10 +88,7 @@ fn hear(monitor: &mut Monitor) -> Option<Vec<u8>> {
 
 #[test]
 fn frames_go_out_byte_for_byte_behind_their_radiotap_header() {
-    if !inside(concat!(module_path!(), "::frames_go_out_byte_for_byte_behind_their_radiotap_header"), "-Urn") {
-        return;
-    }
-    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    let Some(mut tun) = apart(frames_go_out_byte_for_byte_behind_their_radiotap_header, "mon0", 2_304) else { return };
     for (mcs, bandwidth, width) in [(1, Bandwidth::Ht20, 0), (7, Bandwidth::Ht40, 1)] {
         let mut monitor = Monitor::open(&options("mon0").with_rate(mcs, bandwidth)).unwrap();
         for len in [57, 59, 61, 120] {
@@ -104,10 +106,7 @@ fn frames_go_out_byte_for_byte_behind_their_radiotap_header() {
 
 #[test]
 fn sounding_frames_come_in_and_nothing_else() {
-    if !inside(concat!(module_path!(), "::sounding_frames_come_in_and_nothing_else"), "-Urn") {
-        return;
-    }
-    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    let Some(mut tun) = apart(sounding_frames_come_in_and_nothing_else, "mon0", 2_304) else { return };
     let mut monitor = Monitor::open(&options("mon0")).unwrap();
     let good = frame(1, 57);
     let mut other = good.clone();
@@ -139,10 +138,9 @@ fn sounding_frames_come_in_and_nothing_else() {
 
 #[test]
 fn frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted() {
-    if !inside(concat!(module_path!(), "::frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted"), "-Urn") {
+    let Some(mut tun) = apart(frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted, "mon0", 2_304) else {
         return;
-    }
-    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    };
     // A host that comes to its frames an hour after they were stamped.
     let later = || wall_us().map(|us| us + 3_600_000_000);
     let mut monitor = Monitor::open(&options("mon0").with_wall_us(later)).unwrap();
@@ -153,10 +151,9 @@ fn frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted() {
 
 #[test]
 fn frames_that_are_not_fetched_are_dropped_by_the_kernel_and_counted() {
-    if !inside(concat!(module_path!(), "::frames_that_are_not_fetched_are_dropped_by_the_kernel_and_counted"), "-Urn") {
+    let Some(mut tun) = apart(frames_that_are_not_fetched_are_dropped_by_the_kernel_and_counted, "mon0", 2_304) else {
         return;
-    }
-    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    };
     let mut monitor = Monitor::open(&options("mon0")).unwrap();
     for number in 1..=5_000 {
         receive(&mut tun, &behind(&Repr::default(), &frame(number, 57)));
@@ -169,13 +166,10 @@ fn frames_that_are_not_fetched_are_dropped_by_the_kernel_and_counted() {
 
 #[test]
 fn what_the_kernel_does_not_take_is_said_and_counted_and_sending_goes_on() {
-    if !inside(
-        concat!(module_path!(), "::what_the_kernel_does_not_take_is_said_and_counted_and_sending_goes_on"),
-        "-Urn",
-    ) {
+    let Some(mut tun) = apart(what_the_kernel_does_not_take_is_said_and_counted_and_sending_goes_on, "mon0", 200)
+    else {
         return;
-    }
-    let Some(mut tun) = tun("mon0", 200) else { return };
+    };
     let mut monitor = Monitor::open(&options("mon0")).unwrap();
     let not_sent = |result: Result<(), Error>| match result {
         Err(Error::NotSent(why)) => why,
@@ -364,10 +358,7 @@ fn sound_and_respond_exchange_frames_and_measurements() {
 
 #[test]
 fn frames_that_vanish_are_noticed() {
-    if !inside(concat!(module_path!(), "::frames_that_vanish_are_noticed"), "-Urn") {
-        return;
-    }
-    let Some(_tun) = tun("mona", 2_304) else { return };
+    let Some(_tun) = apart(frames_that_vanish_are_noticed, "mona", 2_304) else { return };
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
     command.args(["sound", "--interface", "mona", "--mac", "02:00:00:00:00:0a", "--peers", "02:00:00:00:00:0b"]);
     command.args(["--alone", "--open-loop", "--rate", "100", "--guard", "4000"]);

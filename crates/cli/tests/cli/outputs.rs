@@ -4,7 +4,6 @@
 
 use crate::commands::{Folder, capture, json};
 use crate::common::link;
-use crate::private::inside;
 use csi5300::source::recorder::{Chunk, LogFiles, Rotation, Sink};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next, side_path};
@@ -471,18 +470,10 @@ fn an_export_counts_records_without_antennas_among_those_it_writes() {
 
 #[test]
 fn what_has_no_room_has_no_name_either() {
-    if !inside(concat!(module_path!(), "::what_has_no_room_has_no_name_either"), "-Urnm") {
-        return;
-    }
-    let folder = Folder::new("full");
+    let Some(folder) = Folder::inside(what_has_no_room_has_no_name_either, "-Urnm", "full") else { return };
     folder.write("rx.dat", &link(2_000, 20.0).rx.concat());
-    let small = folder.0.join("small");
-    std::fs::create_dir(&small).unwrap();
-    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=32k", "none"]).arg(&small).status();
-    if !mounted.is_ok_and(|status| status.success()) {
-        crate::common::skipped("a tmpfs cannot be mounted here");
-        return;
-    }
+    std::fs::create_dir(folder.0.join("small")).unwrap();
+    let Some(small) = folder.mount("small", "32k") else { return };
     let is_empty = || std::fs::read_dir(&small).unwrap().next().is_none();
     for output in ["small/out.npz", "small/out.mat"] {
         let (_, err) = folder.says(&["export", "rx.dat", output], 1, &[]);

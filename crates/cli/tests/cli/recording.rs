@@ -3,7 +3,7 @@
 
 use crate::air::Program;
 use crate::commands::Folder;
-use crate::private::{inside, queued_bytes, send, send_gently};
+use crate::private::{queued_bytes, send, send_gently};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
@@ -86,10 +86,7 @@ const RECORD: u64 = 2 + 213;
 
 #[test]
 fn a_signal_ends_the_log_whole() {
-    if !inside(concat!(module_path!(), "::a_signal_ends_the_log_whole"), "-Urn") {
-        return;
-    }
-    let folder = Folder::new("recording-signals");
+    let Some(folder) = Folder::inside(a_signal_ends_the_log_whole, "-Urn", "recording-signals") else { return };
     // Tests may run with SIGHUP ignored (`nohup`), and programs that they start with them.
     let env = Command::new("env").args(["--default-signal", "true"]).output();
     let hangup = env.is_ok_and(|output| output.status.success()).then_some(Signal::SIGHUP);
@@ -115,10 +112,11 @@ fn a_signal_ends_the_log_whole() {
 
 #[test]
 fn a_hangup_ends_no_recording_that_was_started_to_ignore_it() {
-    if !inside(concat!(module_path!(), "::a_hangup_ends_no_recording_that_was_started_to_ignore_it"), "-Urn") {
+    let Some(folder) =
+        Folder::inside(a_hangup_ends_no_recording_that_was_started_to_ignore_it, "-Urn", "recording-hangup")
+    else {
         return;
-    }
-    let folder = Folder::new("recording-hangup");
+    };
     let out = folder.0.join("log.dat");
     let running = record_by("trap '' HUP; exec", &out, &[]);
     let mut sender = Sender::open(CN_IDX, true).unwrap();
@@ -133,10 +131,9 @@ fn a_hangup_ends_no_recording_that_was_started_to_ignore_it() {
 
 #[test]
 fn a_kill_at_any_moment_leaves_a_readable_log() {
-    if !inside(concat!(module_path!(), "::a_kill_at_any_moment_leaves_a_readable_log"), "-Urn") {
+    let Some(folder) = Folder::inside(a_kill_at_any_moment_leaves_a_readable_log, "-Urn", "recording-kill") else {
         return;
-    }
-    let folder = Folder::new("recording-kill");
+    };
     let mut sender = Sender::open(CN_IDX, true).unwrap();
     for round in 0..12_u16 {
         let out = folder.0.join(format!("{round}.dat"));
@@ -156,16 +153,9 @@ fn a_kill_at_any_moment_leaves_a_readable_log() {
 
 #[test]
 fn a_full_disk_is_counted_loss() {
-    if !inside(concat!(module_path!(), "::a_full_disk_is_counted_loss"), "-Urnm") {
-        return;
-    }
-    let folder = Folder::new("recording-full");
-    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=256k", "none"]).arg(&folder.0).status();
-    if !mounted.is_ok_and(|status| status.success()) {
-        crate::common::skipped("a tmpfs cannot be mounted here");
-        return;
-    }
-    let out = folder.0.join("out.dat");
+    let Some(folder) = Folder::inside(a_full_disk_is_counted_loss, "-Urnm", "recording-full") else { return };
+    let Some(disk) = folder.mount("", "256k") else { return };
+    let out = disk.join("out.dat");
     // 240 KiB for the data leaves room for less than half; the side file takes its share.
     overfill(record(&out, &[]), &out, 200_000, "No space left");
 }
@@ -190,20 +180,19 @@ fn overfill(running: Program, out: &Path, bytes: u64, why: &str) {
 /// `ulimit -f`, in blocks of 512 or 1,024 bytes by the shell.
 #[test]
 fn a_limit_of_file_sizes_is_a_full_disk_and_ends_nothing() {
-    if !inside(concat!(module_path!(), "::a_limit_of_file_sizes_is_a_full_disk_and_ends_nothing"), "-Urn") {
+    let Some(folder) = Folder::inside(a_limit_of_file_sizes_is_a_full_disk_and_ends_nothing, "-Urn", "recording-limit")
+    else {
         return;
-    }
-    let folder = Folder::new("recording-limit");
+    };
     let out = folder.0.join("out.dat");
     overfill(record_by("ulimit -f 100; exec", &out, &[]), &out, 40_000, "File too large");
 }
 
 #[test]
 fn a_stopped_recorder_reports_what_it_missed() {
-    if !inside(concat!(module_path!(), "::a_stopped_recorder_reports_what_it_missed"), "-Urn") {
+    let Some(folder) = Folder::inside(a_stopped_recorder_reports_what_it_missed, "-Urn", "recording-stopped") else {
         return;
-    }
-    let folder = Folder::new("recording-stopped");
+    };
     let out = folder.0.join("out.dat");
     let running = record(&out, &["--receive-buffer", "64k"]);
     let mut sender = Sender::open(CN_IDX, true).unwrap();
@@ -235,10 +224,9 @@ fn a_stopped_recorder_reports_what_it_missed() {
 
 #[test]
 fn a_recording_of_nothing_leaves_nothing() {
-    if !inside(concat!(module_path!(), "::a_recording_of_nothing_leaves_nothing"), "-Urn") {
+    let Some(folder) = Folder::inside(a_recording_of_nothing_leaves_nothing, "-Urn", "recording-nothing") else {
         return;
-    }
-    let folder = Folder::new("recording-nothing");
+    };
     let out = folder.0.join("out.dat");
     for _ in 0..2 {
         // The second try finds nothing in its way.
@@ -251,10 +239,9 @@ fn a_recording_of_nothing_leaves_nothing() {
 
 #[test]
 fn a_replayed_log_arrives_through_the_kernel() {
-    if !inside(concat!(module_path!(), "::a_replayed_log_arrives_through_the_kernel"), "-Urn") {
+    let Some(folder) = Folder::inside(a_replayed_log_arrives_through_the_kernel, "-Urn", "recording-replay") else {
         return;
-    }
-    let folder = Folder::new("recording-replay");
+    };
     let (first, second) = (folder.0.join("a.dat"), folder.0.join("b.dat"));
     let mut running = record(&first, &["--stop-after", "300records"]);
     send(&mut Sender::open(CN_IDX, true).unwrap(), 0..300);
