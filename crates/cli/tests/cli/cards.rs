@@ -29,16 +29,13 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     let [rx, tx, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
     let (out, _) = folder.says(&["info", &rx], 0, &[]);
     assert!(out.contains("FeitCSI, 600 frames") && out.contains("of two robots"), "{out}");
-    let (status, out, err) = folder.run(&["bearing", &rx, &tx, &path, "--channel", "108", "--json"]);
-    let answer = json(out.lines().next().unwrap());
-    assert_eq!(status, 0, "{err}");
+    let answer = &folder.rows(&["bearing", &rx, &tx, &path, "--channel", "108", "--json"], 0)[0];
     // From the circle's middle, 25 cm to the left of where it began.
     let truth_deg = (9.0_f64 - 0.25).atan2(-4.0).to_degrees();
     assert!((answer["azimuth_deg"].as_f64().unwrap() - truth_deg).abs() < 0.2, "{answer}");
     assert!(answer["compensated"].as_bool().unwrap() && answer["pairs"].as_u64().unwrap() >= 595, "{answer}");
     // The same of the folder, whose files are named as those of a capture.
-    let (status, out, err) = folder.run(&["bearing", "room", "--json"]);
-    assert_eq!((status, &json(out.lines().next().unwrap())["azimuth_deg"]), (0, &answer["azimuth_deg"]), "{err}");
+    assert_eq!(folder.rows(&["bearing", "room", "--json"], 0)[0]["azimuth_deg"], answer["azimuth_deg"]);
 
     // Damage costs only the records it hits, and is reported; a cut log is read up to the cut.
     let mut log = std::fs::read(&rx).unwrap();
@@ -66,8 +63,7 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
 fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
     let folder = Folder::new("accept-cards");
     let [rx, tx, _] = simulated(&folder, "room", PAIR, "rx_trajectory_");
-    let (out, _) = folder.says(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"], 0, &[]);
-    let report = json(&out);
+    let report = &folder.rows(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"], 0)[0];
     let verdict = |id: &str| {
         let all = report["findings"].as_array().unwrap();
         all.iter()
@@ -136,13 +132,9 @@ fn what_feitcsi_writes_is_recorded_byte_by_byte() {
     assert!(status == 0 && err.contains("600 records written to out.csi") && out() == log, "{status} {err}");
     let (said, _) = folder.says(&["info", "out.csi"], 0, &[]);
     assert!(said.contains("FeitCSI, 600 frames"), "{said}");
-    let answers: Vec<String> = [&rx, "out.csi"]
-        .map(|rx| {
-            folder.run(&["bearing", "--rx", rx, "--tx", &tx, "--trajectory", &path, "--channel", "108", "--json"]).1
-        })
-        .map(|line| json(line.lines().next().unwrap())["azimuth_deg"].to_string())
-        .into();
-    assert_eq!(answers[0], answers[1]);
+    let [own, recorded_one] =
+        [&rx, "out.csi"].map(|rx| folder.rows(&[&of(rx, &tx, &path)[..], &["--json"]].concat(), 0).remove(0));
+    assert_eq!(own["azimuth_deg"], recorded_one["azimuth_deg"]);
 
     // In files of a size: whole frames in each.
     let size = (100 * len + 500).to_string();
@@ -242,8 +234,8 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     let folder = Folder::new("plot-cards");
     let [rx, ..] = simulated(&folder, "room", &two_antennas(), "rx_trajectory_");
     std::fs::rename(rx, folder.0.join("rx.csi")).unwrap();
-    let (status, out, err) = folder.run(&["info", "rx.csi", "--plot", "p", "--json"]);
-    assert_eq!((status, json(&out)["pictures"].as_array().map(Vec::len)), (0, Some(4)), "{err}");
+    let row = &folder.rows(&["info", "rx.csi", "--plot", "p", "--json"], 0)[0];
+    assert_eq!(row["pictures"].as_array().map(Vec::len), Some(4));
     let drawn = |what: &str| std::fs::read_to_string(folder.0.join(format!("p/{what}.svg"))).unwrap();
     let (csi, levels) = (drawn("rx-csi"), drawn("rx-levels"));
     // 242 subcarriers of HE at 20 MHz, of the only sender.
@@ -252,14 +244,12 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     }
     assert!(!csi.contains("antenna C") && !csi.contains("without") && !csi.contains("NaN"));
     assert!(levels.contains("RSSI of each antenna (dBm)") && !levels.contains("gain") && !levels.contains("NaN"));
-    let again = folder.run(&["info", "rx.csi", "--plot", "p"]);
-    assert_eq!(again.0, 0, "the next run replaces them: {again:?}");
-    let only = folder.run(&["info", "rx.csi", "--plot", "b", "--antenna", "B", "--from", "1", "--to", "2"]);
-    assert_eq!(only.0, 0, "{only:?}");
+    // The next run replaces them.
+    folder.says(&["info", "rx.csi", "--plot", "p"], 0, &[]);
+    folder.says(&["info", "rx.csi", "--plot", "b", "--antenna", "B", "--from", "1", "--to", "2"], 0, &[]);
     let only = std::fs::read_to_string(folder.0.join("b/rx-csi.svg")).unwrap();
     assert!(only.contains("antenna B:") && !only.contains("antenna A:"));
-    let none = folder.run(&["info", "rx.csi", "--plot", "c", "--mac", "02:00:00:00:00:99"]);
-    assert!(none.0 == 3 && none.2.contains("no matching record"), "{none:?}");
+    folder.says(&["info", "rx.csi", "--plot", "c", "--mac", "02:00:00:00:00:99"], 3, &["no matching record"]);
 
     let Some(cases) = crate::common::cases("other-cards") else { return };
     // One of each format: drawing takes its time.
@@ -370,8 +360,7 @@ fn info_takes_the_logs_of_a_folder() {
     let folder = Folder::new("info-folder");
     let scene = std::fs::read_to_string(crate::common::root().join("scenes/two-antennas.toml")).unwrap();
     simulated(&folder, "room", &scene, "odom_rx_");
-    let (status, out, _) = folder.run(&["info", "room", "--json"]);
-    assert_eq!((status, out.lines().count()), (0, 2), "{out}");
+    assert_eq!(folder.rows(&["info", "room", "--json"], 0).len(), 2);
     std::fs::create_dir(folder.0.join("empty")).unwrap();
     folder.says(&["info", "empty"], 1, &["no log in this folder"]);
 }
@@ -384,11 +373,10 @@ fn two_logs_and_two_antennas_give_one_answer() {
     let [rx, tx, path] = simulated(&folder, "room", &scene, "odom_rx_");
     let named = ["bearing", "--rx", &rx, "--trajectory", &path, "--channel", "108", "--json"];
     let antennas = ["--antennas", "A,B", "--baseline", "0.1,0,0"];
-    let (status, out, err) = folder.run(&[&named[..], &antennas, &["--tx", &tx]].concat());
-    let answer = json(out.lines().next().unwrap());
+    let answer = &folder.rows(&[&named[..], &antennas, &["--tx", &tx]].concat(), 0)[0];
     // From the circle's middle.
     let off = answer["azimuth_deg"].as_f64().unwrap() - (5.0_f64 - 0.05).atan2(3.0).to_degrees();
     let kinds = answer["kinds_deg"].as_array().unwrap();
-    assert!(status == 0 && off.abs() < 0.5 && kinds.len() == 2, "{off} {answer}{err}");
+    assert!(off.abs() < 0.5 && kinds.len() == 2, "{off} {answer}");
     folder.says(&[&named[..], &antennas, &["--rx-mac", "02:53:00:00:00:01"]].concat(), 2, &["need --tx"]);
 }

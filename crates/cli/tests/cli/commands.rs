@@ -68,6 +68,11 @@ impl Folder {
         checked(self.run(args), args, expected, words)
     }
 
+    /// The lines of JSON of a command that has to end with this status.
+    pub fn rows(&self, args: &[&str], expected: i32) -> Vec<serde_json::Value> {
+        self.says(args, expected, &[]).0.lines().map(json).collect()
+    }
+
     /// The same of a bearing.
     pub fn bearing_says(&self, more: &[&str], expected: i32, words: &[&str]) -> (String, String) {
         checked(self.bearing(more), more, expected, words)
@@ -388,15 +393,13 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
     let folder = Folder::new("evaluate");
     let made = link(400, 2.0 * std::f64::consts::FRAC_PI_3);
     capture(&folder, "tree/A/good", &made);
-    let (status, out, err) = folder.run(&["evaluate", "tree", "--json"]);
-    let rows: Vec<_> = out.lines().map(json).collect();
-    assert_eq!((status, rows.len()), (0, 2), "{err}");
-    assert_eq!(rows[0]["link"], "A/good/1/tx2");
+    let rows = folder.rows(&["evaluate", "tree", "--json"], 0);
+    assert_eq!((rows.len(), rows[0]["link"].as_str()), (2, Some("A/good/1/tx2")));
     // Units stand below the heads.
     let (_, text, _) = folder.run(&["evaluate", "tree"]);
     let units: Vec<&str> = text.lines().nth(1).unwrap().split_whitespace().collect();
     assert_eq!(units, ["deg", "deg", "deg", "deg", "deg", "%"], "{text}");
-    assert!(rows[0]["error_from_mean_pose_deg"].as_f64().unwrap().abs() < 0.3, "{out}");
+    assert!(rows[0]["error_from_mean_pose_deg"].as_f64().unwrap().abs() < 0.3, "{rows:?}");
     assert_eq!(rows[1]["summary"]["A"]["links"], 1);
     // A damaged record, a missing receiver's log, no truth to read.
     let mut damaged = link(400, 2.0);
@@ -406,10 +409,9 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
     std::fs::remove_file(folder.0.join("tree/B/without_rx/csi_rx_1.dat")).unwrap();
     capture(&folder, "tree/B/no_truth", &made);
     folder.write("tree/B/no_truth/groundtruth_positions.json", b"{");
-    let (status, out, err) = folder.run(&["evaluate", "tree", "--json"]);
+    let (out, _) = folder.says(&["evaluate", "tree", "--json"], 3, &["damaged/csi_rx_1.dat: 1 damaged stretches"]);
     let rows: Vec<_> = out.lines().map(json).collect();
-    assert_eq!((status, rows.len()), (3, 5), "{out}");
-    assert!(err.contains("damaged/csi_rx_1.dat: 1 damaged stretches"), "{err}");
+    assert_eq!(rows.len(), 5, "{out}");
     let failed = rows.iter().filter(|row| row["azimuth_deg"].is_null() && row["error"].is_string());
     assert_eq!(failed.count(), 2, "{out}");
     assert!(rows[4]["summary"]["B"]["from_mean_pose"]["mean_deg"].is_null(), "{out}");
@@ -443,9 +445,8 @@ fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
         );
     }
     folder.says(&recorded, 2, &["--channel"]);
-    let (_, said, _) = folder.run(&[&recorded[..], &["capture", "--json"]].concat());
-    let rows: Vec<_> = said.lines().map(json).collect();
-    assert!(rows.len() > 80 && rows.iter().all(|row| row["recorded"] == row["simulated"]), "{said}");
+    let rows = folder.rows(&[&recorded[..], &["capture", "--json"]].concat(), 0);
+    assert!(rows.len() > 80 && rows.iter().all(|row| row["recorded"] == row["simulated"]), "{rows:?}");
     folder.says(&[&recorded[..], &["nowhere.toml"]].concat(), 1, &["nowhere.toml"]);
 }
 
@@ -622,9 +623,7 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     assert!(out.starts_with("circle/real_1/tx\n") && !out.contains("\ntruth"), "{out}");
     // Links as they are named there, wholly or by their end.
     for name in ["runs/circle/real_1/tx", "runs/circle/tx"] {
-        let (status, out, err) = folder.run(&["bearing", name, "--channel", "108", "--json"]);
-        let row = json(&out);
-        assert_eq!(status, 0, "{err}");
+        let row = &folder.rows(&["bearing", name, "--channel", "108", "--json"], 0)[0];
         assert!((row["azimuth_deg"].as_f64().unwrap() - 2f64.to_degrees()).abs() < 0.2, "{row}");
         assert!(row["error_from_mean_pose_deg"].is_null() && row["residual_phase_rad"].is_f64(), "{row}");
     }
@@ -865,11 +864,10 @@ fn info_says_what_the_clock_did_and_nothing_of_what_was_not_measured() {
     );
     assert!(out.contains("1 pause of a second and more, the longest 6.0 s"), "{out}");
     assert!(out.contains("is the median between frames"), "{out}");
-    let (_, out, _) = folder.run(&["info", "--json", "jump.dat"]);
-    let row = json(&out);
-    assert!(row["noise_dbm"].is_null() || row["noise_unknown"].as_u64() == Some(0), "{out}");
+    let row = &folder.rows(&["info", "--json", "jump.dat"], 0)[0];
+    assert!(row["noise_dbm"].is_null() || row["noise_unknown"].as_u64() == Some(0), "{row}");
     let sender = row["senders"].as_object().unwrap().values().next().unwrap().clone();
-    assert!(sender["rate_hz"].as_f64().unwrap() < 0.6 * sender["median_rate_hz"].as_f64().unwrap(), "{out}");
+    assert!(sender["rate_hz"].as_f64().unwrap() < 0.6 * sender["median_rate_hz"].as_f64().unwrap(), "{row}");
 }
 
 #[test]
@@ -1009,8 +1007,7 @@ fn a_log_is_drawn_with_what_is_asked_for() {
     let folder = Folder::new("plot");
     folder.link(&link(300, 2.0));
     let args = ["info", "rx.dat", "--plot", "p", "--antenna", "A", "--json"];
-    let (out, _) = folder.says(&args, 0, &[]);
-    assert_eq!(json(&out)["pictures"].as_array().map(Vec::len), Some(4));
+    assert_eq!(folder.rows(&args, 0)[0]["pictures"].as_array().map(Vec::len), Some(4));
     for what in ["csi", "levels"] {
         assert!(folder.0.join(format!("p/rx-{what}.png")).is_file());
         let svg = std::fs::read_to_string(folder.0.join(format!("p/rx-{what}.svg"))).unwrap();
@@ -1039,8 +1036,7 @@ fn logs_of_frames_only_and_of_zeros_say_why_they_are_of_no_use() {
     folder.write("csi0.dat", &silent.concat());
     let (out, _) = folder.says(&["info", "csi0.dat"], 1, &[]);
     assert!(out.contains("60 records have CSI of only zeros"));
-    let (_, out, _) = folder.run(&["info", "csi0.dat", "--json"]);
-    assert_eq!(json(out.trim())["silent"], 60);
+    assert_eq!(folder.rows(&["info", "csi0.dat", "--json"], 1)[0]["silent"], 60);
 }
 
 #[test]
