@@ -39,7 +39,8 @@ fn a_scene_is_judged_and_the_report_is_written() {
     folder.write("retuned.toml", more.as_bytes());
     let (_, out, err) = folder.run(&["doctor", "--accept", "retuned.toml", "-v"]);
     assert!(out.contains("logs after it: 1; the largest step is that of round trip: +0 degrees"), "{out}{err}");
-    let report = &folder.rows(&["doctor", "--accept", "desk/far.dat", "--channel", "108", "--json"], 0)[0];
+    let (out, _) = folder.says(&["doctor", "--accept", "desk/far.dat", "--channel", "108", "--json"], 0, &[]);
+    let report = json(&out);
     assert_eq!(report["logs"][0]["records"], 2998);
 }
 

@@ -63,7 +63,8 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
 fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
     let folder = Folder::new("accept-cards");
     let [rx, tx, _] = simulated(&folder, "room", PAIR, "rx_trajectory_");
-    let report = &folder.rows(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"], 0)[0];
+    let (out, _) = folder.says(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"], 0, &[]);
+    let report = json(&out);
     let verdict = |id: &str| {
         let all = report["findings"].as_array().unwrap();
         all.iter()
