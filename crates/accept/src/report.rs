@@ -552,12 +552,7 @@ fn table(page: &mut String, report: &Report, verdicts: &[Verdict]) {
     }
     page.push_str("<table><tr><th>verdict<th>claim<th>of<th>found</tr>\n");
     for verdict in verdicts {
-        let class = match verdict {
-            Verdict::Fails => "fails",
-            Verdict::Holds => "holds",
-            Verdict::Measured => "measured",
-            Verdict::NotTried => "not_tried",
-        };
+        let class = verdict.word().to_lowercase().replace(' ', "_");
         for row in report.rows(*verdict) {
             let (finding, of) = (row.finding, row.of());
             let found: Vec<String> = row.found().iter().map(|found| escaped(found)).collect();

@@ -5,7 +5,9 @@
 use csi5300::internal::FrameReceiver;
 use csi5300::source::{Error, Injector, Next, Stamps};
 use csi5300::time::Instant;
-use csi5300_accept::{Collector, Done, Evidence, Interface, Plan, Report, Sending, Side, Truth, Verdict, collect, run};
+use csi5300_accept::{
+    Collector, Done, Evidence, Finding, Interface, Plan, Report, Sending, Side, Truth, Verdict, collect, run,
+};
 use csi5300_sim::{CardFault, Room, Scene};
 use driver_iface::bfee::{Antenna, Antennas, Iq};
 use driver_iface::record::{Record, code};
@@ -38,6 +40,11 @@ enum Desk {
     Sending(Way),
     /// The interface's channel has these flags.
     Flags(&'static str),
+}
+
+/// A plan for robots at rest.
+fn resting() -> Plan {
+    Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) }
 }
 
 /// A fault of the near card, and the claims that fail.
@@ -233,15 +240,25 @@ fn phases_at_rest_are_the_same_after_retunes_and_a_reload() {
     let report = standing(1, 25.0, &[retuned, retuned, retuned, retuned, retuned, (Done::Reloaded, "")]);
     assert!(failed(&report).is_empty(), "{report}");
     for id in ["phase.retune", "phase.reload", "phase.rest"] {
-        let finding = report.findings.iter().find(|finding| finding.id == id).unwrap();
+        let finding = finding(&report, id);
         assert_eq!(finding.verdict, Verdict::Holds, "{id}: {}", finding.found);
     }
+}
+
+/// How many desks are judged: as `CSI5300_SEEDS` asks, else the usual number.
+fn seeds(usual: u64) -> u64 {
+    std::env::var("CSI5300_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(usual)
+}
+
+/// The verdict on a claim, with what it was found by.
+fn finding<'a>(report: &'a Report, id: &str) -> &'a Finding {
+    report.findings.iter().find(|finding| finding.id == id).unwrap()
 }
 
 /// Desks with logs after a retune and a reload, with an antenna that a person unplugs, and with a robot that sends; SNR 10 to 35 dB.
 #[test]
 fn healthy_desks_of_a_busy_person_raise_no_alarm() {
-    let seeds: u64 = std::env::var("CSI5300_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(4);
+    let seeds = seeds(4);
     let (mut tried, mut alarms) = (0, Vec::new());
     for seed in 0..seeds {
         let snr = 10.0 + (seed * 7 % 26) as f64;
@@ -263,10 +280,9 @@ fn healthy_desks_of_a_busy_person_raise_no_alarm() {
 }
 
 /// Healthy desks of all kinds: SNR 10 to 35 dB, one to three chains, 20 and 40 MHz, standing and moving, both drivers.
-/// `CSI5300_SEEDS` asks for more of them than the 24 that every run judges.
 #[test]
 fn healthy_desks_raise_no_alarm() {
-    let seeds: u64 = std::env::var("CSI5300_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(24);
+    let seeds = seeds(24);
     let (mut findings, mut alarms) = (0, Vec::new());
     for seed in 0..seeds {
         let (snr, chains, wide) = (10.0 + (seed * 7 % 26) as f64, 1 + seed % 3, seed % 4 == 3);
@@ -339,7 +355,7 @@ fn at_rest(seed: u64, snr_db: f64, near: &str) -> Evidence {
 
 /// Robots at rest: their first logs, then those after each step, each with an addition to the near robot.
 fn standing(seed: u64, snr_db: f64, after: &[(Done, &str)]) -> Report {
-    let mut collector = Collector::new(Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) });
+    let mut collector = Collector::new(resting());
     let first = at_rest(seed, snr_db, "");
     collector.log(Side::Near, &first.near.log);
     collector.log(Side::Far, &first.far.unwrap().log);
@@ -352,7 +368,7 @@ fn standing(seed: u64, snr_db: f64, after: &[(Done, &str)]) -> Report {
 
 /// Robots at rest; one antenna falls by 20 dB after the person was asked to unplug `told`.
 fn unplugged(seed: u64, snr_db: f64, told: Antenna, falls: Option<Antenna>) -> Report {
-    let mut collector = Collector::new(Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) });
+    let mut collector = Collector::new(resting());
     collector.log(Side::Near, &at_rest(seed, snr_db, "").near.log);
     collector.unplugged(told);
     for record in at_rest(seed + 1_000, snr_db, "").near.records {
@@ -409,8 +425,8 @@ fn sent_at(seed: u64, snr_db: f64, [near, far]: [&str; 2], way: Way) -> Report {
     let mut interface = Driver { interface: room.interface(0).unwrap(), way };
     let sender = room.mac(0).unwrap();
     let (mut near, mut far) = (room.card(0).unwrap(), room.card(1).unwrap());
-    let plan = Plan { at_rest: true, ..Plan::new("108".parse().unwrap()) };
-    let mut evidence = collect(&mut near, Some(&mut far), Some(Sending::new(&mut interface, sender)), plan).unwrap();
+    let mut evidence =
+        collect(&mut near, Some(&mut far), Some(Sending::new(&mut interface, sender)), resting()).unwrap();
     // The room's interface reports each frame as sent when it is read.
     while interface.interface.hear().unwrap().is_some() {}
     evidence.interface.confirmed = interface.interface.sent_for_certain();
@@ -428,7 +444,6 @@ fn at_once(now: Instant) -> Option<Instant> {
 fn sent_frames_are_heard_and_answered() {
     let report = sent("", at_once);
     assert!(failed(&report).is_empty(), "{report}");
-    let verdict = |id: &str| report.findings.iter().find(|finding| finding.id == id).unwrap().verdict;
     for id in [
         "injection.taken",
         "injection.heard",
@@ -441,7 +456,7 @@ fn sent_frames_are_heard_and_answered() {
         "phase.cancels",
         "phase.rest",
     ] {
-        assert_eq!(verdict(id), Verdict::Holds, "{id}\n{report}");
+        assert_eq!(finding(&report, id).verdict, Verdict::Holds, "{id}\n{report}");
     }
 }
 
@@ -454,7 +469,7 @@ fn renumbered_frames_are_noticed() {
 #[test]
 fn the_air_that_frames_use_is_that_of_the_standard() {
     let report = sent("", at_once);
-    let pace = report.findings.iter().find(|finding| finding.id == "injection.pace").unwrap();
+    let pace = finding(&report, "injection.pace");
     let figure = |name: &str| pace.figures.iter().find(|figure| figure.name == name).unwrap().value;
     // HT20 MCS 0: 36 us of preamble, then 57 bytes in 19 symbols of 4 us.
     assert_eq!(figure("air time of a frame"), 112.0, "{pace:?}");
@@ -471,9 +486,6 @@ fn flagged(flags: Option<&str>) -> Report {
 
 #[test]
 fn flags_of_the_channel_are_reported() {
-    let told = |flags: Option<&str>| {
-        let report = flagged(flags);
-        report.findings.iter().find(|finding| finding.id == "injection.channel").unwrap().verdict
-    };
+    let told = |flags: Option<&str>| finding(&flagged(flags), "injection.channel").verdict;
     assert_eq!([None, Some("(20.0 dBm)")].map(told), [Verdict::NotTried, Verdict::Holds]);
 }

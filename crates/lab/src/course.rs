@@ -913,6 +913,7 @@ fn gaps(times_s: &[f64]) -> Vec<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::temporary::Temporary;
     use csi_formats::{Kind, Tones, feitcsi};
     use csi5300::source::{CsiSource, Next, replay::Replay};
     use csi5300::time::Instant;
@@ -929,24 +930,17 @@ mod tests {
     }
 
     /// A log of one sender's records, in a file of its own.
-    fn log(name: &str, records: &[Told]) -> PathBuf {
-        log_of(name, &records.iter().map(|told| (sender(1), *told)).collect::<Vec<_>>())
+    fn log(records: impl Iterator<Item = Told>) -> Temporary {
+        log_of(records.map(|told| (sender(1), told)))
     }
 
     /// A log of several senders' records.
-    fn log_of(name: &str, records: &[(Mac, Told)]) -> PathBuf {
+    fn log_of(records: impl Iterator<Item = (Mac, Told)>) -> Temporary {
         let mut bytes = Vec::new();
-        for (k, (mac, (timestamp_low, host_us, frame_count))) in records.iter().enumerate() {
-            let mac = *mac;
+        for (k, (mac, (timestamp_low, host_us, frame_count))) in records.enumerate() {
             let (tv_sec, tv_usec) = ((host_us / 1_000_000) as u32, (host_us % 1_000_000) as u32);
-            let wsr = Some(Wsr { tv_sec, tv_usec, mac, frame_count: Some(*frame_count) });
-            let repr = Repr {
-                timestamp_low: *timestamp_low,
-                bfee_count: k as u16,
-                rssi: [38, 30, 31],
-                wsr,
-                ..Repr::default()
-            };
+            let wsr = Some(Wsr { tv_sec, tv_usec, mac, frame_count: Some(frame_count) });
+            let repr = Repr { timestamp_low, bfee_count: k as u16, rssi: [38, 30, 31], wsr, ..Repr::default() };
             let csi = vec![Iq { i: 40, q: 9 }; repr.samples()];
             let mut body = vec![0; repr.body_len()];
             repr.emit(&csi, &mut body).unwrap();
@@ -955,9 +949,7 @@ mod tests {
             bytes.resize(at + record.emit_len(), 0);
             record.emit(&mut bytes[at..]).unwrap();
         }
-        let path = std::env::temp_dir().join(format!("csi5300-course-{name}-{}.dat", std::process::id()));
-        std::fs::write(&path, bytes).unwrap();
-        path
+        Temporary::file("course.dat", &bytes)
     }
 
     /// What `csi5300 info` reports of a log.
@@ -980,7 +972,8 @@ mod tests {
     const START_US: u64 = 1_700_000_000_000_000;
 
     /// Checks that `info`, its pictures and `view` agree on a log's times; returns the picture's data.
-    fn agreed(path: &Path) -> Course {
+    fn agreed(log: Temporary) -> Course {
+        let path = &log.0;
         let (survey, index) = (survey(path), LogIndex::read(path).unwrap());
         let course = Course::read(path, &Wanted::default()).unwrap();
         let stretch = index.stretch(0.0, f64::INFINITY, 100, None);
@@ -999,7 +992,6 @@ mod tests {
         );
         assert_eq!([course.repeated.len() as u64, sum(&stretch.repeated)], [counted(sender.frames_repeated); 2]);
         assert_eq!((&course.gaps_s, &course.steps_back), (&stretch.gaps_s, &stretch.steps_back));
-        std::fs::remove_file(path).unwrap();
         course
     }
 
@@ -1011,7 +1003,7 @@ mod tests {
             let clock = u64::from(4_000_000_000 + 4_000 * k) + pause;
             (clock as u32, START_US + 4_000 * u64::from(k) + pause, k)
         };
-        let course = agreed(&log("pause", &(0..100).map(told).collect::<Vec<_>>()));
+        let course = agreed(log((0..100).map(told)));
         assert!(course.steps_back.is_empty() && course.gaps_s.len() == 1, "{:?}", course.gaps_s);
         assert!((course.gaps_s[0].1 - course.gaps_s[0].0 - 3_553.504).abs() < 1e-6, "{:?}", course.gaps_s);
     }
@@ -1019,7 +1011,7 @@ mod tests {
     #[test]
     fn a_clock_that_steps_back_is_seen_once_and_takes_no_time() {
         let told = |k: u32| (1_000_000 + 4_000 * k - if k < 50 { 0 } else { 900_000 }, 0, k);
-        let course = agreed(&log("back", &(0..100).map(told).collect::<Vec<_>>()));
+        let course = agreed(log((0..100).map(told)));
         assert_eq!(course.steps_back.len(), 1);
         assert!((course.steps_back[0].1 - 0.896).abs() < 1e-9, "{:?}", course.steps_back);
     }
@@ -1027,11 +1019,10 @@ mod tests {
     #[test]
     fn without_a_card_clock_times_are_the_hosts_or_record_numbers() {
         // Some programs write 0, others add 1 now and then.
-        let host =
-            agreed(&log("host", &(0..100).map(|k| (k / 10, START_US + 10_000 * u64::from(k), k)).collect::<Vec<_>>()));
+        let host = agreed(log((0..100).map(|k| (k / 10, START_US + 10_000 * u64::from(k), k))));
         assert_eq!((host.base, host.columns), (TimeBase::Host, 100));
         assert!((host.span_s.1 - 0.99).abs() < 1e-9, "{:?}", host.span_s);
-        let number = agreed(&log("number", &(0..29).map(|k| (0, 0, k)).collect::<Vec<_>>()));
+        let number = agreed(log((0..29).map(|k| (0, 0, k))));
         assert_eq!((number.base, number.span_s, number.columns), (TimeBase::Number, (0.0, 28.0), 29));
         assert!(number.gaps_s.is_empty());
         // One column for each record, no empty column between them.
@@ -1041,11 +1032,11 @@ mod tests {
     #[test]
     fn skipped_and_repeated_frame_numbers_are_marked_in_place() {
         let number = |k: u32| if k < 20 { k } else { k + 3 } - u32::from(k >= 40);
-        let course = agreed(&log("numbers", &(0..60).map(|k| (1_000 * k, 0, number(k))).collect::<Vec<_>>()));
+        let course = agreed(log((0..60).map(|k| (1_000 * k, 0, number(k)))));
         assert_eq!((&course.skipped, &course.repeated), (&vec![(0.02, 3)], &vec![0.04]));
         // Values that do not count up are not frame numbers.
         let random = |k: u32| (1_000 * k, 0, k.wrapping_mul(2_654_435_761) ^ 0x5bd1_e995);
-        let course = agreed(&log("random", &(0..60).map(random).collect::<Vec<_>>()));
+        let course = agreed(log((0..60).map(random)));
         assert!(course.skipped.is_empty() && course.repeated.is_empty());
     }
 
@@ -1053,15 +1044,13 @@ mod tests {
     fn a_stretch_has_its_csi_with_any_clock() {
         // By the card's clock, no record lies after 0.5 s, or at 20 s and later.
         let host = |k: u32| (k / 10, START_US + 10_000 * u64::from(k), k);
-        let path = log("cut-host", &(0..100).map(host).collect::<Vec<_>>());
-        let course = Course::read(&path, &cut(Some(0.5), None)).unwrap();
+        let path = &log((0..100).map(host)).0;
+        let course = Course::read(path, &cut(Some(0.5), None)).unwrap();
         assert_eq!((course.base, course.records, course.antennas.len()), (TimeBase::Host, 50, 3));
-        std::fs::remove_file(path).unwrap();
-        let path = log("cut-number", &(0..29).map(|k| (0, 0, k)).collect::<Vec<_>>());
-        let course = Course::read(&path, &cut(Some(20.0), Some(24.0))).unwrap();
+        let path = &log((0..29).map(|k| (0, 0, k))).0;
+        let course = Course::read(path, &cut(Some(20.0), Some(24.0))).unwrap();
         assert_eq!((course.base, course.records, course.antennas.len()), (TimeBase::Number, 5, 3));
         assert_eq!(course.antennas[0].line_db.len(), 5);
-        std::fs::remove_file(path).unwrap();
     }
 
     #[test]
@@ -1076,10 +1065,10 @@ mod tests {
             };
             (sender(1 + (k % 2) as u8), (1_000_000 + 1_000 * k, 0, number))
         };
-        let path = log_of("cut-numbers", &(0..100).map(told).collect::<Vec<_>>());
+        let path = &log_of((0..100).map(told)).0;
         let ms = |t_s: f64| (1_000.0 * t_s).round() as u32;
         let read = |wanted: Wanted| {
-            let course = Course::read(&path, &wanted).unwrap();
+            let course = Course::read(path, &wanted).unwrap();
             let skipped: Vec<_> = course.skipped.iter().map(|(t_s, count)| (ms(*t_s), *count)).collect();
             (skipped, course.repeated.iter().map(|t_s| ms(*t_s)).collect::<Vec<_>>())
         };
@@ -1091,13 +1080,12 @@ mod tests {
         assert_eq!(read(own), (vec![(60, 5)], vec![]));
 
         // The same for a stretch of one chosen sender.
-        let index = LogIndex::read(&path).unwrap();
+        let index = LogIndex::read(path).unwrap();
         let counts = |sender: Option<Mac>| {
             let stretch = index.stretch(0.0, f64::INFINITY, 50, sender);
             [stretch.skipped, stretch.repeated].map(|marks| marks.iter().map(|mark| mark.1).sum::<u64>())
         };
         assert_eq!([None, Some(sender(1)), Some(sender(2))].map(counts), [[15, 1], [8, 1], [7, 0]]);
-        std::fs::remove_file(path).unwrap();
     }
 
     fn fixture() -> PathBuf {
@@ -1109,12 +1097,10 @@ mod tests {
     }
 
     /// The fixture without some of its bytes, in a file of its own.
-    fn without(bytes: std::ops::Range<usize>, name: &str) -> PathBuf {
+    fn without(bytes: std::ops::Range<usize>) -> Temporary {
         let mut log = std::fs::read(fixture()).unwrap();
         log.drain(bytes);
-        let path = std::env::temp_dir().join(format!("csi5300-index-{name}-{}.dat", std::process::id()));
-        std::fs::write(&path, log).unwrap();
-        path
+        Temporary::file("index.dat", &log)
     }
 
     #[test]
@@ -1164,8 +1150,8 @@ mod tests {
         let whole = LogIndex::read(&fixture()).unwrap();
         let at = |k: usize| whole.offset[k] as usize;
         // Three records, and later part of one.
-        let gone = without(at(100)..at(103), "gone");
-        let index = LogIndex::read(&gone).unwrap();
+        let gone = without(at(100)..at(103));
+        let index = LogIndex::read(&gone.0).unwrap();
         let (from_s, to_s) = index.span_s;
         let stretch = index.stretch(from_s, to_s, 1_000, None);
         assert_eq!(stretch.columns, stretch.records.div_ceil(2));
@@ -1173,8 +1159,8 @@ mod tests {
         assert_eq!(stretch.missing, [(column(103), 3)]);
         assert!(stretch.damaged.is_empty());
 
-        let torn = without(at(200) + 40..at(200) + 90, "torn");
-        let index = LogIndex::read(&torn).unwrap();
+        let torn = without(at(200) + 40..at(200) + 90);
+        let index = LogIndex::read(&torn.0).unwrap();
         let stretch = index.stretch(0.0, f64::INFINITY, 100, None);
         assert_eq!(stretch.damaged.iter().map(|(_, count)| count).sum::<u64>(), index.survey().unwrap().damages);
         assert!(!stretch.damaged.is_empty());
@@ -1183,7 +1169,6 @@ mod tests {
         let sender = index.senders[0];
         let behind = index.csi(later_s, end_s, 10, Some(sender)).unwrap();
         assert!(behind.antennas[0].amplitude_db.iter().all(|db| db.is_finite()), "{behind:?}");
-        [gone, torn].iter().for_each(|path| std::fs::remove_file(path).unwrap());
     }
 
     /// A frame of an AX2xx: kind, width in MHz, receive chains, sender; frames are 1 ms apart by the card's clock.
@@ -1191,7 +1176,7 @@ mod tests {
 
     /// A FeitCSI log: chain k has an amplitude of `100 * (k + 1)` and a delay of `SLOPE_RAD` per subcarrier index. Subcarriers that
     /// are not measured have noise of ten times that amplitude.
-    fn card_log(name: &str, frames: &[Heard]) -> PathBuf {
+    fn card_log(frames: &[Heard]) -> Temporary {
         let mut bytes = Vec::new();
         for (k, (kind, width_mhz, n_rx, sender)) in frames.iter().enumerate() {
             let tones = Tones::of(*kind, *width_mhz).unwrap();
@@ -1223,17 +1208,15 @@ mod tests {
                 .collect();
             repr.emit(&csi, &mut bytes);
         }
-        let path = std::env::temp_dir().join(format!("csi5300-course-{name}-{}.csi", std::process::id()));
-        std::fs::write(&path, bytes).unwrap();
-        path
+        Temporary::file("course.csi", &bytes)
     }
 
     const SLOPE_RAD: f64 = 0.05;
 
     #[test]
     fn other_cards_subcarriers_are_at_their_indices_and_unmeasured_ones_empty() {
-        let path = card_log("card", &[(Kind::Ht, 20, 2, 1); 40]);
-        let course = Course::read(&path, &Wanted::default()).unwrap();
+        let path = &card_log(&[(Kind::Ht, 20, 2, 1); 40]).0;
+        let course = Course::read(path, &Wanted::default()).unwrap();
         assert_eq!((course.records, course.base, course.format), (40, TimeBase::Card, Some("FeitCSI")));
         assert!((course.span_s.1 - 0.039).abs() < 1e-9, "{:?}", course.span_s);
         let indices = course.rows.indices.clone().unwrap();
@@ -1261,7 +1244,7 @@ mod tests {
         let levels: Vec<f64> = course.rssi.iter().map(|line| line[0].1).collect();
         assert_eq!((levels, course.rssi[1].len()), (vec![-41.0, -50.0], 40));
         // The page gets the same, from the kept CSI and from the file.
-        let index = LogIndex::read(&path).unwrap();
+        let index = LogIndex::read(path).unwrap();
         assert!(index.survey().is_none() && index.card().is_some_and(|(_, survey)| survey.frames == 40));
         assert_eq!((index.ports, index.sent()[0].0, index.subcarriers().unwrap().len()), (2, 40, 56));
         assert!((index.sent()[0].1.unwrap() - 1_000.0).abs() < 1e-6);
@@ -1275,7 +1258,6 @@ mod tests {
         }
         let band = &index.stretch(0.0, 1.0, 20, None).rssi;
         assert_eq!((band.len(), band[0].min[0], band[1].max[0]), (2, Some(-41), Some(-50)));
-        std::fs::remove_file(path).unwrap();
     }
 
     #[test]
@@ -1290,15 +1272,15 @@ mod tests {
                 _ => ht,
             })
             .collect();
-        let path = card_log("card-mixed", &frames);
-        let course = Course::read(&path, &Wanted::default()).unwrap();
+        let path = &card_log(&frames).0;
+        let course = Course::read(path, &Wanted::default()).unwrap();
         assert_eq!((course.records, course.other_senders, course.other_frames), (60, 10, 10));
         assert_eq!((course.sender, course.rows.subcarriers, course.antennas.len()), (Some(sender(1)), 56, 2));
         let words = course.left_out().unwrap();
         assert_eq!(words, "without 10 records of other senders and 10 records of another kind or width");
         // The levels include all of them.
         assert_eq!((course.rssi[0].len(), course.rssi[1].len()), (60, 50));
-        let other = Course::read(&path, &Wanted { macs: vec![sender(2)], ..Wanted::default() }).unwrap();
+        let other = Course::read(path, &Wanted { macs: vec![sender(2)], ..Wanted::default() }).unwrap();
         assert_eq!((other.records, other.other_senders, other.left_out()), (10, 0, None));
         // 242 subcarriers, two a row.
         assert_eq!((other.rows.subcarriers, other.rows.each, other.rows.len()), (242, 2, 121));
@@ -1307,26 +1289,24 @@ mod tests {
             other.antennas[0].amplitude_db.iter().all(|db| (db - 40.0).abs() < 0.1),
             "pilots are no part of the means"
         );
-        let index = LogIndex::read(&path).unwrap();
+        let index = LogIndex::read(path).unwrap();
         let all = index.csi(0.0, 1.0, 10, None).unwrap();
         assert_eq!((all.records, all.other_frames, all.rows.subcarriers), (60, 20, 56));
         let own = index.csi(0.0, 1.0, 10, Some(sender(2))).unwrap();
         assert_eq!((own.records, own.other_frames, own.rows.subcarriers), (10, 0, 242));
-        std::fs::remove_file(path).unwrap();
     }
 
     #[test]
     fn damage_in_another_cards_log_is_marked_in_place() {
-        let path = card_log("card-torn", &[(Kind::Ht, 20, 1, 1); 20]);
-        let mut bytes = std::fs::read(&path).unwrap();
+        let path = &card_log(&[(Kind::Ht, 20, 1, 1); 20]).0;
+        let mut bytes = std::fs::read(path).unwrap();
         let len = bytes.len() / 20;
         bytes.drain(10 * len + 300..10 * len + 350);
-        std::fs::write(&path, bytes).unwrap();
-        let course = Course::read(&path, &Wanted::default()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+        let course = Course::read(path, &Wanted::default()).unwrap();
         assert!(course.lost_something && course.records == 19, "{}", course.records);
         // The tenth frame takes its missing bytes from the next; the rest of that is damage.
         let [damaged_s] = course.damaged[..] else { panic!("{:?}", course.damaged) };
         assert!((damaged_s - 0.010).abs() < 1e-9, "{damaged_s}");
-        std::fs::remove_file(path).unwrap();
     }
 }

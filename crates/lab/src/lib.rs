@@ -28,3 +28,40 @@ pub mod kinds;
 pub mod show;
 pub mod suite;
 pub mod table;
+
+#[cfg(test)]
+mod temporary {
+    use std::path::PathBuf;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    /// A path of one test alone; what is there is removed at the end.
+    pub struct Temporary(pub PathBuf);
+
+    impl Temporary {
+        pub fn path(name: &str) -> Self {
+            static COUNT: AtomicU32 = AtomicU32::new(0);
+            let count = COUNT.fetch_add(1, Ordering::Relaxed);
+            Self(std::env::temp_dir().join(format!("csi5300-lab-{}-{count}-{name}", std::process::id())))
+        }
+
+        /// A file with these bytes.
+        pub fn file(name: &str, bytes: &[u8]) -> Self {
+            let file = Self::path(name);
+            std::fs::write(&file.0, bytes).unwrap();
+            file
+        }
+
+        /// An empty folder.
+        pub fn folder(name: &str) -> Self {
+            let folder = Self::path(name);
+            std::fs::create_dir(&folder.0).unwrap();
+            folder
+        }
+    }
+
+    impl Drop for Temporary {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_file(&self.0).or_else(|_| std::fs::remove_dir_all(&self.0));
+        }
+    }
+}

@@ -216,6 +216,18 @@ pub enum Outcome {
     Nothing,
 }
 
+impl Outcome {
+    /// The outcome if anything usable was read or made, and if anything was lost.
+    #[must_use]
+    pub fn of(usable: bool, lost: bool) -> Self {
+        match (usable, lost) {
+            (false, _) => Self::Nothing,
+            (true, true) => Self::DataLost,
+            (true, false) => Self::Done,
+        }
+    }
+}
+
 impl From<Outcome> for ExitCode {
     fn from(outcome: Outcome) -> Self {
         Self::from(match outcome {

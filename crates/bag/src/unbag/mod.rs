@@ -113,15 +113,15 @@ impl Content {
 }
 
 /// The result for a topic.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
 pub struct UnbaggedTopic {
+    /// What was written: a log (`.dat`) of CSI or a trajectory (`.csv`).
+    pub file: PathBuf,
     /// Its name.
     pub topic: String,
     /// Its type.
     pub kind: String,
-    /// What was written: a log (`.dat`) of CSI or a trajectory (`.csv`).
-    pub file: PathBuf,
     /// Messages that were written.
     pub messages: u64,
     /// Messages that are not of their type, or whose values no record or pose can have.

@@ -30,19 +30,46 @@ fn csi(number: u32) -> Csi {
     }
 }
 
-/// A path of this test alone: tests of one process run in parallel.
-fn own_path(name: &str) -> PathBuf {
-    static COUNT: AtomicU64 = AtomicU64::new(0);
-    let count = COUNT.fetch_add(1, Ordering::Relaxed);
-    std::env::temp_dir().join(format!("csi5300-unbag-{}-{count}-{name}", std::process::id()))
+/// A folder of one test alone, because tests of one process run in parallel; removed at its end.
+struct Own(PathBuf);
+
+impl Own {
+    fn new() -> Self {
+        static COUNT: AtomicU64 = AtomicU64::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        let folder = std::env::temp_dir().join(format!("csi5300-unbag-{}-{count}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        Self(folder)
+    }
+}
+
+impl Drop for Own {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
 }
 
 /// A folder with a recording of these messages.
-fn recorded(name: &str, write: impl FnOnce(&mut McapWriter<File>)) -> PathBuf {
-    let folder = own_path(name);
-    std::fs::create_dir_all(&folder).unwrap();
-    write(&mut McapWriter::new(File::create(folder.join("run_0.mcap")).unwrap()).unwrap());
+fn recorded(write: impl FnOnce(&mut McapWriter<File>)) -> Own {
+    let folder = Own::new();
+    let mut writer = McapWriter::new(File::create(folder.0.join("run_0.mcap")).unwrap()).unwrap();
+    write(&mut writer);
     folder
+}
+
+/// The recording of these messages.
+fn mcap(write: impl FnOnce(&mut McapWriter<File>)) -> Vec<u8> {
+    std::fs::read(recorded(write).0.join("run_0.mcap")).unwrap()
+}
+
+/// Writes records of CSI and poses of these numbers.
+fn put_all(
+    writer: &mut McapWriter<File>,
+    records: std::ops::RangeInclusive<u32>,
+    poses: std::ops::RangeInclusive<u32>,
+) {
+    records.for_each(|k| put(writer, "/n/csi", &csi(k)));
+    poses.for_each(|k| put(writer, "/odom", &odometry(k)));
 }
 
 fn put<T: Message>(writer: &mut McapWriter<File>, topic: &str, message: &T) {
@@ -51,21 +78,19 @@ fn put<T: Message>(writer: &mut McapWriter<File>, topic: &str, message: &T) {
 
 #[test]
 fn a_recording_becomes_a_log_and_a_trajectory() {
-    let folder = recorded("whole", |writer| {
+    let own = recorded(|writer| {
         (1..=3).for_each(|k| put(writer, "/n/csi", &csi(k)));
         let bad = Csi { re: vec![1; 7], ..csi(4) };
         put(writer, "/n/csi", &bad);
-        let mut odometry = Odometry::default();
-        odometry.header.stamp = Time::from_us(12_500_000);
-        (odometry.pose.pose.position.x, odometry.pose.pose.orientation.w) = (1.5, 1.0);
-        put(writer, "/odom", &odometry);
+        put(writer, "/odom", &odometry(3));
         put(writer, "/clock", &Clock::default());
         // A bearing published as a pose.
         put(writer, "/lab/csi5300_a/b/direction", &PoseStamped::default());
         writer.finish().unwrap();
     });
+    let folder = &own.0;
     let out = folder.join("out");
-    let done = unbag(&folder, &out, false).unwrap();
+    let done = unbag(folder, &out, false).unwrap();
     let counts: Vec<_> =
         done.topics.iter().map(|topic| (topic.topic.as_str(), topic.messages, topic.unreadable)).collect();
     assert_eq!(counts, [("/n/csi", 3, 1), ("/odom", 1, 0)]);
@@ -79,10 +104,9 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
     assert_eq!(matrix.as_slice().iter().map(|h| h.re as i8).collect::<Vec<_>>(), csi(2).re);
     assert_eq!(matrix.antenna(1), Some(driver_iface::bfee::Antenna::ALL[2]));
     let path = std::fs::read_to_string(out.join("odom.csv")).unwrap();
-    assert!(path.starts_with("12.500000,0,1.500000,"), "{path}");
-    assert!(matches!(unbag(&folder, &out, false), Err(BagError::There { .. })), "nothing is overwritten");
-    unbag(&folder, &out, true).unwrap();
-    std::fs::remove_dir_all(&folder).unwrap();
+    assert!(path.starts_with("12.000003,0,1.500000,"), "{path}");
+    assert!(matches!(unbag(folder, &out, false), Err(BagError::There { .. })), "nothing is overwritten");
+    unbag(folder, &out, true).unwrap();
 }
 
 /// The records of a log.
@@ -98,7 +122,7 @@ fn bodies(log: &[u8]) -> Vec<&[u8]> {
 fn a_published_and_recorded_log_is_restored() {
     let log = include_bytes!("../../../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat");
     let mut survey = Survey::default();
-    let folder = recorded("again", |writer| {
+    let own = recorded(|writer| {
         for body in bodies(log) {
             let next = Next::Record(Stamps::default(), Record { code: code::BFEE, body });
             let (bfee, identity) = survey.note(&next).unwrap();
@@ -106,7 +130,8 @@ fn a_published_and_recorded_log_is_restored() {
         }
         writer.finish().unwrap();
     });
-    unbag(&folder, &folder, false).unwrap();
+    let folder = &own.0;
+    unbag(folder, folder, false).unwrap();
     let again = std::fs::read(folder.join("csi.dat")).unwrap();
     assert!(bodies(log).len() > 100 && bodies(log).len() == bodies(&again).len());
     for (before, after) in bodies(log).into_iter().zip(bodies(&again)) {
@@ -118,17 +143,17 @@ fn a_published_and_recorded_log_is_restored() {
         assert_eq!(matrix(&before).as_slice(), matrix(&after).as_slice());
         assert_eq!(matrix(&before).antenna(0), matrix(&after).antenna(0));
     }
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
 fn a_cut_recording_is_read_up_to_the_cut_and_other_files_are_refused() {
-    let folder = recorded("cut", |writer| {
+    let own = recorded(|writer| {
         put(writer, "/csi", &csi(1));
         writer.flush().unwrap();
         put(writer, "/csi", &csi(2));
         writer.flush().unwrap();
     });
+    let folder = &own.0;
     let file = folder.join("run_0.mcap");
     let bytes = std::fs::read(&file).unwrap();
     let messages = |length: usize| {
@@ -144,12 +169,11 @@ fn a_cut_recording_is_read_up_to_the_cut_and_other_files_are_refused() {
     std::fs::write(&file, b"PNG").unwrap();
     assert!(matches!(unbag(&file, &folder.join("x"), false), Err(BagError::Unknown { .. })));
     assert!(matches!(unbag(&folder.join("60"), &folder.join("x"), false), Err(BagError::Empty { .. })));
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
 fn topics_with_equal_or_empty_plain_names_get_separate_files() {
-    let folder = recorded("names", |writer| {
+    let own = recorded(|writer| {
         for topic in ["/a/b", "/a_b", "", "/", "a/b"] {
             let mut pose = PoseStamped::default();
             pose.pose.orientation.w = 1.0;
@@ -157,8 +181,9 @@ fn topics_with_equal_or_empty_plain_names_get_separate_files() {
         }
         writer.finish().unwrap();
     });
+    let folder = &own.0;
     for replace in [false, true] {
-        let done = unbag(&folder, &folder.join("out"), replace).unwrap();
+        let done = unbag(folder, &folder.join("out"), replace).unwrap();
         let names = |topic: &UnbaggedTopic| topic.file.file_name().unwrap().to_str().unwrap().to_owned();
         let mut names: Vec<_> = done.topics.iter().map(names).collect();
         names.sort();
@@ -166,41 +191,28 @@ fn topics_with_equal_or_empty_plain_names_get_separate_files() {
         assert!(done.topics.iter().all(|topic| topic.messages == 1));
     }
     assert_eq!(std::fs::read_dir(folder.join("out")).unwrap().count(), 5, "nothing else is left");
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
 fn the_recording_is_never_overwritten() {
-    let folder = recorded("input", |writer| {
+    let own = recorded(|writer| {
         put(writer, "/n/csi", &csi(1));
         writer.finish().unwrap();
     });
+    let folder = &own.0;
     let (recording, log) = (folder.join("run_0.mcap"), folder.join("n_csi.dat"));
     let before = std::fs::read(&recording).unwrap();
     let links: [fn(&Path, &Path) -> io::Result<()>; 2] =
         [|from, to| std::fs::hard_link(from, to), |from, to| std::os::unix::fs::symlink(from, to)];
     for link in links {
         link(&recording, &log).unwrap();
-        for bag in [&recording, &log, &folder] {
-            assert!(matches!(unbag(bag, &folder, true), Err(BagError::Input { .. })), "{}", bag.display());
+        for bag in [&recording, &log, folder] {
+            assert!(matches!(unbag(bag, folder, true), Err(BagError::Input { .. })), "{}", bag.display());
         }
         assert_eq!(std::fs::read(&recording).unwrap(), before);
         std::fs::remove_file(&log).unwrap();
     }
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1, "nothing is left of what was refused");
-    std::fs::remove_dir_all(&folder).unwrap();
-}
-
-/// A recording of three records of CSI and two poses, as uncompressed MCAP.
-fn plain() -> Vec<u8> {
-    let folder = recorded("plain", |writer| {
-        (1..=3).for_each(|k| put(writer, "/n/csi", &csi(k)));
-        (1..=2).for_each(|k| put(writer, "/odom", &odometry(k)));
-        writer.finish().unwrap();
-    });
-    let bytes = std::fs::read(folder.join("run_0.mcap")).unwrap();
-    std::fs::remove_dir_all(&folder).unwrap();
-    bytes
+    assert_eq!(std::fs::read_dir(folder).unwrap().count(), 1, "nothing is left of what was refused");
 }
 
 fn odometry(number: u32) -> Odometry {
@@ -213,11 +225,10 @@ fn odometry(number: u32) -> Odometry {
 
 /// The result of reading a file with these bytes.
 fn read_of(name: &str, bytes: &[u8]) -> Result<Recording, BagError> {
-    let file = own_path(name);
+    let folder = Own::new();
+    let file = folder.0.join(name);
     std::fs::write(&file, bytes).unwrap();
-    let read = Recording::read(&file);
-    std::fs::remove_file(&file).unwrap();
-    read
+    Recording::read(&file)
 }
 
 /// Name, messages and bytes of each topic.
@@ -229,19 +240,32 @@ fn zstd(bytes: &[u8]) -> Vec<u8> {
     ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
 }
 
+fn lz4(bytes: &[u8]) -> Vec<u8> {
+    let mut to = lz4_flex::frame::FrameEncoder::new(Vec::new());
+    to.write_all(bytes).unwrap();
+    to.finish().unwrap()
+}
+
 /// The same file without a summary, its chunks compressed with `pack` under the name `by`.
 fn chunks(bytes: &[u8], by: &str, pack: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
+    rebuilt(bytes, |content| {
+        assert_eq!(content[28..32], [0; 4], "this one is not compressed");
+        let packed = pack(&content[40..]);
+        let head = [&content[..28], &(by.len() as u32).to_le_bytes(), by.as_bytes()];
+        let content = [&head.concat()[..], &(packed.len() as u64).to_le_bytes(), &packed].concat();
+        [&[0x06][..], &(content.len() as u64).to_le_bytes(), &content].concat()
+    })
+}
+
+/// The same file without a summary, its chunks replaced by what `other` makes of their content.
+fn rebuilt(bytes: &[u8], other: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     let (mut made, mut rest) = (bytes[..8].to_vec(), &bytes[8..]);
     while rest.len() > 9 {
         let length = u64::from_le_bytes(*rest[1..].first_chunk().unwrap()) as usize;
         let (kind, content) = (rest[0], &rest[9..9 + length]);
         rest = &rest[9 + length..];
         if kind == 0x06 {
-            assert_eq!(content[28..32], [0; 4], "this one is not compressed");
-            let packed = pack(&content[40..]);
-            let head = [&content[..28], &(by.len() as u32).to_le_bytes(), by.as_bytes()];
-            let content = [&head.concat()[..], &(packed.len() as u64).to_le_bytes(), &packed].concat();
-            made.extend([&[kind][..], &(content.len() as u64).to_le_bytes(), &content].concat());
+            made.extend(other(content));
         } else if kind == 0x0f {
             made.extend([&[kind][..], &(length as u64).to_le_bytes(), content].concat());
             return made;
@@ -252,42 +276,39 @@ fn chunks(bytes: &[u8], by: &str, pack: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
 
 #[test]
 fn compressed_recordings_read_like_uncompressed_ones() {
-    let bytes = plain();
+    let bytes = mcap(|writer| {
+        put_all(writer, 1..=3, 1..=2);
+        writer.finish().unwrap();
+    });
     let expected = read_of("plain", &bytes).unwrap();
     assert_eq!(
         contents(&expected).iter().map(|(topic, messages, _)| (*topic, *messages)).collect::<Vec<_>>(),
         [("/n/csi", 3), ("/odom", 2)]
     );
-    let lz4 = |bytes: &[u8]| {
-        let mut to = lz4_flex::frame::FrameEncoder::new(Vec::new());
-        to.write_all(bytes).unwrap();
-        to.finish().unwrap()
-    };
     let two_frames = |bytes: &[u8]| [zstd(&bytes[..10]), zstd(&bytes[10..])].concat();
     for (name, made) in [
         ("zstd", chunks(&bytes, "zstd", zstd)),
         ("frames", chunks(&bytes, "zstd", two_frames)),
         ("lz4", chunks(&bytes, "lz4", lz4)),
+        ("without chunks", rebuilt(&bytes, |content| content[40..].to_vec())),
         ("file", zstd(&bytes)),
     ] {
         assert_eq!(contents(&read_of(name, &made).unwrap()), contents(&expected), "{name}");
     }
     // A compressed file that was cut is read up to the cut.
-    let folder = recorded("many", |writer| {
+    let packed = zstd(&mcap(|writer| {
         for k in 1..=1_500 {
             put(writer, "/n/csi", &csi(k));
             (k % 100 == 0).then(|| writer.flush().unwrap());
         }
         writer.finish().unwrap();
-    });
-    let packed = zstd(&std::fs::read(folder.join("run_0.mcap")).unwrap());
+    }));
     let read = |length: usize| read_of("cut", &packed[..length]).unwrap();
     let cut = read(packed.len() * 3 / 4);
     assert!((100..1_500).contains(&cut.topics[0].messages) && cut.cut.len() == 1, "{}", cut.topics[0].messages);
     assert_eq!((read(packed.len()).topics[0].messages, read(30).cut.len()), (1_500, 1));
-    std::fs::remove_dir_all(&folder).unwrap();
     // Each message compressed by itself.
-    let folder = recorded("messages", |writer| {
+    let own = recorded(|writer| {
         let mut put = |topic: &str, kind, payload: Vec<u8>| {
             writer.put((topic, kind, String::new), 5, &zstd(&payload)).unwrap();
         };
@@ -295,8 +316,8 @@ fn compressed_recordings_read_like_uncompressed_ones() {
         (1..=2).for_each(|k| put("/odom", Odometry::TYPE, odometry(k).payload()));
         writer.finish().unwrap();
     });
-    assert_eq!(contents(&Recording::read(&folder).unwrap()), contents(&expected));
-    std::fs::remove_dir_all(&folder).unwrap();
+    let folder = &own.0;
+    assert_eq!(contents(&Recording::read(folder).unwrap()), contents(&expected));
     // Damage costs one chunk and is counted.
     let damaged = read_of("damaged", &chunks(&bytes, "lz4", |bytes| vec![7; bytes.len()])).unwrap();
     assert_eq!((damaged.damaged_parts, damaged.topics.len()), (1, 0));
@@ -334,12 +355,11 @@ fn a_database_with_deep_trees_and_overflow_pages_is_read() {
     let ended = sqlite::read(Path::new("endless.db3"), io::Cursor::new(endless), &mut |_, _| Ok(()));
     assert!(matches!(ended, Err(BagError::NoTables { .. })), "{ended:?}");
     // Playing a compressed file leaves the unpacked one beside it: each message counts once.
-    let folder = std::env::temp_dir().join(format!("csi5300-kinds-{}-beside", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
+    let own = Own::new();
+    let folder = &own.0;
     std::fs::write(folder.join("run_0.db3"), bytes).unwrap();
     std::fs::write(folder.join("run_0.db3.zstd"), zstd(bytes)).unwrap();
-    assert_eq!(contents(&Recording::read(&folder).unwrap()), contents(&read));
-    std::fs::remove_dir_all(&folder).unwrap();
+    assert_eq!(contents(&Recording::read(folder).unwrap()), contents(&read));
     let mut seed = 7_u32;
     for _ in 0..2_000 {
         let mut damaged = bytes.to_vec();
@@ -391,13 +411,26 @@ fn numbers(numbers: &[f64]) -> Vec<u8> {
     numbers.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
+/// A header of ROS 1 at `s` seconds.
+fn header1(s: u32) -> Vec<u8> {
+    [&9_u32.to_le_bytes()[..], &s.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat()
+}
+
+/// A pose of ROS 1.
+fn pose1() -> Vec<u8> {
+    numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+}
+
+/// A chunk of a bag of ROS 1.
+fn chunk1(compression: &str, data: &[u8]) -> Vec<u8> {
+    record1(&[("op", &[5]), ("compression", compression.as_bytes()), ("size", &[0; 4])], data)
+}
+
 #[test]
 fn a_ros_1_bag_is_read() {
-    let header = |s: u32| [&9_u32.to_le_bytes()[..], &s.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
-    let pose = numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
-    let odometry = [header(12), text("base"), pose.clone(), numbers(&[0.0; 36 + 6 + 36])].concat();
+    let odometry = [header1(12), text("base"), pose1(), numbers(&[0.0; 36 + 6 + 36])].concat();
     let csi = [
-        header(13),
+        header1(13),
         text("00:21:6a:00:00:07"),
         [5_u32, 6].iter().flat_map(|v| v.to_le_bytes()).collect(),
         7_u16.to_le_bytes().to_vec(),
@@ -417,15 +450,9 @@ fn a_ros_1_bag_is_read() {
     ];
     let inside = inside.concat();
     let file = |compression: &str, data: &[u8]| {
-        let chunk = record1(&[("op", &[5]), ("compression", compression.as_bytes()), ("size", &[0; 4])], data);
-        [&ros1::MAGIC[..], &record1(&[("op", &[3])], &[32; 40]), &chunk].concat()
+        [&ros1::MAGIC[..], &record1(&[("op", &[3])], &[32; 40]), &chunk1(compression, data)].concat()
     };
-    let lz4 = {
-        let mut to = lz4_flex::frame::FrameEncoder::new(Vec::new());
-        to.write_all(&inside).unwrap();
-        to.finish().unwrap()
-    };
-    for (name, bytes) in [("none.bag", file("none", &inside)), ("lz4.bag", file("lz4", &lz4))] {
+    for (name, bytes) in [("none.bag", file("none", &inside)), ("lz4.bag", file("lz4", &lz4(&inside)))] {
         let read = read_of(name, &bytes).unwrap();
         let counts: Vec<_> = read.topics.iter().map(|one| (one.topic.as_str(), one.messages, one.unreadable)).collect();
         assert_eq!((counts, read.others, read.cut.len()), (vec![("/odom", 1, 1), ("/csi", 1, 0)], 1, 0));
@@ -439,33 +466,20 @@ fn a_ros_1_bag_is_read() {
 /// A recording in two chunks, of which only the first describes the topics. It has three records of CSI and two poses, then
 /// two records and one pose. Also returns the offsets of the chunks.
 fn in_two() -> (Vec<u8>, [usize; 2]) {
-    let folder = recorded("two", |writer| {
-        (1..=3).for_each(|k| put(writer, "/n/csi", &csi(k)));
-        (1..=2).for_each(|k| put(writer, "/odom", &odometry(k)));
+    let bytes = mcap(|writer| {
+        put_all(writer, 1..=3, 1..=2);
         writer.flush().unwrap();
-        (4..=5).for_each(|k| put(writer, "/n/csi", &csi(k)));
-        put(writer, "/odom", &odometry(3));
+        put_all(writer, 4..=5, 3..=3);
         writer.finish().unwrap();
     });
-    let bytes = std::fs::read(folder.join("run_0.mcap")).unwrap();
-    std::fs::remove_dir_all(&folder).unwrap();
-    let (mut found, mut at) = (Vec::new(), 8);
-    while found.len() < 2 {
-        if bytes[at] == 0x06 {
-            found.push(at + 9 + 40);
-        }
-        at += 9 + u64::from_le_bytes(*bytes[at + 1..].first_chunk().unwrap()) as usize;
-    }
-    (bytes, [found[0], found[1]])
+    let chunks: Vec<usize> = places(&bytes, 0x06).take(2).map(|at| at + 9 + 40).collect();
+    (bytes, [chunks[0], chunks[1]])
 }
 
-/// The offset at which an MCAP file's data ends and its summary begins.
-fn end_of_data(bytes: &[u8]) -> usize {
-    let mut at = 8;
-    while bytes[at] != 0x0f {
-        at += 9 + u64::from_le_bytes(*bytes[at + 1..].first_chunk().unwrap()) as usize;
-    }
-    at
+/// The offsets of an MCAP file's records of a kind.
+fn places(bytes: &[u8], kind: u8) -> impl Iterator<Item = usize> {
+    let next = |at: &usize| Some(at + 9 + u64::from_le_bytes(*bytes[at + 1..].first_chunk()?) as usize);
+    std::iter::successors(Some(8), next).filter(move |at| bytes[*at] == kind)
 }
 
 /// Messages of the topics, damaged parts and messages of unknown topics.
@@ -502,7 +516,8 @@ fn messages_of_unknown_topics_are_counted() {
     let mut damaged = bytes.clone();
     damaged[first + 20] ^= 1;
     // Without a summary, as in an unfinished recording; and with a damaged summary.
-    let data = end_of_data(&damaged);
+    // The data ends and the summary begins there.
+    let data = places(&damaged, 0x0f).next().unwrap();
     let without = [&damaged[..data], &[0x0f, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]].concat();
     assert_eq!(counts(&read_of("without", &without).unwrap()), (vec![], 1, 3));
     let footer = damaged.len() - 8 - 20;
@@ -545,16 +560,13 @@ fn damage_in_a_database_loses_only_the_damaged_rows() {
 
 #[test]
 fn a_bags_index_replaces_connections_of_a_damaged_chunk() {
-    let header = [&9_u32.to_le_bytes()[..], &12_u32.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
-    let pose = [header, numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0])].concat();
-    let chunk =
-        |by: &str, data: &[u8]| record1(&[("op", &[5]), ("compression", by.as_bytes()), ("size", &[0; 4])], data);
+    let pose = [header1(12), pose1()].concat();
     let described = connection(0, "/pose", "geometry_msgs/PoseStamped");
     let chunks = [
-        chunk("lz4", &[7; 40]),
-        chunk("none", &[message(0, &pose), message(0, &pose)].concat()),
+        chunk1("lz4", &[7; 40]),
+        chunk1("none", &[message(0, &pose), message(0, &pose)].concat()),
         // It ends inside a message.
-        chunk("none", &message(0, &pose)[..60]),
+        chunk1("none", &message(0, &pose)[..60]),
     ]
     .concat();
     let start = |index: u64| record1(&[("op", &[3]), ("index_pos", &index.to_le_bytes())], &[32; 40]);
@@ -569,7 +581,7 @@ fn a_bags_index_replaces_connections_of_a_damaged_chunk() {
 
 /// An MCAP file with one Zstandard chunk that claims `size` bytes.
 fn bomb(records: &[u8], size: u64) -> Vec<u8> {
-    let packed = ruzstd::encoding::compress_to_vec(records, ruzstd::encoding::CompressionLevel::Fastest);
+    let packed = zstd(records);
     let mut content = [0, 1, size].map(u64::to_le_bytes).concat();
     content.extend([0; 4]);
     content.extend(4_u32.to_le_bytes());

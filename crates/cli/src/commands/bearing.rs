@@ -266,11 +266,7 @@ pub fn run(mut args: Args) -> Result {
     let (mut answered, links) = (0, names.len() + unread.len());
     print_fit(&args, report.links.iter().find_map(|link| link.bearing.as_ref().ok()?.odometry_fit.as_ref()));
     for (name, link) in names.iter().zip(&report.links) {
-        let mut answer = Answer::new(name.clone(), link);
-        hint::add(&mut answer);
-        if let Some(least) = args.min_confidence {
-            answer.refuse_below(least);
-        }
+        let mut answer = answer(&args, name, link);
         if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
             answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).in_words()?);
         }
@@ -284,13 +280,18 @@ pub fn run(mut args: Args) -> Result {
         explain_lines(links);
     }
     say_losses(&args, &rx, &report, &receiver, &logs);
-    Ok(if answered == 0 {
-        Outcome::Nothing
-    } else if answered < report.links.len() || !unread.is_empty() || lost_something(&report) || inputs.lost() {
-        Outcome::DataLost
-    } else {
-        Outcome::Done
-    })
+    let lost = answered < report.links.len() || !unread.is_empty() || lost_something(&report) || inputs.lost();
+    Ok(Outcome::of(answered > 0, lost))
+}
+
+/// The answer for a link, with a hint, and refused below `--min-confidence`.
+fn answer(args: &Args, name: &str, link: &LinkReport) -> Answer {
+    let mut answer = Answer::new(name.to_owned(), link);
+    hint::add(&mut answer);
+    if let Some(least) = args.min_confidence {
+        answer.refuse_below(least);
+    }
+    answer
 }
 
 /// Degrees that an azimuth may be off.
@@ -568,11 +569,7 @@ fn run_one_log(args: &Args) -> Result {
     let mut answered = 0;
     for link in &report.links {
         let name = sender_name(&inputs, rx, link, report.links.len());
-        let mut answer = Answer::new(name.clone(), link);
-        hint::add(&mut answer);
-        if let Some(least) = args.min_confidence {
-            answer.refuse_below(least);
-        }
+        let answer = answer(args, &name, link);
         answered += usize::from(answer.azimuth_deg.is_some());
         if args.json {
             print_json(&answer);
@@ -600,11 +597,7 @@ fn run_one_log(args: &Args) -> Result {
         notes!("{notes}");
     }
     lost |= answered < report.links.len();
-    Ok(match answered {
-        0 => Outcome::Nothing,
-        _ if lost => Outcome::DataLost,
-        _ => Outcome::Done,
-    })
+    Ok(Outcome::of(answered > 0, lost))
 }
 
 /// Gives each file its role, as if `--rx`, `--tx` and `--trajectory` had named it. It leaves folders of captures with the usual file names, and links

@@ -102,11 +102,7 @@ pub fn run(args: &Args) -> Result {
         wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
     }
     shown?;
-    Ok(match rows.iter().any(|row| row.answer.azimuth_deg.is_some()) {
-        false => Outcome::Nothing,
-        true if lost => Outcome::DataLost,
-        true => Outcome::Done,
-    })
+    Ok(Outcome::of(rows.iter().any(|row| row.answer.azimuth_deg.is_some()), lost))
 }
 
 /// Writes the page of `view` as one file.
@@ -131,11 +127,8 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
     view.failed().iter().for_each(|line| wrong!("{line}"));
     let links = super::some(view.links() as u64, "link", "links");
     note!("{}: {links}, {} KiB", out.display(), page.len() / 1024);
-    Ok(match view.outcome() {
-        (false, _) if view.links() > 0 => Outcome::Nothing,
-        (_, true) => Outcome::DataLost,
-        _ => Outcome::Done,
-    })
+    let (used, lost) = view.outcome();
+    Ok(Outcome::of(used || view.links() == 0, lost))
 }
 
 /// What another program answers on the links, from the tables beside the captures, if pictures are drawn; and whether some of it could not be
@@ -204,40 +197,24 @@ fn show(args: &Args, rows: &[Judged], others: &Others) -> Words<()> {
 
 fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
     let width = rows.iter().map(|row| row.answer.link.len()).max().unwrap_or(4).max(4);
-    let mut text = format!(
-        "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6}\n{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6}\n",
-        "link",
-        "azimuth",
-        "+-",
-        "mirror",
-        "truth",
-        "error",
-        "sure",
-        "pairs",
-        "",
-        "deg",
-        "deg",
-        "deg",
-        "deg",
-        "deg",
-        "%",
-        "",
-    );
+    let row_of = |link: &str, [azimuth, sd, mirror, truth, error, sure, pairs]: [&str; 7]| {
+        format!("{link:width$}  {azimuth:>9} {sd:>6} {mirror:>9} {truth:>9} {error:>9} {sure:>5} {pairs:>6}\n")
+    };
+    let mut text = row_of("link", ["azimuth", "+-", "mirror", "truth", "error", "sure", "pairs"]);
+    text += &row_of("", ["deg", "deg", "deg", "deg", "deg", "%", ""]);
     let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| fixed(value, digits));
     for row in rows {
         let a = &row.answer;
-        let _ = writeln!(
-            text,
-            "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6}",
-            a.link,
+        let cells = [
             number(a.azimuth_deg, 2),
             number(a.azimuth_sd_deg, 2),
             number(a.mirror_deg, 2),
             number(row.true_from_mean_pose_deg, 2),
             number(row.error_from_mean_pose_deg, 2),
             number(a.confidence.map(|confidence| 100.0 * confidence), 0),
-            a.pairs_in_motion,
-        );
+            a.pairs_in_motion.to_string(),
+        ];
+        text += &row_of(&a.link, cells.each_ref().map(String::as_str));
     }
     text += "sure: probability that the azimuth is within 5 degrees\n";
     let _ = writeln!(text, "\nabsolute error, degrees: mean / median / 90th percentile / share over 20 degrees");

@@ -158,11 +158,7 @@ pub fn run(args: &Args) -> Result {
     } else {
         note!("{} written to {}", super::some(records, "record", "records"), args.output.display());
     }
-    Ok(match (records, survey.lost_something()) {
-        (0, _) => Outcome::Nothing,
-        (_, true) => Outcome::DataLost,
-        (_, false) => Outcome::Done,
-    })
+    Ok(Outcome::of(records > 0, survey.lost_something()))
 }
 
 /// Writes all subcarriers of another card's log.

@@ -5,7 +5,7 @@ use super::{InWords, Words, hint};
 use csi5300::motion::odometry::csv::{self, Columns, CsvCounts};
 use csi5300::motion::pose::Trajectory;
 use csi5300::source::replay::Replay;
-use csi5300_bag::unbag::{Content, Recording};
+use csi5300_bag::unbag::{Content, Recording, Unbagged};
 use csi5300_lab::kinds::{A_LOG, not_a_log, trajectory_refused};
 use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
@@ -241,12 +241,7 @@ impl Inputs {
     /// Reports damage of the recording on standard error.
     fn say(&self) {
         let Some((bag, recording)) = &self.recorded else { return };
-        for file in &recording.cut {
-            note!("{}: the end is missing; everything before it was read", file.display());
-        }
-        for words in lost_words(recording.damaged_parts, recording.without_topic) {
-            note!("{}: {words}", bag.display());
-        }
+        say_lost(bag, recording);
         for one in recording.topics.iter().filter(|one| one.unreadable > 0) {
             let messages = super::some(one.unreadable, "message is", "messages are");
             note!("{}: {messages} unreadable and skipped", one.topic);
@@ -321,16 +316,20 @@ impl Inputs {
     }
 }
 
-/// The unreadable parts of a recording, in words.
-pub fn lost_words(damaged_parts: u64, without_topic: u64) -> impl Iterator<Item = String> {
-    let parts = super::some(damaged_parts, "part is", "parts are");
-    let parts = format!("{parts} damaged and skipped (chunks, pages, rows)");
-    let messages = super::some(without_topic, "message is", "messages are");
-    let messages = format!("{messages} of unknown topics: their description is damaged");
-    [(damaged_parts, parts), (without_topic, messages)]
-        .into_iter()
-        .filter(|(count, _)| *count > 0)
-        .map(|(_, words)| words)
+/// Reports missing ends and unreadable parts of a recording on standard error; true if parts are unreadable.
+pub fn say_lost<T>(bag: &Path, recording: &Unbagged<T>) -> bool {
+    for file in &recording.cut {
+        note!("{}: the end is missing; everything before it was read", file.display());
+    }
+    if recording.damaged_parts > 0 {
+        let parts = super::some(recording.damaged_parts, "part is", "parts are");
+        note!("{}: {parts} damaged and skipped (chunks, pages, rows)", bag.display());
+    }
+    if recording.without_topic > 0 {
+        let messages = super::some(recording.without_topic, "message is", "messages are");
+        note!("{}: {messages} of unknown topics: their description is damaged", bag.display());
+    }
+    recording.damaged_parts + recording.without_topic > 0
 }
 
 fn what(content: Content) -> &'static str {

@@ -119,11 +119,7 @@ pub fn run(args: &Args) -> Result {
             }
         }
     }
-    Ok(match (usable, lost || failed) {
-        (false, _) => Outcome::Nothing,
-        (true, true) => Outcome::DataLost,
-        (true, false) => Outcome::Done,
-    })
+    Ok(Outcome::of(usable, lost || failed))
 }
 
 /// The logs in place of each folder, by their names.

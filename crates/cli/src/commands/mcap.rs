@@ -111,11 +111,7 @@ pub fn run(args: &Args) -> Result {
     if args.json {
         super::print_json(&row);
     }
-    Ok(match usable {
-        0 => Outcome::Nothing,
-        _ if lost => Outcome::DataLost,
-        _ => Outcome::Done,
-    })
+    Ok(Outcome::of(usable > 0, lost))
 }
 
 /// Every record of a log. Those without a host time get the card's, from the log's beginning on.

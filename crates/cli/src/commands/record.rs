@@ -153,7 +153,7 @@ pub fn run(args: &Args) -> Result {
     let clock = session.clock;
     note!("{}; recording to {}", describe(&listener), args.out.display());
     let recorder = Recorder::new(listener, files, args.options()).in_words()?;
-    let (failed, listener, files, totals) = if args.live {
+    let (failed, recorder) = if args.live {
         let pipe = Pipe::new(std::io::stdout());
         let mut options = Options::default();
         (options.sync_every, options.hand_over) = (None, Span::from_ms(10));
@@ -164,14 +164,12 @@ pub fn run(args: &Args) -> Result {
         if missed > 0 {
             note!("standard output missed {missed} records; the log has them");
         }
-        let (listener, files, totals) = recorder.finish(clock.now()).in_words()?;
-        (failed, listener, files, totals)
+        (failed, recorder)
     } else {
         let mut recorder = recorder;
-        let failed = session.capture(&mut recorder, |own| (own.totals(), own.source().lost())).err();
-        let (listener, files, totals) = recorder.finish(clock.now()).in_words()?;
-        (failed, listener, files, totals)
+        (session.capture(&mut recorder, |own| (own.totals(), own.source().lost())).err(), recorder)
     };
+    let (listener, files, totals) = recorder.finish(clock.now()).in_words()?;
     let told = (listener_summary(&listener), listener.lost());
     Ok(session.end(failed, &told, &totals, &files))
 }

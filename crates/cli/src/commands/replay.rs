@@ -123,9 +123,5 @@ pub fn run(args: &Args) -> Result {
     }
     notes!("{}", super::info::losses(&survey, source.source().bytes()));
     note!("{} played", super::some(sent, "record", "records"));
-    Ok(match (sent, survey.lost_something()) {
-        (0, _) => Outcome::Nothing,
-        (_, true) => Outcome::DataLost,
-        (_, false) => Outcome::Done,
-    })
+    Ok(Outcome::of(sent > 0, survey.lost_something()))
 }

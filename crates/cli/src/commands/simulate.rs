@@ -265,37 +265,19 @@ fn run_suite(which: &Which, path: &Path, force: bool, json: bool) -> Result {
 }
 
 fn describe_suite(table: &[Summary]) -> String {
-    let mut text = format!(
-        "{:<34} {:>5} {:>17} {:>11} {:>10} {:>10} {:>17}\n{:<34} {:>5} {:>17} {:>11} {:>10} {:>10} {:>17}\n",
-        "experiment",
-        "runs",
-        "|error| mean, max",
-        "confidence",
-        "likelihood",
-        "coherence",
-        "residual, comp.",
-        "",
-        "",
-        "deg",
-        "",
-        "share",
-        "",
-        "rad"
-    );
+    let line = |[name, runs, error, confidence, likelihood, coherence, residual]: [&str; 7]| {
+        format!("{name:<34} {runs:>5} {error:>17} {confidence:>11} {likelihood:>10} {coherence:>10} {residual:>17}\n")
+    };
+    let heads = ["experiment", "runs", "|error| mean, max", "confidence", "likelihood", "coherence", "residual, comp."];
+    let mut text = line(heads) + &line(["", "", "deg", "", "share", "", "rad"]);
     let value = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));
     for row in table {
         let errors = row.mean_error_deg.zip(row.largest_error_deg);
         let error = errors.map_or_else(|| "-".into(), |(mean, largest)| format!("{mean:.3}, {largest:.3}"));
         let residual = format!("{:.3}, {:.3}", row.residual_rad, row.residual_compensated_rad);
-        let _ = writeln!(
-            text,
-            "{:<34} {:>5} {error:>17} {:>11} {:>10} {:>10} {residual:>17}",
-            row.experiment,
-            row.repetitions,
-            value(row.confidence, 2),
-            value(row.likelihood_share, 4),
-            value(row.coherence, 3),
-        );
+        let [confidence, likelihood] = [value(row.confidence, 2), value(row.likelihood_share, 4)];
+        let (runs, coherence) = (row.repetitions.to_string(), value(row.coherence, 3));
+        text += &line([&row.experiment, &runs, &error, &confidence, &likelihood, &coherence, &residual]);
     }
     text
 }

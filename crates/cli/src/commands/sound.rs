@@ -10,18 +10,18 @@ use csi5300::internal::{Proof, Prover};
 use csi5300::motion::odometry::csv;
 use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::Next;
 use csi5300::source::recorder::{LogFiles, Rotation};
 use csi5300::source::survey::Survey;
+use csi5300::source::{Error, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_live::doctor::Machine;
-use csi5300_live::monitor::{AirCounts, Monitor};
+use csi5300_live::monitor::{AirCounts, Monitor, Options};
 use csi5300_live::sounding::{
     Beside, DriverMessages, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Products, Rate,
     Running, Session, Settings, Setup, measurement, rate_n_flags, read_key, set_rate, spread_of,
 };
 use csi5300_live::wait::Monotonic;
-use csi5300_sim::served;
+use csi5300_sim::served::{self, Address};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
@@ -453,14 +453,7 @@ impl Sounding {
             own_index: self.own_index().unwrap_or(0),
             key: self.key.as_deref().map(read_key).transpose().in_words()?,
         };
-        let monitor = match &self.listening.room {
-            Some(address) => {
-                let (air, mac) = served::join(address, served::Role::Air).map_err(|error| join_refused(&error))?;
-                Monitor::over(air, mac, &setup.options())
-            }
-            None => Monitor::open(&setup.options()),
-        };
-        let opened = monitor.and_then(|monitor| {
+        let opened = monitor(self.listening.room.as_ref(), &setup.options())?.and_then(|monitor| {
             setup.open_on(monitor, |config| {
                 // A WSR robot without a length answers nothing here; its kernel may.
                 config.respond = self.dialect == DialectArg::Native || self.ack_len.is_some();
@@ -550,12 +543,15 @@ impl Sounding {
         let unlogged = finished.log.as_ref().is_some_and(|log| log.missing() > 0);
         let lost = if over { unlogged } else { finished.lost_anything() };
         let counts = finished.counts();
-        match counts.answered + counts.replies {
-            0 => Outcome::Nothing,
-            _ if lost => Outcome::DataLost,
-            _ => Outcome::Done,
-        }
+        Outcome::of(counts.answered + counts.replies > 0, lost)
     }
+}
+
+/// The interface, or a robot's air in a served room.
+pub fn monitor(room: Option<&Address>, options: &Options) -> Words<std::result::Result<Monitor, Error>> {
+    let Some(address) = room else { return Ok(Monitor::open(options)) };
+    let (air, mac) = served::join(address, served::Role::Air).map_err(|error| join_refused(&error))?;
+    Ok(Monitor::over(air, mac, options))
 }
 
 /// Sets or checks the rate at which an interface's driver sends.

@@ -1,8 +1,8 @@
 //! `csi5300 unbag`.
 
 use super::{Outcome, Result};
-use csi5300_bag::unbag::{BagError, UnbaggedTopic, unbag};
-use std::path::{Path, PathBuf};
+use csi5300_bag::unbag::{BagError, unbag};
+use std::path::PathBuf;
 
 // Arguments of `unbag`.
 #[derive(clap::Args)]
@@ -21,48 +21,25 @@ pub struct Args {
     json: bool,
 }
 
-/// The line of JSON of a topic.
-#[derive(serde::Serialize)]
-struct Row<'a> {
-    file: &'a Path,
-    topic: &'a str,
-    kind: &'a str,
-    messages: u64,
-    unreadable: u64,
-}
-
 /// Makes logs and trajectories of a recording.
 pub fn run(args: &Args) -> Result {
     let done = unbag(&args.bag, &args.out, args.force).map_err(|error| match error {
         BagError::There { .. } => format!("{error}: --force overwrites it, --out names another folder"),
         _ => error.to_string(),
     })?;
-    let (mut written, mut lost) = (0, false);
     for topic in &done.topics {
-        written += topic.messages;
-        lost |= topic.unreadable > 0;
-        let UnbaggedTopic { topic: name, kind, file, messages, unreadable, .. } = topic;
         if args.json {
-            super::print_json(&Row { file, topic: name, kind, messages: *messages, unreadable: *unreadable });
+            super::print_json(topic);
         } else {
-            let messages = super::some(*messages, "message", "messages");
-            super::print(&format!("{}: {messages} of {name} ({kind})\n", file.display()));
+            let (file, messages) = (topic.file.display(), super::some(topic.messages, "message", "messages"));
+            super::print(&format!("{file}: {messages} of {} ({})\n", topic.topic, topic.kind));
         }
         if topic.unreadable > 0 {
             note!("{}: unreadable: {}", topic.topic, super::some(topic.unreadable, "message", "messages"));
         }
     }
-    for file in &done.cut {
-        note!("{}: the end is missing; everything before it was read", file.display());
-    }
-    for words in super::files::lost_words(done.damaged_parts, done.without_topic) {
-        lost = true;
-        note!("{}: {words}", args.bag.display());
-    }
+    let parts_lost = super::files::say_lost(&args.bag, &done);
     note!("{} of other topics", super::some(done.others, "message", "messages"));
-    Ok(match written {
-        0 => Outcome::Nothing,
-        _ if lost => Outcome::DataLost,
-        _ => Outcome::Done,
-    })
+    let lost = parts_lost || done.topics.iter().any(|topic| topic.unreadable > 0);
+    Ok(Outcome::of(done.topics.iter().any(|topic| topic.messages > 0), lost))
 }

@@ -1,8 +1,10 @@
 //! `doctor --accept` on logs, on a scene and on nothing; what it writes; and that the commands it advises are commands.
 
-use super::commands::Folder;
+use crate::air::Program;
+use crate::cards::{PAIR, simulated};
+use crate::commands::{Folder, json};
 use csi5300_accept::CLAIMS;
-use std::io::BufRead;
+use std::io::Read;
 
 /// A scene of 15 s whose first robot's card has a fault, or none.
 fn scene(fault: &str) -> String {
@@ -16,11 +18,10 @@ fn scene(fault: &str) -> String {
 fn a_scene_is_judged_and_the_report_is_written() {
     let folder = Folder::new("accept");
     folder.write("broken.toml", scene("faults = { card = [\"clock_steps\"] }").as_bytes());
-    let (status, out, err) = folder.run(&["doctor", "--accept", "broken.toml", "--report", "desk"]);
-    assert!(status == 1 && out.starts_with("backend: simulated room"), "{status} {out}{err}");
+    let (out, _) = folder.says(&["doctor", "--accept", "broken.toml", "--report", "desk"], 1, &[]);
+    assert!(out.starts_with("backend: simulated room"));
     assert!(out.contains("FAILS      card.clock") && out.contains("next: "), "{out}");
-    let report: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(folder.0.join("desk/report.json")).unwrap()).unwrap();
+    let report = json(&std::fs::read_to_string(folder.0.join("desk/report.json")).unwrap());
     let findings = report["findings"].as_array().unwrap();
     assert!(findings.iter().any(|finding| finding["id"] == "card.clock" && finding["verdict"] == "fails"));
     for name in ["report.html", "report.xml", "report.json", "bench-log.md"] {
@@ -31,16 +32,16 @@ fn a_scene_is_judged_and_the_report_is_written() {
     }
     // The logs beside it are judged alike, by the same claims.
     folder.write("desk.toml", b"near = \"desk/near.dat\"\nfar = \"desk/far.dat\"\nchannel = \"108\"\n");
-    let (status, out, err) = folder.run(&["doctor", "--accept", "desk.toml"]);
-    assert!(status == 1 && out.contains("FAILS      card.clock") && out.contains("recorder.same"), "{out}{err}");
+    let (out, _) = folder.says(&["doctor", "--accept", "desk.toml"], 1, &[]);
+    assert!(out.contains("FAILS      card.clock") && out.contains("recorder.same"), "{out}");
     // Logs after a retune are compared with those before it; these are the same, of a robot that moved.
     let more = "near = \"desk/near.dat\"\nfar = \"desk/far.dat\"\nchannel = \"108\"\nat_rest = true\nretuned = [[\"desk/near.dat\", \"desk/far.dat\"]]\n";
     folder.write("retuned.toml", more.as_bytes());
     let (_, out, err) = folder.run(&["doctor", "--accept", "retuned.toml", "-v"]);
     assert!(out.contains("logs after it: 1; the largest step is that of round trip: +0 degrees"), "{out}{err}");
-    let (status, out, _) = folder.run(&["doctor", "--accept", "desk/far.dat", "--channel", "108", "--json"]);
-    let report: serde_json::Value = serde_json::from_str(&out).unwrap();
-    assert_eq!((status, report["logs"][0]["records"].as_u64()), (0, Some(2998)));
+    let (out, _) = folder.says(&["doctor", "--accept", "desk/far.dat", "--channel", "108", "--json"], 0, &[]);
+    let report = json(&out);
+    assert_eq!(report["logs"][0]["records"], 2998);
 }
 
 /// Judges two logs; gives the verdict of each claim about both, by its id.
@@ -55,16 +56,10 @@ fn of_link(folder: &Folder, near: &str, far: &str) -> std::collections::BTreeMap
 #[test]
 fn logs_without_numbers_are_judged_by_the_clocks_of_their_cards() {
     let folder = Folder::new("accept-clocks");
-    let text = "seed = 3\nduration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsounding.rate_hz = 50\n[radio]\nnoise.snr_db = 20\n\
-                send_jitter_us = 60\nturn_around.spread_us = 8\n[[robot]]\nname = \"rx\"\n[[robot]]\nname = \"tx\"\n\
-                position_m = [-4.0, 9.0, 0.0]\ncrystal.offset_ppm = -6.0\n";
-    folder.write("room.toml", text.as_bytes());
-    assert_eq!(folder.run(&["simulate", "room.toml", "--out", "room"]).0, 0);
-    let files = std::fs::read_dir(folder.0.join("room")).unwrap().map(|entry| entry.unwrap().path());
-    let mut logs: Vec<_> = files.filter(|path| path.to_str().unwrap().contains("csi_")).collect();
-    logs.sort();
-    let [near, far] = [0, 1].map(|k| logs[k].to_str().unwrap());
-    let found = of_link(&folder, near, far);
+    // Both stand still.
+    let room = PAIR.replace("motion.circle = { radius_m = 0.25, duration_s = 12.0 }\n", "");
+    let [near, far, _] = simulated(&folder, "room", &format!("seed = 3\n{room}"), "csi_");
+    let found = of_link(&folder, &near, &far);
     for id in ["exchange.pairs", "exchange.turn_around", "exchange.drift", "phase.cancels", "phase.sign"] {
         assert_eq!(found[id], "holds", "{id} {found:?}");
     }
@@ -85,7 +80,6 @@ fn logs_without_numbers_are_judged_by_the_clocks_of_their_cards() {
 
 #[test]
 fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
-    use crate::air::Program;
     let folder = Folder::new("accept-together");
     let robot = |name: &str, more: &str| format!("[[robot]]\nname = \"{name}\"\nposition_m = {more}\n");
     let (near, far) =
@@ -118,7 +112,7 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
     assert!(err.contains("send frames at 20, 50, 200 and 1,000 a second (17 s)"), "{err}");
     let (assisted, said) = assist.end();
     assert!(assisted == Some(0) && said.contains("bytes of log went to the first robot"), "{said}");
-    let report: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let report = json(&out);
     let verdict = |id: &str, of: &str| {
         let findings = report["findings"].as_array().unwrap();
         findings.iter().find(|finding| finding["id"] == id && finding["of"] == of).unwrap()["verdict"].clone()
@@ -145,25 +139,18 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
         command.args(["doctor", "--accept", &path("near.toml"), "--listen", "100ms", "-v", "--report", &path("desk")]);
         command.stdin(terminal.slave.try_clone().unwrap());
-        let pipes = command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped());
-        let mut asking = pipes.spawn().unwrap();
-        let mut lines = std::io::BufReader::new(asking.stderr.take().unwrap()).lines();
-        let mut said = String::new();
-        let mut until = |word: &str| {
-            let line =
-                lines.by_ref().map(Result::unwrap).inspect(|line| said += line).find(|line| line.starts_with(word));
-            line.unwrap_or_else(|| panic!("{word}: {said}"))
-        };
+        let mut asking = Program::of(command.stdout(std::process::Stdio::piped()));
         for antenna in enter {
-            until(&format!("unplug antenna {antenna} of this robot"));
+            asking.until(&format!("\nunplug antenna {antenna} of this robot"));
             nix::unistd::write(&terminal.master, b"\n").unwrap();
         }
-        until(&format!("unplug antenna {stop_at} of this robot"));
-        nix::sys::signal::kill(nix::unistd::Pid::from_raw(asking.id() as i32), nix::sys::signal::Signal::SIGINT)
-            .unwrap();
-        until("stopped before: ");
-        until("the report is in");
-        (String::from_utf8(asking.wait_with_output().unwrap().stdout).unwrap(), said)
+        asking.until(&format!("\nunplug antenna {stop_at} of this robot"));
+        asking.signal(nix::sys::signal::Signal::SIGINT);
+        asking.until("\nstopped before: ");
+        asking.until("\nthe report is in");
+        let mut out = String::new();
+        asking.child.stdout.take().unwrap().read_to_string(&mut out).unwrap();
+        (out, asking.end().1)
     };
     let (out, said) = asked(&[], "B");
     assert!(out.contains("stopped: 1 of 3 parts are finished") && !said.contains("going on"), "{out}{said}");
@@ -182,28 +169,25 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
 #[test]
 fn what_cannot_be_judged_is_refused() {
     let folder = Folder::new("accept-refused");
-    folder.write("desk.toml", b"near = \"no.dat\"\nchannel = \"108\"\n");
-    folder.write("typo.toml", b"neer = \"no.dat\"\n");
-    folder.write("both.toml", b"channel = \"108\"\nassist = \"127.0.0.1:0\"\nsend = true\n");
-    folder.write("nocard.toml", b"channel = \"108\"\nassist = \"127.0.0.1:0\"\ninterface = \"nowhere0\"\n");
-    folder.write("blind.toml", b"channel = \"108\"\nsend = true\n");
-    folder.write("wrong.toml", b"channel = \"108\"\nunplug = [\"D\"]\n");
-    folder.write("alone.toml", b"channel = \"108\"\npeer = \"127.0.0.1:1\"\n");
-    for (words, said) in [
-        (&["doctor", "--accept", "nowhere"][..], "no built-in scene"),
-        (&["doctor", "--accept", "desk.toml"], "no.dat"),
-        (&["doctor", "--accept", "typo.toml"], "neer"),
-        (&["doctor", "--accept", "both.toml"], "for the second robot"),
-        (&["doctor", "--accept", "nocard.toml"], "there is no interface nowhere0"),
-        (&["doctor", "--accept", "blind.toml"], "interface = \"mon0\""),
-        (&["doctor", "--accept", "wrong.toml"], "\"D\""),
-        (&["doctor", "--accept", "alone.toml"], "cannot reach the second robot"),
-        (&["doctor", "--report", "desk"], "--accept"),
-        (&["doctor", "a", "b"], "--accept"),
+    let refused = |words: &[&str], said: &str| {
+        let (status, _, err) = folder.run(&[&["doctor"], words].concat());
+        assert!(status != 0 && err.contains(said), "{words:?}, {said}: {status} {err}");
+    };
+    for (desk, said) in [
+        ("near = \"no.dat\"\nchannel = \"108\"\n", "no.dat"),
+        ("neer = \"no.dat\"\n", "neer"),
+        ("channel = \"108\"\nassist = \"127.0.0.1:0\"\nsend = true\n", "for the second robot"),
+        ("channel = \"108\"\nassist = \"127.0.0.1:0\"\ninterface = \"nowhere0\"\n", "there is no interface nowhere0"),
+        ("channel = \"108\"\nsend = true\n", "interface = \"mon0\""),
+        ("channel = \"108\"\nunplug = [\"D\"]\n", "\"D\""),
+        ("channel = \"108\"\npeer = \"127.0.0.1:1\"\n", "cannot reach the second robot"),
     ] {
-        let (status, _, err) = folder.run(words);
-        assert!(status != 0 && err.contains(said), "{words:?}: {status} {err}");
+        folder.write("desk.toml", desk.as_bytes());
+        refused(&["--accept", "desk.toml"], said);
     }
+    refused(&["--accept", "nowhere"], "no built-in scene");
+    refused(&["--report", "desk"], "--accept");
+    refused(&["a", "b"], "--accept");
 }
 
 #[test]
@@ -216,8 +200,7 @@ fn every_command_that_a_claim_advises_is_one() {
             let mut words: Vec<&str> =
                 command.split(' ').skip(1).map(|word| if word == "N" { "64" } else { word }).collect();
             words.push("--help");
-            let (status, _, err) = folder.run(&words);
-            assert_eq!(status, 0, "{}: {command}: {err}", claim.id);
+            folder.says(&words, 0, &[]);
             for option in words.iter().filter(|word| word.starts_with("--") && **word != "--help") {
                 let (_, help, _) = folder.run(&[words[0], "--help"]);
                 assert!(help.contains(option), "{}: {command}: no {option}", claim.id);

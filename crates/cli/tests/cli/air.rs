@@ -1,7 +1,7 @@
 //! A room in real time with real processes: `simulate --serve` on the kernel's connector, heard by `record`, is the room that the library
 //! simulates; programs sound each other in it; and a stranger with a radio and without a key attacks them.
 
-use crate::private::inside;
+use crate::commands::{Folder, json};
 use csi5300::internal::FrameReceiver;
 use csi5300::motion::odometry::csv;
 use csi5300::source::replay::Replay;
@@ -9,7 +9,7 @@ use csi5300::source::{CsiSource, Injector, Next};
 use csi5300::time::Instant;
 use csi5300_live::monitor::{Monitor, Options};
 use csi5300_live::wait::{Monotonic, wall_us};
-use csi5300_sim::served::{self, Address, Role};
+use csi5300_sim::served::{Address, Role, join};
 use csi5300_sim::{Room, Scene};
 use driver_iface::Mac;
 use driver_iface::bfee::{Bfee, offset};
@@ -21,7 +21,7 @@ use nix::unistd::Pid;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, ChildStderr, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -71,45 +71,33 @@ fn first_host_us(log: &Path) -> i64 {
 /// Runs `record` on the connector while `serve` runs; gives what the server said, and its line of JSON.
 fn serve(scene: &Path, logs: &[(&Path, &str)], more: &[&str]) -> (String, String) {
     let own = env!("CARGO_BIN_EXE_csi5300");
-    let recorders: Vec<_> = logs
-        .iter()
-        .map(|(log, index)| {
-            let mut command = Command::new(own);
-            command.arg("record").arg(log).args(["--allow-user-sender", "--connector-index", index]);
-            let mut child = command.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
-            let mut stderr = BufReader::new(child.stderr.take().unwrap());
-            let mut line = String::new();
-            stderr.read_line(&mut line).unwrap();
-            assert!(line.starts_with("listening"), "{line}");
-            (child, stderr)
-        })
-        .collect();
+    let recorder = |(log, index): &(&Path, &str)| {
+        let args = ["--allow-user-sender", "--connector-index", index];
+        let mut program = Program::of(Command::new(own).arg("record").arg(log).args(args).stdout(Stdio::null()));
+        program.until("listening");
+        program
+    };
+    let recorders: Vec<_> = logs.iter().map(recorder).collect();
     let out = Command::new(own).arg("simulate").arg(scene).args(["--serve", "--json"]).args(more).output().unwrap();
     let said = String::from_utf8(out.stderr).unwrap();
     assert!(out.status.success(), "{said}");
-    for (mut child, mut stderr) in recorders {
-        kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).unwrap();
-        let mut rest = String::new();
-        stderr.read_to_string(&mut rest).unwrap();
-        assert_eq!(child.wait().unwrap().code(), Some(0), "{rest}");
+    for recorder in recorders {
+        let (status, rest) = recorder.end_by(Signal::SIGINT);
+        assert_eq!(status, Some(0), "{rest}");
     }
     (said, String::from_utf8(out.stdout).unwrap())
 }
 
 #[test]
 fn a_served_room_is_heard_through_the_kernel() {
-    if !inside(concat!(module_path!(), "::a_served_room_is_heard_through_the_kernel"), "-Urn") {
-        return;
-    }
-    let folder = std::env::temp_dir().join(format!("csi5300-serve-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let [scene, rx, tx, poses] = ["scene.toml", "rx.dat", "tx.dat", "poses.csv"].map(|name| folder.join(name));
-    std::fs::write(&scene, SCENE).unwrap();
+    let Some(folder) = Folder::inside(a_served_room_is_heard_through_the_kernel, "-Urn", "serve") else { return };
+    let [rx, tx, poses] = ["rx.dat", "tx.dat", "poses.csv"].map(|name| folder.0.join(name));
+    let scene = folder.write("scene.toml", SCENE.as_bytes());
     let options = ["--speed", "20", "--robot", "rx=26", "--robot", "tx=12", "--poses", poses.to_str().unwrap()];
     let (before_us, clock) = (wall_us().unwrap(), Monotonic::new());
     let (said, row) = serve(&scene, &[(&rx, "26"), (&tx, "12")], &options);
     assert!(crate::documented::are_documented(&row) > 5, "{row}");
-    let row = crate::commands::json(&row);
+    let row = json(&row);
     let (after_us, took_s) = (wall_us().unwrap(), clock.now().as_s());
     // Three seconds at twenty times real time, and the first frames are of the first milliseconds.
     assert!(took_s >= 3.0 / 20.0, "{took_s} s: not paced");
@@ -134,13 +122,12 @@ fn a_served_room_is_heard_through_the_kernel() {
     assert_eq!((counts.rows, counts.bad_rows), (151, 0));
     let reach = trajectory.poses().iter().map(|pose| pose.position_m.norm()).fold(0.0, f64::max);
     assert!((reach - 0.6).abs() < 0.01, "{reach}");
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 /// Two robots, the one on circles for as long as the room lasts, which is longer than any test; radios as real ones but for their crystals, which nearly
 /// agree: a busy machine answers milliseconds late, in which real ones would turn by tens of cycles (that they are
 /// compensated is tested in virtual time). Drivers in the stock layout.
-pub const LIVE: &str = r#"
+const LIVE: &str = r#"
 duration_s = 12000.0
 cfo = "physical"
 driver = "stock"
@@ -162,40 +149,60 @@ position_m = [-386.0, 93.0, 0.0]
 crystal = { offset_ppm = -0.001, clock_start_us = 1000000 }
 "#;
 
-/// A node that listens to both cards.
-const NODE: &str = r#"
-channel = "108"
-capture.served = { socket = "room", robot = "rx" }
-odometry.room = {}
-[[peer]]
-name = "tx"
-records.room = {}
-[estimator]
-accurate = false
-[output]
-bearings = "bearings.jsonl"
-status_line = "always"
-"#;
+/// A node of robot `own`, whose peer's table goes on so; it only listens.
+fn node(own: &str, peer: &str) -> String {
+    let moves = if own == "rx" { "odometry.room = {}\n" } else { "" };
+    format!(
+        "channel = \"108\"\ncapture.served = {{ socket = \"room\", robot = \"{own}\" }}\n{moves}[[peer]]\n{peer}\n\
+         [estimator]\naccurate = false\n[output]\nbearings = \"{own}.jsonl\"\nstatus_line = \"always\"\n"
+    )
+}
+
+/// A peer whose records, and poses if it moves, are those of the room.
+fn peer(name: &str) -> String {
+    let poses = if name == "rx" { "poses.room = {}" } else { "" };
+    format!("name = \"{name}\"\nrecords.room = {{}}\n{poses}")
+}
+
+/// What lets such a node sound. A busy machine is late by milliseconds: slots are long, and answers have time.
+const SOUNDS: &str = "[sounding]\nrate_hz = 50.0\nturn_around_us = 6000\nguard_us = 1500\nfifo = false\n";
 
 /// Standard deviation of a bearing that tests look at. That of a search on the coarse grid alone is 1.4.
 const SURE_DEG: f64 = 1.5;
 
 /// Off by less than two degrees, or than the error bar of a search on the coarse grid alone.
-pub fn is_near(off_deg: f64, sure: &serde_json::Value) -> bool {
+fn is_near(off_deg: f64, sure: &serde_json::Value) -> bool {
     off_deg.abs() < sure["azimuth_95_deg"].as_f64().unwrap().max(2.0)
+}
+
+/// The bearings that a node wrote. The last line may not be whole yet.
+fn bearings(file: &Path) -> Vec<serde_json::Value> {
+    let lines = std::fs::read_to_string(file).unwrap_or_default();
+    let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+    lines.filter(|line| line["state"] == "bearing").collect()
+}
+
+/// The error of a bearing to the robot that answers, from the middle of the circle.
+fn off_deg(bearing: &serde_json::Value) -> f64 {
+    let off = bearing["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
+    (off + 180.0).rem_euclid(360.0) - 180.0
 }
 
 /// A program whose words are waited for.
 pub struct Program {
-    child: std::process::Child,
-    stderr: BufReader<std::process::ChildStderr>,
+    pub child: Child,
+    stderr: BufReader<ChildStderr>,
     pub said: String,
 }
 
 impl Program {
     pub fn start(args: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
-        let mut child = command.args(args).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        Self::of(command.args(args).stdout(Stdio::null()))
+    }
+
+    pub fn of(command: &mut Command) -> Self {
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         Self { child, stderr, said: String::new() }
     }
@@ -209,12 +216,9 @@ impl Program {
 
     /// For a node that writes its bearings there and prints its state: its last one, once it has made so many and knows the last
     /// well. A busy machine's first ones are of few exchanges, or have moved too little.
-    pub fn sure_bearing(&mut self, bearings: &Path, least: usize) -> serde_json::Value {
+    fn sure_bearing(&mut self, file: &Path, least: usize) -> serde_json::Value {
         loop {
-            let lines = std::fs::read_to_string(bearings).unwrap_or_default();
-            // The last line may not be whole yet.
-            let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
-            let mut made = lines.filter(|line| line["state"] == "bearing").collect::<Vec<_>>();
+            let mut made = bearings(file);
             let is_sure = |last: &serde_json::Value| last["azimuth_sd_deg"].as_f64().is_some_and(|sd| sd < SURE_DEG);
             if made.len() >= least && made.last().is_some_and(is_sure) {
                 return made.remove(made.len() - 1);
@@ -224,8 +228,18 @@ impl Program {
         }
     }
 
+    pub fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id() as i32), signal).unwrap();
+    }
+
     pub fn stop(&self) {
-        kill(Pid::from_raw(self.child.id() as i32), Signal::SIGTERM).unwrap();
+        self.signal(Signal::SIGTERM);
+    }
+
+    /// Ends it so.
+    pub fn end_by(self, signal: Signal) -> (Option<i32>, String) {
+        self.signal(signal);
+        self.end()
     }
 
     /// Its exit status and all that it said.
@@ -243,6 +257,57 @@ impl Drop for Program {
     }
 }
 
+/// A room that another program serves, in a folder with its socket and its nodes' configurations and bearings.
+struct Served {
+    folder: Folder,
+    room: Program,
+}
+
+impl Served {
+    fn new(name: &str, scene: &str) -> Self {
+        crate::with_node();
+        let folder = Folder::new(name);
+        let (scene, socket) = (folder.write("scene.toml", scene.as_bytes()), folder.0.join("room"));
+        let [scene, socket] = [&scene, &socket].map(|path| path.to_str().unwrap());
+        let mut room = Program::start(&["simulate", scene, "--serve", "--socket", socket]);
+        room.until("serving the room at");
+        Self { folder, room }
+    }
+
+    /// A node of robot `own` with this configuration.
+    fn node(&self, own: &str, text: &str) -> Program {
+        let file = self.folder.write(&format!("{own}.toml"), text.as_bytes());
+        Program::start(&["node", "--config", file.to_str().unwrap()])
+    }
+
+    /// The bearings of the robot on circles.
+    fn file(&self) -> PathBuf {
+        self.folder.0.join("rx.jsonl")
+    }
+
+    /// Ends the nodes and the room; gives what that said.
+    fn end(self, nodes: [Program; 2]) -> String {
+        nodes.iter().for_each(Program::stop);
+        for (status, said) in nodes.map(Program::end) {
+            assert!(matches!(status, Some(0 | 3)), "{status:?}: {said}");
+        }
+        self.room.stop();
+        self.room.end().1
+    }
+}
+
+/// Two nodes, of `rx` and of `tx`, with these configurations in one room, until the robot on circles has made so many bearings,
+/// and one that is right to two degrees. Gives its last one, and what the room said.
+fn two_nodes(name: &str, [rx, tx]: [String; 2], least: usize) -> (serde_json::Value, String) {
+    let room = Served::new(name, LIVE);
+    let (tx, mut rx) = (room.node("tx", &tx), room.node("rx", &rx));
+    let file = room.file();
+    let sure = rx.sure_bearing(&file, least);
+    assert!(is_near(off_deg(&sure), &sure), "{sure}");
+    let served = room.end([rx, tx]);
+    (bearings(&file).pop().unwrap(), served)
+}
+
 /// The number before a word in what a program said.
 fn number(said: &str, after: &str) -> u64 {
     let words = said.split(after).next().unwrap_or_default();
@@ -253,23 +318,11 @@ fn number(said: &str, after: &str) -> u64 {
         .unwrap()
 }
 
-/// A node of that room that sounds, in turns with the other.
-fn sounding_node(own: &str, peer: &str) -> String {
-    let moves = if own == "rx" { "odometry.room = {}\n" } else { "" };
-    let poses = if peer == "rx" { "poses.room = {}\n" } else { "" };
-    format!(
-        "channel = \"108\"\ncapture.served = {{ socket = \"room\", robot = \"{own}\" }}\n{moves}\
-         [[peer]]\nname = \"{peer}\"\nrecords.room = {{}}\n{poses}\
-         [estimator]\naccurate = false\n[output]\nbearings = \"{own}.jsonl\"\nstatus_line = \"always\"\n\
-         [sounding]\nrate_hz = 50.0\nturn_around_us = 6000\nguard_us = 1500\nfifo = false\n"
-    )
-}
-
 #[test]
 fn nodes_sound_each_other_in_turns() {
     // Both have had turns once the robot that moves has a dozen bearings.
-    let nodes = [sounding_node("rx", "tx"), sounding_node("tx", "rx")];
-    let (last, served) = crate::served::two_nodes("turns", &nodes, 12);
+    let nodes = [("rx", "tx"), ("tx", "rx")].map(|(own, other)| node(own, &peer(other)) + SOUNDS);
+    let (last, served) = two_nodes("turns", nodes, 12);
     let (own, other) = (&last["receiver_records"], &last["transmitter_records"]);
     // Two counts in each log: both robots initiated. And their numbers do not meet, or one robot's exchanges would pair
     // with the other's and be refused, half of all. A busy machine makes some answers late by more than the clocks allow.
@@ -281,28 +334,14 @@ fn nodes_sound_each_other_in_turns() {
     assert!(counts(own, "paired") > 50 && last["pairs"].as_u64() > Some(10), "{last}");
 }
 
-/// `bearing` finds the robot of the served room in both logs.
-fn bearing_is_right(rx: &str, tx: &str, poses: &str) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
-    let args = ["bearing", "--channel", "108", "--rx", rx, "--tx", tx, "--trajectory", poses, "--json"];
-    let out = command.args(args).output().unwrap();
-    let said = String::from_utf8(out.stdout).unwrap();
-    assert_eq!(out.status.code(), Some(0), "{said}{}", String::from_utf8_lossy(&out.stderr));
-    let json: serde_json::Value = serde_json::from_str(said.lines().next().unwrap()).unwrap();
-    let azimuth_deg = json["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("{said}"));
-    let truth_deg = 93f64.atan2(-386.0).to_degrees();
-    assert!((azimuth_deg - truth_deg).abs() < 2.0, "{azimuth_deg} of {truth_deg}: {said}");
-}
-
 #[test]
 fn programs_sound_each_other_in_a_served_room() {
     crate::with_node();
-    let folder = std::env::temp_dir().join(format!("csi5300-live-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
+    let folder = Folder::new("live");
+    folder.write("scene.toml", LIVE.as_bytes());
+    folder.write("node.toml", node("rx", &peer("tx")).as_bytes());
     let names = ["scene.toml", "rx.dat", "tx.dat", "poses.csv", "room", "record.dat", "node.toml"];
-    let paths = names.map(|name| folder.join(name));
-    std::fs::write(&paths[0], LIVE).unwrap();
-    std::fs::write(&paths[6], NODE).unwrap();
+    let paths = names.map(|name| folder.0.join(name));
     let [scene, rx, tx, poses, socket, record, node] = paths.each_ref().map(|path| path.to_str().unwrap());
     let of = |robot: &str| format!("{socket}#{robot}");
     let mut room = Program::start(&["simulate", scene, "--serve", "--socket", socket, "--poses", poses]);
@@ -321,9 +360,8 @@ fn programs_sound_each_other_in_a_served_room() {
     let mut node = Program::start(&["node", "--config", node]);
     let sound = ["sound", "--room", &rx_room, "--peers", "02:00:00:00:00:0b", "--alone", "--log", rx];
     let sound = Program::start(&[&sound[..], &slow[..]].concat());
-    let found = node.sure_bearing(&folder.join("bearings.jsonl"), 6);
-    let off_deg = found["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
-    assert!(is_near(off_deg, &found), "{off_deg} degrees off: {found}");
+    let found = node.sure_bearing(&folder.0.join("rx.jsonl"), 6);
+    assert!(is_near(off_deg(&found), &found), "{found}");
     sound.stop();
     let (status, sounded) = sound.end();
     assert_eq!(status, Some(0), "{sounded}");
@@ -345,63 +383,45 @@ fn programs_sound_each_other_in_a_served_room() {
     assert_eq!(on_air, sent + number(&responded, " answers"), "{sounded}\n{responded}\n{served}");
     assert!(served.contains(" 0 not;"), "{served}");
 
-    bearing_is_right(rx, tx, poses);
+    // `bearing` finds the robot in both logs.
+    let args = ["bearing", "--channel", "108", "--rx", rx, "--tx", tx, "--trajectory", poses, "--json"];
+    let found = json(folder.says(&args, 0, &[]).0.lines().next().unwrap());
+    assert!(off_deg(&found).abs() < 2.0, "{found}");
     // The other listener heard the same card, but for what it was too late for.
     let heard = number(&recorded, " records written");
     let lost = if served.contains(" messages were lost") { number(&served, " messages were lost") } else { 0 };
     assert!(heard + lost >= answered, "{heard} and {lost} of {answered}: {recorded}");
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
 fn two_robots_on_one_connector_index_are_refused() {
-    let scene = std::env::temp_dir().join(format!("csi5300-serve-index-{}.toml", std::process::id()));
-    std::fs::write(&scene, SCENE).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
-    command.arg("simulate").arg(&scene).args(["--serve", "--robot", "rx=9", "--robot", "tx=9"]);
-    let out = command.output().unwrap();
-    std::fs::remove_file(&scene).unwrap();
-    let said = String::from_utf8(out.stderr).unwrap();
-    assert_eq!(out.status.code(), Some(1), "{said}");
-    assert!(said.contains("rx and tx would both be served on connector index 9"), "{said}");
+    let folder = Folder::new("serve-index");
+    folder.write("scene.toml", SCENE.as_bytes());
+    let args = ["simulate", "scene.toml", "--serve", "--robot", "rx=9", "--robot", "tx=9"];
+    folder.says(&args, 1, &["rx and tx would both be served on connector index 9"]);
 }
 
 #[test]
 fn a_room_takes_no_file_for_its_socket_and_writes_no_poses_into_others() {
-    let folder = std::env::temp_dir().join(format!("csi5300-serve-files-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let [scene, log, socket] = ["scene.toml", "precious.dat", "room"].map(|name| folder.join(name));
-    std::fs::write(&scene, LIVE).unwrap();
-    std::fs::write(&log, "precious").unwrap();
-    let [scene_name, log_name, room] = [&scene, &log, &socket].map(|path| path.to_str().unwrap());
-    let refused = |options: &[&str]| {
-        let (status, said) = Program::start(&[&["simulate", scene_name, "--serve"], options].concat()).end();
-        assert_eq!(status, Some(1), "{said}");
-        said
-    };
-    let said = refused(&["--socket", log_name]);
-    assert!(said.contains("precious.dat is there and is no socket"), "{said}");
-    let said = refused(&["--socket", room, "--poses", scene_name]);
-    assert!(said.contains("scene.toml is an input: name another output"), "{said}");
-    let said = refused(&["--socket", room, "--poses", log_name]);
-    assert!(said.contains("precious.dat exists and holds something other"), "{said}");
-    let said = refused(&["--socket", room, "--poses", room]);
-    assert!(said.contains("is the room's socket"), "{said}");
-    assert_eq!(std::fs::read_to_string(&scene).unwrap(), LIVE);
-    assert_eq!(std::fs::read_to_string(&log).unwrap(), "precious");
-    std::fs::remove_dir_all(&folder).unwrap();
+    let folder = Folder::new("serve-files");
+    let (scene, log) = (folder.write("scene.toml", LIVE.as_bytes()), folder.write("precious.dat", b"precious"));
+    for (options, words) in [
+        (&["--socket", "precious.dat"][..], "precious.dat is there and is no socket"),
+        (&["--socket", "room", "--poses", "scene.toml"], "scene.toml is an input: name another output"),
+        (&["--socket", "room", "--poses", "precious.dat"], "precious.dat exists and holds something other"),
+        (&["--socket", "room", "--poses", "room"], "is the room's socket"),
+    ] {
+        folder.says(&[&["simulate", "scene.toml", "--serve"], options].concat(), 1, &[words]);
+    }
+    assert_eq!(std::fs::read_to_string(scene).unwrap(), LIVE);
+    assert_eq!(std::fs::read_to_string(log).unwrap(), "precious");
 }
 
 #[test]
 fn poses_that_cannot_be_written_stop_no_room() {
-    use csi5300::source::Injector;
-    use csi5300_live::monitor::{Monitor, Options};
-    use csi5300_sim::served::{Address, Role, join};
     use nix::sys::socket::{MsgFlags, recv};
-    let folder = std::env::temp_dir().join(format!("csi5300-serve-full-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let [scene, socket] = ["scene.toml", "room"].map(|name| folder.join(name));
-    std::fs::write(&scene, LIVE).unwrap();
+    let folder = Folder::new("serve-full");
+    let (scene, socket) = (folder.write("scene.toml", LIVE.as_bytes()), folder.0.join("room"));
     let [scene, room] = [&scene, &socket].map(|path| path.to_str().unwrap());
     let mut program = Program::start(&["simulate", scene, "--serve", "--socket", room, "--poses", "/dev/full"]);
     program.until("cannot write poses to /dev/full");
@@ -425,25 +445,15 @@ fn poses_that_cannot_be_written_stop_no_room() {
     assert!(status == Some(3) && said.contains("not written to /dev/full"), "{status:?}: {said}");
     assert!(said.contains("rx: 1 received, 1 records delivered"), "{said}");
     assert_eq!(said.matches("cannot write poses").count(), 1, "{said}");
-    std::fs::remove_dir_all(&folder).unwrap();
-}
-
-/// A node of robot `own`; `peer` is the rest of its peer's table.
-fn node(own: &str, initiate: bool, odometry: &str, peer: &str) -> String {
-    format!(
-        "channel = \"108\"\ncapture.served = {{ socket = \"room\", robot = \"{own}\" }}\n{odometry}\n[[peer]]\n{peer}\n\
-         [estimator]\naccurate = false\n[output]\nbearings = \"{own}.jsonl\"\nstatus_line = \"always\"\n\
-         [sounding]\nrate_hz = 50.0\nturn_around_us = 6000\nguard_us = 1500\nfifo = false\ninitiate = {initiate}\n"
-    )
 }
 
 #[test]
 fn records_of_a_peer_come_with_its_answers() {
     // The one that answers listens to the room; the one that asks hears of the other's card through its answers only.
-    let answers = "name = \"rx\"\nrecords.room = {}\nposes.room = {}";
     let asks = "name = \"tx\"\nmac = \"02:00:00:00:00:0b\"\nrecords.sounding = {}";
-    let nodes = [node("rx", true, "odometry.room = {}", asks), node("tx", false, "", answers)];
-    let (last, _) = crate::served::two_nodes("answers", &nodes, 6);
+    let nodes =
+        [node("rx", asks) + SOUNDS + "initiate = true\n", node("tx", &peer("rx")) + SOUNDS + "initiate = false\n"];
+    let (last, _) = two_nodes("answers", nodes, 6);
     assert!(last["transmitter_records"]["paired"].as_u64() >= Some(50), "{last}");
 }
 
@@ -451,79 +461,27 @@ fn records_of_a_peer_come_with_its_answers() {
 const STRANGER: &str =
     "\n[[robot]]\nname = \"stranger\"\nmac = \"02:66:00:00:00:01\"\nposition_m = [3.0, -120.0, 0.0]\n";
 
-/// The scene's robots, its socket, their keys and logs.
-struct Attacked {
-    folder: PathBuf,
-    program: Program,
+/// A room with a stranger, and with nodes that have a key.
+fn attacked(name: &str, driver: &str) -> Served {
+    let scene = LIVE.replace("driver = \"stock\"", &format!("driver = \"{driver}\"")) + STRANGER;
+    let room = Served::new(&format!("attack-{name}"), &scene);
+    let key = room.folder.write("key", b"3f7c1e9a5b2d8046c1e0f4a7936bd258\n");
+    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o600)).unwrap();
+    room
 }
 
-impl Attacked {
-    fn serve(name: &str, driver: &str) -> Self {
-        let folder = std::env::temp_dir().join(format!("csi5300-attack-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let scene = LIVE.replace("driver = \"stock\"", &format!("driver = \"{driver}\"")) + STRANGER;
-        let (file, socket) = (folder.join("scene.toml"), folder.join("room"));
-        std::fs::write(&file, scene).unwrap();
-        let key = folder.join("key");
-        std::fs::write(&key, "3f7c1e9a5b2d8046c1e0f4a7936bd258\n").unwrap();
-        std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o600)).unwrap();
-        let [file, socket] = [&file, &socket].map(|path| path.to_str().unwrap().to_owned());
-        let mut program = Program::start(&["simulate", &file, "--serve", "--socket", &socket]);
-        program.until("serving the room at");
-        Self { folder, program }
-    }
-
+impl Served {
     /// A node of robot `own` with one peer, with the key.
-    fn node(&self, own: &str, peer: &str, initiate: bool) -> Program {
-        crate::with_node();
-        let moves = if own == "rx" { "odometry.room = {}\n" } else { "" };
-        let poses = if peer == "rx" { "poses.room = {}\n" } else { "" };
-        let text = format!(
-            "channel = \"108\"\ncapture.served = {{ socket = \"room\", robot = \"{own}\" }}\n{moves}\
-             [[peer]]\nname = \"{peer}\"\nrecords.room = {{}}\n{poses}\
-             [estimator]\naccurate = false\n[output]\nbearings = \"{own}.jsonl\"\nstatus_line = \"always\"\n\
-             [sounding]\nrate_hz = 50.0\nturn_around_us = 6000\nguard_us = 1500\nfifo = false\ninitiate = {initiate}\n\
-             key = \"key\"\n"
-        );
-        let file = self.folder.join(format!("{own}.toml"));
-        std::fs::write(&file, text).unwrap();
-        Program::start(&["node", "--config", file.to_str().unwrap()])
+    fn keyed(&self, own: &str, other: &str, initiate: bool) -> Program {
+        self.node(own, &format!("{}{SOUNDS}initiate = {initiate}\nkey = \"key\"\n", node(own, &peer(other))))
     }
 
     /// The stranger's radio.
     fn stranger(&self) -> Monitor {
-        let address = Address { socket: self.folder.join("room"), robot: "stranger".into() };
-        let (air, mac) = served::join(&address, Role::Air).unwrap();
+        let address = Address { socket: self.folder.0.join("room"), robot: "stranger".into() };
+        let (air, mac) = join(&address, Role::Air).unwrap();
         Monitor::over(air, mac, &Options::new("stranger", native::MAX_LEN).with_rate(1, Bandwidth::Ht20)).unwrap()
     }
-
-    /// Where the robot on circles writes its bearings.
-    fn file(&self) -> PathBuf {
-        self.folder.join("rx.jsonl")
-    }
-
-    fn bearings(&self) -> Vec<serde_json::Value> {
-        let lines = std::fs::read_to_string(self.file()).unwrap_or_default();
-        let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
-        lines.filter(|line| line["state"] == "bearing").collect()
-    }
-
-    /// Ends the nodes and the room.
-    fn end(self, nodes: [Program; 2]) {
-        nodes.iter().for_each(Program::stop);
-        for (status, said) in nodes.map(Program::end) {
-            assert!(matches!(status, Some(0 | 3)), "{status:?}: {said}");
-        }
-        self.program.stop();
-        let _ = self.program.end();
-        std::fs::remove_dir_all(&self.folder).unwrap();
-    }
-}
-
-/// The azimuth of the robot that answers, from the middle of the circle.
-fn off_deg(bearing: &serde_json::Value) -> f64 {
-    let off = bearing["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
-    (off + 180.0).rem_euclid(360.0) - 180.0
 }
 
 /// A frame of a robot that is not there.
@@ -555,8 +513,8 @@ fn made_up(n: u32) -> Vec<u8> {
 
 #[test]
 fn four_hundred_made_up_senders_do_not_blind_a_node() {
-    let room = Attacked::serve("crowd", "wsr");
-    let mut rx = room.node("rx", "tx", true);
+    let room = attacked("crowd", "wsr");
+    let mut rx = room.keyed("rx", "tx", true);
     rx.until("records/s");
     let (mut stranger, clock) = (room.stranger(), Monotonic::new());
     let shared = Arc::new(Shared::default());
@@ -572,7 +530,7 @@ fn four_hundred_made_up_senders_do_not_blind_a_node() {
     rx.until("more than 256 senders on this channel");
     shared.stop.store(true, Relaxed);
     crowd.join().unwrap();
-    let tx = room.node("tx", "rx", false);
+    let tx = room.keyed("tx", "rx", false);
     let last = rx.sure_bearing(&room.file(), 4);
     assert!(is_near(off_deg(&last), &last), "{last}");
     room.end([rx, tx]);
@@ -606,13 +564,13 @@ fn answer(mut stranger: Monitor, shared: &Shared) {
 }
 
 fn a_stranger_answers(driver: &str, alarm: &str) {
-    let room = Attacked::serve(driver, driver);
-    let tx = room.node("tx", "rx", false);
+    let room = attacked(driver, driver);
+    let tx = room.keyed("tx", "rx", false);
     let stranger = room.stranger();
     let shared = Arc::new(Shared::default());
     let seen = Arc::clone(&shared);
     let thread = std::thread::spawn(move || answer(stranger, &seen));
-    let mut rx = room.node("rx", "tx", true);
+    let mut rx = room.keyed("rx", "tx", true);
     rx.until(alarm);
     // Nothing but the peer's own answers is used, if any are left. On a machine with more to do, the stranger answers seldom.
     let mut seconds = 0;
@@ -621,7 +579,7 @@ fn a_stranger_answers(driver: &str, alarm: &str) {
         rx.until("records/s");
         seconds += 1;
     }
-    let bearings = room.bearings();
+    let bearings = bearings(&room.file());
     shared.stop.store(true, Relaxed);
     thread.join().unwrap();
     for bearing in &bearings {

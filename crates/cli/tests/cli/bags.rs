@@ -4,77 +4,38 @@ use crate::commands::Folder;
 use crate::common::root;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::Pose;
-use csi5300::signal::csi::Csi;
-use driver_iface::bfee::{Antenna, Bfee};
-use driver_iface::record::{Step, events};
+use csi5300::source::replay::Replay;
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Instant;
+use csi5300_bag::cdr::Cdr;
+use csi5300_bag::mcap::McapWriter;
+use csi5300_bag::messages::{Csi, Header, Message, Pose as Placed, PoseStamped, Quaternion, Time};
 use std::path::{Path, PathBuf};
 
-/// Values as CDR has them, each aligned to its size.
-struct Cdr(Vec<u8>);
-
-impl Cdr {
-    fn put(&mut self, bytes: &[u8]) -> &mut Self {
-        self.0.resize((self.0.len() - 4).next_multiple_of(bytes.len()) + 4, 0);
-        self.0.extend(bytes);
-        self
-    }
-
-    fn list(&mut self, bytes: impl ExactSizeIterator<Item = u8>) -> &mut Self {
-        self.put(&(bytes.len() as u32).to_le_bytes());
-        self.0.extend(bytes);
-        self
-    }
-
-    fn text(&mut self, text: &str) -> &mut Self {
-        let bytes: Vec<u8> = text.bytes().chain([0]).collect();
-        self.list(bytes.into_iter())
-    }
-
-    /// A message that begins with a header.
-    fn begin(us: i64, frame: &str) -> Self {
-        let mut to = Self(vec![0, 1, 0, 0]);
-        let (s, ns) = ((us / 1_000_000) as i32, (us % 1_000_000 * 1_000) as u32);
-        to.put(&s.to_le_bytes()).put(&ns.to_le_bytes()).text(frame);
-        to
-    }
-}
-
-/// Each record of a log as a `csi5300_msgs/msg/Csi`.
+/// The payload of a message for each record of a log.
 fn csi(log: &Path) -> Vec<Vec<u8>> {
-    let bytes = std::fs::read(log).unwrap();
-    let record = |step| match step {
-        Step::Record { record, .. } if record.code == 0xbb => Some(record.body),
-        _ => None,
-    };
-    let message = |body: &[u8]| {
-        let bfee = Bfee::new_checked(body).unwrap();
-        let (wsr, matrix) = (bfee.wsr().unwrap(), Csi::from_bfee(&bfee).unwrap());
-        let mut to = Cdr::begin(i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec), "");
-        to.text(&wsr.mac.to_string()).put(&wsr.frame_count.unwrap_or_default().to_le_bytes());
-        to.put(&bfee.timestamp_low().to_le_bytes()).put(&bfee.bfee_count().to_le_bytes());
-        to.0.extend([matrix.n_rx() as u8, matrix.n_tx() as u8]);
-        to.0.extend(bfee.rssi());
-        to.0.extend([bfee.noise_dbm() as u8, bfee.agc()]);
-        to.put(&bfee.rate_n_flags().to_le_bytes());
-        let antenna = |row| Antenna::ALL.iter().position(|one| Some(*one) == matrix.antenna(row)).unwrap() as u8;
-        to.list((0..matrix.n_rx()).map(antenna));
-        to.list(matrix.as_slice().iter().map(|h| h.re as i8 as u8));
-        to.list(matrix.as_slice().iter().map(|h| h.im as i8 as u8));
-        to.0
-    };
-    events(&bytes).filter_map(record).map(message).collect()
+    let (mut log, mut survey, mut all) = (Replay::open(log).unwrap(), Survey::default(), Vec::new());
+    loop {
+        let next = log.receive(Instant::ZERO).unwrap();
+        if let Some((bfee, identity)) = survey.note(&next) {
+            all.push(Csi::of(Time::from_us(identity.host_us.unwrap()), &bfee, identity).payload());
+        }
+        if matches!(next, Next::End(_)) {
+            return all;
+        }
+    }
 }
 
-/// Each pose of a trajectory as a `geometry_msgs/msg/PoseStamped`.
+/// The same for each pose of a trajectory.
 fn poses(path: &Path) -> Vec<Vec<u8>> {
     let (trajectory, _) = csv::read(path).unwrap();
     let message = |pose: &Pose| {
-        let mut to = Cdr::begin((pose.t_s * 1e6).round() as i64, "odom");
-        let (sin, cos) = (0.5 * pose.heading_rad.unwrap_or(0.0)).sin_cos();
-        pose.position_m.iter().chain(&[0.0, 0.0, sin, cos]).for_each(|v| {
-            to.put(&v.to_le_bytes());
-        });
-        to.0
+        let header = Header { stamp: Time::from_us((pose.t_s * 1e6).round() as i64), frame_id: "odom".into() };
+        let (z, w) = (0.5 * pose.heading_rad.unwrap_or(0.0)).sin_cos();
+        let orientation = Quaternion { z, w, ..Quaternion::default() };
+        let position = <[f64; 3]>::from(pose.position_m).into();
+        PoseStamped { header, pose: Placed { position, orientation } }.payload()
     };
     trajectory.poses().iter().map(message).collect()
 }
@@ -86,26 +47,19 @@ fn headed(folder: &Folder, path: &Path) -> PathBuf {
     folder.write("t.csv", trajectory.poses().iter().map(line).collect::<String>().as_bytes())
 }
 
-/// A file of MCAP without chunks and summary.
-fn mcap(topics: &[(&str, &str, Vec<Vec<u8>>)]) -> Vec<u8> {
-    fn record(kind: u8, parts: &[&[u8]]) -> Vec<u8> {
-        let content = parts.concat();
-        [&[kind][..], &(content.len() as u64).to_le_bytes(), &content].concat()
+/// A recording of these topics.
+fn mcap(topics: &[(&str, &'static str, Vec<Vec<u8>>)]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut writer = McapWriter::new(&mut bytes).unwrap();
+    for (topic, kind, messages) in topics {
+        messages.iter().for_each(|message| writer.put((topic, kind, String::new), 0, message).unwrap());
     }
-    let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
-    let mut bytes = b"\x89MCAP0\r\n".to_vec();
-    bytes.extend(record(0x01, &[&text("ros2"), &text("")]));
-    for (number, (topic, kind, messages)) in (1_u16..).zip(topics) {
-        let number = number.to_le_bytes();
-        bytes.extend(record(0x03, &[&number, &text(kind), &text("ros2msg"), &text("")]));
-        bytes.extend(record(0x04, &[&number, &number, &text(topic), &text("cdr"), &[0; 4]]));
-        messages.iter().for_each(|message| bytes.extend(record(0x05, &[&number, &[0; 20], message])));
-    }
-    [bytes, record(0x0f, &[&[0; 4]])].concat()
+    writer.finish().unwrap();
+    bytes
 }
 
-const CSI: &str = "csi5300_msgs/msg/Csi";
-const POSES: &str = "geometry_msgs/msg/PoseStamped";
+const CSI: &str = Csi::TYPE;
+const POSES: &str = PoseStamped::TYPE;
 
 /// The lines of JSON without what the link is called.
 fn answers(text: &str) -> Vec<serde_json::Value> {
@@ -145,19 +99,26 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     }
     let (_, out, _) = run(&["--bag", "run.mcap", "--rx", "/a/csi"]);
     assert!(out.contains(r#""link":"b/csi""#), "{out}");
-    // Both logs could be the receiver's; a name that is none; one log for both.
-    for (args, words) in [
-        (&[][..], "run.mcap has several topics of CSI (/a/csi, /b/csi): --rx names that of the robot that moved"),
-        (&["--rx", "/c/csi"], "/c/csi is neither a file nor a topic of CSI in run.mcap, which has /a/csi, /b/csi"),
-        (&["--rx", "/a/odom"], "/a/odom is neither a file nor a topic of CSI in run.mcap, which has /a/csi, /b/csi"),
+    // Both logs could be the receiver's; a name that is none; one log for both. Without the other robot's log, without odometry.
+    std::fs::write(folder.0.join("one.mcap"), mcap(&topics[..1])).unwrap();
+    let (whole, one) = (["--bag", "run.mcap"], ["--bag", "one.mcap"]);
+    let other = "is neither a file nor a topic of CSI in run.mcap, which has /a/csi, /b/csi";
+    for (bag, more, status, words) in [
+        (
+            &whole[..],
+            &[][..],
+            1,
+            "run.mcap has several topics of CSI (/a/csi, /b/csi): --rx names that of the robot that moved",
+        ),
+        (&whole, &["--rx", "/c/csi"], 1, &format!("/c/csi {other}")),
+        (&whole, &["--rx", "/a/odom"], 1, &format!("/a/odom {other}")),
+        (&whole, &["--rx", "/a/csi", "--tx", "/a/csi"], 2, "/a/csi is given twice"),
+        (&[], &[], 2, "--rx"),
+        (&one, &[], 1, "--tx names the log of the other robot"),
+        (&one, &["--tx", &tx], 1, "one.mcap has no poses (nav_msgs/msg/Odometry"),
     ] {
-        let (status, _, errors) = run(&[&["--bag", "run.mcap"][..], args].concat());
-        assert!(status == 1 && errors.contains(words), "{status}: {errors}");
+        folder.says(&[&["bearing", "--channel", "108", "--json"], bag, more].concat(), status, &[words]);
     }
-    let (status, _, errors) = run(&["--bag", "run.mcap", "--rx", "/a/csi", "--tx", "/a/csi"]);
-    assert!(status == 2 && errors.contains("/a/csi is given twice"), "{status}: {errors}");
-    let (status, _, errors) = run(&[]);
-    assert!(status == 2 && errors.contains("--rx"), "{status}: {errors}");
     // Which of several transmitters a MAC is of is not guessed.
     let three = [topics.to_vec(), vec![("/c/csi", CSI, csi(Path::new(&tx)))]].concat();
     std::fs::write(folder.0.join("three.mcap"), mcap(&three)).unwrap();
@@ -171,12 +132,6 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     let (status, out, errors) = run(&[&of_three[..], &["--tx", "/b/csi", "--tx-mac", &mac]].concat());
     assert_eq!((status, answers(&out)), (0, answers(&expected)), "{errors}");
     std::fs::remove_file(folder.0.join("three.mcap")).unwrap();
-    // Without the other robot's log, without odometry.
-    std::fs::write(folder.0.join("one.mcap"), mcap(&topics[..1])).unwrap();
-    let (status, _, errors) = run(&["--bag", "one.mcap"]);
-    assert!(status == 1 && errors.contains("--tx names the log of the other robot"), "{errors}");
-    let (status, _, errors) = run(&["--bag", "one.mcap", "--tx", &tx]);
-    assert!(status == 1 && errors.contains("one.mcap has no poses (nav_msgs/msg/Odometry"), "{errors}");
     // A message that is none is left out and said.
     let mut damaged = topics.clone();
     damaged[1].2.push(vec![0, 1, 0, 0, 7]);

@@ -1,13 +1,15 @@
 //! Cards other than the 5300: FeitCSI's logs of two simulated robots, and the constants between the chains of one.
 
-use crate::commands::{Folder, json};
+use crate::air::Program;
+use crate::commands::{Folder, json, of};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
 
 /// Simulates a scene into `name`; the receiver's log, the transmitter's, and the trajectory that begins so.
-fn simulated(folder: &Folder, name: &str, scene: &str, trajectory: &str) -> [String; 3] {
+pub fn simulated(folder: &Folder, name: &str, scene: &str, trajectory: &str) -> [String; 3] {
     folder.write("scene.toml", scene.as_bytes());
-    let (status, _, err) = folder.run(&["simulate", "scene.toml", "--out", name]);
-    assert_eq!(status, 0, "{err}");
+    folder.says(&["simulate", "scene.toml", "--out", name], 0, &[]);
     let find = |start: &str| {
         let files = std::fs::read_dir(folder.0.join(name)).unwrap().map(|entry| entry.unwrap().path());
         let is_it = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with(start);
@@ -16,7 +18,7 @@ fn simulated(folder: &Folder, name: &str, scene: &str, trajectory: &str) -> [Str
     ["csi_rx_", "csi_tx1_", trajectory].map(find)
 }
 
-const PAIR: &str = "duration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsounding.rate_hz = 50\n\
+pub const PAIR: &str = "duration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsounding.rate_hz = 50\n\
      [radio]\nnoise.snr_db = 20\nsend_jitter_us = 60\nturn_around.spread_us = 8\n\
      [[robot]]\nname = \"rx\"\nmotion.circle = { radius_m = 0.25, duration_s = 12.0 }\n\
      [[robot]]\nname = \"tx\"\nposition_m = [-4.0, 9.0, 0.0]\ncrystal.offset_ppm = -6.0\n";
@@ -25,18 +27,15 @@ const PAIR: &str = "duration_s = 12.0\ncard = \"ax210\"\ncfo = \"physical\"\nsou
 fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     let folder = Folder::new("feitcsi");
     let [rx, tx, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
-    let (status, out, err) = folder.run(&["info", &rx]);
-    assert!(status == 0 && out.contains("FeitCSI, 600 frames") && out.contains("of two robots"), "{out}{err}");
-    let (status, out, err) = folder.run(&["bearing", &rx, &tx, &path, "--channel", "108", "--json"]);
-    let answer = json(out.lines().next().unwrap());
-    assert_eq!(status, 0, "{err}");
+    let (out, _) = folder.says(&["info", &rx], 0, &[]);
+    assert!(out.contains("FeitCSI, 600 frames") && out.contains("of two robots"), "{out}");
+    let answer = &folder.rows(&["bearing", &rx, &tx, &path, "--channel", "108", "--json"], 0)[0];
     // From the circle's middle, 25 cm to the left of where it began.
     let truth_deg = (9.0_f64 - 0.25).atan2(-4.0).to_degrees();
     assert!((answer["azimuth_deg"].as_f64().unwrap() - truth_deg).abs() < 0.2, "{answer}");
     assert!(answer["compensated"].as_bool().unwrap() && answer["pairs"].as_u64().unwrap() >= 595, "{answer}");
     // The same of the folder, whose files are named as those of a capture.
-    let (status, out, err) = folder.run(&["bearing", "room", "--json"]);
-    assert_eq!((status, &json(out.lines().next().unwrap())["azimuth_deg"]), (0, &answer["azimuth_deg"]), "{err}");
+    assert_eq!(folder.rows(&["bearing", "room", "--json"], 0)[0]["azimuth_deg"], answer["azimuth_deg"]);
 
     // Damage costs only the records it hits, and is reported; a cut log is read up to the cut.
     let mut log = std::fs::read(&rx).unwrap();
@@ -45,9 +44,8 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     log.drain(200 * len + 300..200 * len + 400);
     let damaged = folder.write("damaged.csi", &log);
     let damaged = damaged.to_str().unwrap();
-    let (status, out, err) =
-        folder.run(&["bearing", "--rx", damaged, "--tx", &tx, "--trajectory", &path, "--channel", "108"]);
-    assert!(status == 3 && out.contains("114.") && err.contains("598 bfee records"), "{status} {out}{err}");
+    let (out, _) = folder.says(&of(damaged, &tx, &path), 3, &["598 bfee records"]);
+    assert!(out.contains("114."));
     // Frames of 80 and 160 MHz are taken about their centres.
     for (width, number, centre) in [("80", "106", "5530MHz"), ("160", "114", "5570MHz")] {
         let wide = PAIR.replace("card =", &format!("bandwidth_mhz = {width}\nchannel = {number}\ncard ="));
@@ -65,8 +63,7 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
 fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
     let folder = Folder::new("accept-cards");
     let [rx, tx, _] = simulated(&folder, "room", PAIR, "rx_trajectory_");
-    let (status, out, err) = folder.run(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"]);
-    assert_eq!(status, 0, "{out}{err}");
+    let (out, _) = folder.says(&["doctor", "--accept", &rx, &tx, "--channel", "108", "--json"], 0, &[]);
     let report = json(&out);
     let verdict = |id: &str| {
         let all = report["findings"].as_array().unwrap();
@@ -82,8 +79,7 @@ fn claims_about_fields_of_a_5300_are_not_tried_on_logs_of_another_card() {
 }
 
 /// `record --feitcsi` with the log of one simulated robot on its way.
-fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut std::process::Child)) -> (i32, String) {
-    use std::process::{Command, Stdio};
+fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut Child)) -> (i32, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
     command.args(["record", "out.csi", "--force", "--feitcsi", from]).args(more).current_dir(&folder.0);
     let mut child = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -95,7 +91,6 @@ fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut s
 
 #[test]
 fn what_feitcsi_writes_is_recorded_byte_by_byte() {
-    use std::io::Write;
     use std::net::UdpSocket;
     let folder = Folder::new("record-feitcsi");
     let [rx, tx, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
@@ -136,15 +131,11 @@ fn what_feitcsi_writes_is_recorded_byte_by_byte() {
         assert_eq!(asked().0, "stop");
     });
     assert!(status == 0 && err.contains("600 records written to out.csi") && out() == log, "{status} {err}");
-    let (status, said, _) = folder.run(&["info", "out.csi"]);
-    assert!(status == 0 && said.contains("FeitCSI, 600 frames"), "{said}");
-    let answers: Vec<String> = [&rx, "out.csi"]
-        .map(|rx| {
-            folder.run(&["bearing", "--rx", rx, "--tx", &tx, "--trajectory", &path, "--channel", "108", "--json"]).1
-        })
-        .map(|line| json(line.lines().next().unwrap())["azimuth_deg"].to_string())
-        .into();
-    assert_eq!(answers[0], answers[1]);
+    let (said, _) = folder.says(&["info", "out.csi"], 0, &[]);
+    assert!(said.contains("FeitCSI, 600 frames"), "{said}");
+    let [own, recorded_one] =
+        [&rx, "out.csi"].map(|rx| folder.rows(&[&of(rx, &tx, &path)[..], &["--json"]].concat(), 0).remove(0));
+    assert_eq!(own["azimuth_deg"], recorded_one["azimuth_deg"]);
 
     // In files of a size: whole frames in each.
     let size = (100 * len + 500).to_string();
@@ -162,8 +153,7 @@ fn what_feitcsi_writes_is_recorded_byte_by_byte() {
 fn all_subcarriers_of_another_card_are_exported() {
     let folder = Folder::new("export-cards");
     let [rx, ..] = simulated(&folder, "room", PAIR, "rx_trajectory_");
-    let (status, out, err) = folder.run(&["export", &rx, "a.csv", "--from", "1", "--to", "2", "--json"]);
-    assert_eq!(status, 0, "{err}");
+    let (out, _) = folder.says(&["export", &rx, "a.csv", "--from", "1", "--to", "2", "--json"], 0, &[]);
     let text = std::fs::read_to_string(folder.0.join("a.csv")).unwrap();
     let records = text.lines().count() as u64 - 1;
     assert!((48..=52).contains(&records) && json(out.trim())["records"] == records, "{out}");
@@ -171,11 +161,10 @@ fn all_subcarriers_of_another_card_are_exported() {
     // 242 subcarriers of HE at 20 MHz, two chains.
     assert_eq!(text.lines().next().unwrap().matches(",re_").count(), 2 * 242);
     for args in [&["--scaled"][..], &["--antennas", "A"], &["--remove-spatial-mapping"]] {
-        let (status, _, err) = folder.run(&[&["export", &rx, "b.npz"], args].concat());
-        assert!(status == 2 && err.contains("a FeitCSI log"), "{status} {err}");
+        folder.says(&[&["export", &rx, "b.npz"], args].concat(), 2, &["a FeitCSI log"]);
     }
-    let (status, _, err) = folder.run(&["export", &rx, "c.npz", "--mac", "02:00:00:00:00:09"]);
-    assert!(status == 1 && err.contains("600 frames skipped") && !folder.0.join("c.npz").exists(), "{status} {err}");
+    folder.says(&["export", &rx, "c.npz", "--mac", "02:00:00:00:00:09"], 1, &["600 frames skipped"]);
+    assert!(!folder.0.join("c.npz").exists());
     let Some(cases) = crate::common::cases("other-cards") else { return };
     for name in
         ["atheros/ath_csi_1.dat", "picoscenes/rx_by_iwl5300.csi", "nexmon/example_4358.pcap", "esp32/example_csi.csv"]
@@ -246,8 +235,8 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     let folder = Folder::new("plot-cards");
     let [rx, ..] = simulated(&folder, "room", &two_antennas(), "rx_trajectory_");
     std::fs::rename(rx, folder.0.join("rx.csi")).unwrap();
-    let (status, out, err) = folder.run(&["info", "rx.csi", "--plot", "p", "--json"]);
-    assert_eq!((status, json(&out)["pictures"].as_array().map(Vec::len)), (0, Some(4)), "{err}");
+    let row = &folder.rows(&["info", "rx.csi", "--plot", "p", "--json"], 0)[0];
+    assert_eq!(row["pictures"].as_array().map(Vec::len), Some(4));
     let drawn = |what: &str| std::fs::read_to_string(folder.0.join(format!("p/{what}.svg"))).unwrap();
     let (csi, levels) = (drawn("rx-csi"), drawn("rx-levels"));
     // 242 subcarriers of HE at 20 MHz, of the only sender.
@@ -256,14 +245,12 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     }
     assert!(!csi.contains("antenna C") && !csi.contains("without") && !csi.contains("NaN"));
     assert!(levels.contains("RSSI of each antenna (dBm)") && !levels.contains("gain") && !levels.contains("NaN"));
-    let again = folder.run(&["info", "rx.csi", "--plot", "p"]);
-    assert_eq!(again.0, 0, "the next run replaces them: {again:?}");
-    let only = folder.run(&["info", "rx.csi", "--plot", "b", "--antenna", "B", "--from", "1", "--to", "2"]);
-    assert_eq!(only.0, 0, "{only:?}");
+    // The next run replaces them.
+    folder.says(&["info", "rx.csi", "--plot", "p"], 0, &[]);
+    folder.says(&["info", "rx.csi", "--plot", "b", "--antenna", "B", "--from", "1", "--to", "2"], 0, &[]);
     let only = std::fs::read_to_string(folder.0.join("b/rx-csi.svg")).unwrap();
     assert!(only.contains("antenna B:") && !only.contains("antenna A:"));
-    let none = folder.run(&["info", "rx.csi", "--plot", "c", "--mac", "02:00:00:00:00:99"]);
-    assert!(none.0 == 3 && none.2.contains("no matching record"), "{none:?}");
+    folder.says(&["info", "rx.csi", "--plot", "c", "--mac", "02:00:00:00:00:99"], 3, &["no matching record"]);
 
     let Some(cases) = crate::common::cases("other-cards") else { return };
     // One of each format: drawing takes its time.
@@ -291,26 +278,29 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     }
 }
 
+/// Where a page of `view` is served, once it is.
+pub fn place(page: &mut Program) -> String {
+    let mut address = String::new();
+    BufReader::new(page.child.stdout.take().unwrap()).read_line(&mut address).unwrap();
+    address.trim().trim_start_matches("http://").trim_end_matches('/').to_owned()
+}
+
+/// What it answers.
+pub fn get(place: &str, path: &str) -> serde_json::Value {
+    let mut stream = std::net::TcpStream::connect(place).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200"), "{path}: {answer}");
+    json(answer.split_once("\r\n\r\n").unwrap().1)
+}
+
 /// What the page of a log is told.
 fn asked(log: &str, paths: &[&str]) -> Vec<serde_json::Value> {
-    use std::io::{BufRead, BufReader, Read, Write};
-    let mut page = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
-    let mut page = page.args(["view", log]).stdout(std::process::Stdio::piped()).spawn().unwrap();
-    let mut address = String::new();
-    BufReader::new(page.stdout.take().unwrap()).read_line(&mut address).unwrap();
-    let place = address.trim().trim_start_matches("http://").trim_end_matches('/');
-    let ask = |path: &&str| {
-        let mut stream = std::net::TcpStream::connect(place).unwrap();
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n").unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        assert!(answer.starts_with("HTTP/1.1 200"), "{log} {path}: {answer}");
-        json(answer.split_once("\r\n\r\n").unwrap().1)
-    };
-    let answers = paths.iter().map(ask).collect();
-    page.kill().unwrap();
-    page.wait().unwrap();
-    answers
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let mut page = Program::of(command.args(["view", log]).stdout(Stdio::piped()));
+    let place = place(&mut page);
+    paths.iter().map(|path| get(&place, path)).collect()
 }
 
 #[test]
@@ -337,8 +327,7 @@ fn the_page_shows_logs_of_other_cards() {
     let told: String = answers.iter().map(|answer| format!("{answer}\n")).collect();
     assert!(crate::documented::are_documented(&told) > 20);
     folder.write("words.csv", b"It was a dark and stormy night.\n");
-    let (status, _, err) = folder.run(&["view", "words.csv"]);
-    assert!(status == 1 && err.contains("is another kind of file, text"), "{status} {err}");
+    folder.says(&["view", "words.csv"], 1, &["is another kind of file, text"]);
 
     let Some(cases) = crate::common::cases("other-cards") else { return };
     for (name, format, _, antennas) in LOGS {
@@ -356,12 +345,14 @@ fn an_address_without_its_half_is_shown_whole() {
     let folder = Folder::new("address");
     for (given, wanted) in [("8080", "127.0.0.1:8080"), (":9000", "127.0.0.1:9000"), ("localhost:1", "127.0.0.1:8080")]
     {
-        let (status, _, err) = folder.run(&["view", "x.dat", "--listen", given]);
-        assert!(status == 2 && err.contains(wanted) && err.contains("an IP address and a port"), "{given}: {err}");
+        folder.says(&["view", "x.dat", "--listen", given], 2, &[wanted, "an IP address and a port"]);
     }
     for given in ["00:21:6a:53:89", "00216a5389d2", "00:21:6a:53:89:zz"] {
-        let (status, _, err) = folder.run(&["bearing", "--tx-mac", given, "a.dat", "b.dat", "t.csv"]);
-        assert!(status == 2 && err.contains("six hexadecimal octets like 00:21:6a:53:89:d2"), "{given}: {err}");
+        folder.says(
+            &["bearing", "--tx-mac", given, "a.dat", "b.dat", "t.csv"],
+            2,
+            &["six hexadecimal octets like 00:21:6a:53:89:d2"],
+        );
     }
 }
 
@@ -370,11 +361,9 @@ fn info_takes_the_logs_of_a_folder() {
     let folder = Folder::new("info-folder");
     let scene = std::fs::read_to_string(crate::common::root().join("scenes/two-antennas.toml")).unwrap();
     simulated(&folder, "room", &scene, "odom_rx_");
-    let (status, out, _) = folder.run(&["info", "room", "--json"]);
-    assert_eq!((status, out.lines().count()), (0, 2), "{out}");
+    assert_eq!(folder.rows(&["info", "room", "--json"], 0).len(), 2);
     std::fs::create_dir(folder.0.join("empty")).unwrap();
-    let (status, _, err) = folder.run(&["info", "empty"]);
-    assert!(status == 1 && err.contains("no log in this folder"), "{status} {err}");
+    folder.says(&["info", "empty"], 1, &["no log in this folder"]);
 }
 
 #[test]
@@ -385,12 +374,10 @@ fn two_logs_and_two_antennas_give_one_answer() {
     let [rx, tx, path] = simulated(&folder, "room", &scene, "odom_rx_");
     let named = ["bearing", "--rx", &rx, "--trajectory", &path, "--channel", "108", "--json"];
     let antennas = ["--antennas", "A,B", "--baseline", "0.1,0,0"];
-    let (status, out, err) = folder.run(&[&named[..], &antennas, &["--tx", &tx]].concat());
-    let answer = json(out.lines().next().unwrap());
+    let answer = &folder.rows(&[&named[..], &antennas, &["--tx", &tx]].concat(), 0)[0];
     // From the circle's middle.
     let off = answer["azimuth_deg"].as_f64().unwrap() - (5.0_f64 - 0.05).atan2(3.0).to_degrees();
     let kinds = answer["kinds_deg"].as_array().unwrap();
-    assert!(status == 0 && off.abs() < 0.5 && kinds.len() == 2, "{off} {answer}{err}");
-    let (status, _, err) = folder.run(&[&named[..], &antennas, &["--rx-mac", "02:53:00:00:00:01"]].concat());
-    assert!(status == 2 && err.contains("need --tx"), "{err}");
+    assert!(off.abs() < 0.5 && kinds.len() == 2, "{off} {answer}");
+    folder.says(&[&named[..], &antennas, &["--rx-mac", "02:53:00:00:00:01"]].concat(), 2, &["need --tx"]);
 }

@@ -2,6 +2,7 @@
 //! file.
 
 use crate::common::{Link, TRANSMITTER, emitted, link};
+use crate::private::inside;
 use driver_iface::bfee::{Bfee, Iq, Repr};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -15,6 +16,23 @@ impl Folder {
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
+    }
+
+    /// The same for this test in namespaces of its own, by these options of unshare(1).
+    pub fn inside<T>(_: T, options: &str, name: &str) -> Option<Self> {
+        inside(std::any::type_name::<T>(), options).then(|| Self::new(name))
+    }
+
+    /// Mounts a disk of so many bytes over one of its folders; `None`, said, where that cannot be done.
+    pub fn mount(&self, below: &str, size: &str) -> Option<PathBuf> {
+        let disk = self.0.join(below);
+        let size = format!("size={size}");
+        let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", &size, "none"]).arg(&disk).status();
+        if mounted.is_ok_and(|status| status.success()) {
+            return Some(disk);
+        }
+        crate::common::skipped("a tmpfs cannot be mounted here");
+        None
     }
 
     pub fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
@@ -41,10 +59,40 @@ impl Folder {
     }
 
     pub fn bearing(&self, more: &[&str]) -> (i32, String, String) {
-        let mut args = vec!["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108"];
-        args.extend(more);
-        self.run(&args)
+        self.run(&[&of("rx.dat", "tx.dat", "t.csv")[..], more].concat())
     }
+
+    /// Runs a command that has to end with this status and to say all these words on standard error; gives its output and
+    /// what it said.
+    pub fn says(&self, args: &[&str], expected: i32, words: &[&str]) -> (String, String) {
+        checked(self.run(args), args, expected, words)
+    }
+
+    /// The lines of JSON of a command that has to end with this status.
+    pub fn rows(&self, args: &[&str], expected: i32) -> Vec<serde_json::Value> {
+        self.says(args, expected, &[]).0.lines().map(json).collect()
+    }
+
+    /// The same of a bearing.
+    pub fn bearing_says(&self, more: &[&str], expected: i32, words: &[&str]) -> (String, String) {
+        checked(self.bearing(more), more, expected, words)
+    }
+}
+
+/// The words of a bearing of these files.
+pub fn of<'a>(rx: &'a str, tx: &'a str, trajectory: &'a str) -> [&'a str; 9] {
+    ["bearing", "--rx", rx, "--tx", tx, "--trajectory", trajectory, "--channel", "108"]
+}
+
+fn checked(
+    (status, out, err): (i32, String, String),
+    args: &[&str],
+    expected: i32,
+    words: &[&str],
+) -> (String, String) {
+    assert_eq!(status, expected, "{args:?}: {out}{err}");
+    words.iter().for_each(|words| assert!(err.contains(words), "{args:?} does not say `{words}`: {err}"));
+    (out, err)
 }
 
 pub fn json(line: &str) -> serde_json::Value {
@@ -63,12 +111,9 @@ fn files_are_told_apart_by_their_content() {
         assert!(err.contains("rx.dat is the receiver's log"), "{err}");
     }
     // The page of the same folder has its link.
-    let (status, _, err) = folder.run(&["evaluate", ".", "--channel", "108", "--html", "page.html"]);
-    assert!(status == 0 && err.contains("page.html: 1 link,"), "{status} {err}");
-    let (status, _, err) = folder.run(&["view", "rx.dat", "tx.dat"]);
-    assert!(status == 2 && err.contains("into one folder"), "{status} {err}");
-    let (status, _, err) = folder.run(&["evaluate", ".", "--channel", "108"]);
-    assert!(status == 1 && err.contains("1 capture without one"), "{status} {err}");
+    folder.says(&["evaluate", ".", "--channel", "108", "--html", "page.html"], 0, &["page.html: 1 link,"]);
+    folder.says(&["view", "rx.dat", "tx.dat"], 2, &["into one folder"]);
+    folder.says(&["evaluate", ".", "--channel", "108"], 1, &["1 capture without one"]);
     // Names that say nothing: only the receiver's host times lie within the trajectory.
     std::fs::rename(folder.0.join("rx.dat"), folder.0.join("a.dat")).unwrap();
     std::fs::rename(folder.0.join("tx.dat"), folder.0.join("b.dat")).unwrap();
@@ -103,8 +148,7 @@ fn files_are_told_apart_by_their_content() {
 fn explain_says_what_was_computed_and_what_was_not() {
     let folder = Folder::new("explain");
     folder.link(&link(600, 2.0));
-    let (status, out, _) = folder.bearing(&["--explain"]);
-    assert_eq!(status, 0);
+    let (out, _) = folder.bearing_says(&["--explain"], 0, &[]);
     for words in [
         "decoded: antenna A",
         "windows along the motion: taken",
@@ -127,8 +171,7 @@ fn explain_says_what_was_computed_and_what_was_not() {
 fn a_bearing_with_everything_that_was_counted() {
     let folder = Folder::new("bearing");
     folder.link(&link(600, 2.0));
-    let (status, out, err) = folder.bearing(&["--json"]);
-    assert_eq!(status, 0, "{err}");
+    let (out, _) = folder.bearing_says(&["--json"], 0, &[]);
     let answer = json(&out);
     assert!((answer["azimuth_deg"].as_f64().unwrap() - 2f64.to_degrees()).abs() < 0.1, "{out}");
     assert_eq!(answer["mac"], TRANSMITTER.to_string());
@@ -152,8 +195,7 @@ fn losses_before_the_tail_are_counted_and_change_the_status() {
     damaged.rx[100].remove(7);
     damaged.rx[300] = vec![0x55; 100];
     folder.link(&damaged);
-    let (status, out, err) = folder.bearing(&["--json"]);
-    assert_eq!(status, 3, "{err}");
+    let (out, err) = folder.bearing_says(&["--json"], 3, &[]);
     assert_eq!(json(&out)["pairs"].as_u64(), Some(598), "{err}");
     assert!(err.contains("lost:") && err.contains("offset"), "{err}");
     // A cut last record is the normal end of a log.
@@ -170,8 +212,8 @@ fn info_says_where_a_log_was_cut_and_why() {
     let folder = Folder::new("info");
     let bytes = link(100, 0.0).rx.concat();
     folder.write("cut.dat", &bytes[..2 * 4096]);
-    let (status, out, _) = folder.run(&["info", "cut.dat"]);
-    assert!(status == 0 && out.contains("the logger was killed before it flushed"), "{out}");
+    let (out, _) = folder.says(&["info", "cut.dat"], 0, &[]);
+    assert!(out.contains("the logger was killed before it flushed"), "{out}");
     assert!(out.contains("WSR layout, 35 bfee records") && out.contains("100.0 Hz"), "{out}");
     let (_, out, _) = folder.run(&["info", "--json", "cut.dat"]);
     assert_eq!(json(&out)["wsr"].as_u64(), Some(35));
@@ -184,14 +226,11 @@ fn recover_keeps_every_intact_record_and_nothing_else() {
     let whole = log.clone();
     log[20].remove(30);
     folder.write("in.dat", &log.concat());
-    let (status, _, err) = folder.run(&["export", "--dat", "in.dat", "out.dat"]);
-    assert_eq!(status, 3, "{err}");
+    folder.says(&["export", "--dat", "in.dat", "out.dat"], 3, &[]);
     let expected: Vec<u8> = whole.iter().enumerate().filter(|(k, _)| *k != 20).flat_map(|(_, r)| r.clone()).collect();
     assert_eq!(std::fs::read(folder.0.join("out.dat")).unwrap(), expected);
-    let (status, _, err) = folder.run(&["export", "--dat", "in.dat", "out.dat"]);
-    assert!(status == 1 && err.contains("--force"), "{err}");
-    let (status, _, err) = folder.run(&["export", "--dat", "in.dat", "in.dat", "--force"]);
-    assert!(status == 1 && err.contains("is an input"), "{err}");
+    folder.says(&["export", "--dat", "in.dat", "out.dat"], 1, &["--force"]);
+    folder.says(&["export", "--dat", "in.dat", "in.dat", "--force"], 1, &["is an input"]);
     assert_eq!(std::fs::read(folder.0.join("in.dat")).unwrap(), log.concat());
 }
 
@@ -199,8 +238,7 @@ fn recover_keeps_every_intact_record_and_nothing_else() {
 fn exports_hold_what_the_log_holds() {
     let folder = Folder::new("export");
     folder.write("log.dat", &link(20, 0.0).rx.concat());
-    let (status, _, err) = folder.run(&["export", "log.dat", "log.csv"]);
-    assert_eq!(status, 0, "{err}");
+    folder.says(&["export", "log.dat", "log.csv"], 0, &[]);
     let mut reader = csv::Reader::from_path(folder.0.join("log.csv")).unwrap();
     let header = reader.headers().unwrap().clone();
     let rows: Vec<_> = reader.records().map(Result::unwrap).collect();
@@ -212,11 +250,9 @@ fn exports_hold_what_the_log_holds() {
         (0..2).map(|p| rows[k][column(["re_0_a_1", "im_0_a_1"][p])].parse::<f64>().unwrap().powi(2)).sum::<f64>()
     };
     assert!((0..20).all(|k| (power(k).sqrt() - 40.0).abs() < 1.0));
-    let (status, _, err) = folder.run(&["export", "log.dat", "log.npz", "--scaled"]);
-    assert_eq!(status, 0, "{err}");
+    folder.says(&["export", "log.dat", "log.npz", "--scaled"], 0, &[]);
     assert!(std::fs::read(folder.0.join("log.npz")).unwrap().starts_with(b"PK"));
-    let (status, _, err) = folder.run(&["export", "log.dat", "log.xls"]);
-    assert!(status == 2 && err.contains("exported as .csv, .npz"), "{err}");
+    folder.says(&["export", "log.dat", "log.xls"], 2, &["exported as .csv, .npz"]);
 }
 
 #[test]
@@ -236,22 +272,15 @@ fn bad_logs_get_a_clear_word_and_no_bearing() {
         ("long.dat", "lost"),
         ("none.dat", "No such file"),
     ] {
-        let (status, out, err) = folder.run(&["info", file]);
-        assert!(status == 1 && (out + &err).contains(word), "info {file}: {status} {err}");
-        let (status, out, err) =
-            folder.run(&["bearing", "--rx", file, "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108"]);
-        assert_eq!(status, 1, "bearing {file}: {out} {err}");
+        let (out, err) = folder.says(&["info", file], 1, &[]);
+        assert!((out + &err).contains(word));
+        let (_, err) = folder.says(&of(file, "tx.dat", "t.csv"), 1, &[]);
         assert!(err.len() > 20, "{err}");
     }
     // Of a folder the logs are read, and the other files are named.
-    let (status, out, err) = folder.run(&["info", "."]);
-    assert!(
-        status == 3 && out.contains("rx.dat") && err.contains("text.dat is another kind of file"),
-        "{status} {out}{err}"
-    );
-    let (status, _, err) =
-        folder.run(&["bearing", "--rx", ".", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108"]);
-    assert!(status == 1 && err.contains("directory"), "{err}");
+    let (out, _) = folder.says(&["info", "."], 3, &["text.dat is another kind of file"]);
+    assert!(out.contains("rx.dat"));
+    folder.says(&of(".", "tx.dat", "t.csv"), 1, &["directory"]);
 }
 
 #[test]
@@ -279,28 +308,20 @@ fn trajectories_that_do_not_fit_say_why() {
     let folder = Folder::new("trajectories");
     let made = link(100, 0.0);
     folder.link(&made);
-    let (status, _, err) = folder.bearing(&["--clock-offset", "1000"]);
-    assert!(status == 1 && err.contains("outside the trajectory") && err.contains("--clock-offset"), "{err}");
+    folder.bearing_says(&["--clock-offset", "1000"], 1, &["outside the trajectory", "--clock-offset"]);
     folder.write("t.csv", b"a,b,c\n");
-    let (status, _, err) = folder.bearing(&[]);
-    assert!(status == 1 && err.contains("no row of numbers") && err.contains("t.csv"), "{err}");
+    folder.bearing_says(&[], 1, &["no row of numbers", "t.csv"]);
     let still: String = (0..400).map(|k| format!("{},0,1,2,3\n", 1_700_000_000.0 + f64::from(k) * 0.01)).collect();
     folder.write("t.csv", still.as_bytes());
-    let (status, _, err) = folder.bearing(&[]);
-    assert!(status == 1 && err.contains("no motion"), "{err}");
+    folder.bearing_says(&[], 1, &["no motion"]);
     folder.write("t.csv", made.trajectory.as_bytes());
-    let (status, _, err) = folder.bearing(&["--antenna-offset", "0.1,0,0"]);
-    assert!(status == 1 && err.contains("heading"), "{err}");
-    let (status, _, err) = folder.bearing(&["--antenna-offset", "0,0,0", "--camera-mount", "0.1,0,-2"]);
-    assert!(status == 1 && err.contains("heading"), "{err}");
+    folder.bearing_says(&["--antenna-offset", "0.1,0,0"], 1, &["heading"]);
+    folder.bearing_says(&["--antenna-offset", "0,0,0", "--camera-mount", "0.1,0,-2"], 1, &["heading"]);
     // A path that rolls is that of the middle between the wheels: where the antenna is seen from there has to be said.
-    let (status, _, err) = folder.bearing(&["--camera-mount", "0.1,0,-2"]);
-    assert!(status == 2 && err.contains("--antenna-offset"), "{err}");
-    let (status, _, err) = folder.run(&["evaluate", "--antenna-offset", "0.1,0,0", "."]);
-    assert!(status == 2 && err.contains("motion capture tracks the antenna"), "{err}");
+    folder.bearing_says(&["--camera-mount", "0.1,0,-2"], 2, &["--antenna-offset"]);
+    folder.says(&["evaluate", "--antenna-offset", "0.1,0,0", "."], 2, &["motion capture tracks the antenna"]);
     let of_wheels = ["evaluate", "--trajectory", "odom", "--antenna-offset", "0,0,0", "--camera-mount", "0,0,0", "."];
-    let (status, _, err) = folder.run(&of_wheels);
-    assert!(status == 2 && err.contains("--trajectory t265"), "{err}");
+    folder.says(&of_wheels, 2, &["--trajectory t265"]);
 }
 
 #[test]
@@ -326,8 +347,7 @@ fn one_log_that_cannot_be_read_costs_its_own_link_only() {
         assert!(answers[1]["link"] == "gone" && answers[1]["error"].as_str().unwrap().contains("gone.dat"), "{out}");
     }
     // A MAC that the receiver never heard: it says whom it heard.
-    let (status, _, err) = folder.bearing(&["--tx-mac", "02:00:00:00:00:77"]);
-    assert_eq!(status, 1, "{err}");
+    let (_, err) = folder.bearing_says(&["--tx-mac", "02:00:00:00:00:77"], 1, &[]);
     assert!(err.contains(&format!("rx.dat has frames of: {mac} (600 records)")), "{err}");
 }
 
@@ -348,8 +368,7 @@ fn standard_input_is_a_log_too() {
 fn profiles_are_written_on_the_grids_asked_for() {
     let folder = Folder::new("profile");
     folder.link(&link(300, 0.5));
-    let (status, _, err) = folder.bearing(&["--profile", "p.csv", "--grid", "wsr"]);
-    assert_eq!(status, 0, "{err}");
+    folder.bearing_says(&["--profile", "p.csv", "--grid", "wsr"], 0, &[]);
     let text = std::fs::read_to_string(folder.0.join("p.csv")).unwrap();
     assert_eq!(text.lines().count(), 1 + 360 * 90);
     let best = text.lines().skip(1).map(|l| l.split(',').map(|v| v.parse::<f64>().unwrap()).collect::<Vec<_>>());
@@ -374,15 +393,13 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
     let folder = Folder::new("evaluate");
     let made = link(400, 2.0 * std::f64::consts::FRAC_PI_3);
     capture(&folder, "tree/A/good", &made);
-    let (status, out, err) = folder.run(&["evaluate", "tree", "--json"]);
-    let rows: Vec<_> = out.lines().map(json).collect();
-    assert_eq!((status, rows.len()), (0, 2), "{err}");
-    assert_eq!(rows[0]["link"], "A/good/1/tx2");
+    let rows = folder.rows(&["evaluate", "tree", "--json"], 0);
+    assert_eq!((rows.len(), rows[0]["link"].as_str()), (2, Some("A/good/1/tx2")));
     // Units stand below the heads.
     let (_, text, _) = folder.run(&["evaluate", "tree"]);
     let units: Vec<&str> = text.lines().nth(1).unwrap().split_whitespace().collect();
     assert_eq!(units, ["deg", "deg", "deg", "deg", "deg", "%"], "{text}");
-    assert!(rows[0]["error_from_mean_pose_deg"].as_f64().unwrap().abs() < 0.3, "{out}");
+    assert!(rows[0]["error_from_mean_pose_deg"].as_f64().unwrap().abs() < 0.3, "{rows:?}");
     assert_eq!(rows[1]["summary"]["A"]["links"], 1);
     // A damaged record, a missing receiver's log, no truth to read.
     let mut damaged = link(400, 2.0);
@@ -392,10 +409,9 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
     std::fs::remove_file(folder.0.join("tree/B/without_rx/csi_rx_1.dat")).unwrap();
     capture(&folder, "tree/B/no_truth", &made);
     folder.write("tree/B/no_truth/groundtruth_positions.json", b"{");
-    let (status, out, err) = folder.run(&["evaluate", "tree", "--json"]);
+    let (out, _) = folder.says(&["evaluate", "tree", "--json"], 3, &["damaged/csi_rx_1.dat: 1 damaged stretches"]);
     let rows: Vec<_> = out.lines().map(json).collect();
-    assert_eq!((status, rows.len()), (3, 5), "{out}");
-    assert!(err.contains("damaged/csi_rx_1.dat: 1 damaged stretches"), "{err}");
+    assert_eq!(rows.len(), 5, "{out}");
     let failed = rows.iter().filter(|row| row["azimuth_deg"].is_null() && row["error"].is_string());
     assert_eq!(failed.count(), 2, "{out}");
     assert!(rows[4]["summary"]["B"]["from_mean_pose"]["mean_deg"].is_null(), "{out}");
@@ -407,8 +423,7 @@ fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
     let text = "duration_s = 4.0\nchannel = 36\n[sounding]\nrate_hz = 100\n[radio]\nnoise.snr_db = 20.0\n[[robot]]\nname = \"rx\"\n\
                 motion.circle = { radius_m = 0.2, duration_s = 4.0 }\n[[robot]]\nname = \"tx\"\nposition_m = [4.0, 1.0, 0.0]\n";
     folder.write("scene.toml", text.as_bytes());
-    let (status, said, error) = folder.run(&["simulate", "scene.toml", "--out", "capture"]);
-    assert_eq!(status, 0, "{said}{error}");
+    folder.says(&["simulate", "scene.toml", "--out", "capture"], 0, &[]);
     let stamp = "2023-11-14_221320";
     let [rx, tx, path] =
         [format!("csi_rx_{stamp}.dat"), format!("csi_tx1_{stamp}.dat"), format!("rx_trajectory_{stamp}_.csv")]
@@ -416,33 +431,29 @@ fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
     let recorded = ["simulate", "--rx", &rx, "--tx", &tx, "--trajectory", &path, "--out", "out", "--force"];
     // With the scene itself, and with the folder that it wrote: nothing differs.
     for with in ["scene.toml", "capture"] {
-        let (status, said, error) = folder.run(&[&recorded[..], &[with]].concat());
-        assert_eq!(status, 0, "{said}{error}");
+        let (said, _) = folder.says(&[&recorded[..], &[with]].concat(), 0, &[]);
         assert!(said.contains(" figures agree, 0 differ"), "{said}");
     }
     // The channel is theirs; without them it has to be given.
     for with in ["scene.toml", "capture"] {
         assert_eq!(folder.run(&[&recorded[..], &[with, "--channel", "36"]].concat()).0, 0, "{with}");
-        let (status, _, error) = folder.run(&[&recorded[..], &[with, "--channel", "34+"]].concat());
-        assert_eq!(status, 1, "{with}: {error}");
-        let (status, _, error) = folder.run(&[&recorded[..], &[with, "--channel", "108"]].concat());
-        assert!(status == 1 && error.contains("is of channel 36") && error.contains("not of --channel 108"), "{error}");
+        folder.says(&[&recorded[..], &[with, "--channel", "34+"]].concat(), 1, &[]);
+        folder.says(
+            &[&recorded[..], &[with, "--channel", "108"]].concat(),
+            1,
+            &["is of channel 36", "not of --channel 108"],
+        );
     }
-    let (status, _, error) = folder.run(&recorded);
-    assert!(status == 2 && error.contains("--channel"), "{error}");
-    let (_, said, _) = folder.run(&[&recorded[..], &["capture", "--json"]].concat());
-    let rows: Vec<_> = said.lines().map(json).collect();
-    assert!(rows.len() > 80 && rows.iter().all(|row| row["recorded"] == row["simulated"]), "{said}");
-    let (status, _, error) = folder.run(&[&recorded[..], &["nowhere.toml"]].concat());
-    assert!(status == 1 && error.contains("nowhere.toml"), "{error}");
+    folder.says(&recorded, 2, &["--channel"]);
+    let rows = folder.rows(&[&recorded[..], &["capture", "--json"]].concat(), 0);
+    assert!(rows.len() > 80 && rows.iter().all(|row| row["recorded"] == row["simulated"]), "{rows:?}");
+    folder.says(&[&recorded[..], &["nowhere.toml"]].concat(), 1, &["nowhere.toml"]);
 }
 
 #[test]
 fn the_suite_writes_a_row_for_each_repetition() {
     let folder = Folder::new("suite");
-    let (status, said, error) =
-        folder.run(&["simulate", "suite", "--only", "circle 10", "--repetitions", "3", "--out", "rows.csv"]);
-    assert_eq!(status, 0, "{said}{error}");
+    folder.says(&["simulate", "suite", "--only", "circle 10", "--repetitions", "3", "--out", "rows.csv"], 0, &[]);
     let rows = std::fs::read_to_string(folder.0.join("rows.csv")).unwrap();
     assert_eq!(rows.lines().count(), 4, "{rows}");
     let page = std::fs::read_to_string(crate::common::root().join("docs/reference/formats.md")).unwrap();
@@ -451,17 +462,15 @@ fn the_suite_writes_a_row_for_each_repetition() {
     let columns: Vec<&str> = rows.lines().next().unwrap().split(',').collect();
     assert_eq!(described.collect::<Vec<_>>(), columns);
     assert!(rows.lines().skip(1).all(|row| row.starts_with("circle 10 cm,")), "{rows}");
-    let (status, _, error) = folder.run(&["simulate", "suite", "--only", "triangle"]);
-    assert!(status == 2 && error.contains("line 30 cm"), "{error}");
+    folder.says(&["simulate", "suite", "--only", "triangle"], 2, &["line 30 cm"]);
 }
 
 #[test]
 fn several_links_to_known_places_locate_the_receiver_and_old_names_say_the_new_ones() {
     let folder = Folder::new("located");
-    let (status, _, err) = folder.run(&["simulate", "lab-circle", "--out", "room"]);
-    assert_eq!(status, 0, "{err}");
-    let (status, out, err) = folder.run(&["bearing", "room"]);
-    assert!(status == 0 && out.contains("truth ") && !out.contains("located from"), "one link is no place: {out}{err}");
+    folder.says(&["simulate", "lab-circle", "--out", "room"], 0, &[]);
+    let (out, _) = folder.says(&["bearing", "room"], 0, &[]);
+    assert!(out.contains("truth ") && !out.contains("located from"), "one link is no place: {out}");
     let (status, moved, err) = folder.run(&["explain", "room"]);
     assert!(err.contains("`csi5300 explain` is `csi5300 bearing --explain` now"), "{err}");
     assert_eq!((status, &moved), (0, &folder.run(&["bearing", "--explain", "room"]).1));
@@ -482,8 +491,7 @@ fn several_links_to_known_places_locate_the_receiver_and_old_names_say_the_new_o
 fn a_link_of_a_capture_is_explained_with_pictures() {
     let folder = Folder::new("explained");
     capture(&folder, "place", &link(600, 2.0));
-    let (status, out, err) = folder.run(&["bearing", "place/tx2", "--explain", "--plot", "link"]);
-    assert_eq!(status, 0, "{err}");
+    let (out, _) = folder.says(&["bearing", "place/tx2", "--explain", "--plot", "link"], 0, &[]);
     for part in ["turn-around", "candidates", "answer", "truth"] {
         assert!(out.contains(part), "{part}: {out}");
     }
@@ -504,8 +512,7 @@ fn quiet_says_results_and_errors_and_verbose_what_was_read() {
     let mut damaged = link(300, 2.0);
     damaged.rx[100].remove(7);
     folder.link(&damaged);
-    let (status, usual_out, usual) = folder.bearing(&[]);
-    assert!(status == 3 && usual.contains("lost:"), "{usual}");
+    let (usual_out, _) = folder.bearing_says(&[], 3, &["lost:"]);
     let (status, out, err) = folder.bearing(&["--quiet"]);
     assert_eq!((status, out, err.as_str()), (3, usual_out.clone(), ""));
     let (_, out, err) = folder.bearing(&["-v"]);
@@ -514,8 +521,7 @@ fn quiet_says_results_and_errors_and_verbose_what_was_read() {
         assert!(err.contains(words), "no `{words}` in {err}");
     }
     // Errors are printed even so.
-    let (status, _, err) = folder.run(&["-q", "info", "none.dat"]);
-    assert!(status == 1 && err.contains("none.dat"), "{err}");
+    folder.says(&["-q", "info", "none.dat"], 1, &["none.dat"]);
     assert_eq!(folder.run(&["info", "rx.dat", "-q", "-v"]).0, 2);
 }
 
@@ -557,9 +563,7 @@ fn a_name_is_shown_and_commands_no_terminal() {
 fn a_file_of_another_kind_is_named_for_what_it_is() {
     let folder = Folder::new("kinds");
     folder.link(&link(300, 2.0));
-    let args = |rx: &str, tx: &str, t: &str| {
-        folder.run(&["bearing", "--rx", rx, "--tx", tx, "--trajectory", t, "--channel", "108"])
-    };
+    let args = |rx: &str, tx: &str, t: &str| folder.run(&of(rx, tx, t));
     for (rx, tx) in [("t.csv", "tx.dat"), ("rx.dat", "t.csv")] {
         let (status, _, err) = args(rx, tx, "t.csv");
         assert!(status == 1 && err.contains("t.csv is another kind of file, a table of numbers"), "{err}");
@@ -572,8 +576,7 @@ fn a_file_of_another_kind_is_named_for_what_it_is() {
     );
     assert_eq!(folder.run(&["export", "rx.dat", "rx.npz"]).0, 0);
     for command in [&["info", "rx.npz"][..], &["export", "rx.npz", "x.csv"], &["export", "--dat", "rx.npz", "x.dat"]] {
-        let (status, _, err) = folder.run(command);
-        assert!(status == 1 && err.contains("rx.npz is another kind of file, a ZIP archive"), "{command:?}: {err}");
+        folder.says(command, 1, &["rx.npz is another kind of file, a ZIP archive"]);
     }
     assert!(folder.run(&["info", "t.csv", "--plot", "."]).2.contains("another kind of file"));
     assert!(folder.run(&["view", "t.csv"]).2.contains("another kind of file"));
@@ -590,8 +593,7 @@ fn every_command_ends_with_2_where_it_is_used_wrongly_and_has_the_same_help() {
         commands.filter(|line| first(line)).filter_map(|line| line.split_whitespace().next()).collect();
     assert!(commands.len() > 5 && commands.contains(&"bearing") && commands.contains(&"simulate"), "{commands:?}");
     for command in commands.into_iter().filter(|command| *command != "help") {
-        let (status, _, err) = folder.run(&[command, "--no-such-option"]);
-        assert!(status == 2 && err.contains("--no-such-option"), "{command}: {status} {err}");
+        folder.says(&[command, "--no-such-option"], 2, &["--no-such-option"]);
         let (status, help, _) = folder.run(&[command, "--help"]);
         assert!(status == 0 && help.contains("--quiet") && help.contains("--color"), "{command}: {help}");
     }
@@ -617,22 +619,17 @@ fn truthless(folder: &Folder) {
 fn captures_without_a_truth_are_explained_located_and_shown() {
     let folder = Folder::new("truthless");
     truthless(&folder);
-    let (status, out, err) = folder.run(&["bearing", "runs", "--channel", "108", "--explain"]);
-    assert!(status == 0 && out.starts_with("circle/real_1/tx\n") && !out.contains("\ntruth"), "{out}{err}");
+    let (out, _) = folder.says(&["bearing", "runs", "--channel", "108", "--explain"], 0, &[]);
+    assert!(out.starts_with("circle/real_1/tx\n") && !out.contains("\ntruth"), "{out}");
     // Links as they are named there, wholly or by their end.
     for name in ["runs/circle/real_1/tx", "runs/circle/tx"] {
-        let (status, out, err) = folder.run(&["bearing", name, "--channel", "108", "--json"]);
-        let row = json(&out);
-        assert_eq!(status, 0, "{err}");
+        let row = &folder.rows(&["bearing", name, "--channel", "108", "--json"], 0)[0];
         assert!((row["azimuth_deg"].as_f64().unwrap() - 2f64.to_degrees()).abs() < 0.2, "{row}");
         assert!(row["error_from_mean_pose_deg"].is_null() && row["residual_phase_rad"].is_f64(), "{row}");
     }
-    let (status, _, err) = folder.run(&["bearing", "runs/circle/real_2/tx", "--channel", "108"]);
-    assert!(status == 1 && err.contains("real_2/tx is no link of runs/circle"), "{err}");
-    let (status, _, err) = folder.run(&["bearing", "runs"]);
-    assert!(status == 2 && err.contains("--channel"), "{err}");
-    let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108"]);
-    assert!(status == 1 && err.contains("1 capture without one"), "{err}");
+    folder.says(&["bearing", "runs/circle/real_2/tx", "--channel", "108"], 1, &["real_2/tx is no link of runs/circle"]);
+    folder.says(&["bearing", "runs"], 2, &["--channel"]);
+    folder.says(&["evaluate", "runs", "--channel", "108"], 1, &["1 capture without one"]);
     // The transmitter is 1 km away, so the bearing alone says little of where the receiver is; the output says that it is used.
     let unplaced = "not located: the place of tx is not known (--place tx=X,Y)";
     let place = |place: &str| folder.run(&["bearing", "runs", "--channel", "108", "--place", place, "--json"]);
@@ -662,8 +659,7 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let (status, _, err) = locate(&["runs", "--frame", "kitchen=0,0,0"]);
     assert!(status == 2 && err.contains("no capture has this name"), "{err}");
     std::fs::remove_dir_all(folder.0.join("other")).unwrap();
-    let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108", "--html", "r.html"]);
-    assert_eq!(status, 0, "{err}");
+    folder.says(&["evaluate", "runs", "--channel", "108", "--html", "r.html"], 0, &[]);
 }
 
 #[test]
@@ -674,8 +670,7 @@ fn logs_of_a_capture_give_their_link_the_name_of_captures() {
     let (rx, tx, t) = (file("csi_rx_real_1.dat"), file("csi_tx_real_1.dat"), file("rx_movement_real_1.csv"));
     let args = ["bearing", "--rx", &rx, "--tx", &tx, "--trajectory", &t, "--channel", "108", "--json"];
     assert_eq!(json(&folder.run(&args).1)["link"], "real_1/tx");
-    let (status, _, err) = folder.run(&[&args[..], &["--tx", "gone.dat", "--profile", "p.csv"]].concat());
-    assert_eq!(status, 3, "{err}");
+    folder.says(&[&args[..], &["--tx", "gone.dat", "--profile", "p.csv"]].concat(), 3, &[]);
     folder.write("csi_tx2.dat", &std::fs::read(folder.0.join(&tx)).unwrap());
     let (_, out, _) =
         folder.run(&["bearing", "--rx", &rx, "--tx", "csi_tx2.dat", "--trajectory", &t, "--channel", "108", "--json"]);
@@ -687,8 +682,7 @@ fn rows_of_a_trajectory_that_cannot_be_read_are_a_loss_and_a_line_of_headings_is
     let folder = Folder::new("rows");
     let made = link(600, 2.0);
     folder.link(&made);
-    let (status, expected, errors) = folder.bearing(&["--json"]);
-    assert_eq!(status, 0, "{errors}");
+    let (expected, _) = folder.bearing_says(&["--json"], 0, &[]);
     folder.write("t.csv", format!("time,ns,x,y,z\n{}", made.trajectory).as_bytes());
     let (status, out, errors) = folder.bearing(&["--json"]);
     assert_eq!((status, &out), (0, &expected), "{errors}");
@@ -748,13 +742,10 @@ fn rows_of_a_trajectory_that_cannot_be_read_are_a_loss_and_a_line_of_headings_is
 fn a_file_that_is_missing_is_no_wrong_usage_and_one_that_makes_no_sense_is() {
     let folder = Folder::new("words-status");
     folder.write("scene.toml", b"colour = 3\n");
-    let (status, _, err) = folder.run(&["simulate", "gone.toml", "--out", "o"]);
-    assert!(status == 1 && err.contains("no file gone.toml, and no built-in scene"), "{status} {err}");
+    folder.says(&["simulate", "gone.toml", "--out", "o"], 1, &["no file gone.toml, and no built-in scene"]);
     folder.link(&link(300, 1.0));
-    let (status, _, err) = folder.bearing(&["--key", "gone.key"]);
-    assert!(status == 1 && err.contains("gone.key"), "{status} {err}");
-    let (status, _, err) = folder.run(&["simulate", "scene.toml", "--out", "o"]);
-    assert!(status == 2 && err.contains("scene.toml: line 1: unknown field `colour`"), "{status} {err}");
+    folder.bearing_says(&["--key", "gone.key"], 1, &["gone.key"]);
+    folder.says(&["simulate", "scene.toml", "--out", "o"], 2, &["scene.toml: line 1: unknown field `colour`"]);
     // What a configuration has is for the robot's service to say (crates/node/tests/node/program.rs).
     assert_eq!(folder.run(&["node", "--check", "--colour", "never", "--no-such-option"]).0, 2);
 }
@@ -786,21 +777,20 @@ fn columns_that_may_mean_two_things_are_asked_for() {
     let rows: Vec<Vec<&str>> = made.trajectory.lines().map(|line| line.split(',').collect()).collect();
     let four: String = rows.iter().map(|row| format!("{},{},{},0.5\n", row[0], row[2], row[3])).collect();
     folder.write("t.csv", four.as_bytes());
-    let (status, _, err) = folder.bearing(&[]);
-    assert!(status == 1 && err.contains("4 columns without headings") && err.contains("--columns"), "{status}: {err}");
+    folder.bearing_says(&[], 1, &["4 columns without headings", "--columns"]);
     let azimuth = |out: &str| json(out.trim())["azimuth_deg"].as_f64().unwrap();
     let (_, named, err) = folder.bearing(&["--json", "--columns", "t,x,y,yaw"]);
     assert!((azimuth(&named) - azimuth(&plain)).abs() < 1e-6, "{err}");
     folder.write("t.csv", format!("time [s],pos_x,pos_y,yaw\n{four}").as_bytes());
     let (_, headed, err) = folder.bearing(&["--json"]);
     assert!((azimuth(&headed) - azimuth(&plain)).abs() < 1e-6, "{err}");
-    let (status, _, err) = folder.bearing(&["--columns", "t,x,z"]);
-    assert!(status == 2 && err.contains("name no y"), "{status}: {err}");
-    let (status, _, err) = folder.bearing(&["--antenna-offset", "4.6,15.9,0"]);
-    assert!(status == 1 && err.contains("16.6 m is off the robot"), "{status}: {err}");
-    let (status, _, err) =
-        folder.run(&["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "37"]);
-    assert!(status == 2 && err.contains("`37` is no channel"), "{status}: {err}");
+    folder.bearing_says(&["--columns", "t,x,z"], 2, &["name no y"]);
+    folder.bearing_says(&["--antenna-offset", "4.6,15.9,0"], 1, &["16.6 m is off the robot"]);
+    folder.says(
+        &["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "37"],
+        2,
+        &["`37` is no channel"],
+    );
 }
 
 /// The records of a log, each with its length field.
@@ -827,8 +817,7 @@ fn changed(record: &[u8], change: impl FnOnce(&mut Repr)) -> Vec<u8> {
 #[test]
 fn the_demonstration_prints_spreads_and_bearings_and_overwrites_only_its_own_files() {
     let folder = Folder::new("demo");
-    let (status, out, err) = folder.run(&["demo", "--out", "d"]);
-    assert_eq!(status, 0, "{err}");
+    let (out, _) = folder.says(&["demo", "--out", "d"], 0, &[]);
     for stem in ["standing-phase", "circle-profile", "line-trajectory"] {
         assert!(out.contains(&format!("  picture d/{stem}.png\n")), "{out}");
         assert!(folder.0.join(format!("d/{stem}.svg")).is_file(), "{stem}");
@@ -847,14 +836,13 @@ fn the_demonstration_prints_spreads_and_bearings_and_overwrites_only_its_own_fil
         // The line's error bar is that of its own side: the mirror, 22 degrees away, stands beside it.
         assert!(number(6).abs() < 0.5 && number(3) < 5.0, "{row}");
     }
-    let (status, again, err) = folder.run(&["demo", "--out", "d"]);
-    assert!(status == 0 && again == out, "{err}");
+    let (again, _) = folder.says(&["demo", "--out", "d"], 0, &[]);
+    assert!(again == out);
     // Robots at rest are no link that failed.
-    let (status, out, err) = folder.run(&["evaluate", "d"]);
-    assert!(status == 0 && out.contains("all: 2 links, 0 failed"), "{out}{err}");
+    let (out, _) = folder.says(&["evaluate", "d"], 0, &[]);
+    assert!(out.contains("all: 2 links, 0 failed"), "{out}");
     folder.write("d/mine.txt", b"");
-    let (status, _, err) = folder.run(&["demo", "--out", "d"]);
-    assert!(status == 1 && err.contains("--force"), "{err}");
+    folder.says(&["demo", "--out", "d"], 1, &["--force"]);
 }
 
 #[test]
@@ -876,11 +864,10 @@ fn info_says_what_the_clock_did_and_nothing_of_what_was_not_measured() {
     );
     assert!(out.contains("1 pause of a second and more, the longest 6.0 s"), "{out}");
     assert!(out.contains("is the median between frames"), "{out}");
-    let (_, out, _) = folder.run(&["info", "--json", "jump.dat"]);
-    let row = json(&out);
-    assert!(row["noise_dbm"].is_null() || row["noise_unknown"].as_u64() == Some(0), "{out}");
+    let row = &folder.rows(&["info", "--json", "jump.dat"], 0)[0];
+    assert!(row["noise_dbm"].is_null() || row["noise_unknown"].as_u64() == Some(0), "{row}");
     let sender = row["senders"].as_object().unwrap().values().next().unwrap().clone();
-    assert!(sender["rate_hz"].as_f64().unwrap() < 0.6 * sender["median_rate_hz"].as_f64().unwrap(), "{out}");
+    assert!(sender["rate_hz"].as_f64().unwrap() < 0.6 * sender["median_rate_hz"].as_f64().unwrap(), "{row}");
 }
 
 #[test]
@@ -893,8 +880,7 @@ fn what_has_no_scale_is_exported_as_no_number_and_counted() {
     let log = link(40, 1.0).rx.concat();
     let all: Vec<u8> = records(&log).iter().enumerate().flat_map(|(k, record)| silent(k, record)).collect();
     folder.write("rx.dat", &all);
-    let (status, _, err) = folder.run(&["export", "rx.dat", "rx.csv", "--scaled"]);
-    assert!(status == 0 && err.contains("10 of 40 records have no scale"), "{err}");
+    folder.says(&["export", "rx.dat", "rx.csv", "--scaled"], 0, &["10 of 40 records have no scale"]);
     let text = std::fs::read_to_string(folder.0.join("rx.csv")).unwrap();
     let cells: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
     let at = cells[0].iter().position(|name| *name == "re_0_a_1").unwrap();
@@ -918,8 +904,7 @@ fn a_wsr_log_becomes_one_of_the_stock_layout_with_the_same_csi() {
     folder.link(&link(600, 2.0));
     for name in ["rx", "tx"] {
         let (log, stock) = (format!("{name}.dat"), format!("stock-{name}.dat"));
-        let (status, _, err) = folder.run(&["export", "--dat", &log, &stock, "--layout", "stock"]);
-        assert_eq!(status, 0, "{err}");
+        folder.says(&["export", "--dat", &log, &stock, "--layout", "stock"], 0, &[]);
     }
     let (_, out, _) = folder.run(&["info", "stock-rx.dat"]);
     assert!(out.contains("stock layout, ") && out.contains("code 0xC1"), "{out}");
@@ -974,8 +959,7 @@ fn every_field_of_the_page_is_in_the_documentation() {
     capture(&folder, "tree/A", &link(300, 2.0));
     let beside = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg\nA/1,tx2,gt,119.0,-1.0\n";
     folder.write("tree/links.csv", beside.as_bytes());
-    let (status, _, err) = folder.run(&["evaluate", "tree", "--html", "page.html"]);
-    assert_eq!(status, 0, "{err}");
+    folder.says(&["evaluate", "tree", "--html", "page.html"], 0, &[]);
     let page = std::fs::read_to_string(folder.0.join("page.html")).unwrap();
     let (_, rest) = page.split_once("id=\"answers\">").unwrap();
     let answers = json(rest.split_once("</script>").unwrap().0);
@@ -1000,19 +984,17 @@ fn commands_end_alike() {
     assert_eq!(folder.bearing(&["--min-confidence", "1"]).0, 1, "the only link was refused");
     assert_eq!(folder.run(&["export", "rx.dat", "rx.xls"]).0, 2, "an extension that cannot be meant");
     assert_eq!(folder.bearing(&["--profile", "p.csv"]).0, 0);
-    let (status, _, err) = folder.bearing(&["--profile", "p.csv"]);
-    assert!(status == 1 && err.contains("p.csv already exists: --force overwrites it"), "{err}");
+    folder.bearing_says(&["--profile", "p.csv"], 1, &["p.csv already exists: --force overwrites it"]);
     assert_eq!(folder.bearing(&["--profile", "p.csv", "--force"]).0, 0);
     for command in
         [&["info", "none.dat"][..], &["export", "none.dat", "x.csv"], &["export", "--dat", "none.dat", "x.dat"]]
     {
-        let (status, _, err) = folder.run(command);
-        assert_eq!(status, 1, "{command:?}: {err}");
+        folder.says(command, 1, &[]);
     }
     let built_in = ["simulate", "paper-line", "--out", "paper-line"];
     assert_eq!(folder.run(&built_in).0, 0, "a built-in scene by its name");
-    let (status, _, err) = folder.run(&built_in);
-    assert!(status == 1 && err.contains("--force") && !err.contains("cannot read"), "its folder is no scene: {err}");
+    let (_, err) = folder.says(&built_in, 1, &["--force"]);
+    assert!(!err.contains("cannot read"), "its folder is no scene: {err}");
     std::fs::create_dir(folder.0.join("room")).unwrap();
     let (status, _, err) = folder.run(&["simulate", "room", "--out", "again"]);
     assert!(status == 1 && err.contains("cannot read room: ") && err.matches("room").count() == 1, "{err}");
@@ -1025,17 +1007,14 @@ fn a_log_is_drawn_with_what_is_asked_for() {
     let folder = Folder::new("plot");
     folder.link(&link(300, 2.0));
     let args = ["info", "rx.dat", "--plot", "p", "--antenna", "A", "--json"];
-    let (status, out, err) = folder.run(&args);
-    assert_eq!(status, 0, "{err}");
-    assert_eq!(json(&out)["pictures"].as_array().map(Vec::len), Some(4));
+    assert_eq!(folder.rows(&args, 0)[0]["pictures"].as_array().map(Vec::len), Some(4));
     for what in ["csi", "levels"] {
         assert!(folder.0.join(format!("p/rx-{what}.png")).is_file());
         let svg = std::fs::read_to_string(folder.0.join(format!("p/rx-{what}.svg"))).unwrap();
         assert!(svg.contains("width=\"1200\"") && !svg.contains("NaN"), "{what}");
     }
     assert_eq!(folder.run(&args).0, 0, "the next run replaces them");
-    let (status, _, err) = folder.run(&["info", "rx.dat", "--mac", "02:00:00:00:00:77", "--plot", "q"]);
-    assert!(status == 3 && err.contains("no matching record"), "{status} {err}");
+    folder.says(&["info", "rx.dat", "--mac", "02:00:00:00:00:77", "--plot", "q"], 3, &["no matching record"]);
     assert_eq!(folder.run(&["info", "rx.dat", "--from", "1"]).0, 2, "nothing is drawn");
 }
 
@@ -1046,39 +1025,24 @@ fn logs_of_frames_only_and_of_zeros_say_why_they_are_of_no_use() {
     let (status, ..) = folder.run(&["export", "--dat", "rx.dat", "stock.dat", "--layout", "stock"]);
     assert_eq!(status, 0);
     // Each record: two bytes of length, then its code.
-    let records = |keep: u8| {
-        let bytes = std::fs::read(folder.0.join("stock.dat")).unwrap();
-        let (mut rest, mut kept) = (&bytes[..], Vec::new());
-        while rest.len() > 2 {
-            let (record, after) = rest.split_at(2 + usize::from(u16::from_be_bytes([rest[0], rest[1]])));
-            if record[2] == keep {
-                kept.push(record.to_vec());
-            }
-            rest = after;
-        }
-        kept
-    };
+    let all = records(&std::fs::read(folder.0.join("stock.dat")).unwrap());
+    let records = |keep: u8| all.iter().filter(|record| record[2] == keep).cloned().collect::<Vec<_>>();
     folder.write("only_c1.dat", &records(0xC1).concat());
-    let (status, out, _) = folder.run(&["info", "only_c1.dat"]);
-    assert!(
-        status == 1 && out.contains("only copies of frames (0xC1)") && out.contains("HT frames"),
-        "{status}: {out}"
-    );
+    let (out, _) = folder.says(&["info", "only_c1.dat"], 1, &[]);
+    assert!(out.contains("only copies of frames (0xC1)") && out.contains("HT frames"));
     let mut silent = records(0xBB);
     // Behind length, code and the 20 bytes of the head.
     silent.iter_mut().for_each(|record| record[23..].fill(0));
     folder.write("csi0.dat", &silent.concat());
-    let (status, out, _) = folder.run(&["info", "csi0.dat"]);
-    assert!(status == 1 && out.contains("60 records have CSI of only zeros"), "{status}: {out}");
-    let (_, out, _) = folder.run(&["info", "csi0.dat", "--json"]);
-    assert_eq!(json(out.trim())["silent"], 60);
+    let (out, _) = folder.says(&["info", "csi0.dat"], 1, &[]);
+    assert!(out.contains("60 records have CSI of only zeros"));
+    assert_eq!(folder.rows(&["info", "csi0.dat", "--json"], 1)[0]["silent"], 60);
 }
 
 #[test]
 fn names_are_written_out() {
     let folder = Folder::new("names");
-    let (status, _, err) = folder.run(&["info", "a\nb\u{202e}tad.log"]);
-    assert_eq!(status, 1);
+    let (_, err) = folder.says(&["info", "a\nb\u{202e}tad.log"], 1, &[]);
     assert!(err.contains("a\\nb\\u202etad.log") && err.trim_end().lines().count() == 1, "{err}");
     // Also those that are found in a folder, and in a scene.
     let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
@@ -1088,8 +1052,8 @@ fn names_are_written_out() {
         std::fs::copy(&file, place.join(file.file_name().unwrap())).unwrap();
     }
     for command in ["bearing", "evaluate"] {
-        let (status, out, err) = folder.run(&[command, "tree"]);
-        assert!(status == 0 && out.contains("q\\nb\\u202etad/2023-11-14_221320/tx1"), "{out} {err}");
+        let (out, _) = folder.says(&[command, "tree"], 0, &[]);
+        assert!(out.contains("q\\nb\\u202etad/2023-11-14_221320/tx1"), "{out}");
     }
     folder.write("evil.toml", b"channel = 108\nduration_s = 1.0\n[[robot]]\nname = \"t\\nb\"\n");
     let (status, _, err) = folder.run(&["simulate", "evil.toml", "--out", "out"]);

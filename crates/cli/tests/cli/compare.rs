@@ -1,5 +1,6 @@
 //! Scenes fitted to captures: simulated and recorded figures agree.
 
+use crate::commands::Folder;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
@@ -140,22 +141,25 @@ struct Refitted {
 
 /// Simulates a scene as a recording, and fits a scene to it; with the transmitter's place given or not.
 fn refitted(scene: &Scene, name: &str, told: bool, options: &Options) -> Refitted {
-    let folder = std::env::temp_dir().join(format!("csi5300-compare-{name}-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
+    let folder = Folder::new(&format!("compare-{name}"));
     let recorded = measure_scene(scene, None, options).unwrap();
-    let room = csi5300_sim::Room::new(scene).unwrap();
-    let trajectory = csi5300_lab::compare::figures::true_path(&room, 0).unwrap();
-    std::fs::write(folder.join("t.csv"), trajectory.poses().iter().map(csv::line).collect::<String>()).unwrap();
-    let known = Known {
-        trajectory: &trajectory,
-        file: Path::new("t.csv"),
-        folder: &folder,
-        transmitter_m: told.then_some(scene.robot[1].position_m),
-    };
+    let trajectory = path_of(scene);
+    folder.write("t.csv", trajectory.poses().iter().map(csv::line).collect::<String>().as_bytes());
+    let transmitter_m = told.then_some(scene.robot[1].position_m);
+    let known = Known { folder: &folder.0, transmitter_m, ..only(&trajectory) };
     let fitted = fit(&recorded, &known, options).unwrap();
     let tables = judged(name, &recorded, &fitted, &trajectory, options);
-    std::fs::remove_dir_all(&folder).unwrap();
     Refitted { recorded, fitted, tables }
+}
+
+/// Known is only the receiver's path.
+fn only(trajectory: &Trajectory) -> Known<'_> {
+    Known { trajectory, file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None }
+}
+
+fn path_of(scene: &Scene) -> Trajectory {
+    let room = csi5300_sim::Room::new(scene).unwrap();
+    csi5300_lab::compare::figures::true_path(&room, 0).unwrap()
 }
 
 /// The built-in scene of a lab with real cards, for so long.
@@ -193,9 +197,7 @@ fn a_fit_finds_40_mhz_again() {
     assert_eq!((fitted.scene.bandwidth_mhz, fitted.scene.channel), (40, 110));
     assert_eq!(recorded.receiver.rates.keys().copied().collect::<Vec<_>>(), [0x900]);
     check_only(&tables, &MISSED_AGAIN);
-    let narrow =
-        Known { trajectory: &path_of(&scene), file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None };
-    let error = fit(&recorded, &narrow, &options()).unwrap_err();
+    let error = fit(&recorded, &only(&path_of(&scene)), &options()).unwrap_err();
     assert!(error.to_string().contains("the records are 40 MHz wide"), "{error}");
 }
 
@@ -217,15 +219,8 @@ fn a_fit_finds_the_transmitter_where_nobody_says_where_it_is() {
     still.robot[0].motion = csi5300_sim::motion::RobotMotion::Static;
     still.duration_s = 5.0;
     let recorded = measure_scene(&still, None, &options()).unwrap();
-    let known =
-        Known { trajectory: &path_of(&still), file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None };
-    let error = fit(&recorded, &known, &options()).unwrap_err();
+    let error = fit(&recorded, &only(&path_of(&still)), &options()).unwrap_err();
     assert!(error.to_string().contains("without motion it cannot be found"), "{error}");
-}
-
-fn path_of(scene: &Scene) -> Trajectory {
-    let room = csi5300_sim::Room::new(scene).unwrap();
-    csi5300_lab::compare::figures::true_path(&room, 0).unwrap()
 }
 
 #[test]
@@ -245,36 +240,27 @@ fn figures_of_different_scenes_differ() {
 
 #[test]
 fn compare_neither_overwrites_what_it_reads_nor_removes_what_is_there() {
-    let folder = std::env::temp_dir().join(format!("csi5300-compare-outputs-{}", std::process::id()));
-    std::fs::create_dir_all(folder.join("simulated")).unwrap();
+    let folder = Folder::new("compare-outputs");
+    std::fs::create_dir_all(folder.0.join("simulated")).unwrap();
     let names = ["rx.dat", "tx.dat", "fitted-trajectory.csv", "trajectory.csv", "scene.toml", "simulated/kept.csv"];
     for name in names {
-        std::fs::write(folder.join(name), name).unwrap();
+        folder.write(name, name.as_bytes());
     }
-    let refused = |more: &[&str]| {
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
-        command.current_dir(&folder).args(["simulate", "--rx", "rx.dat", "--tx", "tx.dat", "--out", "."]).args(more);
-        if !more.contains(&"--channel") {
-            command.args(["--channel", "108"]);
-        }
-        let out = command.output().unwrap();
-        assert_eq!(out.status.code(), Some(1));
-        String::from_utf8(out.stderr).unwrap()
-    };
-    let said = refused(&["--trajectory", "trajectory.csv"]);
-    assert!(said.contains("already exists: --force"), "{said}");
-    let said = refused(&["--trajectory", "fitted-trajectory.csv", "--force"]);
-    assert!(said.contains("fitted-trajectory.csv is an input"), "{said}");
-    let said = refused(&["--trajectory", "simulated/kept.csv", "--force"]);
-    assert!(said.contains("is an input inside"), "{said}");
     let paper = crate::common::root().join("scenes/paper-circle.toml");
-    let with = ["--trajectory", "trajectory.csv", paper.to_str().unwrap()];
-    let said = refused(&with);
-    assert!(said.contains("simulated already exists"), "{said}");
-    let said = refused(&[&with[..], &["--force", "--channel", "36"]].concat());
-    assert!(said.contains("not of --channel 36"), "{said}");
-    for name in names {
-        assert_eq!(std::fs::read_to_string(folder.join(name)).unwrap(), name);
+    let paper = paper.to_str().unwrap();
+    let refused: [(&[&str], &str, &str); 5] = [
+        (&["trajectory.csv"], "108", "already exists: --force"),
+        (&["fitted-trajectory.csv", "--force"], "108", "fitted-trajectory.csv is an input"),
+        (&["simulated/kept.csv", "--force"], "108", "is an input inside"),
+        (&["trajectory.csv", paper], "108", "simulated already exists"),
+        (&["trajectory.csv", paper, "--force"], "36", "not of --channel 36"),
+    ];
+    for (more, channel, words) in refused {
+        let usual =
+            ["simulate", "--rx", "rx.dat", "--tx", "tx.dat", "--out", ".", "--channel", channel, "--trajectory"];
+        folder.says(&[&usual, more].concat(), 1, &[words]);
     }
-    std::fs::remove_dir_all(&folder).unwrap();
+    for name in names {
+        assert_eq!(std::fs::read_to_string(folder.0.join(name)).unwrap(), name);
+    }
 }

@@ -1,6 +1,8 @@
 //! The monitor interface on TUN devices with the radiotap link type, in a network namespace of its own: bytes that go
 //! out, bytes that come in, every refusal, and both commands talking to each other.
 
+use crate::air::Program;
+use crate::commands::{Folder, json};
 use crate::private::inside;
 use csi5300::internal::FrameReceiver;
 use csi5300::source::{Error, Injector, NotSent};
@@ -15,9 +17,9 @@ use driver_iface::record::{Record, code};
 use driver_iface::sounding::wsr::{self, Lfsr};
 use driver_iface::sounding::{Frame, native};
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::os::fd::AsFd;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 /// Flags and protocol before every packet of a TUN device.
 const BEFORE: [u8; 4] = [0, 0, 0, 4];
@@ -33,6 +35,11 @@ fn tun(name: &str, mtu: usize) -> Option<File> {
             None
         }
     }
+}
+
+/// One for this test in a network namespace of its own.
+fn apart<T>(_: T, name: &str, mtu: usize) -> Option<File> {
+    if inside(std::any::type_name::<T>(), "-Urn") { tun(name, mtu) } else { None }
 }
 
 /// Without a clock no frame is old, however late a busy machine reads it.
@@ -81,10 +88,7 @@ fn hear(monitor: &mut Monitor) -> Option<Vec<u8>> {
 
 #[test]
 fn frames_go_out_byte_for_byte_behind_their_radiotap_header() {
-    if !inside(concat!(module_path!(), "::frames_go_out_byte_for_byte_behind_their_radiotap_header"), "-Urn") {
-        return;
-    }
-    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    let Some(mut tun) = apart(frames_go_out_byte_for_byte_behind_their_radiotap_header, "mon0", 2_304) else { return };
     for (mcs, bandwidth, width) in [(1, Bandwidth::Ht20, 0), (7, Bandwidth::Ht40, 1)] {
         let mut monitor = Monitor::open(&options("mon0").with_rate(mcs, bandwidth)).unwrap();
         for len in [57, 59, 61, 120] {
@@ -102,10 +106,7 @@ fn frames_go_out_byte_for_byte_behind_their_radiotap_header() {
 
 #[test]
 fn sounding_frames_come_in_and_nothing_else() {
-    if !inside(concat!(module_path!(), "::sounding_frames_come_in_and_nothing_else"), "-Urn") {
-        return;
-    }
-    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    let Some(mut tun) = apart(sounding_frames_come_in_and_nothing_else, "mon0", 2_304) else { return };
     let mut monitor = Monitor::open(&options("mon0")).unwrap();
     let good = frame(1, 57);
     let mut other = good.clone();
@@ -137,10 +138,9 @@ fn sounding_frames_come_in_and_nothing_else() {
 
 #[test]
 fn frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted() {
-    if !inside(concat!(module_path!(), "::frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted"), "-Urn") {
+    let Some(mut tun) = apart(frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted, "mon0", 2_304) else {
         return;
-    }
-    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    };
     // A host that comes to its frames an hour after they were stamped.
     let later = || wall_us().map(|us| us + 3_600_000_000);
     let mut monitor = Monitor::open(&options("mon0").with_wall_us(later)).unwrap();
@@ -151,10 +151,9 @@ fn frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted() {
 
 #[test]
 fn frames_that_are_not_fetched_are_dropped_by_the_kernel_and_counted() {
-    if !inside(concat!(module_path!(), "::frames_that_are_not_fetched_are_dropped_by_the_kernel_and_counted"), "-Urn") {
+    let Some(mut tun) = apart(frames_that_are_not_fetched_are_dropped_by_the_kernel_and_counted, "mon0", 2_304) else {
         return;
-    }
-    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    };
     let mut monitor = Monitor::open(&options("mon0")).unwrap();
     for number in 1..=5_000 {
         receive(&mut tun, &behind(&Repr::default(), &frame(number, 57)));
@@ -167,13 +166,10 @@ fn frames_that_are_not_fetched_are_dropped_by_the_kernel_and_counted() {
 
 #[test]
 fn what_the_kernel_does_not_take_is_said_and_counted_and_sending_goes_on() {
-    if !inside(
-        concat!(module_path!(), "::what_the_kernel_does_not_take_is_said_and_counted_and_sending_goes_on"),
-        "-Urn",
-    ) {
+    let Some(mut tun) = apart(what_the_kernel_does_not_take_is_said_and_counted_and_sending_goes_on, "mon0", 200)
+    else {
         return;
-    }
-    let Some(mut tun) = tun("mon0", 200) else { return };
+    };
     let mut monitor = Monitor::open(&options("mon0")).unwrap();
     let not_sent = |result: Result<(), Error>| match result {
         Err(Error::NotSent(why)) => why,
@@ -231,34 +227,21 @@ fn a_missing_capability_is_reported_with_its_remedy() {
     assert!(refused.contains("setcap cap_net_raw"), "{refused}");
 }
 
-/// Ends a child that a failed test leaves behind.
-struct Robot(Child);
-
-impl Drop for Robot {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// A robot that sounds or answers.
+fn robot(args: &[&str]) -> Program {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    // Generous times: the machine that tests run on may be busy, and its figures are no part of the test.
+    command.args(args).args(["--rate", "4", "--turn-around", "120000", "--guard", "30000", "--no-fifo"]);
+    command.env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"));
+    Program::of(command.stdin(Stdio::null()).stdout(Stdio::piped()))
 }
 
-impl Robot {
-    fn start(args: &[&str]) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
-        // Generous times: the machine that tests run on may be busy, and its figures are no part of the test.
-        command.args(args).args(["--rate", "4", "--turn-around", "120000", "--guard", "30000", "--no-fifo"]);
-        command.env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"));
-        Self(command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
-    }
-
-    /// Asks it to end as a user would, and gives its status, words and results.
-    fn stop(mut self) -> (i32, String, String) {
-        let pid = nix::unistd::Pid::from_raw(self.0.id().cast_signed());
-        nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGINT).unwrap();
-        let (mut said, mut out) = (String::new(), String::new());
-        self.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
-        self.0.stdout.take().unwrap().read_to_string(&mut out).unwrap();
-        (self.0.wait().unwrap().code().unwrap(), said, out)
-    }
+/// Asks it to end as a user would, and gives its status, words and results.
+fn stop(mut robot: Program) -> (i32, String, String) {
+    let (mut stdout, mut out) = (robot.child.stdout.take().unwrap(), String::new());
+    let (status, said) = robot.end_by(nix::sys::signal::Signal::SIGINT);
+    stdout.read_to_string(&mut out).unwrap();
+    (status.unwrap(), said, out)
 }
 
 /// Carries packets from one device to the other as an air does, and gives every frame to `watch`, which says whether
@@ -293,7 +276,7 @@ fn parse(frame: &[u8]) -> native::Repr {
 
 /// The last line of `sound --json`, where answers were heard. How many were in time is the machine's business.
 fn summary_is_right(out: &str) {
-    let row = &crate::commands::json(out)["summary"];
+    let row = &json(out)["summary"];
     assert!(crate::documented::are_documented(&row.to_string()) > 10, "{out}");
     let (forward, answered) = (row["forward"].as_u64().unwrap(), row["answered"].as_u64().unwrap());
     assert!(forward >= answered && answered > 0, "{row}");
@@ -304,17 +287,9 @@ fn summary_is_right(out: &str) {
 /// The line of `respond --json`, where so many answers at least were on the air.
 fn answers_are_right(out: &str, heard: usize) {
     assert!(crate::documented::are_documented(out) > 10, "{out}");
-    let row = crate::commands::json(out);
+    let row = json(out);
     assert!(row["answers"].as_u64() >= Some(heard as u64) && row["forward"] == 0, "{row}");
     assert!(row["turn_around_us"]["max"].is_u64() && row["error"].is_null() && row["records"].is_null(), "{row}");
-}
-
-/// A folder of the test's own, with nothing from an earlier run in it.
-fn empty_folder(name: &str) -> std::path::PathBuf {
-    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
 }
 
 #[test]
@@ -323,19 +298,19 @@ fn sound_and_respond_exchange_frames_and_measurements() {
         return;
     }
     let (Some(a), Some(b)) = (tun("mona", 2_304), tun("monb", 2_304)) else { return };
-    let folder = empty_folder("exchange");
-    let (key, log) = (folder.join("key"), folder.join("own.dat"));
-    std::fs::write(&key, "3f7c1e9a5b2d8046c1e0f4a7936bd258\n").unwrap();
+    let folder = Folder::new("exchange");
+    let key = folder.write("key", b"3f7c1e9a5b2d8046c1e0f4a7936bd258\n");
+    let log = folder.0.join("own.dat");
     std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
     let (key, log) = (key.to_str().unwrap(), log.to_str().unwrap());
     let both = ["--json", "--key", key, "--allow-user-sender", "--connector-index"];
     let one =
         ["sound", "--answer", "--interface", "monb", "--mac", "02:00:00:00:00:0b", "--peers", "02:00:00:00:00:0a"];
-    let responder = Robot::start(&[&one[..], &both, &["25"]].concat());
+    let responder = robot(&[&one[..], &both, &["25"]].concat());
     let (b_in, b_out) = (b.try_clone().unwrap(), b);
     let (a_in, a_out) = (a.try_clone().unwrap(), a);
     let other = ["sound", "--interface", "mona", "--mac", "02:00:00:00:00:0a", "--peers", "02:00:00:00:00:0b"];
-    let initiator = Robot::start(&[&other[..], &both, &["26", "--alone", "--log", log]].concat());
+    let initiator = robot(&[&other[..], &both, &["26", "--alone", "--log", log]].concat());
     // Each card reports what it hears, on its own connector index and clock.
     std::thread::spawn(move || {
         let clock = Monotonic::new();
@@ -364,7 +339,7 @@ fn sound_and_respond_exchange_frames_and_measurements() {
         measured.len() >= 5
     });
     assert!(numbers.is_sorted_by(|a, b| a < b) && measured.is_sorted_by(|a, b| a < b), "{numbers:?} {measured:?}");
-    let (status, said, out) = initiator.stop();
+    let (status, said, out) = stop(initiator);
     assert_eq!(status, 0, "{said}");
     summary_is_right(&out);
     for words in
@@ -372,7 +347,7 @@ fn sound_and_respond_exchange_frames_and_measurements() {
     {
         assert!(said.contains(words), "no `{words}` in {said}");
     }
-    let (status, said, out) = responder.stop();
+    let (status, said, out) = stop(responder);
     assert_eq!(status, 0, "{said}");
     answers_are_right(&out, numbers.len());
     assert!(said.contains("turn-around, from the kernel's receive stamp: p50"), "{said}");
@@ -383,37 +358,26 @@ fn sound_and_respond_exchange_frames_and_measurements() {
 
 #[test]
 fn frames_that_vanish_are_noticed() {
-    if !inside(concat!(module_path!(), "::frames_that_vanish_are_noticed"), "-Urn") {
-        return;
-    }
-    let Some(_tun) = tun("mona", 2_304) else { return };
+    let Some(_tun) = apart(frames_that_vanish_are_noticed, "mona", 2_304) else { return };
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
     command.args(["sound", "--interface", "mona", "--mac", "02:00:00:00:00:0a", "--peers", "02:00:00:00:00:0b"]);
     command.args(["--alone", "--open-loop", "--rate", "100", "--guard", "4000"]);
     command.env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"));
-    let mut sender = Robot(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
-    let mut stderr = BufReader::new(sender.0.stderr.take().unwrap());
-    let mut said = String::new();
+    let mut sender = Program::of(command.stdout(Stdio::piped()));
     // However long it takes a busy machine to send that many.
-    while !said.contains("reports none of them as sent") {
-        assert!(stderr.read_line(&mut said).unwrap() > 0, "{said}");
-    }
+    sender.until("reports none of them as sent");
+    let (status, said, _) = stop(sender);
     assert!(said.contains("regulatory domain is left"), "{said}");
-    sender.0.stderr = Some(stderr.into_inner());
-    let (status, ..) = sender.stop();
     assert_eq!(status, 1, "{said}");
 }
 
 #[test]
 fn usage_and_plans_are_refused_with_what_would_do() {
-    let run = |args: &[&str]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_csi5300")).args(args).output().unwrap();
-        (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
-    };
+    let folder = Folder::new("sound-usage");
     let peers: Vec<String> = (0..32).map(|k| format!("02:00:00:00:01:{k:02x}")).collect();
     let peers = peers.join(",");
-    let (status, said) = run(&["sound", "--interface", "mon0", "--peers", &peers, "--rate", "100"]);
-    assert!(status == 1 && said.contains("do not fit") && said.contains("try --rate 4"), "{said}");
+    let args = ["sound", "--interface", "mon0", "--peers", &peers, "--rate", "100"];
+    folder.says(&args, 1, &["do not fit", "try --rate 4"]);
     let one = "02:00:00:00:01:00";
     for (args, words) in [
         (&["sound", "--answer", "--interface", "mon0", "--peers", one, "--dialect", "wsr"][..], "--ack-len"),
@@ -428,11 +392,10 @@ fn usage_and_plans_are_refused_with_what_would_do() {
             "measurements",
         ),
     ] {
-        let (status, said) = run(args);
-        assert!(status == 2 && said.contains(words), "{args:?}: {status} {said}");
+        folder.says(args, 2, &[words]);
     }
-    let (status, said) = run(&["sound", "--interface", "none0", "--peers", one, "--key", "/nonexistent"]);
-    assert!(status == 1 && said.contains("/nonexistent"), "{said}");
+    let args = ["sound", "--interface", "none0", "--peers", one, "--key", "/nonexistent"];
+    folder.says(&args, 1, &["/nonexistent"]);
 }
 
 #[test]

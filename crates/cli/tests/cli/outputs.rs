@@ -4,7 +4,6 @@
 
 use crate::commands::{Folder, capture, json};
 use crate::common::link;
-use crate::private::inside;
 use csi5300::source::recorder::{Chunk, LogFiles, Rotation, Sink};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next, side_path};
@@ -15,80 +14,29 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// A run: its inputs, and its arguments, in which OUT is the output.
-type Run = (&'static [&'static str], &'static [&'static str]);
-
 const BEARING: &[&str] = &["rx.dat", "tx.dat", "t.csv"];
 const CAPTURE: &[&str] = &["set/csi_rx_1.dat", "set/csi_tx1_1.dat", "set/rx_trajectory_1_.csv"];
 
-/// Each option of a command that names an output. `the_list_is_whole` in the program's own tests knows them too.
-const RUNS: &[Run] = &[
-    (
-        BEARING,
-        &[
-            "bearing",
-            "--rx",
-            "rx.dat",
-            "--tx",
-            "tx.dat",
-            "--trajectory",
-            "t.csv",
-            "--channel",
-            "108",
-            "--profile",
-            "OUT",
-        ],
-    ),
-    (
-        BEARING,
-        &["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--plot", "OUT"],
-    ),
-    (BEARING, &["mcap", "rx.dat", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "OUT"]),
-    (
-        BEARING,
-        &["simulate", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "OUT"],
-    ),
-    (&["rx.dat", "rx.datstp"], &["export", "--dat", "rx.dat", "OUT"]),
-    (&["rx.dat"], &["export", "rx.dat", "OUT"]),
-    (&["rx.dat"], &["info", "rx.dat", "--plot", "OUT"]),
-    (CAPTURE, &["evaluate", "set", "--channel", "108", "--html", "OUT"]),
-    (CAPTURE, &["evaluate", "set", "--plot", "OUT"]),
-    (CAPTURE, &["bearing", "set", "--channel", "108", "--plot", "OUT"]),
-    (CAPTURE, &["bearing", "set/tx1", "--channel", "108", "--out", "OUT"]),
-    (&["drive.toml", "t.csv"], &["simulate", "drive.toml", "--out", "OUT"]),
-    (&["recording.mcap"], &["unbag", "recording.mcap", "--out", "OUT"]),
-    (
-        &["group.key"],
-        &[
-            "sound",
-            "--answer",
-            "--interface",
-            "none0",
-            "--peers",
-            "00:21:6a:53:89:d2",
-            "--key",
-            "group.key",
-            "--log",
-            "OUT",
-        ],
-    ),
+/// Each option of a command that names an output: the inputs of a run, and its words, in which OUT is the output.
+/// `the_list_is_whole` in the program's own tests knows them too.
+const RUNS: &[(&[&str], &str)] = &[
+    (BEARING, "bearing --rx rx.dat --tx tx.dat --trajectory t.csv --channel 108 --profile OUT"),
+    (BEARING, "bearing --rx rx.dat --tx tx.dat --trajectory t.csv --channel 108 --plot OUT"),
+    (BEARING, "mcap rx.dat tx.dat --trajectory t.csv --channel 108 --out OUT"),
+    (BEARING, "simulate --rx rx.dat --tx tx.dat --trajectory t.csv --channel 108 --out OUT"),
+    (&["rx.dat", "rx.datstp"], "export --dat rx.dat OUT"),
+    (&["rx.dat"], "export rx.dat OUT"),
+    (&["rx.dat"], "info rx.dat --plot OUT"),
+    (CAPTURE, "evaluate set --channel 108 --html OUT"),
+    (CAPTURE, "evaluate set --plot OUT"),
+    (CAPTURE, "bearing set --channel 108 --plot OUT"),
+    (CAPTURE, "bearing set/tx1 --channel 108 --out OUT"),
+    (&["drive.toml", "t.csv"], "simulate drive.toml --out OUT"),
+    (&["recording.mcap"], "unbag recording.mcap --out OUT"),
+    (&["group.key"], "sound --answer --interface none0 --peers 00:21:6a:53:89:d2 --key group.key --log OUT"),
     (
         &["group.key", "t.csv"],
-        &[
-            "sound",
-            "--interface",
-            "none0",
-            "--peers",
-            "00:21:6a:53:89:d2",
-            "--key",
-            "group.key",
-            "--trajectory",
-            "t.csv",
-            "--channel",
-            "108",
-            "--log",
-            "OUT",
-        ],
+        "sound --interface none0 --peers 00:21:6a:53:89:d2 --key group.key --trajectory t.csv --channel 108 --log OUT",
     ),
 ];
 
@@ -140,7 +88,7 @@ fn no_output_is_an_input() {
                 let before = contents(&folder.0);
                 for output in outputs {
                     let mut args: Vec<&str> =
-                        args.iter().map(|arg| if *arg == "OUT" { output.as_str() } else { *arg }).collect();
+                        args.split(' ').map(|arg| if arg == "OUT" { output.as_str() } else { arg }).collect();
                     // `info` and `evaluate --plot` replace pictures unasked.
                     let is_pictures = args[0] == "info" || args.starts_with(&["evaluate", "set", "--plot"]);
                     if !is_pictures && (args[0] != "unbag" || output.contains("recording")) {
@@ -168,8 +116,7 @@ fn what_a_folder_gets_is_no_input_either() {
     let (own, _) = made.iter().find(|(path, _)| path.to_string_lossy().contains("rx_trajectory_")).unwrap();
     let own = own.strip_prefix(&folder.0).unwrap().to_string_lossy().into_owned();
     folder.write("again.toml", DRIVE.replace("t.csv", &own).as_bytes());
-    let (status, _, err) = folder.run(&["simulate", "again.toml", "--out", "first", "--force"]);
-    assert!(status == 1 && err.contains("is an input"), "{status}: {err}");
+    let (_, err) = folder.says(&["simulate", "again.toml", "--out", "first", "--force"], 1, &["is an input"]);
     assert!(contents(&folder.0.join("first")) == made, "{err}");
     a_picture_that_leads_to_the_log_is_refused(&folder);
     // A page beside the captures is no input.
@@ -274,11 +221,9 @@ fn what_is_recovered_is_a_log_from_which_nothing_more_is_to_be_recovered() {
         let mut bytes = all.concat();
         damage(&mut random, &mut bytes);
         std::fs::write(&log, &bytes).unwrap();
-        let (status, _, said) = folder.run(&["export", "--dat", "in.dat", "out.dat", "--force"]);
-        assert_eq!(status, 3, "case {case}: {said}");
+        folder.says(&["export", "--dat", "in.dat", "out.dat", "--force"], 3, &[]);
         let found = read(&folder.0.join("out.dat"));
-        let (status, _, said) = folder.run(&["export", "--dat", "out.dat", "again.dat", "--force"]);
-        assert_eq!(status, 0, "case {case}: {said}");
+        folder.says(&["export", "--dat", "out.dat", "again.dat", "--force"], 0, &[]);
         for (one, other) in [("out.dat", "again.dat"), ("out.datstp", "again.datstp")] {
             let same = std::fs::read(folder.0.join(one)).unwrap() == std::fs::read(folder.0.join(other)).unwrap();
             assert!(same, "case {case}: {one} and {other} differ");
@@ -310,15 +255,14 @@ fn checksums_show_what_the_layout_of_a_log_cannot() {
     let [all, others] = [made.rx, made.tx].map(|records| records[..50].to_vec());
     let log = folder.0.join("in.dat");
     write(&log, &all, Layout::Checked);
-    let (status, out, _) = folder.run(&["info", "in.dat"]);
-    assert!(status == 0 && out.contains("checksums of the side file: 50 records right\n"), "{out}");
+    let (out, _) = folder.says(&["info", "in.dat"], 0, &[]);
+    assert!(out.contains("checksums of the side file: 50 records right\n"), "{out}");
     // One bit of one sample; one record gone with all its bytes.
     let mut changed = all.clone();
     *changed[20].last_mut().unwrap() ^= 0x10;
     changed.remove(30);
     std::fs::write(&log, changed.concat()).unwrap();
-    let (status, out, _) = folder.run(&["info", "in.dat"]);
-    assert_eq!(status, 3, "{out}");
+    let (out, _) = folder.says(&["info", "in.dat"], 3, &[]);
     let words = "checksums of the side file: 48 records right, 1 wrong and skipped, 2 of the side file not in the log";
     assert!(out.contains(words), "{out}");
     let (_, out, _) = folder.run(&["info", "in.dat", "--json"]);
@@ -327,20 +271,18 @@ fn checksums_show_what_the_layout_of_a_log_cannot() {
         [&checks["good"], &checks["wrong"], &checks["missing"]].map(|n| n.as_u64()),
         [Some(48), Some(1), Some(2)]
     );
-    let (status, _, said) = folder.run(&["export", "--dat", "in.dat", "out.dat"]);
-    assert_eq!(status, 3, "{said}");
+    folder.says(&["export", "--dat", "in.dat", "out.dat"], 3, &[]);
     let times: Vec<i64> = read(&folder.0.join("out.dat")).iter().filter_map(|(_, host_us)| *host_us).collect();
     let left = (0..50).filter(|at| ![20, 30].contains(at)).map(time);
     assert_eq!(times, left.collect::<Vec<_>>());
     // The side file of another log is not gone by.
     write(&log, &others, Layout::Checked);
     std::fs::write(&log, all.concat()).unwrap();
-    let (status, out, said) = folder.run(&["info", "in.dat"]);
-    assert!(status == 3 && out.contains("it is of another log"), "{out}");
+    let (out, said) = folder.says(&["info", "in.dat"], 3, &[]);
+    assert!(out.contains("it is of another log"), "{out}");
     assert!(said.contains("No record is checked"), "{said}");
     // Nor does recovering vouch for what was not checked.
-    let (status, _, said) = folder.run(&["export", "--dat", "in.dat", "unchecked.dat"]);
-    assert!(status == 3 && said.contains("50 intact records"), "{said}");
+    folder.says(&["export", "--dat", "in.dat", "unchecked.dat"], 3, &["50 intact records"]);
     assert!(!side_path(&folder.0.join("unchecked.dat")).exists());
 }
 
@@ -353,8 +295,8 @@ fn a_pipe_beside_a_log_is_not_waited_for() {
     let folder = Folder::new("side-pipe");
     let log = folder.write("log.dat", &link(20, 0.0).rx.concat());
     pipe(&side_path(&log));
-    let (status, out, _) = folder.run(&["info", "log.dat"]);
-    assert!(status == 0 && out.contains("20 records"), "{out}");
+    let (out, _) = folder.says(&["info", "log.dat"], 0, &[]);
+    assert!(out.contains("20 records"), "{out}");
 }
 
 #[test]
@@ -376,8 +318,7 @@ fn an_export_reads_a_pipe_once_and_leaves_the_old_output_until_the_new_one_is_wh
             let input = input.clone();
             move || std::fs::write(input, bytes)
         });
-        let (status, _, said) = folder.run(&["export", "input", name, "--force"]);
-        assert!(status == 0 && said.contains("20 records written"), "{said}");
+        folder.says(&["export", "input", name, "--force"], 0, &["20 records written"]);
         writer.join().unwrap().unwrap();
         assert!(std::fs::metadata(folder.0.join(name)).unwrap().len() > 1_000);
         std::fs::remove_file(input).unwrap();
@@ -415,14 +356,12 @@ fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
             [&real, &side_path(&real)].into_iter().for_each(|old| std::fs::remove_file(old).unwrap());
             for old in [side_path(&linked), side_path(&real)] {
                 std::fs::write(&old, [7; 160]).unwrap();
-                let (status, _, errors) = folder.run(&["export", "--dat", "log.dat", "link.dat"]);
-                assert!(status == 1 && errors.contains("stp already exists: --force"), "{errors}");
+                folder.says(&["export", "--dat", "log.dat", "link.dat"], 1, &["stp already exists: --force"]);
                 assert!(!real.exists());
             }
         }
         let args = ["export", "--dat", "log.dat", "link.dat", "--force"];
-        let (status, _, errors) = folder.run(if force { &args } else { &args[..4] });
-        assert_eq!(status, 0, "{errors}");
+        folder.says(if force { &args } else { &args[..4] }, 0, &[]);
         assert!(linked.is_symlink());
         assert_eq!((timed(&real), timed(&linked)), (20, 20));
         assert_eq!(names(&folder.0), ["link.dat", "log.dat", "log.datstp", "real"]);
@@ -434,8 +373,11 @@ fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
     assert_eq!((status, names(&folder.0.join("real"))), (0, vec!["out.dat".to_owned()]), "{errors}");
     // What is no file has no side file.
     write(&folder.0.join("timed.dat"), &link(20, 0.0).rx, Layout::Narrow);
-    let (status, _, errors) = folder.run(&["export", "--dat", "timed.dat", "/dev/null"]);
-    assert!(status == 0 && errors.contains("host times, which go into a side file, are not written"), "{errors}");
+    folder.says(
+        &["export", "--dat", "timed.dat", "/dev/null"],
+        0,
+        &["host times, which go into a side file, are not written"],
+    );
     assert!(!Path::new("/dev/nullstp").exists());
 }
 
@@ -510,8 +452,8 @@ fn an_export_counts_records_without_antennas_among_those_it_writes() {
     folder.write("log.dat", &records.concat());
     for name in ["out.csv", "out.npz"] {
         let written = |more: &[&str]| {
-            let (status, out, errors) = folder.run(&[&["export", "log.dat", name, "--json", "--force"], more].concat());
-            assert_eq!(status, 0, "{errors}");
+            let (out, errors) =
+                folder.says(&[&["export", "log.dat", name, "--json", "--force"], more].concat(), 0, &[]);
             let row = json(out.lines().next().unwrap());
             let said = errors.contains("without a valid antenna_sel");
             let without = row["without_antennas"].as_u64().unwrap();
@@ -528,22 +470,13 @@ fn an_export_counts_records_without_antennas_among_those_it_writes() {
 
 #[test]
 fn what_has_no_room_has_no_name_either() {
-    if !inside(concat!(module_path!(), "::what_has_no_room_has_no_name_either"), "-Urnm") {
-        return;
-    }
-    let folder = Folder::new("full");
+    let Some(folder) = Folder::inside(what_has_no_room_has_no_name_either, "-Urnm", "full") else { return };
     folder.write("rx.dat", &link(2_000, 20.0).rx.concat());
-    let small = folder.0.join("small");
-    std::fs::create_dir(&small).unwrap();
-    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=32k", "none"]).arg(&small).status();
-    if !mounted.is_ok_and(|status| status.success()) {
-        crate::common::skipped("a tmpfs cannot be mounted here");
-        return;
-    }
+    std::fs::create_dir(folder.0.join("small")).unwrap();
+    let Some(small) = folder.mount("small", "32k") else { return };
     let is_empty = || std::fs::read_dir(&small).unwrap().next().is_none();
     for output in ["small/out.npz", "small/out.mat"] {
-        let (status, _, err) = folder.run(&["export", "rx.dat", output]);
-        assert_eq!(status, 1, "{output}: {err}");
+        let (_, err) = folder.says(&["export", "rx.dat", output], 1, &[]);
         assert!(err.contains(output) && err.contains("No space left") && !err.contains(".part-"), "{output}: {err}");
         assert!(!err.contains("ZipWriter") && err.trim_end().lines().count() == 1, "{output}: {err}");
         assert!(is_empty(), "{output}");
@@ -563,16 +496,14 @@ fn what_has_no_room_has_no_name_either() {
 fn pictures_of_a_link_are_replaced_by_the_next_run() {
     let folder = Folder::new("drawing-link");
     folder.link(&link(300, 2.0));
-    let (status, _, err) = folder.bearing(&["--plot", "p"]);
-    assert_eq!(status, 0, "{err}");
+    folder.bearing_says(&["--plot", "p"], 0, &[]);
     let all = names(&folder.0.join("p"));
     for what in ["phase", "profile", "trajectory"] {
         assert!(["png", "svg"].iter().all(|kind| all.contains(&format!("tx-{what}.{kind}"))), "{all:?}");
     }
     let first = std::fs::read(folder.0.join("p/tx-phase.svg")).unwrap();
     folder.write("p/tx-phase.svg", b"old");
-    let (status, _, err) = folder.bearing(&["--plot", "p"]);
-    assert_eq!(status, 0, "{err}");
+    folder.bearing_says(&["--plot", "p"], 0, &[]);
     assert_eq!((names(&folder.0.join("p")), std::fs::read(folder.0.join("p/tx-phase.svg")).unwrap()), (all, first));
 }
 
@@ -581,15 +512,14 @@ fn pictures_and_maps_of_captures_are_replaced_by_the_next_run() {
     let folder = Folder::new("drawing-tree");
     capture(&folder, "tree/A/good", &link(600, 2.0));
     for _ in 0..2 {
-        let (status, out, err) = folder.run(&["evaluate", "tree", "--plot", "p"]);
-        assert!(status == 0 && out.contains("A/good/1/tx2"), "{err}");
+        let (out, _) = folder.says(&["evaluate", "tree", "--plot", "p"], 0, &[]);
+        assert!(out.contains("A/good/1/tx2"));
         for name in ["errors", "refusals", "reliability", "map-A_good_1"] {
             let picture = folder.0.join(format!("p/{name}.svg"));
             assert!(std::fs::read(&picture).unwrap().len() > 100, "{name}");
             std::fs::write(picture, "old").unwrap();
         }
-        let (status, _, err) = folder.run(&["bearing", "tree", "--plot", "link"]);
-        assert_eq!(status, 0, "{err}");
+        folder.says(&["bearing", "tree", "--plot", "link"], 0, &[]);
         let maps: Vec<String> =
             names(&folder.0.join("link")).into_iter().filter(|name| name.starts_with("map-")).collect();
         assert_eq!(maps.len(), 2, "{maps:?}");
@@ -604,12 +534,11 @@ fn pictures_and_maps_of_captures_are_replaced_by_the_next_run() {
 fn a_page_has_its_ending_and_says_why_a_link_has_no_bearing() {
     let folder = Folder::new("drawing-page");
     capture(&folder, "tree/A/good", &link(300, 2.0));
-    let (status, out, err) = folder.run(&["evaluate", "tree", "--html", "x.pdf"]);
-    assert!(status == 2 && out.is_empty() && err.contains("x.pdf: the page is HTML"), "{status} {err}");
+    let (out, _) = folder.says(&["evaluate", "tree", "--html", "x.pdf"], 2, &["x.pdf: the page is HTML"]);
+    assert!(out.is_empty());
     assert!(!folder.0.join("x.pdf").exists());
     assert_eq!(folder.run(&["evaluate", "tree", "--html", "x.HTML"]).0, 0);
-    let (status, _, err) = folder.run(&["evaluate", "tree", "--html", "x.HTML"]);
-    assert!(status == 1 && err.contains("--force"), "{err}");
+    folder.says(&["evaluate", "tree", "--html", "x.HTML"], 1, &["--force"]);
     assert_eq!(folder.run(&["evaluate", "tree", "tree/A", "--html", "y.html"]).0, 2, "a page is of one folder");
     // A capture whose channel nobody knows, beside one that names its own.
     capture(&folder, "tree/A/bad", &link(300, 2.0));
@@ -625,8 +554,7 @@ fn errors_are_drawn_beside_those_of_another_program_on_the_same_links() {
     capture(&folder, "tree/NLOS_Set_A/P1", &link(300, 2.0));
     let rows = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg\nnlos/P1/1,tx2,gt,30.0,-6.5\n";
     folder.write("tree/links.csv", rows.as_bytes());
-    let (status, out, err) = folder.run(&["evaluate", "tree", "--plot", "p"]);
-    assert_eq!(status, 0, "{err}");
+    let (out, _) = folder.says(&["evaluate", "tree", "--plot", "p"], 0, &[]);
     let drawn = std::fs::read_to_string(folder.0.join("p/errors.svg")).unwrap();
     assert!(drawn.contains("toolbox, the same links (median 6.50)"), "{drawn}");
     assert!(drawn.contains("toolbox on all links of NLOS_Set_A as published"), "{drawn}");
@@ -655,8 +583,8 @@ fn what_is_left_out_of_another_programs_answers_is_said_and_is_a_loss() {
         let mut commands = vec![&["evaluate", "tree", "--plot", "p"][..]];
         commands.push(&["evaluate", "tree", "--html", "i.html", "--force"]);
         for command in commands {
-            let (status, _, err) = folder.run(command);
-            assert!(status == 3 && err.lines().any(|line| line == words), "{command:?}: {status} {err}");
+            let (_, err) = folder.says(command, 3, &[]);
+            assert!(err.lines().any(|line| line == words));
             assert!(err.contains("A/short/1/tx2: "), "{command:?}: {err}");
         }
         assert!(folder.0.join("p/errors.svg").is_file());
@@ -673,8 +601,8 @@ fn pictures_that_cannot_be_drawn_are_said_and_links_are_judged_all_the_same() {
     capture(&folder, "tree/A/good", &link(300, 2.0));
     folder.write("file", b"");
     capture(&folder, "tree/A/short", &link(5, 2.0));
-    let (status, out, err) = folder.run(&["evaluate", "tree", "--plot", "file/p"]);
-    assert!(status == 1 && out.contains("A/good/1/tx2") && err.contains("A/short/1/tx2: "), "{status} {err}");
+    let (out, _) = folder.says(&["evaluate", "tree", "--plot", "file/p"], 1, &["A/short/1/tx2: "]);
+    assert!(out.contains("A/good/1/tx2"));
 }
 
 #[test]

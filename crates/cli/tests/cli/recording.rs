@@ -1,8 +1,9 @@
 //! `csi5300 record` under bad treatment: what is on disk is always a readable log, and what it says is lost is lost. And `view` until a
 //! signal comes.
 
+use crate::air::Program;
 use crate::commands::Folder;
-use crate::private::{inside, queued_bytes, send, send_gently};
+use crate::private::{queued_bytes, send, send_gently};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
@@ -10,81 +11,53 @@ use csi5300_live::netlink::Sender;
 use driver_iface::bfee::Bfee;
 use driver_iface::connector::CN_IDX;
 use driver_iface::record::Tail;
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
-use std::io::{BufRead, BufReader, Read, Write};
-use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStderr, Command, Stdio};
+use nix::sys::signal::Signal;
+use std::io::Read;
+use std::path::Path;
+use std::process::{Command, Stdio};
 
-fn folder(name: &str) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("csi5300-recording-{}-{name}", std::process::id()));
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
+/// A `csi5300 record` that is already listening.
+fn record(out: &Path, more: &[&str]) -> Program {
+    record_by("exec", out, more)
 }
 
-/// A running `csi5300 record` that is already listening.
-struct Running {
-    child: Child,
-    stderr: BufReader<ChildStderr>,
+/// By these words of the shell, which stand before the program.
+fn record_by(shell: &str, out: &Path, more: &[&str]) -> Program {
+    let mut command = Command::new("sh");
+    command.args(["-c", &format!("{shell} \"$0\" \"$@\""), env!("CARGO_BIN_EXE_csi5300")]);
+    command.arg("record").arg(out).args(["--allow-user-sender", "--connector-index", "26"]).args(more);
+    let mut program = Program::of(command.stdout(Stdio::piped()));
+    program.until("\n");
+    assert!(program.said.starts_with("listening on connector index 26 (as given)"), "{}", program.said);
+    program.said.clear();
+    program
 }
 
-impl Running {
-    fn start(out: &Path, more: &[&str]) -> Self {
-        Self::start_by("exec", out, more)
+/// Stops it, and waits until the kernel reports it as stopped: on a busy processor a signal takes effect later.
+fn halt(program: &Program) {
+    program.signal(Signal::SIGSTOP);
+    while state(program) != 'T' {
+        std::thread::yield_now();
     }
+}
 
-    /// By these words of the shell, which stand before the program.
-    fn start_by(shell: &str, out: &Path, more: &[&str]) -> Self {
-        let mut command = Command::new("sh");
-        command.args(["-c", &format!("{shell} \"$0\" \"$@\""), env!("CARGO_BIN_EXE_csi5300")]);
-        command.arg("record").arg(out).args(["--allow-user-sender", "--connector-index", "26"]).args(more);
-        let mut child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-        let mut stderr = BufReader::new(child.stderr.take().unwrap());
-        let mut line = String::new();
-        stderr.read_line(&mut line).unwrap();
-        assert!(line.starts_with("listening on connector index 26 (as given)"), "{line}");
-        Self { child, stderr }
+/// What its receiving thread does: R, runs or would; S, waits; T, is stopped.
+fn state(program: &Program) -> char {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", program.child.id())).unwrap();
+    stat.rsplit_once(") ").unwrap().1.chars().next().unwrap()
+}
+
+/// Waits until it has read everything, and waits for more: only then the kernel drops nothing more.
+fn wait_for_rest(program: &Program) {
+    while queued_bytes() > 0 || state(program) != 'S' {
+        std::thread::yield_now();
     }
+}
 
-    fn signal(&self, signal: Signal) {
-        kill(Pid::from_raw(self.child.id() as i32), signal).unwrap();
-    }
-
-    /// Stops it, and waits until the kernel reports it as stopped: on a busy processor a signal takes effect later.
-    fn stop(&self) {
-        self.signal(Signal::SIGSTOP);
-        while self.state() != 'T' {
-            std::thread::yield_now();
-        }
-    }
-
-    /// What its receiving thread does: R, runs or would; S, waits; T, is stopped.
-    fn state(&self) -> char {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap();
-        stat.rsplit_once(") ").unwrap().1.chars().next().unwrap()
-    }
-
-    /// Waits until it has read everything, and waits for more: only then the kernel drops nothing more.
-    fn wait_for_rest(&self) {
-        while queued_bytes() > 0 || self.state() != 'S' {
-            std::thread::yield_now();
-        }
-    }
-
-    /// Waits until the log has at least this many bytes.
-    fn wait_for_bytes(out: &Path, bytes: u64) {
-        while std::fs::metadata(out).map_or(0, |about| about.len()) < bytes {
-            std::thread::yield_now();
-        }
-    }
-
-    /// Ends it; gives its exit status and what it said.
-    fn end(mut self, signal: Signal) -> (Option<i32>, String) {
-        self.signal(signal);
-        let mut said = String::new();
-        self.stderr.read_to_string(&mut said).unwrap();
-        (self.child.wait().unwrap().code(), said)
+/// Waits until the log has at least this many bytes.
+fn wait_for_bytes(out: &Path, bytes: u64) {
+    while std::fs::metadata(out).map_or(0, |about| about.len()) < bytes {
+        std::thread::yield_now();
     }
 }
 
@@ -113,10 +86,7 @@ const RECORD: u64 = 2 + 213;
 
 #[test]
 fn a_signal_ends_the_log_whole() {
-    if !inside(concat!(module_path!(), "::a_signal_ends_the_log_whole"), "-Urn") {
-        return;
-    }
-    let folder = folder("signals");
+    let Some(folder) = Folder::inside(a_signal_ends_the_log_whole, "-Urn", "recording-signals") else { return };
     // Tests may run with SIGHUP ignored (`nohup`), and programs that they start with them.
     let env = Command::new("env").args(["--default-signal", "true"]).output();
     let hangup = env.is_ok_and(|output| output.status.success()).then_some(Signal::SIGHUP);
@@ -124,52 +94,50 @@ fn a_signal_ends_the_log_whole() {
         crate::common::skipped("`env --default-signal` is not there (coreutils 8.31)");
     }
     for signal in [Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup) {
-        let out = folder.join(format!("{signal}.dat"));
+        let out = folder.0.join(format!("{signal}.dat"));
         let shell = if hangup == Some(signal) { "exec env --default-signal=HUP" } else { "exec" };
-        let running = Running::start_by(shell, &out, &[]);
+        let running = record_by(shell, &out, &[]);
         let mut sender = Sender::open(CN_IDX, true).unwrap();
         send_gently(&mut sender, 0..1_400);
         // These are still in its socket when the signal comes, or not: it reads them before it ends.
         send(&mut sender, 1_400..1_500);
-        let (status, said) = running.end(signal);
+        let (status, said) = running.end_by(signal);
         assert_eq!(status, Some(0), "{said}");
         assert!(said.contains("1500 records written"), "{said}");
         let (counts, tail, stamped) = read(&out);
         assert_eq!(counts, (0..1_500).collect::<Vec<_>>());
         assert_eq!((tail, stamped), (Tail::Clean, 1_500));
     }
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
 fn a_hangup_ends_no_recording_that_was_started_to_ignore_it() {
-    if !inside(concat!(module_path!(), "::a_hangup_ends_no_recording_that_was_started_to_ignore_it"), "-Urn") {
+    let Some(folder) =
+        Folder::inside(a_hangup_ends_no_recording_that_was_started_to_ignore_it, "-Urn", "recording-hangup")
+    else {
         return;
-    }
-    let folder = folder("hangup");
-    let out = folder.join("log.dat");
-    let running = Running::start_by("trap '' HUP; exec", &out, &[]);
+    };
+    let out = folder.0.join("log.dat");
+    let running = record_by("trap '' HUP; exec", &out, &[]);
     let mut sender = Sender::open(CN_IDX, true).unwrap();
     send_gently(&mut sender, 0..100);
     running.signal(Signal::SIGHUP);
     // Had the hangup come first, it would have ended the recording before these.
     send_gently(&mut sender, 100..1_500);
-    let (status, said) = running.end(Signal::SIGTERM);
+    let (status, said) = running.end_by(Signal::SIGTERM);
     assert_eq!(status, Some(0), "{said}");
     assert!(said.contains("1500 records written"), "{said}");
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
 fn a_kill_at_any_moment_leaves_a_readable_log() {
-    if !inside(concat!(module_path!(), "::a_kill_at_any_moment_leaves_a_readable_log"), "-Urn") {
+    let Some(folder) = Folder::inside(a_kill_at_any_moment_leaves_a_readable_log, "-Urn", "recording-kill") else {
         return;
-    }
-    let folder = folder("kill");
+    };
     let mut sender = Sender::open(CN_IDX, true).unwrap();
     for round in 0..12_u16 {
-        let out = folder.join(format!("{round}.dat"));
-        let mut running = Running::start(&out, &["--sync-every", "20ms"]);
+        let out = folder.0.join(format!("{round}.dat"));
+        let mut running = record(&out, &["--sync-every", "20ms"]);
         // The moment is somewhere in the middle of the writing, another one each time.
         send_gently(&mut sender, 0..4_000 + round * 997);
         running.signal(Signal::SIGKILL);
@@ -181,79 +149,63 @@ fn a_kill_at_any_moment_leaves_a_readable_log() {
             assert_eq!(offset, counts.len() as u64 * RECORD);
         }
     }
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
 fn a_full_disk_is_counted_loss() {
-    if !inside(concat!(module_path!(), "::a_full_disk_is_counted_loss"), "-Urnm") {
-        return;
-    }
-    let folder = folder("full");
-    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=256k", "none"]).arg(&folder).status();
-    if !mounted.is_ok_and(|status| status.success()) {
-        crate::common::skipped("a tmpfs cannot be mounted here");
-        return;
-    }
-    let out = folder.join("out.dat");
-    let running = Running::start(&out, &[]);
+    let Some(folder) = Folder::inside(a_full_disk_is_counted_loss, "-Urnm", "recording-full") else { return };
+    let Some(disk) = folder.mount("", "256k") else { return };
+    let out = disk.join("out.dat");
+    // 240 KiB for the data leaves room for less than half; the side file takes its share.
+    overfill(record(&out, &[]), &out, 200_000, "No space left");
+}
+
+/// Sends a recorder more than the disk takes, which is full after this many bytes of log or some more: what is refused is counted.
+fn overfill(running: Program, out: &Path, bytes: u64, why: &str) {
     let mut sender = Sender::open(CN_IDX, true).unwrap();
     send_gently(&mut sender, 0..3_000);
-    // 240 KiB for the data leaves room for less than half; the side file takes its share.
-    Running::wait_for_bytes(&out, 200_000);
-    let (status, said) = running.end(Signal::SIGTERM);
+    wait_for_bytes(out, bytes);
+    let (status, said) = running.end_by(Signal::SIGTERM);
     assert_eq!(status, Some(3), "{said}");
-    let (counts, tail, stamped) = read(&out);
+    let (counts, tail, stamped) = read(out);
     assert_eq!(tail, Tail::Clean, "{said}");
     assert!(counts.is_sorted_by(|a, b| a < b));
-    assert!(stamped <= counts.len());
     let kept = counts.len();
-    assert!(kept < 3_000);
+    assert!(stamped <= kept && kept < 3_000);
     assert!(said.contains(&format!("{kept} records written")), "{said}");
     let lost = format!("{} that it refused", 3_000 - kept);
-    assert!(said.contains(&lost) && said.contains("No space left"), "expected {lost}:\n{said}");
+    assert!(said.contains(&lost) && said.contains(why), "expected {lost}:\n{said}");
 }
 
 /// `ulimit -f`, in blocks of 512 or 1,024 bytes by the shell.
 #[test]
 fn a_limit_of_file_sizes_is_a_full_disk_and_ends_nothing() {
-    if !inside(concat!(module_path!(), "::a_limit_of_file_sizes_is_a_full_disk_and_ends_nothing"), "-Urn") {
+    let Some(folder) = Folder::inside(a_limit_of_file_sizes_is_a_full_disk_and_ends_nothing, "-Urn", "recording-limit")
+    else {
         return;
-    }
-    let folder = folder("limit");
-    let out = folder.join("out.dat");
-    let running = Running::start_by("ulimit -f 100; exec", &out, &[]);
-    let mut sender = Sender::open(CN_IDX, true).unwrap();
-    send_gently(&mut sender, 0..3_000);
-    Running::wait_for_bytes(&out, 40_000);
-    let (status, said) = running.end(Signal::SIGTERM);
-    assert_eq!(status, Some(3), "{said}");
-    let (counts, tail, _) = read(&out);
-    assert_eq!((tail, counts.len() < 3_000), (Tail::Clean, true), "{said}");
-    let lost = format!("{} that it refused", 3_000 - counts.len());
-    assert!(said.contains(&lost) && said.contains("File too large"), "expected {lost}:\n{said}");
-    std::fs::remove_dir_all(folder).unwrap();
+    };
+    let out = folder.0.join("out.dat");
+    overfill(record_by("ulimit -f 100; exec", &out, &[]), &out, 40_000, "File too large");
 }
 
 #[test]
 fn a_stopped_recorder_reports_what_it_missed() {
-    if !inside(concat!(module_path!(), "::a_stopped_recorder_reports_what_it_missed"), "-Urn") {
+    let Some(folder) = Folder::inside(a_stopped_recorder_reports_what_it_missed, "-Urn", "recording-stopped") else {
         return;
-    }
-    let folder = folder("stopped");
-    let out = folder.join("out.dat");
-    let running = Running::start(&out, &["--receive-buffer", "64k"]);
+    };
+    let out = folder.0.join("out.dat");
+    let running = record(&out, &["--receive-buffer", "64k"]);
     let mut sender = Sender::open(CN_IDX, true).unwrap();
-    running.stop();
+    halt(&running);
     send(&mut sender, 0..5_000);
     running.signal(Signal::SIGCONT);
     // It has recovered when something sent later arrives.
-    running.wait_for_rest();
+    wait_for_rest(&running);
     send(&mut sender, 5_000..5_001);
     while read_so_far(&out).last().is_none_or(|&count| count < 5_000) {
         std::thread::yield_now();
     }
-    let (status, said) = running.end(Signal::SIGTERM);
+    let (status, said) = running.end_by(Signal::SIGTERM);
     assert_eq!(status, Some(3), "{said}");
     let (counts, tail, _) = read(&out);
     assert_eq!(tail, Tail::Clean);
@@ -268,38 +220,33 @@ fn a_stopped_recorder_reports_what_it_missed() {
     assert!(gaps > 0 && counts.first() == Some(&0));
     assert!(said.contains(&format!("bfee_count has gaps of {gaps}")), "{gaps} in the log:\n{said}");
     assert!(told >= gaps.saturating_sub(1), "{told} told, {gaps} missing:\n{said}");
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
 fn a_recording_of_nothing_leaves_nothing() {
-    if !inside(concat!(module_path!(), "::a_recording_of_nothing_leaves_nothing"), "-Urn") {
+    let Some(folder) = Folder::inside(a_recording_of_nothing_leaves_nothing, "-Urn", "recording-nothing") else {
         return;
-    }
-    let folder = folder("nothing");
-    let out = folder.join("out.dat");
+    };
+    let out = folder.0.join("out.dat");
     for _ in 0..2 {
         // The second try finds nothing in its way.
-        let (status, said) = Running::start(&out, &[]).end(Signal::SIGINT);
+        let (status, said) = record(&out, &[]).end_by(Signal::SIGINT);
         assert_eq!(status, Some(1), "{said}");
         assert!(said.contains("nothing came: `csi5300 doctor") && said.contains("nothing to write: no "), "{said}");
-        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 0, "{said}");
+        assert_eq!(std::fs::read_dir(&folder.0).unwrap().count(), 0, "{said}");
     }
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
 fn a_replayed_log_arrives_through_the_kernel() {
-    if !inside(concat!(module_path!(), "::a_replayed_log_arrives_through_the_kernel"), "-Urn") {
+    let Some(folder) = Folder::inside(a_replayed_log_arrives_through_the_kernel, "-Urn", "recording-replay") else {
         return;
-    }
-    let folder = folder("replay");
-    let (first, second) = (folder.join("a.dat"), folder.join("b.dat"));
-    let running = Running::start(&first, &["--stop-after", "300records"]);
+    };
+    let (first, second) = (folder.0.join("a.dat"), folder.0.join("b.dat"));
+    let mut running = record(&first, &["--stop-after", "300records"]);
     send(&mut Sender::open(CN_IDX, true).unwrap(), 0..300);
-    let Running { mut child, .. } = running;
-    assert!(child.wait().unwrap().success());
-    let mut running = Running::start(&second, &["--stop-after", "300records", "--json"]);
+    assert!(running.child.wait().unwrap().success());
+    let mut running = record(&second, &["--stop-after", "300records", "--json"]);
     let mut replay = Command::new(env!("CARGO_BIN_EXE_csi5300"));
     let replay = replay.arg("replay").arg(&first).args(["--speed", "max", "--connector", "--json"]).output().unwrap();
     assert!(replay.status.success(), "{}", String::from_utf8_lossy(&replay.stderr));
@@ -313,33 +260,21 @@ fn a_replayed_log_arrives_through_the_kernel() {
     assert_eq!(crate::commands::json(&said)["records"], 300, "{said}");
     assert!(crate::documented::are_documented(&said) >= 7, "{said}");
     assert_eq!(std::fs::read(&first).unwrap(), std::fs::read(&second).unwrap());
-    std::fs::remove_dir_all(folder).unwrap();
-}
-
-fn send_signal(child: &Child, signal: Signal) {
-    kill(Pid::from_raw(child.id() as i32), signal).unwrap();
 }
 
 #[test]
 fn a_signal_ends_the_page_as_it_ends_a_recording() {
-    use std::io::{BufRead, BufReader};
     let folder = Folder::new("view-signals");
     folder.write("rx.dat", &crate::common::link(100, 1.0).rx.concat());
     for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP] {
         let Some(mut command) = crate::common::with_usual_signals(env!("CARGO_BIN_EXE_csi5300")) else { return };
         command.arg("view").arg(folder.0.join("rx.dat")).stdout(Stdio::piped());
-        let mut child = command.spawn().unwrap();
-        let mut address = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut address).unwrap();
+        let mut page = Program::of(&mut command);
         // An answer comes from a server that has begun, and with it its signals.
-        let place = address.trim().trim_start_matches("http://").trim_end_matches('/');
-        let mut page = std::net::TcpStream::connect(place).unwrap();
-        write!(page, "GET /data/overview HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n").unwrap();
-        let mut answer = String::new();
-        page.read_to_string(&mut answer).unwrap();
-        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
-        send_signal(&child, signal);
-        assert_eq!(child.wait().unwrap().code(), Some(0), "{signal}");
+        let place = crate::cards::place(&mut page);
+        crate::cards::get(&place, "/data/overview");
+        page.signal(signal);
+        assert_eq!(page.child.wait().unwrap().code(), Some(0), "{signal}");
     }
 }
 
@@ -348,6 +283,5 @@ fn a_pipe_is_no_log_for_the_page() {
     let folder = Folder::new("view-pipe");
     let made = Command::new("mkfifo").arg(folder.0.join("p.dat")).status();
     assert!(made.is_ok_and(|status| status.success()), "mkfifo");
-    let (status, _, err) = folder.run(&["view", "p.dat"]);
-    assert!(status == 1 && err.contains("p.dat is a pipe or a device"), "{status} {err}");
+    folder.says(&["view", "p.dat"], 1, &["p.dat is a pipe or a device"]);
 }

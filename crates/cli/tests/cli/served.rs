@@ -113,40 +113,6 @@ fn an_interface_is_one_program_s_at_a_time_and_forgets_nothing_it_was_not_told()
     assert!(room.interface(1).is_some());
 }
 
-/// Two nodes, of `rx` and of `tx`, with these configurations in a room that another program serves, until the robot on
-/// circles has made so many bearings, and one that is right to two degrees. Gives its last one, and what the room said.
-pub fn two_nodes(name: &str, [rx, tx]: &[String; 2], least: usize) -> (serde_json::Value, String) {
-    crate::with_node();
-    use crate::air::{LIVE, Program};
-    let folder = std::env::temp_dir().join(format!("csi5300-{name}-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let write = |name: &str, text: &str| {
-        let path = folder.join(name);
-        std::fs::write(&path, text).unwrap();
-        path.to_str().unwrap().to_owned()
-    };
-    let (scene, socket) = (write("scene.toml", LIVE), folder.join("room"));
-    let mut room = Program::start(&["simulate", &scene, "--serve", "--socket", socket.to_str().unwrap()]);
-    room.until("serving the room at");
-    let tx = Program::start(&["node", "--config", &write("tx.toml", tx)]);
-    let mut rx = Program::start(&["node", "--config", &write("rx.toml", rx)]);
-    let sure = rx.sure_bearing(&folder.join("rx.jsonl"), least);
-    let off_deg = sure["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
-    assert!(crate::air::is_near(off_deg, &sure), "{off_deg} degrees off: {sure}");
-    [&rx, &tx].into_iter().for_each(Program::stop);
-    for node in [rx, tx] {
-        let (status, said) = node.end();
-        assert!(matches!(status, Some(0 | 3)), "{status:?}: {said}");
-    }
-    room.stop();
-    let (_, served) = room.end();
-    let lines = std::fs::read_to_string(folder.join("rx.jsonl")).unwrap();
-    let mut lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
-    let last = lines.rfind(|line| line["state"] == "bearing").unwrap();
-    std::fs::remove_dir_all(&folder).unwrap();
-    (last, served)
-}
-
 /// A frame as the WSR toolbox sends it.
 fn frame(room: &Room, from: usize, number: u32) -> Vec<u8> {
     let mut bytes = vec![0x08, 0, 0xff, 0xff];

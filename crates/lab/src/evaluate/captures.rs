@@ -537,11 +537,10 @@ mod tests {
 
     #[test]
     fn an_invalid_truth_file_is_refused() {
-        let folder = std::env::temp_dir().join(format!("csi5300-truth-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
+        let folder = &crate::temporary::Temporary::folder("truth").0;
         let read = |text: &str| {
             std::fs::write(folder.join(TRUTH_FILE), text).unwrap();
-            Truth::read(&folder).map(|truth| truth.place("tx1")).map_err(|error| error.to_string())
+            Truth::read(folder).map(|truth| truth.place("tx1")).map_err(|error| error.to_string())
         };
         let at = |x: &str| {
             read(&r#"{"true_tx_positions": {"value": {"tx1": {"position": {"x": X, "y": 2}}}}}"#.replace('X', x))
@@ -554,6 +553,5 @@ mod tests {
         let error = read(&long(LONGEST + 1)).unwrap_err();
         assert!(error.contains("1048577 bytes; a truth file has at most 1048576"), "{error}");
         assert!(read(&long(LONGEST)).is_ok() && read("{}").is_ok());
-        std::fs::remove_dir_all(folder).unwrap();
     }
 }

@@ -360,6 +360,7 @@ impl Table {
 mod tests {
     use super::*;
     use crate::evaluate::judge::row;
+    use crate::temporary::Temporary;
 
     /// Ten bearings, the surest first, with errors of 0, 1, .. 9 degrees.
     fn ten() -> Vec<Sure> {
@@ -378,6 +379,11 @@ mod tests {
         assert_eq!(least.iter().map(|kept| kept.errors.links).collect::<Vec<_>>(), [10, 3, 0]);
         assert_eq!((least[1].share, least[1].confidence, least[2].refused_right), (0.3, 0.75, Some(0.6)));
         assert!(surest(&[], [1.0].into_iter()).is_empty() && above(&[], &[0.0]).is_empty());
+        // The same of judged rows.
+        let rows: Vec<Judged> = (0..10).map(|k| row("a/x", 0.0, f64::from(k), 1.0 - f64::from(k) * 0.1)).collect();
+        let of_rows = risk_coverage(&rows);
+        assert_eq!((of_rows.len(), of_rows[0].errors, of_rows[5].errors), (6, curve[0].errors, curve[1].errors));
+        assert!(risk_coverage(&[]).is_empty());
     }
 
     #[test]
@@ -387,16 +393,6 @@ mod tests {
         let last = bins[bins.len() - 1];
         assert!(last.right == 1.0 && last.said > 0.8 && last.to == 1.0, "{last:?}");
         assert!(reliability(&[]).is_empty());
-    }
-
-    #[test]
-    fn refusing_the_unsure_lowers_the_error() {
-        let rows: Vec<Judged> = (0..10).map(|k| row("a/x", 0.0, f64::from(k), 1.0 - f64::from(k) * 0.1)).collect();
-        let curve = risk_coverage(&rows);
-        assert_eq!(curve.len(), 6);
-        assert_eq!((curve[0].errors.links, curve[5].errors.links), (10, 5));
-        assert!((curve[5].errors.mean_deg - 2.0).abs() < 1e-12 && (curve[0].errors.mean_deg - 4.5).abs() < 1e-12);
-        assert!(risk_coverage(&[]).is_empty());
     }
 
     #[test]
@@ -425,25 +421,23 @@ mod tests {
 
     #[test]
     fn links_are_found_by_name_and_trajectory_and_bad_rows_are_counted() {
-        let folder = std::env::temp_dir().join(format!("csi5300-beside-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        assert_eq!(Table::read(&folder, TrajectorySource::GroundTruth).unwrap(), None);
+        let folder = &Temporary::folder("beside").0;
+        assert_eq!(Table::read(folder, TrajectorySource::GroundTruth).unwrap(), None);
         let rows = "tx,capture,displacement,other,peer_est_deg,peer_err_from_mean_pose_deg\n\
                     tx2,A/L1/x,gt,1,132.8,5.9\ntx2,A/L1/x,t265,1,125.8,-1.0\ntx3,A/L1/x,gt,1,,\ntx4,A/L1/x,gt\n";
         std::fs::write(folder.join(TABLE), rows).unwrap();
-        let table = Table::read(&folder, TrajectorySource::GroundTruth).unwrap().unwrap();
+        let table = Table::read(folder, TrajectorySource::GroundTruth).unwrap().unwrap();
         assert_eq!(table.of("A/L1/x/tx2"), Some(Beside { azimuth_deg: 132.8, error_deg: 5.9 }));
         assert_eq!((table.of("A/L1/x/tx3"), table.bad_rows), (None, 2));
-        let (noted, note) = Table::noted(&folder, TrajectorySource::GroundTruth);
+        let (noted, note) = Table::noted(folder, TrajectorySource::GroundTruth);
         assert!(noted == Some(table) && note.unwrap().ends_with("links.csv: 2 rows without numbers skipped"));
-        let camera = Table::read(&folder, TrajectorySource::T265).unwrap().unwrap();
+        let camera = Table::read(folder, TrajectorySource::T265).unwrap().unwrap();
         assert_eq!(camera.of("A/L1/x/tx2").map(|beside| beside.error_deg), Some(-1.0));
-        assert_eq!(Table::noted(&folder, TrajectorySource::T265), (Some(camera), None));
+        assert_eq!(Table::noted(folder, TrajectorySource::T265), (Some(camera), None));
         std::fs::write(folder.join(TABLE), "a,b\n1,2\n").unwrap();
-        let error = Table::read(&folder, TrajectorySource::GroundTruth).unwrap_err();
+        let error = Table::read(folder, TrajectorySource::GroundTruth).unwrap_err();
         assert!(error.to_string().contains("no column `capture`"), "{error}");
-        let (noted, note) = Table::noted(&folder, TrajectorySource::GroundTruth);
+        let (noted, note) = Table::noted(folder, TrajectorySource::GroundTruth);
         assert!(noted.is_none() && note.unwrap().contains("no column `capture`"));
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -476,13 +476,16 @@ mod tests {
     use crate::evaluate::judge::row;
     use csi5300::pipeline::{Answer, CandidateAnswer};
 
+    /// A link from a receiver to a transmitter whose bearing is off by so much.
+    fn link(name: &str, from: [f64; 2], to: [f64; 2], off_deg: f64) -> Judged {
+        let truth_deg = (to[1] - from[1]).atan2(to[0] - from[0]).to_degrees();
+        let row = row(name, truth_deg + off_deg, off_deg, 0.9);
+        Judged { true_transmitter_m: Some(to), true_receiver_m: Some(from), ..row }
+    }
+
     #[test]
     fn a_receiver_is_located_where_its_bearings_cross() {
-        let seen = |name: &str, tx: [f64; 2]| Judged {
-            true_transmitter_m: Some(tx),
-            true_receiver_m: Some([1.0, 2.0]),
-            ..row(&format!("place/stamp/{name}"), (tx[1] - 2.0).atan2(tx[0] - 1.0).to_degrees(), 0.0, 0.9)
-        };
+        let seen = |name: &str, tx: [f64; 2]| link(&format!("place/stamp/{name}"), [1.0, 2.0], tx, 0.0);
         let found = receivers(&[seen("tx2", [4.0, 2.5]), seen("tx3", [1.5, -3.0]), seen("tx4", [-2.0, 4.0])]);
         assert_eq!((found.len(), found[0].links, found[0].capture.as_str()), (1, 3, "place/stamp"));
         assert!(found[0].off_m.unwrap() < 1e-6 && found[0].height_m.is_none());
@@ -522,10 +525,7 @@ mod tests {
     const ROBOTS: [[f64; 2]; 4] = [[-2.4, 2.7], [2.5, -2.7], [-3.7, -1.5], [3.0, 3.0]];
 
     fn seen(k: usize, off_deg: f64) -> Judged {
-        let [x, y] = ROBOTS[k];
-        let truth = (y - RECEIVER[1]).atan2(x - RECEIVER[0]).to_degrees();
-        let row = row(&format!("a/tx{k}"), truth + off_deg, off_deg, 0.9);
-        Judged { true_transmitter_m: Some([x, y]), true_receiver_m: Some(RECEIVER), ..row }
+        link(&format!("a/tx{k}"), RECEIVER, ROBOTS[k], off_deg)
     }
 
     #[test]
@@ -571,13 +571,6 @@ mod tests {
         assert!(located.graph.is_some());
     }
 
-    /// A link with an exact bearing from a receiver to a transmitter whose place is given or not.
-    fn link(name: &str, from: [f64; 2], to: [f64; 2], is_known: bool) -> Judged {
-        let azimuth_deg = (to[1] - from[1]).atan2(to[0] - from[0]).to_degrees();
-        let row = row(name, azimuth_deg, 0.0, 0.9);
-        Judged { true_transmitter_m: is_known.then_some(to), true_receiver_m: Some(from), ..row }
-    }
-
     #[test]
     fn captures_that_share_an_unknown_transmitter_are_one_graph() {
         let (known, unknown) = ([[4.0, 0.0], [0.0, 5.0]], [-3.0, 2.0]);
@@ -586,8 +579,8 @@ mod tests {
         for (capture, at) in &places {
             // Capture c has a bearing of one known place only.
             let count = if *capture == "c" { 1 } else { 2 };
-            rows.extend((0..count).map(|k| link(&format!("{capture}/tx{k}"), *at, known[k], true)));
-            rows.push(link(&format!("{capture}/tx9"), *at, unknown, false));
+            rows.extend((0..count).map(|k| link(&format!("{capture}/tx{k}"), *at, known[k], 0.0)));
+            rows.push(Judged { true_transmitter_m: None, ..link(&format!("{capture}/tx9"), *at, unknown, 0.0) });
         }
         let alone = receivers_with(&rows, &BTreeMap::new(), false);
         assert!(alone.transmitters.is_empty() && alone.graph.is_none());

@@ -378,13 +378,13 @@ fn padded(bytes: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::temporary::Temporary;
 
     /// A file that refuses all writes stands for a full disk: `/dev/full` does not show the position of a write.
     #[test]
     fn after_a_failed_write_nothing_is_written_and_the_error_is_kept() {
-        let path = std::env::temp_dir().join(format!("csi5300-refused-{}.npz", std::process::id()));
-        std::fs::write(&path, b"").unwrap();
-        let mut disk = Disk::new(File::open(&path).unwrap());
+        let path = &Temporary::file("refused.npz", b"").0;
+        let mut disk = Disk::new(File::open(path).unwrap());
         assert!(disk.write(b"x").is_err());
         assert!(disk.refused.is_some());
         assert!(disk.write(b"more").is_ok_and(|count| count == 4) && disk.flush().is_ok());
@@ -392,18 +392,17 @@ mod tests {
         assert_eq!(disk.seek(SeekFrom::Current(-3)).unwrap(), 1);
         assert_eq!((disk.seek(SeekFrom::End(1)).unwrap(), disk.seek(SeekFrom::Start(2)).unwrap()), (5, 2));
         let name = path.display().to_string();
-        let refusing = || ZipWriter::new(Disk::new(File::open(&path).unwrap()));
+        let refusing = || ZipWriter::new(Disk::new(File::open(path).unwrap()));
         // The first array is refused; later writes must not succeed.
         let mut npz = Npz { writer: refusing(), name: name.clone() };
         assert!(npz.array("a", &[1], [1_u8].into_iter()).is_err());
         assert!(matches!(npz.finish(), Err(ExportError::Io { .. } | ExportError::Format { .. })));
-        std::fs::remove_file(path).unwrap();
     }
 
     #[test]
     fn a_file_consists_of_its_elements() {
-        let path = std::env::temp_dir().join(format!("csi5300-mat-{}.mat", std::process::id()));
-        let mut mat = Mat::create(&path).unwrap();
+        let path = &Temporary::path("mat.mat").0;
+        let mut mat = Mat::create(path).unwrap();
         mat.array("a", &[3, 1], [1_u8, 2, 3].into_iter()).unwrap();
         mat.complex("bcd", &[2, 1, 1], [1.0_f32, 2.0].into_iter(), [3.0_f32, 4.0].into_iter()).unwrap();
         let short = mat.array("e", &[2, 2], [1.0_f64].into_iter());
@@ -411,8 +410,7 @@ mod tests {
         let long = mat.array("f", &[1 << 29, 1], std::iter::empty::<f64>());
         assert!(matches!(long, Err(ExportError::TooLong { .. })));
         mat.finish().unwrap();
-        let bytes = std::fs::read(&path).unwrap();
-        std::fs::remove_file(&path).unwrap();
+        let bytes = std::fs::read(path).unwrap();
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
         assert_eq!(&bytes[124..128], &[0, 1, b'I', b'M']);
         assert_eq!((word(128), word(132)), (14, 16 + 16 + 16 + 16));

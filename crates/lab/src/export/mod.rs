@@ -501,11 +501,12 @@ impl ExportError {
 mod tests {
     use super::{Export, ExportError};
     use crate::table::{Arena, Columns, Filter, Form, Reading};
+    use crate::temporary::Temporary;
     use csi5300::source::replay::Replay;
     use csi5300::time::Instant;
     use driver_iface::bfee::Antenna;
     use std::path::{Path, PathBuf};
-    use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+    use std::sync::atomic::{AtomicBool, Ordering};
 
     fn fixture() -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")
@@ -525,24 +526,6 @@ mod tests {
         columns
     }
 
-    /// A file of one test; removed at the end.
-    struct Temporary(PathBuf);
-
-    static TEMPORARIES: AtomicU32 = AtomicU32::new(0);
-
-    impl Temporary {
-        fn new(name: &str) -> Self {
-            let number = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
-            Self(std::env::temp_dir().join(format!("csi5300-{}-{number}-{name}", std::process::id())))
-        }
-    }
-
-    impl Drop for Temporary {
-        fn drop(&mut self) {
-            let _ = std::fs::remove_file(&self.0);
-        }
-    }
-
     /// The fixture repeated many times, longer than one read, with noise in between and other records' frames before some.
     fn long_log() -> Temporary {
         let once = std::fs::read(fixture()).unwrap();
@@ -552,9 +535,7 @@ mod tests {
             log.extend([0, 41, 0xc1].into_iter().chain([copy; 40]));
             log.extend(&once);
         }
-        let file = Temporary::new("long.dat");
-        std::fs::write(&file.0, log).unwrap();
-        file
+        Temporary::file("long.dat", &log)
     }
 
     #[test]
@@ -564,14 +545,13 @@ mod tests {
         let export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default()).with_stop(&stop);
         let endings: &[&str] = if cfg!(feature = "parquet") { &["npz", "mat", "parquet"] } else { &["npz", "mat"] };
         for ending in endings {
-            let path = std::env::temp_dir().join(format!("csi5300-stopped-{}.{ending}", std::process::id()));
+            let path = &Temporary::path(&format!("stopped.{ending}")).0;
             stop.store(false, Ordering::Relaxed);
-            export.write(&path).unwrap();
-            let whole = std::fs::metadata(&path).unwrap().len();
+            export.write(path).unwrap();
+            let whole = std::fs::metadata(path).unwrap().len();
             stop.store(true, Ordering::Relaxed);
-            assert!(matches!(export.write(&path), Err(ExportError::Stopped { .. })), "{ending}");
-            assert!(std::fs::metadata(&path).unwrap().len() < whole, "{ending}: it was written all the same");
-            std::fs::remove_file(&path).unwrap();
+            assert!(matches!(export.write(path), Err(ExportError::Stopped { .. })), "{ending}");
+            assert!(std::fs::metadata(path).unwrap().len() < whole, "{ending}: it was written all the same");
         }
     }
 
@@ -579,7 +559,8 @@ mod tests {
     fn an_extension_may_be_upper_case_and_streams_may_exceed_the_logs() {
         let (arena, columns) = table(&fixture(), Filter::default());
         let export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default());
-        let (small, large, wide) = (Temporary::new("log.npz"), Temporary::new("LOG.NPZ"), Temporary::new("wide.npz"));
+        let (small, large, wide) =
+            (Temporary::path("log.npz"), Temporary::path("LOG.NPZ"), Temporary::path("wide.npz"));
         export.write(&small.0).unwrap();
         export.write(&large.0).unwrap();
         export.with_streams(3).write(&wide.0).unwrap();
@@ -604,7 +585,7 @@ mod tests {
                 for antennas in [&Antenna::ALL[..], &[Antenna::C, Antenna::A]] {
                     let (memory, file) = (memory.clone().with_antennas(antennas), file.clone().with_antennas(antennas));
                     for ending in ["npz", "mat"] {
-                        let out = Temporary::new(&format!("again.{ending}"));
+                        let out = Temporary::path(&format!("again.{ending}"));
                         let first = (memory.write(&out.0).unwrap(), std::fs::read(&out.0).unwrap());
                         assert!(first == (file.write(&out.0).unwrap(), std::fs::read(&out.0).unwrap()), "{ending}");
                     }
@@ -618,7 +599,7 @@ mod tests {
     fn an_archive_has_no_unused_reserved_space() {
         let log = long_log();
         let columns = columns(&log.0, Filter::default());
-        let out = Temporary::new("whole.npz");
+        let out = Temporary::path("whole.npz");
         Export::of_log(&log.0, &columns, Form::default()).write(&out.0).unwrap();
         let records = columns.len() as u64 * (3 * 30 * 8 + super::BYTES);
         let headers = std::fs::metadata(&out.0).unwrap().len() - records;
@@ -630,7 +611,7 @@ mod tests {
     fn a_log_that_changes_during_export_is_an_error_with_its_offset() {
         let log = long_log();
         let columns = columns(&log.0, Filter::default());
-        let out = Temporary::new("changed.npz");
+        let out = Temporary::path("changed.npz");
         let export = Export::of_log(&log.0, &columns, Form::default());
         let bytes = std::fs::read(&log.0).unwrap();
         // Cut inside the last record; then a record in the middle is overwritten.

@@ -289,8 +289,7 @@ mod tests {
     #[test]
     fn each_file_has_the_same_values() {
         let read = CardFrames::read(Format::FeitCsi, &log(), |_, _| true);
-        let folder = std::env::temp_dir().join(format!("csi5300-other-cards-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
+        let folder = &crate::temporary::Temporary::folder("other-cards").0;
         for name in ["a.npz", "a.mat", "a.csv"] {
             read.write(&folder.join(name)).unwrap();
         }
@@ -302,6 +301,5 @@ mod tests {
         assert_eq!(rows[3][column("im_-28_b_1")], "3");
         assert_eq!((rows[1][column("re_7_a_1")], rows[1][column("host_us")]), ("", ""));
         assert_eq!(rows[2][column("rssi_b")], "-50");
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

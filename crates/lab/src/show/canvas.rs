@@ -447,13 +447,12 @@ mod tests {
 
     #[test]
     fn a_full_disk_leaves_the_old_picture() {
-        let folder = std::env::temp_dir().join(format!("csi5300-whole-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
+        let folder = &crate::temporary::Temporary::folder("whole").0;
         let full = |file: &mut File| {
             file.write_all(b"the first ha")?;
             Err(io::ErrorKind::StorageFull.into())
         };
-        let names = || std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect::<Vec<_>>();
+        let names = || std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name()).collect::<Vec<_>>();
         let picture = folder.join("a.png");
         let error = write_whole(&picture, full).unwrap_err();
         assert_eq!((error.kind(), names().len()), (io::ErrorKind::StorageFull, 0));
@@ -468,6 +467,5 @@ mod tests {
             assert!(link.is_symlink() && std::fs::read(&picture).unwrap() == b"new");
             write_whole(Path::new("/dev/null"), |file| file.write_all(b"nowhere")).unwrap();
         }
-        std::fs::remove_dir_all(folder).unwrap();
     }
 }

@@ -368,18 +368,11 @@ mod tests {
     }
 
     /// Draws a course; the SVG of its two pictures.
-    fn drawn(name: &str, course: &Course, size: (f64, f64)) -> Vec<String> {
-        let stem = std::env::temp_dir().join(format!("csi5300-log-{name}-{}", std::process::id()));
-        let pictures = LogPictures { title: "a.dat", course, size };
-        let mut written = pictures.write(&stem, &[]).unwrap();
-        written
-            .retain(|path| path.extension().is_some_and(|kind| kind == "svg") || std::fs::remove_file(path).is_err());
-        let read = |path: PathBuf| {
-            let text = std::fs::read_to_string(&path).unwrap();
-            std::fs::remove_file(path).unwrap();
-            text
-        };
-        written.into_iter().map(read).collect()
+    fn drawn(course: &Course, size: (f64, f64)) -> Vec<String> {
+        let folder = crate::temporary::Temporary::folder("log");
+        let written = LogPictures { title: "a.dat", course, size }.write(&folder.0.join("a"), &[]).unwrap();
+        let svgs = written.iter().filter(|path| path.extension().is_some_and(|kind| kind == "svg"));
+        svgs.map(|path| std::fs::read_to_string(path).unwrap()).collect()
     }
 
     /// A log of three antennas with an event of every kind.
@@ -421,7 +414,7 @@ mod tests {
         let bases = [TimeBase::Card, TimeBase::Number];
         let sizes = [(800.0, 500.0), (400.0, 400.0), (1200.0, 1100.0)];
         for (base, size) in bases.into_iter().flat_map(|base| sizes.map(|size| (base, size))) {
-            for svg in drawn("small", &eventful(base), size) {
+            for svg in drawn(&eventful(base), size) {
                 let height = numbers(&svg, "height")[0];
                 let lowest = ["y", "y1", "y2"].iter().flat_map(|name| numbers(&svg, name)).fold(0.0, f64::max);
                 assert!(height >= size.1 && lowest <= height - 10.0, "{size:?}: {lowest} of {height}");
@@ -432,7 +425,7 @@ mod tests {
 
     #[test]
     fn without_a_clock_there_is_no_rate() {
-        let levels = |base| drawn("clock", &eventful(base), (1200.0, 1100.0)).pop().unwrap();
+        let levels = |base| drawn(&eventful(base), (1200.0, 1100.0)).pop().unwrap();
         let (with, without) = (levels(TimeBase::Host), levels(TimeBase::Number));
         assert!(with.contains(">rate<") && with.contains("levels and rate") && !with.contains("no rate"));
         assert!(

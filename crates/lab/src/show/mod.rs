@@ -88,11 +88,8 @@ pub fn file_safe(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::temporary::Temporary;
     use std::path::Path;
-
-    fn folder(name: &str) -> PathBuf {
-        std::env::temp_dir().join(format!("csi5300-plot-{}-{name}", std::process::id()))
-    }
 
     fn check(paths: &[PathBuf]) {
         let [png, svg] = paths else { panic!("two files expected, {paths:?}") };
@@ -111,7 +108,7 @@ mod tests {
     /// Three pictures from values that include NaN and infinity, which are dropped.
     #[test]
     fn draws_around_values_that_are_not_finite() {
-        let at = folder("finite");
+        let at = &Temporary::path("finite").0;
         let t_s = vec![0.0, 1.0, f64::NAN, 3.0];
         let capture = PhaseTrack {
             label: "a<b & $c".into(),
@@ -141,7 +138,6 @@ mod tests {
         check(&cdf.write(&at.join("cdf"), &[]).unwrap());
         let lines = ScatterLines { series: vec![("s".into(), vec![(0.0, 1.0), (2.0, 3.0)])], ..Default::default() };
         check(&lines.write(&at.join("lines"), &[]).unwrap());
-        std::fs::remove_dir_all(at).unwrap();
     }
 
     /// The texts of a picture, with their pixel positions.
@@ -156,7 +152,7 @@ mod tests {
 
     #[test]
     fn legends_name_the_wedge_of_a_bearing_that_has_one_and_no_angle_is_minus_zero() {
-        let at = folder("legend");
+        let at = &Temporary::path("legend").0;
         let svg = |sd_rad: Option<f64>| {
             let path_m = vec![[0.0, 0.0], [1.0, 1.0]];
             let plot =
@@ -170,12 +166,11 @@ mod tests {
             assert!(words.iter().any(|text| text == "bearing 0.00°"), "{words:?}");
             assert!(words.iter().any(|text| text == "truth 0.00°"), "{words:?}");
         }
-        std::fs::remove_dir_all(at).unwrap();
     }
 
     #[test]
     fn nothing_to_draw_is_an_error() {
-        let stem = folder("empty").join("x");
+        let stem = Temporary::path("empty").0.join("x");
         let empty = |r: Result<Vec<PathBuf>, Error>| assert!(matches!(r, Err(Error::Empty { .. })), "{r:?}");
         empty(PhasePlot::default().write(&stem, &[]));
         empty(TrajectoryPlot::default().write(&stem, &[]));
@@ -190,12 +185,10 @@ mod tests {
 
     #[test]
     fn a_folder_that_is_a_file_is_named() {
-        let file = folder("file");
-        std::fs::write(&file, "x").unwrap();
+        let file = &Temporary::file("file", b"x").0;
         let plot = CdfPlot { series: vec![("s".into(), vec![1.0])], ..Default::default() };
         let error = plot.write(&file.join("cdf"), &[]).unwrap_err();
-        assert!(matches!(&error, Error::Io { path, .. } if path == &file), "{error}");
-        std::fs::remove_file(file).unwrap();
+        assert!(matches!(&error, Error::Io { path, .. } if path == file), "{error}");
     }
 
     #[test]
@@ -248,10 +241,10 @@ mod tests {
 
     #[test]
     fn every_picture_is_a_png_and_an_svg_and_replaces_no_kept_file() {
-        let at = folder("formats");
-        let written = pictures(&at);
+        let at = &Temporary::path("formats").0;
+        let written = pictures(at);
         assert_eq!(written.len(), 2 * 7);
-        written.chunks(2).for_each(check_kinds);
+        written.chunks(2).for_each(check);
         let again = CdfPlot { series: vec![("s".into(), vec![1.0])], ..CdfPlot::default() };
         std::fs::write(at.join("cdf.svg"), "mine").unwrap();
         std::fs::remove_file(at.join("cdf.png")).unwrap();
@@ -259,19 +252,12 @@ mod tests {
         assert!(matches!(&refused, Err(Error::Kept { path }) if *path == at.join("cdf.svg")), "{refused:?}");
         assert!(std::fs::read(at.join("cdf.svg")).unwrap() == b"mine" && !at.join("cdf.png").exists());
         assert!(again.write(&at.join("cdf"), &[]).is_ok());
-        std::fs::remove_dir_all(at).unwrap();
-    }
-
-    fn check_kinds(pair: &[PathBuf]) {
-        let [png, svg] = pair else { panic!("{pair:?}") };
-        assert!(std::fs::read(png).unwrap().starts_with(b"\x89PNG"), "{}", png.display());
-        assert!(std::fs::read(svg).unwrap().starts_with(b"<svg"), "{}", svg.display());
     }
 
     /// More points than pixels become cells: a long log's picture is not much larger than a short one's.
     #[test]
     fn phases_that_are_too_dense_are_binned() {
-        let at = folder("dense");
+        let at = &Temporary::path("dense").0;
         let svg = |n: usize| {
             let t_s: Vec<f64> = (0..n).map(|k| k as f64 * 0.01).collect();
             let phase: Vec<f64> = (0..n).map(|k| (k as f64 * 0.618).rem_euclid(1.0)).collect();
@@ -284,6 +270,5 @@ mod tests {
         let (few, many) = (svg(1_000), svg(20_000));
         assert!(dots(&few) >= 2 * 1_000, "{}", dots(&few));
         assert!(dots(&many) < 10 && many.matches("<rect").count() > 1_000, "{}", dots(&many));
-        std::fs::remove_dir_all(at).unwrap();
     }
 }

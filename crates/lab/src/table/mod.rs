@@ -350,7 +350,6 @@ mod tests {
     /// Copies of the fixture's 281 records.
     const COPIES: usize = 150;
 
-    /// Enough copies of the fixture for several blocks of memory, damaged in places, with MPDU records in between.
     #[test]
     fn the_needs_of_pieces_add_up_to_those_of_the_whole() {
         let columns = |orders: &[[u8; 3]], n_rx: &[u8], n_tx: &[u8]| Columns {
@@ -371,6 +370,7 @@ mod tests {
         assert_eq!((Widest::default().antennas(), Widest::default().streams()), (vec![], 1));
     }
 
+    /// Enough copies of the fixture for several blocks of memory, damaged in places, with MPDU records in between.
     fn long() -> Vec<u8> {
         let whole = std::fs::read(path()).unwrap();
         let mut log = Vec::new();
@@ -417,10 +417,16 @@ mod tests {
                 other.read_cut(Instant::ZERO, cut, size, &mut (), || true).unwrap();
                 assert_eq!((other.arena.len(), other.columns.len()), (one.arena.len(), one.columns.len()), "{size:?}");
             }
-            let mut two = Reading::new(replay(&log), filter);
+            let mut two = Reading::new(replay(&log), filter.clone());
             two.read_cut(Instant::ZERO, cut, Some(log.len() as u64), &mut (), || true).unwrap();
+            // Without bodies a whole log is read on one thread, in reused memory.
+            let mut alone = Reading::new(replay(&log), filter).without_bodies();
+            alone.read_cut(Instant::ZERO, cut, Some(log.len() as u64), &mut (), || true).unwrap();
             assert!(one.has_ended() && two.has_ended() && one.left_out == two.left_out);
             assert_eq!(serde_json::to_string(&one.survey).unwrap(), serde_json::to_string(&two.survey).unwrap());
+            assert!(alone.has_ended() && alone.arena.is_empty() && alone.left_out == one.left_out);
+            assert_eq!(serde_json::to_string(&one.survey).unwrap(), serde_json::to_string(&alone.survey).unwrap());
+            assert!(format!("{:?}", alone.columns) == format!("{:?}", one.columns), "columns differ");
             let ((a, a_columns), (b, b_columns)) = (one.take(), two.take());
             assert!(bodies(&a) == bodies(&b), "{} records, {}", a.len(), b.len());
             assert_eq!(format!("{a_columns:?}"), format!("{b_columns:?}"));
@@ -428,38 +434,11 @@ mod tests {
         }
     }
 
-    /// Without bodies a whole log is read on one thread, in reused memory.
-    #[test]
-    fn columns_without_bodies_equal_those_of_the_whole_log() {
-        let log = long();
-        let few = Filter::default().with_time(Some(0.5), Some(0.6)).unwrap();
-        let small = |head| Cut { first: 1_000, block: Some(4_096 + head), head };
-        let cuts = [Cut::default(), small(LOOKAHEAD), small(100)];
-        for (filter, cut) in [Filter::default(), few].iter().flat_map(|filter| cuts.map(|cut| (filter.clone(), cut))) {
-            let mut whole = Reading::new(replay(&log), filter.clone());
-            while whole.burst(Instant::ZERO, usize::MAX).unwrap() {}
-            let mut alone = Reading::new(replay(&log), filter).without_bodies();
-            alone.read_cut(Instant::ZERO, cut, Some(log.len() as u64), &mut (), || true).unwrap();
-            assert!(alone.has_ended() && alone.arena.is_empty() && alone.left_out == whole.left_out);
-            assert_eq!(serde_json::to_string(&alone.survey).unwrap(), serde_json::to_string(&whole.survey).unwrap());
-            assert!(format!("{:?}", alone.columns) == format!("{:?}", whole.columns), "columns differ");
-        }
-        let mut asked = 0;
-        let mut stopped = Reading::new(replay(&log), Filter::default()).without_bodies();
-        let go_on = || {
-            asked += 1;
-            asked < 3
-        };
-        stopped.read_all(Instant::ZERO, go_on).unwrap();
-        assert!(asked == 3 && !stopped.has_ended() && !stopped.columns.is_empty());
-    }
-
     /// Host times of a side file, some unknown, with noise between records: records with and without them in one block.
     #[test]
     fn two_threads_read_the_host_times_that_one_reads() {
-        let folder = std::env::temp_dir().join(format!("csi5300-table-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let path = folder.join("stock.dat");
+        let folder = crate::temporary::Temporary::folder("table");
+        let path = folder.0.join("stock.dat");
         let repr = Repr::default();
         let mut body = vec![0; repr.body_len()];
         repr.emit(&vec![Iq { i: 3, q: -4 }; repr.samples()], &mut body).unwrap();
@@ -473,13 +452,12 @@ mod tests {
             times.extend([1_700_000_000 + k, 250_000].map(|part| if known { part } else { 0 }).map(i64::to_le_bytes));
         }
         std::fs::write(&path, &log).unwrap();
-        std::fs::write(folder.join("stock.datstp"), times.as_flattened()).unwrap();
+        std::fs::write(folder.0.join("stock.datstp"), times.as_flattened()).unwrap();
         let open = || Reading::new(Replay::open(&path).unwrap(), Filter::default());
         let (mut one, mut two) = (open(), open());
         while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
         let cut = Cut { first: 1_000, block: Some(4_096 + LOOKAHEAD), head: LOOKAHEAD };
         two.read_cut(Instant::ZERO, cut, None, &mut (), || true).unwrap();
-        std::fs::remove_dir_all(&folder).unwrap();
         assert_eq!(format!("{:?}", one.columns), format!("{:?}", two.columns));
         assert_eq!(two.columns.host_us.iter().filter(|us| **us == NO_TIME).count(), 1_000);
         assert_eq!(two.columns.host_us[2_999], 1_700_002_999_250_000);
@@ -521,6 +499,14 @@ mod tests {
         reading.read_all(Instant::ZERO, go_on).unwrap();
         assert!(asked == 2 && !reading.has_ended() && !reading.arena.is_empty());
         assert!(Held::read(&mut replay(&log), &|| false).unwrap().is_none());
+        let mut asked = 0;
+        let mut stopped = Reading::new(replay(&log), Filter::default()).without_bodies();
+        let go_on = || {
+            asked += 1;
+            asked < 3
+        };
+        stopped.read_all(Instant::ZERO, go_on).unwrap();
+        assert!(asked == 3 && !stopped.has_ended() && !stopped.columns.is_empty());
     }
 
     #[test]

@@ -4,13 +4,13 @@ use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Accuracy, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::figures::true_path;
-use csi5300_lab::curves;
 use csi5300_lab::suite::{Run, experiments, run, run_all};
+use csi5300_lab::{curves, ends};
 use csi5300_sim::Room;
 use csi5300_sim::motion::{Arc, Circle, RobotMotion};
 use csi5300_sim::radio::{Gain, Noise};
 use csi5300_sim::scene::Scene;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
 fn options(near_field: bool) -> Options {
@@ -124,10 +124,24 @@ fn with_all_radio_effects_the_error_is_below_half_a_degree() {
     }
 }
 
+/// The wavelength of channel 108, metres.
+const WAVELENGTH_M: f64 = 299_792_458.0 / 5.54e9;
+
+/// Deviation of a round trip's phase: two directions, thirty subcarriers each.
+fn phase_rad(snr_db: f64) -> f64 {
+    (2.0 / (2.0 * 30.0 * 10f64.powf(0.1 * snr_db))).sqrt()
+}
+
+/// Mean and standard deviation.
+fn spread(errors: &[f64]) -> (f64, f64) {
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    (mean, (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / (errors.len() - 1) as f64).sqrt())
+}
+
 /// The Cramer-Rao bound of the azimuth, degrees, over a full circle, for `n` round trips of phase deviation `phase_rad` with
 /// common phase unknown and elevation known.
 fn bound_deg(n: f64, radius_m: f64, phase_rad: f64) -> f64 {
-    let per_metre = 2.0 * TAU * 5.54e9 / 299_792_458.0;
+    let per_metre = 2.0 * TAU / WAVELENGTH_M;
     // Perpendicular to the bearing, a circle's places have the variance radius^2 / 2.
     (phase_rad / (per_metre * radius_m * (0.5 * n).sqrt())).to_degrees()
 }
@@ -146,12 +160,9 @@ fn errors_follow_the_cramer_rao_bound() {
         scene.radio.host_latency_us = 0.0;
         let runs = runs(scene, SEEDS, &options);
         let errors = errors(&runs);
-        let mean = errors.iter().sum::<f64>() / SEEDS as f64;
-        let sd = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / (SEEDS - 1) as f64).sqrt();
-        // Two directions, thirty subcarriers each.
-        let phase_rad = (2.0 / (2.0 * 30.0 * 10f64.powf(0.1 * snr_db))).sqrt();
+        let (mean, sd) = spread(&errors);
         let pairs = runs.iter().map(|run| run.pairs as f64).sum::<f64>() / SEEDS as f64;
-        let bound = bound_deg(pairs, 0.3, phase_rad);
+        let bound = bound_deg(pairs, 0.3, phase_rad(snr_db));
         let predicted = runs.iter().map(|run| run.sd_deg.unwrap()).sum::<f64>() / SEEDS as f64;
         println!("{snr_db} dB: sd {sd:.5}, bound {bound:.5}, predicted {predicted:.5}, mean {mean:.5} deg");
         // The deviation of 400 errors is itself known to 3.5 %.
@@ -160,27 +171,6 @@ fn errors_follow_the_cramer_rao_bound() {
         // In that time the robot drives 0.02 degrees of this circle.
         assert!((mean - 0.02).abs() < 0.005, "{snr_db} dB: bias {mean}");
     }
-}
-
-/// The Cramer-Rao bound of the azimuth of a transmitter at `place` seen from `points`, degrees, for round trips of this phase
-/// deviation with common phase, elevation and range unknown.
-fn near_bound_deg(points: &[Vector3<f64>], place: &Vector3<f64>, phase_rad: f64) -> f64 {
-    let middle = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let per_metre = 2.0 * TAU * 5.54e9 / 299_792_458.0;
-    let away = place - middle;
-    let (range, ground) = (away.norm(), away.xy().norm());
-    // Derivatives of the place by azimuth, elevation and range.
-    let across = Vector3::new(-away.y, away.x, 0.0);
-    let up = Vector3::new(-away.x * away.z / ground, -away.y * away.z / ground, ground);
-    let moves = [across, up, away / range];
-    let gradient = |p: &Vector3<f64>| {
-        let towards = (place - p).normalize();
-        Vector3::from_fn(|i, _| per_metre * towards.dot(&moves[i]) / phase_rad)
-    };
-    let gradients: Vec<Vector3<f64>> = points.iter().map(gradient).collect();
-    let mean = gradients.iter().sum::<Vector3<f64>>() / gradients.len() as f64;
-    let information: Matrix3<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
-    information.try_inverse().unwrap()[(0, 0)].sqrt().to_degrees()
 }
 
 #[test]
@@ -202,16 +192,16 @@ fn near_errors_follow_the_bound_with_range_and_height_unknown() {
         scene.radio.host_latency_us = 0.0;
         let runs = runs(scene, SEEDS, &options(true));
         let errors = errors(&runs);
-        let mean = errors.iter().sum::<f64>() / SEEDS as f64;
-        let sd = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / (SEEDS - 1) as f64).sqrt();
+        let (mean, sd) = spread(&errors);
         let pairs = runs[0].pairs as i32;
         let at = |k: i32| {
             let (sin, cos) = (angle_deg.to_radians() * f64::from(k) / f64::from(pairs)).sin_cos();
             Vector3::new(radius_m * sin, radius_m - radius_m * cos, 0.0)
         };
         let points: Vec<Vector3<f64>> = (0..pairs).map(at).collect();
-        let phase_rad = (2.0 / (2.0 * 30.0 * 10f64.powf(0.1 * snr_db))).sqrt();
-        let bound = near_bound_deg(&points, &Vector3::from(place_m), phase_rad);
+        let middle = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+        let points: Vec<Vector3<f64>> = points.iter().map(|p| p - middle).collect();
+        let [bound, _] = ends::bound_deg(&points, &(Vector3::from(place_m) - middle), WAVELENGTH_M, phase_rad(snr_db));
         println!("{angle_deg} degrees, {snr_db} dB: sd {sd:.5}, bound {bound:.5}, mean {mean:.5} deg");
         squares += (sd / bound).powi(2) / cases.len() as f64;
         // The robot's movement in the quarter of a millisecond that the host stamps late.

@@ -6,7 +6,7 @@
 
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv;
-use csi5300::pipeline::{Bearing, CaptureReport, JoinBy, LinkError, Options, Transmitter, bearings};
+use csi5300::pipeline::{Bearing, JoinBy, LinkError, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
 use csi5300_lab::evaluate::quality::ranges;
@@ -16,6 +16,10 @@ use csi5300_sim::{Room, Scene, Simulation, write_dataset};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
+
+fn options() -> Options {
+    Options::new(Channel::new(108, Width::Ht20).unwrap())
+}
 
 fn fixtures() -> PathBuf {
     crate::common::root().join("tests/fixtures")
@@ -41,8 +45,7 @@ fn the_simulator_reproduces_the_fixtures() {
 fn the_small_circle_gives_its_scenes_bearing() {
     let (captures, unreadable) = find(&fixtures());
     assert!(captures.len() == 1 && unreadable.is_empty(), "{captures:?}");
-    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    let evaluated = captures[0].evaluate(TrajectorySource::GroundTruth, None, &options);
+    let evaluated = captures[0].evaluate(TrajectorySource::GroundTruth, None, &options());
     let row = &evaluated.rows[0];
     assert!(!evaluated.lost, "a cut tail is no loss");
     assert!(row.error_from_mean_pose_deg.unwrap().abs() < 0.1, "{row:?}");
@@ -59,7 +62,7 @@ fn damaged(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
-    for entry in std::fs::read_dir(crate::common::root().join("tests/fixtures/small-circle")).unwrap() {
+    for entry in std::fs::read_dir(fixtures().join("small-circle")).unwrap() {
         let path = entry.unwrap().path();
         std::fs::copy(&path, folder.join(path.file_name().unwrap())).unwrap();
     }
@@ -74,7 +77,7 @@ fn damaged(name: &str) -> PathBuf {
 }
 
 fn cut_options(to_s: f64) -> Options {
-    Options::new(Channel::new(108, Width::Ht20).unwrap()).with_cut(None, Some(to_s))
+    options().with_cut(None, Some(to_s))
 }
 
 fn words(evaluated: &Evaluated) -> (String, Vec<String>, bool) {
@@ -110,17 +113,11 @@ fn missing_files_are_reported_with_the_reason() {
     std::fs::remove_file(folder.join(format!("csi_rx_{STAMP}.dat"))).unwrap();
     let capture = only(&folder);
     let shelf = capture.shelf(&|| true).unwrap();
-    let (from, own) = (
-        words(&capture.evaluate_from(&shelf, TrajectorySource::GroundTruth, None, &cut_options(2.0))),
-        words(&capture.evaluate_from(&Shelf::default(), TrajectorySource::GroundTruth, None, &cut_options(2.0))),
-    );
+    let [from, own] = [&shelf, &Shelf::default()]
+        .map(|shelf| words(&capture.evaluate_from(shelf, TrajectorySource::GroundTruth, None, &cut_options(2.0))));
     assert!(from.0.contains("csi_rx_") && from.2, "{from:?}");
     assert_eq!(from, own);
     assert!(capture.shelf(&|| false).is_none(), "who wants no files waits for none");
-}
-
-fn options(join: JoinBy) -> Options {
-    Options::new(Channel::new(108, Width::Ht20).unwrap()).with_join(join)
 }
 
 /// The links of the WSR data set, evaluated once for all tests with motion capture.
@@ -130,8 +127,7 @@ fn wsr(captures: &Path) -> &'static [Judged] {
         let (mut captures, unreadable) = find(&captures.join("wsr"));
         captures.retain(|capture| crate::common::is_known(&capture.stamp));
         assert!(unreadable.is_empty() && captures.len() == 14, "{} captures, {unreadable:?}", captures.len());
-        let rows =
-            |capture: &Capture| capture.evaluate(TrajectorySource::GroundTruth, None, &options(JoinBy::Time)).rows;
+        let rows = |capture: &Capture| capture.evaluate(TrajectorySource::GroundTruth, None, &options()).rows;
         captures.par_iter().flat_map_iter(rows).collect()
     })
 }
@@ -205,17 +201,34 @@ fn every_wsr_log_finds_its_transmitter() {
     }
 }
 
-/// Runs one of the captures of \[paper\] (docs/reference/references.md); returns the error against the bearing from the mean
-/// pose, with lines folded on their mirror.
-fn paper(captures: &Path, shape: &str, name: &str, join: JoinBy, transmitter_m: [f64; 2]) -> f64 {
-    let folder = captures.join("paper").join(shape);
-    let log = |side: &str| Replay::open(&folder.join(format!("csi_{side}_{name}.dat"))).unwrap();
-    let (mut rx, mut tx) = (log("rx"), log("tx"));
-    let path = folder.join(format!("rx_movement_{name}.csv"));
-    let (trajectory, _) = csi5300::motion::odometry::csv::read(&path).unwrap();
-    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let report = bearings(&mut rx, transmitters, &trajectory, &options(join)).unwrap();
-    let bearing = report.links[0].bearing.as_ref().unwrap_or_else(|error| panic!("{shape} {name}: {error}"));
+/// The captures of \[paper\] (docs/reference/references.md): shape and name.
+const RUNS: [(&str, &str); 6] = [
+    ("line", "real_10cm_2"),
+    ("line", "real_20cm_1"),
+    ("line", "real_30cm_3"),
+    ("circle", "real_10cm_1"),
+    ("circle", "real_20cm_2"),
+    ("circle", "real_30cm_2"),
+];
+
+/// The receiver's log, the transmitter's and the trajectory of one of them.
+fn files(captures: &Path, (shape, name): (&str, &str)) -> [PathBuf; 3] {
+    let names = [format!("csi_rx_{name}.dat"), format!("csi_tx_{name}.dat"), format!("rx_movement_{name}.csv")];
+    names.map(|name| captures.join("paper").join(shape).join(name))
+}
+
+fn run(rx: &Path, tx: &Path, path: &Path, options: &Options) -> Result<Bearing, LinkError> {
+    let (mut rx, mut tx) = (Replay::open(rx).unwrap(), Replay::open(tx).unwrap());
+    let (path, _) = csv::read(path).unwrap();
+    let logs = vec![Transmitter { log: &mut tx, trajectory: None }];
+    bearings(&mut rx, logs, &path, options).unwrap().links.remove(0).bearing
+}
+
+/// Runs one of them; returns the error against the bearing from the mean pose, with lines folded on their mirror.
+fn paper(captures: &Path, (shape, name): (&str, &str), join: JoinBy, transmitter_m: [f64; 2]) -> f64 {
+    let [rx, tx, path] = files(captures, (shape, name));
+    let bearing = run(&rx, &tx, &path, &options().with_join(join));
+    let bearing = bearing.unwrap_or_else(|error| panic!("{shape} {name}: {error}"));
     let from = bearing.mean_position_m;
     let truth = (transmitter_m[1] - from.y).atan2(transmitter_m[0] - from.x);
     let off = |azimuth: f64| wrap_rad(azimuth - truth).to_degrees();
@@ -230,12 +243,7 @@ fn paper(captures: &Path, shape: &str, name: &str, join: JoinBy, transmitter_m: 
 #[test]
 fn the_papers_real_circles_and_lines() {
     let Some(captures) = crate::common::captures() else { return };
-    let names = [
-        ("circle", ["real_10cm_1", "real_20cm_2", "real_30cm_2"]),
-        ("line", ["real_10cm_2", "real_20cm_1", "real_30cm_3"]),
-    ];
-    let runs = names.iter().flat_map(|(shape, names)| names.iter().map(move |name| (shape, name)));
-    let errors = Errors::of(runs.map(|(shape, name)| paper(&captures, shape, name, JoinBy::Time, [-3.18, 1.11])));
+    let errors = Errors::of(RUNS.map(|run| paper(&captures, run, JoinBy::Time, [-3.18, 1.11])).into_iter());
     println!("{errors:?}");
     assert!(errors.links == 6 && errors.mean_deg <= 1.5, "{errors:?}");
 }
@@ -244,39 +252,18 @@ fn the_papers_real_circles_and_lines() {
 fn the_papers_simulated_circle_and_line_joined_by_row() {
     let Some(captures) = crate::common::captures() else { return };
     for shape in ["circle", "line"] {
-        let error = paper(&captures, shape, "sim_30cm_1", JoinBy::Row, [-7.716, 1.858]);
+        let error = paper(&captures, (shape, "sim_30cm_1"), JoinBy::Row, [-7.716, 1.858]);
         assert!(error.abs() < 1.0, "{shape}: {error}");
     }
-}
-
-const RUNS: [(&str, &str); 6] = [
-    ("line", "real_10cm_2"),
-    ("line", "real_20cm_1"),
-    ("line", "real_30cm_3"),
-    ("circle", "real_10cm_1"),
-    ("circle", "real_20cm_2"),
-    ("circle", "real_30cm_2"),
-];
-
-fn run(rx: &Path, tx: &Path, path: &Path) -> Result<Bearing, LinkError> {
-    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    let (mut rx, mut tx) = (Replay::open(rx).unwrap(), Replay::open(tx).unwrap());
-    let (path, _) = csv::read(path).unwrap();
-    let logs = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let mut report: CaptureReport = bearings(&mut rx, logs, &path, &options).unwrap();
-    report.links.remove(0).bearing
 }
 
 #[test]
 fn logs_of_two_runs_of_two_robots_are_refused() {
     let Some(captures) = crate::common::captures() else { return };
-    let file = |(kind, name): (&str, &str), what: &str, ending: &str| {
-        captures.join("paper").join(kind).join(format!("{what}_{name}.{ending}"))
-    };
     for own in RUNS {
         for other in RUNS {
-            let (rx, tx) = (file(own, "csi_rx", "dat"), file(other, "csi_tx", "dat"));
-            let bearing = run(&rx, &tx, &file(own, "rx_movement", "csv"));
+            let ([rx, _, path], [_, tx, _]) = (files(&captures, own), files(&captures, other));
+            let bearing = run(&rx, &tx, &path, &options());
             if own != other {
                 assert!(matches!(bearing, Err(LinkError::OfTwoRuns { .. })), "{own:?} {other:?}: {bearing:?}");
                 continue;
@@ -306,7 +293,7 @@ fn logs_of_two_runs_of_four_robots_are_refused() {
     for apart in [1, 5] {
         for (own, other) in runs.iter().zip(runs.iter().cycle().skip(apart)) {
             for tx in &other.1 {
-                let bearing = run(&own.0, tx, &own.2);
+                let bearing = run(&own.0, tx, &own.2, &options());
                 assert!(bearing.is_err(), "{} {}", own.0.display(), tx.display());
                 refused += 1;
             }
@@ -323,16 +310,15 @@ fn exchanged_logs_are_detected_by_the_other_robots_clock() {
         let file = |name: &str| captures.join("wsr").join(place).join(name.replace("DATE", date));
         let (rx, path) = (file("csi_rx_DATE.dat"), file("rx_trajectory_DATE_.csv"));
         let tx = file("csi_tx3_DATE.dat");
-        run(&rx, &tx, &path).unwrap();
-        let exchanged = run(&tx, &rx, &path).unwrap_err();
+        run(&rx, &tx, &path, &options()).unwrap();
+        let exchanged = run(&tx, &rx, &path, &options()).unwrap_err();
         assert!(matches!(exchanged, LinkError::OutsideTrajectory { other_fits: true, .. }), "{place}: {exchanged}");
         assert!(exchanged.to_string().contains("exchanged"), "{exchanged}");
     }
     // Where they differ by seconds, some pairs have no pose, but have one by the other log's times.
     for (kind, name) in RUNS {
-        let file = |what: &str, ending: &str| captures.join("paper").join(kind).join(format!("{what}_{name}.{ending}"));
-        let (rx, tx, path) = (file("csi_rx", "dat"), file("csi_tx", "dat"), file("rx_movement", "csv"));
-        let found = [run(&rx, &tx, &path), run(&tx, &rx, &path)].map(Result::unwrap);
+        let [rx, tx, path] = files(&captures, (kind, name));
+        let found = [(&rx, &tx), (&tx, &rx)].map(|(rx, tx)| run(rx, tx, &path, &options()).unwrap());
         // The answer is as likely from the wrong robot's times.
         assert!(
             found[1].answer.probability < 0.5 && !found[1].answer.has_place(),
@@ -349,7 +335,7 @@ fn exchanged_logs_are_detected_by_the_other_robots_clock() {
 
 /// Only the direct path, so that the shape of the channel does not show whose logs these are, and answers that jitter by more
 /// than the pauses between frames.
-fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: u32) -> (Simulation, Options) {
+fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: u32) -> Simulation {
     let scene = format!(
         "duration_s = 12.0\ncfo = \"physical\"\nsounding.rate_hz = 50\n\
          [radio]\nmcs = 1\nnoise.snr_db = 20.0\nsend_jitter_us = 200.0\nturn_around = {{ {turn_around} }}\n\
@@ -358,30 +344,28 @@ fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: 
          [[robot]]\nname = \"tx\"\nposition_m = [{}, {}, 0.0]\ncrystal.offset_ppm = {offset_ppm}\n",
         place_m[0], place_m[1]
     );
-    let run = Room::new(&Scene::parse(&scene).unwrap()).unwrap().run().unwrap();
-    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    (run, options)
+    Room::new(&Scene::parse(&scene).unwrap()).unwrap().run().unwrap()
 }
 
 #[test]
 fn phases_that_follow_the_motion_show_one_run_despite_the_clocks() {
-    let bearing = |own: &Simulation, other: &Simulation, options: &Options| {
+    let bearing = |own: &Simulation, other: &Simulation| {
         let (mut rx, mut tx) = (own.robots[0].replay(), other.robots[1].replay());
         let logs = vec![Transmitter { log: &mut tx, trajectory: None }];
         let path = own.robots[0].true_path.as_ref().unwrap();
-        bearings(&mut rx, logs, path, options).unwrap().links.remove(0).bearing
+        bearings(&mut rx, logs, path, &options()).unwrap().links.remove(0).bearing
     };
     // A busy host answers late by milliseconds, or by so much that the clocks show nothing; the crystals agree, so the phases are
     // steady before compensation and random after.
     let milliseconds = "median_us = 3000.0, spread_us = 1500.0, min_us = 300.0, max_us = 8000.0";
     let less = "median_us = 3000.0, spread_us = 650.0, min_us = 300.0, max_us = 8000.0";
     for turn_around in [milliseconds, less] {
-        let (own, options) = of_direct_path([-386.0, 93.0], -0.001, turn_around, 3);
-        let (other, _) = of_direct_path([90.0, 280.0], 0.004, turn_around, 5);
-        let right = bearing(&own, &own, &options).unwrap();
+        let own = of_direct_path([-386.0, 93.0], -0.001, turn_around, 3);
+        let other = of_direct_path([90.0, 280.0], 0.004, turn_around, 5);
+        let right = bearing(&own, &own).unwrap();
         let off_deg = right.answer.azimuth_rad.to_degrees() - 93f64.atan2(-386.0).to_degrees();
         assert!(off_deg.abs() < 0.5, "{turn_around}: {off_deg}");
-        let wrong = bearing(&own, &other, &options);
+        let wrong = bearing(&own, &other);
         // Crystals that agree leave steady phases in any two logs: if that is all there is, the answer has no direction.
         match &wrong {
             Err(LinkError::OfTwoRuns { .. } | LinkError::NotOfOneRun { .. }) => (),

@@ -111,17 +111,19 @@ fn overruns_and_drops_are_gaps() {
     assert_eq!(ran.pairs(), rx.paired);
 }
 
-/// The content of a robot's log, and the faults injected.
-fn log_of(scene: &Scene, robot: usize) -> (Vec<Vec<u8>>, Injected) {
+/// The content of the second robot's log, its survey, and the faults injected.
+fn log_of(scene: &Scene) -> (Vec<Vec<u8>>, Survey, Injected) {
     let mut room = Room::new(scene).unwrap();
-    let mut card = room.card(robot).unwrap();
-    let (mut bodies, mut now) = (Vec::new(), Instant::ZERO);
+    let mut card = room.card(1).unwrap();
+    let (mut bodies, mut survey, mut now) = (Vec::new(), Survey::default(), Instant::ZERO);
     loop {
-        match card.receive(now).unwrap() {
+        let next = card.receive(now).unwrap();
+        survey.note(&next);
+        match next {
             Next::Record(_, record) => bodies.push(record.body.to_vec()),
             Next::Pending => now = card.next_at().unwrap(),
             Next::Lost(loss) => panic!("{loss:?}"),
-            Next::End(_) => return (bodies, room.injected()[robot]),
+            Next::End(_) => return (bodies, survey, room.injected()[1]),
         }
     }
 }
@@ -131,7 +133,7 @@ fn only_the_room_knows_drops_at_the_ends_of_a_log() {
     let mut trailing_seen = 0;
     for seed in 1..=12 {
         let whole = scene(seed, "", "faults.driver_drop = 0.5");
-        let (bodies, injected) = log_of(&whole, 1);
+        let (bodies, _, injected) = log_of(&whole);
         let bfee = |body: &[u8]| {
             let bfee = Bfee::new_checked(body).unwrap();
             (u64::from(bfee.bfee_count()), bfee.wsr().unwrap().frame_count.unwrap())
@@ -148,7 +150,7 @@ fn only_the_room_knows_drops_at_the_ends_of_a_log() {
         trailing_seen += 1;
         // The same room, ended before the frames whose records were lost: another count, but the same log.
         let shorter = Scene { duration_s: 0.01 * f64::from(number - 1) + 0.005, ..whole };
-        let (same, cut) = log_of(&shorter, 1);
+        let (same, _, cut) = log_of(&shorter);
         assert!(same == bodies, "seed {seed}");
         assert_eq!(cut.driver_dropped + trailing, injected.driver_dropped);
     }
@@ -159,20 +161,7 @@ fn only_the_room_knows_drops_at_the_ends_of_a_log() {
 fn drops_around_a_restart_are_not_visible() {
     for seed in 1..=12 {
         let faults = "faults = { driver_drop = 0.5, restart_at_s = [3.0, 6.0], restart_s = 0.5 }";
-        let scene = scene(seed, "", faults);
-        let mut room = Room::new(&scene).unwrap();
-        let mut card = room.card(1).unwrap();
-        let (mut survey, mut now) = (Survey::default(), Instant::ZERO);
-        loop {
-            let next = card.receive(now).unwrap();
-            survey.note(&next);
-            match next {
-                Next::Pending => now = card.next_at().unwrap(),
-                Next::End(_) => break,
-                Next::Record(..) | Next::Lost(_) => {}
-            }
-        }
-        let injected = room.injected()[1];
+        let (_, survey, injected) = log_of(&scene(seed, "", faults));
         assert_eq!(survey.bfee_missing, injected.driver_dropped - injected.driver_dropped_unseen, "seed {seed}");
         assert_eq!((survey.bfee_restarted, injected.restarts), (2, 2), "seed {seed}");
     }

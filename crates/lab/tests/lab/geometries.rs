@@ -1,7 +1,7 @@
 //! Motion in space and motion of both ends, in free space: a part of what `research`'s `geometries` runs.
 
 use csi5300::maths::wrap_rad;
-use csi5300::pipeline::{Effort, Options, WaveModel};
+use csi5300::pipeline::{Bearing, Effort, Options, WaveModel};
 use csi5300_lab::ends::{Ends, Seen};
 use csi5300_lab::evaluate::{TrajectorySource, find};
 use csi5300_sim::motion::{Arc, Circle, Helix, Line, RobotMotion, Waypoints};
@@ -14,6 +14,23 @@ fn options() -> Options {
 
 fn see(ends: &Ends) -> Seen {
     ends.see(&options()).unwrap_or_else(|error| panic!("{error}: {ends:?}"))
+}
+
+/// The bearing of a recording, and how it is judged.
+fn judged(ends: &Ends, options: &Options) -> (Bearing, Seen) {
+    let recording = ends.record().unwrap();
+    let bearing = recording.bearing(options).unwrap();
+    let seen = recording.judge(&bearing);
+    (bearing, seen)
+}
+
+/// Along straight parts, metres and metres per second.
+fn drive(points_m: &[[f64; 3]], speed_m_s: f64) -> RobotMotion {
+    RobotMotion::Waypoints(Waypoints { points_m: points_m.to_vec(), speed_m_s, start_s: 0.0 })
+}
+
+fn line(length_m: f64) -> RobotMotion {
+    RobotMotion::Line(Line { length_m, duration_s: 6.0, start_s: 0.0 })
 }
 
 fn helix(radius_m: f64, rise_m: f64, turns: f64) -> RobotMotion {
@@ -79,7 +96,6 @@ fn the_elevation_limit_is_a_prior_not_a_hard_bound() {
 
 #[test]
 fn with_both_robots_moving_bearing_and_position_are_right() {
-    let line = |length_m| RobotMotion::Line(Line { length_m, duration_s: 6.0, start_s: 0.0 });
     let arc = RobotMotion::Arc(Arc { radius_m: 0.4, angle_deg: 240.0, duration_s: 6.0, start_s: 0.0 });
     let pairs = [(circle(0.3, 1.0), line(0.8)), (circle(0.3, 1.0), circle(0.25, -2.0)), (arc, line(0.5))];
     for (k, (receiver, transmitter)) in pairs.into_iter().enumerate() {
@@ -95,7 +111,7 @@ fn with_both_robots_moving_bearing_and_position_are_right() {
 #[test]
 fn evaluate_reads_the_trajectory_of_a_transmitter_that_moved() {
     let mut scene = in_space(circle(0.3, 1.0), [3.0, 2.0, 0.2], 9).scene();
-    scene.robot[1].motion = RobotMotion::Line(Line { length_m: 1.0, duration_s: 6.0, start_s: 0.0 });
+    scene.robot[1].motion = line(1.0);
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("moving-transmitter");
     let _ = std::fs::remove_dir_all(&folder);
     write_dataset(&mut Room::new(&scene).unwrap(), &folder, &mut |_| {}).unwrap();
@@ -114,18 +130,11 @@ fn evaluate_reads_the_trajectory_of_a_transmitter_that_moved() {
 #[test]
 fn a_drive_that_is_too_wide_for_one_search_is_searched_in_its_best_stretch() {
     let around = RobotMotion::Circle(Circle { radius_m: 3.0, duration_s: 50.0, turns: 1.0, start_s: 0.0 });
-    let corner = RobotMotion::Waypoints(Waypoints {
-        points_m: vec![[4.0, 0.0, 0.0], [4.0, 4.0, 0.0]],
-        speed_m_s: 0.2,
-        start_s: 0.0,
-    });
+    let corner = drive(&[[4.0, 0.0, 0.0], [4.0, 4.0, 0.0]], 0.2);
     for (motion, place_m) in
         [(around.clone(), [8.0, 6.0, 0.3]), (around, [-200.0, 90.0, 2.0]), (corner, [9.0, -5.0, 0.5])]
     {
-        let ends = Ends { duration_s: 50.0, ..in_space(motion, place_m, 5) };
-        let recording = ends.record().unwrap();
-        let bearing = recording.bearing(&options()).unwrap();
-        let seen = recording.judge(&bearing);
+        let (bearing, seen) = judged(&Ends { duration_s: 50.0, ..in_space(motion, place_m, 5) }, &options());
         let pairs = &bearing.pairs;
         // The path with a turn can be searched whole.
         let whole = place_m[0] == 9.0;
@@ -147,9 +156,7 @@ fn a_coarse_accuracy_takes_no_plane_wave_of_a_wide_drive() {
     let coarse = options().accuracy.with_effort(Effort::Within(0.7));
     for (radius_m, place_m) in [(2.0, [5.0, 4.0, 0.3]), (3.5, [9.0, 4.0, 0.3])] {
         let ends = Ends { duration_s: 50.0, ..in_space(around(radius_m), place_m, 6) };
-        let recording = ends.record().unwrap();
-        let bearing = recording.bearing(&options().with_accuracy(coarse)).unwrap();
-        let seen = recording.judge(&bearing);
+        let (bearing, seen) = judged(&ends, &options().with_accuracy(coarse));
         assert!(bearing.answer.model == WaveModel::SphericalWave, "{radius_m}: {:?}", bearing.sufficient);
         // The search of the wider drive's nearly straight stretch may end beside its narrow peak: the error bar shows it.
         assert!(seen.azimuth_error_deg.abs() < seen.azimuth_sd_deg.max(0.5), "{radius_m}: {seen:?}");
@@ -160,15 +167,9 @@ fn a_coarse_accuracy_takes_no_plane_wave_of_a_wide_drive() {
 #[test]
 fn the_only_turn_of_a_long_drive_is_found() {
     for before_m in [3.0, 5.3, 7.9, 10.4] {
-        let corner = RobotMotion::Waypoints(Waypoints {
-            points_m: vec![[before_m, 0.0, 0.0], [before_m, 0.25, 0.0], [before_m + 14.0, 0.25, 0.0]],
-            speed_m_s: 0.3,
-            start_s: 0.0,
-        });
+        let corner = drive(&[[before_m, 0.0, 0.0], [before_m, 0.25, 0.0], [before_m + 14.0, 0.25, 0.0]], 0.3);
         let ends = Ends { duration_s: 90.0, ..in_space(corner, [before_m + 3.0, -7.0, 0.4], 8) };
-        let recording = ends.record().unwrap();
-        let bearing = recording.bearing(&options()).unwrap();
-        let seen = recording.judge(&bearing);
+        let (bearing, seen) = judged(&ends, &options());
         assert!(bearing.answer.mirror_rad.is_none(), "{before_m}: {seen:?}");
         assert!(seen.azimuth_error_deg.abs() < 0.5, "{before_m}: {seen:?}");
     }
@@ -180,13 +181,12 @@ fn a_climbing_lines_error_bar_covers_unknown_elevations() {
     let (mut within, mut count, mut widest) = (0, 0, 0f64);
     for (k, rise_deg) in [20f64, 35.0, 50.0].into_iter().enumerate() {
         let (up, flat) = rise_deg.to_radians().sin_cos();
-        let climb = RobotMotion::Waypoints(Waypoints { points_m: vec![[flat, 0.0, up]], speed_m_s: 0.2, start_s: 0.0 });
+        let climb = drive(&[[flat, 0.0, up]], 0.2);
         for elevation_deg in [-16.0, -8.0, 0.0, 8.0, 16.0] {
             let azimuth_deg = 60.0 + 13.0 * k as f64 + elevation_deg;
             let ends = in_space(climb.clone(), away(azimuth_deg, elevation_deg, 9.0), 20 + k as u64);
-            let recording = ends.record().unwrap();
-            let bearing = recording.bearing(&options()).unwrap();
-            let (seen, answer) = (recording.judge(&bearing), &bearing.answer);
+            let (bearing, seen) = judged(&ends, &options());
+            let answer = &bearing.answer;
             let mirror_off = answer.mirror_rad.map(|mirror| wrap_rad(mirror - answer.azimuth_rad).to_degrees());
             let direct = seen.azimuth_error_deg;
             let folded = mirror_off.map_or(direct, |off| wrap_rad((direct + off).to_radians()).to_degrees());
@@ -205,11 +205,9 @@ fn a_climbing_lines_error_bar_covers_unknown_elevations() {
 /// close by does not lower the probability, and the two stay separate directions in later steps.
 #[test]
 fn motion_towards_the_transmitter_has_a_confidence_that_matches_its_error_bar() {
-    let line = RobotMotion::Line(Line { length_m: 1.0, duration_s: 6.0, start_s: 0.0 });
     for (k, azimuth_deg) in [0.0, 0.3, 3.0, 11.0, -169.0, 180.0].into_iter().enumerate() {
-        let recording = in_space(line.clone(), away(azimuth_deg, 0.0, 6.0), 40 + k as u64).record().unwrap();
-        let bearing = recording.bearing(&options()).unwrap();
-        let (seen, answer) = (recording.judge(&bearing), &bearing.answer);
+        let (bearing, seen) = judged(&in_space(line(1.0), away(azimuth_deg, 0.0, 6.0), 40 + k as u64), &options());
+        let answer = &bearing.answer;
         let folded_deg = answer.azimuth_rad.to_degrees().abs() - azimuth_deg.abs();
         assert!(folded_deg.abs() < 1.5 * seen.azimuth_sd_deg, "{azimuth_deg}: {folded_deg} {seen:?}");
         assert!((0.5..12.0).contains(&seen.azimuth_sd_deg), "{azimuth_deg}: {seen:?}");
@@ -230,13 +228,10 @@ fn motion_towards_the_transmitter_has_a_confidence_that_matches_its_error_bar() 
 /// A straight drive hides the side: the range is known, the place is not.
 #[test]
 fn a_mirror_leaves_a_range_and_no_place() {
-    let straight = |points_m| RobotMotion::Waypoints(Waypoints { points_m, speed_m_s: 0.2, start_s: 0.0 });
-    let line = straight(vec![[1.2, 0.0, 0.0]]);
-    let corner = straight(vec![[0.6, 0.0, 0.0], [0.6, 0.6, 0.0]]);
-    for (motion, has_place) in [(line, false), (corner, true)] {
-        let recording = in_space(motion, [1.5, 2.5, 0.0], 4).record().unwrap();
-        let bearing = recording.bearing(&options()).unwrap();
-        let (answer, seen) = (&bearing.answer, recording.judge(&bearing));
+    let (straight, corner) = (drive(&[[1.2, 0.0, 0.0]], 0.2), drive(&[[0.6, 0.0, 0.0], [0.6, 0.6, 0.0]], 0.2));
+    for (motion, has_place) in [(straight, false), (corner, true)] {
+        let (bearing, seen) = judged(&in_space(motion, [1.5, 2.5, 0.0], 4), &options());
+        let answer = &bearing.answer;
         assert!(answer.range.is_some_and(|range| (range.range_m - 2.66).abs() < 4.0 * range.sd_m), "{answer:?}");
         assert_eq!((answer.has_place(), seen.position_error_m.is_some()), (has_place, has_place), "{answer:?}");
         assert_eq!(answer.mirror_rad.is_some(), !has_place, "{answer:?}");

@@ -148,11 +148,7 @@ pub fn run(args: &Args) -> Result {
     }
     let located = locate(args, &mut rows, &ranges)?;
     draw_maps(args, &rows, &located)?;
-    Ok(match (shown, lost) {
-        (0, _) => Outcome::Nothing,
-        (_, true) => Outcome::DataLost,
-        (_, false) => Outcome::Done,
-    })
+    Ok(Outcome::of(shown > 0, lost))
 }
 
 /// One link.
@@ -651,11 +647,7 @@ fn locate_transmitters(
         print(&transmitters_table(&found));
     }
     failed.iter().for_each(|(link, error)| wrong!("{link}: {error}"));
-    Ok(match found.iter().any(|one| one.position_m.is_some()) {
-        false => Outcome::Nothing,
-        true if lost => Outcome::DataLost,
-        true => Outcome::Done,
-    })
+    Ok(Outcome::of(found.iter().any(|one| one.position_m.is_some()), lost))
 }
 
 fn transmitters_table(found: &[LocatedTransmitter]) -> String {

@@ -9,8 +9,8 @@ use super::Args;
 use crate::commands::args::channel as channel_of;
 use crate::commands::draft::{FolderDraft, reads};
 use crate::commands::files::{open_log, read_trajectory};
-use crate::commands::live::{Listening, Needs, Signals, describe, join_refused};
-use crate::commands::{InWords, Outcome, Result, Words, print, simulate, usage};
+use crate::commands::live::{Listening, Needs, Signals, describe};
+use crate::commands::{InWords, Outcome, Result, Words, print, simulate, sound, usage};
 use csi_formats::Format;
 use csi5300::exchange::tdma::{Dialect, Epoch, Phy, Request};
 use csi5300::internal::FrameReceiver;
@@ -26,7 +26,7 @@ use csi5300_live::sounding::{Running, Settings, Setup};
 use csi5300_live::wait::Monotonic;
 use csi5300_say::{Tone, toned};
 use csi5300_sim::motion::RobotMotion;
-use csi5300_sim::served::{self, Address};
+use csi5300_sim::served::Address;
 use csi5300_sim::{Room, Scene, stamp};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
@@ -126,11 +126,7 @@ pub fn run(args: &Args) -> Result {
             folder.display()
         );
     }
-    Ok(match report.count(Verdict::Fails) {
-        0 if is_whole => Outcome::Done,
-        0 => Outcome::DataLost,
-        _ => Outcome::Nothing,
-    })
+    Ok(Outcome::of(report.count(Verdict::Fails) == 0, !is_whole))
 }
 
 /// The table with coloured verdicts.
@@ -355,16 +351,12 @@ fn open(args: &Args, desk: &Desk) -> Words<Listener> {
     listening.open(Needs::default())
 }
 
-/// The interface that sends, and its MAC.
+/// The interface that sends, set to an HT rate if possible, and its MAC.
 fn air(desk: &Desk, options: &Options) -> Words<(Monitor, Mac)> {
-    let monitor = match address(desk)? {
-        Some(address) => {
-            let (air, mac) = served::join(&address, served::Role::Air).map_err(|error| join_refused(&error))?;
-            Monitor::over(air, mac, options)
-        }
-        None => Monitor::open(options),
-    };
-    let monitor = monitor.in_words()?;
+    if let Some(interface) = &desk.interface {
+        sound::see_to_rate(interface, PHY, Antenna::A)?;
+    }
+    let monitor = sound::monitor(address(desk)?.as_ref(), options)?.in_words()?;
     let mac = monitor.mac().ok_or_else(|| format!("{} has no MAC", options.interface))?;
     Ok((monitor, mac))
 }
@@ -539,14 +531,10 @@ fn listen(args: &Args, desk: &Desk) -> Found {
     Ok(Judged { evidence, facts, is_whole: finished == steps.len(), stopped })
 }
 
-/// The interface that the first robot sends through, set to an HT rate if possible.
+/// The interface that the first robot sends through.
 fn sender(desk: &Desk) -> Words<(Monitor, Mac)> {
     let options = Options::new(desk.interface.clone().unwrap_or_default(), Sending::frame_len());
-    let options = options.with_rate(PHY.mcs, PHY.bandwidth);
-    if let Some(interface) = &desk.interface {
-        crate::commands::sound::see_to_rate(interface, PHY, Antenna::A)?;
-    }
-    air(desk, &options)
+    air(desk, &options.with_rate(PHY.mcs, PHY.bandwidth))
 }
 
 impl Run<'_> {
@@ -810,9 +798,6 @@ fn answerer(desk: &Desk, first: Mac) -> Words<(Running, Mac)> {
         own_index: 0,
         key: None,
     };
-    if let Some(interface) = &desk.interface {
-        crate::commands::sound::see_to_rate(interface, PHY, Antenna::A)?;
-    }
     let (monitor, mac) = air(desk, &setup.options())?;
     let clock = Monotonic::new();
     let opened =

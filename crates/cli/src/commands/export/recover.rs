@@ -240,11 +240,7 @@ pub fn run(args: &Args) -> Result {
         note!("  {doubtful} skipped beside the damage: they may not be real");
     }
     let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
-    Ok(match (kept, survey.lost_something() || missing || doubts.dropped > 0) {
-        (0, _) => Outcome::Nothing,
-        (_, true) => Outcome::DataLost,
-        (_, false) => Outcome::Done,
-    })
+    Ok(Outcome::of(kept > 0, survey.lost_something() || missing || doubts.dropped > 0))
 }
 
 /// Writes the intact records of `source`.

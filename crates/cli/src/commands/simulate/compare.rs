@@ -13,7 +13,7 @@ use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::fit::{Known, check_width};
 use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
-use csi5300_lab::evaluate::{channel_number_in, find};
+use csi5300_lab::evaluate::{Capture, channel_number_in, find};
 use csi5300_say::{Tone, toned};
 use csi5300_sim::Scene;
 use std::fmt::Write;
@@ -165,8 +165,7 @@ fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel
 /// The channel of the first capture in a folder. It must be the requested one, if any. Truth files do not name the
 /// width.
 fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
-    let (captures, _) = find(folder);
-    let capture = captures.first().ok_or_else(|| no_capture(folder))?;
+    let capture = first_capture(folder)?;
     match (asked, channel_number_in(&capture.folder).in_words()?) {
         (Some(channel), Some(own)) if u32::from(scene_channel(channel)) != own => {
             Err(format!("{} is of channel {own}, not of --channel {channel}", folder.display()))
@@ -177,8 +176,8 @@ fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
     }
 }
 
-fn no_capture(folder: &Path) -> String {
-    format!("no capture in {}", folder.display())
+fn first_capture(folder: &Path) -> Words<Capture> {
+    find(folder).0.into_iter().next().ok_or_else(|| format!("no capture in {}", folder.display()))
 }
 
 /// Removes the capture of an earlier run.
@@ -204,8 +203,7 @@ fn read(
 /// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
 /// given.
 fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> Words<Figures> {
-    let (captures, _) = find(folder);
-    let capture = captures.first().ok_or_else(|| no_capture(folder))?;
+    let capture = first_capture(folder)?;
     let (name, tx) =
         capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
     let beside = |name: String| capture.folder.join(name);

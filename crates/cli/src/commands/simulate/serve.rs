@@ -242,11 +242,7 @@ impl Serving {
                 all_written = false;
             }
         }
-        match (sent, all_written) {
-            (0, _) => Outcome::Nothing,
-            (_, true) => Outcome::Done,
-            (_, false) => Outcome::DataLost,
-        }
+        Outcome::of(sent > 0, !all_written)
     }
 }
 
