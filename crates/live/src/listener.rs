@@ -18,7 +18,6 @@ pub enum Listener {
 
 /// What a listener lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct Lost {
     /// Messages or packets that the kernel dropped for lack of room.
     pub kernel: u64,

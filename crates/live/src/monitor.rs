@@ -36,7 +36,6 @@ const OLDEST: Span = Span::from_ms(1_000);
 
 /// The interface to open, and the format of frames.
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct Options {
     /// The interface, such as `mon0`.
     pub interface: String,
@@ -57,23 +56,10 @@ impl Options {
         let (interface, wall_us) = (interface.into(), crate::wait::wall_us);
         Self { interface, mcs: 0, bandwidth: Bandwidth::Ht20, longest, wall_us }
     }
-
-    /// Sets [`mcs`](Self::mcs) and [`bandwidth`](Self::bandwidth).
-    #[must_use]
-    pub fn with_rate(self, mcs: u8, bandwidth: Bandwidth) -> Self {
-        Self { mcs, bandwidth, ..self }
-    }
-
-    /// Sets [`wall_us`](Self::wall_us).
-    #[must_use]
-    pub fn with_wall_us(self, wall_us: fn() -> Option<i64>) -> Self {
-        Self { wall_us, ..self }
-    }
 }
 
 /// Everything counted on an interface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct AirCounts {
     /// Frames that the kernel took.
     pub taken: u64,
@@ -299,7 +285,6 @@ impl FrameReceiver for Monitor {
 
 /// Why frames cannot be sent and heard on an interface; inside [`csi5300::source::Error::Backend`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum MonitorError {
     /// The interface is down.
     #[error("{interface} is down: `sudo ip link set {interface} up`")]

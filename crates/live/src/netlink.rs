@@ -33,7 +33,6 @@ pub const RECEIVE_BUFFER: usize = 32 * 1024 * 1024;
 
 /// How to listen.
 #[derive(Clone, Copy, Debug)]
-#[non_exhaustive]
 pub struct Options {
     /// The connector index; by default it is searched.
     pub connector_index: Option<u32>,
@@ -55,32 +54,6 @@ impl Default for Options {
             receive_buffer: RECEIVE_BUFFER,
             wall_us: crate::wait::wall_us,
         }
-    }
-}
-
-impl Options {
-    /// Sets [`connector_index`](Self::connector_index).
-    #[must_use]
-    pub fn with_connector_index(self, connector_index: Option<u32>) -> Self {
-        Self { connector_index, ..self }
-    }
-
-    /// Sets [`allow_user_sender`](Self::allow_user_sender).
-    #[must_use]
-    pub fn with_allow_user_sender(self, allow_user_sender: bool) -> Self {
-        Self { allow_user_sender, ..self }
-    }
-
-    /// Sets [`receive_buffer`](Self::receive_buffer), bytes.
-    #[must_use]
-    pub fn with_receive_buffer(self, receive_buffer: usize) -> Self {
-        Self { receive_buffer, ..self }
-    }
-
-    /// Sets [`wall_us`](Self::wall_us).
-    #[must_use]
-    pub fn with_wall_us(self, wall_us: fn() -> Option<i64>) -> Self {
-        Self { wall_us, ..self }
     }
 }
 
@@ -265,7 +238,6 @@ impl AsRawFd for Netlink {
 
 /// Everything that a listener counted since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-#[non_exhaustive]
 pub struct SocketCounts {
     /// Datagrams taken from the socket.
     pub datagrams: u64,
@@ -625,7 +597,6 @@ impl Sender {
 
 /// Why the kernel's connector cannot be listened to, or sent to; inside [`csi5300::source::Error::Backend`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum NetlinkError {
     /// Only the first network namespace has the connector.
     #[error(

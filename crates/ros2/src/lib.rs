@@ -47,7 +47,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Why a node cannot start.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum Error {
     /// The DDS participant cannot be created.
     #[error("cannot take part in domain {domain} of ROS 2 at {interface}: {source}")]

@@ -21,7 +21,6 @@ const BLOCK: u64 = 4_096;
 
 /// One receiving robot's folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct WrittenCapture {
     /// The initiator's number; it is the receiver of the data set.
     pub receiver: usize,
@@ -35,7 +34,6 @@ pub struct WrittenCapture {
 
 /// One log.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct WrittenLog {
     /// Its file.
     pub path: PathBuf,

@@ -87,7 +87,6 @@ impl Faults {
 /// `received = delivered + unheard + under_way + overheard + unmeasured + driver_dropped + overrun_records`, except for
 /// records in the queue of a stopped listener.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct Injected {
     /// Frames that this robot sent; second copies ([`Faults::retry`]) do not count.
     pub sent: u64,

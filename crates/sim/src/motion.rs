@@ -410,7 +410,6 @@ pub struct Recorded {
 
 /// Why a trajectory file is no motion.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum RecordedError {
     /// It cannot be read.
     #[error("trajectory {}: {source}", file.display())]

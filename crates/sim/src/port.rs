@@ -433,7 +433,6 @@ pub struct Interface {
 
 /// A frame that passed the interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct Seen<'a> {
     /// The frame, without FCS.
     pub frame: &'a [u8],

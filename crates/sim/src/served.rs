@@ -147,7 +147,6 @@ pub struct AddressError;
 
 /// Why a robot of a room cannot be joined; inside [`csi5300::source::Error::Backend`] where a source is asked for.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum JoinError {
     /// Nothing listens there, or it left.
     #[error("cannot reach {address}: {source}")]
@@ -186,7 +185,6 @@ const LONGEST_PATH: usize = 107;
 
 /// Why a room has no socket; inside [`csi5300::source::Error::Backend`].
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum PlaceError {
     /// Another file is there; it stays.
     #[error("{} is there and is no socket: give the room's socket another name", path.display())]
@@ -344,7 +342,6 @@ const SEND_BUFFER: usize = 1 << 18;
 
 /// Everything counted at a served room's socket.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct ServedCounts {
     /// Programs that joined.
     pub joined: u64,

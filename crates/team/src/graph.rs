@@ -30,7 +30,6 @@ impl KeyframeId {
 
 /// A rejected measurement, or the reason why a team cannot be solved.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum TeamError {
     /// A number that is not finite.
     #[error("{what} is {value}: it must be finite")]

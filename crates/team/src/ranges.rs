@@ -22,7 +22,6 @@ pub struct Range {
 
 /// An error in a file of ranges.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum RangesError {
     /// An invalid row.
     #[error("row {row}: {why}")]

@@ -516,9 +516,8 @@ impl Sounding {
         observer: &mut dyn Observer,
     ) -> Words<(Outcome, ExchangeRow)> {
         let fifo_priority = Settings::default().fifo_priority.filter(|_| !self.no_fifo);
-        let session = Session::new(clock, signals.as_fd())
-            .with_settings(Settings { fifo_priority, ..Settings::default() })
-            .with_stop_at(self.stop_after.map(|span| clock.now() + span));
+        let settings = Settings { fifo_priority, stop_at: self.stop_after.map(|span| clock.now() + span) };
+        let session = Session { clock, stop: signals.as_fd(), settings };
         let finished = session.run(opened, messages, observer).in_words()?;
         let error = finished.error.as_ref().filter(|_| !self.room_ended(&finished)).map(ToString::to_string);
         Ok((self.conclude(&finished), ExchangeRow::new(&self.peers, &finished, error)))

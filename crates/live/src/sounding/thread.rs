@@ -104,7 +104,8 @@ impl Running {
         let (stopped, stop) = std::io::pipe().map_err(io)?;
         let (orders, news) = (Mailbox::new(), Mailbox::new());
         let (ordered, told) = (orders.clone(), Outbox::new(&news));
-        let exchange = Exchange::new(tdma, monitor).with_stop_at(settings.stop_at);
+        let mut exchange = Exchange::new(tdma, monitor);
+        exchange.stop_at = settings.stop_at;
         let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
         let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(io)?;
         Ok(Self { thread, stop, orders, news, heard: Mutex::default() })

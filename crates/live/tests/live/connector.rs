@@ -180,7 +180,7 @@ fn refusals_say_what_to_do() {
     }
     let refused = Netlink::open(&Options::default()).unwrap_err().to_string();
     assert!(refused.contains("network namespace"), "{refused}");
-    let options = Options::default().with_connector_index(Some(33)).with_allow_user_sender(true);
+    let options = Options { connector_index: Some(33), allow_user_sender: true, ..Options::default() };
     let refused = Netlink::open(&options).unwrap_err().to_string();
     assert!(refused.contains("1 to 32"), "{refused}");
     assert!(Sender::open(0, true).is_err() && Sender::open(33, true).is_err());
@@ -198,7 +198,7 @@ fn a_missing_capability_is_reported_with_its_remedy() {
         crate::common::skipped("CAP_NET_ADMIN is still held");
         return;
     }
-    let refused = Netlink::open(&Options::default().with_allow_user_sender(true)).unwrap_err().to_string();
+    let refused = Netlink::open(&Options { allow_user_sender: true, ..Options::default() }).unwrap_err().to_string();
     assert!(refused.contains("setcap cap_net_admin+ep"), "{refused}");
 }
 

@@ -11,3 +11,40 @@ mod peers;
 mod program;
 mod robots;
 mod team;
+
+use csi5300::source::replay::Replay;
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Instant;
+use std::path::{Path, PathBuf};
+use std::process::Child;
+
+/// A folder of its own for one test.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+/// What is in a log.
+fn survey(log: &Path) -> Survey {
+    let (mut log, mut survey) = (Replay::open(log).unwrap(), Survey::default());
+    loop {
+        let next = log.receive(Instant::ZERO).unwrap();
+        survey.note(&next);
+        if matches!(next, Next::End(_)) {
+            return survey;
+        }
+    }
+}
+
+/// A process that is ended with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}

@@ -1,5 +1,6 @@
 //! Robots in processes of their own that exchange records through zenoh: each replays its own log.
 
+use crate::{Running, folder, survey};
 use csi5300::pipeline::{LinkReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
@@ -7,7 +8,7 @@ use csi5300_sim::{Room, Scene, write_dataset};
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 /// Times real time at which logs are played.
 const SPEEDS: [f64; 3] = [8.0, 2.0, 0.5];
@@ -23,13 +24,6 @@ fn in_time(speeds: &[f64], run: impl Fn(f64) -> Result<(), String>) {
         }
     }
     panic!("{late:?}");
-}
-
-fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&path);
-    std::fs::create_dir_all(&path).unwrap();
-    path
 }
 
 /// A capture of `robots` robots: the first drives a circle. Gives the logs and MACs in the robots' order, and the path.
@@ -67,7 +61,7 @@ fn free_port() -> u16 {
     std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-struct Node(Child);
+struct Node(Running);
 
 impl Node {
     fn start(folder: &Path, name: &str, text: &str) -> Self {
@@ -80,20 +74,20 @@ impl Node {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::inherit());
-        Self(command.spawn().unwrap())
+        Self(Running(command.spawn().unwrap()))
     }
 
     /// How it ended, after a signal if it goes on by itself: in order, if perhaps with losses.
     fn end(mut self) {
-        let running = i32::try_from(self.0.id()).unwrap();
+        let running = i32::try_from(self.0.0.id()).unwrap();
         let _ = nix::sys::signal::kill(nix::unistd::Pid::from_raw(running), nix::sys::signal::Signal::SIGTERM);
-        let status = self.0.wait().unwrap();
+        let status = self.0.0.wait().unwrap();
         assert!(matches!(status.code(), Some(0 | 3)), "{status}");
     }
 
     /// Every report until it ends.
     fn reports(&mut self) -> impl Iterator<Item = serde_json::Value> + use<> {
-        let lines = BufReader::new(self.0.stdout.take().unwrap()).lines();
+        let lines = BufReader::new(self.0.0.stdout.take().unwrap()).lines();
         lines.map(|line| serde_json::from_str(&line.unwrap()).unwrap())
     }
 
@@ -102,13 +96,6 @@ impl Node {
         let mut reports = self.reports();
         let first = reports.next();
         first.into_iter().chain(reports)
-    }
-}
-
-impl Drop for Node {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 
@@ -276,7 +263,7 @@ fn four_processes_of_which_one_is_killed_and_started_again() {
         // Once the others have bearings one of them dies, and comes back from the beginning of its log.
         let first = reports.find(|report| report["link"] == "r3" && report["azimuth_deg"].is_f64());
         let first = first.ok_or("no bearing of r3")?;
-        others[1].0.kill().unwrap();
+        others[1].0.0.kill().unwrap();
         // What was under way is in by the second report from here.
         let had = reports.by_ref().filter(|report| report["link"] == "r2").nth(1).ok_or("r2 died too late")?;
         others[1] = Node::start(&folder, "r2", &publishers[1]);
@@ -307,21 +294,12 @@ fn offline(rx: &Path, trajectory: &Path, txs: &[PathBuf]) -> (String, Vec<(Strin
     let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
     let report = bearings(&mut open(rx), transmitters, &path, &options).unwrap();
     // The receiver is the sender of most frames in a transmitter's log.
-    let mut log = open(&txs[0]);
-    let mut survey = csi5300::source::survey::Survey::default();
-    loop {
-        let next = csi5300::source::CsiSource::receive(&mut log, csi5300::time::Instant::ZERO).unwrap();
-        survey.note(&next);
-        if matches!(next, csi5300::source::Next::End(_)) {
-            break;
-        }
-    }
-    let own = survey.senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
+    let own = survey(&txs[0]).senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0.to_string();
     let answer = |link: &LinkReport| {
         let bearing = link.bearing.as_ref().unwrap();
         (link.mac.unwrap().to_string(), bearing.answer.azimuth_rad.to_degrees(), bearing.pairs.formed as u64)
     };
-    (own.to_string(), report.links.iter().map(answer).collect())
+    (own, report.links.iter().map(answer).collect())
 }
 
 #[test]

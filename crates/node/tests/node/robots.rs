@@ -1,6 +1,7 @@
 //! A robot as one value, in virtual time: bearings while it drives, in a simulated room and from replayed captures, with AX210s and with
 //! two antennas.
 
+use crate::folder;
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{CsiSource, Error, Next};
@@ -16,19 +17,20 @@ use driver_iface::record::{Record, card_clock_ps, code};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// A folder of its own for one test.
-pub(crate) fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&path);
-    std::fs::create_dir_all(&path).unwrap();
-    path
+/// What a configuration names, opened.
+fn sources(config: &Config) -> Sources {
+    Sources::open(config, Instant::ZERO, || None, &mut []).unwrap()
+}
+
+/// A robot of these sources, whose own card is changed by `card`, ready to run in virtual time.
+fn machine_of(config: &Config, sources: Sources, card: impl FnOnce(Card) -> Card) -> Machine {
+    let plain = |own| Ok(Capture::Plain(card(own)));
+    Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
 }
 
 /// A robot that was configured, ready to run in virtual time.
 pub(crate) fn machine(config: &Config) -> Machine {
-    let sources = Sources::open(config, Instant::ZERO, || None, &mut []).unwrap();
-    let plain = |card| Ok(Capture::Plain(card));
-    Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
+    machine_of(config, sources(config), |card| card)
 }
 
 /// Runs until the records end or `until`: every report with its time, and the last ones.
@@ -189,13 +191,11 @@ impl CsiSource for Vanishes {
 fn the_bearing_of_a_peer_that_vanished_grows_old() {
     let folder = folder("ring-vanish");
     let config = config(&folder, &scene(2, false), 2, false);
-    let mut sources = Sources::open(&config, Instant::ZERO, || None, &mut []).unwrap();
+    let mut sources = sources(&config);
     let records = sources.peers[0].records.take().unwrap();
     sources.peers[0].records = Some(Box::new(Vanishes(records, Instant::from_us(12_000_000))));
-    let plain = |card| Ok(Capture::Plain(card));
-    let machine = Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap();
     // This robot drives on until 21.5 s.
-    let (reports, _) = run(machine, Instant::from_us(20_000_000));
+    let (reports, _) = run(machine_of(&config, sources, |card| card), Instant::from_us(20_000_000));
     assert!(reports.iter().any(|(at, _, report)| at.as_s() < 12.0 && report.state == PeerState::Bearing));
     let late: Vec<_> = reports.iter().filter(|(at, ..)| at.as_s() > 13.0).collect();
     assert!(late.len() > 10);
@@ -550,12 +550,10 @@ fn two_ax210s_give_the_true_bearing_despite_losses_and_a_restart() {
     // From the centre of the circle, 25 cm to the left of the start.
     let truth_deg = (-4.25_f64).atan2(7.0).to_degrees();
     for (lost, restart_at, least) in [(0, u64::MAX, 1_300), (300, u64::MAX, 600), (300, 350, 350)] {
-        let mut sources = Sources::open(&config, Instant::ZERO, || None, &mut []).unwrap();
+        let mut sources = sources(&config);
         let peer = sources.peers[0].records.take().unwrap();
         sources.peers[0].records = Some(Box::new(Worse::new(peer, lost, restart_at, 77)));
-        let plain = |card| Ok(Capture::Plain(Box::new(Worse::new(card, lost, u64::MAX, 99)) as Card));
-        let machine =
-            Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap();
+        let machine = machine_of(&config, sources, |card| Box::new(Worse::new(card, lost, u64::MAX, 99)));
         let (reports, last) = run(machine, Instant::from_us(25_000_000));
         let (off, report) = (off_deg(&last[0], truth_deg), &last[0]);
         println!("{lost} lost of 1,000, restart at {restart_at}: {off:.3} deg off, {} pairs", report.answer.pairs);

@@ -542,7 +542,7 @@ fn listen(args: &Args, desk: &Desk) -> Found {
 /// The interface that the first robot sends through, set to an HT rate if possible.
 fn sender(desk: &Desk) -> Words<(Monitor, Mac)> {
     let options = Options::new(desk.interface.clone().unwrap_or_default(), Sending::frame_len());
-    let options = options.with_rate(PHY.mcs, PHY.bandwidth);
+    let options = Options { mcs: PHY.mcs, bandwidth: PHY.bandwidth, ..options };
     if let Some(interface) = &desk.interface {
         crate::commands::sound::see_to_rate(interface, PHY, Antenna::A)?;
     }
