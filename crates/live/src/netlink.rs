@@ -13,10 +13,10 @@
 //! CAP_NET_ADMIN is enough to listen; root is not needed. The same code listens to the card of a robot in a simulated
 //! room: [`Netlink::over`].
 
+use crate::refused;
 use crate::sys::{Instruction, attach_filter, operation::*, step};
 use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Refused, Stamps};
 use csi5300::time::{HostTimes, Instant, Step16};
-use driver_iface::EmitError;
 use driver_iface::bfee::Bfee;
 use driver_iface::connector::{
     CN_IDX, CN_IDX_10_USERS, CN_VAL, Datagram, MAX_DATAGRAM, Message, NETLINK_CONNECTOR, Repr, offset, registered_idx,
@@ -100,7 +100,10 @@ impl Netlink {
         let listed = std::fs::read_to_string(PROC_CONNECTOR);
         // The file exists only in the first network namespace, where the kernel's messages arrive.
         if listed.is_err() && !options.allow_user_sender {
-            return Err(NetlinkError::OtherNamespace.into());
+            return Err(refused(
+                "the kernel's connector is not in this network namespace (/proc/net/connector is absent): run outside of \
+                 the container or `ip netns`, on a kernel with CONFIG_CONNECTOR=y",
+            ));
         }
         let registered = listed.ok().and_then(|text| registered_idx(&text));
         let (indices, found) = match (options.connector_index, registered) {
@@ -552,7 +555,7 @@ impl Sender {
     /// If the index or the connector socket cannot be used.
     pub fn open(index: u32, padded: bool) -> Result<Self, Error> {
         let mask = index.checked_sub(1).and_then(|bit| 1_u32.checked_shl(bit));
-        let mask = mask.ok_or(NetlinkError::Index { index })?;
+        let mask = mask.ok_or_else(|| refused(format!("connector index {index}: 1 to {MAX_GROUP} can be sent to")))?;
         let io = |source| Error::Io { what: "cannot open a connector socket to send".into(), source };
         let mut socket = Socket::new(isize::from(NETLINK_CONNECTOR.cast_signed())).map_err(io)?;
         socket.bind_auto().map_err(io)?;
@@ -572,7 +575,7 @@ impl Sender {
     /// A record that does not fit a message, or the kernel's refusal.
     pub fn send(&mut self, record: Record<'_>) -> Result<(), Error> {
         let repr = Repr { idx: self.index, val: CN_VAL, record, padded: self.padded };
-        let len = repr.emit(&mut self.buffer).map_err(NetlinkError::Emit)?;
+        let len = repr.emit(&mut self.buffer).map_err(|error| refused(error.to_string()))?;
         self.send_bytes(self.buffer.get(..len).unwrap_or_default())
     }
 
@@ -592,32 +595,6 @@ impl Sender {
             }),
             _ => Ok(()),
         }
-    }
-}
-
-/// Why the kernel's connector cannot be listened to, or sent to; inside [`csi5300::source::Error::Backend`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NetlinkError {
-    /// Only the first network namespace has the connector.
-    #[error(
-        "the kernel's connector is not in this network namespace (/proc/net/connector is absent): run outside of the \
-         container or `ip netns`, on a kernel with CONFIG_CONNECTOR=y"
-    )]
-    OtherNamespace,
-    /// The connector has no such index to send to.
-    #[error("connector index {index}: 1 to {MAX_GROUP} can be sent to")]
-    Index {
-        /// The requested index.
-        index: u32,
-    },
-    /// A record does not fit a message.
-    #[error(transparent)]
-    Emit(#[from] EmitError),
-}
-
-impl From<NetlinkError> for csi5300::source::Error {
-    fn from(error: NetlinkError) -> Self {
-        Self::Backend(Box::new(error))
     }
 }
 

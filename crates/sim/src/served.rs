@@ -18,7 +18,7 @@
 //! A frame is on air from the moment of its hand-over, by the kernel's stamp of the message; overlapping frames
 //! collide. Several programs may listen to one card; one at a time may use a robot's air.
 
-use crate::{Interface, Odometer, Port, Room};
+use crate::{Interface, Odometer, Port, Room, refused};
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, csv};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
@@ -183,37 +183,6 @@ impl From<JoinError> for Error {
 /// Bytes of a socket's path at most (struct sockaddr_un: 108 with the zero at its end).
 const LONGEST_PATH: usize = 107;
 
-/// Why a room has no socket; inside [`csi5300::source::Error::Backend`].
-#[derive(Debug, thiserror::Error)]
-pub enum PlaceError {
-    /// Another file is there; it stays.
-    #[error("{} is there and is no socket: give the room's socket another name", path.display())]
-    NoSocket {
-        /// The path.
-        path: PathBuf,
-    },
-    /// Somebody listens there.
-    #[error("another room, or another program, is served at {}: stop it first, or give this one another name", path.display())]
-    Taken {
-        /// The path.
-        path: PathBuf,
-    },
-    /// The name does not fit a socket.
-    #[error("the path {} has {len} bytes; a socket's has 1 to {LONGEST_PATH}", path.display())]
-    Length {
-        /// The path.
-        path: PathBuf,
-        /// Its bytes.
-        len: usize,
-    },
-}
-
-impl From<PlaceError> for Error {
-    fn from(error: PlaceError) -> Self {
-        Self::Backend(Box::new(error))
-    }
-}
-
 /// The path of a socket, which is removed at the end.
 #[derive(Debug)]
 struct Place {
@@ -228,7 +197,8 @@ impl Place {
         let io = |source: io::Error| cannot_serve(path, source);
         let len = path.as_os_str().len();
         if !(1..=LONGEST_PATH).contains(&len) {
-            return Err(PlaceError::Length { path: path.to_owned(), len }.into());
+            let name = path.display();
+            return Err(refused(format!("the path {name} has {len} bytes; a socket's has 1 to {LONGEST_PATH}")));
         }
         make_way(path)?;
         let address = UnixAddr::new(path).map_err(|errno| io(errno.into()))?;
@@ -261,9 +231,10 @@ fn identity(path: &Path) -> io::Result<(u64, u64)> {
 
 /// Removes an abandoned socket, but no other file.
 fn make_way(path: &Path) -> Result<(), Error> {
+    let name = path.display();
     let Ok(there) = std::fs::symlink_metadata(path) else { return Ok(()) };
     if !there.file_type().is_socket() {
-        return Err(PlaceError::NoSocket { path: path.to_owned() }.into());
+        return Err(refused(format!("{name} is there and is no socket: give the room's socket another name")));
     }
     let asked = seqpacket(SockFlag::empty()).and_then(|socket| {
         let address = UnixAddr::new(path)?;
@@ -271,7 +242,9 @@ fn make_way(path: &Path) -> Result<(), Error> {
     });
     match asked {
         // Somebody listens, to sockets of this type or of another.
-        Ok(()) | Err(Errno::EPROTOTYPE | Errno::EAGAIN) => Err(PlaceError::Taken { path: path.to_owned() }.into()),
+        Ok(()) | Err(Errno::EPROTOTYPE | Errno::EAGAIN) => Err(refused(format!(
+            "another room, or another program, is served at {name}: stop it first, or give this one another name"
+        ))),
         Err(Errno::ECONNREFUSED) => std::fs::remove_file(path).map_err(|source| cannot_serve(path, source)),
         Err(errno) => Err(cannot_serve(path, errno.into())),
     }
@@ -423,7 +396,7 @@ impl Server {
     /// Opens the socket. One that an earlier room left behind is replaced.
     ///
     /// # Errors
-    /// [`PlaceError`] when what is there is no socket, or one that is in use; when the path cannot be used.
+    /// When what is there is no socket, or one that is in use; when the path cannot be used.
     pub fn bind(path: &Path) -> Result<Self, Error> {
         let io = |errno: Errno| {
             let what = format!("cannot serve a room at {}", path.display());

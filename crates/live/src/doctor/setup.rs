@@ -105,16 +105,16 @@ impl Step {
     pub fn take(&self, system: &dyn System) -> Result<(), SetupError> {
         let outcome = match &self.action {
             Action::Write { path, text } => match find_rate_file(system, path) {
-                Some(path) => system.write(&path, text).map_err(|source| SetupError::Write { path, source }),
-                None => Err(SetupError::NoRateFile { pattern: path.clone() }),
+                Some(path) => system.write(&path, text).map_err(|error| format!("writing {path}: {error}")),
+                None => Err(format!("{path} is not there: is debugfs mounted, and the driver a CSI driver?")),
             },
             Action::Run(words) => match system.run(&words.iter().map(String::as_str).collect::<Vec<_>>()) {
                 Some(ran) if ran.ok => Ok(()),
-                Some(ran) => Err(SetupError::Command { command: words.join(" "), output: ran.text.trim().to_owned() }),
-                None => Err(SetupError::NotInstalled { program: words.first().cloned().unwrap_or_default() }),
+                Some(ran) => Err(format!("{}: {}", words.join(" "), ran.text.trim())),
+                None => Err(format!("{} is not installed", words.first().map_or("", String::as_str))),
             },
         };
-        if self.may_fail { Ok(()) } else { outcome }
+        if self.may_fail { Ok(()) } else { outcome.map_err(SetupError::Failed) }
     }
 }
 
@@ -394,34 +394,9 @@ fn warnings_of(system: &dyn System, driver: Option<Driver>) -> Vec<String> {
 /// Why a step of the set-up cannot be planned or taken.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
-    /// A file could not be written.
-    #[error("writing {path}: {source}")]
-    Write {
-        /// The file.
-        path: String,
-        /// The operating system's answer.
-        source: std::io::Error,
-    },
-    /// The driver has no file for the rate of injected frames.
-    #[error("{pattern} is not there: is debugfs mounted, and the driver a CSI driver?")]
-    NoRateFile {
-        /// Its expected path.
-        pattern: String,
-    },
-    /// A program failed.
-    #[error("{command}: {output}")]
-    Command {
-        /// The program and its arguments.
-        command: String,
-        /// What it printed.
-        output: String,
-    },
-    /// A program is not installed.
-    #[error("{program} is not installed")]
-    NotInstalled {
-        /// Its name.
-        program: String,
-    },
+    /// A step failed: what, and how.
+    #[error("{0}")]
+    Failed(String),
     /// The driver cannot report CSI.
     #[error("iwlwifi has no connector_log: it is not a CSI driver")]
     NoCsiDriver,

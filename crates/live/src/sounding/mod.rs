@@ -23,6 +23,7 @@ pub use thread::{Granted, NotGranted, Order, Running, Settings};
 use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
 use crate::listener::Listener;
 use crate::monitor::{self, AirCounts, Monitor};
+use crate::refused;
 use crate::wait::{Monotonic, wall_us};
 use csi5300::exchange::tdma::{Config, Key, Phy, Request, Tdma, TdmaCounts};
 use csi5300::source::recorder::{self, LogFiles, Recorder, Totals};
@@ -330,13 +331,15 @@ impl Setup {
     /// # Errors
     /// If it has no MAC, or the plan does not fit.
     pub fn open_on(&self, monitor: Monitor, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
-        let nameless = || SoundingError::NoMac { interface: self.interface.clone() };
+        let nameless = || refused(format!("{} has no MAC of its own: name the one to use", self.interface));
         let own = self.mac.or(monitor.mac()).ok_or_else(nameless)?;
         let (session, warning) = sessions::begin(own, wall_us());
         let mut config = self.config(own, session);
         let stranger = self.key.as_ref().and_then(|key| self.peers.iter().find(|peer| !key.has_pair(own, **peer)));
         if let Some(peer) = stranger {
-            return Err(SoundingError::NoKeyWith { own, peer: *peer }.into());
+            return Err(refused(format!(
+                "the key file has no key of {own} with {peer}: make another with `csi5300 key robot`, all peers named"
+            )));
         }
         let heard = if self.key.is_some() { PeerSessions::open(own) } else { PeerSessions::default() };
         config.heard = heard.peers();
@@ -442,34 +445,6 @@ pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
             error: format!("writing {path}: {error}"),
             mend: format!("echo {rate:#x} | sudo tee {path}"),
         },
-    }
-}
-
-/// Errors of an exchange. Within [`csi5300::source::Error`] they are a backend's.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SoundingError {
-    /// The interface has no MAC, and none was given.
-    #[error("{interface} has no MAC of its own: name the one to use")]
-    NoMac {
-        /// The interface.
-        interface: String,
-    },
-    /// A robot's key file has no key with a peer.
-    #[error("the key file has no key of {own} with {peer}: make another with `csi5300 key robot`, all peers named")]
-    NoKeyWith {
-        /// This robot.
-        own: Mac,
-        /// The peer.
-        peer: Mac,
-    },
-    /// The thread that sends has panicked.
-    #[error("the thread that sends has panicked")]
-    Panicked,
-}
-
-impl From<SoundingError> for csi5300::source::Error {
-    fn from(error: SoundingError) -> Self {
-        Self::Backend(Box::new(error))
     }
 }
 

@@ -1,11 +1,11 @@
 //! The sending thread: its priority, its waits, and its queues.
 
+use super::Opened;
 use super::exchange::{Exchange, News};
 use super::sessions::PeerSessions;
-use super::{Opened, SoundingError};
 use crate::monitor::Monitor;
-use crate::sys;
 use crate::wait::Monotonic;
+use crate::{refused, sys};
 use csi5300::exchange::tdma::{Priority, Tdma};
 use csi5300::source::Error;
 use csi5300::time::Instant;
@@ -150,7 +150,7 @@ impl Running {
     #[allow(clippy::type_complexity)]
     pub fn stop(self) -> Result<(Exchange<Monitor>, Vec<News>, u64, Option<Error>), Error> {
         drop(self.stop);
-        let ended = self.thread.join().map_err(|_| SoundingError::Panicked)?;
+        let ended = self.thread.join().map_err(|_| refused("the thread that sends has panicked"))?;
         let left = std::iter::from_fn(|| self.news.take()).collect::<Vec<_>>();
         let (held, lost) = ended.news.finish();
         let left: Vec<News> = left.into_iter().chain(held).collect();

@@ -55,8 +55,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
     if !config.uses_ros2() {
         return Ok(None);
     }
-    let node = Node::start(&config.ros2.clone().unwrap_or_default(), &config.robot(), start.wall_us);
-    let node = node.map_err(|error| Error::Backend(Box::new(error)))?;
+    let node = Node::start(&config.ros2.clone().unwrap_or_default(), &config.robot(), start.wall_us)?;
     let _ = start.topics.set(node.link().relay());
     Ok(Some(Box::new(Ros2 {
         node,
