@@ -148,12 +148,6 @@ impl Netlink {
         (&self.indices, self.found)
     }
 
-    /// The index that delivered the first record, once there was one.
-    #[must_use]
-    pub fn delivered_by(&self) -> Option<u32> {
-        self.intake.delivered
-    }
-
     /// Granted receive buffer, bytes (the kernel's count, twice the request).
     #[must_use]
     pub fn receive_buffer(&self) -> usize {
@@ -289,13 +283,12 @@ struct Intake {
     overrun_untold: bool,
     gap_unmeasured: bool,
     drops_seen: u64,
-    delivered: Option<u32>,
     counters: SocketCounts,
 }
 
 /// The kind of a datagram's next message, without a borrow.
 enum Look {
-    Record { bfee_count: Option<u16>, timestamp_low: Option<u32>, idx: u32 },
+    Record { bfee_count: Option<u16>, timestamp_low: Option<u32> },
     Foreign,
     Refused(Refused),
     Empty,
@@ -313,7 +306,6 @@ impl Intake {
             overrun_untold: false,
             gap_unmeasured: false,
             drops_seen: 0,
-            delivered: None,
             counters: SocketCounts::default(),
         }
     }
@@ -377,7 +369,7 @@ impl Intake {
         }
         let bfee = (record.code == code::BFEE).then(|| Bfee::new_checked(record.body).ok()).flatten();
         let (bfee_count, timestamp_low) = bfee.map(|bfee| (bfee.bfee_count(), bfee.timestamp_low())).unzip();
-        Look::Record { bfee_count, timestamp_low, idx: message.idx }
+        Look::Record { bfee_count, timestamp_low }
     }
 
     /// The next message of the datagram in the buffer.
@@ -404,9 +396,8 @@ impl Intake {
                 {
                     return Turn::AskDrops;
                 }
-                Look::Record { bfee_count, timestamp_low, idx } => {
+                Look::Record { bfee_count, timestamp_low } => {
                     self.note_count(bfee_count);
-                    self.delivered.get_or_insert(idx);
                     return Turn::Record(timestamp_low);
                 }
             }
@@ -665,13 +656,11 @@ mod tests {
     }
 
     #[test]
-    fn a_record_comes_out_as_it_went_in_and_names_its_index() {
+    fn a_record_comes_out_as_it_went_in() {
         let mut intake = intake();
         assert_eq!(intake.turn(), Turn::Receive);
-        assert_eq!(intake.delivered, None);
         hand(&mut intake, 7);
         hand(&mut intake, 8);
-        assert_eq!(intake.delivered, Some(CN_IDX_10_USERS));
         assert_eq!(intake.counters, SocketCounts { datagrams: 2, records: 2, ..SocketCounts::default() });
     }
 

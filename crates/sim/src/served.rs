@@ -70,8 +70,8 @@ impl Role {
 /// Connects to a robot of a room; returns the socket, which does not block and stamps messages, and the robot's MAC.
 ///
 /// # Errors
-/// [`JoinError::NoRoom`] where no room is served, [`JoinError::Refused`] with the room's reason, [`JoinError::Answer`] from
-/// something else that listens there.
+/// [`JoinError::NoRoom`] where no room is served, [`JoinError::Refused`] with the room's reason, or from something else that
+/// listens there.
 pub fn join(address: &Address, role: Role) -> Result<(OwnedFd, Mac), JoinError> {
     let no_room = |source: nix::errno::Errno| JoinError::NoRoom { address: address.clone(), source: source.into() };
     let socket = seqpacket(SockFlag::empty()).map_err(no_room)?;
@@ -83,10 +83,10 @@ pub fn join(address: &Address, role: Role) -> Result<(OwnedFd, Mac), JoinError> 
     let mut answer = [0; WORDS];
     let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty()).map_err(no_room)?;
     let answer = String::from_utf8_lossy(answer.get(..len).unwrap_or_default());
-    let strange = || JoinError::Answer { address: address.clone(), len };
+    let strange = || JoinError::Refused(format!("{address}: the answer of {len} bytes is not that of a room"));
     match answer.split_once(' ') {
         Some(("ok", mac)) => Ok((socket, mac.parse().map_err(|_| strange())?)),
-        Some(("no", why)) => Err(JoinError::Refused { address: address.clone(), why: why.into() }),
+        Some(("no", why)) => Err(JoinError::Refused(format!("{address}: {why}"))),
         _ => Err(strange()),
     }
 }
@@ -156,22 +156,9 @@ pub enum JoinError {
         /// The operating system's reason.
         source: io::Error,
     },
-    /// The room has no such robot, or another program has its air.
-    #[error("{address}: {why}")]
-    Refused {
-        /// Who was asked for.
-        address: Address,
-        /// The room's words.
-        why: String,
-    },
-    /// Another protocol.
-    #[error("{address}: the answer of {len} bytes is not that of a room")]
-    Answer {
-        /// Who was asked for.
-        address: Address,
-        /// Length of the answer.
-        len: usize,
-    },
+    /// The room has no such robot, another program has its air, or something else listens there: who was asked for, and why.
+    #[error("{0}")]
+    Refused(String),
 }
 
 impl From<JoinError> for Error {

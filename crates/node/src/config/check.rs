@@ -3,9 +3,7 @@
 //! One function for each group of rules. A refusal names the place of the wrong key, or of the table that lacks one;
 //! the spans of the TOML reader give its line.
 
-use super::{
-    CameraMount, Capture, Config, Estimation, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros, RosTopic,
-};
+use super::{CameraMount, Capture, Config, Estimation, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros};
 use crate::adapters;
 use csi5300::exchange::tdma::{Plan, PlanError, Request};
 use csi5300::motion::odometry::ros::Stamp;
@@ -613,24 +611,23 @@ fn wrong_ros_name(name: &str) -> Option<String> {
     (!good).then(|| format!("`{name}` is not a valid ROS name: use one like /tb3_0/odom"))
 }
 
-/// The problem of poses from a topic, of this robot, of a peer, or of a robot that the room follows: the key below
-/// `ros`, if any, and the reason.
-fn wrong_ros_topic(topic: &RosTopic, peers: bool) -> Option<Wrong> {
-    if peers && topic.stamp == Some(Stamp::Receipt) {
-        // The exchanges give a peer's clock offset, which is applied to its poses.
-        Some((Some("stamp"), "a peer's poses have the times of its own clock: `stamp = \"header\"`".into()))
-    } else {
-        wrong_ros_name(&topic.topic).map(|why| (Some("topic"), why))
-    }
-}
-
-/// The problem of poses from a topic: the key of its protocol, the key below that, if any, and the reason.
+/// The problem of poses from a topic, of this robot, of a peer, or of a robot that the room follows: the key of its protocol, the
+/// key below that, if any, and the reason.
 fn wrong_topic(odometry: &Odometry, peers: bool) -> Option<(&'static str, Option<&'static str>, String)> {
-    let (protocol, (key, why)) = match odometry {
-        Odometry::Ros(topic) => ("ros", wrong_ros_topic(topic, peers)?),
-        Odometry::Ros2(topic) => ("ros2", settings::wrong_topic(topic, peers)?),
+    let (protocol, stamp, wrong) = match odometry {
+        Odometry::Ros(topic) => ("ros", topic.stamp, wrong_ros_name(&topic.topic).map(|why| (Some("topic"), why))),
+        Odometry::Ros2(topic) => ("ros2", topic.stamp, settings::wrong_topic(topic)),
         _ => return None,
     };
+    if peers && stamp == Some(Stamp::Receipt) {
+        // The exchanges give a peer's clock offset, which is applied to its poses.
+        return Some((
+            protocol,
+            Some("stamp"),
+            "a peer's poses have the times of its own clock: `stamp = \"header\"`".into(),
+        ));
+    }
+    let (key, why) = wrong?;
     Some((protocol, key, why))
 }
 
