@@ -7,7 +7,7 @@
 //!   deadlines; estimates cannot delay a slot.
 //! * [`Session`] is a complete run with the driver's messages; an [`Observer`] gets records and news, and [`Finished`]
 //!   has the result.
-//! * [`Products`] takes the card's records and the measurements in the answers, for live bearings computed [`Beside`]
+//! * [`products()`] takes the card's records and the measurements in the answers, for live bearings computed [`Beside`]
 //!   the session.
 //! * [`set_rate`] sets the rate of the CSI driver, which ignores radiotap's.
 
@@ -17,7 +17,7 @@ mod sessions;
 mod thread;
 
 pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, spread_of};
-pub use products::{Beside, Products, measurement};
+pub use products::{Beside, measurement, products};
 pub use thread::{Granted, NotGranted, Order, Running, Settings};
 
 use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
@@ -252,7 +252,8 @@ impl DriverMessages {
     fn finish(self, now: Instant) -> Result<Option<LogTotals>, Error> {
         let Kind::Recorded(recorder) = self.0 else { return Ok(None) };
         let (listener, _, recorded) = recorder.finish(now)?;
-        Ok(Some(LogTotals { recorded, dropped_before: listener.lost().total() }))
+        let lost = listener.lost();
+        Ok(Some(LogTotals { recorded, dropped_before: lost.kernel + lost.driver }))
     }
 }
 

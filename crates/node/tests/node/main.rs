@@ -12,10 +12,6 @@ mod program;
 mod robots;
 mod team;
 
-use csi5300::source::replay::Replay;
-use csi5300::source::survey::Survey;
-use csi5300::source::{CsiSource, Next};
-use csi5300::time::Instant;
 use std::path::{Path, PathBuf};
 use std::process::Child;
 
@@ -25,18 +21,6 @@ fn folder(name: &str) -> PathBuf {
     let _ = std::fs::remove_dir_all(&path);
     std::fs::create_dir_all(&path).unwrap();
     path
-}
-
-/// What is in a log.
-fn survey(log: &Path) -> Survey {
-    let (mut log, mut survey) = (Replay::open(log).unwrap(), Survey::default());
-    loop {
-        let next = log.receive(Instant::ZERO).unwrap();
-        survey.note(&next);
-        if matches!(next, Next::End(_)) {
-            return survey;
-        }
-    }
 }
 
 /// A process that is ended with the test.

@@ -1,9 +1,7 @@
 //! Robots in processes of their own that exchange records through zenoh: each replays its own log.
 
-use crate::{Running, folder, survey};
-use csi5300::pipeline::{LinkReport, Options, Transmitter, bearings};
-use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::replay::Replay;
+use crate::robots::{Offline, offline};
+use crate::{Running, folder};
 use csi5300_sim::{Room, Scene, write_dataset};
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
@@ -285,23 +283,6 @@ fn four_processes_of_which_one_is_killed_and_started_again() {
 /// Times its own pace at which a real capture is played.
 const REAL_SPEEDS: [f64; 3] = [16.0, 4.0, 1.0];
 
-/// What is made of a real capture at once: the receiver's MAC, and for each log its MAC, bearing and pairs.
-fn offline(rx: &Path, trajectory: &Path, txs: &[PathBuf]) -> (String, Vec<(String, f64, u64)>) {
-    let open = |log: &Path| Replay::open(log).unwrap();
-    let (path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
-    let mut logs: Vec<_> = txs.iter().map(|tx| open(tx)).collect();
-    let transmitters = logs.iter_mut().map(|log| Transmitter { log, trajectory: None }).collect();
-    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    let report = bearings(&mut open(rx), transmitters, &path, &options).unwrap();
-    // The receiver is the sender of most frames in a transmitter's log.
-    let own = survey(&txs[0]).senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0.to_string();
-    let answer = |link: &LinkReport| {
-        let bearing = link.bearing.as_ref().unwrap();
-        (link.mac.unwrap().to_string(), bearing.answer.azimuth_rad.to_degrees(), bearing.pairs.formed as u64)
-    };
-    (own, report.links.iter().map(answer).collect())
-}
-
 #[test]
 fn real_captures_through_two_nodes_give_what_is_made_offline() {
     let Some(captures) = crate::common::captures() else { return };
@@ -311,18 +292,7 @@ fn real_captures_through_two_nodes_give_what_is_made_offline() {
         if !capture.is_dir() {
             continue;
         }
-        let files: Vec<PathBuf> = std::fs::read_dir(&capture).unwrap().map(|entry| entry.unwrap().path()).collect();
-        let named = |begin: &str| {
-            let mut found: Vec<PathBuf> = files
-                .iter()
-                .filter(|file| file.file_name().unwrap().to_str().unwrap().starts_with(begin))
-                .cloned()
-                .collect();
-            found.sort();
-            found
-        };
-        let (rx, trajectory, txs) = (&named("csi_rx_")[0], &named("rx_trajectory_")[0], named("csi_tx"));
-        let (own, links) = offline(rx, trajectory, &txs);
+        let Offline { rx, trajectory, txs, own, links } = offline(&capture, None);
         // One link at a time: two nodes.
         for (tx, (mac, azimuth, pairs)) in txs.iter().zip(&links) {
             let folder = folder(&format!("peers-real-{compared}"));

@@ -1,6 +1,10 @@
 //! The program as its users meet it.
 
-use crate::{Running, folder, survey};
+use crate::{Running, folder};
+use csi5300::source::replay::Replay;
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Instant;
 use nix::fcntl::{FcntlArg, FdFlag, fcntl};
 use nix::pty::{OpenptyResult, Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
@@ -217,6 +221,18 @@ fn the_log_of_a_robot_that_was_killed_can_be_read() {
     node.0.wait().unwrap();
     let survey = survey(&folder.join("own.dat"));
     assert!(survey.wsr >= 80 && survey.damages == 0, "{survey:?}");
+}
+
+/// What is in a log.
+fn survey(log: &Path) -> Survey {
+    let (mut log, mut survey) = (Replay::open(log).unwrap(), Survey::default());
+    loop {
+        let next = log.receive(Instant::ZERO).unwrap();
+        survey.note(&next);
+        if matches!(next, Next::End(_)) {
+            return survey;
+        }
+    }
 }
 
 /// `csi5300-node watch` on a terminal whose ends no program inherits: one that holds its own terminal's other end never sees that

@@ -416,18 +416,30 @@ fn a_rolling_camera_gives_the_offline_bearings() {
     assert!(compared >= 3, "{compared} links");
 }
 
-/// Compares what a node says of a replayed capture with what `csi5300 bearing` does, link by link; of the tracking camera's
-/// poses where `camera` says how it is mounted.
-fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
-    use csi5300::pipeline::{Transmitter, bearings};
+/// A real capture, and what is made of it at once, as `csi5300 bearing` does.
+pub(crate) struct Offline {
+    pub rx: PathBuf,
+    pub trajectory: PathBuf,
+    pub txs: Vec<PathBuf>,
+    /// The receiver's MAC.
+    pub own: String,
+    /// Of each log of a transmitter: its MAC, its bearing in degrees, and pairs.
+    pub links: Vec<(String, f64, u64)>,
+}
+
+/// The bearings of a capture; of the tracking camera's poses where `camera` says how it is mounted.
+pub(crate) fn offline(capture: &Path, camera: Option<CameraMount>) -> Offline {
+    use csi5300::pipeline::{LinkReport, Transmitter, bearings};
     use csi5300::source::replay::Replay;
-    let files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();
-    let is = |file: &PathBuf, begin: &str| file.file_name().unwrap().to_str().unwrap().starts_with(begin);
-    let named = |begin: &str| files.iter().find(|file| is(file, begin)).unwrap();
+    let mut files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    let named = |begin: &str| -> Vec<PathBuf> {
+        let is = |file: &&PathBuf| file.file_name().unwrap().to_str().unwrap().starts_with(begin);
+        files.iter().filter(is).cloned().collect()
+    };
     let poses = if camera.is_some() { "t265_rx_trajectory_" } else { "rx_trajectory_" };
-    let (rx, trajectory) = (named("csi_rx_"), named(poses));
-    let txs: Vec<&PathBuf> = files.iter().filter(|file| is(file, "csi_tx")).collect();
-    let (mut path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
+    let (rx, trajectory, txs) = (named("csi_rx_").remove(0), named(poses).remove(0), named("csi_tx"));
+    let (mut path, _) = csi5300::motion::odometry::csv::read(&trajectory).unwrap();
     if let Some(camera) = camera {
         path = path.rolling(&camera.mount()).unwrap().with_antenna_offset([0.05, 0.16, 0.0].into()).unwrap();
     }
@@ -435,10 +447,20 @@ fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
     let transmitters =
         logs.iter_mut().map(|log| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: None }).collect();
     let options = csi5300::pipeline::Options::new("108".parse().unwrap());
-    let offline = bearings(&mut Replay::open(rx).unwrap(), transmitters, &path, &options).unwrap();
+    let report = bearings(&mut Replay::open(&rx).unwrap(), transmitters, &path, &options).unwrap();
     // The receiver's own MAC is the sender of most frames in a transmitter's log.
-    let senders = &offline.transmitters[0].survey.senders;
-    let own = senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
+    let senders = &report.transmitters[0].survey.senders;
+    let own = senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0.to_string();
+    let answer = |link: &LinkReport| {
+        let bearing = link.bearing.as_ref().unwrap();
+        (link.mac.unwrap().to_string(), bearing.answer.azimuth_rad.to_degrees(), bearing.pairs.formed as u64)
+    };
+    Offline { rx, trajectory, txs, own, links: report.links.iter().map(answer).collect() }
+}
+
+/// Compares what a node says of a replayed capture with what is made of it at once, link by link.
+fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
+    let Offline { rx, trajectory, txs, own, links } = offline(capture, camera);
     let mounting = camera.map(|CameraMount { forward_m, left_m, yaw_deg }| {
         format!(
             "antenna_offset_m = [0.05, 0.16, 0.0]\n\
@@ -453,16 +475,14 @@ fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
         rx.display(),
         trajectory.display()
     );
-    for (tx, link) in txs.iter().zip(&offline.links) {
-        let mac = link.mac.unwrap();
+    for (tx, (mac, ..)) in txs.iter().zip(&links) {
         let _ = write!(text, "[[peer]]\nname = \"{mac}\"\nmac = \"{mac}\"\nrecords.replay.file = '{}'\n", tx.display());
     }
     let config = Config::read(&text, Path::new("")).unwrap_or_else(|error| panic!("{error}\n{text}"));
     let (_, last) = run(machine(&config), Instant::from_us(i64::MAX));
-    for (link, report) in offline.links.iter().zip(&last) {
-        let expected = link.bearing.as_ref().unwrap();
-        let off = off_deg(report, expected.answer.azimuth_rad.to_degrees());
-        println!("{}: {off:.4} deg, {} and {} pairs", report.answer.link, report.answer.pairs, expected.pairs.formed);
+    for ((_, azimuth_deg, pairs), report) in links.iter().zip(&last) {
+        let off = off_deg(report, *azimuth_deg);
+        println!("{}: {off:.4} deg, {} and {pairs} pairs", report.answer.link, report.answer.pairs);
         assert!(off <= 0.01, "{off} {report:?}");
     }
     last.len()
