@@ -193,11 +193,6 @@ impl Place {
         Ok(Self { own: identity(path).map_err(io)?, path: path.to_owned() })
     }
 
-    /// The path.
-    fn path(&self) -> &Path {
-        &self.path
-    }
-
     /// Removes the socket if it is still at the path. It must be open, so that its inode is not reused.
     fn leave(&self) {
         if identity(&self.path).is_ok_and(|there| there == self.own) {
@@ -473,7 +468,7 @@ impl Server {
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(()),
                 Err(error) if [ErrorKind::Interrupted, ErrorKind::ConnectionAborted].contains(&error.kind()) => {}
                 Err(source) => {
-                    let what = format!("nobody can join the room at {} any more", self.place.path().display());
+                    let what = format!("nobody can join the room at {} any more", self.place.path.display());
                     return Err(Error::Io { what, source });
                 }
             }
