@@ -13,7 +13,6 @@ use csi5300_live::sounding::{News, Running, Settings, spread_of};
 use csi5300_live::sys::{radiotap_tun, schedule_fifo};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
-use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::native;
 use hdrhistogram::Histogram;
 use nix::sys::time::{TimeSpec, TimeValLike};
@@ -92,7 +91,7 @@ fn carry(mut from: File, mut to: File) {
 }
 
 fn robot(own: usize, interface: &str, fifo_priority: Option<i32>, clock: Monotonic) -> Result<Running, Failure> {
-    let options = Options::new(interface, native::MAX_LEN).with_rate(1, Bandwidth::Ht20);
+    let options = Options { mcs: 1, ..Options::new(interface, native::MAX_LEN) };
     let now = clock.now();
     let mut config = Config {
         initiate: own == 0,

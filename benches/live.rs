@@ -54,10 +54,8 @@ fn main() {
 }
 
 fn listener(receive_buffer: usize) -> Netlink {
-    let options = Options::default()
-        .with_connector_index(Some(CN_IDX))
-        .with_allow_user_sender(true)
-        .with_receive_buffer(receive_buffer);
+    let connector_index = Some(CN_IDX);
+    let options = Options { connector_index, allow_user_sender: true, receive_buffer, ..Options::default() };
     Netlink::open(&options).unwrap()
 }
 

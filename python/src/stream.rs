@@ -52,11 +52,9 @@ impl Listener {
                 Netlink::over(card, wall_us)
             }
             None => {
-                let mut options =
-                    Options::default().with_connector_index(connector_index).with_allow_user_sender(allow_user_sender);
-                if let Some(bytes) = receive_buffer {
-                    options = options.with_receive_buffer(bytes);
-                }
+                let usual = Options::default();
+                let receive_buffer = receive_buffer.unwrap_or(usual.receive_buffer);
+                let options = Options { connector_index, allow_user_sender, receive_buffer, ..usual };
                 Netlink::open(&options).map_err(refused)?
             }
         };

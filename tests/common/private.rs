@@ -40,11 +40,7 @@ pub fn inside(test: &str, options: &str) -> bool {
 
 /// A listener that believes other programs.
 pub fn listen(receive_buffer: usize, connector_index: Option<u32>) -> Netlink {
-    let options = Options::default()
-        .with_connector_index(connector_index)
-        .with_allow_user_sender(true)
-        .with_receive_buffer(receive_buffer)
-        .with_wall_us(|| Some(1));
+    let options = Options { connector_index, allow_user_sender: true, receive_buffer, wall_us: || Some(1) };
     Netlink::open(&options).unwrap()
 }
 

@@ -2,6 +2,7 @@
 //! kernel's own driver (feature `stock`).
 
 use crate::netlink::Netlink;
+use crate::status::Losses;
 use crate::stock::Stock;
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
@@ -16,24 +17,6 @@ pub enum Listener {
     Stock(Box<Stock>),
 }
 
-/// What a listener lost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Lost {
-    /// Messages or packets that the kernel dropped for lack of room.
-    pub kernel: u64,
-    /// Records missing before that: numbers that the driver skipped, or CSI without a record.
-    pub driver: u64,
-}
-
-impl Lost {
-    /// All of it.
-    #[must_use]
-    pub fn total(&self) -> u64 {
-        self.kernel + self.driver
-    }
-}
-
 impl Listener {
     /// Bytes of buffer in the kernel.
     #[must_use]
@@ -44,22 +27,23 @@ impl Listener {
         }
     }
 
-    /// What was lost so far.
+    /// What was lost so far on the way here; `disk` is 0.
     #[must_use]
-    pub fn lost(&self) -> Lost {
-        match self {
+    pub fn lost(&self) -> Losses {
+        let (kernel, driver) = match self {
             Self::Connector(listener) => {
                 let counters = listener.counters();
                 // If the kernel does not report its drops, the jump in bfee_count does.
                 let kernel = counters.kernel_drops.max(counters.overrun_bfee_gap);
-                Lost { kernel, driver: counters.other_bfee_gap }
+                (kernel, counters.other_bfee_gap)
             }
             Self::Stock(stock) => {
                 let counters = stock.counters();
                 let dropped = u64::from(counters.cards.dropped());
-                Lost { kernel: counters.ring_full + counters.unreadable, driver: dropped + counters.malformed }
+                (counters.ring_full + counters.unreadable, dropped + counters.malformed)
             }
-        }
+        };
+        Losses { kernel, driver, disk: 0 }
     }
 }
 

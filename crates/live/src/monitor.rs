@@ -13,6 +13,7 @@
 //!
 //! A frame that the kernel refuses is an [`Error::NotSent`] and counted by cause; the next one may succeed.
 
+use crate::refused;
 use crate::sys::{self, ARPHRD_IEEE80211_RADIOTAP, Instruction, operation::*, step};
 use csi5300::internal::{FrameReceiver, HeardFrame};
 use csi5300::source::{Error, Injector, NotSent};
@@ -36,7 +37,6 @@ const OLDEST: Span = Span::from_ms(1_000);
 
 /// The interface to open, and the format of frames.
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct Options {
     /// The interface, such as `mon0`.
     pub interface: String,
@@ -57,23 +57,10 @@ impl Options {
         let (interface, wall_us) = (interface.into(), crate::wait::wall_us);
         Self { interface, mcs: 0, bandwidth: Bandwidth::Ht20, longest, wall_us }
     }
-
-    /// Sets [`mcs`](Self::mcs) and [`bandwidth`](Self::bandwidth).
-    #[must_use]
-    pub fn with_rate(self, mcs: u8, bandwidth: Bandwidth) -> Self {
-        Self { mcs, bandwidth, ..self }
-    }
-
-    /// Sets [`wall_us`](Self::wall_us).
-    #[must_use]
-    pub fn with_wall_us(self, wall_us: fn() -> Option<i64>) -> Self {
-        Self { wall_us, ..self }
-    }
 }
 
 /// Everything counted on an interface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct AirCounts {
     /// Frames that the kernel took.
     pub taken: u64,
@@ -171,7 +158,7 @@ impl Monitor {
         let header = Repr::injected(options.mcs, options.bandwidth);
         let header_len = header.header_len();
         let mut out = vec![0; header_len + options.longest].into_boxed_slice();
-        header.emit(&mut out).map_err(MonitorError::Header)?;
+        header.emit(&mut out).map_err(|error| refused(error.to_string()))?;
         let Opened { socket, mac, mtu } = open(out.len())?;
         Ok(Self {
             socket,
@@ -297,52 +284,6 @@ impl FrameReceiver for Monitor {
     }
 }
 
-/// Why frames cannot be sent and heard on an interface; inside [`csi5300::source::Error::Backend`].
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum MonitorError {
-    /// The interface is down.
-    #[error("{interface} is down: `sudo ip link set {interface} up`")]
-    Down {
-        /// Its name.
-        interface: String,
-    },
-    /// The frames to be sent are longer than the interface takes.
-    #[error(
-        "{interface} takes {mtu} bytes at most, frames here have up to {longest} with their radiotap header: \
-         `sudo ip link set {interface} mtu 2304`"
-    )]
-    Mtu {
-        /// Its name.
-        interface: String,
-        /// Bytes that it takes, radiotap header included.
-        mtu: usize,
-        /// Bytes of the longest frame with its radiotap header.
-        longest: usize,
-    },
-    /// The interface is no monitor.
-    #[error(
-        "{interface} has link type {link_type}, not that of a monitor interface ({ARPHRD_IEEE80211_RADIOTAP}, \
-         radiotap): `sudo ip link set {interface} down && sudo iw dev {interface} set type monitor && \
-         sudo ip link set {interface} up`"
-    )]
-    LinkType {
-        /// Its name.
-        interface: String,
-        /// ARPHRD_* of the kernel (`linux/if_arp.h`).
-        link_type: u16,
-    },
-    /// The radiotap header cannot express the request.
-    #[error(transparent)]
-    Header(#[from] radiotap::Error),
-}
-
-impl From<MonitorError> for csi5300::source::Error {
-    fn from(error: MonitorError) -> Self {
-        Self::Backend(Box::new(error))
-    }
-}
-
 /// PACKET_OUTGOING (`linux/if_packet.h`): a copy of what this host sends.
 const OUTGOING: u8 = 4;
 
@@ -397,15 +338,22 @@ fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
     sys::bind_packet(socket.as_fd(), index).map_err(io("cannot bind to"))?;
     let (link_type, mac) = sys::packet_link(socket.as_fd()).map_err(io("cannot ask for the link of"))?;
     if link_type != ARPHRD_IEEE80211_RADIOTAP {
-        return Err(MonitorError::LinkType { interface: interface.into(), link_type }.into());
+        return Err(refused(format!(
+            "{interface} has link type {link_type}, not that of a monitor interface ({ARPHRD_IEEE80211_RADIOTAP}, \
+             radiotap): `sudo ip link set {interface} down && sudo iw dev {interface} set type monitor && \
+             sudo ip link set {interface} up`"
+        )));
     }
     // Binding to an interface that is down leaves its error on the socket.
     if getsockopt(&socket, sockopt::SocketError) == Ok(libc::ENETDOWN) {
-        return Err(MonitorError::Down { interface: interface.into() }.into());
+        return Err(refused(format!("{interface} is down: `sudo ip link set {interface} up`")));
     }
     let mtu = sys::mtu(socket.as_fd(), interface).map_err(io("cannot ask for the MTU of"))?;
     if mtu < longest {
-        return Err(MonitorError::Mtu { interface: interface.into(), mtu, longest }.into());
+        return Err(refused(format!(
+            "{interface} takes {mtu} bytes at most, frames here have up to {longest} with their radiotap header: \
+             `sudo ip link set {interface} mtu 2304`"
+        )));
     }
     Ok(Opened { socket, mac, mtu })
 }

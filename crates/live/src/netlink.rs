@@ -13,10 +13,10 @@
 //! CAP_NET_ADMIN is enough to listen; root is not needed. The same code listens to the card of a robot in a simulated
 //! room: [`Netlink::over`].
 
+use crate::refused;
 use crate::sys::{Instruction, attach_filter, operation::*, step};
 use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Refused, Stamps};
 use csi5300::time::{HostTimes, Instant, Step16};
-use driver_iface::EmitError;
 use driver_iface::bfee::Bfee;
 use driver_iface::connector::{
     CN_IDX, CN_IDX_10_USERS, CN_VAL, Datagram, MAX_DATAGRAM, Message, NETLINK_CONNECTOR, Repr, offset, registered_idx,
@@ -33,7 +33,6 @@ pub const RECEIVE_BUFFER: usize = 32 * 1024 * 1024;
 
 /// How to listen.
 #[derive(Clone, Copy, Debug)]
-#[non_exhaustive]
 pub struct Options {
     /// The connector index; by default it is searched.
     pub connector_index: Option<u32>,
@@ -55,32 +54,6 @@ impl Default for Options {
             receive_buffer: RECEIVE_BUFFER,
             wall_us: crate::wait::wall_us,
         }
-    }
-}
-
-impl Options {
-    /// Sets [`connector_index`](Self::connector_index).
-    #[must_use]
-    pub fn with_connector_index(self, connector_index: Option<u32>) -> Self {
-        Self { connector_index, ..self }
-    }
-
-    /// Sets [`allow_user_sender`](Self::allow_user_sender).
-    #[must_use]
-    pub fn with_allow_user_sender(self, allow_user_sender: bool) -> Self {
-        Self { allow_user_sender, ..self }
-    }
-
-    /// Sets [`receive_buffer`](Self::receive_buffer), bytes.
-    #[must_use]
-    pub fn with_receive_buffer(self, receive_buffer: usize) -> Self {
-        Self { receive_buffer, ..self }
-    }
-
-    /// Sets [`wall_us`](Self::wall_us).
-    #[must_use]
-    pub fn with_wall_us(self, wall_us: fn() -> Option<i64>) -> Self {
-        Self { wall_us, ..self }
     }
 }
 
@@ -127,7 +100,10 @@ impl Netlink {
         let listed = std::fs::read_to_string(PROC_CONNECTOR);
         // The file exists only in the first network namespace, where the kernel's messages arrive.
         if listed.is_err() && !options.allow_user_sender {
-            return Err(NetlinkError::OtherNamespace.into());
+            return Err(refused(
+                "the kernel's connector is not in this network namespace (/proc/net/connector is absent): run outside of \
+                 the container or `ip netns`, on a kernel with CONFIG_CONNECTOR=y",
+            ));
         }
         let registered = listed.ok().and_then(|text| registered_idx(&text));
         let (indices, found) = match (options.connector_index, registered) {
@@ -170,12 +146,6 @@ impl Netlink {
     #[must_use]
     pub fn indices(&self) -> (&[u32], Found) {
         (&self.indices, self.found)
-    }
-
-    /// The index that delivered the first record, once there was one.
-    #[must_use]
-    pub fn delivered_by(&self) -> Option<u32> {
-        self.intake.delivered
     }
 
     /// Granted receive buffer, bytes (the kernel's count, twice the request).
@@ -265,7 +235,6 @@ impl AsRawFd for Netlink {
 
 /// Everything that a listener counted since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-#[non_exhaustive]
 pub struct SocketCounts {
     /// Datagrams taken from the socket.
     pub datagrams: u64,
@@ -314,13 +283,12 @@ struct Intake {
     overrun_untold: bool,
     gap_unmeasured: bool,
     drops_seen: u64,
-    delivered: Option<u32>,
     counters: SocketCounts,
 }
 
 /// The kind of a datagram's next message, without a borrow.
 enum Look {
-    Record { bfee_count: Option<u16>, timestamp_low: Option<u32>, idx: u32 },
+    Record { bfee_count: Option<u16>, timestamp_low: Option<u32> },
     Foreign,
     Refused(Refused),
     Empty,
@@ -338,7 +306,6 @@ impl Intake {
             overrun_untold: false,
             gap_unmeasured: false,
             drops_seen: 0,
-            delivered: None,
             counters: SocketCounts::default(),
         }
     }
@@ -402,7 +369,7 @@ impl Intake {
         }
         let bfee = (record.code == code::BFEE).then(|| Bfee::new_checked(record.body).ok()).flatten();
         let (bfee_count, timestamp_low) = bfee.map(|bfee| (bfee.bfee_count(), bfee.timestamp_low())).unzip();
-        Look::Record { bfee_count, timestamp_low, idx: message.idx }
+        Look::Record { bfee_count, timestamp_low }
     }
 
     /// The next message of the datagram in the buffer.
@@ -429,9 +396,8 @@ impl Intake {
                 {
                     return Turn::AskDrops;
                 }
-                Look::Record { bfee_count, timestamp_low, idx } => {
+                Look::Record { bfee_count, timestamp_low } => {
                     self.note_count(bfee_count);
-                    self.delivered.get_or_insert(idx);
                     return Turn::Record(timestamp_low);
                 }
             }
@@ -580,7 +546,7 @@ impl Sender {
     /// If the index or the connector socket cannot be used.
     pub fn open(index: u32, padded: bool) -> Result<Self, Error> {
         let mask = index.checked_sub(1).and_then(|bit| 1_u32.checked_shl(bit));
-        let mask = mask.ok_or(NetlinkError::Index { index })?;
+        let mask = mask.ok_or_else(|| refused(format!("connector index {index}: 1 to {MAX_GROUP} can be sent to")))?;
         let io = |source| Error::Io { what: "cannot open a connector socket to send".into(), source };
         let mut socket = Socket::new(isize::from(NETLINK_CONNECTOR.cast_signed())).map_err(io)?;
         socket.bind_auto().map_err(io)?;
@@ -600,7 +566,7 @@ impl Sender {
     /// A record that does not fit a message, or the kernel's refusal.
     pub fn send(&mut self, record: Record<'_>) -> Result<(), Error> {
         let repr = Repr { idx: self.index, val: CN_VAL, record, padded: self.padded };
-        let len = repr.emit(&mut self.buffer).map_err(NetlinkError::Emit)?;
+        let len = repr.emit(&mut self.buffer).map_err(|error| refused(error.to_string()))?;
         self.send_bytes(self.buffer.get(..len).unwrap_or_default())
     }
 
@@ -620,33 +586,6 @@ impl Sender {
             }),
             _ => Ok(()),
         }
-    }
-}
-
-/// Why the kernel's connector cannot be listened to, or sent to; inside [`csi5300::source::Error::Backend`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum NetlinkError {
-    /// Only the first network namespace has the connector.
-    #[error(
-        "the kernel's connector is not in this network namespace (/proc/net/connector is absent): run outside of the \
-         container or `ip netns`, on a kernel with CONFIG_CONNECTOR=y"
-    )]
-    OtherNamespace,
-    /// The connector has no such index to send to.
-    #[error("connector index {index}: 1 to {MAX_GROUP} can be sent to")]
-    Index {
-        /// The requested index.
-        index: u32,
-    },
-    /// A record does not fit a message.
-    #[error(transparent)]
-    Emit(#[from] EmitError),
-}
-
-impl From<NetlinkError> for csi5300::source::Error {
-    fn from(error: NetlinkError) -> Self {
-        Self::Backend(Box::new(error))
     }
 }
 
@@ -717,13 +656,11 @@ mod tests {
     }
 
     #[test]
-    fn a_record_comes_out_as_it_went_in_and_names_its_index() {
+    fn a_record_comes_out_as_it_went_in() {
         let mut intake = intake();
         assert_eq!(intake.turn(), Turn::Receive);
-        assert_eq!(intake.delivered, None);
         hand(&mut intake, 7);
         hand(&mut intake, 8);
-        assert_eq!(intake.delivered, Some(CN_IDX_10_USERS));
         assert_eq!(intake.counters, SocketCounts { datagrams: 2, records: 2, ..SocketCounts::default() });
     }
 

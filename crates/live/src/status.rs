@@ -15,9 +15,9 @@ const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█']
 /// Losses on the way to the disk and in the kernel, as counted by socket, pipe and recorder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Losses {
-    /// Messages that the kernel dropped at the socket.
+    /// Messages or packets that the kernel dropped for lack of room.
     pub kernel: u64,
-    /// Numbers missing from `bfee_count` before the socket.
+    /// Records missing before that: numbers missing from `bfee_count`, or CSI without a record.
     pub driver: u64,
     /// Records that the log does not have: disk too slow, full or failing.
     pub disk: u64,

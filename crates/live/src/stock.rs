@@ -45,7 +45,6 @@ const LOOK: Span = Span::from_ms(1_000);
 
 /// How to listen.
 #[derive(Clone, Copy, Debug)]
-#[non_exhaustive]
 pub struct Options {
     /// Which records to make, in which layout.
     pub records: stock::Options,
@@ -66,35 +65,8 @@ impl Default for Options {
     }
 }
 
-impl Options {
-    /// Sets [`records`](Self::records).
-    #[must_use]
-    pub fn with_records(self, records: stock::Options) -> Self {
-        Self { records, ..self }
-    }
-
-    /// Sets [`ring`](Self::ring), bytes.
-    #[must_use]
-    pub fn with_ring(self, ring: usize) -> Self {
-        Self { ring, ..self }
-    }
-
-    /// Sets [`wall_us`](Self::wall_us).
-    #[must_use]
-    pub fn with_wall_us(self, wall_us: fn() -> Option<i64>) -> Self {
-        Self { wall_us, ..self }
-    }
-
-    /// Sets [`own`](Self::own).
-    #[must_use]
-    pub fn with_own(self, own: Option<Mac>) -> Self {
-        Self { own, ..self }
-    }
-}
-
 /// Everything that was counted since the program was loaded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct StockCounts {
     /// Packets of any command that the driver handed over.
     pub hits: u64,
@@ -513,7 +485,6 @@ fn prerequisites() -> Result<(), StockError> {
 
 /// Why the eBPF program cannot be loaded or attached; inside [`csi5300::source::Error::Backend`].
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum StockError {
     /// The program reads the arguments of a function as x86-64 passes them.
     #[error("the eBPF program is for x86-64, and this is {architecture}")]

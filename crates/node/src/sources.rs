@@ -246,11 +246,8 @@ impl<'a> Shared<'a> {
 
 /// Listens to the driver, on a thread of its own.
 fn open_card(card: &config::Card, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
-    let (connector_index, allow_user_sender) = (card.connector_index, card.allow_user_sender);
-    let options = netlink::Options::default()
-        .with_connector_index(connector_index)
-        .with_allow_user_sender(allow_user_sender)
-        .with_wall_us(wall_us);
+    let &config::Card { connector_index, allow_user_sender } = card;
+    let options = netlink::Options { connector_index, allow_user_sender, wall_us, ..netlink::Options::default() };
     opened(CardThread::start(Netlink::open(&options)?)?)
 }
 
@@ -263,7 +260,7 @@ fn open_stock(
     wall_us: fn() -> Option<i64>,
 ) -> Result<Opened, Error> {
     let records = driver_iface::stock::Options::default().with_frames(asked.frames || frames);
-    let options = stock::Options::default().with_records(records).with_own(own).with_wall_us(wall_us);
+    let options = stock::Options { records, own, wall_us, ..stock::Options::default() };
     opened(CardThread::start(Stock::open(&options)?)?)
 }
 

@@ -323,22 +323,20 @@ mod tests {
     use csi5300::motion::odometry::{NextPose, OdometrySource};
     use csi5300::time::Instant;
     use csi5300_bag::messages::{Quaternion, Time, Transform, Vector3 as Numbers};
-    use std::f64::consts::FRAC_1_SQRT_2;
+    use std::f64::consts::FRAC_PI_2;
 
-    fn told(parent: &str, child: &str, at: [f64; 3], quarter: bool) -> TransformStamped {
-        let half = if quarter { FRAC_1_SQRT_2 } else { 0.0 };
-        let [x, y, z] = at;
-        let rotation = Quaternion { z: half, w: (1.0 - half * half).sqrt(), ..Quaternion::default() };
-        let transform = Transform { translation: Numbers { x, y, z }, rotation };
-        let header = Header { stamp: Time::default(), frame_id: parent.into() };
+    /// A transform to a place, turned by a heading.
+    fn transform(parent: &str, child: &str, t_s: f64, [x, y, z]: [f64; 3], heading: f64) -> TransformStamped {
+        let header = Header { stamp: Time::from_us((t_s * 1e6) as i64), frame_id: parent.into() };
+        let transform = Transform { translation: Numbers { x, y, z }, rotation: turned(heading) };
         TransformStamped { header, child_frame_id: child.into(), transform }
     }
 
     #[test]
     fn transforms_are_followed_down_the_tree() {
         let mut tree = Tree::default();
-        assert!(tree.handle(&told("/odom", "base_link", [1.0, 0.0, 0.0], true), false));
-        assert!(tree.handle(&told("base_link", "antenna", [0.5, 0.0, 0.2], false), true));
+        assert!(tree.handle(&transform("/odom", "base_link", 0.0, [1.0, 0.0, 0.0], FRAC_PI_2), false));
+        assert!(tree.handle(&transform("base_link", "antenna", 0.0, [0.5, 0.0, 0.2], 0.0), true));
         let (whole, moving) = tree.find("odom", "antenna").unwrap();
         assert!((whole.translation.vector - Vector3::new(1.0, 0.5, 0.2)).norm() < 1e-12, "{whole}");
         assert_eq!(moving, Some("base_link"));
@@ -349,15 +347,15 @@ mod tests {
     #[test]
     fn loops_end_and_invalid_transforms_are_refused() {
         let mut tree = Tree::default();
-        tree.handle(&told("a", "b", [0.0; 3], false), false);
-        tree.handle(&told("b", "a", [0.0; 3], false), false);
+        tree.handle(&transform("a", "b", 0.0, [0.0; 3], 0.0), false);
+        tree.handle(&transform("b", "a", 0.0, [0.0; 3], 0.0), false);
         assert!(tree.find("map", "a").is_none());
-        assert!(!tree.handle(&told("a", "c", [f64::NAN, 0.0, 0.0], false), false));
-        let mut no_turn = told("a", "c", [0.0; 3], false);
+        assert!(!tree.handle(&transform("a", "c", 0.0, [f64::NAN, 0.0, 0.0], 0.0), false));
+        let mut no_turn = transform("a", "c", 0.0, [0.0; 3], 0.0);
         no_turn.transform.rotation = Quaternion::default();
         assert!(!tree.handle(&no_turn, false));
         for k in 0..2 * FRAMES {
-            tree.handle(&told("a", &format!("f{k}"), [0.0; 3], false), false);
+            tree.handle(&transform("a", &format!("f{k}"), 0.0, [0.0; 3], 0.0), false);
         }
         assert_eq!(tree.frames.len(), FRAMES);
     }
@@ -388,25 +386,15 @@ mod tests {
         all
     }
 
-    fn transform(parent: &str, child: &str, t_s: f64, x: f64) -> TransformStamped {
-        let translation = Numbers { x, ..Numbers::default() };
-        let header = Header { stamp: Time::from_us((t_s * 1e6) as i64), frame_id: parent.into() };
-        TransformStamped {
-            header,
-            child_frame_id: child.into(),
-            transform: Transform { translation, rotation: turned(0.0) },
-        }
-    }
-
     #[test]
     fn the_antennas_offset_from_tf_static_rotates_with_the_robot() {
         let shared = shared(Stamp::Header);
         shared.odometry(&odometry(10.0, 1.0, 0.0), Some("antenna"), 10_000_000);
         assert_eq!(poses(&shared), []);
         assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("from base_link to antenna")));
-        let fixed = TfMessage { transforms: vec![transform("base_link", "antenna", 0.0, 0.5)] };
+        let fixed = TfMessage { transforms: vec![transform("base_link", "antenna", 0.0, [0.5, 0.0, 0.0], 0.0)] };
         shared.transforms(&fixed, true, None, 0);
-        shared.odometry(&odometry(10.0, 1.0, std::f64::consts::FRAC_PI_2), Some("antenna"), 10_000_000);
+        shared.odometry(&odometry(10.0, 1.0, FRAC_PI_2), Some("antenna"), 10_000_000);
         let pose = poses(&shared)[0];
         assert!((pose.position_m - Vector3::new(1.0, 0.5, 0.0)).norm() < 1e-9, "{pose:?}");
         assert_eq!((pose.t_s, lock(&shared.state).waits.clone()), (10.0, None));
@@ -419,13 +407,19 @@ mod tests {
         let tell = |told: Vec<TransformStamped>, fixed| {
             shared.transforms(&TfMessage { transforms: told }, fixed, way, 5_000_000)
         };
-        tell(vec![transform("base_link", "antenna", 0.0, 0.1)], true);
-        tell(vec![transform("odom", "base_link", 4.0, 1.0)], false);
+        tell(vec![transform("base_link", "antenna", 0.0, [0.1, 0.0, 0.0], 0.0)], true);
+        tell(vec![transform("odom", "base_link", 4.0, [1.0, 0.0, 0.0], 0.0)], false);
         assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("from map to antenna")));
         // Stamped ahead, as AMCL does.
-        tell(vec![transform("map", "odom", 6.0, 10.0)], false);
+        tell(vec![transform("map", "odom", 6.0, [10.0, 0.0, 0.0], 0.0)], false);
         assert_eq!(poses(&shared), []);
-        tell(vec![transform("odom", "base_link", 5.0, 2.0), transform("other", "frame", 5.5, 0.0)], false);
+        tell(
+            vec![
+                transform("odom", "base_link", 5.0, [2.0, 0.0, 0.0], 0.0),
+                transform("other", "frame", 5.5, [0.0, 0.0, 0.0], 0.0),
+            ],
+            false,
+        );
         let all = poses(&shared);
         assert_eq!((all.len(), all[0].t_s), (1, 5.0));
         assert!((all[0].position_m.x - 12.1).abs() < 1e-9);

@@ -22,7 +22,7 @@
 //! let node = Node::start(&Settings::default(), "burger", || Some(0))?;
 //! let poses = node.link().publish::<PoseStamped>("~/pose", Qos::reliable(10));
 //! poses.put(&PoseStamped::default());
-//! # Ok::<(), csi5300_ros2::Error>(())
+//! # Ok::<(), csi5300::source::Error>(())
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
@@ -41,33 +41,7 @@ pub use node::{Node, Records};
 pub use rtps::Qos;
 pub use said::colour;
 
-use std::net::Ipv4Addr;
-use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-
-/// Why a node cannot start.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum Error {
-    /// The DDS participant cannot be created.
-    #[error("cannot take part in domain {domain} of ROS 2 at {interface}: {source}")]
-    Participant {
-        /// The domain.
-        domain: u16,
-        /// The address of this machine.
-        interface: Ipv4Addr,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The recording cannot start.
-    #[error("cannot record to {}: {source}", .folder.display())]
-    Recording {
-        /// Its folder.
-        folder: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-}
 
 /// What a mutex holds, also after a panic of who held it.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

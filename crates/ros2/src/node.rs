@@ -1,6 +1,5 @@
 //! The node: its link, its clock, the topics of poses that it reads, and what it publishes for a robot.
 
-use crate::Error;
 use crate::bag::Bag;
 use crate::inputs::{PoseTopic, SimClock, ranges};
 use crate::link::{Link, Publisher, usual};
@@ -12,7 +11,7 @@ use crate::sockets::Sockets;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::survey::Survey;
-use csi5300::source::{Next, Stamps};
+use csi5300::source::{Error, Next, Stamps};
 use csi5300_bag::messages::{
     Bearing, Csi, GetParametersRequest, GetParametersResponse, Header, ListParametersRequest, ListParametersResponse,
     ListParametersResult, MarkerArray, ParameterValue, PoseStamped, PoseWithCovarianceStamped, TfMessage, Time,
@@ -56,14 +55,15 @@ impl Node {
         let (domain, own, by) = (asked.domain(), settings.clone(), Asked::by_environment());
         let seek = move || Reach::of(&own, &by, outward);
         let reach = seek();
-        let interface = reach.interface;
-        let failed = |source| Error::Participant { domain, interface, source };
+        let what = format!("cannot take part in domain {domain} of ROS 2 at {}", reach.interface);
+        let failed = |source| Error::Io { what: what.clone(), source };
         let sockets = Sockets::open(domain, reach).map_err(failed)?;
         let node = asked.node.clone().unwrap_or_else(|| format!("csi5300_{}", name_part(robot)));
         let names = Names { namespace: asked.namespace.clone(), node, remap: asked.remap.clone() };
         let bag = Bag::new(asked.bag.clone().unwrap_or_default());
         if let Some(folder) = &asked.bag {
-            bag.start().map_err(|source| Error::Recording { folder: folder.clone(), source })?;
+            let what = format!("cannot record to {}", folder.display());
+            bag.start().map_err(|source| Error::Io { what, source })?;
         }
         let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(failed)?;
         let clock = if asked.use_sim_time { SimClock::follow(&link) } else { SimClock::real() };

@@ -126,15 +126,20 @@ fn point(place: Place<f64>) -> Point {
     <[f64; 3]>::from(place).into()
 }
 
-/// What all markers of a peer share.
-struct Peer<'a> {
-    header: &'a Header,
-    name: &'a str,
-    colour: [f32; 3],
+/// What all markers of a robot share.
+pub struct Pen<'a> {
+    /// Frame and time.
+    pub header: &'a Header,
+    /// Their namespace.
+    pub name: &'a str,
+    /// Red, green, blue, each 0 to 1.
+    pub colour: [f32; 3],
 }
 
-impl Peer<'_> {
-    fn marker(&self, id: i32, kind: i32, alpha: f32, scale: [f64; 3]) -> Marker {
+impl Pen<'_> {
+    /// A marker at the origin that lasts some seconds.
+    #[must_use]
+    pub fn marker(&self, id: i32, kind: i32, alpha: f32, scale: [f64; 3]) -> Marker {
         let ([r, g, b], [x, y, z]) = (self.colour, scale);
         Marker {
             header: self.header.clone(),
@@ -161,7 +166,7 @@ fn along(from: Place<f64>, azimuth: f64, elevation: f64, length: f64) -> Place<f
 
 /// The markers of the peer of this name and number.
 pub(crate) fn markers(header: &Header, (name, number): (&str, usize), report: &PeerReport) -> MarkerArray {
-    let (peer, answer) = (Peer { header, name, colour: colour(number) }, &report.answer);
+    let (peer, answer) = (Pen { header, name, colour: colour(number) }, &report.answer);
     let seen = answer.origin_m.zip(answer.azimuth_deg).filter(|_| has_bearing(report));
     let Some((from, azimuth)) = seen.map(|(origin_m, deg)| (Place::from(origin_m), deg.to_radians())) else {
         return MarkerArray { markers: (0..5).map(|id| peer.none(id)).collect() };
@@ -200,7 +205,7 @@ pub(crate) fn markers(header: &Header, (name, number): (&str, usize), report: &P
 }
 
 /// The ellipsoid of two standard deviations about the peer's place.
-fn ellipsoid(peer: &Peer<'_>, report: &PeerReport) -> Option<Marker> {
+fn ellipsoid(peer: &Pen<'_>, report: &PeerReport) -> Option<Marker> {
     let (position_m, rows) = report.answer.position_m.zip(report.answer.position_covariance_m2)?;
     let covariance =
         Matrix3::from_fn(|row, column| rows.get(row).and_then(|row| row.get(column)).copied().unwrap_or(0.0));

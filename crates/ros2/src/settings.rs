@@ -163,13 +163,9 @@ pub fn wrong_name(name: &str) -> Option<String> {
     wrong.then(|| format!("`{name}` is not a valid ROS 2 name: use one like /tb3_0/odom, odom or ~/odom"))
 }
 
-/// The error in a topic of poses of this robot, of a peer, or of a robot that the room follows.
+/// The error in a topic of poses.
 #[must_use]
-pub fn wrong_topic(topic: &Topic, peers: bool) -> Option<Wrong> {
-    if peers && topic.stamp == Some(Stamp::Receipt) {
-        // The offset of a peer's clock is estimated from the exchanges and applied to its poses.
-        return Some((Some("stamp"), "a peer's poses have the times of its own clock: `stamp = \"header\"`".into()));
-    }
+pub fn wrong_topic(topic: &Topic) -> Option<Wrong> {
     if topic.kind == Kind::Tf && (topic.frame.is_none() || topic.child.is_none()) {
         let why = "transforms are followed from `frame` to `child`: frame = \"odom\", child = \"base_link\"";
         return Some((Some("type"), why.into()));

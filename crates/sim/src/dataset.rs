@@ -1,7 +1,8 @@
 //! A simulated room as a capture folder in the layout of the WSR data set.
 
 use super::motion::Pose;
-use super::room::{Room, RoomError, append};
+use super::refused;
+use super::room::{Room, append};
 use super::scene::{Card, Driver, Scene};
 use super::sounder::FrameRole;
 use csi5300::motion::odometry::{NextPose, OdometrySource};
@@ -21,7 +22,6 @@ const BLOCK: u64 = 4_096;
 
 /// One receiving robot's folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct WrittenCapture {
     /// The initiator's number; it is the receiver of the data set.
     pub receiver: usize,
@@ -35,7 +35,6 @@ pub struct WrittenCapture {
 
 /// One log.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct WrittenLog {
     /// Its file.
     pub path: PathBuf,
@@ -81,13 +80,16 @@ struct Writing {
 /// `progress` is called about a hundred times with the finished share of the scene, 0 to 1.
 ///
 /// # Errors
-/// [`Error::Io`] when a file cannot be written; [`Error::Backend`] with [`RoomError::CardTaken`] or
-/// [`RoomError::Followed`], and with [`CardError`](crate::CardError) as a card fails.
+/// [`Error::Io`] when a file cannot be written; [`Error::Backend`] when a card was taken before or fails, and for a robot that
+/// follows poses.
 pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64)) -> Result<Vec<WrittenCapture>, Error> {
     let followed =
         room.scene().robot.iter().find(|robot| matches!(robot.motion, super::motion::RobotMotion::Followed(_)));
     if let Some(robot) = followed {
-        return Err(RoomError::Followed { robot: robot.name.clone() }.into());
+        return Err(refused(format!(
+            "robot `{}` goes where an odometry source says while a node runs: `csi5300 node`, with `follow` in `capture.room`",
+            robot.name
+        )));
     }
     let initiators = room.scene().initiators();
     let stamp = stamp(room.scene().start_unix_s);

@@ -66,8 +66,13 @@ mod world;
 
 pub use dataset::{WrittenCapture, WrittenLog, stamp, write_dataset};
 pub use faults::{CardFault, Faults, Injected};
-pub use motion::{Recorded, RecordedError};
+pub use motion::Recorded;
 pub use port::{Interface, Odometer, Port, Seen};
 pub use refusal::{SceneError, ScenePlace};
-pub use room::{Backend, CardError, Room, RoomError, SimulatedRobot, Simulation};
+pub use room::{Backend, Room, RoomError, SimulatedRobot, Simulation};
 pub use scene::{BUILT_IN, Scene};
+
+/// An error of a room, in words; nobody tells them apart.
+fn refused(words: impl Into<String>) -> csi5300::source::Error {
+    csi5300::source::Error::Backend(words.into().into())
+}

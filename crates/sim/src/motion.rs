@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Place and heading of a robot, in the scene's frame.
@@ -408,30 +408,6 @@ pub struct Recorded {
     poses: Vec<Pose>,
 }
 
-/// Why a trajectory file is no motion.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RecordedError {
-    /// It cannot be read.
-    #[error("trajectory {}: {source}", file.display())]
-    Csv {
-        /// The file.
-        file: PathBuf,
-        /// Why.
-        source: csv::CsvError,
-    },
-    /// A row is none.
-    #[error("trajectory {}, line {line}: {reason}", file.display())]
-    Row {
-        /// The file.
-        file: PathBuf,
-        /// Its line.
-        line: u64,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
-
 impl Recorded {
     /// A trajectory from rows of (seconds, pose), which are put into the order of time.
     pub(crate) fn from_rows(mut rows: Vec<(f64, Pose)>) -> Self {
@@ -446,11 +422,11 @@ impl Recorded {
     ///
     /// # Errors
     /// Rows that cannot be read are an error here, since a scene must be exact.
-    pub fn load(file: &Path) -> Result<Self, RecordedError> {
-        let (trajectory, counts) =
-            csv::read(file).map_err(|source| RecordedError::Csv { file: file.to_owned(), source })?;
+    pub(crate) fn load(file: &Path) -> Result<Self, String> {
+        let name = file.display();
+        let (trajectory, counts) = csv::read(file).map_err(|source| format!("trajectory {name}: {source}"))?;
         if let Some((line, reason)) = counts.first_bad {
-            return Err(RecordedError::Row { file: file.to_owned(), line, reason: reason.to_string() });
+            return Err(format!("trajectory {name}, line {line}: {reason}"));
         }
         Ok(Self::from_trajectory(&trajectory))
     }
@@ -712,7 +688,7 @@ mod tests {
         let (six, _) = csv::parse("10.0,0,1,2,3,0.5,\n11.0,0,1,2,3,0.5,\n".as_bytes()).unwrap();
         let six = Recorded::from_trajectory(&six);
         assert_eq!(six.at(99.0), Pose { position_m: Vector3::new(1.0, 2.0, 3.0), yaw_rad: 0.5 });
-        assert!(Recorded::load(Path::new("no such file.csv")).unwrap_err().to_string().contains("no such file.csv"));
+        assert!(Recorded::load(Path::new("no such file.csv")).unwrap_err().contains("no such file.csv"));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::motion;
 use super::radio::Radio;
 use super::random::{Purpose, Stream};
 use super::receiver::{Arrival, Ax210, Receiver};
-use super::room::CardError;
+use super::refused;
 use super::scene::{Card, Driver, Odometry, Scene};
 use super::sounder::FrameRole;
 use super::world::World;
@@ -328,7 +328,7 @@ impl Port {
         }
         self.body.resize(repr.body_len(), 0);
         let csi = measured.csi.get(..repr.samples()).unwrap_or(&[]);
-        repr.emit(csi, &mut self.body).map_err(CardError::Body)?;
+        repr.emit(csi, &mut self.body).map_err(|error| refused(format!("cannot write a simulated record: {error}")))?;
         if let Some(card) = &self.faulty {
             self.body.truncate(card.kept(repr.body_len()));
         }
@@ -396,7 +396,8 @@ impl Injector for Port {
 pub(super) fn inject(air: &Mutex<Air>, robot: usize, now: Instant, frame: &[u8], mcs: Option<u8>) -> Result<(), Error> {
     if !(mpdu::HEADER..=MAX_FRAME).contains(&frame.len()) {
         let len = frame.len();
-        return Err(CardError::FrameLength { len, least: mpdu::HEADER, most: MAX_FRAME }.into());
+        let least = mpdu::HEADER;
+        return Err(refused(format!("a frame of {len} bytes was not sent: {least} to {MAX_FRAME} are possible")));
     }
     let mut air = lock(air);
     let now_ns = now.as_us().saturating_mul(1_000);
@@ -433,7 +434,6 @@ pub struct Interface {
 
 /// A frame that passed the interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct Seen<'a> {
     /// The frame, without FCS.
     pub frame: &'a [u8],
@@ -475,11 +475,10 @@ impl Interface {
     /// As [`Injector::inject`], at a modulation and coding scheme of one stream, 0 to 7, other than the scene's.
     ///
     /// # Errors
-    /// [`Error::Backend`] with [`CardError::Mcs`] for another scheme, [`CardError::FrameLength`] for a frame too short or too
-    /// long.
+    /// [`Error::Backend`] for another scheme, and for a frame too short or too long.
     pub fn inject_at(&mut self, now: Instant, frame: &[u8], mcs: u8) -> Result<(), Error> {
         if mcs > 7 {
-            return Err(CardError::Mcs { mcs }.into());
+            return Err(refused(format!("MCS {mcs}: cards in a room send one stream, MCS 0 to 7")));
         }
         inject(&self.air, self.robot, now, frame, Some(mcs))
     }

@@ -5,6 +5,7 @@ use super::faults::Injected;
 use super::motion::{Follower, Pose};
 use super::port::{Interface, Odometer, Port, ceil_us, host_us, lock};
 use super::refusal::{SceneError, check};
+use super::refused;
 use super::scene::{Card, Scene};
 use super::sounder::{FrameRole, Station, sounder};
 use super::world::World;
@@ -16,8 +17,8 @@ use csi5300::source::other_card::Translated;
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
+use driver_iface::Mac;
 use driver_iface::record::Record;
-use driver_iface::{EmitError, Mac};
 use nalgebra::Vector3;
 use std::io::Read;
 use std::sync::{Arc, Mutex};
@@ -130,14 +131,16 @@ impl Room {
     /// robot's odometry gives its place in the room, so poses and records agree.
     ///
     /// # Errors
-    /// [`RoomError::NotFollowed`] when there is no such robot or it has another motion, [`RoomError::FollowsAlready`].
+    /// When there is no such robot, it has another motion, or it follows a source already.
     pub fn follow(&mut self, robot: usize, source: Box<dyn OdometrySource + Send>) -> Result<(), RoomError> {
         let name = || self.scene().robot.get(robot).map_or("?", |robot| robot.name.as_str()).to_owned();
-        let way = self.world.way(robot).ok_or_else(|| RoomError::NotFollowed { robot: name() })?;
+        let way = self.world.way(robot).ok_or_else(|| {
+            refused(format!("robot `{}` follows no poses: its motion in the scene is not `followed`", name()))
+        })?;
         if lock(&self.air).follow(Follower::new(robot, Arc::clone(way), source)) {
             Ok(())
         } else {
-            Err(RoomError::FollowsAlready { robot: name() })
+            Err(refused(format!("robot `{}` follows a source already", name())).into())
         }
     }
 
@@ -198,7 +201,6 @@ const TRUTH_HZ: f64 = 200.0;
 
 /// A room that was run to its end.
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct Simulation {
     /// Its robots, in the scene's order.
     pub robots: Vec<SimulatedRobot>,
@@ -206,7 +208,6 @@ pub struct Simulation {
 
 /// The log of a robot, and its true path.
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct SimulatedRobot {
     /// Its name in the scene.
     pub name: String,
@@ -252,7 +253,7 @@ impl Room {
     /// Runs the room to its end and keeps all logs in memory, each with the records of its robot's own exchanges.
     ///
     /// # Errors
-    /// [`RoomError::CardTaken`] if somebody reads one of the cards already; [`RoomError::Source`] as a card's
+    /// If somebody reads one of the cards already; [`RoomError::Source`] as a card's
     /// [`CsiSource::receive`].
     pub fn run(self) -> Result<Simulation, RoomError> {
         self.run_while(|_| true)
@@ -293,7 +294,7 @@ impl Room {
         let robots = self.scene().robot.len();
         let mut cards: Vec<Port> = (0..robots).filter_map(|robot| self.card(robot)).collect();
         if cards.len() != robots {
-            return Err(RoomError::CardTaken);
+            return Err(refused("a card of this room was taken before; all are needed").into());
         }
         cards.iter_mut().for_each(Port::for_logger);
         let mut now = Instant::ZERO;
@@ -342,13 +343,12 @@ pub(super) fn append(log: &mut Vec<u8>, record: &Record<'_>, is_framed: bool) ->
     let from = log.len();
     log.resize(from + record.emit_len(), 0);
     let place = log.get_mut(from..).unwrap_or_default();
-    let written = record.emit(place).map_err(|error| CardError::Frame(error).into());
+    let written = record.emit(place).map_err(|error| refused(format!("cannot frame a simulated record: {error}")));
     written.map(|_| ())
 }
 
 /// Why a room could not be built or used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum RoomError {
     /// The scene was refused.
     #[error(transparent)]
@@ -356,29 +356,6 @@ pub enum RoomError {
     /// The scene's sounding does not fit.
     #[error(transparent)]
     Sounding(#[from] PlanError),
-    /// A robot cannot follow poses.
-    #[error("robot `{robot}` follows no poses: its motion in the scene is not `followed`")]
-    NotFollowed {
-        /// Its name.
-        robot: String,
-    },
-    /// A robot of a data set follows poses that only a running node has.
-    #[error(
-        "robot `{robot}` goes where an odometry source says while a node runs: `csi5300 node`, with `follow` in `capture.room`"
-    )]
-    Followed {
-        /// Its name.
-        robot: String,
-    },
-    /// A robot follows a source already.
-    #[error("robot `{robot}` follows a source already")]
-    FollowsAlready {
-        /// Its name.
-        robot: String,
-    },
-    /// A card of a room that is to be run as a whole is taken.
-    #[error("a card of this room was taken before; all are needed")]
-    CardTaken,
     /// A run was stopped before the room's end.
     #[error("the run was stopped {at_s:.3} s into the scene")]
     Stopped {
@@ -388,40 +365,6 @@ pub enum RoomError {
     /// A card or an odometry of the room failed, or a file could not be written.
     #[error(transparent)]
     Source(#[from] csi5300::source::Error),
-}
-
-/// Why a card of a room gave no record or took no frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum CardError {
-    /// The body of a simulated record cannot be written.
-    #[error("cannot write a simulated record: {0}")]
-    Body(#[source] EmitError),
-    /// A simulated record fits no frame of a log.
-    #[error("cannot frame a simulated record: {0}")]
-    Frame(#[source] EmitError),
-    /// A frame is longer or shorter than cards send.
-    #[error("a frame of {len} bytes was not sent: {least} to {most} are possible")]
-    FrameLength {
-        /// Its bytes.
-        len: usize,
-        /// Bytes of the shortest, a MAC header.
-        least: usize,
-        /// Bytes of the longest.
-        most: usize,
-    },
-    /// A modulation and coding scheme of more than one stream.
-    #[error("MCS {mcs}: cards in a room send one stream, MCS 0 to 7")]
-    Mcs {
-        /// The scheme.
-        mcs: u8,
-    },
-}
-
-impl From<CardError> for csi5300::source::Error {
-    fn from(error: CardError) -> Self {
-        Self::Backend(Box::new(error))
-    }
 }
 
 impl From<RoomError> for csi5300::source::Error {
@@ -554,6 +497,12 @@ mod tests {
         }
     }
 
+    /// Numbers that are missing from the `bfee_count` of a card's records.
+    fn missing(rows: &[Row]) -> u64 {
+        let mut gaps = csi5300::time::Step16::default();
+        rows.iter().map(|row| u64::from(gaps.missing(row.bfee().bfee_count()))).sum()
+    }
+
     /// Runs a beaconing room to its end: records of robots 0 and 1, overruns reported by them, and the room's account.
     fn run(scene: &Scene) -> ([Vec<Row>; 2], [u64; 2], Vec<Injected>) {
         let mut room = beaconing(scene);
@@ -618,11 +567,9 @@ mod tests {
         assert_eq!((a.delivered, b.delivered), (rx.len() as u64, tx.len() as u64));
         assert!(a.lost > 150 && a.duplicated > 10 && a.driver_dropped > 30, "{a:?}");
         // What a reader can count by itself: gaps in bfee_count, and numbers that come twice.
-        let mut gaps = csi5300::time::Step16::default();
         let before_first = u64::from(rx[0].bfee().bfee_count()) - 1;
         let after_last = a.received - u64::from(rx[rx.len() - 1].bfee().bfee_count());
-        let missing: u64 = rx.iter().map(|row| u64::from(gaps.missing(row.bfee().bfee_count()))).sum();
-        assert_eq!(missing + before_first + after_last, a.driver_dropped);
+        assert_eq!(missing(&rx) + before_first + after_last, a.driver_dropped);
     }
 
     #[test]
@@ -644,9 +591,7 @@ mod tests {
         assert!((4..=5).contains(&a.overruns), "{a:?}");
         assert_eq!(lost[0], a.overrun_records);
         assert!((115..=125).contains(&a.overrun_records), "{a:?}");
-        let mut gaps = csi5300::time::Step16::default();
-        let missing: u64 = rx.iter().map(|row| u64::from(gaps.missing(row.bfee().bfee_count()))).sum();
-        assert_eq!(missing, a.overrun_records, "each lost record is a gap in bfee_count");
+        assert_eq!(missing(&rx), a.overrun_records, "each lost record is a gap in bfee_count");
     }
 
     #[test]
@@ -919,19 +864,6 @@ mod tests {
         });
     }
 
-    /// Reads a card to its end; the number of its records.
-    fn read(card: &mut Port) -> u64 {
-        let (mut records, mut now) = (0, Instant::ZERO);
-        loop {
-            match card.receive(now).unwrap() {
-                Next::Record(..) => records += 1,
-                Next::Pending => now = card.next_at().unwrap(),
-                Next::Lost(_) => {}
-                Next::End(_) => return records,
-            }
-        }
-    }
-
     fn sum(of: Injected) -> u64 {
         let lost = of.driver_dropped + of.overrun_records + of.unmeasured;
         of.delivered + of.unheard + of.under_way + of.overheard + lost
@@ -942,7 +874,7 @@ mod tests {
         let mut room = Room::quiet(scene).unwrap();
         let (mut tx, mut rx) = (room.card(0).unwrap(), room.card(1).unwrap());
         send(&mut tx, 0..1000);
-        let records = read(&mut rx);
+        let records = drain(&mut rx).0.len() as u64;
         let counts = room.injected()[1];
         assert_eq!((records, sum(counts)), (counts.delivered, counts.received), "{counts}");
         counts
@@ -989,7 +921,7 @@ mod tests {
         let counts = room.injected()[1];
         assert_eq!((counts.received, counts.unheard, counts.under_way, counts.delivered), (50, 49, 1, 0));
         send(&mut tx, 50..100);
-        assert_eq!(read(&mut rx), 51);
+        assert_eq!(drain(&mut rx).0.len(), 51);
         rx.take_back();
         let counts = room.injected()[1];
         assert_eq!((counts.delivered, counts.unheard, sum(counts)), (50, 50, 100), "the last one reached nobody");

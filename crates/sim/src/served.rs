@@ -18,7 +18,7 @@
 //! A frame is on air from the moment of its hand-over, by the kernel's stamp of the message; overlapping frames
 //! collide. Several programs may listen to one card; one at a time may use a robot's air.
 
-use crate::{Interface, Odometer, Port, Room};
+use crate::{Interface, Odometer, Port, Room, refused};
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, csv};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
@@ -70,8 +70,8 @@ impl Role {
 /// Connects to a robot of a room; returns the socket, which does not block and stamps messages, and the robot's MAC.
 ///
 /// # Errors
-/// [`JoinError::NoRoom`] where no room is served, [`JoinError::Refused`] with the room's reason, [`JoinError::Answer`] from
-/// something else that listens there.
+/// [`JoinError::NoRoom`] where no room is served, [`JoinError::Refused`] with the room's reason, or from something else that
+/// listens there.
 pub fn join(address: &Address, role: Role) -> Result<(OwnedFd, Mac), JoinError> {
     let no_room = |source: nix::errno::Errno| JoinError::NoRoom { address: address.clone(), source: source.into() };
     let socket = seqpacket(SockFlag::empty()).map_err(no_room)?;
@@ -83,10 +83,10 @@ pub fn join(address: &Address, role: Role) -> Result<(OwnedFd, Mac), JoinError> 
     let mut answer = [0; WORDS];
     let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty()).map_err(no_room)?;
     let answer = String::from_utf8_lossy(answer.get(..len).unwrap_or_default());
-    let strange = || JoinError::Answer { address: address.clone(), len };
+    let strange = || JoinError::Refused(format!("{address}: the answer of {len} bytes is not that of a room"));
     match answer.split_once(' ') {
         Some(("ok", mac)) => Ok((socket, mac.parse().map_err(|_| strange())?)),
-        Some(("no", why)) => Err(JoinError::Refused { address: address.clone(), why: why.into() }),
+        Some(("no", why)) => Err(JoinError::Refused(format!("{address}: {why}"))),
         _ => Err(strange()),
     }
 }
@@ -147,7 +147,6 @@ pub struct AddressError;
 
 /// Why a robot of a room cannot be joined; inside [`csi5300::source::Error::Backend`] where a source is asked for.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum JoinError {
     /// Nothing listens there, or it left.
     #[error("cannot reach {address}: {source}")]
@@ -157,22 +156,9 @@ pub enum JoinError {
         /// The operating system's reason.
         source: io::Error,
     },
-    /// The room has no such robot, or another program has its air.
-    #[error("{address}: {why}")]
-    Refused {
-        /// Who was asked for.
-        address: Address,
-        /// The room's words.
-        why: String,
-    },
-    /// Another protocol.
-    #[error("{address}: the answer of {len} bytes is not that of a room")]
-    Answer {
-        /// Who was asked for.
-        address: Address,
-        /// Length of the answer.
-        len: usize,
-    },
+    /// The room has no such robot, another program has its air, or something else listens there: who was asked for, and why.
+    #[error("{0}")]
+    Refused(String),
 }
 
 impl From<JoinError> for Error {
@@ -183,38 +169,6 @@ impl From<JoinError> for Error {
 
 /// Bytes of a socket's path at most (struct sockaddr_un: 108 with the zero at its end).
 const LONGEST_PATH: usize = 107;
-
-/// Why a room has no socket; inside [`csi5300::source::Error::Backend`].
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum PlaceError {
-    /// Another file is there; it stays.
-    #[error("{} is there and is no socket: give the room's socket another name", path.display())]
-    NoSocket {
-        /// The path.
-        path: PathBuf,
-    },
-    /// Somebody listens there.
-    #[error("another room, or another program, is served at {}: stop it first, or give this one another name", path.display())]
-    Taken {
-        /// The path.
-        path: PathBuf,
-    },
-    /// The name does not fit a socket.
-    #[error("the path {} has {len} bytes; a socket's has 1 to {LONGEST_PATH}", path.display())]
-    Length {
-        /// The path.
-        path: PathBuf,
-        /// Its bytes.
-        len: usize,
-    },
-}
-
-impl From<PlaceError> for Error {
-    fn from(error: PlaceError) -> Self {
-        Self::Backend(Box::new(error))
-    }
-}
 
 /// The path of a socket, which is removed at the end.
 #[derive(Debug)]
@@ -230,17 +184,13 @@ impl Place {
         let io = |source: io::Error| cannot_serve(path, source);
         let len = path.as_os_str().len();
         if !(1..=LONGEST_PATH).contains(&len) {
-            return Err(PlaceError::Length { path: path.to_owned(), len }.into());
+            let name = path.display();
+            return Err(refused(format!("the path {name} has {len} bytes; a socket's has 1 to {LONGEST_PATH}")));
         }
         make_way(path)?;
         let address = UnixAddr::new(path).map_err(|errno| io(errno.into()))?;
         bind(socket.as_raw_fd(), &address).map_err(|errno| io(errno.into()))?;
         Ok(Self { own: identity(path).map_err(io)?, path: path.to_owned() })
-    }
-
-    /// The path.
-    fn path(&self) -> &Path {
-        &self.path
     }
 
     /// Removes the socket if it is still at the path. It must be open, so that its inode is not reused.
@@ -263,9 +213,10 @@ fn identity(path: &Path) -> io::Result<(u64, u64)> {
 
 /// Removes an abandoned socket, but no other file.
 fn make_way(path: &Path) -> Result<(), Error> {
+    let name = path.display();
     let Ok(there) = std::fs::symlink_metadata(path) else { return Ok(()) };
     if !there.file_type().is_socket() {
-        return Err(PlaceError::NoSocket { path: path.to_owned() }.into());
+        return Err(refused(format!("{name} is there and is no socket: give the room's socket another name")));
     }
     let asked = seqpacket(SockFlag::empty()).and_then(|socket| {
         let address = UnixAddr::new(path)?;
@@ -273,7 +224,9 @@ fn make_way(path: &Path) -> Result<(), Error> {
     });
     match asked {
         // Somebody listens, to sockets of this type or of another.
-        Ok(()) | Err(Errno::EPROTOTYPE | Errno::EAGAIN) => Err(PlaceError::Taken { path: path.to_owned() }.into()),
+        Ok(()) | Err(Errno::EPROTOTYPE | Errno::EAGAIN) => Err(refused(format!(
+            "another room, or another program, is served at {name}: stop it first, or give this one another name"
+        ))),
         Err(Errno::ECONNREFUSED) => std::fs::remove_file(path).map_err(|source| cannot_serve(path, source)),
         Err(errno) => Err(cannot_serve(path, errno.into())),
     }
@@ -344,7 +297,6 @@ const SEND_BUFFER: usize = 1 << 18;
 
 /// Everything counted at a served room's socket.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct ServedCounts {
     /// Programs that joined.
     pub joined: u64,
@@ -426,7 +378,7 @@ impl Server {
     /// Opens the socket. One that an earlier room left behind is replaced.
     ///
     /// # Errors
-    /// [`PlaceError`] when what is there is no socket, or one that is in use; when the path cannot be used.
+    /// When what is there is no socket, or one that is in use; when the path cannot be used.
     pub fn bind(path: &Path) -> Result<Self, Error> {
         let io = |errno: Errno| {
             let what = format!("cannot serve a room at {}", path.display());
@@ -516,7 +468,7 @@ impl Server {
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(()),
                 Err(error) if [ErrorKind::Interrupted, ErrorKind::ConnectionAborted].contains(&error.kind()) => {}
                 Err(source) => {
-                    let what = format!("nobody can join the room at {} any more", self.place.path().display());
+                    let what = format!("nobody can join the room at {} any more", self.place.path.display());
                     return Err(Error::Io { what, source });
                 }
             }

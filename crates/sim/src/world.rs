@@ -198,7 +198,7 @@ impl World {
 /// The trajectory of a recorded motion.
 fn recorded(robot: &Robot) -> Result<Option<Recorded>, Problem> {
     let RobotMotion::Recorded(motion) = &robot.motion else { return Ok(None) };
-    Recorded::load(&motion.file).map(Some).map_err(|error| Problem::new(error.to_string()))
+    Recorded::load(&motion.file).map(Some).map_err(Problem::new)
 }
 
 /// The surfaces of a scene; `None` if one has no area.

@@ -30,79 +30,10 @@ impl KeyframeId {
 
 /// A rejected measurement, or the reason why a team cannot be solved.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum TeamError {
-    /// A number that is not finite.
-    #[error("{what} is {value}: it must be finite")]
-    NotFinite {
-        /// Name of the number.
-        what: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// A deviation, range or share that is not above 0.
-    #[error("{what} is {value}: it must be above 0")]
-    NotPositive {
-        /// Name of the number.
-        what: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// A share outside 0 to 1.
-    #[error("{what} is {value}: it must be between 0 and 1")]
-    NotAShare {
-        /// Name of the number.
-        what: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// Two robots with the same name.
-    #[error("two robots have the name {name}")]
-    Twice {
-        /// The name.
-        name: String,
-    },
-    /// An unknown name or number.
-    #[error("the team has no {what} {which}")]
-    Unknown {
-        /// `robot` or `keyframe`.
-        what: &'static str,
-        /// Its name or number.
-        which: String,
-    },
-    /// A keyframe that is not later than the robot's last one.
-    #[error("{robot}: the keyframe at {t_s} s is not later than the last one, at {last_s} s")]
-    NotLater {
-        /// The robot.
-        robot: String,
-        /// Time of the rejected keyframe, seconds.
-        t_s: f64,
-        /// Time of the robot's last keyframe, seconds.
-        last_s: f64,
-    },
-    /// A second keyframe for a robot without a heading.
-    #[error("{robot} has no heading, so it stands still: it can have only one keyframe")]
-    OnePlace {
-        /// The robot.
-        robot: String,
-    },
-    /// A measurement from a robot to itself, or a bearing by a robot without a heading.
-    #[error("{robot} cannot measure this: a link needs two robots, and a bearing needs the heading of the first")]
-    NoLink {
-        /// The robot.
-        robot: String,
-    },
-    /// A link without a candidate, or with an empty one.
-    #[error("the link from {from} to {to} has no candidate, or an empty one: give an azimuth, a range or both")]
-    NoMode {
-        /// The observing robot.
-        from: String,
-        /// The observed robot.
-        to: String,
-    },
-    /// No keyframe.
-    #[error("the team has no keyframe")]
-    Empty,
+    /// A measurement, name or number that is refused, or a team without a keyframe: why.
+    #[error("{0}")]
+    Refused(String),
     /// A robot without a link to the others.
     #[error("{robot} has no link to the rest of the team, and no prior")]
     Unlinked {
@@ -243,13 +174,28 @@ pub struct Team {
 
 type Checked<T = ()> = Result<T, TeamError>;
 
-fn finite(what: &'static str, value: f64) -> Checked {
-    if value.is_finite() { Ok(()) } else { Err(TeamError::NotFinite { what, value }) }
+fn refused(why: impl Into<String>) -> TeamError {
+    TeamError::Refused(why.into())
 }
 
-fn positive(what: &'static str, value: f64) -> Checked {
+/// The team has no keyframe.
+pub(crate) fn empty() -> TeamError {
+    refused("the team has no keyframe")
+}
+
+fn finite(what: &str, value: f64) -> Checked {
+    if value.is_finite() { Ok(()) } else { Err(refused(format!("{what} is {value}: it must be finite"))) }
+}
+
+fn positive(what: &str, value: f64) -> Checked {
     finite(what, value)?;
-    if value > 0.0 { Ok(()) } else { Err(TeamError::NotPositive { what, value }) }
+    if value > 0.0 { Ok(()) } else { Err(refused(format!("{what} is {value}: it must be above 0"))) }
+}
+
+fn no_link(robot: &str) -> TeamError {
+    refused(format!(
+        "{robot} cannot measure this: a link needs two robots, and a bearing needs the heading of the first"
+    ))
 }
 
 impl Team {
@@ -263,7 +209,7 @@ impl Team {
         positive("the deviation of the heading's bias", noise.bias_sd_rad_per_m)?;
         positive("the deviation of the scale", noise.scale_sd)?;
         if self.robots.iter().any(|own| own.name == name) {
-            return Err(TeamError::Twice { name: name.into() });
+            return Err(refused(format!("two robots have the name {name}")));
         }
         self.robots.push(Robot { name: name.into(), has_heading, noise });
         Ok(RobotId(self.robots.len() - 1))
@@ -275,7 +221,7 @@ impl Team {
     /// If the team has no such robot.
     pub fn named(&self, name: &str) -> Checked<RobotId> {
         let found = self.robots.iter().position(|own| own.name == name);
-        found.map(RobotId).ok_or_else(|| TeamError::Unknown { what: "robot", which: name.into() })
+        found.map(RobotId).ok_or_else(|| refused(format!("the team has no robot {name}")))
     }
 
     /// Adds a keyframe: its time, seconds; its pose by the robot's odometry (x, y, yaw); and the distance driven since the
@@ -286,7 +232,7 @@ impl Team {
     /// already has a keyframe.
     pub fn keyframe(&mut self, robot: RobotId, t_s: f64, odometry: [f64; 3], driven_m: f64) -> Checked<KeyframeId> {
         let own = self.robots.get(robot.0);
-        let own = own.ok_or_else(|| TeamError::Unknown { what: "robot", which: robot.0.to_string() })?;
+        let own = own.ok_or_else(|| refused(format!("the team has no robot {}", robot.0)))?;
         finite("the time of a keyframe", t_s)?;
         odometry.into_iter().try_for_each(|value| finite("odometry", value))?;
         finite("the distance driven", driven_m)?;
@@ -294,10 +240,14 @@ impl Team {
         if let Some(last) = self.keyframes.iter().rposition(|keyframe| keyframe.robot == robot.0) {
             let before = self.keyframes[last];
             if !own.has_heading {
-                return Err(TeamError::OnePlace { robot: own.name.clone() });
+                let robot = &own.name;
+                let why = format!("{robot} has no heading, so it stands still: it can have only one keyframe");
+                return Err(refused(why));
             }
             if t_s <= before.t_s {
-                return Err(TeamError::NotLater { robot: own.name.clone(), t_s, last_s: before.t_s });
+                let (robot, last_s) = (&own.name, before.t_s);
+                let why = format!("{robot}: the keyframe at {t_s} s is not later than the last one, at {last_s} s");
+                return Err(refused(why));
             }
             self.steps.push(step(last, id, before.odometry, odometry, driven_m, &own.noise));
         }
@@ -335,7 +285,7 @@ impl Team {
         let own = &self.robots[seeing];
         let is_bearing = modes.iter().any(|mode| mode.azimuth_rad.is_some());
         if seeing == seen || (is_bearing && !own.has_heading) {
-            return Err(TeamError::NoLink { robot: own.name.clone() });
+            return Err(no_link(&own.name));
         }
         for mode in modes {
             if let Some([azimuth_rad, sd_rad]) = mode.azimuth_rad {
@@ -350,11 +300,13 @@ impl Team {
         }
         let is_empty = |mode: &Mode| mode.azimuth_rad.is_none() && mode.range_m.is_none();
         if modes.is_empty() || modes.iter().any(is_empty) {
-            let (from, to) = (own.name.clone(), self.robots[seen].name.clone());
-            return Err(TeamError::NoMode { from, to });
+            let (from, to) = (&own.name, &self.robots[seen].name);
+            return Err(refused(format!(
+                "the link from {from} to {to} has no candidate, or an empty one: give an azimuth, a range or both"
+            )));
         }
         if !(null_share > 0.0 && null_share < 1.0) {
-            return Err(TeamError::NotAShare { what: "the outlier share", value: null_share });
+            return Err(refused(format!("the outlier share is {null_share}: it must be between 0 and 1")));
         }
         self.links.push(Link::new(from.0, to.0, modes, null_share));
         Ok(self.links.len() - 1)
@@ -375,7 +327,7 @@ impl Team {
         for [a, b] in [first, second] {
             let (one, other) = (self.check(a)?, self.check(b)?);
             if one == other {
-                return Err(TeamError::NoLink { robot: self.robots[one].name.clone() });
+                return Err(no_link(&self.robots[one].name));
             }
         }
         finite("a range change", change_m)?;
@@ -388,7 +340,7 @@ impl Team {
     /// The robot of a keyframe that has not been marginalised.
     fn check(&self, id: KeyframeId) -> Checked<usize> {
         let own = self.keyframes.get(id.0).filter(|own| !own.is_past);
-        own.map(|own| own.robot).ok_or_else(|| TeamError::Unknown { what: "keyframe", which: id.0.to_string() })
+        own.map(|own| own.robot).ok_or_else(|| refused(format!("the team has no keyframe {}", id.0)))
     }
 
     /// Variables of a keyframe's pose: x, y and, with a heading, yaw.

@@ -20,47 +20,27 @@ pub struct Range {
     pub sd_m: f64,
 }
 
-/// An error in a file of ranges.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum RangesError {
-    /// An invalid row.
-    #[error("row {row}: {why}")]
-    Row {
-        /// Row number from 1; for CSV and JSON Lines, the line number.
-        row: usize,
-        /// What is wrong with it.
-        why: String,
-    },
-    /// A missing column of a CSV file.
-    #[error("no column {column}: give CSV with the columns time_s,from,to,range_m,sd_m, or JSON with these fields")]
-    Column {
-        /// Its name.
-        column: &'static str,
-    },
-}
-
 const COLUMNS: [&str; 5] = ["time_s", "from", "to", "range_m", "sd_m"];
 
 /// Reads ranges.
 ///
 /// # Errors
-/// [`RangesError`] for the first invalid row, or a missing column.
-pub fn read(text: &str) -> Result<Vec<Range>, RangesError> {
+/// The first invalid row with its number (for CSV and JSON Lines, the line number), or a missing column.
+pub fn read(text: &str) -> Result<Vec<Range>, String> {
     let text = text.trim_start_matches('\u{feff}').trim();
-    let wrong = |row: usize, error: serde_json::Error| RangesError::Row { row, why: error.to_string() };
+    let wrong = |row: usize, error: serde_json::Error| format!("row {row}: {error}");
     let rows: Vec<(usize, Range)> = if text.starts_with('[') {
         let all: Vec<Range> = serde_json::from_str(text).map_err(|error| wrong(error.line(), error))?;
         all.into_iter().enumerate().map(|(k, own)| (k + 1, own)).collect()
     } else if text.starts_with('{') {
         let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-        let row = |(k, line)| Ok((k + 1, serde_json::from_str(line).map_err(|error| wrong(k + 1, error))?));
+        let row = |(k, line)| serde_json::from_str(line).map(|own| (k + 1, own)).map_err(|error| wrong(k + 1, error));
         lines.map(row).collect::<Result<_, _>>()?
     } else {
         csv(text)?
     };
     for (row, own) in &rows {
-        let refuse = |why: String| Err(RangesError::Row { row: *row, why });
+        let refuse = |why: String| Err(format!("row {row}: {why}"));
         if !own.time_s.is_finite() {
             return refuse(format!("time_s is {}: it must be finite", own.time_s));
         }
@@ -76,27 +56,26 @@ pub fn read(text: &str) -> Result<Vec<Range>, RangesError> {
     Ok(rows.into_iter().map(|(_, own)| own).collect())
 }
 
-fn csv(text: &str) -> Result<Vec<(usize, Range)>, RangesError> {
+fn csv(text: &str) -> Result<Vec<(usize, Range)>, String> {
     let cells = |line: &str| line.split(',').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
     let heading = cells(text.lines().next().unwrap_or_default());
-    let column =
-        |column: &'static str| heading.iter().position(|own| own == column).ok_or(RangesError::Column { column });
     let mut at = [0; 5];
-    for (at, name) in at.iter_mut().zip(COLUMNS) {
-        *at = column(name)?;
+    for (at, column) in at.iter_mut().zip(COLUMNS) {
+        *at = heading.iter().position(|own| own == column).ok_or_else(|| {
+            format!(
+                "no column {column}: give CSV with the columns time_s,from,to,range_m,sd_m, or JSON with these fields"
+            )
+        })?;
     }
     let row = |(k, line): (usize, &str)| {
         let (row, cells) = (k + 1, cells(line));
         let cell = |column: usize| {
             let found = at.get(column).and_then(|at| cells.get(*at));
-            found.ok_or_else(|| RangesError::Row {
-                row,
-                why: format!("{} cells, {} expected", cells.len(), heading.len()),
-            })
+            found.ok_or_else(|| format!("row {row}: {} cells, {} expected", cells.len(), heading.len()))
         };
         let number = |column: usize| {
             let text = cell(column)?;
-            text.parse::<f64>().map_err(|_| RangesError::Row { row, why: format!("\"{text}\" is not a number") })
+            text.parse::<f64>().map_err(|_| format!("row {row}: \"{text}\" is not a number"))
         };
         let (from, to) = (cell(1)?.clone(), cell(2)?.clone());
         Ok((row, Range { time_s: number(0)?, from, to, range_m: number(3)?, sd_m: number(4)? }))
@@ -129,7 +108,7 @@ mod tests {
 
     #[test]
     fn an_invalid_row_is_rejected_with_its_number() {
-        let said = |text: &str| read(text).unwrap_err().to_string();
+        let said = |text: &str| read(text).unwrap_err();
         assert!(said("").contains("no column time_s"));
         assert!(said("time_s,from,to,range_m\n").contains("no column sd_m"));
         let with = |row: &str| said(&format!("time_s,from,to,range_m,sd_m\n1,a,b,2,0.1\n{row}\n"));

@@ -1,6 +1,6 @@
 //! Levenberg-Marquardt solver and marginal covariances.
 
-use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError, nearness};
+use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError, empty, nearness};
 use crate::start::{COSTLIER, again, starts};
 use crate::wrap;
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -755,7 +755,7 @@ impl Team {
 
     fn solve_all(&self, before: Option<&Solution>) -> Result<Solution, TeamError> {
         if self.keyframes.is_empty() {
-            return Err(TeamError::Empty);
+            return Err(empty());
         }
         let (mut team, mut gauge) = (std::borrow::Cow::Borrowed(self), None);
         if self.priors.is_empty() && self.carried.is_none() {
@@ -783,7 +783,7 @@ impl Team {
             problem.kick(best);
         }
         let mut rest = settled.into_iter();
-        let Settled { state, outlier_shares, null_shares, .. } = rest.next().ok_or(TeamError::Empty)?;
+        let Settled { state, outlier_shares, null_shares, .. } = rest.next().ok_or_else(empty)?;
         problem.null_shares = null_shares;
         let (state, cost) = problem.descend(state, 1.0, EXACTLY);
         let robot_of = |at: usize| match problem.layout.variables[at] {

@@ -163,7 +163,7 @@ impl Listening {
             };
             let frames = matches!(asked, Records::WsrFrames | Records::CsitoolFrames) || needs.frames;
             let records = driver_iface::stock::Options::default().with_layout(layout).with_frames(frames);
-            let options = stock::Options::default().with_records(records).with_ring(receive_buffer).with_own(needs.own);
+            let options = stock::Options { records, ring: receive_buffer, own: needs.own, ..stock::Options::default() };
             return Stock::open(&options).map(Listener::from).map_err(|error| with_causes(&error));
         }
         if let Some(address) = &self.room {
@@ -171,10 +171,8 @@ impl Listening {
             return Ok(Netlink::over(card, wall_us).into());
         }
         let receive_buffer = receive_buffer.min(i32::MAX as usize / 2);
-        let options = Options::default()
-            .with_connector_index(self.card.connector_index)
-            .with_allow_user_sender(self.allow_user_sender)
-            .with_receive_buffer(receive_buffer);
+        let (connector_index, allow_user_sender) = (self.card.connector_index, self.allow_user_sender);
+        let options = Options { connector_index, allow_user_sender, receive_buffer, ..Options::default() };
         Netlink::open(&options).map(Listener::from).in_words()
     }
 }

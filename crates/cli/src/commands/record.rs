@@ -9,7 +9,6 @@ use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Tot
 use csi5300::source::{CsiSource, Error, Loss, Next, side_path};
 use csi5300::time::{Instant, Span};
 use csi5300_live::feitcsi::{Command, FeitCsi, Frames};
-use csi5300_live::listener::Lost;
 use csi5300_live::status::{Losses, Status};
 use csi5300_live::wait::{Monotonic, wall_us};
 use driver_iface::record::code;
@@ -219,8 +218,8 @@ fn outcome(totals: &Totals, lost: Losses, damaged: bool, files: &LogFiles) -> Ou
     }
 }
 
-fn losses(totals: &Totals, lost: &Lost) -> Losses {
-    Losses { kernel: lost.kernel, driver: lost.driver, disk: totals.dropped + totals.lost_on_disk }
+fn losses(totals: &Totals, lost: &Losses) -> Losses {
+    Losses { disk: totals.dropped + totals.lost_on_disk, ..*lost }
 }
 
 impl<'a> Session<'a> {
@@ -236,7 +235,7 @@ impl<'a> Session<'a> {
     }
 
     /// Reports what was recorded. `told` is what the listener says of itself, and what it lost.
-    fn end(&self, failed: Option<String>, told: &(String, Lost), totals: &Totals, files: &LogFiles) -> Outcome {
+    fn end(&self, failed: Option<String>, told: &(String, Losses), totals: &Totals, files: &LogFiles) -> Outcome {
         self.clear();
         notes!("{}", summary(&self.status, &told.0, totals, &files.paths()));
         if let Some(message) = failed {
@@ -250,7 +249,7 @@ impl<'a> Session<'a> {
     }
 
     /// Receives until a signal, a limit, or an error; what was received is in the recorder either way.
-    fn capture<S: CsiSource>(&mut self, source: &mut S, tell: impl Fn(&S) -> (Totals, Lost)) -> Words<()> {
+    fn capture<S: CsiSource>(&mut self, source: &mut S, tell: impl Fn(&S) -> (Totals, Losses)) -> Words<()> {
         let most = self.args.most_records();
         let end_at = match self.args.stop_after {
             Some(Limit::After(span)) => Some(self.clock.now() + span),
@@ -430,7 +429,7 @@ fn run_feitcsi(args: &Args, from: &Way, signals: Signals) -> Result {
     note!("{words}; recording to {}", args.out.display());
     let recorder = Recorder::new(frames, files, args.options()).in_words()?;
     let mut source = FeitCsi::new(recorder);
-    let failed = session.capture(&mut source, |source| (source.frames().totals(), Lost::default())).err();
+    let failed = session.capture(&mut source, |source| (source.frames().totals(), Losses::default())).err();
     let (_, files, totals) = source.into_frames().finish(session.clock.now()).in_words()?;
-    Ok(session.end(failed, &(String::new(), Lost::default()), &totals, &files))
+    Ok(session.end(failed, &(String::new(), Losses::default()), &totals, &files))
 }

@@ -8,6 +8,7 @@ use super::{InWords, Outcome, Result, Words, fixed, hint, is_end_of_room, print,
 use csi5300::exchange::tdma::{Config, Dialect, Epoch, Event, Phy, Plan, PlanError, Request, TdmaCounts};
 use csi5300::internal::{Proof, Prover};
 use csi5300::motion::odometry::csv;
+use csi5300::pipeline::live::LiveEstimator;
 use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::recorder::{LogFiles, Rotation};
@@ -17,8 +18,8 @@ use csi5300::time::{Instant, Span};
 use csi5300_live::doctor::Machine;
 use csi5300_live::monitor::{AirCounts, Monitor, Options};
 use csi5300_live::sounding::{
-    Beside, DriverMessages, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Products, Rate,
-    Running, Session, Settings, Setup, measurement, rate_n_flags, read_key, set_rate, spread_of,
+    Beside, DriverMessages, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Rate, Running,
+    Session, Settings, Setup, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -110,7 +111,7 @@ type Made = Words<Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>>;
 /// Makes bearings from products, beside the sounding.
 struct Bearings<'a> {
     args: &'a Args,
-    products: Products,
+    products: LiveEstimator,
     path: &'a Path,
     beside: Beside<Made>,
     clock: Monotonic,
@@ -127,7 +128,7 @@ struct Live<'a> {
 impl Observer for Live<'_> {
     fn record(&mut self, next: &Next<'_>, _running: &Running) {
         if let Some(bearings) = &mut self.bearings {
-            bearings.products.note(next);
+            bearings.products.handle_own(next);
         }
     }
 
@@ -138,9 +139,9 @@ impl Observer for Live<'_> {
         else {
             return;
         };
-        bearings.products.confirmed(*peer, *number, bearings.clock.now());
+        bearings.products.handle_confirmed(*peer, *number, bearings.clock.now());
         if let Some(measurement) = measurement {
-            bearings.products.answered(*peer, measurement);
+            bearings.products.handle_measurement(*peer, measurement);
         }
     }
 
@@ -158,11 +159,12 @@ impl Observer for Live<'_> {
 impl Bearings<'_> {
     /// Starts to estimate bearings from the products so far.
     fn begin(&mut self, now: Instant) {
-        if self.products.unused().no_number > 0 && !self.told {
+        if self.products.own_log().unused.no_number > 0 && !self.told {
             self.told = true;
             note!("{NO_NUMBERS}");
         }
-        let contested = self.products.contested();
+        // Of all peers: numbers with two records, of which neither is used.
+        let contested = self.products.peers().map(|(_, counts)| counts.refused.contested).sum();
         if contested > self.contested {
             self.contested = contested;
             note!("{contested} numbers have two records: somebody answers in a peer's name; none of them is used");
@@ -243,7 +245,8 @@ pub fn run(args: &Args) -> Result {
         (Some(path), Some(channel)) => {
             let estimation = Estimation { heading_sd: args.heading_sd, ..Estimation::with_antenna(args.antenna) };
             let options = estimation.options(channel)?;
-            let products = Products::new(&common.peers, options).with_key(opened.key.as_ref());
+            let mut products = products(&common.peers, options);
+            opened.key.iter().for_each(|key| products.require_key(key));
             let beside = Beside::new(now, args.bearing_every);
             Some(Bearings { args, products, path, beside, clock, told: false, contested: 0 })
         }
@@ -509,9 +512,8 @@ impl Sounding {
         observer: &mut dyn Observer,
     ) -> Words<(Outcome, ExchangeRow)> {
         let fifo_priority = Settings::default().fifo_priority.filter(|_| !self.no_fifo);
-        let session = Session::new(clock, signals.as_fd())
-            .with_settings(Settings { fifo_priority, ..Settings::default() })
-            .with_stop_at(self.stop_after.map(|span| clock.now() + span));
+        let settings = Settings { fifo_priority, stop_at: self.stop_after.map(|span| clock.now() + span) };
+        let session = Session { clock, stop: signals.as_fd(), settings };
         let finished = session.run(opened, messages, observer).in_words()?;
         let error = finished.error.as_ref().filter(|_| !self.room_ended(&finished)).map(ToString::to_string);
         Ok((self.conclude(&finished), ExchangeRow::new(&self.peers, &finished, error)))

@@ -13,7 +13,6 @@ use csi5300_sim::served::{Address, Role, join};
 use csi5300_sim::{Room, Scene};
 use driver_iface::Mac;
 use driver_iface::bfee::{Bfee, offset};
-use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::Frame;
 use driver_iface::sounding::native::{self, Repr};
 use nix::sys::signal::{Signal, kill};
@@ -428,7 +427,7 @@ fn poses_that_cannot_be_written_stop_no_room() {
     // The room is there for the others: what one robot sends, the other's card records.
     let of = |robot: &str| Address { socket: socket.clone(), robot: robot.into() };
     let (air, mac) = join(&of("tx"), Role::Air).unwrap();
-    let mut air = Monitor::over(air, mac, &Options::new("room", 200).with_wall_us(|| None)).unwrap();
+    let mut air = Monitor::over(air, mac, &Options { wall_us: || None, ..Options::new("room", 200) }).unwrap();
     let (card, _) = join(&of("rx"), Role::Card).unwrap();
     let mut frame = vec![0x08, 0, 0xff, 0xff];
     frame.extend([0x00, 0x16, 0xea, 0x12, 0x34, 0x56].repeat(2));
@@ -480,7 +479,7 @@ impl Served {
     fn stranger(&self) -> Monitor {
         let address = Address { socket: self.folder.0.join("room"), robot: "stranger".into() };
         let (air, mac) = join(&address, Role::Air).unwrap();
-        Monitor::over(air, mac, &Options::new("stranger", native::MAX_LEN).with_rate(1, Bandwidth::Ht20)).unwrap()
+        Monitor::over(air, mac, &Options { mcs: 1, ..Options::new("stranger", native::MAX_LEN) }).unwrap()
     }
 }
 

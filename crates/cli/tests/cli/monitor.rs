@@ -44,7 +44,7 @@ fn apart<T>(_: T, name: &str, mtu: usize) -> Option<File> {
 
 /// Without a clock no frame is old, however late a busy machine reads it.
 fn options(interface: &str) -> Options {
-    Options::new(interface, native::MAX_LEN).with_rate(1, Bandwidth::Ht20).with_wall_us(|| None)
+    Options { mcs: 1, wall_us: || None, ..Options::new(interface, native::MAX_LEN) }
 }
 
 /// Nothing here takes that long; a robot that has died is not waited for.
@@ -90,7 +90,7 @@ fn hear(monitor: &mut Monitor) -> Option<Vec<u8>> {
 fn frames_go_out_byte_for_byte_behind_their_radiotap_header() {
     let Some(mut tun) = apart(frames_go_out_byte_for_byte_behind_their_radiotap_header, "mon0", 2_304) else { return };
     for (mcs, bandwidth, width) in [(1, Bandwidth::Ht20, 0), (7, Bandwidth::Ht40, 1)] {
-        let mut monitor = Monitor::open(&options("mon0").with_rate(mcs, bandwidth)).unwrap();
+        let mut monitor = Monitor::open(&Options { mcs, bandwidth, ..options("mon0") }).unwrap();
         for len in [57, 59, 61, 120] {
             let frame = frame(7, len);
             monitor.inject(Instant::ZERO, &frame).unwrap();
@@ -143,7 +143,7 @@ fn frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted() {
     };
     // A host that comes to its frames an hour after they were stamped.
     let later = || wall_us().map(|us| us + 3_600_000_000);
-    let mut monitor = Monitor::open(&options("mon0").with_wall_us(later)).unwrap();
+    let mut monitor = Monitor::open(&Options { wall_us: later, ..options("mon0") }).unwrap();
     (1..=3).for_each(|number| receive(&mut tun, &behind(&Repr::default(), &frame(number, 57))));
     assert_eq!(hear(&mut monitor), None);
     assert_eq!((monitor.counters().stale, monitor.counters().heard), (3, 0));
@@ -205,7 +205,7 @@ fn refusals_say_what_to_do() {
     let Some(_tun) = tun("mon0", 100) else { return };
     let said = refused(&options("mon0"));
     assert!(said.contains("100 bytes at most") && said.contains("mtu 2304"), "{said}");
-    assert!(Monitor::open(&Options::new("mon0", 57).with_rate(1, Bandwidth::Ht20)).is_ok());
+    assert!(Monitor::open(&Options { mcs: 1, ..Options::new("mon0", 57) }).is_ok());
     set_up("mon0", false).unwrap();
     let said = refused(&options("mon0"));
     assert!(said.contains("mon0 is down") && said.contains("ip link set mon0 up"), "{said}");

@@ -168,7 +168,7 @@ impl Served {
 
 fn options(mcs: u8) -> monitor::Options {
     let bandwidth = Bandwidth::Ht20;
-    monitor::Options::new("room", 200).with_rate(mcs, bandwidth).with_wall_us(|| None)
+    monitor::Options { mcs, bandwidth, wall_us: || None, ..monitor::Options::new("room", 200) }
 }
 
 fn hear(monitor: &mut Monitor) -> Option<Vec<u8>> {

@@ -13,7 +13,6 @@ const NEVER_ANSWER: u32 = 1_000_000;
 
 /// Drivers that make the CSI records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Driver {
     /// csitool.
     Stock,
@@ -106,16 +105,16 @@ impl Step {
     pub fn take(&self, system: &dyn System) -> Result<(), SetupError> {
         let outcome = match &self.action {
             Action::Write { path, text } => match find_rate_file(system, path) {
-                Some(path) => system.write(&path, text).map_err(|source| SetupError::Write { path, source }),
-                None => Err(SetupError::NoRateFile { pattern: path.clone() }),
+                Some(path) => system.write(&path, text).map_err(|error| format!("writing {path}: {error}")),
+                None => Err(format!("{path} is not there: is debugfs mounted, and the driver a CSI driver?")),
             },
             Action::Run(words) => match system.run(&words.iter().map(String::as_str).collect::<Vec<_>>()) {
                 Some(ran) if ran.ok => Ok(()),
-                Some(ran) => Err(SetupError::Command { command: words.join(" "), output: ran.text.trim().to_owned() }),
-                None => Err(SetupError::NotInstalled { program: words.first().cloned().unwrap_or_default() }),
+                Some(ran) => Err(format!("{}: {}", words.join(" "), ran.text.trim())),
+                None => Err(format!("{} is not installed", words.first().map_or("", String::as_str))),
             },
         };
-        if self.may_fail { Ok(()) } else { outcome }
+        if self.may_fail { Ok(()) } else { outcome.map_err(SetupError::Failed) }
     }
 }
 
@@ -394,36 +393,10 @@ fn warnings_of(system: &dyn System, driver: Option<Driver>) -> Vec<String> {
 
 /// Why a step of the set-up cannot be planned or taken.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum SetupError {
-    /// A file could not be written.
-    #[error("writing {path}: {source}")]
-    Write {
-        /// The file.
-        path: String,
-        /// The operating system's answer.
-        source: std::io::Error,
-    },
-    /// The driver has no file for the rate of injected frames.
-    #[error("{pattern} is not there: is debugfs mounted, and the driver a CSI driver?")]
-    NoRateFile {
-        /// Its expected path.
-        pattern: String,
-    },
-    /// A program failed.
-    #[error("{command}: {output}")]
-    Command {
-        /// The program and its arguments.
-        command: String,
-        /// What it printed.
-        output: String,
-    },
-    /// A program is not installed.
-    #[error("{program} is not installed")]
-    NotInstalled {
-        /// Its name.
-        program: String,
-    },
+    /// A step failed: what, and how.
+    #[error("{0}")]
+    Failed(String),
     /// The driver cannot report CSI.
     #[error("iwlwifi has no connector_log: it is not a CSI driver")]
     NoCsiDriver,
@@ -443,42 +416,27 @@ pub enum SetupError {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Role, plan, undo, warnings};
+    use super::super::tests::{Stage, place};
     use super::*;
-    use crate::doctor::Tree;
-    use std::path::PathBuf;
 
-    struct Stage(PathBuf);
+    /// A machine with the module `csi5300` beside the distribution's driver.
+    fn stage(name: &str) -> Stage {
+        let stage = Stage::empty(&format!("module-{name}"));
+        stage.put("run/modinfo -F license csi5300", "GPL\n");
+        stage.put("run/modinfo -p iwlwifi", "swcrypto:software crypto (int)\n");
+        stage
+    }
 
-    impl Stage {
-        fn new(name: &str) -> Self {
-            let root = std::env::temp_dir().join(format!("csi5300-module-{}-{name}", std::process::id()));
-            let _ = std::fs::remove_dir_all(&root);
-            let stage = Self(root);
-            stage.put("run/modinfo -F license csi5300", "GPL\n");
-            stage.put("run/modinfo -p iwlwifi", "swcrypto:software crypto (int)\n");
-            stage
-        }
-
-        fn put(&self, path: &str, text: &str) {
-            let path = self.0.join(path);
-            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-            std::fs::write(path, text).unwrap();
-        }
-
-        fn tree(&self) -> Tree {
-            Tree::new(self.0.clone())
-        }
-
-        fn lines(&self, ack_len: Option<u32>) -> Vec<String> {
-            plan(&self.tree(), &request(ack_len)).unwrap().iter().map(Step::line).collect()
+    /// csitool's firmware under the name that it is published under, and as the one that the driver loads.
+    fn put_firmware(stage: &Stage, is_linked: bool) {
+        stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
+        if is_linked {
+            std::os::unix::fs::symlink(PUBLISHED, stage.root.join("lib/firmware/iwlwifi-5000-2.ucode")).unwrap();
         }
     }
 
-    impl Drop for Stage {
-        fn drop(&mut self) {
-            let _ = std::fs::remove_dir_all(&self.0);
-        }
+    fn lines(stage: &Stage, ack_len: Option<u32>) -> Vec<String> {
+        plan(&stage.tree(), &request(ack_len)).unwrap().iter().map(Step::line).collect()
     }
 
     fn request(ack_len: Option<u32>) -> Request {
@@ -488,15 +446,13 @@ mod tests {
 
     #[test]
     fn a_fresh_system_gets_firmware_module_and_rate() {
-        let stage = Stage::new("fresh");
+        let stage = stage("fresh");
         stage.put("lib/firmware/iwlwifi-5000-2.ucode", "the distribution's");
         stage.put("lib/firmware/iwlwifi-5000-5.ucode.zst", "newer");
         stage.put("lib/firmware/iwlwifi-5150-2.ucode", "another card's");
-        stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
-        let lines = stage.lines(None);
-        let at = |words: &str| {
-            lines.iter().position(|line| line.contains(words)).unwrap_or_else(|| panic!("{words}: {lines:?}"))
-        };
+        put_firmware(&stage, false);
+        let lines = lines(&stage, None);
+        let at = |words: &str| place(&lines, words);
         let (newer, own) =
             (at("mv /lib/firmware/iwlwifi-5000-5.ucode.zst"), at("mv /lib/firmware/iwlwifi-5000-2.ucode "));
         let link = at("ln -s iwlwifi-5000-2.ucode.sigcomm2010 /lib/firmware/iwlwifi-5000-2.ucode");
@@ -510,23 +466,20 @@ mod tests {
 
     #[test]
     fn a_correct_set_up_is_kept_and_can_be_undone() {
-        let stage = Stage::new("running");
+        let stage = stage("running");
         stage.put("lib/firmware/iwlwifi-5000-5.ucode.csi5300-aside", "newer");
-        stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
-        std::os::unix::fs::symlink(PUBLISHED, stage.0.join("lib/firmware/iwlwifi-5000-2.ucode")).unwrap();
+        put_firmware(&stage, true);
         for (name, value) in
             [("layout", "wsr"), ("connector_log", "1"), ("ack_len", "59"), ("answer_on", "wlp1s0,(null)")]
         {
             stage.put(&format!("sys/module/csi5300/parameters/{name}"), value);
         }
-        assert!(!stage.lines(Some(59)).iter().any(|line| line.contains("modprobe") || line.contains("firmware")));
-        let other = stage.lines(Some(57));
+        assert!(!lines(&stage, Some(59)).iter().any(|line| line.contains("modprobe") || line.contains("firmware")));
+        let other = lines(&stage, Some(57));
         let wanted = "sudo modprobe csi5300 layout=wsr connector_log=1 ack_len=57 answer_on=wlp1s0";
         assert!(other.iter().any(|line| line == wanted), "{other:?}");
         let undone: Vec<_> = undo(&stage.tree(), "wlp1s0").iter().map(Step::line).collect();
-        let at = |words: &str| {
-            undone.iter().position(|line| line.contains(words)).unwrap_or_else(|| panic!("{words}: {undone:?}"))
-        };
+        let at = |words: &str| place(&undone, words);
         assert!(at("modprobe -r csi5300") < at("rm /lib/firmware/iwlwifi-5000-2.ucode"));
         assert!(
             at("rm ") < at("mv /lib/firmware/iwlwifi-5000-5.ucode.csi5300-aside /lib/firmware/iwlwifi-5000-5.ucode")
@@ -536,9 +489,8 @@ mod tests {
 
     #[test]
     fn another_build_than_the_one_on_disk_is_reloaded() {
-        let stage = Stage::new("build");
-        stage.put(&format!("lib/firmware/{PUBLISHED}"), &"x".repeat(FIRMWARE_BYTES as usize));
-        std::os::unix::fs::symlink(PUBLISHED, stage.0.join("lib/firmware/iwlwifi-5000-2.ucode")).unwrap();
+        let stage = stage("build");
+        put_firmware(&stage, true);
         for (name, value) in [("layout", "stock"), ("connector_log", "5"), ("ack_len", "0")] {
             stage.put(&format!("sys/module/csi5300/parameters/{name}"), value);
         }
@@ -562,9 +514,9 @@ mod tests {
 
     #[test]
     fn problems_without_a_step_are_reported() {
-        let stage = Stage::new("warned");
+        let stage = stage("warned");
         stage.put("sys/firmware/efi/efivars/SecureBoot-8be4df61-93ca-11d2-aa0d-00e098032b8c", "\u{6}\0\0\0\u{1}");
-        std::fs::remove_file(stage.0.join("run/modinfo -F license csi5300")).unwrap();
+        stage.remove("run/modinfo -F license csi5300");
         let request = Request { driver: Some(Driver::Module), ..request(None) };
         let said = warnings(&stage.tree(), &request);
         assert_eq!(said.len(), 3, "{said:?}");

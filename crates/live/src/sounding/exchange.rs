@@ -33,7 +33,8 @@ pub struct Exchange<A> {
     watch: Watch,
     /// Number and hand-over of the last forward frame.
     last_forward: Option<(u32, Instant)>,
-    stop_at: Option<Instant>,
+    /// The optional end: from then on nothing is received or sent.
+    pub stop_at: Option<Instant>,
 }
 
 /// The frame being handled: when its reception ended, and its length with FCS.
@@ -44,13 +45,6 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     #[must_use]
     pub fn new(tdma: Tdma, air: A) -> Self {
         Self { tdma, air, figures: Figures::default(), watch: Watch::default(), last_forward: None, stop_at: None }
-    }
-
-    /// The optional end: from then on nothing is received or sent.
-    #[must_use]
-    pub fn with_stop_at(mut self, stop_at: Option<Instant>) -> Self {
-        self.stop_at = stop_at;
-        self
     }
 
     /// True from the time at which it ends.
@@ -501,7 +495,8 @@ mod tests {
     fn an_exchange_ends_at_its_time_whatever_is_due_or_heard() {
         let end = Instant::from_us(3_000_000);
         let mut script = Script::default();
-        let mut exchange = Exchange::new(initiator(), &mut script).with_stop_at(Some(end));
+        let mut exchange = Exchange::new(initiator(), &mut script);
+        exchange.stop_at = Some(end);
         // At its end it sleeps for ever.
         run(&mut exchange, 0, i64::MAX);
         assert!(

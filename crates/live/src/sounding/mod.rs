@@ -7,7 +7,7 @@
 //!   deadlines; estimates cannot delay a slot.
 //! * [`Session`] is a complete run with the driver's messages; an [`Observer`] gets records and news, and [`Finished`]
 //!   has the result.
-//! * [`Products`] takes the card's records and the measurements in the answers, for live bearings computed [`Beside`]
+//! * [`products()`] takes the card's records and the measurements in the answers, for live bearings computed [`Beside`]
 //!   the session.
 //! * [`set_rate`] sets the rate of the CSI driver, which ignores radiotap's.
 
@@ -17,12 +17,13 @@ mod sessions;
 mod thread;
 
 pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, spread_of};
-pub use products::{Beside, Products, measurement};
+pub use products::{Beside, measurement, products};
 pub use thread::{Granted, NotGranted, Order, Running, Settings};
 
 use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
 use crate::listener::Listener;
 use crate::monitor::{self, AirCounts, Monitor};
+use crate::refused;
 use crate::wait::{Monotonic, wall_us};
 use csi5300::exchange::tdma::{Config, Key, Phy, Request, Tdma, TdmaCounts};
 use csi5300::source::recorder::{self, LogFiles, Recorder, Totals};
@@ -55,10 +56,13 @@ pub trait Observer {
 /// The end of a session, and its system settings.
 #[derive(Clone, Copy, Debug)]
 pub struct Session<'a> {
-    clock: Monotonic,
-    stop: BorrowedFd<'a>,
-    stop_at: Option<Instant>,
-    settings: Settings,
+    /// Its clock.
+    pub clock: Monotonic,
+    /// It ends when this is readable: a signal's file descriptor, the reading end of a pipe.
+    pub stop: BorrowedFd<'a>,
+    /// Settings of the sender's thread. At [`Settings::stop_at`] that thread ends by itself, however long an [`Observer`]
+    /// takes, and its end is the session's.
+    pub settings: Settings,
 }
 
 /// The result of a session.
@@ -77,26 +81,6 @@ pub struct Finished {
 }
 
 impl<'a> Session<'a> {
-    /// A session on `clock` that ends when `stop` is readable: a signal's file descriptor, the reading end of a pipe.
-    #[must_use]
-    pub fn new(clock: Monotonic, stop: BorrowedFd<'a>) -> Self {
-        Self { clock, stop, stop_at: None, settings: Settings::default() }
-    }
-
-    /// It also ends at this optional time; the sending thread does so by itself, however long an [`Observer`] takes.
-    #[must_use]
-    pub fn with_stop_at(mut self, stop_at: Option<Instant>) -> Self {
-        self.stop_at = stop_at;
-        self
-    }
-
-    /// The system settings of the sender's thread; its end is the session's.
-    #[must_use]
-    pub fn with_settings(mut self, settings: Settings) -> Self {
-        self.settings = settings;
-        self
-    }
-
     /// Sounds until it is stopped, the time is up, or the interface or the listener fails.
     ///
     /// # Errors
@@ -108,8 +92,7 @@ impl<'a> Session<'a> {
         observer: &mut dyn Observer,
     ) -> Result<Finished, Error> {
         let connector = messages.fd()?;
-        let settings = Settings { stop_at: self.stop_at, ..self.settings };
-        let running = Running::start_opened(opened, self.clock, settings)?;
+        let running = Running::start_opened(opened, self.clock, self.settings)?;
         let failed = loop {
             if let Err(error) = take(&mut messages, self.clock.now(), &running, observer) {
                 break Some(error);
@@ -119,10 +102,10 @@ impl<'a> Session<'a> {
             }
             let now = self.clock.now();
             observer.look(now, &running);
-            if running.has_ended() || self.stop_at.is_some_and(|end| end <= now) {
+            if running.has_ended() || self.settings.stop_at.is_some_and(|end| end <= now) {
                 break None;
             }
-            let until = [messages.next_at(), self.stop_at, Some(now + LOOK)].into_iter().flatten().min();
+            let until = [messages.next_at(), self.settings.stop_at, Some(now + LOOK)].into_iter().flatten().min();
             // Without a listener this waits for the stop twice.
             let first = connector.as_ref().map_or(self.stop, |fd| fd.as_fd());
             if self.clock.wait([first, self.stop], until)?[1] {
@@ -269,7 +252,8 @@ impl DriverMessages {
     fn finish(self, now: Instant) -> Result<Option<LogTotals>, Error> {
         let Kind::Recorded(recorder) = self.0 else { return Ok(None) };
         let (listener, _, recorded) = recorder.finish(now)?;
-        Ok(Some(LogTotals { recorded, dropped_before: listener.lost().total() }))
+        let lost = listener.lost();
+        Ok(Some(LogTotals { recorded, dropped_before: lost.kernel + lost.driver }))
     }
 }
 
@@ -331,7 +315,8 @@ impl Setup {
     pub fn options(&self) -> monitor::Options {
         let (forward, backward) = self.request.dialect.longest(usize::from(self.request.links));
         let phy = self.request.phy;
-        monitor::Options::new(self.interface.clone(), forward.max(backward)).with_rate(phy.mcs, phy.bandwidth)
+        let options = monitor::Options::new(self.interface.clone(), forward.max(backward));
+        monitor::Options { mcs: phy.mcs, bandwidth: phy.bandwidth, ..options }
     }
 
     /// Opens the interface and makes the machine; `settle` may change its configuration.
@@ -347,13 +332,15 @@ impl Setup {
     /// # Errors
     /// If it has no MAC, or the plan does not fit.
     pub fn open_on(&self, monitor: Monitor, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
-        let nameless = || SoundingError::NoMac { interface: self.interface.clone() };
+        let nameless = || refused(format!("{} has no MAC of its own: name the one to use", self.interface));
         let own = self.mac.or(monitor.mac()).ok_or_else(nameless)?;
         let (session, warning) = sessions::begin(own, wall_us());
         let mut config = self.config(own, session);
         let stranger = self.key.as_ref().and_then(|key| self.peers.iter().find(|peer| !key.has_pair(own, **peer)));
         if let Some(peer) = stranger {
-            return Err(SoundingError::NoKeyWith { own, peer: *peer }.into());
+            return Err(refused(format!(
+                "the key file has no key of {own} with {peer}: make another with `csi5300 key robot`, all peers named"
+            )));
         }
         let heard = if self.key.is_some() { PeerSessions::open(own) } else { PeerSessions::default() };
         config.heard = heard.peers();
@@ -462,35 +449,6 @@ pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
     }
 }
 
-/// Errors of an exchange. Within [`csi5300::source::Error`] they are a backend's.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum SoundingError {
-    /// The interface has no MAC, and none was given.
-    #[error("{interface} has no MAC of its own: name the one to use")]
-    NoMac {
-        /// The interface.
-        interface: String,
-    },
-    /// A robot's key file has no key with a peer.
-    #[error("the key file has no key of {own} with {peer}: make another with `csi5300 key robot`, all peers named")]
-    NoKeyWith {
-        /// This robot.
-        own: Mac,
-        /// The peer.
-        peer: Mac,
-    },
-    /// The thread that sends has panicked.
-    #[error("the thread that sends has panicked")]
-    Panicked,
-}
-
-impl From<SoundingError> for csi5300::source::Error {
-    fn from(error: SoundingError) -> Self {
-        Self::Backend(Box::new(error))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -577,9 +535,8 @@ mod tests {
         let (stop, end) = std::io::pipe().unwrap();
         let end = Some(end).filter(|_| !stopped);
         let mut kept = Kept::default();
-        let session = Session::new(Monotonic::new(), stop.as_fd())
-            .with_settings(Settings { fifo_priority: None, ..Settings::default() })
-            .with_stop_at(stop_at);
+        let settings = Settings { fifo_priority: None, stop_at };
+        let session = Session { clock: Monotonic::new(), stop: stop.as_fd(), settings };
         let finished = session.run(opened, DriverMessages::none(), &mut kept).unwrap();
         drop(end);
         (kept, finished)

@@ -1,11 +1,11 @@
 //! The sending thread: its priority, its waits, and its queues.
 
+use super::Opened;
 use super::exchange::{Exchange, News};
 use super::sessions::PeerSessions;
-use super::{Opened, SoundingError};
 use crate::monitor::Monitor;
-use crate::sys;
 use crate::wait::Monotonic;
+use crate::{refused, sys};
 use csi5300::exchange::tdma::{Priority, Tdma};
 use csi5300::source::Error;
 use csi5300::time::Instant;
@@ -104,7 +104,8 @@ impl Running {
         let (stopped, stop) = std::io::pipe().map_err(io)?;
         let (orders, news) = (Mailbox::new(), Mailbox::new());
         let (ordered, told) = (orders.clone(), Outbox::new(&news));
-        let exchange = Exchange::new(tdma, monitor).with_stop_at(settings.stop_at);
+        let mut exchange = Exchange::new(tdma, monitor);
+        exchange.stop_at = settings.stop_at;
         let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
         let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(io)?;
         Ok(Self { thread, stop, orders, news, heard: Mutex::default() })
@@ -149,7 +150,7 @@ impl Running {
     #[allow(clippy::type_complexity)]
     pub fn stop(self) -> Result<(Exchange<Monitor>, Vec<News>, u64, Option<Error>), Error> {
         drop(self.stop);
-        let ended = self.thread.join().map_err(|_| SoundingError::Panicked)?;
+        let ended = self.thread.join().map_err(|_| refused("the thread that sends has panicked"))?;
         let left = std::iter::from_fn(|| self.news.take()).collect::<Vec<_>>();
         let (held, lost) = ended.news.finish();
         let left: Vec<News> = left.into_iter().chain(held).collect();

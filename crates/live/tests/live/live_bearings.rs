@@ -6,7 +6,7 @@ use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::survey::Survey;
 use csi5300::source::{Next, Stamps};
-use csi5300_live::sounding::{Products, measurement};
+use csi5300_live::sounding::{measurement, products};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::record::{Record, code};
@@ -43,7 +43,7 @@ fn products_from_answers_give_the_bearing() {
     let made = link(600, truth_rad);
     let (trajectory, _) = csv::parse(made.trajectory.as_bytes()).unwrap();
     let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    let mut products = Products::new(&[Mac([9; 6]), TRANSMITTER], options);
+    let mut products = products(&[Mac([9; 6]), TRANSMITTER], options);
     let mut responder = Survey::default();
     // The responder's card reports a frame some exchanges later than it answers it.
     let mut under_way = VecDeque::new();
@@ -54,9 +54,9 @@ fn products_from_answers_give_the_bearing() {
         let lost = k % 11 == 3;
         under_way.extend(measurement(&bfee, &identity, Antenna::A).filter(|_| !lost));
         assert_eq!(measurement(&bfee, &identity, Antenna::A).unwrap().number, k as u32 + 1);
-        products.note(&record(&rx[3..]));
+        products.handle_own(&record(&rx[3..]));
         if under_way.len() > 3 {
-            products.answered(TRANSMITTER, &carried(under_way.pop_front().unwrap()));
+            products.handle_measurement(TRANSMITTER, &carried(under_way.pop_front().unwrap()));
         }
     }
     let made = products.links().bearings(&trajectory);
@@ -70,6 +70,6 @@ fn products_from_answers_give_the_bearing() {
     // What another antenna measured does not belong to these products.
     let mut other = under_way.pop_front().unwrap();
     other.rx_antenna = 2;
-    products.answered(TRANSMITTER, &other);
+    products.handle_measurement(TRANSMITTER, &other);
     assert_eq!(products.other_antenna(), 1);
 }

@@ -11,11 +11,11 @@ use crate::team::{Member, Ranged, Ranges, TeamState};
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::source::Error;
 use csi5300_bag::messages::{
-    Colour, Covariance, DiagnosticArray, Duration, Header, Marker, MarkerArray, ParameterValue, Pose,
-    PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, SelfTestRequest, Text, TfMessage, Transform,
-    TransformStamped, Vector3,
+    Covariance, DiagnosticArray, Header, Marker, MarkerArray, ParameterValue, Pose, PoseWithCovariance,
+    PoseWithCovarianceStamped, Quaternion, SelfTestRequest, Text, TfMessage, Transform, TransformStamped, Vector3,
 };
 use csi5300_ros2::link::{Publisher, usual};
+use csi5300_ros2::said::Pen;
 use csi5300_ros2::{Node, Qos, Records, colour};
 use driver_iface::record::Record;
 use std::f64::consts::PI;
@@ -30,8 +30,6 @@ const LARGEST_M: f64 = 10.0;
 const FLAT_M: f64 = 0.02;
 /// Other places of a robot that are drawn.
 const OTHERS: usize = 3;
-/// Lifetime of a marker, seconds.
-const LIFETIME_S: i32 = 5;
 /// Colour of this robot.
 const OWN: [f32; 3] = [0.5, 0.5, 0.5];
 
@@ -55,8 +53,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
     if !config.uses_ros2() {
         return Ok(None);
     }
-    let node = Node::start(&config.ros2.clone().unwrap_or_default(), &config.robot(), start.wall_us);
-    let node = node.map_err(|error| Error::Backend(Box::new(error)))?;
+    let node = Node::start(&config.ros2.clone().unwrap_or_default(), &config.robot(), start.wall_us)?;
     let _ = start.topics.set(node.link().relay());
     Ok(Some(Box::new(Ros2 {
         node,
@@ -250,18 +247,11 @@ fn markers_of(header: &Header, team: &TeamState, peers: &[String]) -> MarkerArra
     let mut markers = Vec::new();
     for (number, own) in team.robots.iter().enumerate() {
         let peer = peers.iter().position(|name| *name == own.name).filter(|_| number > 0);
-        let [r, g, b] = peer.map_or(OWN, colour);
+        let pen = Pen { header, name: &format!("team/{}", own.name), colour: peer.map_or(OWN, colour) };
         let ([long, short], direction) = ellipse(own.covariance);
         let marker = |id: usize, kind: i32, alpha: f32, [x, y]: [f64; 2]| Marker {
-            header: header.clone(),
-            ns: format!("team/{}", own.name),
-            id: i32::try_from(id).unwrap_or(i32::MAX),
-            r#type: kind,
             pose: Pose { position: [x, y, 0.0].into(), orientation: turned(direction) },
-            scale: Vector3 { x: 2.0 * long, y: 2.0 * short, z: FLAT_M },
-            color: Colour { r, g, b, a: alpha },
-            lifetime: Duration { sec: LIFETIME_S, nanosec: 0 },
-            ..Marker::default()
+            ..pen.marker(i32::try_from(id).unwrap_or(i32::MAX), kind, alpha, [2.0 * long, 2.0 * short, FLAT_M])
         };
         markers.push(marker(0, Marker::CYLINDER, 0.5, own.position_m));
         let mut name = marker(1, Marker::TEXT, 1.0, own.position_m);

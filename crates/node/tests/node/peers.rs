@@ -1,13 +1,12 @@
 //! Robots in processes of their own that exchange records through zenoh: each replays its own log.
 
-use csi5300::pipeline::{LinkReport, Options, Transmitter, bearings};
-use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::replay::Replay;
+use crate::robots::{Offline, offline};
+use crate::{Running, folder};
 use csi5300_sim::{Room, Scene, write_dataset};
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 /// Times real time at which logs are played.
 const SPEEDS: [f64; 3] = [8.0, 2.0, 0.5];
@@ -23,13 +22,6 @@ fn in_time(speeds: &[f64], run: impl Fn(f64) -> Result<(), String>) {
         }
     }
     panic!("{late:?}");
-}
-
-fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&path);
-    std::fs::create_dir_all(&path).unwrap();
-    path
 }
 
 /// A capture of `robots` robots: the first drives a circle. Gives the logs and MACs in the robots' order, and the path.
@@ -67,7 +59,7 @@ fn free_port() -> u16 {
     std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-struct Node(Child);
+struct Node(Running);
 
 impl Node {
     fn start(folder: &Path, name: &str, text: &str) -> Self {
@@ -80,20 +72,20 @@ impl Node {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::inherit());
-        Self(command.spawn().unwrap())
+        Self(Running(command.spawn().unwrap()))
     }
 
     /// How it ended, after a signal if it goes on by itself: in order, if perhaps with losses.
     fn end(mut self) {
-        let running = i32::try_from(self.0.id()).unwrap();
+        let running = i32::try_from(self.0.0.id()).unwrap();
         let _ = nix::sys::signal::kill(nix::unistd::Pid::from_raw(running), nix::sys::signal::Signal::SIGTERM);
-        let status = self.0.wait().unwrap();
+        let status = self.0.0.wait().unwrap();
         assert!(matches!(status.code(), Some(0 | 3)), "{status}");
     }
 
     /// Every report until it ends.
     fn reports(&mut self) -> impl Iterator<Item = serde_json::Value> + use<> {
-        let lines = BufReader::new(self.0.stdout.take().unwrap()).lines();
+        let lines = BufReader::new(self.0.0.stdout.take().unwrap()).lines();
         lines.map(|line| serde_json::from_str(&line.unwrap()).unwrap())
     }
 
@@ -102,13 +94,6 @@ impl Node {
         let mut reports = self.reports();
         let first = reports.next();
         first.into_iter().chain(reports)
-    }
-}
-
-impl Drop for Node {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 
@@ -276,7 +261,7 @@ fn four_processes_of_which_one_is_killed_and_started_again() {
         // Once the others have bearings one of them dies, and comes back from the beginning of its log.
         let first = reports.find(|report| report["link"] == "r3" && report["azimuth_deg"].is_f64());
         let first = first.ok_or("no bearing of r3")?;
-        others[1].0.kill().unwrap();
+        others[1].0.0.kill().unwrap();
         // What was under way is in by the second report from here.
         let had = reports.by_ref().filter(|report| report["link"] == "r2").nth(1).ok_or("r2 died too late")?;
         others[1] = Node::start(&folder, "r2", &publishers[1]);
@@ -298,32 +283,6 @@ fn four_processes_of_which_one_is_killed_and_started_again() {
 /// Times its own pace at which a real capture is played.
 const REAL_SPEEDS: [f64; 3] = [16.0, 4.0, 1.0];
 
-/// What is made of a real capture at once: the receiver's MAC, and for each log its MAC, bearing and pairs.
-fn offline(rx: &Path, trajectory: &Path, txs: &[PathBuf]) -> (String, Vec<(String, f64, u64)>) {
-    let open = |log: &Path| Replay::open(log).unwrap();
-    let (path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
-    let mut logs: Vec<_> = txs.iter().map(|tx| open(tx)).collect();
-    let transmitters = logs.iter_mut().map(|log| Transmitter { log, trajectory: None }).collect();
-    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    let report = bearings(&mut open(rx), transmitters, &path, &options).unwrap();
-    // The receiver is the sender of most frames in a transmitter's log.
-    let mut log = open(&txs[0]);
-    let mut survey = csi5300::source::survey::Survey::default();
-    loop {
-        let next = csi5300::source::CsiSource::receive(&mut log, csi5300::time::Instant::ZERO).unwrap();
-        survey.note(&next);
-        if matches!(next, csi5300::source::Next::End(_)) {
-            break;
-        }
-    }
-    let own = survey.senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
-    let answer = |link: &LinkReport| {
-        let bearing = link.bearing.as_ref().unwrap();
-        (link.mac.unwrap().to_string(), bearing.answer.azimuth_rad.to_degrees(), bearing.pairs.formed as u64)
-    };
-    (own.to_string(), report.links.iter().map(answer).collect())
-}
-
 #[test]
 fn real_captures_through_two_nodes_give_what_is_made_offline() {
     let Some(captures) = crate::common::captures() else { return };
@@ -333,18 +292,7 @@ fn real_captures_through_two_nodes_give_what_is_made_offline() {
         if !capture.is_dir() {
             continue;
         }
-        let files: Vec<PathBuf> = std::fs::read_dir(&capture).unwrap().map(|entry| entry.unwrap().path()).collect();
-        let named = |begin: &str| {
-            let mut found: Vec<PathBuf> = files
-                .iter()
-                .filter(|file| file.file_name().unwrap().to_str().unwrap().starts_with(begin))
-                .cloned()
-                .collect();
-            found.sort();
-            found
-        };
-        let (rx, trajectory, txs) = (&named("csi_rx_")[0], &named("rx_trajectory_")[0], named("csi_tx"));
-        let (own, links) = offline(rx, trajectory, &txs);
+        let Offline { rx, trajectory, txs, own, links } = offline(&capture, None);
         // One link at a time: two nodes.
         for (tx, (mac, azimuth, pairs)) in txs.iter().zip(&links) {
             let folder = folder(&format!("peers-real-{compared}"));

@@ -1,5 +1,6 @@
 //! The program as its users meet it.
 
+use crate::{Running, folder};
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
@@ -10,16 +11,9 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use std::fs::File;
 use std::io::{Read, Write};
-use std::os::unix::net::UnixListener;
-use std::path::{Path, PathBuf};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
-
-pub fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&path);
-    std::fs::create_dir_all(&path).unwrap();
-    path
-}
 
 fn program(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
@@ -169,16 +163,6 @@ fn a_node_of_ros_2_prints_its_discovery_range_at_the_start() {
     assert!(matches!(status, 0 | 3) && err.starts_with(first), "{status} {err}");
 }
 
-/// A process that is ended with the test.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[test]
 fn the_state_is_served_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     let folder = folder("node-socket");
@@ -251,14 +235,49 @@ fn survey(log: &Path) -> Survey {
     }
 }
 
-/// A terminal whose ends no program inherits: one that holds its own terminal's other end never sees that it ended.
-fn terminal() -> OpenptyResult {
-    let size = Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 };
-    let ends = openpty(&size, None).unwrap();
-    for end in [&ends.master, &ends.slave] {
-        fcntl(end, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)).unwrap();
+/// `csi5300-node watch` on a terminal whose ends no program inherits: one that holds its own terminal's other end never sees that
+/// it ended.
+struct Watching {
+    child: Child,
+    terminal: OpenptyResult,
+    screen: File,
+    shown: String,
+    /// The connection of the node that it watches.
+    _state: UnixStream,
+}
+
+impl Watching {
+    /// Starts `command` on the socket of a node named burger-7, and waits until it shows that name.
+    fn start(mut command: Command, socket: &Path) -> Self {
+        let node = UnixListener::bind(socket).unwrap();
+        let size = Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 };
+        let terminal = openpty(&size, None).unwrap();
+        for end in [&terminal.master, &terminal.slave] {
+            fcntl(end, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)).unwrap();
+        }
+        let side = || Stdio::from(terminal.slave.try_clone().unwrap());
+        command.arg("watch").arg(socket).stdin(side()).stdout(side()).stderr(side()).env("TERM", "xterm");
+        let child = command.spawn().unwrap();
+        let mut state = node.accept().unwrap().0;
+        state.write_all(b"{\"name\": \"burger-7\"}\n").unwrap();
+        let screen = File::from(terminal.master.try_clone().unwrap());
+        let mut own = Self { child, terminal, screen, shown: String::new(), _state: state };
+        own.read_until(|shown| shown.contains("burger-7"));
+        own
     }
-    ends
+
+    fn read_until(&mut self, is_there: impl Fn(&str) -> bool) {
+        let mut bytes = [0; 4096];
+        while !is_there(&self.shown) {
+            let count = self.screen.read(&mut bytes).unwrap();
+            self.shown += &String::from_utf8_lossy(&bytes[..count]);
+        }
+    }
+
+    fn echoes(&self) -> bool {
+        let flags = nix::sys::termios::tcgetattr(&self.terminal.slave).unwrap().local_flags;
+        flags.contains(nix::sys::termios::LocalFlags::ECHO | nix::sys::termios::LocalFlags::ICANON)
+    }
 }
 
 fn send(child: &Child, signal: Signal) {
@@ -269,41 +288,16 @@ fn send(child: &Child, signal: Signal) {
 fn a_signal_gives_the_terminal_back_as_it_was() {
     let folder = folder("watch-signals");
     for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP, Signal::SIGQUIT] {
-        let Some(mut command) = crate::common::with_usual_signals(env!("CARGO_BIN_EXE_csi5300-node")) else { return };
-        let socket = folder.join(format!("{signal}.sock"));
-        let node = UnixListener::bind(&socket).unwrap();
-        let terminal = terminal();
-        let side = || Stdio::from(terminal.slave.try_clone().unwrap());
-        let mut child = command
-            .arg("watch")
-            .arg(&socket)
-            .stdin(side())
-            .stdout(side())
-            .stderr(side())
-            .env("TERM", "xterm")
-            .spawn()
-            .unwrap();
-        let mut state = node.accept().unwrap().0;
-        state.write_all(b"{\"name\": \"burger-7\"}\n").unwrap();
-        let echoes = || {
-            let flags = nix::sys::termios::tcgetattr(&terminal.slave).unwrap().local_flags;
-            flags.contains(nix::sys::termios::LocalFlags::ECHO | nix::sys::termios::LocalFlags::ICANON)
-        };
-        let mut screen = File::from(terminal.master.try_clone().unwrap());
-        let (mut shown, mut bytes) = (String::new(), [0; 4096]);
-        while !shown.contains("burger-7") {
-            let count = screen.read(&mut bytes).unwrap();
-            shown += &String::from_utf8_lossy(&bytes[..count]);
-        }
-        assert!(shown.contains("\x1b[?1049h") && !echoes(), "{signal}: it is on a screen of its own");
-        send(&child, signal);
-        assert_eq!(child.wait().unwrap().code(), Some(0), "{signal}");
-        assert!(echoes(), "{signal}");
-        nix::unistd::write(&terminal.slave, b"end").unwrap();
-        while !shown.ends_with("end") {
-            let count = screen.read(&mut bytes).unwrap();
-            shown += &String::from_utf8_lossy(&bytes[..count]);
-        }
+        let Some(command) = crate::common::with_usual_signals(env!("CARGO_BIN_EXE_csi5300-node")) else { return };
+        let mut watching = Watching::start(command, &folder.join(format!("{signal}.sock")));
+        let is_on_its_own_screen = watching.shown.contains("\x1b[?1049h") && !watching.echoes();
+        assert!(is_on_its_own_screen, "{signal}: {}", watching.shown);
+        send(&watching.child, signal);
+        assert_eq!(watching.child.wait().unwrap().code(), Some(0), "{signal}");
+        assert!(watching.echoes(), "{signal}");
+        nix::unistd::write(&watching.terminal.slave, b"end").unwrap();
+        watching.read_until(|shown| shown.ends_with("end"));
+        let shown = watching.shown;
         assert!(shown.contains("\x1b[?1049l"), "{signal}: {shown:?}");
         assert!(shown.rfind("\x1b[?25h") > shown.rfind("\x1b[?25l"), "{signal}: {shown:?}");
     }
@@ -337,24 +331,11 @@ fn a_closed_terminal_ends_the_display() {
             command = Command::new("setsid");
             command.arg("--ctty").arg(usual.get_program()).args(usual.get_args());
         }
-        let socket = folder.join(format!("{is_own}.sock"));
-        let node = UnixListener::bind(&socket).unwrap();
-        let terminal = terminal();
-        let side = || Stdio::from(terminal.slave.try_clone().unwrap());
-        command.arg("watch").arg(&socket).stdin(side()).stdout(side()).stderr(side()).env("TERM", "xterm");
-        let mut child = command.spawn().unwrap();
-        drop(command);
-        let mut state = node.accept().unwrap().0;
-        state.write_all(b"{\"name\": \"burger-7\"}\n").unwrap();
-        let mut screen = File::from(terminal.master);
-        let (mut shown, mut bytes) = (String::new(), [0; 4096]);
-        while !shown.contains("burger-7") {
-            let count = screen.read(&mut bytes).unwrap();
-            shown += &String::from_utf8_lossy(&bytes[..count]);
-        }
+        let watching = Watching::start(command, &folder.join(format!("{is_own}.sock")));
+        let Watching { mut child, terminal, mut screen, _state, .. } = watching;
         // Part of an arrow key, after which crossterm would wait for the rest.
         screen.write_all(b"\x1b[").unwrap();
-        drop((screen, terminal.slave));
+        drop((screen, terminal));
         assert_eq!(child.wait().unwrap().code(), Some(0), "its own: {is_own}");
     }
 }

@@ -1,6 +1,7 @@
 //! A robot as one value, in virtual time: bearings while it drives, in a simulated room and from replayed captures, with AX210s and with
 //! two antennas.
 
+use crate::folder;
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{CsiSource, Error, Next};
@@ -16,19 +17,20 @@ use driver_iface::record::{Record, card_clock_ps, code};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// A folder of its own for one test.
-pub(crate) fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&path);
-    std::fs::create_dir_all(&path).unwrap();
-    path
+/// What a configuration names, opened.
+fn sources(config: &Config) -> Sources {
+    Sources::open(config, Instant::ZERO, || None, &mut []).unwrap()
+}
+
+/// A robot of these sources, whose own card is changed by `card`, ready to run in virtual time.
+fn machine_of(config: &Config, sources: Sources, card: impl FnOnce(Card) -> Card) -> Machine {
+    let plain = |own| Ok(Capture::Plain(card(own)));
+    Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
 }
 
 /// A robot that was configured, ready to run in virtual time.
 pub(crate) fn machine(config: &Config) -> Machine {
-    let sources = Sources::open(config, Instant::ZERO, || None, &mut []).unwrap();
-    let plain = |card| Ok(Capture::Plain(card));
-    Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
+    machine_of(config, sources(config), |card| card)
 }
 
 /// Runs until the records end or `until`: every report with its time, and the last ones.
@@ -189,13 +191,11 @@ impl CsiSource for Vanishes {
 fn the_bearing_of_a_peer_that_vanished_grows_old() {
     let folder = folder("ring-vanish");
     let config = config(&folder, &scene(2, false), 2, false);
-    let mut sources = Sources::open(&config, Instant::ZERO, || None, &mut []).unwrap();
+    let mut sources = sources(&config);
     let records = sources.peers[0].records.take().unwrap();
     sources.peers[0].records = Some(Box::new(Vanishes(records, Instant::from_us(12_000_000))));
-    let plain = |card| Ok(Capture::Plain(card));
-    let machine = Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap();
     // This robot drives on until 21.5 s.
-    let (reports, _) = run(machine, Instant::from_us(20_000_000));
+    let (reports, _) = run(machine_of(&config, sources, |card| card), Instant::from_us(20_000_000));
     assert!(reports.iter().any(|(at, _, report)| at.as_s() < 12.0 && report.state == PeerState::Bearing));
     let late: Vec<_> = reports.iter().filter(|(at, ..)| at.as_s() > 13.0).collect();
     assert!(late.len() > 10);
@@ -416,18 +416,30 @@ fn a_rolling_camera_gives_the_offline_bearings() {
     assert!(compared >= 3, "{compared} links");
 }
 
-/// Compares what a node says of a replayed capture with what `csi5300 bearing` does, link by link; of the tracking camera's
-/// poses where `camera` says how it is mounted.
-fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
-    use csi5300::pipeline::{Transmitter, bearings};
+/// A real capture, and what is made of it at once, as `csi5300 bearing` does.
+pub(crate) struct Offline {
+    pub rx: PathBuf,
+    pub trajectory: PathBuf,
+    pub txs: Vec<PathBuf>,
+    /// The receiver's MAC.
+    pub own: String,
+    /// Of each log of a transmitter: its MAC, its bearing in degrees, and pairs.
+    pub links: Vec<(String, f64, u64)>,
+}
+
+/// The bearings of a capture; of the tracking camera's poses where `camera` says how it is mounted.
+pub(crate) fn offline(capture: &Path, camera: Option<CameraMount>) -> Offline {
+    use csi5300::pipeline::{LinkReport, Transmitter, bearings};
     use csi5300::source::replay::Replay;
-    let files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();
-    let is = |file: &PathBuf, begin: &str| file.file_name().unwrap().to_str().unwrap().starts_with(begin);
-    let named = |begin: &str| files.iter().find(|file| is(file, begin)).unwrap();
+    let mut files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    let named = |begin: &str| -> Vec<PathBuf> {
+        let is = |file: &&PathBuf| file.file_name().unwrap().to_str().unwrap().starts_with(begin);
+        files.iter().filter(is).cloned().collect()
+    };
     let poses = if camera.is_some() { "t265_rx_trajectory_" } else { "rx_trajectory_" };
-    let (rx, trajectory) = (named("csi_rx_"), named(poses));
-    let txs: Vec<&PathBuf> = files.iter().filter(|file| is(file, "csi_tx")).collect();
-    let (mut path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
+    let (rx, trajectory, txs) = (named("csi_rx_").remove(0), named(poses).remove(0), named("csi_tx"));
+    let (mut path, _) = csi5300::motion::odometry::csv::read(&trajectory).unwrap();
     if let Some(camera) = camera {
         path = path.rolling(&camera.mount()).unwrap().with_antenna_offset([0.05, 0.16, 0.0].into()).unwrap();
     }
@@ -435,10 +447,20 @@ fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
     let transmitters =
         logs.iter_mut().map(|log| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: None }).collect();
     let options = csi5300::pipeline::Options::new("108".parse().unwrap());
-    let offline = bearings(&mut Replay::open(rx).unwrap(), transmitters, &path, &options).unwrap();
+    let report = bearings(&mut Replay::open(&rx).unwrap(), transmitters, &path, &options).unwrap();
     // The receiver's own MAC is the sender of most frames in a transmitter's log.
-    let senders = &offline.transmitters[0].survey.senders;
-    let own = senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
+    let senders = &report.transmitters[0].survey.senders;
+    let own = senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0.to_string();
+    let answer = |link: &LinkReport| {
+        let bearing = link.bearing.as_ref().unwrap();
+        (link.mac.unwrap().to_string(), bearing.answer.azimuth_rad.to_degrees(), bearing.pairs.formed as u64)
+    };
+    Offline { rx, trajectory, txs, own, links: report.links.iter().map(answer).collect() }
+}
+
+/// Compares what a node says of a replayed capture with what is made of it at once, link by link.
+fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
+    let Offline { rx, trajectory, txs, own, links } = offline(capture, camera);
     let mounting = camera.map(|CameraMount { forward_m, left_m, yaw_deg }| {
         format!(
             "antenna_offset_m = [0.05, 0.16, 0.0]\n\
@@ -453,16 +475,14 @@ fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
         rx.display(),
         trajectory.display()
     );
-    for (tx, link) in txs.iter().zip(&offline.links) {
-        let mac = link.mac.unwrap();
+    for (tx, (mac, ..)) in txs.iter().zip(&links) {
         let _ = write!(text, "[[peer]]\nname = \"{mac}\"\nmac = \"{mac}\"\nrecords.replay.file = '{}'\n", tx.display());
     }
     let config = Config::read(&text, Path::new("")).unwrap_or_else(|error| panic!("{error}\n{text}"));
     let (_, last) = run(machine(&config), Instant::from_us(i64::MAX));
-    for (link, report) in offline.links.iter().zip(&last) {
-        let expected = link.bearing.as_ref().unwrap();
-        let off = off_deg(report, expected.answer.azimuth_rad.to_degrees());
-        println!("{}: {off:.4} deg, {} and {} pairs", report.answer.link, report.answer.pairs, expected.pairs.formed);
+    for ((_, azimuth_deg, pairs), report) in links.iter().zip(&last) {
+        let off = off_deg(report, *azimuth_deg);
+        println!("{}: {off:.4} deg, {} and {pairs} pairs", report.answer.link, report.answer.pairs);
         assert!(off <= 0.01, "{off} {report:?}");
     }
     last.len()
@@ -550,12 +570,10 @@ fn two_ax210s_give_the_true_bearing_despite_losses_and_a_restart() {
     // From the centre of the circle, 25 cm to the left of the start.
     let truth_deg = (-4.25_f64).atan2(7.0).to_degrees();
     for (lost, restart_at, least) in [(0, u64::MAX, 1_300), (300, u64::MAX, 600), (300, 350, 350)] {
-        let mut sources = Sources::open(&config, Instant::ZERO, || None, &mut []).unwrap();
+        let mut sources = sources(&config);
         let peer = sources.peers[0].records.take().unwrap();
         sources.peers[0].records = Some(Box::new(Worse::new(peer, lost, restart_at, 77)));
-        let plain = |card| Ok(Capture::Plain(Box::new(Worse::new(card, lost, u64::MAX, 99)) as Card));
-        let machine =
-            Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap();
+        let machine = machine_of(&config, sources, |card| Box::new(Worse::new(card, lost, u64::MAX, 99)));
         let (reports, last) = run(machine, Instant::from_us(25_000_000));
         let (off, report) = (off_deg(&last[0], truth_deg), &last[0]);
         println!("{lost} lost of 1,000, restart at {restart_at}: {off:.3} deg off, {} pairs", report.answer.pairs);

@@ -1,6 +1,7 @@
 //! A robot and its peers as one graph, in simulated rooms and virtual time.
 
-use crate::robots::{folder, machine};
+use crate::folder;
+use crate::robots::machine;
 use csi5300::motion::pose::Pose;
 use csi5300::time::{Instant, Span};
 use csi5300_node::config::Config;

@@ -534,7 +534,7 @@ fn listen(args: &Args, desk: &Desk) -> Found {
 /// The interface that the first robot sends through.
 fn sender(desk: &Desk) -> Words<(Monitor, Mac)> {
     let options = Options::new(desk.interface.clone().unwrap_or_default(), Sending::frame_len());
-    air(desk, &options.with_rate(PHY.mcs, PHY.bandwidth))
+    air(desk, &Options { mcs: PHY.mcs, bandwidth: PHY.bandwidth, ..options })
 }
 
 impl Run<'_> {

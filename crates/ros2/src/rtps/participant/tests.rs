@@ -40,6 +40,14 @@ impl Net {
         Self { all, now: Instant::ZERO, events, lose: |_| false, sent: 0, places: (1..=count).collect() }
     }
 
+    /// Two, of which the first writes a topic that the second reads.
+    fn of_topic(written: Qos, read: Qos) -> Self {
+        let mut net = Self::new(2);
+        net.all[0].add_writer("rt/a", "T", written, WALL_US);
+        net.all[1].add_reader("rt/a", "T", read, WALL_US);
+        net
+    }
+
     /// Runs this many milliseconds, in steps of ten.
     fn run(&mut self, ms: i64) {
         for _ in 0..ms / 10 {
@@ -70,11 +78,9 @@ impl Net {
 
 #[test]
 fn samples_arrive_in_order_with_a_quarter_of_datagrams_lost() {
-    let mut net = Net::new(2);
+    let mut net = Net::of_topic(Qos::reliable(300), Qos::reliable(10));
     // A quarter, in a pattern that no exchange can follow.
     net.lose = |k| (k as u32).wrapping_mul(2_654_435_761) >> 16 & 3 == 0;
-    net.all[0].add_writer("rt/a", "T", Qos::reliable(300), WALL_US);
-    net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
     net.run(3_000);
     assert_eq!((net.all[0].writer_state(0).matched, net.all[1].reader_state(0).matched), (1, 1));
     (0..200).for_each(|k| {
@@ -141,9 +147,7 @@ fn an_answer_waits_for_the_clients_reader_and_arrives_once() {
 
 #[test]
 fn a_slow_reader_learns_of_lost_samples_and_continues() {
-    let mut net = Net::new(2);
-    net.all[0].add_writer("rt/a", "T", Qos::reliable(4), WALL_US);
-    net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
+    let mut net = Net::of_topic(Qos::reliable(4), Qos::reliable(10));
     net.run(2_000);
     net.write(0, 0, 0);
     net.run(500);
@@ -244,9 +248,7 @@ fn a_new_address_is_used_at_once_and_loses_nothing_reliable() {
 
 #[test]
 fn damaged_datagrams_and_fake_participants_are_counted_and_bounded() {
-    let mut net = Net::new(2);
-    net.all[0].add_writer("rt/a", "T", Qos::reliable(5), WALL_US);
-    net.all[1].add_reader("rt/a", "T", Qos::reliable(5), WALL_US);
+    let mut net = Net::of_topic(Qos::reliable(5), Qos::reliable(5));
     net.run(1_000);
     net.write(0, 0, 1);
     let mut seed = 7_u32;
@@ -275,9 +277,7 @@ fn damaged_datagrams_and_fake_participants_are_counted_and_bounded() {
 
 #[test]
 fn a_fragmented_sample_is_assembled() {
-    let mut net = Net::new(2);
-    net.all[0].add_writer("rt/a", "T", Qos::reliable(5), WALL_US);
-    net.all[1].add_reader("rt/a", "T", Qos::best_effort(5), WALL_US);
+    let mut net = Net::of_topic(Qos::reliable(5), Qos::best_effort(5));
     net.run(1_000);
     let sample: Vec<u8> = (0..50).collect();
     let fragment = |first: u32, bytes: &[u8]| {
@@ -401,9 +401,7 @@ fn a_silent_stranger_is_sent_little_and_nobody_else_anything() {
 
 #[test]
 fn a_reader_that_was_silent_for_a_while_gets_what_it_missed() {
-    let mut net = Net::new(2);
-    net.all[0].add_writer("rt/a", "T", Qos::latched(10), WALL_US);
-    net.all[1].add_reader("rt/a", "T", Qos::latched(10), WALL_US);
+    let mut net = Net::of_topic(Qos::latched(10), Qos::latched(10));
     net.run(1_000);
     net.lose = |_| true;
     net.write(0, 0, 5);
