@@ -45,7 +45,7 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     let damaged = folder.write("damaged.csi", &log);
     let damaged = damaged.to_str().unwrap();
     let (out, _) = folder.says(&of(damaged, &tx, &path), 3, &["598 bfee records"]);
-    assert!(out.contains("114."));
+    assert!(out.contains("114."), "{out}");
     // Frames of 80 and 160 MHz are taken about their centres.
     for (width, number, centre) in [("80", "106", "5530MHz"), ("160", "114", "5570MHz")] {
         let wide = PAIR.replace("card =", &format!("bandwidth_mhz = {width}\nchannel = {number}\ncard ="));

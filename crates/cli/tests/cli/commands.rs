@@ -279,7 +279,7 @@ fn bad_logs_get_a_clear_word_and_no_bearing() {
     }
     // Of a folder the logs are read, and the other files are named.
     let (out, _) = folder.says(&["info", "."], 3, &["text.dat is another kind of file"]);
-    assert!(out.contains("rx.dat"));
+    assert!(out.contains("rx.dat"), "{out}");
     folder.says(&of(".", "tx.dat", "t.csv"), 1, &["directory"]);
 }
 
@@ -1029,13 +1029,13 @@ fn logs_of_frames_only_and_of_zeros_say_why_they_are_of_no_use() {
     let records = |keep: u8| all.iter().filter(|record| record[2] == keep).cloned().collect::<Vec<_>>();
     folder.write("only_c1.dat", &records(0xC1).concat());
     let (out, _) = folder.says(&["info", "only_c1.dat"], 1, &[]);
-    assert!(out.contains("only copies of frames (0xC1)") && out.contains("HT frames"));
+    assert!(out.contains("only copies of frames (0xC1)") && out.contains("HT frames"), "{out}");
     let mut silent = records(0xBB);
     // Behind length, code and the 20 bytes of the head.
     silent.iter_mut().for_each(|record| record[23..].fill(0));
     folder.write("csi0.dat", &silent.concat());
     let (out, _) = folder.says(&["info", "csi0.dat"], 1, &[]);
-    assert!(out.contains("60 records have CSI of only zeros"));
+    assert!(out.contains("60 records have CSI of only zeros"), "{out}");
     assert_eq!(folder.rows(&["info", "csi0.dat", "--json"], 1)[0]["silent"], 60);
 }
 

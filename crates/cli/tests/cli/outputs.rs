@@ -513,7 +513,7 @@ fn pictures_and_maps_of_captures_are_replaced_by_the_next_run() {
     capture(&folder, "tree/A/good", &link(600, 2.0));
     for _ in 0..2 {
         let (out, _) = folder.says(&["evaluate", "tree", "--plot", "p"], 0, &[]);
-        assert!(out.contains("A/good/1/tx2"));
+        assert!(out.contains("A/good/1/tx2"), "{out}");
         for name in ["errors", "refusals", "reliability", "map-A_good_1"] {
             let picture = folder.0.join(format!("p/{name}.svg"));
             assert!(std::fs::read(&picture).unwrap().len() > 100, "{name}");
@@ -602,7 +602,7 @@ fn pictures_that_cannot_be_drawn_are_said_and_links_are_judged_all_the_same() {
     folder.write("file", b"");
     capture(&folder, "tree/A/short", &link(5, 2.0));
     let (out, _) = folder.says(&["evaluate", "tree", "--plot", "file/p"], 1, &["A/short/1/tx2: "]);
-    assert!(out.contains("A/good/1/tx2"));
+    assert!(out.contains("A/good/1/tx2"), "{out}");
 }
 
 #[test]
