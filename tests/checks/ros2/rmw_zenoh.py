@@ -116,11 +116,13 @@ def graph():
                 return [(t.topic_type, t.type_hash, t.qos) for t in all if t.node_name.strip("/") == "csi5300_tb3_0" and t.node_namespace == "/"]
             qos = {f"{NODE}/csi": "2::,5:,:,:,,", "/tf_static": ":1:,64:,:,:,,", f"{NODE}/factors": ":1:,1:,:,:,,"}.get(topic, usual)
             complete(ends, [(kind, store.hash_rihs01(kind), qos)])
-    def own_tokens():
-        tokens = [str(reply.ok.key_expr) for reply in ZenohSession.get_instance().liveliness.get(f"@ros2_lv/{DOMAIN}/**")]
-        return [token for token in tokens if token.split("/")[8] == "csi5300_tb3_0"]
-    complete(lambda: len(own_tokens()), len(own) + len(read) + 1)
-    tokens = own_tokens()
+    tokens = []
+    def count():
+        # Of one answer: the next one may be incomplete again.
+        seen = [str(reply.ok.key_expr) for reply in ZenohSession.get_instance().liveliness.get(f"@ros2_lv/{DOMAIN}/**")]
+        tokens[:] = [token for token in seen if token.split("/")[8] == "csi5300_tb3_0"]
+        return len(tokens)
+    complete(count, len(own) + len(read) + 1)
     ids = [token.split("/")[2:6] for token in tokens]
     assert len({session for session, *_ in ids}) == 1 and {node for _, node, *_ in ids} == {"0"}, tokens
     assert len({number for *_, number, _ in ids}) == len(ids) == len(own) + len(read) + 1, tokens
