@@ -794,7 +794,7 @@ fn columns_that_may_mean_two_things_are_asked_for() {
 }
 
 /// The records of a log, each with its length field.
-fn records(log: &[u8]) -> Vec<Vec<u8>> {
+pub fn records(log: &[u8]) -> Vec<Vec<u8>> {
     let (mut rest, mut found) = (log, Vec::new());
     while let [high, low, ..] = rest {
         let (record, after) = rest.split_at(2 + usize::from(u16::from_be_bytes([*high, *low])));
