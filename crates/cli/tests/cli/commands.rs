@@ -471,6 +471,11 @@ fn several_links_to_known_places_locate_the_receiver_and_old_names_say_the_new_o
     folder.says(&["simulate", "lab-circle", "--out", "room"], 0, &[]);
     let (out, _) = folder.says(&["bearing", "room"], 0, &[]);
     assert!(out.contains("truth ") && !out.contains("located from"), "one link is no place: {out}");
+    // Named again, by any path or link, it is still one measurement.
+    let again = ["bearing", "room", "./room/tx1", "room/../room", "--json"];
+    assert_eq!(folder.rows(&again, 0).len(), 1);
+    // The last row is the summary.
+    assert_eq!(folder.rows(&["evaluate", "room", ".", "--json"], 0).len(), 2);
     let (status, moved, err) = folder.run(&["explain", "room"]);
     assert!(err.contains("`csi5300 explain` is `csi5300 bearing --explain` now"), "{err}");
     assert_eq!((status, &moved), (0, &folder.run(&["bearing", "--explain", "room"]).1));

@@ -67,17 +67,26 @@ impl Args {
                 let named = |place: &str| if place.is_empty() { own.clone() } else { format!("{own}/{place}") };
                 found.iter_mut().for_each(|capture| capture.place = named(&capture.place));
             }
-            let links =
-                |own: &Capture| own.transmitters.iter().map(|(name, _)| own.link_name(name)).collect::<Vec<_>>();
-            let is_named = |name: &String| is_wanted(name, wanted.as_deref());
-            found.retain(|own| wanted.is_none() || links(own).iter().any(is_named));
-            let named: Vec<String> = found.iter().flat_map(links).filter(is_named).collect();
-            if named.is_empty() && wanted.is_some() {
-                let name = wanted.unwrap_or_default();
+            let is_named = |own: &Capture, tx: &str| is_wanted(&own.link_name(tx), wanted.as_deref());
+            found.retain(|own| wanted.is_none() || own.transmitters.iter().any(|(tx, _)| is_named(own, tx)));
+            if let Some(name) = wanted.as_ref().filter(|_| found.is_empty()) {
                 return Err(format!("{name} is no link of {}: `evaluate` lists them", folder.display()));
             }
-            names.extend(named);
-            captures.extend(found);
+            for capture in found {
+                let links: Vec<String> =
+                    capture.transmitters.iter().map(|(tx, _)| tx.clone()).filter(|tx| is_named(&capture, tx)).collect();
+                // A capture that is named again, or a second link of it, is no other measurement.
+                let known = captures.iter().position(|own: &Capture| own.is_same(&capture));
+                let known = known.unwrap_or(captures.len());
+                if known == captures.len() {
+                    captures.push(capture);
+                }
+                for link in links.iter().map(|tx| captures[known].link_name(tx)) {
+                    if !names.contains(&link) {
+                        names.push(link);
+                    }
+                }
+            }
         }
         Ok((captures, names, lost))
     }
