@@ -19,6 +19,7 @@ use csi5300::pipeline::{
 use csi5300::signal::channel::Channel;
 use csi5300::signal::samples::Samples;
 use csi5300::source::{CsiSource, read_key};
+use csi5300_lab::cards::is_log;
 use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
 use csi5300_lab::evaluate::{TRUTH_FILE, channel_number_in};
 use csi5300_lab::export::{ExportError, Npz};
@@ -629,7 +630,14 @@ fn take_roles(args: &mut Args) -> Words<()> {
     {
         return Err(format!("{} is given twice: each robot has its own log", twice.display()));
     }
-    let Sorted { logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());
+    let Sorted { mut logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());
+    let (cards, others): (Vec<PathBuf>, Vec<PathBuf>) = others.into_iter().partition(|file| is_log(file));
+    if !args.logs.baseline.is_empty() && (logs.is_empty() || is_named_one_by_one) {
+        logs.extend(cards);
+    } else if let (Some(file), true) = (cards.first(), is_named_one_by_one) {
+        let needed = "one robot with two antennas gives bearings (--antennas, --baseline)";
+        return Err(format!("{} is a log of another card: of these, {needed}", file.display()));
+    }
     if let (Some(file), true) = (others.first(), is_named_one_by_one) {
         must_not_be_empty(file)?;
         let why = csv::read_as(file, args.logs.columns.as_ref()).err();
