@@ -199,6 +199,16 @@ fn open_transmitters(args: &mut Args, inputs: &Inputs) -> Words<(Vec<Log>, Vec<A
 
 /// Runs what does not estimate bearings from two logs: one log, or captures. Ends the program if the other log is missing.
 fn run_other(args: &Args) -> Option<Result> {
+    if args.captures.is_empty() {
+        let of_captures = [
+            ("--ranges and --factors need", args.graph.is_wanted()),
+            ("--place needs", !args.place.is_empty()),
+            ("--transmitters needs", args.together.transmitters),
+        ];
+        if let Some((needs, _)) = of_captures.iter().find(|(_, given)| *given) {
+            usage(&format!("{needs} a capture with transmitters: name its folder instead of single logs"));
+        }
+    }
     if !args.logs.baseline.is_empty() && args.logs.tx.is_empty() {
         if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
             usage("with --baseline, --rx-mac, --key and --antenna-offset need --tx");
@@ -207,9 +217,6 @@ fn run_other(args: &Args) -> Option<Result> {
     }
     if !args.captures.is_empty() {
         return Some(captures::run(args));
-    }
-    if args.graph.is_wanted() {
-        usage("--ranges and --factors need a capture with transmitters at known places");
     }
     if args.logs.tx.is_empty() && args.logs.bag.bag.is_none() {
         usage("--tx is needed: the other robot's log. For a bearing from one log, add --antennas and --baseline");
@@ -676,6 +683,7 @@ fn refuse_named(args: &Args) -> Words<()> {
         ("--tx-mac", !logs.tx_mac.is_empty()),
         ("--rx-mac", logs.rx_mac.is_some()),
         ("--key", logs.key.is_some()),
+        ("--bag", logs.bag.bag.is_some()),
         ("--columns", logs.columns.is_some()),
         ("--baseline", !logs.baseline.is_empty()),
         ("--profile", args.profile.is_some()),

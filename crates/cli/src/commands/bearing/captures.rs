@@ -14,7 +14,7 @@ use csi5300_lab::evaluate::transmitters::{Frame, LocatedTransmitter, Motion, loc
 use csi5300_lab::evaluate::{Capture, Judged};
 use csi5300_team::factors;
 use csi5300_team::ranges::{Range, read};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -50,6 +50,16 @@ impl Args {
             mounting: self.mounting.clone(),
             channel: self.channel,
             estimation: self.estimation.clone(),
+        }
+    }
+
+    /// Ends the program if a transmitter with a given place is in no capture.
+    fn check_places(&self, captures: &[Capture]) {
+        let known: BTreeSet<&str> =
+            captures.iter().flat_map(|own| &own.transmitters).map(|(name, _)| name.as_str()).collect();
+        if let Some((name, _)) = self.place.iter().find(|(name, _)| !known.contains(name.as_str())) {
+            let known = known.into_iter().collect::<Vec<_>>().join(", ");
+            usage(&format!("--place {name}=...: no transmitter has this name; there are {known}"));
         }
     }
 
@@ -128,6 +138,7 @@ pub fn run(args: &Args) -> Result {
     let options = reading.options().unwrap_or_else(|message| usage(&message));
     let options = args.asked(options);
     let (captures, names, mut lost) = args.find(&reading)?;
+    args.check_places(&captures);
     if args.together.transmitters {
         return locate_transmitters(&args.together, &reading, (captures, lost), &args.place, args.json);
     }
