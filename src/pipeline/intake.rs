@@ -130,7 +130,7 @@ impl Front {
     }
 
     /// The same for frames without a number too, which get 0; the last value is true if it has one.
-    pub(super) fn note_any(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard, bool)> {
+    pub fn note_any(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard, bool)> {
         let proof = self.prover.note(next);
         if let Next::Record(_, Record { code: code::CARD_CLOCK, body }) = next {
             self.left_ps = card_clock_ps(body).unwrap_or(0);

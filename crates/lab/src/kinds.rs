@@ -10,6 +10,7 @@ use std::path::Path;
 pub const A_LOG: &str = "a log is the .dat that the CSI tool, the WSR toolbox or `csi5300 record` wrote";
 /// The description of a trajectory.
 const A_TRAJECTORY: &str = "a trajectory is a table of times and places, as CSV (docs/reference/formats.md)";
+const OTHER_CARD: &str = "a log of another card (`info`, `view`, `bearing --baseline` and `export` as a table read it)";
 /// Bytes that identify another kind of file; a log that begins with damage has its first record within them.
 const BEGINNING: usize = 4_096;
 const SEARCHED: u64 = 1 << 20;
@@ -18,7 +19,8 @@ const SEARCHED: u64 = 1 << 20;
 #[must_use]
 pub fn not_a_log(path: &Path) -> Option<&'static str> {
     let bytes = beginning(path);
-    binary_kind(&bytes).or_else(|| text_kind(&bytes)).filter(|_| !has_record(path))
+    let card = crate::cards::is_log(path).then_some(OTHER_CARD);
+    card.or_else(|| binary_kind(&bytes)).or_else(|| text_kind(&bytes)).filter(|_| !has_record(path))
 }
 
 /// Why a file gives no trajectory, in words, with its name and its kind.

@@ -145,7 +145,7 @@ pub struct Unbagged<T> {
 }
 
 /// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout, and each topic of poses ([`Content::Poses`]) as a
-/// trajectory, into the folder `out`, which it creates. `bag` is a folder of `ros2 bag` or one file: MCAP, SQLite or a bag of
+/// trajectory, into the folder `out`, which the first of them creates. `bag` is a folder of `ros2 bag` or one file: MCAP, SQLite or a bag of
 /// ROS 1, also compressed. Times are those of the headers. The files get their names once all are complete.
 ///
 /// # Errors
@@ -154,7 +154,6 @@ pub fn unbag(bag: &Path, out: &Path, replace: bool) -> Result<Unbagged<UnbaggedT
     let read = files(bag)?;
     let read = read.iter().filter_map(|file| std::fs::metadata(file).ok());
     let inputs = read.map(|file| (file.dev(), file.ino())).collect();
-    std::fs::create_dir_all(out).map_err(|source| BagError::Io { path: out.to_owned(), source })?;
     let (files, names) = (BTreeMap::new(), BTreeSet::new());
     let mut outputs = Outputs { folder: out, inputs, replace, files, names, waiting: 0 };
     let mut done = each(bag, |channel, content, bytes| outputs.take(channel, content, bytes))?;
@@ -296,7 +295,8 @@ impl Outputs<'_> {
                 return Err(BagError::There { path });
             }
         }
-        File::create_new(&part).map_err(|source| BagError::Io { path: path.clone(), source })?;
+        let made = std::fs::create_dir_all(self.folder).and_then(|()| File::create_new(&part));
+        made.map_err(|source| BagError::Io { path: path.clone(), source })?;
         let (topic, kind) = (channel.topic.clone(), channel.kind.clone());
         let told = UnbaggedTopic { topic, kind, file: path, ..UnbaggedTopic::default() };
         Ok(Writing { part, waiting: Vec::new(), told })

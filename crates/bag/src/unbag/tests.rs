@@ -166,9 +166,11 @@ fn a_cut_recording_is_read_up_to_the_cut_and_other_files_are_refused() {
     assert_eq!(messages(bytes.len()), 2);
     assert_eq!(messages(bytes.len() - 100), 1);
     assert_eq!(messages(60), 0);
+    assert!(!folder.join("60").exists(), "a folder for nothing");
     std::fs::write(&file, b"PNG").unwrap();
     assert!(matches!(unbag(&file, &folder.join("x"), false), Err(BagError::Unknown { .. })));
-    assert!(matches!(unbag(&folder.join("60"), &folder.join("x"), false), Err(BagError::Empty { .. })));
+    std::fs::create_dir(folder.join("empty")).unwrap();
+    assert!(matches!(unbag(&folder.join("empty"), &folder.join("x"), false), Err(BagError::Empty { .. })));
 }
 
 #[test]

@@ -19,6 +19,7 @@ use csi5300::pipeline::{
 use csi5300::signal::channel::Channel;
 use csi5300::signal::samples::Samples;
 use csi5300::source::{CsiSource, read_key};
+use csi5300_lab::cards::is_log;
 use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
 use csi5300_lab::evaluate::{TRUTH_FILE, channel_number_in};
 use csi5300_lab::export::{ExportError, Npz};
@@ -198,6 +199,16 @@ fn open_transmitters(args: &mut Args, inputs: &Inputs) -> Words<(Vec<Log>, Vec<A
 
 /// Runs what does not estimate bearings from two logs: one log, or captures. Ends the program if the other log is missing.
 fn run_other(args: &Args) -> Option<Result> {
+    if args.captures.is_empty() {
+        let of_captures = [
+            ("--ranges and --factors need", args.graph.is_wanted()),
+            ("--place needs", !args.place.is_empty()),
+            ("--transmitters needs", args.together.transmitters),
+        ];
+        if let Some((needs, _)) = of_captures.iter().find(|(_, given)| *given) {
+            usage(&format!("{needs} a capture with transmitters: name its folder instead of single logs"));
+        }
+    }
     if !args.logs.baseline.is_empty() && args.logs.tx.is_empty() {
         if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
             usage("with --baseline, --rx-mac, --key and --antenna-offset need --tx");
@@ -206,9 +217,6 @@ fn run_other(args: &Args) -> Option<Result> {
     }
     if !args.captures.is_empty() {
         return Some(captures::run(args));
-    }
-    if args.graph.is_wanted() {
-        usage("--ranges and --factors need a capture with transmitters at known places");
     }
     if args.logs.tx.is_empty() && args.logs.bag.bag.is_none() {
         usage("--tx is needed: the other robot's log. For a bearing from one log, add --antennas and --baseline");
@@ -629,7 +637,14 @@ fn take_roles(args: &mut Args) -> Words<()> {
     {
         return Err(format!("{} is given twice: each robot has its own log", twice.display()));
     }
-    let Sorted { logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());
+    let Sorted { mut logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());
+    let (cards, others): (Vec<PathBuf>, Vec<PathBuf>) = others.into_iter().partition(|file| is_log(file));
+    if !args.logs.baseline.is_empty() && (logs.is_empty() || is_named_one_by_one) {
+        logs.extend(cards);
+    } else if let (Some(file), true) = (cards.first(), is_named_one_by_one) {
+        let needed = "one robot with two antennas gives bearings (--antennas, --baseline)";
+        return Err(format!("{} is a log of another card: of these, {needed}", file.display()));
+    }
     if let (Some(file), true) = (others.first(), is_named_one_by_one) {
         must_not_be_empty(file)?;
         let why = csv::read_as(file, args.logs.columns.as_ref()).err();
@@ -668,6 +683,7 @@ fn refuse_named(args: &Args) -> Words<()> {
         ("--tx-mac", !logs.tx_mac.is_empty()),
         ("--rx-mac", logs.rx_mac.is_some()),
         ("--key", logs.key.is_some()),
+        ("--bag", logs.bag.bag.is_some()),
         ("--columns", logs.columns.is_some()),
         ("--baseline", !logs.baseline.is_empty()),
         ("--profile", args.profile.is_some()),

@@ -59,6 +59,9 @@ pub fn run(args: &Args) -> Result {
         [root] => return Err(format!("{} is no folder; to judge a log, add --accept", root.display())),
         _ => usage("the doctor looks at one machine; to judge the logs of two robots, add --accept"),
     };
+    if args.listen.is_some() && !args.what.is_empty() {
+        usage("--listen hears the card of this machine, not of a copy");
+    }
     let mut checks = examine(system.as_ref());
     if let Some(span) = args.listen {
         checks.extend(listen(args, span)?);

@@ -92,17 +92,17 @@ impl Draft {
 
     /// For the output `path`. A link stays a link, also one that leads to a file that is not there.
     pub fn new(path: &Path) -> Self {
+        // The target of a link may end otherwise, and that of standard output as a pipe is no path.
+        let extension = path.extension().map_or(String::new(), |extension| format!(".{}", extension.to_string_lossy()));
+        if path.metadata().is_ok_and(|found| !found.is_file()) {
+            return Self { path: path.to_owned(), part: None };
+        }
         let path = led_to(path);
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let extension = path.extension().map_or(String::new(), |extension| format!(".{}", extension.to_string_lossy()));
-        let is_special = path.metadata().is_ok_and(|found| !found.is_file());
         let part = path.with_file_name(format!("{stem}.part-{}{extension}", std::process::id()));
-        let part = (!is_special).then_some(part);
-        if let Some(part) = &part {
-            drafts().push(part.clone());
-            watch_signals();
-        }
-        Self { path, part }
+        drafts().push(part.clone());
+        watch_signals();
+        Self { path, part: Some(part) }
     }
 
     /// Where to write it, with the output's extension.

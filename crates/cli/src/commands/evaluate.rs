@@ -169,7 +169,12 @@ fn find_all<'a>(folders: impl Iterator<Item = &'a PathBuf>) -> Words<(Vec<Captur
                 ),
             });
         }
-        captures.extend(found);
+        for capture in found {
+            // One that is named again is no other measurement.
+            if !captures.iter().any(|own: &Capture| own.is_same(&capture)) {
+                captures.push(capture);
+            }
+        }
         unreadable.extend(failed);
     }
     Ok((captures, unreadable))

@@ -197,7 +197,7 @@ impl BagArgs {
             return Ok((Inputs { columns: columns.cloned(), ..inputs }, named));
         }
         let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
-            return Err("--rx and --trajectory are needed".into());
+            super::usage("a recorded capture is needed: --rx, --tx and --trajectory, or --bag");
         };
         let inputs = Inputs::files(columns.cloned());
         Ok((inputs, Named { rx, tx, trajectory }))

@@ -11,6 +11,7 @@ use csi5300_lab::cards::{self, CardSurvey};
 use csi5300_lab::course::{Course, Wanted};
 use csi5300_lab::show::file_safe;
 use csi5300_lab::show::log::LogPictures;
+use csi5300_lab::table::Filter;
 use csi5300_say::{Level, says};
 use driver_iface::Mac;
 use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq, SUBCARRIERS, rate};
@@ -84,6 +85,12 @@ struct Row<'a> {
 
 /// Describes logs.
 pub fn run(args: &Args) -> Result {
+    if let Err(error) = Filter::default().with_time(args.plot.from, args.plot.to) {
+        usage(&error.to_string());
+    }
+    if args.files.iter().filter(|path| path.as_os_str() == "-").count() > 1 {
+        usage("standard input can be one log only");
+    }
     let (mut usable, mut lost, mut failed) = (false, false, false);
     let files = logs(&args.files)?;
     let stem = |log: &PathBuf| log.file_stem().map_or("log".into(), |stem| stem.to_string_lossy().into_owned());
@@ -92,8 +99,9 @@ pub fn run(args: &Args) -> Result {
         if let Some(mut row) = read_other_card(path) {
             row.pictures = drawn(args, path, name, &mut failed);
             row.show(args.json, k > 0);
-            usable |= row.survey.frames > 0;
-            lost |= row.survey.is_damaged;
+            let has_frames = row.survey.frames > 0;
+            usable |= has_frames;
+            lost |= row.survey.is_damaged || !has_frames;
             continue;
         }
         match survey(path) {
@@ -109,8 +117,10 @@ pub fn run(args: &Args) -> Result {
                     ));
                 }
                 let survey = &read.survey;
-                usable |= survey.bfees() > read.silent;
-                lost |= survey.lost_something()
+                let has_csi = survey.bfees() > read.silent;
+                usable |= has_csi;
+                lost |= !has_csi
+                    || survey.lost_something()
                     || read.checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
             }
             Err(message) => {

@@ -2,7 +2,7 @@
 
 use super::args::{Estimation, channel, columns};
 use super::files::{read_trajectory_as, told_apart};
-use super::{InWords, Outcome, Result, Words, fixed, info, usage};
+use super::{InWords, Outcome, Result, Words, fixed, info, some, usage};
 use csi5300::bartlett::{self, Grid};
 use csi5300::internal::{FrameHeard, Front};
 use csi5300::motion::odometry::csv::Columns;
@@ -39,7 +39,7 @@ pub struct Args {
     #[arg(long, value_parser = columns, value_name = "NAMES", requires = "trajectory")]
     columns: Option<Columns>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    #[arg(long, value_parser = channel, value_name = "NUMBER", requires = "trajectory")]
     channel: Option<Channel>,
     /// Overwrite existing outputs
     #[arg(long)]
@@ -74,67 +74,96 @@ struct LinkRow {
 
 /// Converts captures.
 pub fn run(args: &Args) -> Result {
+    args.check();
     let draft = super::draft::Draft::create(&args.out, args.force)?;
+    let failed = |error: io::Error| failed(args, &error);
     // As parts of topics.
     let stem = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let names = told_apart(args.logs.iter().map(stem).collect());
     let trajectory =
         args.trajectory.as_deref().map(|path| read_trajectory_as(path, args.columns.as_ref())).transpose()?;
     // Options are checked before the file is created.
-    let options = args.channel.filter(|_| trajectory.is_some());
-    let options = options.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
-    let mut recording = Recording::create(draft.path()).map_err(|error| draft.words(&error.to_string()))?;
-    let (mut usable, mut lost) = (0, false);
+    let options =
+        args.channel.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
+    let mut recording = Recording::create(draft.path()).map_err(failed)?;
+    let (mut written, mut lost) = (0, false);
     let mut row = Row { output: &args.out, logs: Vec::new(), bearings: Vec::new() };
     for (name, path) in names.iter().zip(&args.logs) {
-        let (survey, bytes) = convert(&mut recording, name, path, args)?;
-        usable += survey.bfees();
-        row.logs.push(LogRow { log: path, records: survey.bfees() });
+        let (survey, bytes, records) = convert(&mut recording, name, path, args)?;
+        written += records;
+        row.logs.push(LogRow { log: path, records });
         lost |= survey.lost_something();
-        notes!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
+        notes!("{}: {}\n{}", path.display(), some(records, "record", "records"), info::losses(&survey, bytes));
+        if records < survey.bfees() {
+            let lacking = some(survey.bfees() - records, "record lacks", "records lack");
+            note!("  {lacking} antenna {}", args.estimation.antenna());
+        }
     }
     if let Some(trajectory) = &trajectory {
-        trajectory
-            .poses()
-            .iter()
-            .try_for_each(|pose| recording.pose(pose))
-            .map_err(|error| draft.words(&error.to_string()))?;
-        recording.path(trajectory.span_s().0, trajectory.poses()).map_err(|error| draft.words(&error.to_string()))?;
+        trajectory.poses().iter().try_for_each(|pose| recording.pose(pose)).map_err(failed)?;
+        recording.path(trajectory.span_s().0, trajectory.poses()).map_err(failed)?;
         match &options {
             Some(options) => row.bearings = estimate(&mut recording, &names, trajectory, options, args)?,
             None => note!("no bearings: they need --channel"),
         }
     }
-    recording.finish().map_err(|error| draft.words(&error.to_string()))?;
-    draft.keep(false).map_err(|error| format!("writing {}: {error}", args.out.display()))?;
+    recording.finish().map_err(failed)?;
+    let usable = written > 0 || row.bearings.iter().any(|link| link.azimuth_deg.is_some());
+    if usable {
+        draft.keep(false).map_err(failed)?;
+    } else {
+        note!("nothing to write: no {}", args.out.display());
+    }
     lost |= row.bearings.iter().any(|link| link.error.is_some());
     if args.json {
         super::print_json(&row);
     }
-    Ok(Outcome::of(usable > 0, lost))
+    Ok(Outcome::of(usable, lost))
 }
 
-/// Every record of a log. Those without a host time get the card's, from the log's beginning on.
-fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> Words<(Survey, u64)> {
+impl Args {
+    /// Ends the program if options would be ignored.
+    fn check(&self) {
+        let Estimation { antenna, elevation_max, range_min, height, heading_sd, from, to, .. } = &self.estimation;
+        if antenna.len() > 1 {
+            usage("--antenna: the recording has the CSI of one antenna");
+        }
+        let of_bearings = [elevation_max, range_min, height, heading_sd, from, to];
+        if self.channel.is_none() && of_bearings.iter().any(|given| given.is_some()) {
+            usage("options of bearings, such as --from, need --trajectory and --channel; all records are written");
+        }
+    }
+}
+
+/// The recording could not be written.
+fn failed(args: &Args, error: &io::Error) -> String {
+    format!("writing {}: {error}", args.out.display())
+}
+
+/// Every record of a log, and how many were written. Those without a host time get the card's, from the log's beginning on.
+fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> Words<(Survey, u64, u64)> {
+    let failed = |error: io::Error| failed(args, &error);
+    let mut records = 0;
     let mut log = super::open_log(path)?;
     let mut front = Front::new(args.estimation.antenna());
     let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
     loop {
         let next = log.receive(Instant::ZERO).in_words()?;
-        if let Some((sender, heard)) = front.note(&next) {
+        if let Some((sender, heard, _)) = front.note_any(&next) {
             // It wraps every 71.6 minutes.
             let card_us = clock.next(heard.timestamp_low);
             let since_us = card_us - *first_card_us.get_or_insert(card_us);
             let t_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
-            recording.record(name, t_s, sender, &heard).in_words()?;
+            recording.record(name, t_s, sender, &heard).map_err(failed)?;
+            records += 1;
         }
         if matches!(next, Next::End(_)) {
             break;
         }
     }
     let end_s = front.log.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
-    recording.counters(name, end_s, &front.log.survey).in_words()?;
-    Ok((front.log.survey, log.bytes()))
+    recording.counters(name, end_s, &front.log.survey).map_err(failed)?;
+    Ok((front.log.survey, log.bytes(), records))
 }
 
 /// The bearings of the first log to the others.
@@ -158,7 +187,7 @@ fn estimate(
     for (name, link) in names.iter().skip(1).zip(&report.links) {
         match &link.bearing {
             Ok(bearing) => {
-                recording.bearing(name, bearing)?;
+                recording.bearing(name, bearing).map_err(|error| format!("writing {}: {error}", args.out.display()))?;
                 let azimuth_deg = bearing.answer.azimuth_rad.to_degrees();
                 note!("{name}: {} deg", fixed(azimuth_deg, 2));
                 rows.push(LinkRow { link: name.clone(), azimuth_deg: Some(azimuth_deg), error: None });

@@ -121,6 +121,7 @@ fn words(error: &SetupError) -> String {
                                  (57 for the first robot, 59 for the second ...)"
                 .into()
         }
+        SetupError::NeedlessAckLen => format!("{error}: leave out --ack-len"),
         SetupError::NoCard => format!("{error} (details: `csi5300 doctor`)"),
         SetupError::NoInterface => format!("{error}: name one with --interface"),
         _ => error.to_string(),

@@ -342,7 +342,7 @@ struct Sounding {
     #[arg(long, value_name = "N")]
     links: Option<u16>,
     /// Modulation of every frame, 0 to 23; from 8 on frames use several streams and antennas
-    #[arg(long, default_value_t = 1, value_name = "MCS")]
+    #[arg(long, default_value_t = 1, value_name = "MCS", value_parser = clap::value_parser!(u8).range(0..=23))]
     mcs: u8,
     // Of one version ago: a channel of 40 MHz says so.
     #[arg(long, hide = true)]
@@ -447,7 +447,7 @@ impl Sounding {
     fn open(&self, settle: impl FnOnce(&mut Config)) -> Words<Opened> {
         self.check();
         let request = self.request();
-        let plan = Plan::new(&request).map_err(|error| refused(&error))?;
+        let plan = Plan::new(&request).unwrap_or_else(|error| usage(&refused(&error)));
         let setup = Setup {
             interface: self.name(),
             mac: self.mac,

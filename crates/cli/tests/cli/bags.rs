@@ -144,6 +144,32 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     assert_eq!(names.len(), 4, "{names:?}");
 }
 
+/// A log's recording for viewers has each of its records; what has none makes no file.
+#[test]
+fn a_log_becomes_a_recording_also_without_frame_numbers() {
+    let folder = Folder::new("bag-of-log");
+    folder.link(&crate::common::link(300, 2.0));
+    folder.says(&["export", "--dat", "rx.dat", "stock.dat", "--layout", "stock"], 0, &[]);
+    // As the CSI tool writes it without connector_log 0x5: no copies of frames, so neither senders nor numbers.
+    let all = crate::commands::records(&std::fs::read(folder.0.join("stock.dat")).unwrap());
+    let csi: Vec<_> = all.into_iter().filter(|record| record[2] == 0xBB).collect();
+    assert_eq!(csi.len(), 300);
+    std::fs::remove_file(folder.0.join("stock.datstp")).unwrap();
+    folder.write("stock.dat", &csi.concat());
+    for log in ["rx.dat", "stock.dat"] {
+        let rows = folder.rows(&["mcap", log, "--out", "o.mcap", "--force", "--json"], 0);
+        assert_eq!(rows[0]["logs"][0]["records"], 300, "{log}");
+        // One more: the counts.
+        folder.says(&["unbag", "o.mcap", "--out", "u"], 1, &["301 messages of other topics"]);
+        assert!(!folder.0.join("u").exists(), "a folder for nothing");
+    }
+    folder.write("empty.dat", b"");
+    folder.says(&["mcap", "empty.dat", "--out", "e.mcap"], 1, &["nothing to write: no e.mcap"]);
+    folder.says(&["mcap", "stock.dat", "--out", "none/o.mcap"], 1, &["writing none/o.mcap: No such file"]);
+    folder.says(&["unbag", "gone.mcap", "--out", "u"], 1, &["gone.mcap"]);
+    assert!(!folder.0.join("e.mcap").exists() && !folder.0.join("u").exists());
+}
+
 #[test]
 fn compare_reads_a_recording_too() {
     let folder = Folder::new("bag-compare");

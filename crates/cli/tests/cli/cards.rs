@@ -152,7 +152,7 @@ fn what_feitcsi_writes_is_recorded_byte_by_byte() {
 #[test]
 fn all_subcarriers_of_another_card_are_exported() {
     let folder = Folder::new("export-cards");
-    let [rx, ..] = simulated(&folder, "room", PAIR, "rx_trajectory_");
+    let [rx, _, path] = simulated(&folder, "room", PAIR, "rx_trajectory_");
     let (out, _) = folder.says(&["export", &rx, "a.csv", "--from", "1", "--to", "2", "--json"], 0, &[]);
     let text = std::fs::read_to_string(folder.0.join("a.csv")).unwrap();
     let records = text.lines().count() as u64 - 1;
@@ -172,6 +172,13 @@ fn all_subcarriers_of_another_card_are_exported() {
         let log = cases.join(name);
         let (status, _, err) = folder.run(&["export", log.to_str().unwrap(), "d.npz", "--force"]);
         assert!(matches!(status, 0 | 3) && err.contains("written to d.npz"), "{name}: {status} {err}");
+        // It is no log of records; `bearing` knows it by its content, as `info` does.
+        let log = log.to_str().unwrap();
+        folder.says(&["export", "--dat", log, "d.dat"], 1, &["another kind of file, a log of another card"]);
+        folder.says(&["bearing", log, &path, "--channel", "64"], 1, &["a log of another card", "--baseline"]);
+        let one = ["--antennas", "A,B", "--baseline", "0.05,0,0", "--clock-offset", "rows"];
+        let (_, _, err) = folder.run(&[&["bearing", log, &path, "--channel", "64"], &one[..]].concat());
+        assert!(err.contains("is the receiver's log") && err.contains(" lack an antenna"), "{name}: {err}");
     }
 }
 

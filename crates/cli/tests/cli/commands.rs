@@ -335,6 +335,39 @@ fn wrong_words_are_usage() {
 }
 
 #[test]
+fn what_would_be_ignored_is_usage() {
+    let folder = Folder::new("ignored");
+    folder.link(&link(300, 2.0));
+    std::fs::create_dir(folder.0.join("set")).unwrap();
+    for (from, to) in [("rx.dat", "csi_rx_1.dat"), ("tx.dat", "csi_tx1_1.dat"), ("t.csv", "rx_trajectory_1_.csv")] {
+        std::fs::copy(folder.0.join(from), folder.0.join("set").join(to)).unwrap();
+    }
+    for (args, words) in [
+        ("bearing rx.dat tx.dat t.csv --channel 108 --place tx=1,2", "--place needs a capture"),
+        ("bearing rx.dat tx.dat t.csv --channel 108 --transmitters", "--transmitters needs a capture"),
+        ("bearing rx.dat tx.dat t.csv --channel 108 --factors f.json", "--ranges and --factors need a capture"),
+        ("bearing set --channel 108 --bag b.mcap", "--bag applies to single logs"),
+        ("mcap rx.dat --out o.mcap --antenna A,B", "the CSI of one antenna"),
+        ("mcap rx.dat --out o.mcap --from 1", "all records are written"),
+        ("mcap rx.dat --out o.mcap --channel 108", "--trajectory"),
+        ("info rx.dat --plot p --from nan", "is not a stretch of time"),
+        ("info rx.dat --plot p --from 2 --to 1", "from 2 to 1 seconds"),
+        ("info - -", "standard input can be one log only"),
+        ("doctor . --listen 1s", "not of a copy"),
+        ("simulate lab-circle --out room --channel 36", "--rx, --tx and --trajectory"),
+        ("simulate lab-circle --serve --socket s --speed 2", "do not go together"),
+        ("sound --interface lo --peers 00:21:6a:53:89:d2 --rate 0", "is no rate"),
+        ("sound --interface lo --peers 00:21:6a:53:89:d2 --mcs 24", "24 is not in 0..=23"),
+    ] {
+        folder.says(&args.split(' ').collect::<Vec<_>>(), 2, &[words]);
+    }
+    for driver in ["wsr", "stock"] {
+        let args = ["setup", "--interface", "x0", "--channel", "64", "--role", "initiator", "--driver", driver];
+        folder.says(&[&args[..], &["--ack-len", "57"]].concat(), 1, &["leave out --ack-len"]);
+    }
+}
+
+#[test]
 fn one_log_that_cannot_be_read_costs_its_own_link_only() {
     let folder = Folder::new("unread");
     folder.link(&link(600, 2.0));
@@ -471,6 +504,11 @@ fn several_links_to_known_places_locate_the_receiver_and_old_names_say_the_new_o
     folder.says(&["simulate", "lab-circle", "--out", "room"], 0, &[]);
     let (out, _) = folder.says(&["bearing", "room"], 0, &[]);
     assert!(out.contains("truth ") && !out.contains("located from"), "one link is no place: {out}");
+    // Named again, by any path or link, it is still one measurement.
+    let again = ["bearing", "room", "./room/tx1", "room/../room", "--json"];
+    assert_eq!(folder.rows(&again, 0).len(), 1);
+    // The last row is the summary.
+    assert_eq!(folder.rows(&["evaluate", "room", ".", "--json"], 0).len(), 2);
     let (status, moved, err) = folder.run(&["explain", "room"]);
     assert!(err.contains("`csi5300 explain` is `csi5300 bearing --explain` now"), "{err}");
     assert_eq!((status, &moved), (0, &folder.run(&["bearing", "--explain", "room"]).1));
@@ -634,8 +672,18 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let unplaced = "not located: the place of tx is not known (--place tx=X,Y)";
     let place = |place: &str| folder.run(&["bearing", "runs", "--channel", "108", "--place", place, "--json"]);
     let receiver = |out: &str| json(out.lines().nth(1).unwrap_or_else(|| panic!("{out}")));
-    assert_eq!(receiver(&place("tx7=1,2").1)["error"], unplaced);
+    let (status, _, err) = place("tx7=1,2");
+    assert!(status == 2 && err.contains("--place tx7=...: no transmitter has this name; there are tx"), "{err}");
     assert_eq!(receiver(&place("tx=-416,909").1)["links"], 1);
+    // Another capture has a transmitter of that name.
+    std::fs::create_dir(folder.0.join("runs/square")).unwrap();
+    for (from, to) in [("csi_rx", "csi_rx"), ("csi_tx", "csi_tx7"), ("rx_movement", "rx_movement")] {
+        let end = if from == "rx_movement" { "csv" } else { "dat" };
+        let name = |folder: &str, start: &str| format!("runs/{folder}/{start}_real_1.{end}");
+        std::fs::copy(folder.0.join(name("circle", from)), folder.0.join(name("square", to))).unwrap();
+    }
+    assert_eq!(json(place("tx7=1,2").1.lines().nth(2).unwrap())["error"], unplaced);
+    std::fs::remove_dir_all(folder.0.join("runs/square")).unwrap();
     assert_eq!(place("tx=1").0, 2);
     // One motion has a direction and no range: a long place. Another, beside the first, looks past it at a right angle.
     let locate = |more: &[&str]| folder.run(&[&["bearing", "--transmitters", "--channel", "108"], more].concat());
@@ -794,7 +842,7 @@ fn columns_that_may_mean_two_things_are_asked_for() {
 }
 
 /// The records of a log, each with its length field.
-fn records(log: &[u8]) -> Vec<Vec<u8>> {
+pub fn records(log: &[u8]) -> Vec<Vec<u8>> {
     let (mut rest, mut found) = (log, Vec::new());
     while let [high, low, ..] = rest {
         let (record, after) = rest.split_at(2 + usize::from(u16::from_be_bytes([*high, *low])));
@@ -1033,6 +1081,10 @@ fn logs_of_frames_only_and_of_zeros_say_why_they_are_of_no_use() {
     let mut silent = records(0xBB);
     // Behind length, code and the 20 bytes of the head.
     silent.iter_mut().for_each(|record| record[23..].fill(0));
+    // No record: nothing could be judged.
+    folder.write("empty.dat", b"");
+    folder.says(&["doctor", "--accept", "empty.dat", "--channel", "108"], 1, &[]);
+    folder.says(&["info", "rx.dat", "empty.dat"], 3, &[]);
     folder.write("csi0.dat", &silent.concat());
     let (out, _) = folder.says(&["info", "csi0.dat"], 1, &[]);
     assert!(out.contains("60 records have CSI of only zeros"), "{out}");

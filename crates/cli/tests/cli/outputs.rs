@@ -71,6 +71,22 @@ fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 }
 
 #[test]
+fn an_output_may_be_a_link_of_another_ending_or_standard_output() {
+    let folder = inputs("linked");
+    std::os::unix::fs::symlink("run-12", folder.0.join("latest.npz")).unwrap();
+    folder.says(&["export", "rx.dat", "latest.npz"], 0, &[]);
+    folder.says(&["export", "rx.dat", "latest.npz", "--force"], 0, &[]);
+    assert!(folder.0.join("latest.npz").is_symlink() && folder.0.join("run-12").is_file());
+    folder.says(&["export", "rx.dat", "plain.csv"], 0, &[]);
+    let plain = std::fs::read_to_string(folder.0.join("plain.csv")).unwrap();
+    std::os::unix::fs::symlink("/dev/stdout", folder.0.join("piped.csv")).unwrap();
+    assert_eq!(folder.says(&["export", "rx.dat", "piped.csv"], 0, &[]).0, plain);
+    let mut piped = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    piped.current_dir(&folder.0).args(["export", "--dat", "rx.dat", "/dev/stdout"]);
+    assert_eq!(piped.output().unwrap().stdout, std::fs::read(folder.0.join("rx.dat")).unwrap());
+}
+
+#[test]
 fn no_output_is_an_input() {
     let folder = inputs("outputs");
     // Names with the endings that commands ask of their outputs.

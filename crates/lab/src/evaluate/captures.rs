@@ -106,6 +106,13 @@ impl Capture {
         parts.iter().filter(|part| !part.is_empty()).copied().collect::<Vec<_>>().join("/")
     }
 
+    /// True for the same run, whichever path leads to its folder.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        let place = |own: &Self| own.folder.canonicalize().unwrap_or_else(|_| own.folder.clone());
+        self.stamp == other.stamp && place(self) == place(other)
+    }
+
     /// Standard deviation of the heading of its trajectory by `source`, radians. For wheels with an unknown antenna position, the
     /// bearing rotates by as much as the antenna's path differs from theirs.
     #[must_use]

@@ -144,7 +144,7 @@ fn installed(system: &dyn System) -> Result<Driver, SetupError> {
 /// The steps from whatever state the card is in to sounding on the channel. Taking them twice changes nothing.
 ///
 /// # Errors
-/// If no CSI driver is installed, or a responder's `ack_len` is missing.
+/// If no CSI driver is installed, or `ack_len` is missing or would be ignored.
 pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupError> {
     let driver = match request.driver {
         Some(driver) => driver,
@@ -154,8 +154,11 @@ pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupEr
     let mut steps = hands_off(interface);
     match (driver, request.role, request.ack_len) {
         (Driver::Wsr, Role::Responder, None) => return Err(SetupError::NoAckLen),
+        (Driver::Wsr, Role::Initiator, Some(_)) | (Driver::Stock, _, Some(_)) => {
+            return Err(SetupError::NeedlessAckLen);
+        }
         (Driver::Wsr, Role::Responder, Some(length)) => steps.extend(reload(system, Some(length))),
-        (Driver::Wsr, Role::Initiator, _) => steps.extend(reload(system, Some(NEVER_ANSWER))),
+        (Driver::Wsr, Role::Initiator, None) => steps.extend(reload(system, Some(NEVER_ANSWER))),
         (Driver::Stock, _, _) => steps.extend(reload(system, None)),
         (Driver::Module, _, _) => {
             let firmware = place_firmware(system);
@@ -406,6 +409,11 @@ pub enum SetupError {
          second ...)"
     )]
     NoAckLen,
+    /// A length of frames for a robot whose driver answers none.
+    #[error(
+        "with csitool's driver, and as an initiator with the WSR driver, a robot answers no frames by their length"
+    )]
+    NeedlessAckLen,
     /// No card on the bus.
     #[error("no Intel 5300 on the PCI bus")]
     NoCard,

@@ -14,7 +14,7 @@ use csi5300_lab::evaluate::transmitters::{Frame, LocatedTransmitter, Motion, loc
 use csi5300_lab::evaluate::{Capture, Judged};
 use csi5300_team::factors;
 use csi5300_team::ranges::{Range, read};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -53,6 +53,16 @@ impl Args {
         }
     }
 
+    /// Ends the program if a transmitter with a given place is in no capture.
+    fn check_places(&self, captures: &[Capture]) {
+        let known: BTreeSet<&str> =
+            captures.iter().flat_map(|own| &own.transmitters).map(|(name, _)| name.as_str()).collect();
+        if let Some((name, _)) = self.place.iter().find(|(name, _)| !known.contains(name.as_str())) {
+            let known = known.into_iter().collect::<Vec<_>>().join(", ");
+            usage(&format!("--place {name}=...: no transmitter has this name; there are {known}"));
+        }
+    }
+
     /// The named captures with their requested links, and whether some could not be read. Of several folders, each
     /// one's name precedes its captures' names.
     fn find(&self, reading: &Reading) -> Words<(Vec<Capture>, Vec<String>, bool)> {
@@ -67,17 +77,26 @@ impl Args {
                 let named = |place: &str| if place.is_empty() { own.clone() } else { format!("{own}/{place}") };
                 found.iter_mut().for_each(|capture| capture.place = named(&capture.place));
             }
-            let links =
-                |own: &Capture| own.transmitters.iter().map(|(name, _)| own.link_name(name)).collect::<Vec<_>>();
-            let is_named = |name: &String| is_wanted(name, wanted.as_deref());
-            found.retain(|own| wanted.is_none() || links(own).iter().any(is_named));
-            let named: Vec<String> = found.iter().flat_map(links).filter(is_named).collect();
-            if named.is_empty() && wanted.is_some() {
-                let name = wanted.unwrap_or_default();
+            let is_named = |own: &Capture, tx: &str| is_wanted(&own.link_name(tx), wanted.as_deref());
+            found.retain(|own| wanted.is_none() || own.transmitters.iter().any(|(tx, _)| is_named(own, tx)));
+            if let Some(name) = wanted.as_ref().filter(|_| found.is_empty()) {
                 return Err(format!("{name} is no link of {}: `evaluate` lists them", folder.display()));
             }
-            names.extend(named);
-            captures.extend(found);
+            for capture in found {
+                let links: Vec<String> =
+                    capture.transmitters.iter().map(|(tx, _)| tx.clone()).filter(|tx| is_named(&capture, tx)).collect();
+                // A capture that is named again, or a second link of it, is no other measurement.
+                let known = captures.iter().position(|own: &Capture| own.is_same(&capture));
+                let known = known.unwrap_or(captures.len());
+                if known == captures.len() {
+                    captures.push(capture);
+                }
+                for link in links.iter().map(|tx| captures[known].link_name(tx)) {
+                    if !names.contains(&link) {
+                        names.push(link);
+                    }
+                }
+            }
         }
         Ok((captures, names, lost))
     }
@@ -119,6 +138,7 @@ pub fn run(args: &Args) -> Result {
     let options = reading.options().unwrap_or_else(|message| usage(&message));
     let options = args.asked(options);
     let (captures, names, mut lost) = args.find(&reading)?;
+    args.check_places(&captures);
     if args.together.transmitters {
         return locate_transmitters(&args.together, &reading, (captures, lost), &args.place, args.json);
     }

@@ -110,7 +110,7 @@ impl Desk {
     }
 }
 
-/// Judges the desk. Exit status 1 if a claim fails, 3 if the run was interrupted.
+/// Judges the desk. Exit status 1 if a claim fails or none could be tried, 3 if the run was interrupted.
 pub fn run(args: &Args) -> Result {
     let Some(Judged { evidence, facts, is_whole, stopped }) = evidence(args)? else { return Ok(Outcome::Done) };
     let mut report = evidence.judge();
@@ -126,7 +126,8 @@ pub fn run(args: &Args) -> Result {
             folder.display()
         );
     }
-    Ok(Outcome::of(report.count(Verdict::Fails) == 0, !is_whole))
+    let judged = report.count(Verdict::Holds) + report.count(Verdict::Measured);
+    Ok(Outcome::of(report.count(Verdict::Fails) == 0 && judged > 0, !is_whole))
 }
 
 /// The table with coloured verdicts.

@@ -111,7 +111,7 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     let signals = Signals::catch().in_words()?;
     let speed = args.speed.unwrap_or(1.0);
     if args.socket.is_some() && speed != 1.0 {
-        return Err("other programs live in real time: --socket and --speed do not go together".into());
+        crate::commands::usage("other programs live in real time: --socket and --speed do not go together");
     }
     let outputs = open(&scene, file, args)?;
     let server = args.socket.as_deref().map(Server::bind).transpose().in_words()?;
@@ -278,7 +278,8 @@ fn open(scene: &Scene, file: &Path, args: &Args) -> Words<Vec<Output>> {
     }
     for (k, (name, index)) in named.iter().enumerate() {
         if !scene.robot.iter().any(|robot| robot.name == *name) {
-            return Err(format!("no robot {name} in the scene"));
+            let robots: Vec<&str> = scene.robot.iter().map(|robot| robot.name.as_str()).collect();
+            return Err(format!("no robot {name} in the scene: it has {}", robots.join(", ")));
         }
         for (other, same) in &named[..k] {
             if other == name {
