@@ -9,7 +9,8 @@
 
 use super::signal::{Aperture, COLUMNS};
 use super::tuning;
-use crate::bartlett::Tier;
+use crate::bartlett::{Tier, direction};
+use crate::signal::samples::Samples;
 use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, f32x8};
 use nalgebra::Vector3;
@@ -27,6 +28,31 @@ pub(crate) struct Place {
     pub elevation: f64,
     /// 1 / range, 1/m; 0 is a plane wave.
     pub curve: f64,
+}
+
+impl Place {
+    /// The unit vector towards it.
+    pub fn towards(&self) -> Vector3<f64> {
+        direction(self.azimuth, self.elevation)
+    }
+
+    /// By how much the way from it to a point is longer than to the middle, metres: `|u / c - p| - 1 / c` without the difference of
+    /// two large numbers; of a plane wave, `c = 0`, it is `-u.p`.
+    pub fn ways_m(&self) -> impl Fn(&Vector3<f64>) -> f64 + use<> {
+        let (towards, curve) = (self.towards(), self.curve);
+        move |p| {
+            let bend = curve * p.norm_squared() - 2.0 * towards.dot(p);
+            bend / ((1.0 + curve * bend).max(0.0).sqrt() + 1.0)
+        }
+    }
+
+    /// The share of the samples' power that a wave from it explains; `points` are those of the samples about their middle, metres.
+    pub fn explained(&self, samples: &Samples, points: &[Vector3<f64>]) -> f64 {
+        let (kappa, way_m) = (samples.kappa(), self.ways_m());
+        let sum: Complex64 = samples.z().iter().zip(points).map(|(z, p)| z * Complex64::cis(kappa * way_m(p))).sum();
+        let full: f64 = samples.z().iter().map(|z| z.norm()).sum();
+        (sum.norm() / full).powi(2)
+    }
 }
 
 /// A motion and its channels, ready for any place.

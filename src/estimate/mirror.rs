@@ -9,12 +9,9 @@
 use super::likelihood::Place;
 use super::posterior::{Atom, Mode, Steps, settle};
 use super::prior::Prior;
-use crate::bartlett::direction;
 use crate::maths::wrap_rad;
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
-use num_complex::Complex64;
-use std::f64::consts::TAU;
 
 /// A reflection with less than this share is not given.
 const LEAST: f64 = 0.01;
@@ -58,7 +55,7 @@ fn planes(points: &[Vector3<f64>], prior: &Prior, odometry_sd_m: f64) -> Vec<Pla
 
 /// A place reflected in a plane.
 fn reflected(place: &Place, normal: &Vector3<f64>, signed: bool) -> Place {
-    let towards = direction(place.azimuth, place.elevation);
+    let towards = place.towards();
     let image = towards - normal * (2.0 * towards.dot(normal));
     let elevation = image.z.clamp(-1.0, 1.0).asin();
     Place {
@@ -96,17 +93,7 @@ pub(super) fn of_one_wave(
     steps: &Steps,
     odometry_sd_m: f64,
 ) -> Mirrored {
-    let kappa = TAU * f64::from(samples.path_gain()) / samples.wavelength_m();
-    let unexplained = |place: &Place| {
-        let towards = direction(place.azimuth, place.elevation);
-        let phase = |p: &Vector3<f64>| {
-            let bend = place.curve * p.norm_squared() - 2.0 * towards.dot(p);
-            kappa * bend / ((1.0 + place.curve * bend).max(0.0).sqrt() + 1.0)
-        };
-        let sum: Complex64 = samples.z().iter().zip(points).map(|(z, p)| z * Complex64::cis(phase(p))).sum();
-        let full: f64 = samples.z().iter().map(|z| z.norm()).sum();
-        (1.0 - (sum.norm() / full).powi(2)).max(1e-9)
-    };
+    let unexplained = |place: &Place| (1.0 - place.explained(samples, points)).max(1e-9);
     let shares = |place: &Place, plane: &Plane| {
         let image = reflected(place, &plane.normal, prior.is_signed());
         let ratio = samples.len() as f64 * (unexplained(&image) / unexplained(place)).ln();

@@ -18,7 +18,7 @@ use crate::signal::samples::Samples;
 use csi5300_kernels::fft::Ffts;
 use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector3, Vector4};
 use num_complex::Complex64;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 use std::fmt;
 
 /// Probability of a false alarm of a test: then the posterior over windows is computed needlessly.
@@ -173,12 +173,12 @@ pub(crate) fn alone<'a>(
     if samples.len() < LEAST_SAMPLES {
         return Err(Unexplained::FewSamples(samples.len()));
     }
-    let kappa = TAU * f64::from(samples.path_gain()) / samples.wavelength_m();
+    let kappa = samples.kappa();
     let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
     let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
     let wave = Wave { samples, points, kappa, prior, open };
     let place = start.unwrap_or_else(|| best_start(samples, points, plane_wave, prior, steps, tier));
-    let share = explained(&wave, &At { place, scale: 0.0 });
+    let share = place.explained(samples, points);
     if share < LEAST_SHARE {
         return Err(Unexplained::Faint(share));
     }
@@ -227,18 +227,14 @@ type Gradient = Vector4<f64>;
 impl Wave<'_> {
     /// The phase of each sample's way, radians, less that of the middle.
     fn phases(&self, at: &At) -> impl Iterator<Item = f64> + '_ {
-        let towards = direction(&at.place);
-        let (curve, kappa) = (at.place.curve, self.kappa * (1.0 + at.scale));
-        self.points.iter().map(move |p| {
-            let bend = curve * p.norm_squared() - 2.0 * towards.dot(p);
-            kappa * bend / ((1.0 + curve * bend).max(0.0).sqrt() + 1.0)
-        })
+        let (way_m, kappa) = (at.place.ways_m(), self.kappa * (1.0 + at.scale));
+        self.points.iter().map(move |p| kappa * way_m(p))
     }
 
     /// How the phases go by each coordinate; 0 for those that are not open. Of level motion by the elevation's cosine.
     fn gradients(&self, at: &At) -> Vec<Gradient> {
         let ((sin_a, cos_a), (sin_e, cos_e)) = (at.place.azimuth.sin_cos(), at.place.elevation.sin_cos());
-        let (towards, curve) = (direction(&at.place), at.place.curve);
+        let (towards, curve) = (at.place.towards(), at.place.curve);
         let by_azimuth = Vector3::new(-sin_a * cos_e, cos_a * cos_e, 0.0);
         let by_elevation = match self.prior.is_signed() {
             true => Vector3::new(-cos_a * sin_e, -sin_a * sin_e, cos_e),
@@ -517,10 +513,6 @@ fn in_units<const N: usize>(matrix: SMatrix<f64, N, N>) -> (SMatrix<f64, N, N>, 
     (scale * matrix * scale, units)
 }
 
-fn direction(place: &Place) -> Vector3<f64> {
-    crate::bartlett::direction(place.azimuth, place.elevation)
-}
-
 /// Refuses residuals whose cumulative periodogram is not that of white noise (Bartlett's test: the largest distance from the
 /// diagonal goes as Kolmogorov's).
 fn whiteness(left: &[f64], false_alarm: f64, tier: Tier) -> Result<(), Unexplained> {
@@ -544,7 +536,7 @@ fn whiteness(left: &[f64], false_alarm: f64, tier: Tier) -> Result<(), Unexplain
 /// Refuses a wave beside which another peak of the plane wave's leaves a doubt. Its mirror is judged by the depth of the
 /// motion.
 fn unambiguous(wave: &Wave<'_>, at: &At, plane_wave: &Estimate, steps: &Steps) -> Result<(), Unexplained> {
-    let own = explained(wave, at);
+    let own = at.place.explained(wave.samples, wave.points);
     let near = |azimuth: f64, other: f64| wrap_rad(azimuth - other).abs() < 2.0 * steps.azimuth();
     let is_own = |azimuth: f64| {
         near(azimuth, at.place.azimuth) || plane_wave.mirror_rad.is_some_and(|mirror| near(azimuth, mirror))
@@ -554,13 +546,6 @@ fn unambiguous(wave: &Wave<'_>, at: &At, plane_wave: &Estimate, steps: &Steps) -
     let others = plane_wave.peaks.iter().filter(|peak| !is_own(peak.azimuth_rad));
     let doubtful = others.map(|peak| peak.value).any(|value| log_odds(value) < DECISIVE);
     if doubtful { Err(Unexplained::Ambiguous) } else { Ok(()) }
-}
-
-/// The share of the power that a wave explains.
-fn explained(wave: &Wave<'_>, at: &At) -> f64 {
-    let sum: Complex64 = wave.samples.z().iter().zip(wave.phases(at)).map(|(z, phase)| z * Complex64::cis(phase)).sum();
-    let full: f64 = wave.samples.z().iter().map(|z| z.norm()).sum();
-    (sum.norm() / full).powi(2)
 }
 
 /// The highest Bartlett peak of the residual, in units of the mean noise.

@@ -16,8 +16,8 @@
 //! Conventions are those of [`crate::signal::samples`]: a longer path lowers the phase.
 
 use super::likelihood::Place;
-use super::signal::{align, remove_slope};
-use crate::bartlett::{self, Tier};
+use super::signal::{Bins, align, remove_slope};
+use crate::bartlett::Tier;
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::{LANES, Planes};
 use crate::signal::samples::Samples;
@@ -141,7 +141,7 @@ pub(crate) fn range_change(
     }
     remove_slope(&mut rows, indices, tier);
     align(&mut rows, indices, tier);
-    let wavenumber = TAU * f64::from(samples.path_gain()) / wavelength_m;
+    let wavenumber = samples.kappa();
     let prediction = Prediction::of(place, &points);
     let mut followed = follow(&rows, &steps, prediction.range_m.clone(), wavenumber);
     for _ in 1..PASSES {
@@ -162,10 +162,7 @@ pub(crate) fn range_change(
 
 /// Exchanges by steps of the motion.
 struct Steps {
-    /// The step of each exchange.
-    of: Vec<usize>,
-    /// Exchanges of each step.
-    counts: Vec<f64>,
+    bins: Bins,
     /// Way driven at each exchange, metres.
     driven_m: Vec<f64>,
     /// Its mean in each step.
@@ -174,35 +171,13 @@ struct Steps {
 
 impl Steps {
     fn along(points_m: &[Vector3<f64>], step_m: f64) -> Self {
-        let (mut driven, mut last) = (0.0, None);
-        let (mut of, mut counts, mut driven_m) = (Vec::new(), Vec::new(), Vec::new());
-        for (k, point) in points_m.iter().enumerate() {
-            driven += if k > 0 { (point - points_m[k - 1]).norm() } else { 0.0 };
-            let step = (driven / step_m) as usize;
-            if last != Some(step) {
-                counts.push(0.0);
-                last = Some(step);
-            }
-            let own = counts.len() - 1;
-            counts[own] += 1.0;
-            of.push(own);
-            driven_m.push(driven);
-        }
-        let mut steps = Self { of, counts, driven_m, middles_m: Vec::new() };
-        steps.middles_m = steps.means(&steps.driven_m);
-        steps
+        let (bins, driven_m) = Bins::every(step_m, points_m);
+        let middles_m = bins.means_of(&driven_m);
+        Self { bins, driven_m, middles_m }
     }
 
     fn len(&self) -> usize {
-        self.counts.len()
-    }
-
-    /// The mean of each step.
-    fn means(&self, values: &[f64]) -> Vec<f64> {
-        let mut means = vec![0.0; self.len()];
-        self.of.iter().zip(values).for_each(|(step, value)| means[*step] += value);
-        means.iter_mut().zip(&self.counts).for_each(|(mean, count)| *mean /= count);
-        means
+        self.bins.len()
     }
 
     /// At each exchange, between the values of the steps about it.
@@ -217,13 +192,13 @@ impl Steps {
             let share = if way_m > 0.0 { (driven_m - self.middles_m[from]) / way_m } else { 0.0 };
             values[from] + share.clamp(0.0, 1.0) * (values[to] - values[from])
         };
-        self.of.iter().zip(&self.driven_m).map(one).collect()
+        self.bins.of.iter().zip(&self.driven_m).map(one).collect()
     }
 
     /// One row of unit power for each step, of rows turned back by `range_m`; zeros if there is nothing.
     fn rows(&self, rows: &[Planes], range_m: &[f64], wavenumber: f64) -> Vec<Planes> {
         let mut sums = vec![Planes::ZERO; self.len()];
-        for ((step, row), range_m) in self.of.iter().zip(rows).zip(range_m) {
+        for ((step, row), range_m) in self.bins.of.iter().zip(rows).zip(range_m) {
             let turn = Complex64::cis(wavenumber * range_m);
             sums[*step].add(&scaled(row, Complex32::new(turn.re as f32, turn.im as f32)));
         }
@@ -253,15 +228,10 @@ struct Prediction {
 
 impl Prediction {
     fn of(place: &Place, points_m: &[Vector3<f64>]) -> Self {
-        let towards = bartlett::direction(place.azimuth, place.elevation);
+        let (towards, way_m) = (place.towards(), place.ways_m());
         let (sin, cos) = place.azimuth.sin_cos();
         let aside = Vector3::new(-sin, cos, 0.0) * place.elevation.cos();
-        // |u / c - p| - 1 / c without the difference of two large numbers; of a plane wave, c = 0, it is -u.p.
-        let one = |p: &Vector3<f64>| {
-            let way = towards - p * place.curve;
-            let square = place.curve * p.norm_squared() - 2.0 * towards.dot(p);
-            (square / (way.norm() + 1.0), -aside.dot(p) / way.norm())
-        };
+        let one = |p: &Vector3<f64>| (way_m(p), -aside.dot(p) / (towards - p * place.curve).norm());
         let (range_m, turn_m) = points_m.iter().map(one).unzip();
         Self { range_m, turn_m }
     }
@@ -273,10 +243,10 @@ impl Prediction {
             values.iter().map(|value| value - mean).collect::<Vec<f64>>()
         };
         let (range_m, turn_m) = (about(&self.range_m), about(&self.turn_m));
-        let columns = [steps.means(&range_m), steps.means(&turn_m)];
+        let columns = [steps.bins.means_of(&range_m), steps.bins.means_of(&turn_m)];
         let walk = &followed.walk;
         let moved: Vec<f64> = followed.range_m.iter().zip(&self.range_m).map(|(own, first)| own - first).collect();
-        let moved = steps.means(&moved);
+        let moved = steps.bins.means_of(&moved);
         let open = PREDICTION.powi(-2);
         let mut normal = Matrix3::from_diagonal(&Vector3::new(open, open, 0.0));
         let mut right = Vector3::zeros();
@@ -529,7 +499,7 @@ impl Followed {
             before = Some(*phasor);
             let own = ((unwrapped + wavenumber * mean_m) / TAU).round();
             if turns.is_some_and(|turns| turns != own) {
-                slips.extend(steps.of.iter().position(|of| *of == step));
+                slips.extend(steps.bins.of.iter().position(|of| *of == step));
             }
             turns = Some(own);
         }
@@ -763,9 +733,9 @@ mod tests {
         let points = [Vector3::new(0.3, -0.2, 0.1), Vector3::new(-0.1, 0.4, 0.0)];
         let at = |curve| Prediction::of(&Place { azimuth: 0.7, elevation: 0.2, curve }, &points);
         let (plane, near) = (at(0.0), at(0.25));
-        let source = 4.0 * bartlett::direction(0.7, 0.2);
+        let source = 4.0 * crate::bartlett::direction(0.7, 0.2);
         for (k, point) in points.iter().enumerate() {
-            assert!((plane.range_m[k] + bartlett::direction(0.7, 0.2).dot(point)).abs() < 1e-12);
+            assert!((plane.range_m[k] + crate::bartlett::direction(0.7, 0.2).dot(point)).abs() < 1e-12);
             assert!((near.range_m[k] - ((source - point).norm() - 4.0)).abs() < 1e-12);
             let turned = Prediction::of(&Place { azimuth: 0.7 + 1e-6, elevation: 0.2, curve: 0.25 }, &points);
             assert!(((turned.range_m[k] - near.range_m[k]) / 1e-6 - near.turn_m[k]).abs() < 1e-5);

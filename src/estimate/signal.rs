@@ -171,28 +171,31 @@ fn track(roots: &mut [Planes]) {
     }
 }
 
-/// Which samples are averaged: `bins[n]` is the place of sample `n` among the averages.
+/// Which samples are averaged.
 pub(crate) struct Bins {
-    of: Vec<usize>,
+    /// The bin of each sample.
+    pub of: Vec<usize>,
     counts: Vec<f64>,
 }
 
 impl Bins {
     /// By the distance driven along `points_m`.
     pub fn along(points_m: &[Vector3<f64>], wavelength_m: f64) -> Self {
-        Self::every(BIN_WAVELENGTHS * wavelength_m, points_m)
+        Self::every(BIN_WAVELENGTHS * wavelength_m, points_m).0
     }
 
     /// Longer bins than [`Bins::along`]'s, for a search that only gives least squares a start.
     pub fn for_start(points_m: &[Vector3<f64>], wavelength_m: f64) -> Self {
-        Self::every(START_WAVELENGTHS * wavelength_m, points_m)
+        Self::every(START_WAVELENGTHS * wavelength_m, points_m).0
     }
 
-    fn every(step_m: f64, points_m: &[Vector3<f64>]) -> Self {
-        let (mut driven_m, mut last, mut of, mut counts) = (0.0, None, Vec::with_capacity(points_m.len()), Vec::new());
+    /// A bin for each stretch of the way, and the way driven at each sample, metres.
+    pub fn every(step_m: f64, points_m: &[Vector3<f64>]) -> (Self, Vec<f64>) {
+        let (mut way_m, mut last) = (0.0, None);
+        let (mut of, mut counts, mut driven_m) = (Vec::new(), Vec::new(), Vec::with_capacity(points_m.len()));
         for (k, point) in points_m.iter().enumerate() {
-            driven_m += if k > 0 { (point - points_m[k - 1]).norm() } else { 0.0 };
-            let bin = (driven_m / step_m) as usize;
+            way_m += if k > 0 { (point - points_m[k - 1]).norm() } else { 0.0 };
+            let bin = (way_m / step_m) as usize;
             if last != Some(bin) {
                 counts.push(0.0);
                 last = Some(bin);
@@ -200,8 +203,9 @@ impl Bins {
             let own = counts.len() - 1;
             counts[own] += 1.0;
             of.push(own);
+            driven_m.push(way_m);
         }
-        Self { of, counts }
+        (Self { of, counts }, driven_m)
     }
 
     pub fn len(&self) -> usize {
@@ -213,6 +217,14 @@ impl Bins {
         let mut means = vec![Vector3::zeros(); self.len()];
         self.of.iter().zip(points_m).for_each(|(bin, point)| means[*bin] += point);
         means.iter_mut().zip(&self.counts).for_each(|(mean, count)| *mean /= *count);
+        means
+    }
+
+    /// The mean of each bin's values.
+    pub fn means_of(&self, values: &[f64]) -> Vec<f64> {
+        let mut means = vec![0.0; self.len()];
+        self.of.iter().zip(values).for_each(|(bin, value)| means[*bin] += value);
+        means.iter_mut().zip(&self.counts).for_each(|(mean, count)| *mean /= count);
         means
     }
 

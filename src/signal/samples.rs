@@ -3,6 +3,7 @@
 use crate::maths::upper_median;
 use nalgebra::Vector3;
 use num_complex::Complex64;
+use std::f64::consts::TAU;
 
 /// A narrow-band channel sample and how often it holds the path.
 ///
@@ -156,6 +157,11 @@ impl Samples {
     #[must_use]
     pub fn wavelength_m(&self) -> f64 {
         self.wavelength_m
+    }
+
+    /// By how much a phase turns with each metre of way, radians: `2 pi path_gain / wavelength`.
+    pub(crate) fn kappa(&self) -> f64 {
+        TAU * f64::from(self.path_gain) / self.wavelength_m
     }
 
     /// [`Coherent::path_gain`] of every sample.
