@@ -170,7 +170,7 @@ fn not_finite(odometry: &Odometry) -> Option<WrongBelow> {
         None if !heading_deg.is_finite() => "static.heading_deg".into(),
         None => return None,
     };
-    Some((place, "every number must be finite".into()))
+    Some((place, "position_m and heading_deg must be finite numbers".into()))
 }
 
 impl Check<'_> {
@@ -912,7 +912,7 @@ mod tests {
             ),
             (
                 "nan",
-                "odometry: every number",
+                "odometry: position_m and heading_deg must be finite",
                 swap(
                     &room(""),
                     "odometry.room = {}",
