@@ -21,9 +21,6 @@ use std::collections::{BTreeMap, HashMap};
 /// Limit of a card's records for the claims: an hour at 100 a second. Later ones are counted and logged.
 const RECORDS: usize = 360_000;
 
-/// A wrap of the card's clock, microseconds.
-const WRAP_US: i64 = 1 << 32;
-
 /// What is known of the desk.
 #[derive(Clone, Debug)]
 pub struct Plan {
@@ -93,8 +90,6 @@ pub struct Heard {
     pub recorded: bool,
     /// The end of each record in the log, bytes from its start.
     pub(crate) ends: Vec<usize>,
-    /// The last `timestamp_low`, the clock without wraps there, and the host's.
-    card_us: Option<(u32, i64, Option<i64>)>,
 }
 
 impl Heard {
@@ -113,26 +108,15 @@ impl Heard {
             }
         }
         let Some((bfee, identity)) = self.survey.note(next) else { return };
-        let low = bfee.timestamp_low();
-        let card_us = match self.card_us {
-            Some((before, us, host_us)) => {
-                let step = i64::from(low.wrapping_sub(before).cast_signed());
-                // After a pause of more than half a wrap, the host's clock gives the number of wraps.
-                let off = identity.host_us.zip(host_us).map_or(0, |(now, before)| now - before - step);
-                us + step + (off + WRAP_US / 2).div_euclid(WRAP_US) * WRAP_US
-            }
-            None => i64::from(low),
-        };
-        self.card_us = Some((low, card_us, identity.host_us));
         self.ends.push(self.log.len());
         if self.records.len() == RECORDS {
             return;
         }
         let mut csi = [Iq::default(); MAX_SAMPLES];
-        let samples = bfee.unpack_bits(&mut csi).unwrap_or(0);
+        let samples = bfee.unpack(&mut csi).unwrap_or(0);
         self.records.push(HeardRecord {
             host_us: identity.host_us,
-            card_us,
+            card_us: self.survey.clock_us.map_or(0, |(_, last)| last),
             mac: identity.mac,
             number: identity.frame_count,
             head: Repr::parse(&bfee),
@@ -174,7 +158,6 @@ pub struct After {
     pub near: Heard,
     /// The second robot's data, if there is a log.
     pub far: Option<Heard>,
-    pub(crate) pairs: Option<Pairs>,
 }
 
 /// The sending interface's own reports.
@@ -199,9 +182,11 @@ pub struct Sent {
     pub taken: bool,
 }
 
-/// The first robot's transmitter: frames of the WSR dialect at several rates.
-pub struct Sending<'a> {
-    injector: &'a mut dyn Injector,
+/// Frames a second at which the suite sends, and how many frames at each: 16.4 s in all.
+const RATES: [(f64, usize); 4] = [(20.0, 200), (50.0, 200), (200.0, 400), (1_000.0, 400)];
+
+/// What the first robot sends: frames of the WSR dialect at 20, 50, 200 and 1,000 a second.
+pub struct Sending {
     sender: Mac,
     left: Vec<f64>,
     next_at: Instant,
@@ -209,15 +194,12 @@ pub struct Sending<'a> {
     number: u32,
 }
 
-/// Frames a second at which the suite sends, and how many frames at each: 16.4 s in all.
-const RATES: [(f64, usize); 4] = [(20.0, 200), (50.0, 200), (200.0, 400), (1_000.0, 400)];
-
-impl<'a> Sending<'a> {
-    /// Frames of this sender, at 20, 50, 200 and 1,000 a second.
-    pub fn new(injector: &'a mut dyn Injector, sender: Mac) -> Self {
+impl Sending {
+    /// Frames of this sender, the first one 0.1 s after `begin`, when the radio has settled.
+    #[must_use]
+    pub fn new(sender: Mac, begin: Instant) -> Self {
         let left = RATES.iter().rev().flat_map(|(rate_hz, count)| std::iter::repeat_n(*rate_hz, *count)).collect();
-        // The radio has settled by then.
-        Self { injector, sender, left, next_at: Instant::from_us(100_000), filler: Lfsr::default(), number: 0 }
+        Self { sender, left, next_at: begin + Span::from_ms(100), filler: Lfsr::default(), number: 0 }
     }
 
     /// How long all of it takes.
@@ -238,8 +220,8 @@ impl<'a> Sending<'a> {
         (!self.left.is_empty()).then_some(self.next_at)
     }
 
-    /// Sends the due frames; returns them.
-    pub fn send(&mut self, now: Instant) -> Option<Sent> {
+    /// Sends the next frame if it is due, and returns it.
+    pub fn send(&mut self, now: Instant, injector: &mut dyn Injector) -> Option<Sent> {
         if now < self.next_at {
             return None;
         }
@@ -247,100 +229,9 @@ impl<'a> Sending<'a> {
         self.number += 1;
         let repr = wsr::Repr { sender: self.sender, number: self.number, len_with_fcs: wsr::DEFAULT_LEN };
         let mut frame = vec![0; repr.mpdu_len()];
-        let taken = repr.emit(&mut frame, &mut self.filler).is_ok() && self.injector.inject(now, &frame).is_ok();
+        let taken = repr.emit(&mut frame, &mut self.filler).is_ok() && injector.inject(now, &frame).is_ok();
         self.next_at = now.max(self.next_at) + Span::from_s(1.0 / rate_hz);
         Some(Sent { number: self.number, rate_hz, taken })
-    }
-}
-
-/// Takes the cards' items.
-#[derive(Debug)]
-pub struct Collector(Evidence);
-
-impl Collector {
-    /// An empty collector.
-    #[must_use]
-    pub fn new(plan: Plan) -> Self {
-        Self(Evidence {
-            plan,
-            near: Heard::default(),
-            far: None,
-            sent: Vec::new(),
-            interface: Interface::default(),
-            after: Vec::new(),
-            unplugged: Vec::new(),
-            lateness_us: Vec::new(),
-            counters: Vec::new(),
-            pairs: None,
-        })
-    }
-
-    /// Takes an item of a card.
-    pub fn heard(&mut self, side: Side, next: &Next<'_>) {
-        match side {
-            Side::Near => self.0.unplugged.last_mut().map_or(&mut self.0.near, |(_, heard)| heard).note(next),
-            Side::Far => self.0.far.get_or_insert_default().note(next),
-        }
-    }
-
-    /// The first robot sent a frame.
-    pub fn sent(&mut self, frame: Sent) {
-        self.0.sent.push(frame);
-    }
-
-    /// What the interface knows that sent them.
-    pub fn interface(&mut self, interface: Interface) {
-        self.0.interface = interface;
-    }
-
-    /// Logs of both cards after something was done to the first one.
-    pub fn after(&mut self, done: Done, near: &[u8], far: Option<&[u8]>) {
-        let (near, far) = (Heard::of_log(near), far.map(Heard::of_log));
-        let pairs = far.as_ref().map(|far| Pairs::of(&near, far, &self.0.plan));
-        self.0.after.push(After { done, near, far, pairs });
-    }
-
-    /// From now on this antenna of the first robot, and no other, is unplugged; later records are kept separately. It
-    /// must be last in a run.
-    pub fn unplugged(&mut self, antenna: Antenna) {
-        self.0.unplugged.push((antenna, Heard::default()));
-    }
-
-    /// Takes a log of the first robot's card with this antenna unplugged.
-    pub fn unplugged_log(&mut self, antenna: Antenna, bytes: &[u8]) {
-        self.0.unplugged.push((antenna, Heard::of_log(bytes)));
-    }
-
-    /// Takes a log as one card's data, in place of live ones.
-    pub fn log(&mut self, side: Side, bytes: &[u8]) {
-        match side {
-            Side::Near => self.0.near = Heard::of_log(bytes),
-            Side::Far => self.0.far = Some(Heard::of_log(bytes)),
-        }
-    }
-
-    /// Notes the lateness of a wake-up.
-    pub fn woke_late(&mut self, late: Span) {
-        self.0.lateness_us.push(late.as_us() as f64);
-    }
-
-    /// Notes the growth of a counter of the kernel module.
-    pub fn counted(&mut self, name: &str, more: u64) {
-        self.0.counters.push((name.to_owned(), more));
-    }
-
-    /// Records with CSI of the near card so far.
-    #[must_use]
-    pub fn records(&self) -> usize {
-        self.0.near.records.len()
-    }
-
-    /// The collected evidence.
-    #[must_use]
-    pub fn finish(self) -> Evidence {
-        let Self(evidence) = self;
-        let pairs = evidence.far.as_ref().map(|far| Pairs::of(&evidence.near, far, &evidence.plan));
-        Evidence { pairs, ..evidence }
     }
 }
 
@@ -359,19 +250,45 @@ pub struct Evidence {
     pub interface: Interface,
     /// The cards' data after each retune and each reload.
     pub after: Vec<After>,
-    /// The first robot's data with one antenna unplugged.
+    /// The first robot's data with one antenna unplugged and no other. An entry without data takes those that come live.
     pub unplugged: Vec<(Antenna, Heard)>,
     /// How late the host woke, microseconds.
     pub lateness_us: Vec<f64>,
     /// Growth of each counter of the kernel module; empty without the module.
-    pub counters: Vec<(String, u64)>,
+    pub counters: BTreeMap<String, u64>,
     pub(crate) pairs: Option<Pairs>,
 }
 
 impl Evidence {
+    /// No evidence yet.
+    #[must_use]
+    pub fn new(plan: Plan) -> Self {
+        Self {
+            plan,
+            near: Heard::default(),
+            far: None,
+            sent: Vec::new(),
+            interface: Interface::default(),
+            after: Vec::new(),
+            unplugged: Vec::new(),
+            lateness_us: Vec::new(),
+            counters: BTreeMap::new(),
+            pairs: None,
+        }
+    }
+
+    /// Takes an item of a card; of the first robot's for the last unplugged antenna, if there is one.
+    pub fn heard(&mut self, side: Side, next: &Next<'_>) {
+        match side {
+            Side::Near => self.unplugged.last_mut().map_or(&mut self.near, |(_, heard)| heard).note(next),
+            Side::Far => self.far.get_or_insert_default().note(next),
+        }
+    }
+
     /// Judges every claim.
     #[must_use]
-    pub fn judge(&self) -> Report {
+    pub fn judge(&mut self) -> Report {
+        self.pairs = self.far.as_ref().map(|far| Pairs::of(&self.near, far, &self.plan));
         Report::new(self, CLAIMS.iter().flat_map(|claim| claim.judge(self)).collect())
     }
 }
@@ -382,7 +299,7 @@ impl Evidence {
 /// # Errors
 /// The error of a source. Losses are no error; a claim reports them.
 pub fn run<'a>(near: &'a mut dyn CsiSource, far: Option<&'a mut dyn CsiSource>, plan: Plan) -> Result<Report, Error> {
-    collect(near, far, None, plan).map(|evidence| evidence.judge())
+    collect(near, far, None, plan).map(|mut evidence| evidence.judge())
 }
 
 /// The evidence that [`run`] judges.
@@ -392,24 +309,25 @@ pub fn run<'a>(near: &'a mut dyn CsiSource, far: Option<&'a mut dyn CsiSource>, 
 pub fn collect<'a>(
     near: &'a mut dyn CsiSource,
     far: Option<&'a mut dyn CsiSource>,
-    mut sending: Option<Sending<'_>>,
+    mut sending: Option<(Sending, &mut dyn Injector)>,
     plan: Plan,
 ) -> Result<Evidence, Error> {
-    let mut collector = Collector::new(plan);
+    let mut evidence = Evidence::new(plan);
     let mut sources: Vec<(Side, &'a mut dyn CsiSource)> = vec![(Side::Near, near)];
     sources.extend(far.map(|far| (Side::Far, far)));
     let mut now = Instant::ZERO;
     while !sources.is_empty() {
-        while let Some(sent) = sending.as_mut().and_then(|sending| sending.send(now)) {
-            collector.sent(sent);
+        let mut next_at = None;
+        if let Some((sending, injector)) = &mut sending {
+            evidence.sent.extend(std::iter::from_fn(|| sending.send(now, *injector)));
+            next_at = sending.next_at();
         }
-        let mut next_at = sending.as_ref().and_then(Sending::next_at);
         let mut open = Vec::new();
         for (side, source) in sources {
             let goes_on = loop {
                 let next = source.receive(now)?;
                 let (pending, end) = (matches!(next, Next::Pending), matches!(next, Next::End(_)));
-                collector.heard(side, &next);
+                evidence.heard(side, &next);
                 if pending || end {
                     break pending;
                 }
@@ -424,7 +342,7 @@ pub fn collect<'a>(
         // Time moves on even if a source is due at once.
         now = next_at.map_or(now, |at| at.max(now + Span::from_us(1)));
     }
-    Ok(collector.finish())
+    Ok(evidence)
 }
 
 /// Exchanges of two cards: all frames that each heard of the other, paired by number, or by the cards' clocks without

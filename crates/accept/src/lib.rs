@@ -1,7 +1,7 @@
 //! Acceptance claims about a card, its driver and its host.
 //!
-//! A [`Claim`] is a statement about a card, with its expected range and the source of that range. A [`Collector`] takes
-//! the cards' items ([`csi5300::source::Next`]) and the sent frames; it does no I/O and reads no clock.
+//! A [`Claim`] is a statement about a card, with its expected range and the source of that range. [`Evidence`]
+//! takes the cards' items ([`csi5300::source::Next`]) and the sent frames; it does no I/O and reads no clock.
 //! [`Evidence::judge`] judges every claim and returns a [`Report`]. So the same claims judge a simulated card in
 //! virtual time, a recorded log and a card on the desk.
 //!
@@ -28,8 +28,8 @@ mod evidence;
 mod report;
 pub mod stats;
 
-pub use claims::{CLAIMS, Claim, Needs};
+pub use claims::{CLAIMS, Claim};
 pub use evidence::{
-    After, Collector, Done, Evidence, Heard, HeardRecord, Interface, Plan, Sending, Sent, Side, Truth, collect, run,
+    After, Done, Evidence, Heard, HeardRecord, Interface, Plan, Sending, Sent, Side, Truth, collect, run,
 };
 pub use report::{Curve, Figure, Finding, LogFacts, Of, Report, Verdict};

@@ -90,27 +90,11 @@ pub struct Finding {
 
 /// Findings of one claim with one verdict: of one card, the link, the host, or both cards.
 struct Row<'a> {
-    /// The first one.
     finding: &'a Finding,
-    /// The far card's, if the near card's is the first one and has the same verdict.
-    far: Option<&'a Finding>,
-}
-
-impl Row<'_> {
-    /// What it is about.
-    fn of(&self) -> &'static str {
-        if self.far.is_some() { "both" } else { self.finding.of.word() }
-    }
-
+    /// What they are about.
+    of: &'static str,
     /// The findings; for both cards each one's, if they differ.
-    fn found(&self) -> Vec<String> {
-        match self.far {
-            Some(far) if far.found != self.finding.found => {
-                vec![format!("near: {}", self.finding.found), format!("far: {}", far.found)]
-            }
-            _ => vec![self.finding.found.clone()],
-        }
-    }
+    found: Vec<String>,
 }
 
 impl Finding {
@@ -211,7 +195,15 @@ impl Report {
         let mut findings = self.findings.iter().filter(|finding| finding.verdict == verdict).peekable();
         let mut rows = Vec::new();
         while let Some(finding) = findings.next() {
-            rows.push(Row { finding, far: findings.next_if(|next| next.id == finding.id) });
+            let far = findings.next_if(|next| next.id == finding.id);
+            let of = if far.is_some() { "both" } else { finding.of.word() };
+            let found = match far {
+                Some(far) if far.found != finding.found => {
+                    vec![format!("near: {}", finding.found), format!("far: {}", far.found)]
+                }
+                _ => vec![finding.found.clone()],
+            };
+            rows.push(Row { finding, of, found });
         }
         rows
     }
@@ -257,7 +249,35 @@ impl Report {
     /// As one HTML page with the curves.
     #[must_use]
     pub fn html(&self) -> String {
-        html_page(self)
+        let mut page = String::from(
+            "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>csi5300: what holds on this desk</title><style>\
+             body{font:15px/1.45 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1b1f24}\
+             table{border-collapse:collapse;width:100%}td,th{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #d8dee4;vertical-align:top}\
+             .holds{color:#1a7f37}.fails{color:#b42318;font-weight:600}.measured{color:#0b62a4}.not_tried{color:#6e7781}\
+             svg{width:100%;max-width:42rem;font:11px system-ui}.plane{fill:none;stroke:#8c959f}.grid{stroke:#e4e8ec;fill:none}\
+             small{color:#57606a}li{margin:.15rem 0}</style>\n<h1>What holds on this desk</h1>\n",
+        );
+        let [fail, hold, measured, not_tried] =
+            [Verdict::Fails, Verdict::Holds, Verdict::Measured, Verdict::NotTried].map(|verdict| self.count(verdict));
+        let _ = writeln!(
+            page,
+            "<p><b class=\"fails\">{fail} fail</b>, <b class=\"holds\">{hold} hold</b>, {measured} measured, {not_tried} not tried. csi5300 {}</p>",
+            self.version
+        );
+        if !self.facts.is_empty() {
+            page.push_str("<ul>");
+            for fact in &self.facts {
+                let _ = write!(page, "<li>{}</li>", escaped(fact));
+            }
+            page.push_str("</ul>\n");
+        }
+        table(&mut page, self, &[Verdict::Fails]);
+        for curve in &self.curves {
+            page.push_str(&section(curve));
+        }
+        page.push_str("<h2>Everything else</h2>\n");
+        table(&mut page, self, &[Verdict::Measured, Verdict::Holds, Verdict::NotTried]);
+        page
     }
 
     /// As an entry for a bench log, in Markdown.
@@ -293,9 +313,8 @@ impl fmt::Display for Report {
             }
             let mut rows = self.rows(verdict);
             rows.sort_by_key(|row| row.finding.of == Of::Host);
-            for row in rows {
-                let (finding, of, found) = (row.finding, row.of(), row.found().join("; "));
-                writeln!(out, "{:9}  {:wide$}  {of:4}  {found}", verdict.word(), finding.id)?;
+            for Row { finding, of, found } in rows {
+                writeln!(out, "{:9}  {:wide$}  {of:4}  {}", verdict.word(), finding.id, found.join("; "))?;
                 if let Some(claim) = finding.claim().filter(|_| verdict == Verdict::Fails) {
                     writeln!(
                         out,
@@ -324,8 +343,8 @@ impl Report {
     /// The names of the claims with a verdict, in lines of at most 110 letters, with the card if the cards differ.
     fn names(&self, out: &mut fmt::Formatter<'_>, verdict: Verdict) -> fmt::Result {
         let name = |row: &Row<'_>| {
-            let is_of_one = matches!(row.finding.of, Of::Near | Of::Far) && row.far.is_none() && self.logs.len() > 1;
-            if is_of_one { format!("{} ({})", row.finding.id, row.of()) } else { row.finding.id.to_owned() }
+            let is_of_one = matches!(row.of, "near" | "far") && self.logs.len() > 1;
+            if is_of_one { format!("{} ({})", row.finding.id, row.of) } else { row.finding.id.to_owned() }
         };
         let names: Vec<String> = self.rows(verdict).iter().map(name).collect();
         let mut line = format!("{:9} ", verdict.word());
@@ -495,39 +514,6 @@ fn svg(curve: &Curve) -> String {
     svg
 }
 
-/// The page.
-fn html_page(report: &Report) -> String {
-    let mut page = String::from(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>csi5300: what holds on this desk</title><style>\
-         body{font:15px/1.45 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1b1f24}\
-         table{border-collapse:collapse;width:100%}td,th{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #d8dee4;vertical-align:top}\
-         .holds{color:#1a7f37}.fails{color:#b42318;font-weight:600}.measured{color:#0b62a4}.not_tried{color:#6e7781}\
-         svg{width:100%;max-width:42rem;font:11px system-ui}.plane{fill:none;stroke:#8c959f}.grid{stroke:#e4e8ec;fill:none}\
-         small{color:#57606a}li{margin:.15rem 0}</style>\n<h1>What holds on this desk</h1>\n",
-    );
-    let [fail, hold, measured, not_tried] =
-        [Verdict::Fails, Verdict::Holds, Verdict::Measured, Verdict::NotTried].map(|verdict| report.count(verdict));
-    let _ = writeln!(
-        page,
-        "<p><b class=\"fails\">{fail} fail</b>, <b class=\"holds\">{hold} hold</b>, {measured} measured, {not_tried} not tried. csi5300 {}</p>",
-        report.version
-    );
-    if !report.facts.is_empty() {
-        page.push_str("<ul>");
-        for fact in &report.facts {
-            let _ = write!(page, "<li>{}</li>", escaped(fact));
-        }
-        page.push_str("</ul>\n");
-    }
-    table(&mut page, report, &[Verdict::Fails]);
-    for curve in &report.curves {
-        page.push_str(&section(curve));
-    }
-    page.push_str("<h2>Everything else</h2>\n");
-    table(&mut page, report, &[Verdict::Measured, Verdict::Holds, Verdict::NotTried]);
-    page
-}
-
 /// A curve with its title and the names of its series.
 fn section(curve: &Curve) -> String {
     let names: Vec<String> = curve
@@ -553,9 +539,8 @@ fn table(page: &mut String, report: &Report, verdicts: &[Verdict]) {
     page.push_str("<table><tr><th>verdict<th>claim<th>of<th>found</tr>\n");
     for verdict in verdicts {
         let class = verdict.word().to_lowercase().replace(' ', "_");
-        for row in report.rows(*verdict) {
-            let (finding, of) = (row.finding, row.of());
-            let found: Vec<String> = row.found().iter().map(|found| escaped(found)).collect();
+        for Row { finding, of, found } in report.rows(*verdict) {
+            let found: Vec<String> = found.iter().map(|found| escaped(found)).collect();
             let found = found.join("<br>");
             let says = finding.claim().map_or("", |claim| claim.says);
             let _ = write!(

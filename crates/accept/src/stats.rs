@@ -1,5 +1,7 @@
 //! Certain decisions about shares and means.
 
+use csi5300::maths::nearest_rank;
+
 /// Standard deviations of a normal distribution beyond which 1 in 10,000 values lies on one side.
 pub const SURE: f64 = 3.72;
 
@@ -34,8 +36,7 @@ pub fn mean_and_error(values: &[f64]) -> Option<(f64, f64)> {
 pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let mut values: Vec<f64> = values.iter().copied().filter(|value| !value.is_nan()).collect();
     values.sort_by(f64::total_cmp);
-    let last = values.len().checked_sub(1)?;
-    values.get((share.clamp(0.0, 1.0) * last as f64).round() as usize).copied()
+    nearest_rank(&values, share)
 }
 
 /// The line through points with up to a third of outliers: (value at `x = 0`, slope, standard error of the slope). It

@@ -6,7 +6,7 @@ use csi5300::internal::FrameReceiver;
 use csi5300::source::{Error, Injector, Next, Stamps};
 use csi5300::time::Instant;
 use csi5300_accept::{
-    Collector, Done, Evidence, Finding, Interface, Plan, Report, Sending, Side, Truth, Verdict, collect, run,
+    After, Done, Evidence, Finding, Heard, Plan, Report, Sending, Side, Truth, Verdict, collect, run,
 };
 use csi5300_sim::{CardFault, Room, Scene};
 use driver_iface::bfee::{Antenna, Antennas, Iq};
@@ -355,22 +355,22 @@ fn at_rest(seed: u64, snr_db: f64, near: &str) -> Evidence {
 
 /// Robots at rest: their first logs, then those after each step, each with an addition to the near robot.
 fn standing(seed: u64, snr_db: f64, after: &[(Done, &str)]) -> Report {
-    let mut collector = Collector::new(resting());
+    let again = |heard: Heard| Heard::of_log(&heard.log);
     let first = at_rest(seed, snr_db, "");
-    collector.log(Side::Near, &first.near.log);
-    collector.log(Side::Far, &first.far.unwrap().log);
+    let mut evidence = Evidence::new(resting());
+    (evidence.near, evidence.far) = (again(first.near), first.far.map(again));
     for (later, (done, near)) in (1_000..).zip(after) {
         let later = at_rest(seed + later, snr_db, near);
-        collector.after(*done, &later.near.log, later.far.as_ref().map(|far| far.log.as_slice()));
+        evidence.after.push(After { done: *done, near: again(later.near), far: later.far.map(again) });
     }
-    collector.finish().judge()
+    evidence.judge()
 }
 
 /// Robots at rest; one antenna falls by 20 dB after the person was asked to unplug `told`.
 fn unplugged(seed: u64, snr_db: f64, told: Antenna, falls: Option<Antenna>) -> Report {
-    let mut collector = Collector::new(resting());
-    collector.log(Side::Near, &at_rest(seed, snr_db, "").near.log);
-    collector.unplugged(told);
+    let mut evidence = Evidence::new(resting());
+    evidence.near = Heard::of_log(&at_rest(seed, snr_db, "").near.log);
+    evidence.unplugged.push((told, Heard::default()));
     for record in at_rest(seed + 1_000, snr_db, "").near.records {
         let antennas = Antennas::new(record.head.antenna_sel, record.head.n_rx, record.head.rssi).unwrap();
         let chain = falls.and_then(|antenna| antennas.chain_of(antenna));
@@ -382,9 +382,9 @@ fn unplugged(seed: u64, snr_db: f64, told: Antenna, falls: Option<Antenna>) -> R
         let mut body = vec![0; record.head.body_len()];
         record.head.emit(&csi, &mut body).unwrap();
         let stamps = Stamps { host_us: record.host_us, ..Stamps::default() };
-        collector.heard(Side::Near, &Next::Record(stamps, Record { code: code::BFEE, body: &body }));
+        evidence.heard(Side::Near, &Next::Record(stamps, Record { code: code::BFEE, body: &body }));
     }
-    collector.finish().judge()
+    evidence.judge()
 }
 
 /// Identities of the claims that fail.
@@ -426,7 +426,8 @@ fn sent_at(seed: u64, snr_db: f64, [near, far]: [&str; 2], way: Way) -> Report {
     let sender = room.mac(0).unwrap();
     let (mut near, mut far) = (room.card(0).unwrap(), room.card(1).unwrap());
     let mut evidence =
-        collect(&mut near, Some(&mut far), Some(Sending::new(&mut interface, sender)), resting()).unwrap();
+        collect(&mut near, Some(&mut far), Some((Sending::new(sender, Instant::ZERO), &mut interface)), resting())
+            .unwrap();
     // The room's interface reports each frame as sent when it is read.
     while interface.interface.hear().unwrap().is_some() {}
     evidence.interface.confirmed = interface.interface.sent_for_certain();
@@ -479,9 +480,9 @@ fn the_air_that_frames_use_is_that_of_the_standard() {
 
 /// The report of an interface whose channel has these flags.
 fn flagged(flags: Option<&str>) -> Report {
-    let mut collector = Collector::new(Plan::new("108".parse().unwrap()));
-    collector.interface(Interface { channel_flags: flags.map(str::to_owned), ..Interface::default() });
-    collector.finish().judge()
+    let mut evidence = Evidence::new(Plan::new("108".parse().unwrap()));
+    evidence.interface.channel_flags = flags.map(str::to_owned);
+    evidence.judge()
 }
 
 #[test]

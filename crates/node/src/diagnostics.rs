@@ -10,12 +10,12 @@ use csi5300::pipeline::live::PeerState;
 use csi5300::signal::channel::Channel;
 use csi5300::source::{Loss, Next, Stamps};
 use csi5300::time::{Instant, Span};
-use csi5300_accept::{Claim, Collector, Finding, Of, Plan, Side, Verdict};
+use csi5300_accept::{Claim, Evidence, Finding, Of, Plan, Side, Verdict};
 use csi5300_bag::messages::{Byte, DiagnosticArray, DiagnosticStatus, Header, KeyValue, SelfTestResponse};
-use csi5300_live::doctor::{self, module_counters};
+use csi5300_live::doctor::{self, module_counters, module_growth};
 use driver_iface::Mac;
 use driver_iface::record::Record;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -53,7 +53,7 @@ impl Card {
         self.0.push_back((now, gave));
     }
 
-    fn tell(&self, side: Side, since: Instant, to: &mut Collector) {
+    fn tell(&self, side: Side, since: Instant, to: &mut Evidence) {
         for (_, gave) in self.0.iter().filter(|(at, _)| *at >= since) {
             let next = match gave {
                 Gave::Record(host_us, code, body) => {
@@ -82,7 +82,7 @@ pub struct SelfTest {
     /// This robot's card, then the peers'.
     cards: Arc<Mutex<Vec<Card>>>,
     /// The kernel module's counters at the start; none without a card.
-    counters: Arc<[(String, u64)]>,
+    counters: Arc<BTreeMap<String, u64>>,
 }
 
 impl SelfTest {
@@ -109,14 +109,14 @@ impl SelfTest {
     pub fn judge(&self) -> Vec<Found> {
         let mut theirs: Vec<Found> = Vec::new();
         for (peer, (name, _)) in self.peers.iter().enumerate() {
-            let both = self.collected(Some(peer)).finish();
+            let mut both = self.collected(Some(peer));
             let report = both.far.is_some().then(|| both.judge());
             let tried =
                 |finding: &Finding| matches!(finding.of, Of::Far | Of::Link) && finding.verdict != Verdict::NotTried;
             let findings = report.into_iter().flat_map(|report| report.findings).filter(tried);
             theirs.extend(findings.map(|finding| (Some(name.clone()), finding)));
         }
-        let own = self.collected(None).finish().judge().findings.into_iter();
+        let own = self.collected(None).judge().findings.into_iter();
         // A claim about links that no peer allowed gives the reason.
         let own = own.filter(|own| own.of != Of::Link || theirs.iter().all(|(_, finding)| finding.id != own.id));
         let mut found: Vec<Found> = own.map(|finding| (None, finding)).collect();
@@ -125,14 +125,12 @@ impl SelfTest {
     }
 
     /// What this robot's card gave, and that of a peer.
-    fn collected(&self, peer: Option<usize>) -> Collector {
+    fn collected(&self, peer: Option<usize>) -> Evidence {
         let mut plan = Plan::new(self.channel);
         plan.macs = peer.and_then(|peer| self.peers.get(peer)).map(|(_, mac)| [self.own, *mac]);
-        let mut collector = Collector::new(plan);
-        let now = if self.counters.is_empty() { Vec::new() } else { module_counters(&doctor::Machine) };
-        for (name, count) in now {
-            let before = self.counters.iter().find(|(known, _)| *known == name).map_or(0, |(_, count)| *count);
-            collector.counted(&name, count.wrapping_sub(before));
+        let mut evidence = Evidence::new(plan);
+        if !self.counters.is_empty() {
+            evidence.counters = module_growth(&doctor::Machine, &self.counters);
         }
         let cards = lock(&self.cards);
         // A silent card keeps its records; the others' window shows whether they are old.
@@ -141,10 +139,10 @@ impl SelfTest {
         let sides = [(Side::Near, Some(0)), (Side::Far, peer.map(|peer| peer + 1))];
         for (side, card) in sides {
             if let Some(card) = card.and_then(|card| cards.get(card)) {
-                card.tell(side, since, &mut collector);
+                card.tell(side, since, &mut evidence);
             }
         }
-        collector
+        evidence
     }
 }
 

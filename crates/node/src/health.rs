@@ -160,7 +160,8 @@ impl Alarms {
 #[derive(Clone, Debug, Default)]
 pub struct Looks {
     name: String,
-    last: Option<(Instant, u64, u64, Vec<u64>)>,
+    /// The last state.
+    last: Health,
     alarms: Alarms,
     /// The last report of each peer.
     reports: BTreeMap<usize, PeerReport>,
@@ -182,18 +183,15 @@ impl Looks {
         let survey = &machine.estimator.own_log().survey;
         let (losses, strangers) = machine.estimator.losses();
         let poses = machine.pose_counts;
-        let paired = machine.estimator.peers().map(|(_, counts)| counts.pairs);
-        let pairs: Vec<u64> = paired.chain(machine.estimator.others().map(|(.., counts)| counts.pairs)).collect();
-        let (before, records_before, poses_before, pairs_before) =
-            self.last.take().unwrap_or((Instant::ZERO, 0, 0, vec![0; pairs.len()]));
-        let seconds = (now - before).as_s().max(1e-6);
+        let before = std::mem::take(&mut self.last);
+        let seconds = (now.as_s() - before.uptime_s).max(1e-6);
         let rate = |now: u64, before: u64| (now - before.min(now)) as f64 / seconds;
         let peers = machine.estimator.peers().map(|(peer, counts)| (peer.name.as_str(), peer.mac, counts));
         let peers = peers.chain(machine.estimator.others()).enumerate().map(|(k, (name, mac, counts))| PeerHealth {
             name: name.to_owned(),
             mac: mac.to_string(),
             counts,
-            pairs_hz: rate(counts.pairs, pairs_before.get(k).copied().unwrap_or(0)),
+            pairs_hz: rate(counts.pairs, before.peers.get(k).map_or(0, |peer| peer.counts.pairs)),
             report: self.reports.get(&k).cloned(),
         });
         let pose = machine.estimator.track().last();
@@ -201,14 +199,14 @@ impl Looks {
             name: self.name.clone(),
             uptime_s: now.as_s(),
             records: survey.records,
-            records_hz: rate(survey.records, records_before),
+            records_hz: rate(survey.records, before.records),
             losses,
             missing: survey.bfee_missing,
             strangers,
             strangers_forgotten: survey.senders_forgotten,
             poses,
             odometry: machine.odometry_counts(),
-            poses_hz: rate(poses.poses, poses_before),
+            poses_hz: rate(poses.poses, before.poses.poses),
             pose: pose.map(|pose| (pose.t_s, pose.position_m.into(), pose.heading_rad.map(f64::to_degrees))),
             log: machine.totals(),
             peers: peers.collect(),
@@ -216,7 +214,7 @@ impl Looks {
             trouble: machine.trouble().into_iter().chain(self.alarms.look(machine, now)).collect(),
             ..Health::default()
         };
-        self.last = Some((now, survey.records, poses.poses, pairs));
+        self.last.clone_from(&health);
         health
     }
 }

@@ -30,7 +30,7 @@ use tokio::sync::Notify;
 /// Interval of states.
 const LOOK: Span = Span::from_ms(500);
 /// How long records may wait while no report is due, so that one wake-up takes several.
-const TOGETHER: Span = Span::from_ms(3);
+const TOGETHER: Duration = Duration::from_millis(3);
 /// The longest wait between reads of the sources.
 const LONGEST_WAIT: Span = Span::from_ms(500);
 
@@ -180,21 +180,14 @@ impl<'a> Service<'a> {
             }
             if let Some(every) = watchdog.filter(|_| real >= alive_at) {
                 let _ = sd_notify::notify(&[NotifyState::Watchdog]);
-                alive_at = real + Span::from_us(i64::try_from(every.as_micros()).unwrap_or(i64::MAX));
+                alive_at = real + Span::from_s(every.as_secs_f64());
             }
             if self.machine.is_done(self.clock.now()) {
                 return Ok(());
             }
             let gather = if more { Duration::ZERO } else { self.gather() };
             if !gather.is_zero() {
-                tokio::select! {
-                    biased;
-                    () = any(signals) => {
-                        self.signalled = true;
-                        return Ok(());
-                    }
-                    () = tokio::time::sleep(gather) => {}
-                }
+                tokio::time::sleep(gather).await;
             }
             let until = self.machine.next_at().map_or(LONGEST_WAIT.as_s(), |at| self.clock.until(at).as_secs_f64());
             let wait = if more {
@@ -217,12 +210,7 @@ impl<'a> Service<'a> {
 
     /// How long records may wait: until a report is due, which then waits for its pair.
     fn gather(&self) -> Duration {
-        let now = self.clock.now();
-        match self.machine.estimator.next_due() {
-            Some(due) if due <= now => Duration::ZERO,
-            Some(due) => self.clock.until(due).min(Duration::from_micros(TOGETHER.as_us().unsigned_abs())),
-            None => Duration::ZERO,
-        }
+        self.machine.estimator.next_due().map_or(Duration::ZERO, |due| self.clock.until(due).min(TOGETHER))
     }
 
     /// After all waiting items were taken, so that none comes later with a time of the old clock.

@@ -7,13 +7,13 @@ use crate::threads::{CardThread, PoseThread};
 use csi5300::internal::Roller;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::motion::odometry::{Mounted, NextPose, OdometryError, OdometrySource, Replayed, SourceCounts, csv};
-use csi5300::motion::pose::{Mount, Pose};
+use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Array;
 use csi5300::pipeline::live::{LivePeer, Track};
 use csi5300::source::replay::{Paced, Replay};
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Error, Next};
-use csi5300::time::{Instant, Span, Unwrap32};
+use csi5300::time::{Instant, Span};
 use csi5300_live::feitcsi::{FeitCsi, Frames};
 use csi5300_live::netlink::{self, Netlink};
 use csi5300_live::serial::Serial;
@@ -21,8 +21,6 @@ use csi5300_live::stock::{self, Stock};
 use csi5300_sim::Room;
 use csi5300_sim::served::{self, Address, Role};
 use driver_iface::Mac;
-use driver_iface::bfee::Bfee;
-use driver_iface::record::code;
 use nalgebra::Vector3;
 use std::collections::HashMap;
 use std::os::unix::net::UnixStream;
@@ -83,12 +81,11 @@ struct Opened {
     speed: f64,
 }
 
-/// Where things are on a robot.
-struct Mounting {
-    /// The antenna: metres forward, left, up.
-    antenna_m: [f64; 3],
-    /// The camera that its poses are of.
-    camera: Option<CameraMount>,
+impl Opened {
+    /// Of a card whose records come when they come.
+    fn live(card: CardThread, mac: Option<Mac>) -> Result<Self, Error> {
+        Ok(Self { wake: Some(card.wake()?), card: Box::new(card), mac, speed: 1.0 })
+    }
 }
 
 /// What several sources of one configuration share.
@@ -121,8 +118,7 @@ impl Sources {
         let Opened { card, wake, mac, speed } = shared.capture(capture, config)?;
         let own = config.mac.or(mac);
         let robot = capture.robot().unwrap_or_default();
-        let mount = Mounting { antenna_m: config.antenna_offset_m, camera: config.camera_mount };
-        let (poses, track) = shared.poses(&config.odometry, robot, mount)?;
+        let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m, config.camera_mount)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
         let own = own.ok_or_else(|| refused("this robot's MAC is not known"))?;
         let array = config.array.as_ref().map(|array| array.array()).transpose();
@@ -149,21 +145,22 @@ impl<'a> Shared<'a> {
             Capture::Feitcsi(asked) => open_feitcsi(asked, self.wall_us),
             Capture::Served(served) => {
                 self.served = Some(&served.socket);
-                open_served(served, self.wall_us)
+                let (card, mac) = join(&served.socket, &served.robot, self.wall_us)?;
+                Opened::live(card, Some(mac))
             }
             Capture::Replay(asked) => {
-                let (opened, replayed) = open_replay(asked, config.mac)?;
-                self.replayed = Some(replayed);
-                Ok(opened)
+                let origin_s = first_host_s(&asked.file)?;
+                self.replayed = Some(ReplayedLog { file: &asked.file, own: config.mac, origin_s });
+                let card = Box::new(Paced::new(Replay::open(&asked.file)?, 1.0, None));
+                Ok(Opened { card, wake: None, mac: None, speed: asked.speed })
             }
             Capture::Room(asked) => {
-                let mut room = open_room(asked)?;
+                let mut room = Room::new(&asked.load_scene()?)?;
                 for (robot, odometry) in &asked.follow {
                     let source = match odometry {
                         Odometry::Csv(file) => trajectory(file, None, self.start)?,
                         // The room's time is that of this host.
-                        Odometry::Ros(_) | Odometry::Ros2(_) => adapted(self.adapters, odometry, Stamp::Receipt)?,
-                        _ => return Err(refused(format!("robot `{robot}` follows `ros2`, `ros` or `csv`"))),
+                        topic => adapted(self.adapters, topic, Stamp::Receipt)?,
                     };
                     room.follow(number(&room, robot)?, source)?;
                 }
@@ -176,10 +173,17 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// A source of poses, or the place of a robot that has none.
-    fn poses(&mut self, odometry: &Odometry, robot: &str, mount: Mounting) -> Result<(Option<Poses>, Track), Error> {
+    /// A source of poses of a robot's antenna, which is so far forward, left and up; or the place of a robot that has none.
+    /// With a camera the source's poses are of that.
+    fn poses(
+        &mut self,
+        odometry: &Odometry,
+        robot: &str,
+        antenna_m: [f64; 3],
+        camera: Option<CameraMount>,
+    ) -> Result<(Option<Poses>, Track), Error> {
         let source: Poses = match odometry {
-            Odometry::Static(place) => return Ok((None, still(place, mount.antenna_m))),
+            Odometry::Static(place) => return Ok((None, still(place, antenna_m))),
             Odometry::Network(_) => return Ok((None, Track::default())),
             Odometry::Csv(file) => {
                 let origin_s = self.replayed.as_ref().map_or(0.0, |replayed| replayed.origin_s);
@@ -197,11 +201,11 @@ impl<'a> Shared<'a> {
                 Box::new(PoseThread::start(serial)?)
             }
         };
-        let source: Poses = match mount.camera {
-            Some(camera) => Box::new(Rolling::new(source, camera.mount())),
+        let source: Poses = match camera {
+            Some(camera) => Box::new(Rolling { source, roller: Roller::new(camera.mount()) }),
             None => source,
         };
-        let offset_m = Vector3::from(mount.antenna_m);
+        let offset_m = Vector3::from(antenna_m);
         let mounted: Poses =
             if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
         Ok((Some(mounted), Track::default()))
@@ -234,8 +238,7 @@ impl<'a> Shared<'a> {
 
     fn peer(&mut self, peer: &PeerConfig) -> Result<PeerSources, Error> {
         let (records, mac) = self.records(peer)?;
-        let mount = Mounting { antenna_m: peer.antenna_offset_m, camera: None };
-        let (poses, track) = self.poses(&peer.poses, &peer.name, mount)?;
+        let (poses, track) = self.poses(&peer.poses, &peer.name, peer.antenna_offset_m, None)?;
         let unknown = || refused(format!("the MAC of peer `{}` is not known", peer.name));
         let mac = peer.mac.or(mac).ok_or_else(unknown)?;
         let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
@@ -248,7 +251,7 @@ impl<'a> Shared<'a> {
 fn open_card(card: &config::Card, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
     let &config::Card { connector_index, allow_user_sender } = card;
     let options = netlink::Options { connector_index, allow_user_sender, wall_us, ..netlink::Options::default() };
-    opened(CardThread::start(Netlink::open(&options)?)?)
+    Opened::live(CardThread::start(Netlink::open(&options)?)?, None)
 }
 
 /// The same by the eBPF program, under the kernel's own driver. `own` is this robot's MAC, and `frames` says whether their
@@ -261,7 +264,7 @@ fn open_stock(
 ) -> Result<Opened, Error> {
     let records = driver_iface::stock::Options::default().with_frames(asked.frames || frames);
     let options = stock::Options { records, own, wall_us, ..stock::Options::default() };
-    opened(CardThread::start(Stock::open(&options)?)?)
+    Opened::live(CardThread::start(Stock::open(&options)?)?, None)
 }
 
 /// What FeitCSI writes. A pipe stays open, whoever writes to it and whenever.
@@ -274,20 +277,10 @@ fn open_feitcsi(asked: &Feitcsi, wall_us: fn() -> Option<i64>) -> Result<Opened,
             Frames::read(pipe.into(), wall_us)
         }
     };
-    opened(CardThread::start(FeitCsi::new(frames))?)
+    Opened::live(CardThread::start(FeitCsi::new(frames))?, None)
 }
 
-/// A card's records come when they come.
-fn opened(card: CardThread) -> Result<Opened, Error> {
-    Ok(Opened { wake: Some(card.wake()?), card: Box::new(card), mac: None, speed: 1.0 })
-}
-
-/// This robot's card in a room that another program runs.
-fn open_served(asked: &config::Served, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
-    let (card, mac) = join(&asked.socket, &asked.robot, wall_us)?;
-    Ok(Opened { wake: Some(card.wake()?), card: Box::new(card), mac: Some(mac), speed: 1.0 })
-}
-
+/// A robot's card in a room that another program runs, and its MAC.
 fn join(socket: &Path, robot: &str, wall_us: fn() -> Option<i64>) -> Result<(CardThread, Mac), Error> {
     let (room, mac) = served::join(&address(socket, robot), Role::Card)?;
     Ok((CardThread::start(Netlink::over(room, wall_us))?, mac))
@@ -295,16 +288,6 @@ fn join(socket: &Path, robot: &str, wall_us: fn() -> Option<i64>) -> Result<(Car
 
 fn address(socket: &Path, robot: &str) -> Address {
     Address { socket: socket.to_owned(), robot: robot.to_owned() }
-}
-
-/// The simulated room of a scene that has this robot.
-fn open_room(asked: &config::Room) -> Result<Room, Error> {
-    let (room, robot) = (Room::new(&asked.load_scene()?)?, &asked.robot);
-    if room.number(robot).is_none() {
-        let known: Vec<&str> = room.scene().robot.iter().map(|robot| robot.name.as_str()).collect();
-        return Err(refused(format!("the scene has no robot `{robot}`: it has {}", known.join(", "))));
-    }
-    Ok(room)
 }
 
 /// There is no such robot.
@@ -318,10 +301,11 @@ fn number(room: &Room, robot: &str) -> Result<usize, Error> {
 
 /// A peer's card, and its MAC.
 fn peer_card(room: &mut Room, robot: &str) -> Result<(Card, Mac), Error> {
-    let absent = || refused(format!("the room has no robot `{robot}`, or it is used twice"));
-    let number = room.number(robot).ok_or_else(absent)?;
-    let (mac, card) = (room.mac(number), room.card(number));
-    let (mac, card) = mac.zip(card).ok_or_else(absent)?;
+    let number = number(room, robot)?;
+    let (mac, card) = room
+        .mac(number)
+        .zip(room.card(number))
+        .ok_or_else(|| refused(format!("robot `{robot}` of the room is used twice")))?;
     Ok((Box::new(card), mac))
 }
 
@@ -332,14 +316,6 @@ struct ReplayedLog<'a> {
     own: Option<Mac>,
     /// Host time at which the log begins, seconds.
     origin_s: f64,
-}
-
-/// This robot's log.
-fn open_replay(asked: &config::Replay, own: Option<Mac>) -> Result<(Opened, ReplayedLog<'_>), Error> {
-    let origin_s = first_host_s(&asked.file)?;
-    let card = Box::new(Paced::new(Replay::open(&asked.file)?, 1.0, None));
-    let replayed = ReplayedLog { file: &asked.file, own, origin_s };
-    Ok((Opened { card, wake: None, mac: None, speed: asked.speed }, replayed))
 }
 
 /// A peer's log, to be played together with this robot's.
@@ -395,8 +371,7 @@ struct Frame {
 
 /// The frames of `sender` in a log, one by one.
 fn frames(mut log: impl CsiSource, sender: Mac) -> impl Iterator<Item = Result<Frame, Error>> {
-    let (mut survey, mut clock, mut first, mut before, mut ended) =
-        (Survey::default(), Unwrap32::default(), None, 0, false);
+    let (mut survey, mut before, mut ended) = (Survey::default(), 0, false);
     std::iter::from_fn(move || {
         while !ended {
             let next = match log.receive(Instant::ZERO) {
@@ -408,19 +383,10 @@ fn frames(mut log: impl CsiSource, sender: Mac) -> impl Iterator<Item = Result<F
             };
             ended = matches!(next, Next::End(_));
             before += 1;
-            if let Next::Record(_, record) = &next
-                && record.code == code::BFEE
-                && let Ok(bfee) = Bfee::new_checked(record.body)
-            {
-                let now_us = clock.next(bfee.timestamp_low());
-                let since = Span::from_us(now_us - *first.get_or_insert(now_us));
-                let identity = survey.note(&next).map(|(_, identity)| identity);
-                let of_sender = identity.filter(|identity| identity.mac == sender);
-                if let Some(number) = of_sender.and_then(|identity| identity.frame_count) {
-                    return Some(Ok(Frame { number, before: before - 1, since }));
-                }
-            } else {
-                survey.note(&next);
+            let of_sender = survey.note(&next).filter(|(_, identity)| identity.mac == sender);
+            if let Some(number) = of_sender.and_then(|(_, identity)| identity.frame_count) {
+                let (first_us, now_us) = survey.clock_us.unwrap_or_default();
+                return Some(Ok(Frame { number, before: before - 1, since: Span::from_us(now_us - first_us) }));
             }
         }
         None
@@ -481,19 +447,13 @@ fn still(place: &config::Place, offset_m: [f64; 3]) -> Track {
 }
 
 /// The middle between the wheels of a robot, by the camera that it carries.
-struct Rolling<S> {
-    source: S,
+struct Rolling {
+    /// The camera's poses.
+    source: Poses,
     roller: Roller,
 }
 
-impl<S: OdometrySource> Rolling<S> {
-    /// Of a camera at `mount` whose poses `source` gives.
-    fn new(source: S, mount: Mount) -> Self {
-        Self { source, roller: Roller::new(mount) }
-    }
-}
-
-impl<S: OdometrySource> OdometrySource for Rolling<S> {
+impl OdometrySource for Rolling {
     fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
         Ok(match self.source.receive(now)? {
             NextPose::Pose(pose) => NextPose::Pose(self.roller.step(&pose)?),
@@ -521,8 +481,9 @@ impl<S: OdometrySource> OdometrySource for Rolling<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use csi5300::motion::pose::Mount;
     use driver_iface::bfee::{Iq, Repr, Wsr};
-    use driver_iface::record::Record;
+    use driver_iface::record::{Record, code};
     use std::collections::VecDeque;
 
     struct Listed(VecDeque<NextPose>);
@@ -553,7 +514,7 @@ mod tests {
         ];
         // A camera that looks 0.02 to the left of a robot that drives along x.
         let mount = Mount { offset_m: Vector3::new(0.1, 0.2, 0.0), yaw_rad: 0.02 };
-        let mut rolling = Rolling::new(Listed(listed.into()), mount);
+        let mut rolling = Rolling { source: Box::new(Listed(listed.into())), roller: Roller::new(mount) };
         let mut at = || rolling.receive(Instant::ZERO).unwrap();
         let place = |next: NextPose| match next {
             NextPose::Pose(pose) => (pose.position_m + Vector3::new(0.1, 0.2, 0.0), pose.heading_rad),

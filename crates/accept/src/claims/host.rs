@@ -1,6 +1,6 @@
 //! Claims of clocks and of the host, and those decided by the kernel module's counters.
 
-use super::{Needs, Told};
+use super::{TRUTH, Told};
 use crate::evidence::{Evidence, Heard, HeardRecord};
 use crate::report::Verdict;
 use crate::stats::{SURE, line, quantile};
@@ -143,7 +143,7 @@ pub(super) fn lateness(evidence: &Evidence) -> Told {
 
 pub(super) fn processor(evidence: &Evidence) -> Told {
     if evidence.plan.truth.is_none() {
-        return Told::needs(super::Needs::Direction);
+        return Told::not_tried(TRUTH);
     }
     let azimuth = |tier| {
         let options = Options::new(evidence.plan.channel).with_tier(tier);
@@ -195,10 +195,9 @@ pub(super) fn recorder(heard: &Heard, _: &Evidence) -> Told {
 /// Growth of the counters, in the order of the names; or why it is unknown.
 fn grown<const N: usize>(evidence: &Evidence, names: [&str; N]) -> Result<[u64; N], Told> {
     if evidence.counters.is_empty() {
-        return Err(Told::needs(Needs::Module));
+        return Err(Told::not_tried("needs the kernel module csi5300 beside the stock driver"));
     }
-    let of = |name: &str| evidence.counters.iter().find(|(known, _)| known == name).map(|(_, more)| *more);
-    let found = names.map(of);
+    let found = names.map(|name| evidence.counters.get(name).copied());
     match found.iter().position(Option::is_none) {
         Some(at) => Err(Told::not_tried(format!(
             "the module has no counter `{}`: it is of another version",
@@ -239,13 +238,12 @@ pub(super) fn stays_zero<const N: usize>(evidence: &Evidence, names: [&str; N]) 
 #[cfg(test)]
 mod tests {
     use crate::CLAIMS;
-    use crate::evidence::{Collector, Plan};
+    use crate::evidence::{Evidence, Plan};
     use crate::report::Verdict::{Fails, Holds, NotTried};
 
     fn verdicts(counters: &[(&str, u64)]) -> [crate::report::Verdict; 4] {
-        let mut collector = Collector::new(Plan::new("64".parse().unwrap()));
-        counters.iter().for_each(|(name, more)| collector.counted(name, *more));
-        let evidence = collector.finish();
+        let mut evidence = Evidence::new(Plan::new("64".parse().unwrap()));
+        evidence.counters = counters.iter().map(|(name, more)| ((*name).to_owned(), *more)).collect();
         ["csi", "marked", "order", "layout"].map(|what| {
             let claim = CLAIMS.iter().find(|claim| claim.id == format!("module.{what}")).unwrap();
             claim.judge(&evidence)[0].verdict

@@ -1,13 +1,13 @@
 //! Claims about two cards together, about sent frames, and those that need a person, who retunes a card, reloads its driver,
 //! or unplugs an antenna.
 
-use super::{LEAST, Needs, Told};
+use super::{LEAST, SENDING, TRUTH, TWO_CARDS, Told};
 use crate::evidence::{
     After, Done, Evidence, Heard, HeardRecord, Interface, Pairs, Sending, Sent, column, usual_sender,
 };
-use crate::report::Verdict;
 use crate::stats::{SURE, quantile};
 use csi5300::exchange::tdma::Phy;
+use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Options, Transmitter};
 use csi5300::source::replay::Replay;
 use driver_iface::Mac;
@@ -16,12 +16,12 @@ use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::FCS_LEN;
 use num_complex::{Complex32, Complex64};
 use std::collections::{BTreeMap, HashSet};
-use std::f64::consts::{FRAC_PI_4, PI, TAU};
+use std::f64::consts::{FRAC_PI_4, TAU};
 
 /// The pairs of two logs that belong together.
 fn of_two_cards(evidence: &Evidence) -> Result<&Pairs, Told> {
     match &evidence.pairs {
-        None => Err(Told::needs(Needs::TwoCards)),
+        None => Err(Told::not_tried(TWO_CARDS)),
         Some(Pairs { refused: Some(why), .. }) => Err(Told::not_tried(why.to_string())),
         Some(pairs) => Ok(pairs),
     }
@@ -156,7 +156,7 @@ pub(super) fn crystal(pairs: &Pairs, evidence: &Evidence) -> Told {
 
 pub(super) fn rest(pairs: &Pairs, evidence: &Evidence) -> Told {
     if !evidence.plan.at_rest {
-        return Told::needs(Needs::Rest);
+        return Told::not_tried("needs two robots that stand still (`at_rest`)");
     }
     let mut z = pairs.product.clone();
     if let Some(found) = &pairs.compensation {
@@ -184,8 +184,8 @@ pub(super) fn rest(pairs: &Pairs, evidence: &Evidence) -> Told {
 
 /// The bearing by this library: (azimuth, half-width of its 95 % interval, probability of being within five degrees).
 pub(super) fn answer(evidence: &Evidence, options: Options) -> Result<(f64, f64, f64), String> {
-    let truth = evidence.plan.truth.as_ref().ok_or_else(|| Needs::Direction.words().to_owned())?;
-    let far = evidence.far.as_ref().ok_or_else(|| Needs::TwoCards.words().to_owned())?;
+    let truth = evidence.plan.truth.as_ref().ok_or(TRUTH)?;
+    let far = evidence.far.as_ref().ok_or(TWO_CARDS)?;
     let mut near_log = Replay::new(evidence.near.log.as_slice(), "near".into());
     let mut far_log = Replay::new(far.log.as_slice(), "far".into());
     let transmitters = vec![Transmitter { log: &mut far_log, trajectory: None }];
@@ -197,12 +197,12 @@ pub(super) fn answer(evidence: &Evidence, options: Options) -> Result<(f64, f64,
 }
 
 pub(super) fn bearing(evidence: &Evidence) -> Told {
-    let Some(truth) = &evidence.plan.truth else { return Told::needs(Needs::Direction) };
+    let Some(truth) = &evidence.plan.truth else { return Told::not_tried(TRUTH) };
     let (azimuth, bar, probability) = match answer(evidence, Options::new(evidence.plan.channel)) {
         Ok(answer) => answer,
-        Err(why) => return Told::new(Verdict::NotTried, format!("no bearing: {why}")),
+        Err(why) => return Told::not_tried(format!("no bearing: {why}")),
     };
-    let error = (azimuth - truth.azimuth_rad + PI).rem_euclid(TAU) - PI;
+    let error = wrap_rad(azimuth - truth.azimuth_rad);
     let found = format!(
         "{:.2} degrees off, 95 % within {:.2}; {:.0} % sure to be within 5 degrees",
         error.to_degrees(),
@@ -233,7 +233,7 @@ fn rates(evidence: &Evidence) -> Vec<f64> {
 pub(super) fn taken(evidence: &Evidence) -> Told {
     let asked = asked(evidence);
     if asked.is_empty() {
-        return Told::needs(Needs::Sending);
+        return Told::not_tried(SENDING);
     }
     Told::share(asked.iter().filter(|sent| !sent.taken).count(), asked.len(), 0.01, "frames were refused")
 }
@@ -248,7 +248,7 @@ fn heard_by_far(evidence: &Evidence) -> Option<HashSet<u32>> {
 pub(super) fn heard(evidence: &Evidence) -> Told {
     let asked = asked(evidence);
     if asked.is_empty() || evidence.far.is_none() {
-        return Told::needs(Needs::Sending);
+        return Told::not_tried(SENDING);
     }
     let heard = heard_by_far(evidence).unwrap_or_default();
     let lost_at = |rate_hz: f64| {
@@ -264,7 +264,7 @@ pub(super) fn heard(evidence: &Evidence) -> Told {
 }
 
 pub(super) fn pace(evidence: &Evidence) -> Told {
-    let (Some(far), false) = (&evidence.far, evidence.sent.is_empty()) else { return Told::needs(Needs::Sending) };
+    let (Some(far), false) = (&evidence.far, evidence.sent.is_empty()) else { return Told::not_tried(SENDING) };
     let Some(sender) = usual_sender(far) else { return Told::not_tried("the far card heard no number") };
     let number = |record: &HeardRecord| Some((record.number?, record.card_us)).filter(|_| record.mac == sender);
     let heard: BTreeMap<u32, i64> = far.records.iter().filter_map(number).collect();
@@ -315,7 +315,7 @@ fn airtime_us(far: &Heard, sender: Mac) -> Option<f64> {
 pub(super) fn confirmed(evidence: &Evidence) -> Told {
     let taken = evidence.sent.iter().filter(|sent| sent.taken).count();
     match evidence.interface.confirmed {
-        _ if taken == 0 => Told::needs(Needs::Sending),
+        _ if taken == 0 => Told::not_tried(SENDING),
         None => Told::not_tried("this interface reports nothing of what it sends"),
         Some(0) if heard_by_far(evidence).is_some_and(|heard| !heard.is_empty()) => {
             Told::not_tried("the driver reports none of the frames, and the far card heard them")
@@ -331,7 +331,7 @@ pub(super) fn confirmed(evidence: &Evidence) -> Told {
 pub(super) fn once(evidence: &Evidence) -> Told {
     let Interface { confirmed, retried, .. } = evidence.interface;
     match confirmed {
-        _ if evidence.sent.is_empty() => Told::needs(Needs::Sending),
+        _ if evidence.sent.is_empty() => Told::not_tried(SENDING),
         None | Some(0) => Told::not_tried("this interface reports nothing of what it sends"),
         Some(count) => {
             let number = |count| usize::try_from(count).unwrap_or(usize::MAX);
@@ -352,7 +352,7 @@ pub(super) fn channel(evidence: &Evidence) -> Told {
 
 pub(super) fn numbers(evidence: &Evidence) -> Told {
     if evidence.sent.is_empty() {
-        return Told::needs(Needs::Sending);
+        return Told::not_tried(SENDING);
     }
     let Some(heard) = heard_by_far(evidence) else { return Told::not_tried("the far card heard no number") };
     let sent: HashSet<u32> = evidence.sent.iter().map(|sent| sent.number).collect();
@@ -394,7 +394,7 @@ impl Constant {
     /// Difference from `before`, radians, and its standard error.
     fn step(&self, before: &Self) -> (f64, f64) {
         let turn = TAU * (self.offset_hz - before.offset_hz).abs() * TURN_AROUND_S;
-        let step = (self.rad - before.rad + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0;
+        let step = wrap_rad(self.rad - before.rad);
         (step, SURE * self.error.hypot(before.error) + turn)
     }
 }
@@ -430,15 +430,20 @@ fn constants(near: &Heard, pairs: Option<&Pairs>) -> Vec<Constant> {
     [against_a(Antenna::B), against_a(Antenna::C), round_trip].into_iter().flatten().collect()
 }
 
-pub(super) fn same(evidence: &Evidence, done: Done, needs: Needs) -> Told {
+pub(super) fn same(evidence: &Evidence, done: Done) -> Told {
     let after: Vec<&After> = evidence.after.iter().filter(|after| after.done == done).collect();
     if after.is_empty() || !evidence.plan.at_rest {
-        return Told::needs(needs);
+        let log = match done {
+            Done::Retuned => "a log after each retune (`retuned`)",
+            Done::Reloaded => "a log after the driver was reloaded (`reloaded`)",
+        };
+        return Told::not_tried(format!("needs robots that stand still (`at_rest`), and {log}"));
     }
+    let pairs = |after: &After| Some(Pairs::of(&after.near, after.far.as_ref()?, &evidence.plan));
     let before = constants(&evidence.near, evidence.pairs.as_ref());
     let steps: Vec<(String, f64, f64)> = after
         .iter()
-        .flat_map(|after| constants(&after.near, after.pairs.as_ref()))
+        .flat_map(|after| constants(&after.near, pairs(after).as_ref()))
         .filter_map(|now| {
             let (step, error) = now.step(before.iter().find(|before| before.name == now.name)?);
             Some((now.name, step, error))
@@ -488,7 +493,7 @@ const FALL_DB: f64 = 6.0;
 
 pub(super) fn unplugged(evidence: &Evidence) -> Told {
     if evidence.unplugged.is_empty() {
-        return Told::needs(Needs::Unplugged);
+        return Told::not_tried("needs a person who unplugs antennas (`unplug`)");
     }
     let before = shares(&evidence.near);
     let (mut wrong, mut words, mut figures) = (0, Vec::new(), Vec::new());
@@ -499,25 +504,17 @@ pub(super) fn unplugged(evidence: &Evidence) -> Told {
                 heard.records.len()
             ));
         }
-        let now = shares(heard);
-        let index = which.index();
-        let Some(Some(at_first)) = before.get(index) else {
+        // A chain that the firmware drops fell too.
+        let fell = |(before, now): (&Option<f64>, Option<f64>)| Some((*before)? - now.unwrap_or(-90.0));
+        let falls: Vec<Option<f64>> = before.iter().zip(shares(heard)).map(fell).collect();
+        let Some(own) = falls.get(which.index()).copied().flatten() else {
             return Told::not_tried(format!("antenna {which:?} is in no record, or in few"));
         };
-        // A chain that the firmware drops fell too.
-        let fell =
-            |index: usize| Some(before.get(index)?.as_ref()? - now.get(index).copied().flatten().unwrap_or(-90.0));
-        let falls: Vec<f64> = (0..3).filter_map(fell).collect();
-        let own = at_first - now.get(index).copied().flatten().unwrap_or(-90.0);
-        let most = falls.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let most = falls.iter().flatten().copied().fold(own, f64::max);
         wrong += usize::from(own < FALL_DB || own < most);
         words.push(format!("{which:?} fell by {own:.1} dB, the most that any antenna did is {most:.1} dB"));
         figures.push(own);
     }
     let least = figures.iter().copied().fold(f64::INFINITY, f64::min);
-    Told::new(if wrong == 0 { Verdict::Holds } else { Verdict::Fails }, words.join("; ")).with(
-        "least fall",
-        least,
-        "dB",
-    )
+    Told::decided(wrong == 0, words.join("; ")).with("least fall", least, "dB")
 }

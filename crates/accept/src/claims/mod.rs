@@ -8,50 +8,10 @@ use crate::evidence::{Done, Evidence, Heard, Pairs};
 use crate::report::{Figure, Finding, Of, Verdict};
 use crate::stats::share_bounds;
 
-/// The equipment that a claim needs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Needs {
-    /// One card that hears frames.
-    OneCard,
-    /// The logs of two cards that sounded each other.
-    TwoCards,
-    /// Two cards, neither of which moves.
-    Rest,
-    /// Two cards, the first one's motion, and the true direction.
-    Direction,
-    /// A card that sends, and the log of one that hears it.
-    Sending,
-    /// The host alone, while it waits for a card.
-    Host,
-    /// The kernel module beside the stock driver.
-    Module,
-    /// Logs of the same desk at rest, one after each retune.
-    Retunes,
-    /// Logs of the same desk at rest, one after the driver was reloaded.
-    Reload,
-    /// A person who unplugs antennas.
-    Unplugged,
-}
-
-impl Needs {
-    /// In words.
-    #[must_use]
-    pub fn words(self) -> &'static str {
-        match self {
-            Self::OneCard => "a card that hears frames",
-            Self::TwoCards => "the logs of two cards that sounded each other",
-            Self::Rest => "two robots that stand still (`at_rest`)",
-            Self::Direction => "a trajectory and the true direction",
-            Self::Sending => "a card that sends during the run, and one that hears it",
-            Self::Host => "a host that waits for a card",
-            Self::Module => "the kernel module csi5300 beside the stock driver",
-            Self::Retunes => "robots that stand still (`at_rest`), and a log after each retune (`retuned`)",
-            Self::Reload => "robots that stand still (`at_rest`), and a log after the driver was reloaded (`reloaded`)",
-            Self::Unplugged => "a person who unplugs antennas (`unplug`)",
-        }
-    }
-}
+/// What a claim needs, where a part of it is missing.
+const TWO_CARDS: &str = "needs the logs of two cards that sounded each other";
+const TRUTH: &str = "needs a trajectory and the true direction";
+const SENDING: &str = "needs a card that sends during the run, and one that hears it";
 
 /// The result of a check.
 pub(crate) struct Told {
@@ -67,11 +27,6 @@ impl Told {
 
     fn not_tried(why: impl Into<String>) -> Self {
         Self::new(Verdict::NotTried, why.into())
-    }
-
-    /// A requirement of the claim is missing.
-    fn needs(needs: Needs) -> Self {
-        Self::not_tried(format!("needs {}", needs.words()))
     }
 
     /// Holds or fails.
@@ -119,9 +74,12 @@ impl Told {
 const LEAST: usize = 100;
 
 /// The check of a claim.
+#[derive(Debug)]
 enum Check {
     /// Each card's records alone.
     Log(fn(&Heard, &Evidence) -> Told),
+    /// The same of fields that only a 5300 fills; logs of other cards have converted values there.
+    Of5300(fn(&Heard, &Evidence) -> Told),
     /// Both cards together.
     Link(fn(&Evidence) -> Told),
     /// Exchanges with both frames, if there are enough of them.
@@ -131,13 +89,12 @@ enum Check {
 }
 
 /// A statement about a card, its driver or its host that is true or false.
+#[derive(Debug)]
 pub struct Claim {
     /// Its identity, `subject.what`.
     pub id: &'static str,
     /// The sentence.
     pub says: &'static str,
-    /// What must be on the desk.
-    pub needs: Needs,
     /// The expected range; `open` if unknown.
     pub expected: &'static str,
     /// The source of that range.
@@ -147,12 +104,6 @@ pub struct Claim {
     /// The next command after a failure.
     pub next: &'static str,
     check: Check,
-}
-
-impl std::fmt::Debug for Claim {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(out, "Claim({})", self.id)
-    }
 }
 
 impl Claim {
@@ -173,14 +124,17 @@ impl Claim {
             figures: told.figures,
         };
         match self.check {
-            Check::Log(check) => {
+            Check::Log(check) | Check::Of5300(check) => {
+                let is_of_5300 = matches!(self.check, Check::Of5300(_));
                 let sides = [(Of::Near, Some(&evidence.near)), (Of::Far, evidence.far.as_ref())];
                 let told = |heard: &Heard| match check(heard, evidence) {
-                    _ if heard.is_of_another_card() && OF_A_5300.contains(&self.id) => {
+                    _ if is_of_5300 && heard.is_of_another_card() => {
                         Told::not_tried("the log is of another card, which has no such field")
                     }
                     // Without records there is no good verdict on a card.
-                    told if told.verdict == Verdict::Holds && heard.records.is_empty() => Told::needs(self.needs),
+                    told if told.verdict == Verdict::Holds && heard.records.is_empty() => {
+                        Told::not_tried("needs a card that hears frames")
+                    }
                     told => told,
                 };
                 sides.into_iter().filter_map(|(of, heard)| Some(finding(of, told(heard?)))).collect()
@@ -195,20 +149,6 @@ impl Claim {
     }
 }
 
-/// Claims about fields that only a 5300 fills; logs of other cards have converted values there.
-const OF_A_5300: [&str; 10] = [
-    "log.layout",
-    "reception.count",
-    "reception.gaps",
-    "reception.rate",
-    "reception.order",
-    "reception.antennas",
-    "reception.level",
-    "reception.saturation",
-    "reception.gain",
-    "reception.noise",
-];
-
 const INFO: &str = "`csi5300 info` on that card's log (--report DIR keeps both)";
 
 /// All claims, by subject.
@@ -216,7 +156,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "host.buffer",
         says: "The listener reads as fast as records come: no queue runs over.",
-        needs: Needs::OneCard,
         expected: "0 overruns",
         source: "netlink(7): ENOBUFS when the socket's buffer is full",
         causes: &["the host is busy", "the socket's buffer is too small"],
@@ -226,7 +165,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "host.clock",
         says: "The host's clock is not set while records come.",
-        needs: Needs::OneCard,
         expected: "no step of more than 50 ms against the card's clock",
         source: "card's clock of the same records",
         causes: &["NTP or a person set the clock", "the machine was suspended"],
@@ -236,7 +174,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "host.delay",
         says: "Records reach the host soon and evenly after the card heard the frame.",
-        needs: Needs::OneCard,
         expected: "open",
         source: "measured: spread of host clock less card clock",
         causes: &[],
@@ -246,7 +183,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "host.lateness",
         says: "The host wakes a waiting program in time for a slot of 5 ms.",
-        needs: Needs::Host,
         expected: "99 % within 2.5 ms",
         source: "half a slot of this program's schedule",
         causes: &["the processor saves power", "another program has a higher priority"],
@@ -256,7 +192,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "host.processor",
         says: "The bearing is the same with every vector unit of this processor.",
-        needs: Needs::Direction,
         expected: "within 0.001 degrees of the portable code",
         source: "this program's portable code",
         causes: &["a compiler or processor fault: please report it with /proc/cpuinfo"],
@@ -266,7 +201,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "card.clock",
         says: "The card's clock goes on evenly.",
-        needs: Needs::OneCard,
         expected: "no step of more than 50 ms against the host's clock, never back",
         source: "host's clock of the same records; iwlwifi `timestamp_low` counts microseconds and wraps after 71.6 min",
         causes: &["the driver was reloaded", "the card was reset"],
@@ -276,7 +210,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "card.rate",
         says: "The card's clock is as fast as the host's.",
-        needs: Needs::OneCard,
         expected: "within 100 ppm",
         source: "802.11-2016 17.3.9.5: 20 ppm for the card; 71 WSR links: 7 to 90 ppm, most of it the hosts'",
         causes: &["the host's clock is not disciplined", "the card's crystal is out of tolerance"],
@@ -286,7 +219,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "log.whole",
         says: "Every byte from the card is part of a record that can be read.",
-        needs: Needs::OneCard,
         expected: "0 bytes lost; a last record cut by a killed logger is allowed",
         source: "iwlwifi dvm/rx.c: the fields and the length of a record fix each other",
         causes: &[
@@ -300,37 +232,33 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "log.layout",
         says: "All records have one layout.",
-        needs: Needs::OneCard,
         expected: "one of stock, WSR of 2021, WSR",
         source: "driver_iface::bfee",
         causes: &["the driver was exchanged during the recording", "records of two machines are in one file"],
         next: INFO,
-        check: Check::Log(reception::layout),
+        check: Check::Of5300(reception::layout),
     },
     Claim {
         id: "reception.count",
         says: "The driver's counter of frames goes up from record to record.",
-        needs: Needs::OneCard,
         expected: "never the same value twice in a row",
         source: "iwlwifi `bfee_count`, one up for each frame with CSI",
         causes: &["the driver does not count", "each record was written twice"],
         next: INFO,
-        check: Check::Log(reception::count),
+        check: Check::Of5300(reception::count),
     },
     Claim {
         id: "reception.gaps",
         says: "Between driver and log no records are lost.",
-        needs: Needs::OneCard,
         expected: "at most 1 % of `bfee_count` missing",
         source: "iwlwifi `bfee_count`",
         causes: &["the logger keeps only some senders", "the listener's queue ran over", "the driver drops records"],
         next: "`csi5300 doctor --listen 20s`",
-        check: Check::Log(reception::gaps),
+        check: Check::Of5300(reception::gaps),
     },
     Claim {
         id: "reception.rate",
         says: "Every frame with CSI was sent at an HT rate.",
-        needs: Needs::OneCard,
         expected: "bit 8 of `fake_rate_n_flags` set",
         source: "802.11n 20.3.9: only HT frames carry HT training fields; iwlwifi RATE_MCS_HT_MSK",
         causes: &[
@@ -338,12 +266,11 @@ pub static CLAIMS: [Claim; 49] = [
             "the robot that sent these frames uses a legacy rate (`monitor_tx_rate`)",
         ],
         next: "`csi5300 info LOG.dat`: the rates; then `csi5300 doctor` on the robot that sent these frames",
-        check: Check::Log(reception::ht),
+        check: Check::Of5300(reception::ht),
     },
     Claim {
         id: "reception.width",
         says: "Frames are as wide as the stated channel.",
-        needs: Needs::OneCard,
         expected: "bit 11 of `fake_rate_n_flags` set on 40 MHz only",
         source: "iwlwifi RATE_MCS_HT40_MSK",
         causes: &[
@@ -357,7 +284,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "reception.chains",
         says: "The number of receive chains stays the same.",
-        needs: Needs::OneCard,
         expected: "one value",
         source: "iwlwifi RXON chain flags, set once by the driver",
         causes: &["the driver saves power by switching chains off", "an antenna has a loose contact"],
@@ -367,17 +293,15 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "reception.order",
         says: "Each record says which antenna each chain was connected to.",
-        needs: Needs::OneCard,
         expected: "`antenna_sel` is a permutation",
         source: "iwlwifi `antenna_sel`, two bits a chain",
         causes: &["the driver does not fill the field in", "one antenna is connected and its chain is not named"],
         next: INFO,
-        check: Check::Log(reception::order),
+        check: Check::Of5300(reception::order),
     },
     Claim {
         id: "reception.antennas",
         says: "The named antenna is the true one: a chain's power and its antenna's RSSI agree.",
-        needs: Needs::OneCard,
         expected: "at most 2 % of the records more than 5 dB off",
         source: "csitool: csi and rssi_a, rssi_b, rssi_c of one record; both are measured behind the same gain",
         causes: &[
@@ -386,12 +310,11 @@ pub static CLAIMS: [Claim; 49] = [
             "`antenna_sel` is constant while the order of the chains changes",
         ],
         next: "unplug antenna B, record 10 s, and look at `csi5300 info LOG.dat --plot DIR`: the named chain falls",
-        check: Check::Log(reception::antenna_names),
+        check: Check::Of5300(reception::antenna_names),
     },
     Claim {
         id: "reception.unplugged",
         says: "The chain that is named after an unplugged antenna falls.",
-        needs: Needs::Unplugged,
         expected: "by at least 6 dB against the other chains, and more than any other",
         source: "an open port hears less than a quarter of what its antenna heard",
         causes: &[
@@ -406,7 +329,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "reception.subcarriers",
         says: "The 30 subcarriers come in the order and at the indices of 802.11n.",
-        needs: Needs::OneCard,
         expected: "a line through the phase fits better than with another order",
         source: "802.11n table 7-25f (grouping of 2 at 20 MHz, 4 at 40 MHz)",
         causes: &["the driver or a converter moved the subcarriers", "the stated width is wrong"],
@@ -416,17 +338,15 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "reception.level",
         says: "The gain control uses the converter's range.",
-        needs: Needs::OneCard,
         expected: "root mean square of the strongest chain 8 to 64 steps in the median",
         source: "71 WSR links: 30 to 33",
         causes: &["the coefficients were scaled after the card", "the gain control is off"],
         next: INFO,
-        check: Check::Log(reception::level),
+        check: Check::Of5300(reception::level),
     },
     Claim {
         id: "reception.saturation",
         says: "Coefficients are not cut at the converter's ends.",
-        needs: Needs::OneCard,
         expected: "at most 1 % of the records with a value of -128 or 127",
         source: "8-bit values of the record",
         causes: &[
@@ -435,12 +355,11 @@ pub static CLAIMS: [Claim; 49] = [
             "the gain control is off",
         ],
         next: "move the robots apart, or lower the sender's power with iw dev NAME set txpower fixed 500",
-        check: Check::Log(reception::saturation),
+        check: Check::Of5300(reception::saturation),
     },
     Claim {
         id: "reception.zero",
         says: "No record's coefficients are all zero.",
-        needs: Needs::OneCard,
         expected: "0 records",
         source: "a frame that was decoded has a channel",
         causes: &["the firmware reports CSI of frames without training fields", "the record was damaged"],
@@ -450,7 +369,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "reception.fresh",
         says: "Every record has coefficients of its own.",
-        needs: Needs::OneCard,
         expected: "at most 1 % equal to the record before",
         source: "noise changes the last bit of some of 60 or more values from frame to frame",
         causes: &["the driver hands on a buffer that was not refilled", "records are written twice"],
@@ -460,17 +378,15 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "reception.gain",
         says: "RSSI and gain together give a power that air can carry.",
-        needs: Needs::OneCard,
         expected: "total RSS between -95 and -10 dBm, gain above 0 dB",
         source: "csitool get_total_rss: 10 log10 of the summed RSSI, less 44, less agc",
         causes: &["the driver does not fill in `agc`", "RSSI fields are exchanged with others"],
         next: INFO,
-        check: Check::Log(reception::gain),
+        check: Check::Of5300(reception::gain),
     },
     Claim {
         id: "reception.noise",
         says: "The noise floor is unknown (-127) or one that a receiver can have.",
-        needs: Needs::OneCard,
         expected: "-127, or -105 to -60 dBm",
         source: "thermal noise of 20 MHz is -101 dBm; csitool takes -92 for unknown",
         causes: &[
@@ -479,12 +395,11 @@ pub static CLAIMS: [Claim; 49] = [
             "a strong transmitter is close",
         ],
         next: INFO,
-        check: Check::Log(reception::noise),
+        check: Check::Of5300(reception::noise),
     },
     Claim {
         id: "reception.snr",
         says: "The channel stands out of the noise.",
-        needs: Needs::OneCard,
         expected: "at least 5 dB in the median",
         source: "third differences over the subcarriers; 71 WSR links: 23 to 29 dB",
         causes: &[
@@ -499,7 +414,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "reception.once",
         says: "Each frame is reported once.",
-        needs: Needs::OneCard,
         expected: "at most 1 % of the numbers twice",
         source: "sounding frames are sent without retries and numbered",
         causes: &[
@@ -513,7 +427,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "exchange.pairs",
         says: "Both frames of an exchange are reported.",
-        needs: Needs::TwoCards,
         expected: "at least 90 % of the near card's frames have a partner",
         source: "71 WSR links: 98.9 % and above",
         causes: &[
@@ -527,7 +440,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "exchange.turn_around",
         says: "Answers come evenly.",
-        needs: Needs::TwoCards,
         expected: "90 % within 500 us of each other",
         source: "71 WSR links: 27 to 194 us; the driver's code: 145 to 322 us",
         causes: &[
@@ -541,7 +453,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "exchange.late",
         says: "No answer comes a frame too late.",
-        needs: Needs::TwoCards,
         expected: "at most 5 % later than 1.5 ms",
         source: "5 ms between slots, a third of it",
         causes: &[
@@ -555,7 +466,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "exchange.drift",
         says: "The two cards' clocks drift apart slowly.",
-        needs: Needs::TwoCards,
         expected: "at most 40 ppm",
         source: "802.11-2016 17.3.9.5: 20 ppm each way",
         causes: &["a clock was reset", "the logs are of two runs"],
@@ -565,7 +475,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "phase.cancels",
         says: "In the product of forward and backward frame the carrier offset cancels.",
-        needs: Needs::TwoCards,
         expected: "coherence of the product from exchange to exchange at least 0.4",
         source: "71 WSR links: 0.61 to 0.90",
         causes: &[
@@ -582,7 +491,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "phase.sign",
         says: "The offset has opposite signs in the two directions.",
-        needs: Needs::TwoCards,
         expected: "the product is more coherent than forward times conjugate of backward",
         source: "h ~ exp(-j 2 pi d / lambda); the mixers' difference has one sign each way",
         causes: &["one card's driver conjugates the coefficients", "one log went through a converter"],
@@ -592,7 +500,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "phase.crystal",
         says: "Clock and carrier of a card come from one crystal.",
-        needs: Needs::TwoCards,
         expected: "carrier offset over clock drift is the carrier frequency, within 1.5 ppm",
         source: "802.11-2016 17.3.9.5: one reference for carrier and symbol clock",
         causes: &["the stated channel is of another band", "a card's clock is not the one its carrier comes from"],
@@ -602,7 +509,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "phase.rest",
         says: "At rest the compensated product's phase is constant.",
-        needs: Needs::Rest,
         expected: "coherence within each second at least 0.7",
         source: "0.7 is a spread of 0.84 rad within a second",
         causes: &[
@@ -615,7 +521,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "phase.retune",
         says: "After a retune the phases between antennas and of the round trip are the same.",
-        needs: Needs::Retunes,
         expected: "no step of more than 45 degrees",
         source: "half of pi/2, the smallest step of this card that is known (firmware-notes/csi-quirks.md)",
         causes: &[
@@ -623,22 +528,20 @@ pub static CLAIMS: [Claim; 49] = [
             "a robot was moved: 4 mm are 45 degrees of the round trip at 5.5 GHz",
         ],
         next: "use one antenna, or begin a new log after each retune",
-        check: Check::Link(|evidence| link::same(evidence, Done::Retuned, Needs::Retunes)),
+        check: Check::Link(|evidence| link::same(evidence, Done::Retuned)),
     },
     Claim {
         id: "phase.reload",
         says: "After the driver was reloaded the phases between antennas and of the round trip are the same.",
-        needs: Needs::Reload,
         expected: "no step of more than 45 degrees",
         source: "half of pi/2, the smallest step of this card that is known (firmware-notes/csi-quirks.md)",
         causes: &["the card recalibrates its chains", "a robot was moved: 4 mm are 45 degrees of the round trip"],
         next: "begin a new log after each reload",
-        check: Check::Link(|evidence| link::same(evidence, Done::Reloaded, Needs::Reload)),
+        check: Check::Link(|evidence| link::same(evidence, Done::Reloaded)),
     },
     Claim {
         id: "injection.taken",
         says: "The driver takes every frame.",
-        needs: Needs::Sending,
         expected: "at most 1 % refused at up to 200 frames a second",
         source: "packet(7): ENOBUFS where the interface's queue is full",
         causes: &["the interface is down or not in monitor mode", "the channel forbids sending (no-IR, radar)"],
@@ -648,7 +551,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "injection.channel",
         says: "The card may start to transmit on its channel.",
-        needs: Needs::Sending,
         expected: "neither disabled nor no-IR nor radar detection",
         source: "mac80211 drops injected frames on such channels silently (firmware-notes/injection.md)",
         causes: &["the regulatory domain is the world's (00)", "the channel needs radar detection"],
@@ -658,7 +560,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "injection.confirmed",
         says: "The driver reports the frames as sent.",
-        needs: Needs::Sending,
         expected: "at most 10 % without a report",
         source: "mac80211: one status a frame; on mac80211_hwsim each frame has one (firmware-notes/injection.md)",
         causes: &["the channel forbids sending (no-IR, radar): see injection.channel", "the queue ran over"],
@@ -668,7 +569,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "injection.once",
         says: "Each frame leaves once.",
-        needs: Needs::Sending,
         expected: "at most 1 % sent more than once",
         source: "the count of retries in the driver's report (radiotap field 17)",
         causes: &["the driver waits for acknowledgements: the frames lack the no-acknowledgement flag"],
@@ -678,7 +578,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "injection.pace",
         says: "Frames leave at the requested rate.",
-        needs: Needs::Sending,
         expected: "within 10 % at up to 200 frames a second, by the far card's clock",
         source: "the schedule of the frames that were sent",
         causes: &[
@@ -692,7 +591,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "injection.heard",
         says: "The far card hears the frames that are sent.",
-        needs: Needs::Sending,
         expected: "at most 10 % lost at up to 200 frames a second",
         source: "71 WSR links: 1.0 % of the answers lost at most",
         causes: &[
@@ -706,7 +604,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "injection.numbers",
         says: "The far card hears the numbers that were sent.",
-        needs: Needs::Sending,
         expected: "no other number",
         source: "the frame's own bytes",
         causes: &[
@@ -719,7 +616,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "recorder.same",
         says: "A recording gives the same records as the card did, and all of those written before a cut.",
-        needs: Needs::OneCard,
         expected: "equal, every field and coefficient",
         source: "the live records",
         causes: &["a fault of this program: please report it with the log"],
@@ -729,7 +625,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "module.csi",
         says: "The firmware sends CSI when the module asks for it.",
-        needs: Needs::Module,
         expected: "`bfee` grows while frames are heard",
         source: "csitool's patched drivers; on the stock driver nobody has seen it",
         causes: &[
@@ -743,7 +638,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "module.marked",
         says: "CSI comes as a notification, not as an answer to a command.",
-        needs: Needs::Module,
         expected: "`unmarked` stays 0",
         source: "iwlwifi pcie/rx.c: bit 15 of the packet's sequence number",
         causes: &["the firmware does not set the bit: the driver takes CSI for answers"],
@@ -753,7 +647,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "module.order",
         says: "The firmware reports the order of the antennas.",
-        needs: Needs::Module,
         expected: "`no_order` stays 0",
         source: "iwlwifi dvm/rx.c: REPLY_RX_PHY_CMD before each frame",
         causes: &["the phase packet is laid out in another way", "one chain only is in use"],
@@ -763,7 +656,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "module.layout",
         says: "The firmware's packets are laid out as the driver's sources say.",
-        needs: Needs::Module,
         expected: "`bad_bfee` and `bad_phy` stay 0",
         source: "iwlwifi dvm/commands.h",
         causes: &["another firmware is loaded than csitool's"],
@@ -773,7 +665,6 @@ pub static CLAIMS: [Claim; 49] = [
     Claim {
         id: "truth.bearing",
         says: "The true direction lies within the answer's 95 % interval.",
-        needs: Needs::Direction,
         expected: "error at most the 95 % half-width, in the trajectory's frame",
         source: "the person's measurement of the direction",
         causes: &[

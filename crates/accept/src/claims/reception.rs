@@ -372,8 +372,7 @@ mod tests {
 
     #[test]
     fn nothing_heard_decides_nothing() {
-        let (heard, evidence) =
-            (Heard::default(), crate::Collector::new(crate::Plan::new("108".parse().unwrap())).finish());
+        let (heard, evidence) = (Heard::default(), Evidence::new(crate::Plan::new("108".parse().unwrap())));
         for check in
             [layout, count, gaps, ht, width, chains, order, subcarriers, level, zero, fresh, gain, noise, snr, once]
         {

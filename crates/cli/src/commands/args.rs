@@ -201,35 +201,26 @@ pub struct Baseline {
 
 /// Three numbers, metres forward, left, up; then optionally degrees and their deviation.
 pub fn baseline(text: &str) -> Result<Baseline, String> {
-    let (place, angles) = match text.match_indices(',').nth(2) {
-        Some((at, _)) => (&text[..at], &text[at + 1..]),
-        None => (text, ""),
-    };
-    let metres = triple(place)?;
-    let angles: Vec<f64> = match angles {
-        "" => Vec::new(),
-        _ => angles
-            .split(',')
-            .map(|part| part.trim().parse())
-            .collect::<Result<_, _>>()
-            .map_err(|_| "degrees, a number")?,
-    };
-    let constant = match angles[..] {
-        [] => None,
-        [deg] => Some((deg, 0.0)),
-        [deg, sd_deg] => Some((deg, sd_deg)),
+    let (metres, angles) = match numbers(text).as_deref() {
+        Some(&[x, y, z, ref angles @ ..]) if angles.len() <= 2 => (Vector3::new(x, y, z), angles.to_vec()),
         _ => return Err("X,Y,Z in metres, then a constant and its deviation in degrees at most".into()),
     };
-    let constant = constant.map(|(deg, sd_deg)| ChainConstant { rad: deg.to_radians(), sd_rad: sd_deg.to_radians() });
+    let constant = angles.first().map(|deg| {
+        let sd_deg = angles.get(1).copied().unwrap_or(0.0);
+        ChainConstant { rad: deg.to_radians(), sd_rad: sd_deg.to_radians() }
+    });
     Ok(Baseline { metres, constant })
+}
+
+/// Finite numbers separated by commas.
+pub fn numbers(text: &str) -> Option<Vec<f64>> {
+    text.split(',').map(|part| part.trim().parse().ok().filter(|number: &f64| number.is_finite())).collect()
 }
 
 /// Three numbers: metres forward, left, up.
 fn triple(text: &str) -> Result<Vector3<f64>, String> {
-    let parts: Vec<f64> =
-        text.split(',').map(|part| part.trim().parse::<f64>()).collect::<Result<_, _>>().in_words()?;
-    match parts[..] {
-        [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
+    match numbers(text).as_deref() {
+        Some(&[x, y, z]) => Ok(Vector3::new(x, y, z)),
         _ => Err("three finite numbers in metres, separated by commas".into()),
     }
 }

@@ -55,7 +55,7 @@ pub fn run(args: &Args) -> Result {
     }
     let system: Box<dyn System> = match args.what.as_slice() {
         [] => Box::new(Machine),
-        [root] if root.is_dir() => Box::new(Tree::new(root.clone())),
+        [root] if root.is_dir() => Box::new(Tree(root.clone())),
         [root] => return Err(format!("{} is no folder; to judge a log, add --accept", root.display())),
         _ => usage("the doctor looks at one machine; to judge the logs of two robots, add --accept"),
     };

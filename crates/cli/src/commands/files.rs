@@ -192,15 +192,17 @@ impl BagArgs {
         trajectory: Option<PathBuf>,
         columns: Option<&Columns>,
     ) -> Words<(Inputs, Named)> {
-        if let Some(bag) = &self.bag {
-            let (inputs, named) = Inputs::of(bag, rx, tx, trajectory)?;
-            return Ok((Inputs { columns: columns.cloned(), ..inputs }, named));
-        }
-        let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
-            super::usage("a recorded capture is needed: --rx, --tx and --trajectory, or --bag");
+        let mut inputs = Inputs::files(columns.cloned());
+        let Some(bag) = &self.bag else {
+            let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
+                super::usage("a recorded capture is needed: --rx, --tx and --trajectory, or --bag");
+            };
+            return Ok((inputs, Named { rx, tx, trajectory }));
         };
-        let inputs = Inputs::files(columns.cloned());
-        Ok((inputs, Named { rx, tx, trajectory }))
+        inputs.recorded = Some((bag.clone(), Recording::read(bag).in_words()?));
+        inputs.say();
+        let named = inputs.choose(rx, tx, trajectory)?;
+        Ok((inputs, named))
     }
 }
 
@@ -211,15 +213,6 @@ pub fn order_unknown(found: &[PathBuf]) -> String {
 }
 
 impl Inputs {
-    /// Reads a recording, and finds the topics that were not named.
-    fn of(bag: &Path, rx: Option<PathBuf>, tx: Vec<PathBuf>, trajectory: Option<PathBuf>) -> Words<(Self, Named)> {
-        let recording = Recording::read(bag).in_words()?;
-        let inputs = Self { recorded: Some((bag.to_path_buf(), recording)), columns: None };
-        inputs.say();
-        let named = inputs.choose(rx, tx, trajectory)?;
-        Ok((inputs, named))
-    }
-
     fn topic(&self, path: &Path) -> Option<&[u8]> {
         let (_, recording) = self.recorded.as_ref()?;
         recording.topics.iter().find(|one| Path::new(&one.topic) == path).map(|one| one.bytes.as_slice())

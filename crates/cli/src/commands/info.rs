@@ -12,9 +12,10 @@ use csi5300_lab::course::{Course, Wanted};
 use csi5300_lab::show::file_safe;
 use csi5300_lab::show::log::LogPictures;
 use csi5300_lab::table::Filter;
+use csi5300_live::doctor::is_silent;
 use csi5300_say::{Level, says};
 use driver_iface::Mac;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq, SUBCARRIERS, rate};
+use driver_iface::bfee::{Antenna, rate};
 use driver_iface::record::{Tail, code};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -171,16 +172,6 @@ struct Read {
     checks: Option<Checks>,
     /// Records whose CSI is all zeros.
     silent: u64,
-}
-
-/// True for CSI of zeros only.
-fn is_silent(bfee: &Bfee<'_>) -> bool {
-    let mut iq = [Iq::default(); SUBCARRIERS];
-    let columns = (0..bfee.n_rx()).flat_map(|chain| (0..bfee.n_tx()).map(move |stream| (chain, stream)));
-    columns.into_iter().all(|(chain, stream)| {
-        let read = bfee.column(chain, stream, &ALL_SUBCARRIERS, &mut iq).is_some();
-        !read || iq.iter().all(|iq| iq.i == 0 && iq.q == 0)
-    })
 }
 
 fn survey(path: &Path) -> Words<Read> {

@@ -94,14 +94,6 @@ fn limit(text: &str) -> Words<Limit> {
 }
 
 impl Args {
-    /// Records after which it ends.
-    fn most_records(&self) -> u64 {
-        match self.stop_after {
-            Some(Limit::Records(count)) => count,
-            _ => u64::MAX,
-        }
-    }
-
     fn options(&self) -> Options {
         let mut options = Options::default();
         options.sync_every = (self.sync_every > Span::default()).then_some(self.sync_every);
@@ -110,10 +102,6 @@ impl Args {
 
     fn rotation(&self) -> Rotation {
         Rotation { bytes: self.rotate_size, every: self.rotate_every }
-    }
-
-    fn side_layout(&self) -> Layout {
-        if self.checksums { Layout::Checked } else { Layout::Narrow }
     }
 }
 
@@ -146,7 +134,7 @@ pub fn run(args: &Args) -> Result {
     }
     let listener = args.listening.open(Needs { receive_buffer: Some(args.receive_buffer), ..Needs::default() })?;
     let files = LogFiles::create(&args.out, args.rotation(), args.force).map_err(|error| create_refused(&error))?;
-    let files = files.with_side_layout(args.side_layout());
+    let files = files.with_side_layout(if args.checksums { Layout::Checked } else { Layout::Narrow });
     let rests = !args.live && listener.buffer() >= ROOMY;
     let mut session = Session::new(args, signals, &listener, rests)?;
     let clock = session.clock;
@@ -250,10 +238,10 @@ impl<'a> Session<'a> {
 
     /// Receives until a signal, a limit, or an error; what was received is in the recorder either way.
     fn capture<S: CsiSource>(&mut self, source: &mut S, tell: impl Fn(&S) -> (Totals, Losses)) -> Words<()> {
-        let most = self.args.most_records();
-        let end_at = match self.args.stop_after {
-            Some(Limit::After(span)) => Some(self.clock.now() + span),
-            _ => None,
+        let (most, end_at) = match self.args.stop_after {
+            Some(Limit::Records(count)) => (count, None),
+            Some(Limit::After(span)) => (u64::MAX, Some(self.clock.now() + span)),
+            None => (u64::MAX, None),
         };
         let mut look_at = self.clock.now() + LOOK;
         let mut told = None;

@@ -19,7 +19,7 @@ use csi5300_live::doctor::Machine;
 use csi5300_live::monitor::{AirCounts, Monitor, Options};
 use csi5300_live::sounding::{
     Beside, DriverMessages, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Rate, Running,
-    Session, Settings, Setup, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
+    Session, Settings, Setup, Spread, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -186,8 +186,7 @@ impl Bearings<'_> {
             Err(error) => return wrong!("{error}"),
         };
         for (mac, pairs, made) in made {
-            let line = Line::new(mac, pairs, &made);
-            self.show(&line);
+            self.show(&Line::new(mac, pairs, &made));
         }
     }
 
@@ -682,25 +681,6 @@ struct PeerRow {
     answered: u64,
 }
 
-/// Quantiles, microseconds.
-#[derive(serde::Serialize)]
-struct Spread {
-    p50: u64,
-    p90: u64,
-    p99: u64,
-    max: u64,
-}
-
-/// The quantiles of a histogram in which there is something.
-macro_rules! spread {
-    ($histogram:expr) => {
-        (!$histogram.is_empty()).then(|| {
-            let [p50, p90, p99] = [0.5, 0.9, 0.99].map(|share| $histogram.value_at_quantile(share));
-            Spread { p50, p90, p99, max: $histogram.max() }
-        })
-    };
-}
-
 impl ExchangeRow {
     /// Of a session with `peers`; `error` is what ended it, if neither the time nor a signal did.
     fn new(peers: &[Mac], finished: &Finished, error: Option<String>) -> Self {
@@ -718,9 +698,9 @@ impl ExchangeRow {
             answered: counts.answered,
             answers: counts.replies,
             peers: peers.iter().filter_map(peer).collect(),
-            lateness_us: spread!(figures.due_us),
-            answer_us: spread!(figures.answer_us),
-            turn_around_us: spread!(figures.turn_around_us),
+            lateness_us: Spread::of(&figures.due_us),
+            answer_us: Spread::of(&figures.answer_us),
+            turn_around_us: Spread::of(&figures.turn_around_us),
             not_sent: named(&not_sent(counts, figures, &air)),
             not_used: named(&not_used(counts, &air)),
             confirmed: reports.then(|| finished.confirmed()),

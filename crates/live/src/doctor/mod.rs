@@ -15,8 +15,9 @@ pub use setup::{Action, Driver, Request, Role, SetupError, Step, default_interfa
 
 use csi5300::source::Next;
 use csi5300::source::survey::Survey;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Iq, SUBCARRIERS};
+use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, SUBCARRIERS};
 use driver_iface::record::code;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -146,9 +147,19 @@ const COUNTERS: &str = "/sys/module/csi5300/counters";
 
 /// The counters of the module `csi5300`, by name; none where it is not loaded.
 #[must_use]
-pub fn module_counters(system: &dyn System) -> Vec<(String, u64)> {
+pub fn module_counters(system: &dyn System) -> BTreeMap<String, u64> {
     let value = |name: &String| system.text(&format!("{COUNTERS}/{name}"))?.parse().ok();
     system.names(COUNTERS).into_iter().filter_map(|name| value(&name).map(|count| (name, count))).collect()
+}
+
+/// By how much each counter of the module grew since `before`.
+#[must_use]
+pub fn module_growth(system: &dyn System, before: &BTreeMap<String, u64>) -> BTreeMap<String, u64> {
+    let mut counters = module_counters(system);
+    for (name, count) in &mut counters {
+        *count = count.wrapping_sub(before.get(name).copied().unwrap_or(0));
+    }
+    counters
 }
 
 /// This machine.
@@ -173,26 +184,27 @@ impl System for Machine {
 
 /// A copy of a machine's files under a folder; a command's output is the file `run/<its words>`, `/` written as `_`.
 #[derive(Clone, Debug)]
-pub struct Tree {
-    root: PathBuf,
-}
-
-impl Tree {
-    /// The machine under `root`.
-    #[must_use]
-    pub fn new(root: PathBuf) -> Self {
-        Self { root }
-    }
-}
+pub struct Tree(pub PathBuf);
 
 impl System for Tree {
     fn at(&self, path: &str) -> PathBuf {
-        self.root.join(path.trim_start_matches('/'))
+        self.0.join(path.trim_start_matches('/'))
     }
     fn run(&self, words: &[&str]) -> Option<Ran> {
-        let text = std::fs::read_to_string(self.root.join("run").join(words.join(" ").replace('/', "_"))).ok()?;
+        let text = fs::read_to_string(self.0.join("run").join(words.join(" ").replace('/', "_"))).ok()?;
         Some(Ran { ok: true, text })
     }
+}
+
+/// True for CSI of zeros only.
+#[must_use]
+pub fn is_silent(bfee: &Bfee<'_>) -> bool {
+    let mut iq = [Iq::default(); SUBCARRIERS];
+    let mut columns = (0..bfee.n_rx()).flat_map(|chain| (0..bfee.n_tx()).map(move |stream| (chain, stream)));
+    columns.all(|(chain, stream)| {
+        let read = bfee.column(chain, stream, &ALL_SUBCARRIERS, &mut iq).is_some();
+        !read || iq.iter().all(|iq| *iq == Iq::default())
+    })
 }
 
 /// A running reception.
@@ -210,13 +222,7 @@ impl Reception {
     /// Counts an item of a source.
     pub fn note(&mut self, next: &Next<'_>) {
         let Some((bfee, identity)) = self.survey.note(next) else { return };
-        let mut iq = [Iq::default(); SUBCARRIERS];
-        let silent = |iq: &[Iq]| iq.iter().all(|iq| iq.i == 0 && iq.q == 0);
-        let mut all_zero = true;
-        for chain in 0..bfee.n_rx() {
-            all_zero &= bfee.column(chain, 0, &ALL_SUBCARRIERS, &mut iq).is_none() || silent(&iq);
-        }
-        self.zero_csi += u64::from(all_zero);
+        self.zero_csi += u64::from(is_silent(&bfee));
         self.nrx_steps += u64::from(self.last_nrx.is_some_and(|last| last != bfee.n_rx()));
         self.last_nrx = Some(bfee.n_rx());
         self.unnumbered += u64::from(identity.frame_count.is_none());
@@ -388,7 +394,7 @@ mod tests {
         }
 
         pub(super) fn tree(&self) -> Tree {
-            Tree::new(self.root.clone())
+            Tree(self.root.clone())
         }
 
         fn examine(&self) -> Vec<Check> {

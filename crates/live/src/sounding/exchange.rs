@@ -215,14 +215,29 @@ fn note(histogram: &mut Histogram<u64>, span: Span) {
     histogram.saturating_record(span.as_us().max(0).cast_unsigned());
 }
 
+/// Quantiles of times, microseconds.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Spread {
+    p50: u64,
+    p90: u64,
+    p99: u64,
+    max: u64,
+}
+
+impl Spread {
+    /// Those of a histogram, if there is something in it.
+    #[must_use]
+    pub fn of(histogram: &Histogram<u64>) -> Option<Self> {
+        let [p50, p90, p99] = [0.5, 0.9, 0.99].map(|share| histogram.value_at_quantile(share));
+        (!histogram.is_empty()).then(|| Self { p50, p90, p99, max: histogram.max() })
+    }
+}
+
 /// `p50 12, p90 40, p99 62, max 265 us`, and the share of every class.
 #[must_use]
 pub fn spread_of(histogram: &Histogram<u64>) -> String {
-    if histogram.is_empty() {
-        return "none".into();
-    }
-    let at = |quantile| histogram.value_at_quantile(quantile);
-    let mut text = format!("p50 {}, p90 {}, p99 {}, max {} us", at(0.5), at(0.9), at(0.99), histogram.max());
+    let Some(Spread { p50, p90, p99, max }) = Spread::of(histogram) else { return "none".into() };
+    let mut text = format!("p50 {p50}, p90 {p90}, p99 {p99}, max {max} us");
     let (mut low, mut parts) = (0, Vec::new());
     for edge in EDGES_US {
         let count = histogram.count_between(low, edge - 1);

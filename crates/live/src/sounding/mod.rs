@@ -16,7 +16,7 @@ mod products;
 mod sessions;
 mod thread;
 
-pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, spread_of};
+pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, Spread, spread_of};
 pub use products::{Beside, measurement, products};
 pub use thread::{Granted, NotGranted, Order, Running, Settings};
 
@@ -480,7 +480,7 @@ mod tests {
             std::fs::write(path, text).unwrap();
         }
         std::os::unix::fs::symlink("../iwlwifi", root.join("sys/class/net/mon2/device/driver")).unwrap();
-        let tree = Tree::new(root.clone());
+        let tree = Tree(root.clone());
         let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
         let rate = rate_n_flags(phy, Antenna::A).unwrap();
         assert_eq!(rate, 0x4101);

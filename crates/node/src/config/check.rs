@@ -3,7 +3,7 @@
 //! One function for each group of rules. A refusal names the place of the wrong key, or of the table that lacks one;
 //! the spans of the TOML reader give its line.
 
-use super::{CameraMount, Capture, Config, Estimation, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros};
+use super::{CameraMount, Capture, Config, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros};
 use crate::adapters;
 use csi5300::exchange::tdma::{Plan, PlanError, Request};
 use csi5300::motion::odometry::ros::Stamp;
@@ -13,7 +13,6 @@ use csi5300_live::sounding::rate_n_flags;
 use csi5300_ros2::settings::{self, Distribution, Wrong};
 use csi5300_sim::Scene;
 use csi5300_sim::motion::RobotMotion;
-use csi5300_sim::toml_lines::Step::{Index, Key};
 use csi5300_sim::toml_lines::{Step, TomlLines};
 use driver_iface::bfee::Antenna;
 use nix::unistd::{AccessFlags, access};
@@ -25,8 +24,6 @@ use std::path::Path;
 
 /// Largest distance of a part from the middle of a robot, metres.
 const ON_ROBOT_M: f64 = 10.0;
-/// Allowed bearings of each peer a second: from one in a thousand seconds to more than any processor manages.
-const RATES_HZ: RangeInclusive<f64> = 1e-3..=100.0;
 /// Allowed speeds of a log or a room, relative to its own pace.
 const SPEEDS: RangeInclusive<f64> = 1e-3..=1e3;
 /// Records that can be let wait for or from the network: no fewer than come while a message is collected, no more than
@@ -49,6 +46,9 @@ struct Check<'a> {
     problems: Vec<Problem>,
 }
 
+/// A wrong value below some table: its place there, and the reason.
+type WrongBelow = (String, String);
+
 /// All contradictions, except those that follow from `gone` keys.
 pub(super) fn problems(
     config: &Config,
@@ -63,7 +63,6 @@ pub(super) fn problems(
     check.estimator();
     check.macs_of_the_room();
     check.speed();
-    check.finite();
     check.motion();
     check.own_poses();
     check.camera();
@@ -79,9 +78,23 @@ pub(super) fn problems(
 }
 
 impl Check<'_> {
-    /// Refuses the value at `place`.
-    fn refuse(&mut self, place: &[Step<'_>], reason: impl Into<String>) {
-        self.problems.push(Problem { line: self.lines.line(place), reason: reason.into() });
+    /// Refuses the value at `place`: keys and numbers of items from the root, `peer.0.records.replay.file`.
+    fn refuse(&mut self, place: &str, reason: impl Into<String>) {
+        let step = |key| str::parse(key).map_or(Step::Key(key), Step::Index);
+        let place: Vec<Step<'_>> = place.split('.').map(step).collect();
+        self.problems.push(Problem { line: self.lines.line(&place), reason: reason.into() });
+    }
+
+    /// Refuses the value that a table at the place has for a robot, whose name may be anything.
+    fn refuse_name(&mut self, table: &str, name: &str, reason: String) {
+        let place: Vec<Step<'_>> = table.split('.').chain([name]).map(Step::Key).collect();
+        self.problems.push(Problem { line: self.lines.line(&place), reason });
+    }
+
+    /// Refuses a key of a table, or the table.
+    fn refuse_in(&mut self, table: &str, (key, reason): Wrong) {
+        let place = key.map_or_else(|| table.to_owned(), |key| format!("{table}.{key}"));
+        self.refuse(&place, reason);
     }
 
     /// True if all of these were readable, so a missing value is missing in the file.
@@ -109,63 +122,55 @@ impl Check<'_> {
         Some(format!("the scene has no robot `{name}`: it has {}", names.join(", ")))
     }
 
-    /// A problem of a robot's poses: the key below theirs, and the reason. `own` are this robot's.
-    fn wrong_poses(&self, poses: &Odometry, own: bool) -> Option<(Vec<Step<'static>>, String)> {
+    /// A problem of a robot's poses; `own` are this robot's.
+    fn wrong_poses(&self, poses: &Odometry, own: bool) -> Option<WrongBelow> {
         let of_now = self.is_room() || self.is_replay();
-        let has_network = self.config.network.is_some();
-        let (place, why): (&[Step<'static>], String) = match poses {
+        let (key, why) = match poses {
             Odometry::Csv(csv) if !csv.file.is_file() => {
-                (&[Key("csv"), Key("file")], format!("there is no trajectory {}", csv.file.display()))
+                return Some(("csv.file".into(), format!("there is no trajectory {}", csv.file.display())));
             }
             Odometry::Csv(_) if !self.is_replay() => {
-                (&[Key("csv")], "`csv` poses need a replayed capture, whose pace they follow".into())
+                ("csv", "`csv` poses need a replayed capture, whose pace they follow")
             }
-            Odometry::Opencr(_) if of_now => (&[Key("opencr")], OPENCR_NOW.into()),
-            Odometry::Ros(_) if of_now => (&[Key("ros")], ROS_NOW.into()),
-            Odometry::Ros2(_) if of_now => (&[Key("ros2")], ROS_NOW.into()),
-            Odometry::Ros(_) | Odometry::Ros2(_) => {
-                let (protocol, key, why) = wrong_topic(poses, !own)?;
-                return Some(([protocol].into_iter().chain(key).map(Key).collect(), why));
-            }
-            Odometry::Room(_) if !self.is_room() => {
-                (&[Key("room")], "`room` poses need `capture.room` or `capture.served`".into())
-            }
-            Odometry::Opencr(_) if !own => {
-                (&[Key("opencr")], "a peer's port is not on this machine: use `network`".into())
-            }
-            Odometry::Network(_) if own => {
-                (&[Key("network")], "this robot's own poses do not come over the network".into())
-            }
-            Odometry::Network(_) if !has_network => {
-                (&[Key("network")], "`network` poses need a [network] table".into())
+            Odometry::Opencr(_) if of_now => ("opencr", OPENCR_NOW),
+            Odometry::Ros(_) if of_now => ("ros", ROS_NOW),
+            Odometry::Ros2(_) if of_now => ("ros2", ROS_NOW),
+            Odometry::Ros(_) | Odometry::Ros2(_) => return wrong_topic(poses, !own),
+            Odometry::Room(_) if !self.is_room() => ("room", "`room` poses need `capture.room` or `capture.served`"),
+            Odometry::Opencr(_) if !own => ("opencr", "a peer's port is not on this machine: use `network`"),
+            Odometry::Network(_) if own => ("network", "this robot's own poses do not come over the network"),
+            Odometry::Network(_) if self.config.network.is_none() => {
+                ("network", "`network` poses need a [network] table")
             }
             _ => return None,
         };
-        Some((place.to_vec(), why))
+        Some((key.into(), why.into()))
     }
 }
 
-/// The first of `numbers` that is not finite.
-fn not_finite(numbers: &[f64]) -> Option<usize> {
-    numbers.iter().position(|number| !number.is_finite())
+/// A number of a place on a robot that is not finite or too large.
+fn too_far(place_m: &[f64; 3]) -> Option<WrongBelow> {
+    let (number, why) = place_m.iter().enumerate().find_map(|(number, m)| Some((number, off_robot(*m)?)))?;
+    Some((format!("antenna_offset_m.{number}"), format!("antenna_offset_m: {why}")))
 }
 
-/// A number of a place on a robot that is not finite or too large, and the reason.
-fn too_far(place_m: &[f64]) -> Option<(usize, String)> {
-    let reason = |m: f64| match m.is_finite() {
-        false => Some("every number must be finite".to_owned()),
+/// Why a coordinate is of no place on a robot.
+fn off_robot(m: f64) -> Option<String> {
+    match m.is_finite() {
+        false => Some("every number must be finite".into()),
         true => (m.abs() > ON_ROBOT_M).then(|| format!("{m:e} m is not on a robot: {ON_ROBOT_M} m at most")),
-    };
-    place_m.iter().enumerate().find_map(|(number, m)| Some((number, reason(*m)?)))
+    }
 }
 
-/// Where below its `static` a place has a number that is none.
-fn wrong_place(odometry: &Odometry) -> Option<Vec<Step<'static>>> {
+/// A number of a fixed place that is not finite.
+fn not_finite(odometry: &Odometry) -> Option<WrongBelow> {
     let Odometry::Static(Place { position_m, heading_deg }) = odometry else { return None };
-    match not_finite(position_m) {
-        Some(number) => Some(vec![Key("static"), Key("position_m"), Index(number)]),
-        None => (!heading_deg.is_finite()).then(|| vec![Key("static"), Key("heading_deg")]),
-    }
+    let place = match position_m.iter().position(|m| !m.is_finite()) {
+        Some(number) => format!("static.position_m.{number}"),
+        None if !heading_deg.is_finite() => "static.heading_deg".into(),
+        None => return None,
+    };
+    Some((place, "position_m and heading_deg must be finite numbers".into()))
 }
 
 impl Check<'_> {
@@ -174,19 +179,19 @@ impl Check<'_> {
         if self.config.mac.is_none() && !self.is_room() && self.knows(&["mac"]) {
             let why = "`mac`, the address of this robot's card, is missing: `ip link` shows it, and `csi5300 info` shows the \
                        senders in a log";
-            self.refuse(&[Key("capture")], why);
+            self.refuse("capture", why);
         }
         if let Capture::Replay(replay) = self.capture()
             && !replay.file.is_file()
         {
             let why = format!("there is no log {}", replay.file.display());
-            self.refuse(&[Key("capture"), Key("replay"), Key("file")], why);
+            self.refuse("capture.replay.file", why);
         }
         if let Capture::Feitcsi(Feitcsi::Pipe(pipe)) = self.capture()
             && !std::fs::metadata(pipe).is_ok_and(|found| found.file_type().is_fifo())
         {
             let why = format!("{} is no named pipe: `mkfifo` makes one, and FeitCSI writes to it", pipe.display());
-            self.refuse(&[Key("capture"), Key("feitcsi"), Key("pipe")], why);
+            self.refuse("capture.feitcsi.pipe", why);
         }
     }
 
@@ -194,11 +199,11 @@ impl Check<'_> {
     fn array(&mut self) {
         if let Some(Err(error)) = self.config.array.as_ref().map(|array| array.array()) {
             let key = match error {
-                ArrayError::Antennas { .. } | ArrayError::Twice { .. } => "antennas",
-                ArrayError::Constants { .. } => "chain_constants_deg",
-                _ => "baselines_m",
+                ArrayError::Antennas { .. } | ArrayError::Twice { .. } => "array.antennas",
+                ArrayError::Constants { .. } => "array.chain_constants_deg",
+                _ => "array.baselines_m",
             };
-            self.refuse(&[Key("array"), Key(key)], format!("[array]: {error}"));
+            self.refuse(key, format!("[array]: {error}"));
         }
     }
 
@@ -206,21 +211,16 @@ impl Check<'_> {
     fn own_room(&mut self) {
         let config = self.config;
         let Capture::Room(asked) = config.capture.get_ref() else { return };
-        let key = |key| [Key("capture"), Key("room"), Key(key)];
         match asked.load_scene() {
             Ok(scene) => self.scene = Some(scene),
-            Err(error) => self.refuse(&key("scene"), error.to_string()),
+            Err(error) => self.refuse("capture.room.scene", error.to_string()),
         }
         if let Some(why) = self.absent(&asked.robot) {
-            self.refuse(&key("robot"), why);
+            self.refuse("capture.room.robot", why);
         }
-        let Some(scene) = &self.scene else { return };
-        for (robot, why) in wrong_followed(asked, scene) {
-            let [capture, room, follow] = key("follow");
-            match robot {
-                Some(robot) => self.refuse(&[capture, room, follow, Key(robot)], why),
-                None => self.refuse(&[capture, room], why),
-            }
+        let wrong = self.scene.as_ref().map(|scene| wrong_followed(asked, scene));
+        for (robot, why) in wrong.into_iter().flatten() {
+            self.refuse_name("capture.room.follow", &robot, why);
         }
     }
 
@@ -228,20 +228,16 @@ impl Check<'_> {
     fn macs_of_the_room(&mut self) {
         let config = self.config;
         let Capture::Room(asked) = config.capture.get_ref() else { return };
-        let peers = config.peer.iter().map(|peer| (peer.get_ref().name.as_str(), peer.get_ref().mac));
-        let all = std::iter::once((asked.robot.as_str(), config.mac)).chain(peers);
-        let given: Vec<_> = all.enumerate().filter_map(|(k, (name, mac))| Some((k, name, mac?))).collect();
-        if given.is_empty() {
-            return;
-        }
         let Some(room) = self.scene.as_ref().and_then(|scene| csi5300_sim::Room::new(scene).ok()) else { return };
-        for (k, name, mac) in given {
-            let is = room.number(name).and_then(|number| room.mac(number)).filter(|is| *is != mac);
-            let Some(is) = is else { continue };
-            let why = format!("`{name}` has the MAC {is} in this room, not {mac}: leave `mac` out");
-            match k.checked_sub(1) {
-                None => self.refuse(&[Key("mac")], why),
-                Some(peer) => self.refuse(&[Key("peer"), Index(peer), Key("mac")], why),
+        let own = (asked.robot.as_str(), config.mac, "mac".to_owned());
+        let peers = config.peer.iter().map(|peer| peer.get_ref()).enumerate();
+        let peers = peers.map(|(k, peer)| (peer.name.as_str(), peer.mac, format!("peer.{k}.mac")));
+        for (name, mac, place) in std::iter::once(own).chain(peers) {
+            let is = room.number(name).and_then(|number| room.mac(number));
+            if let (Some(mac), Some(is)) = (mac, is)
+                && mac != is
+            {
+                self.refuse(&place, format!("`{name}` has the MAC {is} in this room, not {mac}: leave `mac` out"));
             }
         }
     }
@@ -258,14 +254,20 @@ impl Check<'_> {
         if !peers.is_empty() && all_stand && self.knows(&["odometry", "peer"]) {
             let why = "no robot here ever moves (`static` poses, also where none are given), and without motion there is no \
                        bearing: give this robot `odometry` or a peer `poses`";
-            self.refuse(&[Key("peer"), Index(0)], why);
+            self.refuse("peer.0", why);
         }
     }
 
-    /// This robot's poses.
+    /// This robot's poses and its antenna's place.
     fn own_poses(&mut self) {
-        if let Some((place, why)) = self.wrong_poses(&self.config.odometry, true) {
-            let place: Vec<_> = std::iter::once(Key("odometry")).chain(place).collect();
+        let config = self.config;
+        if let Some((place, why)) = self.wrong_poses(&config.odometry, true) {
+            self.refuse(&format!("odometry.{place}"), why);
+        }
+        if let Some((place, why)) = not_finite(&config.odometry) {
+            self.refuse(&format!("odometry.{place}"), format!("odometry: {why}"));
+        }
+        if let Some((place, why)) = too_far(&config.antenna_offset_m) {
             self.refuse(&place, why);
         }
     }
@@ -273,11 +275,12 @@ impl Check<'_> {
     /// How this robot carries its camera.
     fn camera(&mut self) {
         let Some(CameraMount { forward_m, left_m, yaw_deg }) = self.config.camera_mount else { return };
-        let yaw = (!yaw_deg.is_finite()).then(|| ("yaw_deg", "it must be a finite number".to_owned()));
-        let place = [("forward_m", forward_m), ("left_m", left_m)];
-        let place = place.into_iter().filter_map(|(key, m)| Some((key, too_far(&[m])?.1)));
-        for (key, why) in place.chain(yaw) {
-            self.refuse(&[Key("camera_mount"), Key(key)], format!("camera_mount: {key}: {why}"));
+        let yaw = (!yaw_deg.is_finite()).then(|| "it must be a finite number".to_owned());
+        let wrong = [("forward_m", off_robot(forward_m)), ("left_m", off_robot(left_m)), ("yaw_deg", yaw)];
+        for (key, why) in wrong {
+            if let Some(why) = why {
+                self.refuse(&format!("camera_mount.{key}"), format!("camera_mount: {key}: {why}"));
+            }
         }
         let why = match &self.config.odometry {
             Odometry::Csv(_) | Odometry::Ros(_) => return,
@@ -290,7 +293,7 @@ impl Check<'_> {
             Odometry::Static(_) | Odometry::Network(_) => "this robot has no poses of a camera",
         };
         let why = format!("camera_mount is for poses of a tracking camera (`csv`, `ros`, `ros2`): {why}");
-        self.refuse(&[Key("camera_mount")], why);
+        self.refuse("camera_mount", why);
     }
 
     /// A program without a purpose.
@@ -305,100 +308,144 @@ impl Check<'_> {
             && self.knows(&["peer", "array", "log", "network", "ros", "ros2"])
         {
             let why = "no [[peer]], no [array], no [log], no [network] and no [ros] or [ros2]: there is nothing to do";
-            self.refuse(&[Key("capture")], why);
+            self.refuse("capture", why);
         }
     }
-}
 
-/// Refused values of `[estimator]`: the key, and the reason.
-fn wrong_estimation(asked: &Estimation, least_m: f64) -> Vec<(&'static str, String)> {
-    let mut wrong = Vec::new();
-    if !(0.0..=90.0).contains(&asked.elevation_max_deg.unwrap_or(20.0)) {
-        wrong.push(("elevation_max_deg", "elevation_max_deg: 0 to 90 degrees".into()));
-    }
-    if !(0.0..=3_600.0).contains(&asked.accurate_every_s) {
-        wrong.push(("accurate_every_s", "accurate_every_s: 0 to 3600 seconds".into()));
-    }
-    if !(0.0..=1.0).contains(&asked.extrapolate_s) {
-        let why = "extrapolate_s: 0 to 1 second; a robot is somewhere else after a longer time";
-        wrong.push(("extrapolate_s", why.into()));
-    }
-    if asked.heading_sd_deg.is_some_and(|sd_deg| !(0.0..=180.0).contains(&sd_deg)) {
-        wrong.push(("heading_sd_deg", "heading_sd_deg: 0 to 180 degrees".into()));
-    }
-    if least_m > asked.window_m {
-        let key = if asked.least_motion_m.is_some() { "least_motion_m" } else { "window_m" };
-        let why = format!(
-            "window_m ({:.3} m) is less than the motion needed, {least_m:.3} m: there would never be a bearing",
-            asked.window_m
-        );
-        wrong.push((key, why));
-    }
-    if !RATES_HZ.contains(&asked.rate_hz) {
-        let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
-        wrong.push(("rate_hz", format!("rate_hz in [estimator]: {least} to {most} bearings of each peer a second")));
-    }
-    wrong
-}
-
-impl Check<'_> {
     /// How bearings are made.
     fn estimator(&mut self) {
         let asked = &self.config.estimator;
+        let ranges = [
+            ("elevation_max_deg", asked.elevation_max_deg, 0.0..=90.0, "0 to 90 degrees"),
+            ("accurate_every_s", Some(asked.accurate_every_s), 0.0..=3_600.0, "0 to 3600 seconds"),
+            (
+                "extrapolate_s",
+                Some(asked.extrapolate_s),
+                0.0..=1.0,
+                "0 to 1 second; a robot is somewhere else after a longer time",
+            ),
+            ("heading_sd_deg", asked.heading_sd_deg, 0.0..=180.0, "0 to 180 degrees"),
+            // From one in a thousand seconds to more than any processor manages.
+            ("rate_hz", Some(asked.rate_hz), 1e-3..=100.0, "0.001 to 100 bearings of each peer a second"),
+        ];
+        for (key, value, range, words) in ranges {
+            if value.is_some_and(|value| !range.contains(&value)) {
+                self.refuse(&format!("estimator.{key}"), format!("{key} in [estimator]: {words}"));
+            }
+        }
         let least_m = asked.motion_needed_m(self.config.channel.wavelength_m());
-        for (key, why) in wrong_estimation(asked, least_m) {
-            self.refuse(&[Key("estimator"), Key(key)], why);
+        if least_m > asked.window_m {
+            let key = if asked.least_motion_m.is_some() { "least_motion_m" } else { "window_m" };
+            let why = format!(
+                "window_m ({:.3} m) is less than the motion needed, {least_m:.3} m: there would never be a bearing",
+                asked.window_m
+            );
+            self.refuse(&format!("estimator.{key}"), why);
         }
     }
 
     /// Speeds of replayed and simulated sources.
     fn speed(&mut self) {
-        let (kind, speed) = match self.capture() {
-            Capture::Replay(replay) => ("replay", replay.speed),
-            Capture::Room(room) => ("room", room.speed),
+        let (place, speed) = match self.capture() {
+            Capture::Replay(replay) => ("capture.replay.speed", replay.speed),
+            Capture::Room(room) => ("capture.room.speed", room.speed),
             Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(_) | Capture::Served(_) => return,
         };
         if !SPEEDS.contains(&speed) {
             let why = format!("speed: {} to {} times its own pace, not {speed:e}", SPEEDS.start(), SPEEDS.end());
-            self.refuse(&[Key("capture"), Key(kind), Key("speed")], why);
+            self.refuse(place, why);
         }
     }
 
-    /// Places and angles of this robot and its peers.
-    fn finite(&mut self) {
-        let config = self.config;
-        if let Some((number, why)) = too_far(&config.antenna_offset_m) {
-            self.refuse(&[Key("antenna_offset_m"), Index(number)], format!("antenna_offset_m: {why}"));
-        } else if let Some(place) = wrong_place(&config.odometry) {
-            let place: Vec<_> = std::iter::once(Key("odometry")).chain(place).collect();
-            self.refuse(&place, "odometry: every number must be finite");
-        }
-        for (k, peer) in config.peer.iter().map(|peer| peer.get_ref()).enumerate() {
-            if let Some((number, why)) = too_far(&peer.antenna_offset_m) {
-                let why = format!("peer `{}`: antenna_offset_m: {why}", peer.name);
-                self.refuse(&[Key("peer"), Index(k), Key("antenna_offset_m"), Index(number)], why);
-                continue;
-            }
-            let yaw = (!peer.yaw_deg.is_finite()).then(|| vec![Key("yaw_deg")]);
-            let poses = || wrong_place(&peer.poses).map(|place| [vec![Key("poses")], place].concat());
-            if let Some(key) = yaw.or_else(poses) {
-                let why = format!("peer `{}`: yaw_deg and poses must be finite numbers", peer.name);
-                self.refuse(&[vec![Key("peer"), Index(k)], key].concat(), why);
-            }
-        }
-    }
-}
-
-impl Check<'_> {
     /// Every peer.
     fn peers(&mut self) {
         let config = self.config;
         for (k, peer) in config.peer.iter().map(|peer| peer.get_ref()).enumerate() {
-            let wrong = self.wrong_identity(k, peer).into_iter();
-            for (key, why) in wrong.chain(self.wrong_records(peer)).chain(self.wrong_peer_poses(peer)) {
-                self.refuse(&[vec![Key("peer"), Index(k)], key].concat(), why);
+            let yaw = (!peer.yaw_deg.is_finite()).then(|| ("yaw_deg".into(), "yaw_deg must be finite".into()));
+            let below_poses = |(place, why): WrongBelow| (format!("poses.{place}"), why);
+            let poses = [self.wrong_poses(&peer.poses, false), not_finite(&peer.poses)];
+            let wrong = poses.into_iter().flatten().map(below_poses);
+            let wrong = wrong.chain(too_far(&peer.antenna_offset_m)).chain(yaw).chain(self.wrong_records(peer));
+            for (place, why) in wrong.chain(self.wrong_identity(k, peer)) {
+                self.refuse(&format!("peer.{k}.{place}"), format!("peer `{}`: {why}", peer.name));
             }
         }
+    }
+
+    /// A peer's name, MAC and certificate.
+    fn wrong_identity(&self, k: usize, peer: &Peer) -> Vec<WrongBelow> {
+        let mut wrong = Vec::new();
+        let mut refuse = |key: &str, why: &str| wrong.push((key.to_owned(), why.to_owned()));
+        let others = || self.config.peer.iter().take(k).map(|other| other.get_ref());
+        let same_name = others().any(|other| other.name == peer.name);
+        if same_name || others().any(|other| other.mac.is_some() && other.mac == peer.mac) {
+            refuse(if same_name { "name" } else { "mac" }, "another peer has its name or MAC");
+        }
+        let has_own = match peer.records {
+            Records::Room(_) => true,
+            Records::Heard(_) => matches!(self.capture(), Capture::Room(_)),
+            _ => false,
+        };
+        if peer.mac.is_none() && !has_own {
+            refuse("mac", "`mac` is missing");
+        }
+        if peer.mac.is_some() && peer.mac == self.config.mac {
+            refuse("mac", "its MAC is this robot's own MAC");
+        }
+        let by_network = matches!(peer.records, Records::Network(_)) || matches!(peer.poses, Odometry::Network(_));
+        match &peer.certificate {
+            Some(name) if name.trim().is_empty() => {
+                refuse("certificate", "`certificate` is the common name in its certificate");
+            }
+            Some(_) if !by_network => {
+                refuse("certificate", "`certificate` is for records and poses of the network, and none are");
+            }
+            _ => {}
+        }
+        wrong
+    }
+
+    /// A peer's records.
+    fn wrong_records(&self, peer: &Peer) -> Option<WrongBelow> {
+        let is_own = self.capture().robot() == Some(&peer.name);
+        let stands = matches!(peer.poses, Odometry::Static(_));
+        let sounding = self.config.sounding.as_ref();
+        let (place, why) = match &peer.records {
+            Records::Replay(replay) if !replay.file.is_file() => {
+                return Some(("records.replay.file".into(), format!("there is no log {}", replay.file.display())));
+            }
+            Records::Replay(_) if !self.is_replay() => {
+                ("records.replay", "a replayed log needs `capture.replay`, whose pace it follows")
+            }
+            Records::Room(_) if !self.is_room() => {
+                ("records.room", "`room` records need `capture.room` or `capture.served`")
+            }
+            Records::Network(_) if self.config.network.is_none() => {
+                ("records.network", "`network` records need a [network] table")
+            }
+            Records::Heard(_) if self.config.array.is_none() && self.knows(&["array"]) => {
+                ("records.heard", "`heard` is of antennas of this robot's card: it needs an [array] table")
+            }
+            Records::Heard(_) if !stands => {
+                ("records.heard", "a sender that is only heard has no poses: leave `poses` out")
+            }
+            Records::Sounding(_) if !sounding.is_some_and(|own| own.initiate && own.measurement) => {
+                let why = "`sounding` records come with the answers to this robot's frames: they need a [sounding] table with \
+                           `initiate` and `measurement`";
+                ("records.sounding", why)
+            }
+            Records::Sounding(_) if !stands => {
+                let why = "`sounding` records have no time of the peer's host, so it must stand (`poses.static`)";
+                ("records.sounding", why)
+            }
+            Records::Room(_) | Records::Heard(_) if is_own => {
+                ("name", "it is this robot itself: the one of the room that `capture` names")
+            }
+            Records::Heard(_) if peer.mac.is_some() => return None,
+            Records::Room(_) | Records::Heard(_) => return Some(("name".into(), self.absent(&peer.name)?)),
+            Records::Replay(_) | Records::Network(_) | Records::Sounding(_) => return None,
+        };
+        Some((place.into(), why.into()))
     }
 
     /// Known places and ranges of the team's graph.
@@ -406,124 +453,42 @@ impl Check<'_> {
         let config = self.config;
         let Some(team) = &config.team else { return };
         if config.peer.is_empty() && self.knows(&["peer"]) {
-            self.refuse(&[Key("team")], "[team] needs a [[peer]]: the graph is made of bearings");
+            self.refuse("team", "[team] needs a [[peer]]: the graph is made of bearings");
         }
-        let is_peer = |name: &str| config.peer.iter().any(|peer| peer.get_ref().name == name);
-        for (name, place_m) in &team.places {
-            let key = [Key("team"), Key("places"), Key(name)];
-            if !is_peer(name) && self.knows(&["peer"]) {
-                self.refuse(&key, format!("[team]: places: there is no peer `{name}`"));
-            } else if !place_m.iter().all(|m| m.is_finite()) {
-                self.refuse(&key, format!("[team]: places: {name}: every number must be finite"));
-            }
-        }
-        for (name, ranges) in &team.ranges {
-            let key = [Key("team"), Key("ranges"), Key(name)];
-            if !is_peer(name) && self.knows(&["peer"]) {
-                self.refuse(&key, format!("[team]: ranges: there is no peer `{name}`"));
-            } else if let Some(why) = settings::wrong_name(&ranges.topic) {
-                self.refuse(&key, format!("[team]: ranges: {name}: {why}"));
+        let places = team.places.iter().map(|(name, place_m)| {
+            let is_wrong = !place_m.iter().all(|m| m.is_finite());
+            ("places", name, is_wrong.then(|| "every number must be finite".to_owned()))
+        });
+        let ranges = team.ranges.iter().map(|(name, ranges)| ("ranges", name, settings::wrong_name(&ranges.topic)));
+        for (key, name, wrong) in places.chain(ranges) {
+            let is_peer = config.peer.iter().any(|peer| peer.get_ref().name == *name);
+            let unknown = (!is_peer && self.knows(&["peer"])).then(|| format!("there is no peer `{name}`"));
+            if let Some(why) = unknown.or(wrong) {
+                self.refuse_name(&format!("team.{key}"), name, format!("[team]: {key}: {name}: {why}"));
             }
         }
         let own_frame = config.ros2.as_ref().map(|ros| ros.frame.as_str());
         if team.frame.is_empty() || (!team.places.is_empty() && own_frame == Some(team.frame.as_str())) {
             let why = "[team]: frame: the places need a frame other than that of the odometry ([ros2] frame)";
-            self.refuse(&[Key("team"), Key("frame")], why);
+            self.refuse("team.frame", why);
         }
     }
 
-    /// Its name and MAC.
-    fn wrong_identity(&self, k: usize, peer: &Peer) -> Vec<(Vec<Step<'static>>, String)> {
-        let (name, mut wrong) = (&peer.name, Vec::new());
-        let others = || self.config.peer.iter().take(k).map(|other| other.get_ref());
-        let same_name = others().any(|other| other.name == *name);
-        if same_name || others().any(|other| other.mac.is_some() && other.mac == peer.mac) {
-            let key = if same_name { "name" } else { "mac" };
-            wrong.push((vec![Key(key)], format!("peer `{name}`: another peer has its name or MAC")));
-        }
-        let in_room = || matches!(self.capture(), Capture::Room(_)) && matches!(peer.records, Records::Heard(_));
-        if peer.mac.is_none() && !matches!(peer.records, Records::Room(_)) && !in_room() {
-            wrong.push((Vec::new(), format!("peer `{name}`: `mac` is missing")));
-        }
-        if peer.mac.is_some() && peer.mac == self.config.mac {
-            wrong.push((vec![Key("mac")], format!("peer `{name}` has this robot's own MAC")));
-        }
-        if let Some(why) = wrong_certificate(peer) {
-            wrong.push((vec![Key("certificate")], format!("peer `{name}`: {why}")));
-        }
-        wrong
-    }
-
-    fn wrong_records(&self, peer: &Peer) -> Option<(Vec<Step<'static>>, String)> {
-        let is_own = self.capture().robot() == Some(&peer.name);
-        let stands = matches!(peer.poses, Odometry::Static(_));
-        let (key, why) = match &peer.records {
-            Records::Replay(replay) if !replay.file.is_file() => {
-                let why = format!("peer `{}`: there is no log {}", peer.name, replay.file.display());
-                return Some((vec![Key("records"), Key("replay"), Key("file")], why));
-            }
-            Records::Replay(_) if !self.is_replay() => {
-                ("replay", "a replayed log needs `capture.replay`, whose pace it follows")
-            }
-            Records::Room(_) if !self.is_room() => ("room", "`room` records need `capture.room` or `capture.served`"),
-            Records::Network(_) if self.config.network.is_none() => {
-                ("network", "`network` records need a [network] table")
-            }
-            Records::Heard(_) if self.config.array.is_none() && self.knows(&["array"]) => {
-                ("heard", "`heard` is of antennas of this robot's card: it needs an [array] table")
-            }
-            Records::Heard(_) if !stands => ("heard", "a sender that is only heard has no poses: leave `poses` out"),
-            Records::Sounding(_)
-                if !self.config.sounding.as_ref().is_some_and(|own| own.initiate && own.measurement) =>
-            {
-                let why = "`sounding` records come with the answers to this robot's frames: they need a [sounding] table with \
-                           `initiate` and `measurement`";
-                ("sounding", why)
-            }
-            Records::Sounding(_) if !stands => {
-                ("sounding", "`sounding` records have no time of the peer's host, so it must stand (`poses.static`)")
-            }
-            Records::Heard(_) if peer.mac.is_some() && !is_own => return None,
-            Records::Room(_) | Records::Heard(_) if is_own => {
-                let why = "is this robot itself: the one of the room that `capture` names";
-                return Some((vec![Key("name")], format!("peer `{}` {why}", peer.name)));
-            }
-            Records::Room(_) | Records::Heard(_) => return Some((vec![Key("name")], self.absent(&peer.name)?)),
-            Records::Replay(_) | Records::Network(_) | Records::Sounding(_) => return None,
-        };
-        Some((vec![Key("records"), Key(key)], format!("peer `{}`: {why}", peer.name)))
-    }
-
-    fn wrong_peer_poses(&self, peer: &Peer) -> Option<(Vec<Step<'static>>, String)> {
-        let (key, why) = self.wrong_poses(&peer.poses, false)?;
-        Some(([vec![Key("poses")], key].concat(), format!("peer `{}`: {why}", peer.name)))
-    }
-}
-
-fn wrong_certificate(peer: &Peer) -> Option<&'static str> {
-    let by_network = matches!(peer.records, Records::Network(_)) || matches!(peer.poses, Odometry::Network(_));
-    match &peer.certificate {
-        Some(name) if name.trim().is_empty() => Some("`certificate` is the common name in its certificate"),
-        Some(_) if !by_network => Some("`certificate` is for records and poses of the network, and none are"),
-        _ => None,
-    }
-}
-
-impl Check<'_> {
     /// This program as a node of ROS.
     fn ros(&mut self) {
-        if let Some((key, why)) = self.config.ros.as_ref().and_then(wrong_ros) {
-            self.refuse_in("ros", key, why);
+        let config = self.config;
+        if let Some(wrong) = config.ros.as_ref().and_then(wrong_ros) {
+            self.refuse_in("ros", wrong);
         }
-        if let Some((key, why)) = self.config.ros2.as_ref().and_then(settings::wrong_settings) {
-            self.refuse_in("ros2", key, why);
+        if let Some(wrong) = config.ros2.as_ref().and_then(settings::wrong_settings) {
+            self.refuse_in("ros2", wrong);
         }
     }
 
     /// This robot's part in the sounding exchange.
     fn sounding(&mut self) {
         if let Some((key, why)) = self.wrong_sounding().filter(|_| self.knows(&["peer"])) {
-            self.refuse_in("sounding", key, why);
+            self.refuse_in("sounding", (key, format!("[sounding]: {why}")));
         }
     }
 
@@ -531,35 +496,31 @@ impl Check<'_> {
     fn wrong_sounding(&self) -> Option<Wrong> {
         let config = self.config;
         let asked = config.sounding.as_ref()?;
-        let table = |why: &str| Some((None, why.to_owned()));
-        match (self.capture(), &asked.interface) {
-            (Capture::Card(_) | Capture::Stock(_), Some(_)) | (Capture::Served(_), None) => {}
-            (Capture::Card(_) | Capture::Stock(_), None) => {
-                return table("[sounding]: `interface`, a monitor interface, is missing");
-            }
+        let (key, why) = match (self.capture(), &asked.interface) {
+            (Capture::Card(_) | Capture::Stock(_), None) => (None, "`interface`, a monitor interface, is missing"),
             (Capture::Served(_), Some(_)) => {
-                let why = "[sounding]: a served room is the air itself: leave `interface` out";
-                return Some((Some("interface"), why.into()));
+                (Some("interface"), "a served room is the air itself: leave `interface` out")
             }
             (Capture::Feitcsi(_) | Capture::Replay(_) | Capture::Room(_), _) => {
-                return table(
-                    "[sounding] is done with a card: it needs `capture.card`, `capture.stock` or `capture.served`",
-                );
+                (None, "it is done with a card: it needs `capture.card`, `capture.stock` or `capture.served`")
             }
-        }
-        if config.peer.iter().all(|peer| matches!(peer.get_ref().records, Records::Heard(_))) {
-            return table("[sounding] needs a [[peer]] to sound");
-        }
-        if let Some(key) = asked.key.as_ref().filter(|key| !key.is_file()) {
-            return Some((Some("key"), format!("there is no key {}", key.display())));
-        }
-        wrong_plan(&config.sounding_request()?).map(|(key, why)| (key, format!("[sounding]: {why}")))
+            _ if config.peer.iter().all(|peer| matches!(peer.get_ref().records, Records::Heard(_))) => {
+                (None, "it needs a [[peer]] to sound")
+            }
+            _ => {
+                return match asked.key.as_ref().filter(|key| !key.is_file()) {
+                    Some(key) => Some((Some("key"), format!("there is no key {}", key.display()))),
+                    None => wrong_plan(&config.sounding_request()?),
+                };
+            }
+        };
+        Some((key, why.into()))
     }
 
     /// What is published.
     fn output(&mut self) {
         if let Some(why) = self.config.output.foxglove.and_then(|_| adapters::missing("foxglove")) {
-            self.refuse_in("output", Some("foxglove"), format!("foxglove in [output] {why}"));
+            self.refuse("output.foxglove", format!("foxglove in [output] {why}"));
         }
     }
 
@@ -568,36 +529,21 @@ impl Check<'_> {
         let Some(network) = &self.config.network else { return };
         let missing = adapters::missing("zenoh").map(|why| format!("[network] {why}"));
         if let Some(why) = missing.or_else(|| adapters::refusal(self.config)) {
-            self.refuse_in("network", None, why);
+            self.refuse("network", why);
         }
         if network.backlog.is_some_and(|backlog| !BACKLOGS.contains(&backlog)) {
-            let why = format!("backlog: {} to {} records", BACKLOGS.start(), BACKLOGS.end());
-            self.refuse_in("network", Some("backlog"), why);
+            self.refuse("network.backlog", format!("backlog: {} to {} records", BACKLOGS.start(), BACKLOGS.end()));
         }
         if network.zenoh.as_ref().is_some_and(|file| !file.is_file()) {
-            self.refuse_in("network", Some("zenoh"), "there is no such file of zenoh's");
+            self.refuse("network.zenoh", "there is no such file of zenoh's");
         }
         if network.ros2 && !self.config.uses_ros2() && self.knows(&["capture", "odometry", "peer", "ros2"]) {
-            self.refuse_in(
-                "network",
-                Some("ros2"),
-                "there are no topics to carry: no [ros2] table, and no `ros2` poses",
-            );
+            self.refuse("network.ros2", "there are no topics to carry: no [ros2] table, and no `ros2` poses");
         }
         let humble = Some(Distribution::Humble);
         if network.ros2 && self.config.ros2.as_ref().map(|ros| ros.distribution) == humble {
-            self.refuse_in(
-                "network",
-                Some("ros2"),
-                "topics over zenoh are those of Jazzy and later, not of \"humble\"",
-            );
+            self.refuse("network.ros2", "topics over zenoh are those of Jazzy and later, not of \"humble\"");
         }
-    }
-
-    /// Refuses a key of a table, or the table.
-    fn refuse_in(&mut self, table: &str, key: Option<&str>, reason: impl Into<String>) {
-        let place: Vec<_> = std::iter::once(table).chain(key).map(Key).collect();
-        self.refuse(&place, reason);
     }
 }
 
@@ -611,24 +557,18 @@ fn wrong_ros_name(name: &str) -> Option<String> {
     (!good).then(|| format!("`{name}` is not a valid ROS name: use one like /tb3_0/odom"))
 }
 
-/// The problem of poses from a topic, of this robot, of a peer, or of a robot that the room follows: the key of its protocol, the
-/// key below that, if any, and the reason.
-fn wrong_topic(odometry: &Odometry, peers: bool) -> Option<(&'static str, Option<&'static str>, String)> {
+/// The problem of poses from a topic: of this robot, of a peer, or of a robot that the room follows.
+fn wrong_topic(odometry: &Odometry, of_peer: bool) -> Option<WrongBelow> {
     let (protocol, stamp, wrong) = match odometry {
         Odometry::Ros(topic) => ("ros", topic.stamp, wrong_ros_name(&topic.topic).map(|why| (Some("topic"), why))),
         Odometry::Ros2(topic) => ("ros2", topic.stamp, settings::wrong_topic(topic)),
         _ => return None,
     };
-    if peers && stamp == Some(Stamp::Receipt) {
-        // The exchanges give a peer's clock offset, which is applied to its poses.
-        return Some((
-            protocol,
-            Some("stamp"),
-            "a peer's poses have the times of its own clock: `stamp = \"header\"`".into(),
-        ));
-    }
-    let (key, why) = wrong?;
-    Some((protocol, key, why))
+    // The exchanges give a peer's clock offset, which is applied to its poses.
+    let late = (of_peer && stamp == Some(Stamp::Receipt))
+        .then(|| (Some("stamp"), "a peer's poses have the times of its own clock: `stamp = \"header\"`".to_owned()));
+    let (key, why) = late.or(wrong)?;
+    Some((key.map_or_else(|| protocol.to_owned(), |key| format!("{protocol}.{key}")), why))
 }
 
 /// What is wrong with a source that a robot of the room follows.
@@ -647,29 +587,30 @@ fn wrong_source(room: &Room, odometry: &Odometry) -> Option<String> {
     if stamp == Some(Stamp::Header) {
         return Some("the room uses the times of arrival: `stamp = \"receipt\"`, or none".into());
     }
-    wrong_topic(odometry, false).map(|(.., why)| why)
+    wrong_topic(odometry, false).map(|(_, why)| why)
 }
 
 /// What is wrong with the sources that robots of the room follow, by the robot's name, and with robots that have none.
-fn wrong_followed<'r>(room: &'r Room, scene: &Scene) -> Vec<(Option<&'r str>, String)> {
-    let follows = |name: &str| {
-        let robot = scene.robot.iter().find(|robot| robot.name == name)?;
-        Some(matches!(robot.motion, RobotMotion::Followed(_)))
-    };
+fn wrong_followed(room: &Room, scene: &Scene) -> Vec<(String, String)> {
+    let is_followed = |motion: &RobotMotion| matches!(motion, RobotMotion::Followed(_));
     let mut wrong = Vec::new();
     for (name, odometry) in &room.follow {
-        let why = match follows(name) {
+        let why = match scene.robot.iter().find(|robot| robot.name == *name) {
             None => Some(format!("the scene has no robot `{name}`")),
-            Some(false) => Some(format!("robot `{name}` moves as the scene says: give it `motion.followed = {{}}`")),
-            Some(true) => wrong_source(room, odometry),
+            Some(robot) if !is_followed(&robot.motion) => {
+                Some(format!("robot `{name}` moves as the scene says: give it `motion.followed = {{}}`"))
+            }
+            Some(_) => wrong_source(room, odometry),
         };
-        wrong.extend(why.map(|why| (Some(name.as_str()), format!("follow `{name}`: {why}"))));
+        wrong.extend(why.map(|why| (name.clone(), format!("follow `{name}`: {why}"))));
     }
-    let alone = scene.robot.iter().filter(|robot| follows(&robot.name) == Some(true));
-    for robot in alone.filter(|robot| !room.follow.contains_key(&robot.name)) {
+    for robot in scene.robot.iter().filter(|robot| is_followed(&robot.motion)) {
         let name = &robot.name;
-        let why = format!("robot `{name}` of the scene follows nothing: `follow.{name}.ros.topic = \"/{name}/odom\"`");
-        wrong.push((None, why));
+        if !room.follow.contains_key(name) {
+            let why =
+                format!("robot `{name}` of the scene follows nothing: `follow.{name}.ros.topic = \"/{name}/odom\"`");
+            wrong.push((name.clone(), why));
+        }
     }
     wrong
 }
@@ -726,10 +667,10 @@ impl Check<'_> {
         let (output, bag) = (&config.output, config.ros2.as_ref().and_then(|ros| ros.bag.as_deref()));
         let bearings = Some(Path::new(&output.bearings)).filter(|_| !["", "-"].contains(&output.bearings.as_str()));
         let files = [
-            (["log", "file"], Kind::Log, config.log.as_ref().map(|log| log.file.as_path())),
-            (["output", "bearings"], Kind::Lines, bearings),
-            (["output", "status_socket"], Kind::Socket, output.status_socket.as_deref()),
-            (["ros2", "bag"], Kind::Folder, bag),
+            ("log.file", Kind::Log, config.log.as_ref().map(|log| log.file.as_path())),
+            ("output.bearings", Kind::Lines, bearings),
+            ("output.status_socket", Kind::Socket, output.status_socket.as_deref()),
+            ("ros2.bag", Kind::Folder, bag),
         ];
         let mut read = config.clone();
         let inputs = read.inputs();
@@ -746,12 +687,12 @@ impl Check<'_> {
             let itself = self.own_file.is_some_and(|own| is_one(own, file));
             let itself = itself.then(|| format!("{} is this configuration", file.display()));
             if let Some(why) = unwritable(file, kind).or(read).or(twice).or(itself) {
-                self.refuse(&place.map(Key), why);
+                self.refuse(place, why);
             }
-            before.push((place[1], file));
+            before.push((place, file));
         }
         if config.log.as_ref().is_some_and(|log| log.rotate_mib == Some(0)) {
-            self.refuse(&[Key("log"), Key("rotate_mib")], "rotate_mib is 0: every record would have a file of its own");
+            self.refuse("log.rotate_mib", "rotate_mib is 0: every record would have a file of its own");
         }
     }
 }
@@ -822,12 +763,61 @@ mod tests {
     use super::*;
 
     /// A valid room; peers come last.
-    const ROOM: &str = "name = \"here\"\nchannel = \"108\"\n\n# A comment that names mac, odometry and rate_hz.\n\
-                        capture.room = { scene = \"lab-circle\", robot = \"rx\" }\nodometry.room = {}\n";
+    const ROOM: &str = "name = 'here'\nchannel = '108'\n\n# A comment that names mac, odometry and rate_hz.\n\
+                        capture.room = { scene = 'lab-circle', robot = 'rx' }\nodometry.room = {}\n";
     /// A valid card, except for missing features.
-    const CARD: &str = "name = \"here\"\nchannel = \"108\"\nmac = \"02:00:00:00:00:01\"\ncapture.card = {}\n\
-                        odometry.opencr.port = \"/dev/null\"\n[log]\nfile = \"x.dat\"\n";
-    const PEER: &str = "[[peer]]\nname = \"tx\"\nyaw_deg = 0.0\nrecords.room = {}\n";
+    const CARD: &str = "name = 'here'\nchannel = '108'\nmac = '02:00:00:00:00:01'\ncapture.card = {}\n\
+                        odometry.opencr.port = '/dev/null'\n[log]\nfile = 'x.dat'\n";
+    const PEER: &str = "[[peer]]\nname = 'tx'\nyaw_deg = 0.0\nrecords.room = {}\n";
+    /// A peer whose records come over the network.
+    const LINKED: &str = "[[peer]]\nname = 'b'\nmac = '02:00:00:00:00:02'\nrecords.network = {}\n";
+    /// The line of the room's capture, and of the card's poses.
+    const IN_ROOM: &str = "capture.room = { scene = 'lab-circle', robot = 'rx' }\n";
+    const WHEELS: &str = "odometry.opencr.port = '/dev/null'";
+    const MOUNT: &str = "camera_mount = { forward_m = 0.04, left_m = 0.17, yaw_deg = -1.5 }";
+    const ITSELF: &str = "[[peer]]\nrecords.room = {}\nname = 'rx' # itself\n";
+    const ARRAY: &str = "[array]\nantennas = ['A', 'B']\nbaselines_m = [[0.1, 0.0, 0.0]]\n";
+    const HEARD: &str = "[[peer]]\nname = 'tx'\nrecords.heard = {}\n";
+    const MONITOR: &str = "[sounding]\ninterface = 'mon0'\n";
+
+    /// A room with a peer, and more lines.
+    fn room(more: &str) -> String {
+        [ROOM, PEER, more].concat()
+    }
+
+    fn card(more: &str) -> String {
+        [CARD, more].concat()
+    }
+
+    /// A card with a peer, and more lines.
+    fn linked(more: &str) -> String {
+        [CARD, LINKED, more].concat()
+    }
+
+    /// A text with other words in place of some that it has.
+    #[track_caller]
+    fn swap(text: &str, old: &str, new: &str) -> String {
+        assert!(text.contains(old), "no {old} in {text}");
+        text.replace(old, new)
+    }
+
+    /// The card with other poses.
+    fn posed(poses: &str) -> String {
+        swap(CARD, WHEELS, poses)
+    }
+
+    /// The card's configuration with another capture.
+    fn capture(capture: &str) -> String {
+        swap(CARD, "capture.card = {}", capture)
+    }
+
+    /// Each text is refused for the reason, in the line with the key.
+    #[track_caller]
+    fn all_refused<const N: usize>(cases: [(&str, &str, String); N]) {
+        for (key, why, text) in cases {
+            refused(&text, key, why);
+        }
+    }
 
     /// Refusals of a text, each `line N: why`.
     fn refusals(text: &str) -> Vec<String> {
@@ -850,189 +840,310 @@ mod tests {
         assert_eq!(refusals(text), Vec::<String>::new(), "{text}");
     }
 
-    /// Configurations, one a line: a key in the line that is refused, a word of the reason (`-` and `-` for a good one), the valid
-    /// text to begin with, and its changes: `+ MORE` after it, or `FROM => TO`.
-    const CASES: &str = r#"
--- The team.
-- | - | room | + [team]\nplaces = { tx = [1.0, 2.0] }\nframe = "hall"
-- | - | room | + [team]\nranges.tx = { topic = "/uwb/tx" }
-places | no peer `ty` | room | + [team]\nframe = "hall"\nplaces.ty = [1.0, 2.0]
-places | finite | room | + [team]\nplaces.tx = [1.0, inf]
-places | 3 numbers where 2 are expected | room | + [team]\nplaces.tx = [1.0, 2.0, 3.0]
-antenna_offset_m | 4 numbers where 3 | room | odometry.room => antenna_offset_m = [0, 0, 0, 7]\nodometry.room
-place =  | unknown field | room | + [team]\nplaces = {}\nplace = {}
-ranges | no peer `ty` | room | + [team]\nframe = "map"\nranges.ty = { topic = "/uwb/ty" }
-ranges | not a valid ROS 2 name | room | + [team]\nframe = "map"\nranges.tx = { topic = "/uwb tx" }
-ranges | above 0 | room | + [team]\nframe = "map"\nranges.tx = { topic = "/uwb", sd_m = 0.0 }
-frame | other than | room | + [team]\nframe = "map"\nplaces.tx = [1.0, 2.0]\n[ros2]\nframe = "map"
-[team] | needs a [[peer]] | card | + [team]
--- This robot.
-- | - | room
-- | - | card
-- | - | card | capture.card = {} => capture.stock.frames = true
-frame | unknown field | card | capture.card = {} => capture.stock.frame = true
-capture.card | `mac` | card | mac = "02:00:00:00:00:01"\n =>
-no.dat | there is no log | card | capture.card = {}\n => | + [capture.replay]\nspeed = 2\nfile = "no.dat"
-no.toml | no.toml | room | INLINE\n => | + [capture.room]\nspeed = 2.0\nscene = "no.toml"\nrobot = "rx"
-nobody | no robot `nobody`: it has rx, tx | room | INLINE\n => | + [capture.room]\nscene = "lab-circle"\nrobot = "nobody"
-mac = | `rx` has the MAC | room | channel => mac = "02:00:00:00:00:99"\nchannel
-mac = | `tx` has the MAC | room | + mac = "02:00:00:00:00:99"
-[[peer]] | no robot here ever moves | room | odometry.room = {}\n =>
-capture.card | there is nothing to do | card | [log]\nfile = "x.dat"\n =>
--- Numbers.
-elevation_max_deg = |  | room | + [estimator]\naccurate = true\nelevation_max_deg = 91.0
-heading_sd_deg = |  | room | + [estimator]\naccurate = true\nheading_sd_deg = -1.0
-accurate_every_s = |  | room | + [estimator]\naccurate = true\naccurate_every_s = -1.0
-extrapolate_s = |  | room | + [estimator]\naccurate = true\nextrapolate_s = 2.0
-window_m = | window_m (0.050 m) | room | + [estimator]\naccurate = true\nwindow_m = 0.05
-least_motion_m = |  | room | + [estimator]\naccurate = true\nleast_motion_m = 9.0
-rate_hz = | rate_hz in [estimator] | room | + [estimator]\naccurate = true\nrate_hz = 101.0
-rate_hz = | rate_hz in [estimator] | room | + [estimator]\naccurate = true\nrate_hz = 1e-9
-inf | antenna_offset_m | room | odometry.room => antenna_offset_m = [0.0,\n  inf, 0.0]\nodometry.room
-nan | odometry: every number | room | odometry.room = {} => [odometry.static]\nposition_m = [0.0, 0.0, 0.0]\nheading_deg = nan
-nan | peer `tx` | room | yaw_deg = 0.0 => yaw_deg = nan
-nan | peer `tx` | room | + antenna_offset_m = [0, nan, 0]
-inf | peer | room | + [peer.poses.static]\nheading_deg = 1.0\nposition_m = [0, 0, inf]
-1e300 | not on a robot | room | odometry.room => antenna_offset_m = [1e300, 0.0, 0.0]\nodometry.room
--10.5 | peer `tx`: antenna_offset_m: -1.05e1 m | room | + antenna_offset_m = [0, 0,\n-10.5]
-- | - | room | + antenna_offset_m = [0, 0, -10]
--- A camera's mount needs poses of a camera.
-- | - | card | WHEELS => MOUNT\nodometry.ros2 = { topic = "/odom" }
-camera_mount | `antenna_frame` moves poses | card | WHEELS => MOUNT\nodometry.ros2 = { topic = "/odom", antenna_frame = "wifi" }
-camera_mount | of the wheels already | card | WHEELS => MOUNT\nWHEELS
-camera_mount | no poses of a camera | card | WHEELS => MOUNT\nodometry.static = {}
-camera_mount | of the robot, not of a camera | room | odometry.room => MOUNT\nodometry.room
-inf | left_m: every number must be finite | card | WHEELS => camera_mount = { forward_m = 0.0, left_m = inf }\nodometry.csv.file = "no.csv"
-1e300 | forward_m: 1e300 m is not on | card | WHEELS => camera_mount = { forward_m = 1e300, left_m = 0 }\nodometry.static = {}
--- Poses.
-no.csv | no trajectory | card | WHEELS => odometry.csv.file = "no.csv"
-odometry.csv | replayed capture | card | WHEELS => odometry.csv.file = "lib.rs"
-odometry.room | `room` poses | card | WHEELS => odometry.room = {}
-odometry.network | own poses | card | WHEELS => odometry.network = {}
-opencr | `opencr` poses are live | room | odometry.room = {} => WHEELS
-odometry.ros | `ros` poses are live | room | odometry.room = {} => odometry.ros.topic = "/odom"
-odometry.ros2 | are live | room | odometry.room = {} => odometry.ros2 = {}
-poses.network | peer `b`: `network` poses | linked | + poses.network = {}
-poses.opencr | peer `b`: a peer's port | linked | + poses.opencr.port = "x"
-poses.ros | peer `b`: a peer's poses have the times of its own clock | linked | + poses.ros = { topic = "/b/odom", stamp = "receipt" }
-topic |  | card | WHEELS => odometry.ros = {\n  topic = "odom" }
-odometry.ros | `/odom/` is not a valid ROS name | card | WHEELS => odometry.ros = { topic = "/odom/" }
-odometry.ros |  | card | WHEELS => odometry.ros = { topic = "/odom", type = "imu" }
-odometry.ros |  | card | WHEELS => odometry.ros = { topic = "/odom", stamp = "now" }
--- Peers.
-# again | has its name | linked | + [[peer]]\nmac = "02:00:00:00:00:03"\nrecords.network = {}\nname = "b" # again
-# again | another peer has its name or MAC | linked | + [[peer]]\nname = "c"\nrecords.network = {}\nmac = "02:00:00:00:00:02" # again
-# c | peer `c`: `mac` is missing | linked | + [[peer]] # c\nname = "c"\nrecords.network = {}
-# own | this robot's own MAC | linked | + [[peer]]\nname = "c"\nrecords.network = {}\nmac = "02:00:00:00:00:01" # own
-no.dat | there is no log | linked | + SECOND\nrecords.replay.file = "no.dat"
-lib.rs | a replayed log needs | linked | + SECOND\nrecords.replay.file = "lib.rs"
-records.room | `room` records need | linked | + SECOND\nrecords.room = {}
-# c | `network` records need a [network] | linked | + SECOND\nrecords.network = {} # c
-certificate | `certificate` is the common name | linked | + SECOND\ncertificate = " "\nrecords.network = {}
-certificate | records and poses of the network | linked | + SECOND\ncertificate = "c"\nrecords.replay.file = "no.dat"
-"ty" | no robot `ty` | room | + [[peer]]\nrecords.room = {}\nname = "ty"
-# itself | peer `rx` is this robot itself | alone | + ITSELF
-# itself | peer `rx` is this robot itself | card | capture.card = {} => capture.served = { socket = "s", robot = "rx" } | mac = => # | + ITSELF
--- Antennas that need no peer: a sender by its name in the room, or by its MAC.
-- | - | alone | + ARRAY
-- | - | alone | + ARRAY | + HEARD
-- | - | alone | odometry.room => odometry.static | + ARRAY | + chain_constants_deg = [[52.7, 0.3]] | + HEARD
-[[peer]] | no robot here ever moves | alone | odometry.room => odometry.static | + ARRAY | + HEARD
-antennas = | named twice | alone | + ARRAY | "B" => "A"
-antennas = | A, B or C | alone | + ARRAY | "B" => "D"
-antennas = | 2 or 3 | alone | + ARRAY | , "B" =>
-baselines_m | 0 baselines for 2 antennas | alone | + ARRAY | [[0.1, 0.0, 0.0]] => []
-baselines_m | metres are expected | alone | + ARRAY | 0.1, => 100.0,
-chain_constants_deg | a deviation of 0 or more | alone | + ARRAY | + chain_constants_deg = [[1.0, -2.0]]
-records.heard | needs an [array] | alone | + HEARD
-records.heard | leave `poses` out | alone | + ARRAY | + HEARD | + poses.room = {}
-"ty" | no robot `ty` | alone | + ARRAY | + HEARD | "tx" => "ty"
--- FeitCSI.
-- | - | card | capture.card = {} => capture.feitcsi.udp = "127.0.0.1:8008"
-udp | address | card | capture.card = {} => capture.feitcsi.udp = "8008"
-pipe | no named pipe | card | capture.card = {} => capture.feitcsi.pipe = "lib.rs"
--- A node of ROS 1, and the sounding exchange.
-master | one looks like | card | + [ros]\nframe = "odom"\nmaster = "10.0.0.1:11311/"
-node | not a valid ROS name | card | + [ros]\nframe = "odom"\nnode = "a b"
-- | - | linked | ANSWERS | + MONITOR
-[sounding] | a monitor interface, is missing | linked | + [sounding]\nfifo = false
-[sounding] | needs a [[peer]] | card | + MONITOR
-[sounding] | is done with a card | room | + MONITOR
-records.sounding | `initiate` | linked | ANSWERS | + MONITOR | + initiate = false
-records.sounding | it must stand | linked | ANSWERS\nposes.room = {} | + MONITOR
-interface | leave `interface` out | linked | capture.card = {} => capture.served = { socket = "s", robot = "a" } | + MONITOR
-key = | there is no key | linked | + MONITOR | + key = "no.key"
-rate_hz = | rounds | linked | + MONITOR | + rate_hz = 1e5
-mcs = | 23 | linked | + MONITOR | + mcs = 24
-links = | links | linked | + MONITOR | + links = 0
--- A node of ROS 2.
-- | - | card | + ROS2\ninterface = "127.0.0.2"\nnamespace = "/lab"\nnode = "n"
-- | - | card | + ROS2\ninterface = "192.168.1.5"\ninsecure = true\npeers = ["10.0.0.1"]
-interface | `insecure = true` | card | + ROS2\ninterface = "192.168.1.5"
-interface | one address | card | + ROS2\ninterface = "0.0.0.0"\ninsecure = true
-peers | cannot be reached from 127.0.0.1 | card | + ROS2\npeers = ["10.0.0.1"]
-domain | 0 to 232 | card | + ROS2\ndomain = 233
-namespace | not a valid ROS 2 namespace | card | + ROS2\nnamespace = "lab"
-node | not a valid ROS 2 node name | card | + ROS2\nnode = "/a/b"
-remap | not a valid ROS 2 name | card | + ROS2\nremap = { "a b" = "/c" }
-type | from `frame` to `child` | card | WHEELS => [odometry.ros2]\ntype = "tf"\nframe = "odom"
-child | is for transforms | card | WHEELS => [odometry.ros2]\nchild = "base_link"
-antenna_frame | is for odometry | card | WHEELS => [odometry.ros2]\ntype = "pose"\nantenna_frame = "wifi"
-imu | not a valid ROS 2 name | card | WHEELS => [odometry.ros2]\nimu = "1mu"
--- The network.
-backlog | 256 to 1000000 | card | + [network]\ngroup = "g"\nbacklog = 1
-no.json5 | no such file | card | + [network]\ngroup = "g"\nzenoh = "no.json5"
-"#;
-
-    /// Names that stand for longer texts in changes.
-    const LONGER: [(&str, &str); 10] = [
-        ("WHEELS", "odometry.opencr.port = \"/dev/null\""),
-        ("INLINE", "capture.room = { scene = \"lab-circle\", robot = \"rx\" }"),
-        ("MOUNT", "camera_mount = { forward_m = 0.04, left_m = 0.17, yaw_deg = -1.5 }"),
-        ("SECOND", "[[peer]]\nname = \"c\"\nmac = \"02:00:00:00:00:03\""),
-        ("ITSELF", "[[peer]]\nrecords.room = {}\nname = \"rx\" # itself"),
-        ("ARRAY", "[array]\nantennas = [\"A\", \"B\"]\nbaselines_m = [[0.1, 0.0, 0.0]]"),
-        ("HEARD", "[[peer]]\nname = \"tx\"\nrecords.heard = {}"),
-        ("ANSWERS", "records.network = {} => records.sounding = {}"),
-        ("MONITOR", "[sounding]\ninterface = \"mon0\""),
-        ("ROS2", "[ros2]\nframe = \"odom\""),
-    ];
+    #[test]
+    fn a_team_is_of_known_peers() {
+        good(&room("[team]\nplaces = { tx = [1.0, 2.0] }\nframe = 'hall'\n"));
+        good(&room("[team]\nranges.tx = { topic = '/uwb/tx' }\n"));
+        all_refused([
+            ("places", "no peer `ty`", room("[team]\nframe = 'hall'\nplaces.ty = [1.0, 2.0]\n")),
+            ("places", "finite", room("[team]\nplaces.tx = [1.0, inf]\n")),
+            ("places", "3 numbers where 2 are expected", room("[team]\nplaces.tx = [1.0, 2.0, 3.0]\n")),
+            (
+                "antenna_offset_m",
+                "4 numbers where 3",
+                swap(&room(""), "odometry.room", "antenna_offset_m = [0, 0, 0, 7]\nodometry.room"),
+            ),
+            ("place = ", "unknown field", room("[team]\nplaces = {}\nplace = {}\n")),
+            ("ranges", "no peer `ty`", room("[team]\nframe = 'map'\nranges.ty = { topic = '/uwb/ty' }\n")),
+            ("ranges", "not a valid ROS 2 name", room("[team]\nframe = 'map'\nranges.tx = { topic = '/uwb tx' }\n")),
+            ("ranges", "above 0", room("[team]\nframe = 'map'\nranges.tx = { topic = '/uwb', sd_m = 0.0 }\n")),
+            ("frame", "other than", room("[team]\nframe = 'map'\nplaces.tx = [1.0, 2.0]\n[ros2]\nframe = 'map'\n")),
+            ("[team]", "needs a [[peer]]", card("[team]\n")),
+        ]);
+    }
 
     #[test]
-    fn what_contradicts_itself_or_this_machine_is_refused_at_its_line() {
-        let linked = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
-        let bases = [("alone", [ROOM, ""]), ("room", [ROOM, PEER]), ("card", [CARD, ""]), ("linked", [CARD, linked])];
-        let cases = CASES.lines().filter(|case| !case.is_empty() && !case.starts_with("--"));
-        assert_eq!(cases.clone().count(), 118);
-        for case in cases {
-            let columns: Vec<&str> = case.split(" | ").collect();
-            let [key, why, base, changes @ ..] = &columns[..] else { panic!("{case}") };
-            let mut text = bases.iter().find(|(name, _)| name == base).unwrap().1.concat();
-            for change in changes {
-                let whole =
-                    LONGER.iter().fold(change.replace("\\n", "\n"), |all, (name, long)| all.replace(name, long));
-                match (whole.strip_prefix("+ "), whole.split_once(" =>")) {
-                    (Some(more), _) => text += &format!("{more}\n"),
-                    (None, Some((from, to))) if text.contains(from) => {
-                        text = text.replace(from, to.strip_prefix(' ').unwrap_or(to));
-                    }
-                    _ => panic!("{case}: {text}"),
-                }
-            }
-            if *key == "-" { good(&text) } else { refused(&text, key, why) }
-        }
+    fn a_robot_has_a_card_or_a_place_in_a_room() {
+        good(&room(""));
+        good(CARD);
+        good(&capture("capture.stock.frames = true"));
+        all_refused([
+            ("frame", "unknown field", capture("capture.stock.frame = true")),
+            ("capture.card", "`mac`", swap(CARD, "mac = '02:00:00:00:00:01'\n", "")),
+            (
+                "no.dat",
+                "there is no log",
+                swap(&card("[capture.replay]\nspeed = 2\nfile = 'no.dat'\n"), "capture.card = {}\n", ""),
+            ),
+            (
+                "no.toml",
+                "no.toml",
+                swap(&room("[capture.room]\nspeed = 2.0\nscene = 'no.toml'\nrobot = 'rx'\n"), IN_ROOM, ""),
+            ),
+            (
+                "nobody",
+                "no robot `nobody`: it has rx, tx",
+                swap(&room("[capture.room]\nscene = 'lab-circle'\nrobot = 'nobody'\n"), IN_ROOM, ""),
+            ),
+            ("mac =", "`rx` has the MAC", swap(&room(""), "channel", "mac = '02:00:00:00:00:99'\nchannel")),
+            ("mac =", "`tx` has the MAC", room("mac = '02:00:00:00:00:99'\n")),
+            ("[[peer]]", "no robot here ever moves", swap(&room(""), "odometry.room = {}\n", "")),
+            ("capture.card", "there is nothing to do", swap(CARD, "[log]\nfile = 'x.dat'\n", "")),
+        ]);
+    }
+
+    #[test]
+    fn numbers_are_in_their_ranges() {
+        let estimator = |line: &str| room(&format!("[estimator]\naccurate = true\n{line}\n"));
+        good(&room("antenna_offset_m = [0, 0, -10]\n"));
+        all_refused([
+            ("elevation_max_deg =", "", estimator("elevation_max_deg = 91.0")),
+            ("heading_sd_deg =", "", estimator("heading_sd_deg = -1.0")),
+            ("accurate_every_s =", "", estimator("accurate_every_s = -1.0")),
+            ("extrapolate_s =", "", estimator("extrapolate_s = 2.0")),
+            ("window_m =", "window_m (0.050 m)", estimator("window_m = 0.05")),
+            ("least_motion_m =", "", estimator("least_motion_m = 9.0")),
+            ("rate_hz =", "rate_hz in [estimator]", estimator("rate_hz = 101.0")),
+            ("rate_hz =", "rate_hz in [estimator]", estimator("rate_hz = 1e-9")),
+            (
+                "inf",
+                "antenna_offset_m",
+                swap(&room(""), "odometry.room", "antenna_offset_m = [0.0,\n  inf, 0.0]\nodometry.room"),
+            ),
+            (
+                "nan",
+                "odometry: position_m and heading_deg must be finite",
+                swap(
+                    &room(""),
+                    "odometry.room = {}",
+                    "[odometry.static]\nposition_m = [0.0, 0.0, 0.0]\nheading_deg = nan",
+                ),
+            ),
+            ("nan", "peer `tx`", swap(&room(""), "yaw_deg = 0.0", "yaw_deg = nan")),
+            ("nan", "peer `tx`", room("antenna_offset_m = [0, nan, 0]\n")),
+            ("inf", "peer", room("[peer.poses.static]\nheading_deg = 1.0\nposition_m = [0, 0, inf]\n")),
+            (
+                "1e300",
+                "not on a robot",
+                swap(&room(""), "odometry.room", "antenna_offset_m = [1e300, 0.0, 0.0]\nodometry.room"),
+            ),
+            ("-10.5", "peer `tx`: antenna_offset_m: -1.05e1 m", room("antenna_offset_m = [0, 0,\n-10.5]\n")),
+        ]);
+    }
+
+    #[test]
+    fn a_mount_needs_poses_of_a_camera() {
+        let mounted = |poses: &str| posed(&format!("{MOUNT}\n{poses}"));
+        good(&mounted("odometry.ros2 = { topic = '/odom' }"));
+        all_refused([
+            (
+                "camera_mount",
+                "`antenna_frame` moves poses",
+                mounted("odometry.ros2 = { topic = '/odom', antenna_frame = 'wifi' }"),
+            ),
+            ("camera_mount", "of the wheels already", mounted(WHEELS)),
+            ("camera_mount", "no poses of a camera", mounted("odometry.static = {}")),
+            (
+                "camera_mount",
+                "of the robot, not of a camera",
+                swap(&room(""), "odometry.room", &format!("{MOUNT}\nodometry.room")),
+            ),
+            (
+                "inf",
+                "left_m: every number must be finite",
+                posed("camera_mount = { forward_m = 0.0, left_m = inf }\nodometry.csv.file = 'no.csv'"),
+            ),
+            (
+                "1e300",
+                "forward_m: 1e300 m is not on",
+                posed("camera_mount = { forward_m = 1e300, left_m = 0 }\nodometry.static = {}"),
+            ),
+        ]);
+    }
+
+    #[test]
+    fn poses_fit_the_capture() {
+        let room_posed = |poses: &str| swap(&room(""), "odometry.room = {}", poses);
+        all_refused([
+            ("no.csv", "no trajectory", posed("odometry.csv.file = 'no.csv'")),
+            ("odometry.csv", "replayed capture", posed("odometry.csv.file = 'lib.rs'")),
+            ("odometry.room", "`room` poses", posed("odometry.room = {}")),
+            ("odometry.network", "own poses", posed("odometry.network = {}")),
+            ("opencr", "`opencr` poses are live", room_posed(WHEELS)),
+            ("odometry.ros", "`ros` poses are live", room_posed("odometry.ros.topic = '/odom'")),
+            ("odometry.ros2", "are live", room_posed("odometry.ros2 = {}")),
+            ("poses.network", "peer `b`: `network` poses", linked("poses.network = {}\n")),
+            ("poses.opencr", "peer `b`: a peer's port", linked("poses.opencr.port = 'x'\n")),
+            (
+                "poses.ros",
+                "peer `b`: a peer's poses have the times of its own clock",
+                linked("poses.ros = { topic = '/b/odom', stamp = 'receipt' }\n"),
+            ),
+            ("topic", "", posed("odometry.ros = {\n  topic = 'odom' }")),
+            ("odometry.ros", "`/odom/` is not a valid ROS name", posed("odometry.ros = { topic = '/odom/' }")),
+            ("odometry.ros", "", posed("odometry.ros = { topic = '/odom', type = 'imu' }")),
+            ("odometry.ros", "", posed("odometry.ros = { topic = '/odom', stamp = 'now' }")),
+        ]);
+    }
+
+    #[test]
+    fn a_peer_has_its_own_name_and_fitting_records() {
+        let second = |lines: &str| linked(&format!("[[peer]]\nname = 'c'\nmac = '02:00:00:00:00:03'\n{lines}"));
+        all_refused([
+            (
+                "# again",
+                "has its name",
+                linked("[[peer]]\nmac = '02:00:00:00:00:03'\nrecords.network = {}\nname = 'b' # again\n"),
+            ),
+            (
+                "# again",
+                "another peer has its name or MAC",
+                linked("[[peer]]\nname = 'c'\nrecords.network = {}\nmac = '02:00:00:00:00:02' # again\n"),
+            ),
+            ("# c", "peer `c`: `mac` is missing", linked("[[peer]] # c\nname = 'c'\nrecords.network = {}\n")),
+            (
+                "# own",
+                "this robot's own MAC",
+                linked("[[peer]]\nname = 'c'\nrecords.network = {}\nmac = '02:00:00:00:00:01' # own\n"),
+            ),
+            ("no.dat", "there is no log", second("records.replay.file = 'no.dat'\n")),
+            ("lib.rs", "a replayed log needs", second("records.replay.file = 'lib.rs'\n")),
+            ("records.room", "`room` records need", second("records.room = {}\n")),
+            ("# c", "`network` records need a [network]", second("records.network = {} # c\n")),
+            ("certificate", "`certificate` is the common name", second("certificate = ' '\nrecords.network = {}\n")),
+            (
+                "certificate",
+                "records and poses of the network",
+                second("certificate = 'c'\nrecords.replay.file = 'no.dat'\n"),
+            ),
+            ("'ty'", "no robot `ty`", room("[[peer]]\nrecords.room = {}\nname = 'ty'\n")),
+            ("# itself", "peer `rx`: it is this robot itself", [ROOM, ITSELF].concat()),
+            (
+                "# itself",
+                "peer `rx`: it is this robot itself",
+                swap(
+                    &swap(
+                        &[CARD, ITSELF].concat(),
+                        "capture.card = {}",
+                        "capture.served = { socket = 's', robot = 'rx' }",
+                    ),
+                    "mac =",
+                    "#",
+                ),
+            ),
+        ]);
+    }
+
+    #[test]
+    fn antennas_need_no_peer() {
+        good(&[ROOM, ARRAY].concat());
+        good(&[ROOM, ARRAY, HEARD].concat());
+        good(&swap(
+            &[ROOM, ARRAY, "chain_constants_deg = [[52.7, 0.3]]\n", HEARD].concat(),
+            "odometry.room",
+            "odometry.static",
+        ));
+        all_refused([
+            (
+                "[[peer]]",
+                "no robot here ever moves",
+                swap(&[ROOM, ARRAY, HEARD].concat(), "odometry.room", "odometry.static"),
+            ),
+            ("antennas =", "named twice", swap(&[ROOM, ARRAY].concat(), "'B'", "'A'")),
+            ("antennas =", "A, B or C", swap(&[ROOM, ARRAY].concat(), "'B'", "'D'")),
+            ("antennas =", "2 or 3", swap(&[ROOM, ARRAY].concat(), ", 'B'", "")),
+            ("baselines_m", "0 baselines for 2 antennas", swap(&[ROOM, ARRAY].concat(), "[[0.1, 0.0, 0.0]]", "[]")),
+            ("baselines_m", "metres are expected", swap(&[ROOM, ARRAY].concat(), "0.1,", "100.0,")),
+            (
+                "chain_constants_deg",
+                "a deviation of 0 or more",
+                [ROOM, ARRAY, "chain_constants_deg = [[1.0, -2.0]]\n"].concat(),
+            ),
+            ("records.heard", "needs an [array]", [ROOM, HEARD].concat()),
+            ("records.heard", "leave `poses` out", [ROOM, ARRAY, HEARD, "poses.room = {}\n"].concat()),
+            ("'ty'", "no robot `ty`", swap(&[ROOM, ARRAY, HEARD].concat(), "'tx'", "'ty'")),
+        ]);
+    }
+
+    #[test]
+    fn feitcsi_has_an_address_or_a_pipe() {
+        good(&capture("capture.feitcsi.udp = '127.0.0.1:8008'"));
+        all_refused([
+            ("udp", "address", capture("capture.feitcsi.udp = '8008'")),
+            ("pipe", "no named pipe", capture("capture.feitcsi.pipe = 'lib.rs'")),
+        ]);
+    }
+
+    #[test]
+    fn ros_1_and_the_sounding_exchange() {
+        let sounding = |more: &str| linked(&[MONITOR, more].concat());
+        good(&swap(&sounding(""), "records.network = {}", "records.sounding = {}"));
+        all_refused([
+            ("master", "one looks like", card("[ros]\nframe = 'odom'\nmaster = '10.0.0.1:11311/'\n")),
+            ("node", "not a valid ROS name", card("[ros]\nframe = 'odom'\nnode = 'a b'\n")),
+            ("[sounding]", "a monitor interface, is missing", linked("[sounding]\nfifo = false\n")),
+            ("[sounding]", "needs a [[peer]]", card(MONITOR)),
+            ("[sounding]", "is done with a card", room(MONITOR)),
+            (
+                "records.sounding",
+                "`initiate`",
+                swap(&sounding("initiate = false\n"), "records.network = {}", "records.sounding = {}"),
+            ),
+            (
+                "records.sounding",
+                "it must stand",
+                swap(&sounding(""), "records.network = {}", "records.sounding = {}\nposes.room = {}"),
+            ),
+            (
+                "interface",
+                "leave `interface` out",
+                swap(&sounding(""), "capture.card = {}", "capture.served = { socket = 's', robot = 'a' }"),
+            ),
+            ("key =", "there is no key", sounding("key = 'no.key'\n")),
+            ("rate_hz =", "rounds", sounding("rate_hz = 1e5\n")),
+            ("mcs =", "23", sounding("mcs = 24\n")),
+            ("links =", "links", sounding("links = 0\n")),
+        ]);
+    }
+
+    #[test]
+    fn settings_of_ros_2() {
+        let ros2 = |more: &str| card(&format!("[ros2]\nframe = 'odom'\n{more}"));
+        good(&ros2("interface = '127.0.0.2'\nnamespace = '/lab'\nnode = 'n'\n"));
+        good(&ros2("interface = '192.168.1.5'\ninsecure = true\npeers = ['10.0.0.1']\n"));
+        all_refused([
+            ("interface", "`insecure = true`", ros2("interface = '192.168.1.5'\n")),
+            ("interface", "one address", ros2("interface = '0.0.0.0'\ninsecure = true\n")),
+            ("peers", "cannot be reached from 127.0.0.1", ros2("peers = ['10.0.0.1']\n")),
+            ("domain", "0 to 232", ros2("domain = 233\n")),
+            ("namespace", "not a valid ROS 2 namespace", ros2("namespace = 'lab'\n")),
+            ("node", "not a valid ROS 2 node name", ros2("node = '/a/b'\n")),
+            ("remap", "not a valid ROS 2 name", ros2("remap = { 'a b' = '/c' }\n")),
+            ("type", "from `frame` to `child`", posed("[odometry.ros2]\ntype = 'tf'\nframe = 'odom'")),
+            ("child", "is for transforms", posed("[odometry.ros2]\nchild = 'base_link'")),
+            ("antenna_frame", "is for odometry", posed("[odometry.ros2]\ntype = 'pose'\nantenna_frame = 'wifi'")),
+            ("imu", "not a valid ROS 2 name", posed("[odometry.ros2]\nimu = '1mu'")),
+        ]);
+    }
+
+    #[test]
+    fn settings_of_the_network() {
+        all_refused([
+            ("backlog", "256 to 1000000", card("[network]\ngroup = 'g'\nbacklog = 1\n")),
+            ("no.json5", "no such file", card("[network]\ngroup = 'g'\nzenoh = 'no.json5'\n")),
+        ]);
     }
 
     #[test]
     fn a_pace_is_one_that_can_be_kept() {
         let paced = |speed: &str| {
-            let table = format!("[capture.room]\nscene = \"lab-circle\"\nspeed = {speed}\nrobot = \"rx\"\n");
-            format!("{ROOM}{table}{PEER}").replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }\n", "")
+            let table = format!("[capture.room]\nscene = 'lab-circle'\nspeed = {speed}\nrobot = 'rx'\n");
+            format!("{ROOM}{table}{PEER}").replace("capture.room = { scene = 'lab-circle', robot = 'rx' }\n", "")
         };
         let replay = |speed: &str| {
             CARD.replace("capture.card = {}\n", "")
-                .replace("odometry.opencr.port = \"/dev/null\"", "odometry.static = {}")
-                + &format!("[capture.replay]\nfile = \"lib.rs\"\nspeed = {speed}\n")
+                .replace("odometry.opencr.port = '/dev/null'", "odometry.static = {}")
+                + &format!("[capture.replay]\nfile = 'lib.rs'\nspeed = {speed}\n")
         };
         for speed in ["1e-3", "1", "1e3"] {
             good(&paced(speed));
@@ -1048,11 +1159,11 @@ no.json5 | no such file | card | + [network]\ngroup = "g"\nzenoh = "no.json5"
     fn a_feature_that_this_program_lacks_is_named() {
         if let Some(why) = crate::adapters::missing("foxglove") {
             assert!(why.contains("--features foxglove"));
-            let output = "[output]\nbearings = \"-\"\nfoxglove = \"127.0.0.1:1\"\n";
+            let output = "[output]\nbearings = '-'\nfoxglove = '127.0.0.1:1'\n";
             refused(&format!("{CARD}{output}"), "foxglove", "foxglove in [output]");
         }
         if crate::adapters::missing("zenoh").is_some() {
-            refused(&format!("{CARD}[network]\ngroup = \"g\"\n"), "[network]", "--features zenoh");
+            refused(&format!("{CARD}[network]\ngroup = 'g'\n"), "[network]", "--features zenoh");
         }
     }
 
@@ -1066,10 +1177,10 @@ no.json5 | no such file | card | + [network]\ngroup = "g"\nzenoh = "no.json5"
                 + &format!("[output]\nbearings = '{}'\nstatus_socket = '{}'\n", name(bearings), name(socket))
         };
         good(&with("a.dat", "b", "c"));
-        refused(&with("a.dat", "./a.dat", "c"), "bearings", "is also the output of `file`");
-        refused(&with("a.dat", "a.datstp", "c"), "bearings", "is also the output of `file`");
-        refused(&with("a.dat", "b", "a.dat"), "status_socket", "is also the output of `file`");
-        refused(&with("a.dat", "b", "b"), "status_socket", "is also the output of `bearings`");
+        refused(&with("a.dat", "./a.dat", "c"), "bearings", "is also the output of `log.file`");
+        refused(&with("a.dat", "a.datstp", "c"), "bearings", "is also the output of `log.file`");
+        refused(&with("a.dat", "b", "a.dat"), "status_socket", "is also the output of `log.file`");
+        refused(&with("a.dat", "b", "b"), "status_socket", "is also the output of `output.bearings`");
         refused(&CARD.replace("x.dat", "/dev/full"), "/dev/full", "no regular file");
         refused(&format!("{CARD}rotate_mib = 0\n"), "rotate_mib", "a file of its own");
         // What already exists: a log and a recording get other names, lines are added, a socket is one.
@@ -1147,11 +1258,11 @@ no.json5 | no such file | card | + [network]\ngroup = "g"\nzenoh = "no.json5"
 
     #[test]
     fn names_that_no_file_or_socket_can_have_are_refused_before_the_start() {
-        let output = |more: &str| format!("{CARD}[output]\nbearings = \"\"\n{more}\n");
+        let output = |more: &str| format!("{CARD}[output]\nbearings = ''\n{more}\n");
         let said =
             |text: &str| Config::read(text, Path::new("")).err().map(|error| error.to_string()).unwrap_or_default();
         let empty = "an empty name is no file";
-        assert!(said(&output("status_socket = \"\"")).starts_with(&format!("line 10: {empty}")));
+        assert!(said(&output("status_socket = ''")).starts_with(&format!("line 10: {empty}")));
         assert!(said(&CARD.replace("x.dat", "")).starts_with(&format!("line 7: {empty}")));
         let socket = |bytes: usize| output(&format!("status_socket = '/tmp/{}'", "s".repeat(bytes - "/tmp/".len())));
         assert_eq!(said(&socket(107)), "");
@@ -1168,7 +1279,7 @@ no.json5 | no such file | card | + [network]\ngroup = "g"\nzenoh = "no.json5"
         let network = |ros2: &str| format!("{CARD}[network]\nros2 = true\n{ros2}");
         good(&network("[ros2]\n"));
         refused(&network(""), "ros2 = true", "no topics to carry");
-        refused(&network("[ros2]\ndistribution = \"humble\"\n"), "ros2 = true", "Jazzy");
+        refused(&network("[ros2]\ndistribution = 'humble'\n"), "ros2 = true", "Jazzy");
     }
 
     #[cfg(feature = "zenoh")]
@@ -1180,15 +1291,15 @@ no.json5 | no such file | card | + [network]\ngroup = "g"\nzenoh = "no.json5"
             let file = folder.join(name);
             std::fs::write(&file, format!("{{ transport: {{ link: {{ tls: {{ enable_mtls: true }} }} }}, {more} }}"))
                 .unwrap();
-            format!("zenoh = '{}'\nlisten = [\"tls/127.0.0.1:7447\"]\n", file.display())
+            format!("zenoh = '{}'\nlisten = ['tls/127.0.0.1:7447']\n", file.display())
         };
-        let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\ncertificate = \"b\"\n";
+        let peer = "[[peer]]\nname = 'b'\nmac = '02:00:00:00:00:02'\nrecords.network = {}\ncertificate = 'b'\n";
         let network = |file: &str| format!("{CARD}[network]\n{file}{peer}");
         refused(&network(""), "[network]", "needs a network where both ends show one");
         good(&network(&zenoh("asks.json5", "")));
         let ruled = zenoh("rules.json5", "access_control: { enabled: true, default_permission: 'allow' }");
         refused(&network(&ruled), "[network]", "has an `access_control` of its own");
-        good(&network(&ruled).replace("certificate = \"b\"\n", ""));
+        good(&network(&ruled).replace("certificate = 'b'\n", ""));
         std::fs::remove_dir_all(folder).unwrap();
     }
 }

@@ -450,42 +450,25 @@ impl Model {
 }
 
 /// See [`Odometry::Csv`]. In a configuration `"FILE"` or `{ file = "FILE" }`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(from = "CsvForm")]
 pub struct Csv {
     /// The trajectory.
     pub file: PathBuf,
 }
 
-impl<'de> Deserialize<'de> for Csv {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(CsvVisitor)
-    }
-}
-
-/// Reads both forms of a [`Csv`], with the errors of the form that was meant.
-struct CsvVisitor;
-
-/// The table.
+/// Both forms of a [`Csv`].
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FileKey {
-    file: PathBuf,
+#[serde(untagged, deny_unknown_fields, expecting = "a file, \"FILE\" or { file = \"FILE\" }")]
+enum CsvForm {
+    Name(PathBuf),
+    Table { file: PathBuf },
 }
 
-impl<'de> serde::de::Visitor<'de> for CsvVisitor {
-    type Value = Csv;
-
-    fn expecting(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        out.write_str("a file, \"FILE\" or { file = \"FILE\" }")
-    }
-
-    fn visit_str<E>(self, file: &str) -> Result<Csv, E> {
-        Ok(Csv { file: file.into() })
-    }
-
-    fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<Csv, A::Error> {
-        let key: FileKey = Deserialize::deserialize(serde::de::value::MapAccessDeserializer::new(map))?;
-        Ok(Csv { file: key.file })
+impl From<CsvForm> for Csv {
+    fn from(form: CsvForm) -> Self {
+        let (CsvForm::Name(file) | CsvForm::Table { file }) = form;
+        Self { file }
     }
 }
 

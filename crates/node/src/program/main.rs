@@ -155,9 +155,13 @@ fn what_will_run(config: &Config) -> String {
         Odometry::Network(_) => "the robots' network".into(),
     };
     let output = &config.output;
-    let channel = config.channel;
+    let bearings = match output.bearings.as_str() {
+        "" => None,
+        "-" => Some("standard output".into()),
+        file => Some(file.to_owned()),
+    };
     let lines = [
-        ("channel", Some(channel.to_string())),
+        ("channel", Some(config.channel.to_string())),
         ("records", Some(capture)),
         ("poses", Some(odometry)),
         ("antennas", config.array.as_ref().map(antennas)),
@@ -165,25 +169,14 @@ fn what_will_run(config: &Config) -> String {
         ("sounding", config.sounding.as_ref().map(|own| (if own.initiate { "initiates" } else { "answers" }).into())),
         ("log", config.log.as_ref().map(|log| log.file.display().to_string())),
         ("team", config.team.as_ref().map(team)),
-        ("output", (!output.bearings.is_empty()).then(|| output.bearings.clone()).map(to_standard_output)),
+        ("output", bearings),
         ("status", output.status_socket.as_ref().map(|socket| socket.display().to_string())),
         ("Foxglove", output.foxglove.map(|address| address.to_string())),
         ("network", config.network.as_ref().map(|network| format!("group {}", network.group))),
-        (
-            "ROS",
-            match (&config.ros, &config.ros2) {
-                (None, None) => None,
-                (Some(_), None) => Some("1".into()),
-                (None, Some(_)) => Some("2".into()),
-                (Some(_), Some(_)) => Some("1 and 2".into()),
-            },
-        ),
+        ("ROS 1", config.ros.as_ref().map(|ros| format!("frame {}", ros.frame))),
+        ("ROS 2", config.ros2.as_ref().map(|ros| format!("frame {}", ros.frame))),
     ];
     lines.into_iter().filter_map(|(what, value)| Some(format!("  {what:12} {}\n", value?))).collect()
-}
-
-fn to_standard_output(file: String) -> String {
-    if file == "-" { "standard output".into() } else { file }
 }
 
 fn team(team: &Team) -> String {

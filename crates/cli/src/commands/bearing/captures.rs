@@ -34,8 +34,7 @@ pub fn place(text: &str) -> Words<(String, Place)> {
 /// A name and finite numbers: `NAME=1,2`.
 fn named_numbers(text: &str) -> Option<(&str, Vec<f64>)> {
     let (name, numbers) = text.split_once('=').filter(|(name, _)| !name.is_empty())?;
-    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
-    Some((name, numbers.split(',').map(number).collect::<Option<_>>()?))
+    Some((name, crate::commands::args::numbers(numbers)?))
 }
 
 impl Args {

@@ -16,10 +16,10 @@ use csi5300::exchange::tdma::{Dialect, Epoch, Phy, Request};
 use csi5300::internal::FrameReceiver;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::other_card::Translated;
-use csi5300::source::{CsiSource, Error, Injector, Next};
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Span};
-use csi5300_accept::{Collector, Done, Evidence, Interface, Plan, Report, Sending, Side, Truth, Verdict, collect};
-use csi5300_live::doctor::{Machine, System, channel_flags, module_counters};
+use csi5300_accept::{After, Done, Evidence, Heard, Interface, Plan, Report, Sending, Side, Truth, Verdict, collect};
+use csi5300_live::doctor::{Machine, System, channel_flags, module_counters, module_growth};
 use csi5300_live::listener::Listener;
 use csi5300_live::monitor::{Monitor, Options};
 use csi5300_live::sounding::{Running, Settings, Setup};
@@ -32,7 +32,7 @@ use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::wsr;
-use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::hash::{Hash, Hasher};
 use std::io::{BufRead, BufReader, IsTerminal, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -112,7 +112,7 @@ impl Desk {
 
 /// Judges the desk. Exit status 1 if a claim fails or none could be tried, 3 if the run was interrupted.
 pub fn run(args: &Args) -> Result {
-    let Some(Judged { evidence, facts, is_whole, stopped }) = evidence(args)? else { return Ok(Outcome::Done) };
+    let Some(Judged { mut evidence, facts, is_whole, stopped }) = evidence(args)? else { return Ok(Outcome::Done) };
     let mut report = evidence.judge();
     report.facts = facts;
     match args.json {
@@ -162,8 +162,6 @@ impl Judged {
     }
 }
 
-type Found = Words<Judged>;
-
 /// `None` if this robot assisted.
 fn evidence(args: &Args) -> Words<Option<Judged>> {
     let toml = |path: &Path| path.extension().is_some_and(|ending| ending == "toml");
@@ -181,10 +179,10 @@ fn evidence(args: &Args) -> Words<Option<Judged>> {
             }
             reads(only);
             let mut desk: Desk = toml::from_str(&text).map_err(|error| format!("{}: {error}", only.display()))?;
-            let beside = |path: Option<PathBuf>| path.map(|path| only.parent().unwrap_or(Path::new("")).join(path));
-            (desk.near, desk.far, desk.trajectory) = (beside(desk.near), beside(desk.far), beside(desk.trajectory));
-            for path in desk.retuned.iter_mut().chain(&mut desk.reloaded).flatten() {
-                *path = only.parent().unwrap_or(Path::new("")).join(&path);
+            let folder = only.parent().unwrap_or(Path::new(""));
+            let later = desk.retuned.iter_mut().chain(&mut desk.reloaded).flatten();
+            for path in later.chain(&mut desk.near).chain(&mut desk.far).chain(&mut desk.trajectory) {
+                *path = folder.join(&path);
             }
             desk.check();
             if let Some(address) = &desk.assist {
@@ -193,8 +191,9 @@ fn evidence(args: &Args) -> Words<Option<Judged>> {
             if desk.near.is_some() { logs(args, &desk) } else { listen(args, &desk) }
         }
         [only] if !only.exists() => room(&simulate::load(only)?),
-        [near] => logs(args, &Desk { near: Some(near.clone()), ..Desk::default() }),
-        [near, far] => logs(args, &Desk { near: Some(near.clone()), far: Some(far.clone()), ..Desk::default() }),
+        [near, far @ ..] if far.len() < 2 => {
+            logs(args, &Desk { near: Some(near.clone()), far: far.first().cloned(), ..Desk::default() })
+        }
         _ => usage("--accept takes the logs of two robots at most: the first robot's, then the second's"),
     };
     found.map(Some)
@@ -240,12 +239,13 @@ fn log(path: &Path) -> Words<Vec<u8>> {
 }
 
 /// The logs after retunes and reloads.
-fn later(collector: &mut Collector, desk: &Desk) -> Words<()> {
+fn later(evidence: &mut Evidence, desk: &Desk) -> Words<()> {
     for (done, all) in [(Done::Retuned, &desk.retuned), (Done::Reloaded, &desk.reloaded)] {
         for logs in all {
-            let bytes = logs.iter().map(|path| log(path)).collect::<std::result::Result<Vec<_>, _>>()?;
-            if let Some((near, far)) = bytes.split_first() {
-                collector.after(done, near, far.first().map(Vec::as_slice));
+            let heard = |path: &PathBuf| log(path).map(|bytes| Heard::of_log(&bytes));
+            if let Some(near) = logs.first() {
+                let (near, far) = (heard(near)?, logs.get(1).map(heard).transpose()?);
+                evidence.after.push(After { done, near, far });
             }
         }
     }
@@ -253,18 +253,20 @@ fn later(collector: &mut Collector, desk: &Desk) -> Words<()> {
 }
 
 /// Recorded logs.
-fn logs(args: &Args, desk: &Desk) -> Found {
-    let mut collector = Collector::new(plan(args, desk)?);
-    for (side, path) in [(Side::Near, &desk.near), (Side::Far, &desk.far)] {
-        let Some(path) = path else { continue };
-        collector.log(side, &log(path)?);
+fn logs(args: &Args, desk: &Desk) -> Words<Judged> {
+    let mut evidence = Evidence::new(plan(args, desk)?);
+    if let Some(path) = &desk.near {
+        evidence.near = Heard::of_log(&log(path)?);
     }
-    later(&mut collector, desk)?;
-    Ok(Judged::of(collector.finish(), "backend: recorded logs".into()))
+    if let Some(path) = &desk.far {
+        evidence.far = Some(Heard::of_log(&log(path)?));
+    }
+    later(&mut evidence, desk)?;
+    Ok(Judged::of(evidence, "backend: recorded logs".into()))
 }
 
 /// The first two robots of a simulated room, in virtual time.
-fn room(scene: &Scene) -> Found {
+fn room(scene: &Scene) -> Words<Judged> {
     let mut room = Room::new(scene).in_words()?;
     // A scene's number is that of the centre, here it is the lower half's.
     let name = match scene.bandwidth_mhz {
@@ -362,15 +364,6 @@ fn air(desk: &Desk, options: &Options) -> Words<(Monitor, Mac)> {
     Ok((monitor, mac))
 }
 
-/// An interface that frames are sent through while it is read.
-struct Shared<'a>(&'a RefCell<Monitor>);
-
-impl Injector for Shared<'_> {
-    fn inject(&mut self, now: Instant, frame: &[u8]) -> std::result::Result<(), Error> {
-        self.0.borrow_mut().inject(now, frame)
-    }
-}
-
 /// What runs the card, without a name or an address.
 fn facts(system: &dyn System, desk: &Desk) -> Vec<String> {
     let text = |path: &str| system.text(path).unwrap_or_else(|| "-".into());
@@ -446,16 +439,16 @@ impl Step {
 }
 
 /// What runs.
-struct Run<'a> {
+struct Run {
     clock: Monotonic,
     listener: Listener,
-    monitor: Option<&'a RefCell<Monitor>>,
+    monitor: Option<Monitor>,
     signals: Signals,
-    collector: Collector,
+    evidence: Evidence,
 }
 
 /// Judges what the card gives.
-fn listen(args: &Args, desk: &Desk) -> Found {
+fn listen(args: &Args, desk: &Desk) -> Words<Judged> {
     let system = Machine;
     let mut plan = plan(args, desk)?;
     let (steps, left_out) = Step::plan(args, desk)?;
@@ -467,52 +460,52 @@ fn listen(args: &Args, desk: &Desk) -> Found {
     let before = folder.and_then(|folder| Some((folder, Stopped::read(folder, &asked, &steps)?)));
     let peer = desk.peer.as_deref().filter(|_| before.is_none());
     let helper = peer.map(|peer| Helper::call(peer, plan.channel, mac)).transpose()?;
-    plan.macs = mac.zip(helper.as_ref().and_then(Helper::mac)).map(|(near, far)| [near, far]);
-    let monitor = air.map(|(monitor, _)| RefCell::new(monitor));
+    plan.macs = mac.zip(helper.as_ref().and_then(|helper| helper.mac)).map(|(near, far)| [near, far]);
+    let monitor = air.map(|(monitor, _)| monitor);
     let listener = open(args, desk)?;
     note!("{}", describe(&listener));
     left_out.iter().for_each(|why| note!("{why}"));
-    let mut collector = Collector::new(plan.clone());
+    let channel = plan.channel;
+    let mut evidence = Evidence::new(plan);
     let mut finished = 0;
+    let mut counters = module_counters(&system);
     if let Some((folder, stopped)) = &before {
-        stopped.take_up(folder, &steps, &mut collector)?;
+        stopped.take_up(folder, &steps, &mut evidence)?;
+        for (name, count) in &mut counters {
+            *count = count.wrapping_sub(stopped.counters.get(name).copied().unwrap_or(0));
+        }
         finished = stopped.finished;
         let words: Vec<String> = steps.iter().take(finished).map(Step::words).collect();
         note!("continuing the interrupted run: {} taken from {}", words.join(", then "), folder.display());
     }
     note!("{}", Step::told(steps.get(finished..).unwrap_or_default()));
-    let counters = module_counters(&system);
-    let mut run = Run { clock: Monotonic::new(), listener, monitor: monitor.as_ref(), signals, collector };
+    let mut run = Run { clock: Monotonic::new(), listener, monitor, signals, evidence };
     for step in steps.iter().skip(finished) {
         if run.step(step, mac)? {
             break;
         }
         finished += 1;
     }
-    let Run { mut collector, signals, .. } = run;
+    let Run { mut evidence, signals, monitor, .. } = run;
     signals.take();
-    for (name, count) in module_counters(&system) {
-        let old = counters.iter().find(|(known, _)| *known == name).map_or(0, |(_, count)| *count);
-        let earlier = before.as_ref().map_or(0, |(_, stopped)| stopped.counted(&name));
-        collector.counted(&name, count.wrapping_sub(old) + earlier);
-    }
-    if let Some(monitor) = &monitor {
-        let counters = monitor.borrow_mut().counters();
+    evidence.counters = module_growth(&system, &counters);
+    if let Some(mut monitor) = monitor {
+        let counters = monitor.counters();
         let (confirmed, retried) = (Some(counters.tx_status), counters.tx_retried);
         // Of the channel that frames are named by, the lower or upper half of 40 MHz.
-        let half = Channel::new(plan.channel.number(), Width::Ht20).in_words()?;
+        let half = Channel::new(channel.number(), Width::Ht20).in_words()?;
         let mhz = (half.centre_hz() / 1e6).round() as u32;
         let channel_flags = desk.interface.as_deref().and_then(|name| channel_flags(&system, name, mhz));
-        collector.interface(Interface { confirmed, retried, channel_flags });
+        evidence.interface = Interface { confirmed, retried, channel_flags };
     }
     if let Some(log) = helper.map(Helper::end).transpose()? {
-        collector.log(Side::Far, &log);
+        evidence.far = Some(Heard::of_log(&log));
     }
-    if collector.records() == 0 {
+    if evidence.near.records.is_empty() {
         note!("no record came: is another robot sounding on this channel? `csi5300 doctor` examines this one");
     }
-    later(&mut collector, desk)?;
-    let (evidence, mut facts, mut stopped) = (collector.finish(), facts(&system, desk), None);
+    later(&mut evidence, desk)?;
+    let (mut facts, mut stopped) = (facts(&system, desk), None);
     if let Some(step) = steps.get(finished) {
         let missing: Vec<String> = steps.iter().skip(finished).map(Step::words).collect();
         facts.push(format!(
@@ -538,7 +531,7 @@ fn sender(desk: &Desk) -> Words<(Monitor, Mac)> {
     air(desk, &Options { mcs: PHY.mcs, bandwidth: PHY.bandwidth, ..options })
 }
 
-impl Run<'_> {
+impl Run {
     /// True if a signal or the end of the records ends the run.
     fn step(&mut self, step: &Step, mac: Option<Mac>) -> Words<bool> {
         match step {
@@ -548,39 +541,32 @@ impl Run<'_> {
                 if self.wait_for_enter()? {
                     return Ok(true);
                 }
-                self.collector.unplugged(*antenna);
+                self.evidence.unplugged.push((*antenna, Heard::default()));
                 self.until(self.clock.now() + Span::from_s(UNPLUGGED_S), None)
             }
             Step::Send => {
-                let (Some(monitor), Some(mac)) = (self.monitor, mac) else { return Ok(false) };
-                let mut injector = Shared(monitor);
-                let mut sending = Sending::new(&mut injector, mac);
-                // The schedule is the run's own; the clock began before.
-                let begun = self.clock.now();
-                let end = begun + Sending::takes() + Span::from_s(TAIL_S);
-                self.until(end, Some(&mut (begun, &mut sending)))
+                let Some(mac) = mac else { return Ok(false) };
+                let now = self.clock.now();
+                self.until(now + Sending::takes() + Span::from_s(TAIL_S), Some(Sending::new(mac, now)))
             }
         }
     }
 
     /// Receives until `end` and sends what is due. True if a signal or the end of the records ends the run.
-    fn until(&mut self, end: Instant, mut sending: Option<&mut (Instant, &mut Sending<'_>)>) -> Words<bool> {
+    fn until(&mut self, end: Instant, mut sending: Option<Sending>) -> Words<bool> {
         while self.clock.now() < end {
             let mut due = None;
-            if let Some((begun, sending)) = &mut sending {
-                let begun = *begun;
-                while let Some(sent) = sending.send(Instant::ZERO + (self.clock.now() - begun)) {
-                    self.collector.sent(sent);
+            if let Some(monitor) = &mut self.monitor {
+                if let Some(sending) = &mut sending {
+                    self.evidence.sent.extend(std::iter::from_fn(|| sending.send(self.clock.now(), monitor)));
+                    due = sending.next_at();
                 }
-                due = sending.next_at().map(|at| begun + (at - Instant::ZERO));
-            }
-            if let Some(monitor) = self.monitor {
                 // What the driver reports of own frames is counted on the way.
-                while monitor.borrow_mut().hear().in_words()?.is_some() {}
+                while monitor.hear().in_words()?.is_some() {}
             }
             let next = self.listener.receive(self.clock.now()).in_words()?;
             let (pending, over) = (matches!(next, Next::Pending), matches!(next, Next::End(_)));
-            self.collector.heard(Side::Near, &next);
+            self.evidence.heard(Side::Near, &next);
             if over || (pending && self.wait(end, due)?) {
                 return Ok(true);
             }
@@ -591,13 +577,11 @@ impl Run<'_> {
     /// Waits for the listener or the next wake, and notes how late it was. True if a signal ends it.
     fn wait(&mut self, end: Instant, due: Option<Instant>) -> Words<bool> {
         let wake = (self.clock.now() + Span::from_us(WAKE_US)).min(end);
-        let until = [self.listener.next_at(), due, Some(wake)].into_iter().flatten().min();
+        let until = [self.listener.next_at(), due].into_iter().flatten().fold(wake, Instant::min);
         let fds = [self.listener.as_fd(), self.signals.as_fd()];
-        let ready = self.clock.wait(fds, until).in_words()?;
-        if !ready.contains(&true)
-            && let Some(until) = until
-        {
-            self.collector.woke_late(self.clock.now() - until);
+        let ready = self.clock.wait(fds, Some(until)).in_words()?;
+        if !ready.contains(&true) {
+            self.evidence.lateness_us.push((self.clock.now() - until).as_us() as f64);
         }
         Ok(ready[1])
     }
@@ -654,6 +638,7 @@ fn name(mac: Option<Mac>) -> String {
 /// The second robot, as the first one has it.
 struct Helper {
     stream: BufReader<TcpStream>,
+    /// Its MAC, if it answers.
     mac: Option<Mac>,
 }
 
@@ -675,11 +660,6 @@ impl Helper {
             Some(("no", why)) => Err(format!("the second robot refuses: {why}")),
             _ => Err(format!("a program other than `csi5300 doctor --accept` answers at {peer}")),
         }
-    }
-
-    /// Its MAC, if it answers.
-    fn mac(&self) -> Option<Mac> {
-        self.mac
     }
 
     /// Ends its recording; its log.
@@ -731,11 +711,11 @@ fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
     };
     writeln!(stream.get_mut(), "ok {}", name(own)).map_err(failed)?;
     note!("the first robot came, on channel {told}: recording until it ends");
-    let mut collector = Collector::new(Plan::new(told));
+    let mut evidence = Evidence::new(Plan::new(told));
     loop {
         let next = listener.receive(clock.now()).in_words()?;
         let (pending, over) = (matches!(next, Next::Pending), matches!(next, Next::End(_)));
-        collector.heard(Side::Near, &next);
+        evidence.heard(Side::Near, &next);
         if over {
             break;
         }
@@ -760,7 +740,7 @@ fn assist(args: &Args, desk: &Desk, address: &str) -> Words<()> {
     if let Some(running) = running {
         running.stop().in_words()?;
     }
-    let log = collector.finish().near.log;
+    let log = evidence.near.log;
     let stream = stream.get_mut();
     writeln!(stream, "log {}", log.len()).and_then(|()| stream.write_all(&log)).map_err(failed)?;
     note!("{} bytes of log went to the first robot, which judges", log.len());
@@ -820,7 +800,7 @@ struct Stopped {
     /// How late the host woke meanwhile, microseconds.
     lateness_us: Vec<f64>,
     /// By how much each counter of the kernel module grew.
-    counters: Vec<(String, u64)>,
+    counters: BTreeMap<String, u64>,
 }
 
 /// The log of a run without an antenna.
@@ -842,28 +822,23 @@ impl Stopped {
     }
 
     /// Hands over what was measured.
-    fn take_up(&self, folder: &Path, steps: &[Step], collector: &mut Collector) -> Words<()> {
+    fn take_up(&self, folder: &Path, steps: &[Step], evidence: &mut Evidence) -> Words<()> {
         let log = |name: &str| {
             let path = folder.join(name);
             std::fs::read(&path)
                 .map_err(|error| format!("{}: {error}; without {FILE} the run restarts", path.display()))
         };
-        collector.log(Side::Near, &log("near.dat")?);
+        evidence.near = Heard::of_log(&log("near.dat")?);
         if folder.join("far.dat").exists() {
-            collector.log(Side::Far, &log("far.dat")?);
+            evidence.far = Some(Heard::of_log(&log("far.dat")?));
         }
         for step in steps.iter().take(self.finished) {
             if let Step::Unplug(antenna) = step {
-                collector.unplugged_log(*antenna, &log(&unplugged(*antenna))?);
+                evidence.unplugged.push((*antenna, Heard::of_log(&log(&unplugged(*antenna))?)));
             }
         }
-        self.lateness_us.iter().for_each(|us| collector.woke_late(csi5300::time::Span::from_us(*us as i64)));
+        evidence.lateness_us.clone_from(&self.lateness_us);
         Ok(())
-    }
-
-    /// By how much a counter of the module grew.
-    fn counted(&self, name: &str) -> u64 {
-        self.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count)
     }
 }
 
@@ -879,10 +854,9 @@ mod tests {
     #[test]
     fn only_the_same_run_goes_on_with_whole_parts() {
         let steps = [Step::Listen(Span::from_s(1.0)), Step::Unplug(Antenna::B), Step::Unplug(Antenna::C)];
-        let mut collector = Collector::new(Plan::new("64".parse().unwrap()));
-        collector.woke_late(Span::from_us(70));
-        collector.counted("bfee", 5);
-        let evidence = collector.finish();
+        let mut evidence = Evidence::new(Plan::new("64".parse().unwrap()));
+        evidence.lateness_us.push(70.0);
+        evidence.counters.insert("bfee".into(), 5);
         assert!(Stopped::after(0, &steps, "64".into(), &evidence).is_none(), "nothing is whole");
         let folder = std::env::temp_dir().join(format!("csi5300-stopped-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
@@ -890,15 +864,14 @@ mod tests {
         std::fs::write(folder.join(FILE), serde_json::to_vec(&stopped).unwrap()).unwrap();
         assert!(Stopped::read(&folder, "108", &steps).is_none(), "another run");
         let read = Stopped::read(&folder, "64", &steps).unwrap();
-        assert_eq!((read.finished, read.counted("bfee"), read.counted("phy")), (2, 5, 0));
-        let mut collector = Collector::new(Plan::new("64".parse().unwrap()));
-        let why = read.take_up(&folder, &steps, &mut collector).unwrap_err();
+        assert_eq!((read.finished, &read.counters), (2, &evidence.counters));
+        let mut evidence = Evidence::new(Plan::new("64".parse().unwrap()));
+        let why = read.take_up(&folder, &steps, &mut evidence).unwrap_err();
         assert!(why.contains("near.dat"), "{why}");
         for name in ["near.dat", "unplugged-B.dat"] {
             std::fs::write(folder.join(name), b"").unwrap();
         }
-        read.take_up(&folder, &steps, &mut collector).unwrap();
-        let evidence = collector.finish();
+        read.take_up(&folder, &steps, &mut evidence).unwrap();
         assert_eq!((evidence.unplugged.len(), evidence.lateness_us), (1, vec![70.0]));
         std::fs::remove_dir_all(folder).unwrap();
     }
