@@ -266,6 +266,9 @@ fn short_coherence(bearing: &Bearing) -> Option<f64> {
     (!coherence.is_empty()).then(|| coherence.iter().sum::<f64>() / coherence.len() as f64)
 }
 
+/// Number of records by the value of a field.
+pub type Histogram = BTreeMap<i64, u64>;
+
 /// Figures of one sender's frames in one log.
 #[derive(Clone, Debug, Default)]
 pub struct SideFigures {
@@ -274,15 +277,15 @@ pub struct SideFigures {
     /// Those of them in the stock layout.
     pub stock: usize,
     /// Records by length on disk, bytes.
-    pub lengths: BTreeMap<usize, u64>,
+    pub lengths: Histogram,
     /// Records by receive chains and streams, `10 n_rx + n_tx`.
-    pub streams: BTreeMap<usize, u64>,
+    pub streams: Histogram,
     /// Records by `noise`, dBm.
-    pub noise_dbm: BTreeMap<i8, u64>,
+    pub noise_dbm: Histogram,
     /// Records by `fake_rate_n_flags`.
-    pub rates: BTreeMap<u16, u64>,
+    pub rates: Histogram,
     /// Records by `antenna_sel`.
-    pub antenna_sel: BTreeMap<u8, u64>,
+    pub antenna_sel: Histogram,
     /// RSSI of antennas A, B, C, dB.
     pub rssi_db: [Distribution; 3],
     /// Gain, dB.
@@ -414,7 +417,7 @@ struct LastFrame {
 
 impl Collector {
     fn note(&mut self, bfee: &Bfee<'_>, identity: Identity, clock_us: i64, length: usize) {
-        *self.side.lengths.entry(length).or_default() += 1;
+        *self.side.lengths.entry(length as i64).or_default() += 1;
         self.fields(bfee);
         self.tones(bfee);
         if let Some(host_us) = identity.host_us {
@@ -431,10 +434,10 @@ impl Collector {
         let side = &mut self.side;
         side.records += 1;
         side.stock += usize::from(bfee.wsr().is_none());
-        *side.streams.entry(10 * bfee.n_rx() + bfee.n_tx()).or_default() += 1;
-        *side.noise_dbm.entry(bfee.noise_dbm()).or_default() += 1;
-        *side.rates.entry(bfee.rate_n_flags()).or_default() += 1;
-        *side.antenna_sel.entry(bfee.antenna_sel()).or_default() += 1;
+        *side.streams.entry((10 * bfee.n_rx() + bfee.n_tx()) as i64).or_default() += 1;
+        *side.noise_dbm.entry(bfee.noise_dbm().into()).or_default() += 1;
+        *side.rates.entry(bfee.rate_n_flags().into()).or_default() += 1;
+        *side.antenna_sel.entry(bfee.antenna_sel().into()).or_default() += 1;
         self.agc.push(f64::from(bfee.agc()));
         for (values, rssi) in self.rssi.iter_mut().zip(bfee.rssi()) {
             values.push(f64::from(rssi));
@@ -517,7 +520,7 @@ fn delayed(intervals_us: &[f64]) -> LateGroup {
 }
 
 /// The most frequent value.
-pub(super) fn usual<K: Copy>(counts: &BTreeMap<K, u64>) -> Option<K> {
+pub(super) fn usual(counts: &Histogram) -> Option<i64> {
     counts.iter().max_by_key(|(_, count)| **count).map(|(key, _)| *key)
 }
 

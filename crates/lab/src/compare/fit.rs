@@ -423,7 +423,7 @@ fn brief(value: f64) -> f64 {
 
 /// Whether the card reported channels of 40 MHz.
 fn is_wide(side: &SideFigures) -> bool {
-    usual(&side.rates).is_some_and(|rate| rate & HT40 != 0)
+    usual(&side.rates).is_some_and(|rate| rate & i64::from(HT40) != 0)
 }
 
 /// Standard deviation of a host's latency, microseconds: the core, without the responder's early answers.
