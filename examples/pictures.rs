@@ -2,6 +2,7 @@
 //!
 //! `cargo run -p csi5300-lab --example pictures -- [DIR]`
 
+use csi5300_lab::curves::Curve;
 use csi5300_lab::show::*;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -12,11 +13,10 @@ fn noise(i: usize) -> f64 {
 }
 
 fn track(label: &str, n: usize, noisy: f64) -> PhaseTrack {
-    let t_s: Vec<f64> = (0..n).map(|i| i as f64 * 0.01).collect();
-    let after = |(i, t): (usize, &f64)| 6.0 * (0.4 * t).sin() + noisy * noise(i);
-    let after_rad: Vec<f64> = t_s.iter().enumerate().map(after).collect();
-    let before_rad = (0..n).map(|i| 40.0 * noise(i + 7)).collect();
-    PhaseTrack { label: label.into(), before_rad, after_rad, t_s, ..PhaseTrack::default() }
+    let t_s = |i: usize| i as f64 * 0.01;
+    let before = (0..n).map(|i| (t_s(i), 40.0 * noise(i + 7))).collect();
+    let after = (0..n).map(|i| (t_s(i), 6.0 * (0.4 * t_s(i)).sin() + noisy * noise(i))).collect();
+    PhaseTrack { label: label.into(), before, after, ..PhaseTrack::default() }
 }
 
 fn lobe(azimuth_deg: f64, at: f64, width: f64) -> f64 {
@@ -55,10 +55,10 @@ fn bearings(out: &Path) -> Result<(), Error> {
     };
     trajectory.write(&out.join("trajectory"), &[])?;
 
-    let azimuth: Vec<f64> = (-180..180).map(f64::from).collect();
-    let profile =
-        |k: f64| azimuth.iter().map(move |a| 0.95 * lobe(*a, 35.0 + k, 9.0) + 0.4 * lobe(*a, 140.0, 14.0) + 0.05);
-    let series = |name: &str, k: f64| (name.to_owned(), azimuth.clone(), profile(k).collect());
+    let series = |name: &str, k: f64| {
+        let value = |a: f64| 0.95 * lobe(a, 35.0 + k, 9.0) + 0.4 * lobe(a, 140.0, 14.0) + 0.05;
+        Curve { name: name.into(), points: (-180..180).map(f64::from).map(|a| (a, value(a))).collect() }
+    };
     let profile = ProfilePlot {
         title: "Where the signal comes from".into(),
         chosen_from: series("run 3", 0.0),

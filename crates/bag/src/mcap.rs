@@ -319,27 +319,33 @@ pub(crate) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
     from.read_exact(&mut magic).map_err(io)?;
     let mut reading = Reading { path, state: described(path).unwrap_or_default(), ended: Ended::default(), used };
     loop {
-        let mut head = [0; 9];
-        match from.read_exact(&mut head) {
-            Ok(()) => {}
-            Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(reading.cut()),
-            Err(error) => return Err(io(error)),
-        }
-        let [kind, length @ ..] = head;
-        let length = u64::from_le_bytes(length);
-        let mut content = Vec::new();
-        match from.by_ref().take(length.min(LARGEST)).read_to_end(&mut content) {
-            Ok(taken) if taken as u64 == length => {}
-            Err(error) if error.kind() != ErrorKind::UnexpectedEof => return Err(io(error)),
-            _ => return Ok(reading.cut()),
-        }
-        match kind {
+        match next_record(&mut from, LARGEST) {
             // The end of the data: the summary repeats it.
-            kind::DATA_END | kind::FOOTER => return Ok(reading.ended),
-            kind::CHUNK => reading.chunk(&content)?,
-            _ => reading.record(kind, &content)?,
+            Ok(Some((kind::DATA_END | kind::FOOTER, _))) => return Ok(reading.ended),
+            Ok(Some((kind::CHUNK, content))) => reading.chunk(&content)?,
+            Ok(Some((kind, content))) => reading.record(kind, &content)?,
+            Err(error) if error.kind() != ErrorKind::UnexpectedEof => return Err(io(error)),
+            Ok(None) | Err(_) => return Ok(Ended { cut: true, ..reading.ended }),
         }
     }
+}
+
+/// The next record, its kind and its content, which is skipped if it is longer than `most` bytes; `None` at the end.
+fn next_record(from: &mut impl Read, most: u64) -> io::Result<Option<(u8, Vec<u8>)>> {
+    let mut head = [0; 9];
+    match from.read_exact(&mut head[..1]) {
+        Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+        read => read?,
+    }
+    from.read_exact(&mut head[1..])?;
+    let [kind, length @ ..] = head;
+    let length = u64::from_le_bytes(length);
+    let (mut part, mut content) = (from.take(length), Vec::new());
+    let taken = match length > most {
+        true => io::copy(&mut part, &mut io::sink())?,
+        false => part.read_to_end(&mut content)? as u64,
+    };
+    if taken == length { Ok(Some((kind, content))) } else { Err(ErrorKind::UnexpectedEof.into()) }
 }
 
 /// The topics in the summary at the end of a file, which repeats them in case the first chunk with them is damaged. `None`
@@ -362,24 +368,15 @@ fn described(path: &Path) -> Option<State> {
     if sum != 0 && crc32(summed) != sum {
         return None;
     }
-    let (mut state, mut from) = (State::default(), CdrReader::packed(&summary));
-    while let Ok((kind, content)) = next_record(&mut from) {
+    let (mut state, mut from) = (State::default(), summary.as_slice());
+    while let Ok(Some((kind, content))) = next_record(&mut from, LARGEST_SUMMARY) {
         // A record that cannot be read describes nothing.
-        let _ = state.record(kind, content);
+        let _ = state.record(kind, &content);
     }
     Some(state)
 }
 
-fn next_record<'a>(from: &mut CdrReader<'a>) -> Result<(u8, &'a [u8]), CdrError> {
-    let (kind, length) = (u8::read(from)?, u64::read(from)?);
-    Ok((kind, from.take(usize::try_from(length).unwrap_or(usize::MAX))?))
-}
-
 impl Reading<'_, '_> {
-    fn cut(self) -> Ended {
-        Ended { cut: true, ..self.ended }
-    }
-
     /// Handles a record; passes on a message.
     fn record(&mut self, kind: u8, content: &[u8]) -> Result<(), BagError> {
         let Ok(Some((number, payload))) = self.state.record(kind, content) else { return Ok(()) };
@@ -407,31 +404,17 @@ impl Reading<'_, '_> {
             }
         };
         let mut from = chunk.unpacked();
-        let is_whole = loop {
-            let mut head = [0; 9];
-            // If nothing is left, the first byte is missing.
-            if from.read_exact(&mut head[..1]).is_err() {
-                break true;
-            }
-            if from.read_exact(&mut head[1..]).is_err() {
-                break false;
-            }
-            let [kind, length @ ..] = head;
-            let (length, mut record) = (u64::from_le_bytes(length), Vec::new());
-            if length > LARGEST_IN_CHUNK {
-                // An image or a point cloud: no message of ours is so large.
-                match io::copy(&mut from.by_ref().take(length), &mut io::sink()) {
-                    Ok(skipped) if skipped == length => continue,
-                    _ => break false,
+        loop {
+            // A longer one is an image or a point cloud: no message of ours is so large.
+            match next_record(&mut from, LARGEST_IN_CHUNK) {
+                Ok(Some((kind, content))) => self.record(kind, &content)?,
+                Ok(None) => return Ok(()),
+                Err(_) => {
+                    self.ended.damaged_parts += 1;
+                    return Ok(());
                 }
             }
-            match from.by_ref().take(length).read_to_end(&mut record) {
-                Ok(taken) if taken as u64 == length => self.record(kind, &record)?,
-                _ => break false,
-            }
-        };
-        self.ended.damaged_parts += u64::from(!is_whole);
-        Ok(())
+        }
     }
 }
 

@@ -243,7 +243,7 @@ impl Course {
             other_senders: (rows.len() - of_sender.len()) as u64,
             other_frames: (of_sender.len() - drawn.len()) as u64,
             rssi: (0..log.ports).map(|port| thin(&|row| log.rssi_of(row, port))).collect(),
-            rssi_in_dbm: log.rssi_in_dbm(),
+            rssi_in_dbm: log.rssi_in_dbm,
             agc: thin(&|row| log.agc_of(row)),
             rate_hz: rate(&times_s, span_s),
             gaps_s: gaps(&times_s),
@@ -291,8 +291,12 @@ pub struct LogIndex {
     pub ports: usize,
     /// A value per antenna and record.
     rssi: Vec<i16>,
+    /// True if RSSI is in dBm, false if in dB above an unknown reference.
+    pub rssi_in_dbm: bool,
     /// Empty if the format does not contain it.
     agc: Vec<u8>,
+    /// The layout of its CSI; empty for a 5300, which has only one.
+    layout_of: Vec<u16>,
     /// Its sender, an index into `senders`.
     sent_by: Vec<u16>,
     /// Its senders, in the order in which they were first heard; all zero stands for an unknown one.
@@ -501,7 +505,9 @@ impl LogIndex {
             ports: Antenna::ALL.len(),
             // 0 means "not connected".
             rssi: columns.rssi.into_iter().map(|rssi| if rssi > 0 { i16::from(rssi) } else { NO_RSSI }).collect(),
+            rssi_in_dbm: false,
             agc: columns.agc,
+            layout_of: Vec::new(),
             sent_by,
             senders,
             kept: None,
@@ -532,12 +538,6 @@ impl LogIndex {
         self.t_us.len()
     }
 
-    /// True if RSSI is in dBm, false if in dB above an unknown reference.
-    #[must_use]
-    pub fn rssi_in_dbm(&self) -> bool {
-        matches!(&self.source, Source::Card(card) if card.rssi_in_dbm)
-    }
-
     /// The meaning of heat maps' rows, at most `most` of them, for frames of a layout.
     fn heat_rows(&self, layout: u16, most: usize) -> HeatRows {
         let survey = match &self.source {
@@ -555,18 +555,12 @@ impl LogIndex {
 
     /// The most frequent layout of some rows.
     fn usual(&self, rows: impl Iterator<Item = usize>) -> u16 {
-        match &self.source {
-            Source::Csitool(_) => 0,
-            Source::Card(card) => most(rows.filter_map(|row| card.layout_of.get(row).copied())).unwrap_or(0),
-        }
+        most(rows.filter_map(|row| self.layout_of.get(row).copied())).unwrap_or(0)
     }
 
-    /// True if a row's CSI has this layout. A 5300 has only one.
+    /// True if a row's CSI has this layout.
     fn is_of_layout(&self, row: usize, layout: u16) -> bool {
-        match &self.source {
-            Source::Csitool(_) => true,
-            Source::Card(card) => card.layout_of.get(row) == Some(&layout),
-        }
+        self.layout_of.get(row).is_none_or(|own| *own == layout)
     }
 
     /// Indices of the reported subcarriers relative to the centre, for most frames; `None` if a 5300's log has frames of both
@@ -830,45 +824,42 @@ impl Cells {
     }
 }
 
-/// Lowest, sum and highest value of columns.
-struct Sums {
-    min: Vec<i16>,
-    max: Vec<i16>,
-    sum: Vec<i64>,
-    count: Vec<u32>,
+/// Lowest, highest and sum of some values.
+#[derive(Clone, Copy)]
+struct Level {
+    min: i16,
+    max: i16,
+    sum: i64,
+    count: u32,
 }
+
+/// The values of each column; `None` for an empty one.
+struct Sums(Vec<Option<Level>>);
 
 impl Sums {
     fn new(columns: usize) -> Self {
-        Self {
-            min: vec![i16::MAX; columns],
-            max: vec![i16::MIN; columns],
-            sum: vec![0; columns],
-            count: vec![0; columns],
-        }
+        Self(vec![None; columns])
     }
 
     fn add(&mut self, column: usize, value: i16) {
-        self.min[column] = self.min[column].min(value);
-        self.max[column] = self.max[column].max(value);
-        self.sum[column] += i64::from(value);
-        self.count[column] += 1;
+        let level = self.0[column].get_or_insert(Level { min: value, max: value, sum: 0, count: 0 });
+        level.min = level.min.min(value);
+        level.max = level.max.max(value);
+        level.sum += i64::from(value);
+        level.count += 1;
     }
 
     /// The columns; none at all if all are empty.
     fn band(self) -> Band {
-        if self.count.iter().all(|count| *count == 0) {
-            return Band::default();
+        let mut columns = self.0;
+        if columns.iter().all(Option::is_none) {
+            columns.clear();
         }
-        let known = |values: &[i16]| {
-            let pairs = values.iter().zip(&self.count);
-            pairs.map(|(value, count)| (*count > 0).then_some(*value)).collect::<Vec<_>>()
-        };
-        let mean = |(sum, count): (&i64, &u32)| (*count > 0).then(|| hundredths(*sum as f64 / f64::from(*count)));
+        let mean = |level: &Level| hundredths(level.sum as f64 / f64::from(level.count));
         Band {
-            min: known(&self.min),
-            max: known(&self.max),
-            mean: self.sum.iter().zip(&self.count).map(mean).collect(),
+            min: columns.iter().map(|column| column.map(|level| level.min)).collect(),
+            max: columns.iter().map(|column| column.map(|level| level.max)).collect(),
+            mean: columns.iter().map(|column| column.as_ref().map(mean)).collect(),
         }
     }
 }

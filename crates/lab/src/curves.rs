@@ -14,18 +14,15 @@ const AZIMUTHS: usize = 1_440;
 pub struct Curve {
     /// Its description.
     pub name: String,
-    /// Azimuths, degrees, rising.
-    pub azimuths_deg: Vec<f64>,
-    /// Values, linear.
-    pub values: Vec<f64>,
+    /// Azimuths, degrees, rising, with their values, linear (not dB).
+    pub points: Vec<(f64, f64)>,
 }
 
 impl Curve {
     /// From azimuths, degrees, in any order, with their values.
     fn new(name: &str, mut points: Vec<(f64, f64)>) -> Self {
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (azimuths_deg, values) = points.into_iter().unzip();
-        Self { name: name.into(), azimuths_deg, values }
+        Self { name: name.into(), points }
     }
 }
 

@@ -68,7 +68,7 @@ pub use dataset::{WrittenCapture, WrittenLog, stamp, write_dataset};
 pub use faults::{CardFault, Faults, Injected};
 pub use motion::Recorded;
 pub use port::{Interface, Odometer, Port, Seen};
-pub use refusal::{SceneError, ScenePlace};
+pub use refusal::SceneError;
 pub use room::{Backend, Room, RoomError, SimulatedRobot, Simulation};
 pub use scene::{BUILT_IN, Scene};
 

@@ -60,7 +60,7 @@ pub enum RobotMotion {
     /// A circle that rises.
     Helix(Helix),
     /// A circle to the left, then one to the right.
-    FigureEight(FigureEight),
+    FigureEight(Circle),
     /// A smooth random walk.
     RandomWalk(RandomWalk),
     /// Straight from point to point.
@@ -84,7 +84,7 @@ pub struct Line {
     pub start_s: f64,
 }
 
-/// See [`RobotMotion::Circle`].
+/// See [`RobotMotion::Circle`] and [`RobotMotion::FigureEight`].
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Circle {
@@ -92,7 +92,7 @@ pub struct Circle {
     pub radius_m: f64,
     /// Time for all turns, seconds.
     pub duration_s: f64,
-    /// Number of turns; negative ones go to the right.
+    /// Number of turns or figures; negative turns go to the right.
     #[serde(default = "one")]
     pub turns: f64,
     /// Rest before it, seconds.
@@ -142,22 +142,6 @@ pub struct Helix {
     /// Time for all turns, seconds.
     pub duration_s: f64,
     /// Number of turns; negative ones go to the right.
-    #[serde(default = "one")]
-    pub turns: f64,
-    /// Rest before it, seconds.
-    #[serde(default)]
-    pub start_s: f64,
-}
-
-/// See [`RobotMotion::FigureEight`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct FigureEight {
-    /// Radius of either circle, metres.
-    pub radius_m: f64,
-    /// Time for all figures, seconds.
-    pub duration_s: f64,
-    /// Number of figures.
     #[serde(default = "one")]
     pub turns: f64,
     /// Rest before it, seconds.
@@ -711,7 +695,7 @@ mod tests {
             RobotMotion::Arc(Arc { radius_m: 0.4, angle_deg: -120.0, duration_s: 7.0, start_s: 1.0 }),
             RobotMotion::Square(Square { side_m: 0.5, duration_s: 8.0, turns: 1.0, start_s: 1.0 }),
             RobotMotion::Helix(Helix { radius_m: 0.2, rise_m: 0.1, duration_s: 9.0, turns: 3.0, start_s: 1.0 }),
-            RobotMotion::FigureEight(FigureEight { radius_m: 0.2, duration_s: 8.0, turns: 1.0, start_s: 1.0 }),
+            RobotMotion::FigureEight(Circle { radius_m: 0.2, duration_s: 8.0, turns: 1.0, start_s: 1.0 }),
             RobotMotion::RandomWalk(RandomWalk {
                 speed_m_s: 0.2,
                 turning_deg_s: 60.0,
@@ -747,8 +731,7 @@ mod tests {
         assert!((half.position_m - t.at(0.0).position_m - across).norm() < 1e-12);
         assert!((half.yaw_rad - 0.4 - std::f64::consts::PI).abs() < 1e-12);
 
-        let t =
-            track(&RobotMotion::FigureEight(FigureEight { radius_m: 0.2, duration_s: 8.0, turns: 1.0, start_s: 0.0 }));
+        let t = track(&RobotMotion::FigureEight(Circle { radius_m: 0.2, duration_s: 8.0, turns: 1.0, start_s: 0.0 }));
         let (left, right) = (t.at(2.0).position_m, t.at(6.0).position_m);
         assert!((left - right).norm() > 0.79 && (t.at(4.0).position_m - t.at(0.0).position_m).norm() < 1e-12);
 

@@ -3,8 +3,8 @@
 
 use super::faults::Faults;
 use super::motion::RobotMotion;
-use super::radio::{AntennaOrder, DelayGroup, Gain, Noise, Radio, Stray, TurnAround};
-use super::scene::{Card, Cfo, Dialect, Driver, HostClock, Odometry, Pattern, Preamble, Robot, Scene};
+use super::radio::{AntennaOrder, Radio, TurnAround};
+use super::scene::{Card, Dialect, Driver, HostClock, Preamble, Robot, Scene};
 use super::sounder::request;
 use super::toml_lines::{Step, TomlLines};
 use super::world::{Carrier, World, surfaces};
@@ -13,6 +13,7 @@ use nalgebra::Vector3;
 use std::fmt;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use toml::Value;
 
 /// Why a scene was refused.
 #[derive(Debug, thiserror::Error)]
@@ -43,7 +44,7 @@ pub enum SceneError {
     #[error("{}{reason}", At(*line))]
     Value {
         /// The way to the value from the scene's root, `robot[1].faults.loss`.
-        place: ScenePlace,
+        place: String,
         /// Line of the text, from 1; `None` for a scene without a text.
         line: Option<usize>,
         /// The problem, and valid values.
@@ -96,7 +97,7 @@ impl SceneError {
     pub fn locate(self, text: &str) -> Self {
         match self {
             Self::Value { place, line: None, reason } => {
-                let line = TomlLines::new(text).line(&place.0);
+                let line = TomlLines::new(text).line(&steps(&place));
                 Self::Value { place, line, reason }
             }
             other => other,
@@ -104,55 +105,41 @@ impl SceneError {
     }
 }
 
-/// The way to a value from a scene's root.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ScenePlace(Vec<Step<'static>>);
-
-impl fmt::Display for ScenePlace {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (depth, step) in self.0.iter().enumerate() {
-            match step {
-                Step::Key(key) if depth == 0 => write!(f, "{key}")?,
-                Step::Key(key) => write!(f, ".{key}")?,
-                Step::Index(index) => write!(f, "[{index}]")?,
-            }
-        }
-        Ok(())
-    }
+/// The steps of the way to a value.
+fn steps(place: &str) -> Vec<Step<'_>> {
+    let parts = place.split(['.', '[']).filter(|part| !part.is_empty());
+    parts
+        .map(|part| match part.strip_suffix(']').and_then(|index| index.parse().ok()) {
+            Some(index) => Step::Index(index),
+            None => Step::Key(part),
+        })
+        .collect()
 }
 
 /// A problem and its place so far: outer tables add their names later.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Problem {
-    place: ScenePlace,
-    pub(crate) reason: String,
+    place: String,
+    reason: String,
 }
 
 pub(crate) type Checked = Result<(), Problem>;
 
 impl Problem {
     pub(crate) fn new(reason: impl Into<String>) -> Self {
-        Self { place: ScenePlace::default(), reason: reason.into() }
-    }
-
-    /// The same place with another reason.
-    pub(crate) fn because(self, reason: String) -> Self {
-        Self { reason, ..self }
+        Self { place: String::new(), reason: reason.into() }
     }
 
     /// The same problem, one level further out.
-    pub(crate) fn within(mut self, step: Step<'static>) -> Self {
-        self.place.0.insert(0, step);
+    pub(crate) fn key(mut self, key: &str) -> Self {
+        let dot = if self.place.is_empty() { "" } else { "." };
+        self.place = format!("{key}{dot}{}", self.place);
         self
     }
 
-    pub(crate) fn key(self, key: &'static str) -> Self {
-        self.within(Step::Key(key))
-    }
-
     /// The same problem of a table in an array of tables.
-    pub(crate) fn item(self, key: &'static str, index: usize) -> Self {
-        self.within(Step::Index(index)).key(key)
+    pub(crate) fn item(self, key: &str, index: usize) -> Self {
+        self.key(&format!("{key}[{index}]"))
     }
 }
 
@@ -163,115 +150,121 @@ impl From<Problem> for SceneError {
 }
 
 /// The problems of a table, which has this key.
-fn table(key: &'static str, check: impl FnOnce() -> Checked) -> Checked {
+fn table(key: &str, check: impl FnOnce() -> Checked) -> Checked {
     check().map_err(|problem| problem.key(key))
 }
 
 /// Refuses a value unless `ok`.
-pub(crate) fn ensure(ok: bool, key: &'static str, reason: impl FnOnce() -> String) -> Checked {
-    if ok { Ok(()) } else { Err(Problem::new(format!("{key} {}", reason())).key(key)) }
+fn ensure(ok: bool, key: &str, reason: impl fmt::Display) -> Checked {
+    if ok { Ok(()) } else { Err(Problem::new(format!("{key} {reason}")).key(key)) }
 }
 
 /// Largest value of any unit: products stay finite.
 const LARGEST: f64 = 1e9;
 /// Smallest divisor.
 const SMALLEST: f64 = 1e-9;
-/// Largest ratio of two powers, dB.
-const FURTHEST_DB: f64 = 400.0;
-
-/// Refuses negative and too large values.
-pub(crate) fn not_negative(key: &'static str, value: f64) -> Checked {
-    ensure(value >= 0.0, key, || format!("is {value}; it must be a number of at least 0"))?;
-    at_most(key, value, LARGEST)
-}
-
-/// Refuses values that are not positive, too large or too small.
-pub(crate) fn positive(key: &'static str, value: f64) -> Checked {
-    ensure(value > 0.0, key, || format!("is {value}; it must be more than 0"))?;
-    ensure(value >= SMALLEST, key, || format!("is {value}; {SMALLEST:e} is the least"))?;
-    at_most(key, value, LARGEST)
-}
-
-/// Refuses values above a limit that the machine can handle.
-pub(crate) fn at_most(key: &'static str, value: f64, most: f64) -> Checked {
-    ensure(value <= most, key, || format!("is {value}; {most} is the most"))
-}
-
-/// Refuses values that are no share.
-pub(crate) fn share(key: &'static str, value: f64) -> Checked {
-    ensure((0.0..=1.0).contains(&value), key, || format!("is {value}; it is a share, from 0 to 1"))
-}
-
-/// Refuses values that are not finite or too large.
-pub(crate) fn finite(key: &'static str, values: &[f64]) -> Checked {
-    ensure(values.iter().all(|v| v.abs() <= LARGEST), key, || {
-        format!("must be finite numbers, of at most {LARGEST:e} either side of 0")
-    })
-}
-
-/// Refuses invalid deviations of decibels.
-pub(crate) fn deviation_db(key: &'static str, value: f64) -> Checked {
-    not_negative(key, value)?;
-    at_most(key, value, FURTHEST_DB)
-}
-
-/// Refuses invalid decibels.
-pub(crate) fn decibels(key: &'static str, values: &[f64]) -> Checked {
-    ensure(values.iter().all(|v| v.abs() <= FURTHEST_DB), key, || {
-        format!("must be finite numbers of dB, of at most {FURTHEST_DB} either side of 0")
-    })
-}
-
-/// A scene lasts a year at most, seconds.
-const LONGEST_S: f64 = 31_536_000.0;
-/// A random walk lasts a day at most, seconds: its steps of 10 ms are in memory.
-const LONGEST_WALK_S: f64 = 86_400.0;
 /// Limit of rounds and of poses a second: more than a card or an encoder delivers.
 const FASTEST_HZ: f64 = 100_000.0;
-/// No delay is longer than a quarter of an hour, microseconds.
-const LATEST_US: f64 = 1e9;
+
+/// Lowest and highest value of the numbers whose way ends so; of several, the first counts. All others are from 0 to [`LARGEST`].
+const RANGES: [(&str, f64, f64); 13] = [
+    // A year.
+    ("scene.duration_s", SMALLEST, 31_536_000.0),
+    // A day: the steps of 10 ms are in memory.
+    ("random_walk.duration_s", SMALLEST, 86_400.0),
+    ("odometry.rate_hz", SMALLEST, FASTEST_HZ),
+    ("sounding.rate_hz", SMALLEST, f64::INFINITY),
+    ("duration_s warm_up_s wander_period_s stray_s within_m waypoints.speed_m_s", SMALLEST, LARGEST),
+    ("scale lsb_at_1m target_lsb", SMALLEST, LARGEST),
+    ("loss duplicate retry driver_drop drop late share tail", 0.0, 1.0),
+    // Ratios of powers, and their deviations.
+    ("filter_db tx_power_dbm rssi_db snr_db floor_dbm", -400.0, 400.0),
+    ("lsb_std_db agc_std_db rssi_std_db", 0.0, 400.0),
+    ("cos_db sin_db cos2_db sin2_db", -60.0, 60.0),
+    // Crystals are good to some 20 ppm.
+    ("offset_ppm drift_ppm_per_s warm_up_ppm wander_ppm drift_ppm", -1e3, 1e3),
+    ("offset_s", -1e8, 1e8),
+    (
+        "position_m yaw_deg antenna_m antenna_b_m antenna_c_m turns angle_deg rise_m points_m origin_m origin_yaw_deg \
+         turning_deg_s heading_drift_deg_s df_hz c1 c2 delay_ns chain_deg tail_us far.us late.us from_m to_m bottom_m top_m \
+         corner_m edge_a_m edge_b_m",
+        -LARGEST,
+        LARGEST,
+    ),
+];
+
+/// Refuses numbers out of their ranges. `way` is the place from `scene` on, `keys` the same without indices.
+fn check_numbers(value: &Value, way: &str, keys: &str) -> Checked {
+    let number = match value {
+        Value::Float(number) => *number,
+        Value::Array(items) => {
+            let mut items = items.iter().enumerate();
+            return items.try_for_each(|(index, item)| check_numbers(item, &format!("{way}[{index}]"), keys));
+        }
+        Value::Table(table) => {
+            let mut items = table.iter();
+            return items
+                .try_for_each(|(key, item)| check_numbers(item, &format!("{way}.{key}"), &format!("{keys}.{key}")));
+        }
+        _ => return Ok(()),
+    };
+    let is_own = |end: &str| keys.strip_suffix(end).is_some_and(|front| front.is_empty() || front.ends_with('.'));
+    let own = RANGES.iter().find(|(ends, ..)| ends.split_whitespace().any(is_own));
+    let (low, high) = own.map_or((0.0, LARGEST), |(_, low, high)| (*low, *high));
+    if (low..=high).contains(&number) {
+        return Ok(());
+    }
+    let key = keys.rsplit('.').next().unwrap_or(keys);
+    let reason = format!("{key} is {number}; it must be from {low} to {high}");
+    Err(Problem::new(reason).key(way.trim_start_matches("scene.")))
+}
 
 impl Scene {
-    /// Checks every value and its relation to others; `world_check` has the rest.
+    /// Checks every value and its relation to others; `check` has the rest.
     pub(crate) fn check_values(&self) -> Checked {
-        positive("duration_s", self.duration_s)?;
-        at_most("duration_s", self.duration_s, LONGEST_S)?;
+        self.check_all().map_err(|problem| {
+            let own = |(number, _): &(usize, &Robot)| problem.place.starts_with(&format!("robot[{number}]"));
+            let Some((number, robot)) = self.robot.iter().enumerate().find(own) else { return problem };
+            let name = match robot.name.as_str() {
+                "" => format!("robot {}", number + 1),
+                name => name.escape_debug().to_string(),
+            };
+            Problem { reason: format!("{name}: {}", problem.reason), ..problem }
+        })
+    }
+
+    fn check_all(&self) -> Checked {
+        // Without what may have no text in TOML: large seeds, and paths that are no UTF-8.
+        let mut scene = Self { seed: 0, ..self.clone() };
+        for robot in &mut scene.robot {
+            if let RobotMotion::Recorded(motion) = &mut robot.motion {
+                motion.file = PathBuf::new();
+            }
+        }
+        let values = Value::try_from(scene).map_err(|error| Problem::new(error.to_string()))?;
+        check_numbers(&values, "scene", "scene")?;
         let most_mhz = match (self.card, self.preamble) {
             (Card::Intel5300, _) | (_, Some(Preamble::Ht)) => 40,
             _ => 160,
         };
         let is_width = matches!(self.bandwidth_mhz, 20 | 40 | 80 | 160) && self.bandwidth_mhz <= most_mhz;
-        ensure(is_width, "bandwidth_mhz", || match most_mhz {
-            40 => format!("is {}; the card has 20 and 40", self.bandwidth_mhz),
-            _ => format!("is {}; the card has 20, 40, 80 and 160", self.bandwidth_mhz),
-        })?;
+        let widths = if most_mhz == 40 { "20 and 40" } else { "20, 40, 80 and 160" };
+        ensure(is_width, "bandwidth_mhz", format!("is {}; the card has {widths}", self.bandwidth_mhz))?;
         // The number of a wider channel is that of its centre, which is no channel of 20 MHz.
         let is_assigned = self.bandwidth_mhz > 20 || self.channel.to_string().parse::<Channel>().is_ok();
         let has_carrier = Carrier::new(self.channel, self.bandwidth_mhz == 40).is_some();
-        ensure(is_assigned && has_carrier, "channel", || {
-            format!("is {}; channels are 1 to 14, 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177", self.channel)
-        })?;
-        ensure(self.reflections <= 4, "reflections", || format!("is {}; 4 is the most", self.reflections))?;
-        ensure(self.host_times_fit(&HostClock::default()), "start_unix_s", || {
-            format!(
-                "is {}, and the scene lasts {} s; records hold seconds from 0 to 4,294,967,295",
-                self.start_unix_s, self.duration_s
-            )
-        })?;
-        table("cfo", || check_cfo(&self.cfo))?;
+        let channels = "channels are 1 to 14, 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177";
+        ensure(is_assigned && has_carrier, "channel", format!("is {}; {channels}", self.channel))?;
+        ensure(self.reflections <= 4, "reflections", format!("is {}; 4 is the most", self.reflections))?;
+        let times = format!(
+            "is {}, and the scene lasts {} s; records hold seconds from 0 to 4,294,967,295",
+            self.start_unix_s, self.duration_s
+        );
+        ensure(self.host_times_fit(&HostClock::default()), "start_unix_s", times)?;
         table("radio", || check_radio(&self.radio))?;
-        ensure(!self.robot.is_empty(), "robot", || "is missing: a scene needs at least one [[robot]]".to_owned())?;
+        ensure(!self.robot.is_empty(), "robot", "is missing: a scene needs at least one [[robot]]")?;
         for (number, robot) in self.robot.iter().enumerate() {
-            let within = |p: Problem| {
-                let name = if robot.name.is_empty() {
-                    format!("robot {}", number + 1)
-                } else {
-                    robot.name.escape_debug().to_string()
-                };
-                let reason = format!("{name}: {}", p.reason);
-                p.because(reason).item("robot", number)
-            };
-            self.check_robot(number, robot).map_err(within)?;
+            self.check_robot(number, robot).map_err(|problem| problem.item("robot", number))?;
         }
         self.check_card()?;
         self.check_sounding()?;
@@ -281,22 +274,21 @@ impl Scene {
     /// Refuses keys of the other card.
     fn check_card(&self) -> Checked {
         if self.card == Card::Intel5300 {
-            return ensure(self.preamble.is_none(), "preamble", || "is of an AX210: a 5300 sends HT".to_owned());
+            return ensure(self.preamble.is_none(), "preamble", "is of an AX210: a 5300 sends HT");
         }
-        ensure(self.driver == Driver::Wsr, "driver", || "is of a 5300: an AX210 has FeitCSI's".to_owned())?;
+        ensure(self.driver == Driver::Wsr, "driver", "is of a 5300: an AX210 has FeitCSI's")?;
         let radio = |radio: &Radio| {
-            let none = |key: &'static str| move || format!("is of a 5300: an AX210 has no {key}");
-            ensure(radio.filter_db.is_none(), "filter_db", none("filter of 30 subcarriers"))?;
-            ensure(radio.antenna_order == AntennaOrder::Fixed, "antenna_order", none("order by RSSI"))
+            let of_5300 = "is of a 5300: an AX210 has no";
+            let filter = format!("{of_5300} filter of 30 subcarriers");
+            ensure(radio.filter_db.is_none(), "filter_db", filter)?;
+            ensure(radio.antenna_order == AntennaOrder::Fixed, "antenna_order", format!("{of_5300} order by RSSI"))
         };
         table("radio", || radio(&self.radio))?;
         for (number, robot) in self.robot.iter().enumerate() {
             let check = || {
-                ensure(robot.antenna_c_m.is_none(), "antenna_c_m", || "is a third: an AX210 has two".to_owned())?;
-                let faults = robot.faults.card.is_empty();
-                ensure(faults, "faults", || {
-                    "has faults of a 5300's records, which an AX210 does not write".to_owned()
-                })?;
+                ensure(robot.antenna_c_m.is_none(), "antenna_c_m", "is a third: an AX210 has two")?;
+                let of_5300 = "has faults of a 5300's records, which an AX210 does not write";
+                ensure(robot.faults.card.is_empty(), "faults", of_5300)?;
                 table("radio", || robot.radio.as_ref().map_or(Ok(()), radio))
             };
             check().map_err(|p: Problem| p.item("robot", number))?;
@@ -313,278 +305,82 @@ impl Scene {
     }
 
     fn check_robot(&self, number: usize, robot: &Robot) -> Checked {
-        ensure(!robot.name.is_empty(), "name", || "is missing".to_owned())?;
+        ensure(!robot.name.is_empty(), "name", "is missing")?;
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-        ensure(robot.name.chars().all(plain), "name", || {
-            "goes into file names: only letters, digits, - and _".to_owned()
-        })?;
+        ensure(robot.name.chars().all(plain), "name", "goes into file names: only letters, digits, - and _")?;
         let mac = robot.mac_address(number);
-        ensure(mac.is_some(), "mac", || "is no MAC address; one looks like 00:21:6A:53:89:D2".to_owned())?;
+        ensure(mac.is_some(), "mac", "is no MAC address; one looks like 00:21:6A:53:89:D2")?;
         for (other_number, other) in self.robot.iter().take(number).enumerate() {
-            ensure(other.name != robot.name, "name", || "is taken: two robots cannot share one".to_owned())?;
-            ensure(other.mac_address(other_number) != mac, "mac", || {
-                format!("is also that of {}: pairs are told apart by MAC", other.name)
-            })?;
+            ensure(other.name != robot.name, "name", "is taken: two robots cannot share one")?;
+            let also = format!("is also that of {}: pairs are told apart by MAC", other.name);
+            ensure(other.mac_address(other_number) != mac, "mac", also)?;
         }
-        finite("position_m", &robot.position_m)?;
-        finite("yaw_deg", &[robot.yaw_deg])?;
-        finite("antenna_m", &robot.antenna_m)?;
-        finite("antenna_b_m", &robot.antenna_b_m.unwrap_or_default())?;
-        finite("antenna_c_m", &robot.antenna_c_m.unwrap_or_default())?;
-        let Pattern { cos_db, sin_db, cos2_db, sin2_db } = robot.pattern;
-        let harmonics = [cos_db, sin_db, cos2_db, sin2_db];
-        ensure(harmonics.iter().all(|db| db.abs() <= 60.0), "pattern", || {
-            "has no more than 60 dB of any kind".to_owned()
-        })?;
-        table("motion", || check_motion(&robot.motion))?;
-        let c = &robot.crystal;
-        let drifts = [c.offset_ppm, c.drift_ppm_per_s, c.warm_up_ppm, c.wander_ppm];
-        ensure(drifts.iter().all(|ppm| ppm.abs() <= 1e3), "crystal", || {
-            "is off by more than 1,000 ppm; crystals are good to some 20".to_owned()
-        })?;
-        table("crystal", || positive("warm_up_s", c.warm_up_s))?;
-        table("crystal", || positive("wander_period_s", c.wander_period_s))?;
-        let host = &robot.host_clock;
-        ensure(host.offset_s.abs() < 1e8 && host.drift_ppm.abs() <= 1e3, "host_clock", || {
-            "is further off than clocks are".to_owned()
-        })?;
-        ensure(self.host_times_fit(host), "host_clock", || {
-            format!(
-                "is {} s ahead of a scene that begins at {} s and lasts {} s; records hold seconds from 0 to 4,294,967,295",
-                host.offset_s, self.start_unix_s, self.duration_s
-            )
-        })?;
+        if let RobotMotion::Waypoints(motion) = &robot.motion {
+            let points = || ensure(!motion.points_m.is_empty(), "points_m", "has no points");
+            table("motion", || table("waypoints", points))?;
+        }
+        let times = format!(
+            "is {} s ahead of a scene that begins at {} s and lasts {} s; records hold seconds from 0 to 4,294,967,295",
+            robot.host_clock.offset_s, self.start_unix_s, self.duration_s
+        );
+        ensure(self.host_times_fit(&robot.host_clock), "host_clock", times)?;
         if let Some(radio) = &robot.radio {
             table("radio", || check_radio(radio))?;
         }
-        table("faults", || check_faults(&robot.faults))?;
-        table("odometry", || check_odometry(&robot.odometry))
+        table("faults", || check_faults(&robot.faults))
     }
 
     fn check_sounding(&self) -> Checked {
         let Some(sounding) = &self.sounding else { return Ok(()) };
         table("sounding", || {
-            ensure(sounding.rate_hz > 0.0, "rate_hz", || format!("is {}; it must be more than 0", sounding.rate_hz))?;
             // Infinity is the highest rate that fits.
-            if sounding.rate_hz.is_finite() {
-                at_most("rate_hz", sounding.rate_hz, FASTEST_HZ)?;
-            }
-            not_negative("start_s", sounding.start_s)?;
-            ensure(self.robot.len() >= 2, "rate_hz", || "needs two robots at least".to_owned())?;
+            let fits = sounding.rate_hz <= FASTEST_HZ || sounding.rate_hz == f64::INFINITY;
+            ensure(fits, "rate_hz", format!("is {}; {FASTEST_HZ} is the most", sounding.rate_hz))?;
+            ensure(self.robot.len() >= 2, "rate_hz", "needs two robots at least")?;
             for (number, name) in sounding.initiators.iter().enumerate() {
-                ensure(self.robot.iter().any(|r| r.name == *name), "initiators", || format!("has no robot {name:?}"))?;
+                let is_robot = self.robot.iter().any(|robot| robot.name == *name);
+                ensure(is_robot, "initiators", format!("has no robot {name:?}"))?;
                 let twice = sounding.initiators[..number].contains(name);
-                ensure(!twice, "initiators", || format!("names {name:?} twice"))?;
+                ensure(!twice, "initiators", format!("names {name:?} twice"))?;
             }
             let takes_turns = sounding.dialect == Dialect::Native || sounding.initiators.len() <= 1;
-            ensure(takes_turns, "initiators", || "take turns, which only the native dialect knows".to_owned())?;
-            Ok(())
+            ensure(takes_turns, "initiators", "take turns, which only the native dialect knows")
         })
     }
 
     fn check_surfaces(&self) -> Checked {
         for (index, wall) in self.wall.iter().enumerate() {
-            let check = || {
-                finite("from_m", &wall.from_m)?;
-                finite("to_m", &wall.to_m)?;
-                ensure(wall.from_m != wall.to_m, "to_m", || "is where the wall begins".to_owned())?;
-                finite("bottom_m", &[wall.bottom_m])?;
-                finite("top_m", &[wall.top_m])?;
-                ensure(wall.top_m > wall.bottom_m, "top_m", || "is not above bottom_m".to_owned())?;
-                not_negative("thickness_m", wall.thickness_m)?;
-                check_losses(wall.loss_db, wall.through_db)
-            };
-            check().map_err(|p: Problem| p.item("wall", index))?;
+            let long = ensure(wall.from_m != wall.to_m, "to_m", "is where the wall begins");
+            let high = || ensure(wall.top_m > wall.bottom_m, "top_m", "is not above bottom_m");
+            long.and_then(|()| high()).map_err(|problem| problem.item("wall", index))?;
         }
         for (index, panel) in self.reflector.iter().enumerate() {
-            let check = || {
-                finite("corner_m", &panel.corner_m)?;
-                finite("edge_a_m", &panel.edge_a_m)?;
-                finite("edge_b_m", &panel.edge_b_m)?;
-                let area = Vector3::from(panel.edge_a_m).cross(&Vector3::from(panel.edge_b_m)).norm();
-                ensure(area > 1e-6, "edge_b_m", || "spans no area with edge_a_m".to_owned())?;
-                check_losses(panel.loss_db, panel.through_db)
-            };
-            check().map_err(|p: Problem| p.item("reflector", index))?;
+            let area = Vector3::from(panel.edge_a_m).cross(&Vector3::from(panel.edge_b_m)).norm();
+            let wide = ensure(area > 1e-6, "edge_b_m", "spans no area with edge_a_m");
+            wide.map_err(|problem| problem.item("reflector", index))?;
         }
         Ok(())
     }
 }
 
-fn check_losses(loss_db: f64, through_db: Option<f64>) -> Checked {
-    not_negative("loss_db", loss_db)?;
-    through_db.map_or(Ok(()), |db| not_negative("through_db", db))
-}
-
-fn check_motion(motion: &RobotMotion) -> Checked {
-    let timed = |kind: &'static str, sizes: [(&'static str, f64); 2], duration_s: f64, start_s: f64| {
-        let [size, of_any_sign] = sizes;
-        table(kind, || {
-            not_negative(size.0, size.1)?;
-            finite(of_any_sign.0, &[of_any_sign.1])?;
-            positive("duration_s", duration_s)?;
-            not_negative("start_s", start_s)
-        })
-    };
-    match motion {
-        RobotMotion::Static => Ok(()),
-        RobotMotion::Line(m) => {
-            let length = ("length_m", m.length_m);
-            timed("line", [length, length], m.duration_s, m.start_s)
-        }
-        RobotMotion::Circle(m) => {
-            timed("circle", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
-        }
-        RobotMotion::Arc(m) => {
-            timed("arc", [("radius_m", m.radius_m), ("angle_deg", m.angle_deg)], m.duration_s, m.start_s)
-        }
-        RobotMotion::Square(m) => timed("square", [("side_m", m.side_m), ("turns", m.turns)], m.duration_s, m.start_s),
-        RobotMotion::Helix(m) => {
-            table("helix", || finite("rise_m", &[m.rise_m]))?;
-            timed("helix", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
-        }
-        RobotMotion::FigureEight(m) => {
-            timed("figure_eight", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
-        }
-        RobotMotion::RandomWalk(m) => {
-            table("random_walk", || {
-                positive("within_m", m.within_m)?;
-                at_most("duration_s", m.duration_s, LONGEST_WALK_S)
-            })?;
-            let sizes = [("speed_m_s", m.speed_m_s), ("turning_deg_s", m.turning_deg_s)];
-            timed("random_walk", sizes, m.duration_s, m.start_s)
-        }
-        RobotMotion::Waypoints(m) => table("waypoints", || {
-            positive("speed_m_s", m.speed_m_s)?;
-            not_negative("start_s", m.start_s)?;
-            ensure(!m.points_m.is_empty(), "points_m", || "has no points".to_owned())?;
-            m.points_m.iter().try_for_each(|p| finite("points_m", p))
-        }),
-        RobotMotion::Recorded(m) => table("recorded", || {
-            not_negative("start_s", m.start_s)?;
-            not_negative("stray_m", m.stray_m)?;
-            positive("stray_s", m.stray_s)
-        }),
-        RobotMotion::Followed(m) => table("followed", || {
-            finite("origin_m", &m.origin_m)?;
-            finite("origin_yaw_deg", &[m.origin_yaw_deg])
-        }),
-    }
-}
-
-fn check_cfo(cfo: &Cfo) -> Checked {
-    let Cfo::Paper(cfo) = cfo else { return Ok(()) };
-    table("paper", || {
-        finite("df_hz", &[cfo.df_hz])?;
-        finite("c1", &[cfo.c1])?;
-        finite("c2", &[cfo.c2])?;
-        not_negative("jitter_ns", cfo.jitter_ns)
-    })
-}
-
-fn check_gain(gain: &Gain) -> Checked {
-    match gain {
-        Gain::Fixed(fixed) => table("fixed", || positive("lsb_at_1m", fixed.lsb_at_1m)),
-        Gain::Agc(agc) => table("agc", || {
-            positive("target_lsb", agc.target_lsb)?;
-            deviation_db("lsb_std_db", agc.lsb_std_db)?;
-            decibels("rssi_db", &[agc.rssi_db])?;
-            deviation_db("agc_std_db", agc.agc_std_db)
-        }),
-    }
-}
-
-fn check_stray(stray: &Stray) -> Checked {
-    not_negative("lsb", stray.lsb)?;
-    decibels("rssi_db", &[stray.rssi_db])?;
-    deviation_db("rssi_std_db", stray.rssi_std_db)
-}
-
 fn check_radio(radio: &Radio) -> Checked {
-    let sizes = [
-        ("phase_noise_rad", radio.phase_noise_rad),
-        ("chain_noise_rad", radio.chain_noise_rad),
-        ("delay_std_ns", radio.delay_std_ns),
-        ("send_jitter_us", radio.send_jitter_us),
-        ("host_latency_us", radio.host_latency_us),
-        ("host_latency_std_us", radio.host_latency_std_us),
-    ];
-    sizes
-        .iter()
-        .try_for_each(|&(key, value)| not_negative(key, value).and_then(|()| at_most(key, value, LATEST_US)))?;
-    finite("delay_ns", &[radio.delay_ns])?;
-    finite("chain_deg", &radio.chain_deg)?;
-    decibels("filter_db", &radio.filter_db.unwrap_or_default())?;
-    table("send_delay", || {
-        share("share", radio.send_delay.share)?;
-        not_negative("us", radio.send_delay.us)?;
-        not_negative("spread_us", radio.send_delay.spread_us)
-    })?;
-    decibels("tx_power_dbm", &[radio.tx_power_dbm])?;
-    ensure((1..=3).contains(&radio.chains), "chains", || format!("is {}; the card has 1 to 3", radio.chains))?;
-    ensure(radio.mcs <= 7, "mcs", || format!("is {}; one stream has 0 to 7", radio.mcs))?;
-    if let Noise::SnrDb(db) | Noise::FloorDbm(db) = radio.noise {
-        decibels("noise", &[db])?;
-    }
-    table("gain", || check_gain(&radio.gain))?;
-    table("stray_b", || check_stray(&radio.stray_b))?;
-    table("stray_c", || check_stray(&radio.stray_c))?;
-    check_turn_around(&radio.turn_around)
-}
-
-fn check_turn_around(turn: &TurnAround) -> Checked {
-    let ordered = turn.min_us >= 0.0 && turn.min_us <= turn.median_us && turn.median_us <= turn.max_us;
-    ensure(ordered, "turn_around", || {
-        format!("has min_us {}, median_us {}, max_us {}: not in order", turn.min_us, turn.median_us, turn.max_us)
-    })?;
-    table("turn_around", || {
-        at_most("max_us", turn.max_us, LATEST_US)?;
-        not_negative("spread_us", turn.spread_us)?;
-        not_negative("tail_spread_us", turn.tail_spread_us)?;
-        finite("tail_us", &[turn.tail_us])?;
-        not_negative("tail_run", turn.tail_run)?;
-        let group = |group: &DelayGroup| {
-            share("share", group.share)?;
-            finite("us", &[group.us])?;
-            not_negative("spread_us", group.spread_us)
-        };
-        table("far", || group(&turn.far))?;
-        table("late", || group(&turn.late))
-    })?;
+    ensure((1..=3).contains(&radio.chains), "chains", format!("is {}; the card has 1 to 3", radio.chains))?;
+    ensure(radio.mcs <= 7, "mcs", format!("is {}; one stream has 0 to 7", radio.mcs))?;
+    let turn @ TurnAround { min_us, median_us, max_us, .. } = &radio.turn_around;
+    let ordered = min_us <= median_us && median_us <= max_us;
+    let order = format!("has min_us {min_us}, median_us {median_us}, max_us {max_us}: not in order");
+    ensure(ordered, "turn_around", order)?;
     let all = turn.groups().iter().map(|group| group.share).sum::<f64>();
-    ensure(all <= 1.0, "turn_around", || format!("has groups away from the core of {all} in all; more than all"))?;
-    table("turn_around", || share("tail", turn.tail))
+    ensure(all <= 1.0, "turn_around", format!("has groups away from the core of {all} in all; more than all"))
 }
 
 fn check_faults(faults: &Faults) -> Checked {
-    share("loss", faults.loss)?;
-    share("duplicate", faults.duplicate)?;
-    share("retry", faults.retry)?;
-    share("driver_drop", faults.driver_drop)?;
-    ensure(faults.queue_records > 0, "queue_records", || "is 0: nothing would ever arrive".to_owned())?;
-    not_negative("stall_every_s", faults.stall_every_s)?;
-    not_negative("stall_s", faults.stall_s)?;
-    ensure(faults.goes_on_after_stalls(), "stall_s", || {
-        format!(
-            "is {}, in whole microseconds not less than stall_every_s, {}: the listener would never go on",
-            faults.stall_s, faults.stall_every_s
-        )
-    })?;
-    faults.restart_at_s.iter().try_for_each(|&t_s| not_negative("restart_at_s", t_s))?;
-    not_negative("restart_s", faults.restart_s)
-}
-
-fn check_odometry(odometry: &Odometry) -> Checked {
-    positive("rate_hz", odometry.rate_hz)?;
-    at_most("rate_hz", odometry.rate_hz, FASTEST_HZ)?;
-    not_negative("noise_m", odometry.noise_m)?;
-    not_negative("noise_deg", odometry.noise_deg)?;
-    positive("scale", odometry.scale)?;
-    finite("heading_drift_deg_s", &[odometry.heading_drift_deg_s])?;
-    not_negative("heading_walk_deg", odometry.heading_walk_deg)?;
-    share("drop", odometry.drop)?;
-    share("late", odometry.late)?;
-    not_negative("late_s", odometry.late_s)
+    ensure(faults.queue_records > 0, "queue_records", "is 0: nothing would ever arrive")?;
+    let (stall_s, every_s) = (faults.stall_s, faults.stall_every_s);
+    let stalled = format!(
+        "is {stall_s}, in whole microseconds not less than stall_every_s, {every_s}: the listener would never go on"
+    );
+    ensure(faults.goes_on_after_stalls(), "stall_s", stalled)
 }
 
 /// Interval and limit of checked places of a path, seconds.
@@ -720,12 +516,9 @@ mod tests {
     use super::*;
     use crate::CardFault;
     use crate::crystal::Crystal;
-    use crate::motion::{
-        Arc, Circle, FigureEight, FollowedMotion, Helix, Line, RandomWalk, RecordedMotion, Square, Waypoints,
-    };
-    use crate::radio::{Agc, FixedGain};
-    use crate::scene::{PaperCfo, Reflector, Sounding, Wall};
-    use toml::Value;
+    use crate::motion::{Arc, Circle, FollowedMotion, Helix, Line, RandomWalk, RecordedMotion, Square, Waypoints};
+    use crate::radio::{Agc, DelayGroup, FixedGain, Gain, Noise, Stray};
+    use crate::scene::{Cfo, Odometry, PaperCfo, Pattern, Reflector, Sounding, Wall};
 
     const GOOD: &str = r#"duration_s = 10.0
 seed = 3
@@ -755,10 +548,10 @@ to_m = [5.0, 3.0]
     /// Bad scenes, one a line: the line that is refused, a word of the reason, and what of the good scene is replaced by what.
     const BAD: &str = r#"
 3 | noise_free | reflections = 1 | noise_free = true
-1 | more than 0 | duration_s = 10.0\nseed | duration_s = -1.0\nseed
-1 | is the most | duration_s = 10.0\nseed | duration_s = 1e12\nseed
-2 | is the most | seed = 3 | radio.host_latency_std_us = 1e18
-12 | is the most | name = "tx" | name = "tx"\nodometry.rate_hz = 1e12
+1 | duration_s is -1; it must be from 0.000000001 to 31536000 | duration_s = 10.0\nseed | duration_s = -1.0\nseed
+1 | to 31536000 | duration_s = 10.0\nseed | duration_s = 1e12\nseed
+2 | from 0 to 1000000000 | seed = 3 | radio.host_latency_std_us = 1e18
+12 | tx: rate_hz is 1000000000000; it must be from 0.000000001 to 100000 | name = "tx" | name = "tx"\nodometry.rate_hz = 1e12
 2 | channels are | seed = 3 | channel = 20
 9 | radius_m is -0.3 | radius_m = 0.3, | radius_m = -0.3,
 9 | colour | radius_m = 0.3, | radius_m = 0.3, colour = 1,
@@ -768,29 +561,29 @@ to_m = [5.0, 3.0]
 12 | tx is where rx is | [-3.858, 0.929, 0.0] | [0.0, 0.0, 0.0]
 9 | drives, after | radius_m = 0.3, | radius_m = 1.6,
 14 | x | name = "tx" | name = "tx"\n[robot.faults]\nloss = 1.5\n[robot.x]
-12 | a share | name = "tx" | name = "tx"\nfaults.loss = 1.5
+12 | loss is 1.5; it must be from 0 to 1 | name = "tx" | name = "tx"\nfaults.loss = 1.5
 12 | never go on | name = "tx" | name = "tx"\nfaults = { stall_every_s = 1.0, stall_s = 1.0 }
 # Both are 2 us on the clock of the room.
 12 | never go on | name = "tx" | name = "tx"\nfaults = { stall_every_s = 0.000002, stall_s = 0.0000016 }
 2 | lasts 10 s; records hold | seed = 3 | start_unix_s = 4294967294
 2 | is -1 | seed = 3 | start_unix_s = -1
 12 | is -9 s ahead of a scene that begins at 5 s | name = "tx" | name = "tx"\nhost_clock.offset_s = -9.0 | seed = 3 | start_unix_s = 5
-12 | 86400 is the most | name = "tx" | name = "tx"\nmotion.random_walk = { speed_m_s = 1.0, duration_s = 1e9 }
+12 | to 86400 | name = "tx" | name = "tx"\nmotion.random_walk = { speed_m_s = 1.0, duration_s = 1e9 }
 12 | an antenna of tx is where one of rx is | motion.circle = { radius_m = 0.3, duration_s = 10.0 } | antenna_m = [-3.858, 0.929, 0.2] | name = "tx" | name = "tx"\nantenna_m = [0.0, 0.0, 0.2]
 15 | where the wall begins | to_m = [5.0, 3.0] | to_m = [-5.0, 3.0]
-15 | at most 1e9 | to_m = [5.0, 3.0] | to_m = [1e308, 3.0]
-16 | at most 1e9 | to_m = [5.0, 3.0] | to_m = [5.0, 3.0]\ntop_m = inf
-9 | at most 1e9 | radius_m = 0.3, | radius_m = 0.3, turns = inf,
-2 | is the most | seed = 3 | radio.turn_around.max_us = 1e300
-18 | at most 1e9 | to_m = [5.0, 3.0] | to_m = [5.0, 3.0]\n[[reflector]]\ncorner_m = [9.0, 9.0, 0.0]\nedge_a_m = [1e308, 0.0, 0.0]\nedge_b_m = [0.0, 0.0, 1.0]
-12 | is the most | name = "tx" | name = "tx"\nodometry.noise_m = 1e300
-9 | is the least | duration_s = 10.0 } | duration_s = 1e-300 }
-2 | numbers of dB | seed = 3 | radio.noise = { floor_dbm = 1e300 }
-2 | at most 1e9 | seed = 3 | radio.delay_ns = 1e300
-2 | a share | seed = 3 | radio.send_delay = { share = 2.0 }
+15 | from -1000000000 to 1000000000 | to_m = [5.0, 3.0] | to_m = [1e308, 3.0]
+16 | top_m is inf; it must be from -1000000000 | to_m = [5.0, 3.0] | to_m = [5.0, 3.0]\ntop_m = inf
+9 | turns is inf | radius_m = 0.3, | radius_m = 0.3, turns = inf,
+2 | from 0 to 1000000000 | seed = 3 | radio.turn_around.max_us = 1e300
+18 | to 1000000000 | to_m = [5.0, 3.0] | to_m = [5.0, 3.0]\n[[reflector]]\ncorner_m = [9.0, 9.0, 0.0]\nedge_a_m = [1e308, 0.0, 0.0]\nedge_b_m = [0.0, 0.0, 1.0]
+12 | from 0 to 1000000000 | name = "tx" | name = "tx"\nodometry.noise_m = 1e300
+9 | from 0.000000001 to | duration_s = 10.0 } | duration_s = 1e-300 }
+2 | from -400 to 400 | seed = 3 | radio.noise = { floor_dbm = 1e300 }
+2 | from -1000000000 to | seed = 3 | radio.delay_ns = 1e300
+2 | share is 2; it must be from 0 to 1 | seed = 3 | radio.send_delay = { share = 2.0 }
 2 | us is -1 | seed = 3 | radio.send_delay = { us = -1.0 }
 2 | length 2 | seed = 3 | radio.filter_db = [0.0, 1.0]
-12 | 60 dB | name = "tx" | name = "tx"\npattern = { cos_db = 70.0 }
+12 | cos_db is 70; it must be from -60 to 60 | name = "tx" | name = "tx"\npattern = { cos_db = 70.0 }
 9 | stray_m is -0.1 | circle = { radius_m = 0.3, duration_s = 10.0 } | recorded = { file = "t", stray_m = -0.1 }
 # What is missing.
 5 | rate_hz is -5 | [cfo.paper] | [sounding]\nrate_hz = -5.0\n[cfo.paper]
@@ -922,7 +715,7 @@ to_m = [5.0, 3.0]
             RobotMotion::Arc(Arc { radius_m, angle_deg: 45.0, duration_s, start_s }),
             RobotMotion::Square(Square { side_m: 1.0, duration_s, turns, start_s }),
             RobotMotion::Helix(Helix { radius_m, rise_m: 0.1, duration_s, turns, start_s }),
-            RobotMotion::FigureEight(FigureEight { radius_m, duration_s, turns, start_s }),
+            RobotMotion::FigureEight(Circle { radius_m, duration_s, turns, start_s }),
             RobotMotion::RandomWalk(RandomWalk {
                 speed_m_s: 0.2,
                 turning_deg_s: 80.0,

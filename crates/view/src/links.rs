@@ -397,12 +397,11 @@ impl Detail {
 
 /// A curve relative to its highest value; of more points than are shown the highest of each few.
 fn relative(curve: Curve) -> Relative {
-    let top = curve.values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f64::max);
+    let top = curve.points.iter().map(|point| point.1).filter(|value| value.is_finite()).fold(0.0, f64::max);
     let scale = if top > 0.0 { 1.0 / top } else { 1.0 };
-    let few = curve.values.len().div_ceil(POINTS).max(1);
-    let points: Vec<(f64, f64)> = curve.azimuths_deg.into_iter().zip(curve.values).collect();
+    let few = curve.points.len().div_ceil(POINTS).max(1);
     let highest = |few: &[(f64, f64)]| few.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
-    let kept = points.chunks(few).filter_map(highest);
+    let kept = curve.points.chunks(few).filter_map(highest);
     let (azimuths_deg, values) = kept.map(|(azimuth, value)| (round(azimuth, 1e3), round(value * scale, 1e5))).unzip();
     Relative { name: curve.name, azimuths_deg, values }
 }
@@ -444,11 +443,10 @@ mod tests {
 
     #[test]
     fn the_highest_value_is_kept_and_is_one() {
-        let azimuths_deg: Vec<f64> = (0..5000).map(|k| f64::from(k) * 0.072 - 180.0).collect();
-        let mut values = vec![0.5; 5000];
-        values[1234] = 4.0;
-        let top = azimuths_deg[1234];
-        let shown = relative(Curve { name: "c".into(), azimuths_deg, values });
+        let mut points: Vec<(f64, f64)> = (0..5000).map(|k| (f64::from(k) * 0.072 - 180.0, 0.5)).collect();
+        points[1234].1 = 4.0;
+        let top = points[1234].0;
+        let shown = relative(Curve { name: "c".into(), points });
         assert!(shown.values.len() <= POINTS);
         let best = shown.values.iter().position(|value| *value == 1.0).unwrap();
         assert!((shown.azimuths_deg[best] - top).abs() < 1e-3);

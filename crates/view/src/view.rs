@@ -379,7 +379,7 @@ impl View {
             time_base: index.base,
             subcarriers: index.subcarriers(),
             antennas: (0..index.ports).map(letter).collect(),
-            rssi_in_dbm: index.rssi_in_dbm(),
+            rssi_in_dbm: index.rssi_in_dbm,
             senders: index.senders.iter().zip(index.sent()).take(SENDERS).map(sender).collect(),
             counted,
         };

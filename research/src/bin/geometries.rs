@@ -3,7 +3,7 @@
 
 use csi5300::pipeline::Options;
 use csi5300_lab::ends::{Ends, Seen};
-use csi5300_sim::motion::{Arc, Circle, FigureEight, Helix, Line, RandomWalk, RobotMotion, Square, Waypoints};
+use csi5300_sim::motion::{Arc, Circle, Helix, Line, RandomWalk, RobotMotion, Square, Waypoints};
 use rayon::prelude::*;
 
 fn main() {
@@ -110,7 +110,7 @@ fn wide() {
         let (duration_s, turns, start_s, speed_m_s) = (50.0, 1.0, 0.0, 0.2);
         let motions: [(&str, RobotMotion); 4] = [
             ("circle", RobotMotion::Circle(Circle { radius_m: size_m, duration_s, turns, start_s })),
-            ("eight", RobotMotion::FigureEight(FigureEight { radius_m: size_m, duration_s, turns, start_s })),
+            ("eight", RobotMotion::FigureEight(Circle { radius_m: size_m, duration_s, turns, start_s })),
             ("corner", RobotMotion::Waypoints(Waypoints { points_m: corner, speed_m_s, start_s })),
             ("bend", RobotMotion::Waypoints(Waypoints { points_m: bend, speed_m_s, start_s })),
         ];
@@ -216,7 +216,7 @@ fn both() {
         (
             "square and eight",
             RobotMotion::Square(Square { side_m: 0.4, duration_s: 6.0, turns: 1.0, start_s: 0.0 }),
-            RobotMotion::FigureEight(FigureEight { radius_m: 0.15, duration_s: 6.0, turns: 1.0, start_s: 0.0 }),
+            RobotMotion::FigureEight(Circle { radius_m: 0.15, duration_s: 6.0, turns: 1.0, start_s: 0.0 }),
         ),
         ("helix and helix", spiral(0.3, 0.4, 1.0), spiral(0.2, 0.5, -1.0)),
     ];

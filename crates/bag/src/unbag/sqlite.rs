@@ -38,13 +38,8 @@ enum Value<'a> {
     Other,
 }
 
-impl Value<'_> {
-    fn text(self) -> Option<String> {
-        match self {
-            Self::Bytes(bytes) => String::from_utf8(bytes.to_vec()).ok(),
-            _ => None,
-        }
-    }
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
 }
 
 /// A number of one to nine bytes, seven bits each, highest first; and the bytes after it.
@@ -228,8 +223,10 @@ impl<R: Read + Seek> Database<R> {
         let mut tables = BTreeMap::new();
         self.rows(1, &mut |_, row| {
             // type, name, table name, root page, SQL text.
-            if let Some([Value::Bytes(b"table"), name, _, Value::Number(root), ..]) = values(row).as_deref() {
-                tables.extend(name.text().zip(u32::try_from(*root).ok()));
+            if let Some([Value::Bytes(b"table"), Value::Bytes(name), _, Value::Number(root), ..]) =
+                values(row).as_deref()
+            {
+                tables.extend(u32::try_from(*root).ok().map(|root| (text(name), root)));
             }
             Ok(())
         })?;
@@ -246,7 +243,6 @@ impl<R: Read + Seek> Database<R> {
             // id, name, type, serialization_format, and more.
             match values(row).as_deref() {
                 Some([_, Value::Bytes(topic), Value::Bytes(kind), Value::Bytes(encoding), ..]) => {
-                    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
                     channels.insert(id, Channel { topic: text(topic), kind: text(kind), encoding: text(encoding) });
                 }
                 _ => odd += 1,

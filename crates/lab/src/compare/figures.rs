@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Figures of a capture of one link.
-#[derive(Clone, Debug, serde::Serialize)]
+#[derive(Clone, Debug)]
 pub struct Figures {
     /// The log of the robot that moved: backward frames.
     pub receiver: SideFigures,
@@ -30,7 +30,7 @@ pub struct Figures {
 }
 
 /// Figures of two logs together.
-#[derive(Clone, Debug, Default, serde::Serialize)]
+#[derive(Clone, Debug, Default)]
 pub struct LinkFigures {
     /// Pairs formed.
     pub pairs: usize,
@@ -63,20 +63,16 @@ pub struct LinkFigures {
     pub abs_elevation_deg: Option<f64>,
     /// Its elevation with its sign, degrees, where the motion distinguishes up from down.
     pub elevation_deg: Option<f64>,
-    /// Horizontal distance of the transmitter, metres, if the curvature shows it.
-    pub range_m: Option<f64>,
     /// Estimated place of the transmitter, metres, trajectory's frame.
     pub place_m: Option<[f64; 3]>,
     /// The phase of every pair, for pictures.
-    #[serde(skip)]
     pub course: Vec<Phase>,
     /// Turn-around minus median and drift of each pair, for pictures.
-    #[serde(skip)]
     pub late_us: Vec<f64>,
 }
 
 /// Turn-arounds outside the core, or frames sent late.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LateGroup {
     /// Share of all.
     pub share: f64,
@@ -84,6 +80,14 @@ pub struct LateGroup {
     pub mean_us: f64,
     /// Standard deviation, microseconds.
     pub sd_us: f64,
+}
+
+impl LateGroup {
+    /// Of these latenesses among so many frames.
+    fn of(late_us: &[f64], all: usize) -> Self {
+        let late = Distribution::of(late_us);
+        Self { share: late_us.len() as f64 / all.max(1) as f64, mean_us: late.mean, sd_us: late.sd }
+    }
 }
 
 impl LinkFigures {
@@ -133,7 +137,7 @@ pub fn measure(
     let report = bearings(&mut rx, transmitters, trajectory, &options)?;
     // Either log may contain other senders' frames; the link's sender has the most, as in the pipeline.
     let sender = report.links.first().and_then(|found| found.link.as_ref()).map(|link| link.mac);
-    let (receiver, transmitter) = (rx.finish(sender), tx.finish(options.rx_mac));
+    let (receiver, transmitter) = (rx.seen.finish(sender), tx.seen.finish(options.rx_mac));
     let link = link_figures(&report, &options)?;
     Ok(Figures { receiver, transmitter, link })
 }
@@ -212,11 +216,7 @@ fn turn_arounds(figures: &mut LinkFigures) {
         figures.late_us.iter().map(|late| late - middle_us).filter(|late| (low..high).contains(late)).collect()
     };
     figures.core_us = Distribution::of(&within(-CORE_US, CORE_US)).quartile_range() / QUARTILES;
-    let group = |low: f64, high: f64| {
-        let values = within(low, high);
-        let d = Distribution::of(&values);
-        LateGroup { share: values.len() as f64 / figures.late_us.len().max(1) as f64, mean_us: d.mean, sd_us: d.sd }
-    };
+    let group = |low: f64, high: f64| LateGroup::of(&within(low, high), figures.late_us.len());
     figures.groups = [group(-FAR_US, -CORE_US), group(-LOST_US, -FAR_US), group(CORE_US, LOST_US)];
     let away = |late: &f64| (late - middle_us).abs() > CORE_US;
     let runs: Vec<f64> = figures
@@ -234,10 +234,8 @@ fn place(figures: &mut LinkFigures, bearing: &Bearing) {
     figures.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
     figures.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
     figures.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
-    let range = answer.range.map(|range| range.range_m);
-    figures.range_m = range;
     let (sin, cos) = answer.azimuth_rad.sin_cos();
-    let away_m = range.unwrap_or(USUAL_RANGE_M);
+    let away_m = answer.range.map_or(USUAL_RANGE_M, |range| range.range_m);
     let middle = bearing.mean_position_m;
     let (up, level) = answer.signed_elevation_rad.unwrap_or(0.0).sin_cos();
     let (away_m, height_m) = (away_m * level, away_m * up);
@@ -254,42 +252,40 @@ fn short_coherence(bearing: &Bearing) -> Option<f64> {
     let displaced = samples.receiver_m().iter().zip(samples.transmitter_m()).map(|(rx, tx)| rx - tx);
     let turned = samples.z().iter().zip(displaced).map(|(z, p)| {
         let turns = 2.0 * (level * (p.x * cos + p.y * sin) + up * p.z) / samples.wavelength_m();
-        z * num_complex::Complex64::cis(-TAU * turns)
+        z * Complex64::cis(-TAU * turns)
     });
-    let turned: Vec<_> = turned.collect();
-    let windows = samples.t_s().chunk_by(|a, b| (a / WINDOW_S).floor() == (b / WINDOW_S).floor());
-    let (mut at, mut sum, mut count) = (0, 0.0, 0.0);
-    for window in windows {
-        let part = &turned[at..at + window.len()];
-        at += window.len();
-        // A window that the motion only touches is not representative.
-        if part.len() >= 8 {
-            sum += part.iter().sum::<num_complex::Complex64>().norm() / part.iter().map(|z| z.norm()).sum::<f64>();
-            count += 1.0;
-        }
-    }
-    (count > 0.0).then(|| sum / count)
+    let timed: Vec<(f64, Complex64)> = samples.t_s().iter().copied().zip(turned).collect();
+    let windows = timed.chunk_by(|a, b| (a.0 / WINDOW_S).floor() == (b.0 / WINDOW_S).floor());
+    // A window that the motion only touches is not representative.
+    let coherence = windows.filter(|window| window.len() >= 8).map(|window| {
+        let (sum, norms) =
+            window.iter().fold((Complex64::ZERO, 0.0), |(sum, norms), (_, z)| (sum + z, norms + z.norm()));
+        sum.norm() / norms
+    });
+    let coherence: Vec<f64> = coherence.collect();
+    (!coherence.is_empty()).then(|| coherence.iter().sum::<f64>() / coherence.len() as f64)
 }
 
+/// Number of records by the value of a field.
+pub type Histogram = BTreeMap<i64, u64>;
+
 /// Figures of one sender's frames in one log.
-#[derive(Clone, Debug, Default, serde::Serialize)]
+#[derive(Clone, Debug, Default)]
 pub struct SideFigures {
     /// Intact bfee records of the sender.
     pub records: usize,
     /// Those of them in the stock layout.
     pub stock: usize,
-    /// Intact bfee records of other senders, which no other figure includes.
-    pub of_others: usize,
     /// Records by length on disk, bytes.
-    pub lengths: BTreeMap<usize, u64>,
+    pub lengths: Histogram,
     /// Records by receive chains and streams, `10 n_rx + n_tx`.
-    pub streams: BTreeMap<usize, u64>,
+    pub streams: Histogram,
     /// Records by `noise`, dBm.
-    pub noise_dbm: BTreeMap<i8, u64>,
+    pub noise_dbm: Histogram,
     /// Records by `fake_rate_n_flags`.
-    pub rates: BTreeMap<u16, u64>,
+    pub rates: Histogram,
     /// Records by `antenna_sel`.
-    pub antenna_sel: BTreeMap<u8, u64>,
+    pub antenna_sel: Histogram,
     /// RSSI of antennas A, B, C, dB.
     pub rssi_db: [Distribution; 3],
     /// Gain, dB.
@@ -325,13 +321,18 @@ pub struct SideFigures {
     /// Bytes of a cut last record.
     pub tail_bytes: usize,
     /// Power at antenna A, RSSI minus gain, dB, by host time, seconds since the Unix epoch.
-    #[serde(skip)]
     pub powers: Vec<(f64, f64)>,
 }
 
 /// Passes a source's items on and measures its records.
-pub struct Observed<'a> {
+struct Observed<'a> {
     source: &'a mut (dyn CsiSource + Send),
+    seen: SeenRecords,
+}
+
+/// What a log's records showed so far.
+struct SeenRecords {
+    /// The subcarriers of the source's channel.
     indices: [i8; SUBCARRIERS],
     survey: Survey,
     unwrap: Unwrap32,
@@ -339,47 +340,40 @@ pub struct Observed<'a> {
 }
 
 impl<'a> Observed<'a> {
-    /// Measures `source`; the subcarrier `indices` are those of its channel.
-    pub fn new(source: &'a mut (dyn CsiSource + Send), indices: [i8; SUBCARRIERS]) -> Self {
-        Self { source, indices, survey: Survey::default(), unwrap: Unwrap32::default(), senders: BTreeMap::new() }
+    fn new(source: &'a mut (dyn CsiSource + Send), indices: [i8; SUBCARRIERS]) -> Self {
+        let (survey, unwrap, senders) = (Survey::default(), Unwrap32::default(), BTreeMap::new());
+        Self { source, seen: SeenRecords { indices, survey, unwrap, senders } }
+    }
+}
+
+impl SeenRecords {
+    fn note(&mut self, next: &Next<'_>) {
+        let Some((bfee, identity)) = self.survey.note(next) else { return };
+        let clock_us = self.unwrap.next(bfee.timestamp_low());
+        if self.senders.len() >= SENDERS_KEPT && !self.senders.contains_key(&identity.mac) {
+            return;
+        }
+        let new = || Collector { indices: self.indices, ..Collector::default() };
+        let length = if let Next::Record(_, record) = next { record.emit_len() } else { 0 };
+        self.senders.entry(identity.mac).or_insert_with(new).note(&bfee, identity, clock_us, length);
     }
 
     /// The figures of one sender; by default the one with the most numbered frames.
-    #[must_use]
-    pub fn finish(mut self, sender: Option<Mac>) -> SideFigures {
+    fn finish(mut self, sender: Option<Mac>) -> SideFigures {
         let most = || self.senders.iter().max_by_key(|(_, collector)| collector.frames).map(|(mac, _)| *mac);
         let collector = sender.or_else(most).and_then(|mac| self.senders.remove(&mac));
         let mut side = collector.map_or_else(SideFigures::default, Collector::finish);
-        side.of_others = (self.survey.bfees() as usize).saturating_sub(side.records);
-        side.tail_bytes = match self.survey.tail {
-            Some(Tail::Cut { bytes, .. }) => bytes as usize,
-            _ => 0,
-        };
-        side
-    }
-
-    fn note(
-        survey: &mut Survey,
-        unwrap: &mut Unwrap32,
-        senders: &mut BTreeMap<Mac, Collector>,
-        next: &Next<'_>,
-        indices: [i8; SUBCARRIERS],
-    ) {
-        let Some((bfee, identity)) = survey.note(next) else { return };
-        let clock_us = unwrap.next(bfee.timestamp_low());
-        if senders.len() >= SENDERS_KEPT && !senders.contains_key(&identity.mac) {
-            return;
+        if let Some(Tail::Cut { bytes, .. }) = self.survey.tail {
+            side.tail_bytes = bytes as usize;
         }
-        let new = || Collector { indices, ..Collector::default() };
-        let length = if let Next::Record(_, record) = next { record.emit_len() } else { 0 };
-        senders.entry(identity.mac).or_insert_with(new).note(&bfee, identity, clock_us, length);
+        side
     }
 }
 
 impl CsiSource for Observed<'_> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
         let next = self.source.receive(now)?;
-        Self::note(&mut self.survey, &mut self.unwrap, &mut self.senders, &next, self.indices);
+        self.seen.note(&next);
         Ok(next)
     }
 
@@ -423,7 +417,7 @@ struct LastFrame {
 
 impl Collector {
     fn note(&mut self, bfee: &Bfee<'_>, identity: Identity, clock_us: i64, length: usize) {
-        *self.side.lengths.entry(length).or_default() += 1;
+        *self.side.lengths.entry(length as i64).or_default() += 1;
         self.fields(bfee);
         self.tones(bfee);
         if let Some(host_us) = identity.host_us {
@@ -440,10 +434,10 @@ impl Collector {
         let side = &mut self.side;
         side.records += 1;
         side.stock += usize::from(bfee.wsr().is_none());
-        *side.streams.entry(10 * bfee.n_rx() + bfee.n_tx()).or_default() += 1;
-        *side.noise_dbm.entry(bfee.noise_dbm()).or_default() += 1;
-        *side.rates.entry(bfee.rate_n_flags()).or_default() += 1;
-        *side.antenna_sel.entry(bfee.antenna_sel()).or_default() += 1;
+        *side.streams.entry((10 * bfee.n_rx() + bfee.n_tx()) as i64).or_default() += 1;
+        *side.noise_dbm.entry(bfee.noise_dbm().into()).or_default() += 1;
+        *side.rates.entry(bfee.rate_n_flags().into()).or_default() += 1;
+        *side.antenna_sel.entry(bfee.antenna_sel().into()).or_default() += 1;
         self.agc.push(f64::from(bfee.agc()));
         for (values, rssi) in self.rssi.iter_mut().zip(bfee.rssi()) {
             values.push(f64::from(rssi));
@@ -522,12 +516,11 @@ fn delayed(intervals_us: &[f64]) -> LateGroup {
     let usual = Distribution::of(intervals_us);
     let late = intervals_us.iter().map(|interval| interval - usual.median);
     let late: Vec<f64> = late.filter(|&late| late > 2.0 * usual.quartile_range() && late < LOST_US).collect();
-    let d = Distribution::of(&late);
-    LateGroup { share: late.len() as f64 / intervals_us.len().max(1) as f64, mean_us: d.mean, sd_us: d.sd }
+    LateGroup::of(&late, intervals_us.len())
 }
 
 /// The most frequent value.
-pub(super) fn usual<K: Copy>(counts: &BTreeMap<K, u64>) -> Option<K> {
+pub(super) fn usual(counts: &Histogram) -> Option<i64> {
     counts.iter().max_by_key(|(_, count)| **count).map(|(key, _)| *key)
 }
 
@@ -576,10 +569,8 @@ fn flattened(tones: &Tones, rms: f64, indices: &[i8; SUBCARRIERS]) -> (f64, Tone
 pub(super) const QUARTILES: f64 = 1.349;
 
 /// A quantity over all records or pairs that have it. All zero if none has.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Distribution {
-    /// Number of values.
-    pub count: usize,
     /// Mean.
     pub mean: f64,
     /// Standard deviation.
@@ -612,7 +603,6 @@ impl Distribution {
         let variance = sorted.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
         let at = |share: f64| nearest_rank(&sorted, share).unwrap_or(f64::NAN);
         Self {
-            count: sorted.len(),
             mean,
             sd: variance.sqrt(),
             min,
@@ -641,7 +631,7 @@ mod tests {
         let mut values: Vec<f64> = (0..=100).rev().map(f64::from).collect();
         values.push(f64::NAN);
         let d = Distribution::of(&values);
-        assert_eq!((d.count, d.mean, d.min, d.max), (101, 50.0, 0.0, 100.0));
+        assert_eq!((d.mean, d.min, d.max), (50.0, 0.0, 100.0));
         assert_eq!((d.p01, d.q1, d.median, d.q3, d.p99), (1.0, 25.0, 50.0, 75.0, 99.0));
         assert!((d.sd - (850f64).sqrt()).abs() < 1e-12);
         assert_eq!(Distribution::of(&[]), Distribution::default());

@@ -14,6 +14,7 @@ use csi5300_sim::motion::{RecordedMotion, RobotMotion};
 use csi5300_sim::radio::{Agc, AntennaOrder, Gain, Noise, Radio, Stray, TurnAround};
 use csi5300_sim::scene::{Cfo, Driver, HostClock, Pattern, Robot, Sounding, Wall};
 use csi5300_sim::{Faults, Recorded, Scene, SceneError};
+use driver_iface::bfee::rate::HT40;
 use nalgebra::{SMatrix, SVector, Vector3};
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -96,7 +97,7 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
         let scene = recording.scene(adjusted, seed);
         let invalid =
             |toml: &str, source: SceneError| CompareError::Lacks(format!("the fitted scene: {source}\n{toml}"));
-        let toml = text(&scene).map_err(|source| invalid("", source))?;
+        let toml = HEADER.to_owned() + &scene.to_toml().map_err(|source| invalid("", source))?;
         let scene = Scene::read(&toml, known.folder).map_err(|source| invalid(&toml, source))?;
         let figures = measure_scene(&scene, Some(known.trajectory), options)?;
         Ok::<_, CompareError>(Fitted { toml, scene, figures })
@@ -149,22 +150,25 @@ fn selective(side: &SideFigures) -> f64 {
     (side.ripple.median.powi(2) - (filter.sd / filter.mean.max(1e-6)).powi(2)).max(1e-6).sqrt()
 }
 
+/// Each side's figures in both captures.
+fn sides<'a>(recorded: &'a Figures, simulated: &'a Figures) -> [(&'a SideFigures, &'a SideFigures); 2] {
+    [(&recorded.receiver, &simulated.receiver), (&recorded.transmitter, &simulated.transmitter)]
+}
+
 /// Differences of the adjusted figures from the recorded ones.
 fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     let (a, b) = (&recorded.link, &simulated.link);
     let relative = |a: f64, b: f64| (b / a.max(1e-6)).max(1e-6).ln().abs() / 0.15;
     let apart = |a: Option<f64>, b: Option<f64>| a.zip(b).map_or(0.0, |(a, b)| (a - b).abs() / 0.1);
     let coherence = apart(a.coherence, b.coherence).max(apart(a.short_coherence, b.short_coherence));
-    let gain = |a: &SideFigures, b: &SideFigures| (a.agc_db.mean - b.agc_db.mean).abs();
-    let gains = gain(&recorded.receiver, &simulated.receiver) + gain(&recorded.transmitter, &simulated.transmitter);
+    let sides = sides(recorded, simulated);
+    let gains = sides.map(|(a, b)| (a.agc_db.mean - b.agc_db.mean).abs()).iter().sum::<f64>();
     let spreads = [(a.spread_before_rad, b.spread_before_rad), (a.spread_after_rad, b.spread_after_rad)];
     let spread = spreads.into_iter().map(|(a, b)| relative(a, b)).fold(0.0, f64::max);
     // Figures that depend on the walls, in units of their limits.
-    let fading = |a: &SideFigures, b: &SideFigures| {
-        ((a.agc_db.sd - b.agc_db.sd).abs() / 0.7).max((a.ripple.median - b.ripple.median).abs() / 0.05)
-    };
-    let sides = [(&recorded.receiver, &simulated.receiver), (&recorded.transmitter, &simulated.transmitter)];
-    let fading = sides.into_iter().map(|(a, b)| fading(a, b)).fold(0.0, f64::max);
+    let fading = sides
+        .map(|(a, b)| ((a.agc_db.sd - b.agc_db.sd).abs() / 0.7).max((a.ripple.median - b.ripple.median).abs() / 0.05));
+    let fading = fading.into_iter().fold(0.0, f64::max);
     spread.max(coherence).max(fading) + 0.1 * gains
 }
 
@@ -196,7 +200,7 @@ fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures, wave
         let missing = 2.0 * (got.max(0.01) / wanted.max(0.01)).ln() * (wavelength_m / (2.0 * TAU)).powi(2);
         adjusted.stray_m = (adjusted.stray_m.powi(2) + missing).clamp(0.0, (0.25 * wavelength_m).powi(2)).sqrt();
     }
-    let sides = [(&recorded.receiver, &simulated.receiver), (&recorded.transmitter, &simulated.transmitter)];
+    let sides = sides(recorded, simulated);
     for (power, (a, b)) in adjusted.tx_power_dbm.iter_mut().zip(sides) {
         *power += b.agc_db.mean - a.agc_db.mean;
     }
@@ -218,8 +222,6 @@ const LATENCY_US: f64 = 300.0;
 /// Median turn-around, microseconds. Two logs with unrelated clocks do not show it; it must be long enough that the earliest
 /// answers follow the frame that they answer.
 const TURN_AROUND_US: f64 = 450.0;
-/// The bit of `rate_n_flags` for 40 MHz.
-const RATE_40_MHZ: u16 = driver_iface::bfee::rate::HT40;
 
 /// A recording and the values for its scene.
 struct Recording<'a> {
@@ -228,11 +230,6 @@ struct Recording<'a> {
     /// The transmitter's antenna, metres.
     place: [f64; 3],
     channel: Channel,
-}
-
-/// The text of a fitted scene.
-fn text(scene: &Scene) -> Result<String, SceneError> {
-    Ok(format!("{HEADER}{}", scene.to_toml()?))
 }
 
 impl Recording<'_> {
@@ -275,7 +272,6 @@ impl Recording<'_> {
     fn receiver(&self, adjusted: &Adjusted, times: &Times) -> Robot {
         let (rx, tx) = (&self.figures.receiver, &self.figures.transmitter);
         let (from_s, to_s) = self.known.trajectory.span_s();
-        let seen = pattern(&rx.powers, self.known.trajectory, self.place);
         let motion = RecordedMotion {
             file: self.known.file.to_owned(),
             start_s: brief(from_s - times.start_unix_s as f64),
@@ -288,12 +284,7 @@ impl Recording<'_> {
             name: "rx".into(),
             position_m: self.known.trajectory.poses().first().map_or([0.0; 3], |pose| pose.position_m.into()),
             motion: RobotMotion::Recorded(motion),
-            pattern: csi5300_sim::scene::Pattern {
-                cos_db: brief(seen.cos_db),
-                sin_db: brief(seen.sin_db),
-                cos2_db: brief(seen.cos2_db),
-                sin2_db: brief(seen.sin2_db),
-            },
+            pattern: pattern(&rx.powers, self.known.trajectory, self.place),
             crystal: Crystal {
                 offset_ppm: rx.card_ppm,
                 clock_start_us: times.clock_start_us(rx),
@@ -353,24 +344,19 @@ impl Recording<'_> {
         let sides = [&self.figures.receiver, &self.figures.transmitter];
         let (side, other) = (sides[k], sides[1 - k]);
         let ns = |slope_rad: f64| 1e9 * slope_rad / (TAU * SUBCARRIER_SPACING_HZ);
-        let away_m = (middle(self.known.trajectory) - nalgebra::Vector3::from(self.place)).norm();
+        let away_m = (middle(self.known.trajectory) - Vector3::from(self.place)).norm();
         let flight_ns = 1e9 * away_m / SPEED_OF_LIGHT_M_PER_S;
         let tones = noise(side);
-        let [_, level_b, level_c] = &side.level;
-        let [rssi_a, rssi_b, rssi_c] = &side.rssi_db;
-        let stray = |lsb: f64, rssi: &super::figures::Distribution| Stray {
-            lsb: brief(lsb),
-            rssi_db: brief(rssi.mean),
-            rssi_std_db: brief(rssi.sd),
+        let rssi_a = &side.rssi_db[0];
+        let stray = |antenna: usize| {
+            let rssi = &side.rssi_db[antenna];
+            Stray { lsb: brief(side.level[antenna].mean), rssi_db: brief(rssi.mean), rssi_std_db: brief(rssi.sd) }
         };
         Radio {
             phase_noise_rad: brief(adjusted.phase_noise_rad),
             mcs: usual(&other.rates).map_or(0, |rate| (rate & 7) as u8),
             chains: usual(&side.streams).map_or(3, |streams| (streams / 10) as u8),
-            filter_db: side
-                .filter
-                .iter()
-                .all(|gain| *gain > 0.0)
+            filter_db: (side.filter.iter().all(|gain| *gain > 0.0))
                 .then(|| side.filter.map(|gain| brief(20.0 * gain.log10()))),
             noise: if tones > 1e-6 { Noise::SnrDb(brief(-10.0 * tones.log10())) } else { Noise::Off },
             delay_ns: brief(ns(-side.slope_rad.mean) - flight_ns),
@@ -385,8 +371,8 @@ impl Recording<'_> {
                 rssi_db: brief(rssi_a.mean),
                 agc_std_db: brief(rssi_a.sd),
             }),
-            stray_b: stray(level_b.mean, rssi_b),
-            stray_c: stray(level_c.mean, rssi_c),
+            stray_b: stray(1),
+            stray_c: stray(2),
             ..Radio::default()
         }
     }
@@ -437,7 +423,7 @@ fn brief(value: f64) -> f64 {
 
 /// Whether the card reported channels of 40 MHz.
 fn is_wide(side: &SideFigures) -> bool {
-    usual(&side.rates).is_some_and(|rate| rate & RATE_40_MHZ != 0)
+    usual(&side.rates).is_some_and(|rate| rate & i64::from(HT40) != 0)
 }
 
 /// Standard deviation of a host's latency, microseconds: the core, without the responder's early answers.
@@ -489,12 +475,12 @@ pub fn channel_of(scene: &Scene) -> Result<Channel, ChannelError> {
 }
 
 /// Fewer records than this show no pattern.
-const FEWEST: usize = 100;
+const FEWEST: u32 = 100;
 /// Largest length of the mean heading vector: headings must point in all directions.
 const LOPSIDED: f64 = 0.5;
 
 /// The pattern of a robot's antennas, estimated from the power of its records (host time, dB) along its trajectory: the first
-/// two harmonics of the azimuth to `place` in the robot's frame, by least squares. `None` if the robot did not turn round.
+/// two harmonics of the azimuth to `place` in the robot's frame, by least squares. None of them if the robot did not turn round.
 fn pattern(powers: &[(f64, f64)], trajectory: &Trajectory, place: [f64; 3]) -> Pattern {
     let (from_s, to_s) = trajectory.span_s();
     let path = Recorded::from_trajectory(trajectory);
@@ -512,11 +498,9 @@ fn pattern(powers: &[(f64, f64)], trajectory: &Trajectory, place: [f64; 3]) -> P
         mean = [mean[0] + cos, mean[1] + sin];
     }
     let lopsided = mean[0].hypot(mean[1]) > LOPSIDED * f64::from(count);
-    let found = normal.cholesky().map(|normal| normal.solve(&right));
-    match found.filter(|_| count as usize >= FEWEST && !lopsided) {
-        Some(found) => Pattern { cos_db: found[1], sin_db: found[2], cos2_db: found[3], sin2_db: found[4] },
-        None => Pattern::default(),
-    }
+    let found = normal.cholesky().filter(|_| count >= FEWEST && !lopsided);
+    let [_, cos_db, sin_db, cos2_db, sin2_db] = found.map_or([0.0; 5], |normal| normal.solve(&right).map(brief).into());
+    Pattern { cos_db, sin_db, cos2_db, sin2_db }
 }
 
 #[cfg(test)]

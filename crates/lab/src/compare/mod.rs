@@ -8,10 +8,10 @@ pub mod figures;
 pub mod fit;
 
 use csi5300_sim::RoomError;
-use figures::{Distribution, SideFigures};
+use figures::{Distribution, Histogram, SideFigures};
 pub use figures::{Figures, LinkFigures, measure, measure_scene};
 pub use fit::{Fitted, channel_of, fit, scene_channel};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 /// How far a simulated figure may be from the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -110,10 +110,10 @@ impl Table {
     fn side(&mut self, of: &'static str, a: &SideFigures, b: &SideFigures) {
         self.of = of;
         self.add("records", "", a.records as f64, b.records as f64, Allowed::Share(0.02));
-        self.extent(("record length", "bytes"), &a.lengths, &b.lengths, |bytes| bytes as f64);
-        self.extent(("10 n_rx + n_tx", ""), &a.streams, &b.streams, |streams| streams as f64);
+        self.extent("record length", "bytes", &a.lengths, &b.lengths);
+        self.extent("10 n_rx + n_tx", "", &a.streams, &b.streams);
         self.shares("rate_n_flags", &a.rates, &b.rates);
-        self.extent(("noise", "dBm"), &a.noise_dbm, &b.noise_dbm, f64::from);
+        self.extent("noise", "dBm", &a.noise_dbm, &b.noise_dbm);
         self.shares("antenna_sel", &a.antenna_sel, &b.antenna_sel);
         for (antenna, (a, b)) in ["A", "B", "C"].iter().zip(a.rssi_db.iter().zip(&b.rssi_db)) {
             self.field(&format!("RSSI {antenna}"), "dB", a, b);
@@ -135,14 +135,8 @@ impl Table {
     }
 
     /// The range of a field with few values: lowest and highest must be equal.
-    fn extent<K: Copy>(
-        &mut self,
-        (name, unit): (&str, &'static str),
-        a: &Histogram<K>,
-        b: &Histogram<K>,
-        number: fn(K) -> f64,
-    ) {
-        let ends = |map: &Histogram<K>| [map.keys().next(), map.keys().next_back()].map(|key| key.copied().map(number));
+    fn extent(&mut self, name: &str, unit: &'static str, a: &Histogram, b: &Histogram) {
+        let ends = |map: &Histogram| [map.keys().next(), map.keys().next_back()].map(|key| key.map(|key| *key as f64));
         let ([low, high], [other_low, other_high]) = (ends(a), ends(b));
         self.maybe(&format!("{name}, lowest"), unit, [low, other_low], Allowed::Nothing);
         self.maybe(&format!("{name}, highest"), unit, [high, other_high], Allowed::Nothing);
@@ -150,7 +144,7 @@ impl Table {
 
     /// The distribution of the records over a field's values: the total variation distance of the two captures, from 0 (equal)
     /// to 1 (no common value). The recorded capture's distance to itself is 0.
-    fn shares<K: Copy + Ord>(&mut self, name: &str, a: &Histogram<K>, b: &Histogram<K>) {
+    fn shares(&mut self, name: &str, a: &Histogram, b: &Histogram) {
         self.add(&format!("{name}, total variation distance"), "", 0.0, variation(a, b), Allowed::By(0.05));
     }
 
@@ -170,16 +164,14 @@ impl Table {
     }
 }
 
-type Histogram<K> = BTreeMap<K, u64>;
-
 /// Total variation distance: half the sum of the differences of all shares.
-fn variation<K: Copy + Ord>(a: &Histogram<K>, b: &Histogram<K>) -> f64 {
-    let share = |counts: &Histogram<K>, key: K| {
+fn variation(a: &Histogram, b: &Histogram) -> f64 {
+    let share = |counts: &Histogram, value: i64| {
         let all: u64 = counts.values().sum();
-        counts.get(&key).map_or(0.0, |&n| n as f64 / all.max(1) as f64)
+        counts.get(&value).map_or(0.0, |&n| n as f64 / all.max(1) as f64)
     };
-    let keys: BTreeSet<K> = a.keys().chain(b.keys()).copied().collect();
-    0.5 * keys.into_iter().map(|key| (share(a, key) - share(b, key)).abs()).sum::<f64>()
+    let values: BTreeSet<i64> = a.keys().chain(b.keys()).copied().collect();
+    0.5 * values.into_iter().map(|value| (share(a, value) - share(b, value)).abs()).sum::<f64>()
 }
 
 fn verdict(recorded: Option<f64>, simulated: Option<f64>, allowed: Allowed) -> Verdict {
@@ -236,7 +228,7 @@ mod tests {
 
     #[test]
     fn total_variation_counts_every_value() {
-        let counts = |pairs: &[(u8, u64)]| pairs.iter().copied().collect::<Histogram<u8>>();
+        let counts = |pairs: &[(i64, u64)]| pairs.iter().copied().collect::<Histogram>();
         let a = counts(&[(0x24, 60), (0x09, 30), (0x21, 10)]);
         assert_eq!(variation(&a, &counts(&[(0x24, 6), (0x09, 3), (0x21, 1)])), 0.0);
         // The most frequent value has the same share; the others are swapped.

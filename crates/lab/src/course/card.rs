@@ -12,10 +12,8 @@ use std::path::Path;
 pub(super) struct CardLog {
     pub format: Format,
     pub survey: CardSurvey,
-    pub rssi_in_dbm: bool,
+    /// [`LogIndex`] has an index into these of each row.
     layouts: Vec<Layout>,
-    /// Of each row, an index into `layouts`.
-    pub layout_of: Vec<u16>,
     /// The displayed stream: the log's first one.
     stream: usize,
 }
@@ -114,7 +112,7 @@ pub(super) fn open(path: &Path, format: Format, bytes: &[u8]) -> LogIndex {
     LogIndex {
         path: path.into(),
         base,
-        source: Source::Card(Box::new(CardLog { format, survey, rssi_in_dbm, layouts, layout_of, stream })),
+        source: Source::Card(Box::new(CardLog { format, survey, layouts, stream })),
         bytes: bytes.len() as u64,
         span_s: span_s(&times_s).unwrap_or_default(),
         gaps_s: gaps(&times_s),
@@ -122,7 +120,9 @@ pub(super) fn open(path: &Path, format: Format, bytes: &[u8]) -> LogIndex {
         offset,
         ports,
         rssi,
+        rssi_in_dbm,
         agc: Vec::new(),
+        layout_of,
         sent_by,
         senders,
         marks,

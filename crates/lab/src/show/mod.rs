@@ -33,16 +33,6 @@ pub enum Error {
         /// The empty part of the picture.
         what: &'static str,
     },
-    /// Fields that must have the same length do not.
-    #[error("{what}: {got} values where {expect} were expected")]
-    Length {
-        /// The wrong field.
-        what: &'static str,
-        /// The length of the other fields.
-        expect: usize,
-        /// Its length.
-        got: usize,
-    },
     /// The folder or file could not be written.
     #[error("cannot write {}: {source}; check the folder and its rights", path.display())]
     Io {
@@ -88,6 +78,7 @@ pub fn file_safe(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::curves::Curve;
     use crate::temporary::Temporary;
     use std::path::Path;
 
@@ -109,12 +100,11 @@ mod tests {
     #[test]
     fn draws_around_values_that_are_not_finite() {
         let at = &Temporary::path("finite").0;
-        let t_s = vec![0.0, 1.0, f64::NAN, 3.0];
+        let t_s = [0.0, 1.0, f64::NAN, 3.0];
         let capture = PhaseTrack {
             label: "a<b & $c".into(),
-            t_s: t_s.clone(),
-            before_rad: vec![1.0, f64::INFINITY, 2.0, 9.0],
-            after_rad: t_s,
+            before: t_s.into_iter().zip([1.0, f64::INFINITY, 2.0, 9.0]).collect(),
+            after: t_s.into_iter().zip(t_s).collect(),
             left: vec![(0.0, f64::NAN), (1.0, 4.0)],
             ..PhaseTrack::default()
         };
@@ -127,7 +117,7 @@ mod tests {
         let plot = TrajectoryPlot { path_m, azimuth_rad: f64::NAN, sd_rad: Some(0.1), ..Default::default() };
         check(&plot.write(&at.join("path.v1"), &[]).unwrap());
         assert!(at.join("path.v1.png").exists(), "a dot in the stem is kept");
-        let chosen_from = ("s".into(), vec![0.0, 90.0], vec![f64::NAN, 1.0]);
+        let chosen_from = Curve { name: "s".into(), points: vec![(0.0, f64::NAN), (90.0, 1.0)] };
         let (answer_deg, answer_sd_deg, truth_deg) = (Some(90.0), Some(f64::INFINITY), Some(f64::NAN));
         check(
             &ProfilePlot { chosen_from, answer_deg, answer_sd_deg, truth_deg, ..Default::default() }
@@ -178,8 +168,6 @@ mod tests {
         empty(ProfilePlot::default().write(&stem, &[]));
         empty(CdfPlot::default().write(&stem, &[]));
         empty(ScatterLines::default().write(&stem, &[]));
-        let short = PhasePlot { capture: PhaseTrack { t_s: vec![1.0; 4], ..Default::default() }, ..Default::default() };
-        assert!(matches!(short.write(&stem, &[]), Err(Error::Length { expect: 4, got: 0, .. })));
         assert!(!stem.parent().is_some_and(Path::exists), "nothing was written");
     }
 
@@ -201,8 +189,8 @@ mod tests {
     /// A picture of every kind, from finite values.
     fn pictures(at: &Path) -> Vec<PathBuf> {
         let ramp = |from: f64| (0..40).map(|k| from + f64::from(k) * 0.1).collect::<Vec<f64>>();
-        let capture =
-            PhaseTrack { t_s: ramp(0.0), before_rad: ramp(1.0), after_rad: ramp(2.0), ..PhaseTrack::default() };
+        let over = |from: f64, values: f64| ramp(from).into_iter().zip(ramp(values)).collect::<Vec<_>>();
+        let capture = PhaseTrack { before: over(0.0, 1.0), after: over(0.0, 2.0), ..PhaseTrack::default() };
         let path_m: Vec<[f64; 2]> = ramp(0.0).iter().map(|a| [a.cos(), a.sin()]).collect();
         let ray =
             |class| Ray { origin_m: [0.0; 2], azimuth_rad: 1.0, sd_rad: Some(0.1), label: "tx ± 1°".into(), class };
@@ -217,7 +205,7 @@ mod tests {
             ..Default::default()
         };
         let profile = ProfilePlot {
-            chosen_from: ("evidence".into(), ramp(-180.0), ramp(0.5)),
+            chosen_from: Curve { name: "evidence".into(), points: over(-180.0, 0.5) },
             answer_deg: Some(-179.0),
             answer_sd_deg: Some(1.0),
             truth_deg: Some(-178.0),
@@ -259,9 +247,8 @@ mod tests {
     fn phases_that_are_too_dense_are_binned() {
         let at = &Temporary::path("dense").0;
         let svg = |n: usize| {
-            let t_s: Vec<f64> = (0..n).map(|k| k as f64 * 0.01).collect();
-            let phase: Vec<f64> = (0..n).map(|k| (k as f64 * 0.618).rem_euclid(1.0)).collect();
-            let capture = PhaseTrack { t_s, before_rad: phase.clone(), after_rad: phase, ..PhaseTrack::default() };
+            let phase = (0..n).map(|k| (k as f64 * 0.01, (k as f64 * 0.618).rem_euclid(1.0)));
+            let capture = PhaseTrack { before: phase.clone().collect(), after: phase.collect(), ..Default::default() };
             let plot = PhasePlot { capture, ..PhasePlot::default() };
             let written = plot.write(&at.join(n.to_string()), &[]).unwrap();
             std::fs::read_to_string(&written[1]).unwrap()

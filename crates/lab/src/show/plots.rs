@@ -5,6 +5,7 @@ use super::canvas::{
     Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, ORANGE, PALE, PURPLE, RED, Rgb, SKY, WIDTH, extent, extent_log,
     series_colour,
 };
+use crate::curves::Curve;
 use crate::evaluate::Reliability;
 use csi5300::maths::{percentile, unwrap_rad, wrap_rad};
 use csi5300_say::fixed;
@@ -165,24 +166,24 @@ impl ReliabilityPlot {
     }
 }
 
-/// The phase of one capture; `t_s`, `before_rad` and `after_rad` have the same length.
+/// Times (seconds) and phases (radians, wrapped or not) of one kind.
+type Points = Vec<(f64, f64)>;
+
+/// The phase of one capture.
 #[derive(Debug, Clone, Default)]
 pub struct PhaseTrack {
     /// Name above the column, for example "recorded" or "simulated".
     pub label: String,
-    /// Time in seconds.
-    pub t_s: Vec<f64>,
-    /// Phase before CFO and turn-around removal (forward CSI, or the uncompensated product), radians, wrapped or not.
-    pub before_rad: Vec<f64>,
-    /// Phase of the product of both directions without turn-around removal, radians; empty, or one for each time.
-    pub product_rad: Vec<f64>,
-    /// Phase of the round-trip product after CFO and turn-around removal, radians, wrapped or not.
-    pub after_rad: Vec<f64>,
-    /// Whether each time is one of the bearing's samples; others are drawn pale. Empty if all are alike.
+    /// Phase before CFO and turn-around removal (forward CSI, or the uncompensated product).
+    pub before: Points,
+    /// Phase of the product of both directions without turn-around removal; may be empty.
+    pub product: Points,
+    /// Phase of the round-trip product after CFO and turn-around removal.
+    pub after: Points,
+    /// Whether each point is one of the bearing's samples; others are drawn pale. Empty if all are alike.
     pub is_used: Vec<bool>,
-    /// Residual of `after_rad` without the phase that the motion causes under the answer: time (seconds, as in `t_s`) and phase
-    /// (radians); empty if there is none.
-    pub left: Vec<(f64, f64)>,
+    /// Residual of `after` without the phase that the motion causes under the answer; empty if there is none.
+    pub left: Points,
 }
 
 /// Phase before and after removal of CFO and turn-around: wrapped points at the top, the unwrapped result below, and the
@@ -191,7 +192,7 @@ pub struct PhaseTrack {
 pub struct PhasePlot {
     /// Headline.
     pub title: String,
-    /// The meaning of `before_rad`.
+    /// The meaning of [`PhaseTrack::before`].
     pub before: String,
     /// The capture.
     pub capture: PhaseTrack,
@@ -218,7 +219,7 @@ impl PhasePlot {
         let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &self.title);
         let before = if self.before.is_empty() { "before" } else { &self.before };
         let mut keys = vec![(Key::Dot, ORANGE, before.to_owned())];
-        if tracks.iter().any(|track| !track.product_rad.is_empty()) {
+        if tracks.iter().any(|track| !track.product.is_empty()) {
             keys.push((Key::Dot, PURPLE, "both directions multiplied".into()));
         }
         keys.push((Key::Dot, BLUE, "and the turn-around removed".into()));
@@ -242,44 +243,23 @@ fn pale((r, g, b): Rgb) -> Rgb {
     (mix(r), mix(g), mix(b))
 }
 
-/// Times and phases of one kind.
-type Points = Vec<(f64, f64)>;
-
 impl PhaseTrack {
-    fn check(&self) -> Result<(), Error> {
-        let expect = self.t_s.len();
-        let or_all = |own: usize| if own == 0 { expect } else { own };
-        for (what, got) in [
-            ("before_rad", self.before_rad.len()),
-            ("after_rad", self.after_rad.len()),
-            ("product_rad", or_all(self.product_rad.len())),
-            ("is_used", or_all(self.is_used.len())),
-        ] {
-            if got != expect {
-                return Err(Error::Length { what, expect, got });
-            }
-        }
-        Ok(())
-    }
-
     /// The points of a phase that can be drawn: of used pairs, and of the others.
-    fn points(&self, phase: &[f64]) -> [Points; 2] {
+    fn points(&self, phase: &Points) -> [Points; 2] {
         let used = |k: usize| self.is_used.get(k).copied().unwrap_or(true);
-        let all = self.t_s.iter().copied().zip(phase.iter().copied()).enumerate();
-        let known = all.filter(|(_, p)| p.0.is_finite() && p.1.is_finite());
+        let known = phase.iter().copied().enumerate().filter(|(_, p)| p.0.is_finite() && p.1.is_finite());
         let (used, others): (Vec<_>, Vec<_>) = known.partition(|(k, _)| used(*k));
         [used, others].map(|points| points.into_iter().map(|(_, point)| point).collect())
     }
 }
 
 fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64), over: usize) -> Result<(), Error> {
-    track.check()?;
-    let drawn = |phase: &[f64], colour| {
+    let drawn = |phase: &Points, colour| {
         let [used, others] = track.points(phase);
         [(others, pale(colour)), (used, colour)]
     };
-    let (before, after) = (drawn(&track.before_rad, ORANGE), drawn(&track.after_rad, BLUE));
-    let product = drawn(&track.product_rad, PURPLE);
+    let (before, after) = (drawn(&track.before, ORANGE), drawn(&track.after, BLUE));
+    let product = drawn(&track.product, PURPLE);
     let empty = Error::Empty { what: "phase over time" };
     let times = before.iter().chain(&after).flat_map(|(points, _)| points.iter().map(|p| p.0));
     let times = extent(times, 0.02).ok_or(empty)?;
@@ -289,7 +269,7 @@ fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64)
     wrapped(canvas, frame(1.0), times, &[product, after].concat(), ("", "after: wrapped phase (rad)"));
     let still: Points = track.left.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
     let named = |is_last: bool| if is_last { "time (s)" } else { "" };
-    let line = unwrap(&averaged(&track.points(&track.after_rad).concat(), over));
+    let line = unwrap(&averaged(&track.points(&track.after).concat(), over));
     if let Some(range) = extent(line.iter().map(|p| p.1), 0.06) {
         let below = Axes::new(frame(2.0), times, range);
         below.draw(canvas, named(still.is_empty()), &format!("after, unwrapped: means of {over} pairs (rad)"));
@@ -630,10 +610,10 @@ impl MapPlot {
 pub struct ProfilePlot {
     /// Headline.
     pub title: String,
-    /// Name, azimuths (degrees, rising) and values (linear, not dB) of the curve from which the answer was chosen: drawn thick.
-    pub chosen_from: (String, Vec<f64>, Vec<f64>),
-    /// Other curves, in the same form, drawn thin below it.
-    pub others: Vec<(String, Vec<f64>, Vec<f64>)>,
+    /// The curve from which the answer was chosen: drawn thick.
+    pub chosen_from: Curve,
+    /// Other curves, drawn thin below it.
+    pub others: Vec<Curve>,
     /// Azimuths of the candidates marked on the thick curve, degrees.
     pub candidates_deg: Vec<f64>,
     /// The answer, degrees.
@@ -653,28 +633,20 @@ const ENLARGED: [f64; 4] = [820.0, 210.0, 340.0, 620.0];
 /// Least and largest half width of the enlarged view, degrees.
 const HALF_WIDTH_DEG: (f64, f64) = (6.0, 60.0);
 
-/// Points of one series, largest value 1.
-type Curve = Vec<(f64, f64)>;
-
 fn polar(azimuth_deg: f64, radius: f64) -> (f64, f64) {
     let (sin, cos) = azimuth_deg.to_radians().sin_cos();
     (CENTRE.0 + RADIUS * radius * cos, CENTRE.1 - RADIUS * radius * sin)
 }
 
-/// The finite points of a series relative to its maximum; `None` if no value is above 0.
-fn relative(series: &(String, Vec<f64>, Vec<f64>)) -> Result<Option<Curve>, Error> {
-    let (_, azimuths, values) = series;
-    if azimuths.len() != values.len() {
-        return Err(Error::Length { what: "profile values", expect: azimuths.len(), got: values.len() });
-    }
-    let points = azimuths.iter().copied().zip(values.iter().copied());
-    let curve: Curve = points.filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
-    let top = curve.iter().map(|p| p.1).fold(0.0, f64::max);
-    Ok((top > 0.0).then(|| curve.iter().map(|p| (p.0, (p.1 / top).max(0.0))).collect()))
+/// The finite points of a curve relative to its maximum; `None` if no value is above 0.
+fn relative(curve: &Curve) -> Option<Points> {
+    let points = curve.points.iter().filter(|p| p.0.is_finite() && p.1.is_finite());
+    let top = points.clone().map(|p| p.1).fold(0.0, f64::max);
+    (top > 0.0).then(|| points.map(|p| (p.0, (p.1 / top).max(0.0))).collect())
 }
 
 /// Height of a curve at an azimuth, interpolated between the nearest points.
-fn height(curve: &Curve, azimuth_deg: f64) -> f64 {
+fn height(curve: &Points, azimuth_deg: f64) -> f64 {
     let offset = |p: &(f64, f64)| wrap_deg(p.0 - azimuth_deg);
     let below = curve.iter().filter(|p| offset(p) <= 0.0).max_by(|a, b| offset(a).total_cmp(&offset(b)));
     let above = curve.iter().filter(|p| offset(p) >= 0.0).min_by(|a, b| offset(a).total_cmp(&offset(b)));
@@ -692,11 +664,10 @@ fn wrap_deg(degrees: f64) -> f64 {
 impl ProfilePlot {
     /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
     pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
-        let chosen = relative(&self.chosen_from)?.ok_or(Error::Empty { what: "profile" })?;
-        let mut others = Vec::new();
-        for (i, series) in self.others.iter().enumerate() {
-            others.extend(relative(series)?.map(|curve| (self.colour_of_other(i), curve)));
-        }
+        let chosen = relative(&self.chosen_from).ok_or(Error::Empty { what: "profile" })?;
+        let others = self.others.iter().enumerate();
+        let others: Vec<_> =
+            others.filter_map(|(i, other)| Some((self.colour_of_other(i), relative(other)?))).collect();
         let mut canvas = Canvas::new(950.0, &self.title);
         canvas.legend(58.0, &self.keys());
         draw_grid(&mut canvas);
@@ -727,14 +698,14 @@ impl ProfilePlot {
 
     /// An unnamed curve belongs to the one before and has its colour.
     fn colour_of_other(&self, i: usize) -> Rgb {
-        let is_named = |k: &usize| self.others.get(*k).is_some_and(|other| !other.0.is_empty());
+        let is_named = |k: &usize| self.others.get(*k).is_some_and(|other| !other.name.is_empty());
         series_colour((0..=i).rev().find(is_named).unwrap_or(i) + 3)
     }
 
     fn keys(&self) -> Vec<(Key, Rgb, String)> {
-        let mut keys = vec![(Key::Line, BLUE, self.chosen_from.0.clone())];
-        let others = self.others.iter().enumerate().filter(|(_, other)| !other.0.is_empty());
-        keys.extend(others.map(|(i, other)| (Key::Line, self.colour_of_other(i), other.0.clone())));
+        let mut keys = vec![(Key::Line, BLUE, self.chosen_from.name.clone())];
+        let others = self.others.iter().enumerate().filter(|(_, other)| !other.name.is_empty());
+        keys.extend(others.map(|(i, other)| (Key::Line, self.colour_of_other(i), other.name.clone())));
         if let Some(answer) = self.answer() {
             let sd = self.answer_sd_deg.filter(|sd| sd.is_finite()).map_or(String::new(), |sd| format!(" ± {sd:.2}°"));
             keys.push((Key::Dot, RED, format!("answer {}°{sd}", fixed(answer, 2))));
@@ -751,7 +722,7 @@ impl ProfilePlot {
     }
 
     /// The enlarged view around the answer: azimuth to the right, height upwards.
-    fn enlarged(&self, canvas: &mut Canvas, chosen: &Curve, others: &[(Rgb, Curve)], candidates: &[f64]) {
+    fn enlarged(&self, canvas: &mut Canvas, chosen: &Points, others: &[(Rgb, Points)], candidates: &[f64]) {
         let highest = chosen.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map(|p| p.0);
         let Some(middle) = self.answer().or(self.truth_deg.filter(|truth| truth.is_finite())).or(highest) else {
             return;
@@ -767,7 +738,7 @@ impl ProfilePlot {
             if let Some(truth) = self.truth_deg.filter(|truth| truth.is_finite()) {
                 canvas.line(at(truth, 0.0), at(truth, 1.05), GREEN, 7.0, false);
             }
-            let line = |curve: &Curve| {
+            let line = |curve: &Points| {
                 let mut points: Vec<(f64, f64)> = curve.iter().map(|p| at(p.0, p.1)).collect();
                 points.sort_by(|a, b| a.0.total_cmp(&b.0));
                 points
@@ -794,7 +765,7 @@ impl ProfilePlot {
 }
 
 /// A curve in pixels, closed if it covers the full circle.
-fn around(curve: &Curve) -> Vec<(f64, f64)> {
+fn around(curve: &Points) -> Vec<(f64, f64)> {
     let mut px: Vec<_> = curve.iter().map(|p| polar(p.0, p.1)).collect();
     if let (Some(a), Some(b), Some(first)) = (curve.first(), curve.last(), px.first().copied())
         && (b.0 - a.0).abs() > 350.0

@@ -6,7 +6,7 @@ use super::{
     TrajectoryPlot, file_safe,
 };
 use crate::compare::Figures;
-use crate::curves::{Curve, evidence, plane_wave, without_motion};
+use crate::curves::{evidence, plane_wave, without_motion};
 use crate::evaluate::quality::{Table, refusals, sure};
 use crate::evaluate::receivers::{Located, Receiver, receivers_with};
 use crate::evaluate::{Judged, Kept, TrajectorySource, reliability};
@@ -85,11 +85,9 @@ impl<'a> LinkPictures<'a> {
     fn profile(&self, name: &str) -> Result<ProfilePlot, bartlett::Error> {
         let answer = &self.bearing.answer;
         let plane_wave = plane_wave(self.bearing)?;
-        let evidence = evidence(self.bearing);
-        let drawn = |curve: Curve| (curve.name, curve.azimuths_deg, curve.values);
-        let (chosen_from, others) = match evidence {
-            Some(evidence) => (drawn(evidence), vec![drawn(plane_wave)]),
-            None => (drawn(plane_wave), Vec::new()),
+        let (chosen_from, others) = match evidence(self.bearing) {
+            Some(evidence) => (evidence, vec![plane_wave]),
+            None => (plane_wave, Vec::new()),
         };
         let degrees = answer.azimuth_rad.to_degrees();
         Ok(ProfilePlot {
@@ -110,12 +108,16 @@ fn stem(folder: &Path, name: &str, what: &str) -> PathBuf {
     folder.join(format!("{}-{what}", file_safe(name)))
 }
 
-pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
+/// One kind of phase of pairs, over time.
+fn over_time(course: &[Phase], kind: fn(&Phase) -> f64) -> Vec<(f64, f64)> {
+    course.iter().map(|phase| (phase.t_s, kind(phase))).collect()
+}
+
+fn track(label: &str, course: &[Phase]) -> PhaseTrack {
     PhaseTrack {
         label: label.into(),
-        t_s: course.iter().map(|phase| phase.t_s).collect(),
-        before_rad: course.iter().map(|phase| phase.one_way_rad).collect(),
-        after_rad: course.iter().map(|phase| phase.compensated_rad).collect(),
+        before: over_time(course, |phase| phase.one_way_rad),
+        after: over_time(course, |phase| phase.compensated_rad),
         ..PhaseTrack::default()
     }
 }
@@ -123,7 +125,7 @@ pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
 /// The phases of a link: the product of both directions, and the residual without the motion's phase.
 fn whole_track(bearing: &Bearing) -> PhaseTrack {
     PhaseTrack {
-        product_rad: bearing.course.iter().map(|phase| phase.round_trip_rad).collect(),
+        product: over_time(&bearing.course, |phase| phase.round_trip_rad),
         is_used: bearing.course.iter().map(|phase| phase.is_used).collect(),
         left: without_motion(bearing),
         ..track("", &bearing.course)
@@ -337,7 +339,7 @@ pub fn write_compared(
     kept: &[PathBuf],
 ) -> Result<Vec<PathBuf>, Error> {
     let round_trip = |label: &str, figures: &Figures| PhaseTrack {
-        before_rad: figures.link.course.iter().map(|phase| phase.round_trip_rad).collect(),
+        before: over_time(&figures.link.course, |phase| phase.round_trip_rad),
         ..track(label, &figures.link.course)
     };
     let phase = PhasePlot {
@@ -365,7 +367,7 @@ const STANDING: usize = 25;
 /// The phase of two stationary robots.
 #[must_use]
 pub fn standing(standing: &Standing) -> PhasePlot {
-    let product_rad = standing.course.iter().map(|phase| phase.round_trip_rad).collect();
+    let product = over_time(&standing.course, |phase| phase.round_trip_rad);
     let spread = format!(
         "from packet to packet: {:.2} rad, {:.2} rad, {:.2} rad",
         standing.spread_one_way_rad, standing.spread_rad, standing.spread_compensated_rad
@@ -373,7 +375,7 @@ pub fn standing(standing: &Standing) -> PhasePlot {
     PhasePlot {
         title: "Two robots that stand: phase at the channel centre".into(),
         before: "one direction".into(),
-        capture: PhaseTrack { product_rad, ..track(&spread, &standing.course) },
+        capture: PhaseTrack { product, ..track(&spread, &standing.course) },
         averaged: STANDING,
         ..PhasePlot::default()
     }

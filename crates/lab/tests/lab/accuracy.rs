@@ -86,12 +86,12 @@ fn the_drawn_curve_peaks_at_the_answer() {
         let report = bearings(&mut rx, transmitters, &path, &options(true).with_keep_course(true)).unwrap();
         let bearing = report.links[0].bearing.as_ref().unwrap();
         let curve = curves::evidence(bearing).unwrap();
-        let highest = curve.values.iter().zip(&curve.azimuths_deg).max_by(|a, b| a.0.total_cmp(b.0)).unwrap();
-        let off = |azimuth_rad: f64| wrap_rad(highest.1.to_radians() - azimuth_rad).to_degrees().abs();
+        let highest = curve.points.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+        let off = |azimuth_rad: f64| wrap_rad(highest.0.to_radians() - azimuth_rad).to_degrees().abs();
         let answer = &bearing.answer;
         let nearer = off(answer.azimuth_rad).min(answer.mirror_rad.map_or(f64::MAX, off));
-        assert!(nearer < 1.0, "{name}: highest at {}, answer {}", highest.1, answer.azimuth_rad.to_degrees());
-        assert!(curve.values.iter().all(|value| (0.0..=1.0).contains(value)));
+        assert!(nearer < 1.0, "{name}: highest at {}, answer {}", highest.0, answer.azimuth_rad.to_degrees());
+        assert!(curve.points.iter().all(|point| (0.0..=1.0).contains(&point.1)));
         let error_deg = errors(&runs(Scene::built_in(name).unwrap(), 1, &options(true)))[0];
         assert!(error_deg.abs() < 0.5, "{name}: {error_deg}");
     }

@@ -7,7 +7,7 @@ use crate::commands::{
     InWords, Outcome, Result, Words, draft, fixed, is_same_file, print, print_json, progress, read_trajectory,
     simulate, some, usage,
 };
-use csi5300::motion::odometry;
+use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
@@ -217,8 +217,7 @@ fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> 
 /// Fits a scene to the recorded capture and keeps it, with the trajectory that it names.
 fn fitted(out: &Path, recorded: &Figures, trajectory: &Trajectory, options: &Options) -> Words<Scene> {
     std::fs::create_dir_all(out).map_err(|error| format!("cannot make {}: {error}", out.display()))?;
-    let mut poses = String::new();
-    trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
+    let poses: String = trajectory.poses().iter().map(csv::line).collect();
     draft::write(&out.join(TRAJECTORY), &poses)?;
     let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: out, transmitter_m: None };
     progress("fitting a scene to the recording");
