@@ -234,9 +234,10 @@ impl Scene {
     }
 
     fn check_all(&self) -> Checked {
-        // Without what may have no text in TOML: large seeds, and paths that are no UTF-8.
+        // Without what may have no text in TOML: large counts, as of a served room's queue, and paths that are no UTF-8.
         let mut scene = Self { seed: 0, ..self.clone() };
         for robot in &mut scene.robot {
+            (robot.faults.queue_records, robot.ack_len) = (0, None);
             if let RobotMotion::Recorded(motion) = &mut robot.motion {
                 motion.file = PathBuf::new();
             }
@@ -547,6 +548,9 @@ to_m = [5.0, 3.0]
         assert_eq!(scene.robot.len(), 2);
         assert_eq!(scene.robot[1].mac_address(1).unwrap().0, [2, 0x53, 0, 0, 0, 1]);
         assert!(matches!(scene.cfo, Cfo::Paper(c) if c.c1 == 10_000.0 && c.df_hz == 10.0));
+        let mut served = scene;
+        (served.seed, served.robot[0].faults.queue_records) = (u64::MAX, usize::MAX);
+        assert!(served.check_values().is_ok());
     }
 
     /// Bad scenes, one a line: the line that is refused, a word of the reason, and what of the good scene is replaced by what.

@@ -377,7 +377,7 @@ fn usage_and_plans_are_refused_with_what_would_do() {
     let peers: Vec<String> = (0..32).map(|k| format!("02:00:00:00:01:{k:02x}")).collect();
     let peers = peers.join(",");
     let args = ["sound", "--interface", "mon0", "--peers", &peers, "--rate", "100"];
-    folder.says(&args, 1, &["do not fit", "try --rate 4"]);
+    folder.says(&args, 2, &["do not fit", "try --rate 4"]);
     let one = "02:00:00:00:01:00";
     for (args, words) in [
         (&["sound", "--answer", "--interface", "mon0", "--peers", one, "--dialect", "wsr"][..], "--ack-len"),
