@@ -3,7 +3,9 @@
 //! One function for each group of rules. A refusal names the place of the wrong key, or of the table that lacks one;
 //! the spans of the TOML reader give its line.
 
-use super::{CameraMount, Capture, Config, Estimation, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros};
+use super::{
+    CameraMount, Capture, Config, Estimation, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros, name_part,
+};
 use crate::adapters;
 use csi5300::exchange::tdma::{Plan, PlanError, Request};
 use csi5300::motion::odometry::ros::Stamp;
@@ -157,6 +159,20 @@ fn too_far(place_m: &[f64]) -> Option<(usize, String)> {
         true => (m.abs() > ON_ROBOT_M).then(|| format!("{m:e} m is not on a robot: {ON_ROBOT_M} m at most")),
     };
     place_m.iter().enumerate().find_map(|(number, m)| Some((number, reason(*m)?)))
+}
+
+/// Why poses leave no place for `antenna_offset_m`: they are of the antenna already.
+fn twice(poses: &Odometry, offset_m: [f64; 3]) -> Option<&'static str> {
+    match poses {
+        _ if offset_m == [0.0; 3] => None,
+        Odometry::Ros2(topic) if topic.antenna_frame.is_some() => {
+            Some("`antenna_frame` gives the antenna's place: leave `antenna_offset_m` out")
+        }
+        Odometry::Network(_) => {
+            Some("`network` poses are of the peer's antenna: set `antenna_offset_m` in its own configuration, not here")
+        }
+        _ => None,
+    }
 }
 
 /// Where below its `static` a place has a number that is none.
@@ -367,6 +383,9 @@ impl Check<'_> {
     /// Places and angles of this robot and its peers.
     fn finite(&mut self) {
         let config = self.config;
+        if let Some(why) = twice(&config.odometry, config.antenna_offset_m) {
+            self.refuse(&[Key("antenna_offset_m")], why);
+        }
         if let Some((number, why)) = too_far(&config.antenna_offset_m) {
             self.refuse(&[Key("antenna_offset_m"), Index(number)], format!("antenna_offset_m: {why}"));
         } else if let Some(place) = wrong_place(&config.odometry) {
@@ -374,6 +393,10 @@ impl Check<'_> {
             self.refuse(&place, "odometry: every number must be finite");
         }
         for (k, peer) in config.peer.iter().map(|peer| peer.get_ref()).enumerate() {
+            if let Some(why) = twice(&peer.poses, peer.antenna_offset_m) {
+                let why = format!("peer `{}`: {why}", peer.name);
+                self.refuse(&[Key("peer"), Index(k), Key("antenna_offset_m")], why);
+            }
             if let Some((number, why)) = too_far(&peer.antenna_offset_m) {
                 let why = format!("peer `{}`: antenna_offset_m: {why}", peer.name);
                 self.refuse(&[Key("peer"), Index(k), Key("antenna_offset_m"), Index(number)], why);
@@ -444,6 +467,14 @@ impl Check<'_> {
         let in_room = || matches!(self.capture(), Capture::Room(_)) && matches!(peer.records, Records::Heard(_));
         if peer.mac.is_none() && !matches!(peer.records, Records::Room(_)) && !in_room() {
             wrong.push((Vec::new(), format!("peer `{name}`: `mac` is missing")));
+        }
+        let part = name_part(name);
+        let in_ros = self.config.ros.is_some() || self.config.ros2.is_some();
+        if part.is_empty() {
+            wrong.push((vec![Key("name")], "a peer needs a name".into()));
+        } else if let Some(other) = others().find(|other| in_ros && !same_name && name_part(&other.name) == part) {
+            let why = format!("peer `{name}`: in ROS its topics have the names of those of `{}`", other.name);
+            wrong.push((vec![Key("name")], why));
         }
         if peer.mac.is_some() && peer.mac == self.config.mac {
             wrong.push((vec![Key("mac")], format!("peer `{name}` has this robot's own MAC")));
@@ -560,6 +591,13 @@ impl Check<'_> {
     fn output(&mut self) {
         if let Some(why) = self.config.output.foxglove.and_then(|_| adapters::missing("foxglove")) {
             self.refuse_in("output", Some("foxglove"), format!("foxglove in [output] {why}"));
+        }
+        if self.config.output.foxglove.is_none() && !self.config.output.foxglove_origins.is_empty() {
+            self.refuse_in(
+                "output",
+                Some("foxglove_origins"),
+                "foxglove_origins needs `foxglove`, the address to serve",
+            );
         }
     }
 
@@ -896,6 +934,10 @@ inf | peer | room | + [peer.poses.static]\nheading_deg = 1.0\nposition_m = [0, 0
 1e300 | not on a robot | room | odometry.room => antenna_offset_m = [1e300, 0.0, 0.0]\nodometry.room
 -10.5 | peer `tx`: antenna_offset_m: -1.05e1 m | room | + antenna_offset_m = [0, 0,\n-10.5]
 - | - | room | + antenna_offset_m = [0, 0, -10]
+- | - | card | WHEELS => odometry.ros2.antenna_frame = "wifi"
+antenna_offset_m | leave `antenna_offset_m` out | card | WHEELS => antenna_offset_m = [0, 0, 0.2]\nodometry.ros2.antenna_frame = "wifi"
+antenna_offset_m | peer `b`: `antenna_frame` | linked | + antenna_offset_m = [0, 0, 0.2]\nposes.ros2.antenna_frame = "wifi"
+antenna_offset_m | in its own configuration | linked | + antenna_offset_m = [0, 0, 0.2]\nposes.network = {}
 -- A camera's mount needs poses of a camera.
 - | - | card | WHEELS => MOUNT\nodometry.ros2 = { topic = "/odom" }
 camera_mount | `antenna_frame` moves poses | card | WHEELS => MOUNT\nodometry.ros2 = { topic = "/odom", antenna_frame = "wifi" }
@@ -922,6 +964,7 @@ odometry.ros |  | card | WHEELS => odometry.ros = { topic = "/odom", stamp = "no
 -- Peers.
 # again | has its name | linked | + [[peer]]\nmac = "02:00:00:00:00:03"\nrecords.network = {}\nname = "b" # again
 # again | another peer has its name or MAC | linked | + [[peer]]\nname = "c"\nrecords.network = {}\nmac = "02:00:00:00:00:02" # again
+# none | needs a name | linked | "b" => "" # none
 # c | peer `c`: `mac` is missing | linked | + [[peer]] # c\nname = "c"\nrecords.network = {}
 # own | this robot's own MAC | linked | + [[peer]]\nname = "c"\nrecords.network = {}\nmac = "02:00:00:00:00:01" # own
 no.dat | there is no log | linked | + SECOND\nrecords.replay.file = "no.dat"
@@ -953,6 +996,7 @@ udp | address | card | capture.card = {} => capture.feitcsi.udp = "8008"
 pipe | no named pipe | card | capture.card = {} => capture.feitcsi.pipe = "lib.rs"
 -- A node of ROS 1, and the sounding exchange.
 master | one looks like | card | + [ros]\nframe = "odom"\nmaster = "10.0.0.1:11311/"
+foxglove_origins | needs `foxglove` | card | + [output]\nbearings = "-"\nfoxglove_origins = ["https://lab"]
 node | not a valid ROS name | card | + [ros]\nframe = "odom"\nnode = "a b"
 - | - | linked | ANSWERS | + MONITOR
 [sounding] | a monitor interface, is missing | linked | + [sounding]\nfifo = false
@@ -966,6 +1010,7 @@ rate_hz = | rounds | linked | + MONITOR | + rate_hz = 1e5
 mcs = | 23 | linked | + MONITOR | + mcs = 24
 links = | links | linked | + MONITOR | + links = 0
 -- A node of ROS 2.
+b-1 | the names of those of `b_1` | linked | + SECOND\nrecords.network = {} | "b" => "b_1" | "c" => "b-1" | + ROS2
 - | - | card | + ROS2\ninterface = "127.0.0.2"\nnamespace = "/lab"\nnode = "n"
 - | - | card | + ROS2\ninterface = "192.168.1.5"\ninsecure = true\npeers = ["10.0.0.1"]
 interface | `insecure = true` | card | + ROS2\ninterface = "192.168.1.5"
@@ -1003,7 +1048,7 @@ no.json5 | no such file | card | + [network]\ngroup = "g"\nzenoh = "no.json5"
         let linked = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
         let bases = [("alone", [ROOM, ""]), ("room", [ROOM, PEER]), ("card", [CARD, ""]), ("linked", [CARD, linked])];
         let cases = CASES.lines().filter(|case| !case.is_empty() && !case.starts_with("--"));
-        assert_eq!(cases.clone().count(), 118);
+        assert_eq!(cases.clone().count(), 125);
         for case in cases {
             let columns: Vec<&str> = case.split(" | ").collect();
             let [key, why, base, changes @ ..] = &columns[..] else { panic!("{case}") };
