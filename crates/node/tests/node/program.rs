@@ -152,6 +152,20 @@ fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
 }
 
 #[test]
+fn a_full_disk_leaves_whole_lines_of_bearings() {
+    let folder = folder("node-full");
+    std::fs::write(folder.join("robot.toml"), format!("{ROOM}[output]\nbearings = \"bearings.jsonl\"\n")).unwrap();
+    let mut command = Command::new("sh");
+    let limited = "ulimit -f 8; exec \"$0\" node --config robot.toml";
+    command.args(["-c", limited, env!("CARGO_BIN_EXE_csi5300-node")]).current_dir(&folder);
+    let (status, _, err) = said(command.output().unwrap());
+    assert!(status == 3 && err.contains("bearings are not written (File too large"), "{status} {err}");
+    let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
+    assert!(lines.ends_with("}\n") && lines.lines().count() > 1, "{lines}");
+    lines.lines().for_each(|line| drop(serde_json::from_str::<serde_json::Value>(line).unwrap()));
+}
+
+#[test]
 fn a_node_of_ros_2_prints_its_discovery_range_at_the_start() {
     let folder = folder("node-reach");
     std::fs::write(folder.join("robot.toml"), format!("{ROOM}[ros2]\ndomain = 141\n[output]\nbearings = \"\"\n"))
