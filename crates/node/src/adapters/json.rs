@@ -41,7 +41,7 @@ struct Bearings {
 }
 
 impl Adapter for Bearings {
-    /// Not before: a robot that cannot start leaves no file.
+    /// Not before: a robot whose sources cannot be opened leaves no file.
     fn meet(&mut self, _: &Robot) -> Result<(), Error> {
         self.lines = Lines::open(&self.output)?;
         Ok(())

@@ -183,7 +183,7 @@ fn what_a_replay_lacks_is_in_its_words_and_its_status() {
         said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap())
     };
     let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
-    // A robot that does not start leaves no file.
+    // A robot whose sources cannot be opened leaves no file.
     write("table.dat", "1,2,3\n4,5,6\n");
     let (status, _, err) = run("rx.dat", "table.dat");
     assert!(status == 1 && err.contains("table.dat: no record of a csitool log in it"), "{status} {err}");
