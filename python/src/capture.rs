@@ -254,6 +254,10 @@ pub fn one_log(
         let report = estimate_one_log(&mut log, &own, &array, &options);
         report.map(|report| (report, options)).map_err(|error| Failure::new(Kind::Capture, error))
     })?;
+    if report.links.is_empty() {
+        let why = format!("{name}: no record has the CSI of all named antennas ({letters})");
+        return Err(Failure::new(Kind::Capture, why).into());
+    }
     let several = report.links.len() > 1;
     let answer = |link: LinkReport| {
         let sender = link.mac.map_or_else(|| "unknown".to_owned(), |mac| mac.to_string());

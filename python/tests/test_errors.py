@@ -178,6 +178,8 @@ def test_scenes_are_refused() -> None:
     for scene in ("no-such-scene", {"duration_s": "long"}, {"nonsense": 1}, {"duration_s": -1.0, "robot": []}, {"robot": {1, 2}}):
         with pytest.raises(csi5300.SceneError):
             csi5300.simulate(scene)
+    with pytest.raises(csi5300.SceneError, match="Out of range float"):
+        csi5300.simulate({"duration_s": float("nan")})
 
 
 LONG = """

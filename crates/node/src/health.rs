@@ -250,6 +250,7 @@ impl Health {
             (disk, "records missing in the log".to_owned()),
             (unsent, "messages not sent".to_owned()),
             (self.load.lines_lost, "lines not written".to_owned()),
+            (self.poses.incomplete, "trajectories with skipped rows".to_owned()),
         ];
         counts.extend(self.peers.iter().map(|peer| (peer.counts.losses, format!("losses of {}'s records", peer.name))));
         counts.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect()

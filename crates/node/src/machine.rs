@@ -126,6 +126,8 @@ pub struct PoseCounts {
     pub new_frames: u64,
     /// Times that the host's wall clock was set; measurements restart then.
     pub clock_set: u64,
+    /// Trajectory files, also those of peers, of which rows were skipped.
+    pub incomplete: u64,
 }
 
 /// A running robot.
@@ -177,8 +179,8 @@ impl Machine {
             peers,
             estimator,
             taps: Vec::new(),
-            pose_counts: PoseCounts::default(),
-            trouble: Vec::new(),
+            pose_counts: PoseCounts { incomplete: sources.trajectories.incomplete, ..PoseCounts::default() },
+            trouble: sources.trajectories.notes,
             heard_at: now,
             own_heard_at: now,
         })
@@ -255,7 +257,7 @@ impl Machine {
                 *new_frames += u64::from(pose.is_none());
                 estimator.handle_peer_pose(peer, pose);
             });
-            self.trouble.extend(failed.map(|error| format!("poses of peer {peer}: {error}")));
+            self.trouble.extend(failed.map(|error| format!("poses of {}: {error}", name_of(estimator, peer))));
         }
         let Some(records) = running.records.as_mut().filter(|records| !records.ended) else { return false };
         for _ in 0..BURST {
@@ -271,7 +273,7 @@ impl Machine {
                 }
                 Err(error) => {
                     records.ended = true;
-                    self.trouble.push(format!("records of peer {peer}: {error}"));
+                    self.trouble.push(format!("records of {}: {error}", name_of(&self.estimator, peer)));
                 }
             }
             if records.ended {
@@ -371,6 +373,11 @@ impl Machine {
         reports.iter_mut().zip(pairs).for_each(|(report, pairs)| say_silence(report, pairs));
         Ok((reports, totals?))
     }
+}
+
+/// The name of a peer.
+fn name_of(estimator: &LiveEstimator, peer: usize) -> String {
+    estimator.peers().nth(peer).map(|(peer, _)| peer.name.clone()).unwrap_or_default()
 }
 
 /// For a peer whose pairs were all unusable, reports as `csi5300 bearing` does that the antenna heard nothing. Every

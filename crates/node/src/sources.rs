@@ -5,8 +5,9 @@ use crate::config::{self, CameraMount, Capture, Config, Feitcsi, Odometry, Peer 
 use crate::refused;
 use crate::threads::{CardThread, PoseThread};
 use csi5300::internal::Roller;
+use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::motion::odometry::ros::Stamp;
-use csi5300::motion::odometry::{Mounted, NextPose, OdometryError, OdometrySource, Replayed, SourceCounts, csv};
+use csi5300::motion::odometry::{Mounted, NextPose, OdometryError, OdometrySource, Replayed, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Array;
 use csi5300::pipeline::live::{LivePeer, Track};
@@ -67,8 +68,33 @@ pub struct Sources {
     pub peers: Vec<PeerSources>,
     /// The antennas for bearings of what is heard alone.
     pub array: Option<Array>,
+    /// How the trajectory files were read.
+    pub trajectories: Trajectories,
     /// Times real time.
     pub speed: f64,
+}
+
+/// How trajectory files were read.
+#[derive(Default)]
+pub struct Trajectories {
+    /// What was skipped, sorted or spread, in words.
+    pub notes: Vec<String>,
+    /// Files of which rows were skipped.
+    pub incomplete: u64,
+}
+
+impl Trajectories {
+    /// A trajectory at its own pace from `origin_s` on, or from its first pose.
+    fn open(&mut self, file: &config::Csv, origin_s: Option<f64>, start: Instant) -> Result<Poses, Error> {
+        let name = file.file.display();
+        let (trajectory, counts) = csv::read(&file.file).map_err(|error| match error {
+            CsvError::Io { .. } => Error::Backend(Box::new(error)),
+            error => refused(format!("{name}: {error}")),
+        })?;
+        self.notes.extend(counts.notes(&trajectory).into_iter().map(|words| format!("{name}: {words}")));
+        self.incomplete += u64::from(counts.lost_something(&trajectory));
+        Ok(Box::new(Replayed::new(&trajectory, origin_s.unwrap_or(trajectory.span_s().0), start, 1.0)))
+    }
 }
 
 /// This robot's records, opened.
@@ -100,6 +126,7 @@ struct Shared<'a> {
     served: Option<&'a Path>,
     /// This robot's replayed log.
     replayed: Option<ReplayedLog<'a>>,
+    trajectories: Trajectories,
 }
 
 impl Sources {
@@ -113,7 +140,8 @@ impl Sources {
         wall_us: fn() -> Option<i64>,
         adapters: &mut [Box<dyn Adapter>],
     ) -> Result<Self, Error> {
-        let mut shared = Shared { start, wall_us, adapters, room: None, served: None, replayed: None };
+        let trajectories = Trajectories::default();
+        let mut shared = Shared { start, wall_us, adapters, room: None, served: None, replayed: None, trajectories };
         let capture = config.capture.get_ref();
         let Opened { card, wake, mac, speed } = shared.capture(capture, config)?;
         let own = config.mac.or(mac);
@@ -123,7 +151,8 @@ impl Sources {
         let own = own.ok_or_else(|| refused("this robot's MAC is not known"))?;
         let array = config.array.as_ref().map(|array| array.array()).transpose();
         let array = array.map_err(|error| Error::Backend(Box::new(error)))?;
-        Ok(Self { own, capture: card, wake, poses, track, peers, array, speed })
+        let trajectories = shared.trajectories;
+        Ok(Self { own, capture: card, wake, poses, track, peers, array, trajectories, speed })
     }
 }
 
@@ -158,7 +187,7 @@ impl<'a> Shared<'a> {
                 let mut room = Room::new(&asked.load_scene()?)?;
                 for (robot, odometry) in &asked.follow {
                     let source = match odometry {
-                        Odometry::Csv(file) => trajectory(file, None, self.start)?,
+                        Odometry::Csv(file) => self.trajectories.open(file, None, self.start)?,
                         // The room's time is that of this host.
                         topic => adapted(self.adapters, topic, Stamp::Receipt)?,
                     };
@@ -187,7 +216,7 @@ impl<'a> Shared<'a> {
             Odometry::Network(_) => return Ok((None, Track::default())),
             Odometry::Csv(file) => {
                 let origin_s = self.replayed.as_ref().map_or(0.0, |replayed| replayed.origin_s);
-                trajectory(file, Some(origin_s), self.start)?
+                self.trajectories.open(file, Some(origin_s), self.start)?
             }
             Odometry::Ros(_) | Odometry::Ros2(_) => adapted(self.adapters, odometry, Stamp::Header)?,
             Odometry::Room(_) => match (self.served, &self.room) {
@@ -335,6 +364,7 @@ fn peer_log(log: &Path, peer: Option<Mac>, own: Option<&ReplayedLog<'_>>, start:
 fn first_host_s(log: &Path) -> Result<f64, Error> {
     let mut source = Replay::open(log)?;
     let mut survey = Survey::default();
+    let name = log.display();
     for _ in 0..LOOKED_AT {
         let next = source.receive(Instant::ZERO)?;
         let ended = matches!(next, Next::End(_));
@@ -345,9 +375,11 @@ fn first_host_s(log: &Path) -> Result<f64, Error> {
             break;
         }
     }
-    let log = log.display();
+    if survey.records == 0 {
+        return Err(refused(format!("{name}: no record of a csitool log in it: is it another kind of file?")));
+    }
     Err(refused(format!(
-        "{log}: no record has a host time (WSR layout, or a .datstp file beside the log), so poses cannot be joined with it"
+        "{name}: no record has a host time (WSR layout, or a .datstp file beside the log), so poses cannot be joined with it"
     )))
 }
 
@@ -430,12 +462,6 @@ fn first_common(
         }
     }
     Ok(None)
-}
-
-/// A trajectory at its own pace from `origin_s` on, or from its first pose.
-fn trajectory(file: &config::Csv, origin_s: Option<f64>, start: Instant) -> Result<Poses, Error> {
-    let (trajectory, _) = csv::read(&file.file).map_err(|error| Error::Backend(Box::new(error)))?;
-    Ok(Box::new(Replayed::new(&trajectory, origin_s.unwrap_or(trajectory.span_s().0), start, 1.0)))
 }
 
 /// The place of the antenna of a robot that stands.

@@ -94,6 +94,13 @@ def path(name: str, value: Any) -> str:
     return os.fsdecode(value)
 
 
+def fitted(name: str, value: Any) -> str:
+    """What is fitted."""
+    if value != "odometry":
+        raise OptionError(f"{name}: {value!r} is not 'odometry'")
+    return "odometry"
+
+
 KINDS: Mapping[str, Callable[[str, Any], Any]] = {
     "channel": channel,
     "antenna": text,
@@ -116,7 +123,7 @@ KINDS: Mapping[str, Callable[[str, Any], Any]] = {
     "every": number,
     "explain": flag,
     "range_change": flag,
-    "fit": text,
+    "fit": fitted,
     "key": path,
     "tx_mac": texts,
     "rx_mac": text,

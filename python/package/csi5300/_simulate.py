@@ -96,7 +96,7 @@ def _json(scene: Mapping[str, Any]) -> str:
         raise TypeError(f"{value!r} is not a valid scene value")
 
     try:
-        return json.dumps(scene if isinstance(scene, dict) else dict(scene), default=known)
+        return json.dumps(scene if isinstance(scene, dict) else dict(scene), default=known, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise SceneError(f"the scene: {error}") from None
 

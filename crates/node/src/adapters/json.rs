@@ -1,6 +1,6 @@
 //! Bearings as lines of JSON, to a file, a pipe or standard output.
 
-use super::{Adapter, Made, Said, Start};
+use super::{Adapter, Made, Robot, Said, Start};
 use crate::config::Output;
 use crate::health::Health;
 use crate::lock;
@@ -32,23 +32,36 @@ struct Line<'a> {
 }
 
 pub(super) fn make(start: &Start<'_>) -> Made {
-    let lines = Lines::open(&start.config.output)?;
-    Ok(lines.map(|lines| Box::new(lines) as Box<dyn Adapter>))
+    Ok(Some(Box::new(Bearings { output: start.config.output.clone(), lines: None })))
 }
 
-impl Adapter for Lines {
+struct Bearings {
+    output: Output,
+    lines: Option<Lines>,
+}
+
+impl Adapter for Bearings {
+    /// Not before: a robot whose sources cannot be opened leaves no file.
+    fn meet(&mut self, _: &Robot) -> Result<(), Error> {
+        self.lines = Lines::open(&self.output)?;
+        Ok(())
+    }
+
     fn report(&mut self, said: &Said<'_>) {
-        self.write(&Line { took_ms: Some(said.took_ms), latency_ms: said.latency_ms, report: said.report });
+        let line = Line { took_ms: Some(said.took_ms), latency_ms: said.latency_ms, report: said.report };
+        self.lines.iter_mut().for_each(|lines| lines.write(&line));
     }
 
     fn look(&mut self, health: &mut Health) {
-        health.load.lines_lost = self.lost();
-        health.trouble.extend(self.trouble());
+        let Some(lines) = &self.lines else { return };
+        health.load.lines_lost = lines.lost();
+        health.trouble.extend(lines.trouble());
     }
 
     fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
-        last.iter().for_each(|report| self.write(&Line { took_ms: None, latency_ms: None, report }));
-        health.load.lines_lost = self.end(LAST_LINES);
+        let Some(lines) = &mut self.lines else { return };
+        last.iter().for_each(|report| lines.write(&Line { took_ms: None, latency_ms: None, report }));
+        health.load.lines_lost = lines.end(LAST_LINES);
     }
 }
 
@@ -151,6 +164,15 @@ struct Appended(File);
 impl Write for Appended {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         self.0.write(bytes)
+    }
+
+    /// Writes all or nothing to a file: behind a part of a line, the next one could not be read either.
+    fn write_all(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        let before = self.0.metadata()?.len();
+        self.0.write_all(bytes).inspect_err(|_| {
+            // A pipe has no length.
+            let _ = self.0.set_len(before);
+        })
     }
 
     fn flush(&mut self) -> std::io::Result<()> {

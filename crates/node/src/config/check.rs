@@ -3,7 +3,7 @@
 //! One function for each group of rules. A refusal names the place of the wrong key, or of the table that lacks one;
 //! the spans of the TOML reader give its line.
 
-use super::{CameraMount, Capture, Config, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros};
+use super::{CameraMount, Capture, Config, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros, name_part};
 use crate::adapters;
 use csi5300::exchange::tdma::{Plan, PlanError, Request};
 use csi5300::motion::odometry::ros::Stamp;
@@ -162,6 +162,21 @@ fn off_robot(m: f64) -> Option<String> {
     }
 }
 
+/// Why poses leave no place for `antenna_offset_m`: they are of the antenna already.
+fn offset_twice(poses: &Odometry, offset_m: [f64; 3]) -> Option<WrongBelow> {
+    let why = match poses {
+        _ if offset_m == [0.0; 3] => return None,
+        Odometry::Ros2(topic) if topic.antenna_frame.is_some() => {
+            "`antenna_frame` gives the antenna's place: leave `antenna_offset_m` out"
+        }
+        Odometry::Network(_) => {
+            "`network` poses are of the peer's antenna: set `antenna_offset_m` in its own configuration, not here"
+        }
+        _ => return None,
+    };
+    Some(("antenna_offset_m".into(), why.into()))
+}
+
 /// A number of a fixed place that is not finite.
 fn not_finite(odometry: &Odometry) -> Option<WrongBelow> {
     let Odometry::Static(Place { position_m, heading_deg }) = odometry else { return None };
@@ -267,7 +282,8 @@ impl Check<'_> {
         if let Some((place, why)) = not_finite(&config.odometry) {
             self.refuse(&format!("odometry.{place}"), format!("odometry: {why}"));
         }
-        if let Some((place, why)) = too_far(&config.antenna_offset_m) {
+        let offset_m = config.antenna_offset_m;
+        for (place, why) in [too_far(&offset_m), offset_twice(&config.odometry, offset_m)].into_iter().flatten() {
             self.refuse(&place, why);
         }
     }
@@ -365,7 +381,9 @@ impl Check<'_> {
             let below_poses = |(place, why): WrongBelow| (format!("poses.{place}"), why);
             let poses = [self.wrong_poses(&peer.poses, false), not_finite(&peer.poses)];
             let wrong = poses.into_iter().flatten().map(below_poses);
-            let wrong = wrong.chain(too_far(&peer.antenna_offset_m)).chain(yaw).chain(self.wrong_records(peer));
+            let offset_m = peer.antenna_offset_m;
+            let offset = [too_far(&offset_m), offset_twice(&peer.poses, offset_m)].into_iter().flatten();
+            let wrong = wrong.chain(offset).chain(yaw).chain(self.wrong_records(peer));
             for (place, why) in wrong.chain(self.wrong_identity(k, peer)) {
                 self.refuse(&format!("peer.{k}.{place}"), format!("peer `{}`: {why}", peer.name));
             }
@@ -380,6 +398,13 @@ impl Check<'_> {
         let same_name = others().any(|other| other.name == peer.name);
         if same_name || others().any(|other| other.mac.is_some() && other.mac == peer.mac) {
             refuse(if same_name { "name" } else { "mac" }, "another peer has its name or MAC");
+        }
+        let part = name_part(&peer.name);
+        let in_ros = self.config.ros.is_some() || self.config.ros2.is_some();
+        if part.is_empty() {
+            refuse("name", "a peer needs a name");
+        } else if let Some(other) = others().find(|other| in_ros && !same_name && name_part(&other.name) == part) {
+            refuse("name", &format!("in ROS its topics have the names of those of `{}`", other.name));
         }
         let has_own = match peer.records {
             Records::Room(_) => true,
@@ -521,6 +546,9 @@ impl Check<'_> {
     fn output(&mut self) {
         if let Some(why) = self.config.output.foxglove.and_then(|_| adapters::missing("foxglove")) {
             self.refuse("output.foxglove", format!("foxglove in [output] {why}"));
+        }
+        if self.config.output.foxglove.is_none() && !self.config.output.foxglove_origins.is_empty() {
+            self.refuse("output.foxglove_origins", "foxglove_origins needs `foxglove`, the address to serve");
         }
     }
 
@@ -962,6 +990,18 @@ mod tests {
     }
 
     #[test]
+    fn poses_of_an_antenna_need_no_offset() {
+        let offset = "antenna_offset_m = [0, 0, 0.2]\n";
+        let frame = "ros2.antenna_frame = 'wifi'\n";
+        good(&posed(&format!("odometry.{frame}")));
+        all_refused([
+            ("antenna_offset_m", "leave `antenna_offset_m` out", posed(&format!("{offset}odometry.{frame}"))),
+            ("antenna_offset_m", "peer `b`: `antenna_frame`", linked(&format!("{offset}poses.{frame}"))),
+            ("antenna_offset_m", "in its own configuration", linked(&format!("{offset}poses.network = {{}}\n"))),
+        ]);
+    }
+
+    #[test]
     fn poses_fit_the_capture() {
         let room_posed = |poses: &str| swap(&room(""), "odometry.room = {}", poses);
         all_refused([
@@ -990,6 +1030,18 @@ mod tests {
     fn a_peer_has_its_own_name_and_fitting_records() {
         let second = |lines: &str| linked(&format!("[[peer]]\nname = 'c'\nmac = '02:00:00:00:00:03'\n{lines}"));
         all_refused([
+            ("# none", "needs a name", swap(&linked(""), "'b'", "'' # none")),
+            (
+                "b-1",
+                "the names of those of `b_1`",
+                swap(
+                    &linked(
+                        "[[peer]]\nname = 'b-1'\nmac = '02:00:00:00:00:03'\nrecords.network = {}\n[ros2]\nframe = 'odom'\n",
+                    ),
+                    "'b'",
+                    "'b_1'",
+                ),
+            ),
             (
                 "# again",
                 "has its name",
@@ -1081,6 +1133,11 @@ mod tests {
         all_refused([
             ("master", "one looks like", card("[ros]\nframe = 'odom'\nmaster = '10.0.0.1:11311/'\n")),
             ("node", "not a valid ROS name", card("[ros]\nframe = 'odom'\nnode = 'a b'\n")),
+            (
+                "foxglove_origins",
+                "needs `foxglove`",
+                card("[output]\nbearings = '-'\nfoxglove_origins = ['https://lab']\n"),
+            ),
             ("[sounding]", "a monitor interface, is missing", linked("[sounding]\nfifo = false\n")),
             ("[sounding]", "needs a [[peer]]", card(MONITOR)),
             ("[sounding]", "is done with a card", room(MONITOR)),

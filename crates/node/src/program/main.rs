@@ -121,7 +121,9 @@ fn run(args: &Args) -> Result {
         Some(error) => return Err(error.to_string()),
         None => {}
     }
-    Ok(if ended.health.records == 0 && !ended.signalled {
+    let wants_bearings = !config.peer.is_empty() || config.array.is_some();
+    let is_nothing = ended.health.records == 0 || (wants_bearings && ended.bearings == 0 && config.log.is_none());
+    Ok(if is_nothing && !ended.signalled {
         Outcome::Nothing
     } else if !ended.health.lost().is_empty() {
         Outcome::DataLost

@@ -5,6 +5,7 @@ use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
+use csi5300_sim::{Room, Scene, write_dataset};
 use nix::fcntl::{FcntlArg, FdFlag, fcntl};
 use nix::pty::{OpenptyResult, Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
@@ -12,7 +13,7 @@ use nix::unistd::Pid;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 fn program(folder: &Path) -> Command {
@@ -149,6 +150,71 @@ fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
     // from where the transmitter is seen in up to 4.1 degrees another direction.
     let bar = last["azimuth_sd_deg"].as_f64().unwrap();
     assert!(off < 4.1 + f64::max(3.0, 2.0 * bar) && last["state"] == "bearing" && last["link"] == "tx", "{off} {last}");
+}
+
+/// A simulated capture, replayed: the configuration, with the files `rx.dat`, `tx.dat` and `way.csv` in the folder.
+fn replayed(folder: &Path) -> String {
+    let mut room = Room::new(&Scene::find("paper-circle".as_ref()).unwrap()).unwrap();
+    let written = write_dataset(&mut room, folder, &mut |_| {}).unwrap();
+    let mac = |robot: &str| room.mac(room.number(robot).unwrap()).unwrap();
+    for log in &written[0].logs {
+        let name = if Some(log.robot) == room.number("rx") { "rx.dat" } else { "tx.dat" };
+        std::fs::copy(&log.path, folder.join(name)).unwrap();
+    }
+    let mut files = std::fs::read_dir(&written[0].dir).unwrap().map(|entry| entry.unwrap().path());
+    let is_way = |file: &PathBuf| file.file_name().unwrap().to_str().unwrap().starts_with("rx_trajectory_");
+    std::fs::copy(files.find(is_way).unwrap(), folder.join("way.csv")).unwrap();
+    format!(
+        "channel = \"108\"\nmac = \"{}\"\ncapture.replay = {{ file = \"rx.dat\", speed = 20 }}\nodometry.csv = \"way.csv\"\n\
+         [output]\nbearings = \"bearings.jsonl\"\n\
+         [[peer]]\nname = \"tx\"\nmac = \"{}\"\nrecords.replay = \"tx.dat\"\n",
+        mac("rx"),
+        mac("tx")
+    )
+}
+
+#[test]
+fn what_a_replay_lacks_is_in_its_words_and_its_status() {
+    let folder = folder("node-replay");
+    let config = replayed(&folder);
+    let run = |from: &str, to: &str| {
+        assert!(config.contains(from));
+        std::fs::write(folder.join("robot.toml"), config.replace(from, to)).unwrap();
+        said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap())
+    };
+    let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
+    // A robot whose sources cannot be opened leaves no file.
+    write("table.dat", "1,2,3\n4,5,6\n");
+    let (status, _, err) = run("rx.dat", "table.dat");
+    assert!(status == 1 && err.contains("table.dat: no record of a csitool log in it"), "{status} {err}");
+    write("short.csv", "1700000000.0,0,0,0,0\n");
+    let (status, _, err) = run("way.csv", "short.csv");
+    assert!(status == 1 && err.contains("short.csv: 1 usable poses make no trajectory"), "{status} {err}");
+    assert!(!folder.join("bearings.jsonl").exists());
+    let way = std::fs::read_to_string(folder.join("way.csv")).unwrap();
+    let (before, after) = way.split_at(way.match_indices('\n').nth(900).unwrap().0);
+    write("torn.csv", &format!("{before}\n1700000004.5,0.1\n{after}"));
+    let (status, _, err) = run("way.csv", "torn.csv");
+    assert!(status == 3 && err.contains("lost: 1 trajectories with skipped rows"), "{status} {err}");
+    assert!(err.contains("tx: bearing") && err.contains("torn.csv: 1 rows skipped, the first in line 902"), "{err}");
+    // Without any bearing nothing is usable.
+    write("other.csv", &way.replace("17000000", "16000000"));
+    let (status, _, err) = run("way.csv", "other.csv");
+    assert!(status == 1 && err.contains("lie outside the trajectory"), "{status} {err}");
+}
+
+#[test]
+fn a_full_disk_leaves_whole_lines_of_bearings() {
+    let folder = folder("node-full");
+    std::fs::write(folder.join("robot.toml"), format!("{ROOM}[output]\nbearings = \"bearings.jsonl\"\n")).unwrap();
+    let mut command = Command::new("sh");
+    let limited = "ulimit -f 8; exec \"$0\" node --config robot.toml";
+    command.args(["-c", limited, env!("CARGO_BIN_EXE_csi5300-node")]).current_dir(&folder);
+    let (status, _, err) = said(command.output().unwrap());
+    assert!(status == 3 && err.contains("bearings are not written (File too large"), "{status} {err}");
+    let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
+    assert!(lines.ends_with("}\n") && lines.lines().count() > 1, "{lines}");
+    lines.lines().for_each(|line| drop(serde_json::from_str::<serde_json::Value>(line).unwrap()));
 }
 
 #[test]

@@ -215,6 +215,8 @@ class Intel:
     def _unmap(self, csi: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """The same in place, for memory in C order."""
         csi = np.ascontiguousarray(csi)
+        if csi.ndim != 4:
+            raise ValueError(f"an array of {csi.ndim} dimensions is not CSI, which has 4")
         n_tx, rate = self._columns("Ntx", "rate")
         _native.classic_unmapped(csi, n_tx, rate, _SM)
         return csi
