@@ -234,10 +234,10 @@ impl Scene {
     }
 
     fn check_all(&self) -> Checked {
-        // Without what may have no text in TOML: large counts, as of a served room's queue, and paths that are no UTF-8.
+        // Without what may have no text in TOML: integers beyond 2^63 (a queue without a limit), and paths that are no UTF-8.
         let mut scene = Self { seed: 0, ..self.clone() };
         for robot in &mut scene.robot {
-            (robot.faults.queue_records, robot.ack_len) = (0, None);
+            (robot.faults.queue_records, robot.crystal.clock_start_us, robot.ack_len) = (0, 0, None);
             if let RobotMotion::Recorded(motion) = &mut robot.motion {
                 motion.file = PathBuf::new();
             }
@@ -541,6 +541,17 @@ position_m = [-3.858, 0.929, 0.0]
 from_m = [-5.0, 3.0]
 to_m = [5.0, 3.0]
 "#;
+
+    #[test]
+    fn a_scene_that_no_text_can_hold_is_checked_too() {
+        let mut scene = Scene::from_toml(GOOD).unwrap();
+        scene.seed = u64::MAX;
+        (scene.robot[1].faults.queue_records, scene.robot[1].crystal.clock_start_us) = (usize::MAX, u64::MAX);
+        assert_eq!(scene.check_values(), Ok(()));
+        scene.robot[1].odometry.late_s = f64::NAN;
+        let place = scene.check_values().unwrap_err().place;
+        assert_eq!(place, "robot[1].odometry.late_s");
+    }
 
     #[test]
     fn a_good_scene_is_read() {
