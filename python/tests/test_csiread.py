@@ -133,7 +133,7 @@ def test_logs_that_csiread_cannot_read(rx: Path, tmp_path: Path) -> None:
         csi5300.csiread.Intel(None).pmsg(bytes(70_000))
     assert csi5300.csiread.Intel(None).pmsg(b"") == 0 and csi5300.csiread.Intel(None).pmsg(b"\xbbshort") == 0xBB
     with pytest.raises(ValueError, match="an array of 1 dimensions is not CSI"):
-        csi5300.csiread.Intel(None).apply_sm(np.zeros(3))
+        csi5300.csiread.Intel(None).apply_sm(np.zeros(3, np.complex128))
 
 
 def test_csiread_fails_on_these_logs(rx: Path, tmp_path: Path) -> None:
