@@ -19,7 +19,7 @@
 
 use crate::motion::pose::{Pose, Trajectory, TrajectoryError, TrajectoryKind, heading_of};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use std::io::{BufReader, Cursor, Read};
+use std::io::{BufRead, BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -838,12 +838,21 @@ impl Rows {
     fn read(&mut self, bytes: impl Read, most: usize, path: &Path) -> Result<(), CsvError> {
         let io = |source| CsvError::Io { path: path.display().to_string(), source };
         let (mut row, mut line, mut after_cr) = (Vec::new(), 1, false);
-        for byte in BufReader::new(utf8(bytes).map_err(io)?).bytes() {
-            let byte = byte.map_err(io)?;
-            match byte {
-                // The other half of an end of a line.
-                b'\n' if after_cr => {}
-                b'\n' | b'\r' => {
+        let mut from = BufReader::new(utf8(bytes).map_err(io)?);
+        loop {
+            let chunk = match from.fill_buf() {
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
+                chunk => chunk.map_err(io)?,
+            };
+            if chunk.is_empty() {
+                return self.row(&row, line);
+            }
+            let length = chunk.len();
+            for part in chunk.split_inclusive(|byte| matches!(byte, b'\n' | b'\r')) {
+                let content = part.strip_suffix(b"\n").or(part.strip_suffix(b"\r")).unwrap_or(part);
+                row.extend_from_slice(&content[..content.len().min(LONGEST_ROW - row.len())]);
+                // The other half of an end of a line ends none.
+                if content.len() < part.len() && !(after_cr && part == b"\n") {
                     self.row(&row, line)?;
                     row.clear();
                     line += 1;
@@ -851,12 +860,10 @@ impl Rows {
                         return Err(io(too_long()));
                     }
                 }
-                _ if row.len() < LONGEST_ROW => row.push(byte),
-                _ => {}
+                after_cr = part.ends_with(b"\r");
             }
-            after_cr = byte == b'\r';
+            from.consume(length);
         }
-        self.row(&row, line)
     }
 
     /// Takes a row, or counts it as bad. Fails where the first one is of no known kind.
