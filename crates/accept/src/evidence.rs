@@ -250,7 +250,7 @@ pub struct Evidence {
     pub interface: Interface,
     /// The cards' data after each retune and each reload.
     pub after: Vec<After>,
-    /// The first robot's data with one antenna unplugged and no other. An entry without data takes those that come live.
+    /// The first robot's data with one antenna unplugged and no other. Live records go to the last entry.
     pub unplugged: Vec<(Antenna, Heard)>,
     /// How late the host woke, microseconds.
     pub lateness_us: Vec<f64>,

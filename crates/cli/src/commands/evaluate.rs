@@ -170,10 +170,7 @@ fn find_all<'a>(folders: impl Iterator<Item = &'a PathBuf>) -> Words<(Vec<Captur
             });
         }
         for capture in found {
-            // One that is named again is no other measurement.
-            if !captures.iter().any(|own: &Capture| own.is_same(&capture)) {
-                captures.push(capture);
-            }
+            capture.add_to(&mut captures);
         }
         unreadable.extend(failed);
     }

@@ -106,11 +106,15 @@ impl Capture {
         parts.iter().filter(|part| !part.is_empty()).copied().collect::<Vec<_>>().join("/")
     }
 
-    /// True for the same run, whichever path leads to its folder.
-    #[must_use]
-    pub fn is_same(&self, other: &Self) -> bool {
+    /// Adds it to `captures`, and returns its index. A run that is there already is not added: named again, whichever path
+    /// leads to its folder, it is still one measurement.
+    pub fn add_to(self, captures: &mut Vec<Self>) -> usize {
         let place = |own: &Self| own.folder.canonicalize().unwrap_or_else(|_| own.folder.clone());
-        self.stamp == other.stamp && place(self) == place(other)
+        let is_this = |other: &Self| self.stamp == other.stamp && place(&self) == place(other);
+        captures.iter().position(is_this).unwrap_or_else(|| {
+            captures.push(self);
+            captures.len() - 1
+        })
     }
 
     /// Standard deviation of the heading of its trajectory by `source`, radians. For wheels with an unknown antenna position, the

@@ -84,12 +84,8 @@ impl Args {
             for capture in found {
                 let links: Vec<String> =
                     capture.transmitters.iter().map(|(tx, _)| tx.clone()).filter(|tx| is_named(&capture, tx)).collect();
-                // A capture that is named again, or a second link of it, is no other measurement.
-                let known = captures.iter().position(|own: &Capture| own.is_same(&capture));
-                let known = known.unwrap_or(captures.len());
-                if known == captures.len() {
-                    captures.push(capture);
-                }
+                // Another link of a capture that is there already is no other capture.
+                let known = capture.add_to(&mut captures);
                 for link in links.iter().map(|tx| captures[known].link_name(tx)) {
                     if !names.contains(&link) {
                         names.push(link);
