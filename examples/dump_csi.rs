@@ -9,6 +9,7 @@
 use std::error::Error;
 use std::fs;
 use std::io::{BufWriter, Write};
+use std::path::PathBuf;
 
 use csi5300::signal::csi::{Csi, scale_factor};
 use driver_iface::bfee::Bfee;
@@ -19,8 +20,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let fixture = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat");
     let log = arguments.next().unwrap_or_else(|| fixture.to_owned());
-    let out = arguments.next().map_or_else(|| std::env::temp_dir().join("csi5300-dump.bin"), Into::into);
+    let out = arguments.next().map_or_else(|| std::env::temp_dir().join("csi5300-dump.bin"), PathBuf::from);
     let bytes = fs::read(&log)?;
+    // A second log by mistake is not overwritten.
+    if out.extension().is_some_and(|ending| ending == "dat") {
+        return Err(format!("{}: the output's name must not end in .dat", out.display()).into());
+    }
     let mut out = BufWriter::new(fs::File::create(out)?);
     let mut records = 0;
     for step in events(&bytes) {

@@ -49,6 +49,12 @@ impl Mac {
     pub fn is_zero(self) -> bool {
         self == Self::ZERO
     }
+
+    /// True for a group address (broadcast, multicast): it receives frames and sends none.
+    #[must_use]
+    pub fn is_group(self) -> bool {
+        self.0[0] & 1 == 1
+    }
 }
 
 impl fmt::Display for Mac {

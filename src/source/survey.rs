@@ -175,7 +175,7 @@ pub struct Identity {
 /// Sender and number of a sounding frame (no FCS), which has its sender in address 3. A group address sends nothing: that
 /// frame is of another program (csitool's injection broadcasts there), and its payload no number.
 fn sounded(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
-    let frame = sounding::Frame::new_checked(frame).ok().filter(|frame| frame.sender().0[0] & 1 == 0)?;
+    let frame = sounding::Frame::new_checked(frame).ok().filter(|frame| !frame.sender().is_group())?;
     Some((frame.sender(), Some(frame.number())))
 }
 

@@ -38,6 +38,7 @@ use words::{describe, doubts, explain_lines, fitted, pairs, records};
                         csi5300 bearing RX.dat TX.dat T.csv --channel 108\n  \
                         csi5300 bearing RX.dat T.csv --channel 108 --antennas A,B --baseline 0.1,0,0\n\
                         --help lists all options.")]
+#[command(group = clap::ArgGroup::new("directions").args(["profile", "explain"]).multiple(true))]
 pub struct Args {
     /// Folders of captures, one link (FOLDER/tx2), or logs and a trajectory, recognised by their content. Two or more
     /// links to known positions also locate the receiver
@@ -92,9 +93,9 @@ pub struct Args {
     /// Write the profile of each link as CSV or NPZ
     #[arg(long, value_name = "OUT.npz|.csv", hide_short_help = true, help_heading = "Profiles")]
     profile: Option<PathBuf>,
-    /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's grid)
-    #[arg(long, default_value = "360", value_parser = grid, value_name = "GRID", hide_short_help = true, help_heading = "Profiles")]
-    grid: Grid,
+    /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's grid) [default: 360]
+    #[arg(long, requires = "directions", value_parser = grid, value_name = "GRID", hide_short_help = true, help_heading = "Profiles")]
+    grid: Option<Grid>,
 }
 
 /// What is fitted before bearings.
@@ -213,6 +214,9 @@ fn run_other(args: &Args) -> Option<Result> {
         if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
             usage("with --baseline, --rx-mac, --key and --antenna-offset need --tx");
         }
+        if args.estimation.range_min.is_some() {
+            usage("--range-min needs --tx: one robot's log shows no distance");
+        }
         return Some(run_one_log(args));
     }
     if !args.captures.is_empty() {
@@ -276,7 +280,7 @@ pub fn run(mut args: Args) -> Result {
     for (name, link) in names.iter().zip(&report.links) {
         let mut answer = answer(&args, name, link);
         if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
-            answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).in_words()?);
+            answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid()).in_words()?);
         }
         answered += usize::from(answer.azimuth_deg.is_some());
         tell(&answer, links, args.json);
@@ -309,6 +313,10 @@ fn accuracy(text: &str) -> Words<f64> {
 }
 
 impl Args {
+    fn grid(&self) -> Grid {
+        self.grid.clone().unwrap_or_else(|| Grid::azimuth(360))
+    }
+
     /// Options with the effort that the accuracy needs, and with what is drawn or printed beside the bearing.
     fn asked(&self, options: Options) -> Options {
         let has_figures = self.json || says(Level::Verbose);
@@ -336,7 +344,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> Words<
     if let Some(path) = &args.profile {
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
         let draft = super::draft::Draft::create(&path, args.force)?;
-        write_profile(draft.path(), &args.grid, &bearing.samples).map_err(|error| draft.words(&error))?;
+        write_profile(draft.path(), &args.grid(), &bearing.samples).map_err(|error| draft.words(&error))?;
         draft.keep(false).map_err(|error| format!("writing {}: {error}", path.display()))?;
         note!("profile of {name}: {}", path.display());
     }
@@ -687,6 +695,7 @@ fn refuse_named(args: &Args) -> Words<()> {
         ("--columns", logs.columns.is_some()),
         ("--baseline", !logs.baseline.is_empty()),
         ("--profile", args.profile.is_some()),
+        ("--grid", args.grid.is_some()),
     ];
     match given.iter().find(|(_, given)| *given) {
         Some((name, _)) => {

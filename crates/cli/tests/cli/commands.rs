@@ -1,6 +1,7 @@
 //! The commands as their users meet them: answers, exit statuses, how much they say and in which colours, and what they say of the wrong
 //! file.
 
+use crate::cards::simulated;
 use crate::common::{Link, TRANSMITTER, emitted, link};
 use crate::private::inside;
 use driver_iface::bfee::{Bfee, Iq, Repr};
@@ -408,7 +409,9 @@ fn profiles_are_written_on_the_grids_asked_for() {
     let best = best.max_by(|a, b| a[2].total_cmp(&b[2])).unwrap();
     assert!((best[0] - 0.5f64.to_degrees()).abs() < 1.1, "{best:?}");
     assert_eq!(folder.bearing(&["--profile", "p.npz", "--grid", "72x19"]).0, 0);
-    assert_eq!(folder.bearing(&["--grid", "7y"]).0, 2);
+    assert_eq!(folder.bearing(&["--profile", "p.npz", "--grid", "7y"]).0, 2);
+    let (status, _, err) = folder.bearing(&["--grid", "72"]);
+    assert!(status == 2 && err.contains("--profile"), "a grid of nothing: {err}");
 }
 
 /// Writes a link as a capture folder that `evaluate` reads.
@@ -964,6 +967,20 @@ fn a_wsr_log_becomes_one_of_the_stock_layout_with_the_same_csi() {
     }
     let side = std::fs::metadata(folder.0.join("stock-rx.datstp")).unwrap().len();
     assert_eq!(side as usize, 8 * records(&std::fs::read(folder.0.join("stock-rx.dat")).unwrap()).len());
+}
+
+#[test]
+fn a_group_address_loses_its_numbers_in_the_stock_layout_and_the_export_says_so() {
+    let folder = Folder::new("recover-group");
+    let scene = "duration_s = 2.0\nsounding.rate_hz = 20\n[[robot]]\nname = \"rx\"\n\
+                 [[robot]]\nname = \"tx\"\nposition_m = [3.0, 4.0, 0.0]\nmac = \"01:23:45:67:89:ab\"\n";
+    let [rx, tx, _] = simulated(&folder, "room", scene, "rx_trajectory_");
+    let stock = |log: &str, status| {
+        folder.says(&["export", "--dat", log, "s.dat", "--layout", "stock", "--force"], status, &[]).1
+    };
+    let err = stock(&rx, 3);
+    assert!(err.contains("38 records lose their frame number"), "what it hears from the group address: {err}");
+    assert!(!stock(&tx, 0).contains("lose"), "what the group address hears is numbered");
 }
 
 #[test]

@@ -231,7 +231,6 @@ struct Shared {
     /// By topic: messages handed to the bridge while it had a master, and others.
     counts: Vec<[AtomicU64; 2]>,
     connections: AtomicU64,
-    is_connected: AtomicBool,
     trouble: Mutex<Option<String>>,
     input: Mutex<Option<ChildStdin>>,
     child: Mutex<Option<Child>>,
@@ -246,7 +245,7 @@ impl Shared {
     }
 
     fn say(&self, connections: u64, trouble: Option<String>) {
-        self.is_connected.store(connections > 0, Ordering::Relaxed);
+        self.connections.store(connections, Ordering::Relaxed);
         *lock(&self.trouble) = trouble;
     }
 
@@ -275,7 +274,7 @@ impl Outbox {
     /// Hands over a message without waiting. It is lost and counted while there is no master.
     fn put(&self, topic: usize, message: &impl serde::Serialize) {
         let line = || Some(format!("{}\n", json!({ "to": topic, "message": serde_json::to_value(message).ok()? })));
-        let taken = self.shared.is_connected.load(Ordering::Relaxed)
+        let taken = self.shared.connections.load(Ordering::Relaxed) > 0
             && line().is_some_and(|line| self.lines.try_send((topic, line)).is_ok());
         if !taken {
             self.shared.count(topic, true);
@@ -302,7 +301,6 @@ impl Bridge {
         let shared = Arc::new(Shared {
             counts: (0..writes).map(|_| Default::default()).collect(),
             connections: AtomicU64::new(0),
-            is_connected: AtomicBool::new(false),
             trouble: Mutex::new(Some("ROS 1: the bridge is being started".into())),
             input: Mutex::default(),
             child: Mutex::default(),
@@ -451,7 +449,6 @@ impl Told {
                 inboxes.get(topic).iter().for_each(|inbox| _ = inbox.put(0, &message, received_us));
             }
             Self::State { connections, trouble, wrong } => {
-                shared.connections.store(connections, Ordering::Relaxed);
                 shared.say(connections, trouble);
                 for (inbox, wrong) in inboxes.iter().zip(wrong.into_iter().flatten()) {
                     inbox.say(wrong);
@@ -504,12 +501,14 @@ mod tests {
         );
         // The first has no rospy. The second waits for the gate, and keeps its output open, as a bridge does: the end of it is
         // the end of a bridge.
-        let (bridge, mut poses) = bridge(&["echo ImportError: rospy >&2; exit 1", &script]);
+        let ends = r#"echo '{"connections":3,"trouble":null,"wrong":[null]}'; echo ImportError: rospy >&2; exit 1"#;
+        let (bridge, mut poses) = bridge(&[ends, &script]);
         let shared = Arc::clone(&bridge.outbox.shared);
-        bridge.outbox.put(0, &PoseStamped::default());
         comes(|| lock(&shared.trouble).as_ref().is_some_and(|why| why.contains("ImportError: rospy")));
+        assert_eq!(shared.connections.load(Ordering::Relaxed), 0, "a bridge that ended has none");
+        bridge.outbox.put(0, &PoseStamped::default());
         drop(File::options().write(true).open(&gate).unwrap());
-        comes(|| shared.is_connected.load(Ordering::Relaxed));
+        comes(|| shared.connections.load(Ordering::Relaxed) > 0);
         let next = poses.receive(Instant::ZERO).unwrap();
         assert!(matches!(next, NextPose::Pose(pose) if pose.t_s == 12.5 && pose.position_m.y == 2.0), "{next:?}");
         assert_eq!(poses.receive(Instant::ZERO).unwrap(), NextPose::Pending);

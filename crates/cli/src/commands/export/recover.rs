@@ -29,6 +29,8 @@ struct Row<'a> {
     damaged_bytes: u64,
     /// Skipped records beside damage that are neither CSI nor its frames.
     doubtful: u64,
+    /// Records written whose frame number no reader takes, because a group address sent them.
+    without_number: u64,
     /// Results of the side file's checksums; null without them.
     checks: Option<Checks>,
 }
@@ -53,6 +55,8 @@ struct Output {
     name: String,
     /// Records of the input that are in it.
     kept: u64,
+    /// Of these, records whose number the stock layout cannot tell: a group address sent them.
+    without_number: u64,
     frame: Vec<u8>,
 }
 
@@ -67,7 +71,8 @@ impl Output {
         let data = create(draft.path())?;
         let side = side.filter(|_| draft.is_file());
         let side = side.map(|layout| Ok::<_, String>((create(&side_path(draft.path()))?, layout))).transpose()?;
-        let mut out = Self { draft, data, side, name: path.display().to_string(), kept: 0, frame: Vec::new() };
+        let mut out =
+            Self { draft, data, side, name: path.display().to_string(), kept: 0, without_number: 0, frame: Vec::new() };
         if let Some((side, layout)) = &mut out.side {
             side.write_all(layout.head()).map_err(|error| format!("writing {}: {error}", out.name))?;
         }
@@ -93,6 +98,7 @@ impl Output {
     /// A record of the WSR layout as the stock driver would have written it: its frame, then its CSI.
     fn write_stock(&mut self, bfee: &Bfee<'_>, identity: Identity) -> Words<()> {
         if let Some(number) = identity.frame_count {
+            self.without_number += u64::from(identity.mac.is_group());
             let frame = sounding_frame(identity.mac, number)?;
             self.write(Record { code: code::MPDU, body: &frame }, identity.host_us)?;
         }
@@ -213,7 +219,7 @@ pub fn run(args: &Args) -> Result {
     if let Some(checks) = &checks {
         note!("  {}", info::check_words(checks));
     }
-    let mut kept = out.kept;
+    let (mut kept, without_number) = (out.kept, out.without_number);
     if kept == 0 {
         drop(out);
         note!("nothing to write: no {output}");
@@ -231,6 +237,7 @@ pub fn run(args: &Args) -> Result {
             damages,
             damaged_bytes,
             doubtful: doubts.dropped,
+            without_number,
             checks,
         };
         print_json(&row);
@@ -239,8 +246,14 @@ pub fn run(args: &Args) -> Result {
         let doubtful = some(doubts.dropped, "doubtful record", "doubtful records");
         note!("  {doubtful} skipped beside the damage: they may not be real");
     }
+    if without_number > 0 {
+        let lost = some(without_number, "record loses its", "records lose their");
+        note!(
+            "  {lost} frame number: a group address sent them, and readers of the stock layout take no number from it"
+        );
+    }
     let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
-    Ok(Outcome::of(kept > 0, survey.lost_something() || missing || doubts.dropped > 0))
+    Ok(Outcome::of(kept > 0, survey.lost_something() || missing || doubts.dropped + without_number > 0))
 }
 
 /// Writes the intact records of `source`.
