@@ -84,6 +84,14 @@ pub(crate) struct Task<'a> {
     pub tier: Tier,
 }
 
+impl Task<'_> {
+    /// By how much a path bends, radians: a sensor whose heading drifts bends it by about as much as it turns it. Motion capture does
+    /// not drift; its deviation is that of its axes.
+    fn bend_rad(&self) -> f64 {
+        (self.heading_sd_rad.powi(2) - heading::MOTION_CAPTURE_RAD.powi(2)).max(0.0).sqrt()
+    }
+}
+
 /// How much is computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
@@ -321,7 +329,8 @@ pub(crate) fn estimate(
     }
     let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry_sd_m);
     let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
-    widen(&mut modes, &model.points);
+    // Half the width that holds 68 % of a Cauchy density, in units of its scale.
+    widen(&mut modes, &model.points, 1.84 * tuning::MODEL_DEG.to_radians(), task.bend_rad());
     Ok(Found {
         plane_wave,
         sufficient: Sufficient::Posterior(reason),
@@ -336,15 +345,13 @@ pub(crate) fn estimate(
     })
 }
 
-/// Widens elevations and ranges by the model's error, as [`Blur`] does azimuths. Phases across the motion that turn the azimuth
-/// by an angle `d` change 1 / range by `2 d / radius`.
-fn widen(modes: &mut [Mode], points: &[Vector3<f64>]) {
+/// Widens elevations and ranges by the model's error, as [`Blur`] does azimuths, and ranges by the bend of the path. What turns the
+/// azimuth by an angle `d` across the motion changes 1 / range by `2 d / radius`.
+fn widen(modes: &mut [Mode], points: &[Vector3<f64>], model_rad: f64, bend_rad: f64) {
     let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
-    // Half the width that holds 68 % of a Cauchy density, in units of its scale.
-    let angle = 1.84 * tuning::MODEL_DEG.to_radians();
     for mode in modes {
-        mode.covariance[(1, 1)] += angle * angle;
-        mode.covariance[(2, 2)] += (2.0 * angle / radius_m.max(f64::MIN_POSITIVE)).powi(2);
+        mode.covariance[(1, 1)] += model_rad * model_rad;
+        mode.covariance[(2, 2)] += (2.0 * model_rad.hypot(bend_rad) / radius_m.max(f64::MIN_POSITIVE)).powi(2);
     }
 }
 
@@ -471,6 +478,7 @@ fn early(
     let Some((model, prior, one)) = best else { return Err(failed) };
     let mut modes = one.modes;
     let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry_sd_m);
+    widen(&mut modes, &model.points, 0.0, task.bend_rad());
     Ok(Found {
         plane_wave: start.0.clone(),
         sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),

@@ -119,9 +119,15 @@ const ANTENNA_M: Vector3<f64> = Vector3::new(0.06, 0.12, 0.0);
 
 /// Three robots in a room with four walls; the first drives.
 fn four_walls(motion: &str, seed: u64) -> Simulation {
+    three_robots(motion, seed, true)
+}
+
+fn three_robots(motion: &str, seed: u64, has_walls: bool) -> Simulation {
     let walls: String = [[-5, -5, 5, -5], [5, -5, 5, 5], [5, 5, -5, 5], [-5, 5, -5, -5]]
+        .iter()
+        .filter(|_| has_walls)
         .map(|[a, b, c, d]| format!("[[wall]]\nfrom_m = [{a}.0, {b}.0]\nto_m = [{c}.0, {d}.0]\nloss_db = 8.0\n"))
-        .concat();
+        .collect();
     let scene = format!(
         "duration_s = 11.0\nseed = {seed}\nchannel = 108\ncfo = \"physical\"\nsounding.rate_hz = 100\nreflections = 1\n\
          [radio]\nnoise.snr_db = 20\n[[robot]]\nname = \"rx\"\nmotion = {motion}\n\
@@ -139,11 +145,14 @@ fn wheels(run: &Simulation) -> Trajectory {
 }
 
 fn answers(run: &Simulation, path: &Trajectory, fit: bool) -> Vec<(Answer, Bearing)> {
-    let options = Options::new("108".parse().unwrap()).with_fit_odometry(fit);
+    estimated(run, path, &Options::new("108".parse().unwrap()).with_fit_odometry(fit))
+}
+
+fn estimated(run: &Simulation, path: &Trajectory, options: &Options) -> Vec<(Answer, Bearing)> {
     let mut logs: Vec<_> = run.robots.iter().map(|robot| robot.replay()).collect();
     let (receiver, others) = logs.split_first_mut().unwrap();
     let transmitters = others.iter_mut().map(|log| Transmitter { log, trajectory: None }).collect();
-    let report = bearings(receiver, transmitters, path, &options).unwrap();
+    let report = bearings(receiver, transmitters, path, options).unwrap();
     report.links.into_iter().map(|link| (Answer::new("tx".into(), &link), link.bearing.unwrap())).collect()
 }
 
@@ -180,6 +189,52 @@ fn a_drive_with_curves_to_both_sides_shows_scale_and_offset() {
         let [bad, good] = [&before, &after].map(|found| worst_deg(&simulation, found));
         println!("{bad} {good}");
         assert!(good < 2.0 && bad > 2.0 * good, "{bad} {good}");
+    }
+}
+
+/// What odometry reports whose heading drifts evenly, by `mean_rad` in the mean.
+fn drifting(path: &Trajectory, mean_rad: f64) -> Trajectory {
+    let poses = path.poses();
+    let steps: Vec<_> = poses.windows(2).map(|pair| pair[1].position_m - pair[0].position_m).collect();
+    let whole_m: f64 = steps.iter().map(|step| step.norm()).sum();
+    let (mut driven_m, mut position_m) = (0.0, poses[0].position_m);
+    let mut bent = vec![poses[0]];
+    for (step, pose) in steps.iter().zip(&poses[1..]) {
+        driven_m += step.norm();
+        let turned = nalgebra::Rotation3::from_axis_angle(&Vector3::z_axis(), 2.0 * mean_rad * driven_m / whole_m);
+        position_m += turned * step;
+        bent.push(Pose { position_m, ..*pose });
+    }
+    Trajectory::new(bent).unwrap()
+}
+
+#[test]
+fn ranges_by_a_heading_that_drifts_are_as_uncertain_as_the_path_is_bent() {
+    let sd_rad = 1.5f64.to_radians();
+    for walls in [false, true] {
+        // Evenly spread over the normal density: 8 % to 92 %.
+        let quantiles = [-1.38, -0.67, -0.21, 0.21, 0.67, 1.38];
+        let mut off = Vec::new();
+        for (k, mean_rad) in quantiles.iter().map(|q| q * sd_rad).enumerate() {
+            let run = three_robots(
+                "{ arc = { radius_m = 0.6, angle_deg = 150.0, duration_s = 10.0, start_s = 0.5 } }",
+                k as u64,
+                walls,
+            );
+            let path = drifting(run.robots[0].true_path.as_ref().unwrap(), mean_rad);
+            let options = Options::new("108".parse().unwrap()).with_heading_sd_rad(Some(sd_rad));
+            let found = estimated(&run, &path, &options);
+            for (robot, (_, bearing)) in run.robots[1..].iter().zip(&found) {
+                let Some(range) = &bearing.answer.range else { continue };
+                let way = robot.start_m().unwrap() - bearing.mean_position_m;
+                off.push((range.range_m - way.norm()) / range.sd_m);
+            }
+        }
+        let within = |sds: f64| off.iter().filter(|own| own.abs() < sds).count();
+        println!("walls {walls}: {off:.2?}");
+        assert!(off.len() >= 8, "{off:?}");
+        assert!(2 * within(1.0) >= off.len() && within(3.0) == off.len(), "too narrow: {off:?}");
+        assert!(within(0.3) < off.len(), "too wide: {off:?}");
     }
 }
 
