@@ -350,6 +350,11 @@ impl PeerTrack {
         Self { settings, known: None, counts: TrackCounts::default() }
     }
 
+    /// The settings of odometry whose heading has this deviation over one motion, radians.
+    pub(crate) fn set_heading_sd(&mut self, heading_sd_rad: f64) {
+        self.settings = TrackSettings::new(heading_sd_rad);
+    }
+
     /// Adds the evidence of one stretch of motion. Stretches come in the order of time and do not overlap, except for what
     /// [`Evidence::fresh`] says.
     ///

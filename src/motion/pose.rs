@@ -347,7 +347,7 @@ impl Trajectory {
 
     /// As of a sensor of this kind.
     #[must_use]
-    pub(super) fn with_kind(mut self, kind: TrajectoryKind) -> Self {
+    pub(crate) fn with_kind(mut self, kind: TrajectoryKind) -> Self {
         self.kind = kind;
         self
     }
@@ -413,6 +413,21 @@ impl Trajectory {
     #[must_use]
     pub fn span_s(&self) -> (f64, f64) {
         (self.poses[0].t_s, self.poses[self.poses.len() - 1].t_s)
+    }
+
+    /// Its poses from `from_s` to `to_s`, both included, seconds: of the same sensor, with the same gaps and times.
+    ///
+    /// # Errors
+    /// [`TrajectoryError::TooFew`] if fewer than two poses are left.
+    pub fn within(&self, from_s: f64, to_s: f64) -> Result<Self, TrajectoryError> {
+        let from = self.poses.partition_point(|pose| pose.t_s < from_s);
+        let to = self.poses.partition_point(|pose| pose.t_s <= to_s).max(from);
+        if to - from < 2 {
+            return Err(TrajectoryError::TooFew { poses: to - from });
+        }
+        let attitudes = self.attitudes.as_ref().map(|all| all[from..to].to_vec());
+        let left_out = LeftOut::default();
+        Ok(Self { poses: self.poses[from..to].to_vec(), attitudes, left_out, ..*self })
     }
 
     /// The gaps that nothing is interpolated across unless the robot stood still.
@@ -833,6 +848,12 @@ mod tests {
             }
             let antenna = read.with_antenna_offset(Vector3::z()).unwrap();
             assert_eq!(antenna.rounding_sd_rad(), read.rounding_sd_rad());
+            // A part is of the same sensor and times.
+            let (start_s, end_s) = read.span_s();
+            let part = read.clone().with_kind(TrajectoryKind::Camera).within(start_s, 0.5 * (start_s + end_s)).unwrap();
+            assert_eq!((part.kind(), part.rounding_sd_rad()), (TrajectoryKind::Camera, read.rounding_sd_rad()));
+            assert!(part.poses().len().abs_diff(read.poses().len() / 2) <= 1 && part.span_s().0 == start_s);
+            assert_eq!(read.within(end_s, start_s), Err(TrajectoryError::TooFew { poses: 0 }));
         }
         let coarse = circle(2.0, f64::floor);
         assert!(matches!(coarse, Err(TrajectoryError::TooCoarse { step_s: 1.0, turn_deg }) if turn_deg > 90.0));

@@ -430,7 +430,7 @@ impl CaptureReport {
         every_s: f64,
         options: &Options,
     ) -> Vec<Vec<StretchAnswer>> {
-        let settings = TrackSettings::new(options.heading_sd_rad.unwrap_or_default());
+        let settings = TrackSettings::new(options.heading_sd_of(trajectory));
         let mut tracks = vec![(PeerTrack::new(settings), None); self.links.len()];
         let mut answers: Vec<Vec<StretchAnswer>> = vec![Vec::new(); self.links.len()];
         for stretch in stretches(trajectory, every_s) {
@@ -479,18 +479,13 @@ fn stretches(trajectory: &Trajectory, every_s: f64) -> Vec<Trajectory> {
     let Some((start_s, end_s)) = trajectory.motion().window_s.filter(|_| every_s > 0.0) else { return Vec::new() };
     let count = (((end_s - start_s) / every_s).round() as usize).clamp(1, trajectory.poses().len());
     let edge_s = |k: usize| if k == count { end_s } else { start_s + every_s * k as f64 };
-    let cut = |k: usize| {
-        let (from_s, to_s) = (edge_s(k), edge_s(k + 1));
-        let inside = trajectory.poses().iter().filter(|pose| (from_s..=to_s).contains(&pose.t_s));
-        Trajectory::new(inside.copied().collect()).ok()
-    };
-    (0..count).filter_map(cut).collect()
+    (0..count).filter_map(|k| trajectory.within(edge_s(k), edge_s(k + 1)).ok()).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::pose::Pose;
+    use crate::motion::pose::{Pose, TrajectoryKind};
     use nalgebra::Vector3;
 
     fn trajectory() -> Trajectory {
@@ -511,6 +506,8 @@ mod tests {
             assert!(last.1 - last.0 > 0.45 * every_s && last.1 - last.0 < 1.55 * every_s, "{every_s}: {cut:?}");
         }
         assert_eq!(stretches(&whole, 1e9).len(), 1);
+        let camera = stretches(&whole.clone().with_kind(TrajectoryKind::Camera), 2.0);
+        assert!(camera.iter().all(|stretch| stretch.kind() == TrajectoryKind::Camera), "its heading's deviation");
         assert!([0.0, -1.0, f64::NAN].iter().all(|every_s| stretches(&whole, *every_s).is_empty()));
     }
 

@@ -9,7 +9,7 @@ use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::{
     Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, OneLog, Options, estimate_one,
 };
-use crate::place::{PeerTrack, TrackCounts, TrackSettings};
+use crate::place::{PeerTrack, TrackCounts};
 use crate::source::Next;
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
@@ -110,7 +110,6 @@ impl PeerLink {
     /// A peer that was not heard yet.
     pub(super) fn new(peer: LivePeer, own: Mac, due: Instant, options: &Options) -> Self {
         let antenna = options.antenna;
-        let heading_sd_rad = options.heading_sd_rad.unwrap_or_default();
         Self {
             front: Front::new(antenna).with_known([own]),
             link: Link::new(peer.mac, None),
@@ -127,7 +126,7 @@ impl PeerLink {
             accurate_at: None,
             unrefined: false,
             bearing: None,
-            carried: PeerTrack::new(TrackSettings::new(heading_sd_rad)),
+            carried: PeerTrack::default(),
             carried_to_s: None,
         }
     }
@@ -387,6 +386,7 @@ impl PeerLink {
             report.answer.cause = answer.cause;
             return report;
         }
+        self.carried.set_heading_sd(options.heading_sd_of(&receiver));
         answer.carried = self.carry(found.path_m, accurate || !context.wants_whole());
         // What rounds to zero has no sign.
         let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
@@ -462,6 +462,6 @@ fn cut(trajectory: &Trajectory, found: &Window) -> Trajectory {
         return trajectory.clone();
     }
     let from = trajectory.poses().partition_point(|pose| pose.t_s < found.from_s).saturating_sub(1);
-    let kept = trajectory.poses().get(from..).unwrap_or_default();
-    Trajectory::new(kept.to_vec()).unwrap_or_else(|_| trajectory.clone())
+    let from_s = trajectory.poses().get(from).map_or(found.from_s, |pose| pose.t_s);
+    trajectory.within(from_s, f64::INFINITY).unwrap_or_else(|_| trajectory.clone())
 }

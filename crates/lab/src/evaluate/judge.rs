@@ -456,9 +456,7 @@ impl Part {
             return Ok(trajectory.clone());
         };
         let edge_s = |k: u32| start_s + (end_s - start_s) * f64::from(k) / f64::from(self.of);
-        let (from_s, to_s) = (edge_s(self.index), edge_s(self.index + self.count));
-        let inside = trajectory.poses().iter().filter(|pose| (from_s..=to_s).contains(&pose.t_s));
-        Trajectory::new(inside.copied().collect())
+        trajectory.within(edge_s(self.index), edge_s(self.index + self.count))
     }
 }
 
