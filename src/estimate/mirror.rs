@@ -4,7 +4,8 @@
 //! `n` and nothing else. An error of the odometry of the size of that depth, with its course, makes one into the other. So of
 //! the posterior of each direction the share `1 / (1 + e^D)` belongs to its reflection, with `1 / D = 1 / L + s^2 / (2 h^2)`
 //! for an odometry error of `s` and a depth of `h` (root mean squares) and the logarithm `L` of the likelihood ratio of the
-//! two. The posterior of windows holds `L` by itself.
+//! two. The posterior of windows holds `L` by itself. A heading that drifts bends a straight path to both sides, so `s` holds the
+//! bend, too.
 
 use super::likelihood::Place;
 use super::posterior::{Atom, Mode, Steps, settle};
@@ -24,33 +25,51 @@ pub(super) struct Mirrored {
     pub level: bool,
 }
 
+/// What odometry gets wrong of a path.
+#[derive(Clone, Copy)]
+pub(super) struct Odometry {
+    /// Positions from moment to moment, metres.
+    pub sd_m: f64,
+    /// The bend of the path, radians ([`super::Task::bend_rad`]).
+    pub bend_rad: f64,
+}
+
+impl Odometry {
+    /// Mean square of the errors along a normal, metres squared, on a path of this radius. A curve of `2 d / radius` leaves the chord
+    /// of a straight path by `4 d radius / sqrt(180)` (root mean square).
+    fn error2(self, normal: &Vector3<f64>, radius_m: f64) -> f64 {
+        let bent_m = 4.0 / 180f64.sqrt() * self.bend_rad * radius_m;
+        self.sd_m * self.sd_m + bent_m * bent_m * normal.xy().norm_squared()
+    }
+}
+
 /// A plane through the motion that it hardly leaves.
 struct Plane {
     normal: Vector3<f64>,
-    /// Mean square of the distances from it, metres squared.
+    /// Mean squares of the distances from it, and of what odometry gets wrong of them, metres squared.
     depth2: f64,
+    error2: f64,
 }
 
 /// The plane that a motion lies nearest to, or of a line the upright one along it.
-fn planes(points: &[Vector3<f64>], prior: &Prior, odometry_sd_m: f64) -> Vec<Plane> {
+fn planes(points: &[Vector3<f64>], prior: &Prior, odometry: Odometry) -> Vec<Plane> {
+    let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
     let scatter: Matrix3<f64> =
         points.iter().map(|p| p * p.transpose()).sum::<Matrix3<f64>>() / points.len().max(1) as f64;
     let eigen = SymmetricEigen::new(scatter);
     let mut order = [0, 1, 2];
     order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
-    let plane = |k: usize| Plane {
-        normal: eigen.eigenvectors.column(order[k]).into_owned(),
-        depth2: eigen.eigenvalues[order[k]].max(0.0),
-    };
-    let along = eigen.eigenvectors.column(order[0]).into_owned();
     let depth2 =
         |normal: &Vector3<f64>| points.iter().map(|p| normal.dot(p).powi(2)).sum::<f64>() / points.len().max(1) as f64;
+    let plane =
+        |normal: Vector3<f64>| Plane { normal, depth2: depth2(&normal), error2: odometry.error2(&normal, radius_m) };
+    let across = |k: usize| plane(eigen.eigenvectors.column(order[k]).into_owned());
+    let along = eigen.eigenvectors.column(order[0]).into_owned();
     // Upright and along the motion: what a level motion, or a line in space, has on either side of it. What lies about a line
     // beyond that, the elevations say.
-    let upright = Vector3::new(-along.y, along.x, 0.0).try_normalize(1e-6);
-    let on_its_sides = upright.map(|normal| Plane { normal, depth2: depth2(&normal) });
-    let is_line = share(f64::INFINITY, plane(1).depth2, odometry_sd_m) >= LEAST;
-    if prior.is_signed() && !is_line { vec![plane(2)] } else { on_its_sides.into_iter().collect() }
+    let on_its_sides = Vector3::new(-along.y, along.x, 0.0).try_normalize(1e-6).map(plane);
+    let is_line = share(f64::INFINITY, &across(1)) >= LEAST;
+    if prior.is_signed() && !is_line { vec![across(2)] } else { on_its_sides.into_iter().collect() }
 }
 
 /// A place reflected in a plane.
@@ -66,8 +85,8 @@ fn reflected(place: &Place, normal: &Vector3<f64>, signed: bool) -> Place {
 }
 
 /// The share of a reflection.
-fn share(log_ratio: f64, depth2: f64, odometry_sd_m: f64) -> f64 {
-    let by_shape = odometry_sd_m * odometry_sd_m / (2.0 * depth2.max(1e-18));
+fn share(log_ratio: f64, plane: &Plane) -> f64 {
+    let by_shape = plane.error2 / (2.0 * plane.depth2.max(1e-18));
     let against = 1.0 / (1.0 / log_ratio.max(1e-9) + by_shape);
     1.0 / (1.0 + against.exp())
 }
@@ -78,10 +97,10 @@ pub(super) fn mix(
     points: &[Vector3<f64>],
     steps: &Steps,
     prior: &Prior,
-    odometry_sd_m: f64,
+    odometry: Odometry,
 ) -> Mirrored {
-    let shares = |_: &Place, plane: &Plane| share(f64::INFINITY, plane.depth2, odometry_sd_m);
-    mixed(modes, planes(points, prior, odometry_sd_m), steps, prior, &shares)
+    let shares = |_: &Place, plane: &Plane| share(f64::INFINITY, plane);
+    mixed(modes, planes(points, prior, odometry), steps, prior, &shares)
 }
 
 /// The same of one wave: `L` is that of independent samples.
@@ -91,15 +110,15 @@ pub(super) fn of_one_wave(
     points: &[Vector3<f64>],
     prior: &Prior,
     steps: &Steps,
-    odometry_sd_m: f64,
+    odometry: Odometry,
 ) -> Mirrored {
     let unexplained = |place: &Place| (1.0 - place.explained(samples, points)).max(1e-9);
     let shares = |place: &Place, plane: &Plane| {
         let image = reflected(place, &plane.normal, prior.is_signed());
         let ratio = samples.len() as f64 * (unexplained(&image) / unexplained(place)).ln();
-        share(ratio.max(0.0), plane.depth2, odometry_sd_m)
+        share(ratio.max(0.0), plane)
     };
-    mixed(modes, planes(points, prior, odometry_sd_m), steps, prior, &shares)
+    mixed(modes, planes(points, prior, odometry), steps, prior, &shares)
 }
 
 fn mixed(

@@ -90,6 +90,10 @@ impl Task<'_> {
     fn bend_rad(&self) -> f64 {
         (self.heading_sd_rad.powi(2) - heading::MOTION_CAPTURE_RAD.powi(2)).max(0.0).sqrt()
     }
+
+    fn odometry(&self) -> mirror::Odometry {
+        mirror::Odometry { sd_m: self.odometry_sd_m, bend_rad: self.bend_rad() }
+    }
 }
 
 /// How much is computed.
@@ -327,7 +331,7 @@ pub(crate) fn estimate(
     if let Ok(found) = early(task, std::slice::from_ref(&model), few, (&plane_wave, start), middle_m) {
         return Ok(found);
     }
-    let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry_sd_m);
+    let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry());
     let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
     // Half the width that holds 68 % of a Cauchy density, in units of its scale.
     widen(&mut modes, &model.points, 1.84 * tuning::MODEL_DEG.to_radians(), task.bend_rad());
@@ -477,7 +481,7 @@ fn early(
     }
     let Some((model, prior, one)) = best else { return Err(failed) };
     let mut modes = one.modes;
-    let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry_sd_m);
+    let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry());
     widen(&mut modes, &model.points, 0.0, task.bend_rad());
     Ok(Found {
         plane_wave: start.0.clone(),

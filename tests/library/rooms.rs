@@ -208,14 +208,15 @@ fn drifting(path: &Trajectory, mean_rad: f64) -> Trajectory {
     Trajectory::new(bent).unwrap()
 }
 
+/// Evenly spread over the normal density: 8 % to 92 %.
+const QUANTILES: [f64; 6] = [-1.38, -0.67, -0.21, 0.21, 0.67, 1.38];
+
 #[test]
 fn ranges_by_a_heading_that_drifts_are_as_uncertain_as_the_path_is_bent() {
     let sd_rad = 1.5f64.to_radians();
     for walls in [false, true] {
-        // Evenly spread over the normal density: 8 % to 92 %.
-        let quantiles = [-1.38, -0.67, -0.21, 0.21, 0.67, 1.38];
         let mut off = Vec::new();
-        for (k, mean_rad) in quantiles.iter().map(|q| q * sd_rad).enumerate() {
+        for (k, mean_rad) in QUANTILES.iter().map(|q| q * sd_rad).enumerate() {
             let run = three_robots(
                 "{ arc = { radius_m = 0.6, angle_deg = 150.0, duration_s = 10.0, start_s = 0.5 } }",
                 k as u64,
@@ -235,6 +236,29 @@ fn ranges_by_a_heading_that_drifts_are_as_uncertain_as_the_path_is_bent() {
         assert!(off.len() >= 8, "{off:?}");
         assert!(2 * within(1.0) >= off.len() && within(3.0) == off.len(), "too narrow: {off:?}");
         assert!(within(0.3) < off.len(), "too wide: {off:?}");
+    }
+}
+
+#[test]
+fn a_straight_drive_that_a_drifting_heading_bends_has_a_mirror() {
+    for (sd_deg, line_m) in [(3.9, 1.0), (1.5, 2.0)] {
+        let (mut shares, mut on_the_other_side) = (Vec::new(), 0.0);
+        for (k, quantile) in QUANTILES.iter().enumerate() {
+            let motion = format!("{{ line = {{ length_m = {line_m:?}, duration_s = 10.0, start_s = 0.5 }} }}");
+            let run = three_robots(&motion, k as u64, false);
+            let sd_rad = f64::to_radians(sd_deg);
+            let path = drifting(run.robots[0].true_path.as_ref().unwrap(), quantile * sd_rad);
+            let options = Options::new("108".parse().unwrap()).with_heading_sd_rad(Some(sd_rad));
+            for (robot, (answer, bearing)) in run.robots[1..].iter().zip(&estimated(&run, &path, &options)) {
+                shares.push(answer.mirror_share.unwrap_or(0.0));
+                let side = robot.start_m().unwrap().y.signum();
+                on_the_other_side += f64::from(u8::from(bearing.answer.azimuth_rad.sin().signum() != side));
+            }
+        }
+        let said: f64 = shares.iter().sum();
+        println!("{on_the_other_side} of {} on the other side, {said:.1} expected", shares.len());
+        assert!(shares.iter().all(|share| *share > 0.2), "{shares:?}");
+        assert!((on_the_other_side - said).abs() < 2.0 * (0.25 * shares.len() as f64).sqrt());
     }
 }
 
