@@ -91,6 +91,11 @@ impl Task<'_> {
         (self.heading_sd_rad.powi(2) - heading::MOTION_CAPTURE_RAD.powi(2)).max(0.0).sqrt()
     }
 
+    /// Standard deviation of the path's scale: what turns a path by an angle stretches it by about as much.
+    fn scale_sd(&self) -> f64 {
+        tuning::sensor::SCALE.hypot(self.bend_rad())
+    }
+
     fn odometry(&self) -> mirror::Odometry {
         mirror::Odometry { sd_m: self.odometry_sd_m, bend_rad: self.bend_rad() }
     }
@@ -167,6 +172,8 @@ pub(crate) struct Found {
     pub slope_sd_rad: Option<f64>,
     /// The middle of the motion, metres.
     pub middle_m: Vector3<f64>,
+    /// Standard deviation of the path's scale.
+    pub scale_sd: f64,
 }
 
 impl Found {
@@ -333,8 +340,7 @@ pub(crate) fn estimate(
     }
     let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry());
     let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
-    // Half the width that holds 68 % of a Cauchy density, in units of its scale.
-    widen(&mut modes, &model.points, 1.84 * tuning::MODEL_DEG.to_radians(), task.bend_rad());
+    widen(&mut modes, &model, task);
     Ok(Found {
         plane_wave,
         sufficient: Sufficient::Posterior(reason),
@@ -346,16 +352,45 @@ pub(crate) fn estimate(
         prior: model.prior,
         slope_sd_rad,
         middle_m,
+        scale_sd: task.scale_sd(),
     })
 }
 
-/// Widens elevations and ranges by the model's error, as [`Blur`] does azimuths, and ranges by the bend of the path. What turns the
-/// azimuth by an angle `d` across the motion changes 1 / range by `2 d / radius`.
-fn widen(modes: &mut [Mode], points: &[Vector3<f64>], model_rad: f64, bend_rad: f64) {
+/// Widens elevations and ranges by the model's error, as [`Blur`] does azimuths, and by what the sensor gets wrong of the path. Phases
+/// that turn the azimuth by an angle pass for a stretch of as much.
+fn widen(modes: &mut [Mode], Model { points, prior, .. }: &Model, task: &Task<'_>) {
+    // Half the width that holds 68 % of a Cauchy density, in units of its scale.
+    let model_rad = 1.84 * tuning::MODEL_DEG.to_radians();
+    let stretch = model_rad.hypot(task.scale_sd());
+    for mode in &mut *modes {
+        let by_stretch = elevation_by(stretch, &mode.place, points, prior.is_signed());
+        mode.covariance[(1, 1)] += model_rad * model_rad + by_stretch * by_stretch;
+    }
+    bend(modes, points, model_rad.hypot(task.bend_rad()));
+}
+
+/// By how much a path that is stretched by `d` changes the elevation `e` of a place, radians. Level motion shows its cosine; an error
+/// `d` of a cosine of 1 is `sqrt(2 d)`. Motion with heights `z`, and `a` towards the place, turns it by least squares:
+/// `d sin e cos e (a^2 - z^2) / (a^2 sin^2 e + z^2 cos^2 e)` (mean squares).
+fn elevation_by(stretch: f64, place: &Place, points: &[Vector3<f64>], signed: bool) -> f64 {
+    let (sin, cos) = place.elevation.sin_cos();
+    if !signed {
+        return stretch / (sin * sin + 2.0 * stretch).sqrt();
+    }
+    let (sin_a, cos_a) = place.azimuth.sin_cos();
+    let sum2 = |of: &dyn Fn(&Vector3<f64>) -> f64| points.iter().map(|p| of(p).powi(2)).sum::<f64>();
+    let (along2, high2) = (sum2(&|p| cos_a * p.x + sin_a * p.y), sum2(&|p| p.z));
+    let turned =
+        stretch * sin * cos * (along2 - high2) / (along2 * sin * sin + high2 * cos * cos).max(f64::MIN_POSITIVE);
+    turned.abs().min((2.0 * stretch).sqrt())
+}
+
+/// Widens ranges by a bend of the path: what turns the azimuth by an angle `d` across the motion changes 1 / range by
+/// `2 d / radius`.
+fn bend(modes: &mut [Mode], points: &[Vector3<f64>], bend_rad: f64) {
     let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
     for mode in modes {
-        mode.covariance[(1, 1)] += model_rad * model_rad;
-        mode.covariance[(2, 2)] += (2.0 * model_rad.hypot(bend_rad) / radius_m.max(f64::MIN_POSITIVE)).powi(2);
+        mode.covariance[(2, 2)] += (2.0 * bend_rad / radius_m.max(f64::MIN_POSITIVE)).powi(2);
     }
 }
 
@@ -456,6 +491,7 @@ fn early(
         return Err(Reason::Asked);
     }
     let samples = task.samples;
+    let scale_sd = task.scale_sd();
     let false_alarm = one_wave::FALSE_ALARM / if means.is_some() { 2.0 } else { 1.0 };
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
     let mut best: Option<(&Model, Prior, one_wave::OneWave)> = None;
@@ -466,10 +502,10 @@ fn early(
         let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(nearest)) } else { model.prior };
         let prior = if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior };
         let checked = means.map_or(Ok(()), |(samples, bins)| {
-            let heard = Heard { samples, points: &bins.points_m(&model.points), false_alarm };
+            let heard = Heard { samples, points: &bins.points_m(&model.points), false_alarm, scale_sd };
             one_wave::alone(heard, start, &prior, &model.steps, task.tier).map(drop)
         });
-        let heard = Heard { samples, points: &model.points, false_alarm };
+        let heard = Heard { samples, points: &model.points, false_alarm, scale_sd };
         match checked.and_then(|()| one_wave::explain(heard, start, &prior, &model.steps, task.tier)) {
             // Two models of the heights may both leave noise: the likelier one.
             Ok(one) if best.as_ref().is_none_or(|best| one.log_likelihood > best.2.log_likelihood) => {
@@ -482,7 +518,7 @@ fn early(
     let Some((model, prior, one)) = best else { return Err(failed) };
     let mut modes = one.modes;
     let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry());
-    widen(&mut modes, &model.points, 0.0, task.bend_rad());
+    bend(&mut modes, &model.points, task.bend_rad());
     Ok(Found {
         plane_wave: start.0.clone(),
         sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),
@@ -494,6 +530,7 @@ fn early(
         bound_rad: one.bound_rad,
         slope_sd_rad: None,
         middle_m,
+        scale_sd,
     })
 }
 

@@ -11,7 +11,6 @@ use super::likelihood::{Field, Place};
 use super::posterior::{Atom, Mode, Steps};
 use super::prior::Prior;
 use super::signal::Bins;
-use super::tuning::sensor;
 use crate::bartlett::{Estimate, Searcher, Tier};
 use crate::maths::wrap_rad;
 use crate::signal::samples::Samples;
@@ -115,6 +114,8 @@ struct Wave<'a> {
     kappa: f64,
     prior: &'a Prior,
     open: Open,
+    /// Standard deviation of the path's scale.
+    scale_sd: f64,
 }
 
 /// A wave that leaves nothing but noise, as it was found.
@@ -133,6 +134,8 @@ pub(crate) struct Heard<'a> {
     pub points: &'a [Vector3<f64>],
     /// Probability of a false alarm of each test.
     pub false_alarm: f64,
+    /// Standard deviation of the path's scale.
+    pub scale_sd: f64,
 }
 
 /// Looks for one wave next to `start`, or next to `plane_wave` if there is none.
@@ -164,7 +167,7 @@ pub(crate) fn explain(
 /// # Errors
 /// What else there is.
 pub(crate) fn alone<'a>(
-    Heard { samples, points, false_alarm }: Heard<'a>,
+    Heard { samples, points, false_alarm, scale_sd }: Heard<'a>,
     (plane_wave, start): (&Estimate, Option<Place>),
     prior: &'a Prior,
     steps: &Steps,
@@ -176,7 +179,7 @@ pub(crate) fn alone<'a>(
     let kappa = samples.kappa();
     let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
     let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
-    let wave = Wave { samples, points, kappa, prior, open };
+    let wave = Wave { samples, points, kappa, prior, open, scale_sd };
     let place = start.unwrap_or_else(|| best_start(samples, points, plane_wave, prior, steps, tier));
     let share = place.explained(samples, points);
     if share < LEAST_SHARE {
@@ -269,7 +272,13 @@ impl Wave<'_> {
     }
 
     fn cost(&self, at: &At, variance: f64) -> f64 {
-        cost(at, &self.residual(at), variance)
+        self.cost_of(at, &self.residual(at), variance)
+    }
+
+    /// What the residual phases and the prior of the scale cost, in deviations squared.
+    fn cost_of(&self, at: &At, left: &[f64], variance: f64) -> f64 {
+        let square: f64 = left.iter().map(|e| e * e).sum();
+        square / variance + (at.scale / self.scale_sd).powi(2)
     }
 
     /// Least squares of the residual phases from `at`, within the limits: a coordinate that would leave them stays there.
@@ -302,8 +311,8 @@ impl Wave<'_> {
         let mut information = information(&gradients, variance);
         // A phase that was turned back too little is made up for by a longer way.
         let mut slope: Vector4<f64> = gradients.iter().zip(left).map(|(g, e)| -g * *e / variance).sum();
-        information[(3, 3)] += sensor::SCALE.powi(-2);
-        slope[3] -= at.scale * sensor::SCALE.powi(-2);
+        information[(3, 3)] += self.scale_sd.powi(-2);
+        slope[3] -= at.scale * self.scale_sd.powi(-2);
         let fixed =
             [!azimuth_is_open, held[0] || !self.open.0[0], held[1] || !self.open.0[1], held[2] || !self.open.0[2]];
         for k in (0..4).filter(|k| fixed[*k]) {
@@ -313,11 +322,11 @@ impl Wave<'_> {
             slope[k] = 0.0;
         }
         // Less far, and more along the steepest descent, where all of the step would leave more (Levenberg and Marquardt).
-        let now = cost(at, left, variance);
+        let now = self.cost_of(at, left, variance);
         for damping in [1e-12, 1e-6, 1e-4, 1e-2, 0.3, 10.0] {
             let (next, hits) = self.moved(at, &solve(information, slope, damping)?, held);
             let next = self.fit(next);
-            if cost(&next.at, &next.left, variance) <= now {
+            if self.cost_of(&next.at, &next.left, variance) <= now {
                 return Some((next, hits));
             }
         }
@@ -364,7 +373,7 @@ impl Wave<'_> {
         let [elevation_sd, _] = self.prior.deviations();
         // Of the cosine, to first order about its mean and at least to second.
         let bent = if self.prior.is_signed() { elevation_sd } else { 1.0 - (2.0 * elevation_sd).min(FRAC_PI_2).cos() };
-        let priors = [1.8, bent.max(1e-6), (self.prior.curve_max / 12f64.sqrt()).max(1e-9), sensor::SCALE];
+        let priors = [1.8, bent.max(1e-6), (self.prior.curve_max / 12f64.sqrt()).max(1e-9), self.scale_sd];
         for k in 0..4 {
             let is_open = k == 0 || self.open.0[k - 1] && (k != 3 || with_scale);
             information[(k, k)] += if is_open { priors[k].powi(-2) } else { 1e24 };
@@ -432,7 +441,7 @@ impl Wave<'_> {
     /// the samples.
     fn beside(&self, at: &At, by_rad: f64, variance: f64) -> At {
         let mut information = self.information(at, variance);
-        information[(3, 3)] += sensor::SCALE.powi(-2);
+        information[(3, 3)] += self.scale_sd.powi(-2);
         let mut slope = -information.column(0).into_owned() * by_rad;
         for k in (0..4).filter(|k| *k == 0 || !self.open.0[k - 1]) {
             information.row_mut(k).fill(0.0);
@@ -475,12 +484,6 @@ impl Wave<'_> {
         }
         fit.at
     }
-}
-
-/// What the residual phases and the prior of the scale cost, in deviations squared.
-fn cost(at: &At, left: &[f64], variance: f64) -> f64 {
-    let square: f64 = left.iter().map(|e| e * e).sum();
-    square / variance + (at.scale / sensor::SCALE).powi(2)
 }
 
 fn about_mean(gradients: &mut [Gradient]) {

@@ -209,7 +209,7 @@ fn range(
     let mut covariance = *covariance;
     covariance[(0, 0)] = covariance[(0, 0)].max(azimuth_sd_rad * azimuth_sd_rad);
     // A wrong scale of the path scales the place too.
-    let scale_m = range_m * tuning::sensor::SCALE;
+    let scale_m = range_m * found.scale_sd;
     let covariance_m2 =
         jacobian * covariance * jacobian.transpose() + towards * towards.transpose() * (scale_m * scale_m);
     let sd_m = (covariance[(2, 2)].max(0.0).sqrt() * range_m * range_m).hypot(scale_m);

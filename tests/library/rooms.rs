@@ -240,6 +240,36 @@ fn ranges_by_a_heading_that_drifts_are_as_uncertain_as_the_path_is_bent() {
 }
 
 #[test]
+fn elevations_by_a_path_of_the_wrong_scale_are_no_surer_than_it_is() {
+    let scene = |wall: &str| {
+        format!(
+            "duration_s = 11.0\nchannel = 108\ncfo = \"physical\"\nsounding.rate_hz = 100\nreflections = 1\n\
+             [radio]\nnoise.snr_db = 20\n[[robot]]\nname = \"rx\"\n\
+             motion = {{ arc = {{ radius_m = 0.6, angle_deg = 150.0, duration_s = 10.0, start_s = 0.5 }} }}\n\
+             [[robot]]\nname = \"tx\"\nposition_m = [3.0, 1.0, 1.0]\n{wall}"
+        )
+    };
+    let wall = "[[wall]]\nfrom_m = [-4.0, 4.0]\nto_m = [4.0, 4.0]\nloss_db = 14.0\n";
+    for (wall, heading_deg, scale_sd) in [("", 1.5f64, 0.025), (wall, 0.3, 0.01)] {
+        let run = run_room(&scene(wall));
+        let mut given = 0;
+        for scale in [-1.0, -0.4, 0.0, 0.4, 1.0].map(|sds| 1.0 + sds * scale_sd) {
+            let scaled = |pose: &Pose| Pose { position_m: pose.position_m * scale, ..*pose };
+            let path = run.robots[0].true_path.as_ref().unwrap().poses().iter().map(scaled).collect();
+            let options = Options::new("108".parse().unwrap()).with_heading_sd_rad(Some(heading_deg.to_radians()));
+            let (answer, bearing) = estimated(&run, &Trajectory::new(path).unwrap(), &options).remove(0);
+            let way = run.robots[1].start_m().unwrap() - bearing.mean_position_m;
+            let truth_deg = way.z.atan2(way.xy().norm()).to_degrees();
+            let Some((elevation_deg, sd_deg)) = answer.abs_elevation_deg.zip(answer.elevation_sd_deg) else { continue };
+            println!("{scale}: {elevation_deg:.1} +- {sd_deg:.1}, truth {truth_deg:.1}; {:?}", bearing.sufficient);
+            given += 1;
+            assert!((elevation_deg - truth_deg).abs() < 3.5 * sd_deg);
+        }
+        assert!(given >= 2, "{given}");
+    }
+}
+
+#[test]
 fn a_straight_drive_that_a_drifting_heading_bends_has_a_mirror() {
     for (sd_deg, line_m) in [(3.9, 1.0), (1.5, 2.0)] {
         let (mut shares, mut on_the_other_side) = (Vec::new(), 0.0);
