@@ -675,6 +675,9 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let (status, _, err) = place("tx7=1,2");
     assert!(status == 2 && err.contains("--place tx7=...: no transmitter has this name; there are tx"), "{err}");
     assert_eq!(receiver(&place("tx=-416,909").1)["links"], 1);
+    assert_eq!(place("tx=1e7,2").0, 2);
+    let twice = ["bearing", "runs", "--channel", "108", "--place", "tx=1,2", "--place", "tx=3,4"];
+    folder.says(&twice, 2, &["--place tx=... is given twice"]);
     // Another capture has a transmitter of that name.
     std::fs::create_dir(folder.0.join("runs/square")).unwrap();
     for (from, to) in [("csi_rx", "csi_rx"), ("csi_tx", "csi_tx7"), ("rx_movement", "rx_movement")] {
