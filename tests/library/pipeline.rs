@@ -234,7 +234,7 @@ fn made() -> Link {
 
 #[test]
 fn a_number_out_of_its_range_is_an_error_of_the_link() {
-    let link = link();
+    let link = made();
     let accuracy = |accuracy| options().with_fit_odometry(true).with_accuracy(accuracy);
     let usual = Accuracy::default();
     let mut spread = options();
