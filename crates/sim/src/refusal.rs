@@ -619,7 +619,7 @@ to_m = [5.0, 3.0]
     #[test]
     fn bad_scenes_are_refused_with_line_and_reason() {
         let cases = BAD.lines().filter(|case| !case.is_empty() && !case.starts_with('#'));
-        assert_eq!(cases.clone().count(), 41);
+        assert_eq!(cases.clone().count(), 42);
         for case in cases {
             let columns: Vec<String> = case.split(" | ").map(|column| column.replace("\\n", "\n")).collect();
             let (changes, []) = columns[2..].as_chunks::<2>() else { panic!("{case}") };
