@@ -230,9 +230,8 @@ impl Keywords {
         within("heading_sd", self.heading_sd, 0.0, 180.0)?;
         within("accuracy", self.accuracy, 0.0, 180.0)?;
         within("min_confidence", self.min_confidence, 0.0, 1.0)?;
-        let positive = [("every", self.every), ("range_min", self.range_min)];
-        if let Some((name, Some(value))) = positive.iter().find(|(_, value)| value.is_some_and(|value| value <= 0.0)) {
-            return Err(wrong(format!("{name}: {value} is not above 0")));
+        if let Some(value) = self.every.filter(|value| *value <= 0.0) {
+            return Err(wrong(format!("every: {value} is not above 0")));
         }
         within("every", self.every, 0.0, 1e9)?;
         for (name, numbers) in [("antenna_offset", self.antenna_offset), ("camera_mount", self.camera_mount)] {
@@ -246,7 +245,7 @@ impl Keywords {
         if self.every.is_some() && self.join_rows {
             return Err(wrong("every: stretches have no rows to join by (join_rows)"));
         }
-        within("range_min", self.range_min, 0.0, 1e6)?;
+        within("range_min", self.range_min, 0.01, 1e6)?;
         if self.from_.zip(self.to).is_some_and(|(from, to)| from >= to) {
             return Err(wrong("from_ is not before to"));
         }

@@ -62,7 +62,7 @@ def test_wrong_options_are_named(rx: Path, tx: Path, path_csv: Path) -> None:
         ({"antenna": "D"}, "antenna"),
         ({"from_": 2, "to": 1}, "from_"),
         ({"tx_mac": "me"}, "tx_mac"),
-        ({"range_min": 0}, "range_min"),
+        ({"range_min": 1e-9}, "range_min"),
     ):
         with pytest.raises(csi5300.OptionError, match=word):
             run(**options)

@@ -94,7 +94,7 @@ pub struct Answer {
     pub candidates: Vec<CandidateAnswer>,
     /// Sampling-time slopes removed, standard deviation, radians per subcarrier.
     pub slope_sd_rad: Option<f64>,
-    /// Carrier frequency offset found from the turn-around jitter, Hz.
+    /// Carrier frequency offset found from the turn-around jitter, Hz; null if that does not show it.
     pub cfo_hz: Option<f64>,
     /// Its change over the record, Hz; null if one offset explains all.
     pub cfo_span_hz: Option<f64>,
@@ -262,8 +262,10 @@ impl Answer {
         self.odometry_fit.clone_from(&bearing.odometry_fit);
         self.slope_sd_rad = bearing.slope_sd_rad;
         if let Some(turn_around) = &bearing.turn_around {
-            self.cfo_hz = Some(turn_around.df_hz);
-            self.cfo_span_hz = Some(turn_around.df_span_hz()).filter(|hz| *hz > 0.0);
+            // Turn-arounds that are too regular do not show the offset.
+            let is_shown = turn_around.worthwhile;
+            self.cfo_hz = is_shown.then_some(turn_around.df_hz);
+            self.cfo_span_hz = Some(turn_around.df_span_hz()).filter(|hz| is_shown && *hz > 0.0);
             self.phase_coherence_before = Some(turn_around.coherence_before);
             self.phase_coherence_after = Some(turn_around.coherence_after);
             self.turn_around_jitter_us = Some(turn_around.jitter_median_us);

@@ -196,6 +196,7 @@ fn stretches(join: &LinkJoin<'_>, options: &Options, number: usize) -> Result<Ve
 
 /// Refuses a link without any pair to join.
 fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<(), LinkError> {
+    options.check()?;
     if !link.rows().is_empty() {
         return Ok(());
     }

@@ -7,6 +7,18 @@ use crate::exchange::assign::Unmatched;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LinkError {
+    /// A number of [`super::Options`] is out of its range.
+    #[error("{option} is {value}: it must be from {least} to {most}")]
+    OutOfRange {
+        /// The option.
+        option: &'static str,
+        /// Its value.
+        value: f64,
+        /// The smallest valid value.
+        least: f64,
+        /// The largest valid value.
+        most: f64,
+    },
     /// No frame of this transmitter is in both logs.
     #[error(
         "no frame number of this link is in both logs ({receiver} records in the receiver's, {transmitter} in the transmitter's): are they of the same run?"

@@ -200,7 +200,7 @@ impl ArrayFrame {
     /// Streams are added, because all come from the same direction. More than 30 subcarriers are added up in 30 groups,
     /// because the phase between two antennas hardly changes over a channel.
     ///
-    /// `None` if one of the antennas is not in the frame or received nothing.
+    /// `None` if one of the antennas is not in the frame, received nothing or has another number of subcarriers.
     pub fn new(
         array: &Array,
         sender: Mac,
@@ -212,7 +212,7 @@ impl ArrayFrame {
         for stream in 0..streams {
             let first = csi(array.first, stream)?;
             for ((antenna, _), product) in array.others.iter().zip(&mut products) {
-                let other = csi(*antenna, stream)?;
+                let other = csi(*antenna, stream).filter(|other| other.len() == first.len())?;
                 let (n, groups) = (first.len().max(1), first.len().clamp(1, SUBCARRIERS));
                 for (k, (a, b)) in first.iter().zip(&other).enumerate() {
                     product[k * groups / n] += a * b.conj();
@@ -857,6 +857,7 @@ fn constants(groups: &[Vec<(Vector3<f64>, Complex64)>], options: &Options) -> Ve
 
 /// The bearing to one sender.
 fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Options) -> Result<Bearing, LinkError> {
+    options.check()?;
     let times_s = times_s(&sender.rows, trajectory, options)?;
     let joined = Joined::new(&sender.rows, &times_s, array, trajectory, options)?;
     let counts = joined.counts(sender.heard);

@@ -1,5 +1,6 @@
 //! How bearings are to be made.
 
+use super::LinkError;
 use crate::bartlett::Tier;
 use crate::estimate::prior::Limits;
 use crate::estimate::tuning::sensor;
@@ -9,11 +10,18 @@ use crate::motion::pose::{Trajectory, TrajectoryKind};
 use crate::signal::channel::Channel;
 use crate::signal::samples::Samples;
 use driver_iface::{Mac, bfee::Antenna};
+use std::f64::consts::FRAC_PI_2;
 use std::num::NonZeroUsize;
 
 /// Pairs up to this long before and after the trajectory are kept, seconds; others are only counted, so that a log of
 /// hours costs no memory.
 const SETTLE_S: f64 = 30.0;
+
+/// Least [`Accuracy::range_min_m`]: the nearer the transmitter may be, the more places are searched.
+const NEAREST_M: f64 = 0.01;
+
+/// Largest number of an option, metres or radians.
+const FURTHEST: f64 = 1e6;
 
 /// How pairs find their place on the trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,7 +48,7 @@ pub struct Accuracy {
     /// Largest |elevation| of a transmitter, radians, 0 to pi/2; 0 fixes the horizon. None: 20 degrees, and if the
     /// motion distinguishes elevations, more with a tenth of the probability.
     pub elevation_max_rad: Option<f64>,
-    /// Shortest distance of a transmitter, metres. None: 1.8 m, and any if one wave leaves nothing but noise.
+    /// Shortest distance of a transmitter, metres, at least 0.01. None: 1.8 m, and any if one wave leaves nothing but noise.
     pub range_min_m: Option<f64>,
     /// The transmitter's height above the receiver's antenna, metres, if known.
     pub height_m: Option<f64>,
@@ -281,6 +289,25 @@ impl Options {
     pub fn with_tier(mut self, tier: Tier) -> Self {
         self.tier = tier;
         self
+    }
+
+    /// Refuses numbers by which no estimate can be made.
+    pub(super) fn check(&self) -> Result<(), LinkError> {
+        let Accuracy { elevation_max_rad, range_min_m, height_m, .. } = self.accuracy;
+        let numbers = [
+            ("elevation_max_rad", elevation_max_rad, [0.0, FRAC_PI_2]),
+            ("range_min_m", range_min_m, [NEAREST_M, FURTHEST]),
+            ("height_m", height_m, [-FURTHEST, FURTHEST]),
+            ("heading_sd_rad", self.heading_sd_rad, [0.0, FURTHEST]),
+            ("odometry_sd_m", Some(self.odometry_sd_m), [0.0, FURTHEST]),
+        ];
+        let is_wrong = |(_, value, [least, most]): &(_, Option<f64>, [f64; 2])| {
+            value.is_some_and(|value| !(*least..=*most).contains(&value))
+        };
+        match numbers.into_iter().find(is_wrong) {
+            Some((option, Some(value), [least, most])) => Err(LinkError::OutOfRange { option, value, least, most }),
+            _ => Ok(()),
+        }
     }
 
     /// The limits of the prior.

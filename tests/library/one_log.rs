@@ -9,11 +9,11 @@ use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{
-    Accuracy, Answer, Array, ArrayError, Bearing, JoinBy, LinkError, OneLogReport, Options, one_log,
+    Accuracy, Answer, Array, ArrayError, ArrayFrame, Bearing, JoinBy, LinkError, OneLogReport, Options, one_log,
 };
 use csi5300::source::replay::Replay;
 use nalgebra::Vector3;
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 use std::f64::consts::{PI, TAU};
 use std::io::Cursor;
 
@@ -409,4 +409,14 @@ fn the_real_log_of_two_antennas_has_the_toolboxs_answer() {
     assert!((found.coherence - share).abs() < 2e-3, "{} {share}", found.coherence);
     assert!(wrap_rad(found.azimuth_rad - azimuth_rad).abs() < 0.1_f64.to_radians());
     assert!(bearing.samples.len() > 800, "{}", bearing.samples.len());
+}
+
+#[test]
+fn antennas_with_different_subcarriers_make_no_frame() {
+    let array = Array::new(&[Antenna::A, Antenna::B], &[Vector3::new(0.1, 0.0, 0.0)]).unwrap();
+    let heard = |of_b: usize| {
+        let csi = |antenna, _| Some(vec![Complex32::ONE; if antenna == Antenna::A { 30 } else { of_b }]);
+        ArrayFrame::new(&array, Mac::ZERO, None, 1, csi).is_some()
+    };
+    assert_eq!([30, 1, 31].map(heard), [true, false, false]);
 }

@@ -7,7 +7,9 @@ use csi5300::exchange::pairing::LinkSide;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::{Answer, Bearing, CaptureReport, Effort, JoinBy, LinkError, Options, Transmitter, bearings};
+use csi5300::pipeline::{
+    Accuracy, Answer, Bearing, CaptureReport, Effort, JoinBy, LinkError, Options, Transmitter, bearings,
+};
 use csi5300::source::replay::Replay;
 use nalgebra::{Rotation3, Vector3};
 use proptest::prelude::*;
@@ -228,6 +230,29 @@ fn a_row_a_frame(frames: usize, late_s: f64) -> Trajectory {
 
 fn made() -> Link {
     link(400, 2.0)
+}
+
+#[test]
+fn a_number_out_of_its_range_is_an_error_of_the_link() {
+    let link = made();
+    let accuracy = |accuracy| options().with_fit_odometry(true).with_accuracy(accuracy);
+    let usual = Accuracy::default();
+    let mut spread = options();
+    spread.odometry_sd_m = -1.0;
+    for (asked, name) in [
+        (accuracy(usual.with_range_min_m(Some(0.0))), "range_min_m"),
+        (accuracy(usual.with_range_min_m(Some(-0.1))), "range_min_m"),
+        (accuracy(usual.with_range_min_m(Some(f64::NAN))), "range_min_m"),
+        (accuracy(usual.with_elevation_max_rad(Some(f64::NAN))), "elevation_max_rad"),
+        (accuracy(usual.with_height_m(Some(f64::INFINITY))), "height_m"),
+        (options().with_heading_sd_rad(Some(f64::INFINITY)), "heading_sd_rad"),
+        (spread, "odometry_sd_m"),
+    ] {
+        let error = only_bearing(&link.rx, &link.tx, &trajectory(&link), &asked).unwrap_err();
+        assert!(matches!(error, LinkError::OutOfRange { option, .. } if option == name), "{name}: {error}");
+    }
+    let nearest = accuracy(usual.with_range_min_m(Some(0.01)));
+    assert!(only_bearing(&link.rx, &link.tx, &trajectory(&link), &nearest).is_ok());
 }
 
 #[test]

@@ -267,6 +267,11 @@ impl CardFault {
         Self::HalfTurn,
     ];
 
+    /// True if it changes what only the WSR driver's records hold: host time, sender, number.
+    pub(crate) fn is_of_wsr(self) -> bool {
+        matches!(self, Self::HostClockSteps | Self::NumberRepeated | Self::OtherSender | Self::NoTail)
+    }
+
     /// Its name in a scene.
     #[must_use]
     pub fn name(self) -> String {

@@ -315,6 +315,13 @@ impl Scene {
         let sends = self.driver == Driver::Wsr || mac.is_none_or(|mac| mac.0[0] & 1 == 0);
         let group = "is a group address, of which the stock layout gives no frame numbers: the first byte must be even";
         ensure(sends, "mac", group)?;
+        let lost = robot.faults.card.iter().find(|fault| self.driver == Driver::Stock && fault.is_of_wsr());
+        let of_wsr = "changes host time, sender or number, which records of the stock layout do not hold";
+        ensure(
+            lost.is_none(),
+            "faults",
+            format!("has {}, which {of_wsr}", lost.map_or(String::new(), |fault| fault.name())),
+        )?;
         for (other_number, other) in self.robot.iter().take(number).enumerate() {
             ensure(other.name != robot.name, "name", "is taken: two robots cannot share one")?;
             let also = format!("is also that of {}: pairs are told apart by MAC", other.name);
@@ -574,6 +581,7 @@ to_m = [5.0, 3.0]
 12 | is also that of rx | name = "tx" | name = "tx"\nmac = "00:21:6a:53:89:d2"
 8 | no MAC address | mac = "00:21:6A:53:89:D2" | mac = "00:21:6A:53:89"
 8 | is a group address | mac = "00:21:6A:53:89:D2" | mac = "01:23:45:67:89:AB" | seed = 3 | driver = "stock"
+12 | tx: faults has no_tail, which changes | name = "tx" | name = "tx"\nfaults.card = ["no_tail"] | seed = 3 | driver = "stock"
 12 | inside the wall | [-3.858, 0.929, 0.0] | [-3.858, 2.97, 0.0]
 12 | tx is where rx is | [-3.858, 0.929, 0.0] | [0.0, 0.0, 0.0]
 9 | drives, after | radius_m = 0.3, | radius_m = 1.6,
@@ -611,7 +619,7 @@ to_m = [5.0, 3.0]
     #[test]
     fn bad_scenes_are_refused_with_line_and_reason() {
         let cases = BAD.lines().filter(|case| !case.is_empty() && !case.starts_with('#'));
-        assert_eq!(cases.clone().count(), 41);
+        assert_eq!(cases.clone().count(), 42);
         for case in cases {
             let columns: Vec<String> = case.split(" | ").map(|column| column.replace("\\n", "\n")).collect();
             let (changes, []) = columns[2..].as_chunks::<2>() else { panic!("{case}") };

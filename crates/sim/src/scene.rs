@@ -23,9 +23,9 @@ pub struct Scene {
     pub seed: u64,
     /// Length of the scene in true time, seconds.
     pub duration_s: f64,
-    /// Channel number; 108 is 5,540 MHz.
+    /// Channel number, of the centre if it is wider than 20 MHz; 108 is 5,540 MHz.
     pub channel: u16,
-    /// Bandwidth, MHz: 20 or 40; of an AX210 80 and 160 too, which `channel` is the centre of.
+    /// Bandwidth, MHz: 20 or 40; of an AX210 80 and 160 too.
     pub bandwidth_mhz: u16,
     /// True time at the start of the scene, seconds since the Unix epoch.
     pub start_unix_s: i64,

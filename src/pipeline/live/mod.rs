@@ -63,6 +63,8 @@ impl LiveEstimator {
         options: Options,
         now: Instant,
     ) -> Self {
+        // A negative rate would make every report due.
+        let settings = LiveSettings { rate_hz: settings.rate_hz.max(0.0), ..settings };
         let front = Front::new(options.antenna).with_known(peers.iter().map(|peer| peer.mac));
         let count = peers.len().max(1) as f64;
         // One peer after the other, for an even load.
@@ -370,7 +372,7 @@ pub struct LiveSettings {
     pub window_s: f64,
     /// Relative motion needed before there is a bearing: the diagonal of the box that holds it, metres.
     pub least_m: f64,
-    /// Estimates of each peer a second.
+    /// Estimates of each peer a second. Not above 0: only at the end.
     pub rate_hz: f64,
     /// Poses are extrapolated by at most this, seconds.
     pub extrapolate_s: f64,
@@ -602,5 +604,18 @@ mod tests {
         let causes = causes(&[other, own, other, alike]);
         let refused: Vec<bool> = causes.iter().map(|cause| *cause == Some(LinkError::OneLogTwice)).collect();
         assert_eq!(refused, [false, true, false, false], "{causes:?}");
+    }
+
+    #[test]
+    fn without_a_rate_reports_come_only_at_the_end() {
+        let track = || Track::still(Vector3::zeros(), 0.0);
+        for rate_hz in [-1.0, 0.0, f64::NAN] {
+            let peer = LivePeer { name: "peer".into(), mac: Mac([2; 6]), track: track(), yaw_rad: 0.0 };
+            let settings = LiveSettings { rate_hz, ..LiveSettings::new(0.054) };
+            let options = Options::new("108".parse().unwrap());
+            let mut live = LiveEstimator::new(Mac([1; 6]), track(), vec![peer], settings, options, Instant::ZERO);
+            assert!(live.poll_report(Instant::from_us(9_000_000)).is_none(), "{rate_hz}");
+            assert_eq!(live.finish(Instant::from_us(9_000_000)).len(), 1);
+        }
     }
 }

@@ -14,7 +14,7 @@ use std::net::SocketAddr;
 use std::path::Path;
 
 /// No card hears another one at this distance, metres.
-const FURTHEST_M: f64 = 1e6;
+pub const FURTHEST_M: f64 = 1e6;
 
 // How bearings are made.
 #[derive(Args, Clone, Debug)]
@@ -115,8 +115,8 @@ impl Estimation {
             return Err(format!("--from {from} is not before --to {to}"));
         }
         let far = |metres: f64| metres.is_nan() || metres.abs() > FURTHEST_M;
-        if self.range_min.is_some_and(|near| near <= 0.0 || far(near)) || self.height.is_some_and(far) {
-            return Err("--range-min takes metres, more than 0, --height metres, both of at most 1e6".into());
+        if self.range_min.is_some_and(|near| near < 0.01 || far(near)) || self.height.is_some_and(far) {
+            return Err("--range-min takes 0.01 to 1e6 metres, --height at most 1e6".into());
         }
         if self.heading_sd.is_some_and(|sd| !(0.0..=180.0).contains(&sd)) {
             return Err("--heading-sd takes 0 to 180 degrees".into());

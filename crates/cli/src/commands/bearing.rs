@@ -5,7 +5,7 @@ mod captures;
 mod words;
 
 use super::args::{Baseline, Estimation, Mounting, baseline, channel, columns, mac};
-use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown, told_apart};
+use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown, refuse_twice, told_apart};
 use super::{InWords, Outcome, Result, Words, hint, info, is_same_file, print, print_json, usage};
 use captures::MirrorOf;
 use csi_formats::{Item, Items, Why};
@@ -162,11 +162,7 @@ fn check(args: &Args) {
     if args.logs.rx.iter().chain(&args.logs.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
         usage("standard input can be one log only");
     }
-    let logs = || args.logs.rx.iter().chain(&args.logs.tx).enumerate();
-    let is_same = |a: &Path, b: &Path| a == b || is_same_file(a, b);
-    if let Some((_, twice)) = logs().find(|(k, log)| logs().take(*k).any(|(_, other)| is_same(log, other))) {
-        usage(&format!("{} is given twice: each robot has its own log", twice.display()));
-    }
+    refuse_twice(args.logs.rx.iter().chain(&args.logs.tx));
     if let Some(path) = args.profile.as_deref().filter(|path| !is_profile(path)) {
         usage(&format!("{}: a profile is written as .csv or .npz", path.display()));
     }

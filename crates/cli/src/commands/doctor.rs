@@ -62,6 +62,9 @@ pub fn run(args: &Args) -> Result {
     if args.listen.is_some() && !args.what.is_empty() {
         usage("--listen hears the card of this machine, not of a copy");
     }
+    if args.listen.is_none() && args.card.is_named() {
+        usage("--connector-index and --stock belong to --listen or --accept");
+    }
     let mut checks = examine(system.as_ref());
     if let Some(span) = args.listen {
         checks.extend(listen(args, span)?);

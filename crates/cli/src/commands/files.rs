@@ -1,7 +1,7 @@
 //! Files that commands read and write: logs, trajectories, with `--bag` the topics of a recording; other kinds of files; outputs that are
 //! not overwritten.
 
-use super::{InWords, Words, hint};
+use super::{InWords, Words, hint, usage};
 use csi5300::motion::odometry::csv::{self, Columns, CsvCounts};
 use csi5300::motion::pose::Trajectory;
 use csi5300::source::replay::Replay;
@@ -98,6 +98,16 @@ pub fn is_same_file(input: &Path, output: &Path) -> bool {
     match (input.metadata(), output.metadata()) {
         (Ok(a), Ok(b)) => (a.dev(), a.ino()) == (b.dev(), b.ino()),
         _ => false,
+    }
+}
+
+/// Ends the program if a log is given twice.
+pub fn refuse_twice<'a>(logs: impl Iterator<Item = &'a PathBuf> + Clone) {
+    let is_same = |a: &Path, b: &Path| a == b || is_same_file(a, b);
+    if let Some((_, twice)) =
+        logs.clone().enumerate().find(|(k, log)| logs.clone().take(*k).any(|other| is_same(log, other)))
+    {
+        usage(&format!("{} is given twice: each robot has its own log", twice.display()));
     }
 }
 

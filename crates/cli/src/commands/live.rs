@@ -132,6 +132,13 @@ pub struct Card {
     stock: Option<Records>,
 }
 
+impl Card {
+    /// True if an option names it.
+    pub fn is_named(&self) -> bool {
+        self.connector_index.is_some() || self.stock.is_some()
+    }
+}
+
 /// The driver whose records are made, with or without frames.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 enum Records {

@@ -34,8 +34,12 @@ fn a_scene_is_judged_and_the_report_is_written() {
     folder.write("desk.toml", b"near = \"desk/near.dat\"\nfar = \"desk/far.dat\"\nchannel = \"108\"\n");
     let (out, _) = folder.says(&["doctor", "--accept", "desk.toml"], 1, &[]);
     assert!(out.contains("FAILS      card.clock") && out.contains("recorder.same"), "{out}");
-    // Logs after a retune are compared with those before it; these are the same, of a robot that moved.
-    let more = "near = \"desk/near.dat\"\nfar = \"desk/far.dat\"\nchannel = \"108\"\nat_rest = true\nretuned = [[\"desk/near.dat\", \"desk/far.dat\"]]\n";
+    // Logs after a retune are compared with those before it; these are copies of them, of a robot that moved.
+    for name in ["near", "far"] {
+        let [from, to] = ["", "2"].map(|end| folder.0.join(format!("desk/{name}{end}.dat")));
+        std::fs::copy(from, to).unwrap();
+    }
+    let more = "near = \"desk/near.dat\"\nfar = \"desk/far.dat\"\nchannel = \"108\"\nat_rest = true\nretuned = [[\"desk/near2.dat\", \"desk/far2.dat\"]]\n";
     folder.write("retuned.toml", more.as_bytes());
     let (_, out, err) = folder.run(&["doctor", "--accept", "retuned.toml", "-v"]);
     assert!(out.contains("logs after it: 1; the largest step is that of round trip: +0 degrees"), "{out}{err}");
@@ -179,13 +183,26 @@ fn what_cannot_be_judged_is_refused() {
         ("channel = \"108\"\nassist = \"127.0.0.1:0\"\nsend = true\n", "for the second robot"),
         ("channel = \"108\"\nassist = \"127.0.0.1:0\"\ninterface = \"nowhere0\"\n", "there is no interface nowhere0"),
         ("channel = \"108\"\nsend = true\n", "interface = \"mon0\""),
+        ("channel = \"108\"\nfar = \"no.dat\"\n", "`far` needs `near`"),
+        ("channel = \"108\"\nnear = \"no.dat\"\nroom = \"a#rx\"\n", "judged by that log"),
+        ("channel = \"108\"\nroom = \"a#rx\"\ninterface = \"mon0\"\n", "takes the place of a card"),
+        ("channel = \"108\"\nnear = \"a.dat\"\nretuned = [[\"a.dat\"]]\n", "a.dat is given twice"),
         ("channel = \"108\"\nunplug = [\"D\"]\n", "\"D\""),
         ("channel = \"108\"\npeer = \"127.0.0.1:1\"\n", "cannot reach the second robot"),
     ] {
         folder.write("desk.toml", desk.as_bytes());
         refused(&["--accept", "desk.toml"], said);
     }
+    folder.write("far.toml", b"channel = \"108\"\nassist = \"127.0.0.1:0\"\n");
+    refused(&["--accept", "far.toml", "--report", "desk"], "the second robot hands its log to the first");
     refused(&["--accept", "nowhere"], "no built-in scene");
+    refused(&["--accept", "a.dat", "a.dat", "--channel", "108"], "a.dat is given twice");
+    refused(&["--accept", "lab-circle", "--channel", "108"], "a scene has its own channel");
+    folder.write("a.dat", b"");
+    for what in [&["lab-circle"][..], &["a.dat", "--channel", "108"]] {
+        refused(&[&["--accept"], what, &["--listen", "1s"]].concat(), "not for logs or a scene");
+    }
+    refused(&["--connector-index", "9"], "--listen or --accept");
     refused(&["--report", "desk"], "--accept");
     refused(&["a", "b"], "--accept");
 }

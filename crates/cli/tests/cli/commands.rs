@@ -678,6 +678,9 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let (status, _, err) = place("tx7=1,2");
     assert!(status == 2 && err.contains("--place tx7=...: no transmitter has this name; there are tx"), "{err}");
     assert_eq!(receiver(&place("tx=-416,909").1)["links"], 1);
+    assert_eq!(place("tx=1e7,2").0, 2);
+    let twice = ["bearing", "runs", "--channel", "108", "--place", "tx=1,2", "--place", "tx=3,4"];
+    folder.says(&twice, 2, &["--place tx=... is given twice"]);
     // Another capture has a transmitter of that name.
     std::fs::create_dir(folder.0.join("runs/square")).unwrap();
     for (from, to) in [("csi_rx", "csi_rx"), ("csi_tx", "csi_tx7"), ("rx_movement", "rx_movement")] {
@@ -1127,4 +1130,26 @@ fn names_are_written_out() {
     folder.write("evil.toml", b"channel = 108\nduration_s = 1.0\n[[robot]]\nname = \"t\\nb\"\n");
     let (status, _, err) = folder.run(&["simulate", "evil.toml", "--out", "out"]);
     assert!(status != 0 && err.contains("t\\nb: name goes into file names"), "{err}");
+}
+
+#[test]
+fn a_wide_scene_has_the_channel_of_its_centre_and_steady_turn_arounds_show_no_offset() {
+    let folder = Folder::new("wide");
+    let scene = "duration_s = 6.0\nchannel = 108\nbandwidth_mhz = 40\ncfo = \"physical\"\nsounding.rate_hz = 100.0\n\
+                 radio.noise.snr_db = 20.0\n[[robot]]\nname = \"rx\"\ncrystal.offset_ppm = -2.0\n\
+                 motion.circle = { radius_m = 0.3, duration_s = 5.0 }\n[[robot]]\nname = \"tx\"\nposition_m = [3.0, 1.0, 0.3]\n";
+    folder.write("wide.toml", scene.as_bytes());
+    for out in ["a", "b"] {
+        folder.says(&["simulate", "wide.toml", "--out", out], 0, &[]);
+    }
+    let file = |name: &str| format!("a/{}", name.replace("TS", "2023-11-14_221320"));
+    let (rx, tx, t) = (file("csi_rx_TS.dat"), file("csi_tx1_TS.dat"), file("rx_trajectory_TS_.csv"));
+    folder.says(&["simulate", "b", "--rx", &rx, "--tx", &tx, "--trajectory", &t, "--out", "c"], 0, &[]);
+    let (_, out, err) = folder.run(&["doctor", "--accept", "wide.toml"]);
+    assert!(out.starts_with("backend: simulated room"), "{out}{err}");
+    // The crystals are 11 kHz apart, of which nothing shows without jitter.
+    let row = &folder.rows(&["bearing", "a", "--json"], 0)[0];
+    assert!(row["cfo_hz"].is_null() && row["compensated"] == false && row["azimuth_deg"].is_f64(), "{row}");
+    let (out, _) = folder.says(&["bearing", "a", "-v"], 0, &[]);
+    assert!(out.contains("  CFO not removed: the phase would not be steadier; phase coherence 1.00"), "{out}");
 }

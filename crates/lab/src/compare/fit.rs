@@ -462,13 +462,20 @@ pub fn scene_channel(channel: Channel) -> u16 {
     }
 }
 
-/// The channel of a scene. At 40 MHz the primary channel is the lower half if that is a valid channel; the centre is the same.
+/// The channel of a scene.
 ///
 /// # Errors
 /// If no channel has the scene's number.
 pub fn channel_of(scene: &Scene) -> Result<Channel, ChannelError> {
-    let number = u32::from(scene.channel);
-    if scene.bandwidth_mhz != 40 {
+    channel_about(scene.channel.into(), scene.bandwidth_mhz == 40)
+}
+
+/// The channel whose centre has this number. At 40 MHz the primary channel is the lower half if that is a valid channel.
+///
+/// # Errors
+/// If no channel has the number.
+pub fn channel_about(number: u32, is_wide: bool) -> Result<Channel, ChannelError> {
+    if !is_wide {
         return Channel::new(number, Width::Ht20);
     }
     Channel::new(number.saturating_sub(2), Width::Ht40Plus).or_else(|_| Channel::new(number + 2, Width::Ht40Minus))

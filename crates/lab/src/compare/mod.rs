@@ -10,7 +10,7 @@ pub mod fit;
 use csi5300_sim::RoomError;
 use figures::{Distribution, Histogram, SideFigures};
 pub use figures::{Figures, LinkFigures, measure, measure_scene};
-pub use fit::{Fitted, channel_of, fit, scene_channel};
+pub use fit::{Fitted, channel_about, channel_of, fit, scene_channel};
 use std::collections::BTreeSet;
 
 /// How far a simulated figure may be from the recorded one.

@@ -23,12 +23,14 @@ pub type Place = ([f64; 2], Option<f64>);
 
 /// A transmitter's name and place.
 pub fn place(text: &str) -> Words<(String, Place)> {
-    let parts = named_numbers(text).and_then(|(name, numbers)| match numbers[..] {
+    let near =
+        |(_, numbers): &(_, Vec<f64>)| numbers.iter().all(|metres| metres.abs() <= crate::commands::args::FURTHEST_M);
+    let parts = named_numbers(text).filter(near).and_then(|(name, numbers)| match numbers[..] {
         [x, y] => Some((name.to_owned(), ([x, y], None))),
         [x, y, z] => Some((name.to_owned(), ([x, y], Some(z)))),
         _ => None,
     });
-    parts.ok_or_else(|| "a name and two or three numbers of metres, such as tx2=-3.18,1.11".into())
+    parts.ok_or_else(|| "a name and two or three numbers of metres (at most 1e6), such as tx2=-3.18,1.11".into())
 }
 
 /// A name and finite numbers: `NAME=1,2`.
@@ -59,6 +61,10 @@ impl Args {
         if let Some((name, _)) = self.place.iter().find(|(name, _)| !known.contains(name.as_str())) {
             let known = known.into_iter().collect::<Vec<_>>().join(", ");
             usage(&format!("--place {name}=...: no transmitter has this name; there are {known}"));
+        }
+        let names = || self.place.iter().map(|(name, _)| name).enumerate();
+        if let Some((_, name)) = names().find(|(k, name)| names().take(*k).any(|(_, other)| other == *name)) {
+            usage(&format!("--place {name}=... is given twice: a transmitter has one place"));
         }
     }
 
@@ -392,6 +398,11 @@ fn receivers_table(found: &[Receiver], rows: &[Judged]) -> String {
                     c[1][1].sqrt(),
                     some(receiver.links as u64, "link", "links")
                 );
+                let outliers = receiver.weights.iter().filter(|weight| **weight == 0.0).count();
+                if outliers > 0 {
+                    let _ =
+                        write!(text, ", {outliers} of them {}", if outliers == 1 { "an outlier" } else { "outliers" });
+                }
                 if let (Some(z), Some(sd)) = (receiver.height_m, receiver.height_sd_m) {
                     let _ = write!(text, ", z {} +- {sd:.2} m", fixed(z, 2));
                 }
@@ -457,9 +468,13 @@ fn others(places_m: &[[f64; 2]], text: &mut String) {
     }
 }
 
-/// The links whose place fits another bearing than their answer.
+/// The links whose place fits another bearing than their answer, or none.
 fn said_otherwise(receiver: &Receiver, rows: &[Judged], text: &mut String) {
-    for (link, azimuth_deg) in receiver.names.iter().zip(&receiver.azimuths_deg) {
+    for ((link, azimuth_deg), weight) in receiver.names.iter().zip(&receiver.azimuths_deg).zip(&receiver.weights) {
+        if *weight == 0.0 {
+            let _ = writeln!(text, "  {link}: an outlier: none of its bearings fits the known place");
+            continue;
+        }
         let answer = rows.iter().find(|row| row.answer.link == *link).and_then(|row| row.answer.azimuth_deg);
         if let Some(answer) = answer.filter(|answer| (answer - azimuth_deg).abs() > 1e-6) {
             let [fitting, answer] = [*azimuth_deg, answer].map(|deg| fixed(deg, 2));
@@ -705,6 +720,21 @@ mod tests {
         let mut text = String::new();
         conclusion(&mut text, &row);
         text
+    }
+
+    #[test]
+    fn a_link_that_its_place_contradicts_is_told() {
+        let receiver = Receiver {
+            links: 2,
+            names: vec!["c/tx1".into(), "c/tx2".into()],
+            position_m: Some([1.0, 2.0]),
+            covariance_m2: Some([[1.0, 0.0], [0.0, 1.0]]),
+            weights: vec![0.0, 1.0],
+            azimuths_deg: vec![3.0, 4.0],
+            ..Receiver::default()
+        };
+        let text = receivers_table(&[receiver], &[]);
+        assert!(text.contains("from 2 links, 1 of them an outlier\n  c/tx1: an outlier: "), "{text}");
     }
 
     #[test]

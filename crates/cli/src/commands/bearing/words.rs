@@ -297,12 +297,13 @@ pub(super) fn pairs(answer: &Answer) -> String {
         counts.silent,
         if counts.thinned > 0 { format!(", {} skipped evenly", counts.thinned) } else { String::new() }
     );
-    if let (Some(cfo), Some(before), Some(after)) =
-        (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)
-    {
-        let verb = if answer.compensated { "removed" } else { "not removed: the phase would not be steadier" };
+    if let (Some(before), Some(after)) = (answer.phase_coherence_before, answer.phase_coherence_after) {
         let drifts = answer.cfo_span_hz.map_or(String::new(), |hz| format!(" (drifting by {hz:.0} Hz)"));
-        let _ = writeln!(text, "  CFO {cfo:.0} Hz{drifts} {verb}; phase coherence {before:.2} -> {after:.2}");
+        let cfo = answer.cfo_hz.map_or_else(
+            || "not removed: the phase would not be steadier".into(),
+            |cfo| format!("{cfo:.0} Hz{drifts} removed"),
+        );
+        let _ = writeln!(text, "  CFO {cfo}; phase coherence {before:.2} -> {after:.2}");
     }
     for (name, side) in sides(answer) {
         let odd = side.duplicates + side.implausible + side.mispaired + side.restarts;

@@ -8,7 +8,7 @@
 use super::Args;
 use crate::commands::args::channel as channel_of;
 use crate::commands::draft::{FolderDraft, reads};
-use crate::commands::files::{open_log, read_trajectory};
+use crate::commands::files::{open_log, read_trajectory, refuse_twice};
 use crate::commands::live::{Listening, Needs, Signals, describe};
 use crate::commands::{InWords, Outcome, Result, Words, print, simulate, sound, usage};
 use csi_formats::Format;
@@ -77,14 +77,24 @@ struct Desk {
 }
 
 impl Desk {
-    /// Ends the command if keys contradict each other.
-    fn check(&self) {
+    /// Ends the command if keys contradict each other or the options.
+    fn check(&self, args: &Args) {
         let is_live = self.near.is_none();
         let needs_interface = self.send || self.answer;
+        let has_card = self.interface.is_some() || self.room.is_some() || self.send || !self.unplug.is_empty();
         let sets = [
             (
-                !is_live && (self.send || self.peer.is_some() || self.assist.is_some() || !self.unplug.is_empty()),
-                "a desk with `near` is judged by that log: `send`, `peer`, `assist` and `unplug` need a card",
+                !is_live && (has_card || self.peer.is_some() || self.assist.is_some()),
+                "a desk with `near` is judged by that log: `interface`, `room`, `send`, `peer`, `assist` and `unplug` need a card",
+            ),
+            (is_live && self.far.is_some(), "`far` needs `near`, the first robot's log of the same time"),
+            (
+                self.room.is_some() && (self.interface.is_some() || args.card.is_named()),
+                "a robot of a `room` takes the place of a card: leave out `interface`, --connector-index and --stock",
+            ),
+            (
+                self.assist.is_some() && (args.report.is_some() || args.json || args.listen.is_some()),
+                "the second robot hands its log to the first, which reports: give --report, --json and --listen there",
             ),
             (
                 self.assist.is_some() && (self.send || self.peer.is_some() || !self.unplug.is_empty()),
@@ -107,6 +117,8 @@ impl Desk {
         if let Some((_, why)) = sets.iter().find(|(is_wrong, _)| *is_wrong) {
             usage(why);
         }
+        let later = self.retuned.iter().chain(&self.reloaded).flatten();
+        refuse_twice(self.near.iter().chain(&self.far).chain(later));
     }
 }
 
@@ -170,7 +182,7 @@ fn evidence(args: &Args) -> Words<Option<Judged>> {
         [only] if toml(only) && only.exists() => {
             let text = std::fs::read_to_string(only).map_err(|error| format!("{}: {error}", only.display()))?;
             match Scene::parse(&text) {
-                Ok(scene) => return room(&scene).map(Some),
+                Ok(scene) => return room(args, &scene).map(Some),
                 // A desk has no robots.
                 Err(error) if text.lines().any(|line| line.trim_start().starts_with("[[robot]]")) => {
                     return Err(error.of_file(only));
@@ -184,15 +196,17 @@ fn evidence(args: &Args) -> Words<Option<Judged>> {
             for path in later.chain(&mut desk.near).chain(&mut desk.far).chain(&mut desk.trajectory) {
                 *path = folder.join(&path);
             }
-            desk.check();
+            desk.check(args);
             if let Some(address) = &desk.assist {
                 return assist(args, &desk, address).map(|()| None);
             }
             if desk.near.is_some() { logs(args, &desk) } else { listen(args, &desk) }
         }
-        [only] if !only.exists() => room(&simulate::load(only)?),
+        [only] if !only.exists() => room(args, &simulate::load(only)?),
         [near, far @ ..] if far.len() < 2 => {
-            logs(args, &Desk { near: Some(near.clone()), far: far.first().cloned(), ..Desk::default() })
+            let desk = Desk { near: Some(near.clone()), far: far.first().cloned(), ..Desk::default() };
+            desk.check(args);
+            logs(args, &desk)
         }
         _ => usage("--accept takes the logs of two robots at most: the first robot's, then the second's"),
     };
@@ -252,8 +266,16 @@ fn later(evidence: &mut Evidence, desk: &Desk) -> Words<()> {
     Ok(())
 }
 
+/// Ends the command if an option of this machine's card is given where no card is judged.
+fn without_card(args: &Args) {
+    if args.listen.is_some() || args.card.is_named() {
+        usage("--listen, --connector-index and --stock are for this machine's card, not for logs or a scene");
+    }
+}
+
 /// Recorded logs.
 fn logs(args: &Args, desk: &Desk) -> Words<Judged> {
+    without_card(args);
     let mut evidence = Evidence::new(plan(args, desk)?);
     if let Some(path) = &desk.near {
         evidence.near = Heard::of_log(&log(path)?);
@@ -266,14 +288,13 @@ fn logs(args: &Args, desk: &Desk) -> Words<Judged> {
 }
 
 /// The first two robots of a simulated room, in virtual time.
-fn room(scene: &Scene) -> Words<Judged> {
+fn room(args: &Args, scene: &Scene) -> Words<Judged> {
+    without_card(args);
+    if args.channel.is_some() {
+        usage("a scene has its own channel: leave out --channel");
+    }
     let mut room = Room::new(scene).in_words()?;
-    // A scene's number is that of the centre, here it is the lower half's.
-    let name = match scene.bandwidth_mhz {
-        40 => format!("{}+", scene.channel.saturating_sub(2)),
-        _ => scene.channel.to_string(),
-    };
-    let mut plan = Plan::new(name.parse::<Channel>().in_words()?);
+    let mut plan = Plan::new(csi5300_lab::compare::channel_of(scene).in_words()?);
     let still = |robot: &csi5300_sim::scene::Robot| robot.motion == RobotMotion::default();
     plan.at_rest = scene.robot.iter().all(still);
     if let (Some(trajectory), Some(to)) = (room.true_path(0, 100.0), room.antenna(1, 0.0))

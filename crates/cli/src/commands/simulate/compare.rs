@@ -7,15 +7,17 @@ use crate::commands::{
     InWords, Outcome, Result, Words, draft, fixed, is_same_file, print, print_json, progress, read_trajectory,
     simulate, some, usage,
 };
+use csi5300::Log;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::fit::{Known, check_width};
-use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
+use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_about, channel_of, fit, measure, rows, scene_channel};
 use csi5300_lab::evaluate::{Capture, channel_number_in, find};
 use csi5300_say::{Tone, toned};
 use csi5300_sim::Scene;
+use driver_iface::bfee::rate;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -162,8 +164,8 @@ fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel
     }
 }
 
-/// The channel of the first capture in a folder. It must be the requested one, if any. Truth files do not name the
-/// width.
+/// The channel of the first capture in a folder. It must be the requested one, if any. Truth files name the centre and not the
+/// width, which records do.
 fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
     let capture = first_capture(folder)?;
     match (asked, channel_number_in(&capture.folder).in_words()?) {
@@ -171,7 +173,11 @@ fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
             Err(format!("{} is of channel {own}, not of --channel {channel}", folder.display()))
         }
         (Some(channel), _) => Ok(channel),
-        (None, Some(own)) => Channel::new(own, Width::Ht20).in_words(),
+        (None, Some(own)) => {
+            let log = Log::open(capture.folder.join(format!("csi_rx_{}.dat", capture.stamp))).in_words()?;
+            let is_wide = log.flatten().next().is_some_and(|frame| frame.rate_n_flags & rate::HT40 != 0);
+            channel_about(own, is_wide).in_words()
+        }
         (None, None) => usage(&format!("--channel is needed: no file with a truth in {} names it", folder.display())),
     }
 }
