@@ -28,7 +28,7 @@
 //! `drawn` is null without a bearing; long rows are thinned:
 //!
 //! * `curves`: profiles, the answer's first: `name`, `azimuths_deg`, `values` relative to their highest
-//! * `path_m`, `used_m`, `mean_position_m`: (x, y) of the trajectory, of pairs used, their mean (the origin)
+//! * `path_m`, `used_m`: (x, y) of the trajectory, of pairs used
 //! * `phases`: at `t_s` of all pairs: `one_way_rad` (forward), `round_trip_rad`, `compensated_rad`; at `left_t_s` (from the first pair used) `left_rad`: residual about its mean
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
