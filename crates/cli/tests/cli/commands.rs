@@ -548,6 +548,39 @@ fn a_link_of_a_capture_is_explained_with_pictures() {
 }
 
 #[test]
+fn two_runs_of_one_name_are_two_captures() {
+    let folder = Folder::new("namesakes");
+    capture(&folder, "a/run", &link(400, 2.0));
+    capture(&folder, "b/run", &link(400, 1.0));
+    let names = ["a/run/1/tx2", "b/run/1/tx2"];
+    for command in ["bearing", "evaluate"] {
+        // Both named, or with a link or a repetition.
+        for more in [&[][..], &["./a/run"]] {
+            let rows = folder.rows(&[&[command, "a/run", "b/run", "--json"], more].concat(), 0);
+            let links: Vec<&str> = rows.iter().filter_map(|row| row["link"].as_str()).collect();
+            assert_eq!(links, names, "{command}: {rows:?}");
+            // No receiver was in both.
+            assert!(rows.iter().all(|row| row["capture"].is_null()), "{command}: {rows:?}");
+        }
+    }
+    let (_, err) = folder.says(&["evaluate", "a/run", "b/run", "--plot", "p"], 0, &[]);
+    assert!(err.contains("p: 5 pictures"), "{err}");
+    for name in ["map-a_run_1.png", "map-b_run_1.png"] {
+        assert!(folder.0.join("p").join(name).is_file(), "{name}");
+    }
+}
+
+#[test]
+fn odometry_of_a_tracking_camera_is_not_fitted() {
+    let folder = Folder::new("fit-camera");
+    let made = link(600, 2.0);
+    capture(&folder, "place", &made);
+    folder.write("place/t265_rx_trajectory_1_.csv", made.trajectory.as_bytes());
+    let (out, _) = folder.says(&["bearing", "place", "--trajectory", "t265", "--fit", "odometry"], 0, &[]);
+    assert!(out.starts_with("odometry: not corrected: a tracking camera drifts"), "{out}");
+}
+
+#[test]
 fn quiet_says_results_and_errors_and_verbose_what_was_read() {
     let folder = Folder::new("quiet");
     let mut damaged = link(300, 2.0);

@@ -64,7 +64,7 @@ impl Args {
     /// The named captures with their requested links, and whether some could not be read. Of several folders, each
     /// one's name precedes its captures' names.
     fn find(&self, reading: &Reading) -> Words<(Vec<Capture>, Vec<String>, bool)> {
-        let (mut captures, mut names, mut lost) = (Vec::new(), Vec::new(), false);
+        let (mut captures, mut links, mut lost) = (Vec::new(), Vec::new(), false);
         for named in &self.captures {
             let (folder, wanted) = parts(named);
             let (mut found, unreadable) = reading.find(&folder)?;
@@ -81,17 +81,18 @@ impl Args {
                 return Err(format!("{name} is no link of {}: `evaluate` lists them", folder.display()));
             }
             for capture in found {
-                let links: Vec<String> =
+                let own: Vec<String> =
                     capture.transmitters.iter().map(|(tx, _)| tx.clone()).filter(|tx| is_named(&capture, tx)).collect();
                 // Another link of a capture that is there already is no other capture.
                 let known = capture.add_to(&mut captures);
-                for link in links.iter().map(|tx| captures[known].link_name(tx)) {
-                    if !names.contains(&link) {
-                        names.push(link);
+                for link in own.into_iter().map(|tx| (known, tx)) {
+                    if !links.contains(&link) {
+                        links.push(link);
                     }
                 }
             }
         }
+        let names = links.iter().map(|(capture, tx)| captures[*capture].link_name(tx)).collect();
         Ok((captures, names, lost))
     }
 }
@@ -230,7 +231,8 @@ fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> Words<()> {
     let written = csi5300_lab::show::results::write_maps(rows, located, folder, &crate::commands::draft::read_files());
     let written = written.in_words()?;
     if !written.is_empty() {
-        note!("{}: {}", folder.display(), crate::commands::some(written.len() as u64, "map", "maps"));
+        // Each is two files.
+        note!("{}: {}", folder.display(), crate::commands::some(written.len() as u64 / 2, "map", "maps"));
     }
     Ok(())
 }
