@@ -18,7 +18,10 @@ import tempfile
 
 def bearings(program: str, folders: list[str], trajectory: str, ranges: str | None) -> tuple[list[dict], list[dict]]:
     command = [program, "bearing", *folders, "--json", "--quiet", "--trajectory", trajectory, *(["--ranges", ranges] if ranges else [])]
-    lines = [json.loads(line) for line in subprocess.run(command, capture_output=True, text=True, check=False).stdout.splitlines()]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode not in (0, 3):
+        sys.exit(done.stderr.strip())
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
     return [line for line in lines if "link" in line], [line for line in lines if "capture" in line]
 
 

@@ -40,7 +40,7 @@ gzip -9n "$root"/usr/share/man/man1/*.1
 install -D -m 644 packaging/csi5300-node.service "$root/usr/lib/systemd/system/csi5300-node.service"
 # The repository's unit is for a program that was installed by hand.
 sed -i 's|/usr/local/bin/csi5300-node|/usr/bin/csi5300-node|' "$root/usr/lib/systemd/system/csi5300-node.service"
-install -D -m 644 -t "$root/usr/share/doc/csi5300/examples" packaging/csi5300-node-serial.conf packaging/csi5300-node-sounding.conf
+install -D -m 644 -t "$root/usr/share/doc/csi5300/examples" packaging/csi5300-node-*.conf
 install -D -m 644 packaging/robot.toml "$root/usr/share/doc/csi5300/examples/robot.toml"
 install -m 644 README.md SECURITY.md CHANGELOG.md "$root/usr/share/doc/csi5300/"
 gzip -9n "$root/usr/share/doc/csi5300/CHANGELOG.md"

@@ -145,14 +145,17 @@ impl fmt::Display for OdometryFit {
                 writeln!(f, "  {name:<8} {value:+.digits$} +- {sd:.digits$} {unit}: not shown by this drive; {why}")
             }
         };
-        let turns = "drive curves: the robot hardly turned";
-        let place = if self.rotation_sd_rad > ON_A_CIRCLE_RAD {
-            "drive straight, too: the robot turned on one circle, and the antenna may be anywhere on a circle about its centre"
+        let straight = "drive curves: the robot hardly turned";
+        let (turn, place) = if self.rotation_sd_rad > ON_A_CIRCLE_RAD {
+            (
+                "drive straight and in curves to both sides: the robot turned on one circle",
+                "drive straight, too: the robot turned on one circle, and the antenna may be anywhere on a circle about its centre",
+            )
         } else {
-            turns
+            (straight, straight)
         };
         line("scale", &self.scale, "%", 100.0, 1, "the offset, or the transmitters' elevations, look the same")?;
-        line("turn", &self.turn, "%", 100.0, 1, turns)?;
+        line("turn", &self.turn, "%", 100.0, 1, turn)?;
         line("forward", &self.forward_m, "m", 1.0, 3, place)?;
         line("left", &self.left_m, "m", 1.0, 3, place)
     }
@@ -749,6 +752,7 @@ mod tests {
         assert!(found.rotation_sd_rad > 0.2, "{found:?}");
         let words = found.to_string();
         assert!(words.contains("forward") && words.contains("not shown by this drive; drive straight, too"), "{words}");
+        assert!(!words.contains("hardly turned"), "{words}");
     }
 
     #[test]

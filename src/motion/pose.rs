@@ -99,6 +99,8 @@ pub(crate) enum TrajectoryKind {
     MotionCapture,
     /// A tracking camera on the robot.
     Camera,
+    /// The same, of which only rolling motion was kept.
+    RollingCamera,
     /// The robot's wheels.
     Wheels,
 }
@@ -581,7 +583,7 @@ impl Trajectory {
             roller.moved(pose, gaps.iter().any(|gap| Some(gap.from_s) == last_s))
         };
         let rolled = Self::new(self.poses().iter().map(&mut middle).collect::<Result<_, _>>()?)?;
-        Ok(rolled.of_same(self))
+        Ok(rolled.of_same(self).with_kind(TrajectoryKind::RollingCamera))
     }
 }
 
@@ -922,6 +924,8 @@ mod tests {
     fn what_slips_sideways_is_taken_out_and_what_rolls_stays() {
         let exact = sensed(|_| Vector3::zeros()).rolling(&MOUNT).unwrap();
         assert!(furthest_m(&exact) < 1e-4, "{}", furthest_m(&exact));
+        // Also where nothing named the sensor: only a camera has a mount.
+        assert_eq!(exact.kind(), TrajectoryKind::RollingCamera);
         let heading = exact.poses()[300].heading_rad.unwrap();
         assert!((heading - middle()[300].heading_rad.unwrap()).abs() < 1e-9);
         // Positions turned by 6 degrees about where they began, headings as they are: what a camera's drift looks like.

@@ -14,7 +14,7 @@ use crate::estimate::prior::Limits;
 use crate::estimate::range_change::range_change;
 use crate::estimate::{Found, NoRangeChange, RangeChange, estimate, is_searchable};
 use crate::exchange::pairing::LinkSide;
-use crate::motion::pose::{Motion, Pose, Trajectory};
+use crate::motion::pose::{Motion, Pose, Trajectory, TrajectoryKind};
 use crate::signal::cfo::TurnAround;
 use crate::signal::planes::{Planes, round_trips};
 use crate::signal::samples::Samples;
@@ -159,6 +159,9 @@ pub(super) fn fit_odometry(links: &[LinkJoin<'_>], options: &Options) -> (Odomet
     let Some(receiver) = links.first().map(|join| join.receiver) else {
         return (odometry::fit(Vec::new(), false), None);
     };
+    if receiver.kind() == TrajectoryKind::Camera {
+        return (OdometryFit::refused("a tracking camera drifts, which no scale, turn or offset mends"), None);
+    }
     let (mut all, mut why) = (Vec::new(), None);
     for (k, join) in links.iter().enumerate() {
         match stretches(join, options, k) {

@@ -321,6 +321,7 @@ impl Options {
     pub(super) fn heading_sd_of(&self, trajectory: &Trajectory) -> f64 {
         let usual_deg = match trajectory.kind() {
             TrajectoryKind::Camera => sensor::CAMERA_DEG,
+            TrajectoryKind::RollingCamera => sensor::ROLLING_CAMERA_DEG,
             TrajectoryKind::Wheels => sensor::WHEELS_DEG,
             TrajectoryKind::MotionCapture | TrajectoryKind::Unknown => sensor::MOTION_CAPTURE_DEG,
         };

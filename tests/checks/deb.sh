@@ -33,6 +33,9 @@ bash -euc '
 ' bash "$root"
 # The unit runs the program where the package installs it.
 grep -q '^ExecStart=/usr/bin/csi5300-node ' "$root/usr/lib/systemd/system/csi5300-node.service"
+for rights in packaging/csi5300-node-*.conf; do
+    [ -s "$root/usr/share/doc/csi5300/examples/$(basename "$rights")" ] || { echo "no $rights"; exit 1; }
+done
 # Its example configuration is valid, except for features that this build lacks.
 "$root/usr/bin/csi5300" node --config "$root/usr/share/doc/csi5300/examples/robot.toml" --check >/dev/null 2>"$folder/said" ||
     ! grep -v 'needs a program built with' "$folder/said" || { echo "the example is refused"; exit 1; }

@@ -21,6 +21,14 @@ for page in README.md docs/*.md docs/*/*.md; do
     done < <(grep -oE '\]\([^)]+\)' "$page" | sed -E 's/^\]\(//; s/\)$//' | grep -vE '^(https?|mailto):')
 done
 
+# A test that a page names exists, in the module of that name.
+for name in $(grep -ohE '`([a-z_0-9]+::)+([a-z_0-9]+|\*)`' docs/method/*.md | tr -d '`' | sort -u); do
+    module=${name%::*}
+    module=${module%::tests}
+    test=${name##*::}
+    git grep -qF "fn ${test#\*}" -- "*/${module##*::}.rs" "*/${module##*::}/*.rs" || { echo "docs/method names a test that is not there: $name"; exit 1; }
+done
+
 if grep -n '\.\./shared' README.md docs/*.md docs/*/*.md; then
     echo "these pages name a folder that readers do not have"
     exit 1

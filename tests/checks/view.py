@@ -1,8 +1,8 @@
-"""Uses the page of `csi5300 view` as people do. Arguments: browser, addresses of captures, log and node, the page as one file, the report of `doctor --accept`, folder for pictures or ""."""
-import re, socket, sys, time, urllib.error, urllib.request
+"""Uses the page of `csi5300 view` as people do. Arguments: browser, addresses of captures, log and node, the page as one file, the report of `doctor --accept`, folder for pictures or "", the node's process."""
+import os, re, signal, socket, sys, time, urllib.error, urllib.request
 from playwright.sync_api import expect, sync_playwright
 
-browser_path, captures, log, node, file, report, pictures = sys.argv[1:8]
+browser_path, captures, log, node, file, report, pictures, process = sys.argv[1:9]
 # For a busy machine.
 LONG_MS = 300_000
 expect.set_options(timeout=LONG_MS)
@@ -80,6 +80,10 @@ def link(page):
     assert painted(page, page.locator("canvas.map")) > 20, "no map"
     profile = page.locator("section", has_text="Where the signal comes from").locator("canvas")
     assert painted(page, profile.first) > 20, "no profile"
+    # The bars are those of the answer: 95 % is not twice 68 %.
+    expect(page.locator(".key", has_text="answer")).to_contain_text(re.compile(r"± (\d+\.\d\d)° \(68 %\), ± \d+\.\d\d° \(95 %\)"))
+    cells = page.locator("th", has_text="probability share").locator("xpath=ancestor::table").locator("tbody tr").first.locator("td")
+    assert "–" not in cells.all_text_contents(), "a column of the candidates that has no values"
     page.get_by_role("button", name="near the answer").click()
     page.get_by_role("button", name="one direction").click()
     expect(page.get_by_role("button", name="one direction")).to_have_attribute("aria-pressed", "true")
@@ -147,6 +151,16 @@ def sets(page):
     expect(line).to_contain_text("12.50")
 
 
+def tabs(browser, url, words):
+    """More tabs of one browser than it opens connections to a server."""
+    context = browser.new_context()
+    for _ in range(8):
+        page = context.new_page()
+        page.goto(url)
+        expect(page.locator("#state")).to_have_text(words)
+    context.close()
+
+
 def refused(url):
     """What other web pages and programs could request from this server."""
     host = re.match(r"http://([\d.]+):(\d+)/", url)
@@ -193,6 +207,12 @@ with sync_playwright() as playwright:
     first = seen.page.locator("#shown p").first.text_content()
     expect(seen.page.locator("#shown p").first).not_to_have_text(first)
     seen.picture("view-node")
+    # One that hangs is no live one.
+    expect(seen.page.locator("#state")).to_have_text("live")
+    os.kill(int(process), signal.SIGSTOP)
+    expect(seen.page.locator("#state")).to_have_text("no word from the node: it ended, or hangs")
+    os.kill(int(process), signal.SIGCONT)
+    expect(seen.page.locator("#state")).to_have_text("live")
     seen.close()
     seen = Watched(browser, captures, captures, **wide)
     table(seen.page)
@@ -203,6 +223,8 @@ with sync_playwright() as playwright:
     heat(seen.page)
     keys(seen.page)
     seen.close()
+    tabs(browser, captures, "3 links")
+    tabs(browser, log, "2 logs")
     refused(captures)
 
     for name, theme, size in (("dark", "dark", (1440, 1000)), ("tablet", "light", (1024, 768)), ("upright", "dark", (768, 1024))):

@@ -62,14 +62,15 @@ status=0
 [ "$status" = 3 ] || { echo "a capture without its log: exit status $status instead of 3"; exit 1; }
 (cd "$folder" && exec "$csi5300" node --config robot.toml) 2>"$folder/said" &
 started+=($!)
-until [ -S "$folder/status.sock" ] || ! kill -0 "$!"; do sleep 0.1; done
+node=$!
+until [ -S "$folder/status.sock" ] || ! kill -0 "$node"; do sleep 0.1; done
 serve "$folder/status.sock" "$folder/node.url"
 sed 's/faults = { loss = 0.0018, killed = true }/faults = { card = ["clock_steps"] }/' scenes/lab-circle.toml >"$folder/broken.toml"
 status=0
 "$csi5300" doctor --accept "$folder/broken.toml" --report "$folder/desk" >"$folder/said" || status=$?
 [ "$status" = 1 ] || { echo "a card with a fault: exit status $status instead of 1"; exit 1; }
 "$python" tests/checks/view.py "$(browser)" "$(cat "$folder/captures.url")" "$(cat "$folder/log.url")" \
-    "$(cat "$folder/node.url")" "$folder/page.html" "$folder/desk/report.html" "${VIEW_PICTURES:-}"
+    "$(cat "$folder/node.url")" "$folder/page.html" "$folder/desk/report.html" "${VIEW_PICTURES:-}" "$node"
 # A signal ends it with status 0.
 kill -INT "${started[0]}"
 wait "${started[0]}" || { echo "after SIGINT: exit status $?"; exit 1; }

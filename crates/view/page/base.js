@@ -6,12 +6,13 @@ const csi = {};
   // In a page that is one file all answers are in it; a stretch of a log is then the whole log.
   csi.answers = inFile ? JSON.parse(inFile.textContent) : null;
 
+  csi.ENDED = "no word from csi5300: it ended";
   csi.get = async (path, query = "") => {
     if (csi.answers) {
       if (path in csi.answers) return csi.answers[path];
       throw new Error("this is not in the file: `csi5300 view` on the captures has it");
     }
-    const response = await fetch(query ? `${path}?${query}` : path);
+    const response = await fetch(query ? `${path}?${query}` : path).catch(() => { throw new Error(csi.ENDED); });
     if (!response.ok) throw new Error((await response.text()).trim());
     return response.json();
   };

@@ -19,14 +19,6 @@
     ];
   };
 
-  // Each view's power of the answer: how far the views of one motion agree.
-  const views = ({ row }) => {
-    const parts = (row.view_powers ?? []).map((power) => csi.figure(power, 2));
-    if (!parts.length) return null;
-    const spread = csi.isNumber(row.view_spread_deg) ? `; the one furthest off would have it ${csi.figure(row.view_spread_deg, 1)}° away` : "";
-    return csi.el("p", { class: "soft" }, `power of the answer in each view of the motion: ${parts.join(", ")}${spread}`);
-  };
-
   // The capture's links on one map, this one in front. Places of transmitters are in the frame of motion capture only.
   const scene = ({ number, row, drawn, receiver }, siblings, sameFrame) => {
     const made = { paths: [], dots: [], rays: [], ellipses: [], places: [] };
@@ -38,7 +30,7 @@
       const own = other.number === number;
       const from = other.origin_m ?? other.true_receiver_m ?? [0, 0];
       const name = other.link.split("/").at(-1);
-      if (csi.isNumber(other.azimuth_deg)) made.rays.push({ from, deg: other.azimuth_deg, sd: other.azimuth_sd_deg, colour: own ? "red" : "grey", quiet: !own, width: own ? 2.5 : 1.2 });
+      if (csi.isNumber(other.azimuth_deg)) made.rays.push({ from, deg: other.azimuth_deg, bars: [other.azimuth_sd_deg, other.azimuth_95_deg], colour: own ? "red" : "grey", quiet: !own, width: own ? 2.5 : 1.2 });
       if (own && csi.isNumber(other.mirror_deg)) made.rays.push({ from, deg: other.mirror_deg, colour: "grey", dash: [7, 5], width: 1.5 });
       if (own && csi.isNumber(other.true_from_mean_pose_deg)) made.rays.unshift({ from, deg: other.true_from_mean_pose_deg, colour: "green", width: 5, quiet: true });
       if (sameFrame && other.true_transmitter_m) made.places.push({ at: other.true_transmitter_m, label: name, colour: own ? "green" : "soft" });
@@ -96,8 +88,7 @@
     csi.map(map).show(scene(link, siblings, sameFrame));
     map.append(mapKey(link, sameFrame));
     csi.showProfile(profile, link);
-    const seen = views(link);
-    profile.append(csi.candidateTable(row), ...(seen ? [seen] : []));
+    profile.append(csi.candidateTable(row));
     csi.showPhases(phases, drawn);
     return logs.begin();
   };

@@ -94,7 +94,7 @@
         const colour = csi.seriesName(k);
         // A bearing is seen from the middle of its motion, where the robot no longer is.
         const from = into(frame)(report.origin_m ?? here);
-        const own = csi.isNumber(report.azimuth_deg) ? [{ from, deg: report.azimuth_deg + turned, sd: report.azimuth_sd_deg, colour }] : [];
+        const own = csi.isNumber(report.azimuth_deg) ? [{ from, deg: report.azimuth_deg + turned, bars: [report.azimuth_sd_deg, report.azimuth_95_deg], colour }] : [];
         return csi.isNumber(report.mirror_deg) ? [...own, { from, deg: report.mirror_deg + turned, colour, dash: [6, 5], width: 1.2 }] : own;
       });
       // A peer in the team's graph has its ellipse from there, not from its last bearing alone.

@@ -3,7 +3,7 @@
 {
   const byId = (id) => document.getElementById(id);
   const [list, shown, state] = [byId("list"), byId("shown"), byId("state")];
-  const page = { overview: null, table: null, rows: new Map(), known: 0, link: null, waits: false, keep: { panel: null } };
+  const page = { overview: null, events: null, table: null, rows: new Map(), known: 0, link: null, waits: false, keep: { panel: null } };
 
   const failed = (error) => shown.replaceChildren(csi.el("p", { class: "bad" }, String(error.message ?? error)));
 
@@ -80,6 +80,8 @@
       state.textContent = known < of ? `${known} of ${csi.count(of, "link", "links")} evaluated` : `${csi.count(of, "link", "links")}`;
       if (page.waits && page.rows.has(page.link)) await showLink(page.link);
       else showAllLater();
+      // A browser has six connections to a server, for all its tabs: one that brings nothing more is closed.
+      if (known >= of) page.events?.close();
     } catch (error) {
       state.textContent = String(error.message ?? error);
     }
@@ -93,11 +95,20 @@
 
   const listen = (live) => {
     const events = new EventSource("/events");
+    page.events = events;
+    const silent = () => { if (events.readyState === EventSource.OPEN) state.textContent = "no word from the node: it ended, or hangs"; };
+    // A node tells its state twice a second.
+    const silentLater = csi.later(3000, silent);
+    if (live) silentLater();
     events.addEventListener("rows", () => { if (page.table) fetchRows(); });
-    events.addEventListener("state", (event) => { state.textContent = "live"; live?.add([JSON.parse(event.data)]); });
-    events.addEventListener("silent", () => { state.textContent = "no word from the node: it ended, or hangs"; });
+    events.addEventListener("state", (event) => {
+      state.textContent = "live";
+      silentLater();
+      live?.add([JSON.parse(event.data)]);
+    });
+    events.addEventListener("silent", silent);
     events.addEventListener("open", () => { if (page.table) fetchRows(); });
-    events.onerror = () => { state.textContent = "no word from csi5300: it ended"; };
+    events.onerror = () => { state.textContent = events.readyState === EventSource.CLOSED ? "too many pages are open: close one and load this one again" : csi.ENDED; };
   };
 
   const move = (by) => {
@@ -153,7 +164,7 @@
       listLogs();
       state.textContent = csi.count(logs.length, "log", "logs");
     }
-    if (!csi.answers) listen(live);
+    if (kind === "captures" && !csi.answers) listen(live);
     return show();
   };
   begin().catch(failed);

@@ -175,11 +175,12 @@
       ctx.fill();
     }
 
-    // One and two deviations to each side.
-    wedge(ctx, { from, deg, sd, colour, quiet }) {
-      if (!csi.isNumber(sd) || quiet) return;
-      for (const [times, alpha] of [[2, 0.1], [1, 0.18]]) {
-        const half = Math.min(times * sd, 180);
+    // The error bars of 95 and 68 % to each side.
+    wedge(ctx, { from, deg, bars = [], colour, quiet }) {
+      if (quiet) return;
+      for (const [bar, alpha] of [[bars[1], 0.1], [bars[0], 0.18]]) {
+        if (!csi.isNumber(bar)) continue;
+        const half = Math.min(bar, 180);
         const edge = (k) => {
           const angle = rad(deg - half + (2 * half * k) / 48);
           return [from[0] + this.far * Math.cos(angle), from[1] + this.far * Math.sin(angle)];

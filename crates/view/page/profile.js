@@ -14,12 +14,11 @@
     if (csi.isNumber(truth)) csi.vertical(ctx, bbox, x(truth), csi.faint(csi.colour("green"), 0.65), 5);
     if (csi.isNumber(row.mirror_deg)) csi.vertical(ctx, bbox, x(row.mirror_deg), csi.colour("grey"), 2, [6, 5]);
     if (!csi.isNumber(row.azimuth_deg)) return;
-    const sd = row.azimuth_sd_deg;
-    for (const [times, alpha] of [[2, 0.1], [1, 0.2]]) {
-      if (!csi.isNumber(sd)) break;
+    for (const [bar, alpha] of [[row.azimuth_95_deg, 0.1], [row.azimuth_sd_deg, 0.2]]) {
+      if (!csi.isNumber(bar)) continue;
       ctx.fillStyle = csi.faint(csi.colour("red"), alpha);
       // Around the end of the axis a bar goes on at the other; it is no longer than once around.
-      const half = Math.min(times * sd, 180);
+      const half = Math.min(bar, 180);
       for (const turn of [-360, 0, 360]) {
         const [left, right] = [row.azimuth_deg - half + turn, row.azimuth_deg + half + turn];
         ctx.fillRect(x(left), bbox.top, Math.max(1, x(right) - x(left)), bbox.height);
@@ -73,7 +72,7 @@
       csi.button("near the answer", "the answer and its error bar", () => look(row.azimuth_deg - near, row.azimuth_deg + near)),
       readout));
     look(-180, 180);
-    const entries = [["red", `answer ${csi.figure(row.azimuth_deg, 2)}° ± ${csi.figure(row.azimuth_sd_deg, 2)}° (68 % and 95 %)`]];
+    const entries = [["red", `answer ${csi.figure(row.azimuth_deg, 2)}° ± ${csi.figure(row.azimuth_sd_deg, 2)}° (68 %), ± ${csi.figure(row.azimuth_95_deg, 2)}° (95 %)`]];
     if (csi.isNumber(row.mirror_deg)) entries.push(["grey", `mirror ${csi.figure(row.mirror_deg, 2)}°`, "dash"]);
     if (csi.isNumber(row.true_from_mean_pose_deg)) entries.push(["green", `truth ${csi.figure(row.true_from_mean_pose_deg, 2)}°`]);
     curves.forEach(({ name }, k) => entries.push([k ? "purple" : "blue", name]));
@@ -82,11 +81,11 @@
 
   csi.candidateTable = ({ candidates = [] }) => {
     if (!candidates.length) return csi.el("p", { class: "soft" }, "no candidates");
-    const head = ["", "azimuth", "elevation", "range", "power", "probability share"];
+    const head = ["", "azimuth", "elevation", "range", "probability share"];
     const cells = (own, k) => [
       String(k + 1), csi.figure(own.azimuth_deg, 1, "°"),
       csi.isNumber(own.elevation_deg) ? csi.figure(own.elevation_deg, 1, "°") : `±${csi.figure(own.abs_elevation_deg, 1)}°`,
-      csi.figure(own.range_m, 1, " m"), csi.figure(own.relative_power_db, 1, " dB"),
+      csi.figure(own.range_m, 1, " m"),
       csi.isNumber(own.share) ? `${(100 * own.share).toFixed(0)} %` : "–",
     ];
     const body = candidates.map((own, k) => csi.el("tr", {}, ...cells(own, k).map((text) => csi.el("td", {}, text))));

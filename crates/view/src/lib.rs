@@ -21,14 +21,14 @@
 //! * `/data/log/N`: as `info --json`, `senders` as a list; `span_s`, `subcarriers` (indices), `antennas` (letters), `rssi_in_dbm`
 //! * `/data/log/N/levels?from=&to=&columns=&sender=`: from `from_s` to `to_s` in `columns`: `records`, `rate_hz`; `min`, `mean`, `max` of `rssi` and `agc`; (column, count) of `missing`, `damaged`, `skipped`, `repeated`; `gaps_s`, `steps_back`
 //! * `/data/log/N/csi?from=&to=&columns=&sender=&antenna=`: column means of every n-th record (`every`); for each `antenna` in `antennas` `amplitude_db`, `phase_rad`; `cells`: bytes in base64, `[row][column]`, 0 `low`, 254 `high`, 255 nothing; `rows` of `subcarriers_a_row` each, with the index of their middle one in `subcarriers`; of other cards kind and width of `frames`, and how many `other_frames` have another one; without `sender=` that of the log's most frequent `sender`
-//! * `/data/log/N/levels`, `/data/log/N/csi` of a log replaced, cut or rewritten: status 409; the next `/data/log/N` reads it again. Growth is no change
+//! * `/data/log/N/levels`, `/data/log/N/csi` of a log replaced, cut or rewritten: status 409; the next `/data/log/N` reads it again, and one that grew
 //! * `/data/states`: last 1,200 states of a node
 //! * `/events`: server-sent events: `rows`, `state` (of a node), `silent`
 //!
 //! `drawn` is null without a bearing; long rows are thinned:
 //!
 //! * `curves`: profiles, the answer's first: `name`, `azimuths_deg`, `values` relative to their highest
-//! * `path_m`, `used_m`, `mean_position_m`: (x, y) of the trajectory, of pairs used, their mean (the origin)
+//! * `path_m`, `used_m`: (x, y) of the trajectory, of pairs used
 //! * `phases`: at `t_s` of all pairs: `one_way_rad` (forward), `round_trip_rad`, `compensated_rad`; at `left_t_s` (from the first pair used) `left_rad`: residual about its mean
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 

@@ -135,12 +135,21 @@ impl Logs {
         self.all.iter().position(|log| log.path == path)
     }
 
-    /// A log and its index, read if needed or changed; concurrent callers wait for the same reading.
+    /// A log and its index, read if needed, changed or grown; concurrent callers wait for the same reading.
     pub fn read(&self, number: usize) -> Result<Option<(&Named, Arc<LogIndex>)>, Error> {
+        self.read_if(number, |stamp, now| !stamp.holds(now) || now.len() > stamp.bytes)
+    }
+
+    /// The same, read again only where that is `needed`.
+    fn read_if(
+        &self,
+        number: usize,
+        needed: impl Fn(&Stamp, &Metadata) -> bool,
+    ) -> Result<Option<(&Named, Arc<LogIndex>)>, Error> {
         let Some(log) = self.all.get(number) else { return Ok(None) };
         let index = {
             let mut place = lock(&log.index);
-            let holds = place.stamp.is_some_and(|stamp| log.metadata().is_ok_and(|now| stamp.holds(&now)));
+            let holds = place.stamp.is_some_and(|stamp| log.metadata().is_ok_and(|now| !needed(&stamp, &now)));
             match &place.index {
                 Some(index) if holds => Arc::clone(index),
                 _ => log.read(&mut place)?,
@@ -150,10 +159,10 @@ impl Logs {
         Ok(Some((log, index)))
     }
 
-    /// The same for a log that must be unchanged since it was read, because the page shows parts of it.
+    /// The same for a log that must be unchanged since it was read, because the page shows parts of it; it may have grown.
     pub fn read_again(&self, number: usize) -> Result<Option<(&Named, Arc<LogIndex>)>, Error> {
         self.must_hold(number)?;
-        self.read(number)
+        self.read_if(number, |stamp, now| !stamp.holds(now))
     }
 
     /// Refuses a log that is another one than was read last.
@@ -331,9 +340,10 @@ mod tests {
         open.set_modified(SystemTime::UNIX_EPOCH).unwrap();
         assert!(is_changed());
         let (_, third) = logs.read(0).unwrap().unwrap();
-        // One that is recorded grows: what was read of it is still there.
+        // One that is recorded grows: what was read of it is still there, and a page that is loaded again has all of it.
         open.set_len(bytes.len() as u64).unwrap();
-        assert!(!is_changed() && Arc::ptr_eq(&third, &logs.read(0).unwrap().unwrap().1));
+        assert!(!is_changed() && Arc::ptr_eq(&third, &logs.read_again(0).unwrap().unwrap().1));
+        assert_eq!(logs.read(0).unwrap().unwrap().1.bytes, bytes.len() as u64);
         std::fs::remove_file(&log).unwrap();
         assert!(is_changed());
         std::fs::remove_dir_all(folder).unwrap();

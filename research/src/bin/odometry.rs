@@ -24,7 +24,6 @@ const WHEELS: [[f64; 3]; 3] = [[0.0, 0.0, 0.0], [0.03, 0.08, 0.12], [-0.02, -0.1
 enum Given {
     WheelsUnmounted,
     Wheels,
-    Camera,
     Simulated([f64; 3]),
 }
 
@@ -33,17 +32,9 @@ impl Given {
         match self {
             Self::WheelsUnmounted => "wheels, antenna's place unknown".into(),
             Self::Wheels => "wheels, antenna's place known".into(),
-            Self::Camera => "tracking camera".into(),
             Self::Simulated([scale, forward, left]) => {
                 format!("wheels, scale {:+.0} %, antenna {forward}, {left}", 100.0 * scale)
             }
-        }
-    }
-
-    fn source(self) -> TrajectorySource {
-        match self {
-            Self::Camera => TrajectorySource::T265,
-            _ => TrajectorySource::Odometry,
         }
     }
 
@@ -51,7 +42,7 @@ impl Given {
     fn of(self, capture: &Capture) -> Fallible<(Trajectory, f64)> {
         let mut capture = capture.clone();
         capture.antenna_offset_m = matches!(self, Self::Wheels).then_some(ANTENNA_M);
-        let recorded = capture.path(self.source())?;
+        let recorded = capture.path(TrajectorySource::Odometry)?;
         match self {
             Self::Simulated([scale, forward, left]) => {
                 let wheels = recorded.with_antenna_offset(-Vector3::new(forward, left, 0.0))?;
@@ -59,7 +50,7 @@ impl Given {
                 let path = Trajectory::new(wheels.poses().iter().map(scaled).collect())?;
                 Ok((path, TrajectorySource::Odometry.heading_sd_rad()))
             }
-            _ => Ok((recorded, capture.heading_sd_rad(self.source()))),
+            _ => Ok((recorded, capture.heading_sd_rad(TrajectorySource::Odometry))),
         }
     }
 }
@@ -90,9 +81,12 @@ fn main() -> Fallible<()> {
         return Err("usage: odometry DIR..".into());
     }
     let captures: Vec<Capture> = folders.iter().flat_map(|folder| find(Path::new(folder)).0).collect();
+    if captures.is_empty() {
+        return Err("no capture with a truth there".into());
+    }
     let (simulated, real): (Vec<&Capture>, Vec<&Capture>) = captures.iter().partition(|capture| is_simulated(capture));
     println!("{HEAD}");
-    for path in [Given::WheelsUnmounted, Given::Wheels, Given::Camera] {
+    for path in [Given::WheelsUnmounted, Given::Wheels] {
         table(path, &real)?;
     }
     for wrong in WHEELS {

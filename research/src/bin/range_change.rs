@@ -75,6 +75,9 @@ fn main() -> Fallible<()> {
         return Err("usage: range_change DIR..".into());
     }
     let captures: Vec<Capture> = folders.iter().flat_map(|folder| find(Path::new(folder)).0).collect();
+    if captures.is_empty() {
+        return Err("no capture with a truth there".into());
+    }
     let recorded = [TrajectorySource::GroundTruth, TrajectorySource::T265, TrajectorySource::Odometry];
     let all =
         recorded.map(Odometry::Recorded).into_iter().chain(WORSE.map(|(scale, walk)| Odometry::Worse(scale, walk)));

@@ -48,6 +48,16 @@ fn a_scene_is_judged_and_the_report_is_written() {
     assert_eq!(report["logs"][0]["records"], 2998);
 }
 
+#[test]
+fn a_report_whose_reader_is_gone_is_no_panic() {
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let output = command.args(["doctor", "--accept", "lab-circle", "--json"]).stdout(writer).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() != Some(101) && !said.contains("panicked"), "{:?}: {said}", output.status);
+}
+
 /// Judges two logs; gives the verdict of each claim about both, by its id.
 fn of_link(folder: &Folder, near: &str, far: &str) -> std::collections::BTreeMap<String, String> {
     let (_, out, err) = folder.run(&["doctor", "--accept", near, far, "--channel", "108", "--json"]);

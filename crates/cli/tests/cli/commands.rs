@@ -533,9 +533,12 @@ fn a_link_of_a_capture_is_explained_with_pictures() {
     let folder = Folder::new("explained");
     capture(&folder, "place", &link(600, 2.0));
     let (out, _) = folder.says(&["bearing", "place/tx2", "--explain", "--plot", "link"], 0, &[]);
-    for part in ["turn-around", "candidates", "answer", "truth"] {
+    // As for logs named one by one.
+    for part in ["windows along the motion: taken", "turn-around", "skipped: ", "truth"] {
         assert!(out.contains(part), "{part}: {out}");
     }
+    let row = &folder.rows(&["bearing", "place/tx2", "--explain", "--json"], 0)[0];
+    assert!(row["plan"]["steps"].is_array(), "{row}");
     let drawn: Vec<String> = std::fs::read_dir(folder.0.join("link"))
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
@@ -545,6 +548,39 @@ fn a_link_of_a_capture_is_explained_with_pictures() {
     }
     assert_eq!(folder.run(&["bearing", "place/tx9"]).0, 1);
     assert_eq!(folder.run(&["bearing", "place", "--tx", "tx.dat"]).0, 2, "a capture has its logs");
+}
+
+#[test]
+fn two_runs_of_one_name_are_two_captures() {
+    let folder = Folder::new("namesakes");
+    capture(&folder, "a/run", &link(400, 2.0));
+    capture(&folder, "b/run", &link(400, 1.0));
+    let names = ["a/run/1/tx2", "b/run/1/tx2"];
+    for command in ["bearing", "evaluate"] {
+        // Both named, or with a link or a repetition.
+        for more in [&[][..], &["./a/run"]] {
+            let rows = folder.rows(&[&[command, "a/run", "b/run", "--json"], more].concat(), 0);
+            let links: Vec<&str> = rows.iter().filter_map(|row| row["link"].as_str()).collect();
+            assert_eq!(links, names, "{command}: {rows:?}");
+            // No receiver was in both.
+            assert!(rows.iter().all(|row| row["capture"].is_null()), "{command}: {rows:?}");
+        }
+    }
+    let (_, err) = folder.says(&["evaluate", "a/run", "b/run", "--plot", "p"], 0, &[]);
+    assert!(err.contains("p: 5 pictures"), "{err}");
+    for name in ["map-a_run_1.png", "map-b_run_1.png"] {
+        assert!(folder.0.join("p").join(name).is_file(), "{name}");
+    }
+}
+
+#[test]
+fn odometry_of_a_tracking_camera_is_not_fitted() {
+    let folder = Folder::new("fit-camera");
+    let made = link(600, 2.0);
+    capture(&folder, "place", &made);
+    folder.write("place/t265_rx_trajectory_1_.csv", made.trajectory.as_bytes());
+    let (out, _) = folder.says(&["bearing", "place", "--trajectory", "t265", "--fit", "odometry"], 0, &[]);
+    assert!(out.starts_with("odometry: not corrected: a tracking camera drifts"), "{out}");
 }
 
 #[test]
@@ -661,7 +697,7 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let folder = Folder::new("truthless");
     truthless(&folder);
     let (out, _) = folder.says(&["bearing", "runs", "--channel", "108", "--explain"], 0, &[]);
-    assert!(out.starts_with("circle/real_1/tx\n") && !out.contains("\ntruth"), "{out}");
+    assert!(out.starts_with("circle/real_1/tx ") && !out.contains("truth"), "{out}");
     // Links as they are named there, wholly or by their end.
     for name in ["runs/circle/real_1/tx", "runs/circle/tx"] {
         let row = &folder.rows(&["bearing", name, "--channel", "108", "--json"], 0)[0];

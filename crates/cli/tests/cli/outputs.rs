@@ -573,7 +573,7 @@ fn errors_are_drawn_beside_those_of_another_program_on_the_same_links() {
     let (out, _) = folder.says(&["evaluate", "tree", "--plot", "p"], 0, &[]);
     let drawn = std::fs::read_to_string(folder.0.join("p/errors.svg")).unwrap();
     assert!(drawn.contains("toolbox, the same links (median 6.50)"), "{drawn}");
-    assert!(drawn.contains("toolbox on all links of NLOS_Set_A as published"), "{drawn}");
+    assert!(drawn.contains("toolbox on all links of NLOS_Set_A by motion capture"), "{drawn}");
     // `all` comes last whatever the sets are called, and unknown figures are not printed.
     let line =
         |start: &str| out.lines().position(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start}: {out}"));

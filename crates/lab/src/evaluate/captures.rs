@@ -107,14 +107,37 @@ impl Capture {
     }
 
     /// Adds it to `captures`, and returns its index. A run that is there already is not added: named again, whichever path
-    /// leads to its folder, it is still one measurement.
+    /// leads to its folder, it is still one measurement. Other runs of the same name get more of their folders' names, until
+    /// all names differ.
     pub fn add_to(self, captures: &mut Vec<Self>) -> usize {
-        let place = |own: &Self| own.folder.canonicalize().unwrap_or_else(|_| own.folder.clone());
-        let is_this = |other: &Self| self.stamp == other.stamp && place(&self) == place(other);
-        captures.iter().position(is_this).unwrap_or_else(|| {
-            captures.push(self);
-            captures.len() - 1
-        })
+        let is_this = |other: &Self| self.stamp == other.stamp && self.whole_folder() == other.whole_folder();
+        if let Some(known) = captures.iter().position(is_this) {
+            return known;
+        }
+        captures.push(self);
+        let new = captures.len() - 1;
+        loop {
+            let name = captures[new].link_name("");
+            let same: Vec<usize> = (0..=new).filter(|k| captures[*k].link_name("") == name).collect();
+            let longer = |k: &usize| Some((*k, captures[*k].longer_place()?));
+            let places: Vec<(usize, String)> = same.iter().filter_map(longer).collect();
+            if same.len() < 2 || places.is_empty() {
+                return new;
+            }
+            places.into_iter().for_each(|(k, place)| captures[k].place = place);
+        }
+    }
+
+    fn whole_folder(&self) -> PathBuf {
+        self.folder.canonicalize().unwrap_or_else(|_| self.folder.clone())
+    }
+
+    /// Its place with one more folder above; none if there is no more.
+    fn longer_place(&self) -> Option<String> {
+        let folder = self.whole_folder();
+        let names: Vec<_> = folder.iter().skip(1).map(|name| name.to_string_lossy()).collect();
+        let parts = self.place.split('/').filter(|part| !part.is_empty()).count();
+        Some(names.get(names.len().checked_sub(parts + 1)?..)?.join("/"))
     }
 
     /// Standard deviation of the heading of its trajectory by `source`, radians. For wheels with an unknown antenna position, the

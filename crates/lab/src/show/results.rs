@@ -234,10 +234,10 @@ fn errors(rows: &[Judged], others: &Others) -> CdfPlot {
     }
 }
 
-/// The published results of a set: two points.
+/// The toolbox's results on a published set: two points.
 fn published(set: &str) -> Option<(String, Vec<(f64, f64)>)> {
     let (name, median, p90) = TOOLBOX.iter().find(|own| own.0 == set)?;
-    Some((format!("toolbox on all links of {name} as published: median, 90 %"), vec![(*median, 0.5), (*p90, 0.9)]))
+    Some((format!("toolbox on all links of {name} by motion capture: median, 90 %"), vec![(*median, 0.5), (*p90, 0.9)]))
 }
 
 fn median_size(errors: &[f64]) -> f64 {
@@ -315,9 +315,12 @@ fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot 
         let sure = row.answer.confidence.map_or(String::new(), |c| format!("{name} {:.0} %", 100.0 * c));
         ray(row.answer.azimuth_deg, sure, RayClass::Measured);
         ray(row.answer.mirror_deg, String::new(), RayClass::Mirror);
-        if let (Some([x, y, _]), Some(c)) = (row.answer.position_m, row.answer.position_covariance_m2) {
+        if let (Some(at), Some(c)) = (row.answer.position_m, row.answer.position_covariance_m2) {
+            // A camera's or wheels' frame may have another origin than the map.
+            let here = row.answer.origin_m.map_or(origin_m, |[x, y, _]| [x, y]);
+            let centre_m = [0, 1].map(|k| at[k] - here[k] + origin_m[k]);
             let covariance_m2 = [[c[0][0], c[0][1]], [c[1][0], c[1][1]]];
-            plot.ellipses.push(Ellipse { centre_m: [x, y], covariance_m2, label: name.into() });
+            plot.ellipses.push(Ellipse { centre_m, covariance_m2, label: name.into() });
         }
     }
     if let Some((centre_m, covariance_m2)) = receiver.and_then(|r| r.position_m.zip(r.covariance_m2)) {
@@ -378,5 +381,22 @@ pub fn standing(standing: &Standing) -> PhasePlot {
         capture: PhaseTrack { product, ..track(&spread, &standing.course) },
         averaged: STANDING,
         ..PhasePlot::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::pipeline::Answer;
+
+    #[test]
+    fn a_place_is_drawn_from_the_receiver_of_the_map_whatever_the_origin_of_its_trajectory() {
+        let mut answer = Answer::failed("set/place/tx2".into(), String::new());
+        (answer.origin_m, answer.position_m) = (Some([0.2, -0.3, 0.0]), Some([2.7, -1.5, 0.4]));
+        answer.position_covariance_m2 = Some([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.03]]);
+        let row = Judged { answer, true_receiver_m: Some([-0.4, -0.8]), ..Judged::default() };
+        let plot = map("place", &[&row], None);
+        let [x, y] = plot.ellipses[0].centre_m;
+        assert!((x - 2.1).abs() < 1e-12 && (y + 2.0).abs() < 1e-12, "{x} {y}");
     }
 }

@@ -160,10 +160,10 @@ fn lines(stream: UnixStream) -> impl Iterator<Item = std::io::Result<String>> {
     std::iter::from_fn(move || {
         let mut line = String::new();
         match (&mut stream).take(LONGEST).read_line(&mut line) {
-            Ok(0) => None,
-            Ok(_) if !line.ends_with('\n') && line.len() as u64 >= LONGEST => {
+            Ok(read) if read as u64 >= LONGEST && !line.ends_with('\n') => {
                 Some(Err(std::io::Error::other(format!("the node's state has more than {} MiB", LONGEST >> 20))))
             }
+            Ok(_) if !line.ends_with('\n') => None,
             Ok(_) => Some(Ok(line.trim_end_matches('\n').to_owned())),
             Err(error) => Some(Err(error)),
         }

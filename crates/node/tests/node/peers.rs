@@ -185,6 +185,27 @@ fn certificates(folder: &Path, name: &str) -> bool {
     made
 }
 
+#[test]
+fn certificates_that_cannot_be_made_replace_none() {
+    let folder = folder("certificates");
+    if !certificates(&folder, "r0") {
+        return;
+    }
+    let all = || {
+        let paths = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path());
+        let mut all: Vec<_> = paths.map(|path| (std::fs::read(&path).unwrap(), path)).collect();
+        all.sort();
+        all
+    };
+    let before = all();
+    let script = crate::common::root().join("packaging/certificates.sh");
+    // The authority's own name, and an address that is none.
+    for arguments in [&["ca"][..], &["r0", "robot.local"]] {
+        let made = Command::new(&script).arg(&folder).args(arguments).output().unwrap();
+        assert!(!made.status.success() && all() == before, "{arguments:?}");
+    }
+}
+
 /// The packaged example for TLS with this test's files in it, for the robot `name` of the authority in `authority`.
 fn tls(folder: &Path, authority: &Path, name: &str, more: &str) -> String {
     let example = crate::common::root().join("packaging/zenoh-tls.json5");

@@ -385,6 +385,19 @@ fn a_line_without_an_end_is_given_up() {
     assert!(output.status.code() == Some(1) && said.contains("more than 16 MiB") && output.stdout.is_empty(), "{said}");
 }
 
+#[test]
+fn half_a_state_is_no_state() {
+    let folder = folder("watch-half");
+    let socket = folder.join("status.sock");
+    let node = UnixListener::bind(&socket).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
+    command.arg("watch").arg(&socket).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    node.accept().unwrap().0.write_all(b"{\"name\":\"burger\",\"peers\":[").unwrap();
+    let (status, out, err) = said(child.wait_with_output().unwrap());
+    assert!(status == 1 && out.is_empty() && err.contains("ended before it sent its state"), "{status} {out} {err}");
+}
+
 /// As when an SSH session or a pane goes: by a hangup where it is the program's own terminal, and where that does not reach the
 /// program (`nohup`, another session) the end of the terminal is all that there is to see.
 #[test]

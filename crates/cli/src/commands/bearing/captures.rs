@@ -7,8 +7,7 @@ use crate::commands::args::{Reading, Which};
 use crate::commands::{InWords, Outcome, Result, Words, fixed, hint, print, print_json, some, usage};
 use clap::ValueEnum;
 use csi5300::maths::median;
-use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
-use csi5300_lab::evaluate::quality::horizontal;
+use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, LinkPlan, Options};
 use csi5300_lab::evaluate::receivers::{Located, Ranged, Receiver, Shared, UNKNOWN_PROBABILITY, receivers_with};
 use csi5300_lab::evaluate::transmitters::{Frame, LocatedTransmitter, Motion, located};
 use csi5300_lab::evaluate::{Capture, Judged};
@@ -71,7 +70,7 @@ impl Args {
     /// The named captures with their requested links, and whether some could not be read. Of several folders, each
     /// one's name precedes its captures' names.
     fn find(&self, reading: &Reading) -> Words<(Vec<Capture>, Vec<String>, bool)> {
-        let (mut captures, mut names, mut lost) = (Vec::new(), Vec::new(), false);
+        let (mut captures, mut links, mut lost) = (Vec::new(), Vec::new(), false);
         for named in &self.captures {
             let (folder, wanted) = parts(named);
             let (mut found, unreadable) = reading.find(&folder)?;
@@ -88,17 +87,18 @@ impl Args {
                 return Err(format!("{name} is no link of {}: `evaluate` lists them", folder.display()));
             }
             for capture in found {
-                let links: Vec<String> =
+                let own: Vec<String> =
                     capture.transmitters.iter().map(|(tx, _)| tx.clone()).filter(|tx| is_named(&capture, tx)).collect();
                 // Another link of a capture that is there already is no other capture.
                 let known = capture.add_to(&mut captures);
-                for link in links.iter().map(|tx| captures[known].link_name(tx)) {
-                    if !names.contains(&link) {
-                        names.push(link);
+                for link in own.into_iter().map(|tx| (known, tx)) {
+                    if !links.contains(&link) {
+                        links.push(link);
                     }
                 }
             }
         }
+        let names = links.iter().map(|(capture, tx)| captures[*capture].link_name(tx)).collect();
         Ok((captures, names, lost))
     }
 }
@@ -147,8 +147,10 @@ pub fn run(args: &Args) -> Result {
     let ranges = args.graph.ranges(&captures, &reading)?;
     let (mut rows, mut shown) = (Vec::new(), 0);
     for capture in &captures {
-        let mut links: Vec<(String, Bearing)> = Vec::new();
-        let mut look = |name: &str, bearing: &Bearing, _: &Options| links.push((name.to_owned(), bearing.clone()));
+        let mut links: Vec<(String, Bearing, Options)> = Vec::new();
+        let mut look = |name: &str, bearing: &Bearing, options: &Options| {
+            links.push((name.to_owned(), bearing.clone(), options.clone()));
+        };
         let mut evaluated = capture.evaluate_and(reading.source(), reading.channel, &options, &mut look);
         hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
@@ -156,7 +158,11 @@ pub fn run(args: &Args) -> Result {
         super::print_fit(args, evaluated.rows.iter().find_map(|row| row.answer.odometry_fit.as_ref()));
         for row in &mut evaluated.rows {
             args.min_confidence.into_iter().for_each(|least| row.answer.refuse_below(least));
-            let bearing = links.iter().find(|(name, _)| *name == row.answer.link).map(|(_, bearing)| bearing);
+            let link = links.iter().find(|(name, ..)| *name == row.answer.link);
+            if let Some((_, bearing, options)) = link.filter(|_| args.explain) {
+                row.answer.plan = Some(LinkPlan::of(bearing, options, &args.grid).in_words()?);
+            }
+            let bearing = link.map(|(_, bearing, _)| bearing);
             tell(args, row, bearing, names.len());
             shown += usize::from(row.answer.azimuth_deg.is_some());
             bearing.map_or(Ok(()), |bearing| draw(args, &reading, row, bearing))?;
@@ -164,7 +170,7 @@ pub fn run(args: &Args) -> Result {
         evaluated.notes.iter().for_each(|line| note!("{line}"));
         rows.extend(evaluated.rows);
     }
-    if !args.json && !args.explain {
+    if !args.json {
         explain_lines(names.len());
     }
     let located = locate(args, &mut rows, &ranges)?;
@@ -174,21 +180,20 @@ pub fn run(args: &Args) -> Result {
 
 /// One link.
 fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>, links: usize) {
-    match bearing {
-        _ if args.json => print_json(&Row::new(row, bearing)),
-        Some(bearing) if args.explain => print(&explain(row, bearing)),
-        _ => {
-            let (answer, doubts) = (&row.answer, doubts(&row.answer));
-            let text = if is_short(links) {
-                let truth = true_azimuth("  truth", row).unwrap_or_default();
-                format!("{}{truth}\n{doubts}", in_a_line(answer, MirrorOf::Motion))
-            } else {
-                let mut text = describe(answer, MirrorOf::Motion, links, &doubts, &pairs(answer));
-                truth(&mut text, "  truth", row);
-                text
-            };
-            print(&text);
-        }
+    if args.json {
+        print_json(&Row::new(row, bearing));
+    } else {
+        let (answer, doubts) = (&row.answer, doubts(&row.answer));
+        let text = if is_short(links) {
+            let truth = true_azimuth("  truth", row).unwrap_or_default();
+            format!("{}{truth}\n{doubts}", in_a_line(answer, MirrorOf::Motion))
+        } else {
+            let mut text = describe(answer, MirrorOf::Motion, links, &doubts, &pairs(answer));
+            truth(&mut text, "  truth", row);
+            text
+        };
+        print(&text);
+        print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
     }
     if let Some(error) = &row.answer.error {
         wrong!("{}: {error}", row.answer.link);
@@ -232,71 +237,10 @@ fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> Words<()> {
     let written = csi5300_lab::show::results::write_maps(rows, located, folder, &crate::commands::draft::read_files());
     let written = written.in_words()?;
     if !written.is_empty() {
-        note!("{}: {}", folder.display(), crate::commands::some(written.len() as u64, "map", "maps"));
+        // Each is two files.
+        note!("{}: {}", folder.display(), crate::commands::some(written.len() as u64 / 2, "map", "maps"));
     }
     Ok(())
-}
-
-/// The link in the order of its steps.
-fn explain(row: &Judged, bearing: &Bearing) -> String {
-    let answer = &row.answer;
-    let mut text = format!("{}\n", answer.link);
-    let counts = answer.pair_counts;
-    let _ = writeln!(
-        text,
-        "pairs         {} formed, {} in motion, {} standing, {} without a pose",
-        counts.formed, counts.in_motion, counts.standing, counts.no_pose
-    );
-    turn_around(&mut text, bearing);
-    if let Some(slope_sd_rad) = bearing.slope_sd_rad {
-        let _ = writeln!(text, "sampling time slopes {slope_sd_rad:.3} rad per subcarrier (deviation) removed");
-    }
-    text += "candidates    (by probability)\n";
-    text += &places(&answer.candidates);
-    conclusion(&mut text, row);
-    text
-}
-
-/// How far the clocks explain the phase.
-fn turn_around(text: &mut String, bearing: &Bearing) {
-    match &bearing.turn_around {
-        Some(t) => {
-            let _ = writeln!(
-                text,
-                "turn-around   jitter {:.1} us (median), clocks drift {:.2} ppm, offset {:.0} Hz {}; coherence {:.2} -> {:.2}",
-                t.jitter_median_us,
-                t.drift_ppm,
-                t.df_hz,
-                if bearing.compensated { "removed" } else { "not removed" },
-                t.coherence_before,
-                t.coherence_after
-            );
-        }
-        None => text.push_str("turn-around   not known\n"),
-    }
-}
-
-/// The answer, and the truth if it is known.
-fn conclusion(text: &mut String, row: &Judged) {
-    let answer = &row.answer;
-    let number = |value: Option<f64>| value.map_or("-".into(), |value| fixed(value, 2));
-    let _ = writeln!(
-        text,
-        "answer        {} +- {} deg, within 5 deg with probability {}; {}",
-        number(answer.azimuth_deg),
-        number(answer.azimuth_sd_deg),
-        number(answer.confidence),
-        match (answer.range_m, answer.range_sd_m) {
-            (Some(range), Some(sd)) => {
-                format!("range {range:.2} +- {sd:.2} m, horizontally {:.2} m", range * horizontal(answer))
-            }
-            _ => "no range".into(),
-        }
-    );
-    if let Some(mirror) = mirror(answer, MirrorOf::Motion) {
-        let _ = writeln!(text, "mirror        {mirror}");
-    }
-    truth(text, "truth        ", row);
 }
 
 /// The truth, if it is known.
@@ -713,15 +657,6 @@ fn transmitters_table(found: &[LocatedTransmitter]) -> String {
 mod tests {
     use super::*;
 
-    fn concluded(change: impl FnOnce(&mut Judged)) -> String {
-        let mut row = Judged { answer: Answer::failed("a/tx".into(), String::new()), ..Judged::default() };
-        (row.answer.azimuth_deg, row.answer.azimuth_sd_deg) = (Some(-1e-17), Some(0.5));
-        change(&mut row);
-        let mut text = String::new();
-        conclusion(&mut text, &row);
-        text
-    }
-
     #[test]
     fn a_link_that_its_place_contradicts_is_told() {
         let receiver = Receiver {
@@ -740,26 +675,24 @@ mod tests {
     #[test]
     fn a_mirror_is_of_a_line_or_of_a_plane_in_which_it_has_an_elevation() {
         let of = |elevation_deg: Option<f64>| {
-            concluded(|row| {
-                (row.answer.mirror_deg, row.answer.mirror_elevation_deg) = (Some(-138.38), elevation_deg);
-            })
+            let mut answer = Answer::failed("a/tx".into(), String::new());
+            answer.azimuth_sd_deg = Some(0.5);
+            (answer.mirror_deg, answer.mirror_elevation_deg) = (Some(-138.38), elevation_deg);
+            mirror(&answer, MirrorOf::Motion).unwrap()
         };
-        let line = "mirror        -138.38 deg: motion along a line cannot tell them apart\n";
-        let plane = "mirror        -138.38 deg at elevation 2.3 deg: motion in a plane cannot tell them apart\n";
-        assert!(of(None).ends_with(line) && of(Some(2.3)).ends_with(plane), "{}{}", of(None), of(Some(2.3)));
+        assert_eq!(of(None), "-138.38 deg: motion along a line cannot tell them apart");
+        assert_eq!(of(Some(2.3)), "-138.38 deg at elevation 2.3 deg: motion in a plane cannot tell them apart");
     }
 
     #[test]
-    fn a_horizontal_truth_stands_beside_a_horizontal_range() {
-        let text = concluded(|row| {
-            row.answer.abs_elevation_deg = Some(60.0);
-            (row.answer.range_m, row.answer.range_sd_m) = (Some(4.0), Some(0.01));
-            (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) = (Some(1e-17), Some(-2e-17));
-            (row.true_range_m, row.range_error_m) = (Some(2.0), Some(-0.001));
-        });
-        let answer = "answer        0.00 +- 0.50 deg, within 5 deg with probability -; range 4.00 +- 0.01 m, horizontally 2.00 m";
-        let truth = "truth         0.00 deg: off by 0.00; horizontally 2.00 m: off by 0.00";
-        assert_eq!(text, format!("{answer}\n{truth}\n"));
+    fn a_truth_is_horizontal_and_has_no_negative_zero() {
+        let answer = Answer::failed("a/tx".into(), String::new());
+        let mut row = Judged { answer, ..Judged::default() };
+        (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) = (Some(1e-17), Some(-2e-17));
+        (row.true_range_m, row.range_error_m) = (Some(2.0), Some(-0.001));
+        let mut text = String::new();
+        truth(&mut text, "  truth", &row);
+        assert_eq!(text, "  truth 0.00 deg: off by 0.00; horizontally 2.00 m: off by 0.00\n");
     }
 
     #[test]

@@ -128,7 +128,7 @@ pub fn run(args: &Args) -> Result {
     let mut report = evidence.judge();
     report.facts = facts;
     match args.json {
-        true => println!("{}", report.json().in_words()?),
+        true => print(&format!("{}\n", report.json().in_words()?)),
         false => print(&text(&report)),
     }
     if let Some(folder) = &args.report {
