@@ -691,7 +691,6 @@ fn refuse_named(args: &Args) -> Words<()> {
         ("--columns", logs.columns.is_some()),
         ("--baseline", !logs.baseline.is_empty()),
         ("--profile", args.profile.is_some()),
-        ("--grid", args.grid.is_some()),
     ];
     match given.iter().find(|(_, given)| *given) {
         Some((name, _)) => {

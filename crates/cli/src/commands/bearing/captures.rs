@@ -160,7 +160,7 @@ pub fn run(args: &Args) -> Result {
             args.min_confidence.into_iter().for_each(|least| row.answer.refuse_below(least));
             let link = links.iter().find(|(name, ..)| *name == row.answer.link);
             if let Some((_, bearing, options)) = link.filter(|_| args.explain) {
-                row.answer.plan = Some(LinkPlan::of(bearing, options, &args.grid).in_words()?);
+                row.answer.plan = Some(LinkPlan::of(bearing, options, &args.grid()).in_words()?);
             }
             let bearing = link.map(|(_, bearing, _)| bearing);
             tell(args, row, bearing, names.len());
