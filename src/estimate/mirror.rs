@@ -30,7 +30,7 @@ pub(super) struct Mirrored {
 pub(super) struct Odometry {
     /// Positions from moment to moment, metres.
     pub sd_m: f64,
-    /// The bend of the path, radians ([`super::Task::bend_rad`]).
+    /// The bend of the path, radians ([`super::heading::bend_rad`]).
     pub bend_rad: f64,
 }
 

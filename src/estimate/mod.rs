@@ -67,6 +67,12 @@ pub mod heading {
     pub const WHEELS_RAD: f64 = sensor::WHEELS_DEG.to_radians();
     /// Wheels, where it is not.
     pub const UNMOUNTED_RAD: f64 = sensor::UNMOUNTED_DEG.to_radians();
+
+    /// By how much a path bends, radians: a heading that drifts bends it by about as much as it turns it. Motion capture's does not
+    /// drift; its deviation is that of its axes.
+    pub(crate) fn bend_rad(heading_sd_rad: f64) -> f64 {
+        (heading_sd_rad.powi(2) - MOTION_CAPTURE_RAD.powi(2)).max(0.0).sqrt()
+    }
 }
 
 /// The task of an estimate: inputs and options.
@@ -78,6 +84,8 @@ pub(crate) struct Task<'a> {
     /// Error of the positions from moment to moment, metres.
     pub odometry_sd_m: f64,
     pub heading_sd_rad: f64,
+    /// By how much the path bends, radians ([`heading::bend_rad`]).
+    pub bend_rad: f64,
     pub effort: Effort,
     pub align: bool,
     pub one_way: bool,
@@ -85,19 +93,13 @@ pub(crate) struct Task<'a> {
 }
 
 impl Task<'_> {
-    /// By how much a path bends, radians: a sensor whose heading drifts bends it by about as much as it turns it. Motion capture does
-    /// not drift; its deviation is that of its axes.
-    fn bend_rad(&self) -> f64 {
-        (self.heading_sd_rad.powi(2) - heading::MOTION_CAPTURE_RAD.powi(2)).max(0.0).sqrt()
-    }
-
     /// Standard deviation of the path's scale: what turns a path by an angle stretches it by about as much.
     fn scale_sd(&self) -> f64 {
-        tuning::sensor::SCALE.hypot(self.bend_rad())
+        tuning::sensor::SCALE.hypot(self.bend_rad)
     }
 
     fn odometry(&self) -> mirror::Odometry {
-        mirror::Odometry { sd_m: self.odometry_sd_m, bend_rad: self.bend_rad() }
+        mirror::Odometry { sd_m: self.odometry_sd_m, bend_rad: self.bend_rad }
     }
 }
 
@@ -366,7 +368,7 @@ fn widen(modes: &mut [Mode], Model { points, prior, .. }: &Model, task: &Task<'_
         let by_stretch = elevation_by(stretch, &mode.place, points, prior.is_signed());
         mode.covariance[(1, 1)] += model_rad * model_rad + by_stretch * by_stretch;
     }
-    bend(modes, points, model_rad.hypot(task.bend_rad()));
+    bend(modes, points, model_rad.hypot(task.bend_rad));
 }
 
 /// By how much a path that is stretched by `d` changes the elevation `e` of a place, radians. Level motion shows its cosine; an error
@@ -518,7 +520,7 @@ fn early(
     let Some((model, prior, one)) = best else { return Err(failed) };
     let mut modes = one.modes;
     let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry());
-    bend(&mut modes, &model.points, task.bend_rad());
+    bend(&mut modes, &model.points, task.bend_rad);
     Ok(Found {
         plane_wave: start.0.clone(),
         sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),

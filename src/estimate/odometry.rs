@@ -686,6 +686,7 @@ mod tests {
             limits: Limits::default(),
             odometry_sd_m: 0.003,
             heading_sd_rad: 0.0,
+            bend_rad: 0.0,
             effort: Effort::Needed,
             align: true,
             one_way: true,

@@ -24,7 +24,7 @@ use super::first_delay::FirstDelay;
 use super::options::{JoinBy, Options};
 use super::{LinkReport, LogReport};
 use crate::bartlett::{self, Estimate};
-use crate::estimate::{Found, estimate};
+use crate::estimate::{Found, Task, estimate};
 use crate::maths::wrap_rad;
 use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
 use crate::signal::channel::SUBCARRIERS;
@@ -722,7 +722,8 @@ impl Together {
         };
         let all: Vec<usize> = (0..self.samples.len()).collect();
         let rows = || std::iter::repeat_n(Planes::ONE, self.anchors).chain(self.rows.iter().map(planes)).collect();
-        Ok(estimate(&options.task(&self.samples, trajectory), rows, &all)?)
+        // A ruler measured this path, which is the baseline's.
+        Ok(estimate(&Task { bend_rad: 0.0, ..options.task(&self.samples, trajectory) }, rows, &all)?)
     }
 }
 

@@ -4,7 +4,7 @@ use super::LinkError;
 use crate::bartlett::Tier;
 use crate::estimate::prior::Limits;
 use crate::estimate::tuning::sensor;
-use crate::estimate::{Effort, Task};
+use crate::estimate::{Effort, Task, heading};
 use crate::exchange::tdma::Key;
 use crate::motion::pose::{Trajectory, TrajectoryKind};
 use crate::signal::channel::Channel;
@@ -330,12 +330,14 @@ impl Options {
 
     /// The estimate of these samples on this trajectory.
     pub(super) fn task<'a>(&self, samples: &'a Samples, receiver: &Trajectory) -> Task<'a> {
+        let heading_sd_rad = self.heading_sd_of(receiver);
         Task {
             samples,
             indices: self.channel.subcarriers(),
             limits: self.limits(),
             odometry_sd_m: self.odometry_sd_m,
-            heading_sd_rad: self.heading_sd_of(receiver),
+            heading_sd_rad,
+            bend_rad: heading::bend_rad(heading_sd_rad),
             effort: self.accuracy.effort,
             align: self.accuracy.align,
             one_way: self.accuracy.one_way,
