@@ -50,7 +50,7 @@ pub struct Estimation {
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true)]
     pub height: Option<f64>,
     /// Standard deviation of the trajectory's heading: 0.3 for motion capture, about 4 for a tracking camera, 20 for
-    /// wheels. Error bars and confidence include it
+    /// wheels. Error bars, ranges and confidence include it
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub heading_sd: Option<f64>,
     /// Use pairs from this many seconds after the link's first pair

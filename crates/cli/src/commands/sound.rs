@@ -68,7 +68,7 @@ pub struct Args {
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
     /// Standard deviation of the trajectory's heading: 0.3 for motion capture, about 4 for a tracking camera, 20 for
-    /// wheels. Error bars and confidence include it
+    /// wheels. Error bars, ranges and confidence include it
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
     heading_sd: Option<f64>,
     /// Print JSON, one object a line (docs/reference/formats.md)
