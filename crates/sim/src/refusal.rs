@@ -312,7 +312,7 @@ impl Scene {
         let mac = robot.mac_address(number);
         ensure(mac.is_some(), "mac", "is no MAC address; one looks like 00:21:6A:53:89:D2")?;
         // Readers take what a group address seems to send for another program's frames.
-        let sends = self.driver == Driver::Wsr || mac.is_none_or(|mac| mac.0[0] & 1 == 0);
+        let sends = self.driver == Driver::Wsr || mac.is_none_or(|mac| !mac.is_group());
         let group = "is a group address, of which the stock layout gives no frame numbers: the first byte must be even";
         ensure(sends, "mac", group)?;
         let lost = robot.faults.card.iter().find(|fault| self.driver == Driver::Stock && fault.is_of_wsr());
