@@ -761,6 +761,8 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     assert!((found["off_m"].as_f64().unwrap() - off_m).abs() < 1e-3, "{found}");
     let (status, _, err) = locate(&["runs", "--frame", "kitchen=0,0,0"]);
     assert!(status == 2 && err.contains("no capture has this name"), "{err}");
+    let (status, _, err) = locate(&["runs", "--frame", "circle=0,0,0", "--frame", "circle=1,0,0"]);
+    assert!(status == 2 && err.contains("--frame circle=... is given twice"), "{err}");
     std::fs::remove_dir_all(folder.0.join("other")).unwrap();
     folder.says(&["evaluate", "runs", "--channel", "108", "--html", "r.html"], 0, &[]);
 }

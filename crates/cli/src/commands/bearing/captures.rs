@@ -574,9 +574,12 @@ impl Together {
         named.max_by_key(|(name, _)| name.len()).map(|(_, frame)| *frame).unwrap_or_default()
     }
 
-    /// Refuses frames of captures that are not there.
+    /// Refuses frames given twice, and of captures that are not there.
     fn must_be_of(&self, captures: &[Capture]) {
-        for (name, _) in &self.frame {
+        for (k, (name, _)) in self.frame.iter().enumerate() {
+            if self.frame.iter().take(k).any(|(other, _)| other == name) {
+                usage(&format!("--frame {name}=... is given twice: a capture has one frame"));
+            }
             let below = format!("{name}/");
             let is_there = |own: String| own == *name || own.starts_with(&below);
             if !captures.iter().any(|capture| is_there(capture.link_name(""))) {
