@@ -213,7 +213,10 @@ pub fn bearings(
             let transmitters = logs.iter_mut().enumerate();
             let transmitters = transmitters.map(|(k, log)| Transmitter { log, trajectory: trajectory(k) });
             let report = estimate(&mut receiver, transmitters.collect(), &own, &options);
-            let report = report.map_err(|error| Failure::new(Kind::Capture, error))?;
+            let report = report.map_err(|error| match error {
+                csi5300::source::Error::MoreMacs { .. } => Failure::new(Kind::Option, format!("tx_mac: {error}")),
+                _ => Failure::new(Kind::Capture, error),
+            })?;
             let paths: Vec<_> = (0..report.links.len()).map(trajectory).collect();
             let cut = every_s.map(|every_s| report.in_stretches(&own, &paths, every_s, &options));
             Ok((report, cut.unwrap_or_default(), options))

@@ -62,6 +62,7 @@ def test_wrong_options_are_named(rx: Path, tx: Path, path_csv: Path) -> None:
         ({"antenna": "D"}, "antenna"),
         ({"from_": 2, "to": 1}, "from_"),
         ({"tx_mac": "me"}, "tx_mac"),
+        ({"tx_mac": [f"02:00:00:00:00:{k:02}" for k in range(9)]}, "tx_mac: 9 MACs"),
         ({"range_min": 1e-9}, "range_min"),
     ):
         with pytest.raises(csi5300.OptionError, match=word):

@@ -100,13 +100,18 @@ pub struct CaptureReport {
 /// Makes the bearings of one receiver to its transmitters.
 ///
 /// # Errors
-/// If a log cannot be read. A link that fails is reported in its place and does not stop the others.
+/// If a log cannot be read, or there are more [`Options::tx_macs`] than logs. A link that fails is reported in its place and
+/// does not stop the others.
 pub fn bearings(
     receiver: &mut (dyn CsiSource + Send),
     transmitters: Vec<Transmitter<'_>>,
     trajectory: &Trajectory,
     options: &Options,
 ) -> Result<CaptureReport, Error> {
+    let (macs, logs) = (options.tx_macs.len(), transmitters.len());
+    if macs > logs {
+        return Err(Error::MoreMacs { macs, logs });
+    }
     let mut rx = LogReader::new(receiver, options, options.tx_macs.iter().copied());
     let (logs, paths): (Vec<_>, Vec<_>) = transmitters.into_iter().map(|t| (t.log, t.trajectory)).unzip();
     let mut txs: Vec<LogReader<'_>> =

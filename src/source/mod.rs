@@ -208,6 +208,14 @@ pub enum Error {
     /// A source without an end, as a card is, where a log is read to its end.
     #[error("a live source cannot be read to its end: record it, then give the log")]
     Endless,
+    /// MACs of more transmitters than there are logs.
+    #[error("{macs} MACs of transmitters for {logs} of their logs: give at most one for each log")]
+    MoreMacs {
+        /// The MACs.
+        macs: usize,
+        /// The logs.
+        logs: usize,
+    },
     /// A failure of a source or an injector that another crate implements, in that crate's own type.
     #[error(transparent)]
     Backend(#[from] Box<dyn std::error::Error + Send + Sync>),

@@ -269,6 +269,16 @@ fn one_log_for_both_sides_is_refused() {
 }
 
 #[test]
+fn more_macs_than_logs_are_refused() {
+    let made = made();
+    let (mut rx, mut tx) = (log(&made.rx), log(&made.tx));
+    let (transmitters, path) = (vec![Transmitter { log: &mut tx, trajectory: None }], trajectory(&made));
+    let named = options().with_macs(None, vec![TRANSMITTER; 2]);
+    let refused = bearings(&mut rx, transmitters, &path, &named).unwrap_err();
+    assert!(matches!(refused, csi5300::source::Error::MoreMacs { macs: 2, logs: 1 }), "{refused}");
+}
+
+#[test]
 fn a_row_for_each_frame_at_other_times_is_refused_and_joined_row_by_row() {
     let made = made();
     let late = a_row_a_frame(400, 0.5);

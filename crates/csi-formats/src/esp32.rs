@@ -12,7 +12,7 @@
 //! The ESP32 spoils the first four bytes (`first_word_invalid`): these two subcarriers of the legacy field count as not
 //! measured, unless a column says that they are valid.
 
-use crate::{Card, Clock, Frame, Kind, RssiUnit, Tones, Why};
+use crate::{Card, Clock, DETECT, Frame, Kind, RssiUnit, Tones, Why};
 use alloc::vec::Vec;
 
 /// ESP32-CSI-Tool's columns before the samples.
@@ -75,11 +75,11 @@ impl Columns {
     }
 }
 
-/// Whether the first line is a header or has samples.
+/// Whether one of the first lines is a header or has samples; the ESP32's own messages may precede it.
 pub(crate) fn is_log(bytes: &[u8]) -> bool {
-    let line = line_of(bytes);
-    let is_heading = line.starts_with(b"type,") && line.windows(6).any(|word| word == b",mac,r");
-    is_heading || line.starts_with(START) && line.contains(&b'[')
+    let is_heading = |line: &[u8]| line.starts_with(b"type,") && line.windows(6).any(|word| word == b",mac,r");
+    let mut lines = bytes.get(..DETECT).unwrap_or(bytes).split(|byte| *byte == b'\n');
+    lines.any(|line| is_heading(line) || line.starts_with(START) && line.contains(&b'['))
 }
 
 fn line_of(bytes: &[u8]) -> &[u8] {
@@ -288,5 +288,6 @@ mod tests {
             .map(|item| if let Item::Skipped(skipped) = item { Some(skipped.why) } else { None })
             .collect();
         assert_eq!(why, [None, Some(Why::NoCsi), Some(Why::Damaged), None, Some(Why::Cut)]);
+        assert_eq!(frames(&format!("I (29) boot: ESP-IDF v4.3\n\n{good}")).len(), 1, "messages first");
     }
 }

@@ -705,25 +705,25 @@ pub struct Solution {
 }
 
 impl Solution {
-    /// Pose of a keyframe: x, y, yaw. The yaw of a point has no meaning.
+    /// Pose of a keyframe: x, y, yaw; NaN for one added after the solution. The yaw of a point has no meaning.
     #[must_use]
     pub fn pose(&self, keyframe: KeyframeId) -> [f64; 3] {
-        self.state.poses[keyframe.0]
+        self.state.poses.get(keyframe.0).copied().unwrap_or([f64::NAN; 3])
     }
 
     /// Calibration of a robot's odometry: the turn that it lacks, radians per metre driven, and the relative error of lengths
-    /// (0.01: odometry reports 1 % too little).
+    /// (0.01: odometry reports 1 % too little). NaN for a robot added after the solution.
     #[must_use]
     pub fn calibration(&self, robot: RobotId) -> [f64; 2] {
-        self.state.calibrations[robot.0]
+        self.state.calibrations.get(robot.0).copied().unwrap_or([f64::NAN; 2])
     }
 
     /// Marginal covariance of a keyframe's pose (x, y, yaw) in the problem linearised at the solution; it does not cover
-    /// `others`. Zero for the yaw of a point, and for a forgotten keyframe.
+    /// `others`. Zero for the yaw of a point, and for a forgotten keyframe; NaN for one added after the solution.
     #[must_use]
     pub fn covariance(&self, keyframe: KeyframeId) -> Matrix3<f64> {
         let mut covariance = Matrix3::zeros();
-        let at = self.layout.poses[keyframe.0];
+        let Some(at) = self.layout.poses.get(keyframe.0).copied() else { return Matrix3::from_element(f64::NAN) };
         let own = |k: usize| self.layout.variables.get(at.saturating_add(k)) == Some(&Variable::Pose(keyframe.0, k));
         for column in (0..3).filter(|k| own(*k)) {
             let mut side = vec![0.0; self.layout.variables.len()];
@@ -792,6 +792,9 @@ impl Team {
         };
         let undetermined = |at| TeamError::Undetermined { robot: self.robots[robot_of(at)].name.clone() };
         let factor = problem.normal(&state, 1.0).0.factor().map_err(undetermined)?;
+        if !factor.values.iter().chain([&cost]).all(|value| value.is_finite()) {
+            return Err(TeamError::Refused("the measurements have numbers too large or too small to solve for".into()));
+        }
         let choose = |(link, null_share): (&Link, &f64)| state.best(link, *null_share, 1.0).0;
         let chosen = self.links.iter().zip(&problem.null_shares).map(choose).collect();
         let Problem { layout, null_shares, .. } = problem;

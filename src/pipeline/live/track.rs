@@ -11,6 +11,8 @@ const STEP_M: f64 = 0.01;
 const LOOK_S: f64 = 0.02;
 /// The speed for extrapolation comes from poses of this last time, seconds.
 const SPEED_S: f64 = 0.1;
+/// A pose so far after all others is doubtful until the next one, seconds.
+const AHEAD_S: f64 = 10.0;
 /// Poses kept of one robot at most, whatever their times: half an hour at 50 Hz.
 const MAX_POSES: usize = 90_000;
 
@@ -20,7 +22,9 @@ pub struct Track {
     poses: VecDeque<Pose>,
     /// A robot that never moves: its one pose holds at any time.
     still: bool,
-    /// Poses with a known time, or not finite.
+    /// A pose far after all others: a wrong stamp if the next one is before it.
+    doubtful: Option<Pose>,
+    /// Poses with a known time, not finite, or alone far after all others.
     pub refused: u64,
 }
 
@@ -29,7 +33,7 @@ impl Track {
     #[must_use]
     pub fn still(position_m: Vector3<f64>, heading_rad: f64) -> Self {
         let pose = Pose { t_s: 0.0, position_m, heading_rad: Some(heading_rad) };
-        Self { poses: VecDeque::from([pose]), still: true, refused: 0 }
+        Self { poses: VecDeque::from([pose]), still: true, ..Self::default() }
     }
 
     /// True for a robot that never moves.
@@ -41,14 +45,25 @@ impl Track {
     /// Takes a pose; late ones are sorted in.
     pub fn push(&mut self, pose: Pose) {
         let finite = pose.t_s.is_finite() && pose.position_m.iter().all(|x| x.is_finite());
+        if !finite || pose.heading_rad.is_some_and(|heading| !heading.is_finite()) || self.still {
+            self.refused += 1;
+            return;
+        }
+        match self.doubtful.take() {
+            Some(doubtful) if doubtful.t_s < pose.t_s => self.poses.push_back(doubtful),
+            doubtful => self.refused += u64::from(doubtful.is_some()),
+        }
+        if self.poses.back().is_some_and(|last| pose.t_s - last.t_s > AHEAD_S) {
+            self.doubtful = Some(pose);
+            return;
+        }
         let at = self.poses.iter().rposition(|before| before.t_s <= pose.t_s).map_or(0, |before| before + 1);
-        let known = at > 0 && self.poses.get(at - 1).is_some_and(|before| before.t_s == pose.t_s);
-        if known || !finite || pose.heading_rad.is_some_and(|heading| !heading.is_finite()) || self.still {
+        if at > 0 && self.poses.get(at - 1).is_some_and(|before| before.t_s == pose.t_s) {
             self.refused += 1;
             return;
         }
         self.poses.insert(at, pose);
-        if self.poses.len() > MAX_POSES {
+        while self.poses.len() > MAX_POSES {
             self.poses.pop_front();
         }
     }
@@ -56,7 +71,7 @@ impl Track {
     /// Drops everything, because later poses are in another frame.
     pub fn clear(&mut self) {
         if !self.still {
-            self.poses.clear();
+            (self.poses, self.doubtful) = Default::default();
         }
     }
 
@@ -230,6 +245,18 @@ mod tests {
         assert_eq!(trajectory.poses().iter().map(|p| p.t_s).collect::<Vec<_>>(), [0.5, 1.0, 2.0, 3.0]);
         track.forget_before(2.5);
         assert_eq!(track.len(), 2);
+    }
+
+    #[test]
+    fn one_pose_far_ahead_is_a_wrong_stamp_and_two_are_a_pause() {
+        let mut track = driven(4.0);
+        let before = (track.len(), track.refused);
+        track.push(pose(3_600.0, 9.0));
+        track.push(pose(4.0, 0.2));
+        assert_eq!((track.len(), track.refused), (before.0 + 1, before.1 + 1));
+        [60.0, 60.01].into_iter().for_each(|t_s| track.push(pose(t_s, 0.2)));
+        assert_eq!((track.len(), track.refused), (before.0 + 3, before.1 + 1));
+        assert_eq!(track.last().unwrap().t_s, 60.01);
     }
 
     #[test]

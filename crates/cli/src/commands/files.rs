@@ -7,6 +7,7 @@ use csi5300::motion::pose::Trajectory;
 use csi5300::source::replay::Replay;
 use csi5300_bag::unbag::{Content, Recording, Unbagged};
 use csi5300_lab::kinds::{A_LOG, not_a_log, trajectory_refused};
+use csi5300_lab::show::file_safe;
 use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -353,9 +354,10 @@ pub fn first_of_each(written: &[PathBuf]) -> impl Iterator<Item = &PathBuf> {
     written.iter().filter(move |path| path.extension() == first)
 }
 
-/// Names of logs or links, those that stand more than once with their place among all behind them.
+/// Names of logs or links, those that give the same file name more than once with their place among all behind them.
 pub fn told_apart(stems: Vec<String>) -> Vec<String> {
-    let is_shared = |name: &String| stems.iter().filter(|other| *other == name).count() > 1;
+    let files: Vec<String> = stems.iter().map(|name| file_safe(name)).collect();
+    let is_shared = |name: &str| files.iter().filter(|other| **other == file_safe(name)).count() > 1;
     let apart = |(k, name): (usize, &String)| if is_shared(name) { format!("{name}.{}", k + 1) } else { name.clone() };
     stems.iter().enumerate().map(apart).collect()
 }
@@ -363,6 +365,12 @@ pub fn told_apart(stems: Vec<String>) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_of_one_file_name_are_told_apart() {
+        let names = ["a:b", "a_b", "c", "a:b"].map(String::from).to_vec();
+        assert_eq!(told_apart(names), ["a:b.1", "a_b.2", "c", "a:b.4"]);
+    }
 
     #[test]
     fn other_kinds_of_files_are_named_and_a_log_behind_damage_is_a_log() {

@@ -339,6 +339,7 @@ fn wrong_words_are_usage() {
 fn what_would_be_ignored_is_usage() {
     let folder = Folder::new("ignored");
     folder.link(&link(300, 2.0));
+    folder.write("desk.toml", b"near = \"rx.dat\"\nchannel = \"108\"\ntrajectory = \"t.csv\"\nazimuth_deg = 1690\n");
     std::fs::create_dir(folder.0.join("set")).unwrap();
     for (from, to) in [("rx.dat", "csi_rx_1.dat"), ("tx.dat", "csi_tx1_1.dat"), ("t.csv", "rx_trajectory_1_.csv")] {
         std::fs::copy(folder.0.join(from), folder.0.join("set").join(to)).unwrap();
@@ -348,6 +349,9 @@ fn what_would_be_ignored_is_usage() {
         ("bearing rx.dat tx.dat t.csv --channel 108 --transmitters", "--transmitters needs a capture"),
         ("bearing rx.dat tx.dat t.csv --channel 108 --factors f.json", "--ranges and --factors need a capture"),
         ("bearing set --channel 108 --bag b.mcap", "--bag applies to single logs"),
+        ("bearing set --channel 108 --transmitters --plot p", "'--transmitters' cannot be used with '--plot"),
+        ("bearing set --channel 108 --transmitters --min-confidence 0.5", "cannot be used with '--min-confidence"),
+        ("doctor --accept desk.toml", "from -360 to 360 degrees"),
         ("mcap rx.dat --out o.mcap --antenna A,B", "the CSI of one antenna"),
         ("mcap rx.dat --out o.mcap --from 1", "all records are written"),
         ("mcap rx.dat --out o.mcap --channel 108", "--trajectory"),
@@ -709,6 +713,15 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     folder.says(&["evaluate", "runs", "--channel", "108"], 1, &["1 capture without one"]);
     // The transmitter is 1 km away, so the bearing alone says little of where the receiver is; the output says that it is used.
     let unplaced = "not located: the place of tx is not known (--place tx=X,Y)";
+    // A range or a graph asks for the receiver, so the output says why it is not located.
+    let trajectory = std::fs::read_to_string(folder.0.join("runs/circle/rx_movement_real_1.csv")).unwrap();
+    let t_s = trajectory.lines().nth(9).and_then(|row| row.split(',').next()).unwrap();
+    folder.write("r.csv", format!("time_s,from,to,range_m,sd_m\n{t_s},rx,tx,3,0.1\n").as_bytes());
+    let asked = |more: &[&str], status: i32| {
+        folder.says(&[&["bearing", "runs", "--channel", "108"], more].concat(), status, &[])
+    };
+    assert!(asked(&["--ranges", "r.csv"], 0).0.contains(unplaced));
+    assert!(asked(&["--place", "tx=1,2", "--factors", "f.json"], 1).0.contains("1 usable bearing and no range"));
     let place = |place: &str| folder.run(&["bearing", "runs", "--channel", "108", "--place", place, "--json"]);
     let receiver = |out: &str| json(out.lines().nth(1).unwrap_or_else(|| panic!("{out}")));
     let (status, _, err) = place("tx7=1,2");
@@ -748,8 +761,24 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     assert!((found["off_m"].as_f64().unwrap() - off_m).abs() < 1e-3, "{found}");
     let (status, _, err) = locate(&["runs", "--frame", "kitchen=0,0,0"]);
     assert!(status == 2 && err.contains("no capture has this name"), "{err}");
+    let (status, _, err) = locate(&["runs", "--frame", "circle=0,0,0", "--frame", "circle=1,0,0"]);
+    assert!(status == 2 && err.contains("--frame circle=... is given twice"), "{err}");
     std::fs::remove_dir_all(folder.0.join("other")).unwrap();
     folder.says(&["evaluate", "runs", "--channel", "108", "--html", "r.html"], 0, &[]);
+}
+
+#[test]
+fn only_named_links_locate_transmitters() {
+    let folder = Folder::new("named-links");
+    truthless(&folder);
+    let file = |tx: &str| folder.0.join(format!("runs/circle/csi_{tx}_real_1.dat"));
+    std::fs::copy(file("tx"), file("tx7")).unwrap();
+    let named = ["tx", "tx7"].map(|tx| {
+        let (_, out, err) =
+            folder.run(&["bearing", &format!("runs/circle/{tx}"), "--transmitters", "--channel", "108", "--json"]);
+        (out.contains("\"tx\"") || err.contains("/tx:"), out.contains("\"tx7\"") || err.contains("/tx7:"))
+    });
+    assert_eq!(named, [(true, false), (false, true)]);
 }
 
 #[test]

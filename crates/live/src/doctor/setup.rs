@@ -154,7 +154,7 @@ pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupEr
     let mut steps = hands_off(interface);
     match (driver, request.role, request.ack_len) {
         (Driver::Wsr, Role::Responder, None) => return Err(SetupError::NoAckLen),
-        (Driver::Wsr, Role::Initiator, Some(_)) | (Driver::Stock, _, Some(_)) => {
+        (Driver::Wsr | Driver::Module, Role::Initiator, Some(_)) | (Driver::Stock, _, Some(_)) => {
             return Err(SetupError::NeedlessAckLen);
         }
         (Driver::Wsr, Role::Responder, Some(length)) => steps.extend(reload(system, Some(length))),
@@ -410,9 +410,7 @@ pub enum SetupError {
     )]
     NoAckLen,
     /// A length of frames for a robot whose driver answers none.
-    #[error(
-        "with csitool's driver, and as an initiator with the WSR driver, a robot answers no frames by their length"
-    )]
+    #[error("an initiator, and a robot with csitool's driver, answers no frames by their length")]
     NeedlessAckLen,
     /// No card on the bus.
     #[error("no Intel 5300 on the PCI bus")]
@@ -486,6 +484,8 @@ mod tests {
         let other = lines(&stage, Some(57));
         let wanted = "sudo modprobe csi5300 layout=wsr connector_log=1 ack_len=57 answer_on=wlp1s0";
         assert!(other.iter().any(|line| line == wanted), "{other:?}");
+        let initiator = Request { role: Role::Initiator, ..request(Some(57)) };
+        assert!(matches!(plan(&stage.tree(), &initiator), Err(SetupError::NeedlessAckLen)));
         let undone: Vec<_> = undo(&stage.tree(), "wlp1s0").iter().map(Step::line).collect();
         let at = |words: &str| place(&undone, words);
         assert!(at("modprobe -r csi5300") < at("rm /lib/firmware/iwlwifi-5000-2.ucode"));

@@ -41,6 +41,8 @@ const LONGEST: u64 = 16 << 20;
 const SILENT: Duration = Duration::from_secs(3);
 /// Columns of the table of peers with its frame.
 const TABLE: u16 = 80;
+/// A node that hangs sends nothing for this long.
+const HANGS: Duration = Duration::from_secs(10);
 /// Colours of the peers, in their order; they are also numbered.
 const COLOURS: [Color; 6] =
     [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
@@ -108,8 +110,12 @@ impl Keys {
 pub fn run(args: &Args) -> Result {
     let socket = args.socket.clone().unwrap_or_else(super::status_socket);
     let stream = connect(&socket)?;
+    let is_one = args.once || !std::io::stdout().is_terminal();
+    if is_one {
+        stream.set_read_timeout(Some(HANGS)).map_err(|error| error.to_string())?;
+    }
     let mut states = lines(stream);
-    if args.once || !std::io::stdout().is_terminal() {
+    if is_one {
         return match states.find(|line| !line.as_ref().is_ok_and(String::is_empty)) {
             Some(Ok(line)) if args.once => {
                 let state = serde_json::from_str(&line).map_err(|error| format!("the node's state: {error}"))?;
@@ -119,6 +125,9 @@ pub fn run(args: &Args) -> Result {
             Some(Ok(line)) => {
                 print(&format!("{line}\n"));
                 Ok(Outcome::Done)
+            }
+            Some(Err(error)) if error.kind() == std::io::ErrorKind::WouldBlock => {
+                Err(format!("{}: no state within {} s: does the node hang?", socket.display(), HANGS.as_secs()))
             }
             Some(Err(error)) => Err(error.to_string()),
             None => Err("the node ended before it sent its state, or it already has 16 readers".into()),

@@ -122,6 +122,19 @@ fn a_mirror_leaves_two_solutions_and_a_further_range_leaves_one() {
 }
 
 #[test]
+fn a_solution_knows_no_pose_of_a_later_keyframe() {
+    let mut team = Team::default();
+    let noise = OdometryNoise::default();
+    let a = team.robot("a", true, noise).unwrap();
+    team.keyframe(a, 0.0, [0.0; 3], 0.0).unwrap();
+    let found = team.solve().unwrap();
+    let (later, b) = (team.keyframe(a, 1.0, [1.0, 0.0, 0.0], 0.0).unwrap(), team.robot("b", true, noise).unwrap());
+    assert!(
+        found.pose(later)[0].is_nan() && found.covariance(later)[(0, 0)].is_nan() && found.calibration(b)[0].is_nan()
+    );
+}
+
+#[test]
 fn range_changes_fix_the_scale_of_odometry() {
     // A robot drives 4 m towards another one; its odometry reports 5 m.
     let mut team = Team::default();
@@ -193,4 +206,11 @@ fn invalid_numbers_and_undetermined_teams_are_rejected() {
     team.link(first, seen, &[Mode::range(3.0, 0.1, 1.0)], 0.1).unwrap();
     let found = team.solve().unwrap();
     assert!((found.pose(seen)[0] - 3.0).abs() < 1e-6 && (found.covariance(seen)[(0, 0)].sqrt() - 0.1).abs() < 1e-3);
+    // Finite, but their difference has no square.
+    let mut team = Team::default();
+    let a = team.robot("a", true, noise).unwrap();
+    let first = team.keyframe(a, 0.0, [0.0; 3], 0.0).unwrap();
+    [0.0, 1e200].into_iter().for_each(|x| team.prior(first, [x, 0.0, 0.0], [1.0; 3]).unwrap());
+    let said = team.solve().unwrap_err().to_string();
+    assert!(said.contains("too large or too small"), "{said}");
 }

@@ -141,7 +141,7 @@ pub fn run(args: &Args) -> Result {
     let (captures, names, mut lost) = args.find(&reading)?;
     args.check_places(&captures);
     if args.together.transmitters {
-        return locate_transmitters(&args.together, &reading, (captures, lost), &args.place, args.json);
+        return locate_transmitters(&args.together, &reading, (captures, &names, lost), &args.place, args.json);
     }
     args.graph.check(&captures, !args.place.is_empty(), args.force)?;
     let ranges = args.graph.ranges(&captures, &reading)?;
@@ -209,10 +209,11 @@ fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged
     }
     // A given place is that of a transmitter in all captures, so those of one name stand.
     let mut located = receivers_with(rows, ranges, !args.place.is_empty());
-    args.graph.finish(ranges, &located)?;
+    let finished = args.graph.finish(ranges, &located);
     let found = &mut located.receivers;
     if args.place.is_empty() {
-        found.retain(|receiver| receiver.position_m.is_some() && receiver.links + receiver.ranges[0] > 1);
+        let is_located = |own: &Receiver| own.position_m.is_some() && own.links + own.ranges[0] > 1;
+        found.retain(|receiver| ranges.contains_key(&receiver.capture) || is_located(receiver));
     }
     found.iter_mut().for_each(|receiver| say_unplaced(receiver, rows));
     if args.json {
@@ -222,7 +223,7 @@ fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged
         print(&format!("located from links to known places:\n{}", receivers_table(found, rows)));
         print(&shared(&located.transmitters));
     }
-    Ok(located)
+    finished.map(|()| located)
 }
 
 fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> Words<()> {
@@ -556,7 +557,7 @@ fn transmitter<'a>(capture: &'a Capture, range: &Range) -> Option<&'a str> {
 pub struct Together {
     /// Locate each transmitter from all captures together. Their trajectories must share one frame (motion capture), or
     /// use --frame
-    #[arg(long, requires = "captures", conflicts_with = "explain", hide_short_help = true)]
+    #[arg(long, requires = "captures", conflicts_with_all = ["explain", "min_confidence", "plot"], hide_short_help = true)]
     pub transmitters: bool,
     /// Frame of a capture's trajectory in the common one: origin, metres, and rotation from +x towards +y, degrees.
     /// CAPTURE is a folder as in link names
@@ -573,9 +574,12 @@ impl Together {
         named.max_by_key(|(name, _)| name.len()).map(|(_, frame)| *frame).unwrap_or_default()
     }
 
-    /// Refuses frames of captures that are not there.
+    /// Refuses frames given twice, and of captures that are not there.
     fn must_be_of(&self, captures: &[Capture]) {
-        for (name, _) in &self.frame {
+        for (k, (name, _)) in self.frame.iter().enumerate() {
+            if self.frame.iter().take(k).any(|(other, _)| other == name) {
+                usage(&format!("--frame {name}=... is given twice: a capture has one frame"));
+            }
             let below = format!("{name}/");
             let is_there = |own: String| own == *name || own.starts_with(&below);
             if !captures.iter().any(|capture| is_there(capture.link_name(""))) {
@@ -598,7 +602,7 @@ fn frame(text: &str) -> Words<(String, Frame)> {
 fn locate_transmitters(
     together: &Together,
     reading: &Reading,
-    (captures, mut lost): (Vec<Capture>, bool),
+    (captures, names, mut lost): (Vec<Capture>, &[String], bool),
     told: &[(String, Place)],
     json: bool,
 ) -> Result {
@@ -610,8 +614,9 @@ fn locate_transmitters(
         let found = capture.motions(reading.source(), reading.channel, &options, 1, frame);
         lost |= found.lost;
         found.notes.iter().for_each(|line| note!("{line}"));
-        motions.extend(found.motions);
-        failed.extend(found.failed);
+        let is_named = |own: &Motion| names.contains(&capture.link_name(&own.transmitter));
+        motions.extend(found.motions.into_iter().filter(is_named));
+        failed.extend(found.failed.into_iter().filter(|(link, _)| names.contains(link)));
     }
     let told: BTreeMap<String, [f64; 2]> = told.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
     let found = located(&motions, &told);

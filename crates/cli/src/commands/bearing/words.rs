@@ -199,8 +199,8 @@ fn why(answer: &Answer) -> String {
     if let Some(coherence) = answer.coherence.filter(|coherence| *coherence < LITTLE) {
         let _ = writeln!(
             text,
-            "  Why: one wave explains only {:.0} % of the phases along this path. There are reflections, or the path is not \
-             that of the antenna (--antenna-offset, --clock-offset).",
+            "  Why: one wave explains only {:.0} % of the phases along this path. There are reflections, the path is not that \
+             of the antenna (--antenna-offset, --clock-offset), or --channel is not the cards' channel.",
             100.0 * coherence
         );
     } else if has_rival(answer) {
@@ -387,9 +387,15 @@ mod tests {
     #[test]
     fn a_poor_answer_says_why_and_what_next_and_doubts_are_always_there() {
         let poor = describe_with(&answer(0.35, |_| ()), MirrorOf::Motion, "  a doubt\n", None);
-        for words in
-            ["POOR: 35 % sure", "only 28 % of the phases", "--antenna-offset", "distance unknown", "a doubt", "-v"]
-        {
+        for words in [
+            "POOR: 35 % sure",
+            "only 28 % of the phases",
+            "--antenna-offset",
+            "--channel",
+            "distance unknown",
+            "a doubt",
+            "-v",
+        ] {
             assert!(poor.contains(words), "{words}: {poor}");
         }
         let long = describe_with(&answer(0.35, |_| ()), MirrorOf::Motion, "", Some(""));

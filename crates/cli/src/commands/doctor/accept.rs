@@ -110,6 +110,10 @@ impl Desk {
                 "`send` and `unplug` do not go together: run one after the other, while another robot sounds",
             ),
             (
+                self.azimuth_deg.is_some_and(|deg| !(-360.0..=360.0).contains(&deg)),
+                "`azimuth_deg` is a direction, from -360 to 360 degrees",
+            ),
+            (
                 self.retuned.iter().chain(&self.reloaded).any(|logs| !(1..=2).contains(&logs.len())),
                 "each item of `retuned` and `reloaded` is one log or two: [[\"near2.dat\", \"far2.dat\"]]",
             ),
