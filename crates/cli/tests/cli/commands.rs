@@ -720,7 +720,8 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let asked = |more: &[&str], status: i32| {
         folder.says(&[&["bearing", "runs", "--channel", "108"], more].concat(), status, &[])
     };
-    assert!(asked(&["--ranges", "r.csv"], 0).0.contains(unplaced));
+    let (out, err) = asked(&["--ranges", "r.csv"], 0);
+    assert!(out.contains(unplaced) && !err.contains("not used"), "{out} {err}");
     assert!(asked(&["--place", "tx=1,2", "--factors", "f.json"], 1).0.contains("1 usable bearing and no range"));
     let place = |place: &str| folder.run(&["bearing", "runs", "--channel", "108", "--place", place, "--json"]);
     let receiver = |out: &str| json(out.lines().nth(1).unwrap_or_else(|| panic!("{out}")));

@@ -515,9 +515,9 @@ impl Graph {
         }
     }
 
-    /// Reports ranges that were not used, and writes the graph.
+    /// Reports ranges that a position was located without, and writes the graph.
     pub fn finish(&self, given: &BTreeMap<String, Vec<Ranged>>, found: &Located) -> Words<()> {
-        for receiver in &found.receivers {
+        for receiver in found.receivers.iter().filter(|receiver| receiver.position_m.is_some()) {
             let given = given.get(&receiver.capture).map_or(0, Vec::len);
             if receiver.ranges[0] < given {
                 let left = some((given - receiver.ranges[0]) as u64, "range is", "ranges are");
