@@ -328,6 +328,14 @@ fn say_unplaced(receiver: &mut Receiver, rows: &[Judged]) {
     receiver.error = Some(format!("{known} {unplaced}"));
 }
 
+fn of_them_outliers(count: usize) -> String {
+    match count {
+        0 => String::new(),
+        1 => ", 1 of them an outlier".into(),
+        _ => format!(", {count} of them outliers"),
+    }
+}
+
 fn receivers_table(found: &[Receiver], rows: &[Judged]) -> String {
     let mut text = String::new();
     for receiver in found {
@@ -343,11 +351,7 @@ fn receivers_table(found: &[Receiver], rows: &[Judged]) -> String {
                     c[1][1].sqrt(),
                     some(receiver.links as u64, "link", "links")
                 );
-                let outliers = receiver.weights.iter().filter(|weight| **weight == 0.0).count();
-                if outliers > 0 {
-                    let _ =
-                        write!(text, ", {outliers} of them {}", if outliers == 1 { "an outlier" } else { "outliers" });
-                }
+                text += &of_them_outliers(receiver.weights.iter().filter(|weight| **weight == 0.0).count());
                 if let (Some(z), Some(sd)) = (receiver.height_m, receiver.height_sd_m) {
                     let _ = write!(text, ", z {} +- {sd:.2} m", fixed(z, 2));
                 }
@@ -359,7 +363,7 @@ fn receivers_table(found: &[Receiver], rows: &[Judged]) -> String {
         }
         let [used, outliers] = receiver.ranges;
         if used > 0 {
-            let _ = write!(text, "; {}, {outliers} of them outliers", some(used as u64, "range", "ranges"));
+            let _ = write!(text, "; {}{}", some(used as u64, "range", "ranges"), of_them_outliers(outliers));
         }
         if receiver.without_probability > 0 {
             let _ = write!(
@@ -671,10 +675,11 @@ mod tests {
             covariance_m2: Some([[1.0, 0.0], [0.0, 1.0]]),
             weights: vec![0.0, 1.0],
             azimuths_deg: vec![3.0, 4.0],
+            ranges: [2, 0],
             ..Receiver::default()
         };
         let text = receivers_table(&[receiver], &[]);
-        assert!(text.contains("from 2 links, 1 of them an outlier\n  c/tx1: an outlier: "), "{text}");
+        assert!(text.contains("from 2 links, 1 of them an outlier; 2 ranges\n  c/tx1: an outlier: "), "{text}");
     }
 
     #[test]
