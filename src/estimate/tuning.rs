@@ -40,7 +40,7 @@ pub(crate) const UNEXPLAINED: f64 = 0.01;
 pub(crate) mod sensor {
     /// Error of positions from moment to moment, metres: what wheels, a tracking camera and a bent wave front get wrong.
     pub(crate) const POSITION_M: f64 = 0.003;
-    /// Relative error of a path's scale, with what the crystals' drift adds along a straight drive.
+    /// Relative error of a path's scale by motion capture, with what the crystals' drift adds along a straight drive.
     pub(crate) const SCALE: f64 = 0.01;
     /// Heading of the whole path, degrees: motion capture.
     pub(crate) const MOTION_CAPTURE_DEG: f64 = 0.3;

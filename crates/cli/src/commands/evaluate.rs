@@ -192,8 +192,8 @@ fn show(args: &Args, rows: &[Judged], others: &Others) -> Words<()> {
     if let Some(folder) = &args.plot {
         let written = write_set(rows, others, folder, &super::draft::read_files());
         let written = written.in_words()?;
-        // Each is two files.
-        note!("{}: {}", folder.display(), super::some(written.len() as u64 / 2, "picture", "pictures"));
+        let pictures = super::files::first_of_each(&written).count() as u64;
+        note!("{}: {}", folder.display(), super::some(pictures, "picture", "pictures"));
     }
     Ok(())
 }

@@ -265,7 +265,7 @@ pub fn ranges(rows: &[&Judged]) -> Ranges {
 
 /// The horizontal share of an answer's range: the truth has no heights.
 #[must_use]
-pub fn horizontal(answer: &Answer) -> f64 {
+pub(crate) fn horizontal(answer: &Answer) -> f64 {
     answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos()
 }
 

@@ -238,8 +238,8 @@ fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> Words<()> {
     let written = csi5300_lab::show::results::write_maps(rows, located, folder, &crate::commands::draft::read_files());
     let written = written.in_words()?;
     if !written.is_empty() {
-        // Each is two files.
-        note!("{}: {}", folder.display(), crate::commands::some(written.len() as u64 / 2, "map", "maps"));
+        let maps = super::first_of_each(&written).count() as u64;
+        note!("{}: {}", folder.display(), some(maps, "map", "maps"));
     }
     Ok(())
 }
