@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 use num_complex::Complex64;
 
 /// Lanes of the widest vector: `f32` of 512 bits.
-const WIDEST: usize = 16;
+pub(crate) const WIDEST: usize = 16;
 
 /// Where a wave may come from, seen from the middle of the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,8 +140,9 @@ impl Field {
         places.iter().map(&mut log_of).collect()
     }
 
-    /// `|sum z e|^2` over the motion for each place, of one phasor `z` for each point with its path `path_gain` times.
-    pub fn powers(&self, z: &[Complex64], path_gain: u8, places: &[Place]) -> Vec<f64> {
+    /// `|sum z e|^2` of each place, of one phasor `z` for each point with its path `path_gain` times, summed over windows of so many
+    /// blocks of [`WIDEST`] points.
+    pub fn powers(&self, z: &[Complex64], path_gain: u8, places: &[Place], blocks: usize) -> Vec<f64> {
         let part = |of: fn(&Complex64) -> f64| {
             let mut part: Vec<f32> = z.iter().map(|z| of(z) as f32).collect();
             part.resize(self.x.len(), 0.0);
@@ -149,11 +150,13 @@ impl Field {
         };
         let (re, im) = (part(|z| z.re), part(|z| z.im));
         let mut work = Work::new(self.x.len(), self.cuts.len());
+        let points = blocks.saturating_mul(WIDEST);
         let mut power = |place: &Place| {
             on_tier!(self.level, simd => {
                 self.steer(simd, place, &mut work);
                 let (cos, sin) = if path_gain == 1 { (&work.cos, &work.sin) } else { (&work.cos2, &work.sin2) };
-                along(simd, [&re, &im], [cos, sin])
+                let windows = re.chunks(points).zip(im.chunks(points)).zip(cos.chunks(points).zip(sin.chunks(points)));
+                windows.map(|((re, im), (cos, sin))| along(simd, [re, im], [cos, sin])).sum()
             })
         };
         places.iter().map(&mut power).collect()

@@ -22,6 +22,7 @@ pub(crate) mod posterior;
 pub(crate) mod prior;
 pub(crate) mod range_change;
 pub(crate) mod signal;
+mod start;
 pub(crate) mod tuning;
 
 use crate::bartlett::{self, Means, Searcher, Tier};
@@ -257,13 +258,15 @@ impl Model {
 fn steps(points: &[Vector3<f64>], samples: &Samples, prior: &Prior) -> Steps {
     let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
     let windows = (path_m / tuning::COHERENT_M).ceil().max(1.0) as usize;
-    let radius = |points: &[Vector3<f64>]| {
-        let middle = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
-        points.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max)
-    };
-    let widest = points.chunks(points.len().div_ceil(windows).max(1)).map(radius).fold(0.0, f64::max);
+    let widest = points.chunks(points.len().div_ceil(windows).max(1)).map(radius_m).fold(0.0, f64::max);
     let tall = points.iter().map(|p| p.z.abs()).fold(0.0, f64::max);
-    Steps::new((radius(points), widest, tall), samples.wavelength_m(), samples.path_gain(), prior)
+    Steps::new((radius_m(points), widest, tall), samples.wavelength_m(), samples.path_gain(), prior)
+}
+
+/// The largest distance of points from their mean, metres.
+fn radius_m(points: &[Vector3<f64>]) -> f64 {
+    let middle = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
+    points.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max)
 }
 
 /// Displacements about their mean, and the mean, metres.
@@ -312,10 +315,11 @@ pub(crate) fn estimate(
         Ok(found) => return Ok(found),
         Err(reason) => reason,
     };
-    if reason != Reason::Asked
-        && plane_wave.coherence.powi(2) < LARGE_SHARE
-        && let Some(steeper) = steeper(task, &mut searcher, &models, &plane_wave)
-        && let Ok(found) = early(task, &models, few, (&steeper, None), middle_m)
+    // Near or steep, a wave does not show as a plane one at expected elevations.
+    let hidden = reason != Reason::Asked && plane_wave.coherence.powi(2) < LARGE_SHARE;
+    let strongest = models.last().filter(|_| hidden).and_then(|model| strongest(task, model));
+    if strongest.is_some()
+        && let Ok(found) = early(task, &models, few, (&plane_wave, strongest), middle_m)
     {
         return Ok(found);
     }
@@ -325,7 +329,7 @@ pub(crate) fn estimate(
     for model in models {
         let field = field(task, &bins, &model, &apertures);
         let own = Windowed::new(&field, model, fine);
-        let wider = own.wider(task).map(|model| Windowed::new(&field, model, fine));
+        let wider = own.wider(task, strongest).map(|model| Windowed::new(&field, model, fine));
         // Nearer places than are expected have to be likelier by their prior odds.
         let unexpected = wider.map(|wider| Windowed { evidence: wider.evidence + NEARER.ln(), ..wider });
         for own in [Some(own), unexpected].into_iter().flatten() {
@@ -420,12 +424,16 @@ impl Windowed {
         Self { model, evidence, modes }
     }
 
-    /// The model with nearer places, if the nearest place is the best and the limit is the default.
-    fn wider(&self, task: &Task<'_>) -> Option<Model> {
+    /// The model with nearer places, if the nearest place is the best or most of the power comes from nearer, and the limit is the
+    /// default.
+    fn wider(&self, task: &Task<'_>, strongest: Option<Place>) -> Option<Model> {
         let Model { points, prior, steps } = &self.model;
         let curve = self.modes.first().map_or(0.0, |mode| mode.place.curve);
         let at_limit = prior.curve_max > 0.0 && curve > 0.9 * prior.curve_max;
-        if !at_limit || task.limits.range_min_m.is_some() {
+        let is_nearer = |place: Place| {
+            place.curve > prior.curve_max && prior.at_height(place).explained(task.samples, points) > LARGE_SHARE
+        };
+        if !(at_limit || strongest.is_some_and(is_nearer)) || task.limits.range_min_m.is_some() {
             return None;
         }
         let prior = prior.with_curve_max(nearest_curve(points, task.samples.wavelength_m()));
@@ -456,28 +464,17 @@ fn highest_expected_rad(task: &Task<'_>, models: &[Model]) -> f64 {
     if task.limits.height_m.is_some() { FRAC_PI_2 } else { widest }
 }
 
-/// A plane wave at a rarer elevation, if that explains more and no limit excludes it.
-fn steeper(
-    task: &Task<'_>,
-    searcher: &mut Searcher,
-    models: &[Model],
-    plane_wave: &bartlett::Estimate,
-) -> Option<bartlett::Estimate> {
-    let is_open = task.limits.elevation_max_rad.is_none() && highest_expected_rad(task, models) < FRAC_PI_2;
-    if !is_open || !plane_wave.elevation_searched {
-        return None;
-    }
-    // Means are enough to find where least squares over all samples begin; heights only where a model has them.
-    let points = &models.last()?.points;
-    let thinned = Bins::for_start(points, task.samples.wavelength_m()).samples(task.samples, points)?;
-    let any = searcher.search_with(&thinned, None, FRAC_PI_2, task.odometry_sd_m).ok()?;
-    let kept = (sum_abs(&thinned) / sum_abs(task.samples)).powi(2);
-    (kept * any.value > plane_wave.value).then_some(any)
+/// The place of the strongest wave within the limits of [`free`].
+fn strongest(task: &Task<'_>, model: &Model) -> Option<Place> {
+    start::anywhere(task.samples, &model.points, &free(task, model), task.tier)
 }
 
-/// `sum w |z|`, what a wave that explains everything adds up to.
-fn sum_abs(samples: &Samples) -> f64 {
-    samples.z().iter().zip(samples.weight()).map(|(z, weight)| weight * z.norm()).sum()
+/// The prior of a clean wave front, which shows a near or high place by itself: only requested limits apply.
+fn free(task: &Task<'_>, Model { points, prior, .. }: &Model) -> Prior {
+    let nearest = nearest_curve(points, task.samples.wavelength_m());
+    let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
+    let prior = if is_free { prior.with_curve_max(prior.curve_max.max(nearest)) } else { *prior };
+    if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior }
 }
 
 /// The answer of one wave, where that is all there is. With means of the samples, these have to pass the same tests first, which
@@ -498,11 +495,7 @@ fn early(
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
     let mut best: Option<(&Model, Prior, one_wave::OneWave)> = None;
     for model in models {
-        // A clean wave front shows a near or high place by itself: only requested limits apply.
-        let nearest = nearest_curve(&model.points, samples.wavelength_m());
-        let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
-        let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(nearest)) } else { model.prior };
-        let prior = if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior };
+        let prior = free(task, model);
         let checked = means.map_or(Ok(()), |(samples, bins)| {
             let heard = Heard { samples, points: &bins.points_m(&model.points), false_alarm, scale_sd };
             one_wave::alone(heard, start, &prior, &model.steps, task.tier).map(drop)

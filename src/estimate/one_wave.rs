@@ -7,10 +7,10 @@
 //! which are a wave of its direction: one that stays below a peak of `p` times what noise has on average moves the azimuth by
 //! at most `sqrt(2 p)` times the deviation that the noise leaves.
 
-use super::likelihood::{Field, Place};
+use super::likelihood::Place;
 use super::posterior::{Atom, Mode, Steps};
 use super::prior::Prior;
-use super::signal::Bins;
+use super::start;
 use crate::bartlett::{Estimate, Searcher, Tier};
 use crate::maths::wrap_rad;
 use crate::signal::samples::Samples;
@@ -168,7 +168,7 @@ pub(crate) fn explain(
 /// What else there is.
 pub(crate) fn alone<'a>(
     Heard { samples, points, false_alarm, scale_sd }: Heard<'a>,
-    (plane_wave, start): (&Estimate, Option<Place>),
+    (plane_wave, from): (&Estimate, Option<Place>),
     prior: &'a Prior,
     steps: &Steps,
     tier: Tier,
@@ -180,7 +180,9 @@ pub(crate) fn alone<'a>(
     let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
     let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
     let wave = Wave { samples, points, kappa, prior, open, scale_sd };
-    let place = start.unwrap_or_else(|| best_start(samples, points, plane_wave, prior, steps, tier));
+    let place = from
+        .map(|place| prior.at_height(place))
+        .unwrap_or_else(|| start::beside(samples, points, plane_wave, prior, steps, tier));
     let share = place.explained(samples, points);
     if share < LEAST_SHARE {
         return Err(Unexplained::Faint(share));
@@ -190,38 +192,6 @@ pub(crate) fn alone<'a>(
     unambiguous(&wave, &fit.at, plane_wave, steps)?;
     let peak = highest_peak(&wave, &fit, plane_wave, false_alarm, tier)?;
     Ok(Alone { wave, fit, peak })
-}
-
-/// The best of the places about the plane wave, on a grid.
-fn best_start(
-    samples: &Samples,
-    points: &[Vector3<f64>],
-    plane_wave: &Estimate,
-    prior: &Prior,
-    steps: &Steps,
-    tier: Tier,
-) -> Place {
-    let bins = Bins::for_start(points, samples.wavelength_m());
-    let field = Field::new(&bins.points_m(points), Vec::new(), samples.wavelength_m(), 0.0, 1, tier);
-    let elevation = plane_wave.signed_elevation_rad.unwrap_or(plane_wave.abs_elevation_rad);
-    let mut elevations = vec![elevation];
-    match prior.is_signed() {
-        true => elevations.push(-elevation),
-        false => elevations.extend([0.0, prior.elevation_rad[1]]),
-    }
-    let curves = prior.curves([0.0, prior.curve_max], 0.5 * steps.curve());
-    let mut places = Vec::new();
-    for k in -5..=5 {
-        let azimuth = plane_wave.azimuth_rad + 0.4 * f64::from(k) * steps.azimuth();
-        for &elevation in &elevations {
-            let at = |curve: f64| prior.at_height(Place { azimuth, elevation, curve });
-            places.push(at(0.0));
-            places.extend(curves.iter().map(|cell| at(cell.at)));
-        }
-    }
-    let powers = field.powers(&bins.phasors(samples.z()), samples.path_gain(), &places);
-    let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
-    places[best]
 }
 
 /// Azimuth, elevation (or its cosine), 1 / range and scale: what a phase goes by.

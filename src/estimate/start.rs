@@ -1,0 +1,152 @@
+//! Where least squares begin.
+
+use super::likelihood::{Field, Place, WIDEST};
+use super::posterior::Steps;
+use super::prior::Prior;
+use super::radius_m;
+use super::signal::Bins;
+use crate::bartlett::{Estimate, Tier};
+use crate::signal::samples::Samples;
+use nalgebra::Vector3;
+use num_complex::Complex64;
+use std::f64::consts::TAU;
+
+/// Places of a grid that are looked at more closely.
+const KEPT: usize = 4;
+
+/// The best of the places about the plane wave, on a grid.
+pub(crate) fn beside(
+    samples: &Samples,
+    points: &[Vector3<f64>],
+    plane_wave: &Estimate,
+    prior: &Prior,
+    steps: &Steps,
+    tier: Tier,
+) -> Place {
+    let (field, z) = thinned(samples, points, tier);
+    let elevation = plane_wave.signed_elevation_rad.unwrap_or(plane_wave.abs_elevation_rad);
+    let mut elevations = vec![elevation];
+    match prior.is_signed() {
+        true => elevations.push(-elevation),
+        false => elevations.extend([0.0, prior.elevation_rad[1]]),
+    }
+    let curves = prior.curves([0.0, prior.curve_max], 0.5 * steps.curve());
+    let mut places = Vec::new();
+    for k in -5..=5 {
+        let azimuth = plane_wave.azimuth_rad + 0.4 * f64::from(k) * steps.azimuth();
+        for &elevation in &elevations {
+            let at = |curve: f64| prior.at_height(Place { azimuth, elevation, curve });
+            places.push(at(0.0));
+            places.extend(curves.iter().map(|cell| at(cell.at)));
+        }
+    }
+    let powers = field.powers(&z, samples.path_gain(), &places, usize::MAX);
+    let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
+    places[best]
+}
+
+/// The place of the strongest wave, whatever its direction and range. Over a short window a wave front is plane, and a coarse grid
+/// finds it; each time the windows double, the grid about its best places halves its steps, until the wave is coherent over the whole
+/// motion.
+pub(crate) fn anywhere(samples: &Samples, points: &[Vector3<f64>], prior: &Prior, tier: Tier) -> Option<Place> {
+    let (field, z) = thinned(samples, points, tier);
+    let turn_m = samples.wavelength_m() / f64::from(samples.path_gain());
+    let mut grid = Grid::new(points, WIDEST * points.len() / z.len().max(1), turn_m, prior);
+    let mut nodes = grid.all();
+    let all = z.len().div_ceil(WIDEST);
+    let mut blocks = 1;
+    loop {
+        let places: Vec<Place> = nodes.iter().map(|node| grid.place(node)).collect();
+        let powers = field.powers(&z, samples.path_gain(), &places, blocks);
+        let best = best(&nodes, &powers);
+        if blocks >= 2 * all {
+            return best.first().map(|node| grid.place(node));
+        }
+        blocks *= 2;
+        nodes = grid.closer(&best);
+    }
+}
+
+/// Means along the motion, which are enough to find where to begin, and their phasors.
+fn thinned(samples: &Samples, points: &[Vector3<f64>], tier: Tier) -> (Field, Vec<Complex64>) {
+    let bins = Bins::for_start(points, samples.wavelength_m());
+    let field = Field::new(&bins.points_m(points), Vec::new(), samples.wavelength_m(), 0.0, 1, tier);
+    (field, bins.phasors(samples.z()))
+}
+
+/// Places at equal steps of azimuth, elevation (of its cosine, where its sign does not show) and 1 / range.
+struct Grid<'a> {
+    prior: &'a Prior,
+    counts: [i32; 3],
+}
+
+type Node = [i32; 3];
+
+impl<'a> Grid<'a> {
+    /// `window` is the length of the first windows, samples.
+    fn new(points: &[Vector3<f64>], window: usize, turn_m: f64, prior: &'a Prior) -> Self {
+        let window_m = points.chunks(window.max(1)).map(radius_m).fold(turn_m, f64::max);
+        let count = |span: f64, step: f64| (span / step).ceil().clamp(0.0, 1e6) as i32;
+        let grid = Self { prior, counts: [0; 3] };
+        let [from, to] = grid.elevations();
+        let elevations = if prior.elevation_is_open() { count(to - from, turn_m / window_m) } else { 0 };
+        let curves = count(prior.curve_max, turn_m / (window_m * radius_m(points).max(window_m)));
+        Self { counts: [count(TAU, turn_m / window_m).max(4), elevations, curves], ..grid }
+    }
+
+    /// The limits of the elevation, or of its cosine.
+    fn elevations(&self) -> [f64; 2] {
+        let [low, high] = self.prior.elevation_rad;
+        if self.prior.is_signed() { [low, high] } else { [high.cos(), low.cos()] }
+    }
+
+    fn all(&self) -> Vec<Node> {
+        let [azimuths, elevations, curves] = self.counts;
+        let each = |a: i32| (0..=elevations).flat_map(move |e| (0..=curves).map(move |c| [a, e, c]));
+        (0..azimuths).flat_map(each).collect()
+    }
+
+    fn place(&self, node: &Node) -> Place {
+        let share = |k: usize| f64::from(node[k]) / f64::from(self.counts[k].max(1));
+        let [from, to] = self.elevations();
+        let elevation = from + share(1) * (to - from);
+        let elevation = if self.prior.is_signed() { elevation } else { elevation.min(1.0).acos() };
+        self.prior.at_height(Place { azimuth: TAU * share(0), elevation, curve: share(2) * self.prior.curve_max })
+    }
+
+    /// The nodes up to two steps beside some, at half the steps.
+    fn closer(&mut self, nodes: &[Node]) -> Vec<Node> {
+        self.counts = self.counts.map(|count| 2 * count);
+        let [azimuths, elevations, curves] = self.counts;
+        let beside = |node: &Node| {
+            let [a, e, c] = node.map(|k| 2 * k);
+            let near = move |off: i32| [a + off / 25 - 2, e + off / 5 % 5 - 2, c + off % 5 - 2];
+            (0..125).map(near)
+        };
+        let inside = |[a, e, c]: Node| {
+            let is_inside = (0..=elevations).contains(&e) && (0..=curves).contains(&c);
+            is_inside.then_some([a.rem_euclid(azimuths), e, c])
+        };
+        let mut all: Vec<Node> = nodes.iter().flat_map(beside).filter_map(inside).collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+}
+
+/// The nodes with the highest powers, none beside another, the highest first.
+fn best(nodes: &[Node], powers: &[f64]) -> Vec<Node> {
+    let mut order: Vec<usize> = (0..nodes.len()).collect();
+    order.sort_by(|a, b| powers[*b].total_cmp(&powers[*a]));
+    let mut kept: Vec<Node> = Vec::new();
+    for node in order.into_iter().map(|k| nodes[k]) {
+        let is_beside = |other: &Node| node.iter().zip(other).all(|(a, b)| (a - b).abs() <= 1);
+        if !kept.iter().any(is_beside) {
+            kept.push(node);
+        }
+        if kept.len() == KEPT {
+            break;
+        }
+    }
+    kept
+}
