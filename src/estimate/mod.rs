@@ -466,7 +466,11 @@ fn highest_expected_rad(task: &Task<'_>, models: &[Model]) -> f64 {
 
 /// The place of the strongest wave within the limits of [`free`].
 fn strongest(task: &Task<'_>, model: &Model) -> Option<Place> {
-    start::anywhere(task.samples, &model.points, &free(task, model), task.tier)
+    let (samples, prior) = (task.samples, free(task, model));
+    let bins = Bins::for_start(&model.points, samples.wavelength_m());
+    let (means, points) = (bins.samples(samples, &model.points)?, bins.points_m(&model.points));
+    let place = start::anywhere(samples, &model.points, &prior, task.tier)?;
+    Some(one_wave::unwrapped(&means, &points, place, &prior, task.scale_sd()))
 }
 
 /// The prior of a clean wave front, which shows a near or high place by itself: only requested limits apply.

@@ -116,6 +116,8 @@ struct Wave<'a> {
     open: Open,
     /// Standard deviation of the path's scale.
     scale_sd: f64,
+    /// Whether residual phases are unwrapped along the motion.
+    unwraps: bool,
 }
 
 /// A wave that leaves nothing but noise, as it was found.
@@ -179,7 +181,7 @@ pub(crate) fn alone<'a>(
     let kappa = samples.kappa();
     let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
     let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
-    let wave = Wave { samples, points, kappa, prior, open, scale_sd };
+    let wave = Wave { samples, points, kappa, prior, open, scale_sd, unwraps: false };
     let place = from
         .map(|place| prior.at_height(place))
         .unwrap_or_else(|| start::beside(samples, points, plane_wave, prior, steps, tier));
@@ -192,6 +194,20 @@ pub(crate) fn alone<'a>(
     unambiguous(&wave, &fit.at, plane_wave, steps)?;
     let peak = highest_peak(&wave, &fit, plane_wave, false_alarm, tier)?;
     Ok(Alone { wave, fit, peak })
+}
+
+/// The place next to `from` whose phases differ least from those of the samples, unwrapped along the motion: it may be whole turns
+/// away from `from`.
+pub(crate) fn unwrapped(
+    samples: &Samples,
+    points: &[Vector3<f64>],
+    from: Place,
+    prior: &Prior,
+    scale_sd: f64,
+) -> Place {
+    let open = Open([prior.elevation_is_open(), prior.curve_max > 0.0, false]);
+    let wave = Wave { samples, points, kappa: samples.kappa(), prior, open, scale_sd, unwraps: true };
+    wave.settled(At { place: from, scale: 0.0 }).map_or(from, |fit| fit.at.place)
 }
 
 /// Azimuth, elevation (or its cosine), 1 / range and scale: what a phase goes by.
@@ -236,6 +252,11 @@ impl Wave<'_> {
             self.samples.z().iter().zip(self.phases(at)).map(|(z, phase)| z * Complex64::cis(phase)).collect();
         let mean: Complex64 = turned.iter().sum();
         let mut left: Vec<f64> = turned.iter().map(|z| (z * mean.conj()).arg()).collect();
+        if self.unwraps {
+            for k in 1..left.len() {
+                left[k] = left[k - 1] + wrap_rad(left[k] - left[k - 1]);
+            }
+        }
         let mean = left.iter().sum::<f64>() / left.len().max(1) as f64;
         left.iter_mut().for_each(|e| *e -= mean);
         left
