@@ -49,6 +49,9 @@ const LEVEL_TURNS: f64 = 0.35;
 const TALL: f64 = 0.2;
 /// Where a wave explains this share of the power, no other direction can hold the only wave: it would leave this one less.
 const LARGE_SHARE: f64 = 0.5;
+/// Nearest places that a motion leaves free, in its radii: outside, and where the motion goes around the transmitter.
+const OUTSIDE: f64 = 1.2;
+const INSIDE: f64 = 0.2;
 /// Probability of a transmitter nearer than [`tuning::NEAREST_M`].
 const NEARER: f64 = 0.05;
 /// From this accuracy on the grid alone will do, radians: of 71 WSR links it moves the azimuth by 1.1 degrees in the median, 2.5 at most.
@@ -436,15 +439,15 @@ impl Windowed {
         if !(at_limit || strongest.is_some_and(is_nearer)) || task.limits.range_min_m.is_some() {
             return None;
         }
-        let prior = prior.with_curve_max(nearest_curve(points, task.samples.wavelength_m()));
+        let prior = prior.with_curve_max(nearest_curve(points, OUTSIDE, task.samples.wavelength_m()));
         steps.are_affordable(points.len(), &prior).then(|| Model { points: points.clone(), prior, steps: *steps })
     }
 }
 
-/// 1 / range of the nearest place that a motion leaves free, 1/m.
-fn nearest_curve(points: &[Vector3<f64>], wavelength_m: f64) -> f64 {
+/// 1 / range of a place as far from the middle as so many radii of the motion, 1/m.
+fn nearest_curve(points: &[Vector3<f64>], radii: f64, wavelength_m: f64) -> f64 {
     let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
-    1.0 / (1.2 * radius_m).max(wavelength_m)
+    1.0 / (radii * radius_m).max(wavelength_m)
 }
 
 /// The best plane wave within the expected elevations.
@@ -466,16 +469,17 @@ fn highest_expected_rad(task: &Task<'_>, models: &[Model]) -> f64 {
 
 /// The place of the strongest wave within the limits of [`free`].
 fn strongest(task: &Task<'_>, model: &Model) -> Option<Place> {
-    let (samples, prior) = (task.samples, free(task, model));
+    let (samples, prior) = (task.samples, free(task, model, true));
     let bins = Bins::for_start(&model.points, samples.wavelength_m());
     let (means, points) = (bins.samples(samples, &model.points)?, bins.points_m(&model.points));
     let place = start::anywhere(samples, &model.points, &prior, task.tier)?;
     Some(one_wave::unwrapped(&means, &points, place, &prior, task.scale_sd()))
 }
 
-/// The prior of a clean wave front, which shows a near or high place by itself: only requested limits apply.
-fn free(task: &Task<'_>, Model { points, prior, .. }: &Model) -> Prior {
-    let nearest = nearest_curve(points, task.samples.wavelength_m());
+/// The prior of a clean wave front, which shows a near or high place by itself: only requested limits apply. `inside` are places
+/// that the motion goes around.
+fn free(task: &Task<'_>, Model { points, prior, .. }: &Model, inside: bool) -> Prior {
+    let nearest = nearest_curve(points, if inside { INSIDE } else { OUTSIDE }, task.samples.wavelength_m());
     let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
     let prior = if is_free { prior.with_curve_max(prior.curve_max.max(nearest)) } else { *prior };
     if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior }
@@ -499,7 +503,9 @@ fn early(
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
     let mut best: Option<(&Model, Prior, one_wave::OneWave)> = None;
     for model in models {
-        let prior = free(task, model);
+        let outside = free(task, model, false);
+        let is_inside = start.1.is_some_and(|place| place.curve > outside.curve_max);
+        let prior = if is_inside { free(task, model, true) } else { outside };
         let checked = means.map_or(Ok(()), |(samples, bins)| {
             let heard = Heard { samples, points: &bins.points_m(&model.points), false_alarm, scale_sd };
             one_wave::alone(heard, start, &prior, &model.steps, task.tier).map(drop)

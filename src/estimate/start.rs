@@ -74,9 +74,11 @@ fn thinned(samples: &Samples, points: &[Vector3<f64>], tier: Tier) -> (Field, Ve
     (field, bins.phasors(samples.z()))
 }
 
-/// Places at equal steps of azimuth, elevation (of its cosine, where its sign does not show) and 1 / range.
+/// Places at equal steps of azimuth, elevation (of its cosine, where its sign does not show) and the angle at which a place
+/// sees the motion's radius: far away, that goes as 1 / range.
 struct Grid<'a> {
     prior: &'a Prior,
+    radius_m: f64,
     counts: [i32; 3],
 }
 
@@ -87,11 +89,11 @@ impl<'a> Grid<'a> {
     fn new(points: &[Vector3<f64>], window: usize, turn_m: f64, prior: &'a Prior) -> Self {
         let window_m = points.chunks(window.max(1)).map(radius_m).fold(turn_m, f64::max);
         let count = |span: f64, step: f64| (span / step).ceil().clamp(0.0, 1e6) as i32;
-        let grid = Self { prior, counts: [0; 3] };
+        let grid = Self { prior, radius_m: radius_m(points).max(window_m), counts: [0; 3] };
         let [from, to] = grid.elevations();
         let elevations = if prior.elevation_is_open() { count(to - from, turn_m / window_m) } else { 0 };
-        let curves = count(prior.curve_max, turn_m / (window_m * radius_m(points).max(window_m)));
-        Self { counts: [count(TAU, turn_m / window_m).max(4), elevations, curves], ..grid }
+        let angles = count(grid.largest_rad(), turn_m / window_m);
+        Self { counts: [count(TAU, turn_m / window_m).max(4), elevations, angles], ..grid }
     }
 
     /// The limits of the elevation, or of its cosine.
@@ -100,9 +102,14 @@ impl<'a> Grid<'a> {
         if self.prior.is_signed() { [low, high] } else { [high.cos(), low.cos()] }
     }
 
+    /// The angle at which the nearest place sees the radius, radians.
+    fn largest_rad(&self) -> f64 {
+        (self.prior.curve_max * self.radius_m).atan()
+    }
+
     fn all(&self) -> Vec<Node> {
-        let [azimuths, elevations, curves] = self.counts;
-        let each = |a: i32| (0..=elevations).flat_map(move |e| (0..=curves).map(move |c| [a, e, c]));
+        let [azimuths, elevations, angles] = self.counts;
+        let each = |a: i32| (0..=elevations).flat_map(move |e| (0..=angles).map(move |c| [a, e, c]));
         (0..azimuths).flat_map(each).collect()
     }
 
@@ -111,20 +118,21 @@ impl<'a> Grid<'a> {
         let [from, to] = self.elevations();
         let elevation = from + share(1) * (to - from);
         let elevation = if self.prior.is_signed() { elevation } else { elevation.min(1.0).acos() };
-        self.prior.at_height(Place { azimuth: TAU * share(0), elevation, curve: share(2) * self.prior.curve_max })
+        let curve = (share(2) * self.largest_rad()).tan() / self.radius_m;
+        self.prior.at_height(Place { azimuth: TAU * share(0), elevation, curve: curve.min(self.prior.curve_max) })
     }
 
     /// The nodes up to two steps beside some, at half the steps.
     fn closer(&mut self, nodes: &[Node]) -> Vec<Node> {
         self.counts = self.counts.map(|count| 2 * count);
-        let [azimuths, elevations, curves] = self.counts;
+        let [azimuths, elevations, angles] = self.counts;
         let beside = |node: &Node| {
             let [a, e, c] = node.map(|k| 2 * k);
             let near = move |off: i32| [a + off / 25 - 2, e + off / 5 % 5 - 2, c + off % 5 - 2];
             (0..125).map(near)
         };
         let inside = |[a, e, c]: Node| {
-            let is_inside = (0..=elevations).contains(&e) && (0..=curves).contains(&c);
+            let is_inside = (0..=elevations).contains(&e) && (0..=angles).contains(&c);
             is_inside.then_some([a.rem_euclid(azimuths), e, c])
         };
         let mut all: Vec<Node> = nodes.iter().flat_map(beside).filter_map(inside).collect();

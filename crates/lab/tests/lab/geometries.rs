@@ -105,6 +105,19 @@ fn a_near_place_is_found_above_and_below() {
 }
 
 #[test]
+fn a_transmitter_that_the_robot_drives_around_is_found() {
+    for (k, (radius_m, aside)) in [(1.0, 0.2), (1.0, 0.5), (0.5, 0.3), (0.3, 0.8)].into_iter().enumerate() {
+        let place_m = [aside * radius_m, radius_m, 0.1];
+        let seen = see(&Ends { duration_s: 6.0, ..in_space(circle(radius_m, 1.0), place_m, k as u64) });
+        let off_m = seen.position_error_m.unwrap().xy().norm();
+        assert!(seen.azimuth_error_deg.abs() < 0.3 && off_m < 0.02, "{k}: {seen:?}");
+    }
+    // From the middle of the circle no azimuth shows: the error bar says so.
+    let seen = see(&in_space(circle(0.5, 1.0), [0.0, 0.5, 0.1], 3));
+    assert!(seen.azimuth_sd_deg > 40.0 && seen.confidence < 0.1, "{seen:?}");
+}
+
+#[test]
 fn the_elevation_limit_is_a_prior_not_a_hard_bound() {
     // Level motion, elevations far above those expected of robots on a floor: the samples leave no doubt.
     let seen = see(&in_space(circle(0.3, 1.0), away(70.0, 45.0, 15.0), 3));
