@@ -3,7 +3,8 @@ It needs rospy: Debian's python3-rospy, or a sourced setup.bash of Melodic (Pyth
 
 In: first {"master", "node", "read": [{"topic", "type"}], "write": [{"topic", "type"}], "serves", "definitions": {type: text}},
 then {"to": NUMBER, "message": {...}} for each message and {"answer": NUMBER, "message": {...}} for each call of ~self_test. Out:
-{"topic": NUMBER, "stamp", "frame", "position", "orientation"} for each received pose (topic only if a value is not a number),
+{"topic": NUMBER, "publisher", "stamp", "frame", "position", "orientation"} for each received pose (topic only if a value is not
+a number; publisher is the number of its connection),
 {"asked": NUMBER} for each call, and {"connections", "trouble", "wrong": [...]} once a second.
 """
 from __future__ import print_function
@@ -26,7 +27,7 @@ try:
 except ImportError:
     from xmlrpclib import ServerProxy
 
-master, lock, publishers, services = rosgraph.Master(node, uri), threading.Lock(), [], []
+master, lock, publishers, services, headers = rosgraph.Master(node, uri), threading.Lock(), [], [], []
 kinds = {"nav_msgs/Odometry": Odometry, "geometry_msgs/PoseStamped": PoseStamped}
 for name, text in asked["definitions"].items():
     made = genpy.dynamic.generate_dynamic(name, text)
@@ -46,13 +47,23 @@ def say(**told):
         out.flush()
 
 
+def connection(message):
+    """The number of the connection by which it came: each has a header of its own."""
+    known = message._connection_header
+    with lock:
+        found = next((number for number, one in enumerate(headers) if one is known), len(headers))
+        if found == len(headers):
+            headers.append(known)
+    return found
+
+
 def heard(message, number):
     pose, header = getattr(message.pose, "pose", message.pose), message.header
     position = [pose.position.x, pose.position.y, pose.position.z]
     orientation = [pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w]
     if all(abs(x) < 1e300 for x in position + orientation):
-        say(topic=number, stamp=[header.stamp.secs, header.stamp.nsecs], frame=header.frame_id, position=position,
-            orientation=orientation)
+        say(topic=number, publisher=connection(message), stamp=[header.stamp.secs, header.stamp.nsecs], frame=header.frame_id,
+            position=position, orientation=orientation)
     else:
         say(topic=number)
 

@@ -148,7 +148,7 @@ def bearings(node):
         # On a busy machine, a bearing in between has few exchanges.
         here = math.inf
         while not here < 1.0:
-            pose = once(f"{node}/{peer}/pose")
+            pose = once(f"{node}/{peer}/direction")
             q = pose["pose"]["orientation"]
             here = off(2 * math.atan2(q["z"], q["w"]), truth)
             assert time.monotonic() < end and pose["header"]["frame_id"] == "odom", pose
@@ -186,11 +186,11 @@ def self_test(node):
     end = time.monotonic() + 600
     while True:
         parts = {status.name: status for status in rospy.wait_for_message("/diagnostics", DiagnosticArray, 300).status}
-        if parts["csi5300: claims"].level != 3:
+        if parts["csi5300_tb3_0: claims"].level != 3:
             break
         assert time.monotonic() < end, parts
-    assert "csi5300: peer tb3_1" in parts and parts["csi5300: card"].level == 0, parts
-    print(f"the service self_test answers for {len(said.status)} claims; diagnostics: {parts['csi5300: claims'].message}")
+    assert "csi5300_tb3_0: peer tb3_1" in parts and parts["csi5300_tb3_0: card"].level == 0, parts
+    print(f"the service self_test answers for {len(said.status)} claims; diagnostics: {parts['csi5300_tb3_0: claims'].message}")
 PYTHON
 look() { (cd "$folder" && python3 -c "import sys; sys.argv = ['look', '', '$folder/status.sock']; from look import *; $1"); }
 master() {

@@ -2,7 +2,7 @@
 //! `rqt_robot_monitor` and Foxglove: card, odometry, each peer, the program, and the claims.
 
 use crate::adapters::Robot;
-use crate::config::{Capture, Config};
+use crate::config::{Capture, Config, name_part};
 use crate::health::Health;
 use crate::lock;
 use crate::machine::{Machine, Tap};
@@ -156,7 +156,7 @@ impl Tap for SelfTest {
 }
 
 fn status(
-    health: &Health,
+    (node, health): (&str, &Health),
     part: &str,
     (level, message): (Byte, String),
     values: &[(&str, String)],
@@ -164,7 +164,7 @@ fn status(
     let value = |(key, value): &(&str, String)| KeyValue { key: (*key).to_owned(), value: value.clone() };
     DiagnosticStatus {
         level,
-        name: format!("csi5300: {part}"),
+        name: format!("{node}: {part}"),
         message,
         hardware_id: health.name.clone(),
         values: values.iter().map(value).collect(),
@@ -176,6 +176,8 @@ fn status(
 pub(crate) struct Claims {
     test: SelfTest,
     robot: String,
+    /// What names in `/diagnostics` begin with: tools take equal ones of two robots for one.
+    node: String,
     last: Arc<Mutex<Vec<Found>>>,
 }
 
@@ -184,7 +186,8 @@ impl Claims {
         let test = SelfTest::new(config.channel, robot.own, &robot.peers);
         let has_card = matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_));
         let test = if has_card { test.with_module() } else { test };
-        Self { test, robot: robot.name.clone(), last: Arc::default() }
+        let node = format!("csi5300_{}", name_part(&config.robot()));
+        Self { test, robot: robot.name.clone(), node, last: Arc::default() }
     }
 
     /// Judges every claim now.
@@ -212,17 +215,18 @@ impl Claims {
 
     /// All parts of the state, and the last findings.
     pub fn diagnostics(&self, header: Header, health: &Health) -> DiagnosticArray {
-        let mut told = of(header, health);
-        told.status.push(claims(&self.robot, &lock(&self.last)));
+        let mut told = of(header, (&self.node, health));
+        told.status.push(claims((&self.node, &self.robot), &lock(&self.last)));
         told
     }
 }
 
 /// All parts of the state.
-fn of(header: Header, health: &Health) -> DiagnosticArray {
+fn of(header: Header, (node, health): (&str, &Health)) -> DiagnosticArray {
+    let whose = (node, health);
     let rate = |what: &str, hz: f64| (if hz > 0.0 { WELL } else { STALE }, format!("{hz:.0} {what} a second"));
     let card = status(
-        health,
+        whose,
         "card",
         rate("records", health.records_hz),
         &[
@@ -234,7 +238,7 @@ fn of(header: Header, health: &Health) -> DiagnosticArray {
         ],
     );
     let odometry = status(
-        health,
+        whose,
         "odometry",
         rate("poses", health.poses_hz),
         &[
@@ -256,14 +260,14 @@ fn of(header: Header, health: &Health) -> DiagnosticArray {
             ("pairs", peer.counts.pairs.to_string()),
             ("losses", peer.counts.losses.to_string()),
         ];
-        status(health, &format!("peer {}", peer.name), (level, words), &values)
+        status(whose, &format!("peer {}", peer.name), (level, words), &values)
     });
     let trouble = match health.trouble.as_slice() {
         [] => (WELL, "well".to_owned()),
         all => (WARNING, all.join("; ")),
     };
     let node = status(
-        health,
+        whose,
         "node",
         trouble,
         &[
@@ -307,7 +311,7 @@ fn self_test(robot: &str, found: &[Found]) -> SelfTestResponse {
 }
 
 /// All claims as one part, with the findings of failed ones.
-fn claims(robot: &str, found: &[Found]) -> DiagnosticStatus {
+fn claims((node, robot): (&str, &str), found: &[Found]) -> DiagnosticStatus {
     let (failed, holds) = (with(found, Verdict::Fails), with(found, Verdict::Holds).len());
     let names: Vec<String> = failed.iter().map(|found| name_of(found)).collect();
     let (level, message) = match (failed.len(), holds) {
@@ -316,7 +320,7 @@ fn claims(robot: &str, found: &[Found]) -> DiagnosticStatus {
         _ => (ERROR, format!("claims that fail: {}", names.join("; "))),
     };
     let values = failed.iter().map(|found| KeyValue { key: name_of(found), value: found.1.found.clone() }).collect();
-    DiagnosticStatus { level, name: "csi5300: claims".into(), message, hardware_id: robot.to_owned(), values }
+    DiagnosticStatus { level, name: format!("{node}: claims"), message, hardware_id: robot.to_owned(), values }
 }
 
 #[cfg(test)]
@@ -327,10 +331,11 @@ mod tests {
     fn trouble_is_a_warning_and_silence_is_stale() {
         let mut health = Health { name: "burger".into(), records_hz: 99.6, ..Health::default() };
         health.trouble = vec!["a".into(), "b".into()];
-        let said = of(Header::default(), &health);
+        let said = of(Header::default(), ("csi5300_burger", &health));
         let levels: Vec<u8> = said.status.iter().map(|status| status.level.0).collect();
         assert_eq!(levels, [0, 3, 1]);
         assert_eq!(said.status[0].message, "100 records a second");
+        assert_eq!(said.status[0].name, "csi5300_burger: card");
         assert_eq!((said.status[2].message.as_str(), said.status[2].hardware_id.as_str()), ("a; b", "burger"));
     }
 
@@ -351,8 +356,8 @@ mod tests {
         assert!(said[2].message.starts_with("words. Expected: "), "{said:?}");
         let many = vec![bad.clone(); 100].concat();
         assert_eq!(self_test("burger", &many).status.len(), 100, "those that fail");
-        let levels = [&none[..], &good, &bad].map(|found| claims("burger", found).level.0);
+        let levels = [&none[..], &good, &bad].map(|found| claims(("csi5300_burger", "burger"), found).level.0);
         assert_eq!(levels, [3, 0, 2]);
-        assert_eq!(claims("burger", &bad).message, "claims that fail: exchange.pairs, tb3_1");
+        assert_eq!(claims(("csi5300_burger", "burger"), &bad).message, "claims that fail: exchange.pairs, tb3_1");
     }
 }

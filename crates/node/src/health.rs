@@ -95,14 +95,14 @@ const ALARM_LASTS: Span = Span::from_ms(60_000);
 
 /// A count that is an alarm while it rises, and for a minute after.
 #[derive(Clone, Copy, Debug, Default)]
-struct Alarm {
+pub(crate) struct Alarm {
     count: u64,
     at: Option<Instant>,
 }
 
 impl Alarm {
     /// True while the alarm lasts.
-    fn is_on(&mut self, count: u64, now: Instant) -> bool {
+    pub fn is_on(&mut self, count: u64, now: Instant) -> bool {
         if count > self.count {
             (self.count, self.at) = (count, Some(now));
         }
@@ -245,14 +245,35 @@ impl Health {
     pub fn lost(&self) -> Vec<String> {
         let disk = self.log.as_ref().map_or(0, |log| log.dropped + log.lost_on_disk);
         let unsent = self.network.as_ref().and_then(|network| network.get("unsent")?.as_u64()).unwrap_or(0);
+        let unrecorded = self.ros2.as_ref().and_then(|ros| ros.get("bag")?.get("lost")?.as_u64()).unwrap_or(0);
         let mut counts = vec![
             (self.losses, "losses of records heard here".to_owned()),
             (disk, "records missing in the log".to_owned()),
             (unsent, "messages not sent".to_owned()),
+            (unrecorded, "messages missing in the recording".to_owned()),
             (self.load.lines_lost, "lines not written".to_owned()),
             (self.poses.incomplete, "trajectories with skipped rows".to_owned()),
         ];
         counts.extend(self.peers.iter().map(|peer| (peer.counts.losses, format!("losses of {}'s records", peer.name))));
         counts.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_alarm_lasts_a_minute_after_its_last_count() {
+        let mut alarm = Alarm::default();
+        let mut at = |count, s: i64| alarm.is_on(count, Instant::from_us(s * 1_000_000));
+        let lasts = [at(0, 0), at(1, 1), at(1, 60), at(2, 60), at(2, 119), at(2, 120)];
+        assert_eq!(lasts, [false, true, true, true, true, false]);
+    }
+
+    #[test]
+    fn what_the_recording_lacks_is_lost() {
+        let health = Health { ros2: Some(serde_json::json!({ "bag": { "lost": 3 } })), ..Health::default() };
+        assert_eq!(health.lost(), ["3 messages missing in the recording"]);
     }
 }

@@ -355,17 +355,20 @@ impl Machine {
         self.trouble.iter().cloned().chain(odometry).chain(peers).chain(disk).collect()
     }
 
+    /// Takes what has arrived before the end, up to a limit.
+    pub(crate) fn drain(&mut self, now: Instant) {
+        for _ in 0..LAST_BURSTS {
+            if !self.take(now).unwrap_or(false) {
+                break;
+            }
+        }
+    }
+
     /// Ends everything; returns the last reports and the log's counts.
     ///
     /// # Errors
     /// If the log's writer died.
     pub fn finish(mut self, now: Instant) -> Result<(Vec<PeerReport>, Option<Totals>), Error> {
-        // Takes what has arrived, up to a limit.
-        for _ in 0..LAST_BURSTS {
-            if self.capture.ended || !self.take_records(now).unwrap_or(false) {
-                break;
-            }
-        }
         // The log first: it must be complete however long the last estimates take.
         let totals = self.capture.source.finish(now);
         let pairs: Vec<u64> = self.estimator.peers().map(|(_, counts)| counts.pairs).collect();

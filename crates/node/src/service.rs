@@ -262,8 +262,11 @@ impl<'a> Service<'a> {
     }
 
     fn finish(mut self, error: Option<Error>) -> Result<Ended, Error> {
+        // One time for both: what the state counts is what the log has.
+        let now = self.clock.now();
+        self.machine.drain(now);
         let mut health = self.look();
-        let (reports, totals) = self.machine.finish(self.clock.now())?;
+        let (reports, totals) = self.machine.finish(now)?;
         // The machine held the sender too, for its measurements.
         let error = self.sounder.take().and_then(Sounder::stop).or(error);
         self.adapters.iter_mut().for_each(|adapter| adapter.finish(&reports, &mut health));

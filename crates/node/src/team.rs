@@ -20,7 +20,7 @@ use csi5300_team::{KeyframeId, Mode, OdometryNoise, RobotId, Solution, Team, Tea
 use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 
 /// Bearings in a graph at most, and bearings and ranges; the oldest are forgotten.
@@ -182,7 +182,7 @@ impl Graph {
     /// Takes the machine's last report about a peer. True if the graph changed.
     pub fn note(&mut self, peer: usize, report: &PeerReport, machine: &Machine) -> bool {
         let Some((known, _)) = machine.estimator.peers().nth(peer) else { return false };
-        let counts = PoseCounts { poses: 0, ..machine.pose_counts };
+        let counts = PoseCounts { poses: 0, incomplete: 0, ..machine.pose_counts };
         if counts != self.frames.0 {
             // Earlier keyframes are in another frame.
             self.seen.clear();
@@ -433,6 +433,8 @@ pub struct Solver {
     ranges: Ranges,
     /// The graph has a bearing that was not given to the thread.
     is_new: bool,
+    /// Graphs given to the thread without an answer yet, and how many of these are of a frame that is over.
+    asked: [usize; 2],
     to: SyncSender<Graph>,
     from: Receiver<Result<TeamState, String>>,
     state: TeamState,
@@ -458,29 +460,40 @@ impl Solver {
         };
         spawn("csi5300 team", "cannot start the thread that solves the team", solve)?;
         let (state, notes) = (TeamState::default(), Vec::new());
-        Ok(Some(Self { graph, ranges, is_new: false, to, from, state, notes }))
+        Ok(Some(Self { graph, ranges, is_new: false, asked: [0; 2], to, from, state, notes }))
     }
 
     /// Takes the machine's last report about a peer.
     pub fn note(&mut self, peer: usize, report: &PeerReport, machine: &Machine) {
         self.ranges.take().into_iter().for_each(|range| self.graph.range(range));
+        let frame = self.graph.frames.0;
         self.is_new |= self.graph.note(peer, report, machine);
+        if self.graph.frames.0 != frame {
+            self.asked[1] = self.asked[0];
+            self.state = TeamState { solved: self.state.solved, ..TeamState::default() };
+            self.notes = vec!["this robot's poses are in another frame: the team begins anew".into()];
+        }
     }
 
     /// The team as solved last. A graph with new bearings is solved next.
     pub fn look(&mut self) -> &TeamState {
-        match self.from.try_recv() {
-            Ok(Ok(state)) => {
-                self.notes.clone_from(&state.notes);
-                self.state = TeamState { solved: self.state.solved + 1, ..state };
+        if let Ok(found) = self.from.try_recv() {
+            let is_old = self.asked[1] > 0;
+            self.asked = self.asked.map(|asked| asked.saturating_sub(1));
+            match found {
+                _ if is_old => {}
+                Ok(state) => {
+                    self.notes.clone_from(&state.notes);
+                    self.state = TeamState { solved: self.state.solved + 1, ..state };
+                }
+                Err(why) => self.notes = vec![why],
             }
-            Ok(Err(why)) => self.notes = vec![why],
-            Err(TryRecvError::Empty | TryRecvError::Disconnected) => {}
         }
         self.state.notes = self.notes.iter().cloned().chain(self.range_notes()).collect();
         // A thread that still solves is given the graph at a later look.
         if self.is_new && self.to.try_send(self.graph.clone()).is_ok() {
             self.is_new = false;
+            self.asked[0] += 1;
         }
         &self.state
     }

@@ -35,12 +35,6 @@ struct Counts {
     failed: Mutex<Option<String>>,
 }
 
-impl Counts {
-    fn fail(&self, error: &io::Error) {
-        *lock(&self.failed) = Some(error.to_string());
-    }
-}
-
 struct Running {
     folder: PathBuf,
     /// Messages in earlier recordings.
@@ -63,13 +57,13 @@ impl Bag {
         Self { folder, running: Mutex::default(), counts: Arc::default() }
     }
 
-    /// Starts a recording and returns its folder. A running recording continues.
+    /// Starts a recording and returns its folder. A running recording continues; after one that failed, another starts.
     ///
     /// # Errors
     /// If its folder or file cannot be created.
     pub fn start(&self) -> io::Result<PathBuf> {
         let mut running = lock(&self.running);
-        if let Some(running) = &*running {
+        if let Some(running) = running.as_ref().filter(|running| !running.thread.is_finished()) {
             return Ok(running.folder.clone());
         }
         *lock(&self.counts.failed) = None;
@@ -82,7 +76,9 @@ impl Bag {
         let (counts, into) = (Arc::clone(&self.counts), folder.clone());
         let work = move || {
             if let Err(error) = write(writer, &waiting, &counts, (&into, &name)) {
-                counts.fail(&error);
+                // At least the one that failed, and all that wait.
+                counts.lost.fetch_add(1 + waiting.try_iter().count() as u64, Ordering::Relaxed);
+                *lock(&counts.failed) = Some(error.to_string());
             }
         };
         let thread = std::thread::Builder::new().name("csi5300 bag".into()).spawn(work)?;
@@ -92,11 +88,27 @@ impl Bag {
     }
 
     /// Ends the recording and returns its folder, if there was one.
-    pub fn stop(&self) -> Option<PathBuf> {
+    ///
+    /// # Errors
+    /// Why it is incomplete.
+    pub fn stop(&self) -> Option<Result<PathBuf, String>> {
         let running = lock(&self.running).take()?;
         drop(running.rows);
         let _ = running.thread.join();
-        Some(running.folder)
+        Some(self.trouble().map_or(Ok(running.folder), Err))
+    }
+
+    /// Ends the recording for good, and removes one without messages, so that a node that repeatedly fails to start leaves no
+    /// folders.
+    pub fn end(&self) {
+        let before = lock(&self.running).as_ref().map(|running| running.before);
+        let Some(Ok(folder)) = self.stop() else { return };
+        if before == Some(self.counts.written.load(Ordering::Relaxed)) {
+            let files = [file_name(&folder), "metadata.yaml".into()];
+            files.iter().for_each(|name| drop(std::fs::remove_file(folder.join(name))));
+            // Files that others put there stay.
+            let _ = std::fs::remove_dir(&folder);
+        }
     }
 
     /// Records a message of time `wall_us`; never waits.
@@ -126,16 +138,8 @@ impl Bag {
 }
 
 impl Drop for Bag {
-    /// Removes a recording without messages, so that a node that repeatedly fails to start leaves no folders.
     fn drop(&mut self) {
-        let before = lock(&self.running).as_ref().map(|running| running.before);
-        let Some(folder) = self.stop() else { return };
-        if before == Some(self.counts.written.load(Ordering::Relaxed)) {
-            let files = [file_name(&folder), "metadata.yaml".into()];
-            files.iter().for_each(|name| drop(std::fs::remove_file(folder.join(name))));
-            // Files that others put there stay.
-            let _ = std::fs::remove_dir(&folder);
-        }
+        self.end();
     }
 }
 
@@ -229,6 +233,30 @@ mod tests {
     }
 
     #[test]
+    fn a_recording_that_failed_is_said_and_another_one_can_start() {
+        let folder = std::env::temp_dir().join(format!("csi5300-bag-full-{}", std::process::id()));
+        let bag = Bag::new(folder.join("run"));
+        bag.start().unwrap();
+        // As after a disk that was full.
+        let (rows, _) = sync_channel(1);
+        let thread = std::thread::spawn(|| ());
+        while !thread.is_finished() {
+            std::thread::yield_now();
+        }
+        let running = Running { folder: folder.join("run"), before: 0, rows, thread };
+        drop(lock(&bag.running).replace(running));
+        *lock(&bag.counts.failed) = Some("No space left on device".into());
+        bag.put::<Clock>("/clock", &Clock::default().payload(), 1);
+        assert_eq!(bag.counted()["lost"], 1);
+        let stopped = bag.stop().unwrap();
+        assert!(stopped.unwrap_err().contains("No space left"), "a call to stop it fails");
+        assert_eq!(bag.start().unwrap(), folder.join("run-r1"));
+        assert_eq!(bag.trouble(), None);
+        drop(bag);
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
     fn a_stopped_recording_is_complete_and_overwrites_none() {
         let folder = std::env::temp_dir().join(format!("csi5300-bag-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
@@ -238,7 +266,7 @@ mod tests {
             assert_eq!(bag.start().unwrap(), folder.join(expected));
             assert_eq!(bag.start().unwrap(), folder.join(expected), "it goes on");
             bag.put::<Clock>("/clock", &Clock::default().payload(), 5_000_000);
-            assert_eq!(bag.stop(), Some(folder.join(expected)));
+            assert_eq!(bag.stop(), Some(Ok(folder.join(expected))));
             let text = std::fs::read_to_string(folder.join(expected).join("metadata.yaml")).unwrap();
             assert!(text.contains("message_count: 1\n  topics_with"), "{text}");
             assert!(text.contains("name: /clock\n        type: rosgraph_msgs/msg/Clock"), "{text}");

@@ -1,7 +1,7 @@
 //! Poses from ROS 2 topics (odometry, motion capture, transforms), the antenna's place from `/tf_static`, orientation from an
 //! inertial unit, ranges, and simulated time.
 
-use super::link::Link;
+use super::link::{Came, Link};
 use super::lock;
 use super::rtps::Qos;
 use crate::settings::{Kind, Topic};
@@ -38,7 +38,7 @@ impl SimClock {
         let ahead = Arc::new(AtomicI64::new(UNKNOWN));
         let told = Arc::clone(&ahead);
         let used =
-            move |clock: Clock, wall_us: i64| told.store(wall_us.saturating_sub(clock.clock.us()), Ordering::Relaxed);
+            move |clock: Clock, came: Came| told.store(came.at_us.saturating_sub(clock.clock.us()), Ordering::Relaxed);
         link.subscribe("/clock", Qos::best_effort(1), used, || ());
         Self(Some(ahead))
     }
@@ -88,6 +88,8 @@ impl Turns {
     fn apply(&mut self, pose: Isometry3<f64>, received_us: i64) -> Isometry3<f64> {
         let Some((newest, at)) = self.newest else { return pose };
         if received_us.saturating_sub(at) > IMU_US {
+            // It may have restarted when it comes back.
+            self.offset_rad = None;
             return pose;
         }
         let own = heading(&pose.rotation);
@@ -111,9 +113,9 @@ pub(crate) fn ranges(
     used: impl Fn(Option<(i64, [f64; 2])>) + Clone + Send + 'static,
 ) {
     let (clock, unreadable) = (clock.clone(), used.clone());
-    let read = move |told: Range, received_us| {
+    let read = move |told: Range, came: Came| {
         let stamp_us = told.header.stamp.us();
-        let at_us = if stamp_us == 0 { Some(received_us) } else { clock.to_host(stamp_us) };
+        let at_us = if stamp_us == 0 { Some(came.at_us) } else { clock.to_host(stamp_us) };
         used(at_us.zip(told.metres()));
     };
     link.subscribe(topic, Qos::best_effort(DEPTH), read, move || unreadable(None));
@@ -135,28 +137,33 @@ struct State {
 }
 
 impl Shared {
-    /// Passes on a pose in the frame of `header`.
-    fn put(&self, state: &mut State, header: &Header, pose: Isometry3<f64>, received_us: i64) {
-        let Some(us) = self.clock.to_host(header.stamp.us()) else {
+    /// Passes on a pose of the robot in the frame of `header`, moved to a place `mounted` on the robot.
+    fn put(&self, state: &mut State, header: &Header, pose: Isometry3<f64>, mounted: Isometry3<f64>, came: Came) {
+        let Some(ahead_us) = self.clock.ahead_us() else {
             state.waits = Some("no message on /clock, which `use_sim_time` needs".into());
             return;
         };
         state.waits = None;
-        let pose = state.turns.apply(pose, received_us);
-        // A zero stamp stays zero.
-        let us = if header.stamp == csi5300_bag::messages::Time::default() { 0 } else { us };
-        let s = u32::try_from(us.div_euclid(1_000_000)).unwrap_or(0);
-        let turned = pose.rotation.coords;
-        let message = Message {
-            stamp: (s, us.rem_euclid(1_000_000) as u32 * 1_000),
+        let mut message = Message {
+            publisher: came.publisher,
+            stamp: (u32::try_from(header.stamp.sec).unwrap_or(0), header.stamp.nanosec),
+            ahead_us,
             frame: &header.frame_id,
-            position_m: pose.translation.vector.into(),
-            orientation: [turned.x, turned.y, turned.z, turned.w],
+            position_m: [0.0; 3],
+            orientation: [0.0; 4],
         };
-        self.inbox.put(0, &message, received_us);
+        if self.inbox.begins(&message, came.at_us) {
+            state.turns.offset_rad = None;
+        }
+        // The heading is the robot's; the antenna's offset is rotated by it.
+        let pose = state.turns.apply(pose, came.at_us);
+        let turned = pose.rotation.coords;
+        message.position_m = (pose * mounted).translation.vector.into();
+        message.orientation = [turned.x, turned.y, turned.z, turned.w];
+        self.inbox.put(&message, came.at_us);
     }
 
-    fn odometry(&self, odometry: &Odometry, antenna: Option<&str>, received_us: i64) {
+    fn odometry(&self, odometry: &Odometry, antenna: Option<&str>, came: Came) {
         let mut state = lock(&self.state);
         let Some(pose) = odometry.pose.pose.isometry() else { return self.inbox.unreadable() };
         let mounted = match antenna {
@@ -170,17 +177,10 @@ impl Shared {
                 }
             },
         };
-        // The heading is the robot's; the antenna's offset is rotated by it.
-        let turned = state.turns.apply(pose, received_us);
-        self.put(
-            &mut state,
-            &odometry.header,
-            Isometry3::from_parts((turned * mounted).translation, pose.rotation),
-            received_us,
-        );
+        self.put(&mut state, &odometry.header, pose, mounted, came);
     }
 
-    fn transforms(&self, told: &TfMessage, is_fixed: bool, wanted: Option<(&str, &str)>, received_us: i64) {
+    fn transforms(&self, told: &TfMessage, is_fixed: bool, wanted: Option<(&str, &str)>, came: Came) {
         let mut state = lock(&self.state);
         for one in &told.transforms {
             if !state.tree.handle(one, is_fixed) {
@@ -196,7 +196,7 @@ impl Shared {
         let newest = told.transforms.iter().filter(|one| Some(one.child_frame_id.trim_start_matches('/')) == moving);
         if let Some(newest) = newest.max_by_key(|one| one.header.stamp.us()) {
             let header = Header { stamp: newest.header.stamp.clone(), frame_id: from.to_owned() };
-            self.put(&mut state, &header, pose, received_us);
+            self.put(&mut state, &header, pose, Isometry3::identity(), came);
         }
     }
 }
@@ -221,12 +221,12 @@ impl PoseTopic {
         Self::subscribe(link, topic, &shared);
         if topic.kind == Kind::Tf || topic.antenna_frame.is_some() {
             let fixed = Arc::clone(&shared);
-            let used = move |told: TfMessage, received_us| fixed.transforms(&told, true, None, received_us);
+            let used = move |told: TfMessage, came| fixed.transforms(&told, true, None, came);
             link.subscribe("/tf_static", Qos::latched(DEPTH), used, || ());
         }
         if let Some(imu) = &topic.imu {
             let turned = Arc::clone(&shared);
-            let used = move |imu: Imu, received_us| lock(&turned.state).turns.handle(&imu, received_us);
+            let used = move |imu: Imu, came: Came| lock(&turned.state).turns.handle(&imu, came.at_us);
             link.subscribe(imu, Qos::best_effort(DEPTH), used, || ());
         }
         let source = shared.inbox.source();
@@ -241,19 +241,19 @@ impl PoseTopic {
         match topic.kind {
             Kind::Odometry => {
                 let antenna = topic.antenna_frame.clone();
-                let used = move |told: Odometry, at| into.odometry(&told, antenna.as_deref(), at);
+                let used = move |told: Odometry, came| into.odometry(&told, antenna.as_deref(), came);
                 link.subscribe(topic.name(), qos, used, unreadable)
             }
             Kind::Pose => {
-                let used = move |told: PoseStamped, at| match told.pose.isometry() {
-                    Some(pose) => into.put(&mut lock(&into.state), &told.header, pose, at),
+                let used = move |told: PoseStamped, came| match told.pose.isometry() {
+                    Some(pose) => into.put(&mut lock(&into.state), &told.header, pose, Isometry3::identity(), came),
                     None => into.inbox.unreadable(),
                 };
                 link.subscribe(topic.name(), qos, used, unreadable)
             }
             Kind::Tf => {
                 let (from, to) = (topic.frame.clone().unwrap_or_default(), topic.child.clone().unwrap_or_default());
-                let used = move |told: TfMessage, at| into.transforms(&told, false, Some((&from, &to)), at);
+                let used = move |told: TfMessage, came| into.transforms(&told, false, Some((&from, &to)), came);
                 link.subscribe(topic.name(), qos, used, unreadable)
             }
         }
@@ -365,6 +365,10 @@ mod tests {
         Shared { inbox, clock: SimClock::real(), state: Mutex::default() }
     }
 
+    fn came(at_us: i64) -> Came {
+        Came { at_us, publisher: 1 }
+    }
+
     fn turned(rad: f64) -> Quaternion {
         Quaternion { x: 0.0, y: 0.0, z: (rad / 2.0).sin(), w: (rad / 2.0).cos() }
     }
@@ -389,12 +393,12 @@ mod tests {
     #[test]
     fn the_antennas_offset_from_tf_static_rotates_with_the_robot() {
         let shared = shared(Stamp::Header);
-        shared.odometry(&odometry(10.0, 1.0, 0.0), Some("antenna"), 10_000_000);
+        shared.odometry(&odometry(10.0, 1.0, 0.0), Some("antenna"), came(10_000_000));
         assert_eq!(poses(&shared), []);
         assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("from base_link to antenna")));
         let fixed = TfMessage { transforms: vec![transform("base_link", "antenna", 0.0, [0.5, 0.0, 0.0], 0.0)] };
-        shared.transforms(&fixed, true, None, 0);
-        shared.odometry(&odometry(10.0, 1.0, FRAC_PI_2), Some("antenna"), 10_000_000);
+        shared.transforms(&fixed, true, None, came(0));
+        shared.odometry(&odometry(10.0, 1.0, FRAC_PI_2), Some("antenna"), came(10_000_000));
         let pose = poses(&shared)[0];
         assert!((pose.position_m - Vector3::new(1.0, 0.5, 0.0)).norm() < 1e-9, "{pose:?}");
         assert_eq!((pose.t_s, lock(&shared.state).waits.clone()), (10.0, None));
@@ -405,7 +409,7 @@ mod tests {
         let shared = shared(Stamp::Header);
         let way = Some(("map", "antenna"));
         let tell = |told: Vec<TransformStamped>, fixed| {
-            shared.transforms(&TfMessage { transforms: told }, fixed, way, 5_000_000)
+            shared.transforms(&TfMessage { transforms: told }, fixed, way, came(5_000_000))
         };
         tell(vec![transform("base_link", "antenna", 0.0, [0.1, 0.0, 0.0], 0.0)], true);
         tell(vec![transform("odom", "base_link", 4.0, [1.0, 0.0, 0.0], 0.0)], false);
@@ -433,11 +437,11 @@ mod tests {
             lock(&shared.state).turns.handle(&imu, at);
         };
         imu(2.0, 10_000_000);
-        shared.odometry(&odometry(10.0, 0.0, 0.5), None, 10_000_000);
+        shared.odometry(&odometry(10.0, 0.0, 0.5), None, came(10_000_000));
         imu(2.3, 10_100_000);
-        shared.odometry(&odometry(10.1, 0.0, 0.6), None, 10_100_000);
+        shared.odometry(&odometry(10.1, 0.0, 0.6), None, came(10_100_000));
         // The unit has gone silent: odometry's own heading.
-        shared.odometry(&odometry(10.9, 0.0, 0.7), None, 10_900_000);
+        shared.odometry(&odometry(10.9, 0.0, 0.7), None, came(10_900_000));
         let headings: Vec<f64> = poses(&shared).iter().filter_map(|pose| pose.heading_rad).collect();
         for (heading, expected) in headings.iter().zip([0.5, 0.8, 0.7]) {
             assert!((heading - expected).abs() < 1e-6, "{headings:?}");
@@ -452,11 +456,11 @@ mod tests {
         let ahead = Arc::new(AtomicI64::new(UNKNOWN));
         let clock = SimClock(Some(Arc::clone(&ahead)));
         let shared = Shared { clock: clock.clone(), ..shared(Stamp::Header) };
-        shared.odometry(&odometry(3.0, 0.0, 0.0), None, 1_000_000_000);
+        shared.odometry(&odometry(3.0, 0.0, 0.0), None, came(1_000_000_000));
         assert!(poses(&shared).is_empty() && clock.is_unknown() && clock.to_stamp(7) == 0);
         assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("/clock")));
         ahead.store(990_000_000, Ordering::Relaxed);
-        shared.odometry(&odometry(3.0, 0.0, 0.0), None, 993_000_000);
+        shared.odometry(&odometry(3.0, 0.0, 0.0), None, came(993_000_000));
         assert_eq!(poses(&shared)[0].t_s, 993.0);
         assert_eq!(clock.to_stamp(993_000_000), 3_000_000);
     }

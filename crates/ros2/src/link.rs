@@ -28,6 +28,15 @@ const CYCLONE: [u8; 2] = [1, 0x10];
 /// Receives a sample: its topic, its sender, its time of receipt.
 type Handler = Box<dyn FnMut(&Shared, &Event, i64) + Send>;
 
+/// How a message came.
+#[derive(Clone, Copy, Debug)]
+pub struct Came {
+    /// Time of receipt, microseconds since the Unix epoch.
+    pub at_us: i64,
+    /// Its publisher, another one after a restart; 0 by another way than DDS.
+    pub publisher: u128,
+}
+
 /// A topic of this node.
 struct Topic {
     /// Its full name.
@@ -314,13 +323,12 @@ impl Link {
         Publisher { shared: Arc::clone(&self.shared), writer, name, also, sent, too_large, kind: PhantomData }
     }
 
-    /// Passes messages of a topic to `used` with their time of receipt, microseconds since the Unix epoch. Calls `unreadable`
-    /// for messages that cannot be read.
+    /// Passes messages of a topic to `used`. Calls `unreadable` for messages that cannot be read.
     pub fn subscribe<T: Message>(
         &self,
         name: &str,
         qos: Qos,
-        mut used: impl FnMut(T, i64) + Send + 'static,
+        mut used: impl FnMut(T, Came) + Send + 'static,
         unreadable: impl Fn() + Send + 'static,
     ) {
         let name = self.shared.names.whole(name);
@@ -334,7 +342,8 @@ impl Link {
                     Ok(message) => {
                         // As the recording's definition says, also where another release's message lacks a field.
                         shared.bag.put::<T>(&recorded, &message.payload(), wall_us);
-                        used(message, wall_us);
+                        let publisher = u128::from_be_bytes(event.from.0.bytes());
+                        used(message, Came { at_us: wall_us, publisher });
                     }
                     Err(_) => unreadable(),
                 }
@@ -389,6 +398,11 @@ impl Link {
             .chain(self.shared.sockets().trouble(participant.counts().participants))
             .chain(self.shared.bag.trouble())
             .collect()
+    }
+
+    /// Ends the recording.
+    pub fn end_recording(&self) {
+        self.shared.bag.end();
     }
 
     /// The counters.

@@ -58,7 +58,7 @@ impl Node {
         let what = format!("cannot take part in domain {domain} of ROS 2 at {}", reach.interface);
         let failed = |source| Error::Io { what: what.clone(), source };
         let sockets = Sockets::open(domain, reach).map_err(failed)?;
-        let node = asked.node.clone().unwrap_or_else(|| format!("csi5300_{}", name_part(robot)));
+        let node = asked.node.clone().unwrap_or_else(|| name_part(&format!("csi5300_{robot}")));
         let names = Names { namespace: asked.namespace.clone(), node, remap: asked.remap.clone() };
         let bag = Bag::new(asked.bag.clone().unwrap_or_default());
         if let Some(folder) = &asked.bag {
@@ -181,7 +181,8 @@ fn serve_recording(link: &Link) {
         Err(error) => TriggerResponse { success: false, message: error.to_string() },
     });
     link.serve("~/stop_recording", |shared, _: TriggerRequest| match shared.bag.stop() {
-        Some(folder) => TriggerResponse { success: true, message: folder.display().to_string() },
+        Some(Ok(folder)) => TriggerResponse { success: true, message: folder.display().to_string() },
+        Some(Err(why)) => TriggerResponse { success: false, message: why },
         None => TriggerResponse { success: false, message: "there is no recording".into() },
     });
 }

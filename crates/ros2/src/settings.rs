@@ -12,6 +12,8 @@ use std::path::PathBuf;
 
 /// Highest domain whose port numbers are valid.
 const DOMAINS: u16 = 232;
+/// The variable of the domain.
+const DOMAIN: &str = "ROS_DOMAIN_ID";
 /// Static peers at most: each is queried at 32 ports.
 const PEERS: usize = 64;
 
@@ -141,8 +143,14 @@ impl Settings {
     /// The domain, or its default.
     #[must_use]
     pub fn domain(&self) -> u16 {
-        let told = || std::env::var("ROS_DOMAIN_ID").ok()?.trim().parse().ok();
-        self.domain.or_else(told).unwrap_or(0)
+        self.asked_domain(std::env::var(DOMAIN).ok()).unwrap_or(0)
+    }
+
+    /// The domain, where `told` is the value of the variable.
+    fn asked_domain(&self, told: Option<String>) -> Result<u16, String> {
+        let told = told.filter(|told| self.domain.is_none() && !told.trim().is_empty());
+        let Some(told) = told else { return Ok(self.domain.unwrap_or(0)) };
+        told.trim().parse().map_err(|_| format!("{DOMAIN}={told} is no domain: 0 to {DOMAINS}"))
     }
 
     /// Which nodes the node looks for: by these settings, then `ROS_LOCALHOST_ONLY`, `ROS_AUTOMATIC_DISCOVERY_RANGE` and
@@ -161,6 +169,13 @@ pub type Wrong = (Option<&'static str>, String);
 pub fn wrong_name(name: &str) -> Option<String> {
     let wrong = !is_name(name);
     wrong.then(|| format!("`{name}` is not a valid ROS 2 name: use one like /tb3_0/odom, odom or ~/odom"))
+}
+
+/// The error in the name of a frame.
+#[must_use]
+pub fn wrong_frame(frame: &str) -> Option<String> {
+    let wrong = frame.is_empty() || frame.starts_with('/');
+    wrong.then(|| format!("frame `{frame}`: tf2 takes no frame that is empty or begins with `/`"))
 }
 
 /// The error in a topic of poses.
@@ -185,8 +200,13 @@ pub fn wrong_topic(topic: &Topic) -> Option<Wrong> {
 /// The error in the `[ros2]` table.
 #[must_use]
 pub fn wrong_settings(ros: &Settings) -> Option<Wrong> {
-    if ros.domain() > DOMAINS {
-        return Some((Some("domain"), format!("domain {}: 0 to {DOMAINS}", ros.domain())));
+    match ros.asked_domain(std::env::var(DOMAIN).ok()) {
+        Err(why) => return Some((None, why)),
+        Ok(domain) if domain > DOMAINS => return Some((Some("domain"), format!("domain {domain}: 0 to {DOMAINS}"))),
+        Ok(_) => {}
+    }
+    if let Some(why) = wrong_frame(&ros.frame) {
+        return Some((Some("frame"), why));
     }
     let interface = ros.interface.unwrap_or(Ipv4Addr::LOCALHOST);
     if interface.is_unspecified() || interface.is_multicast() || interface.is_broadcast() {
@@ -463,6 +483,15 @@ mod tests {
                 found.words.contains(says.unwrap_or_default())
                     && found.waits.unwrap_or_default().contains(says.unwrap_or_default())
             );
+        }
+    }
+
+    #[test]
+    fn a_domain_that_is_no_number_is_refused() {
+        let of = |domain, told: &str| Settings { domain, ..Settings::default() }.asked_domain(Some(told.to_owned()));
+        assert_eq!([of(None, ""), of(None, " 7 "), of(Some(3), "abc")], [Ok(0), Ok(7), Ok(3)]);
+        for told in ["abc", "-1", "70000"] {
+            assert_eq!(of(None, told), Err(format!("ROS_DOMAIN_ID={told} is no domain: 0 to 232")));
         }
     }
 

@@ -9,13 +9,17 @@ use csi5300::time::Instant;
 use csi5300_bag::messages::{Bearing, Header, Odometry, Time};
 use csi5300_ros2::settings::{Settings, Topic};
 use csi5300_ros2::{Node, Qos};
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::mpsc::channel;
+
+/// The wall clock of all nodes, microseconds.
+static WALL_US: AtomicI64 = AtomicI64::new(20_000_000);
 
 /// A node in a domain that nobody else on this machine is likely to use.
 fn node(name: &str) -> Node {
     let domain = Some(150 + (std::process::id() % 80) as u16);
     let settings = Settings { domain, multicast: Some(false), ..Settings::default() };
-    Node::start(&settings, name, || Some(20_000_000)).unwrap()
+    Node::start(&settings, name, || Some(WALL_US.load(Ordering::Relaxed))).unwrap()
 }
 
 fn odometry() -> Odometry {
@@ -23,6 +27,25 @@ fn odometry() -> Odometry {
     told.header = Header { stamp: Time::from_us(12_500_000), frame_id: "odom".into() };
     (told.pose.pose.position.x, told.pose.pose.orientation.w) = (1.5, 1.0);
     told
+}
+
+#[test]
+fn a_publisher_that_restarted_begins_a_frame() {
+    let mut listener = node("listener");
+    let topic: Topic = serde_json::from_str("{\"topic\":\"/base/odom\"}").unwrap();
+    let mut poses = listener.poses(&topic, Stamp::Header);
+    let mut until = |wanted: fn(NextPose) -> bool| {
+        let base = node("base");
+        let publisher = base.link().publish::<Odometry>("/base/odom", Qos::reliable(10));
+        while !wanted(poses.receive(Instant::ZERO).unwrap()) {
+            publisher.put(&odometry());
+            std::thread::yield_now();
+        }
+    };
+    until(|next| matches!(next, NextPose::Pose(_)));
+    // A publisher may be silent for a second.
+    WALL_US.fetch_add(2_000_000, Ordering::Relaxed);
+    until(|next| next == NextPose::NewFrame);
 }
 
 #[test]

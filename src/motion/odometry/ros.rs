@@ -14,6 +14,8 @@ const QUEUE: usize = 4_096;
 const BACK_S: f64 = 1.0;
 /// Stamps further than this from the host's clock are no use beside records, which it stamps, seconds.
 const OTHER_CLOCK_S: f64 = 1.0;
+/// A publisher that is silent for this time loses its topic to another one, microseconds.
+const OWNED_US: u64 = 1_000_000;
 /// A topic that is silent for this time is in trouble.
 const QUIET: Span = Span::from_ms(2_000);
 
@@ -52,8 +54,12 @@ pub struct Wanted {
 /// The part of a message that is used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Message<'a> {
+    /// Its publisher; after a restart it is another one.
+    pub publisher: u128,
     /// Seconds and nanoseconds of its stamp.
     pub stamp: (u32, u32),
+    /// The host's clock minus that of the stamp, microseconds: 0 without simulated time.
+    pub ahead_us: i64,
     /// `frame_id` of its header.
     pub frame: &'a str,
     /// Metres.
@@ -63,8 +69,10 @@ pub struct Message<'a> {
 }
 
 /// Counts of a topic.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct TopicCounts {
+    /// Frame of the poses; empty before the first.
+    pub frame: String,
     /// Messages that came.
     pub messages: u64,
     /// Messages that are not of the topic's type.
@@ -75,9 +83,11 @@ pub struct TopicCounts {
     pub other_frame: u64,
     /// Poses without a stamp, where stamps are used.
     pub unstamped: u64,
-    /// Poses dropped because too many waited, here or in the client library.
+    /// Poses of a second publisher beside the one that is read.
+    pub contested: u64,
+    /// Poses dropped because too many waited.
     pub dropped: u64,
-    /// Times that the frame changed, or that stamps went back.
+    /// Times that the frame or the publisher changed, or that stamps went back.
     pub new_frames: u64,
     /// Receipt of the last message after its stamp, seconds.
     pub age_s: f64,
@@ -87,10 +97,14 @@ pub struct TopicCounts {
 #[derive(Clone, Debug, Default)]
 pub struct Reader {
     wanted: Wanted,
-    frame: Option<String>,
+    /// The publisher that is read, and when its last pose came, microseconds.
+    publisher: Option<(u128, i64)>,
+    /// When a pose of another one last came, microseconds.
+    contested_us: i64,
+    /// The newest time on the publisher's clock, seconds.
     last_s: Option<f64>,
-    /// The next pose begins a frame.
-    begins: bool,
+    /// The frame of a message that was refused after the last pose.
+    refused: Option<String>,
     counts: TopicCounts,
 }
 
@@ -105,23 +119,22 @@ impl Reader {
     /// frame, and the pose; `None` if it is refused, which is counted.
     pub fn handle(&mut self, message: &Message<'_>, received_us: i64) -> Option<(bool, Pose)> {
         self.counts.messages += 1;
-        let frame = message.frame.trim_start_matches('/');
-        if let Some(wanted) = &self.wanted.frame
-            && wanted.trim_start_matches('/') != frame
-        {
+        let frame = plain(message.frame);
+        if self.is_elsewhere(frame) {
             self.counts.other_frame += 1;
+            self.refused = Some(frame.to_owned());
             return None;
         }
         let received_s = received_us as f64 * 1e-6;
-        let stamp_s = f64::from(message.stamp.0) + f64::from(message.stamp.1) * 1e-9;
-        self.counts.age_s = received_s - stamp_s;
+        let host_s = stamp_s(message) + message.ahead_us as f64 * 1e-6;
+        self.counts.age_s = received_s - host_s;
         let t_s = match self.wanted.stamp {
             Stamp::Receipt => received_s,
             Stamp::Header if message.stamp == (0, 0) => {
                 self.counts.unstamped += 1;
                 return None;
             }
-            Stamp::Header => stamp_s,
+            Stamp::Header => host_s,
         };
         let [x, y, z, w] = message.orientation;
         let rotation = Quaternion::new(w, x, y, z);
@@ -130,40 +143,86 @@ impl Reader {
             self.counts.not_finite += 1;
             return None;
         }
-        let heading_rad = heading_of(&UnitQuaternion::from_quaternion(rotation));
-        if self.frame.as_deref() != Some(frame) {
-            self.begins |= self.frame.replace(frame.to_owned()).is_some();
+        if self.is_contested(message, received_us) {
+            (self.counts.contested, self.contested_us) = (self.counts.contested + 1, received_us);
+            return None;
         }
-        self.begins |= self.last_s.is_some_and(|last_s| t_s < last_s - BACK_S);
-        // A late one does not move the newest time.
-        self.last_s = Some(if self.begins { t_s } else { self.last_s.map_or(t_s, |last_s| last_s.max(t_s)) });
-        let begins = std::mem::take(&mut self.begins);
+        let heading_rad = heading_of(&UnitQuaternion::from_quaternion(rotation));
+        let begins = self.begins(message, received_us);
         self.counts.new_frames += u64::from(begins);
+        if self.counts.frame != frame {
+            frame.clone_into(&mut self.counts.frame);
+        }
+        // A late one does not move the newest time.
+        let now_s = own_s(message, received_us);
+        self.last_s = Some(self.last_s.filter(|_| !begins).map_or(now_s, |last_s| last_s.max(now_s)));
+        (self.publisher, self.refused) = (Some((message.publisher, received_us)), None);
         Some((begins, Pose { t_s, position_m: Vector3::from(message.position_m), heading_rad: Some(heading_rad) }))
     }
 
-    /// What is wrong with the stamps, if anything is.
+    fn is_elsewhere(&self, frame: &str) -> bool {
+        self.wanted.frame.as_deref().is_some_and(|wanted| plain(wanted) != frame)
+    }
+
+    fn is_contested(&self, message: &Message<'_>, received_us: i64) -> bool {
+        let is_other = |(known, at_us)| known != message.publisher && received_us.abs_diff(at_us) < OWNED_US;
+        self.publisher.is_some_and(is_other)
+    }
+
+    /// True if a pose in this message is used and in another frame than the last one: by the frame's name, by a restart of its
+    /// publisher, or of the publisher's clock.
+    fn begins(&self, message: &Message<'_>, received_us: i64) -> bool {
+        let (Some((publisher, _)), Some(last_s), frame) = (self.publisher, self.last_s, plain(message.frame)) else {
+            return false;
+        };
+        let is_used = !self.is_elsewhere(frame) && !self.is_contested(message, received_us);
+        let is_back = own_s(message, received_us) < last_s - BACK_S;
+        is_used && (publisher != message.publisher || self.counts.frame != frame || is_back)
+    }
+
+    /// What is wrong with the messages, if anything is.
     fn trouble(&self) -> Option<String> {
+        if let Some((frame, wanted)) = self.refused.as_ref().zip(self.wanted.frame.as_ref()) {
+            return Some(format!("its poses are in frame `{frame}`, not in `{wanted}` (`frame`)"));
+        }
+        let last_us = self.publisher.map_or(0, |(_, at_us)| at_us);
+        if self.counts.contested > 0 && last_us.abs_diff(self.contested_us) < OWNED_US {
+            return Some("it has two publishers: only the poses of one are used".into());
+        }
         let hint = "`stamp = \"receipt\"` takes the time at which poses come";
         if self.wanted.stamp == Stamp::Receipt || self.counts.messages == 0 {
             None
         } else if self.counts.unstamped > 0 && self.last_s.is_none() {
             Some(format!("its messages have no stamps: {hint}"))
         } else if self.counts.age_s.abs() > OTHER_CLOCK_S && self.last_s.is_some() {
-            let age_s = self.counts.age_s;
-            Some(format!("its stamps are {age_s:.1} s behind this host's clock: set the clocks (NTP); {hint}"))
+            let (age_s, side) = (self.counts.age_s, if self.counts.age_s > 0.0 { "behind" } else { "ahead of" });
+            Some(format!("its stamps are {:.1} s {side} this host's clock: set the clocks (NTP); {hint}", age_s.abs()))
         } else {
             None
         }
     }
 }
 
+/// A frame's name without the leading slash of early releases.
+#[must_use]
+pub fn plain(frame: &str) -> &str {
+    frame.trim_start_matches('/')
+}
+
+/// The stamp, seconds.
+fn stamp_s(message: &Message<'_>) -> f64 {
+    f64::from(message.stamp.0) + f64::from(message.stamp.1) * 1e-9
+}
+
+/// The time on the publisher's clock, seconds; on the host's without a stamp.
+fn own_s(message: &Message<'_>, received_us: i64) -> f64 {
+    if message.stamp == (0, 0) { received_us as f64 * 1e-6 } else { stamp_s(message) }
+}
+
 #[derive(Debug, Default)]
 struct State {
     reader: Reader,
     queue: VecDeque<NextPose>,
-    /// The newest connection from which something came.
-    connection: u64,
     /// What is wrong with the connection.
     wrong: Option<String>,
 }
@@ -193,14 +252,10 @@ impl Inbox {
         &self.topic
     }
 
-    /// Takes a message that came over connection number `connection`. False if a newer one gives them already.
-    pub fn put(&self, connection: u64, message: &Message<'_>, received_us: i64) -> bool {
+    /// Takes a message that came at `received_us`, host time.
+    pub fn put(&self, message: &Message<'_>, received_us: i64) {
         let mut state = self.lock();
-        if state.connection > connection {
-            return false;
-        }
-        state.connection = connection;
-        let Some((begins, pose)) = state.reader.handle(message, received_us) else { return true };
+        let Some((begins, pose)) = state.reader.handle(message, received_us) else { return };
         if begins {
             // What waits is in a frame that is over.
             state.reader.counts.dropped += state.queue.len() as u64;
@@ -212,23 +267,17 @@ impl Inbox {
         } else {
             state.reader.counts.dropped += 1;
         }
-        true
     }
 
-    /// Counts messages dropped on the way.
-    pub fn dropped(&self, messages: u64) {
-        self.lock().reader.counts.dropped += messages;
+    /// True if a pose in this message would be in another frame than the last one.
+    #[must_use]
+    pub fn begins(&self, message: &Message<'_>, received_us: i64) -> bool {
+        self.lock().reader.begins(message, received_us)
     }
 
     /// A message could not be read.
     pub fn unreadable(&self) {
         self.lock().reader.counts.unreadable += 1;
-    }
-
-    /// The newest connection from which something came, 0 before the first.
-    #[must_use]
-    pub fn connection(&self) -> u64 {
-        self.lock().connection
     }
 
     /// What is wrong with the connection from now on.
@@ -278,7 +327,7 @@ impl OdometrySource for Topic {
     }
 
     fn counted(&self) -> Option<super::SourceCounts> {
-        Some(super::SourceCounts::Topic(self.inbox.lock().reader.counts))
+        Some(super::SourceCounts::Topic(self.inbox.lock().reader.counts.clone()))
     }
 }
 
@@ -294,7 +343,8 @@ mod tests {
         let stamp = (t_s as u32, ((t_s - t_s.floor()) * 1e9) as u32);
         // Turned by 90 degrees to the left, and not quite of length 1, as single precision leaves it.
         let half = std::f64::consts::FRAC_1_SQRT_2;
-        Message { stamp, frame, position_m: [1.0, 2.0, 0.5], orientation: [0.0, 0.0, half * 1.01, half * 1.01] }
+        let (position_m, orientation) = ([1.0, 2.0, 0.5], [0.0, 0.0, half * 1.01, half * 1.01]);
+        Message { publisher: 1, stamp, ahead_us: 0, frame, position_m, orientation }
     }
 
     fn reader(stamp: Stamp, frame: Option<&str>) -> Reader {
@@ -375,31 +425,61 @@ mod tests {
         let inbox = Inbox::new("/odom", Wanted::default());
         let mut source = inbox.source();
         for k in 0..QUEUE + 10 {
-            assert!(inbox.put(1, &message(1.0 + k as f64 * 1e-3, "odom"), 0));
+            inbox.put(&message(1.0 + k as f64 * 1e-3, "odom"), 0);
         }
-        inbox.dropped(5);
         inbox.unreadable();
         let counted = |source: &Topic| match source.counted() {
             Some(SourceCounts::Topic(counts)) => (counts.dropped, counts.unreadable),
             other => panic!("{other:?}"),
         };
-        assert_eq!(counted(&source), (15, 1));
+        assert_eq!(counted(&source), (10, 1));
         assert_eq!(drained(&mut source, Instant::ZERO), (QUEUE, 0));
         // What waits in a frame that is over is of no use.
-        inbox.put(1, &message(6.0, "odom"), 0);
-        inbox.put(1, &message(6.1, "map"), 0);
+        inbox.put(&message(6.0, "odom"), 0);
+        inbox.put(&message(6.1, "map"), 0);
         assert_eq!(drained(&mut source, Instant::ZERO), (1, 1));
-        assert_eq!(counted(&source), (16, 1));
+        assert_eq!(counted(&source), (11, 1));
     }
 
     #[test]
-    fn a_new_connection_takes_over_with_its_first_message() {
-        let inbox = Inbox::new("/odom", Wanted::default());
-        let put = |connection, t_s| inbox.put(connection, &message(t_s, "odom"), 0);
-        assert!(put(1, 1.0) && put(1, 1.1), "the old one goes on while the new one is silent");
-        assert!(put(3, 1.2));
-        assert!(!put(1, 1.3) && !put(2, 1.3), "and ends with it");
-        assert_eq!((inbox.connection(), drained(&mut inbox.source(), Instant::ZERO)), (3, (3, 0)));
+    fn a_restarted_publisher_begins_a_frame_and_a_second_one_is_refused() {
+        for stamp in [Stamp::Header, Stamp::Receipt] {
+            let mut reader = reader(stamp, None);
+            let mut put = |publisher, t_s: f64| {
+                let message = Message { publisher, ..message(t_s, "odom") };
+                reader.handle(&message, (t_s * 1e6) as i64).map(|(begins, _)| begins)
+            };
+            assert_eq!([put(1, 1.0), put(2, 1.1), put(1, 1.2)], [Some(false), None, Some(false)]);
+            // The first one ended at 1.2 s.
+            assert_eq!([put(2, 2.1), put(2, 2.3), put(2, 2.4)], [None, Some(true), Some(false)]);
+            assert_eq!((reader.counts.contested, reader.counts.new_frames), (2, 1));
+            assert!(reader.trouble().unwrap().contains("two publishers"));
+        }
+    }
+
+    #[test]
+    fn a_simulation_that_begins_again_begins_a_frame() {
+        for stamp in [Stamp::Header, Stamp::Receipt] {
+            let mut reader = reader(stamp, None);
+            // Simulated time starts again at 60 s of the host.
+            let mut put = |now_s: f64, began_s: f64| {
+                let ahead_us = (began_s * 1e6) as i64;
+                let message = Message { ahead_us, ..message(now_s - began_s, "odom") };
+                reader.handle(&message, (now_s * 1e6) as i64).map(|(begins, pose)| (begins, pose.t_s))
+            };
+            assert_eq!([put(50.0, 10.0), put(60.5, 60.0)], [Some((false, 50.0)), Some((true, 60.5))]);
+        }
+    }
+
+    #[test]
+    fn poses_in_another_frame_than_the_requested_one_are_said() {
+        let mut reader = reader(Stamp::Header, Some("odom"));
+        reader.handle(&message(1.0, "world"), 1_000_000);
+        assert_eq!(reader.trouble().unwrap(), "its poses are in frame `world`, not in `odom` (`frame`)");
+        reader.handle(&message(1.1, "odom"), 1_100_000);
+        assert_eq!((reader.trouble(), reader.counts.frame.as_str()), (None, "odom"));
+        let late = reader.handle(&message(1.2, "odom"), -2_000_000);
+        assert!(late.is_some() && reader.trouble().unwrap().contains("3.2 s ahead of this host's clock"));
     }
 
     #[test]
@@ -413,7 +493,7 @@ mod tests {
         assert_eq!(look(0), None);
         assert_eq!(look(1_999), None);
         assert!(look(2_000).unwrap().starts_with("/odom: nothing comes: "));
-        inbox.put(1, &message(1.0, "odom"), 1_000_000);
+        inbox.put(&message(1.0, "odom"), 1_000_000);
         assert_eq!(look(2_100), None);
         assert!(look(5_000).unwrap().contains("any more"));
         inbox.say(Some("the master does not answer".into()));

@@ -72,7 +72,7 @@ def outputs(participant):
                 peers.add(name)
         assert time.monotonic() < end, told
     said = Reader(participant, "rt/diagnostics", ros.DiagnosticArray, reliable).next()
-    assert [s.name for s in said.status] == ["csi5300: card", "csi5300: odometry", "csi5300: peer tb3_1", "csi5300: peer tb3_2", "csi5300: node", "csi5300: claims"], said
+    assert [s.name for s in said.status] == [f"csi5300_tb3_0: {part}" for part in ("card", "odometry", "peer tb3_1", "peer tb3_2", "node", "claims")], said
     assert said.status[0].level == 0 and float(said.status[0].values[1].value) > 50, said
     direction = Reader(participant, f"{NODE}/tb3_1/direction", ros.PoseStamped, reliable).next()
     q = direction.pose.orientation

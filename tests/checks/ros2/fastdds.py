@@ -63,7 +63,7 @@ def outputs(peer):
         assert said["of"] == 5 and off(said["azimuth"], TRUTH[name]) < 2.0, said
     assert off(peer.next("direction")["direction"], TRUTH["tb3_1"]) < 2.0
     said = peer.next("diagnostics")["diagnostics"]
-    assert said == ["csi5300: card", "csi5300: odometry", "csi5300: peer tb3_1", "csi5300: peer tb3_2", "csi5300: node", "csi5300: claims"], said
+    assert said == [f"csi5300_tb3_0: {part}" for part in ("card", "odometry", "peer tb3_1", "peer tb3_2", "node", "claims")], said
     peer.next("csi")
     print("  bearings of two robots (one followed by poses in fragments), markers, directions, diagnostics and CSI are correct", flush=True)
 

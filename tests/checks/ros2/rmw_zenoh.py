@@ -136,7 +136,7 @@ def messages(token):
     while (told := marked.next()).markers[0].ns.startswith("team/"):
         pass
     assert len(told.markers) == 5 and {m.header.frame_id for m in told.markers} == {"odom"}, told
-    assert Reader("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray").next().status[0].name == "csi5300: card"
+    assert Reader("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray").next().status[0].name == "csi5300_tb3_0: card"
     csi = Reader(f"{NODE}/csi", "csi5300_msgs/msg/Csi").next()
     assert len(csi.re) == len(csi.im) == 30 * csi.n_rx * csi.n_tx and csi.mac, csi
     came = []

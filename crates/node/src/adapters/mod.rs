@@ -23,6 +23,7 @@ use crate::health::Health;
 use crate::machine::Machine;
 use crate::sources::Poses;
 use crate::team::Ranges;
+use csi5300::motion::odometry::SourceCounts;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
@@ -163,6 +164,15 @@ pub(crate) fn refusal(config: &Config) -> Option<String> {
     BUILT.iter().find_map(|kind| (kind.refusal)(config))
 }
 
+/// What is wrong where this robot's poses are in another frame than the one that a table of ROS names.
+fn mislabelled(health: &Health, table: Option<(&str, &String)>) -> Option<String> {
+    let (Some((table, said)), Some(SourceCounts::Topic(counts))) = (table, &health.odometry) else { return None };
+    let frame = Some(counts.frame.as_str()).filter(|frame| !frame.is_empty() && frame != said)?;
+    Some(format!(
+        "[{table}]: what is published is labelled `{said}`, but the poses are in `{frame}`: frame = \"{frame}\""
+    ))
+}
+
 /// False if viewers would take descriptors that the log needs.
 fn are_descriptors_to_spare() -> bool {
     let limit =
@@ -170,4 +180,21 @@ fn are_descriptors_to_spare() -> bool {
     // The listing itself uses a descriptor.
     let used = std::fs::read_dir("/proc/self/fd").map_or(u64::MAX, |listing| listing.count() as u64);
     used.saturating_add(RESERVED) < limit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::motion::odometry::ros::TopicCounts;
+
+    #[test]
+    fn bearings_labelled_with_another_frame_than_the_poses_are_said() {
+        let health = |frame: &str| {
+            let counts = TopicCounts { frame: frame.into(), ..TopicCounts::default() };
+            Health { odometry: Some(SourceCounts::Topic(counts)), ..Health::default() }
+        };
+        let said = |frame| mislabelled(&health(frame), Some(("ros2", &"odom".to_owned())));
+        assert_eq!([said(""), said("odom"), mislabelled(&health("world"), None)], [None, None, None]);
+        assert!(said("world").unwrap().ends_with("labelled `odom`, but the poses are in `world`: frame = \"world\""));
+    }
 }

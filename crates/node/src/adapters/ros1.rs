@@ -2,7 +2,7 @@
 //! master and exchanges lines of JSON. A library for ROS 1 would need three hundred crates and OpenSSL; machines with a
 //! master have rospy.
 
-use super::{Adapter, Made, Robot, Said, Start};
+use super::{Adapter, Made, Robot, Said, Start, mislabelled};
 use crate::config::{Config, Odometry, Ros, name_part};
 use crate::diagnostics::Claims;
 use crate::health::Health;
@@ -142,7 +142,7 @@ impl Adapter for Ros1 {
             for (name, _) in &self.peers {
                 let topic = format!("{}/{}", self.node, name_part(name));
                 self.writes.push((format!("{topic}/bearing"), "csi5300_msgs/Bearing"));
-                self.writes.push((format!("{topic}/pose"), "geometry_msgs/PoseStamped"));
+                self.writes.push((format!("{topic}/direction"), "geometry_msgs/PoseStamped"));
             }
         }
         if self.publishes && self.settings.publish_csi {
@@ -199,6 +199,7 @@ impl Adapter for Ros1 {
         let connections = number(&bridge.outbox.shared.connections);
         health.ros = Some(json!({ "connections": connections, "published": published }));
         health.trouble.extend(lock(&bridge.outbox.shared.trouble).clone());
+        health.trouble.extend(mislabelled(health, self.publishes.then_some(("ros", &self.settings.frame))));
     }
 
     fn tell(&mut self, health: &Health, _: &Machine) {
@@ -428,7 +429,7 @@ fn hear(output: ChildStdout, complaints: JoinHandle<String>, hearing: &Hearing, 
 #[serde(untagged)]
 enum Told {
     /// A pose.
-    Pose { topic: usize, stamp: (u32, u32), frame: String, position: [f64; 3], orientation: [f64; 4] },
+    Pose { topic: usize, publisher: u32, stamp: (u32, u32), frame: String, position: [f64; 3], orientation: [f64; 4] },
     /// The state of the connection to the master.
     State { connections: u64, trouble: Option<String>, wrong: Option<Vec<Option<String>>> },
     /// A call of the service `self_test`.
@@ -443,10 +444,11 @@ impl Told {
         match self {
             // A call too many has no answer.
             Self::Asked { asked } => _ = hearing.calls.try_send(asked),
-            Self::Pose { topic, stamp, frame, position, orientation } => {
-                let message = Message { stamp, frame: &frame, position_m: position, orientation };
+            Self::Pose { topic, publisher, stamp, frame, position: position_m, orientation } => {
+                let (publisher, frame) = (publisher.into(), frame.as_str());
+                let message = Message { publisher, stamp, ahead_us: 0, frame, position_m, orientation };
                 let received_us = (hearing.wall_us)().unwrap_or(0);
-                inboxes.get(topic).iter().for_each(|inbox| _ = inbox.put(0, &message, received_us));
+                inboxes.get(topic).iter().for_each(|inbox| inbox.put(&message, received_us));
             }
             Self::State { connections, trouble, wrong } => {
                 shared.say(connections, trouble);
@@ -490,7 +492,7 @@ mod tests {
         nix::unistd::mkfifo(&gate, nix::sys::stat::Mode::S_IRWXU).unwrap();
         let script = format!(
             r#"cat {}
-            echo '{{"topic":0,"stamp":[12,500000000],"frame":"odom","position":[1,2,0],"orientation":[0,0,0,1]}}'
+            echo '{{"topic":0,"publisher":0,"stamp":[12,500000000],"frame":"odom","position":[1,2,0],"orientation":[0,0,0,1]}}'
             echo '{{"topic":0}}'
             echo '{{"asked":7}}'
             echo what is no line of a bridge

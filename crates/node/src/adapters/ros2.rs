@@ -1,7 +1,7 @@
 //! ROS 2: poses of topics in; bearings, markers, diagnostics and CSI out; parameters; the self-test. The team as topics: its graph as
 //! JSON, this robot's pose among known places, ellipses of all robots.
 
-use super::{Adapter, Made, Robot, Said, Start};
+use super::{Adapter, Made, Robot, Said, Start, mislabelled};
 use crate::config::{Config, Odometry};
 use crate::diagnostics::Claims;
 use crate::health::Health;
@@ -9,6 +9,7 @@ use crate::machine::{Machine, Tap};
 use crate::sources::Poses;
 use crate::team::{Member, Ranged, Ranges, TeamState};
 use csi5300::motion::odometry::ros::Stamp;
+use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use csi5300_bag::messages::{
     Covariance, DiagnosticArray, Header, Marker, MarkerArray, ParameterValue, Pose, PoseWithCovariance,
@@ -113,6 +114,15 @@ impl Adapter for Ros2 {
         self.node.look();
         health.ros2 = Some(self.node.link().counted());
         health.trouble.extend(self.node.trouble());
+        health.trouble.extend(mislabelled(health, self.config.ros2.as_ref().map(|ros| ("ros2", &ros.frame))));
+    }
+
+    fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
+        last.iter().enumerate().for_each(|(peer, report)| self.node.report(peer, report));
+        self.node.link().end_recording();
+        health.ros2 = Some(self.node.link().counted());
+        let trouble = self.node.trouble().into_iter().filter(|why| !health.trouble.contains(why));
+        health.trouble.extend(trouble.collect::<Vec<_>>());
     }
 
     fn tell(&mut self, health: &Health, _: &Machine) {

@@ -6,7 +6,7 @@
 use super::{CameraMount, Capture, Config, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros, name_part};
 use crate::adapters;
 use csi5300::exchange::tdma::{Plan, PlanError, Request};
-use csi5300::motion::odometry::ros::Stamp;
+use csi5300::motion::odometry::ros::{Stamp, plain};
 use csi5300::pipeline::ArrayError;
 use csi5300::source::side_path;
 use csi5300_live::sounding::rate_n_flags;
@@ -417,6 +417,12 @@ impl Check<'_> {
         if peer.mac.is_some() && peer.mac == self.config.mac {
             refuse("mac", "its MAC is this robot's own MAC");
         }
+        if self.config.name.as_ref() == Some(&peer.name) {
+            refuse("name", "its name is this robot's own name");
+        }
+        if peer.yaw_deg.abs() > 0.0 && matches!(peer.poses, Odometry::Static(_)) {
+            refuse("yaw_deg", "`yaw_deg` turns the frame of its poses, and it has none: leave it out");
+        }
         let by_network = matches!(peer.records, Records::Network(_)) || matches!(peer.poses, Odometry::Network(_));
         match &peer.certificate {
             Some(name) if name.trim().is_empty() => {
@@ -451,7 +457,7 @@ impl Check<'_> {
             Records::Heard(_) if self.config.array.is_none() && self.knows(&["array"]) => {
                 ("records.heard", "`heard` is of antennas of this robot's card: it needs an [array] table")
             }
-            Records::Heard(_) if !stands => {
+            Records::Heard(_) if peer.poses != Odometry::default() => {
                 ("records.heard", "a sender that is only heard has no poses: leave `poses` out")
             }
             Records::Sounding(_) if !sounding.is_some_and(|own| own.initiate && own.measurement) => {
@@ -493,7 +499,9 @@ impl Check<'_> {
             }
         }
         let own_frame = config.ros2.as_ref().map(|ros| ros.frame.as_str());
-        if team.frame.is_empty() || (!team.places.is_empty() && own_frame == Some(team.frame.as_str())) {
+        if let Some(why) = settings::wrong_frame(&team.frame) {
+            self.refuse("team.frame", format!("[team]: {why}"));
+        } else if !team.places.is_empty() && own_frame == Some(team.frame.as_str()) {
             let why = "[team]: frame: the places need a frame other than that of the odometry ([ros2] frame)";
             self.refuse("team.frame", why);
         }
@@ -505,8 +513,24 @@ impl Check<'_> {
         if let Some(wrong) = config.ros.as_ref().and_then(wrong_ros) {
             self.refuse_in("ros", wrong);
         }
-        if let Some(wrong) = config.ros2.as_ref().and_then(settings::wrong_settings) {
+        if let Some(wrong) = settings::wrong_settings(&config.ros2.clone().unwrap_or_default())
+            && config.uses_ros2()
+        {
             self.refuse_in("ros2", wrong);
+        }
+        let poses = match &config.odometry {
+            Odometry::Ros(topic) => topic.frame.as_deref(),
+            Odometry::Ros2(topic) => topic.frame.as_deref(),
+            _ => None,
+        };
+        let tables =
+            [("ros", config.ros.as_ref().map(|ros| &ros.frame)), ("ros2", config.ros2.as_ref().map(|ros| &ros.frame))];
+        for (table, said) in tables {
+            let Some((said, poses)) = said.zip(poses).filter(|(said, poses)| plain(said) != plain(poses)) else {
+                continue;
+            };
+            let why = format!("[{table}]: frame: `{said}` is not the frame of this robot's poses: frame = \"{poses}\"");
+            self.refuse(&format!("{table}.frame"), why);
         }
     }
 
@@ -529,8 +553,9 @@ impl Check<'_> {
             (Capture::Feitcsi(_) | Capture::Replay(_) | Capture::Room(_), _) => {
                 (None, "it is done with a card: it needs `capture.card`, `capture.stock` or `capture.served`")
             }
-            _ if config.peer.iter().all(|peer| matches!(peer.get_ref().records, Records::Heard(_))) => {
-                (None, "it needs a [[peer]] to sound")
+            _ if config.answering() == 0 => (None, "it needs a [[peer]] to sound"),
+            _ if asked.links.is_some_and(|links| links > 0 && usize::from(links) < config.answering()) => {
+                (Some("links"), "links: a round needs as many slots as there are peers, or more")
             }
             _ => {
                 return match asked.key.as_ref().filter(|key| !key.is_file()) {
@@ -559,6 +584,10 @@ impl Check<'_> {
         if let Some(why) = missing.or_else(|| adapters::refusal(self.config)) {
             self.refuse("network", why);
         }
+        if network.publish_poses && matches!(self.config.odometry, Odometry::Static(_)) && self.knows(&["odometry"]) {
+            let why = "publish_poses: this robot has no `odometry` to publish: leave it out, and `poses` where this robot is a peer";
+            self.refuse("network.publish_poses", why);
+        }
         if network.backlog.is_some_and(|backlog| !BACKLOGS.contains(&backlog)) {
             self.refuse("network.backlog", format!("backlog: {} to {} records", BACKLOGS.start(), BACKLOGS.end()));
         }
@@ -575,12 +604,10 @@ impl Check<'_> {
     }
 }
 
-/// The problem of a name of a node or topic: it must start at the root, with parts of letters, digits and `_`.
+/// The problem of a name of a node or topic: it must start at the root, with parts of letters, digits and `_`. ROS 1 lets a part
+/// begin with a digit.
 fn wrong_ros_name(name: &str) -> Option<String> {
-    let part = |part: &str| {
-        part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
-            && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
-    };
+    let part = |part: &str| !part.is_empty() && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     let good = name.strip_prefix('/').is_some_and(|parts| parts.split('/').all(part));
     (!good).then(|| format!("`{name}` is not a valid ROS name: use one like /tb3_0/odom"))
 }
@@ -948,6 +975,7 @@ mod tests {
                 ),
             ),
             ("nan", "peer `tx`", swap(&room(""), "yaw_deg = 0.0", "yaw_deg = nan")),
+            ("yaw_deg", "leave it out", swap(&room(""), "yaw_deg = 0.0", "yaw_deg = 3.0")),
             ("nan", "peer `tx`", room("antenna_offset_m = [0, nan, 0]\n")),
             ("inf", "peer", room("[peer.poses.static]\nheading_deg = 1.0\nposition_m = [0, 0, inf]\n")),
             (
@@ -994,6 +1022,7 @@ mod tests {
         let offset = "antenna_offset_m = [0, 0, 0.2]\n";
         let frame = "ros2.antenna_frame = 'wifi'\n";
         good(&posed(&format!("odometry.{frame}")));
+        good(&posed("odometry.ros.topic = '/robot/1/odom'"));
         all_refused([
             ("antenna_offset_m", "leave `antenna_offset_m` out", posed(&format!("{offset}odometry.{frame}"))),
             ("antenna_offset_m", "peer `b`: `antenna_frame`", linked(&format!("{offset}poses.{frame}"))),
@@ -1020,6 +1049,11 @@ mod tests {
                 linked("poses.ros = { topic = '/b/odom', stamp = 'receipt' }\n"),
             ),
             ("topic", "", posed("odometry.ros = {\n  topic = 'odom' }")),
+            (
+                "[ros2]",
+                "[ros2]: frame: `odom` is not the frame of this robot's poses: frame = \"map\"",
+                posed("odometry.ros2 = { type = 'tf', frame = 'map', child = 'base_link' }\n[ros2]"),
+            ),
             ("odometry.ros", "`/odom/` is not a valid ROS name", posed("odometry.ros = { topic = '/odom/' }")),
             ("odometry.ros", "", posed("odometry.ros = { topic = '/odom', type = 'imu' }")),
             ("odometry.ros", "", posed("odometry.ros = { topic = '/odom', stamp = 'now' }")),
@@ -1058,6 +1092,7 @@ mod tests {
                 "this robot's own MAC",
                 linked("[[peer]]\nname = 'c'\nrecords.network = {}\nmac = '02:00:00:00:00:01' # own\n"),
             ),
+            ("# again", "this robot's own name", swap(&linked(""), "'b'", "'here' # again")),
             ("no.dat", "there is no log", second("records.replay.file = 'no.dat'\n")),
             ("lib.rs", "a replayed log needs", second("records.replay.file = 'lib.rs'\n")),
             ("records.room", "`room` records need", second("records.room = {}\n")),
@@ -1113,6 +1148,7 @@ mod tests {
             ),
             ("records.heard", "needs an [array]", [ROOM, HEARD].concat()),
             ("records.heard", "leave `poses` out", [ROOM, ARRAY, HEARD, "poses.room = {}\n"].concat()),
+            ("records.heard", "leave `poses` out", [ROOM, ARRAY, HEARD, "poses.static.heading_deg = 3\n"].concat()),
             ("'ty'", "no robot `ty`", swap(&[ROOM, ARRAY, HEARD].concat(), "'tx'", "'ty'")),
         ]);
     }
@@ -1160,6 +1196,11 @@ mod tests {
             ("rate_hz =", "rounds", sounding("rate_hz = 1e5\n")),
             ("mcs =", "23", sounding("mcs = 24\n")),
             ("links =", "links", sounding("links = 0\n")),
+            (
+                "links =",
+                "as many slots as there are peers",
+                sounding("links = 1\n[[peer]]\nname = 'c'\nmac = '02:00:00:00:00:03'\nrecords.network = {}\n"),
+            ),
         ]);
     }
 
@@ -1173,6 +1214,8 @@ mod tests {
             ("interface", "one address", ros2("interface = '0.0.0.0'\ninsecure = true\n")),
             ("peers", "cannot be reached from 127.0.0.1", ros2("peers = ['10.0.0.1']\n")),
             ("domain", "0 to 232", ros2("domain = 233\n")),
+            ("frame", "tf2 takes no frame", swap(&ros2(""), "frame = 'odom'", "frame = '/odom'")),
+            ("frame", "tf2 takes no frame", swap(&ros2(""), "frame = 'odom'", "frame = ''")),
             ("namespace", "not a valid ROS 2 namespace", ros2("namespace = 'lab'\n")),
             ("node", "not a valid ROS 2 node name", ros2("node = '/a/b'\n")),
             ("remap", "not a valid ROS 2 name", ros2("remap = { 'a b' = '/c' }\n")),
@@ -1187,6 +1230,11 @@ mod tests {
     fn settings_of_the_network() {
         all_refused([
             ("backlog", "256 to 1000000", card("[network]\ngroup = 'g'\nbacklog = 1\n")),
+            (
+                "publish_poses",
+                "no `odometry` to publish",
+                swap(&card("[network]\ngroup = 'g'\npublish_poses = true\n"), WHEELS, "odometry.static = {}"),
+            ),
             ("no.json5", "no such file", card("[network]\ngroup = 'g'\nzenoh = 'no.json5'\n")),
         ]);
     }

@@ -180,13 +180,17 @@ impl Config {
         settings
     }
 
+    /// The number of peers that answer.
+    pub(crate) fn answering(&self) -> usize {
+        self.peer.iter().filter(|peer| !matches!(peer.get_ref().records, Records::Heard(_))).count()
+    }
+
     /// The request of the sounding exchange, if this robot takes part.
     pub(crate) fn sounding_request(&self) -> Option<Request> {
         let asked = self.sounding.as_ref()?;
         let is_20_mhz = self.channel.width() == Width::Ht20;
         let bandwidth = if is_20_mhz { Bandwidth::Ht20 } else { Bandwidth::Ht40 };
-        let peers = self.peer.iter().filter(|peer| !matches!(peer.get_ref().records, Records::Heard(_))).count();
-        let links = asked.links.unwrap_or(u16::try_from(peers).unwrap_or(u16::MAX));
+        let links = asked.links.unwrap_or(u16::try_from(self.answering()).unwrap_or(u16::MAX));
         let dialect = Dialect::Native { measurement: asked.measurement, authenticated: asked.key.is_some() };
         Some(Request {
             phy: Phy { mcs: asked.mcs, bandwidth },
@@ -830,7 +834,7 @@ pub enum StatusLine {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Network {
-    /// First part of all keys, so that several groups share a network.
+    /// First part of all keys, so that several groups share a network; `robots` where empty.
     pub group: String,
     /// Zenoh's own configuration file, for TLS, users, routers; its defaults (peer to peer, discovery) where absent.
     pub zenoh: Option<PathBuf>,
@@ -848,6 +852,14 @@ pub struct Network {
     pub ros2: bool,
     /// Limit of a peer's waiting records; further ones are lost and counted.
     pub backlog: Option<usize>,
+}
+
+impl Network {
+    /// The first part of all keys, or its default.
+    #[must_use]
+    pub fn group(&self) -> &str {
+        if self.group.is_empty() { "robots" } else { &self.group }
+    }
 }
 
 fn antenna_a() -> Antenna {

@@ -174,7 +174,7 @@ fn what_will_run(config: &Config) -> String {
         ("output", bearings),
         ("status", output.status_socket.as_ref().map(|socket| socket.display().to_string())),
         ("Foxglove", output.foxglove.map(|address| address.to_string())),
-        ("network", config.network.as_ref().map(|network| format!("group {}", network.group))),
+        ("network", config.network.as_ref().map(|network| format!("group {}", network.group()))),
         ("ROS 1", config.ros.as_ref().map(|ros| format!("frame {}", ros.frame))),
         ("ROS 2", config.ros2.as_ref().map(|ros| format!("frame {}", ros.frame))),
     ];

@@ -218,6 +218,19 @@ fn a_full_disk_leaves_whole_lines_of_bearings() {
 }
 
 #[test]
+fn a_recording_that_ended_early_is_a_loss() {
+    let folder = folder("node-full-bag");
+    let bag = "[output]\nbearings = \"\"\n[ros2]\ndomain = 142\nbag = \"run\"\n";
+    std::fs::write(folder.join("robot.toml"), format!("{ROOM}{bag}")).unwrap();
+    let mut command = Command::new("sh");
+    let limited = "ulimit -f 8; exec \"$0\" node --config robot.toml";
+    command.args(["-c", limited, env!("CARGO_BIN_EXE_csi5300-node")]).current_dir(&folder);
+    let (status, _, err) = said(command.output().unwrap());
+    assert!(status == 3 && err.contains("messages missing in the recording"), "{status} {err}");
+    assert_eq!(err.matches("the recording of ROS 2 ended: File too large").count(), 1, "{err}");
+}
+
+#[test]
 fn a_node_of_ros_2_prints_its_discovery_range_at_the_start() {
     let folder = folder("node-reach");
     std::fs::write(folder.join("robot.toml"), format!("{ROOM}[ros2]\ndomain = 141\n[output]\nbearings = \"\"\n"))
@@ -264,6 +277,10 @@ fn the_state_is_served_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     // Also where no record had come yet.
     assert!(matches!(status.code(), Some(0 | 3)), "{status} {err}");
     assert!(err.contains("records in the log, 0 not"), "{err}");
+    // What came between the signal and the end is in both.
+    let number = |line: Option<&str>| line.and_then(|line| line.split_whitespace().next()).map(str::to_owned);
+    let logged = err.lines().find(|line| line.contains("in the log"));
+    assert_eq!(number(err.lines().next()), number(logged), "{err}");
     assert!(!folder.join("s").exists(), "the socket is gone with the robot");
     let (_, _, err) = look();
     assert!(err.contains("does the node run"), "{err}");

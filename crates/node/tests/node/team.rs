@@ -6,7 +6,7 @@ use csi5300::motion::pose::Pose;
 use csi5300::time::{Instant, Span};
 use csi5300_node::config::Config;
 use csi5300_node::machine::Tap;
-use csi5300_node::team::{Graph, Member, Ranged, Ranges, TeamState};
+use csi5300_node::team::{Graph, Member, Ranged, Ranges, Solver, TeamState};
 use driver_iface::record::Record;
 use serde_json::Value;
 use std::fmt::Write;
@@ -51,8 +51,8 @@ impl Tap for Uwb {
     }
 }
 
-/// The state of the team when the records have ended, as robot `r0` sees it.
-fn team(name: &str, walker: usize, peers: &[usize], rest: &str) -> Result<TeamState, String> {
+/// The configuration of robot `r0`.
+fn config(name: &str, walker: usize, peers: &[usize], rest: &str) -> Config {
     let folder = folder(name);
     std::fs::write(folder.join("team.toml"), scene(walker)).unwrap();
     let mut text = "channel = \"108\"\ncapture.room = { scene = \"team.toml\", robot = \"r0\" }\n".to_owned();
@@ -65,7 +65,12 @@ fn team(name: &str, walker: usize, peers: &[usize], rest: &str) -> Result<TeamSt
         }
     }
     text += rest;
-    let config = Config::read(&text, &folder).unwrap_or_else(|error| panic!("{error}\n{text}"));
+    Config::read(&text, &folder).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+/// The state of the team when the records have ended, as robot `r0` sees it.
+fn team(name: &str, walker: usize, peers: &[usize], rest: &str) -> Result<TeamState, String> {
+    let config = config(name, walker, peers, rest);
     let (mut machine, mut graph, mut now) = (machine(&config), Graph::new(&config, "r0").unwrap(), Instant::ZERO);
     let ranges = Ranges::default();
     if config.team.as_ref().is_some_and(|team| !team.ranges.is_empty()) {
@@ -127,6 +132,38 @@ fn known_places_give_the_pose_of_the_robot_in_their_frame() {
     // The place of a robot that walks is none, and without a place there is no frame.
     let unseen = team("team-unseen", 1, &[1], "[team]\nplaces = { r1 = [1.0, 2.0] }\n");
     assert!(unseen.as_ref().is_err_and(|why| why.contains("r0 has no link")), "{unseen:?}");
+}
+
+#[test]
+fn a_frame_that_is_over_has_no_place_among_known_ones() {
+    let place = |k: usize| format!("r{k} = {:?}", PLACES[k]);
+    let rest = format!("[team]\nplaces = {{ {}, {} }}\n", place(1), place(2));
+    let config = config("team-restart", 0, &[1, 2], &rest);
+    let (mut machine, mut now) = (machine(&config), Instant::ZERO);
+    let mut solver = Solver::start(&config, "r0", Ranges::default()).unwrap().unwrap();
+    let mut restarted = false;
+    loop {
+        while machine.take(now).unwrap() {}
+        while let Some((peer, report)) = machine.poll_report(now) {
+            solver.note(peer, &report, &machine);
+            if restarted {
+                let state = solver.look();
+                assert!(state.robots.is_empty() && state.frame.is_none(), "{state:?}");
+                assert!(state.notes[0].contains("another frame"), "{:?}", state.notes);
+                return;
+            } else if now.as_s() > 30.0 {
+                while solver.look().solved == 0 {
+                    std::thread::yield_now();
+                }
+                let state = solver.look();
+                assert_eq!((state.frame.as_deref(), state.robots.is_empty()), (Some("map"), false));
+                machine.handle_clock_set();
+                restarted = true;
+            }
+        }
+        assert!(!machine.is_done(now));
+        now = machine.next_at().unwrap_or(now).max(now + Span::from_ms(1));
+    }
 }
 
 #[test]

@@ -8,7 +8,7 @@ mod topics;
 
 use super::{Adapter, Made, Robot, Start};
 use crate::config::{Config, Network as Asked, Odometry, Peer, Records};
-use crate::health::Health;
+use crate::health::{Alarm, Health};
 use crate::machine::{Machine, Tap};
 use crate::refused;
 use crate::threads::spawn;
@@ -16,6 +16,7 @@ use access::{Doors, LOCAL, Owner, Verdict, access_control, key_of};
 use csi5300::motion::pose::Pose;
 use csi5300::source::Error;
 use csi5300::source::remote::{Batch, Mailbox};
+use csi5300::time::Instant;
 use csi5300_ros2::rmw_zenoh::{Graph, Relay};
 use driver_iface::Mac;
 use driver_iface::record::Record;
@@ -116,14 +117,19 @@ impl Adapter for Zenoh {
     }
 
     fn look(&mut self, health: &mut Health) {
-        let Some(network) = &self.network else { return };
-        let counts = |one: &Subscription| (one.mac.clone(), one.what, one.mailbox.counts());
-        let counted: Vec<_> = network.subscriptions.iter().map(counts).collect();
-        let contested = counted.iter().filter(|(.., counts)| counts.contested > 0);
-        health.trouble.extend(contested.map(|(mac, _, counts)| {
-            let count = counts.contested;
-            format!("network: {count} messages of a second sender under the address {mac} were refused")
-        }));
+        let Some(network) = &mut self.network else { return };
+        let now = Instant::from_us((health.uptime_s * 1e6) as i64);
+        let mut counted = Vec::new();
+        for own in &mut network.subscriptions {
+            let (mac, counts) = (&own.mac, own.mailbox.counts());
+            if own.contested.is_on(counts.contested, now) {
+                let count = counts.contested;
+                health
+                    .trouble
+                    .push(format!("network: {count} messages of a second sender under the address {mac} were refused"));
+            }
+            counted.push((mac.clone(), own.what, counts));
+        }
         // Records, poses and messages of ROS 2 that were not sent because too many waited.
         let unsent = network.unsent.load(Ordering::Relaxed);
         health.network = Some(json!({ "unsent": unsent, "subscriptions": counted }));
@@ -158,6 +164,8 @@ struct Subscription {
     mac: String,
     what: &'static str,
     mailbox: Mailbox,
+    /// Of a second sender: a robot that restarts at once is one for a second.
+    contested: Alarm,
     _subscriber: Subscriber<()>,
 }
 
@@ -167,7 +175,7 @@ fn wrong(what: &str) -> impl Fn(zenoh::Error) -> Error + '_ {
 
 /// The prefix of a group's keys.
 fn prefix_of(asked: &Asked) -> String {
-    format!("csi5300/{}", if asked.group.is_empty() { "robots" } else { &asked.group })
+    format!("csi5300/{}", asked.group())
 }
 
 /// Whether a name is a plain key of zenoh, not a pattern.
@@ -357,7 +365,8 @@ impl Network {
         };
         let subscriber = self.session.declare_subscriber(key).callback(take).wait();
         let subscriber = subscriber.map_err(wrong("subscribing to a peer"))?;
-        self.subscriptions.push(Subscription { peer, mac: mac.to_string(), what, mailbox, _subscriber: subscriber });
+        let (mac, contested) = (mac.to_string(), Alarm::default());
+        self.subscriptions.push(Subscription { peer, mac, what, mailbox, contested, _subscriber: subscriber });
         Ok(())
     }
 }

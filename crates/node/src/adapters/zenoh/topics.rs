@@ -170,6 +170,7 @@ mod tests {
     use super::*;
     use csi5300_bag::cdr::Cdr;
     use csi5300_bag::messages::{Message as _, Time};
+    use csi5300_ros2::link::Came;
     use csi5300_ros2::settings::Settings;
     use csi5300_ros2::{Node, Qos};
     use std::sync::mpsc::channel;
@@ -194,7 +195,7 @@ mod tests {
         let publisher = node.link().publish::<Time>("~/time", Qos::reliable(32));
         let latched = node.link().publish::<Time>("~/last", Qos::latched(1));
         let (give, came) = channel();
-        let used = move |time: Time, at| _ = give.send((time.sec, at));
+        let used = move |time: Time, came: Came| _ = give.send((time.sec, came.at_us));
         node.link().subscribe("/asked", Qos::best_effort(5), used, || panic!("unreadable"));
         let graph = node.link().relay().take();
         // The access control admits only the needed keys.

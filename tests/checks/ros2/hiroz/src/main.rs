@@ -118,7 +118,7 @@ fn check(node: &ZNode) -> Result<()> {
     println!("hiroz: three directions, at most {worst:.2} degrees off");
     kept(node)?;
     one(node, "/csi5300_tb3_0/markers", |told: &MarkerArray| told.markers.iter().any(|one| one.ns == "tb3_1"))?;
-    one(node, "/diagnostics", |told: &DiagnosticArray| told.status.iter().any(|one| one.name == "csi5300: card"))?;
+    one(node, "/diagnostics", |told: &DiagnosticArray| told.status.iter().any(|one| one.name == "csi5300_tb3_0: card"))?;
     one(node, "/tf", |told: &TFMessage| told.transforms.iter().any(|one| one.child_frame_id == "tb3_1"))?;
     one(node, "/csi5300_tb3_0/tb3_1/pose", |told: &PoseWithCovarianceStamped| told.pose.covariance[0] > 0.0)?;
     println!("hiroz: factors, markers, diagnostics, transform and pose");
