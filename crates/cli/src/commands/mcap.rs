@@ -65,10 +65,12 @@ struct LogRow<'a> {
     records: u64,
 }
 
-#[derive(serde::Serialize)]
+#[derive(Default, serde::Serialize)]
 struct LinkRow {
     link: String,
     azimuth_deg: Option<f64>,
+    azimuth_sd_deg: Option<f64>,
+    mirror_deg: Option<f64>,
     error: Option<String>,
 }
 
@@ -189,13 +191,18 @@ fn estimate(
         match &link.bearing {
             Ok(bearing) => {
                 recording.bearing(name, bearing).map_err(|error| format!("writing {}: {error}", args.out.display()))?;
-                let azimuth_deg = bearing.answer.azimuth_rad.to_degrees();
-                note!("{name}: {} deg", fixed(azimuth_deg, 2));
-                rows.push(LinkRow { link: name.clone(), azimuth_deg: Some(azimuth_deg), error: None });
+                let answer = &bearing.answer;
+                let [azimuth_deg, sd_deg] = [answer.azimuth_rad, answer.azimuth_sd_rad].map(f64::to_degrees);
+                let mirror_deg = answer.mirror_rad.map(f64::to_degrees);
+                let mirror = mirror_deg.map_or(String::new(), |deg| format!(", or its mirror {} deg", fixed(deg, 2)));
+                note!("{name}: {} deg +- {}{mirror}", fixed(azimuth_deg, 2), fixed(sd_deg, 2));
+                let (azimuth_deg, azimuth_sd_deg) = (Some(azimuth_deg), Some(sd_deg));
+                rows.push(LinkRow { link: name.clone(), azimuth_deg, azimuth_sd_deg, mirror_deg, error: None });
             }
             Err(error) => {
                 wrong!("{name}: {error}");
-                rows.push(LinkRow { link: name.clone(), azimuth_deg: None, error: Some(error.to_string()) });
+                let error = Some(error.to_string());
+                rows.push(LinkRow { link: name.clone(), error, ..LinkRow::default() });
             }
         }
     }

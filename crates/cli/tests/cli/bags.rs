@@ -153,6 +153,19 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     assert_ne!(answers(&camera), answers(&expected));
 }
 
+#[test]
+fn a_recording_for_viewers_says_the_mirror_and_its_bearings_are_no_odometry() {
+    let folder = Folder::new("bag-mirror");
+    let scene = "duration_s = 6.0\nradio.noise.snr_db = 20\n[[robot]]\nname = \"rx\"\nmotion.line = { length_m = 0.5, duration_s = 6.0 }\n\
+                 [[robot]]\nname = \"tx\"\nposition_m = [3.0, 4.0, 0.0]\n";
+    let [rx, tx, path] = crate::cards::simulated(&folder, "room", scene, "rx_trajectory_");
+    let made = ["mcap", &rx, &tx, "--trajectory", &path, "--channel", "108", "--out", "o.mcap", "--json"];
+    let (out, _) = folder.says(&made, 0, &[" deg +- ", ", or its mirror "]);
+    let bearing = &crate::commands::json(out.trim())["bearings"][0];
+    assert!(bearing["mirror_deg"].is_f64() && bearing["azimuth_sd_deg"].is_f64(), "{out}");
+    folder.says(&["bearing", "--bag", "o.mcap", "--rx", &rx, "--tx", &tx, "--channel", "108"], 0, &[]);
+}
+
 /// A log's recording for viewers has each of its records; what has none makes no file.
 #[test]
 fn a_log_becomes_a_recording_also_without_frame_numbers() {
