@@ -156,7 +156,8 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
 #[test]
 fn a_recording_for_viewers_says_the_mirror_and_its_bearings_are_no_odometry() {
     let folder = Folder::new("bag-mirror");
-    let scene = "duration_s = 6.0\nradio.noise.snr_db = 20\n[[robot]]\nname = \"rx\"\nmotion.line = { length_m = 0.5, duration_s = 6.0 }\n\
+    let scene = "duration_s = 6.0\nsounding.rate_hz = 50\nradio.noise.snr_db = 20\n[[robot]]\nname = \"rx\"\n\
+                 motion.line = { length_m = 0.5, duration_s = 6.0 }\n\
                  [[robot]]\nname = \"tx\"\nposition_m = [3.0, 4.0, 0.0]\n";
     let [rx, tx, path] = crate::cards::simulated(&folder, "room", scene, "rx_trajectory_");
     let made = ["mcap", &rx, &tx, "--trajectory", &path, "--channel", "108", "--out", "o.mcap", "--json"];
