@@ -22,11 +22,10 @@ pub fn read_card<'py>(
     macs: Option<Vec<String>>,
 ) -> PyResult<(&'static str, [u64; 3], Bound<'py, PyDict>)> {
     let refused = |kind, why: String| Failure::new(kind, why);
-    let macs: Vec<driver_iface::Mac> = macs
-        .unwrap_or_default()
-        .iter()
-        .map(|text| text.parse().map_err(|error| refused(Kind::Option, format!("{text}: {error}"))))
-        .collect::<Result<_, _>>()?;
+    let parse = |text: &String| {
+        text.parse::<driver_iface::Mac>().map_err(|error| refused(Kind::Option, format!("{text}: {error}")))
+    };
+    let macs = macs.map(|macs| macs.iter().map(parse).collect::<Result<Vec<_>, _>>()).transpose()?;
     let (name, bytes) = match file.cast::<PyBytes>() {
         Ok(bytes) => ("bytes in memory".to_owned(), bytes.as_bytes().to_vec()),
         Err(_) => {
@@ -43,8 +42,11 @@ pub fn read_card<'py>(
         let why = format!("{name} is not a log of another supported card; csi5300.read reads logs of the Intel 5300");
         refused(Kind::Log, why).of(name.clone())
     })?;
-    let is_sender = |mac: Option<[u8; 6]>| mac.is_some_and(|mac| macs.contains(&driver_iface::Mac(mac)));
-    let read = py.detach(|| CardFrames::read(format, &bytes, |frame, _| macs.is_empty() || is_sender(frame.sender)));
+    let is_sender = |macs: &Vec<driver_iface::Mac>, mac: Option<[u8; 6]>| {
+        mac.is_some_and(|mac| macs.contains(&driver_iface::Mac(mac)))
+    };
+    let keeps = |frame: &csi_formats::Frame| macs.as_ref().is_none_or(|macs| is_sender(macs, frame.sender));
+    let read = py.detach(|| CardFrames::read(format, &bytes, |frame, _| keeps(frame)));
     let (n, [n_rx, n_tx, n_sub]) = (read.frames.len(), read.shape());
     let arrays = PyDict::new(py);
     let csi: Vec<_> = read.csi().collect();

@@ -3,6 +3,7 @@
 use crate::error::{Failure, Kind, Stop};
 use crate::patient::Patient;
 use csi5300::source::CsiSource;
+use csi5300::source::other_card::Translated;
 use csi5300::source::replay::Replay;
 use csi5300::time::Instant;
 use csi5300_lab::kinds::{A_LOG, not_a_log};
@@ -37,15 +38,15 @@ impl Read for FileObject {
 /// A `.dat` argument from Python: a path, bytes, or an object with `read`. If reading has to wait, Ctrl-C and `stop` end the wait.
 pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Read + Send>>> {
     if let Ok(bytes) = file.cast::<PyBytes>() {
-        refuse_card(bytes.as_bytes(), "these bytes")?;
+        let name = format!("{} bytes in memory", bytes.as_bytes().len());
         // Backed by Python's memory: bytes never change.
         let memory = Cursor::new(Backed(bytes.clone().unbind(), bytes.as_bytes().len()));
-        return Ok(Replay::new(Box::new(BytesReader(memory)), format!("{} bytes in memory", bytes.as_bytes().len())));
+        return begun(bytes.as_bytes(), Box::new(BytesReader(memory)), name);
     }
     if file.hasattr("read")? {
         let name =
             file.getattr("name").and_then(|name| name.extract::<String>()).unwrap_or_else(|_| "a file object".into());
-        return Ok(Replay::new(Box::new(FileObject(file.clone().unbind())), name));
+        return begun(&peeked(file)?, Box::new(FileObject(file.clone().unbind())), name);
     }
     let path: PathBuf = file.extract()?;
     let name = path.display().to_string();
@@ -71,10 +72,29 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
     Replay::open(&path).map_err(|error| Failure::log(error, &name, 0).into())
 }
 
+/// The first bytes of a file object; none if it cannot go back.
+fn peeked(file: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
+    if !file.hasattr("seekable")? || !file.call_method0("seekable")?.is_truthy()? {
+        return Ok(Vec::new());
+    }
+    let at = file.call_method0("tell")?;
+    let first = file.call_method1("read", (csi_formats::DETECT,))?;
+    file.call_method1("seek", (at,))?;
+    // Text is refused when it is read.
+    Ok(first.cast::<PyBytes>().map_or_else(|_| Vec::new(), |first| first.as_bytes().to_vec()))
+}
+
+/// A log that begins with these bytes; FeitCSI's is translated.
+fn begun(first: &[u8], reader: Box<dyn Read + Send>, name: String) -> PyResult<Replay<Box<dyn Read + Send>>> {
+    let first = first.get(..csi_formats::DETECT).unwrap_or(first);
+    refuse_card(first, &name)?;
+    let is_feitcsi = csi_formats::detect(first) == Some(csi_formats::Format::FeitCsi);
+    Ok(Replay::new(if is_feitcsi { Box::new(Translated::new(reader)) } else { reader }, name))
+}
+
 /// Refuses another card's log, by its first bytes.
 fn refuse_card(bytes: &[u8], name: &str) -> PyResult<()> {
-    let first = bytes.get(..csi_formats::DETECT).unwrap_or(bytes);
-    let Some(kind) = crate::cards::refused(first) else { return Ok(()) };
+    let Some(kind) = crate::cards::refused(bytes) else { return Ok(()) };
     let why = format!("{name}: a {kind} log, of another card than the Intel 5300: csi5300.read_card reads it");
     Err(Failure::new(Kind::Log, why).of(name.to_owned()).into())
 }

@@ -30,6 +30,28 @@ def test_paths_logs_and_arrays_give_one_bearing(rx: Path, tx: Path, path_csv: Pa
         assert other.azimuth_deg == bearing.azimuth_deg and other.azimuth_sd_deg == bearing.azimuth_sd_deg
 
 
+def test_a_translated_log_in_memory_keeps_the_cards_clock() -> None:
+    scene = {
+        "duration_s": 6.0,
+        "card": "ax210",
+        "cfo": "physical",
+        "radio": {"noise": {"snr_db": 20.0}, "send_jitter_us": 60.0, "turn_around": {"spread_us": 8.0}},
+        "sounding": {"rate_hz": 50.0},
+        "robot": [
+            {"name": "rx", "motion": {"circle": {"radius_m": 0.25, "duration_s": 6.0}}},
+            {"name": "tx", "position_m": [-4.0, 9.0, 0.0], "crystal": {"offset_ppm": -6.0}},
+        ],
+    }
+    room = csi5300.simulate(scene)
+    options: dict[str, Any] = {"channel": room.channel, "tx_mac": room["tx"].mac, "columns": "t,x,y,z,yaw"}
+    options["trajectory"] = room["rx"].path
+    (of_bytes,) = csi5300.bearings(room["rx"].data, room["tx"].data, **options)
+    logs = [pickle.loads(pickle.dumps(room[name].log)) for name in ("rx", "tx")]
+    (of_logs,) = csi5300.bearings(logs[0], logs[1], **options)
+    named = {"link": None}
+    assert of_bytes and {**of_logs.answer, **named} == {**of_bytes.answer, **named}
+
+
 def test_what_a_notebook_shows_fits_on_a_line_or_in_a_table(rx: Path, tx: Path, path_csv: Path) -> None:
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     text = repr(bearing)

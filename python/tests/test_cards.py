@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from pathlib import Path
 
@@ -39,12 +40,23 @@ def test_each_kind_is_read(name: str, format: str, shape: tuple[int, ...] | None
     # The same from memory, and by sender.
     again = csi5300.read_card(path.read_bytes(), macs=log.mac[0] or None)
     assert 0 < len(again) <= len(log)
-    if not name.startswith("feitcsi"):
+    assert len(csi5300.read_card(path, macs=[])) == 0
+    with path.open("rb") as file:
+        assert len(csi5300.read_card(file)) == len(log)
+    if name.startswith("feitcsi"):
+        # `read` translates it, wherever its bytes are.
+        whole = csi5300.read(path)
+        for source in (path.read_bytes(), io.BytesIO(path.read_bytes())):
+            np.testing.assert_array_equal(csi5300.read(source).csi, whole.csi)
+        assert len(whole) == len(log)
+    else:
         # `read` must not take it for an empty log of the 5300.
         with pytest.raises(csi5300.LogError, match="read_card"):
             csi5300.read(path)
         with pytest.raises(csi5300.LogError, match=format.split()[0]):
             csi5300.read(path.read_bytes())
+        with path.open("rb") as file, pytest.raises(csi5300.LogError, match="read_card"):
+            csi5300.read(file)
 
 
 def test_a_log_of_the_5300_is_not_of_another_card(rx: Path) -> None:

@@ -54,6 +54,12 @@ def room(tmp_path: Path) -> Iterator[str]:
         yield f"{socket}#rx"
 
 
+def test_options_of_a_card_are_not_ignored_with_a_room() -> None:
+    for option in ({"connector_index": 26}, {"allow_user_sender": True}, {"receive_buffer": 1 << 20}):
+        with pytest.raises(csi5300.OptionError, match=next(iter(option))):
+            csi5300.Stream("room#rx", **option)
+
+
 def test_a_served_room_is_read_to_its_end(room: str) -> None:
     logs = []
     with csi5300.Stream(room) as stream:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _native, _options
+from ._log import File, _file
 
 
 def _known(values: NDArray[np.int64]) -> np.ma.MaskedArray[Any, np.dtype[Any]]:
@@ -78,13 +79,15 @@ class CardLog:
         return np.array([":".join(f"{octet:02x}" for octet in mac) if mac.any() else "" for mac in self._mac], dtype=np.str_)
 
 
-def read_card(file: str | os.PathLike[str] | bytes, *, macs: str | Iterable[str] | None = None) -> CardLog:
+def read_card(file: File, *, macs: str | Iterable[str] | None = None) -> CardLog:
     """Reads a log of another card: FeitCSI (AX200, AX210), PicoScenes, nexmon, ESP32, Atheros CSI tool; recognised by its content.
 
-    ``file`` is a path or bytes. Keeps the frames of the senders ``macs`` that have the most frequent width and number of chains;
+    ``file`` is a path, bytes, or an object with ``read`` (binary). Keeps the frames of the senders ``macs`` that have the most frequent width and number of chains;
     ``CardLog.other_shapes`` counts the others, ``CardLog.damaged`` the stretches that could not be read.
 
     Raises :class:`LogError` if the file cannot be read, or is none of these kinds.
     """
-    format, counts, fields = _native.read_card(file, _options.macs(macs))
-    return CardLog("bytes" if isinstance(file, bytes) else os.fspath(file), format, counts, fields)
+    data = _file(file)
+    data = data if isinstance(data, (str, bytes, os.PathLike)) else data.read()
+    format, counts, fields = _native.read_card(data, _options.macs(macs))
+    return CardLog("bytes" if isinstance(data, bytes) else os.fspath(data), format, counts, fields)

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any
 
 from . import _native, _options
-from ._errors import LiveError
+from ._errors import LiveError, OptionError
 from ._log import Log
 
 # Silence before the hint, seconds.
@@ -35,7 +35,11 @@ class Stream:
         allow_user_sender: bool = False,
         receive_buffer: int | None = None,
     ) -> None:
-        """``room`` is ``PATH#ROBOT``; without it the stream listens to the driver of this machine's card."""
+        """``room`` is ``PATH#ROBOT``; without it the stream listens to the driver of this machine's card, which the other options but
+        ``macs`` are for."""
+        of_card = {"connector_index": connector_index, "allow_user_sender": allow_user_sender or None, "receive_buffer": receive_buffer}
+        if room is not None and (given := [name for name, value in of_card.items() if value is not None]):
+            raise OptionError(f"{given[0]}: of this machine's card, not of a room")
         self._listener: _native.Listener | None = _native.Listener(
             room, connector_index, allow_user_sender, receive_buffer, _options.macs(macs)
         )

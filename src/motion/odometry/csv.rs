@@ -1071,12 +1071,25 @@ pub fn read_as(path: &Path, columns: Option<&Columns>) -> Result<(Trajectory, Cs
         return Err(io(too_long()));
     }
     let times = rows.columns.as_ref().filter(|columns| columns.matrix).and_then(|_| times_beside(path));
-    let (trajectory, counts) = rows.trajectory(times)?;
-    let kind = match kind_of_file(path) {
+    rows.trajectory(times).map(|read| of_name(read, path))
+}
+
+/// Parses the poses of a topic, whose name may show the sensor as a file's does.
+///
+/// # Errors
+/// As [`parse`].
+#[doc(hidden)]
+pub fn parse_topic(bytes: &[u8], topic: &str) -> Result<(Trajectory, CsvCounts), CsvError> {
+    parse(bytes).map(|read| of_name(read, Path::new(&topic.replace('/', "_"))))
+}
+
+/// With the sensor that the name shows, if it shows one.
+fn of_name((trajectory, counts): (Trajectory, CsvCounts), name: &Path) -> (Trajectory, CsvCounts) {
+    let kind = match kind_of_file(name) {
         TrajectoryKind::Unknown => trajectory.kind(),
         kind => kind,
     };
-    Ok((trajectory.with_kind(kind), counts))
+    (trajectory.with_kind(kind), counts)
 }
 
 /// Parses a trajectory from bytes.

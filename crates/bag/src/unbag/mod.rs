@@ -436,10 +436,15 @@ fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
     found.ok_or_else(|| BagError::Empty { folder: bag.to_owned() })
 }
 
-/// True for a bearing published as a pose, `/csi5300_ROBOT/PEER/direction`, which is not odometry.
+/// True for a bearing as a pose, which is not odometry: a node's `/csi5300_ROBOT/PEER/direction` (in ROS 1 `pose`), and
+/// `/bearing/LINK` and `/mirror/LINK` of `csi5300 mcap`.
 fn is_direction(topic: &str) -> bool {
-    let mut parts = topic.rsplit('/');
-    parts.next() == Some("direction") && parts.nth(1).is_some_and(|node| node.starts_with("csi5300"))
+    let parts: Vec<&str> = topic.rsplit('/').collect();
+    match parts[..] {
+        ["direction" | "pose", _, node, ..] if node.starts_with("csi5300") => true,
+        [_, "bearing" | "mirror", ""] => true,
+        _ => false,
+    }
 }
 
 /// The bytes that a message adds to its file; a payload may be compressed by itself.
@@ -487,7 +492,8 @@ fn record(csi: &Csi) -> Option<Vec<u8>> {
         tv_sec: u32::try_from(us / 1_000_000).ok()?,
         tv_usec: (us % 1_000_000) as u32,
         mac,
-        frame_count: Some(csi.frame_count),
+        // 0: the record has none. A driver that knew no sender wrote 0 itself.
+        frame_count: Some(csi.frame_count).filter(|number| *number > 0 || mac.is_zero()),
     };
     let repr = Repr {
         timestamp_low: csi.timestamp_low,

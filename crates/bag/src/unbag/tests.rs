@@ -84,8 +84,10 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
         put(writer, "/n/csi", &bad);
         put(writer, "/odom", &odometry(3));
         put(writer, "/clock", &Clock::default());
-        // A bearing published as a pose.
-        put(writer, "/lab/csi5300_a/b/direction", &PoseStamped::default());
+        // Bearings as poses.
+        for topic in ["/lab/csi5300_a/b/direction", "/csi5300_a/b/pose", "/bearing/tx1", "/mirror/tx1"] {
+            put(writer, topic, &PoseStamped::default());
+        }
         writer.finish().unwrap();
     });
     let folder = &own.0;
@@ -94,7 +96,7 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
     let counts: Vec<_> =
         done.topics.iter().map(|topic| (topic.topic.as_str(), topic.messages, topic.unreadable)).collect();
     assert_eq!(counts, [("/n/csi", 3, 1), ("/odom", 1, 0)]);
-    assert_eq!((done.others, done.cut.len()), (2, 0));
+    assert_eq!((done.others, done.cut.len()), (5, 0));
     let log = std::fs::read(out.join("n_csi.dat")).unwrap();
     assert_eq!(bodies(&log).len(), 3);
     let bfee = Bfee::new_checked(bodies(&log)[1]).unwrap();
@@ -107,6 +109,17 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
     assert!(path.starts_with("12.000003,0,1.500000,"), "{path}");
     assert!(matches!(unbag(folder, &out, false), Err(BagError::There { .. })), "nothing is overwritten");
     unbag(folder, &out, true).unwrap();
+}
+
+#[test]
+fn a_sender_without_frame_numbers_has_none_in_the_log() {
+    let own = recorded(|writer| {
+        put(writer, "/n/csi", &Csi { frame_count: 0, ..csi(1) });
+        writer.finish().unwrap();
+    });
+    let recording = Recording::read(&own.0).unwrap();
+    let wsr = Bfee::new_checked(bodies(&recording.topics[0].bytes)[0]).unwrap().wsr().unwrap();
+    assert_eq!((wsr.mac.to_string(), wsr.frame_count), (csi(1).mac, None));
 }
 
 /// The records of a log.

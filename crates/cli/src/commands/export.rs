@@ -194,6 +194,7 @@ fn other_card(args: &Args, format: csi_formats::Format, bytes: &[u8]) -> Result 
         let (output, damaged) = (args.output.as_path(), read.damaged);
         print_json(&Row { output, records, left_out, without_scale: 0, without_antennas: 0, damaged });
     }
+    notes!("{}", info::not_read(&read.skipped));
     if read.other_shapes > 0 {
         let [n_rx, n_tx, n] = read.shape();
         note!(

@@ -180,7 +180,8 @@ impl Inputs {
     /// If it cannot be read, in words.
     pub fn trajectory(&self, path: &Path) -> Words<Trajectory> {
         let Some(bytes) = self.topic(path) else { return read_trajectory_as(path, self.columns.as_ref()) };
-        let (trajectory, counts) = csv::parse(bytes).map_err(|error| format!("{}: {error}", path.display()))?;
+        let read = csv::parse_topic(bytes, &path.to_string_lossy());
+        let (trajectory, counts) = read.map_err(|error| format!("{}: {error}", path.display()))?;
         say_trajectory(path, &trajectory, &counts);
         Ok(trajectory)
     }

@@ -536,6 +536,9 @@ fn draw_pictures(args: &Pictures, log: &Path, name: &str) -> Words<Vec<PathBuf>>
     if let Some(left_out) = course.left_out() {
         note!("{}: the heat maps are {left_out} (--mac chooses senders)", log.display());
     }
+    if course.antennas.is_empty() && !args.antenna.is_empty() {
+        note!("{}: no CSI of these antennas (--antenna), so no picture of it", log.display());
+    }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let drawn = LogPictures { title: &title, course: &course, size: SIZE };
     drawn.write(&folder.join(file_safe(name)), &draft::read_files()).in_words()
@@ -591,9 +594,7 @@ impl OtherRow {
         if let Some(span_s) = survey.host_span_s {
             let _ = writeln!(text, "  {span_s:.3} s by the host's clock");
         }
-        for (why, bytes) in &survey.skipped {
-            let _ = writeln!(text, "  not read: {bytes} bytes: {why}");
-        }
+        text += &not_read(&survey.skipped);
         let _ = writeln!(text, "  bearings: {}", self.bearings());
         text
     }
@@ -609,6 +610,11 @@ impl OtherRow {
             _ => "none; one log needs two antennas in the same frame, and each frame here has one",
         }
     }
+}
+
+/// The bytes of another card's log that are not frames with CSI, a line for each reason.
+pub fn not_read(skipped: &BTreeMap<String, u64>) -> String {
+    skipped.iter().map(|(why, bytes)| format!("  not read: {bytes} bytes: {why}\n")).collect()
 }
 
 /// The log of another card, if a file is one; `None` for any other file, and for one that cannot be read.

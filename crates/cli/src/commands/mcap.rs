@@ -65,10 +65,12 @@ struct LogRow<'a> {
     records: u64,
 }
 
-#[derive(serde::Serialize)]
+#[derive(Default, serde::Serialize)]
 struct LinkRow {
     link: String,
     azimuth_deg: Option<f64>,
+    azimuth_sd_deg: Option<f64>,
+    mirror_deg: Option<f64>,
     error: Option<String>,
 }
 
@@ -104,7 +106,8 @@ pub fn run(args: &Args) -> Result {
         recording.path(trajectory.span_s().0, trajectory.poses()).map_err(failed)?;
         match &options {
             Some(options) => row.bearings = estimate(&mut recording, &names, trajectory, options, args)?,
-            None => note!("no bearings: they need --channel"),
+            None if args.logs.len() > 1 => note!("no bearings: they need --channel"),
+            None => {}
         }
     }
     recording.finish().map_err(failed)?;
@@ -128,6 +131,9 @@ impl Args {
         if antenna.len() > 1 {
             usage("--antenna: the recording has the CSI of one antenna");
         }
+        if self.channel.is_some() && self.logs.len() < 2 {
+            usage("--channel is for bearings, which need a transmitter's log behind the receiver's");
+        }
         let of_bearings = [elevation_max, range_min, height, heading_sd, from, to];
         if self.channel.is_none() && of_bearings.iter().any(|given| given.is_some()) {
             usage("options of bearings, such as --from, need --trajectory and --channel; all records are written");
@@ -143,7 +149,7 @@ fn failed(args: &Args, error: &io::Error) -> String {
 /// Every record of a log, and how many were written. Those without a host time get the card's, from the log's beginning on.
 fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> Words<(Survey, u64, u64)> {
     let failed = |error: io::Error| failed(args, &error);
-    let mut records = 0;
+    let (mut records, mut end_s) = (0, 0.0);
     let mut log = super::open_log(path)?;
     let mut front = Front::new(args.estimation.antenna());
     let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
@@ -153,15 +159,14 @@ fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> W
             // It wraps every 71.6 minutes.
             let card_us = clock.next(heard.timestamp_low);
             let since_us = card_us - *first_card_us.get_or_insert(card_us);
-            let t_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
-            recording.record(name, t_s, sender, &heard).map_err(failed)?;
+            end_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
+            recording.record(name, end_s, sender, &heard).map_err(failed)?;
             records += 1;
         }
         if matches!(next, Next::End(_)) {
             break;
         }
     }
-    let end_s = front.log.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
     recording.counters(name, end_s, &front.log.survey).map_err(failed)?;
     Ok((front.log.survey, log.bytes(), records))
 }
@@ -175,9 +180,7 @@ fn estimate(
     args: &Args,
 ) -> Words<Vec<LinkRow>> {
     let text = |error: csi5300::source::Error| super::hint::log_refused(&error);
-    let Some((receiver, others)) = args.logs.split_first().filter(|(_, others)| !others.is_empty()) else {
-        return Ok(Vec::new());
-    };
+    let Some((receiver, others)) = args.logs.split_first() else { return Ok(Vec::new()) };
     let mut receiver = super::open_log(receiver)?;
     let mut logs = others.iter().map(|path| super::open_log(path)).collect::<std::result::Result<Vec<_>, _>>()?;
     let transmitters =
@@ -188,13 +191,18 @@ fn estimate(
         match &link.bearing {
             Ok(bearing) => {
                 recording.bearing(name, bearing).map_err(|error| format!("writing {}: {error}", args.out.display()))?;
-                let azimuth_deg = bearing.answer.azimuth_rad.to_degrees();
-                note!("{name}: {} deg", fixed(azimuth_deg, 2));
-                rows.push(LinkRow { link: name.clone(), azimuth_deg: Some(azimuth_deg), error: None });
+                let answer = &bearing.answer;
+                let [azimuth_deg, sd_deg] = [answer.azimuth_rad, answer.azimuth_sd_rad].map(f64::to_degrees);
+                let mirror_deg = answer.mirror_rad.map(f64::to_degrees);
+                let mirror = mirror_deg.map_or(String::new(), |deg| format!(", or its mirror {} deg", fixed(deg, 2)));
+                note!("{name}: {} deg +- {}{mirror}", fixed(azimuth_deg, 2), fixed(sd_deg, 2));
+                let (azimuth_deg, azimuth_sd_deg) = (Some(azimuth_deg), Some(sd_deg));
+                rows.push(LinkRow { link: name.clone(), azimuth_deg, azimuth_sd_deg, mirror_deg, error: None });
             }
             Err(error) => {
                 wrong!("{name}: {error}");
-                rows.push(LinkRow { link: name.clone(), azimuth_deg: None, error: Some(error.to_string()) });
+                let error = Some(error.to_string());
+                rows.push(LinkRow { link: name.clone(), error, ..LinkRow::default() });
             }
         }
     }

@@ -142,6 +142,29 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     // Nothing was written.
     let names: Vec<_> = std::fs::read_dir(&folder.0).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert_eq!(names.len(), 4, "{names:?}");
+    // A topic's name shows the sensor as its file's does.
+    let mut topics = topics;
+    topics[2].0 = "/t265/odom";
+    std::fs::write(folder.0.join("camera.mcap"), mcap(&topics)).unwrap();
+    std::fs::copy(&path, folder.0.join("t265_odom.csv")).unwrap();
+    let (_, camera, _) = run(&["--rx", &rx, "--tx", &tx, "--trajectory", "t265_odom.csv"]);
+    let (_, out, errors) = run(&["--bag", "camera.mcap", "--rx", "/a/csi"]);
+    assert_eq!(answers(&out), answers(&camera), "{errors}");
+    assert_ne!(answers(&camera), answers(&expected));
+}
+
+#[test]
+fn a_recording_for_viewers_says_the_mirror_and_its_bearings_are_no_odometry() {
+    let folder = Folder::new("bag-mirror");
+    let scene = "duration_s = 6.0\nsounding.rate_hz = 50\nradio.noise.snr_db = 20\n[[robot]]\nname = \"rx\"\n\
+                 motion.line = { length_m = 0.5, duration_s = 6.0 }\n\
+                 [[robot]]\nname = \"tx\"\nposition_m = [3.0, 4.0, 0.0]\n";
+    let [rx, tx, path] = crate::cards::simulated(&folder, "room", scene, "rx_trajectory_");
+    let made = ["mcap", &rx, &tx, "--trajectory", &path, "--channel", "108", "--out", "o.mcap", "--json"];
+    let (out, _) = folder.says(&made, 0, &[" deg +- ", ", or its mirror "]);
+    let bearing = &crate::commands::json(out.trim())["bearings"][0];
+    assert!(bearing["mirror_deg"].is_f64() && bearing["azimuth_sd_deg"].is_f64(), "{out}");
+    folder.says(&["bearing", "--bag", "o.mcap", "--rx", &rx, "--tx", &tx, "--channel", "108"], 0, &[]);
 }
 
 /// A log's recording for viewers has each of its records; what has none makes no file.
@@ -160,7 +183,7 @@ fn a_log_becomes_a_recording_also_without_frame_numbers() {
         let rows = folder.rows(&["mcap", log, "--out", "o.mcap", "--force", "--json"], 0);
         assert_eq!(rows[0]["logs"][0]["records"], 300, "{log}");
         // One more: the counts.
-        folder.says(&["unbag", "o.mcap", "--out", "u"], 1, &["301 messages of other topics"]);
+        folder.says(&["unbag", "o.mcap", "--out", "u"], 1, &["301 messages of other topics", "no topic of CSI"]);
         assert!(!folder.0.join("u").exists(), "a folder for nothing");
     }
     folder.write("empty.dat", b"");

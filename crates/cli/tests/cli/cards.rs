@@ -165,6 +165,17 @@ fn all_subcarriers_of_another_card_are_exported() {
     }
     folder.says(&["export", &rx, "c.npz", "--mac", "02:00:00:00:00:09"], 1, &["600 frames skipped"]);
     assert!(!folder.0.join("c.npz").exists());
+    // In the stock layout a sender without numbers stays known.
+    folder.says(&["export", "--dat", &rx, "stock.dat", "--layout", "stock"], 0, &[]);
+    let (out, _) = folder.says(&["info", "stock.dat"], 0, &[]);
+    assert!(out.contains("stock layout, 600") && out.contains("from 02:53:00:00:00:01: 600 records"), "{out}");
+    // Damage and a cut end are told, and an extension may be upper-case.
+    let mut bytes = std::fs::read(&rx).unwrap();
+    let third = 3 * bytes.len() / 600;
+    bytes.truncate(bytes.len() - 100);
+    bytes.splice(third..third, [0xff; 50]);
+    folder.write("damaged.csi", &bytes);
+    folder.says(&["export", "damaged.csi", "E.NPZ"], 3, &["a damaged one", "the log ends inside", "written to E.NPZ"]);
     let Some(cases) = crate::common::cases("other-cards") else { return };
     for name in
         ["atheros/ath_csi_1.dat", "picoscenes/rx_by_iwl5300.csi", "nexmon/example_4358.pcap", "esp32/example_csi.csv"]
@@ -259,6 +270,7 @@ fn logs_of_other_cards_are_drawn_with_what_their_formats_tell() {
     folder.says(&["info", "rx.csi", "--plot", "b", "--antenna", "B", "--from", "1", "--to", "2"], 0, &[]);
     let only = std::fs::read_to_string(folder.0.join("b/rx-csi.svg")).unwrap();
     assert!(only.contains("antenna B:") && !only.contains("antenna A:"));
+    folder.says(&["info", "rx.csi", "--plot", "d", "--antenna", "C"], 0, &["no CSI of these antennas"]);
     folder.says(&["info", "rx.csi", "--plot", "c", "--mac", "02:00:00:00:00:99"], 3, &["no matching record"]);
 
     let Some(cases) = crate::common::cases("other-cards") else { return };

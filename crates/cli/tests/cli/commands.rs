@@ -355,6 +355,7 @@ fn what_would_be_ignored_is_usage() {
         ("mcap rx.dat --out o.mcap --antenna A,B", "the CSI of one antenna"),
         ("mcap rx.dat --out o.mcap --from 1", "all records are written"),
         ("mcap rx.dat --out o.mcap --channel 108", "--trajectory"),
+        ("mcap rx.dat --out o.mcap --trajectory t.csv --channel 108", "a transmitter's log"),
         ("info rx.dat --plot p --from nan", "is not a stretch of time"),
         ("info rx.dat --plot p --from 2 --to 1", "from 2 to 1 seconds"),
         ("info - -", "standard input can be one log only"),

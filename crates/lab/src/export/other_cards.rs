@@ -1,7 +1,7 @@
 //! Exports frames of cards other than the 5300 as arrays: all subcarriers of the frames of one shape.
 
 use super::arrays::{Mat, Npz};
-use super::{ExportError, Target};
+use super::{ExportError, Target, extension};
 use crate::cards::{CardTime, Layout, is_damage, is_dbm};
 use csi_formats::{Format, Frame, Item, Items};
 use num_complex::Complex32;
@@ -39,12 +39,14 @@ pub struct CardFrames {
     pub left_out: u64,
     /// Damaged stretches of the log.
     pub damaged: u64,
+    /// Bytes that are not frames with CSI, by reason.
+    pub skipped: BTreeMap<String, u64>,
 }
 
 impl CardFrames {
     /// The frames of a log for which `keeps` is true; it gets each frame's seconds from the log's first.
     pub fn read(format: Format, bytes: &[u8], mut keeps: impl FnMut(&Frame, f64) -> bool) -> Self {
-        let (mut all, mut left_out, mut damaged) = (Vec::new(), 0, 0);
+        let (mut all, mut left_out, mut damaged, mut skipped) = (Vec::new(), 0, 0, BTreeMap::new());
         let mut time = Time::default();
         for item in Items::new(format, bytes) {
             match item {
@@ -56,7 +58,10 @@ impl CardFrames {
                         left_out += 1;
                     }
                 }
-                Item::Skipped(skipped) => damaged += u64::from(is_damage(skipped.why)),
+                Item::Skipped(bad) => {
+                    damaged += u64::from(is_damage(bad.why));
+                    *skipped.entry(bad.why.to_string()).or_default() += bad.len;
+                }
             }
         }
         let mut shapes: BTreeMap<&Shape, u64> = BTreeMap::new();
@@ -68,7 +73,7 @@ impl CardFrames {
             .filter(|(shape, ..)| Some(shape) == usual.as_ref())
             .map(|(_, frame, time_s)| (frame, time_s))
             .unzip();
-        Self { format, other_shapes: total - frames.len() as u64, frames, time_s, left_out, damaged }
+        Self { format, other_shapes: total - frames.len() as u64, frames, time_s, left_out, damaged, skipped }
     }
 
     /// Receive chains, transmit chains, subcarriers.
@@ -120,7 +125,7 @@ impl CardFrames {
     pub fn write(&self, path: &Path) -> Result<(), ExportError> {
         let [n_rx, n_tx, n_sub] = self.shape().map(|len| len as u64);
         let n = self.frames.len() as u64;
-        match path.extension().and_then(|ending| ending.to_str()) {
+        match extension(path).as_deref() {
             Some("npz") => {
                 let mut file = Npz::create(path)?;
                 file.array("csi", &[n, n_rx, n_tx, n_sub], self.csi())?;
@@ -290,7 +295,7 @@ mod tests {
     fn each_file_has_the_same_values() {
         let read = CardFrames::read(Format::FeitCsi, &log(), |_, _| true);
         let folder = &crate::temporary::Temporary::folder("other-cards").0;
-        for name in ["a.npz", "a.mat", "a.csv"] {
+        for name in ["a.npz", "A.MAT", "a.csv"] {
             read.write(&folder.join(name)).unwrap();
         }
         assert!(matches!(read.write(&folder.join("a.txt")), Err(ExportError::Extension { .. })));

@@ -5,7 +5,7 @@ use super::Advise;
 use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
 use csi5300::time::Instant;
 use driver_iface::bfee::Bfee;
-use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record, Tail, code};
+use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record, Tail, card_clock_ps, code};
 use memmap2::MmapMut;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -248,7 +248,7 @@ impl Arena {
         self.entries.get(index).map_or(&[], |entry| self.bytes(entry.bfee))
     }
 
-    /// The MPDU logged with a bfee record; empty without one.
+    /// The MPDU logged with a bfee record, or the [clock](code::CARD_CLOCK) of a translated log; empty without either.
     #[must_use]
     pub fn mpdu(&self, index: usize) -> &[u8] {
         self.entries.get(index).map_or(&[], |entry| self.bytes(entry.mpdu))
@@ -262,7 +262,10 @@ impl Arena {
 
     /// Bytes of a record and its MPDU, MPDU first, with their codes.
     pub fn records(&self, index: usize) -> impl Iterator<Item = (u8, &[u8])> {
-        let all = [(code::MPDU, self.mpdu(index)), (code::BFEE, self.body(index))];
+        let before = self.mpdu(index);
+        // In a log translated from another card its place is the clock's; no frame is as short.
+        let own = if card_clock_ps(before).is_some() { code::CARD_CLOCK } else { code::MPDU };
+        let all = [(own, before), (code::BFEE, self.body(index))];
         all.into_iter().filter(|(_, body)| !body.is_empty())
     }
 

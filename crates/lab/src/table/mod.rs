@@ -213,7 +213,7 @@ mod tests {
     use csi5300::time::Instant;
     use csi5300::{Frame, Log};
     use driver_iface::bfee::{Iq, Repr};
-    use driver_iface::record::{LOOKAHEAD, Record, code};
+    use driver_iface::record::{LOOKAHEAD, Record, code, written};
     use num_complex::Complex32;
     use std::io::Read;
     use std::path::{Path, PathBuf};
@@ -431,6 +431,23 @@ mod tests {
             assert!(bodies(&a) == bodies(&b), "{} records, {}", a.len(), b.len());
             assert_eq!(format!("{a_columns:?}"), format!("{b_columns:?}"));
             assert_eq!(a.len() + one.left_out as usize, COPIES * 281);
+        }
+    }
+
+    #[test]
+    fn the_clock_of_a_translated_log_stays_with_its_record() {
+        let whole = std::fs::read(path()).unwrap();
+        let mut log = Vec::new();
+        for (k, record) in (0_u32..30).zip(written(&whole)) {
+            log.extend([[0, 5].as_slice(), &[code::CARD_CLOCK], &k.to_le_bytes(), record].concat());
+        }
+        let (mut one, mut two) =
+            (Reading::new(replay(&log), Filter::default()), Reading::new(replay(&log), Filter::default()));
+        while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
+        two.read_all(Instant::ZERO, || true).unwrap();
+        for (arena, k) in [one.arena, two.arena].iter().flat_map(|arena| (0..30_u32).map(move |k| (arena, k))) {
+            let codes: Vec<u8> = arena.records(k as usize).map(|(code, _)| code).collect();
+            assert_eq!((codes, arena.mpdu(k as usize)), (vec![code::CARD_CLOCK, code::BFEE], &k.to_le_bytes()[..]));
         }
     }
 

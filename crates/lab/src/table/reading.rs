@@ -279,7 +279,7 @@ impl Table<'_> {
         }
         match (next, is_kept) {
             (Next::Record(_, record), Some(true)) => self.arena.push(record.body),
-            (Next::Record(_, record), None) if record.code == code::MPDU => self.arena.note_mpdu(record.body),
+            (Next::Record(_, record), None) if is_of_next(record.code) => self.arena.note_mpdu(record.body),
             (Next::Lost(_), _) | (_, Some(false)) => self.arena.drop_mpdu(),
             _ => {}
         }
@@ -305,7 +305,7 @@ impl Table<'_> {
         let is_kept = self.note(&mut sorted.tally, next);
         match (next, is_kept) {
             (_, Some(true)) => return sorted.keep(span),
-            (Next::Record(_, record), None) if record.code == code::MPDU => sorted.mpdu = Some(span),
+            (Next::Record(_, record), None) if is_of_next(record.code) => sorted.mpdu = Some(span),
             (Next::Lost(_), _) | (_, Some(false)) => sorted.mpdu = None,
             (Next::End(_), _) => {}
             _ => return,
@@ -341,6 +341,11 @@ impl Table<'_> {
         mpdu.iter().for_each(|mpdu| self.arena.note_mpdu(body(*mpdu)));
         Some(block)
     }
+}
+
+/// True for a record that belongs to the bfee after it: the frame, or the rest of a translated log's clock.
+fn is_of_next(code: u8) -> bool {
+    matches!(code, code::MPDU | code::CARD_CLOCK)
 }
 
 /// Place of a record in its source.

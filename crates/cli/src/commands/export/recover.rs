@@ -97,9 +97,9 @@ impl Output {
 
     /// A record of the WSR layout as the stock driver would have written it: its frame, then its CSI.
     fn write_stock(&mut self, bfee: &Bfee<'_>, identity: Identity) -> Words<()> {
-        if let Some(number) = identity.frame_count {
-            self.without_number += u64::from(identity.mac.is_group());
-            let frame = sounding_frame(identity.mac, number)?;
+        if identity.mac != Mac::ZERO {
+            self.without_number += u64::from(identity.frame_count.is_some() && identity.mac.is_group());
+            let frame = frame_of(identity.mac, identity.frame_count)?;
             self.write(Record { code: code::MPDU, body: &frame }, identity.host_us)?;
         }
         let repr = Repr { wsr: None, ..Repr::parse(bfee) };
@@ -176,9 +176,9 @@ impl Doubts {
     }
 }
 
-/// A sounding frame as the CSI tool logs it: to the magic address, sender in address 3, number in the payload.
-fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
-    let payload = number.to_be_bytes();
+/// A sounding frame as the CSI tool logs it: to the magic address, sender in address 3, number, if any, in the payload.
+fn frame_of(mac: Mac, number: Option<u32>) -> Words<Vec<u8>> {
+    let payload = number.map(u32::to_be_bytes);
     let repr = mpdu::Repr {
         // A data frame.
         frame_control: 0x0008,
@@ -187,7 +187,7 @@ fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
         addr1: driver_iface::sounding::MAGIC_MAC,
         addr2: mac,
         addr3: mac,
-        payload: &payload,
+        payload: payload.as_ref().map_or(&[], |number| number),
     };
     let mut frame = vec![0; repr.emit_len()];
     repr.emit(&mut frame).in_words()?;
