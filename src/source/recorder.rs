@@ -1507,7 +1507,8 @@ mod tests {
             let written = files.write(&chunk(4..6));
             assert_eq!((written.records, written.lost), (2, gone), "{} to {left}", cut.display());
             let shared = Shared { received: 6.into(), ..Shared::default() };
-            [Written { records: 4, ..Written::default() }, written.clone()].map(|written| shared.note(written));
+            shared.note(Written { records: 4, ..Written::default() });
+            shared.note(written.clone());
             let totals = shared.totals();
             assert_eq!(totals.received, totals.written + totals.lost_on_disk, "each record is counted once");
             assert!(written.error.unwrap().contains("was cut by another program"));
