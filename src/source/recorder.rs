@@ -37,6 +37,8 @@ pub struct Written {
     pub records: u64,
     /// Records that are not, and will not be.
     pub lost: u64,
+    /// Of these, records of earlier chunks: they were in the log, and another program cut it.
+    pub gone: u64,
     /// What went wrong, in words.
     pub error: Option<String>,
 }
@@ -177,7 +179,7 @@ impl Shared {
 
     fn note(&self, written: Written) {
         let mut total = self.written.lock().unwrap_or_else(PoisonError::into_inner);
-        total.records += written.records;
+        total.records = (total.records + written.records).saturating_sub(written.gone);
         total.lost += written.lost;
         if written.error.is_some() || written.records > 0 {
             self.failing.store(written.error.is_some(), Ordering::Relaxed);
@@ -191,7 +193,7 @@ impl Shared {
     fn note_death(&self) {
         let totals = self.totals();
         let lost = totals.received.saturating_sub(totals.written + totals.dropped + totals.lost_on_disk);
-        self.note(Written { records: 0, lost, error: Some(Error::WriterDied.to_string()) });
+        self.note(Written { lost, error: Some(Error::WriterDied.to_string()), ..Written::default() });
     }
 }
 
@@ -768,7 +770,7 @@ fn numbered(path: &Path, number: u32) -> PathBuf {
 impl Sink for LogFiles {
     fn write(&mut self, chunk: &Chunk) -> Written {
         let (cut, gone) = self.go_on_if_cut();
-        let mut sum = Written { error: cut, ..Written::default() };
+        let mut sum = Written { error: cut, gone, ..Written::default() };
         if self.is_old(chunk.at) {
             sum.error = self.rotate().or(sum.error);
         }
@@ -834,11 +836,8 @@ impl<W: Write + Send + 'static> Sink for Pipe<W> {
             Err(error) => {
                 // A stream cannot be undone: half a record may have been sent, so nothing may follow it.
                 self.broken = true;
-                Written {
-                    lost: records,
-                    error: Some(format!("the reader of the records went away: {error}")),
-                    records: 0,
-                }
+                let error = Some(format!("the reader of the records went away: {error}"));
+                Written { lost: records, error, ..Written::default() }
             }
         }
     }
@@ -1191,7 +1190,7 @@ mod tests {
     fn after_a_failure_only_a_record_that_is_written_ends_it() {
         let shared = Shared::default();
         let note = |records, error: Option<&str>| {
-            shared.note(Written { records, lost: 0, error: error.map(str::to_owned) });
+            shared.note(Written { records, error: error.map(str::to_owned), ..Written::default() });
             (shared.totals().failing, shared.totals().error)
         };
         let full = Some("full".to_owned());
@@ -1204,7 +1203,7 @@ mod tests {
     #[test]
     fn what_a_dead_writer_had_taken_is_what_is_in_no_other_count() {
         let shared = Shared { received: 10.into(), dropped: 3.into(), ..Shared::default() };
-        shared.note(Written { records: 4, lost: 2, error: None });
+        shared.note(Written { records: 4, lost: 2, ..Written::default() });
         shared.note_death();
         let totals = shared.totals();
         assert_eq!((totals.received, totals.written, totals.dropped, totals.lost_on_disk), (10, 4, 3, 3));
@@ -1507,6 +1506,11 @@ mod tests {
             assert!(files.sync().unwrap().contains(&format!("was cut to {left} bytes")));
             let written = files.write(&chunk(4..6));
             assert_eq!((written.records, written.lost), (2, gone), "{} to {left}", cut.display());
+            let shared = Shared { received: 6.into(), ..Shared::default() };
+            shared.note(Written { records: 4, ..Written::default() });
+            shared.note(written.clone());
+            let totals = shared.totals();
+            assert_eq!(totals.received, totals.written + totals.lost_on_disk, "each record is counted once");
             assert!(written.error.unwrap().contains("was cut by another program"));
             assert_eq!(files.write(&chunk(6..7)), Written { records: 1, ..Written::default() });
             let next = folder.join("out-0001.dat");

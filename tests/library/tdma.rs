@@ -682,11 +682,13 @@ fn an_open_loop_sender_goes_on_without_hearing_anything() {
         let mut config = Config { initiate: true, ..Config::new(mac(9), 0, &[mac(1), mac(2), mac(3)], request, 1) };
         config.open_loop = open_loop;
         let mut tdma = Tdma::new(&config).unwrap();
-        let begun = tdma.poll_timeout().unwrap();
+        let (begun, mut absent) = (tdma.poll_timeout().unwrap(), false);
         while tdma.poll_timeout().unwrap() < begun + Span::from_s(20.0) {
             let now = tdma.poll_timeout().unwrap();
             while tdma.poll_transmit(now).is_some() {}
+            absent |= std::iter::from_fn(|| tdma.poll_event()).any(|event| matches!(event, Event::Absent(_)));
         }
+        assert_eq!(absent, !open_loop, "it is asked as often as before");
         let sent = tdma.counts().forward;
         assert!(if open_loop { sent == sounded } else { sent < 2 * sounded }, "{sent}");
     }

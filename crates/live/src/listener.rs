@@ -3,7 +3,7 @@
 
 use crate::netlink::Netlink;
 use crate::status::Losses;
-use crate::stock::Stock;
+use crate::stock::{Stock, StockCounts};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
 use std::os::fd::{AsFd, BorrowedFd};
@@ -37,14 +37,16 @@ impl Listener {
                 let kernel = counters.kernel_drops.max(counters.overrun_bfee_gap);
                 (kernel, counters.other_bfee_gap)
             }
-            Self::Stock(stock) => {
-                let counters = stock.counters();
-                let dropped = u64::from(counters.cards.dropped());
-                (counters.ring_full + counters.unreadable, dropped + counters.malformed)
-            }
+            Self::Stock(stock) => lost_of(&stock.counters()),
         };
         Losses { kernel, driver, disk: 0 }
     }
+}
+
+/// What the kernel lost of the stock driver's packets, and what was lost before or behind that.
+fn lost_of(counters: &StockCounts) -> (u64, u64) {
+    let dropped = u64::from(counters.cards.dropped());
+    (counters.ring_full + counters.unreadable + counters.missed, dropped + counters.malformed)
 }
 
 impl From<Netlink> for Listener {
@@ -81,5 +83,17 @@ impl AsFd for Listener {
             Self::Connector(listener) => listener.as_fd(),
             Self::Stock(stock) => stock.as_fd(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packets_at_which_the_program_did_not_run_are_lost_too() {
+        let counters =
+            StockCounts { ring_full: 1, unreadable: 10, missed: 100, malformed: 1_000, ..StockCounts::default() };
+        assert_eq!(lost_of(&counters), (111, 1_000));
     }
 }

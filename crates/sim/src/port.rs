@@ -187,11 +187,8 @@ impl Port {
                 None if first_of_two => Some(self.write_mpdu(&reception)),
                 None => self.write_bfee(&mut air, &reception)?.then_some(code::BFEE),
             };
-            let Some(code) = written else {
-                // A frame without a bfee has only its 0xC1.
-                air.node(self.robot).injected.delivered += u64::from(second);
-                continue;
-            };
+            // A frame without a bfee has only its 0xC1, and is counted where that is found.
+            let Some(code) = written else { continue };
             let stamps = self.stamps(&air, &reception);
             self.handed_out += 1;
             air.node(self.robot).injected.delivered += u64::from(!first_of_two);

@@ -893,6 +893,23 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_of_the_stock_layout_without_its_record_is_counted_once() {
+        let mut scene =
+            scene("motion.line = { length_m = 3.0, duration_s = 10.0 }\nfaults.card = [\"drops_twentieth\"]");
+        scene.driver = crate::scene::Driver::Stock;
+        let mut room = Room::quiet(&scene).unwrap();
+        let (mut tx, mut rx) = (room.card(0).unwrap(), room.card(1).unwrap());
+        send(&mut tx, 0..1000);
+        let mut now = Instant::ZERO;
+        while !matches!(rx.receive(now).unwrap(), Next::End(_)) {
+            now = rx.next_at().unwrap();
+        }
+        let counts = room.injected()[1];
+        assert_eq!((counts.received, sum(counts), counts.unmeasured), (1000, 1000, 1), "{counts}");
+        assert!(counts.driver_dropped > 40, "{counts}");
+    }
+
+    #[test]
     fn records_that_the_driver_or_a_full_queue_lost_are_in_the_account_too() {
         let counts = counted(&scene(
             "faults = { loss = 0.1, driver_drop = 0.1, queue_records = 20, stall_every_s = 3.0, stall_s = 1.0 }",

@@ -314,7 +314,8 @@ impl Tdma {
         self.counts.unanswered += 1;
         let Some(peer) = self.roster.peer_mut(peer) else { return };
         peer.unanswered_in_a_row = peer.unanswered_in_a_row.saturating_add(1);
-        let (mac, turned_absent) = (peer.mac, peer.unanswered_in_a_row == ABSENT_AFTER);
+        // In an open loop it is asked as often as before.
+        let (mac, turned_absent) = (peer.mac, peer.unanswered_in_a_row == ABSENT_AFTER && !self.open_loop);
         self.tell(Event::Unanswered { peer: mac, number });
         if turned_absent {
             self.tell(Event::Absent(mac));
@@ -585,6 +586,7 @@ impl Tdma {
         let slots = turn.end.min(self.clock.slot_at(&self.plan, self.now) + 1) - turn.slot;
         let late = self.now - self.clock.start(&self.plan, turn.slot);
         let slots = u32::try_from(slots).unwrap_or(0);
+        self.counts.missed_slots += u64::from(slots);
         self.tell(Event::Missed { slots, late, slot: self.plan.span_of(1) });
         self.tell(Event::TurnEnded { turn: turn.number, next: None });
     }
@@ -831,7 +833,8 @@ impl Tdma {
         let Some(initiator) = self.roster.peer_mut(peer) else { return };
         initiator.asked.push(repr.number);
         let early = initiator.early.take_if(|early| early.number == repr.number);
-        let kept = initiator.measurement.take().or(early);
+        // One of an earlier number goes first.
+        let kept = std::mem::replace(&mut initiator.measurement, early).or_else(|| initiator.measurement.take());
         let answer = native::Repr {
             sender: self.own,
             role: Role::Backward,
@@ -1194,7 +1197,7 @@ mod tests {
             let mut said = events(&mut tdma);
             said.retain(|event| !matches!(event, Event::Unanswered { .. }));
             assert_eq!(said, expected, "{later} slots late");
-            assert_eq!(tdma.counts().overslept, 1);
+            assert_eq!((tdma.counts().overslept, tdma.counts().missed_slots), (1, u64::from(slots)));
         }
     }
 
@@ -1572,6 +1575,25 @@ mod tests {
             });
             assert_eq!(answered, Some(carried.then_some(number)));
         }
+    }
+
+    #[test]
+    fn a_measurement_that_came_before_its_frame_waits_behind_an_earlier_one() {
+        let [mut first, mut second] = two(None);
+        for handed in [&[][..], &[1, 2], &[]] {
+            let handed_over: Vec<bool> =
+                handed.iter().map(|number| second.set_measurement(mac(0), measured(*number, *number))).collect();
+            assert!(handed_over == [] as [bool; 0] || handed_over == [true, false], "2 is not heard yet");
+            let (now, _, frame) = next_forward(&mut first);
+            second.handle_heard(now, now, &frame);
+            let answer = second.poll_transmit(now).unwrap().frame.to_vec();
+            first.handle_heard(now, now, &answer);
+        }
+        let carried = events(&mut first).into_iter().filter_map(|event| match event {
+            Event::Answered { measurement, .. } => Some(measurement.map(|measurement| measurement.number)),
+            _ => None,
+        });
+        assert_eq!(carried.collect::<Vec<_>>(), [None, Some(1), Some(2)]);
     }
 
     /// Hands over measurements as (number, clock), before or after the exchange of number 1. Returns the result of each,

@@ -147,7 +147,8 @@ pub struct TdmaCounts {
     pub answered: u64,
     /// Of these, not answered in time.
     pub unanswered: u64,
-    /// Slots in which a forward frame was due but the driver came later than the guard: skipped, not sent late.
+    /// Slots in which a forward frame was due but the driver came later than the guard: skipped, not sent late. All slots of a
+    /// turn that it slept through are among them.
     pub missed_slots: u64,
     /// Answers handed to the driver, and not reported as not sent.
     pub replies: u64,

@@ -1027,23 +1027,26 @@ fn timed(poses: &mut [Pose], times: Option<Vec<f64>>) -> Result<(), CsvError> {
     Ok(())
 }
 
-/// The times beside a file of KITTI's poses.
-fn times_beside(path: &Path) -> Option<Vec<f64>> {
-    let stem = path.file_stem()?.to_string_lossy().into_owned();
-    let folder = path.parent()?;
+/// The times beside a file of KITTI's poses, if there is such a file.
+fn times_beside(path: &Path) -> Result<Option<Vec<f64>>, CsvError> {
+    let (Some(stem), Some(folder)) = (path.file_stem(), path.parent()) else { return Ok(None) };
+    let stem = stem.to_string_lossy();
     let names: [PathBuf; 3] = [
         folder.join(format!("{stem}_times.txt")),
         folder.join("times.txt"),
-        folder.join("../sequences").join(&stem).join("times.txt"),
+        folder.join("../sequences").join(&*stem).join("times.txt"),
     ];
-    let file = names.iter().find(|name| name.is_file())?;
+    let Some(file) = names.iter().find(|name| name.is_file()) else { return Ok(None) };
+    let name = file.display().to_string();
     let mut text = String::new();
-    std::fs::File::open(file).ok()?.take(LONGEST).read_to_string(&mut text).ok()?;
-    text.lines()
-        .map(str::trim)
-        .filter(|line| !line.is_empty())
-        .map(|line| number(line).filter(|t| t.is_finite()))
-        .collect()
+    let read = std::fs::File::open(file).and_then(|file| file.take(LONGEST).read_to_string(&mut text));
+    read.map_err(|source| CsvError::Io { path: name.clone(), source })?;
+    let lines = text.lines().map(str::trim).zip(1..).filter(|(line, _)| !line.is_empty() && !is_comment(line));
+    let time = |(line, at): (&str, u64)| {
+        let bad = || CsvError::NoTimes { why: format!("line {at} of {name} is no number of seconds") };
+        number(line).filter(|t| t.is_finite()).ok_or_else(bad)
+    };
+    lines.map(time).collect::<Result<_, _>>().map(Some)
 }
 
 /// Reads a trajectory file row by row; only the poses stay in memory.
@@ -1070,7 +1073,8 @@ pub fn read_as(path: &Path, columns: Option<&Columns>) -> Result<(Trajectory, Cs
     if bytes.limit() == 0 {
         return Err(io(too_long()));
     }
-    let times = rows.columns.as_ref().filter(|columns| columns.matrix).and_then(|_| times_beside(path));
+    let is_matrix = rows.columns.as_ref().is_some_and(|columns| columns.matrix);
+    let times = if is_matrix { times_beside(path)? } else { None };
     rows.trajectory(times).map(|read| of_name(read, path))
 }
 
@@ -1615,11 +1619,15 @@ mod tests {
         std::fs::write(folder.join("00.txt"), &kitti).unwrap();
         let error = read(&folder.join("00.txt")).unwrap_err().to_string();
         assert!(error.contains("KITTI") && error.contains("times.txt"), "{error}");
-        std::fs::write(folder.join("times.txt"), written("", |[t, ..]| format!("{:e}", t - 1_700_000_000.0))).unwrap();
+        std::fs::write(folder.join("times.txt"), written("# s\n", |[t, ..]| format!("{:e}", t - 1_700_000_000.0)))
+            .unwrap();
         must_be_arc("KITTI", read(&folder.join("00.txt")), true, 0.0);
         std::fs::write(folder.join("00_times.txt"), "1\n2\n").unwrap();
         let error = read(&folder.join("00.txt")).unwrap_err().to_string();
         assert!(error.contains("50 poses and 2 times"), "{error}");
+        std::fs::write(folder.join("00_times.txt"), "1\n\ntwo\n").unwrap();
+        let error = read(&folder.join("00.txt")).unwrap_err().to_string();
+        assert!(error.contains("line 3 of ") && error.contains("00_times.txt is no number"), "{error}");
         std::fs::remove_dir_all(&folder).unwrap();
     }
 

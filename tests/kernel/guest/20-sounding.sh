@@ -60,12 +60,12 @@ check() {
 for dialect in native wsr; do
     echo "two radios, $dialect"
     mkdir -p "/tmp/out/two-$dialect" && cd "/tmp/out/two-$dialect"
-    wsr=0 own=
+    wsr=0 own="--connector-index 25"
     [ "$dialect" = native ] || { wsr=1 own="--ack-len 57"; }
     insmod /modules/csi5300_heard.ko interfaces=wlan0,wlan1 idx=26,25 wsr=$wsr
     listen a 26
     listen b 25
-    csi5300 sound --answer --interface wlan1 --peers "$A" --dialect "$dialect" $own --rate 50 $slow --connector-index 25 2>respond &
+    csi5300 sound --answer --interface wlan1 --peers "$A" --dialect "$dialect" $own --rate 50 $slow 2>respond &
     responder=$!
     ready respond "$responder"
     csi5300 sound --interface wlan0 --peers "$B" --dialect "$dialect" --alone --rate 50 $slow --stop-after 10s 2>sound

@@ -65,7 +65,7 @@ pub struct Args {
     #[arg(long, conflicts_with = "live")]
     json: bool,
     /// Receive buffer to ask the kernel for
-    #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
+    #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE", conflicts_with_all = ["feitcsi", "room"])]
     receive_buffer: u64,
     /// Record an AX200 or AX210 by FeitCSI: the address of its UDP socket and its options, such as "127.0.0.1:8008 --frequency
     /// 5180 --channel-width 80 --format VHT", or - if it writes to the standard input. OUT is then a log of FeitCSI
@@ -98,6 +98,15 @@ impl Args {
         let mut options = Options::default();
         options.sync_every = (self.sync_every > Span::default()).then_some(self.sync_every);
         options
+    }
+
+    /// What helps where nothing came. The doctor listens to no room, and not to FeitCSI.
+    fn if_nothing(&self) -> &'static str {
+        match (&self.feitcsi, &self.listening.room) {
+            (_, Some(_)) => ": nobody sounded in the room meanwhile",
+            (Some(_), _) => ": `csi5300 doctor` reports what may be wrong",
+            (None, None) => ": `csi5300 doctor --listen 10s` reports what may be wrong",
+        }
     }
 
     fn rotation(&self) -> Rotation {
@@ -226,14 +235,17 @@ impl<'a> Session<'a> {
     fn end(&self, failed: Option<String>, told: &(String, Losses), totals: &Totals, files: &LogFiles) -> Outcome {
         self.clear();
         notes!("{}", summary(&self.status, &told.0, totals, &files.paths()));
-        if let Some(message) = failed {
+        if totals.received == 0 {
+            note!("  nothing came{}", self.args.if_nothing());
+        }
+        if let Some(message) = &failed {
             wrong!("{message}");
         }
         let lost = losses(totals, &told.1);
         if self.args.json {
             super::print_json(&Row::new(&self.status, totals, lost, files));
         }
-        outcome(totals, lost, self.status.survey.lost_something(), files)
+        outcome(totals, lost, failed.is_some() || self.status.survey.lost_something(), files)
     }
 
     /// Receives until a signal, a limit, or an error; what was received is in the recorder either way.
@@ -370,9 +382,6 @@ fn summary(status: &Status, listener: &str, totals: &Totals, files: &[PathBuf]) 
     for (mac, sender) in &status.survey.senders {
         let name = if mac.is_zero() { "an unknown sender".to_string() } else { mac.to_string() };
         let _ = writeln!(text, "  from {name}: {}", super::some(sender.records, "record", "records"));
-    }
-    if totals.received == 0 {
-        text.push_str("  nothing came: `csi5300 doctor --listen 10s` reports what may be wrong\n");
     }
     text
 }

@@ -1,16 +1,16 @@
 //! `csi5300 replay`.
 
 use super::live::{Signals, duration, speed};
-use super::{InWords, Outcome, Result, Words};
+use super::{InWords, Outcome, Result};
 use csi5300::source::replay::Paced;
 use csi5300::source::survey::Survey;
-use csi5300::source::{CsiSource, Next};
+use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Span;
 use csi5300_live::netlink::Sender;
 use csi5300_live::wait::Monotonic;
 use driver_iface::connector::CN_IDX;
 use driver_iface::record::{Record, Tail};
-use std::io::{StdoutLock, Write};
+use std::io::{ErrorKind, StdoutLock, Write};
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
@@ -66,16 +66,33 @@ enum Target {
 }
 
 impl Target {
-    fn send(&mut self, record: Record<'_>) -> Words<()> {
+    fn send(&mut self, record: Record<'_>) -> std::result::Result<(), Error> {
         match self {
-            Self::Connector(sender) => sender.send(record).in_words(),
+            Self::Connector(sender) => sender.send(record),
             Self::Stdout(out, frame) => {
                 frame.resize(record.emit_len(), 0);
-                record.emit(frame).in_words()?;
-                out.write_all(frame).in_words()
+                record.emit(frame).map_err(|error| Error::Backend(Box::new(error)))?;
+                out.write_all(frame).map_err(of_stdout)
             }
         }
     }
+
+    fn flush(&mut self) -> std::result::Result<(), Error> {
+        if let Self::Stdout(out, _) = self { out.flush().map_err(of_stdout) } else { Ok(()) }
+    }
+}
+
+fn of_stdout(source: std::io::Error) -> Error {
+    Error::Io { what: "standard output".into(), source }
+}
+
+/// The outcome where a target takes no more. A closed reader (`| head`) ends the command quietly.
+fn refused(error: &Error, sent: u64) -> Outcome {
+    if matches!(error, Error::Io { source, .. } if source.kind() == ErrorKind::BrokenPipe) {
+        return Outcome::Done;
+    }
+    wrong!("after {sent} records: {error}");
+    Outcome::DataLost
 }
 
 /// Plays a log.
@@ -94,19 +111,16 @@ pub fn run(args: &Args) -> Result {
         survey.note(&next);
         match next {
             Next::Record(_, record) => {
-                if let Err(message) = target.send(record) {
-                    wrong!("after {sent} records: {message}");
-                    return Ok(Outcome::DataLost);
+                if let Err(error) = target.send(record) {
+                    return Ok(refused(&error, sent));
                 }
                 sent += 1;
             }
             Next::Lost(_) => {}
             Next::End(_) => break,
             Next::Pending => {
-                if let Target::Stdout(out, _) = &mut target
-                    && out.flush().is_err()
-                {
-                    return Ok(Outcome::Done);
+                if let Err(error) = target.flush() {
+                    return Ok(refused(&error, sent));
                 }
                 let until = source.next_at().unwrap_or_else(|| clock.now());
                 if clock.wait([signals.as_fd()], Some(until)).in_words()?[0] {
@@ -114,6 +128,9 @@ pub fn run(args: &Args) -> Result {
                 }
             }
         }
+    }
+    if let Err(error) = target.flush() {
+        return Ok(refused(&error, sent));
     }
     if args.json {
         let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;

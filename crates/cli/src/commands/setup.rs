@@ -28,7 +28,7 @@ pub struct Args {
     #[arg(long)]
     apply: bool,
     /// Print the steps back to an ordinary WiFi card; --apply runs them
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["channel", "role", "driver", "ack_len"])]
     undo: bool,
     /// Print JSON, one object a line (docs/reference/formats.md)
     #[arg(long)]

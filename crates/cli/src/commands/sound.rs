@@ -7,7 +7,7 @@ use super::live::{Listening, Needs, Signals, create_refused, describe, duration,
 use super::{InWords, Outcome, Result, Words, fixed, hint, is_end_of_room, print, print_json, usage};
 use csi5300::exchange::tdma::{Config, Dialect, Epoch, Event, Phy, Plan, PlanError, Request, TdmaCounts};
 use csi5300::internal::{Proof, Prover};
-use csi5300::motion::odometry::csv;
+use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::pipeline::live::LiveEstimator;
 use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::{Channel, Width};
@@ -48,7 +48,7 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
 pub struct Args {
     /// Answer other robots' frames instead of sounding. Answers carry the card's measurement, for live bearings (driver
     /// with connector_log=0x5, or --stock); --dialect wsr --ack-len N answers as the WSR driver
-    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "heading_sd"])]
+    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "bearing_every", "heading_sd"])]
     answer: bool,
     #[command(flatten)]
     common: Sounding,
@@ -62,7 +62,7 @@ pub struct Args {
     #[arg(long, value_name = "T.csv", requires = "channel")]
     trajectory: Option<PathBuf>,
     /// How often to estimate bearings; the last one may come after the sounding
-    #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
+    #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME", requires = "trajectory")]
     bearing_every: Span,
     /// Antenna (RF port) used on both robots: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
@@ -118,6 +118,8 @@ struct Bearings<'a> {
     told: bool,
     /// Reported numbers with two records.
     contested: u64,
+    /// The trajectory could not be read the last time.
+    unread: bool,
 }
 
 /// What `sound` does beside sounding.
@@ -172,6 +174,7 @@ impl Bearings<'_> {
         let (links, path) = (self.products.links(), self.path.to_owned());
         let work = move || match csv::read_as(&path, None) {
             Ok((trajectory, _)) => Ok(links.bearings(&trajectory)),
+            Err(error @ CsvError::Io { .. }) => Err(error.to_string()),
             Err(error) => Err(format!("{}: {error}", path.display())),
         };
         if let Err(error) = self.beside.begin(now, work) {
@@ -180,7 +183,8 @@ impl Bearings<'_> {
     }
 
     /// Prints the bearings that are ready.
-    fn tell(&self, made: Made) {
+    fn tell(&mut self, made: Made) {
+        self.unread = made.is_err();
         let made = match made {
             Ok(made) => made,
             Err(error) => return wrong!("{error}"),
@@ -190,11 +194,12 @@ impl Bearings<'_> {
         }
     }
 
-    /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this.
-    fn finish(mut self, signals: &Signals) -> Words<()> {
+    /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this. False if the
+    /// trajectory could not be read.
+    fn finish(mut self, signals: &Signals) -> Words<bool> {
         let last = self.beside.last(self.clock, signals.as_fd()).in_words()?;
         last.into_iter().for_each(|made| self.tell(made));
-        Ok(())
+        Ok(!self.unread)
     }
 
     fn show(&self, line: &Line) {
@@ -228,6 +233,10 @@ pub fn run(args: &Args) -> Result {
              record with --log, and use `csi5300 bearing` on the logs of both robots",
         );
     }
+    let wanted = if args.trajectory.is_some() { Wanted::Needed } else { Wanted::Not };
+    common.check(wanted);
+    let estimation = Estimation { heading_sd: args.heading_sd, ..Estimation::with_antenna(args.antenna) };
+    let options = common.channel.map(|channel| estimation.options(channel).unwrap_or_else(|message| usage(&message)));
     let signals = Signals::catch().in_words()?;
     let clock = Monotonic::new();
     let now = clock.now();
@@ -239,25 +248,25 @@ pub fn run(args: &Args) -> Result {
             config.silence_slots = ALONE_SILENCE_SLOTS.max((ALONE_SILENCE_US / slot_us).ceil() as u32);
         }
     })?;
-    note!("{}", waiting(&common.peers, opened.tdma.transmit_at().map(|at| at - now)));
-    let bearings = match (&args.trajectory, common.channel) {
-        (Some(path), Some(channel)) => {
-            let estimation = Estimation { heading_sd: args.heading_sd, ..Estimation::with_antenna(args.antenna) };
-            let options = estimation.options(channel)?;
+    note!("{}", waiting(&common.peers, opened.tdma.transmit_at().map(|at| at - now), args.open_loop));
+    let bearings = match (&args.trajectory, options) {
+        (Some(path), Some(options)) => {
             let mut products = products(&common.peers, options);
             opened.key.iter().for_each(|key| products.require_key(key));
             let beside = Beside::new(now, args.bearing_every);
-            Some(Bearings { args, products, path, beside, clock, told: false, contested: 0 })
+            Some(Bearings { args, products, path, beside, clock, told: false, contested: 0, unread: false })
         }
         _ => None,
     };
     common.see_to_rate(args.antenna)?;
-    let wanted = if bearings.is_some() { Wanted::Needed } else { Wanted::Not };
     let messages = common.messages(wanted, opened.own)?;
     let mut live = Live { bearings };
-    let (outcome, row) = common.run(&signals, messages, opened, clock, &mut live)?;
-    if let Some(bearings) = live.bearings {
-        bearings.finish(&signals)?;
+    let (mut outcome, row) = common.run(&signals, messages, opened, (clock, args.open_loop), &mut live)?;
+    if let Some(bearings) = live.bearings
+        && !bearings.finish(&signals)?
+        && outcome == Outcome::Done
+    {
+        outcome = Outcome::DataLost;
     }
     if args.json {
         print_json(&BTreeMap::from([("summary", row)]));
@@ -303,16 +312,18 @@ fn answer(common: &Sounding, antenna: Antenna, json: bool) -> Result {
     if common.dialect == DialectArg::Wsr && common.ack_len.is_none() {
         usage("--dialect wsr needs --ack-len, the length of the frames meant for this robot (57 for the first)");
     }
+    let carries = common.dialect == DialectArg::Native;
+    let wanted = if carries { Wanted::IfPossible } else { Wanted::Not };
+    common.check(wanted);
     let signals = Signals::catch().in_words()?;
     let clock = Monotonic::new();
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
     common.see_to_rate(antenna)?;
-    let carries = common.dialect == DialectArg::Native;
-    let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not }, opened.own)?;
+    let messages = common.messages(wanted, opened.own)?;
     let peers = common.peers.clone();
     let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));
     let mut task = Measuring { antenna, peers, survey, prover, carries, told: false };
-    let (outcome, row) = common.run(&signals, messages, opened, clock, &mut task)?;
+    let (outcome, row) = common.run(&signals, messages, opened, (clock, false), &mut task)?;
     if json {
         print_json(&row);
     }
@@ -428,8 +439,14 @@ impl Sounding {
         self.ack_len.map(|len| len.saturating_sub(FIRST_LEN) / 2)
     }
 
-    /// Ends the command if arguments contradict each other.
-    fn check(&self) {
+    /// Ends the command if arguments contradict each other, or name a card whose records nobody takes.
+    fn check(&self, wanted: Wanted) {
+        let names_card = self.listening.card.is_named() || self.listening.allow_user_sender;
+        if names_card && self.log.is_none() && wanted == Wanted::Not {
+            usage(
+                "--connector-index, --stock and --allow-user-sender need --log or --trajectory, which take the card's records",
+            );
+        }
         match (self.dialect, self.ack_len) {
             (DialectArg::Native, Some(_)) => usage("--ack-len belongs to --dialect wsr"),
             (DialectArg::Wsr, Some(len)) if len < FIRST_LEN || (len - FIRST_LEN) % 2 == 1 => {
@@ -444,7 +461,6 @@ impl Sounding {
 
     /// Opens the interface and makes the machine.
     fn open(&self, settle: impl FnOnce(&mut Config)) -> Words<Opened> {
-        self.check();
         let request = self.request();
         let plan = Plan::new(&request).unwrap_or_else(|error| usage(&refused(&error)));
         let setup = Setup {
@@ -507,7 +523,7 @@ impl Sounding {
         signals: &Signals,
         messages: DriverMessages,
         opened: Opened,
-        clock: Monotonic,
+        (clock, open_loop): (Monotonic, bool),
         observer: &mut dyn Observer,
     ) -> Words<(Outcome, ExchangeRow)> {
         let fifo_priority = Settings::default().fifo_priority.filter(|_| !self.no_fifo);
@@ -515,7 +531,7 @@ impl Sounding {
         let session = Session { clock, stop: signals.as_fd(), settings };
         let finished = session.run(opened, messages, observer).in_words()?;
         let error = finished.error.as_ref().filter(|_| !self.room_ended(&finished)).map(ToString::to_string);
-        Ok((self.conclude(&finished), ExchangeRow::new(&self.peers, &finished, error)))
+        Ok((self.conclude(&finished, open_loop), ExchangeRow::new(&self.peers, &finished, error)))
     }
 
     /// True if the simulated room ended, which is a normal end.
@@ -524,8 +540,8 @@ impl Sounding {
     }
 
     /// Prints the summary, and returns the outcome.
-    fn conclude(&self, finished: &Finished) -> Outcome {
-        notes!("{}", summary(&self.peers, finished));
+    fn conclude(&self, finished: &Finished, open_loop: bool) -> Outcome {
+        notes!("{}", summary(&self.peers, finished, open_loop));
         if finished.news_lost > 0 {
             note!("  {} events of the radio were lost", finished.news_lost);
         }
@@ -544,7 +560,8 @@ impl Sounding {
         let unlogged = finished.log.as_ref().is_some_and(|log| log.missing() > 0);
         let lost = if over { unlogged } else { finished.lost_anything() };
         let counts = finished.counts();
-        Outcome::of(counts.answered + counts.replies > 0, lost)
+        let sent = if open_loop { finished.confirmed() } else { 0 };
+        Outcome::of(counts.answered + counts.replies + sent > 0, lost)
     }
 }
 
@@ -735,18 +752,21 @@ fn tell(news: &News) {
 }
 
 /// When the first frame is sent, and whose answers are awaited from then on.
-fn waiting(peers: &[Mac], first_in: Option<Span>) -> String {
+fn waiting(peers: &[Mac], first_in: Option<Span>, open_loop: bool) -> String {
     let peers = peers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     let first = first_in.map_or(0, Span::as_us) as f64 * 1e-6;
     let first = match first > AT_ONCE_S {
         true => format!("in {first:.1} s, if no other robot is heard to initiate until then (--alone: at once)"),
         false => "at once".to_string(),
     };
-    format!("first frame {first}; then waiting for answers of {peers}")
+    match open_loop {
+        true => format!("first frame {first}; then sounding {peers}, whether answers are heard or not"),
+        false => format!("first frame {first}; then waiting for answers of {peers}"),
+    }
 }
 
 /// How a session went.
-fn summary(peers: &[Mac], finished: &Finished) -> String {
+fn summary(peers: &[Mac], finished: &Finished, open_loop: bool) -> String {
     let (counts, figures, air) = (finished.counts(), &finished.exchange.figures, finished.air);
     let mut text = String::new();
     if counts.forward > 0 {
@@ -755,7 +775,7 @@ fn summary(peers: &[Mac], finished: &Finished) -> String {
             "{} forward frames, {} answered{}",
             counts.forward,
             counts.answered,
-            unanswered(counts.forward, counts.answered)
+            if open_loop { String::new() } else { unanswered(counts.forward, counts.answered) }
         );
         for mac in peers {
             if let Some(link) = finished.exchange.tdma.link_counts(*mac) {
@@ -827,9 +847,9 @@ mod tests {
     #[test]
     fn what_is_waited_for_is_said() {
         let peers = ["00:21:6a:00:00:02".parse().unwrap(), "00:21:6a:00:00:03".parse().unwrap()];
-        let soon = waiting(&peers, Some(Span::from_ms(150)));
+        let soon = waiting(&peers, Some(Span::from_ms(150)), false);
         assert_eq!(soon, "first frame at once; then waiting for answers of 00:21:6a:00:00:02, 00:21:6a:00:00:03");
-        assert!(waiting(&peers, Some(Span::from_ms(6_400))).contains("in 6.4 s, if no other robot"));
+        assert!(waiting(&peers, Some(Span::from_ms(6_400)), false).contains("in 6.4 s, if no other robot"));
     }
 
     #[test]

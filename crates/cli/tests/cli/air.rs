@@ -393,6 +393,36 @@ fn programs_sound_each_other_in_a_served_room() {
 }
 
 #[test]
+fn sounding_without_a_trajectory_is_not_all_done_and_without_answers_it_is_if_none_are_wanted() {
+    let folder = Folder::new("live-loops");
+    folder.write("scene.toml", LIVE.as_bytes());
+    let socket = folder.0.join("room");
+    let (rx, tx) = (format!("{}#rx", socket.display()), format!("{}#tx", socket.display()));
+    let mut room = Program::start(&[
+        "simulate",
+        folder.0.join("scene.toml").to_str().unwrap(),
+        "--serve",
+        "--socket",
+        socket.to_str().unwrap(),
+    ]);
+    room.until("serving the room at");
+    let slow = ["--rate", "50", "--turn-around", "6000", "--guard", "1500", "--no-fifo"];
+    let mut respond =
+        Program::start(&[&["sound", "--answer", "--room", &tx, "--peers", "02:00:00:00:00:0a"], &slow[..]].concat());
+    respond.until("sending under");
+    let sound = ["sound", "--room", &rx, "--peers", "02:00:00:00:00:0b", "--alone", "--stop-after", "2s"];
+    let bearings = ["--trajectory", "nowhere.csv", "--channel", "108"];
+    let (status, _, said) = folder.run(&[&sound[..], &slow, &bearings].concat());
+    assert!(status == 3 && !said.contains("nowhere.csv: cannot read the trajectory nowhere.csv"), "{status} {said}");
+    assert!(said.contains("cannot read the trajectory nowhere.csv"), "{said}");
+    respond.end_by(Signal::SIGINT);
+    let (status, _, said) = folder.run(&[&sound[..], &slow, &["--dialect", "wsr", "--open-loop"]].concat());
+    assert!(status == 0 && said.contains(", 0 answered\n"), "{status} {said}");
+    assert!(!said.contains("does not answer") && !said.contains("waiting for"), "{said}");
+    room.end_by(Signal::SIGINT);
+}
+
+#[test]
 fn two_robots_on_one_connector_index_are_refused() {
     let folder = Folder::new("serve-index");
     folder.write("scene.toml", SCENE.as_bytes());

@@ -90,6 +90,29 @@ fn recorded(folder: &Folder, from: &str, more: &[&str], feed: impl FnOnce(&mut C
 }
 
 #[test]
+fn a_recording_that_an_error_ended_is_not_done() {
+    let folder = Folder::new("record-broken");
+    let [rx, ..] = simulated(&folder, "room", PAIR, "rx_trajectory_");
+    let log = std::fs::read(&rx).unwrap();
+    let frame = &log[..log.len() / 600];
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let mut far = std::net::TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+    let (mut near, _) = listener.accept().unwrap();
+    far.write_all(frame).unwrap();
+    // One that is closed before it has read everything is reset.
+    near.write_all(b"unread").unwrap();
+    far.peek(&mut [0]).unwrap();
+    drop(far);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.args(["record", "out.csi", "--feitcsi", "-"]).current_dir(&folder.0);
+    let output = command.stdin(std::os::fd::OwnedFd::from(near)).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(3) && said.contains("1 record written"), "{:?} {said}", output.status);
+    assert!(said.contains("reading FeitCSI's output: "), "{said}");
+    assert_eq!(std::fs::read(folder.0.join("out.csi")).unwrap(), frame);
+}
+
+#[test]
 fn what_feitcsi_writes_is_recorded_byte_by_byte() {
     use std::net::UdpSocket;
     let folder = Folder::new("record-feitcsi");
@@ -145,6 +168,8 @@ fn what_feitcsi_writes_is_recorded_byte_by_byte() {
     let parts: Vec<Vec<u8>> =
         (1..=6).map(|k| std::fs::read(folder.0.join(format!("out-{k:04}.csi"))).unwrap()).collect();
     assert!(status == 0 && parts.iter().all(|part| part.len() == 100 * len) && parts.concat() == log, "{err}");
+    let (status, err) = recorded(&folder, "-", &[], |_| ());
+    assert!(status == 1 && err.contains("nothing came: `csi5300 doctor` reports"), "{status} {err}");
     let (status, err) = recorded(&folder, "nowhere", &[], |_| ());
     assert!(status == 2 && err.contains("127.0.0.1:8008"), "{status} {err}");
 }

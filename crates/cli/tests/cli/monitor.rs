@@ -388,11 +388,30 @@ fn usage_and_plans_are_refused_with_what_would_do() {
         ),
         (&["sound", "--interface", "mon0", "--peers", one, "--trajectory", "t.csv"], "--channel"),
         (
+            &[
+                "sound",
+                "--interface",
+                "m",
+                "--peers",
+                one,
+                "--trajectory",
+                "t",
+                "--channel",
+                "64",
+                "--heading-sd",
+                "181",
+            ],
+            "0 to 180 degrees",
+        ),
+        (
             &["sound", "--interface", "m", "--peers", one, "--dialect", "wsr", "--trajectory", "t", "--channel", "64"],
             "measurements",
         ),
     ] {
         folder.says(args, 2, &[words]);
+    }
+    for ignored in ["--bearing-every=1s", "--stock", "--connector-index=26"] {
+        folder.says(&["sound", "--interface", "m", "--peers", one, ignored], 2, &["--trajectory"]);
     }
     let args = ["sound", "--interface", "none0", "--peers", one, "--key", "/nonexistent"];
     folder.says(&args, 1, &["/nonexistent"]);

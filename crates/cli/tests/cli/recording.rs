@@ -263,6 +263,27 @@ fn a_replayed_log_arrives_through_the_kernel() {
 }
 
 #[test]
+fn a_log_that_its_target_does_not_take_is_not_played() {
+    let folder = Folder::new("replay-full");
+    // Less than is written at once.
+    folder.write("rx.dat", &crate::common::link(2, 1.0).rx.concat());
+    for (target, speed, status) in
+        [("/dev/full", "max", 3), ("/dev/full", "1", 3), ("closed", "max", 0), ("closed", "1", 0)]
+    {
+        let mut replay = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        replay.args(["replay", "rx.dat", "--speed", speed]).current_dir(&folder.0);
+        match target {
+            "closed" => replay.stdout(std::io::pipe().unwrap().1),
+            _ => replay.stdout(std::fs::OpenOptions::new().write(true).open(target).unwrap()),
+        };
+        let output = replay.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(status), "{target} {speed}: {said}");
+        assert_eq!(said.contains("standard output: No space left"), status == 3, "{target} {speed}: {said}");
+    }
+}
+
+#[test]
 fn a_signal_ends_the_page_as_it_ends_a_recording() {
     let folder = Folder::new("view-signals");
     folder.write("rx.dat", &crate::common::link(100, 1.0).rx.concat());

@@ -48,7 +48,7 @@ fn connector(system: &dyn System, ways: &Ways) -> Check {
             Check::unknown(name, "`iwlagn` is not registered: `way to CSI` names the driver", expected)
         }
         None => Check::bad(name, "`iwlagn` is not registered: no CSI driver is running", expected)
-            .mend("sudo modprobe iwlwifi connector_log=0x1"),
+            .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1"),
     }
 }
 

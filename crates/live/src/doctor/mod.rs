@@ -504,7 +504,7 @@ mod tests {
         "monitor_tx_rate | unknown | not found | debugfs | - sys/kernel/debug",
         "regulatory domain | doubt | 00 | reg set | run/iw reg get = country 00: DFS-UNSET",
         "network namespace | bad | container | host | - proc/net/connector",
-        "connector index | bad | not registered | 0x1 | proc/net/connector = Name ID\n",
+        "connector index | bad | not registered | modprobe -r | proc/net/connector = Name ID\n",
         "connector index | bad | 254 | newer | proc/net/connector = iwlagn 254:1",
         "capability | bad | not held | setcap | proc/self/status = CapEff:\t0",
         "receive buffer | doubt | 212992 | sysctl | proc/sys/net/core/rmem_max = 212992",
