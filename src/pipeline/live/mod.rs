@@ -9,7 +9,6 @@
 
 pub use crate::exchange::admission::AdmissionCounts;
 pub use crate::place::TrackCounts;
-#[doc(hidden)]
 pub use track::Track;
 
 mod heard;

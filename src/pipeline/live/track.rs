@@ -16,16 +16,16 @@ const AHEAD_S: f64 = 10.0;
 /// Poses kept of one robot at most, whatever their times: half an hour at 50 Hz.
 const MAX_POSES: usize = 90_000;
 
-/// Poses of a robot, in the order of time.
+/// Poses of a robot, in the order of time: empty ([`Track::default`]) where they arrive, [`Track::still`] where the robot stands.
 #[derive(Clone, Debug, Default)]
 pub struct Track {
     poses: VecDeque<Pose>,
     /// A robot that never moves: its one pose holds at any time.
     still: bool,
-    /// A pose far after all others: a wrong stamp if the next one is before it.
+    /// A pose far after all others: a wrong stamp if the next one is before it, as a first pose far after the second one is.
     doubtful: Option<Pose>,
     /// Poses with a known time, not finite, or alone far after all others.
-    pub refused: u64,
+    pub(crate) refused: u64,
 }
 
 impl Track {
@@ -38,12 +38,13 @@ impl Track {
 
     /// True for a robot that never moves.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn is_still(&self) -> bool {
         self.still
     }
 
     /// Takes a pose; late ones are sorted in.
-    pub fn push(&mut self, pose: Pose) {
+    pub(crate) fn push(&mut self, pose: Pose) {
         let finite = pose.t_s.is_finite() && pose.position_m.iter().all(|x| x.is_finite());
         if !finite || pose.heading_rad.is_some_and(|heading| !heading.is_finite()) || self.still {
             self.refused += 1;
@@ -57,6 +58,10 @@ impl Track {
             self.doubtful = Some(pose);
             return;
         }
+        if self.poses.len() == 1 && self.poses[0].t_s - pose.t_s > AHEAD_S {
+            self.poses.clear();
+            self.refused += 1;
+        }
         let at = self.poses.iter().rposition(|before| before.t_s <= pose.t_s).map_or(0, |before| before + 1);
         if at > 0 && self.poses.get(at - 1).is_some_and(|before| before.t_s == pose.t_s) {
             self.refused += 1;
@@ -69,14 +74,14 @@ impl Track {
     }
 
     /// Drops everything, because later poses are in another frame.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         if !self.still {
             (self.poses, self.doubtful) = Default::default();
         }
     }
 
     /// Drops the poses before `t_s`, except the last one, for interpolation.
-    pub fn forget_before(&mut self, t_s: f64) {
+    pub(crate) fn forget_before(&mut self, t_s: f64) {
         while !self.still && self.poses.get(1).is_some_and(|second| second.t_s < t_s) {
             self.poses.pop_front();
         }
@@ -84,31 +89,34 @@ impl Track {
 
     /// Poses kept.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn len(&self) -> usize {
         self.poses.len()
     }
 
     /// True without any pose.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn is_empty(&self) -> bool {
         self.poses.is_empty()
     }
 
     /// The poses kept, in the order of time.
+    #[doc(hidden)] // for the crates of this workspace
     pub fn poses(&self) -> impl Iterator<Item = &Pose> {
         self.poses.iter()
     }
 
     /// The newest pose.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn last(&self) -> Option<&Pose> {
         self.poses.back()
     }
 
     /// The trajectory so far, extended by `extend_s` at its last speed; later times have no pose. For a robot that
     /// never moves it holds over `span_s`. `None` before there are two poses.
-    #[must_use]
-    pub fn trajectory(&self, extend_s: f64, span_s: (f64, f64)) -> Option<Trajectory> {
+    pub(crate) fn trajectory(&self, extend_s: f64, span_s: (f64, f64)) -> Option<Trajectory> {
         if self.still {
             let pose = *self.poses.front()?;
             let ends = [span_s.0 - 1.0, span_s.1 + 1.0];
@@ -257,6 +265,10 @@ mod tests {
         [60.0, 60.01].into_iter().for_each(|t_s| track.push(pose(t_s, 0.2)));
         assert_eq!((track.len(), track.refused), (before.0 + 3, before.1 + 1));
         assert_eq!(track.last().unwrap().t_s, 60.01);
+        // The first pose may be the wrong one.
+        let mut track = Track::default();
+        [3_600.0, 4.0, 4.1].into_iter().for_each(|t_s| track.push(pose(t_s, t_s)));
+        assert_eq!((track.len(), track.refused, track.last().unwrap().t_s), (2, 1, 4.1));
     }
 
     #[test]

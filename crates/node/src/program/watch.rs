@@ -244,17 +244,28 @@ fn whole_turn(deg: f64) -> f64 {
 /// The whole screen.
 fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
     let peers = state["peers"].as_array().cloned().unwrap_or_default();
-    let trouble = state["trouble"].as_array().cloned().unwrap_or_default();
-    let troubles = trouble.len().min(4) as u16;
-    let rows = [Constraint::Length(6), Constraint::Min(8), Constraint::Length(troubles), Constraint::Length(1)];
+    let trouble = troubles(state);
+    let rows =
+        [Constraint::Length(6), Constraint::Min(8), Constraint::Length(trouble.len() as u16), Constraint::Length(1)];
     let [head, middle, wrong, foot] = Layout::vertical(rows).areas(frame.area());
     frame.render_widget(Paragraph::new(summary(state)).block(Block::bordered().title(title.to_owned())), head);
     let [list, rose] = parts(middle, peers.len());
     frame.render_widget(table(&peers), list);
     compass(frame, rose, state, &peers);
-    let lines: Vec<Line> = trouble.iter().filter_map(Value::as_str).map(|text| Line::from(text.to_owned())).collect();
-    frame.render_widget(Paragraph::new(lines).style(Style::new().fg(Color::Red)), wrong);
+    frame.render_widget(Paragraph::new(trouble).style(Style::new().fg(Color::Red)), wrong);
     frame.render_widget(Paragraph::new("q ends; bearings are in the odometry's frame, +x to the right"), foot);
+}
+
+/// What is wrong, in four lines at most.
+fn troubles(state: &Value) -> Vec<Line<'_>> {
+    const MOST: usize = 4;
+    let all: Vec<&str> = state["trouble"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    let shown = if all.len() > MOST { MOST - 1 } else { all.len() };
+    let mut lines: Vec<Line> = all[..shown].iter().copied().map(Line::from).collect();
+    if shown < all.len() {
+        lines.push(Line::from(format!("and {} more: csi5300 watch --once", all.len() - shown)));
+    }
+    lines
 }
 
 /// The team's graph, if there is one.
@@ -451,6 +462,8 @@ mod tests {
                 assert!(shown.contains(words), "no `{words}` in\n{shown}");
             }
         }
+        let five = screen(&serde_json::json!({ "trouble": ["one", "two", "three", "four", "five"] }), 80, 24);
+        assert!(five.contains("three") && five.contains("and 2 more: ") && !five.contains("four"), "{five}");
         // The circle is as wide as high, in units of half a cell's height.
         let shown = screen(&serde_json::json!({}), 120, 30);
         let drawn = |line: &str| {
