@@ -469,10 +469,10 @@ fn highest_expected_rad(task: &Task<'_>, models: &[Model]) -> f64 {
 
 /// The place of the strongest wave within the limits of [`free`].
 fn strongest(task: &Task<'_>, model: &Model) -> Option<Place> {
-    let (samples, prior) = (task.samples, free(task, model, true));
-    let bins = Bins::for_start(&model.points, samples.wavelength_m());
-    let (means, points) = (bins.samples(samples, &model.points)?, bins.points_m(&model.points));
-    let place = start::anywhere(samples, &model.points, &prior, task.tier)?;
+    let prior = free(task, model, true);
+    let means = Bins::for_start(&model.points, task.samples.wavelength_m()).samples(task.samples, &model.points)?;
+    let points: Vec<Vector3<f64>> = means.displacements_m().collect();
+    let place = start::anywhere(&means, &points, &prior, task.tier)?;
     Some(one_wave::unwrapped(&means, &points, place, &prior, task.scale_sd()))
 }
 

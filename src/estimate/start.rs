@@ -8,7 +8,6 @@ use super::signal::Bins;
 use crate::bartlett::{Estimate, Tier};
 use crate::signal::samples::Samples;
 use nalgebra::Vector3;
-use num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// Places of a grid that are looked at more closely.
@@ -23,7 +22,8 @@ pub(crate) fn beside(
     steps: &Steps,
     tier: Tier,
 ) -> Place {
-    let (field, z) = thinned(samples, points, tier);
+    let bins = Bins::for_start(points, samples.wavelength_m());
+    let field = Field::new(&bins.points_m(points), Vec::new(), samples.wavelength_m(), 0.0, 1, tier);
     let elevation = plane_wave.signed_elevation_rad.unwrap_or(plane_wave.abs_elevation_rad);
     let mut elevations = vec![elevation];
     match prior.is_signed() {
@@ -40,24 +40,23 @@ pub(crate) fn beside(
             places.extend(curves.iter().map(|cell| at(cell.at)));
         }
     }
-    let powers = field.powers(&z, samples.path_gain(), &places, usize::MAX);
+    let powers = field.powers(&bins.phasors(samples.z()), samples.path_gain(), &places, usize::MAX);
     let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
     places[best]
 }
 
 /// The place of the strongest wave, whatever its direction and range. Over a short window a wave front is plane, and a coarse grid
 /// finds it; each time the windows double, the grid about its best places halves its steps, until the wave is coherent over the whole
-/// motion.
-pub(crate) fn anywhere(samples: &Samples, points: &[Vector3<f64>], prior: &Prior, tier: Tier) -> Option<Place> {
-    let (field, z) = thinned(samples, points, tier);
-    let turn_m = samples.wavelength_m() / f64::from(samples.path_gain());
-    let mut grid = Grid::new(points, WIDEST * points.len() / z.len().max(1), turn_m, prior);
+/// motion. `means` are those of [`Bins::for_start`], `points` their places.
+pub(crate) fn anywhere(means: &Samples, points: &[Vector3<f64>], prior: &Prior, tier: Tier) -> Option<Place> {
+    let field = Field::new(points, Vec::new(), means.wavelength_m(), 0.0, 1, tier);
+    let mut grid = Grid::new(points, means.wavelength_m() / f64::from(means.path_gain()), prior);
     let mut nodes = grid.all();
-    let all = z.len().div_ceil(WIDEST);
+    let all = points.len().div_ceil(WIDEST);
     let mut blocks = 1;
     loop {
         let places: Vec<Place> = nodes.iter().map(|node| grid.place(node)).collect();
-        let powers = field.powers(&z, samples.path_gain(), &places, blocks);
+        let powers = field.powers(means.z(), means.path_gain(), &places, blocks);
         let best = best(&nodes, &powers);
         if blocks >= 2 * all {
             return best.first().map(|node| grid.place(node));
@@ -65,13 +64,6 @@ pub(crate) fn anywhere(samples: &Samples, points: &[Vector3<f64>], prior: &Prior
         blocks *= 2;
         nodes = grid.closer(&best);
     }
-}
-
-/// Means along the motion, which are enough to find where to begin, and their phasors.
-fn thinned(samples: &Samples, points: &[Vector3<f64>], tier: Tier) -> (Field, Vec<Complex64>) {
-    let bins = Bins::for_start(points, samples.wavelength_m());
-    let field = Field::new(&bins.points_m(points), Vec::new(), samples.wavelength_m(), 0.0, 1, tier);
-    (field, bins.phasors(samples.z()))
 }
 
 /// Places at equal steps of azimuth, elevation (of its cosine, where its sign does not show) and the angle at which a place
@@ -85,9 +77,9 @@ struct Grid<'a> {
 type Node = [i32; 3];
 
 impl<'a> Grid<'a> {
-    /// `window` is the length of the first windows, samples.
-    fn new(points: &[Vector3<f64>], window: usize, turn_m: f64, prior: &'a Prior) -> Self {
-        let window_m = points.chunks(window.max(1)).map(radius_m).fold(turn_m, f64::max);
+    /// For windows of [`WIDEST`] points; a way longer by `turn_m`, metres, is a turn of phase.
+    fn new(points: &[Vector3<f64>], turn_m: f64, prior: &'a Prior) -> Self {
+        let window_m = points.chunks(WIDEST).map(radius_m).fold(turn_m, f64::max);
         let count = |span: f64, step: f64| (span / step).ceil().clamp(0.0, 1e6) as i32;
         let grid = Self { prior, radius_m: radius_m(points).max(window_m), counts: [0; 3] };
         let [from, to] = grid.elevations();
