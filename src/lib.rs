@@ -175,12 +175,6 @@ pub mod internal {
     pub use crate::exchange::tdma::roster::before_first_number;
     pub use crate::motion::pose::{Roller, heading_of};
     pub use crate::pipeline::intake::{FrameHeard, Front};
-    /// The filter over a peer's place.
-    pub mod track {
-        pub use crate::place::{
-            Evidence, EvidenceMode, PeerPlace, PeerPlaces, PeerTrack, TrackAnswer, TrackError, TrackSettings, places,
-        };
-    }
     pub use crate::signal::cfo::drift_line;
     pub use crate::source::key_file::{create_key_file, group_text, robot_text};
     pub use crate::source::survey::{LOSSES_KEPT, PAUSE_US, SENDERS_KEPT};

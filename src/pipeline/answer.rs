@@ -13,7 +13,8 @@ use crate::bartlett::Geometry;
 use crate::estimate::{NoRangeChange, OdometryFit, RangeChange, Sufficient};
 use crate::exchange::pairing::{LinkSide, SideCounts};
 use crate::motion::pose::Trajectory;
-use crate::place::{PeerTrack, TrackAnswer, TrackSettings};
+pub use crate::place::{CarriedAnswer, CarriedCandidate};
+use crate::place::{Evidence, PeerTrack};
 use driver_iface::Mac;
 use serde::Serialize;
 
@@ -355,57 +356,6 @@ pub fn lost_something(report: &CaptureReport) -> bool {
         || report.links.iter().any(|link| !matches!(&link.bearing, Ok(bearing) if !bearing.pairs.may_be_exchanged()))
 }
 
-/// The combined evidence of all stretches of motion about a peer, in degrees: a part of a JSON line.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct CarriedAnswer {
-    /// Bearing to the peer from the middle of the last stretch, in the trajectory's frame, from +x towards +y, (-180, 180].
-    pub azimuth_deg: f64,
-    /// Half of the width about the azimuth that holds 0.68 of the evidence. It is not calibrated, so it is no error
-    /// bar.
-    pub spread_deg: f64,
-    /// The directions in which the peer may be, the likeliest first.
-    pub candidates: Vec<CarriedCandidate>,
-    /// Where the peer is in the trajectory's frame, metres, where its range is known well enough. If the peer moves
-    /// too, less its displacement since its odometry began.
-    pub place_m: Option<[f64; 2]>,
-    /// Its covariance, metres squared, row by row.
-    pub place_covariance_m2: Option<[[f64; 2]; 2]>,
-    /// Stretches of motion that it is made of.
-    pub stretches: u32,
-}
-
-/// One direction of a [`CarriedAnswer`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct CarriedCandidate {
-    /// Bearing, degrees.
-    pub azimuth_deg: f64,
-    /// Probability of being within five degrees of it, 0..1: right on average over places (docs/method/accuracy.md),
-    /// too low in line of sight and too high behind walls.
-    pub share: f64,
-}
-
-impl CarriedAnswer {
-    /// The same in degrees.
-    #[must_use]
-    pub(crate) fn new(answer: &TrackAnswer) -> Self {
-        let candidate = |mode: &crate::place::TrackMode| CarriedCandidate {
-            azimuth_deg: mode.azimuth_rad.to_degrees(),
-            share: mode.share,
-        };
-        let (place_m, covariance_m2) = answer.place_m.unzip();
-        Self {
-            azimuth_deg: answer.azimuth_rad.to_degrees(),
-            spread_deg: answer.azimuth_sd_rad.to_degrees(),
-            candidates: answer.modes.iter().map(candidate).collect(),
-            place_m: place_m.map(Into::into),
-            place_covariance_m2: covariance_m2.map(Into::into),
-            stretches: answer.stretches,
-        }
-    }
-}
-
 /// One stretch of a capture's motion, of one link.
 #[derive(Clone, Debug, Serialize)]
 #[non_exhaustive]
@@ -432,8 +382,7 @@ impl CaptureReport {
         every_s: f64,
         options: &Options,
     ) -> Vec<Vec<StretchAnswer>> {
-        let settings = TrackSettings::new(options.heading_sd_of(trajectory));
-        let mut tracks = vec![(PeerTrack::new(settings), None); self.links.len()];
+        let mut tracks = vec![(PeerTrack::new(options.heading_sd_of(trajectory)), None); self.links.len()];
         let mut answers: Vec<Vec<StretchAnswer>> = vec![Vec::new(); self.links.len()];
         for stretch in stretches(trajectory, every_s) {
             let (from_s, to_s) = stretch.span_s();
@@ -466,8 +415,7 @@ fn carry(
     let evidence = made.as_ref().ok()?.evidence();
     let driven_m = last_s.map_or(0.0, |last_s| way_m(trajectory, last_s, evidence.t_s));
     *last_s = Some(evidence.t_s);
-    track.update(&evidence.with_driven_m(driven_m)).ok()?;
-    track.last_answer().as_ref().map(CarriedAnswer::new)
+    track.update(&Evidence { driven_m, ..evidence })
 }
 
 /// Way driven between two times, metres.

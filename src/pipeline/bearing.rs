@@ -391,7 +391,14 @@ impl Bearing {
         let sum = samples.displacements_m().fold(Vector3::zeros(), |sum, p| sum + p);
         let middle_m = sum / samples.len().max(1) as f64;
         let t_s = samples.t_s().last().copied().unwrap_or_default();
-        Evidence::new(t_s, Vector2::new(middle_m.x, middle_m.y), modes(&self.answer), 1.0 - tuning::UNEXPLAINED)
+        Evidence {
+            t_s,
+            position_m: Vector2::new(middle_m.x, middle_m.y),
+            driven_m: 0.0,
+            modes: modes(&self.answer),
+            known: 1.0 - tuning::UNEXPLAINED,
+            fresh: 1.0,
+        }
     }
 }
 
@@ -402,7 +409,8 @@ fn modes(answer: &BearingAnswer) -> Vec<EvidenceMode> {
         answer.azimuth_bound_rad.hypot(tuning::MODEL_DEG.to_radians()).min(most_rad.max(answer.azimuth_bound_rad));
     let range_m = answer.range.map(|range| (range.range_m * answer.abs_elevation_rad.cos(), range.sd_m));
     let mode = |(k, candidate): (usize, &Candidate)| {
-        EvidenceMode::new(candidate.azimuth_rad, sd_rad, candidate.share).with_range_m(range_m.filter(|_| k == 0))
+        let range_m = range_m.filter(|_| k == 0);
+        EvidenceMode { azimuth_rad: candidate.azimuth_rad, sd_rad, share: candidate.share, range_m }
     };
     answer.candidates.iter().enumerate().map(mode).collect()
 }

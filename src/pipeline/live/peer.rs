@@ -9,7 +9,7 @@ use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::{
     Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, OneLog, Options, estimate_one,
 };
-use crate::place::{PeerTrack, TrackCounts};
+use crate::place::{Evidence, PeerTrack, TrackCounts};
 use crate::source::Next;
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
@@ -386,7 +386,7 @@ impl PeerLink {
             report.answer.cause = answer.cause;
             return report;
         }
-        self.carried.set_heading_sd(options.heading_sd_of(&receiver));
+        self.carried.heading_sd_rad = options.heading_sd_of(&receiver);
         answer.carried = self.carry(found.path_m, accurate || !context.wants_whole());
         // What rounds to zero has no sign.
         let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
@@ -412,12 +412,13 @@ impl PeerLink {
         let times_s = bearing.samples.t_s();
         let carried_to_s = self.carried_to_s.unwrap_or(f64::NEG_INFINITY);
         let fresh = times_s.iter().filter(|t_s| **t_s > carried_to_s).count() as f64 / times_s.len().max(1) as f64;
-        let evidence = bearing.evidence().with_driven_m(driven_m).with_fresh(fresh);
-        let answer = self.carried.answer_with(&evidence).ok()?;
-        if fresh >= 1.0 && whole && self.carried.update(&evidence).is_ok() {
-            self.carried_to_s = times_s.last().copied();
+        let evidence = Evidence { driven_m, fresh, ..bearing.evidence() };
+        if fresh < 1.0 || !whole {
+            return self.carried.answer_with(&evidence);
         }
-        Some(CarriedAnswer::new(&answer))
+        let answer = self.carried.update(&evidence)?;
+        self.carried_to_s = times_s.last().copied();
+        Some(answer)
     }
 
     /// A report without a new bearing: the last one, if there is one, is repeated with its age.

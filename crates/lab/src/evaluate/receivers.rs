@@ -19,7 +19,7 @@ use std::collections::{BTreeMap, BTreeSet};
 const RANGE_OUTLIERS: f64 = 0.1;
 
 /// Deviation of the transmitters' known places, metres.
-const PLACE_SD_M: f64 = 0.01;
+pub(super) const PLACE_SD_M: f64 = 0.01;
 
 /// Least deviation of a heading after one metre, radians (motion capture: 0.2 degrees), and relative error of lengths.
 const TURN_RAD_PER_RT_M: f64 = 0.003_5;
@@ -36,6 +36,16 @@ pub struct Ranged {
     pub from_m: [f64; 2],
     /// The range and its standard deviation, metres.
     pub range_m: [f64; 2],
+}
+
+/// Noise of an odometry whose heading deviates by this, radians.
+pub(super) fn noise(heading_sd_rad: f64) -> OdometryNoise {
+    OdometryNoise {
+        turn_rad_per_rt_m: heading_sd_rad.max(TURN_RAD_PER_RT_M),
+        slip: SLIP,
+        bias_sd_rad_per_m: TURN_RAD_PER_RT_M,
+        scale_sd: SLIP,
+    }
 }
 
 impl Capture {
@@ -304,12 +314,7 @@ impl Joint {
     ) -> Result<(), TeamError> {
         let Links { name: capture, rows, ranges } = links;
         let heading_sd_rad = rows.iter().find_map(|row| row.heading_sd_rad).unwrap_or_default();
-        let noise = OdometryNoise {
-            turn_rad_per_rt_m: heading_sd_rad.max(TURN_RAD_PER_RT_M),
-            slip: SLIP,
-            bias_sd_rad_per_m: TURN_RAD_PER_RT_M,
-            scale_sd: SLIP,
-        };
+        let noise = noise(heading_sd_rad);
         let team = &mut self.team;
         let own = team.robot(if capture.is_empty() { "rx" } else { capture }, true, noise)?;
         let origin_m = rows.iter().find_map(|row| row.answer.origin_m).unwrap_or_default();
@@ -390,7 +395,7 @@ impl Joint {
 }
 
 /// Position of a keyframe, its covariance, and other positions that fit nearly as well.
-fn place(found: &Solution, keyframe: KeyframeId) -> ([f64; 2], [[f64; 2]; 2], Vec<[f64; 2]>) {
+pub(super) fn place(found: &Solution, keyframe: KeyframeId) -> ([f64; 2], [[f64; 2]; 2], Vec<[f64; 2]>) {
     let xy = |[x, y, _]: [f64; 3]| [x, y];
     let covariance_m2 = found.covariance(keyframe).fixed_view::<2, 2>(0, 0).into_owned();
     let others = found.others.iter().map(|other| xy(other.poses[keyframe.index()])).collect();

@@ -1,16 +1,23 @@
-//! Locates transmitters, each from all receiver motions in one common frame.
+//! Locates transmitters, each from all receiver motions in one common frame, by a graph of `csi5300-team`.
+//!
+//! A motion is a robot with one keyframe at its middle. The pose of this keyframe is known, up to the deviation of the
+//! trajectory's heading. A link is a mixture of the bearing's candidates, as in [`super::receivers`].
 
-use super::captures::{Capture, TrajectorySource};
-use super::judge::{Judged, Part};
-use csi5300::internal::track::{Evidence, PeerPlace, places};
-use csi5300::pipeline::{Bearing, Options};
-use csi5300::signal::channel::Channel;
+use super::captures::TrajectorySource;
+use super::judge::Judged;
+use super::receivers::{PLACE_SD_M, noise, place};
+use csi5300_team::answers::{LINK_OUTLIERS, ways};
+use csi5300_team::{KeyframeId, Mode, Solution, Team, TeamError};
 use nalgebra::{Matrix2, Rotation2, Vector2};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Squared distance, in standard deviations, that holds 68 % of a plane normal distribution.
 const ELLIPSE: f64 = 2.278_868_566_376_729_5;
+
+/// Standard deviation of a transmitter's place from the motions' middle before anything was heard, metres: the farthest range
+/// that the estimate's prior expects. Nearly parallel bearings cross within it.
+const FAR_M: f64 = 36.0;
 
 /// Position of a capture's trajectory frame in the common frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -21,30 +28,11 @@ pub struct Frame {
     pub yaw_rad: f64,
 }
 
-/// The evidence of one receiver motion about a transmitter, in the common frame.
-#[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct Motion {
-    /// Name of the transmitter: `tx2`.
-    pub transmitter: String,
-    /// The directions from the middle of the motion.
-    pub evidence: Evidence,
-    /// Place of the transmitter, metres, if the capture has a truth in its trajectory's frame.
-    pub true_m: Option<[f64; 2]>,
-}
-
-/// The motions of a capture.
-#[derive(Clone, Debug, Default)]
-#[non_exhaustive]
-pub struct Motions {
-    /// One for each transmitter and stretch that has a bearing.
-    pub motions: Vec<Motion>,
-    /// Links without a bearing, and why.
-    pub failed: Vec<(String, String)>,
-    /// Losses, one line each.
-    pub notes: Vec<String>,
-    /// True if records were lost, or a link failed over a whole motion.
-    pub lost: bool,
+impl Frame {
+    /// A position of the trajectory's frame in the common one, metres.
+    fn common(&self, place_m: [f64; 2]) -> Vector2<f64> {
+        Vector2::from(self.origin_m) + Rotation2::new(self.yaw_rad) * Vector2::from(place_m)
+    }
 }
 
 /// A place where a transmitter may be.
@@ -58,15 +46,13 @@ pub struct OtherPlace {
 }
 
 /// A transmitter, located from all motions together.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct LocatedTransmitter {
     /// Its name.
     pub transmitter: String,
     /// Motions used.
     pub motions: usize,
-    /// Motions with unusable evidence.
-    pub refused: usize,
     /// The likeliest place, metres in the common frame.
     pub position_m: Option<[f64; 2]>,
     /// Its covariance, metres squared, row by row.
@@ -89,96 +75,80 @@ pub struct LocatedTransmitter {
     pub within: Option<bool>,
 }
 
-impl Capture {
-    /// This capture's evidence about each of its transmitters over `stretches` equally long stretches of its motion, in the common
-    /// frame, where its trajectory's frame lies at `frame`. Truths are in motion capture's frame only.
-    #[must_use]
-    pub fn motions(
-        &self,
-        source: TrajectorySource,
-        channel: Option<Channel>,
-        options: &Options,
-        stretches: u32,
-        frame: Frame,
-    ) -> Motions {
-        let heading_sd_rad = options.heading_sd_rad.unwrap_or(self.heading_sd_rad(source));
-        let mut found = Motions::default();
-        for part in Part::each(stretches.max(1)) {
-            let mut seen: BTreeMap<String, Evidence> = BTreeMap::new();
-            let mut look = |name: &str, bearing: &Bearing, _: &Options| {
-                let evidence = bearing.evidence().with_heading_sd_rad(heading_sd_rad);
-                seen.insert(name.to_owned(), evidence.in_frame(frame.origin_m.into(), frame.yaw_rad));
-            };
-            let evaluated = self.evaluate_part(source, channel, options, part, &mut look);
-            if part.index == 0 {
-                found.notes = evaluated.notes;
-            }
-            found.lost |= evaluated.lost && stretches <= 1;
-            for row in evaluated.rows {
-                match seen.remove(&row.answer.link) {
-                    Some(evidence) => found.motions.push(motion(&row, evidence, source, frame)),
-                    None => found.failed.push((row.answer.link, row.answer.error.unwrap_or_default())),
-                }
-            }
-        }
-        found
-    }
-}
-
-fn motion(row: &Judged, evidence: Evidence, source: TrajectorySource, frame: Frame) -> Motion {
-    let common = |place_m: [f64; 2]| {
-        let place_m = Vector2::from(frame.origin_m) + Rotation2::new(frame.yaw_rad) * Vector2::from(place_m);
-        place_m.into()
-    };
-    let true_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth).map(common);
-    Motion { transmitter: row.transmitter().to_owned(), evidence, true_m }
-}
-
-/// Locates every transmitter from all motions that heard it; `told` has the places that the caller knows, by name.
+/// Locates every transmitter from all links with a bearing to it, each with the frame of its trajectory by `source`. Truths of
+/// captures are in motion capture's frame only; `told` has the places that the caller knows, by name.
 #[must_use]
-pub fn located(motions: &[Motion], told: &BTreeMap<String, [f64; 2]>) -> Vec<LocatedTransmitter> {
-    let mut transmitters: BTreeMap<&str, Vec<&Motion>> = BTreeMap::new();
-    for motion in motions {
-        transmitters.entry(&motion.transmitter).or_default().push(motion);
+pub fn located(
+    links: &[(Judged, Frame)],
+    source: TrajectorySource,
+    told: &BTreeMap<String, [f64; 2]>,
+) -> Vec<LocatedTransmitter> {
+    let mut transmitters: BTreeMap<&str, Vec<&(Judged, Frame)>> = BTreeMap::new();
+    for link in links.iter().filter(|(row, _)| row.answer.azimuth_deg.is_some()) {
+        transmitters.entry(link.0.transmitter()).or_default().push(link);
     }
-    let one = |(name, own): (&str, Vec<&Motion>)| {
-        let true_m = told.get(name).copied().or_else(|| own.iter().find_map(|motion| motion.true_m));
-        locate(name, &own, true_m)
+    let is_common = source == TrajectorySource::GroundTruth;
+    let one = |(name, own): (&str, Vec<&(Judged, Frame)>)| {
+        let truth = |(row, frame): &&(Judged, Frame)| Some(frame.common(row.true_transmitter_m?).into());
+        let truth = told.get(name).copied().or_else(|| own.iter().find_map(truth).filter(|_| is_common));
+        locate(name, &own, truth)
     };
     transmitters.into_iter().map(one).collect()
 }
 
-fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) -> LocatedTransmitter {
-    let evidence: Vec<Evidence> = motions.iter().map(|motion| motion.evidence.clone()).collect();
-    let (found, error, motions, refused) = match places(&evidence) {
-        Ok(found) => (found.places, None, found.used, found.refused),
-        Err(error) => (Vec::new(), Some(error.to_string()), 0, evidence.len()),
-    };
-    let best = found.first();
-    let axes = best.map(|place| axes(&place.covariance_m2));
-    let off_m = best.zip(true_position_m).map(|(place, truth)| place.position_m - Vector2::from(truth));
-    LocatedTransmitter {
+fn locate(name: &str, links: &[&(Judged, Frame)], true_position_m: Option<[f64; 2]>) -> LocatedTransmitter {
+    let located = LocatedTransmitter {
         transmitter: name.to_owned(),
-        motions,
-        refused,
-        position_m: best.map(|place| place.position_m.into()),
-        covariance_m2: best.map(|place| place.covariance_m2.into()),
-        ellipse_m: axes.map(|(half_m, _)| half_m),
-        ellipse_deg: axes.map(|(_, deg)| deg),
-        share: best.map(|place| place.share),
-        others: found.iter().skip(1).map(other).collect(),
-        error,
+        motions: links.len(),
         true_position_m,
+        ..LocatedTransmitter::default()
+    };
+    let (found, keyframe) = match solve(links) {
+        Ok(solved) => solved,
+        Err(error) => return LocatedTransmitter { error: Some(error.to_string()), ..located },
+    };
+    let (position_m, covariance_m2, others_m) = place(&found, keyframe);
+    let likelihoods: Vec<f64> = found.others.iter().map(|other| (-other.cost_over).exp()).collect();
+    let share = 1.0 / (1.0 + likelihoods.iter().sum::<f64>());
+    let other = |(position_m, likelihood)| OtherPlace { position_m, share: share * likelihood };
+    let (half_m, deg) = axes(&covariance_m2.into());
+    let off_m = true_position_m.map(|truth| Vector2::from(position_m) - Vector2::from(truth));
+    let inverse = Matrix2::from(covariance_m2).try_inverse();
+    LocatedTransmitter {
+        position_m: Some(position_m),
+        covariance_m2: Some(covariance_m2),
+        ellipse_m: Some(half_m),
+        ellipse_deg: Some(deg),
+        share: Some(share),
+        others: others_m.into_iter().zip(likelihoods).map(other).collect(),
         off_m: off_m.map(|off_m| off_m.norm()),
-        within: best.zip(off_m).and_then(|(place, off_m)| {
-            let inverse = place.covariance_m2.try_inverse()?;
-            Some(off_m.dot(&(inverse * off_m)) <= ELLIPSE)
-        }),
+        within: off_m.zip(inverse).map(|(off_m, inverse)| off_m.dot(&(inverse * off_m)) <= ELLIPSE),
+        ..located
     }
 }
 
-fn other(place: &PeerPlace) -> OtherPlace {
-    OtherPlace { position_m: place.position_m.into(), share: place.share }
+/// The graph's solution, and the transmitter's keyframe.
+fn solve(links: &[&(Judged, Frame)]) -> Result<(Solution, KeyframeId), TeamError> {
+    let mut team = Team::default();
+    let transmitter = team.robot("transmitter", false, noise(0.0))?;
+    let transmitter = team.keyframe(transmitter, 0.0, [0.0; 3], 0.0)?;
+    let mut sum_m = Vector2::zeros();
+    for (k, (row, frame)) in links.iter().enumerate() {
+        let heading_sd_rad = row.heading_sd_rad.unwrap_or_default();
+        let [x, y, _] = row.answer.origin_m.unwrap_or_default();
+        let at_m = frame.common([x, y]);
+        sum_m += at_m;
+        let motion = team.robot(&format!("motion {k}"), true, noise(heading_sd_rad))?;
+        let middle = team.keyframe(motion, 0.0, [x, y, 0.0], 0.0)?;
+        let pose = [at_m.x, at_m.y, frame.yaw_rad];
+        team.prior(middle, pose, [PLACE_SD_M, PLACE_SD_M, heading_sd_rad.max(1e-4)])?;
+        let ways = ways(&row.answer, heading_sd_rad.to_degrees());
+        let modes: Vec<Mode> = ways.into_iter().map(|way| way.mode).collect();
+        team.link(middle, transmitter, &modes, LINK_OUTLIERS)?;
+    }
+    let [x, y]: [f64; 2] = (sum_m / links.len().max(1) as f64).into();
+    team.prior(transmitter, [x, y, 0.0], [FAR_M, FAR_M, f64::INFINITY])?;
+    Ok((team.solve()?, transmitter))
 }
 
 /// Half axes of the ellipse, metres, and the direction of the longer one, degrees.
@@ -201,15 +171,26 @@ fn axes(covariance_m2: &Matrix2<f64>) -> ([f64; 2], f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use csi5300::internal::track::EvidenceMode;
+    use crate::evaluate::judge::row;
 
     const AT: [f64; 2] = [3.0, 1.0];
 
-    fn seen(from: [f64; 2]) -> Motion {
+    /// A link from a motion about `from` in the common frame, by a trajectory in `frame`.
+    fn link(from: [f64; 2], frame: Frame, off_deg: f64) -> (Judged, Frame) {
+        let own = Rotation2::new(-frame.yaw_rad) * (Vector2::from(from) - Vector2::from(frame.origin_m));
         let to = Vector2::from(AT) - Vector2::from(from);
-        let modes = vec![EvidenceMode::new(to.y.atan2(to.x), 0.02, 1.0)];
-        let evidence = Evidence::new(0.0, from.into(), modes, 0.9);
-        Motion { transmitter: "tx2".into(), evidence, true_m: None }
+        let azimuth_deg = (to.y.atan2(to.x) - frame.yaw_rad).to_degrees() + off_deg;
+        let mut row = row("a/tx2", azimuth_deg, off_deg, 0.9);
+        row.answer.origin_m = Some([own.x, own.y, 0.0]);
+        row.heading_sd_rad = Some(0.005);
+        (row, frame)
+    }
+
+    fn one(links: &[(Judged, Frame)]) -> LocatedTransmitter {
+        let told = BTreeMap::from([("tx2".to_owned(), AT)]);
+        let mut found = located(links, TrajectorySource::Odometry, &told);
+        assert_eq!(found.len(), 1);
+        found.remove(0)
     }
 
     #[test]
@@ -223,12 +204,29 @@ mod tests {
     }
 
     #[test]
-    fn unusable_evidence_is_counted() {
-        let mut broken = seen([0.0, 0.0]);
-        broken.evidence.modes.clear();
-        let [found] = &located(&[broken.clone(), seen([0.0, 0.0])], &BTreeMap::new())[..] else { panic!() };
-        assert_eq!((found.motions, found.refused, found.error.is_none()), (1, 1, true));
-        let [found] = &located(&[broken], &BTreeMap::new())[..] else { panic!() };
-        assert!(found.error.as_ref().is_some_and(|error| error.contains("usable")), "{found:?}");
+    fn bearings_of_any_frames_cross_at_the_transmitter() {
+        let turned = Frame { origin_m: [-3.0, 7.0], yaw_rad: 2.5 };
+        let links = [
+            link([0.0, 0.0], Frame::default(), 1.0),
+            link([1.0, 3.0], turned, -1.0),
+            link([-1.0, 2.0], Frame::default(), 0.0),
+        ];
+        let found = one(&links);
+        assert!(found.off_m.is_some_and(|off_m| off_m < 0.2) && found.within == Some(true), "{found:?}");
+        assert!(found.motions == 3 && found.share == Some(1.0) && found.others.is_empty(), "{found:?}");
+    }
+
+    #[test]
+    fn parallel_bearings_leave_the_range_open() {
+        let found = one(&[link([0.0, 1.0], Frame::default(), 0.0), link([0.5, 1.0], Frame::default(), 0.0)]);
+        let [longer, shorter] = found.ellipse_m.unwrap();
+        assert!(longer > 10.0 && shorter < 5.0 && found.ellipse_deg.is_some_and(|deg| deg.abs() < 10.0), "{found:?}");
+    }
+
+    #[test]
+    fn links_without_a_bearing_locate_nothing() {
+        let mut none = link([0.0, 0.0], Frame::default(), 0.0);
+        none.0.answer.azimuth_deg = None;
+        assert_eq!(located(&[none], TrajectorySource::Odometry, &BTreeMap::new()), []);
     }
 }

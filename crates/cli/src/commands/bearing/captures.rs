@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use csi5300::maths::median;
 use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, LinkPlan, Options};
 use csi5300_lab::evaluate::receivers::{Located, Ranged, Receiver, Shared, UNKNOWN_PROBABILITY, receivers_with};
-use csi5300_lab::evaluate::transmitters::{Frame, LocatedTransmitter, Motion, located};
+use csi5300_lab::evaluate::transmitters::{Frame, LocatedTransmitter, located};
 use csi5300_lab::evaluate::{Capture, Judged};
 use csi5300_team::factors;
 use csi5300_team::ranges::{Range, read};
@@ -612,18 +612,18 @@ fn locate_transmitters(
 ) -> Result {
     let options = reading.options()?;
     together.must_be_of(&captures);
-    let (mut motions, mut failed): (Vec<Motion>, Vec<(String, String)>) = (Vec::new(), Vec::new());
+    let (mut links, mut failed): (Vec<(Judged, Frame)>, Vec<(String, String)>) = (Vec::new(), Vec::new());
     for capture in &captures {
-        let frame = together.frame(capture);
-        let found = capture.motions(reading.source(), reading.channel, &options, 1, frame);
-        lost |= found.lost;
-        found.notes.iter().for_each(|line| note!("{line}"));
-        let is_named = |own: &Motion| names.contains(&capture.link_name(&own.transmitter));
-        motions.extend(found.motions.into_iter().filter(is_named));
-        failed.extend(found.failed.into_iter().filter(|(link, _)| names.contains(link)));
+        let evaluated = capture.evaluate(reading.source(), reading.channel, &options);
+        lost |= evaluated.lost;
+        evaluated.notes.iter().for_each(|line| note!("{line}"));
+        for row in evaluated.rows.into_iter().filter(|row| names.contains(&row.answer.link)) {
+            failed.extend(row.answer.error.clone().map(|error| (row.answer.link.clone(), error)));
+            links.push((row, together.frame(capture)));
+        }
     }
     let told: BTreeMap<String, [f64; 2]> = told.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
-    let found = located(&motions, &told);
+    let found = located(&links, reading.source(), &told);
     if json {
         found.iter().for_each(print_json);
     } else {
@@ -647,9 +647,6 @@ fn transmitters_table(found: &[LocatedTransmitter]) -> String {
             let _ = write!(text, "; 68 % within {longer:.2} by {shorter:.2} m towards {} degrees", fixed(deg, 0));
         }
         let _ = write!(text, "; share {share:.2}, from {}", some(one.motions as u64, "motion", "motions"));
-        if one.refused > 0 {
-            let _ = write!(text, ", {} unusable", one.refused);
-        }
         if let Some(off) = one.off_m {
             let _ = write!(text, "; {off:.2} m from the truth");
         }
