@@ -26,6 +26,9 @@ const JUDGES: [[usize; 2]; 3] = [[5, 2000], [15, 400], [45, 400]];
 /// Factor on all deviations, because a tried yaw may be half a step off.
 const TEMPER: f64 = 3.0;
 
+/// A prior of this deviation or more says less about a place than links do, metres.
+const VAGUE_M: f64 = 10.0;
+
 /// Origin of a robot's odometry in the team's frame: x, y, yaw.
 type Frame = [f64; 3];
 
@@ -73,7 +76,8 @@ fn known_frame(team: &Team, before: Option<&State>, robot: usize) -> Option<Fram
     let by_prior = || {
         let fixes = |prior: &&Prior| {
             let [x, y, yaw] = prior.sd;
-            own(&prior.keyframe) && x.is_some() && y.is_some() && (yaw.is_some() || !team.robots[robot].has_heading)
+            let is_placed = [x, y].into_iter().all(|sd| sd.is_some_and(|sd| sd < VAGUE_M));
+            own(&prior.keyframe) && is_placed && (yaw.is_some() || !team.robots[robot].has_heading)
         };
         team.priors.iter().find(fixes).map(|prior| (prior.keyframe, prior.pose))
     };
