@@ -312,19 +312,20 @@ pub(crate) fn estimate(
     let means = bins.means(samples, &points);
     let mut searcher = Searcher::new(task.tier);
     let plane_wave = plane_wave(task, &mut searcher, &models, means.as_ref())?;
-    let start = (&plane_wave, None);
     let few = means.as_ref().map(|means| (means, &bins));
-    let reason = match early(task, &models, few, start, middle_m) {
+    let mut reason = match early(task, &models, few, (&plane_wave, None), middle_m) {
         Ok(found) => return Ok(found),
         Err(reason) => reason,
     };
     // Near or steep, a wave does not show as a plane one at expected elevations.
     let hidden = reason != Reason::Asked && plane_wave.coherence.powi(2) < LARGE_SHARE;
     let strongest = models.last().filter(|_| hidden).and_then(|model| strongest(task, model));
-    if strongest.is_some()
-        && let Ok(found) = early(task, &models, few, (&plane_wave, strongest), middle_m)
-    {
-        return Ok(found);
+    if strongest.is_some() {
+        match early(task, &models, few, (&plane_wave, strongest), middle_m) {
+            Ok(found) => return Ok(found),
+            Err(Reason::Unexplained(Unexplained::Faint(_))) => {}
+            Err(of_strongest) => reason = of_strongest,
+        }
     }
     let (slope_sd_rad, apertures) = channels(task, &bins, rows(), used);
     let fine = !matches!(task.effort, Effort::Within(asked) if asked >= COARSE_RAD);
