@@ -448,10 +448,7 @@ fn by_clock<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) ->
         }
     }
     let refused = machine.finish().err();
-    let frames = [LinkSide::Receiver, LinkSide::Transmitter].map(|side| {
-        let counts = machine.counts(side);
-        counts.handed - counts.twice
-    });
+    let frames = machine.records();
     let pairs = std::iter::from_fn(|| machine.poll_pair()).map(|pair| (pair.receiver, pair.transmitter)).collect();
     Partners { pairs, frames, refused }
 }
