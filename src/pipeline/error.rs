@@ -2,6 +2,7 @@
 
 use crate::bartlett;
 use crate::exchange::assign::Unmatched;
+use crate::signal::samples::SamplesError;
 
 /// Why a link gives no bearing.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -159,6 +160,9 @@ pub enum LinkError {
     /// The transmitter's log could not be matched.
     #[error(transparent)]
     Unmatched(#[from] Unmatched),
+    /// A sample is impossible.
+    #[error(transparent)]
+    Samples(#[from] SamplesError),
     /// The estimator refused.
     #[error(transparent)]
     Bartlett(#[from] bartlett::Error),

@@ -340,11 +340,8 @@ pub(super) fn append(log: &mut Vec<u8>, record: &Record<'_>, is_framed: bool) ->
         log.extend_from_slice(record.body);
         return Ok(());
     }
-    let from = log.len();
-    log.resize(from + record.emit_len(), 0);
-    let place = log.get_mut(from..).unwrap_or_default();
-    let written = record.emit(place).map_err(|error| refused(format!("cannot frame a simulated record: {error}")));
-    written.map(|_| ())
+    let is_written = csi5300::source::append(*record, log);
+    is_written.then_some(()).ok_or_else(|| refused("a simulated record is longer than any"))
 }
 
 /// Why a room could not be built or used.

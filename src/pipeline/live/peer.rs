@@ -4,7 +4,7 @@ use super::track::{Track, Window, aligned, window};
 use super::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
-use crate::exchange::pairing::by_clock::{self, CardClock};
+use crate::exchange::pairing::by_clock;
 use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::{
     Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, OneLog, Options, estimate_one,
@@ -175,8 +175,7 @@ impl PeerLink {
         }
         if matches!(self.by_clock, ByClock::None) {
             // Other cards' records come with the clock of a 5300.
-            let clock = CardClock::INTEL_5300;
-            self.by_clock = ByClock::Running(Box::new(by_clock::Live::new(clock, clock)));
+            self.by_clock = ByClock::Running(Box::new(by_clock::Live::new()));
         }
         let ByClock::Running(by_clock) = &mut self.by_clock else { return false };
         let restarts = by_clock.restarts();

@@ -3,7 +3,7 @@
 
 use super::{LEAST, SENDING, TRUTH, TWO_CARDS, Told};
 use crate::evidence::{
-    After, Done, Evidence, Heard, HeardRecord, Interface, Pairs, Sending, Sent, column, usual_sender,
+    After, Done, Evidence, Heard, HeardRecord, Interface, Pairs, Sending, Sent, antennas, column, usual_sender,
 };
 use crate::stats::{SURE, quantile};
 use csi5300::exchange::tdma::Phy;
@@ -11,7 +11,7 @@ use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Options, Transmitter};
 use csi5300::source::replay::Replay;
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Antennas, rate};
+use driver_iface::bfee::{Antenna, rate};
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::FCS_LEN;
 use num_complex::{Complex32, Complex64};
@@ -401,9 +401,7 @@ impl Constant {
 
 /// The coefficients of a named antenna.
 fn antenna(record: &HeardRecord, antenna: Antenna) -> Option<[Complex32; csi5300::signal::channel::SUBCARRIERS]> {
-    let head = &record.head;
-    let antennas = Antennas::new(head.antenna_sel, head.n_rx, head.rssi).ok()?;
-    antennas.chain_of(antenna).map(|chain| column(record, chain))
+    antennas(record)?.chain_of(antenna).map(|chain| column(record, chain))
 }
 
 /// Phases that are constant at rest: each antenna's against antenna A's, and the compensated round trip's.

@@ -503,9 +503,6 @@ fn record(csi: &Csi) -> Option<Vec<u8>> {
     let iq: Vec<Iq> = csi.re.iter().zip(&csi.im).map(|(i, q)| Iq { i: *i, q: *q }).collect();
     let mut body = vec![0; driver_iface::bfee::MAX_BODY];
     let length = repr.emit(&iq, &mut body).ok()?;
-    let record = Record { code: code::BFEE, body: body.get(..length)? };
-    let mut bytes = vec![0; record.emit_len()];
-    let length = record.emit(&mut bytes).ok()?;
-    bytes.truncate(length);
-    Some(bytes)
+    let (record, mut bytes) = (Record { code: code::BFEE, body: body.get(..length)? }, Vec::new());
+    csi5300::source::append(record, &mut bytes).then_some(bytes)
 }
