@@ -53,11 +53,9 @@ pub(super) fn pairs(evidence: &Evidence) -> Told {
 
 pub(super) fn turn_around(pairs: &Pairs, _: &Evidence) -> Told {
     let [low, high] = [0.05, 0.95].map(|share| quantile(&pairs.turn_us, share).unwrap_or(f64::NAN));
-    Told::decided(high - low <= 500.0, format!("90 % within {:.0} us of each other", high - low)).with(
-        "90 % within",
-        high - low,
-        "us",
-    )
+    let within = high - low;
+    let told = Told::decided(within <= 500.0, format!("90 % within {within:.0} us of each other"));
+    told.with("90 % within", within, "us")
 }
 
 pub(super) fn late(pairs: &Pairs, _: &Evidence) -> Told {
@@ -203,17 +201,9 @@ pub(super) fn bearing(evidence: &Evidence) -> Told {
         Err(why) => return Told::not_tried(format!("no bearing: {why}")),
     };
     let error = wrap_rad(azimuth - truth.azimuth_rad);
-    let found = format!(
-        "{:.2} degrees off, 95 % within {:.2}; {:.0} % sure to be within 5 degrees",
-        error.to_degrees(),
-        bar.to_degrees(),
-        100.0 * probability
-    );
-    Told::decided(error.abs() <= bar, found).with("error", error.to_degrees(), "deg").with(
-        "95 % within",
-        bar.to_degrees(),
-        "deg",
-    )
+    let ([off, within], sure) = ([error, bar].map(f64::to_degrees), 100.0 * probability);
+    let found = format!("{off:.2} degrees off, 95 % within {within:.2}; {sure:.0} % sure to be within 5 degrees");
+    Told::decided(error.abs() <= bar, found).with("error", off, "deg").with("95 % within", within, "deg")
 }
 
 /// Above this rate frames may be refused or lost: only measured.
