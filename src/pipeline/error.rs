@@ -41,7 +41,7 @@ pub enum LinkError {
     /// The receiver's records hold no host time, so they cannot be joined with a trajectory by time.
     #[error("the receiver's records hold no host times: join with the trajectory row by row")]
     NoHostTime,
-    /// No pair is left in the requested stretch ([`super::Options::with_cut`]).
+    /// No pair is left in the requested stretch ([`super::Options::from_s`] and `to_s`).
     #[error("all {pairs} pairs are outside the stretch asked for (the link lasts {length_s:.3} s)")]
     AllCut {
         /// Pairs.
