@@ -969,7 +969,7 @@ mod tests {
     }
 
     /// The same as records come, the transmitter's `late` of them behind: pairs, and wrong ones.
-    fn pair_live(link: &Link, heard: &Heard, late: usize) -> (Vec<(usize, usize)>, Live<usize>) {
+    fn pair_live(heard: &Heard, late: usize) -> (Vec<(usize, usize)>, Live<usize>) {
         let mut machine = Live::new();
         let [rx, tx] = heard;
         let mut pairs = Vec::new();
@@ -1011,7 +1011,7 @@ mod tests {
                 let link = Link { seed, ..link };
                 let heard = link.heard();
                 let whole = pair(&heard).unwrap();
-                let (live, _) = pair_live(&link, &heard, late);
+                let (live, _) = pair_live(&heard, late);
                 assert_eq!(live, whole, "{name}, seed {seed}");
             }
         }
@@ -1045,7 +1045,7 @@ mod tests {
             for (ticks, _) in &mut heard[side][at..] {
                 *ticks = jump_us.map_or(ticks.wrapping_sub(from), |us| *ticks + us) & 0xffff_ffff;
             }
-            let (pairs, machine) = pair_live(&USUAL, &heard, 0);
+            let (pairs, machine) = pair_live(&heard, 0);
             assert_eq!(machine.restarts(), 1, "{side} {jump_us:?}");
             let wrong = wrong(&pairs);
             let most = if jump_us == Some(7_003_000) { 24 } else { 0 };
@@ -1057,7 +1057,7 @@ mod tests {
     fn records_of_two_runs_give_no_pairs_as_they_come_and_memory_is_bounded() {
         let [own, _] = Link { exchanges: 5_000, ..USUAL }.heard();
         let [_, other] = Link { exchanges: 5_000, seed: 107, ..USUAL }.heard();
-        let (pairs, machine) = pair_live(&USUAL, &[own, other], 0);
+        let (pairs, machine) = pair_live(&[own, other], 0);
         assert!(pairs.is_empty(), "{}", pairs.len());
         assert!(matches!(machine.refusal(), Some(Refusal::Strangers { .. })), "{:?}", machine.refusal());
         assert!(kept(&machine) <= WINDOW_KEPT);
@@ -1065,7 +1065,7 @@ mod tests {
         let link = Link { exchanges: 9_000, ..USUAL };
         let [rx, tx] = link.heard();
         let stops: Vec<(u64, usize)> = tx.iter().filter(|(_, k)| !(2_000..2_900).contains(k)).copied().collect();
-        let (pairs, machine) = pair_live(&link, &[rx, stops], 0);
+        let (pairs, machine) = pair_live(&[rx, stops], 0);
         assert!(pairs.len() >= 8_000 && wrong(&pairs) == 0, "{} {}", pairs.len(), wrong(&pairs));
         assert!(kept(&machine) <= WINDOW_KEPT, "{}", kept(&machine));
     }
