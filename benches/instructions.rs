@@ -11,7 +11,7 @@ use common::job;
 use csi5300::bartlett::{Grid, Method};
 use csi5300::internal::{Planner, ProfileOptions};
 use csi5300::motion::odometry::csv;
-use csi5300::pipeline::{Effort, Options, Transmitter, bearings};
+use csi5300::pipeline::{Accuracy, Effort, Options, Transmitter, bearings};
 use csi5300::source::replay::Replay;
 use std::io::Cursor;
 use std::path::Path;
@@ -43,7 +43,8 @@ fn link(times: usize) {
     let (rx, tx) = (read("csi_rx_2023-11-14_221320.dat"), read("csi_tx1_2023-11-14_221320.dat"));
     let (path, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv")).expect("a fixture");
     let options = Options::new("108".parse().expect("a channel"));
-    let options = options.clone().with_accuracy(options.accuracy.with_effort(Effort::Everything));
+    let accuracy = Accuracy { effort: Effort::Everything, ..options.accuracy };
+    let options = Options { accuracy, ..options.clone() };
     for _ in 0..times {
         let mut rx = Replay::new(Cursor::new(rx.clone()), String::new());
         let mut tx = Replay::new(Cursor::new(tx.clone()), String::new());

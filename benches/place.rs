@@ -9,7 +9,7 @@ mod common;
 use common::{Table, banner, quickest};
 use csi5300::bartlett::Tier;
 use csi5300::motion::odometry::csv;
-use csi5300::pipeline::{Effort, Options, Transmitter, bearings};
+use csi5300::pipeline::{Accuracy, Effort, Options, Transmitter, bearings};
 use csi5300::source::replay::Replay;
 use std::io::Cursor;
 use std::path::Path;
@@ -22,8 +22,8 @@ fn main() {
     let (path, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv")).expect("a fixture");
     let channel = "108".parse().expect("a channel");
     let time_us = |tier: Tier, effort: Effort| {
-        let options = Options::new(channel).with_tier(tier);
-        let options = options.clone().with_accuracy(options.accuracy.with_effort(effort));
+        let options = Options { tier, ..Options::new(channel) };
+        let options = Options { accuracy: Accuracy { effort, ..options.accuracy }, ..options.clone() };
         1e3 * quickest(300.0, || {
             let mut rx = Replay::new(Cursor::new(rx.clone()), String::new());
             let mut tx = Replay::new(Cursor::new(tx.clone()), String::new());

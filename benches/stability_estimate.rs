@@ -10,7 +10,7 @@ mod picture;
 
 use common::*;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
+use csi5300::pipeline::{Accuracy, Bearing, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::figures::true_path;
 use csi5300_lab::ends::{Ends, bound_deg};
@@ -91,8 +91,8 @@ fn case(at: f64, ends: &Ends) -> Case {
 }
 
 fn nearest(mut case: Case, range_min_m: f64) -> Case {
-    let accuracy = case.options.accuracy.with_range_min_m(Some(range_min_m));
-    case.options = case.options.with_accuracy(accuracy);
+    let accuracy = Accuracy { range_min_m: Some(range_min_m), ..case.options.accuracy };
+    case.options = Options { accuracy, ..case.options };
     case
 }
 
@@ -185,7 +185,7 @@ fn estimate(case: &Case) -> Result<Bearing, String> {
     let simulation = room.run().map_err(|error| error.to_string())?;
     let [mut rx, mut tx] = [0, 1].map(|robot: usize| simulation.robots[robot].replay());
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: moves.then_some(&moved) }];
-    let options = case.options.clone().with_clock_offset_s(-LATE_S);
+    let options = Options { clock_offset_s: -LATE_S, ..case.options.clone() };
     let mut report = bearings(&mut rx, transmitters, &receiver, &options).map_err(|error| error.to_string())?;
     report.links.remove(0).bearing.map_err(|error| error.to_string())
 }

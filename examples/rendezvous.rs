@@ -48,7 +48,7 @@ fn main() -> Anything<()> {
             let logs = others.iter_mut().map(|log| Transmitter { log: log.as_mut(), trajectory: None }).collect();
             // Who is who: each log's robot has an address of its own.
             let tx_macs = (1..4).filter_map(|k| scene.robot[k].mac_address(k)).collect();
-            let report = bearings(own.as_mut(), logs, &path, &options.clone().with_macs(None, tx_macs))?;
+            let report = bearings(own.as_mut(), logs, &path, &Options { rx_mac: None, tx_macs, ..options.clone() })?;
             for link in report.links {
                 let (sin, cos) = link.bearing?.answer.azimuth_rad.sin_cos();
                 *step = [step[0] + cos / 3.0, step[1] + sin / 3.0];

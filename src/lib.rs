@@ -10,7 +10,7 @@
 //!
 //! 1. **Forward and backward.** Two robots exchange two frames almost at once. The CFO has opposite signs in the two
 //!    directions, the path the same: in the *product* of the two CSI vectors the offset cancels and the path is there
-//!    twice ([`signal::samples::Coherent`] holds this factor). Frames are paired by number
+//!    twice ([`signal::samples::Samples::path_gain`] is this factor). Frames are paired by number
 //!    ([`exchange::pairing`]), which transmitter wrote which log follows from the clocks ([`exchange::assign`]).
 //! 2. **The channel centre.** A line through the phase over the subcarriers, evaluated at subcarrier 0, makes 30 noisy
 //!    phases one good one ([`signal::cfo::at_centre`]).
@@ -170,7 +170,7 @@ pub mod internal {
     pub use crate::bartlett::planner::{Planner, ProfileOptions, oracle};
     pub use crate::bartlett::search::Searcher;
     pub use crate::estimate::heading;
-    pub use crate::exchange::pairing::by_clock::{ByClock, CardClock, Refusal};
+    pub use crate::exchange::pairing::by_clock::{ByClock, Refusal};
     pub use crate::exchange::tdma::auth::{Proof, Prover};
     pub use crate::exchange::tdma::roster::before_first_number;
     pub use crate::motion::pose::{Roller, heading_of};

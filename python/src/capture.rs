@@ -196,7 +196,7 @@ pub fn bearings(
     if keywords.channel()?.is_none() {
         return Err(Failure::new(Kind::Option, "channel: required, because the logs do not contain it").into());
     }
-    let options = keywords.options()?.with_keep_course(true).with_parallel(tx.len() > 1);
+    let options = Options { keep_course: true, parallel: tx.len() > 1, ..keywords.options()? };
     let stop = Stop::default();
     let stoppable = |log| PyResult::Ok(Stoppable { source: source(log, &stop)?, stop: stop.clone() });
     let mut receiver = stoppable(rx)?;
@@ -248,7 +248,7 @@ pub fn one_log(
     if keywords.channel()?.is_none() {
         return Err(Failure::new(Kind::Option, "channel: required, because the log does not contain it").into());
     }
-    let options = keywords.options()?.with_keep_course(true);
+    let options = Options { keep_course: true, ..keywords.options()? };
     let array = array(letters, &baselines)?;
     let stop = Stop::default();
     let mut log = Stoppable { source: source(rx, &stop)?, stop: stop.clone() };

@@ -31,10 +31,7 @@ pub fn read_card<'py>(
         Err(_) => {
             let path: PathBuf = file.extract()?;
             let name = path.display().to_string();
-            let read = std::fs::read(&path).map_err(|source| {
-                let what = format!("cannot read the log {name}");
-                Failure::log(csi5300::source::Error::Io { what, source }, &name, 0)
-            })?;
+            let read = std::fs::read(&path).map_err(|source| Failure::unread(source, &name, 0))?;
             (name, read)
         }
     };

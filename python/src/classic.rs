@@ -161,10 +161,7 @@ fn open(log: &Bound<'_, PyAny>, position: u64) -> PyResult<Replay<Box<dyn Read +
 
 fn open_at(path: &Path, position: u64) -> Result<Replay<Box<dyn Read + Send>>, Failure> {
     let name = path.display().to_string();
-    let refused = |source: std::io::Error| {
-        let what = format!("cannot read the log {name}");
-        Failure::log(csi5300::source::Error::Io { what, source }, &name, position)
-    };
+    let refused = |source| Failure::unread(source, &name, position);
     if path.is_dir() {
         return Err(Failure::log(csi5300::source::Error::Directory { path: path.to_owned() }, &name, 0));
     }

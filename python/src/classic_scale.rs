@@ -100,16 +100,11 @@ pub fn classic_scaled<'py>(
         let one = |(index, to): (usize, &mut [Complex64])| {
             let record = burst * BURST + index;
             let Some(fields) = Fields::new(&columns, record) else { return };
-            match from.and_then(|from| from.get(record * size..(record + 1) * size)) {
-                Some(from) => {
-                    let factor = fields.factor(power(from));
-                    to.iter_mut().zip(from).for_each(|(to, from)| *to = from * factor);
-                }
-                None => {
-                    let factor = fields.factor(power(to));
-                    to.iter_mut().for_each(|to| *to *= factor);
-                }
+            if let Some(from) = from.and_then(|from| from.get(record * size..(record + 1) * size)) {
+                to.copy_from_slice(from);
             }
+            let factor = fields.factor(power(to));
+            to.iter_mut().for_each(|to| *to *= factor);
         };
         let records = to.par_chunks_exact_mut(size).enumerate().with_min_len(256);
         detached(py, || pool.install(|| records.for_each(one)))?;

@@ -15,13 +15,13 @@ const PATIENCE: Duration = Duration::from_millis(40);
 /// Longest wait for work that was asked to stop.
 const GRACE: Duration = Duration::from_secs(1);
 
-/// Classes of `csi5300._errors`.
+/// Classes of `csi5300._errors`, which are named as these with `Error` behind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A log cannot be read.
     Log,
     /// There is no such log.
-    NotFound,
+    LogNotFound,
     /// An argument is invalid.
     Option,
     /// A trajectory's poses are invalid.
@@ -42,25 +42,6 @@ pub enum Kind {
     Export,
     /// A panic: a bug of ours.
     Internal,
-}
-
-impl Kind {
-    fn class(self) -> &'static str {
-        match self {
-            Self::Log => "LogError",
-            Self::NotFound => "LogNotFoundError",
-            Self::Option => "OptionError",
-            Self::Trajectory => "TrajectoryError",
-            Self::TrajectoryFile => "TrajectoryFileError",
-            Self::Scene => "SceneError",
-            Self::SceneFile => "SceneFileError",
-            Self::OptionFile => "OptionFileError",
-            Self::Capture => "CaptureError",
-            Self::Live => "LiveError",
-            Self::Export => "ExportError",
-            Self::Internal => "InternalError",
-        }
-    }
 }
 
 /// An error on its way to Python.
@@ -92,12 +73,17 @@ impl Failure {
         self
     }
 
+    /// Why a log's file cannot be read from byte `at` on.
+    pub fn unread(source: std::io::Error, name: &str, at: u64) -> Self {
+        Self::log(source::Error::Io { what: format!("cannot read the log {name}"), source }, name, at)
+    }
+
     /// Why a log cannot be read beyond `bytes`.
     pub fn log(error: source::Error, name: &str, bytes: u64) -> Self {
         let message = error.to_string();
         let (kind, raised) = match error {
             source::Error::Io { source, .. } => {
-                let kind = if source.kind() == ErrorKind::NotFound { Kind::NotFound } else { Kind::Log };
+                let kind = if source.kind() == ErrorKind::NotFound { Kind::LogNotFound } else { Kind::Log };
                 (kind, source.into_inner().and_then(|inner| inner.downcast::<PyErr>().ok()).map(|raised| *raised))
             }
             _ => (Kind::Log, None),
@@ -115,7 +101,7 @@ impl From<Failure> for PyErr {
         Python::attach(|py| {
             let made = py
                 .import("csi5300._errors")
-                .and_then(|module| module.getattr(kind.class()))
+                .and_then(|module| module.getattr(format!("{kind:?}Error")))
                 .and_then(|class| class.call1((&message, file, offset)));
             match made {
                 Ok(error) => PyErr::from_value(error),

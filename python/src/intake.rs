@@ -50,10 +50,6 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
     }
     let path: PathBuf = file.extract()?;
     let name = path.display().to_string();
-    let refused = |source| {
-        let what = format!("cannot read the log {name}");
-        Failure::log(csi5300::source::Error::Io { what, source }, &name, 0)
-    };
     if path.is_file() {
         let mut bytes = Vec::new();
         let begun = std::fs::File::open(&path).map(|file| file.take(csi_formats::DETECT as u64));
@@ -65,7 +61,7 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
         let message = format!("{name} is another kind of file, {kind}: {A_LOG}");
         return Err(Failure::new(Kind::Log, message).of(name).into());
     }
-    if let Some(patient) = Patient::open(&path, stop).map_err(refused)? {
+    if let Some(patient) = Patient::open(&path, stop).map_err(|source| Failure::unread(source, &name, 0))? {
         let name = if path.as_os_str() == "-" { "standard input".into() } else { name };
         return Ok(Replay::new(Box::new(patient), name));
     }

@@ -121,31 +121,32 @@ impl Keywords {
         let mac = |name: &str, text: &String| text.parse::<Mac>().map_err(|error| wrong(format!("{name}: {error}")));
         let decimate =
             NonZeroUsize::new(self.decimate.unwrap_or(1)).ok_or_else(|| wrong("decimate: 0 is not 1 or more"))?;
-        let mut options = Options::new(channel)
-            .with_cut(self.from_, self.to)
-            .with_decimate(decimate)
-            .with_compensate(!self.no_compensation && !self.left_out(Step::Compensation))
-            .with_accuracy(self.accuracy())
-            .with_range_change(self.range_change)
-            .with_fit_odometry(self.fit.is_some())
-            .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))
-            .with_clock_offset_s(self.clock_offset.unwrap_or(0.0))
-            .with_join(if self.join_rows { JoinBy::Row } else { JoinBy::Time })
-            .with_macs(
-                self.rx_mac.as_ref().map(|text| mac("rx_mac", text)).transpose()?,
-                self.tx_mac.iter().map(|text| mac("tx_mac", text)).collect::<Result<_, _>>()?,
-            );
+        let mut options = Options {
+            from_s: self.from_,
+            to_s: self.to,
+            decimate,
+            compensate: !self.no_compensation && !self.left_out(Step::Compensation),
+            accuracy: self.accuracy(),
+            range_change: self.range_change,
+            fit_odometry: self.fit.is_some(),
+            heading_sd_rad: self.heading_sd.map(f64::to_radians),
+            clock_offset_s: self.clock_offset.unwrap_or(0.0),
+            join: if self.join_rows { JoinBy::Row } else { JoinBy::Time },
+            rx_mac: self.rx_mac.as_ref().map(|text| mac("rx_mac", text)).transpose()?,
+            tx_macs: self.tx_mac.iter().map(|text| mac("tx_mac", text)).collect::<Result<_, _>>()?,
+            ..Options::new(channel)
+        };
         if let Some(text) = &self.antenna {
             let one =
                 antennas(text).filter(|antennas| antennas.len() == 1).and_then(|antennas| antennas.first().copied());
-            options = options.with_antenna(one.ok_or_else(|| wrong(format!("antenna: {text:?} is not A, B or C")))?);
+            options.antenna = one.ok_or_else(|| wrong(format!("antenna: {text:?} is not A, B or C")))?;
         }
         if let Some(path) = &self.key {
             let refused = |error: KeyFileError| {
                 let unread = matches!(error, KeyFileError::Io { .. } | KeyFileError::NoFile { .. });
                 Failure::new(if unread { Kind::OptionFile } else { Kind::Option }, format!("key: {error}"))
             };
-            options = options.with_key(Some(read_key(path).map_err(refused)?));
+            options.key = Some(read_key(path).map_err(refused)?);
         }
         Ok(options)
     }
@@ -203,12 +204,14 @@ impl Keywords {
             Some(degrees) => Effort::Within(degrees.to_radians()),
         };
         let elevation_max = self.elevation_max.map(f64::to_radians);
-        let mut accuracy = Accuracy::default()
-            .with_near_field(!self.left_out(Step::NearField))
-            .with_effort(effort)
-            .with_elevation_max_rad(if self.left_out(Step::Elevation) { Some(0.0) } else { elevation_max })
-            .with_range_min_m(self.range_min)
-            .with_height_m(self.height);
+        let mut accuracy = Accuracy {
+            near_field: !self.left_out(Step::NearField),
+            effort,
+            elevation_max_rad: if self.left_out(Step::Elevation) { Some(0.0) } else { elevation_max },
+            range_min_m: self.range_min,
+            height_m: self.height,
+            ..Accuracy::default()
+        };
         accuracy.align = !self.left_out(Step::Alignment);
         accuracy.one_way = !self.left_out(Step::OneWay);
         accuracy

@@ -108,18 +108,18 @@ fn named_designs(usual: Accuracy) -> Vec<(&'static str, Accuracy)> {
     };
     vec![
         ("usual", usual),
-        ("everything in every scene", usual.with_effort(Effort::Everything)),
-        ("right to three degrees", usual.with_effort(Effort::Within(3f64.to_radians()))),
+        ("everything in every scene", Accuracy { effort: Effort::Everything, ..usual }),
+        ("right to three degrees", Accuracy { effort: Effort::Within(3f64.to_radians()), ..usual }),
         ("without alignment", with(|own| own.align = false)),
         ("without the one-way channel", with(|own| own.one_way = false)),
         ("without alignment and one-way channel", with(|own| (own.align, own.one_way) = (false, false))),
-        ("plane waves", usual.with_near_field(false)),
-        ("horizon alone", usual.with_elevation_max_rad(Some(0.0))),
-        ("elevations to 10 degrees", usual.with_elevation_max_rad(Some(10f64.to_radians()))),
-        ("elevations to 40 degrees", usual.with_elevation_max_rad(Some(40f64.to_radians()))),
-        ("no nearer than 0.9 m", usual.with_range_min_m(Some(0.9))),
-        ("no nearer than 3.6 m", usual.with_range_min_m(Some(3.6))),
-        ("plane waves, horizon alone", usual.with_near_field(false).with_elevation_max_rad(Some(0.0))),
+        ("plane waves", Accuracy { near_field: false, ..usual }),
+        ("horizon alone", Accuracy { elevation_max_rad: Some(0.0), ..usual }),
+        ("elevations to 10 degrees", Accuracy { elevation_max_rad: Some(10f64.to_radians()), ..usual }),
+        ("elevations to 40 degrees", Accuracy { elevation_max_rad: Some(40f64.to_radians()), ..usual }),
+        ("no nearer than 0.9 m", Accuracy { range_min_m: Some(0.9), ..usual }),
+        ("no nearer than 3.6 m", Accuracy { range_min_m: Some(3.6), ..usual }),
+        ("plane waves, horizon alone", Accuracy { near_field: false, elevation_max_rad: Some(0.0), ..usual }),
     ]
 }
 
@@ -133,7 +133,7 @@ fn designs(captures: &[Capture]) -> Fallible<()> {
         println!("\n{source}: mean / median / over 20 degrees; more than usual (95 %)");
         let mut first: Option<Vec<(String, Judged)>> = None;
         for (name, accuracy) in named_designs(usual.accuracy) {
-            let own = usual.clone().with_accuracy(accuracy);
+            let own = Options { accuracy, ..usual.clone() };
             let run = || one.install(|| evaluate(captures, source, Part::WHOLE, &own));
             // The first run fills the file cache.
             let rows = run();
@@ -212,7 +212,7 @@ fn over_time(captures: &[Capture]) -> Fallible<()> {
 fn skipping(captures: &[Capture]) -> Fallible<()> {
     let run = |effort: Effort| -> Fallible<(f64, Vec<(String, Judged)>)> {
         let mut options = options()?;
-        options.accuracy = options.accuracy.with_effort(effort);
+        options.accuracy.effort = effort;
         let began = Instant::now();
         let rows = evaluate(captures, TrajectorySource::GroundTruth, Part::WHOLE, &options);
         Ok((began.elapsed().as_secs_f64(), rows))

@@ -129,17 +129,16 @@ impl Planner {
 
     fn build(&mut self, scene: &Scene, key: Key) -> Plan {
         let choice = choose(scene, &key, self.tier);
-        let frame = key.axes.map_or(Frame::Given, Frame::Turned);
         let (engine, table_bytes, evaluated, detail) = match (choice.method, choice.precision) {
             (Method::Constant, _) => (Engine::Constant, 0, 1, String::from("one value")),
             (Method::Oracle, _) => (Engine::Oracle, 0, key.grid.len(), String::from("no shortcut")),
             (_, Precision::Single) => {
-                let (core, detail) = Core::new(&key, frame, &choice, self.tier, &mut self.single.ffts);
+                let (core, detail) = Core::new(&key, &choice, self.tier, &mut self.single.ffts);
                 let (bytes, count) = (core.evaluator.bytes(), core.evaluated(&key));
                 (Engine::Single(core), bytes, count, detail)
             }
             (_, Precision::Double) => {
-                let (core, detail) = Core::new(&key, frame, &choice, self.tier, &mut self.double.ffts);
+                let (core, detail) = Core::new(&key, &choice, self.tier, &mut self.double.ffts);
                 let (bytes, count) = (core.evaluator.bytes(), core.evaluated(&key));
                 (Engine::Double(core), bytes, count, detail)
             }
@@ -156,7 +155,7 @@ impl Planner {
             skipped: choice.skipped,
             detail,
         };
-        Plan { key, frame, engine, explanation }
+        Plan { key, engine, explanation }
     }
 }
 
@@ -176,7 +175,7 @@ fn load(scene: &Scene, plan: &Plan, batch: &mut Batch) {
         column.clear();
     }
     let still = (1..scene.len()).fold(false, |any, t| any | (distance(t, t - 1) <= slack));
-    if !still && plan.frame == Frame::Given {
+    if !still && plan.key.axes.is_none() {
         batch.x.extend_from_slice(&scene.x);
         batch.y.extend_from_slice(&scene.y);
         batch.z.extend_from_slice(if flat { &[] } else { &scene.z });
@@ -194,7 +193,7 @@ fn load(scene: &Scene, plan: &Plan, batch: &mut Batch) {
             continue;
         }
         anchor = Some(t);
-        let [x, y, z] = plan.frame.of(Vector3::new(scene.x[t], scene.y[t], scene.z[t]));
+        let [x, y, z] = plan.key.in_axes(Vector3::new(scene.x[t], scene.y[t], scene.z[t]));
         batch.x.push(x);
         batch.y.push(y);
         if !flat {
@@ -597,7 +596,6 @@ impl Work<'_> {
 /// A reusable plan.
 struct Plan {
     key: Key,
-    frame: Frame,
     engine: Engine,
     explanation: Explanation,
 }
@@ -626,22 +624,6 @@ enum Assembly<T: Real> {
     Rows(Vec<usize>),
 }
 
-/// The axes that positions and directions are expressed in.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Frame {
-    Given,
-    Turned([Vector3<f64>; 3]),
-}
-
-impl Frame {
-    fn of(self, u: Vector3<f64>) -> [f64; 3] {
-        match self {
-            Self::Given => u.into(),
-            Self::Turned(axes) => axes.map(|a| a.dot(&u)),
-        }
-    }
-}
-
 /// FFTs and buffers of one precision.
 struct Bench<T: Real> {
     ffts: Ffts<T>,
@@ -662,9 +644,9 @@ fn unit(grid: &Grid, index: usize) -> Vector3<f64> {
 }
 
 impl<T: Real> Core<T> {
-    fn new(key: &Key, frame: Frame, choice: &Choice, tier: Tier, ffts: &mut Ffts<T>) -> (Self, String) {
+    fn new(key: &Key, choice: &Choice, tier: Tier, ffts: &mut Ffts<T>) -> (Self, String) {
         if let (Method::Cone, Some(setting)) = (choice.method, choice.setting) {
-            return Self::cone(key, frame, setting, ffts);
+            return Self::cone(key, setting, ffts);
         }
         let level = tier.level_or_portable();
         let tall = key.extent[2] > 0.0;
@@ -676,7 +658,9 @@ impl<T: Real> Core<T> {
                 let places = Places::Rings { d: rings.d, nodes: rings.nodes.clone(), tall };
                 (Assembly::Rings(Box::new(rings)), places)
             }
-            _ => (Assembly::Plain, Places::List((0..key.grid.len()).map(|i| frame.of(unit(&key.grid, i))).collect())),
+            _ => {
+                (Assembly::Plain, Places::List((0..key.grid.len()).map(|i| key.in_axes(unit(&key.grid, i))).collect()))
+            }
         };
         let mut detail = format!("band limits {} and {}", choice.order[0], choice.order[1]);
         let evaluator = match choice.setting {
@@ -699,9 +683,9 @@ impl<T: Real> Core<T> {
         (Self { evaluator, assembly }, detail)
     }
 
-    /// For motion along the first axis of the frame.
-    fn cone(key: &Key, frame: Frame, setting: Setting, ffts: &mut Ffts<T>) -> (Self, String) {
-        let cosine = |u: Vector3<f64>| frame.of(u)[0];
+    /// For motion along the first of the axes.
+    fn cone(key: &Key, setting: Setting, ffts: &mut Ffts<T>) -> (Self, String) {
+        let cosine = |u: Vector3<f64>| key.in_axes(u)[0];
         let all = (0..key.grid.len()).map(|i| cosine(unit(&key.grid, i)));
         let extent = key.extent[0];
         let (cone, assembly) = match cone_rows(key) {
@@ -809,6 +793,11 @@ impl Key {
         let radius = radius.map(|r| bucket(TAU * r, RADIUS_STEP));
         let extent = extent.map(|e| bucket(e, EXTENT_STEP));
         Self { grid: grid.clone(), options: *options, extent, radius, count, axes, line: line.is_some() }
+    }
+
+    /// A place or a direction in the axes of the motion.
+    fn in_axes(&self, u: Vector3<f64>) -> [f64; 3] {
+        self.axes.map_or(u.into(), |axes| axes.map(|a| a.dot(&u)))
     }
 }
 

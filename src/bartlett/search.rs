@@ -42,7 +42,6 @@ use csi5300_kernels::sums::{Aim, Columns, PairSum, Sines, Wanted, moments, pairs
 use fearless_simd::Level;
 use nalgebra::Vector3;
 use num_complex::{Complex, Complex64};
-use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -491,8 +490,6 @@ struct Sampler<T: Real> {
     directions: Vec<[T; 3]>,
     rows: Vec<Complex<T>>,
     work: ResampleWork<T>,
-    /// Whether sums are split over the threads of the current rayon pool; they are the same numbers.
-    pub parallel: bool,
 }
 
 /// A sampled profile.
@@ -542,8 +539,6 @@ impl Scene {
 const PARTS: usize = 4;
 /// Directions that are summed before their rings are interpolated: what fits a core's own memory.
 const AT_ONCE: usize = 2_048;
-/// Directions that one thread sums at a time.
-const SPLIT: usize = 512;
 
 /// How rings are sampled.
 #[derive(Clone, Copy)]
@@ -600,7 +595,7 @@ impl Rings {
 impl<T: Real> Sampler<T> {
     pub fn new(tier: Tier) -> Self {
         let (columns, work) = (Default::default(), ResampleWork::default());
-        Self { ffts: Ffts::new(tier), columns, directions: Vec::new(), rows: Vec::new(), work, parallel: false }
+        Self { ffts: Ffts::new(tier), columns, directions: Vec::new(), rows: Vec::new(), work }
     }
 
     /// `F` on rings at the given elevations (from 0 upwards) and, unless the motion is level, at their negatives.
@@ -642,11 +637,7 @@ impl<T: Real> Sampler<T> {
         }
         let [x, y, z, re, im] = &self.columns;
         let columns = Columns { x, y, z, re, im };
-        let of = |directions: &[[T; 3]]| pairs::<T>(tier.level_or_portable(), columns, directions, scene.sines());
-        let sums = match self.parallel {
-            true => self.directions.par_chunks(SPLIT).map(of).collect::<Vec<_>>().concat(),
-            false => of(&self.directions),
-        };
+        let sums = pairs::<T>(tier.level_or_portable(), columns, &self.directions, scene.sines());
         self.rows.clear();
         let mut rest = sums.as_slice();
         for &elevation in elevations {

@@ -59,8 +59,8 @@ impl<T> Default for Side<T> {
 /// Lets records of one link through.
 #[derive(Clone, Debug)]
 pub(crate) struct Admission<T> {
-    receiver: Side<T>,
-    transmitter: Side<T>,
+    /// By [`LinkSide`].
+    sides: [Side<T>; 2],
     confirmed: BTreeMap<u32, Instant>,
     /// Numbers confirmed, the oldest first.
     order: VecDeque<u32>,
@@ -70,8 +70,7 @@ pub(crate) struct Admission<T> {
 impl<T> Default for Admission<T> {
     fn default() -> Self {
         Self {
-            receiver: Side::default(),
-            transmitter: Side::default(),
+            sides: Default::default(),
             confirmed: BTreeMap::new(),
             order: VecDeque::new(),
             counts: AdmissionCounts::default(),
@@ -82,7 +81,7 @@ impl<T> Default for Admission<T> {
 impl<T> Admission<T> {
     /// Takes a record of `side`.
     pub(crate) fn handle(&mut self, side: LinkSide, (number, clock): (u32, u32), now: Instant, item: T) {
-        let state = self.side_mut(side);
+        let state = &mut self.sides[side as usize];
         if let Some(twin) = state.held.iter_mut().rev().find(|held| held.number == number) {
             let is_news = twin.clock != clock && !twin.contested;
             twin.contested |= is_news;
@@ -133,14 +132,11 @@ impl<T> Admission<T> {
             LinkSide::Receiver => at - confirmed <= PATIENCE && confirmed - at <= PATIENCE,
             LinkSide::Transmitter => confirmed - at <= PATIENCE,
         };
-        let (state, confirmed) = match side {
-            LinkSide::Receiver => (&mut self.receiver, &self.confirmed),
-            LinkSide::Transmitter => (&mut self.transmitter, &self.confirmed),
-        };
+        let state = &mut self.sides[side as usize];
         let mut at = 0;
         while let Some(held) = state.held.get(at) {
             let age = now - held.at;
-            let is_confirmed = confirmed.get(&held.number).is_some_and(|confirmed| in_time(held.at, *confirmed));
+            let is_confirmed = self.confirmed.get(&held.number).is_some_and(|confirmed| in_time(held.at, *confirmed));
             if age < hold {
                 // Those that follow are younger.
                 return None;
@@ -161,13 +157,6 @@ impl<T> Admission<T> {
             }
         }
         None
-    }
-
-    fn side_mut(&mut self, side: LinkSide) -> &mut Side<T> {
-        match side {
-            LinkSide::Receiver => &mut self.receiver,
-            LinkSide::Transmitter => &mut self.transmitter,
-        }
     }
 }
 
@@ -306,7 +295,7 @@ mod tests {
             admission.confirm(number, ms(0));
             admission.handle(Receiver, (number, number), ms(0), "it");
             assert_eq!(drain(&mut admission, ms(20)), ["it"]);
-            assert_eq!(admission.receiver.admitted.len(), KEPT.min(number as usize + 1));
+            assert_eq!(admission.sides[0].admitted.len(), KEPT.min(number as usize + 1));
         }
         let second = |admission: &mut Admission<_>, now| {
             let before = admission.counts.contested;
@@ -315,7 +304,7 @@ mod tests {
         };
         assert_eq!(second(&mut admission, ms(2_020)), 1, "still known");
         assert_eq!(second(&mut admission, ms(2_021)), 0, "forgotten, and held as a record of its own");
-        assert_eq!((admission.receiver.admitted.len(), admission.receiver.held.len()), (0, 1));
+        assert_eq!((admission.sides[0].admitted.len(), admission.sides[0].held.len()), (0, 1));
     }
 
     #[test]
@@ -326,7 +315,7 @@ mod tests {
             admission.confirm(1_000_000 + number, ms(0));
         }
         assert_eq!(
-            (admission.receiver.held.len(), admission.confirmed.len(), admission.order.len()),
+            (admission.sides[0].held.len(), admission.confirmed.len(), admission.order.len()),
             (KEPT, KEPT, KEPT)
         );
         assert!(drain(&mut admission, ms(3_000)).is_empty());

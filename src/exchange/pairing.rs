@@ -81,8 +81,8 @@ pub struct SideCounts {
 #[derive(Clone, Debug)]
 pub struct Pairing<T> {
     window: usize,
-    receiver: SideState<T>,
-    transmitter: SideState<T>,
+    /// By [`LinkSide`].
+    sides: [SideState<T>; 2],
     ready: VecDeque<Pair<T>>,
     clock: Clock,
 }
@@ -93,30 +93,24 @@ impl<T> Pairing<T> {
     /// 1,024 is enough if the log that is [behind](Self::behind) is read next.
     #[must_use]
     pub fn new(window: usize) -> Self {
-        Self {
-            window: window.max(1),
-            receiver: SideState::default(),
-            transmitter: SideState::default(),
-            ready: VecDeque::new(),
-            clock: Clock::default(),
-        }
+        Self { window: window.max(1), sides: Default::default(), ready: VecDeque::new(), clock: Clock::default() }
     }
 
     /// Takes a record of `side` with its frame number and its card's clock (`timestamp_low`).
     pub fn handle(&mut self, side: LinkSide, number: u32, timestamp_low: u32, item: T) {
         let entry = Entry { clock: timestamp_low, met_other: false, item };
-        for (key, entry) in self.side_mut(side).place(number, entry).into_iter().flatten() {
-            if self.side_mut(side).wait(key, entry) && self.seek(side, key) {
+        let own = side as usize;
+        for (key, entry) in self.sides[own].place(number, entry).into_iter().flatten() {
+            if self.sides[own].wait(key, entry) && self.seek(side, key) {
                 self.seek_all();
             }
         }
-        let window = self.window;
-        self.side_mut(side).keep(window);
+        self.sides[own].keep(self.window);
     }
 
     /// Pairs waiting candidates that fit a difference of the clocks that was just accepted.
     fn seek_all(&mut self) {
-        let mut keys: Vec<Key> = self.receiver.waiting.keys().copied().collect();
+        let mut keys: Vec<Key> = self.sides[0].waiting.keys().copied().collect();
         keys.sort_unstable();
         for key in keys {
             self.seek(LinkSide::Receiver, key);
@@ -125,9 +119,10 @@ impl<T> Pairing<T> {
 
     /// Looks for the partner of a waiting record. True if it found a new difference of the clocks.
     fn seek(&mut self, side: LinkSide, key: Key) -> bool {
+        let [receiver, transmitter] = &mut self.sides;
         let (own, other) = match side {
-            LinkSide::Receiver => (&mut self.receiver, &mut self.transmitter),
-            LinkSide::Transmitter => (&mut self.transmitter, &mut self.receiver),
+            LinkSide::Receiver => (receiver, transmitter),
+            LinkSide::Transmitter => (transmitter, receiver),
         };
         let Some(entry) = own.waiting.get_mut(&key) else { return false };
         let mut learnt = false;
@@ -149,10 +144,9 @@ impl<T> Pairing<T> {
     }
 
     fn pair_up(&mut self, rx: Key, tx: Key, (clock_rx_us, clock_difference_us): (i64, i64)) {
-        let (receiver, transmitter) = (self.receiver.waiting.remove(&rx), self.transmitter.waiting.remove(&tx));
-        if let (Some(receiver), Some(transmitter)) = (receiver, transmitter) {
-            self.receiver.counts.paired += 1;
-            self.transmitter.counts.paired += 1;
+        let [own, other] = &mut self.sides;
+        if let (Some(receiver), Some(transmitter)) = (own.waiting.remove(&rx), other.waiting.remove(&tx)) {
+            self.sides.iter_mut().for_each(|side| side.counts.paired += 1);
             let (receiver, transmitter) = (receiver.item, transmitter.item);
             self.ready.push_back(Pair { number: rx.1, receiver, transmitter, clock_difference_us, clock_rx_us });
         }
@@ -167,7 +161,7 @@ impl<T> Pairing<T> {
     /// side. If only one side has a count, that side is ahead.
     #[must_use]
     pub fn behind(&self) -> LinkSide {
-        let (receiver, transmitter) = (&self.receiver, &self.transmitter);
+        let [receiver, transmitter] = &self.sides;
         let is_ahead = |ahead: Option<(i64, i64)>| ahead.is_some_and(|by| by > (0, 0));
         let (by_receiver, by_transmitter) = (receiver.ahead_of(transmitter), transmitter.ahead_of(receiver));
         match (is_ahead(by_receiver), is_ahead(by_transmitter)) {
@@ -186,8 +180,7 @@ impl<T> Pairing<T> {
         if self.clock.last.is_none() && self.clock.believe() {
             self.seek_all();
         }
-        self.receiver.finish();
-        self.transmitter.finish();
+        self.sides.iter_mut().for_each(SideState::finish);
     }
 
     /// The next record of two logs: of the one that is behind, or of the other at its end.
@@ -206,17 +199,7 @@ impl<T> Pairing<T> {
     /// The outcome of the records of `side` so far.
     #[must_use]
     pub fn counts(&self, side: LinkSide) -> SideCounts {
-        match side {
-            LinkSide::Receiver => self.receiver.counts,
-            LinkSide::Transmitter => self.transmitter.counts,
-        }
-    }
-
-    fn side_mut(&mut self, side: LinkSide) -> &mut SideState<T> {
-        match side {
-            LinkSide::Receiver => &mut self.receiver,
-            LinkSide::Transmitter => &mut self.transmitter,
-        }
+        self.sides[side as usize].counts
     }
 }
 

@@ -1,6 +1,6 @@
 //! A capture named file by file, and the bearings from it.
 
-use super::{Bearing, CaptureReport, LinkError, Options, Transmitter, bearings};
+use super::{Bearing, LinkError, Options, Transmitter, bearings};
 use crate::motion::odometry::csv::{self, CsvError};
 use crate::motion::pose::Trajectory;
 use crate::signal::channel::Channel;
@@ -23,15 +23,9 @@ pub enum CaptureError {
         /// What is wrong with it.
         source: CsvError,
     },
-    /// No log of the receiver was named.
-    #[error("no log of the receiver: name one")]
-    NoReceiver,
-    /// No log of a transmitter was named.
-    #[error("no log of a transmitter: name at least one")]
-    NoTransmitter,
-    /// No trajectory of the receiver was named.
-    #[error("no trajectory of the receiver: name one")]
-    NoTrajectory,
+    /// What was not named: a log, or the receiver's trajectory.
+    #[error("no {0}: name one")]
+    Missing(&'static str),
 }
 
 type Log = Replay<Box<dyn Read + Send>>;
@@ -43,7 +37,7 @@ type Log = Replay<Box<dyn Read + Send>>;
 pub struct Capture {
     options: Options,
     receiver: Option<Log>,
-    transmitters: Vec<(Log, Option<Trajectory>)>,
+    transmitters: Vec<Log>,
     trajectory: Option<Trajectory>,
 }
 
@@ -51,13 +45,7 @@ impl Capture {
     /// A capture on `channel`, with the defaults of [`Options::new`].
     #[must_use]
     pub fn new(channel: Channel) -> Self {
-        Self::with_options(Options::new(channel))
-    }
-
-    /// A capture whose bearings are made by `options`.
-    #[must_use]
-    pub fn with_options(options: Options) -> Self {
-        Self { options, receiver: None, transmitters: Vec::new(), trajectory: None }
+        Self { options: Options::new(channel), receiver: None, transmitters: Vec::new(), trajectory: None }
     }
 
     /// The receiver's log: the robot whose trajectory is given.
@@ -74,21 +62,7 @@ impl Capture {
     /// # Errors
     /// If it cannot be opened.
     pub fn transmitter(mut self, log: impl AsRef<Path>) -> Result<Self, CaptureError> {
-        self.transmitters.push((Replay::open(log.as_ref())?, None));
-        Ok(self)
-    }
-
-    /// The log of a transmitter that moved, and its trajectory as CSV on the receiver's clock.
-    ///
-    /// # Errors
-    /// If either cannot be read.
-    pub fn moving_transmitter(
-        mut self,
-        log: impl AsRef<Path>,
-        trajectory: impl AsRef<Path>,
-    ) -> Result<Self, CaptureError> {
-        let trajectory = read(trajectory.as_ref())?;
-        self.transmitters.push((Replay::open(log.as_ref())?, Some(trajectory)));
+        self.transmitters.push(Replay::open(log.as_ref())?);
         Ok(self)
     }
 
@@ -97,8 +71,9 @@ impl Capture {
     /// # Errors
     /// If it cannot be read or has too few rows.
     pub fn trajectory(self, file: impl AsRef<Path>) -> Result<Self, CaptureError> {
-        let trajectory = Some(read(file.as_ref())?);
-        Ok(Self { trajectory, ..self })
+        let path = file.as_ref();
+        let read = csv::read(path).map_err(|source| CaptureError::Trajectory { path: path.to_owned(), source });
+        Ok(Self { trajectory: Some(read?.0), ..self })
     }
 
     /// The bearings, in the order of the transmitters.
@@ -106,26 +81,14 @@ impl Capture {
     /// # Errors
     /// If a piece is missing or a log cannot be read to its end.
     pub fn bearings(self) -> Result<Vec<Result<Bearing, LinkError>>, CaptureError> {
-        Ok(self.report()?.links.into_iter().map(|link| link.bearing).collect())
-    }
-
-    /// The bearings with all that was counted on the way.
-    ///
-    /// # Errors
-    /// As [`Self::bearings`].
-    pub fn report(self) -> Result<CaptureReport, CaptureError> {
         let Self { options, receiver, mut transmitters, trajectory } = self;
-        let mut receiver = receiver.ok_or(CaptureError::NoReceiver)?;
-        let trajectory = trajectory.ok_or(CaptureError::NoTrajectory)?;
+        let mut receiver = receiver.ok_or(CaptureError::Missing("log of the receiver"))?;
+        let trajectory = trajectory.ok_or(CaptureError::Missing("trajectory of the receiver"))?;
         if transmitters.is_empty() {
-            return Err(CaptureError::NoTransmitter);
+            return Err(CaptureError::Missing("log of a transmitter"));
         }
-        let logs = transmitters.iter_mut().map(|(log, path)| Transmitter { log, trajectory: path.as_ref() });
-        Ok(bearings(&mut receiver, logs.collect(), &trajectory, &options)?)
+        let logs = transmitters.iter_mut().map(|log| Transmitter { log, trajectory: None });
+        let report = bearings(&mut receiver, logs.collect(), &trajectory, &options)?;
+        Ok(report.links.into_iter().map(|link| link.bearing).collect())
     }
-}
-
-fn read(path: &Path) -> Result<Trajectory, CaptureError> {
-    let read = csv::read(path).map_err(|source| CaptureError::Trajectory { path: path.to_owned(), source });
-    read.map(|(trajectory, _)| trajectory)
 }

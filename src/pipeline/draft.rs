@@ -8,7 +8,6 @@ use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
 use super::error::LinkError;
 use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
-use crate::bartlett;
 use crate::estimate::odometry::{self, OdometryFit, PROBE_M, Stretch};
 use crate::estimate::prior::Limits;
 use crate::estimate::range_change::range_change;
@@ -350,15 +349,14 @@ impl<'a> Gate<'a> {
 
     /// The samples that pass, with unit phases.
     fn pass(&self, times_s: &[f64], z: &[Complex64]) -> Result<Gated, LinkError> {
-        let samples = Samples::new(self.options.channel.wavelength_m(), 2).map_err(bartlett::Error::from)?;
+        let samples = Samples::new(self.options.channel.wavelength_m(), 2)?;
         let mut gated = Gated { samples, used: Vec::new(), heading_rad: None, pairs: self.before };
         for (index, (&t_s, &z)) in times_s.iter().zip(z).enumerate() {
             match self.place(t_s) {
                 Ok(place) => {
                     gated.heading_rad = place.heading_rad;
                     gated.used.push(index);
-                    let pushed = gated.samples.push(t_s, z / z.norm(), place.receiver_m, place.transmitter_m);
-                    pushed.map_err(bartlett::Error::from)?;
+                    gated.samples.push(t_s, z / z.norm(), place.receiver_m, place.transmitter_m)?;
                 }
                 Err(Stopped::Cut) => gated.pairs.cut += 1,
                 Err(Stopped::NoPose) => gated.pairs.no_pose += 1,
@@ -438,10 +436,9 @@ impl Gated {
     /// The same of a stretch of the samples.
     fn within(self, stretch: Range<usize>, gate: &Gate<'_>) -> Result<Self, LinkError> {
         let all = &self.samples;
-        let mut samples = Samples::new(all.wavelength_m(), all.path_gain()).map_err(bartlett::Error::from)?;
+        let mut samples = Samples::new(all.wavelength_m(), all.path_gain())?;
         for k in stretch.clone() {
-            let pushed = samples.push(all.t_s()[k], all.z()[k], all.receiver_m()[k], all.transmitter_m()[k]);
-            pushed.map_err(bartlett::Error::from)?;
+            samples.push(all.t_s()[k], all.z()[k], all.receiver_m()[k], all.transmitter_m()[k])?;
         }
         let last = samples.t_s().last().and_then(|t_s| gate.place(*t_s).ok());
         let too_wide = self.pairs.too_wide + all.len() - samples.len();

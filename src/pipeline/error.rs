@@ -2,6 +2,7 @@
 
 use crate::bartlett;
 use crate::exchange::assign::Unmatched;
+use crate::signal::samples::SamplesError;
 
 /// Why a link gives no bearing.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -40,7 +41,7 @@ pub enum LinkError {
     /// The receiver's records hold no host time, so they cannot be joined with a trajectory by time.
     #[error("the receiver's records hold no host times: join with the trajectory row by row")]
     NoHostTime,
-    /// No pair is left in the requested stretch ([`super::Options::with_cut`]).
+    /// No pair is left in the requested stretch ([`super::Options::from_s`] and `to_s`).
     #[error("all {pairs} pairs are outside the stretch asked for (the link lasts {length_s:.3} s)")]
     AllCut {
         /// Pairs.
@@ -159,6 +160,9 @@ pub enum LinkError {
     /// The transmitter's log could not be matched.
     #[error(transparent)]
     Unmatched(#[from] Unmatched),
+    /// A sample is impossible.
+    #[error(transparent)]
+    Samples(#[from] SamplesError),
     /// The estimator refused.
     #[error(transparent)]
     Bartlett(#[from] bartlett::Error),

@@ -241,7 +241,7 @@ impl Link {
         let one_way = || at_centre(&pair.receiver.csi(), &options.channel.subcarriers());
         let one_way = options.keep_course.then(one_way).flatten();
         self.rows.push(PairRow {
-            one_way_rad: one_way.map_or(0.0, |one_way| one_way.h.arg()),
+            one_way_rad: one_way.map_or(0.0, |one_way| one_way.arg()),
             z,
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,

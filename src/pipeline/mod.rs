@@ -135,7 +135,7 @@ pub fn bearings(
         None => estimate(&joins, options),
         Some((receiver, heading_sd_rad)) => {
             let joins: Vec<LinkJoin<'_>> = joins.iter().map(|join| LinkJoin { receiver, ..*join }).collect();
-            estimate(&joins, &options.clone().with_heading_sd_rad(Some(*heading_sd_rad)))
+            estimate(&joins, &Options { heading_sd_rad: Some(*heading_sd_rad), ..options.clone() })
         }
     };
     made.iter_mut().flatten().for_each(|bearing| bearing.odometry_fit.clone_from(&fit));

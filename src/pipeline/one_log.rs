@@ -575,7 +575,7 @@ impl Joined {
                 let inside = motion.window_s.is_some_and(|(from, to)| (from..=to).contains(&t_s));
                 inside && arm.speed_m_per_s(t_s) > motion.floor_m_per_s
             };
-            let samples = Samples::new(options.channel.wavelength_m(), 1).map_err(bartlett::Error::from)?;
+            let samples = Samples::new(options.channel.wavelength_m(), 1)?;
             let mut own = Baseline { samples, rows: Vec::new() };
             for (at, (row, t_s)) in rows.iter().zip(times_s).enumerate() {
                 let place = t_s.and_then(|t_s| Some((t_s, end_m(&arm, t_s, length_m)?)));
@@ -584,8 +584,7 @@ impl Joined {
                     (None, _) => Fate::NoPose,
                     (Some((t_s, _)), _) if array.constants.is_empty() && !turns(t_s) => Fate::Standing,
                     (Some((t_s, end_m)), _) => {
-                        let pushed = own.samples.push(t_s, row.z(k), end_m, Vector3::zeros());
-                        pushed.map_err(bartlett::Error::from)?;
+                        own.samples.push(t_s, row.z(k), end_m, Vector3::zeros())?;
                         own.rows.push(at);
                         Fate::Used
                     }
@@ -644,12 +643,11 @@ impl Joined {
             heard.iter().map(|(_, own)| about_middle(&own.samples)).collect();
         let constants = constants(&groups, options);
         let mut turns = vec![Complex64::ONE; self.baselines.len()];
-        let mut all = Samples::new(options.channel.wavelength_m(), 1).map_err(bartlett::Error::from)?;
+        let mut all = Samples::new(options.channel.wavelength_m(), 1)?;
         for (((k, own), group), constant) in heard.iter().zip(&groups).zip(&constants) {
             turns[*k] = constant.conj();
             for ((place_m, z), t_s) in group.iter().zip(own.samples.t_s()) {
-                let pushed = all.push(*t_s, z * constant.conj(), *place_m, Vector3::zeros());
-                pushed.map_err(bartlett::Error::from)?;
+                all.push(*t_s, z * constant.conj(), *place_m, Vector3::zeros())?;
             }
         }
         Ok(Together { samples: all, anchors: 0, rows: all_rows, turns })
@@ -658,16 +656,16 @@ impl Joined {
     /// As [`Self::together`], with known constants: adds one sample of phase 0 at the origin for each measured one.
     fn anchored(&self, constants: &[ChainConstant], options: &Options) -> Result<Together, LinkError> {
         let turns: Vec<Complex64> = constants.iter().map(|constant| Complex64::cis(-constant.rad)).collect();
-        let mut all = Samples::new(options.channel.wavelength_m(), 1).map_err(bartlett::Error::from)?;
+        let mut all = Samples::new(options.channel.wavelength_m(), 1)?;
         let heard = || self.baselines.iter().map(|own| &own.samples);
         let anchors: usize = heard().map(Samples::len).sum();
         let first_s = heard().filter_map(|own| own.t_s().first()).fold(f64::MAX, |first, t_s| first.min(*t_s));
         for _ in 0..anchors {
-            all.push(first_s, Complex64::ONE, Vector3::zeros(), Vector3::zeros()).map_err(bartlett::Error::from)?;
+            all.push(first_s, Complex64::ONE, Vector3::zeros(), Vector3::zeros())?;
         }
         for (own, turn) in heard().zip(&turns) {
             for ((place_m, z), t_s) in own.receiver_m().iter().zip(own.z()).zip(own.t_s()) {
-                all.push(*t_s, z * turn, *place_m, Vector3::zeros()).map_err(bartlett::Error::from)?;
+                all.push(*t_s, z * turn, *place_m, Vector3::zeros())?;
             }
         }
         let rows = self.baselines.iter().enumerate().flat_map(|(k, own)| own.rows.iter().map(move |row| (k, *row)));

@@ -35,7 +35,6 @@ pub enum JoinBy {
 
 /// Which steps of the estimate may be taken, and the limits of its prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct Accuracy {
     /// Curved wave fronts: range and position beside the bearing.
     pub near_field: bool,
@@ -68,41 +67,8 @@ impl Default for Accuracy {
     }
 }
 
-impl Accuracy {
-    /// With or without curved wave fronts.
-    #[must_use]
-    pub fn with_near_field(self, near_field: bool) -> Self {
-        Self { near_field, ..self }
-    }
-
-    /// With so much computed.
-    #[must_use]
-    pub fn with_effort(self, effort: Effort) -> Self {
-        Self { effort, ..self }
-    }
-
-    /// With another largest |elevation|, radians.
-    #[must_use]
-    pub fn with_elevation_max_rad(self, elevation_max_rad: Option<f64>) -> Self {
-        Self { elevation_max_rad, ..self }
-    }
-
-    /// With another shortest distance of a transmitter, metres.
-    #[must_use]
-    pub fn with_range_min_m(self, range_min_m: Option<f64>) -> Self {
-        Self { range_min_m, ..self }
-    }
-
-    /// With the transmitter's height above the receiver's antenna, metres.
-    #[must_use]
-    pub fn with_height_m(self, height_m: Option<f64>) -> Self {
-        Self { height_m, ..self }
-    }
-}
-
 /// How bearings are to be made.
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct Options {
     /// The WiFi channel.
     pub channel: Channel,
@@ -150,13 +116,6 @@ pub struct Options {
 }
 
 impl Options {
-    /// With the key of the exchange.
-    #[must_use]
-    pub fn with_key(mut self, key: Option<Key>) -> Self {
-        self.key = key;
-        self
-    }
-
     /// The defaults, on `channel`: antenna A, transmitters and receiver found, joined by time, compensated.
     #[must_use]
     pub fn new(channel: Channel) -> Self {
@@ -182,113 +141,6 @@ impl Options {
             odometry_sd_m: sensor::POSITION_M,
             tier: Tier::detect(),
         }
-    }
-
-    /// With another antenna, the same on both robots.
-    #[must_use]
-    pub fn with_antenna(mut self, antenna: Antenna) -> Self {
-        self.antenna = antenna;
-        self
-    }
-
-    /// With the receiver's MAC (`None`: the most frequent sender in the transmitters' logs), and the transmitters', in the
-    /// order of their logs.
-    #[must_use]
-    pub fn with_macs(mut self, rx_mac: Option<Mac>, tx_macs: Vec<Mac>) -> Self {
-        (self.rx_mac, self.tx_macs) = (rx_mac, tx_macs);
-        self
-    }
-
-    /// With this offset from the receiver's host time to the trajectory's, seconds.
-    #[must_use]
-    pub fn with_clock_offset_s(mut self, clock_offset_s: f64) -> Self {
-        self.clock_offset_s = clock_offset_s;
-        self
-    }
-
-    /// With the standard deviation of the trajectory's heading, radians.
-    #[must_use]
-    pub fn with_heading_sd_rad(mut self, heading_sd_rad: Option<f64>) -> Self {
-        self.heading_sd_rad = heading_sd_rad;
-        self
-    }
-
-    /// Joined with the trajectory by time or row by row.
-    #[must_use]
-    pub fn with_join(mut self, join: JoinBy) -> Self {
-        self.join = join;
-        self
-    }
-
-    /// With pairs from `from_s` to `to_s` only, seconds after the link's first pair.
-    #[must_use]
-    pub fn with_cut(mut self, from_s: Option<f64>, to_s: Option<f64>) -> Self {
-        (self.from_s, self.to_s) = (from_s, to_s);
-        self
-    }
-
-    /// With only every n-th pair.
-    #[must_use]
-    pub fn with_decimate(mut self, decimate: NonZeroUsize) -> Self {
-        self.decimate = decimate;
-        self
-    }
-
-    /// With or without turn-around compensation.
-    #[must_use]
-    pub fn with_compensate(mut self, compensate: bool) -> Self {
-        self.compensate = compensate;
-        self
-    }
-
-    /// On all cores of the current rayon pool, or one link after the other.
-    #[must_use]
-    pub fn with_parallel(mut self, parallel: bool) -> Self {
-        self.parallel = parallel;
-        self
-    }
-
-    /// With or without the change of the distance ([`crate::pipeline::Bearing::range_change`]).
-    #[must_use]
-    pub fn with_range_change(mut self, range_change: bool) -> Self {
-        self.range_change = range_change;
-        self
-    }
-
-    /// With or without odometry corrected by the phases ([`crate::pipeline::Bearing::odometry_fit`]).
-    #[must_use]
-    pub fn with_fit_odometry(mut self, fit_odometry: bool) -> Self {
-        self.fit_odometry = fit_odometry;
-        self
-    }
-
-    /// With or without [`crate::pipeline::Bearing::figures`].
-    #[must_use]
-    #[doc(hidden)] // for the crates of this workspace
-    pub fn with_figures(mut self, figures: bool) -> Self {
-        self.figures = figures;
-        self
-    }
-
-    /// With or without the data for pictures of phase, trajectory and profile.
-    #[must_use]
-    pub fn with_keep_course(mut self, keep_course: bool) -> Self {
-        self.keep_course = keep_course;
-        self
-    }
-
-    /// With other steps and limits.
-    #[must_use]
-    pub fn with_accuracy(mut self, accuracy: Accuracy) -> Self {
-        self.accuracy = accuracy;
-        self
-    }
-
-    /// On another SIMD tier.
-    #[must_use]
-    pub fn with_tier(mut self, tier: Tier) -> Self {
-        self.tier = tier;
-        self
     }
 
     /// Refuses numbers by which no estimate can be made.

@@ -3,7 +3,7 @@
 use super::intake::{FrameHeard, LogReader};
 use super::options::Options;
 use crate::exchange::pairing::LinkSide;
-use crate::exchange::pairing::by_clock::{ByClock, CardClock, Fit, Refusal};
+use crate::exchange::pairing::by_clock::{ByClock, Refusal};
 use driver_iface::Mac;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,7 +18,7 @@ type Frames = Vec<(Mac, FrameHeard)>;
 struct Fitting {
     log: usize,
     sender: Mac,
-    fit: Fit,
+    sharpness: f64,
     /// Places of partners among the frames of the sender and among those of the receiver.
     pairs: Vec<(usize, usize)>,
 }
@@ -42,7 +42,7 @@ pub(super) fn number(rx: &mut LogReader<'_>, txs: &mut [LogReader<'_>], options:
         }
     }
     // Frames of a third robot are of the same rounds and match a log too, but less sharply.
-    fitting.sort_by(|x, y| y.fit.sharpness.total_cmp(&x.fit.sharpness));
+    fitting.sort_by(|x, y| y.sharpness.total_cmp(&x.sharpness));
     let (mut taken, mut numbered) = (BTreeSet::new(), BTreeMap::new());
     for Fitting { log, sender, pairs, .. } in fitting {
         if numbered.contains_key(&sender) || !taken.insert(log) {
@@ -121,24 +121,24 @@ fn try_all(
     };
     let each: Vec<(usize, Mac, &Vec<FrameHeard>)> = (0..logs.len()).flat_map(of_log).collect();
     let one = |&(log, sender, frames): &(usize, Mac, &Vec<FrameHeard>)| match pair(frames, &logs[log].frames) {
-        Ok((fit, pairs)) => Ok(Fitting { log, sender, fit, pairs }),
+        Ok((sharpness, pairs)) => Ok(Fitting { log, sender, sharpness, pairs }),
         Err(why) => Err((log, why)),
     };
     if options.parallel { each.par_iter().map(one).collect() } else { each.iter().map(one).collect() }
 }
 
-fn pair(receiver: &[FrameHeard], transmitter: &[FrameHeard]) -> Result<(Fit, Vec<(usize, usize)>), Refusal> {
-    let mut machine = ByClock::new(CardClock::INTEL_5300, CardClock::INTEL_5300);
+fn pair(receiver: &[FrameHeard], transmitter: &[FrameHeard]) -> Result<(f64, Vec<(usize, usize)>), Refusal> {
+    let mut machine = ByClock::new(32);
     for (side, frames) in [(LinkSide::Receiver, receiver), (LinkSide::Transmitter, transmitter)] {
         for (place, frame) in frames.iter().enumerate() {
             machine.handle(side, frame.timestamp_low.into(), place);
         }
     }
-    let fit = machine.finish()?;
+    let sharpness = machine.finish()?;
     let mut pairs: Vec<(usize, usize)> =
         std::iter::from_fn(|| machine.poll_pair()).map(|pair| (pair.receiver, pair.transmitter)).collect();
     pairs.sort_unstable();
-    Ok((fit, pairs))
+    Ok((sharpness, pairs))
 }
 
 /// Rising numbers for all frames of both sides, the same for partners.

@@ -15,7 +15,6 @@
 
 use crate::maths::{upper_median, wrap_rad};
 use crate::signal::channel::SUBCARRIERS;
-use crate::signal::samples::Coherent;
 use csi5300_kernels::simd::{Tier, V, on_tier, sin_cos_turns, turns_of};
 use driver_iface::bfee::Iq;
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
@@ -30,8 +29,8 @@ use std::f64::consts::TAU;
 /// A subcarrier at (0, 0) has no phase and no part in the line. The magnitude is the root mean square over all subcarriers.
 /// `None` if all are zero.
 #[must_use]
-pub fn at_centre(csi: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]) -> Option<Coherent> {
-    Some(Coherent { h: centre(csi, indices, slope(csi, indices))?, path_gain: 1 })
+pub fn at_centre(csi: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]) -> Option<Complex64> {
+    centre(csi, indices, slope(csi, indices))
 }
 
 /// The usual phase step from one subcarrier to the next, radians per index.
@@ -81,11 +80,10 @@ pub fn round_trip_at_centre(
     forward: &[Complex32; SUBCARRIERS],
     backward: &[Complex32; SUBCARRIERS],
     indices: &[i8; SUBCARRIERS],
-) -> Option<Coherent> {
+) -> Option<Complex64> {
     let slope = slope(forward, indices) + slope(backward, indices);
     let product = std::array::from_fn(|k| forward[k] * backward[k]);
-    let h = centre(&product, indices, slope)?;
-    Some(Coherent { h, path_gain: 2 })
+    centre(&product, indices, slope)
 }
 
 /// What one antenna heard of a frame.
@@ -609,7 +607,6 @@ mod tests {
         let expected: Vec<Option<Complex64>> = frames
             .iter()
             .map(|[forward, backward]| round_trip_at_centre(&csi(forward), &csi(backward), &INDICES))
-            .map(|found| found.map(|coherent| coherent.h))
             .collect();
         assert!(expected.iter().flatten().count() > 100 && expected.iter().any(Option::is_none));
         for tier in Tier::available() {
@@ -655,11 +652,10 @@ mod tests {
         for slope in [-1.4f32, -0.81, -0.3, 0.0, 0.4, 0.9] {
             for phase in [-3.0f32, -1.0, 0.0, 2.5] {
                 let one = at_centre(&wave(3.0, phase, slope), &INDICES).unwrap();
-                assert!((one.h - Complex64::from_polar(3.0, f64::from(phase))).norm() < 1e-4, "{slope} {phase}");
+                assert!((one - Complex64::from_polar(3.0, f64::from(phase))).norm() < 1e-4, "{slope} {phase}");
                 // Two such slopes together turn by more than pi from one reported subcarrier to the next.
                 let both = round_trip_at_centre(&wave(1.0, phase, slope), &wave(3.0, 0.5, slope), &INDICES).unwrap();
-                assert!((both.h - Complex64::from_polar(3.0, f64::from(phase) + 0.5)).norm() < 1e-4, "{slope} {phase}");
-                assert_eq!((one.path_gain, both.path_gain), (1, 2));
+                assert!((both - Complex64::from_polar(3.0, f64::from(phase) + 0.5)).norm() < 1e-4, "{slope} {phase}");
             }
         }
         assert_eq!(at_centre(&[Complex32::default(); SUBCARRIERS], &INDICES), None);
@@ -673,14 +669,14 @@ mod tests {
         for silent in [&[0][..], &[0, 1, 2], &[7], &[3, 4, 20, 29], &[29]] {
             let mut csi = wave;
             silent.iter().for_each(|k| csi[*k] = Complex32::default());
-            let found = at_centre(&csi, &INDICES).unwrap().h;
+            let found = at_centre(&csi, &INDICES).unwrap();
             assert!((found.arg() - 2.0).abs() < 1e-5, "{silent:?} {found}");
             assert!((found.norm_sqr() - 9.0 * (30.0 - silent.len() as f64) / 30.0).abs() < 1e-4, "{silent:?} {found}");
         }
         // One alone gives its own phase.
         let mut csi = [Complex32::default(); SUBCARRIERS];
         csi[4] = Complex32::from_polar(1.0, 0.7);
-        assert!((at_centre(&csi, &INDICES).unwrap().h.arg() - 0.7).abs() < 1e-6);
+        assert!((at_centre(&csi, &INDICES).unwrap().arg() - 0.7).abs() < 1e-6);
     }
 
     /// [`TurnAround::estimate`] with differences of whole microseconds.

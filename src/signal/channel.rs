@@ -46,31 +46,16 @@ pub struct Channel {
 
 /// Why a text or number is not a channel.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ChannelError {
-    /// No channel of either band has this number, or it has no second half at 40 MHz (14).
-    #[error("`{number}` is no channel: {KNOWN}")]
-    Number {
-        /// The number.
-        number: u32,
-    },
-    /// WiFi has no channel there.
-    #[error("{mhz} MHz is outside the bands of WiFi: {KNOWN}")]
-    Centre {
-        /// The frequency, MHz.
-        mhz: u32,
-    },
-    /// A text that names no channel.
-    #[error("`{text}` is no channel: {KNOWN}")]
-    Text {
-        /// The text.
-        text: String,
-    },
-}
+#[error("{0}: {KNOWN}")]
+pub struct ChannelError(String);
 
 /// The accepted forms of a channel, for error messages.
 const KNOWN: &str = "1 to 14 (2.4 GHz), or 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177 (5 GHz), with + or - for 40 MHz, for \
                      example 108 or 36+; any other by its centre, for example 5290MHz (80 MHz wide) or 6115MHz (6 GHz)";
+
+fn no_channel(named: impl fmt::Display) -> ChannelError {
+    ChannelError(format!("`{named}` is no channel"))
+}
 
 /// Whether some country has a channel of this number (802.11-2016 annex E; 34 to 46 and 184 to 196 were Japan's).
 fn is_assigned(number: u32) -> bool {
@@ -86,24 +71,24 @@ impl Channel {
     /// A channel by its number and width.
     ///
     /// # Errors
-    /// [`ChannelError::Number`] if no channel of the 2.4 or 5 GHz band has this number.
+    /// [`ChannelError`] if no channel of the 2.4 or 5 GHz band has this number.
     pub fn new(number: u32, width: Width) -> Result<Self, ChannelError> {
         let known = (1..=14).contains(&number) || (34..=196).contains(&number);
         let wide = !(number == 14 && width != Width::Ht20);
-        if known && wide { Ok(Self { number, width, centre_mhz: None }) } else { Err(ChannelError::Number { number }) }
+        if known && wide { Ok(Self { number, width, centre_mhz: None }) } else { Err(no_channel(number)) }
     }
 
     /// A channel by its centre, MHz: of the 6 GHz band, whose numbers are also used at 5 GHz, or one of 80 or 160 MHz. Its
     /// [`Channel::width`] is then [`Width::Ht20`].
     ///
     /// # Errors
-    /// [`ChannelError::Centre`] outside 2,400 to 2,500 and 5,000 to 7,125 MHz.
+    /// [`ChannelError`] outside 2,400 to 2,500 and 5,000 to 7,125 MHz.
     pub fn of_centre_mhz(mhz: u32) -> Result<Self, ChannelError> {
         let base_mhz = match mhz {
             2_400..=2_500 => 2_407,
             5_000..=5_925 => 5_000,
             5_926..=7_125 => 5_950,
-            _ => return Err(ChannelError::Centre { mhz }),
+            _ => return Err(ChannelError(format!("{mhz} MHz is outside the bands of WiFi"))),
         };
         Ok(Self { number: mhz.saturating_sub(base_mhz) / 5, width: Width::Ht20, centre_mhz: Some(mhz) })
     }
@@ -159,7 +144,7 @@ impl FromStr for Channel {
     type Err = ChannelError;
 
     fn from_str(text: &str) -> Result<Self, ChannelError> {
-        let wrong = || ChannelError::Text { text: text.into() };
+        let wrong = || no_channel(text);
         if let Some(mhz) = text.strip_suffix("MHz") {
             return Self::of_centre_mhz(mhz.trim_end().parse().map_err(|_| wrong())?);
         }

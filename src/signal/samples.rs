@@ -5,18 +5,6 @@ use nalgebra::Vector3;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// A narrow-band channel sample and how often it holds the path.
-///
-/// `h ~ exp(-j 2 pi path_gain d / lambda)` for a path of length `d`: 2 after the round-trip product of a forward and
-/// a backward frame, 1 for a one-way channel. Estimators multiply phases by it, so 2 pi and 4 pi cannot be confused.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Coherent {
-    /// The sample, in arbitrary but common units.
-    pub h: Complex64,
-    /// How many times the path's phase is in `h` (1 or 2).
-    pub path_gain: u8,
-}
-
 /// Why a set of samples cannot be made, or a sample not be added to it.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -69,7 +57,7 @@ pub struct Samples {
 
 impl Samples {
     /// An empty set of samples at a carrier of `wavelength_m` metres that hold the path `path_gain` times
-    /// ([`Coherent::path_gain`]).
+    /// ([`Samples::path_gain`]).
     ///
     /// # Errors
     /// [`SamplesError::Wavelength`] unless `wavelength_m` is finite and positive, [`SamplesError::PathGain`] for a gain of 0.
@@ -164,7 +152,7 @@ impl Samples {
         TAU * f64::from(self.path_gain) / self.wavelength_m
     }
 
-    /// [`Coherent::path_gain`] of every sample.
+    /// How often each sample holds the path: 2 after the round-trip product of a forward and a backward frame, 1 for a one-way channel.
     #[must_use]
     pub fn path_gain(&self) -> u8 {
         self.path_gain

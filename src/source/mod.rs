@@ -285,3 +285,15 @@ pub trait FrameReceiver {
     /// Frames that failed to be sent.
     fn failed_for_certain(&self) -> u64;
 }
+
+/// Appends a record to the bytes of a log as loggers write it; false, and nothing of it, if it is longer than any record.
+#[doc(hidden)] // for the crates of this workspace
+pub fn append(record: Record<'_>, log: &mut Vec<u8>) -> bool {
+    let from = log.len();
+    log.resize(from + record.emit_len(), 0);
+    let is_written = log.get_mut(from..).is_some_and(|room| record.emit(room).is_ok());
+    if !is_written {
+        log.truncate(from);
+    }
+    is_written
+}

@@ -115,8 +115,8 @@ impl Translator {
         };
         let mut body = vec![0; repr.body_len()];
         repr.emit(&quantised(&columns), &mut body).map_err(|error| error.to_string())?;
-        append(code::CARD_CLOCK, &(left_ps as u32).to_le_bytes(), log);
-        append(code::BFEE, &body, log);
+        super::append(Record { code: code::CARD_CLOCK, body: &(left_ps as u32).to_le_bytes() }, log);
+        super::append(Record { code: code::BFEE, body: &body }, log);
         Ok(())
     }
 
@@ -152,15 +152,8 @@ impl Translator {
 }
 
 fn left_out(offset: u64, len: usize, why: &str, log: &mut Vec<u8>) {
-    append(code::LEFT_OUT, &[&offset.to_le_bytes()[..], &(len as u64).to_le_bytes(), why.as_bytes()].concat(), log);
-}
-
-fn append(code: u8, body: &[u8], log: &mut Vec<u8>) {
-    let (record, from) = (Record { code, body }, log.len());
-    log.resize(from + record.emit_len(), 0);
-    if log.get_mut(from..).is_none_or(|room| record.emit(room).is_err()) {
-        log.truncate(from);
-    }
+    let body = [&offset.to_le_bytes()[..], &(len as u64).to_le_bytes(), why.as_bytes()].concat();
+    super::append(Record { code: code::LEFT_OUT, body: &body }, log);
 }
 
 fn rssi(dbm: i16) -> u8 {

@@ -344,19 +344,12 @@ fn empty_chunk(options: &Options) -> Chunk {
 
 /// Copies a record into the chunk; false if it does not fit the chunk.
 fn push(chunk: &mut Chunk, limit: usize, host_us: Option<i64>, record: Record<'_>) -> bool {
-    let (from, need) = (chunk.bytes.len(), record.emit_len());
+    let from = chunk.bytes.len();
     // A record longer than a whole chunk still gets one of its own.
-    if from > 0 && from + need > limit {
-        return false;
-    }
-    chunk.bytes.resize(from + need, 0);
-    let Some(room) = chunk.bytes.get_mut(from..) else { return false };
-    if record.emit(room).is_err() {
-        chunk.bytes.truncate(from);
-        return false;
-    }
-    chunk.host_us.push(host_us);
-    true
+    let has_room = from == 0 || from + record.emit_len() <= limit;
+    let is_taken = has_room && super::append(record, &mut chunk.bytes);
+    chunk.host_us.extend(is_taken.then_some(host_us));
+    is_taken
 }
 
 fn work<W: Sink>(sink: &mut W, message: Message, shared: &Shared, give_back: impl FnOnce(Chunk)) {

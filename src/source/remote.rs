@@ -314,12 +314,9 @@ impl Batch {
     pub fn push_record(&mut self, host_us: Option<i64>, record: Record<'_>) {
         self.begin();
         self.bytes.extend(host_us.unwrap_or(i64::MIN).to_le_bytes());
-        let from = self.bytes.len();
-        self.bytes.resize(from + record.emit_len(), 0);
-        let emitted = self.bytes.get_mut(from..).map(|room| record.emit(room));
-        if !matches!(emitted, Some(Ok(_))) {
-            // Longer than any record: its number stays, so that it is counted where it is missed.
-            self.bytes.truncate(from - 8);
+        if !super::append(record, &mut self.bytes) {
+            // Its number stays, so that it is counted where it is missed.
+            self.bytes.truncate(self.bytes.len() - 8);
         }
     }
 

@@ -26,8 +26,8 @@ const NEAR: Mac = Mac([2, 0, 0, 0, 0, 7]);
 const FAR: Mac = Mac([2, 0, 0, 0, 0, 8]);
 
 fn options() -> Options {
-    let flat = Accuracy::default().with_elevation_max_rad(Some(0.0));
-    Options::new("108".parse().unwrap()).with_accuracy(flat)
+    let flat = Accuracy { elevation_max_rad: Some(0.0), ..Accuracy::default() };
+    Options { accuracy: flat, ..Options::new("108".parse().unwrap()) }
 }
 
 fn wavelength_m() -> f64 {

@@ -118,7 +118,7 @@ fn the_fixture_gives_its_range_change_to_a_millimetre() {
     let mut tx = Replay::open(&folder.join("csi_tx1_2023-11-14_221320.dat")).unwrap();
     let (path, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let report = bearings(&mut rx, transmitters, &path, &options().with_range_change(true)).unwrap();
+    let report = bearings(&mut rx, transmitters, &path, &Options { range_change: true, ..options() }).unwrap();
     let bearing = report.links[0].bearing.as_ref().unwrap();
     let found = bearing.range_change.as_ref().unwrap().as_ref().unwrap();
     let places = bearing.samples.receiver_m();
@@ -145,14 +145,14 @@ fn an_answer_is_the_same_however_loud_both_cards_are() {
 fn threads_change_no_number() {
     let made = link(400, 2.0);
     let path = trajectory(&made);
-    let every_step = options().with_accuracy(options().accuracy.with_effort(Effort::Everything));
+    let every_step = Options { accuracy: Accuracy { effort: Effort::Everything, ..options().accuracy }, ..options() };
     let answer = |options: &Options| {
         let report = run(&made.rx, &made.tx, &path, options);
         serde_json::to_value(Answer::new("tx".into(), &report.links[0])).unwrap()
     };
     let alone = answer(&every_step);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-    assert_eq!(pool.install(|| answer(&every_step.clone().with_parallel(true))), alone);
+    assert_eq!(pool.install(|| answer(&Options { parallel: true, ..every_step.clone() })), alone);
     assert!(alone["azimuth_deg"].is_number() && alone["candidates"][0].is_object(), "{alone}");
 }
 
@@ -190,7 +190,7 @@ fn who_exchanges_the_two_logs_finds_the_negated_carrier_frequency_offset() {
     };
     let own = offset_hz(&made.rx, &made.tx, &options());
     // The other robot's records are stamped by its own clock.
-    let other = offset_hz(&made.tx, &made.rx, &options().with_clock_offset_s(-PARTNER_AHEAD_S));
+    let other = offset_hz(&made.tx, &made.rx, &Options { clock_offset_s: -PARTNER_AHEAD_S, ..options() });
     assert!(own.abs() > 1_000.0 && (own + other).abs() < 1.0, "{own} {other}");
 }
 
@@ -235,23 +235,23 @@ fn made() -> Link {
 #[test]
 fn a_number_out_of_its_range_is_an_error_of_the_link() {
     let link = made();
-    let accuracy = |accuracy| options().with_fit_odometry(true).with_accuracy(accuracy);
+    let accuracy = |accuracy| Options { fit_odometry: true, accuracy, ..options() };
     let usual = Accuracy::default();
     let mut spread = options();
     spread.odometry_sd_m = -1.0;
     for (asked, name) in [
-        (accuracy(usual.with_range_min_m(Some(0.0))), "range_min_m"),
-        (accuracy(usual.with_range_min_m(Some(-0.1))), "range_min_m"),
-        (accuracy(usual.with_range_min_m(Some(f64::NAN))), "range_min_m"),
-        (accuracy(usual.with_elevation_max_rad(Some(f64::NAN))), "elevation_max_rad"),
-        (accuracy(usual.with_height_m(Some(f64::INFINITY))), "height_m"),
-        (options().with_heading_sd_rad(Some(f64::INFINITY)), "heading_sd_rad"),
+        (accuracy(Accuracy { range_min_m: Some(0.0), ..usual }), "range_min_m"),
+        (accuracy(Accuracy { range_min_m: Some(-0.1), ..usual }), "range_min_m"),
+        (accuracy(Accuracy { range_min_m: Some(f64::NAN), ..usual }), "range_min_m"),
+        (accuracy(Accuracy { elevation_max_rad: Some(f64::NAN), ..usual }), "elevation_max_rad"),
+        (accuracy(Accuracy { height_m: Some(f64::INFINITY), ..usual }), "height_m"),
+        (Options { heading_sd_rad: Some(f64::INFINITY), ..options() }, "heading_sd_rad"),
         (spread, "odometry_sd_m"),
     ] {
         let error = only_bearing(&link.rx, &link.tx, &trajectory(&link), &asked).unwrap_err();
         assert!(matches!(error, LinkError::OutOfRange { option, .. } if option == name), "{name}: {error}");
     }
-    let nearest = accuracy(usual.with_range_min_m(Some(0.01)));
+    let nearest = accuracy(Accuracy { range_min_m: Some(0.01), ..usual });
     assert!(only_bearing(&link.rx, &link.tx, &trajectory(&link), &nearest).is_ok());
 }
 
@@ -263,7 +263,7 @@ fn one_log_for_both_sides_is_refused() {
         assert!(matches!(refused, LinkError::Unmatched(Unmatched::SameSender { .. })), "{refused:?}");
     }
     // Named, so that nothing is matched: the frames themselves are the same.
-    let named = options().with_macs(Some(TRANSMITTER), vec![TRANSMITTER]);
+    let named = Options { rx_mac: Some(TRANSMITTER), tx_macs: vec![TRANSMITTER], ..options() };
     assert!(only_bearing(&made.rx, &made.rx, &path, &named).is_err());
     assert!(only_bearing(&made.rx, &made.tx, &path, &options()).is_ok());
 }
@@ -273,7 +273,7 @@ fn more_macs_than_logs_are_refused() {
     let made = made();
     let (mut rx, mut tx) = (log(&made.rx), log(&made.tx));
     let (transmitters, path) = (vec![Transmitter { log: &mut tx, trajectory: None }], trajectory(&made));
-    let named = options().with_macs(None, vec![TRANSMITTER; 2]);
+    let named = Options { rx_mac: None, tx_macs: vec![TRANSMITTER; 2], ..options() };
     let refused = bearings(&mut rx, transmitters, &path, &named).unwrap_err();
     assert!(matches!(refused, csi5300::source::Error::MoreMacs { macs: 2, logs: 1 }), "{refused}");
 }
@@ -284,8 +284,8 @@ fn a_row_for_each_frame_at_other_times_is_refused_and_joined_row_by_row() {
     let late = a_row_a_frame(400, 0.5);
     let refused = only_bearing(&made.rx, &made.tx, &late, &options()).unwrap_err();
     assert_eq!(refused, LinkError::RowsNotTimes { rows: 400, outside: 50, pairs: 400 });
-    assert!(only_bearing(&made.rx, &made.tx, &late, &options().with_join(JoinBy::Row)).is_ok());
-    assert!(only_bearing(&made.rx, &made.tx, &late, &options().with_clock_offset_s(0.5)).is_ok());
+    assert!(only_bearing(&made.rx, &made.tx, &late, &Options { join: JoinBy::Row, ..options() }).is_ok());
+    assert!(only_bearing(&made.rx, &made.tx, &late, &Options { clock_offset_s: 0.5, ..options() }).is_ok());
     // Fewer rows than frames: a trajectory that begins late is no row for each frame.
     let short = Trajectory::new(late.poses()[..300].to_vec()).unwrap();
     assert!(only_bearing(&made.rx, &made.tx, &short, &options()).is_ok());

@@ -3,7 +3,7 @@
 
 use crate::common::{captures, cases, skipped};
 use csi5300::exchange::pairing::LinkSide;
-use csi5300::internal::{ByClock, CardClock, Refusal};
+use csi5300::internal::{ByClock, Refusal};
 use csi5300::pipeline::Capture;
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
@@ -39,11 +39,11 @@ fn busiest(frames: &[(Mac, u32, u32)]) -> Mac {
 
 /// Numbers of both frames of each pair.
 fn pair(rx: &[(u32, u32)], tx: &[(u32, u32)]) -> Result<(f64, Vec<(u32, u32)>), Refusal> {
-    let mut machine = ByClock::new(CardClock::INTEL_5300, CardClock::INTEL_5300);
+    let mut machine = ByClock::new(32);
     rx.iter().for_each(|(clock, number)| machine.handle(LinkSide::Receiver, (*clock).into(), *number));
     tx.iter().for_each(|(clock, number)| machine.handle(LinkSide::Transmitter, (*clock).into(), *number));
-    let fit = machine.finish()?;
-    Ok((fit.sharpness, std::iter::from_fn(|| machine.poll_pair()).map(|p| (p.receiver, p.transmitter)).collect()))
+    let sharpness = machine.finish()?;
+    Ok((sharpness, std::iter::from_fn(|| machine.poll_pair()).map(|p| (p.receiver, p.transmitter)).collect()))
 }
 
 /// Logs of links that have numbers: the paper's, and one WSR capture with three transmitters.

@@ -145,7 +145,7 @@ fn wheels(run: &Simulation) -> Trajectory {
 }
 
 fn answers(run: &Simulation, path: &Trajectory, fit: bool) -> Vec<(Answer, Bearing)> {
-    estimated(run, path, &Options::new("108".parse().unwrap()).with_fit_odometry(fit))
+    estimated(run, path, &Options { fit_odometry: fit, ..Options::new("108".parse().unwrap()) })
 }
 
 fn estimated(run: &Simulation, path: &Trajectory, options: &Options) -> Vec<(Answer, Bearing)> {
@@ -223,7 +223,7 @@ fn ranges_by_a_heading_that_drifts_are_as_uncertain_as_the_path_is_bent() {
                 walls,
             );
             let path = drifting(run.robots[0].true_path.as_ref().unwrap(), mean_rad);
-            let options = Options::new("108".parse().unwrap()).with_heading_sd_rad(Some(sd_rad));
+            let options = Options { heading_sd_rad: Some(sd_rad), ..Options::new("108".parse().unwrap()) };
             let found = estimated(&run, &path, &options);
             for (robot, (_, bearing)) in run.robots[1..].iter().zip(&found) {
                 let Some(range) = &bearing.answer.range else { continue };
@@ -256,7 +256,8 @@ fn elevations_by_a_path_of_the_wrong_scale_are_no_surer_than_it_is() {
         for scale in [-1.0, -0.4, 0.0, 0.4, 1.0].map(|sds| 1.0 + sds * scale_sd) {
             let scaled = |pose: &Pose| Pose { position_m: pose.position_m * scale, ..*pose };
             let path = run.robots[0].true_path.as_ref().unwrap().poses().iter().map(scaled).collect();
-            let options = Options::new("108".parse().unwrap()).with_heading_sd_rad(Some(heading_deg.to_radians()));
+            let options =
+                Options { heading_sd_rad: Some(heading_deg.to_radians()), ..Options::new("108".parse().unwrap()) };
             let (answer, bearing) = estimated(&run, &Trajectory::new(path).unwrap(), &options).remove(0);
             let way = run.robots[1].start_m().unwrap() - bearing.mean_position_m;
             let truth_deg = way.z.atan2(way.xy().norm()).to_degrees();
@@ -278,7 +279,7 @@ fn a_straight_drive_that_a_drifting_heading_bends_has_a_mirror() {
             let run = three_robots(&motion, k as u64, false);
             let sd_rad = f64::to_radians(sd_deg);
             let path = drifting(run.robots[0].true_path.as_ref().unwrap(), quantile * sd_rad);
-            let options = Options::new("108".parse().unwrap()).with_heading_sd_rad(Some(sd_rad));
+            let options = Options { heading_sd_rad: Some(sd_rad), ..Options::new("108".parse().unwrap()) };
             for (robot, (answer, bearing)) in run.robots[1..].iter().zip(&estimated(&run, &path, &options)) {
                 shares.push(answer.mirror_share.unwrap_or(0.0));
                 let side = robot.start_m().unwrap().y.signum();
@@ -414,7 +415,7 @@ fn errors_deg(run: &Simulation) -> [f64; 2] {
     let robot = &run.robots[0];
     let array = Array::new(&[Antenna::A, Antenna::B], &[Vector3::new(-BASELINE_M, 0.0, 0.0)]).unwrap();
     let mut options = Options::new("108".parse().unwrap());
-    options.accuracy = options.accuracy.with_elevation_max_rad(Some(0.0));
+    options.accuracy.elevation_max_rad = Some(0.0);
     let mut both = [true, false].map(|_| OneLog::new(array.clone(), options.clone()));
     for item in items(&robot.log).unwrap() {
         let Item::Frame(frame) = item else { panic!("{item:?}") };

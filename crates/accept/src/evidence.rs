@@ -4,7 +4,7 @@ use crate::claims::CLAIMS;
 use crate::report::Report;
 use crate::stats::line;
 use csi5300::exchange::pairing::LinkSide;
-use csi5300::internal::{ByClock, CardClock, Refusal};
+use csi5300::internal::{ByClock, Refusal};
 use csi5300::motion::pose::Trajectory;
 use csi5300::signal::cfo::{TurnAround, at_centre, round_trip_at_centre};
 use csi5300::signal::channel::{Channel, SUBCARRIERS};
@@ -100,12 +100,7 @@ impl Heard {
 
     fn note(&mut self, next: &Next<'_>) {
         if let Next::Record(_, record) = next {
-            let from = self.log.len();
-            self.log.resize(from + record.emit_len(), 0);
-            let room = self.log.get_mut(from..).unwrap_or_default();
-            if record.emit(room).is_err() {
-                self.log.truncate(from);
-            }
+            csi5300::source::append(*record, &mut self.log);
         }
         let Some((bfee, identity)) = self.survey.note(next) else { return };
         self.ends.push(self.log.len());
@@ -377,10 +372,12 @@ pub(crate) struct Pairs {
 
 /// Antenna A's coefficients of the first stream; the first chain's if the record does not name A.
 pub(crate) fn antenna_a(record: &HeardRecord) -> [Complex32; SUBCARRIERS] {
-    let head = &record.head;
-    let antennas = Antennas::new(head.antenna_sel, head.n_rx, head.rssi).ok();
-    let chain = antennas.and_then(|antennas| antennas.chain_of(Antenna::A)).unwrap_or(0);
-    column(record, chain)
+    column(record, antennas(record).and_then(|antennas| antennas.chain_of(Antenna::A)).unwrap_or(0))
+}
+
+/// The antennas of a record's chains, if it names them.
+pub(crate) fn antennas(record: &HeardRecord) -> Option<Antennas> {
+    Antennas::new(record.head.antenna_sel, record.head.n_rx, record.head.rssi).ok()
 }
 
 /// The coefficients of one chain, first stream.
@@ -440,18 +437,14 @@ fn by_number<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -
 
 fn by_clock<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -> Partners<'a> {
     // Whole microseconds, without wraps.
-    const CLOCK: CardClock = CardClock { tick_ps: 1_000_000, bits: 64 };
-    let mut machine = ByClock::new(CLOCK, CLOCK);
+    let mut machine = ByClock::new(64);
     for (side, heard, sender) in [(LinkSide::Receiver, near, of_far), (LinkSide::Transmitter, far, of_near)] {
         for record in heard.records.iter().filter(|record| record.mac == sender) {
             machine.handle(side, record.card_us.cast_unsigned(), record);
         }
     }
     let refused = machine.finish().err();
-    let frames = [LinkSide::Receiver, LinkSide::Transmitter].map(|side| {
-        let counts = machine.counts(side);
-        counts.handed - counts.twice
-    });
+    let frames = machine.records();
     let pairs = std::iter::from_fn(|| machine.poll_pair()).map(|pair| (pair.receiver, pair.transmitter)).collect();
     Partners { pairs, frames, refused }
 }
@@ -498,9 +491,9 @@ impl Pairs {
             };
             pairs.near_us.push(record.card_us);
             pairs.difference_us.push(other.card_us - record.card_us);
-            pairs.product.push(product.h);
-            pairs.ratio.push(ratio.h);
-            pairs.one_way.push(one_way.h);
+            pairs.product.push(product);
+            pairs.ratio.push(ratio);
+            pairs.one_way.push(one_way);
         }
         pairs.fit();
         pairs

@@ -214,6 +214,11 @@ impl Report {
         self.findings.iter().filter(|finding| finding.verdict == verdict).count()
     }
 
+    /// How many fail, hold, are measured and were not tried.
+    fn tally(&self) -> [usize; 4] {
+        [Verdict::Fails, Verdict::Holds, Verdict::Measured, Verdict::NotTried].map(|verdict| self.count(verdict))
+    }
+
     /// As JSON.
     ///
     /// # Errors
@@ -257,8 +262,7 @@ impl Report {
              svg{width:100%;max-width:42rem;font:11px system-ui}.plane{fill:none;stroke:#8c959f}.grid{stroke:#e4e8ec;fill:none}\
              small{color:#57606a}li{margin:.15rem 0}</style>\n<h1>What holds on this desk</h1>\n",
         );
-        let [fail, hold, measured, not_tried] =
-            [Verdict::Fails, Verdict::Holds, Verdict::Measured, Verdict::NotTried].map(|verdict| self.count(verdict));
+        let [fail, hold, measured, not_tried] = self.tally();
         let _ = writeln!(
             page,
             "<p><b class=\"fails\">{fail} fail</b>, <b class=\"holds\">{hold} hold</b>, {measured} measured, {not_tried} not tried. csi5300 {}</p>",
@@ -328,14 +332,9 @@ impl fmt::Display for Report {
                 }
             }
         }
-        writeln!(
-            out,
-            "{} fail, {} hold, {} measured, {} not tried (a claim about each card counts twice)",
-            self.count(Verdict::Fails),
-            self.count(Verdict::Holds),
-            self.count(Verdict::Measured),
-            self.count(Verdict::NotTried)
-        )
+        let [fail, hold, measured, not_tried] = self.tally();
+        let twice = "(a claim about each card counts twice)";
+        writeln!(out, "{fail} fail, {hold} hold, {measured} measured, {not_tried} not tried {twice}")
     }
 }
 

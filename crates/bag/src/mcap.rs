@@ -3,7 +3,7 @@
 //! compressed chunks and reads from start to end without the index, so that it also reads files without an end.
 
 use crate::cdr::{Cdr, CdrError, CdrReader};
-use crate::unbag::{BagError, Channel, Ended, Used, compressed};
+use crate::unbag::{BagError, Channel, Ended, Used, compressed, compressed_by};
 use crc32fast::hash as crc32;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -394,8 +394,7 @@ impl Reading<'_, '_> {
     fn chunk(&mut self, content: &[u8]) -> Result<(), BagError> {
         let chunk = match ReadChunk::of(content) {
             Ok(chunk) if !["", "zstd", "lz4"].contains(&chunk.compression.as_str()) => {
-                let (path, by) = (self.path.to_owned(), chunk.compression);
-                return Err(BagError::Compressed { path, by, command: "mcap compress --compression none" });
+                return Err(compressed_by(self.path, &chunk.compression, "mcap compress --compression none"));
             }
             Ok(chunk) if chunk.is_good() => chunk,
             _ => {

@@ -148,7 +148,7 @@ impl Recording {
         let [receiver, transmitter] = self.simulation.robots.as_slice() else { return Err(CompareError::one_robot()) };
         let (mut rx, mut tx) = (receiver.replay(), transmitter.replay());
         let transmitters = vec![Transmitter { log: &mut tx, trajectory: self.displaced.as_ref() }];
-        let options = options.clone().with_clock_offset_s(-LATE_S);
+        let options = Options { clock_offset_s: -LATE_S, ..options.clone() };
         let mut report = bearings(&mut rx, transmitters, &self.reported, &options)?;
         let link = report.links.pop().ok_or_else(CompareError::no_transmitter)?;
         link.bearing.map_err(|error| CompareError::Lacks(error.to_string()))

@@ -1,6 +1,6 @@
 //! The serial port of a TurtleBot3: opened, watched, and reopened after it was unplugged.
 
-use csi5300::motion::odometry::opencr::{ControllerCounts, Found, Geometry, OpenCr};
+use csi5300::motion::odometry::opencr::{ControllerCounts, Geometry, OpenCr};
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
 use csi5300::source::Error;
 use csi5300::time::{Instant, Span};
@@ -133,11 +133,7 @@ impl OdometrySource for Serial {
             let look = if self.opencr.is_waiting() { due.min(now + LOOK) } else { due };
             self.next = look.max(now + Span::from_us(1));
         }
-        Ok(match self.opencr.poll_found() {
-            Some(Found::Pose(pose)) => NextPose::Pose(pose),
-            Some(Found::NewFrame) => NextPose::NewFrame,
-            None => NextPose::Pending,
-        })
+        Ok(self.opencr.poll_found().unwrap_or(NextPose::Pending))
     }
 
     fn next_at(&self) -> Option<Instant> {

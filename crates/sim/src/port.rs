@@ -172,13 +172,8 @@ impl Port {
         }
         self.fill(&mut air, now_ns);
         loop {
-            let (reception, second) = match self.follows.take() {
-                Some(reception) => (reception, true),
-                None => match self.queue.pop_front() {
-                    Some(reception) => (reception, false),
-                    None => break,
-                },
-            };
+            let second = self.follows.is_some();
+            let Some(reception) = self.follows.take().or_else(|| self.queue.pop_front()) else { break };
             let is_pair = self.ax210.as_ref().map_or(self.driver == Driver::Stock, |card| !card.as_written);
             let first_of_two = is_pair && !second;
             let written = match &self.ax210 {

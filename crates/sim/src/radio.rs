@@ -3,6 +3,8 @@
 use super::maths::amplitude;
 use super::random::Stream;
 use super::world::TONES;
+use csi5300::exchange::tdma::Phy;
+use driver_iface::radiotap::Bandwidth;
 use serde::{Deserialize, Serialize};
 
 /// A radio.
@@ -191,17 +193,11 @@ impl Radio {
         (us.max(0.1 * self.host_latency_us) * 1e3).round() as i64
     }
 
-    /// How long a frame of `len` bytes (with FCS) is on air, nanoseconds.
-    ///
-    /// 802.11n mixed format (20.3.11, table 20-30): 36 us of preamble for one stream, then symbols of 4 us with 26, 52, 78, 104, 156, 208, 234 or 260 data bits
-    /// at 20 MHz (54/26 as many at 40 MHz), 16 service and 6 tail bits.
+    /// How long a frame of `len` bytes (with FCS) is on air in one stream, nanoseconds.
     #[must_use]
     pub(crate) fn airtime_ns(&self, len: usize, wide: bool) -> i64 {
-        const BITS_20: [usize; 8] = [26, 52, 78, 104, 156, 208, 234, 260];
-        let bits_20 = BITS_20[usize::from(self.mcs & 7)];
-        let per_symbol = if wide { bits_20 / 26 * 54 } else { bits_20 };
-        let symbols = (16 + 8 * len + 6).div_ceil(per_symbol);
-        36_000 + 4_000 * symbols as i64
+        let bandwidth = if wide { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
+        i64::from(Phy { mcs: self.mcs & 7, bandwidth }.airtime_us(len)) * 1_000
     }
 
     /// The filters' amplitude at each subcarrier, of unit mean square; `None` if they are flat.

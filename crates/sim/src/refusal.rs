@@ -32,30 +32,20 @@ pub enum SceneError {
         /// The name.
         scene: PathBuf,
     },
-    /// It is not TOML, or not a scene: an unknown key, a value of another type.
-    #[error("{}{reason}", At(*line))]
-    Toml {
-        /// Line of the text, from 1, where it is known.
-        line: Option<usize>,
-        /// What the TOML reader said.
-        reason: String,
-    },
-    /// A value is invalid, or robots are at impossible places.
+    /// It is not TOML or not a scene (an unknown key, a value of another type), a value is invalid, or robots are at impossible
+    /// places.
     #[error("{}{reason}", At(*line))]
     Value {
-        /// The way to the value from the scene's root, `robot[1].faults.loss`.
+        /// The way to the value from the scene's root, `robot[1].faults.loss`; empty where TOML's reader refused it.
         place: String,
         /// Line of the text, from 1; `None` for a scene without a text.
         line: Option<usize>,
         /// The problem, and valid values.
         reason: String,
     },
-    /// A value has no text in TOML.
-    #[error("the scene cannot be written: {reason}")]
-    Unwritable {
-        /// What the TOML writer said.
-        reason: String,
-    },
+    /// A value has no text in TOML: what its writer said.
+    #[error("the scene cannot be written: {0}")]
+    Unwritable(String),
 }
 
 /// The line of a text, before what is wrong with it.
@@ -72,8 +62,8 @@ impl SceneError {
     #[must_use]
     pub fn line(&self) -> Option<usize> {
         match self {
-            Self::Toml { line, .. } | Self::Value { line, .. } => *line,
-            Self::Io { .. } | Self::Nowhere { .. } | Self::Unwritable { .. } => None,
+            Self::Value { line, .. } => *line,
+            Self::Io { .. } | Self::Nowhere { .. } | Self::Unwritable(_) => None,
         }
     }
 
@@ -89,14 +79,14 @@ impl SceneError {
     /// True if the scene is readable but invalid.
     #[must_use]
     pub fn is_of_text(&self) -> bool {
-        matches!(self, Self::Toml { .. } | Self::Value { .. })
+        matches!(self, Self::Value { .. })
     }
 
     /// The same error with its line in the text.
     #[must_use]
     pub fn locate(self, text: &str) -> Self {
         match self {
-            Self::Value { place, line: None, reason } => {
+            Self::Value { place, line: None, reason } if !place.is_empty() => {
                 let line = TomlLines::new(text).line(&steps(&place));
                 Self::Value { place, line, reason }
             }

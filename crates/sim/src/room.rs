@@ -59,15 +59,7 @@ impl Room {
     /// # Errors
     /// [`RoomError::Scene`] as [`Room::new`].
     pub fn quiet(scene: &Scene) -> Result<Self, RoomError> {
-        Self::with_stations(scene, Box::new(|_, _, _| None))
-    }
-
-    /// A room with given senders; `make` makes one for each robot, and again after each restart.
-    ///
-    /// # Errors
-    /// [`RoomError::Scene`] as [`Room::new`].
-    pub(crate) fn with_stations(scene: &Scene, make: MakeStation) -> Result<Self, RoomError> {
-        Ok(Self::in_world(Self::checked(scene)?, make))
+        Ok(Self::in_world(Self::checked(scene)?, Box::new(|_, _, _| None)))
     }
 
     fn checked(scene: &Scene) -> Result<Arc<World>, RoomError> {
@@ -76,6 +68,7 @@ impl Room {
         Ok(Arc::new(world))
     }
 
+    /// A room with given senders; `make` makes one for each robot, and again after each restart.
     fn in_world(world: Arc<World>, make: MakeStation) -> Self {
         let air = Arc::new(Mutex::new(Air::new(Arc::clone(&world), make)));
         Self { air, taken: vec![false; world.scene().robot.len()], world }
@@ -340,11 +333,8 @@ pub(super) fn append(log: &mut Vec<u8>, record: &Record<'_>, is_framed: bool) ->
         log.extend_from_slice(record.body);
         return Ok(());
     }
-    let from = log.len();
-    log.resize(from + record.emit_len(), 0);
-    let place = log.get_mut(from..).unwrap_or_default();
-    let written = record.emit(place).map_err(|error| refused(format!("cannot frame a simulated record: {error}")));
-    written.map(|_| ())
+    let is_written = csi5300::source::append(*record, log);
+    is_written.then_some(()).ok_or_else(|| refused("a simulated record is longer than any"))
 }
 
 /// Why a room could not be built or used.
@@ -447,7 +437,7 @@ mod tests {
         let make = move |robot: usize, _, _| {
             (robot == 0).then(|| Box::new(Beacon { mac, number: 0, next: Instant::ZERO }) as Box<dyn Station>)
         };
-        Room::with_stations(scene, Box::new(make)).unwrap()
+        Room::in_world(Room::checked(scene).unwrap(), Box::new(make))
     }
 
     fn two(head: &str, rx: &str, tx: &str) -> Scene {

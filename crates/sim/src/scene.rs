@@ -366,9 +366,10 @@ impl Scene {
     /// Parses a scene. Values are checked when a room is made; names of trajectory files are not changed.
     ///
     /// # Errors
-    /// [`SceneError::Toml`] with the line: no TOML, an unknown key, a value of another kind.
+    /// [`SceneError::Value`] with the line: no TOML, an unknown key, a value of another kind.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
-        toml::from_str(text).map_err(|error| SceneError::Toml {
+        toml::from_str(text).map_err(|error| SceneError::Value {
+            place: String::new(),
             line: error.span().map(|span| line_of(text, span.start)),
             reason: error.message().to_owned(),
         })
@@ -379,7 +380,7 @@ impl Scene {
     /// # Errors
     /// [`SceneError::Unwritable`] if a value has no text, as the path of a trajectory that is not UTF-8.
     pub fn to_toml(&self) -> Result<String, SceneError> {
-        toml::to_string(self).map_err(|error| SceneError::Unwritable { reason: error.to_string() })
+        toml::to_string(self).map_err(|error| SceneError::Unwritable(error.to_string()))
     }
 
     /// The radio of a robot.

@@ -367,23 +367,13 @@ pub struct Server {
     told: Option<String>,
 }
 
-/// The outcome of a message to a program.
-enum Sent {
-    Yes,
-    NoRoom,
-    Gone,
-}
-
 impl Server {
     /// Opens the socket. One that an earlier room left behind is replaced.
     ///
     /// # Errors
     /// When what is there is no socket, or one that is in use; when the path cannot be used.
     pub fn bind(path: &Path) -> Result<Self, Error> {
-        let io = |errno: Errno| {
-            let what = format!("cannot serve a room at {}", path.display());
-            Error::Io { what, source: errno.into() }
-        };
+        let io = |errno: Errno| cannot_serve(path, errno.into());
         let listener = seqpacket(SockFlag::SOCK_NONBLOCK).map_err(io)?;
         let ready = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io)?;
         ready.add(&listener, EpollEvent::new(EpollFlags::EPOLLIN, 0)).map_err(io)?;
@@ -529,7 +519,7 @@ impl Server {
         client.what = what;
         self.counts.joined += u64::from(what.is_some());
         self.counts.refused += u64::from(what.is_none());
-        matches!(say(&client.socket, answer.as_bytes()), Sent::Yes) && what.is_some()
+        say(&client.socket, answer.as_bytes()).is_ok() && what.is_some()
     }
 
     /// The requested stream, taken from the room if nobody had it yet.
@@ -663,10 +653,10 @@ impl Server {
         let mut told = 0;
         for client in self.clients.iter().filter(|client| client.what == Some((role, robot))) {
             match say(&client.socket, message) {
-                Sent::Yes => told += 1,
-                Sent::NoRoom => self.counts.untaken += 1,
+                Ok(()) => told += 1,
+                Err(Errno::EAGAIN | Errno::ENOBUFS | Errno::ENOMEM) => self.counts.untaken += 1,
                 // It is closed when its end is read.
-                Sent::Gone => {}
+                Err(_) => {}
             }
         }
         told
@@ -697,12 +687,9 @@ fn receive(socket: &OwnedFd, buffer: &mut [u8]) -> nix::Result<(usize, Option<i6
     Ok((message.bytes, stamp.map(|stamp| stamp.tv_sec().saturating_mul(1_000_000) + stamp.tv_nsec() / 1_000)))
 }
 
-fn say(socket: &OwnedFd, message: &[u8]) -> Sent {
-    match send(socket.as_raw_fd(), message, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL) {
-        Ok(_) => Sent::Yes,
-        Err(Errno::EAGAIN | Errno::ENOBUFS | Errno::ENOMEM) => Sent::NoRoom,
-        Err(_) => Sent::Gone,
-    }
+/// Sends a message, or nothing of it.
+fn say(socket: &OwnedFd, message: &[u8]) -> nix::Result<()> {
+    send(socket.as_raw_fd(), message, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL).map(drop)
 }
 
 #[cfg(test)]

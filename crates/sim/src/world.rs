@@ -9,7 +9,7 @@ use super::random::{Purpose, Stream};
 use super::refusal::{Problem, SceneError};
 use super::scene::{Cfo, Pattern, Robot, Scene};
 use csi5300::signal::channel::{
-    INDICES_20_MHZ, INDICES_40_MHZ, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, SUBCARRIERS,
+    Channel, INDICES_20_MHZ, INDICES_40_MHZ, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, SUBCARRIERS, Width,
 };
 use driver_iface::Mac;
 use nalgebra::Vector3;
@@ -190,7 +190,8 @@ impl World {
 
     /// The loss of free space over the first metre, dB.
     pub fn first_metre_db(&self) -> f64 {
-        let turns = 2.0 * std::f64::consts::TAU / self.carrier.wavelength_m();
+        let wavelength_m = SPEED_OF_LIGHT_M_PER_S / self.carrier.centre_hz;
+        let turns = 2.0 * std::f64::consts::TAU / wavelength_m;
         20.0 * libm::log10(turns)
     }
 }
@@ -249,20 +250,8 @@ impl Carrier {
     ///
     /// At 40 MHz the given number is that of the 40 MHz channel's centre. `None` for numbers that are no channel.
     pub fn new(channel: u16, wide: bool) -> Option<Self> {
-        // 802.11-2016 17.3.8.4.3 and 19.3.15.2: 5000 + 5 n MHz; 2407 + 5 n MHz, and 2484 MHz for channel 14.
-        let centre_mhz = match channel {
-            1..=13 => 2_407 + 5 * channel,
-            14 => 2_484,
-            34..=196 => 5_000 + 5 * channel,
-            _ => return None,
-        };
-        let indices = if wide { &INDICES_40_MHZ } else { &INDICES_20_MHZ };
-        Some(Self { centre_hz: f64::from(centre_mhz) * 1e6, indices })
-    }
-
-    /// Wavelength at the centre, metres.
-    pub fn wavelength_m(&self) -> f64 {
-        SPEED_OF_LIGHT_M_PER_S / self.centre_hz
+        let centre_hz = Channel::new(channel.into(), Width::Ht20).ok()?.centre_hz();
+        Some(Self { centre_hz, indices: if wide { &INDICES_40_MHZ } else { &INDICES_20_MHZ } })
     }
 
     /// Adds a path to `tones`: `gain / d exp(-j 2 pi (d f_k / c))` at the frequency `f_k` of each tone, with the

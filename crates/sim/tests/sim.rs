@@ -107,7 +107,7 @@ fn keys_of_another_card_are_refused() {
     ] {
         assert!(said(from, to).contains(words), "{}", said(from, to));
     }
-    assert!(matches!(Scene::parse("card = \"ax200\""), Err(SceneError::Toml { line: Some(1), .. })));
+    assert!(matches!(Scene::parse("card = \"ax200\""), Err(SceneError::Value { line: Some(1), .. })));
 }
 
 /// Parses a log and re-encodes every record, up to a cut tail.

@@ -123,7 +123,7 @@ impl Links {
     /// The captures below a folder.
     pub fn below(folder: &Path, mut reading: Reading) -> Option<Self> {
         // Curves, paths and phases are what the page shows.
-        reading.options = reading.options.with_keep_course(true);
+        reading.options = Options { keep_course: true, ..reading.options };
         let (mut captures, unreadable) = find_all(folder);
         for capture in &mut captures {
             (capture.antenna_offset_m, capture.camera) = (reading.antenna_offset_m, reading.camera);

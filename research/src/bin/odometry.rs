@@ -121,7 +121,7 @@ fn table(path: Given, captures: &[&Capture]) -> Fallible<()> {
 fn judge(capture: &Capture, path: Given) -> Fallible<Vec<Row>> {
     let number = channel_number_in(&capture.folder)?.ok_or("the file with the truth names no channel")?;
     let (own, heading_sd_rad) = path.of(capture)?;
-    let options = Options::new(Channel::new(number, Width::Ht20)?).with_heading_sd_rad(Some(heading_sd_rad));
+    let options = Options { heading_sd_rad: Some(heading_sd_rad), ..Options::new(Channel::new(number, Width::Ht20)?) };
     let truth = capture.path(TrajectorySource::GroundTruth)?;
     let places = places(capture)?;
     let run = |options: &Options| -> Fallible<Vec<Option<Bearing>>> {
@@ -133,7 +133,7 @@ fn judge(capture: &Capture, path: Given) -> Fallible<Vec<Row>> {
     };
     let before = run(&options)?;
     let began = Instant::now();
-    let after = run(&options.with_fit_odometry(true))?;
+    let after = run(&Options { fit_odometry: true, ..options })?;
     let seconds = began.elapsed().as_secs_f64();
     let mut rows = Vec::new();
     for ((name, _), (before, after)) in capture.transmitters.iter().zip(before.iter().zip(&after)) {

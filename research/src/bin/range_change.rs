@@ -175,9 +175,11 @@ fn places(capture: &Capture) -> Fallible<BTreeMap<String, Vector3<f64>>> {
 /// The links of a capture, with a path of the receiver, compared with motion capture and the transmitters' places.
 fn judge(capture: &Capture, odometry: Odometry) -> Fallible<Vec<Row>> {
     let number = channel_number_in(&capture.folder)?.ok_or("the file with the truth names no channel")?;
-    let options = Options::new(Channel::new(number, Width::Ht20)?)
-        .with_heading_sd_rad(Some(capture.heading_sd_rad(odometry.source())))
-        .with_range_change(true);
+    let options = Options {
+        heading_sd_rad: Some(capture.heading_sd_rad(odometry.source())),
+        range_change: true,
+        ..Options::new(Channel::new(number, Width::Ht20)?)
+    };
     let path = odometry.path(capture)?;
     let truth = Odometry::Recorded(TrajectorySource::GroundTruth).path(capture)?;
     let places = places(capture)?;

@@ -5,9 +5,10 @@
 //! `turtlebot3.cpp`; its values are refreshed every 20 ms, so faster requests give repetitions, which are skipped and
 //! counted.
 //!
-//! [`OpenCr`] is made of the dialogue on the line (`Dialogue`, `Table`), and of what makes poses of its answers (`Poses`): the
+//! [`OpenCr`] is the dialogue on the line (`Table`), and has what makes poses of its answers (`Poses`): the
 //! controller's clock brought onto the host's (`ClockFit`), wheel ticks and the gyroscope's heading on the ground (`Drive`).
 
+use super::NextPose;
 use super::dynamixel::{PacketCounts, Parser, Status, emit_read};
 use crate::maths::wrap_rad;
 use crate::motion::pose::{Pose, heading_of};
@@ -37,138 +38,11 @@ pub struct ControllerCounts {
     pub drive: WheelCounts,
 }
 
-/// One thing that comes of the answers.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Found {
-    /// A pose: seconds since the Unix epoch on the host's clock; the frame begins where the robot stood first.
-    Pose(Pose),
-    /// The poses from here on are in a frame of their own.
-    NewFrame,
-}
-
 /// The dialogue with one controller. Call [`poll_transmit`](Self::poll_transmit) and write its bytes;
 /// [`handle_bytes`](Self::handle_bytes) with the bytes read; [`poll_found`](Self::poll_found) until `None`; wait until
 /// [`poll_timeout`](Self::poll_timeout) or until there are bytes.
 #[derive(Debug)]
 pub struct OpenCr {
-    dialogue: Dialogue,
-    poses: Poses,
-}
-
-impl OpenCr {
-    /// A dialogue that asks `rate_hz` times a second, from `now` on. Without a `geometry` the controller says which model
-    /// it is.
-    #[must_use]
-    pub fn new(rate_hz: f64, geometry: Option<Geometry>, now: Instant) -> Self {
-        Self { dialogue: Dialogue::new(rate_hz, now), poses: Poses::new(geometry) }
-    }
-
-    /// The counts.
-    #[must_use]
-    pub fn counts(&self) -> ControllerCounts {
-        ControllerCounts {
-            repeated: self.poses.repeated,
-            restarts: self.poses.restarts,
-            clock_steps: self.poses.fit.steps,
-            packets: self.dialogue.parser.counts,
-            drive: self.poses.drive.counts,
-            ..self.dialogue.counts
-        }
-    }
-
-    /// What is wrong, in words, if anything is.
-    #[must_use]
-    pub fn trouble(&self) -> Option<String> {
-        self.dialogue.trouble()
-    }
-
-    /// The port was reopened: nothing that was asked before will be answered.
-    pub fn reopened(&mut self, now: Instant) {
-        self.dialogue.reopened(now);
-    }
-
-    /// When it wants to be asked next.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Instant {
-        self.dialogue.poll_timeout()
-    }
-
-    /// True while an answer is awaited.
-    #[must_use]
-    pub fn is_waiting(&self) -> bool {
-        self.dialogue.waiting.is_some()
-    }
-
-    /// The request to write now, if one is due. `wall_us` is the host's wall clock, microseconds since the Unix epoch.
-    pub fn poll_transmit(&mut self, now: Instant, wall_us: i64) -> Option<&[u8]> {
-        self.dialogue.poll_transmit(now, wall_us)
-    }
-
-    /// Takes what was read from the port at `now`.
-    pub fn handle_bytes(&mut self, now: Instant, wall_us: i64, bytes: &[u8]) {
-        self.dialogue.parser.push(bytes);
-        while let Some(answer) = self.dialogue.poll_answer(now) {
-            match answer {
-                Answer::Identity(identity) => self.poses.handle_identity(identity),
-                Answer::Sensors(table, asked) => self.poses.handle_sensors(&table, asked, now, wall_us),
-            }
-        }
-    }
-
-    /// The next pose, or what else is to be known.
-    pub fn poll_found(&mut self) -> Option<Found> {
-        self.poses.found.pop_front()
-    }
-}
-
-/// An answer that takes longer does not come.
-const PATIENCE: Span = Span::from_ms(100);
-/// After this many requests without an answer its identity is requested again: it may be another controller.
-const SILENT: u32 = 5;
-/// Pause between requests to one that does not answer.
-const RETRY: Span = Span::from_ms(500);
-/// A period in step with the refresh is shortened by this: values are then met at every age within a second, also at
-/// their freshest, by which the clocks are compared.
-const OUT_OF_STEP: f64 = 0.97;
-/// Bit 7 of a status is an alert of the device and no failure.
-const ERROR: u8 = 0x7f;
-
-/// What a controller is, as far as it says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Known {
-    Nothing,
-    /// Something else answers.
-    Other(u16),
-    TurtleBot,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Request {
-    asked: Asked,
-    until: Instant,
-    length: usize,
-}
-
-/// The time of a request.
-#[derive(Clone, Copy, Debug)]
-struct Asked {
-    at: Instant,
-    /// Host's wall clock, microseconds.
-    wall_us: i64,
-}
-
-/// What the controller answered.
-#[derive(Clone, Copy, Debug)]
-enum Answer {
-    /// It is a TurtleBot3's.
-    Identity(Identity),
-    /// Its sensors.
-    Sensors(Table, Asked),
-}
-
-/// The line and its state.
-#[derive(Debug)]
-struct Dialogue {
     period: Span,
     known: Known,
     parser: Parser,
@@ -180,10 +54,14 @@ struct Dialogue {
     device_status: i8,
     buffer: Vec<u8>,
     counts: ControllerCounts,
+    poses: Poses,
 }
 
-impl Dialogue {
-    fn new(rate_hz: f64, now: Instant) -> Self {
+impl OpenCr {
+    /// A dialogue that asks `rate_hz` times a second, from `now` on. Without a `geometry` the controller says which model
+    /// it is.
+    #[must_use]
+    pub fn new(rate_hz: f64, geometry: Option<Geometry>, now: Instant) -> Self {
         Self {
             period: period(rate_hz),
             known: Known::Nothing,
@@ -195,11 +73,26 @@ impl Dialogue {
             device_status: 0,
             buffer: Vec::new(),
             counts: ControllerCounts::default(),
+            poses: Poses::new(geometry),
+        }
+    }
+
+    /// The counts.
+    #[must_use]
+    pub fn counts(&self) -> ControllerCounts {
+        ControllerCounts {
+            repeated: self.poses.repeated,
+            restarts: self.poses.restarts,
+            clock_steps: self.poses.fit.steps,
+            packets: self.parser.counts,
+            drive: self.poses.drive.counts,
+            ..self.counts
         }
     }
 
     /// What is wrong, in words, if anything is.
-    fn trouble(&self) -> Option<String> {
+    #[must_use]
+    pub fn trouble(&self) -> Option<String> {
         match self.known {
             Known::Other(model) => Some(format!(
                 "the device answers as model {model:#06x}; the controller of a TurtleBot3 is {MODEL:#06x}: is this its port?"
@@ -225,17 +118,25 @@ impl Dialogue {
     }
 
     /// The port was reopened: nothing that was asked before will be answered.
-    fn reopened(&mut self, now: Instant) {
+    pub fn reopened(&mut self, now: Instant) {
         self.parser.reset();
         (self.waiting, self.due, self.known) = (None, now, Known::Nothing);
     }
 
-    fn poll_timeout(&self) -> Instant {
+    /// When it wants to be asked next.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Instant {
         self.waiting.map_or(self.due, |request| request.until)
     }
 
-    /// The request to write now, if one is due.
-    fn poll_transmit(&mut self, now: Instant, wall_us: i64) -> Option<&[u8]> {
+    /// True while an answer is awaited.
+    #[must_use]
+    pub fn is_waiting(&self) -> bool {
+        self.waiting.is_some()
+    }
+
+    /// The request to write now, if one is due. `wall_us` is the host's wall clock, microseconds since the Unix epoch.
+    pub fn poll_transmit(&mut self, now: Instant, wall_us: i64) -> Option<&[u8]> {
         if let Some(request) = self.waiting {
             if now < request.until {
                 return None;
@@ -253,6 +154,22 @@ impl Dialogue {
         self.buffer.clear();
         emit_read(ID, address, length, &mut self.buffer);
         Some(&self.buffer)
+    }
+
+    /// Takes what was read from the port at `now`.
+    pub fn handle_bytes(&mut self, now: Instant, wall_us: i64, bytes: &[u8]) {
+        self.parser.push(bytes);
+        while let Some(answer) = self.poll_answer(now) {
+            match answer {
+                Answer::Identity { is_burger } => self.poses.handle_identity(is_burger),
+                Answer::Sensors(table, asked) => self.poses.handle_sensors(&table, asked, now, wall_us),
+            }
+        }
+    }
+
+    /// The next pose, or the news that those from here on are in a frame of their own.
+    pub fn poll_found(&mut self) -> Option<NextPose> {
+        self.poses.found.pop_front()
     }
 
     /// The answer did not come in time.
@@ -297,14 +214,15 @@ impl Dialogue {
     }
 
     fn identity(&mut self, data: &[u8], now: Instant) -> Option<Answer> {
-        let identity = Identity::of(data)?;
-        if identity.model != MODEL {
-            self.known = Known::Other(identity.model);
+        let &[low, high, info, ..] = data else { return None };
+        let model = u16::from_le_bytes([low, high]);
+        if model != MODEL {
+            self.known = Known::Other(model);
             self.due = now + RETRY;
             return None;
         }
         (self.known, self.refused) = (Known::TurtleBot, (0, 0));
-        Some(Answer::Identity(identity))
+        Some(Answer::Identity { is_burger: info == 1 })
     }
 
     fn sensors(&mut self, data: &[u8], asked: Asked) -> Option<Answer> {
@@ -312,6 +230,51 @@ impl Dialogue {
         (self.refused, self.device_status) = ((0, 0), table.device_status);
         Some(Answer::Sensors(table, asked))
     }
+}
+
+/// An answer that takes longer does not come.
+const PATIENCE: Span = Span::from_ms(100);
+/// After this many requests without an answer its identity is requested again: it may be another controller.
+const SILENT: u32 = 5;
+/// Pause between requests to one that does not answer.
+const RETRY: Span = Span::from_ms(500);
+/// A period in step with the refresh is shortened by this: values are then met at every age within a second, also at
+/// their freshest, by which the clocks are compared.
+const OUT_OF_STEP: f64 = 0.97;
+/// Bit 7 of a status is an alert of the device and no failure.
+const ERROR: u8 = 0x7f;
+
+/// What a controller is, as far as it says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Known {
+    Nothing,
+    /// Something else answers.
+    Other(u16),
+    TurtleBot,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Request {
+    asked: Asked,
+    until: Instant,
+    length: usize,
+}
+
+/// The time of a request.
+#[derive(Clone, Copy, Debug)]
+struct Asked {
+    at: Instant,
+    /// Host's wall clock, microseconds.
+    wall_us: i64,
+}
+
+/// What the controller answered.
+#[derive(Clone, Copy, Debug)]
+enum Answer {
+    /// It is a TurtleBot3's: of model information 1, a Burger's.
+    Identity { is_burger: bool },
+    /// Its sensors.
+    Sensors(Table, Asked),
 }
 
 /// Time between requests, never in step with the controller's refresh.
@@ -339,22 +302,6 @@ const STATUS: usize = 8;
 const ORIENTATION: usize = 86;
 const LEFT: usize = 126;
 const RIGHT: usize = 130;
-
-/// What a controller says that it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Identity {
-    model: u16,
-    /// Model information: 1 is a Burger.
-    is_burger: bool,
-}
-
-impl Identity {
-    /// From the bytes of [`IDENTITY`].
-    fn of(data: &[u8]) -> Option<Self> {
-        let &[low, high, info, ..] = data else { return None };
-        Some(Self { model: u16::from_le_bytes([low, high]), is_burger: info == 1 })
-    }
-}
 
 /// The part of the control table that is read.
 #[derive(Clone, Copy, Debug)]
@@ -419,7 +366,7 @@ struct Poses {
     drive: Drive,
     fit: ClockFit,
     clock: Option<Clock>,
-    found: VecDeque<Found>,
+    found: VecDeque<NextPose>,
     repeated: u64,
     restarts: u64,
 }
@@ -438,9 +385,9 @@ impl Poses {
     }
 
     /// The controller's model is known, before its first reading.
-    fn handle_identity(&mut self, identity: Identity) {
+    fn handle_identity(&mut self, is_burger: bool) {
         if self.geometry.is_none() && self.clock.is_none() {
-            self.drive = Drive::new(if identity.is_burger { Geometry::BURGER } else { Geometry::WAFFLE });
+            self.drive = Drive::new(if is_burger { Geometry::BURGER } else { Geometry::WAFFLE });
         }
     }
 
@@ -450,7 +397,7 @@ impl Poses {
         // The answer was made up between the two.
         if self.fit.handle(controller_us, (asked.wall_us, wall_us)) {
             // The poses so far have times of another clock.
-            self.found.push_back(Found::NewFrame);
+            self.found.push_back(NextPose::NewFrame);
         }
         let Some(host_us) = self.fit.host_us(controller_us) else { return };
         let reading = Reading {
@@ -460,12 +407,12 @@ impl Poses {
             heading_rad: table.heading_rad,
         };
         if self.drive.handle(reading) {
-            let (position_m, heading_rad) = self.drive.place();
+            let Drive { position_m, heading_rad, .. } = self.drive;
             let pose = Pose { t_s: host_us * 1e-6, position_m, heading_rad: Some(heading_rad) };
-            self.found.push_back(Found::Pose(pose));
+            self.found.push_back(NextPose::Pose(pose));
         } else {
             // How far it went in that step is not known.
-            self.found.push_back(Found::NewFrame);
+            self.found.push_back(NextPose::NewFrame);
         }
     }
 
@@ -502,9 +449,10 @@ impl Poses {
     fn restart(&mut self) {
         self.restarts += 1;
         self.clock = None;
-        self.fit.restart();
-        self.drive.restart();
-        self.found.push_back(Found::NewFrame);
+        // The clock's fit, and the next reading, begin anew.
+        self.fit.blocks.clear();
+        self.drive.last = None;
+        self.found.push_back(NextPose::NewFrame);
     }
 }
 
@@ -563,11 +511,6 @@ impl ClockFit {
             }
         }
         set
-    }
-
-    /// Forgets everything but the count: the controller's clock restarted.
-    pub fn restart(&mut self) {
-        self.blocks.clear();
     }
 
     /// The host's time at a time of the controller, microseconds; `None` before the first reading.
@@ -648,6 +591,7 @@ pub struct WheelCounts {
 struct Drive {
     geometry: Geometry,
     last: Option<Reading>,
+    /// Position of the middle between the wheels, metres, and heading, radians.
     position_m: Vector3<f64>,
     heading_rad: f64,
     /// How far the wheels turned the robot since the IMU's heading last changed, radians.
@@ -662,17 +606,6 @@ impl Drive {
     pub fn new(geometry: Geometry) -> Self {
         let position_m = Vector3::zeros();
         Self { geometry, last: None, position_m, heading_rad: 0.0, unseen_rad: 0.0, counts: WheelCounts::default() }
-    }
-
-    /// Position of the middle between the wheels, metres, and heading, radians.
-    #[must_use]
-    pub fn place(&self) -> (Vector3<f64>, f64) {
-        (self.position_m, self.heading_rad)
-    }
-
-    /// The next reading counts from itself: the controller restarted, and what was driven meanwhile is not known.
-    pub fn restart(&mut self) {
-        self.last = None;
     }
 
     /// Takes a reading; false if it was skipped.
@@ -779,7 +712,7 @@ mod tests {
         for geometry in [Geometry::BURGER, Geometry::WAFFLE] {
             for with_imu in [true, false] {
                 let drive = circle(0.3, geometry, |turned| with_imu.then(|| wrap_rad(2.0 + turned)));
-                let (at, heading) = drive.place();
+                let (at, heading) = (drive.position_m, drive.heading_rad);
                 assert!(at.norm() < 2e-3 && heading.abs() < 0.02, "{at} {heading}");
                 let counts = drive.counts;
                 assert_eq!((counts.by_imu > 0, counts.by_wheels > 0, counts.jumps), (with_imu, !with_imu, 0));
@@ -795,7 +728,7 @@ mod tests {
             let (left, right) = (ticks(turned * 0.22), ticks(turned * 0.38));
             drive.handle(Reading { t_s: f64::from(k) * 0.05, left, right, heading_rad: Some(turned) });
         }
-        let (at, heading) = drive.place();
+        let (at, heading) = (drive.position_m, drive.heading_rad);
         assert!((at - Vector3::new(0.3, 0.3, 0.0)).norm() < 1e-3 && (heading - FRAC_PI_2).abs() < 1e-9, "{at}");
     }
 
@@ -803,11 +736,11 @@ mod tests {
     fn a_dead_or_jumping_heading_leaves_the_turning_to_the_wheels() {
         let dead = circle(0.3, Geometry::BURGER, |_| Some(1.25));
         // Until it is known to be dead it is believed: the circle is out of true by that much.
-        assert!((dead.place().1 + DEAD_HEADING_RAD).abs() < 0.03, "{:?}", dead.place());
+        assert!((dead.heading_rad + DEAD_HEADING_RAD).abs() < 0.03, "{dead:?}");
         assert!(dead.counts.by_wheels > 900);
         let jump =
             circle(0.3, Geometry::BURGER, |turned| Some(wrap_rad(turned + if turned > 3.0 { 2.0 } else { 0.0 })));
-        assert!(jump.place().0.norm() < 2e-3, "{:?}", jump.place());
+        assert!(jump.position_m.norm() < 2e-3, "{jump:?}");
         assert_eq!(jump.counts.by_wheels, 1);
     }
 
@@ -819,7 +752,7 @@ mod tests {
         assert!(!drive.handle(reading(0.02, 1 << 24)));
         assert!(drive.handle(reading(0.04, (1 << 24) + 10)));
         assert_eq!(drive.counts.jumps, 1);
-        assert!((drive.place().0.x - 10.0 * TICK_RAD * 0.033).abs() < 1e-12);
+        assert!((drive.position_m.x - 10.0 * TICK_RAD * 0.033).abs() < 1e-12);
     }
 
     /// A TurtleBot3 that drives a circle to the left.
@@ -900,7 +833,7 @@ mod tests {
         device: &mut Emulated,
         (from_s, to_s): (f64, f64),
         mut line: impl FnMut(f64, Vec<u8>) -> Vec<u8>,
-    ) -> Vec<Found> {
+    ) -> Vec<NextPose> {
         let mut now = Instant::from_us((from_s * 1e6) as i64);
         let mut found = Vec::new();
         while now.as_s() < to_s {
@@ -919,8 +852,8 @@ mod tests {
         found
     }
 
-    fn poses(found: &[Found]) -> Vec<Pose> {
-        found.iter().filter_map(|found| if let Found::Pose(pose) = found { Some(*pose) } else { None }).collect()
+    fn poses(found: &[NextPose]) -> Vec<Pose> {
+        found.iter().filter_map(|found| if let NextPose::Pose(pose) = found { Some(*pose) } else { None }).collect()
     }
 
     /// Where the emulated robot is, in the frame of its start.
@@ -962,7 +895,7 @@ mod tests {
             }
             bytes
         });
-        assert!(!found.contains(&Found::NewFrame));
+        assert!(!found.contains(&NextPose::NewFrame));
         let last = poses(&found).last().copied().unwrap();
         assert!((last.position_m - truth(22.0)).norm() < 3e-3, "{last:?}");
         let counts = opencr.counts();
@@ -976,7 +909,7 @@ mod tests {
         opencr.reopened(Instant::from_us(5_000_000));
         (device.boot_us, device.ticks_from) = (0, 12_345);
         let after = talk(&mut opencr, &mut device, (5.0, 6.0), |_, bytes| bytes);
-        assert_eq!(after.first(), Some(&Found::NewFrame));
+        assert_eq!(after.first(), Some(&NextPose::NewFrame));
         let (before, after) = (poses(&before), poses(&after));
         assert!((after[0].position_m - before[before.len() - 1].position_m).norm() < 1e-9);
         assert!((after[40].t_s - (WALL_US as f64 * 1e-6 + 5.8)).abs() < 0.1, "{}", after[40].t_s);
@@ -1001,7 +934,7 @@ mod tests {
             got.extend(std::iter::from_fn(|| opencr.poll_found()));
         }
         let counts = opencr.counts();
-        assert!(!got.contains(&Found::NewFrame) && poses(&got).len() > 700, "{counts:?}");
+        assert!(!got.contains(&NextPose::NewFrame) && poses(&got).len() > 700, "{counts:?}");
         assert_eq!((counts.restarts, counts.clock_steps, counts.drive.jumps), (0, 0, 0), "{counts:?}");
         let off = |pose: &Pose| (pose.position_m - truth(pose.t_s - WALL_US as f64 * 1e-6)).norm();
         assert!(poses(&got).iter().skip(60).all(|pose| off(pose) < 2e-3));
@@ -1010,17 +943,17 @@ mod tests {
     #[test]
     fn a_clock_that_was_set_and_a_jump_of_the_ticks_open_a_new_frame() {
         let (mut opencr, mut device) = (OpenCr::new(100.0, None, Instant::ZERO), Emulated::new());
-        assert!(!talk(&mut opencr, &mut device, (0.0, 5.0), |_, bytes| bytes).contains(&Found::NewFrame));
+        assert!(!talk(&mut opencr, &mut device, (0.0, 5.0), |_, bytes| bytes).contains(&NextPose::NewFrame));
         device.ticks_from += 1 << 20;
         let jumped = talk(&mut opencr, &mut device, (5.0, 6.0), |_, bytes| bytes);
-        assert_eq!(jumped.iter().filter(|found| **found == Found::NewFrame).count(), 1);
+        assert_eq!(jumped.iter().filter(|found| **found == NextPose::NewFrame).count(), 1);
         // The host's clock is set back by an hour.
         let (now, back_us) = (Instant::from_us(6_100_000), WALL_US - 3_600_000_000);
         let asked = opencr.poll_transmit(now, back_us + now.as_us()).unwrap().to_vec();
         let answer = device.answer(now.as_us(), &asked);
         opencr.handle_bytes(now, back_us + now.as_us(), &answer);
-        assert_eq!(opencr.poll_found(), Some(Found::NewFrame));
-        let Some(Found::Pose(pose)) = opencr.poll_found() else { panic!("a pose on the new clock") };
+        assert_eq!(opencr.poll_found(), Some(NextPose::NewFrame));
+        let Some(NextPose::Pose(pose)) = opencr.poll_found() else { panic!("a pose on the new clock") };
         assert!((pose.t_s - (back_us as f64 * 1e-6 + 6.1)).abs() < 0.1, "{pose:?}");
     }
 

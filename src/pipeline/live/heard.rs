@@ -1,6 +1,6 @@
 //! Bearings from this robot's records alone, by two or three antennas that turn with it (see [`crate::pipeline::OneLog`]).
 
-use super::peer::{Context, Why};
+use super::peer::{Context, LastAnswer, Why};
 use super::{PeerCounts, PeerReport, PeerState};
 use crate::maths::wrap_rad;
 use crate::motion::pose::Trajectory;
@@ -75,15 +75,9 @@ struct HeardLink {
     /// Arrival of the last record, and its host time, seconds.
     heard_at: Option<Instant>,
     seen_s: Option<f64>,
-    last: Option<LastAnswer>,
+    /// The last answer, and the heading at it, radians.
+    last: Option<LastAnswer<Option<f64>>>,
     bearing: Option<Bearing>,
-}
-
-struct LastAnswer {
-    answer: Answer,
-    at: Instant,
-    heading_rad: Option<f64>,
-    moved_m: f64,
 }
 
 impl Heard {
@@ -198,9 +192,11 @@ impl HeardLink {
 
     fn report(&mut self, log: &mut OneLog, array: Reach, context: Context<'_>) -> PeerReport {
         let Context { track, settings, why, .. } = context;
-        let without = |own: &Self, state, words: String, turned_rad: f64| {
-            own.without((state, words), array, array.chord_m(turned_rad), context)
+        let held = |own: &Self, state, words: String, moved_m| {
+            let (sender, moved) = ((&*own.name, own.mac), [moved_m, array.needed_m()]);
+            PeerReport::without(own.last.as_ref(), sender, (state, words), moved, (own.seen_s, context.now))
         };
+        let without = |own: &Self, state, words, turned_rad| held(own, state, words, array.chord_m(turned_rad));
         let Some(seen_s) = self.seen_s else {
             return without(self, PeerState::NoPairs, "no record with all antennas yet".into(), 0.0);
         };
@@ -216,17 +212,12 @@ impl HeardLink {
         let heading_rad = track.last().and_then(|pose| pose.heading_rad);
         let turned_rad = turned_rad(&trajectory, (from_s, seen_s));
         let has_turned = self.last.as_ref().is_none_or(|last| {
-            heading_rad.zip(last.heading_rad).is_none_or(|(now, then)| wrap_rad(now - then).abs() >= WORTH_RAD)
+            heading_rad.zip(last.motion).is_none_or(|(now, then)| wrap_rad(now - then).abs() >= WORTH_RAD)
         });
         if why == Why::Due && !has_turned && !array.constants_known {
             self.counts.skipped += 1;
             let moved_m = self.last.as_ref().map_or(0.0, |last| last.moved_m);
-            return self.without(
-                (PeerState::Held, "held: not turned since the last bearing".into()),
-                array,
-                moved_m,
-                context,
-            );
+            return held(self, PeerState::Held, "held: not turned since the last bearing".into(), moved_m);
         }
         if let Some(words) = array.not_yet(turned_rad).filter(|_| heading_rad.is_some()) {
             return without(self, PeerState::NotYet, words, turned_rad);
@@ -251,36 +242,9 @@ impl HeardLink {
             return without(self, PeerState::NoPairs, words, turned_rad);
         }
         let moved_m = array.chord_m(turned_rad);
-        self.last = Some(LastAnswer { answer: answer.clone(), at: context.now, heading_rad, moved_m });
-        // Avoids -0.00.
-        let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
-        PeerReport {
-            t_s: Some(seen_s),
-            state: PeerState::Bearing,
-            words: format!("bearing {:.2} deg", hundredths / 100.0),
-            moved_m,
-            needed_m: array.needed_m(),
-            age_s: 0.0,
-            accurate: true,
-            heard_at: self.heard_at,
-            answer,
-        }
-    }
-
-    /// A report without a new bearing; it repeats the last one, if any, with its age.
-    fn without(
-        &self,
-        (state, words): (PeerState, String),
-        array: Reach,
-        moved_m: f64,
-        context: Context<'_>,
-    ) -> PeerReport {
-        let held = self.last.as_ref().filter(|_| state != PeerState::Failed);
-        let answer = held.map_or_else(|| Answer::nothing(self.name.clone(), self.mac), |last| last.answer.clone());
-        let age_s = held.map_or(0.0, |last| (context.now - last.at).as_s());
-        let state = if held.is_some() && state == PeerState::NotYet { PeerState::Held } else { state };
-        let (needed_m, accurate) = (array.needed_m(), held.is_some());
-        PeerReport { t_s: self.seen_s, state, words, moved_m, needed_m, age_s, accurate, heard_at: None, answer }
+        let (at, motion, accurate) = (context.now, heading_rad, true);
+        self.last = Some(LastAnswer { answer: answer.clone(), at, motion, moved_m, accurate });
+        PeerReport::new(Some(seen_s), answer, [moved_m, array.needed_m()], accurate, self.heard_at)
     }
 }
 

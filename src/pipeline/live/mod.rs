@@ -71,7 +71,8 @@ impl LiveEstimator {
         let state = |(k, peer): (usize, LivePeer)| PeerLink::new(peer, own, due(k), &options);
         let peers = peers.into_iter().enumerate().map(state).collect();
         // In between, only the grid.
-        let plain = options.clone().with_accuracy(options.accuracy.with_effort(Effort::Within(COARSE_RAD)));
+        let mut plain = options.clone();
+        plain.accuracy.effort = Effort::Within(COARSE_RAD);
         let heard = None;
         Self { own, settings, front, track, peers, heard, losses: 0, strangers: 0, other_antenna: 0, options, plain }
     }

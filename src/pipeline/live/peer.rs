@@ -4,7 +4,7 @@ use super::track::{Track, Window, aligned, window};
 use super::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
-use crate::exchange::pairing::by_clock::{self, CardClock};
+use crate::exchange::pairing::by_clock;
 use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::{
     Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, OneLog, Options, estimate_one,
@@ -39,7 +39,7 @@ pub(super) struct PeerLink {
     pub(super) is_heard_only: bool,
     /// Measurements that came in its answers.
     measured: u32,
-    last: Option<LastAnswer>,
+    last: Option<LastAnswer<NewestPoses>>,
     /// Pairs at the last search.
     searched: Option<u64>,
     /// Arrival of the record that made the newest pair.
@@ -63,15 +63,15 @@ enum ByClock {
     Off,
 }
 
-/// The last answer.
+/// The last answer, and where the robots were at it.
 #[derive(Clone, Debug)]
-struct LastAnswer {
-    answer: Answer,
+pub(super) struct LastAnswer<M> {
+    pub(super) answer: Answer,
     /// When it was made.
-    at: Instant,
-    motion: NewestPoses,
-    moved_m: f64,
-    accurate: bool,
+    pub(super) at: Instant,
+    pub(super) motion: M,
+    pub(super) moved_m: f64,
+    pub(super) accurate: bool,
 }
 
 /// The newest poses, each in its own frame.
@@ -175,8 +175,7 @@ impl PeerLink {
         }
         if matches!(self.by_clock, ByClock::None) {
             // Other cards' records come with the clock of a 5300.
-            let clock = CardClock::INTEL_5300;
-            self.by_clock = ByClock::Running(Box::new(by_clock::Live::new(clock, clock)));
+            self.by_clock = ByClock::Running(Box::new(by_clock::Live::new()));
         }
         let ByClock::Running(by_clock) = &mut self.by_clock else { return false };
         let restarts = by_clock.restarts();
@@ -388,21 +387,8 @@ impl PeerLink {
         }
         self.carried.heading_sd_rad = options.heading_sd_of(&receiver);
         answer.carried = self.carry(found.path_m, accurate || !context.wants_whole());
-        // What rounds to zero has no sign.
-        let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
-        let words = format!("bearing {:.2} deg", hundredths / 100.0);
-        let (moved_m, needed_m, heard_at) = (found.extent_m, context.settings.least_m, self.paired_at);
-        PeerReport {
-            t_s: seen,
-            state: PeerState::Bearing,
-            words,
-            moved_m,
-            needed_m,
-            age_s: 0.0,
-            accurate,
-            heard_at,
-            answer,
-        }
+        let moved = [found.extent_m, context.settings.least_m];
+        PeerReport::new(seen, answer, moved, accurate, self.paired_at)
     }
 
     /// The combined evidence of this window, `driven_m` metres long, and all earlier ones. No sample counts twice: a
@@ -430,13 +416,40 @@ impl PeerLink {
         context: Context<'_>,
         seen: Option<f64>,
     ) -> PeerReport {
-        let held = self.last.as_ref().filter(|_| state != PeerState::Failed);
-        let answer =
-            held.map_or_else(|| Answer::nothing(self.peer.name.clone(), self.peer.mac), |last| last.answer.clone());
-        let age_s = held.map_or(0.0, |last| (context.now - last.at).as_s());
+        let (sender, moved) = ((&*self.peer.name, self.peer.mac), [moved_m, context.settings.least_m]);
+        PeerReport::without(self.last.as_ref(), sender, (state, words), moved, (seen, context.now))
+    }
+}
+
+impl PeerReport {
+    /// A bearing just made, with the relative motion and how much is needed, metres.
+    pub(super) fn new(
+        t_s: Option<f64>,
+        answer: Answer,
+        [moved_m, needed_m]: [f64; 2],
+        accurate: bool,
+        heard_at: Option<Instant>,
+    ) -> Self {
+        // What rounds to zero has no sign.
+        let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
+        let (state, words) = (PeerState::Bearing, format!("bearing {:.2} deg", hundredths / 100.0));
+        Self { t_s, state, words, moved_m, needed_m, age_s: 0.0, accurate, heard_at, answer }
+    }
+
+    /// A report without a new bearing: the last one, if there is one, is repeated with its age.
+    pub(super) fn without<M>(
+        last: Option<&LastAnswer<M>>,
+        (name, mac): (&str, Mac),
+        (state, words): (PeerState, String),
+        [moved_m, needed_m]: [f64; 2],
+        (t_s, now): (Option<f64>, Instant),
+    ) -> Self {
+        let held = last.filter(|_| state != PeerState::Failed);
+        let answer = held.map_or_else(|| Answer::nothing(name.to_owned(), mac), |last| last.answer.clone());
+        let age_s = held.map_or(0.0, |last| (now - last.at).as_s());
         let state = if held.is_some() && state == PeerState::NotYet { PeerState::Held } else { state };
-        let (needed_m, accurate) = (context.settings.least_m, held.is_some_and(|last| last.accurate));
-        PeerReport { t_s: seen, state, words, moved_m, needed_m, age_s, accurate, heard_at: None, answer }
+        let accurate = held.is_some_and(|last| last.accurate);
+        Self { t_s, state, words, moved_m, needed_m, age_s, accurate, heard_at: None, answer }
     }
 }
 

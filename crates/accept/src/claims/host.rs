@@ -146,7 +146,7 @@ pub(super) fn processor(evidence: &Evidence) -> Told {
         return Told::not_tried(TRUTH);
     }
     let azimuth = |tier| {
-        let options = Options::new(evidence.plan.channel).with_tier(tier);
+        let options = Options { tier, ..Options::new(evidence.plan.channel) };
         super::link::answer(evidence, options).map(|answer| answer.0.to_degrees())
     };
     let tiers: Vec<(String, f64)> =

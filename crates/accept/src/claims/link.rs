@@ -3,7 +3,7 @@
 
 use super::{LEAST, SENDING, TRUTH, TWO_CARDS, Told};
 use crate::evidence::{
-    After, Done, Evidence, Heard, HeardRecord, Interface, Pairs, Sending, Sent, column, usual_sender,
+    After, Done, Evidence, Heard, HeardRecord, Interface, Pairs, Sending, Sent, antennas, column, usual_sender,
 };
 use crate::stats::{SURE, quantile};
 use csi5300::exchange::tdma::Phy;
@@ -11,7 +11,7 @@ use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Options, Transmitter};
 use csi5300::source::replay::Replay;
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Antennas, rate};
+use driver_iface::bfee::{Antenna, rate};
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::FCS_LEN;
 use num_complex::{Complex32, Complex64};
@@ -53,11 +53,9 @@ pub(super) fn pairs(evidence: &Evidence) -> Told {
 
 pub(super) fn turn_around(pairs: &Pairs, _: &Evidence) -> Told {
     let [low, high] = [0.05, 0.95].map(|share| quantile(&pairs.turn_us, share).unwrap_or(f64::NAN));
-    Told::decided(high - low <= 500.0, format!("90 % within {:.0} us of each other", high - low)).with(
-        "90 % within",
-        high - low,
-        "us",
-    )
+    let within = high - low;
+    let told = Told::decided(within <= 500.0, format!("90 % within {within:.0} us of each other"));
+    told.with("90 % within", within, "us")
 }
 
 pub(super) fn late(pairs: &Pairs, _: &Evidence) -> Told {
@@ -203,17 +201,9 @@ pub(super) fn bearing(evidence: &Evidence) -> Told {
         Err(why) => return Told::not_tried(format!("no bearing: {why}")),
     };
     let error = wrap_rad(azimuth - truth.azimuth_rad);
-    let found = format!(
-        "{:.2} degrees off, 95 % within {:.2}; {:.0} % sure to be within 5 degrees",
-        error.to_degrees(),
-        bar.to_degrees(),
-        100.0 * probability
-    );
-    Told::decided(error.abs() <= bar, found).with("error", error.to_degrees(), "deg").with(
-        "95 % within",
-        bar.to_degrees(),
-        "deg",
-    )
+    let ([off, within], sure) = ([error, bar].map(f64::to_degrees), 100.0 * probability);
+    let found = format!("{off:.2} degrees off, 95 % within {within:.2}; {sure:.0} % sure to be within 5 degrees");
+    Told::decided(error.abs() <= bar, found).with("error", off, "deg").with("95 % within", within, "deg")
 }
 
 /// Above this rate frames may be refused or lost: only measured.
@@ -401,9 +391,7 @@ impl Constant {
 
 /// The coefficients of a named antenna.
 fn antenna(record: &HeardRecord, antenna: Antenna) -> Option<[Complex32; csi5300::signal::channel::SUBCARRIERS]> {
-    let head = &record.head;
-    let antennas = Antennas::new(head.antenna_sel, head.n_rx, head.rssi).ok()?;
-    antennas.chain_of(antenna).map(|chain| column(record, chain))
+    antennas(record)?.chain_of(antenna).map(|chain| column(record, chain))
 }
 
 /// Phases that are constant at rest: each antenna's against antenna A's, and the compensated round trip's.

@@ -1,11 +1,11 @@
 //! Claims about the records of one card.
 
 use super::Told;
-use crate::evidence::{Evidence, Heard, HeardRecord, antenna_a, column};
+use crate::evidence::{Evidence, Heard, HeardRecord, antenna_a, antennas, column};
 use crate::stats::{SURE, mean_and_error, quantile};
 use csi5300::signal::channel::{SUBCARRIERS, Width};
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Antennas, Iq, NOISE_UNKNOWN_DBM, rate};
+use driver_iface::bfee::{Antenna, Iq, NOISE_UNKNOWN_DBM, rate};
 use driver_iface::record::Tail;
 use num_complex::Complex32;
 use std::collections::{BTreeMap, HashMap};
@@ -86,10 +86,6 @@ pub(super) fn chains(heard: &Heard, _: &Evidence) -> Told {
         0 => Told::not_tried("no record with CSI"),
         values => Told::decided(values == 1, found.join(", ")),
     }
-}
-
-fn antennas(record: &HeardRecord) -> Option<Antennas> {
-    Antennas::new(record.head.antenna_sel, record.head.n_rx, record.head.rssi).ok()
 }
 
 pub(super) fn order(heard: &Heard, _: &Evidence) -> Told {

@@ -32,11 +32,13 @@ pub enum BagError {
         /// Why.
         source: io::Error,
     },
-    /// A file is of no known kind.
-    #[error("{} is not a recording: supported are MCAP and SQLite (ROS 2) and bags of ROS 1", .path.display())]
-    Unknown {
+    /// A recording that is none, is too large, is compressed in an unknown way, or would be overwritten.
+    #[error("{} {why}", .path.display())]
+    Refused {
         /// The file.
         path: PathBuf,
+        /// What it is.
+        why: String,
     },
     /// A database lacks the tables of a recording.
     #[error("{} is an SQLite database without the tables of a recording (topics, messages)", .path.display())]
@@ -50,36 +52,22 @@ pub enum BagError {
         /// The folder.
         folder: PathBuf,
     },
-    /// Chunks have an unsupported compression.
-    #[error("{} is compressed with {by}, which is not supported: convert it with `{}`", .path.display(), .command)]
-    Compressed {
-        /// The file.
-        path: PathBuf,
-        /// The compression.
-        by: String,
-        /// A command that converts the file.
-        command: &'static str,
-    },
-    /// The output is the recording itself.
-    #[error("{} is the recording itself and is not overwritten", .path.display())]
-    Input {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The recording is too large for memory.
-    #[error("{} has more than {} MiB of CSI and poses: write files with `csi5300 unbag`", .path.display(), .most >> 20)]
-    Large {
-        /// The recording.
-        path: PathBuf,
-        /// The limit, bytes.
-        most: u64,
-    },
     /// A file of that name exists.
     #[error("{} already exists", .path.display())]
     There {
         /// The file.
         path: PathBuf,
     },
+}
+
+/// Refuses a recording.
+fn refused(path: &Path, why: impl Into<String>) -> BagError {
+    BagError::Refused { path: path.to_owned(), why: why.into() }
+}
+
+/// Refuses a compression that the command `convert` undoes.
+pub(crate) fn compressed_by(path: &Path, by: &str, convert: &str) -> BagError {
+    refused(path, format!("is compressed with {by}, which is not supported: convert it with `{convert}`"))
 }
 
 /// Topics that estimates use.
@@ -203,7 +191,8 @@ impl Recording {
             if let Some(one) = topics.get_mut(at) {
                 held += bytes.as_ref().map_or(0, Vec::len) as u64;
                 if held > MOST {
-                    return Err(BagError::Large { path: bag.to_owned(), most: MOST });
+                    let why = "MiB of CSI and poses: write files with `csi5300 unbag`";
+                    return Err(refused(bag, format!("has more than {} {why}", MOST >> 20)));
                 }
                 one.messages += u64::from(bytes.is_some());
                 one.unreadable += u64::from(bytes.is_none());
@@ -289,7 +278,7 @@ impl Outputs<'_> {
         let (path, part) = (self.folder.join(&name), self.folder.join(format!("{name}.part-{}", std::process::id())));
         if let Ok(there) = std::fs::metadata(&path) {
             if self.inputs.contains(&(there.dev(), there.ino())) {
-                return Err(BagError::Input { path });
+                return Err(refused(&path, "is the recording itself and is not overwritten"));
             }
             if !self.replace {
                 return Err(BagError::There { path });
@@ -408,7 +397,7 @@ fn stream(path: &Path, start: &[u8], from: impl Read, used: &mut Used<'_>) -> Re
     } else if start.starts_with(ros1::MAGIC) {
         ros1::read(path, from, used)
     } else {
-        Err(BagError::Unknown { path: path.to_owned() })
+        Err(refused(path, "is not a recording: supported are MCAP and SQLite (ROS 2) and bags of ROS 1"))
     }
 }
 
@@ -514,9 +503,6 @@ fn record(csi: &Csi) -> Option<Vec<u8>> {
     let iq: Vec<Iq> = csi.re.iter().zip(&csi.im).map(|(i, q)| Iq { i: *i, q: *q }).collect();
     let mut body = vec![0; driver_iface::bfee::MAX_BODY];
     let length = repr.emit(&iq, &mut body).ok()?;
-    let record = Record { code: code::BFEE, body: body.get(..length)? };
-    let mut bytes = vec![0; record.emit_len()];
-    let length = record.emit(&mut bytes).ok()?;
-    bytes.truncate(length);
-    Some(bytes)
+    let (record, mut bytes) = (Record { code: code::BFEE, body: body.get(..length)? }, Vec::new());
+    csi5300::source::append(record, &mut bytes).then_some(bytes)
 }

@@ -1,6 +1,6 @@
 //! Messages of a bag of ROS 1 (\[rosbag\]), in order, read without its index.
 
-use super::{BagError, Channel, Ended, Used, compressed};
+use super::{BagError, Channel, Ended, Used, compressed, compressed_by};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
@@ -83,8 +83,8 @@ pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
             Some(b"none") => Ok(data),
             Some(b"lz4") => compressed::lz4(&data, compressed::LARGEST_CHUNK),
             by => {
-                let by = String::from_utf8_lossy(by.unwrap_or(b"?")).into_owned();
-                return Err(BagError::Compressed { path: path.to_owned(), by, command: "rosbag decompress" });
+                let by = String::from_utf8_lossy(by.unwrap_or(b"?"));
+                return Err(compressed_by(path, &by, "rosbag decompress"));
             }
         };
         let Ok(unpacked) = unpacked else {

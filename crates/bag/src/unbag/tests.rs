@@ -181,7 +181,7 @@ fn a_cut_recording_is_read_up_to_the_cut_and_other_files_are_refused() {
     assert_eq!(messages(60), 0);
     assert!(!folder.join("60").exists(), "a folder for nothing");
     std::fs::write(&file, b"PNG").unwrap();
-    assert!(matches!(unbag(&file, &folder.join("x"), false), Err(BagError::Unknown { .. })));
+    assert!(matches!(unbag(&file, &folder.join("x"), false), Err(BagError::Refused { .. })));
     std::fs::create_dir(folder.join("empty")).unwrap();
     assert!(matches!(unbag(&folder.join("empty"), &folder.join("x"), false), Err(BagError::Empty { .. })));
 }
@@ -222,7 +222,11 @@ fn the_recording_is_never_overwritten() {
     for link in links {
         link(&recording, &log).unwrap();
         for bag in [&recording, &log, folder] {
-            assert!(matches!(unbag(bag, folder, true), Err(BagError::Input { .. })), "{}", bag.display());
+            assert!(
+                matches!(unbag(bag, folder, true), Err(BagError::Refused { why, .. }) if why.contains("itself")),
+                "{}",
+                bag.display()
+            );
         }
         assert_eq!(std::fs::read(&recording).unwrap(), before);
         std::fs::remove_file(&log).unwrap();
@@ -337,7 +341,7 @@ fn compressed_recordings_read_like_uncompressed_ones() {
     let damaged = read_of("damaged", &chunks(&bytes, "lz4", |bytes| vec![7; bytes.len()])).unwrap();
     assert_eq!((damaged.damaged_parts, damaged.topics.len()), (1, 0));
     let other = read_of("other", &chunks(&bytes, "brotli", <[u8]>::to_vec));
-    assert!(matches!(other, Err(BagError::Compressed { by, .. }) if by == "brotli"));
+    assert!(matches!(other, Err(BagError::Refused { why, .. }) if why.contains("brotli")));
 }
 
 #[test]
@@ -475,7 +479,9 @@ fn a_ros_1_bag_is_read() {
         let cut = read_of(name, &bytes[..bytes.len() - 9]).unwrap();
         assert_eq!(cut.cut.len(), 1);
     }
-    assert!(matches!(read_of("bz2.bag", &file("bz2", &inside)), Err(BagError::Compressed { by, .. }) if by == "bz2"));
+    assert!(
+        matches!(read_of("bz2.bag", &file("bz2", &inside)), Err(BagError::Refused { why, .. }) if why.contains("bz2"))
+    );
 }
 
 /// A recording in two chunks, of which only the first describes the topics. It has three records of CSI and two poses, then

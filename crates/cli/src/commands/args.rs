@@ -121,17 +121,22 @@ impl Estimation {
         if self.heading_sd.is_some_and(|sd| !(0.0..=180.0).contains(&sd)) {
             return Err("--heading-sd takes 0 to 180 degrees".into());
         }
-        let accuracy = Accuracy::default()
-            .with_elevation_max_rad(self.elevation_max.map(f64::to_radians))
-            .with_range_min_m(self.range_min)
-            .with_height_m(self.height);
-        Ok(Options::new(channel)
-            .with_antenna(self.antenna())
-            .with_clock_offset_s(clock_offset_s)
-            .with_join(join)
-            .with_cut(self.from, self.to)
-            .with_accuracy(accuracy)
-            .with_heading_sd_rad(self.heading_sd.map(f64::to_radians)))
+        let accuracy = Accuracy {
+            elevation_max_rad: self.elevation_max.map(f64::to_radians),
+            range_min_m: self.range_min,
+            height_m: self.height,
+            ..Accuracy::default()
+        };
+        Ok(Options {
+            antenna: self.antenna(),
+            clock_offset_s,
+            join,
+            from_s: self.from,
+            to_s: self.to,
+            accuracy,
+            heading_sd_rad: self.heading_sd.map(f64::to_radians),
+            ..Options::new(channel)
+        })
     }
 }
 

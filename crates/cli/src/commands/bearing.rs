@@ -253,7 +253,7 @@ pub fn run(mut args: Args) -> Result {
     if !is_named && args.logs.tx.len() > 1 && args.logs.tx_mac.len() + args.logs.tx_trajectory.len() > 0 {
         usage(&order_unknown(&args.logs.tx));
     }
-    let mut options = options.with_key(key).with_parallel(args.logs.tx.len() > 1);
+    let mut options = Options { key, parallel: args.logs.tx.len() > 1, ..options };
     let trajectory = args.mounting.of_antenna(inputs.trajectory(&named.trajectory)?)?;
     let mut receiver = inputs.open(&rx)?;
     let (mut logs, unread) = open_transmitters(&mut args, &inputs)?;
@@ -316,22 +316,22 @@ impl Args {
     /// Options with the effort that the accuracy needs, and with what is drawn or printed beside the bearing.
     fn asked(&self, options: Options) -> Options {
         let has_figures = self.json || says(Level::Verbose);
-        let mut options = options.with_range_change(self.json).with_figures(has_figures);
-        options = options.with_fit_odometry(self.fit.is_some());
-        options = options.with_keep_course(self.plot.is_some());
+        let mut options = Options { range_change: self.json, figures: has_figures, ..options };
+        options.fit_odometry = self.fit.is_some();
+        options.keep_course = self.plot.is_some();
         let effort = match self.accuracy {
             None => return options,
             Some(0.0) => Effort::Everything,
             Some(degrees) => Effort::Within(degrees.to_radians()),
         };
-        options.accuracy = options.accuracy.with_effort(effort);
+        options.accuracy.effort = effort;
         options
     }
 }
 
 fn options(args: &Args) -> Words<Options> {
     let options = args.asked(args.estimation.options(args.channel.ok_or("--channel is needed")?)?);
-    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()))
+    Ok(Options { rx_mac: args.logs.rx_mac, tx_macs: args.logs.tx_mac.clone(), ..options })
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.

@@ -94,7 +94,7 @@ pub fn run(args: &Args) -> Result {
          reads these logs like recorded ones.\n\n",
     );
     let channel = Channel::new(108, Width::Ht20).in_words()?;
-    let options = Estimation::default().options(channel)?.with_keep_course(true);
+    let options = Options { keep_course: true, ..Estimation::default().options(channel)? };
     stand(args, &options)?;
     let mut shown = Vec::new();
     for (name, text) in SCENES {

@@ -76,7 +76,8 @@ pub fn run(args: &Args) -> Result {
     }
     let reading = args.reading();
     let source = reading.source();
-    let options = reading.options().unwrap_or_else(|message| usage(&message)).with_figures(args.json);
+    let mut options = reading.options().unwrap_or_else(|message| usage(&message));
+    options.figures = args.json;
     let (captures, unreadable) = find_all(args.folders.iter())?;
     let captures = reading.mounted(captures);
     for folder in &unreadable {

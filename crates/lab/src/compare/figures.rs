@@ -132,7 +132,7 @@ pub fn measure(
 ) -> Result<Figures, CompareError> {
     let indices = options.channel.subcarriers();
     let (mut rx, mut tx) = (Observed::new(receiver, indices), Observed::new(transmitter, indices));
-    let options = options.clone().with_keep_course(true);
+    let options = Options { keep_course: true, ..options.clone() };
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: displaced }];
     let report = bearings(&mut rx, transmitters, trajectory, &options)?;
     // Either log may contain other senders' frames; the link's sender has the most, as in the pipeline.

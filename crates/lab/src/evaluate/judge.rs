@@ -160,7 +160,7 @@ impl Capture {
             _ => self.trajectory(shelf, TrajectorySource::GroundTruth, &mut notes).ok(),
         };
         let heading_sd_rad = options.heading_sd_rad.unwrap_or(self.heading_sd_rad(source));
-        let mut options = options.clone().with_heading_sd_rad(Some(heading_sd_rad));
+        let mut options = Options { heading_sd_rad: Some(heading_sd_rad), ..options.clone() };
         options.channel = channel;
         let moved = self.moved(shelf, source, &mut notes)?;
         let (report, failed) = self.estimate(shelf, &part.cut(&trajectory)?, &moved, &options)?;

@@ -14,8 +14,8 @@ use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
 fn options(near_field: bool) -> Options {
-    let accuracy = Accuracy::default().with_near_field(near_field);
-    Options::new(Channel::new(108, Width::Ht20).unwrap()).with_accuracy(accuracy)
+    let accuracy = Accuracy { near_field, ..Accuracy::default() };
+    Options { accuracy, ..Options::new(Channel::new(108, Width::Ht20).unwrap()) }
 }
 
 fn circle(radius_m: f64, duration_s: f64) -> RobotMotion {
@@ -83,7 +83,7 @@ fn the_drawn_curve_peaks_at_the_answer() {
         let path = true_path(&room, 0).unwrap();
         let (mut rx, mut tx) = room.card(0).zip(room.card(1)).unwrap();
         let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-        let report = bearings(&mut rx, transmitters, &path, &options(true).with_keep_course(true)).unwrap();
+        let report = bearings(&mut rx, transmitters, &path, &Options { keep_course: true, ..options(true) }).unwrap();
         let bearing = report.links[0].bearing.as_ref().unwrap();
         let curve = curves::evidence(bearing).unwrap();
         let highest = curve.points.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
@@ -150,7 +150,8 @@ fn bound_deg(n: f64, radius_m: f64, phase_rad: f64) -> f64 {
 fn errors_follow_the_cramer_rao_bound() {
     const SEEDS: u64 = 400;
     let options = options(false);
-    let options = options.clone().with_accuracy(options.accuracy.with_elevation_max_rad(Some(0.0)));
+    let options =
+        Options { accuracy: Accuracy { elevation_max_rad: Some(0.0), ..options.accuracy }, ..options.clone() };
     for snr_db in [12.0, 20.0] {
         let mut scene = far("paper-circle");
         (scene.duration_s, scene.robot[0].motion) = (4.0, circle(0.3, 4.0));

@@ -77,7 +77,7 @@ fn damaged(name: &str) -> PathBuf {
 }
 
 fn cut_options(to_s: f64) -> Options {
-    options().with_cut(None, Some(to_s))
+    Options { to_s: Some(to_s), ..options() }
 }
 
 fn words(evaluated: &Evaluated) -> (String, Vec<String>, bool) {
@@ -227,7 +227,7 @@ fn run(rx: &Path, tx: &Path, path: &Path, options: &Options) -> Result<Bearing, 
 /// Runs one of them; returns the error against the bearing from the mean pose, with lines folded on their mirror.
 fn paper(captures: &Path, (shape, name): (&str, &str), join: JoinBy, transmitter_m: [f64; 2]) -> f64 {
     let [rx, tx, path] = files(captures, (shape, name));
-    let bearing = run(&rx, &tx, &path, &options().with_join(join));
+    let bearing = run(&rx, &tx, &path, &Options { join, ..options() });
     let bearing = bearing.unwrap_or_else(|error| panic!("{shape} {name}: {error}"));
     let from = bearing.mean_position_m;
     let truth = (transmitter_m[1] - from.y).atan2(transmitter_m[0] - from.x);

@@ -1,7 +1,7 @@
 //! Motion in space and motion of both ends, in free space: a part of what `research`'s `geometries` runs.
 
 use csi5300::maths::wrap_rad;
-use csi5300::pipeline::{Bearing, Effort, Options, WaveModel};
+use csi5300::pipeline::{Accuracy, Bearing, Effort, Options, WaveModel};
 use csi5300_lab::ends::{Ends, Seen};
 use csi5300_lab::evaluate::{TrajectorySource, find};
 use csi5300_sim::motion::{Arc, Circle, Helix, Line, RobotMotion, Waypoints};
@@ -184,10 +184,10 @@ fn a_drive_that_is_too_wide_for_one_search_is_searched_in_its_best_stretch() {
 #[test]
 fn a_coarse_accuracy_takes_no_plane_wave_of_a_wide_drive() {
     let around = |radius_m: f64| RobotMotion::Circle(Circle { radius_m, duration_s: 50.0, turns: 1.0, start_s: 0.0 });
-    let coarse = options().accuracy.with_effort(Effort::Within(0.7));
+    let coarse = Accuracy { effort: Effort::Within(0.7), ..options().accuracy };
     for (radius_m, place_m) in [(2.0, [5.0, 4.0, 0.3]), (3.5, [9.0, 4.0, 0.3])] {
         let ends = Ends { duration_s: 50.0, ..in_space(around(radius_m), place_m, 6) };
-        let (bearing, seen) = judged(&ends, &options().with_accuracy(coarse));
+        let (bearing, seen) = judged(&ends, &Options { accuracy: coarse, ..options() });
         assert!(bearing.answer.model == WaveModel::SphericalWave, "{radius_m}: {:?}", bearing.sufficient);
         // The search of the wider drive's nearly straight stretch may end beside its narrow peak: the error bar shows it.
         assert!(seen.azimuth_error_deg.abs() < seen.azimuth_sd_deg.max(0.5), "{radius_m}: {seen:?}");

@@ -144,12 +144,12 @@ impl Config {
     /// The options of the pipeline.
     #[must_use]
     pub fn options(&self) -> Options {
-        let mut options = Options::new(self.channel).with_antenna(self.antenna);
-        options = options.with_heading_sd_rad(Some(self.heading_sd_deg().to_radians()));
+        let mut options = Options { antenna: self.antenna, ..Options::new(self.channel) };
+        options.heading_sd_rad = Some(self.heading_sd_deg().to_radians());
         let elevation_max_rad = self.estimator.elevation_max_deg.map(f64::to_radians);
-        options.accuracy = options.accuracy.with_elevation_max_rad(elevation_max_rad);
+        options.accuracy.elevation_max_rad = elevation_max_rad;
         if !self.estimator.accurate {
-            options.accuracy = options.accuracy.with_effort(Effort::Within(3f64.to_radians()));
+            options.accuracy.effort = Effort::Within(3f64.to_radians());
         }
         options
     }
