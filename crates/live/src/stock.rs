@@ -290,13 +290,13 @@ impl Intake {
 
     /// Looks at the event at hand.
     fn turn(&mut self, clocks: Clocks) -> Turn {
-        let Ok(event) = Event::new_checked(&self.event) else {
+        let Some(event) = Event::new_checked(&self.event) else {
             self.is_held = false;
             self.counters.malformed += 1;
             self.cards.iter_mut().for_each(|known| known.card.gap());
             return Turn::Next;
         };
-        let (ring_full, unreadable) = (event.ring_full(), event.unreadable());
+        let Event { ring_full, unreadable, .. } = event;
         let missing = [ring_full.wrapping_sub(self.seen.0), unreadable.wrapping_sub(self.seen.1)];
         if missing != [0, 0] {
             // For all cards: none may combine packets before and after the gap.
@@ -307,11 +307,11 @@ impl Intake {
             return Turn::Lost(Loss::Overrun { dropped: Some(missing.into_iter().map(u64::from).sum()) });
         }
         self.is_held = false;
-        let host_us = clocks.wall_at(event.time_ns());
-        let at = place(&mut self.cards, &mut self.counters, event.card());
+        let host_us = clocks.wall_at(event.time_ns);
+        let at = place(&mut self.cards, &mut self.counters, event.card);
         let Some(known) = self.cards.get_mut(at) else { return Turn::Next };
         let packet = event.packet();
-        if let Packet::RxMpdu(Ok(mpdu)) = &packet {
+        if let Packet::RxMpdu(Some(mpdu)) = &packet {
             let sender = mpdu.sender().map(|(mac, _)| mac);
             known.is_others |= sender.is_some() && sender == self.own;
         }
@@ -599,7 +599,6 @@ fn of_attaching(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use driver_iface::stock::EventRepr;
 
     #[test]
     fn the_object_has_what_is_loaded_from_it() {
@@ -738,7 +737,7 @@ mod tests {
 
     #[test]
     fn frames_of_a_card_without_csi_are_held_back() {
-        let mut intake = Intake::new(stock::Options::default().with_frames(true), None);
+        let mut intake = Intake::new(stock::Options { frames: true, ..stock::Options::default() }, None);
         let mut mpdu = vec![0; 4 + 40 + 4];
         mpdu[0] = 40;
         let frame = |card| [event(card, 0, 0, 0xC0, &phy(1)), event(card, 0, 0, 0xC1, &mpdu)];

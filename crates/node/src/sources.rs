@@ -291,7 +291,7 @@ fn open_stock(
     frames: bool,
     wall_us: fn() -> Option<i64>,
 ) -> Result<Opened, Error> {
-    let records = driver_iface::stock::Options::default().with_frames(asked.frames || frames);
+    let records = driver_iface::stock::Options { frames: asked.frames || frames, ..Default::default() };
     let options = stock::Options { records, own, wall_us, ..stock::Options::default() };
     Opened::live(CardThread::start(Stock::open(&options)?)?, None)
 }
