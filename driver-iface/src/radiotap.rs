@@ -4,11 +4,12 @@
 //! the header's length as u16, one or more u32 words of presence bits (bit 31: another word follows), then the fields
 //! in bit order, each aligned to its own alignment **counted from the start of the header**. All little-endian.
 //!
-//! [`Packet`] is the checked view of foreign bytes, [`Repr`] the value. Fields of the first radiotap namespace are read; repeats
+//! [`Repr`] has the fields that are used. Fields of the first radiotap namespace are read; repeats
 //! for further antennas, vendor fields and unused fields are skipped by their size.
 
 use crate::{array, put};
 use core::fmt;
+use core::ops::Range;
 
 /// Bytes of the smallest header: version, pad, length and one presence word.
 pub const MIN_LEN: usize = 8;
@@ -191,14 +192,28 @@ impl Repr {
         self.flags.is_some_and(|flags| flags & FLAGS_BAD_FCS != 0)
     }
 
-    /// Parses a checked header.
+    /// The fields of the header at the start of `bytes`, and where the 802.11 frame after it is, without an announced FCS.
     ///
     /// # Errors
-    /// [`Error::Length`] if an announced field exceeds the header's length.
-    pub fn parse<T: AsRef<[u8]>>(packet: &Packet<T>) -> Result<Self, Error> {
+    /// [`Error`] with the failed check: version, lengths, presence words, an announced field or FCS that is not there.
+    pub fn parse(bytes: &[u8]) -> Result<(Self, Range<usize>), Error> {
+        let cut = |expect| Error::Length { expect, got: bytes.len() };
+        let &[version, _, low, high, ..] = bytes else { return Err(cut(MIN_LEN)) };
+        if version != 0 {
+            return Err(Error::Version(version));
+        }
+        let len = u16::from_le_bytes([low, high]);
+        let start = usize::from(len);
+        if start < MIN_LEN {
+            return Err(Error::HeaderLength(len));
+        }
+        let (header, behind) = bytes.split_at_checked(start).ok_or(cut(start))?;
         let mut repr = Self::default();
-        walk(packet.header(), |present_bit, bytes| repr.take(present_bit, bytes))?;
-        Ok(repr)
+        walk(header, |present_bit, bytes| repr.take(present_bit, bytes))?;
+        let fcs_len = if repr.has_fcs() { 4 } else { 0 };
+        let frame_len = behind.len().checked_sub(fcs_len);
+        let frame_len = frame_len.ok_or(Error::Length { expect: fcs_len, got: behind.len() })?;
+        Ok((repr, start..start + frame_len))
     }
 
     /// Stores one field; a repeated one (of a further antenna) does not replace the first.
@@ -264,64 +279,6 @@ impl Writer<'_> {
         put(self.buffer, self.at, &bytes);
         self.at += N;
         self.present |= 1 << present_bit;
-    }
-}
-
-/// A radiotap header and the frame after it, checked.
-#[derive(Clone, Copy, Debug)]
-pub struct Packet<T: AsRef<[u8]>> {
-    buffer: T,
-    header_len: usize,
-}
-
-impl<T: AsRef<[u8]>> Packet<T> {
-    /// Checks version, length and presence words. Fields are checked by [`Repr::parse`].
-    ///
-    /// # Errors
-    /// [`Error`] with the failed check.
-    pub fn new_checked(buffer: T) -> Result<Self, Error> {
-        let bytes = buffer.as_ref();
-        let cut = |expect| Error::Length { expect, got: bytes.len() };
-        let &[version, _, low, high, ..] = bytes else { return Err(cut(MIN_LEN)) };
-        if version != 0 {
-            return Err(Error::Version(version));
-        }
-        let len = u16::from_le_bytes([low, high]);
-        let header_len = usize::from(len);
-        if header_len < MIN_LEN {
-            return Err(Error::HeaderLength(len));
-        }
-        let header = bytes.get(..header_len).ok_or(cut(header_len))?;
-        fields_start(header)?;
-        Ok(Self { buffer, header_len })
-    }
-
-    /// Length of the header, bytes.
-    #[must_use]
-    pub fn header_len(&self) -> usize {
-        self.header_len
-    }
-
-    /// The header.
-    fn header(&self) -> &[u8] {
-        self.buffer.as_ref().get(..self.header_len).unwrap_or(&[])
-    }
-
-    /// Everything after the header, with the FCS if there is one.
-    #[must_use]
-    pub fn payload(&self) -> &[u8] {
-        self.buffer.as_ref().get(self.header_len..).unwrap_or(&[])
-    }
-
-    /// The 802.11 frame after the header, without the FCS that `repr.flags` may announce.
-    ///
-    /// # Errors
-    /// [`Error::Length`] if an announced FCS does not fit.
-    pub fn frame(&self, repr: &Repr) -> Result<&[u8], Error> {
-        let payload = self.payload();
-        let fcs_len = if repr.has_fcs() { 4 } else { 0 };
-        let len = payload.len().checked_sub(fcs_len);
-        len.and_then(|len| payload.get(..len)).ok_or(Error::Length { expect: fcs_len, got: payload.len() })
     }
 }
 
@@ -414,8 +371,9 @@ mod tests {
         buffer[..len].to_vec()
     }
 
-    fn parsed(bytes: &[u8]) -> Repr {
-        Repr::parse(&Packet::new_checked(bytes).unwrap()).unwrap()
+    /// The fields of a header, with room for an FCS behind it.
+    fn parsed(header: &[u8]) -> Repr {
+        Repr::parse(&[header, &[0; 4]].concat()).unwrap().0
     }
 
     #[test]
@@ -440,24 +398,21 @@ mod tests {
         bytes.extend([7, 0, 7]); // MCS
         assert_eq!(bytes.len(), 29);
         bytes.extend([1, 2, 3, 4, 5]);
-        let packet = Packet::new_checked(&bytes[..]).unwrap();
-        let repr = Repr::parse(&packet).unwrap();
+        let (repr, frame) = Repr::parse(&bytes).unwrap();
         assert_eq!(repr.mcs.map(|mcs| mcs.index), Some(7));
         assert_eq!(repr.mcs.and_then(|mcs| mcs.bandwidth()), Some(Bandwidth::Ht20));
         assert!(!repr.is_own_echo());
-        assert_eq!(packet.frame(&repr).unwrap(), [1, 2, 3, 4, 5]);
+        assert_eq!(bytes[frame], [1, 2, 3, 4, 5]);
     }
 
     #[test]
     fn an_announced_fcs_is_not_part_of_the_frame() {
         let mut bytes = emitted(Repr { flags: Some(FLAGS_FCS | FLAGS_BAD_FCS), ..Repr::default() });
         bytes.extend([1, 2, 3, 4, 5]);
-        let packet = Packet::new_checked(&bytes[..]).unwrap();
-        let repr = Repr::parse(&packet).unwrap();
+        let (repr, frame) = Repr::parse(&bytes).unwrap();
         assert!(repr.has_fcs() && repr.is_bad_fcs());
-        assert_eq!(packet.frame(&repr).unwrap(), [1]);
-        let short = Packet::new_checked(&bytes[..12]).unwrap();
-        assert_eq!(short.frame(&repr), Err(Error::Length { expect: 4, got: 3 }));
+        assert_eq!(bytes[frame], [1]);
+        assert_eq!(Repr::parse(&bytes[..12]), Err(Error::Length { expect: 4, got: 3 }));
     }
 
     #[test]
@@ -474,8 +429,7 @@ mod tests {
         for repr in [Repr::default(), Repr::injected(7, Bandwidth::Ht20)] {
             let header = emitted(repr);
             let bytes = [&header[..], &[1, 2, 3]].concat();
-            let packet = Packet::new_checked(&bytes[..]).unwrap();
-            assert_eq!((packet.header_len(), packet.payload()), (header.len(), &[1, 2, 3][..]));
+            assert_eq!(Repr::parse(&bytes).unwrap().1, header.len()..bytes.len());
         }
     }
 
@@ -516,8 +470,7 @@ mod tests {
         for (len, fits) in [(1, true), (2, true), (3, false), (0xffff, false)] {
             let mut header = std::vec![0, 0, 16, 0, 0, 0, 0, 0x40, 1, 2, 3, 0, 0, 0, 9, 9];
             header[12..14].copy_from_slice(&u16::to_le_bytes(len));
-            let parsed = Packet::new_checked(header).and_then(|packet| Repr::parse(&packet));
-            assert_eq!(parsed.is_ok(), fits, "{len} bytes of vendor's fields");
+            assert_eq!(Repr::parse(&header).is_ok(), fits, "{len} bytes of vendor's fields");
         }
     }
 
@@ -542,13 +495,13 @@ mod tests {
         assert_eq!(repr.tx_flags, Some(0x18));
         assert_eq!(repr.mcs, Some(Mcs { known: 0x37, flags: 0, index: 5 }));
         bytes[2] = len as u8 - 1;
-        let cut = Repr::parse(&Packet::new_checked(&bytes[..]).unwrap());
+        let cut = Repr::parse(&bytes);
         assert_eq!(cut, Err(Error::Length { expect: 56, got: 55 }));
     }
 
     #[test]
     fn invalid_headers_are_refused_with_numbers() {
-        let check = |bytes: &[u8]| Packet::new_checked(bytes.to_vec()).map(|packet| packet.header_len());
+        let check = |bytes: &[u8]| Repr::parse(bytes);
         assert_eq!(check(&[0, 0]), Err(Error::Length { expect: 8, got: 2 }));
         assert_eq!(check(&[1, 0, 8, 0, 0, 0, 0, 0]), Err(Error::Version(1)));
         assert_eq!(check(&[0, 0, 7, 0, 0, 0, 0, 0]), Err(Error::HeaderLength(7)));
@@ -573,9 +526,9 @@ mod tests {
             let mut bytes = emitted(repr);
             prop_assert_eq!(bytes.len(), repr.header_len());
             bytes.extend(&tail);
-            let packet = Packet::new_checked(&bytes[..]).unwrap();
-            prop_assert_eq!(Repr::parse(&packet).unwrap(), repr);
-            prop_assert_eq!(packet.payload(), &tail[..]);
+            let fcs_len = if repr.has_fcs() { 4 } else { 0 };
+            prop_assume!(tail.len() >= fcs_len);
+            prop_assert_eq!(Repr::parse(&bytes), Ok((repr, repr.header_len()..bytes.len() - fcs_len)));
         }
 
         #[test]
@@ -584,10 +537,8 @@ mod tests {
                 let len = bytes.len() as u8;
                 bytes[..4].copy_from_slice(&[0, 0, len, 0]);
             }
-            if let Ok(packet) = Packet::new_checked(&bytes[..])
-                && let Ok(repr) = Repr::parse(&packet)
-            {
-                let _ = packet.frame(&repr);
+            if let Ok((_, frame)) = Repr::parse(&bytes) {
+                prop_assert!(bytes.get(frame).is_some());
             }
         }
     }
@@ -619,10 +570,14 @@ mod tests {
         assert_eq!(parsed(&header(&[EXT, EXT | RADIOTAP, RETRIES], &[12])).data_retries, Some(12));
         // With a field, of unknown size, nothing after it can be located: neither retries nor vendor fields.
         for field in [0, 5, 28] {
-            assert_eq!(parsed(&header(&[EXT, EXT | RADIOTAP | 1 << field, RETRIES], &[12])).data_retries, None, "{field}");
+            assert_eq!(
+                parsed(&header(&[EXT, EXT | RADIOTAP | 1 << field, RETRIES], &[12])).data_retries,
+                None,
+                "{field}"
+            );
             assert_eq!(parsed(&header(&[EXT, VENDOR | 1 << field], &[])), Repr::default(), "{field}");
         }
-        let cut = Repr::parse(&Packet::new_checked(header(&[EXT, VENDOR], &[])).unwrap());
+        let cut = Repr::parse(&header(&[EXT, VENDOR], &[]));
         assert_eq!(cut, Err(Error::Length { expect: 18, got: 12 }));
     }
 }

@@ -634,7 +634,9 @@ mod tests {
         let mut long = mpdu();
         long[0] = 58;
         assert_eq!(RxMpdu::new_checked(&long), None);
-        assert!(RxMpdu::from_start(65, &mpdu()[..31], 3).is_none() && RxMpdu::from_start(65, &mpdu()[..32], 3).is_some());
+        assert!(
+            RxMpdu::from_start(65, &mpdu()[..31], 3).is_none() && RxMpdu::from_start(65, &mpdu()[..32], 3).is_some()
+        );
         let whole = mpdu();
         let checked = RxMpdu::new_checked(&whole).unwrap();
         assert_eq!((checked.byte_count(), checked.frame()), (57, whole.get(4..61)));
@@ -730,7 +732,10 @@ mod tests {
         assert_eq!(event.emit(&mut bytes), Ok(35));
         assert_eq!(Event::new_checked(&bytes), Some(event));
         // Offsets as the program has them.
-        assert_eq!((bytes[0], bytes[8], bytes[16], bytes[20], bytes[24], bytes[28], bytes[30]), (0x88, 8, 0x0d, 0x1d, 4, 0xBB, 3));
+        assert_eq!(
+            (bytes[0], bytes[8], bytes[16], bytes[20], bytes[24], bytes[28], bytes[30]),
+            (0x88, 8, 0x0d, 0x1d, 4, 0xBB, 3)
+        );
     }
 
     #[test]

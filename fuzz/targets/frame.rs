@@ -2,25 +2,19 @@
 //! written from it gives the same values.
 
 use driver_iface::mpdu;
-use driver_iface::radiotap::{self, Packet};
+use driver_iface::radiotap;
 use driver_iface::sounding::{Frame, native, wsr};
 
 /// Runs the target.
 pub fn run(bytes: &[u8]) {
-    if let Ok(packet) = Packet::new_checked(bytes) {
-        assert!(packet.header_len() <= bytes.len());
-        if let Ok(repr) = radiotap::Repr::parse(&packet) {
-            if let Ok(frame) = packet.frame(&repr) {
-                assert!(frame.len() <= packet.payload().len());
-                sounding(frame);
-            }
-            let mut header = [0; 64];
-            if let Ok(len) = repr.emit(&mut header) {
-                assert_eq!(len, repr.header_len());
-                let again = Packet::new_checked(&header[..len]).and_then(|packet| radiotap::Repr::parse(&packet));
-                assert_eq!(again.unwrap(), repr);
-            }
-        }
+    if let Ok((repr, frame)) = radiotap::Repr::parse(bytes) {
+        sounding(&bytes[frame]);
+        let mut header = [0; 64];
+        let len = repr.emit(&mut header).unwrap();
+        assert_eq!(len, repr.header_len());
+        // An FCS that is announced, and is not there.
+        let again = radiotap::Repr::parse(&header[..len + 4]);
+        assert_eq!(again.unwrap().0, repr);
     }
     sounding(bytes);
     if let Some(repr) = mpdu::Repr::parse(bytes) {

@@ -19,7 +19,7 @@ use csi5300::internal::{FrameReceiver, HeardFrame};
 use csi5300::source::{Error, Injector, NotSent};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::radiotap::{self, Bandwidth, Packet, Repr};
+use driver_iface::radiotap::{self, Bandwidth, Repr};
 use driver_iface::sounding::MAGIC_MAC;
 use nix::errno::Errno;
 use nix::sys::socket::{
@@ -197,13 +197,7 @@ impl Monitor {
     /// The range of the frame in a received buffer of `len` bytes, if it is to be handed out.
     fn frame_in(&mut self, len: usize) -> Option<std::ops::Range<usize>> {
         let counters = &mut self.counters;
-        let parsed = self.input.get(..len).and_then(|buffer| {
-            let packet = Packet::new_checked(buffer).ok()?;
-            let repr = Repr::parse(&packet).ok()?;
-            let frame_len = packet.frame(&repr).ok()?.len();
-            Some((repr, packet.header_len()..packet.header_len() + frame_len))
-        });
-        let Some((repr, range)) = parsed else {
+        let Some((repr, range)) = self.input.get(..len).and_then(|buffer| Repr::parse(buffer).ok()) else {
             counters.damaged += 1;
             return None;
         };

@@ -6,7 +6,7 @@ use super::machine::{Machine, Tap};
 use csi5300::exchange::tdma::{Epoch, Event, Key};
 use csi5300::internal::{Proof, Prover};
 use csi5300::source::survey::Survey;
-use csi5300::source::{Error, Next, Stamps};
+use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_live::monitor::Monitor;
 use csi5300_live::sounding::{
@@ -16,7 +16,6 @@ use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
-use driver_iface::record::Record;
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -163,14 +162,11 @@ impl Sounder {
 
 impl SoundingCounts {
     fn note(&mut self, news: &News) {
-        match news {
-            News::Started(granted) => self.granted = Some(Granted::to_string(granted)),
-            News::Notice(notice) => self.notice = Some(notice.to_string()),
-            News::Event(event) => self.note_event(event),
-        }
-    }
-
-    fn note_event(&mut self, event: &Event) {
+        let event = match news {
+            News::Started(granted) => return self.granted = Some(Granted::to_string(granted)),
+            News::Notice(notice) => return self.notice = Some(notice.to_string()),
+            News::Event(event) => event,
+        };
         match event {
             Event::Answered { .. } => self.answered += 1,
             Event::Unanswered { .. } => self.unanswered += 1,
@@ -198,10 +194,9 @@ struct Measuring {
 }
 
 impl Tap for Measuring {
-    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        let next = Next::Record(Stamps { at: Instant::ZERO, host_us, ..Stamps::default() }, record);
-        let proof = self.prover.note(&next);
-        let Some((bfee, identity)) = self.survey.note(&next) else { return };
+    fn own(&mut self, _: Instant, next: &Next<'_>) {
+        let proof = self.prover.note(next);
+        let Some((bfee, identity)) = self.survey.note(next) else { return };
         if proof != Proof::Wrong
             && self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)

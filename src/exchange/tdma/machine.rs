@@ -923,7 +923,7 @@ impl Tdma {
         if !for_this_robot || !self.respond || self.turn.is_some() {
             return;
         }
-        if let Ok(len) = wsr::emit_reply(frame, [0; 4], self.own, &mut self.reply_buffer) {
+        if let Some(len) = wsr::emit_reply(frame, [0; 4], self.own, &mut self.reply_buffer) {
             if let Some(initiator) = self.roster.peer_mut(peer) {
                 initiator.asked.push(number);
             }
