@@ -187,13 +187,6 @@ impl Monitor {
         self.counters
     }
 
-    /// Counts the result of a send of `len` bytes.
-    fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize) -> Result<(), Error> {
-        let why = self.counters.note_sent(sent, len, self.mtu);
-        let why = why.map_err(|error| failed("sending on", &self.interface, error))?;
-        why.map_or(Ok(()), |why| Err(Error::NotSent(why)))
-    }
-
     /// The range of the frame in a received buffer of `len` bytes, if it is to be handed out.
     fn frame_in(&mut self, len: usize) -> Option<std::ops::Range<usize>> {
         let counters = &mut self.counters;
@@ -236,8 +229,12 @@ impl Injector for Monitor {
             return Err(Error::NotSent(NotSent::TooLong { len, mtu: self.out.len() }));
         };
         place.copy_from_slice(frame);
-        let sent = send(&self.socket, self.out.get(..len).unwrap_or_default());
-        self.note_sent(sent, len)
+        let (buffer, flags) =
+            (self.out.get(..len).unwrap_or_default(), MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL);
+        let sent = nix::sys::socket::send(self.socket.as_raw_fd(), buffer, flags).map_err(io::Error::from);
+        let why = self.counters.note_sent(sent, len, self.mtu);
+        let why = why.map_err(|error| failed("sending on", &self.interface, error))?;
+        why.map_or(Ok(()), |why| Err(Error::NotSent(why)))
     }
 }
 
@@ -350,12 +347,6 @@ fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
         )));
     }
     Ok(Opened { socket, mac, mtu })
-}
-
-/// Sends one buffer.
-fn send(socket: &OwnedFd, buffer: &[u8]) -> io::Result<usize> {
-    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
-    Ok(nix::sys::socket::send(socket.as_raw_fd(), buffer, flags)?)
 }
 
 /// What was received.

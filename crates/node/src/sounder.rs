@@ -10,7 +10,7 @@ use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_live::monitor::Monitor;
 use csi5300_live::sounding::{
-    Granted, News, Order, Rate, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
+    Granted, News, Notice, Order, Rate, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -38,7 +38,7 @@ struct SoundingCounts {
     absent: Vec<String>,
     /// The priority that the system granted to the sending thread.
     granted: Option<String>,
-    /// The last problem of the interface.
+    /// The last problem of the interface, until frames go out again.
     notice: Option<String>,
     /// The thread has ended by itself; the node reports the reason at its end.
     ended: bool,
@@ -48,6 +48,8 @@ struct SoundingCounts {
 pub(super) struct Sounder {
     running: Arc<Running>,
     counts: SoundingCounts,
+    /// What is wrong from the start on.
+    warnings: Vec<String>,
     antenna: Antenna,
     peers: Vec<Mac>,
     /// Peers whose records come with their answers.
@@ -86,16 +88,16 @@ impl Sounder {
         let opened = setup.open_on(monitor, |config| {
             (config.epoch, config.start, config.initiate) = (Epoch::Heard(now), now, asked.initiate);
         })?;
-        let mut counts = SoundingCounts { notice: opened.warning.clone(), ..SoundingCounts::default() };
+        let mut warnings: Vec<String> = opened.warning.clone().into_iter().collect();
         if let Some(rate) = rate_n_flags(request.phy, config.antenna)
             && let Some(interface) = &asked.interface
         {
             match set_rate(&csi5300_live::doctor::Machine, interface, rate) {
                 Rate::Other { found, mend, .. } => {
-                    counts.notice = Some(format!("monitor_tx_rate is {found}: {mend}"));
+                    warnings.push(format!("monitor_tx_rate is {found}: {mend}"));
                 }
                 Rate::Legacy(mend) => {
-                    counts.notice = Some(format!("frames leave at a legacy rate, which makes no CSI: {mend}"));
+                    warnings.push(format!("frames leave at a legacy rate, which makes no CSI: {mend}"));
                 }
                 Rate::FromRadiotap | Rate::Right(_) | Rate::Set(..) => {}
             }
@@ -107,7 +109,8 @@ impl Sounder {
         let by_answers = |peer: &Peer| matches!(peer.records, Records::Sounding(_));
         let asked = config.peer.iter().map(|peer| peer.get_ref());
         let answering = asked.zip(&peers).filter(|(peer, _)| by_answers(peer)).map(|(_, mac)| *mac).collect();
-        Ok(Some(Self { running, counts, antenna: config.antenna, peers, answering, measures, key }))
+        let counts = SoundingCounts::default();
+        Ok(Some(Self { running, counts, warnings, antenna: config.antenna, peers, answering, measures, key }))
     }
 
     /// From now on answers carry the card's measurements, and with a key only confirmed exchanges are used.
@@ -148,8 +151,9 @@ impl Sounder {
         health.sounding = serde_json::to_value(&self.counts).ok();
         if self.counts.ended {
             health.trouble.push("sounding: the thread that sends has ended".into());
-        } else if let Some(notice) = &self.counts.notice {
-            health.trouble.push(format!("sounding: {notice}"));
+        } else {
+            let wrong = self.warnings.iter().chain(&self.counts.notice);
+            health.trouble.extend(wrong.map(|why| format!("sounding: {why}")));
         }
     }
 
@@ -164,6 +168,7 @@ impl SoundingCounts {
     fn note(&mut self, news: &News) {
         let event = match news {
             News::Started(granted) => return self.granted = Some(Granted::to_string(granted)),
+            News::Notice(Notice::GoesOut) => return self.notice = None,
             News::Notice(notice) => return self.notice = Some(notice.to_string()),
             News::Event(event) => event,
         };
@@ -204,5 +209,19 @@ impl Tap for Measuring {
             // If too many wait, the next one is newer.
             self.running.order(Order::Measurement(identity.mac, measurement));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_that_go_out_again_are_no_trouble() {
+        let mut counts = SoundingCounts::default();
+        counts.note(&News::Notice(Notice::NothingGoesOut { frames: 32 }));
+        assert!(counts.notice.as_ref().unwrap().starts_with("32 frames were handed to the kernel"));
+        counts.note(&News::Notice(Notice::GoesOut));
+        assert_eq!(counts.notice, None);
     }
 }
