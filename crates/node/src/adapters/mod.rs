@@ -115,10 +115,11 @@ pub struct Said<'a> {
 }
 
 type Made = Result<Option<Box<dyn Adapter>>, Error>;
+type Make = fn(&Start<'_>) -> Made;
 
 /// The adapters of this program: their names, and how each is made if the configuration requests it. `zenoh` carries the topics of
 /// `ros2`, which is before it.
-const BUILT: &[(&str, fn(&Start<'_>) -> Made)] = &[
+const BUILT: &[(&str, Make)] = &[
     ("ros2", ros2::make),
     ("ros1", ros1::make),
     #[cfg(feature = "zenoh")]
