@@ -122,13 +122,6 @@ impl fmt::Display for Error {
 
 impl core::error::Error for Error {}
 
-/// A checked view of one datagram.
-#[derive(Clone, Copy, Debug)]
-pub struct Datagram<'a> {
-    head: &'a [u8; NLMSGHDR],
-    messages: &'a [u8],
-}
-
 /// One `cn_msg`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message<'a> {
@@ -136,55 +129,38 @@ pub struct Message<'a> {
     pub idx: u32,
     /// Connector value; [`CN_VAL`] for the driver.
     pub val: u32,
-    /// Sequence number, always 0 from the driver: it does not show losses.
-    pub seq: u32,
     /// The message's data: code and body, without padding.
     pub data: &'a [u8],
 }
 
 impl<'a> Message<'a> {
-    /// The record in it, if it comes from the driver registered at `idx`; `None` for foreign or empty messages.
+    /// The record in it, if it comes from the driver registered at one of these indices; `None` for foreign or empty messages.
     #[must_use]
-    pub fn record(&self, idx: u32) -> Option<Record<'a>> {
-        (self.idx == idx && self.val == CN_VAL).then(|| Record::from_message(self.data)).flatten()
+    pub fn record(&self, indices: &[u32]) -> Option<Record<'a>> {
+        Record::from_message(self.data).filter(|_| self.val == CN_VAL && indices.contains(&self.idx))
     }
 }
 
-impl<'a> Datagram<'a> {
+/// The `cn_msg` of a datagram, which end after an error. The driver sends one per datagram; several are valid.
+#[derive(Clone, Debug)]
+pub struct Messages<'a> {
+    rest: &'a [u8],
+}
+
+impl<'a> Messages<'a> {
     /// Checks the netlink header of one `recv`'s bytes, with or without padding.
     ///
     /// # Errors
     /// If it is too short, has another type than the connector's, or is shorter than `nlmsg_len`.
     pub fn new_checked(datagram: &'a [u8]) -> Result<Self, Error> {
         let received = datagram.len();
-        let (head, _) = datagram.split_first_chunk().ok_or(Error::Short { need: HEADERS, got: received })?;
+        let head = datagram.first_chunk::<NLMSGHDR>().ok_or(Error::Short { need: HEADERS, got: received })?;
         let nlmsg_len = LittleEndian::read_u32(head) as usize;
-        let messages = datagram.get(NLMSGHDR..nlmsg_len).filter(|messages| messages.len() >= CN_MSG);
-        let messages = messages.ok_or(Error::MessageLength { nlmsg_len, received })?;
+        let rest = datagram.get(NLMSGHDR..nlmsg_len).filter(|messages| messages.len() >= CN_MSG);
+        let rest = rest.ok_or(Error::MessageLength { nlmsg_len, received })?;
         let got = LittleEndian::read_u16(&head[offset::NLMSG_TYPE..]);
-        if got != NLMSG_DONE {
-            return Err(Error::MessageType { got });
-        }
-        Ok(Self { head, messages })
+        if got == NLMSG_DONE { Ok(Self { rest }) } else { Err(Error::MessageType { got }) }
     }
-
-    /// Port of the sender; 0 for the kernel. (The socket address has it, too, and cannot be forged.)
-    #[must_use]
-    pub fn pid(&self) -> u32 {
-        LittleEndian::read_u32(&self.head[offset::NLMSG_PID..])
-    }
-
-    /// The messages in it; they end after an error.
-    #[must_use]
-    pub fn messages(&self) -> Messages<'a> {
-        Messages { rest: self.messages }
-    }
-}
-
-/// Iterator over the `cn_msg` of a datagram. The driver sends one per datagram; several are valid.
-#[derive(Clone, Debug)]
-pub struct Messages<'a> {
-    rest: &'a [u8],
 }
 
 impl<'a> Iterator for Messages<'a> {
@@ -198,14 +174,13 @@ impl<'a> Iterator for Messages<'a> {
         let Some((head, data)) = rest.split_first_chunk::<CN_MSG>() else {
             return Some(Err(Error::Short { need: CN_MSG, got: rest.len() }));
         };
-        let field = |at: usize| u32::from_le_bytes(array(head, at - NLMSGHDR));
+        let [idx, val] = [offset::CN_IDX, offset::CN_VAL].map(|at| u32::from_le_bytes(array(head, at - NLMSGHDR)));
         let len = usize::from(LittleEndian::read_u16(&head[offset::CN_LEN - NLMSGHDR..]));
         let Some((data, rest)) = data.split_at_checked(len) else {
             return Some(Err(Error::DataLength { len, left: data.len() }));
         };
         self.rest = rest;
-        let (idx, val, seq) = (field(offset::CN_IDX), field(offset::CN_VAL), field(offset::CN_SEQ));
-        Some(Ok(Message { idx, val, seq, data }))
+        Some(Ok(Message { idx, val, data }))
     }
 }
 
@@ -291,15 +266,13 @@ mod tests {
     fn the_record_is_cut_at_cn_msg_len() {
         let bytes = sample();
         for received in [&bytes[..40], &bytes[..39]] {
-            let datagram = Datagram::new_checked(received).unwrap();
-            assert_eq!(datagram.pid(), 7);
-            let messages: Vec<_> = datagram.messages().collect();
-            assert_eq!(messages, [Ok(Message { idx: 26, val: 1, seq: 0, data: &[0xBB, 1, 2] })]);
+            let messages: Vec<_> = Messages::new_checked(received).unwrap().collect();
+            assert_eq!(messages, [Ok(Message { idx: 26, val: 1, data: &[0xBB, 1, 2] })]);
             let message = messages[0].unwrap();
-            assert_eq!(message.record(CN_IDX), Some(Record { code: 0xBB, body: &[1, 2] }));
-            assert_eq!(message.record(CN_IDX_10_USERS), None);
-            assert_eq!(Message { val: 2, ..message }.record(CN_IDX), None);
-            assert_eq!(Message { data: &[], ..message }.record(CN_IDX), None);
+            assert_eq!(message.record(&[CN_IDX_10_USERS, CN_IDX]), Some(Record { code: 0xBB, body: &[1, 2] }));
+            assert_eq!(message.record(&[CN_IDX_10_USERS]), None);
+            assert_eq!(Message { val: 2, ..message }.record(&[CN_IDX]), None);
+            assert_eq!(Message { data: &[], ..message }.record(&[CN_IDX]), None);
         }
     }
 
@@ -310,14 +283,14 @@ mod tests {
         bytes.extend_from_within(16..39);
         bytes[39] = 25;
         bytes[0] = 62;
-        let idx: Vec<_> = Datagram::new_checked(&bytes).unwrap().messages().map(|m| m.unwrap().idx).collect();
+        let idx: Vec<_> = Messages::new_checked(&bytes).unwrap().map(|m| m.unwrap().idx).collect();
         assert_eq!(idx, [26, 25]);
     }
 
     #[test]
     fn wrong_lengths_are_refused() {
         let bytes = sample();
-        let error = |bytes: &[u8]| Datagram::new_checked(bytes).unwrap_err();
+        let error = |bytes: &[u8]| Messages::new_checked(bytes).unwrap_err();
         assert_eq!(error(&bytes[..15]), Error::Short { need: 36, got: 15 });
         assert_eq!(error(&bytes[..38]), Error::MessageLength { nlmsg_len: 39, received: 38 });
         let with = |at: usize, value: u8| {
@@ -327,14 +300,14 @@ mod tests {
         };
         assert_eq!(error(&with(0, 35)), Error::MessageLength { nlmsg_len: 35, received: 40 });
         assert_eq!(error(&with(4, 2)), Error::MessageType { got: 2 });
-        let mut messages = Datagram::new_checked(&bytes).unwrap().messages();
+        let mut messages = Messages::new_checked(&bytes).unwrap();
         assert!(messages.next().unwrap().is_ok() && messages.next().is_none());
         let long = with(32, 4);
-        let mut messages = Datagram::new_checked(&long).unwrap().messages();
+        let mut messages = Messages::new_checked(&long).unwrap();
         assert_eq!(messages.next(), Some(Err(Error::DataLength { len: 4, left: 3 })));
         assert_eq!(messages.next(), None);
         let rest = with(32, 2);
-        let mut messages = Datagram::new_checked(&rest).unwrap().messages();
+        let mut messages = Messages::new_checked(&rest).unwrap();
         assert!(messages.next().unwrap().is_ok());
         assert_eq!(messages.next(), Some(Err(Error::Short { need: 20, got: 1 })));
         assert_eq!(messages.next(), None);
@@ -373,7 +346,7 @@ mod tests {
             let repr = Repr { idx, val, record, padded };
             let mut out = vec![0xa5; repr.emit_len()];
             prop_assert_eq!(repr.emit(&mut out), Ok(out.len()));
-            let message = Datagram::new_checked(&out).unwrap().messages().next().unwrap().unwrap();
+            let message = Messages::new_checked(&out).unwrap().next().unwrap().unwrap();
             prop_assert_eq!((message.idx, message.val, Record::from_message(message.data)), (idx, val, Some(record)));
         }
 
@@ -383,8 +356,8 @@ mod tests {
                 let len = bytes.len() as u8;
                 bytes[..8].copy_from_slice(&[len, 0, 0, 0, 3, 0, 0, 0]);
             }
-            if let Ok(datagram) = Datagram::new_checked(&bytes) {
-                prop_assert!(datagram.messages().count() <= bytes.len());
+            if let Ok(messages) = Messages::new_checked(&bytes) {
+                prop_assert!(messages.count() <= bytes.len());
             }
         }
     }

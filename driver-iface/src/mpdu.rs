@@ -1,14 +1,13 @@
 //! The 0xC1 record: a received frame, from the 802.11 header on.
 //!
 //! In monitor mode the frame ends with its frame check sequence (FCS); in client and access point mode the card removes it
-//! ([`Mpdu`] is the view of a frame with FCS, [`Header`] that of any frame). A record does not show which is the case: if no
+//! ([`Repr`] is a frame with FCS, [`Header`] the view of any frame). A record does not show which is the case: if no
 //! frame of a log ends with its own FCS, none has one.
 //!
 //! The driver sends it before it checks the FCS, so damaged frames appear, too, and before the 0xBB of the same frame. A 0xBB
 //! belongs to the 0xC1 just before it; counting records does not find the right one.
 
 use byteorder::{BigEndian, ByteOrder, LittleEndian};
-use core::fmt;
 
 use crate::{EmitError, Mac, array, checksum, room};
 
@@ -37,104 +36,6 @@ pub mod offset {
     pub const COUNTER: usize = 24;
 }
 
-/// A frame is too short.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Short {
-    /// Bytes of the body.
-    pub got: usize,
-}
-
-impl fmt::Display for Short {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "frame of {} bytes, too short for its header", self.got)
-    }
-}
-
-impl core::error::Error for Short {}
-
-/// A checked view of an MPDU with a three-address header.
-#[derive(Clone, Copy, Debug)]
-pub struct Mpdu<'a> {
-    frame: &'a [u8],
-    head: &'a [u8; HEADER],
-    payload: &'a [u8],
-    fcs: u32,
-}
-
-impl<'a> Mpdu<'a> {
-    /// Checks the body of a 0xC1 record. Control frames (headers of 10 to 16 bytes) are refused as too short.
-    ///
-    /// # Errors
-    /// [`Short`] for fewer than 28 bytes.
-    pub fn new_checked(frame: &'a [u8]) -> Result<Self, Short> {
-        let short = Short { got: frame.len() };
-        let (head, rest) = frame.split_first_chunk::<HEADER>().ok_or(short)?;
-        let (payload, fcs) = rest.split_last_chunk::<FCS>().ok_or(short)?;
-        Ok(Self { frame, head, payload, fcs: u32::from_le_bytes(*fcs) })
-    }
-
-    /// Frame control: version, type, subtype and flags; 0x0008 for plain data.
-    #[must_use]
-    pub fn frame_control(&self) -> u16 {
-        LittleEndian::read_u16(self.head)
-    }
-
-    /// Duration field, microseconds.
-    #[must_use]
-    pub fn duration_us(&self) -> u16 {
-        LittleEndian::read_u16(&self.head[offset::DURATION..])
-    }
-
-    /// Address 1, the receiver.
-    #[must_use]
-    pub fn addr1(&self) -> Mac {
-        Mac(array(self.head, offset::ADDR1))
-    }
-
-    /// Address 2, the transmitter.
-    #[must_use]
-    pub fn addr2(&self) -> Mac {
-        Mac(array(self.head, offset::ADDR2))
-    }
-
-    /// Address 3; the robot's own address in sounding frames.
-    #[must_use]
-    pub fn addr3(&self) -> Mac {
-        Mac(array(self.head, offset::ADDR3))
-    }
-
-    /// Sequence control.
-    #[must_use]
-    pub fn seq_ctrl(&self) -> u16 {
-        LittleEndian::read_u16(&self.head[offset::SEQ_CTRL..])
-    }
-
-    /// The bytes between header and FCS.
-    #[must_use]
-    pub fn payload(&self) -> &'a [u8] {
-        self.payload
-    }
-
-    /// The sounding counter, the first four bytes of the payload, big-endian; `None` if there are fewer.
-    #[must_use]
-    #[doc(alias = "frame_count")]
-    pub fn sounding_counter(&self) -> Option<u32> {
-        self.payload.get(..COUNTER).map(BigEndian::read_u32)
-    }
-
-    /// The frame check sequence as received.
-    #[must_use]
-    pub fn fcs(&self) -> u32 {
-        self.fcs
-    }
-
-    /// True if the FCS is correct.
-    #[must_use]
-    pub fn fcs_is_good(&self) -> bool {
-        fcs_is_good(self.frame)
-    }
-}
-
 /// A checked view of the header of a frame of any type, with or without an FCS at the end.
 ///
 /// Fields that the frame's type does not have are `None`: an ACK or CTS has one address, other control frames two (802.11-2016
@@ -149,13 +50,10 @@ impl<'a> Header<'a> {
     /// Bytes of the shortest header, an ACK's: frame control, duration, address 1.
     pub const SHORTEST: usize = offset::ADDR2;
 
-    /// Checks the body of a 0xC1 record.
-    ///
-    /// # Errors
-    /// [`Short`] for fewer than 10 bytes.
-    pub fn new_checked(frame: &'a [u8]) -> Result<Self, Short> {
-        let control = frame.get(..Self::SHORTEST).ok_or(Short { got: frame.len() })?;
-        Ok(Self { frame, control: LittleEndian::read_u16(control) })
+    /// Checks the body of a 0xC1 record; `None` for fewer than 10 bytes.
+    #[must_use]
+    pub fn new_checked(frame: &'a [u8]) -> Option<Self> {
+        frame.get(..Self::SHORTEST).map(|control| Self { frame, control: LittleEndian::read_u16(control) })
     }
 
     /// For a control frame, whether it has a single address; otherwise `None`.
@@ -219,10 +117,10 @@ pub fn crc32(bytes: &[u8]) -> u32 {
 
 static CRC_TABLES: checksum::Tables = checksum::tables(0xEDB8_8320);
 
-/// An MPDU as a value.
+/// A frame with a three-address header and an FCS, as a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repr<'a> {
-    /// Frame control.
+    /// Frame control: version, type, subtype and flags; 0x0008 for plain data.
     pub frame_control: u16,
     /// Duration field, microseconds.
     pub duration_us: u16,
@@ -230,7 +128,7 @@ pub struct Repr<'a> {
     pub addr1: Mac,
     /// Transmitter.
     pub addr2: Mac,
-    /// Address 3.
+    /// Address 3; the robot's own address in sounding frames.
     pub addr3: Mac,
     /// Sequence control.
     pub seq_ctrl: u16,
@@ -239,18 +137,28 @@ pub struct Repr<'a> {
 }
 
 impl<'a> Repr<'a> {
-    /// The fields of a frame without its FCS.
+    /// The fields of the body of a 0xC1 record; [`fcs_is_good`] says whether they are right. `None` for fewer than 28 bytes.
     #[must_use]
-    pub fn parse(mpdu: &Mpdu<'a>) -> Self {
-        Self {
-            frame_control: mpdu.frame_control(),
-            duration_us: mpdu.duration_us(),
-            addr1: mpdu.addr1(),
-            addr2: mpdu.addr2(),
-            addr3: mpdu.addr3(),
-            seq_ctrl: mpdu.seq_ctrl(),
-            payload: mpdu.payload(),
-        }
+    pub fn parse(frame: &'a [u8]) -> Option<Self> {
+        let (head, rest) = frame.split_first_chunk::<HEADER>()?;
+        let (payload, _) = rest.split_last_chunk::<FCS>()?;
+        let [addr1, addr2, addr3] = [offset::ADDR1, offset::ADDR2, offset::ADDR3].map(|at| Mac(array(head, at)));
+        Some(Self {
+            frame_control: LittleEndian::read_u16(head),
+            duration_us: LittleEndian::read_u16(&head[offset::DURATION..]),
+            addr1,
+            addr2,
+            addr3,
+            seq_ctrl: LittleEndian::read_u16(&head[offset::SEQ_CTRL..]),
+            payload,
+        })
+    }
+
+    /// The sounding counter, the first four bytes of the payload, big-endian; `None` if there are fewer.
+    #[must_use]
+    #[doc(alias = "frame_count")]
+    pub fn sounding_counter(&self) -> Option<u32> {
+        self.payload.get(..COUNTER).map(BigEndian::read_u32)
     }
 
     /// Bytes of the frame, including the FCS.
@@ -293,16 +201,15 @@ mod tests {
     #[test]
     fn fields_lie_where_the_format_says() {
         let frame: std::vec::Vec<u8> = (0..36).collect();
-        let mpdu = Mpdu::new_checked(&frame).unwrap();
-        assert_eq!((mpdu.frame_control(), mpdu.duration_us(), mpdu.seq_ctrl()), (0x0100, 0x0302, 0x1716));
-        assert_eq!(mpdu.addr1(), Mac([4, 5, 6, 7, 8, 9]));
-        assert_eq!(mpdu.addr2(), Mac([10, 11, 12, 13, 14, 15]));
-        assert_eq!(mpdu.addr3(), Mac([16, 17, 18, 19, 20, 21]));
-        assert_eq!(mpdu.sounding_counter(), Some(0x1819_1a1b));
-        assert_eq!((mpdu.payload(), mpdu.fcs()), (&frame[24..32], 0x2322_2120));
-        assert!(!mpdu.fcs_is_good());
-        assert_eq!(Mpdu::new_checked(&frame[..27]).unwrap_err(), Short { got: 27 });
-        assert_eq!(Mpdu::new_checked(&frame[..31]).unwrap().sounding_counter(), None);
+        let mpdu = Repr::parse(&frame).unwrap();
+        assert_eq!((mpdu.frame_control, mpdu.duration_us, mpdu.seq_ctrl), (0x0100, 0x0302, 0x1716));
+        assert_eq!(mpdu.addr1, Mac([4, 5, 6, 7, 8, 9]));
+        assert_eq!(mpdu.addr2, Mac([10, 11, 12, 13, 14, 15]));
+        assert_eq!(mpdu.addr3, Mac([16, 17, 18, 19, 20, 21]));
+        assert_eq!((mpdu.sounding_counter(), mpdu.payload), (Some(0x1819_1a1b), &frame[24..32]));
+        assert!(!fcs_is_good(&frame));
+        assert_eq!(Repr::parse(&frame[..27]), None);
+        assert_eq!(Repr::parse(&frame[..31]).unwrap().sounding_counter(), None);
     }
 
     #[test]
@@ -324,7 +231,7 @@ mod tests {
             assert_eq!((header.frame_control(), header.duration_us(), header.addr1()), (control, 0x0302, one));
             assert_eq!((header.addr2(), header.addr3(), header.seq_ctrl()), (addr2, addr3, seq_ctrl), "{control:#06x}");
         }
-        assert_eq!(Header::new_checked(&[0; 9]).unwrap_err(), Short { got: 9 });
+        assert!(Header::new_checked(&[0; 9]).is_none());
     }
 
     proptest! {
@@ -339,12 +246,11 @@ mod tests {
             };
             let mut frame = vec![0; repr.emit_len()];
             prop_assert_eq!(repr.emit(&mut frame), Ok(frame.len()));
-            let mpdu = Mpdu::new_checked(&frame).unwrap();
-            prop_assert!(mpdu.fcs_is_good());
-            prop_assert_eq!(Repr::parse(&mpdu), repr);
+            prop_assert!(fcs_is_good(&frame));
+            prop_assert_eq!(Repr::parse(&frame), Some(repr));
             let mut damaged = frame.clone();
             damaged[flip.index(frame.len())] ^= 1 << bit;
-            prop_assert!(!Mpdu::new_checked(&damaged).unwrap().fcs_is_good());
+            prop_assert!(!fcs_is_good(&damaged));
         }
     }
 }

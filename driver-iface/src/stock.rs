@@ -18,7 +18,6 @@ use crate::mpdu::FCS;
 use crate::record::{Record, code};
 use crate::{EmitError, Mac, array, mpdu, room};
 use byteorder::{BigEndian, ByteOrder, LittleEndian};
-use core::fmt;
 
 /// Commands in a packet's header (`dvm/commands.h`).
 pub mod command {
@@ -72,7 +71,6 @@ pub const ORDER_UNKNOWN: u8 = 0xff;
 
 /// The wanted records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct Options {
     /// csitool's layout, or WSR's with host time, sender and frame number.
     pub layout: Layout,
@@ -86,26 +84,6 @@ impl Default for Options {
     /// 0xBB records in WSR's layout, because a bearing needs sender and frame number.
     fn default() -> Self {
         Self { layout: Layout::Wsr, frames: false, csi: true }
-    }
-}
-
-impl Options {
-    /// Sets [`layout`](Self::layout).
-    #[must_use]
-    pub fn with_layout(self, layout: Layout) -> Self {
-        Self { layout, ..self }
-    }
-
-    /// Sets [`frames`](Self::frames).
-    #[must_use]
-    pub fn with_frames(self, frames: bool) -> Self {
-        Self { frames, ..self }
-    }
-
-    /// Sets [`csi`](Self::csi).
-    #[must_use]
-    pub fn with_csi(self, csi: bool) -> Self {
-        Self { csi, ..self }
     }
 }
 
@@ -206,13 +184,13 @@ impl Card {
             }
             Packet::RxPhy(phy) => {
                 self.counts.phy = self.counts.phy.wrapping_add(1);
-                (self.phy, self.sender) = (phy.ok(), None);
-                self.phy_seen |= phy.is_ok();
-                self.counts.bad_phy = self.counts.bad_phy.wrapping_add(phy.is_err().into());
+                (self.phy, self.sender) = (*phy, None);
+                self.phy_seen |= phy.is_some();
+                self.counts.bad_phy = self.counts.bad_phy.wrapping_add(phy.is_none().into());
                 None
             }
-            Packet::RxMpdu(mpdu) => self.mpdu(options, mpdu.as_ref().ok()),
-            Packet::Csi(csi) => self.csi(options, csi.as_ref().ok(), host_us, body),
+            Packet::RxMpdu(mpdu) => self.mpdu(options, mpdu.as_ref()),
+            Packet::Csi(csi) => self.csi(options, csi.as_ref(), host_us, body),
             Packet::Other => None,
         }
     }
@@ -314,165 +292,69 @@ pub mod flag {
     pub const FRAME_START: u8 = 1;
 }
 
-/// Why bytes are not an event.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EventError {
-    /// Shorter than the header.
-    Short {
-        /// Bytes that the header has.
-        need: usize,
-        /// Bytes of the event.
-        got: usize,
-    },
-    /// The data is longer than the event, or than its packet.
-    Kept {
-        /// Bytes of data by the header.
-        kept: usize,
-        /// Bytes after the header.
-        left: usize,
-        /// Bytes of the packet's data.
-        data_len: usize,
-    },
-    /// An unknown flag.
-    Flags {
-        /// The byte.
-        got: u8,
-    },
-}
-
-impl fmt::Display for EventError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Short { need, got } => write!(f, "event of {got} bytes, its header has {need}"),
-            Self::Kept { kept, left, data_len } => {
-                write!(f, "event with {kept} bytes kept of a packet of {data_len}, {left} are there")
-            }
-            Self::Flags { got } => write!(f, "event with unknown flags {got:#04x}"),
-        }
-    }
-}
-
-impl core::error::Error for EventError {}
-
-/// A checked view of an event.
-#[derive(Clone, Copy, Debug)]
+/// An event of the program.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Event<'a> {
-    head: &'a [u8; at::DATA],
-    data: &'a [u8],
+    /// The card: equal for one card's packets while its driver runs.
+    pub card: u64,
+    /// When the driver handled the packet: CLOCK_MONOTONIC, nanoseconds.
+    pub time_ns: u64,
+    /// Number of events without room in the ring before this one, since the program was loaded; wraps.
+    pub ring_full: u32,
+    /// Number of packets before this one that the program could not read; wraps.
+    pub unreadable: u32,
+    /// Bytes of data of the packet, from its header.
+    pub data_len: u32,
+    /// The packet's command.
+    pub command: u8,
+    /// How the packet was cut, [`flag`].
+    pub flags: u8,
+    /// What is there of the packet's data.
+    pub data: &'a [u8],
 }
 
 impl<'a> Event<'a> {
-    /// Checks an event as it stands in the ring; bytes after its data are padding.
-    ///
-    /// # Errors
-    /// If it is shorter than its header and data, has more data than its packet, or unknown flags.
-    pub fn new_checked(bytes: &'a [u8]) -> Result<Self, EventError> {
-        let short = EventError::Short { need: at::DATA, got: bytes.len() };
-        let (head, rest) = bytes.split_first_chunk().ok_or(short)?;
-        let mut event = Self { head, data: rest };
-        let kept = usize::from(LittleEndian::read_u16(&head[at::KEPT..]));
-        let limit = event.data_len().saturating_add(if event.is_start() { STATUS_LEN } else { 0 });
-        let refused = EventError::Kept { kept, left: rest.len(), data_len: event.data_len() };
-        event.data = rest.get(..kept).filter(|_| kept <= limit).ok_or(refused)?;
-        match event.flags() & !flag::FRAME_START {
-            0 => Ok(event),
-            _ => Err(EventError::Flags { got: event.flags() }),
-        }
-    }
-
-    fn u32_at(&self, at: usize) -> u32 {
-        u32::from_le_bytes(array(self.head, at))
-    }
-
-    fn u64_at(&self, at: usize) -> u64 {
-        u64::from_le_bytes(array(self.head, at))
+    /// Checks an event as it stands in the ring; bytes after its data are padding. `None` if it is shorter than its header and data,
+    /// has more data than its packet, or unknown flags.
+    #[must_use]
+    pub fn new_checked(bytes: &'a [u8]) -> Option<Self> {
+        let (head, rest) = bytes.split_first_chunk::<{ at::DATA }>()?;
+        let event = Self {
+            card: LittleEndian::read_u64(&head[at::CARD..]),
+            time_ns: LittleEndian::read_u64(&head[at::TIME_NS..]),
+            ring_full: LittleEndian::read_u32(&head[at::RING_FULL..]),
+            unreadable: LittleEndian::read_u32(&head[at::UNREADABLE..]),
+            data_len: LittleEndian::read_u32(&head[at::DATA_LEN..]),
+            command: head[at::COMMAND],
+            flags: head[at::FLAGS],
+            data: rest.get(..LittleEndian::read_u16(&head[at::KEPT..]).into())?,
+        };
+        let limit = (event.data_len as usize).saturating_add(if event.is_start() { STATUS_LEN } else { 0 });
+        (event.data.len() <= limit && event.flags & !flag::FRAME_START == 0).then_some(event)
     }
 
     fn is_start(&self) -> bool {
-        self.command() == command::RX_MPDU && self.flags() & flag::FRAME_START != 0
-    }
-
-    /// The card: equal for one card's packets while its driver runs.
-    #[must_use]
-    pub fn card(&self) -> u64 {
-        self.u64_at(at::CARD)
-    }
-
-    /// When the driver handled the packet: CLOCK_MONOTONIC, nanoseconds.
-    #[must_use]
-    pub fn time_ns(&self) -> u64 {
-        self.u64_at(at::TIME_NS)
-    }
-
-    /// Number of events without room in the ring before this one, since the program was loaded; wraps.
-    #[must_use]
-    pub fn ring_full(&self) -> u32 {
-        self.u32_at(at::RING_FULL)
-    }
-
-    /// Number of packets before this one that the program could not read; wraps.
-    #[must_use]
-    pub fn unreadable(&self) -> u32 {
-        self.u32_at(at::UNREADABLE)
-    }
-
-    /// Bytes of data of the packet, from its header.
-    #[must_use]
-    pub fn data_len(&self) -> usize {
-        self.u32_at(at::DATA_LEN) as usize
-    }
-
-    /// The packet's command.
-    #[must_use]
-    pub fn command(&self) -> u8 {
-        self.head[at::COMMAND]
-    }
-
-    /// How the packet was cut, [`flag`].
-    #[must_use]
-    pub fn flags(&self) -> u8 {
-        self.head[at::FLAGS]
+        self.command == command::RX_MPDU && self.flags & flag::FRAME_START != 0
     }
 
     /// The packet. Making a record does not use what the program cut off.
     #[must_use]
     pub fn packet(&self) -> Packet<'a> {
         if !self.is_start() {
-            return Packet::new(self.command(), self.data);
+            return Packet::new(self.command, self.data);
         }
         let (start, status) = self.data.split_last_chunk::<STATUS_LEN>().unwrap_or((&[], &[0; STATUS_LEN]));
-        Packet::RxMpdu(RxMpdu::from_start(self.data_len(), start, u32::from_le_bytes(*status)))
+        Packet::RxMpdu(RxMpdu::from_start(self.data_len as usize, start, u32::from_le_bytes(*status)))
     }
-}
 
-/// All fields of an event; [`EventRepr::emit`] gets the data separately.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct EventRepr {
-    /// See [`Event::card`].
-    pub card: u64,
-    /// See [`Event::time_ns`].
-    pub time_ns: u64,
-    /// See [`Event::ring_full`].
-    pub ring_full: u32,
-    /// See [`Event::unreadable`].
-    pub unreadable: u32,
-    /// See [`Event::data_len`].
-    pub data_len: u32,
-    /// See [`Event::command`].
-    pub command: u8,
-    /// See [`Event::flags`].
-    pub flags: u8,
-}
-
-impl EventRepr {
     /// Writes the event as the program does. Returns its length.
     ///
     /// # Errors
-    /// If `data` is too long for its u16, or `out` is too short.
-    pub fn emit(&self, data: &[u8], out: &mut [u8]) -> Result<usize, EmitError> {
-        let kept = u16::try_from(data.len());
-        let kept = kept.map_err(|_| EmitError::Field { name: "kept", got: data.len(), max: u16::MAX.into() })?;
-        let out = room(out, at::DATA + data.len())?;
+    /// If its data is too long for its u16, or `out` is too short.
+    pub fn emit(&self, out: &mut [u8]) -> Result<usize, EmitError> {
+        let got = self.data.len();
+        let kept = u16::try_from(got).map_err(|_| EmitError::Field { name: "kept", got, max: u16::MAX.into() })?;
+        let out = room(out, at::DATA + got)?;
         LittleEndian::write_u64(&mut out[at::CARD..], self.card);
         LittleEndian::write_u64(&mut out[at::TIME_NS..], self.time_ns);
         LittleEndian::write_u32(&mut out[at::RING_FULL..], self.ring_full);
@@ -481,66 +363,22 @@ impl EventRepr {
         out[at::COMMAND] = self.command;
         out[at::FLAGS] = self.flags;
         LittleEndian::write_u16(&mut out[at::KEPT..], kept);
-        let len = out.len();
-        out[at::DATA..].copy_from_slice(data);
-        Ok(len)
+        out[at::DATA..].copy_from_slice(self.data);
+        Ok(out.len())
     }
 }
-
-/// Why a packet is not used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BadPacket {
-    /// 0xC0 shorter than its fixed part.
-    Phy {
-        /// Bytes of data.
-        got: usize,
-    },
-    /// 0xC1 whose frame length is impossible or exceeds the packet.
-    Mpdu {
-        /// The frame's length by its header.
-        byte_count: usize,
-        /// Bytes of data.
-        got: usize,
-    },
-    /// 0xBB shorter than its header, or than header and CSI.
-    CsiShort {
-        /// Bytes needed.
-        need: usize,
-        /// Bytes of data.
-        got: usize,
-    },
-    /// 0xBB whose header contradicts itself.
-    Csi(bfee::Error),
-}
-
-impl fmt::Display for BadPacket {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Phy { got } => write!(f, "RX_PHY of {got} bytes, its fixed part has {PHY_LEN}"),
-            Self::Mpdu { byte_count, got } => write!(
-                f,
-                "RX_MPDU of {got} bytes with a frame of {byte_count}; {MIN_FRAME} to {MAX_FRAME} are possible, and 8 more \
-                 bytes belong to it"
-            ),
-            Self::CsiShort { need, got } => write!(f, "CSI notification of {got} bytes, {need} are needed"),
-            Self::Csi(error) => write!(f, "CSI notification: {error}"),
-        }
-    }
-}
-
-impl core::error::Error for BadPacket {}
 
 /// The packets that records are made from.
 #[derive(Clone, Copy, Debug)]
 pub enum Packet<'a> {
     /// 0x01: the firmware restarted.
     Alive,
-    /// 0xC0, or its error.
-    RxPhy(Result<RxPhy, BadPacket>),
-    /// 0xC1, or its error.
-    RxMpdu(Result<RxMpdu<'a>, BadPacket>),
-    /// 0xBB, or its error.
-    Csi(Result<CsiNotification<'a>, BadPacket>),
+    /// 0xC0; `None` if it is contradictory, as for the next two.
+    RxPhy(Option<RxPhy>),
+    /// 0xC1.
+    RxMpdu(Option<RxMpdu<'a>>),
+    /// 0xBB.
+    Csi(Option<CsiNotification<'a>>),
     /// Every other command.
     Other,
 }
@@ -575,17 +413,15 @@ pub struct RxPhy {
 }
 
 impl RxPhy {
-    /// Reads the data of 0xC0.
-    ///
-    /// # Errors
-    /// [`BadPacket::Phy`] for less than 60 bytes.
-    pub fn new_checked(data: &[u8]) -> Result<Self, BadPacket> {
-        let fixed = data.first_chunk::<PHY_LEN>().ok_or(BadPacket::Phy { got: data.len() })?;
+    /// Reads the data of 0xC0; `None` for less than 60 bytes.
+    #[must_use]
+    pub fn new_checked(data: &[u8]) -> Option<Self> {
+        let fixed = data.first_chunk::<PHY_LEN>()?;
         let word = |at: usize| u32::from_le_bytes(array(fixed, at));
         let (ab, c) = (word(offset::PHY_RSSI_AB), word(offset::PHY_RSSI_C));
         let configured = fixed[offset::PHY_CFG_COUNT] > 0 && data.len() >= PHY_LEN_WITH_ORDER;
         let order = data.get(offset::PHY_ANTENNA_SEL).copied();
-        Ok(Self {
+        Some(Self {
             timestamp_low: word(offset::PHY_TIMESTAMP),
             rssi: [ab as u8, (ab >> 16) as u8, c as u8],
             agc: (word(offset::PHY_AGC) >> 9 & 0x7f) as u8,
@@ -604,30 +440,22 @@ pub struct RxMpdu<'a> {
 }
 
 impl<'a> RxMpdu<'a> {
-    /// Reads the data of 0xC1.
-    ///
-    /// # Errors
-    /// [`BadPacket::Mpdu`] if the frame is impossibly short or long, or longer than the packet.
-    pub fn new_checked(data: &'a [u8]) -> Result<Self, BadPacket> {
+    /// Reads the data of 0xC1; `None` if the frame is impossibly short or long, or longer than the packet.
+    #[must_use]
+    pub fn new_checked(data: &'a [u8]) -> Option<Self> {
         let byte_count = checked_len(data, data.len())?;
-        let bad = BadPacket::Mpdu { byte_count, got: data.len() };
-        let frame = data.get(offset::MPDU_FRAME..).and_then(|rest| rest.split_at_checked(byte_count));
-        let (frame, status) = frame.ok_or(bad)?;
-        Ok(Self { byte_count, frame, status: LittleEndian::read_u32(status.first_chunk::<STATUS_LEN>().ok_or(bad)?) })
+        let (frame, status) = data.get(offset::MPDU_FRAME..)?.split_at_checked(byte_count)?;
+        Some(Self { byte_count, frame, status: LittleEndian::read_u32(status.first_chunk::<STATUS_LEN>()?) })
     }
 
-    /// From the first bytes of an 0xC1's data, which has `data_len` bytes, and the status from the frame's end.
-    ///
-    /// # Errors
-    /// As [`new_checked`](Self::new_checked), and if `start` lacks needed bytes of the frame.
-    pub fn from_start(data_len: usize, start: &'a [u8], status: u32) -> Result<Self, BadPacket> {
+    /// From the first bytes of an 0xC1's data, which has `data_len` bytes, and the status from the frame's end. `None` as for
+    /// [`new_checked`](Self::new_checked), and if `start` lacks needed bytes of the frame.
+    #[must_use]
+    pub fn from_start(data_len: usize, start: &'a [u8], status: u32) -> Option<Self> {
         let byte_count = checked_len(start, data_len)?;
-        let frame = start.get(offset::MPDU_FRAME..).unwrap_or_default();
+        let frame = start.get(offset::MPDU_FRAME..)?;
         let frame = frame.get(..byte_count).unwrap_or(frame);
-        if frame.len() < byte_count.min(FRAME_START) {
-            return Err(BadPacket::Mpdu { byte_count, got: start.len() });
-        }
-        Ok(Self { byte_count, frame, status })
+        (frame.len() >= byte_count.min(FRAME_START)).then_some(Self { byte_count, frame, status })
     }
 
     /// Bytes of the frame, FCS included.
@@ -659,13 +487,10 @@ impl<'a> RxMpdu<'a> {
 }
 
 /// The frame's length from the packet's first bytes, if it fits the packet of `data_len` bytes.
-fn checked_len(start: &[u8], data_len: usize) -> Result<usize, BadPacket> {
-    let byte_count = start.first_chunk::<2>().map_or(0, |bytes| usize::from(u16::from_le_bytes(*bytes)));
+fn checked_len(start: &[u8], data_len: usize) -> Option<usize> {
+    let byte_count = usize::from(u16::from_le_bytes(*start.first_chunk()?));
     let fits = offset::MPDU_FRAME + byte_count + STATUS_LEN <= data_len;
-    if !fits || !(MIN_FRAME..=MAX_FRAME).contains(&byte_count) {
-        return Err(BadPacket::Mpdu { byte_count, got: data_len });
-    }
-    Ok(byte_count)
+    (fits && (MIN_FRAME..=MAX_FRAME).contains(&byte_count)).then_some(byte_count)
 }
 
 /// The CSI of 0xBB, checked; a record's header whose driver fields are still empty.
@@ -676,19 +501,14 @@ pub struct CsiNotification<'a> {
 }
 
 impl<'a> CsiNotification<'a> {
-    /// Checks the data of 0xBB; bytes after the CSI are allowed and skipped.
-    ///
-    /// # Errors
-    /// If chains are not 1 to 3, the CSI length does not match, or the data is shorter.
-    pub fn new_checked(data: &'a [u8]) -> Result<Self, BadPacket> {
-        let got = data.len();
-        let short = BadPacket::CsiShort { need: STOCK_HEADER, got };
-        let (head, rest) = data.split_first_chunk::<STOCK_HEADER>().ok_or(short)?;
+    /// Checks the data of 0xBB; bytes after the CSI are allowed and skipped. `None` if chains are not 1 to 3, the CSI length does not
+    /// match, or the data is shorter.
+    #[must_use]
+    pub fn new_checked(data: &'a [u8]) -> Option<Self> {
+        let (head, rest) = data.split_first_chunk::<STOCK_HEADER>()?;
         let len = usize::from(u16::from_le_bytes([head[bfee::offset::LEN], head[bfee::offset::LEN + 1]]));
-        bfee::check(head, STOCK_HEADER + len).map_err(BadPacket::Csi)?;
-        let csi = rest.get(..len).ok_or(BadPacket::CsiShort { need: STOCK_HEADER + len, got })?;
-        debug_assert_eq!(len, bfee::csi_len(head[bfee::offset::N_RX], head[bfee::offset::N_TX]));
-        Ok(Self { head, csi })
+        bfee::check(head, STOCK_HEADER + len).ok()?;
+        Some(Self { head, csi: rest.get(..len)? })
     }
 
     /// The packed CSI.
@@ -749,7 +569,7 @@ mod tests {
 
     #[test]
     fn the_three_packets_of_a_frame_are_a_record() {
-        let (mut card, options) = (Card::default(), Options::default().with_frames(true));
+        let (mut card, options) = (Card::default(), Options { frames: true, ..Options::default() });
         let got = records(&mut card, &options, &[(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())]);
         assert_eq!(got[0], (0xC1, mpdu()[4..61].to_vec()));
         let bfee = Bfee::new_checked(&got[1].1).unwrap();
@@ -798,7 +618,8 @@ mod tests {
             c0[1] = said;
             c0.truncate(len);
             let mut card = Card::default();
-            let got = records(&mut card, &Options::default().with_layout(Layout::Stock), &[(0xC0, c0), (0xBB, csi())]);
+            let options = Options { layout: Layout::Stock, ..Options::default() };
+            let got = records(&mut card, &options, &[(0xC0, c0), (0xBB, csi())]);
             let bfee = Bfee::new_checked(&got[0].1).unwrap();
             assert_eq!((bfee.layout(), bfee.antenna_sel(), card.counts().no_order), (Layout::Stock, ORDER_UNKNOWN, 1));
             assert!(bfee.antennas().is_err());
@@ -808,26 +629,28 @@ mod tests {
     }
 
     #[test]
-    fn refusals_say_what_is_wrong() {
-        assert_eq!(RxPhy::new_checked(&[0; 59]), Err(BadPacket::Phy { got: 59 }));
+    fn contradictory_packets_are_refused() {
+        assert_eq!(RxPhy::new_checked(&[0; 59]), None);
         let mut long = mpdu();
         long[0] = 58;
-        assert_eq!(RxMpdu::new_checked(&long).unwrap_err(), BadPacket::Mpdu { byte_count: 58, got: 65 });
-        assert!(RxMpdu::from_start(65, &mpdu()[..31], 3).is_err() && RxMpdu::from_start(65, &mpdu()[..32], 3).is_ok());
+        assert_eq!(RxMpdu::new_checked(&long), None);
+        assert!(
+            RxMpdu::from_start(65, &mpdu()[..31], 3).is_none() && RxMpdu::from_start(65, &mpdu()[..32], 3).is_some()
+        );
         let whole = mpdu();
         let checked = RxMpdu::new_checked(&whole).unwrap();
         assert_eq!((checked.byte_count(), checked.frame()), (57, whole.get(4..61)));
         assert!(
-            (whole.len() - 8..whole.len()).all(|len| RxMpdu::from_start(len, &whole, 3).is_err()),
+            (whole.len() - 8..whole.len()).all(|len| RxMpdu::from_start(len, &whole, 3).is_none()),
             "no room for the status"
         );
         let mut bb = csi();
         bb.truncate(211);
-        assert_eq!(CsiNotification::new_checked(&bb).unwrap_err(), BadPacket::CsiShort { need: 212, got: 211 });
+        assert_eq!(CsiNotification::new_checked(&bb), None);
+        bb.push(0);
+        assert!(CsiNotification::new_checked(&bb).is_some());
         bb[16] = 191;
-        let refused = CsiNotification::new_checked(&bb).unwrap_err();
-        assert_eq!(refused, BadPacket::Csi(crate::bfee::Error::CsiLength { expect: 192, got: 191 }));
-        assert!(std::format!("{refused}").contains("191"));
+        assert_eq!(CsiNotification::new_checked(&bb), None);
     }
 
     #[test]
@@ -839,8 +662,8 @@ mod tests {
         };
         for (len, fits) in [(13, false), (14, true), (8_191, true), (8_192, false)] {
             let data = packet(len);
-            assert_eq!(RxMpdu::new_checked(&data).is_ok(), fits, "{len}");
-            assert_eq!(RxMpdu::from_start(data.len(), &data, 3).is_ok(), fits, "{len}");
+            assert_eq!(RxMpdu::new_checked(&data).is_some(), fits, "{len}");
+            assert_eq!(RxMpdu::from_start(data.len(), &data, 3).is_some(), fits, "{len}");
         }
     }
 
@@ -848,27 +671,24 @@ mod tests {
     fn the_kept_beginning_of_a_frame_is_as_long_as_needed() {
         let data = mpdu();
         let frame = |kept: usize| RxMpdu::from_start(data.len(), &data[..kept], 3).map(|mpdu| mpdu.byte_count());
-        assert_eq!([frame(32), frame(33), frame(data.len())], [Ok(57); 3]);
-        for kept in [2, 3, 4, 5, 31] {
-            assert_eq!(frame(kept), Err(BadPacket::Mpdu { byte_count: 57, got: kept }));
-        }
-        assert_eq!(frame(1), Err(BadPacket::Mpdu { byte_count: 0, got: data.len() }));
+        assert_eq!([frame(32), frame(33), frame(data.len())], [Some(57); 3]);
+        assert_eq!([1, 2, 3, 4, 5, 31].map(frame), [None; 6]);
     }
 
     #[test]
     fn an_event_with_a_frames_beginning_identifies_the_frame() {
         let (data, mut bytes) = (mpdu(), [0; 128]);
         let kept = [&data[..36], &3_u32.to_le_bytes()].concat();
-        let start = EventRepr { data_len: 65, command: 0xC1, flags: 1, ..EventRepr::default() };
-        start.emit(&kept, &mut bytes).unwrap();
+        let start = Event { data_len: 65, command: 0xC1, flags: 1, data: &kept, ..Event::default() };
+        start.emit(&mut bytes).unwrap();
         let sender = |bytes: &[u8]| match Event::new_checked(bytes).unwrap().packet() {
-            Packet::RxMpdu(Ok(frame)) => (frame.byte_count(), frame.sender()),
+            Packet::RxMpdu(Some(frame)) => (frame.byte_count(), frame.sender()),
             other => panic!("{other:?}"),
         };
         let right = (57, Some(("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304)));
         assert_eq!(sender(&bytes), right);
         // An uncut event has its status at its own end.
-        EventRepr { flags: 0, ..start }.emit(&data, &mut bytes).unwrap();
+        Event { flags: 0, data: &data, ..start }.emit(&mut bytes).unwrap();
         assert_eq!(sender(&bytes), right);
     }
 
@@ -878,7 +698,7 @@ mod tests {
         for (csi, frames, codes) in
             [(true, false, &[0xBB][..]), (true, true, &[0xC1, 0xBB]), (false, true, &[0xC1]), (false, false, &[])]
         {
-            let options = Options::default().with_csi(csi).with_frames(frames);
+            let options = Options { csi, frames, ..Options::default() };
             let got = records(&mut Card::default(), &options, &packets);
             assert_eq!(got.iter().map(|(code, _)| *code).collect::<Vec<u8>>(), codes, "csi {csi}, frames {frames}");
         }
@@ -887,18 +707,18 @@ mod tests {
     #[test]
     fn only_a_cut_frame_has_its_status_at_the_end() {
         for (command, flags, kept) in [(0xC1, 1, 12), (0xC1, 0, 8), (0xBB, 1, 8), (0xBB, 0, 8)] {
-            let fields = EventRepr { data_len: 8, command, flags, ..EventRepr::default() };
             let mut bytes = [0; 64];
             for (len, fits) in [(kept, true), (kept + 1, false)] {
-                fields.emit(&[7; 13][..len], &mut bytes).unwrap();
-                assert_eq!(Event::new_checked(&bytes).is_ok(), fits, "{command:#x} {flags} {len}");
+                let event = Event { data_len: 8, command, flags, data: &[7; 13][..len], ..Event::default() };
+                event.emit(&mut bytes).unwrap();
+                assert_eq!(Event::new_checked(&bytes).is_some(), fits, "{command:#x} {flags} {len}");
             }
         }
     }
 
     #[test]
     fn events_round_trip() {
-        let fields = EventRepr {
+        let event = Event {
             card: 0x1122_3344_5566_7788,
             time_ns: 0x0102_0304_0506_0708,
             ring_full: 0x0a0b_0c0d,
@@ -906,13 +726,16 @@ mod tests {
             data_len: 0x0102_0304,
             command: 0xBB,
             flags: 0,
+            data: &[5, 6, 7],
         };
         let mut bytes = [0xee; 64];
-        let len = fields.emit(&[5, 6, 7], &mut bytes).unwrap();
-        let event = Event::new_checked(&bytes).unwrap();
-        assert_eq!((len, event.card(), event.time_ns()), (35, fields.card, fields.time_ns));
-        assert_eq!((event.ring_full(), event.unreadable()), (fields.ring_full, fields.unreadable));
-        assert_eq!((event.data_len(), event.command(), event.flags()), (0x0102_0304, 0xBB, 0));
+        assert_eq!(event.emit(&mut bytes), Ok(35));
+        assert_eq!(Event::new_checked(&bytes), Some(event));
+        // Offsets as the program has them.
+        assert_eq!(
+            (bytes[0], bytes[8], bytes[16], bytes[20], bytes[24], bytes[28], bytes[30]),
+            (0x88, 8, 0x0d, 0x1d, 4, 0xBB, 3)
+        );
     }
 
     #[test]

@@ -58,7 +58,7 @@ fn of_rust() -> Vec<(&'static str, i64)> {
         "MPDU_HEADER" => m::HEADER, "MPDU_FCS" => m::FCS, "MPDU_FRAME_CONTROL" => h::FRAME_CONTROL,
         "MPDU_DURATION" => h::DURATION, "MPDU_ADDR1" => h::ADDR1, "MPDU_ADDR2" => h::ADDR2, "MPDU_ADDR3" => h::ADDR3,
         "MPDU_SEQ_CTRL" => h::SEQ_CTRL, "MPDU_COUNTER" => h::COUNTER,
-        "SOUNDING_HEADER_LEN" => sounding::HEADER_LEN, "SOUNDING_FCS_LEN" => sounding::FCS_LEN,
+        "SOUNDING_HEADER_LEN" => m::HEADER, "SOUNDING_FCS_LEN" => sounding::FCS_LEN,
         "SOUNDING_MIN_LEN" => sounding::MIN_LEN, "SOUNDING_DEFAULT_LEN" => sounding::wsr::DEFAULT_LEN,
         "SOUNDING_REPLY_GROWTH" => sounding::wsr::REPLY_GROWTH, "RADIOTAP_MIN_LEN" => radiotap::MIN_LEN,
         "RADIOTAP_FLAGS_FCS" => radiotap::FLAGS_FCS, "RADIOTAP_FLAGS_DATAPAD" => radiotap::FLAGS_DATAPAD,

@@ -9,7 +9,7 @@ mod shared;
 
 use common::{Counts, Oracle, Packet, Random, any};
 use driver_iface::bfee::{Layout, MAX_BODY};
-use driver_iface::stock::{self, Card, Event, EventRepr, Options, flag};
+use driver_iface::stock::{self, Card, Event, Options, flag};
 use proptest::collection::vec;
 use proptest::{num, prop_assert, prop_assert_eq, proptest};
 use std::io::{Read, Write};
@@ -37,7 +37,7 @@ struct How {
 impl How {
     fn options(self) -> Options {
         let layout = if self.wsr { Layout::Wsr } else { Layout::Stock };
-        Options::default().with_layout(layout).with_csi(self.log & 1 != 0).with_frames(self.log & 4 != 0)
+        Options { layout, csi: self.log & 1 != 0, frames: self.log & 4 != 0 }
     }
 }
 
@@ -70,15 +70,16 @@ fn event_of(how: How, (command, data): &Packet) -> Vec<u8> {
         _ if whole => 8_199,
         _ => 32,
     };
-    let mut event = EventRepr { command: *command, data_len: data.len() as u32, ..EventRepr::default() };
+    let mut flags = 0;
     let mut data_kept = data[..kept.min(data.len())].to_vec();
     let count = data.first_chunk().map_or(0, |bytes| usize::from(u16::from_le_bytes(*bytes)));
     if *command == 0xC1 && !whole && data.len() >= 32 && (14..=8_191).contains(&count) && 8 + count <= data.len() {
-        event.flags = flag::FRAME_START;
+        flags = flag::FRAME_START;
         data_kept.extend(&data[4 + count..8 + count]);
     }
     let mut out = vec![0; 32 + data_kept.len()];
-    event.emit(&data_kept, &mut out).unwrap();
+    let (command, data_len) = (*command, data.len() as u32);
+    Event { command, data_len, flags, data: &data_kept, ..Event::default() }.emit(&mut out).unwrap();
     out
 }
 
@@ -219,7 +220,7 @@ proptest! {
             bytes[29] &= flag::FRAME_START;
             bytes[30..32].copy_from_slice(&kept.to_le_bytes());
         }
-        if let Ok(event) = Event::new_checked(&bytes) {
+        if let Some(event) = Event::new_checked(&bytes) {
             let mut body = [0; MAX_BODY];
             prop_assert!(Card::default().handle(&Options::default(), &event.packet(), 0, &mut body).is_none());
         }
@@ -231,15 +232,11 @@ proptest! {
         command in any_u8(), data in vec(any_u8(), 0..700), more in 0_u32..90, padding in 0_usize..9,
     ) {
         let data_len = data.len() as u32 + more;
-        let repr = EventRepr { card, time_ns, ring_full: full, unreadable: lost, data_len, command, flags: 0 };
+        let event =
+            Event { card, time_ns, ring_full: full, unreadable: lost, data_len, command, flags: 0, data: &data };
         let mut out = vec![0xa5; 32 + data.len() + padding];
-        prop_assert_eq!(repr.emit(&data, &mut out), Ok(32 + data.len()));
-        let event = Event::new_checked(&out).unwrap();
-        let read = EventRepr {
-            card: event.card(), time_ns: event.time_ns(), ring_full: event.ring_full(), unreadable: event.unreadable(),
-            data_len: event.data_len() as u32, command: event.command(), flags: event.flags(),
-        };
-        prop_assert_eq!(read, repr);
+        prop_assert_eq!(event.emit(&mut out), Ok(32 + data.len()));
+        prop_assert_eq!(Event::new_checked(&out), Some(event));
     }
 }
 

@@ -1,7 +1,7 @@
 //! Any bytes as a record stream: no panic, every byte accounted for, and chunks do not matter.
 
 use driver_iface::bfee::Bfee;
-use driver_iface::mpdu::Mpdu;
+use driver_iface::mpdu;
 use driver_iface::record::{Framer, LOOKAHEAD, Step, Tail, code, events};
 
 /// Runs the target; the first byte is the size of the chunks.
@@ -26,7 +26,7 @@ pub fn run(bytes: &[u8]) {
                 assert_eq!((offset, used), (at, record.emit_len()));
                 match record.code {
                     code::BFEE => assert!(Bfee::new_checked(record.body).is_ok()),
-                    code::MPDU => drop(Mpdu::new_checked(record.body).map(|mpdu| mpdu.sounding_counter())),
+                    code::MPDU => drop(mpdu::Repr::parse(record.body).map(|mpdu| mpdu.sounding_counter())),
                     _ => {}
                 }
                 (at, from) = (at + used as u64, from + used);

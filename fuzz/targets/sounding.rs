@@ -6,7 +6,7 @@
 use csi5300::exchange::tdma::{Config, Dialect, Event, Key, Request, Tdma};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::radiotap::{Packet, Repr};
+use driver_iface::radiotap::Repr;
 use driver_iface::sounding::native::Role;
 
 const MACS: [Mac; 3] = [Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2]), Mac([2, 0, 0, 0, 0, 3])];
@@ -112,11 +112,8 @@ pub fn run(bytes: &[u8]) {
             Step::Wait(us) => air.now += Span::from_us(us),
             Step::Hear(frame) => air.hear(frame),
             Step::Packet(buffer) => {
-                let Ok(packet) = Packet::new_checked(buffer) else { continue };
-                let frame = Repr::parse(&packet).ok().and_then(|repr| packet.frame(&repr).ok());
-                if let Some(frame) = frame {
-                    assert!(frame.len() <= buffer.len());
-                    air.hear(frame);
+                if let Ok((_, frame)) = Repr::parse(buffer) {
+                    air.hear(&buffer[frame]);
                 }
             }
             Step::Altered(back, changes) => {

@@ -11,12 +11,12 @@ pub fn run(bytes: &[u8]) {
     let Some((how, mut rest)) = bytes.split_first() else { return };
     let layout = if how & 1 == 0 { Layout::Stock } else { Layout::Wsr };
     let (wants_csi, wants_frames) = (how & 2 == 0, how & 4 == 0);
-    let options = Options::default().with_layout(layout).with_csi(wants_csi).with_frames(wants_frames);
+    let options = Options { layout, csi: wants_csi, frames: wants_frames };
     let (mut card, mut records) = (Card::default(), 0);
     while let Some((len, behind)) = rest.split_first() {
         let (event, behind) = behind.split_at(behind.len().min(8 * usize::from(*len)));
         rest = behind;
-        let Ok(event) = Event::new_checked(event) else {
+        let Some(event) = Event::new_checked(event) else {
             card.gap();
             continue;
         };

@@ -37,7 +37,7 @@ struct Frames {
 
 impl Frames {
     fn push(&mut self, body: &[u8], payload_size: usize) {
-        let Ok(header) = Header::new_checked(body) else { return };
+        let Some(header) = Header::new_checked(body) else { return };
         self.fc.push(header.frame_control());
         self.dur.push(header.duration_us());
         self.des.extend(header.addr1().0);

@@ -175,13 +175,13 @@ pub struct Identity {
 /// Sender and number of a sounding frame (no FCS), which has its sender in address 3. A group address sends nothing: that
 /// frame is of another program (csitool's injection broadcasts there), and its payload no number.
 fn sounded(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
-    let frame = sounding::Frame::new_checked(frame).ok().filter(|frame| !frame.sender().is_group())?;
+    let frame = sounding::Frame::new_checked(frame).filter(|frame| !frame.sender().is_group())?;
     Some((frame.sender(), Some(frame.number())))
 }
 
 /// Sender of any frame: address 2, if it has one.
 fn sent(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
-    Some((Header::new_checked(frame).ok()?.addr2()?, None))
+    Some((Header::new_checked(frame)?.addr2()?, None))
 }
 
 impl Survey {

@@ -224,7 +224,7 @@ impl Sending {
         self.number += 1;
         let repr = wsr::Repr { sender: self.sender, number: self.number, len_with_fcs: wsr::DEFAULT_LEN };
         let mut frame = vec![0; repr.mpdu_len()];
-        let taken = repr.emit(&mut frame, &mut self.filler).is_ok() && injector.inject(now, &frame).is_ok();
+        let taken = repr.emit(&mut frame, &mut self.filler).is_some() && injector.inject(now, &frame).is_ok();
         self.next_at = now.max(self.next_at) + Span::from_s(1.0 / rate_hz);
         Some(Sent { number: self.number, rate_hz, taken })
     }

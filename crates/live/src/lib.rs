@@ -3,6 +3,7 @@
 //! | module | what it is |
 //! |---|---|
 //! | [`listener`] | where records come from: `netlink` or `stock`, as one type |
+//! | [`logged`] | a source with a log, or without |
 //! | [`netlink`] | the driver's records from the kernel's connector: a [`CsiSource`](csi5300::source::CsiSource) |
 //! | [`feitcsi`] | an AX200's or AX210's records, from FeitCSI's UDP socket or its standard output |
 //! | [`monitor`] | frames injected into and heard from a monitor interface |
@@ -39,6 +40,7 @@
 pub mod doctor;
 pub mod feitcsi;
 pub mod listener;
+pub mod logged;
 pub mod monitor;
 pub mod netlink;
 #[cfg(feature = "serial")]

@@ -19,7 +19,7 @@ use csi5300::internal::{FrameReceiver, HeardFrame};
 use csi5300::source::{Error, Injector, NotSent};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::radiotap::{self, Bandwidth, Packet, Repr};
+use driver_iface::radiotap::{self, Bandwidth, Repr};
 use driver_iface::sounding::MAGIC_MAC;
 use nix::errno::Errno;
 use nix::sys::socket::{
@@ -187,23 +187,10 @@ impl Monitor {
         self.counters
     }
 
-    /// Counts the result of a send of `len` bytes.
-    fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize) -> Result<(), Error> {
-        let why = self.counters.note_sent(sent, len, self.mtu);
-        let why = why.map_err(|error| failed("sending on", &self.interface, error))?;
-        why.map_or(Ok(()), |why| Err(Error::NotSent(why)))
-    }
-
     /// The range of the frame in a received buffer of `len` bytes, if it is to be handed out.
     fn frame_in(&mut self, len: usize) -> Option<std::ops::Range<usize>> {
         let counters = &mut self.counters;
-        let parsed = self.input.get(..len).and_then(|buffer| {
-            let packet = Packet::new_checked(buffer).ok()?;
-            let repr = Repr::parse(&packet).ok()?;
-            let frame_len = packet.frame(&repr).ok()?.len();
-            Some((repr, packet.header_len()..packet.header_len() + frame_len))
-        });
-        let Some((repr, range)) = parsed else {
+        let Some((repr, range)) = self.input.get(..len).and_then(|buffer| Repr::parse(buffer).ok()) else {
             counters.damaged += 1;
             return None;
         };
@@ -242,8 +229,12 @@ impl Injector for Monitor {
             return Err(Error::NotSent(NotSent::TooLong { len, mtu: self.out.len() }));
         };
         place.copy_from_slice(frame);
-        let sent = send(&self.socket, self.out.get(..len).unwrap_or_default());
-        self.note_sent(sent, len)
+        let (buffer, flags) =
+            (self.out.get(..len).unwrap_or_default(), MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL);
+        let sent = nix::sys::socket::send(self.socket.as_raw_fd(), buffer, flags).map_err(io::Error::from);
+        let why = self.counters.note_sent(sent, len, self.mtu);
+        let why = why.map_err(|error| failed("sending on", &self.interface, error))?;
+        why.map_or(Ok(()), |why| Err(Error::NotSent(why)))
     }
 }
 
@@ -358,12 +349,6 @@ fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
     Ok(Opened { socket, mac, mtu })
 }
 
-/// Sends one buffer.
-fn send(socket: &OwnedFd, buffer: &[u8]) -> io::Result<usize> {
-    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
-    Ok(nix::sys::socket::send(socket.as_raw_fd(), buffer, flags)?)
-}
-
 /// What was received.
 #[derive(Clone, Copy, Debug)]
 struct Received {
@@ -462,7 +447,7 @@ mod tests {
         let repr = wsr::Repr { sender: driver_iface::Mac([2; 6]), number: 7, len_with_fcs: 57 };
         let len = repr.emit(&mut frame, &mut Lfsr::default()).unwrap();
         let frame = &frame[..len];
-        for header in [Repr::default(), Repr::injected(1, Bandwidth::Ht20), Repr::lorcon(5_540)] {
+        for header in [Repr::default(), Repr::injected(1, Bandwidth::Ht20)] {
             let mut buffer = vec![0; header.header_len()];
             header.emit(&mut buffer).unwrap();
             let start = buffer.len();

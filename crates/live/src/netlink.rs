@@ -19,13 +19,13 @@ use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Refused, Stamps};
 use csi5300::time::{HostTimes, Instant, Step16};
 use driver_iface::bfee::Bfee;
 use driver_iface::connector::{
-    CN_IDX, CN_IDX_10_USERS, CN_VAL, Datagram, MAX_DATAGRAM, Message, NETLINK_CONNECTOR, Repr, offset, registered_idx,
+    CN_IDX, CN_IDX_10_USERS, CN_VAL, MAX_DATAGRAM, Messages, NETLINK_CONNECTOR, Repr, offset, registered_idx,
 };
 use driver_iface::record::{MAX_LENGTH, Record, Tail, code};
 use netlink_sys::{Socket, SocketAddr};
 use nix::sys::socket::{MsgFlags, getsockopt, recv, setsockopt, sockopt};
 use std::io::{self, ErrorKind};
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 
 /// Requested receive buffer, bytes: the kernel doubles it, and counts 832 bytes for a 3x1 record and 1,280 for a WSR
 /// one (measured on 6.18), so this holds about two and a half seconds at 20,000 records a second.
@@ -61,7 +61,6 @@ impl Default for Options {
 #[derive(Debug)]
 pub struct Netlink {
     wire: Wire,
-    indices: Vec<u32>,
     found: Found,
     receive_buffer: usize,
     wall_us: fn() -> Option<i64>,
@@ -121,9 +120,8 @@ impl Netlink {
         attach_filter(socket.as_fd(), &filter(&indices)).map_err(io("cannot filter the connector socket"))?;
         join(&socket, &indices)?;
         Ok(Self {
-            intake: Intake::new(indices.clone(), options.allow_user_sender),
+            intake: Intake::new(indices, options.allow_user_sender),
             wire: Wire::Kernel(socket, port),
-            indices,
             found,
             receive_buffer,
             wall_us: options.wall_us,
@@ -136,16 +134,15 @@ impl Netlink {
     #[must_use]
     pub fn over(room: OwnedFd, wall_us: fn() -> Option<i64>) -> Self {
         let receive_buffer = widen(&room, RECEIVE_BUFFER);
-        let indices = vec![CN_IDX];
-        let intake = Intake::new(indices.clone(), true);
+        let intake = Intake::new(vec![CN_IDX], true);
         let (wire, found, host_times) = (Wire::Room(room), Found::Served, HostTimes::default());
-        Self { wire, indices, found, receive_buffer, wall_us, host_times, intake }
+        Self { wire, found, receive_buffer, wall_us, host_times, intake }
     }
 
     /// The connector indices in use, and how they were found.
     #[must_use]
     pub fn indices(&self) -> (&[u32], Found) {
-        (&self.indices, self.found)
+        (&self.intake.indices, self.found)
     }
 
     /// Granted receive buffer, bytes (the kernel's count, twice the request).
@@ -227,12 +224,6 @@ impl AsFd for Netlink {
     }
 }
 
-impl AsRawFd for Netlink {
-    fn as_raw_fd(&self) -> RawFd {
-        self.as_fd().as_raw_fd()
-    }
-}
-
 /// Everything that a listener counted since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct SocketCounts {
@@ -286,14 +277,6 @@ struct Intake {
     counters: SocketCounts,
 }
 
-/// The kind of a datagram's next message, without a borrow.
-enum Look {
-    Record { bfee_count: Option<u16>, timestamp_low: Option<u32> },
-    Foreign,
-    Refused(Refused),
-    Empty,
-}
-
 impl Intake {
     fn new(indices: Vec<u32>, allow_user_sender: bool) -> Self {
         Self {
@@ -345,63 +328,58 @@ impl Intake {
         Loss::Datagram { number: self.counters.datagrams.saturating_sub(1), len: len as u64, reason }
     }
 
-    fn look(&self) -> Look {
-        let received = self.buffer.get(..self.filled).unwrap_or_default();
-        let datagram = match Datagram::new_checked(received) {
-            _ if received.is_empty() => return Look::Empty,
-            Ok(datagram) => datagram,
-            Err(error) => return Look::Refused(Refused::Connector(error)),
-        };
-        match datagram.messages().nth(self.next_message) {
-            None => Look::Empty,
-            Some(Err(error)) => Look::Refused(Refused::Connector(error)),
-            Some(Ok(message)) => self.look_at(&message),
-        }
-    }
-
-    fn look_at(&self, message: &Message<'_>) -> Look {
-        let ours = message.val == CN_VAL && self.indices.contains(&message.idx);
-        let Some(record) = Record::from_message(message.data).filter(|_| ours) else {
-            return Look::Foreign;
-        };
-        if record.length() > MAX_LENGTH {
-            return Look::Refused(Refused::Oversized { got: record.length(), max: MAX_LENGTH });
-        }
-        let bfee = (record.code == code::BFEE).then(|| Bfee::new_checked(record.body).ok()).flatten();
-        let (bfee_count, timestamp_low) = bfee.map(|bfee| (bfee.bfee_count(), bfee.timestamp_low())).unzip();
-        Look::Record { bfee_count, timestamp_low }
-    }
-
     /// The next message of the datagram in the buffer.
     fn turn(&mut self) -> Turn {
         loop {
-            match self.look() {
-                Look::Empty => return Turn::Receive,
-                Look::Foreign => {
-                    self.counters.foreign += 1;
-                    self.next_message += 1;
-                }
-                Look::Refused(reason) => {
-                    self.counters.malformed += 1;
-                    self.next_message += 1;
-                    let loss = self.lost(reason, self.filled);
-                    if matches!(reason, Refused::Connector(_)) {
-                        self.filled = 0;
+            let received = self.buffer.get(..self.filled).unwrap_or_default();
+            if received.is_empty() {
+                return Turn::Receive;
+            }
+            let message =
+                Messages::new_checked(received).and_then(|mut messages| messages.nth(self.next_message).transpose());
+            let reason = match message {
+                Err(error) => Refused::Connector(error),
+                Ok(None) => return Turn::Receive,
+                Ok(Some(message)) => match message.record(&self.indices) {
+                    None => {
+                        self.counters.foreign += 1;
+                        self.next_message += 1;
+                        continue;
                     }
-                    return Turn::Lost(loss);
-                }
-                // A jump in bfee_count is where the kernel dropped: the overrun is reported before this record.
-                Look::Record { bfee_count: Some(count), .. }
-                    if self.overrun_untold && self.step.clone().missing(count) > 0 =>
-                {
-                    return Turn::AskDrops;
-                }
-                Look::Record { bfee_count, timestamp_low } => {
-                    self.note_count(bfee_count);
-                    return Turn::Record(timestamp_low);
-                }
+                    Some(record) if record.length() <= MAX_LENGTH => {
+                        let bfee = Bfee::new_checked(record.body).ok().filter(|_| record.code == code::BFEE);
+                        let stamps = bfee.map(|bfee| (bfee.bfee_count(), bfee.timestamp_low()));
+                        return self.announce(stamps);
+                    }
+                    Some(record) => Refused::Oversized { got: record.length(), max: MAX_LENGTH },
+                },
+            };
+            self.counters.malformed += 1;
+            self.next_message += 1;
+            let loss = self.lost(reason, self.filled);
+            if matches!(reason, Refused::Connector(_)) {
+                self.filled = 0;
+            }
+            return Turn::Lost(loss);
+        }
+    }
+
+    /// A record, with `bfee_count` and `timestamp_low` if it is a bfee. A jump in `bfee_count` is where the kernel dropped: the
+    /// overrun is reported before this record.
+    fn announce(&mut self, bfee: Option<(u16, u32)>) -> Turn {
+        if let Some((count, _)) = bfee {
+            if self.overrun_untold && self.step.clone().missing(count) > 0 {
+                return Turn::AskDrops;
+            }
+            let missing = u64::from(self.step.missing(count));
+            if self.gap_unmeasured && missing > 0 {
+                self.counters.overrun_bfee_gap += missing;
+                self.gap_unmeasured = false;
+            } else {
+                self.counters.other_bfee_gap += missing;
             }
         }
+        Turn::Record(bfee.map(|(_, timestamp_low)| timestamp_low))
     }
 
     /// The record that [`Intake::turn`] announced.
@@ -409,19 +387,8 @@ impl Intake {
         self.counters.records += 1;
         let message = self.next_message;
         self.next_message += 1;
-        let datagram = Datagram::new_checked(self.buffer.get(..self.filled)?).ok()?;
-        Record::from_message(datagram.messages().nth(message)?.ok()?.data)
-    }
-
-    fn note_count(&mut self, bfee_count: Option<u16>) {
-        let Some(count) = bfee_count else { return };
-        let missing = u64::from(self.step.missing(count));
-        if self.gap_unmeasured && missing > 0 {
-            self.counters.overrun_bfee_gap += missing;
-            self.gap_unmeasured = false;
-        } else {
-            self.counters.other_bfee_gap += missing;
-        }
+        let mut messages = Messages::new_checked(self.buffer.get(..self.filled)?).ok()?;
+        Record::from_message(messages.nth(message)?.ok()?.data)
     }
 }
 

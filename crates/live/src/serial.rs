@@ -1,6 +1,6 @@
 //! The serial port of a TurtleBot3: opened, watched, and reopened after it was unplugged.
 
-use csi5300::motion::odometry::opencr::{ControllerCounts, Geometry, OpenCr};
+use csi5300::motion::odometry::opencr::{Geometry, OpenCr};
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
 use csi5300::source::Error;
 use csi5300::time::{Instant, Span};
@@ -15,20 +15,6 @@ const BAUD: u32 = 1_000_000;
 const LOOK: Span = Span::from_ms(1);
 /// Interval of tries to open an absent port.
 const REOPEN: Span = Span::from_ms(500);
-
-/// The path is a file or a folder.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{} is no serial port", .path.display())]
-pub struct NotAPort {
-    /// The path.
-    pub path: PathBuf,
-}
-
-impl From<NotAPort> for Error {
-    fn from(error: NotAPort) -> Self {
-        Self::Backend(Box::new(error))
-    }
-}
 
 /// Wheel odometry of a TurtleBot3 over its controller's port. It only reads: it never commands the motors.
 pub struct Serial {
@@ -55,16 +41,10 @@ impl Serial {
         wall_us: fn() -> Option<i64>,
     ) -> Result<Self, Error> {
         if path.is_dir() || path.is_file() {
-            return Err(NotAPort { path }.into());
+            return Err(crate::refused(format!("{} is no serial port", path.display())));
         }
         let opencr = OpenCr::new(rate_hz, geometry, now);
         Ok(Self { path, port: None, opencr, wall_us, next: now, unplugged: 0, trouble: None })
-    }
-
-    /// Counts of the line, and losses of the port.
-    #[must_use]
-    pub fn counts(&self) -> (ControllerCounts, u64) {
-        (self.opencr.counts(), self.unplugged)
     }
 
     /// The port, opened if it is time to.

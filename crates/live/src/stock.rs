@@ -17,6 +17,7 @@
 //! anew and attaches again; what the card sent in between is not seen.
 
 use crate::doctor::{EBPF_FROM, kernel_version};
+use crate::refused;
 use crate::wait::monotonic_ns;
 use aya::maps::{Array, MapData, RingBuf};
 use aya::programs::KProbe;
@@ -117,7 +118,7 @@ impl Stock {
     /// Loads the program and attaches it to the driver.
     ///
     /// # Errors
-    /// [`StockError`] inside [`Error::Backend`]: an unfit kernel, no driver, missing capabilities; each with what to do.
+    /// An unfit kernel, no driver, missing capabilities; each with what to do.
     pub fn open(options: &Options) -> Result<Self, Error> {
         let ring_bytes = options.ring.clamp(*RINGS.start(), *RINGS.end()).next_power_of_two();
         let (program, ring) = Program::load(ring_bytes as u32, options.records.frames)?;
@@ -290,13 +291,13 @@ impl Intake {
 
     /// Looks at the event at hand.
     fn turn(&mut self, clocks: Clocks) -> Turn {
-        let Ok(event) = Event::new_checked(&self.event) else {
+        let Some(event) = Event::new_checked(&self.event) else {
             self.is_held = false;
             self.counters.malformed += 1;
             self.cards.iter_mut().for_each(|known| known.card.gap());
             return Turn::Next;
         };
-        let (ring_full, unreadable) = (event.ring_full(), event.unreadable());
+        let Event { ring_full, unreadable, .. } = event;
         let missing = [ring_full.wrapping_sub(self.seen.0), unreadable.wrapping_sub(self.seen.1)];
         if missing != [0, 0] {
             // For all cards: none may combine packets before and after the gap.
@@ -307,11 +308,11 @@ impl Intake {
             return Turn::Lost(Loss::Overrun { dropped: Some(missing.into_iter().map(u64::from).sum()) });
         }
         self.is_held = false;
-        let host_us = clocks.wall_at(event.time_ns());
-        let at = place(&mut self.cards, &mut self.counters, event.card());
+        let host_us = clocks.wall_at(event.time_ns);
+        let at = place(&mut self.cards, &mut self.counters, event.card);
         let Some(known) = self.cards.get_mut(at) else { return Turn::Next };
         let packet = event.packet();
-        if let Packet::RxMpdu(Ok(mpdu)) = &packet {
+        if let Packet::RxMpdu(Some(mpdu)) = &packet {
             let sender = mpdu.sender().map(|(mac, _)| mac);
             known.is_others |= sender.is_some() && sender == self.own;
         }
@@ -378,7 +379,7 @@ struct Program {
 
 impl Program {
     /// Loads and attaches. The ring has `ring` bytes, a power of two and of whole pages.
-    fn load(ring: u32, whole_frames: bool) -> Result<(Self, RingBuf<MapData>), StockError> {
+    fn load(ring: u32, whole_frames: bool) -> Result<(Self, RingBuf<MapData>), Error> {
         prerequisites()?;
         // Before 5.11 maps count as locked memory. Where it is refused the kernel says so below.
         let _ = setrlimit(Resource::RLIMIT_MEMLOCK, RLIM_INFINITY, RLIM_INFINITY);
@@ -394,33 +395,39 @@ impl Program {
         let events = RingBuf::try_from(taken(ebpf.take_map("EVENTS"))?).map_err(of_loading)?;
         let counts = Array::try_from(taken(ebpf.take_map("COUNTS"))?).map_err(of_loading)?;
         let mut program = Self { ebpf, link: None, counts, driver: driver() };
-        program.attach()?;
+        if !program.attach()? {
+            return Err(refused(format!(
+                "iwlwifi is loaded, but `{FUNCTION}` is not in /proc/kallsyms as a function that can be probed"
+            )));
+        }
         Ok((program, events))
     }
 
-    fn attach(&mut self) -> Result<(), StockError> {
-        self.link = Some(
-            kprobe(&mut self.ebpf)?.attach(FUNCTION, 0).map_err(|error| of_attaching(error, FUNCTION, paranoid()))?,
-        );
-        Ok(())
+    /// Attaches; false if the driver has no function of this name that can be probed.
+    fn attach(&mut self) -> Result<bool, Error> {
+        match kprobe(&mut self.ebpf)?.attach(FUNCTION, 0) {
+            Ok(link) => self.link = Some(link),
+            Err(error) => match code_of(&error) {
+                Some(libc::ENOENT | libc::EADDRNOTAVAIL | libc::EINVAL) => return Ok(false),
+                _ => return Err(of_attaching(error, paranoid())),
+            },
+        }
+        Ok(true)
     }
 
     /// Attaches again if the driver was reloaded: the kernel removes the probe with the module. True if so.
-    fn follow_driver(&mut self) -> Result<bool, StockError> {
+    fn follow_driver(&mut self) -> Result<bool, Error> {
         let driver = driver();
         if driver.is_none() || driver == self.driver {
             return Ok(false);
         }
         if let Some(link) = self.link.take() {
-            kprobe(&mut self.ebpf)?.detach(link).map_err(|error| of_attaching(error, FUNCTION, paranoid()))?;
+            kprobe(&mut self.ebpf)?.detach(link).map_err(|error| of_attaching(error, paranoid()))?;
         }
-        match self.attach() {
-            Ok(()) => self.driver = driver,
-            // The module is loading; the next check will find it.
-            Err(StockError::NoFunction { .. }) => return Ok(false),
-            Err(error) => return Err(error),
-        }
-        Ok(true)
+        // While the module is loading it has no function; the next check will find it.
+        let is_attached = self.attach()?;
+        self.driver = if is_attached { driver } else { self.driver };
+        Ok(is_attached)
     }
 
     /// Hits at which the kernel did not run the program, because another one ran on that processor; 0 if it does not
@@ -445,14 +452,14 @@ fn missed_of(about: &str) -> u64 {
 }
 
 /// The kprobe in the object.
-fn kprobe(ebpf: &mut Ebpf) -> Result<&mut KProbe, StockError> {
+fn kprobe(ebpf: &mut Ebpf) -> Result<&mut KProbe, Error> {
     let program = ebpf.program_mut("csi5300").ok_or_else(missing)?;
-    program.try_into().map_err(|error: aya::programs::ProgramError| StockError::Load { source: Box::new(error) })
+    program.try_into().map_err(|error: aya::programs::ProgramError| not_taken(&error))
 }
 
 /// The object does not match its source.
-fn missing() -> StockError {
-    StockError::Load { source: "the object lacks a map or the program".into() }
+fn missing() -> Error {
+    refused("the object of the eBPF program lacks a map or the program")
 }
 
 fn driver() -> Option<u64> {
@@ -463,84 +470,32 @@ fn paranoid() -> Option<i32> {
     std::fs::read_to_string(PARANOID).ok()?.trim().parse().ok()
 }
 
-fn locked_down() -> Option<StockError> {
-    let levels = std::fs::read_to_string(LOCKDOWN).ok()?;
-    levels.contains("[confidentiality]").then_some(StockError::LockedDown)
+fn locked_down() -> Option<Error> {
+    let is_it = std::fs::read_to_string(LOCKDOWN).ok()?.contains("[confidentiality]");
+    let words =
+        || format!("the kernel is locked down (confidentiality, see {LOCKDOWN}): no program may read its memory");
+    is_it.then(|| refused(words()))
 }
 
 /// Checks with clearer errors than the kernel's.
-fn prerequisites() -> Result<(), StockError> {
+fn prerequisites() -> Result<(), Error> {
     if !cfg!(target_arch = "x86_64") {
-        return Err(StockError::Architecture { architecture: std::env::consts::ARCH });
+        return Err(refused(format!("the eBPF program is for x86-64, and this is {}", std::env::consts::ARCH)));
     }
     let release = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
-    if let Some(found) = kernel_version(&release).filter(|found| *found < EBPF_FROM) {
-        return Err(StockError::Kernel { found });
+    if let Some((version, level)) = kernel_version(&release).filter(|found| *found < EBPF_FROM) {
+        return Err(refused(format!(
+            "Linux {version}.{level} is too old for the eBPF program, which needs 5.8; the patched driver is for such kernels"
+        )));
     }
     if !Path::new(KPROBE_TYPE).exists() {
-        return Err(StockError::NoKprobes);
+        return Err(refused(format!(
+            "the kernel has no kprobes for perf (CONFIG_KPROBES and CONFIG_KPROBE_EVENTS): {KPROBE_TYPE} is absent"
+        )));
     }
-    driver().map(|_| ()).ok_or(StockError::NoDriver)
-}
-
-/// Why the eBPF program cannot be loaded or attached; inside [`csi5300::source::Error::Backend`].
-#[derive(Debug, thiserror::Error)]
-pub enum StockError {
-    /// The program reads the arguments of a function as x86-64 passes them.
-    #[error("the eBPF program is for x86-64, and this is {architecture}")]
-    Architecture {
-        /// This program's architecture.
-        architecture: &'static str,
-    },
-    /// The kernel has no ring buffer for eBPF.
-    #[error("Linux {}.{} is too old for the eBPF program, which needs 5.8; the patched driver is for such kernels", .found.0, .found.1)]
-    Kernel {
-        /// Version and patch level.
-        found: (u32, u32),
-    },
-    /// The kernel lacks kprobes.
-    #[error("the kernel has no kprobes for perf (CONFIG_KPROBES and CONFIG_KPROBE_EVENTS): {KPROBE_TYPE} is absent")]
-    NoKprobes,
-    /// The driver is not loaded.
-    #[error(
-        "iwlwifi is not loaded: `sudo modprobe iwlwifi`; if it does not stay, `sudo dmesg | grep iwlwifi` shows why"
-    )]
-    NoDriver,
-    /// The driver has no function of this name.
-    #[error("iwlwifi is loaded, but `{function}` is not in /proc/kallsyms as a function that can be probed")]
-    NoFunction {
-        /// The function.
-        function: &'static str,
-        /// The kernel's answer.
-        source: io::Error,
-    },
-    /// The process lacks a capability.
-    #[error(
-        "the kernel refuses eBPF to this process: CAP_BPF and CAP_PERFMON are needed; \
-         `sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)`, or run it as root"
-    )]
-    Refused {
-        /// The kernel's answer.
-        source: io::Error,
-    },
-    /// Debian's and Ubuntu's kernels require more than CAP_PERFMON for a probe above a level of their own.
-    #[error(
-        "{PARANOID} is {level}: with more than 2 kernels of Debian and Ubuntu leave probes to CAP_SYS_ADMIN; \
-         `sudo sysctl -w kernel.perf_event_paranoid=2`, or run it as root"
-    )]
-    Paranoid {
-        /// The level in force.
-        level: i32,
-    },
-    /// Secure Boot in its strictest form.
-    #[error("the kernel is locked down (confidentiality, see {LOCKDOWN}): no program may read its memory")]
-    LockedDown,
-    /// The kernel refuses the program, or an earlier step failed.
-    #[error("the kernel does not take the eBPF program")]
-    Load {
-        /// The reason, with the verifier's message if any.
-        source: Box<dyn StdError + Send + Sync>,
-    },
+    let hint =
+        "iwlwifi is not loaded: `sudo modprobe iwlwifi`; if it does not stay, `sudo dmesg | grep iwlwifi` shows why";
+    driver().map(|_| ()).ok_or_else(|| refused(hint))
 }
 
 /// The type of perf events that are kprobes.
@@ -550,56 +505,57 @@ const PARANOID: &str = "/proc/sys/kernel/perf_event_paranoid";
 /// The kernel's lockdown, the level in force in brackets.
 const LOCKDOWN: &str = "/sys/kernel/security/lockdown";
 
-impl From<StockError> for csi5300::source::Error {
-    fn from(error: StockError) -> Self {
-        Self::Backend(Box::new(error))
-    }
+/// What the program needs of the kernel's permissions.
+const CAPABILITIES: &str = "the kernel refuses eBPF to this process: CAP_BPF and CAP_PERFMON are needed; \
+     `sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)`, or run it as root";
+
+/// An error and what is below it.
+fn causes<'e>(error: &'e (dyn StdError + 'static)) -> impl Iterator<Item = &'e (dyn StdError + 'static)> {
+    let mut next = Some(error);
+    std::iter::from_fn(move || {
+        let cause = next?;
+        next = cause.source();
+        Some(cause)
+    })
 }
 
-/// The operating system's answer at the root of an error, if it has one.
-fn io_root<'e>(error: &'e (dyn StdError + 'static)) -> Option<&'e io::Error> {
-    let mut at = Some(error);
-    while let Some(error) = at {
-        if let Some(io) = error.downcast_ref::<io::Error>() {
-            return Some(io);
+/// The operating system's answer in an error, if it has one.
+fn code_of(error: &(dyn StdError + 'static)) -> Option<i32> {
+    causes(error).find_map(|error| error.downcast_ref::<io::Error>()?.raw_os_error())
+}
+
+/// The kernel's refusal with all its reasons, the verifier's too.
+fn not_taken(error: &(dyn StdError + 'static)) -> Error {
+    let mut text = "the kernel does not take the eBPF program".to_owned();
+    for cause in causes(error).map(ToString::to_string) {
+        if !text.contains(&cause) {
+            text += &format!(": {cause}");
         }
-        at = error.source();
     }
-    None
+    refused(text)
 }
 
-/// Sorts a failure of loading by the kernel's answer. EACCES is the verifier's "no", with its words.
-fn of_loading(error: impl StdError + Send + Sync + 'static) -> StockError {
-    match io_root(&error).and_then(io::Error::raw_os_error) {
-        Some(code @ libc::EPERM) => StockError::Refused { source: io::Error::from_raw_os_error(code) },
-        _ => StockError::Load { source: Box::new(error) },
-    }
+/// A failure of loading, by the kernel's answer. EACCES is the verifier's "no", with its words.
+fn of_loading(error: impl StdError + 'static) -> Error {
+    if code_of(&error) == Some(libc::EPERM) { refused(CAPABILITIES) } else { not_taken(&error) }
 }
 
-/// Sorts a failure of attaching to a function by the kernel's answer and its level of [`PARANOID`].
-fn of_attaching(
-    error: impl StdError + Send + Sync + 'static,
-    function: &'static str,
-    paranoid: Option<i32>,
-) -> StockError {
-    let code = io_root(&error).and_then(io::Error::raw_os_error);
-    let source = || io::Error::from_raw_os_error(code.unwrap_or_default());
-    match (code, paranoid) {
+/// A failure of attaching, by the kernel's answer and its level of [`PARANOID`].
+fn of_attaching(error: impl StdError + 'static, paranoid: Option<i32>) -> Error {
+    match (code_of(&error), paranoid) {
         // The program was loaded, so CAP_BPF and CAP_PERFMON are held.
-        (Some(libc::EACCES), Some(level)) if level > 2 => StockError::Paranoid { level },
-        (Some(libc::EPERM | libc::EACCES), _) => StockError::Refused { source: source() },
-        // A function that is not there, and one that cannot be probed.
-        (Some(libc::ENOENT | libc::EADDRNOTAVAIL | libc::EINVAL), _) => {
-            StockError::NoFunction { function, source: source() }
-        }
-        _ => StockError::Load { source: Box::new(error) },
+        (Some(libc::EACCES), Some(level)) if level > 2 => refused(format!(
+            "{PARANOID} is {level}: with more than 2 kernels of Debian and Ubuntu leave probes to CAP_SYS_ADMIN; \
+             `sudo sysctl -w kernel.perf_event_paranoid=2`, or run it as root"
+        )),
+        (Some(libc::EPERM | libc::EACCES), _) => refused(CAPABILITIES),
+        _ => not_taken(&error),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use driver_iface::stock::EventRepr;
 
     #[test]
     fn the_object_has_what_is_loaded_from_it() {
@@ -623,17 +579,16 @@ mod tests {
     #[test]
     fn failures_are_sorted_by_the_kernel_s_answer() {
         let answer = |code| Outer(io::Error::from_raw_os_error(code));
-        assert!(matches!(of_loading(answer(libc::EPERM)), StockError::Refused { .. }));
-        assert!(matches!(of_loading(answer(libc::EACCES)), StockError::Load { .. }));
-        assert!(matches!(of_attaching(answer(libc::EACCES), "f", Some(2)), StockError::Refused { .. }));
-        let debian = of_attaching(answer(libc::EACCES), "f", Some(3));
-        assert!(debian.to_string().contains("sysctl -w kernel.perf_event_paranoid=2"), "{debian}");
-        assert!(matches!(
-            of_attaching(answer(libc::ENOENT), "f", Some(3)),
-            StockError::NoFunction { function: "f", .. }
-        ));
-        assert!(matches!(of_attaching(answer(libc::ENOMEM), "f", None), StockError::Load { .. }));
         assert!(of_loading(answer(libc::EPERM)).to_string().contains("setcap cap_bpf,cap_perfmon"));
+        assert!(of_attaching(answer(libc::EACCES), Some(2)).to_string().contains("setcap cap_bpf,cap_perfmon"));
+        let debian = of_attaching(answer(libc::EACCES), Some(3)).to_string();
+        assert!(debian.contains("sysctl -w kernel.perf_event_paranoid=2"), "{debian}");
+        // With its reasons, which the verifier writes.
+        let refused = "the kernel does not take the eBPF program: outer: ";
+        for told in [of_loading(answer(libc::EACCES)), of_attaching(answer(libc::ENOMEM), None)] {
+            let told = told.to_string();
+            assert!(told.starts_with(refused) && told.contains("os error"), "{told}");
+        }
     }
 
     const NOW: Clocks = Clocks { monotonic_ns: 5_000_000_000, wall_us: Some(1_700_000_000_000_000) };
@@ -641,9 +596,10 @@ mod tests {
     /// An event of a card, `age_us` before now, after `ring_full` losses.
     fn event(card: u64, age_us: u64, ring_full: u32, command: u8, data: &[u8]) -> Vec<u8> {
         let time_ns = NOW.monotonic_ns as u64 - age_us * 1_000;
-        let repr = EventRepr { card, time_ns, ring_full, command, data_len: data.len() as u32, ..EventRepr::default() };
+        let data_len = data.len() as u32;
+        let event = Event { card, time_ns, ring_full, command, data_len, data, ..Event::default() };
         let mut out = vec![0; 32 + data.len()];
-        repr.emit(data, &mut out).unwrap();
+        event.emit(&mut out).unwrap();
         out
     }
 
@@ -738,7 +694,7 @@ mod tests {
 
     #[test]
     fn frames_of_a_card_without_csi_are_held_back() {
-        let mut intake = Intake::new(stock::Options::default().with_frames(true), None);
+        let mut intake = Intake::new(stock::Options { frames: true, ..stock::Options::default() }, None);
         let mut mpdu = vec![0; 4 + 40 + 4];
         mpdu[0] = 40;
         let frame = |card| [event(card, 0, 0, 0xC0, &phy(1)), event(card, 0, 0, 0xC1, &mpdu)];

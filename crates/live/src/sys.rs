@@ -6,18 +6,8 @@ use std::fs::File;
 use std::io;
 use std::os::fd::{AsRawFd, BorrowedFd};
 
-/// One instruction of a classic socket filter (`struct sock_filter`, `linux/filter.h`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Instruction {
-    /// Operation, `BPF_*`.
-    pub code: u16,
-    /// Instructions to skip if true.
-    pub if_true: u8,
-    /// Instructions to skip if false.
-    pub if_false: u8,
-    /// Operand.
-    pub k: u32,
-}
+/// One instruction of a classic socket filter.
+pub type Instruction = libc::sock_filter;
 
 /// Operations of an [`Instruction`] (`BPF_*`).
 pub(crate) mod operation {
@@ -35,8 +25,9 @@ pub(crate) mod operation {
     pub(crate) const PACKET_TYPE: u32 = (-0x1000_i32 + 4).cast_unsigned();
 }
 
-pub(crate) fn step(code: u16, if_true: u8, if_false: u8, k: u32) -> Instruction {
-    Instruction { code, if_true, if_false, k }
+/// An operation, the instructions to skip if it is true or false, and its operand.
+pub(crate) fn step(code: u16, jt: u8, jf: u8, k: u32) -> Instruction {
+    Instruction { code, jt, jf, k }
 }
 
 /// Attaches a classic filter to a socket (SO_ATTACH_FILTER); it replaces an earlier one.
@@ -44,10 +35,7 @@ pub(crate) fn step(code: u16, if_true: u8, if_false: u8, k: u32) -> Instruction 
 /// # Errors
 /// The kernel's refusal, when the program is malformed or longer than it allows.
 pub fn attach_filter(socket: BorrowedFd<'_>, program: &[Instruction]) -> io::Result<()> {
-    let mut filter: Vec<libc::sock_filter> = program
-        .iter()
-        .map(|step| libc::sock_filter { code: step.code, jt: step.if_true, jf: step.if_false, k: step.k })
-        .collect();
+    let mut filter = program.to_vec();
     let len = u16::try_from(filter.len()).map_err(|_| io::Error::from(io::ErrorKind::InvalidInput))?;
     let program = libc::sock_fprog { len, filter: filter.as_mut_ptr() };
     let size = size_of::<libc::sock_fprog>() as libc::socklen_t;
@@ -283,7 +271,7 @@ mod tests {
                     Some(a)
                 }
                 0x15 => {
-                    at += usize::from(if a == step.k { step.if_true } else { step.if_false });
+                    at += usize::from(if a == step.k { step.jt } else { step.jf });
                     Some(a)
                 }
                 _ => return step.k != 0,

@@ -133,9 +133,17 @@ impl Signals {
     /// # Errors
     /// If the system refuses.
     pub fn catch() -> std::io::Result<Self> {
+        Self::catch_with(&[])
+    }
+
+    /// The same with `more` signals.
+    ///
+    /// # Errors
+    /// As [`Signals::catch`].
+    pub fn catch_with(more: &[Signal]) -> std::io::Result<Self> {
         // The others also end a recording in the background, for which shells ignore them.
         let hangup = Some(Signal::SIGHUP).filter(|hangup| !is_ignored(*hangup));
-        let set = SigSet::from_iter([Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup));
+        let set = SigSet::from_iter([Signal::SIGINT, Signal::SIGTERM].iter().chain(more).copied().chain(hangup));
         let blocked = set
             .thread_block()
             .and_then(|()| SignalFd::with_flags(&set, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC));

@@ -6,15 +6,15 @@ use crate::config::{Capture, Config, name_part};
 use crate::health::Health;
 use crate::lock;
 use crate::machine::{Machine, Tap};
+use crate::threads::Item;
 use csi5300::pipeline::live::PeerState;
 use csi5300::signal::channel::Channel;
-use csi5300::source::{Loss, Next, Stamps};
+use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
 use csi5300_accept::{Claim, Evidence, Finding, Of, Plan, Side, Verdict};
 use csi5300_bag::messages::{Byte, DiagnosticArray, DiagnosticStatus, Header, KeyValue, SelfTestResponse};
 use csi5300_live::doctor::{self, module_counters, module_growth};
 use driver_iface::Mac;
-use driver_iface::record::Record;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -30,38 +30,22 @@ const STALE: Byte = Byte(3);
 /// Most claims in an answer: more do not fit into a datagram, so only failed ones are sent.
 const CLAIMS: usize = 250;
 
-/// The items of a card.
-enum Gave {
-    Record(Option<i64>, u8, Box<[u8]>),
-    Lost(Loss),
-}
-
 /// The items of one card within the window.
 #[derive(Default)]
-struct Card(VecDeque<(Instant, Gave)>);
+struct Card(VecDeque<(Instant, Item)>);
 
 impl Card {
     fn note(&mut self, now: Instant, next: &Next<'_>) {
-        let gave = match next {
-            Next::Record(stamps, record) => Gave::Record(stamps.host_us, record.code, record.body.into()),
-            Next::Lost(loss) => Gave::Lost(loss.clone()),
-            Next::Pending | Next::End(_) => return,
-        };
+        let Some(item @ (Item::Record(..) | Item::Lost(_))) = Item::of(next) else { return };
         while self.0.len() >= RECORDS || self.0.front().is_some_and(|(at, _)| now - *at > WINDOW) {
             self.0.pop_front();
         }
-        self.0.push_back((now, gave));
+        self.0.push_back((now, item));
     }
 
     fn tell(&self, side: Side, since: Instant, to: &mut Evidence) {
-        for (_, gave) in self.0.iter().filter(|(at, _)| *at >= since) {
-            let next = match gave {
-                Gave::Record(host_us, code, body) => {
-                    Next::Record(Stamps { host_us: *host_us, ..Stamps::default() }, Record { code: *code, body })
-                }
-                Gave::Lost(loss) => Next::Lost(loss.clone()),
-            };
-            to.heard(side, &next);
+        for (_, item) in self.0.iter().filter(|(at, _)| *at >= since) {
+            to.heard(side, &item.next());
         }
     }
 
@@ -93,15 +77,10 @@ impl SelfTest {
         Self { channel, own, peers: peers.into(), cards: Arc::new(Mutex::new(cards)), counters: Arc::default() }
     }
 
-    /// Judges the claims about the kernel module too, by its counts from now on.
-    fn with_module(self) -> Self {
-        Self { counters: module_counters(&doctor::Machine).into(), ..self }
-    }
-
-    /// The tap to add to the machine.
-    #[must_use]
-    pub fn tap(&self) -> Box<dyn Tap> {
-        Box::new(self.clone())
+    fn note(&self, card: usize, now: Instant, next: &Next<'_>) {
+        if let Some(card) = lock(&self.cards).get_mut(card) {
+            card.note(now, next);
+        }
     }
 
     /// Judges every claim: once for this robot's card and host, and for each peer's card and link where possible.
@@ -147,11 +126,12 @@ impl SelfTest {
 }
 
 impl Tap for SelfTest {
-    fn heard(&mut self, peer: Option<usize>, now: Instant, next: &Next<'_>) {
-        let mut cards = lock(&self.cards);
-        if let Some(card) = cards.get_mut(peer.map_or(0, |peer| peer + 1)) {
-            card.note(now, next);
-        }
+    fn own(&mut self, now: Instant, next: &Next<'_>) {
+        self.note(0, now, next);
+    }
+
+    fn peer(&mut self, peer: usize, now: Instant, next: &Next<'_>) {
+        self.note(peer + 1, now, next);
     }
 }
 
@@ -183,9 +163,11 @@ pub(crate) struct Claims {
 
 impl Claims {
     pub fn new(config: &Config, robot: &Robot) -> Self {
-        let test = SelfTest::new(config.channel, robot.own, &robot.peers);
-        let has_card = matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_));
-        let test = if has_card { test.with_module() } else { test };
+        let mut test = SelfTest::new(config.channel, robot.own, &robot.peers);
+        if matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_)) {
+            // The claims about the kernel module are judged too, by its counts from now on.
+            test.counters = module_counters(&doctor::Machine).into();
+        }
         let node = format!("csi5300_{}", name_part(&config.robot()));
         Self { test, robot: robot.name.clone(), node, last: Arc::default() }
     }
@@ -197,7 +179,7 @@ impl Claims {
 
     /// Collects the machine's records. With `is_published`, judges them in each window, on a separate thread.
     pub fn attach(&self, machine: &mut Machine, is_published: bool) {
-        machine.add_tap(self.test.tap());
+        machine.add_tap(Box::new(self.test.clone()));
         if is_published {
             tokio::spawn(self.clone().judge_again_and_again());
         }

@@ -6,10 +6,10 @@ use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::{LiveEstimator, PeerReport, PeerState};
 use csi5300::pipeline::{LinkError, Options};
-use csi5300::source::recorder::{LogFiles, Recorder, Totals};
+use csi5300::source::recorder::{LogFiles, Totals};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
-use driver_iface::record::Record;
+use csi5300_live::logged::Logged;
 
 /// Records or poses taken from one source before the others have their turn.
 const BURST: usize = 512;
@@ -20,57 +20,14 @@ const QUIET: Span = Span::from_ms(5_000);
 /// Silence of this robot's card after which something is wrong.
 const SILENT: Span = Span::from_ms(10_000);
 
-/// This robot's records, with a log or without.
-pub enum Capture {
-    /// Not logged.
-    Plain(Card),
-    /// Logged.
-    Logged(Box<Recorder<Card, LogFiles>>),
-}
-
-impl Capture {
-    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        match self {
-            Self::Plain(card) => card.receive(now),
-            Self::Logged(recorder) => recorder.receive(now),
-        }
-    }
-
-    fn next_at(&self) -> Option<Instant> {
-        match self {
-            Self::Plain(card) => card.next_at(),
-            Self::Logged(recorder) => recorder.next_at(),
-        }
-    }
-
-    /// What is in the log.
-    pub(crate) fn totals(&self) -> Option<Totals> {
-        match self {
-            Self::Plain(_) => None,
-            Self::Logged(recorder) => Some(recorder.totals()),
-        }
-    }
-
-    /// Ends the log with every record in it.
-    ///
-    /// # Errors
-    /// If the writer died.
-    pub fn finish(self, now: Instant) -> Result<Option<Totals>, Error> {
-        match self {
-            Self::Plain(_) => Ok(None),
-            Self::Logged(recorder) => recorder.finish(now).map(|(_, _, totals)| Some(totals)),
-        }
-    }
-}
-
 /// A receiver of every record and pose of this robot: its peers, over a network, or viewers.
 pub trait Tap: Send {
-    /// A record of this robot's card.
-    fn record(&mut self, _host_us: Option<i64>, _record: Record<'_>) {}
+    /// Every item of this robot's card, losses too.
+    fn own(&mut self, _now: Instant, _next: &Next<'_>) {}
     /// A pose of this robot's antenna; `None`: those that follow are in another frame.
     fn pose(&mut self, _pose: Option<Pose>) {}
-    /// Every item of a card, losses too: this robot's, or that of peer number `peer`.
-    fn heard(&mut self, _peer: Option<usize>, _now: Instant, _next: &Next<'_>) {}
+    /// Every item of the card of peer number `peer`.
+    fn peer(&mut self, _peer: usize, _now: Instant, _next: &Next<'_>) {}
 }
 
 /// A source and whether it ended.
@@ -132,7 +89,7 @@ pub struct PoseCounts {
 
 /// A running robot.
 pub struct Machine {
-    capture: Running<Capture>,
+    capture: Running<Logged<Card>>,
     poses: Option<Running<Poses>>,
     peers: Vec<PeerRunning>,
     /// The estimator.
@@ -148,10 +105,13 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// A robot with these sources; `capture` is their card, possibly wrapped in a recorder by the caller.
+    /// A robot with these sources, whose own records go to the files of `log`, if there are any.
+    ///
+    /// # Errors
+    /// If the log's thread cannot be started.
     pub fn new(
         sources: Sources,
-        capture: impl FnOnce(Card) -> Result<Capture, Error>,
+        log: Option<LogFiles>,
         settings: csi5300::pipeline::live::LiveSettings,
         options: Options,
         now: Instant,
@@ -174,7 +134,7 @@ impl Machine {
             estimator = estimator.with_array(array, &heard_only, now);
         }
         Ok(Self {
-            capture: Running::new(capture(sources.capture)?),
+            capture: Running::new(Logged::new(sources.capture, log)?),
             poses: sources.poses.map(Running::new),
             peers,
             estimator,
@@ -234,10 +194,7 @@ impl Machine {
                 return Ok(false);
             }
             let next = self.capture.source.receive(now)?;
-            if let Next::Record(stamps, record) = &next {
-                self.taps.iter_mut().for_each(|tap| tap.record(stamps.host_us, *record));
-            }
-            self.taps.iter_mut().for_each(|tap| tap.heard(None, now, &next));
+            self.taps.iter_mut().for_each(|tap| tap.own(now, &next));
             self.estimator.handle_own(&next);
             match next {
                 Next::Pending => return Ok(false),
@@ -263,7 +220,7 @@ impl Machine {
         for _ in 0..BURST {
             match records.source.receive(now) {
                 Ok(next) => {
-                    self.taps.iter_mut().for_each(|tap| tap.heard(Some(peer), now, &next));
+                    self.taps.iter_mut().for_each(|tap| tap.peer(peer, now, &next));
                     self.estimator.handle_peer(peer, &next);
                     match next {
                         Next::Pending => return false,
@@ -370,11 +327,11 @@ impl Machine {
     /// If the log's writer died.
     pub fn finish(mut self, now: Instant) -> Result<(Vec<PeerReport>, Option<Totals>), Error> {
         // The log first: it must be complete however long the last estimates take.
-        let totals = self.capture.source.finish(now);
+        let ended = self.capture.source.finish(now);
         let pairs: Vec<u64> = self.estimator.peers().map(|(_, counts)| counts.pairs).collect();
         let mut reports = self.estimator.finish(now);
         reports.iter_mut().zip(pairs).for_each(|(report, pairs)| say_silence(report, pairs));
-        Ok((reports, totals?))
+        Ok((reports, ended?.1))
     }
 }
 

@@ -3,17 +3,16 @@
 use super::adapters::{self, Adapter, Robot, Said, Start};
 use super::config::{Config, Log};
 use super::health::{Health, Load, Looks};
-use super::machine::{Capture, Machine};
+use super::machine::Machine;
 use super::sounder::Sounder;
-use super::sources::{Card, Sources};
+use super::sources::Sources;
 use super::team::{Ranges, Solver};
 use csi5300::pipeline::live::PeerState;
 use csi5300::source::Error;
-use csi5300::source::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals};
+use csi5300::source::recorder::{LogFiles, Rotation, Totals};
 use csi5300::source::side_path;
 use csi5300::time::{Instant, Span, WallWatch};
 use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
-use driver_iface::Mac;
 use driver_iface::side_file::Layout;
 use nix::sys::signal::SigSet;
 use sd_notify::NotifyState;
@@ -59,16 +58,10 @@ pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
     sizes.map_err(|errno| Error::Io { what: "cannot catch signals".into(), source: errno.into() })?;
     let wake = Arc::new(Notify::new());
     let ranges = Ranges::default();
-    let start = Start {
-        config,
-        name: &name,
-        wall_us,
-        wake: Arc::clone(&wake),
-        ranges: ranges.clone(),
-        topics: OnceCell::default(),
-    };
+    let start =
+        Start { config, name: &name, wake: Arc::clone(&wake), ranges: ranges.clone(), topics: OnceCell::default() };
     let mut adapters = adapters::make(&start)?;
-    let sources = Sources::open(config, Instant::ZERO, wall_us, &mut adapters)?;
+    let sources = Sources::open(config, &mut adapters)?;
     let team = Solver::start(config, &name, ranges)?;
     let peers = sources.peers.iter().map(|peer| (peer.peer.name.clone(), peer.peer.mac)).collect();
     let robot = Robot { name: name.clone(), own: sources.own, peers };
@@ -133,12 +126,13 @@ impl<'a> Service<'a> {
         let wake = sources.wake.take().map(UnixStream::from_std).transpose();
         let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
-        let (own, peers) = (sources.own, sounded(&sources));
-        let logged = |card: Card| logged(card, config.log.as_ref());
-        let mut machine = Machine::new(sources, logged, config.estimator_settings(), config.options(), clock.now())?;
+        let own = sources.own;
+        let answering = sources.peers.iter().filter(|peer| !peer.is_heard_only).map(|peer| peer.peer.mac).collect();
+        let log = config.log.as_ref().map(log_files).transpose()?;
+        let mut machine = Machine::new(sources, log, config.estimator_settings(), config.options(), clock.now())?;
         adapters.iter_mut().try_for_each(|adapter| adapter.attach(&mut machine))?;
         // Last: from here on it sends.
-        let sounder = Sounder::start(config, own, peers, clock.real)?;
+        let sounder = Sounder::start(config, own, answering, clock.real)?;
         sounder.iter().for_each(|sounder| sounder.attach(&mut machine));
         let mut service = Self {
             adapters,
@@ -279,11 +273,6 @@ impl<'a> Service<'a> {
     }
 }
 
-/// The peers that answer.
-fn sounded(sources: &Sources) -> Vec<Mac> {
-    sources.peers.iter().filter(|peer| !peer.is_heard_only).map(|peer| peer.peer.mac).collect()
-}
-
 /// Until one of the signals comes.
 async fn any(signals: &mut [Signal]) {
     std::future::poll_fn(|context| {
@@ -303,13 +292,11 @@ async fn readable(wake: Option<&UnixStream>) -> Result<(), Error> {
     Ok(())
 }
 
-/// The card with a log of everything, if requested.
-fn logged(card: Card, log: Option<&Log>) -> Result<Capture, Error> {
-    let Some(log) = log else { return Ok(Capture::Plain(card)) };
+/// The files of a log of everything.
+fn log_files(log: &Log) -> Result<LogFiles, Error> {
     let rotation = Rotation { bytes: log.rotate_mib.map(|mib| mib.saturating_mul(1 << 20)), every: None };
     let layout = if log.checksums { Layout::Checked } else { Layout::Narrow };
-    let files = LogFiles::create(&free_name(&log.file, rotation), rotation, false)?.with_side_layout(layout);
-    Ok(Capture::Logged(Box::new(Recorder::new(card, files, RecorderOptions::default())?)))
+    Ok(LogFiles::create(&free_name(&log.file, rotation), rotation, false)?.with_side_layout(layout))
 }
 
 /// The first of `log.dat`, `log-r1.dat`, `log-r2.dat` ... without any file, rotated or not: no start overwrites

@@ -6,17 +6,16 @@ use super::machine::{Machine, Tap};
 use csi5300::exchange::tdma::{Epoch, Event, Key};
 use csi5300::internal::{Proof, Prover};
 use csi5300::source::survey::Survey;
-use csi5300::source::{Error, Next, Stamps};
+use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_live::monitor::Monitor;
 use csi5300_live::sounding::{
-    Granted, News, Order, Rate, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
+    Granted, News, Notice, Order, Rate, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
-use driver_iface::record::Record;
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -39,7 +38,7 @@ struct SoundingCounts {
     absent: Vec<String>,
     /// The priority that the system granted to the sending thread.
     granted: Option<String>,
-    /// The last problem of the interface.
+    /// The last problem of the interface, until frames go out again.
     notice: Option<String>,
     /// The thread has ended by itself; the node reports the reason at its end.
     ended: bool,
@@ -49,6 +48,8 @@ struct SoundingCounts {
 pub(super) struct Sounder {
     running: Arc<Running>,
     counts: SoundingCounts,
+    /// What is wrong from the start on.
+    warnings: Vec<String>,
     antenna: Antenna,
     peers: Vec<Mac>,
     /// Peers whose records come with their answers.
@@ -87,16 +88,16 @@ impl Sounder {
         let opened = setup.open_on(monitor, |config| {
             (config.epoch, config.start, config.initiate) = (Epoch::Heard(now), now, asked.initiate);
         })?;
-        let mut counts = SoundingCounts { notice: opened.warning.clone(), ..SoundingCounts::default() };
+        let mut warnings: Vec<String> = opened.warning.clone().into_iter().collect();
         if let Some(rate) = rate_n_flags(request.phy, config.antenna)
             && let Some(interface) = &asked.interface
         {
             match set_rate(&csi5300_live::doctor::Machine, interface, rate) {
                 Rate::Other { found, mend, .. } => {
-                    counts.notice = Some(format!("monitor_tx_rate is {found}: {mend}"));
+                    warnings.push(format!("monitor_tx_rate is {found}: {mend}"));
                 }
                 Rate::Legacy(mend) => {
-                    counts.notice = Some(format!("frames leave at a legacy rate, which makes no CSI: {mend}"));
+                    warnings.push(format!("frames leave at a legacy rate, which makes no CSI: {mend}"));
                 }
                 Rate::FromRadiotap | Rate::Right(_) | Rate::Set(..) => {}
             }
@@ -108,7 +109,8 @@ impl Sounder {
         let by_answers = |peer: &Peer| matches!(peer.records, Records::Sounding(_));
         let asked = config.peer.iter().map(|peer| peer.get_ref());
         let answering = asked.zip(&peers).filter(|(peer, _)| by_answers(peer)).map(|(_, mac)| *mac).collect();
-        Ok(Some(Self { running, counts, antenna: config.antenna, peers, answering, measures, key }))
+        let counts = SoundingCounts::default();
+        Ok(Some(Self { running, counts, warnings, antenna: config.antenna, peers, answering, measures, key }))
     }
 
     /// From now on answers carry the card's measurements, and with a key only confirmed exchanges are used.
@@ -149,8 +151,9 @@ impl Sounder {
         health.sounding = serde_json::to_value(&self.counts).ok();
         if self.counts.ended {
             health.trouble.push("sounding: the thread that sends has ended".into());
-        } else if let Some(notice) = &self.counts.notice {
-            health.trouble.push(format!("sounding: {notice}"));
+        } else {
+            let wrong = self.warnings.iter().chain(&self.counts.notice);
+            health.trouble.extend(wrong.map(|why| format!("sounding: {why}")));
         }
     }
 
@@ -163,14 +166,12 @@ impl Sounder {
 
 impl SoundingCounts {
     fn note(&mut self, news: &News) {
-        match news {
-            News::Started(granted) => self.granted = Some(Granted::to_string(granted)),
-            News::Notice(notice) => self.notice = Some(notice.to_string()),
-            News::Event(event) => self.note_event(event),
-        }
-    }
-
-    fn note_event(&mut self, event: &Event) {
+        let event = match news {
+            News::Started(granted) => return self.granted = Some(Granted::to_string(granted)),
+            News::Notice(Notice::GoesOut) => return self.notice = None,
+            News::Notice(notice) => return self.notice = Some(notice.to_string()),
+            News::Event(event) => event,
+        };
         match event {
             Event::Answered { .. } => self.answered += 1,
             Event::Unanswered { .. } => self.unanswered += 1,
@@ -198,10 +199,9 @@ struct Measuring {
 }
 
 impl Tap for Measuring {
-    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        let next = Next::Record(Stamps { at: Instant::ZERO, host_us, ..Stamps::default() }, record);
-        let proof = self.prover.note(&next);
-        let Some((bfee, identity)) = self.survey.note(&next) else { return };
+    fn own(&mut self, _: Instant, next: &Next<'_>) {
+        let proof = self.prover.note(next);
+        let Some((bfee, identity)) = self.survey.note(next) else { return };
         if proof != Proof::Wrong
             && self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
@@ -209,5 +209,19 @@ impl Tap for Measuring {
             // If too many wait, the next one is newer.
             self.running.order(Order::Measurement(identity.mac, measurement));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_that_go_out_again_are_no_trouble() {
+        let mut counts = SoundingCounts::default();
+        counts.note(&News::Notice(Notice::NothingGoesOut { frames: 32 }));
+        assert!(counts.notice.as_ref().unwrap().starts_with("32 frames were handed to the kernel"));
+        counts.note(&News::Notice(Notice::GoesOut));
+        assert_eq!(counts.notice, None);
     }
 }

@@ -19,6 +19,7 @@ use csi5300_live::feitcsi::{FeitCsi, Frames};
 use csi5300_live::netlink::{self, Netlink};
 use csi5300_live::serial::Serial;
 use csi5300_live::stock::{self, Stock};
+use csi5300_live::wait::wall_us;
 use csi5300_sim::Room;
 use csi5300_sim::served::{self, Address, Role};
 use driver_iface::Mac;
@@ -85,7 +86,7 @@ pub struct Trajectories {
 
 impl Trajectories {
     /// A trajectory at its own pace from `origin_s` on, or from its first pose.
-    fn open(&mut self, file: &config::Csv, origin_s: Option<f64>, start: Instant) -> Result<Poses, Error> {
+    fn open(&mut self, file: &config::Csv, origin_s: Option<f64>) -> Result<Poses, Error> {
         let name = file.file.display();
         let (trajectory, counts) = csv::read(&file.file).map_err(|error| match error {
             CsvError::Io { .. } => Error::Backend(Box::new(error)),
@@ -93,7 +94,7 @@ impl Trajectories {
         })?;
         self.notes.extend(counts.notes(&trajectory).into_iter().map(|words| format!("{name}: {words}")));
         self.incomplete += u64::from(counts.lost_something(&trajectory));
-        Ok(Box::new(Replayed::new(&trajectory, origin_s.unwrap_or(trajectory.span_s().0), start, 1.0)))
+        Ok(Box::new(Replayed::new(&trajectory, origin_s.unwrap_or(trajectory.span_s().0), Instant::ZERO, 1.0)))
     }
 }
 
@@ -116,9 +117,6 @@ impl Opened {
 
 /// What several sources of one configuration share.
 struct Shared<'a> {
-    start: Instant,
-    /// Reads the host's wall clock.
-    wall_us: fn() -> Option<i64>,
     adapters: &'a mut [Box<dyn Adapter>],
     /// The simulated room of this process.
     room: Option<Room>,
@@ -130,18 +128,13 @@ struct Shared<'a> {
 }
 
 impl Sources {
-    /// Opens everything; the sources' time begins at `start`. `wall_us` reads the host's wall clock, and `adapters` have poses.
+    /// Opens everything; the sources' time begins at zero, and `adapters` have poses.
     ///
     /// # Errors
     /// What cannot be opened, with what to do about it.
-    pub fn open(
-        config: &Config,
-        start: Instant,
-        wall_us: fn() -> Option<i64>,
-        adapters: &mut [Box<dyn Adapter>],
-    ) -> Result<Self, Error> {
+    pub fn open(config: &Config, adapters: &mut [Box<dyn Adapter>]) -> Result<Self, Error> {
         let trajectories = Trajectories::default();
-        let mut shared = Shared { start, wall_us, adapters, room: None, served: None, replayed: None, trajectories };
+        let mut shared = Shared { adapters, room: None, served: None, replayed: None, trajectories };
         let capture = config.capture.get_ref();
         let Opened { card, wake, mac, speed } = shared.capture(capture, config)?;
         let own = config.mac.or(mac);
@@ -166,15 +159,21 @@ impl<'a> Shared<'a> {
     /// This robot's records.
     fn capture(&mut self, capture: &'a Capture, config: &Config) -> Result<Opened, Error> {
         match capture {
-            Capture::Card(asked) => open_card(asked, self.wall_us),
-            Capture::Stock(asked) => {
-                let has_key = config.sounding.as_ref().is_some_and(|sounding| sounding.key.is_some());
-                open_stock(asked, config.mac, has_key, self.wall_us)
+            &Capture::Card(config::Card { connector_index, allow_user_sender }) => {
+                let options = netlink::Options { connector_index, allow_user_sender, ..netlink::Options::default() };
+                Opened::live(CardThread::start(Netlink::open(&options)?)?, None)
             }
-            Capture::Feitcsi(asked) => open_feitcsi(asked, self.wall_us),
+            Capture::Stock(asked) => {
+                // With a key the tags of frames are checked.
+                let has_key = config.sounding.as_ref().is_some_and(|sounding| sounding.key.is_some());
+                let records = driver_iface::stock::Options { frames: asked.frames || has_key, ..Default::default() };
+                let options = stock::Options { records, own: config.mac, ..stock::Options::default() };
+                Opened::live(CardThread::start(Stock::open(&options)?)?, None)
+            }
+            Capture::Feitcsi(asked) => Opened::live(CardThread::start(FeitCsi::new(frames_of(asked)?))?, None),
             Capture::Served(served) => {
                 self.served = Some(&served.socket);
-                let (card, mac) = join(&served.socket, &served.robot, self.wall_us)?;
+                let (card, mac) = join(&served.socket, &served.robot)?;
                 Opened::live(card, Some(mac))
             }
             Capture::Replay(asked) => {
@@ -187,7 +186,7 @@ impl<'a> Shared<'a> {
                 let mut room = Room::new(&asked.load_scene()?)?;
                 for (robot, odometry) in &asked.follow {
                     let source = match odometry {
-                        Odometry::Csv(file) => self.trajectories.open(file, None, self.start)?,
+                        Odometry::Csv(file) => self.trajectories.open(file, None)?,
                         // The room's time is that of this host.
                         topic => adapted(self.adapters, topic, Stamp::Receipt)?,
                     };
@@ -216,7 +215,7 @@ impl<'a> Shared<'a> {
             Odometry::Network(_) => return Ok((None, Track::default())),
             Odometry::Csv(file) => {
                 let origin_s = self.replayed.as_ref().map_or(0.0, |replayed| replayed.origin_s);
-                self.trajectories.open(file, Some(origin_s), self.start)?
+                self.trajectories.open(file, Some(origin_s))?
             }
             Odometry::Ros(_) | Odometry::Ros2(_) => adapted(self.adapters, odometry, Stamp::Header)?,
             Odometry::Room(_) => match (self.served, &self.room) {
@@ -226,7 +225,7 @@ impl<'a> Shared<'a> {
             },
             Odometry::Opencr(port) => {
                 let geometry = port.model.map(config::Model::geometry);
-                let serial = Serial::open(port.port.clone(), port.rate_hz, geometry, self.start, self.wall_us)?;
+                let serial = Serial::open(port.port.clone(), port.rate_hz, geometry, Instant::ZERO, wall_us)?;
                 Box::new(PoseThread::start(serial)?)
             }
         };
@@ -248,13 +247,11 @@ impl<'a> Shared<'a> {
                 let in_room = |room: &Room| room.mac(room.number(&peer.name)?);
                 Ok((None, self.room.as_ref().and_then(in_room)))
             }
-            Records::Replay(log) => {
-                Ok((Some(peer_log(&log.file, peer.mac, self.replayed.as_ref(), self.start)?), None))
-            }
+            Records::Replay(log) => Ok((Some(peer_log(&log.file, peer.mac, self.replayed.as_ref())?), None)),
             Records::Room(_) => {
                 let (card, mac): (Card, Mac) = match (self.served, &mut self.room) {
                     (Some(socket), _) => {
-                        let (card, mac) = join(socket, &peer.name, self.wall_us)?;
+                        let (card, mac) = join(socket, &peer.name)?;
                         (Box::new(card), mac)
                     }
                     (None, Some(room)) => peer_card(room, &peer.name)?,
@@ -276,41 +273,20 @@ impl<'a> Shared<'a> {
     }
 }
 
-/// Listens to the driver, on a thread of its own.
-fn open_card(card: &config::Card, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
-    let &config::Card { connector_index, allow_user_sender } = card;
-    let options = netlink::Options { connector_index, allow_user_sender, wall_us, ..netlink::Options::default() };
-    Opened::live(CardThread::start(Netlink::open(&options)?)?, None)
-}
-
-/// The same by the eBPF program, under the kernel's own driver. `own` is this robot's MAC, and `frames` says whether their
-/// tags are checked.
-fn open_stock(
-    asked: &config::Stock,
-    own: Option<Mac>,
-    frames: bool,
-    wall_us: fn() -> Option<i64>,
-) -> Result<Opened, Error> {
-    let records = driver_iface::stock::Options::default().with_frames(asked.frames || frames);
-    let options = stock::Options { records, own, wall_us, ..stock::Options::default() };
-    Opened::live(CardThread::start(Stock::open(&options)?)?, None)
-}
-
 /// What FeitCSI writes. A pipe stays open, whoever writes to it and whenever.
-fn open_feitcsi(asked: &Feitcsi, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
-    let frames = match asked {
-        Feitcsi::Udp(command) => Frames::ask(command, wall_us)?,
+fn frames_of(asked: &Feitcsi) -> Result<Frames, Error> {
+    match asked {
+        Feitcsi::Udp(command) => Frames::ask(command, wall_us),
         Feitcsi::Pipe(pipe) => {
             let io = |source| Error::Io { what: format!("cannot read {}", pipe.display()), source };
             let pipe = std::fs::File::options().read(true).write(true).open(pipe).map_err(io)?;
-            Frames::read(pipe.into(), wall_us)
+            Ok(Frames::read(pipe.into(), wall_us))
         }
-    };
-    Opened::live(CardThread::start(FeitCsi::new(frames))?, None)
+    }
 }
 
 /// A robot's card in a room that another program runs, and its MAC.
-fn join(socket: &Path, robot: &str, wall_us: fn() -> Option<i64>) -> Result<(CardThread, Mac), Error> {
+fn join(socket: &Path, robot: &str) -> Result<(CardThread, Mac), Error> {
     let (room, mac) = served::join(&address(socket, robot), Role::Card)?;
     Ok((CardThread::start(Netlink::over(room, wall_us))?, mac))
 }
@@ -348,16 +324,16 @@ struct ReplayedLog<'a> {
 }
 
 /// A peer's log, to be played together with this robot's.
-fn peer_log(log: &Path, peer: Option<Mac>, own: Option<&ReplayedLog<'_>>, start: Instant) -> Result<Card, Error> {
+fn peer_log(log: &Path, peer: Option<Mac>, own: Option<&ReplayedLog<'_>>) -> Result<Card, Error> {
     let mut replay = Replay::open(log)?;
     let mut begin = Begin::default();
     if let Some((own, (own_mac, peer))) = own.and_then(|own| Some((own, own.own.zip(peer)?))) {
         begin = together(|| Replay::open(own.file), || Replay::open(log), (own_mac, peer))?;
     }
     for _ in 0..begin.skip {
-        replay.receive(start)?;
+        replay.receive(Instant::ZERO)?;
     }
-    Ok(Box::new(Paced::new(replay, 1.0, None).beginning(start + begin.after)))
+    Ok(Box::new(Paced::new(replay, 1.0, None).beginning(Instant::ZERO + begin.after)))
 }
 
 /// The host time of a log's first record that has one, seconds since the Unix epoch.

@@ -34,19 +34,41 @@ pub(crate) fn spawn(
     thread.map_err(|source| Error::Io { what: what.into(), source })
 }
 
-enum Item {
-    Record(Stamps, u8, Vec<u8>),
+/// An item of a source that outlives the source's buffer.
+pub(crate) enum Item {
+    Record(Stamps, u8, Box<[u8]>),
     Lost(Loss),
     End(Tail),
-    Failed(Error),
+}
+
+impl Item {
+    /// None of [`Next::Pending`].
+    pub fn of(next: &Next<'_>) -> Option<Self> {
+        match next {
+            Next::Record(stamps, record) => Some(Self::Record(*stamps, record.code, record.body.into())),
+            Next::Lost(loss) => Some(Self::Lost(loss.clone())),
+            Next::End(tail) => Some(Self::End(*tail)),
+            Next::Pending => None,
+        }
+    }
+
+    /// As the source gave it.
+    pub fn next(&self) -> Next<'_> {
+        match self {
+            Self::Record(stamps, code, body) => Next::Record(*stamps, Record { code: *code, body }),
+            Self::Lost(loss) => Next::Lost(loss.clone()),
+            Self::End(tail) => Next::End(*tail),
+        }
+    }
 }
 
 /// A card that is read on a separate thread.
 pub struct CardThread {
-    items: Receiver<Item>,
+    items: Receiver<Result<Item, Error>>,
     /// Gets a byte when records arrive; shutting it down ends the thread.
     told: UnixStream,
-    body: Vec<u8>,
+    /// The last item.
+    item: Option<Item>,
 }
 
 impl CardThread {
@@ -63,12 +85,12 @@ impl CardThread {
         let (give, items) = sync_channel(RECORDS);
         let read = move || {
             if let Err(error) = listen(card, &give, &tell) {
-                let _ = give.send(Item::Failed(error));
+                let _ = give.send(Err(error));
             }
             let _ = (&tell).write(&[0]);
         };
         spawn("csi5300 card", what, read)?;
-        Ok(Self { items, told, body: Vec::new() })
+        Ok(Self { items, told, item: None })
     }
 
     /// Something to wait on for more records.
@@ -82,7 +104,7 @@ impl CardThread {
 
     /// The next item. An empty queue is read once more after its announcing bytes were taken; later items are announced
     /// again.
-    fn next(&mut self) -> Result<Item, TryRecvError> {
+    fn next(&mut self) -> Result<Result<Item, Error>, TryRecvError> {
         self.items.try_recv().or_else(|why| {
             let mut bytes = [0; 64];
             while matches!((&self.told).read(&mut bytes), Ok(read) if read > 0) {}
@@ -92,22 +114,18 @@ impl CardThread {
 }
 
 /// Hands over the card's items until the other end is shut.
-fn listen<S: CsiSource + AsFd>(mut card: S, give: &SyncSender<Item>, tell: &UnixStream) -> Result<(), Error> {
+fn listen<S: CsiSource + AsFd>(
+    mut card: S,
+    give: &SyncSender<Result<Item, Error>>,
+    tell: &UnixStream,
+) -> Result<(), Error> {
     let clock = Monotonic::new();
     let mut untold = 0;
     loop {
-        let item = match card.receive(clock.now())? {
-            Next::Record(stamps, record) => Some(Item::Record(stamps, record.code, record.body.to_vec())),
-            Next::Lost(loss) => Some(Item::Lost(loss)),
-            Next::End(tail) => {
-                let _ = give.send(Item::End(tail));
-                return Ok(());
-            }
-            Next::Pending => None,
-        };
-        let pending = item.is_none();
+        let item = Item::of(&card.receive(clock.now())?);
+        let (pending, ends) = (item.is_none(), matches!(item, Some(Item::End(_))));
         untold += usize::from(!pending);
-        if item.is_some_and(|item| give.send(item).is_err()) {
+        if item.is_some_and(|item| give.send(Ok(item)).is_err()) || ends {
             return Ok(());
         }
         if untold > 0 && (pending || untold >= TELL) {
@@ -126,19 +144,17 @@ fn listen<S: CsiSource + AsFd>(mut card: S, give: &SyncSender<Item>, tell: &Unix
 
 impl CsiSource for CardThread {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        Ok(match self.next() {
-            Ok(Item::Record(stamps, code, body)) => {
-                self.body = body;
-                Next::Record(Stamps { at: now, ..stamps }, Record { code, body: &self.body })
+        match self.next() {
+            Ok(item) => {
+                let item = self.item.insert(item?);
+                if let Item::Record(stamps, ..) = item {
+                    stamps.at = now;
+                }
+                Ok(item.next())
             }
-            Ok(Item::Lost(loss)) => Next::Lost(loss),
-            Ok(Item::End(tail)) => Next::End(tail),
-            Ok(Item::Failed(error)) => return Err(error),
-            Err(TryRecvError::Empty) => Next::Pending,
-            Err(TryRecvError::Disconnected) => {
-                return Err(refused("the thread that listens to the card has ended"));
-            }
-        })
+            Err(TryRecvError::Empty) => Ok(Next::Pending),
+            Err(TryRecvError::Disconnected) => Err(refused("the thread that listens to the card has ended")),
+        }
     }
 
     fn next_at(&self) -> Option<Instant> {

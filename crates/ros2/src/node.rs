@@ -11,13 +11,12 @@ use crate::sockets::Sockets;
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::survey::Survey;
-use csi5300::source::{Error, Next, Stamps};
+use csi5300::source::{Error, Next};
 use csi5300_bag::messages::{
     Bearing, Csi, GetParametersRequest, GetParametersResponse, Header, ListParametersRequest, ListParametersResponse,
     ListParametersResult, MarkerArray, ParameterValue, PoseStamped, PoseWithCovarianceStamped, TfMessage, Time,
     TriggerRequest, TriggerResponse,
 };
-use driver_iface::record::Record;
 use std::sync::Arc;
 
 /// Publishers of one peer.
@@ -195,10 +194,9 @@ pub struct Records {
 }
 
 impl Records {
-    /// Publishes a record with CSI; `host_us` is its host time, where known.
-    pub fn put(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        let next = Next::Record(Stamps { host_us, ..Stamps::default() }, record);
-        let Some((bfee, identity)) = self.survey.note(&next) else { return };
+    /// Publishes what a source gave, if it is a record with CSI.
+    pub fn put(&mut self, next: &Next<'_>) {
+        let Some((bfee, identity)) = self.survey.note(next) else { return };
         let stamp = Time::from_us(self.clock.to_stamp(identity.host_us.unwrap_or(0)));
         self.csi.put(&Csi::of(stamp, &bfee, identity));
     }

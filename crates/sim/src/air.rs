@@ -11,7 +11,7 @@ use super::sounder::{FrameRole, Station};
 use super::world::{Path, World};
 use csi5300::time::Instant;
 use driver_iface::Mac;
-use driver_iface::mpdu::{self, Mpdu};
+use driver_iface::mpdu::{self, Repr};
 use driver_iface::sounding::{self, MAGIC_MAC};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -419,10 +419,10 @@ fn true_ns(world: &World, robot: usize, at: Instant) -> i64 {
 /// The WSR driver's answer to a sounding frame: the frame with its FCS and one more byte, addr3 replaced by its own
 /// MAC.
 fn driver_answer(frame: &FrameBytes, own: Mac) -> Option<Vec<u8>> {
-    let forward = sounding::Frame::new_checked(frame.without_fcs()).ok()?;
-    let fcs = frame.mpdu()?.fcs().to_le_bytes();
+    let forward = sounding::Frame::new_checked(frame.without_fcs())?;
+    let fcs = *frame.with_fcs().last_chunk()?;
     let mut answer = vec![0; frame.without_fcs().len() + sounding::wsr::REPLY_GROWTH];
-    sounding::wsr::emit_reply(&forward, fcs, own, &mut answer).ok()?;
+    sounding::wsr::emit_reply(&forward, fcs, own, &mut answer)?;
     Some(answer)
 }
 
@@ -471,8 +471,8 @@ impl FrameBytes {
     }
 
     /// The fields of the header; `None` of a frame shorter than one.
-    pub fn mpdu(&self) -> Option<Mpdu<'_>> {
-        Mpdu::new_checked(&self.0).ok()
+    pub fn mpdu(&self) -> Option<Repr<'_>> {
+        Repr::parse(&self.0)
     }
 
     /// The number of a sounding frame, in both dialects.
@@ -483,7 +483,7 @@ impl FrameBytes {
     /// Whether a card in monitor mode reports CSI of it: addresses 1 and 2 are the magic ones (iwlwifi dvm/sta.c,
     /// csitool FAQ).
     pub fn is_measured(&self) -> bool {
-        self.mpdu().is_some_and(|mpdu| [mpdu.addr1(), mpdu.addr2()] == [MAGIC_MAC; 2])
+        self.mpdu().is_some_and(|mpdu| [mpdu.addr1, mpdu.addr2] == [MAGIC_MAC; 2])
     }
 }
 

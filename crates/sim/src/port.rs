@@ -332,7 +332,7 @@ impl Port {
     fn wsr(&mut self, host_us: i64, flight: &Flight) -> Wsr {
         let mpdu = flight.bytes.mpdu();
         if let Some((mpdu, number)) = mpdu.and_then(|mpdu| Some((mpdu, mpdu.sounding_counter()?))) {
-            self.last = (if number == 0 { Mac::ZERO } else { mpdu.addr3() }, number);
+            self.last = (if number == 0 { Mac::ZERO } else { mpdu.addr3 }, number);
         }
         Wsr {
             tv_sec: host_us.div_euclid(1_000_000) as u32,

@@ -375,7 +375,7 @@ mod tests {
     use csi5300::source::{Injector, Loss};
     use csi5300::time::Span;
     use driver_iface::bfee::{Antenna, Bfee, Layout};
-    use driver_iface::mpdu::Mpdu;
+    use driver_iface::mpdu;
     use driver_iface::record::code;
     use num_complex::Complex64;
     use proptest::prelude::*;
@@ -628,9 +628,9 @@ mod tests {
         for number in 1..=40 {
             let Next::Record(_, record) = rx.receive(now).unwrap() else { panic!("no frame {number}") };
             assert_eq!(record.code, code::MPDU);
-            let mpdu = Mpdu::new_checked(record.body).unwrap();
-            assert!(mpdu.fcs_is_good());
-            assert_eq!((mpdu.sounding_counter(), mpdu.addr3().0[5]), (Some(number), 1));
+            let frame = mpdu::Repr::parse(record.body).unwrap();
+            assert!(mpdu::fcs_is_good(record.body));
+            assert_eq!((frame.sounding_counter(), frame.addr3.0[5]), (Some(number), 1));
             let Next::Record(_, record) = rx.receive(now).unwrap() else { panic!("no record {number}") };
             assert_eq!((record.code, Bfee::new_checked(record.body).unwrap().layout()), (code::BFEE, Layout::Stock));
         }

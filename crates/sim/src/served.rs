@@ -24,7 +24,7 @@ use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::connector::{CN_IDX, CN_VAL, MAX_DATAGRAM, Repr as Message};
-use driver_iface::radiotap::{Bandwidth, Mcs, Packet, Repr};
+use driver_iface::radiotap::{Bandwidth, Mcs, Repr};
 use driver_iface::record::{Record, code};
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
@@ -555,9 +555,8 @@ impl Server {
         let scene = room.scene();
         let parsed = || -> Result<Frame, String> {
             let message = self.buffer.get(..len).ok_or("a frame that is longer than any")?;
-            let packet = Packet::new_checked(message).map_err(|error| error.to_string())?;
-            let repr = Repr::parse(&packet).map_err(|error| error.to_string())?;
-            let bytes = packet.frame(&repr).map_err(|error| error.to_string())?;
+            let (repr, frame) = Repr::parse(message).map_err(|error| error.to_string())?;
+            let bytes = message.get(frame).unwrap_or_default().to_vec();
             // Without a rate the card takes its own.
             let radio = scene.robot.get(robot).map(|state| scene.radio_of(state).mcs);
             let mcs = repr.mcs.map_or(radio.unwrap_or_default(), |mcs| mcs.index);
@@ -565,7 +564,7 @@ impl Server {
             if wide.is_some_and(|wide| wide != (scene.bandwidth_mhz == 40)) {
                 return Err(format!("a frame of another width than the room's {} MHz", scene.bandwidth_mhz));
             }
-            Ok(Frame { at, robot, mcs, bytes: bytes.to_vec() })
+            Ok(Frame { at, robot, mcs, bytes })
         };
         let parsed = parsed();
         parsed.map_err(|why| self.refuse(why)).ok()

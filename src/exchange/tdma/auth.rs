@@ -153,9 +153,9 @@ impl Key {
     fn prove(&self, mpdu: &[u8]) -> Proof {
         let parsed = Frame::new_checked(mpdu).and_then(|frame| Repr::parse(&frame));
         match parsed.map(|repr| self.check(mpdu, &repr)) {
-            Ok(Shown::Pair) => Proof::Good,
-            Ok(Shown::Group) => Proof::Unknown,
-            Ok(Shown::Nothing) | Err(_) => Proof::Wrong,
+            Some(Shown::Pair) => Proof::Good,
+            Some(Shown::Group) => Proof::Unknown,
+            Some(Shown::Nothing) | None => Proof::Wrong,
         }
     }
 }

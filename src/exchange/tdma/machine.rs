@@ -367,7 +367,7 @@ struct Turn {
 /// Writes a native frame, with a tag if there is a key; returns its length.
 fn emit(mut repr: native::Repr, key: Option<&Key>, buffer: &mut [u8]) -> Option<usize> {
     repr.tag = key.map(|_| [0; native::TAG_LEN]);
-    let len = repr.emit(buffer).ok()?;
+    let len = repr.emit(buffer)?;
     if let (Some(key), Some(mpdu)) = (key, buffer.get_mut(..len)) {
         native::set_tag(mpdu, key.tag(mpdu, repr.sender, repr.destination).unwrap_or_default());
     }
@@ -448,7 +448,7 @@ impl Tdma {
         if let Dialect::Wsr { first_len } = self.plan.dialect {
             let len_with_fcs = wsr::forward_len(usize::from(first_len), usize::from(target.index));
             let repr = wsr::Repr { sender: self.own, number: self.number, len_with_fcs };
-            return repr.emit(&mut self.forward_buffer, &mut self.filler).ok();
+            return repr.emit(&mut self.forward_buffer, &mut self.filler);
         }
         let next = turn.next.and_then(|next| self.roster.peer(next)).map_or(self.own, |next| next.mac);
         let repr = native::Repr {
@@ -626,7 +626,7 @@ enum Fit {
 impl Tdma {
     /// Takes one frame in.
     fn hear(&mut self, ended: Instant, mpdu: &[u8]) {
-        let Ok(frame) = Frame::new_checked(mpdu) else {
+        let Some(frame) = Frame::new_checked(mpdu) else {
             self.counts.foreign += 1;
             return;
         };
@@ -641,8 +641,8 @@ impl Tdma {
         match self.plan.dialect {
             Dialect::Wsr { first_len } => self.hear_wsr(ended, &frame, peer, usize::from(first_len)),
             Dialect::Native { .. } => match native::Repr::parse(&frame) {
-                Ok(repr) => self.hear_native(ended, &frame, &repr, peer),
-                Err(_) => self.counts.foreign += 1,
+                Some(repr) => self.hear_native(ended, &frame, &repr, peer),
+                None => self.counts.foreign += 1,
             },
         }
     }
@@ -923,7 +923,7 @@ impl Tdma {
         if !for_this_robot || !self.respond || self.turn.is_some() {
             return;
         }
-        if let Ok(len) = wsr::emit_reply(frame, [0; 4], self.own, &mut self.reply_buffer) {
+        if let Some(len) = wsr::emit_reply(frame, [0; 4], self.own, &mut self.reply_buffer) {
             if let Some(initiator) = self.roster.peer_mut(peer) {
                 initiator.asked.push(number);
             }

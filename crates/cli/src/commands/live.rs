@@ -169,7 +169,7 @@ impl Listening {
                 Records::Csitool | Records::CsitoolFrames => driver_iface::bfee::Layout::Stock,
             };
             let frames = matches!(asked, Records::WsrFrames | Records::CsitoolFrames) || needs.frames;
-            let records = driver_iface::stock::Options::default().with_layout(layout).with_frames(frames);
+            let records = driver_iface::stock::Options { layout, frames, ..Default::default() };
             let options = stock::Options { records, ring: receive_buffer, own: needs.own, ..stock::Options::default() };
             return Stock::open(&options).map(Listener::from).map_err(|error| with_causes(&error));
         }

@@ -16,10 +16,12 @@ use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_live::doctor::Machine;
+use csi5300_live::listener::Listener;
+use csi5300_live::logged::Logged;
 use csi5300_live::monitor::{AirCounts, Monitor, Options};
 use csi5300_live::sounding::{
-    Beside, DriverMessages, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Rate, Running,
-    Session, Settings, Setup, Spread, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
+    Beside, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Rate, Running, Session, Settings,
+    Setup, Spread, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -498,30 +500,29 @@ impl Sounding {
     }
 
     /// The card's records, if wanted: recorded, or only read. `own` is this robot's MAC.
-    fn messages(&self, wanted: Wanted, own: Mac) -> Words<DriverMessages> {
+    fn messages(&self, wanted: Wanted, own: Mac) -> Words<Option<Logged<Listener>>> {
         if self.log.is_none() && wanted == Wanted::Not {
-            return Ok(DriverMessages::none());
+            return Ok(None);
         }
         let needs = Needs { own: Some(own), frames: self.key.is_some(), receive_buffer: None };
         let listener = match self.listening.open(needs) {
             Ok(listener) => listener,
             Err(error) if self.log.is_none() && wanted == Wanted::IfPossible => {
                 note!("answers carry no measurement: {error}");
-                return Ok(DriverMessages::none());
+                return Ok(None);
             }
             Err(error) => return Err(error),
         };
         note!("{}", describe(&listener));
-        let Some(log) = &self.log else { return Ok(DriverMessages::read(listener)) };
-        let files = LogFiles::create(log, Rotation::default(), self.force);
-        files.and_then(|files| DriverMessages::recorded(listener, files)).map_err(|error| create_refused(&error))
+        let files = self.log.as_ref().map(|log| LogFiles::create(log, Rotation::default(), self.force)).transpose();
+        files.and_then(|files| Logged::new(listener, files)).map(Some).map_err(|error| create_refused(&error))
     }
 
     /// Runs until a signal, the time limit or a failure of the interface; then prints the summary and returns it for JSON.
     fn run(
         &self,
         signals: &Signals,
-        messages: DriverMessages,
+        messages: Option<Logged<Listener>>,
         opened: Opened,
         (clock, open_loop): (Monotonic, bool),
         observer: &mut dyn Observer,

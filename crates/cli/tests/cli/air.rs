@@ -583,7 +583,7 @@ fn answer(mut stranger: Monitor, shared: &Shared) {
             continue;
         };
         let parsed = Frame::new_checked(&frame).and_then(|frame| Repr::parse(&frame));
-        let Some(forward) = parsed.ok().filter(|repr| repr.role == native::Role::Forward) else { continue };
+        let Some(forward) = parsed.filter(|repr| repr.role == native::Role::Forward) else { continue };
         let (role, tag) = (native::Role::Backward, None);
         let forged = Repr { sender: forward.destination, role, destination: forward.sender, tag, ..forward };
         let len = forged.emit(&mut bytes).unwrap();

@@ -90,7 +90,9 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
             let Some(transmit) = due else { break };
             let before = now();
             let (role, number) = (transmit.role, transmit.number);
-            self.figures.note_due(&transmit, before);
+            if role == Role::Forward {
+                note(&mut self.figures.due_us, before - transmit.at);
+            }
             // The host may have been busy since the machine returned the frame.
             if before > transmit.latest {
                 self.figures.too_late += 1;
@@ -130,7 +132,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
         let sent = self.last_forward.filter(|(sent, _)| *sent == number);
         if let (Some((_, sent)), Some((ended, len))) = (sent, heard) {
             let airtime_us = i64::from(self.tdma.plan().phy.airtime_us(len));
-            self.figures.note_answer_us((ended - sent).as_us() - airtime_us);
+            note(&mut self.figures.answer_us, ended - sent - Span::from_us(airtime_us));
         }
     }
 }
@@ -181,13 +183,6 @@ impl Default for Figures {
 }
 
 impl Figures {
-    /// Notes that the host reached a due frame.
-    fn note_due(&mut self, transmit: &Transmit<'_>, at: Instant) {
-        if transmit.role == Role::Forward {
-            note(&mut self.due_us, at - transmit.at);
-        }
-    }
-
     /// Notes a run of missed slots: `late` after the first one's start, each a `slot` later.
     fn note_missed(&mut self, slots: u32, late: Span, slot: Span) {
         for k in 0..i64::from(slots) {
@@ -203,11 +198,6 @@ impl Figures {
             (Role::Backward, None) => {}
         }
         self.perhaps_late += u64::from(after > transmit.latest);
-    }
-
-    /// Notes the time from a forward frame's hand-over to its answer's start.
-    fn note_answer_us(&mut self, us: i64) {
-        note(&mut self.answer_us, Span::from_us(us));
     }
 }
 
@@ -639,7 +629,7 @@ mod tests {
         let mut figures = Figures::default();
         assert_eq!(spread_of(&figures.answer_us), "none");
         for us in [3, 5, 40, 70, 12_000] {
-            figures.note_answer_us(us);
+            note(&mut figures.answer_us, Span::from_us(us));
         }
         let words = spread_of(&figures.answer_us);
         assert!(words.starts_with("p50 40, p90 12"), "{words}");

@@ -18,22 +18,23 @@ mod thread;
 
 pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, Spread, spread_of};
 pub use products::{Beside, measurement, products};
-pub use thread::{Granted, NotGranted, Order, Running, Settings};
+pub use thread::{Granted, Order, Running, Settings};
 
 use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
 use crate::listener::Listener;
+use crate::logged::Logged;
 use crate::monitor::{self, AirCounts, Monitor};
 use crate::refused;
 use crate::wait::{Monotonic, wall_us};
 use csi5300::exchange::tdma::{Config, Key, Phy, Request, Tdma, TdmaCounts};
-use csi5300::source::recorder::{self, LogFiles, Recorder, Totals};
+use csi5300::source::recorder::Totals;
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::bfee::Antenna;
+use driver_iface::bfee::{Antenna, rate};
 use driver_iface::radiotap::Bandwidth;
 use sessions::PeerSessions;
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::fd::{AsFd, BorrowedFd};
 use std::path::Path;
 
 /// Interval at which news are fetched and [`Observer::look`] is called.
@@ -81,20 +82,23 @@ pub struct Finished {
 }
 
 impl<'a> Session<'a> {
-    /// Sounds until it is stopped, the time is up, or the interface or the listener fails.
+    /// Sounds until it is stopped, the time is up, or the interface or the listener fails. `messages` are the card's records, if
+    /// anybody listens to it.
     ///
     /// # Errors
     /// If it cannot be started, waited for or ended. A failure while it runs is in [`Finished::error`].
     pub fn run(
         &self,
         opened: Opened,
-        mut messages: DriverMessages,
+        mut messages: Option<Logged<Listener>>,
         observer: &mut dyn Observer,
     ) -> Result<Finished, Error> {
-        let connector = messages.fd()?;
+        let io = |source| Error::Io { what: "what is listened to".into(), source };
+        let connector = messages.as_ref().map(|messages| messages.source().as_fd().try_clone_to_owned());
+        let connector = connector.transpose().map_err(io)?;
         let running = Running::start_opened(opened, self.clock, self.settings)?;
         let failed = loop {
-            if let Err(error) = take(&mut messages, self.clock.now(), &running, observer) {
+            if let Err(error) = take(messages.as_mut(), self.clock.now(), &running, observer) {
                 break Some(error);
             }
             while let Some(news) = running.news() {
@@ -105,7 +109,8 @@ impl<'a> Session<'a> {
             if running.has_ended() || self.settings.stop_at.is_some_and(|end| end <= now) {
                 break None;
             }
-            let until = [messages.next_at(), self.settings.stop_at, Some(now + LOOK)].into_iter().flatten().min();
+            let next_at = messages.as_ref().and_then(CsiSource::next_at);
+            let until = [next_at, self.settings.stop_at, Some(now + LOOK)].into_iter().flatten().min();
             // Without a listener this waits for the stop twice.
             let first = connector.as_ref().map_or(self.stop, |fd| fd.as_fd());
             if self.clock.wait([first, self.stop], until)?[1] {
@@ -118,7 +123,7 @@ impl<'a> Session<'a> {
     fn end(
         &self,
         running: Running,
-        mut messages: DriverMessages,
+        mut messages: Option<Logged<Listener>>,
         mut failed: Option<Error>,
         observer: &mut dyn Observer,
     ) -> Result<Finished, Error> {
@@ -126,25 +131,33 @@ impl<'a> Session<'a> {
         left.iter().for_each(|news| observer.news(news));
         // Messages sent before the end belong in the log. A driver without pauses does not delay the end.
         let enough_at = self.clock.now() + LAST_WORDS;
-        while failed.is_none() && messages.is_recorded() && self.clock.now() < enough_at {
-            match messages.receive(self.clock.now()) {
+        while let Some(recorded @ Logged::Recorded(_)) = &mut messages
+            && failed.is_none()
+            && self.clock.now() < enough_at
+        {
+            match recorded.receive(self.clock.now()) {
                 Ok(Next::Pending | Next::End(_)) => break,
                 Ok(_) => {}
                 Err(error) => failed = Some(error),
             }
         }
-        let log = messages.finish(self.clock.now())?;
+        let ended = messages.map(|messages| messages.finish(self.clock.now())).transpose()?;
+        let log = ended.and_then(|(listener, recorded)| {
+            let lost = listener.lost();
+            recorded.map(|recorded| LogTotals { recorded, dropped_before: lost.kernel + lost.driver })
+        });
         Ok(Finished { air: exchange.air.counters(), exchange, news_lost, log, error: failed.or(error) })
     }
 }
 
 /// Takes everything that the driver has sent.
 fn take(
-    messages: &mut DriverMessages,
+    messages: Option<&mut Logged<Listener>>,
     now: Instant,
     running: &Running,
     observer: &mut dyn Observer,
 ) -> Result<(), Error> {
+    let Some(messages) = messages else { return Ok(()) };
     loop {
         let next = messages.receive(now)?;
         if matches!(next, Next::Pending | Next::End(_)) {
@@ -186,15 +199,6 @@ impl Finished {
     }
 }
 
-/// The source of the card's records, and their log.
-pub struct DriverMessages(Kind);
-
-enum Kind {
-    None,
-    Read(Listener),
-    Recorded(Box<Recorder<Listener, LogFiles>>),
-}
-
 /// The result of a recorded log.
 #[derive(Clone, Debug)]
 pub struct LogTotals {
@@ -209,69 +213,6 @@ impl LogTotals {
     #[must_use]
     pub fn missing(&self) -> u64 {
         self.recorded.dropped + self.recorded.lost_on_disk + self.dropped_before
-    }
-}
-
-impl DriverMessages {
-    /// The driver is not listened to.
-    #[must_use]
-    pub fn none() -> Self {
-        Self(Kind::None)
-    }
-
-    /// They are read.
-    #[must_use]
-    pub fn read(listener: impl Into<Listener>) -> Self {
-        Self(Kind::Read(listener.into()))
-    }
-
-    /// They are read, and recorded in `files`.
-    ///
-    /// # Errors
-    /// If the recorder's thread cannot be started.
-    pub fn recorded(listener: impl Into<Listener>, files: LogFiles) -> Result<Self, Error> {
-        Ok(Self(Kind::Recorded(Box::new(Recorder::new(listener.into(), files, recorder::Options::default())?))))
-    }
-
-    fn is_recorded(&self) -> bool {
-        matches!(self.0, Kind::Recorded(_))
-    }
-
-    /// Something to wait on, where there is a listener.
-    fn fd(&self) -> Result<Option<OwnedFd>, Error> {
-        let fd = match &self.0 {
-            Kind::None => return Ok(None),
-            Kind::Read(listener) => listener.as_fd(),
-            Kind::Recorded(recorder) => recorder.source().as_fd(),
-        };
-        let io = |source| Error::Io { what: "what is listened to".into(), source };
-        fd.try_clone_to_owned().map(Some).map_err(io)
-    }
-
-    /// Ends the log, if there is one.
-    fn finish(self, now: Instant) -> Result<Option<LogTotals>, Error> {
-        let Kind::Recorded(recorder) = self.0 else { return Ok(None) };
-        let (listener, _, recorded) = recorder.finish(now)?;
-        let lost = listener.lost();
-        Ok(Some(LogTotals { recorded, dropped_before: lost.kernel + lost.driver }))
-    }
-}
-
-impl CsiSource for DriverMessages {
-    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        match &mut self.0 {
-            Kind::None => Ok(Next::Pending),
-            Kind::Read(listener) => listener.receive(now),
-            Kind::Recorded(recorder) => recorder.receive(now),
-        }
-    }
-
-    fn next_at(&self) -> Option<Instant> {
-        match &self.0 {
-            Kind::None => None,
-            Kind::Read(listener) => listener.next_at(),
-            Kind::Recorded(recorder) => recorder.next_at(),
-        }
     }
 }
 
@@ -319,15 +260,7 @@ impl Setup {
         monitor::Options { mcs: phy.mcs, bandwidth: phy.bandwidth, ..options }
     }
 
-    /// Opens the interface and makes the machine; `settle` may change its configuration.
-    ///
-    /// # Errors
-    /// If the interface cannot be opened or has no MAC, or the plan does not fit.
-    pub fn open(&self, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
-        self.open_on(Monitor::open(&self.options())?, settle)
-    }
-
-    /// As [`Setup::open`], on an interface that is open.
+    /// Makes the machine on an interface that is open; `settle` may change its configuration.
     ///
     /// # Errors
     /// If it has no MAC, or the plan does not fit.
@@ -363,11 +296,6 @@ impl Setup {
 pub fn read_key(path: &Path) -> Result<Key, Error> {
     csi5300::source::read_key(path).map_err(|error| Error::Backend(Box::new(error)))
 }
-
-/// RATE_MCS_HT_MSK (`dvm/commands.h`): an HT rate, the only ones with CSI.
-const HT: u32 = 0x100;
-/// RATE_MCS_HT40_MSK: 40 MHz wide.
-const HT40: u32 = 0x800;
 
 /// Antennas of the card.
 const ANTENNAS: u32 = 3;
@@ -408,17 +336,13 @@ pub fn rate_n_flags(phy: Phy, antenna: Antenna) -> Option<u32> {
     if streams > ANTENNAS {
         return None;
     }
-    let first = match antenna {
-        Antenna::A => 0,
-        Antenna::B => 1,
-        Antenna::C => 2,
-    };
+    let first = antenna as u32;
     let antennas = (first..first + streams).fold(0, |bits, k| bits | ANTENNA_A << (k % ANTENNAS));
     let width = match phy.bandwidth {
         Bandwidth::Ht20 => 0,
-        Bandwidth::Ht40 => HT40,
+        Bandwidth::Ht40 => rate::HT40,
     };
-    Some(antennas | width | HT | u32::from(phy.mcs))
+    Some(antennas | u32::from(width | rate::HT) | u32::from(phy.mcs))
 }
 
 /// Sets the rate of a driver that ignores radiotap.
@@ -537,7 +461,7 @@ mod tests {
         let mut kept = Kept::default();
         let settings = Settings { fifo_priority: None, stop_at };
         let session = Session { clock: Monotonic::new(), stop: stop.as_fd(), settings };
-        let finished = session.run(opened, DriverMessages::none(), &mut kept).unwrap();
+        let finished = session.run(opened, None, &mut kept).unwrap();
         drop(end);
         (kept, finished)
     }

@@ -35,24 +35,13 @@ impl Default for Settings {
     }
 }
 
-/// Why something was not granted.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NotGranted {
-    /// It was not requested.
-    #[error("as asked for")]
-    NotAskedFor,
-    /// The system's error.
-    #[error("{0}")]
-    Refused(String),
-}
-
 /// What the system granted, or why not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Granted {
-    /// SCHED_FIFO.
-    pub fifo: Result<(), NotGranted>,
-    /// All memory of the start is locked.
-    pub locked: Result<(), NotGranted>,
+    /// SCHED_FIFO, or why not.
+    pub fifo: Result<(), String>,
+    /// All memory of the start is locked, or why not.
+    pub locked: Result<(), String>,
 }
 
 impl std::fmt::Display for Granted {
@@ -82,8 +71,8 @@ pub enum Order {
 pub struct Running {
     thread: JoinHandle<Ended>,
     stop: PipeWriter,
-    orders: Mailbox<Order>,
-    news: Mailbox<News>,
+    orders: Arc<Mailbox<Order>>,
+    news: Arc<Mailbox<News>>,
     heard: Mutex<PeerSessions>,
 }
 
@@ -103,7 +92,7 @@ impl Running {
         let io = |source| Error::Io { what: "cannot start the thread that sends".into(), source };
         let (stopped, stop) = std::io::pipe().map_err(io)?;
         let (orders, news) = (Mailbox::new(), Mailbox::new());
-        let (ordered, told) = (orders.clone(), Outbox::new(&news));
+        let (ordered, told) = (Arc::clone(&orders), Outbox::new(&news));
         let mut exchange = Exchange::new(tdma, monitor);
         exchange.stop_at = settings.stop_at;
         let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
@@ -111,7 +100,7 @@ impl Running {
         Ok(Self { thread, stop, orders, news, heard: Mutex::default() })
     }
 
-    /// The same for a [`Setup::open`](super::Setup::open), which saves its peers' sessions.
+    /// The same for a [`Setup::open_on`](super::Setup::open_on), which saves its peers' sessions.
     ///
     /// # Errors
     /// As [`Running::start`].
@@ -163,14 +152,13 @@ impl Running {
 
 /// Requests what makes the thread punctual.
 fn ask(settings: Settings) -> Granted {
-    let words = |error: std::io::Error| NotGranted::Refused(error.to_string());
     // Without SCHED_FIFO timers may be 50 us late to save power.
     let _ = set_timerslack(1);
     // Only current memory: with MCL_FUTURE a later bearing could hit the limit and abort.
-    let locked = mlockall(MlockAllFlags::MCL_CURRENT).map_err(|errno| words(errno.into()));
+    let locked = mlockall(MlockAllFlags::MCL_CURRENT).map_err(|errno| std::io::Error::from(errno).to_string());
     let fifo = match settings.fifo_priority {
-        Some(priority) => sys::schedule_fifo(priority).map_err(words),
-        None => Err(NotGranted::NotAskedFor),
+        Some(priority) => sys::schedule_fifo(priority).map_err(|error| error.to_string()),
+        None => Err("as asked for".into()),
     };
     Granted { fifo, locked }
 }
@@ -217,27 +205,19 @@ const CAPACITY: usize = 4_096;
 /// A thread under SCHED_FIFO must not wait or spin for a lock, because the thread that holds it may not run meanwhile. So
 /// it takes the lock only if it is free.
 #[derive(Debug)]
-struct Mailbox<T> {
-    queue: Arc<Mutex<VecDeque<T>>>,
-}
-
-impl<T> Clone for Mailbox<T> {
-    fn clone(&self) -> Self {
-        Self { queue: self.queue.clone() }
-    }
-}
+struct Mailbox<T>(Mutex<VecDeque<T>>);
 
 impl<T> Mailbox<T> {
-    fn new() -> Self {
-        Self { queue: Arc::new(Mutex::new(VecDeque::with_capacity(CAPACITY))) }
+    fn new() -> Arc<Self> {
+        Arc::new(Self(Mutex::new(VecDeque::with_capacity(CAPACITY))))
     }
 
     fn lock(&self) -> MutexGuard<'_, VecDeque<T>> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn lock_at_once(&self) -> Option<MutexGuard<'_, VecDeque<T>>> {
-        match self.queue.try_lock() {
+        match self.0.try_lock() {
             Ok(queue) => Some(queue),
             Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
             Err(TryLockError::WouldBlock) => None,
@@ -268,14 +248,14 @@ impl<T> Mailbox<T> {
 /// The sending thread's end of a [`Mailbox`]: keeps items that it cannot hand over at once.
 #[derive(Debug)]
 struct Outbox<T> {
-    mailbox: Mailbox<T>,
+    mailbox: Arc<Mailbox<T>>,
     held: VecDeque<T>,
     lost: u64,
 }
 
 impl<T> Outbox<T> {
-    fn new(mailbox: &Mailbox<T>) -> Self {
-        Self { mailbox: mailbox.clone(), held: VecDeque::with_capacity(CAPACITY), lost: 0 }
+    fn new(mailbox: &Arc<Mailbox<T>>) -> Self {
+        Self { mailbox: Arc::clone(mailbox), held: VecDeque::with_capacity(CAPACITY), lost: 0 }
     }
 
     /// Keeps one for the next [`Outbox::flush`]; without room it is lost and counted.

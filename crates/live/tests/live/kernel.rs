@@ -48,7 +48,7 @@ fn heard(log: &str, sender: Mac, role: Option<Role>) -> Vec<(u32, u32, u8)> {
             && record.code == code::MPDU
         {
             let frame = Frame::new_checked(&record.body[..record.body.len() - FCS_LEN]).unwrap();
-            other = native::Repr::parse(&frame).is_ok_and(|frame| role.is_some_and(|role| frame.role != role));
+            other = native::Repr::parse(&frame).is_some_and(|frame| role.is_some_and(|role| frame.role != role));
         }
         if matches!(next, Next::End(_)) {
             break;

@@ -214,7 +214,7 @@ fn latency() {
 #[test]
 fn latency_of_the_program() {
     let Some(count) = step("CSI5300_STOCK_LATENCY") else { return };
-    let records = driver_iface::stock::Options::default().with_layout(driver_iface::bfee::Layout::Stock);
+    let records = driver_iface::stock::Options { layout: driver_iface::bfee::Layout::Stock, ..Default::default() };
     let options = csi5300_live::stock::Options { records, ..Default::default() };
     let mut stock = csi5300_live::stock::Stock::open(&options).unwrap();
     let clock = Monotonic::new();

@@ -16,7 +16,7 @@ mod ros1;
 mod ros2;
 mod status;
 #[cfg(feature = "zenoh")]
-mod zenoh;
+pub(crate) mod zenoh;
 
 use crate::config::{Config, Odometry};
 use crate::health::Health;
@@ -82,8 +82,6 @@ pub struct Start<'a> {
     pub config: &'a Config,
     /// This robot's name.
     pub name: &'a str,
-    /// Reads the host's wall clock, microseconds since the Unix epoch.
-    pub wall_us: fn() -> Option<i64>,
     /// Notified when there is input for the machine.
     pub wake: Arc<Notify>,
     /// Ranges of another sensor go here.
@@ -117,32 +115,19 @@ pub struct Said<'a> {
 }
 
 type Made = Result<Option<Box<dyn Adapter>>, Error>;
+type Make = fn(&Start<'_>) -> Made;
 
-/// A kind of adapter.
-struct Kind {
-    name: &'static str,
-    /// Makes one, if the configuration requests it.
-    make: fn(&Start<'_>) -> Made,
-    /// Why it cannot be made, as far as that shows without making it.
-    refusal: fn(&Config) -> Option<String>,
-}
-
-impl Kind {
-    const fn new(name: &'static str, make: fn(&Start<'_>) -> Made) -> Self {
-        Self { name, make, refusal: |_| None }
-    }
-}
-
-/// The adapters of this program. `zenoh` carries the topics of `ros2`, which is before it.
-const BUILT: &[Kind] = &[
-    Kind::new("ros2", ros2::make),
-    Kind::new("ros1", ros1::make),
+/// The adapters of this program: their names, and how each is made if the configuration requests it. `zenoh` carries the topics of
+/// `ros2`, which is before it.
+const BUILT: &[(&str, Make)] = &[
+    ("ros2", ros2::make),
+    ("ros1", ros1::make),
     #[cfg(feature = "zenoh")]
-    Kind { name: "zenoh", make: zenoh::make, refusal: zenoh::refusal },
+    ("zenoh", zenoh::make),
     #[cfg(feature = "foxglove")]
-    Kind::new("foxglove", foxglove::make),
-    Kind::new("json", json::make),
-    Kind::new("status", status::make),
+    ("foxglove", foxglove::make),
+    ("json", json::make),
+    ("status", status::make),
 ];
 
 /// Makes all adapters that the configuration requests.
@@ -150,18 +135,13 @@ const BUILT: &[Kind] = &[
 /// # Errors
 /// Those of each.
 pub fn make(start: &Start<'_>) -> Result<Vec<Box<dyn Adapter>>, Error> {
-    BUILT.iter().filter_map(|kind| (kind.make)(start).transpose()).collect()
+    BUILT.iter().filter_map(|(_, make)| make(start).transpose()).collect()
 }
 
 /// The feature that the adapter `name` needs, if this program lacks it.
 pub(crate) fn missing(name: &str) -> Option<String> {
-    let is_here = BUILT.iter().any(|kind| kind.name == name);
+    let is_here = BUILT.iter().any(|(built, _)| *built == name);
     (!is_here).then(|| format!("needs a program built with `--features {name}`"))
-}
-
-/// Why a requested adapter cannot be made, by its own check.
-pub(crate) fn refusal(config: &Config) -> Option<String> {
-    BUILT.iter().find_map(|kind| (kind.refusal)(config))
 }
 
 /// What is wrong where this robot's poses are in another frame than the one that a table of ROS names.

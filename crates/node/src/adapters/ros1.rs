@@ -11,10 +11,11 @@ use crate::machine::{Machine, Tap};
 use crate::sources::Poses;
 use csi5300::motion::odometry::ros::{Inbox, Kind, Message, Stamp, Wanted};
 use csi5300::source::survey::Survey;
-use csi5300::source::{Error, Next, Stamps};
+use csi5300::source::{Error, Next};
+use csi5300::time::Instant;
 use csi5300_bag::messages::{Csi, Header, SelfTestResponse, Time};
+use csi5300_live::wait::wall_us;
 use csi5300_ros2::said;
-use driver_iface::record::Record;
 use serde_json::{Value, json};
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
@@ -72,7 +73,6 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         diagnostics: 0,
         peers: Vec::new(),
         commands: PYTHONS.map(|python| [python, "-c", BRIDGE].map(str::to_owned).to_vec()).to_vec(),
-        wall_us: start.wall_us,
         bridge: None,
     })))
 }
@@ -96,7 +96,6 @@ struct Ros1 {
     peers: Vec<(String, String)>,
     /// Bridges that are tried, one after the other.
     commands: Vec<Vec<String>>,
-    wall_us: fn() -> Option<i64>,
     bridge: Option<Bridge>,
 }
 
@@ -158,7 +157,7 @@ impl Adapter for Ros1 {
         let claims = self.claims.clone();
         let answer: Option<Answer> = claims.map(|claims| Box::new(move || claims.answer()) as Answer);
         let settings = self.settings_line();
-        let bridge = Bridge::start(self.commands.clone(), settings, inboxes, self.writes.len(), answer, self.wall_us);
+        let bridge = Bridge::start(self.commands.clone(), settings, inboxes, self.writes.len(), answer, wall_us);
         let io = |source| Error::Io { what: "cannot start the threads of ROS 1".into(), source };
         self.bridge = Some(bridge.map_err(io)?);
         Ok(())
@@ -204,7 +203,7 @@ impl Adapter for Ros1 {
 
     fn tell(&mut self, health: &Health, _: &Machine) {
         let (Some(bridge), Some(claims)) = (&self.bridge, &self.claims) else { return };
-        let header = Header { stamp: Time::from_us((self.wall_us)().unwrap_or(0)), frame_id: String::new() };
+        let header = Header { stamp: Time::from_us(wall_us().unwrap_or(0)), frame_id: String::new() };
         bridge.outbox.put(self.diagnostics, &claims.diagnostics(header, health));
     }
 }
@@ -217,9 +216,8 @@ struct Card {
 }
 
 impl Tap for Card {
-    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        let next = Next::Record(Stamps { host_us, ..Stamps::default() }, record);
-        let Some((bfee, identity)) = self.survey.note(&next) else { return };
+    fn own(&mut self, _: Instant, next: &Next<'_>) {
+        let Some((bfee, identity)) = self.survey.note(next) else { return };
         self.outbox.put(self.topic, &Csi::of(Time::from_us(identity.host_us.unwrap_or(0)), &bfee, identity));
     }
 }
@@ -465,7 +463,6 @@ impl Told {
 mod tests {
     use super::*;
     use csi5300::motion::odometry::{NextPose, OdometrySource};
-    use csi5300::time::Instant;
     use csi5300_bag::messages::PoseStamped;
 
     /// A bridge that is this shell script, with one topic that is read, one that is written, and the service.

@@ -10,15 +10,16 @@ use crate::sources::Poses;
 use crate::team::{Member, Ranged, Ranges, TeamState};
 use csi5300::motion::odometry::ros::Stamp;
 use csi5300::pipeline::live::PeerReport;
-use csi5300::source::Error;
+use csi5300::source::{Error, Next};
+use csi5300::time::Instant;
 use csi5300_bag::messages::{
     Covariance, DiagnosticArray, Header, Marker, MarkerArray, ParameterValue, Pose, PoseWithCovariance,
     PoseWithCovarianceStamped, Quaternion, SelfTestRequest, Text, TfMessage, Transform, TransformStamped, Vector3,
 };
+use csi5300_live::wait::wall_us;
 use csi5300_ros2::link::{Publisher, usual};
 use csi5300_ros2::said::Pen;
 use csi5300_ros2::{Node, Qos, Records, colour};
-use driver_iface::record::Record;
 use std::f64::consts::PI;
 
 /// Least deviation of a range, metres, whatever its variance says.
@@ -36,7 +37,6 @@ const OWN: [f32; 3] = [0.5, 0.5, 0.5];
 
 struct Ros2 {
     node: Node,
-    wall_us: fn() -> Option<i64>,
     publishes_diagnostics: bool,
     diagnostics: Option<Publisher<DiagnosticArray>>,
     /// What the claims are made of.
@@ -54,11 +54,10 @@ pub(super) fn make(start: &Start<'_>) -> Made {
     if !config.uses_ros2() {
         return Ok(None);
     }
-    let node = Node::start(&config.ros2.clone().unwrap_or_default(), &config.robot(), start.wall_us)?;
+    let node = Node::start(&config.ros2.clone().unwrap_or_default(), &config.robot(), wall_us)?;
     let _ = start.topics.set(node.link().relay());
     Ok(Some(Box::new(Ros2 {
         node,
-        wall_us: start.wall_us,
         publishes_diagnostics: config.ros2.as_ref().is_some_and(|ros| ros.publish_diagnostics),
         diagnostics: None,
         config: config.clone(),
@@ -127,10 +126,10 @@ impl Adapter for Ros2 {
 
     fn tell(&mut self, health: &Health, _: &Machine) {
         if let (Some(topics), Some(team)) = (&mut self.team, &health.team) {
-            topics.tell(&self.node, team, (self.wall_us)().unwrap_or(0));
+            topics.tell(&self.node, team, wall_us().unwrap_or(0));
         }
         if let (Some(publisher), Some(claims)) = (&self.diagnostics, &self.claims) {
-            let header = self.node.header((self.wall_us)().unwrap_or(0), String::new());
+            let header = self.node.header(wall_us().unwrap_or(0), String::new());
             publisher.put(&claims.diagnostics(header, health));
         }
     }
@@ -152,8 +151,8 @@ impl Ros2 {
 }
 
 impl Tap for Records {
-    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        self.put(host_us, record);
+    fn own(&mut self, _: Instant, next: &Next<'_>) {
+        self.put(next);
     }
 }
 

@@ -1,7 +1,6 @@
 //! The state: on a Unix socket as lines of JSON, for `csi5300 watch`, and as one line on a terminal.
 
 use super::{Adapter, Made, Start, are_descriptors_to_spare};
-use crate::config::Output;
 use crate::health::Health;
 use crate::machine::Machine;
 use crate::refused;
@@ -24,14 +23,20 @@ const STUCK: Duration = Duration::from_secs(10);
 /// Pause when no more connections can be accepted.
 const NO_DESCRIPTORS: Duration = Duration::from_millis(500);
 
+/// Clears the line of state.
+const CLEAR: &str = "\r\x1b[K";
+
 pub(super) fn make(start: &Start<'_>) -> Made {
     let socket = start.config.output.status_socket.as_deref().map(StatusSocket::open).transpose()?;
-    Ok(Some(Box::new(Status { socket, text: StatusText::new(&start.config.output) })))
+    let (shown, terminal) = (start.config.output.shows_line(), std::io::stderr().is_terminal());
+    Ok(Some(Box::new(Status { socket, shown, terminal })))
 }
 
 struct Status {
     socket: Option<StatusSocket>,
-    text: StatusText,
+    /// The line of state is shown on standard error, and that is a terminal.
+    shown: bool,
+    terminal: bool,
 }
 
 impl Adapter for Status {
@@ -43,11 +48,18 @@ impl Adapter for Status {
         if let Some(socket) = &self.socket {
             socket.tell(health);
         }
-        self.text.show(&health.line());
+        if self.shown {
+            let line = health.line();
+            let text = if self.terminal { format!("{CLEAR}{line}") } else { format!("{line}\n") };
+            let _ = std::io::stderr().write_all(text.as_bytes());
+        }
     }
 
     fn finish(&mut self, _: &[PeerReport], _: &mut Health) {
-        self.text.clear();
+        // Other output follows.
+        if self.shown && self.terminal {
+            let _ = std::io::stderr().write_all(CLEAR.as_bytes());
+        }
     }
 }
 
@@ -135,32 +147,6 @@ async fn serve(mut stream: UnixStream, mut states: watch::Receiver<Arc<str>>, _p
         let written = tokio::time::timeout(STUCK, stream.write_all(text.as_bytes())).await;
         if !matches!(written, Ok(Ok(()))) || states.changed().await.is_err() {
             return;
-        }
-    }
-}
-
-/// One line of state on standard error.
-struct StatusText {
-    shown: bool,
-    terminal: bool,
-}
-
-impl StatusText {
-    pub fn new(output: &Output) -> Self {
-        Self { shown: output.shows_line(), terminal: std::io::stderr().is_terminal() }
-    }
-
-    pub fn show(&self, line: &str) {
-        if self.shown {
-            let text = if self.terminal { format!("\r\x1b[K{line}") } else { format!("{line}\n") };
-            let _ = std::io::stderr().write_all(text.as_bytes());
-        }
-    }
-
-    /// Clears the line before other output.
-    pub fn clear(&self) {
-        if self.shown && self.terminal {
-            let _ = std::io::stderr().write_all(b"\r\x1b[K");
         }
     }
 }

@@ -580,8 +580,10 @@ impl Check<'_> {
     /// The network of the robots.
     fn network(&mut self) {
         let Some(network) = &self.config.network else { return };
-        let missing = adapters::missing("zenoh").map(|why| format!("[network] {why}"));
-        if let Some(why) = missing.or_else(|| adapters::refusal(self.config)) {
+        let wrong = adapters::missing("zenoh").map(|why| format!("[network] {why}"));
+        #[cfg(feature = "zenoh")]
+        let wrong = wrong.or_else(|| adapters::zenoh::refusal(self.config));
+        if let Some(why) = wrong {
             self.refuse("network", why);
         }
         if network.publish_poses && matches!(self.config.odometry, Odometry::Static(_)) && self.knows(&["odometry"]) {

@@ -3,8 +3,7 @@
 use csi5300::time::Instant;
 use csi5300_live::wait::{Monotonic, Signals};
 use csi5300_say::{Outcome, Result, fixed, print};
-use nix::sys::signal::{SigSet, Signal};
-use nix::sys::signalfd::{SfdFlags, SignalFd};
+use nix::sys::signal::Signal;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
@@ -47,35 +46,23 @@ const HANGS: Duration = Duration::from_secs(10);
 const COLOURS: [Color; 6] =
     [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
 
-/// The signals that end the program, after the terminal is restored.
+/// The signals that end the program, after the terminal is restored. SIGQUIT is one, which would dump core.
 struct Ends {
     signals: Signals,
-    /// SIGQUIT, which would dump core.
-    quit: SignalFd,
     clock: Monotonic,
 }
 
 impl Ends {
-    /// Blocks the signals, also for later threads.
-    fn catch() -> std::result::Result<Self, String> {
-        let set = SigSet::from_iter([Signal::SIGQUIT]);
-        let quit = set
-            .thread_block()
-            .and_then(|()| SignalFd::with_flags(&set, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC));
-        let quit = quit.map_err(|errno| format!("cannot catch signals: {errno}"))?;
-        Ok(Self { signals: Signals::catch().map_err(|error| error.to_string())?, quit, clock: Monotonic::new() })
-    }
-
     /// True once one arrived.
     fn is_one_here(&self) -> bool {
-        let come = self.clock.wait([self.signals.as_fd(), self.quit.as_fd()], Some(self.clock.now()));
-        come.is_ok_and(|come| come.contains(&true))
+        let come = self.clock.wait([self.signals.as_fd()], Some(self.clock.now()));
+        come.is_ok_and(|[come]| come)
     }
 
     /// Waits for a key, a signal or `until`; true for a key that ends the program, and if the terminal closed.
     fn wait(&self, keys: &mut Keys, until: Instant) -> bool {
-        let fds = [keys.terminal.as_fd(), self.signals.as_fd(), self.quit.as_fd()];
-        self.clock.wait(fds, Some(until)).is_ok_and(|[key, ..]| key) && keys.end()
+        let fds = [keys.terminal.as_fd(), self.signals.as_fd()];
+        self.clock.wait(fds, Some(until)).is_ok_and(|[key, _]| key) && keys.end()
     }
 }
 
@@ -134,7 +121,8 @@ pub fn run(args: &Args) -> Result {
         };
     }
     // Before the thread starts, and before there is anything to restore.
-    let ends = Ends::catch()?;
+    let signals = Signals::catch_with(&[Signal::SIGQUIT]).map_err(|error| error.to_string())?;
+    let ends = Ends { signals, clock: Monotonic::new() };
     let (told, from_node) = channel();
     std::thread::spawn(move || {
         for line in states {

@@ -9,7 +9,7 @@ use csi5300::time::{Instant, Span};
 use csi5300_accept::Verdict;
 use csi5300_node::config::{CameraMount, Config};
 use csi5300_node::diagnostics::{Found, SelfTest};
-use csi5300_node::machine::{Capture, Machine};
+use csi5300_node::machine::Machine;
 use csi5300_node::sources::{Card, Sources};
 use csi5300_sim::{Room, Scene};
 use driver_iface::bfee::Antenna;
@@ -19,13 +19,13 @@ use std::path::{Path, PathBuf};
 
 /// What a configuration names, opened.
 fn sources(config: &Config) -> Sources {
-    Sources::open(config, Instant::ZERO, || None, &mut []).unwrap()
+    Sources::open(config, &mut []).unwrap()
 }
 
 /// A robot of these sources, whose own card is changed by `card`, ready to run in virtual time.
-fn machine_of(config: &Config, sources: Sources, card: impl FnOnce(Card) -> Card) -> Machine {
-    let plain = |own| Ok(Capture::Plain(card(own)));
-    Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
+fn machine_of(config: &Config, mut sources: Sources, card: impl FnOnce(Card) -> Card) -> Machine {
+    sources.capture = card(sources.capture);
+    Machine::new(sources, None, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
 }
 
 /// A robot that was configured, ready to run in virtual time.
@@ -371,7 +371,7 @@ fn the_claims_of_a_running_robot_name_the_peer_whose_card_is_broken() {
         let mut machine = machine(&config(&folder, &text, 3, false));
         let peers: Vec<_> = (1..3).map(|k| (format!("r{k}"), room.mac(k).unwrap())).collect();
         let test = SelfTest::new("108".parse().unwrap(), room.mac(0).unwrap(), &peers);
-        machine.add_tap(test.tap());
+        machine.add_tap(Box::new(test.clone()));
         let with = |found: &[Found], verdict| {
             let found = found.iter().filter(|(_, finding)| finding.verdict == verdict);
             found.map(|(peer, finding)| (finding.id, peer.clone().unwrap_or_default())).collect::<Vec<_>>()

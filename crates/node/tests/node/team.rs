@@ -7,7 +7,6 @@ use csi5300::time::{Instant, Span};
 use csi5300_node::config::Config;
 use csi5300_node::machine::Tap;
 use csi5300_node::team::{Graph, Member, Ranged, Ranges, Solver, TeamState};
-use driver_iface::record::Record;
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -36,8 +35,6 @@ fn scene(walker: usize) -> String {
 struct Uwb(Ranges, usize);
 
 impl Tap for Uwb {
-    fn record(&mut self, _: Option<i64>, _: Record<'_>) {}
-
     fn pose(&mut self, pose: Option<Pose>) {
         let Some(pose) = pose else { return };
         self.1 += 1;

@@ -25,12 +25,11 @@ use csi5300::pipeline::Bearing;
 use csi5300::pipeline::live::PeerState;
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::source::survey::Survey;
-use csi5300::source::{Error, Next, Stamps};
+use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use door::{Door, Rules};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
-use driver_iface::record::Record;
 use foxglove::{Channel, Context, Encode, WebSocketServer, WebSocketServerHandle, messages as fox};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -93,9 +92,8 @@ struct Told {
 }
 
 impl Tap for Told {
-    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        let stamps = Stamps { at: Instant::ZERO, host_us, ..Stamps::default() };
-        let Some((sender, heard)) = self.front.note(&Next::Record(stamps, record)) else { return };
+    fn own(&mut self, _: Instant, next: &Next<'_>) {
+        let Some((sender, heard)) = self.front.note(next) else { return };
         let t_s = heard.host_us.map_or(0.0, |us| us as f64 * 1e-6);
         lock(&self.live).record(t_s, sender, &heard);
     }

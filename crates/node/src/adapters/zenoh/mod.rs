@@ -14,8 +14,8 @@ use crate::refused;
 use crate::threads::spawn;
 use access::{Doors, LOCAL, Owner, Verdict, access_control, key_of};
 use csi5300::motion::pose::Pose;
-use csi5300::source::Error;
 use csi5300::source::remote::{Batch, Mailbox};
+use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_ros2::rmw_zenoh::{Graph, Relay};
 use driver_iface::Mac;
@@ -73,7 +73,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
 }
 
 /// Why the network cannot be joined.
-pub(super) fn refusal(config: &Config) -> Option<String> {
+pub(crate) fn refusal(config: &Config) -> Option<String> {
     let network = config.network.as_ref().filter(|network| network.zenoh.as_ref().is_none_or(|file| file.is_file()))?;
     let peers = config.peer.iter().map(|peer| peer.get_ref());
     let owners: Vec<Owner> = peers.filter_map(|peer| Some(owner(peer, peer.mac?))).collect();
@@ -470,9 +470,11 @@ impl Published {
 }
 
 impl Tap for Published {
-    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        if self.records {
-            self.send(Item::Record(self.next.0, host_us, record.code, record.body.to_vec()));
+    fn own(&mut self, _: Instant, next: &Next<'_>) {
+        if self.records
+            && let Next::Record(stamps, record) = next
+        {
+            self.send(Item::Record(self.next.0, stamps.host_us, record.code, record.body.to_vec()));
             self.next.0 += 1;
         }
     }
@@ -492,6 +494,7 @@ impl Tap for Published {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use csi5300::source::Stamps;
     use std::cell::{Cell, RefCell};
 
     #[test]
@@ -546,7 +549,8 @@ mod tests {
         let (items, waiting) = sync_channel(2);
         let unsent = Arc::new(AtomicU64::new(0));
         let tap = RefCell::new(Published::new(items, Arc::clone(&unsent), (true, false)));
-        let offer = || tap.borrow_mut().record(None, Record { code: 0xBB, body: &[1] });
+        let offer =
+            || tap.borrow_mut().own(Instant::ZERO, &Next::Record(Stamps::default(), Record { code: 0xBB, body: &[1] }));
         (0..5).for_each(|_| offer());
         let (mailbox, first) = (Mailbox::new(100), Cell::new(true));
         let send = |message: Vec<u8>| {

@@ -125,9 +125,15 @@ struct Own<T> {
 const NO_PLACE: &str = "there are too many of this topic";
 
 impl<T> Own<T> {
-    /// Notes an endpoint without a place; true if that is new.
-    fn has_no_place_for(&mut self, guid: Guid) -> bool {
-        self.wrong.insert(guid, NO_PLACE) != Some(NO_PLACE)
+    /// Matches a compatible endpoint by `add`, which is false if there are too many, and notes why there is no match. True if a
+    /// compatible one has no place now.
+    fn meet(&mut self, guid: Guid, wrong: Option<&'static str>, add: impl FnOnce(&mut T) -> bool) -> bool {
+        let why = wrong.or_else(|| (!add(&mut self.end)).then_some(NO_PLACE));
+        let before = match why {
+            Some(why) => self.wrong.insert(guid, why),
+            None => self.wrong.remove(&guid),
+        };
+        why == Some(NO_PLACE) && before != why
     }
 
     fn left_somebody_out(&self) -> bool {
@@ -288,9 +294,7 @@ impl Participant {
         if now >= self.beat_at {
             let built_in = [&mut self.publications.0, &mut self.subscriptions.0];
             let all = built_in.into_iter().chain(self.writers.iter_mut().map(|own| &mut own.end));
-            let mut out = Vec::new();
-            all.for_each(|writer| writer.beat(&mut out));
-            self.out.append(&mut out);
+            all.for_each(|writer| writer.beat(&mut self.out));
             self.beat_at = now + BEAT;
         }
         if now >= self.look_at {
@@ -551,15 +555,11 @@ impl Participant {
 
     /// Matches again the endpoints that had no place: somebody may have left.
     fn meet_left_out(&mut self) {
-        for writers in [true, false] {
-            let waits = if writers {
-                self.readers.iter().any(|own| own.left_somebody_out())
-            } else {
-                self.writers.iter().any(|own| own.left_somebody_out())
-            };
-            if waits {
-                self.meet_all(writers);
-            }
+        if self.readers.iter().any(Own::left_somebody_out) {
+            self.meet_all(true);
+        }
+        if self.writers.iter().any(Own::left_somebody_out) {
+            self.meet_all(false);
         }
     }
 
@@ -578,22 +578,17 @@ impl Participant {
         let guid = data.guid;
         if is_writer {
             for own in self.readers.iter_mut().filter(|own| own.data.topic == data.topic) {
-                match wrong(&own.data.kind, &data.kind).or_else(|| data.qos.mismatch(&own.data.qos)) {
-                    None if own.end.add(guid, to, data.qos.reliable, &mut self.out) => drop(own.wrong.remove(&guid)),
-                    None => self.counts.refused += u64::from(own.has_no_place_for(guid)),
-                    Some(why) => drop(own.wrong.insert(guid, why)),
-                }
+                let why = wrong(&own.data.kind, &data.kind).or_else(|| data.qos.mismatch(&own.data.qos));
+                let is_refused = own.meet(guid, why, |end| end.add(guid, to, data.qos.reliable, &mut self.out));
+                self.counts.refused += u64::from(is_refused);
             }
         } else {
             let from_now = data.qos.durability == 0;
             for own in self.writers.iter_mut().filter(|own| own.data.topic == data.topic) {
-                match wrong(&own.data.kind, &data.kind).or_else(|| own.data.qos.mismatch(&data.qos)) {
-                    None if own.end.add(guid, to, data.qos.reliable, from_now, &mut self.out) => {
-                        own.wrong.remove(&guid);
-                    }
-                    None => self.counts.refused += u64::from(own.has_no_place_for(guid)),
-                    Some(why) => drop(own.wrong.insert(guid, why)),
-                }
+                let why = wrong(&own.data.kind, &data.kind).or_else(|| own.data.qos.mismatch(&data.qos));
+                let is_refused =
+                    own.meet(guid, why, |end| end.add(guid, to, data.qos.reliable, from_now, &mut self.out));
+                self.counts.refused += u64::from(is_refused);
             }
         }
     }
