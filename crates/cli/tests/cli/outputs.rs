@@ -148,7 +148,7 @@ fn a_picture_that_leads_to_the_log_is_refused(folder: &Folder) {
     std::os::unix::fs::symlink("../rx.dat", folder.0.join("pictures/rx-csi.png")).unwrap();
     let log = std::fs::read(folder.0.join("rx.dat")).unwrap();
     let (status, _, err) = folder.run(&["info", "rx.dat", "--plot", "pictures"]);
-    assert!(status != 0 && err.contains("leads to an input file"), "{status}: {err}");
+    assert!(status != 0 && err.contains("by another name: name another output"), "{status}: {err}");
     assert_eq!(std::fs::read(folder.0.join("rx.dat")).unwrap(), log);
 }
 
