@@ -1,8 +1,8 @@
 //! Locates transmitters, each from all receiver motions in one common frame.
 
 use super::captures::{Capture, TrajectorySource};
-use super::judge::{Judged, Part};
-use csi5300::internal::track::{Evidence, PeerPlace, places};
+use super::judge::Evaluated;
+use csi5300::internal::track::{Evidence, places};
 use csi5300::pipeline::{Bearing, Options};
 use csi5300::signal::channel::Channel;
 use nalgebra::{Matrix2, Rotation2, Vector2};
@@ -37,13 +37,13 @@ pub struct Motion {
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct Motions {
-    /// One for each transmitter and stretch that has a bearing.
+    /// One for each transmitter that has a bearing.
     pub motions: Vec<Motion>,
     /// Links without a bearing, and why.
     pub failed: Vec<(String, String)>,
     /// Losses, one line each.
     pub notes: Vec<String>,
-    /// True if records were lost, or a link failed over a whole motion.
+    /// True if records were lost, or a link failed.
     pub lost: bool,
 }
 
@@ -90,48 +90,38 @@ pub struct LocatedTransmitter {
 }
 
 impl Capture {
-    /// This capture's evidence about each of its transmitters over `stretches` equally long stretches of its motion, in the common
-    /// frame, where its trajectory's frame lies at `frame`. Truths are in motion capture's frame only.
+    /// This capture's evidence about each of its transmitters in the common frame, where its trajectory's frame lies at `frame`.
+    /// Truths are in motion capture's frame only.
     #[must_use]
     pub fn motions(
         &self,
         source: TrajectorySource,
         channel: Option<Channel>,
         options: &Options,
-        stretches: u32,
         frame: Frame,
     ) -> Motions {
         let heading_sd_rad = options.heading_sd_rad.unwrap_or(self.heading_sd_rad(source));
-        let mut found = Motions::default();
-        for part in Part::each(stretches.max(1)) {
-            let mut seen: BTreeMap<String, Evidence> = BTreeMap::new();
-            let mut look = |name: &str, bearing: &Bearing, _: &Options| {
-                let evidence = bearing.evidence().with_heading_sd_rad(heading_sd_rad);
-                seen.insert(name.to_owned(), evidence.in_frame(frame.origin_m.into(), frame.yaw_rad));
+        let common = |place_m: [f64; 2]| {
+            let place_m = Vector2::from(frame.origin_m) + Rotation2::new(frame.yaw_rad) * Vector2::from(place_m);
+            place_m.into()
+        };
+        let mut seen: BTreeMap<String, Evidence> = BTreeMap::new();
+        let mut look = |name: &str, bearing: &Bearing, _: &Options| {
+            let evidence = bearing.evidence().with_heading_sd_rad(heading_sd_rad);
+            seen.insert(name.to_owned(), evidence.in_frame(frame.origin_m.into(), frame.yaw_rad));
+        };
+        let Evaluated { rows, lost, notes } = self.evaluate_and(source, channel, options, &mut look);
+        let mut found = Motions { notes, lost, ..Motions::default() };
+        for row in rows {
+            let Some(evidence) = seen.remove(&row.answer.link) else {
+                found.failed.push((row.answer.link, row.answer.error.unwrap_or_default()));
+                continue;
             };
-            let evaluated = self.evaluate_part(source, channel, options, part, &mut look);
-            if part.index == 0 {
-                found.notes = evaluated.notes;
-            }
-            found.lost |= evaluated.lost && stretches <= 1;
-            for row in evaluated.rows {
-                match seen.remove(&row.answer.link) {
-                    Some(evidence) => found.motions.push(motion(&row, evidence, source, frame)),
-                    None => found.failed.push((row.answer.link, row.answer.error.unwrap_or_default())),
-                }
-            }
+            let true_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth).map(common);
+            found.motions.push(Motion { transmitter: row.transmitter().to_owned(), evidence, true_m });
         }
         found
     }
-}
-
-fn motion(row: &Judged, evidence: Evidence, source: TrajectorySource, frame: Frame) -> Motion {
-    let common = |place_m: [f64; 2]| {
-        let place_m = Vector2::from(frame.origin_m) + Rotation2::new(frame.yaw_rad) * Vector2::from(place_m);
-        place_m.into()
-    };
-    let true_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth).map(common);
-    Motion { transmitter: row.transmitter().to_owned(), evidence, true_m }
 }
 
 /// Locates every transmitter from all motions that heard it; `told` has the places that the caller knows, by name.
@@ -166,7 +156,11 @@ fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) ->
         ellipse_m: axes.map(|(half_m, _)| half_m),
         ellipse_deg: axes.map(|(_, deg)| deg),
         share: best.map(|place| place.share),
-        others: found.iter().skip(1).map(other).collect(),
+        others: found
+            .iter()
+            .skip(1)
+            .map(|own| OtherPlace { position_m: own.position_m.into(), share: own.share })
+            .collect(),
         error,
         true_position_m,
         off_m: off_m.map(|off_m| off_m.norm()),
@@ -175,10 +169,6 @@ fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) ->
             Some(off_m.dot(&(inverse * off_m)) <= ELLIPSE)
         }),
     }
-}
-
-fn other(place: &PeerPlace) -> OtherPlace {
-    OtherPlace { position_m: place.position_m.into(), share: place.share }
 }
 
 /// Half axes of the ellipse, metres, and the direction of the longer one, degrees.
