@@ -70,9 +70,11 @@ pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     })
 }
 
-/// Options with a value whose names or forms were others: the command, the old name, and what stands for it and its value now. The
-/// records of `--stock` stand behind an equals sign, as they may be left out.
-const OPTIONS: [(&str, &str, fn(&str) -> Option<String>); 3] = [
+/// An option with a value whose name or form was another: the command, the old name, and what stands for it and its value now.
+type Renamed = (&'static str, &'static str, fn(&str) -> Option<String>);
+
+/// The records of `--stock` stand behind an equals sign, as they may be left out.
+const OPTIONS: [Renamed; 3] = [
     ("doctor", "--root", |folder| Some(folder.to_owned())),
     ("record", "--records", |count| Some(format!("--stop-after={count}records"))),
     ("record", "--stock", |records| {
@@ -83,7 +85,7 @@ const OPTIONS: [(&str, &str, fn(&str) -> Option<String>); 3] = [
 
 fn rename_option(args: &mut Vec<OsString>, place: usize) -> Option<String> {
     let own = OPTIONS.iter().filter(|(command, ..)| args.get(place).is_some_and(|name| name == command));
-    let renamed = |(_, old, new): &(&str, &str, fn(&str) -> Option<String>)| {
+    let renamed = |(_, old, new): &Renamed| {
         let at = args.iter().position(|arg| arg.to_str().is_some_and(|arg| arg.split('=').next() == Some(*old)))?;
         let text = args.get(at)?.to_str()?;
         let (last, value) = match text.split_once('=') {
