@@ -28,10 +28,9 @@ fn phases(out: &Path) -> Result<(), Error> {
     let (recorded, simulated) = (track("recorded", 3000, 0.4), track("simulated", 3000, 0.2));
     let start = std::time::Instant::now();
     let phase = PhasePlot { title: "Phase of one link".into(), capture: recorded, ..PhasePlot::default() };
-    phase.write(&out.join("phase"), &[])?;
+    phase.write(&out.join("phase"))?;
     println!("phase plot of 3000 points: {:.2} s", start.elapsed().as_secs_f64());
-    PhasePlot { title: "Recorded and simulated".into(), other: Some(simulated), ..phase }
-        .write(&out.join("phases"), &[])?;
+    PhasePlot { title: "Recorded and simulated".into(), other: Some(simulated), ..phase }.write(&out.join("phases"))?;
     Ok(())
 }
 
@@ -53,7 +52,7 @@ fn bearings(out: &Path) -> Result<(), Error> {
         truth_rad: Some(0.58),
         transmitter_m: Some([1.6, 1.05]),
     };
-    trajectory.write(&out.join("trajectory"), &[])?;
+    trajectory.write(&out.join("trajectory"))?;
 
     let series = |name: &str, k: f64| {
         let value = |a: f64| 0.95 * lobe(a, 35.0 + k, 9.0) + 0.4 * lobe(a, 140.0, 14.0) + 0.05;
@@ -69,7 +68,7 @@ fn bearings(out: &Path) -> Result<(), Error> {
         truth_deg: Some(33.0),
         mirror_deg: Some(-35.0),
     };
-    profile.write(&out.join("profile"), &[])?;
+    profile.write(&out.join("profile"))?;
     Ok(())
 }
 
@@ -78,12 +77,12 @@ fn curves(out: &Path) -> Result<(), Error> {
     let errors = |scale: f64| (0..300).map(|i| scale * noise(i) * noise(i + 500)).collect::<Vec<f64>>();
     let series = vec![("one antenna".into(), errors(12.0)), ("three antennas".into(), errors(5.0))];
     CdfPlot { title: "Bearing error".into(), x_label: "error (degrees)".into(), series, ..CdfPlot::default() }
-        .write(&out.join("cdf"), &[])?;
+        .write(&out.join("cdf"))?;
     let falling = |a: f64| (0..6).map(|k| (100.0 - 10.0 * f64::from(k), a / (1.0 + f64::from(k)))).collect();
     let series = vec![("mean".into(), falling(8.0)), ("median".into(), falling(3.0))];
     let (x_label, y_label) = ("links kept (%)".into(), "error (degrees)".into());
     let title = "Error of the links that are kept".into();
-    ScatterLines { title, x_label, y_label, series }.write(&out.join("refusals"), &[])?;
+    ScatterLines { title, x_label, y_label, series }.write(&out.join("refusals"))?;
     Ok(())
 }
 
@@ -105,7 +104,7 @@ fn robots(out: &Path) -> Result<(), Error> {
         ray(-0.55, "A", RayClass::Mirror),
     ];
     MapPlot { title: "Robots and bearings".into(), truth, rays, path_m: turn(), ..MapPlot::default() }
-        .write(&out.join("robots"), &[])?;
+        .write(&out.join("robots"))?;
     Ok(())
 }
 

@@ -5,7 +5,7 @@
 //! quickly; its CSI is read again from the file. [`Course`] has the data of one picture.
 mod card;
 
-use crate::cards::{self, CardSurvey};
+use crate::cards::{self, CardSurvey, most};
 use crate::table::{Columns, Decoder, Filter, Form, LogReader, NO_TIME, Order, Reading, Rows};
 use card::CardLog;
 use csi_formats::Format;
@@ -171,16 +171,14 @@ pub struct Course {
     pub gaps_s: Vec<(f64, f64)>,
     /// Numbers missing from `bfee_count`: time (seconds) and count.
     pub missing: Vec<(f64, u64)>,
-    /// Damaged stretches and impossible records: time, seconds.
-    pub damaged: Vec<f64>,
+    /// Damaged stretches and impossible records: time, seconds, each 1.
+    pub damaged: Vec<(f64, u64)>,
     /// Increases of senders' frame numbers by more than one: time (seconds) and count.
     pub skipped: Vec<(f64, u64)>,
-    /// Frames with the number of the previous one: time, seconds.
-    pub repeated: Vec<f64>,
+    /// Frames with the number of the previous one: time, seconds, each 1.
+    pub repeated: Vec<(f64, u64)>,
     /// Backward steps of the card's clock: time (seconds) and size (seconds).
     pub steps_back: Vec<(f64, f64)>,
-    /// True if records were lost before the log's end.
-    pub lost_something: bool,
 }
 
 impl Course {
@@ -200,14 +198,10 @@ impl Course {
     /// If the log cannot be read. A log without a wanted record gives an empty course.
     pub fn read(path: &Path, wanted: &Wanted) -> Result<Self, Error> {
         let log = LogIndex::open(path)?;
-        let lost_something = match &log.source {
-            Source::Csitool(survey) => survey.lost_something(),
-            Source::Card(card) => card.survey.is_damaged,
-        };
         let rows: Vec<usize> =
             (0..log.t_us.len()).filter(|row| wanted.takes(log.sender_of(*row), log.t_s(*row))).collect();
         let times_s: Vec<f64> = rows.iter().map(|row| log.t_s(*row)).collect();
-        let Some(span_s) = span_s(&times_s) else { return Ok(Self { lost_something, ..Self::default() }) };
+        let Some(span_s) = span_s(&times_s) else { return Ok(Self::default()) };
         // A map that mixes several senders' CSI would be meaningless.
         let sent_by = most(rows.iter().filter_map(|row| log.sent_by.get(*row).copied())).unwrap_or(0);
         let of_sender: Vec<usize> =
@@ -222,9 +216,11 @@ impl Course {
         let columns = drawn.len().clamp(1, COLUMNS).min(CELLS / (maps * heat.len().max(1))).max(1);
         let cells = log.cells(drawn.iter().copied(), (usual, &heat), span_s, columns)?;
         let antennas = cells.into_iter().enumerate().filter(|(antenna, _)| asked(*antenna));
-        let inside = |t_s: &f64| (span_s.0..=span_s.1).contains(t_s);
-        let own =
-            |row: usize| inside(&log.t_s(row)) && (wanted.macs.is_empty() || wanted.macs.contains(&log.sender_of(row)));
+        let inside = |row: usize| (span_s.0..=span_s.1).contains(&log.t_s(row));
+        let own = |row: usize| inside(row) && (wanted.macs.is_empty() || wanted.macs.contains(&log.sender_of(row)));
+        let marked = |marks: &[(usize, u64)], is_shown: &dyn Fn(usize) -> bool| -> Vec<(f64, u64)> {
+            marks.iter().filter(|mark| is_shown(mark.0)).map(|mark| (log.t_s(mark.0), mark.1)).collect()
+        };
         let thin = |value: &dyn Fn(usize) -> Option<i16>| -> Vec<(f64, f64)> {
             let every = rows.len().div_ceil(POINTS).max(1);
             let points = rows.iter().step_by(every).map(|row| (log.t_s(*row), value(*row)));
@@ -247,26 +243,13 @@ impl Course {
             agc: thin(&|row| log.agc_of(row)),
             rate_hz: rate(&times_s, span_s),
             gaps_s: gaps(&times_s),
-            missing: marks
-                .missing
-                .iter()
-                .map(|mark| (log.t_s(mark.0), mark.1))
-                .filter(|mark| inside(&mark.0))
-                .collect(),
-            damaged: marks.damaged.iter().map(|row| log.t_s(*row)).filter(inside).collect(),
-            skipped: marks.skipped.iter().filter(|mark| own(mark.0)).map(|mark| (log.t_s(mark.0), mark.1)).collect(),
-            repeated: marks.repeated.iter().filter(|row| own(**row)).map(|row| log.t_s(*row)).collect(),
-            steps_back: marks.steps_back.iter().map(|m| (log.t_s(m.0), m.1)).filter(|m| inside(&m.0)).collect(),
-            lost_something,
+            missing: marked(&marks.missing, &inside),
+            damaged: marked(&marks.damaged, &inside),
+            skipped: marked(&marks.skipped, &own),
+            repeated: marked(&marks.repeated, &own),
+            steps_back: marks.steps_back.iter().filter(|m| inside(m.0)).map(|m| (log.t_s(m.0), m.1)).collect(),
         })
     }
-}
-
-/// The most frequent of some values.
-fn most<T: Ord + Copy>(values: impl Iterator<Item = T>) -> Option<T> {
-    let mut counts: BTreeMap<T, u64> = BTreeMap::new();
-    values.for_each(|value| *counts.entry(value).or_default() += 1);
-    counts.into_iter().max_by_key(|(_, count)| *count).map(|(value, _)| value)
 }
 
 /// The kind of a log, and its counters.
@@ -314,11 +297,11 @@ pub struct LogIndex {
 struct Marks {
     /// Numbers of `bfee_count` missing before a record.
     missing: Vec<(usize, u64)>,
-    /// The record before damaged bytes or an impossible record.
-    damaged: Vec<usize>,
+    /// The record before damaged bytes or an impossible record, each 1.
+    damaged: Vec<(usize, u64)>,
     /// Frame numbers that the sender skipped.
     skipped: Vec<(usize, u64)>,
-    repeated: Vec<usize>,
+    repeated: Vec<(usize, u64)>,
     /// Backward steps of the card's clock, seconds.
     steps_back: Vec<(usize, f64)>,
 }
@@ -327,7 +310,8 @@ impl Marks {
     fn of(columns: &Columns, survey: &Survey, damaged_after: &[u64]) -> Self {
         let mut marks = Self::default();
         let last = columns.len().saturating_sub(1);
-        marks.damaged = damaged_after.iter().map(|before| (*before as usize).saturating_sub(1).min(last)).collect();
+        let before = |intact: &u64| ((*intact as usize).saturating_sub(1).min(last), 1);
+        marks.damaged = damaged_after.iter().map(before).collect();
         let steps = columns.time_us.windows(2).enumerate();
         let back = steps.filter_map(|(k, pair)| Some((k + 1, pair.first()?.saturating_sub(*pair.get(1)?))));
         marks.steps_back = back.filter(|(_, us)| *us > 0).map(|(k, us)| (k, us as f64 * 1e-6)).collect();
@@ -343,7 +327,7 @@ impl Marks {
         for (k, (mac, frame)) in macs(columns).zip(&columns.frame).enumerate() {
             let (Some(numbering), Ok(frame)) = (numbers.get_mut(&mac), u32::try_from(*frame)) else { continue };
             match numbering.note(frame) {
-                NumberStep::Repeated => marks.repeated.push(k),
+                NumberStep::Repeated => marks.repeated.push((k, 1)),
                 NumberStep::Forward(step @ 2..) => marks.skipped.push((k, u64::from(step - 1))),
                 NumberStep::Forward(_) | NumberStep::New | NumberStep::Back => {}
             }
@@ -440,7 +424,7 @@ pub struct Stretch {
 }
 
 /// CSI of a stretch of a log.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct StretchCsi {
     /// Its start, seconds.
@@ -454,10 +438,12 @@ pub struct StretchCsi {
     /// Every n-th record is in the means.
     pub every: usize,
     /// The meaning of the rows.
+    #[serde(skip)]
     pub rows: HeatRows,
     /// Records with frames of another kind or width, whose CSI is not shown.
     pub other_frames: usize,
     /// The antennas with CSI.
+    #[serde(skip)]
     pub antennas: Vec<AntennaCourse>,
 }
 
@@ -643,10 +629,10 @@ impl LogIndex {
         }
         let width_s = (cut.1 - cut.0).max(1e-6) / bins as f64;
         let inside = |t_s: &f64| (cut.0..=cut.1).contains(t_s);
-        let counted = |marks: &mut dyn Iterator<Item = (usize, u64)>| {
+        let counted = |marks: &[(usize, u64)], sender: Option<Mac>| {
             let mut found = BTreeMap::new();
-            for (t_s, count) in marks.map(|(row, count)| (self.t_s(row), count)).filter(|(t_s, _)| inside(t_s)) {
-                *found.entry(bin(t_s, cut, columns)).or_default() += count;
+            for (row, count) in marks.iter().filter(|mark| inside(&self.t_s(mark.0)) && self.is_of(mark.0, sender)) {
+                *found.entry(bin(self.t_s(*row), cut, columns)).or_default() += count;
             }
             found.into_iter().collect()
         };
@@ -659,10 +645,10 @@ impl LogIndex {
             rate_hz: rates.iter().map(|count| hundredths(f64::from(*count) / width_s)).collect(),
             rssi: rssi.into_iter().map(Sums::band).collect(),
             agc: agc.band(),
-            missing: counted(&mut marks.missing.iter().copied()),
-            damaged: counted(&mut marks.damaged.iter().map(|row| (*row, 1))),
-            skipped: counted(&mut marks.skipped.iter().filter(|mark| self.is_of(mark.0, sender)).copied()),
-            repeated: counted(&mut marks.repeated.iter().filter(|row| self.is_of(**row, sender)).map(|row| (*row, 1))),
+            missing: counted(&marks.missing, None),
+            damaged: counted(&marks.damaged, None),
+            skipped: counted(&marks.skipped, sender),
+            repeated: counted(&marks.repeated, sender),
             gaps_s: self.gaps_s.iter().filter(|(from, to)| *to >= cut.0 && *from <= cut.1).copied().collect(),
             steps_back: marks.steps_back.iter().map(|m| (self.t_s(m.0), m.1)).filter(|m| inside(&m.0)).collect(),
         }
@@ -1024,7 +1010,7 @@ mod tests {
     fn skipped_and_repeated_frame_numbers_are_marked_in_place() {
         let number = |k: u32| if k < 20 { k } else { k + 3 } - u32::from(k >= 40);
         let course = agreed(log((0..60).map(|k| (1_000 * k, 0, number(k)))));
-        assert_eq!((&course.skipped, &course.repeated), (&vec![(0.02, 3)], &vec![0.04]));
+        assert_eq!((&course.skipped, &course.repeated), (&vec![(0.02, 3)], &vec![(0.04, 1)]));
         // Values that do not count up are not frame numbers.
         let random = |k: u32| (1_000 * k, 0, k.wrapping_mul(2_654_435_761) ^ 0x5bd1_e995);
         let course = agreed(log((0..60).map(random)));
@@ -1061,7 +1047,7 @@ mod tests {
         let read = |wanted: Wanted| {
             let course = Course::read(path, &wanted).unwrap();
             let skipped: Vec<_> = course.skipped.iter().map(|(t_s, count)| (ms(*t_s), *count)).collect();
-            (skipped, course.repeated.iter().map(|t_s| ms(*t_s)).collect::<Vec<_>>())
+            (skipped, course.repeated.iter().map(|(t_s, _)| ms(*t_s)).collect::<Vec<_>>())
         };
         assert_eq!(read(Wanted::default()), (vec![(20, 3), (41, 7), (60, 5)], vec![30]));
         assert_eq!(read(cut(Some(0.05), None)), (vec![(60, 5)], vec![]));
@@ -1295,9 +1281,9 @@ mod tests {
         bytes.drain(10 * len + 300..10 * len + 350);
         std::fs::write(path, bytes).unwrap();
         let course = Course::read(path, &Wanted::default()).unwrap();
-        assert!(course.lost_something && course.records == 19, "{}", course.records);
+        assert_eq!(course.records, 19);
         // The tenth frame takes its missing bytes from the next; the rest of that is damage.
-        let [damaged_s] = course.damaged[..] else { panic!("{:?}", course.damaged) };
+        let [(damaged_s, 1)] = course.damaged[..] else { panic!("{:?}", course.damaged) };
         assert!((damaged_s - 0.010).abs() < 1e-9, "{damaged_s}");
     }
 }

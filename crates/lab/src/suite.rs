@@ -7,7 +7,6 @@ pub use crate::compare::figures::spread_rad;
 use crate::compare::figures::true_path;
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Phase, Transmitter, bearings};
-use csi5300::signal::cfo::TurnAround;
 use csi5300_sim::motion::{Circle, Line, RobotMotion};
 use csi5300_sim::scene::{Cfo, PaperCfo, Scene};
 use csi5300_sim::{Port, Room};
@@ -149,19 +148,24 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.coherence = Some(bearing.plane_wave.coherence);
 }
 
-/// The phase of two stationary robots, which only the radios change.
-#[derive(Clone, Debug)]
+/// The phase of two stationary robots, which only the radios change, and its spreads between packets: `demo --json`.
+#[derive(Clone, Debug, serde::Serialize)]
 pub struct Standing {
     /// The phase of every pair.
+    #[serde(skip)]
     pub course: Vec<Phase>,
-    /// The turn-around compensation.
-    pub turn_around: TurnAround,
-    /// Spread between packets of one direction, radians.
-    pub spread_one_way_rad: f64,
+    /// Pairs.
+    pub exchanges: usize,
+    /// Carrier frequency offset, Hz.
+    pub cfo_hz: f64,
+    /// Median deviation of the turn-around from its line, microseconds.
+    pub turn_around_jitter_us: f64,
+    /// Spread of one direction, radians.
+    pub phase_one_way_rad: f64,
     /// The same for both directions multiplied.
-    pub spread_rad: f64,
+    pub phase_before_rad: f64,
     /// The same with the turn-around removed.
-    pub spread_compensated_rad: f64,
+    pub phase_after_rad: f64,
 }
 
 /// The phase of the first link of `report`; one-way phases need [`Options::keep_course`]. `None` without a link, or with too
@@ -176,11 +180,13 @@ pub fn standing(report: &CaptureReport, options: &Options) -> Option<Standing> {
     let sum: Complex64 = one_way.windows(3).map(turned).sum();
     let coherence = sum.norm() / one_way.windows(3).len().max(1) as f64;
     Some(Standing {
-        spread_one_way_rad: spread_rad(coherence),
-        spread_rad: spread_rad(turn_around.coherence_before),
-        spread_compensated_rad: spread_rad(turn_around.coherence_after),
+        exchanges: course.len(),
+        cfo_hz: turn_around.df_hz,
+        turn_around_jitter_us: turn_around.jitter_median_us,
+        phase_one_way_rad: spread_rad(coherence),
+        phase_before_rad: spread_rad(turn_around.coherence_before),
+        phase_after_rad: spread_rad(turn_around.coherence_after),
         course,
-        turn_around,
     })
 }
 

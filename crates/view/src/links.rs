@@ -33,28 +33,24 @@ pub struct Reading {
     pub camera: Option<Mount>,
 }
 
-/// A row of the table: a line of `evaluate --json`, shorter, and what another program answers.
+impl Reading {
+    /// Captures with these places of antenna and camera.
+    #[must_use]
+    pub fn mounted(&self, mut captures: Vec<Capture>) -> Vec<Capture> {
+        for capture in &mut captures {
+            (capture.antenna_offset_m, capture.camera) = (self.antenna_offset_m, self.camera);
+        }
+        captures
+    }
+}
+
+/// A row of the table: a line of `evaluate --json`, and what another program answers.
 #[derive(Serialize)]
-struct ShortRow<'a> {
+struct Row<'a> {
     number: usize,
     set: &'a str,
-    link: &'a str,
-    origin_m: Option<[f64; 3]>,
-    azimuth_deg: Option<f64>,
-    azimuth_sd_deg: Option<f64>,
-    azimuth_95_deg: Option<f64>,
-    mirror_deg: Option<f64>,
-    true_from_mean_pose_deg: Option<f64>,
-    error_from_mean_pose_deg: Option<f64>,
-    confidence: Option<f64>,
-    coherence: Option<f64>,
-    range_m: Option<f64>,
-    pairs_in_motion: usize,
-    error: Option<&'a str>,
-    true_transmitter_m: Option<[f64; 2]>,
-    true_receiver_m: Option<[f64; 2]>,
-    position_m: Option<[f64; 3]>,
-    position_covariance_m2: Option<[[f64; 3]; 3]>,
+    #[serde(flatten)]
+    judged: &'a Judged,
     beside: Option<Beside>,
 }
 
@@ -124,10 +120,8 @@ impl Links {
     pub fn below(folder: &Path, mut reading: Reading) -> Option<Self> {
         // Curves, paths and phases are what the page shows.
         reading.options = Options { keep_course: true, ..reading.options };
-        let (mut captures, unreadable) = find_all(folder);
-        for capture in &mut captures {
-            (capture.antenna_offset_m, capture.camera) = (reading.antenna_offset_m, reading.camera);
-        }
+        let (captures, unreadable) = find_all(folder);
+        let captures = reading.mounted(captures);
         if captures.is_empty() {
             return None;
         }
@@ -254,12 +248,16 @@ impl Links {
         struct Rows<'a> {
             known: usize,
             of: usize,
-            rows: Vec<ShortRow<'a>>,
+            rows: Vec<Row<'a>>,
             notes: &'a [String],
         }
         let state = self.state();
         let new = state.arrived.iter().skip(known);
-        let rows = new.filter_map(|link| state.links.get(*link)?.as_ref().map(|done| short(*link, done)));
+        let row = |number: &usize| {
+            let Done { row, beside, .. } = state.links.get(*number)?.as_ref()?;
+            Some(Row { number: *number, set: row.set(), judged: row, beside: *beside })
+        };
+        let rows = new.filter_map(row);
         let rows = Rows { known: state.arrived.len(), of: self.len(), rows: rows.collect(), notes: &state.notes };
         Ok(serde_json::to_vec(&rows)?)
     }
@@ -308,32 +306,6 @@ impl Links {
         let detail = done.detail.as_deref().unwrap_or("null");
         text += &format!(",\"drawn\":{detail}}}");
         Ok(Some((text.into_bytes(), false)))
-    }
-}
-
-fn short(number: usize, done: &Done) -> ShortRow<'_> {
-    let (row, answer) = (&done.row, &done.row.answer);
-    ShortRow {
-        number,
-        set: row.set(),
-        link: &answer.link,
-        origin_m: answer.origin_m,
-        azimuth_deg: answer.azimuth_deg,
-        azimuth_sd_deg: answer.azimuth_sd_deg,
-        azimuth_95_deg: answer.azimuth_95_deg,
-        mirror_deg: answer.mirror_deg,
-        true_from_mean_pose_deg: row.true_from_mean_pose_deg,
-        error_from_mean_pose_deg: row.error_from_mean_pose_deg,
-        confidence: answer.confidence,
-        coherence: answer.coherence,
-        range_m: answer.range_m,
-        pairs_in_motion: answer.pairs_in_motion,
-        error: answer.error.as_deref(),
-        true_transmitter_m: row.true_transmitter_m,
-        true_receiver_m: row.true_receiver_m,
-        position_m: answer.position_m,
-        position_covariance_m2: answer.position_covariance_m2,
-        beside: done.beside,
     }
 }
 

@@ -213,10 +213,9 @@ struct AntennaMaps {
 
 /// All heat maps of a stretch.
 #[derive(Serialize)]
-pub(crate) struct Maps {
-    from_s: f64,
-    to_s: f64,
-    columns: usize,
+pub(crate) struct Maps<'a> {
+    #[serde(flatten)]
+    csi: &'a StretchCsi,
     /// Rows of the maps: a subcarrier each, or some that are neighbours.
     rows: usize,
     /// Index of the subcarrier in the middle of each row; its place where that is not known.
@@ -224,19 +223,15 @@ pub(crate) struct Maps {
     /// How many subcarriers share a row.
     subcarriers_a_row: usize,
     /// Kind and width of the frames, of cards other than the 5300.
-    frames: Option<String>,
-    /// Records with frames of another kind or width.
-    other_frames: usize,
+    frames: Option<&'a str>,
     /// The only sender whose records they hold; `None` if the log has no other.
     sender: Option<String>,
-    records: usize,
-    every: usize,
     antennas: Vec<AntennaMaps>,
 }
 
-impl Maps {
+impl<'a> Maps<'a> {
     /// Of one antenna, or of all, and of this sender.
-    pub fn new(csi: &StretchCsi, antenna: Option<char>, sender: Option<Mac>) -> Self {
+    pub fn new(csi: &'a StretchCsi, antenna: Option<char>, sender: Option<Mac>) -> Self {
         let wanted = csi.antennas.iter().filter(|own| antenna.is_none_or(|wanted| letter(own.antenna) == wanted));
         let maps = |own: &AntennaCourse| {
             let known = || own.amplitude_db.iter().copied().filter(|db| db.is_finite());
@@ -250,17 +245,12 @@ impl Maps {
         let (each, last) = (csi.rows.each, csi.rows.subcarriers.saturating_sub(1));
         let middles = (0..csi.rows.len()).map(|row| csi.rows.index((row * each + each / 2).min(last)));
         Self {
-            from_s: csi.from_s,
-            to_s: csi.to_s,
-            columns: csi.columns,
+            csi,
             rows: csi.rows.len(),
             subcarriers: middles.collect(),
             subcarriers_a_row: csi.rows.each,
-            frames: csi.rows.frames.clone(),
-            other_frames: csi.other_frames,
+            frames: csi.rows.frames.as_deref(),
             sender: sender.map(|mac| mac.to_string()),
-            records: csi.records,
-            every: csi.every,
             antennas: wanted.map(maps).collect(),
         }
     }

@@ -96,49 +96,34 @@ const WAITING: usize = 32;
 /// Pages that are told at a time.
 const LISTENERS: usize = 16;
 
-/// The way to one who listens, and whether it still does.
-type Told = (SyncSender<Arc<str>>, Weak<()>);
-
 /// Everyone who listens.
 #[derive(Debug, Default)]
-pub(crate) struct Events {
-    listeners: Mutex<Vec<Told>>,
-}
-
-/// One who listens.
-#[derive(Debug)]
-pub(crate) struct Listener {
-    events: Receiver<Arc<str>>,
-    _is_here: Arc<()>,
-}
-
-impl Listener {
-    /// The next event, if one comes within `limit`.
-    pub fn wait(&self, limit: Duration) -> Option<Arc<str>> {
-        self.events.recv_timeout(limit).ok()
-    }
-}
+pub(crate) struct Events(Mutex<Vec<SyncSender<Arc<str>>>>);
 
 impl Events {
     /// A new listener; none if there are too many.
-    pub fn listen(&self) -> Option<Listener> {
-        let mut listeners = self.listeners.lock().unwrap_or_else(PoisonError::into_inner);
-        listeners.retain(|(_, is_here)| is_here.strong_count() > 0);
+    pub fn listen(&self) -> Option<Receiver<Arc<str>>> {
+        // A comment, which pages ignore: who has gone does not take it.
+        self.send(":\n\n");
+        let mut listeners = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if listeners.len() >= LISTENERS {
             return None;
         }
-        let ((sender, events), is_here) = (sync_channel(WAITING), Arc::new(()));
-        listeners.push((sender, Arc::downgrade(&is_here)));
-        Some(Listener { events, _is_here: is_here })
+        let (sender, events) = sync_channel(WAITING);
+        listeners.push(sender);
+        Some(events)
     }
 
     /// Tells all of them. `json` has no line breaks.
     pub fn tell(&self, event: &str, json: &str) {
-        let text: Arc<str> = format!("event: {event}\ndata: {json}\n\n").into();
-        let mut listeners = self.listeners.lock().unwrap_or_else(PoisonError::into_inner);
+        self.send(&format!("event: {event}\ndata: {json}\n\n"));
+    }
+
+    fn send(&self, text: &str) {
+        let text: Arc<str> = text.into();
         let is_closed =
             |sender: &SyncSender<_>| matches!(sender.try_send(Arc::clone(&text)), Err(TrySendError::Disconnected(_)));
-        listeners.retain(|(sender, _)| !is_closed(sender));
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|sender| !is_closed(sender));
     }
 }
 
@@ -154,8 +139,7 @@ mod tests {
         let said = "{\"name\":\"a\"}\n\nno state\n[1]\n{\"name\":\"b\"}\n";
         hear(&Arc::downgrade(&node), &Arc::downgrade(&events), said.as_bytes());
         assert_eq!(node.states(), br#"[{"name":"a"},{"name":"b"}]"#);
-        let told = std::iter::from_fn(|| page.wait(std::time::Duration::ZERO));
-        let told: Vec<String> = told.map(|event| event.to_string()).collect();
+        let told: Vec<String> = page.try_iter().map(|event| event.to_string()).collect();
         assert_eq!(told, ["event: state\ndata: {\"name\":\"a\"}\n\n", "event: state\ndata: {\"name\":\"b\"}\n\n"]);
     }
 
@@ -175,8 +159,8 @@ mod tests {
         all.push(events.listen().unwrap());
         // One that takes nothing costs its own events only.
         (0..WAITING + 5).for_each(|k| events.tell("rows", &k.to_string()));
-        let next = |listener: &Listener| listener.wait(Duration::ZERO);
-        assert_eq!(next(&all[0]).as_deref(), Some("event: rows\ndata: 0\n\n"));
-        assert_eq!(std::iter::from_fn(|| next(&all[1])).count(), WAITING);
+        let mut told = all[0].try_iter().filter(|event| !event.starts_with(':'));
+        assert_eq!(told.next().as_deref(), Some("event: rows\ndata: 0\n\n"));
+        assert_eq!(all[1].try_iter().count(), WAITING);
     }
 }

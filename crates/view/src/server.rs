@@ -4,12 +4,12 @@
 //! localhost, by its number or by a name of the page's own that resolves to it (DNS rebinding). The browser then says another
 //! `Host`, `Origin` or `Sec-Fetch-Site` than this page's.
 
-use crate::node::Listener;
 use crate::{Answer, Error, View};
 use nix::sys::signal::{SigSet, Signal};
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
+use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -145,9 +145,8 @@ fn respond(mut stream: TcpStream, (address, patience): (SocketAddr, Duration), v
         // Two of them are none that could be judged.
         if found.next().is_some() { Some("") } else { first }
     };
-    let (host, origin, fetch_site) = (field("host"), field("origin"), field("sec-fetch-site"));
-    if let Err(refused) = admit(address, Asked { method, host, origin, fetch_site }) {
-        return plain(&mut stream, method, refused.status(), &refused.to_string());
+    if let Err((status, words)) = admit(address, method, field("host"), field("origin"), field("sec-fetch-site")) {
+        return plain(&mut stream, method, status, words);
     }
     let (path, query) = target.split_once('?').unwrap_or((target, ""));
     if path == "/events" {
@@ -163,11 +162,11 @@ fn respond(mut stream: TcpStream, (address, patience): (SocketAddr, Duration), v
 }
 
 /// Sends events until the page disconnects.
-fn tell(stream: &mut TcpStream, events: &Listener) -> io::Result<()> {
+fn tell(stream: &mut TcpStream, events: &Receiver<Arc<str>>) -> io::Result<()> {
     stream.write_all(start(200, "text/event-stream", None).as_bytes())?;
     stream.set_read_timeout(Some(Duration::from_millis(1)))?;
     loop {
-        if let Some(event) = events.wait(LOOK) {
+        if let Ok(event) = events.recv_timeout(LOOK) {
             stream.write_all(event.as_bytes())?;
         }
         if matches!(stream.peek(&mut [0]), Ok(0)) {
@@ -205,50 +204,31 @@ fn start(status: u16, kind: &str, length: Option<usize>) -> String {
     )
 }
 
-/// Why a request is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-enum Refused {
-    /// It names no host, or one by a name.
-    #[error("this page is at an address in numbers or at localhost, not at this host")]
-    Host,
-    /// It comes from another page.
-    #[error("another page may not look here")]
-    Origin,
-    /// It wants to do something.
-    #[error("there is nothing to do here but to look (GET)")]
-    Method,
-}
+/// Why a request is refused, with the status of the answer.
+type Refused = (u16, &'static str);
 
-impl Refused {
-    pub fn status(self) -> u16 {
-        match self {
-            Self::Method => 405,
-            Self::Host | Self::Origin => 403,
-        }
-    }
-}
+/// It names no host, or one by a name.
+const HOST: Refused = (403, "this page is at an address in numbers or at localhost, not at this host");
+/// It comes from another page.
+const ORIGIN: Refused = (403, "another page may not look here");
+/// It wants to do something.
+const METHOD: Refused = (405, "there is nothing to do here but to look (GET)");
 
-/// What a request says of itself.
-#[derive(Clone, Copy, Debug, Default)]
-struct Asked<'a> {
-    pub method: &'a str,
-    pub host: Option<&'a str>,
-    pub origin: Option<&'a str>,
-    pub fetch_site: Option<&'a str>,
-}
-
-/// Admits a request to `listening`, or returns why not.
-fn admit(listening: SocketAddr, asked: Asked<'_>) -> Result<(), Refused> {
-    if !matches!(asked.method, "GET" | "HEAD") {
-        return Err(Refused::Method);
+/// Admits a request to `listening` by its method and these fields, or returns why not.
+fn admit(
+    listening: SocketAddr,
+    method: &str,
+    host: Option<&str>,
+    origin: Option<&str>,
+    fetch_site: Option<&str>,
+) -> Result<(), Refused> {
+    if !matches!(method, "GET" | "HEAD") {
+        return Err(METHOD);
     }
-    let host = asked.host.ok_or(Refused::Host)?;
-    if !is_own(listening, host) {
-        return Err(Refused::Host);
-    }
-    let own = asked.origin.is_none_or(|origin| origin.strip_prefix("http://") == Some(host));
-    let same = asked.fetch_site.is_none_or(|site| matches!(site, "same-origin" | "none"));
-    if own && same { Ok(()) } else { Err(Refused::Origin) }
+    let host = host.filter(|host| is_own(listening, host)).ok_or(HOST)?;
+    let own = origin.is_none_or(|origin| origin.strip_prefix("http://") == Some(host));
+    let same = fetch_site.is_none_or(|site| matches!(site, "same-origin" | "none"));
+    if own && same { Ok(()) } else { Err(ORIGIN) }
 }
 
 /// True for `localhost` and for addresses in numbers; where only this machine is listened to, for its own only. Any port:
@@ -360,48 +340,43 @@ mod tests {
         });
     }
 
-    fn ask(listening: &str, asked: Asked<'_>) -> Result<(), Refused> {
-        admit(listening.parse().unwrap(), Asked { method: "GET", ..asked })
+    fn ask(listening: &str, host: Option<&str>) -> Result<(), Refused> {
+        admit(listening.parse().unwrap(), "GET", host, None, None)
     }
 
     #[test]
     fn only_numbers_and_localhost_are_this_page() {
-        let host = |name| Asked { host: Some(name), ..Asked::default() };
-        for name in ["127.0.0.1:8080", "localhost:8080", "LocalHost", "[::1]:8080", "127.0.0.1:9000"] {
-            assert_eq!(ask("127.0.0.1:8080", host(name)), Ok(()), "{name}");
+        for name in ["127.0.0.1:8080", "localhost:8080", "LocalHost", "[::1]:8080", "127.0.0.1:9000", "[::1"] {
+            assert_eq!(ask("127.0.0.1:8080", Some(name)), Ok(()), "{name}");
         }
-        for name in
-            ["evil.example:8080", "localhost.evil.example", "127.0.0.1.evil.example", "", "[::1", "10.0.0.7:8080"]
-        {
-            let expected = if name == "[::1" { Ok(()) } else { Err(Refused::Host) };
-            assert_eq!(ask("127.0.0.1:8080", host(name)), expected, "{name}");
+        for name in ["evil.example:8080", "localhost.evil.example", "127.0.0.1.evil.example", "", "10.0.0.7:8080"] {
+            assert_eq!(ask("127.0.0.1:8080", Some(name)), Err(HOST), "{name}");
         }
-        assert_eq!(ask("127.0.0.1:8080", Asked::default()), Err(Refused::Host));
-        assert_eq!(ask("10.0.0.7:8080", host("10.0.0.7:8080")), Ok(()));
-        assert_eq!(ask("10.0.0.7:8080", host("robot.example:8080")), Err(Refused::Host));
+        assert_eq!(ask("127.0.0.1:8080", None), Err(HOST));
+        assert_eq!(ask("10.0.0.7:8080", Some("10.0.0.7:8080")), Ok(()));
+        assert_eq!(ask("10.0.0.7:8080", Some("robot.example:8080")), Err(HOST));
     }
 
     #[test]
     fn another_page_may_neither_read_nor_embed() {
-        let from = |origin, fetch_site| Asked { host: Some("127.0.0.1:8080"), origin, fetch_site, ..Asked::default() };
-        assert_eq!(ask("127.0.0.1:8080", from(Some("http://127.0.0.1:8080"), Some("same-origin"))), Ok(()));
-        assert_eq!(ask("127.0.0.1:8080", from(None, Some("none"))), Ok(()));
-        for (origin, site) in [
-            (Some("http://evil.example"), None),
-            (Some("null"), None),
-            (Some("https://127.0.0.1:8080"), None),
-            (None, Some("cross-site")),
-            (None, Some("same-site")),
+        for (origin, site, expected) in [
+            (Some("http://127.0.0.1:8080"), Some("same-origin"), Ok(())),
+            (None, Some("none"), Ok(())),
+            (Some("http://evil.example"), None, Err(ORIGIN)),
+            (Some("null"), None, Err(ORIGIN)),
+            (Some("https://127.0.0.1:8080"), None, Err(ORIGIN)),
+            (None, Some("cross-site"), Err(ORIGIN)),
+            (None, Some("same-site"), Err(ORIGIN)),
         ] {
-            assert_eq!(ask("127.0.0.1:8080", from(origin, site)), Err(Refused::Origin), "{origin:?} {site:?}");
+            let host = "127.0.0.1:8080";
+            assert_eq!(admit(host.parse().unwrap(), "GET", Some(host), origin, site), expected, "{origin:?} {site:?}");
         }
     }
 
     #[test]
     fn nothing_can_be_done() {
         for method in ["POST", "PUT", "DELETE", "OPTIONS", "CONNECT"] {
-            let asked = Asked { method, host: Some("localhost"), ..Asked::default() };
-            assert_eq!(admit("127.0.0.1:1".parse().unwrap(), asked), Err(Refused::Method));
+            assert_eq!(admit("127.0.0.1:1".parse().unwrap(), method, Some("localhost"), None, None), Err(METHOD));
         }
     }
 }

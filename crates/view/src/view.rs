@@ -238,16 +238,10 @@ impl View {
         self.logs.left_out().iter().map(words).collect()
     }
 
-    /// What was noted of the captures so far.
+    /// What was noted of the captures so far, and why links have no bearing.
     #[must_use]
-    pub fn notes(&self) -> Vec<String> {
-        self.links.as_ref().map(|links| links.said().0).unwrap_or_default()
-    }
-
-    /// Links without a bearing so far, and why.
-    #[must_use]
-    pub fn failed(&self) -> Vec<String> {
-        self.links.as_ref().map(|links| links.said().1).unwrap_or_default()
+    pub fn said(&self) -> (Vec<String>, Vec<String>) {
+        self.links.as_ref().map(Links::said).unwrap_or_default()
     }
 
     /// The answer to a question of the page: a path, and what follows its `?`.

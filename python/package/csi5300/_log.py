@@ -400,7 +400,7 @@ class Log(Lost):
         scaled: bool = False,
         remove_spatial_mapping: bool = False,
     ) -> int:
-        """Writes the frames to ``.npz``, ``.mat`` (v5) or ``.parquet``, with the arrays and columns of ``csi5300 export``
+        """Writes the frames to ``.csv``, ``.npz``, ``.mat`` (v5) or ``.parquet``, with the arrays and columns of ``csi5300 export``
         (docs/reference/formats.md); replaces an existing file. Returns the number of frames without a scale (0 unless ``scaled``).
 
         Raises :class:`ExportError`.

@@ -2,12 +2,11 @@
 
 use super::{InWords, usage};
 use clap::Args;
-use csi5300::motion::odometry::csv::Columns;
 use csi5300::motion::pose::{Mount, Trajectory};
 use csi5300::pipeline::{Accuracy, ChainConstant, JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find_all};
-use driver_iface::Mac;
+use csi5300_view::Reading;
 use driver_iface::bfee::Antenna;
 use nalgebra::Vector3;
 use std::net::SocketAddr;
@@ -17,7 +16,7 @@ use std::path::Path;
 pub const FURTHEST_M: f64 = 1e6;
 
 // How bearings are made.
-#[derive(Args, Clone, Debug)]
+#[derive(Args, Clone, Debug, Default)]
 #[command(next_help_heading = "How bearings are made")]
 pub struct Estimation {
     /// Antenna (RF port) used on both robots: A, B or C. With --baseline, two or three of one robot: A,B
@@ -39,7 +38,7 @@ pub struct Estimation {
         allow_negative_numbers = true,
         hide_short_help = true
     )]
-    pub clock_offset: ClockOffset,
+    pub clock_offset: (f64, JoinBy),
     /// Largest elevation of a transmitter above or below the horizon [default: 20; more where the signals show it]
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub elevation_max: Option<f64>,
@@ -61,36 +60,7 @@ pub struct Estimation {
     pub to: Option<f64>,
 }
 
-/// How the times of frames and poses correspond.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ClockOffset {
-    /// By time, with this added to the frames' times, seconds.
-    Seconds(f64),
-    /// The n-th frame belongs to the n-th row.
-    Rows,
-}
-
-impl Default for Estimation {
-    fn default() -> Self {
-        Self::with_antenna(Antenna::A)
-    }
-}
-
 impl Estimation {
-    /// The defaults, with this antenna.
-    pub fn with_antenna(antenna: Antenna) -> Self {
-        Self {
-            antenna: vec![antenna],
-            clock_offset: ClockOffset::Seconds(0.0),
-            elevation_max: None,
-            range_min: None,
-            height: None,
-            heading_sd: None,
-            from: None,
-            to: None,
-        }
-    }
-
     /// The antenna on both robots, or the first of several.
     pub fn antenna(&self) -> Antenna {
         self.antenna.first().copied().unwrap_or(Antenna::A)
@@ -98,10 +68,7 @@ impl Estimation {
 
     /// The pipeline's options, on `channel`.
     pub fn options(&self, channel: Channel) -> Result<Options, String> {
-        let (clock_offset_s, join) = match self.clock_offset {
-            ClockOffset::Seconds(seconds) => (seconds, JoinBy::Time),
-            ClockOffset::Rows => (0.0, JoinBy::Row),
-        };
+        let (clock_offset_s, join) = self.clock_offset;
         let finite = [Some(clock_offset_s), self.elevation_max, self.from, self.to];
         if finite.iter().flatten().any(|value| !value.is_finite()) {
             return Err("--clock-offset, --elevation-max, --from and --to take finite numbers".into());
@@ -140,17 +107,12 @@ impl Estimation {
     }
 }
 
-/// Seconds, or `rows`.
-fn clock_offset(text: &str) -> Result<ClockOffset, String> {
+/// Seconds that are added to the frames' times, or `rows`: the n-th frame belongs to the n-th row.
+fn clock_offset(text: &str) -> Result<(f64, JoinBy), String> {
     match text {
-        "rows" => Ok(ClockOffset::Rows),
-        _ => text.parse().map(ClockOffset::Seconds).map_err(|_| "seconds, or `rows`".into()),
+        "rows" => Ok((0.0, JoinBy::Row)),
+        _ => text.parse().map(|seconds| (seconds, JoinBy::Time)).map_err(|_| "seconds, or `rows`".into()),
     }
-}
-
-/// The columns of a trajectory.
-pub fn columns(text: &str) -> Result<Columns, String> {
-    text.parse::<Columns>().in_words()
 }
 
 /// An antenna by its letter.
@@ -174,17 +136,7 @@ pub fn channel_of_5300(text: &str) -> Result<Channel, String> {
             "an Intel 5300 has channels of 20 and 40 MHz at 2.4 and 5 GHz: give the number, for example 64".into()
         );
     }
-    channel(text)
-}
-
-/// A WiFi channel: its number, with `+` or `-` for a 40 MHz pair, or its centre in MHz.
-pub fn channel(text: &str) -> Result<Channel, String> {
-    text.parse::<Channel>().in_words()
-}
-
-/// A MAC address.
-pub fn mac(text: &str) -> Result<Mac, String> {
-    text.parse::<Mac>().in_words()
+    text.parse().in_words()
 }
 
 /// An address of this machine with a port.
@@ -276,89 +228,50 @@ fn mount(text: &str) -> Result<Mount, String> {
 pub const A_CAPTURE: &str = "a capture is a folder with csi_rx_TS.dat, csi_txK_TS.dat, a trajectory (rx_trajectory_TS_.csv) and, \
                              for the truth and the channel, groundtruth_positions.json";
 
-/// How captures are read.
-pub struct Reading {
-    /// Which trajectory to use.
-    pub trajectory: Which,
-    /// Where antenna and camera are on the robot.
-    pub mounting: Mounting,
-    /// WiFi channel instead of the one in groundtruth_positions.json.
-    pub channel: Option<Channel>,
-    /// How bearings are made.
-    pub estimation: Estimation,
-}
-
 /// Line ends in folder names are printed as escapes.
 pub fn add_names(captures: &[Capture], unreadable: &[String]) {
     let places = captures.iter().map(|capture| &capture.place);
     csi5300_say::add_names(places.chain(unreadable).map(Into::into));
 }
 
-impl Reading {
-    /// The trajectory to use.
-    pub fn source(&self) -> TrajectorySource {
-        match (self.trajectory, self.mounting.camera_mount) {
-            (Which::T265, Some(_)) => TrajectorySource::RollingT265,
-            (_, Some(_)) => usage("--camera-mount is of the tracking camera: --trajectory t265"),
-            (Which::Gt, None) if self.mounting.antenna_offset.is_some() => usage(
-                "--antenna-offset is for wheels and cameras (--trajectory odom, t265): motion capture tracks the antenna itself",
-            ),
-            (Which::Gt, None) => TrajectorySource::GroundTruth,
-            (Which::T265, None) => TrajectorySource::T265,
-            (Which::Odom, None) => TrajectorySource::Odometry,
-        }
-    }
+/// How captures are read, by these arguments. Where no channel is given, that of the options is a stand-in: each capture brings its own.
+pub fn reading(which: Which, mounting: &Mounting, channel: Option<Channel>, estimation: &Estimation) -> Reading {
+    let source = match (which, mounting.camera_mount) {
+        (Which::T265, Some(_)) => TrajectorySource::RollingT265,
+        (_, Some(_)) => usage("--camera-mount is of the tracking camera: --trajectory t265"),
+        (Which::Gt, None) if mounting.antenna_offset.is_some() => usage(
+            "--antenna-offset is for wheels and cameras (--trajectory odom, t265): motion capture tracks the antenna itself",
+        ),
+        (Which::Gt, None) => TrajectorySource::GroundTruth,
+        (Which::T265, None) => TrajectorySource::T265,
+        (Which::Odom, None) => TrajectorySource::Odometry,
+    };
+    let some = channel.map_or_else(|| Channel::new(108, Width::Ht20).in_words(), Ok);
+    let options = some.and_then(|channel| estimation.options(channel)).unwrap_or_else(|message| usage(&message));
+    let (antenna_offset_m, camera) = (mounting.antenna_offset.map(Into::into), mounting.camera_mount);
+    Reading { source, channel, options, antenna_offset_m, camera }
+}
 
-    /// The captures in and below `folder`, with a truth or without, and folders that could not be read.
-    ///
-    /// # Errors
-    /// If there is none, or none with a channel, in words.
-    pub fn find(&self, folder: &Path) -> Result<(Vec<Capture>, Vec<String>), String> {
-        let (captures, unreadable) = find_all(folder);
-        add_names(&captures, &unreadable);
-        if captures.is_empty() {
-            if folder.is_file() {
-                return Err(format!(
-                    "{} is a file: name the folder of the capture, or all of its files",
-                    folder.display()
-                ));
-            }
-            let name = folder.display();
-            return Err(if folder.is_dir() {
-                format!("no capture in or below {name}: {A_CAPTURE}")
-            } else {
-                format!("{name}: no such file or folder; {A_CAPTURE}")
-            });
-        }
-        let captures = self.mounted(captures);
-        detail!("{} in or below {}", super::some(captures.len() as u64, "capture", "captures"), folder.display());
-        if self.channel.is_none() && captures.iter().all(|capture| !capture.has_truth()) {
-            usage(
-                "--channel is needed, such as --channel 108: no groundtruth_positions.json of these captures names it",
-            );
-        }
-        Ok((captures, unreadable))
+/// The captures in and below `folder`, with a truth or without, and folders that could not be read.
+///
+/// # Errors
+/// If there is none, or none with a channel, in words.
+pub fn find(reading: &Reading, folder: &Path) -> Result<(Vec<Capture>, Vec<String>), String> {
+    let (captures, unreadable) = find_all(folder);
+    add_names(&captures, &unreadable);
+    let name = folder.display();
+    if captures.is_empty() {
+        return Err(match (folder.is_file(), folder.is_dir()) {
+            (true, _) => format!("{name} is a file: name the folder of the capture, or all of its files"),
+            (_, true) => format!("no capture in or below {name}: {A_CAPTURE}"),
+            _ => format!("{name}: no such file or folder; {A_CAPTURE}"),
+        });
     }
-
-    /// The given place of the antenna, metres forward, left, up.
-    pub fn antenna_offset_m(&self) -> Option<[f64; 3]> {
-        self.mounting.antenna_offset.map(Into::into)
+    detail!("{} in or below {name}", super::some(captures.len() as u64, "capture", "captures"));
+    if reading.channel.is_none() && captures.iter().all(|capture| !capture.has_truth()) {
+        usage("--channel is needed, such as --channel 108: no groundtruth_positions.json of these captures names it");
     }
-
-    /// Captures with the given places of antenna and camera.
-    pub fn mounted(&self, mut captures: Vec<Capture>) -> Vec<Capture> {
-        let (antenna_offset_m, camera) = (self.antenna_offset_m(), self.mounting.camera_mount);
-        for capture in &mut captures {
-            (capture.antenna_offset_m, capture.camera) = (antenna_offset_m, camera);
-        }
-        captures
-    }
-
-    /// The pipeline's options. Their channel is a stand-in where none was given: each capture brings its own.
-    pub fn options(&self) -> Result<Options, String> {
-        let fallback = Channel::new(108, Width::Ht20).in_words()?;
-        self.estimation.options(self.channel.unwrap_or(fallback))
-    }
+    Ok((reading.mounted(captures), unreadable))
 }
 
 /// A trajectory file of a capture.
@@ -378,7 +291,6 @@ mod tests {
 
     #[test]
     fn a_5300_has_no_channel_that_only_its_centre_names() {
-        assert_eq!(channel("5290MHz").map(|channel| channel.number()), Ok(58));
         assert!(channel_of_5300("5290MHz").unwrap_err().contains("number"));
         assert_eq!(channel_of_5300("64+").map(|channel| channel.to_string()), Ok("64+".into()));
     }

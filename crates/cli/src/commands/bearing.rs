@@ -4,12 +4,12 @@
 mod captures;
 mod words;
 
-use super::args::{Baseline, Estimation, Mounting, baseline, channel, columns, mac};
+use super::args::{Baseline, Estimation, Mounting, baseline};
 use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown, refuse_twice, told_apart};
-use super::{InWords, Outcome, Result, Words, hint, info, is_same_file, print, print_json, usage};
+use super::{InWords, Outcome, Result, Words, hint, info, print, print_json, usage};
 use captures::MirrorOf;
 use csi_formats::{Item, Items, Why};
-use csi5300::bartlett::{self, Grid};
+use csi5300::bartlett::{self, Grid, Profile};
 use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{
@@ -17,12 +17,11 @@ use csi5300::pipeline::{
     OdometryFit, OneLog, OneLogReport, Options, Transmitter, bearings, lost_something, one_log,
 };
 use csi5300::signal::channel::Channel;
-use csi5300::signal::samples::Samples;
 use csi5300::source::{CsiSource, read_key};
 use csi5300_lab::cards::is_log;
 use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
 use csi5300_lab::evaluate::{TRUTH_FILE, channel_number_in};
-use csi5300_lab::export::{ExportError, Npz};
+use csi5300_lab::export::Npz;
 use csi5300_lab::kinds::trajectory_refused;
 use csi5300_say::{Level, says};
 use driver_iface::Mac;
@@ -45,7 +44,7 @@ pub struct Args {
     #[arg(value_name = "CAPTURE")]
     captures: Vec<PathBuf>,
     /// WiFi channel, with + or - for 40 MHz [default: the capture's]
-    #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "captures")]
+    #[arg(long, value_name = "NUMBER", required_unless_present = "captures")]
     channel: Option<Channel>,
     #[command(flatten)]
     mounting: Mounting,
@@ -120,7 +119,7 @@ struct Logs {
     trajectory: Option<PathBuf>,
     /// Columns of trajectories, instead of their headings: t,x,y,yaw (also ns, z, qx, qy, qz, qw; t_ms, x_mm, yaw_deg
     /// ..; _ skips a column)
-    #[arg(long, value_parser = columns, value_name = "NAMES", hide_short_help = true)]
+    #[arg(long, value_name = "NAMES", hide_short_help = true)]
     columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
@@ -140,10 +139,10 @@ struct Logs {
     #[arg(long, value_name = "T.csv", hide_short_help = true)]
     tx_trajectory: Vec<PathBuf>,
     /// MAC of a transmitter, in the order of --tx; by default found from the clocks
-    #[arg(long, value_parser = mac, value_name = "MAC", hide_short_help = true)]
+    #[arg(long, value_name = "MAC", hide_short_help = true)]
     tx_mac: Vec<Mac>,
     /// MAC of the receiver in the transmitters' logs; by default the most frequent one
-    #[arg(long, value_parser = mac, value_name = "MAC", hide_short_help = true)]
+    #[arg(long, value_name = "MAC", hide_short_help = true)]
     rx_mac: Option<Mac>,
     /// Key of the robots: skip frames (0xC1) without its tag. Records without frames, as of the WSR driver, are counted
     /// as unchecked
@@ -265,7 +264,10 @@ pub fn run(mut args: Args) -> Result {
         .enumerate()
         .map(|(k, log)| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: partners.get(k) })
         .collect();
-    make_threads(0)?;
+    // One for each core, this one among them.
+    let threads = rayon::ThreadPoolBuilder::new().use_current_thread();
+    csi5300_live::sys::keep_heap();
+    threads.start_handler(|_| csi5300_live::sys::keep_heap()).build_global().in_words()?;
     let mut report = bearings(&mut receiver, transmitters, &trajectory, &options).in_words()?;
     if !args.logs.baseline.is_empty() {
         join_one_log(&args, &inputs, (&rx, &named.trajectory), &mut report)?;
@@ -340,8 +342,9 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> Words<
     if let Some(path) = &args.profile {
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
         let draft = super::draft::Draft::create(&path, args.force)?;
-        write_profile(draft.path(), &args.grid(), &bearing.samples).map_err(|error| draft.words(&error))?;
-        draft.keep(false).map_err(|error| format!("writing {}: {error}", path.display()))?;
+        let profile = bartlett::profile(&bearing.samples, &args.grid()).in_words()?;
+        let written = write_profile(draft.path(), &profile).and_then(|()| draft.keep(false));
+        written.map_err(|error| format!("writing {}: {error}", path.display()))?;
         note!("profile of {name}: {}", path.display());
     }
     if let Some(folder) = &args.plot {
@@ -353,7 +356,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> Words<
 
 /// Writes the pictures of a link.
 fn write(pictures: &csi5300_lab::show::results::LinkPictures<'_>, folder: &Path, name: &str) -> Words<()> {
-    let written = pictures.write(folder, name, &super::draft::read_files()).in_words()?;
+    let written = super::draft::pictures(folder, |folder| pictures.write(folder, name))?;
     let first: Vec<String> = first_of_each(&written).map(|path| path.display().to_string()).collect();
     note!("pictures of {name}, also as .svg: {}", first.join(", "));
     Ok(())
@@ -636,11 +639,7 @@ fn take_roles(args: &mut Args) -> Words<()> {
     }
     // A shell expands `--tx csi_tx*.dat` to one name behind the option and others that stand alone.
     let files: Vec<PathBuf> = args.logs.tx.drain(..).chain(files).collect();
-    if let Some((_, twice)) =
-        files.iter().enumerate().find(|(k, file)| files[..*k].iter().any(|other| is_same_file(other, file)))
-    {
-        return Err(format!("{} is given twice: each robot has its own log", twice.display()));
-    }
+    refuse_twice(files.iter());
     let Sorted { mut logs, trajectories, others } = Sorted::new(files, args.logs.columns.as_ref());
     let (cards, others): (Vec<PathBuf>, Vec<PathBuf>) = others.into_iter().partition(|file| is_log(file));
     if !args.logs.baseline.is_empty() && (logs.is_empty() || is_named_one_by_one) {
@@ -692,12 +691,10 @@ fn refuse_named(args: &Args) -> Words<()> {
         ("--baseline", !logs.baseline.is_empty()),
         ("--profile", args.profile.is_some()),
     ];
-    match given.iter().find(|(_, given)| *given) {
-        Some((name, _)) => {
-            usage(&format!("{name} applies to single logs: name the files of the capture instead of its folder"))
-        }
-        None => Ok(()),
+    if let Some((name, _)) = given.iter().find(|(_, given)| *given) {
+        usage(&format!("{name} applies to single logs: name the files of the capture instead of its folder"));
     }
+    Ok(())
 }
 
 /// The grid named by `--grid`.
@@ -722,49 +719,29 @@ fn is_profile(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "csv" || extension == "npz")
 }
 
-/// Writes the profile of `samples` over `grid` to a .csv (azimuth_deg, elevation_deg, value) or an .npz (arrays
+/// Writes a profile to a .csv (azimuth_deg, elevation_deg, value) or an .npz (arrays
 /// `azimuth_deg`, `elevation_deg`, `value`, rows of elevations by columns of azimuths).
 ///
 /// Values are `|f|^2 / (sum |z|)^2`, 0 to 1.
-fn write_profile(path: &Path, grid: &Grid, samples: &Samples) -> Words<()> {
-    let profile = bartlett::profile(samples, grid).in_words()?;
+fn write_profile(path: &Path, profile: &Profile) -> std::io::Result<()> {
     let (rows, columns) = profile.grid.shape();
     let shape = [rows as u64, columns as u64];
     let angles = || (0..profile.values.len()).map(|index| profile.grid.at(index));
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("npz") => {
-            let written = || -> std::result::Result<(), ExportError> {
-                let mut npz = Npz::create(path)?;
-                npz.array("azimuth_deg", &shape, angles().map(|(azimuth, _)| azimuth.to_degrees()))?;
-                npz.array("elevation_deg", &shape, angles().map(|(_, elevation)| elevation.to_degrees()))?;
-                npz.array("value", &shape, profile.values.iter().copied())?;
-                npz.finish()
-            };
-            written().in_words()
+            let mut npz = Npz::create(path)?;
+            npz.array("azimuth_deg", &shape, angles().map(|(azimuth, _)| azimuth.to_degrees()))?;
+            npz.array("elevation_deg", &shape, angles().map(|(_, elevation)| elevation.to_degrees()))?;
+            npz.array("value", &shape, profile.values.iter().copied())?;
+            npz.finish()
         }
-        Some("csv") => {
-            let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
-            let mut out = BufWriter::new(std::fs::File::create(path).map_err(failed)?);
-            writeln!(out, "azimuth_deg,elevation_deg,value").map_err(failed)?;
+        _ => {
+            let mut out = BufWriter::new(std::fs::File::create(path)?);
+            writeln!(out, "azimuth_deg,elevation_deg,value")?;
             for ((azimuth, elevation), value) in angles().zip(&profile.values) {
-                writeln!(out, "{:.6},{:.6},{value:.9e}", azimuth.to_degrees(), elevation.to_degrees())
-                    .map_err(failed)?;
+                writeln!(out, "{:.6},{:.6},{value:.9e}", azimuth.to_degrees(), elevation.to_degrees())?;
             }
-            out.flush().map_err(failed)
+            out.flush()
         }
-        _ => Err(format!("{}: a profile is written as .csv or .npz", path.display())),
     }
-}
-
-/// Makes the threads that links are worked on with, this one among them; 0 is one for each core.
-///
-/// # Errors
-/// If they were made before, in words.
-fn make_threads(count: usize) -> Words<()> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(count).use_current_thread();
-    let pool = {
-        csi5300_live::sys::keep_heap();
-        pool.start_handler(|_| csi5300_live::sys::keep_heap())
-    };
-    pool.build_global().in_words()
 }

@@ -2,6 +2,7 @@
 //! line of Dijkstra et al. (\[paper\] in docs/reference/references.md), simulated, decoded and estimated.
 
 use super::args::Estimation;
+use super::draft::pictures;
 use super::{InWords, Outcome, Result, Words, fixed, print, print_json, simulate};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Transmitter, bearings};
@@ -133,7 +134,7 @@ fn stand(args: &Args, options: &Options) -> Words<()> {
     let report = estimate(&rx, &tx, &trajectory, options)?;
     let standing = standing(&report, options).ok_or("the standing robots gave too few pairs")?;
     if args.json {
-        print_json(&StandingRow::new(&standing));
+        print_json(&StandingRow { experiment: "standing", standing: &standing });
     } else {
         print(&describe_standing(&standing));
     }
@@ -150,44 +151,24 @@ fn only_logs(folder: &Path, trajectory: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The JSON line of the standing robots: spreads between packets.
+/// The JSON line of the standing robots.
 #[derive(serde::Serialize)]
-struct StandingRow {
+struct StandingRow<'a> {
     experiment: &'static str,
-    exchanges: usize,
-    cfo_hz: f64,
-    turn_around_jitter_us: f64,
-    phase_one_way_rad: f64,
-    phase_before_rad: f64,
-    phase_after_rad: f64,
-}
-
-impl StandingRow {
-    fn new(standing: &Standing) -> Self {
-        Self {
-            experiment: "standing",
-            exchanges: standing.course.len(),
-            cfo_hz: standing.turn_around.df_hz,
-            turn_around_jitter_us: standing.turn_around.jitter_median_us,
-            phase_one_way_rad: standing.spread_one_way_rad,
-            phase_before_rad: standing.spread_rad,
-            phase_after_rad: standing.spread_compensated_rad,
-        }
-    }
+    #[serde(flatten)]
+    standing: &'a Standing,
 }
 
 fn describe_standing(standing: &Standing) -> String {
-    let Standing { course, turn_around, spread_one_way_rad, spread_rad, spread_compensated_rad } = standing;
+    let Standing { exchanges, cfo_hz, turn_around_jitter_us, .. } = standing;
+    let [one_way, both, after] = [standing.phase_one_way_rad, standing.phase_before_rad, standing.phase_after_rad];
     format!(
-        "standing: {} exchanges in {STANDING_S:.0} s at rest; the phase should be constant.\n\
-         \x20 one direction                  {spread_one_way_rad:5.2} rad from packet to packet (1.0 and more: random)\n\
-         \x20 both directions multiplied     {spread_rad:5.2} rad: the carrier offset ({:.0} Hz) cancels,\n\
+        "standing: {exchanges} exchanges in {STANDING_S:.0} s at rest; the phase should be constant.\n\
+         \x20 one direction                  {one_way:5.2} rad from packet to packet (1.0 and more: random)\n\
+         \x20 both directions multiplied     {both:5.2} rad: the carrier offset ({cfo_hz:.0} Hz) cancels,\n\
          \x20                                          except over the time between the frames,\n\
-         \x20                                          which jitters by {:.1} us (median)\n\
-         \x20 and the turn-around removed    {spread_compensated_rad:5.2} rad: that time is on the cards' clocks\n",
-        course.len(),
-        turn_around.df_hz,
-        turn_around.jitter_median_us,
+         \x20                                          which jitters by {turn_around_jitter_us:.1} us (median)\n\
+         \x20 and the turn-around removed    {after:5.2} rad: that time is on the cards' clocks\n"
     )
 }
 
@@ -252,15 +233,13 @@ fn table(shown: &[Shown]) -> String {
 
 fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
     let picture = csi5300_lab::show::results::standing(standing);
-    let written = picture.write(&args.out.join("standing-phase"), &super::draft::read_files());
-    written.in_words()
+    pictures(&args.out, |folder| picture.write(&folder.join("standing-phase")))
 }
 
 fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Option<f64>) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
-    let pictures = csi5300_lab::show::results::LinkPictures { bearing, truth_rad, transmitter_m };
-    let written = pictures.write(&args.out, name, &super::draft::read_files());
-    written.in_words()
+    let own = csi5300_lab::show::results::LinkPictures { bearing, truth_rad, transmitter_m };
+    pictures(&args.out, |folder| own.write(folder, name))
 }
 
 /// A line for each picture, by the first of its formats.

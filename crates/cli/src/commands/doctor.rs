@@ -2,7 +2,6 @@
 
 mod accept;
 
-use super::args::channel;
 use super::live::{Card, Listening, Needs, Signals, describe, duration};
 use super::{InWords, Outcome, Result, Words, print, print_json, usage};
 use csi5300::signal::channel::Channel;
@@ -33,7 +32,7 @@ pub struct Args {
     #[arg(long)]
     accept: bool,
     /// WiFi channel of the cards, for --accept
-    #[arg(long, value_parser = channel, value_name = "CHANNEL", requires = "accept")]
+    #[arg(long, value_name = "CHANNEL", requires = "accept")]
     channel: Option<Channel>,
     /// Also write the verdicts into this folder: HTML, JSON, JUnit XML, an entry for the bench log, the logs
     #[arg(long, value_name = "DIR", requires = "accept")]

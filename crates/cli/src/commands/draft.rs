@@ -26,7 +26,7 @@ pub fn reads(path: &Path) {
 }
 
 /// The files that this run may read, with those beside logs and in folders.
-pub fn read_files() -> Vec<PathBuf> {
+fn read_files() -> Vec<PathBuf> {
     let read = READ.lock().unwrap_or_else(PoisonError::into_inner).clone();
     let mut files = Vec::new();
     for path in read {
@@ -108,11 +108,6 @@ impl Draft {
     /// Where to write it, with the output's extension.
     pub fn path(&self) -> &Path {
         self.part.as_deref().unwrap_or(&self.path)
-    }
-
-    /// Words about the draft as words about the file that it will be.
-    pub fn words(&self, words: &str) -> String {
-        words.replace(&self.path().display().to_string(), &self.path.display().to_string())
     }
 
     /// The file that it will be.
@@ -199,6 +194,8 @@ impl FolderDraft {
         let _drafts = drafts();
         files.iter().try_for_each(|file| {
             let last = self.at_last(file);
+            // A link to a file stays a link.
+            let last = if last.is_file() { led_to(&last) } else { last };
             let moved =
                 last.parent().map_or(Ok(()), std::fs::create_dir_all).and_then(|()| std::fs::rename(file, &last));
             moved.map_err(|error| format!("cannot write {}: {error}", last.display()))
@@ -215,6 +212,17 @@ impl Drop for FolderDraft {
             let _ = std::fs::remove_dir(&self.folder);
         }
     }
+}
+
+/// Pictures that `draw` writes into a folder, under their final names: all of them, or none.
+pub fn pictures(
+    folder: &Path,
+    draw: impl FnOnce(&Path) -> Result<Vec<PathBuf>, csi5300_lab::show::Error>,
+) -> Result<Vec<PathBuf>, String> {
+    let draft = FolderDraft::new(folder)?;
+    let written = draw(draft.path()).map_err(|error| draft.words(&error.to_string()))?;
+    let written = written.iter().map(|path| draft.at_last(path)).collect();
+    draft.keep().map(|()| written)
 }
 
 fn files_in(folder: &Path, files: &mut Vec<PathBuf>) {
@@ -310,7 +318,14 @@ mod tests {
         assert_eq!(std::fs::read(folder.join("real/bstp")).unwrap(), b"times");
         assert!(folder.join("gone").is_symlink());
         drop(Draft::new(&folder.join("never")));
-        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 5);
+        link("/dev/null", "device");
+        let draft = FolderDraft::new(&folder).unwrap();
+        ["there", "device"].iter().for_each(|name| std::fs::write(draft.path().join(name), b"newer").unwrap());
+        draft.keep().unwrap();
+        let is_newer = |name: &str| std::fs::read(folder.join(name)).unwrap() == b"newer";
+        assert!(folder.join("there").is_symlink() && is_newer("real/a"));
+        assert!(!folder.join("device").is_symlink() && is_newer("device"));
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 6);
         assert!(drafts().is_empty());
         std::fs::remove_dir_all(folder).unwrap();
     }

@@ -1,13 +1,17 @@
 //! `csi5300 evaluate`.
 
-use super::args::{A_CAPTURE, ClockOffset, Estimation, Mounting, Reading, Which, add_names, antenna, channel};
+use super::args::{A_CAPTURE, Estimation, Mounting, Which, add_names, antenna, reading};
 use super::{InWords, Outcome, Result, Words, fixed, print, print_json, usage};
 use csi5300::maths::median;
+use csi5300::pipeline::JoinBy;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sets, sure};
 use csi5300_lab::evaluate::receivers::receivers;
-use csi5300_lab::evaluate::{ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, find, reliability, summarise};
+use csi5300_lab::evaluate::{
+    ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, reliability, summarise,
+};
 use csi5300_lab::show::results::{Others, write_set};
+use csi5300_view::{Reading, View};
 use driver_iface::bfee::Antenna;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -33,7 +37,7 @@ pub struct Args {
     #[command(flatten)]
     mounting: Mounting,
     /// WiFi channel, with + or - for 40 MHz [default: the capture's]
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    #[arg(long, value_name = "NUMBER")]
     channel: Option<Channel>,
     /// Antenna (RF port) used on both robots: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna, hide = true)]
@@ -55,17 +59,13 @@ pub struct Args {
 
 impl Args {
     fn reading(&self) -> Reading {
-        let estimation = Estimation::with_antenna(self.antenna);
-        Reading {
-            trajectory: self.trajectory,
-            mounting: self.mounting.clone(),
-            channel: self.channel,
-            estimation: Estimation {
-                clock_offset: ClockOffset::Seconds(self.clock_offset),
-                heading_sd: self.heading_sd,
-                ..estimation
-            },
-        }
+        let estimation = Estimation {
+            antenna: vec![self.antenna],
+            clock_offset: (self.clock_offset, JoinBy::Time),
+            heading_sd: self.heading_sd,
+            ..Estimation::default()
+        };
+        reading(self.trajectory, &self.mounting, self.channel, &estimation)
     }
 }
 
@@ -75,18 +75,17 @@ pub fn run(args: &Args) -> Result {
         return page(args, out);
     }
     let reading = args.reading();
-    let source = reading.source();
-    let mut options = reading.options().unwrap_or_else(|message| usage(&message));
+    let mut options = reading.options.clone();
     options.figures = args.json;
     let (captures, unreadable) = find_all(args.folders.iter())?;
     let captures = reading.mounted(captures);
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }
-    let (others, others_lost) = beside(args);
+    let (others, others_lost) = beside(args, reading.source);
     let bar = super::bar(captures.len() as u64, &super::some(captures.len() as u64, "capture", "captures"));
     let one = |capture: &Capture| {
-        let mut evaluated = capture.evaluate(source, reading.channel, &options);
+        let mut evaluated = capture.evaluate(reading.source, reading.channel, &options);
         super::hint::add_all(&mut evaluated.rows);
         bar.inc();
         evaluated
@@ -117,15 +116,15 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
     // Before the work; written at its end.
     drop(super::draft::Draft::create(out, args.force)?);
     let reading = args.reading();
-    reading.find(folder)?;
-    let reading = super::view::reading(&reading);
-    let view = csi5300_view::View::open(folder, reading).in_words()?;
+    super::args::find(&reading, folder)?;
+    let view = View::open(folder, reading).in_words()?;
     view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
     super::progress("");
     let page = view.file().in_words()?;
     super::draft::write(out, &page)?;
-    view.notes().iter().for_each(|line| note!("{line}"));
-    view.failed().iter().for_each(|line| wrong!("{line}"));
+    let (notes, failed) = view.said();
+    notes.iter().for_each(|line| note!("{line}"));
+    failed.iter().for_each(|line| wrong!("{line}"));
     let links = super::some(view.links() as u64, "link", "links");
     note!("{}: {links}, {} KiB", out.display(), page.len() / 1024);
     let (used, lost) = view.outcome();
@@ -134,10 +133,10 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
 
 /// What another program answers on the links, from the tables beside the captures, if pictures are drawn; and whether some of it could not be
 /// read.
-fn beside(args: &Args) -> (Others, bool) {
+fn beside(args: &Args, source: TrajectorySource) -> (Others, bool) {
     let (mut others, mut lost) = (Others::default(), false);
     for folder in args.folders.iter().filter(|_| args.plot.is_some()) {
-        if let Some(words) = others.add(folder, args.reading().source()) {
+        if let Some(words) = others.add(folder, source) {
             note!("{words}");
             lost = true;
         }
@@ -191,8 +190,7 @@ fn show(args: &Args, rows: &[Judged], others: &Others) -> Words<()> {
         }
     }
     if let Some(folder) = &args.plot {
-        let written = write_set(rows, others, folder, &super::draft::read_files());
-        let written = written.in_words()?;
+        let written = super::draft::pictures(folder, |folder| write_set(rows, others, folder))?;
         let pictures = super::files::first_of_each(&written).count() as u64;
         note!("{}: {}", folder.display(), super::some(pictures, "picture", "pictures"));
     }

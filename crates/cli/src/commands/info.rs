@@ -1,6 +1,6 @@
 //! `csi5300 info`.
 
-use super::args::{antenna, mac};
+use super::args::antenna;
 use super::{InWords, Outcome, Result, Words, draft, files, hint, print, print_json, some, usage};
 use csi_formats::{Format, Items};
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
@@ -87,7 +87,7 @@ struct Row<'a> {
 /// Describes logs.
 pub fn run(args: &Args) -> Result {
     if let Err(error) = Filter::default().with_time(args.plot.from, args.plot.to) {
-        usage(&error.to_string());
+        usage(&error);
     }
     if args.files.iter().filter(|path| path.as_os_str() == "-").count() > 1 {
         usage("standard input can be one log only");
@@ -97,7 +97,8 @@ pub fn run(args: &Args) -> Result {
     let stem = |log: &PathBuf| log.file_stem().map_or("log".into(), |stem| stem.to_string_lossy().into_owned());
     let names = files::told_apart(files.iter().map(stem).collect());
     for (k, (path, name)) in files.iter().zip(&names).enumerate() {
-        if let Some(mut row) = read_other_card(path) {
+        if let Some((format, bytes)) = cards::read(path) {
+            let mut row = OtherRow::new(path, format, &bytes);
             row.pictures = drawn(args, path, name, &mut failed);
             row.show(args.json, k > 0);
             let has_frames = row.survey.frames > 0;
@@ -491,9 +492,6 @@ fn steps(sender: &Sender) -> String {
     .collect()
 }
 
-/// Size of the drawing, pixels; higher where its panels and rows need more.
-const SIZE: (f64, f64) = (1200.0, 1100.0);
-
 // What is drawn of logs.
 #[derive(clap::Args)]
 #[group(id = "drawn")]
@@ -505,7 +503,7 @@ struct Pictures {
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     pub plot: Option<PathBuf>,
     /// Draw only frames of these senders
-    #[arg(long, value_delimiter = ',', value_parser = mac, value_name = "MAC,..", requires = "plot")]
+    #[arg(long, value_delimiter = ',', value_name = "MAC,..", requires = "plot")]
     mac: Vec<Mac>,
     /// Draw only these antennas (RF ports): A,B,C
     #[arg(long, value_delimiter = ',', value_parser = antenna, value_name = "A,..", requires = "plot")]
@@ -540,8 +538,8 @@ fn draw_pictures(args: &Pictures, log: &Path, name: &str) -> Words<Vec<PathBuf>>
         note!("{}: no CSI of these antennas (--antenna), so no picture of it", log.display());
     }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let drawn = LogPictures { title: &title, course: &course, size: SIZE };
-    drawn.write(&folder.join(file_safe(name)), &draft::read_files()).in_words()
+    let drawn = LogPictures { title: &title, course: &course };
+    draft::pictures(folder, |folder| drawn.write(&folder.join(file_safe(name))))
 }
 
 /// What is in a log, as JSON has it.
@@ -615,9 +613,4 @@ impl OtherRow {
 /// The bytes of another card's log that are not frames with CSI, a line for each reason.
 pub fn not_read(skipped: &BTreeMap<String, u64>) -> String {
     skipped.iter().map(|(why, bytes)| format!("  not read: {bytes} bytes: {why}\n")).collect()
-}
-
-/// The log of another card, if a file is one; `None` for any other file, and for one that cannot be read.
-fn read_other_card(path: &Path) -> Option<OtherRow> {
-    cards::read(path).map(|(format, bytes)| OtherRow::new(path, format, &bytes))
 }

@@ -1,6 +1,5 @@
 //! `csi5300 key`.
 
-use super::args::mac;
 use super::{InWords, Outcome, Result, Words};
 use csi5300::internal::{create_key_file, group_text, robot_text};
 use csi5300::source::read_key;
@@ -32,10 +31,10 @@ enum What {
         #[arg(long, value_name = "FILE")]
         group: PathBuf,
         /// The robot's MAC
-        #[arg(long, value_parser = mac, value_name = "MAC")]
+        #[arg(long, value_name = "MAC")]
         mac: Mac,
         /// MACs of all its peers, separated by commas
-        #[arg(long, required = true, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
+        #[arg(long, required = true, value_delimiter = ',', value_name = "MAC,..")]
         peers: Vec<Mac>,
         /// The robot's file; an existing one is never overwritten
         #[arg(value_name = "FILE")]

@@ -1,6 +1,6 @@
 //! `csi5300 mcap`.
 
-use super::args::{Estimation, channel, columns};
+use super::args::Estimation;
 use super::files::{read_trajectory_as, told_apart};
 use super::{InWords, Outcome, Result, Words, fixed, info, some, usage};
 use csi5300::bartlett::{self, Grid};
@@ -36,10 +36,10 @@ pub struct Args {
     trajectory: Option<PathBuf>,
     /// Columns of trajectories, instead of their headings: t,x,y,yaw (also ns, z, qx, qy, qz, qw; t_ms, x_mm, yaw_deg
     /// ..; _ skips a column)
-    #[arg(long, value_parser = columns, value_name = "NAMES", requires = "trajectory")]
+    #[arg(long, value_name = "NAMES", requires = "trajectory")]
     columns: Option<Columns>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
-    #[arg(long, value_parser = channel, value_name = "NUMBER", requires = "trajectory")]
+    #[arg(long, value_name = "NUMBER", requires = "trajectory")]
     channel: Option<Channel>,
     /// Overwrite existing outputs
     #[arg(long)]

@@ -60,7 +60,7 @@ const JOIN_ROWS: [&str; 2] = ["--join-rows", "--clock-offset=rows"];
 /// Replaces an old name by the new one, and returns the note to print.
 pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     let place = place(args)?;
-    let said = rename_command(args, place).or_else(|| without_root(args, place)).or_else(|| of_record(args, place));
+    let said = rename_command(args, place).or_else(|| rename_option(args, place));
     let is_bearing = args.get(place).is_some_and(|name| name == "bearing");
     let old = args.iter_mut().find(|arg| is_bearing && *arg == JOIN_ROWS[0]);
     let Some(old) = old else { return said };
@@ -70,42 +70,34 @@ pub fn rename(args: &mut Vec<OsString>) -> Option<String> {
     })
 }
 
-/// `doctor --root DIR` is `doctor DIR`.
-fn without_root(args: &mut Vec<OsString>, place: usize) -> Option<String> {
-    const OLD: &str = "--root";
-    let is_root = |arg: &OsString| arg.to_str().is_some_and(|arg| arg.split('=').next() == Some(OLD));
-    let at = args.iter().position(is_root).filter(|_| args.get(place).is_some_and(|name| name == "doctor"))?;
-    let value = args.get(at)?.to_str()?.split_once('=').map(|(_, value)| OsString::from(value));
-    match (value, args.get_mut(at)) {
-        (Some(value), Some(arg)) => *arg = value,
-        _ => drop(args.remove(at)),
-    }
-    Some(format!("`doctor {OLD} DIR` is `doctor DIR` now; the next version removes the old name"))
-}
+/// An option with a value whose name or form was another: the command, the old name, and what stands for it and its value now.
+type Renamed = (&'static str, &'static str, fn(&str) -> Option<String>);
 
-/// `record --records N` is `record --stop-after Nrecords`; and the records of `--stock` stand behind an equals sign, as a value may
-/// be left out.
-fn of_record(args: &mut Vec<OsString>, place: usize) -> Option<String> {
-    const RECORDS: [&str; 4] = ["wsr", "wsr-frames", "csitool", "csitool-frames"];
-    args.get(place).filter(|name| *name == "record")?;
-    let option =
-        |name: &str| args.iter().position(|arg| arg.to_str().is_some_and(|arg| arg.split('=').next() == Some(name)));
-    if let Some(at) = option("--records") {
+/// The records of `--stock` stand behind an equals sign, as they may be left out.
+const OPTIONS: [Renamed; 3] = [
+    ("doctor", "--root", |folder| Some(folder.to_owned())),
+    ("record", "--records", |count| Some(format!("--stop-after={count}records"))),
+    ("record", "--stock", |records| {
+        let is_named = ["wsr", "wsr-frames", "csitool", "csitool-frames"].contains(&records);
+        is_named.then(|| format!("--stock={records}"))
+    }),
+];
+
+fn rename_option(args: &mut Vec<OsString>, place: usize) -> Option<String> {
+    let own = OPTIONS.iter().filter(|(command, ..)| args.get(place).is_some_and(|name| name == command));
+    let renamed = |(_, old, new): &Renamed| {
+        let at = args.iter().position(|arg| arg.to_str().is_some_and(|arg| arg.split('=').next() == Some(*old)))?;
         let text = args.get(at)?.to_str()?;
-        let count = match text.split_once('=') {
-            Some((_, count)) => count.to_owned(),
-            None => args.get(at + 1)?.to_str()?.to_owned(),
+        let (last, value) = match text.split_once('=') {
+            Some((_, value)) => (at, value),
+            None => (at + 1, args.get(at + 1)?.to_str()?),
         };
-        let last = if text.contains('=') { at } else { at + 1 };
-        drop(args.splice(at..=last, [OsString::from(format!("--stop-after={count}records"))]));
-        return Some(format!(
-            "`--records {count}` is `--stop-after {count}records` now; the old name goes with the next version"
-        ));
-    }
-    let at = option("--stock").filter(|at| args.get(*at).is_some_and(|arg| arg == "--stock"))?;
-    let value = args.get(at + 1)?.to_str().filter(|value| RECORDS.contains(value))?.to_owned();
-    drop(args.splice(at..=at + 1, [OsString::from(format!("--stock={value}"))]));
-    Some(format!("`--stock {value}` is read as `--stock={value}`: a log of that name is `./{value}`"))
+        let new = new(value).filter(|new| new != text)?;
+        Some((at..=last, format!("{old} {value}"), new))
+    };
+    let (at, old, new) = own.into_iter().find_map(renamed)?;
+    drop(args.splice(at, [OsString::from(&new)]));
+    Some(format!("`{old}` is `{new}` now; the next version removes the old form"))
 }
 
 fn rename_command(args: &mut Vec<OsString>, place: usize) -> Option<String> {

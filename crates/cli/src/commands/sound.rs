@@ -2,7 +2,7 @@
 //! `--dialect wsr --ack-len N` as the WSR driver gives them in the kernel. In the native dialect an answer carries what the card measured
 //! of an earlier frame, so that the initiator has bearings live.
 
-use super::args::{Estimation, antenna, channel_of_5300, mac};
+use super::args::{Estimation, antenna, channel_of_5300};
 use super::live::{Listening, Needs, Signals, create_refused, describe, duration, join_refused};
 use super::{InWords, Outcome, Result, Words, fixed, hint, is_end_of_room, print, print_json, usage};
 use csi5300::exchange::tdma::{Config, Dialect, Epoch, Event, Phy, Plan, PlanError, Request, TdmaCounts};
@@ -125,21 +125,18 @@ struct Bearings<'a> {
 }
 
 /// What `sound` does beside sounding.
-struct Live<'a> {
-    bearings: Option<Bearings<'a>>,
-}
+struct Live<'a>(Option<Bearings<'a>>);
 
 impl Observer for Live<'_> {
     fn record(&mut self, next: &Next<'_>, _running: &Running) {
-        if let Some(bearings) = &mut self.bearings {
+        if let Some(bearings) = &mut self.0 {
             bearings.products.handle_own(next);
         }
     }
 
     fn news(&mut self, news: &News) {
         tell(news);
-        let (Some(bearings), News::Event(Event::Answered { peer, number, measurement, .. })) =
-            (&mut self.bearings, news)
+        let (Some(bearings), News::Event(Event::Answered { peer, number, measurement, .. })) = (&mut self.0, news)
         else {
             return;
         };
@@ -150,7 +147,7 @@ impl Observer for Live<'_> {
     }
 
     fn look(&mut self, now: Instant, _running: &Running) {
-        let Some(bearings) = &mut self.bearings else { return };
+        let Some(bearings) = &mut self.0 else { return };
         if let Some(made) = bearings.beside.take() {
             bearings.tell(made);
         }
@@ -237,7 +234,8 @@ pub fn run(args: &Args) -> Result {
     }
     let wanted = if args.trajectory.is_some() { Wanted::Needed } else { Wanted::Not };
     common.check(wanted);
-    let estimation = Estimation { heading_sd: args.heading_sd, ..Estimation::with_antenna(args.antenna) };
+    let (antenna, heading_sd) = (vec![args.antenna], args.heading_sd);
+    let estimation = Estimation { antenna, heading_sd, ..Estimation::default() };
     let options = common.channel.map(|channel| estimation.options(channel).unwrap_or_else(|message| usage(&message)));
     let signals = Signals::catch().in_words()?;
     let clock = Monotonic::new();
@@ -262,9 +260,9 @@ pub fn run(args: &Args) -> Result {
     };
     common.see_to_rate(args.antenna)?;
     let messages = common.messages(wanted, opened.own)?;
-    let mut live = Live { bearings };
+    let mut live = Live(bearings);
     let (mut outcome, row) = common.run(&signals, messages, opened, (clock, args.open_loop), &mut live)?;
-    if let Some(bearings) = live.bearings
+    if let Some(bearings) = live.0
         && !bearings.finish(&signals)?
         && outcome == Outcome::Done
     {
@@ -342,7 +340,7 @@ struct Sounding {
     #[arg(long, value_name = "NAME", required_unless_present = "room", conflicts_with = "room")]
     interface: Option<String>,
     /// MACs of the other robots; in the WSR dialect they get frames of 57, 59, 61 ... bytes
-    #[arg(long, required = true, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
+    #[arg(long, required = true, value_delimiter = ',', value_name = "MAC,..")]
     peers: Vec<Mac>,
     /// Rounds a second, each with one exchange per peer
     #[arg(long, default_value_t = 100.0, value_name = "HZ")]
@@ -380,7 +378,7 @@ struct Sounding {
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
     /// This robot's MAC, instead of the interface's own
-    #[arg(long, value_parser = mac, value_name = "MAC")]
+    #[arg(long, value_name = "MAC")]
     mac: Option<Mac>,
     /// Do not ask for SCHED_FIFO
     #[arg(long)]
@@ -611,55 +609,43 @@ enum Wanted {
     Needed,
 }
 
-/// How many were lost or ignored for one cause.
-#[derive(Clone, Copy)]
-struct Cause {
-    /// Its name in JSON.
-    name: &'static str,
-    /// How many.
-    count: u64,
-    /// What follows the number in words.
-    words: &'static str,
-}
-
-fn cause(name: &'static str, count: u64, words: &'static str) -> Cause {
-    Cause { name, count, words }
-}
+/// How many were lost or ignored for one cause: its name in JSON, the number, and the words that follow it.
+type Cause = (&'static str, u64, &'static str);
 
 /// Due frames that were not sent, or perhaps late.
 fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &AirCounts) -> [Cause; 7] {
     let skipped = counts.missed_slots + figures.too_late;
     [
-        cause("host_late", skipped, "frames skipped because the host was late (never sent late)"),
-        cause("answer_late", counts.missed_replies, "answers skipped because they were late"),
-        cause("perhaps_late", figures.perhaps_late, "frames handed over in time that the kernel took late"),
-        cause("no_room", air.no_room, "frames not taken: no room in the kernel's queue"),
-        cause("interface_down", air.down, "frames not taken: the interface was down"),
-        cause("too_long", air.too_long, "frames not taken: longer than the MTU"),
-        cause("cut", air.cut, "frames that the kernel took only in part"),
+        ("host_late", skipped, "frames skipped because the host was late (never sent late)"),
+        ("answer_late", counts.missed_replies, "answers skipped because they were late"),
+        ("perhaps_late", figures.perhaps_late, "frames handed over in time that the kernel took late"),
+        ("no_room", air.no_room, "frames not taken: no room in the kernel's queue"),
+        ("interface_down", air.down, "frames not taken: the interface was down"),
+        ("too_long", air.too_long, "frames not taken: longer than the MTU"),
+        ("cut", air.cut, "frames that the kernel took only in part"),
     ]
 }
 
 /// Frames heard and turns that were not used.
 fn not_used(counts: &TdmaCounts, air: &AirCounts) -> [Cause; 17] {
     [
-        cause("kernel_dropped", air.dropped, "frames heard but dropped by the kernel before they were read"),
-        cause("stale", air.stale, "frames dropped after a second or more in the kernel's queue"),
-        cause("bad_fcs", air.bad_fcs, "frames with a wrong check sequence"),
-        cause("damaged", air.damaged, "frames behind an unreadable radiotap header"),
-        cause("foreign", counts.foreign, "frames of another dialect or damaged"),
-        cause("strangers", counts.strangers, "frames of robots that are no peers"),
-        cause("unauthenticated", counts.unauthenticated, "frames without the key"),
-        cause("contested", counts.contested, "measurements whose number two frames had"),
-        cause("replayed", counts.replayed, "frames repeated or of an old session"),
-        cause("unmatched", counts.unmatched, "answers that match no waiting frame"),
-        cause("other_plan", counts.other_plan, "frames of another plan (--rate, --links)"),
-        cause("yields", counts.yields, "turns yielded to another initiator"),
-        cause("overslept", counts.overslept, "turns lost because the host was busy"),
-        cause("rivals", counts.rivals, "frames that contradict an earlier initiator or turn"),
-        cause("off_epoch", counts.off_epoch, "frames outside their slot"),
-        cause("own_echoes", counts.own_echoes, "copies of this robot's own frames"),
-        cause("events_lost", counts.events_lost, "events lost because too many came at once"),
+        ("kernel_dropped", air.dropped, "frames heard but dropped by the kernel before they were read"),
+        ("stale", air.stale, "frames dropped after a second or more in the kernel's queue"),
+        ("bad_fcs", air.bad_fcs, "frames with a wrong check sequence"),
+        ("damaged", air.damaged, "frames behind an unreadable radiotap header"),
+        ("foreign", counts.foreign, "frames of another dialect or damaged"),
+        ("strangers", counts.strangers, "frames of robots that are no peers"),
+        ("unauthenticated", counts.unauthenticated, "frames without the key"),
+        ("contested", counts.contested, "measurements whose number two frames had"),
+        ("replayed", counts.replayed, "frames repeated or of an old session"),
+        ("unmatched", counts.unmatched, "answers that match no waiting frame"),
+        ("other_plan", counts.other_plan, "frames of another plan (--rate, --links)"),
+        ("yields", counts.yields, "turns yielded to another initiator"),
+        ("overslept", counts.overslept, "turns lost because the host was busy"),
+        ("rivals", counts.rivals, "frames that contradict an earlier initiator or turn"),
+        ("off_epoch", counts.off_epoch, "frames outside their slot"),
+        ("own_echoes", counts.own_echoes, "copies of this robot's own frames"),
+        ("events_lost", counts.events_lost, "events lost because too many came at once"),
     ]
 }
 
@@ -707,9 +693,8 @@ impl ExchangeRow {
             let link = finished.exchange.tdma.link_counts(*mac).filter(|link| link.sounded > 0)?;
             Some(PeerRow { mac: mac.to_string(), forward: link.sounded, answered: link.answered })
         };
-        let named = |causes: &[Cause]| {
-            causes.iter().filter(|cause| cause.count > 0).map(|cause| (cause.name, cause.count)).collect()
-        };
+        let named =
+            |causes: &[Cause]| causes.iter().filter(|cause| cause.1 > 0).map(|cause| (cause.0, cause.1)).collect();
         let reports = air.tx_status > 0;
         Self {
             forward: counts.forward,
@@ -803,7 +788,7 @@ fn summary(peers: &[Mac], finished: &Finished, open_loop: bool) -> String {
             "  the WSR kernel driver: {least} to {most} us, median {median}, from start to start of the frames, {airtime_us} us of it on air"
         );
     }
-    for Cause { count, words, .. } in not_sent(counts, figures, &air).into_iter().chain(not_used(counts, &air)) {
+    for (_, count, words) in not_sent(counts, figures, &air).into_iter().chain(not_used(counts, &air)) {
         if count > 0 {
             let _ = writeln!(text, "  {count} {words}");
         }

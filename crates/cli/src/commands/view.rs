@@ -1,6 +1,6 @@
 //! `csi5300 view`: a page in the browser about a log, captures or a running node.
 
-use super::args::{Estimation, Mounting, Reading, Which, address, antenna, channel};
+use super::args::{Estimation, Mounting, Which, address, antenna, reading};
 use super::{InWords, Outcome, Result, print, usage};
 use csi5300::signal::channel::Channel;
 use csi5300_view::{Ends, Server, View};
@@ -27,34 +27,11 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "gt")]
     trajectory: Which,
     /// WiFi channel, with + or - for 40 MHz [default: the capture's]
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    #[arg(long, value_name = "NUMBER")]
     channel: Option<Channel>,
     /// Antenna (RF port) used on both robots: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
-}
-
-/// How captures are read, for the page.
-pub fn reading(reading: &Reading) -> csi5300_view::Reading {
-    let options = reading.options().unwrap_or_else(|message| usage(&message));
-    csi5300_view::Reading {
-        source: reading.source(),
-        channel: reading.channel,
-        options,
-        antenna_offset_m: reading.antenna_offset_m(),
-        camera: reading.mounting.camera_mount,
-    }
-}
-
-impl Args {
-    fn reading(&self) -> Reading {
-        Reading {
-            trajectory: self.trajectory,
-            mounting: Mounting::default(),
-            channel: self.channel,
-            estimation: Estimation::with_antenna(self.antenna),
-        }
-    }
 }
 
 /// Serves the page until a signal ends it.
@@ -69,7 +46,9 @@ pub fn run(args: &Args) -> Result {
     if !csi5300_lab::cards::is_log(what) {
         super::files::must_be_log(what)?;
     }
-    let view = View::open(what, reading(&args.reading())).in_words()?;
+    let estimation = Estimation { antenna: vec![args.antenna], ..Estimation::default() };
+    let reading = reading(args.trajectory, &Mounting::default(), args.channel, &estimation);
+    let view = View::open(what, reading).in_words()?;
     view.left_out().iter().for_each(|words| note!("{words}"));
     let view = Arc::new(view);
     let server = Server::listen(args.listen).in_words()?;

@@ -137,7 +137,7 @@ pub fn measure(
     let report = bearings(&mut rx, transmitters, trajectory, &options)?;
     // Either log may contain other senders' frames; the link's sender has the most, as in the pipeline.
     let sender = report.links.first().and_then(|found| found.link.as_ref()).map(|link| link.mac);
-    let (receiver, transmitter) = (rx.seen.finish(sender), tx.seen.finish(options.rx_mac));
+    let (receiver, transmitter) = (rx.finish(sender), tx.finish(options.rx_mac));
     let link = link_figures(&report, &options)?;
     Ok(Figures { receiver, transmitter, link })
 }
@@ -327,11 +327,6 @@ pub struct SideFigures {
 /// Passes a source's items on and measures its records.
 struct Observed<'a> {
     source: &'a mut (dyn CsiSource + Send),
-    seen: SeenRecords,
-}
-
-/// What a log's records showed so far.
-struct SeenRecords {
     /// The subcarriers of the source's channel.
     indices: [i8; SUBCARRIERS],
     survey: Survey,
@@ -342,20 +337,7 @@ struct SeenRecords {
 impl<'a> Observed<'a> {
     fn new(source: &'a mut (dyn CsiSource + Send), indices: [i8; SUBCARRIERS]) -> Self {
         let (survey, unwrap, senders) = (Survey::default(), Unwrap32::default(), BTreeMap::new());
-        Self { source, seen: SeenRecords { indices, survey, unwrap, senders } }
-    }
-}
-
-impl SeenRecords {
-    fn note(&mut self, next: &Next<'_>) {
-        let Some((bfee, identity)) = self.survey.note(next) else { return };
-        let clock_us = self.unwrap.next(bfee.timestamp_low());
-        if self.senders.len() >= SENDERS_KEPT && !self.senders.contains_key(&identity.mac) {
-            return;
-        }
-        let new = || Collector { indices: self.indices, ..Collector::default() };
-        let length = if let Next::Record(_, record) = next { record.emit_len() } else { 0 };
-        self.senders.entry(identity.mac).or_insert_with(new).note(&bfee, identity, clock_us, length);
+        Self { source, indices, survey, unwrap, senders }
     }
 
     /// The figures of one sender; by default the one with the most numbered frames.
@@ -372,8 +354,16 @@ impl SeenRecords {
 
 impl CsiSource for Observed<'_> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        let next = self.source.receive(now)?;
-        self.seen.note(&next);
+        let Self { source, indices, survey, unwrap, senders } = self;
+        let next = source.receive(now)?;
+        if let Some((bfee, identity)) = survey.note(&next) {
+            let clock_us = unwrap.next(bfee.timestamp_low());
+            if senders.len() < SENDERS_KEPT || senders.contains_key(&identity.mac) {
+                let new = || Collector { indices: *indices, ..Collector::default() };
+                let length = if let Next::Record(_, record) = &next { record.emit_len() } else { 0 };
+                senders.entry(identity.mac).or_insert_with(new).note(&bfee, identity, clock_us, length);
+            }
+        }
         Ok(next)
     }
 

@@ -24,10 +24,8 @@ use std::path::Path;
 pub struct Fitted {
     /// Its text.
     pub toml: String,
-    /// The scene.
+    /// The scene. It has another seed than the one used for fitting, so its figures are no better than any other seed's.
     pub scene: Scene,
-    /// Its figures. The scene has another seed than the one used for fitting, so these are no better than any other seed's.
-    pub figures: Figures,
 }
 
 /// What is known of a recording besides its figures.
@@ -38,8 +36,6 @@ pub struct Known<'a> {
     pub file: &'a Path,
     /// The folder of the scene.
     pub folder: &'a Path,
-    /// The transmitter's antenna, metres, in the trajectory's frame; the estimated place if unknown.
-    pub transmitter_m: Option<[f64; 3]>,
 }
 
 /// Adjusted values: phase noise of a frame, loss of the walls (no walls for a recording without motion), transmitted power
@@ -90,28 +86,27 @@ pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareEr
 pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, CompareError> {
     check_width(recorded, options.channel)?;
     let no_place = || "the transmitter's place is not known, and without motion it cannot be found".into();
-    let place = known.transmitter_m.or(recorded.link.place_m).ok_or_else(|| CompareError::Lacks(no_place()))?;
+    let place = recorded.link.place_m.ok_or_else(|| CompareError::Lacks(no_place()))?;
     let recording = Recording { figures: recorded, known, place, channel: options.channel };
     let mut adjusted = first(recorded, known.trajectory, place);
-    let simulated = |adjusted: &Adjusted, seed: u64| {
+    let made = |adjusted: &Adjusted, seed: u64| {
         let scene = recording.scene(adjusted, seed);
         let invalid =
             |toml: &str, source: SceneError| CompareError::Lacks(format!("the fitted scene: {source}\n{toml}"));
         let toml = HEADER.to_owned() + &scene.to_toml().map_err(|source| invalid("", source))?;
         let scene = Scene::read(&toml, known.folder).map_err(|source| invalid(&toml, source))?;
-        let figures = measure_scene(&scene, Some(known.trajectory), options)?;
-        Ok::<_, CompareError>(Fitted { toml, scene, figures })
+        Ok::<_, CompareError>(Fitted { toml, scene })
     };
     let mut best = (f64::INFINITY, adjusted);
     for _ in 0..ROUNDS {
-        let figures = simulated(&adjusted, SEEDS[0])?.figures;
+        let figures = measure_scene(&made(&adjusted, SEEDS[0])?.scene, Some(known.trajectory), options)?;
         let off = distance(recorded, &figures);
         if off < best.0 {
             best = (off, adjusted);
         }
         adjust(&mut adjusted, recorded, &figures, options.channel.wavelength_m());
     }
-    simulated(&best.1, SEEDS[1])
+    made(&best.1, SEEDS[1])
 }
 
 /// The noise power of a subcarrier beyond the rounding of its coefficients, relative to the signal, at one side's antenna.

@@ -81,7 +81,7 @@ pub(super) fn open(path: &Path, format: Format, bytes: &[u8]) -> LogIndex {
         let frame = match item {
             Item::Frame(frame) => frame,
             Item::Skipped(skipped) => {
-                marks.damaged.extend(is_damage(skipped.why).then(|| offset.len().saturating_sub(1)));
+                marks.damaged.extend(is_damage(skipped.why).then(|| (offset.len().saturating_sub(1), 1)));
                 continue;
             }
         };

@@ -8,6 +8,7 @@ use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
 use csi5300::motion::pose::{Mount, Trajectory};
 use csi5300::signal::channel::ChannelError;
 use csi5300::source::replay::Replay;
+use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Error};
 use nalgebra::Vector2;
 use serde::Deserialize;
@@ -78,7 +79,7 @@ pub struct Loose {
 }
 
 /// One run: the logs and trajectories of one time stamp.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Capture {
     /// Folder below the evaluated one, with forward slashes.
     pub place: String,
@@ -209,15 +210,8 @@ fn loose(root: &Path) -> Option<Capture> {
     let receiver = receiver(&logs, &trajectory, true).ok()?;
     let name = |log: &PathBuf| log.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let transmitters = logs.iter().filter(|log| **log != receiver).map(|log| (name(log), log.clone())).collect();
-    Some(Capture {
-        place: String::new(),
-        stamp: String::new(),
-        folder: root.into(),
-        loose: Some(Box::new(Loose { log: receiver, trajectory })),
-        transmitters,
-        antenna_offset_m: None,
-        camera: None,
-    })
+    let loose = Some(Box::new(Loose { log: receiver, trajectory }));
+    Some(Capture { folder: root.into(), loose, transmitters, ..Capture::default() })
 }
 
 /// The captures with the usual names.
@@ -269,10 +263,8 @@ fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
             place: place.join("/"),
             stamp: stamp.into(),
             folder: folder.into(),
-            loose: None,
             transmitters,
-            antenna_offset_m: None,
-            camera: None,
+            ..Capture::default()
         }
     };
     stamps.iter().map(|stamp| capture(stamp)).collect()
@@ -371,16 +363,15 @@ pub fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<
     if let Some(one) = exactly_one(logs.iter().filter(is_called_rx)) {
         return Ok(one.clone());
     }
-    let surveys: Vec<(&PathBuf, Heard)> = logs.iter().filter_map(|log| Some((log, heard(log)?))).collect();
-    let several = surveys.iter().filter(|(_, heard)| heard.senders > 1);
-    if let Some((log, _)) = exactly_one(several) {
+    let surveys: Vec<(&PathBuf, Survey)> = logs.iter().filter_map(|log| Some((log, survey(log)?))).collect();
+    if let Some((log, _)) = exactly_one(surveys.iter().filter(|(_, survey)| robots(survey) > 1)) {
         return Ok((*log).clone());
     }
     if let Ok((poses, _)) = csi5300::motion::odometry::csv::read_as(trajectory, None)
         && let Some((from, to)) = poses.poses().first().zip(poses.poses().last())
     {
-        let within = surveys.iter().filter(|(_, heard)| heard.host_s.is_some_and(|(a, b)| a < to.t_s && b > from.t_s));
-        if let Some((log, _)) = exactly_one(within) {
+        let overlaps = |(a, b): (i64, i64)| (a as f64 * 1e-6) < to.t_s && b as f64 * 1e-6 > from.t_s;
+        if let Some((log, _)) = exactly_one(surveys.iter().filter(|(_, survey)| survey.host_us.is_some_and(overlaps))) {
             return Ok((*log).clone());
         }
     }
@@ -391,20 +382,16 @@ pub fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<
     ))
 }
 
-/// What a log shows of its robot.
-struct Heard {
-    senders: usize,
-    host_s: Option<(f64, f64)>,
-}
-
-fn heard(path: &Path) -> Option<Heard> {
+fn survey(path: &Path) -> Option<Survey> {
     let mut log = Log::open(path).ok()?;
     while log.next().is_some_and(|frame| frame.is_ok()) {}
-    let survey = log.survey();
-    // A sender with few records passed by and is not a robot of the capture.
+    Some(log.survey().clone())
+}
+
+/// Senders of a log. One with few records passed by and is not a robot of the capture.
+fn robots(survey: &Survey) -> usize {
     let most = survey.senders.values().map(|sender| sender.records).max().unwrap_or(0);
-    let senders = survey.senders.values().filter(|sender| 10 * sender.records > most).count();
-    Some(Heard { senders, host_s: survey.host_us.map(|(a, b)| (a as f64 * 1e-6, b as f64 * 1e-6)) })
+    survey.senders.values().filter(|sender| 10 * sender.records > most).count()
 }
 
 /// The only item, if there is one.

@@ -11,7 +11,7 @@
 //! ([`Judged`]), with several options from files read once ([`Capture::shelf`]). [`summarise`] gives the errors by set, and
 //! [`quality`] figures about ranges and error bars. [`receivers`] locates receivers, [`transmitters`] locates transmitters from
 //! several captures in one frame.
-//! [`reliability`], [`surest`] and [`above`] evaluate probabilities.
+//! [`reliability`] and [`surest`] evaluate probabilities.
 
 pub mod captures;
 mod judge;
@@ -23,6 +23,4 @@ pub use captures::{
     Capture, EvaluateError, Loose, Shelf, TRUTH_FILE, TrajectorySource, channel_number_in, find, find_all,
 };
 pub use judge::{Evaluated, Judged, Look, Part};
-pub use quality::{
-    ALL_SETS, Errors, Kept, Reliability, SetSummary, Sure, WRONG_DEG, above, reliability, summarise, surest,
-};
+pub use quality::{ALL_SETS, Errors, Kept, Reliability, SetSummary, Sure, WRONG_DEG, reliability, summarise, surest};

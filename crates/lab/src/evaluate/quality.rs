@@ -118,7 +118,7 @@ impl Sure {
 }
 
 /// Errors of the remaining bearings after refusing the least sure.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Kept {
     /// Share kept, 0..1.
@@ -127,30 +127,6 @@ pub struct Kept {
     pub confidence: f64,
     /// Errors of those kept.
     pub errors: Errors,
-    /// Share of the refused bearings that was within five degrees: the cost. `None` if nothing was refused.
-    pub refused_right: Option<f64>,
-}
-
-impl Kept {
-    fn of(kept: &[Sure], refused: &[Sure], confidence: f64) -> Self {
-        let right = refused.iter().filter(|own| own.is_right()).count();
-        Self {
-            share: kept.len() as f64 / (kept.len() + refused.len()).max(1) as f64,
-            confidence,
-            errors: Errors::of(kept.iter().map(|own| own.error_deg)),
-            refused_right: (!refused.is_empty()).then(|| right as f64 / refused.len() as f64),
-        }
-    }
-}
-
-/// The result of refusing below each of the probabilities `least`; empty without bearings.
-#[must_use]
-pub fn above(all: &[Sure], least: &[f64]) -> Vec<Kept> {
-    let of = |least: &f64| {
-        let (kept, refused): (Vec<Sure>, Vec<Sure>) = all.iter().partition(|own| own.probability >= *least);
-        Kept::of(&kept, &refused, *least)
-    };
-    if all.is_empty() { Vec::new() } else { least.iter().map(of).collect() }
 }
 
 /// The result of keeping each of `shares`, rounded up to a whole bearing, the surest first; empty without bearings.
@@ -161,8 +137,9 @@ pub fn surest(all: &[Sure], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
     let of = |share: f64| {
         // Rounding errors of a share must not add a bearing.
         let count = ((falling.len() as f64 * share - 1e-9).ceil() as usize).min(falling.len());
-        let (kept, refused) = falling.split_at(count);
-        Kept { share, ..Kept::of(kept, refused, kept.last().map_or(0.0, |own| own.probability)) }
+        let kept = falling.get(..count).unwrap_or_default();
+        let confidence = kept.last().map_or(0.0, |own| own.probability);
+        Kept { share, confidence, errors: Errors::of(kept.iter().map(|own| own.error_deg)) }
     };
     if all.is_empty() { Vec::new() } else { shares.map(of).collect() }
 }
@@ -368,17 +345,12 @@ mod tests {
     }
 
     #[test]
-    fn refusing_the_unsure_lowers_the_error_and_costs_what_was_right() {
+    fn refusing_the_unsure_lowers_the_error() {
         let all = ten();
         let curve = surest(&all, [1.0, 0.5].into_iter());
         assert_eq!((curve[0].errors.links, curve[1].errors.links), (10, 5));
         assert!((curve[1].errors.mean_deg - 2.0).abs() < 1e-12 && (curve[0].errors.mean_deg - 4.5).abs() < 1e-12);
-        // One of the five refused is 5 degrees off: still right.
-        assert_eq!((curve[0].refused_right, curve[1].refused_right), (None, Some(0.2)));
-        let least = above(&all, &[0.0, 0.75, 1.1]);
-        assert_eq!(least.iter().map(|kept| kept.errors.links).collect::<Vec<_>>(), [10, 3, 0]);
-        assert_eq!((least[1].share, least[1].confidence, least[2].refused_right), (0.3, 0.75, Some(0.6)));
-        assert!(surest(&[], [1.0].into_iter()).is_empty() && above(&[], &[0.0]).is_empty());
+        assert!(surest(&[], [1.0].into_iter()).is_empty());
         // The same of judged rows.
         let rows: Vec<Judged> = (0..10).map(|k| row("a/x", 0.0, f64::from(k), 1.0 - f64::from(k) * 0.1)).collect();
         let of_rows = risk_coverage(&rows);

@@ -163,9 +163,9 @@ pub fn receivers_with(rows: &[Judged], ranges: &BTreeMap<String, Vec<Ranged>>, s
     let mut graphs = Vec::new();
     for links in &captures {
         if located.receivers.iter().all(|own| own.capture != links.name) {
-            let (receiver, graph) = links.locate();
-            located.receivers.push(receiver);
-            graphs.extend(graph);
+            let own = links.locate();
+            located.receivers.extend(own.receivers);
+            graphs.extend(own.graph);
         }
     }
     located.receivers.sort_by(|a, b| a.capture.cmp(&b.capture));
@@ -263,23 +263,18 @@ impl<'a> Links<'a> {
     }
 
     /// The receiver from these links alone, with its graph.
-    fn locate(&self) -> (Receiver, Option<(Team, Solution)>) {
+    fn locate(&self) -> Located {
         let seen = self.seen(|_| false);
-        let mut receiver = self.receiver(&seen);
-        receiver.error = self.lack(&seen);
-        if receiver.error.is_some() {
-            return (receiver, None);
-        }
         let mut graph = Joint::default();
-        let solved = graph.add(self, &seen, None).and_then(|()| graph.team.solve());
-        match (solved, graph.own.pop()) {
-            (Ok(found), Some(own)) => {
-                own.fill(&mut receiver, &seen, &found);
-                (receiver, Some((graph.team, found)))
-            }
-            (solved, _) => {
-                receiver.error = solved.err().map(|error| error.to_string());
-                (receiver, None)
+        let solved = match self.lack(&seen) {
+            Some(lack) => Err(lack),
+            None => graph.add(self, &seen, None).and_then(|()| graph.team.solve()).map_err(|error| error.to_string()),
+        };
+        match solved {
+            Ok(found) => graph.located(&[self], &BTreeMap::new(), found),
+            Err(error) => {
+                let receiver = Receiver { error: Some(error), ..self.receiver(&seen) };
+                Located { receivers: vec![receiver], ..Located::default() }
             }
         }
     }
@@ -419,11 +414,9 @@ impl Graph {
             let nearest = || ways.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
             let chosen = found.chosen[*link];
             let Some(way) = chosen.and_then(|k| ways.get(k)).or_else(nearest) else { continue };
-            let weight = if chosen.is_some() { 1.0 } else { 0.0 };
-            receiver.weights.push(weight);
+            receiver.weights.push(if chosen.is_some() { 1.0 } else { 0.0 });
             receiver.azimuths_deg.push(way.azimuth_deg);
-            elevations
-                .extend(elevation(row, [tx, ty]).filter(|_| way.is_answer && weight > 0.0).map(|own| (own, weight)));
+            elevations.extend(elevation(row, [tx, ty]).filter(|_| way.is_answer && chosen.is_some()));
         }
         let chosen = seen.iter().zip(&receiver.azimuths_deg);
         let errors = chosen.map(|(row, azimuth)| Some(wrap_deg(azimuth - row.true_from_mean_pose_deg?)));
@@ -450,15 +443,15 @@ fn elevation(row: &Judged, transmitter_m: [f64; 2]) -> Option<Elevation> {
     Some(Elevation { transmitter_m: transmitter_m.into(), transmitter_z_m, elevation_rad, sd_rad })
 }
 
-/// The height at `at` and its deviation: mean over the elevations, weighted by inverse variance and by the link's weight. They
-/// share the errors of the position, which do not average out.
-fn height(at: &Vector2<f64>, covariance_m2: &Matrix2<f64>, elevations: &[(Elevation, f64)]) -> Option<(f64, f64)> {
+/// The height at `at` and its deviation: mean over the elevations, weighted by inverse variance. They share the errors of
+/// the position, which do not average out.
+fn height(at: &Vector2<f64>, covariance_m2: &Matrix2<f64>, elevations: &[Elevation]) -> Option<(f64, f64)> {
     let (mut sum, mut height_m, mut along) = (0.0, 0.0, Vector2::zeros());
-    for (own, weight) in elevations {
+    for own in elevations {
         let to = own.transmitter_m - at;
         let distance = to.norm().max(1e-3);
         let (tan, sd_m) = (own.elevation_rad.tan(), distance * own.sd_rad / own.elevation_rad.cos().powi(2));
-        let share = weight / (sd_m * sd_m);
+        let share = 1.0 / (sd_m * sd_m);
         let own_m = own.transmitter_z_m - distance * tan;
         if share.is_finite() && own_m.is_finite() {
             sum += share;

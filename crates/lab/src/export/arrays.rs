@@ -1,6 +1,5 @@
 //! Files of arrays: NPZ for NumPy, MAT for MATLAB, Octave and SciPy.
 
-use super::ExportError;
 use bytemuck::{Pod, cast_slice};
 use num_complex::Complex32;
 use std::fs::File;
@@ -85,44 +84,35 @@ impl Seek for Disk {
 }
 
 /// An NPZ file being written. If it is dropped early it has no directory, and readers refuse it.
-pub struct Npz {
-    writer: ZipWriter<Disk>,
-    name: String,
-}
+pub struct Npz(ZipWriter<Disk>);
 
 impl Npz {
     /// Creates (or replaces) the file.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn create(path: &Path) -> Result<Self, ExportError> {
+    pub fn create(path: &Path) -> io::Result<Self> {
         Self::create_for(path, 0)
     }
 
     /// The same for at least this many bytes, which the file system allocates if it can: writing then takes a third less time. The
     /// file itself grows as it is written.
-    pub(super) fn create_for(path: &Path, bytes: u64) -> Result<Self, ExportError> {
-        let name = path.display().to_string();
-        let file = File::create(path).map_err(|source| ExportError::Io { file: name.clone(), source })?;
+    pub(super) fn create_for(path: &Path, bytes: u64) -> io::Result<Self> {
+        let file = File::create(path)?;
         #[cfg(target_os = "linux")]
         if let Ok(bytes) = i64::try_from(bytes)
             && bytes > 0
         {
             let _ = nix::fcntl::fallocate(&file, nix::fcntl::FallocateFlags::FALLOC_FL_KEEP_SIZE, 0, bytes);
         }
-        Ok(Self { writer: ZipWriter::new(Disk::new(file)), name })
+        Ok(Self(ZipWriter::new(Disk::new(file))))
     }
 
     /// Adds an array of the given shape, last index fastest.
     ///
     /// # Errors
     /// If it cannot be written, or the number of values does not match the shape.
-    pub fn array<T: Element>(
-        &mut self,
-        name: &str,
-        shape: &[u64],
-        values: impl Iterator<Item = T>,
-    ) -> Result<(), ExportError> {
+    pub fn array<T: Element>(&mut self, name: &str, shape: &[u64], values: impl Iterator<Item = T>) -> io::Result<()> {
         self.add::<T>(name, shape, |out| emit(values, out))
     }
 
@@ -135,7 +125,7 @@ impl Npz {
         name: &str,
         shape: &[u64],
         next: impl FnMut(&mut Vec<T>),
-    ) -> Result<(), ExportError> {
+    ) -> io::Result<()> {
         self.add::<T>(name, shape, |out| emit_blocks(next, out))
     }
 
@@ -145,33 +135,30 @@ impl Npz {
         name: &str,
         shape: &[u64],
         write: impl FnOnce(&mut ZipWriter<Disk>) -> io::Result<u64>,
-    ) -> Result<(), ExportError> {
-        let io = |source| ExportError::Io { file: self.name.clone(), source };
+    ) -> io::Result<()> {
         // Room for sizes over 4 GiB: an array's size is only known at its end.
         let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
-        let started = self.writer.start_file(format!("{name}.npy"), options);
-        started.map_err(|source| ExportError::Format { file: self.name.clone(), source: source.into() })?;
-        self.writer.write_all(&header::<T>(shape)).map_err(io)?;
-        let (got, expect) = (write(&mut self.writer).map_err(io)?, shape.iter().product::<u64>());
-        if got != expect {
-            return Err(ExportError::Values { file: self.name.clone(), array: name.to_owned(), got, expect });
-        }
-        Ok(())
+        self.0.start_file(format!("{name}.npy"), options)?;
+        self.0.write_all(&header::<T>(shape))?;
+        must_fit(name, shape, write(&mut self.0)?)
     }
 
     /// Writes the directory of the archive.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn finish(self) -> Result<(), ExportError> {
-        let file = self.name;
-        let mut written = match self.writer.finish() {
-            Ok(written) => written,
-            Err(source) => return Err(ExportError::Format { file, source: source.into() }),
-        };
+    pub fn finish(self) -> io::Result<()> {
+        let mut written = self.0.finish()?;
         let flushed = written.flush();
-        let refused = written.refused.map_or(flushed, |kind| Err(kind.into()));
-        refused.map_err(|source| ExportError::Io { file, source })
+        written.refused.map_or(flushed, |kind| Err(kind.into()))
+    }
+}
+
+/// Refuses an array with another number of values than its shape has.
+fn must_fit(name: &str, shape: &[u64], got: u64) -> io::Result<()> {
+    match shape.iter().product::<u64>() {
+        expect if expect == got => Ok(()),
+        expect => Err(io::Error::other(format!("{name} has {got} values for {expect} places"))),
     }
 }
 
@@ -255,20 +242,15 @@ macro_rules! numbers {
 numbers!(f64: 6, 9; f32: 7, 7; i8: 8, 1; u8: 9, 2; u16: 11, 4; u32: 13, 6; i64: 14, 12);
 
 /// A file being written.
-pub struct Mat {
-    out: BufWriter<File>,
-    name: String,
-}
+pub struct Mat(BufWriter<File>);
 
 impl Mat {
     /// Creates (or replaces) the file.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn create(path: &Path) -> Result<Self, ExportError> {
-        let name = path.display().to_string();
-        let failed = |source| ExportError::Io { file: name.clone(), source };
-        let mut out = BufWriter::with_capacity(1 << 18, File::create(path).map_err(failed)?);
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let mut out = BufWriter::with_capacity(1 << 18, File::create(path)?);
         let mut header = [b' '; 128];
         let text = b"MATLAB 5.0 MAT-file, written by csi5300";
         for (place, byte) in header.iter_mut().zip(text) {
@@ -279,20 +261,15 @@ impl Mat {
         for (place, byte) in header.iter_mut().skip(116).zip([0; 8].into_iter().chain(version).chain(order)) {
             *place = byte;
         }
-        out.write_all(&header).map_err(failed)?;
-        Ok(Self { out, name })
+        out.write_all(&header)?;
+        Ok(Self(out))
     }
 
     /// Adds an array; in `dims` and in the values the first index varies fastest.
     ///
     /// # Errors
     /// If it cannot be written, is too long for the format, or has the wrong number of values.
-    pub fn array<T: Number>(
-        &mut self,
-        name: &str,
-        dims: &[u64],
-        values: impl Iterator<Item = T>,
-    ) -> Result<(), ExportError> {
+    pub fn array<T: Number>(&mut self, name: &str, dims: &[u64], values: impl Iterator<Item = T>) -> io::Result<()> {
         self.begin::<T>(name, dims, false)?;
         self.part(name, dims, values)
     }
@@ -307,7 +284,7 @@ impl Mat {
         dims: &[u64],
         re: impl Iterator<Item = T>,
         im: impl Iterator<Item = T>,
-    ) -> Result<(), ExportError> {
+    ) -> io::Result<()> {
         self.begin::<T>(name, dims, true)?;
         self.part(name, dims, re)?;
         self.part(name, dims, im)
@@ -317,20 +294,19 @@ impl Mat {
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn finish(mut self) -> Result<(), ExportError> {
-        self.out.flush().map_err(|source| ExportError::Io { file: self.name, source })
+    pub fn finish(mut self) -> io::Result<()> {
+        self.0.flush()
     }
 
-    fn failed(&self, source: io::Error) -> ExportError {
-        ExportError::Io { file: self.name.clone(), source }
-    }
-
-    fn begin<T: Number>(&mut self, name: &str, dims: &[u64], complex: bool) -> Result<(), ExportError> {
+    fn begin<T: Number>(&mut self, name: &str, dims: &[u64], complex: bool) -> io::Result<()> {
         let part = 8 + padded(dims.iter().product::<u64>() * size_of::<T>() as u64);
         let parts = if complex { 2 * part } else { part };
         let head = 16 + 8 + padded(4 * dims.len() as u64) + 8 + padded(name.len() as u64);
         if head + parts > LONGEST {
-            return Err(ExportError::TooLong { file: self.name.clone(), array: name.to_owned(), bytes: head + parts });
+            return Err(io::Error::other(format!(
+                "{name} takes {} bytes, but arrays of this format have at most 2^31: export a part, or as .npz or .parquet",
+                head + parts
+            )));
         }
         let mut bytes = Vec::new();
         let mut words = |words: &[u32]| bytes.extend(words.iter().flat_map(|word| word.to_ne_bytes()));
@@ -344,29 +320,16 @@ impl Mat {
         words(&[MI_INT8, name.len() as u32]);
         bytes.extend(name.as_bytes());
         bytes.resize(bytes.len().next_multiple_of(8), 0);
-        self.out.write_all(&bytes).map_err(|error| self.failed(error))
+        self.0.write_all(&bytes)
     }
 
-    fn part<T: Number>(
-        &mut self,
-        name: &str,
-        dims: &[u64],
-        values: impl Iterator<Item = T>,
-    ) -> Result<(), ExportError> {
-        let expect = dims.iter().product::<u64>();
-        let bytes = expect * size_of::<T>() as u64;
-        let written = (|| -> io::Result<u64> {
-            self.out.write_all(&T::TYPE.to_ne_bytes())?;
-            self.out.write_all(&(bytes as u32).to_ne_bytes())?;
-            let got = emit(values, &mut self.out)?;
-            (bytes..padded(bytes)).try_for_each(|_| self.out.write_all(&[0]))?;
-            Ok(got)
-        })();
-        let got = written.map_err(|error| self.failed(error))?;
-        if got != expect {
-            return Err(ExportError::Values { file: self.name.clone(), array: name.to_owned(), got, expect });
-        }
-        Ok(())
+    fn part<T: Number>(&mut self, name: &str, dims: &[u64], values: impl Iterator<Item = T>) -> io::Result<()> {
+        let bytes = dims.iter().product::<u64>() * size_of::<T>() as u64;
+        self.0.write_all(&T::TYPE.to_ne_bytes())?;
+        self.0.write_all(&(bytes as u32).to_ne_bytes())?;
+        let got = emit(values, &mut self.0)?;
+        (bytes..padded(bytes)).try_for_each(|_| self.0.write_all(&[0]))?;
+        must_fit(name, dims, got)
     }
 }
 
@@ -391,12 +354,11 @@ mod tests {
         // The position advances as if the write had succeeded.
         assert_eq!(disk.seek(SeekFrom::Current(-3)).unwrap(), 1);
         assert_eq!((disk.seek(SeekFrom::End(1)).unwrap(), disk.seek(SeekFrom::Start(2)).unwrap()), (5, 2));
-        let name = path.display().to_string();
         let refusing = || ZipWriter::new(Disk::new(File::open(path).unwrap()));
         // The first array is refused; later writes must not succeed.
-        let mut npz = Npz { writer: refusing(), name: name.clone() };
+        let mut npz = Npz(refusing());
         assert!(npz.array("a", &[1], [1_u8].into_iter()).is_err());
-        assert!(matches!(npz.finish(), Err(ExportError::Io { .. } | ExportError::Format { .. })));
+        assert!(npz.finish().is_err());
     }
 
     #[test]
@@ -405,10 +367,10 @@ mod tests {
         let mut mat = Mat::create(path).unwrap();
         mat.array("a", &[3, 1], [1_u8, 2, 3].into_iter()).unwrap();
         mat.complex("bcd", &[2, 1, 1], [1.0_f32, 2.0].into_iter(), [3.0_f32, 4.0].into_iter()).unwrap();
-        let short = mat.array("e", &[2, 2], [1.0_f64].into_iter());
-        assert!(matches!(short, Err(ExportError::Values { got: 1, expect: 4, .. })));
-        let long = mat.array("f", &[1 << 29, 1], std::iter::empty::<f64>());
-        assert!(matches!(long, Err(ExportError::TooLong { .. })));
+        let short = mat.array("e", &[2, 2], [1.0_f64].into_iter()).unwrap_err().to_string();
+        assert_eq!(short, "e has 1 values for 4 places");
+        let long = mat.array("f", &[1 << 29, 1], std::iter::empty::<f64>()).unwrap_err().to_string();
+        assert!(long.contains("at most 2^31"), "{long}");
         mat.finish().unwrap();
         let bytes = std::fs::read(path).unwrap();
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());

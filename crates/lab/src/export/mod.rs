@@ -1,8 +1,9 @@
-//! Exports logs for other programs: NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet (DuckDB,
+//! Exports logs for other programs: CSV, NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet (DuckDB,
 //! Polars, pandas, Spark). The log is read once into a [`table`](crate::table); or only its columns are, and the CSI is read
 //! during writing.
 
 mod arrays;
+mod csv;
 mod other_cards;
 #[cfg(feature = "parquet")]
 mod parquet;
@@ -15,21 +16,21 @@ use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use driver_iface::bfee::{Antenna, Bfee, rate};
 use num_complex::Complex32;
 pub use other_cards::CardFrames;
+use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The formats, for errors and help.
-#[cfg(feature = "parquet")]
-pub const KNOWN: &str = ".npz, .mat or .parquet";
-/// The formats, for errors and help.
-#[cfg(not(feature = "parquet"))]
-pub const KNOWN: &str = ".npz or .mat";
+pub const KNOWN: &str = if cfg!(feature = "parquet") { ".csv, .npz, .mat or .parquet" } else { ".csv, .npz or .mat" };
 
 /// True for a file whose extension is one of [`KNOWN`].
 #[must_use]
 pub fn is_known(path: &Path) -> bool {
-    let known: &[&str] = if cfg!(feature = "parquet") { &["npz", "mat", "parquet"] } else { &["npz", "mat"] };
-    extension(path).is_some_and(|extension| known.contains(&extension.as_str()))
+    let known = |extension: String| match extension.as_str() {
+        "parquet" => cfg!(feature = "parquet"),
+        other => ["csv", "npz", "mat"].contains(&other),
+    };
+    extension(path).is_some_and(known)
 }
 
 /// The extension in lower case.
@@ -119,14 +120,15 @@ impl<'a> Export<'a> {
     /// then the file is incomplete.
     pub fn write(&self, path: &Path) -> Result<u64, ExportError> {
         let written = match extension(path).as_deref() {
+            Some("csv") => csv::write(self, path),
             Some("npz") => self.npz(path),
             Some("mat") => self.mat(path),
             #[cfg(feature = "parquet")]
             Some("parquet") => parquet::write(self, path),
-            _ => Err(ExportError::Extension { file: path.display().to_string(), known: KNOWN }),
+            _ => Err(ExportError::Extension(KNOWN)),
         };
         if self.is_stopped() {
-            return Err(ExportError::Stopped { file: path.display().to_string() });
+            return Err(ExportError::Stopped);
         }
         written.map(|figures| if self.form.scaled { figures.unscaled() } else { 0 })
     }
@@ -184,7 +186,7 @@ impl<'a> Export<'a> {
     }
 
     /// Why a log cannot be read again.
-    fn gone(&self, path: &Path, source: std::io::Error) -> ExportError {
+    fn gone(&self, path: &Path, source: io::Error) -> ExportError {
         ExportError::Log { file: path.display().to_string(), source }
     }
 
@@ -338,7 +340,7 @@ trait Target {
         count: u64,
         width: u64,
         values: impl Iterator<Item = T>,
-    ) -> Result<(), ExportError>;
+    ) -> io::Result<()>;
 }
 
 impl Target for Npz {
@@ -348,7 +350,7 @@ impl Target for Npz {
         count: u64,
         width: u64,
         values: impl Iterator<Item = T>,
-    ) -> Result<(), ExportError> {
+    ) -> io::Result<()> {
         let shape = if width == 1 { vec![count] } else { vec![count, width] };
         self.array(name, &shape, values)
     }
@@ -362,7 +364,7 @@ impl Target for Mat {
         count: u64,
         width: u64,
         values: impl Iterator<Item = T>,
-    ) -> Result<(), ExportError> {
+    ) -> io::Result<()> {
         self.array(name, &[width, count], values)
     }
 }
@@ -371,7 +373,7 @@ impl Target for Mat {
 const BYTES: u64 = 79;
 
 /// Writes all fields.
-fn write_fields(export: &Export<'_>, figures: &Figures, file: &mut impl Target) -> Result<(), ExportError> {
+fn write_fields(export: &Export<'_>, figures: &Figures, file: &mut impl Target) -> io::Result<()> {
     let (n, columns) = (export.len() as u64, export.columns);
     let host = columns.host_us.iter().map(|us| if *us == NO_TIME { -1 } else { *us });
     let rssi = |port: usize| columns.rssi.iter().skip(port).step_by(3).copied();
@@ -403,25 +405,20 @@ fn write_fields(export: &Export<'_>, figures: &Figures, file: &mut impl Target) 
     file.put("scaled", 1, 1, [u8::from(export.form.scaled)].into_iter())
 }
 
-/// Why a file was not written.
+/// Why a file was not written. The caller knows its name.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
-    /// The operating system refused.
-    #[error("cannot write {file}: {source}")]
-    Io {
-        /// The file.
-        file: String,
-        /// Its answer.
-        source: std::io::Error,
-    },
+    /// The operating system or the library for the format refused.
+    #[error(transparent)]
+    Io(#[from] io::Error),
     /// The log cannot be read again.
     #[error("cannot read {file} again: {source}")]
     Log {
         /// The log.
         file: String,
         /// The operating system's answer.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// A record of the log is no longer at its offset.
     #[error("{file} was changed while it was exported: the record at byte {offset} is gone; export a copy of it")]
@@ -431,70 +428,12 @@ pub enum ExportError {
         /// Its offset, bytes.
         offset: u64,
     },
-    /// The library for the format failed.
-    #[error("writing {file}: {source}")]
-    Format {
-        /// The file.
-        file: String,
-        /// Its answer.
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// The number of an array's values does not match its shape.
-    #[error("{array} in {file}: {got} values for {expect} places")]
-    Values {
-        /// The file.
-        file: String,
-        /// The array.
-        array: String,
-        /// Values.
-        got: u64,
-        /// Places.
-        expect: u64,
-    },
-    /// An array is too long for the format.
-    #[error(
-        "{array} in {file} takes {bytes} bytes, but arrays of this format have at most 2^31: export a part, or as .npz or .parquet"
-    )]
-    TooLong {
-        /// The file.
-        file: String,
-        /// The array.
-        array: String,
-        /// Bytes that it takes.
-        bytes: u64,
-    },
-    /// The export was stopped.
-    #[error("{file} is incomplete: writing was stopped")]
-    Stopped {
-        /// The file.
-        file: String,
-    },
-    /// Unknown extension.
-    #[error("{file}: unknown extension, CSI is exported as {known}")]
-    Extension {
-        /// The file.
-        file: String,
-        /// The known formats.
-        known: &'static str,
-    },
-}
-
-impl ExportError {
-    /// The same error for the file's final name: drafts are written under another one.
-    #[must_use]
-    pub fn of_file(mut self, name: &std::path::Path) -> Self {
-        match &mut self {
-            Self::Io { file, .. }
-            | Self::Format { file, .. }
-            | Self::Values { file, .. }
-            | Self::TooLong { file, .. }
-            | Self::Stopped { file }
-            | Self::Extension { file, .. } => *file = name.display().to_string(),
-            // The error concerns the log that is read.
-            Self::Log { .. } | Self::Changed { .. } => {}
-        }
-        self
-    }
+    /// The export was stopped: the file is incomplete.
+    #[error("writing was stopped")]
+    Stopped,
+    /// Unknown extension; these are known.
+    #[error("unknown extension, CSI is exported as {0}")]
+    Extension(&'static str),
 }
 
 #[cfg(test)]
@@ -550,7 +489,7 @@ mod tests {
             export.write(path).unwrap();
             let whole = std::fs::metadata(path).unwrap().len();
             stop.store(true, Ordering::Relaxed);
-            assert!(matches!(export.write(path), Err(ExportError::Stopped { .. })), "{ending}");
+            assert!(matches!(export.write(path), Err(ExportError::Stopped)), "{ending}");
             assert!(std::fs::metadata(path).unwrap().len() < whole, "{ending}: it was written all the same");
         }
     }

@@ -2,27 +2,13 @@
 
 use super::arrays::{Mat, Npz};
 use super::{ExportError, Target, extension};
-use crate::cards::{CardTime, Layout, is_damage, is_dbm};
+use crate::cards::{CardTime, Layout, is_damage, is_dbm, most};
 use csi_formats::{Format, Frame, Item, Items};
 use num_complex::Complex32;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
-
-/// What the frames of one array share.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Shape {
-    n_rx: usize,
-    n_tx: usize,
-    layout: Layout,
-}
-
-impl Shape {
-    fn of(frame: &Frame) -> Self {
-        Self { n_rx: frame.n_rx, n_tx: frame.n_tx, layout: Layout::of(frame) }
-    }
-}
 
 /// Frames of one shape, in the order of the log.
 #[derive(Clone, Debug)]
@@ -53,7 +39,8 @@ impl CardFrames {
                 Item::Frame(frame) => {
                     let time_s = time.of(&frame);
                     if keeps(&frame, time_s) {
-                        all.push((Shape::of(&frame), frame, time_s));
+                        // What the frames of one array share.
+                        all.push(((frame.n_rx, frame.n_tx, Layout::of(&frame)), frame, time_s));
                     } else {
                         left_out += 1;
                     }
@@ -64,9 +51,7 @@ impl CardFrames {
                 }
             }
         }
-        let mut shapes: BTreeMap<&Shape, u64> = BTreeMap::new();
-        all.iter().for_each(|(shape, ..)| *shapes.entry(shape).or_default() += 1);
-        let usual = shapes.into_iter().max_by_key(|(_, count)| *count).map(|(shape, _)| shape.clone());
+        let usual = most(all.iter().map(|(shape, ..)| shape)).cloned();
         let total = all.len() as u64;
         let (frames, time_s): (Vec<_>, Vec<_>) = all
             .into_iter()
@@ -142,14 +127,13 @@ impl CardFrames {
                 self.write_fields(&mut file)?;
                 file.finish()
             }
-            Some("csv") => {
-                self.write_csv(path).map_err(|source| ExportError::Io { file: path.display().to_string(), source })
-            }
-            _ => Err(ExportError::Extension { file: path.display().to_string(), known: ".npz, .mat or .csv" }),
+            Some("csv") => self.write_csv(path),
+            _ => return Err(ExportError::Extension(".npz, .mat or .csv")),
         }
+        .map_err(ExportError::Io)
     }
 
-    fn write_fields(&self, file: &mut impl Target) -> Result<(), ExportError> {
+    fn write_fields(&self, file: &mut impl Target) -> std::io::Result<()> {
         let n = self.frames.len() as u64;
         file.put("record", n, 1, 0..n as i64)?;
         file.put("offset", n, 1, self.whole(|frame| i64::try_from(frame.offset).ok()))?;
@@ -212,7 +196,7 @@ impl CardFrames {
 }
 
 /// The name of a receive chain: `a` for the first.
-fn chain(rx: usize) -> char {
+pub(super) fn chain(rx: usize) -> char {
     char::from(b'a' + (rx % 26) as u8)
 }
 
@@ -298,7 +282,7 @@ mod tests {
         for name in ["a.npz", "A.MAT", "a.csv"] {
             read.write(&folder.join(name)).unwrap();
         }
-        assert!(matches!(read.write(&folder.join("a.txt")), Err(ExportError::Extension { .. })));
+        assert!(matches!(read.write(&folder.join("a.txt")), Err(ExportError::Extension(_))));
         let text = std::fs::read_to_string(folder.join("a.csv")).unwrap();
         let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
         assert!(rows.len() == 7 && rows.iter().all(|row| row.len() == rows[0].len()), "{}", rows.len());

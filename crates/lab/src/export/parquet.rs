@@ -18,6 +18,7 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use std::collections::HashMap;
 use std::fs::File;
+use std::io;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
@@ -30,11 +31,7 @@ type Column = (Field, ArrayRef);
 
 /// Writes all records.
 pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
-    let file = path.display().to_string();
-    let format =
-        |source: parquet::errors::ParquetError| ExportError::Format { file: file.clone(), source: source.into() };
-    let arrow = |source: arrow_schema::ArrowError| ExportError::Format { file: file.clone(), source: source.into() };
-    let out = File::create(path).map_err(|source| ExportError::Io { file: file.clone(), source })?;
+    let out = File::create(path)?;
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .set_max_row_group_row_count(Some(GROUP))
@@ -44,7 +41,8 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
         .build();
     let none = batch(export, &Figures::default(), 0, &[])?;
     let options = ArrowWriterOptions::new().with_properties(properties);
-    let mut writer = ArrowWriter::try_new_with_options(out, schema(export, &none), options).map_err(format)?;
+    let mut writer =
+        ArrowWriter::try_new_with_options(out, schema(export, &none), options).map_err(io::Error::other)?;
     let (mut walk, mut csi) = (Walk::new(export, Order::SubcarriersLast)?, Vec::new());
     loop {
         let first = walk.figures().scale.len();
@@ -55,10 +53,10 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
         let columns = batch(export, walk.figures(), first, &csi)?;
         let schema = schema(export, &columns);
         let arrays = columns.into_iter().map(|(_, array)| array).collect();
-        writer.write(&RecordBatch::try_new(schema, arrays).map_err(arrow)?).map_err(format)?;
+        writer.write(&RecordBatch::try_new(schema, arrays).map_err(io::Error::other)?).map_err(io::Error::other)?;
     }
     let figures = walk.finish()?;
-    writer.close().map_err(format)?;
+    writer.close().map_err(io::Error::other)?;
     Ok(figures)
 }
 
@@ -99,7 +97,7 @@ fn of<T: Copy>(values: &[T], part: &Range<usize>, width: usize) -> impl Iterator
 }
 
 /// The records from `first` on, as many as there is CSI.
-fn batch(export: &Export<'_>, figures: &Figures, first: usize, csi: &[Complex32]) -> Result<Vec<Column>, ExportError> {
+fn batch(export: &Export<'_>, figures: &Figures, first: usize, csi: &[Complex32]) -> io::Result<Vec<Column>> {
     const RSSI: &str = "dB above the card's reference, 0: nothing heard";
     let size = export.antennas.len() * export.streams * SUBCARRIERS;
     let (all, part) = (export.columns, &(first..first + csi.len() / size.max(1)));
@@ -157,7 +155,7 @@ fn lists(
     csi: &[Complex32],
     size: usize,
     part: fn(&Complex32) -> f32,
-) -> Result<Column, ExportError> {
+) -> io::Result<Column> {
     let integers = !export.form.scaled && !export.form.without_spatial_mapping;
     let there = csi.iter().map(|h| Some(part(h)).filter(|value| !value.is_nan()));
     let (values, kind, unit): (ArrayRef, _, _) = if integers {
@@ -171,6 +169,5 @@ fn lists(
     let item = Arc::new(Field::new("item", kind, true));
     let width = i32::try_from(size).unwrap_or(i32::MAX);
     let list = FixedSizeListArray::try_new(item, width, values, None);
-    let list = list.map_err(|source| ExportError::Format { file: name.to_owned(), source: source.into() })?;
-    Ok(column(name, unit, false, Arc::new(list)))
+    Ok(column(name, unit, false, Arc::new(list.map_err(io::Error::other)?)))
 }

@@ -5,8 +5,6 @@ use kuva::RasterBackend;
 use kuva::backend::svg::SvgBackend;
 use kuva::render::color::Color;
 use kuva::render::render::{PathData, Primitive, Scene, TextAnchor};
-use std::fs::File;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 pub(super) type Rgb = (u8, u8, u8);
@@ -51,16 +49,12 @@ fn colour(c: Rgb) -> Color {
 
 impl Canvas {
     pub(super) fn new(height: f64, title: &str) -> Self {
-        Self::sized(WIDTH, height, title)
-    }
-
-    pub(super) fn sized(width: f64, height: f64, title: &str) -> Self {
-        let mut scene = Scene::new(width, height);
+        let mut scene = Scene::new(WIDTH, height);
         scene.font_family = Some("DejaVu Sans, Verdana, sans-serif".into());
         let mut canvas = Self(scene);
         // A character is 0.6 of its size wide.
-        let size = (width - 20.0) / (0.6 * title.chars().count().max(1) as f64);
-        canvas.text((width / 2.0, 42.0), title, size.clamp(14.0, 28.0) as u32, TextAnchor::Middle, BLACK);
+        let size = (WIDTH - 20.0) / (0.6 * title.chars().count().max(1) as f64);
+        canvas.text((WIDTH / 2.0, 42.0), title, size.clamp(14.0, 28.0) as u32, TextAnchor::Middle, BLACK);
         canvas
     }
 
@@ -235,9 +229,8 @@ impl Canvas {
         self.0.elements.push(Primitive::ClipEnd);
     }
 
-    /// Writes a picture as PNG and SVG; a name without a folder means the current one.
-    pub(super) fn save(self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
-        check(&[stem.to_owned()], kept)?;
+    /// Writes a picture as PNG and SVG: `stem` with these endings.
+    pub(super) fn save(self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let fail = |path: &Path| {
             let path = path.to_owned();
             move |source| Error::Io { path, source }
@@ -245,13 +238,16 @@ impl Canvas {
         if let Some(folder) = stem.parent() {
             std::fs::create_dir_all(folder).map_err(fail(folder))?;
         }
-        let files = files(stem);
         let png = RasterBackend::new().with_scale(1.0).render_scene(&self.0).map_err(Error::Drawing)?;
         let svg = SvgBackend::new().render_scene(&self.0).into_bytes();
-        for (path, bytes) in files.iter().zip([png, svg]) {
-            write_whole(path, |file| file.write_all(&bytes)).map_err(fail(path))?;
-        }
-        Ok(files.to_vec())
+        let write = |(kind, bytes): (&str, Vec<u8>)| {
+            let mut name = stem.as_os_str().to_owned();
+            name.push(kind);
+            let path = PathBuf::from(name);
+            std::fs::write(&path, bytes).map_err(fail(&path))?;
+            Ok(path)
+        };
+        [(".png", png), (".svg", svg)].into_iter().map(write).collect()
     }
 }
 
@@ -371,62 +367,6 @@ pub(super) fn extent_log(values: impl Iterator<Item = f64>) -> Option<(f64, f64)
     extent(logs, 0.05).map(|(low, high)| (10f64.powf(low), 10f64.powf(high)))
 }
 
-/// Extensions of a picture's files: pixels and vectors.
-const KINDS: [&str; 2] = ["png", "svg"];
-
-/// The files of a picture: `stem` with `.png` and with `.svg`.
-fn files(stem: &Path) -> [PathBuf; 2] {
-    KINDS.map(|kind| {
-        let mut name = stem.as_os_str().to_owned();
-        name.push(format!(".{kind}"));
-        PathBuf::from(name)
-    })
-}
-
-/// Refuses pictures if one of their files leads to a `kept` one. Call it before the first of several pictures.
-///
-/// # Errors
-/// [`Error::Kept`].
-pub(super) fn check(stems: &[PathBuf], kept: &[PathBuf]) -> Result<(), Error> {
-    let mut there = stems.iter().flat_map(|stem| files(stem)).filter(|file| file.is_file());
-    match there.find(|file| kept.iter().any(|kept| is_same(kept, file))) {
-        Some(path) => Err(Error::Kept { path }),
-        None => Ok(()),
-    }
-}
-
-/// True if both names refer to one file.
-fn is_same(a: &Path, b: &Path) -> bool {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        a.metadata().ok().zip(b.metadata().ok()).is_some_and(|(a, b)| (a.dev(), a.ino()) == (b.dev(), b.ino()))
-    }
-    #[cfg(not(unix))]
-    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
-}
-
-/// Writes a file so that it is either complete or unchanged: under a temporary name beside it, renamed at the end. A link stays
-/// a link; devices and pipes are written directly.
-///
-/// # Errors
-/// If it cannot be written; no part of it remains.
-fn write_whole(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
-    let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    if target.metadata().is_ok_and(|found| !found.is_file()) {
-        return write(&mut File::create(&target)?);
-    }
-    let name = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
-    let (stem, extension) = (name(target.file_stem()), name(target.extension()));
-    let draft = target.with_file_name(format!("{stem}.part-{}.{extension}", std::process::id()));
-    let written = File::create(&draft).and_then(|mut file| write(&mut file));
-    let written = written.and_then(|()| std::fs::rename(&draft, &target));
-    if written.is_err() {
-        let _ = std::fs::remove_file(&draft);
-    }
-    written
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -443,29 +383,5 @@ mod tests {
         }
         let names: Vec<String> = ticks((0.29, 0.43), true, 4).into_iter().map(|tick| tick.1).collect();
         assert_eq!(names, ["0.30", "0.35", "0.40"]);
-    }
-
-    #[test]
-    fn a_full_disk_leaves_the_old_picture() {
-        let folder = &crate::temporary::Temporary::folder("whole").0;
-        let full = |file: &mut File| {
-            file.write_all(b"the first ha")?;
-            Err(io::ErrorKind::StorageFull.into())
-        };
-        let names = || std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name()).collect::<Vec<_>>();
-        let picture = folder.join("a.png");
-        let error = write_whole(&picture, full).unwrap_err();
-        assert_eq!((error.kind(), names().len()), (io::ErrorKind::StorageFull, 0));
-        write_whole(&picture, |file| file.write_all(b"old")).unwrap();
-        write_whole(&picture, full).unwrap_err();
-        assert_eq!((std::fs::read(&picture).unwrap(), names().len()), (b"old".to_vec(), 1));
-        #[cfg(unix)]
-        {
-            let link = folder.join("link.png");
-            std::os::unix::fs::symlink("a.png", &link).unwrap();
-            write_whole(&link, |file| file.write_all(b"new")).unwrap();
-            assert!(link.is_symlink() && std::fs::read(&picture).unwrap() == b"new");
-            write_whole(Path::new("/dev/null"), |file| file.write_all(b"nowhere")).unwrap();
-        }
     }
 }

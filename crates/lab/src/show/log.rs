@@ -1,7 +1,7 @@
 //! A log over time: CSI as heat maps, amplitude by antenna, RSSI and gain, rate, losses.
 
 use super::Error;
-use super::canvas::{Axes, BLACK, Canvas, GREY, Key, ORANGE, PALE, Rgb, check, extent, series_colour};
+use super::canvas::{Axes, BLACK, Canvas, GREY, Key, ORANGE, PALE, Rgb, WIDTH, extent, series_colour};
 use crate::course::{AntennaCourse, Course, letter};
 use csi5300::source::survey::TimeBase;
 use csi5300_say::count;
@@ -23,10 +23,10 @@ pub struct LogPictures<'a> {
     pub title: &'a str,
     /// The log's data.
     pub course: &'a Course,
-    /// Width and height of the drawing, pixels at 96 dpi; higher if its panels need more.
-    pub size: (f64, f64),
 }
 
+/// Height of the drawing; more if its panels need it.
+const HEIGHT: f64 = 1_100.0;
 const LEFT: f64 = 110.0;
 const RIGHT: f64 = 120.0;
 const TOP: f64 = 150.0;
@@ -45,43 +45,35 @@ impl LogPictures<'_> {
     ///
     /// # Errors
     /// If there is nothing to draw, or a picture cannot be drawn or written.
-    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         if self.course.records == 0 {
             return Err(Error::Empty { what: "log" });
         }
-        let [csi, levels] = Self::stems(stem);
-        check(&[csi.clone(), levels.clone()], kept)?;
+        let named = |what: &str| {
+            let mut name = stem.as_os_str().to_owned();
+            name.push(what);
+            PathBuf::from(name)
+        };
         let mut written = Vec::new();
         if !self.course.antennas.is_empty() {
-            written.extend(self.csi().save(&csi, kept)?);
+            written.extend(self.csi().save(&named("-csi"))?);
         }
-        written.extend(self.levels()?.save(&levels, kept)?);
+        written.extend(self.levels()?.save(&named("-levels"))?);
         Ok(written)
-    }
-
-    /// Names of its two pictures, without extensions.
-    fn stems(stem: &Path) -> [PathBuf; 2] {
-        ["csi", "levels"].map(|what| {
-            let mut name = stem.as_os_str().to_owned();
-            name.push(format!("-{what}"));
-            PathBuf::from(name)
-        })
     }
 
     /// The frames of `n` panels below each other, starting at `top`, with `below` pixels free under them; the canvas grows if they
     /// do not fit.
     fn panels(&self, canvas: &mut Canvas, n: usize, top: f64, below: f64) -> Vec<[f64; 4]> {
-        let (width, height) = self.size;
         let rest = top + BOTTOM + below + GAP * (n as f64 - 1.0);
-        let each = ((height - rest) / n as f64).max(LEAST);
+        let each = ((HEIGHT - rest) / n as f64).max(LEAST);
         canvas.grow_to(rest + n as f64 * each);
-        (0..n).map(|k| [LEFT, top + k as f64 * (each + GAP), width - LEFT - RIGHT, each]).collect()
+        (0..n).map(|k| [LEFT, top + k as f64 * (each + GAP), WIDTH - LEFT - RIGHT, each]).collect()
     }
 
     fn csi(&self) -> Canvas {
-        let (width, height) = self.size;
-        let mut canvas = Canvas::sized(width, height, &format!("{}: CSI, first stream", self.title));
-        canvas.text((width / 2.0, BELOW_TITLE), &self.whose(), 18, TextAnchor::Middle, BLACK);
+        let mut canvas = Canvas::new(HEIGHT, &format!("{}: CSI, first stream", self.title));
+        canvas.text((WIDTH / 2.0, BELOW_TITLE), &self.whose(), 18, TextAnchor::Middle, BLACK);
         let antennas = &self.course.antennas;
         let panels = self.panels(&mut canvas, 2 * antennas.len(), TOP, 0.0);
         for (k, antenna) in antennas.iter().enumerate() {
@@ -201,10 +193,9 @@ impl LogPictures<'_> {
     }
 
     fn levels(&self) -> Result<Canvas, Error> {
-        let (width, height) = self.size;
         let course = self.course;
         let what = if self.has_clock() { "levels and rate" } else { "levels" };
-        let mut canvas = Canvas::sized(width, height, &format!("{}: {what}", self.title));
+        let mut canvas = Canvas::new(HEIGHT, &format!("{}: {what}", self.title));
         let name = |antenna: usize| format!("antenna {}", letter(antenna));
         // Only the CSI's antennas: others were not requested.
         let drawn = |antenna: usize| course.antennas.iter().any(|own| own.antenna == antenna);
@@ -316,22 +307,19 @@ struct Events {
 
 /// Every kind that occurs in the log.
 fn events_of(course: &Course) -> Vec<Events> {
-    let row = |words: String, times_s: Vec<f64>| Events { words, times_s };
-    let sum = |marks: &[(f64, u64)]| marks.iter().map(|mark| mark.1).sum::<u64>();
-    let times = |marks: &[(f64, u64)]| marks.iter().map(|mark| mark.0).collect::<Vec<_>>();
-    let back = count(course.steps_back.len() as u64, "step back of the card's clock", "steps back of the card's clock");
-    let missing = count(sum(&course.missing), "number missing", "numbers missing");
-    let damaged = count(course.damaged.len() as u64, "damaged stretch", "damaged stretches");
-    let skipped = count(sum(&course.skipped), "number skipped", "numbers skipped");
-    let repeated = count(course.repeated.len() as u64, "frame reported twice", "frames reported twice");
     let all = [
-        row(damaged, course.damaged.clone()),
-        row(format!("{missing} from bfee_count"), times(&course.missing)),
-        row(format!("{skipped} in frame_count (not heard)"), times(&course.skipped)),
-        row(repeated, course.repeated.clone()),
-        row(back, course.steps_back.iter().map(|step| step.0).collect()),
+        (&course.damaged, "damaged stretch", "damaged stretches", ""),
+        (&course.missing, "number missing", "numbers missing", " from bfee_count"),
+        (&course.skipped, "number skipped", "numbers skipped", " in frame_count (not heard)"),
+        (&course.repeated, "frame reported twice", "frames reported twice", ""),
     ];
-    all.into_iter().filter(|events| !events.times_s.is_empty()).collect()
+    let counted = all.into_iter().map(|(marks, one, many, of)| {
+        let sum = marks.iter().map(|mark| mark.1).sum();
+        Events { words: count(sum, one, many) + of, times_s: marks.iter().map(|mark| mark.0).collect() }
+    });
+    let back = count(course.steps_back.len() as u64, "step back of the card's clock", "steps back of the card's clock");
+    let back = Events { words: back, times_s: course.steps_back.iter().map(|step| step.0).collect() };
+    counted.chain([back]).filter(|events| !events.times_s.is_empty()).collect()
 }
 
 /// Height of the rows under the rate.
@@ -368,9 +356,9 @@ mod tests {
     }
 
     /// Draws a course; the SVG of its two pictures.
-    fn drawn(course: &Course, size: (f64, f64)) -> Vec<String> {
+    fn drawn(course: &Course) -> Vec<String> {
         let folder = crate::temporary::Temporary::folder("log");
-        let written = LogPictures { title: "a.dat", course, size }.write(&folder.0.join("a"), &[]).unwrap();
+        let written = LogPictures { title: "a.dat", course }.write(&folder.0.join("a")).unwrap();
         let svgs = written.iter().filter(|path| path.extension().is_some_and(|kind| kind == "svg"));
         svgs.map(|path| std::fs::read_to_string(path).unwrap()).collect()
     }
@@ -394,9 +382,9 @@ mod tests {
             agc: vec![(0.0, 20.0), (9.0, 20.0)],
             rate_hz: vec![(4.5, 123.0)],
             missing: vec![(1.0, 1)],
-            damaged: vec![2.0],
+            damaged: vec![(2.0, 1)],
             skipped: vec![(3.0, 2)],
-            repeated: vec![4.0],
+            repeated: vec![(4.0, 1)],
             steps_back: vec![(5.0, 1.0)],
             ..Course::default()
         }
@@ -410,22 +398,23 @@ mod tests {
     }
 
     #[test]
-    fn a_small_picture_is_not_cut_off() {
-        let bases = [TimeBase::Card, TimeBase::Number];
-        let sizes = [(800.0, 500.0), (400.0, 400.0), (1200.0, 1100.0)];
-        for (base, size) in bases.into_iter().flat_map(|base| sizes.map(|size| (base, size))) {
-            for svg in drawn(&eventful(base), size) {
+    fn a_picture_is_not_cut_off_and_grows_with_its_panels() {
+        for (base, antennas) in [TimeBase::Card, TimeBase::Number].into_iter().flat_map(|base| [(base, 3), (base, 8)]) {
+            let mut course = eventful(base);
+            course.antennas = course.antennas.iter().cycle().take(antennas).cloned().collect();
+            let heights = drawn(&course).into_iter().map(|svg| {
                 let height = numbers(&svg, "height")[0];
                 let lowest = ["y", "y1", "y2"].iter().flat_map(|name| numbers(&svg, name)).fold(0.0, f64::max);
-                assert!(height >= size.1 && lowest <= height - 10.0, "{size:?}: {lowest} of {height}");
-                assert!(size.1 < 1_000.0 || height == size.1, "{height}");
-            }
+                assert!(height >= HEIGHT && lowest <= height - 10.0, "{lowest} of {height}");
+                height
+            });
+            assert_eq!(heights.map(|height| height > HEIGHT).collect::<Vec<_>>(), [antennas > 3, false]);
         }
     }
 
     #[test]
     fn without_a_clock_there_is_no_rate() {
-        let levels = |base| drawn(&eventful(base), (1200.0, 1100.0)).pop().unwrap();
+        let levels = |base| drawn(&eventful(base)).pop().unwrap();
         let (with, without) = (levels(TimeBase::Host), levels(TimeBase::Number));
         assert!(with.contains(">rate<") && with.contains("levels and rate") && !with.contains("no rate"));
         assert!(
@@ -439,7 +428,7 @@ mod tests {
     fn only_existing_events_have_rows_and_one_is_singular() {
         let mut course = Course::default();
         assert!(events_of(&course).is_empty() && events_height(&events_of(&course)) == 0.0);
-        (course.missing, course.repeated) = (vec![(1.0, 1)], vec![2.0, 3.0]);
+        (course.missing, course.repeated) = (vec![(1.0, 1)], vec![(2.0, 1), (3.0, 1)]);
         course.steps_back = vec![(4.0, 0.5)];
         let words: Vec<String> = events_of(&course).into_iter().map(|row| row.words).collect();
         let expected =

@@ -7,8 +7,8 @@
 //! | `plots` | the kinds of picture |
 //! | `canvas` | lines, text, legends, axes, files; the only file that uses the drawing library |
 //!
-//! Every kind of picture is a struct with public fields and one `write(stem, kept)`. It adds `.png` and `.svg` to `stem`,
-//! creates missing folders, replaces files except those in `kept`, and returns the paths. Values that are not finite are dropped; a
+//! Every kind of picture is a struct with public fields and one `write(stem)`. It adds `.png` and `.svg` to `stem`, creates
+//! missing folders, replaces files, and returns the paths. Values that are not finite are dropped; a
 //! picture without values is [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends are
 //! above the axes, never on the data. Azimuths count from +x towards +y.
 
@@ -39,20 +39,6 @@ pub enum Error {
         /// What was being written.
         path: PathBuf,
         /// The system's reason.
-        source: std::io::Error,
-    },
-    /// A file of this name leads to one that must never be replaced.
-    #[error("{} leads to an input file: name another folder", path.display())]
-    Kept {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The folder of a link's pictures could not be created.
-    #[error("cannot make the folder {folder}: {source}")]
-    Folder {
-        /// The folder.
-        folder: String,
-        /// The operating system's answer.
         source: std::io::Error,
     },
     /// A profile could not be computed.
@@ -110,24 +96,24 @@ mod tests {
         };
         check(
             &PhasePlot { title: "t".into(), before: String::new(), other: Some(capture.clone()), capture, averaged: 0 }
-                .write(&at.join("phase"), &[])
+                .write(&at.join("phase"))
                 .unwrap(),
         );
         let path_m = vec![[0.0, 0.0], [f64::NAN, 1.0], [1.0, 1.0]];
         let plot = TrajectoryPlot { path_m, azimuth_rad: f64::NAN, sd_rad: Some(0.1), ..Default::default() };
-        check(&plot.write(&at.join("path.v1"), &[]).unwrap());
+        check(&plot.write(&at.join("path.v1")).unwrap());
         assert!(at.join("path.v1.png").exists(), "a dot in the stem is kept");
         let chosen_from = Curve { name: "s".into(), points: vec![(0.0, f64::NAN), (90.0, 1.0)] };
         let (answer_deg, answer_sd_deg, truth_deg) = (Some(90.0), Some(f64::INFINITY), Some(f64::NAN));
         check(
             &ProfilePlot { chosen_from, answer_deg, answer_sd_deg, truth_deg, ..Default::default() }
-                .write(&at.join("polar"), &[])
+                .write(&at.join("polar"))
                 .unwrap(),
         );
         let cdf = CdfPlot { series: vec![("s".into(), vec![0.0, f64::NAN, 2.0])], ..Default::default() };
-        check(&cdf.write(&at.join("cdf"), &[]).unwrap());
+        check(&cdf.write(&at.join("cdf")).unwrap());
         let lines = ScatterLines { series: vec![("s".into(), vec![(0.0, 1.0), (2.0, 3.0)])], ..Default::default() };
-        check(&lines.write(&at.join("lines"), &[]).unwrap());
+        check(&lines.write(&at.join("lines")).unwrap());
     }
 
     /// The texts of a picture, with their pixel positions.
@@ -147,7 +133,7 @@ mod tests {
             let path_m = vec![[0.0, 0.0], [1.0, 1.0]];
             let plot =
                 TrajectoryPlot { path_m, azimuth_rad: -1e-17, truth_rad: Some(-1e-5), sd_rad, ..Default::default() };
-            let written = plot.write(&at.join("trajectory"), &[]).unwrap();
+            let written = plot.write(&at.join("trajectory")).unwrap();
             std::fs::read_to_string(&written[1]).unwrap()
         };
         for (sd_rad, is_named) in [(Some(1.8), true), (None, false), (Some(f64::INFINITY), false)] {
@@ -162,12 +148,12 @@ mod tests {
     fn nothing_to_draw_is_an_error() {
         let stem = Temporary::path("empty").0.join("x");
         let empty = |r: Result<Vec<PathBuf>, Error>| assert!(matches!(r, Err(Error::Empty { .. })), "{r:?}");
-        empty(PhasePlot::default().write(&stem, &[]));
-        empty(TrajectoryPlot::default().write(&stem, &[]));
-        empty(MapPlot::default().write(&stem, &[]));
-        empty(ProfilePlot::default().write(&stem, &[]));
-        empty(CdfPlot::default().write(&stem, &[]));
-        empty(ScatterLines::default().write(&stem, &[]));
+        empty(PhasePlot::default().write(&stem));
+        empty(TrajectoryPlot::default().write(&stem));
+        empty(MapPlot::default().write(&stem));
+        empty(ProfilePlot::default().write(&stem));
+        empty(CdfPlot::default().write(&stem));
+        empty(ScatterLines::default().write(&stem));
         assert!(!stem.parent().is_some_and(Path::exists), "nothing was written");
     }
 
@@ -175,7 +161,7 @@ mod tests {
     fn a_folder_that_is_a_file_is_named() {
         let file = &Temporary::file("file", b"x").0;
         let plot = CdfPlot { series: vec![("s".into(), vec![1.0])], ..Default::default() };
-        let error = plot.write(&file.join("cdf"), &[]).unwrap_err();
+        let error = plot.write(&file.join("cdf")).unwrap_err();
         assert!(matches!(&error, Error::Io { path, .. } if path == file), "{error}");
     }
 
@@ -214,32 +200,25 @@ mod tests {
         };
         let rays = vec![ray(RayClass::Measured), ray(RayClass::Mirror), ray(RayClass::Truth)];
         let written = [
-            PhasePlot { capture, ..Default::default() }.write(&at.join("phase"), &[]),
-            trajectory.write(&at.join("path"), &[]),
-            MapPlot { rays, path_m, ellipses: vec![ellipse], ..Default::default() }.write(&at.join("map"), &[]),
-            profile.write(&at.join("profile"), &[]),
-            CdfPlot { series: vec![("s".into(), ramp(0.1))], ..Default::default() }.write(&at.join("cdf"), &[]),
+            PhasePlot { capture, ..Default::default() }.write(&at.join("phase")),
+            trajectory.write(&at.join("path")),
+            MapPlot { rays, path_m, ellipses: vec![ellipse], ..Default::default() }.write(&at.join("map")),
+            profile.write(&at.join("profile")),
+            CdfPlot { series: vec![("s".into(), ramp(0.1))], ..Default::default() }.write(&at.join("cdf")),
             ScatterLines { series: vec![("s".into(), vec![(1.0, 2.0), (2.0, 3.0)])], ..Default::default() }
-                .write(&at.join("lines"), &[]),
+                .write(&at.join("lines")),
             ReliabilityPlot { series: vec![("s".into(), vec![point])], ..Default::default() }
-                .write(&at.join("reliability"), &[]),
+                .write(&at.join("reliability")),
         ];
         written.into_iter().flat_map(Result::unwrap).collect()
     }
 
     #[test]
-    fn every_picture_is_a_png_and_an_svg_and_replaces_no_kept_file() {
+    fn every_picture_is_a_png_and_an_svg() {
         let at = &Temporary::path("formats").0;
         let written = pictures(at);
         assert_eq!(written.len(), 2 * 7);
         written.chunks(2).for_each(check);
-        let again = CdfPlot { series: vec![("s".into(), vec![1.0])], ..CdfPlot::default() };
-        std::fs::write(at.join("cdf.svg"), "mine").unwrap();
-        std::fs::remove_file(at.join("cdf.png")).unwrap();
-        let refused = again.write(&at.join("cdf"), &[at.join("other.dat"), at.join("cdf.svg")]);
-        assert!(matches!(&refused, Err(Error::Kept { path }) if *path == at.join("cdf.svg")), "{refused:?}");
-        assert!(std::fs::read(at.join("cdf.svg")).unwrap() == b"mine" && !at.join("cdf.png").exists());
-        assert!(again.write(&at.join("cdf"), &[]).is_ok());
     }
 
     /// More points than pixels become cells: a long log's picture is not much larger than a short one's.
@@ -250,7 +229,7 @@ mod tests {
             let phase = (0..n).map(|k| (k as f64 * 0.01, (k as f64 * 0.618).rem_euclid(1.0)));
             let capture = PhaseTrack { before: phase.clone().collect(), after: phase.collect(), ..Default::default() };
             let plot = PhasePlot { capture, ..PhasePlot::default() };
-            let written = plot.write(&at.join(n.to_string()), &[]).unwrap();
+            let written = plot.write(&at.join(n.to_string())).unwrap();
             std::fs::read_to_string(&written[1]).unwrap()
         };
         let dots = |svg: &str| svg.matches("<circle").count();

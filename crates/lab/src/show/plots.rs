@@ -30,8 +30,8 @@ pub struct CdfPlot {
 const FEW: usize = 2;
 
 impl CdfPlot {
-    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
-    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem`.png and .svg.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let sizes = |v: &[f64]| {
             let mut sizes: Vec<f64> = v.iter().map(|x| x.abs()).filter(|x| x.is_finite()).collect();
             sizes.sort_by(f64::total_cmp);
@@ -74,7 +74,7 @@ impl CdfPlot {
                 canvas.dots(&points, 6.0, series_colour(i), 1.0);
             }
         }
-        canvas.save(stem, kept)
+        canvas.save(stem)
     }
 }
 
@@ -92,8 +92,8 @@ pub struct ScatterLines {
 }
 
 impl ScatterLines {
-    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
-    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem`.png and .svg.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
         let drawn: Vec<Vec<(f64, f64)>> =
             self.series.iter().map(|s| s.1.iter().filter(good).copied().collect()).collect();
@@ -112,7 +112,7 @@ impl ScatterLines {
             canvas.dots(&px, 7.0, series_colour(i), 0.9);
             canvas.polyline(px, series_colour(i), 2.5);
         }
-        canvas.save(stem, kept)
+        canvas.save(stem)
     }
 }
 
@@ -135,8 +135,8 @@ fn wilson(right: f64, count: usize) -> [f64; 2] {
 }
 
 impl ReliabilityPlot {
-    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
-    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem`.png and .svg.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let good = |p: &&Reliability| p.said.is_finite() && p.right.is_finite() && p.links > 0;
         let drawn: Vec<Vec<Reliability>> =
             self.series.iter().map(|s| s.1.iter().filter(good).copied().collect()).collect();
@@ -162,7 +162,7 @@ impl ReliabilityPlot {
             canvas.dots(&at, 9.0, series_colour(i), 1.0);
             canvas.polyline(at, series_colour(i), 1.5);
         }
-        canvas.save(stem, kept)
+        canvas.save(stem)
     }
 }
 
@@ -212,8 +212,8 @@ const TOP: f64 = 196.0;
 const AVERAGED: usize = 5;
 
 impl PhasePlot {
-    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
-    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem`.png and .svg.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let tracks: Vec<&PhaseTrack> = std::iter::once(&self.capture).chain(&self.other).collect();
         let panels = if tracks.iter().any(|track| !track.left.is_empty()) { 4 } else { 3 };
         let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &self.title);
@@ -233,7 +233,7 @@ impl PhasePlot {
             let averaged = if self.averaged == 0 { AVERAGED } else { self.averaged };
             draw_track(&mut canvas, track, (120.0 + i as f64 * (width + gap), width), averaged)?;
         }
-        canvas.save(stem, kept)
+        canvas.save(stem)
     }
 }
 
@@ -450,8 +450,8 @@ fn pixels(axes: &Axes, points: &[[f64; 2]]) -> Vec<(f64, f64)> {
 }
 
 impl TrajectoryPlot {
-    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
-    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem`.png and .svg.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let (path, used) = (finite(&self.path_m), finite(&self.used_m));
         let mut view: Vec<[f64; 2]> = path.iter().chain(&used).copied().collect();
         let own = axes(0.0, &view, 0.0, "trajectory")?;
@@ -494,7 +494,7 @@ impl TrajectoryPlot {
         if let Some(p) = transmitter {
             star(&mut canvas, axes.at(p[0], p[1]), "transmitter", &axes);
         }
-        canvas.save(stem, kept)
+        canvas.save(stem)
     }
 }
 
@@ -539,8 +539,8 @@ impl MapPlot {
             .collect()
     }
 
-    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
-    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem`.png and .svg.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let path = finite(&self.path_m);
         let usable = |r: &&Ray| r.azimuth_rad.is_finite() && r.origin_m.iter().all(|v| v.is_finite());
         let rays: Vec<&Ray> = self.rays.iter().filter(usable).collect();
@@ -600,7 +600,7 @@ impl MapPlot {
             let at = axes.at(p[0], p[1]);
             star(&mut canvas, at, name, &axes);
         }
-        canvas.save(stem, kept)
+        canvas.save(stem)
     }
 }
 
@@ -662,8 +662,8 @@ fn wrap_deg(degrees: f64) -> f64 {
 }
 
 impl ProfilePlot {
-    /// Writes it as `stem`.png and .svg, unless one of them is a `kept` file.
-    pub fn write(&self, stem: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem`.png and .svg.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let chosen = relative(&self.chosen_from).ok_or(Error::Empty { what: "profile" })?;
         let others = self.others.iter().enumerate();
         let others: Vec<_> =
@@ -689,7 +689,7 @@ impl ProfilePlot {
             canvas.dots(&[polar(answer, height(&chosen, answer))], 7.0, RED, 1.0);
         }
         self.enlarged(&mut canvas, &chosen, &others, &candidates);
-        canvas.save(stem, kept)
+        canvas.save(stem)
     }
 
     fn answer(&self) -> Option<f64> {

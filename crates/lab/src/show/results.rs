@@ -1,6 +1,5 @@
 //! The pictures of a link, of an evaluation, of a recording beside a simulation, and of stationary robots.
 
-use super::canvas::check;
 use super::{
     CdfPlot, Ellipse, Error, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, ReliabilityPlot, ScatterLines,
     TrajectoryPlot, file_safe,
@@ -37,26 +36,18 @@ impl<'a> LinkPictures<'a> {
         Self { bearing, truth_rad, transmitter_m }
     }
 
-    /// Names of a link's pictures, without extensions.
-    fn stems(folder: &Path, name: &str) -> [PathBuf; 3] {
-        ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what))
-    }
-
-    /// Writes `NAME-trajectory`, `NAME-profile` and, if the course was kept, `NAME-phase` into a folder; none of them if one may
-    /// not be replaced.
+    /// Writes `NAME-trajectory`, `NAME-profile` and, if the course was kept, `NAME-phase` into a folder.
     ///
     /// # Errors
     /// If a picture cannot be drawn or written.
-    pub fn write(&self, folder: &Path, name: &str, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
-        let named = |source| Error::Folder { folder: folder.display().to_string(), source };
-        std::fs::create_dir_all(folder).map_err(named)?;
-        check(&Self::stems(folder, name), kept)?;
+    pub fn write(&self, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Error> {
+        let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(name)));
         let mut written = Vec::new();
         if !self.bearing.course.is_empty() {
-            written.extend(self.phase(name).write(&stem(folder, name, "phase"), kept)?);
+            written.extend(self.phase(name).write(&stem("phase"))?);
         }
-        written.extend(self.trajectory(name).write(&stem(folder, name, "trajectory"), kept)?);
-        written.extend(self.profile(name)?.write(&stem(folder, name, "profile"), kept)?);
+        written.extend(self.trajectory(name).write(&stem("trajectory"))?);
+        written.extend(self.profile(name)?.write(&stem("profile"))?);
         Ok(written)
     }
 
@@ -101,11 +92,6 @@ impl<'a> LinkPictures<'a> {
             mirror_deg: answer.mirror_rad.map(f64::to_degrees),
         })
     }
-}
-
-/// Name of a link's picture, without extension.
-fn stem(folder: &Path, name: &str, what: &str) -> PathBuf {
-    folder.join(format!("{}-{what}", file_safe(name)))
 }
 
 /// One kind of phase of pairs, over time.
@@ -164,26 +150,26 @@ impl Others {
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_set(rows: &[Judged], others: &Others, folder: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+pub fn write_set(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let judged = |row: &&Judged| row.error_from_mean_pose_deg.is_some();
     let mut written = Vec::new();
     if rows.iter().any(|row| judged(&row)) {
-        written.extend(errors(rows, others).write(&folder.join("errors"), kept)?);
+        written.extend(errors(rows, others).write(&folder.join("errors"))?);
     }
     if !sure(rows).is_empty() {
-        written.extend(refused(rows).write(&folder.join("refusals"), kept)?);
-        written.extend(reliable(rows).write(&folder.join("reliability"), kept)?);
+        written.extend(refused(rows).write(&folder.join("refusals"))?);
+        written.extend(reliable(rows).write(&folder.join("reliability"))?);
     }
-    written.extend(write_maps(rows, &receivers_with(rows, &BTreeMap::new(), false), folder, kept)?);
+    written.extend(write_maps(rows, &receivers_with(rows, &BTreeMap::new(), false), folder)?);
     Ok(written)
 }
 
 /// Writes a `map-PLACE` into a folder for each capture with a known receiver path, with the receiver as located, and a `map-team`
-/// if several captures were located as one graph; none of them if one may not be replaced.
+/// if several captures were located as one graph.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path, kept: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
         if let Some((capture, _)) = row.answer.link.rsplit_once('/') {
@@ -192,15 +178,13 @@ pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path, kept: &[Pat
     }
     captures.retain(|_, own| own.iter().any(|row| row.true_receiver_m.is_some()));
     let stem = |capture: &str| folder.join(format!("map-{}", file_safe(capture)));
-    let team = (!located.transmitters.is_empty()).then(|| stem("team"));
-    check(&captures.keys().map(|capture| stem(capture)).chain(team.clone()).collect::<Vec<_>>(), kept)?;
     let mut written = Vec::new();
     for (capture, own) in captures {
         let receiver = located.receivers.iter().find(|receiver| receiver.capture == capture);
-        written.extend(map(capture, &own, receiver).write(&stem(capture), kept)?);
+        written.extend(map(capture, &own, receiver).write(&stem(capture))?);
     }
-    if let Some(stem) = team {
-        written.extend(team_map(rows, located).write(&stem, kept)?);
+    if !located.transmitters.is_empty() {
+        written.extend(team_map(rows, located).write(&stem("team"))?);
     }
     Ok(written)
 }
@@ -335,12 +319,7 @@ fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot 
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_compared(
-    recorded: &Figures,
-    simulated: &Figures,
-    folder: &Path,
-    kept: &[PathBuf],
-) -> Result<Vec<PathBuf>, Error> {
+pub fn write_compared(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let round_trip = |label: &str, figures: &Figures| PhaseTrack {
         before: over_time(&figures.link.course, |phase| phase.round_trip_rad),
         ..track(label, &figures.link.course)
@@ -359,8 +338,8 @@ pub fn write_compared(
         series: vec![late("recorded", recorded), late("simulated", simulated)],
         ..CdfPlot::default()
     };
-    let mut written = phase.write(&folder.join("compare-phase"), kept)?;
-    written.extend(turn_around.write(&folder.join("compare-turn-around"), kept)?);
+    let mut written = phase.write(&folder.join("compare-phase"))?;
+    written.extend(turn_around.write(&folder.join("compare-turn-around"))?);
     Ok(written)
 }
 
@@ -373,7 +352,7 @@ pub fn standing(standing: &Standing) -> PhasePlot {
     let product = over_time(&standing.course, |phase| phase.round_trip_rad);
     let spread = format!(
         "from packet to packet: {:.2} rad, {:.2} rad, {:.2} rad",
-        standing.spread_one_way_rad, standing.spread_rad, standing.spread_compensated_rad
+        standing.phase_one_way_rad, standing.phase_before_rad, standing.phase_after_rad
     );
     PhasePlot {
         title: "Two robots that stand: phase at the channel centre".into(),

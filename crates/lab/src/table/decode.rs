@@ -135,69 +135,67 @@ impl Decoder {
 
     /// The same, with the factor only on request.
     fn write(&mut self, bfee: &Bfee<'_>, with_factor: bool, out: &mut [Complex32]) -> Option<f64> {
-        let Self { order, rows, form, level, plan, room } = self;
-        plan.fit(bfee, rows);
+        self.plan.fit(bfee, &self.rows);
         // Compiled for each SIMD tier, because compilers vectorise it.
-        match order {
-            Order::SubcarriersLast => dispatch!(*level, _ => one(bfee, plan, rows, *form, with_factor, room, out)),
-            Order::SubcarriersFirst => {
-                dispatch!(*level, _ => one_turned(bfee, plan, rows, *form, with_factor, room, out))
+        let level = self.level;
+        dispatch!(level, _ => self.one(bfee, with_factor, out))
+    }
+
+    /// One record, for the vectors for which it is compiled.
+    #[inline(always)]
+    fn one(&mut self, bfee: &Bfee<'_>, with_factor: bool, out: &mut [Complex32]) -> Option<f64> {
+        let Self { order, rows, form, plan, room: Room { planes, bytes, sorted }, .. } = self;
+        let samples: &[[i8; 2]] = match order {
+            Order::SubcarriersLast => {
+                let count = bfee.unpack_planes(planes).unwrap_or(0);
+                planes.get(..count).unwrap_or_default()
             }
+            Order::SubcarriersFirst => {
+                let count = bfee.unpack_bytes(bytes).unwrap_or(0);
+                cast_slice(bytes.get(..2 * count).unwrap_or_default())
+            }
+        };
+        let factor = if with_factor { scale_factor_of(bfee, samples).ok() } else { None };
+        let Some(wanted) = (if form.scaled { factor } else { Some(1.0) }) else {
+            out.fill(NOTHING);
+            return factor;
+        };
+        let wanted = wanted as f32;
+        let csi = (form.without_spatial_mapping && bfee.n_tx() > 1).then(|| Csi::raw(bfee));
+        let unmapped = csi.map(|csi| csi.without_spatial_mapping(bfee.is_40_mhz()));
+        match (order, unmapped.as_ref(), plan.way) {
+            (Order::SubcarriersLast, unmapped, _) => by_column(bfee, plan, unmapped, samples, wanted, out),
+            (_, Some(csi), _) => one_by_one(bfee, plan, rows, csi, wanted, out),
+            (_, None, Way::Straight) => widen_all(samples, wanted, out),
+            (_, None, Way::Sorted) => widen_all(sort(bfee, plan, rows, samples, sorted), wanted, out),
+            (_, None, Way::Partly) => partly(bfee, plan, rows, samples, wanted, out),
         }
+        factor
     }
 }
 
-/// One record; returns its factor to sqrt(SNR) if requested.
+/// Writes the samples of a record, or its CSI without the spatial mapping matrix of its streams, column by column.
 #[inline(always)]
-fn one(
+fn by_column(
     bfee: &Bfee<'_>,
     plan: &Plan,
-    rows: &Rows,
-    form: Form,
-    with_factor: bool,
-    room: &mut Room,
-    out: &mut [Complex32],
-) -> Option<f64> {
-    let samples = &mut room.samples;
-    let count = bfee.unpack_planes(samples).unwrap_or(0);
-    let samples = samples.get(..count).unwrap_or_default();
-    let factor = if with_factor { scale_factor_of(bfee, samples).ok() } else { None };
-    write(bfee, plan, rows, form, samples, if form.scaled { factor } else { Some(1.0) }, out);
-    factor
-}
-
-/// Writes a record's samples times a factor; without a factor, NaN.
-#[inline(always)]
-fn write(
-    bfee: &Bfee<'_>,
-    plan: &Plan,
-    rows: &Rows,
-    form: Form,
+    unmapped: Option<&Csi>,
     samples: &[[i8; 2]],
-    factor: Option<f64>,
+    factor: f32,
     out: &mut [Complex32],
 ) {
-    let Some(factor) = factor.map(|factor| factor as f32) else {
-        out.fill(NOTHING);
-        return;
-    };
-    let n_tx = bfee.n_tx();
-    let unmapped =
-        (form.without_spatial_mapping && n_tx > 1).then(|| Csi::raw(bfee).without_spatial_mapping(bfee.is_40_mhz()));
-    let (planes, _) = samples.as_chunks::<SUBCARRIERS>();
+    let (planes, n_tx) = (samples.as_chunks::<SUBCARRIERS>().0, bfee.n_tx());
     // Each place is written once: new memory costs more than the writing.
-    for (columns, chain) in out.chunks_exact_mut(rows.n_tx * SUBCARRIERS).zip(plan.chains) {
-        for (stream, column) in columns.chunks_exact_mut(SUBCARRIERS).enumerate() {
-            let chain = chain.filter(|_| stream < n_tx);
-            match (&unmapped, chain, chain.and_then(|chain| planes.get(chain * n_tx + stream))) {
-                (Some(csi), Some(chain), _) => {
-                    for (subcarrier, h) in column.iter_mut().enumerate() {
-                        *h = csi.get(subcarrier, chain, stream).map_or(NOTHING, |h| h * factor);
-                    }
+    for (k, column) in out.chunks_exact_mut(SUBCARRIERS).enumerate() {
+        let source = plan.sources.get(k).copied().flatten();
+        match (unmapped, source, source.and_then(|source| planes.get(source))) {
+            (Some(csi), Some(source), _) => {
+                for (subcarrier, h) in column.iter_mut().enumerate() {
+                    *h = csi.get(subcarrier, source / n_tx, source % n_tx).map_or(NOTHING, |h| h * factor);
                 }
-                (None, _, Some(plane)) => widen(plane, factor, column),
-                _ => column.fill(NOTHING),
             }
+            (None, _, Some(plane)) => widen(plane, factor, column),
+            _ => column.fill(NOTHING),
         }
     }
 }
@@ -251,8 +249,6 @@ enum Way {
 #[derive(Clone, Debug, Default)]
 struct Plan {
     kind: Kind,
-    /// The chain of each row.
-    chains: [Option<usize>; 3],
     /// How columns are made.
     way: Way,
     /// For each column the record's `chain n_tx + stream`, if it has one.
@@ -287,7 +283,7 @@ impl Plan {
         } else {
             Way::Sorted
         };
-        Self { kind, chains, way, sources }
+        Self { kind, way, sources }
     }
 }
 
@@ -296,49 +292,15 @@ impl Plan {
 /// Working memory.
 #[derive(Clone, Debug)]
 struct Room {
-    samples: [[i8; 2]; MAX_SAMPLES],
+    planes: [[i8; 2]; MAX_SAMPLES],
     bytes: [u8; MAX_SAMPLE_BYTES],
+    sorted: [[i8; 2]; MAX_SAMPLES],
 }
 
 impl Default for Room {
     fn default() -> Self {
-        Self { samples: [[0; 2]; MAX_SAMPLES], bytes: [0; MAX_SAMPLE_BYTES] }
+        Self { planes: [[0; 2]; MAX_SAMPLES], bytes: [0; MAX_SAMPLE_BYTES], sorted: [[0; 2]; MAX_SAMPLES] }
     }
-}
-
-/// One record; returns its factor to sqrt(SNR) if requested.
-#[inline(always)]
-fn one_turned(
-    bfee: &Bfee<'_>,
-    plan: &Plan,
-    rows: &Rows,
-    form: Form,
-    with_factor: bool,
-    room: &mut Room,
-    out: &mut [Complex32],
-) -> Option<f64> {
-    let Room { samples: sorted, bytes } = room;
-    let samples = unpack_turned(bfee, bytes);
-    let factor = if with_factor { scale_factor_of(bfee, samples).ok() } else { None };
-    let Some(wanted) = (if form.scaled { factor } else { Some(1.0) }) else {
-        out.fill(NOTHING);
-        return factor;
-    };
-    let wanted = wanted as f32;
-    match plan.way {
-        _ if form.without_spatial_mapping && bfee.n_tx() > 1 => unmapped(bfee, plan, rows, wanted, out),
-        Way::Straight => widen_all(samples, wanted, out),
-        Way::Sorted => widen_all(sort(bfee, plan, rows, samples, sorted), wanted, out),
-        Way::Partly => partly(bfee, plan, rows, samples, wanted, out),
-    }
-    factor
-}
-
-/// The samples of a record in the order of its payload.
-#[inline(always)]
-fn unpack_turned<'a>(bfee: &Bfee<'_>, bytes: &'a mut [u8; MAX_SAMPLE_BYTES]) -> &'a [[i8; 2]] {
-    let count = bfee.unpack_bytes(bytes).unwrap_or(0);
-    cast_slice(bytes.get(..2 * count).unwrap_or_default())
 }
 
 /// The samples of an array's columns, if the record has all of them.
@@ -373,8 +335,8 @@ fn partly(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, samples: &[[i8; 2]], factor
 
 /// Writes the CSI of a record without the spatial mapping matrix of its streams.
 #[inline(never)]
-fn unmapped(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, factor: f32, out: &mut [Complex32]) {
-    let (csi, n_tx) = (Csi::raw(bfee).without_spatial_mapping(bfee.is_40_mhz()), bfee.n_tx());
+fn one_by_one(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, csi: &Csi, factor: f32, out: &mut [Complex32]) {
+    let n_tx = bfee.n_tx();
     each(rows, out, |subcarrier, column| {
         let source = (*plan.sources.get(column)?)?;
         Some(csi.get(subcarrier, source / n_tx, source % n_tx)? * factor)

@@ -162,6 +162,23 @@ struct Place {
     span: Span,
 }
 
+impl Place {
+    fn of(self, blocks: &[Block]) -> &[u8] {
+        blocks.get(self.block as usize).map(|block| self.span.of(block.bytes())).unwrap_or_default()
+    }
+}
+
+/// Copies a body into the last block, or into a new one if it has no room.
+fn store(blocks: &mut Vec<Block>, body: &[u8]) -> Place {
+    let stored = blocks.last_mut().and_then(|block| block.push(body));
+    let from = stored.or_else(|| {
+        blocks.push(Block::small());
+        blocks.last_mut()?.push(body)
+    });
+    let span = Span { from: from.unwrap_or_default(), len: body.len() as u32 };
+    Place { block: blocks.len().saturating_sub(1) as u32, span }
+}
+
 /// bfee records in the order of the log, each with the MPDU record that names its sender, if there is one.
 #[derive(Debug, Default)]
 pub struct Arena {
@@ -205,10 +222,10 @@ impl Arena {
     /// Adds the body of a checked bfee record.
     pub fn push(&mut self, body: &[u8]) {
         let waiting = std::mem::take(&mut self.waiting);
-        let mpdu = if waiting.is_empty() { Place::default() } else { self.store(&waiting) };
+        let mpdu = if waiting.is_empty() { Place::default() } else { store(&mut self.blocks, &waiting) };
         self.waiting = waiting;
         self.waiting.clear();
-        let bfee = self.store(body);
+        let bfee = store(&mut self.blocks, body);
         self.entries.push(Entry { bfee, mpdu });
     }
 
@@ -216,7 +233,7 @@ impl Arena {
     /// be an MPDU [noted](Self::note_mpdu) before.
     pub(super) fn adopt(&mut self, block: Block, records: impl IntoIterator<Item = (Span, Option<Span>)>) {
         let noted = std::mem::take(&mut self.waiting);
-        let mut noted = (!noted.is_empty()).then(|| self.store(&noted));
+        let mut noted = (!noted.is_empty()).then(|| store(&mut self.blocks, &noted));
         // 2^32 blocks would be 16 PiB.
         let own = |block: usize, span| Place { block: block as u32, span };
         let number = self.blocks.len();
@@ -228,30 +245,16 @@ impl Arena {
         self.blocks.push(block);
     }
 
-    fn store(&mut self, body: &[u8]) -> Place {
-        let stored = self.blocks.last_mut().and_then(|block| block.push(body));
-        let from = stored.or_else(|| {
-            self.blocks.push(Block::small());
-            self.blocks.last_mut()?.push(body)
-        });
-        let span = Span { from: from.unwrap_or_default(), len: body.len() as u32 };
-        Place { block: self.blocks.len().saturating_sub(1) as u32, span }
-    }
-
-    fn bytes(&self, place: Place) -> &[u8] {
-        self.blocks.get(place.block as usize).map(|block| place.span.of(block.bytes())).unwrap_or_default()
-    }
-
     /// The body of a bfee record; empty beyond the last.
     #[must_use]
     pub fn body(&self, index: usize) -> &[u8] {
-        self.entries.get(index).map_or(&[], |entry| self.bytes(entry.bfee))
+        self.entries.get(index).map_or(&[], |entry| entry.bfee.of(&self.blocks))
     }
 
     /// The MPDU logged with a bfee record, or the [clock](code::CARD_CLOCK) of a translated log; empty without either.
     #[must_use]
     pub fn mpdu(&self, index: usize) -> &[u8] {
-        self.entries.get(index).map_or(&[], |entry| self.bytes(entry.mpdu))
+        self.entries.get(index).map_or(&[], |entry| entry.mpdu.of(&self.blocks))
     }
 
     /// A bfee record, checked again.
@@ -276,8 +279,8 @@ impl Arena {
     }
 }
 
-/// Most items of a piece; a damaged log may give more items than it has bytes for records.
-const MOST: usize = 65_536;
+/// Items between two questions whether to go on: a damaged log may give more items than it has bytes for records.
+const OFTEN: usize = 65_536;
 
 /// The place of a record's body in a block.
 #[derive(Clone, Copy, Debug, Default)]
@@ -296,71 +299,18 @@ impl Span {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 enum Item {
-    Record(Stamps, u8, Span),
+    Record(Stamps, u8, Place),
     Lost(Loss),
     End(Tail),
 }
 
-/// A stretch of a source's items.
-#[derive(Debug)]
-pub(super) struct Piece {
-    pub block: Block,
-    items: Vec<Item>,
-}
-
-impl Piece {
-    /// An empty piece in this block.
-    pub fn new(block: Block) -> Self {
-        Self { block, items: Vec::new() }
-    }
-
-    /// True if its last item is the log's end.
-    pub fn has_ended(&self) -> bool {
-        matches!(self.items.last(), Some(Item::End(_)))
-    }
-
-    /// Takes the source's items until the block is full, none is available at `now`, or the log ends; returns whether more may be
-    /// available at once.
-    ///
-    /// # Errors
-    /// Those of the source. Earlier items are in the piece.
-    pub fn fill(&mut self, source: &mut (impl CsiSource + ?Sized), now: Instant) -> Result<bool, Error> {
-        while self.items.len() < MOST && self.block.room() >= MAX_LENGTH {
-            match source.receive(now)? {
-                Next::Record(stamps, record) => {
-                    // There is room for the longest record.
-                    let from = self.block.push(record.body).unwrap_or_default();
-                    self.items.push(Item::Record(stamps, record.code, Span { from, len: record.body.len() as u32 }));
-                }
-                Next::Lost(loss) => self.items.push(Item::Lost(loss)),
-                Next::Pending => return Ok(false),
-                Next::End(tail) => {
-                    self.items.push(Item::End(tail));
-                    return Ok(false);
-                }
-            }
-        }
-        Ok(true)
-    }
-
-    /// The item at this index, and its place in the block.
-    pub fn get(&self, index: usize) -> Option<(Next<'_>, Span)> {
-        Some(match self.items.get(index)? {
-            Item::Record(stamps, code, span) => {
-                (Next::Record(*stamps, Record { code: *code, body: span.of(self.block.bytes()) }), *span)
-            }
-            Item::Lost(loss) => (Next::Lost(loss.clone()), Span::default()),
-            Item::End(tail) => (Next::End(*tail), Span::default()),
-        })
-    }
-}
-
 /// A log in memory: all items of its source. [`Held::source`] replays them any number of times.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Held {
-    pieces: Vec<Piece>,
+    blocks: Vec<Block>,
+    items: Vec<Item>,
 }
 
 impl Held {
@@ -369,55 +319,59 @@ impl Held {
     /// # Errors
     /// Those of the source, and [`Error::Endless`] for a live one.
     pub fn read(source: &mut dyn CsiSource, go_on: &dyn Fn() -> bool) -> Result<Option<Self>, Error> {
-        let mut pieces = Vec::new();
-        while go_on() {
-            let mut piece = Piece::new(if pieces.is_empty() { Block::small() } else { Block::large() });
-            let more = piece.fill(source, Instant::ZERO)?;
-            let has_ended = piece.has_ended();
-            pieces.push(piece);
-            match (more, has_ended) {
-                (_, true) => return Ok(Some(Self { pieces })),
-                (true, false) => {}
-                (false, false) => return Err(Error::Endless),
+        let Self { mut blocks, mut items } = Self::default();
+        loop {
+            let is_full = blocks.last().is_none_or(|block: &Block| block.room() < MAX_LENGTH);
+            if (is_full || items.len() % OFTEN == 0) && !go_on() {
+                return Ok(None);
+            }
+            if is_full {
+                blocks.push(if blocks.is_empty() { Block::small() } else { Block::large() });
+            }
+            match source.receive(Instant::ZERO)? {
+                Next::Record(stamps, record) => {
+                    items.push(Item::Record(stamps, record.code, store(&mut blocks, record.body)));
+                }
+                Next::Lost(loss) => items.push(Item::Lost(loss)),
+                Next::Pending => return Err(Error::Endless),
+                Next::End(tail) => {
+                    items.push(Item::End(tail));
+                    return Ok(Some(Self { blocks, items }));
+                }
             }
         }
-        Ok(None)
     }
 
     /// The log from its beginning.
     #[must_use]
     pub fn source(&self) -> HeldSource<'_> {
-        HeldSource { pieces: self.pieces.iter(), piece: None, at: 0, ended: false }
+        HeldSource { held: self, at: 0 }
     }
 }
 
 /// Replays a source; see [`Held::source`].
 #[derive(Clone, Debug)]
 pub struct HeldSource<'a> {
-    pieces: std::slice::Iter<'a, Piece>,
-    piece: Option<&'a Piece>,
+    held: &'a Held,
     at: usize,
-    ended: bool,
 }
 
 impl CsiSource for HeldSource<'_> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        loop {
-            if let Some((next, _)) = self.piece.and_then(|piece| piece.get(self.at)) {
-                self.at += 1;
-                self.ended |= matches!(next, Next::End(_));
-                return Ok(match next {
-                    Next::Record(stamps, record) => Next::Record(Stamps { at: now, ..stamps }, record),
-                    other => other,
-                });
+        let item = self.held.items.get(self.at);
+        self.at += usize::from(item.is_some());
+        Ok(match item {
+            Some(Item::Record(stamps, code, place)) => {
+                Next::Record(Stamps { at: now, ..*stamps }, Record { code: *code, body: place.of(&self.held.blocks) })
             }
-            let Some(piece) = self.pieces.next() else { return Ok(Next::End(Tail::Clean)) };
-            (self.piece, self.at) = (Some(piece), 0);
-        }
+            Some(Item::Lost(loss)) => Next::Lost(loss.clone()),
+            Some(Item::End(tail)) => Next::End(*tail),
+            None => Next::End(Tail::Clean),
+        })
     }
 
     fn next_at(&self) -> Option<Instant> {
-        (!self.ended).then_some(Instant::ZERO)
+        (self.at < self.held.items.len()).then_some(Instant::ZERO)
     }
 }
 

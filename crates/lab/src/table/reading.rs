@@ -7,9 +7,9 @@ use csi5300::source::replay::{Bytes, Framing, Front, Replay};
 use csi5300::source::survey::{Fields, Identity, Survey, Tally};
 use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use csi5300::time::Instant;
+use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Antennas, Bfee};
 use driver_iface::record::{LENGTH_FIELD, LOOKAHEAD, Record, Tail, code};
-use driver_iface::{Mac, ParseMacError};
 use fearless_simd::{Level, dispatch};
 use std::collections::BTreeSet;
 use std::io::Read;
@@ -17,34 +17,6 @@ use std::sync::mpsc::{channel, sync_channel};
 
 /// Records that [`Reading::burst`] reads at most.
 const BURST: usize = 32_768;
-
-/// Why a filter is invalid.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum FilterError {
-    /// A text is not an address.
-    #[error("{text:?} is not a sender address: {source}")]
-    Mac {
-        /// The text.
-        text: String,
-        /// Why.
-        source: ParseMacError,
-    },
-    /// A text does not name antennas.
-    #[error("{text:?} names no antennas: letters of A, B and C, such as A or AC")]
-    Antennas {
-        /// The text.
-        text: String,
-    },
-    /// The stretch of time is empty or not a number.
-    #[error("from {from_s} to {to_s} seconds after the first record is not a stretch of time")]
-    Time {
-        /// Its beginning, seconds.
-        from_s: f64,
-        /// Its end, seconds.
-        to_s: f64,
-    },
-}
 
 /// Which records are kept.
 #[derive(Clone, Debug, Default)]
@@ -59,11 +31,11 @@ impl Filter {
     /// With only the senders named.
     ///
     /// # Errors
-    /// [`FilterError::Mac`].
-    pub fn with_macs<T: AsRef<str>>(mut self, macs: impl IntoIterator<Item = T>) -> Result<Self, FilterError> {
+    /// Which text is no address, and why.
+    pub fn with_macs<T: AsRef<str>>(mut self, macs: impl IntoIterator<Item = T>) -> Result<Self, String> {
         let parse = |text: T| {
             let text = text.as_ref();
-            text.parse::<Mac>().map_err(|source| FilterError::Mac { text: text.to_owned(), source })
+            text.parse::<Mac>().map_err(|error| format!("{text:?} is not a sender address: {error}"))
         };
         self.macs = Some(macs.into_iter().map(parse).collect::<Result<_, _>>()?);
         Ok(self)
@@ -72,11 +44,11 @@ impl Filter {
     /// With only records from `from_s` on and before `to_s`, seconds after the first bfee record of the log.
     ///
     /// # Errors
-    /// [`FilterError::Time`].
-    pub fn with_time(mut self, from_s: Option<f64>, to_s: Option<f64>) -> Result<Self, FilterError> {
+    /// If the stretch is empty or not a number, in words.
+    pub fn with_time(mut self, from_s: Option<f64>, to_s: Option<f64>) -> Result<Self, String> {
         let (from, to) = (from_s.unwrap_or(f64::NEG_INFINITY), to_s.unwrap_or(f64::INFINITY));
         if from.is_nan() || to.is_nan() || from >= to {
-            return Err(FilterError::Time { from_s: from, to_s: to });
+            return Err(format!("from {from} to {to} seconds after the first record is not a stretch of time"));
         }
         let us = |s: f64| (s * 1e6).round() as i64;
         (self.from_us, self.to_us) = (from_s.map(us), to_s.map(us));
@@ -86,10 +58,10 @@ impl Filter {
     /// With only records that used one of the named antennas (`A`, `BC`).
     ///
     /// # Errors
-    /// [`FilterError::Antennas`].
-    pub fn with_antennas(mut self, letters: &str) -> Result<Self, FilterError> {
-        let named = antennas(letters).ok_or_else(|| FilterError::Antennas { text: letters.to_owned() })?;
-        self.antennas = Some(named);
+    /// If the text does not name antennas, in words.
+    pub fn with_antennas(mut self, letters: &str) -> Result<Self, String> {
+        let none = || format!("{letters:?} names no antennas: letters of A, B and C, such as A or AC");
+        self.antennas = Some(antennas(letters).ok_or_else(none)?);
         Ok(self)
     }
 
@@ -99,15 +71,10 @@ impl Filter {
         self.antennas.as_deref()
     }
 
-    /// Whether a record is kept; `since_us` is its time after the log's first bfee record by the card's clock, microseconds.
-    #[must_use]
-    pub fn keeps(&self, bfee: &Bfee<'_>, identity: Identity, since_us: i64) -> bool {
-        self.keeps_by(bfee.antennas().ok(), identity, since_us)
-    }
-
-    /// The same by the used antennas, if known.
+    /// Whether a record with these antennas, if known, is kept; `since_us` is its time after the log's first bfee record by the card's
+    /// clock, microseconds.
     #[inline]
-    fn keeps_by(&self, used: Option<Antennas>, identity: Identity, since_us: i64) -> bool {
+    fn keeps(&self, used: Option<Antennas>, identity: Identity, since_us: i64) -> bool {
         let is_used = |antenna: &Antenna| used.is_some_and(|used| used.chain_of(*antenna).is_some());
         self.macs.as_ref().is_none_or(|macs| macs.contains(&identity.mac))
             && self.from_us.is_none_or(|from| since_us >= from)
@@ -262,7 +229,7 @@ impl Table<'_> {
     fn choose(&mut self, fields: &Fields, identity: Identity, offset: u64) -> bool {
         let time_us = self.survey.clock_us.map_or(0, |(_, last)| last);
         let since_us = time_us - *self.first_us.get_or_insert(time_us);
-        let is_kept = self.filter.keeps_by(fields.antennas, identity, since_us);
+        let is_kept = self.filter.keeps(fields.antennas, identity, since_us);
         if is_kept {
             self.columns.push(fields, identity, time_us, offset);
         } else {

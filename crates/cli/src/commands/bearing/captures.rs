@@ -3,7 +3,7 @@
 
 use super::Args;
 use super::words::{describe, digits, doubts, explain_lines, in_a_line, is_short, pairs};
-use crate::commands::args::{Reading, Which};
+use crate::commands::args::{Which, find, reading};
 use crate::commands::{InWords, Outcome, Result, Words, fixed, hint, print, print_json, some, usage};
 use clap::ValueEnum;
 use csi5300::maths::median;
@@ -11,8 +11,10 @@ use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, LinkPlan, Options};
 use csi5300_lab::evaluate::receivers::{Located, Ranged, Receiver, Shared, UNKNOWN_PROBABILITY, receivers_with};
 use csi5300_lab::evaluate::transmitters::{Frame, LocatedTransmitter, located};
 use csi5300_lab::evaluate::{Capture, Judged};
+use csi5300_lab::show::results::write_maps;
 use csi5300_team::factors;
 use csi5300_team::ranges::{Range, read};
+use csi5300_view::Reading;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -45,12 +47,7 @@ impl Args {
             let which = name.to_str().and_then(|name| Which::from_str(name, false).ok());
             which.unwrap_or_else(|| usage("for a capture, --trajectory is gt, t265 or odom: it has its own files"))
         });
-        Reading {
-            trajectory: named.unwrap_or(Which::Gt),
-            mounting: self.mounting.clone(),
-            channel: self.channel,
-            estimation: self.estimation.clone(),
-        }
+        reading(named.unwrap_or(Which::Gt), &self.mounting, self.channel, &self.estimation)
     }
 
     /// Ends the program if a transmitter with a given place is in no capture.
@@ -73,7 +70,7 @@ impl Args {
         let (mut captures, mut links, mut lost) = (Vec::new(), Vec::new(), false);
         for named in &self.captures {
             let (folder, wanted) = parts(named);
-            let (mut found, unreadable) = reading.find(&folder)?;
+            let (mut found, unreadable) = find(reading, &folder)?;
             unreadable.iter().for_each(|folder| wrong!("cannot read {folder}"));
             lost |= !unreadable.is_empty();
             let own = folder.file_name().map(|name| name.to_string_lossy().into_owned());
@@ -136,8 +133,7 @@ fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
 /// Shows the links of captures, and locates their receivers where several links see known places.
 pub fn run(args: &Args) -> Result {
     let reading = args.reading();
-    let options = reading.options().unwrap_or_else(|message| usage(&message));
-    let options = args.asked(options);
+    let options = args.asked(reading.options.clone());
     let (captures, names, mut lost) = args.find(&reading)?;
     args.check_places(&captures);
     if args.together.transmitters {
@@ -151,7 +147,7 @@ pub fn run(args: &Args) -> Result {
         let mut look = |name: &str, bearing: &Bearing, options: &Options| {
             links.push((name.to_owned(), bearing.clone(), options.clone()));
         };
-        let mut evaluated = capture.evaluate_and(reading.source(), reading.channel, &options, &mut look);
+        let mut evaluated = capture.evaluate_and(reading.source, reading.channel, &options, &mut look);
         hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
         evaluated.rows.retain(|row| names.contains(&row.answer.link));
@@ -228,15 +224,14 @@ fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged
 
 fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> Words<()> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let pictures = csi5300_lab::show::results::LinkPictures::of(row, bearing, reading.source());
+    let pictures = csi5300_lab::show::results::LinkPictures::of(row, bearing, reading.source);
     super::write(&pictures, folder, &row.answer.link)
 }
 
 /// A map of each capture: the bearings, the transmitters, the receiver as located.
 fn draw_maps(args: &Args, rows: &[Judged], located: &Located) -> Words<()> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let written = csi5300_lab::show::results::write_maps(rows, located, folder, &crate::commands::draft::read_files());
-    let written = written.in_words()?;
+    let written = crate::commands::draft::pictures(folder, |folder| write_maps(rows, located, folder))?;
     if !written.is_empty() {
         let maps = super::first_of_each(&written).count() as u64;
         note!("{}: {}", folder.display(), some(maps, "map", "maps"));
@@ -496,7 +491,7 @@ impl Graph {
         let ranges = read(&text).map_err(|error| words(&error))?;
         let mut taken = vec![false; ranges.len()];
         for capture in captures {
-            let trajectory = capture.path(reading.source()).map_err(|error| words(&error))?;
+            let trajectory = capture.path(reading.source).map_err(|error| words(&error))?;
             for (range, taken) in ranges.iter().zip(&mut taken) {
                 let Some(transmitter) = transmitter(capture, range) else { continue };
                 let Some(pose) = trajectory.at(range.time_s) else { continue };
@@ -610,11 +605,10 @@ fn locate_transmitters(
     told: &[(String, Place)],
     json: bool,
 ) -> Result {
-    let options = reading.options()?;
     together.must_be_of(&captures);
     let (mut links, mut failed): (Vec<(Judged, Frame)>, Vec<(String, String)>) = (Vec::new(), Vec::new());
     for capture in &captures {
-        let evaluated = capture.evaluate(reading.source(), reading.channel, &options);
+        let evaluated = capture.evaluate(reading.source, reading.channel, &reading.options);
         lost |= evaluated.lost;
         evaluated.notes.iter().for_each(|line| note!("{line}"));
         for row in evaluated.rows.into_iter().filter(|row| names.contains(&row.answer.link)) {
@@ -623,7 +617,7 @@ fn locate_transmitters(
         }
     }
     let told: BTreeMap<String, [f64; 2]> = told.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
-    let found = located(&links, reading.source(), &told);
+    let found = located(&links, reading.source, &told);
     if json {
         found.iter().for_each(print_json);
     } else {

@@ -103,7 +103,8 @@ fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&s
         let _ = writeln!(text, "  {} {nose}, {seen}", with_bar(body, answer.azimuth_body_sd_deg));
     }
     text += doubts;
-    if sure(answer).is_some_and(|sure| sure < FAIR) {
+    // If the logs may have been exchanged, that question stands above.
+    if sure(answer).is_some_and(|sure| sure < FAIR) && !answer.pair_counts.may_be_exchanged() {
         text += &why(answer);
         // With `-v` the candidates stand among the details.
         if details.is_none() {
@@ -191,31 +192,21 @@ fn origin(answer: &Answer) -> String {
 
 /// What makes an answer poor.
 fn why(answer: &Answer) -> String {
-    let mut text = String::new();
-    // That question stands above.
-    if answer.pair_counts.may_be_exchanged() {
-        return text;
-    }
     if let Some(coherence) = answer.coherence.filter(|coherence| *coherence < LITTLE) {
-        let _ = writeln!(
-            text,
+        format!(
             "  Why: one wave explains only {:.0} % of the phases along this path. There are reflections, the path is not that \
-             of the antenna (--antenna-offset, --clock-offset), or --channel is not the cards' channel.",
+             of the antenna (--antenna-offset, --clock-offset), or --channel is not the cards' channel.\n",
             100.0 * coherence
-        );
+        )
     } else if has_rival(answer) {
-        text += "  Why: other directions explain the samples about as well.\n";
+        "  Why: other directions explain the samples about as well.\n".into()
     } else {
-        text += "  Why: the peak is wide. A longer drive or one with a turn makes it narrower; with wheel odometry, so does --antenna-offset.\n";
+        "  Why: the peak is wide. A longer drive or one with a turn makes it narrower; with wheel odometry, so does --antenna-offset.\n".into()
     }
-    text
 }
 
 /// Other directions of a poor answer, and what to look at next.
 fn next_step(answer: &Answer) -> String {
-    if answer.pair_counts.may_be_exchanged() {
-        return String::new();
-    }
     let others = has_rival(answer) && answer.mirror_deg.is_none();
     let candidates = if others { places(&answer.candidates) } else { String::new() };
     candidates + "  Look at the pictures (--plot DIR); -v prints details.\n"

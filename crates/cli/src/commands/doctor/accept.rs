@@ -6,7 +6,6 @@
 //! from them.
 
 use super::Args;
-use crate::commands::args::channel as channel_of;
 use crate::commands::draft::{FolderDraft, reads};
 use crate::commands::files::{open_log, read_trajectory, refuse_twice};
 use crate::commands::live::{Listening, Needs, Signals, describe};
@@ -219,7 +218,7 @@ fn evidence(args: &Args) -> Words<Option<Judged>> {
 
 /// The channel by the command line or the desk.
 fn channel(args: &Args, desk: &Desk) -> Words<Channel> {
-    let told = desk.channel.as_deref().map(channel_of).transpose()?;
+    let told = desk.channel.as_deref().map(str::parse).transpose().in_words()?;
     let Some(channel) = args.channel.or(told) else {
         usage(
             "which WiFi channel were the cards tuned to? Give it with --channel, or with `channel = \"108\"` in the desk's TOML",

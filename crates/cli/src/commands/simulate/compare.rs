@@ -1,7 +1,6 @@
 //! `csi5300 simulate --rx ...`: a recorded capture beside a simulated one.
 
 use super::Args;
-use crate::commands::args::channel;
 use crate::commands::files::{self, BagArgs, Inputs};
 use crate::commands::{
     InWords, Outcome, Result, Words, draft, fixed, is_same_file, print, print_json, progress, read_trajectory,
@@ -41,7 +40,7 @@ pub struct Recorded {
     #[arg(long, value_name = "T.csv")]
     tx_trajectory: Option<PathBuf>,
     /// WiFi channel of the recording, with + or - for 40 MHz [default: the scene's or the simulated folder's]
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    #[arg(long, value_name = "NUMBER")]
     channel: Option<Channel>,
 }
 
@@ -174,7 +173,7 @@ fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
         }
         (Some(channel), _) => Ok(channel),
         (None, Some(own)) => {
-            let log = Log::open(capture.folder.join(format!("csi_rx_{}.dat", capture.stamp))).in_words()?;
+            let log = Log::open(capture.receiver_log()).in_words()?;
             let is_wide = log.flatten().next().is_some_and(|frame| frame.rate_n_flags & rate::HT40 != 0);
             channel_about(own, is_wide).in_words()
         }
@@ -212,12 +211,10 @@ fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> 
     let capture = first_capture(folder)?;
     let (name, tx) =
         capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
-    let beside = |name: String| capture.folder.join(name);
-    let path_of = |robot: &str| beside(format!("{robot}_trajectory_{}_.csv", capture.stamp));
+    let path_of = |robot: &str| capture.folder.join(format!("{robot}_trajectory_{}_.csv", capture.stamp));
     let trajectory = along.map_or_else(|| read_trajectory(&path_of("rx")), |trajectory| Ok(trajectory.clone()))?;
     let displaced = Some(path_of(name)).filter(|path| path.is_file()).map(|path| read_trajectory(&path)).transpose()?;
-    let logs = (&*beside(format!("csi_rx_{}.dat", capture.stamp)), &**tx);
-    read(&Inputs::default(), logs, (&trajectory, displaced.as_ref()), options)
+    read(&Inputs::default(), (&capture.receiver_log(), tx), (&trajectory, displaced.as_ref()), options)
 }
 
 /// Fits a scene to the recorded capture and keeps it, with the trajectory that it names.
@@ -225,7 +222,7 @@ fn fitted(out: &Path, recorded: &Figures, trajectory: &Trajectory, options: &Opt
     std::fs::create_dir_all(out).map_err(|error| format!("cannot make {}: {error}", out.display()))?;
     let poses: String = trajectory.poses().iter().map(csv::line).collect();
     draft::write(&out.join(TRAJECTORY), &poses)?;
-    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: out, transmitter_m: None };
+    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: out };
     progress("fitting a scene to the recording");
     let fitted = fit(recorded, &known, options).in_words();
     progress("");
@@ -263,8 +260,8 @@ fn short(value: f64) -> String {
 }
 
 fn draw(json: bool, out: &Path, recorded: &Figures, simulated: &Figures) -> Words<()> {
-    let written = csi5300_lab::show::results::write_compared(recorded, simulated, out, &draft::read_files());
-    let written = written.in_words()?;
+    let written =
+        draft::pictures(out, |folder| csi5300_lab::show::results::write_compared(recorded, simulated, folder))?;
     for path in files::first_of_each(&written).filter(|_| !json) {
         print(&format!("picture {}\n", path.display()));
     }

@@ -64,11 +64,13 @@ fn served(text: &str) -> Words<(String, u32)> {
 /// One robot whose card and odometry are served.
 struct Served {
     name: String,
-    on_connector: bool,
-    /// The room's end.
-    card: Option<(Port, Sender)>,
+    /// Where its records go, on the kernel's connector.
+    sender: Option<Sender>,
+    /// Its card, until that ends.
+    card: Option<Port>,
     sent: u64,
-    poses: Option<(Odometer, PosesFile)>,
+    poses: Option<PosesFile>,
+    odometry: Option<Odometer>,
 }
 
 /// The line of JSON: what was served, and what was done to each robot.
@@ -113,10 +115,10 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     if args.socket.is_some() && speed != 1.0 {
         crate::commands::usage("other programs live in real time: --socket and --speed do not go together");
     }
-    let outputs = open(&scene, file, args)?;
+    let mut robots = open(&scene, file, args)?;
     let server = args.socket.as_deref().map(Server::bind).transpose().in_words()?;
-    for (output, sender) in outputs.iter().filter_map(|output| Some((output, output.sender.as_ref()?))) {
-        note!("serving {} on connector index {}", output.name, sender.index());
+    for (robot, sender) in robots.iter().filter_map(|robot| Some((robot, robot.sender.as_ref()?))) {
+        note!("serving {} on connector index {}", robot.name, sender.index());
     }
     if let Some(path) = &args.socket {
         // Programs must answer within microseconds, so ask for the kernel's tightest timers; without them answers are
@@ -129,7 +131,7 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     begin(&mut scene, wall_us());
     let room = if server.is_some() { Room::quiet(&scene) } else { Room::new(&scene) };
     let mut room = room.in_words()?;
-    let robots = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
+    robots.iter_mut().try_for_each(|robot| robot.join(&mut room))?;
     let mut serving = Serving { room, server, robots, clock, speed, behind: Span::default() };
     serving.work(&signals)?;
     if json {
@@ -203,7 +205,7 @@ impl Serving {
     fn row(&self) -> Row<'_> {
         let injected = self.room.injected();
         let on_connector = |name: &str| {
-            let own = self.robots.iter().find(|robot| robot.name == name && robot.on_connector);
+            let own = self.robots.iter().find(|robot| robot.name == name && robot.sender.is_some());
             own.map(|robot| robot.sent)
         };
         let robots = self.room.scene().robot.iter().zip(&injected).map(|(robot, done)| RobotRow {
@@ -222,7 +224,7 @@ impl Serving {
 
     fn conclude(&self) -> Outcome {
         let (mut sent, injected) = (0, self.room.injected());
-        for robot in self.robots.iter().filter(|robot| robot.on_connector) {
+        for robot in self.robots.iter().filter(|robot| robot.sender.is_some()) {
             sent += robot.sent;
             let number = self.room.number(&robot.name).unwrap_or_default();
             let done = injected.get(number).map_or_else(|| "nothing".into(), ToString::to_string);
@@ -236,7 +238,7 @@ impl Serving {
             note!("at most {:.1} ms behind real time", self.behind.as_s() * 1e3);
         }
         let mut all_written = true;
-        for (unwritten, file) in self.robots.iter().filter_map(|robot| Some(robot.poses.as_ref()?.1.unwritten())) {
+        for (unwritten, file) in self.robots.iter().filter_map(|robot| Some(robot.poses.as_ref()?.unwritten())) {
             if unwritten > 0 {
                 note!("{} not written to {file}", crate::commands::some(unwritten, "pose", "poses"));
                 all_written = false;
@@ -266,7 +268,7 @@ fn describe(scene: &Scene, counts: &ServedCounts, injected: &[Injected]) -> Stri
 }
 
 /// Opens everything that may take time or fail, before the scene's time begins.
-fn open(scene: &Scene, file: &Path, args: &Args) -> Words<Vec<Output>> {
+fn open(scene: &Scene, file: &Path, args: &Args) -> Words<Vec<Served>> {
     let first = scene.initiators().first().and_then(|&k| scene.robot.get(k)).map(|robot| robot.name.clone());
     let named = match args.robot.as_slice() {
         [] if args.socket.is_some() && args.poses.is_empty() => Vec::new(),
@@ -296,7 +298,7 @@ fn open(scene: &Scene, file: &Path, args: &Args) -> Words<Vec<Output>> {
         let sender = index.map(|index| Sender::open(index, true)).transpose().in_words()?;
         let poses = args.poses.get(k).map(|path| PosesFile::open(path, &taken)).transpose()?;
         taken.extend(args.poses.get(k).map(|path| (path.clone(), "where the poses of another robot go")));
-        Ok(Output { name, sender, poses })
+        Ok(Served { name, sender, card: None, sent: 0, poses, odometry: None })
     };
     named.into_iter().enumerate().map(output).collect()
 }
@@ -311,30 +313,21 @@ fn in_use(scene: &Scene, file: &Path, args: &Args) -> Vec<(PathBuf, &'static str
     std::iter::once((file.to_owned(), "the scene")).chain(socket).chain(recorded).collect()
 }
 
-/// Where a robot's records and poses go.
-struct Output {
-    name: String,
-    sender: Option<Sender>,
-    poses: Option<PosesFile>,
-}
-
-impl Output {
-    /// Joins the outputs with the robot's card and odometry.
-    fn of(self, room: &mut Room) -> Words<Served> {
-        let Self { name, sender, poses } = self;
-        let number = room.number(&name).ok_or_else(|| format!("no robot {name} in the scene"))?;
-        let twice = || format!("{name} is served twice");
-        let card = sender.map(|sender| room.card(number).map(|card| (card, sender)).ok_or_else(twice)).transpose()?;
-        let poses = poses.and_then(|out| room.odometry(number).map(|source| (source, out)));
-        Ok(Served { name, on_connector: card.is_some(), card, sent: 0, poses })
-    }
-}
-
 impl Served {
+    /// Takes the robot's card and odometry from the room, as far as they are served.
+    fn join(&mut self, room: &mut Room) -> Words<()> {
+        let number = room.number(&self.name).ok_or_else(|| format!("no robot {} in the scene", self.name))?;
+        if self.sender.is_some() {
+            self.card = Some(room.card(number).ok_or_else(|| format!("{} is served twice", self.name))?);
+        }
+        self.odometry = self.poses.as_ref().and_then(|_| room.odometry(number));
+        Ok(())
+    }
+
     /// Sends what is due by `now`. Returns when more is due; `None` at the end.
     fn pump(&mut self, now: Instant) -> Words<Option<Instant>> {
         let mut card_at = None;
-        while let Some((card, sender)) = &mut self.card {
+        while let (Some(card), Some(sender)) = (&mut self.card, &mut self.sender) {
             match card.receive(now).in_words()? {
                 Next::Record(_, record) => {
                     sender.send(record).in_words()?;
@@ -353,7 +346,7 @@ impl Served {
 
     /// Writes the poses that are due.
     fn pump_poses(&mut self, now: Instant) -> Words<Option<Instant>> {
-        let Some((source, out)) = &mut self.poses else { return Ok(None) };
+        let (Some(source), Some(out)) = (&mut self.odometry, &mut self.poses) else { return Ok(None) };
         loop {
             match source.receive(now).in_words()? {
                 NextPose::Pose(pose) => out.write(&pose),
