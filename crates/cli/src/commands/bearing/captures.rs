@@ -606,7 +606,8 @@ fn locate_transmitters(
     json: bool,
 ) -> Result {
     together.must_be_of(&captures);
-    let (mut links, mut failed): (Vec<(Judged, Frame)>, Vec<(String, String)>) = (Vec::new(), Vec::new());
+    let mut links: Vec<(Judged, Frame)> = Vec::new();
+    let mut failed: Vec<(String, String)> = Vec::new();
     for capture in &captures {
         let evaluated = capture.evaluate(reading.source, reading.channel, &reading.options);
         lost |= evaluated.lost;
