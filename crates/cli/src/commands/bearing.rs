@@ -344,7 +344,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> Words<
         let draft = super::draft::Draft::create(&path, args.force)?;
         let profile = bartlett::profile(&bearing.samples, &args.grid()).in_words()?;
         let written = write_profile(draft.path(), &profile).and_then(|()| draft.keep(false));
-        written.map_err(|error| format!("writing {}: {error}", path.display()))?;
+        written.map_err(|error| format!("cannot write {}: {error}", path.display()))?;
         note!("profile of {name}: {}", path.display());
     }
     if let Some(folder) = &args.plot {

@@ -158,7 +158,10 @@ impl FolderDraft {
         drafts().push(part.clone());
         watch_signals();
         let draft = Self { folder: folder.to_owned(), part, made };
-        std::fs::create_dir_all(&draft.part).map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
+        let words = |error: io::Error| {
+            format!("cannot write into {}: {error}; check the folder and its rights", folder.display())
+        };
+        std::fs::create_dir_all(&draft.part).map_err(words)?;
         Ok(draft)
     }
 
@@ -188,7 +191,11 @@ impl FolderDraft {
         let mut files = Vec::new();
         files_in(&self.part, &mut files);
         for file in &files {
-            must_not_be_read(&self.at_last(file))?;
+            let last = self.at_last(file);
+            must_not_be_read(&last)?;
+            if last.is_dir() {
+                return Err(format!("cannot write {}: it is a folder", last.display()));
+            }
         }
         // A signal that comes meanwhile waits.
         let _drafts = drafts();
@@ -196,8 +203,7 @@ impl FolderDraft {
             let last = self.at_last(file);
             // A link to a file stays a link.
             let last = if last.is_file() { led_to(&last) } else { last };
-            let moved =
-                last.parent().map_or(Ok(()), std::fs::create_dir_all).and_then(|()| std::fs::rename(file, &last));
+            let moved = last.parent().map_or(Ok(()), std::fs::create_dir_all).and_then(|()| take_to(file, &last));
             moved.map_err(|error| format!("cannot write {}: {error}", last.display()))
         })
     }
@@ -223,6 +229,18 @@ pub fn pictures(
     let written = draw(draft.path()).map_err(|error| draft.words(&error.to_string()))?;
     let written = written.iter().map(|path| draft.at_last(path)).collect();
     draft.keep().map(|()| written)
+}
+
+/// Moves a file, also to another file system, where a link may lead.
+fn take_to(file: &Path, last: &Path) -> io::Result<()> {
+    std::fs::rename(file, last).or_else(|error| match error.kind() {
+        io::ErrorKind::CrossesDevices => {
+            let part = last.with_file_name(format!(".part-{}", std::process::id()));
+            let taken = std::fs::copy(file, &part).and_then(|_| std::fs::rename(&part, last));
+            taken.inspect_err(|_| remove(&part))
+        }
+        _ => Err(error),
+    })
 }
 
 fn files_in(folder: &Path, files: &mut Vec<PathBuf>) {
@@ -325,6 +343,22 @@ mod tests {
         let is_newer = |name: &str| std::fs::read(folder.join(name)).unwrap() == b"newer";
         assert!(folder.join("there").is_symlink() && is_newer("real/a"));
         assert!(!folder.join("device").is_symlink() && is_newer("device"));
+        // A link may lead to another file system.
+        let far = Path::new("/dev/shm").join(format!("csi5300-links-{}", std::process::id()));
+        if std::fs::write(&far, b"").is_ok() {
+            std::fs::remove_file(folder.join("device")).unwrap();
+            link(far.to_str().unwrap(), "device");
+            let draft = FolderDraft::new(&folder).unwrap();
+            std::fs::write(draft.path().join("device"), b"newest").unwrap();
+            draft.keep().unwrap();
+            assert!(folder.join("device").is_symlink() && std::fs::read(&far).unwrap() == b"newest");
+            std::fs::remove_file(far).unwrap();
+        }
+        // A folder in the way of one file keeps all of them out.
+        let draft = FolderDraft::new(&folder).unwrap();
+        ["there", "real"].iter().for_each(|name| std::fs::write(draft.path().join(name), b"none").unwrap());
+        let refused = draft.keep().unwrap_err();
+        assert!(refused.ends_with("real: it is a folder") && is_newer("real/a"), "{refused}");
         assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 6);
         assert!(drafts().is_empty());
         std::fs::remove_dir_all(folder).unwrap();

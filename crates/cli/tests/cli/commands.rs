@@ -416,6 +416,9 @@ fn profiles_are_written_on_the_grids_asked_for() {
     assert_eq!(folder.bearing(&["--profile", "p.npz", "--grid", "72x19"]).0, 0);
     assert_eq!(folder.bearing(&["--profile", "p.npz", "--grid", "7y"]).0, 2);
     folder.bearing_says(&["--grid", "72"], 2, &["--profile"]);
+    for file in ["none/p.npz", "none/p.csv"] {
+        folder.bearing_says(&["--profile", file], 1, &[&format!("cannot write {file}: No such file")]);
+    }
 }
 
 /// Writes a link as a capture folder that `evaluate` reads.
