@@ -171,7 +171,7 @@ fn along(mode: &EvidenceMode, ranges: &[(f64, f64)]) -> Vec<f64> {
 pub struct TrackCounts {
     /// Stretches that were used.
     pub used: u64,
-    /// Stretches that were refused (`TrackError`).
+    /// Stretches that were refused: with a number that is not finite, without a usable direction, or out of the order of time.
     pub refused: u64,
     /// How often the evidence was dropped because another frame began.
     pub reset: u64,

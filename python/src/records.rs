@@ -187,11 +187,7 @@ impl Records {
                 // It does not exist if it could not be created.
                 let _ = std::fs::remove_file(&half);
                 let path = path.display().to_string();
-                // The message must not name the draft.
-                let why = error.replace(&half.display().to_string(), &path);
-                let known = format!("cannot write {path}: ");
-                let message = if why.contains(&path) { why } else { known + &why };
-                Failure::new(Kind::Export, message).of(path)
+                Failure::new(Kind::Export, format!("cannot write {path}: {error}")).of(path)
             })
         })
     }
