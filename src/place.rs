@@ -41,7 +41,7 @@ const RANGE_MISSED: f64 = 0.5;
 /// Least wander of a heading, degrees after one metre (motion capture).
 const TURN_DEG_PER_RT_M: f64 = 0.2;
 
-/// Error of positions as a share of the way driven (as deviations.scale_sd).
+/// Error of positions as a share of the way driven.
 const SLIP: f64 = 0.01;
 
 /// A peer that is silent for longer counts as lost, seconds (longer than a window of a live estimator).
@@ -314,8 +314,7 @@ pub struct CarriedAnswer {
 pub struct CarriedCandidate {
     /// Bearing, degrees.
     pub azimuth_deg: f64,
-    /// Probability of being within five degrees of it, 0..1: right on average over places (docs/method/accuracy.md),
-    /// too low in line of sight and too high behind walls.
+    /// Probability of being within five degrees of it, 0..1: too low in line of sight, too high behind walls.
     pub share: f64,
 }
 
@@ -421,7 +420,7 @@ struct PlaceGrid {
 }
 
 impl PlaceGrid {
-    /// The prior: every azimuth alike, and per area alike within `track.room_m`, per logarithm of the range beyond.
+    /// The prior: every azimuth alike, and per area alike within [`ROOM_M`], per logarithm of the range beyond.
     pub fn prior(middle_m: Vector2<f64>) -> Self {
         let shares = range_shares();
         let cells = shares.iter().flat_map(|share| std::iter::repeat_n(share / AZIMUTHS as f64, AZIMUTHS)).collect();

@@ -67,7 +67,7 @@ impl Default for Accuracy {
     }
 }
 
-/// How bearings are to be made.
+/// How bearings are to be made: [`Options::new`] with other values of some fields, `Options { antenna, ..Options::new(channel) }`.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The WiFi channel.

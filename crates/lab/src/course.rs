@@ -5,7 +5,7 @@
 //! quickly; its CSI is read again from the file. [`Course`] has the data of one picture.
 mod card;
 
-use crate::cards::{self, CardSurvey, most};
+use crate::cards::{self, CardSurvey, most_frequent};
 use crate::table::{Columns, Decoder, Filter, Form, LogReader, NO_TIME, Order, Reading, Rows};
 use card::CardLog;
 use csi_formats::Format;
@@ -203,7 +203,7 @@ impl Course {
         let times_s: Vec<f64> = rows.iter().map(|row| log.t_s(*row)).collect();
         let Some(span_s) = span_s(&times_s) else { return Ok(Self::default()) };
         // A map that mixes several senders' CSI would be meaningless.
-        let sent_by = most(rows.iter().filter_map(|row| log.sent_by.get(*row).copied())).unwrap_or(0);
+        let sent_by = most_frequent(rows.iter().filter_map(|row| log.sent_by.get(*row).copied())).unwrap_or(0);
         let of_sender: Vec<usize> =
             rows.iter().copied().filter(|row| log.sent_by.get(*row) == Some(&sent_by)).collect();
         let usual = log.usual(of_sender.iter().copied());
@@ -541,7 +541,7 @@ impl LogIndex {
 
     /// The most frequent layout of some rows.
     fn usual(&self, rows: impl Iterator<Item = usize>) -> u16 {
-        most(rows.filter_map(|row| self.layout_of.get(row).copied())).unwrap_or(0)
+        most_frequent(rows.filter_map(|row| self.layout_of.get(row).copied())).unwrap_or(0)
     }
 
     /// True if a row's CSI has this layout.

@@ -246,8 +246,9 @@ pub fn reading(which: Which, mounting: &Mounting, channel: Option<Channel>, esti
         (Which::T265, None) => TrajectorySource::T265,
         (Which::Odom, None) => TrajectorySource::Odometry,
     };
-    let some = channel.map_or_else(|| Channel::new(108, Width::Ht20).in_words(), Ok);
-    let options = some.and_then(|channel| estimation.options(channel)).unwrap_or_else(|message| usage(&message));
+    let given_or_any = channel.map_or_else(|| Channel::new(108, Width::Ht20).in_words(), Ok);
+    let options =
+        given_or_any.and_then(|channel| estimation.options(channel)).unwrap_or_else(|message| usage(&message));
     let (antenna_offset_m, camera) = (mounting.antenna_offset.map(Into::into), mounting.camera_mount);
     Reading { source, channel, options, antenna_offset_m, camera }
 }

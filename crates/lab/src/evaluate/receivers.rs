@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Outlier share of another sensor's ranges: reflections, or ranges of another robot.
 const RANGE_OUTLIERS: f64 = 0.1;
 
-/// Deviation of the transmitters' known places, metres.
+/// Deviation of known places, metres.
 pub(super) const PLACE_SD_M: f64 = 0.01;
 
 /// Least deviation of a heading after one metre, radians (motion capture: 0.2 degrees), and relative error of lengths.
@@ -38,7 +38,7 @@ pub struct Ranged {
     pub range_m: [f64; 2],
 }
 
-/// Noise of an odometry whose heading deviates by this, radians.
+/// The noise of odometry whose heading has this deviation, radians.
 pub(super) fn noise(heading_sd_rad: f64) -> OdometryNoise {
     OdometryNoise {
         turn_rad_per_rt_m: heading_sd_rad.max(TURN_RAD_PER_RT_M),

@@ -2,7 +2,7 @@
 
 use super::arrays::{Mat, Npz};
 use super::{ExportError, Target, extension};
-use crate::cards::{CardTime, Layout, is_damage, is_dbm, most};
+use crate::cards::{CardTime, Layout, is_damage, is_dbm, most_frequent};
 use csi_formats::{Format, Frame, Item, Items};
 use num_complex::Complex32;
 use std::collections::BTreeMap;
@@ -51,7 +51,7 @@ impl CardFrames {
                 }
             }
         }
-        let usual = most(all.iter().map(|(shape, ..)| shape)).cloned();
+        let usual = most_frequent(all.iter().map(|(shape, ..)| shape)).cloned();
         let total = all.len() as u64;
         let (frames, time_s): (Vec<_>, Vec<_>) = all
             .into_iter()
