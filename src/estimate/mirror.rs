@@ -8,7 +8,7 @@
 //! bend, too.
 
 use super::likelihood::Place;
-use super::posterior::{Atom, Mode, Steps, settle};
+use super::posterior::{Atom, Mode, Steps, add, settle};
 use super::prior::Prior;
 use crate::maths::wrap_rad;
 use crate::signal::samples::Samples;
@@ -16,6 +16,8 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 /// A reflection with less than this share is not given.
 const LEAST: f64 = 0.01;
+/// Two values are apart from so many standard deviations on.
+const APART: f64 = 3.0;
 
 /// What became of reflections.
 pub(super) struct Mirrored {
@@ -100,7 +102,7 @@ pub(super) fn mix(
     odometry: Odometry,
 ) -> Mirrored {
     let shares = |_: &Place, plane: &Plane| share(f64::INFINITY, plane);
-    mixed(modes, planes(points, prior, odometry), steps, prior, &shares)
+    mixed(modes, planes(points, prior, odometry), steps.azimuth(), prior, &shares)
 }
 
 /// The same of one wave: `L` is that of independent samples.
@@ -118,13 +120,20 @@ pub(super) fn of_one_wave(
         let ratio = samples.len() as f64 * (unexplained(&image) / unexplained(place)).ln();
         share(ratio.max(0.0), plane)
     };
-    mixed(modes, planes(points, prior, odometry), steps, prior, &shares)
+    mixed(modes, planes(points, prior, odometry), apart_rad(modes, steps), prior, &shares)
 }
 
+/// The difference from which two azimuths of one wave are two directions.
+pub(super) fn apart_rad(modes: &[Mode], steps: &Steps) -> f64 {
+    let sd_rad = modes.first().map_or(0.0, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
+    steps.azimuth().min(APART * sd_rad)
+}
+
+/// `apart_rad` is the difference from which two azimuths are two directions.
 fn mixed(
     modes: &mut Vec<Mode>,
     planes: Vec<Plane>,
-    steps: &Steps,
+    apart_rad: f64,
     prior: &Prior,
     shares: &dyn Fn(&Place, &Plane) -> f64,
 ) -> Mirrored {
@@ -137,32 +146,25 @@ fn mixed(
             continue;
         }
         let image = reflected(&first, &plane.normal, prior.is_signed());
-        let beside = wrap_rad(image.azimuth - first.azimuth).abs() < steps.azimuth();
-        if beside {
-            // Nothing but the sign of the elevation, or a wave along the line itself.
-            level |= plane.normal.z.abs() > 0.9;
-            continue;
-        }
-        let images: Vec<Mode> = modes.iter().map(|mode| image_of(mode, &plane, own, prior.is_signed())).collect();
-        modes.iter_mut().for_each(|mode| scale(mode, 1.0 - own));
-        for image in images {
-            let near =
-                |mode: &&mut Mode| wrap_rad(mode.place.azimuth - image.place.azimuth).abs() < 2.0 * steps.azimuth();
-            match modes.iter_mut().find(near) {
-                Some(mode) => {
-                    mode.mass += image.mass;
-                    mode.atoms.extend(image.atoms);
-                }
-                None => modes.push(image),
+        if wrap_rad(image.azimuth - first.azimuth).abs() < apart_rad {
+            let within_rad = APART * modes[0].covariance[(1, 1)].max(0.0).sqrt();
+            let flips = plane.normal.z.abs() > 0.9 && (image.elevation + first.elevation).abs() < within_rad;
+            level |= flips;
+            // Nothing but the sign of the elevation, or a wave along the plane or line itself.
+            if flips || (image.elevation - first.elevation).abs() < within_rad {
+                continue;
             }
         }
+        let images: Vec<Mode> = modes.iter().map(|mode| image_of(mode, &plane, own, prior.is_signed())).collect();
+        modes.iter_mut().for_each(|mode| mode.scale(1.0 - own));
+        add(modes, images, apart_rad);
         settle(modes);
         plane_of_mirror = Some(plane);
     }
     let of_first = plane_of_mirror.and_then(|plane| {
         let (first, others) = modes.split_first()?;
         let image = reflected(&first.place, &plane.normal, prior.is_signed());
-        let near = |mode: &Mode| wrap_rad(mode.place.azimuth - image.azimuth).abs() < 2.0 * steps.azimuth();
+        let near = |mode: &Mode| wrap_rad(mode.place.azimuth - image.azimuth).abs() < 2.0 * apart_rad;
         others.iter().position(near).map(|k| k + 1)
     });
     Mirrored { of_first, level }
@@ -183,9 +185,4 @@ fn image_of(mode: &Mode, plane: &Plane, share: f64, signed: bool) -> Mode {
         mass: share * mode.mass,
         atoms: mode.atoms.iter().map(atom).collect(),
     }
-}
-
-fn scale(mode: &mut Mode, by: f64) {
-    mode.mass *= by;
-    mode.atoms.iter_mut().for_each(|atom| atom.mass *= by);
 }

@@ -502,7 +502,7 @@ fn early(
     let scale_sd = task.scale_sd();
     let false_alarm = one_wave::FALSE_ALARM / if means.is_some() { 2.0 } else { 1.0 };
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
-    let mut best: Option<(&Model, Prior, one_wave::OneWave)> = None;
+    let mut found: Vec<(f64, Found)> = Vec::new();
     for model in models {
         let outside = free(task, model, false);
         let is_inside = start.1.is_some_and(|place| place.curve > outside.curve_max);
@@ -513,20 +513,42 @@ fn early(
         });
         let heard = Heard { samples, points: &model.points, false_alarm, scale_sd };
         match checked.and_then(|()| one_wave::explain(heard, start, &prior, &model.steps, task.tier)) {
-            // Two models of the heights may both leave noise: the likelier one.
-            Ok(one) if best.as_ref().is_none_or(|best| one.log_likelihood > best.2.log_likelihood) => {
-                best = Some((model, prior, one));
-            }
-            Ok(_) => {}
+            Ok(one) => found.push((one.log_likelihood, of_one_wave(task, model, prior, one, start.0, middle_m))),
             Err(unexplained) => failed = Reason::Unexplained(unexplained),
         }
     }
-    let Some((model, prior, one)) = best else { return Err(failed) };
+    // Two models of the heights may both leave noise: then the truth may be either's.
+    let weighed = |(log, found): &(f64, Found)| log + found.modes.first().map_or(f64::MIN, |mode| mode.mass.ln());
+    found.sort_by(|a, b| weighed(b).total_cmp(&weighed(a)));
+    let mut found = found.into_iter();
+    let (log, mut best) = found.next().ok_or(failed)?;
+    let apart_rad = mirror::apart_rad(&best.modes, &models[0].steps);
+    let mirrored = best.mirror.map(|k| [0, k].map(|k| best.modes[k].place.azimuth));
+    for (other_log, mut other) in found {
+        other.modes.iter_mut().for_each(|mode| mode.scale((other_log - log).exp()));
+        posterior::add(&mut best.modes, other.modes, apart_rad);
+        posterior::settle(&mut best.modes);
+        let is_mirrored = |mode: &Mode| mirrored.is_some_and(|pair| pair.contains(&mode.place.azimuth));
+        let others = best.modes.split_first().filter(|(first, _)| is_mirrored(first)).map(|(_, others)| others);
+        best.mirror = others.and_then(|others| others.iter().position(is_mirrored)).map(|k| k + 1);
+    }
+    Ok(best)
+}
+
+/// The answer of one wave by one model of the heights.
+fn of_one_wave(
+    task: &Task<'_>,
+    model: &Model,
+    prior: Prior,
+    one: one_wave::OneWave,
+    plane_wave: &bartlett::Estimate,
+    middle_m: Vector3<f64>,
+) -> Found {
     let mut modes = one.modes;
-    let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry());
+    let mirror = mirror::of_one_wave(&mut modes, task.samples, &model.points, &prior, &model.steps, task.odometry());
     bend(&mut modes, &model.points, task.bend_rad);
-    Ok(Found {
-        plane_wave: start.0.clone(),
+    Found {
+        plane_wave: plane_wave.clone(),
         sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),
         signed: prior.is_signed() && !mirror.level,
         mirror: mirror.of_first,
@@ -536,8 +558,8 @@ fn early(
         bound_rad: one.bound_rad,
         slope_sd_rad: None,
         middle_m,
-        scale_sd,
-    })
+        scale_sd: task.scale_sd(),
+    }
 }
 
 /// The channels along the motion, averaged, and the standard deviation of the slopes that were removed.

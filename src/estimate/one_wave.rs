@@ -385,7 +385,7 @@ impl Wave<'_> {
     /// The posterior about `at`: for each azimuth the likelihood and the prior of the best place that has it.
     fn mode(&self, at: &At, covariance: Matrix3<f64>, variance: f64) -> Mode {
         let mut step = (covariance[(0, 0)].max(0.0).sqrt() * REACH / SIDE as f64).clamp(1e-9, 0.05);
-        let mut atoms = Vec::new();
+        let (mut atoms, mut too_wide) = (Vec::new(), false);
         for _ in 0..12 {
             let mut logs = vec![(0.0, self.log(&self.best_with(*at, [false, true, true]), variance))];
             for side in [-1.0, 1.0] {
@@ -407,9 +407,10 @@ impl Wave<'_> {
             let edge = logs[SIDE].1.max(logs[2 * SIDE].1);
             let inside = logs[SIDE / 4].1.min(logs[SIDE + SIDE / 4].1);
             // Towards the line of a straight motion the azimuth shows to second order only: wider. Too wide: closer.
-            if edge > -4.0 && step < 0.1 {
+            if edge > -4.0 && step < 0.1 && !too_wide {
                 step *= 2.0;
             } else if inside < -6.0 && step > 2e-9 {
+                too_wide = true;
                 step *= 0.3;
             } else {
                 break;

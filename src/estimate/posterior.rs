@@ -54,6 +54,42 @@ pub(crate) struct Mode {
     pub atoms: Vec<Atom>,
 }
 
+impl Mode {
+    /// Multiplies all masses.
+    pub fn scale(&mut self, by: f64) {
+        self.mass *= by;
+        self.atoms.iter_mut().for_each(|atom| atom.mass *= by);
+    }
+
+    /// Takes in a mode beside it. The azimuth stays the most probable one, elevation and 1 / range become the means.
+    fn absorb(&mut self, other: Self) {
+        let mass = self.mass + other.mass;
+        let share = if mass > 0.0 { other.mass / mass } else { 0.0 };
+        let (own, its) = (&mut self.place, &other.place);
+        let off =
+            Vector3::new(wrap_rad(its.azimuth - own.azimuth), its.elevation - own.elevation, its.curve - own.curve);
+        own.elevation += share * off.y;
+        own.curve += share * off.z;
+        self.covariance = self.covariance * (1.0 - share)
+            + other.covariance * share
+            + off * off.transpose() * (share * (1.0 - share));
+        self.covariance[(0, 0)] += (share * off.x).powi(2);
+        self.mass = mass;
+        self.atoms.extend(other.atoms);
+    }
+}
+
+/// Adds modes: those nearer to another than twice `apart_rad` to that one.
+pub(crate) fn add(modes: &mut Vec<Mode>, others: Vec<Mode>, apart_rad: f64) {
+    for other in others {
+        let is_near = |mode: &&mut Mode| wrap_rad(mode.place.azimuth - other.place.azimuth).abs() < 2.0 * apart_rad;
+        match modes.iter_mut().find(is_near) {
+            Some(mode) => mode.absorb(other),
+            None => modes.push(other),
+        }
+    }
+}
+
 /// How densely a motion's places have to be looked at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Steps {
@@ -120,10 +156,7 @@ pub(crate) fn modes(field: &Field, prior: &Prior, steps: &Steps, fine: bool) -> 
 pub(crate) fn settle(modes: &mut [Mode]) {
     let total: f64 = modes.iter().map(|mode| mode.mass).sum();
     let by = if total > 0.0 { 1.0 / total } else { 0.0 };
-    for mode in modes.iter_mut() {
-        mode.mass *= by;
-        mode.atoms.iter_mut().for_each(|atom| atom.mass *= by);
-    }
+    modes.iter_mut().for_each(|mode| mode.scale(by));
     modes.sort_by(|a, b| b.mass.total_cmp(&a.mass));
 }
 

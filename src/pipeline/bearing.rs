@@ -11,6 +11,7 @@ use crate::place::{Evidence, EvidenceMode};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, Vector2, Vector3};
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// An azimuth within this of the truth counts as right, radians.
 const RIGHT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
@@ -210,8 +211,11 @@ fn range(
     covariance[(0, 0)] = covariance[(0, 0)].max(azimuth_sd_rad * azimuth_sd_rad);
     // A wrong scale of the path scales the place too.
     let scale_m = range_m * found.scale_sd;
-    let covariance_m2 =
-        jacobian * covariance * jacobian.transpose() + towards * towards.transpose() * (scale_m * scale_m);
+    // To second order the elevation's deviation changes the distance in the plane, too.
+    let shorter = Vector3::new(towards.x, towards.y, 0.0) * (FRAC_1_SQRT_2 * covariance[(1, 1)] * range_m);
+    let covariance_m2 = jacobian * covariance * jacobian.transpose()
+        + towards * towards.transpose() * (scale_m * scale_m)
+        + shorter * shorter.transpose();
     let sd_m = (covariance[(2, 2)].max(0.0).sqrt() * range_m * range_m).hypot(scale_m);
     let position_m = found.middle_m + towards * range_m + displaced_m;
     Some(Range { range_m, sd_m, position_m, position_t_s: *position_t_s, covariance_m2 })

@@ -6,6 +6,7 @@ use csi5300_lab::ends::{Ends, Seen};
 use csi5300_lab::evaluate::{TrajectorySource, find};
 use csi5300_sim::motion::{Arc, Circle, Helix, Line, RobotMotion, Waypoints};
 use csi5300_sim::{Room, write_dataset};
+use std::f64::consts::TAU;
 use std::path::Path;
 
 fn options() -> Options {
@@ -73,6 +74,30 @@ fn a_helix_shows_azimuth_and_signed_elevation_at_the_bound() {
     let over = squares.map(|sum| (sum / count).sqrt());
     // 16 errors determine a deviation to 18 %.
     assert!(over.iter().all(|over| *over < 1.55), "{over:?} times the bound");
+}
+
+#[test]
+fn a_tilted_circle_has_the_direction_beside_its_reflection() {
+    for tilt_deg in [5.0, 10.0, 30.0] {
+        let (up, flat) = f64::to_radians(tilt_deg).sin_cos();
+        let point = |k: i32| {
+            let (sin, cos) = (TAU * f64::from(k) / 60.0).sin_cos();
+            [0.3 * (cos - 1.0) * flat, 0.3 * sin, 0.3 * (cos - 1.0) * up]
+        };
+        let motion = drive(&(1..=60).map(point).collect::<Vec<_>>(), 0.05 * TAU);
+        for (elevation_deg, azimuth_deg) in
+            [-35.0, 0.0, 10.0].into_iter().flat_map(|e| [0, 45, 90, 150, 240, 315].map(move |k| (e, f64::from(k))))
+        {
+            let seen = see(&in_space(motion.clone(), away(azimuth_deg, elevation_deg, 8.0), 1));
+            let is_candidate = seen.nearest_candidate_deg < 0.5;
+            let is_within = seen.azimuth_error_deg.abs() < 2.5 * seen.azimuth_sd_deg;
+            assert!(is_within || is_candidate, "{tilt_deg} {elevation_deg} {azimuth_deg}: {seen:?}");
+            // Beyond 20 degrees the prior expects no transmitter.
+            let is_expected = elevation_deg > -20.0 && !is_candidate;
+            let has_place = seen.position_level.is_none_or(|level| level < 13.8 || !is_expected);
+            assert!(has_place, "{tilt_deg} {elevation_deg} {azimuth_deg}: {seen:?}");
+        }
+    }
 }
 
 #[test]
