@@ -55,16 +55,14 @@ impl Node {
         let seek = move || Reach::of(&own, &by, outward);
         let reach = seek();
         let what = format!("cannot take part in domain {domain} of ROS 2 at {}", reach.interface);
-        let failed = |source| Error::Io { what: what.clone(), source };
-        let sockets = Sockets::open(domain, reach).map_err(failed)?;
+        let sockets = Sockets::open(domain, reach).map_err(Error::io(&what))?;
         let node = asked.node.clone().unwrap_or_else(|| name_part(&format!("csi5300_{robot}")));
         let names = Names { namespace: asked.namespace.clone(), node, remap: asked.remap.clone() };
         let bag = Bag::new(asked.bag.clone().unwrap_or_default());
         if let Some(folder) = &asked.bag {
-            let what = format!("cannot record to {}", folder.display());
-            bag.start().map_err(|source| Error::Io { what, source })?;
+            bag.start().map_err(Error::io(format!("cannot record to {}", folder.display())))?;
         }
-        let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(failed)?;
+        let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(Error::io(what))?;
         let clock = if asked.use_sim_time { SimClock::follow(&link) } else { SimClock::real() };
         let (topics, names, peers) = (Vec::new(), Vec::new(), Vec::new());
         Ok(Self { link, clock, topics, settings: asked, names, peers, markers: None, tf: None })
