@@ -88,14 +88,14 @@ impl<T: Send + 'static> Beside<T> {
             return Ok(());
         }
         self.next_at = now + self.every;
-        let io = |source| Error::Io { what: "cannot start a thread beside the one that listens".into(), source };
-        let (done, doing) = std::io::pipe().map_err(io)?;
+        let what = "cannot start a thread beside the one that listens";
+        let (done, doing) = std::io::pipe().map_err(Error::io(what))?;
         let work = move || {
             // Closed when the work ends, also by a panic.
             let _doing = doing;
             work()
         };
-        let thread = std::thread::Builder::new().name("csi5300 beside".into()).spawn(work).map_err(io)?;
+        let thread = std::thread::Builder::new().name("csi5300 beside".into()).spawn(work).map_err(Error::io(what))?;
         self.under_way = Some(UnderWay { thread, done });
         Ok(())
     }
