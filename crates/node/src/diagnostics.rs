@@ -15,6 +15,7 @@ use csi5300_accept::{Claim, Evidence, Finding, Of, Plan, Side, Verdict};
 use csi5300_bag::messages::{Byte, DiagnosticArray, DiagnosticStatus, Header, KeyValue, SelfTestResponse};
 use csi5300_live::doctor::{self, module_counters, module_growth};
 use driver_iface::Mac;
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -135,20 +136,23 @@ impl Tap for SelfTest {
     }
 }
 
+/// A part of the state `of` a robot, with the values at `places` in it.
 fn status(
-    (node, health): (&str, &Health),
+    (node, robot): (&str, &str),
     part: &str,
     (level, message): (Byte, String),
-    values: &[(&str, String)],
+    (of, places): (&Value, &[&str]),
 ) -> DiagnosticStatus {
-    let value = |(key, value): &(&str, String)| KeyValue { key: (*key).to_owned(), value: value.clone() };
-    DiagnosticStatus {
-        level,
-        name: format!("{node}: {part}"),
-        message,
-        hardware_id: health.name.clone(),
-        values: values.iter().map(value).collect(),
-    }
+    let value = |place: &&str| {
+        let value = match of.pointer(place)? {
+            Value::String(text) => text.clone(),
+            Value::Number(number) if number.is_f64() => format!("{:.1}", number.as_f64()?),
+            other => other.to_string(),
+        };
+        Some(KeyValue { key: place.rsplit('/').next()?.to_owned(), value })
+    };
+    let (name, values) = (format!("{node}: {part}"), places.iter().filter_map(value).collect());
+    DiagnosticStatus { level, name, message, hardware_id: robot.to_owned(), values }
 }
 
 /// The acceptance claims of this robot; clones share the last findings.
@@ -205,30 +209,12 @@ impl Claims {
 
 /// All parts of the state.
 fn of(header: Header, (node, health): (&str, &Health)) -> DiagnosticArray {
-    let whose = (node, health);
+    let (whose, all) = ((node, health.name.as_str()), json!(health));
     let rate = |what: &str, hz: f64| (if hz > 0.0 { WELL } else { STALE }, format!("{hz:.0} {what} a second"));
-    let card = status(
-        whose,
-        "card",
-        rate("records", health.records_hz),
-        &[
-            ("records", health.records.to_string()),
-            ("records_hz", format!("{:.1}", health.records_hz)),
-            ("losses", health.losses.to_string()),
-            ("missing", health.missing.to_string()),
-            ("strangers", health.strangers.to_string()),
-        ],
-    );
-    let odometry = status(
-        whose,
-        "odometry",
-        rate("poses", health.poses_hz),
-        &[
-            ("poses", health.poses.poses.to_string()),
-            ("poses_hz", format!("{:.1}", health.poses_hz)),
-            ("new_frames", health.poses.new_frames.to_string()),
-        ],
-    );
+    let values = ["/records", "/records_hz", "/losses", "/missing", "/strangers"];
+    let card = status(whose, "card", rate("records", health.records_hz), (&all, &values));
+    let values = ["/poses/poses", "/poses_hz", "/poses/new_frames"];
+    let odometry = status(whose, "odometry", rate("poses", health.poses_hz), (&all, &values));
     let peers = health.peers.iter().map(|peer| {
         let good = |state| matches!(state, PeerState::Bearing | PeerState::Held | PeerState::NotYet);
         let (level, words) = match &peer.report {
@@ -236,29 +222,15 @@ fn of(header: Header, (node, health): (&str, &Health)) -> DiagnosticArray {
             None => (STALE, "no report yet".into()),
         };
         let words = if words.is_empty() { format!("{:.0} exchanges a second", peer.pairs_hz) } else { words };
-        let values = [
-            ("mac", peer.mac.clone()),
-            ("pairs_hz", format!("{:.1}", peer.pairs_hz)),
-            ("pairs", peer.counts.pairs.to_string()),
-            ("losses", peer.counts.losses.to_string()),
-        ];
-        status(whose, &format!("peer {}", peer.name), (level, words), &values)
+        let values = ["/mac", "/pairs_hz", "/counts/pairs", "/counts/losses"];
+        status(whose, &format!("peer {}", peer.name), (level, words), (&json!(peer), &values))
     });
     let trouble = match health.trouble.as_slice() {
         [] => (WELL, "well".to_owned()),
         all => (WARNING, all.join("; ")),
     };
-    let node = status(
-        whose,
-        "node",
-        trouble,
-        &[
-            ("cpu_percent", format!("{:.1}", health.load.cpu_percent)),
-            ("memory_mib", format!("{:.1}", health.load.memory_mib)),
-            ("estimate_ms", format!("{:.2}", health.load.estimate_ms)),
-            ("uptime_s", format!("{:.0}", health.uptime_s)),
-        ],
-    );
+    let values = ["/load/cpu_percent", "/load/memory_mib", "/load/estimate_ms", "/uptime_s"];
+    let node = status(whose, "node", trouble, (&all, &values));
     DiagnosticArray { header, status: [card, odometry].into_iter().chain(peers).chain([node]).collect() }
 }
 
@@ -318,6 +290,9 @@ mod tests {
         assert_eq!(levels, [0, 3, 1]);
         assert_eq!(said.status[0].message, "100 records a second");
         assert_eq!(said.status[0].name, "csi5300_burger: card");
+        let values: Vec<_> =
+            said.status[0].values.iter().map(|told| (told.key.as_str(), told.value.as_str())).collect();
+        assert_eq!(values[..2], [("records", "0"), ("records_hz", "99.6")]);
         assert_eq!((said.status[2].message.as_str(), said.status[2].hardware_id.as_str()), ("a; b", "burger"));
     }
 

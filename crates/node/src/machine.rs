@@ -42,6 +42,26 @@ impl<S> Running<S> {
     }
 }
 
+impl<S: CsiSource> Running<S> {
+    /// Hands over available items, up to a burst. True if there is more, and if any came.
+    fn receive(&mut self, now: Instant, mut each: impl FnMut(&Next<'_>)) -> Result<[bool; 2], Error> {
+        let mut came = false;
+        for _ in 0..BURST {
+            if self.ended {
+                return Ok([false, came]);
+            }
+            let next = self.source.receive(now)?;
+            each(&next);
+            match next {
+                Next::Pending => return Ok([false, came]),
+                Next::End(_) => self.ended = true,
+                Next::Record(..) | Next::Lost(_) => came = true,
+            }
+        }
+        Ok([true, came])
+    }
+}
+
 impl Running<Poses> {
     /// Hands over available items, up to a burst; `None` where a new frame starts. A source that fails has ended;
     /// returns the reason.
@@ -189,20 +209,14 @@ impl Machine {
     }
 
     fn take_records(&mut self, now: Instant) -> Result<bool, Error> {
-        for _ in 0..BURST {
-            if self.capture.ended {
-                return Ok(false);
-            }
-            let next = self.capture.source.receive(now)?;
-            self.taps.iter_mut().for_each(|tap| tap.own(now, &next));
-            self.estimator.handle_own(&next);
-            match next {
-                Next::Pending => return Ok(false),
-                Next::End(_) => self.capture.ended = true,
-                Next::Record(..) | Next::Lost(_) => (self.heard_at, self.own_heard_at) = (now, now),
-            }
+        let [more, came] = self.capture.receive(now, |next| {
+            self.taps.iter_mut().for_each(|tap| tap.own(now, next));
+            self.estimator.handle_own(next);
+        })?;
+        if came {
+            (self.heard_at, self.own_heard_at) = (now, now);
         }
-        Ok(true)
+        Ok(more)
     }
 
     fn take_peer(&mut self, peer: usize, now: Instant) -> bool {
@@ -216,28 +230,20 @@ impl Machine {
             });
             self.trouble.extend(failed.map(|error| format!("poses of {}: {error}", name_of(estimator, peer))));
         }
-        let Some(records) = running.records.as_mut().filter(|records| !records.ended) else { return false };
-        for _ in 0..BURST {
-            match records.source.receive(now) {
-                Ok(next) => {
-                    self.taps.iter_mut().for_each(|tap| tap.peer(peer, now, &next));
-                    self.estimator.handle_peer(peer, &next);
-                    match next {
-                        Next::Pending => return false,
-                        Next::End(_) => records.ended = true,
-                        Next::Record(..) | Next::Lost(_) => self.heard_at = now,
-                    }
-                }
-                Err(error) => {
-                    records.ended = true;
-                    self.trouble.push(format!("records of {}: {error}", name_of(&self.estimator, peer)));
-                }
-            }
-            if records.ended {
-                return false;
-            }
+        let Some(records) = &mut running.records else { return false };
+        let received = records.receive(now, |next| {
+            self.taps.iter_mut().for_each(|tap| tap.peer(peer, now, next));
+            self.estimator.handle_peer(peer, next);
+        });
+        let [more, came] = received.unwrap_or_else(|error| {
+            records.ended = true;
+            self.trouble.push(format!("records of {}: {error}", name_of(&self.estimator, peer)));
+            [false; 2]
+        });
+        if came {
+            self.heard_at = now;
         }
-        true
+        more
     }
 
     /// The next due report, with the peer's number.
@@ -321,17 +327,14 @@ impl Machine {
         }
     }
 
-    /// Ends everything; returns the last reports and the log's counts.
-    ///
-    /// # Errors
-    /// If the log's writer died.
-    pub fn finish(mut self, now: Instant) -> Result<(Vec<PeerReport>, Option<Totals>), Error> {
+    /// Ends everything; returns the last reports, the estimator that made them, and the log's counts, or that its writer died.
+    pub fn finish(mut self, now: Instant) -> (Vec<PeerReport>, LiveEstimator, Result<Option<Totals>, Error>) {
         // The log first: it must be complete however long the last estimates take.
-        let ended = self.capture.source.finish(now);
+        let log = self.capture.source.finish(now).map(|(_, totals)| totals);
         let pairs: Vec<u64> = self.estimator.peers().map(|(_, counts)| counts.pairs).collect();
         let mut reports = self.estimator.finish(now);
         reports.iter_mut().zip(pairs).for_each(|(report, pairs)| say_silence(report, pairs));
-        Ok((reports, ended?.1))
+        (reports, self.estimator, log)
     }
 }
 

@@ -48,7 +48,7 @@ impl Adapter for Bearings {
     }
 
     fn report(&mut self, said: &Said<'_>) {
-        let line = Line { took_ms: Some(said.took_ms), latency_ms: said.latency_ms, report: said.report };
+        let line = Line { took_ms: said.took_ms, latency_ms: said.latency_ms, report: said.report };
         self.lines.iter_mut().for_each(|lines| lines.write(&line));
     }
 
@@ -58,9 +58,8 @@ impl Adapter for Bearings {
         health.trouble.extend(lines.trouble());
     }
 
-    fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
+    fn finish(&mut self, health: &mut Health) {
         let Some(lines) = &mut self.lines else { return };
-        last.iter().for_each(|report| lines.write(&Line { took_ms: None, latency_ms: None, report }));
         health.load.lines_lost = lines.end(LAST_LINES);
     }
 }
@@ -93,11 +92,10 @@ impl Lines {
             // A person reads there: the line of state has the bearings.
             "-" if output.shows_line() && std::io::stdout().is_terminal() => return Ok(None),
             "-" => Box::new(std::io::stdout()),
-            path => Box::new(
-                append_to(path)
-                    .map(Appended)
-                    .map_err(|source| Error::Io { what: format!("cannot write bearings to {path}"), source })?,
-            ),
+            path => {
+                let file = append_to(path).map_err(Error::io(format!("cannot write bearings to {path}")))?;
+                Box::new(Appended(file))
+            }
         };
         Self::to(to).map(Some)
     }

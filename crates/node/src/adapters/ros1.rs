@@ -158,8 +158,7 @@ impl Adapter for Ros1 {
         let answer: Option<Answer> = claims.map(|claims| Box::new(move || claims.answer()) as Answer);
         let settings = self.settings_line();
         let bridge = Bridge::start(self.commands.clone(), settings, inboxes, self.writes.len(), answer, wall_us);
-        let io = |source| Error::Io { what: "cannot start the threads of ROS 1".into(), source };
-        self.bridge = Some(bridge.map_err(io)?);
+        self.bridge = Some(bridge.map_err(Error::io("cannot start the threads of ROS 1"))?);
         Ok(())
     }
 
@@ -325,8 +324,10 @@ impl Drop for Bridge {
     fn drop(&mut self) {
         let shared = &self.outbox.shared;
         shared.over.store(true, Ordering::Relaxed);
-        // The end of its input ends it.
-        lock(&shared.input).take();
+        // The end of its input ends it, after what waits.
+        if self.outbox.lines.try_send((usize::MAX, String::new())).is_err() {
+            lock(&shared.input).take();
+        }
         shared.end();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -334,9 +335,13 @@ impl Drop for Bridge {
     }
 }
 
-/// Writes the waiting lines to the current bridge.
+/// Writes the waiting lines to the current bridge; an empty one ends its input.
 fn write(waiting: &Receiver<(usize, String)>, shared: &Shared) {
     for (topic, line) in waiting {
+        if line.is_empty() {
+            lock(&shared.input).take();
+            return;
+        }
         // Not held while writing: a bridge that reads nothing must not block its end.
         let input = lock(&shared.input).as_ref().and_then(|input| input.as_fd().try_clone_to_owned().ok());
         let written = input.is_some_and(|input| File::from(input).write_all(line.as_bytes()).is_ok());
@@ -516,12 +521,15 @@ mod tests {
         assert_eq!(shared.counts[0][1].load(Ordering::Relaxed), 1, "what was put before is lost");
         // The pipe takes lines before `cat` has opened its file.
         comes(|| std::fs::read_to_string(&file).unwrap_or_default().lines().count() == 3);
+        // The last ones go out, too.
+        (0..100).for_each(|_| bridge.outbox.put(0, &PoseStamped::default()));
         drop(bridge);
         let went = std::fs::read_to_string(&file).unwrap();
         let mut lines = went.lines();
         assert_eq!(lines.next(), Some("settings"));
         let line = |line: &str| -> Value { serde_json::from_str(line).unwrap() };
         let (answers, messages): (Vec<_>, Vec<_>) = lines.map(line).partition(|line| line["to"].is_null());
+        assert_eq!((answers.len(), messages.len()), (1, 101));
         assert_eq!((&answers[0]["answer"], &answers[0]["message"]["id"]), (&json!(7), &json!("burger")));
         assert_eq!((&messages[0]["to"], &messages[0]["message"]["pose"]["orientation"]["w"]), (&json!(0), &json!(0.0)));
         std::fs::remove_dir_all(&folder).unwrap();

@@ -9,7 +9,6 @@ use crate::machine::{Machine, Tap};
 use crate::sources::Poses;
 use crate::team::{Member, Ranged, Ranges, TeamState};
 use csi5300::motion::odometry::ros::Stamp;
-use csi5300::pipeline::live::PeerReport;
 use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_bag::messages::{
@@ -116,8 +115,7 @@ impl Adapter for Ros2 {
         health.trouble.extend(mislabelled(health, self.config.ros2.as_ref().map(|ros| ("ros2", &ros.frame))));
     }
 
-    fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
-        last.iter().enumerate().for_each(|(peer, report)| self.node.report(peer, report));
+    fn finish(&mut self, health: &mut Health) {
         self.node.link().end_recording();
         health.ros2 = Some(self.node.link().counted());
         let trouble = self.node.trouble().into_iter().filter(|why| !health.trouble.contains(why));
@@ -142,7 +140,7 @@ impl Ros2 {
             self.node.ranges(&asked.topic, move |told| {
                 let ranged = |(us, [range_m, sd_m]): (i64, [f64; 2])| {
                     let range_m = [range_m, if sd_m > 0.0 { sd_m.max(LEAST_SD_M) } else { usual_m }];
-                    Ranged { peer: peer.clone(), t_s: us as f64 * 1e-6, range_m }
+                    Ranged { t_s: us as f64 * 1e-6, range_m }
                 };
                 ranges.put(&peer, told.map(ranged));
             });

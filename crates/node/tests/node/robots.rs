@@ -16,10 +16,11 @@ use driver_iface::bfee::Antenna;
 use driver_iface::record::{Record, card_clock_ps, code};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What a configuration names, opened.
 fn sources(config: &Config) -> Sources {
-    Sources::open(config, &mut []).unwrap()
+    Sources::open(config, &mut [], &Arc::default()).unwrap()
 }
 
 /// A robot of these sources, whose own card is changed by `card`, ready to run in virtual time.
@@ -49,7 +50,7 @@ pub(crate) fn run(mut machine: Machine, until: Instant) -> (Vec<(Instant, usize,
         let next = machine.next_at().unwrap_or(now);
         now = next.max(now + Span::from_ms(1));
     }
-    (reports, machine.finish(now).unwrap().0)
+    (reports, machine.finish(now).0)
 }
 
 /// A room in which the first of `robots` drives a circle of 30 cm and the others stand about it, or drive too.
@@ -287,7 +288,7 @@ fn robots_that_all_initiate_lose_no_pair_and_no_degree() {
         let pairs: Vec<u64> = machine.estimator.peers().map(|(_, counts)| counts.pairs).collect();
         // A link is sounded in the turns of its two robots: a round of a turn has one exchange with each peer.
         let sounded = 2.0 / robots as f64 * 100.0 * 23.0;
-        let last = machine.finish(now).unwrap().0;
+        let last = machine.finish(now).0;
         for (peer, report) in last.iter().enumerate() {
             let off = off_deg(report, truth_deg(&room, peer + 1));
             println!(

@@ -66,7 +66,7 @@ impl Adapter for Shown {
 
     fn report(&mut self, said: &Said<'_>) {
         if said.report.state == PeerState::Bearing
-            && let Some(bearing) = said.machine.estimator.bearing(said.peer)
+            && let Some(bearing) = said.bearing
         {
             lock(&self.live).bearing(&said.report.answer.link, bearing);
         }
