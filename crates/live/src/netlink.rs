@@ -154,12 +154,6 @@ impl Netlink {
         self.receive_buffer
     }
 
-    /// The netlink port of the socket, by which the kernel lists it; 0 in a served room.
-    #[must_use]
-    pub fn port(&self) -> u32 {
-        if let Wire::Kernel(_, port) = self.wire { port } else { 0 }
-    }
-
     /// Everything counted so far.
     #[must_use]
     pub fn counters(&self) -> SocketCounts {
@@ -185,7 +179,8 @@ impl Netlink {
     }
 
     fn overrun(&mut self) -> Loss {
-        self.intake.report_overrun(kernel_drops(self.port()))
+        let drops = if let Wire::Kernel(_, port) = self.wire { kernel_drops(port) } else { None };
+        self.intake.report_overrun(drops)
     }
 }
 

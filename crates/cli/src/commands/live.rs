@@ -2,7 +2,6 @@
 //! the kernel's own driver), and its messages.
 
 use super::InWords;
-use csi5300::source::Error;
 use csi5300::time::Span;
 use csi5300_live::listener::Listener;
 use csi5300_live::netlink::{Netlink, Options};

@@ -253,27 +253,18 @@ fn is_encrypted(system: &dyn System, interface: &str, station: &str) -> bool {
 
 /// A transmission rate (`rate_n_flags` of `dvm/commands.h`) in words.
 fn rate_words(rate: u32) -> String {
-    const LEGACY: [(u32, &str); 12] = [
-        (0xd, "6"),
-        (0xf, "9"),
-        (0x5, "12"),
-        (0x7, "18"),
-        (0x9, "24"),
-        (0xb, "36"),
-        (0x1, "48"),
-        (0x3, "54"),
-        (10, "1"),
-        (20, "2"),
-        (55, "5.5"),
-        (110, "11"),
-    ];
+    // OFDM, then CCK, whose codes are the speeds in 100 kbit/s.
+    const OFDM: [u32; 8] = [0xd, 0xf, 0x5, 0x7, 0x9, 0xb, 0x1, 0x3];
+    const SPEEDS: [&str; 8] = ["6", "9", "12", "18", "24", "36", "48", "54"];
+    const CCK: [u32; 4] = [10, 20, 55, 110];
     let code = rate & 0xff;
     let cck = rate & 0x200 != 0;
     let kind = if rate & RATE_HT != 0 {
         format!("HT, MCS {}", code & 0x1f)
     } else {
-        let known = LEGACY.iter().skip(if cck { 8 } else { 0 }).find(|(own, _)| *own == code);
-        let speed = known.map_or_else(|| "an unknown rate".to_owned(), |(_, speed)| format!("{speed} Mbit/s"));
+        let ofdm = OFDM.iter().position(|own| *own == code).map(|k| SPEEDS[k].to_owned());
+        let speed = if cck { CCK.contains(&code).then(|| (f64::from(code) / 10.0).to_string()) } else { ofdm };
+        let speed = speed.map_or_else(|| "an unknown rate".to_owned(), |speed| format!("{speed} Mbit/s"));
         format!("legacy {}, {speed}", if cck { "CCK" } else { "OFDM" })
     };
     let antennas: String = [(0x4000, 'A'), (0x8000, 'B'), (0x1_0000, 'C')]

@@ -66,14 +66,11 @@ impl Adapter for Bearings {
 
 /// Lines of JSON, written on a separate thread, so that a reader cannot delay the robot.
 struct Lines {
-    writer: Option<Writer>,
-    counts: Arc<LineCounts>,
-}
-
-struct Writer {
-    lines: SyncSender<String>,
+    /// Until the end.
+    lines: Option<SyncSender<String>>,
     /// Closed when the last line is written.
     done: Receiver<()>,
+    counts: Arc<LineCounts>,
 }
 
 #[derive(Default)]
@@ -118,15 +115,15 @@ impl Lines {
             drop(written);
         };
         spawn("csi5300 bearings", "cannot start the thread that writes bearings", write)?;
-        Ok(Self { writer: Some(Writer { lines, done }), counts })
+        Ok(Self { lines: Some(lines), done, counts })
     }
 
     /// Hands over one value as one line, without waiting.
     pub fn write(&mut self, value: &impl serde::Serialize) {
-        let Some(writer) = &self.writer else { return };
+        let Some(lines) = &self.lines else { return };
         self.counts.waiting.fetch_add(1, Ordering::Relaxed);
         let line = serde_json::to_string(value).map(|line| line + "\n");
-        if !line.is_ok_and(|line| writer.lines.try_send(line).is_ok()) {
+        if !line.is_ok_and(|line| lines.try_send(line).is_ok()) {
             self.counts.waiting.fetch_sub(1, Ordering::Relaxed);
             self.counts.lost.fetch_add(1, Ordering::Relaxed);
         }
@@ -146,13 +143,9 @@ impl Lines {
 
     /// Waits at most `limit` for the remaining lines. Returns the number that was not written.
     pub fn end(&mut self, limit: Duration) -> u64 {
-        if let Some(Writer { lines, done }) = self.writer.take() {
-            drop(lines);
-            if done.recv_timeout(limit) == Err(RecvTimeoutError::Timeout) {
-                return self.lost() + self.counts.waiting.load(Ordering::Relaxed);
-            }
-        }
-        self.lost()
+        drop(self.lines.take());
+        let is_late = self.done.recv_timeout(limit) == Err(RecvTimeoutError::Timeout);
+        self.lost() + if is_late { self.counts.waiting.load(Ordering::Relaxed) } else { 0 }
     }
 }
 

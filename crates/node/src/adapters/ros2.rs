@@ -36,7 +36,6 @@ const OWN: [f32; 3] = [0.5, 0.5, 0.5];
 
 struct Ros2 {
     node: Node,
-    publishes_diagnostics: bool,
     diagnostics: Option<Publisher<DiagnosticArray>>,
     /// What the claims are made of.
     config: Config,
@@ -57,7 +56,6 @@ pub(super) fn make(start: &Start<'_>) -> Made {
     let _ = start.topics.set(node.link().relay());
     Ok(Some(Box::new(Ros2 {
         node,
-        publishes_diagnostics: config.ros2.as_ref().is_some_and(|ros| ros.publish_diagnostics),
         diagnostics: None,
         config: config.clone(),
         claims: None,
@@ -89,7 +87,7 @@ impl Adapter for Ros2 {
         }
         self.subscribe_to_ranges();
         let publish = || self.node.link().publish("/diagnostics", usual());
-        self.diagnostics = self.publishes_diagnostics.then(publish);
+        self.diagnostics = self.config.ros2.as_ref().filter(|ros| ros.publish_diagnostics).map(|_| publish());
         self.records = self.node.records();
         Ok(())
     }
@@ -99,7 +97,7 @@ impl Adapter for Ros2 {
             machine.add_tap(Box::new(records));
         }
         if let Some(claims) = &self.claims {
-            claims.attach(machine, self.publishes_diagnostics);
+            claims.attach(machine, self.diagnostics.is_some());
         }
         Ok(())
     }

@@ -47,6 +47,7 @@ const FIRST_LOOKS: u32 = 200;
 const FIRST_LOOK: Duration = Duration::from_millis(5);
 /// Bytes of the file of users that are read: enough to see whether it has any.
 const USERS_BYTES: u64 = 1 << 16;
+
 /// The network, once joined.
 struct Zenoh {
     config: Config,
