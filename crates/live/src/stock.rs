@@ -56,13 +56,6 @@ pub struct Options {
     pub own: Option<Mac>,
 }
 
-impl Default for Options {
-    /// CSI in WSR's layout, a ring of [`RING`] bytes.
-    fn default() -> Self {
-        Self { records: stock::Options::default(), ring: RING, own: None }
-    }
-}
-
 /// Everything that was counted since the program was loaded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StockCounts {

@@ -14,7 +14,6 @@ use csi5300::time::{Instant, Span};
 use csi5300_accept::{Claim, Evidence, Finding, Of, Plan, Side, Verdict};
 use csi5300_bag::messages::{Byte, DiagnosticArray, DiagnosticStatus, Header, KeyValue, SelfTestResponse};
 use csi5300_live::doctor::{self, module_counters, module_growth};
-use driver_iface::Mac;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
@@ -58,24 +57,36 @@ impl Card {
 /// A finding, and the peer that it is about: none for this robot's own card and host.
 pub type Found = (Option<String>, Finding);
 
-/// The last seconds of all cards; clones share them.
-#[derive(Clone)]
-pub struct SelfTest {
+/// The acceptance claims of this robot, by the last seconds of all cards.
+pub struct Claims {
     channel: Channel,
-    own: Mac,
-    peers: Arc<[(String, Mac)]>,
+    robot: Robot,
+    /// What names in `/diagnostics` begin with: tools take equal ones of two robots for one.
+    node: String,
     /// This robot's card, then the peers'.
-    cards: Arc<Mutex<Vec<Card>>>,
+    cards: Mutex<Vec<Card>>,
     /// The kernel module's counters at the start; none without a card.
-    counters: Arc<BTreeMap<String, u64>>,
+    counters: BTreeMap<String, u64>,
+    /// The last findings that were published.
+    last: Mutex<Vec<Found>>,
 }
 
-impl SelfTest {
-    /// Of the robot `own` and its peers, by name and MAC, in the order of the machine.
+impl Claims {
+    /// Of a robot and its peers, in the order of the machine.
     #[must_use]
-    pub fn new(channel: Channel, own: Mac, peers: &[(String, Mac)]) -> Self {
-        let cards = std::iter::repeat_with(Card::default).take(peers.len() + 1).collect();
-        Self { channel, own, peers: peers.into(), cards: Arc::new(Mutex::new(cards)), counters: Arc::default() }
+    pub fn new(config: &Config, robot: &Robot) -> Arc<Self> {
+        // The claims about the kernel module are judged too, by its counts from now on.
+        let has_card = matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_));
+        let counters = if has_card { module_counters(&doctor::Machine) } else { BTreeMap::new() };
+        let cards = std::iter::repeat_with(Card::default).take(robot.peers.len() + 1).collect();
+        Arc::new(Self {
+            channel: config.channel,
+            robot: robot.clone(),
+            node: format!("csi5300_{}", name_part(&config.robot())),
+            cards: Mutex::new(cards),
+            counters,
+            last: Mutex::default(),
+        })
     }
 
     fn note(&self, card: usize, now: Instant, next: &Next<'_>) {
@@ -88,7 +99,7 @@ impl SelfTest {
     #[must_use]
     pub fn judge(&self) -> Vec<Found> {
         let mut theirs: Vec<Found> = Vec::new();
-        for (peer, (name, _)) in self.peers.iter().enumerate() {
+        for (peer, (name, _)) in self.robot.peers.iter().enumerate() {
             let mut both = self.collected(Some(peer));
             let report = both.far.is_some().then(|| both.judge());
             let tried =
@@ -107,7 +118,7 @@ impl SelfTest {
     /// What this robot's card gave, and that of a peer.
     fn collected(&self, peer: Option<usize>) -> Evidence {
         let mut plan = Plan::new(self.channel);
-        plan.macs = peer.and_then(|peer| self.peers.get(peer)).map(|(_, mac)| [self.own, *mac]);
+        plan.macs = peer.and_then(|peer| self.robot.peers.get(peer)).map(|(_, mac)| [self.robot.own, *mac]);
         let mut evidence = Evidence::new(plan);
         if !self.counters.is_empty() {
             evidence.counters = module_growth(&doctor::Machine, &self.counters);
@@ -124,9 +135,39 @@ impl SelfTest {
         }
         evidence
     }
+
+    /// Judges every claim now.
+    pub(crate) fn answer(&self) -> SelfTestResponse {
+        self_test(&self.robot.name, &self.judge())
+    }
+
+    /// Collects the machine's records. With `is_published`, judges them in each window, on a separate thread.
+    pub(crate) fn attach(self: &Arc<Self>, machine: &mut Machine, is_published: bool) {
+        machine.add_tap(Box::new(Arc::clone(self)));
+        if is_published {
+            tokio::spawn(Arc::clone(self).judge_again_and_again());
+        }
+    }
+
+    async fn judge_again_and_again(self: Arc<Self>) {
+        loop {
+            tokio::time::sleep(Duration::from_secs_f64(WINDOW.as_s())).await;
+            let own = Arc::clone(&self);
+            if let Ok(found) = tokio::task::spawn_blocking(move || own.judge()).await {
+                *lock(&self.last) = found;
+            }
+        }
+    }
+
+    /// All parts of the state, and the last findings.
+    pub(crate) fn diagnostics(&self, header: Header, health: &Health) -> DiagnosticArray {
+        let mut told = of(header, (&self.node, health));
+        told.status.push(claims((&self.node, &self.robot.name), &lock(&self.last)));
+        told
+    }
 }
 
-impl Tap for SelfTest {
+impl Tap for Arc<Claims> {
     fn own(&mut self, now: Instant, next: &Next<'_>) {
         self.note(0, now, next);
     }
@@ -153,58 +194,6 @@ fn status(
     };
     let (name, values) = (format!("{node}: {part}"), places.iter().filter_map(value).collect());
     DiagnosticStatus { level, name, message, hardware_id: robot.to_owned(), values }
-}
-
-/// The acceptance claims of this robot; clones share the last findings.
-#[derive(Clone)]
-pub(crate) struct Claims {
-    test: SelfTest,
-    robot: String,
-    /// What names in `/diagnostics` begin with: tools take equal ones of two robots for one.
-    node: String,
-    last: Arc<Mutex<Vec<Found>>>,
-}
-
-impl Claims {
-    pub fn new(config: &Config, robot: &Robot) -> Self {
-        let mut test = SelfTest::new(config.channel, robot.own, &robot.peers);
-        if matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_)) {
-            // The claims about the kernel module are judged too, by its counts from now on.
-            test.counters = module_counters(&doctor::Machine).into();
-        }
-        let node = format!("csi5300_{}", name_part(&config.robot()));
-        Self { test, robot: robot.name.clone(), node, last: Arc::default() }
-    }
-
-    /// Judges every claim now.
-    pub fn answer(&self) -> SelfTestResponse {
-        self_test(&self.robot, &self.test.judge())
-    }
-
-    /// Collects the machine's records. With `is_published`, judges them in each window, on a separate thread.
-    pub fn attach(&self, machine: &mut Machine, is_published: bool) {
-        machine.add_tap(Box::new(self.test.clone()));
-        if is_published {
-            tokio::spawn(self.clone().judge_again_and_again());
-        }
-    }
-
-    async fn judge_again_and_again(self) {
-        loop {
-            tokio::time::sleep(Duration::from_secs_f64(WINDOW.as_s())).await;
-            let test = self.test.clone();
-            if let Ok(found) = tokio::task::spawn_blocking(move || test.judge()).await {
-                *lock(&self.last) = found;
-            }
-        }
-    }
-
-    /// All parts of the state, and the last findings.
-    pub fn diagnostics(&self, header: Header, health: &Health) -> DiagnosticArray {
-        let mut told = of(header, (&self.node, health));
-        told.status.push(claims((&self.node, &self.robot), &lock(&self.last)));
-        told
-    }
 }
 
 /// All parts of the state.

@@ -53,6 +53,10 @@ pub struct PeerSources {
     pub poses: Option<Poses>,
     /// It does not answer: its bearing is that of the array.
     pub is_heard_only: bool,
+    /// Its records come over a network, which does not signal their end.
+    pub open_ended: bool,
+    /// Times that its poses changed to another frame.
+    pub new_frames: u64,
 }
 
 /// Everything that a configuration names.
@@ -182,7 +186,7 @@ impl<'a> Shared<'a> {
                 // With a key the tags of frames are checked.
                 let has_key = config.sounding.as_ref().is_some_and(|sounding| sounding.key.is_some());
                 let records = driver_iface::stock::Options { frames: asked.frames || has_key, ..Default::default() };
-                let options = stock::Options { records, own: config.mac, ..stock::Options::default() };
+                let options = stock::Options { records, ring: stock::RING, own: config.mac };
                 self.thread(Stock::open(&options)?).map(Opened::from)
             }
             Capture::Feitcsi(asked) => self.thread(FeitCsi::new(frames_of(asked)?)).map(Opened::from),
@@ -283,7 +287,7 @@ impl<'a> Shared<'a> {
         let mac = peer.mac.or(mac).ok_or_else(unknown)?;
         let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
         let is_heard_only = matches!(peer.records, Records::Heard(_));
-        Ok(PeerSources { peer: told, records, poses, is_heard_only })
+        Ok(PeerSources { peer: told, records, poses, is_heard_only, open_ended: false, new_frames: 0 })
     }
 }
 

@@ -169,7 +169,7 @@ impl Listening {
             };
             let frames = matches!(asked, Records::WsrFrames | Records::CsitoolFrames) || needs.frames;
             let records = driver_iface::stock::Options { layout, frames, ..Default::default() };
-            let options = stock::Options { records, ring: receive_buffer, own: needs.own, ..stock::Options::default() };
+            let options = stock::Options { records, ring: receive_buffer, own: needs.own };
             return Stock::open(&options).map(Listener::from).in_words();
         }
         if let Some(address) = &self.room {

@@ -250,7 +250,7 @@ mod tests {
         let first = Lines::open(&output).unwrap().unwrap();
         let refused = Lines::open(&output).err().unwrap().to_string();
         assert!(refused.contains("another node writes it: stop that one"), "{refused}");
-        let Writer { lines, done } = first.writer.unwrap();
+        let Lines { lines, done, .. } = first;
         drop(lines);
         // The thread that writes is done with it.
         assert!(done.recv().is_err());

@@ -92,6 +92,7 @@ pub struct Start<'a> {
 }
 
 /// This robot and its peers, in the order of the configuration.
+#[derive(Clone)]
 pub struct Robot {
     /// Its name.
     pub name: String,

@@ -84,7 +84,7 @@ struct Ros1 {
     /// The input of the claims.
     config: Config,
     /// Nothing without a table `[ros]`.
-    claims: Option<Claims>,
+    claims: Option<Arc<Claims>>,
     /// Its name.
     node: String,
     reads: Vec<(Inbox, Kind)>,

@@ -20,6 +20,7 @@ use csi5300_ros2::link::{Publisher, usual};
 use csi5300_ros2::said::Pen;
 use csi5300_ros2::{Node, Qos, Records, colour};
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 /// Least deviation of a range, metres, whatever its variance says.
 const LEAST_SD_M: f64 = 0.01;
@@ -40,7 +41,7 @@ struct Ros2 {
     /// What the claims are made of.
     config: Config,
     /// Nothing without a table `[ros2]`.
-    claims: Option<Claims>,
+    claims: Option<Arc<Claims>>,
     records: Option<Records>,
     /// None without a table `[ros2]` or `[team]`.
     team: Option<Topics>,
@@ -77,7 +78,7 @@ impl Adapter for Ros2 {
             self.node.announce(&peers);
             self.node.serve_parameters(parameters(&self.config));
             let claims = Claims::new(&self.config, robot);
-            let asked = claims.clone();
+            let asked = Arc::clone(&claims);
             self.node.link().serve("~/self_test", move |_: &_, _: SelfTestRequest| asked.answer());
             self.claims = Some(claims);
             if let Some(team) = &self.config.team {
@@ -107,7 +108,6 @@ impl Adapter for Ros2 {
     }
 
     fn look(&mut self, health: &mut Health) {
-        self.node.look();
         health.ros2 = Some(self.node.link().counted());
         health.trouble.extend(self.node.trouble());
         health.trouble.extend(mislabelled(health, self.config.ros2.as_ref().map(|ros| ("ros2", &ros.frame))));

@@ -7,8 +7,9 @@ use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_accept::Verdict;
+use csi5300_node::adapters::Robot;
 use csi5300_node::config::{CameraMount, Config};
-use csi5300_node::diagnostics::{Found, SelfTest};
+use csi5300_node::diagnostics::{Claims, Found};
 use csi5300_node::machine::Machine;
 use csi5300_node::sources::{Card, Sources};
 use csi5300_sim::{Room, Scene};
@@ -369,10 +370,12 @@ fn the_claims_of_a_running_robot_name_the_peer_whose_card_is_broken() {
     for (fault, fails) in [("", &[][..]), ("faults.card = [\"phase_jumps\"]\n", &[("phase.cancels", "r1")])] {
         let text = scene(3, false).replace("name = \"r1\"\n", &format!("name = \"r1\"\n{fault}"));
         let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
-        let mut machine = machine(&config(&folder, &text, 3, false));
+        let config = config(&folder, &text, 3, false);
+        let mut machine = machine(&config);
         let peers: Vec<_> = (1..3).map(|k| (format!("r{k}"), room.mac(k).unwrap())).collect();
-        let test = SelfTest::new("108".parse().unwrap(), room.mac(0).unwrap(), &peers);
-        machine.add_tap(Box::new(test.clone()));
+        let robot = Robot { name: "r0".into(), own: room.mac(0).unwrap(), peers };
+        let test = Claims::new(&config, &robot);
+        machine.add_tap(Box::new(Arc::clone(&test)));
         let with = |found: &[Found], verdict| {
             let found = found.iter().filter(|(_, finding)| finding.verdict == verdict);
             found.map(|(peer, finding)| (finding.id, peer.clone().unwrap_or_default())).collect::<Vec<_>>()

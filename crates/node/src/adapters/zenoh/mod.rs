@@ -102,8 +102,9 @@ impl Adapter for Zenoh {
                 _ => machine.set_poses(*peer, Box::new(mailbox.poses())),
             }
         }
-        if let Some(tap) = network.tap() {
-            machine.add_tap(tap);
+        if let Some((out, thread)) = &network.publisher {
+            let (out, thread, unsent) = (Arc::clone(out), thread.thread().clone(), Arc::clone(&network.unsent));
+            machine.add_tap(Box::new(Published { out, thread, unsent, publishes: network.publishes, frame: 0 }));
         }
         Ok(())
     }
@@ -369,13 +370,6 @@ impl Network {
         let thread = spawn("csi5300 network", "cannot start the thread of the network", send)?;
         self.publisher = Some((out, thread));
         Ok(())
-    }
-
-    /// The receiver of every record and pose of this robot, if anything is published.
-    fn tap(&self) -> Option<Box<dyn Tap>> {
-        let (out, thread) = self.publisher.as_ref()?;
-        let (out, thread, unsent) = (Arc::clone(out), thread.thread().clone(), Arc::clone(&self.unsent));
-        Some(Box::new(Published { out, thread, unsent, publishes: self.publishes, frame: 0 }))
     }
 
     /// Takes a peer's `records` or `poses`; `wake` is called for each arrival.
