@@ -1,8 +1,8 @@
 //! The node: its link, its clock, the topics of poses that it reads, and what it publishes for a robot.
 
 use crate::bag::Bag;
-use crate::inputs::{PoseTopic, SimClock, ranges};
-use crate::link::{Link, Publisher, usual};
+use crate::inputs::{DEPTH, SimClock, poses};
+use crate::link::{Came, Link, Publisher, usual};
 use crate::names::{Names, name_part};
 use crate::rtps::Qos;
 use crate::said;
@@ -14,7 +14,7 @@ use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next};
 use csi5300_bag::messages::{
     Bearing, Csi, GetParametersRequest, GetParametersResponse, Header, ListParametersRequest, ListParametersResponse,
-    ListParametersResult, MarkerArray, ParameterValue, PoseStamped, PoseWithCovarianceStamped, TfMessage, Time,
+    ListParametersResult, MarkerArray, ParameterValue, PoseStamped, PoseWithCovarianceStamped, Range, TfMessage, Time,
     TriggerRequest, TriggerResponse,
 };
 use std::sync::Arc;
@@ -33,7 +33,6 @@ pub struct Node {
     link: Link,
     /// The clock of its stamps.
     clock: SimClock,
-    topics: Vec<PoseTopic>,
     settings: Settings,
     /// Names of all peers; `peers` has those with published bearings.
     names: Vec<String>,
@@ -64,8 +63,7 @@ impl Node {
         }
         let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(Error::io(what))?;
         let clock = if asked.use_sim_time { SimClock::follow(&link) } else { SimClock::real() };
-        let (topics, names, peers) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { link, clock, topics, settings: asked, names, peers, markers: None, tf: None })
+        Ok(Self { link, clock, settings: asked, names: Vec::new(), peers: Vec::new(), markers: None, tf: None })
     }
 
     /// For publishing, subscribing and serving further topics and services.
@@ -75,16 +73,21 @@ impl Node {
     }
 
     /// Poses of a topic, with the usual time source unless the topic names one.
-    pub fn poses(&mut self, topic: &Topic, usual: Stamp) -> csi5300::motion::odometry::ros::Topic {
-        let (opened, source) = PoseTopic::open(&self.link, topic, usual, &self.clock);
-        self.topics.push(opened);
-        source
+    #[must_use]
+    pub fn poses(&self, topic: &Topic, usual: Stamp) -> csi5300::motion::odometry::ros::Topic {
+        poses(&self.link, topic, usual, &self.clock)
     }
 
     /// Passes the ranges of a topic (`sensor_msgs/msg/Range`) to `used`: host time in microseconds, range and its deviation in
-    /// metres (0: unknown); `None` for a message that cannot be used.
+    /// metres (0: unknown); `None` for a message that cannot be used. A range without a stamp has its time of receipt.
     pub fn ranges(&self, topic: &str, used: impl Fn(Option<(i64, [f64; 2])>) + Clone + Send + 'static) {
-        ranges(&self.link, topic, &self.clock, used);
+        let (clock, unreadable) = (self.clock.clone(), used.clone());
+        let read = move |told: Range, came: Came| {
+            let stamp_us = told.header.stamp.us();
+            let at_us = if stamp_us == 0 { Some(came.at_us) } else { clock.to_host(stamp_us) };
+            used(at_us.zip(told.metres()));
+        };
+        self.link.subscribe(topic, Qos::best_effort(DEPTH), read, move || unreadable(None));
     }
 
     /// Announces the topics of these peers (name and MAC), as the settings ask.
@@ -156,11 +159,6 @@ impl Node {
             let names = all.iter().map(|(name, _)| *name).filter(is_asked).map(str::to_owned).collect();
             ListParametersResponse { result: ListParametersResult { names, prefixes: Vec::new() } }
         });
-    }
-
-    /// Updates the problems that the sources of poses report.
-    pub fn look(&self) {
-        self.topics.iter().for_each(PoseTopic::look);
     }
 
     /// Current problems as text.
