@@ -226,6 +226,7 @@ pub enum Error {
 
 impl Error {
     /// What the operating system said no to, for `map_err`: what was tried, on what, and what to check next.
+    #[doc(hidden)] // for the crates of this workspace
     pub fn io<E: Into<std::io::Error>>(what: impl Into<String>) -> impl FnOnce(E) -> Self {
         |source| Self::Io { what: what.into(), source: source.into() }
     }

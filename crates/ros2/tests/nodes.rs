@@ -31,7 +31,7 @@ fn odometry() -> Odometry {
 
 #[test]
 fn a_publisher_that_restarted_begins_a_frame() {
-    let mut listener = node("listener");
+    let listener = node("listener");
     let topic: Topic = serde_json::from_str("{\"topic\":\"/base/odom\"}").unwrap();
     let mut poses = listener.poses(&topic, Stamp::Header);
     let mut until = |wanted: fn(NextPose) -> bool| {
@@ -50,7 +50,7 @@ fn a_publisher_that_restarted_begins_a_frame() {
 
 #[test]
 fn poses_and_bearings_go_from_one_node_to_another() {
-    let (robot, mut listener) = (node("burger"), node("bench"));
+    let (robot, listener) = (node("burger"), node("bench"));
     let publisher = robot.link().publish::<Odometry>("/odom", Qos::reliable(10));
     let topic: Topic = serde_json::from_str("{}").unwrap();
     let mut poses = listener.poses(&topic, Stamp::Header);
