@@ -259,7 +259,7 @@ enum Turn {
 }
 
 /// The decisions on one socket's datagrams.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Intake {
     buffer: Box<[u8]>,
     filled: usize,
@@ -275,18 +275,8 @@ struct Intake {
 
 impl Intake {
     fn new(indices: Vec<u32>, allow_user_sender: bool) -> Self {
-        Self {
-            buffer: vec![0; MAX_DATAGRAM].into_boxed_slice(),
-            filled: 0,
-            next_message: 0,
-            indices,
-            allow_user_sender,
-            step: Step16::default(),
-            overrun_untold: false,
-            gap_unmeasured: false,
-            drops_seen: 0,
-            counters: SocketCounts::default(),
-        }
+        let buffer = vec![0; MAX_DATAGRAM].into_boxed_slice();
+        Self { buffer, indices, allow_user_sender, ..Self::default() }
     }
 
     /// A datagram of `sent` bytes from `port` (0 is the kernel) is in the buffer, as far as it fits.

@@ -295,7 +295,11 @@ pub(super) struct Ways {
 
 impl Ways {
     pub(super) fn find(system: &dyn System) -> Self {
-        Self { patched: patched_way(system), module: module_way(system), ebpf: ebpf_way(system) }
+        let patched = match system.text(&format!("{PARAMETERS}/connector_log")) {
+            Some(_) => Way::Taken("iwlwifi has connector_log"),
+            None => Way::Closed("this iwlwifi has no connector_log".into()),
+        };
+        Self { patched, module: module_way(system), ebpf: ebpf_way(system) }
     }
 
     /// True if another way than the patched driver works, so that its problems do not matter.
@@ -329,13 +333,6 @@ impl Ways {
             Some((best, Way::Needs(_, mend))) => doubt(format!("{list}. Best here: {best}")).mend(*mend),
             _ => bad(list).mend("install a kernel for which a way is open: any distribution's of 5.8 or later will do"),
         }
-    }
-}
-
-fn patched_way(system: &dyn System) -> Way {
-    match system.text("/sys/module/iwlwifi/parameters/connector_log") {
-        Some(_) => Way::Taken("iwlwifi has connector_log"),
-        None => Way::Closed("this iwlwifi has no connector_log".into()),
     }
 }
 
@@ -383,24 +380,21 @@ fn ebpf_way(system: &dyn System) -> Way {
     if system.names("/sys/module/iwlwifi").is_empty() {
         return Way::Needs("iwlwifi is not loaded", "sudo modprobe iwlwifi");
     }
-    if !may_load(system) {
+    let has = |capability| holds(system, capability) == Some(true);
+    let is_root = has(CAP_SYS_ADMIN);
+    if !is_root && !(has(CAP_BPF) && has(CAP_PERFMON)) {
         let mend = "sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)";
         return Way::Needs("CAP_BPF and CAP_PERFMON are not held", mend);
     }
     // An extra level of Debian's and Ubuntu's kernels, at which CAP_PERFMON is not enough for a probe.
     let paranoid = system.text("/proc/sys/kernel/perf_event_paranoid").and_then(|level| level.parse::<i32>().ok());
-    if paranoid.is_some_and(|level| level > 2) && holds(system, CAP_SYS_ADMIN) != Some(true) {
+    if paranoid.is_some_and(|level| level > 2) && !is_root {
         let mend = "sudo sysctl -w kernel.perf_event_paranoid=2 (in /etc/sysctl.d to stay), or run it as root";
         return Way::Needs("kernel.perf_event_paranoid above 2 wants root", mend);
     }
     Way::Open(
         "csi5300 record --stock; it only receives: an HT rate for frames sent, and asking the card for CSI, need the module",
     )
-}
-
-fn may_load(system: &dyn System) -> bool {
-    let has = |capability| holds(system, capability) == Some(true);
-    has(CAP_SYS_ADMIN) || (has(CAP_BPF) && has(CAP_PERFMON))
 }
 
 /// PCI device IDs (`iwlwifi/pcie/drv.c`).

@@ -234,12 +234,6 @@ fn loaded_again(why: &'static str, load: Step) -> [Step; 3] {
     ]
 }
 
-/// Problems on this machine that no step can repair, in words.
-#[must_use]
-pub fn warnings(system: &dyn System, request: &Request) -> Vec<String> {
-    warnings_of(system, request.driver.or_else(|| installed(system).ok()))
-}
-
 /// Monitor mode and channel. The interface is down for the mode and up for the channel (newer kernels return -16
 /// otherwise).
 fn tune(interface: &str, channel: Channel) -> Vec<Step> {
@@ -374,8 +368,10 @@ fn undo_module(system: &dyn System) -> (Option<Step>, Vec<Step>) {
     (module, steps)
 }
 
-/// Problems of this driver that no step can repair, in words.
-fn warnings_of(system: &dyn System, driver: Option<Driver>) -> Vec<String> {
+/// Problems on this machine that no step can repair, in words.
+#[must_use]
+pub fn warnings(system: &dyn System, request: &Request) -> Vec<String> {
+    let driver = request.driver.or_else(|| installed(system).ok());
     let secure = secure_boot_is_on(system) == Some(true);
     let mut warnings = Vec::new();
     match driver {

@@ -223,11 +223,6 @@ fn short(value: Option<f64>) -> String {
     figure(value, if value.is_some_and(|value| value < 99.95) { 1 } else { 0 })
 }
 
-/// Whole degrees from 0 to 359.
-fn whole_turn(deg: f64) -> f64 {
-    deg.round().rem_euclid(360.0)
-}
-
 /// The whole screen.
 fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
     let peers = state["peers"].as_array().cloned().unwrap_or_default();
@@ -273,7 +268,7 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
         "x {} m, y {} m, heading {} deg",
         figure(of("/pose/1/0"), 2),
         figure(of("/pose/1/1"), 2),
-        figure(of("/pose/2").map(whole_turn), 0)
+        figure(of("/pose/2").map(|deg| deg.round().rem_euclid(360.0)), 0)
     );
     let log = match of("/log/written") {
         Some(written) => format!("{written:.0} records, {disk:.0} not"),
