@@ -23,8 +23,8 @@ use driver_iface::radiotap::{self, Bandwidth, Repr};
 use driver_iface::sounding::MAGIC_MAC;
 use nix::errno::Errno;
 use nix::sys::socket::{
-    AddressFamily, ControlMessageOwned, LinkAddr, MsgFlags, SockFlag, SockType, SockaddrLike, getsockname, getsockopt,
-    recvmsg, setsockopt, socket, sockopt,
+    AddressFamily, ControlMessageOwned, LinkAddr, MsgFlags, SockFlag, SockType, SockaddrLike, getsockopt, recvmsg,
+    setsockopt, socket, sockopt,
 };
 use nix::sys::time::TimeSpec;
 use std::io::{self, ErrorKind, IoSliceMut};
@@ -321,9 +321,7 @@ fn bound(interface: &str) -> Result<(OwnedFd, Option<Mac>), Error> {
     let stamped = setsockopt(&socket, sockopt::ReceiveTimestampns, &true).map_err(io::Error::from);
     stamped.map_err(io("cannot stamp frames of"))?;
     sys::bind_packet(socket.as_fd(), index).map_err(io("cannot bind to"))?;
-    let link = getsockname::<LinkAddr>(socket.as_raw_fd()).map_err(io::Error::from);
-    let link = link.map_err(io("cannot ask for the link of"))?;
-    let (link_type, mac) = (link.hatype(), link.addr().filter(|_| link.halen() == 6).map(Mac));
+    let (link_type, mac) = sys::packet_link(socket.as_fd()).map_err(io("cannot ask for the link of"))?;
     if link_type != ARPHRD_IEEE80211_RADIOTAP {
         return Err(refused(format!(
             "{interface} has link type {link_type}, not that of a monitor interface ({ARPHRD_IEEE80211_RADIOTAP}, \

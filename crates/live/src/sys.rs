@@ -1,6 +1,7 @@
 //! System calls without a safe wrapper in any crate. All `unsafe` code of the project is in this file.
 #![allow(unsafe_code)]
 
+use driver_iface::Mac;
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsRawFd, BorrowedFd};
@@ -77,6 +78,20 @@ pub fn bind_packet(socket: BorrowedFd<'_>, interface: u32) -> io::Result<()> {
     let size = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
     // SAFETY: `address` is a `sockaddr_ll` that lives until after the call, and `size` is its size; the kernel copies it.
     answered(unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), size) })
+}
+
+/// Link type (ARPHRD_*) and MAC of the interface that a packet socket is bound to.
+///
+/// # Errors
+/// The kernel's refusal.
+pub fn packet_link(socket: BorrowedFd<'_>) -> io::Result<(u16, Option<Mac>)> {
+    // SAFETY: `sockaddr_ll` consists of integers and an array of them, for all of which zero is a value.
+    let mut address: libc::sockaddr_ll = unsafe { std::mem::zeroed() };
+    let mut size = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
+    // SAFETY: the kernel writes at most `size` bytes, the size of `address`, which is ours alone until the call ends.
+    answered(unsafe { libc::getsockname(socket.as_raw_fd(), (&raw mut address).cast(), &raw mut size) })?;
+    let mac = address.sll_addr.first_chunk().copied().filter(|_| address.sll_halen == 6).map(Mac);
+    Ok((address.sll_hatype, mac))
 }
 
 /// Frames that a packet socket has dropped since the last call, because its queue was full (PACKET_STATISTICS).

@@ -21,8 +21,6 @@ use std::sync::Arc;
 
 /// Publishers of one peer.
 struct Peer {
-    name: String,
-    mac: String,
     bearings: Publisher<Bearing>,
     directions: Publisher<PoseStamped>,
     places: Publisher<PoseWithCovarianceStamped>,
@@ -34,8 +32,7 @@ pub struct Node {
     /// The clock of its stamps.
     clock: SimClock,
     settings: Settings,
-    /// Names of all peers; `peers` has those with published bearings.
-    names: Vec<String>,
+    /// Those with published bearings.
     peers: Vec<Peer>,
     /// The topic of markers, if enabled.
     pub markers: Option<Publisher<MarkerArray>>,
@@ -63,7 +60,7 @@ impl Node {
         }
         let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(Error::io(what))?;
         let clock = if asked.use_sim_time { SimClock::follow(&link) } else { SimClock::real() };
-        Ok(Self { link, clock, settings: asked, names: Vec::new(), peers: Vec::new(), markers: None, tf: None })
+        Ok(Self { link, clock, settings: asked, peers: Vec::new(), markers: None, tf: None })
     }
 
     /// For publishing, subscribing and serving further topics and services.
@@ -90,15 +87,12 @@ impl Node {
         self.link.subscribe(topic, Qos::best_effort(DEPTH), read, move || unreadable(None));
     }
 
-    /// Announces the topics of these peers (name and MAC), as the settings ask.
-    pub fn announce(&mut self, peers: &[(String, String)]) {
+    /// Announces the topics of the peers of these names, as the settings ask.
+    pub fn announce(&mut self, peers: &[String]) {
         let (link, asked) = (&self.link, &self.settings);
-        self.names = peers.iter().map(|(name, _)| name.clone()).collect();
-        let peer = |(name, mac): &(String, String)| {
+        let peer = |name: &String| {
             let part = name_part(name);
             Peer {
-                name: name.clone(),
-                mac: mac.clone(),
                 bearings: link.publish(&format!("~/{part}/bearing"), usual()),
                 directions: link.publish(&format!("~/{part}/direction"), usual()),
                 places: link.publish(&format!("~/{part}/pose"), usual()),
@@ -131,13 +125,12 @@ impl Node {
         let header = self.header((report.t_s.unwrap_or(0.0) * 1e6) as i64, self.settings.frame.clone());
         let place = said::place(&header, report);
         if let Some(peer) = self.peers.get(peer) {
-            peer.bearings.put(&said::bearing(header.clone(), (&peer.name, &peer.mac), report));
+            peer.bearings.put(&said::bearing(header.clone(), report));
             said::direction(&header, report).iter().for_each(|pose| peer.directions.put(pose));
             place.iter().for_each(|place| peer.places.put(place));
         }
         if let Some(markers) = &self.markers {
-            let name = self.names.get(peer).unwrap_or(&report.answer.link);
-            markers.put(&said::markers(&header, (name, peer), report));
+            markers.put(&said::markers(&header, (&report.answer.link, peer), report));
         }
         if let (Some(tf), Some(place)) = (&self.tf, &place) {
             tf.put(&said::transform(place, &name_part(&report.answer.link)));

@@ -67,9 +67,9 @@ fn poses_and_bearings_go_from_one_node_to_another() {
     let used = move |bearing: Bearing, _| drop(give.send(bearing));
     listener.link().subscribe("/csi5300_burger/tx/bearing", Qos::reliable(10), used, || panic!("unreadable"));
     let mut robot = robot;
-    robot.announce(&[("tx".into(), "02:00:00:00:00:0b".into())]);
+    robot.announce(&["tx".into()]);
     let mut answer = Answer::default();
-    answer.azimuth_deg = Some(90.0);
+    (answer.link, answer.azimuth_deg) = ("tx".into(), Some(90.0));
     let (words, state) = (String::new(), PeerState::Bearing);
     let report = PeerReport {
         t_s: Some(13.0),

@@ -382,7 +382,8 @@ fn ebpf_way(system: &dyn System) -> Way {
     }
     let has = |capability| holds(system, capability) == Some(true);
     let is_root = has(CAP_SYS_ADMIN);
-    if !is_root && !(has(CAP_BPF) && has(CAP_PERFMON)) {
+    let may_load = is_root || (has(CAP_BPF) && has(CAP_PERFMON));
+    if !may_load {
         let mend = "sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)";
         return Way::Needs("CAP_BPF and CAP_PERFMON are not held", mend);
     }

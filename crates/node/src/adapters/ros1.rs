@@ -71,7 +71,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         writes: Vec::new(),
         csi: 0,
         diagnostics: 0,
-        peers: Vec::new(),
+        peers: 0,
         commands: PYTHONS.map(|python| [python, "-c", BRIDGE].map(str::to_owned).to_vec()).to_vec(),
         bridge: None,
     })))
@@ -93,7 +93,8 @@ struct Ros1 {
     /// The places of CSI and of the diagnostics in `writes`.
     csi: usize,
     diagnostics: usize,
-    peers: Vec<(String, String)>,
+    /// How many have topics of their own: the first ones of `writes`.
+    peers: usize,
     /// Bridges that are tried, one after the other.
     commands: Vec<Vec<String>>,
     bridge: Option<Bridge>,
@@ -137,8 +138,8 @@ impl Adapter for Ros1 {
 
     fn meet(&mut self, robot: &Robot) -> Result<(), Error> {
         if self.publishes && self.settings.publish_bearings {
-            self.peers = robot.peers.iter().map(|(name, mac)| (name.clone(), mac.to_string())).collect();
-            for (name, _) in &self.peers {
+            self.peers = robot.peers.len();
+            for (name, _) in &robot.peers {
                 let topic = format!("{}/{}", self.node, name_part(name));
                 self.writes.push((format!("{topic}/bearing"), "csi5300_msgs/Bearing"));
                 self.writes.push((format!("{topic}/direction"), "geometry_msgs/PoseStamped"));
@@ -177,13 +178,13 @@ impl Adapter for Ros1 {
     }
 
     fn report(&mut self, said: &Said<'_>) {
-        let (Some(bridge), Some((name, mac))) = (&self.bridge, self.peers.get(said.peer)) else { return };
+        let Some(bridge) = self.bridge.as_ref().filter(|_| said.peer < self.peers) else { return };
         let stamp = Time::from_us((said.report.t_s.unwrap_or(0.0) * 1e6) as i64);
         let header = Header { stamp, frame_id: self.settings.frame.clone() };
         if let Some(pose) = said::direction(&header, said.report) {
             bridge.outbox.put(2 * said.peer + 1, &pose);
         }
-        bridge.outbox.put(2 * said.peer, &said::bearing(header, (name, mac), said.report));
+        bridge.outbox.put(2 * said.peer, &said::bearing(header, said.report));
     }
 
     fn look(&mut self, health: &mut Health) {

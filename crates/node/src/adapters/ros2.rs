@@ -74,15 +74,14 @@ impl Adapter for Ros2 {
 
     fn meet(&mut self, robot: &Robot) -> Result<(), Error> {
         if let Some(ros) = &self.config.ros2 {
-            let peers: Vec<_> = robot.peers.iter().map(|(name, mac)| (name.clone(), mac.to_string())).collect();
-            self.node.announce(&peers);
+            let names: Vec<String> = robot.peers.iter().map(|(name, _)| name.clone()).collect();
+            self.node.announce(&names);
             self.node.serve_parameters(parameters(&self.config));
             let claims = Claims::new(&self.config, robot);
             let asked = Arc::clone(&claims);
             self.node.link().serve("~/self_test", move |_: &_, _: SelfTestRequest| asked.answer());
             self.claims = Some(claims);
             if let Some(team) = &self.config.team {
-                let names = robot.peers.iter().map(|(name, _)| name.clone()).collect();
                 self.team = Some(Topics::new(&self.node, names, ros.frame.clone(), !team.places.is_empty()));
             }
         }
