@@ -117,7 +117,7 @@ fn run(fifo_priority: Option<i32>, seconds: f64) -> Result<(), Failure> {
         for robot in [&initiator, &responder] {
             while let Some(news) = robot.news() {
                 if let News::Started(said) = news {
-                    granted = said.to_string();
+                    granted = said;
                 }
             }
         }

@@ -162,5 +162,6 @@ for line in iter(sys.stdin.readline, ""):
     elif told["to"] < len(publishers):
         publisher = publishers[told["to"]]
         publisher.publish(fill(publisher.data_class(), told["message"]))
+time.sleep(0.2)  # rospy sends from threads of its own
 rospy.signal_shutdown("the node has ended")
 os._exit(0)

@@ -224,6 +224,14 @@ pub enum Error {
     NotSent(#[from] NotSent),
 }
 
+impl Error {
+    /// What the operating system said no to, for `map_err`: what was tried, on what, and what to check next.
+    #[doc(hidden)] // for the crates of this workspace
+    pub fn io<E: Into<std::io::Error>>(what: impl Into<String>) -> impl FnOnce(E) -> Self {
+        |source| Self::Io { what: what.into(), source: source.into() }
+    }
+}
+
 impl From<OdometryError> for Error {
     fn from(error: OdometryError) -> Self {
         match error {

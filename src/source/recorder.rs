@@ -407,15 +407,15 @@ impl Grown {
         if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
             return Err(Error::InUse { path });
         }
-        if force && file.metadata().is_ok_and(|found| found.is_file()) {
-            let io = |source| Error::Io { what: format!("cannot write {}", path.display()), source };
-            file.set_len(0).map_err(io)?;
-        }
         Ok(Self { file, path, len: 0 })
     }
 
     /// Appends as many whole units of `bytes` as the disk takes; `whole` says how many of the first n bytes that is.
     fn append(&mut self, bytes: &[u8], whole: impl Fn(usize) -> usize) -> (usize, io::Result<()>) {
+        if self.len == 0 {
+            // An earlier log stays until there is something to take its place. A device has no length.
+            let _ = self.file.set_len(0);
+        }
         match write_on(&mut self.file, bytes) {
             (done, Ok(())) => {
                 self.len += done as u64;
@@ -1305,6 +1305,14 @@ mod tests {
         assert_eq!(files.write(&chunk(0..1)).records, 1);
         drop(files);
         assert_eq!(there(), [true, true]);
+        // Where nothing comes, the earlier one stays.
+        let again = || LogFiles::create(&log, Rotation::default(), true).unwrap();
+        let sizes = || [&log, &side_path(&log)].map(|file| file.metadata().unwrap().len());
+        let before = sizes();
+        drop(again());
+        assert_eq!(sizes(), before);
+        assert_eq!(again().write(&chunk(0..2)).records, 2);
+        assert!(sizes()[0] == 2 * before[0] && sizes()[1] > before[1], "{:?} {before:?}", sizes());
         drop(create(Rotation { bytes: Some(1 << 20), every: None }));
         assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2);
         std::fs::remove_dir_all(folder).unwrap();

@@ -431,25 +431,6 @@ messages! {
     }
 }
 
-pub mod humble {
-    //! The nodes of a participant in Humble.
-
-    use super::{Cdr, CdrError, CdrReader, CdrWriter, Described, Message};
-
-    messages! {
-        /// An endpoint's identifier.
-        "rmw_dds_common/msg/Gid" Gid { data: [u8; 24] }
-        /// A node and its endpoints.
-        "rmw_dds_common/msg/NodeEntitiesInfo" NodeEntitiesInfo {
-            node_namespace: String, node_name: String, reader_gid_seq: Vec<Gid>, writer_gid_seq: Vec<Gid>,
-        }
-        /// A participant and its nodes.
-        "rmw_dds_common/msg/ParticipantEntitiesInfo" ParticipantEntitiesInfo {
-            gid: Gid, node_entities_info_seq: Vec<NodeEntitiesInfo>,
-        }
-    }
-}
-
 /// Numbers of basic types (`type_description_interfaces/msg/FieldType`); ROS 2 maps `char` to `uint8`.
 const BASIC: [(&str, u32); 15] = [
     ("int8", 2),

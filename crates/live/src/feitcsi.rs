@@ -123,27 +123,21 @@ impl Drop for Measurement {
     }
 }
 
-/// The error of a failed read; a refused datagram has its own message.
-fn refused(source: io::Error, nobody: impl FnOnce() -> String) -> Error {
-    let what = match source.kind() {
-        ErrorKind::ConnectionRefused => nobody(),
-        _ => "reading FeitCSI's output".into(),
+/// The error of a failed read; a datagram that FeitCSI, if it is `at` an address, refused has its own message.
+fn refused(error: io::Error, at: Option<SocketAddr>) -> Error {
+    let what = match at.filter(|_| error.kind() == ErrorKind::ConnectionRefused) {
+        Some(to) => format!(
+            "FeitCSI does not listen at {to}: start `sudo feitcsi --udp-socket`; it exits at an unknown option and prints its \
+             name"
+        ),
+        None => "reading FeitCSI's output".into(),
     };
-    Error::Io { what, source }
-}
-
-fn nobody(to: SocketAddr) -> String {
-    format!(
-        "FeitCSI does not listen at {to}: start `sudo feitcsi --udp-socket`; it exits at an unknown option and prints its name"
-    )
+    Error::io(what)(error)
 }
 
 impl Way {
-    fn nobody(&self) -> String {
-        match self {
-            Self::Datagrams(measurement) => measurement.0.peer_addr().map(nobody).unwrap_or_default(),
-            Self::Stream(_) => "reading FeitCSI's output".into(),
-        }
+    fn address(&self) -> Option<SocketAddr> {
+        if let Self::Datagrams(measurement) = self { measurement.0.peer_addr().ok() } else { None }
     }
 }
 
@@ -173,7 +167,7 @@ impl Frames {
     /// # Errors
     /// If FeitCSI does not listen at the address, or a socket cannot be opened.
     pub fn ask(command: &Command, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
-        let started = Measurement::start(command).map_err(|source| refused(source, || nobody(command.to)))?;
+        let started = Measurement::start(command).map_err(|error| refused(error, Some(command.to)))?;
         Ok(Self::new(Way::Datagrams(started), wall_us))
     }
 
@@ -207,7 +201,7 @@ impl CsiSource for Frames {
                 Ok(_) => {}
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(Next::Pending),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(source) => return Err(refused(source, || self.way.nobody())),
+                Err(error) => return Err(refused(error, self.way.address())),
             }
         }
         let stamps = Stamps { at: now, host_us: (self.wall_us)(), origin: Origin::Live { number: self.number } };

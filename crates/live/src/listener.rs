@@ -27,6 +27,16 @@ impl Listener {
         }
     }
 
+    /// What is listened to, in words.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        let kib = self.buffer() / 1024;
+        match self {
+            Self::Connector(listener) => format!("listening {}, receive buffer {kib} KiB", listener.at()),
+            Self::Stock(_) => format!("listening to the packets of the unpatched iwlwifi, ring of {kib} KiB"),
+        }
+    }
+
     /// What was lost so far on the way here; `disk` is 0.
     #[must_use]
     pub fn lost(&self) -> Losses {

@@ -141,7 +141,20 @@ impl Monitor {
     /// No such interface, CAP_NET_RAW missing, another link type than radiotap, the interface down, or an MTU too small
     /// for `longest`: each with what to do about it.
     pub fn open(options: &Options) -> Result<Self, Error> {
-        Self::with(options, |longest| open(&options.interface, longest))
+        let interface = &options.interface;
+        let (socket, mac) = bound(interface)?;
+        let mut monitor = Self::new(socket, mac, options)?;
+        let what = format!("cannot ask for the MTU of {interface}");
+        monitor.mtu = sys::mtu(monitor.socket.as_fd(), interface).map_err(Error::io(what))?;
+        if monitor.mtu < monitor.out.len() {
+            return Err(refused(format!(
+                "{interface} takes {} bytes at most, frames here have up to {} with their radiotap header: \
+                 `sudo ip link set {interface} mtu 2304`",
+                monitor.mtu,
+                monitor.out.len()
+            )));
+        }
+        Ok(monitor)
     }
 
     /// A message socket (SOCK_SEQPACKET) that acts as a monitor interface: one radiotap header and frame a message,
@@ -150,21 +163,19 @@ impl Monitor {
     /// # Errors
     /// Never at present; the frames of `options` cannot be longer than their header allows.
     pub fn over(socket: OwnedFd, mac: Mac, options: &Options) -> Result<Self, Error> {
-        Self::with(options, |longest| Ok(Opened { socket, mac: Some(mac), mtu: longest }))
+        Self::new(socket, Some(mac), options)
     }
 
-    /// Makes room for buffers of the longest frame, and opens.
-    fn with(options: &Options, open: impl FnOnce(usize) -> Result<Opened, Error>) -> Result<Self, Error> {
+    fn new(socket: OwnedFd, mac: Option<Mac>, options: &Options) -> Result<Self, Error> {
         let header = Repr::injected(options.mcs, options.bandwidth);
         let header_len = header.header_len();
         let mut out = vec![0; header_len + options.longest].into_boxed_slice();
         header.emit(&mut out).map_err(|error| refused(error.to_string()))?;
-        let Opened { socket, mac, mtu } = open(out.len())?;
         Ok(Self {
             socket,
             interface: options.interface.clone(),
             mac,
-            mtu,
+            mtu: out.len(),
             header_len,
             out,
             input: vec![0; RECEIVE_LEN].into_boxed_slice(),
@@ -278,14 +289,6 @@ impl FrameReceiver for Monitor {
 /// PACKET_OUTGOING (`linux/if_packet.h`): a copy of what this host sends.
 const OUTGOING: u8 = 4;
 
-/// An interface, opened.
-#[derive(Debug)]
-struct Opened {
-    socket: OwnedFd,
-    mac: Option<Mac>,
-    mtu: usize,
-}
-
 /// A fatal error, with the operation.
 fn failed(doing: &str, interface: &str, source: io::Error) -> Error {
     let gone = matches!(source.raw_os_error(), Some(libc::ENXIO | libc::ENODEV));
@@ -293,39 +296,30 @@ fn failed(doing: &str, interface: &str, source: io::Error) -> Error {
     Error::Io { what: format!("{doing} {interface}{hint}"), source }
 }
 
-/// Opens the interface; `longest` is the longest buffer that will be sent, radiotap header included.
-fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
+/// A socket on the interface, which is a monitor and up, and the interface's MAC.
+fn bound(interface: &str) -> Result<(OwnedFd, Option<Mac>), Error> {
     // Without a protocol nothing is received before the filter is set; binding then names all protocols.
     let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
     let socket = socket(AddressFamily::Packet, SockType::Raw, flags, None).map_err(|errno| match errno {
-        Errno::EPERM | Errno::EACCES => Error::Io {
-            what: format!(
-                "not allowed to inject frames: give the program the capabilities once, \
-                 `sudo setcap cap_net_raw,cap_net_admin,cap_sys_nice,cap_ipc_lock+ep $(command -v {})`, or run it as root",
-                crate::sys::program()
-            ),
-            source: errno.into(),
-        },
-        Errno::EAFNOSUPPORT => Error::Io {
-            what: "packet sockets are not allowed to this service (RestrictAddressFamilies): install \
-                   csi5300-node-sounding.conf beside its unit"
-                .into(),
-            source: errno.into(),
-        },
-        _ => Error::Io { what: "cannot open a packet socket".into(), source: errno.into() },
+        Errno::EPERM | Errno::EACCES => Error::io(format!(
+            "not allowed to inject frames: give the program the capabilities once, \
+             `sudo setcap cap_net_raw,cap_net_admin,cap_sys_nice,cap_ipc_lock+ep $(command -v {})`, or run it as root",
+            crate::sys::program()
+        ))(errno),
+        Errno::EAFNOSUPPORT => Error::io(
+            "packet sockets are not allowed to this service (RestrictAddressFamilies): install csi5300-node-sounding.conf \
+             beside its unit",
+        )(errno),
+        _ => Error::io("cannot open a packet socket")(errno),
     })?;
-    let index = nix::net::if_::if_nametoindex(interface).map_err(|errno| Error::Io {
-        what: format!("there is no interface {interface} here (`ip link` lists them; `csi5300 setup` makes a monitor)"),
-        source: errno.into(),
-    })?;
-    let io = |what: &str| {
-        let what = format!("{what} {interface}");
-        move |source: io::Error| Error::Io { what, source }
-    };
+    let absent =
+        format!("there is no interface {interface} here (`ip link` lists them; `csi5300 setup` makes a monitor)");
+    let index = nix::net::if_::if_nametoindex(interface).map_err(Error::io(absent))?;
+    let io = |what: &str| Error::io(format!("{what} {interface}"));
     sys::attach_filter(socket.as_fd(), &sounding_filter()).map_err(io("cannot filter the socket of"))?;
     // Stamps give the time of reception, however late a frame is fetched.
-    setsockopt(&socket, sockopt::ReceiveTimestampns, &true)
-        .map_err(|errno| io("cannot stamp frames of")(errno.into()))?;
+    let stamped = setsockopt(&socket, sockopt::ReceiveTimestampns, &true).map_err(io::Error::from);
+    stamped.map_err(io("cannot stamp frames of"))?;
     sys::bind_packet(socket.as_fd(), index).map_err(io("cannot bind to"))?;
     let (link_type, mac) = sys::packet_link(socket.as_fd()).map_err(io("cannot ask for the link of"))?;
     if link_type != ARPHRD_IEEE80211_RADIOTAP {
@@ -339,14 +333,7 @@ fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
     if getsockopt(&socket, sockopt::SocketError) == Ok(libc::ENETDOWN) {
         return Err(refused(format!("{interface} is down: `sudo ip link set {interface} up`")));
     }
-    let mtu = sys::mtu(socket.as_fd(), interface).map_err(io("cannot ask for the MTU of"))?;
-    if mtu < longest {
-        return Err(refused(format!(
-            "{interface} takes {mtu} bytes at most, frames here have up to {longest} with their radiotap header: \
-             `sudo ip link set {interface} mtu 2304`"
-        )));
-    }
-    Ok(Opened { socket, mac, mtu })
+    Ok((socket, mac))
 }
 
 /// What was received.

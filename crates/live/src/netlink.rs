@@ -61,7 +61,7 @@ impl Default for Options {
 #[derive(Debug)]
 pub struct Netlink {
     wire: Wire,
-    found: Found,
+    at: String,
     receive_buffer: usize,
     wall_us: fn() -> Option<i64>,
     host_times: HostTimes,
@@ -105,24 +105,27 @@ impl Netlink {
             ));
         }
         let registered = listed.ok().and_then(|text| registered_idx(&text));
-        let (indices, found) = match (options.connector_index, registered) {
-            (Some(index), _) => (vec![index], Found::Given),
-            (None, Some(index)) => (vec![index], Found::Registered),
-            (None, None) => (vec![CN_IDX, CN_IDX_10_USERS], Found::Guessed),
+        let (indices, at) = match (options.connector_index, registered) {
+            (Some(index), _) => (vec![index], format!("on connector index {index} (as given)")),
+            (None, Some(index)) => {
+                (vec![index], format!("on connector index {index} (where the driver is registered)"))
+            }
+            (None, None) => {
+                let both = [CN_IDX, CN_IDX_10_USERS];
+                let at = both.map(|index| index.to_string()).join(" and ");
+                let why = "no CSI driver is registered in /proc/net/connector";
+                (both.to_vec(), format!("on connector index {at} ({why})"))
+            }
         };
-        let io = |what: &'static str| move |source: io::Error| Error::Io { what: what.into(), source };
-        let opened = Socket::new(isize::from(NETLINK_CONNECTOR.cast_signed()));
-        let mut socket =
-            opened.map_err(io("cannot open a connector socket; is this a Linux kernel with CONFIG_CONNECTOR=y?"))?;
-        let port = socket.bind_auto().map_err(io("cannot bind the connector socket"))?.port_number();
-        socket.set_non_blocking(true).map_err(io("cannot make the connector socket non-blocking"))?;
+        let (socket, port) = bound()
+            .map_err(Error::io("cannot open a connector socket; is this a Linux kernel with CONFIG_CONNECTOR=y?"))?;
         let receive_buffer = widen(&socket, options.receive_buffer);
-        attach_filter(socket.as_fd(), &filter(&indices)).map_err(io("cannot filter the connector socket"))?;
+        attach_filter(socket.as_fd(), &filter(&indices)).map_err(Error::io("cannot filter the connector socket"))?;
         join(&socket, &indices)?;
         Ok(Self {
             intake: Intake::new(indices, options.allow_user_sender),
             wire: Wire::Kernel(socket, port),
-            found,
+            at,
             receive_buffer,
             wall_us: options.wall_us,
             host_times: HostTimes::default(),
@@ -135,26 +138,20 @@ impl Netlink {
     pub fn over(room: OwnedFd, wall_us: fn() -> Option<i64>) -> Self {
         let receive_buffer = widen(&room, RECEIVE_BUFFER);
         let intake = Intake::new(vec![CN_IDX], true);
-        let (wire, found, host_times) = (Wire::Room(room), Found::Served, HostTimes::default());
-        Self { wire, found, receive_buffer, wall_us, host_times, intake }
+        let (wire, at, host_times) = (Wire::Room(room), "to a card in a simulated room".into(), HostTimes::default());
+        Self { wire, at, receive_buffer, wall_us, host_times, intake }
     }
 
-    /// The connector indices in use, and how they were found.
+    /// Where it listens, in words: the connector indices, and how they were found.
     #[must_use]
-    pub fn indices(&self) -> (&[u32], Found) {
-        (&self.intake.indices, self.found)
+    pub fn at(&self) -> &str {
+        &self.at
     }
 
     /// Granted receive buffer, bytes (the kernel's count, twice the request).
     #[must_use]
     pub fn receive_buffer(&self) -> usize {
         self.receive_buffer
-    }
-
-    /// The netlink port of the socket, by which the kernel lists it; 0 in a served room.
-    #[must_use]
-    pub fn port(&self) -> u32 {
-        if let Wire::Kernel(_, port) = self.wire { port } else { 0 }
     }
 
     /// Everything counted so far.
@@ -176,15 +173,14 @@ impl Netlink {
                     let is_untold = self.intake.overrun_untold;
                     return Ok(Some(if is_untold { Next::Lost(self.overrun()) } else { Next::Pending }));
                 }
-                Err(source) => {
-                    return Err(Error::Io { what: "receiving from the kernel's connector".into(), source });
-                }
+                Err(error) => return Err(Error::io("receiving from the kernel's connector")(error)),
             }
         }
     }
 
     fn overrun(&mut self) -> Loss {
-        self.intake.report_overrun(kernel_drops(self.port()))
+        let drops = if let Wire::Kernel(_, port) = self.wire { kernel_drops(port) } else { None };
+        self.intake.report_overrun(drops)
     }
 }
 
@@ -263,7 +259,7 @@ enum Turn {
 }
 
 /// The decisions on one socket's datagrams.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Intake {
     buffer: Box<[u8]>,
     filled: usize,
@@ -279,18 +275,8 @@ struct Intake {
 
 impl Intake {
     fn new(indices: Vec<u32>, allow_user_sender: bool) -> Self {
-        Self {
-            buffer: vec![0; MAX_DATAGRAM].into_boxed_slice(),
-            filled: 0,
-            next_message: 0,
-            indices,
-            allow_user_sender,
-            step: Step16::default(),
-            overrun_untold: false,
-            gap_unmeasured: false,
-            drops_seen: 0,
-            counters: SocketCounts::default(),
-        }
+        let buffer = vec![0; MAX_DATAGRAM].into_boxed_slice();
+        Self { buffer, indices, allow_user_sender, ..Self::default() }
     }
 
     /// A datagram of `sent` bytes from `port` (0 is the kernel) is in the buffer, as far as it fits.
@@ -399,17 +385,12 @@ const PROC_NETLINK: &str = "/proc/thread-self/net/netlink";
 /// Largest multicast group of the connector: what fits a netlink group mask rounded up to 32 (`af_netlink.c`).
 const MAX_GROUP: u32 = 32;
 
-/// How the connector index was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Found {
-    /// It was given.
-    Given,
-    /// The driver is registered under it in `/proc/net/connector`.
-    Registered,
-    /// No driver is registered: both usual indices are joined, and the one that delivers is right.
-    Guessed,
-    /// Each robot of a served room has one.
-    Served,
+/// A connector socket that never blocks, and its netlink port.
+fn bound() -> io::Result<(Socket, u32)> {
+    let mut socket = Socket::new(isize::from(NETLINK_CONNECTOR.cast_signed()))?;
+    let port = socket.bind_auto()?.port_number();
+    socket.set_non_blocking(true)?;
+    Ok((socket, port))
 }
 
 fn join(socket: &Socket, indices: &[u32]) -> Result<(), Error> {
@@ -418,23 +399,19 @@ fn join(socket: &Socket, indices: &[u32]) -> Result<(), Error> {
     for &index in indices {
         match socket.add_membership(index) {
             Ok(()) => joined += 1,
-            Err(source) => refused = Some((index, source)),
+            Err(error) => refused = Some((index, error)),
         }
     }
     match refused {
         // An unprivileged process may join odd groups only, by an accident of newer kernels.
-        Some((_, source)) if source.kind() == io::ErrorKind::PermissionDenied => Err(Error::Io {
-            what: format!(
-                "not allowed to listen to the driver: give the program the capability once, \
-                 `sudo setcap cap_net_admin+ep $(command -v {})`, or run it as root",
-                crate::sys::program()
-            ),
-            source,
-        }),
-        Some((index, source)) if joined == 0 => Err(Error::Io {
-            what: format!("cannot join connector index {index}; the kernel takes 1 to {MAX_GROUP}"),
-            source,
-        }),
+        Some((_, error)) if error.kind() == io::ErrorKind::PermissionDenied => Err(Error::io(format!(
+            "not allowed to listen to the driver: give the program the capability once, \
+             `sudo setcap cap_net_admin+ep $(command -v {})`, or run it as root",
+            crate::sys::program()
+        ))(error)),
+        Some((index, error)) if joined == 0 => {
+            Err(Error::io(format!("cannot join connector index {index}; the kernel takes 1 to {MAX_GROUP}"))(error))
+        }
         _ => Ok(()),
     }
 }
@@ -514,9 +491,7 @@ impl Sender {
     pub fn open(index: u32, padded: bool) -> Result<Self, Error> {
         let mask = index.checked_sub(1).and_then(|bit| 1_u32.checked_shl(bit));
         let mask = mask.ok_or_else(|| refused(format!("connector index {index}: 1 to {MAX_GROUP} can be sent to")))?;
-        let io = |source| Error::Io { what: "cannot open a connector socket to send".into(), source };
-        let mut socket = Socket::new(isize::from(NETLINK_CONNECTOR.cast_signed())).map_err(io)?;
-        socket.bind_auto().map_err(io)?;
+        let (socket, _) = bound().map_err(Error::io("cannot open a connector socket to send"))?;
         let buffer = vec![0; MAX_DATAGRAM].into_boxed_slice();
         Ok(Self { socket, group: SocketAddr::new(0, mask), index, padded, buffer })
     }
@@ -545,12 +520,9 @@ impl Sender {
         match self.socket.send_to(datagram, &self.group, 0) {
             // The kernel's own copy is refused outside the first namespace, where it has no connector socket; the
             // multicast was delivered before.
-            Err(error) if error.kind() != ErrorKind::ConnectionRefused => Err(Error::Io {
-                what: "cannot send to the connector group (CAP_NET_ADMIN is needed; `unshare -Urn` gives it in a \
-                       namespace of its own)"
-                    .into(),
-                source: error,
-            }),
+            Err(error) if error.kind() != ErrorKind::ConnectionRefused => Err(Error::io(
+                "cannot send to the connector group (CAP_NET_ADMIN is needed; `unshare -Urn` gives it in a namespace of its own)",
+            )(error)),
             _ => Ok(()),
         }
     }

@@ -24,11 +24,7 @@ pub struct Losses {
 }
 
 /// The last CSI of one antenna: magnitudes, unscaled.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Picture {
-    antenna: Antenna,
-    magnitude: [f32; SUBCARRIERS],
-}
+type Picture = (Antenna, [f32; SUBCARRIERS]);
 
 /// A running view of a source.
 #[derive(Debug, Default)]
@@ -89,8 +85,8 @@ impl Status {
         let _ = write!(text, "; lost {}", losses.kernel + losses.driver + losses.disk);
         let heard = self.rates_hz.iter().filter(|(_, rate)| *rate > 0.0).count();
         let _ = write!(text, "; {heard} senders; RSSI {}", rssi(self.rssi));
-        if let Some(picture) = self.pictures.first() {
-            let _ = write!(text, "; {} {}", picture.antenna, sparkline(&picture.magnitude));
+        if let Some((antenna, magnitude)) = self.pictures.first() {
+            let _ = write!(text, "; {antenna} {}", sparkline(magnitude));
         }
         self.pictures.clear();
         text
@@ -117,8 +113,8 @@ impl Status {
             let _ = writeln!(text, "{name:17} {rate:>7.0} {all:>7}");
         }
         text.push_str("\n|CSI|, subcarriers from low to high\n");
-        for picture in &self.pictures {
-            let _ = writeln!(text, "  {} {}", picture.antenna, sparkline(&picture.magnitude));
+        for (antenna, magnitude) in &self.pictures {
+            let _ = writeln!(text, "  {antenna} {}", sparkline(magnitude));
         }
         self.pictures.clear();
         text
@@ -135,10 +131,10 @@ fn pictures(bfee: &Bfee<'_>) -> Vec<Picture> {
     for (chain, &antenna) in antennas.as_slice().iter().enumerate() {
         let mut iq = [Iq::default(); SUBCARRIERS];
         if bfee.column(chain, 0, &ALL_SUBCARRIERS, &mut iq).is_some() {
-            pictures.push(Picture { antenna, magnitude: iq.map(|iq| f32::from(iq.i).hypot(f32::from(iq.q))) });
+            pictures.push((antenna, iq.map(|iq| f32::from(iq.i).hypot(f32::from(iq.q)))));
         }
     }
-    pictures.sort_by_key(|picture| picture.antenna);
+    pictures.sort_by_key(|(antenna, _)| *antenna);
     pictures
 }
 

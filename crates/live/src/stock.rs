@@ -16,9 +16,9 @@
 //! **Reloads.** The kernel takes the probe away with the driver. A look once a second finds a driver that was loaded
 //! anew and attaches again; what the card sent in between is not seen.
 
-use crate::doctor::{EBPF_FROM, kernel_version};
+use crate::doctor::{Machine, no_ebpf};
 use crate::refused;
-use crate::wait::monotonic_ns;
+use crate::wait::{monotonic_ns, wall_us};
 use aya::maps::{Array, MapData, RingBuf};
 use aya::programs::KProbe;
 use aya::programs::kprobe::KProbeLinkId;
@@ -51,19 +51,9 @@ pub struct Options {
     pub records: stock::Options,
     /// Bytes of ring; the next power of two is taken.
     pub ring: usize,
-    /// Reads the host's wall clock, microseconds since the Unix epoch.
-    pub wall_us: fn() -> Option<i64>,
     /// This robot's MAC. No card hears its own frames: one that does is another robot's on this machine, and its
     /// records are skipped from then on.
     pub own: Option<Mac>,
-}
-
-impl Default for Options {
-    /// CSI in WSR's layout, a ring of [`RING`] bytes, the host's time.
-    fn default() -> Self {
-        let records = stock::Options::default();
-        Self { records, ring: RING, wall_us: crate::wait::wall_us, own: None }
-    }
 }
 
 /// Everything that was counted since the program was loaded.
@@ -103,7 +93,6 @@ pub struct Stock {
     program: Program,
     ring_bytes: usize,
     intake: Intake,
-    wall_us: fn() -> Option<i64>,
     look_at: Option<Instant>,
     reattached: u64,
 }
@@ -122,8 +111,8 @@ impl Stock {
     pub fn open(options: &Options) -> Result<Self, Error> {
         let ring_bytes = options.ring.clamp(*RINGS.start(), *RINGS.end()).next_power_of_two();
         let (program, ring) = Program::load(ring_bytes as u32, options.records.frames)?;
-        let (intake, wall_us) = (Intake::new(options.records, options.own), options.wall_us);
-        Ok(Self { ring, program, ring_bytes, intake, wall_us, look_at: None, reattached: 0 })
+        let intake = Intake::new(options.records, options.own);
+        Ok(Self { ring, program, ring_bytes, intake, look_at: None, reattached: 0 })
     }
 
     /// Bytes of the ring.
@@ -170,7 +159,7 @@ impl CsiSource for Stock {
                 self.look(now)?;
                 return Ok(Next::Pending);
             }
-            let clocks = Clocks { monotonic_ns: monotonic_ns(), wall_us: (self.wall_us)() };
+            let clocks = Clocks { monotonic_ns: monotonic_ns(), wall_us: wall_us() };
             match self.intake.turn(clocks) {
                 Turn::Next => {}
                 Turn::Lost(loss) => return Ok(Next::Lost(loss)),
@@ -390,7 +379,7 @@ impl Program {
         loader.map_max_entries("EVENTS", ring).override_global("WHOLE_FRAMES", &whole, true);
         loader.override_global("BUFFER", &buffer, true);
         let mut ebpf = loader.load(OBJECT).map_err(of_loading)?;
-        kprobe(&mut ebpf)?.load().map_err(|error| locked_down().unwrap_or_else(|| of_loading(error)))?;
+        kprobe(&mut ebpf)?.load().map_err(of_loading)?;
         let taken = |map: Option<aya::maps::Map>| map.ok_or_else(missing);
         let events = RingBuf::try_from(taken(ebpf.take_map("EVENTS"))?).map_err(of_loading)?;
         let counts = Array::try_from(taken(ebpf.take_map("COUNTS"))?).map_err(of_loading)?;
@@ -470,40 +459,20 @@ fn paranoid() -> Option<i32> {
     std::fs::read_to_string(PARANOID).ok()?.trim().parse().ok()
 }
 
-fn locked_down() -> Option<Error> {
-    let is_it = std::fs::read_to_string(LOCKDOWN).ok()?.contains("[confidentiality]");
-    let words =
-        || format!("the kernel is locked down (confidentiality, see {LOCKDOWN}): no program may read its memory");
-    is_it.then(|| refused(words()))
-}
-
 /// Checks with clearer errors than the kernel's.
 fn prerequisites() -> Result<(), Error> {
-    if !cfg!(target_arch = "x86_64") {
-        return Err(refused(format!("the eBPF program is for x86-64, and this is {}", std::env::consts::ARCH)));
-    }
-    let release = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
-    if let Some((version, level)) = kernel_version(&release).filter(|found| *found < EBPF_FROM) {
-        return Err(refused(format!(
-            "Linux {version}.{level} is too old for the eBPF program, which needs 5.8; the patched driver is for such kernels"
-        )));
-    }
-    if !Path::new(KPROBE_TYPE).exists() {
-        return Err(refused(format!(
-            "the kernel has no kprobes for perf (CONFIG_KPROBES and CONFIG_KPROBE_EVENTS): {KPROBE_TYPE} is absent"
-        )));
+    if let Some(why) = no_ebpf(&Machine) {
+        let words =
+            format!("this kernel does not take the eBPF program ({why}): `csi5300 doctor` names the other ways to CSI");
+        return Err(refused(words));
     }
     let hint =
         "iwlwifi is not loaded: `sudo modprobe iwlwifi`; if it does not stay, `sudo dmesg | grep iwlwifi` shows why";
     driver().map(|_| ()).ok_or_else(|| refused(hint))
 }
 
-/// The type of perf events that are kprobes.
-const KPROBE_TYPE: &str = "/sys/bus/event_source/devices/kprobe/type";
 /// From which capability on perf events are allowed.
 const PARANOID: &str = "/proc/sys/kernel/perf_event_paranoid";
-/// The kernel's lockdown, the level in force in brackets.
-const LOCKDOWN: &str = "/sys/kernel/security/lockdown";
 
 /// What the program needs of the kernel's permissions.
 const CAPABILITIES: &str = "the kernel refuses eBPF to this process: CAP_BPF and CAP_PERFMON are needed; \

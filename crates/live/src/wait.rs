@@ -91,7 +91,7 @@ impl Monotonic {
         match ppoll(&mut polled, left, None) {
             Ok(_) => Ok(polled.map(|fd| fd.any().unwrap_or(true))),
             Err(nix::errno::Errno::EINTR) => Ok([false; N]),
-            Err(errno) => Err(Error::Io { what: "waiting for records".into(), source: errno.into() }),
+            Err(errno) => Err(Error::io("waiting for records")(errno)),
         }
     }
 }

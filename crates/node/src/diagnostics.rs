@@ -14,7 +14,7 @@ use csi5300::time::{Instant, Span};
 use csi5300_accept::{Claim, Evidence, Finding, Of, Plan, Side, Verdict};
 use csi5300_bag::messages::{Byte, DiagnosticArray, DiagnosticStatus, Header, KeyValue, SelfTestResponse};
 use csi5300_live::doctor::{self, module_counters, module_growth};
-use driver_iface::Mac;
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -57,24 +57,36 @@ impl Card {
 /// A finding, and the peer that it is about: none for this robot's own card and host.
 pub type Found = (Option<String>, Finding);
 
-/// The last seconds of all cards; clones share them.
-#[derive(Clone)]
-pub struct SelfTest {
+/// The acceptance claims of this robot, by the last seconds of all cards.
+pub struct Claims {
     channel: Channel,
-    own: Mac,
-    peers: Arc<[(String, Mac)]>,
+    robot: Robot,
+    /// What names in `/diagnostics` begin with: tools take equal ones of two robots for one.
+    node: String,
     /// This robot's card, then the peers'.
-    cards: Arc<Mutex<Vec<Card>>>,
+    cards: Mutex<Vec<Card>>,
     /// The kernel module's counters at the start; none without a card.
-    counters: Arc<BTreeMap<String, u64>>,
+    counters: BTreeMap<String, u64>,
+    /// The last findings that were published.
+    last: Mutex<Vec<Found>>,
 }
 
-impl SelfTest {
-    /// Of the robot `own` and its peers, by name and MAC, in the order of the machine.
+impl Claims {
+    /// Of a robot and its peers, in the order of the machine.
     #[must_use]
-    pub fn new(channel: Channel, own: Mac, peers: &[(String, Mac)]) -> Self {
-        let cards = std::iter::repeat_with(Card::default).take(peers.len() + 1).collect();
-        Self { channel, own, peers: peers.into(), cards: Arc::new(Mutex::new(cards)), counters: Arc::default() }
+    pub fn new(config: &Config, robot: &Robot) -> Arc<Self> {
+        // The claims about the kernel module are judged too, by its counts from now on.
+        let has_card = matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_));
+        let counters = if has_card { module_counters(&doctor::Machine) } else { BTreeMap::new() };
+        let cards = std::iter::repeat_with(Card::default).take(robot.peers.len() + 1).collect();
+        Arc::new(Self {
+            channel: config.channel,
+            robot: robot.clone(),
+            node: format!("csi5300_{}", name_part(&config.robot())),
+            cards: Mutex::new(cards),
+            counters,
+            last: Mutex::default(),
+        })
     }
 
     fn note(&self, card: usize, now: Instant, next: &Next<'_>) {
@@ -87,7 +99,7 @@ impl SelfTest {
     #[must_use]
     pub fn judge(&self) -> Vec<Found> {
         let mut theirs: Vec<Found> = Vec::new();
-        for (peer, (name, _)) in self.peers.iter().enumerate() {
+        for (peer, (name, _)) in self.robot.peers.iter().enumerate() {
             let mut both = self.collected(Some(peer));
             let report = both.far.is_some().then(|| both.judge());
             let tried =
@@ -106,7 +118,7 @@ impl SelfTest {
     /// What this robot's card gave, and that of a peer.
     fn collected(&self, peer: Option<usize>) -> Evidence {
         let mut plan = Plan::new(self.channel);
-        plan.macs = peer.and_then(|peer| self.peers.get(peer)).map(|(_, mac)| [self.own, *mac]);
+        plan.macs = peer.and_then(|peer| self.robot.peers.get(peer)).map(|(_, mac)| [self.robot.own, *mac]);
         let mut evidence = Evidence::new(plan);
         if !self.counters.is_empty() {
             evidence.counters = module_growth(&doctor::Machine, &self.counters);
@@ -123,9 +135,39 @@ impl SelfTest {
         }
         evidence
     }
+
+    /// Judges every claim now.
+    pub(crate) fn answer(&self) -> SelfTestResponse {
+        self_test(&self.robot.name, &self.judge())
+    }
+
+    /// Collects the machine's records. With `is_published`, judges them in each window, on a separate thread.
+    pub(crate) fn attach(self: &Arc<Self>, machine: &mut Machine, is_published: bool) {
+        machine.add_tap(Box::new(Arc::clone(self)));
+        if is_published {
+            tokio::spawn(Arc::clone(self).judge_again_and_again());
+        }
+    }
+
+    async fn judge_again_and_again(self: Arc<Self>) {
+        loop {
+            tokio::time::sleep(Duration::from_secs_f64(WINDOW.as_s())).await;
+            let own = Arc::clone(&self);
+            if let Ok(found) = tokio::task::spawn_blocking(move || own.judge()).await {
+                *lock(&self.last) = found;
+            }
+        }
+    }
+
+    /// All parts of the state, and the last findings.
+    pub(crate) fn diagnostics(&self, header: Header, health: &Health) -> DiagnosticArray {
+        let mut told = of(header, (&self.node, health));
+        told.status.push(claims((&self.node, &self.robot.name), &lock(&self.last)));
+        told
+    }
 }
 
-impl Tap for SelfTest {
+impl Tap for Arc<Claims> {
     fn own(&mut self, now: Instant, next: &Next<'_>) {
         self.note(0, now, next);
     }
@@ -135,100 +177,33 @@ impl Tap for SelfTest {
     }
 }
 
+/// A part of the state `of` a robot, with the values at `places` in it.
 fn status(
-    (node, health): (&str, &Health),
+    (node, robot): (&str, &str),
     part: &str,
     (level, message): (Byte, String),
-    values: &[(&str, String)],
+    (of, places): (&Value, &[&str]),
 ) -> DiagnosticStatus {
-    let value = |(key, value): &(&str, String)| KeyValue { key: (*key).to_owned(), value: value.clone() };
-    DiagnosticStatus {
-        level,
-        name: format!("{node}: {part}"),
-        message,
-        hardware_id: health.name.clone(),
-        values: values.iter().map(value).collect(),
-    }
-}
-
-/// The acceptance claims of this robot; clones share the last findings.
-#[derive(Clone)]
-pub(crate) struct Claims {
-    test: SelfTest,
-    robot: String,
-    /// What names in `/diagnostics` begin with: tools take equal ones of two robots for one.
-    node: String,
-    last: Arc<Mutex<Vec<Found>>>,
-}
-
-impl Claims {
-    pub fn new(config: &Config, robot: &Robot) -> Self {
-        let mut test = SelfTest::new(config.channel, robot.own, &robot.peers);
-        if matches!(config.capture.get_ref(), Capture::Card(_) | Capture::Stock(_)) {
-            // The claims about the kernel module are judged too, by its counts from now on.
-            test.counters = module_counters(&doctor::Machine).into();
-        }
-        let node = format!("csi5300_{}", name_part(&config.robot()));
-        Self { test, robot: robot.name.clone(), node, last: Arc::default() }
-    }
-
-    /// Judges every claim now.
-    pub fn answer(&self) -> SelfTestResponse {
-        self_test(&self.robot, &self.test.judge())
-    }
-
-    /// Collects the machine's records. With `is_published`, judges them in each window, on a separate thread.
-    pub fn attach(&self, machine: &mut Machine, is_published: bool) {
-        machine.add_tap(Box::new(self.test.clone()));
-        if is_published {
-            tokio::spawn(self.clone().judge_again_and_again());
-        }
-    }
-
-    async fn judge_again_and_again(self) {
-        loop {
-            tokio::time::sleep(Duration::from_secs_f64(WINDOW.as_s())).await;
-            let test = self.test.clone();
-            if let Ok(found) = tokio::task::spawn_blocking(move || test.judge()).await {
-                *lock(&self.last) = found;
-            }
-        }
-    }
-
-    /// All parts of the state, and the last findings.
-    pub fn diagnostics(&self, header: Header, health: &Health) -> DiagnosticArray {
-        let mut told = of(header, (&self.node, health));
-        told.status.push(claims((&self.node, &self.robot), &lock(&self.last)));
-        told
-    }
+    let value = |place: &&str| {
+        let value = match of.pointer(place)? {
+            Value::String(text) => text.clone(),
+            Value::Number(number) if number.is_f64() => format!("{:.1}", number.as_f64()?),
+            other => other.to_string(),
+        };
+        Some(KeyValue { key: place.rsplit('/').next()?.to_owned(), value })
+    };
+    let (name, values) = (format!("{node}: {part}"), places.iter().filter_map(value).collect());
+    DiagnosticStatus { level, name, message, hardware_id: robot.to_owned(), values }
 }
 
 /// All parts of the state.
 fn of(header: Header, (node, health): (&str, &Health)) -> DiagnosticArray {
-    let whose = (node, health);
+    let (whose, all) = ((node, health.name.as_str()), json!(health));
     let rate = |what: &str, hz: f64| (if hz > 0.0 { WELL } else { STALE }, format!("{hz:.0} {what} a second"));
-    let card = status(
-        whose,
-        "card",
-        rate("records", health.records_hz),
-        &[
-            ("records", health.records.to_string()),
-            ("records_hz", format!("{:.1}", health.records_hz)),
-            ("losses", health.losses.to_string()),
-            ("missing", health.missing.to_string()),
-            ("strangers", health.strangers.to_string()),
-        ],
-    );
-    let odometry = status(
-        whose,
-        "odometry",
-        rate("poses", health.poses_hz),
-        &[
-            ("poses", health.poses.poses.to_string()),
-            ("poses_hz", format!("{:.1}", health.poses_hz)),
-            ("new_frames", health.poses.new_frames.to_string()),
-        ],
-    );
+    let values = ["/records", "/records_hz", "/losses", "/missing", "/strangers"];
+    let card = status(whose, "card", rate("records", health.records_hz), (&all, &values));
+    let values = ["/poses/poses", "/poses_hz", "/poses/new_frames"];
+    let odometry = status(whose, "odometry", rate("poses", health.poses_hz), (&all, &values));
     let peers = health.peers.iter().map(|peer| {
         let good = |state| matches!(state, PeerState::Bearing | PeerState::Held | PeerState::NotYet);
         let (level, words) = match &peer.report {
@@ -236,29 +211,15 @@ fn of(header: Header, (node, health): (&str, &Health)) -> DiagnosticArray {
             None => (STALE, "no report yet".into()),
         };
         let words = if words.is_empty() { format!("{:.0} exchanges a second", peer.pairs_hz) } else { words };
-        let values = [
-            ("mac", peer.mac.clone()),
-            ("pairs_hz", format!("{:.1}", peer.pairs_hz)),
-            ("pairs", peer.counts.pairs.to_string()),
-            ("losses", peer.counts.losses.to_string()),
-        ];
-        status(whose, &format!("peer {}", peer.name), (level, words), &values)
+        let values = ["/mac", "/pairs_hz", "/counts/pairs", "/counts/losses"];
+        status(whose, &format!("peer {}", peer.name), (level, words), (&json!(peer), &values))
     });
     let trouble = match health.trouble.as_slice() {
         [] => (WELL, "well".to_owned()),
         all => (WARNING, all.join("; ")),
     };
-    let node = status(
-        whose,
-        "node",
-        trouble,
-        &[
-            ("cpu_percent", format!("{:.1}", health.load.cpu_percent)),
-            ("memory_mib", format!("{:.1}", health.load.memory_mib)),
-            ("estimate_ms", format!("{:.2}", health.load.estimate_ms)),
-            ("uptime_s", format!("{:.0}", health.uptime_s)),
-        ],
-    );
+    let values = ["/load/cpu_percent", "/load/memory_mib", "/load/estimate_ms", "/uptime_s"];
+    let node = status(whose, "node", trouble, (&all, &values));
     DiagnosticArray { header, status: [card, odometry].into_iter().chain(peers).chain([node]).collect() }
 }
 
@@ -318,6 +279,9 @@ mod tests {
         assert_eq!(levels, [0, 3, 1]);
         assert_eq!(said.status[0].message, "100 records a second");
         assert_eq!(said.status[0].name, "csi5300_burger: card");
+        let values: Vec<_> =
+            said.status[0].values.iter().map(|told| (told.key.as_str(), told.value.as_str())).collect();
+        assert_eq!(values[..2], [("records", "0"), ("records_hz", "99.6")]);
         assert_eq!((said.status[2].message.as_str(), said.status[2].hardware_id.as_str()), ("a; b", "burger"));
     }
 

@@ -1,7 +1,7 @@
 //! All of a robot's sources and its estimator as one value, driven with the time as an argument: the service drives it
 //! with a real clock, tests with a virtual one.
 
-use super::sources::{Card, Poses, Sources};
+use super::sources::{Card, PeerSources, Poses, Sources};
 use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::{LiveEstimator, PeerReport, PeerState};
@@ -30,48 +30,37 @@ pub trait Tap: Send {
     fn peer(&mut self, _peer: usize, _now: Instant, _next: &Next<'_>) {}
 }
 
-/// A source and whether it ended.
-struct Running<S> {
-    source: S,
-    ended: bool,
-}
-
-impl<S> Running<S> {
-    fn new(source: S) -> Self {
-        Self { source, ended: false }
+/// Hands over available items, up to a burst: if any came, if there are more, and if they have ended.
+fn receive(source: &mut impl CsiSource, now: Instant, mut each: impl FnMut(&Next<'_>)) -> Result<[bool; 3], Error> {
+    let mut came = false;
+    for _ in 0..BURST {
+        let next = source.receive(now)?;
+        each(&next);
+        match next {
+            Next::Pending => return Ok([came, false, false]),
+            Next::End(_) => return Ok([came, false, true]),
+            Next::Record(..) | Next::Lost(_) => came = true,
+        }
     }
+    Ok([came, true, false])
 }
 
-impl Running<Poses> {
-    /// Hands over available items, up to a burst; `None` where a new frame starts. A source that fails has ended;
-    /// returns the reason.
-    fn drain(&mut self, now: Instant, mut each: impl FnMut(Option<Pose>)) -> Option<Error> {
-        for _ in 0..BURST {
-            if self.ended {
-                break;
-            }
-            match self.source.receive(now) {
-                Ok(NextPose::Pose(pose)) => each(Some(pose)),
-                Ok(NextPose::NewFrame) => each(None),
-                Ok(NextPose::Pending) => break,
-                Ok(NextPose::End) => self.ended = true,
-                Err(error) => {
-                    self.ended = true;
-                    return Some(error.into());
-                }
+/// Hands over available poses, up to a burst; `None` where a new frame starts. A source that ended or failed is gone; returns the
+/// reason.
+fn receive_poses(source: &mut Option<Poses>, now: Instant, mut each: impl FnMut(Option<Pose>)) -> Option<Error> {
+    for _ in 0..BURST {
+        match source.as_mut()?.receive(now) {
+            Ok(NextPose::Pose(pose)) => each(Some(pose)),
+            Ok(NextPose::NewFrame) => each(None),
+            Ok(NextPose::Pending) => break,
+            Ok(NextPose::End) => *source = None,
+            Err(error) => {
+                *source = None;
+                return Some(error.into());
             }
         }
-        None
     }
-}
-
-struct PeerRunning {
-    records: Option<Running<Card>>,
-    poses: Option<Running<Poses>>,
-    /// Its records come over a network, which does not signal their end.
-    open_ended: bool,
-    /// Times that its poses changed to another frame.
-    new_frames: u64,
+    None
 }
 
 /// What was counted of this robot's odometry.
@@ -89,9 +78,12 @@ pub struct PoseCounts {
 
 /// A running robot.
 pub struct Machine {
-    capture: Running<Logged<Card>>,
-    poses: Option<Running<Poses>>,
-    peers: Vec<PeerRunning>,
+    capture: Logged<Card>,
+    /// This robot's records have ended.
+    has_ended: bool,
+    /// Sources that end are gone.
+    poses: Option<Poses>,
+    peers: Vec<PeerSources>,
     /// The estimator.
     pub estimator: LiveEstimator,
     taps: Vec<Box<dyn Tap>>,
@@ -116,27 +108,18 @@ impl Machine {
         options: Options,
         now: Instant,
     ) -> Result<Self, Error> {
-        let mut peers = Vec::new();
-        let mut told = Vec::new();
-        let mut heard_only = Vec::new();
-        for (k, peer) in sources.peers.into_iter().enumerate() {
-            heard_only.extend(peer.is_heard_only.then_some(k));
-            told.push(peer.peer);
-            peers.push(PeerRunning {
-                records: peer.records.map(Running::new),
-                poses: peer.poses.map(Running::new),
-                open_ended: false,
-                new_frames: 0,
-            });
-        }
+        let told = sources.peers.iter().map(|peer| peer.peer.clone()).collect();
+        let heard_only = sources.peers.iter().enumerate().filter(|(_, peer)| peer.is_heard_only);
+        let heard_only: Vec<usize> = heard_only.map(|(number, _)| number).collect();
         let mut estimator = LiveEstimator::new(sources.own, sources.track, told, settings, options, now);
         if let Some(array) = sources.array {
             estimator = estimator.with_array(array, &heard_only, now);
         }
         Ok(Self {
-            capture: Running::new(Logged::new(sources.capture, log)?),
-            poses: sources.poses.map(Running::new),
-            peers,
+            capture: Logged::new(sources.capture, log)?,
+            has_ended: false,
+            poses: sources.poses,
+            peers: sources.peers,
             estimator,
             taps: Vec::new(),
             pose_counts: PoseCounts { incomplete: sources.trajectories.incomplete, ..PoseCounts::default() },
@@ -153,16 +136,15 @@ impl Machine {
 
     /// The peer's records come from here, over a network.
     pub fn set_records(&mut self, peer: usize, source: Card) {
-        if let Some(running) = self.peers.get_mut(peer) {
-            running.open_ended = true;
-            running.records = Some(Running::new(source));
+        if let Some(peer) = self.peers.get_mut(peer) {
+            (peer.open_ended, peer.records) = (true, Some(source));
         }
     }
 
     /// The peer's poses come from here.
     pub fn set_poses(&mut self, peer: usize, source: Poses) {
-        if let Some(running) = self.peers.get_mut(peer) {
-            running.poses = Some(Running::new(source));
+        if let Some(peer) = self.peers.get_mut(peer) {
+            peer.poses = Some(source);
         }
     }
 
@@ -172,15 +154,13 @@ impl Machine {
     /// If this robot's card fails. A peer that fails is ignored from then on, and reported by [`Machine::trouble`].
     pub fn take(&mut self, now: Instant) -> Result<bool, Error> {
         // Poses first: measurements need a place.
-        if let Some(poses) = &mut self.poses {
-            let (estimator, taps, counts) = (&mut self.estimator, &mut self.taps, &mut self.pose_counts);
-            let failed = poses.drain(now, |pose| {
-                estimator.handle_pose(pose);
-                *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
-                taps.iter_mut().for_each(|tap| tap.pose(pose));
-            });
-            self.trouble.extend(failed.map(|error| format!("odometry: {error}")));
-        }
+        let counts = &mut self.pose_counts;
+        let failed = receive_poses(&mut self.poses, now, |pose| {
+            self.estimator.handle_pose(pose);
+            *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
+            self.taps.iter_mut().for_each(|tap| tap.pose(pose));
+        });
+        self.trouble.extend(failed.map(|error| format!("odometry: {error}")));
         let mut more = self.take_records(now)?;
         for peer in 0..self.peers.len() {
             more |= self.take_peer(peer, now);
@@ -189,55 +169,43 @@ impl Machine {
     }
 
     fn take_records(&mut self, now: Instant) -> Result<bool, Error> {
-        for _ in 0..BURST {
-            if self.capture.ended {
-                return Ok(false);
-            }
-            let next = self.capture.source.receive(now)?;
-            self.taps.iter_mut().for_each(|tap| tap.own(now, &next));
-            self.estimator.handle_own(&next);
-            match next {
-                Next::Pending => return Ok(false),
-                Next::End(_) => self.capture.ended = true,
-                Next::Record(..) | Next::Lost(_) => (self.heard_at, self.own_heard_at) = (now, now),
-            }
+        if self.has_ended {
+            return Ok(false);
         }
-        Ok(true)
+        let [came, more, ended] = receive(&mut self.capture, now, |next| {
+            self.taps.iter_mut().for_each(|tap| tap.own(now, next));
+            self.estimator.handle_own(next);
+        })?;
+        self.has_ended = ended;
+        if came {
+            (self.heard_at, self.own_heard_at) = (now, now);
+        }
+        Ok(more)
     }
 
     fn take_peer(&mut self, peer: usize, now: Instant) -> bool {
         let Some(running) = self.peers.get_mut(peer) else { return false };
-        if let Some(poses) = &mut running.poses {
-            let estimator = &mut self.estimator;
-            let new_frames = &mut running.new_frames;
-            let failed = poses.drain(now, |pose| {
-                *new_frames += u64::from(pose.is_none());
-                estimator.handle_peer_pose(peer, pose);
-            });
-            self.trouble.extend(failed.map(|error| format!("poses of {}: {error}", name_of(estimator, peer))));
+        let failed = receive_poses(&mut running.poses, now, |pose| {
+            running.new_frames += u64::from(pose.is_none());
+            self.estimator.handle_peer_pose(peer, pose);
+        });
+        self.trouble.extend(failed.map(|error| format!("poses of {}: {error}", running.peer.name)));
+        let Some(records) = &mut running.records else { return false };
+        let received = receive(records, now, |next| {
+            self.taps.iter_mut().for_each(|tap| tap.peer(peer, now, next));
+            self.estimator.handle_peer(peer, next);
+        });
+        let [came, more, ended] = received.unwrap_or_else(|error| {
+            self.trouble.push(format!("records of {}: {error}", running.peer.name));
+            [false, false, true]
+        });
+        if ended {
+            running.records = None;
         }
-        let Some(records) = running.records.as_mut().filter(|records| !records.ended) else { return false };
-        for _ in 0..BURST {
-            match records.source.receive(now) {
-                Ok(next) => {
-                    self.taps.iter_mut().for_each(|tap| tap.peer(peer, now, &next));
-                    self.estimator.handle_peer(peer, &next);
-                    match next {
-                        Next::Pending => return false,
-                        Next::End(_) => records.ended = true,
-                        Next::Record(..) | Next::Lost(_) => self.heard_at = now,
-                    }
-                }
-                Err(error) => {
-                    records.ended = true;
-                    self.trouble.push(format!("records of {}: {error}", name_of(&self.estimator, peer)));
-                }
-            }
-            if records.ended {
-                return false;
-            }
+        if came {
+            self.heard_at = now;
         }
-        true
+        more
     }
 
     /// The next due report, with the peer's number.
@@ -252,9 +220,9 @@ impl Machine {
     /// The next timeout, beside events.
     #[must_use]
     pub fn next_at(&self) -> Option<Instant> {
-        let own = (!self.capture.ended).then(|| self.capture.source.next_at()).flatten();
-        let poses = |poses: &Running<Poses>| if poses.ended { None } else { poses.source.next_at() };
-        let records = |records: &Running<Card>| if records.ended { None } else { records.source.next_at() };
+        let own = (!self.has_ended).then(|| self.capture.next_at()).flatten();
+        let poses = |poses: &Poses| poses.next_at();
+        let records = |records: &Card| records.next_at();
         let peers = self
             .peers
             .iter()
@@ -268,17 +236,14 @@ impl Machine {
     #[must_use]
     pub fn is_done(&self, now: Instant) -> bool {
         let quiet = now - self.heard_at >= QUIET;
-        let over = |peer: &PeerRunning| match &peer.records {
-            Some(records) => records.ended || (peer.open_ended && quiet),
-            None => true,
-        };
-        self.capture.ended && self.peers.iter().all(over)
+        let over = |peer: &PeerSources| peer.records.is_none() || (peer.open_ended && quiet);
+        self.has_ended && self.peers.iter().all(over)
     }
 
     /// Silence of this robot's card, if long: no driver, no peer, or another channel.
     pub(crate) fn silent_for(&self, now: Instant) -> Option<Span> {
         let silent = now - self.own_heard_at;
-        (!self.capture.ended && silent >= SILENT).then_some(silent)
+        (!self.has_ended && silent >= SILENT).then_some(silent)
     }
 
     /// Times that a peer's poses changed to another frame.
@@ -288,7 +253,7 @@ impl Machine {
 
     /// Counts of the source of this robot's poses.
     pub(crate) fn odometry_counts(&self) -> Option<SourceCounts> {
-        self.poses.as_ref().and_then(|poses| poses.source.counted())
+        self.poses.as_ref().and_then(|poses| poses.counted())
     }
 
     /// This host's wall clock was set: earlier times are useless, here and for the peers.
@@ -300,14 +265,14 @@ impl Machine {
 
     /// What is in the log.
     pub(crate) fn totals(&self) -> Option<Totals> {
-        self.capture.source.totals()
+        self.capture.totals()
     }
 
     /// What is wrong at the moment, in words.
     #[must_use]
     pub fn trouble(&self) -> Vec<String> {
-        let odometry = self.poses.as_ref().and_then(|poses| poses.source.trouble());
-        let peers = self.peers.iter().filter_map(|peer| peer.poses.as_ref()?.source.trouble());
+        let odometry = self.poses.as_ref().and_then(|poses| poses.trouble());
+        let peers = self.peers.iter().filter_map(|peer| peer.poses.as_ref()?.trouble());
         let disk = self.totals().filter(|totals| totals.failing).and_then(|totals| totals.error);
         self.trouble.iter().cloned().chain(odometry).chain(peers).chain(disk).collect()
     }
@@ -321,23 +286,15 @@ impl Machine {
         }
     }
 
-    /// Ends everything; returns the last reports and the log's counts.
-    ///
-    /// # Errors
-    /// If the log's writer died.
-    pub fn finish(mut self, now: Instant) -> Result<(Vec<PeerReport>, Option<Totals>), Error> {
+    /// Ends everything; returns the last reports, the estimator that made them, and the log's counts, or that its writer died.
+    pub fn finish(mut self, now: Instant) -> (Vec<PeerReport>, LiveEstimator, Result<Option<Totals>, Error>) {
         // The log first: it must be complete however long the last estimates take.
-        let ended = self.capture.source.finish(now);
+        let log = self.capture.finish(now).map(|(_, totals)| totals);
         let pairs: Vec<u64> = self.estimator.peers().map(|(_, counts)| counts.pairs).collect();
         let mut reports = self.estimator.finish(now);
         reports.iter_mut().zip(pairs).for_each(|(report, pairs)| say_silence(report, pairs));
-        Ok((reports, ended?.1))
+        (reports, self.estimator, log)
     }
-}
-
-/// The name of a peer.
-fn name_of(estimator: &LiveEstimator, peer: usize) -> String {
-    estimator.peers().nth(peer).map(|(peer, _)| peer.name.clone()).unwrap_or_default()
 }
 
 /// For a peer whose pairs were all unusable, reports as `csi5300 bearing` does that the antenna heard nothing. Every

@@ -9,7 +9,7 @@ use super::sources::Sources;
 use super::team::{Ranges, Solver};
 use csi5300::pipeline::live::PeerState;
 use csi5300::source::Error;
-use csi5300::source::recorder::{LogFiles, Rotation, Totals};
+use csi5300::source::recorder::{LogFiles, Rotation};
 use csi5300::source::side_path;
 use csi5300::time::{Instant, Span, WallWatch};
 use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
@@ -17,12 +17,9 @@ use driver_iface::side_file::Layout;
 use nix::sys::signal::SigSet;
 use sd_notify::NotifyState;
 use std::cell::OnceCell;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::io::Interest;
-use tokio::net::UnixStream;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
@@ -36,10 +33,8 @@ const LONGEST_WAIT: Span = Span::from_ms(500);
 /// How a service ended.
 #[derive(Debug)]
 pub struct Ended {
-    /// The state at the end.
+    /// The state at the end, with what is in the log.
     pub health: Health,
-    /// What is in the log.
-    pub totals: Option<Totals>,
     /// Bearings that were published.
     pub bearings: u64,
     /// A signal ended it.
@@ -55,21 +50,21 @@ pub struct Ended {
 pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
     // A log at the size limit (`ulimit -f`) acts as a full disk: the write fails with EFBIG, and the signal is blocked.
     let sizes = SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
-    sizes.map_err(|errno| Error::Io { what: "cannot catch signals".into(), source: errno.into() })?;
+    sizes.map_err(Error::io("cannot catch signals"))?;
     let wake = Arc::new(Notify::new());
     let ranges = Ranges::default();
     let start =
         Start { config, name: &name, wake: Arc::clone(&wake), ranges: ranges.clone(), topics: OnceCell::default() };
     let mut adapters = adapters::make(&start)?;
-    let sources = Sources::open(config, &mut adapters)?;
+    let sources = Sources::open(config, &mut adapters, &wake)?;
     let team = Solver::start(config, &name, ranges)?;
     let peers = sources.peers.iter().map(|peer| (peer.peer.name.clone(), peer.peer.mac)).collect();
     let robot = Robot { name: name.clone(), own: sources.own, peers };
     adapters.iter_mut().try_for_each(|adapter| adapter.meet(&robot))?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let io = |source| Error::Io { what: "cannot start tokio".into(), source };
+    let runtime = runtime.map_err(Error::io("cannot start tokio"))?;
     // Adapters are dropped outside of the runtime, where they may wait for their own, and after the machine is finished.
-    runtime.map_err(io)?.block_on(Service::serve(config, name, (sources, team), (&mut adapters, &wake)))
+    runtime.block_on(Service::serve(config, name, (sources, team), (&mut adapters, &wake)))
 }
 
 /// Real time, and the sources' own, which runs `speed` times as fast.
@@ -112,8 +107,8 @@ impl<'a> Service<'a> {
     async fn serve(
         config: &Config,
         name: String,
-        (mut sources, team): (Sources, Option<Solver>),
-        (adapters, came): (&'a mut [Box<dyn Adapter>], &'a Notify),
+        (sources, team): (Sources, Option<Solver>),
+        (adapters, wake): (&'a mut [Box<dyn Adapter>], &'a Notify),
     ) -> Result<Ended, Error> {
         // Signals first: from here on they end the robot in order.
         let hangup = Some(SignalKind::hangup()).filter(|_| !is_ignored(nix::sys::signal::Signal::SIGHUP));
@@ -122,11 +117,9 @@ impl<'a> Service<'a> {
             .chain(hangup)
             .map(signal)
             .collect::<std::io::Result<Vec<Signal>>>()
-            .map_err(|source| Error::Io { what: "cannot catch signals".into(), source })?;
-        let wake = sources.wake.take().map(UnixStream::from_std).transpose();
-        let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
+            .map_err(Error::io("cannot catch signals"))?;
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
-        let own = sources.own;
+        let (own, is_live) = (sources.own, sources.is_live);
         let answering = sources.peers.iter().filter(|peer| !peer.is_heard_only).map(|peer| peer.peer.mac).collect();
         let log = config.log.as_ref().map(log_files).transpose()?;
         let mut machine = Machine::new(sources, log, config.estimator_settings(), config.options(), clock.now())?;
@@ -136,7 +129,7 @@ impl<'a> Service<'a> {
         sounder.iter().for_each(|sounder| sounder.attach(&mut machine));
         let mut service = Self {
             adapters,
-            wake: came,
+            wake,
             clock,
             machine,
             sounder,
@@ -146,17 +139,17 @@ impl<'a> Service<'a> {
             looked: (clock.real.now(), processor_s()),
             bearings: 0,
             signalled: false,
-            wall: wake.is_some().then(WallWatch::default),
+            wall: is_live.then(WallWatch::default),
         };
         // Without a service manager nobody listens, which is no error.
         let _ = sd_notify::notify(&[NotifyState::Ready]);
-        let error = service.work(wake.as_ref(), &mut signals).await.err();
+        let error = service.work(&mut signals).await.err();
         let _ = sd_notify::notify(&[NotifyState::Stopping]);
-        service.finish(error)
+        Ok(service.finish(error))
     }
 
     /// Works until the records end or a signal comes.
-    async fn work(&mut self, wake: Option<&UnixStream>, signals: &mut [Signal]) -> Result<(), Error> {
+    async fn work(&mut self, signals: &mut [Signal]) -> Result<(), Error> {
         let watchdog = sd_notify::watchdog_enabled().map(|limit| limit / 2);
         let mut look_at = self.clock.real.now();
         let mut alive_at = look_at;
@@ -195,7 +188,6 @@ impl<'a> Service<'a> {
                     self.signalled = true;
                     return Ok(());
                 }
-                ready = readable(wake) => ready?,
                 () = self.wake.notified() => {}
                 () = tokio::time::sleep(wait) => if !wait.is_zero() { self.note_lateness() },
             }
@@ -225,7 +217,8 @@ impl<'a> Service<'a> {
         self.bearings += u64::from(report.state == PeerState::Bearing);
         let since = |at: Instant| (self.clock.now() - at).as_s() / self.clock.speed * 1e3;
         let latency_ms = report.heard_at.map(since);
-        let said = Said { peer, report: &report, took_ms: self.load.estimate_ms, latency_ms, machine: &self.machine };
+        let (took_ms, bearing) = (Some(self.load.estimate_ms), self.machine.estimator.bearing(peer));
+        let said = Said { peer, report: &report, bearing, took_ms, latency_ms };
         self.adapters.iter_mut().for_each(|adapter| adapter.report(&said));
         self.team.iter_mut().for_each(|team| team.note(peer, &report, &self.machine));
         self.looks.note(peer, report);
@@ -255,21 +248,28 @@ impl<'a> Service<'a> {
         health
     }
 
-    fn finish(mut self, error: Option<Error>) -> Result<Ended, Error> {
+    fn finish(mut self, error: Option<Error>) -> Ended {
         // One time for both: what the state counts is what the log has.
         let now = self.clock.now();
         self.machine.drain(now);
         let mut health = self.look();
-        let (reports, totals) = self.machine.finish(now)?;
+        let (reports, estimator, log) = self.machine.finish(now);
         // The machine held the sender too, for its measurements.
-        let error = self.sounder.take().and_then(Sounder::stop).or(error);
-        self.adapters.iter_mut().for_each(|adapter| adapter.finish(&reports, &mut health));
+        let mut error = self.sounder.take().and_then(Sounder::stop).or(error);
+        for (peer, report) in reports.iter().enumerate() {
+            let said = Said { peer, report, bearing: estimator.bearing(peer), took_ms: None, latency_ms: None };
+            self.adapters.iter_mut().for_each(|adapter| adapter.report(&said));
+        }
+        self.adapters.iter_mut().for_each(|adapter| adapter.finish(&mut health));
         for (report, peer) in reports.into_iter().zip(&mut health.peers) {
             self.bearings += u64::from(report.state == PeerState::Bearing);
             peer.report = Some(report);
         }
-        health.log.clone_from(&totals);
-        Ok(Ended { health, totals, bearings: self.bearings, signalled: self.signalled, error })
+        match log {
+            Ok(totals) => health.log = totals,
+            Err(died) => drop(error.get_or_insert(died)),
+        }
+        Ended { health, bearings: self.bearings, signalled: self.signalled, error }
     }
 }
 
@@ -282,19 +282,9 @@ async fn any(signals: &mut [Signal]) {
     .await;
 }
 
-/// Until the card's thread has something, or for ever without one.
-async fn readable(wake: Option<&UnixStream>) -> Result<(), Error> {
-    let Some(wake) = wake else { return std::future::pending().await };
-    let io = |source| Error::Io { what: "waiting for the card's thread".into(), source };
-    wake.ready(Interest::READABLE | Interest::ERROR).await.map_err(io)?;
-    // Takes what is available before the next wait; later arrivals are new edges.
-    let _ = wake.try_io(Interest::READABLE, || Err::<(), _>(ErrorKind::WouldBlock.into()));
-    Ok(())
-}
-
 /// The files of a log of everything.
 fn log_files(log: &Log) -> Result<LogFiles, Error> {
-    let rotation = Rotation { bytes: log.rotate_mib.map(|mib| mib.saturating_mul(1 << 20)), every: None };
+    let rotation = Rotation { bytes: log.rotate_mib.map(|mib| mib.get().saturating_mul(1 << 20)), every: None };
     let layout = if log.checksums { Layout::Checked } else { Layout::Narrow };
     Ok(LogFiles::create(&free_name(&log.file, rotation), rotation, false)?.with_side_layout(layout))
 }

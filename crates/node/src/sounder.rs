@@ -10,7 +10,7 @@ use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_live::monitor::Monitor;
 use csi5300_live::sounding::{
-    Granted, News, Notice, Order, Rate, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
+    News, Notice, Order, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -92,15 +92,7 @@ impl Sounder {
         if let Some(rate) = rate_n_flags(request.phy, config.antenna)
             && let Some(interface) = &asked.interface
         {
-            match set_rate(&csi5300_live::doctor::Machine, interface, rate) {
-                Rate::Other { found, mend, .. } => {
-                    warnings.push(format!("monitor_tx_rate is {found}: {mend}"));
-                }
-                Rate::Legacy(mend) => {
-                    warnings.push(format!("frames leave at a legacy rate, which makes no CSI: {mend}"));
-                }
-                Rate::FromRadiotap | Rate::Right(_) | Rate::Set(..) => {}
-            }
+            warnings.extend(set_rate(&csi5300_live::doctor::Machine, interface, rate).err());
         }
         let usual = Settings::default();
         let settings = Settings { fifo_priority: usual.fifo_priority.filter(|_| asked.fifo), ..usual };
@@ -167,7 +159,7 @@ impl Sounder {
 impl SoundingCounts {
     fn note(&mut self, news: &News) {
         let event = match news {
-            News::Started(granted) => return self.granted = Some(Granted::to_string(granted)),
+            News::Started(granted) => return self.granted = Some(granted.clone()),
             News::Notice(Notice::GoesOut) => return self.notice = None,
             News::Notice(notice) => return self.notice = Some(notice.to_string()),
             News::Event(event) => event,

@@ -25,8 +25,10 @@ use csi5300_sim::served::{self, Address, Role};
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::collections::HashMap;
-use std::os::unix::net::UnixStream;
+use std::os::fd::AsFd;
 use std::path::Path;
+use std::sync::Arc;
+use tokio::sync::Notify;
 
 /// Records of a log in which a host time is looked for.
 const LOOKED_AT: usize = 4_096;
@@ -51,6 +53,10 @@ pub struct PeerSources {
     pub poses: Option<Poses>,
     /// It does not answer: its bearing is that of the array.
     pub is_heard_only: bool,
+    /// Its records come over a network, which does not signal their end.
+    pub open_ended: bool,
+    /// Times that its poses changed to another frame.
+    pub new_frames: u64,
 }
 
 /// Everything that a configuration names.
@@ -59,8 +65,8 @@ pub struct Sources {
     pub own: Mac,
     /// This robot's records.
     pub capture: Card,
-    /// Something to wait on for more records, for a source that does not know when they come.
-    pub wake: Option<UnixStream>,
+    /// The records are those of a card now, not of a log or a room of this process.
+    pub is_live: bool,
     /// This robot's poses.
     pub poses: Option<Poses>,
     /// Its place, if it never moves.
@@ -101,23 +107,23 @@ impl Trajectories {
 /// This robot's records, opened.
 struct Opened {
     card: Card,
-    wake: Option<UnixStream>,
     /// The MAC of the card, where the source says it.
     mac: Option<Mac>,
-    /// Times real time.
-    speed: f64,
+    /// Times real time; none of a card whose records come when they come.
+    speed: Option<f64>,
 }
 
-impl Opened {
-    /// Of a card whose records come when they come.
-    fn live(card: CardThread, mac: Option<Mac>) -> Result<Self, Error> {
-        Ok(Self { wake: Some(card.wake()?), card: Box::new(card), mac, speed: 1.0 })
+impl From<CardThread> for Opened {
+    fn from(card: CardThread) -> Self {
+        Self { card: Box::new(card), mac: None, speed: None }
     }
 }
 
 /// What several sources of one configuration share.
 struct Shared<'a> {
     adapters: &'a mut [Box<dyn Adapter>],
+    /// Notified when a card's thread has something.
+    wake: &'a Arc<Notify>,
     /// The simulated room of this process.
     room: Option<Room>,
     /// The socket of a room that another program runs.
@@ -128,15 +134,17 @@ struct Shared<'a> {
 }
 
 impl Sources {
-    /// Opens everything; the sources' time begins at zero, and `adapters` have poses.
+    /// Opens everything; the sources' time begins at zero, and `adapters` have poses. `wake` is notified when a card's thread
+    /// has something.
     ///
     /// # Errors
     /// What cannot be opened, with what to do about it.
-    pub fn open(config: &Config, adapters: &mut [Box<dyn Adapter>]) -> Result<Self, Error> {
+    pub fn open(config: &Config, adapters: &mut [Box<dyn Adapter>], wake: &Arc<Notify>) -> Result<Self, Error> {
         let trajectories = Trajectories::default();
-        let mut shared = Shared { adapters, room: None, served: None, replayed: None, trajectories };
+        let mut shared = Shared { adapters, wake, room: None, served: None, replayed: None, trajectories };
         let capture = config.capture.get_ref();
-        let Opened { card, wake, mac, speed } = shared.capture(capture, config)?;
+        let Opened { card, mac, speed } = shared.capture(capture, config)?;
+        let (is_live, speed) = (speed.is_none(), speed.unwrap_or(1.0));
         let own = config.mac.or(mac);
         let robot = capture.robot().unwrap_or_default();
         let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m, config.camera_mount)?;
@@ -145,7 +153,7 @@ impl Sources {
         let array = config.array.as_ref().map(|array| array.array()).transpose();
         let array = array.map_err(|error| Error::Backend(Box::new(error)))?;
         let trajectories = shared.trajectories;
-        Ok(Self { own, capture: card, wake, poses, track, peers, array, trajectories, speed })
+        Ok(Self { own, capture: card, is_live, poses, track, peers, array, trajectories, speed })
     }
 }
 
@@ -156,31 +164,42 @@ fn adapted(adapters: &mut [Box<dyn Adapter>], odometry: &Odometry, usual: Stamp)
 }
 
 impl<'a> Shared<'a> {
+    fn thread(&self, card: impl CsiSource + AsFd + Send + 'static) -> Result<CardThread, Error> {
+        let wake = Arc::clone(self.wake);
+        CardThread::start(card, move || wake.notify_one())
+    }
+
+    /// A robot's card in a room that another program runs, and its MAC.
+    fn join(&self, socket: &Path, robot: &str) -> Result<(CardThread, Mac), Error> {
+        let (room, mac) = served::join(&address(socket, robot), Role::Card)?;
+        Ok((self.thread(Netlink::over(room, wall_us))?, mac))
+    }
+
     /// This robot's records.
     fn capture(&mut self, capture: &'a Capture, config: &Config) -> Result<Opened, Error> {
         match capture {
             &Capture::Card(config::Card { connector_index, allow_user_sender }) => {
                 let options = netlink::Options { connector_index, allow_user_sender, ..netlink::Options::default() };
-                Opened::live(CardThread::start(Netlink::open(&options)?)?, None)
+                self.thread(Netlink::open(&options)?).map(Opened::from)
             }
             Capture::Stock(asked) => {
                 // With a key the tags of frames are checked.
                 let has_key = config.sounding.as_ref().is_some_and(|sounding| sounding.key.is_some());
                 let records = driver_iface::stock::Options { frames: asked.frames || has_key, ..Default::default() };
-                let options = stock::Options { records, own: config.mac, ..stock::Options::default() };
-                Opened::live(CardThread::start(Stock::open(&options)?)?, None)
+                let options = stock::Options { records, ring: stock::RING, own: config.mac };
+                self.thread(Stock::open(&options)?).map(Opened::from)
             }
-            Capture::Feitcsi(asked) => Opened::live(CardThread::start(FeitCsi::new(frames_of(asked)?))?, None),
+            Capture::Feitcsi(asked) => self.thread(FeitCsi::new(frames_of(asked)?)).map(Opened::from),
             Capture::Served(served) => {
                 self.served = Some(&served.socket);
-                let (card, mac) = join(&served.socket, &served.robot)?;
-                Opened::live(card, Some(mac))
+                let (card, mac) = self.join(&served.socket, &served.robot)?;
+                Ok(Opened { mac: Some(mac), ..card.into() })
             }
             Capture::Replay(asked) => {
                 let origin_s = first_host_s(&asked.file)?;
                 self.replayed = Some(ReplayedLog { file: &asked.file, own: config.mac, origin_s });
                 let card = Box::new(Paced::new(Replay::open(&asked.file)?, 1.0, None));
-                Ok(Opened { card, wake: None, mac: None, speed: asked.speed })
+                Ok(Opened { card, mac: None, speed: Some(asked.speed) })
             }
             Capture::Room(asked) => {
                 let mut room = Room::new(&asked.load_scene()?)?;
@@ -196,7 +215,7 @@ impl<'a> Shared<'a> {
                 let card = Box::new(room.card(own).ok_or_else(|| refused("the room's card is taken"))?);
                 let mac = room.mac(own);
                 self.room = Some(room);
-                Ok(Opened { card, wake: None, mac, speed: asked.speed })
+                Ok(Opened { card, mac, speed: Some(asked.speed) })
             }
         }
     }
@@ -224,8 +243,7 @@ impl<'a> Shared<'a> {
                 (None, None) => return Err(absent(robot)),
             },
             Odometry::Opencr(port) => {
-                let geometry = port.model.map(config::Model::geometry);
-                let serial = Serial::open(port.port.clone(), port.rate_hz, geometry, Instant::ZERO, wall_us)?;
+                let serial = Serial::open(port.port.clone(), port.rate_hz, port.model, Instant::ZERO, wall_us)?;
                 Box::new(PoseThread::start(serial)?)
             }
         };
@@ -251,7 +269,7 @@ impl<'a> Shared<'a> {
             Records::Room(_) => {
                 let (card, mac): (Card, Mac) = match (self.served, &mut self.room) {
                     (Some(socket), _) => {
-                        let (card, mac) = join(socket, &peer.name)?;
+                        let (card, mac) = self.join(socket, &peer.name)?;
                         (Box::new(card), mac)
                     }
                     (None, Some(room)) => peer_card(room, &peer.name)?,
@@ -269,7 +287,7 @@ impl<'a> Shared<'a> {
         let mac = peer.mac.or(mac).ok_or_else(unknown)?;
         let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
         let is_heard_only = matches!(peer.records, Records::Heard(_));
-        Ok(PeerSources { peer: told, records, poses, is_heard_only })
+        Ok(PeerSources { peer: told, records, poses, is_heard_only, open_ended: false, new_frames: 0 })
     }
 }
 
@@ -278,17 +296,11 @@ fn frames_of(asked: &Feitcsi) -> Result<Frames, Error> {
     match asked {
         Feitcsi::Udp(command) => Frames::ask(command, wall_us),
         Feitcsi::Pipe(pipe) => {
-            let io = |source| Error::Io { what: format!("cannot read {}", pipe.display()), source };
-            let pipe = std::fs::File::options().read(true).write(true).open(pipe).map_err(io)?;
-            Ok(Frames::read(pipe.into(), wall_us))
+            let opened = std::fs::File::options().read(true).write(true).open(pipe);
+            let opened = opened.map_err(Error::io(format!("cannot read {}", pipe.display())))?;
+            Ok(Frames::read(opened.into(), wall_us))
         }
     }
-}
-
-/// A robot's card in a room that another program runs, and its MAC.
-fn join(socket: &Path, robot: &str) -> Result<(CardThread, Mac), Error> {
-    let (room, mac) = served::join(&address(socket, robot), Role::Card)?;
-    Ok((CardThread::start(Netlink::over(room, wall_us))?, mac))
 }
 
 fn address(socket: &Path, robot: &str) -> Address {

@@ -30,7 +30,7 @@ const LINKS: usize = 96;
 const PARTS: [f64; 2] = [0.25, 0.75];
 /// Share of ranges that are wrong, by reflections.
 const RANGE_OUTLIERS: f64 = 0.1;
-/// Ranges to a peer that wait for a bearing.
+/// Ranges to a peer that are kept for a bearing.
 const RANGES: usize = 1_024;
 /// Bytes of the factors at most: a message of ROS 2 holds 64,000.
 const LARGEST: usize = 60_000;
@@ -44,8 +44,6 @@ const AXES_SD_RAD: f64 = 0.017;
 const STEP_M: f64 = 0.02;
 /// Least time between two keyframes of a robot, seconds.
 const APART_S: f64 = 1e-6;
-/// Ranges that wait at most; the oldest are lost.
-const WAITING: usize = 4_096;
 
 /// The team as solved last.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -149,34 +147,24 @@ pub struct Graph {
     /// Bearings of the coarse grid only are all that there are.
     is_coarse: bool,
     seen: VecDeque<Seen>,
-    /// The last ranges to each peer.
-    ranges: BTreeMap<String, VecDeque<Ranged>>,
+    ranges: Ranges,
     /// Frames that this robot's and each peer's poses were in.
     frames: (PoseCounts, BTreeMap<String, u64>),
 }
 
 impl Graph {
-    /// An empty graph of the robot `name`, if the configuration asks for one.
+    /// An empty graph of the robot `name`, if the configuration asks for one, with the ranges that come.
     #[must_use]
-    pub fn new(config: &Config, name: &str) -> Option<Self> {
+    pub fn new(config: &Config, name: &str, ranges: Ranges) -> Option<Self> {
         Some(Self {
             name: name.to_owned(),
             asked: config.team.clone()?,
             heading_sd_rad: config.heading_sd_deg().to_radians(),
             is_coarse: !config.estimator.accurate,
             seen: VecDeque::new(),
-            ranges: BTreeMap::new(),
+            ranges,
             frames: Default::default(),
         })
-    }
-
-    /// Keeps a range for the bearing during which it was measured.
-    pub fn range(&mut self, range: Ranged) {
-        let ranges = self.ranges.entry(range.peer.clone()).or_default();
-        ranges.push_back(range);
-        if ranges.len() > RANGES {
-            ranges.pop_front();
-        }
     }
 
     /// Takes the machine's last report about a peer. True if the graph changed.
@@ -219,7 +207,7 @@ impl Graph {
         let moves = other_m.iter().any(|at| *at != Vector3::zeros());
         let other = moves.then(|| Stretch::of(other_m, seconds));
         let bearing_link = Link { t_s: 0.5 * (span_s[0] + span_s[1]), own, other, modes, outliers: LINK_OUTLIERS };
-        let range_link = |range: &Ranged| {
+        let range_link = |range: Ranged| {
             let [range_m, sd_m] = range.range_m;
             Link {
                 t_s: range.t_s,
@@ -229,7 +217,7 @@ impl Graph {
                 outliers: RANGE_OUTLIERS,
             }
         };
-        let ranges = self.ranges_within(peer, span_s).into_iter().map(range_link);
+        let ranges = self.ranges.within(peer, span_s).into_iter().map(range_link);
         Some(Seen {
             peer: peer.to_owned(),
             span_s,
@@ -237,18 +225,6 @@ impl Graph {
             end_m: path_m.last()?.xy(),
             heading_rad: bearing.heading_rad,
         })
-    }
-
-    /// The ranges next to the [`PARTS`] of a bearing's time.
-    fn ranges_within(&self, peer: &str, [from_s, to_s]: [f64; 2]) -> Vec<&Ranged> {
-        let within = || self.ranges.get(peer).into_iter().flatten().filter(|own| (from_s..=to_s).contains(&own.t_s));
-        let next_to = |part: f64| {
-            let at_s = from_s + part * (to_s - from_s);
-            within().min_by(|a, b| (a.t_s - at_s).abs().total_cmp(&(b.t_s - at_s).abs()))
-        };
-        let mut found: Vec<&Ranged> = PARTS.into_iter().filter_map(next_to).collect();
-        found.dedup_by(|a, b| std::ptr::eq(*a, *b));
-        found
     }
 
     /// Poses of this robot and of the peers that the bearings determine.
@@ -430,7 +406,6 @@ fn odometry([x, y, yaw]: [f64; 3], at_m: Vector2<f64>) -> [f64; 3] {
 /// A graph that is solved on its own thread, so that the robot never waits for it.
 pub struct Solver {
     graph: Graph,
-    ranges: Ranges,
     /// The graph has a bearing that was not given to the thread.
     is_new: bool,
     /// Graphs given to the thread without an answer yet, and how many of these are of a frame that is over.
@@ -448,7 +423,7 @@ impl Solver {
     /// # Errors
     /// If it cannot be started.
     pub fn start(config: &Config, name: &str, ranges: Ranges) -> Result<Option<Self>, Error> {
-        let Some(graph) = Graph::new(config, name) else { return Ok(None) };
+        let Some(graph) = Graph::new(config, name, ranges) else { return Ok(None) };
         let (to, asked) = sync_channel::<Graph>(0);
         let (tell, from) = sync_channel(1);
         let solve = move || {
@@ -460,12 +435,11 @@ impl Solver {
         };
         spawn("csi5300 team", "cannot start the thread that solves the team", solve)?;
         let (state, notes) = (TeamState::default(), Vec::new());
-        Ok(Some(Self { graph, ranges, is_new: false, asked: [0; 2], to, from, state, notes }))
+        Ok(Some(Self { graph, is_new: false, asked: [0; 2], to, from, state, notes }))
     }
 
     /// Takes the machine's last report about a peer.
     pub fn note(&mut self, peer: usize, report: &PeerReport, machine: &Machine) {
-        self.ranges.take().into_iter().for_each(|range| self.graph.range(range));
         let frame = self.graph.frames.0;
         self.is_new |= self.graph.note(peer, report, machine);
         if self.graph.frames.0 != frame {
@@ -501,8 +475,8 @@ impl Solver {
     /// Topics of ranges without usable messages.
     fn range_notes(&self) -> impl Iterator<Item = String> {
         self.graph.asked.ranges.iter().filter_map(|(peer, asked)| {
-            let (counts, topic) = (self.ranges.counts(peer), &asked.topic);
-            match (counts.came, counts.unusable) {
+            let topic = &asked.topic;
+            match self.graph.ranges.counts(peer) {
                 (0, _) => Some(format!("no range to {peer} yet on {topic}")),
                 (_, 0) => None,
                 (came, unusable) => Some(format!(
@@ -515,56 +489,55 @@ impl Solver {
 }
 
 /// A range to a peer.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ranged {
-    /// The peer's name.
-    pub peer: String,
     /// Host time, seconds since the Unix epoch.
     pub t_s: f64,
     /// The range and its standard deviation, metres.
     pub range_m: [f64; 2],
 }
 
-/// Messages of one peer's topic.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct RangeCounts {
-    /// All.
-    pub came: u64,
-    /// Those that could not be used: not finite, outside of their own limits, or of another type.
-    pub unusable: u64,
-}
-
-/// Ranges that wait, shared by an adapter and the service.
+/// The last ranges to each peer, shared by an adapter and the graph.
 #[derive(Clone, Debug, Default)]
-pub struct Ranges(Arc<Mutex<Waiting>>);
+pub struct Ranges(Arc<Mutex<BTreeMap<String, RangesTo>>>);
 
+/// Messages of one peer's topic: all, those that could not be used, and the last ranges.
 #[derive(Debug, Default)]
-struct Waiting {
-    ranges: VecDeque<Ranged>,
-    counts: BTreeMap<String, RangeCounts>,
+struct RangesTo {
+    came: u64,
+    unusable: u64,
+    last: VecDeque<Ranged>,
 }
 
 impl Ranges {
     /// Adds a message about `peer`; `range` is `None` if it cannot be used.
     pub fn put(&self, peer: &str, range: Option<Ranged>) {
-        let mut waiting = lock(&self.0);
-        let counts = waiting.counts.entry(peer.to_owned()).or_default();
-        counts.came += 1;
-        counts.unusable += u64::from(range.is_none());
-        waiting.ranges.extend(range);
-        if waiting.ranges.len() > WAITING {
-            waiting.ranges.pop_front();
+        let mut all = lock(&self.0);
+        let own = all.entry(peer.to_owned()).or_default();
+        own.came += 1;
+        own.unusable += u64::from(range.is_none());
+        own.last.extend(range);
+        if own.last.len() > RANGES {
+            own.last.pop_front();
         }
     }
 
-    /// All that wait.
-    #[must_use]
-    pub fn take(&self) -> VecDeque<Ranged> {
-        std::mem::take(&mut lock(&self.0).ranges)
+    /// The ranges next to the [`PARTS`] of a bearing's time.
+    fn within(&self, peer: &str, [from_s, to_s]: [f64; 2]) -> Vec<Ranged> {
+        let all = lock(&self.0);
+        let within =
+            || all.get(peer).into_iter().flat_map(|own| &own.last).filter(|own| (from_s..=to_s).contains(&own.t_s));
+        let next_to = |part: f64| {
+            let at_s = from_s + part * (to_s - from_s);
+            within().min_by(|a, b| (a.t_s - at_s).abs().total_cmp(&(b.t_s - at_s).abs()))
+        };
+        let mut found: Vec<Ranged> = PARTS.into_iter().filter_map(next_to).copied().collect();
+        found.dedup();
+        found
     }
 
-    /// The messages about `peer` so far.
-    fn counts(&self, peer: &str) -> RangeCounts {
-        lock(&self.0).counts.get(peer).copied().unwrap_or_default()
+    /// The messages about `peer` so far, and those that could not be used.
+    fn counts(&self, peer: &str) -> (u64, u64) {
+        lock(&self.0).get(peer).map_or((0, 0), |own| (own.came, own.unusable))
     }
 }

@@ -7,10 +7,8 @@ use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
 use csi5300::time::{Instant, Span};
 use csi5300_live::wait::Monotonic;
 use driver_iface::record::{Record, Tail};
-use std::io::{Read, Write};
-use std::net::Shutdown;
+use std::io::{PipeReader, PipeWriter};
 use std::os::fd::AsFd;
-use std::os::unix::net::UnixStream;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -31,7 +29,7 @@ pub(crate) fn spawn(
     work: impl FnOnce() + Send + 'static,
 ) -> Result<JoinHandle<()>, Error> {
     let thread = std::thread::Builder::new().name(name.into()).spawn(work);
-    thread.map_err(|source| Error::Io { what: what.into(), source })
+    thread.map_err(Error::io(what))
 }
 
 /// An item of a source that outlives the source's buffer.
@@ -65,51 +63,32 @@ impl Item {
 /// A card that is read on a separate thread.
 pub struct CardThread {
     items: Receiver<Result<Item, Error>>,
-    /// Gets a byte when records arrive; shutting it down ends the thread.
-    told: UnixStream,
+    /// Its end is that of the thread.
+    _open: PipeWriter,
     /// The last item.
     item: Option<Item>,
 }
 
 impl CardThread {
-    /// Reads `card` from now on, and waits on its file descriptor.
+    /// Reads `card` from now on, and waits on its file descriptor. Calls `wake` after records came, and at the end.
     ///
     /// # Errors
     /// If the thread cannot be started.
-    pub fn start<S: CsiSource + AsFd + Send + 'static>(card: S) -> Result<Self, Error> {
+    pub fn start<S: CsiSource + AsFd + Send + 'static>(
+        card: S,
+        wake: impl Fn() + Send + 'static,
+    ) -> Result<Self, Error> {
         let what = "cannot start the thread that listens to the card";
-        let io = |source| Error::Io { what: what.into(), source };
-        let (told, tell) = UnixStream::pair().map_err(io)?;
-        told.set_nonblocking(true).map_err(io)?;
-        tell.set_nonblocking(true).map_err(io)?;
+        let (shut, open) = std::io::pipe().map_err(Error::io(what))?;
         let (give, items) = sync_channel(RECORDS);
         let read = move || {
-            if let Err(error) = listen(card, &give, &tell) {
+            if let Err(error) = listen(card, &give, &shut, &wake) {
                 let _ = give.send(Err(error));
             }
-            let _ = (&tell).write(&[0]);
+            wake();
         };
         spawn("csi5300 card", what, read)?;
-        Ok(Self { items, told, item: None })
-    }
-
-    /// Something to wait on for more records.
-    ///
-    /// # Errors
-    /// Out of file descriptors.
-    pub fn wake(&self) -> Result<UnixStream, Error> {
-        let io = |source| Error::Io { what: "cannot wait for the card's thread".into(), source };
-        self.told.try_clone().map_err(io)
-    }
-
-    /// The next item. An empty queue is read once more after its announcing bytes were taken; later items are announced
-    /// again.
-    fn next(&mut self) -> Result<Result<Item, Error>, TryRecvError> {
-        self.items.try_recv().or_else(|why| {
-            let mut bytes = [0; 64];
-            while matches!((&self.told).read(&mut bytes), Ok(read) if read > 0) {}
-            if why == TryRecvError::Empty { self.items.try_recv() } else { Err(why) }
-        })
+        Ok(Self { items, _open: open, item: None })
     }
 }
 
@@ -117,7 +96,8 @@ impl CardThread {
 fn listen<S: CsiSource + AsFd>(
     mut card: S,
     give: &SyncSender<Result<Item, Error>>,
-    tell: &UnixStream,
+    shut: &PipeReader,
+    wake: &impl Fn(),
 ) -> Result<(), Error> {
     let clock = Monotonic::new();
     let mut untold = 0;
@@ -129,13 +109,12 @@ fn listen<S: CsiSource + AsFd>(
             return Ok(());
         }
         if untold > 0 && (pending || untold >= TELL) {
-            // No room in the pipe means that a notification already exists.
-            let _ = (&*tell).write(&[0]);
+            wake();
             untold = 0;
         }
         if pending {
-            let [_, shut] = clock.wait([card.as_fd(), tell.as_fd()], card.next_at())?;
-            if shut {
+            let [_, is_shut] = clock.wait([card.as_fd(), shut.as_fd()], card.next_at())?;
+            if is_shut {
                 return Ok(());
             }
         }
@@ -144,7 +123,7 @@ fn listen<S: CsiSource + AsFd>(
 
 impl CsiSource for CardThread {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        match self.next() {
+        match self.items.try_recv() {
             Ok(item) => {
                 let item = self.item.insert(item?);
                 if let Item::Record(stamps, ..) = item {
@@ -159,12 +138,6 @@ impl CsiSource for CardThread {
 
     fn next_at(&self) -> Option<Instant> {
         None
-    }
-}
-
-impl Drop for CardThread {
-    fn drop(&mut self) {
-        let _ = self.told.shutdown(Shutdown::Both);
     }
 }
 
@@ -253,7 +226,9 @@ impl OdometrySource for PoseThread {
 mod tests {
     use super::*;
     use csi5300::motion::pose::Pose;
+    use std::io::{Read, Write};
     use std::os::fd::BorrowedFd;
+    use std::os::unix::net::UnixStream;
     use std::sync::atomic::{AtomicI64, Ordering};
 
     /// A card that repeats the bytes of a socket, stamped with `WALL_US`.
@@ -289,9 +264,9 @@ mod tests {
     fn a_record_has_the_time_at_which_it_came_however_late_it_is_taken() {
         let (mut card, wire) = UnixStream::pair().unwrap();
         wire.set_nonblocking(true).unwrap();
-        let mut thread = CardThread::start(Wire(wire, Vec::new())).unwrap();
-        let wake = thread.wake().unwrap();
-        let wait = || Monotonic::new().wait([wake.as_fd()], None).unwrap();
+        let (wake, woken) = std::sync::mpsc::channel();
+        let mut thread = CardThread::start(Wire(wire, Vec::new()), move || _ = wake.send(())).unwrap();
+        let wait = || woken.recv().unwrap();
         for us in 1..=3 {
             WALL_US.store(us, Ordering::SeqCst);
             card.write_all(&[us as u8]).unwrap();
@@ -315,7 +290,7 @@ mod tests {
     fn the_card_is_let_go_when_nobody_reads() {
         let (mut card, wire) = UnixStream::pair().unwrap();
         wire.set_nonblocking(true).unwrap();
-        drop(CardThread::start(Wire(wire, Vec::new())).unwrap());
+        drop(CardThread::start(Wire(wire, Vec::new()), || ()).unwrap());
         // The thread's end of the wire is closed: this ends.
         assert_eq!(card.read(&mut [0; 1]).unwrap(), 0);
     }

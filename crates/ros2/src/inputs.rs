@@ -5,15 +5,15 @@ use super::link::{Came, Link};
 use super::lock;
 use super::rtps::Qos;
 use crate::settings::{Kind, Topic};
-use csi5300::motion::odometry::ros::{Inbox, Message, Stamp, Wanted};
-use csi5300_bag::messages::{Clock, Header, Imu, Odometry, PoseStamped, Range, TfMessage, TransformStamped};
+use csi5300::motion::odometry::ros::{self, Inbox, Message, Stamp, Wanted};
+use csi5300_bag::messages::{Clock, Header, Imu, Odometry, PoseStamped, TfMessage, TransformStamped};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// Messages that a reader of poses keeps.
-const DEPTH: u32 = 64;
+/// Messages that a reader of poses or ranges keeps.
+pub(crate) const DEPTH: u32 = 64;
 /// An orientation of the inertial unit older than this is not used, microseconds.
 const IMU_US: i64 = 200_000;
 /// Frames that are kept at most.
@@ -104,23 +104,6 @@ fn heading(rotation: &UnitQuaternion<f64>) -> f64 {
     forward.y.atan2(forward.x)
 }
 
-/// Passes the ranges of `topic` to `used`: host time in microseconds, range and its deviation in metres (0: unknown); `None` for a
-/// range that cannot be used. A range without a stamp has its time of receipt.
-pub(crate) fn ranges(
-    link: &Link,
-    topic: &str,
-    clock: &SimClock,
-    used: impl Fn(Option<(i64, [f64; 2])>) + Clone + Send + 'static,
-) {
-    let (clock, unreadable) = (clock.clone(), used.clone());
-    let read = move |told: Range, came: Came| {
-        let stamp_us = told.header.stamp.us();
-        let at_us = if stamp_us == 0 { Some(came.at_us) } else { clock.to_host(stamp_us) };
-        used(at_us.zip(told.metres()));
-    };
-    link.subscribe(topic, Qos::best_effort(DEPTH), read, move || unreadable(None));
-}
-
 /// State that the subscriptions of one source of poses share.
 struct Shared {
     inbox: Inbox,
@@ -132,18 +115,15 @@ struct Shared {
 struct State {
     tree: Tree,
     turns: Turns,
-    /// Why poses are not used at present.
-    waits: Option<String>,
 }
 
 impl Shared {
     /// Passes on a pose of the robot in the frame of `header`, moved to a place `mounted` on the robot.
     fn put(&self, state: &mut State, header: &Header, pose: Isometry3<f64>, mounted: Isometry3<f64>, came: Came) {
         let Some(ahead_us) = self.clock.ahead_us() else {
-            state.waits = Some("no message on /clock, which `use_sim_time` needs".into());
-            return;
+            return self.inbox.say(Some("no message on /clock, which `use_sim_time` needs".into()));
         };
-        state.waits = None;
+        self.inbox.say(None);
         let mut message = Message {
             publisher: came.publisher,
             stamp: (u32::try_from(header.stamp.sec).unwrap_or(0), header.stamp.nanosec),
@@ -172,8 +152,8 @@ impl Shared {
                 Some((mounted, _)) => mounted,
                 None => {
                     let robot = &odometry.child_frame_id;
-                    state.waits = Some(format!("/tf_static has no transform from {robot} to {antenna}"));
-                    return;
+                    let why = format!("/tf_static has no transform from {robot} to {antenna}");
+                    return self.inbox.say(Some(why));
                 }
             },
         };
@@ -189,8 +169,7 @@ impl Shared {
         }
         let Some((from, to)) = wanted.filter(|_| !is_fixed) else { return };
         let Some((pose, moving)) = state.tree.find(from, to) else {
-            state.waits = Some(format!("no transforms lead from {from} to {to}"));
-            return;
+            return self.inbox.say(Some(format!("no transforms lead from {from} to {to}")));
         };
         // The stamp of the lowest moving frame counts: those above it may be stamped ahead, as AMCL does.
         let newest = told.transforms.iter().filter(|one| Some(one.child_frame_id.trim_start_matches('/')) == moving);
@@ -201,68 +180,51 @@ impl Shared {
     }
 }
 
-/// A source of poses, and the state from which its problems are reported.
-pub(crate) struct PoseTopic(Arc<Shared>);
-
-impl PoseTopic {
-    /// Subscribes to `topic`. `usual` is the time source unless the topic names one. Returns the receiver of the poses, too.
-    pub fn open(
-        link: &Link,
-        topic: &Topic,
-        usual: Stamp,
-        clock: &SimClock,
-    ) -> (Self, csi5300::motion::odometry::ros::Topic) {
-        let frame = if topic.kind == Kind::Tf { None } else { topic.frame.clone() };
-        let wanted = Wanted { stamp: topic.stamp.unwrap_or(usual), frame };
-        let name = link.names().whole(topic.name());
-        // With times of receipt, stamps do not matter.
-        let clock = if wanted.stamp == Stamp::Receipt { SimClock::real() } else { clock.clone() };
-        let shared = Arc::new(Shared { inbox: Inbox::new(&name, wanted), clock, state: Mutex::default() });
-        Self::subscribe(link, topic, &shared);
-        if topic.kind == Kind::Tf || topic.antenna_frame.is_some() {
-            let fixed = Arc::clone(&shared);
-            let used = move |told: TfMessage, came| fixed.transforms(&told, true, None, came);
-            link.subscribe("/tf_static", Qos::latched(DEPTH), used, || ());
-        }
-        if let Some(imu) = &topic.imu {
-            let turned = Arc::clone(&shared);
-            let used = move |imu: Imu, came: Came| lock(&turned.state).turns.handle(&imu, came.at_us);
-            link.subscribe(imu, Qos::best_effort(DEPTH), used, || ());
-        }
-        let source = shared.inbox.source();
-        (Self(shared), source)
+/// The poses of `topic`; `usual` is the time source unless the topic names one.
+pub(crate) fn poses(link: &Link, topic: &Topic, usual: Stamp, clock: &SimClock) -> ros::Topic {
+    let frame = if topic.kind == Kind::Tf { None } else { topic.frame.clone() };
+    let wanted = Wanted { stamp: topic.stamp.unwrap_or(usual), frame };
+    let name = link.names().whole(topic.name());
+    // With times of receipt, stamps do not matter.
+    let clock = if wanted.stamp == Stamp::Receipt { SimClock::real() } else { clock.clone() };
+    let shared = Arc::new(Shared { inbox: Inbox::new(&name, wanted), clock, state: Mutex::default() });
+    subscribe(link, topic, &shared);
+    if topic.kind == Kind::Tf || topic.antenna_frame.is_some() {
+        let fixed = Arc::clone(&shared);
+        let used = move |told: TfMessage, came| fixed.transforms(&told, true, None, came);
+        link.subscribe("/tf_static", Qos::latched(DEPTH), used, || ());
     }
-
-    fn subscribe(link: &Link, topic: &Topic, shared: &Arc<Shared>) {
-        let (into, bad) = (Arc::clone(shared), Arc::clone(shared));
-        let unreadable = move || bad.inbox.unreadable();
-        // A best-effort, volatile reader matches every publisher.
-        let qos = Qos::best_effort(DEPTH);
-        match topic.kind {
-            Kind::Odometry => {
-                let antenna = topic.antenna_frame.clone();
-                let used = move |told: Odometry, came| into.odometry(&told, antenna.as_deref(), came);
-                link.subscribe(topic.name(), qos, used, unreadable)
-            }
-            Kind::Pose => {
-                let used = move |told: PoseStamped, came| match told.pose.isometry() {
-                    Some(pose) => into.put(&mut lock(&into.state), &told.header, pose, Isometry3::identity(), came),
-                    None => into.inbox.unreadable(),
-                };
-                link.subscribe(topic.name(), qos, used, unreadable)
-            }
-            Kind::Tf => {
-                let (from, to) = (topic.frame.clone().unwrap_or_default(), topic.child.clone().unwrap_or_default());
-                let used = move |told: TfMessage, came| into.transforms(&told, false, Some((&from, &to)), came);
-                link.subscribe(topic.name(), qos, used, unreadable)
-            }
-        }
+    if let Some(imu) = &topic.imu {
+        let turned = Arc::clone(&shared);
+        let used = move |imu: Imu, came: Came| lock(&turned.state).turns.handle(&imu, came.at_us);
+        link.subscribe(imu, Qos::best_effort(DEPTH), used, || ());
     }
+    shared.inbox.source()
+}
 
-    /// Sets the source's current problem.
-    pub fn look(&self) {
-        let waits = lock(&self.0.state).waits.clone();
-        self.0.inbox.say(waits);
+fn subscribe(link: &Link, topic: &Topic, shared: &Arc<Shared>) {
+    let (into, bad) = (Arc::clone(shared), Arc::clone(shared));
+    let unreadable = move || bad.inbox.unreadable();
+    // A best-effort, volatile reader matches every publisher.
+    let qos = Qos::best_effort(DEPTH);
+    match topic.kind {
+        Kind::Odometry => {
+            let antenna = topic.antenna_frame.clone();
+            let used = move |told: Odometry, came| into.odometry(&told, antenna.as_deref(), came);
+            link.subscribe(topic.name(), qos, used, unreadable)
+        }
+        Kind::Pose => {
+            let used = move |told: PoseStamped, came| match told.pose.isometry() {
+                Some(pose) => into.put(&mut lock(&into.state), &told.header, pose, Isometry3::identity(), came),
+                None => into.inbox.unreadable(),
+            };
+            link.subscribe(topic.name(), qos, used, unreadable)
+        }
+        Kind::Tf => {
+            let (from, to) = (topic.frame.clone().unwrap_or_default(), topic.child.clone().unwrap_or_default());
+            let used = move |told: TfMessage, came| into.transforms(&told, false, Some((&from, &to)), came);
+            link.subscribe(topic.name(), qos, used, unreadable)
+        }
     }
 }
 
@@ -395,13 +357,13 @@ mod tests {
         let shared = shared(Stamp::Header);
         shared.odometry(&odometry(10.0, 1.0, 0.0), Some("antenna"), came(10_000_000));
         assert_eq!(poses(&shared), []);
-        assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("from base_link to antenna")));
+        assert!(shared.inbox.source().trouble().is_some_and(|why| why.contains("from base_link to antenna")));
         let fixed = TfMessage { transforms: vec![transform("base_link", "antenna", 0.0, [0.5, 0.0, 0.0], 0.0)] };
         shared.transforms(&fixed, true, None, came(0));
         shared.odometry(&odometry(10.0, 1.0, FRAC_PI_2), Some("antenna"), came(10_000_000));
         let pose = poses(&shared)[0];
         assert!((pose.position_m - Vector3::new(1.0, 0.5, 0.0)).norm() < 1e-9, "{pose:?}");
-        assert_eq!((pose.t_s, lock(&shared.state).waits.clone()), (10.0, None));
+        assert_eq!((pose.t_s, shared.inbox.source().trouble()), (10.0, None));
     }
 
     #[test]
@@ -413,7 +375,7 @@ mod tests {
         };
         tell(vec![transform("base_link", "antenna", 0.0, [0.1, 0.0, 0.0], 0.0)], true);
         tell(vec![transform("odom", "base_link", 4.0, [1.0, 0.0, 0.0], 0.0)], false);
-        assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("from map to antenna")));
+        assert!(shared.inbox.source().trouble().is_some_and(|why| why.contains("from map to antenna")));
         // Stamped ahead, as AMCL does.
         tell(vec![transform("map", "odom", 6.0, [10.0, 0.0, 0.0], 0.0)], false);
         assert_eq!(poses(&shared), []);
@@ -458,7 +420,7 @@ mod tests {
         let shared = Shared { clock: clock.clone(), ..shared(Stamp::Header) };
         shared.odometry(&odometry(3.0, 0.0, 0.0), None, came(1_000_000_000));
         assert!(poses(&shared).is_empty() && clock.is_unknown() && clock.to_stamp(7) == 0);
-        assert!(lock(&shared.state).waits.as_ref().is_some_and(|why| why.contains("/clock")));
+        assert!(shared.inbox.source().trouble().is_some_and(|why| why.contains("/clock")));
         ahead.store(990_000_000, Ordering::Relaxed);
         shared.odometry(&odometry(3.0, 0.0, 0.0), None, came(993_000_000));
         assert_eq!(poses(&shared)[0].t_s, 993.0);

@@ -10,7 +10,7 @@ use super::settings::{Distribution, Reach};
 use super::sockets::Sockets;
 use csi5300::time::{Instant, Span};
 use csi5300_bag::cdr::{CDR_LE, Cdr, CdrReader, CdrWriter};
-use csi5300_bag::messages::{self, Message, humble};
+use csi5300_bag::messages::{self, Message};
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
@@ -144,31 +144,9 @@ impl Shared {
     /// Announces this node's endpoints.
     fn tell_graph(&self, writer: usize) {
         let all = |topics: &Mutex<Vec<Topic>>| lock(topics).iter().map(|topic| topic.guid).collect::<Vec<_>>();
-        let (readers, writers) = (all(&self.readers), all(&self.writers));
+        let ends = [all(&self.readers), all(&self.writers)];
         let own = lock(&self.participant).guid();
-        let (node_namespace, node_name) = (self.names.namespace.clone(), self.names.node.clone());
-        let payload = match self.distribution {
-            Distribution::Jazzy => {
-                let gid = |guid: &Guid| messages::Gid { data: guid.bytes() };
-                let reader_gid_seq = readers.iter().map(gid).collect();
-                let writer_gid_seq = writers.iter().map(gid).collect();
-                let (node_namespace, node_name) = (messages::Name(node_namespace), messages::Name(node_name));
-                let node = messages::NodeEntitiesInfo { node_namespace, node_name, reader_gid_seq, writer_gid_seq };
-                messages::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
-            }
-            Distribution::Humble => {
-                let gid = |guid: &Guid| {
-                    let mut data = [0; 24];
-                    data.iter_mut().zip(guid.bytes()).for_each(|(to, from)| *to = from);
-                    humble::Gid { data }
-                };
-                let reader_gid_seq = readers.iter().map(gid).collect();
-                let writer_gid_seq = writers.iter().map(gid).collect();
-                let node = humble::NodeEntitiesInfo { node_namespace, node_name, reader_gid_seq, writer_gid_seq };
-                humble::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
-            }
-        };
-        self.write(writer, payload);
+        self.write(writer, entities(self.distribution, own, &self.names, &ends));
     }
 
     /// If the address of the chosen network appeared, disappeared or changed, moves the participant to the new one. Failures
@@ -484,9 +462,29 @@ fn answer_to<A: Message>(head: Head, answer: &A) -> (Arc<[u8]>, Option<(Guid, i6
             client.write(&mut to);
             number.write(&mut to);
             answer.write(&mut to);
-            ([&CDR_LE[..], &to.into_bytes()].concat().into(), None)
+            (with_head(to).into(), None)
         }
     }
+}
+
+/// `rmw_dds_common/msg/ParticipantEntitiesInfo` of a node and its readers and writers; identifiers have 24 bytes in Humble.
+fn entities(release: Distribution, own: Guid, names: &Names, ends: &[Vec<Guid>; 2]) -> Vec<u8> {
+    let padding: &[u8] = if release == Distribution::Humble { &[0; 8] } else { &[] };
+    let gid = |guid: Guid, to: &mut CdrWriter| [&guid.bytes(), padding].iter().for_each(|bytes| to.put(bytes));
+    let mut to = CdrWriter::plain();
+    gid(own, &mut to);
+    1_u32.write(&mut to);
+    [&names.namespace, &names.node].iter().for_each(|name| name.write(&mut to));
+    for guids in ends {
+        (guids.len() as u32).write(&mut to);
+        guids.iter().for_each(|guid| gid(*guid, &mut to));
+    }
+    with_head(to)
+}
+
+/// A payload: its encapsulation, then what was written.
+fn with_head(body: CdrWriter) -> Vec<u8> {
+    [&CDR_LE[..], &body.into_bytes()].concat()
 }
 
 #[cfg(test)]
@@ -533,6 +531,19 @@ mod tests {
         until(3);
         assert!(moving.counted()["address"].as_str().unwrap().starts_with("127.0.0.2:"));
         assert_eq!(fixed.counted()["subscribed"]["/a"]["publishers"], 1);
+    }
+
+    #[test]
+    fn the_node_is_described_as_its_release_has_it() {
+        let guid = |last| Guid { prefix: [7; 12], entity: [0, 0, last, 3] };
+        let names = Names { namespace: "/lab".into(), node: "burger".into(), ..Names::default() };
+        let told = |release| entities(release, guid(1), &names, &[vec![guid(2)], vec![guid(3), guid(4)]]);
+        let read = messages::ParticipantEntitiesInfo::of_payload(&told(Distribution::Jazzy)).unwrap();
+        let node = &read.node_entities_info_seq[0];
+        assert_eq!((&*node.node_namespace.0, &*node.node_name.0), ("/lab", "burger"));
+        let told_guids = [&read.gid, &node.reader_gid_seq[0], &node.writer_gid_seq[1]].map(|gid| gid.data);
+        assert_eq!(told_guids, [1, 2, 4].map(|last| guid(last).bytes()));
+        assert_eq!(told(Distribution::Humble).len(), told(Distribution::Jazzy).len() + 4 * 8);
     }
 
     #[test]

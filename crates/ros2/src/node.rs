@@ -1,8 +1,8 @@
 //! The node: its link, its clock, the topics of poses that it reads, and what it publishes for a robot.
 
 use crate::bag::Bag;
-use crate::inputs::{PoseTopic, SimClock, ranges};
-use crate::link::{Link, Publisher, usual};
+use crate::inputs::{DEPTH, SimClock, poses};
+use crate::link::{Came, Link, Publisher, usual};
 use crate::names::{Names, name_part};
 use crate::rtps::Qos;
 use crate::said;
@@ -14,15 +14,13 @@ use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next};
 use csi5300_bag::messages::{
     Bearing, Csi, GetParametersRequest, GetParametersResponse, Header, ListParametersRequest, ListParametersResponse,
-    ListParametersResult, MarkerArray, ParameterValue, PoseStamped, PoseWithCovarianceStamped, TfMessage, Time,
+    ListParametersResult, MarkerArray, ParameterValue, PoseStamped, PoseWithCovarianceStamped, Range, TfMessage, Time,
     TriggerRequest, TriggerResponse,
 };
 use std::sync::Arc;
 
 /// Publishers of one peer.
 struct Peer {
-    name: String,
-    mac: String,
     bearings: Publisher<Bearing>,
     directions: Publisher<PoseStamped>,
     places: Publisher<PoseWithCovarianceStamped>,
@@ -33,10 +31,8 @@ pub struct Node {
     link: Link,
     /// The clock of its stamps.
     clock: SimClock,
-    topics: Vec<PoseTopic>,
     settings: Settings,
-    /// Names of all peers; `peers` has those with published bearings.
-    names: Vec<String>,
+    /// Those with published bearings.
     peers: Vec<Peer>,
     /// The topic of markers, if enabled.
     pub markers: Option<Publisher<MarkerArray>>,
@@ -55,19 +51,16 @@ impl Node {
         let seek = move || Reach::of(&own, &by, outward);
         let reach = seek();
         let what = format!("cannot take part in domain {domain} of ROS 2 at {}", reach.interface);
-        let failed = |source| Error::Io { what: what.clone(), source };
-        let sockets = Sockets::open(domain, reach).map_err(failed)?;
+        let sockets = Sockets::open(domain, reach).map_err(Error::io(&what))?;
         let node = asked.node.clone().unwrap_or_else(|| name_part(&format!("csi5300_{robot}")));
         let names = Names { namespace: asked.namespace.clone(), node, remap: asked.remap.clone() };
         let bag = Bag::new(asked.bag.clone().unwrap_or_default());
         if let Some(folder) = &asked.bag {
-            let what = format!("cannot record to {}", folder.display());
-            bag.start().map_err(|source| Error::Io { what, source })?;
+            bag.start().map_err(Error::io(format!("cannot record to {}", folder.display())))?;
         }
-        let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(failed)?;
+        let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(Error::io(what))?;
         let clock = if asked.use_sim_time { SimClock::follow(&link) } else { SimClock::real() };
-        let (topics, names, peers) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { link, clock, topics, settings: asked, names, peers, markers: None, tf: None })
+        Ok(Self { link, clock, settings: asked, peers: Vec::new(), markers: None, tf: None })
     }
 
     /// For publishing, subscribing and serving further topics and services.
@@ -77,27 +70,29 @@ impl Node {
     }
 
     /// Poses of a topic, with the usual time source unless the topic names one.
-    pub fn poses(&mut self, topic: &Topic, usual: Stamp) -> csi5300::motion::odometry::ros::Topic {
-        let (opened, source) = PoseTopic::open(&self.link, topic, usual, &self.clock);
-        self.topics.push(opened);
-        source
+    #[must_use]
+    pub fn poses(&self, topic: &Topic, usual: Stamp) -> csi5300::motion::odometry::ros::Topic {
+        poses(&self.link, topic, usual, &self.clock)
     }
 
     /// Passes the ranges of a topic (`sensor_msgs/msg/Range`) to `used`: host time in microseconds, range and its deviation in
-    /// metres (0: unknown); `None` for a message that cannot be used.
+    /// metres (0: unknown); `None` for a message that cannot be used. A range without a stamp has its time of receipt.
     pub fn ranges(&self, topic: &str, used: impl Fn(Option<(i64, [f64; 2])>) + Clone + Send + 'static) {
-        ranges(&self.link, topic, &self.clock, used);
+        let (clock, unreadable) = (self.clock.clone(), used.clone());
+        let read = move |told: Range, came: Came| {
+            let stamp_us = told.header.stamp.us();
+            let at_us = if stamp_us == 0 { Some(came.at_us) } else { clock.to_host(stamp_us) };
+            used(at_us.zip(told.metres()));
+        };
+        self.link.subscribe(topic, Qos::best_effort(DEPTH), read, move || unreadable(None));
     }
 
-    /// Announces the topics of these peers (name and MAC), as the settings ask.
-    pub fn announce(&mut self, peers: &[(String, String)]) {
+    /// Announces the topics of the peers of these names, as the settings ask.
+    pub fn announce(&mut self, peers: &[String]) {
         let (link, asked) = (&self.link, &self.settings);
-        self.names = peers.iter().map(|(name, _)| name.clone()).collect();
-        let peer = |(name, mac): &(String, String)| {
+        let peer = |name: &String| {
             let part = name_part(name);
             Peer {
-                name: name.clone(),
-                mac: mac.clone(),
                 bearings: link.publish(&format!("~/{part}/bearing"), usual()),
                 directions: link.publish(&format!("~/{part}/direction"), usual()),
                 places: link.publish(&format!("~/{part}/pose"), usual()),
@@ -130,13 +125,12 @@ impl Node {
         let header = self.header((report.t_s.unwrap_or(0.0) * 1e6) as i64, self.settings.frame.clone());
         let place = said::place(&header, report);
         if let Some(peer) = self.peers.get(peer) {
-            peer.bearings.put(&said::bearing(header.clone(), (&peer.name, &peer.mac), report));
+            peer.bearings.put(&said::bearing(header.clone(), report));
             said::direction(&header, report).iter().for_each(|pose| peer.directions.put(pose));
             place.iter().for_each(|place| peer.places.put(place));
         }
         if let Some(markers) = &self.markers {
-            let name = self.names.get(peer).unwrap_or(&report.answer.link);
-            markers.put(&said::markers(&header, (name, peer), report));
+            markers.put(&said::markers(&header, (&report.answer.link, peer), report));
         }
         if let (Some(tf), Some(place)) = (&self.tf, &place) {
             tf.put(&said::transform(place, &name_part(&report.answer.link)));
@@ -158,11 +152,6 @@ impl Node {
             let names = all.iter().map(|(name, _)| *name).filter(is_asked).map(str::to_owned).collect();
             ListParametersResponse { result: ListParametersResult { names, prefixes: Vec::new() } }
         });
-    }
-
-    /// Updates the problems that the sources of poses report.
-    pub fn look(&self) {
-        self.topics.iter().for_each(PoseTopic::look);
     }
 
     /// Current problems as text.

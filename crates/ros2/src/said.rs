@@ -52,14 +52,14 @@ fn looking_along(azimuth_rad: f64, elevation_rad: f64) -> [f64; 4] {
 }
 
 /// The whole report; angles in radians, NaN for unknown values.
-pub fn bearing(header: Header, (peer, mac): (&str, &str), report: &PeerReport) -> Bearing {
+pub fn bearing(header: Header, report: &PeerReport) -> Bearing {
     let answer = &report.answer;
     let number = |value: Option<f64>| value.unwrap_or(f64::NAN);
     let angle = |degrees: Option<f64>| number(degrees).to_radians();
     Bearing {
         header,
-        peer: peer.to_owned(),
-        mac: mac.to_owned(),
+        peer: answer.link.clone(),
+        mac: answer.mac.clone().unwrap_or_default(),
         state: state_name(report.state),
         words: report.words.clone(),
         azimuth: angle(answer.azimuth_deg),
@@ -295,7 +295,7 @@ mod tests {
 
     #[test]
     fn unknown_values_are_nan() {
-        let said = bearing(Header::default(), ("b", "02:00:00:00:00:02"), &report(PeerState::NotYet, |_| ()));
+        let said = bearing(Header::default(), &report(PeerState::NotYet, |answer| answer.link = "b".into()));
         assert_eq!((said.state.as_str(), said.peer.as_str(), said.pairs), ("not_yet", "b", 0));
         assert!(said.azimuth.is_nan() && said.range.is_nan() && said.confidence.is_nan() && said.moved == 1.0);
         assert_eq!(direction(&Header::default(), &report(PeerState::NotYet, |_| ())), None);

@@ -45,21 +45,14 @@ impl Sockets {
     /// If this machine has no such address, or no port is free.
     pub fn open(domain: u16, mut reach: Reach) -> io::Result<Self> {
         let Reach { interface, multicast, is_off, .. } = reach;
-        let mut last = io::Error::from(io::ErrorKind::AddrInUse);
-        let mut bound = None;
-        for index in 0..PLACES {
+        let both = |index| {
             let (meta, user) = unicast_ports(domain, index);
-            match (bind(interface, meta), bind(interface, user)) {
-                (Ok(first), Ok(second)) => {
-                    bound =
-                        Some((first, second, SocketAddrV4::new(interface, meta), SocketAddrV4::new(interface, user)));
-                    break;
-                }
-                (Err(error), _) | (_, Err(error)) if error.kind() == io::ErrorKind::AddrInUse => last = error,
-                (Err(error), _) | (_, Err(error)) => return Err(error),
-            }
-        }
-        let Some((meta, user, meta_address, user_address)) = bound else { return Err(last) };
+            let at = |port| bind(interface, port).map(|socket| (socket, SocketAddrV4::new(interface, port)));
+            Ok((at(meta)?, at(user)?))
+        };
+        let is_taken = |error: &io::Error| error.kind() == io::ErrorKind::AddrInUse;
+        let free = (0..PLACES).map(both).find(|bound| !bound.as_ref().is_err_and(is_taken));
+        let ((meta, meta_address), (user, user_address)) = free.unwrap_or(Err(io::ErrorKind::AddrInUse.into()))?;
         let is_local = interface.is_loopback();
         if !is_off && (is_local || !multicast) {
             reach.peers.push(interface);

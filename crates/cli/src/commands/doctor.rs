@@ -2,7 +2,7 @@
 
 mod accept;
 
-use super::live::{Card, Listening, Needs, Signals, describe, duration};
+use super::live::{Card, Listening, Needs, Signals, duration};
 use super::{InWords, Outcome, Result, Words, print, print_json, usage};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, Next};
@@ -118,7 +118,7 @@ fn listen(args: &Args, span: Span) -> Words<Vec<Check>> {
             }]);
         }
     };
-    note!("{}", describe(&listener));
+    note!("{}", listener.describe());
     let clock = Monotonic::new();
     let end = clock.now() + span;
     while clock.now() < end {

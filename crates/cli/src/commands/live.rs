@@ -2,10 +2,9 @@
 //! the kernel's own driver), and its messages.
 
 use super::InWords;
-use csi5300::source::Error;
 use csi5300::time::Span;
 use csi5300_live::listener::Listener;
-use csi5300_live::netlink::{Found, Netlink, Options};
+use csi5300_live::netlink::{Netlink, Options};
 use csi5300_live::stock::{self, Stock};
 pub use csi5300_live::wait::Signals;
 use csi5300_live::wait::wall_us;
@@ -170,8 +169,8 @@ impl Listening {
             };
             let frames = matches!(asked, Records::WsrFrames | Records::CsitoolFrames) || needs.frames;
             let records = driver_iface::stock::Options { layout, frames, ..Default::default() };
-            let options = stock::Options { records, ring: receive_buffer, own: needs.own, ..stock::Options::default() };
-            return Stock::open(&options).map(Listener::from).map_err(|error| with_causes(&error));
+            let options = stock::Options { records, ring: receive_buffer, own: needs.own };
+            return Stock::open(&options).map(Listener::from).in_words();
         }
         if let Some(address) = &self.room {
             let (card, _) = served::join(address, served::Role::Card).map_err(|error| join_refused(&error))?;
@@ -184,47 +183,12 @@ impl Listening {
     }
 }
 
-/// The source, in words.
-pub fn describe(listener: &Listener) -> String {
-    match listener {
-        Listener::Connector(listener) => describe_connector(listener),
-        Listener::Stock(stock) => {
-            format!("listening to the packets of the unpatched iwlwifi, ring of {} KiB", stock.ring_bytes() / 1024)
-        }
-    }
-}
-
-fn describe_connector(listener: &Netlink) -> String {
-    let (indices, found) = listener.indices();
-    let kib = listener.receive_buffer() / 1024;
-    let indices: Vec<_> = indices.iter().map(u32::to_string).collect();
-    let how = match found {
-        Found::Given => "as given",
-        Found::Registered => "where the driver is registered",
-        Found::Served => return format!("listening to a card in a simulated room, receive buffer {kib} KiB"),
-        Found::Guessed => "no CSI driver is registered in /proc/net/connector",
-    };
-    let indices = indices.join(" and ");
-    format!("listening on connector index {indices} ({how}), receive buffer {kib} KiB")
-}
-
 /// Lines for the summary.
 pub fn summary(listener: &Listener) -> String {
     match listener {
         Listener::Connector(listener) => connector_summary(listener),
         Listener::Stock(stock) => stock_summary(stock),
     }
-}
-
-/// An error with what caused it: the kernel's own answer is at the end.
-fn with_causes(error: &Error) -> String {
-    let mut text = error.to_string();
-    let mut at = std::error::Error::source(error);
-    while let Some(cause) = at {
-        let _ = write!(text, ": {cause}");
-        at = cause.source();
-    }
-    text
 }
 
 /// Printed if the card receives but sends no CSI.

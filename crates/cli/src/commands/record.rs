@@ -1,7 +1,7 @@
 //! `csi5300 record`.
 
 use super::live::{
-    Listening, Needs, Signals, create_refused, describe, duration, rotation_size, size, some_duration,
+    Listening, Needs, Signals, create_refused, duration, rotation_size, size, some_duration,
     summary as listener_summary,
 };
 use super::{InWords, Outcome, Result, Words, say};
@@ -147,7 +147,7 @@ pub fn run(args: &Args) -> Result {
     let rests = !args.live && listener.buffer() >= ROOMY;
     let mut session = Session::new(args, signals, &listener, rests)?;
     let clock = session.clock;
-    note!("{}; recording to {}", describe(&listener), args.out.display());
+    note!("{}; recording to {}", listener.describe(), args.out.display());
     let recorder = Recorder::new(listener, files, args.options()).in_words()?;
     let (failed, recorder) = if args.live {
         let pipe = Pipe::new(std::io::stdout());

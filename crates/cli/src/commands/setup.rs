@@ -4,7 +4,7 @@ use super::args::channel_of_5300;
 use super::{Outcome, Result, print, print_json};
 use clap::ValueEnum;
 use csi5300::signal::channel::Channel;
-use csi5300_live::doctor::{self, Machine, Request, SetupError, Step, default_interface, plan, undo, warnings};
+use csi5300_live::doctor::{self, Machine, Request, Step, default_interface, plan, undo, warnings};
 
 // Arguments of `setup`.
 #[derive(clap::Args)]
@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result {
             return Err(format!("`{name}` is no name of an interface"));
         }
         Some(name) => name.clone(),
-        None => default_interface(&system).map_err(|error| words(&error))?,
+        None => default_interface(&system)?,
     };
     let steps = match (args.undo, args.channel, args.role) {
         (true, _, _) => undo(&system, &interface),
@@ -88,7 +88,7 @@ pub fn run(args: &Args) -> Result {
             });
             let request = Request { interface, channel, role, driver, ack_len: args.ack_len };
             warnings(&system, &request).iter().for_each(|warning| note!("{warning}"));
-            plan(&system, &request).map_err(|error| words(&error))?
+            plan(&system, &request)?
         }
         (false, _, _) => return Err("--channel and --role are needed".into()),
     };
@@ -108,24 +108,6 @@ pub fn run(args: &Args) -> Result {
         note!("nothing was changed: --apply takes these steps");
     }
     Ok(Outcome::Done)
-}
-
-/// A refusal with the argument that mends it.
-fn words(error: &SetupError) -> String {
-    match error {
-        SetupError::NoCsiDriver => format!(
-            "{error}. With the distribution's driver: install the module csi5300 (packaging/dkms) and use --driver module (details: `csi5300 doctor`)"
-        ),
-        SetupError::NoAckLen => {
-            "a responder with the WSR driver needs --ack-len, the length of the frames meant for it \
-                                 (57 for the first robot, 59 for the second ...)"
-                .into()
-        }
-        SetupError::NeedlessAckLen => format!("{error}: leave out --ack-len"),
-        SetupError::NoCard => format!("{error} (details: `csi5300 doctor`)"),
-        SetupError::NoInterface => format!("{error}: name one with --interface"),
-        _ => error.to_string(),
-    }
 }
 
 fn line(step: &Step) -> String {

@@ -3,7 +3,7 @@
 //! of an earlier frame, so that the initiator has bearings live.
 
 use super::args::{Estimation, antenna, channel_of_5300};
-use super::live::{Listening, Needs, Signals, create_refused, describe, duration, join_refused};
+use super::live::{Listening, Needs, Signals, create_refused, duration, join_refused};
 use super::{InWords, Outcome, Result, Words, fixed, hint, is_end_of_room, print, print_json, usage};
 use csi5300::exchange::tdma::{Config, Dialect, Epoch, Event, Phy, Plan, PlanError, Request, TdmaCounts};
 use csi5300::internal::{Proof, Prover};
@@ -20,8 +20,8 @@ use csi5300_live::listener::Listener;
 use csi5300_live::logged::Logged;
 use csi5300_live::monitor::{AirCounts, Monitor, Options};
 use csi5300_live::sounding::{
-    Beside, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Rate, Running, Session, Settings,
-    Setup, Spread, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
+    Beside, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Running, Session, Settings, Setup,
+    Spread, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -511,7 +511,7 @@ impl Sounding {
             }
             Err(error) => return Err(error),
         };
-        note!("{}", describe(&listener));
+        note!("{}", listener.describe());
         let files = self.log.as_ref().map(|log| LogFiles::create(log, Rotation::default(), self.force)).transpose();
         files.and_then(|files| Logged::new(listener, files)).map(Some).map_err(|error| create_refused(&error))
     }
@@ -575,15 +575,8 @@ pub fn monitor(room: Option<&Address>, options: &Options) -> Words<std::result::
 pub fn see_to_rate(interface: &str, phy: Phy, antenna: Antenna) -> Words<()> {
     let rate = rate_n_flags(phy, antenna)
         .ok_or_else(|| format!("--mcs {} has more streams than the card has antennas: 23 is the highest", phy.mcs))?;
-    match set_rate(&Machine, interface, rate) {
-        Rate::FromRadiotap | Rate::Right(_) => {}
-        Rate::Set(rate, before) => note!("monitor_tx_rate set to {rate:#x} (was {before})"),
-        Rate::Legacy(mend) => {
-            note!("this driver sends injected frames at a legacy rate, which makes no CSI: {mend}")
-        }
-        Rate::Other { found, error, mend } => {
-            note!("monitor_tx_rate is {found}, so frames go out at another rate ({error}): {mend}");
-        }
+    if let Ok(Some(words)) | Err(words) = set_rate(&Machine, interface, rate) {
+        note!("{words}");
     }
     Ok(())
 }

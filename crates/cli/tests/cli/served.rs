@@ -10,7 +10,7 @@ use csi5300::source::{CsiSource, Injector, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_lab::compare::figures::true_path;
 use csi5300_live::monitor::{self, Monitor};
-use csi5300_live::netlink::{Found, Netlink};
+use csi5300_live::netlink::Netlink;
 use csi5300_live::sounding::Exchange;
 use csi5300_sim::served::{self, Address, Poses, Server};
 use csi5300_sim::{Injected, Interface, Room, Scene};
@@ -242,7 +242,7 @@ fn a_card_behind_the_socket_says_what_the_room_s_card_says() {
     scene.robot[1].antenna_b_m = Some([0.0, 0.1, 0.0]);
     let mut served = Served::new(&scene, "card");
     let (mut card, mac) = served.join("tx", |address| card_of(address, || Some(7)));
-    assert_eq!((mac, card.indices().1), (served.room.mac(1).unwrap(), Found::Served));
+    assert_eq!((mac, card.at()), (served.room.mac(1).unwrap(), "to a card in a simulated room"));
     let (mut second, _) = served.join("tx", |address| card_of(address, || None));
     let mut poses = served.join("rx", |address| Poses::join(address).unwrap());
     let mut air = served.monitor("rx", 1);

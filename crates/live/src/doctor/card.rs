@@ -4,7 +4,7 @@
 //! it. An AX200 or AX210 has one: FeitCSI, a patched `iwlwifi` and a program (firmware-notes/other-cards.md).
 
 use super::host::{self, holds};
-use super::{Check, System};
+use super::{Check, Found, System, bad, doubt, good, unknown};
 
 /// PCI identities of the Intel 5300 (`iwlwifi/pcie/drv.c`).
 pub(crate) const IWL5300: [&str; 2] = ["0x4235", "0x4236"];
@@ -81,26 +81,35 @@ pub(super) fn number(text: &str) -> Option<u32> {
 }
 
 pub(super) fn checks(system: &dyn System, card: Option<&Card>, ways: &Ways) -> Vec<Check> {
-    let mut checks = vec![on_the_bus(card), ways.check(), kernel(system, ways), secure_boot(system, ways)];
-    if let Some(card) = card {
-        checks.push(driver(system, card));
-    }
-    checks.extend([patched(system, ways), parameters(system), firmware_file(system), newer_firmware(system)]);
-    checks.push(firmware_loaded(system, card));
+    let mut checks = vec![
+        on_the_bus(card).of("card", "an Intel 5300 (8086:4235 or 8086:4236)"),
+        ways.best()
+            .of("way to CSI", "the patched driver, the module csi5300, or Linux 5.8 and later for `record --stock`"),
+        kernel(system, ways).of("kernel", format!("one with a published CSI driver: {}", KERNELS.join(", "))),
+        secure_boot(system, ways).of("Secure Boot", "off: it refuses the patched module, which is unsigned"),
+    ];
+    checks.extend(card.map(|card| driver(system, card)));
+    checks.extend([
+        patched(system, ways).of("patched module", "an iwlwifi module with the parameter connector_log"),
+        parameters(system).of("connector_log", "connector_log with bit 0x1 (CSI); 0x5 adds the frames themselves"),
+        firmware_file(system).of("firmware file", format!("{FIRMWARE}, {FIRMWARE_BYTES} bytes")),
+        newer_firmware(system)
+            .of("other firmware", "no other iwlwifi-5000-*.ucode: the driver loads the highest number"),
+        firmware_loaded(system, card).of("firmware loaded", format!("version {FIRMWARE_VERSION}")),
+    ]);
     checks
 }
 
-fn on_the_bus(card: Option<&Card>) -> Check {
-    let expected = "an Intel 5300 (8086:4235 or 8086:4236)";
+fn on_the_bus(card: Option<&Card>) -> Found {
     match card {
         Some(card) if IWL5300.contains(&card.device.as_str()) => {
-            Check::good("card", format!("8086:{} in slot {}", card.number(), card.slot), expected)
+            good(format!("8086:{} in slot {}", card.number(), card.slot))
         }
         Some(card) => {
             let found = format!("8086:{}: of the same series, but not a 5300", card.number());
-            Check::doubt("card", found, expected).mend("use an Intel 5300: the firmware was made for it")
+            doubt(found).mend("use an Intel 5300: the firmware was made for it")
         }
-        None => Check::bad("card", "none on the PCI bus", expected)
+        None => bad("none on the PCI bus")
             .mend("seat the card; look with `lspci -nn -d 8086:`; some BIOSes refuse cards that are not on their list"),
     }
 }
@@ -118,47 +127,43 @@ pub(super) fn leads_elsewhere(system: &dyn System, ways: &Ways) -> bool {
     ways.leads_past_patch() && !has_patch(&release)
 }
 
-fn kernel(system: &dyn System, ways: &Ways) -> Check {
-    let expected = format!("one with a published CSI driver: {}", KERNELS.join(", "));
+fn kernel(system: &dyn System, ways: &Ways) -> Found {
     let Some(release) = release(system) else {
-        return Check::unknown("kernel", "no /proc/sys/kernel/osrelease", expected);
+        return unknown("no /proc/sys/kernel/osrelease");
     };
     if has_patch(&release) {
-        Check::good("kernel", release, expected)
+        good(release)
     } else if ways.without_patch() {
-        Check::good("kernel", format!("{release}: no patched driver is known for it, and none is needed"), expected)
+        good(format!("{release}: no patched driver is known for it, and none is needed"))
     } else if ways.leads_past_patch() {
         let found = format!("{release}: no patched driver is known for it, see `way to CSI` for another way");
-        Check::good("kernel", found, expected)
+        good(found)
     } else {
-        Check::doubt("kernel", format!("{release}: no CSI driver is known for it"), expected)
+        doubt(format!("{release}: no CSI driver is known for it"))
             .mend("install Ubuntu 18.04 with kernel 4.15 and hold it: `sudo apt-mark hold linux-image-$(uname -r)`")
     }
 }
 
-fn secure_boot(system: &dyn System, ways: &Ways) -> Check {
-    let expected = "off: it refuses the patched module, which is unsigned";
+fn secure_boot(system: &dyn System, ways: &Ways) -> Found {
     match secure_boot_is_on(system) {
-        Some(true) if ways.without_patch() => {
-            Check::good("Secure Boot", "on: this machine's way to CSI (above) works with it", expected)
-        }
-        Some(true) => Check::bad("Secure Boot", "on", expected).mend("switch Secure Boot off in the BIOS set-up"),
-        Some(_) => Check::good("Secure Boot", "off", expected),
-        None => Check::good("Secure Boot", "no such variable: not booted by EFI, or without it", expected),
+        Some(true) if ways.without_patch() => good("on: this machine's way to CSI (above) works with it"),
+        Some(true) => bad("on").mend("switch Secure Boot off in the BIOS set-up"),
+        Some(_) => good("off"),
+        None => good("no such variable: not booted by EFI, or without it"),
     }
 }
 
 fn driver(system: &dyn System, card: &Card) -> Check {
-    match system.link(&format!("/sys/bus/pci/devices/{}/driver", card.slot)) {
-        Some(name) if name == "iwlwifi" => Check::good("driver", name, "iwlwifi"),
-        Some(name) => Check::bad("driver", format!("bound to {name}"), "iwlwifi").mend("sudo modprobe iwlwifi"),
-        None => Check::bad("driver", "no driver is bound to the card", "iwlwifi")
+    let found = match system.link(&format!("/sys/bus/pci/devices/{}/driver", card.slot)) {
+        Some(name) if name == "iwlwifi" => good(name),
+        Some(name) => bad(format!("bound to {name}")).mend("sudo modprobe iwlwifi"),
+        None => bad("no driver is bound to the card")
             .mend("sudo modprobe iwlwifi; if it does not come up, `sudo dmesg | grep iwlwifi` shows why"),
-    }
+    };
+    found.of("driver", "iwlwifi")
 }
 
-fn patched(system: &dyn System, ways: &Ways) -> Check {
-    let expected = "an iwlwifi module with the parameter connector_log";
+fn patched(system: &dyn System, ways: &Ways) -> Found {
     if system.text(&format!("{PARAMETERS}/connector_log")).is_some() {
         let layout = match system.text(&format!("{PARAMETERS}/ack_len")) {
             Some(_) => "the WSR driver (it has ack_len)",
@@ -170,13 +175,13 @@ fn patched(system: &dyn System, ways: &Ways) -> Check {
         if unsigned {
             found += "; `module verification failed` in the kernel's log is harmless: nobody signed a module that was built here";
         }
-        return Check::good("patched module", found, expected);
+        return good(found);
     }
     if ways.without_patch() {
-        return Check::good("patched module", "absent, and not needed: see `way to CSI`", expected);
+        return good("absent, and not needed: see `way to CSI`");
     }
     if leads_elsewhere(system, ways) {
-        return Check::unknown("patched module", "absent: this kernel has none, see `way to CSI`", expected);
+        return unknown("absent: this kernel has none, see `way to CSI`");
     }
     let mend = "build and install the CSI driver (firmware-notes/install-up-squared.md), then `sudo modprobe -r iwldvm \
                 iwlwifi && sudo modprobe iwlwifi connector_log=0x1`";
@@ -184,30 +189,28 @@ fn patched(system: &dyn System, ways: &Ways) -> Check {
         true => "iwlwifi is not loaded",
         false => "iwlwifi without connector_log: the distribution's module",
     };
-    Check::bad("patched module", found, expected).mend(mend)
+    bad(found).mend(mend)
 }
 
-fn parameters(system: &dyn System) -> Check {
-    let expected = "connector_log with bit 0x1 (CSI); 0x5 adds the frames themselves";
+fn parameters(system: &dyn System) -> Found {
     let Some(text) = system.text(&format!("{PARAMETERS}/connector_log")) else {
-        return Check::unknown("connector_log", "not there", expected);
+        return unknown("not there");
     };
     let ack = system.text(&format!("{PARAMETERS}/ack_len")).map_or(String::new(), |ack| format!(", ack_len {ack}"));
     match number(&text) {
-        Some(bits) if bits & 1 != 0 => Check::good("connector_log", format!("{bits:#x}{ack}"), expected),
-        _ => Check::bad("connector_log", format!("{text}{ack}: no CSI is sent"), expected)
+        Some(bits) if bits & 1 != 0 => good(format!("{bits:#x}{ack}")),
+        _ => bad(format!("{text}{ack}: no CSI is sent"))
             .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1"),
     }
 }
 
-fn firmware_file(system: &dyn System) -> Check {
-    let expected = format!("{FIRMWARE}, {FIRMWARE_BYTES} bytes");
+fn firmware_file(system: &dyn System) -> Found {
     let mend = "sudo cp iwlwifi-5000-2.ucode.sigcomm2010 /lib/firmware/ && sudo ln -sf iwlwifi-5000-2.ucode.sigcomm2010 \
                 /lib/firmware/iwlwifi-5000-2.ucode (the file is in csitool's supplementary repository)";
     match system.size(FIRMWARE) {
-        Some(FIRMWARE_BYTES) => Check::good("firmware file", format!("{FIRMWARE_BYTES} bytes"), expected),
-        Some(other) => Check::bad("firmware file", format!("{other} bytes: another firmware"), expected).mend(mend),
-        None => Check::bad("firmware file", "not there", expected).mend(mend),
+        Some(FIRMWARE_BYTES) => good(format!("{FIRMWARE_BYTES} bytes")),
+        Some(other) => bad(format!("{other} bytes: another firmware")).mend(mend),
+        None => bad("not there").mend(mend),
     }
 }
 
@@ -219,24 +222,21 @@ pub(super) fn wins(name: &str) -> bool {
     })
 }
 
-fn newer_firmware(system: &dyn System) -> Check {
-    let expected = "no other iwlwifi-5000-*.ucode: the driver loads the highest number";
+fn newer_firmware(system: &dyn System) -> Found {
     let ours = "iwlwifi-5000-2.ucode";
     let newer: Vec<_> = system.names("/lib/firmware").into_iter().filter(|name| wins(name)).collect();
     if newer.is_empty() {
-        return Check::good("other firmware", format!("none above {ours}"), expected);
+        return good(format!("none above {ours}"));
     }
     let moves: Vec<_> =
         newer.iter().map(|name| format!("sudo mv /lib/firmware/{name} /lib/firmware/{name}.orig")).collect();
-    Check::bad("other firmware", format!("{} win over {ours}", newer.join(", ")), expected).mend(moves.join(" && "))
+    bad(format!("{} win over {ours}", newer.join(", "))).mend(moves.join(" && "))
 }
 
-fn firmware_loaded(system: &dyn System, card: Option<&Card>) -> Check {
-    let expected = format!("version {FIRMWARE_VERSION}");
-    let name = "firmware loaded";
+fn firmware_loaded(system: &dyn System, card: Option<&Card>) -> Found {
     let log = kernel_log(system);
     if has_crashed(&log) {
-        return Check::bad(name, "the firmware crashed (Microcode SW error in the kernel's log)", expected)
+        return bad("the firmware crashed (Microcode SW error in the kernel's log)")
             .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1");
     }
     let told = log.lines().rev().find_map(|line| {
@@ -250,11 +250,11 @@ fn firmware_loaded(system: &dyn System, card: Option<&Card>) -> Check {
         version.split_whitespace().next().map(str::to_string)
     };
     match told.or_else(asked) {
-        Some(version) if version == FIRMWARE_VERSION => Check::good(name, version, expected),
-        Some(version) => Check::bad(name, format!("{version}: it never sends CSI"), expected)
-            .mend("mend the firmware files above, then reload the driver"),
-        None => Check::unknown(name, "not in the kernel's log", expected)
-            .mend("sudo dmesg | grep 'loaded firmware version'"),
+        Some(version) if version == FIRMWARE_VERSION => good(version),
+        Some(version) => {
+            bad(format!("{version}: it never sends CSI")).mend("mend the firmware files above, then reload the driver")
+        }
+        None => unknown("not in the kernel's log").mend("sudo dmesg | grep 'loaded firmware version'"),
     }
 }
 
@@ -295,7 +295,11 @@ pub(super) struct Ways {
 
 impl Ways {
     pub(super) fn find(system: &dyn System) -> Self {
-        Self { patched: patched_way(system), module: module_way(system), ebpf: ebpf_way(system) }
+        let patched = match system.text(&format!("{PARAMETERS}/connector_log")) {
+            Some(_) => Way::Taken("iwlwifi has connector_log"),
+            None => Way::Closed("this iwlwifi has no connector_log".into()),
+        };
+        Self { patched, module: module_way(system), ebpf: ebpf_way(system) }
     }
 
     /// True if another way than the patched driver works, so that its problems do not matter.
@@ -310,8 +314,7 @@ impl Ways {
             && [&self.module, &self.ebpf].iter().any(|way| !matches!(way, Way::Closed(_)))
     }
 
-    fn check(&self) -> Check {
-        let expected = "the patched driver, the module csi5300, or Linux 5.8 and later for `record --stock`";
+    fn best(&self) -> Found {
         let all = [("patched driver", &self.patched), ("module", &self.module), ("eBPF", &self.ebpf)];
         let words = |(name, way): &(&str, &Way)| match way {
             Way::Taken(what) => format!("{name}: in use ({what})"),
@@ -324,25 +327,12 @@ impl Ways {
         let by = |wanted: fn(&Way) -> bool| all.iter().find(|(_, way)| wanted(way));
         let taken = by(|way| matches!(way, Way::Taken(_)));
         let best = taken.or(by(|way| matches!(way, Way::Open(_)))).or(by(|way| matches!(way, Way::Needs(..))));
-        let name = "way to CSI";
         match best {
-            Some((best, Way::Taken(_))) => Check::good(name, format!("{list}. Best here: {best}"), expected),
-            Some((best, Way::Open(what))) => {
-                Check::good(name, format!("{list}. Best here: {best}"), expected).mend(*what)
-            }
-            Some((best, Way::Needs(_, mend))) => {
-                Check::doubt(name, format!("{list}. Best here: {best}"), expected).mend(*mend)
-            }
-            _ => Check::bad(name, list, expected)
-                .mend("install a kernel for which a way is open: any distribution's of 5.8 or later will do"),
+            Some((best, Way::Taken(_))) => good(format!("{list}. Best here: {best}")),
+            Some((best, Way::Open(what))) => good(format!("{list}. Best here: {best}")).mend(*what),
+            Some((best, Way::Needs(_, mend))) => doubt(format!("{list}. Best here: {best}")).mend(*mend),
+            _ => bad(list).mend("install a kernel for which a way is open: any distribution's of 5.8 or later will do"),
         }
-    }
-}
-
-fn patched_way(system: &dyn System) -> Way {
-    match system.text("/sys/module/iwlwifi/parameters/connector_log") {
-        Some(_) => Way::Taken("iwlwifi has connector_log"),
-        None => Way::Closed("this iwlwifi has no connector_log".into()),
     }
 }
 
@@ -363,44 +353,49 @@ fn module_way(system: &dyn System) -> Way {
     Way::Needs("headers are there", "sudo apt install dkms, then the package of packaging/dkms")
 }
 
-fn ebpf_way(system: &dyn System) -> Way {
+/// Why this kernel cannot take the eBPF program.
+pub(crate) fn no_ebpf(system: &dyn System) -> Option<String> {
     let release = release(system).unwrap_or_default();
     match kernel_version(&release) {
         Some(version) if version >= EBPF_FROM => {}
-        Some(_) => return Way::Closed(format!("{release} is older than 5.8")),
-        None => return Way::Closed("the kernel's release is unknown".into()),
+        Some(_) => return Some(format!("{release} is older than 5.8")),
+        None => return Some("the kernel's release is unknown".into()),
     }
     if system.run(&["uname", "-m"]).is_some_and(|ran| ran.ok && ran.text.trim() != "x86_64") {
-        return Way::Closed("not x86-64".into());
+        return Some("not x86-64".into());
     }
     if system.text("/sys/bus/event_source/devices/kprobe/type").is_none() {
-        return Way::Closed("the kernel has no kprobes".into());
+        return Some("the kernel has no kprobes (CONFIG_KPROBES and CONFIG_KPROBE_EVENTS)".into());
     }
     let lockdown = system.text("/sys/kernel/security/lockdown").unwrap_or_default();
-    if lockdown.contains("[confidentiality]") {
-        return Way::Closed("kernel lockdown `confidentiality`".into());
+    lockdown
+        .contains("[confidentiality]")
+        .then(|| "kernel lockdown `confidentiality`: no program may read its memory".into())
+}
+
+fn ebpf_way(system: &dyn System) -> Way {
+    if let Some(why) = no_ebpf(system) {
+        return Way::Closed(why);
     }
     if system.names("/sys/module/iwlwifi").is_empty() {
         return Way::Needs("iwlwifi is not loaded", "sudo modprobe iwlwifi");
     }
-    if !may_load(system) {
+    let has = |capability| holds(system, capability) == Some(true);
+    let is_root = has(CAP_SYS_ADMIN);
+    let may_load = is_root || (has(CAP_BPF) && has(CAP_PERFMON));
+    if !may_load {
         let mend = "sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)";
         return Way::Needs("CAP_BPF and CAP_PERFMON are not held", mend);
     }
     // An extra level of Debian's and Ubuntu's kernels, at which CAP_PERFMON is not enough for a probe.
     let paranoid = system.text("/proc/sys/kernel/perf_event_paranoid").and_then(|level| level.parse::<i32>().ok());
-    if paranoid.is_some_and(|level| level > 2) && holds(system, CAP_SYS_ADMIN) != Some(true) {
+    if paranoid.is_some_and(|level| level > 2) && !is_root {
         let mend = "sudo sysctl -w kernel.perf_event_paranoid=2 (in /etc/sysctl.d to stay), or run it as root";
         return Way::Needs("kernel.perf_event_paranoid above 2 wants root", mend);
     }
     Way::Open(
         "csi5300 record --stock; it only receives: an HT rate for frames sent, and asking the card for CSI, need the module",
     )
-}
-
-fn may_load(system: &dyn System) -> bool {
-    let has = |capability| holds(system, capability) == Some(true);
-    has(CAP_SYS_ADMIN) || (has(CAP_BPF) && has(CAP_PERFMON))
 }
 
 /// PCI device IDs (`iwlwifi/pcie/drv.c`).
@@ -413,64 +408,63 @@ pub(super) fn ax2xx_checks(system: &dyn System) -> Option<Vec<Check>> {
     let card = Card::find_by(system, |device| CARDS.iter().any(|(known, _)| *known == device))?;
     let (_, name) = CARDS.iter().find(|(device, _)| *device == card.device)?;
     let found = format!("Intel {name} (8086:{}) in slot {}", card.number(), card.slot);
-    let mut checks =
-        vec![Check::good("card", found, "an Intel 5300, AX200 or AX210"), feitcsi_way(system), feitcsi_program(system)];
-    checks.extend([driver(system, &card), feitcsi_secure_boot(system), feitcsi_firmware(system)]);
-    checks.extend([host::rfkill(system), host::domain(system), host::buffers(system), host::clock(system)]);
-    Some(checks)
+    Some(vec![
+        good(found).of("card", "an Intel 5300, AX200 or AX210"),
+        feitcsi_way(system).of("way to CSI", "FeitCSI's iwlwifi, with csi_enabled in debugfs"),
+        feitcsi_program(system).of("FeitCSI", "the program feitcsi"),
+        driver(system, &card),
+        feitcsi_secure_boot(system).of("Secure Boot", "off, or FeitCSI's module signed with an enrolled key"),
+        feitcsi_firmware(system).of("firmware loaded", "loaded, and not crashed"),
+        host::rfkill(system),
+        host::domain(system),
+        host::buffers(system),
+        host::clock(system),
+    ])
 }
 
 /// FeitCSI is the only way to CSI of these cards.
-fn feitcsi_way(system: &dyn System) -> Check {
-    let expected = "FeitCSI's iwlwifi, with csi_enabled in debugfs";
-    let name = "way to CSI";
+fn feitcsi_way(system: &dyn System) -> Found {
     let cards = system.names(DEBUG);
     if cards.iter().any(|card| system.size(&format!("{DEBUG}/{card}/iwlmvm/csi_enabled")).is_some()) {
         let next =
             "sudo feitcsi --udp-socket, then csi5300 record OUT.csi --feitcsi \"127.0.0.1:8008 --frequency 5180\"";
-        return Check::good(name, "FeitCSI: its driver is loaded", expected).mend(next);
+        return good("FeitCSI: its driver is loaded").mend(next);
     }
     if cards.is_empty() {
-        return Check::unknown(name, format!("only root can read {DEBUG}"), expected)
-            .mend(format!("sudo ls {DEBUG}/*/iwlmvm/csi_enabled"));
+        return unknown(format!("only root can read {DEBUG}")).mend(format!("sudo ls {DEBUG}/*/iwlmvm/csi_enabled"));
     }
-    Check::bad(name, "none: this iwlwifi is not FeitCSI's, and gives no CSI", expected).mend(
+    bad("none: this iwlwifi is not FeitCSI's, and gives no CSI").mend(
         "install the package feitcsi-iwlwifi (https://feitcsi.kuskosoft.com), then sudo modprobe -r iwlmvm iwlwifi && sudo \
          modprobe iwlwifi",
     )
 }
 
-fn feitcsi_program(system: &dyn System) -> Check {
-    let expected = "the program feitcsi";
+fn feitcsi_program(system: &dyn System) -> Found {
     match system.run(&["feitcsi", "--version"]) {
-        Some(ran) => Check::good("FeitCSI", ran.text.lines().next().unwrap_or("installed"), expected),
-        None => Check::bad("FeitCSI", "not installed", expected)
-            .mend("install the package feitcsi (https://feitcsi.kuskosoft.com)"),
+        Some(ran) => good(ran.text.lines().next().unwrap_or("installed")),
+        None => bad("not installed").mend("install the package feitcsi (https://feitcsi.kuskosoft.com)"),
     }
 }
 
-fn feitcsi_secure_boot(system: &dyn System) -> Check {
-    let expected = "off, or FeitCSI's module signed with an enrolled key";
+fn feitcsi_secure_boot(system: &dyn System) -> Found {
     match secure_boot_is_on(system) {
-        Some(true) => Check::doubt("Secure Boot", "on", expected)
-            .mend("switch off Secure Boot in the BIOS setup, or enrol the DKMS key: sudo mokutil --import"),
-        _ => Check::good("Secure Boot", "off", expected),
+        Some(true) => {
+            doubt("on").mend("switch off Secure Boot in the BIOS setup, or enrol the DKMS key: sudo mokutil --import")
+        }
+        _ => good("off"),
     }
 }
 
 /// No known version lacks CSI, so the version is only reported.
-fn feitcsi_firmware(system: &dyn System) -> Check {
-    let expected = "loaded, and not crashed";
-    let name = "firmware loaded";
+fn feitcsi_firmware(system: &dyn System) -> Found {
     let log = kernel_log(system);
     if has_crashed(&log) {
-        return Check::bad(name, "the firmware crashed (Microcode SW error in the kernel's log)", expected)
+        return bad("the firmware crashed (Microcode SW error in the kernel's log)")
             .mend("sudo modprobe -r iwlmvm iwlwifi && sudo modprobe iwlwifi");
     }
     match log.lines().rev().find_map(|line| line.split_once("loaded firmware version ")) {
-        Some((_, version)) => Check::good(name, version.trim(), expected),
-        None => Check::unknown(name, "not in the kernel's log", expected)
-            .mend("sudo dmesg | grep 'loaded firmware version'"),
+        Some((_, version)) => good(version.trim()),
+        None => unknown("not in the kernel's log").mend("sudo dmesg | grep 'loaded firmware version'"),
     }
 }
 

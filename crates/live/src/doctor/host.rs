@@ -3,7 +3,7 @@
 use driver_iface::connector::{CN_IDX, registered_idx};
 
 use super::card::{self, Card, Ways};
-use super::{Check, System};
+use super::{Check, Found, Ran, System, bad, doubt, good, unknown};
 
 /// CAP_NET_ADMIN (`linux/capability.h`).
 const CAP_NET_ADMIN: u32 = 12;
@@ -11,54 +11,55 @@ const CAP_NET_ADMIN: u32 = 12;
 const ENOUGH_BUFFER: u64 = 1_280 * 1_000;
 
 pub(super) fn checks(system: &dyn System, ways: &Ways) -> Vec<Check> {
-    vec![namespace(system), connector(system, ways), capability(system), buffers(system), clock(system)]
+    vec![
+        namespace(system).of(
+            "network namespace",
+            "the first network namespace, with a connector: the driver's messages reach no other",
+        ),
+        connector(system, ways)
+            .of("connector index", format!("the driver registered as `iwlagn`, usually with index {CN_IDX}")),
+        capability(system).of("capability", "CAP_NET_ADMIN"),
+        buffers(system),
+        clock(system),
+    ]
 }
 
-fn namespace(system: &dyn System) -> Check {
-    let expected = "the first network namespace: the driver's messages reach no other";
-    let name = "network namespace";
+fn namespace(system: &dyn System) -> Found {
     if system.text("/proc/net/connector").is_some() {
-        return Check::good(name, "the kernel's connector is in it", expected);
+        return good("the kernel's connector is in it");
     }
-    let (own, first) = (system.link("/proc/self/ns/net"), system.link("/proc/1/ns/net"));
-    let found = match (own, first) {
+    match (system.link("/proc/self/ns/net"), system.link("/proc/1/ns/net")) {
         (Some(own), Some(first)) if own == first => {
-            return Check::bad(name, "the first one, but /proc/net/connector is absent", "a kernel with a connector")
-                .mend("use a kernel with CONFIG_CONNECTOR=y");
+            bad("the first one, but /proc/net/connector is absent").mend("use a kernel with CONFIG_CONNECTOR=y")
         }
-        _ => "no /proc/net/connector: a container, `ip netns`, or a kernel without CONFIG_CONNECTOR",
-    };
-    Check::bad(name, found, expected).mend("run on the host itself, or with `docker run --network host`")
+        _ => bad("no /proc/net/connector: a container, `ip netns`, or a kernel without CONFIG_CONNECTOR")
+            .mend("run on the host itself, or with `docker run --network host`"),
+    }
 }
 
-fn connector(system: &dyn System, ways: &Ways) -> Check {
-    let expected = format!("the driver registered as `iwlagn`, usually with index {CN_IDX}");
-    let name = "connector index";
+fn connector(system: &dyn System, ways: &Ways) -> Found {
     let Some(text) = system.text("/proc/net/connector") else {
-        return Check::unknown(name, "no /proc/net/connector", expected);
+        return unknown("no /proc/net/connector");
     };
     match registered_idx(&text) {
-        Some(index @ 1..=32) => Check::good(name, format!("{index}"), expected),
-        Some(index) => Check::bad(name, format!("{index}: no socket can join a group above 32"), expected)
-            .mend("use a newer CSI driver (4.15)"),
-        None if ways.without_patch() => {
-            Check::unknown(name, "`iwlagn` is not registered; `record --stock` needs no connector", expected)
+        Some(index @ 1..=32) => good(format!("{index}")),
+        Some(index) => {
+            bad(format!("{index}: no socket can join a group above 32")).mend("use a newer CSI driver (4.15)")
         }
+        None if ways.without_patch() => unknown("`iwlagn` is not registered; `record --stock` needs no connector"),
         None if card::leads_elsewhere(system, ways) => {
-            Check::unknown(name, "`iwlagn` is not registered: `way to CSI` names the driver", expected)
+            unknown("`iwlagn` is not registered: `way to CSI` names the driver")
         }
-        None => Check::bad(name, "`iwlagn` is not registered: no CSI driver is running", expected)
+        None => bad("`iwlagn` is not registered: no CSI driver is running")
             .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1"),
     }
 }
 
-fn capability(system: &dyn System) -> Check {
-    let expected = "CAP_NET_ADMIN";
-    let name = "capability";
+fn capability(system: &dyn System) -> Found {
     match holds(system, CAP_NET_ADMIN) {
-        Some(true) => Check::good(name, "held", expected),
-        Some(_) => Check::bad(name, "not held", expected).mend("sudo setcap cap_net_admin+ep $(command -v csi5300)"),
-        None => Check::unknown(name, "not in /proc/self/status", expected),
+        Some(true) => good("held"),
+        Some(_) => bad("not held").mend("sudo setcap cap_net_admin+ep $(command -v csi5300)"),
+        None => unknown("not in /proc/self/status"),
     }
 }
 
@@ -70,28 +71,25 @@ pub(super) fn holds(system: &dyn System, capability: u32) -> Option<bool> {
 }
 
 pub(super) fn buffers(system: &dyn System) -> Check {
+    let found = match system.text("/proc/sys/net/core/rmem_max").and_then(|text| text.parse::<u64>().ok()) {
+        Some(limit) if limit >= ENOUGH_BUFFER => good(format!("{limit}")),
+        Some(limit) => doubt(format!("{limit}: only a listener with CAP_NET_ADMIN may exceed it"))
+            .mend(format!("sudo sysctl -w net.core.rmem_max={}", 32 << 20)),
+        None => unknown("net.core.rmem_max cannot be read"),
+    };
     let expected = format!("net.core.rmem_max of {ENOUGH_BUFFER} bytes or more, a second at 1 kHz");
-    let name = "receive buffer";
-    match system.text("/proc/sys/net/core/rmem_max").and_then(|text| text.parse::<u64>().ok()) {
-        Some(limit) if limit >= ENOUGH_BUFFER => Check::good(name, format!("{limit}"), expected),
-        Some(limit) => {
-            Check::doubt(name, format!("{limit}: only a listener with CAP_NET_ADMIN may exceed it"), expected)
-                .mend(format!("sudo sysctl -w net.core.rmem_max={}", 32 << 20))
-        }
-        None => Check::unknown(name, "net.core.rmem_max cannot be read", expected),
-    }
+    found.of("receive buffer", expected)
 }
 
 pub(super) fn clock(system: &dyn System) -> Check {
-    let expected = "synchronised: the receiver's clock joins records and trajectory";
-    let name = "clock";
-    match system.run(&["timedatectl", "show", "-p", "NTPSynchronized"]) {
-        Some(ran) if ran.text.contains("=yes") => Check::good(name, "synchronised", expected),
+    let found = match system.run(&["timedatectl", "show", "-p", "NTPSynchronized"]) {
+        Some(ran) if ran.text.contains("=yes") => good("synchronised"),
         Some(ran) if ran.text.contains("=no") => {
-            Check::doubt(name, "not synchronised", expected).mend("sudo apt install chrony && sudo chronyc -a makestep")
+            doubt("not synchronised").mend("sudo apt install chrony && sudo chronyc -a makestep")
         }
-        _ => Check::unknown(name, "timedatectl does not report it", expected).mend("chronyc tracking"),
-    }
+        _ => unknown("timedatectl does not report it").mend("chronyc tracking"),
+    };
+    found.of("clock", "synchronised: the receiver's clock joins records and trajectory")
 }
 
 /// `type` of a monitor interface in sysfs (ARPHRD_IEEE80211_RADIOTAP).
@@ -103,17 +101,27 @@ pub(super) fn radio_checks(system: &dyn System, card: Option<&Card>) -> Vec<Chec
     let mut checks = vec![rfkill(system)];
     if let Some(card) = card {
         let Some(interface) = interface(system, card) else {
-            checks.push(
-                Check::bad("interface", "the card has none", "a network interface on the card")
-                    .mend("sudo modprobe iwldvm; if none comes up, `sudo dmesg | grep iwl` shows why"),
-            );
+            let mend = "sudo modprobe iwldvm; if none comes up, `sudo dmesg | grep iwl` shows why";
+            checks.push(bad("the card has none").mend(mend).of("interface", "a network interface on the card"));
             return checks;
         };
-        checks.extend([mode(system, &interface), owner(system, &interface, card), channel(system, &interface, card)]);
-        if !is_monitor(system, &interface) {
-            checks.extend(association(system, &interface));
-        }
-        checks.push(rate(system, card));
+        checks.extend([
+            mode(system, &interface).of(
+                "interface",
+                "monitor mode, up (for frames between robots; an access point's CSI comes in managed mode too)",
+            ),
+            owner(system, &interface, card)
+                .of("other owners", "no other program and no other interface of the card sets its mode and channel"),
+            channel(system, &interface, card).of(
+                "channel",
+                "a 5 GHz channel, the same width and channel on all robots, on which the card may transmit",
+            ),
+        ]);
+        let found = if is_monitor(system, &interface) { Vec::new() } else { association(system, &interface) };
+        let associated = "associated with an open access point that sends HT frames (802.11n)";
+        checks.extend(found.into_iter().map(|found| found.of("association", associated)));
+        let expected = "an HT rate, such as 0x4101 (antenna A, MCS 1), on robots that transmit";
+        checks.push(rate(system, card).of("monitor_tx_rate", expected));
     }
     checks.push(domain(system));
     checks
@@ -135,7 +143,6 @@ fn is_up(system: &dyn System, interface: &str) -> bool {
 }
 
 pub(super) fn rfkill(system: &dyn System) -> Check {
-    let expected = "WiFi is not blocked";
     let class = "/sys/class/rfkill";
     let mut blocked = Vec::new();
     for name in system.names(class) {
@@ -145,43 +152,42 @@ pub(super) fn rfkill(system: &dyn System) -> Check {
             blocked.extend(is("soft", "1").then_some("by software (soft)"));
         }
     }
-    match blocked.first() {
-        None => Check::good("rfkill", "not blocked", expected),
-        Some(how) if how.contains("hard") => Check::bad("rfkill", format!("blocked {how}"), expected)
+    let found = match blocked.first() {
+        None => good("not blocked"),
+        Some(how) if how.contains("hard") => bad(format!("blocked {how}"))
             .mend("turn on the machine's radio switch, or the card's disable pin (mini-PCIe pin 20) is held low"),
-        Some(how) => Check::bad("rfkill", format!("blocked {how}"), expected).mend("sudo rfkill unblock wifi"),
-    }
+        Some(how) => bad(format!("blocked {how}")).mend("sudo rfkill unblock wifi"),
+    };
+    found.of("rfkill", "WiFi is not blocked")
 }
 
-fn mode(system: &dyn System, interface: &str) -> Check {
-    let expected = "monitor mode, up (for frames between robots; an access point's CSI comes in managed mode too)";
+fn mode(system: &dyn System, interface: &str) -> Found {
     let set = format!(
         "sudo ip link set {interface} down && sudo iw dev {interface} set type monitor && sudo ip link set {interface} up"
     );
     let kind = system.text(&format!("/sys/class/net/{interface}/type"));
     match (kind.as_deref(), is_up(system, interface)) {
-        (Some(RADIOTAP), true) => Check::good("interface", format!("{interface}: monitor, up"), expected),
-        (Some(RADIOTAP), false) => Check::bad("interface", format!("{interface}: monitor, but down"), expected)
-            .mend(format!("sudo ip link set {interface} up")),
-        _ => Check::doubt("interface", format!("{interface}: not a monitor"), expected).mend(set),
+        (Some(RADIOTAP), true) => good(format!("{interface}: monitor, up")),
+        (Some(RADIOTAP), false) => {
+            bad(format!("{interface}: monitor, but down")).mend(format!("sudo ip link set {interface} up"))
+        }
+        _ => doubt(format!("{interface}: not a monitor")).mend(set),
     }
 }
 
-fn owner(system: &dyn System, interface: &str, card: &Card) -> Check {
-    let expected = "no other program and no other interface of the card sets its mode and channel";
-    let name = "other owners";
+fn owner(system: &dyn System, interface: &str, card: &Card) -> Found {
     let other = card.interfaces.iter().find(|other| *other != interface && is_up(system, other));
     if let Some(other) = other.filter(|_| is_monitor(system, interface)) {
         let found = format!(
             "{other} is up on the same card: {interface} hears its channel, and cannot be set to another (busy)"
         );
-        return Check::bad(name, found, expected).mend(format!("sudo ip link set {other} down"));
+        return bad(found).mend(format!("sudo ip link set {other} down"));
     }
     if let Some(ran) = system.run(&["nmcli", "-t", "-f", "DEVICE,STATE", "device"]) {
         let state =
             ran.text.lines().find_map(|line| line.strip_prefix(interface)?.strip_prefix(':').map(str::to_string));
         if let Some(state) = state.filter(|state| state != "unmanaged") {
-            return Check::bad(name, format!("NetworkManager has {interface} ({state})"), expected)
+            return bad(format!("NetworkManager has {interface} ({state})"))
                 .mend(format!("sudo nmcli device set {interface} managed no"));
         }
     }
@@ -194,23 +200,19 @@ fn owner(system: &dyn System, interface: &str, card: &Card) -> Check {
             program && words.iter().any(|word| word.trim_start_matches("-i") == interface)
         });
     match supplicant {
-        Some(pid) => Check::bad(name, format!("wpa_supplicant (process {pid}) has {interface}"), expected)
+        Some(pid) => bad(format!("wpa_supplicant (process {pid}) has {interface}"))
             .mend(format!("sudo kill {pid}, and leave {interface} out of /etc/network/interfaces or netplan")),
-        None => Check::good(name, "none seen", expected),
+        None => good("none seen"),
     }
 }
 
 /// Requirements for CSI of an access point's frames.
-fn association(system: &dyn System, interface: &str) -> Vec<Check> {
+fn association(system: &dyn System, interface: &str) -> Vec<Found> {
     let Some(link) = system.run(&["iw", "dev", interface, "link"]).map(|ran| ran.text) else { return Vec::new() };
-    let expected = "associated with an open access point that sends HT frames (802.11n)";
-    let name = "association";
     let Some(station) = link.trim().strip_prefix("Connected to ") else {
         let mend =
             format!("sudo iw dev {interface} connect SSID, of an open network (or monitor mode, see `interface`)");
-        return vec![
-            Check::bad(name, "not associated: no frames come to this card, and so no CSI", expected).mend(mend),
-        ];
+        return vec![bad("not associated: no frames come to this card, and so no CSI").mend(mend)];
     };
     let station = station.split_whitespace().next().unwrap_or_default();
     let mut checks = Vec::new();
@@ -221,15 +223,15 @@ fn association(system: &dyn System, interface: &str) -> Vec<Check> {
         let found = format!("{rate}: a legacy rate, and only HT frames (MCS) carry CSI");
         let mend = "802.11n on the access point (mode n, WMM on, open: WEP and TKIP end HT), `swcrypto` and `11n_disable` of \
                     iwlwifi at 0, and traffic: ping -i 0.01 to the access point";
-        checks.push(Check::bad(name, found, expected).mend(mend));
+        checks.push(bad(found).mend(mend));
     }
     if is_encrypted(system, interface, station) {
         let mend = "an open network on the access point, for the time of the measurement";
         let found = format!("{station} encrypts: the CSI firmware measures no encrypted frames");
-        checks.push(Check::bad(name, found, expected).mend(mend));
+        checks.push(bad(found).mend(mend));
     }
     if checks.is_empty() {
-        checks.push(Check::good(name, format!("associated with {station}"), expected));
+        checks.push(good(format!("associated with {station}")));
     }
     checks
 }
@@ -251,27 +253,18 @@ fn is_encrypted(system: &dyn System, interface: &str, station: &str) -> bool {
 
 /// A transmission rate (`rate_n_flags` of `dvm/commands.h`) in words.
 fn rate_words(rate: u32) -> String {
-    const LEGACY: [(u32, &str); 12] = [
-        (0xd, "6"),
-        (0xf, "9"),
-        (0x5, "12"),
-        (0x7, "18"),
-        (0x9, "24"),
-        (0xb, "36"),
-        (0x1, "48"),
-        (0x3, "54"),
-        (10, "1"),
-        (20, "2"),
-        (55, "5.5"),
-        (110, "11"),
-    ];
+    // OFDM, then CCK, whose codes are the speeds in 100 kbit/s.
+    const OFDM: [u32; 8] = [0xd, 0xf, 0x5, 0x7, 0x9, 0xb, 0x1, 0x3];
+    const SPEEDS: [&str; 8] = ["6", "9", "12", "18", "24", "36", "48", "54"];
+    const CCK: [u32; 4] = [10, 20, 55, 110];
     let code = rate & 0xff;
     let cck = rate & 0x200 != 0;
     let kind = if rate & RATE_HT != 0 {
         format!("HT, MCS {}", code & 0x1f)
     } else {
-        let known = LEGACY.iter().skip(if cck { 8 } else { 0 }).find(|(own, _)| *own == code);
-        let speed = known.map_or_else(|| "an unknown rate".to_owned(), |(_, speed)| format!("{speed} Mbit/s"));
+        let ofdm = OFDM.iter().position(|own| *own == code).map(|k| SPEEDS[k].to_owned());
+        let speed = if cck { CCK.contains(&code).then(|| (f64::from(code) / 10.0).to_string()) } else { ofdm };
+        let speed = speed.map_or_else(|| "an unknown rate".to_owned(), |speed| format!("{speed} Mbit/s"));
         format!("legacy {}, {speed}", if cck { "CCK" } else { "OFDM" })
     };
     let antennas: String = [(0x4000, 'A'), (0x8000, 'B'), (0x1_0000, 'C')]
@@ -284,31 +277,25 @@ fn rate_words(rate: u32) -> String {
     format!("{kind}, {width}{guard}, {antennas}")
 }
 
-fn channel(system: &dyn System, interface: &str, card: &Card) -> Check {
-    let expected = "a 5 GHz channel, the same width and channel on all robots, on which the card may transmit";
-    let name = "channel";
+fn channel(system: &dyn System, interface: &str, card: &Card) -> Found {
     let Some(ran) = system.run(&["iw", "dev", interface, "info"]) else {
-        return Check::unknown(name, "iw is not installed", expected).mend("sudo apt install iw");
+        return unknown("iw is not installed").mend("sudo apt install iw");
     };
     let line = ran.text.lines().find_map(|line| line.trim().strip_prefix("channel ").map(str::to_string));
     let Some(line) = line else {
-        return Check::bad(name, format!("{interface} has none"), expected)
+        return bad(format!("{interface} has none"))
             .mend(format!("sudo ip link set {interface} up && sudo iw dev {interface} set channel 64 HT20"));
     };
     let mhz: Option<u32> = line.split_once('(').and_then(|(_, rest)| rest.split_whitespace().next()?.parse().ok());
     if mhz.is_some_and(|mhz| mhz < 3_000) {
-        return Check::doubt(
-            name,
-            format!("{line}: at 2.4 GHz each antenna's phase jumps by multiples of pi/2"),
-            expected,
-        )
-        .mend(format!("sudo iw dev {interface} set channel 64 HT20"));
+        return doubt(format!("{line}: at 2.4 GHz each antenna's phase jumps by multiples of pi/2"))
+            .mend(format!("sudo iw dev {interface} set channel 64 HT20"));
     }
     let flags = mhz.zip(card.phy.as_ref()).and_then(|(mhz, phy)| flags_of_phy(system, phy, mhz)).unwrap_or_default();
     let forbidden = ["disabled", "no IR", "passive", "radar"].iter().find(|flag| flags.contains(**flag));
     match forbidden {
-        None => Check::good(name, line, expected),
-        Some(_) => Check::doubt(name, format!("{line}; this card may not start to transmit there ({flags})"), expected)
+        None => good(line),
+        Some(_) => doubt(format!("{line}; this card may not start to transmit there ({flags})"))
             .mend("enough to receive; to transmit, take a channel without these flags in `iw phy`"),
     }
 }
@@ -339,34 +326,31 @@ pub(crate) fn rate_file(system: &dyn System, phy: &str) -> Option<String> {
     places.iter().map(at).find(|path| system.size(path).is_some())
 }
 
-fn rate(system: &dyn System, card: &Card) -> Check {
-    let expected = "an HT rate, such as 0x4101 (antenna A, MCS 1), on robots that transmit";
-    let name = "monitor_tx_rate";
+fn rate(system: &dyn System, card: &Card) -> Found {
     let Some(path) = card.phy.as_ref().and_then(|phy| rate_file(system, phy)) else {
-        return Check::unknown(name, "not found: debugfs not mounted, not root, or not the CSI driver", expected)
+        return unknown("not found: debugfs not mounted, not root, or not the CSI driver")
             .mend("sudo mount -t debugfs none /sys/kernel/debug; run the doctor as root");
     };
     let text = system.text(&path).unwrap_or_default();
     let rate = u32::from_str_radix(text.trim_start_matches("0x"), 16);
     let found = rate.as_ref().map_or(text, |rate| format!("{rate:#x} ({})", rate_words(*rate)));
     if rate.is_ok_and(|rate| rate & RATE_HT != 0) {
-        return Check::good(name, found, expected);
+        return good(found);
     }
-    Check::doubt(name, format!("{found}: not HT, so what this card sends gives no CSI to others"), expected)
+    doubt(format!("{found}: not HT, so what this card sends gives no CSI to others"))
         .mend(format!("echo 0x4101 | sudo tee {path}"))
 }
 
 pub(super) fn domain(system: &dyn System) -> Check {
-    let expected = "the country that the robots are in";
-    let name = "regulatory domain";
-    let Some(ran) = system.run(&["iw", "reg", "get"]) else {
-        return Check::unknown(name, "iw is not installed", expected).mend("sudo apt install iw");
-    };
-    let country = ran.text.lines().find_map(|line| line.trim().strip_prefix("country ").map(str::to_string));
-    match country {
-        Some(country) if !country.starts_with("00") => Check::good(name, country, expected),
-        Some(_) => Check::doubt(name, "00 (world): most 5 GHz channels are for listening only", expected)
+    let ran = system.run(&["iw", "reg", "get"]);
+    let country =
+        |ran: &Ran| ran.text.lines().find_map(|line| line.trim().strip_prefix("country ").map(str::to_string));
+    let found = match ran.as_ref().map(country) {
+        None => unknown("iw is not installed").mend("sudo apt install iw"),
+        Some(Some(country)) if !country.starts_with("00") => good(country),
+        Some(Some(_)) => doubt("00 (world): most 5 GHz channels are for listening only")
             .mend("sudo iw reg set XX with your country's code, wait two seconds, then set the channel"),
-        None => Check::unknown(name, "iw does not report it", expected),
-    }
+        Some(None) => unknown("iw does not report it"),
+    };
+    found.of("regulatory domain", "the country that the robots are in")
 }

@@ -7,11 +7,11 @@ mod card;
 mod host;
 mod setup;
 
-pub(crate) use card::{EBPF_FROM, IWL5300, kernel_version};
+pub(crate) use card::{IWL5300, no_ebpf};
 pub use host::channel_flags;
 pub(crate) use host::rate_file;
 pub(crate) use setup::MODULE_RATE;
-pub use setup::{Action, Driver, Request, Role, SetupError, Step, default_interface, plan, undo, warnings};
+pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo, warnings};
 
 use csi5300::source::Next;
 use csi5300::source::survey::Survey;
@@ -51,31 +51,34 @@ pub struct Check {
     pub mend: Option<String>,
 }
 
-impl Check {
-    fn new(name: &'static str, verdict: Verdict, found: impl Into<String>, expected: impl Into<String>) -> Self {
-        Self { name, verdict, found: found.into(), expected: expected.into(), mend: None }
+/// What a check found: the verdict, the words, and what repairs it.
+struct Found(Verdict, String, Option<String>);
+
+impl Found {
+    fn mend(self, mend: impl Into<String>) -> Self {
+        Self(self.0, self.1, Some(mend.into()))
     }
 
-    fn mend(mut self, mend: impl Into<String>) -> Self {
-        self.mend = Some(mend.into());
-        self
+    /// The check of this name, and what it expects.
+    fn of(self, name: &'static str, expected: impl Into<String>) -> Check {
+        Check { name, verdict: self.0, found: self.1, expected: expected.into(), mend: self.2 }
     }
+}
 
-    fn good(name: &'static str, found: impl Into<String>, expected: impl Into<String>) -> Self {
-        Self::new(name, Verdict::Good, found, expected)
-    }
+fn good(found: impl Into<String>) -> Found {
+    Found(Verdict::Good, found.into(), None)
+}
 
-    fn bad(name: &'static str, found: impl Into<String>, expected: impl Into<String>) -> Self {
-        Self::new(name, Verdict::Bad, found, expected)
-    }
+fn bad(found: impl Into<String>) -> Found {
+    Found(Verdict::Bad, found.into(), None)
+}
 
-    fn doubt(name: &'static str, found: impl Into<String>, expected: impl Into<String>) -> Self {
-        Self::new(name, Verdict::Doubt, found, expected)
-    }
+fn doubt(found: impl Into<String>) -> Found {
+    Found(Verdict::Doubt, found.into(), None)
+}
 
-    fn unknown(name: &'static str, found: impl Into<String>, expected: impl Into<String>) -> Self {
-        Self::new(name, Verdict::Unknown, found, expected)
-    }
+fn unknown(found: impl Into<String>) -> Found {
+    Found(Verdict::Unknown, found.into(), None)
 }
 
 /// The checks that need no reception, in order.
@@ -231,81 +234,60 @@ impl Reception {
     /// Its checks, the worst first; one good check without problems.
     #[must_use]
     pub fn checks(&self) -> Vec<Check> {
-        let name = "reception";
-        let expected = "bfee records with CSI from known senders";
+        let check = |found: Found| found.of("reception", "bfee records with CSI from known senders");
+        self.found().into_iter().map(check).collect()
+    }
+
+    fn found(&self) -> Vec<Found> {
         let survey = &self.survey;
         let bfees = survey.bfees();
         if survey.records == 0 {
-            return vec![Check::bad(name, "nothing", expected).mend(
+            return vec![bad("nothing").mend(
                 "is another robot sending HT frames to and from 00:16:ea:12:34:56 on this channel and width? If the \
                  checks above are good, look for a firmware crash in `sudo dmesg`",
             )];
         }
         if bfees == 0 {
-            let only_frames = survey.by_code.keys().all(|code| *code == code::MPDU);
-            let found = match only_frames {
+            let found = match survey.by_code.keys().all(|code| *code == code::MPDU) {
                 true => {
                     "only frames (0xC1), no CSI (0xBB): none of them is HT, or none goes to and from 00:16:ea:12:34:56"
                 }
                 false => "messages of the driver, but no CSI among them",
             };
-            return vec![Check::bad(name, found, expected).mend("on the sender: `echo 0x4101` into monitor_tx_rate")];
+            return vec![bad(found).mend("on the sender: `echo 0x4101` into monitor_tx_rate")];
         }
-        let mut checks = self.doubts(name, expected, bfees);
-        if checks.is_empty() {
-            let senders = survey.senders.len();
-            checks.push(Check::good(name, format!("{bfees} bfee records, {senders} senders"), expected));
-        }
-        checks
-    }
-
-    fn doubts(&self, name: &'static str, expected: &str, bfees: u64) -> Vec<Check> {
-        let survey = &self.survey;
-        let mut checks = Vec::new();
+        let mut all = Vec::new();
         if self.zero_csi > 0 {
-            let verdict = if self.zero_csi == bfees { Check::bad } else { Check::doubt };
-            let found = format!("{} of {bfees} records have only zeros as CSI", self.zero_csi);
-            checks.push(verdict(name, found, expected).mend("reload the driver; if it stays, try another card"));
+            let words = format!("{} of {bfees} records have only zeros as CSI", self.zero_csi);
+            let found = if self.zero_csi == bfees { bad(words) } else { doubt(words) };
+            all.push(found.mend("reload the driver; if it stays, try another card"));
         }
         if survey.bad_bfee > 0 {
-            checks.push(Check::doubt(name, format!("{} contradictory bfee records", survey.bad_bfee), expected));
+            all.push(doubt(format!("{} contradictory bfee records", survey.bad_bfee)));
         }
         if self.unnumbered == bfees {
-            checks.push(
-                Check::doubt(
-                    name,
-                    "no record names its sender: the csitool driver without connector_log bit 0x4",
-                    expected,
-                )
-                .mend("use the WSR driver, or connector_log=0x5, to tell senders apart"),
-            );
+            let found = doubt("no record names its sender: the csitool driver without connector_log bit 0x4");
+            all.push(found.mend("use the WSR driver, or connector_log=0x5, to tell senders apart"));
         } else if self.unnumbered * 2 > bfees {
-            let found = format!("{} of {bfees} records from unknown senders", self.unnumbered);
-            checks.push(Check::doubt(name, found, expected));
+            all.push(doubt(format!("{} of {bfees} records from unknown senders", self.unnumbered)));
         }
-        let connected = survey.rssi.iter().filter(|range| range.max > 0).count();
-        if connected == 1 {
-            checks.push(
-                Check::doubt(name, "only one antenna receives", expected)
-                    .mend("enough for bearings from motion; otherwise check the pigtails and rx_chains_msk (0x7)"),
-            );
+        if survey.rssi.iter().filter(|range| range.max > 0).count() == 1 {
+            let mend = "enough for bearings from motion; otherwise check the pigtails and rx_chains_msk (0x7)";
+            all.push(doubt("only one antenna receives").mend(mend));
         }
         if self.nrx_steps * 20 > bfees {
-            let found = format!("the number of receive chains changes {} times in {bfees} records", self.nrx_steps);
-            checks.push(
-                Check::doubt(name, found, expected)
-                    .mend("connect all three antennas, or fix rx_chains_msk to one number"),
-            );
+            let words = format!("the number of receive chains changes {} times in {bfees} records", self.nrx_steps);
+            all.push(doubt(words).mend("connect all three antennas, or fix rx_chains_msk to one number"));
         }
-        if survey.overruns > 0 || survey.bfee_missing * 100 > bfees {
-            let found =
-                format!("{} overruns, {} numbers missing from bfee_count", survey.overruns, survey.bfee_missing);
-            checks.push(
-                Check::doubt(name, found, expected)
-                    .mend("a larger --receive-buffer of `record`; fewer programs on this host"),
-            );
+        let (overruns, missing) = (survey.overruns, survey.bfee_missing);
+        if overruns > 0 || missing * 100 > bfees {
+            let found = doubt(format!("{overruns} overruns, {missing} numbers missing from bfee_count"));
+            all.push(found.mend("a larger --receive-buffer of `record`; fewer programs on this host"));
         }
-        checks
+        if all.is_empty() {
+            all.push(good(format!("{bfees} bfee records, {} senders", survey.senders.len())));
+        }
+        all
     }
 }
 
@@ -643,7 +625,7 @@ mod tests {
         let system = Remembering { tree: stage.tree(), stage: &stage, done: RefCell::default() };
 
         let refused = plan(&system, &request(Role::Responder, "108", None)).unwrap_err();
-        assert!(matches!(refused, SetupError::NoAckLen), "{refused}");
+        assert!(refused.contains("needs --ack-len"), "{refused}");
 
         let wanted = request(Role::Responder, "108", Some(57));
         let done = apply(&system, &plan(&system, &wanted).unwrap());
@@ -768,7 +750,7 @@ mod tests {
         let stage = todays("no-kprobes");
         stage.remove("sys/bus/event_source");
         stage.put(EFIVAR, "\u{6}\0\0\0\u{1}");
-        expect(&stage, Verdict::Bad, "eBPF: no (the kernel has no kprobes)");
+        expect(&stage, Verdict::Bad, "eBPF: no (the kernel has no kprobes");
         assert_eq!(stage.check("Secure Boot").verdict, Verdict::Bad);
     }
 }

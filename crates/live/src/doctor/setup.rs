@@ -102,7 +102,7 @@ impl Step {
     ///
     /// # Errors
     /// What failed and how, unless that does not matter.
-    pub fn take(&self, system: &dyn System) -> Result<(), SetupError> {
+    pub fn take(&self, system: &dyn System) -> Result<(), String> {
         let outcome = match &self.action {
             Action::Write { path, text } => match find_rate_file(system, path) {
                 Some(path) => system.write(&path, text).map_err(|error| format!("writing {path}: {error}")),
@@ -114,7 +114,7 @@ impl Step {
                 None => Err(format!("{} is not installed", words.first().map_or("", String::as_str))),
             },
         };
-        if self.may_fail { Ok(()) } else { outcome.map_err(SetupError::Failed) }
+        if self.may_fail { Ok(()) } else { outcome }
     }
 }
 
@@ -129,7 +129,7 @@ fn find_rate_file(system: &dyn System, path: &str) -> Option<String> {
 }
 
 /// The installed driver, by the parameters of the modules.
-fn installed(system: &dyn System) -> Result<Driver, SetupError> {
+fn installed(system: &dyn System) -> Result<Driver, String> {
     let loaded = |name: &str| system.text(&format!("/sys/module/iwlwifi/parameters/{name}")).is_some();
     let known = system.run(&["modinfo", "-p", "iwlwifi"]).map(|ran| ran.text).unwrap_or_default();
     let has = |name: &str| loaded(name) || known.lines().any(|line| line.starts_with(&format!("{name}:")));
@@ -137,7 +137,11 @@ fn installed(system: &dyn System) -> Result<Driver, SetupError> {
         (true, _) => Ok(Driver::Wsr),
         (false, true) => Ok(Driver::Stock),
         (false, false) if module_installed(system) => Ok(Driver::Module),
-        (false, false) => Err(SetupError::NoCsiDriver),
+        (false, false) => Err(
+            "iwlwifi has no connector_log: it is not a CSI driver. With the distribution's driver: install the module csi5300 \
+             (packaging/dkms) and use --driver module (details: `csi5300 doctor`)"
+                .into(),
+        ),
     }
 }
 
@@ -145,7 +149,7 @@ fn installed(system: &dyn System) -> Result<Driver, SetupError> {
 ///
 /// # Errors
 /// If no CSI driver is installed, or `ack_len` is missing or would be ignored.
-pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupError> {
+pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, String> {
     let driver = match request.driver {
         Some(driver) => driver,
         None => installed(system)?,
@@ -153,9 +157,14 @@ pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupEr
     let interface = request.interface.as_str();
     let mut steps = hands_off(interface);
     match (driver, request.role, request.ack_len) {
-        (Driver::Wsr, Role::Responder, None) => return Err(SetupError::NoAckLen),
+        (Driver::Wsr, Role::Responder, None) => {
+            let why = "a responder with the WSR driver needs --ack-len, the length of the frames meant for it (57 for the first \
+                       robot, 59 for the second ...)";
+            return Err(why.into());
+        }
         (Driver::Wsr | Driver::Module, Role::Initiator, Some(_)) | (Driver::Stock, _, Some(_)) => {
-            return Err(SetupError::NeedlessAckLen);
+            let why = "an initiator, and a robot with csitool's driver, answers no frames by their length: leave out --ack-len";
+            return Err(why.into());
         }
         (Driver::Wsr, Role::Responder, Some(length)) => steps.extend(reload(system, Some(length))),
         (Driver::Wsr, Role::Initiator, None) => steps.extend(reload(system, Some(NEVER_ANSWER))),
@@ -225,12 +234,6 @@ fn loaded_again(why: &'static str, load: Step) -> [Step; 3] {
     ]
 }
 
-/// Problems on this machine that no step can repair, in words.
-#[must_use]
-pub fn warnings(system: &dyn System, request: &Request) -> Vec<String> {
-    warnings_of(system, request.driver.or_else(|| installed(system).ok()))
-}
-
 /// Monitor mode and channel. The interface is down for the mode and up for the channel (newer kernels return -16
 /// otherwise).
 fn tune(interface: &str, channel: Channel) -> Vec<Step> {
@@ -272,9 +275,10 @@ pub fn undo(system: &dyn System, interface: &str) -> Vec<Step> {
 ///
 /// # Errors
 /// When there is no card, or it has no interface.
-pub fn default_interface(system: &dyn System) -> Result<String, SetupError> {
-    let card = Card::find(system).ok_or(SetupError::NoCard)?;
-    card.interfaces.into_iter().next().ok_or(SetupError::NoInterface)
+pub fn default_interface(system: &dyn System) -> Result<String, String> {
+    let card = Card::find(system).ok_or("no Intel 5300 on the PCI bus (details: `csi5300 doctor`)")?;
+    let interface = card.interfaces.into_iter().next();
+    interface.ok_or_else(|| "the card has no interface: name one with --interface".into())
 }
 
 /// A hash of the sources of the module that is loaded.
@@ -364,8 +368,10 @@ fn undo_module(system: &dyn System) -> (Option<Step>, Vec<Step>) {
     (module, steps)
 }
 
-/// Problems of this driver that no step can repair, in words.
-fn warnings_of(system: &dyn System, driver: Option<Driver>) -> Vec<String> {
+/// Problems on this machine that no step can repair, in words.
+#[must_use]
+pub fn warnings(system: &dyn System, request: &Request) -> Vec<String> {
+    let driver = request.driver.or_else(|| installed(system).ok());
     let secure = secure_boot_is_on(system) == Some(true);
     let mut warnings = Vec::new();
     match driver {
@@ -392,32 +398,6 @@ fn warnings_of(system: &dyn System, driver: Option<Driver>) -> Vec<String> {
         );
     }
     warnings.into_iter().map(str::to_string).collect()
-}
-
-/// Why a step of the set-up cannot be planned or taken.
-#[derive(Debug, thiserror::Error)]
-pub enum SetupError {
-    /// A step failed: what, and how.
-    #[error("{0}")]
-    Failed(String),
-    /// The driver cannot report CSI.
-    #[error("iwlwifi has no connector_log: it is not a CSI driver")]
-    NoCsiDriver,
-    /// A responder with the WSR driver without the length of its frames.
-    #[error(
-        "a responder with the WSR driver needs the length of the frames meant for it (57 for the first robot, 59 for the \
-         second ...)"
-    )]
-    NoAckLen,
-    /// A length of frames for a robot whose driver answers none.
-    #[error("an initiator, and a robot with csitool's driver, answers no frames by their length")]
-    NeedlessAckLen,
-    /// No card on the bus.
-    #[error("no Intel 5300 on the PCI bus")]
-    NoCard,
-    /// A card without an interface.
-    #[error("the card has no interface")]
-    NoInterface,
 }
 
 #[cfg(test)]
@@ -485,7 +465,7 @@ mod tests {
         let wanted = "sudo modprobe csi5300 layout=wsr connector_log=1 ack_len=57 answer_on=wlp1s0";
         assert!(other.iter().any(|line| line == wanted), "{other:?}");
         let initiator = Request { role: Role::Initiator, ..request(Some(57)) };
-        assert!(matches!(plan(&stage.tree(), &initiator), Err(SetupError::NeedlessAckLen)));
+        assert!(plan(&stage.tree(), &initiator).unwrap_err().contains("leave out --ack-len"));
         let undone: Vec<_> = undo(&stage.tree(), "wlp1s0").iter().map(Step::line).collect();
         let at = |words: &str| place(&undone, words);
         assert!(at("modprobe -r csi5300") < at("rm /lib/firmware/iwlwifi-5000-2.ucode"));

@@ -13,8 +13,8 @@ use std::fmt::Write;
 /// News of the exchange.
 #[derive(Clone, Debug)]
 pub enum News {
-    /// The thread runs with this grant.
-    Started(super::Granted),
+    /// The thread runs: what the system granted, in words.
+    Started(String),
     /// Something happened on the air.
     Event(Event),
     /// Something that the user should know.

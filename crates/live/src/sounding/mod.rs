@@ -18,7 +18,7 @@ mod thread;
 
 pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, Spread, spread_of};
 pub use products::{Beside, measurement, products};
-pub use thread::{Granted, Order, Running, Settings};
+pub use thread::{Order, Running, Settings};
 
 use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
 use crate::listener::Listener;
@@ -93,9 +93,8 @@ impl<'a> Session<'a> {
         mut messages: Option<Logged<Listener>>,
         observer: &mut dyn Observer,
     ) -> Result<Finished, Error> {
-        let io = |source| Error::Io { what: "what is listened to".into(), source };
         let connector = messages.as_ref().map(|messages| messages.source().as_fd().try_clone_to_owned());
-        let connector = connector.transpose().map_err(io)?;
+        let connector = connector.transpose().map_err(Error::io("what is listened to"))?;
         let running = Running::start_opened(opened, self.clock, self.settings)?;
         let failed = loop {
             if let Err(error) = take(messages.as_mut(), self.clock.now(), &running, observer) {
@@ -303,28 +302,6 @@ const ANTENNAS: u32 = 3;
 /// How to get an HT rate under the kernel's own driver.
 const LOAD: &str = "load the module csi5300 (`csi5300 setup --driver module` says how)";
 
-/// The result for the driver's rate.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Rate {
-    /// The driver has no such file: it takes the rate from radiotap.
-    FromRadiotap,
-    /// A card under the kernel's own driver, which sends every injected frame at a legacy rate; the remedy.
-    Legacy(&'static str),
-    /// It was right already.
-    Right(u32),
-    /// It was set; the rate before.
-    Set(u32, String),
-    /// It is another rate and could not be set; the command that does.
-    Other {
-        /// The current rate.
-        found: String,
-        /// The error.
-        error: String,
-        /// The command that sets it.
-        mend: String,
-    },
-}
-
 /// The driver's number for a rate (`rate_n_flags`, `dvm/commands.h`): 0x4101 is MCS 1, 20 MHz, antenna A.
 ///
 /// Several streams (MCS 8 and up) go out on as many antennas: `antenna` and the next ones, A after C. `None` for more
@@ -345,9 +322,11 @@ pub fn rate_n_flags(phy: Phy, antenna: Antenna) -> Option<u32> {
     Some(antennas | u32::from(width | rate::HT) | u32::from(phy.mcs))
 }
 
-/// Sets the rate of a driver that ignores radiotap.
-#[must_use]
-pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
+/// Sets the rate of a driver that ignores radiotap; says so if it was another.
+///
+/// # Errors
+/// Why frames leave at another rate, and the remedy.
+pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Result<Option<String>, String> {
     let phy = system.text(&format!("/sys/class/net/{interface}/phy80211/name"));
     let patched = phy.and_then(|phy| rate_file(system, &phy));
     // The module's rate is for all cards under iwldvm; other drivers' cards take theirs from radiotap.
@@ -357,19 +336,20 @@ pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
     let Some(path) = patched.or_else(module) else {
         let device = system.text(&format!("/sys/class/net/{interface}/device/device")).unwrap_or_default();
         let is_card = is_intel && IWL5300.contains(&device.to_lowercase().as_str());
-        return if is_card { Rate::Legacy(LOAD) } else { Rate::FromRadiotap };
+        // A driver without such a file takes the rate from radiotap, except the kernel's own for this card.
+        let legacy = || format!("this driver sends injected frames at a legacy rate, which makes no CSI: {LOAD}");
+        return if is_card { Err(legacy()) } else { Ok(None) };
     };
     let found = system.text(&path).unwrap_or_default();
     if u32::from_str_radix(found.trim_start_matches("0x"), 16) == Ok(rate) {
-        return Rate::Right(rate);
+        return Ok(None);
     }
     match system.write(&path, &format!("{rate:#x}")) {
-        Ok(()) => Rate::Set(rate, found),
-        Err(error) => Rate::Other {
-            found,
-            error: format!("writing {path}: {error}"),
-            mend: format!("echo {rate:#x} | sudo tee {path}"),
-        },
+        Ok(()) => Ok(Some(format!("monitor_tx_rate set to {rate:#x} (was {found})"))),
+        Err(error) => Err(format!(
+            "monitor_tx_rate is {found}, so frames go out at another rate (writing {path}: {error}): echo {rate:#x} | sudo tee \
+             {path}"
+        )),
     }
 }
 
@@ -408,17 +388,18 @@ mod tests {
         let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
         let rate = rate_n_flags(phy, Antenna::A).unwrap();
         assert_eq!(rate, 0x4101);
-        assert_eq!(set_rate(&tree, "mon1", rate), Rate::FromRadiotap);
-        assert_eq!(set_rate(&tree, "mon0", rate), Rate::Set(rate, "0x0".into()));
-        assert_eq!(set_rate(&tree, "mon0", rate), Rate::Right(rate));
+        let set = |before: &str| Ok(Some(format!("monitor_tx_rate set to 0x4101 (was {before})")));
+        assert_eq!(set_rate(&tree, "mon1", rate), Ok(None));
+        assert_eq!(set_rate(&tree, "mon0", rate), set("0x0"));
+        assert_eq!(set_rate(&tree, "mon0", rate), Ok(None));
         // The stock driver with the module.
-        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Set(rate, "0x4100".into()));
-        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Right(rate));
+        assert_eq!(set_rate(&tree, "mon2", rate), set("0x4100"));
+        assert_eq!(set_rate(&tree, "mon2", rate), Ok(None));
         // And without it, which another Intel card does not need.
         std::fs::remove_file(root.join("sys/module/csi5300/parameters/monitor_tx_rate")).unwrap();
-        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Legacy(LOAD));
+        assert!(set_rate(&tree, "mon2", rate).unwrap_err().ends_with(LOAD));
         std::fs::write(root.join("sys/class/net/mon2/device/device"), "0x2723\n").unwrap();
-        assert_eq!(set_rate(&tree, "mon2", rate), Rate::FromRadiotap);
+        assert_eq!(set_rate(&tree, "mon2", rate), Ok(None));
         std::fs::remove_dir_all(root).unwrap();
     }
 

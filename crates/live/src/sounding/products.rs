@@ -56,14 +56,8 @@ pub fn products(peers: &[Mac], options: Options) -> LiveEstimator {
 pub struct Beside<T> {
     every: Span,
     next_at: Instant,
-    under_way: Option<UnderWay<T>>,
-}
-
-#[derive(Debug)]
-struct UnderWay<T> {
-    thread: JoinHandle<T>,
-    /// Readable, at its end, once the work is done.
-    done: PipeReader,
+    /// The piece that is running, and what is readable, at its end, once it is done.
+    under_way: Option<(JoinHandle<T>, PipeReader)>,
 }
 
 impl<T: Send + 'static> Beside<T> {
@@ -88,15 +82,15 @@ impl<T: Send + 'static> Beside<T> {
             return Ok(());
         }
         self.next_at = now + self.every;
-        let io = |source| Error::Io { what: "cannot start a thread beside the one that listens".into(), source };
-        let (done, doing) = std::io::pipe().map_err(io)?;
+        let what = "cannot start a thread beside the one that listens";
+        let (done, doing) = std::io::pipe().map_err(Error::io(what))?;
         let work = move || {
             // Closed when the work ends, also by a panic.
             let _doing = doing;
             work()
         };
-        let thread = std::thread::Builder::new().name("csi5300 beside".into()).spawn(work).map_err(io)?;
-        self.under_way = Some(UnderWay { thread, done });
+        let thread = std::thread::Builder::new().name("csi5300 beside".into()).spawn(work).map_err(Error::io(what))?;
+        self.under_way = Some((thread, done));
         Ok(())
     }
 
@@ -105,7 +99,7 @@ impl<T: Send + 'static> Beside<T> {
     /// # Panics
     /// If the work did.
     pub fn take(&mut self) -> Option<T> {
-        self.under_way.take_if(|doing| doing.thread.is_finished()).map(joined)
+        self.under_way.take_if(|(thread, _)| thread.is_finished()).map(|(thread, _)| joined(thread))
     }
 
     /// Waits for the running piece, unless `stop` is readable: then it ends with the process.
@@ -116,10 +110,10 @@ impl<T: Send + 'static> Beside<T> {
     /// # Panics
     /// If the work did.
     pub fn last(&mut self, clock: Monotonic, stop: BorrowedFd<'_>) -> Result<Option<T>, Error> {
-        let Some(doing) = self.under_way.take() else { return Ok(None) };
+        let Some((thread, done)) = self.under_way.take() else { return Ok(None) };
         loop {
-            match clock.wait([doing.done.as_fd(), stop], None)? {
-                [true, _] => return Ok(Some(joined(doing))),
+            match clock.wait([done.as_fd(), stop], None)? {
+                [true, _] => return Ok(Some(joined(thread))),
                 [false, true] => return Ok(None),
                 [false, false] => {}
             }
@@ -127,8 +121,8 @@ impl<T: Send + 'static> Beside<T> {
     }
 }
 
-fn joined<T>(doing: UnderWay<T>) -> T {
-    doing.thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+fn joined<T>(thread: JoinHandle<T>) -> T {
+    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
 #[cfg(test)]

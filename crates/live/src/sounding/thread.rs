@@ -35,28 +35,6 @@ impl Default for Settings {
     }
 }
 
-/// What the system granted, or why not.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Granted {
-    /// SCHED_FIFO, or why not.
-    pub fifo: Result<(), String>,
-    /// All memory of the start is locked, or why not.
-    pub locked: Result<(), String>,
-}
-
-impl std::fmt::Display for Granted {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match &self.fifo {
-            Ok(()) => write!(f, "sending under SCHED_FIFO")?,
-            Err(why) => write!(f, "sending under the ordinary scheduler ({why}); slots will be missed under load")?,
-        }
-        match &self.locked {
-            Ok(()) => write!(f, ", memory locked"),
-            Err(why) => write!(f, "; memory not locked ({why})"),
-        }
-    }
-}
-
 /// Orders to the running thread.
 #[derive(Clone, Copy, Debug)]
 pub enum Order {
@@ -89,14 +67,14 @@ impl Running {
     /// # Errors
     /// If pipe or thread cannot be created.
     pub fn start(tdma: Tdma, monitor: Monitor, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
-        let io = |source| Error::Io { what: "cannot start the thread that sends".into(), source };
-        let (stopped, stop) = std::io::pipe().map_err(io)?;
+        let what = "cannot start the thread that sends";
+        let (stopped, stop) = std::io::pipe().map_err(Error::io(what))?;
         let (orders, news) = (Mailbox::new(), Mailbox::new());
         let (ordered, told) = (Arc::clone(&orders), Outbox::new(&news));
         let mut exchange = Exchange::new(tdma, monitor);
         exchange.stop_at = settings.stop_at;
         let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
-        let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(io)?;
+        let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(Error::io(what))?;
         Ok(Self { thread, stop, orders, news, heard: Mutex::default() })
     }
 
@@ -150,17 +128,21 @@ impl Running {
     }
 }
 
-/// Requests what makes the thread punctual.
-fn ask(settings: Settings) -> Granted {
+/// Requests what makes the thread punctual; says what the system granted, or why not.
+fn ask(settings: Settings) -> String {
     // Without SCHED_FIFO timers may be 50 us late to save power.
     let _ = set_timerslack(1);
     // Only current memory: with MCL_FUTURE a later bearing could hit the limit and abort.
-    let locked = mlockall(MlockAllFlags::MCL_CURRENT).map_err(|errno| std::io::Error::from(errno).to_string());
-    let fifo = match settings.fifo_priority {
-        Some(priority) => sys::schedule_fifo(priority).map_err(|error| error.to_string()),
-        None => Err("as asked for".into()),
+    let locked = match mlockall(MlockAllFlags::MCL_CURRENT) {
+        Ok(()) => ", memory locked".to_owned(),
+        Err(errno) => format!("; memory not locked ({})", std::io::Error::from(errno)),
     };
-    Granted { fifo, locked }
+    let fifo = settings.fifo_priority.map(sys::schedule_fifo);
+    let fifo = fifo.map_or_else(|| Err("as asked for".into()), |asked| asked.map_err(|error| error.to_string()));
+    match fifo {
+        Ok(()) => format!("sending under SCHED_FIFO{locked}"),
+        Err(why) => format!("sending under the ordinary scheduler ({why}); slots will be missed under load{locked}"),
+    }
 }
 
 fn run(

@@ -3,7 +3,7 @@
 use crate::private::{Got, body, inside, listen, send, take};
 use csi5300::source::{CsiSource, Loss, Next, Refused};
 use csi5300::time::Instant;
-use csi5300_live::netlink::{Found, Netlink, Options, Sender};
+use csi5300_live::netlink::{Netlink, Options, Sender};
 use csi5300_live::wait::Monotonic;
 use driver_iface::connector::{CN_IDX, CN_IDX_10_USERS, CN_VAL, Repr};
 use driver_iface::record::{MAX_LENGTH, Record, code};
@@ -22,7 +22,7 @@ fn every_layout_arrives_byte_for_byte() {
     }
     for padded in [true, false] {
         let mut listener = listen(LARGE, None);
-        assert_eq!(listener.indices(), (&[CN_IDX, CN_IDX_10_USERS][..], Found::Guessed));
+        assert!(listener.at().contains("26 and 25 (no CSI driver"), "{}", listener.at());
         // The unpadded ones under an old tree's index.
         let index = if padded { CN_IDX } else { CN_IDX_10_USERS };
         let mut sender = Sender::open(index, padded).unwrap();

@@ -215,7 +215,7 @@ fn latency() {
 fn latency_of_the_program() {
     let Some(count) = step("CSI5300_STOCK_LATENCY") else { return };
     let records = driver_iface::stock::Options { layout: driver_iface::bfee::Layout::Stock, ..Default::default() };
-    let options = csi5300_live::stock::Options { records, ..Default::default() };
+    let options = csi5300_live::stock::Options { records, ring: csi5300_live::stock::RING, own: None };
     let mut stock = csi5300_live::stock::Stock::open(&options).unwrap();
     let clock = Monotonic::new();
     percentiles(&count, || match stock.receive(clock.now()).unwrap() {

@@ -48,7 +48,7 @@ impl Adapter for Bearings {
     }
 
     fn report(&mut self, said: &Said<'_>) {
-        let line = Line { took_ms: Some(said.took_ms), latency_ms: said.latency_ms, report: said.report };
+        let line = Line { took_ms: said.took_ms, latency_ms: said.latency_ms, report: said.report };
         self.lines.iter_mut().for_each(|lines| lines.write(&line));
     }
 
@@ -58,23 +58,19 @@ impl Adapter for Bearings {
         health.trouble.extend(lines.trouble());
     }
 
-    fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
+    fn finish(&mut self, health: &mut Health) {
         let Some(lines) = &mut self.lines else { return };
-        last.iter().for_each(|report| lines.write(&Line { took_ms: None, latency_ms: None, report }));
         health.load.lines_lost = lines.end(LAST_LINES);
     }
 }
 
 /// Lines of JSON, written on a separate thread, so that a reader cannot delay the robot.
 struct Lines {
-    writer: Option<Writer>,
-    counts: Arc<LineCounts>,
-}
-
-struct Writer {
-    lines: SyncSender<String>,
+    /// Until the end.
+    lines: Option<SyncSender<String>>,
     /// Closed when the last line is written.
     done: Receiver<()>,
+    counts: Arc<LineCounts>,
 }
 
 #[derive(Default)]
@@ -93,11 +89,10 @@ impl Lines {
             // A person reads there: the line of state has the bearings.
             "-" if output.shows_line() && std::io::stdout().is_terminal() => return Ok(None),
             "-" => Box::new(std::io::stdout()),
-            path => Box::new(
-                append_to(path)
-                    .map(Appended)
-                    .map_err(|source| Error::Io { what: format!("cannot write bearings to {path}"), source })?,
-            ),
+            path => {
+                let file = append_to(path).map_err(Error::io(format!("cannot write bearings to {path}")))?;
+                Box::new(Appended(file))
+            }
         };
         Self::to(to).map(Some)
     }
@@ -120,15 +115,15 @@ impl Lines {
             drop(written);
         };
         spawn("csi5300 bearings", "cannot start the thread that writes bearings", write)?;
-        Ok(Self { writer: Some(Writer { lines, done }), counts })
+        Ok(Self { lines: Some(lines), done, counts })
     }
 
     /// Hands over one value as one line, without waiting.
     pub fn write(&mut self, value: &impl serde::Serialize) {
-        let Some(writer) = &self.writer else { return };
+        let Some(lines) = &self.lines else { return };
         self.counts.waiting.fetch_add(1, Ordering::Relaxed);
         let line = serde_json::to_string(value).map(|line| line + "\n");
-        if !line.is_ok_and(|line| writer.lines.try_send(line).is_ok()) {
+        if !line.is_ok_and(|line| lines.try_send(line).is_ok()) {
             self.counts.waiting.fetch_sub(1, Ordering::Relaxed);
             self.counts.lost.fetch_add(1, Ordering::Relaxed);
         }
@@ -148,13 +143,9 @@ impl Lines {
 
     /// Waits at most `limit` for the remaining lines. Returns the number that was not written.
     pub fn end(&mut self, limit: Duration) -> u64 {
-        if let Some(Writer { lines, done }) = self.writer.take() {
-            drop(lines);
-            if done.recv_timeout(limit) == Err(RecvTimeoutError::Timeout) {
-                return self.lost() + self.counts.waiting.load(Ordering::Relaxed);
-            }
-        }
-        self.lost()
+        drop(self.lines.take());
+        let is_late = self.done.recv_timeout(limit) == Err(RecvTimeoutError::Timeout);
+        self.lost() + if is_late { self.counts.waiting.load(Ordering::Relaxed) } else { 0 }
     }
 }
 
@@ -259,7 +250,7 @@ mod tests {
         let first = Lines::open(&output).unwrap().unwrap();
         let refused = Lines::open(&output).err().unwrap().to_string();
         assert!(refused.contains("another node writes it: stop that one"), "{refused}");
-        let Writer { lines, done } = first.writer.unwrap();
+        let Lines { lines, done, .. } = first;
         drop(lines);
         // The thread that writes is done with it.
         assert!(done.recv().is_err());

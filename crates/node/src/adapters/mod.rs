@@ -25,6 +25,7 @@ use crate::sources::Poses;
 use crate::team::Ranges;
 use csi5300::motion::odometry::SourceCounts;
 use csi5300::motion::odometry::ros::Stamp;
+use csi5300::pipeline::Bearing;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use csi5300_ros2::rmw_zenoh::Relay;
@@ -72,8 +73,8 @@ pub trait Adapter {
     /// Publishes the complete state.
     fn tell(&mut self, _health: &Health, _machine: &Machine) {}
 
-    /// Publishes the last report of each peer, and adds losses to the state.
-    fn finish(&mut self, _last: &[PeerReport], _health: &mut Health) {}
+    /// Ends after the last report of each peer, and adds losses to the state.
+    fn finish(&mut self, _health: &mut Health) {}
 }
 
 /// What an adapter is made of.
@@ -82,7 +83,7 @@ pub struct Start<'a> {
     pub config: &'a Config,
     /// This robot's name.
     pub name: &'a str,
-    /// Notified when there is input for the machine.
+    /// Notified when a thread has input for the machine.
     pub wake: Arc<Notify>,
     /// Ranges of another sensor go here.
     pub ranges: Ranges,
@@ -91,6 +92,7 @@ pub struct Start<'a> {
 }
 
 /// This robot and its peers, in the order of the configuration.
+#[derive(Clone)]
 pub struct Robot {
     /// Its name.
     pub name: String,
@@ -106,12 +108,12 @@ pub struct Said<'a> {
     pub peer: usize,
     /// The report.
     pub report: &'a PeerReport,
-    /// How long the estimate took, milliseconds.
-    pub took_ms: f64,
+    /// The bearing in it, in full.
+    pub bearing: Option<&'a Bearing>,
+    /// How long the estimate took, milliseconds; none of the last report.
+    pub took_ms: Option<f64>,
     /// How long ago the last record in it was taken, milliseconds.
     pub latency_ms: Option<f64>,
-    /// The machine that says it.
-    pub machine: &'a Machine,
 }
 
 type Made = Result<Option<Box<dyn Adapter>>, Error>;

@@ -71,7 +71,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         writes: Vec::new(),
         csi: 0,
         diagnostics: 0,
-        peers: Vec::new(),
+        peers: 0,
         commands: PYTHONS.map(|python| [python, "-c", BRIDGE].map(str::to_owned).to_vec()).to_vec(),
         bridge: None,
     })))
@@ -84,7 +84,7 @@ struct Ros1 {
     /// The input of the claims.
     config: Config,
     /// Nothing without a table `[ros]`.
-    claims: Option<Claims>,
+    claims: Option<Arc<Claims>>,
     /// Its name.
     node: String,
     reads: Vec<(Inbox, Kind)>,
@@ -93,7 +93,8 @@ struct Ros1 {
     /// The places of CSI and of the diagnostics in `writes`.
     csi: usize,
     diagnostics: usize,
-    peers: Vec<(String, String)>,
+    /// How many have topics of their own: the first ones of `writes`.
+    peers: usize,
     /// Bridges that are tried, one after the other.
     commands: Vec<Vec<String>>,
     bridge: Option<Bridge>,
@@ -137,8 +138,8 @@ impl Adapter for Ros1 {
 
     fn meet(&mut self, robot: &Robot) -> Result<(), Error> {
         if self.publishes && self.settings.publish_bearings {
-            self.peers = robot.peers.iter().map(|(name, mac)| (name.clone(), mac.to_string())).collect();
-            for (name, _) in &self.peers {
+            self.peers = robot.peers.len();
+            for (name, _) in &robot.peers {
                 let topic = format!("{}/{}", self.node, name_part(name));
                 self.writes.push((format!("{topic}/bearing"), "csi5300_msgs/Bearing"));
                 self.writes.push((format!("{topic}/direction"), "geometry_msgs/PoseStamped"));
@@ -158,8 +159,7 @@ impl Adapter for Ros1 {
         let answer: Option<Answer> = claims.map(|claims| Box::new(move || claims.answer()) as Answer);
         let settings = self.settings_line();
         let bridge = Bridge::start(self.commands.clone(), settings, inboxes, self.writes.len(), answer, wall_us);
-        let io = |source| Error::Io { what: "cannot start the threads of ROS 1".into(), source };
-        self.bridge = Some(bridge.map_err(io)?);
+        self.bridge = Some(bridge.map_err(Error::io("cannot start the threads of ROS 1"))?);
         Ok(())
     }
 
@@ -178,13 +178,13 @@ impl Adapter for Ros1 {
     }
 
     fn report(&mut self, said: &Said<'_>) {
-        let (Some(bridge), Some((name, mac))) = (&self.bridge, self.peers.get(said.peer)) else { return };
+        let Some(bridge) = self.bridge.as_ref().filter(|_| said.peer < self.peers) else { return };
         let stamp = Time::from_us((said.report.t_s.unwrap_or(0.0) * 1e6) as i64);
         let header = Header { stamp, frame_id: self.settings.frame.clone() };
         if let Some(pose) = said::direction(&header, said.report) {
             bridge.outbox.put(2 * said.peer + 1, &pose);
         }
-        bridge.outbox.put(2 * said.peer, &said::bearing(header, (name, mac), said.report));
+        bridge.outbox.put(2 * said.peer, &said::bearing(header, said.report));
     }
 
     fn look(&mut self, health: &mut Health) {
@@ -325,8 +325,10 @@ impl Drop for Bridge {
     fn drop(&mut self) {
         let shared = &self.outbox.shared;
         shared.over.store(true, Ordering::Relaxed);
-        // The end of its input ends it.
-        lock(&shared.input).take();
+        // The end of its input ends it, after what waits.
+        if self.outbox.lines.try_send((usize::MAX, String::new())).is_err() {
+            lock(&shared.input).take();
+        }
         shared.end();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -334,9 +336,13 @@ impl Drop for Bridge {
     }
 }
 
-/// Writes the waiting lines to the current bridge.
+/// Writes the waiting lines to the current bridge; an empty one ends its input.
 fn write(waiting: &Receiver<(usize, String)>, shared: &Shared) {
     for (topic, line) in waiting {
+        if line.is_empty() {
+            lock(&shared.input).take();
+            return;
+        }
         // Not held while writing: a bridge that reads nothing must not block its end.
         let input = lock(&shared.input).as_ref().and_then(|input| input.as_fd().try_clone_to_owned().ok());
         let written = input.is_some_and(|input| File::from(input).write_all(line.as_bytes()).is_ok());
@@ -516,12 +522,15 @@ mod tests {
         assert_eq!(shared.counts[0][1].load(Ordering::Relaxed), 1, "what was put before is lost");
         // The pipe takes lines before `cat` has opened its file.
         comes(|| std::fs::read_to_string(&file).unwrap_or_default().lines().count() == 3);
+        // The last ones go out, too.
+        (0..100).for_each(|_| bridge.outbox.put(0, &PoseStamped::default()));
         drop(bridge);
         let went = std::fs::read_to_string(&file).unwrap();
         let mut lines = went.lines();
         assert_eq!(lines.next(), Some("settings"));
         let line = |line: &str| -> Value { serde_json::from_str(line).unwrap() };
         let (answers, messages): (Vec<_>, Vec<_>) = lines.map(line).partition(|line| line["to"].is_null());
+        assert_eq!((answers.len(), messages.len()), (1, 101));
         assert_eq!((&answers[0]["answer"], &answers[0]["message"]["id"]), (&json!(7), &json!("burger")));
         assert_eq!((&messages[0]["to"], &messages[0]["message"]["pose"]["orientation"]["w"]), (&json!(0), &json!(0.0)));
         std::fs::remove_dir_all(&folder).unwrap();

@@ -9,7 +9,6 @@ use crate::machine::{Machine, Tap};
 use crate::sources::Poses;
 use crate::team::{Member, Ranged, Ranges, TeamState};
 use csi5300::motion::odometry::ros::Stamp;
-use csi5300::pipeline::live::PeerReport;
 use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_bag::messages::{
@@ -21,6 +20,7 @@ use csi5300_ros2::link::{Publisher, usual};
 use csi5300_ros2::said::Pen;
 use csi5300_ros2::{Node, Qos, Records, colour};
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 /// Least deviation of a range, metres, whatever its variance says.
 const LEAST_SD_M: f64 = 0.01;
@@ -37,12 +37,11 @@ const OWN: [f32; 3] = [0.5, 0.5, 0.5];
 
 struct Ros2 {
     node: Node,
-    publishes_diagnostics: bool,
     diagnostics: Option<Publisher<DiagnosticArray>>,
     /// What the claims are made of.
     config: Config,
     /// Nothing without a table `[ros2]`.
-    claims: Option<Claims>,
+    claims: Option<Arc<Claims>>,
     records: Option<Records>,
     /// None without a table `[ros2]` or `[team]`.
     team: Option<Topics>,
@@ -58,7 +57,6 @@ pub(super) fn make(start: &Start<'_>) -> Made {
     let _ = start.topics.set(node.link().relay());
     Ok(Some(Box::new(Ros2 {
         node,
-        publishes_diagnostics: config.ros2.as_ref().is_some_and(|ros| ros.publish_diagnostics),
         diagnostics: None,
         config: config.clone(),
         claims: None,
@@ -76,21 +74,20 @@ impl Adapter for Ros2 {
 
     fn meet(&mut self, robot: &Robot) -> Result<(), Error> {
         if let Some(ros) = &self.config.ros2 {
-            let peers: Vec<_> = robot.peers.iter().map(|(name, mac)| (name.clone(), mac.to_string())).collect();
-            self.node.announce(&peers);
+            let names: Vec<String> = robot.peers.iter().map(|(name, _)| name.clone()).collect();
+            self.node.announce(&names);
             self.node.serve_parameters(parameters(&self.config));
             let claims = Claims::new(&self.config, robot);
-            let asked = claims.clone();
+            let asked = Arc::clone(&claims);
             self.node.link().serve("~/self_test", move |_: &_, _: SelfTestRequest| asked.answer());
             self.claims = Some(claims);
             if let Some(team) = &self.config.team {
-                let names = robot.peers.iter().map(|(name, _)| name.clone()).collect();
                 self.team = Some(Topics::new(&self.node, names, ros.frame.clone(), !team.places.is_empty()));
             }
         }
         self.subscribe_to_ranges();
         let publish = || self.node.link().publish("/diagnostics", usual());
-        self.diagnostics = self.publishes_diagnostics.then(publish);
+        self.diagnostics = self.config.ros2.as_ref().filter(|ros| ros.publish_diagnostics).map(|_| publish());
         self.records = self.node.records();
         Ok(())
     }
@@ -100,7 +97,7 @@ impl Adapter for Ros2 {
             machine.add_tap(Box::new(records));
         }
         if let Some(claims) = &self.claims {
-            claims.attach(machine, self.publishes_diagnostics);
+            claims.attach(machine, self.diagnostics.is_some());
         }
         Ok(())
     }
@@ -110,14 +107,12 @@ impl Adapter for Ros2 {
     }
 
     fn look(&mut self, health: &mut Health) {
-        self.node.look();
         health.ros2 = Some(self.node.link().counted());
         health.trouble.extend(self.node.trouble());
         health.trouble.extend(mislabelled(health, self.config.ros2.as_ref().map(|ros| ("ros2", &ros.frame))));
     }
 
-    fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
-        last.iter().enumerate().for_each(|(peer, report)| self.node.report(peer, report));
+    fn finish(&mut self, health: &mut Health) {
         self.node.link().end_recording();
         health.ros2 = Some(self.node.link().counted());
         let trouble = self.node.trouble().into_iter().filter(|why| !health.trouble.contains(why));
@@ -142,7 +137,7 @@ impl Ros2 {
             self.node.ranges(&asked.topic, move |told| {
                 let ranged = |(us, [range_m, sd_m]): (i64, [f64; 2])| {
                     let range_m = [range_m, if sd_m > 0.0 { sd_m.max(LEAST_SD_M) } else { usual_m }];
-                    Ranged { peer: peer.clone(), t_s: us as f64 * 1e-6, range_m }
+                    Ranged { t_s: us as f64 * 1e-6, range_m }
                 };
                 ranges.put(&peer, told.map(ranged));
             });

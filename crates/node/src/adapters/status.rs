@@ -4,7 +4,6 @@ use super::{Adapter, Made, Start, are_descriptors_to_spare};
 use crate::health::Health;
 use crate::machine::Machine;
 use crate::refused;
-use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use std::fs::Permissions;
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -55,7 +54,7 @@ impl Adapter for Status {
         }
     }
 
-    fn finish(&mut self, _: &[PeerReport], _: &mut Health) {
+    fn finish(&mut self, _: &mut Health) {
         // Other output follows.
         if self.shown && self.terminal {
             let _ = std::io::stderr().write_all(CLEAR.as_bytes());
@@ -87,8 +86,9 @@ impl StatusSocket {
     /// Takes readers, inside a runtime.
     pub fn serve(&mut self) -> Result<(), Error> {
         let Some(listener) = self.listener.take() else { return Ok(()) };
-        let io = |source| Error::Io { what: format!("cannot listen on {}", self.path.display()), source };
-        tokio::spawn(accept(UnixListener::from_std(listener).map_err(io)?, self.told.subscribe()));
+        let listener = UnixListener::from_std(listener);
+        let listener = listener.map_err(Error::io(format!("cannot listen on {}", self.path.display())))?;
+        tokio::spawn(accept(listener, self.told.subscribe()));
         Ok(())
     }
 
@@ -109,11 +109,10 @@ fn make_way(path: &Path) -> Result<(), Error> {
     match std::os::unix::net::UnixStream::connect(path) {
         Ok(_) => Err(refused(format!("another node answers on {name}: stop it first"))),
         Err(error) if error.kind() == ErrorKind::ConnectionRefused => {
-            let io =
-                |source| Error::Io { what: format!("cannot remove the socket {name} that nobody listens on"), source };
-            std::fs::remove_file(path).map_err(io)
+            let what = format!("cannot remove the socket {name} that nobody listens on");
+            std::fs::remove_file(path).map_err(Error::io(what))
         }
-        Err(source) => Err(Error::Io { what: format!("{name} is there: does another node use it?"), source }),
+        Err(error) => Err(Error::io(format!("{name} is there: does another node use it?"))(error)),
     }
 }
 

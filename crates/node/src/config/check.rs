@@ -3,7 +3,7 @@
 //! One function for each group of rules. A refusal names the place of the wrong key, or of the table that lacks one;
 //! the spans of the TOML reader give its line.
 
-use super::{CameraMount, Capture, Config, Feitcsi, Odometry, Peer, Place, Problem, Records, Room, Ros, name_part};
+use super::{Capture, Config, Odometry, Peer, Problem, Records, Room, Ros, name_part};
 use crate::adapters;
 use csi5300::exchange::tdma::{Plan, PlanError, Request};
 use csi5300::motion::odometry::ros::{Stamp, plain};
@@ -22,8 +22,6 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::os::unix::net::SocketAddr;
 use std::path::Path;
 
-/// Largest distance of a part from the middle of a robot, metres.
-const ON_ROBOT_M: f64 = 10.0;
 /// Allowed speeds of a log or a room, relative to its own pace.
 const SPEEDS: RangeInclusive<f64> = 1e-3..=1e3;
 /// Records that can be let wait for or from the network: no fewer than come while a message is collected, no more than
@@ -58,6 +56,7 @@ pub(super) fn problems(
 ) -> Vec<Problem> {
     let mut check = Check { config, own_file, lines, gone, scene: None, problems: Vec::new() };
     check.own_card();
+    check.files_to_read();
     check.array();
     check.own_room();
     check.estimator();
@@ -78,11 +77,15 @@ pub(super) fn problems(
 }
 
 impl Check<'_> {
-    /// Refuses the value at `place`: keys and numbers of items from the root, `peer.0.records.replay.file`.
-    fn refuse(&mut self, place: &str, reason: impl Into<String>) {
+    /// The line of the value at `place`: keys and numbers of items from the root, `peer.0.records.replay.file`.
+    fn line(&self, place: &str) -> Option<usize> {
         let step = |key| str::parse(key).map_or(Step::Key(key), Step::Index);
-        let place: Vec<Step<'_>> = place.split('.').map(step).collect();
-        self.problems.push(Problem { line: self.lines.line(&place), reason: reason.into() });
+        self.lines.line(&place.split('.').map(step).collect::<Vec<Step<'_>>>())
+    }
+
+    /// Refuses the value at `place`.
+    fn refuse(&mut self, place: &str, reason: impl Into<String>) {
+        self.problems.push(Problem { line: self.line(place), reason: reason.into() });
     }
 
     /// Refuses the value that a table at the place has for a robot, whose name may be anything.
@@ -126,9 +129,6 @@ impl Check<'_> {
     fn wrong_poses(&self, poses: &Odometry, own: bool) -> Option<WrongBelow> {
         let of_now = self.is_room() || self.is_replay();
         let (key, why) = match poses {
-            Odometry::Csv(csv) if !csv.file.is_file() => {
-                return Some(("csv.file".into(), format!("there is no trajectory {}", csv.file.display())));
-            }
             Odometry::Csv(_) if !self.is_replay() => {
                 ("csv", "`csv` poses need a replayed capture, whose pace they follow")
             }
@@ -148,20 +148,6 @@ impl Check<'_> {
     }
 }
 
-/// A number of a place on a robot that is not finite or too large.
-fn too_far(place_m: &[f64; 3]) -> Option<WrongBelow> {
-    let (number, why) = place_m.iter().enumerate().find_map(|(number, m)| Some((number, off_robot(*m)?)))?;
-    Some((format!("antenna_offset_m.{number}"), format!("antenna_offset_m: {why}")))
-}
-
-/// Why a coordinate is of no place on a robot.
-fn off_robot(m: f64) -> Option<String> {
-    match m.is_finite() {
-        false => Some("every number must be finite".into()),
-        true => (m.abs() > ON_ROBOT_M).then(|| format!("{m:e} m is not on a robot: {ON_ROBOT_M} m at most")),
-    }
-}
-
 /// Why poses leave no place for `antenna_offset_m`: they are of the antenna already.
 fn offset_twice(poses: &Odometry, offset_m: [f64; 3]) -> Option<WrongBelow> {
     let why = match poses {
@@ -177,36 +163,32 @@ fn offset_twice(poses: &Odometry, offset_m: [f64; 3]) -> Option<WrongBelow> {
     Some(("antenna_offset_m".into(), why.into()))
 }
 
-/// A number of a fixed place that is not finite.
-fn not_finite(odometry: &Odometry) -> Option<WrongBelow> {
-    let Odometry::Static(Place { position_m, heading_deg }) = odometry else { return None };
-    let place = match position_m.iter().position(|m| !m.is_finite()) {
-        Some(number) => format!("static.position_m.{number}"),
-        None if !heading_deg.is_finite() => "static.heading_deg".into(),
-        None => return None,
-    };
-    Some((place, "position_m and heading_deg must be finite numbers".into()))
-}
-
 impl Check<'_> {
-    /// This robot's MAC and log.
+    /// This robot's MAC.
     fn own_card(&mut self) {
         if self.config.mac.is_none() && !self.is_room() && self.knows(&["mac"]) {
             let why = "`mac`, the address of this robot's card, is missing: `ip link` shows it, and `csi5300 info` shows the \
                        senders in a log";
             self.refuse("capture", why);
         }
-        if let Capture::Replay(replay) = self.capture()
-            && !replay.file.is_file()
-        {
-            let why = format!("there is no log {}", replay.file.display());
-            self.refuse("capture.replay.file", why);
-        }
-        if let Capture::Feitcsi(Feitcsi::Pipe(pipe)) = self.capture()
-            && !std::fs::metadata(pipe).is_ok_and(|found| found.file_type().is_fifo())
-        {
-            let why = format!("{} is no named pipe: `mkfifo` makes one, and FeitCSI writes to it", pipe.display());
-            self.refuse("capture.feitcsi.pipe", why);
+    }
+
+    /// Every file that is read is there.
+    fn files_to_read(&mut self) {
+        for (place, file) in self.config.clone().inputs() {
+            let (name, is_pipe) =
+                (file.display(), std::fs::metadata(&file).is_ok_and(|found| found.file_type().is_fifo()));
+            match place.as_str() {
+                // A scene is refused with the reason, and the room of a socket may begin later.
+                "capture.room.scene" | "capture.served.socket" => {}
+                "capture.feitcsi.pipe" if !is_pipe => {
+                    let why = format!("{name} is no named pipe: `mkfifo` makes one, and FeitCSI writes to it");
+                    self.refuse(&place, why);
+                }
+                "capture.feitcsi.pipe" => {}
+                _ if !file.is_file() => self.refuse(&place, format!("there is no file {name}")),
+                _ => {}
+            }
         }
     }
 
@@ -279,26 +261,15 @@ impl Check<'_> {
         if let Some((place, why)) = self.wrong_poses(&config.odometry, true) {
             self.refuse(&format!("odometry.{place}"), why);
         }
-        if let Some((place, why)) = not_finite(&config.odometry) {
-            self.refuse(&format!("odometry.{place}"), format!("odometry: {why}"));
-        }
-        let offset_m = config.antenna_offset_m;
-        for (place, why) in [too_far(&offset_m), offset_twice(&config.odometry, offset_m)].into_iter().flatten() {
+        if let Some((place, why)) = offset_twice(&config.odometry, config.antenna_offset_m) {
             self.refuse(&place, why);
         }
     }
 
     /// How this robot carries its camera.
     fn camera(&mut self) {
-        let Some(CameraMount { forward_m, left_m, yaw_deg }) = self.config.camera_mount else { return };
-        let yaw = (!yaw_deg.is_finite()).then(|| "it must be a finite number".to_owned());
-        let wrong = [("forward_m", off_robot(forward_m)), ("left_m", off_robot(left_m)), ("yaw_deg", yaw)];
-        for (key, why) in wrong {
-            if let Some(why) = why {
-                self.refuse(&format!("camera_mount.{key}"), format!("camera_mount: {key}: {why}"));
-            }
-        }
         let why = match &self.config.odometry {
+            _ if self.config.camera_mount.is_none() => return,
             Odometry::Csv(_) | Odometry::Ros(_) => return,
             Odometry::Ros2(topic) if topic.antenna_frame.is_none() => return,
             Odometry::Ros2(_) => {
@@ -377,13 +348,9 @@ impl Check<'_> {
     fn peers(&mut self) {
         let config = self.config;
         for (k, peer) in config.peer.iter().map(|peer| peer.get_ref()).enumerate() {
-            let yaw = (!peer.yaw_deg.is_finite()).then(|| ("yaw_deg".into(), "yaw_deg must be finite".into()));
-            let below_poses = |(place, why): WrongBelow| (format!("poses.{place}"), why);
-            let poses = [self.wrong_poses(&peer.poses, false), not_finite(&peer.poses)];
-            let wrong = poses.into_iter().flatten().map(below_poses);
-            let offset_m = peer.antenna_offset_m;
-            let offset = [too_far(&offset_m), offset_twice(&peer.poses, offset_m)].into_iter().flatten();
-            let wrong = wrong.chain(offset).chain(yaw).chain(self.wrong_records(peer));
+            let poses = self.wrong_poses(&peer.poses, false).map(|(place, why)| (format!("poses.{place}"), why));
+            let offset = offset_twice(&peer.poses, peer.antenna_offset_m);
+            let wrong = poses.into_iter().chain(offset).chain(self.wrong_records(peer));
             for (place, why) in wrong.chain(self.wrong_identity(k, peer)) {
                 self.refuse(&format!("peer.{k}.{place}"), format!("peer `{}`: {why}", peer.name));
             }
@@ -442,9 +409,6 @@ impl Check<'_> {
         let stands = matches!(peer.poses, Odometry::Static(_));
         let sounding = self.config.sounding.as_ref();
         let (place, why) = match &peer.records {
-            Records::Replay(replay) if !replay.file.is_file() => {
-                return Some(("records.replay.file".into(), format!("there is no log {}", replay.file.display())));
-            }
             Records::Replay(_) if !self.is_replay() => {
                 ("records.replay", "a replayed log needs `capture.replay`, whose pace it follows")
             }
@@ -486,10 +450,7 @@ impl Check<'_> {
         if config.peer.is_empty() && self.knows(&["peer"]) {
             self.refuse("team", "[team] needs a [[peer]]: the graph is made of bearings");
         }
-        let places = team.places.iter().map(|(name, place_m)| {
-            let is_wrong = !place_m.iter().all(|m| m.is_finite());
-            ("places", name, is_wrong.then(|| "every number must be finite".to_owned()))
-        });
+        let places = team.places.keys().map(|name| ("places", name, None));
         let ranges = team.ranges.iter().map(|(name, ranges)| ("ranges", name, settings::wrong_name(&ranges.topic)));
         for (key, name, wrong) in places.chain(ranges) {
             let is_peer = config.peer.iter().any(|peer| peer.get_ref().name == *name);
@@ -557,12 +518,7 @@ impl Check<'_> {
             _ if asked.links.is_some_and(|links| links > 0 && usize::from(links) < config.answering()) => {
                 (Some("links"), "links: a round needs as many slots as there are peers, or more")
             }
-            _ => {
-                return match asked.key.as_ref().filter(|key| !key.is_file()) {
-                    Some(key) => Some((Some("key"), format!("there is no key {}", key.display()))),
-                    None => wrong_plan(&config.sounding_request()?),
-                };
-            }
+            _ => return wrong_plan(&config.sounding_request()?),
         };
         Some((key, why.into()))
     }
@@ -592,9 +548,6 @@ impl Check<'_> {
         }
         if network.backlog.is_some_and(|backlog| !BACKLOGS.contains(&backlog)) {
             self.refuse("network.backlog", format!("backlog: {} to {} records", BACKLOGS.start(), BACKLOGS.end()));
-        }
-        if network.zenoh.as_ref().is_some_and(|file| !file.is_file()) {
-            self.refuse("network.zenoh", "there is no such file of zenoh's");
         }
         if network.ros2 && !self.config.uses_ros2() && self.knows(&["capture", "odometry", "peer", "ros2"]) {
             self.refuse("network.ros2", "there are no topics to carry: no [ros2] table, and no `ros2` poses");
@@ -631,9 +584,7 @@ fn wrong_topic(odometry: &Odometry, of_peer: bool) -> Option<WrongBelow> {
 /// What is wrong with a source that a robot of the room follows.
 fn wrong_source(room: &Room, odometry: &Odometry) -> Option<String> {
     let stamp = match odometry {
-        Odometry::Csv(csv) => {
-            return (!csv.file.is_file()).then(|| format!("there is no trajectory {}", csv.file.display()));
-        }
+        Odometry::Csv(_) => return None,
         Odometry::Ros(topic) => topic.stamp,
         Odometry::Ros2(topic) => topic.stamp,
         _ => return Some("a robot follows `ros2`, `ros` or `csv`".into()),
@@ -734,10 +685,13 @@ impl Check<'_> {
         let mut before: Vec<(&str, &Path)> = Vec::new();
         for (place, kind, file) in files {
             let Some(file) = file else { continue };
-            let read = inputs
-                .iter()
-                .find(|(_, input)| is_one(input, file))
-                .map(|(key, _)| format!("{} is an input ({key}): name another output", file.display()));
+            let read = inputs.iter().find(|(_, input)| is_one(input, file)).map(|(input, _)| {
+                format!(
+                    "{} is an input ({}): name another output",
+                    file.display(),
+                    self.line(input).map_or_else(|| input.clone(), |line| format!("line {line}"))
+                )
+            });
             let twice = before.iter().find(|(_, other)| is_one(other, file)).map(|(name, _)| {
                 format!("{} is also the output of `{name}`: they would overwrite each other", file.display())
             });
@@ -747,9 +701,6 @@ impl Check<'_> {
                 self.refuse(place, why);
             }
             before.push((place, file));
-        }
-        if config.log.as_ref().is_some_and(|log| log.rotate_mib == Some(0)) {
-            self.refuse("log.rotate_mib", "rotate_mib is 0: every record would have a file of its own");
         }
     }
 }
@@ -929,7 +880,7 @@ mod tests {
             ("capture.card", "`mac`", swap(CARD, "mac = '02:00:00:00:00:01'\n", "")),
             (
                 "no.dat",
-                "there is no log",
+                "there is no file",
                 swap(&card("[capture.replay]\nspeed = 2\nfile = 'no.dat'\n"), "capture.card = {}\n", ""),
             ),
             (
@@ -963,29 +914,29 @@ mod tests {
             ("rate_hz =", "rate_hz in [estimator]", estimator("rate_hz = 101.0")),
             ("rate_hz =", "rate_hz in [estimator]", estimator("rate_hz = 1e-9")),
             (
-                "inf",
                 "antenna_offset_m",
+                "inf: metres from the middle of the robot",
                 swap(&room(""), "odometry.room", "antenna_offset_m = [0.0,\n  inf, 0.0]\nodometry.room"),
             ),
             (
                 "nan",
-                "odometry: position_m and heading_deg must be finite",
+                "must be finite",
                 swap(
                     &room(""),
                     "odometry.room = {}",
                     "[odometry.static]\nposition_m = [0.0, 0.0, 0.0]\nheading_deg = nan",
                 ),
             ),
-            ("nan", "peer `tx`", swap(&room(""), "yaw_deg = 0.0", "yaw_deg = nan")),
+            ("nan", "must be finite", swap(&room(""), "yaw_deg = 0.0", "yaw_deg = nan")),
             ("yaw_deg", "leave it out", swap(&room(""), "yaw_deg = 0.0", "yaw_deg = 3.0")),
-            ("nan", "peer `tx`", room("antenna_offset_m = [0, nan, 0]\n")),
-            ("inf", "peer", room("[peer.poses.static]\nheading_deg = 1.0\nposition_m = [0, 0, inf]\n")),
+            ("nan", "metres from", room("antenna_offset_m = [0, nan, 0]\n")),
+            ("inf", "must be finite", room("[peer.poses.static]\nheading_deg = 1.0\nposition_m = [0, 0, inf]\n")),
             (
                 "1e300",
-                "not on a robot",
+                "10 at most",
                 swap(&room(""), "odometry.room", "antenna_offset_m = [1e300, 0.0, 0.0]\nodometry.room"),
             ),
-            ("-10.5", "peer `tx`: antenna_offset_m: -1.05e1 m", room("antenna_offset_m = [0, 0,\n-10.5]\n")),
+            ("antenna_offset_m", "-10.5: metres from", room("antenna_offset_m = [0, 0,\n-10.5]\n")),
         ]);
     }
 
@@ -1008,12 +959,12 @@ mod tests {
             ),
             (
                 "inf",
-                "left_m: every number must be finite",
+                "inf: metres from",
                 posed("camera_mount = { forward_m = 0.0, left_m = inf }\nodometry.csv.file = 'no.csv'"),
             ),
             (
                 "1e300",
-                "forward_m: 1e300 m is not on",
+                "1e300: metres from",
                 posed("camera_mount = { forward_m = 1e300, left_m = 0 }\nodometry.static = {}"),
             ),
         ]);
@@ -1036,7 +987,7 @@ mod tests {
     fn poses_fit_the_capture() {
         let room_posed = |poses: &str| swap(&room(""), "odometry.room = {}", poses);
         all_refused([
-            ("no.csv", "no trajectory", posed("odometry.csv.file = 'no.csv'")),
+            ("no.csv", "there is no file", posed("odometry.csv.file = 'no.csv'")),
             ("odometry.csv", "replayed capture", posed("odometry.csv.file = 'lib.rs'")),
             ("odometry.room", "`room` poses", posed("odometry.room = {}")),
             ("odometry.network", "own poses", posed("odometry.network = {}")),
@@ -1095,7 +1046,7 @@ mod tests {
                 linked("[[peer]]\nname = 'c'\nrecords.network = {}\nmac = '02:00:00:00:00:01' # own\n"),
             ),
             ("# again", "this robot's own name", swap(&linked(""), "'b'", "'here' # again")),
-            ("no.dat", "there is no log", second("records.replay.file = 'no.dat'\n")),
+            ("no.dat", "there is no file", second("records.replay.file = 'no.dat'\n")),
             ("lib.rs", "a replayed log needs", second("records.replay.file = 'lib.rs'\n")),
             ("records.room", "`room` records need", second("records.room = {}\n")),
             ("# c", "`network` records need a [network]", second("records.network = {} # c\n")),
@@ -1194,7 +1145,7 @@ mod tests {
                 "leave `interface` out",
                 swap(&sounding(""), "capture.card = {}", "capture.served = { socket = 's', robot = 'a' }"),
             ),
-            ("key =", "there is no key", sounding("key = 'no.key'\n")),
+            ("key =", "there is no file", sounding("key = 'no.key'\n")),
             ("rate_hz =", "rounds", sounding("rate_hz = 1e5\n")),
             ("mcs =", "23", sounding("mcs = 24\n")),
             ("links =", "links", sounding("links = 0\n")),
@@ -1237,7 +1188,7 @@ mod tests {
                 "no `odometry` to publish",
                 swap(&card("[network]\ngroup = 'g'\npublish_poses = true\n"), WHEELS, "odometry.static = {}"),
             ),
-            ("no.json5", "no such file", card("[network]\ngroup = 'g'\nzenoh = 'no.json5'\n")),
+            ("no.json5", "there is no file", card("[network]\ngroup = 'g'\nzenoh = 'no.json5'\n")),
         ]);
     }
 
@@ -1289,7 +1240,7 @@ mod tests {
         refused(&with("a.dat", "b", "a.dat"), "status_socket", "is also the output of `log.file`");
         refused(&with("a.dat", "b", "b"), "status_socket", "is also the output of `output.bearings`");
         refused(&CARD.replace("x.dat", "/dev/full"), "/dev/full", "no regular file");
-        refused(&format!("{CARD}rotate_mib = 0\n"), "rotate_mib", "a file of its own");
+        refused(&format!("{CARD}rotate_mib = 0\n"), "rotate_mib", "nonzero");
         // What already exists: a log and a recording get other names, lines are added, a socket is one.
         std::fs::create_dir_all(folder.join("run")).unwrap();
         std::fs::write(folder.join("old"), "").unwrap();
@@ -1334,21 +1285,21 @@ mod tests {
             )
         };
         let said = |text: &str| Config::read(text, &folder).err().map(|error| error.to_string()).unwrap_or_default();
-        for (capture, bearings, key) in [
-            ("rx.dat", "rx.dat", "`capture.replay`"),
-            ("rx.dat", "sub/../rx.dat", "`capture.replay`"),
-            ("rx.dat", "./rx.dat", "`capture.replay`"),
-            ("rx.dat", "sub/link.dat", "`capture.replay`"),
-            ("sub/link.dat", "rx.dat", "`capture.replay`"),
-            ("rx.dat", "sub/hard.dat", "`capture.replay`"),
-            ("rx.dat", "rx.datstp", "`capture.replay`"),
-            ("sub/link.dat", "rx.datstp", "`capture.replay`"),
-            ("rx.dat", "tx.dat", "`records.replay` of peer `tx`"),
-            ("rx.dat", "way.csv", "`odometry`"),
-            ("rx.dat", "hard.csv", "`odometry`"),
+        for (capture, bearings, line) in [
+            ("rx.dat", "rx.dat", 4),
+            ("rx.dat", "sub/../rx.dat", 4),
+            ("rx.dat", "./rx.dat", 4),
+            ("rx.dat", "sub/link.dat", 4),
+            ("sub/link.dat", "rx.dat", 4),
+            ("rx.dat", "sub/hard.dat", 4),
+            ("rx.dat", "rx.datstp", 4),
+            ("sub/link.dat", "rx.datstp", 4),
+            ("rx.dat", "tx.dat", 11),
+            ("rx.dat", "way.csv", 5),
+            ("rx.dat", "hard.csv", 5),
         ] {
             let why = said(&config(capture, &format!("bearings = '{bearings}'")));
-            let wanted = format!("is an input ({key}): name another output");
+            let wanted = format!("is an input (line {line}): name another output");
             assert!(why.starts_with("line 7: ") && why.contains(&wanted), "{capture}, {bearings}: {why}");
         }
         let output = |more: &str| said(&config("rx.dat", more));
@@ -1358,7 +1309,7 @@ mod tests {
         let keyed = format!("{CARD}[output]\nbearings = 'key'\n[sounding]\ninterface = 'mon0'\nkey = 'key'\n{PEER}")
             .replace("records.room = {}", "mac = '02:00:00:00:00:02'\nrecords.sounding = {}");
         let why = said(&keyed);
-        assert!(why.contains("is an input (`sounding.key`)"), "{why}");
+        assert!(why.contains("is an input (line 12)"), "{why}");
         assert_eq!(std::fs::read(folder.join("rx.dat")).unwrap(), b"rx.dat");
         std::fs::remove_dir_all(folder).unwrap();
     }

@@ -29,11 +29,13 @@ use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
 use nalgebra::Vector3;
 use reading::{
-    Reading, antenna, antennas, channel, exactly, lists, maybe_parsed, maybe_positive, named, parsed, positive,
+    Reading, antenna, antennas, channel, exactly, finite, lists, maybe_parsed, model, named, offset, on_robot, parsed,
+    positive,
 };
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Read};
+use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 
@@ -63,7 +65,7 @@ pub struct Config {
     #[serde(default)]
     pub odometry: Odometry,
     /// The antenna's place on the robot: metres forward, left, up. The room's odometry is the robot's too.
-    #[serde(default, deserialize_with = "exactly")]
+    #[serde(default, deserialize_with = "offset")]
     pub antenna_offset_m: [f64; 3],
     /// The mount of the tracking camera, if the poses are its: they are then constrained to rolling motion, and
     /// `antenna_offset_m` starts from the middle between the wheels.
@@ -231,34 +233,34 @@ impl Config {
         self.uses_ros2().then(|| format!("ROS 2, domain {}: {}{also}", asked.domain(), asked.reach().words))
     }
 
-    /// Every file that is read, and its key in words.
+    /// Every file that is read, and its place here: keys and numbers of items from the root.
     fn inputs(&mut self) -> Vec<(String, &mut PathBuf)> {
         let mut files: Vec<(String, &mut PathBuf)> = Vec::new();
         match self.capture.get_mut() {
-            Capture::Replay(replay) => files.push(("`capture.replay`".into(), &mut replay.file)),
+            Capture::Replay(replay) => files.push(("capture.replay.file".into(), &mut replay.file)),
             Capture::Room(room) => {
                 // Others are built in.
                 if room.scene.extension().is_some() {
-                    files.push(("`capture.room`".into(), &mut room.scene));
+                    files.push(("capture.room.scene".into(), &mut room.scene));
                 }
                 let followed = room.follow.iter_mut();
-                files.extend(followed.filter_map(|(name, of)| of.file(format!("`capture.room.follow.{name}`"))));
+                files.extend(followed.filter_map(|(name, of)| of.file(&format!("capture.room.follow.{name}"))));
             }
-            Capture::Served(served) => files.push(("`capture.served`".into(), &mut served.socket)),
-            Capture::Feitcsi(Feitcsi::Pipe(pipe)) => files.push(("`capture.feitcsi`".into(), pipe)),
+            Capture::Served(served) => files.push(("capture.served.socket".into(), &mut served.socket)),
+            Capture::Feitcsi(Feitcsi::Pipe(pipe)) => files.push(("capture.feitcsi.pipe".into(), pipe)),
             Capture::Card(_) | Capture::Stock(_) | Capture::Feitcsi(Feitcsi::Udp(_)) => {}
         }
-        files.extend(self.odometry.file("`odometry`".into()));
-        for peer in self.peer.iter_mut().map(Spanned::get_mut) {
+        files.extend(self.odometry.file("odometry"));
+        for (k, peer) in self.peer.iter_mut().map(Spanned::get_mut).enumerate() {
             if let Records::Replay(replay) = &mut peer.records {
-                files.push((format!("`records.replay` of peer `{}`", peer.name), &mut replay.file));
+                files.push((format!("peer.{k}.records.replay.file"), &mut replay.file));
             }
-            files.extend(peer.poses.file(format!("`poses` of peer `{}`", peer.name)));
+            files.extend(peer.poses.file(&format!("peer.{k}.poses")));
         }
         let key = self.sounding.as_mut().and_then(|sounding| sounding.key.as_mut());
-        files.extend(key.map(|key| ("`sounding.key`".into(), key)));
+        files.extend(key.map(|key| ("sounding.key".into(), key)));
         let zenoh = self.network.as_mut().and_then(|network| network.zenoh.as_mut());
-        files.extend(zenoh.map(|file| ("`network.zenoh`".into(), file)));
+        files.extend(zenoh.map(|file| ("network.zenoh".into(), file)));
         files
     }
 
@@ -409,9 +411,9 @@ impl Default for Odometry {
 }
 
 impl Odometry {
-    /// Its trajectory, if it is one, with its key.
-    fn file(&mut self, key: String) -> Option<(String, &mut PathBuf)> {
-        if let Self::Csv(csv) = self { Some((key, &mut csv.file)) } else { None }
+    /// Its trajectory, if it is one, with its place.
+    fn file(&mut self, place: &str) -> Option<(String, &mut PathBuf)> {
+        if let Self::Csv(csv) = self { Some((format!("{place}.csv.file"), &mut csv.file)) } else { None }
     }
 }
 
@@ -426,31 +428,12 @@ pub struct NoKeys {}
 pub struct OpenCr {
     /// The serial port.
     pub port: PathBuf,
-    /// The robot's model; by default the controller's.
-    pub model: Option<Model>,
+    /// The wheels of the robot's model, `burger` or `waffle`; by default the controller says which.
+    #[serde(default, deserialize_with = "model")]
+    pub model: Option<Geometry>,
     /// Readings a second.
     #[serde(default = "hundred", deserialize_with = "positive")]
     pub rate_hz: f64,
-}
-
-/// A TurtleBot3.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Model {
-    /// Burger.
-    Burger,
-    /// Waffle and Waffle Pi.
-    Waffle,
-}
-
-impl Model {
-    /// Its wheels.
-    pub(crate) fn geometry(self) -> Geometry {
-        match self {
-            Self::Burger => Geometry::BURGER,
-            Self::Waffle => Geometry::WAFFLE,
-        }
-    }
 }
 
 /// See [`Odometry::Csv`]. In a configuration `"FILE"` or `{ file = "FILE" }`.
@@ -484,6 +467,7 @@ pub struct Place {
     #[serde(deserialize_with = "exactly")]
     pub position_m: [f64; 3],
     /// Degrees from +x towards +y.
+    #[serde(deserialize_with = "finite")]
     pub heading_deg: f64,
 }
 
@@ -492,11 +476,13 @@ pub struct Place {
 #[serde(deny_unknown_fields)]
 pub struct CameraMount {
     /// The camera seen from the middle between the wheels, metres forward.
+    #[serde(deserialize_with = "on_robot")]
     pub forward_m: f64,
     /// The same, metres to the left.
+    #[serde(deserialize_with = "on_robot")]
     pub left_m: f64,
     /// Its heading less the robot's, degrees, counter-clockwise.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "finite")]
     pub yaw_deg: f64,
 }
 
@@ -525,10 +511,10 @@ pub struct Peer {
     #[serde(default)]
     pub poses: Odometry,
     /// Its antenna's place on it: metres forward, left, up.
-    #[serde(default, deserialize_with = "exactly")]
+    #[serde(default, deserialize_with = "offset")]
     pub antenna_offset_m: [f64; 3],
     /// How far its frame is turned against this robot's, degrees.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "finite")]
     pub yaw_deg: f64,
 }
 
@@ -591,7 +577,7 @@ pub struct Estimation {
     #[serde(deserialize_with = "positive")]
     pub window_s: f64,
     /// Relative motion needed for a bearing, metres; two wavelengths where absent.
-    #[serde(deserialize_with = "maybe_positive")]
+    #[serde(deserialize_with = "positive")]
     pub least_motion_m: Option<f64>,
     /// Bearings of each peer a second.
     #[serde(deserialize_with = "positive")]
@@ -772,8 +758,8 @@ pub struct RangeTopic {
 pub struct Log {
     /// The file, `.dat`; later starts append a number to its name.
     pub file: PathBuf,
-    /// Continue in a new file before this size, MiB; more than 0.
-    pub rotate_mib: Option<u64>,
+    /// Continue in a new file before this size, MiB.
+    pub rotate_mib: Option<NonZeroU64>,
     /// With a checksum of each record in the side file.
     #[serde(default)]
     pub checksums: bool,
@@ -946,7 +932,7 @@ mod tests {
         let here = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
         let there = Config::read(&format!("{ROOM}[network]\nzenoh = \"Cargo.toml\"\n"), here);
         let words = there.map_or_else(|error| error.to_string(), |_| String::new());
-        assert!(!words.contains("no such file") && zenoh.contains("zenoh"), "{words}");
+        assert!(!words.contains("there is no file") && zenoh.contains("there is no file"), "{words}");
     }
 
     #[test]
@@ -984,7 +970,7 @@ mod tests {
         assert!(!config.uses_ros());
         assert!(read(", follow = { a.ros.topic = \"/a/odom\" }").unwrap().uses_ros());
         for (follow, why) in [
-            (", follow = { a.csv.file = \"no.csv\" }", "no trajectory"),
+            (", follow = { a.csv.file = \"no.csv\" }", "there is no file"),
             (", follow = { a.csv.file = \"way.csv\", c.csv.file = \"way.csv\" }", "no robot `c`"),
             (", follow = { a.csv.file = \"way.csv\", b.csv.file = \"way.csv\" }", "`b` moves as the scene says"),
             (", follow = { a.room = {} }", "`ros` or `csv`"),

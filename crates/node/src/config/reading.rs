@@ -2,6 +2,7 @@
 //! file writes them.
 
 use super::Config;
+use csi5300::motion::odometry::opencr::Geometry;
 use csi5300::signal::channel::Channel;
 use csi5300_sim::toml_lines::line_of;
 use driver_iface::bfee::Antenna;
@@ -199,6 +200,15 @@ pub(super) fn channel<'de, D: Deserializer<'de>>(input: D) -> Result<Channel, D:
     text.parse().map_err(D::Error::custom)
 }
 
+/// A TurtleBot3: Burger, or Waffle and Waffle Pi.
+pub(super) fn model<'de, D: Deserializer<'de>>(input: D) -> Result<Option<Geometry>, D::Error> {
+    match String::deserialize(input)?.as_str() {
+        "burger" => Ok(Some(Geometry::BURGER)),
+        "waffle" => Ok(Some(Geometry::WAFFLE)),
+        other => Err(D::Error::unknown_variant(other, &["burger", "waffle"])),
+    }
+}
+
 pub(super) fn antenna<'de, D: Deserializer<'de>>(input: D) -> Result<Antenna, D::Error> {
     match String::deserialize(input)?.as_str() {
         "A" => Ok(Antenna::A),
@@ -214,27 +224,59 @@ pub(super) fn antennas<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<Antenn
     Ok(Vec::<One>::deserialize(input)?.into_iter().map(|one| one.0).collect())
 }
 
-pub(super) fn positive<'de, D: Deserializer<'de>>(input: D) -> Result<f64, D::Error> {
+/// A number, if `is_good`; `words` say which are.
+fn number<'de, D: Deserializer<'de>>(input: D, is_good: impl Fn(f64) -> bool, words: &str) -> Result<f64, D::Error> {
     let value = f64::deserialize(input)?;
-    if value.is_finite() && value > 0.0 {
-        Ok(value)
-    } else {
-        Err(D::Error::custom(format!("{value}: a number above 0")))
+    if is_good(value) { Ok(value) } else { Err(D::Error::custom(format!("{value:?}: {words}"))) }
+}
+
+pub(super) fn positive<'de, D: Deserializer<'de>, T: From<f64>>(input: D) -> Result<T, D::Error> {
+    number(input, |value| value.is_finite() && value > 0.0, "a number above 0").map(T::from)
+}
+
+pub(super) fn finite<'de, D: Deserializer<'de>>(input: D) -> Result<f64, D::Error> {
+    number(input, f64::is_finite, FINITE)
+}
+
+/// What every number of a place and every angle must be.
+const FINITE: &str = "every number must be finite";
+
+/// Largest distance of a part from the middle of a robot, metres.
+const ON_ROBOT_M: f64 = 10.0;
+
+/// A coordinate of a part of a robot, metres.
+#[derive(Clone, Copy)]
+struct OnRobot(f64);
+
+impl<'de> Deserialize<'de> for OnRobot {
+    fn deserialize<D: Deserializer<'de>>(input: D) -> Result<Self, D::Error> {
+        let is_good = |m: f64| m.abs() <= ON_ROBOT_M;
+        number(input, is_good, "metres from the middle of the robot, 10 at most").map(Self)
     }
 }
 
-pub(super) fn maybe_positive<'de, D: Deserializer<'de>>(input: D) -> Result<Option<f64>, D::Error> {
-    positive(input).map(Some)
+pub(super) fn on_robot<'de, D: Deserializer<'de>>(input: D) -> Result<f64, D::Error> {
+    OnRobot::deserialize(input).map(|own| own.0)
+}
+
+/// A part's place on a robot: metres forward, left, up.
+pub(super) fn offset<'de, D: Deserializer<'de>>(input: D) -> Result<[f64; 3], D::Error> {
+    all_of(Vec::<OnRobot>::deserialize(input)?).map(|own| own.map(|m| m.0))
 }
 
 /// Numbers of a list that must have `N` of them: arrays of serde ignore further ones.
+fn all_of<const N: usize, T, E: serde::de::Error>(all: Vec<T>) -> Result<[T; N], E> {
+    let count = all.len();
+    all.try_into().map_err(|_| E::custom(format!("{count} numbers where {N} are expected")))
+}
+
+/// `N` finite numbers.
 struct Exactly<const N: usize>([f64; N]);
 
 impl<'de, const N: usize> Deserialize<'de> for Exactly<N> {
     fn deserialize<D: Deserializer<'de>>(input: D) -> Result<Self, D::Error> {
         let all = Vec::<f64>::deserialize(input)?;
-        let count = all.len();
-        all.try_into().map(Self).map_err(|_| D::Error::custom(format!("{count} numbers where {N} are expected")))
+        if all.iter().all(|value| value.is_finite()) { all_of(all).map(Self) } else { Err(D::Error::custom(FINITE)) }
     }
 }
 

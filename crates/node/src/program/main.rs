@@ -232,7 +232,7 @@ fn summary(ended: &Ended) -> String {
             counts.heard_by_peer
         );
     }
-    if let Some(log) = &ended.totals {
+    if let Some(log) = &health.log {
         let missing = log.dropped + log.lost_on_disk;
         text += &format!("  {} in the log, {missing} not\n", count(log.written, "record", "records"));
     }

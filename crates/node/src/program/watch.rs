@@ -97,29 +97,17 @@ impl Keys {
 pub fn run(args: &Args) -> Result {
     let socket = args.socket.clone().unwrap_or_else(super::status_socket);
     let stream = connect(&socket)?;
-    let is_one = args.once || !std::io::stdout().is_terminal();
-    if is_one {
+    if args.once || !std::io::stdout().is_terminal() {
         stream.set_read_timeout(Some(HANGS)).map_err(|error| error.to_string())?;
+        let state = first(lines(stream)).map_err(|error| format!("{}: {error}", socket.display()))?;
+        print(&if args.once {
+            table_of(&serde_json::from_str(&state).map_err(|error| format!("the node's state: {error}"))?)
+        } else {
+            state + "\n"
+        });
+        return Ok(Outcome::Done);
     }
-    let mut states = lines(stream);
-    if is_one {
-        return match states.find(|line| !line.as_ref().is_ok_and(String::is_empty)) {
-            Some(Ok(line)) if args.once => {
-                let state = serde_json::from_str(&line).map_err(|error| format!("the node's state: {error}"))?;
-                print(&table_of(&state));
-                Ok(Outcome::Done)
-            }
-            Some(Ok(line)) => {
-                print(&format!("{line}\n"));
-                Ok(Outcome::Done)
-            }
-            Some(Err(error)) if error.kind() == std::io::ErrorKind::WouldBlock => {
-                Err(format!("{}: no state within {} s: does the node hang?", socket.display(), HANGS.as_secs()))
-            }
-            Some(Err(error)) => Err(error.to_string()),
-            None => Err("the node ended before it sent its state, or it already has 16 readers".into()),
-        };
-    }
+    let states = lines(stream);
     // Before the thread starts, and before there is anything to restore.
     let signals = Signals::catch_with(&[Signal::SIGQUIT]).map_err(|error| error.to_string())?;
     let ends = Ends { signals, clock: Monotonic::new() };
@@ -148,6 +136,17 @@ pub fn run(args: &Args) -> Result {
         // Drawing fails on a closed terminal; a hangup or the end reports it.
         Err(_) if ends.is_one_here() || ends.wait(&mut keys, ends.clock.now()) => Ok(Outcome::Done),
         shown => shown.map_err(|error| error.to_string()),
+    }
+}
+
+/// The first state of a node.
+fn first(mut lines: impl Iterator<Item = std::io::Result<String>>) -> std::result::Result<String, String> {
+    match lines.find(|line| !line.as_ref().is_ok_and(String::is_empty)) {
+        Some(Err(error)) if error.kind() == std::io::ErrorKind::WouldBlock => {
+            Err(format!("no state within {} s: does the node hang?", HANGS.as_secs()))
+        }
+        Some(state) => state.map_err(|error| error.to_string()),
+        None => Err("the node ended before it sent its state, or it already has 16 readers".into()),
     }
 }
 
@@ -224,11 +223,6 @@ fn short(value: Option<f64>) -> String {
     figure(value, if value.is_some_and(|value| value < 99.95) { 1 } else { 0 })
 }
 
-/// Whole degrees from 0 to 359.
-fn whole_turn(deg: f64) -> f64 {
-    deg.round().rem_euclid(360.0)
-}
-
 /// The whole screen.
 fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
     let peers = state["peers"].as_array().cloned().unwrap_or_default();
@@ -274,7 +268,7 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
         "x {} m, y {} m, heading {} deg",
         figure(of("/pose/1/0"), 2),
         figure(of("/pose/1/1"), 2),
-        figure(of("/pose/2").map(whole_turn), 0)
+        figure(of("/pose/2").map(|deg| deg.round().rem_euclid(360.0)), 0)
     );
     let log = match of("/log/written") {
         Some(written) => format!("{written:.0} records, {disk:.0} not"),
@@ -414,6 +408,13 @@ mod tests {
         let buffer = terminal.backend().buffer().clone();
         let line = |y: u16| (0..width).map(|x| buffer[(x, y)].symbol().to_owned()).collect::<String>();
         (0..height).map(|y| line(y) + "\n").collect()
+    }
+
+    #[test]
+    fn a_node_that_hangs_is_given_up() {
+        let (stream, _node) = UnixStream::pair().unwrap();
+        stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        assert!(first(lines(stream)).unwrap_err().contains("no state within 10 s"));
     }
 
     #[test]

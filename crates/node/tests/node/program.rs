@@ -403,16 +403,6 @@ fn a_line_without_an_end_is_given_up() {
 }
 
 #[test]
-fn a_node_that_hangs_is_given_up() {
-    let folder = folder("watch-hang");
-    let socket = folder.join("status.sock");
-    let _node = UnixListener::bind(&socket).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
-    let (status, out, err) = said(command.args(["watch", "--once"]).arg(&socket).output().unwrap());
-    assert!(status == 1 && out.is_empty() && err.contains("no state within 10 s"), "{status} {out} {err}");
-}
-
-#[test]
 fn half_a_state_is_no_state() {
     let folder = folder("watch-half");
     let socket = folder.join("status.sock");

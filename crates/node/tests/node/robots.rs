@@ -7,8 +7,9 @@ use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_accept::Verdict;
+use csi5300_node::adapters::Robot;
 use csi5300_node::config::{CameraMount, Config};
-use csi5300_node::diagnostics::{Found, SelfTest};
+use csi5300_node::diagnostics::{Claims, Found};
 use csi5300_node::machine::Machine;
 use csi5300_node::sources::{Card, Sources};
 use csi5300_sim::{Room, Scene};
@@ -16,10 +17,11 @@ use driver_iface::bfee::Antenna;
 use driver_iface::record::{Record, card_clock_ps, code};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What a configuration names, opened.
 fn sources(config: &Config) -> Sources {
-    Sources::open(config, &mut []).unwrap()
+    Sources::open(config, &mut [], &Arc::default()).unwrap()
 }
 
 /// A robot of these sources, whose own card is changed by `card`, ready to run in virtual time.
@@ -49,7 +51,7 @@ pub(crate) fn run(mut machine: Machine, until: Instant) -> (Vec<(Instant, usize,
         let next = machine.next_at().unwrap_or(now);
         now = next.max(now + Span::from_ms(1));
     }
-    (reports, machine.finish(now).unwrap().0)
+    (reports, machine.finish(now).0)
 }
 
 /// A room in which the first of `robots` drives a circle of 30 cm and the others stand about it, or drive too.
@@ -287,7 +289,7 @@ fn robots_that_all_initiate_lose_no_pair_and_no_degree() {
         let pairs: Vec<u64> = machine.estimator.peers().map(|(_, counts)| counts.pairs).collect();
         // A link is sounded in the turns of its two robots: a round of a turn has one exchange with each peer.
         let sounded = 2.0 / robots as f64 * 100.0 * 23.0;
-        let last = machine.finish(now).unwrap().0;
+        let last = machine.finish(now).0;
         for (peer, report) in last.iter().enumerate() {
             let off = off_deg(report, truth_deg(&room, peer + 1));
             println!(
@@ -368,10 +370,12 @@ fn the_claims_of_a_running_robot_name_the_peer_whose_card_is_broken() {
     for (fault, fails) in [("", &[][..]), ("faults.card = [\"phase_jumps\"]\n", &[("phase.cancels", "r1")])] {
         let text = scene(3, false).replace("name = \"r1\"\n", &format!("name = \"r1\"\n{fault}"));
         let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
-        let mut machine = machine(&config(&folder, &text, 3, false));
+        let config = config(&folder, &text, 3, false);
+        let mut machine = machine(&config);
         let peers: Vec<_> = (1..3).map(|k| (format!("r{k}"), room.mac(k).unwrap())).collect();
-        let test = SelfTest::new("108".parse().unwrap(), room.mac(0).unwrap(), &peers);
-        machine.add_tap(Box::new(test.clone()));
+        let robot = Robot { name: "r0".into(), own: room.mac(0).unwrap(), peers };
+        let test = Claims::new(&config, &robot);
+        machine.add_tap(Box::new(Arc::clone(&test)));
         let with = |found: &[Found], verdict| {
             let found = found.iter().filter(|(_, finding)| finding.verdict == verdict);
             found.map(|(peer, finding)| (finding.id, peer.clone().unwrap_or_default())).collect::<Vec<_>>()

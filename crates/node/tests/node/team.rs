@@ -42,8 +42,7 @@ impl Tap for Uwb {
             let [x, y] = PLACES[1];
             let late_m = if self.1.is_multiple_of(70) { 3.0 } else { 0.14 * (self.1 as f64).sin() };
             let range_m = (pose.position_m.x - x).hypot(pose.position_m.y - y) + late_m;
-            let ranged = Ranged { peer: "r1".into(), t_s: pose.t_s, range_m: [range_m, 0.1] };
-            self.0.put("r1", Some(ranged));
+            self.0.put("r1", Some(Ranged { t_s: pose.t_s, range_m: [range_m, 0.1] }));
         }
     }
 }
@@ -68,15 +67,14 @@ fn config(name: &str, walker: usize, peers: &[usize], rest: &str) -> Config {
 /// The state of the team when the records have ended, as robot `r0` sees it.
 fn team(name: &str, walker: usize, peers: &[usize], rest: &str) -> Result<TeamState, String> {
     let config = config(name, walker, peers, rest);
-    let (mut machine, mut graph, mut now) = (machine(&config), Graph::new(&config, "r0").unwrap(), Instant::ZERO);
-    let ranges = Ranges::default();
+    let (mut machine, ranges, mut now) = (machine(&config), Ranges::default(), Instant::ZERO);
+    let mut graph = Graph::new(&config, "r0", ranges.clone()).unwrap();
     if config.team.as_ref().is_some_and(|team| !team.ranges.is_empty()) {
-        machine.add_tap(Box::new(Uwb(ranges.clone(), 0)));
+        machine.add_tap(Box::new(Uwb(ranges, 0)));
     }
     while !machine.is_done(now) {
         while machine.take(now).unwrap() {}
         while let Some((peer, report)) = machine.poll_report(now) {
-            ranges.take().into_iter().for_each(|range| graph.range(range));
             graph.note(peer, &report, &machine);
         }
         now = machine.next_at().unwrap_or(now).max(now + Span::from_ms(1));

@@ -8,7 +8,7 @@
 use super::Args;
 use crate::commands::draft::{FolderDraft, reads};
 use crate::commands::files::{open_log, read_trajectory, refuse_twice};
-use crate::commands::live::{Listening, Needs, Signals, describe};
+use crate::commands::live::{Listening, Needs, Signals};
 use crate::commands::{InWords, Outcome, Result, Words, print, simulate, sound, usage};
 use csi_formats::Format;
 use csi5300::exchange::tdma::{Dialect, Epoch, Phy, Request};
@@ -487,7 +487,7 @@ fn listen(args: &Args, desk: &Desk) -> Words<Judged> {
     plan.macs = mac.zip(helper.as_ref().and_then(|helper| helper.mac)).map(|(near, far)| [near, far]);
     let monitor = air.map(|(monitor, _)| monitor);
     let listener = open(args, desk)?;
-    note!("{}", describe(&listener));
+    note!("{}", listener.describe());
     left_out.iter().for_each(|why| note!("{why}"));
     let channel = plan.channel;
     let mut evidence = Evidence::new(plan);

@@ -19,16 +19,14 @@ use crate::health::Health;
 use crate::machine::{Machine, Tap};
 use crate::{lock, refused};
 use csi5300::bartlett::{self, Grid};
-use csi5300::internal::{FrameHeard, Front};
+use csi5300::internal::Front;
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Bearing;
 use csi5300::pipeline::live::PeerState;
 use csi5300::signal::channel::SUBCARRIERS;
-use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use door::{Door, Rules};
-use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use foxglove::{Channel, Context, Encode, WebSocketServer, WebSocketServerHandle, messages as fox};
 use nalgebra::Vector3;
@@ -66,7 +64,7 @@ impl Adapter for Shown {
 
     fn report(&mut self, said: &Said<'_>) {
         if said.report.state == PeerState::Bearing
-            && let Some(bearing) = said.machine.estimator.bearing(said.peer)
+            && let Some(bearing) = said.bearing
         {
             lock(&self.live).bearing(&said.report.answer.link, bearing);
         }
@@ -75,13 +73,26 @@ impl Adapter for Shown {
     fn tell(&mut self, _: &Health, machine: &Machine) {
         let (survey, track) = (&machine.estimator.own_log().survey, machine.estimator.track());
         let records_s = survey.host_us.map(|(_, last)| last as f64 * 1e-6);
-        let step = track.len().div_ceil(PATH).max(1);
         let live = lock(&self.live);
         if let Some(t_s) = records_s {
-            live.counters(t_s, survey);
+            let counters = Counters {
+                records: survey.records,
+                damages: survey.damages,
+                damaged_bytes: survey.damaged_bytes,
+                impossible_records: survey.bad_bfee,
+                overruns: survey.overruns,
+                bfee_missing: survey.bfee_missing,
+            };
+            live.counters.log_with_time(&counters, nanoseconds(t_s));
         }
         if let Some(last) = track.last().filter(|_| !track.is_still()) {
-            live.path(last.t_s, track.poses().step_by(step));
+            let poses = track.poses().step_by(track.len().div_ceil(PATH).max(1));
+            let path = fox::PosesInFrame {
+                timestamp: Some(timestamp(last.t_s)),
+                frame_id: ODOM.into(),
+                poses: poses.map(|pose| placed(pose, turn(pose.heading_rad.unwrap_or(0.0)))).collect(),
+            };
+            live.trajectory.log_with_time(&path, nanoseconds(last.t_s));
         }
     }
 }
@@ -94,14 +105,27 @@ struct Told {
 impl Tap for Told {
     fn own(&mut self, _: Instant, next: &Next<'_>) {
         let Some((sender, heard)) = self.front.note(next) else { return };
+        let live = lock(&self.live);
+        if !live.rows.has_sinks() {
+            return;
+        }
+        let csi: [_; SUBCARRIERS] = heard.csi();
+        let row = CsiRow {
+            sender: sender.to_string(),
+            number: heard.number,
+            card_us: heard.timestamp_low,
+            magnitude: csi.iter().map(|h| h.norm()).collect(),
+            phase: csi.iter().map(|h| h.arg()).collect(),
+        };
         let t_s = heard.host_us.map_or(0.0, |us| us as f64 * 1e-6);
-        lock(&self.live).record(t_s, sender, &heard);
+        live.rows.log_with_time(&row, nanoseconds(t_s));
     }
 
     fn pose(&mut self, pose: Option<Pose>) {
-        if let Some(pose) = pose {
-            lock(&self.live).pose(&pose);
-        }
+        let Some(pose) = pose else { return };
+        let (live, rotation) = (lock(&self.live), turn(pose.heading_rad.unwrap_or(0.0)));
+        transform(&live.transforms, ROBOT, &pose, rotation);
+        live.poses.log_with_time(&in_frame(&pose, rotation), nanoseconds(pose.t_s));
     }
 }
 
@@ -195,52 +219,6 @@ impl Live {
         let door = Door::open(address, inside, Rules::new(origins)).map_err(|source| failed(&source))?;
         let server = Some(server);
         Ok(Self { context, transforms, poses, trajectory, rows, counters, bearings, _door: door, server })
-    }
-
-    /// A record of the log, received at `t_s`, seconds since the Unix epoch.
-    fn record(&self, t_s: f64, sender: Mac, heard: &FrameHeard) {
-        if !self.rows.has_sinks() {
-            return;
-        }
-        let csi: [_; SUBCARRIERS] = heard.csi();
-        let row = CsiRow {
-            sender: sender.to_string(),
-            number: heard.number,
-            card_us: heard.timestamp_low,
-            magnitude: csi.iter().map(|h| h.norm()).collect(),
-            phase: csi.iter().map(|h| h.arg()).collect(),
-        };
-        self.rows.log_with_time(&row, nanoseconds(t_s));
-    }
-
-    /// Counts of the log until `t_s`.
-    fn counters(&self, t_s: f64, survey: &Survey) {
-        let counters = Counters {
-            records: survey.records,
-            damages: survey.damages,
-            damaged_bytes: survey.damaged_bytes,
-            impossible_records: survey.bad_bfee,
-            overruns: survey.overruns,
-            bfee_missing: survey.bfee_missing,
-        };
-        self.counters.log_with_time(&counters, nanoseconds(t_s));
-    }
-
-    /// The robot's pose.
-    fn pose(&self, pose: &Pose) {
-        let rotation = turn(pose.heading_rad.unwrap_or(0.0));
-        transform(&self.transforms, ROBOT, pose, rotation);
-        self.poses.log_with_time(&in_frame(pose, rotation), nanoseconds(pose.t_s));
-    }
-
-    /// The robot's path, as known at `t_s`.
-    fn path<'a>(&self, t_s: f64, poses: impl Iterator<Item = &'a Pose>) {
-        let path = fox::PosesInFrame {
-            timestamp: Some(timestamp(t_s)),
-            frame_id: ODOM.into(),
-            poses: poses.map(|pose| placed(pose, turn(pose.heading_rad.unwrap_or(0.0)))).collect(),
-        };
-        self.trajectory.log_with_time(&path, nanoseconds(t_s));
     }
 
     /// A bearing, its mirror if any, and its profile.

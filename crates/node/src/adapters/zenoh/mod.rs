@@ -10,8 +10,8 @@ use super::{Adapter, Made, Robot, Start};
 use crate::config::{Config, Network as Asked, Odometry, Peer, Records};
 use crate::health::{Alarm, Health};
 use crate::machine::{Machine, Tap};
-use crate::refused;
 use crate::threads::spawn;
+use crate::{lock, refused};
 use access::{Doors, LOCAL, Owner, Verdict, access_control, key_of};
 use csi5300::motion::pose::Pose;
 use csi5300::source::remote::{Batch, Mailbox};
@@ -19,14 +19,12 @@ use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_ros2::rmw_zenoh::{Graph, Relay};
 use driver_iface::Mac;
-use driver_iface::record::Record;
 use serde_json::{Value, json};
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::thread::JoinHandle;
+use std::sync::{Arc, Mutex};
+use std::thread::{JoinHandle, Thread};
 use std::time::Duration;
 use tokio::sync::Notify;
 use topics::{Topics, keys_read};
@@ -40,8 +38,6 @@ const BACKLOG: usize = 4_096;
 const MESSAGE_BYTES: usize = 32 * 1024;
 /// A message is sent at the latest this long after its first item, so that threads wake for messages, not for records.
 const HAND_OVER: Duration = Duration::from_millis(4);
-/// Interval of checks for the end while nothing comes.
-const STOP_LOOK: Duration = Duration::from_millis(50);
 /// Zenoh's queue for each neighbour, batches of 64 KiB, at its maximum: with the default, items that waited for a first
 /// reader would be dropped. Unused memory is not allocated.
 const QUEUE: &str = "16";
@@ -49,12 +45,8 @@ const ZENOH_QUEUE: &str = "2";
 /// Checks for a first reader, and the time between them.
 const FIRST_LOOKS: u32 = 200;
 const FIRST_LOOK: Duration = Duration::from_millis(5);
-/// Limit of messages after a request to stop: more than can wait.
-const LAST_MESSAGES: usize = 256;
 /// Bytes of the file of users that are read: enough to see whether it has any.
 const USERS_BYTES: u64 = 1 << 16;
-/// Items between two checks for the end.
-const ITEMS_AT_ONCE: usize = 1_024;
 
 /// The network, once joined.
 struct Zenoh {
@@ -110,8 +102,9 @@ impl Adapter for Zenoh {
                 _ => machine.set_poses(*peer, Box::new(mailbox.poses())),
             }
         }
-        if let Some(tap) = network.tap() {
-            machine.add_tap(tap);
+        if let Some((out, thread)) = &network.publisher {
+            let (out, thread, unsent) = (Arc::clone(out), thread.thread().clone(), Arc::clone(&network.unsent));
+            machine.add_tap(Box::new(Published { out, thread, unsent, publishes: network.publishes, frame: 0 }));
         }
         Ok(())
     }
@@ -136,11 +129,51 @@ impl Adapter for Zenoh {
     }
 }
 
-/// An item to publish, with its number. Dropped items have numbers too.
-enum Item {
-    Record(u64, Option<i64>, u8, Vec<u8>),
-    /// With the number of its frame.
-    Pose(u64, u64, Pose),
+/// What waits for the network's thread: records, then poses.
+struct Outgoing {
+    lanes: [Lane; 2],
+    /// Messages of a lane that are full, or before a gap.
+    full: Vec<(usize, Vec<u8>)>,
+    /// Items in all of these, and how many may wait.
+    waiting: usize,
+    limit: usize,
+}
+
+/// A message being filled, and the number of the next item. Dropped items have numbers too.
+struct Lane {
+    batch: Batch,
+    next: u64,
+}
+
+impl Outgoing {
+    fn new(session: u32, limit: usize) -> Self {
+        let lanes = [Batch::records(session), Batch::poses(session)].map(|batch| Lane { batch, next: 0 });
+        Self { lanes, full: Vec::new(), waiting: 0, limit }
+    }
+
+    /// Adds an item to a lane; false without room, and the peers miss its number.
+    fn add(&mut self, lane: usize, push: impl FnOnce(&mut Batch)) -> bool {
+        let Lane { batch, next } = &mut self.lanes[lane];
+        let number = *next;
+        *next += 1;
+        if self.waiting >= self.limit {
+            return false;
+        }
+        let before_gap = batch.number(number);
+        push(batch);
+        let full = (batch.len() >= MESSAGE_BYTES).then(|| batch.take());
+        self.full.extend(before_gap.into_iter().chain(full).map(|message| (lane, message)));
+        self.waiting += 1;
+        true
+    }
+
+    /// All messages.
+    fn take(&mut self) -> Vec<(usize, Vec<u8>)> {
+        self.waiting = 0;
+        let begun = self.lanes.iter_mut().enumerate().filter(|(_, lane)| !lane.batch.is_empty());
+        self.full.extend(begun.map(|(number, lane)| (number, lane.batch.take())));
+        std::mem::take(&mut self.full)
+    }
 }
 
 /// The network. Dropping it leaves the network, which must happen outside of an async runtime: zenoh waits for its own.
@@ -149,7 +182,7 @@ struct Network {
     prefix: String,
     backlog: usize,
     subscriptions: Vec<Subscription>,
-    publisher: Option<(SyncSender<Item>, JoinHandle<()>)>,
+    publisher: Option<(Arc<Mutex<Outgoing>>, JoinHandle<()>)>,
     topics: Option<Topics>,
     unsent: Arc<AtomicU64>,
     /// The publisher sends the waiting items, and ends.
@@ -317,7 +350,6 @@ impl Network {
     }
 
     fn publish(&mut self, own: Mac) -> Result<(), Error> {
-        let (items, waiting) = sync_channel(self.backlog);
         // Does not wait for a slow peer: items that do not fit are dropped, and the peer misses their numbers.
         let publisher = |what: &str| {
             let key = format!("{}/{}/{what}", self.prefix, key_of(own));
@@ -327,26 +359,17 @@ impl Network {
         let (records, poses) = (publisher("records")?, publisher("poses")?);
         // Changes at each start, so that peers notice restarted numbers.
         let session = csi5300_live::wait::wall_us().unwrap_or(0) as u32 ^ std::process::id();
-        let stop = Arc::clone(&self.stop);
-        let (publishes_records, publishes_poses) = self.publishes;
+        let out = Arc::new(Mutex::new(Outgoing::new(session, self.backlog)));
+        let (waiting, stop, publishes) = (Arc::clone(&out), Arc::clone(&self.stop), self.publishes);
         let send = move || {
-            let is_read = |publisher: &zenoh::pubsub::Publisher<'_>| {
-                publisher.matching_status().wait().is_ok_and(|status| status.matching())
-            };
-            wait_for_reader(&stop, || (publishes_records && is_read(&records)) || (publishes_poses && is_read(&poses)));
-            let send_records = |message| drop(records.put::<Vec<u8>>(message).wait());
-            let send_poses = |message| drop(poses.put::<Vec<u8>>(message).wait());
-            work(&waiting, session, &stop, send_records, send_poses);
+            let lanes = [records, poses];
+            let is_read = |lane: usize| lanes[lane].matching_status().wait().is_ok_and(|status| status.matching());
+            wait_for_reader(&stop, || (publishes.0 && is_read(0)) || (publishes.1 && is_read(1)));
+            work(&waiting, &stop, |lane, message| drop(lanes[lane].put::<Vec<u8>>(message).wait()));
         };
         let thread = spawn("csi5300 network", "cannot start the thread of the network", send)?;
-        self.publisher = Some((items, thread));
+        self.publisher = Some((out, thread));
         Ok(())
-    }
-
-    /// The receiver of every record and pose of this robot, if anything is published.
-    fn tap(&self) -> Option<Box<dyn Tap>> {
-        let (items, _) = self.publisher.as_ref()?;
-        Some(Box::new(Published::new(items.clone(), Arc::clone(&self.unsent), self.publishes)))
     }
 
     /// Takes a peer's `records` or `poses`; `wake` is called for each arrival.
@@ -374,8 +397,8 @@ impl Network {
 impl Drop for Network {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        if let Some((items, thread)) = self.publisher.take() {
-            drop(items);
+        if let Some((_, thread)) = self.publisher.take() {
+            thread.thread().unpark();
             let _ = thread.join();
         }
         drop(self.topics.take());
@@ -394,99 +417,58 @@ fn wait_for_reader(stop: &AtomicBool, is_read: impl Fn() -> bool) {
     }
 }
 
-/// Collects items into messages, and sends them.
-fn work(
-    waiting: &Receiver<Item>,
-    session: u32,
-    stop: &AtomicBool,
-    send_records: impl Fn(Vec<u8>),
-    send_poses: impl Fn(Vec<u8>),
-) {
-    let (mut records, mut poses) = (Batch::records(session), Batch::poses(session));
-    // Adds to its message; sends the message first if the number does not continue it.
-    let collect = |item, records: &mut Batch, poses: &mut Batch| match item {
-        Item::Record(number, host_us, code, body) => {
-            records.number(number).into_iter().for_each(&send_records);
-            records.push_record(host_us, Record { code, body: &body });
-        }
-        Item::Pose(number, frame, pose) => {
-            poses.number(number).into_iter().for_each(&send_poses);
-            poses.push_pose(frame, pose);
-        }
-    };
-    let (mut left, mut behind) = (LAST_MESSAGES, false);
-    while left > 0 {
-        // After a request to stop it sends only waiting items: a running tap does not keep it alive.
+/// Sends what waits, each time that it is woken, and ends after a request to stop: a running tap does not keep it alive.
+fn work(out: &Mutex<Outgoing>, stop: &AtomicBool, mut send: impl FnMut(usize, Vec<u8>)) {
+    loop {
+        std::thread::park();
         let stopping = stop.load(Ordering::Relaxed);
-        left -= usize::from(stopping);
-        match waiting.recv_timeout(if stopping { Duration::ZERO } else { STOP_LOOK }) {
-            Ok(item) => collect(item, &mut records, &mut poses),
-            Err(RecvTimeoutError::Timeout) if !stopping => continue,
-            Err(_) => break,
-        }
-        if !stopping && !behind {
+        if !stopping {
             std::thread::sleep(HAND_OVER);
         }
-        // Sends waiting items, up to a limit: new ones may come as fast.
-        behind = true;
-        for _ in 0..ITEMS_AT_ONCE {
-            if records.len() >= MESSAGE_BYTES || poses.len() >= MESSAGE_BYTES {
-                break;
-            }
-            let Ok(item) = waiting.try_recv() else {
-                behind = false;
-                break;
-            };
-            collect(item, &mut records, &mut poses);
-        }
-        for (batch, send) in [(&mut records, &send_records as &dyn Fn(Vec<u8>)), (&mut poses, &send_poses)] {
-            if !batch.is_empty() {
-                send(batch.take());
-            }
+        let messages = lock(out).take();
+        messages.into_iter().for_each(|(lane, message)| send(lane, message));
+        if stopping {
+            return;
         }
     }
 }
 
 /// Hands items to the network's thread without waiting.
 struct Published {
-    items: SyncSender<Item>,
+    out: Arc<Mutex<Outgoing>>,
+    thread: Thread,
     unsent: Arc<AtomicU64>,
-    records: bool,
-    poses: bool,
-    /// Numbers of the next record, the next pose, and the frame.
-    next: (u64, u64, u64),
+    /// Records and poses are published.
+    publishes: (bool, bool),
+    /// The number of the frame.
+    frame: u64,
 }
 
 impl Published {
-    fn new(items: SyncSender<Item>, unsent: Arc<AtomicU64>, (records, poses): (bool, bool)) -> Self {
-        Self { items, unsent, records, poses, next: (0, 0, 0) }
-    }
-
-    fn send(&self, item: Item) {
-        if self.items.try_send(item).is_err() {
+    fn send(&self, lane: usize, push: impl FnOnce(&mut Batch)) {
+        let mut out = lock(&self.out);
+        if !out.add(lane, push) {
             self.unsent.fetch_add(1, Ordering::Relaxed);
+        } else if out.waiting == 1 {
+            self.thread.unpark();
         }
     }
 }
 
 impl Tap for Published {
     fn own(&mut self, _: Instant, next: &Next<'_>) {
-        if self.records
+        if self.publishes.0
             && let Next::Record(stamps, record) = next
         {
-            self.send(Item::Record(self.next.0, stamps.host_us, record.code, record.body.to_vec()));
-            self.next.0 += 1;
+            self.send(0, |batch| batch.push_record(stamps.host_us, *record));
         }
     }
 
     fn pose(&mut self, pose: Option<Pose>) {
         match pose {
-            Some(pose) if self.poses => {
-                self.send(Item::Pose(self.next.1, self.next.2, pose));
-                self.next.1 += 1;
-            }
+            Some(pose) if self.publishes.1 => self.send(1, |batch| batch.push_pose(self.frame, pose)),
             Some(_) => {}
-            None => self.next.2 += 1,
+            None => self.frame += 1,
         }
     }
 }
@@ -495,7 +477,7 @@ impl Tap for Published {
 mod tests {
     use super::*;
     use csi5300::source::Stamps;
-    use std::cell::{Cell, RefCell};
+    use driver_iface::record::Record;
 
     #[test]
     fn a_network_without_authentication_is_not_closed() {
@@ -530,36 +512,31 @@ mod tests {
 
     #[test]
     fn the_publisher_ends_although_items_keep_coming() {
-        let (items, waiting) = sync_channel(10);
-        let send = || drop(items.try_send(Item::Record(0, None, 0xBB, vec![1])));
-        (0..3).for_each(|_| send());
-        let sent = Cell::new(0);
-        let take = |message: Vec<u8>| {
-            sent.set(sent.get() + usize::from(!message.is_empty()));
-            send();
-        };
-        work(&waiting, 7, &AtomicBool::new(true), take, |_| {});
-        assert!(sent.get() >= LAST_MESSAGES, "{}", sent.get());
-        work(&waiting, 7, &AtomicBool::new(true), |_| {}, |_| {});
-        assert!(waiting.try_recv().is_err(), "what waited was sent");
+        let out = Mutex::new(Outgoing::new(7, 10));
+        let put = || lock(&out).add(0, |batch| batch.push_record(None, Record { code: 0xBB, body: &[1] }));
+        assert!(put());
+        let mut sent = 0;
+        for _ in 0..2 {
+            std::thread::current().unpark();
+            work(&out, &AtomicBool::new(true), |_, _| {
+                sent += 1;
+                put();
+            });
+        }
+        assert_eq!((sent, lock(&out).waiting), (2, 1), "what waited was sent");
     }
 
     #[test]
     fn dropped_items_are_missed_by_the_peers() {
-        let (items, waiting) = sync_channel(2);
-        let unsent = Arc::new(AtomicU64::new(0));
-        let tap = RefCell::new(Published::new(items, Arc::clone(&unsent), (true, false)));
-        let offer =
-            || tap.borrow_mut().own(Instant::ZERO, &Next::Record(Stamps::default(), Record { code: 0xBB, body: &[1] }));
-        (0..5).for_each(|_| offer());
-        let (mailbox, first) = (Mailbox::new(100), Cell::new(true));
-        let send = |message: Vec<u8>| {
-            mailbox.put(&message);
-            if first.replace(false) {
-                offer();
-            }
-        };
-        work(&waiting, 7, &AtomicBool::new(true), send, |_| {});
+        let (out, unsent) = (Arc::new(Mutex::new(Outgoing::new(7, 2))), Arc::new(AtomicU64::new(0)));
+        let (thread, publishes) = (std::thread::current(), (true, false));
+        let mut tap = Published { out: Arc::clone(&out), thread, unsent: Arc::clone(&unsent), publishes, frame: 0 };
+        let mut offer = || tap.own(Instant::ZERO, &Next::Record(Stamps::default(), Record { code: 0xBB, body: &[1] }));
+        let mailbox = Mailbox::new(100);
+        for offers in [5, 1] {
+            (0..offers).for_each(|_| offer());
+            work(&out, &AtomicBool::new(true), |_, message| mailbox.put(&message));
+        }
         let counts = mailbox.counts();
         assert_eq!((counts.received, counts.missing, unsent.load(Ordering::Relaxed)), (3, 3, 3));
     }

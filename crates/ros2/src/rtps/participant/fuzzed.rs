@@ -53,7 +53,7 @@ fn end(who: u8, is_writer: bool, number: u8) -> Vec<u8> {
     let qos = if number.is_multiple_of(2) { Qos::reliable(10) } else { Qos::best_effort(10) };
     let (topic, kind) = ("rt/a".to_owned(), "T".to_owned());
     let data = EndpointData { guid, topic, kind, qos, unicast: Vec::new() };
-    let (writer, reader) = if is_writer { PUBLICATIONS } else { SUBSCRIPTIONS };
+    let (writer, reader) = BUILT_IN[usize::from(!is_writer)];
     let made = Maker::new(prefix(who), None);
     made.data((reader, writer), i64::from(number) + 1, &data.payload(), (None, None)).finish()
 }
@@ -94,7 +94,7 @@ impl Fuzzed {
         self.participant.handle_datagram(bytes, ip(who), (self.now, WALL_US), &mut events);
         assert!(events.iter().all(|event| event.reader < 2 && event.from.1 > 0));
         let readers = self.participant.readers.iter().map(|own| &own.end);
-        let built_in = [&self.participant.publications.1, &self.participant.subscriptions.1];
+        let built_in = self.participant.built_in.iter().map(|(_, reader)| reader);
         for reader in readers.chain(built_in) {
             assert!(reader.waiting() <= WAITING && reader.writers() <= 128);
         }

@@ -36,11 +36,10 @@ const ENDPOINTS: usize = 8_192;
 /// Answers that may wait to be sent: datagrams that arrive beyond it are dropped.
 const ANSWERS: usize = 4_096;
 
-/// Built-in endpoints (\[rtps\] 9.3.1.5): participants, publications, subscriptions.
+/// Built-in endpoints (\[rtps\] 9.3.1.5): participants; publications, then subscriptions.
 const ANNOUNCER: Entity = [0, 1, 0, 0xc2];
 const DETECTOR: Entity = [0, 1, 0, 0xc7];
-const PUBLICATIONS: (Entity, Entity) = ([0, 0, 3, 0xc2], [0, 0, 3, 0xc7]);
-const SUBSCRIPTIONS: (Entity, Entity) = ([0, 0, 4, 0xc2], [0, 0, 4, 0xc7]);
+const BUILT_IN: [(Entity, Entity); 2] = [([0, 0, 3, 0xc2], [0, 0, 3, 0xc7]), ([0, 0, 4, 0xc2], [0, 0, 4, 0xc7])];
 
 /// A participant's addresses, and where it announces them.
 #[derive(Clone, Debug)]
@@ -157,8 +156,8 @@ pub(crate) struct Participant {
     settings: Settings,
     writers: Vec<Own<Writer>>,
     readers: Vec<Own<Reader>>,
-    publications: (Writer, Reader),
-    subscriptions: (Writer, Reader),
+    /// Of publications, and of subscriptions.
+    built_in: [(Writer, Reader); 2],
     peers: BTreeMap<Prefix, Peer>,
     /// Others' endpoints: true for writers.
     others: BTreeMap<Guid, (bool, EndpointData)>,
@@ -184,8 +183,7 @@ impl Participant {
             settings,
             writers: Vec::new(),
             readers: Vec::new(),
-            publications: built_in(PUBLICATIONS),
-            subscriptions: built_in(SUBSCRIPTIONS),
+            built_in: BUILT_IN.map(built_in),
             peers: BTreeMap::new(),
             others: BTreeMap::new(),
             counts: Counts::default(),
@@ -207,11 +205,8 @@ impl Participant {
     pub fn add_writer(&mut self, topic: &str, kind: &str, qos: Qos, wall_us: i64) -> (usize, Guid) {
         let number = self.writers.len();
         // Writers and readers without keys.
-        let entity = entity(number, 0x03);
-        let data = self.announced_as(entity, topic, kind, &qos);
-        let guid = data.guid;
-        self.publications.0.write(data.payload().into(), None, wall_us, &mut self.out);
-        let end = Writer::new(self.settings.prefix, entity, qos);
+        let data = self.announce_end(0, entity(number, 0x03), (topic, kind, &qos), wall_us);
+        let (guid, end) = (data.guid, Writer::new(self.settings.prefix, data.guid.entity, qos));
         self.writers.push(Own { end, data, wrong: BTreeMap::new() });
         self.meet_all(false);
         (number, guid)
@@ -219,21 +214,25 @@ impl Participant {
 
     /// Adds a reader of `topic`, with the next number; returns its name.
     pub fn add_reader(&mut self, topic: &str, kind: &str, qos: Qos, wall_us: i64) -> Guid {
-        let number = self.readers.len();
-        let entity = entity(number, 0x04);
-        let data = self.announced_as(entity, topic, kind, &qos);
-        let guid = data.guid;
-        self.subscriptions.0.write(data.payload().into(), None, wall_us, &mut self.out);
-        let end = Reader::new(self.settings.prefix, entity, qos);
+        let data = self.announce_end(1, entity(self.readers.len(), 0x04), (topic, kind, &qos), wall_us);
+        let (guid, end) = (data.guid, Reader::new(self.settings.prefix, data.guid.entity, qos));
         self.readers.push(Own { end, data, wrong: BTreeMap::new() });
         self.meet_all(true);
         guid
     }
 
-    fn announced_as(&self, entity: Entity, topic: &str, kind: &str, qos: &Qos) -> EndpointData {
-        let guid = Guid { prefix: self.settings.prefix, entity };
-        let unicast = vec![self.settings.user];
-        EndpointData { guid, topic: topic.to_owned(), kind: kind.to_owned(), qos: qos.clone(), unicast }
+    /// Announces an endpoint by one of the built-in writers.
+    fn announce_end(
+        &mut self,
+        by: usize,
+        entity: Entity,
+        (topic, kind, qos): (&str, &str, &Qos),
+        wall_us: i64,
+    ) -> EndpointData {
+        let (guid, unicast) = (Guid { prefix: self.settings.prefix, entity }, vec![self.settings.user]);
+        let data = EndpointData { guid, topic: topic.to_owned(), kind: kind.to_owned(), qos: qos.clone(), unicast };
+        self.built_in[by].0.write(data.payload().into(), None, wall_us, &mut self.out);
+        data
     }
 
     /// Writes a sample.
@@ -292,8 +291,8 @@ impl Participant {
             self.announced.1 = now + if self.announced.0 < EAGER.0 { EAGER.1 } else { ANNOUNCE };
         }
         if now >= self.beat_at {
-            let built_in = [&mut self.publications.0, &mut self.subscriptions.0];
-            let all = built_in.into_iter().chain(self.writers.iter_mut().map(|own| &mut own.end));
+            let built_in = self.built_in.iter_mut().map(|(writer, _)| writer);
+            let all = built_in.chain(self.writers.iter_mut().map(|own| &mut own.end));
             all.for_each(|writer| writer.beat(&mut self.out));
             self.beat_at = now + BEAT;
         }
@@ -325,13 +324,10 @@ impl Participant {
         let announcement = self.announcement();
         self.out.extend(self.peers.values().map(|peer| (peer.meta, announcement.clone())));
         let unicast = vec![self.settings.user];
-        for own in &mut self.writers {
-            own.data.unicast.clone_from(&unicast);
-            self.publications.0.write(own.data.payload().into(), None, wall_us, &mut self.out);
-        }
-        for own in &mut self.readers {
-            own.data.unicast.clone_from(&unicast);
-            self.subscriptions.0.write(own.data.payload().into(), None, wall_us, &mut self.out);
+        let writers = self.writers.iter_mut().map(|own| (0, &mut own.data));
+        for (by, data) in writers.chain(self.readers.iter_mut().map(|own| (1, &mut own.data))) {
+            data.unicast.clone_from(&unicast);
+            self.built_in[by].0.write(data.payload().into(), None, wall_us, &mut self.out);
         }
     }
 
@@ -449,9 +445,7 @@ impl Participant {
             self.out.push((meta, self.announcement()));
         }
         let guid = |entity| Guid { prefix, entity };
-        for ((writer, reader), (own_writer, own_reader)) in
-            [(PUBLICATIONS, &mut self.publications), (SUBSCRIPTIONS, &mut self.subscriptions)]
-        {
+        for ((writer, reader), (own_writer, own_reader)) in BUILT_IN.into_iter().zip(&mut self.built_in) {
             let known = own_writer.add(guid(reader), meta, true, false, &mut self.out)
                 && own_reader.add(guid(writer), meta, true, &mut self.out);
             self.counts.refused += u64::from(!known);
@@ -477,7 +471,7 @@ impl Participant {
         self.peers.remove(&prefix);
         self.unreachable.remove(&prefix);
         self.others.retain(|guid, _| !of(guid));
-        for (writer, reader) in [&mut self.publications, &mut self.subscriptions] {
+        for (writer, reader) in &mut self.built_in {
             writer.remove(of);
             reader.remove(of);
         }
@@ -502,18 +496,18 @@ impl Participant {
         let writer = Guid { prefix: from, entity: what.writer };
         if let Body::AckNack { missing, count } = &what.body {
             let reader = Guid { prefix: from, entity: what.reader };
-            let built_in = [&mut self.publications.0, &mut self.subscriptions.0];
-            let mut all = built_in.into_iter().chain(self.writers.iter_mut().map(|own| &mut own.end));
+            let built_in = self.built_in.iter_mut().map(|(writer, _)| writer);
+            let mut all = built_in.chain(self.writers.iter_mut().map(|own| &mut own.end));
             if let Some(own) = all.find(|own| own.entity == what.writer) {
                 own.handle_acknack(reader, missing, *count, wall_us, &mut self.out);
             }
             return;
         }
         let mut announced = Vec::new();
-        for (is_writer, reader) in [(true, &mut self.publications.1), (false, &mut self.subscriptions.1)] {
+        for (by, (_, reader)) in self.built_in.iter_mut().enumerate() {
             if is_for(reader.entity) {
                 let came = take(reader, writer, &what.body, &mut self.out);
-                announced.extend(came.into_iter().map(|(_, payload)| (is_writer, payload)));
+                announced.extend(came.into_iter().map(|(_, payload)| (by == 0, payload)));
             }
         }
         let has_announced = !announced.is_empty();

@@ -347,7 +347,7 @@ fn reader_of(topic: &str, number: i64) -> Vec<u8> {
     let guid = Guid { prefix: STRANGER, entity: entity(number as usize, 4) };
     let (topic, kind) = (topic.to_owned(), "T".to_owned());
     let data = EndpointData { guid, topic, kind, qos: Qos::latched(10), unicast: Vec::new() };
-    let ends = (SUBSCRIPTIONS.1, SUBSCRIPTIONS.0);
+    let ends = (BUILT_IN[1].1, BUILT_IN[1].0);
     Maker::new(STRANGER, None).data(ends, number, &data.payload(), (None, None)).finish()
 }
 
@@ -437,7 +437,7 @@ fn a_datagram_full_of_heartbeats_gets_a_bounded_answer() {
     let mut net = alone();
     hand(&mut net, &announcement(STRANGER, at(9, 7410)));
     net.all[0].poll_transmit();
-    let ends = (PUBLICATIONS.1, PUBLICATIONS.0);
+    let ends = (BUILT_IN[0].1, BUILT_IN[0].0);
     let range = |k: i64| (k + 1, i64::MAX);
     let made =
         (0..1_500_i64).fold(Maker::new(STRANGER, None), |made, k| made.heartbeat(ends, range(k), k as u32, false));
@@ -472,7 +472,7 @@ fn writer_of(prefix: Prefix, number: i64) -> Vec<u8> {
     let guid = Guid { prefix, entity: entity(number as usize, 3) };
     let (topic, kind) = ("rt/a".to_owned(), "T".to_owned());
     let data = EndpointData { guid, topic, kind, qos: Qos::reliable(10), unicast: Vec::new() };
-    let ends = (PUBLICATIONS.1, PUBLICATIONS.0);
+    let ends = (BUILT_IN[0].1, BUILT_IN[0].0);
     Maker::new(prefix, None).data(ends, number, &data.payload(), (None, None)).finish()
 }
 
