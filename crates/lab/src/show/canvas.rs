@@ -229,6 +229,11 @@ impl Canvas {
         self.0.elements.push(Primitive::ClipEnd);
     }
 
+    /// The text of an SVG.
+    pub(super) fn svg(&self) -> String {
+        SvgBackend::new().render_scene(&self.0)
+    }
+
     /// Writes a picture as PNG and SVG: `stem` with these endings.
     pub(super) fn save(self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
         let fail = |path: &Path| {
@@ -239,7 +244,7 @@ impl Canvas {
             std::fs::create_dir_all(folder).map_err(fail(folder))?;
         }
         let png = RasterBackend::new().with_scale(1.0).render_scene(&self.0).map_err(Error::Drawing)?;
-        let svg = SvgBackend::new().render_scene(&self.0).into_bytes();
+        let svg = self.svg().into_bytes();
         let write = |(kind, bytes): (&str, Vec<u8>)| {
             let mut name = stem.as_os_str().to_owned();
             name.push(kind);
