@@ -16,7 +16,7 @@ const LINKS: usize = 40;
 /// Files and folders that this run reads.
 static READ: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// Endings of the files that are read in a folder.
-const DATA: [&str; 10] = ["dat", "datstp", "csv", "txt", "json", "toml", "yaml", "mcap", "db3", "bag"];
+const DATA: [&str; 11] = ["dat", "datstp", "csv", "txt", "json", "toml", "yaml", "mcap", "db3", "bag", "zstd"];
 /// How deep folders are looked into.
 const DEEPEST: usize = 16;
 
