@@ -244,22 +244,15 @@ impl Links {
 
     /// The rows that arrived after the first `known`, how many arrived, and what was noted.
     pub fn rows(&self, known: usize) -> Result<Vec<u8>, Error> {
-        #[derive(Serialize)]
-        struct Rows<'a> {
-            known: usize,
-            of: usize,
-            rows: Vec<Row<'a>>,
-            notes: &'a [String],
-        }
         let state = self.state();
         let new = state.arrived.iter().skip(known);
         let row = |number: &usize| {
             let Done { row, beside, .. } = state.links.get(*number)?.as_ref()?;
             Some(Row { number: *number, set: row.set(), judged: row, beside: *beside })
         };
-        let rows = new.filter_map(row);
-        let rows = Rows { known: state.arrived.len(), of: self.len(), rows: rows.collect(), notes: &state.notes };
-        Ok(serde_json::to_vec(&rows)?)
+        let rows: Vec<Row<'_>> = new.filter_map(row).collect();
+        let (known, of) = (state.arrived.len(), self.len());
+        Ok(serde_json::to_vec(&serde_json::json!({ "known": known, "of": of, "rows": rows, "notes": state.notes }))?)
     }
 
     /// Errors by set so far, and another program's on the same links.
