@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::links::{Links, Reading};
-use crate::logs::{Logs, Maps, Named};
+use crate::logs::{Logs, Named, maps};
 use crate::node::{Events, Node};
 use csi5300::source::survey::Sender;
 use csi5300_lab::course::{LogIndex, letter};
@@ -334,7 +334,7 @@ impl View {
         let antenna = query.value::<char>("antenna")?;
         // Means over several senders would be nobody's channel.
         let sender = sender.or_else(|| most_heard(index));
-        Ok(serde_json::to_vec(&Maps::new(&index.csi(from_s, to_s, columns, sender)?, antenna, sender))?)
+        Ok(serde_json::to_vec(&maps(&index.csi(from_s, to_s, columns, sender)?, antenna, sender)?)?)
     }
 }
 
