@@ -2,6 +2,7 @@
 //!
 //! `cargo run -p csi5300-lab --example pictures -- [DIR]`
 
+use csi5300_lab::Failure;
 use csi5300_lab::curves::Curve;
 use csi5300_lab::show::*;
 use std::f64::consts::TAU;
@@ -24,7 +25,7 @@ fn lobe(azimuth_deg: f64, at: f64, width: f64) -> f64 {
 }
 
 /// Phases of one link, and of two beside each other.
-fn phases(out: &Path) -> Result<(), Error> {
+fn phases(out: &Path) -> Result<(), Failure> {
     let (recorded, simulated) = (track("recorded", 3000, 0.4), track("simulated", 3000, 0.2));
     let start = std::time::Instant::now();
     let phase = PhasePlot { title: "Phase of one link".into(), capture: recorded, ..PhasePlot::default() };
@@ -40,7 +41,7 @@ fn turn() -> Vec<[f64; 2]> {
 }
 
 /// Where a signal comes from.
-fn profile(out: &Path) -> Result<(), Error> {
+fn profile(out: &Path) -> Result<(), Failure> {
     let series = |name: &str, k: f64| {
         let value = |a: f64| 0.95 * lobe(a, 35.0 + k, 9.0) + 0.4 * lobe(a, 140.0, 14.0) + 0.05;
         Curve { name: name.into(), points: (-180..180).map(f64::from).map(|a| (a, value(a))).collect() }
@@ -60,7 +61,7 @@ fn profile(out: &Path) -> Result<(), Error> {
 }
 
 /// A distribution of errors, and a curve.
-fn curves(out: &Path) -> Result<(), Error> {
+fn curves(out: &Path) -> Result<(), Failure> {
     let share = |k: u32| (0.1 * f64::from(k), f64::from(k) / 100.0);
     let series = |name: &str, look, points| vec![Series { name: name.into(), points, look, colour: 0 }];
     let (x_label, y_label) = ("error (degrees)".into(), "cumulative share".into());
@@ -76,7 +77,7 @@ fn curves(out: &Path) -> Result<(), Error> {
 }
 
 /// All robots of a place.
-fn robots(out: &Path) -> Result<(), Error> {
+fn robots(out: &Path) -> Result<(), Failure> {
     let truth = vec![("robot A".into(), [3.0, 2.0]), ("robot B".into(), [-2.0, 2.5]), ("robot C".into(), [2.0, -2.0])];
     let ray = |azimuth_rad, label: &str, class| Ray {
         origin_m: [0.0; 2],
@@ -97,7 +98,7 @@ fn robots(out: &Path) -> Result<(), Error> {
     Ok(())
 }
 
-fn main() -> Result<(), Error> {
+fn main() -> Result<(), Failure> {
     let out = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "pictures".into()));
     phases(&out)?;
     profile(&out)?;

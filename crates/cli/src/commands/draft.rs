@@ -223,7 +223,7 @@ impl Drop for FolderDraft {
 /// Pictures that `draw` writes into a folder, under their final names: all of them, or none.
 pub fn pictures(
     folder: &Path,
-    draw: impl FnOnce(&Path) -> Result<Vec<PathBuf>, csi5300_lab::show::Error>,
+    draw: impl FnOnce(&Path) -> Result<Vec<PathBuf>, csi5300_lab::Failure>,
 ) -> Result<Vec<PathBuf>, String> {
     let draft = FolderDraft::new(folder)?;
     let written = draw(draft.path()).map_err(|error| draft.words(&error.to_string()))?;

@@ -237,7 +237,7 @@ fn a_recording_has_more_topics_than_a_program_may_have_files_and_is_not_overwrit
     assert_eq!(status, Some(0), "{errors}");
     assert_eq!(std::fs::read_dir(folder.0.join("logs")).unwrap().count(), 200);
     let (status, errors) = unbag(".");
-    assert!(status == Some(1) && errors.contains("robot_7_pose.csv is an input"), "{errors}");
+    assert!(status == Some(1) && errors.contains("is the input robot_7_pose.csv by another name"), "{errors}");
     assert_eq!(std::fs::read(&recording).unwrap(), before);
     assert_eq!(std::fs::read_dir(&folder.0).unwrap().count(), 3, "nothing of what was refused is left");
 }

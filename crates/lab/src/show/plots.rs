@@ -1,10 +1,11 @@
 //! The kinds of picture: series over two axes, phase over time, maps, profiles.
 
-use super::Error;
 use super::canvas::{
     Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, ORANGE, PALE, PURPLE, RED, Rgb, SKY, WIDTH, extent, extent_log,
     series_colour,
 };
+use super::empty;
+use crate::Failure;
 use crate::curves::Curve;
 use csi5300::maths::{unwrap_rad, wrap_rad};
 use csi5300_say::fixed;
@@ -60,6 +61,9 @@ pub struct Chart {
     pub y: Option<(f64, f64)>,
 }
 
+/// Height of a chart.
+const HEIGHT: f64 = 780.0;
+
 /// A dashed line with at most this many points has dots, too.
 const FEW: usize = 2;
 
@@ -68,16 +72,18 @@ const MANY: usize = 100;
 
 impl Chart {
     /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
         self.draw()?.save(stem)
     }
 
-    /// The picture as the text of an SVG.
-    pub fn svg(&self) -> Result<String, Error> {
-        self.draw().map(|canvas| canvas.svg())
+    /// The picture as the text of an SVG for a page, which says how wide it is.
+    pub fn svg(&self) -> Result<String, Failure> {
+        let size = format!("width=\"{WIDTH}\" height=\"{HEIGHT}\"");
+        let view = format!("viewBox=\"0 0 {WIDTH} {HEIGHT}\"");
+        self.draw().map(|canvas| canvas.svg().replacen(&size, &view, 1))
     }
 
-    fn draw(&self) -> Result<Canvas, Error> {
+    fn draw(&self) -> Result<Canvas, Failure> {
         let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
         let of = |own: &Series| own.points.iter().filter(good).copied().collect::<Vec<_>>();
         let drawn: Vec<(&Series, Points)> = self.series.iter().map(|own| (own, of(own))).collect();
@@ -88,9 +94,9 @@ impl Chart {
             true => extent_log(xs).or((!all.is_empty()).then_some((0.1, 1.0))),
             false => extent(xs, 0.05),
         };
-        let empty = Error::Empty { what: "points" };
-        let (x, y) = self.x.or(x).zip(self.y.or(extent(ys, 0.05))).filter(|_| !all.is_empty()).ok_or(empty)?;
-        let mut canvas = Canvas::new(780.0, &self.title);
+        let (x, y) =
+            self.x.or(x).zip(self.y.or(extent(ys, 0.05))).filter(|_| !all.is_empty()).ok_or_else(|| empty("points"))?;
+        let mut canvas = Canvas::new(HEIGHT, &self.title);
         let named = drawn.iter().filter(|(own, points)| !own.name.is_empty() && !points.is_empty());
         let key = |look: Look| match look {
             Look::Dots | Look::Joined => Key::Dot,
@@ -170,7 +176,7 @@ const AVERAGED: usize = 5;
 
 impl PhasePlot {
     /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
         let tracks: Vec<&PhaseTrack> = std::iter::once(&self.capture).chain(&self.other).collect();
         let panels = if tracks.iter().any(|track| !track.left.is_empty()) { 4 } else { 3 };
         let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &self.title);
@@ -210,16 +216,15 @@ impl PhaseTrack {
     }
 }
 
-fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64), over: usize) -> Result<(), Error> {
+fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64), over: usize) -> Result<(), Failure> {
     let drawn = |phase: &Points, colour| {
         let [used, others] = track.points(phase);
         [(others, pale(colour)), (used, colour)]
     };
     let (before, after) = (drawn(&track.before, ORANGE), drawn(&track.after, BLUE));
     let product = drawn(&track.product, PURPLE);
-    let empty = Error::Empty { what: "phase over time" };
     let times = before.iter().chain(&after).flat_map(|(points, _)| points.iter().map(|p| p.0));
-    let times = extent(times, 0.02).ok_or(empty)?;
+    let times = extent(times, 0.02).ok_or_else(|| empty("phase over time"))?;
     canvas.text((left + width / 2.0, 148.0), &track.label, 22, TextAnchor::Middle, BLACK);
     let frame = |panel: f64| [left, TOP + STEP * panel, width, PANEL];
     wrapped(canvas, frame(0.0), times, &before, ("", "before: wrapped phase (rad)"));
@@ -353,8 +358,8 @@ fn finite(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
 }
 
 /// Equal axes below `top` that show all points.
-fn axes(top: f64, points: &[[f64; 2]]) -> Result<Axes, Error> {
-    let range = |k: usize| extent(points.iter().map(|p| p[k]), 0.0).ok_or(Error::Empty { what: "map" });
+fn axes(top: f64, points: &[[f64; 2]]) -> Result<Axes, Failure> {
+    let range = |k: usize| extent(points.iter().map(|p| p[k]), 0.0).ok_or_else(|| empty("map"));
     let ((x0, x1), (y0, y1)) = (range(0)?, range(1)?);
     let more = 0.15 * (x1 - x0).max(y1 - y0);
     let frame = [120.0, top, WIDTH - 160.0, 810.0 - top];
@@ -426,7 +431,7 @@ impl MapPlot {
     }
 
     /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
         let (path, used) = (finite(&self.path_m), finite(&self.used_m));
         let usable = |r: &&Ray| r.azimuth_rad.is_finite() && r.origin_m.iter().all(|v| v.is_finite());
         let rays: Vec<&Ray> = self.rays.iter().filter(usable).collect();
@@ -558,8 +563,8 @@ fn wrap_deg(degrees: f64) -> f64 {
 
 impl ProfilePlot {
     /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
-        let chosen = relative(&self.chosen_from).ok_or(Error::Empty { what: "profile" })?;
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
+        let chosen = relative(&self.chosen_from).ok_or_else(|| empty("profile"))?;
         let others = self.others.iter().enumerate();
         let others: Vec<_> =
             others.filter_map(|(i, other)| Some((self.colour_of_other(i), relative(other)?))).collect();

@@ -1,8 +1,7 @@
 //! The pictures of a link, of an evaluation, of a recording beside a simulation, and of stationary robots.
 
-use super::{
-    Chart, Ellipse, Error, Look, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, Series, file_safe,
-};
+use super::{Chart, Ellipse, Look, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, Series, file_safe};
+use crate::Failure;
 use crate::compare::Figures;
 use crate::curves::{evidence, plane_wave, without_motion};
 use crate::evaluate::quality::{Table, refusals, sure};
@@ -39,7 +38,7 @@ impl<'a> LinkPictures<'a> {
     ///
     /// # Errors
     /// If a picture cannot be drawn or written.
-    pub fn write(&self, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Failure> {
         let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(name)));
         let mut written = Vec::new();
         if !self.bearing.course.is_empty() {
@@ -165,7 +164,7 @@ impl Others {
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_set(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write_set(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let judged = |row: &&Judged| row.error_from_mean_pose_deg.is_some();
     let mut written = Vec::new();
     if rows.iter().any(|row| judged(&row)) {
@@ -184,7 +183,7 @@ pub fn write_set(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
         if let Some((capture, _)) = row.answer.link.rsplit_once('/') {
@@ -385,7 +384,7 @@ fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot 
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_compared(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write_compared(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let round_trip = |label: &str, figures: &Figures| PhaseTrack {
         before: over_time(&figures.link.course, |phase| phase.round_trip_rad),
         ..track(label, &figures.link.course)
