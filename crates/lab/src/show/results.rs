@@ -297,22 +297,21 @@ fn steps(errors: &[f64]) -> Vec<(f64, f64)> {
 
 fn refused(rows: &[Judged]) -> Chart {
     let curve = refusals(rows);
-    let kinds: [(&str, fn(&Kept) -> f64); 3] = [
-        ("mean", |kept| kept.errors.mean_deg),
-        ("median", |kept| kept.errors.median_deg),
-        ("90th percentile", |kept| kept.errors.p90_deg),
-    ];
-    let series = kinds.into_iter().enumerate().map(|(colour, (name, pick))| Series {
+    let series = |name: &str, colour, pick: fn(&Kept) -> f64| Series {
         name: name.into(),
         points: curve.iter().map(|kept| (100.0 * kept.share, pick(kept))).collect(),
         look: Look::Joined,
         colour,
-    });
+    };
     Chart {
         title: "Error of the links that are kept when the least confident are refused".into(),
         x_label: "links kept (%)".into(),
         y_label: "error (degrees)".into(),
-        series: series.collect(),
+        series: vec![
+            series("mean", 0, |kept| kept.errors.mean_deg),
+            series("median", 1, |kept| kept.errors.median_deg),
+            series("90th percentile", 2, |kept| kept.errors.p90_deg),
+        ],
         ..Chart::default()
     }
 }
