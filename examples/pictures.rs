@@ -2,6 +2,7 @@
 //!
 //! `cargo run -p csi5300-lab --example pictures -- [DIR]`
 
+use csi5300_lab::Failure;
 use csi5300_lab::curves::Curve;
 use csi5300_lab::show::*;
 use std::f64::consts::TAU;
@@ -24,7 +25,7 @@ fn lobe(azimuth_deg: f64, at: f64, width: f64) -> f64 {
 }
 
 /// Phases of one link, and of two beside each other.
-fn phases(out: &Path) -> Result<(), Error> {
+fn phases(out: &Path) -> Result<(), Failure> {
     let (recorded, simulated) = (track("recorded", 3000, 0.4), track("simulated", 3000, 0.2));
     let start = std::time::Instant::now();
     let phase = PhasePlot { title: "Phase of one link".into(), capture: recorded, ..PhasePlot::default() };
@@ -39,21 +40,8 @@ fn turn() -> Vec<[f64; 2]> {
     (0..200).map(|i| i as f64 / 200.0 * TAU * 0.8).map(|a| [0.5 * a.cos(), 0.35 * a.sin()]).collect()
 }
 
-/// Where a robot drove, and where its signal comes from.
-fn bearings(out: &Path) -> Result<(), Error> {
-    let path_m = turn();
-    let trajectory = TrajectoryPlot {
-        title: "Bearing from one turn".into(),
-        used_m: path_m.iter().step_by(4).copied().collect(),
-        path_m,
-        azimuth_rad: 0.62,
-        mirror_rad: Some(-0.62),
-        sd_rad: Some(0.04),
-        truth_rad: Some(0.58),
-        transmitter_m: Some([1.6, 1.05]),
-    };
-    trajectory.write(&out.join("trajectory"))?;
-
+/// Where a signal comes from.
+fn profile(out: &Path) -> Result<(), Failure> {
     let series = |name: &str, k: f64| {
         let value = |a: f64| 0.95 * lobe(a, 35.0 + k, 9.0) + 0.4 * lobe(a, 140.0, 14.0) + 0.05;
         Curve { name: name.into(), points: (-180..180).map(f64::from).map(|a| (a, value(a))).collect() }
@@ -72,22 +60,24 @@ fn bearings(out: &Path) -> Result<(), Error> {
     Ok(())
 }
 
-/// Distributions of errors, and curves.
-fn curves(out: &Path) -> Result<(), Error> {
-    let errors = |scale: f64| (0..300).map(|i| scale * noise(i) * noise(i + 500)).collect::<Vec<f64>>();
-    let series = vec![("one antenna".into(), errors(12.0)), ("three antennas".into(), errors(5.0))];
-    CdfPlot { title: "Bearing error".into(), x_label: "error (degrees)".into(), series, ..CdfPlot::default() }
-        .write(&out.join("cdf"))?;
-    let falling = |a: f64| (0..6).map(|k| (100.0 - 10.0 * f64::from(k), a / (1.0 + f64::from(k)))).collect();
-    let series = vec![("mean".into(), falling(8.0)), ("median".into(), falling(3.0))];
+/// A distribution of errors, and a curve.
+fn curves(out: &Path) -> Result<(), Failure> {
+    let share = |k: u32| (0.1 * f64::from(k), f64::from(k) / 100.0);
+    let series = |name: &str, look, points| vec![Series { name: name.into(), points, look, colour: 0 }];
+    let (x_label, y_label) = ("error (degrees)".into(), "cumulative share".into());
+    let steps = series("one antenna", Look::Steps, (1..=100).map(share).collect());
+    Chart { title: "Bearing error".into(), x_label, y_label, series: steps, log_x: true, ..Chart::default() }
+        .write(&out.join("errors"))?;
+    let falling = (0..6).map(|k| (100.0 - 10.0 * f64::from(k), 8.0 / (1.0 + f64::from(k)))).collect();
     let (x_label, y_label) = ("links kept (%)".into(), "error (degrees)".into());
-    let title = "Error of the links that are kept".into();
-    ScatterLines { title, x_label, y_label, series }.write(&out.join("refusals"))?;
+    let series = series("mean", Look::Joined, falling);
+    Chart { title: "Error of the links that are kept".into(), x_label, y_label, series, ..Chart::default() }
+        .write(&out.join("refusals"))?;
     Ok(())
 }
 
 /// All robots of a place.
-fn robots(out: &Path) -> Result<(), Error> {
+fn robots(out: &Path) -> Result<(), Failure> {
     let truth = vec![("robot A".into(), [3.0, 2.0]), ("robot B".into(), [-2.0, 2.5]), ("robot C".into(), [2.0, -2.0])];
     let ray = |azimuth_rad, label: &str, class| Ray {
         origin_m: [0.0; 2],
@@ -103,15 +93,15 @@ fn robots(out: &Path) -> Result<(), Error> {
         ray(2.245, "", RayClass::Truth),
         ray(-0.55, "A", RayClass::Mirror),
     ];
-    MapPlot { title: "Robots and bearings".into(), truth, rays, path_m: turn(), ..MapPlot::default() }
+    MapPlot { title: "Robots and bearings".into(), truth, rays, used_m: turn(), path_m: turn(), ..MapPlot::default() }
         .write(&out.join("robots"))?;
     Ok(())
 }
 
-fn main() -> Result<(), Error> {
+fn main() -> Result<(), Failure> {
     let out = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "pictures".into()));
     phases(&out)?;
-    bearings(&out)?;
+    profile(&out)?;
     curves(&out)?;
     robots(&out)
 }

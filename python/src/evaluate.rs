@@ -6,7 +6,7 @@ use crate::pool::{build, pool};
 use csi5300::motion::pose::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
-use csi5300_lab::evaluate::{Capture, Shelf, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, TrajectorySource, find};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -55,9 +55,9 @@ impl Run {
     }
 
     /// JSON with `rows`, `notes` and `lost`.
-    fn evaluate(&self, capture: &Capture, shelf: &Shelf) -> Result<String, Failure> {
+    fn evaluate(&self, capture: &Capture) -> Result<String, Failure> {
         let mounted = Capture { antenna_offset_m: self.antenna_offset_m, camera: self.camera, ..capture.clone() };
-        let evaluate = || mounted.evaluate_from(shelf, self.source, self.channel, &self.options);
+        let evaluate = || mounted.evaluate(self.source, self.channel, &self.options);
         let pool = if self.threads == 0 { pool()? } else { Arc::new(build(self.threads)?) };
         let evaluated = pool.install(evaluate);
         let json = serde_json::json!({ "rows": evaluated.rows, "notes": evaluated.notes, "lost": evaluated.lost });
@@ -65,7 +65,7 @@ impl Run {
     }
 }
 
-/// Evaluates one capture with each set of options, reading its files once; returns JSON with `rows`, `notes` and `lost` for each.
+/// Evaluates one capture with each set of options; returns JSON with `rows`, `notes` and `lost` for each.
 /// `cancel` ends it early.
 #[pyfunction]
 #[pyo3(signature = (place, stamp, folder, transmitters, runs, cancel=None))]
@@ -84,8 +84,7 @@ pub fn evaluate_capture(
     let stop = cancel.map(|cancel| cancel.0.clone()).unwrap_or_default();
     let asked = stop.clone();
     interruptible(py, &stop, move || {
-        let shelf = capture.shelf(&|| !asked.is_asked()).ok_or_else(stopped)?;
-        let evaluate = |run: &Run| if asked.is_asked() { Err(stopped()) } else { run.evaluate(&capture, &shelf) };
+        let evaluate = |run: &Run| if asked.is_asked() { Err(stopped()) } else { run.evaluate(&capture) };
         runs.iter().map(evaluate).collect()
     })
 }

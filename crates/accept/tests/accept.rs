@@ -209,6 +209,9 @@ fn an_antenna_that_falls_when_it_is_unplugged_has_its_own_name() {
 
 #[test]
 fn every_fault_fails_its_own_claims_and_no_others() {
+    // The message names every fault.
+    let known = serde_json::from_str::<CardFault>("\"\"").unwrap_err().to_string();
+    assert_eq!(known.matches('`').count() / 2 - 1, OF_CARD.len(), "{known}");
     let all = all();
     let judge =
         |faults: &[Fault]| -> Vec<BTreeSet<&str>> { faults.iter().map(|fault| failed(&report(fault))).collect() };

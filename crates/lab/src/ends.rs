@@ -1,7 +1,8 @@
 //! One simulated link whose ends may both move, compared with its truth and the Cramer-Rao bound.
 
-use crate::compare::CompareError;
+use crate::Failure;
 use crate::compare::figures::true_path;
+use crate::compare::{NO_TRANSMITTER, ONE_ROBOT};
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
@@ -109,7 +110,7 @@ impl Ends {
     ///
     /// # Errors
     /// If the scene cannot be simulated.
-    pub fn record(&self) -> Result<Recording, CompareError> {
+    pub fn record(&self) -> Result<Recording, Failure> {
         let room = Room::new(&self.scene())?;
         let truth = [true_path(&room, 0)?, true_path(&room, 1)?];
         let (reported, displaced) = (self.reported(&truth[0]), displaced(&truth[1]));
@@ -122,7 +123,7 @@ impl Ends {
     ///
     /// # Errors
     /// If the scene cannot be simulated or gives no bearing.
-    pub fn see(&self, options: &Options) -> Result<Seen, CompareError> {
+    pub fn see(&self, options: &Options) -> Result<Seen, Failure> {
         let recording = self.record()?;
         Ok(recording.judge(&recording.bearing(options)?))
     }
@@ -144,14 +145,14 @@ impl Recording {
     ///
     /// # Errors
     /// If it has none.
-    pub fn bearing(&self, options: &Options) -> Result<Bearing, CompareError> {
-        let [receiver, transmitter] = self.simulation.robots.as_slice() else { return Err(CompareError::one_robot()) };
+    pub fn bearing(&self, options: &Options) -> Result<Bearing, Failure> {
+        let [receiver, transmitter] = self.simulation.robots.as_slice() else { return Err(ONE_ROBOT.into()) };
         let (mut rx, mut tx) = (receiver.replay(), transmitter.replay());
         let transmitters = vec![Transmitter { log: &mut tx, trajectory: self.displaced.as_ref() }];
         let options = Options { clock_offset_s: -LATE_S, ..options.clone() };
         let mut report = bearings(&mut rx, transmitters, &self.reported, &options)?;
-        let link = report.links.pop().ok_or_else(CompareError::no_transmitter)?;
-        link.bearing.map_err(|error| CompareError::Lacks(error.to_string()))
+        let link = report.links.pop().ok_or(NO_TRANSMITTER)?;
+        link.bearing.map_err(|error| error.to_string().into())
     }
 
     /// Compares one of its bearings with the truth.

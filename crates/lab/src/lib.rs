@@ -29,6 +29,9 @@ pub mod show;
 pub mod suite;
 pub mod table;
 
+/// Why something failed, in words.
+pub type Failure = Box<dyn std::error::Error + Send + Sync>;
+
 #[cfg(test)]
 mod temporary {
     use std::path::PathBuf;

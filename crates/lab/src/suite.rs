@@ -2,9 +2,10 @@
 //! and with their sinusoidal carrier offset, circles and lines of three sizes. Each goes through TDMA, bytes, pairing and the
 //! estimate.
 
-use crate::compare::CompareError;
+use crate::Failure;
 pub use crate::compare::figures::spread_rad;
 use crate::compare::figures::true_path;
+use crate::compare::{NO_TRANSMITTER, ONE_ROBOT};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Phase, Transmitter, bearings};
 use csi5300_sim::motion::{Circle, Line, RobotMotion};
@@ -100,18 +101,18 @@ pub fn run_all(experiments: &[Scene], repetitions: u64, options: &Options) -> Re
 ///
 /// # Errors
 /// If the scene cannot be simulated or gives no link.
-pub fn run(experiment: &Scene, repetition: u64, options: &Options) -> Result<Run, CompareError> {
+pub fn run(experiment: &Scene, repetition: u64, options: &Options) -> Result<Run, Failure> {
     let scene = Scene { seed: repetition, ..experiment.clone() };
     let mut room = Room::new(&scene)?;
     let path = true_path(&room, 0)?;
-    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or_else(CompareError::one_robot)?;
+    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or(ONE_ROBOT)?;
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
     let report = bearings(&mut rx, transmitters, &path, options)?;
-    let found = report.links.first().ok_or_else(CompareError::no_transmitter)?;
-    let link = found.link.as_ref().ok_or_else(|| CompareError::Lacks("no pairs".into()))?;
+    let found = report.links.first().ok_or(NO_TRANSMITTER)?;
+    let link = found.link.as_ref().ok_or("no pairs")?;
     let (turn_around, _) = link.phases(options);
-    let turn_around = turn_around.ok_or_else(|| CompareError::few_pairs(link.pairs()))?;
+    let turn_around = turn_around.ok_or_else(|| format!("{} pairs are too few to measure a link", link.pairs()))?;
     let mut run = Run {
         experiment: experiment.name.clone(),
         repetition,
@@ -121,7 +122,7 @@ pub fn run(experiment: &Scene, repetition: u64, options: &Options) -> Result<Run
         ..Run::default()
     };
     if scene.robot[0].motion != RobotMotion::Static {
-        let bearing = found.bearing.as_ref().map_err(|error| CompareError::Lacks(error.to_string()))?;
+        let bearing = found.bearing.as_ref().map_err(|error| error.to_string())?;
         judge(&mut run, bearing, &room);
     }
     Ok(run)

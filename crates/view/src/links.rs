@@ -11,6 +11,7 @@ use csi5300_lab::evaluate::quality::{Beside, Table};
 use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find_all, summarise};
 use serde::Serialize;
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -196,9 +197,7 @@ impl Links {
         let Some(capture) = self.captures.get(number) else { return };
         let mut details: BTreeMap<String, Arc<str>> = BTreeMap::new();
         let mut look = |name: &str, bearing: &Bearing, _: &Options| {
-            if let Ok(text) = serde_json::to_string(&Detail::new(bearing)) {
-                details.insert(name.to_owned(), text.into());
-            }
+            details.insert(name.to_owned(), drawn(bearing).to_string().into());
         };
         let Reading { source, channel, options, .. } = &self.reading;
         let evaluated = capture.evaluate_and(*source, *channel, options, &mut look);
@@ -244,22 +243,15 @@ impl Links {
 
     /// The rows that arrived after the first `known`, how many arrived, and what was noted.
     pub fn rows(&self, known: usize) -> Result<Vec<u8>, Error> {
-        #[derive(Serialize)]
-        struct Rows<'a> {
-            known: usize,
-            of: usize,
-            rows: Vec<Row<'a>>,
-            notes: &'a [String],
-        }
         let state = self.state();
         let new = state.arrived.iter().skip(known);
         let row = |number: &usize| {
             let Done { row, beside, .. } = state.links.get(*number)?.as_ref()?;
             Some(Row { number: *number, set: row.set(), judged: row, beside: *beside })
         };
-        let rows = new.filter_map(row);
-        let rows = Rows { known: state.arrived.len(), of: self.len(), rows: rows.collect(), notes: &state.notes };
-        Ok(serde_json::to_vec(&rows)?)
+        let rows: Vec<Row<'_>> = new.filter_map(row).collect();
+        let (known, of) = (state.arrived.len(), self.len());
+        Ok(serde_json::to_vec(&json!({ "known": known, "of": of, "rows": rows, "notes": state.notes }))?)
     }
 
     /// Errors by set so far, and another program's on the same links.
@@ -283,7 +275,7 @@ impl Links {
     /// and the transmitter's log. The second value is true for a capture without a worker.
     pub fn link(&self, link: usize, logs: [Option<usize>; 2]) -> Result<Option<(Vec<u8>, bool)>, Error> {
         let Some((capture, _)) = self.place(link) else { return Ok(None) };
-        let numbers = serde_json::json!({ "receiver": logs[0], "transmitter": logs[1] });
+        let numbers = json!({ "receiver": logs[0], "transmitter": logs[1] });
         let mut state = self.state();
         let Some(done) = state.links.get(link).and_then(Option::as_ref) else {
             let at = state.waiting.iter().position(|waiting| *waiting == capture);
@@ -291,13 +283,13 @@ impl Links {
                 state.waiting.remove(at);
                 state.waiting.push_front(capture);
             }
-            let answer = serde_json::to_vec(&serde_json::json!({ "waiting": true, "logs": numbers }))?;
+            let answer = serde_json::to_vec(&json!({ "waiting": true, "logs": numbers }))?;
             return Ok(Some((answer, at.is_some())));
         };
         let siblings = self.first[capture]..self.first[capture + 1];
         let rows = siblings.filter_map(|k| state.links.get(k)?.as_ref().map(|done| done.row.clone()));
         let receiver = receivers(&rows.collect::<Vec<_>>()).into_iter().next();
-        let head = serde_json::json!({
+        let head = json!({
             "number": link, "row": done.row, "beside": done.beside, "receiver": receiver, "logs": numbers,
         });
         let mut text = serde_json::to_string(&head)?;
@@ -316,68 +308,39 @@ const PHASES: usize = 1_500;
 /// Points of a profile at most.
 const POINTS: usize = 720;
 
-/// A curve over azimuth, relative to its own highest value.
-#[derive(Serialize)]
-struct Relative {
-    name: String,
-    azimuths_deg: Vec<f64>,
-    values: Vec<f64>,
-}
-
-/// Phases of the pairs, radians in (-pi, pi], beside their times.
-#[derive(Serialize)]
-struct Phases {
-    t_s: Vec<f64>,
-    one_way_rad: Vec<f64>,
-    round_trip_rad: Vec<f64>,
-    compensated_rad: Vec<f64>,
-    /// The residual without the motion: times from the first sample in motion, and phases.
-    left_t_s: Vec<f64>,
-    left_rad: Vec<f64>,
-}
-
-/// A link that has a bearing.
-#[derive(Serialize)]
-struct Detail {
-    /// What the answer was chosen from first, then others.
-    curves: Vec<Relative>,
-    path_m: Vec<[f64; 2]>,
-    used_m: Vec<[f64; 2]>,
-    phases: Phases,
-}
-
-impl Detail {
-    /// Of a bearing whose course was kept.
-    pub fn new(bearing: &Bearing) -> Self {
-        let curves = [evidence(bearing), plane_wave(bearing).ok()].into_iter().flatten().map(relative);
-        let xy = |points: &[nalgebra::Vector3<f64>]| thin(points, PLACES, |p| [round(p.x, 1e4), round(p.y, 1e4)]);
-        let course = |value: fn(&Phase) -> f64| thin(&bearing.course, PHASES, |p| round(value(p), 1e4));
-        let left = without_motion(bearing);
-        Self {
-            curves: curves.collect(),
-            path_m: xy(&bearing.path_m),
-            used_m: xy(bearing.samples.receiver_m()),
-            phases: Phases {
-                t_s: course(|phase| phase.t_s),
-                one_way_rad: course(|phase| phase.one_way_rad),
-                round_trip_rad: course(|phase| phase.round_trip_rad),
-                compensated_rad: course(|phase| phase.compensated_rad),
-                left_t_s: thin(&left, PHASES, |point| round(point.0, 1e4)),
-                left_rad: thin(&left, PHASES, |point| round(point.1, 1e4)),
-            },
-        }
-    }
+/// What the page draws of a link that has a bearing, whose course was kept.
+fn drawn(bearing: &Bearing) -> Value {
+    // What the answer was chosen from first.
+    let curves = [evidence(bearing), plane_wave(bearing).ok()].into_iter().flatten().map(relative);
+    let xy = |points: &[nalgebra::Vector3<f64>]| thin(points, PLACES, |p| [round(p.x, 1e4), round(p.y, 1e4)]);
+    let course = |value: fn(&Phase) -> f64| thin(&bearing.course, PHASES, |p| round(value(p), 1e4));
+    let left = without_motion(bearing);
+    json!({
+        "curves": curves.collect::<Vec<_>>(),
+        "path_m": xy(&bearing.path_m),
+        "used_m": xy(bearing.samples.receiver_m()),
+        "phases": {
+            "t_s": course(|phase| phase.t_s),
+            "one_way_rad": course(|phase| phase.one_way_rad),
+            "round_trip_rad": course(|phase| phase.round_trip_rad),
+            "compensated_rad": course(|phase| phase.compensated_rad),
+            // The residual without the motion, from the first sample in motion.
+            "left_t_s": thin(&left, PHASES, |point| round(point.0, 1e4)),
+            "left_rad": thin(&left, PHASES, |point| round(point.1, 1e4)),
+        },
+    })
 }
 
 /// A curve relative to its highest value; of more points than are shown the highest of each few.
-fn relative(curve: Curve) -> Relative {
+fn relative(curve: Curve) -> Value {
     let top = curve.points.iter().map(|point| point.1).filter(|value| value.is_finite()).fold(0.0, f64::max);
     let scale = if top > 0.0 { 1.0 / top } else { 1.0 };
     let few = curve.points.len().div_ceil(POINTS).max(1);
     let highest = |few: &[(f64, f64)]| few.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
     let kept = curve.points.chunks(few).filter_map(highest);
-    let (azimuths_deg, values) = kept.map(|(azimuth, value)| (round(azimuth, 1e3), round(value * scale, 1e5))).unzip();
-    Relative { name: curve.name, azimuths_deg, values }
+    let rounded = kept.map(|(azimuth, value)| (round(azimuth, 1e3), round(value * scale, 1e5)));
+    let (azimuths_deg, values): (Vec<f64>, Vec<f64>) = rounded.unzip();
+    json!({ "name": curve.name, "azimuths_deg": azimuths_deg, "values": values })
 }
 
 /// Every n-th value.
@@ -421,10 +384,11 @@ mod tests {
         points[1234].1 = 4.0;
         let top = points[1234].0;
         let shown = relative(Curve { name: "c".into(), points });
-        assert!(shown.values.len() <= POINTS);
-        let best = shown.values.iter().position(|value| *value == 1.0).unwrap();
-        assert!((shown.azimuths_deg[best] - top).abs() < 1e-3);
-        assert_eq!(shown.values.iter().filter(|value| **value == 0.125).count(), shown.values.len() - 1);
+        let values = shown["values"].as_array().unwrap();
+        assert!(values.len() <= POINTS);
+        let best = values.iter().position(|value| *value == 1.0).unwrap();
+        assert!((shown["azimuths_deg"][best].as_f64().unwrap() - top).abs() < 1e-3);
+        assert_eq!(values.iter().filter(|value| **value == 0.125).count(), values.len() - 1);
     }
 
     #[test]

@@ -2,9 +2,9 @@
 
 use crate::Error;
 use csi5300_lab::cards::is_named_as_log;
-use csi5300_lab::course::{AntennaCourse, LogIndex, StretchCsi, letter};
+use csi5300_lab::course::{LogIndex, StretchCsi, letter};
 use driver_iface::Mac;
-use serde::Serialize;
+use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::f64::consts::PI;
 use std::fs::Metadata;
@@ -193,76 +193,38 @@ impl Logs {
 /// The byte of a cell into which nothing fell; values take 0 to 254.
 const NOTHING: u8 = 255;
 
-/// A heat map.
-#[derive(Serialize)]
-struct Map {
-    /// The value of byte 0.
-    low: f64,
-    /// The value of byte 254.
-    high: f64,
-    /// Base64 of the bytes, `[row][column]`.
-    cells: String,
+/// All heat maps of a stretch: of one antenna, or of all, and of the only sender whose records they hold, if the log has others.
+pub(crate) fn maps(csi: &StretchCsi, antenna: Option<char>, sender: Option<Mac>) -> serde_json::Result<Value> {
+    let wanted = csi.antennas.iter().filter(|own| antenna.is_none_or(|wanted| letter(own.antenna) == wanted));
+    let maps = wanted.map(|own| {
+        let known = || own.amplitude_db.iter().copied().filter(|db| db.is_finite());
+        let (low, high) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
+        let (amplitude, phase) = (map(&own.amplitude_db, low, high), map(&own.phase_rad, -PI, PI));
+        json!({ "antenna": letter(own.antenna), "amplitude_db": amplitude, "phase_rad": phase })
+    });
+    let (rows, each, last) = (&csi.rows, csi.rows.each, csi.rows.subcarriers.saturating_sub(1));
+    let middles = (0..rows.len()).map(|row| rows.index((row * each + each / 2).min(last)));
+    let mut all = serde_json::to_value(csi)?;
+    // A row is a subcarrier, or some that are neighbours.
+    all["rows"] = rows.len().into();
+    all["subcarriers"] = middles.collect();
+    all["subcarriers_a_row"] = each.into();
+    // Kind and width, of cards other than the 5300.
+    all["frames"] = rows.frames.as_deref().into();
+    all["sender"] = sender.map(|mac| mac.to_string()).into();
+    all["antennas"] = maps.collect();
+    Ok(all)
 }
 
-#[derive(Serialize)]
-struct AntennaMaps {
-    antenna: String,
-    amplitude_db: Map,
-    phase_rad: Map,
-}
-
-/// All heat maps of a stretch.
-#[derive(Serialize)]
-pub(crate) struct Maps<'a> {
-    #[serde(flatten)]
-    csi: &'a StretchCsi,
-    /// Rows of the maps: a subcarrier each, or some that are neighbours.
-    rows: usize,
-    /// Index of the subcarrier in the middle of each row; its place where that is not known.
-    subcarriers: Vec<i64>,
-    /// How many subcarriers share a row.
-    subcarriers_a_row: usize,
-    /// Kind and width of the frames, of cards other than the 5300.
-    frames: Option<&'a str>,
-    /// The only sender whose records they hold; `None` if the log has no other.
-    sender: Option<String>,
-    antennas: Vec<AntennaMaps>,
-}
-
-impl<'a> Maps<'a> {
-    /// Of one antenna, or of all, and of this sender.
-    pub fn new(csi: &'a StretchCsi, antenna: Option<char>, sender: Option<Mac>) -> Self {
-        let wanted = csi.antennas.iter().filter(|own| antenna.is_none_or(|wanted| letter(own.antenna) == wanted));
-        let maps = |own: &AntennaCourse| {
-            let known = || own.amplitude_db.iter().copied().filter(|db| db.is_finite());
-            let (low, high) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
-            AntennaMaps {
-                antenna: letter(own.antenna).into(),
-                amplitude_db: map(&own.amplitude_db, low, high),
-                phase_rad: map(&own.phase_rad, -PI, PI),
-            }
-        };
-        let (each, last) = (csi.rows.each, csi.rows.subcarriers.saturating_sub(1));
-        let middles = (0..csi.rows.len()).map(|row| csi.rows.index((row * each + each / 2).min(last)));
-        Self {
-            csi,
-            rows: csi.rows.len(),
-            subcarriers: middles.collect(),
-            subcarriers_a_row: csi.rows.each,
-            frames: csi.rows.frames.as_deref(),
-            sender: sender.map(|mac| mac.to_string()),
-            antennas: wanted.map(maps).collect(),
-        }
-    }
-}
-
-fn map(values: &[f64], low: f64, high: f64) -> Map {
+/// A heat map: the values of bytes 0 and 254, and base64 of the bytes, `[row][column]`.
+fn map(values: &[f64], low: f64, high: f64) -> Value {
     let step = (high - low).max(1e-9) / 254.0;
     let byte = |value: &f64| match value.is_finite() {
         true => ((value - low) / step).round().clamp(0.0, 254.0) as u8,
         false => NOTHING,
     };
-    Map { low, high: low + 254.0 * step, cells: base64(&values.iter().map(byte).collect::<Vec<u8>>()) }
+    let cells = base64(&values.iter().map(byte).collect::<Vec<u8>>());
+    json!({ "low": low, "high": low + 254.0 * step, "cells": cells })
 }
 
 /// Base64 with padding (RFC 4648, 4).
@@ -382,10 +344,11 @@ mod tests {
     fn values_come_back_within_a_step_and_nothing_stays_nothing() {
         let made = map(&[-10.0, 2.5, f64::NAN, 20.0], -10.0, 20.0);
         // 0, 106, none, 254
-        assert_eq!(made.cells, base64(&[0, 106, NOTHING, 254]));
-        let back = made.low + 106.0 / 254.0 * (made.high - made.low);
-        assert!((back - 2.5).abs() <= (made.high - made.low) / 508.0, "{back}");
+        assert_eq!(made["cells"], base64(&[0, 106, NOTHING, 254]));
+        let [low, high] = ["low", "high"].map(|name| made[name].as_f64().unwrap());
+        let back = low + 106.0 / 254.0 * (high - low);
+        assert!((back - 2.5).abs() <= (high - low) / 508.0, "{back}");
         // A map of one value is one.
-        assert_eq!(map(&[3.0, 3.0], 3.0, 3.0).cells, base64(&[0, 0]));
+        assert_eq!(map(&[3.0, 3.0], 3.0, 3.0)["cells"], base64(&[0, 0]));
     }
 }

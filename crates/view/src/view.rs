@@ -2,16 +2,15 @@
 
 use crate::Error;
 use crate::links::{Links, Reading};
-use crate::logs::{Logs, Maps};
+use crate::logs::{Logs, Named, maps};
 use crate::node::{Events, Node};
-use csi5300::source::survey::{Sender, Survey, TimeBase};
-use csi5300_lab::cards::CardSurvey;
+use csi5300::source::survey::Sender;
 use csi5300_lab::course::{LogIndex, letter};
 use csi5300_lab::evaluate::TrajectorySource;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::record::Tail;
-use serde::Serialize;
+use serde_json::{Value, json};
 use std::fs::Metadata;
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
@@ -43,67 +42,6 @@ pub struct Answer {
     pub kind: &'static str,
     /// What it is.
     pub bytes: Vec<u8>,
-}
-
-#[derive(Serialize)]
-struct Overview<'a> {
-    program: String,
-    name: &'a str,
-    kind: &'static str,
-    logs: Vec<LogName<'a>>,
-    links: Vec<String>,
-    has_beside: bool,
-    trajectory: TrajectorySource,
-}
-
-#[derive(Serialize)]
-struct LogName<'a> {
-    name: &'a str,
-    bytes: Option<u64>,
-}
-
-/// What is in a log: `info --json`, with its senders as a list.
-#[derive(Serialize)]
-struct LogFacts<'a> {
-    name: &'a str,
-    bytes: u64,
-    cut: bool,
-    /// First and last time, seconds, by `time_base`; with that of numbers the records' numbers.
-    span_s: (f64, f64),
-    time_base: TimeBase,
-    /// Indices of the reported subcarriers about the centre: of most frames, or where a 5300's frames are of one width.
-    subcarriers: Option<Vec<i16>>,
-    /// Letters of the antennas.
-    antennas: Vec<char>,
-    /// True if RSSI is in dBm, not dB.
-    rssi_in_dbm: bool,
-    senders: Vec<SenderFacts>,
-    #[serde(flatten)]
-    counted: Counted<'a>,
-}
-
-/// What was counted in a log.
-#[derive(Serialize)]
-#[serde(untagged)]
-enum Counted<'a> {
-    Csitool(&'a Survey),
-    Card {
-        /// The kind of log, of cards other than the 5300.
-        format: &'static str,
-        #[serde(flatten)]
-        survey: &'a CardSurvey,
-    },
-}
-
-#[derive(Serialize)]
-struct SenderFacts {
-    mac: String,
-    records: u64,
-    rate_hz: Option<f64>,
-    median_rate_hz: Option<f64>,
-    /// Null for what does not count up.
-    frames_skipped: Option<u64>,
-    frames_repeated: Option<u64>,
 }
 
 /// What follows the `?` of a question.
@@ -314,24 +252,23 @@ impl View {
         Ok(whole_page(&self.name, &answers))
     }
 
-    fn overview(&self) -> Overview<'_> {
-        let logs = self
-            .logs
-            .iter()
-            .map(|log| LogName { name: &log.name, bytes: log.path.metadata().ok().map(|found| found.len()) });
-        Overview {
-            program: format!("csi5300 {}", env!("CARGO_PKG_VERSION")),
-            name: &self.name,
-            kind: match (&self.node, &self.links) {
-                (Some(_), _) => "node",
-                (None, Some(_)) => "captures",
-                (None, None) => "logs",
-            },
-            logs: logs.collect(),
-            links: self.links.as_ref().map(Links::names).unwrap_or_default(),
-            has_beside: self.links.as_ref().is_some_and(Links::has_beside),
-            trajectory: self.source,
-        }
+    fn overview(&self) -> Value {
+        let bytes = |log: &Named| log.path.metadata().ok().map(|found| found.len());
+        let logs = self.logs.iter().map(|log| json!({ "name": log.name, "bytes": bytes(log) }));
+        let kind = match (&self.node, &self.links) {
+            (Some(_), _) => "node",
+            (None, Some(_)) => "captures",
+            (None, None) => "logs",
+        };
+        json!({
+            "program": format!("csi5300 {}", env!("CARGO_PKG_VERSION")),
+            "name": self.name,
+            "kind": kind,
+            "logs": logs.collect::<Vec<_>>(),
+            "links": self.links.as_ref().map(Links::names).unwrap_or_default(),
+            "has_beside": self.links.as_ref().is_some_and(Links::has_beside),
+            "trajectory": self.source,
+        })
     }
 
     /// The numbers of the receiver's and the transmitter's log of a link.
@@ -346,37 +283,44 @@ impl View {
         self.links.as_ref().and_then(of).unwrap_or_default()
     }
 
+    /// What is in a log: `info --json`, with its senders as a list.
     fn facts(&self, number: usize) -> Result<Option<Vec<u8>>, Error> {
         let Some((log, index)) = self.logs.read(number)? else { return Ok(None) };
         let survey = index.survey();
         let sender = |(mac, (records, rate_hz)): (&Mac, (u64, Option<f64>))| {
             let counted: Option<&Sender> = survey.and_then(|survey| survey.senders.get(mac));
-            SenderFacts {
-                mac: mac.to_string(),
-                records: counted.map_or(records, |sender| sender.records),
-                rate_hz: counted.map_or(rate_hz, Sender::mean_rate_hz),
-                median_rate_hz: counted.and_then(Sender::rate_hz),
-                frames_skipped: counted.filter(|sender| sender.counts_up()).map(|sender| sender.frames_skipped),
-                frames_repeated: counted.filter(|sender| sender.counts_up()).map(|sender| sender.frames_repeated),
-            }
+            json!({
+                "mac": mac.to_string(),
+                "records": counted.map_or(records, |sender| sender.records),
+                "rate_hz": counted.map_or(rate_hz, Sender::mean_rate_hz),
+                "median_rate_hz": counted.and_then(Sender::rate_hz),
+                // Null for what does not count up.
+                "frames_skipped": counted.filter(|sender| sender.counts_up()).map(|sender| sender.frames_skipped),
+                "frames_repeated": counted.filter(|sender| sender.counts_up()).map(|sender| sender.frames_repeated),
+            })
         };
-        let counted = match (survey, index.card()) {
-            (Some(survey), _) => Counted::Csitool(survey),
-            (None, Some((format, survey))) => Counted::Card { format: format.name(), survey },
+        let mut facts = match (survey, index.card()) {
+            (Some(survey), _) => serde_json::to_value(survey)?,
+            (None, Some((_, survey))) => serde_json::to_value(survey)?,
             (None, None) => return Ok(None),
         };
-        let facts = LogFacts {
-            name: &log.name,
-            bytes: index.bytes,
-            cut: survey.is_some_and(|survey| survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean))),
-            span_s: index.span_s,
-            time_base: index.base,
-            subcarriers: index.subcarriers(),
-            antennas: (0..index.ports).map(letter).collect(),
-            rssi_in_dbm: index.rssi_in_dbm,
-            senders: index.senders.iter().zip(index.sent()).take(SENDERS).map(sender).collect(),
-            counted,
-        };
+        let senders: Vec<Value> = index.senders.iter().zip(index.sent()).take(SENDERS).map(sender).collect();
+        let own = json!({
+            "name": log.name,
+            "bytes": index.bytes,
+            "cut": survey.is_some_and(|survey| survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean))),
+            // By `time_base`; with that of numbers the records' numbers.
+            "span_s": index.span_s,
+            "time_base": index.base,
+            "subcarriers": index.subcarriers(),
+            "antennas": (0..index.ports).map(letter).collect::<Vec<_>>(),
+            "rssi_in_dbm": index.rssi_in_dbm,
+            "senders": senders,
+        });
+        let format = index.card().map(|(format, _)| ("format".to_owned(), format.name().into()));
+        if let (Value::Object(facts), Value::Object(own)) = (&mut facts, own) {
+            facts.extend(own.into_iter().chain(format));
+        }
         Ok(Some(serde_json::to_vec(&facts)?))
     }
 
@@ -390,7 +334,7 @@ impl View {
         let antenna = query.value::<char>("antenna")?;
         // Means over several senders would be nobody's channel.
         let sender = sender.or_else(|| most_heard(index));
-        Ok(serde_json::to_vec(&Maps::new(&index.csi(from_s, to_s, columns, sender)?, antenna, sender))?)
+        Ok(serde_json::to_vec(&maps(&index.csi(from_s, to_s, columns, sender)?, antenna, sender)?)?)
     }
 }
 

@@ -213,7 +213,7 @@ def one(
     swept: Iterable[str] = (),
     cancel: _native.Cancel | None = None,
 ) -> Evaluation:
-    """Evaluates a capture with each set of options, reading its files once. A failure becomes a row with its ``error``, never an
+    """Evaluates a capture with each set of options. A failure becomes a row with its ``error``, never an
     exception. ``cancel`` ends it early."""
     swept = list(swept)
     done = Evaluation()

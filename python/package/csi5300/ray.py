@@ -182,7 +182,7 @@ def evaluate(
     """:func:`csi5300.evaluate` for a folder or an fsspec location (``s3://bucket/prefix``), one task per capture.
 
     ``use_ray``: None for Ray if it is installed (a cluster joined by ``ray.init``, else this machine), False for threads. ``sweep``: the
-    task that copied the capture evaluates all combinations, reading its files once. A failed capture becomes a row with its ``error``.
+    task that copied the capture evaluates all combinations. A failed capture becomes a row with its ``error``.
     The rows are those of :func:`csi5300.evaluate`, in the order of the captures.
     """
     uri = os.fspath(uri)

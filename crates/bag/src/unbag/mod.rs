@@ -1,5 +1,5 @@
 //! Logs and trajectories from recordings of ROS, the input of `csi5300 bearing` and `csi5300 compare`: MCAP and SQLite of ROS 2,
-//! bags of ROS 1, also compressed. [`unbag`] writes them to files, `Recording::read` reads them into memory.
+//! bags of ROS 1, also compressed. [`Recording::write`] writes them to files, [`Recording::read`] reads them into memory.
 
 pub(crate) mod compressed;
 mod ros1;
@@ -17,7 +17,6 @@ use driver_iface::record::{Record, code};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Why a recording cannot be read.
@@ -32,7 +31,7 @@ pub enum BagError {
         /// Why.
         source: io::Error,
     },
-    /// A recording that is none, is too large, is compressed in an unknown way, or would be overwritten.
+    /// A recording that is none, is too large, or is compressed in an unknown way.
     #[error("{} {why}", .path.display())]
     Refused {
         /// The file.
@@ -40,24 +39,9 @@ pub enum BagError {
         /// What it is.
         why: String,
     },
-    /// A database lacks the tables of a recording.
-    #[error("{} is an SQLite database without the tables of a recording (topics, messages)", .path.display())]
-    NoTables {
-        /// The file.
-        path: PathBuf,
-    },
-    /// A folder contains no recording.
-    #[error("{} contains no recording (.mcap, .db3, .bag)", .folder.display())]
-    Empty {
-        /// The folder.
-        folder: PathBuf,
-    },
-    /// A file of that name exists.
-    #[error("{} already exists", .path.display())]
-    There {
-        /// The file.
-        path: PathBuf,
-    },
+    /// A file may not be written, in words.
+    #[error("{0}")]
+    Output(String),
 }
 
 /// Refuses a recording.
@@ -100,28 +84,45 @@ impl Content {
     }
 }
 
-/// The result for a topic.
-#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
+/// A topic of CSI or poses.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
-pub struct UnbaggedTopic {
-    /// What was written: a log (`.dat`) of CSI or a trajectory (`.csv`).
+pub struct Topic {
+    /// The name of its file: a log (`.dat`) of CSI or a trajectory (`.csv`).
     pub file: PathBuf,
     /// Its name.
     pub topic: String,
     /// Its type.
     pub kind: String,
-    /// Messages that were written.
+    /// What it contains.
+    #[serde(skip)]
+    pub content: Content,
+    /// Messages that were used.
     pub messages: u64,
     /// Messages that are not of their type, or whose values no record or pose can have.
     pub unreadable: u64,
+    /// The log in the WSR layout, or the rows of the trajectory, made from its messages; empty once written.
+    #[serde(skip)]
+    pub bytes: Vec<u8>,
 }
 
-/// What was read of a recording.
-#[derive(Clone, Debug, PartialEq, Eq)]
+impl Topic {
+    /// Appends the bytes to its file. No file stays open, because there may be more topics than a process may open files.
+    fn flush(&mut self, folder: &Path) -> Result<(), BagError> {
+        let path = folder.join(&self.file);
+        let file = File::options().create(true).append(true).open(&path);
+        let bytes = std::mem::take(&mut self.bytes);
+        file.and_then(|mut to| to.write_all(&bytes)).map_err(|source| BagError::Io { path, source })
+    }
+}
+
+/// What was read of a recording: a folder of `ros2 bag` or one file: MCAP, SQLite or a bag of ROS 1, also compressed. Times are those
+/// of the headers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Unbagged<T> {
-    /// The topics of CSI and poses, in order of their names; in memory, of their first message.
-    pub topics: Vec<T>,
+pub struct Recording {
+    /// The topics of CSI and poses, in order of their first message; of a written recording, of their names.
+    pub topics: Vec<Topic>,
     /// Messages of other topics.
     pub others: u64,
     /// Files that end early: they are read up to their last complete chunk.
@@ -132,180 +133,89 @@ pub struct Unbagged<T> {
     pub without_topic: u64,
 }
 
-/// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout, and each topic of poses ([`Content::Poses`]) as a
-/// trajectory, into the folder `out`, which the first of them creates. `bag` is a folder of `ros2 bag` or one file: MCAP, SQLite or a bag of
-/// ROS 1, also compressed. Times are those of the headers. The files get their names once all are complete.
-///
-/// # Errors
-/// If reading or writing fails, or an output file is the recording or exists and may not be replaced.
-pub fn unbag(bag: &Path, out: &Path, replace: bool) -> Result<Unbagged<UnbaggedTopic>, BagError> {
-    let read = files(bag)?;
-    let read = read.iter().filter_map(|file| std::fs::metadata(file).ok());
-    let inputs = read.map(|file| (file.dev(), file.ino())).collect();
-    let (files, names) = (BTreeMap::new(), BTreeSet::new());
-    let mut outputs = Outputs { folder: out, inputs, replace, files, names, waiting: 0 };
-    let mut done = each(bag, |channel, content, bytes| outputs.take(channel, content, bytes))?;
-    done.topics = outputs.finish()?;
-    Ok(done)
-}
-
-/// A topic of CSI or poses.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct RecordedTopic {
-    /// Its name.
-    pub topic: String,
-    /// Its type.
-    pub kind: String,
-    /// What it contains.
-    pub content: Content,
-    /// The log in the WSR layout, or the rows of the trajectory, made from its messages.
-    pub bytes: Vec<u8>,
-    /// Messages that were used.
-    pub messages: u64,
-    /// Messages that are not of their type, or whose values no record or pose can have.
-    pub unreadable: u64,
-}
-
-/// The topics of CSI and poses of a recording, with their content.
-pub type Recording = Unbagged<RecordedTopic>;
-
 /// Largest size of logs and trajectories in memory, bytes: a robot's day at 100 records a second is 1.4 GB.
 const MOST: u64 = 2 << 30;
 
+/// Bytes that may wait to be written, over all topics.
+const WAITING: u64 = 16 << 20;
+
 impl Recording {
-    /// Reads the recording `bag` as [`unbag`] does, but into memory: a record of two antennas takes 163 bytes, a
-    /// pose about 60. Writes nothing.
+    /// Reads the recording `bag` into memory: a record of two antennas takes 163 bytes, a pose about 60.
     ///
     /// # Errors
     /// If it cannot be read.
     pub fn read(bag: &Path) -> Result<Self, BagError> {
-        let (mut topics, mut held) = (Vec::<RecordedTopic>::new(), 0);
-        let mut done: Self = each(bag, |channel, content, bytes| {
-            let known = topics.iter().position(|one| one.topic == channel.topic && one.kind == channel.kind);
-            let at = known.unwrap_or_else(|| {
-                let (topic, kind) = (channel.topic.clone(), channel.kind.clone());
-                topics.push(RecordedTopic { topic, kind, content, bytes: Vec::new(), messages: 0, unreadable: 0 });
-                topics.len() - 1
-            });
-            if let Some(one) = topics.get_mut(at) {
-                held += bytes.as_ref().map_or(0, Vec::len) as u64;
-                if held > MOST {
-                    let why = "MiB of CSI and poses: write files with `csi5300 unbag`";
-                    return Err(refused(bag, format!("has more than {} {why}", MOST >> 20)));
-                }
-                one.messages += u64::from(bytes.is_some());
-                one.unreadable += u64::from(bytes.is_none());
-                one.bytes.extend(bytes.unwrap_or_default());
+        Self::collect(bag, &mut |_| Ok(()), |_, held| {
+            let why = "MiB of CSI and poses: write files with `csi5300 unbag`";
+            if *held > MOST { Err(refused(bag, format!("has more than {} {why}", MOST >> 20))) } else { Ok(()) }
+        })
+    }
+
+    /// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout, and each topic of poses ([`Content::Poses`]) as a
+    /// trajectory, into a folder. `may` is asked before the first message of each file.
+    ///
+    /// # Errors
+    /// If reading or writing fails, or a file may not be written.
+    pub fn write(
+        bag: &Path,
+        folder: &Path,
+        mut may: impl FnMut(&Path) -> Result<(), String>,
+    ) -> Result<Self, BagError> {
+        let flush = |topics: &mut [Topic]| topics.iter_mut().try_for_each(|one| one.flush(folder));
+        let mut done = Self::collect(bag, &mut may, |topics, held| {
+            if *held <= WAITING {
+                return Ok(());
             }
-            Ok(())
+            *held = 0;
+            flush(topics)
+        })?;
+        flush(&mut done.topics)?;
+        done.topics.sort_by(|a, b| (&a.topic, &a.kind).cmp(&(&b.topic, &b.kind)));
+        Ok(done)
+    }
+
+    /// Reads all messages; `held` gets all topics and the number of bytes since it set that to 0, after each message.
+    fn collect(
+        bag: &Path,
+        may: &mut dyn FnMut(&Path) -> Result<(), String>,
+        mut held: impl FnMut(&mut [Topic], &mut u64) -> Result<(), BagError>,
+    ) -> Result<Self, BagError> {
+        let (mut topics, mut numbers) = (Vec::<Topic>::new(), BTreeMap::new());
+        let (mut names, mut waiting) = (BTreeSet::new(), 0);
+        let mut done = each(bag, |channel, content, bytes| {
+            let key = (channel.topic.clone(), channel.kind.clone());
+            let at = *numbers.entry(key).or_insert(topics.len());
+            if at == topics.len() {
+                let file = PathBuf::from(name(&mut names, &channel.topic, content.ending()));
+                may(&file).map_err(BagError::Output)?;
+                let (topic, kind) = (channel.topic.clone(), channel.kind.clone());
+                topics.push(Topic { file, topic, kind, content, messages: 0, unreadable: 0, bytes: Vec::new() });
+            }
+            let Some(one) = topics.get_mut(at) else { return Ok(()) };
+            one.messages += u64::from(bytes.is_some());
+            one.unreadable += u64::from(bytes.is_none());
+            waiting += bytes.as_ref().map_or(0, Vec::len) as u64;
+            one.bytes.extend(bytes.unwrap_or_default());
+            held(&mut topics, &mut waiting)
         })?;
         done.topics = topics;
         Ok(done)
     }
 
     /// The topics with this `content`.
-    pub fn having(&self, content: Content) -> impl Iterator<Item = &RecordedTopic> {
+    pub fn having(&self, content: Content) -> impl Iterator<Item = &Topic> {
         self.topics.iter().filter(move |topic| topic.content == content)
     }
 }
 
-/// Bytes that may wait to be written, over all topics.
-const WAITING: usize = 16 << 20;
-
-/// An output file; it has a temporary name until the whole recording is read.
-struct Writing {
-    part: PathBuf,
-    waiting: Vec<u8>,
-    told: UnbaggedTopic,
-}
-
-impl Writing {
-    /// Writes the waiting bytes. No file stays open, because there may be more topics than a process may open files.
-    fn flush(&mut self) -> Result<(), BagError> {
-        let appended = File::options().append(true).open(&self.part).and_then(|mut to| to.write_all(&self.waiting));
-        self.waiting = Vec::new();
-        appended.map_err(|source| BagError::Io { path: self.told.file.clone(), source })
-    }
-}
-
-/// The output files of a recording. Files that were not finished are removed.
-struct Outputs<'a> {
-    folder: &'a Path,
-    /// The input files: device and number.
-    inputs: BTreeSet<(u64, u64)>,
-    replace: bool,
-    files: BTreeMap<(String, String), Writing>,
-    names: BTreeSet<String>,
-    waiting: usize,
-}
-
-impl Outputs<'_> {
-    /// Appends a message's bytes to its file; `None` counts it as unreadable.
-    fn take(&mut self, channel: &Channel, content: Content, bytes: Option<Vec<u8>>) -> Result<(), BagError> {
-        let key = (channel.topic.clone(), channel.kind.clone());
-        if !self.files.contains_key(&key) {
-            let begun = self.begin(channel, content)?;
-            self.files.insert(key.clone(), begun);
-        }
-        let Some(one) = self.files.get_mut(&key) else { return Ok(()) };
-        let Some(bytes) = bytes else {
-            one.told.unreadable += 1;
-            return Ok(());
-        };
-        one.told.messages += 1;
-        self.waiting += bytes.len();
-        one.waiting.extend(bytes);
-        if self.waiting > WAITING {
-            self.waiting = 0;
-            self.files.values_mut().try_for_each(Writing::flush)?;
-        }
-        Ok(())
-    }
-
-    /// A name that no other topic has: two topics may have the same name in plain letters.
-    fn name(&mut self, topic: &str, end: &str) -> String {
-        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-        let stem: String = topic.trim_start_matches('/').chars().map(plain).collect();
-        let stem = if stem.is_empty() { "topic".to_owned() } else { stem };
-        let numbered = (2..).map(|k: u64| format!("{stem}-{k}.{end}"));
-        let mut all = std::iter::once(format!("{stem}.{end}")).chain(numbered);
-        all.find(|name| self.names.insert(name.clone())).unwrap_or_default()
-    }
-
-    fn begin(&mut self, channel: &Channel, content: Content) -> Result<Writing, BagError> {
-        let name = self.name(&channel.topic, content.ending());
-        let (path, part) = (self.folder.join(&name), self.folder.join(format!("{name}.part-{}", std::process::id())));
-        if let Ok(there) = std::fs::metadata(&path) {
-            if self.inputs.contains(&(there.dev(), there.ino())) {
-                return Err(refused(&path, "is the recording itself and is not overwritten"));
-            }
-            if !self.replace {
-                return Err(BagError::There { path });
-            }
-        }
-        let made = std::fs::create_dir_all(self.folder).and_then(|()| File::create_new(&part));
-        made.map_err(|source| BagError::Io { path: path.clone(), source })?;
-        let (topic, kind) = (channel.topic.clone(), channel.kind.clone());
-        let told = UnbaggedTopic { topic, kind, file: path, ..UnbaggedTopic::default() };
-        Ok(Writing { part, waiting: Vec::new(), told })
-    }
-
-    /// Gives the files their final names.
-    fn finish(&mut self) -> Result<Vec<UnbaggedTopic>, BagError> {
-        self.files.values_mut().try_for_each(Writing::flush)?;
-        for one in self.files.values() {
-            let io = |source| BagError::Io { path: one.told.file.clone(), source };
-            std::fs::rename(&one.part, &one.told.file).map_err(io)?;
-        }
-        Ok(std::mem::take(&mut self.files).into_values().map(|one| one.told).collect())
-    }
-}
-
-impl Drop for Outputs<'_> {
-    fn drop(&mut self) {
-        self.files.values().for_each(|one| drop(std::fs::remove_file(&one.part)));
-    }
+/// A name that no other topic has: two topics may have the same name in plain letters.
+fn name(names: &mut BTreeSet<String>, topic: &str, end: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+    let stem: String = topic.trim_start_matches('/').chars().map(plain).collect();
+    let stem = if stem.is_empty() { "topic".to_owned() } else { stem };
+    let numbered = (2..).map(|k: u64| format!("{stem}-{k}.{end}"));
+    let mut all = std::iter::once(format!("{stem}.{end}")).chain(numbered);
+    all.find(|name| names.insert(name.clone())).unwrap_or_default()
 }
 
 /// A topic of a file.
@@ -338,11 +248,11 @@ pub(crate) struct Ended {
 
 /// Passes each message of CSI or poses to `used` as the bytes for its file, `None` if it is unreadable; returns everything but
 /// the topics.
-fn each<T>(
+fn each(
     bag: &Path,
     mut used: impl FnMut(&Channel, Content, Option<Vec<u8>>) -> Result<(), BagError>,
-) -> Result<Unbagged<T>, BagError> {
-    let mut done = Unbagged { topics: Vec::new(), others: 0, cut: Vec::new(), damaged_parts: 0, without_topic: 0 };
+) -> Result<Recording, BagError> {
+    let mut done = Recording::default();
     for file in files(bag)? {
         let ended = read(&file, &mut |channel, payload| {
             let known = ["cdr", "ros1"].contains(&channel.encoding.as_str());
@@ -422,7 +332,7 @@ fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
         all.iter().filter(ends).cloned().collect::<Vec<PathBuf>>()
     };
     let found = [".mcap", ".db3", ".bag"].into_iter().map(of).find(|files| !files.is_empty());
-    found.ok_or_else(|| BagError::Empty { folder: bag.to_owned() })
+    found.ok_or_else(|| refused(bag, "contains no recording (.mcap, .db3, .bag)"))
 }
 
 /// True for a bearing as a pose, which is not odometry: a node's `/csi5300_ROBOT/PEER/direction` (in ROS 1 `pose`), and

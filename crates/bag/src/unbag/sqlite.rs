@@ -1,13 +1,15 @@
 //! Messages of an SQLite database, as `ros2 bag record -s sqlite3` writes it (Humble's default): tables `topics` and
 //! `messages`, read page by page in the file format (\[sqlite\] 1.3, 1.6, 2). Journals are not applied.
 
-use super::{BagError, Channel, Ended, Used};
+use super::{BagError, Channel, Ended, Used, refused};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// First bytes of a file.
 pub(super) const MAGIC: &[u8; 16] = b"SQLite format 3\0";
+/// What another database is.
+const NO_TABLES: &str = "is an SQLite database without the tables of a recording (topics, messages)";
 /// Deepest tree of a table: more levels would need more pages than a file can have.
 const DEEPEST: usize = 20;
 /// Largest row, bytes.
@@ -236,7 +238,7 @@ impl<R: Read + Seek> Database<R> {
     fn messages(&mut self, path: &Path, used: &mut Used<'_>) -> Result<(), Wrong> {
         let tables = self.tables()?;
         let (Some(topics), Some(messages)) = (tables.get("topics"), tables.get("messages")) else {
-            return Err(Wrong::Bag(BagError::NoTables { path: path.to_owned() }));
+            return Err(Wrong::Bag(refused(path, NO_TABLES)));
         };
         let (mut channels, mut odd, mut without_topic) = (BTreeMap::new(), 0, 0);
         self.rows(*topics, &mut |id, row| {

@@ -16,7 +16,7 @@ const LINKS: usize = 40;
 /// Files and folders that this run reads.
 static READ: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// Endings of the files that are read in a folder.
-const DATA: [&str; 10] = ["dat", "datstp", "csv", "txt", "json", "toml", "yaml", "mcap", "db3", "bag"];
+const DATA: [&str; 11] = ["dat", "datstp", "csv", "txt", "json", "toml", "yaml", "mcap", "db3", "bag", "zstd"];
 /// How deep folders are looked into.
 const DEEPEST: usize = 16;
 
@@ -223,7 +223,7 @@ impl Drop for FolderDraft {
 /// Pictures that `draw` writes into a folder, under their final names: all of them, or none.
 pub fn pictures(
     folder: &Path,
-    draw: impl FnOnce(&Path) -> Result<Vec<PathBuf>, csi5300_lab::show::Error>,
+    draw: impl FnOnce(&Path) -> Result<Vec<PathBuf>, csi5300_lab::Failure>,
 ) -> Result<Vec<PathBuf>, String> {
     let draft = FolderDraft::new(folder)?;
     let written = draw(draft.path()).map_err(|error| draft.words(&error.to_string()))?;

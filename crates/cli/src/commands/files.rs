@@ -5,7 +5,7 @@ use super::{InWords, Words, hint, usage};
 use csi5300::motion::odometry::csv::{self, Columns, CsvCounts};
 use csi5300::motion::pose::Trajectory;
 use csi5300::source::replay::Replay;
-use csi5300_bag::unbag::{Content, Recording, Unbagged};
+use csi5300_bag::unbag::{Content, Recording};
 use csi5300_lab::kinds::{A_LOG, not_a_log, trajectory_refused};
 use csi5300_lab::show::file_safe;
 use std::io::{Cursor, Read};
@@ -20,6 +20,9 @@ pub type Log = Replay<Box<dyn Read + Send>>;
 /// # Errors
 /// If it cannot be opened, or is another kind of file, in words.
 pub fn open_log(path: &Path) -> Words<Log> {
+    if is_endless(path) {
+        return Err(format!("{} has no end: a log is a file, a pipe or -", path.display()));
+    }
     let log = Replay::open(path).map_err(|error| hint::log_refused(&error))?;
     must_be_log(path)?;
     detail!("reading {}", path.display());
@@ -30,6 +33,14 @@ pub fn open_log(path: &Path) -> Words<Log> {
         );
     }
     Ok(log)
+}
+
+/// True for a device of the kernel that gives bytes without end, such as `/dev/zero`: a device of its memory other than `/dev/null`.
+fn is_endless(path: &Path) -> bool {
+    use std::os::unix::fs::{FileTypeExt, MetadataExt};
+    const MEMORY: u64 = 1 << 8;
+    let of = |found: std::fs::Metadata| found.file_type().is_char_device().then(|| found.rdev());
+    path.metadata().ok().and_then(of).is_some_and(|device| device & !0xff == MEMORY && device != MEMORY + 3)
 }
 
 /// Refuses an empty file.
@@ -322,7 +333,7 @@ impl Inputs {
 }
 
 /// Reports missing ends and unreadable parts of a recording on standard error; true if parts are unreadable.
-pub fn say_lost<T>(bag: &Path, recording: &Unbagged<T>) -> bool {
+pub fn say_lost(bag: &Path, recording: &Recording) -> bool {
     for file in &recording.cut {
         note!("{}: the end is missing; everything before it was read", file.display());
     }

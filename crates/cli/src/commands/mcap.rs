@@ -143,7 +143,7 @@ impl Args {
 
 /// The recording could not be written.
 fn failed(args: &Args, error: &io::Error) -> String {
-    format!("writing {}: {error}", args.out.display())
+    format!("cannot write {}: {error}", args.out.display())
 }
 
 /// Every record of a log, and how many were written. Those without a host time get the card's, from the log's beginning on.
@@ -190,7 +190,9 @@ fn estimate(
     for (name, link) in names.iter().skip(1).zip(&report.links) {
         match &link.bearing {
             Ok(bearing) => {
-                recording.bearing(name, bearing).map_err(|error| format!("writing {}: {error}", args.out.display()))?;
+                recording
+                    .bearing(name, bearing)
+                    .map_err(|error| format!("cannot write {}: {error}", args.out.display()))?;
                 let answer = &bearing.answer;
                 let [azimuth_deg, sd_deg] = [answer.azimuth_rad, answer.azimuth_sd_rad].map(f64::to_degrees);
                 let mirror_deg = answer.mirror_rad.map(f64::to_degrees);

@@ -1,8 +1,9 @@
 //! `csi5300 unbag`.
 
-use super::{Outcome, Result};
-use csi5300_bag::unbag::{BagError, unbag};
-use std::path::PathBuf;
+use super::draft::{FolderDraft, must_not_be_read};
+use super::{Outcome, Result, must_not_exist};
+use csi5300_bag::unbag::Recording;
+use std::path::{Path, PathBuf};
 
 // Arguments of `unbag`.
 #[derive(clap::Args)]
@@ -23,10 +24,15 @@ pub struct Args {
 
 /// Makes logs and trajectories of a recording.
 pub fn run(args: &Args) -> Result {
-    let done = unbag(&args.bag, &args.out, args.force).map_err(|error| match error {
-        BagError::There { .. } => format!("{error}: --force overwrites it, --out names another folder"),
-        _ => error.to_string(),
-    })?;
+    let draft = FolderDraft::new(&args.out)?;
+    let may = |file: &Path| {
+        let file = args.out.join(file);
+        must_not_be_read(&file).and_then(|()| must_not_exist(&file, args.force))
+    };
+    let done = Recording::write(&args.bag, draft.path(), may);
+    let mut done = done.map_err(|error| draft.words(&error.to_string()))?;
+    done.topics.iter_mut().for_each(|topic| topic.file = args.out.join(&topic.file));
+    draft.keep()?;
     for topic in &done.topics {
         if args.json {
             super::print_json(topic);

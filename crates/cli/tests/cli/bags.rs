@@ -188,7 +188,7 @@ fn a_log_becomes_a_recording_also_without_frame_numbers() {
     }
     folder.write("empty.dat", b"");
     folder.says(&["mcap", "empty.dat", "--out", "e.mcap"], 1, &["nothing to write: no e.mcap"]);
-    folder.says(&["mcap", "stock.dat", "--out", "none/o.mcap"], 1, &["writing none/o.mcap: No such file"]);
+    folder.says(&["mcap", "stock.dat", "--out", "none/o.mcap"], 1, &["cannot write none/o.mcap: No such file"]);
     folder.says(&["unbag", "gone.mcap", "--out", "u"], 1, &["gone.mcap"]);
     assert!(!folder.0.join("e.mcap").exists() && !folder.0.join("u").exists());
 }
@@ -237,7 +237,7 @@ fn a_recording_has_more_topics_than_a_program_may_have_files_and_is_not_overwrit
     assert_eq!(status, Some(0), "{errors}");
     assert_eq!(std::fs::read_dir(folder.0.join("logs")).unwrap().count(), 200);
     let (status, errors) = unbag(".");
-    assert!(status == Some(1) && errors.contains("robot_7_pose.csv is the recording"), "{errors}");
+    assert!(status == Some(1) && errors.contains("is the input robot_7_pose.csv by another name"), "{errors}");
     assert_eq!(std::fs::read(&recording).unwrap(), before);
     assert_eq!(std::fs::read_dir(&folder.0).unwrap().count(), 3, "nothing of what was refused is left");
 }

@@ -272,6 +272,7 @@ fn bad_logs_get_a_clear_word_and_no_bearing() {
         ("zero.dat", "lost"),
         ("long.dat", "lost"),
         ("none.dat", "No such file"),
+        ("/dev/full", "/dev/full has no end"),
     ] {
         let (out, err) = folder.says(&["info", file], 1, &[]);
         assert!((out + &err).contains(word));

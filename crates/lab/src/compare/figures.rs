@@ -1,6 +1,7 @@
 //! Measures a capture: what each robot's log shows of its card, driver and host, and the two logs together.
 
-use super::CompareError;
+use super::{NO_TRANSMITTER, ONE_ROBOT};
+use crate::Failure;
 use csi5300::internal::{SENDERS_KEPT, drift_line};
 use csi5300::maths::{nearest_rank, wrap_rad};
 use csi5300::motion::pose::Trajectory;
@@ -129,7 +130,7 @@ pub fn measure(
     trajectory: &Trajectory,
     displaced: Option<&Trajectory>,
     options: &Options,
-) -> Result<Figures, CompareError> {
+) -> Result<Figures, Failure> {
     let indices = options.channel.subcarriers();
     let (mut rx, mut tx) = (Observed::new(receiver, indices), Observed::new(transmitter, indices));
     let options = Options { keep_course: true, ..options.clone() };
@@ -147,11 +148,7 @@ pub fn measure(
 ///
 /// # Errors
 /// As [`measure`], and if the scene cannot be simulated.
-pub fn measure_scene(
-    scene: &Scene,
-    trajectory: Option<&Trajectory>,
-    options: &Options,
-) -> Result<Figures, CompareError> {
+pub fn measure_scene(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) -> Result<Figures, Failure> {
     let mut room = Room::new(scene)?;
     let receiver = scene.initiators().first().copied().unwrap_or(0);
     let other = usize::from(receiver == 0);
@@ -160,7 +157,7 @@ pub fn measure_scene(
         None => true_path(&room, receiver)?,
     };
     let (Some(mut rx), Some(mut tx)) = (room.card(receiver), room.card(other)) else {
-        return Err(CompareError::one_robot());
+        return Err(ONE_ROBOT.into());
     };
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     let moves = scene.robot.get(other).is_some_and(|robot| robot.motion != RobotMotion::Static);
@@ -172,17 +169,17 @@ pub fn measure_scene(
 ///
 /// # Errors
 /// If the scene is too short for two poses.
-pub fn true_path(room: &Room, robot: usize) -> Result<Trajectory, CompareError> {
+pub fn true_path(room: &Room, robot: usize) -> Result<Trajectory, Failure> {
     let short = || format!("a scene of {} s is too short for two poses", room.scene().duration_s);
-    room.true_path(robot, TRUTH_HZ).ok_or_else(|| CompareError::Lacks(short()))
+    room.true_path(robot, TRUTH_HZ).ok_or_else(|| short().into())
 }
 
-fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures, CompareError> {
-    let found = report.links.first().ok_or_else(CompareError::no_transmitter)?;
+fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures, Failure> {
+    let found = report.links.first().ok_or(NO_TRANSMITTER)?;
     let why = || found.bearing.as_ref().map_or_else(ToString::to_string, |_| "the logs have nothing in common".into());
-    let link = found.link.as_ref().ok_or_else(|| CompareError::Lacks(why()))?;
+    let link = found.link.as_ref().ok_or_else(why)?;
     let (turn_around, course) = link.phases(options);
-    let turn = turn_around.ok_or_else(|| CompareError::few_pairs(course.len()))?;
+    let turn = turn_around.ok_or_else(|| format!("{} pairs are too few to measure a link", course.len()))?;
     let mut figures = LinkFigures {
         pairs: link.pairs(),
         df_hz: turn.df_hz,

@@ -4,8 +4,8 @@
 //! scene. Properties that act through the whole chain (phase noise, transmitted power, reflections) are adjusted until the
 //! simulated figures equal the recorded ones: each round simulates the scene and measures it like the recording.
 
-use super::CompareError;
 use super::figures::{Distribution, Figures, LateGroup, QUARTILES, SideFigures, measure_scene, usual};
+use crate::Failure;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, ChannelError, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, Width};
@@ -68,34 +68,34 @@ const ROUNDING: f64 = 2.0 / 12.0;
 ///
 /// # Errors
 /// If most records have the other bandwidth.
-pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareError> {
+pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), Failure> {
     let recorded_mhz = if is_wide(&recorded.receiver) { 40 } else { 20 };
     let mhz = if channel.width() == Width::Ht20 { 20 } else { 40 };
     if recorded_mhz == mhz {
         return Ok(());
     }
-    Err(CompareError::Lacks(format!(
+    Err(format!(
         "the records are {recorded_mhz} MHz wide, channel {channel} is not: add + or - to the number of a 40 MHz channel"
-    )))
+    )
+    .into())
 }
 
 /// Fits a scene.
 ///
 /// # Errors
 /// If the recording lacks what a scene needs or is not of the options' channel, or its scene cannot be simulated.
-pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, CompareError> {
+pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, Failure> {
     check_width(recorded, options.channel)?;
-    let no_place = || "the transmitter's place is not known, and without motion it cannot be found".into();
-    let place = recorded.link.place_m.ok_or_else(|| CompareError::Lacks(no_place()))?;
+    let no_place = "the transmitter's place is not known, and without motion it cannot be found";
+    let place = recorded.link.place_m.ok_or(no_place)?;
     let recording = Recording { figures: recorded, known, place, channel: options.channel };
     let mut adjusted = first(recorded, known.trajectory, place);
     let made = |adjusted: &Adjusted, seed: u64| {
         let scene = recording.scene(adjusted, seed);
-        let invalid =
-            |toml: &str, source: SceneError| CompareError::Lacks(format!("the fitted scene: {source}\n{toml}"));
+        let invalid = |toml: &str, source: SceneError| format!("the fitted scene: {source}\n{toml}");
         let toml = HEADER.to_owned() + &scene.to_toml().map_err(|source| invalid("", source))?;
         let scene = Scene::read(&toml, known.folder).map_err(|source| invalid(&toml, source))?;
-        Ok::<_, CompareError>(Fitted { toml, scene })
+        Ok::<_, Failure>(Fitted { toml, scene })
     };
     let mut best = (f64::INFINITY, adjusted);
     for _ in 0..ROUNDS {

@@ -7,7 +7,6 @@
 pub mod figures;
 pub mod fit;
 
-use csi5300_sim::RoomError;
 use figures::{Distribution, Histogram, SideFigures};
 pub use figures::{Figures, LinkFigures, measure, measure_scene};
 pub use fit::{Fitted, channel_about, channel_of, fit, scene_channel};
@@ -193,34 +192,9 @@ fn verdict(recorded: Option<f64>, simulated: Option<f64>, allowed: Allowed) -> V
     }
 }
 
-/// Why a capture cannot be measured, or a scene cannot be fitted to it.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum CompareError {
-    /// A log cannot be read.
-    #[error(transparent)]
-    Log(#[from] csi5300::source::Error),
-    /// A scene cannot be simulated.
-    #[error(transparent)]
-    Room(#[from] RoomError),
-    /// What the capture or the scene lacks.
-    #[error("{0}")]
-    Lacks(String),
-}
-
-impl CompareError {
-    pub(crate) fn no_transmitter() -> Self {
-        Self::Lacks("no transmitter's log".into())
-    }
-
-    pub(crate) fn one_robot() -> Self {
-        Self::Lacks("a scene of one robot has no link to measure".into())
-    }
-
-    pub(crate) fn few_pairs(pairs: usize) -> Self {
-        Self::Lacks(format!("{pairs} pairs are too few to measure a link"))
-    }
-}
+/// Why a scene or recording of one robot has no figures of a link.
+pub(crate) const ONE_ROBOT: &str = "a scene of one robot has no link to measure";
+pub(crate) const NO_TRANSMITTER: &str = "no transmitter's log";
 
 #[cfg(test)]
 mod tests {

@@ -1,15 +1,12 @@
 //! Captures: found below a folder, by the names or the content of their files; their truth; their files read once.
 
+use crate::Failure;
 use crate::kinds::has_record;
-use crate::table::Held;
 use csi5300::Log;
 use csi5300::internal::heading;
-use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
-use csi5300::motion::pose::{Mount, Trajectory};
-use csi5300::signal::channel::ChannelError;
-use csi5300::source::replay::Replay;
+use csi5300::motion::odometry::csv::{self, Columns};
+use csi5300::motion::pose::Mount;
 use csi5300::source::survey::Survey;
-use csi5300::source::{CsiSource, Error};
 use nalgebra::Vector2;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -310,7 +307,7 @@ impl Sorted {
         for file in files {
             if has_record(&file) {
                 sorted.logs.push(file);
-            } else if csi5300::motion::odometry::csv::read_as(&file, columns).is_ok() {
+            } else if csv::read_as(&file, columns).is_ok() {
                 sorted.trajectories.push(file);
             } else {
                 sorted.others.push(file);
@@ -367,7 +364,7 @@ pub fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<
     if let Some((log, _)) = exactly_one(surveys.iter().filter(|(_, survey)| robots(survey) > 1)) {
         return Ok((*log).clone());
     }
-    if let Ok((poses, _)) = csi5300::motion::odometry::csv::read_as(trajectory, None)
+    if let Ok((poses, _)) = csv::read_as(trajectory, None)
         && let Some((from, to)) = poses.poses().first().zip(poses.poses().last())
     {
         let overlaps = |(a, b): (i64, i64)| (a as f64 * 1e-6) < to.t_s && b as f64 * 1e-6 > from.t_s;
@@ -405,24 +402,6 @@ const LONGEST: u64 = 1 << 20;
 /// Largest distance of a transmitter from the origin, metres.
 const FURTHEST_M: f64 = 1e6;
 
-/// Why a capture could not be evaluated.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum EvaluateError {
-    /// A file is missing or invalid.
-    #[error("{0}")]
-    File(String),
-    /// The truth file names an invalid channel.
-    #[error("{TRUTH_FILE}: {0}")]
-    Channel(#[from] ChannelError),
-    /// A part of the motion has too few poses, or the antenna's position is given but the trajectory has no heading.
-    #[error(transparent)]
-    Part(#[from] csi5300::motion::pose::TrajectoryError),
-    /// A log cannot be read.
-    #[error(transparent)]
-    Log(#[from] csi5300::source::Error),
-}
-
 #[derive(Default, Deserialize)]
 pub(super) struct Truth {
     channel: Option<Value<u32>>,
@@ -446,12 +425,12 @@ struct Xy {
 }
 
 /// A file with what is wrong with it.
-fn invalid(path: &Path, why: &dyn std::fmt::Display) -> EvaluateError {
-    EvaluateError::File(format!("{}: {why}", path.display()))
+fn invalid(path: &Path, why: &dyn std::fmt::Display) -> Failure {
+    format!("{}: {why}", path.display()).into()
 }
 
 /// The whole file; one longer than [`LONGEST`] is not read to its end.
-fn read(path: &Path) -> Result<Vec<u8>, EvaluateError> {
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
     let io = |source: std::io::Error| invalid(path, &source);
     let file = File::open(path).map_err(io)?;
     let (size, mut text) = (file.metadata().map_err(io)?.len(), Vec::new());
@@ -467,13 +446,13 @@ fn read(path: &Path) -> Result<Vec<u8>, EvaluateError> {
 ///
 /// # Errors
 /// If the file cannot be read.
-pub fn channel_number_in(folder: &Path) -> Result<Option<u32>, EvaluateError> {
+pub fn channel_number_in(folder: &Path) -> Result<Option<u32>, Failure> {
     if folder.join(TRUTH_FILE).is_file() { Ok(Truth::read(folder)?.channel()) } else { Ok(None) }
 }
 
 impl Truth {
     /// Reads the truth file of the capture in `folder`.
-    pub(super) fn read(folder: &Path) -> Result<Self, EvaluateError> {
+    pub(super) fn read(folder: &Path) -> Result<Self, Failure> {
         let path = folder.join(TRUTH_FILE);
         let text = read(&path)?;
         let truth: Self = serde_json::from_slice(&text).map_err(|source| invalid(&path, &source))?;
@@ -501,54 +480,6 @@ impl Truth {
     pub(super) fn place(&self, transmitter: &str) -> Option<Vector2<f64>> {
         let pose = self.true_tx_positions.as_ref()?.value.get(transmitter)?;
         Some(Vector2::new(pose.position.x, pose.position.y))
-    }
-}
-
-/// Logs and trajectories in memory. Other files are read from disk each time; an empty shelf reads all of them from disk.
-#[derive(Debug, Default)]
-pub struct Shelf {
-    logs: BTreeMap<PathBuf, Held>,
-    trajectories: BTreeMap<PathBuf, (Trajectory, CsvCounts)>,
-}
-
-impl Shelf {
-    pub(super) fn log(&self, path: &Path) -> Result<Box<dyn CsiSource + Send + '_>, Error> {
-        Ok(match self.logs.get(path) {
-            Some(held) => Box::new(held.source()),
-            None => Box::new(Replay::open(path)?),
-        })
-    }
-
-    pub(super) fn trajectory(&self, path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
-        self.trajectories.get(path).map_or_else(|| csv::read(path), |read| Ok(read.clone()))
-    }
-}
-
-impl Capture {
-    /// Reads the capture's logs and existing trajectories into memory. [`Capture::evaluate_from`] reports unreadable
-    /// ones. `None` once `go_on`, called every few megabytes, returns false.
-    #[must_use]
-    pub fn shelf(&self, go_on: &dyn Fn() -> bool) -> Option<Shelf> {
-        let mut shelf = Shelf::default();
-        let receiver = self.receiver_log();
-        for path in std::iter::once(&receiver).chain(self.transmitters.iter().map(|(_, path)| path)) {
-            let Ok(mut source) = Replay::open(path) else { continue };
-            match Held::read(&mut source, go_on) {
-                Ok(Some(held)) => drop(shelf.logs.insert(path.clone(), held)),
-                Ok(None) => return None,
-                Err(_) => {}
-            }
-        }
-        let robots = std::iter::once("rx").chain(self.transmitters.iter().map(|(name, _)| name.as_str()));
-        for robot in robots {
-            for source in [TrajectorySource::GroundTruth, TrajectorySource::T265, TrajectorySource::Odometry] {
-                let path = self.trajectory_of(source, robot);
-                if let Some(read) = path.is_file().then(|| csv::read(&path).ok()).flatten() {
-                    shelf.trajectories.insert(path, read);
-                }
-            }
-        }
-        go_on().then_some(shelf)
     }
 }
 

@@ -1,17 +1,18 @@
 //! Evaluates one capture: estimates its links and compares them with the truth.
 
-use super::captures::{Capture, EvaluateError, Shelf, TRUTH_FILE, TrajectorySource, Truth};
+use super::captures::{Capture, TRUTH_FILE, TrajectorySource, Truth};
 use super::quality::horizontal;
+use crate::Failure;
 use csi5300::maths::wrap_rad;
-use csi5300::motion::odometry::csv::CsvError;
+use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::motion::pose::{Pose, Trajectory, TrajectoryError};
 use csi5300::pipeline::{Answer, Bearing, CaptureReport, LinkReport, Options, Transmitter, bearings, lost_something};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::CsiSource;
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
 use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
 use serde::Serialize;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// A link's answer and truth: a row of `evaluate --json`.
@@ -85,19 +86,6 @@ impl Capture {
         self.evaluate_and(source, channel, options, &mut |_, _, _| {})
     }
 
-    /// The same for files that were read before, to evaluate several options.
-    #[must_use]
-    pub fn evaluate_from(
-        &self,
-        shelf: &Shelf,
-        source: TrajectorySource,
-        channel: Option<Channel>,
-        options: &Options,
-    ) -> Evaluated {
-        let run = Run { shelf, source, channel, options, part: Part::WHOLE };
-        self.evaluate_run(&run, &mut |_, _, _| {})
-    }
-
     /// The same, passing each link's bearing to `look`, for pictures.
     #[must_use]
     pub fn evaluate_and(
@@ -120,11 +108,7 @@ impl Capture {
         part: Part,
         look: &mut Look<'_>,
     ) -> Evaluated {
-        self.evaluate_run(&Run { shelf: &Shelf::default(), source, channel, options, part }, look)
-    }
-
-    fn evaluate_run(&self, run: &Run<'_>, look: &mut Look<'_>) -> Evaluated {
-        self.try_evaluate(run, look).unwrap_or_else(|error| {
+        self.try_evaluate((source, channel, options, part), look).unwrap_or_else(|error| {
             let row = |name: &str| Judged {
                 answer: Answer::failed(self.link_name(name), error.to_string()),
                 ..Judged::default()
@@ -137,39 +121,42 @@ impl Capture {
         })
     }
 
-    fn try_evaluate(&self, run: &Run<'_>, look: &mut Look<'_>) -> Result<Evaluated, EvaluateError> {
-        let Run { shelf, source, channel, options, part } = *run;
+    fn try_evaluate(
+        &self,
+        (source, channel, options, part): (TrajectorySource, Option<Channel>, &Options, Part),
+        look: &mut Look<'_>,
+    ) -> Result<Evaluated, Failure> {
         let truth = if self.has_truth() { Truth::read(&self.folder)? } else { Truth::default() };
         let channel = match (channel, truth.channel()) {
             (Some(channel), _) => channel,
-            (None, Some(number)) => Channel::new(number, Width::Ht20)?,
+            (None, Some(number)) => {
+                Channel::new(number, Width::Ht20).map_err(|error| format!("{TRUTH_FILE}: {error}"))?
+            }
             (None, None) => {
-                return Err(EvaluateError::File(format!(
-                    "unknown WiFi channel: no {TRUTH_FILE} names it; use --channel"
-                )));
+                return Err(format!("unknown WiFi channel: no {TRUTH_FILE} names it; use --channel").into());
             }
         };
         if self.transmitters.is_empty() {
             let stamp = &self.stamp;
-            return Err(EvaluateError::File(format!("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat")));
+            return Err(format!("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat").into());
         }
         let mut notes = Vec::new();
-        let trajectory = self.trajectory(shelf, source, &mut notes)?;
+        let trajectory = self.trajectory(source, &mut notes)?;
         let reference = match source {
             TrajectorySource::GroundTruth => Some(trajectory.clone()),
-            _ => self.trajectory(shelf, TrajectorySource::GroundTruth, &mut notes).ok(),
+            _ => self.trajectory(TrajectorySource::GroundTruth, &mut notes).ok(),
         };
         let heading_sd_rad = options.heading_sd_rad.unwrap_or(self.heading_sd_rad(source));
         let mut options = Options { heading_sd_rad: Some(heading_sd_rad), ..options.clone() };
         options.channel = channel;
-        let moved = self.moved(shelf, source, &mut notes)?;
-        let (report, failed) = self.estimate(shelf, &part.cut(&trajectory)?, &moved, &options)?;
+        let moved = self.moved(source, &mut notes)?;
+        let (report, failed) = self.estimate(&part.cut(&trajectory)?, &moved, &options)?;
         let fit = report.links.iter().find_map(|link| link.bearing.as_ref().ok()?.odometry_fit.as_ref());
         let fit = fit.filter(|fit| fit.refused.is_none());
         let heading_sd_rad = fit.map_or(heading_sd_rad, |fit| fit.heading_sd_rad(heading_sd_rad));
         let paths = match source {
             TrajectorySource::GroundTruth => moved,
-            _ => self.moved(shelf, TrajectorySource::GroundTruth, &mut Vec::new())?,
+            _ => self.moved(TrajectorySource::GroundTruth, &mut Vec::new())?,
         };
         for ((name, _), link) in self.transmitters.iter().zip(&report.links) {
             if let Ok(bearing) = &link.bearing {
@@ -204,73 +191,48 @@ impl Capture {
     }
 
     /// The trajectories of moving transmitters: from `source`, or from motion capture if the capture has no other.
-    fn moved(
-        &self,
-        shelf: &Shelf,
-        source: TrajectorySource,
-        notes: &mut Vec<String>,
-    ) -> Result<Vec<Option<Trajectory>>, EvaluateError> {
+    fn moved(&self, source: TrajectorySource, notes: &mut Vec<String>) -> Result<Vec<Option<Trajectory>>, Failure> {
         let file = |name: &str| {
             let names = [source, TrajectorySource::GroundTruth].map(|source| self.trajectory_of(source, name));
             names.into_iter().find(|path| path.is_file())
         };
-        let read = |(name, _): &(String, PathBuf)| file(name).map(|path| read_path(shelf, path, notes)).transpose();
+        let read = |(name, _): &(String, PathBuf)| file(name).map(|path| read_path(path, notes)).transpose();
         self.transmitters.iter().map(read).collect()
     }
 
     /// The antenna's trajectory by `source`.
-    pub(super) fn trajectory(
-        &self,
-        shelf: &Shelf,
-        source: TrajectorySource,
-        notes: &mut Vec<String>,
-    ) -> Result<Trajectory, EvaluateError> {
-        let recorded = read_path(shelf, self.trajectory_of(source, "rx"), notes)?;
-        self.of_antenna(shelf, source, recorded).map_err(EvaluateError::Part)
+    pub(super) fn trajectory(&self, source: TrajectorySource, notes: &mut Vec<String>) -> Result<Trajectory, Failure> {
+        let recorded = read_path(self.trajectory_of(source, "rx"), notes)?;
+        self.of_antenna(source, recorded).map_err(Failure::from)
     }
 
     /// The bearings of all links, and the errors of transmitters' logs that could not be opened: each costs only its own link.
     fn estimate(
         &self,
-        shelf: &Shelf,
         trajectory: &Trajectory,
         moved: &[Option<Trajectory>],
         options: &Options,
-    ) -> Result<(CaptureReport, Vec<Option<csi5300::source::Error>>), EvaluateError> {
-        let mut receiver = shelf.log(&self.receiver_log())?;
-        let nothing = || Box::new(Replay::new(std::io::empty(), String::new()));
-        let opened = self.transmitters.iter().map(|(_, path)| match shelf.log(path) {
+    ) -> Result<(CaptureReport, Vec<Option<csi5300::source::Error>>), Failure> {
+        let mut receiver = Replay::open(&self.receiver_log())?;
+        let nothing = || Replay::new(Box::new(std::io::empty()) as Box<dyn Read + Send>, String::new());
+        let opened = self.transmitters.iter().map(|(_, path)| match Replay::open(path) {
             Ok(log) => (log, None),
-            Err(error) => (nothing() as Box<dyn CsiSource + Send>, Some(error)),
+            Err(error) => (nothing(), Some(error)),
         });
         let (mut logs, failed): (Vec<_>, Vec<_>) = opened.unzip();
-        let transmitters = logs
-            .iter_mut()
-            .zip(moved)
-            .map(|(log, path)| Transmitter { log: &mut **log, trajectory: path.as_ref() })
-            .collect();
-        Ok((bearings(&mut *receiver, transmitters, trajectory, options)?, failed))
+        let transmitters =
+            logs.iter_mut().zip(moved).map(|(log, path)| Transmitter { log, trajectory: path.as_ref() }).collect();
+        Ok((bearings(&mut receiver, transmitters, trajectory, options)?, failed))
     }
 }
 
-/// A capture and its evaluation options.
-#[derive(Clone, Copy)]
-struct Run<'a> {
-    shelf: &'a Shelf,
-    source: TrajectorySource,
-    channel: Option<Channel>,
-    options: &'a Options,
-    part: Part,
-}
-
 /// Reads a trajectory and notes its losses.
-fn read_path(shelf: &Shelf, path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
-    let (trajectory, counts) = match shelf.trajectory(&path) {
-        Ok(read) => read,
+fn read_path(path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, Failure> {
+    let (trajectory, counts) = csv::read(&path).map_err(|error| match error {
         // An operating system's error names the file.
-        Err(error @ CsvError::Io { .. }) => return Err(EvaluateError::File(error.to_string())),
-        Err(error) => return Err(EvaluateError::File(format!("{}: {error}", path.display()))),
-    };
+        CsvError::Io { .. } => error.to_string(),
+        _ => format!("{}: {error}", path.display()),
+    })?;
     if counts.lost_something(&trajectory) {
         notes.extend(counts.notes(&trajectory).into_iter().map(|words| format!("{}: {words}", path.display())));
     }
@@ -366,35 +328,25 @@ pub(super) fn row(link: &str, azimuth_deg: f64, error_deg: f64, confidence: f64)
 
 impl Capture {
     /// The antenna's trajectory from the one recorded by `source`.
-    fn of_antenna(
-        &self,
-        shelf: &Shelf,
-        source: TrajectorySource,
-        recorded: Trajectory,
-    ) -> Result<Trajectory, TrajectoryError> {
+    fn of_antenna(&self, source: TrajectorySource, recorded: Trajectory) -> Result<Trajectory, TrajectoryError> {
         if source == TrajectorySource::GroundTruth {
             return Ok(recorded);
         }
         let rolls = source == TrajectorySource::RollingT265;
         let recorded = if rolls { recorded.rolling(&self.camera.unwrap_or_default())? } else { recorded };
-        let turned = self.turned(shelf, source, recorded)?;
+        let turned = self.turned(source, recorded)?;
         self.antenna_offset_m.map_or(Ok(turned.clone()), |offset| turned.with_antenna_offset(offset.into()))
     }
 
     /// Unless they are reset, wheels continue from the previous run's heading. Their trajectory is rotated to the heading that
     /// motion capture, or else the tracking camera, has at the same time at the start.
-    fn turned(
-        &self,
-        shelf: &Shelf,
-        source: TrajectorySource,
-        recorded: Trajectory,
-    ) -> Result<Trajectory, TrajectoryError> {
+    fn turned(&self, source: TrajectorySource, recorded: Trajectory) -> Result<Trajectory, TrajectoryError> {
         if source != TrajectorySource::Odometry {
             return Ok(recorded);
         }
         let mut others = [TrajectorySource::GroundTruth, TrajectorySource::T265].into_iter();
         let turn_rad = others.find_map(|other| {
-            let other = shelf.trajectory(&self.trajectory_of(other, "rx")).ok()?.0;
+            let other = csv::read(&self.trajectory_of(other, "rx")).ok()?.0;
             heading_between_rad(&recorded, &other)
         });
         turn_rad.map_or(Ok(recorded.clone()), |turn_rad| turned_by(&recorded, turn_rad))

@@ -8,7 +8,7 @@
 //! shows their roles ([`captures`]).
 //!
 //! [`find`] lists captures, [`find_all`] also those without a truth. [`Capture::evaluate`] makes a row for each link
-//! ([`Judged`]), with several options from files read once ([`Capture::shelf`]). [`summarise`] gives the errors by set, and
+//! ([`Judged`]). [`summarise`] gives the errors by set, and
 //! [`quality`] figures about ranges and error bars. [`receivers`] locates receivers, [`transmitters`] locates transmitters from
 //! several captures in one frame.
 //! [`reliability`] and [`surest`] evaluate probabilities.
@@ -19,8 +19,6 @@ pub mod quality;
 pub mod receivers;
 pub mod transmitters;
 
-pub use captures::{
-    Capture, EvaluateError, Loose, Shelf, TRUTH_FILE, TrajectorySource, channel_number_in, find, find_all,
-};
+pub use captures::{Capture, Loose, TRUTH_FILE, TrajectorySource, channel_number_in, find, find_all};
 pub use judge::{Evaluated, Judged, Look, Part};
 pub use quality::{ALL_SETS, Errors, Kept, Reliability, SetSummary, Sure, WRONG_DEG, reliability, summarise, surest};

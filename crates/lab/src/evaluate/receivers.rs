@@ -4,8 +4,9 @@
 //! range from another sensor. Its yaw has a prior with the heading's deviation. A link is a mixture of its candidates and
 //! its mirror. Their deviation is that of the answer: its error bar or, if larger, the one that its probability implies.
 
-use super::captures::{Capture, EvaluateError, Shelf, TrajectorySource};
+use super::captures::{Capture, TrajectorySource};
 use super::judge::Judged;
+use crate::Failure;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::Trajectory;
 pub use csi5300_team::answers::UNKNOWN_PROBABILITY;
@@ -53,8 +54,8 @@ impl Capture {
     ///
     /// # Errors
     /// If it cannot be read.
-    pub fn path(&self, source: TrajectorySource) -> Result<Trajectory, EvaluateError> {
-        self.trajectory(&Shelf::default(), source, &mut Vec::new())
+    pub fn path(&self, source: TrajectorySource) -> Result<Trajectory, Failure> {
+        self.trajectory(source, &mut Vec::new())
     }
 }
 

@@ -1,7 +1,8 @@
 //! CSV: a row for each record; what is not known is empty.
 
 use super::other_cards::chain;
-use super::{Export, ExportError, Figures, Walk};
+use super::{Export, Figures, Walk};
+use crate::Failure;
 use crate::table::{NO_ANTENNA, NO_TIME, Order};
 use csi5300::signal::channel::SUBCARRIERS;
 use driver_iface::Mac;
@@ -15,7 +16,7 @@ const FIELDS: &str = "time_us,timestamp_low,bfee_count,host_us,frame_count,n_rx,
                       antenna_sel,rate_n_flags,antennas_known,total_rss_dbm,scale,record,mac";
 
 /// Writes all records.
-pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
+pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, Failure> {
     let mut out = BufWriter::with_capacity(1 << 18, File::create(path)?);
     let mut head = FIELDS.to_owned();
     for subcarrier in 0..SUBCARRIERS {

@@ -8,6 +8,7 @@ mod other_cards;
 #[cfg(feature = "parquet")]
 mod parquet;
 
+use crate::Failure;
 use crate::table::{Arena, Columns, Decoder, Form, LogReader, NO_ANTENNA, NO_TIME, Order, Rows, decode_in};
 pub use arrays::Npz;
 use arrays::{Element, Mat, Number};
@@ -31,6 +32,11 @@ pub fn is_known(path: &Path) -> bool {
         other => ["csv", "npz", "mat"].contains(&other),
     };
     extension(path).is_some_and(known)
+}
+
+/// The refusal of a file that is none of the `known` ones.
+fn unknown(known: &str) -> Failure {
+    format!("unknown extension, CSI is exported as {known}").into()
 }
 
 /// The extension in lower case.
@@ -87,7 +93,7 @@ impl<'a> Export<'a> {
         }
     }
 
-    /// With a flag that stops the writing once it is set: [`ExportError::Stopped`].
+    /// With a flag that stops the writing, an error, once it is set.
     #[must_use]
     pub fn with_stop(mut self, stop: &'a AtomicBool) -> Self {
         self.stop = Some(stop);
@@ -118,17 +124,17 @@ impl<'a> Export<'a> {
     /// # Errors
     /// If the format is unknown, the file cannot be written, the log cannot be read again or has changed, or writing was stopped:
     /// then the file is incomplete.
-    pub fn write(&self, path: &Path) -> Result<u64, ExportError> {
+    pub fn write(&self, path: &Path) -> Result<u64, Failure> {
         let written = match extension(path).as_deref() {
             Some("csv") => csv::write(self, path),
             Some("npz") => self.npz(path),
             Some("mat") => self.mat(path),
             #[cfg(feature = "parquet")]
             Some("parquet") => parquet::write(self, path),
-            _ => Err(ExportError::Extension(KNOWN)),
+            _ => Err(unknown(KNOWN)),
         };
         if self.is_stopped() {
-            return Err(ExportError::Stopped);
+            return Err("writing was stopped".into());
         }
         written.map(|figures| if self.form.scaled { figures.unscaled() } else { 0 })
     }
@@ -149,7 +155,7 @@ impl<'a> Export<'a> {
         }
     }
 
-    fn npz(&self, path: &Path) -> Result<Figures, ExportError> {
+    fn npz(&self, path: &Path) -> Result<Figures, Failure> {
         let (n, ports, streams) = (self.len() as u64, self.antennas.len(), self.streams);
         let shape = [n, SUBCARRIERS as u64, ports as u64, streams as u64];
         let mut walk = Walk::new(self, Order::SubcarriersFirst)?;
@@ -165,7 +171,7 @@ impl<'a> Export<'a> {
     }
 
     /// `csi` is (subcarrier, stream, antenna, record), in MATLAB's order of indices.
-    fn mat(&self, path: &Path) -> Result<Figures, ExportError> {
+    fn mat(&self, path: &Path) -> Result<Figures, Failure> {
         let mut mat = Mat::create(path)?;
         let (n, ports) = (self.len() as u64, self.antennas.len() as u64);
         let dims = [SUBCARRIERS as u64, self.streams as u64, ports, n];
@@ -186,8 +192,8 @@ impl<'a> Export<'a> {
     }
 
     /// Why a log cannot be read again.
-    fn gone(&self, path: &Path, source: io::Error) -> ExportError {
-        ExportError::Log { file: path.display().to_string(), source }
+    fn gone(&self, path: &Path, source: &io::Error) -> Failure {
+        format!("cannot read {} again: {source}", path.display()).into()
     }
 
     /// True if the antenna of each chain of a record is known.
@@ -247,7 +253,7 @@ struct Walk<'a> {
     log: Option<(LogReader, Decoder)>,
     done: usize,
     figures: Figures,
-    failure: Option<ExportError>,
+    failure: Option<Failure>,
 }
 
 impl<'a> Walk<'a> {
@@ -255,12 +261,12 @@ impl<'a> Walk<'a> {
     ///
     /// # Errors
     /// If the records are in a log that cannot be opened.
-    pub fn new(export: &'a Export<'a>, order: Order) -> Result<Self, ExportError> {
+    pub fn new(export: &'a Export<'a>, order: Order) -> Result<Self, Failure> {
         let rows = Rows::new(&export.antennas, export.streams);
         let log = match &export.source {
             Source::Arena { .. } => None,
             Source::Log(path) => Some((
-                LogReader::open(path).map_err(|source| export.gone(path, source))?,
+                LogReader::open(path).map_err(|source| export.gone(path, &source))?,
                 Decoder::new(order, rows.clone(), export.form),
             )),
         };
@@ -295,14 +301,16 @@ impl<'a> Walk<'a> {
     }
 
     /// Reads and decodes the records after the decoded ones, starting with number `from`.
-    fn read(&mut self, path: &Path, from: usize, csi: &mut [Complex32]) -> Result<(), ExportError> {
+    fn read(&mut self, path: &Path, from: usize, csi: &mut [Complex32]) -> Result<(), Failure> {
         let Some((log, decoder)) = &mut self.log else { return Ok(()) };
         let offsets = self.export.columns.offset.get(from..self.done).unwrap_or_default();
         for (offset, out) in offsets.iter().zip(csi.chunks_exact_mut(self.rows.len().max(1))) {
-            let bfee = log.bfee(*offset).map_err(|source| self.export.gone(path, source))?;
-            let changed = || ExportError::Changed {
-                file: path.display().to_string(),
-                offset: u64::try_from(*offset).unwrap_or(u64::MAX),
+            let bfee = log.bfee(*offset).map_err(|source| self.export.gone(path, &source))?;
+            let changed = || {
+                let path = path.display();
+                format!(
+                    "{path} was changed while it was exported: the record at byte {offset} is gone; export a copy of it"
+                )
             };
             let bfee = bfee.ok_or_else(changed)?;
             let scale = decoder.decode(&bfee, out);
@@ -321,7 +329,7 @@ impl<'a> Walk<'a> {
     ///
     /// # Errors
     /// If the log could not be read to its end, or changed after its columns were read.
-    pub fn finish(self) -> Result<Figures, ExportError> {
+    pub fn finish(self) -> Result<Figures, Failure> {
         self.failure.map_or(Ok(self.figures), Err)
     }
 }
@@ -405,40 +413,9 @@ fn write_fields(export: &Export<'_>, figures: &Figures, file: &mut impl Target) 
     file.put("scaled", 1, 1, [u8::from(export.form.scaled)].into_iter())
 }
 
-/// Why a file was not written. The caller knows its name.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ExportError {
-    /// The operating system or the library for the format refused.
-    #[error(transparent)]
-    Io(#[from] io::Error),
-    /// The log cannot be read again.
-    #[error("cannot read {file} again: {source}")]
-    Log {
-        /// The log.
-        file: String,
-        /// The operating system's answer.
-        source: io::Error,
-    },
-    /// A record of the log is no longer at its offset.
-    #[error("{file} was changed while it was exported: the record at byte {offset} is gone; export a copy of it")]
-    Changed {
-        /// The log.
-        file: String,
-        /// Its offset, bytes.
-        offset: u64,
-    },
-    /// The export was stopped: the file is incomplete.
-    #[error("writing was stopped")]
-    Stopped,
-    /// Unknown extension; these are known.
-    #[error("unknown extension, CSI is exported as {0}")]
-    Extension(&'static str),
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Export, ExportError};
+    use super::Export;
     use crate::table::{Arena, Columns, Filter, Form, Reading};
     use crate::temporary::Temporary;
     use csi5300::source::replay::Replay;
@@ -489,7 +466,7 @@ mod tests {
             export.write(path).unwrap();
             let whole = std::fs::metadata(path).unwrap().len();
             stop.store(true, Ordering::Relaxed);
-            assert!(matches!(export.write(path), Err(ExportError::Stopped)), "{ending}");
+            assert_eq!(export.write(path).unwrap_err().to_string(), "writing was stopped", "{ending}");
             assert!(std::fs::metadata(path).unwrap().len() < whole, "{ending}: it was written all the same");
         }
     }
@@ -553,18 +530,22 @@ mod tests {
         let out = Temporary::path("changed.npz");
         let export = Export::of_log(&log.0, &columns, Form::default());
         let bytes = std::fs::read(&log.0).unwrap();
+        let changed = |at: usize| {
+            let words = export.write(&out.0).unwrap_err().to_string();
+            assert!(words.contains(&format!("the record at byte {at} is gone")), "{words}");
+        };
         // Cut inside the last record; then a record in the middle is overwritten.
-        let last = u64::try_from(*columns.offset.last().unwrap()).unwrap();
-        std::fs::write(&log.0, &bytes[..last as usize + 9]).unwrap();
-        assert!(matches!(export.write(&out.0), Err(ExportError::Changed { offset, .. }) if offset == last));
+        let last = usize::try_from(*columns.offset.last().unwrap()).unwrap();
+        std::fs::write(&log.0, &bytes[..last + 9]).unwrap();
+        changed(last);
         let middle = usize::try_from(columns.offset[6_000]).unwrap();
         let mut other = bytes.clone();
         other[middle + 2..middle + 30].fill(0);
         std::fs::write(&log.0, other).unwrap();
-        assert!(matches!(export.write(&out.0), Err(ExportError::Changed { offset, .. }) if offset == middle as u64));
+        changed(middle);
         std::fs::write(&log.0, bytes).unwrap();
         export.write(&out.0).unwrap();
         std::fs::remove_file(&log.0).unwrap();
-        assert!(matches!(export.write(&out.0), Err(ExportError::Log { .. })));
+        assert!(export.write(&out.0).unwrap_err().to_string().starts_with("cannot read "));
     }
 }

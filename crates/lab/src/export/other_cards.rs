@@ -1,7 +1,8 @@
 //! Exports frames of cards other than the 5300 as arrays: all subcarriers of the frames of one shape.
 
 use super::arrays::{Mat, Npz};
-use super::{ExportError, Target, extension};
+use super::{Target, extension, unknown};
+use crate::Failure;
 use crate::cards::{CardTime, Layout, is_damage, is_dbm, most_frequent};
 use csi_formats::{Format, Frame, Item, Items};
 use num_complex::Complex32;
@@ -106,8 +107,8 @@ impl CardFrames {
     /// Writes `.npz`, `.mat` or `.csv`.
     ///
     /// # Errors
-    /// [`ExportError`]; [`ExportError::Extension`] for another extension.
-    pub fn write(&self, path: &Path) -> Result<(), ExportError> {
+    /// If it cannot be written, or has another extension.
+    pub fn write(&self, path: &Path) -> Result<(), Failure> {
         let [n_rx, n_tx, n_sub] = self.shape().map(|len| len as u64);
         let n = self.frames.len() as u64;
         match extension(path).as_deref() {
@@ -128,9 +129,9 @@ impl CardFrames {
                 file.finish()
             }
             Some("csv") => self.write_csv(path),
-            _ => return Err(ExportError::Extension(".npz, .mat or .csv")),
+            _ => return Err(unknown(".npz, .mat or .csv")),
         }
-        .map_err(ExportError::Io)
+        .map_err(Failure::from)
     }
 
     fn write_fields(&self, file: &mut impl Target) -> std::io::Result<()> {
@@ -282,7 +283,7 @@ mod tests {
         for name in ["a.npz", "A.MAT", "a.csv"] {
             read.write(&folder.join(name)).unwrap();
         }
-        assert!(matches!(read.write(&folder.join("a.txt")), Err(ExportError::Extension(_))));
+        assert!(read.write(&folder.join("a.txt")).unwrap_err().to_string().starts_with("unknown extension"));
         let text = std::fs::read_to_string(folder.join("a.csv")).unwrap();
         let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
         assert!(rows.len() == 7 && rows.iter().all(|row| row.len() == rows[0].len()), "{}", rows.len());

@@ -1,6 +1,7 @@
 //! Parquet: one row per record, CSI as fixed-size lists, units in the schema's metadata.
 
-use super::{Export, ExportError, Figures, Walk};
+use super::{Export, Figures, Walk};
+use crate::Failure;
 use crate::table::{NO_TIME, Order};
 use arrow_array::types::{ArrowPrimitiveType, Float32Type, Int8Type, Int64Type, UInt8Type, UInt16Type, UInt32Type};
 use arrow_array::{
@@ -30,7 +31,7 @@ const GROUP: usize = 16_384;
 type Column = (Field, ArrayRef);
 
 /// Writes all records.
-pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
+pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, Failure> {
     let out = File::create(path)?;
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)

@@ -1,6 +1,6 @@
 //! Lines, text, legends and marks on kuva's scene, with axes, written as PNG and SVG. Pixels, y down.
 
-use super::Error;
+use crate::Failure;
 use kuva::RasterBackend;
 use kuva::backend::svg::SvgBackend;
 use kuva::render::color::Color;
@@ -229,17 +229,25 @@ impl Canvas {
         self.0.elements.push(Primitive::ClipEnd);
     }
 
+    /// The text of an SVG.
+    pub(super) fn svg(&self) -> String {
+        SvgBackend::new().render_scene(&self.0)
+    }
+
     /// Writes a picture as PNG and SVG: `stem` with these endings.
-    pub(super) fn save(self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    pub(super) fn save(self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
         let fail = |path: &Path| {
-            let path = path.to_owned();
-            move |source| Error::Io { path, source }
+            let path = path.display().to_string();
+            move |error| format!("cannot write {path}: {error}; check the folder and its rights")
         };
         if let Some(folder) = stem.parent() {
             std::fs::create_dir_all(folder).map_err(fail(folder))?;
         }
-        let png = RasterBackend::new().with_scale(1.0).render_scene(&self.0).map_err(Error::Drawing)?;
-        let svg = SvgBackend::new().render_scene(&self.0).into_bytes();
+        let png = RasterBackend::new()
+            .with_scale(1.0)
+            .render_scene(&self.0)
+            .map_err(|error| format!("drawing failed: {error}"))?;
+        let svg = self.svg().into_bytes();
         let write = |(kind, bytes): (&str, Vec<u8>)| {
             let mut name = stem.as_os_str().to_owned();
             name.push(kind);

@@ -1,7 +1,8 @@
 //! A log over time: CSI as heat maps, amplitude by antenna, RSSI and gain, rate, losses.
 
-use super::Error;
 use super::canvas::{Axes, BLACK, Canvas, GREY, Key, ORANGE, PALE, Rgb, WIDTH, extent, series_colour};
+use super::empty;
+use crate::Failure;
 use crate::course::{AntennaCourse, Course, letter};
 use csi5300::source::survey::TimeBase;
 use csi5300_say::count;
@@ -45,9 +46,9 @@ impl LogPictures<'_> {
     ///
     /// # Errors
     /// If there is nothing to draw, or a picture cannot be drawn or written.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
         if self.course.records == 0 {
-            return Err(Error::Empty { what: "log" });
+            return Err(empty("log"));
         }
         let named = |what: &str| {
             let mut name = stem.as_os_str().to_owned();
@@ -192,7 +193,7 @@ impl LogPictures<'_> {
         }
     }
 
-    fn levels(&self) -> Result<Canvas, Error> {
+    fn levels(&self) -> Result<Canvas, Failure> {
         let course = self.course;
         let what = if self.has_clock() { "levels and rate" } else { "levels" };
         let mut canvas = Canvas::new(HEIGHT, &format!("{}: {what}", self.title));
@@ -222,7 +223,7 @@ impl LogPictures<'_> {
         let events = events_of(course);
         let below = events_height(&events);
         let panels = self.level_panels(&mut canvas, series.len(), top, below);
-        let [panels @ .., last] = panels.as_slice() else { return Err(Error::Empty { what: "levels" }) };
+        let [panels @ .., last] = panels.as_slice() else { return Err(empty("levels")) };
         for ((words, lines), panel) in series.iter().zip(panels) {
             self.lines(&mut canvas, *panel, lines, words);
         }
@@ -248,7 +249,7 @@ impl LogPictures<'_> {
     }
 
     /// Records per second with gaps; without a clock, only the axis.
-    fn rate(&self, canvas: &mut Canvas, frame: [f64; 4]) -> Result<Axes, Error> {
+    fn rate(&self, canvas: &mut Canvas, frame: [f64; 4]) -> Result<Axes, Failure> {
         let course = self.course;
         if !self.has_clock() {
             let mut axes = Axes::new(frame, course.span_s, (0.0, 1.0));
@@ -257,7 +258,7 @@ impl LogPictures<'_> {
             return Ok(axes);
         }
         let rates = || course.rate_hz.iter().map(|point| point.1);
-        let top = extent(rates().chain([0.0]), 0.08).ok_or(Error::Empty { what: "rate" })?.1;
+        let top = extent(rates().chain([0.0]), 0.08).ok_or_else(|| empty("rate"))?.1;
         let axes = Axes::new(frame, course.span_s, (0.0, top));
         axes.draw(canvas, "", "records per second");
         canvas.clipped(&axes, |canvas| {

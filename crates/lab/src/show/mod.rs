@@ -9,7 +9,7 @@
 //!
 //! Every kind of picture is a struct with public fields and one `write(stem)`. It adds `.png` and `.svg` to `stem`, creates
 //! missing folders, replaces files, and returns the paths. Values that are not finite are dropped; a
-//! picture without values is [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends are
+//! picture without values is an error. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends are
 //! above the axes, never on the data. Azimuths count from +x towards +y.
 
 mod canvas;
@@ -17,36 +17,12 @@ pub mod log;
 mod plots;
 pub mod results;
 
-pub use plots::{
-    CdfPlot, Ellipse, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, ReliabilityPlot, ScatterLines,
-    TrajectoryPlot,
-};
-use std::path::PathBuf;
+use crate::Failure;
+pub use plots::{Chart, Ellipse, Look, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, Series};
 
-/// Why a picture was not written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum Error {
-    /// No finite value to draw.
-    #[error("{what}: no finite value to draw; check that the estimator produced output")]
-    Empty {
-        /// The empty part of the picture.
-        what: &'static str,
-    },
-    /// The folder or file could not be written.
-    #[error("cannot write {}: {source}; check the folder and its rights", path.display())]
-    Io {
-        /// What was being written.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// A profile could not be computed.
-    #[error(transparent)]
-    Profile(#[from] csi5300::bartlett::Error),
-    /// The rasteriser failed.
-    #[error("drawing failed: {0}")]
-    Drawing(String),
+/// The refusal of a part of a picture without a finite value.
+fn empty(what: &str) -> Failure {
+    format!("{what}: no finite value to draw; check that the estimator produced output").into()
 }
 
 /// A link name as a file name: keeps letters, digits, `.` and `-`, and replaces everything else (`/`, `:`, spaces) and a leading
@@ -66,7 +42,7 @@ mod tests {
     use super::*;
     use crate::curves::Curve;
     use crate::temporary::Temporary;
-    use std::path::Path;
+    use std::path::{Path, PathBuf};
 
     fn check(paths: &[PathBuf]) {
         let [png, svg] = paths else { panic!("two files expected, {paths:?}") };
@@ -82,7 +58,15 @@ mod tests {
         assert!(text.contains("width=\"1200\"") && !text.contains("NaN") && !text.contains("inf"));
     }
 
-    /// Three pictures from values that include NaN and infinity, which are dropped.
+    fn ray(azimuth_rad: f64, sd_rad: Option<f64>, class: RayClass) -> Ray {
+        Ray { origin_m: [0.0; 2], azimuth_rad, sd_rad, label: "tx ± 1°".into(), class }
+    }
+
+    fn chart(look: Look, points: Vec<(f64, f64)>) -> Chart {
+        Chart { series: vec![Series { name: "s".into(), points, look, colour: 0 }], ..Chart::default() }
+    }
+
+    /// Pictures from values that include NaN and infinity, which are dropped.
     #[test]
     fn draws_around_values_that_are_not_finite() {
         let at = &Temporary::path("finite").0;
@@ -100,7 +84,7 @@ mod tests {
                 .unwrap(),
         );
         let path_m = vec![[0.0, 0.0], [f64::NAN, 1.0], [1.0, 1.0]];
-        let plot = TrajectoryPlot { path_m, azimuth_rad: f64::NAN, sd_rad: Some(0.1), ..Default::default() };
+        let plot = MapPlot { path_m, rays: vec![ray(f64::NAN, Some(0.1), RayClass::Measured)], ..Default::default() };
         check(&plot.write(&at.join("path.v1")).unwrap());
         assert!(at.join("path.v1.png").exists(), "a dot in the stem is kept");
         let chosen_from = Curve { name: "s".into(), points: vec![(0.0, f64::NAN), (90.0, 1.0)] };
@@ -110,10 +94,10 @@ mod tests {
                 .write(&at.join("polar"))
                 .unwrap(),
         );
-        let cdf = CdfPlot { series: vec![("s".into(), vec![0.0, f64::NAN, 2.0])], ..Default::default() };
-        check(&cdf.write(&at.join("cdf")).unwrap());
-        let lines = ScatterLines { series: vec![("s".into(), vec![(0.0, 1.0), (2.0, 3.0)])], ..Default::default() };
-        check(&lines.write(&at.join("lines")).unwrap());
+        for (look, log_x) in [(Look::Steps, true), (Look::Dashed, true), (Look::Joined, false), (Look::Dots, false)] {
+            let chart = Chart { log_x, ..chart(look, vec![(0.0, 1.0), (f64::NAN, 0.0), (2.0, 3.0)]) };
+            check(&chart.write(&at.join("chart")).unwrap());
+        }
     }
 
     /// The texts of a picture, with their pixel positions.
@@ -131,8 +115,8 @@ mod tests {
         let at = &Temporary::path("legend").0;
         let svg = |sd_rad: Option<f64>| {
             let path_m = vec![[0.0, 0.0], [1.0, 1.0]];
-            let plot =
-                TrajectoryPlot { path_m, azimuth_rad: -1e-17, truth_rad: Some(-1e-5), sd_rad, ..Default::default() };
+            let rays = vec![ray(-1e-5, None, RayClass::Truth), ray(-1e-17, sd_rad, RayClass::Measured)];
+            let plot = MapPlot { path_m, rays, ..Default::default() };
             let written = plot.write(&at.join("trajectory")).unwrap();
             std::fs::read_to_string(&written[1]).unwrap()
         };
@@ -147,22 +131,22 @@ mod tests {
     #[test]
     fn nothing_to_draw_is_an_error() {
         let stem = Temporary::path("empty").0.join("x");
-        let empty = |r: Result<Vec<PathBuf>, Error>| assert!(matches!(r, Err(Error::Empty { .. })), "{r:?}");
+        let empty = |r: Result<Vec<PathBuf>, Failure>| {
+            let words = r.unwrap_err().to_string();
+            assert!(words.contains("no finite value"), "{words}");
+        };
         empty(PhasePlot::default().write(&stem));
-        empty(TrajectoryPlot::default().write(&stem));
         empty(MapPlot::default().write(&stem));
         empty(ProfilePlot::default().write(&stem));
-        empty(CdfPlot::default().write(&stem));
-        empty(ScatterLines::default().write(&stem));
+        empty(chart(Look::Steps, vec![(f64::NAN, 1.0)]).write(&stem));
         assert!(!stem.parent().is_some_and(Path::exists), "nothing was written");
     }
 
     #[test]
     fn a_folder_that_is_a_file_is_named() {
         let file = &Temporary::file("file", b"x").0;
-        let plot = CdfPlot { series: vec![("s".into(), vec![1.0])], ..Default::default() };
-        let error = plot.write(&file.join("cdf")).unwrap_err();
-        assert!(matches!(&error, Error::Io { path, .. } if path == file), "{error}");
+        let error = chart(Look::Steps, vec![(1.0, 1.0)]).write(&file.join("x")).unwrap_err();
+        assert!(error.to_string().starts_with(&format!("cannot write {}: ", file.display())), "{error}");
     }
 
     #[test]
@@ -178,18 +162,7 @@ mod tests {
         let over = |from: f64, values: f64| ramp(from).into_iter().zip(ramp(values)).collect::<Vec<_>>();
         let capture = PhaseTrack { before: over(0.0, 1.0), after: over(0.0, 2.0), ..PhaseTrack::default() };
         let path_m: Vec<[f64; 2]> = ramp(0.0).iter().map(|a| [a.cos(), a.sin()]).collect();
-        let ray =
-            |class| Ray { origin_m: [0.0; 2], azimuth_rad: 1.0, sd_rad: Some(0.1), label: "tx ± 1°".into(), class };
         let ellipse = Ellipse { centre_m: [1.0, 2.0], covariance_m2: [[0.1, 0.0], [0.0, 0.2]], label: "tx".into() };
-        let point = crate::evaluate::Reliability { from: 0.6, to: 0.8, links: 9, said: 0.8, right: 0.7 };
-        let trajectory = TrajectoryPlot {
-            path_m: path_m.clone(),
-            azimuth_rad: 1.0,
-            mirror_rad: Some(-1.0),
-            sd_rad: Some(0.1),
-            transmitter_m: Some([2.0, 2.0]),
-            ..Default::default()
-        };
         let profile = ProfilePlot {
             chosen_from: Curve { name: "evidence".into(), points: over(-180.0, 0.5) },
             answer_deg: Some(-179.0),
@@ -198,17 +171,14 @@ mod tests {
             mirror_deg: Some(178.0),
             ..Default::default()
         };
-        let rays = vec![ray(RayClass::Measured), ray(RayClass::Mirror), ray(RayClass::Truth)];
+        let rays =
+            [RayClass::Measured, RayClass::Mirror, RayClass::Truth].map(|class| ray(1.0, Some(0.1), class)).to_vec();
         let written = [
             PhasePlot { capture, ..Default::default() }.write(&at.join("phase")),
-            trajectory.write(&at.join("path")),
-            MapPlot { rays, path_m, ellipses: vec![ellipse], ..Default::default() }.write(&at.join("map")),
+            MapPlot { rays, used_m: path_m.clone(), path_m, ellipses: vec![ellipse], ..Default::default() }
+                .write(&at.join("map")),
             profile.write(&at.join("profile")),
-            CdfPlot { series: vec![("s".into(), ramp(0.1))], ..Default::default() }.write(&at.join("cdf")),
-            ScatterLines { series: vec![("s".into(), vec![(1.0, 2.0), (2.0, 3.0)])], ..Default::default() }
-                .write(&at.join("lines")),
-            ReliabilityPlot { series: vec![("s".into(), vec![point])], ..Default::default() }
-                .write(&at.join("reliability")),
+            chart(Look::Steps, over(0.1, 0.0)).write(&at.join("chart")),
         ];
         written.into_iter().flat_map(Result::unwrap).collect()
     }
@@ -217,7 +187,7 @@ mod tests {
     fn every_picture_is_a_png_and_an_svg() {
         let at = &Temporary::path("formats").0;
         let written = pictures(at);
-        assert_eq!(written.len(), 2 * 7);
+        assert_eq!(written.len(), 2 * 4);
         written.chunks(2).for_each(check);
     }
 

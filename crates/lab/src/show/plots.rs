@@ -1,168 +1,131 @@
-//! The kinds of picture: error distributions and curves, reliability, phase over time, the plane of motion, profiles.
+//! The kinds of picture: series over two axes, phase over time, maps, profiles.
 
-use super::Error;
 use super::canvas::{
     Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, ORANGE, PALE, PURPLE, RED, Rgb, SKY, WIDTH, extent, extent_log,
     series_colour,
 };
+use super::empty;
+use crate::Failure;
 use crate::curves::Curve;
-use crate::evaluate::Reliability;
-use csi5300::maths::{percentile, unwrap_rad, wrap_rad};
+use csi5300::maths::{unwrap_rad, wrap_rad};
 use csi5300_say::fixed;
 use kuva::render::render::TextAnchor;
 use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
-/// Empirical distribution functions over a logarithmic x axis.
-#[derive(Debug, Clone, Default)]
-pub struct CdfPlot {
-    /// Headline.
-    pub title: String,
-    /// Quantity and unit, for example "bearing error (degrees)".
-    pub x_label: String,
-    /// Name and errors of each series, in any order. Magnitudes are drawn; an exact zero is at the left edge.
-    pub series: Vec<(String, Vec<f64>)>,
-    /// Name and known points (error, share) of others' distributions, dashed, in the colours of the series in their order.
-    pub known: Vec<(String, Vec<(f64, f64)>)>,
+/// How a series looks.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Look {
+    /// Dots.
+    #[default]
+    Dots,
+    /// Dots, joined by a line.
+    Joined,
+    /// A line.
+    Line,
+    /// A line that continues to the right edge: a distribution.
+    Steps,
+    /// A dashed line. If it has at most two points, they are drawn, too.
+    Dashed,
 }
 
-/// A known distribution with at most this many points is drawn as points, a longer one as steps.
-const FEW: usize = 2;
-
-impl CdfPlot {
-    /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
-        let sizes = |v: &[f64]| {
-            let mut sizes: Vec<f64> = v.iter().map(|x| x.abs()).filter(|x| x.is_finite()).collect();
-            sizes.sort_by(f64::total_cmp);
-            sizes
-        };
-        let sorted: Vec<Vec<f64>> = self.series.iter().map(|s| sizes(&s.1)).collect();
-        // Errors that are all zero have no place on a log axis: they are drawn at the edge of an arbitrary decade.
-        let zeros = sorted.iter().any(|v| !v.is_empty()).then_some((0.1, 1.0));
-        let points = self.known.iter().flat_map(|known| known.1.iter().map(|point| point.0));
-        let range = extent_log(sorted.iter().flatten().copied().chain(points)).or(zeros);
-        let range = range.ok_or(Error::Empty { what: "error distribution" })?;
-        let mut canvas = Canvas::new(780.0, &self.title);
-        let median = |v: &[f64]| match v {
-            [] => String::new(),
-            _ => format!(" (median {:.2})", percentile(v, 0.5)),
-        };
-        let keys = self.series.iter().zip(&sorted).enumerate();
-        let mut keys: Vec<_> =
-            keys.map(|(i, (s, v))| (Key::Line, series_colour(i), s.0.clone() + &median(v))).collect();
-        let known = self.known.iter().enumerate().filter(|(_, known)| !known.1.is_empty());
-        keys.extend(known.map(|(i, known)| (Key::Dash, series_colour(i), known.0.clone())));
-        let top = 74.0 + canvas.legend(58.0, &keys);
-        let mut axes = Axes::new([120.0, top, WIDTH - 160.0, 690.0 - top], range, (0.0, 1.02));
-        axes.log_x = true;
-        axes.draw(&mut canvas, &self.x_label, "cumulative share");
-        for (i, values) in sorted.iter().enumerate() {
-            let n = values.len() as f64;
-            let stairs = values.iter().enumerate().flat_map(|(k, &v)| {
-                let v = v.max(range.0);
-                [axes.at(v, k as f64 / n), axes.at(v, (k + 1) as f64 / n)]
-            });
-            let end = (!values.is_empty()).then(|| axes.at(range.1, 1.0));
-            canvas.polyline(stairs.chain(end).collect(), series_colour(i), 3.0);
-        }
-        for (i, known) in self.known.iter().enumerate() {
-            let points: Vec<_> = known.1.iter().map(|&(error, share)| axes.at(error, share)).collect();
-            points.windows(2).for_each(|pair| canvas.line(pair[0], pair[1], series_colour(i), 2.0, true));
-            // A complete distribution is a line; a few points of one are points.
-            if points.len() <= FEW {
-                canvas.dots(&points, 6.0, series_colour(i), 1.0);
-            }
-        }
-        canvas.save(stem)
-    }
+/// Points of one kind.
+#[derive(Debug, Clone, Default)]
+pub struct Series {
+    /// Its name in the legend; empty for a part of another series.
+    pub name: String,
+    /// Its points, in the line's order.
+    pub points: Vec<(f64, f64)>,
+    /// How they look.
+    pub look: Look,
+    /// The number of their colour.
+    pub colour: usize,
 }
 
-/// Points, joined by lines.
+/// Series over two axes.
 #[derive(Debug, Clone, Default)]
-pub struct ScatterLines {
-    /// Headline.
+pub struct Chart {
+    /// Headline; empty for none.
     pub title: String,
     /// Quantity and unit of x.
     pub x_label: String,
     /// Quantity and unit of y.
     pub y_label: String,
-    /// Name and points of each series, in the line's order.
-    pub series: Vec<(String, Vec<(f64, f64)>)>,
+    /// The series.
+    pub series: Vec<Series>,
+    /// True for a logarithmic x axis; an exact zero is at its left edge.
+    pub log_x: bool,
+    /// The range of x, instead of that of the points.
+    pub x: Option<(f64, f64)>,
+    /// The same of y.
+    pub y: Option<(f64, f64)>,
 }
 
-impl ScatterLines {
+/// Height of a chart.
+const HEIGHT: f64 = 780.0;
+
+/// A dashed line with at most this many points has dots, too.
+const FEW: usize = 2;
+
+/// From this number of points on, dots are small.
+const MANY: usize = 100;
+
+impl Chart {
     /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
-        let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
-        let drawn: Vec<Vec<(f64, f64)>> =
-            self.series.iter().map(|s| s.1.iter().filter(good).copied().collect()).collect();
-        let range = |pick: fn(&(f64, f64)) -> f64| {
-            extent(drawn.iter().flatten().map(pick), 0.05).ok_or(Error::Empty { what: "points" })
-        };
-        let (x, y) = (range(|p| p.0)?, range(|p| p.1)?);
-        let mut canvas = Canvas::new(780.0, &self.title);
-        let keys: Vec<_> =
-            self.series.iter().enumerate().map(|(i, s)| (Key::Dot, series_colour(i), s.0.clone())).collect();
-        let top = 74.0 + canvas.legend(58.0, &keys);
-        let axes = Axes::new([130.0, top, WIDTH - 170.0, 690.0 - top], x, y);
-        axes.draw(&mut canvas, &self.x_label, &self.y_label);
-        for (i, points) in drawn.iter().enumerate() {
-            let px: Vec<_> = points.iter().map(|p| axes.at(p.0, p.1)).collect();
-            canvas.dots(&px, 7.0, series_colour(i), 0.9);
-            canvas.polyline(px, series_colour(i), 2.5);
-        }
-        canvas.save(stem)
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
+        self.draw()?.save(stem)
     }
-}
 
-/// A reliability diagram: points on the diagonal are correct probabilities. Bars are the 68 % interval of the share for as many
-/// independent bearings (Wilson); bearings of one place are not independent, so the bars are rather short.
-#[derive(Debug, Clone, Default)]
-pub struct ReliabilityPlot {
-    /// Headline.
-    pub title: String,
-    /// Name and points of each series.
-    pub series: Vec<(String, Vec<Reliability>)>,
-}
+    /// The picture as the text of an SVG for a page, which says how wide it is.
+    pub fn svg(&self) -> Result<String, Failure> {
+        let size = format!("width=\"{WIDTH}\" height=\"{HEIGHT}\"");
+        let view = format!("viewBox=\"0 0 {WIDTH} {HEIGHT}\"");
+        self.draw().map(|canvas| canvas.svg().replacen(&size, &view, 1))
+    }
 
-/// Wilson's interval of one deviation for `right` of `count` tries.
-fn wilson(right: f64, count: usize) -> [f64; 2] {
-    let n = count.max(1) as f64;
-    let middle = (right + 0.5 / n) / (1.0 + 1.0 / n);
-    let half = (right * (1.0 - right) / n + 0.25 / (n * n)).sqrt() / (1.0 + 1.0 / n);
-    [(middle - half).max(0.0), (middle + half).min(1.0)]
-}
-
-impl ReliabilityPlot {
-    /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
-        let good = |p: &&Reliability| p.said.is_finite() && p.right.is_finite() && p.links > 0;
-        let drawn: Vec<Vec<Reliability>> =
-            self.series.iter().map(|s| s.1.iter().filter(good).copied().collect()).collect();
-        if drawn.iter().all(Vec::is_empty) {
-            return Err(Error::Empty { what: "reliability" });
-        }
-        let mut canvas = Canvas::new(960.0, &self.title);
-        let count = |points: &[Reliability]| points.iter().map(|p| p.links).sum::<usize>();
-        let series = self.series.iter().zip(&drawn).enumerate();
-        let mut keys: Vec<_> =
-            series.map(|(i, (s, own))| (Key::Dot, series_colour(i), format!("{} ({})", s.0, count(own)))).collect();
-        keys.push((Key::Dash, BLACK, "correct probabilities".into()));
-        let top = 74.0 + canvas.legend(58.0, &keys);
-        let axes = Axes::new([120.0, top, WIDTH - 160.0, 870.0 - top], (0.0, 1.0), (0.0, 1.0));
-        axes.draw(&mut canvas, "mean probability given", "share that was within 5 degrees");
-        canvas.line(axes.at(0.0, 0.0), axes.at(1.0, 1.0), BLACK, 2.0, true);
-        for (i, points) in drawn.iter().enumerate() {
-            for point in points {
-                let [low, high] = wilson(point.right, point.links);
-                canvas.line(axes.at(point.said, low), axes.at(point.said, high), series_colour(i), 3.0, false);
+    fn draw(&self) -> Result<Canvas, Failure> {
+        let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
+        let of = |own: &Series| own.points.iter().filter(good).copied().collect::<Vec<_>>();
+        let drawn: Vec<(&Series, Points)> = self.series.iter().map(|own| (own, of(own))).collect();
+        let all: Points = drawn.iter().flat_map(|(_, points)| points).copied().collect();
+        let (xs, ys) = (all.iter().map(|p| p.0), all.iter().map(|p| p.1));
+        let x = match self.log_x {
+            // Zeros alone have no place on a log axis: they are at the edge of an arbitrary decade.
+            true => extent_log(xs).or((!all.is_empty()).then_some((0.1, 1.0))),
+            false => extent(xs, 0.05),
+        };
+        let (x, y) =
+            self.x.or(x).zip(self.y.or(extent(ys, 0.05))).filter(|_| !all.is_empty()).ok_or_else(|| empty("points"))?;
+        let mut canvas = Canvas::new(HEIGHT, &self.title);
+        let named = drawn.iter().filter(|(own, points)| !own.name.is_empty() && !points.is_empty());
+        let key = |look: Look| match look {
+            Look::Dots | Look::Joined => Key::Dot,
+            Look::Line | Look::Steps => Key::Line,
+            Look::Dashed => Key::Dash,
+        };
+        let keys = named.map(|(own, _)| (key(own.look), series_colour(own.colour), own.name.clone()));
+        let top = 74.0 + canvas.legend(58.0, &keys.collect::<Vec<_>>());
+        let mut axes = Axes::new([130.0, top, WIDTH - 170.0, 690.0 - top], x, y);
+        axes.log_x = self.log_x;
+        axes.draw(&mut canvas, &self.x_label, &self.y_label);
+        for (own, points) in &drawn {
+            let edge = if self.log_x { x.0 } else { f64::NEG_INFINITY };
+            let mut px: Vec<_> = points.iter().map(|p| axes.at(p.0.max(edge), p.1)).collect();
+            let colour = series_colour(own.colour);
+            if matches!(own.look, Look::Dots | Look::Joined) || own.look == Look::Dashed && px.len() <= FEW {
+                let (r, opacity) = if px.len() > MANY { (3.0, 0.7) } else { (7.0, 0.9) };
+                canvas.dots(&px, r, colour, opacity);
             }
-            let at: Vec<(f64, f64)> = points.iter().map(|point| axes.at(point.said, point.right)).collect();
-            canvas.dots(&at, 9.0, series_colour(i), 1.0);
-            canvas.polyline(at, series_colour(i), 1.5);
+            if own.look == Look::Steps {
+                px.extend(px.last().map(|last| (axes.at(x.1, y.0).0, last.1)));
+            }
+            match own.look {
+                Look::Dots => {}
+                Look::Dashed => px.windows(2).for_each(|pair| canvas.line(pair[0], pair[1], colour, 2.0, true)),
+                Look::Joined | Look::Line | Look::Steps => canvas.polyline(px, colour, 3.0),
+            }
         }
-        canvas.save(stem)
+        Ok(canvas)
     }
 }
 
@@ -213,7 +176,7 @@ const AVERAGED: usize = 5;
 
 impl PhasePlot {
     /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
         let tracks: Vec<&PhaseTrack> = std::iter::once(&self.capture).chain(&self.other).collect();
         let panels = if tracks.iter().any(|track| !track.left.is_empty()) { 4 } else { 3 };
         let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &self.title);
@@ -253,16 +216,15 @@ impl PhaseTrack {
     }
 }
 
-fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64), over: usize) -> Result<(), Error> {
+fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64), over: usize) -> Result<(), Failure> {
     let drawn = |phase: &Points, colour| {
         let [used, others] = track.points(phase);
         [(others, pale(colour)), (used, colour)]
     };
     let (before, after) = (drawn(&track.before, ORANGE), drawn(&track.after, BLUE));
     let product = drawn(&track.product, PURPLE);
-    let empty = Error::Empty { what: "phase over time" };
     let times = before.iter().chain(&after).flat_map(|(points, _)| points.iter().map(|p| p.0));
-    let times = extent(times, 0.02).ok_or(empty)?;
+    let times = extent(times, 0.02).ok_or_else(|| empty("phase over time"))?;
     canvas.text((left + width / 2.0, 148.0), &track.label, 22, TextAnchor::Middle, BLACK);
     let frame = |panel: f64| [left, TOP + STEP * panel, width, PANEL];
     wrapped(canvas, frame(0.0), times, &before, ("", "before: wrapped phase (rad)"));
@@ -318,27 +280,6 @@ fn unwrap(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let phases = unwrap_rad(&points.iter().map(|point| point.1).collect::<Vec<_>>());
     let first = phases.first().copied().unwrap_or(0.0);
     points.iter().zip(&phases).map(|(point, phase)| (point.0, phase - first)).collect()
-}
-
-/// A receiver's path with its bearing, equal scales in x and y.
-#[derive(Debug, Clone, Default)]
-pub struct TrajectoryPlot {
-    /// Headline.
-    pub title: String,
-    /// Whole path of the receiver, metres, in the odometry frame.
-    pub path_m: Vec<[f64; 2]>,
-    /// Positions at which CSI was used, metres.
-    pub used_m: Vec<[f64; 2]>,
-    /// Estimated bearing, radians; drawn from the mean position.
-    pub azimuth_rad: f64,
-    /// The mirror bearing that a straight path cannot tell apart, radians.
-    pub mirror_rad: Option<f64>,
-    /// Standard deviation of the bearing, radians; the wedge extends two of them to each side.
-    pub sd_rad: Option<f64>,
-    /// True bearing, radians.
-    pub truth_rad: Option<f64>,
-    /// True position of the transmitter, metres; not shown beyond eight path lengths.
-    pub transmitter_m: Option<[f64; 2]>,
 }
 
 /// The meaning of a ray of [`MapPlot`].
@@ -406,6 +347,8 @@ pub struct MapPlot {
     pub rays: Vec<Ray>,
     /// Path of the receiver, metres.
     pub path_m: Vec<[f64; 2]>,
+    /// Positions at which CSI was used, metres.
+    pub used_m: Vec<[f64; 2]>,
     /// Estimated positions.
     pub ellipses: Vec<Ellipse>,
 }
@@ -415,10 +358,10 @@ fn finite(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
 }
 
 /// Equal axes below `top` that show all points.
-fn axes(top: f64, points: &[[f64; 2]], pad: f64, what: &'static str) -> Result<Axes, Error> {
-    let range = |k: usize| extent(points.iter().filter_map(|p| p.get(k).copied()), 0.0).ok_or(Error::Empty { what });
+fn axes(top: f64, points: &[[f64; 2]]) -> Result<Axes, Failure> {
+    let range = |k: usize| extent(points.iter().map(|p| p[k]), 0.0).ok_or_else(|| empty("map"));
     let ((x0, x1), (y0, y1)) = (range(0)?, range(1)?);
-    let more = pad * (x1 - x0).max(y1 - y0);
+    let more = 0.15 * (x1 - x0).max(y1 - y0);
     let frame = [120.0, top, WIDTH - 160.0, 810.0 - top];
     Ok(Axes::new(frame, (x0 - more, x1 + more), (y0 - more, y1 + more)).equal_aspect())
 }
@@ -449,62 +392,10 @@ fn pixels(axes: &Axes, points: &[[f64; 2]]) -> Vec<(f64, f64)> {
     points.iter().map(|p| axes.at(p[0], p[1])).collect()
 }
 
-impl TrajectoryPlot {
-    /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
-        let (path, used) = (finite(&self.path_m), finite(&self.used_m));
-        let mut view: Vec<[f64; 2]> = path.iter().chain(&used).copied().collect();
-        let own = axes(0.0, &view, 0.0, "trajectory")?;
-        let size = (own.x.1 - own.x.0).max(own.y.1 - own.y.0);
-        let of = if used.is_empty() { &path } else { &used };
-        let n = of.len() as f64;
-        let mean = [of.iter().map(|p| p[0]).sum::<f64>() / n, of.iter().map(|p| p[1]).sum::<f64>() / n];
-        let near = |p: &[f64; 2]| (p[0] - mean[0]).hypot(p[1] - mean[1]) <= 8.0 * size;
-        let transmitter = self.transmitter_m.filter(near);
-        view.extend(transmitter);
-
-        let rays = [
-            (self.truth_rad, GREEN, false, "truth"),
-            (self.mirror_rad, GREY, true, "mirror"),
-            (Some(self.azimuth_rad), RED, false, "bearing"),
-        ];
-        let rays: Vec<_> = rays.iter().filter_map(|r| Some((r.0.filter(|a| a.is_finite())?, r.1, r.2, r.3))).collect();
-        let bar = (self.azimuth_rad, self.sd_rad.filter(|sd| sd.is_finite() && self.azimuth_rad.is_finite()));
-        let mut keys = vec![(Key::Line, SKY, "path".to_owned()), (Key::Dot, BLUE, "CSI used".to_owned())];
-        keys.extend(rays.iter().rev().map(|&(azimuth, colour, dash, name)| {
-            let key = if dash { Key::Dash } else { Key::Line };
-            (key, colour, format!("{name} {}°", fixed(azimuth.to_degrees(), 2)))
-        }));
-        keys.extend(bar.1.map(|_| (Key::Area, RED, TWO_DEVIATIONS.to_owned())));
-        let mut canvas = Canvas::new(900.0, &self.title);
-        let top = 74.0 + canvas.legend(58.0, &keys);
-        let axes = axes(top, &view, 0.3, "trajectory")?;
-        axes.draw(&mut canvas, "x (m)", "y (m)");
-        canvas.clipped(&axes, |canvas| {
-            let start = axes.at(mean[0], mean[1]);
-            wedge(canvas, &axes, mean, bar, 0.18);
-            // The truth is drawn wider than the bearing, so that both are visible where they agree.
-            for &(azimuth, colour, dash, name) in &rays {
-                let width = if name == "truth" { 9.0 } else { 3.0 };
-                canvas.line(start, beyond(&axes, mean, azimuth), colour, width, dash);
-            }
-            canvas.polyline(pixels(&axes, &path), SKY, 4.0);
-            canvas.dots(&pixels(&axes, &used), 3.5, BLUE, 0.9);
-        });
-        if let Some(p) = transmitter {
-            star(&mut canvas, axes.at(p[0], p[1]), "transmitter", &axes);
-        }
-        canvas.save(stem)
-    }
-}
-
-/// The wedge's label in legends.
-const TWO_DEVIATIONS: &str = "two deviations";
-
 /// Two standard deviations to each side of a bearing.
-fn wedge(canvas: &mut Canvas, axes: &Axes, from: [f64; 2], (azimuth_rad, sd_rad): (f64, Option<f64>), opacity: f64) {
-    let Some(sd) = sd_rad.filter(|sd| sd.is_finite() && azimuth_rad.is_finite()) else { return };
-    canvas.polygon(&sector(axes, from, azimuth_rad, 2.0 * sd.abs()), RED, opacity);
+fn wedge(canvas: &mut Canvas, axes: &Axes, ray: &Ray) {
+    let Some(sd) = ray.sd_rad.filter(|sd| sd.is_finite()) else { return };
+    canvas.polygon(&sector(axes, ray.origin_m, ray.azimuth_rad, 2.0 * sd.abs()), RED, 0.15);
 }
 
 /// A ringed dot with a label on the side that has room.
@@ -519,9 +410,9 @@ fn star(canvas: &mut Canvas, at: (f64, f64), name: &str, axes: &Axes) {
 impl RayClass {
     fn look(self) -> (Rgb, bool, &'static str) {
         match self {
-            Self::Measured => (RED, false, "measured bearing"),
+            Self::Measured => (RED, false, "bearing"),
             Self::Mirror => (GREY, true, "mirror"),
-            Self::Truth => (GREEN, false, "true direction"),
+            Self::Truth => (GREEN, false, "truth"),
         }
     }
 }
@@ -540,51 +431,60 @@ impl MapPlot {
     }
 
     /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
-        let path = finite(&self.path_m);
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
+        let (path, used) = (finite(&self.path_m), finite(&self.used_m));
         let usable = |r: &&Ray| r.azimuth_rad.is_finite() && r.origin_m.iter().all(|v| v.is_finite());
         let rays: Vec<&Ray> = self.rays.iter().filter(usable).collect();
         let truth: Vec<_> = self.truth.iter().filter(|t| t.1.iter().all(|v| v.is_finite())).collect();
-        let mut view = path.clone();
+        let mut view = [&path[..], &used].concat();
         view.extend(truth.iter().map(|t| t.1).chain(rays.iter().map(|r| r.origin_m)));
         let ellipses = self.in_view(&view);
         view.extend(ellipses.iter().map(|ellipse| ellipse.centre_m));
         let mut keys = vec![];
         if !path.is_empty() {
-            keys.push((Key::Line, BLUE, "path of the receiver".to_owned()));
+            keys.push((Key::Line, SKY, "path of the receiver".to_owned()));
+        }
+        if !used.is_empty() {
+            keys.push((Key::Dot, BLUE, "CSI used".to_owned()));
         }
         for class in [RayClass::Measured, RayClass::Mirror, RayClass::Truth] {
-            if rays.iter().any(|r| r.class == class) {
-                let (colour, dash, name) = class.look();
-                keys.push((if dash { Key::Dash } else { Key::Line }, colour, name.to_owned()));
-            }
+            let (colour, dash, name) = class.look();
+            let own: Vec<f64> = rays.iter().filter(|r| r.class == class).map(|r| r.azimuth_rad.to_degrees()).collect();
+            let words = match own[..] {
+                [] => continue,
+                [deg] => format!("{name} {}°", fixed(deg, 2)),
+                _ => name.to_owned(),
+            };
+            keys.push((if dash { Key::Dash } else { Key::Line }, colour, words));
         }
-        if rays.iter().any(|ray| ray.sd_rad.is_some()) {
-            keys.push((Key::Area, RED, TWO_DEVIATIONS.to_owned()));
+        if rays.iter().any(|ray| ray.sd_rad.is_some_and(f64::is_finite)) {
+            keys.push((Key::Area, RED, "two deviations".to_owned()));
         }
         if !ellipses.is_empty() {
             keys.push((Key::Dot, PURPLE, "position found, 95 %".to_owned()));
         }
         let mut canvas = Canvas::new(900.0, &self.title);
         let top = 74.0 + canvas.legend(58.0, &keys);
-        let axes = axes(top, &view, 0.12, "map")?;
+        let axes = axes(top, &view)?;
         axes.draw(&mut canvas, "x (m)", "y (m)");
         let reach = 0.16 * (axes.y.1 - axes.y.0).max(axes.x.1 - axes.x.0);
         canvas.clipped(&axes, |canvas| {
             for ray in &rays {
-                wedge(canvas, &axes, ray.origin_m, (ray.azimuth_rad, ray.sd_rad), 0.12);
+                wedge(canvas, &axes, ray);
             }
             for ellipse in &ellipses {
                 canvas.polygon(&pixels(&axes, &ellipse.around()), PURPLE, 0.35);
                 canvas.dots(&pixels(&axes, &finite(&[ellipse.centre_m])), 5.0, PURPLE, 1.0);
             }
-            canvas.polyline(pixels(&axes, &path), BLUE, 4.0);
             for ray in &rays {
                 let (colour, dash, _) = ray.class.look();
                 let from = axes.at(ray.origin_m[0], ray.origin_m[1]);
-                let end = beyond(&axes, ray.origin_m, ray.azimuth_rad);
-                canvas.line(from, end, colour, if dash { 2.0 } else { 2.5 }, dash);
+                // The truth is wider than the bearing, so that both are visible where they agree.
+                let width = if ray.class == RayClass::Truth { 6.0 } else { 2.5 };
+                canvas.line(from, beyond(&axes, ray.origin_m, ray.azimuth_rad), colour, width, dash);
             }
+            canvas.polyline(pixels(&axes, &path), SKY, 4.0);
+            canvas.dots(&pixels(&axes, &used), 3.5, BLUE, 0.9);
         });
         for ray in rays.iter().filter(|r| !r.label.is_empty()) {
             let (sin, cos) = ray.azimuth_rad.sin_cos();
@@ -663,8 +563,8 @@ fn wrap_deg(degrees: f64) -> f64 {
 
 impl ProfilePlot {
     /// Writes it as `stem`.png and .svg.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
-        let chosen = relative(&self.chosen_from).ok_or(Error::Empty { what: "profile" })?;
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Failure> {
+        let chosen = relative(&self.chosen_from).ok_or_else(|| empty("profile"))?;
         let others = self.others.iter().enumerate();
         let others: Vec<_> =
             others.filter_map(|(i, other)| Some((self.colour_of_other(i), relative(other)?))).collect();
@@ -796,15 +696,6 @@ fn draw_grid(canvas: &mut Canvas) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn intervals_of_shares_are_wilsons() {
-        // Half of 100: 0.5 +- 0.5 / sqrt(101). None of 4: up to 1 / (4 + 1).
-        let [low, high] = wilson(0.5, 100);
-        assert!((high - 0.5 - 0.5 / 101f64.sqrt()).abs() < 1e-12 && (low + high - 1.0).abs() < 1e-12);
-        let [low, high] = wilson(0.0, 4);
-        assert!(low.abs() < 1e-12 && (high - 0.2).abs() < 1e-12, "{low} {high}");
-    }
 
     /// True for a pixel inside a polygon: a ray from it crosses the edges an odd number of times.
     fn is_inside(polygon: &[(f64, f64)], (x, y): (f64, f64)) -> bool {

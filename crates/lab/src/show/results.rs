@@ -1,9 +1,7 @@
 //! The pictures of a link, of an evaluation, of a recording beside a simulation, and of stationary robots.
 
-use super::{
-    CdfPlot, Ellipse, Error, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, ReliabilityPlot, ScatterLines,
-    TrajectoryPlot, file_safe,
-};
+use super::{Chart, Ellipse, Look, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, Series, file_safe};
+use crate::Failure;
 use crate::compare::Figures;
 use crate::curves::{evidence, plane_wave, without_motion};
 use crate::evaluate::quality::{Table, refusals, sure};
@@ -40,7 +38,7 @@ impl<'a> LinkPictures<'a> {
     ///
     /// # Errors
     /// If a picture cannot be drawn or written.
-    pub fn write(&self, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Failure> {
         let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(name)));
         let mut written = Vec::new();
         if !self.bearing.course.is_empty() {
@@ -56,18 +54,31 @@ impl<'a> LinkPictures<'a> {
         PhasePlot { title, before: "one direction".into(), capture: whole_track(self.bearing), ..PhasePlot::default() }
     }
 
-    fn trajectory(&self, name: &str) -> TrajectoryPlot {
+    fn trajectory(&self, name: &str) -> MapPlot {
         let answer = &self.bearing.answer;
-        let drawn = |places: &[Vector3<f64>]| places.iter().map(|p| [p.x, p.y]).collect();
-        TrajectoryPlot {
+        let drawn = |places: &[Vector3<f64>]| places.iter().map(|p| [p.x, p.y]).collect::<Vec<_>>();
+        let (path_m, used_m) = (drawn(&self.bearing.path_m), drawn(self.bearing.samples.receiver_m()));
+        let mean = |k: usize| used_m.iter().map(|place| place[k]).sum::<f64>() / used_m.len().max(1) as f64;
+        let origin_m = [mean(0), mean(1)];
+        let away = |place: &[f64; 2]| (place[0] - origin_m[0]).hypot(place[1] - origin_m[1]);
+        let furthest_m = path_m.iter().map(away).fold(0.0, f64::max);
+        let rays = [
+            (self.truth_rad, None, RayClass::Truth),
+            (answer.mirror_rad, None, RayClass::Mirror),
+            (Some(answer.azimuth_rad), Some(answer.azimuth_sd_rad), RayClass::Measured),
+        ];
+        let ray = |(azimuth_rad, sd_rad, class): (Option<f64>, Option<f64>, RayClass)| {
+            azimuth_rad.map(|azimuth_rad| Ray { origin_m, azimuth_rad, sd_rad, label: String::new(), class })
+        };
+        // One that is far away would shrink the path to a point.
+        let transmitter = self.transmitter_m.filter(|place| away(place) <= FAR * furthest_m);
+        MapPlot {
             title: format!("{name}: trajectory and bearing"),
-            path_m: drawn(&self.bearing.path_m),
-            used_m: drawn(self.bearing.samples.receiver_m()),
-            azimuth_rad: answer.azimuth_rad,
-            mirror_rad: answer.mirror_rad,
-            sd_rad: Some(answer.azimuth_sd_rad),
-            truth_rad: self.truth_rad,
-            transmitter_m: self.transmitter_m,
+            truth: transmitter.map(|place| ("transmitter".to_owned(), place)).into_iter().collect(),
+            rays: rays.into_iter().filter_map(ray).collect(),
+            path_m,
+            used_m,
+            ellipses: Vec::new(),
         }
     }
 
@@ -93,6 +104,9 @@ impl<'a> LinkPictures<'a> {
         })
     }
 }
+
+/// A transmitter further away than this many lengths of the path from its middle is not on the path's map.
+const FAR: f64 = 16.0;
 
 /// One kind of phase of pairs, over time.
 fn over_time(course: &[Phase], kind: fn(&Phase) -> f64) -> Vec<(f64, f64)> {
@@ -150,7 +164,7 @@ impl Others {
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_set(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write_set(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let judged = |row: &&Judged| row.error_from_mean_pose_deg.is_some();
     let mut written = Vec::new();
     if rows.iter().any(|row| judged(&row)) {
@@ -169,7 +183,7 @@ pub fn write_set(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
         if let Some((capture, _)) = row.answer.link.rsplit_once('/') {
@@ -189,39 +203,83 @@ pub fn write_maps(rows: &[Judged], located: &Located, folder: &Path) -> Result<V
     Ok(written)
 }
 
-fn reliable(rows: &[Judged]) -> ReliabilityPlot {
-    let series = vec![("links".to_owned(), reliability(&sure(rows)))];
-    ReliabilityPlot { title: "How often bearings of each confidence were right".into(), series }
+/// A reliability diagram: points on the diagonal are correct probabilities. Bars are the 68 % interval of the share for as many
+/// independent bearings (Wilson); bearings of one place are not independent, so the bars are rather short.
+fn reliable(rows: &[Judged]) -> Chart {
+    let bins = reliability(&sure(rows));
+    let links: usize = bins.iter().map(|bin| bin.links).sum();
+    let bars = bins.iter().map(|bin| Series {
+        points: wilson(bin.right, bin.links).map(|share| (bin.said, share)).to_vec(),
+        look: Look::Line,
+        ..Series::default()
+    });
+    let shares = Series {
+        name: format!("links ({links})"),
+        points: bins.iter().map(|bin| (bin.said, bin.right)).collect(),
+        look: Look::Joined,
+        colour: 0,
+    };
+    let diagonal = Series {
+        name: "correct probabilities".into(),
+        points: (0..=4).map(|k| 0.25 * f64::from(k)).map(|share| (share, share)).collect(),
+        look: Look::Dashed,
+        colour: 1,
+    };
+    Chart {
+        title: "How often bearings of each confidence were right".into(),
+        x_label: "mean probability given".into(),
+        y_label: "share that was within 5 degrees".into(),
+        series: bars.chain([shares, diagonal]).collect(),
+        x: Some((0.0, 1.0)),
+        y: Some((0.0, 1.0)),
+        ..Chart::default()
+    }
 }
 
-fn errors(rows: &[Judged], others: &Others) -> CdfPlot {
-    let mut sets: BTreeMap<String, (Vec<f64>, Vec<f64>)> = BTreeMap::new();
+/// Wilson's interval of one deviation for `right` of `count` tries.
+fn wilson(right: f64, count: usize) -> [f64; 2] {
+    let n = count.max(1) as f64;
+    let middle = (right + 0.5 / n) / (1.0 + 1.0 / n);
+    let half = (right * (1.0 - right) / n + 0.25 / (n * n)).sqrt() / (1.0 + 1.0 / n);
+    [(middle - half).max(0.0), (middle + half).min(1.0)]
+}
+
+/// Distributions of errors over a logarithmic axis.
+fn distributions(title: &str, x_label: &str, series: Vec<Series>) -> Chart {
+    let (title, x_label, y_label) = (title.into(), x_label.into(), "cumulative share".into());
+    Chart { title, x_label, y_label, series, log_x: true, y: Some((0.0, 1.02)), ..Chart::default() }
+}
+
+/// The distribution of the sizes of errors.
+fn distribution(name: &str, errors: &[f64], look: Look, colour: usize) -> Series {
+    Series { name: format!("{name} (median {:.2})", median_size(errors)), points: steps(errors), look, colour }
+}
+
+fn errors(rows: &[Judged], others: &Others) -> Chart {
+    let mut sets: BTreeMap<&str, (Vec<f64>, Vec<f64>)> = BTreeMap::new();
     for row in rows {
         let Some(error) = row.error_from_mean_pose_deg else { continue };
-        let (own, other) = sets.entry(row.set().into()).or_default();
+        let (own, other) = sets.entry(row.set()).or_default();
         own.push(error);
         other.extend(others.error_deg(row));
     }
-    // In the order of the sets, so that each has the same colour as the other program's.
-    let known = sets.iter().map(|(set, (own, other))| match other.as_slice() {
-        [] => published(set).unwrap_or_default(),
-        other => {
-            let of = if other.len() == own.len() { "the same".into() } else { format!("{} of the", other.len()) };
-            (format!("toolbox, {of} links (median {:.2})", median_size(other)), steps(other))
-        }
+    // Each set has the same colour as the other program's.
+    let both = sets.iter().enumerate().flat_map(|(colour, (set, (own, other)))| {
+        let beside = match other.len() {
+            0 => published(set, colour),
+            all if all == own.len() => Some(distribution("toolbox, the same links", other, Look::Dashed, colour)),
+            some => Some(distribution(&format!("toolbox, {some} of the links"), other, Look::Dashed, colour)),
+        };
+        std::iter::once(distribution(set, own, Look::Steps, colour)).chain(beside)
     });
-    CdfPlot {
-        title: "Bearing error against the mean pose".into(),
-        x_label: "error (degrees)".into(),
-        known: known.collect(),
-        series: sets.iter().map(|(set, (own, _))| (set.clone(), own.clone())).collect(),
-    }
+    distributions("Bearing error against the mean pose", "error (degrees)", both.collect())
 }
 
 /// The toolbox's results on a published set: two points.
-fn published(set: &str) -> Option<(String, Vec<(f64, f64)>)> {
+fn published(set: &str, colour: usize) -> Option<Series> {
     let (name, median, p90) = TOOLBOX.iter().find(|own| own.0 == set)?;
-    Some((format!("toolbox on all links of {name} by motion capture: median, 90 %"), vec![(*median, 0.5), (*p90, 0.9)]))
+    let name = format!("toolbox on all links of {name} by motion capture: median, 90 %");
+    Some(Series { name, points: vec![(*median, 0.5), (*p90, 0.9)], look: Look::Dashed, colour })
 }
 
 fn median_size(errors: &[f64]) -> f64 {
@@ -233,22 +291,28 @@ fn steps(errors: &[f64]) -> Vec<(f64, f64)> {
     let mut sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     let n = sizes.len() as f64;
-    let stair = |(k, size): (usize, f64)| [k, k + 1].map(|k| (size.max(0.01), k as f64 / n));
+    let stair = |(k, size): (usize, f64)| [k, k + 1].map(|k| (size, k as f64 / n));
     sizes.into_iter().enumerate().flat_map(stair).collect()
 }
 
-fn refused(rows: &[Judged]) -> ScatterLines {
+fn refused(rows: &[Judged]) -> Chart {
     let curve = refusals(rows);
-    let points = |pick: fn(&Kept) -> f64| curve.iter().map(|k| (100.0 * k.share, pick(k))).collect();
-    ScatterLines {
+    let series = |name: &str, colour, pick: fn(&Kept) -> f64| Series {
+        name: name.into(),
+        points: curve.iter().map(|kept| (100.0 * kept.share, pick(kept))).collect(),
+        look: Look::Joined,
+        colour,
+    };
+    Chart {
         title: "Error of the links that are kept when the least confident are refused".into(),
         x_label: "links kept (%)".into(),
         y_label: "error (degrees)".into(),
         series: vec![
-            ("mean".into(), points(|kept| kept.errors.mean_deg)),
-            ("median".into(), points(|kept| kept.errors.median_deg)),
-            ("90th percentile".into(), points(|kept| kept.errors.p90_deg)),
+            series("mean", 0, |kept| kept.errors.mean_deg),
+            series("median", 1, |kept| kept.errors.median_deg),
+            series("90th percentile", 2, |kept| kept.errors.p90_deg),
         ],
+        ..Chart::default()
     }
 }
 
@@ -319,7 +383,7 @@ fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot 
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_compared(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write_compared(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let round_trip = |label: &str, figures: &Figures| PhaseTrack {
         before: over_time(&figures.link.course, |phase| phase.round_trip_rad),
         ..track(label, &figures.link.course)
@@ -331,13 +395,9 @@ pub fn write_compared(recorded: &Figures, simulated: &Figures, folder: &Path) ->
         other: Some(round_trip("simulated", simulated)),
         ..PhasePlot::default()
     };
-    let late = |label: &str, figures: &Figures| (label.to_owned(), figures.link.late_us.clone());
-    let turn_around = CdfPlot {
-        title: "Turn-around: distance from the usual".into(),
-        x_label: "microseconds".into(),
-        series: vec![late("recorded", recorded), late("simulated", simulated)],
-        ..CdfPlot::default()
-    };
+    let late = |name, figures: &Figures, colour| distribution(name, &figures.link.late_us, Look::Steps, colour);
+    let both = vec![late("recorded", recorded, 0), late("simulated", simulated, 1)];
+    let turn_around = distributions("Turn-around: distance from the usual", "microseconds", both);
     let mut written = phase.write(&folder.join("compare-phase"))?;
     written.extend(turn_around.write(&folder.join("compare-turn-around"))?);
     Ok(written)
@@ -367,6 +427,15 @@ pub fn standing(standing: &Standing) -> PhasePlot {
 mod tests {
     use super::*;
     use csi5300::pipeline::Answer;
+
+    #[test]
+    fn intervals_of_shares_are_wilsons() {
+        // Half of 100: 0.5 +- 0.5 / sqrt(101). None of 4: up to 1 / (4 + 1).
+        let [low, high] = wilson(0.5, 100);
+        assert!((high - 0.5 - 0.5 / 101f64.sqrt()).abs() < 1e-12 && (low + high - 1.0).abs() < 1e-12);
+        let [low, high] = wilson(0.0, 4);
+        assert!(low.abs() < 1e-12 && (high - 0.2).abs() < 1e-12, "{low} {high}");
+    }
 
     #[test]
     fn a_place_is_drawn_from_the_receiver_of_the_map_whatever_the_origin_of_its_trajectory() {

@@ -2,9 +2,8 @@
 
 use super::antenna_order;
 use super::memory::Arena;
-use bytemuck::{cast_slice, cast_slice_mut};
 use csi5300::signal::csi::{Csi, scale_factor_of};
-use driver_iface::bfee::{Antenna, Bfee, MAX_SAMPLE_BYTES, MAX_SAMPLES, SUBCARRIERS};
+use driver_iface::bfee::{Antenna, Bfee, MAX_SAMPLES, SUBCARRIERS};
 use fearless_simd::{Level, dispatch};
 use num_complex::Complex32;
 use rayon::prelude::*;
@@ -118,13 +117,13 @@ pub(crate) struct Decoder {
     level: Level,
     plan: Plan,
     /// Working memory.
-    room: Room,
+    planes: [[i8; 2]; MAX_SAMPLES],
 }
 
 impl Decoder {
     /// Writes CSI in this order and form into these rows.
     pub fn new(order: Order, rows: Rows, form: Form) -> Self {
-        Self { order, rows, form, level: Level::new(), plan: Plan::default(), room: Room::default() }
+        Self { order, rows, form, level: Level::new(), plan: Plan::default(), planes: [[0; 2]; MAX_SAMPLES] }
     }
 
     /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`]. Returns the factor to
@@ -144,32 +143,17 @@ impl Decoder {
     /// One record, for the vectors for which it is compiled.
     #[inline(always)]
     fn one(&mut self, bfee: &Bfee<'_>, with_factor: bool, out: &mut [Complex32]) -> Option<f64> {
-        let Self { order, rows, form, plan, room: Room { planes, bytes, sorted }, .. } = self;
-        let samples: &[[i8; 2]] = match order {
-            Order::SubcarriersLast => {
-                let count = bfee.unpack_planes(planes).unwrap_or(0);
-                planes.get(..count).unwrap_or_default()
-            }
-            Order::SubcarriersFirst => {
-                let count = bfee.unpack_bytes(bytes).unwrap_or(0);
-                cast_slice(bytes.get(..2 * count).unwrap_or_default())
-            }
-        };
+        let Self { order, form, plan, planes, .. } = self;
+        let count = bfee.unpack_planes(planes).unwrap_or(0);
+        let samples = planes.get(..count).unwrap_or_default();
         let factor = if with_factor { scale_factor_of(bfee, samples).ok() } else { None };
         let Some(wanted) = (if form.scaled { factor } else { Some(1.0) }) else {
             out.fill(NOTHING);
             return factor;
         };
-        let wanted = wanted as f32;
         let csi = (form.without_spatial_mapping && bfee.n_tx() > 1).then(|| Csi::raw(bfee));
         let unmapped = csi.map(|csi| csi.without_spatial_mapping(bfee.is_40_mhz()));
-        match (order, unmapped.as_ref(), plan.way) {
-            (Order::SubcarriersLast, unmapped, _) => by_column(bfee, plan, unmapped, samples, wanted, out),
-            (_, Some(csi), _) => one_by_one(bfee, plan, rows, csi, wanted, out),
-            (_, None, Way::Straight) => widen_all(samples, wanted, out),
-            (_, None, Way::Sorted) => widen_all(sort(bfee, plan, rows, samples, sorted), wanted, out),
-            (_, None, Way::Partly) => partly(bfee, plan, rows, samples, wanted, out),
-        }
+        by_column(bfee, (*order, plan), unmapped.as_ref(), samples, wanted as f32, out);
         factor
     }
 }
@@ -178,24 +162,39 @@ impl Decoder {
 #[inline(always)]
 fn by_column(
     bfee: &Bfee<'_>,
-    plan: &Plan,
+    (order, plan): (Order, &Plan),
     unmapped: Option<&Csi>,
     samples: &[[i8; 2]],
     factor: f32,
     out: &mut [Complex32],
 ) {
-    let (planes, n_tx) = (samples.as_chunks::<SUBCARRIERS>().0, bfee.n_tx());
+    let (planes, n_tx, columns) = (samples.as_chunks::<SUBCARRIERS>().0, bfee.n_tx(), out.len() / SUBCARRIERS);
     // Each place is written once: new memory costs more than the writing.
-    for (k, column) in out.chunks_exact_mut(SUBCARRIERS).enumerate() {
-        let source = plan.sources.get(k).copied().flatten();
-        match (unmapped, source, source.and_then(|source| planes.get(source))) {
+    for column in 0..columns {
+        let (from, step) = match order {
+            Order::SubcarriersLast => (column * SUBCARRIERS, 1),
+            Order::SubcarriersFirst => (column, columns),
+        };
+        let room = out.get_mut(from..).unwrap_or_default();
+        let source = plan.sources.get(column).copied().flatten();
+        let plane = source.and_then(|source| planes.get(source));
+        if let (None, Some(plane), 1) = (unmapped, plane, step) {
+            widen(plane, factor, room);
+            continue;
+        }
+        let places = room.iter_mut().step_by(step).take(SUBCARRIERS);
+        match (unmapped, source, plane) {
             (Some(csi), Some(source), _) => {
-                for (subcarrier, h) in column.iter_mut().enumerate() {
+                for (subcarrier, h) in places.enumerate() {
                     *h = csi.get(subcarrier, source / n_tx, source % n_tx).map_or(NOTHING, |h| h * factor);
                 }
             }
-            (None, _, Some(plane)) => widen(plane, factor, column),
-            _ => column.fill(NOTHING),
+            (None, _, Some(plane)) => {
+                for (h, [i, q]) in places.zip(plane) {
+                    *h = Complex32::new(f32::from(*i) * factor, f32::from(*q) * factor);
+                }
+            }
+            _ => places.for_each(|h| *h = NOTHING),
         }
     }
 }
@@ -233,24 +232,10 @@ impl Kind {
     }
 }
 
-/// How the columns of an array, row by row, are made from a record's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Way {
-    /// Unchanged.
-    Straight,
-    /// Permuted by [`Plan::sources`].
-    Sorted,
-    /// Some are missing.
-    #[default]
-    Partly,
-}
-
 /// Where the samples of a record go.
 #[derive(Clone, Debug, Default)]
 struct Plan {
     kind: Kind,
-    /// How columns are made.
-    way: Way,
     /// For each column the record's `chain n_tx + stream`, if it has one.
     sources: [Option<usize>; MOST],
 }
@@ -275,89 +260,6 @@ impl Plan {
             chain.filter(|_| stream < kind.n_tx).map(|chain| chain * kind.n_tx + stream)
         };
         let sources: [_; MOST] = std::array::from_fn(|column| if column < columns { source(column) } else { None });
-        let of_columns = sources.get(..columns).unwrap_or_default();
-        let way = if of_columns.iter().any(Option::is_none) {
-            Way::Partly
-        } else if columns == kind.n_rx * kind.n_tx && of_columns.is_sorted() {
-            Way::Straight
-        } else {
-            Way::Sorted
-        };
-        Self { kind, way, sources }
-    }
-}
-
-// CSI with the subcarriers first, the order of the card's payload: a single pass turns bytes into numbers.
-
-/// Working memory.
-#[derive(Clone, Debug)]
-struct Room {
-    planes: [[i8; 2]; MAX_SAMPLES],
-    bytes: [u8; MAX_SAMPLE_BYTES],
-    sorted: [[i8; 2]; MAX_SAMPLES],
-}
-
-impl Default for Room {
-    fn default() -> Self {
-        Self { planes: [[0; 2]; MAX_SAMPLES], bytes: [0; MAX_SAMPLE_BYTES], sorted: [[0; 2]; MAX_SAMPLES] }
-    }
-}
-
-/// The samples of an array's columns, if the record has all of them.
-#[inline(always)]
-fn sort<'a>(
-    bfee: &Bfee<'_>,
-    plan: &Plan,
-    rows: &Rows,
-    samples: &[[i8; 2]],
-    sorted: &'a mut [[i8; 2]; MAX_SAMPLES],
-) -> &'a [[i8; 2]] {
-    let columns = (rows.n_rx * rows.n_tx).max(1);
-    let sorted = sorted.get_mut(..columns * SUBCARRIERS).unwrap_or_default();
-    let sources = plan.sources.map(|source| source.unwrap_or(0));
-    for (to, from) in sorted.chunks_exact_mut(columns).zip(samples.chunks_exact(bfee.n_rx() * bfee.n_tx())) {
-        for (to, source) in to.iter_mut().zip(&sources) {
-            *to = from.get(*source).copied().unwrap_or_default();
-        }
-    }
-    sorted
-}
-
-/// Writes the samples of a record that lacks columns.
-#[inline(always)]
-fn partly(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, samples: &[[i8; 2]], factor: f32, out: &mut [Complex32]) {
-    let pairs = bfee.n_rx() * bfee.n_tx();
-    each(rows, out, |subcarrier, column| {
-        let [i, q] = *samples.get(subcarrier * pairs + (*plan.sources.get(column)?)?)?;
-        Some(Complex32::new(f32::from(i) * factor, f32::from(q) * factor))
-    });
-}
-
-/// Writes the CSI of a record without the spatial mapping matrix of its streams.
-#[inline(never)]
-fn one_by_one(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, csi: &Csi, factor: f32, out: &mut [Complex32]) {
-    let n_tx = bfee.n_tx();
-    each(rows, out, |subcarrier, column| {
-        let source = (*plan.sources.get(column)?)?;
-        Some(csi.get(subcarrier, source / n_tx, source % n_tx)? * factor)
-    });
-}
-
-/// Writes every number separately: that of a subcarrier and column, or NaN.
-#[inline(always)]
-fn each(rows: &Rows, out: &mut [Complex32], number: impl Fn(usize, usize) -> Option<Complex32>) {
-    for (subcarrier, columns) in out.chunks_exact_mut((rows.n_rx * rows.n_tx).max(1)).enumerate() {
-        for (column, h) in columns.iter_mut().enumerate() {
-            *h = number(subcarrier, column).unwrap_or(NOTHING);
-        }
-    }
-}
-
-/// Samples times a factor, in a loop that compilers vectorise.
-#[inline(always)]
-fn widen_all(samples: &[[i8; 2]], factor: f32, out: &mut [Complex32]) {
-    let values: &mut [f32] = cast_slice_mut(out);
-    for (value, sample) in values.iter_mut().zip(samples.as_flattened()) {
-        *value = f32::from(*sample) * factor;
+        Self { kind, sources }
     }
 }

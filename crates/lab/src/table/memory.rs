@@ -1,11 +1,8 @@
-//! Records in memory, as the card sent them: blocks that are written once, a log's bfee records in them ([`Arena`]), and all
-//! items of a source, for replay ([`Held`]). [`LogReader`] reads records of a log again whose columns alone are in memory.
+//! Records in memory, as the card sent them: blocks that are written once, and a log's bfee records in them ([`Arena`]). [`LogReader`] reads records of a log again whose columns alone are in memory.
 
 use super::Advise;
-use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
-use csi5300::time::Instant;
 use driver_iface::bfee::Bfee;
-use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record, Tail, card_clock_ps, code};
+use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record, card_clock_ps, code};
 use memmap2::MmapMut;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -279,9 +276,6 @@ impl Arena {
     }
 }
 
-/// Items between two questions whether to go on: a damaged log may give more items than it has bytes for records.
-const OFTEN: usize = 65_536;
-
 /// The place of a record's body in a block.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Span {
@@ -296,82 +290,6 @@ impl Span {
     pub fn of(self, bytes: &[u8]) -> &[u8] {
         let from = self.from as usize;
         bytes.get(from..from + self.len as usize).unwrap_or_default()
-    }
-}
-
-#[derive(Debug)]
-enum Item {
-    Record(Stamps, u8, Place),
-    Lost(Loss),
-    End(Tail),
-}
-
-/// A log in memory: all items of its source. [`Held::source`] replays them any number of times.
-#[derive(Debug, Default)]
-pub struct Held {
-    blocks: Vec<Block>,
-    items: Vec<Item>,
-}
-
-impl Held {
-    /// Reads a source to its end; `None` once `go_on`, called every few megabytes, returns false.
-    ///
-    /// # Errors
-    /// Those of the source, and [`Error::Endless`] for a live one.
-    pub fn read(source: &mut dyn CsiSource, go_on: &dyn Fn() -> bool) -> Result<Option<Self>, Error> {
-        let Self { mut blocks, mut items } = Self::default();
-        loop {
-            let is_full = blocks.last().is_none_or(|block: &Block| block.room() < MAX_LENGTH);
-            if (is_full || items.len() % OFTEN == 0) && !go_on() {
-                return Ok(None);
-            }
-            if is_full {
-                blocks.push(if blocks.is_empty() { Block::small() } else { Block::large() });
-            }
-            match source.receive(Instant::ZERO)? {
-                Next::Record(stamps, record) => {
-                    items.push(Item::Record(stamps, record.code, store(&mut blocks, record.body)));
-                }
-                Next::Lost(loss) => items.push(Item::Lost(loss)),
-                Next::Pending => return Err(Error::Endless),
-                Next::End(tail) => {
-                    items.push(Item::End(tail));
-                    return Ok(Some(Self { blocks, items }));
-                }
-            }
-        }
-    }
-
-    /// The log from its beginning.
-    #[must_use]
-    pub fn source(&self) -> HeldSource<'_> {
-        HeldSource { held: self, at: 0 }
-    }
-}
-
-/// Replays a source; see [`Held::source`].
-#[derive(Clone, Debug)]
-pub struct HeldSource<'a> {
-    held: &'a Held,
-    at: usize,
-}
-
-impl CsiSource for HeldSource<'_> {
-    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        let item = self.held.items.get(self.at);
-        self.at += usize::from(item.is_some());
-        Ok(match item {
-            Some(Item::Record(stamps, code, place)) => {
-                Next::Record(Stamps { at: now, ..*stamps }, Record { code: *code, body: place.of(&self.held.blocks) })
-            }
-            Some(Item::Lost(loss)) => Next::Lost(loss.clone()),
-            Some(Item::End(tail)) => Next::End(*tail),
-            None => Next::End(Tail::Clean),
-        })
-    }
-
-    fn next_at(&self) -> Option<Instant> {
-        (self.at < self.held.items.len()).then_some(Instant::ZERO)
     }
 }
 

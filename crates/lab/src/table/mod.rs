@@ -2,7 +2,6 @@
 //!
 //! [`Reading`] reads a source once through a [`Filter`] into an [`Arena`] and [`Columns`]; [`decode`] writes the CSI of
 //! any of its records into the caller's memory. Exports, pictures of logs, the page and the Python package use it.
-//! [`Held`] is a log in memory that can be read any number of times.
 
 mod decode;
 mod memory;
@@ -12,8 +11,8 @@ use csi5300::source::survey::{Fields, Identity};
 pub(crate) use decode::{Decoder, Order, decode_in};
 pub use decode::{Form, Rows, decode};
 use driver_iface::bfee::{Antenna, Antennas, Bfee};
+pub use memory::Arena;
 pub(crate) use memory::LogReader;
-pub use memory::{Arena, Held, HeldSource};
 pub use reading::{Filter, Reading};
 use std::mem::MaybeUninit;
 
@@ -209,7 +208,6 @@ mod tests {
     use super::reading::Cut;
     use super::*;
     use csi5300::source::replay::Replay;
-    use csi5300::source::{CsiSource, Next};
     use csi5300::time::Instant;
     use csi5300::{Frame, Log};
     use driver_iface::bfee::{Iq, Repr};
@@ -516,7 +514,6 @@ mod tests {
         };
         reading.read_all(Instant::ZERO, go_on).unwrap();
         assert!(asked == 2 && !reading.has_ended() && !reading.arena.is_empty());
-        assert!(Held::read(&mut replay(&log), &|| false).unwrap().is_none());
         let mut asked = 0;
         let mut stopped = Reading::new(replay(&log), Filter::default()).without_bodies();
         let go_on = || {
@@ -525,28 +522,5 @@ mod tests {
         };
         stopped.read_all(Instant::ZERO, go_on).unwrap();
         assert!(asked == 3 && !stopped.has_ended() && !stopped.columns.is_empty());
-    }
-
-    #[test]
-    fn a_held_log_can_be_replayed() {
-        let log = long();
-        let held = Held::read(&mut replay(&log), &|| true).unwrap().unwrap();
-        for _ in 0..2 {
-            let (mut own, mut again, mut given) = (replay(&log), held.source(), 0);
-            loop {
-                let (a, b) = (own.receive(Instant::ZERO).unwrap(), again.receive(Instant::ZERO).unwrap());
-                match (&a, &b) {
-                    (Next::Record(a_stamps, a), Next::Record(b_stamps, b)) => {
-                        assert!(a_stamps == b_stamps && (a.code, a.body) == (b.code, b.body));
-                    }
-                    _ => assert_eq!(format!("{a:?}"), format!("{b:?}")),
-                }
-                given += 1;
-                if matches!(a, Next::End(_)) {
-                    break;
-                }
-            }
-            assert!(given > 12_000 && again.next_at().is_none());
-        }
     }
 }

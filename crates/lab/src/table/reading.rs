@@ -369,15 +369,17 @@ impl Default for Cut {
 }
 
 impl Cut {
-    fn next(self) -> Block {
-        let mut block = self.block.map_or_else(Block::large, Block::fixed);
+    /// A block, in the memory of one that is not needed any more, if there is one.
+    fn next(self, spare: Option<Block>) -> Block {
+        let new = || self.block.map_or_else(Block::large, Block::fixed);
+        let mut block = spare.and_then(Block::emptied).unwrap_or_else(new);
         block.skip(self.head);
         block
     }
 }
 
 impl<R: Read + Send> Reading<Replay<R>> {
-    /// Reads all of a log, on two threads if bodies are kept; records are received at `now`. Stops early once `go_on`, called every
+    /// Reads all of a log, on two threads; records are received at `now`. Stops early once `go_on`, called every
     /// few megabytes, returns false.
     ///
     /// # Errors
@@ -424,11 +426,9 @@ impl<R: Read + Send> Reading<Replay<R>> {
             if let Some(size) = size {
                 sorter.table.reserve(expected(sorter.table.kept(), first_bytes, size), advise);
             }
-            if bodies {
-                in_pieces(cutter, cut, |piece| (sorter.take(piece).found, go_on()))?;
-            } else {
-                in_one_block(cutter, cut, |piece| (sorter.take(piece), go_on()))?;
-            }
+            // Blocks that are not kept are small: they are used again and again.
+            let block = cut.block.or((!bodies).then_some(STRETCH));
+            in_pieces(cutter, Cut { block, ..cut }, |piece| (sorter.take(piece), go_on()))?;
         }
         self.ended = sorter.ended;
         Ok(())
@@ -448,24 +448,26 @@ struct Piece {
 }
 
 /// What remains of a piece for reuse: the memory of its finds, and its block if that is not kept.
+#[derive(Default)]
 struct Spare {
     block: Option<Block>,
     found: Found,
 }
 
-/// Cuts a log into pieces on its own thread and passes them on in order; `take` returns the memory of the finds for reuse, and
-/// whether to continue.
+/// Cuts a log into pieces on its own thread and passes them on in order; `take` returns the memory for reuse, and whether to
+/// continue.
 fn in_pieces<R: Read + Send>(
     mut cutter: Cutter<'_, R>,
     cut: Cut,
-    mut take: impl FnMut(Piece) -> (Found, bool),
+    mut take: impl FnMut(Piece) -> (Spare, bool),
 ) -> Result<(), Error> {
     let (sender, pieces) = sync_channel(AHEAD);
     let (back, used) = channel();
     std::thread::scope(|scope| {
         let read = move || {
             loop {
-                let (piece, more) = cutter.next(cut.next(), used.try_recv().unwrap_or_default(), cut.head);
+                let Spare { block, found } = used.try_recv().unwrap_or_default();
+                let (piece, more) = cutter.next(cut.next(block), found, cut.head);
                 let is_last = !matches!(more, Ok(true));
                 // The receiver is gone once it has enough.
                 if sender.send((piece, more)).is_err() || is_last {
@@ -476,35 +478,15 @@ fn in_pieces<R: Read + Send>(
         let started = std::thread::Builder::new().name("csi5300-read".into()).spawn_scoped(scope, read);
         started.map_err(|source| Error::Io { what: "cannot start a thread to read the log".into(), source })?;
         for (piece, more) in pieces {
-            let (found, go_on) = take(piece);
+            let (spare, go_on) = take(piece);
             if !more? || !go_on {
                 break;
             }
             // After the last piece nobody needs the memory.
-            let _ = back.send(found);
+            let _ = back.send(spare);
         }
         Ok(())
     })
-}
-
-/// Cuts a log into pieces in reused memory: `take` returns the block, and whether to continue.
-fn in_one_block<R: Read>(
-    mut cutter: Cutter<'_, R>,
-    cut: Cut,
-    mut take: impl FnMut(Piece) -> (Spare, bool),
-) -> Result<(), Error> {
-    let bytes = cut.head + cut.block.unwrap_or(STRETCH);
-    let (mut block, mut found) = (Block::fixed(bytes), Found::default());
-    loop {
-        block.skip(cut.head);
-        let (piece, more) = cutter.next(block, found, cut.head);
-        let (spare, go_on) = take(piece);
-        if !more? || !go_on {
-            return Ok(());
-        }
-        found = spare.found;
-        block = spare.block.and_then(Block::emptied).unwrap_or_else(|| Block::fixed(bytes));
-    }
 }
 
 /// Reads a log and finds its records, a block at a time.

@@ -11,7 +11,7 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
 use csi5300_lab::evaluate::quality::ranges;
 use csi5300_lab::evaluate::receivers::receivers;
-use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, Shelf, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, TrajectorySource, find};
 use csi5300_sim::{Room, Scene, Simulation, write_dataset};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -90,34 +90,12 @@ fn only(folder: &Path) -> Capture {
 }
 
 #[test]
-fn files_are_read_once() {
-    let folder = damaged("shelf");
-    let capture = only(&folder);
-    let evaluate = |to_s| words(&capture.evaluate(TrajectorySource::GroundTruth, None, &cut_options(to_s)));
-    let from_files = [evaluate(1.5), evaluate(2.0)];
-    assert_ne!(from_files[0].0, from_files[1].0);
-    assert!(from_files[0].2 && from_files[0].1.len() == 2, "{from_files:?}");
-    let shelf = capture.shelf(&|| true).unwrap();
-    // Nothing but the truth is read again.
-    std::fs::remove_file(folder.join(format!("csi_rx_{STAMP}.dat"))).unwrap();
-    std::fs::write(folder.join(format!("csi_tx1_{STAMP}.dat")), b"").unwrap();
-    std::fs::write(folder.join(format!("rx_trajectory_{STAMP}_.csv")), b"").unwrap();
-    let again = |to_s| words(&capture.evaluate_from(&shelf, TrajectorySource::GroundTruth, None, &cut_options(to_s)));
-    assert_eq!([again(1.5), again(2.0)], from_files);
-    assert_eq!(again(1.5), from_files[0], "a third time");
-}
-
-#[test]
 fn missing_files_are_reported_with_the_reason() {
-    let folder = damaged("shelf-without");
+    let folder = damaged("missing");
     std::fs::remove_file(folder.join(format!("csi_rx_{STAMP}.dat"))).unwrap();
     let capture = only(&folder);
-    let shelf = capture.shelf(&|| true).unwrap();
-    let [from, own] = [&shelf, &Shelf::default()]
-        .map(|shelf| words(&capture.evaluate_from(shelf, TrajectorySource::GroundTruth, None, &cut_options(2.0))));
-    assert!(from.0.contains("csi_rx_") && from.2, "{from:?}");
-    assert_eq!(from, own);
-    assert!(capture.shelf(&|| false).is_none(), "who wants no files waits for none");
+    let own = words(&capture.evaluate(TrajectorySource::GroundTruth, None, &cut_options(2.0)));
+    assert!(own.0.contains("csi_rx_") && own.2, "{own:?}");
 }
 
 /// The links of the WSR data set, evaluated once for all tests with motion capture.

@@ -17,7 +17,10 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::other_card::Translated;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Span};
-use csi5300_accept::{After, Done, Evidence, Heard, Interface, Plan, Report, Sending, Side, Truth, Verdict, collect};
+use csi5300_accept::{
+    After, Curve, Done, Evidence, Heard, Interface, Plan, Report, Sending, Side, Truth, Verdict, collect,
+};
+use csi5300_lab::show::{Chart, Look, Series};
 use csi5300_live::doctor::{Machine, System, channel_flags, module_counters, module_growth};
 use csi5300_live::listener::Listener;
 use csi5300_live::monitor::{Monitor, Options};
@@ -329,7 +332,7 @@ fn write(report: &Report, evidence: &Evidence, stopped: Option<&Stopped>, folder
     let mut files = vec![
         ("report.json".to_owned(), json.into_bytes()),
         ("report.xml".into(), report.junit().into_bytes()),
-        ("report.html".into(), report.html().into_bytes()),
+        ("report.html".into(), report.html(svg).into_bytes()),
         ("bench-log.md".into(), report.entry(&date).into_bytes()),
         ("near.dat".into(), evidence.near.log.clone()),
         ("far.dat".into(), evidence.far.as_ref().map(|far| far.log.clone()).unwrap_or_default()),
@@ -353,6 +356,21 @@ fn write(report: &Report, evidence: &Evidence, stopped: Option<&Stopped>, folder
             _ => Ok(()),
         },
     }
+}
+
+/// A curve of the report.
+fn svg(curve: &Curve) -> String {
+    let series = curve.series.iter().enumerate();
+    let series = series.map(|(colour, (name, points))| Series {
+        name: (*name).into(),
+        points: points.clone(),
+        look: Look::Dots,
+        colour,
+    });
+    let (x_label, y_label) = (curve.x.into(), curve.y.into());
+    let chart = Chart { x_label, y_label, series: series.collect(), ..Chart::default() };
+    // Without points there is nothing to draw.
+    chart.svg().unwrap_or_default()
 }
 
 /// How long to listen to a card without `--listen`.

@@ -8,12 +8,12 @@ use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{Checks, CsiSource, Next, Origin, side_path};
 use csi5300::time::Instant;
 use driver_iface::bfee::{Bfee, Iq, Repr};
-use driver_iface::record::{LENGTH_FIELD, Record, code};
+use driver_iface::record::{Record, code};
 use driver_iface::side_file::{Check, Entry, Layout as SideLayout};
 use driver_iface::{Mac, mpdu};
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, ErrorKind, Read, Write};
+use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// The line of JSON.
@@ -57,6 +57,8 @@ struct Output {
     kept: u64,
     /// Of these, records whose number the stock layout cannot tell: a group address sent them.
     without_number: u64,
+    /// The length of each record in it.
+    lengths: Vec<usize>,
     frame: Vec<u8>,
 }
 
@@ -71,10 +73,10 @@ impl Output {
         let data = create(draft.path())?;
         let side = side.filter(|_| draft.is_file());
         let side = side.map(|layout| Ok::<_, String>((create(&side_path(draft.path()))?, layout))).transpose()?;
-        let mut out =
-            Self { draft, data, side, name: path.display().to_string(), kept: 0, without_number: 0, frame: Vec::new() };
+        let (name, lengths, frame) = (path.display().to_string(), Vec::new(), Vec::new());
+        let mut out = Self { draft, data, side, name, kept: 0, without_number: 0, lengths, frame };
         if let Some((side, layout)) = &mut out.side {
-            side.write_all(layout.head()).map_err(|error| format!("writing {}: {error}", out.name))?;
+            side.write_all(layout.head()).map_err(|error| format!("cannot write {}: {error}", out.name))?;
         }
         Ok(out)
     }
@@ -83,8 +85,9 @@ impl Output {
         self.frame.resize(record.emit_len(), 0);
         record.emit(&mut self.frame).in_words()?;
         let name = &self.name;
-        let failed = |error: std::io::Error| format!("writing {name}: {error}");
+        let failed = |error: std::io::Error| format!("cannot write {name}: {error}");
         self.data.write_all(&self.frame).map_err(failed)?;
+        self.lengths.push(self.frame.len());
         if let Some((side, layout)) = &mut self.side {
             let check = (*layout == SideLayout::Checked).then(|| Check::of(&self.frame));
             let mut out = [0; SideLayout::Wide.bytes()];
@@ -114,7 +117,7 @@ impl Output {
 
     /// Settles the log, and renames it and its side file; older side files are removed.
     fn finish(mut self, path: &Path) -> Words<u64> {
-        let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
+        let failed = |error: std::io::Error| format!("cannot write {}: {error}", path.display());
         self.data.flush().map_err(failed)?;
         let side = self.side.take();
         let layout = side.as_ref().map(|(_, layout)| *layout);
@@ -124,7 +127,7 @@ impl Output {
         if !self.draft.is_file() {
             return Ok(0);
         }
-        let taken = settle(self.draft.path(), layout)?;
+        let taken = settle(self.draft.path(), layout, self.lengths)?;
         let named = side_path(self.draft.target());
         self.draft.keep(layout.is_some()).map_err(failed)?;
         let older = side_files(path).into_iter().filter(|side| layout.is_none() || led_to(side) != led_to(&named));
@@ -294,28 +297,31 @@ fn copy(
     }
 }
 
-/// Takes records out of a log that was just written, and their entries out of its side file, until it reads as it was
-/// written. Gives how many.
-fn settle(log: &Path, side: Option<SideLayout>) -> Words<u64> {
-    let mut taken = 0;
+/// Takes records out of a log that was just written with these lengths, and their entries out of its side file, until it reads as it
+/// was written. Gives how many.
+fn settle(log: &Path, side: Option<SideLayout>, mut lengths: Vec<usize>) -> Words<u64> {
+    let written = lengths.len();
     loop {
-        let misread = misread(log)?;
+        let misread = misread(log, &lengths)?;
         if misread.is_empty() {
-            return Ok(taken);
+            return Ok((written - lengths.len()) as u64);
         }
-        taken += misread.len() as u64;
-        let failed = |error: std::io::Error| format!("writing {}: {error}", log.display());
-        take_out(log, side, &misread).map_err(failed)?;
+        let failed = |error: std::io::Error| format!("cannot write {}: {error}", log.display());
+        take_out(log, side, &lengths, &misread).map_err(failed)?;
+        let mut numbers = 0..;
+        lengths.retain(|_| numbers.next().is_some_and(|number| !misread.contains(&number)));
     }
 }
 
 /// The numbers, from 0, of records that a reader does not find where they were written.
-fn misread(log: &Path) -> Words<BTreeSet<u64>> {
-    let failed = |error: std::io::Error| format!("reading {}: {error}", log.display());
-    let mut written = Written::open(log).map_err(failed)?;
+fn misread(log: &Path, lengths: &[usize]) -> Words<BTreeSet<usize>> {
     let mut source = Replay::open(log).in_words()?;
     let mut misread = BTreeSet::new();
-    let mut next = written.next().map_err(failed)?;
+    let places = lengths.iter().scan(0, |end, length| {
+        *end += *length as u64;
+        Some((*end - *length as u64, *length))
+    });
+    let mut places = places.enumerate().peekable();
     loop {
         let found = match source.receive(Instant::ZERO).in_words()? {
             Next::Record(stamps, record) => match stamps.origin {
@@ -325,13 +331,10 @@ fn misread(log: &Path) -> Words<BTreeSet<u64>> {
             Next::Lost(_) | Next::Pending => continue,
             Next::End(_) => None,
         };
-        while let Some((offset, len)) = next
-            && found.is_none_or(|found| offset <= found.0)
-        {
-            if found != Some((offset, len)) {
-                misread.insert(written.number - 1);
+        while let Some((number, place)) = places.next_if(|(_, place)| found.is_none_or(|found| place.0 <= found.0)) {
+            if found != Some(place) {
+                misread.insert(number);
             }
-            next = written.next().map_err(failed)?;
         }
         if found.is_none() {
             return Ok(misread);
@@ -340,13 +343,14 @@ fn misread(log: &Path) -> Words<BTreeSet<u64>> {
 }
 
 /// Rewrites a log without some of its records.
-fn take_out(log: &Path, side: Option<SideLayout>, out: &BTreeSet<u64>) -> std::io::Result<()> {
-    let mut written = Written::open(log)?;
+fn take_out(log: &Path, side: Option<SideLayout>, lengths: &[usize], out: &BTreeSet<usize>) -> std::io::Result<()> {
     let rest = rest(log);
-    let mut kept = BufWriter::new(File::create(&rest)?);
-    while written.next()?.is_some() {
-        if !out.contains(&(written.number - 1)) {
-            kept.write_all(&written.record)?;
+    let (mut written, mut kept) = (BufReader::new(File::open(log)?), BufWriter::new(File::create(&rest)?));
+    for (number, length) in lengths.iter().enumerate() {
+        let mut record = vec![0; *length];
+        written.read_exact(&mut record)?;
+        if !out.contains(&number) {
+            kept.write_all(&record)?;
         }
     }
     kept.into_inner()?.sync_data()?;
@@ -355,44 +359,6 @@ fn take_out(log: &Path, side: Option<SideLayout>, out: &BTreeSet<u64>) -> std::i
     let entries = std::fs::read(side_path(log))?;
     let (head, entries) = entries.split_at_checked(layout.head().len()).unwrap_or((&entries, &[]));
     let kept = (0..).zip(entries.chunks(layout.bytes())).filter(|(number, _)| !out.contains(number));
-    std::fs::write(
-        side_path(log),
-        kept.fold(head.to_vec(), |mut all, (_, entry)| {
-            all.extend_from_slice(entry);
-            all
-        }),
-    )
-}
-
-/// The records of an intact log, by their lengths alone.
-struct Written {
-    file: BufReader<File>,
-    offset: u64,
-    /// Of records read.
-    number: u64,
-    /// The last one.
-    record: Vec<u8>,
-}
-
-impl Written {
-    fn open(log: &Path) -> std::io::Result<Self> {
-        Ok(Self { file: BufReader::new(File::open(log)?), offset: 0, number: 0, record: Vec::new() })
-    }
-
-    /// Offset and length of the next record; `None` at the end.
-    fn next(&mut self) -> std::io::Result<Option<(u64, usize)>> {
-        let mut length = [0; LENGTH_FIELD];
-        match self.file.read_exact(&mut length) {
-            Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
-            outcome => outcome?,
-        }
-        self.record.clear();
-        self.record.extend_from_slice(&length);
-        self.record.resize(LENGTH_FIELD + usize::from(u16::from_be_bytes(length)), 0);
-        self.file.read_exact(self.record.split_at_mut(LENGTH_FIELD).1)?;
-        let offset = self.offset;
-        self.offset += self.record.len() as u64;
-        self.number += 1;
-        Ok(Some((offset, self.record.len())))
-    }
+    let kept: Vec<&[u8]> = std::iter::once(head).chain(kept.map(|(_, entry)| entry)).collect();
+    std::fs::write(side_path(log), kept.concat())
 }
