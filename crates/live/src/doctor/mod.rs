@@ -15,7 +15,7 @@ pub use setup::{Action, Driver, Request, Role, SetupError, Step, default_interfa
 
 use csi5300::source::Next;
 use csi5300::source::survey::Survey;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, SUBCARRIERS};
+use driver_iface::bfee::{Bfee, Iq};
 use driver_iface::record::code;
 use std::collections::BTreeMap;
 use std::fs;
@@ -199,12 +199,8 @@ impl System for Tree {
 /// True for CSI of zeros only.
 #[must_use]
 pub fn is_silent(bfee: &Bfee<'_>) -> bool {
-    let mut iq = [Iq::default(); SUBCARRIERS];
     let mut columns = (0..bfee.n_rx()).flat_map(|chain| (0..bfee.n_tx()).map(move |stream| (chain, stream)));
-    columns.all(|(chain, stream)| {
-        let read = bfee.column(chain, stream, &ALL_SUBCARRIERS, &mut iq).is_some();
-        !read || iq.iter().all(|iq| *iq == Iq::default())
-    })
+    columns.all(|(chain, stream)| bfee.column(chain, stream).is_none_or(|iq| iq.iter().all(|iq| *iq == Iq::default())))
 }
 
 /// A running reception.
@@ -283,7 +279,7 @@ impl Reception {
             let found = format!("{} of {bfees} records from unknown senders", self.unnumbered);
             checks.push(Check::doubt(name, found, expected));
         }
-        let connected = survey.rssi.iter().filter(|range| range.max > 0).count();
+        let connected = survey.rssi.iter().flatten().count();
         if connected == 1 {
             checks.push(
                 Check::doubt(name, "only one antenna receives", expected)
