@@ -1136,7 +1136,8 @@ mod tests {
         drain(&mut recorder, Instant::ZERO);
         assert_eq!((recorder.totals().received, recorder.totals().dropped), (1_000, 0));
         drop(recorder);
-        assert_eq!((lock(&on_disk).written, lock(&on_disk).lost_on_disk), (1_000, 0));
+        let totals = lock(&on_disk).clone();
+        assert_eq!((totals.written, totals.lost_on_disk), (1_000, 0));
         assert_eq!(numbers(&log.lock().unwrap()), (0..1_000).collect::<Vec<_>>());
         assert_eq!(syncs.load(Ordering::Relaxed), 1);
     }
@@ -1169,7 +1170,8 @@ mod tests {
         let on_disk = OnDisk::default();
         let note = |records, error: Option<&str>| {
             super::note(&on_disk, Written { records, error: error.map(str::to_owned), ..Written::default() });
-            (lock(&on_disk).failing, lock(&on_disk).error.clone())
+            let totals = lock(&on_disk).clone();
+            (totals.failing, totals.error)
         };
         let full = Some("full".to_owned());
         assert_eq!(note(0, None), (false, None));
