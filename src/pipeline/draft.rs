@@ -121,7 +121,7 @@ fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<
         range_change: options.range_change.then(|| gated.range_change(&found, link, &phases, options)),
         sufficient: found.sufficient,
         heading_rad: gated.heading_rad,
-        figures: ProfileFigures::of(samples)?,
+        figures: if options.figures { ProfileFigures::of(samples)? } else { ProfileFigures::default() },
         compensated: phases.compensated,
         turn_around: phases.turn_around,
         chain_constants: Vec::new(),

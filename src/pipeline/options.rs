@@ -103,6 +103,9 @@ pub struct Options {
     pub range_change: bool,
     /// Whether the receiver's odometry is corrected by the phases of all links first. Links of a live session are never.
     pub fit_odometry: bool,
+    /// Whether the figures of merit of other programs are computed too.
+    #[doc(hidden)] // for the crates of this workspace
+    pub figures: bool,
     /// Which steps are taken, and the limits of the prior.
     pub accuracy: Accuracy,
     /// Standard deviation of the positions' short-term error, metres: it decides whether the motion's depth
@@ -132,6 +135,7 @@ impl Options {
             accuracy: Accuracy::default(),
             parallel: false,
             keep_course: false,
+            figures: true,
             range_change: false,
             fit_odometry: false,
             odometry_sd_m: sensor::POSITION_M,
