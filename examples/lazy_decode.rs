@@ -3,7 +3,7 @@
 //!
 //! `cargo run --example lazy_decode`
 
-use driver_iface::bfee::{Antenna, Bfee, Iq};
+use driver_iface::bfee::{Antenna, Bfee};
 use driver_iface::record::{Step, code, events};
 
 fn main() {
@@ -18,11 +18,9 @@ fn main() {
         // The checked view is the only door; after it no accessor can fail.
         let Ok(bfee) = Bfee::new_checked(record.body) else { continue };
         let Some(chain) = bfee.chain_of(Antenna::A) else { continue };
-        let mut column = [Iq::default(); 8];
-        if bfee.column(chain, 0, &middle, &mut column).is_some() {
-            let text: Vec<_> = column.iter().map(|h| format!("{:+}{:+}j", h.i, h.q)).collect();
-            println!("antenna_sel 0x{:02x}, antenna A is chain {chain}: {}", bfee.antenna_sel(), text.join(" "));
-            shown += 1;
-        }
+        let column = middle.iter().filter_map(|subcarrier| bfee.iq(*subcarrier, chain, 0));
+        let text: Vec<_> = column.map(|h| format!("{:+}{:+}j", h.i, h.q)).collect();
+        println!("antenna_sel 0x{:02x}, antenna A is chain {chain}: {}", bfee.antenna_sel(), text.join(" "));
+        shown += 1;
     }
 }

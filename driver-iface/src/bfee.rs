@@ -130,6 +130,13 @@ pub struct Wsr {
 }
 
 impl Wsr {
+    /// The fields at a time of the host's wall clock, microseconds since the Unix epoch.
+    #[must_use]
+    pub const fn at(host_us: i64, mac: Mac, frame_count: Option<u32>) -> Self {
+        let (tv_sec, tv_usec) = (host_us.div_euclid(1_000_000) as u32, host_us.rem_euclid(1_000_000) as u32);
+        Self { tv_sec, tv_usec, mac, frame_count }
+    }
+
     /// False when the driver did not know the sender ([`Wsr::mac`]).
     #[must_use]
     pub fn sender_known(&self) -> bool {
@@ -924,11 +931,43 @@ fn widen(bytes: &[u8], out: &mut [f32]) {
     }
 }
 
-/// All subcarriers, in order: the argument of [`Bfee::column`] for a whole column.
+/// All subcarriers, in order: the argument of [`Bfee::column_f32`] for a whole column.
 #[rustfmt::skip]
 pub const ALL_SUBCARRIERS: [u8; SUBCARRIERS] = [
     0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29,
 ];
+
+/// `$unpack` with the number of chain pairs of `$bfee` as the constant `$n`.
+macro_rules! by_pairs {
+    ($bfee:ident, $n:ident => $unpack:expr) => {
+        match $bfee.n_rx() * $bfee.n_tx() {
+            1 => {
+                const $n: usize = 1;
+                $unpack
+            }
+            2 => {
+                const $n: usize = 2;
+                $unpack
+            }
+            3 => {
+                const $n: usize = 3;
+                $unpack
+            }
+            4 => {
+                const $n: usize = 4;
+                $unpack
+            }
+            6 => {
+                const $n: usize = 6;
+                $unpack
+            }
+            _ => {
+                const $n: usize = 9;
+                $unpack
+            }
+        }
+    };
+}
 
 impl Bfee<'_> {
     /// Number of samples in the record, `30 n_rx n_tx`.
@@ -984,15 +1023,7 @@ impl Bfee<'_> {
     /// Inlined, like [`Bfee::unpack_bytes`] and [`Bfee::column_f32`], so that callers compiled for wide vectors use those here.
     #[inline(always)]
     pub fn unpack_f32(&self, out: &mut [f32]) -> Option<usize> {
-        let payload = self.payload();
-        match self.n_rx() * self.n_tx() {
-            1 => unpack_f32_n::<1, 68>(payload, out),
-            2 => unpack_f32_n::<2, 128>(payload, out),
-            3 => unpack_f32_n::<3, 188>(payload, out),
-            4 => unpack_f32_n::<4, 248>(payload, out),
-            6 => unpack_f32_n::<6, 368>(payload, out),
-            _ => unpack_f32_n::<9, 548>(payload, out),
-        }
+        by_pairs!(self, N => unpack_f32_n::<N, { 60 * N + WORD }>(self.payload(), out))
     }
 
     /// Unpacks everything in the order of the payload, `[subcarrier][rx][tx][i, q]`, two's complement.
@@ -1001,75 +1032,35 @@ impl Bfee<'_> {
     /// may be overwritten.
     #[inline(always)]
     pub fn unpack_bytes(&self, out: &mut [u8]) -> Option<usize> {
-        let payload = self.payload();
-        match self.n_rx() * self.n_tx() {
-            1 => unpack_bytes_n::<1>(payload, out),
-            2 => unpack_bytes_n::<2>(payload, out),
-            3 => unpack_bytes_n::<3>(payload, out),
-            4 => unpack_bytes_n::<4>(payload, out),
-            6 => unpack_bytes_n::<6>(payload, out),
-            _ => unpack_bytes_n::<9>(payload, out),
-        }
+        by_pairs!(self, N => unpack_bytes_n::<N>(self.payload(), out))
     }
 
     /// Unpacks everything, one chain pair after the other, `[rx][tx][subcarrier][i, q]`, for work antenna by antenna.
     ///
     /// Returns the number of samples; `None` if `out` is too short.
     pub fn unpack_planes(&self, out: &mut [[i8; 2]]) -> Option<usize> {
-        let payload = self.payload();
-        match self.n_rx() * self.n_tx() {
-            1 => unpack_planes_n::<1>(payload, out),
-            2 => unpack_planes_n::<2>(payload, out),
-            3 => unpack_planes_n::<3>(payload, out),
-            4 => unpack_planes_n::<4>(payload, out),
-            6 => unpack_planes_n::<6>(payload, out),
-            _ => unpack_planes_n::<9>(payload, out),
-        }
+        by_pairs!(self, N => unpack_planes_n::<N>(self.payload(), out))
     }
 
-    /// Unpacks one chain pair at the requested subcarriers only.
+    /// One chain pair at all subcarriers; `None` if an index is out of range.
+    #[must_use]
+    pub fn column(&self, rx: usize, tx: usize) -> Option<[Iq; SUBCARRIERS]> {
+        let index = self.column_index(rx, tx, &[])?;
+        let bytes = by_pairs!(self, N => gather::<N>(self.payload(), index))?;
+        let pairs = bytes.0.as_chunks::<2>().0;
+        let sample =
+            |k: usize| pairs.get(k).map_or(Iq::default(), |[i, q]| Iq { i: i.cast_signed(), q: q.cast_signed() });
+        Some(core::array::from_fn(sample))
+    }
+
+    /// Unpacks one chain pair at the requested subcarriers only, to `f32`, re and im alternating.
     ///
-    /// Returns the number of samples; `None` if an index is out of range or `out` is shorter than `subcarriers`.
-    pub fn column(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [Iq]) -> Option<usize> {
-        let index = self.column_index(rx, tx, subcarriers)?;
-        let n = self.n_rx() * self.n_tx();
-        if is_whole(subcarriers) {
-            let bytes = match n {
-                1 => gather::<1>(self.payload(), index),
-                2 => gather::<2>(self.payload(), index),
-                3 => gather::<3>(self.payload(), index),
-                4 => gather::<4>(self.payload(), index),
-                6 => gather::<6>(self.payload(), index),
-                _ => gather::<9>(self.payload(), index),
-            }?;
-            let pairs = bytes.0.as_chunks::<2>().0;
-            for (out, [i, q]) in out.get_mut(..SUBCARRIERS)?.iter_mut().zip(pairs) {
-                *out = Iq { i: i.cast_signed(), q: q.cast_signed() };
-            }
-            return Some(SUBCARRIERS);
-        }
-        for (out, &subcarrier) in out.get_mut(..subcarriers.len())?.iter_mut().zip(subcarriers) {
-            let bit = bit_of(usize::from(subcarrier), 0, n);
-            let [i, q] = Place::new(self.payload().len(), bit, index).sample(self.payload()).map(u8::cast_signed);
-            *out = Iq { i, q };
-        }
-        Some(subcarriers.len())
-    }
-
-    /// [`Bfee::column`] to `f32`, re and im alternating; `out` needs at least two floats per subcarrier.
+    /// Returns the number of samples; `None` if an index is out of range or `out` has less than two floats per subcarrier.
     #[inline(always)]
     pub fn column_f32(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [f32]) -> Option<usize> {
         let index = self.column_index(rx, tx, subcarriers)?;
         let (out, _) = out.get_mut(..2 * subcarriers.len())?.as_chunks_mut::<2>();
-        let payload = self.payload();
-        match self.n_rx() * self.n_tx() {
-            1 => column_f32_n::<1>(payload, index, subcarriers, out),
-            2 => column_f32_n::<2>(payload, index, subcarriers, out),
-            3 => column_f32_n::<3>(payload, index, subcarriers, out),
-            4 => column_f32_n::<4>(payload, index, subcarriers, out),
-            6 => column_f32_n::<6>(payload, index, subcarriers, out),
-            _ => column_f32_n::<9>(payload, index, subcarriers, out),
-        }?;
+        by_pairs!(self, N => column_f32_n::<N>(self.payload(), index, subcarriers, out))?;
         Some(subcarriers.len())
     }
 
@@ -1165,17 +1156,16 @@ mod tests {
 
             let (n_rx, n_tx) = (bfee.n_rx(), bfee.n_tx());
             let some = [29, 0, 7, 7, 28];
-            let mut none = [Iq::default(); 5];
-            prop_assert!(bfee.column(n_rx, 0, &some, &mut none).is_none() && bfee.column(0, n_tx, &some, &mut none).is_none());
-            prop_assert!(bfee.column(0, 0, &[29, 30], &mut none[..2]).is_none());
+            prop_assert!(bfee.column(n_rx, 0).is_none() && bfee.column(0, n_tx).is_none());
+            prop_assert!(bfee.column_f32(0, 0, &[29, 30], &mut [0.0; 4]).is_none());
+            prop_assert!(bfee.column_f32(n_rx, 0, &some, &mut [0.0; 10]).is_none());
             for rx in 0..n_rx {
                 for tx in 0..n_tx {
-                    let (mut iq, mut re_im) = ([Iq::default(); 5], [0.0; 10]);
-                    bfee.column(rx, tx, &some, &mut iq).unwrap();
+                    let (iq, mut re_im) = (bfee.column(rx, tx).unwrap(), [0.0; 10]);
                     bfee.column_f32(rx, tx, &some, &mut re_im).unwrap();
                     for (k, &s) in some.iter().enumerate() {
                         let expect = oracle[(usize::from(s) * n_rx + rx) * n_tx + tx];
-                        prop_assert_eq!(iq[k], expect);
+                        prop_assert_eq!(iq[usize::from(s)], expect);
                         prop_assert_eq!(bfee.iq(s.into(), rx, tx), Some(expect));
                         prop_assert_eq!([re_im[2 * k], re_im[2 * k + 1]], [f32::from(expect.i), f32::from(expect.q)]);
                     }

@@ -121,24 +121,6 @@ impl Counts {
     pub fn dropped(&self) -> u32 {
         self.bad_bfee.wrapping_add(self.no_phy)
     }
-
-    /// The sum of two cards' counts.
-    #[must_use]
-    pub fn plus(&self, other: &Self) -> Self {
-        Self {
-            phy: self.phy.wrapping_add(other.phy),
-            mpdu: self.mpdu.wrapping_add(other.mpdu),
-            bfee: self.bfee.wrapping_add(other.bfee),
-            records: self.records.wrapping_add(other.records),
-            bad_phy: self.bad_phy.wrapping_add(other.bad_phy),
-            bad_mpdu: self.bad_mpdu.wrapping_add(other.bad_mpdu),
-            mpdu_no_phy: self.mpdu_no_phy.wrapping_add(other.mpdu_no_phy),
-            bad_bfee: self.bad_bfee.wrapping_add(other.bad_bfee),
-            no_phy: self.no_phy.wrapping_add(other.no_phy),
-            no_order: self.no_order.wrapping_add(other.no_order),
-            no_sender: self.no_sender.wrapping_add(other.no_sender),
-        }
-    }
 }
 
 /// The state of one card: packets of the frame whose 0xBB is awaited.
@@ -150,27 +132,21 @@ pub struct Card {
     phy_seen: bool,
     sender: Option<(Mac, u32)>,
     bfee_count: u16,
-    counts: Counts,
 }
 
 impl Card {
-    /// Counts since the card was first seen.
-    #[must_use]
-    pub fn counts(&self) -> Counts {
-        self.counts
-    }
-
     /// Packets are missing here: the current frame must not be combined with later packets.
     pub fn gap(&mut self) {
         (self.phy, self.sender) = (None, None);
     }
 
-    /// Handles one packet. `host_us` is the host's wall clock at its arrival, microseconds since the Unix epoch; a record of CSI is
+    /// Handles one packet, and counts it in `counts`. `host_us` is the host's wall clock at its arrival, microseconds since the Unix epoch; a record of CSI is
     /// written to `body`.
     ///
     /// Returns the record that this packet completes, if any: 0xBB, or with [`Options::frames`] 0xC1.
     pub fn handle<'b>(
         &mut self,
+        counts: &mut Counts,
         options: &Options,
         packet: &Packet<'b>,
         host_us: i64,
@@ -183,27 +159,27 @@ impl Card {
                 None
             }
             Packet::RxPhy(phy) => {
-                self.counts.phy = self.counts.phy.wrapping_add(1);
+                counts.phy = counts.phy.wrapping_add(1);
                 (self.phy, self.sender) = (*phy, None);
                 self.phy_seen |= phy.is_some();
-                self.counts.bad_phy = self.counts.bad_phy.wrapping_add(phy.is_none().into());
+                counts.bad_phy = counts.bad_phy.wrapping_add(phy.is_none().into());
                 None
             }
-            Packet::RxMpdu(mpdu) => self.mpdu(options, mpdu.as_ref()),
-            Packet::Csi(csi) => self.csi(options, csi.as_ref(), host_us, body),
+            Packet::RxMpdu(mpdu) => self.mpdu(counts, options, mpdu.as_ref()),
+            Packet::Csi(csi) => self.csi(counts, options, csi.as_ref(), host_us, body),
             Packet::Other => None,
         }
     }
 
-    fn mpdu<'a>(&mut self, options: &Options, mpdu: Option<&RxMpdu<'a>>) -> Option<Record<'a>> {
-        self.counts.mpdu = self.counts.mpdu.wrapping_add(1);
+    fn mpdu<'a>(&mut self, counts: &mut Counts, options: &Options, mpdu: Option<&RxMpdu<'a>>) -> Option<Record<'a>> {
+        counts.mpdu = counts.mpdu.wrapping_add(1);
         let Some(mpdu) = mpdu else {
-            self.counts.bad_mpdu = self.counts.bad_mpdu.wrapping_add(1);
+            counts.bad_mpdu = counts.bad_mpdu.wrapping_add(1);
             self.sender = None;
             return None;
         };
         if !self.phy_seen {
-            self.counts.mpdu_no_phy = self.counts.mpdu_no_phy.wrapping_add(1);
+            counts.mpdu_no_phy = counts.mpdu_no_phy.wrapping_add(1);
             return None;
         }
         // WSR's driver uses one variable for "sender known" and the number: with number 0 the address is lost, too.
@@ -215,33 +191,29 @@ impl Card {
 
     fn csi<'b>(
         &mut self,
+        counts: &mut Counts,
         options: &Options,
         csi: Option<&CsiNotification<'_>>,
         host_us: i64,
         body: &'b mut [u8; MAX_BODY],
     ) -> Option<Record<'b>> {
-        self.counts.bfee = self.counts.bfee.wrapping_add(1);
+        counts.bfee = counts.bfee.wrapping_add(1);
         let (phy, sender) = (self.phy.take(), self.sender.take());
         let Some(csi) = csi else {
-            self.counts.bad_bfee = self.counts.bad_bfee.wrapping_add(1);
+            counts.bad_bfee = counts.bad_bfee.wrapping_add(1);
             return None;
         };
         let Some(phy) = phy else {
-            self.counts.no_phy = self.counts.no_phy.wrapping_add(1);
+            counts.no_phy = counts.no_phy.wrapping_add(1);
             return None;
         };
         self.bfee_count = self.bfee_count.wrapping_add(1);
-        self.counts.records = self.counts.records.wrapping_add(1);
-        self.counts.no_order = self.counts.no_order.wrapping_add(phy.antenna_sel.is_none().into());
+        counts.records = counts.records.wrapping_add(1);
+        counts.no_order = counts.no_order.wrapping_add(phy.antenna_sel.is_none().into());
         let is_wsr = options.layout != Layout::Stock;
-        self.counts.no_sender = self.counts.no_sender.wrapping_add((is_wsr && sender.is_none()).into());
+        counts.no_sender = counts.no_sender.wrapping_add((is_wsr && sender.is_none()).into());
         let (mac, number) = sender.unwrap_or_default();
-        let wsr = Wsr {
-            tv_sec: host_us.div_euclid(1_000_000) as u32,
-            tv_usec: host_us.rem_euclid(1_000_000) as u32,
-            mac,
-            frame_count: (options.layout == Layout::Wsr).then_some(number),
-        };
+        let wsr = Wsr::at(host_us, mac, (options.layout == Layout::Wsr).then_some(number));
         // Chains and reserved bytes are the firmware's, the rest is from 0xC0.
         let repr = bfee::Repr {
             timestamp_low: phy.timestamp_low,
@@ -557,20 +529,21 @@ mod tests {
         data
     }
 
-    /// Handles all packets of a stream; returns the records as code and body.
-    fn records(card: &mut Card, options: &Options, stream: &[(u8, Vec<u8>)]) -> Vec<(u8, Vec<u8>)> {
-        let mut body = [0; MAX_BODY];
+    /// Handles all packets of a stream; returns the records as code and body, and the counts.
+    fn records(card: &mut Card, options: &Options, stream: &[(u8, Vec<u8>)]) -> (Vec<(u8, Vec<u8>)>, Counts) {
+        let (mut body, mut counts) = ([0; MAX_BODY], Counts::default());
         let one = |(command, data): &(u8, Vec<u8>)| {
-            let record = card.handle(options, &Packet::new(*command, data), 1_700_000_000_000_123, &mut body)?;
+            let record =
+                card.handle(&mut counts, options, &Packet::new(*command, data), 1_700_000_000_000_123, &mut body)?;
             Some((record.code, record.body.to_vec()))
         };
-        stream.iter().filter_map(one).collect()
+        (stream.iter().filter_map(one).collect(), counts)
     }
 
     #[test]
     fn the_three_packets_of_a_frame_are_a_record() {
         let (mut card, options) = (Card::default(), Options { frames: true, ..Options::default() });
-        let got = records(&mut card, &options, &[(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())]);
+        let (got, counts) = records(&mut card, &options, &[(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())]);
         assert_eq!(got[0], (0xC1, mpdu()[4..61].to_vec()));
         let bfee = Bfee::new_checked(&got[1].1).unwrap();
         assert_eq!((bfee.layout(), bfee.timestamp_low(), bfee.bfee_count()), (Layout::Wsr, 0x0203_0405, 1));
@@ -580,15 +553,15 @@ mod tests {
         assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count), (1_700_000_000, 123, Some(0x0102_0304)));
         assert_eq!(wsr.mac, "00:21:6a:00:00:07".parse().unwrap());
         let expect = Counts { phy: 1, mpdu: 1, bfee: 1, records: 1, ..Counts::default() };
-        assert_eq!((got.len(), card.counts(), expect.dropped()), (2, expect, 0));
+        assert_eq!((got.len(), counts, expect.dropped()), (2, expect, 0));
     }
 
     #[test]
     fn nothing_of_another_frame_is_ever_used() {
         let options = Options::default();
         let count = |stream: &[(u8, Vec<u8>)]| {
-            let mut card = Card::default();
-            (records(&mut card, &options, stream).len(), card.counts())
+            let (got, counts) = records(&mut Card::default(), &options, stream);
+            (got.len(), counts)
         };
         let [c0, c1, bb] = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
         let short = |(command, data): &(u8, Vec<u8>)| (*command, data[..data.len() - 9].to_vec());
@@ -604,11 +577,11 @@ mod tests {
         assert_eq!(count(&[c0.clone(), c1.clone(), c0.clone(), bb.clone()]).1.no_sender, 1);
         assert_eq!(count(&[c0.clone(), c1.clone(), short(&c1), bb.clone()]).1.no_sender, 1);
         // Packets are missing.
-        let (mut card, mut body) = (Card::default(), [0; MAX_BODY]);
-        assert!(card.handle(&options, &Packet::new(0xC0, &c0.1), 0, &mut body).is_none());
+        let (mut card, mut body, mut counts) = (Card::default(), [0; MAX_BODY], Counts::default());
+        assert!(card.handle(&mut counts, &options, &Packet::new(0xC0, &c0.1), 0, &mut body).is_none());
         card.gap();
-        assert!(card.handle(&options, &Packet::new(0xBB, &bb.1), 0, &mut body).is_none());
-        assert_eq!((card.counts().records, card.counts().no_phy), (0, 1));
+        assert!(card.handle(&mut counts, &options, &Packet::new(0xBB, &bb.1), 0, &mut body).is_none());
+        assert_eq!((counts.records, counts.no_phy), (0, 1));
     }
 
     #[test]
@@ -617,11 +590,10 @@ mod tests {
             let mut c0 = phy();
             c0[1] = said;
             c0.truncate(len);
-            let mut card = Card::default();
             let options = Options { layout: Layout::Stock, ..Options::default() };
-            let got = records(&mut card, &options, &[(0xC0, c0), (0xBB, csi())]);
+            let (got, counts) = records(&mut Card::default(), &options, &[(0xC0, c0), (0xBB, csi())]);
             let bfee = Bfee::new_checked(&got[0].1).unwrap();
-            assert_eq!((bfee.layout(), bfee.antenna_sel(), card.counts().no_order), (Layout::Stock, ORDER_UNKNOWN, 1));
+            assert_eq!((bfee.layout(), bfee.antenna_sel(), counts.no_order), (Layout::Stock, ORDER_UNKNOWN, 1));
             assert!(bfee.antennas().is_err());
             // With one chain, it is the only antenna with a nonzero RSSI.
             assert!(Antennas::new(ORDER_UNKNOWN, 1, [0, 30, 0]).is_ok());
@@ -699,7 +671,7 @@ mod tests {
             [(true, false, &[0xBB][..]), (true, true, &[0xC1, 0xBB]), (false, true, &[0xC1]), (false, false, &[])]
         {
             let options = Options { csi, frames, ..Options::default() };
-            let got = records(&mut Card::default(), &options, &packets);
+            let got = records(&mut Card::default(), &options, &packets).0;
             assert_eq!(got.iter().map(|(code, _)| *code).collect::<Vec<u8>>(), codes, "csi {csi}, frames {frames}");
         }
     }
@@ -755,7 +727,7 @@ mod tests {
     #[test]
     fn dropped_counts_every_notification_without_a_record() {
         let counts = Counts { bfee: 9, records: 4, bad_bfee: 2, no_phy: 3, ..Counts::default() };
-        assert_eq!((counts.dropped(), counts.plus(&counts).dropped()), (5, 10));
+        assert_eq!(counts.dropped(), 5);
         assert_eq!(Counts { bad_bfee: u32::MAX, ..counts }.dropped(), 2);
     }
 }

@@ -46,8 +46,7 @@ fn time_of(k: usize) -> (u32, u32) {
     (1_700_000_000 + k as u32, (k as u32 * 7_919) % 1_000_000)
 }
 
-fn counts(card: &Card) -> Counts {
-    let c = card.counts();
+fn counts(c: stock::Counts) -> Counts {
     let seen = [c.phy, c.mpdu, c.bfee, c.records];
     let dropped = [c.bad_phy, c.bad_mpdu, c.mpdu_no_phy, c.bad_bfee, c.no_phy];
     [&seen[..], &dropped, &[c.no_order, c.no_sender]].concat().try_into().unwrap()
@@ -86,6 +85,7 @@ fn event_of(how: How, (command, data): &Packet) -> Vec<u8> {
 /// The result of this crate, from whole packets or from the program's events.
 fn by_rust(how: How, stream: &[Packet], events: bool) -> Answer {
     let (mut card, mut body, options) = (Card::default(), [0xa5; MAX_BODY], how.options());
+    let mut counts_of_all = stock::Counts::default();
     let mut messages = Vec::new();
     for (k, packet) in stream.iter().enumerate() {
         let (seconds, us) = time_of(k);
@@ -96,10 +96,10 @@ fn by_rust(how: How, stream: &[Packet], events: bool) -> Answer {
             true => Event::new_checked(&event).unwrap().packet(),
             false => stock::Packet::new(packet.0, &packet.1),
         };
-        let record = card.handle(&options, &packet, host_us, &mut body);
+        let record = card.handle(&mut counts_of_all, &options, &packet, host_us, &mut body);
         messages.push(record.map(|record| [&[record.code], record.body].concat()));
     }
-    (messages, counts(&card))
+    (messages, counts(counts_of_all))
 }
 
 /// The kernel module's code, compiled for user space; deleted when dropped.
@@ -222,7 +222,7 @@ proptest! {
         }
         if let Some(event) = Event::new_checked(&bytes) {
             let mut body = [0; MAX_BODY];
-            prop_assert!(Card::default().handle(&Options::default(), &event.packet(), 0, &mut body).is_none());
+            prop_assert!(Card::default().handle(&mut stock::Counts::default(), &Options::default(), &event.packet(), 0, &mut body).is_none());
         }
     }
 

@@ -4,7 +4,7 @@
 
 use driver_iface::bfee::{Bfee, Layout, MAX_BODY};
 use driver_iface::record::code;
-use driver_iface::stock::{Card, Event, Options};
+use driver_iface::stock::{Card, Counts, Event, Options};
 
 /// Runs the target.
 pub fn run(bytes: &[u8]) {
@@ -12,7 +12,7 @@ pub fn run(bytes: &[u8]) {
     let layout = if how & 1 == 0 { Layout::Stock } else { Layout::Wsr };
     let (wants_csi, wants_frames) = (how & 2 == 0, how & 4 == 0);
     let options = Options { layout, csi: wants_csi, frames: wants_frames };
-    let (mut card, mut records) = (Card::default(), 0);
+    let (mut card, mut counts, mut records) = (Card::default(), Counts::default(), 0);
     while let Some((len, behind)) = rest.split_first() {
         let (event, behind) = behind.split_at(behind.len().min(8 * usize::from(*len)));
         rest = behind;
@@ -21,7 +21,8 @@ pub fn run(bytes: &[u8]) {
             continue;
         };
         let mut body = [0; MAX_BODY];
-        let Some(record) = card.handle(&options, &event.packet(), 1_700_000_000_000_000, &mut body) else { continue };
+        let handled = card.handle(&mut counts, &options, &event.packet(), 1_700_000_000_000_000, &mut body);
+        let Some(record) = handled else { continue };
         match record.code {
             code::BFEE => {
                 let bfee = Bfee::new_checked(record.body).unwrap();
@@ -32,5 +33,5 @@ pub fn run(bytes: &[u8]) {
         }
     }
     // Unwanted records are made but not returned.
-    assert_eq!(records, if wants_csi { card.counts().records } else { 0 });
+    assert_eq!(records, if wants_csi { counts.records } else { 0 });
 }

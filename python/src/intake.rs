@@ -11,6 +11,7 @@ use csi5300_lab::table::{Advise, Filter, Reading};
 use csi5300_live::sys::advise_large_pages;
 use driver_iface::record::Tail;
 use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
 use std::io::{self, Cursor, Read};
 use std::mem::MaybeUninit;
@@ -40,8 +41,8 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
     if let Ok(bytes) = file.cast::<PyBytes>() {
         let name = format!("{} bytes in memory", bytes.as_bytes().len());
         // Backed by Python's memory: bytes never change.
-        let memory = Cursor::new(Backed(bytes.clone().unbind(), bytes.as_bytes().len()));
-        return begun(bytes.as_bytes(), Box::new(BytesReader(memory)), name);
+        let memory = Cursor::new(PyBackedBytes::from(bytes.clone()));
+        return begun(bytes.as_bytes(), Box::new(memory), name);
     }
     if file.hasattr("read")? {
         let name =
@@ -93,30 +94,6 @@ fn refuse_card(bytes: &[u8], name: &str) -> PyResult<()> {
     let Some(kind) = crate::cards::refused(bytes) else { return Ok(()) };
     let why = format!("{name}: a {kind} log, of another card than the Intel 5300: csi5300.read_card reads it");
     Err(Failure::new(Kind::Log, why).of(name.to_owned()).into())
-}
-
-/// Bytes that Python owns, and their number.
-struct Backed(Py<PyBytes>, usize);
-
-/// Reads bytes that Python owns; copies chunk by chunk.
-struct BytesReader(Cursor<Backed>);
-
-impl Read for BytesReader {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let from = usize::try_from(self.0.position()).unwrap_or(usize::MAX);
-        let len = buffer.len().min(self.0.get_ref().1.saturating_sub(from));
-        if len == 0 {
-            return Ok(0);
-        }
-        Python::attach(|py| {
-            let all = self.0.get_ref().0.bind(py).as_bytes();
-            if let (Some(to), Some(from)) = (buffer.get_mut(..len), all.get(from..from + len)) {
-                to.copy_from_slice(from);
-            }
-        });
-        self.0.set_position((from + len) as u64);
-        Ok(len)
-    }
 }
 
 /// A filter from keyword arguments.

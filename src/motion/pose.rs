@@ -540,13 +540,19 @@ impl Trajectory {
 
     /// Speed about `t_s` over a fifth of a second, m/s; 0 where the trajectory has no poses.
     #[must_use]
-    pub(crate) fn speed_m_per_s(&self, t_s: f64) -> f64 {
+    fn speed_m_per_s(&self, t_s: f64) -> f64 {
         let (start, end) = self.span_s();
         let (from, to) = ((t_s - SPEED_HALF_S).max(start), (t_s + SPEED_HALF_S).min(end));
         match (self.position_m(from), self.position_m(to)) {
             (Some(a), Some(b)) if to > from => (b - a).norm() / (to - from),
             _ => 0.0,
         }
+    }
+
+    /// True if the robot moved at `t_s`; `motion` is [`Self::motion`].
+    pub(crate) fn moves(&self, motion: &Motion, t_s: f64) -> bool {
+        let inside = motion.window_s.is_some_and(|(from, to)| (from..=to).contains(&t_s));
+        inside && self.speed_m_per_s(t_s) > motion.floor_m_per_s
     }
 }
 

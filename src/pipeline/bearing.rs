@@ -177,7 +177,25 @@ impl BearingAnswer {
 /// links.
 const MANY_OUTSIDE: f64 = 0.05;
 
+/// What becomes of a pair, or of a record for a baseline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Fate {
+    Cut,
+    NoPose,
+    Standing,
+    Used,
+}
+
 impl PairCounts {
+    pub(super) fn add(&mut self, fate: Fate) {
+        *match fate {
+            Fate::Cut => &mut self.cut,
+            Fate::NoPose => &mut self.no_pose,
+            Fate::Standing => &mut self.standing,
+            Fate::Used => &mut self.in_motion,
+        } += 1;
+    }
+
     /// True if far more pairs lack a pose by the receiver's times than by the transmitter's: the two logs may be
     /// exchanged.
     #[must_use]

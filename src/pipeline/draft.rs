@@ -4,9 +4,9 @@
 //! drives wider than some 2.7 m at 5 GHz have too many, odometry hardly stays coherent over them, and wave fronts are
 //! too curved for a plane wave.
 
-use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
+use super::bearing::{Bearing, BearingAnswer, Fate, PairCounts, Phase, ProfileFigures};
 use super::error::LinkError;
-use super::link::{Link, PairRow};
+use super::link::Link;
 use super::options::{JoinBy, Options};
 use crate::estimate::odometry::{self, OdometryFit, PROBE_M, Stretch};
 use crate::estimate::prior::Limits;
@@ -24,7 +24,7 @@ use std::ops::Range;
 
 /// Logs are of one run if one plane wave has a coherence above this, divided by the root of the number of samples (in
 /// the best of 10,000 directions, random phases reach sqrt(ln 1e7) once in a thousand times).
-const BY_CHANCE: f64 = 4.0;
+pub(super) const BY_CHANCE: f64 = 4.0;
 
 /// A trajectory's times do not fit if more than this share of the pairs lies outside them (logs begin and end some
 /// frames apart).
@@ -61,7 +61,7 @@ const MAX_EXTENT_M: f64 = 50.0;
 /// The time of a pair of unknown time: no pose is that late, so the pair is counted as one without a pose.
 const NEVER_S: f64 = f64::MAX;
 /// Azimuths of the density that pictures show.
-const DENSITY_AZIMUTHS: usize = 1440;
+pub(super) const DENSITY_AZIMUTHS: usize = 1440;
 
 /// A link and the trajectories that its pairs are joined with, both on the receiver's clock.
 #[derive(Clone, Copy, Debug)]
@@ -87,7 +87,7 @@ fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<
     let LinkJoin { link, receiver, transmitter } = *join;
     something(link, receiver, options)?;
     let phases = Compensated::new(link, options);
-    let times_s = times_s(link.rows(), receiver, options)?;
+    let times_s = times_of(link, receiver, options)?;
     // If a robot moves far between irregular frames, phases look as random as those of two runs, but they follow its
     // motion.
     let doubt = of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err());
@@ -184,7 +184,7 @@ fn stretches(join: &LinkJoin<'_>, options: &Options, number: usize) -> Result<Ve
         something(link, receiver, options)?;
         let phases = Compensated::new(link, options);
         of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err()).map_or(Ok(()), Err)?;
-        Ok::<_, LinkError>((phases, times_s(link.rows(), receiver, options)?))
+        Ok::<_, LinkError>((phases, times_of(link, receiver, options)?))
     };
     let (phases, times_s) = usable().map_err(|_| None)?;
     let probe = receiver.with_antenna_offset(PROBE_M * Vector3::x()).map_err(|_| Some(odometry::NO_HEADINGS))?;
@@ -261,15 +261,40 @@ fn rows_or_times(link: &Link, receiver: &Trajectory, pairs: &PairCounts, options
 }
 
 /// The time of each pair on the trajectory's clock.
-fn times_s(rows: &[PairRow], trajectory: &Trajectory, options: &Options) -> Result<Vec<f64>, LinkError> {
-    let time = |row: &PairRow| match options.join {
-        JoinBy::Time => row.host_us.map_or(NEVER_S, |us| us as f64 * 1e-6 + options.clock_offset_s),
-        JoinBy::Row => trajectory.poses().get(row.row as usize).map_or(NEVER_S, |pose| pose.t_s),
+fn times_of(link: &Link, trajectory: &Trajectory, options: &Options) -> Result<Vec<f64>, LinkError> {
+    let rows = link.rows().iter().map(|row| (row.host_us, row.row as usize));
+    Ok(times_s(rows, trajectory, options)?.into_iter().map(|t_s| t_s.unwrap_or(NEVER_S)).collect())
+}
+
+/// The times of pairs or records, given as host time and row, on the trajectory's clock, seconds; `None` if unknown.
+pub(super) fn times_s(
+    rows: impl Iterator<Item = (Option<i64>, usize)>,
+    trajectory: &Trajectory,
+    options: &Options,
+) -> Result<Vec<Option<f64>>, LinkError> {
+    let time = |(host_us, row): (Option<i64>, usize)| match options.join {
+        JoinBy::Time => host_us.map(|us| us as f64 * 1e-6 + options.clock_offset_s),
+        JoinBy::Row => trajectory.poses().get(row).map(|pose| pose.t_s),
     };
-    if options.join == JoinBy::Time && rows.iter().all(|row| row.host_us.is_none()) {
-        return Err(LinkError::NoHostTime);
+    let times: Vec<Option<f64>> = rows.map(time).collect();
+    let none_is_known = options.join == JoinBy::Time && times.iter().all(Option::is_none);
+    if none_is_known { Err(LinkError::NoHostTime) } else { Ok(times) }
+}
+
+/// Why there is no sample; `still` is the reason if pairs are left where nothing moved.
+pub(super) fn nothing(
+    pairs: &PairCounts,
+    times_s: impl Iterator<Item = f64>,
+    trajectory: &Trajectory,
+    still: LinkError,
+) -> LinkError {
+    let (start_s, end_s) = trajectory.span_s();
+    let (from_s, to_s) = times_s.fold((f64::MAX, f64::MIN), |(low, high), t_s| (low.min(t_s), high.max(t_s)));
+    match pairs {
+        PairCounts { standing: 1.., .. } => still,
+        PairCounts { cut: 1.., no_pose: 0, .. } => LinkError::AllCut { pairs: pairs.formed, length_s: to_s - from_s },
+        _ => LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, start_s, end_s, other_fits: false },
     }
-    Ok(rows.iter().map(time).collect())
 }
 
 /// The round trips at the channel centre, with the turn-around removed if that helps.
@@ -314,13 +339,6 @@ struct Gate<'a> {
     before: PairCounts,
 }
 
-/// Why a pair is no sample.
-enum Stopped {
-    Cut,
-    NoPose,
-    Standing,
-}
-
 /// A pair's place: receiver, transmitter, heading.
 struct PairPlace {
     receiver_m: Vector3<f64>,
@@ -352,38 +370,31 @@ impl<'a> Gate<'a> {
         let samples = Samples::new(self.options.channel.wavelength_m(), 2)?;
         let mut gated = Gated { samples, used: Vec::new(), heading_rad: None, pairs: self.before };
         for (index, (&t_s, &z)) in times_s.iter().zip(z).enumerate() {
-            match self.place(t_s) {
-                Ok(place) => {
-                    gated.heading_rad = place.heading_rad;
-                    gated.used.push(index);
-                    gated.samples.push(t_s, z / z.norm(), place.receiver_m, place.transmitter_m)?;
-                }
-                Err(Stopped::Cut) => gated.pairs.cut += 1,
-                Err(Stopped::NoPose) => gated.pairs.no_pose += 1,
-                Err(Stopped::Standing) => gated.pairs.standing += 1,
+            let place = self.place(t_s);
+            gated.pairs.add(place.as_ref().err().copied().unwrap_or(Fate::Used));
+            if let Ok(place) = place {
+                gated.heading_rad = place.heading_rad;
+                gated.used.push(index);
+                gated.samples.push(t_s, z / z.norm(), place.receiver_m, place.transmitter_m)?;
             }
         }
-        gated.pairs.in_motion = gated.samples.len();
         Ok(gated)
     }
 
-    fn place(&self, t_s: f64) -> Result<PairPlace, Stopped> {
+    fn place(&self, t_s: f64) -> Result<PairPlace, Fate> {
         if !self.options.keeps(t_s - self.first_s) {
-            return Err(Stopped::Cut);
+            return Err(Fate::Cut);
         }
         let partner = match &self.transmitter {
             Some((trajectory, _)) => trajectory.at(t_s).map(|pose| pose.position_m),
             None => Some(Vector3::zeros()),
         };
         let (Some(pose), Some(transmitter_m)) = (self.receiver.0.at(t_s), partner) else {
-            return Err(Stopped::NoPose);
+            return Err(Fate::NoPose);
         };
-        let moves = |(trajectory, motion): &(&Trajectory, Motion)| {
-            let inside = motion.window_s.is_some_and(|(from, to)| (from..=to).contains(&t_s));
-            inside && trajectory.speed_m_per_s(t_s) > motion.floor_m_per_s
-        };
+        let moves = |(trajectory, motion): &(&Trajectory, Motion)| trajectory.moves(motion, t_s);
         if !self.transmitter.as_ref().is_some_and(moves) && !moves(&self.receiver) {
-            return Err(Stopped::Standing);
+            return Err(Fate::Standing);
         }
         Ok(PairPlace { receiver_m: pose.position_m, transmitter_m, heading_rad: pose.heading_rad })
     }
@@ -450,27 +461,14 @@ impl Gated {
     /// Refuses samples without a bearing, with the reason.
     fn check(&self, times_s: &[f64], receiver: &Trajectory) -> Result<(), LinkError> {
         if self.samples.is_empty() {
-            return Err(self.nothing(times_s, receiver));
+            let known = times_s.iter().copied().filter(|t| *t != NEVER_S);
+            return Err(nothing(&self.pairs, known, receiver, LinkError::NoMotion { pairs: self.pairs.formed }));
         }
         let extent_m = extent_m(&self.samples);
         if extent_m > MAX_EXTENT_M {
             return Err(LinkError::TooLarge { extent_m, limit_m: MAX_EXTENT_M });
         }
         Ok(())
-    }
-
-    fn nothing(&self, times_s: &[f64], receiver: &Trajectory) -> LinkError {
-        let pairs = &self.pairs;
-        let (start_s, end_s) = receiver.span_s();
-        let known = times_s.iter().copied().filter(|t| *t != NEVER_S);
-        let (from_s, to_s) = known.fold((f64::MAX, f64::MIN), |(low, high), t| (low.min(t), high.max(t)));
-        if pairs.standing > 0 {
-            return LinkError::NoMotion { pairs: pairs.formed };
-        }
-        if pairs.cut > 0 && pairs.no_pose == 0 {
-            return LinkError::AllCut { pairs: pairs.formed, length_s: to_s - from_s };
-        }
-        LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, start_s, end_s, other_fits: false }
     }
 }
 

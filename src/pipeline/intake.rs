@@ -13,7 +13,7 @@ use driver_iface::record::{Record, card_clock_ps, code};
 use driver_iface::sounding::native::Measurement;
 use driver_iface::{
     Mac,
-    bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq},
+    bfee::{Antenna, Bfee, Iq},
 };
 use num_complex::Complex32;
 use std::collections::VecDeque;
@@ -40,8 +40,7 @@ impl FrameHeard {
     /// What `antenna` heard of a frame, if the record has it.
     #[must_use]
     pub fn of(bfee: &Bfee<'_>, antenna: Antenna, number: u32, host_us: Option<i64>, row: u32) -> Option<Self> {
-        let mut iq = [Iq::default(); SUBCARRIERS];
-        bfee.column(bfee.chain_of(antenna)?, 0, &ALL_SUBCARRIERS, &mut iq)?;
+        let iq = bfee.column(bfee.chain_of(antenna)?, 0)?;
         let timestamp_low = bfee.timestamp_low();
         Some(Self { number, timestamp_low, host_us, row, left_ps: 0, proof: Proof::Unknown, iq })
     }
@@ -197,6 +196,11 @@ impl<'a> LogReader<'a> {
         Ok(&self.queue)
     }
 
+    /// The frames that wait.
+    pub(crate) fn ahead(&self) -> &VecDeque<(Mac, FrameHeard)> {
+        &self.queue
+    }
+
     /// As [`Self::read_ahead`], and removes those frames.
     ///
     /// # Errors
@@ -224,9 +228,7 @@ impl<'a> LogReader<'a> {
     /// # Errors
     /// If the source fails.
     pub(crate) fn next_frame(&mut self) -> Result<Option<(Mac, FrameHeard)>, Error> {
-        while self.queue.is_empty() && !self.ended {
-            self.pull()?;
-        }
+        self.read_ahead(1)?;
         Ok(self.queue.pop_front())
     }
 

@@ -118,8 +118,8 @@ pub fn bearings(
         logs.into_iter().map(|log| LogReader::new(log, options, options.rx_mac)).collect();
     read_ahead(&mut rx, &mut txs, options)?;
     unnumbered::number(&mut rx, &mut txs, options);
-    let receivers = receivers(&mut txs, options)?;
-    let found = find_macs(&mut rx, &mut txs, &receivers, options)?;
+    let receivers = receivers(&txs, options);
+    let found = find_macs(&rx, &txs, &receivers, options);
     let span_us = options.span_us(trajectory);
     let link = |found: &MacFound| found.as_ref().ok().map(|(mac, _)| Link::new(*mac, span_us).of_logs());
     let mut links: Vec<Option<Link>> = found.iter().map(link).collect();

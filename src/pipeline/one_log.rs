@@ -18,7 +18,8 @@
 //! Two antennas at the same place would measure the phase `c`, so the estimate gets one sample of it at the origin for each
 //! record.
 
-use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
+use super::bearing::{Bearing, BearingAnswer, Fate, PairCounts, Phase, ProfileFigures};
+use super::draft::{BY_CHANCE, DENSITY_AZIMUTHS, nothing, times_s};
 use super::error::LinkError;
 use super::first_delay::FirstDelay;
 use super::options::{JoinBy, Options};
@@ -35,7 +36,7 @@ use crate::source::{CsiSource, Error, Next};
 use crate::time::Instant;
 use csi_formats::Frame;
 use driver_iface::Mac;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Antennas, Bfee, Iq};
+use driver_iface::bfee::{Antenna, Antennas, Bfee};
 use nalgebra::{UnitVector3, Vector3};
 use num_complex::{Complex32, Complex64};
 use std::collections::BTreeMap;
@@ -52,11 +53,6 @@ const SHORTEST_M: f64 = 1e-4;
 const GATE_ARM_M: f64 = 0.3;
 /// Short-term error of the attitude, radians: it moves the end of the baseline.
 const ATTITUDE_SD_RAD: f64 = 0.0175;
-/// Least coherence times the square root of the number of samples. In the best of 10,000 directions, random phases reach
-/// `sqrt(ln 1e7)` once in a thousand times.
-const BY_CHANCE: f64 = 4.0;
-/// Azimuths of the density in plots.
-const DENSITY_AZIMUTHS: usize = 1440;
 /// A turn determines the constants if the baseline's end moves by this share of its length, ...
 const TELLING: f64 = 0.3;
 /// ... and the best direction has this probability.
@@ -230,8 +226,7 @@ impl ArrayFrame {
     #[must_use]
     pub fn of_bfee(array: &Array, bfee: &Bfee<'_>, sender: Mac, host_us: Option<i64>) -> Option<Self> {
         Self::new(array, sender, host_us, bfee.n_tx(), |antenna, stream| {
-            let mut iq = [Iq::default(); SUBCARRIERS];
-            bfee.column(bfee.chain_of(antenna)?, stream, &ALL_SUBCARRIERS, &mut iq)?;
+            let iq = bfee.column(bfee.chain_of(antenna)?, stream)?;
             Some(iq.map(|iq| Complex32::new(f32::from(iq.i), f32::from(iq.q))).to_vec())
         })
     }
@@ -498,15 +493,6 @@ pub fn one_log(
     }
 }
 
-/// Outcome of a record for one baseline.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Fate {
-    Cut,
-    NoPose,
-    Standing,
-    Used,
-}
-
 /// The samples of one baseline, and the row of each.
 struct Baseline {
     samples: Samples,
@@ -533,20 +519,6 @@ struct Joined {
     length_m: f64,
 }
 
-/// The time of each row on the trajectory's clock, seconds; `None` if unknown.
-fn times_s(rows: &[Row], trajectory: &Trajectory, options: &Options) -> Result<Vec<Option<f64>>, LinkError> {
-    let by_host = |row: &Row| row.host_us.map(|us| us as f64 * 1e-6 + options.clock_offset_s);
-    let by_row = |row: &Row| trajectory.poses().get(row.row).map(|pose| pose.t_s);
-    let times: Vec<Option<f64>> = match options.join {
-        JoinBy::Time => rows.iter().map(by_host).collect(),
-        JoinBy::Row => rows.iter().map(by_row).collect(),
-    };
-    match options.join == JoinBy::Time && times.iter().all(Option::is_none) {
-        true => Err(LinkError::NoHostTime),
-        false => Ok(times),
-    }
-}
-
 /// The end of a baseline at a time within the trajectory, metres.
 fn end_m(arm: &Trajectory, t_s: f64, length_m: f64) -> Option<Vector3<f64>> {
     // Interpolation between two poses follows the chord of the turn, so the length is restored.
@@ -571,10 +543,6 @@ impl Joined {
                 _ => LinkError::NotTurned { records: rows.len() },
             })?;
             let motion = arm.motion();
-            let turns = |t_s: f64| {
-                let inside = motion.window_s.is_some_and(|(from, to)| (from..=to).contains(&t_s));
-                inside && arm.speed_m_per_s(t_s) > motion.floor_m_per_s
-            };
             let samples = Samples::new(options.channel.wavelength_m(), 1)?;
             let mut own = Baseline { samples, rows: Vec::new() };
             for (at, (row, t_s)) in rows.iter().zip(times_s).enumerate() {
@@ -582,7 +550,7 @@ impl Joined {
                 let fate = match (place, t_s) {
                     (_, Some(t_s)) if !options.keeps(t_s - first_s) => Fate::Cut,
                     (None, _) => Fate::NoPose,
-                    (Some((t_s, _)), _) if array.constants.is_empty() && !turns(t_s) => Fate::Standing,
+                    (Some((t_s, _)), _) if array.constants.is_empty() && !arm.moves(&motion, t_s) => Fate::Standing,
                     (Some((t_s, end_m)), _) => {
                         own.samples.push(t_s, row.z(k), end_m, Vector3::zeros())?;
                         own.rows.push(at);
@@ -599,31 +567,10 @@ impl Joined {
     }
 
     fn counts(&self, heard: usize) -> PairCounts {
-        let of = |fate: Fate| self.fates.iter().filter(|own| **own == fate).count();
-        PairCounts {
-            formed: heard,
-            in_motion: of(Fate::Used),
-            standing: of(Fate::Standing),
-            no_pose: of(Fate::NoPose),
-            cut: of(Fate::Cut),
-            thinned: heard - self.fates.len(),
-            ..PairCounts::default()
-        }
-    }
-
-    /// The reason why there is no sample.
-    fn nothing(&self, counts: &PairCounts, times_s: &[Option<f64>], trajectory: &Trajectory) -> LinkError {
-        let known = || times_s.iter().flatten().copied();
-        let from_s = known().fold(f64::MAX, f64::min);
-        if counts.standing > 0 {
-            return LinkError::NotTurned { records: counts.formed };
-        }
-        if counts.cut > 0 && counts.no_pose == 0 {
-            let length_s = known().fold(f64::MIN, f64::max) - from_s;
-            return LinkError::AllCut { pairs: counts.formed, length_s };
-        }
-        let (start_s, end_s) = trajectory.span_s();
-        LinkError::OutsideTrajectory { pairs: counts.formed, from_s, start_s, end_s, other_fits: false }
+        let thinned = heard - self.fates.len();
+        let mut counts = PairCounts { formed: heard, thinned, ..PairCounts::default() };
+        self.fates.iter().for_each(|fate| counts.add(*fate));
+        counts
     }
 
     /// Combines the samples of all baselines in one array.
@@ -857,11 +804,13 @@ fn constants(groups: &[Vec<(Vector3<f64>, Complex64)>], options: &Options) -> Ve
 /// The bearing to one sender.
 fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Options) -> Result<Bearing, LinkError> {
     options.check()?;
-    let times_s = times_s(&sender.rows, trajectory, options)?;
+    let rows = sender.rows.iter().map(|row| (row.host_us, row.row));
+    let times_s = times_s(rows, trajectory, options)?;
     let joined = Joined::new(&sender.rows, &times_s, array, trajectory, options)?;
     let counts = joined.counts(sender.heard);
     if counts.in_motion == 0 {
-        return Err(joined.nothing(&counts, &times_s, trajectory));
+        let still = LinkError::NotTurned { records: counts.formed };
+        return Err(nothing(&counts, times_s.iter().flatten().copied(), trajectory, still));
     }
     let together = match &array.constants[..] {
         [] => joined.together(options)?,

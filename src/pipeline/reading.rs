@@ -3,12 +3,13 @@
 use super::intake::{FrameHeard, LogReader};
 use super::link::Link;
 use super::options::Options;
+use super::unnumbered::by_sender;
 use crate::exchange::assign::{self, MIN_COMMON, Mark, Match, Reciprocity, Spread, Unmatched};
 use crate::exchange::pairing::LinkSide;
 use crate::source::Error;
 use driver_iface::Mac;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 /// Frames of each log that are read ahead to find its transmitter.
 pub(super) const READ_AHEAD: usize = 32_768;
@@ -30,15 +31,24 @@ pub(super) fn read_ahead(rx: &mut LogReader<'_>, txs: &mut [LogReader<'_>], opti
 
 /// The receiver in each transmitter's log, unless it is named: the sender of most waiting frames. The log may contain
 /// overheard frames of others, but the receiver sounds the transmitter in every round.
-pub(super) fn receivers(txs: &mut [LogReader<'_>], options: &Options) -> Result<Vec<Option<Mac>>, Error> {
-    let most_frequent = |log: &mut LogReader<'_>| {
-        let mut counts: BTreeMap<Mac, usize> = BTreeMap::new();
-        for (mac, _) in log.read_ahead(READ_AHEAD)? {
-            *counts.entry(*mac).or_default() += 1;
-        }
-        Ok(counts.into_iter().max_by_key(|(_, count)| *count).map(|(mac, _)| mac))
+pub(super) fn receivers(txs: &[LogReader<'_>], options: &Options) -> Vec<Option<Mac>> {
+    let most_frequent = |log: &LogReader<'_>| {
+        let sent = by_sender(log.ahead()).into_iter();
+        sent.max_by_key(|(_, frames)| frames.len()).map(|(mac, _)| mac)
     };
-    txs.iter_mut().map(|log| if options.rx_mac.is_some() { Ok(options.rx_mac) } else { most_frequent(log) }).collect()
+    txs.iter().map(|log| options.rx_mac.or_else(|| most_frequent(log))).collect()
+}
+
+/// The frames of one sender that wait in a log.
+struct Waiting {
+    frames: Vec<FrameHeard>,
+    marks: Vec<Mark>,
+}
+
+impl Waiting {
+    fn of(frames: Vec<FrameHeard>) -> Self {
+        Self { marks: frames.iter().map(|heard| (heard.number, heard.timestamp_low)).collect(), frames }
+    }
 }
 
 /// The MAC of a log's transmitter and how it was found, or why it was not.
@@ -46,32 +56,28 @@ pub(super) type MacFound = Result<(Mac, Option<Match>), Unmatched>;
 
 /// Which MAC in the receiver's log each transmitter's log belongs to; `receivers` as [`receivers`] gives them.
 pub(super) fn find_macs(
-    rx: &mut LogReader<'_>,
-    txs: &mut [LogReader<'_>],
+    rx: &LogReader<'_>,
+    txs: &[LogReader<'_>],
     receivers: &[Option<Mac>],
     options: &Options,
-) -> Result<Vec<MacFound>, Error> {
-    let mut by_mac: BTreeMap<Mac, Vec<Mark>> = BTreeMap::new();
-    for (mac, heard) in rx.read_ahead(READ_AHEAD)? {
-        by_mac.entry(*mac).or_default().push((heard.number, heard.timestamp_low));
-    }
+) -> Vec<MacFound> {
     // Foreign frames have other MACs; only those with enough frames can be a transmitter, the busiest first.
-    let mut busiest: Vec<(Mac, Vec<Mark>)> =
-        by_mac.into_iter().filter(|(_, marks)| marks.len() >= MIN_COMMON).collect();
-    busiest.sort_by_key(|(_, marks)| std::cmp::Reverse(marks.len()));
+    let mut busiest: Vec<(Mac, Vec<FrameHeard>)> = by_sender(rx.ahead()).into_iter().collect();
+    busiest.retain(|(_, frames)| frames.len() >= MIN_COMMON);
+    busiest.sort_by_key(|(_, frames)| std::cmp::Reverse(frames.len()));
     busiest.truncate(MAX_TRANSMITTERS);
-    let macs: Vec<Mac> = busiest.iter().map(|(mac, _)| *mac).collect();
+    let (macs, frames): (Vec<Mac>, Vec<Vec<FrameHeard>>) = busiest.into_iter().unzip();
+    let senders: Vec<Waiting> = frames.into_iter().map(Waiting::of).collect();
     let taken: Vec<bool> = macs.iter().map(|mac| options.tx_macs.contains(mac)).collect();
-    let mut logs: Vec<Vec<Mark>> = Vec::new();
-    for (tx, receiver) in txs.iter_mut().zip(receivers) {
-        let wanted = |mac: &Mac| *receiver == Some(*mac);
-        let marks = tx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| wanted(mac));
-        logs.push(marks.map(|(_, heard)| (heard.number, heard.timestamp_low)).collect());
-    }
-    let spreads = spreads(&busiest, &logs, options);
+    let of_receiver = |(tx, receiver): (&LogReader<'_>, &Option<Mac>)| {
+        let own = tx.ahead().iter().filter(|(mac, _)| *receiver == Some(*mac));
+        Waiting::of(own.map(|(_, heard)| *heard).collect())
+    };
+    let logs: Vec<Waiting> = txs.iter().zip(receivers).map(of_receiver).collect();
+    let spreads = spreads(&senders, &logs, options);
     let mut found = assign::assign(&spreads, &taken);
     if found.iter().any(assign::is_open) {
-        let correlations = correlations(rx, txs, receivers, (&busiest, &spreads, &found))?;
+        let correlations = correlations(&senders, &logs, &spreads, &found);
         assign::settle(&mut found, &spreads, &correlations, &taken);
     }
     let settle = |(k, found): (usize, Result<Match, Unmatched>)| match options.tx_macs.get(k) {
@@ -93,15 +99,15 @@ pub(super) fn find_macs(
             *found = Err(Unmatched::SameSender { mac: *mac });
         }
     }
-    Ok(settled)
+    settled
 }
 
 /// How well each of `logs` matches each sender, unless the log's sender is named.
-fn spreads(senders: &[(Mac, Vec<Mark>)], logs: &[Vec<Mark>], options: &Options) -> Vec<Vec<Option<Spread>>> {
+fn spreads(senders: &[Waiting], logs: &[Waiting], options: &Options) -> Vec<Vec<Option<Spread>>> {
     let each: Vec<(usize, usize)> = (0..logs.len()).flat_map(|k| (0..senders.len()).map(move |s| (k, s))).collect();
     let own = |&(k, s): &(usize, usize)| {
         let is_open = options.tx_macs.get(k).is_none();
-        is_open.then(|| assign::spread(&senders[s].1, &logs[k])).flatten()
+        is_open.then(|| assign::spread(&senders[s].marks, &logs[k].marks)).flatten()
     };
     let all: Vec<Option<Spread>> = match options.parallel {
         true => each.par_iter().map(own).collect(),
@@ -110,33 +116,26 @@ fn spreads(senders: &[(Mac, Vec<Mark>)], logs: &[Vec<Mark>], options: &Options) 
     (0..logs.len()).map(|k| all[k * senders.len()..][..senders.len()].to_vec()).collect()
 }
 
-/// Senders with their marks, how well each log matches each sender, and the result for each log.
-type Unsettled<'a> = (&'a [(Mac, Vec<Mark>)], &'a [Vec<Option<Spread>>], &'a [Result<Match, Unmatched>]);
-
 /// Correlation of the channel's changes in the two directions, for each unclear log and each sender.
 fn correlations(
-    rx: &mut LogReader<'_>,
-    txs: &mut [LogReader<'_>],
-    receivers: &[Option<Mac>],
-    (senders, spreads, found): Unsettled<'_>,
-) -> Result<Vec<Vec<Option<f64>>>, Error> {
-    let mut rows = vec![Vec::new(); txs.len()];
-    for (k, tx) in txs.iter_mut().enumerate().filter(|(k, _)| assign::is_open(&found[*k])) {
-        let heard = tx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| receivers[k] == Some(*mac));
-        let own: Vec<FrameHeard> = heard.map(|(_, heard)| *heard).collect();
-        let marks: Vec<Mark> = own.iter().map(|heard| (heard.number, heard.timestamp_low)).collect();
-        for ((sender, sent), spread) in senders.iter().zip(&spreads[k]) {
-            let frames = rx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| mac == sender);
-            let frames: Vec<FrameHeard> = frames.map(|(_, heard)| *heard).collect();
-            let mut sums = Reciprocity::default();
-            let pairs = if spread.is_some() { assign::common(sent, &marks) } else { Vec::new() };
-            for pair in pairs {
-                sums.add(&own[pair.transmitter].csi(), &frames[pair.receiver].csi());
-            }
-            rows[k].push(sums.get().map(|both| both.correlation));
+    senders: &[Waiting],
+    logs: &[Waiting],
+    spreads: &[Vec<Option<Spread>>],
+    found: &[Result<Match, Unmatched>],
+) -> Vec<Vec<Option<f64>>> {
+    let of = |own: &Waiting, (sent, spread): (&Waiting, &Option<Spread>)| {
+        let mut sums = Reciprocity::default();
+        let pairs = if spread.is_some() { assign::common(&sent.marks, &own.marks) } else { Vec::new() };
+        for pair in pairs {
+            sums.add(&own.frames[pair.transmitter].csi(), &sent.frames[pair.receiver].csi());
         }
-    }
-    Ok(rows)
+        sums.get().map(|both| both.correlation)
+    };
+    let row = |(k, own): (usize, &Waiting)| match assign::is_open(&found[k]) {
+        true => senders.iter().zip(&spreads[k]).map(|sender| of(own, sender)).collect(),
+        false => Vec::new(),
+    };
+    logs.iter().enumerate().map(row).collect()
 }
 
 /// Frames of the receiver's log with their senders.

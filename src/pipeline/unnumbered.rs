@@ -70,7 +70,8 @@ pub(super) fn number(rx: &mut LogReader<'_>, txs: &mut [LogReader<'_>], options:
     );
 }
 
-fn by_sender(frames: &Frames) -> BTreeMap<Mac, Vec<FrameHeard>> {
+/// Frames by their senders.
+pub(super) fn by_sender<'a>(frames: impl IntoIterator<Item = &'a (Mac, FrameHeard)>) -> BTreeMap<Mac, Vec<FrameHeard>> {
     let mut by_sender: BTreeMap<Mac, Vec<FrameHeard>> = BTreeMap::new();
     for (mac, frame) in frames {
         by_sender.entry(*mac).or_default().push(*frame);

@@ -18,7 +18,7 @@ pub mod remote;
 pub use key_file::{KeyFileError, read_key};
 pub use side_file::{Checks, side_path};
 
-use crate::motion::odometry::OdometryError;
+use crate::motion::pose::TrajectoryError;
 use crate::time::{Instant, Span};
 use driver_iface::connector;
 use driver_iface::record::{Reason, Record, Tail};
@@ -219,6 +219,9 @@ pub enum Error {
     /// A failure of a source or an injector that another crate implements, in that crate's own type.
     #[error(transparent)]
     Backend(#[from] Box<dyn std::error::Error + Send + Sync>),
+    /// A pose came that cannot be moved to the antenna.
+    #[error(transparent)]
+    Trajectory(#[from] TrajectoryError),
     /// A frame was not sent; the next one may be.
     #[error(transparent)]
     NotSent(#[from] NotSent),
@@ -229,15 +232,6 @@ impl Error {
     #[doc(hidden)] // for the crates of this workspace
     pub fn io<E: Into<std::io::Error>>(what: impl Into<String>) -> impl FnOnce(E) -> Self {
         |source| Self::Io { what: what.into(), source: source.into() }
-    }
-}
-
-impl From<OdometryError> for Error {
-    fn from(error: OdometryError) -> Self {
-        match error {
-            OdometryError::Io { what, source } => Self::Io { what: what.into(), source },
-            other => Self::Backend(Box::new(other)),
-        }
     }
 }
 

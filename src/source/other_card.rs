@@ -94,7 +94,6 @@ impl Translator {
             .ok_or("a frame without measured subcarriers")?;
         self.count = self.count.wrapping_add(1);
         let (at_us, left_ps) = (at_ps.div_euclid(PS_PER_US), at_ps.rem_euclid(PS_PER_US));
-        let host_us = frame.host_us.unwrap_or(0);
         let rssi = |chain: usize| frame.rssi.get(chain).copied().flatten().map_or(0, rssi);
         let repr = Repr {
             timestamp_low: at_us as u32,
@@ -105,12 +104,7 @@ impl Translator {
             agc: GAIN_DB,
             antenna_sel: IN_ORDER & ((1 << (2 * n_rx)) - 1),
             rate_n_flags: rate::HT | width_bits,
-            wsr: Some(Wsr {
-                tv_sec: host_us.div_euclid(1_000_000) as u32,
-                tv_usec: host_us.rem_euclid(1_000_000) as u32,
-                mac: Mac(frame.sender.unwrap_or_default()),
-                frame_count: None,
-            }),
+            wsr: Some(Wsr::at(frame.host_us.unwrap_or(0), Mac(frame.sender.unwrap_or_default()), None)),
             ..Repr::default()
         };
         let mut body = vec![0; repr.body_len()];

@@ -14,9 +14,8 @@ use driver_iface::side_file::{Check, Entry, Layout};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 /// Whole records on their way to the disk.
@@ -118,7 +117,7 @@ impl<S: CsiSource, W: Sink> Recorder<S, W> {
     /// What was recorded so far.
     #[must_use]
     pub fn totals(&self) -> Totals {
-        self.queue.shared.totals()
+        self.queue.totals()
     }
 
     /// Writes the rest, syncs it, and returns everything.
@@ -127,7 +126,8 @@ impl<S: CsiSource, W: Sink> Recorder<S, W> {
     /// If the writer thread died.
     pub fn finish(mut self, now: Instant) -> Result<(S, W, Totals), Error> {
         let sink = self.queue.close(now).ok_or(Error::WriterDied)?;
-        Ok((self.source, sink, self.queue.shared.totals()))
+        let totals = self.queue.totals();
+        Ok((self.source, sink, totals))
     }
 }
 
@@ -151,50 +151,21 @@ enum Message {
     Sync,
 }
 
-/// What both sides count. Each number has one writer.
-#[derive(Debug, Default)]
-struct Shared {
-    received: AtomicU64,
-    dropped: AtomicU64,
-    written: Mutex<Written>,
-    failing: AtomicBool,
+/// What the writer counts, in the log and lost on the disk.
+type OnDisk = Mutex<Totals>;
+
+fn lock(on_disk: &OnDisk) -> MutexGuard<'_, Totals> {
+    on_disk.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Shared {
-    fn totals(&self) -> Totals {
-        let written = self.written.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        Totals {
-            received: self.received.load(Ordering::Relaxed),
-            written: written.records,
-            dropped: self.dropped.load(Ordering::Relaxed),
-            lost_on_disk: written.lost,
-            error: written.error,
-            failing: self.failing.load(Ordering::Relaxed),
-        }
+fn note(on_disk: &OnDisk, written: Written) {
+    let mut total = lock(on_disk);
+    total.written = (total.written + written.records).saturating_sub(written.gone);
+    total.lost_on_disk += written.lost;
+    if written.error.is_some() || written.records > 0 {
+        total.failing = written.error.is_some();
     }
-
-    fn drop_records(&self, records: u64) {
-        self.dropped.fetch_add(records, Ordering::Relaxed);
-    }
-
-    fn note(&self, written: Written) {
-        let mut total = self.written.lock().unwrap_or_else(PoisonError::into_inner);
-        total.records = (total.records + written.records).saturating_sub(written.gone);
-        total.lost += written.lost;
-        if written.error.is_some() || written.records > 0 {
-            self.failing.store(written.error.is_some(), Ordering::Relaxed);
-        }
-        if written.error.is_some() {
-            total.error = written.error;
-        }
-    }
-
-    /// The writer died: its unwritten records are lost.
-    fn note_death(&self) {
-        let totals = self.totals();
-        let lost = totals.received.saturating_sub(totals.written + totals.dropped + totals.lost_on_disk);
-        self.note(Written { lost, error: Some(Error::WriterDied.to_string()), ..Written::default() });
-    }
+    total.error = written.error.or(total.error.take());
 }
 
 /// The receiving side: the chunk being filled, and the way to the writer.
@@ -205,7 +176,10 @@ struct Queue<W: Sink> {
     /// The way to the writer and the writer, until the queue is closed.
     writer: Option<(SyncSender<Message>, JoinHandle<W>)>,
     empty: Receiver<Chunk>,
-    shared: Arc<Shared>,
+    /// Records that passed through, and those that found no room.
+    received: u64,
+    dropped: u64,
+    on_disk: Arc<OnDisk>,
     hand_over_at: Option<Instant>,
     sync_at: Option<Instant>,
     /// The latest time that it was given.
@@ -218,14 +192,14 @@ impl<W: Sink> Queue<W> {
         // One more than chunks, for a bare request to sync: sending never waits.
         let (full, from_receiver) = sync_channel(options.chunks + 1);
         let (to_receiver, empty) = channel();
-        let shared = Arc::new(Shared::default());
-        let count = Arc::clone(&shared);
+        let on_disk = Arc::new(OnDisk::default());
+        let count = Arc::clone(&on_disk);
         let write = move || {
             let mut sink = sink;
             while let Ok(message) = from_receiver.recv() {
                 work(&mut sink, message, &count, |chunk| drop(to_receiver.send(chunk)));
             }
-            count.note(Written { error: sink.sync(), ..Written::default() });
+            note(&count, Written { error: sink.sync(), ..Written::default() });
             sink
         };
         let named = std::thread::Builder::new().name("csi5300 writer".into());
@@ -237,7 +211,9 @@ impl<W: Sink> Queue<W> {
             made: 1,
             writer: Some((full, writer)),
             empty,
-            shared,
+            received: 0,
+            dropped: 0,
+            on_disk,
             hand_over_at: None,
             sync_at: None,
             now: Instant::ZERO,
@@ -266,9 +242,10 @@ impl<W: Sink> Queue<W> {
 
     /// Copies a record into the current chunk, or counts it as dropped.
     fn push(&mut self, now: Instant, host_us: Option<i64>, record: Record<'_>) {
-        self.shared.received.fetch_add(1, Ordering::Relaxed);
+        self.received += 1;
         if !push(&mut self.current, self.options.chunk_bytes, host_us, record) {
-            return self.shared.drop_records(1);
+            self.dropped += 1;
+            return;
         }
         self.hand_over_at.get_or_insert(now + self.options.hand_over);
         if let (None, Some(every)) = (self.sync_at, self.options.sync_every) {
@@ -286,9 +263,15 @@ impl<W: Sink> Queue<W> {
         drop(full);
         let sink = writer.join();
         if sink.is_err() {
-            self.shared.note_death();
+            let Totals { received, written, dropped, lost_on_disk, .. } = self.totals();
+            let lost = received.saturating_sub(written + dropped + lost_on_disk);
+            note(&self.on_disk, Written { lost, error: Some(Error::WriterDied.to_string()), ..Written::default() });
         }
         sink.ok()
+    }
+
+    fn totals(&self) -> Totals {
+        Totals { received: self.received, dropped: self.dropped, ..lock(&self.on_disk).clone() }
     }
 
     fn send(&self, message: Message) -> bool {
@@ -319,7 +302,7 @@ impl<W: Sink> Queue<W> {
         let sync = self.sync_at.is_some_and(|at| at <= now);
         let records = chunk.host_us.len() as u64;
         if !self.send(Message::Write { chunk, sync }) {
-            self.shared.drop_records(records);
+            self.dropped += records;
         }
         self.hand_over_at = None;
         self.sync_at = match self.sync_at {
@@ -352,18 +335,18 @@ fn push(chunk: &mut Chunk, limit: usize, host_us: Option<i64>, record: Record<'_
     is_taken
 }
 
-fn work<W: Sink>(sink: &mut W, message: Message, shared: &Shared, give_back: impl FnOnce(Chunk)) {
+fn work<W: Sink>(sink: &mut W, message: Message, on_disk: &OnDisk, give_back: impl FnOnce(Chunk)) {
     let sync = match message {
         Message::Sync => true,
         Message::Write { chunk, sync } => {
             let written = if chunk.host_us.is_empty() { Written::default() } else { sink.write(&chunk) };
-            shared.note(written);
+            note(on_disk, written);
             give_back(chunk);
             sync
         }
     };
     if sync {
-        shared.note(Written { error: sink.sync(), ..Written::default() });
+        note(on_disk, Written { error: sink.sync(), ..Written::default() });
     }
 }
 
@@ -848,6 +831,7 @@ mod tests {
     use driver_iface::bfee;
     use driver_iface::record::{Tail, code};
     use std::collections::VecDeque;
+    use std::sync::atomic::{AtomicU64, Ordering};
     use std::sync::mpsc::Sender;
 
     /// A disk that remembers in a place that outlives it. It may say when a write begins, wait for permission before it, and die at a chunk.
@@ -931,7 +915,7 @@ mod tests {
         }
         drop(open);
         assert!(queue.close(ms(90)).is_some());
-        assert_eq!(queue.shared.totals().written, 4);
+        assert_eq!(queue.totals().written, 4);
     }
 
     /// A reader that goes away after some writes.
@@ -1148,11 +1132,12 @@ mod tests {
         let (log, syncs) = (Arc::clone(&sink.log), Arc::clone(&sink.syncs));
         let options = Options { chunk_bytes: 10_000, chunks: 1_000, ..Options::default() };
         let mut recorder = Recorder::new(Numbered::new((0..1_000).map(Some)), sink, options).unwrap();
-        let tally = Arc::clone(&recorder.queue.shared);
+        let on_disk = Arc::clone(&recorder.queue.on_disk);
         drain(&mut recorder, Instant::ZERO);
+        assert_eq!((recorder.totals().received, recorder.totals().dropped), (1_000, 0));
         drop(recorder);
-        let totals = tally.totals();
-        assert_eq!((totals.received, totals.written, totals.dropped, totals.lost_on_disk), (1_000, 1_000, 0, 0));
+        let totals = lock(&on_disk).clone();
+        assert_eq!((totals.written, totals.lost_on_disk), (1_000, 0));
         assert_eq!(numbers(&log.lock().unwrap()), (0..1_000).collect::<Vec<_>>());
         assert_eq!(syncs.load(Ordering::Relaxed), 1);
     }
@@ -1164,14 +1149,15 @@ mod tests {
             let log = Arc::clone(&sink.log);
             let options = Options { chunk_bytes: 10_000, chunks: 1_000, ..Options::default() };
             let mut recorder = Recorder::new(Numbered::new((0..1_000).map(Some)), sink, options).unwrap();
-            let tally = Arc::clone(&recorder.queue.shared);
+            let on_disk = Arc::clone(&recorder.queue.on_disk);
             drain(&mut recorder, Instant::ZERO);
+            let Totals { received, dropped, .. } = recorder.totals();
             if finish {
                 assert!(matches!(recorder.finish(Instant::ZERO), Err(Error::WriterDied)));
             } else {
                 drop(recorder);
             }
-            let totals = tally.totals();
+            let totals = Totals { received, dropped, ..lock(&on_disk).clone() };
             assert!(totals.written > 0 && totals.lost_on_disk + totals.dropped > 0, "{totals:?}");
             assert_eq!(totals.received, totals.written + totals.dropped + totals.lost_on_disk);
             assert_eq!(totals.written, numbers(&log.lock().unwrap()).len() as u64);
@@ -1181,25 +1167,17 @@ mod tests {
 
     #[test]
     fn after_a_failure_only_a_record_that_is_written_ends_it() {
-        let shared = Shared::default();
+        let on_disk = OnDisk::default();
         let note = |records, error: Option<&str>| {
-            shared.note(Written { records, error: error.map(str::to_owned), ..Written::default() });
-            (shared.totals().failing, shared.totals().error)
+            super::note(&on_disk, Written { records, error: error.map(str::to_owned), ..Written::default() });
+            let totals = lock(&on_disk).clone();
+            (totals.failing, totals.error)
         };
         let full = Some("full".to_owned());
         assert_eq!(note(0, None), (false, None));
         assert_eq!(note(2, Some("full")), (true, full.clone()));
         assert_eq!(note(0, None), (true, full.clone()), "a sync without an error writes nothing");
         assert_eq!(note(1, None), (false, full), "what went wrong is remembered");
-    }
-
-    #[test]
-    fn what_a_dead_writer_had_taken_is_what_is_in_no_other_count() {
-        let shared = Shared { received: 10.into(), dropped: 3.into(), ..Shared::default() };
-        shared.note(Written { records: 4, lost: 2, ..Written::default() });
-        shared.note_death();
-        let totals = shared.totals();
-        assert_eq!((totals.received, totals.written, totals.dropped, totals.lost_on_disk), (10, 4, 3, 3));
     }
 
     #[test]
@@ -1507,11 +1485,11 @@ mod tests {
             assert!(files.sync().unwrap().contains(&format!("was cut to {left} bytes")));
             let written = files.write(&chunk(4..6));
             assert_eq!((written.records, written.lost), (2, gone), "{} to {left}", cut.display());
-            let shared = Shared { received: 6.into(), ..Shared::default() };
-            shared.note(Written { records: 4, ..Written::default() });
-            shared.note(written.clone());
-            let totals = shared.totals();
-            assert_eq!(totals.received, totals.written + totals.lost_on_disk, "each record is counted once");
+            let on_disk = OnDisk::default();
+            note(&on_disk, Written { records: 4, ..Written::default() });
+            note(&on_disk, written.clone());
+            let totals = lock(&on_disk);
+            assert_eq!(6, totals.written + totals.lost_on_disk, "each record is counted once");
             assert!(written.error.unwrap().contains("was cut by another program"));
             assert_eq!(files.write(&chunk(6..7)), Written { records: 1, ..Written::default() });
             let next = folder.join("out-0001.dat");

@@ -8,7 +8,7 @@
 //! is distinguished from a gap.
 
 use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
-use crate::motion::odometry::{NextPose, OdometryError, OdometrySource};
+use crate::motion::odometry::{NextPose, OdometrySource};
 use crate::motion::pose::Pose;
 use crate::time::{Instant, Span};
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record};
@@ -100,16 +100,7 @@ impl Mailbox {
         use_it(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Takes a message as it came.
-    pub fn put(&self, message: &[u8]) {
-        self.with(|shared| {
-            if shared.put(message).is_none() {
-                shared.counts.foreign += 1;
-            }
-        });
-    }
-
-    /// The same with its time: the queue belongs to the session that it has until nothing of it came for a second. A message
+    /// Takes a message as it came, at `now`: the queue belongs to the session that it has until nothing of it came for a second. A message
     /// of another one meanwhile is of a second sender under this address; it is refused and counted.
     pub fn put_at(&self, now: Instant, message: &[u8]) {
         let session = message.get(4..8).and_then(|bytes| bytes.try_into().ok()).map(u32::from_le_bytes);
@@ -247,7 +238,7 @@ impl CsiSource for RemoteCard {
 }
 
 impl OdometrySource for RemotePoses {
-    fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
         if let Some(pose) = self.held.take() {
             return Ok(NextPose::Pose(pose));
         }
@@ -354,6 +345,14 @@ mod tests {
     use proptest::prelude::*;
 
     const NOW: Instant = Instant::ZERO;
+
+    impl Mailbox {
+        /// From whatever session.
+        fn put(&self, message: &[u8]) {
+            self.with(|shared| shared.owner = None);
+            self.put_at(NOW, message);
+        }
+    }
 
     fn message(batch: &mut Batch, bodies: std::ops::Range<u8>) -> Vec<u8> {
         for body in bodies {

@@ -20,9 +20,8 @@ pub const SENDERS_KEPT: usize = 256;
 #[doc(hidden)] // for the crates of this workspace
 pub const PAUSE_US: i64 = 1_000_000;
 
-/// Smallest, largest and mean value of a quantity; null in JSON where it was never measured.
+/// Smallest, largest and mean value of a quantity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-#[serde(into = "Option<Spread>")]
 pub struct Range {
     /// Smallest value.
     pub min: i32,
@@ -30,38 +29,17 @@ pub struct Range {
     pub max: i32,
     /// Mean value.
     pub mean: f64,
+    #[serde(skip)]
     count: u64,
 }
 
-/// A [`Range`] of something, as JSON has it.
-#[derive(serde::Serialize)]
-struct Spread {
-    min: i32,
-    max: i32,
-    mean: f64,
-}
-
-impl From<Range> for Option<Spread> {
-    fn from(range: Range) -> Self {
-        range.is_measured().then_some(Spread { min: range.min, max: range.max, mean: range.mean })
-    }
-}
-
 impl Range {
-    /// False if there was no value.
-    #[must_use]
-    pub fn is_measured(&self) -> bool {
-        self.count > 0
-    }
-
-    fn note(&mut self, value: i32) {
-        if self.count == 0 {
-            (self.min, self.max) = (value, value);
-        }
-        self.count += 1;
-        self.min = self.min.min(value);
-        self.max = self.max.max(value);
-        self.mean += (f64::from(value) - self.mean) / self.count as f64;
+    fn note(range: &mut Option<Self>, value: i32) {
+        let range = range.get_or_insert(Self { min: value, max: value, ..Self::default() });
+        range.count += 1;
+        range.min = range.min.min(value);
+        range.max = range.max.max(value);
+        range.mean += (f64::from(value) - range.mean) / range.count as f64;
     }
 }
 
@@ -124,11 +102,11 @@ pub struct Survey {
     /// Records without a noise measurement (-127).
     pub noise_unknown: u64,
     /// Noise floor where measured, dBm.
-    pub noise_dbm: Range,
+    pub noise_dbm: Option<Range>,
     /// RSSI by antenna A, B, C, dB relative to the card's reference; zeros (not connected) skipped.
-    pub rssi: [Range; 3],
+    pub rssi: [Option<Range>; 3],
     /// Gain of the receiver, dB.
-    pub agc: Range,
+    pub agc: Option<Range>,
     /// Frames by sender; the all-zero MAC is "unknown".
     #[serde(skip)]
     pub senders: BTreeMap<Mac, Sender>,
@@ -299,12 +277,12 @@ impl Survey {
         self.bad_permutations += u64::from(fields.antennas.is_none());
         match head.noise_dbm {
             -127 => self.noise_unknown += 1,
-            noise => self.noise_dbm.note(i32::from(noise)),
+            noise => Range::note(&mut self.noise_dbm, i32::from(noise)),
         }
         for (range, rssi) in self.rssi.iter_mut().zip(head.rssi).filter(|(_, rssi)| *rssi != 0) {
-            range.note(i32::from(rssi));
+            Range::note(range, i32::from(rssi));
         }
-        self.agc.note(i32::from(head.agc));
+        Range::note(&mut self.agc, i32::from(head.agc));
         self.note_sender(&identity, head.timestamp_low);
         self.host_steps.note(head.timestamp_low, identity.host_us);
         let (now_us, step_us) = self.clock.note(head.timestamp_low, identity.host_us);
@@ -767,8 +745,7 @@ impl Survey {
     /// hears most, and by how much its mean RSSI is higher, dB.
     #[must_use]
     pub fn better_antenna(&self, antenna: Antenna) -> Option<(Antenna, f64)> {
-        let mean =
-            |antenna: Antenna| self.rssi.get(antenna.index()).filter(|rssi| rssi.is_measured()).map(|rssi| rssi.mean);
+        let mean = |antenna: Antenna| self.rssi.get(antenna.index())?.map(|rssi| rssi.mean);
         let heard = Antenna::ALL.into_iter().filter_map(|other| Some((other, mean(other)?)));
         let (best, level_db) = heard.max_by(|a, b| a.1.total_cmp(&b.1))?;
         let above_db = level_db - mean(antenna).unwrap_or(0.0);
@@ -951,8 +928,8 @@ mod tests {
 
     fn with_rssi(rssi: [&[i32]; 3]) -> Survey {
         let range = |values: &[i32]| {
-            let mut range = Range::default();
-            values.iter().for_each(|value| range.note(*value));
+            let mut range = None;
+            values.iter().for_each(|value| Range::note(&mut range, *value));
             range
         };
         Survey { rssi: rssi.map(range), ..Survey::default() }
@@ -1126,17 +1103,9 @@ mod tests {
 
     #[test]
     fn what_was_never_measured_has_no_range() {
-        let mut range = Range::default();
-        assert!(!range.is_measured());
-        [-3, 5, 1].iter().for_each(|value| range.note(*value));
-        assert!(range.is_measured());
-        assert_eq!((range.min, range.max, range.mean), (-3, 5, 1.0));
-        let mut above = Range::default();
-        [7, 9].iter().for_each(|value| above.note(*value));
-        assert_eq!((above.min, above.max, above.mean), (7, 9, 8.0), "0 was not measured");
-        let json = |range: Range| serde_json::to_value(range).unwrap();
-        assert_eq!(json(above), serde_json::json!({"min": 7, "max": 9, "mean": 8.0}));
-        assert_eq!(json(Range::default()), serde_json::Value::Null);
+        let json = |values: &[i32]| serde_json::to_value(with_rssi([values, &[], &[]]).rssi).unwrap();
+        assert_eq!(json(&[-3, 5, 1]), serde_json::json!([{"min": -3, "max": 5, "mean": 1.0}, null, null]));
+        assert_eq!(json(&[7, 9])[0], serde_json::json!({"min": 7, "max": 9, "mean": 8.0}), "0 was not measured");
     }
 
     #[test]
@@ -1290,10 +1259,10 @@ mod tests {
         assert_eq!(survey.streams, [[3, 0, 0], [0, 0, 1], [0, 2, 0]]);
         assert_eq!((survey.antenna_sel[&0x24], survey.antenna_sel[&0], survey.antenna_sel[&0xff]), (2, 3, 1));
         assert_eq!((survey.bad_permutations, survey.noise_unknown), (1, 3));
-        let range = |range: Range| (range.min, range.max, range.count);
+        let range = |range: Option<Range>| range.map(|range| (range.min, range.max, range.count)).unwrap();
         assert_eq!(range(survey.noise_dbm), (-90, -80, 3));
         assert_eq!(survey.rssi.map(range), [(10, 30, 6), (11, 31, 3), (32, 32, 2)], "0 is no antenna");
-        assert_eq!((range(survey.agc), survey.agc.mean), ((20, 40, 6), 170.0 / 6.0));
+        assert_eq!((range(survey.agc), survey.agc.unwrap().mean), ((20, 40, 6), 170.0 / 6.0));
         let broken = [0; 40];
         (0..2).for_each(|_| {
             survey.note(&Next::Record(Stamps::default(), Record { code: code::MPDU, body: &broken }));

@@ -13,6 +13,8 @@
 //! measured, unless a column says that they are valid.
 
 use crate::{Card, Clock, DETECT, Frame, Kind, RssiUnit, Tones, Why};
+use alloc::borrow::ToOwned;
+use alloc::string::String;
 use alloc::vec::Vec;
 
 /// ESP32-CSI-Tool's columns before the samples.
@@ -35,44 +37,11 @@ const SPOILED: usize = 2;
 /// Subcarriers of a training field at 20 MHz.
 const FIELD: usize = 64;
 
-/// Positions of the columns that are used.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Columns {
-    mac: Option<usize>,
-    rssi: Option<usize>,
-    sig_mode: Option<usize>,
-    bandwidth: Option<usize>,
-    channel: Option<usize>,
-    secondary: Option<usize>,
-    clock: Option<usize>,
-    is_real: Option<usize>,
-    real_s: Option<usize>,
-    first_word: Option<usize>,
-}
+/// Names of the columns, from a header line.
+pub(crate) type Columns = Vec<String>;
 
-impl Columns {
-    /// From a header line.
-    fn named(names: &str) -> Self {
-        let at = |name: &str| names.split(',').position(|known| known.trim() == name);
-        Self {
-            mac: at("mac"),
-            rssi: at("rssi"),
-            sig_mode: at("sig_mode"),
-            bandwidth: at("bandwidth"),
-            channel: at("channel"),
-            secondary: at("secondary_channel"),
-            clock: at("local_timestamp"),
-            is_real: at("real_time_set"),
-            real_s: at("real_timestamp"),
-            first_word: at("first_word").or_else(|| at("first_word_invalid")),
-        }
-    }
-
-    /// By the number of columns before the samples.
-    fn counted(columns: usize) -> Option<Self> {
-        let known = [TOOL, ESP_CSI, ESP_CSI_C6].into_iter().find(|names| names.split(',').count() == columns);
-        known.map(Self::named)
-    }
+fn names(header: &str) -> Columns {
+    header.split(',').map(|name| name.trim().to_owned()).collect()
 }
 
 /// Whether one of the first lines is a header or has samples; the ESP32's own messages may precede it.
@@ -95,7 +64,7 @@ pub(crate) fn front(bytes: &[u8], columns: &mut Option<Columns>) -> (Option<Resu
     let Ok(text) = core::str::from_utf8(line) else { return (Some(Err(Why::Damaged)), len) };
     let text = text.trim();
     if text.starts_with("type,") {
-        *columns = Some(Columns::named(text));
+        *columns = Some(names(text));
         return (None, len);
     }
     if text.is_empty() {
@@ -115,31 +84,35 @@ fn read(text: &str, columns: &mut Option<Columns>) -> Option<Frame> {
         before.trim_end_matches(['"', ' ']).trim_end_matches(',').split(',').map(str::trim).collect();
     let columns = match columns {
         Some(columns) => columns,
-        None => columns.insert(Columns::counted(fields.len())?),
+        // By the number of columns before the samples.
+        None => {
+            let known = [TOOL, ESP_CSI, ESP_CSI_C6].into_iter().find(|own| own.split(',').count() == fields.len());
+            columns.insert(names(known?))
+        }
     };
-    let field = |at: Option<usize>| fields.get(at?).copied();
-    let number = |at: Option<usize>| field(at)?.parse::<i64>().ok();
-    let is_ht = number(columns.sig_mode).map(|mode| mode > 0);
-    let is_wide = number(columns.bandwidth) == Some(1);
-    let side = number(columns.secondary).unwrap_or(0);
+    let field = |name: &str| fields.get(columns.iter().position(|own| own == name)?).copied();
+    let number = |name: &str| field(name)?.parse::<i64>().ok();
+    let is_ht = number("sig_mode").map(|mode| mode > 0);
+    let is_wide = number("bandwidth") == Some(1);
+    let side = number("secondary_channel").unwrap_or(0);
     let values = pairs(samples)?;
     let (subcarriers, mut measured, csi) = training_field(&values, is_ht == Some(true), is_wide, side)?;
     let is_legacy = csi.len() == FIELD && values.get(..FIELD) == Some(&csi[..]);
-    if is_legacy && number(columns.first_word) != Some(0) {
+    if is_legacy && number("first_word").or_else(|| number("first_word_invalid")) != Some(0) {
         measured.iter_mut().take(SPOILED).for_each(|measured| *measured = false);
     }
-    let channel = number(columns.channel).and_then(|channel| u16::try_from(channel).ok());
+    let channel = number("channel").and_then(|channel| u16::try_from(channel).ok());
     Some(Frame {
-        clock: number(columns.clock).and_then(|us| u64::try_from(us).ok()).map(|us| Clock::us(us, 32)),
-        host_us: number(columns.is_real).filter(|is_set| *is_set == 1).and_then(|_| host_us(field(columns.real_s)?)),
-        sender: field(columns.mac).and_then(mac),
+        clock: number("local_timestamp").and_then(|us| u64::try_from(us).ok()).map(|us| Clock::us(us, 32)),
+        host_us: number("real_time_set").filter(|is_set| *is_set == 1).and_then(|_| host_us(field("real_timestamp")?)),
+        sender: field("mac").and_then(mac),
         centre_mhz: channel.filter(|channel| (1..=14).contains(channel)).map(|channel| centre_mhz(channel, side)),
         width_mhz: if csi.len() > FIELD { 40 } else { 20 },
         kind: is_ht.map(|is_ht| if is_ht && values.len() > FIELD { Kind::Ht } else { Kind::Legacy }),
         subcarriers,
         measured,
         csi,
-        rssi: alloc::vec![number(columns.rssi).and_then(|rssi| i16::try_from(rssi).ok())],
+        rssi: alloc::vec![number("rssi").and_then(|rssi| i16::try_from(rssi).ok())],
         ..Frame::of(Card::Esp32, RssiUnit::Dbm)
     })
 }
@@ -206,7 +179,6 @@ mod tests {
     use super::*;
     use crate::{Item, items};
     use std::format;
-    use std::string::String;
     use std::vec;
 
     fn samples(pairs: usize, by: &str) -> String {

@@ -1093,7 +1093,7 @@ mod tests {
         let parts = [(from_s, middle_s), (middle_s, to_s)].map(|(a, b)| index.stretch(a, b, 50, None).records);
         assert_eq!(parts[0] + parts[1], whole.records);
         let band = &whole.rssi[0];
-        let survey = index.survey().unwrap().rssi[0];
+        let survey = index.survey().unwrap().rssi[0].unwrap();
         assert_eq!(band.min.iter().flatten().min().map(|rssi| i32::from(*rssi)), Some(survey.min));
         assert_eq!(band.max.iter().flatten().max().map(|rssi| i32::from(*rssi)), Some(survey.max));
         for ((low, mean), high) in band.min.iter().zip(&band.mean).zip(&band.max) {

@@ -1,7 +1,7 @@
 //! The serial port of a TurtleBot3: opened, watched, and reopened after it was unplugged.
 
 use csi5300::motion::odometry::opencr::{Geometry, OpenCr};
-use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
+use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::source::Error;
 use csi5300::time::{Instant, Span};
 use serialport::{SerialPort, TTYPort};
@@ -103,7 +103,7 @@ impl Serial {
 }
 
 impl OdometrySource for Serial {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
         self.connect(now);
         if let Err(error) = self.exchange(now) {
             self.lose(now, &error);

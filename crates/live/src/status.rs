@@ -5,7 +5,7 @@ use csi5300::source::Next;
 use csi5300::source::survey::Survey;
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq, SUBCARRIERS};
+use driver_iface::bfee::{Antenna, Bfee, SUBCARRIERS};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -102,7 +102,8 @@ impl Status {
         let Losses { kernel, driver, disk } = losses;
         let _ = writeln!(text, "lost      {kernel:>10} in the kernel   {driver:>8} before it   {disk:>8} at the disk");
         let _ = writeln!(text, "damaged   {:>10} datagrams, {} bfee", survey.damages, survey.bad_bfee);
-        let _ = writeln!(text, "RSSI      {}   AGC {} to {} dB", rssi(self.rssi), survey.agc.min, survey.agc.max);
+        let agc = survey.agc.unwrap_or_default();
+        let _ = writeln!(text, "RSSI      {}   AGC {} to {} dB", rssi(self.rssi), agc.min, agc.max);
         if silent > 1.0 {
             let _ = writeln!(text, "nothing for {silent:.0} s: `csi5300 doctor` reports what may be wrong");
         }
@@ -129,8 +130,7 @@ fn pictures(bfee: &Bfee<'_>) -> Vec<Picture> {
     let Ok(antennas) = bfee.antennas() else { return Vec::new() };
     let mut pictures = Vec::with_capacity(3);
     for (chain, &antenna) in antennas.as_slice().iter().enumerate() {
-        let mut iq = [Iq::default(); SUBCARRIERS];
-        if bfee.column(chain, 0, &ALL_SUBCARRIERS, &mut iq).is_some() {
+        if let Some(iq) = bfee.column(chain, 0) {
             pictures.push((antenna, iq.map(|iq| f32::from(iq.i).hypot(f32::from(iq.q)))));
         }
     }

@@ -125,7 +125,7 @@ impl Stock {
     #[must_use]
     pub fn counters(&self) -> StockCounts {
         let (reattached, missed) = (self.reattached, self.program.missed());
-        let mut counters = StockCounts { reattached, missed, ..self.intake.counters() };
+        let mut counters = StockCounts { reattached, missed, ..self.intake.counters };
         if let Some([hits, ring_full, unreadable]) = self.program.counts() {
             counters.hits = hits;
             counters.ring_full = counters.ring_full.max(ring_full);
@@ -140,7 +140,7 @@ impl Stock {
             let first = self.look_at.replace(now + LOOK).is_none();
             if !first && self.program.follow_driver()? {
                 self.reattached += 1;
-                self.intake.forget_cards();
+                self.intake.cards.clear();
             }
         }
         Ok(())
@@ -217,6 +217,7 @@ struct Known {
     key: u64,
     card: Card,
     host_times: HostTimes,
+    has_csi: bool,
     /// It heard this robot's own frames, so it is another robot's.
     is_others: bool,
 }
@@ -266,18 +267,6 @@ impl Intake {
         self.is_held
     }
 
-    /// Everything of all cards so far, and how many there are.
-    fn counters(&self) -> StockCounts {
-        let cards = self.cards.iter().fold(self.counters.cards, |sum, known| sum.plus(&known.card.counts()));
-        StockCounts { cards, ..self.counters }
-    }
-
-    /// The driver was reloaded: its cards are others.
-    fn forget_cards(&mut self) {
-        self.counters.cards = self.counters().cards;
-        self.cards.clear();
-    }
-
     /// Looks at the event at hand.
     fn turn(&mut self, clocks: Clocks) -> Turn {
         let Some(event) = Event::new_checked(&self.event) else {
@@ -305,13 +294,16 @@ impl Intake {
             let sender = mpdu.sender().map(|(mac, _)| mac);
             known.is_others |= sender.is_some() && sender == self.own;
         }
-        let handled = known.card.handle(&self.options, &packet, host_us.unwrap_or(0), &mut self.scratch);
+        let counts = &mut self.counters.cards;
+        let records = counts.records;
+        let handled = known.card.handle(counts, &self.options, &packet, host_us.unwrap_or(0), &mut self.scratch);
+        known.has_csi |= self.counters.cards.records != records;
         let Some(record) = handled else { return Turn::Next };
         if known.is_others {
             self.counters.others += 1;
             return Turn::Next;
         }
-        if record.code == code::MPDU && known.card.counts().records == 0 {
+        if record.code == code::MPDU && !known.has_csi {
             // Possibly another kind of card, whose driver shares the function.
             self.counters.held_back += 1;
             return Turn::Next;
@@ -337,10 +329,16 @@ fn place(cards: &mut Vec<Known>, counters: &mut StockCounts, key: u64) -> usize 
         return at;
     }
     if cards.len() >= CARDS_KEPT {
-        counters.cards = counters.cards.plus(&cards.remove(0).card.counts());
+        cards.remove(0);
     }
     counters.cards_seen += 1;
-    cards.push(Known { key, card: Card::default(), host_times: HostTimes::default(), is_others: false });
+    cards.push(Known {
+        key,
+        card: Card::default(),
+        host_times: HostTimes::default(),
+        has_csi: false,
+        is_others: false,
+    });
     cards.len() - 1
 }
 
@@ -635,12 +633,12 @@ mod tests {
         let (records, losses) = turns(&mut intake, &events);
         assert_eq!(losses, [Loss::Overrun { dropped: Some(2) }]);
         assert_eq!(records.len(), 1);
-        let counters = intake.counters();
+        let counters = intake.counters;
         assert_eq!((counters.ring_full, counters.events, counters.records, counters.cards.no_phy), (2, 4, 1, 1));
         // The program's counter is 32 bits wide here, and wraps.
         let (mut intake, wrapped) = (Intake::new(stock::Options::default(), None), event(1, 0, 1, 0xC0, &phy(1)));
         assert_eq!(turns(&mut intake, &[event(1, 0, u32::MAX, 0xC0, &phy(1)), wrapped]).1.len(), 2);
-        assert_eq!(intake.counters().ring_full, u64::from(u32::MAX) + 2);
+        assert_eq!(intake.counters.ring_full, u64::from(u32::MAX) + 2);
     }
 
     #[test]
@@ -649,14 +647,14 @@ mod tests {
         let [a, b] = [0xffff_8880_0000_1000, 0xffff_8880_0000_2000];
         let events = [event(a, 0, 0, 0xC0, &phy(1)), event(b, 0, 0, 0xBB, &csi()), event(a, 0, 0, 0xBB, &csi())];
         let (records, _) = turns(&mut intake, &events);
-        assert_eq!((records.len(), intake.counters().cards.no_phy, intake.counters().cards_seen), (1, 1, 2));
+        assert_eq!((records.len(), intake.counters.cards.no_phy, intake.counters.cards_seen), (1, 1, 2));
         // More cards than are kept: the counts of those that made room stay.
         let many: Vec<_> = (0..100).map(|k| event(k, 0, 0, 0xC0, &phy(1))).collect();
         turns(&mut intake, &many);
-        let counters = intake.counters();
+        let counters = intake.counters;
         assert_eq!((counters.cards_seen, counters.cards.phy, counters.cards.records), (102, 101, 1));
-        intake.forget_cards();
-        assert_eq!(intake.counters().cards.phy, 101);
+        intake.cards.clear();
+        assert_eq!(intake.counters.cards.phy, 101);
         // After the driver's reload the 0xC0 from before it is not used.
         assert_eq!(turns(&mut intake, &[event(99, 0, 0, 0xBB, &csi())]).0.len(), 0);
     }
@@ -674,7 +672,7 @@ mod tests {
         assert_eq!(of(&[event(7, 0, 0, 0xBB, &csi())], &mut intake), [0xBB]);
         assert_eq!(of(&frame(7), &mut intake), [0xC1]);
         assert!(of(&frame(8), &mut intake).is_empty());
-        assert_eq!(intake.counters().held_back, 2);
+        assert_eq!(intake.counters.held_back, 2);
     }
 
     #[test]
@@ -684,7 +682,7 @@ mod tests {
         flagged[29] = 0x80;
         let (records, losses) = turns(&mut intake, &[vec![], vec![0; 31], flagged, event(1, 0, 0, 0xBB, &csi())]);
         assert!(records.is_empty() && losses.is_empty());
-        assert_eq!((intake.counters().malformed, intake.counters().events), (3, 4));
+        assert_eq!((intake.counters.malformed, intake.counters.events), (3, 4));
     }
 
     #[test]
@@ -706,7 +704,7 @@ mod tests {
             [given(heard(1, peer)), given(heard(2, own)), given(heard(2, third)), given(heard(1, third))],
             [1, 0, 0, 1]
         );
-        assert_eq!((intake.counters().others, intake.counters().records), (2, 2));
+        assert_eq!((intake.counters.others, intake.counters.records), (2, 2));
         // A frame with a bad checksum says nothing of its sender.
         let mut bad = heard(1, own);
         let status = bad[1].len() - 4;

@@ -7,7 +7,7 @@ use crate::threads::{CardThread, PoseThread};
 use csi5300::internal::Roller;
 use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::motion::odometry::ros::Stamp;
-use csi5300::motion::odometry::{Mounted, NextPose, OdometryError, OdometrySource, Replayed, SourceCounts};
+use csi5300::motion::odometry::{Mounted, NextPose, OdometrySource, Replayed, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Array;
 use csi5300::pipeline::live::{LivePeer, Track};
@@ -468,7 +468,7 @@ struct Rolling {
 }
 
 impl OdometrySource for Rolling {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
         Ok(match self.source.receive(now)? {
             NextPose::Pose(pose) => NextPose::Pose(self.roller.step(&pose)?),
             NextPose::NewFrame => {
@@ -503,7 +503,7 @@ mod tests {
     struct Listed(VecDeque<NextPose>);
 
     impl OdometrySource for Listed {
-        fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
+        fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
             Ok(self.0.pop_front().unwrap_or(NextPose::End))
         }
 

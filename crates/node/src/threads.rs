@@ -2,7 +2,7 @@
 //! end with the source that reads from them.
 
 use crate::{lock, refused};
-use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
+use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
 use csi5300::time::{Instant, Span};
 use csi5300_live::wait::Monotonic;
@@ -143,7 +143,7 @@ impl CsiSource for CardThread {
 
 /// Poses that are read on a separate thread.
 pub struct PoseThread {
-    poses: Receiver<Result<NextPose, OdometryError>>,
+    poses: Receiver<Result<NextPose, Error>>,
     told: Arc<Mutex<Told>>,
 }
 
@@ -201,11 +201,11 @@ impl PoseThread {
 }
 
 impl OdometrySource for PoseThread {
-    fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
         match self.poses.try_recv() {
             Ok(next) => next,
             Err(TryRecvError::Empty) => Ok(NextPose::Pending),
-            Err(TryRecvError::Disconnected) => Err(OdometryError::ThreadEnded),
+            Err(TryRecvError::Disconnected) => Err(refused("the thread of the odometry has ended")),
         }
     }
 
@@ -299,7 +299,7 @@ mod tests {
     struct Two(u8);
 
     impl OdometrySource for Two {
-        fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
+        fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
             self.0 += 1;
             let position_m = nalgebra::Vector3::zeros();
             let pose = |t_s| NextPose::Pose(Pose { t_s, position_m, heading_rad: None });

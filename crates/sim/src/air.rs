@@ -7,8 +7,9 @@ use super::faults::Injected;
 use super::motion::Follower;
 use super::radio::{Away, Radio};
 use super::random::{Purpose, Stream};
-use super::sounder::{FrameRole, Station};
+use super::sounder::{FrameRole, hear, sounder};
 use super::world::{Path, World};
+use csi5300::exchange::tdma::Tdma;
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::mpdu::{self, Repr};
@@ -35,10 +36,6 @@ struct Active {
     collided: bool,
 }
 
-/// Makes a robot's sender, again after each restart. Arguments: the robot, its restarts so far, and the switch-on time
-/// on its own clock.
-pub(crate) type MakeStation = Box<dyn FnMut(usize, u64, Instant) -> Option<Box<dyn Station>> + Send>;
-
 /// All frames of a room.
 pub struct Air {
     world: Arc<World>,
@@ -50,7 +47,8 @@ pub struct Air {
     now_ns: i64,
     end_ns: i64,
     paths: Vec<Path>,
-    make_station: MakeStation,
+    /// Whether robots sound each other.
+    sounds: bool,
     scratch: Vec<u8>,
     followers: Vec<Follower>,
 }
@@ -62,8 +60,8 @@ impl std::fmt::Debug for Air {
 }
 
 impl Air {
-    /// The air of a world, at time 0. `make_station` makes the room's own senders.
-    pub fn new(world: Arc<World>, make_station: MakeStation) -> Self {
+    /// The air of a world, at time 0. Its robots sound each other as the scene states if it `sounds`.
+    pub fn new(world: Arc<World>, sounds: bool) -> Self {
         let scene = world.scene();
         let nodes = (0..scene.robot.len()).map(|robot| Node::new(scene.seed, robot)).collect();
         let end_ns = (scene.duration_s * 1e9).round() as i64;
@@ -75,7 +73,7 @@ impl Air {
             now_ns: 0,
             end_ns,
             paths: Vec::new(),
-            make_station,
+            sounds,
             scratch: Vec::new(),
             followers: Vec::new(),
             world,
@@ -87,8 +85,7 @@ impl Air {
                 air.push(off, What::Off { robot });
                 air.push(on, What::On { robot });
             }
-            air.nodes[robot].station = (air.make_station)(robot, 0, Instant::ZERO);
-            air.arm(robot);
+            air.start_sender(robot, Instant::ZERO);
         }
         air
     }
@@ -211,7 +208,7 @@ impl Air {
             }
             What::Off { robot } => {
                 let node = &mut self.nodes[robot];
-                (node.on, node.station, node.armed_ns, node.heard) = (false, None, None, None);
+                (node.on, node.sender, node.armed_ns, node.heard) = (false, None, None, None);
                 (node.outgoing, node.tried_ns) = (VecDeque::new(), None);
                 node.injected.restarts += 1;
             }
@@ -221,12 +218,17 @@ impl Air {
 
     /// The driver is reloaded: the counter restarts at 1, the card's clock at 0, and the host's sender restarts.
     fn switch_on(&mut self, robot: usize, t_ns: i64) {
-        let restarts = self.nodes[robot].injected.restarts;
-        let station = (self.make_station)(robot, restarts, local(&self.world, robot, t_ns));
         let node = &mut self.nodes[robot];
         (node.on, node.bfee_count, node.dropped_since) = (true, 0, None);
         node.clock_base_us = self.world.scene().robot[robot].crystal.clock_us(t_ns);
-        node.station = station;
+        self.start_sender(robot, local(&self.world, robot, t_ns));
+    }
+
+    /// Starts a robot's sender at `now` on its own clock.
+    fn start_sender(&mut self, robot: usize, now: Instant) {
+        let restarts = self.nodes[robot].injected.restarts;
+        let sender = self.sounds.then(|| sounder(&self.world, robot, restarts, now).ok().flatten());
+        self.nodes[robot].sender = sender.flatten();
         self.arm(robot);
     }
 
@@ -314,7 +316,7 @@ impl Air {
             number: flight.bytes.number(),
         });
         let now = local(&self.world, robot, flight.end_ns);
-        let role = node.station.as_mut().map_or(FrameRole::Unknown, |s| s.heard(now, flight.bytes.without_fcs()));
+        let role = node.sender.as_mut().map_or(FrameRole::Unknown, |tdma| hear(tdma, now, flight.bytes.without_fcs()));
         let duplicated = node.loss.happens(scene.robot[robot].faults.duplicate);
         self.received(robot, flight, flight.start_ns, role, away_ns);
         if duplicated {
@@ -325,7 +327,7 @@ impl Air {
             let answer = driver_answer(&flight.bytes, world.mac(robot));
             answer.into_iter().for_each(|answer| self.transmit(robot, flight.end_ns, &answer, None));
         }
-        if self.nodes[robot].station.is_some() {
+        if self.nodes[robot].sender.is_some() {
             self.ask(robot, flight.end_ns);
         }
     }
@@ -375,12 +377,9 @@ impl Air {
     fn ask(&mut self, robot: usize, t_ns: i64) {
         let now = local(&self.world, robot, t_ns);
         let mut bytes = std::mem::take(&mut self.scratch);
-        loop {
+        while let Some(next) = self.nodes[robot].sender.as_mut().and_then(|tdma| tdma.poll_transmit(now)) {
             bytes.clear();
-            let Some(station) = self.nodes[robot].station.as_mut() else { break };
-            if !station.transmit(now, &mut bytes) {
-                break;
-            }
+            bytes.extend_from_slice(next.frame);
             self.transmit(robot, t_ns, &bytes, None);
         }
         self.scratch = bytes;
@@ -390,7 +389,7 @@ impl Air {
     /// Schedules a sender's next time.
     fn arm(&mut self, robot: usize) {
         let node = &mut self.nodes[robot];
-        let Some(at) = node.station.as_ref().and_then(|s| s.timeout()) else { return };
+        let Some(at) = node.sender.as_ref().and_then(Tdma::poll_timeout) else { return };
         let t_ns = true_ns(&self.world, robot, at).max(self.now_ns + 1);
         if node.armed_ns.is_none_or(|armed_ns| t_ns < armed_ns) {
             node.armed_ns = Some(t_ns);
@@ -537,8 +536,8 @@ pub struct Node {
     pub passed: Option<VecDeque<Passed>>,
     /// Frames lost because nobody fetched them.
     pub passed_lost: u64,
-    station: Option<Box<dyn Station>>,
-    /// The next time the station is asked.
+    sender: Option<Tdma>,
+    /// The next time the sender is asked.
     armed_ns: Option<i64>,
     /// The last frame heard, until it is answered.
     heard: Option<FrameHeard>,
@@ -600,7 +599,7 @@ impl Node {
             listening: Listening::Nobody,
             passed: None,
             passed_lost: 0,
-            station: None,
+            sender: None,
             armed_ns: None,
             heard: None,
             outgoing: VecDeque::new(),

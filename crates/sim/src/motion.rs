@@ -232,11 +232,7 @@ pub(super) struct Track {
 
 #[derive(Clone, Debug)]
 enum Shape {
-    Still,
-    Straight { length_m: f64 },
-    Turning { radius_m: f64, angle_rad: f64, rise_m: f64 },
-    Square { side_m: f64, turns: f64 },
-    Eight { radius_m: f64, turns: f64 },
+    Formula(RobotMotion),
     Table(Recorded),
     Followed(SharedWay),
 }
@@ -244,32 +240,25 @@ enum Shape {
 impl Track {
     /// Makes a motion ready. Random walks draw from `stream`; `recorded` is the file of a recorded one.
     pub fn new(start: Pose, motion: &RobotMotion, recorded: Option<Recorded>, stream: &mut Stream) -> Self {
-        let turning = |radius_m, angle_rad, rise_m| Shape::Turning { radius_m, angle_rad, rise_m };
-        let (shape, start_s, duration_s) = match motion {
-            RobotMotion::Static => (Shape::Still, 0.0, 0.0),
-            RobotMotion::Line(m) => (Shape::Straight { length_m: m.length_m }, m.start_s, m.duration_s),
-            RobotMotion::Circle(m) => (turning(m.radius_m, TAU * m.turns, 0.0), m.start_s, m.duration_s),
-            RobotMotion::Arc(m) => (turning(m.radius_m, rad(m.angle_deg), 0.0), m.start_s, m.duration_s),
-            RobotMotion::Helix(m) => {
-                (turning(m.radius_m, TAU * m.turns, m.rise_m * m.turns.abs()), m.start_s, m.duration_s)
-            }
-            RobotMotion::Square(m) => (Shape::Square { side_m: m.side_m, turns: m.turns }, m.start_s, m.duration_s),
-            RobotMotion::FigureEight(m) => {
-                (Shape::Eight { radius_m: m.radius_m, turns: m.turns }, m.start_s, m.duration_s)
-            }
-            RobotMotion::RandomWalk(m) => (Shape::Table(walk(start, m, stream)), m.start_s, m.duration_s),
-            RobotMotion::Waypoints(m) => {
-                let table = legs(start, m);
-                let duration_s = table.duration_s();
-                (Shape::Table(table), m.start_s, duration_s)
-            }
-            RobotMotion::Recorded(m) => recorded.map_or((Shape::Still, 0.0, 0.0), |table| {
-                let table = table.strayed(m.stray_m, m.stray_s);
-                let duration_s = table.duration_s();
-                (Shape::Table(table), m.start_s, duration_s)
-            }),
+        let timed = |table: Recorded, start_s| (table.duration_s(), Shape::Table(table), start_s);
+        let (duration_s, shape, start_s) = match motion {
+            RobotMotion::RandomWalk(m) => (m.duration_s, Shape::Table(walk(start, m, stream)), m.start_s),
+            RobotMotion::Waypoints(m) => timed(legs(start, m), m.start_s),
+            RobotMotion::Recorded(m) => match recorded {
+                Some(table) => timed(table.strayed(m.stray_m, m.stray_s), m.start_s),
+                None => (0.0, Shape::Formula(RobotMotion::Static), 0.0),
+            },
             RobotMotion::Followed(m) => {
-                (Shape::Followed(std::sync::Arc::new(std::sync::Mutex::new(Way::new(start, m)))), 0.0, 0.0)
+                (0.0, Shape::Followed(std::sync::Arc::new(Mutex::new(Way::new(start, m)))), 0.0)
+            }
+            RobotMotion::Static => (0.0, Shape::Formula(RobotMotion::Static), 0.0),
+            RobotMotion::Line(Line { start_s, duration_s, .. })
+            | RobotMotion::Circle(Circle { start_s, duration_s, .. })
+            | RobotMotion::Arc(Arc { start_s, duration_s, .. })
+            | RobotMotion::Square(Square { start_s, duration_s, .. })
+            | RobotMotion::Helix(Helix { start_s, duration_s, .. })
+            | RobotMotion::FigureEight(Circle { start_s, duration_s, .. }) => {
+                (*duration_s, Shape::Formula(motion.clone()), *start_s)
             }
         };
         Self { start, shape, start_s, duration_s }
@@ -277,7 +266,7 @@ impl Track {
 
     /// True if the robot never moves.
     pub fn is_still(&self) -> bool {
-        matches!(self.shape, Shape::Still)
+        matches!(self.shape, Shape::Formula(RobotMotion::Static))
     }
 
     /// The way of a followed robot.
@@ -292,27 +281,31 @@ impl Track {
     pub fn at(&self, t_s: f64) -> Pose {
         let moved_s = (t_s - self.start_s).clamp(0.0, self.duration_s);
         let part = if self.duration_s > 0.0 { moved_s / self.duration_s } else { 0.0 };
-        match &self.shape {
-            Shape::Still => self.start,
-            Shape::Straight { length_m } => Pose {
-                position_m: self.start.position_m + heading(self.start.yaw_rad) * (length_m * part),
+        let motion = match &self.shape {
+            Shape::Table(table) => return table.at(moved_s),
+            Shape::Followed(way) => return lock(way).at(t_s).0,
+            Shape::Formula(motion) => motion,
+        };
+        match motion {
+            RobotMotion::Line(m) => Pose {
+                position_m: self.start.position_m + heading(self.start.yaw_rad) * (m.length_m * part),
                 ..self.start
             },
-            Shape::Turning { radius_m, angle_rad, rise_m } => {
-                let mut pose = turn(self.start, *radius_m, angle_rad * part);
-                pose.position_m.z += rise_m * part;
+            RobotMotion::Circle(m) => turn(self.start, m.radius_m, TAU * m.turns * part),
+            RobotMotion::Arc(m) => turn(self.start, m.radius_m, rad(m.angle_deg) * part),
+            RobotMotion::Helix(m) => {
+                let mut pose = turn(self.start, m.radius_m, TAU * m.turns * part);
+                pose.position_m.z += m.rise_m * m.turns.abs() * part;
                 pose
             }
-            Shape::Square { side_m, turns } => round_the_square(self.start, *side_m, turns * part),
-            Shape::Eight { radius_m, turns } => {
-                let figure = turns * part;
+            RobotMotion::Square(m) => round_the_square(self.start, m.side_m, m.turns * part),
+            RobotMotion::FigureEight(m) => {
+                let figure = m.turns * part;
                 let angle = 2.0 * TAU * (figure - figure.floor());
                 // The second circle is the first one's mirror: it begins and ends where the first does.
-                let signed = if angle < TAU { angle } else { TAU - angle };
-                turn(self.start, *radius_m, signed)
+                turn(self.start, m.radius_m, if angle < TAU { angle } else { TAU - angle })
             }
-            Shape::Table(table) => table.at(moved_s),
-            Shape::Followed(way) => lock(way).at(t_s).0,
+            _ => self.start,
         }
     }
 }
@@ -658,7 +651,7 @@ mod tests {
     use super::*;
     use crate::random::Purpose;
     use crate::{Room, Scene};
-    use csi5300::motion::odometry::OdometryError;
+    use csi5300::source::Error;
     use proptest::prelude::*;
     use std::f64::consts::FRAC_PI_2;
 
@@ -891,7 +884,7 @@ mod tests {
     struct Scripted(u32);
 
     impl OdometrySource for Scripted {
-        fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+        fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
             let due = Instant::from_us(i64::from(self.0) * 50_000 + 20_000);
             if due > now {
                 return Ok(NextPose::Pending);
@@ -899,7 +892,7 @@ mod tests {
             self.0 += 1;
             match self.0 {
                 40 => Ok(NextPose::NewFrame),
-                80.. => Err(OdometryError::Other("unplugged".into())),
+                80.. => Err(Error::Backend("unplugged".into())),
                 k => Ok(NextPose::Pose(pose(7e8 + due.as_s(), if k > 40 { 20.0 } else { due.as_s() }))),
             }
         }

@@ -15,7 +15,7 @@ use super::sounder::FrameRole;
 use super::world::World;
 use csi_formats::feitcsi;
 use csi5300::internal::{FrameReceiver, HeardFrame};
-use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
+use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::source::other_card::Translator;
 use csi5300::source::{CsiSource, Error, Injector, Loss, Next, Origin, Stamps};
@@ -334,12 +334,7 @@ impl Port {
         if let Some((mpdu, number)) = mpdu.and_then(|mpdu| Some((mpdu, mpdu.sounding_counter()?))) {
             self.last = (if number == 0 { Mac::ZERO } else { mpdu.addr3 }, number);
         }
-        Wsr {
-            tv_sec: host_us.div_euclid(1_000_000) as u32,
-            tv_usec: host_us.rem_euclid(1_000_000) as u32,
-            mac: self.last.0,
-            frame_count: Some(self.last.1),
-        }
+        Wsr::at(host_us, self.last.0, Some(self.last.1))
     }
 
     fn stamps(&self, air: &Air, reception: &Reception) -> Stamps {
@@ -633,7 +628,7 @@ impl Odometer {
 }
 
 impl OdometrySource for Odometer {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
         let now_ns = now.as_us().saturating_mul(1_000);
         while let Some(due_ns) = self.due_ns() {
             if due_ns > now_ns {

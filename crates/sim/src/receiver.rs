@@ -5,10 +5,11 @@ use super::maths::{amplitude, decibel, phasor, power};
 use super::radio::{AntennaOrder, Gain, Noise, Radio, Stray};
 use super::random::{Purpose, Stream};
 use super::scene::{Preamble, Scene};
-use super::world::{Common, Path, TONES, Tones, World};
+use super::world::{Common, Path, TONES, World};
 use csi_formats::Kind;
 use driver_iface::bfee::Iq;
 use num_complex::Complex64;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// The card's report on one frame, without clocks and counters.
 #[derive(Clone, Copy, Debug)]
@@ -52,11 +53,18 @@ pub struct Receiver {
     filter: Option<[f64; TONES]>,
 }
 
-/// The signals at the chains of one card, before the converter.
+/// What reaches the antennas of one card, before the converter.
 struct Incoming {
-    tones: [Tones; 3],
-    /// Mean power of each antenna's tones; `None` where nothing is connected.
-    power: [Option<f64>; 3],
+    /// Each antenna's tones and their mean power; `None` where nothing is connected or nothing arrives.
+    heard: Vec<Option<(Vec<Complex64>, f64)>>,
+    /// The greatest of these powers, and that of the noise.
+    strongest: f64,
+    noise: f64,
+    /// Power that is received at a distance of 1 m, dBm.
+    metre_dbm: f64,
+    /// Steps of the converter per unit of the channel, and the `agc` field.
+    lsb: f64,
+    agc: u8,
 }
 
 impl Receiver {
@@ -86,51 +94,66 @@ impl Receiver {
 
     /// Receives a frame. `None` if no path leads from sender to receiver, or one of no length: antennas at one place.
     pub fn measure(&mut self, world: &World, arrival: Arrival) -> Option<Measured> {
-        let common = self.common(world, arrival);
-        let n_rx = usize::from(self.radio.chains.clamp(1, 3));
-        let incoming = self.incoming(world, arrival, common, n_rx);
-        let strongest = incoming.power.iter().flatten().fold(0.0_f64, |a, &b| a.max(b));
-        if strongest <= 0.0 || incoming.power.iter().flatten().any(|power| !power.is_finite()) {
-            return None;
-        }
-        let received_db = self.radio.tx_power_dbm - world.first_metre_db();
-        let noise = self.noise(strongest, received_db);
-        let strongest_dbm = received_db + decibel(strongest + noise);
-        let (lsb, agc) = self.gain(strongest + noise, strongest_dbm);
-        let level_db = received_db + 44.0 + f64::from(agc);
-        let rssi = self.rssi(&incoming.power, n_rx, level_db, noise);
+        let (n_rx, filter) = (usize::from(self.radio.chains.clamp(1, 3)), self.filter);
+        let fill = |paths: &[Path], common, tones: &mut [Complex64]| {
+            paths.iter().for_each(|path| world.carrier.add(path, common, tones));
+            if let Some(filter) = &filter {
+                tones.iter_mut().zip(filter).for_each(|(tone, gain)| *tone *= *gain);
+            }
+        };
+        let incoming = self.incoming(world, arrival, n_rx, TONES, fill)?;
+        let rssi = self.rssi(&incoming);
         let order = order_of(self.radio.antenna_order, n_rx, rssi);
         let mut measured = Measured {
             csi: [Iq::default(); 3 * TONES],
             n_rx: n_rx as u8,
             rssi: rssi.map(|db| db.round().clamp(0.0, 255.0) as u8),
-            agc,
+            agc: incoming.agc,
             antenna_sel: (0..n_rx).fold(0, |sel, k| sel | (order[k] as u8) << (2 * k)),
             saturated: 0,
         };
         for (k, &antenna) in order.iter().enumerate().take(n_rx) {
-            self.convert(&incoming, antenna, lsb, noise, k, &mut measured);
+            self.convert(&incoming, antenna, k, &mut measured);
         }
         Some(measured)
     }
 
-    /// The tones that reach each antenna.
-    fn incoming(&mut self, world: &World, arrival: Arrival, common: Common, n_rx: usize) -> Incoming {
-        let mut incoming = Incoming { tones: [[Complex64::default(); TONES]; 3], power: [None; 3] };
+    /// What reaches each antenna, by `fill`, which adds paths to an antenna's tones; `None` if that is nothing, or infinite.
+    fn incoming(
+        &mut self,
+        world: &World,
+        arrival: Arrival,
+        chains: usize,
+        tones: usize,
+        fill: impl Fn(&[Path], Common, &mut [Complex64]),
+    ) -> Option<Incoming> {
+        let common = self.common(world, arrival);
         let t_s = arrival.t_ns as f64 * 1e-9;
-        for (antenna, (tones, power)) in incoming.tones.iter_mut().zip(&mut incoming.power).enumerate().take(n_rx) {
-            if world.paths(arrival.from, arrival.to, antenna, t_s, &mut self.paths) {
-                self.paths.iter().for_each(|path| world.carrier.add(path, common, tones));
-                if let Some(filter) = &self.filter {
-                    tones.iter_mut().zip(filter).for_each(|(tone, gain)| *tone *= *gain);
-                }
+        let mut heard = Vec::with_capacity(chains);
+        for antenna in 0..chains {
+            heard.push(world.paths(arrival.from, arrival.to, antenna, t_s, &mut self.paths).then(|| {
+                let mut own = vec![Complex64::default(); tones];
+                fill(&self.paths, common, &mut own);
                 if let Some(phasor) = self.chain_phasor(antenna) {
-                    tones.iter_mut().for_each(|tone| *tone *= phasor);
+                    own.iter_mut().for_each(|tone| *tone *= phasor);
                 }
-                *power = Some(tones.iter().map(Complex64::norm_sqr).sum::<f64>() / TONES as f64);
-            }
+                let power = own.iter().map(Complex64::norm_sqr).sum::<f64>() / tones as f64;
+                (own, power)
+            }));
         }
-        incoming
+        let powers = || heard.iter().flatten().map(|(_, power)| *power);
+        let strongest = powers().fold(0.0, f64::max);
+        if strongest <= 0.0 || powers().any(|power| !power.is_finite()) {
+            return None;
+        }
+        let metre_dbm = self.radio.tx_power_dbm - world.first_metre_db();
+        let noise = match self.radio.noise {
+            Noise::Off => 0.0,
+            Noise::SnrDb(db) => strongest * power(-db),
+            Noise::FloorDbm(dbm) => power(dbm - metre_dbm),
+        };
+        let (lsb, agc) = self.gain(strongest + noise, metre_dbm + decibel(strongest + noise));
+        Some(Incoming { heard, strongest, noise, metre_dbm, lsb, agc })
     }
 
     /// The signal of a chain without an antenna; A always has one.
@@ -155,15 +178,6 @@ impl Receiver {
         Common { turns, delay_s }
     }
 
-    /// Mean power of the noise, as that of the tones; `received_db` is the power that is received at a distance of 1 m.
-    fn noise(&self, strongest: f64, received_db: f64) -> f64 {
-        match self.radio.noise {
-            Noise::Off => 0.0,
-            Noise::SnrDb(db) => strongest * power(-db),
-            Noise::FloorDbm(dbm) => power(dbm - received_db),
-        }
-    }
-
     /// Steps of the converter per unit of the channel, and the `agc` field.
     fn gain(&mut self, power: f64, dbm: f64) -> (f64, u8) {
         match self.radio.gain {
@@ -177,12 +191,13 @@ impl Receiver {
     }
 
     /// RSSI of each antenna, dB, not rounded: `rss = rssi - 44 - agc` dBm, as csitool scales it.
-    fn rssi(&mut self, powers: &[Option<f64>; 3], n_rx: usize, level_db: f64, noise: f64) -> [f64; 3] {
+    fn rssi(&mut self, incoming: &Incoming) -> [f64; 3] {
         let mut rssi = [0.0; 3];
-        for (antenna, (rssi, power)) in rssi.iter_mut().zip(powers).enumerate().take(n_rx) {
+        let level_db = incoming.metre_dbm + 44.0 + f64::from(incoming.agc);
+        for (antenna, (rssi, heard)) in rssi.iter_mut().zip(&incoming.heard).enumerate() {
             let stray = self.stray(antenna);
-            *rssi = match power {
-                Some(power) => level_db + decibel(power + noise),
+            *rssi = match heard {
+                Some((_, power)) => level_db + decibel(power + incoming.noise),
                 None => stray.rssi_db + self.stream.spread(stray.rssi_std_db),
             };
         }
@@ -190,17 +205,17 @@ impl Receiver {
     }
 
     /// Adds noise to an antenna's tones and rounds them into raw chain `k`.
-    fn convert(&mut self, incoming: &Incoming, antenna: usize, lsb: f64, noise: f64, k: usize, out: &mut Measured) {
-        let stray = self.stray(antenna).lsb;
-        let (scale, std) = match incoming.power[antenna] {
-            Some(_) => (lsb, (0.5 * noise).sqrt() * lsb),
-            None => (0.0, stray * std::f64::consts::FRAC_1_SQRT_2),
+    fn convert(&mut self, incoming: &Incoming, antenna: usize, k: usize, out: &mut Measured) {
+        let Incoming { lsb, noise, .. } = *incoming;
+        let (tones, scale, std) = match &incoming.heard[antenna] {
+            Some((tones, _)) => (&tones[..], lsb, (0.5 * noise).sqrt() * lsb),
+            None => (&[Complex64::ZERO; TONES][..], 0.0, self.stray(antenna).lsb * FRAC_1_SQRT_2),
         };
         if scale == 0.0 && std == 0.0 {
             return;
         }
         let places = out.csi.iter_mut().skip(k).step_by(usize::from(out.n_rx));
-        for (place, tone) in places.zip(&incoming.tones[antenna]) {
+        for (place, tone) in places.zip(tones) {
             let (re, im) = (tone.re * scale + self.stream.spread(std), tone.im * scale + self.stream.spread(std));
             *place = quantised(re, im, &mut out.saturated);
         }
@@ -276,68 +291,37 @@ impl Ax210 {
 impl Receiver {
     /// Receives a frame. `None` if no path leads from sender to receiver, or one of no length.
     pub fn measure_ax210(&mut self, world: &World, arrival: Arrival, card: &Ax210) -> Option<MeasuredAx210> {
-        let common = self.common(world, arrival);
         let chains = usize::from(self.radio.chains.max(1)).min(CHAINS);
-        let heard: Vec<Option<Vec<Complex64>>> =
-            (0..chains).map(|antenna| self.heard(world, arrival, common, antenna, card)).collect();
-        let mean = |tones: &Vec<Complex64>| tones.iter().map(Complex64::norm_sqr).sum::<f64>() / tones.len() as f64;
-        let powers: Vec<Option<f64>> = heard.iter().map(|tones| tones.as_ref().map(mean)).collect();
-        let strongest = powers.iter().flatten().fold(0.0_f64, |a, &b| a.max(b));
-        if strongest <= 0.0 || !strongest.is_finite() {
-            return None;
-        }
-        let received_dbm = self.radio.tx_power_dbm - world.first_metre_db();
-        let noise = self.noise(strongest, received_dbm);
-        let (lsb, _) = self.gain(strongest + noise, received_dbm + decibel(strongest + noise));
+        let at = (&card.tones.subcarriers[..], card.spacing_hz);
+        let fill = |paths: &[Path], common, tones: &mut [Complex64]| {
+            paths.iter().for_each(|path| world.carrier.add_at(path, common, at, tones));
+        };
+        let incoming = self.incoming(world, arrival, chains, card.tones.subcarriers.len(), fill)?;
         let mut measured = MeasuredAx210 {
             csi: Vec::with_capacity(chains * card.tones.subcarriers.len()),
             n_rx: chains as u8,
             rssi_dbm: [-127; CHAINS],
             saturated: 0,
         };
-        for (antenna, (tones, power)) in heard.iter().zip(&powers).enumerate() {
-            let dbm = power.map_or(f64::MIN, |power| received_dbm + decibel(power + noise));
-            measured.rssi_dbm[antenna] = dbm.round().clamp(-127.0, -1.0) as i16;
-            self.convert_ax210(tones.as_deref(), (lsb * STEPS, noise, strongest), antenna, card, &mut measured);
+        for (antenna, heard) in incoming.heard.iter().enumerate() {
+            let power = |(_, power): &(_, f64)| incoming.metre_dbm + decibel(power + incoming.noise);
+            measured.rssi_dbm[antenna] = heard.as_ref().map_or(f64::MIN, power).round().clamp(-127.0, -1.0) as i16;
+            self.convert_ax210(&incoming, antenna, card, &mut measured);
         }
         Some(measured)
     }
 
-    /// The tones at an antenna; none if it is not connected or nothing reaches it.
-    fn heard(
-        &mut self,
-        world: &World,
-        arrival: Arrival,
-        common: Common,
-        antenna: usize,
-        card: &Ax210,
-    ) -> Option<Vec<Complex64>> {
-        let t_s = arrival.t_ns as f64 * 1e-9;
-        world.paths(arrival.from, arrival.to, antenna, t_s, &mut self.paths).then_some(())?;
-        let mut tones = vec![Complex64::default(); card.tones.subcarriers.len()];
-        let at = (&card.tones.subcarriers[..], card.spacing_hz);
-        self.paths.iter().for_each(|path| world.carrier.add_at(path, common, at, &mut tones));
-        if let Some(phasor) = self.chain_phasor(antenna) {
-            tones.iter_mut().for_each(|tone| *tone *= phasor);
-        }
-        Some(tones)
-    }
-
     /// Adds noise to an antenna's tones, replaces pilots by noise as strong as the signal, and rounds.
-    fn convert_ax210(
-        &mut self,
-        tones: Option<&[Complex64]>,
-        (lsb, noise, signal): (f64, f64, f64),
-        antenna: usize,
-        card: &Ax210,
-        out: &mut MeasuredAx210,
-    ) {
-        let stray = self.stray(antenna).lsb * STEPS * std::f64::consts::FRAC_1_SQRT_2;
+    fn convert_ax210(&mut self, incoming: &Incoming, antenna: usize, card: &Ax210, out: &mut MeasuredAx210) {
+        let Incoming { strongest, noise, .. } = *incoming;
+        let lsb = incoming.lsb * STEPS;
+        let tones = incoming.heard[antenna].as_ref().map(|(tones, _)| tones);
+        let stray = self.stray(antenna).lsb * STEPS * FRAC_1_SQRT_2;
         for (k, is_data) in card.tones.data.iter().enumerate() {
             let (tone, std) = match tones.and_then(|tones| tones.get(k)) {
                 None => (Complex64::default(), stray),
                 Some(tone) if *is_data => (tone * lsb, (0.5 * noise).sqrt() * lsb),
-                Some(_) => (Complex64::default(), (0.5 * signal).sqrt() * lsb),
+                Some(_) => (Complex64::default(), (0.5 * strongest).sqrt() * lsb),
             };
             let parts = [tone.re + self.stream.spread(std), tone.im + self.stream.spread(std)];
             let (low, high) = (f64::from(i16::MIN), f64::from(i16::MAX));

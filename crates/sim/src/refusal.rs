@@ -34,7 +34,7 @@ pub enum SceneError {
     },
     /// It is not TOML or not a scene (an unknown key, a value of another type), a value is invalid, or robots are at impossible
     /// places.
-    #[error("{}{reason}", At(*line))]
+    #[error("{}{reason}", at(*line))]
     Value {
         /// The way to the value from the scene's root, `robot[1].faults.loss`; empty where TOML's reader refused it.
         place: String,
@@ -49,12 +49,8 @@ pub enum SceneError {
 }
 
 /// The line of a text, before what is wrong with it.
-struct At(Option<usize>);
-
-impl fmt::Display for At {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.map_or(Ok(()), |line| write!(f, "line {line}: "))
-    }
+fn at(line: Option<usize>) -> String {
+    line.map_or_else(String::new, |line| format!("line {line}: "))
 }
 
 impl SceneError {

@@ -1,13 +1,13 @@
 //! The room: one card and one odometry for each robot, and their accounts; or a run to its end in memory.
 
-use super::air::{Air, MakeStation};
+use super::air::Air;
 use super::faults::Injected;
 use super::motion::{Follower, Pose};
 use super::port::{Interface, Odometer, Port, ceil_us, host_us, lock};
 use super::refusal::{SceneError, check};
 use super::refused;
 use super::scene::{Card, Scene};
-use super::sounder::{FrameRole, Station, sounder};
+use super::sounder::{FrameRole, sounder};
 use super::world::World;
 use csi_formats::feitcsi;
 use csi5300::exchange::tdma::PlanError;
@@ -45,12 +45,7 @@ impl Room {
         let world = Self::checked(scene)?;
         // Errors occur for the first robot already.
         sounder(&world, 0, 0, Instant::ZERO)?;
-        let stations = Arc::clone(&world);
-        let make = move |robot, restarts, now| {
-            let sounder = sounder(&stations, robot, restarts, now).ok().flatten()?;
-            Some(Box::new(sounder) as Box<dyn Station>)
-        };
-        Ok(Self::in_world(world, Box::new(make)))
+        Ok(Self::in_world(world, true))
     }
 
     /// A room in which robots send only what is injected through their [`Port`]s (and what a driver with an `ack_len`
@@ -59,7 +54,7 @@ impl Room {
     /// # Errors
     /// [`RoomError::Scene`] as [`Room::new`].
     pub fn quiet(scene: &Scene) -> Result<Self, RoomError> {
-        Ok(Self::in_world(Self::checked(scene)?, Box::new(|_, _, _| None)))
+        Ok(Self::in_world(Self::checked(scene)?, false))
     }
 
     fn checked(scene: &Scene) -> Result<Arc<World>, RoomError> {
@@ -68,9 +63,8 @@ impl Room {
         Ok(Arc::new(world))
     }
 
-    /// A room with given senders; `make` makes one for each robot, and again after each restart.
-    fn in_world(world: Arc<World>, make: MakeStation) -> Self {
-        let air = Arc::new(Mutex::new(Air::new(Arc::clone(&world), make)));
+    fn in_world(world: Arc<World>, sounds: bool) -> Self {
+        let air = Arc::new(Mutex::new(Air::new(Arc::clone(&world), sounds)));
         Self { air, taken: vec![false; world.scene().robot.len()], world }
     }
 
@@ -403,41 +397,20 @@ mod tests {
         bytes
     }
 
-    /// Sends one numbered frame every 10 ms; answers are left to the drivers' `ack_len`.
-    #[derive(Debug)]
-    struct Beacon {
-        mac: [u8; 6],
-        number: u32,
-        next: Instant,
-    }
-
-    impl Station for Beacon {
-        fn heard(&mut self, _: Instant, _: &[u8]) -> FrameRole {
-            FrameRole::Unknown
+    /// Robot 0 of the scene sends one numbered frame every 10 ms, from one again after a restart; the others answer by
+    /// their drivers' `ack_len`. The room and the cards of robots 0 and 1.
+    fn beaconing(scene: &Scene) -> (Room, [Port; 2]) {
+        let mut room = Room::quiet(scene).unwrap();
+        let mut cards = [0, 1].map(|robot| room.card(robot).unwrap());
+        let (mac, faults) = (room.mac(0).unwrap().0, &scene.robot[0].faults);
+        let mut number = 0;
+        for tick in 0..=(scene.duration_s * 100.0) as i64 {
+            let t_s = tick as f64 / 100.0;
+            let is_off = |at_s: &f64| (*at_s..at_s + faults.restart_s).contains(&t_s);
+            number = if faults.restart_at_s.iter().any(is_off) { 0 } else { number + 1 };
+            cards[0].inject(Instant::from_us(tick * 10_000), &frame(mac, number, 57)).unwrap();
         }
-
-        fn transmit(&mut self, now: Instant, out: &mut Vec<u8>) -> bool {
-            if now < self.next {
-                return false;
-            }
-            self.number += 1;
-            self.next = Instant::from_us((now.as_us() / 10_000 + 1) * 10_000);
-            *out = frame(self.mac, self.number, 57);
-            true
-        }
-
-        fn timeout(&self) -> Option<Instant> {
-            Some(self.next)
-        }
-    }
-
-    /// A room whose robot 0 beacons; the others answer by their drivers.
-    fn beaconing(scene: &Scene) -> Room {
-        let mac = scene.robot[0].mac_address(0).unwrap().0;
-        let make = move |robot: usize, _, _| {
-            (robot == 0).then(|| Box::new(Beacon { mac, number: 0, next: Instant::ZERO }) as Box<dyn Station>)
-        };
-        Room::in_world(Room::checked(scene).unwrap(), Box::new(make))
+        (room, cards)
     }
 
     fn two(head: &str, rx: &str, tx: &str) -> Scene {
@@ -495,8 +468,7 @@ mod tests {
 
     /// Runs a beaconing room to its end: records of robots 0 and 1, overruns reported by them, and the room's account.
     fn run(scene: &Scene) -> ([Vec<Row>; 2], [u64; 2], Vec<Injected>) {
-        let mut room = beaconing(scene);
-        let (mut rx, mut tx) = (room.card(0).unwrap(), room.card(1).unwrap());
+        let (room, [mut rx, mut tx]) = beaconing(scene);
         let (rx_rows, rx_lost) = drain(&mut rx);
         let (tx_rows, tx_lost) = drain(&mut tx);
         ([rx_rows, tx_rows], [rx_lost, tx_lost], room.injected())
@@ -536,8 +508,7 @@ mod tests {
         let text = "radio.noise.snr_db = 10.0\nradio.phase_noise_rad = 0.1\nradio.delay_std_ns = 30.0\nradio.antenna_order = \"by_rssi\"";
         let scene = two(text, "faults = { loss = 0.1, duplicate = 0.1 }", "");
         let ([rx, tx], ..) = run(&scene);
-        let mut room = beaconing(&scene);
-        let (mut rx2, mut tx2) = (room.card(0).unwrap(), room.card(1).unwrap());
+        let (mut room, [mut rx2, mut tx2]) = beaconing(&scene);
         assert!(room.card(0).is_none(), "each card is handed out once");
         let tx2 = drain(&mut tx2).0;
         assert_eq!((drain(&mut rx2).0, tx2), (rx.clone(), tx));
@@ -587,8 +558,7 @@ mod tests {
     #[test]
     fn after_an_overrun_nothing_comes_until_the_queue_is_empty() {
         let scene = two("", "faults.queue_records = 10", "");
-        let mut room = beaconing(&scene);
-        let mut rx = room.card(0).unwrap();
+        let (_room, [mut rx, _]) = beaconing(&scene);
         // Half a second without reading: 51 records came, 10 were kept. One is read, then half a second passes again.
         assert!(matches!(rx.receive(Instant::from_us(504_000)).unwrap(), Next::Record(..)));
         let later = Instant::from_us(1_004_000);
@@ -622,8 +592,7 @@ mod tests {
     #[test]
     fn the_stock_driver_gives_frame_and_record_in_turn() {
         let scene = two("driver = \"stock\"", "", "");
-        let mut room = beaconing(&scene);
-        let mut rx = room.card(0).unwrap();
+        let (_room, [mut rx, _]) = beaconing(&scene);
         let now = Instant::from_us(500_000);
         for number in 1..=40 {
             let Next::Record(_, record) = rx.receive(now).unwrap() else { panic!("no frame {number}") };

@@ -19,7 +19,7 @@
 //! collide. Several programs may listen to one card; one at a time may use a robot's air.
 
 use crate::{Interface, Odometer, Port, Room, refused};
-use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, csv};
+use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
@@ -253,20 +253,19 @@ impl Poses {
 }
 
 impl OdometrySource for Poses {
-    fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
         let mut line = [0; LINE];
         while !self.ended {
             match take(&self.socket, &mut line) {
                 Ok(0) => self.ended = true,
                 Ok(len) => {
                     let line = line.get(..len).unwrap_or_default();
-                    let what = "a pose of a room";
-                    let pose = csv::parse_line(line).map_err(|source| OdometryError::Row { what, source })?;
+                    let pose = csv::parse_line(line).map_err(|error| refused(format!("a pose of a room: {error}")))?;
                     return Ok(NextPose::Pose(pose));
                 }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(NextPose::Pending),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(source) => return Err(OdometryError::Io { what: "receiving poses from a room", source }),
+                Err(source) => return Err(Error::Io { what: "receiving poses from a room".into(), source }),
             }
         }
         Ok(NextPose::End)

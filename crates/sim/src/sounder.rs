@@ -15,34 +15,18 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
 const GUARD_PER_JITTER: f64 = 5.0;
 const GUARD_DEVIATIONS: f64 = 3.0;
 
-/// One robot's side of the exchange.
-#[derive(Debug)]
-pub struct Sounder {
-    tdma: Tdma,
-}
-
-impl Station for Sounder {
-    fn heard(&mut self, now: Instant, frame: &[u8]) -> FrameRole {
-        self.tdma.handle_heard(now, now, frame);
-        let mut role = FrameRole::Overheard;
-        while let Some(event) = self.tdma.poll_event() {
-            match event {
-                Event::Asked { .. } => role = FrameRole::Forward,
-                Event::Answered { .. } => role = FrameRole::Backward,
-                _ => {}
-            }
+/// Hands a robot's sender a frame (no FCS) whose end was at `now` on its host's monotonic clock.
+pub(super) fn hear(tdma: &mut Tdma, now: Instant, frame: &[u8]) -> FrameRole {
+    tdma.handle_heard(now, now, frame);
+    let mut role = FrameRole::Overheard;
+    while let Some(event) = tdma.poll_event() {
+        match event {
+            Event::Asked { .. } => role = FrameRole::Forward,
+            Event::Answered { .. } => role = FrameRole::Backward,
+            _ => {}
         }
-        role
     }
-
-    fn transmit(&mut self, now: Instant, frame: &mut Vec<u8>) -> bool {
-        let transmit = self.tdma.poll_transmit(now);
-        transmit.map(|transmit| frame.extend_from_slice(transmit.frame)).is_some()
-    }
-
-    fn timeout(&self) -> Option<Instant> {
-        self.tdma.poll_timeout()
-    }
+    role
 }
 
 /// The request of a scene's sounding; an infinite rate becomes the highest that fits.
@@ -88,7 +72,7 @@ fn lateness_us(radio: &Radio) -> f64 {
 ///
 /// # Errors
 /// [`PlanError`] as [`request`].
-pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) -> Result<Option<Sounder>, PlanError> {
+pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) -> Result<Option<Tdma>, PlanError> {
     let scene = world.scene();
     let Some(sounding) = &scene.sounding else { return Ok(None) };
     let request = request(scene, sounding)?;
@@ -112,7 +96,7 @@ pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) 
             config.start = begin - listened - Span::from_us(1);
         }
     }
-    Tdma::new(&config).map(|tdma| Some(Sounder { tdma }))
+    Tdma::new(&config).map(Some)
 }
 
 /// A frame's role for the robot that heard it.
@@ -126,21 +110,6 @@ pub(crate) enum FrameRole {
     Overheard,
     /// Unknown: this robot has no sender.
     Unknown,
-}
-
-/// A sender. The room calls it for received frames and timeouts, and takes its frames.
-///
-/// All times are its host's own monotonic clock. After each [`Station::heard`] and at each [`Station::timeout`] the
-/// room asks [`Station::transmit`] until there is no frame.
-pub(crate) trait Station: Send + std::fmt::Debug {
-    /// A frame (no FCS) whose end was at `now`.
-    fn heard(&mut self, now: Instant, frame: &[u8]) -> FrameRole;
-
-    /// Appends a frame to be sent at once to `frame`, which is empty; false if there is none.
-    fn transmit(&mut self, now: Instant, frame: &mut Vec<u8>) -> bool;
-
-    /// Its next timeout.
-    fn timeout(&self) -> Option<Instant>;
 }
 
 #[cfg(test)]

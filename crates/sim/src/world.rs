@@ -223,9 +223,6 @@ pub const TONES: usize = SUBCARRIERS;
 /// Period of one sample at 20 MHz, seconds; at 40 MHz it is half of it.
 pub const SAMPLE_20_S: f64 = 50e-9;
 
-/// One row of tones.
-pub type Tones = [Complex64; TONES];
-
 /// The tones of a channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Carrier {
@@ -259,7 +256,7 @@ impl Carrier {
     /// 1 m.
     ///
     /// Three sines and cosines a path: tone follows tone by multiplication, which costs about 30 rounding errors.
-    pub fn add(&self, path: &Path, common: Common, tones: &mut Tones) {
+    pub fn add(&self, path: &Path, common: Common, tones: &mut [Complex64]) {
         let flight_s = path.length_m / SPEED_OF_LIGHT_M_PER_S;
         let step_turns = -SUBCARRIER_SPACING_HZ * (flight_s + common.delay_s);
         let first = self.indices[0];

@@ -118,11 +118,11 @@ impl Tdma {
     pub fn new(config: &Config) -> Result<Self, PlanError> {
         let plan = Plan::new(&config.request)?;
         config.check(&plan)?;
-        let (_, longest) = plan.dialect.longest(plan.slots.into());
+        let (_, longest) = plan.request.dialect.longest(plan.slots.into());
         let buffer = vec![0; longest].into_boxed_slice();
         let roster = Roster::new(config);
         // In WSR's dialect as WSR's sender counts, from 1.
-        let number = match plan.dialect {
+        let number = match plan.request.dialect {
             Dialect::Wsr { .. } => 0,
             Dialect::Native { .. } => before_first_number(roster.own_rank, roster.robots()),
         };
@@ -222,7 +222,7 @@ impl Tdma {
     /// With a key, two measurements of one number mean a forged frame: false, and neither is sent, unless the first one
     /// was sent already.
     pub fn set_measurement(&mut self, peer: Mac, measurement: Measurement) -> bool {
-        let has_room = matches!(self.plan.dialect, Dialect::Native { measurement: true, .. });
+        let has_room = matches!(self.plan.request.dialect, Dialect::Native { measurement: true, .. });
         let at = self.roster.find(peer).filter(|_| has_room);
         let Some(peer) = at.and_then(|at| self.roster.peer_mut(at)) else { return false };
         let (number, clock) = (measurement.number, measurement.timestamp_low);
@@ -445,7 +445,7 @@ impl Tdma {
     /// Writes the forward frame to `peer` for the slot `turn.slot`.
     fn emit_forward(&mut self, turn: &Turn, peer: usize) -> Option<usize> {
         let target = self.roster.peer(peer)?;
-        if let Dialect::Wsr { first_len } = self.plan.dialect {
+        if let Dialect::Wsr { first_len } = self.plan.request.dialect {
             let len_with_fcs = wsr::forward_len(usize::from(first_len), usize::from(target.index));
             let repr = wsr::Repr { sender: self.own, number: self.number, len_with_fcs };
             return repr.emit(&mut self.forward_buffer, &mut self.filler);
@@ -541,7 +541,7 @@ impl Tdma {
     }
 
     fn begin_turn(&mut self, number: u32, slot: i64) {
-        let by_length = matches!(self.plan.dialect, Dialect::Wsr { .. });
+        let by_length = matches!(self.plan.request.dialect, Dialect::Wsr { .. });
         let alive_since = self.now - Span::from_us(i64::from(self.plan.round_us) * ALIVE_ROUNDS);
         // WSR frames cannot name a successor or a turn: all turns are turn 0.
         let (number, next) = if by_length { (0, None) } else { (number, self.roster.next_initiator(alive_since)) };
@@ -638,7 +638,7 @@ impl Tdma {
             self.counts.strangers += 1;
             return;
         };
-        match self.plan.dialect {
+        match self.plan.request.dialect {
             Dialect::Wsr { first_len } => self.hear_wsr(ended, &frame, peer, usize::from(first_len)),
             Dialect::Native { .. } => match native::Repr::parse(&frame) {
                 Some(repr) => self.hear_native(ended, &frame, &repr, peer),
@@ -829,7 +829,7 @@ impl Tdma {
         if !self.respond || self.turn.is_some() || fit == Fit::OffSlot {
             return;
         }
-        let has_room = matches!(self.plan.dialect, Dialect::Native { measurement: true, .. });
+        let has_room = matches!(self.plan.request.dialect, Dialect::Native { measurement: true, .. });
         let Some(initiator) = self.roster.peer_mut(peer) else { return };
         initiator.asked.push(repr.number);
         let early = initiator.early.take_if(|early| early.number == repr.number);

@@ -301,12 +301,12 @@ impl Config {
             }
         }
         self.check_robots(plan)?;
-        let authenticated = matches!(plan.dialect, Dialect::Native { authenticated: true, .. });
+        let authenticated = matches!(plan.request.dialect, Dialect::Native { authenticated: true, .. });
         if authenticated != self.key.is_some() { Err(PlanError::Key) } else { Ok(()) }
     }
 
     fn check_robots(&self, plan: &Plan) -> Result<(), PlanError> {
-        let by_length = matches!(plan.dialect, Dialect::Wsr { .. });
+        let by_length = matches!(plan.request.dialect, Dialect::Wsr { .. });
         for (position, robot) in self.peers.iter().enumerate() {
             let later = self.peers.iter().skip(position + 1);
             if later.chain([&self.own]).any(|other| other.mac == robot.mac) {
@@ -435,7 +435,7 @@ pub enum PlanError {
 ///
 /// Slot `n` starts at `epoch + n * round / slots`, so deadlines never drift. Within a slot the forward frame starts at
 /// most one guard late, the answer at most one turn-around after its end, and one guard remains for clock differences.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Plan {
     /// Slots of a round, one per link.
@@ -447,10 +447,7 @@ pub struct Plan {
     /// Airtime of the longest forward frame, microseconds.
     forward_us: u32,
     backward_us: u32,
-    turn_around_us: u32,
-    guard_us: u32,
-    turn_slots: u16,
-    dialect: Dialect,
+    request: Request,
 }
 
 impl Plan {
@@ -460,7 +457,7 @@ impl Plan {
     /// [`PlanError::Rate`] with the highest feasible rate if the rounds do not fit; others for a request that makes
     /// no sense.
     pub fn new(request: &Request) -> Result<Self, PlanError> {
-        let Request { links, rate_hz, phy, dialect, turn_around_us, guard_us, turn_slots } = *request;
+        let Request { links, rate_hz, phy, dialect, turn_slots, .. } = *request;
         if links == 0 || usize::from(links) >= MAX_ROBOTS {
             return Err(PlanError::Links(usize::from(links)));
         }
@@ -481,17 +478,7 @@ impl Plan {
         let (forward_len, backward_len) = dialect.longest(usize::from(links));
         let (forward_us, backward_us) = (phy.airtime_us(forward_len), phy.airtime_us(backward_len));
         let round_us = (1e6 / rate_hz).round() as u32;
-        let plan = Self {
-            round_us,
-            slots: links,
-            forward_us,
-            backward_us,
-            turn_around_us,
-            guard_us,
-            turn_slots,
-            phy,
-            dialect,
-        };
+        let plan = Self { slots: links, phy, round_us, forward_us, backward_us, request: *request };
         let slot_us = plan.shortest_slot_us();
         if u64::from(round_us) < u64::from(slot_us) * u64::from(links) {
             let highest_hz = 1e6 / (f64::from(slot_us) * f64::from(links));
@@ -504,7 +491,7 @@ impl Plan {
     #[must_use]
     pub fn shortest_slot_us(&self) -> u32 {
         let [forward, turn_around, backward, guard] =
-            [self.forward_us, self.turn_around_us, self.backward_us, self.guard_us];
+            [self.forward_us, self.request.turn_around_us, self.backward_us, self.request.guard_us];
         forward.saturating_add(turn_around).saturating_add(backward).saturating_add(guard.saturating_mul(2))
     }
 
@@ -529,7 +516,7 @@ impl Plan {
     /// Slots of one turn: whole rounds, at least as many as requested.
     #[must_use]
     fn turn_slots(&self) -> u32 {
-        u32::from(self.turn_slots).next_multiple_of(u32::from(self.slots))
+        u32::from(self.request.turn_slots).next_multiple_of(u32::from(self.slots))
     }
 
     /// Time in which each of `initiators` robots has the turn once, microseconds, if no turn is lost.
@@ -541,13 +528,13 @@ impl Plan {
     /// How late a forward frame may start.
     #[must_use]
     fn guard(&self) -> Span {
-        Span::from_us(i64::from(self.guard_us))
+        Span::from_us(i64::from(self.request.guard_us))
     }
 
     /// How long after the end of a forward frame its answer may start.
     #[must_use]
     pub(crate) fn turn_around(&self) -> Span {
-        Span::from_us(i64::from(self.turn_around_us))
+        Span::from_us(i64::from(self.request.turn_around_us))
     }
 
     /// Start of slot `n` after the epoch: `floor(n * round / slots)`, exact for every `n`.

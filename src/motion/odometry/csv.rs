@@ -19,7 +19,7 @@
 
 use crate::motion::pose::{Pose, Trajectory, TrajectoryError, TrajectoryKind, heading_of};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use std::io::{BufRead, BufReader, Cursor, Read};
+use std::io::{BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -105,17 +105,6 @@ pub enum CsvError {
         /// The operating system's answer.
         source: std::io::Error,
     },
-    /// The first row is of no known kind.
-    #[error(
-        "line {line}: {found} columns without headings; a trajectory has 5 (time, 0, x, y, z), 6 (.., yaw), 8 (TUM: time, x, y, z, \
-         quaternion), 9 (time, 0, x, y, z, quaternion) or 15 (T265, wheel odometry). For others, {CHOOSE}: t,x,y,yaw"
-    )]
-    Columns {
-        /// Line of the row.
-        line: u64,
-        /// Columns found.
-        found: usize,
-    },
     /// The columns can be read in two ways.
     #[error("{why}: the columns may be {} or {}; {CHOOSE}", readings[0], readings[1])]
     Ambiguous {
@@ -124,39 +113,31 @@ pub enum CsvError {
         /// The two readings, as [`Columns`] name them.
         readings: [String; 2],
     },
-    /// Headings that do not say where time, x and y are, or say it twice.
-    #[error("line {line}: the headings {why}; `--columns` (`columns=` in Python) names the columns, as t,x,y,yaw")]
-    Headings {
-        /// Line of the headings.
-        line: u64,
-        /// What they lack.
-        why: String,
-    },
-    /// Poses of several frames in one file.
-    #[error("line {line}: poses of `{found}` among those of `{first}`: write each into a file of its own")]
-    Frames {
-        /// Line of the first other one.
-        line: u64,
-        /// The frames of the first row.
-        first: String,
-        /// The others.
-        found: String,
-    },
-    /// Poses without times, and no file of times beside them.
-    #[error("12 columns are a KITTI pose, which has no time: {why}")]
-    NoTimes {
-        /// What was looked for.
-        why: String,
-    },
-    /// No row could be read.
-    #[error("no row of numbers{}", first.as_ref().map(|(line, why)| format!("; line {line}: {why}")).unwrap_or_default())]
-    Empty {
-        /// Line, from 1, and reason of the first bad row, if any.
-        first: Option<(u64, RowError)>,
-    },
+    /// There is no row, or none that can be read: of no known kind, under headings that name no time or place, of several
+    /// frames, or without times.
+    #[error("{0}")]
+    Refused(String),
     /// The rows make no trajectory.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryError),
+}
+
+impl CsvError {
+    fn columns(line: u64, found: usize) -> Self {
+        Self::Refused(format!(
+            "line {line}: {found} columns without headings; a trajectory has 5 (time, 0, x, y, z), 6 (.., yaw), 8 (TUM: time, x, y, z, \
+             quaternion), 9 (time, 0, x, y, z, quaternion) or 15 (T265, wheel odometry). For others, {CHOOSE}: t,x,y,yaw"
+        ))
+    }
+
+    fn headings(line: u64, why: &str) -> Self {
+        let choose = "`--columns` (`columns=` in Python) names the columns, as t,x,y,yaw";
+        Self::Refused(format!("line {line}: the headings {why}; {choose}"))
+    }
+
+    fn no_times(why: &str) -> Self {
+        Self::Refused(format!("12 columns are a KITTI pose, which has no time: {why}"))
+    }
 }
 
 /// What is wrong with one row.
@@ -615,7 +596,7 @@ fn headed(head: &[(u64, String)], row: &[&str], by: char) -> Result<Option<Colum
             Ok(columns) => return Ok(Some(Columns { kind: TrajectoryKind::of_words(bare), ..columns })),
             // A title, or a sentence.
             Err(_) if known < 3 && (is_comment(text) || own.len() < 3 || own.len() != row.len()) => {}
-            Err(why) => return Err(CsvError::Headings { line: *line, why }),
+            Err(why) => return Err(CsvError::headings(*line, &why)),
         }
     }
     Ok(None)
@@ -653,7 +634,7 @@ fn motive(head: &[(u64, String)]) -> Result<Columns, CsvError> {
     let line =
         |first: &str| head.iter().map(|(line, text)| (*line, cells(text))).find(|(_, cells)| cells.contains(&first));
     let at = head.first().map_or(1, |(line, _)| *line);
-    let lacks = |what: &str| CsvError::Headings { line: at, why: format!("of Motive have no {what}") };
+    let lacks = |what: &str| CsvError::headings(at, &format!("of Motive have no {what}"));
     let (_, options) = line("Format Version").ok_or_else(|| lacks("format"))?;
     let option = |name: &str| options.iter().position(|cell| *cell == name).and_then(|at| options.get(at + 1).copied());
     let scale = option("Length Units")
@@ -663,7 +644,7 @@ fn motive(head: &[(u64, String)]) -> Result<Columns, CsvError> {
     let (_, bodies) = line("Name").ok_or_else(|| lacks("names"))?;
     let (_, parts) = line("Position").ok_or_else(|| lacks("positions"))?;
     let (line, axes) = line("Frame").ok_or_else(|| lacks("axes"))?;
-    let headings = |why| CsvError::Headings { line, why };
+    let headings = |why: String| CsvError::headings(line, &why);
     let is_body = |at: usize| types.get(at).copied() == Some("Rigid Body");
     let mut names: Vec<&str> =
         bodies.iter().enumerate().filter(|(at, _)| is_body(*at)).map(|(_, name)| *name).collect();
@@ -838,21 +819,12 @@ impl Rows {
     fn read(&mut self, bytes: impl Read, most: usize, path: &Path) -> Result<(), CsvError> {
         let io = |source| CsvError::Io { path: path.display().to_string(), source };
         let (mut row, mut line, mut after_cr) = (Vec::new(), 1, false);
-        let mut from = BufReader::new(utf8(bytes).map_err(io)?);
-        loop {
-            let chunk = match from.fill_buf() {
-                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
-                chunk => chunk.map_err(io)?,
-            };
-            if chunk.is_empty() {
-                return self.row(&row, line);
-            }
-            let length = chunk.len();
-            for part in chunk.split_inclusive(|byte| matches!(byte, b'\n' | b'\r')) {
-                let content = part.strip_suffix(b"\n").or(part.strip_suffix(b"\r")).unwrap_or(part);
-                row.extend_from_slice(&content[..content.len().min(LONGEST_ROW - row.len())]);
-                // The other half of an end of a line ends none.
-                if content.len() < part.len() && !(after_cr && part == b"\n") {
+        for byte in BufReader::new(utf8(bytes).map_err(io)?).bytes() {
+            let byte = byte.map_err(io)?;
+            match byte {
+                // The other half of an end of a line.
+                b'\n' if after_cr => {}
+                b'\n' | b'\r' => {
                     self.row(&row, line)?;
                     row.clear();
                     line += 1;
@@ -860,10 +832,12 @@ impl Rows {
                         return Err(io(too_long()));
                     }
                 }
-                after_cr = part.ends_with(b"\r");
+                _ if row.len() < LONGEST_ROW => row.push(byte),
+                _ => {}
             }
-            from.consume(length);
+            after_cr = byte == b'\r';
         }
+        self.row(&row, line)
     }
 
     /// Takes a row, or counts it as bad. Fails where the first one is of no known kind.
@@ -889,7 +863,7 @@ impl Rows {
             let headed = headed(&self.head, &cells, delimiter(text))?;
             self.counts.headings = headed.is_some();
             let columns = headed.or_else(|| headless(&cells));
-            self.columns = Some(columns.ok_or(CsvError::Columns { line, found: cells.len() })?);
+            self.columns = Some(columns.ok_or_else(|| CsvError::columns(line, cells.len()))?);
         }
         let read = match &self.columns {
             Some(columns) => columns.pose(&cells).map(|read| (read, columns.frames_of(&cells))),
@@ -900,7 +874,9 @@ impl Rows {
                 // Poses of several frames (as of TF) make no path.
                 let first = self.frames.get_or_insert_with(|| frames.clone());
                 if *first != frames {
-                    return Err(CsvError::Frames { line, first: first.clone(), found: frames });
+                    return Err(CsvError::Refused(format!(
+                        "line {line}: poses of `{frames}` among those of `{first}`: write each into a file of its own"
+                    )));
                 }
                 self.take(pose, quaternion, cells.len());
             }
@@ -991,7 +967,8 @@ impl Rows {
         if self.poses.is_empty() {
             let first =
                 self.counts.first_bad.or_else(|| self.head.first().map(|(line, _)| (*line, RowError::Unreadable)));
-            return Err(CsvError::Empty { first });
+            let first = first.map_or_else(String::new, |(line, why)| format!("; line {line}: {why}"));
+            return Err(CsvError::Refused(format!("no row of numbers{first}")));
         }
         let columns = self.columns.unwrap_or_default();
         if columns.matrix {
@@ -1018,10 +995,10 @@ fn too_long() -> std::io::Error {
 /// Gives each pose its time.
 fn timed(poses: &mut [Pose], times: Option<Vec<f64>>) -> Result<(), CsvError> {
     let name = "a file of its times beside it (times.txt, or the poses' name and _times.txt: seconds, one a line)";
-    let times = times.ok_or_else(|| CsvError::NoTimes { why: format!("{name} is needed") })?;
+    let times = times.ok_or_else(|| CsvError::no_times(&format!("{name} is needed")))?;
     if times.len() != poses.len() {
         let why = format!("{} poses and {} times in the file beside it", poses.len(), times.len());
-        return Err(CsvError::NoTimes { why });
+        return Err(CsvError::no_times(&why));
     }
     poses.iter_mut().zip(times).for_each(|(pose, t_s)| pose.t_s = t_s);
     Ok(())
@@ -1043,7 +1020,7 @@ fn times_beside(path: &Path) -> Result<Option<Vec<f64>>, CsvError> {
     read.map_err(|source| CsvError::Io { path: name.clone(), source })?;
     let lines = text.lines().map(str::trim).zip(1..).filter(|(line, _)| !line.is_empty() && !is_comment(line));
     let time = |(line, at): (&str, u64)| {
-        let bad = || CsvError::NoTimes { why: format!("line {at} of {name} is no number of seconds") };
+        let bad = || CsvError::no_times(&format!("line {at} of {name} is no number of seconds"));
         number(line).filter(|t| t.is_finite()).ok_or_else(bad)
     };
     lines.map(time).collect::<Result<_, _>>().map(Some)
@@ -1355,10 +1332,11 @@ mod tests {
 
     #[test]
     fn wrong_files_say_what_is_wrong() {
-        assert!(matches!(parse(b""), Err(CsvError::Empty { first: None })));
-        assert!(matches!(parse(b"a,b,c\n"), Err(CsvError::Empty { first: Some((1, _)) })));
-        assert!(matches!(parse(b"1,2,3\n"), Err(CsvError::Columns { line: 1, found: 3 })));
-        assert!(matches!(parse(&[0xBB, 0, 0xFF, b'\n', 7]), Err(CsvError::Empty { first: Some(_) })));
+        let refused = |bytes: &[u8]| parse(bytes).unwrap_err().to_string();
+        assert_eq!(refused(b""), "no row of numbers");
+        assert!(refused(b"a,b,c\n").starts_with("no row of numbers; line 1: "));
+        assert!(refused(b"1,2,3\n").starts_with("line 1: 3 columns without headings"));
+        assert!(refused(&[0xBB, 0, 0xFF, b'\n', 7]).starts_with("no row of numbers; line "));
         assert!(matches!(parse(b"1,0,0,0,0\n"), Err(CsvError::Trajectory(TrajectoryError::TooFew { poses: 1 }))));
     }
 
@@ -1558,7 +1536,10 @@ mod tests {
         };
         must_be_arc("robot", parse(robots("rx").as_bytes()), false, 1_700_000_000.0);
         let two = robots("rx") + &robots("tx");
-        assert!(matches!(parse(two.as_bytes()), Err(CsvError::Frames { .. })), "two robots");
+        assert!(
+            matches!(parse(two.as_bytes()), Err(CsvError::Refused(why)) if why.contains("among those of")),
+            "two robots"
+        );
         let inches = written("t,x [in],y [in]\n", |[t, x, y, ..]| format!("{t:.6},{x},{y}"));
         let error = parse(inches.as_bytes()).unwrap_err().to_string();
         assert!(error.contains("the unit of `x [in]` is not known"), "{error}");
@@ -1675,7 +1656,7 @@ mod tests {
         ];
         for (name, text, columns, heading) in &cases {
             let error = parse(text.as_bytes()).expect_err(name);
-            assert!(matches!(error, CsvError::Ambiguous { .. } | CsvError::Columns { .. }), "{name}: {error}");
+            assert!(matches!(error, CsvError::Ambiguous { .. } | CsvError::Refused(_)), "{name}: {error}");
             assert!(error.to_string().contains("--columns"), "{name}: {error}");
             if let CsvError::Ambiguous { readings, .. } = &error {
                 assert!(readings.iter().all(|reading| reading.parse::<Columns>().is_ok()), "{readings:?}");

@@ -10,9 +10,9 @@ pub mod opencr;
 #[doc(hidden)]
 pub mod ros;
 
-use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
+use crate::motion::pose::{Pose, Trajectory};
+use crate::source::Error;
 use crate::time::{Instant, Span};
-use csv::RowError;
 use nalgebra::Vector3;
 
 /// What [`OdometrySource::receive`] gives.
@@ -71,7 +71,7 @@ pub trait OdometrySource {
     ///
     /// # Errors
     /// Only for what cannot be gone on from.
-    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError>;
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error>;
 
     /// When the next pose is due, if the source knows: replay and simulation do, a live port does not.
     fn next_at(&self) -> Option<Instant>;
@@ -88,7 +88,7 @@ pub trait OdometrySource {
 }
 
 impl<S: OdometrySource + ?Sized> OdometrySource for Box<S> {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
         (**self).receive(now)
     }
 
@@ -103,37 +103,6 @@ impl<S: OdometrySource + ?Sized> OdometrySource for Box<S> {
     fn counted(&self) -> Option<SourceCounts> {
         (**self).counted()
     }
-}
-
-/// Why a source of poses cannot continue.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum OdometryError {
-    /// The operating system refused.
-    #[error("{what}: {source}")]
-    Io {
-        /// What was tried.
-        what: &'static str,
-        /// The operating system's answer.
-        source: std::io::Error,
-    },
-    /// A pose came that cannot be read.
-    #[error("{what}: {source}")]
-    Row {
-        /// Whose pose.
-        what: &'static str,
-        /// What is wrong with it.
-        source: RowError,
-    },
-    /// A pose came that cannot be moved to the antenna.
-    #[error(transparent)]
-    Mounting(#[from] TrajectoryError),
-    /// A source in another program failed.
-    #[error(transparent)]
-    Other(Box<dyn std::error::Error + Send + Sync>),
-    /// The thread that reads the sensor has ended.
-    #[error("the thread of the odometry has ended")]
-    ThreadEnded,
 }
 
 /// Plays a trajectory.
@@ -162,7 +131,7 @@ impl Replayed {
 }
 
 impl OdometrySource for Replayed {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
         match self.due().zip(self.poses.get(self.next)) {
             None => Ok(NextPose::End),
             Some((due, _)) if due > now => Ok(NextPose::Pending),
@@ -199,7 +168,7 @@ impl<S: OdometrySource> Mounted<S> {
 }
 
 impl<S: OdometrySource> OdometrySource for Mounted<S> {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
         Ok(match self.source.receive(now)? {
             NextPose::Pose(pose) => NextPose::Pose(pose.mounted(self.offset_m)?),
             other => other,

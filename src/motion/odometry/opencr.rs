@@ -159,10 +159,20 @@ impl OpenCr {
     /// Takes what was read from the port at `now`.
     pub fn handle_bytes(&mut self, now: Instant, wall_us: i64, bytes: &[u8]) {
         self.parser.push(bytes);
-        while let Some(answer) = self.poll_answer(now) {
-            match answer {
-                Answer::Identity { is_burger } => self.poses.handle_identity(is_burger),
-                Answer::Sensors(table, asked) => self.poses.handle_sensors(&table, asked, now, wall_us),
+        while let Some(status) = self.parser.poll_status() {
+            let Some(request) = self.waiting.take() else {
+                self.counts.refused += 1;
+                continue;
+            };
+            self.silent = 0;
+            match status.data(request.length).filter(|_| status.id == ID && status.error & ERROR == 0) {
+                Some(data) if self.known == Known::TurtleBot => {
+                    let Some(table) = Table::of(&data) else { continue };
+                    (self.refused, self.device_status) = ((0, 0), table.device_status);
+                    self.poses.handle_sensors(&table, request.asked, now, wall_us);
+                }
+                Some(data) => self.identify(&data, now),
+                None => self.refuse(&status),
             }
         }
     }
@@ -184,51 +194,24 @@ impl OpenCr {
         }
     }
 
-    /// The next answer in what was read by `now`.
-    fn poll_answer(&mut self, now: Instant) -> Option<Answer> {
-        while let Some(status) = self.parser.poll_status() {
-            let Some(request) = self.waiting.take() else {
-                self.counts.refused += 1;
-                continue;
-            };
-            self.silent = 0;
-            let answer = match status.data(request.length).filter(|_| status.id == ID && status.error & ERROR == 0) {
-                Some(data) if self.known == Known::TurtleBot => self.sensors(&data, request.asked),
-                Some(data) => self.identity(&data, now),
-                None => self.refuse(&status),
-            };
-            if answer.is_some() {
-                return answer;
-            }
-        }
-        None
-    }
-
-    fn refuse(&mut self, status: &Status) -> Option<Answer> {
+    fn refuse(&mut self, status: &Status) {
         self.counts.refused += 1;
         self.refused = (self.refused.0.saturating_add(1), status.error & ERROR);
         if status.id != ID {
             self.known = Known::Other(u16::from(status.id));
         }
-        None
     }
 
-    fn identity(&mut self, data: &[u8], now: Instant) -> Option<Answer> {
-        let &[low, high, info, ..] = data else { return None };
+    fn identify(&mut self, data: &[u8], now: Instant) {
+        let &[low, high, info, ..] = data else { return };
         let model = u16::from_le_bytes([low, high]);
         if model != MODEL {
             self.known = Known::Other(model);
             self.due = now + RETRY;
-            return None;
+            return;
         }
         (self.known, self.refused) = (Known::TurtleBot, (0, 0));
-        Some(Answer::Identity { is_burger: info == 1 })
-    }
-
-    fn sensors(&mut self, data: &[u8], asked: Asked) -> Option<Answer> {
-        let table = Table::of(data)?;
-        (self.refused, self.device_status) = ((0, 0), table.device_status);
-        Some(Answer::Sensors(table, asked))
+        self.poses.handle_identity(info == 1);
     }
 }
 
@@ -268,15 +251,6 @@ struct Asked {
     wall_us: i64,
 }
 
-/// What the controller answered.
-#[derive(Clone, Copy, Debug)]
-enum Answer {
-    /// It is a TurtleBot3's: of model information 1, a Burger's.
-    Identity { is_burger: bool },
-    /// Its sensors.
-    Sensors(Table, Asked),
-}
-
 /// Time between requests, never in step with the controller's refresh.
 fn period(rate_hz: f64) -> Span {
     let refreshes = 2.0 / (rate_hz * REFRESH.as_s());
@@ -312,11 +286,7 @@ struct Table {
     micros: u32,
     /// What the controller says of itself; 0 is well.
     device_status: i8,
-    /// Ticks of the wheels, which wrap.
-    left: i32,
-    right: i32,
-    /// The IMU's, if it gives a rotation.
-    heading_rad: Option<f64>,
+    reading: Reading,
 }
 
 impl Table {
@@ -335,9 +305,11 @@ impl Table {
             device_status: data.get(STATUS)?.cast_signed(),
             millis: word(MILLIS)?,
             micros: word(MICROS)?,
-            left: word(LEFT)?.cast_signed(),
-            right: word(RIGHT)?.cast_signed(),
-            heading_rad: is_rotation.then(|| heading_of(&UnitQuaternion::from_quaternion(q))),
+            reading: Reading {
+                left: word(LEFT)?.cast_signed(),
+                right: word(RIGHT)?.cast_signed(),
+                heading_rad: is_rotation.then(|| heading_of(&UnitQuaternion::from_quaternion(q))),
+            },
         })
     }
 }
@@ -400,13 +372,7 @@ impl Poses {
             self.found.push_back(NextPose::NewFrame);
         }
         let Some(host_us) = self.fit.host_us(controller_us) else { return };
-        let reading = Reading {
-            t_s: controller_us as f64 * 1e-6,
-            left: table.left,
-            right: table.right,
-            heading_rad: table.heading_rad,
-        };
-        if self.drive.handle(reading) {
+        if self.drive.handle(controller_us as f64 * 1e-6, table.reading) {
             let Drive { position_m, heading_rad, .. } = self.drive;
             let pose = Pose { t_s: host_us * 1e-6, position_m, heading_rad: Some(heading_rad) };
             self.found.push_back(NextPose::Pose(pose));
@@ -562,16 +528,14 @@ impl Geometry {
     pub const WAFFLE: Self = Self { wheel_radius_m: 0.033, separation_m: 0.287 };
 }
 
-/// One reading of the sensors.
+/// What the sensors show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Reading {
-    /// Time, seconds; only differences count.
-    pub t_s: f64,
     /// Ticks of the left wheel, wrapping.
     pub left: i32,
     /// Ticks of the right wheel, wrapping.
     pub right: i32,
-    /// Heading by the IMU, radians, from anywhere; `None` if it has none.
+    /// Heading by the IMU, radians, from anywhere; `None` if it gives no rotation.
     pub heading_rad: Option<f64>,
 }
 
@@ -590,7 +554,7 @@ pub struct WheelCounts {
 #[derive(Clone, Debug)]
 struct Drive {
     geometry: Geometry,
-    last: Option<Reading>,
+    last: Option<(f64, Reading)>,
     /// Position of the middle between the wheels, metres, and heading, radians.
     position_m: Vector3<f64>,
     heading_rad: f64,
@@ -608,13 +572,13 @@ impl Drive {
         Self { geometry, last: None, position_m, heading_rad: 0.0, unseen_rad: 0.0, counts: WheelCounts::default() }
     }
 
-    /// Takes a reading; false if it was skipped.
-    pub fn handle(&mut self, reading: Reading) -> bool {
-        let Some(last) = self.last.replace(reading) else { return true };
+    /// Takes a reading at `t_s`, seconds of which only differences count; false if it was skipped.
+    pub fn handle(&mut self, t_s: f64, reading: Reading) -> bool {
+        let Some((last_s, last)) = self.last.replace((t_s, reading)) else { return true };
         let arc_m =
             |now: i32, before: i32| f64::from(now.wrapping_sub(before)) * TICK_RAD * self.geometry.wheel_radius_m;
         let (left_m, right_m) = (arc_m(reading.left, last.left), arc_m(reading.right, last.right));
-        let limit_m = MAX_SPEED_M_S * (reading.t_s - last.t_s).max(0.02);
+        let limit_m = MAX_SPEED_M_S * (t_s - last_s).max(0.02);
         if left_m.abs().max(right_m.abs()) > limit_m {
             self.counts.jumps += 1;
             return false;
@@ -697,12 +661,8 @@ mod tests {
             let half = 0.5 * geometry.separation_m;
             let (left, right) = (ticks(turned * (radius_m - half)), ticks(turned * (radius_m + half)));
             let start = i32::MAX - 500;
-            assert!(drive.handle(Reading {
-                t_s: f64::from(k) * 0.02,
-                left: start.wrapping_add(left),
-                right: start.wrapping_add(right),
-                heading_rad: imu(turned),
-            }));
+            let (left, right) = (start.wrapping_add(left), start.wrapping_add(right));
+            assert!(drive.handle(f64::from(k) * 0.02, Reading { left, right, heading_rad: imu(turned) }));
         }
         drive
     }
@@ -726,7 +686,7 @@ mod tests {
         for k in 0..=100 {
             let turned = FRAC_PI_2 * f64::from(k) / 100.0;
             let (left, right) = (ticks(turned * 0.22), ticks(turned * 0.38));
-            drive.handle(Reading { t_s: f64::from(k) * 0.05, left, right, heading_rad: Some(turned) });
+            drive.handle(f64::from(k) * 0.05, Reading { left, right, heading_rad: Some(turned) });
         }
         let (at, heading) = (drive.position_m, drive.heading_rad);
         assert!((at - Vector3::new(0.3, 0.3, 0.0)).norm() < 1e-3 && (heading - FRAC_PI_2).abs() < 1e-9, "{at}");
@@ -747,10 +707,10 @@ mod tests {
     #[test]
     fn impossible_steps_are_left_out() {
         let mut drive = Drive::new(Geometry::BURGER);
-        let reading = |t_s, ticks| Reading { t_s, left: ticks, right: ticks, heading_rad: None };
-        assert!(drive.handle(reading(0.0, 0)));
-        assert!(!drive.handle(reading(0.02, 1 << 24)));
-        assert!(drive.handle(reading(0.04, (1 << 24) + 10)));
+        let reading = |ticks| Reading { left: ticks, right: ticks, heading_rad: None };
+        assert!(drive.handle(0.0, reading(0)));
+        assert!(!drive.handle(0.02, reading(1 << 24)));
+        assert!(drive.handle(0.04, reading((1 << 24) + 10)));
         assert_eq!(drive.counts.jumps, 1);
         assert!((drive.position_m.x - 10.0 * TICK_RAD * 0.033).abs() < 1e-12);
     }

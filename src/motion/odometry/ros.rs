@@ -1,8 +1,9 @@
 //! Poses from a topic of ROS, `nav_msgs/Odometry` or `geometry_msgs/PoseStamped`: what a message means, and the bounded
 //! queue that its source reads. The connections themselves are in `csi5300-node` (features `ros1` and `ros2`).
 
-use super::{NextPose, OdometryError, OdometrySource};
+use super::{NextPose, OdometrySource};
 use crate::motion::pose::{Pose, heading_of};
+use crate::source::Error;
 use crate::time::{Instant, Span};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::collections::VecDeque;
@@ -303,7 +304,7 @@ pub struct Topic {
 }
 
 impl OdometrySource for Topic {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
         let mut state = self.inbox.lock();
         let messages = state.reader.counts.messages;
         if std::mem::replace(&mut self.messages, messages) != messages || self.heard_at.is_none() {

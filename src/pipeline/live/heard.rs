@@ -28,6 +28,8 @@ pub(super) struct Heard {
     /// Peers by number, then others in the order in which they were first heard.
     links: Vec<HeardLink>,
     named: usize,
+    /// Peers of any kind: others are numbered on from them.
+    peers: usize,
     own: Mac,
     /// Peers with paired links: they have no bearing here. Their records of the last `window_us` are kept.
     paired: BTreeSet<Mac>,
@@ -64,8 +66,7 @@ impl Reach {
 
 /// A sender and its last answer.
 struct HeardLink {
-    /// `Ok`: the peer's number. `Err`: its number among the other senders.
-    number: Result<usize, usize>,
+    number: usize,
     name: String,
     mac: Mac,
     due: Instant,
@@ -81,22 +82,22 @@ struct HeardLink {
 }
 
 impl Heard {
-    /// `named` are peers: number, name, MAC address. This robot (`own`) and the `paired` peers have no bearing here.
+    /// `named` are those of the `peers`: number, name, MAC address. This robot (`own`) and the `paired` peers have no bearing here.
     pub(super) fn new(
         array: Array,
         named: Vec<(usize, String, Mac)>,
-        (own, paired): (Mac, BTreeSet<Mac>),
+        (own, paired, peers): (Mac, BTreeSet<Mac>, usize),
         (options, window_s): (Options, f64),
         now: Instant,
     ) -> Self {
         let (length_m, constants_known) = array.reach();
-        let link = |(k, name, mac)| HeardLink::new(Ok(k), name, mac, now);
+        let link = |(k, name, mac)| HeardLink::new(k, name, mac, now);
         let links: Vec<HeardLink> = named.into_iter().map(link).collect();
         let named = links.len();
         // One more place for frames without a sender, which have no bearing.
         let log = OneLog::new(array, options).keeping(named + paired.len() + OTHERS + 1, ROWS);
         let window_us = (window_s * 1e6) as i64;
-        Self { log, array: Reach { length_m, constants_known }, links, named, own, paired, window_us }
+        Self { log, array: Reach { length_m, constants_known }, links, named, peers, own, paired, window_us }
     }
 
     /// The records heard.
@@ -122,7 +123,7 @@ impl Heard {
             return;
         }
         let at = known.unwrap_or_else(|| {
-            self.links.push(HeardLink::new(Err(others), mac.to_string(), mac, stamps.at));
+            self.links.push(HeardLink::new(self.peers + others, mac.to_string(), mac, stamps.at));
             self.links.len() - 1
         });
         if let Some(link) = self.links.get_mut(at) {
@@ -143,7 +144,7 @@ impl Heard {
     }
 
     /// The next due report.
-    pub(super) fn poll_report(&mut self, context: Context<'_>) -> Option<(Result<usize, usize>, PeerReport)> {
+    pub(super) fn poll_report(&mut self, context: Context<'_>) -> Option<(usize, PeerReport)> {
         let period = Span::from_s(1.0 / context.settings.rate_hz);
         let link = self.links.iter_mut().min_by_key(|link| link.due)?;
         link.due = if context.now - link.due > period { context.now + period } else { link.due + period };
@@ -151,7 +152,7 @@ impl Heard {
     }
 
     /// The last report of each sender.
-    pub(super) fn finish(&mut self, context: Context<'_>) -> Vec<(Result<usize, usize>, PeerReport)> {
+    pub(super) fn finish(&mut self, context: Context<'_>) -> Vec<(usize, PeerReport)> {
         let (log, array) = (&mut self.log, self.array);
         self.links.iter_mut().map(|link| (link.number, link.report(log, array, context))).collect()
     }
@@ -165,13 +166,13 @@ impl Heard {
         }
     }
 
-    pub(super) fn bearing(&self, number: Result<usize, usize>) -> Option<&Bearing> {
+    pub(super) fn bearing(&self, number: usize) -> Option<&Bearing> {
         self.links.iter().find(|link| link.number == number)?.bearing.as_ref()
     }
 
     /// Counts of a peer that is heard but not paired.
     pub(super) fn counts(&self, peer: usize) -> Option<PeerCounts> {
-        self.links.iter().find(|link| link.number == Ok(peer)).map(HeardLink::counts)
+        self.links.iter().find(|link| link.number == peer).map(HeardLink::counts)
     }
 
     pub(super) fn others(&self) -> impl Iterator<Item = (&str, Mac, PeerCounts)> {
@@ -180,7 +181,7 @@ impl Heard {
 }
 
 impl HeardLink {
-    fn new(number: Result<usize, usize>, name: String, mac: Mac, due: Instant) -> Self {
+    fn new(number: usize, name: String, mac: Mac, due: Instant) -> Self {
         let counts = PeerCounts::default();
         Self { number, name, mac, due, counts, searched: None, heard_at: None, seen_s: None, last: None, bearing: None }
     }

@@ -91,8 +91,8 @@ impl LiveEstimator {
         });
         let named = named.collect();
         let paired = self.paired().map(|state| state.peer.mac).collect();
-        self.heard =
-            Some(Heard::new(array, named, (self.own, paired), (self.options.clone(), self.settings.window_s), now));
+        let settings = (self.options.clone(), self.settings.window_s);
+        self.heard = Some(Heard::new(array, named, (self.own, paired, self.peers.len()), settings, now));
         self
     }
 
@@ -214,7 +214,7 @@ impl LiveEstimator {
             let context = Context { track, settings, options, plain, one_log: None, now, why: Why::Due };
             let report = heard.poll_report(context);
             self.forget();
-            return report.map(|(number, report)| (self.number_of(number), report));
+            return report;
         }
         let unrefined = || self.peers.iter().position(|state| state.unrefined).map(|index| (index, Why::Refine));
         let (index, why) = due.or_else(unrefined)?;
@@ -229,11 +229,6 @@ impl LiveEstimator {
         let report = state.report(Context { track, settings, options, plain, one_log, now, why });
         self.forget();
         Some((index, report))
-    }
-
-    /// The number of a report of a sender that is heard: that of its peer, or one beyond them.
-    fn number_of(&self, number: Result<usize, usize>) -> usize {
-        number.unwrap_or_else(|other| self.peers.len() + other)
     }
 
     /// Each peer's link with all pairs that are kept, copied (at most 2 MB a peer), to make [bearings](Links::bearings)
@@ -255,7 +250,7 @@ impl LiveEstimator {
         let mut reports: Vec<PeerReport> = self.peers.iter_mut().map(last).collect();
         let context = Context { track, settings, options, plain, one_log: None, now, why: Why::End };
         for (number, report) in self.heard.iter_mut().flat_map(|heard| heard.finish(context)) {
-            match number.ok().and_then(|peer| reports.get_mut(peer)) {
+            match reports.get_mut(number) {
                 Some(own) => *own = report,
                 None => reports.push(report),
             }
@@ -267,8 +262,7 @@ impl LiveEstimator {
     #[must_use]
     pub fn bearing(&self, peer: usize) -> Option<&Bearing> {
         let of_peer = self.peers.get(peer).and_then(|state| state.bearing.as_ref());
-        let number = if peer < self.peers.len() { Ok(peer) } else { Err(peer - self.peers.len()) };
-        of_peer.or_else(|| self.heard.as_ref()?.bearing(number))
+        of_peer.or_else(|| self.heard.as_ref()?.bearing(peer))
     }
 
     /// The senders beyond the peers whose bearings are reported, by their numbers: name, MAC, and what was counted.

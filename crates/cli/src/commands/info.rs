@@ -381,20 +381,17 @@ fn describe_csi(text: &mut String, survey: &Survey) {
     let _ = writeln!(text, "  {}", time_words(survey));
     let noise = match survey.noise_unknown {
         all if all == survey.bfees() => "not measured (-127, usual in monitor mode)".into(),
-        _ => format!("{} to {} dBm", survey.noise_dbm.min, survey.noise_dbm.max),
+        _ => survey.noise_dbm.map_or_else(String::new, |noise| format!("{} to {} dBm", noise.min, noise.max)),
     };
+    let agc = survey.agc.unwrap_or_default();
     let rates: Vec<_> = survey.rates.iter().map(|(rate, count)| format!("{}: {count}", modulation(*rate))).collect();
-    let _ =
-        writeln!(text, "  noise {noise}; AGC {} to {} dB; rate {}", survey.agc.min, survey.agc.max, rates.join(", "));
+    let _ = writeln!(text, "  noise {noise}; AGC {} to {} dB; rate {}", agc.min, agc.max, rates.join(", "));
     let rssi: Vec<_> = "ABC"
         .chars()
         .zip(&survey.rssi)
-        .map(|(name, r)| {
-            if !r.is_measured() {
-                format!("{name} none")
-            } else {
-                format!("{name} {:.1} ({}..{})", r.mean, r.min, r.max)
-            }
+        .map(|(name, range)| match range {
+            None => format!("{name} none"),
+            Some(range) => format!("{name} {:.1} ({}..{})", range.mean, range.min, range.max),
         })
         .collect();
     let order: Vec<_> = survey.antenna_sel.iter().map(|(sel, count)| format!("0x{sel:02x}: {count}")).collect();

@@ -13,7 +13,7 @@ use csi5300::time::{Instant, Unwrap32};
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::{Port, Room, Scene};
 use driver_iface::Mac;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq};
+use driver_iface::bfee::{Antenna, Bfee};
 use driver_iface::record::Tail;
 use num_complex::Complex64;
 use std::collections::BTreeMap;
@@ -432,12 +432,9 @@ impl Collector {
     }
 
     fn tones(&mut self, bfee: &Bfee<'_>) {
-        let mut iq = [Iq::default(); SUBCARRIERS];
         for antenna in 0..Antenna::ALL.len() {
             let Some(chain) = bfee.chain_of(Antenna::ALL[antenna]) else { continue };
-            if bfee.column(chain, 0, &ALL_SUBCARRIERS, &mut iq).is_none() {
-                continue;
-            }
+            let Some(iq) = bfee.column(chain, 0) else { continue };
             let tones = iq.map(|iq| Complex64::new(f64::from(iq.i), f64::from(iq.q)));
             let rms = (tones.iter().map(Complex64::norm_sqr).sum::<f64>() / SUBCARRIERS as f64).sqrt();
             self.level[antenna].push(rms);

@@ -15,7 +15,7 @@ pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, un
 
 use csi5300::source::Next;
 use csi5300::source::survey::Survey;
-use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, SUBCARRIERS};
+use driver_iface::bfee::{Bfee, Iq};
 use driver_iface::record::code;
 use std::collections::BTreeMap;
 use std::fs;
@@ -202,12 +202,8 @@ impl System for Tree {
 /// True for CSI of zeros only.
 #[must_use]
 pub fn is_silent(bfee: &Bfee<'_>) -> bool {
-    let mut iq = [Iq::default(); SUBCARRIERS];
     let mut columns = (0..bfee.n_rx()).flat_map(|chain| (0..bfee.n_tx()).map(move |stream| (chain, stream)));
-    columns.all(|(chain, stream)| {
-        let read = bfee.column(chain, stream, &ALL_SUBCARRIERS, &mut iq).is_some();
-        !read || iq.iter().all(|iq| *iq == Iq::default())
-    })
+    columns.all(|(chain, stream)| bfee.column(chain, stream).is_none_or(|iq| iq.iter().all(|iq| *iq == Iq::default())))
 }
 
 /// A running reception.
@@ -271,7 +267,7 @@ impl Reception {
         } else if self.unnumbered * 2 > bfees {
             all.push(doubt(format!("{} of {bfees} records from unknown senders", self.unnumbered)));
         }
-        if survey.rssi.iter().filter(|range| range.max > 0).count() == 1 {
+        if survey.rssi.iter().flatten().count() == 1 {
             let mend = "enough for bearings from motion; otherwise check the pigtails and rx_chains_msk (0x7)";
             all.push(doubt("only one antenna receives").mend(mend));
         }
