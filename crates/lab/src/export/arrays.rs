@@ -3,10 +3,10 @@
 use bytemuck::{Pod, cast_slice};
 use num_complex::Complex32;
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 use zip::ZipWriter;
-use zip::write::{SimpleFileOptions, StreamWriter};
+use zip::write::SimpleFileOptions;
 
 /// A value type of arrays, stored as in memory.
 pub trait Element: Pod {
@@ -28,34 +28,63 @@ elements!(u8: "u1", i8: "i1", u16: "u2", u32: "u4", i64: "i8", f64: "f8", Comple
 /// and an error there would be printed to standard error.
 struct Disk {
     file: File,
+    /// Its intended position in the file, and its end.
+    at: u64,
+    end: u64,
     refused: Option<io::ErrorKind>,
 }
 
 impl Disk {
     /// An empty file.
     fn new(file: File) -> Self {
-        Self { file, refused: None }
+        Self { file, at: 0, end: 0, refused: None }
+    }
+
+    /// Keeps the file's first error.
+    fn note<T>(&mut self, said: io::Result<T>) -> io::Result<T> {
+        let refused = said.as_ref().err().map(io::Error::kind);
+        self.refused = refused.filter(|kind| *kind != io::ErrorKind::Interrupted);
+        said
     }
 }
 
 impl Write for Disk {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.refused.is_some() {
-            return Ok(bytes.len());
-        }
-        let said = self.file.write(bytes);
-        let refused = said.as_ref().err().map(io::Error::kind);
-        self.refused = refused.filter(|kind| *kind != io::ErrorKind::Interrupted);
-        said
+        let count = match self.refused {
+            Some(_) => bytes.len(),
+            None => {
+                let said = self.file.write(bytes);
+                self.note(said)?
+            }
+        };
+        self.at += count as u64;
+        self.end = self.end.max(self.at);
+        Ok(count)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        Ok(())
+        let said = if self.refused.is_none() { self.file.flush() } else { return Ok(()) };
+        self.note(said)
+    }
+}
+
+impl Seek for Disk {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.at = match (self.refused, to) {
+            (None, _) => {
+                let said = self.file.seek(to);
+                self.note(said)?
+            }
+            (Some(_), SeekFrom::Start(at)) => at,
+            (Some(_), SeekFrom::Current(by)) => self.at.saturating_add_signed(by),
+            (Some(_), SeekFrom::End(by)) => self.end.saturating_add_signed(by),
+        };
+        Ok(self.at)
     }
 }
 
 /// An NPZ file being written. If it is dropped early it has no directory, and readers refuse it.
-pub struct Npz(ZipWriter<StreamWriter<Disk>>);
+pub struct Npz(ZipWriter<Disk>);
 
 impl Npz {
     /// Creates (or replaces) the file.
@@ -76,7 +105,7 @@ impl Npz {
         {
             let _ = nix::fcntl::fallocate(&file, nix::fcntl::FallocateFlags::FALLOC_FL_KEEP_SIZE, 0, bytes);
         }
-        Ok(Self(ZipWriter::new_stream(Disk::new(file))))
+        Ok(Self(ZipWriter::new(Disk::new(file))))
     }
 
     /// Adds an array of the given shape, last index fastest.
@@ -105,9 +134,10 @@ impl Npz {
         &mut self,
         name: &str,
         shape: &[u64],
-        write: impl FnOnce(&mut ZipWriter<StreamWriter<Disk>>) -> io::Result<u64>,
+        write: impl FnOnce(&mut ZipWriter<Disk>) -> io::Result<u64>,
     ) -> io::Result<()> {
-        // Room for sizes over 4 GiB: an array's size is only known at its end.
+        // Room for sizes over 4 GiB: an array's size is only known at its end. It is written into the head, not behind the array,
+        // where readers such as cnpy expect the next one.
         let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
         self.0.start_file(format!("{name}.npy"), options)?;
         self.0.write_all(&header::<T>(shape))?;
@@ -119,8 +149,9 @@ impl Npz {
     /// # Errors
     /// If it cannot be written.
     pub fn finish(self) -> io::Result<()> {
-        let written = self.0.finish()?.into_inner();
-        written.refused.map_or(Ok(()), |kind| Err(kind.into()))
+        let mut written = self.0.finish()?;
+        let flushed = written.flush();
+        written.refused.map_or(flushed, |kind| Err(kind.into()))
     }
 }
 
@@ -321,11 +352,36 @@ mod tests {
         assert!(disk.write(b"x").is_err());
         assert!(disk.refused.is_some());
         assert!(disk.write(b"more").is_ok_and(|count| count == 4) && disk.flush().is_ok());
-        let refusing = || ZipWriter::new_stream(Disk::new(File::open(path).unwrap()));
+        // The position advances as if the write had succeeded.
+        assert_eq!(disk.seek(SeekFrom::Current(-3)).unwrap(), 1);
+        assert_eq!((disk.seek(SeekFrom::End(1)).unwrap(), disk.seek(SeekFrom::Start(2)).unwrap()), (5, 2));
+        let refusing = || ZipWriter::new(Disk::new(File::open(path).unwrap()));
         // The first array is refused; later writes must not succeed.
         let mut npz = Npz(refusing());
         assert!(npz.array("a", &[1], [1_u8].into_iter()).is_err());
         assert!(npz.finish().is_err());
+    }
+
+    /// As cnpy reads, from the head of one array to that of the next.
+    #[test]
+    fn arrays_follow_each_other_without_the_directory() {
+        let path = &Temporary::path("heads.npz").0;
+        let mut npz = Npz::create(path).unwrap();
+        npz.array("a", &[3], [1_u8, 2, 3].into_iter()).unwrap();
+        npz.array("b", &[1], [4_u8].into_iter()).unwrap();
+        npz.finish().unwrap();
+        let bytes = std::fs::read(path).unwrap();
+        let mut at = 0;
+        for (name, values) in [(b"a.npy", &[1_u8, 2, 3][..]), (b"b.npy", &[4])] {
+            let word = |at: usize| usize::from(u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap()));
+            assert_eq!(&bytes[at..at + 4], b"PK\x03\x04");
+            assert_eq!(&bytes[at + 30..][..word(at + 26)], name);
+            let array = at + 30 + word(at + 26) + word(at + 28);
+            assert_eq!(&bytes[array..array + 6], b"\x93NUMPY");
+            let data = array + 10 + word(array + 8);
+            assert_eq!(&bytes[data..data + values.len()], values);
+            at = data + values.len();
+        }
     }
 
     #[test]

@@ -129,6 +129,28 @@ mod tests {
     }
 
     #[test]
+    fn the_name_of_an_axis_is_below_the_legend() {
+        let at = &Temporary::path("below").0;
+        let chart = Chart { y_label: "axis".into(), ..chart(Look::Steps, vec![(1.0, 1.0), (2.0, 2.0)]) };
+        let texts = written_in(&std::fs::read_to_string(&chart.write(&at.join("chart")).unwrap()[1]).unwrap());
+        let [legend, axis] = ["s", "axis"].map(|name| texts.iter().find(|text| text.0 == name).unwrap().2);
+        assert!(axis >= legend + 22.0, "{axis} {legend}");
+    }
+
+    #[test]
+    fn a_mirror_on_the_truth_leaves_as_much_of_it_on_both_sides() {
+        let at = &Temporary::path("widths").0;
+        let rays = vec![ray(1.0, None, RayClass::Truth), ray(1.0, None, RayClass::Mirror)];
+        let plot = MapPlot { path_m: vec![[0.0, 0.0], [1.0, 1.0]], rays, ..Default::default() };
+        let svg = std::fs::read_to_string(&plot.write(&at.join("map")).unwrap()[1]).unwrap();
+        let lines = svg.split("<line ").skip(1).filter_map(|rest| rest.split("/>").next());
+        let width = |tag: &str| tag.split("stroke-width=\"").nth(1)?.split('"').next()?.parse::<f64>().ok();
+        let [.., truth, mirror] = lines.collect::<Vec<_>>()[..] else { panic!("{svg}") };
+        assert!(mirror.contains("stroke-dasharray"), "{mirror}");
+        assert!(width(mirror).unwrap() >= 3.0 && width(truth).unwrap() > 2.5 * width(mirror).unwrap());
+    }
+
+    #[test]
     fn nothing_to_draw_is_an_error() {
         let stem = Temporary::path("empty").0.join("x");
         let empty = |r: Result<Vec<PathBuf>, Failure>| {

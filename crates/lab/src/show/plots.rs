@@ -104,7 +104,7 @@ impl Chart {
             Look::Dashed => Key::Dash,
         };
         let keys = named.map(|(own, _)| (key(own.look), series_colour(own.colour), own.name.clone()));
-        let top = 74.0 + canvas.legend(58.0, &keys.collect::<Vec<_>>());
+        let top = 80.0 + canvas.legend(58.0, &keys.collect::<Vec<_>>());
         let mut axes = Axes::new([130.0, top, WIDTH - 170.0, 690.0 - top], x, y);
         axes.log_x = self.log_x;
         axes.draw(&mut canvas, &self.x_label, &self.y_label);
@@ -464,7 +464,7 @@ impl MapPlot {
             keys.push((Key::Dot, PURPLE, "position found, 95 %".to_owned()));
         }
         let mut canvas = Canvas::new(900.0, &self.title);
-        let top = 74.0 + canvas.legend(58.0, &keys);
+        let top = 80.0 + canvas.legend(58.0, &keys);
         let axes = axes(top, &view)?;
         axes.draw(&mut canvas, "x (m)", "y (m)");
         let reach = 0.16 * (axes.y.1 - axes.y.0).max(axes.x.1 - axes.x.0);
@@ -479,8 +479,8 @@ impl MapPlot {
             for ray in &rays {
                 let (colour, dash, _) = ray.class.look();
                 let from = axes.at(ray.origin_m[0], ray.origin_m[1]);
-                // The truth is wider than the bearing, so that both are visible where they agree.
-                let width = if ray.class == RayClass::Truth { 6.0 } else { 2.5 };
+                // The truth is so much wider that a bearing or a mirror's dashes are visible where they agree with it.
+                let width = if ray.class == RayClass::Truth { 9.0 } else { 3.0 };
                 canvas.line(from, beyond(&axes, ray.origin_m, ray.azimuth_rad), colour, width, dash);
             }
             canvas.polyline(pixels(&axes, &path), SKY, 4.0);
