@@ -56,7 +56,7 @@ fn receive_poses(source: &mut Option<Poses>, now: Instant, mut each: impl FnMut(
             Ok(NextPose::End) => *source = None,
             Err(error) => {
                 *source = None;
-                return Some(error.into());
+                return Some(error);
             }
         }
     }

@@ -569,7 +569,7 @@ mod tests {
         let mailbox = Mailbox::new(100);
         for offers in [5, 1] {
             (0..offers).for_each(|_| offer());
-            work(&out, &AtomicBool::new(true), |_, message| mailbox.put(&message));
+            work(&out, &AtomicBool::new(true), |_, message| mailbox.put_at(Instant::ZERO, &message));
         }
         let counts = mailbox.counts();
         assert_eq!((counts.received, counts.missing, unsent.load(Ordering::Relaxed)), (3, 3, 3));
