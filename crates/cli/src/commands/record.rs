@@ -386,9 +386,10 @@ fn summary(status: &Status, listener: &str, totals: &Totals, files: &[PathBuf]) 
     text
 }
 
-/// Removes an empty output; devices and pipes stay.
+/// Removes an empty output; devices, pipes, and an earlier log that nothing took the place of stay.
 fn remove_empty(output: &Path) {
-    if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
+    let is_empty = output.metadata().is_ok_and(|found| found.is_file() && found.len() == 0);
+    if is_empty && std::fs::remove_file(output).is_ok() {
         note!("nothing to write: no {}", output.display());
     }
 }

@@ -235,6 +235,11 @@ fn a_recording_of_nothing_leaves_nothing() {
         assert!(said.contains("nothing came: `csi5300 doctor") && said.contains("nothing to write: no "), "{said}");
         assert_eq!(std::fs::read_dir(&folder.0).unwrap().count(), 0, "{said}");
     }
+    // An earlier one stays.
+    std::fs::write(&out, "earlier").unwrap();
+    let (status, said) = record(&out, &["--force"]).end_by(Signal::SIGINT);
+    assert_eq!(status, Some(1), "{said}");
+    assert_eq!((std::fs::read(&out).unwrap(), std::fs::read_dir(&folder.0).unwrap().count()), (b"earlier".to_vec(), 1));
 }
 
 #[test]

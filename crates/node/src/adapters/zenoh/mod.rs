@@ -420,7 +420,10 @@ fn wait_for_reader(stop: &AtomicBool, is_read: impl Fn() -> bool) {
 /// Sends what waits, each time that it is woken, and ends after a request to stop: a running tap does not keep it alive.
 fn work(out: &Mutex<Outgoing>, stop: &AtomicBool, mut send: impl FnMut(usize, Vec<u8>)) {
     loop {
-        std::thread::park();
+        // What wakes it may be taken by a wait inside of `send`, and is not repeated.
+        while lock(out).waiting == 0 && !stop.load(Ordering::Relaxed) {
+            std::thread::park();
+        }
         let stopping = stop.load(Ordering::Relaxed);
         if !stopping {
             std::thread::sleep(HAND_OVER);
@@ -524,6 +527,37 @@ mod tests {
             });
         }
         assert_eq!((sent, lock(&out).waiting), (2, 1), "what waited was sent");
+    }
+
+    #[test]
+    fn what_comes_while_a_message_is_sent_goes_out() {
+        let (out, stop) = (Arc::new(Mutex::new(Outgoing::new(7, 10))), Arc::new(AtomicBool::new(false)));
+        let (waiting, over) = (Arc::clone(&out), Arc::clone(&stop));
+        let put = |out: &Mutex<Outgoing>| {
+            lock(out).add(0, |batch| batch.push_record(None, Record { code: 0xBB, body: &[1] }))
+        };
+        assert!(put(&out));
+        let (tell, told) = std::sync::mpsc::channel();
+        let mut sent = 0;
+        let send = move || {
+            work(&waiting, &over, |_, _| {
+                sent += 1;
+                tell.send(sent).unwrap();
+                if sent == 1 {
+                    put(&waiting);
+                    // A wait of zenoh's own.
+                    std::thread::current().unpark();
+                    std::thread::park();
+                }
+            });
+        };
+        let thread = std::thread::spawn(send);
+        thread.thread().unpark();
+        let next = || told.recv_timeout(Duration::from_secs(5));
+        assert_eq!([next(), next()], [Ok(1), Ok(2)]);
+        stop.store(true, Ordering::Relaxed);
+        thread.thread().unpark();
+        thread.join().unwrap();
     }
 
     #[test]
