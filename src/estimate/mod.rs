@@ -348,8 +348,8 @@ pub(crate) fn estimate(
     if let Ok(found) = early(task, std::slice::from_ref(&model), few, (&plane_wave, start), middle_m) {
         return Ok(found);
     }
-    let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry());
     let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
+    let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry());
     widen(&mut modes, &model, task);
     Ok(Found {
         plane_wave,
