@@ -118,12 +118,14 @@ pub(crate) struct Decoder {
     plan: Plan,
     /// Working memory.
     planes: [[i8; 2]; MAX_SAMPLES],
+    sorted: [[i8; 2]; MAX_SAMPLES],
 }
 
 impl Decoder {
     /// Writes CSI in this order and form into these rows.
     pub fn new(order: Order, rows: Rows, form: Form) -> Self {
-        Self { order, rows, form, level: Level::new(), plan: Plan::default(), planes: [[0; 2]; MAX_SAMPLES] }
+        let [planes, sorted] = [[[0; 2]; MAX_SAMPLES]; 2];
+        Self { order, rows, form, level: Level::new(), plan: Plan::default(), planes, sorted }
     }
 
     /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`]. Returns the factor to
@@ -143,7 +145,7 @@ impl Decoder {
     /// One record, for the vectors for which it is compiled.
     #[inline(always)]
     fn one(&mut self, bfee: &Bfee<'_>, with_factor: bool, out: &mut [Complex32]) -> Option<f64> {
-        let Self { order, form, plan, planes, .. } = self;
+        let Self { order, form, plan, planes, sorted, .. } = self;
         let count = bfee.unpack_planes(planes).unwrap_or(0);
         let samples = planes.get(..count).unwrap_or_default();
         let factor = if with_factor { scale_factor_of(bfee, samples).ok() } else { None };
@@ -153,7 +155,11 @@ impl Decoder {
         };
         let csi = (form.without_spatial_mapping && bfee.n_tx() > 1).then(|| Csi::raw(bfee));
         let unmapped = csi.map(|csi| csi.without_spatial_mapping(bfee.is_40_mhz()));
-        by_column(bfee, (*order, plan), unmapped.as_ref(), samples, wanted as f32, out);
+        let wanted = wanted as f32;
+        match (*order, unmapped.as_ref()) {
+            (Order::SubcarriersFirst, None) => by_subcarrier(plan, samples, sorted, wanted, out),
+            (_, unmapped) => by_column(bfee, (*order, plan), unmapped, samples, wanted, out),
+        }
         factor
     }
 }
@@ -177,34 +183,45 @@ fn by_column(
         };
         let room = out.get_mut(from..).unwrap_or_default();
         let source = plan.sources.get(column).copied().flatten();
-        let plane = source.and_then(|source| planes.get(source));
-        if let (None, Some(plane), 1) = (unmapped, plane, step) {
-            widen(plane, factor, room);
-            continue;
-        }
-        let places = room.iter_mut().step_by(step).take(SUBCARRIERS);
-        match (unmapped, source, plane) {
+        match (unmapped, source, source.and_then(|source| planes.get(source))) {
             (Some(csi), Some(source), _) => {
-                for (subcarrier, h) in places.enumerate() {
+                for (subcarrier, h) in room.iter_mut().step_by(step).take(SUBCARRIERS).enumerate() {
                     *h = csi.get(subcarrier, source / n_tx, source % n_tx).map_or(NOTHING, |h| h * factor);
                 }
             }
-            (None, _, Some(plane)) => {
-                for (h, [i, q]) in places.zip(plane) {
-                    *h = Complex32::new(f32::from(*i) * factor, f32::from(*q) * factor);
-                }
-            }
-            _ => places.for_each(|h| *h = NOTHING),
+            (None, _, Some(plane)) => widen(plane, factor, room),
+            _ => room.iter_mut().step_by(step).take(SUBCARRIERS).for_each(|h| *h = NOTHING),
         }
     }
 }
 
-/// The samples of a column times a factor: a loop of constant length, which compilers vectorise.
+/// Writes the samples of a record with the subcarriers first.
 #[inline(always)]
-fn widen(plane: &[[i8; 2]; SUBCARRIERS], factor: f32, column: &mut [Complex32]) {
-    let values = bytemuck::cast_slice_mut::<Complex32, f32>(column).first_chunk_mut::<{ 2 * SUBCARRIERS }>();
-    let Some(values) = values else { return };
-    for (value, sample) in values.iter_mut().zip(plane.as_flattened()) {
+fn by_subcarrier(
+    plan: &Plan,
+    samples: &[[i8; 2]],
+    sorted: &mut [[i8; 2]; MAX_SAMPLES],
+    factor: f32,
+    out: &mut [Complex32],
+) {
+    let (planes, columns) = (samples.as_chunks::<SUBCARRIERS>().0, out.len() / SUBCARRIERS);
+    let plane = |column: usize| planes.get(plan.sources.get(column).copied().flatten()?);
+    let present = (0..columns).filter_map(|column| Some((column, plane(column)?)));
+    for (column, plane) in present {
+        let places = sorted.get_mut(column..).unwrap_or_default().iter_mut().step_by(columns);
+        places.zip(plane).for_each(|(to, from)| *to = *from);
+    }
+    widen(sorted.get(..out.len()).unwrap_or_default(), factor, out);
+    for column in (0..columns).filter(|column| plane(*column).is_none()) {
+        out.iter_mut().skip(column).step_by(columns).for_each(|h| *h = NOTHING);
+    }
+}
+
+/// Samples times a factor: a loop that compilers vectorise.
+#[inline(always)]
+fn widen(samples: &[[i8; 2]], factor: f32, out: &mut [Complex32]) {
+    let values = bytemuck::cast_slice_mut::<Complex32, f32>(out).get_mut(..2 * samples.len());
+    for (value, sample) in values.unwrap_or_default().iter_mut().zip(samples.as_flattened()) {
         *value = f32::from(*sample) * factor;
     }
 }
