@@ -45,20 +45,30 @@ fn receive(source: &mut impl CsiSource, now: Instant, mut each: impl FnMut(&Next
     Ok([came, true, false])
 }
 
-/// Hands over available poses, up to a burst; `None` where a new frame starts. A source that ended or failed is gone; returns the
-/// reason.
-fn receive_poses(source: &mut Option<Poses>, now: Instant, mut each: impl FnMut(Option<Pose>)) -> Option<Error> {
+/// Hands over available poses, up to a burst; `None` where a new frame starts. A source that ends or fails moves to `ended`; returns
+/// why it failed.
+fn receive_poses(
+    source: &mut Option<Poses>,
+    ended: &mut Option<Poses>,
+    now: Instant,
+    mut each: impl FnMut(Option<Pose>),
+) -> Option<Error> {
     for _ in 0..BURST {
-        match source.as_mut()?.receive(now) {
-            Ok(NextPose::Pose(pose)) => each(Some(pose)),
-            Ok(NextPose::NewFrame) => each(None),
-            Ok(NextPose::Pending) => break,
-            Ok(NextPose::End) => *source = None,
-            Err(error) => {
-                *source = None;
-                return Some(error);
+        let failed = match source.as_mut()?.receive(now) {
+            Ok(NextPose::Pose(pose)) => {
+                each(Some(pose));
+                continue;
             }
-        }
+            Ok(NextPose::NewFrame) => {
+                each(None);
+                continue;
+            }
+            Ok(NextPose::Pending) => return None,
+            Ok(NextPose::End) => None,
+            Err(error) => Some(error),
+        };
+        *ended = source.take();
+        return failed;
     }
     None
 }
@@ -81,8 +91,10 @@ pub struct Machine {
     capture: Logged<Card>,
     /// This robot's records have ended.
     has_ended: bool,
-    /// Sources that end are gone.
     poses: Option<Poses>,
+    /// The same after their end: their counts stay.
+    ended_poses: Option<Poses>,
+    /// Sources of theirs that end are gone.
     peers: Vec<PeerSources>,
     /// The estimator.
     pub estimator: LiveEstimator,
@@ -119,6 +131,7 @@ impl Machine {
             capture: Logged::new(sources.capture, log)?,
             has_ended: false,
             poses: sources.poses,
+            ended_poses: None,
             peers: sources.peers,
             estimator,
             taps: Vec::new(),
@@ -155,7 +168,7 @@ impl Machine {
     pub fn take(&mut self, now: Instant) -> Result<bool, Error> {
         // Poses first: measurements need a place.
         let counts = &mut self.pose_counts;
-        let failed = receive_poses(&mut self.poses, now, |pose| {
+        let failed = receive_poses(&mut self.poses, &mut self.ended_poses, now, |pose| {
             self.estimator.handle_pose(pose);
             *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
             self.taps.iter_mut().for_each(|tap| tap.pose(pose));
@@ -185,7 +198,7 @@ impl Machine {
 
     fn take_peer(&mut self, peer: usize, now: Instant) -> bool {
         let Some(running) = self.peers.get_mut(peer) else { return false };
-        let failed = receive_poses(&mut running.poses, now, |pose| {
+        let failed = receive_poses(&mut running.poses, &mut None, now, |pose| {
             running.new_frames += u64::from(pose.is_none());
             self.estimator.handle_peer_pose(peer, pose);
         });
@@ -253,7 +266,7 @@ impl Machine {
 
     /// Counts of the source of this robot's poses.
     pub(crate) fn odometry_counts(&self) -> Option<SourceCounts> {
-        self.poses.as_ref().and_then(|poses| poses.counted())
+        self.poses.as_ref().or(self.ended_poses.as_ref()).and_then(|poses| poses.counted())
     }
 
     /// This host's wall clock was set: earlier times are useless, here and for the peers.
@@ -271,7 +284,7 @@ impl Machine {
     /// What is wrong at the moment, in words.
     #[must_use]
     pub fn trouble(&self) -> Vec<String> {
-        let odometry = self.poses.as_ref().and_then(|poses| poses.trouble());
+        let odometry = self.poses.as_ref().or(self.ended_poses.as_ref()).and_then(|poses| poses.trouble());
         let peers = self.peers.iter().filter_map(|peer| peer.poses.as_ref()?.trouble());
         let disk = self.totals().filter(|totals| totals.failing).and_then(|totals| totals.error);
         self.trouble.iter().cloned().chain(odometry).chain(peers).chain(disk).collect()
@@ -302,5 +315,37 @@ impl Machine {
 fn say_silence(report: &mut PeerReport, pairs: u64) {
     if report.state == PeerState::NoPairs && report.t_s.is_none() && pairs > 0 {
         report.words = LinkError::Silent { pairs: usize::try_from(pairs).unwrap_or(usize::MAX) }.to_string();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::motion::odometry::FollowedCounts;
+
+    struct Ended;
+
+    impl OdometrySource for Ended {
+        fn receive(&mut self, _now: Instant) -> Result<NextPose, Error> {
+            Ok(NextPose::End)
+        }
+
+        fn next_at(&self) -> Option<Instant> {
+            None
+        }
+
+        fn counted(&self) -> Option<SourceCounts> {
+            Some(SourceCounts::Followed {
+                followed: FollowedCounts { late: 3, ..FollowedCounts::default() },
+                source: None,
+            })
+        }
+    }
+
+    #[test]
+    fn what_a_source_of_poses_counted_outlives_it() {
+        let (mut source, mut ended): (Option<Poses>, Option<Poses>) = (Some(Box::new(Ended)), None);
+        assert!(receive_poses(&mut source, &mut ended, Instant::ZERO, |_| ()).is_none() && source.is_none());
+        assert_eq!(ended.unwrap().counted(), Ended.counted());
     }
 }
