@@ -680,9 +680,6 @@ fn pack(csi: &[Iq], n: usize, out: &mut [u8]) {
 /// Samples of the largest record: 30 subcarriers, 3 by 3 chains.
 pub const MAX_SAMPLES: usize = SUBCARRIERS * 9;
 
-/// Bytes that [`Bfee::unpack_bytes`] needs for the largest record.
-pub const MAX_SAMPLE_BYTES: usize = 2 * MAX_SAMPLES + WORD;
-
 /// Bits before the samples of each subcarrier.
 const GAP: usize = 3;
 /// Bytes of a load for three samples.
@@ -1020,19 +1017,10 @@ impl Bfee<'_> {
     ///
     /// Returns the number of samples (half the number of floats); `None` if `out` is too short.
     ///
-    /// Inlined, like [`Bfee::unpack_bytes`] and [`Bfee::column_f32`], so that callers compiled for wide vectors use those here.
+    /// Inlined, like [`Bfee::column_f32`], so that callers compiled for wide vectors use those here.
     #[inline(always)]
     pub fn unpack_f32(&self, out: &mut [f32]) -> Option<usize> {
         by_pairs!(self, N => unpack_f32_n::<N, { 60 * N + WORD }>(self.payload(), out))
-    }
-
-    /// Unpacks everything in the order of the payload, `[subcarrier][rx][tx][i, q]`, two's complement.
-    ///
-    /// Returns the number of samples (half the number of bytes); `None` if `out` does not have 8 more bytes than they take. Those
-    /// may be overwritten.
-    #[inline(always)]
-    pub fn unpack_bytes(&self, out: &mut [u8]) -> Option<usize> {
-        by_pairs!(self, N => unpack_bytes_n::<N>(self.payload(), out))
     }
 
     /// Unpacks everything, one chain pair after the other, `[rx][tx][subcarrier][i, q]`, for work antenna by antenna.
@@ -1084,7 +1072,7 @@ impl Bfee<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Bfee, Iq, MAX_SAMPLE_BYTES, MAX_SAMPLES, Repr, SUBCARRIERS, *};
+    use super::{Bfee, Iq, MAX_SAMPLES, Repr, SUBCARRIERS, *};
     use crate::EmitError;
     use proptest::collection::vec;
     use proptest::prelude::*;
@@ -1390,14 +1378,15 @@ mod tests {
     fn bytes_are_the_samples_in_the_order_of_the_payload() {
         each_size(|repr, bfee, bits| {
             let (n_rx, n_tx) = (repr.n_rx, repr.n_tx);
-            let mut bytes = [99; MAX_SAMPLE_BYTES + 1];
-            assert_eq!(bfee.unpack_bytes(&mut bytes), Some(repr.samples()));
+            let unpack = |out: &mut [u8]| by_pairs!(bfee, N => unpack_bytes_n::<N>(bfee.payload(), out));
+            let mut bytes = [99; 2 * MAX_SAMPLES + WORD + 1];
+            assert_eq!(unpack(&mut bytes), Some(repr.samples()));
             let (used, rest) = bytes.split_at(2 * repr.samples());
             let expected: Vec<u8> = bits.iter().flat_map(|iq| [iq.i.cast_unsigned(), iq.q.cast_unsigned()]).collect();
             assert_eq!(used, expected, "{n_rx}x{n_tx}");
             assert!(rest.iter().skip(8).all(|byte| *byte == 99), "written beyond a word more");
             let short = 2 * repr.samples() + 7;
-            assert_eq!(bfee.unpack_bytes(&mut bytes[..short]), None);
+            assert_eq!(unpack(&mut bytes[..short]), None);
         });
     }
 }

@@ -16,7 +16,7 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 /// A reflection with less than this share is not given.
 const LEAST: f64 = 0.01;
-/// Two values are apart from so many standard deviations on.
+/// Values are two if they differ by this many standard deviations.
 const APART: f64 = 3.0;
 
 /// What became of reflections.

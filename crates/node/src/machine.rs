@@ -30,19 +30,29 @@ pub trait Tap: Send {
     fn peer(&mut self, _peer: usize, _now: Instant, _next: &Next<'_>) {}
 }
 
-/// Hands over available items, up to a burst: if any came, if there are more, and if they have ended.
-fn receive(source: &mut impl CsiSource, now: Instant, mut each: impl FnMut(&Next<'_>)) -> Result<[bool; 3], Error> {
-    let mut came = false;
+/// What a burst of a source's items was.
+#[derive(Clone, Copy, Debug, Default)]
+struct Burst {
+    /// Records, or the news of lost ones.
+    came: bool,
+    /// There may be more at once.
+    more: bool,
+    ended: bool,
+}
+
+/// Hands over available items, up to a burst.
+fn receive(source: &mut impl CsiSource, now: Instant, mut each: impl FnMut(&Next<'_>)) -> Result<Burst, Error> {
+    let mut burst = Burst::default();
     for _ in 0..BURST {
         let next = source.receive(now)?;
         each(&next);
         match next {
-            Next::Pending => return Ok([came, false, false]),
-            Next::End(_) => return Ok([came, false, true]),
-            Next::Record(..) | Next::Lost(_) => came = true,
+            Next::Pending => return Ok(burst),
+            Next::End(_) => return Ok(Burst { ended: true, ..burst }),
+            Next::Record(..) | Next::Lost(_) => burst.came = true,
         }
     }
-    Ok([came, true, false])
+    Ok(Burst { more: true, ..burst })
 }
 
 /// Hands over available poses, up to a burst; `None` where a new frame starts. A source that ends or fails moves to `ended`; returns
@@ -94,7 +104,7 @@ pub struct Machine {
     poses: Option<Poses>,
     /// The same after their end: their counts stay.
     ended_poses: Option<Poses>,
-    /// Sources of theirs that end are gone.
+    /// Peers' sources that end are removed.
     peers: Vec<PeerSources>,
     /// The estimator.
     pub estimator: LiveEstimator,
@@ -185,7 +195,7 @@ impl Machine {
         if self.has_ended {
             return Ok(false);
         }
-        let [came, more, ended] = receive(&mut self.capture, now, |next| {
+        let Burst { came, more, ended } = receive(&mut self.capture, now, |next| {
             self.taps.iter_mut().for_each(|tap| tap.own(now, next));
             self.estimator.handle_own(next);
         })?;
@@ -208,9 +218,9 @@ impl Machine {
             self.taps.iter_mut().for_each(|tap| tap.peer(peer, now, next));
             self.estimator.handle_peer(peer, next);
         });
-        let [came, more, ended] = received.unwrap_or_else(|error| {
+        let Burst { came, more, ended } = received.unwrap_or_else(|error| {
             self.trouble.push(format!("records of {}: {error}", running.peer.name));
-            [false, false, true]
+            Burst { ended: true, ..Burst::default() }
         });
         if ended {
             running.records = None;
