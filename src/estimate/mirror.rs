@@ -53,25 +53,38 @@ struct Plane {
     error2: f64,
 }
 
-/// The plane that a motion lies nearest to, or of a line the upright one along it.
-fn planes(points: &[Vector3<f64>], prior: &Prior, odometry: Odometry) -> Vec<Plane> {
-    let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
+impl Plane {
+    fn across(normal: Vector3<f64>, points: &[Vector3<f64>], odometry: Odometry) -> Self {
+        let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
+        let depth2 = points.iter().map(|p| normal.dot(p).powi(2)).sum::<f64>() / points.len().max(1) as f64;
+        Self { normal, depth2, error2: odometry.error2(&normal, radius_m) }
+    }
+}
+
+/// The directions in which a motion extends most, less and least.
+fn axes(points: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
     let scatter: Matrix3<f64> =
         points.iter().map(|p| p * p.transpose()).sum::<Matrix3<f64>>() / points.len().max(1) as f64;
     let eigen = SymmetricEigen::new(scatter);
     let mut order = [0, 1, 2];
     order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
-    let depth2 =
-        |normal: &Vector3<f64>| points.iter().map(|p| normal.dot(p).powi(2)).sum::<f64>() / points.len().max(1) as f64;
-    let plane =
-        |normal: Vector3<f64>| Plane { normal, depth2: depth2(&normal), error2: odometry.error2(&normal, radius_m) };
-    let across = |k: usize| plane(eigen.eigenvectors.column(order[k]).into_owned());
-    let along = eigen.eigenvectors.column(order[0]).into_owned();
+    order.map(|k| eigen.eigenvectors.column(k).into_owned())
+}
+
+/// Whether a motion may be along a line: then azimuth and elevation of a wave are one unknown.
+pub(super) fn is_line(points: &[Vector3<f64>], odometry: Odometry) -> bool {
+    let [_, across, _] = axes(points);
+    share(f64::INFINITY, &Plane::across(across, points, odometry)) >= LEAST
+}
+
+/// The plane that a motion lies nearest to, or of a line the upright one along it.
+fn planes(points: &[Vector3<f64>], prior: &Prior, odometry: Odometry) -> Vec<Plane> {
+    let [along, _, normal] = axes(points);
     // Upright and along the motion: what a level motion, or a line in space, has on either side of it. What lies about a line
     // beyond that, the elevations say.
-    let on_its_sides = Vector3::new(-along.y, along.x, 0.0).try_normalize(1e-6).map(plane);
-    let is_line = share(f64::INFINITY, &across(1)) >= LEAST;
-    if prior.is_signed() && !is_line { vec![across(2)] } else { on_its_sides.into_iter().collect() }
+    let on_its_sides = Vector3::new(-along.y, along.x, 0.0).try_normalize(1e-6);
+    let normal = if prior.is_signed() && !is_line(points, odometry) { Some(normal) } else { on_its_sides };
+    normal.map(|normal| Plane::across(normal, points, odometry)).into_iter().collect()
 }
 
 /// A place reflected in a plane.
@@ -88,7 +101,8 @@ fn reflected(place: &Place, normal: &Vector3<f64>, signed: bool) -> Place {
 
 /// The share of a reflection.
 fn share(log_ratio: f64, plane: &Plane) -> f64 {
-    let by_shape = plane.error2 / (2.0 * plane.depth2.max(1e-18));
+    let true_depth2 = (plane.depth2 - plane.error2).max(1e-18);
+    let by_shape = plane.error2 / (2.0 * true_depth2);
     let against = 1.0 / (1.0 / log_ratio.max(1e-9) + by_shape);
     1.0 / (1.0 + against.exp())
 }

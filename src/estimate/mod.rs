@@ -52,8 +52,6 @@ const LARGE_SHARE: f64 = 0.5;
 /// Nearest places that a motion leaves free, in its radii: outside, and where the motion goes around the transmitter.
 const OUTSIDE: f64 = 1.2;
 const INSIDE: f64 = 0.2;
-/// Probability of a transmitter nearer than [`tuning::NEAREST_M`].
-const NEARER: f64 = 0.05;
 /// From this accuracy on the grid alone will do, radians: of 71 WSR links it moves the azimuth by 1.1 degrees in the median, 2.5 at most.
 pub(crate) const COARSE_RAD: f64 = 0.052;
 
@@ -243,9 +241,16 @@ struct Model {
     points: Vec<Vector3<f64>>,
     prior: Prior,
     steps: Steps,
+    /// Whether it may be along a level line, whose azimuths and elevations are one unknown.
+    is_line: bool,
 }
 
 impl Model {
+    fn of(self, task: &Task<'_>) -> Self {
+        let is_line = !self.prior.is_signed() && mirror::is_line(&self.points, task.odometry());
+        Self { is_line, ..self }
+    }
+
     fn new(points: &[Vector3<f64>], samples: &Samples, limits: &Limits, (reach, signed): (Reach, bool)) -> Self {
         let flat = |p: &Vector3<f64>| if signed { *p } else { Vector3::new(p.x, p.y, 0.0) };
         let points: Vec<Vector3<f64>> = points.iter().map(flat).collect();
@@ -253,7 +258,7 @@ impl Model {
         // Heights that may be a drift are no evidence of a rare elevation.
         let prior = if reach == Reach::Low { prior.with_expected_elevations() } else { prior };
         let steps = steps(&points, samples, &prior);
-        Self { points, prior, steps }
+        Self { points, prior, steps, is_line: false }
     }
 }
 
@@ -307,7 +312,7 @@ pub(crate) fn estimate(
         Reach::Tall => &[true],
     };
     let models: Vec<Model> =
-        signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, (reach, signed))).collect();
+        signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, (reach, signed)).of(task)).collect();
     let bins = Bins::along(&models[0].points, samples.wavelength_m());
     let means = bins.means(samples, &points);
     let mut searcher = Searcher::new(task.tier);
@@ -335,7 +340,11 @@ pub(crate) fn estimate(
         let own = Windowed::new(&field, model, fine);
         let wider = own.wider(task, strongest).map(|model| Windowed::new(&field, model, fine));
         // Nearer places than are expected have to be likelier by their prior odds.
-        let unexpected = wider.map(|wider| Windowed { evidence: wider.evidence + NEARER.ln(), ..wider });
+        let unexpected = wider.map(|wider| {
+            let is_nearer = wider.model.prior.curve_max > own.model.prior.curve_max;
+            let odds = if is_nearer { prior::NEARER.ln() } else { 0.0 };
+            Windowed { evidence: wider.evidence + odds, ..wider }
+        });
         for own in [Some(own), unexpected].into_iter().flatten() {
             if best.as_ref().is_none_or(|best| own.evidence > best.evidence) {
                 best = Some(own);
@@ -368,13 +377,17 @@ pub(crate) fn estimate(
 
 /// Widens elevations and ranges by the model's error, as [`Blur`] does azimuths, and by what the sensor gets wrong of the path. Phases
 /// that turn the azimuth by an angle pass for a stretch of as much.
-fn widen(modes: &mut [Mode], Model { points, prior, .. }: &Model, task: &Task<'_>) {
+fn widen(modes: &mut [Mode], Model { points, prior, is_line, .. }: &Model, task: &Task<'_>) {
     // Half the width that holds 68 % of a Cauchy density, in units of its scale.
     let model_rad = 1.84 * tuning::MODEL_DEG.to_radians();
     let stretch = model_rad.hypot(task.scale_sd());
     for mode in &mut *modes {
         let by_stretch = elevation_by(stretch, &mode.place, points, prior.is_signed());
         mode.covariance[(1, 1)] += model_rad * model_rad + by_stretch * by_stretch;
+        if *is_line {
+            // Errors of the path count the less, the steeper the place.
+            mode.covariance[(1, 1)] = mode.covariance[(1, 1)].max(prior.deviations()[0].powi(2));
+        }
     }
     bend(modes, points, model_rad.hypot(task.bend_rad));
 }
@@ -428,20 +441,32 @@ impl Windowed {
         Self { model, evidence, modes }
     }
 
-    /// The model with nearer places, if the nearest place is the best or most of the power comes from nearer, and the limit is the
-    /// default.
+    /// The model with nearer places, if the nearest place is the best or most of the power comes from nearer, and with steeper ones, if
+    /// most comes from there, as far as the limits are the defaults.
     fn wider(&self, task: &Task<'_>, strongest: Option<Place>) -> Option<Model> {
-        let Model { points, prior, steps } = &self.model;
+        let Model { points, prior, .. } = &self.model;
         let curve = self.modes.first().map_or(0.0, |mode| mode.place.curve);
         let at_limit = prior.curve_max > 0.0 && curve > 0.9 * prior.curve_max;
-        let is_nearer = |place: Place| {
-            place.curve > prior.curve_max && prior.at_height(place).explained(task.samples, points) > LARGE_SHARE
-        };
-        if !(at_limit || strongest.is_some_and(is_nearer)) || task.limits.range_min_m.is_some() {
-            return None;
+        let explains = |place: &Place| prior.at_height(*place).explained(task.samples, points) > LARGE_SHARE;
+        let strongest = strongest.filter(explains);
+        let is_nearer = at_limit || strongest.is_some_and(|place| place.curve > prior.curve_max);
+        // Only heights beyond a drift are evidence of a rare elevation. Errors of a level path count the less, the steeper the place:
+        // steep ones always seem to explain more.
+        let [tall_m, radius_m] =
+            points.iter().fold([0.0; 2], |[z, r]: [f64; 2], p| [z.max(p.z.abs()), r.max(p.norm())]);
+        let is_steeper = prior.is_signed()
+            && tall_m > 2.0 * task.bend_rad * radius_m
+            && strongest.is_some_and(|place| place.elevation.abs() > prior.elevation_rad[1]);
+        let mut wider = *prior;
+        if is_nearer && task.limits.range_min_m.is_none() {
+            wider = wider.with_curve_max(nearest_curve(points, OUTSIDE, task.samples.wavelength_m()));
         }
-        let prior = prior.with_curve_max(nearest_curve(points, OUTSIDE, task.samples.wavelength_m()));
-        steps.are_affordable(points.len(), &prior).then(|| Model { points: points.clone(), prior, steps: *steps })
+        if is_steeper && task.limits.elevation_max_rad.is_none() {
+            wider = wider.with_any_elevation();
+        }
+        let steps = steps(points, task.samples, &wider);
+        let is_open = wider != *prior && steps.are_affordable(points.len(), &wider);
+        is_open.then(|| Model { points: points.clone(), prior: wider, steps, is_line: self.model.is_line })
     }
 }
 
@@ -468,22 +493,23 @@ fn highest_expected_rad(task: &Task<'_>, models: &[Model]) -> f64 {
     if task.limits.height_m.is_some() { FRAC_PI_2 } else { widest }
 }
 
-/// The place of the strongest wave within the limits of [`free`].
+/// The place of the strongest wave within the limits of [`free`]; of motion along a level line, at the horizon.
 fn strongest(task: &Task<'_>, model: &Model) -> Option<Place> {
     let prior = free(task, model, true);
+    let prior = if model.is_line { prior.level() } else { prior };
     let means = Bins::for_start(&model.points, task.samples.wavelength_m()).samples(task.samples, &model.points)?;
     let points: Vec<Vector3<f64>> = means.displacements_m().collect();
     let place = start::anywhere(&means, &points, &prior, task.tier)?;
     Some(one_wave::unwrapped(&means, &points, place, &prior, task.scale_sd()))
 }
 
-/// The prior of a clean wave front, which shows a near or high place by itself: only requested limits apply. `inside` are places
-/// that the motion goes around.
-fn free(task: &Task<'_>, Model { points, prior, .. }: &Model, inside: bool) -> Prior {
+/// The prior of a clean wave front, which shows a near place by itself, and unless motion is along a line a high one: only requested
+/// limits apply. `inside` are places that the motion goes around.
+fn free(task: &Task<'_>, Model { points, prior, is_line, .. }: &Model, inside: bool) -> Prior {
     let nearest = nearest_curve(points, if inside { INSIDE } else { OUTSIDE }, task.samples.wavelength_m());
     let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
     let prior = if is_free { prior.with_curve_max(prior.curve_max.max(nearest)) } else { *prior };
-    if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior }
+    if task.limits.elevation_max_rad.is_none() && !is_line { prior.with_any_elevation() } else { prior }
 }
 
 /// The answer of one wave, where that is all there is. With means of the samples, these have to pass the same tests first, which
@@ -512,12 +538,22 @@ fn early(
             one_wave::alone(heard, start, &prior, &model.steps, task.tier).map(drop)
         });
         let heard = Heard { samples, points: &model.points, false_alarm, scale_sd };
-        match checked.and_then(|()| one_wave::explain(heard, start, &prior, &model.steps, task.tier)) {
-            Ok(one) => found.push((one.log_likelihood, of_one_wave(task, model, prior, one, start.0, middle_m))),
+        let explain = |prior, start| one_wave::explain(heard, start, prior, &model.steps, task.tier);
+        match checked.and_then(|()| explain(&prior, start)) {
+            Ok(one) => {
+                let expected = prior.expected(model.prior.curve_max);
+                let odds: f64 = one.modes.iter().map(|mode| expected.log_odds(&mode.place)).sum();
+                if odds < 0.0
+                    && let Ok(one) = explain(&expected, (start.0, None))
+                {
+                    found.push((one.log_likelihood, of_one_wave(task, model, expected, one, start.0, middle_m)));
+                }
+                found.push((one.log_likelihood + odds, of_one_wave(task, model, prior, one, start.0, middle_m)));
+            }
             Err(unexplained) => failed = Reason::Unexplained(unexplained),
         }
     }
-    // Two models of the heights may both leave noise: then the truth may be either's.
+    // Two models of the heights, or an expected place and a near or steep one, may both leave noise: then the truth may be either's.
     let weighed = |(log, found): &(f64, Found)| log + found.modes.first().map_or(f64::MIN, |mode| mode.mass.ln());
     found.sort_by(|a, b| weighed(b).total_cmp(&weighed(a)));
     let mut found = found.into_iter();

@@ -8,8 +8,8 @@
 //! at most `sqrt(2 p)` times the deviation that the noise leaves.
 
 use super::likelihood::Place;
-use super::posterior::{Atom, Mode, Steps};
-use super::prior::Prior;
+use super::posterior::{Atom, Mode, Steps, settle};
+use super::prior::{Cell, Prior};
 use super::start;
 use crate::bartlett::{Estimate, Searcher, Tier};
 use crate::maths::wrap_rad;
@@ -17,7 +17,7 @@ use crate::signal::samples::Samples;
 use csi5300_kernels::fft::Ffts;
 use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector3, Vector4};
 use num_complex::Complex64;
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt;
 
 /// Probability of a false alarm of a test: then the posterior over windows is computed needlessly.
@@ -31,6 +31,10 @@ const STEPS: usize = 12;
 /// Azimuths of the posterior on either side of the most likely one, and how far the first of them goes in deviations.
 const SIDE: usize = 12;
 const REACH: f64 = 4.0;
+/// Steps between these azimuths at most, radians: then they are the whole circle.
+const WIDEST: f64 = TAU / (2 * SIDE + 1) as f64;
+/// Elevations that a motion does not distinguish are looked at in so many steps.
+const ELEVATIONS: usize = 12;
 /// `ln` of how many times less likely another direction has to be.
 const DECISIVE: f64 = 12.0;
 /// A range that is this far less likely, in logarithms, is out of the question.
@@ -159,7 +163,15 @@ pub(crate) fn explain(
     // posterior.
     wave.open.0[2] = true;
     let covariance = wave.covariance(&at, variance, true);
-    let modes = vec![wave.mode(&at, covariance, variance)];
+    let hides_elevation = prior.elevation_is_open() && !wave.open.0[0];
+    // Straight above, no azimuth shows.
+    let above = At { place: Place { elevation: FRAC_PI_2, ..at.place }, ..at };
+    let is_above = hides_elevation
+        && prior.contains(&above.place)
+        && wave.cost(&above, variance) < wave.cost(&at, variance) + 2.0 * DOUBT;
+    let at = if is_above { above } else { at };
+    let mode = wave.mode(&at, covariance, variance);
+    let modes = vec![if hides_elevation { wave.over_elevations(mode, at, variance) } else { mode }];
     let log_likelihood = -0.5 * left.len() as f64 * variance.ln();
     Ok(OneWave { modes, bound_rad, risk_rad: (2.0 * peak).sqrt() * bound_rad, log_likelihood })
 }
@@ -182,14 +194,15 @@ pub(crate) fn alone<'a>(
     let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
     let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
     let wave = Wave { samples, points, kappa, prior, open, scale_sd, unwraps: false };
+    let start_prior = if shows_elevation { *prior } else { prior.level() };
     let place = from
         .map(|place| prior.at_height(place))
-        .unwrap_or_else(|| start::beside(samples, points, plane_wave, prior, steps, tier));
+        .unwrap_or_else(|| start::beside(samples, points, plane_wave, &start_prior, steps, tier));
     let share = place.explained(samples, points);
     if share < LEAST_SHARE {
         return Err(Unexplained::Faint(share));
     }
-    let fit = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
+    let fit = wave.settled(At { place, scale: 0.0 }, STEPS).ok_or(Unexplained::NoPlace)?;
     whiteness(&fit.left, false_alarm, tier)?;
     unambiguous(&wave, &fit.at, plane_wave, steps)?;
     let peak = highest_peak(&wave, &fit, plane_wave, false_alarm, tier)?;
@@ -207,7 +220,7 @@ pub(crate) fn unwrapped(
 ) -> Place {
     let open = Open([prior.elevation_is_open(), prior.curve_max > 0.0, false]);
     let wave = Wave { samples, points, kappa: samples.kappa(), prior, open, scale_sd, unwraps: true };
-    wave.settled(At { place: from, scale: 0.0 }).map_or(from, |fit| fit.at.place)
+    wave.settled(At { place: from, scale: 0.0 }, STEPS).map_or(from, |fit| fit.at.place)
 }
 
 /// Azimuth, elevation (or its cosine), 1 / range and scale: what a phase goes by.
@@ -272,11 +285,12 @@ impl Wave<'_> {
         square / variance + (at.scale / self.scale_sd).powi(2)
     }
 
-    /// Least squares of the residual phases from `at`, within the limits: a coordinate that would leave them stays there.
-    fn settled(&self, at: At) -> Option<Fit> {
+    /// Least squares of the residual phases from `at` in at most so many steps, within the limits: a coordinate that would leave them
+    /// stays there.
+    fn settled(&self, at: At, steps: usize) -> Option<Fit> {
         let mut fit = self.fit(at);
         let mut held = [false; 3];
-        for _ in 0..STEPS {
+        for _ in 0..steps {
             let (next, hits) = self.step(&fit, &held, true)?;
             let moved = wrap_rad(next.at.place.azimuth - fit.at.place.azimuth).abs();
             (fit, held) = (next, hits);
@@ -392,7 +406,7 @@ impl Wave<'_> {
                 let mut near = *at;
                 for k in 1..=SIDE {
                     let off = side * k as f64 * step;
-                    near = self.best_with(self.beside(&near, side * step, variance), [false, true, true]);
+                    near = self.best_with(self.beside(&near, (0, side * step), variance), [false, true, true]);
                     logs.push((off, self.log(&near, variance)));
                 }
             }
@@ -407,8 +421,8 @@ impl Wave<'_> {
             let edge = logs[SIDE].1.max(logs[2 * SIDE].1);
             let inside = logs[SIDE / 4].1.min(logs[SIDE + SIDE / 4].1);
             // Towards the line of a straight motion the azimuth shows to second order only: wider. Too wide: closer.
-            if edge > -4.0 && step < 0.1 && !too_wide {
-                step *= 2.0;
+            if edge > -4.0 && step < WIDEST && !too_wide {
+                step = (2.0 * step).min(WIDEST);
             } else if inside < -6.0 && step > 2e-9 {
                 too_wide = true;
                 step *= 0.3;
@@ -429,19 +443,62 @@ impl Wave<'_> {
         Mode { place: Place { azimuth: wrap_rad(at.place.azimuth), ..at.place }, covariance, mass: 1.0, atoms }
     }
 
-    /// The place `by_rad` beside `at` whose phases differ least, to first order: elsewhere they would be turns away from those of
-    /// the samples.
-    fn beside(&self, at: &At, by_rad: f64, variance: f64) -> At {
+    /// A mode of motion that shows no elevation (along a line, say), over the elevations of the prior: each has its own azimuth and range.
+    fn over_elevations(&self, mode: Mode, at: At, variance: f64) -> Mode {
+        let [low, high] = self.prior.elevation_rad;
+        let cells = self.prior.elevations([low, high], (high - low) * high.sin() / ELEVATIONS as f64);
+        let own = cells.iter().rposition(|cell| cell.low <= at.place.elevation).unwrap_or(0);
+        let wave = Self { open: Open([true, self.open.0[1], self.open.0[2]]), ..*self };
+        let mut mixed = Vec::new();
+        let mut take = |near: &At, cell: &Cell, before: &At| {
+            let by = wrap_rad(near.place.azimuth - at.place.azimuth);
+            let width = wrap_rad(near.place.azimuth - before.place.azimuth).abs();
+            let atom =
+                |atom: &Atom| Atom { azimuth: wrap_rad(atom.azimuth + by), width: atom.width.max(width), ..*atom };
+            let mut mode = Mode { place: near.place, atoms: mode.atoms.iter().map(atom).collect(), ..mode.clone() };
+            mode.covariance[(1, 1)] += (cell.high - cell.low).powi(2) / 12.0;
+            // Errors of the path count the less, the steeper the place: that one explains more is no evidence for it.
+            let less = (0.5 * (self.cost(&at, variance) - self.cost(near, variance))).min(0.0);
+            mode.scale(cell.mass * less.exp());
+            mixed.push(mode);
+        };
+        take(&at, &cells[own], &at);
+        let (below, above) = (cells[..own].iter().rev(), cells[own + 1..].iter());
+        for side in [below.collect::<Vec<_>>(), above.collect()] {
+            let mut near = at;
+            for cell in side {
+                let by = cell.at.cos() - near.place.elevation.cos();
+                let turned = wave.best_with(wave.beside(&near, (1, by), variance), [true, false, true]);
+                // Towards the line of a straight motion, azimuths of a wide range explain the samples alike: they need not turn.
+                let still = At { place: Place { elevation: cell.at, ..near.place }, ..near };
+                let still = wave.best_with(still, [false, false, true]);
+                let needs_turn = self.cost(&still, variance) > self.cost(&turned, variance) + 0.1;
+                let next = if needs_turn { turned } else { still };
+                take(&next, cell, &near);
+                near = next;
+            }
+        }
+        settle(&mut mixed);
+        let mut mixed = mixed.into_iter();
+        let mut all = mixed.next().unwrap_or(mode);
+        mixed.for_each(|mode| all.absorb(mode));
+        all.place.azimuth = wrap_rad(at.place.azimuth);
+        all
+    }
+
+    /// The place beside `at` by so much in one coordinate whose phases differ least, to first order: elsewhere they would be turns away
+    /// from those of the samples.
+    fn beside(&self, at: &At, (coordinate, by): (usize, f64), variance: f64) -> At {
         let mut information = self.information(at, variance);
         information[(3, 3)] += self.scale_sd.powi(-2);
-        let mut slope = -information.column(0).into_owned() * by_rad;
-        for k in (0..4).filter(|k| *k == 0 || !self.open.0[k - 1]) {
+        let mut slope = -information.column(coordinate).into_owned() * by;
+        for k in (0..4).filter(|k| *k == coordinate || *k > 0 && !self.open.0[k - 1]) {
             information.row_mut(k).fill(0.0);
             information.column_mut(k).fill(0.0);
             (information[(k, k)], slope[k]) = (1.0, 0.0);
         }
         let mut step = solve(information, slope, 1e-9).unwrap_or_default();
-        step[0] = by_rad;
+        step[coordinate] = by;
         self.moved(at, &step, &[false; 3]).0
     }
 

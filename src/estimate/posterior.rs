@@ -62,7 +62,7 @@ impl Mode {
     }
 
     /// Takes in a mode beside it. The azimuth stays the most probable one, elevation and 1 / range become the means.
-    fn absorb(&mut self, other: Self) {
+    pub fn absorb(&mut self, other: Self) {
         let mass = self.mass + other.mass;
         let share = if mass > 0.0 { other.mass / mass } else { 0.0 };
         let (own, its) = (&mut self.place, &other.place);

@@ -9,6 +9,9 @@ use super::likelihood::Place;
 use super::tuning;
 use std::f64::consts::FRAC_PI_2;
 
+/// Probability of a transmitter nearer than [`tuning::NEAREST_M`], where no shortest range is given.
+pub(super) const NEARER: f64 = 0.05;
+
 /// Requested limits of the prior.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Limits {
@@ -74,6 +77,27 @@ impl Prior {
     pub fn with_any_elevation(self) -> Self {
         let lowest = if self.is_signed() { -FRAC_PI_2 } else { 0.0 };
         Self { elevation_rad: [lowest, FRAC_PI_2], beyond: tuning::ELEVATION_BEYOND, ..self }
+    }
+
+    /// The same with expected places alone: 1 / range up to `curve_max`, no elevation beyond the expected ones.
+    pub fn expected(self, curve_max: f64) -> Self {
+        let prior = self.with_curve_max(curve_max);
+        if prior.elevation_is_open() { prior.with_expected_elevations() } else { prior }
+    }
+
+    /// `ln` of how many times less probable a place is than an expected one, which these limits contain.
+    pub fn log_odds(&self, place: &Place) -> f64 {
+        let nearer = if place.curve > self.curve_max { NEARER.ln() } else { 0.0 };
+        let steeper = self.elevation_is_open() && place.elevation.abs() > self.expected_rad + 1e-9;
+        let density = |share: f64, width_rad: f64| share / width_rad;
+        let odds = density(tuning::ELEVATION_BEYOND, FRAC_PI_2 - self.expected_rad)
+            / density(1.0 - tuning::ELEVATION_BEYOND, self.expected_rad);
+        nearer + if steeper { odds.ln() } else { 0.0 }
+    }
+
+    /// The same at the horizon alone, unless a height is known.
+    pub fn level(self) -> Self {
+        if self.height_m.is_some() { self } else { Self { elevation_rad: [0.0; 2], ..self } }
     }
 
     /// The same without elevations beyond the expected ones.

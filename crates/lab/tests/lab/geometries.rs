@@ -281,6 +281,66 @@ fn motion_towards_the_transmitter_has_a_confidence_that_matches_its_error_bar() 
     }
 }
 
+/// A level line shows no elevation: none is claimed, and the bar holds what an unknown one leaves of the azimuth.
+#[test]
+fn a_level_lines_error_bar_covers_unknown_elevations() {
+    let mut within = 0;
+    for (k, elevation_deg) in [0.0, 4.0, 8.0, -12.0, 16.0, -19.0].into_iter().enumerate() {
+        for (azimuth_deg, noise_m) in [(35.0, 0.0), (70.0, 0.001), (95.0, 0.003), (-140.0, 0.0)] {
+            let place_m = away(azimuth_deg + 0.5, elevation_deg, 5.0);
+            let ends = Ends {
+                odometry_noise_m: noise_m,
+                ..in_space(line(1.2), [place_m[0] + 0.6, place_m[1], place_m[2]], k as u64)
+            };
+            let (bearing, seen) = judged(&ends, &options());
+            let answer = &bearing.answer;
+            assert_eq!(answer.elevation_sd_rad, None, "{azimuth_deg} {elevation_deg}: {seen:?}");
+            // Noise of odometry is no depth that would tell the sides.
+            assert!((0.45..=0.5).contains(&answer.mirror_share.unwrap()), "{azimuth_deg} {elevation_deg}: {answer:?}");
+            let off =
+                |azimuth: f64| (seen.azimuth_error_deg + wrap_rad(azimuth - answer.azimuth_rad).to_degrees()).abs();
+            let error_deg = off(answer.azimuth_rad).min(off(answer.mirror_rad.unwrap()));
+            assert!(error_deg < 3.0 * seen.azimuth_sd_deg, "{azimuth_deg} {elevation_deg}: {error_deg} {seen:?}");
+            within += usize::from(error_deg < seen.azimuth_sd_deg);
+        }
+    }
+    assert!(within >= 16, "{within} of 24");
+}
+
+/// A wave front that bends as from beside the robot, or as one from afar: the prior says which to expect.
+#[test]
+fn a_distant_place_is_not_taken_for_a_near_one() {
+    let bend = RobotMotion::Arc(Arc { radius_m: 1.1, angle_deg: 12.4, duration_s: 2.0, start_s: 0.0 });
+    for seed in 0..12 {
+        let ends = Ends { snr_db: 10.8, duration_s: 3.0, ..in_space(bend.clone(), [-6.6, -0.3, 1.4], seed) };
+        let seen = see(&ends);
+        assert!(seen.position_level.is_none_or(|level| level < 12.0), "{seed}: {seen:?}");
+    }
+}
+
+/// Odometry hides that one wave is all there is; it comes from higher than expected.
+#[test]
+fn a_high_place_is_found_with_inexact_odometry() {
+    let spiral = helix(0.55, 0.06, 1.5);
+    for (seed, elevation_deg) in [-60.0, -37.0, 30.0, 50.0].into_iter().enumerate() {
+        let ends = in_space(spiral.clone(), away(40.0 + 80.0 * seed as f64, elevation_deg, 15.0), seed as u64);
+        let seen = see(&Ends { odometry_noise_m: 0.003, odometry_scale: 0.002, ..ends });
+        let elevation_off = seen.elevation_error_deg.unwrap().abs();
+        assert!(seen.azimuth_error_deg.abs() < 2.0 && elevation_off < 3.0, "{elevation_deg}: {seen:?}");
+    }
+}
+
+/// Between a near place and a distant, high one lies a long valley of places that explain nearly as much.
+#[test]
+fn a_near_place_beside_an_arc_is_found() {
+    for (seed, angle_deg) in [45.0, 60.0, 87.0, 110.0].into_iter().enumerate() {
+        let arc = RobotMotion::Arc(Arc { radius_m: 0.77, angle_deg, duration_s: 6.0, start_s: 0.0 });
+        let seen = see(&in_space(arc, [-0.49, 1.0, 0.03], seed as u64));
+        assert!(seen.azimuth_error_deg.abs() < 3.0 * seen.azimuth_sd_deg, "{angle_deg}: {seen:?}");
+        assert!(seen.azimuth_error_deg.abs() < 3.0, "{angle_deg}: {seen:?}");
+    }
+}
+
 /// A straight drive hides the side: the range is known, the place is not.
 #[test]
 fn a_mirror_leaves_a_range_and_no_place() {
