@@ -238,6 +238,9 @@ impl<'a> Session<'a> {
         if totals.received == 0 {
             note!("  nothing came{}", self.args.if_nothing());
         }
+        if let Some(next) = files.left_over() {
+            note!("  {} and those after it are of an earlier recording", next.display());
+        }
         if let Some(message) = &failed {
             wrong!("{message}");
         }
