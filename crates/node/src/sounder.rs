@@ -10,7 +10,7 @@ use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_live::monitor::Monitor;
 use csi5300_live::sounding::{
-    News, Notice, Order, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
+    News, Notice, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -198,8 +198,7 @@ impl Tap for Measuring {
             && self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
         {
-            // If too many wait, the next one is newer.
-            self.running.order(Order::Measurement(identity.mac, measurement));
+            self.running.carry(identity.mac, measurement);
         }
     }
 }

@@ -20,7 +20,7 @@ use csi5300_live::listener::Listener;
 use csi5300_live::logged::Logged;
 use csi5300_live::monitor::{AirCounts, Monitor, Options};
 use csi5300_live::sounding::{
-    Beside, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Running, Session, Settings, Setup,
+    Beside, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Running, Session, Settings, Setup,
     Spread, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
 };
 use csi5300_live::wait::Monotonic;
@@ -107,8 +107,12 @@ impl Line {
     }
 }
 
-/// The bearings of all peers with products, or why the trajectory cannot be read.
-type Made = Words<Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>>;
+/// What the trajectory lacks, and the bearings of all peers with products; or why it cannot be read.
+type Made = Words<(Lacks, Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>)>;
+
+/// Skipped rows of a trajectory, in words, and whether they are a loss.
+#[derive(Default)]
+struct Lacks(Vec<String>, bool);
 
 /// Makes bearings from products, beside the sounding.
 struct Bearings<'a> {
@@ -120,8 +124,8 @@ struct Bearings<'a> {
     told: bool,
     /// Reported numbers with two records.
     contested: u64,
-    /// The trajectory could not be read the last time.
-    unread: bool,
+    /// Of the last reading of the trajectory; one that could not be read is a loss.
+    lacks: Lacks,
 }
 
 /// What `sound` does beside sounding.
@@ -172,7 +176,12 @@ impl Bearings<'_> {
         }
         let (links, path) = (self.products.links(), self.path.to_owned());
         let work = move || match csv::read_as(&path, None) {
-            Ok((trajectory, _)) => Ok(links.bearings(&trajectory)),
+            Ok((trajectory, mut counts)) => {
+                let notes = counts.notes(&trajectory);
+                // One row may be in the middle of being written.
+                counts.bad_rows = counts.bad_rows.saturating_sub(1);
+                Ok((Lacks(notes, counts.lost_something(&trajectory)), links.bearings(&trajectory)))
+            }
             Err(error @ CsvError::Io { .. }) => Err(error.to_string()),
             Err(error) => Err(format!("{}: {error}", path.display())),
         };
@@ -183,22 +192,24 @@ impl Bearings<'_> {
 
     /// Prints the bearings that are ready.
     fn tell(&mut self, made: Made) {
-        self.unread = made.is_err();
-        let made = match made {
-            Ok(made) => made,
-            Err(error) => return wrong!("{error}"),
-        };
+        let (lacks, made) = made.unwrap_or_else(|error| {
+            wrong!("{error}");
+            (Lacks(Vec::new(), true), Vec::new())
+        });
+        self.lacks = lacks;
         for (mac, pairs, made) in made {
             self.show(&Line::new(mac, pairs, &made));
         }
     }
 
-    /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this. False if the
-    /// trajectory could not be read.
+    /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this. False if
+    /// something of the trajectory could not be read.
     fn finish(mut self, signals: &Signals) -> Words<bool> {
         let last = self.beside.last(self.clock, signals.as_fd()).in_words()?;
         last.into_iter().for_each(|made| self.tell(made));
-        Ok(!self.unread)
+        let Lacks(notes, is_loss) = self.lacks;
+        notes.into_iter().for_each(|words| note!("{}: {words}", self.path.display()));
+        Ok(!is_loss)
     }
 
     fn show(&self, line: &Line) {
@@ -254,7 +265,7 @@ pub fn run(args: &Args) -> Result {
             let mut products = products(&common.peers, options);
             opened.key.iter().for_each(|key| products.require_key(key));
             let beside = Beside::new(now, args.bearing_every);
-            Some(Bearings { args, products, path, beside, clock, told: false, contested: 0, unread: false })
+            Some(Bearings { args, products, path, beside, clock, told: false, contested: 0, lacks: Lacks::default() })
         }
         _ => None,
     };
@@ -297,8 +308,7 @@ impl Observer for Measuring {
             && self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
         {
-            // Where too many wait, the next one is newer.
-            running.order(Order::Measurement(identity.mac, measurement));
+            running.carry(identity.mac, measurement);
         }
     }
 
@@ -390,7 +400,7 @@ struct Sounding {
     #[arg(long, value_name = "OUT.dat")]
     log: Option<PathBuf>,
     /// Overwrite existing outputs
-    #[arg(long)]
+    #[arg(long, requires = "log")]
     force: bool,
     #[command(flatten)]
     listening: Listening,

@@ -18,7 +18,7 @@ mod thread;
 
 pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, Spread, spread_of};
 pub use products::{Beside, measurement, products};
-pub use thread::{Order, Running, Settings};
+pub use thread::{Running, Settings};
 
 use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
 use crate::listener::Listener;
