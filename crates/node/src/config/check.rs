@@ -450,7 +450,12 @@ impl Check<'_> {
         if config.peer.is_empty() && self.knows(&["peer"]) {
             self.refuse("team", "[team] needs a [[peer]]: the graph is made of bearings");
         }
-        let places = team.places.keys().map(|name| ("places", name, None));
+        let has_poses = |name: &String| {
+            let peers = config.peer.iter().map(|peer| peer.get_ref());
+            peers.filter(|peer| peer.name == *name).any(|peer| !matches!(peer.poses, Odometry::Static(_)))
+        };
+        let moves = "a known place is that of a peer that stands: leave it out, or the peer's `poses`";
+        let places = team.places.keys().map(|name| ("places", name, has_poses(name).then(|| moves.to_owned())));
         let ranges = team.ranges.iter().map(|(name, ranges)| ("ranges", name, settings::wrong_name(&ranges.topic)));
         for (key, name, wrong) in places.chain(ranges) {
             let is_peer = config.peer.iter().any(|peer| peer.get_ref().name == *name);
@@ -854,6 +859,7 @@ mod tests {
         good(&room("[team]\nranges.tx = { topic = '/uwb/tx' }\n"));
         all_refused([
             ("places", "no peer `ty`", room("[team]\nframe = 'hall'\nplaces.ty = [1.0, 2.0]\n")),
+            ("places", "leave it out", room("poses.room = {}\n[team]\nplaces.tx = [1.0, 2.0]\n")),
             ("places", "finite", room("[team]\nplaces.tx = [1.0, inf]\n")),
             ("places", "3 numbers where 2 are expected", room("[team]\nplaces.tx = [1.0, 2.0, 3.0]\n")),
             (
