@@ -209,8 +209,8 @@ impl Looks {
         let health = Health {
             name: self.name.clone(),
             uptime_s: now.as_s(),
-            records: survey.records,
-            records_hz: rate(survey.records, before.records),
+            records: survey.came(),
+            records_hz: rate(survey.came(), before.records),
             losses,
             missing: survey.bfee_missing,
             strangers,
@@ -285,7 +285,9 @@ mod tests {
     #[test]
     fn records_of_another_key_are_said() {
         assert_eq!(unconfirmed_words("b", UNCONFIRMED - 1), None);
-        assert!(unconfirmed_words("b", UNCONFIRMED).unwrap().starts_with("b: 32 records, none of a confirmed exchange"));
+        assert!(
+            unconfirmed_words("b", UNCONFIRMED).unwrap().starts_with("b: 32 records, none of a confirmed exchange")
+        );
     }
 
     #[test]
